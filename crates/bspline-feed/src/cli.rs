@@ -23,10 +23,10 @@ pub struct Feed {
     path: PathArgs,
     #[command(flatten)]
     machine: MachineArgs,
-    /// Where the feed comes from
+    /// Source of the feed
     #[arg(long, value_enum, default_value = "deconvolution")]
     method: Method,
-    /// How the acceleration limit is kept
+    /// Method to keep the acceleration limit
     #[arg(long, value_enum, default_value = "convex-concave")]
     refinement: Refinement,
     /// Distance of the knots, mm [default: a quarter of the TIF's width]
@@ -35,20 +35,20 @@ pub struct Feed {
     /// Distance of neighbouring passes for the VRR feed, mm [default: measured]
     #[arg(long, value_name = "P")]
     pitch_mm: Option<f64>,
-    /// What the uniform part of the desired removal means
+    /// Treatment of the uniform part of the desired removal
     #[arg(long, value_enum, default_value = "keep")]
     piston: Piston,
     /// Weight of the distance to the least dwell density, relative to the strongest column
     #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
     tikhonov: f64,
-    /// Weight of the second differences of the control values along a pass, likewise
+    /// Weight of the second differences of the control values along a pass, relative to the strongest column
     #[arg(long, value_name = "B", default_value_t = Settings::default().smoothness)]
     smoothness: f64,
-    /// Largest proven distance of the objective from its minimum, over the objective; with knot removal,
-    /// the fall of the objective in a sweep at which it ends
+    /// Gap between the objective and its proven lower bound, over the objective, at which the solver ends; with knot
+    /// removal, the relative fall of the objective in a sweep
     #[arg(long, value_name = "R", default_value_t = Settings::default().tolerance)]
     tolerance: f64,
-    /// Most steps of the interior point method; with knot removal, most sweeps over the lines
+    /// Largest number of steps of the interior point method; with knot removal, of sweeps over the lines
     #[arg(long, value_name = "N", default_value_t = Settings::default().max_sweeps)]
     max_sweeps: usize,
     /// Largest distance of the motion from the feed profile at equal times, mm

@@ -100,14 +100,16 @@ pub fn columns(pass: &Pass, knots: &Knots, tif: &Tif, surface: &Surface) -> Vec<
     columns
 }
 
-/// Part of what a span removes (RMS) by which twice as many parts may change it: 0.1 nm of 50 nm, at every pixel
-/// another one, which the many spans that reach a pixel average to a small part of what a plan leaves.
+/// Largest change of the removal of a span (RMS, relative) by twice as many parts: 0.1 nm of 50 nm. The change
+/// differs from pixel to pixel, and the many spans that reach a pixel average it to a small part of the residual.
+/// Larger: a larger error of the removal. Smaller: more parts, more time.
 const PARTS_TOLERANCE: f64 = 2e-3;
 
-/// Most parts of a span: what the end of a flat pad leaves falls with their number only.
+/// Largest number of parts of a span. The error at the end of a flat pad falls only with their number. Larger: more
+/// time with such tools. Smaller: a larger error.
 const MOST_PARTS: usize = 16;
 
-/// (sqrt(5) - 1)/2: its multiples less their whole parts are spread evenly over [0, 1).
+/// Golden ratio less one, (sqrt(5) - 1)/2: the fractional parts of its multiples are spread evenly over [0, 1).
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
 /// The five-point Gauss rule on equal parts of [0, 1]: places and weights.

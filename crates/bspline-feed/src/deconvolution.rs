@@ -44,26 +44,27 @@ use crate::{
     passes::Pass,
 };
 
-/// Elements of the removal basis that are kept in memory: 3.2 GB.
+/// Largest number of elements of the removal basis that are kept in memory (3.2 GB); more are refused. Larger: more
+/// memory. Smaller: fine knots on large maps are refused.
 const MAX_ELEMENTS: usize = 400_000_000;
 
-/// How the acceleration limit is kept.
+/// Methods to keep the acceleration limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Refinement {
-    /// By the convex-concave procedure.
+    /// Convex-concave procedure.
     ConvexConcave,
-    /// By removing knots next to the highest acceleration.
+    /// Removal of knots next to the highest acceleration.
     KnotRemoval,
 }
 
-/// How to solve.
+/// Settings of the deconvolution.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// How the acceleration limit is kept.
+    /// Method to keep the acceleration limit.
     pub refinement: Refinement,
-    /// Whether a piston is free: the uniform part of the desired removal does not count.
+    /// True if a piston is free: the uniform part of the desired removal does not count.
     pub free_piston: bool,
     /// alpha: weight of the distance to the least density; >= 0.
     pub tikhonov: f64,
@@ -71,7 +72,7 @@ pub struct Settings {
     pub smoothness: f64,
     /// Largest gap, or fall of the objective in the last sweep, over the objective.
     pub tolerance: f64,
-    /// Most sweeps, or steps of the interior point method.
+    /// Largest number of sweeps, or of steps of the interior point method.
     pub max_sweeps: usize,
 }
 
@@ -80,7 +81,7 @@ pub struct Settings {
 pub struct Line {
     /// Knots of the spline on [0, length].
     pub knots: Knots,
-    /// What it may do.
+    /// Limits of the feed along the pass.
     pub limits: FeedLimits,
     columns: Vec<Column>,
     /// G'G (n, n).
@@ -90,14 +91,14 @@ pub struct Line {
 /// All lines, and which of them may be solved at the same time.
 #[derive(Debug)]
 pub struct Problem {
-    /// In the order of the path.
+    /// Lines in the order of the path.
     pub lines: Vec<Line>,
     /// K.
     strongest: f64,
     groups: Vec<Vec<usize>>,
 }
 
-/// Where the sweeps begin.
+/// Feed at which the sweeps begin.
 #[derive(Clone, Debug)]
 pub struct Start {
     /// Control values of every line, positive, s/mm.
@@ -119,9 +120,9 @@ pub struct State {
     pub objective: Vec<f64>,
     /// Sweeps, or steps of the interior point method.
     pub steps: usize,
-    /// Whether the gap is within the tolerance, or the objective fell by less than that in the last sweep.
+    /// True if the gap is within the tolerance, or the objective fell by less than that in the last sweep.
     pub converged: bool,
-    /// Part of the objective that no feed within the tangents of the limits saves (`joint`); none of sweeps.
+    /// Part of the objective that no feed within the tangents of the limits saves (`joint`); none for sweeps.
     pub gap: Option<f64>,
     /// Objective after the sweep that raised it and was given up, nm^2; it was the last one.
     pub given_up_nm2: Option<f64>,
@@ -345,7 +346,7 @@ impl Problem {
     }
 }
 
-/// What a step (2) brings.
+/// Result of a step (2).
 struct Solved {
     d: Vec<f64>,
     rows_mm: Vec<f64>,

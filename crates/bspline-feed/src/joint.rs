@@ -23,8 +23,8 @@
 //! ```
 //!
 //! where P0, the penalties of f, is at most H. The gap of D_k is `f(D_k)` less the right side, over `f(D_k)`: no feed
-//! within the tangents at D_k lowers the objective by more. A tangent keeps the density above 2/3 D_k, so even without an
-//! acceleration limit that is active, nothing is proven of feeds that are more than 1.5 times as fast somewhere.
+//! within the tangents at D_k lowers the objective by more. A tangent keeps the density above 2/3 D_k. So even
+//! without an active acceleration limit, nothing is proven of feeds that are more than 1.5 times as fast somewhere.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -46,34 +46,42 @@ use crate::{
     limited::{self, ACCEPTED, ASKED},
 };
 
-/// Places of rows (2) per knot span at first; where the acceleration exceeds its limit between them, others are added.
+/// Number of places of rows (2) per knot span at first; others are added where the acceleration exceeds its limit
+/// between them. Larger: larger programs. Smaller: more rounds with added rows.
 const PLACES: usize = 16;
 
-/// Fraction of a slack or dual variable that a step may take.
+/// Fraction of the way to the boundary of the slacks and dual variables that a step may take. Larger: iterates close
+/// to the boundary, and short steps after it. Smaller: more steps.
 const STEP_TO_BOUNDARY: f64 = 0.99;
 
-/// Gap at the start over the objective there.
+/// Gap at the start over the objective there. Larger: more steps. Smaller: a start near the boundary, and short
+/// steps.
 const FIRST_GAP: f64 = 0.3;
 
-/// Least slack at the start, over the density at its place: from an iterate near the boundary the first steps are short.
-/// Where a slack is above its c, the steps close the difference.
+/// Smallest slack at the start, over the density at its place. From an iterate near the boundary the first steps are
+/// short. If a slack is above its c, the steps close the difference. Larger: a larger difference to close. Smaller:
+/// short first steps.
 const FIRST_SLACK: f64 = 0.1;
 
-/// Least slack of a row that is added, likewise.
+/// Smallest slack of a row that is added, over the density at its place. Larger: a larger difference to close.
+/// Smaller: short steps after the row is added.
 const LEAST_SLACK: f64 = 1e-3;
 
-/// Part of the tolerance to which a program is solved before its bound is compared: the rest is for the tangents.
+/// Fraction of the tolerance to which a program is solved before its bound is compared; the rest is for the tangents.
+/// Larger: more rounds of tangents. Smaller: more steps per program.
 const PROGRAM_TOLERANCE: f64 = 0.3;
 
-/// Least complementarity that a step aims at, over what a solved program may have: closer to the boundary nothing is
-/// gained, and the next tangents would make the steps short.
+/// Smallest complementarity at which a step aims, over that of a solved program. Closer to the boundary nothing is
+/// gained, and the next tangents would make the steps short. Larger: the program may not reach its tolerance.
+/// Smaller: short steps.
 const CENTRED: f64 = 0.3;
 
-/// Objective over that of no removal below which the feed is as good as exact: 1e-5 of the RMS of the map. Relative to
-/// less nothing could be proven of a map that a feed can remove entirely.
+/// Objective over that of no removal below which the feed counts as exact: 1e-5 of the RMS of the map. Larger: an
+/// earlier end. Smaller: nothing can be proven for a map that a feed can remove entirely.
 const EXACT: f64 = 1e-10;
 
-/// Least density at the start over its bound: an interior point method starts inside.
+/// Smallest density at the start over its bound, dimensionless: an interior point method starts inside. Larger: the
+/// start is farther from the given feed. Smaller: short first steps.
 const INSIDE: f64 = 1.0 + 1e-3;
 
 /// The least objective and its gap.
@@ -103,7 +111,8 @@ struct Rows {
     tangent: Vec<(usize, [[f64; 4]; 2], f64)>,
 }
 
-/// Where the method is: slacks and dual variables of the bounds (n), then of both signs of every row.
+/// State of the method: control values, and slacks and dual variables of the bounds (n), then of both signs of every
+/// row.
 struct Iterate {
     d: Vec<f64>,
     s: Vec<f64>,
@@ -668,7 +677,7 @@ mod tests {
         }
     }
 
-    /// Least objective under the bounds alone, by changing one control value after the other.
+    /// Minimises the objective under the bounds alone, by changing one control value after the other.
     fn by_coordinates(joint: &Joint<'_>, target_nm: &Array2<f64>) -> f64 {
         let n = joint.place.len();
         let columns: Vec<_> = joint.problem.all_columns().collect();

@@ -33,7 +33,7 @@ pub use plan::{Plan, Report, Settings, plan};
 
 use planish_types::Invalid;
 
-/// Why no feed could be found.
+/// Reasons for which no feed could be found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FeedError {
     /// The inputs or settings contradict themselves or each other.
@@ -48,7 +48,7 @@ pub enum FeedError {
     CornerInside {
         /// Segment that does not continue the pass.
         segment: usize,
-        /// Where it is, mm.
+        /// Place of the corner, mm.
         point_mm: [f64; 2],
     },
     /// The tool does not reach the part.
@@ -67,7 +67,7 @@ pub enum FeedError {
         control_values: usize,
         /// Pixels of all basis functions.
         elements: usize,
-        /// Most elements.
+        /// Largest number of elements.
         limit: usize,
     },
     /// The quadratic program of a pass was not solved.
@@ -77,7 +77,7 @@ pub enum FeedError {
     Solver {
         /// Pass, in the order of the path.
         pass: usize,
-        /// What the solver says.
+        /// Status that the solver reports.
         status: String,
     },
 }

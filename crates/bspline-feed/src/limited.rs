@@ -50,19 +50,19 @@ pub struct Quadratic {
 }
 
 impl Quadratic {
-    /// Its value at `d`.
+    /// Value of the quadratic at `d`.
     pub fn value(&self, d: &[f64]) -> f64 {
         let d = ArrayView1::from(d);
         0.5 * d.dot(&self.p.dot(&d)) - d.dot(&ArrayView1::from(&self.q))
     }
 
-    /// The same of `d = K c` as a function of c.
+    /// Returns the quadratic as a function of c, for `d = K c`.
     fn of(&self, k: &Array2<f64>) -> Self {
         Self { p: k.t().dot(&self.p).dot(k), q: k.t().dot(&ArrayView1::from(&self.q)).to_vec() }
     }
 }
 
-/// What a machine can do along one pass.
+/// Limits of the feed along one pass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedLimits {
     /// The inverse of the largest feed, s/mm.
@@ -71,16 +71,20 @@ pub struct FeedLimits {
     pub max_acceleration_mm_per_s2: f64,
 }
 
-/// Samples of a(s) per span: between its zeros a has few extrema in a span.
+/// Number of samples of a(s) per span, for the search of its extrema; a has few extrema in a span. Larger: more time.
+/// Smaller: an extremum between two samples may be missed.
 const SAMPLES: u32 = 40;
 
-/// Part of the limit that rows (2) ask for, and part up to which a solution is accepted. The gap is
-/// for the tolerance of the solver and of the search for the extrema, and the rest for the cubic
-/// pieces that are fitted to the motion.
+/// Fraction of the acceleration limit that rows (2) ask for. The distance to [`ACCEPTED`] is for the tolerance of the
+/// solver and of the search for the extrema. Larger: solutions that are not accepted, and more rounds. Smaller:
+/// slower feeds.
 pub(crate) const ASKED: f64 = 0.998;
+/// Fraction of the acceleration limit up to which a solution is accepted. The rest is for the cubic pieces that are
+/// fitted to the motion. Larger: the motion may exceed the limit. Smaller: more rounds, or slower feeds.
 pub(crate) const ACCEPTED: f64 = 0.9995;
 
-/// Rounds of adding rows before what is left of the excess is mended by a slower feed.
+/// Largest number of rounds of adding rows. After them a slower feed removes the excess that is left. Larger: more
+/// time. Smaller: slower feeds.
 const MAX_ROUNDS: usize = 60;
 
 /// A local extremum of the acceleration.
@@ -205,7 +209,8 @@ pub fn closest_within(
         .try_fold(start, |d, _| convex_concave_step(objective, knots, limits, &d, &mut rows_mm))
 }
 
-/// Steps of the procedure from a feed beyond the limits; it changes by less than 1e-3 after five.
+/// Number of steps of the procedure from a feed beyond the limits; it changes by less than 1e-3 after five. Larger:
+/// more time. Smaller: the feed depends on its start.
 const STEPS_TO_SETTLE: usize = 6;
 
 /// `d` plus the least of the doubled constants that brings |a| within the limit.

@@ -24,18 +24,20 @@ use crate::{
     passes::{Pass, is_inside},
 };
 
-/// Part of the machine's limits that a link leaves free; the passes leave twice as much, so that
-/// the velocities at their ends are within those of a link.
+/// Fraction of the machine's limits that a link leaves free. The passes leave twice as much, so that the velocities
+/// at their ends are within those of a link. Larger: slower links. Smaller: rounding exceeds the limits.
 const MARGIN: f64 = 0.5e-6;
 
-/// Shortest piece of a link, in roundings of the time of the motion: a shorter one vanishes when times are added.
+/// Shortest piece of a link, in roundings of the time of the motion; a shorter one vanishes when times are added.
+/// Larger: a lower limit on the acceleration of links. Smaller: pieces without a duration.
 const LEAST_ROUNDINGS: f64 = 4.0;
 
 /// Largest change of the velocity in the time of the shortest piece, mm/s: a tenth of the step that `planish-verify`
-/// takes for rounding. Links use no larger acceleration, whatever the machine allows.
+/// takes for rounding. Links use no larger acceleration, whatever the machine allows. Larger: dropped pieces cause
+/// velocity steps that the judge sees. Smaller: slower links on machines with large accelerations.
 const LARGEST_STEP_MM_PER_S: f64 = 1e-7;
 
-/// What joins the passes.
+/// Links between the passes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Links {
     /// Links with the tool on, in the place of turn-arounds.
@@ -50,7 +52,7 @@ pub struct Links {
     pub entering_aperture: usize,
 }
 
-/// How closely the motion follows t(s).
+/// Distance of the motion from t(s).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FitReport {
     /// Cubic pieces of all passes.
@@ -64,9 +66,9 @@ pub struct FitReport {
 pub struct Motion {
     /// Motion.
     pub trajectory: Trajectory,
-    /// What joins the passes.
+    /// Links between the passes.
     pub links: Links,
-    /// How closely it follows t(s).
+    /// Distance of the motion from t(s).
     pub fit: FitReport,
     /// Segments of the trajectory that are links with the tool on.
     links_on: Vec<Range<usize>>,
@@ -139,8 +141,8 @@ pub fn motion(
 }
 
 impl Motion {
-    /// What the links remove with the tool on (ny, nx), nm: 3-point Gauss rule in time on parts that are
-    /// at most a pixel of the TIF long.
+    /// Removal by the links with the tool on (ny, nx), nm: 3-point Gauss rule in time on parts that are at most a
+    /// pixel of the TIF long.
     pub fn link_removal_nm(&self, tif: &Tif, surface: &Surface) -> Array2<f64> {
         let mut map = Array2::zeros(surface.grid().shape());
         let pixel = tif.grid().x.step_mm().min(tif.grid().y.step_mm());
@@ -167,14 +169,14 @@ impl Motion {
     }
 }
 
-/// What a link may do.
+/// Limits of a link.
 struct LinkLimits {
     velocity: [f64; 2],
     acceleration: [f64; 2],
     least_s: f64,
 }
 
-/// From one [position, velocity] to another; returns how long it takes, s.
+/// Adds a link from one [position, velocity] to another; returns its duration, s.
 fn add_link(
     draft: &mut TrajectoryBuilder,
     from: [[f64; 2]; 2],
@@ -229,7 +231,7 @@ fn add_pass(
     FitReport { pieces: fit.pieces.len(), largest_error_mm: fit.largest_error }
 }
 
-/// Whether the motion from segment `begin` on enters the aperture, seen at 8 places of each.
+/// Returns true if the motion from segment `begin` on enters the aperture, tested at 9 places of each segment.
 fn enters(draft: &TrajectoryBuilder, begin: usize, surface: &Surface) -> bool {
     (begin..draft.len()).any(|i| {
         (0..=8).any(|k| {

@@ -10,11 +10,12 @@ use planish_types::{Grid, Limits, Surface, ToolPath};
 
 use crate::FeedError;
 
-/// Segments whose direction differs by less than this continue straight, rad: 0.1 um of a step of 1 mm,
-/// above the rounding of coordinates that passed through 32-bit floats.
+/// Angle below which two segments continue straight, rad: 0.1 um of a step of 1 mm, above the rounding of coordinates
+/// that passed through 32-bit floats. Larger: bent paths pass as straight. Smaller: rounding divides passes.
 const STRAIGHT: f64 = 1e-4;
 
-/// Part of the machine's limits that is left free for the rounding of the polynomials.
+/// Fraction of the machine's limits that is left free for the rounding of the polynomials. Larger: slower feeds.
+/// Smaller: rounding exceeds the limits.
 const MARGIN: f64 = 1e-6;
 
 /// A straight stretch of the path.
@@ -30,7 +31,7 @@ pub struct Pass {
     pub direction: [f64; 2],
     /// Distance of the control points of the path from its start, ascending from 0, mm.
     pub node_mm: Vec<f64>,
-    /// Whether the tool stays on until the next pass; false after the last.
+    /// True if the tool stays on until the next pass; false after the last.
     pub tool_on_after: bool,
     /// Largest feed, mm/s.
     pub max_feed_mm_per_s: f64,
@@ -152,7 +153,7 @@ fn refuse_inside(path: &ToolPath, surface: &Surface, i: usize) -> Result<(), Fee
     Ok(())
 }
 
-/// Whether the nearest pixel and its eight neighbours are valid.
+/// Returns true if the nearest pixel and its eight neighbours are valid.
 pub(crate) fn is_inside(surface: &Surface, [x, y]: [f64; 2]) -> bool {
     let Grid { x: ax, y: ay } = surface.grid();
     let c = ((x - ax.start_mm()) / ax.step_mm()).round();

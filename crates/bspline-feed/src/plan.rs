@@ -1,4 +1,4 @@
-//! From the map to the motion.
+//! Plan from the map to the motion.
 //!
 //! ```text
 //! passes -> knots of every pass -> first guess: the VRR feed
@@ -30,7 +30,7 @@ use crate::{
     vrr,
 };
 
-/// Where the feed comes from.
+/// Sources of the feed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
@@ -42,7 +42,7 @@ pub enum Method {
 }
 
 impl Method {
-    /// What a plan says that it was made by.
+    /// Name of the method in a plan.
     pub fn name(self) -> &'static str {
         match self {
             Self::Deconvolution => "bspline",
@@ -51,38 +51,38 @@ impl Method {
     }
 }
 
-/// What the uniform part of the desired removal means.
+/// Treatment of the uniform part of the desired removal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Piston {
-    /// It does not count; found along with the feed, slowly.
+    /// The uniform part does not count; the solver finds it along with the feed, slowly.
     Free,
-    /// It is to be removed as given.
+    /// The uniform part is removed as given.
     Keep,
 }
 
-/// How to plan.
+/// Settings of a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// Where the feed comes from.
+    /// Source of the feed.
     pub method: Method,
-    /// How the acceleration limit is kept.
+    /// Method to keep the acceleration limit.
     pub refinement: Refinement,
     /// Distance of the knots, mm; a quarter of the TIF's width when absent.
     pub knot_spacing_mm: Option<f64>,
     /// Distance of neighbouring passes for the VRR feed, mm; measured when absent.
     pub pitch_mm: Option<f64>,
-    /// What the uniform part of the desired removal means.
+    /// Treatment of the uniform part of the desired removal.
     pub piston: Piston,
     /// Weight of the distance to the least density, relative to the strongest column; >= 0.
     pub tikhonov: f64,
-    /// Weight of the second differences of the control values along a pass, likewise; >= 0.
+    /// Weight of the second differences of the control values along a pass, relative to the strongest column; >= 0.
     pub smoothness: f64,
     /// Largest gap between the objective and its proven lower bound, over the objective; of knot removal, fall of the
     /// objective in the last sweep.
     pub tolerance: f64,
-    /// Most steps of the interior point method, or sweeps of knot removal.
+    /// Largest number of steps of the interior point method, or of sweeps of knot removal.
     pub max_sweeps: usize,
     /// Largest distance of the motion from t(s), mm.
     pub fit_tolerance_mm: f64,
@@ -106,7 +106,7 @@ impl Default for Settings {
     }
 }
 
-/// What was done.
+/// Report of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// Straight passes.
@@ -123,10 +123,10 @@ pub struct Report {
     pub piston_nm: f64,
     /// Steps of the interior point method, or sweeps of knot removal, of all rounds.
     pub sweeps: usize,
-    /// How it ended: `converged` (the gap is within the tolerance), `settled` (the last sweep of knot removal, of which
-    /// nothing is proven, lowered the objective by less than the tolerance), `sweep-limit`, `stopped` (the next sweep
-    /// would have raised the objective), `link-limit` (the removal by the links still changes), or `direct` for the VRR
-    /// feed, which is not iterated.
+    /// Reason for which it ended. `converged`: the gap is within the tolerance. `settled`: the last sweep of knot
+    /// removal lowered the objective by less than the tolerance, which proves nothing. `sweep-limit`: the sweeps were
+    /// used up. `stopped`: the next sweep would have raised the objective. `link-limit`: the removal by the links
+    /// still changes. `direct`: the VRR feed, which is not iterated.
     pub end: End,
     /// Part of the objective that no feed within the tangents of the acceleration limit at this feed can save. Absent
     /// where nothing is proven.
@@ -140,26 +140,26 @@ pub struct Report {
     /// RMS (mean removed) of the residual in the removal model of the solver, nm; absent for VRR.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model_rms_nm: Option<f64>,
-    /// The same, plane removed, nm.
+    /// RMS of the residual without its best plane, nm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model_rms_detilted_nm: Option<f64>,
     /// Largest acceleration along a pass over its limit, from the splines.
     pub acceleration_use: f64,
     /// Largest feed over its limit, from the splines.
     pub feed_use: f64,
-    /// How the motion exceeds the machine's limit on jerk, which the method does not know; absent where the machine has
-    /// none, or the motion keeps it.
+    /// Excess of the motion over the machine's limit on jerk, which the method does not know; absent if the machine
+    /// has no such limit, or the motion keeps it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jerk: Option<Jerk>,
-    /// What joins the passes.
+    /// Links between the passes.
     pub links: Links,
     /// Largest removal by links with the tool on, nm; it is taken into account by the deconvolution.
     pub link_removal_nm: f64,
-    /// How closely the motion follows the splines.
+    /// Distance of the motion from the splines.
     pub fit: FitReport,
 }
 
-/// How a motion exceeds a limit on jerk.
+/// Excess of a motion over a limit on jerk.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Jerk {
     /// Largest jerk inside pieces over its limit, the worse axis.
@@ -175,13 +175,14 @@ pub struct Plan {
     pub density: DwellDensity,
     /// Motion.
     pub trajectory: Trajectory,
-    /// What was done.
+    /// Report of the plan.
     pub report: Report,
 }
 
 impl Plan {
-    /// Why the plan for the desired removal `surface`, made with `settings`, is not to be executed as it is, where it is not: a
-    /// limit on jerk is exceeded, the method did not converge, the surface becomes worse, or the run takes too long.
+    /// Returns the reason for which the plan for the desired removal `surface`, made with `settings`, should not be
+    /// executed as it is, or `None`: a limit on jerk is exceeded, the method did not converge, the surface becomes
+    /// worse, or the run takes too long.
     pub fn drawback(&self, surface: &Surface, settings: &Settings) -> Option<String> {
         let r = &self.report;
         if let Some(jerk) = r.jerk {
@@ -222,7 +223,7 @@ impl Plan {
         }
     }
 
-    /// What is to be said of a sweep that was given up.
+    /// Message about a sweep that was given up.
     fn stopped(&self) -> String {
         let r = &self.report;
         let (done, last) = (r.objective_nm2.len() - 1, r.objective_nm2[r.objective_nm2.len() - 1]);
@@ -240,10 +241,12 @@ impl Plan {
     }
 }
 
-/// Rounds of sweeps after which what the links remove has to stand still.
+/// Largest number of rounds of sweeps; the removal by the links must be settled then. Larger: more time. Smaller:
+/// plans end with `link-limit`.
 const MAX_ROUNDS: usize = 5;
 
-/// What the links remove has stood still when it changes by less than this fraction of the residual.
+/// Change of the removal by the links, over the RMS of the residual, up to which it counts as settled. Larger: the
+/// plan knows the removal by the links less exactly. Smaller: more rounds.
 const LINK_TOLERANCE: f64 = 1e-3;
 
 /// Plans feed and motion along `path` for the desired removal `surface`.
@@ -333,7 +336,7 @@ struct Solved {
     link_removal_nm: f64,
     piston_nm: f64,
     sweeps: usize,
-    /// Whether what the links remove stands still.
+    /// True if the removal by the links is settled.
     settled: bool,
     state: Option<deconvolution::State>,
 }
@@ -400,7 +403,8 @@ fn check_knots(passes: &[Pass], spacing_mm: f64, width_mm: f64) -> Result<(), In
     Ok(())
 }
 
-/// Most knots per width of the TIF; by default there are four.
+/// Largest number of knots per width of the TIF; more are refused. Larger: knots that the TIF cannot resolve cost
+/// time and memory. Smaller: fine knots are refused. Chosen: ten times the default of four.
 const MOST_KNOTS_PER_WIDTH: f64 = 40.0;
 
 /// Refuses a distance of the passes that has nothing to do with that of the path.
@@ -419,8 +423,9 @@ fn check_pitch(pitch_mm: f64, measured_mm: &[f64]) -> Result<(), Invalid> {
     ))
 }
 
-/// Most times that a given pitch may be larger or smaller than those of the path: two rasters on top of
-/// each other are apart by parts of their pitch.
+/// Largest ratio of a given pitch to those of the path, or of these to the given one; beyond it the pitch is refused.
+/// Two rasters on top of each other are apart by parts of their pitch. Larger: mistakes in the units pass. Smaller:
+/// such rasters are refused.
 const MOST_PITCH_RATIO: f64 = 30.0;
 
 fn deconvolution_settings(settings: &Settings) -> deconvolution::Settings {
@@ -461,7 +466,7 @@ fn within(start: Start, passes: &[Pass], knots: &[Knots]) -> Result<Start, FeedE
     Ok(Start { d: near.collect::<Result<_, _>>()?, ..start })
 }
 
-/// What the VRR feed needs.
+/// Inputs of the VRR feed.
 struct Guess<'a> {
     surface: &'a Surface,
     tif: &'a Tif,
@@ -523,7 +528,7 @@ impl Guess<'_> {
         Ok((all, piston_nm))
     }
 
-    /// What the largest feed of the first pass removes, nm.
+    /// Removal at the largest feed of the first pass, nm.
     fn floor_nm(&self, passes: &[Pass]) -> f64 {
         self.tif.vrr_nm_mm2_per_s() / (passes[0].max_feed_mm_per_s * self.pitches[0])
     }
@@ -617,10 +622,11 @@ fn report(
     }
 }
 
-/// Steps of the acceleration up to this part of its limit are rounding.
+/// Step of the acceleration, over its limit, up to which it is rounding. Larger: real steps count as kept. Smaller:
+/// rounding counts as an exceeded limit.
 const STEP_ROUNDING: f64 = 1e-6;
 
-/// How the motion exceeds the limit on jerk, where there is one.
+/// Returns the excess of the motion over the limit on jerk; none if there is no limit, or the motion keeps it.
 fn jerk(trajectory: &Trajectory, limits: &Limits) -> Option<Jerk> {
     let mut found = Jerk { inside: 0.0, largest_acceleration_step_mm_per_s2: 0.0 };
     let mut exceeded = false;

@@ -22,7 +22,8 @@ use planish_types::Tif;
 
 use crate::{limited::Quadratic, passes::Pass};
 
-/// Directions that differ by less than this are parallel, rad.
+/// Angle up to which two directions are parallel (its sine), rad. Larger: passes in other directions count as
+/// neighbours. Smaller: rounding of the directions hides neighbours.
 const PARALLEL: f64 = 1e-3;
 
 /// Distance p of every pass to its nearest parallel neighbour beside it, mm; for a pass without one

@@ -1,4 +1,4 @@
-//! What is known beforehand: constant removal, planted splines, gradients, convergence.
+//! Tests against results that are known beforehand: constant removal, planted splines, gradients, convergence.
 
 use ndarray::Array2;
 use planish_bspline_feed::{

@@ -1,4 +1,4 @@
-//! The subcommands, one file each.
+//! Subcommands, one file each.
 
 mod decide;
 mod measure;
@@ -10,13 +10,13 @@ use planish_handoff::{Failure, Status};
 
 #[derive(Subcommand)]
 pub enum Command {
-    /// Measure a mirror before a run of a virtual machine: its map with the errors of a measurement
+    /// Measure a mirror before a run of the virtual machine: its map with the errors of a measurement
     Measure(measure::Measure),
-    /// Say whether the next run is worth it: what it would gain, how sure that is, and how long it takes
+    /// Decide whether to run again: gain of the next run, its uncertainty, and its time
     Decide(decide::Decide),
-    /// Print and draw what a campaign left, run by run, with and without learning, and what it learnt
+    /// Print and draw the residuals of a campaign, run by run, with and without learning, and the learnt parameters
     Report(report::Report),
-    /// Print how the results of several campaigns, of other seeds, scatter
+    /// Print the scatter of the results of several campaigns with different seeds
     Spread(spread::Spread),
 }
 

@@ -1,7 +1,7 @@
-//! Run again, or stop: what the next run would gain, how sure that is, and how long it takes.
+//! Decision to run again or to stop: gain of the next run, its uncertainty, and its time.
 //!
-//! A map is what is on the mirror less the error m of its measurement, of variance sigma^2 over the map. Another run does
-//! not remove the noise of a map, so both sides are compared without it:
+//! A map is the figure of the mirror minus the error m of its measurement, of variance sigma^2 over the map.
+//! Another run does not remove the noise of a map, so both sides are compared without it:
 //!
 //! ```text
 //! now:       S0^2 = M0^2 - sigma^2                  M0 the RMS of the map
@@ -9,14 +9,15 @@
 //! gain:      G = S0 - S1
 //! ```
 //!
-//! T1 is the residual of the plan on the *map* with all errors of the process, that of the map among them, as if that were
-//! independent of the map: `T1^2 = |e0|^2 + r^2 + u^2 + ...`, with the parts r of m that the tool reaches and u that it
-//! does not. But m is in the map already. What the tool reaches of it is removed with the figure, and is on the mirror
-//! afterwards with the opposite sign: r^2 counts once. What the tool does not reach is in e0 and not on the mirror:
-//! u^2 was counted once by e0 and once by the tolerance, and has to count not at all.
+//! T1 is the residual of the plan on the *map* with all errors of the process. It includes the error of the map as
+//! if that were independent of the map: `T1^2 = |e0|^2 + r^2 + u^2 + ...`. The tool reaches the part r of m, and
+//! does not reach the part u. But m is in the map already. The run removes r with the figure, so that r is on the
+//! mirror afterwards with the opposite sign: r^2 counts once. u is in e0 and not on the mirror: e0 and the
+//! tolerance each count u^2 once, and it must not count at all.
 //!
-//! The square M0^2 scatters with the noise: by `2 a^4 / n + 4 S0^2 a^2 / n` for an error of the map of the RMS a that
-//! has n independent numbers, which are the pixels of white noise, and at least 2 of low-order terms.
+//! The square M0^2 scatters with the noise. An error of the map of the RMS a with n independent values has the
+//! variance `2 a^4 / n + 4 S0^2 a^2 / n`. White noise has as many values as pixels; low-order terms have at least
+//! 2.
 //!
 //! | symbol | variable | unit |
 //! |---|---|---|
@@ -28,16 +29,19 @@
 use planish_types::{Invalid, text::significant};
 use serde::{Deserialize, Serialize};
 
-/// Independent numbers of a low-order error: its first degree has as many.
+/// Number of independent values of a low-order error: that of its first degree. Larger: the standard error of the
+/// figure becomes smaller, and the decision too sure. Smaller: a run that would gain is not recommended.
 const LOW_ORDER_NUMBERS: f64 = 2.0;
 
-/// A gain must be larger than this many standard errors of what is on the mirror now.
+/// Least gain of 95 % of the runs, in standard errors of the RMS on the mirror now. Larger: real gains count as
+/// noise. Smaller: noise counts as a gain.
 const SEEN: f64 = 2.0;
 
-/// By what it is decided.
+/// Settings of the decision.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// Least gain of half of the runs that is worth the time and the risk of a run, in percent of what is there.
+    /// Least median gain for another run, in percent of the RMS on the mirror now. Larger: fewer runs. Smaller: runs
+    /// for gains that do not repay their time and risk.
     pub least_gain_percent: f64,
 }
 
@@ -50,67 +54,68 @@ impl Default for Settings {
 /// An error of the map, as `planish-tolerance` found it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapError {
-    /// RMS of what it adds, nm.
+    /// RMS that it adds to the map, nm.
     pub adds_rms_nm: f64,
-    /// The part of it that the tool does not reach, nm.
+    /// RMS of its part that the tool does not reach, nm.
     pub unreached_rms_nm: f64,
-    /// Whether it is white noise, and not of low order.
+    /// True for white noise, false for low-order terms.
     pub is_white: bool,
 }
 
-/// What is known of the mirror now, and of the next run.
+/// Present state of the mirror, and prediction of the next run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Known {
     /// RMS of the map, nm.
     pub measured_rms_nm: f64,
-    /// Its valid pixels.
+    /// Number of valid pixels of the map.
     pub pixels: usize,
     /// Errors of the map.
     pub map_errors: Vec<MapError>,
-    /// Parts of the runs, ascending from 0 to 1, and the RMS T1 that they are below, nm.
+    /// Distribution of the RMS T1 over the runs: fractions of the runs, ascending from 0 to 1, and the RMS that each
+    /// does not exceed, nm.
     pub levels: Vec<(f64, f64)>,
     /// RMS of the plan's residual on the map without errors, nm.
     pub nominal_rms_nm: f64,
     /// Time of the plan, s.
     pub total_time_s: f64,
-    /// Whether the mirror keeps its specification now, and by the plan, where there is one.
+    /// Compliance with the specification; `None` if there is no specification.
     pub specification: Option<Kept>,
 }
 
-/// Whether a specification is kept.
+/// Compliance with a specification, before and after the next run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Kept {
-    /// By the map.
+    /// True if the map keeps the specification.
     pub now: bool,
-    /// By the residual of the plan without errors.
+    /// True if the residual of the plan without errors keeps it.
     pub by_the_plan: bool,
 }
 
-/// What to do.
+/// Recommendation: run again or stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// The next run is worth it.
+    /// Run again: the gain is large enough, or only the next run keeps the specification.
     RunAgain,
-    /// It is not.
+    /// Stop: the gain is too small or too uncertain, or the map keeps the specification.
     Stop,
 }
 
-/// The distribution of a number over the runs, nm.
+/// Distribution of a quantity over the runs, nm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
-    /// Half of the runs are below.
+    /// Median, nm.
     pub median_nm: f64,
-    /// 95 % of the runs are between these.
+    /// Interval that contains 95 % of the runs, nm.
     pub interval_95_percent_nm: [f64; 2],
 }
 
-/// What to do, and why.
+/// Recommendation, its reason, and the numbers that it rests on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Decision {
-    /// What to do.
+    /// Recommendation: run again or stop.
     pub verdict: Verdict,
-    /// Why, in a sentence with the numbers.
+    /// Reason, in a sentence with the numbers.
     pub reason: String,
     /// RMS of the map, nm.
     pub measured_rms_nm: f64,
@@ -118,30 +123,30 @@ pub struct Decision {
     pub noise_rms_nm: f64,
     /// RMS on the mirror now, nm.
     pub now_rms_nm: f64,
-    /// Its standard error, nm.
+    /// Standard error of `now_rms_nm`, nm.
     pub now_standard_error_nm: f64,
     /// RMS of the plan's residual on the map without errors, nm.
     pub nominal_rms_nm: f64,
-    /// RMS on the mirror after the next run.
+    /// RMS on the mirror after the next run, nm.
     pub next: Spread,
-    /// RMS of the map that half of the runs would be measured below after the next run, nm.
+    /// Median RMS of the map after the next run, nm: with the errors of its measurement.
     pub measured_next_median_nm: f64,
-    /// Gain of half of the runs, nm.
+    /// Median gain over the runs, nm.
     pub gain_median_nm: f64,
     /// Gain that 95 % of the runs exceed, nm.
     pub gain_of_95_percent_nm: f64,
-    /// Part of the runs that leave less than there is now.
+    /// Fraction of the runs that lower the RMS on the mirror, 0 to 1.
     pub part_that_gains: f64,
     /// Time of the plan, s.
     pub total_time_s: f64,
-    /// Gain of half of the runs per minute of the plan, nm.
+    /// Median gain per minute of the plan, nm.
     pub gain_per_minute_nm: f64,
-    /// Whether the specification is kept, where there is one.
+    /// Compliance with the specification; `None` if there is no specification.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub specification: Option<Kept>,
 }
 
-/// Decides.
+/// Decides whether to run again.
 pub fn decide(known: &Known, settings: &Settings) -> Result<Decision, Invalid> {
     let percent = settings.least_gain_percent;
     if !(0.0..=100.0).contains(&percent) {
@@ -196,7 +201,7 @@ pub fn decide(known: &Known, settings: &Settings) -> Result<Decision, Invalid> {
     Ok(decision)
 }
 
-/// The rule, in the order in which it is asked.
+/// Recommendation and reason, by the rule: first the specification, then the certainty of the gain, then its size.
 fn verdict(d: &Decision, settings: &Settings) -> (Verdict, String) {
     let nm = |v: f64| format!("{} nm", significant(v, 3));
     let (least, seen) =
@@ -241,7 +246,7 @@ fn verdict(d: &Decision, settings: &Settings) -> (Verdict, String) {
     (Verdict::RunAgain, reason)
 }
 
-/// The value at a part of the runs, linear between two levels.
+/// Value that a fraction of the runs does not exceed, linear between two levels.
 fn at(levels: &[(f64, f64)], part: f64) -> f64 {
     let after = levels.partition_point(|(p, _)| *p < part);
     match (after.checked_sub(1).map(|k| levels[k]), levels.get(after)) {
@@ -252,7 +257,7 @@ fn at(levels: &[(f64, f64)], part: f64) -> f64 {
     }
 }
 
-/// The part of the runs that is below a value.
+/// Fraction of the runs that is below a value.
 fn part_below(levels: &[(f64, f64)], value: f64) -> f64 {
     let after = levels.partition_point(|(_, v)| *v < value);
     match (after.checked_sub(1).map(|k| levels[k]), levels.get(after)) {
@@ -266,7 +271,7 @@ fn part_below(levels: &[(f64, f64)], value: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// A plan that leaves T1 from 0.9 to 1.1 of `t`, uniform over the runs.
+    /// State with a plan that leaves T1 from 0.9 to 1.1 of `t`, uniform over the runs.
     fn known(measured: f64, t: f64) -> Known {
         Known {
             measured_rms_nm: measured,
@@ -302,9 +307,9 @@ mod tests {
         assert!(decide(&known(1.0, 1.0), &Settings { least_gain_percent: -1.0 }).is_err());
     }
 
-    /// A mirror of waves that the tool does not reach, of RMS s, measured with noise a: the map has (s^2 + a^2)^1/2, the plan
-    /// leaves the map as it is, and the tolerance adds the noise once more. What is there and what is left is s: nothing
-    /// is gained, whatever the noise.
+    /// The mirror has waves of RMS s that the tool does not reach, measured with noise a. The map has (s^2 + a^2)^1/2,
+    /// the plan leaves the map as it is, and the tolerance adds the noise once more. The RMS on the mirror is s before
+    /// and after: nothing is gained, whatever the noise.
     #[test]
     fn noise_that_the_tool_does_not_reach_is_no_gain() {
         let (s, a) = (0.3_f64, 0.5_f64);
@@ -320,7 +325,7 @@ mod tests {
         assert!((d.now_standard_error_nm - expected).abs() < 1e-12);
     }
 
-    /// Noise that the tool reaches is brought onto the mirror: the more of it, the less is gained.
+    /// A run transfers the noise that the tool reaches to the mirror: more noise means less gain.
     #[test]
     fn noise_that_the_tool_reaches_is_brought_onto_the_mirror() {
         let (s, a) = (0.3_f64, 0.5_f64);

@@ -1,8 +1,8 @@
-//! Runs in a row: whether the next one is worth it, and what a campaign on the virtual machine showed.
+//! Several runs on one mirror: the decision to run again, and the results of a campaign on the virtual machine.
 //!
-//! * [`decision`]: run again or stop, from the map after a run and what the next plan is expected to leave.
-//! * [`summary`]: a campaign with and without learning beside one of a known tool, run by run, and the parameters that
-//!   were learnt beside the hidden truth; [`page`] shows it.
+//! * [`decision`]: run again or stop, from the map after a run and the expected residual of the next plan.
+//! * [`summary`]: residuals with learning, without learning and with a known tool, run by run, and the learnt
+//!   parameters beside the hidden truth; [`page`] shows it.
 
 pub mod decision;
 pub mod page;

@@ -1,4 +1,4 @@
-//! `planish-campaign`: runs in a row.
+//! `planish-campaign`: several runs on one mirror.
 
 mod cli;
 
@@ -15,7 +15,7 @@ const EXAMPLES: &str = "Examples:\n\
     \x20     --tolerance out/tolerance --out out/decision\n\
     \x20 planish-campaign report out/campaign/coupon --runs 3 --out out/campaign/coupon/report";
 
-/// Runs in a row: measure, decide whether to run again, report
+/// Several runs on one mirror: measure, decide whether to run again, report
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {

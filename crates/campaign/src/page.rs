@@ -1,4 +1,4 @@
-//! A campaign to look at: one page without scripts, and the curve of the residuals.
+//! Page of a campaign: one HTML page without scripts, and the curve of the residuals.
 
 use std::fmt::Write;
 
@@ -7,13 +7,13 @@ use planish_types::text::{escaped, significant};
 
 use crate::summary::{Campaign, Chains, Learnt};
 
-/// Height of the texts, px, and size of the plot, px.
+/// Height of the texts, px, and width and height of the frame of the plot, px. Larger texts need larger margins.
 const FONT_PX: f64 = 14.0;
 const SIZE: [f64; 2] = [560.0, 300.0];
-/// Left, top, right and bottom of the frame, px.
+/// Margins to the left of the frame, above, to the right and below it, px: room for numbers and titles.
 const MARGIN: [f64; 4] = [64.0, 34.0, 24.0, 50.0];
 
-/// The chains, as a person reads them.
+/// Names of the chains on the page, in the order of [`Chains::each`].
 const CHAINS: [&str; 3] = ["with learning", "without", "known tool"];
 
 const STYLE: &str = "body{font:16px/1.45 system-ui,sans-serif;max-width:1000px;margin:0 auto;padding:0 16px 48px;\
@@ -44,7 +44,7 @@ pub fn picture(campaign: &Campaign) -> String {
     frame.grid(&mut svg);
     frame.axes(&mut svg, ["runs", "residual on the mirror (nm RMS)"]);
     let mut entries = Vec::new();
-    // The known tool first: it is to be seen where another lies on it.
+    // The known tool is drawn first, so that a curve on top of it stays visible.
     for k in [2, 1, 0] {
         frame.curve(&mut svg, lines[k].iter().copied(), LINES[k]);
         entries.insert(0, (CHAINS[k], LINES[k]));
@@ -132,7 +132,7 @@ fn row(out: &mut String, name: &str, chains: &Chains) {
     let _ = writeln!(out, "<td>{learning:.3}</td><td>{without:.3}</td></tr>");
 }
 
-/// Value with its standard error, and how many of these it is off by.
+/// Value with its standard error, and its deviation from the truth in standard errors, as text.
 pub fn shown(learnt: &Learnt) -> (String, String) {
     let (Some(value), Some(error)) = (learnt.value, learnt.standard_error) else {
         return ("not determined".into(), String::new());
@@ -143,7 +143,7 @@ pub fn shown(learnt: &Learnt) -> (String, String) {
     (number, off.unwrap_or_default())
 }
 
-/// What learning was worth, in a sentence.
+/// Sentence on the residuals with learning, without learning and with a known tool.
 pub fn answer(campaign: &Campaign) -> String {
     let Some(last) = campaign.runs.last() else { return String::new() };
     let count = match campaign.runs.len() {

@@ -1,34 +1,34 @@
-//! A campaign run by run: what each chain of runs left, what was learnt, what was decided.
+//! A campaign run by run: the residuals of each chain of runs, the learnt parameters, and the decisions.
 //!
 //! Three chains run on machines of the same hidden errors, from the same first map:
 //!
 //! | chain | plans |
 //! |---|---|
-//! | `learning` | each with the tool and the place that the run before taught |
+//! | `learning` | each with the tool and the place that were learnt from the run before |
 //! | `without` | each with the tool and the place of the first plan |
 //! | `known` | as without, on a machine whose tool and place are those of the plan |
 //!
-//! On one mirror learning gains little: every map shows what the errors of the run before left, and a rate that is off by
-//! some percent is off by some percent of that. What was learnt is worth most on the next mirror, where the whole figure
-//! is to be removed. So after the last run another mirror, like the first, has one run of each chain (`alike`).
+//! On one mirror learning gains little. Every map shows the residual of the run before, and a rate error of some
+//! percent leaves some percent of that residual. Learning gains most on the next mirror, where the whole figure is
+//! to be removed. So after the last run another mirror, like the first, has one run of each chain (`alike`).
 //!
-//! What a run finds is the deviation from the tool that it was planned with, so parameters add up from run to run:
+//! A run finds the deviation from the tool that it was planned with, so parameters accumulate from run to run:
 //! factors (rate, magnification, width) by products, the rest, which is small, by sums.
 
 use serde::{Deserialize, Serialize};
 
-/// A parameter, as `planish-reconcile` found it in one run.
+/// Parameter as `planish-reconcile` found it in one run.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Found {
     /// Its name.
     pub name: String,
     /// Its unit.
     pub unit: String,
-    /// What was found; none where it was refused or held.
+    /// Value in `unit`; `None` if it was refused or held.
     pub value: Option<f64>,
     /// Its standard error.
     pub standard_error: Option<f64>,
-    /// Why it was refused.
+    /// Reason for which it was refused.
     pub refused: Option<String>,
 }
 
@@ -48,8 +48,8 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// The truth of a parameter in the unit in which it is found. A TIF that is round but for its hidden ellipticity
-    /// turns with the tensor of it: (e, d) -> (e cos 2 phi - d sin 2 phi, e sin 2 phi + d cos 2 phi).
+    /// True value of a parameter in the unit of [`Found`]. The ellipticities of an otherwise round TIF that is rotated
+    /// by phi transform as a tensor: (e, d) -> (e cos 2 phi - d sin 2 phi, e sin 2 phi + d cos 2 phi).
     pub fn of(&self, parameter: &str) -> Option<f64> {
         let (e, d) = (self.tif_ellipticity, self.tif_diagonal_ellipticity);
         let (sine, cosine) = (2.0 * self.tif_rotation_rad).sin_cos();
@@ -67,23 +67,23 @@ impl Truth {
     }
 }
 
-/// What a run truly left, as the virtual machine says.
+/// True result of a run, from the virtual machine.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Left {
-    /// RMS of what remains on the mirror, nm.
+    /// RMS on the mirror after the run, nm.
     pub rms_nm: f64,
     /// Time of the run, s.
     pub total_time_s: f64,
 }
 
-/// What a run of each chain left.
+/// True result of a run of each chain.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Chains {
-    /// Of the chain that learns.
+    /// Chain that learns.
     pub learning: Left,
-    /// Of the chain that does not.
+    /// Chain that does not learn.
     pub without: Left,
-    /// Of the chain whose tool is known.
+    /// Chain whose tool is known.
     pub known: Left,
 }
 
@@ -93,65 +93,65 @@ impl Chains {
         [self.learning, self.without, self.known]
     }
 
-    /// RMS with and without learning over that of the known tool.
+    /// Ratios of the RMS with and without learning to that of the known tool.
     pub fn over_known(&self) -> [f64; 2] {
         [self.learning, self.without].map(|left| left.rms_nm / self.known.rms_nm)
     }
 }
 
-/// One run of a campaign, as it was read.
+/// One run of a campaign, as read from its artifacts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunRecord {
-    /// What it left.
+    /// True result of each chain.
     pub left: Chains,
-    /// What the chain that learns found in this run.
+    /// Parameters that the learning chain found in this run.
     pub found: Vec<Found>,
-    /// RMS of the map that it measured after it, nm.
+    /// RMS of the map that the learning chain measured after the run, nm.
     pub measured_rms_nm: f64,
-    /// What it decided: `run_again` or `stop`, why, and what the next run was expected to leave, nm.
+    /// Decision of the learning chain: `run_again` or `stop`.
     pub verdict: String,
-    /// Why.
+    /// Reason for the decision.
     pub reason: String,
-    /// RMS on the mirror after the next run: half of the runs, and 95 % of them, nm.
+    /// Expected RMS on the mirror after the next run, nm: median, and ends of the interval of 95 %.
     pub expected_nm: [f64; 3],
 }
 
-/// A parameter after some runs.
+/// Parameter after some runs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Learnt {
     /// Its name.
     pub name: String,
     /// Its unit.
     pub unit: String,
-    /// What is known of it after this run: from all runs so far; none where no run determined it.
+    /// Value from all runs so far, in `unit`; `None` if no run determined it.
     pub value: Option<f64>,
     /// Its standard error, from the run that determined it last.
     pub standard_error: Option<f64>,
     /// The hidden truth.
     pub truth: Option<f64>,
-    /// Whether this run determined it.
+    /// True if this run determined it.
     pub is_of_this_run: bool,
-    /// Why this run did not.
+    /// Reason for which this run did not determine it.
     pub refused: Option<String>,
 }
 
 /// One run of a campaign.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Run {
-    /// From 1.
+    /// Number of the run, from 1.
     pub number: usize,
-    /// What it left.
+    /// True result of each chain.
     #[serde(flatten)]
     pub left: Chains,
     /// RMS of the map that the learning chain measured after the run, nm.
     pub measured_rms_nm: f64,
-    /// What is known after the run.
+    /// Parameters after the run.
     pub parameters: Vec<Learnt>,
-    /// What was decided.
+    /// Decision: `run_again` or `stop`.
     pub verdict: String,
-    /// Why.
+    /// Reason for the decision.
     pub reason: String,
-    /// RMS on the mirror after the next run: half of the runs, and 95 % of them, nm.
+    /// Expected RMS on the mirror after the next run, nm: median, and ends of the interval of 95 %.
     pub expected_nm: [f64; 3],
 }
 
@@ -171,7 +171,7 @@ pub struct Campaign {
 }
 
 impl Campaign {
-    /// From the records of the runs, in their order.
+    /// Campaign from the records of the runs, in their order.
     pub fn new(
         mirror: &str,
         seed: u64,
@@ -198,7 +198,7 @@ impl Campaign {
     }
 }
 
-/// What is known of a parameter after one run more.
+/// Parameter after one more run.
 fn after(before: &[Learnt], found: &Found, truth: &Truth) -> Learnt {
     let earlier = before.iter().find(|p| p.name == found.name);
     let known = earlier.and_then(|p| p.value);

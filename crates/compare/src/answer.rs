@@ -1,7 +1,7 @@
-//! What a report answers first: which plan is to be run, what it will leave, and why this one.
+//! Answer at the top of a report: the plan that is to be run, its residual, and the reason for this choice.
 //!
-//! The sentences are made here, once, for the page and for other programs (`answer` in `summary.json`); every number
-//! in them stands in the summary, rounded here to what can be read in passing.
+//! The sentences are made here once, for the page and for other programs (`answer` in `summary.json`). Every number
+//! in them is a rounded number of the summary.
 
 use planish_types::text::{fixed, significant};
 use serde::Serialize;
@@ -13,10 +13,12 @@ use crate::{
     summary::{Method, Summary},
 };
 
-/// Digits of a number in a sentence.
+/// Number of digits of a number in a sentence. Larger: sentences that are slow to read. Smaller: plans that differ
+/// look equal. Chosen; the summary has all digits.
 const DIGITS: usize = 3;
 
-/// Durations below this are told in seconds, and above the next in hours, s.
+/// Bounds between durations in seconds, minutes and hours, s. Larger or smaller: numbers above 120, or below 2, in a
+/// sentence. Chosen: the number is then at least 2 in minutes and in hours.
 const MINUTES_FROM_S: f64 = 120.0;
 const HOURS_FROM_S: f64 = 7200.0;
 
@@ -25,18 +27,18 @@ const HOURS_FROM_S: f64 = 7200.0;
 pub struct Answer {
     /// The method that is to be run; `null` when there is none.
     pub method: Option<String>,
-    /// What it does, and what it leaves.
+    /// Time of the plan and its residual.
     pub sentence: String,
-    /// Why this one, and how good its plan is known to be.
+    /// Reason for this choice, and the state of its plan.
     pub why: String,
-    /// The row without a motion, so that nobody takes it for a plan; `null` where the run has none.
+    /// Sentence on the row without a motion, which is not a plan; `null` where the run has no such row.
     pub without_motion: Option<String>,
-    /// What speaks against running it; empty when nothing does.
+    /// Reasons against running it; empty if there are none.
     pub problems: Vec<String>,
 }
 
 impl Answer {
-    /// Of a summary whose methods and best are known.
+    /// The answer of a summary whose methods and best plan are known.
     pub fn of(summary: &Summary) -> Self {
         let best = summary.methods.iter().find(|(name, _)| Some(name) == summary.best.as_ref());
         let mut problems = summary.remarks.clone();
@@ -174,7 +176,7 @@ fn exceeding(summary: &Summary) -> String {
     }
 }
 
-/// What speaks against the plan that is to be run.
+/// Reasons against the plan that is to be run.
 fn against(name: &str, m: &Method) -> Vec<String> {
     let mut found = Vec::new();
     if m.plan.state == State::Unconverged {

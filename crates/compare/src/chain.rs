@@ -1,7 +1,7 @@
-//! Whether the artifacts of a run belong together.
+//! Check that the artifacts of a run belong together.
 //!
-//! Every artifact that a stage writes records what it was made from: role and BLAKE3 of each input.
-//! That hash must be the one of the artifact that stands there now.
+//! Every artifact that a stage writes records the role and BLAKE3 of each input. That hash must be the one of the
+//! artifact that is there now.
 //!
 //! | artifact | records | must be |
 //! |---|---|---|
@@ -10,15 +10,15 @@
 //! | trajectory | tool-path, dwell; of a stage that also chooses the dwell times, surface and tif | the run's |
 //! | dwell of a method | surface, tif, tool-path | the run's |
 //!
-//! A verdict or a removal of something else says nothing about the method: it is not valid. A plan
-//! for other dwell times, another path, another surface is a plan, but not of this run: it is out of
-//! date. Arrays without a record cannot be checked, which is said.
+//! A verdict or a removal of something else says nothing about the method: it is not valid. A plan for other dwell
+//! times, another path or another surface is a plan, but not of this run: it is out of date. Arrays without a record
+//! cannot be checked, and a remark says so.
 
 use std::collections::BTreeSet;
 
 use serde::Serialize;
 
-/// What an artifact says it was made from.
+/// Record of an artifact: its program and its inputs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Record {
     /// Program that made it.
@@ -40,11 +40,11 @@ impl Record {
 pub struct Recorded {
     /// BLAKE3 of its content.
     pub digest: String,
-    /// What it was made from; `None` for arrays without a manifest.
+    /// Its record; `None` for arrays without a manifest.
     pub record: Option<Record>,
 }
 
-/// What the methods of a run share.
+/// Artifacts that the methods of a run share.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RunRecords {
     /// Desired removal.
@@ -55,16 +55,16 @@ pub struct RunRecords {
     pub dwell: Option<Recorded>,
 }
 
-/// What a method consists of.
+/// Artifacts of a method.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MethodRecords {
     /// Motion.
     pub trajectory: Recorded,
     /// Prediction.
     pub removal: Recorded,
-    /// What the verdict was made from.
+    /// Record of the verdict.
     pub verdict: Record,
-    /// Whether the verdict finds the limits kept, and whether the schedule says so of itself.
+    /// True if the verdict finds the limits kept, and the same by the schedule, which may not say.
     pub limits_kept: (bool, Option<bool>),
     /// Dwell times of its own.
     pub dwell: Option<Recorded>,
@@ -74,26 +74,26 @@ pub struct MethodRecords {
     pub iterations: Option<Recorded>,
 }
 
-/// Whether a method takes part in the comparison.
+/// Validity of a method in the comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Standing {
-    /// It does.
+    /// It takes part.
     Valid,
     /// It is a plan for something else than this run has now.
     OutOfDate,
-    /// What is said about it was said of something else.
+    /// Its verdict or its removal is of something else.
     NotValid,
 }
 
-/// What the records of a method say.
+/// Result of the check of a method.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chain {
-    /// Whether it takes part.
+    /// Validity of the method.
     pub standing: Standing,
-    /// Why not.
+    /// Reasons why it takes no part.
     pub reasons: Vec<String>,
-    /// What is worth knowing of a method that does.
+    /// Remarks on a method that takes part.
     pub remarks: Vec<String>,
 }
 
@@ -108,8 +108,8 @@ pub fn check(run: &RunRecords, methods: &[MethodRecords]) -> Vec<Chain> {
     methods.iter().map(|method| context.check(method)).collect()
 }
 
-/// What the dwell times of `artifact` were solved for that this run does not have: `surface`, `tif`,
-/// `tool-path`.
+/// Returns the roles of which the dwell times of `artifact` were solved for another artifact than this run has:
+/// `surface`, `tif`, `tool-path`.
 pub fn solved_for_another(run: &RunRecords, artifact: &Recorded) -> Vec<&'static str> {
     let known = [
         ("surface", Some(run.surface.digest.as_str())),
@@ -119,7 +119,7 @@ pub fn solved_for_another(run: &RunRecords, artifact: &Recorded) -> Vec<&'static
     known.iter().filter(|k| other(k)).map(|(role, _)| *role).collect()
 }
 
-/// What is out of date in what the methods share: sentences.
+/// Sentences on shared artifacts that are out of date.
 pub fn check_run(run: &RunRecords) -> Vec<String> {
     let mut found = Vec::new();
     let path = run.tool_path.as_ref();
@@ -159,7 +159,7 @@ impl Context<'_> {
         Chain { standing, reasons, remarks: self.remarks(m) }
     }
 
-    /// Said of another motion.
+    /// Reasons: verdict, prediction or rounds of another motion.
     fn foreign(&self, m: &MethodRecords) -> Vec<String> {
         let mut reasons = Vec::new();
         let trajectory = m.trajectory.digest.as_str();
@@ -208,7 +208,7 @@ impl Context<'_> {
         reasons
     }
 
-    /// Predicted with another surface or tool.
+    /// Reasons: predicted with another surface or tool.
     fn elsewhere(&self, m: &MethodRecords) -> Vec<String> {
         let mut reasons = Vec::new();
         let surface = Some(self.run.surface.digest.as_str());
@@ -226,7 +226,7 @@ impl Context<'_> {
         reasons
     }
 
-    /// Planned for something else.
+    /// Reasons: planned for something else.
     fn stale(&self, m: &MethodRecords) -> Vec<String> {
         let run = self.run;
         let mut of: Vec<&str> = Vec::new();
@@ -296,7 +296,7 @@ fn record_input<'a>(artifact: &'a Recorded, role: &str) -> Option<&'a str> {
     artifact.record.as_ref()?.input(role)
 }
 
-/// Whether `artifact` was made from something else than `digest`; false where either is not known.
+/// Returns true if `artifact` was made from something else than `digest`; false if either is not known.
 fn differs(artifact: &Recorded, role: &str, digest: Option<&str>) -> bool {
     record_input(artifact, role).zip(digest).is_some_and(|(recorded, digest)| recorded != digest)
 }

@@ -1,4 +1,4 @@
-//! How far two arrays are apart.
+//! Difference of two arrays.
 //!
 //! ```text
 //! largest = max_i |a_i - b_i|        RMS = sqrt(mean_i (a_i - b_i)^2)
@@ -18,12 +18,12 @@ pub enum Elements {
     Integer(ArrayD<i64>),
 }
 
-/// How far two arrays of one name are apart.
+/// Difference of two arrays of one name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
     /// Largest absolute difference.
     pub largest: f64,
-    /// Where it is (the first of equals), and the two values in words; `None` when equal.
+    /// Index of the largest difference (the first of equals), and the two values in words; `None` when equal.
     pub at: Option<(Vec<usize>, [String; 2])>,
     /// RMS difference.
     pub rms: f64,
@@ -42,8 +42,8 @@ impl Difference {
     }
 }
 
-/// Which of the differences, each with the name of its arrays, are larger than `tolerance`; `None` when
-/// none is.
+/// Sentence on the differences, each with the name of its arrays, that are larger than `tolerance`; `None` when none
+/// is.
 pub fn beyond(found: &[(String, Difference)], tolerance: f64) -> Result<Option<String>, Invalid> {
     if tolerance.is_nan() || tolerance < 0.0 {
         let remedy = "give a number that is not negative";

@@ -1,11 +1,11 @@
-//! Dwell solvers side by side: what their dwell times leave, and what they cost.
+//! Comparison of dwell solvers: residual, motion and cost of their dwell times.
 //!
 //! ```text
 //! roughness = sqrt(mean (q_{k+1} - q_k)^2) / mean q        q_k = t_k / l_k                 (1)
 //! ```
 //!
-//! over neighbours along the path that both have a length; dwell-time densities that differ from
-//! segment to segment are what a machine cannot follow.
+//! over neighbours along the path that both have a length. A machine cannot follow dwell-time densities that differ
+//! much from segment to segment.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -20,14 +20,14 @@ use serde::Serialize;
 
 use crate::{plan::Plan, table::align};
 
-/// What one solver made of a mirror.
+/// Result of one solver for a mirror.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Solver {
     /// RMS (mean removed) with the dwell times at the dwell points, no dynamics, nm.
     pub position_rms_nm: f64,
     /// RMS (mean removed) of the executed motion, nm.
     pub executed_rms_nm: f64,
-    /// The same, plane removed, nm.
+    /// RMS (plane removed) of the executed motion, nm.
     pub executed_rms_detilted_nm: f64,
     /// Duration of the executed motion, s.
     pub executed_time_s: f64,
@@ -37,17 +37,17 @@ pub struct Solver {
     pub smallest_dwell_s: f64,
     /// Largest dwell time, s.
     pub largest_dwell_s: f64,
-    /// (1).
+    /// Roughness (1) of the dwell-time density, dimensionless.
     pub roughness: f64,
     /// Seconds that the solver took, `null` when not measured.
     pub wall_s: Option<f64>,
     /// Most memory that it held, 2^20 bytes, `null` when not measured.
     pub peak_memory_mb: Option<f64>,
-    /// How good its dwell times are known to be.
+    /// State of its dwell times: certified, converged or not.
     pub plan: Plan,
 }
 
-/// A solver's numbers, or why it has none.
+/// Numbers of a solver, or the reason why it has none.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", untagged)]
 pub enum Row {
@@ -55,7 +55,7 @@ pub enum Row {
     Solved(Solver),
     /// It refused, with this message.
     Refused {
-        /// What it said.
+        /// Message of the solver.
         refused: String,
     },
 }
@@ -91,7 +91,7 @@ impl Solver {
     }
 }
 
-/// (1); 0 for a path without neighbours.
+/// Roughness (1); 0 for a path without neighbours.
 fn roughness(path: &ToolPath, t: &[f64]) -> f64 {
     let density = |k: usize| {
         let length = path.segment_length_mm(k);

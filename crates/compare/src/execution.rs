@@ -1,4 +1,4 @@
-//! How a motion executes a plan: dwell time kept, overshoot, jerk.
+//! Execution of a plan by a motion: error of the dwell times, overshoot, jerk.
 //!
 //! ```text
 //! dwell error of point i = time with the tool on in its segments - dwell_i
@@ -17,10 +17,11 @@ use planish_numerics::polynomial::{evaluate, range};
 use planish_types::{DwellTime, Invalid, Trajectory};
 use serde::Serialize;
 
-/// An excursion counts above this, mm: what `planish-verify` takes for the tolerance of a position.
+/// Least excursion that counts as an overshoot, mm. Larger: real overshoots are missed. Smaller: rounding counts.
+/// Chosen: the tolerance of a position in `planish-verify`.
 const OVERSHOOT_MM: f64 = 1e-6;
 
-/// What the motion does with the plan.
+/// Numbers of the execution.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Execution {
     /// RMS of the dwell error over the points, s; `null` without dwell times, or when no segment names one.
@@ -36,7 +37,7 @@ pub struct Execution {
 }
 
 impl Execution {
-    /// Of `trajectory`, which serves the points of `dwell`; refuses a dwell index beyond them.
+    /// Execution of `dwell` by `trajectory`, which serves its points; refuses a dwell index beyond them.
     pub fn of(trajectory: &Trajectory, dwell: Option<&DwellTime>) -> Result<Self, Invalid> {
         let mut execution = Self::default();
         // A motion read back from a controller's program serves no points.
@@ -63,7 +64,7 @@ impl Execution {
         Ok(execution)
     }
 
-    /// Of the segments [first, end), which serve one point.
+    /// Adds the overshoot of the segments [first, end), which serve one point.
     fn add_overshoot(&mut self, trajectory: &Trajectory, first: usize, end: usize) {
         for axis in 0..2 {
             let last = trajectory.segment(end - 1);

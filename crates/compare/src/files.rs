@@ -1,4 +1,4 @@
-//! Where the artifacts of a run stand, and the arrays of a directory.
+//! Places of the artifacts of a run, and the arrays of a directory.
 
 use std::{
     collections::BTreeMap,
@@ -143,7 +143,7 @@ pub fn read_run(
     Ok(Run { name, summary, desired: desired.value, measured, path, methods, provenance })
 }
 
-/// What the user calls the runs.
+/// Names and files of the runs on the command line.
 #[derive(Clone, Copy, Debug)]
 pub struct Names<'a> {
     /// Pipeline; the name of the run's directory without it.
@@ -204,8 +204,8 @@ impl Judge<'_> {
     }
 }
 
-/// What `planish-tolerance` said in `run`/tolerance of the motion of one of the methods; a remark in its place where no
-/// method has that motion now.
+/// Reads the result of `planish-tolerance` in `run`/tolerance for the motion of one of the methods. A remark takes
+/// its place if no method has that motion now.
 fn read_process(
     inputs: &mut Inputs,
     role: &str,
@@ -275,7 +275,7 @@ fn record_of(manifest: &Manifest) -> Record {
     Record { tool: manifest.tool.clone(), key: manifest.key.clone(), inputs }
 }
 
-/// The same, where there is one.
+/// Reads an artifact if there is one.
 fn read_optional_artifact<T: Artifact>(
     inputs: &mut Inputs,
     role: &str,
@@ -287,7 +287,7 @@ fn read_optional_artifact<T: Artifact>(
     exists.then(|| read_artifact(inputs, role, dir, name, provenance)).transpose()
 }
 
-/// What one method left.
+/// Artifacts of one method.
 struct Found {
     name: String,
     dir: PathBuf,
@@ -360,13 +360,13 @@ fn read_method(
     })
 }
 
-/// What the methods of a run are measured by.
+/// Artifacts of a run that its methods share.
 struct Shared<'a> {
     desired: &'a Surface,
     plan: Option<&'a DwellTime>,
     plan_manifest: Option<&'a Value>,
     plan_is_for_another: Vec<&'static str>,
-    /// What the tool reaches, and its BLAKE3.
+    /// Waves that the tool reaches, and the BLAKE3 of the tool.
     reach: Option<&'a (Reach, String)>,
     division: &'a Division,
 }
@@ -498,7 +498,7 @@ impl Artifact for ToleranceFile {
     }
 }
 
-/// What a stage writes for `--wall-time`.
+/// File that a stage writes for `--wall-time`.
 #[derive(Deserialize)]
 struct Wall {
     wall_s: f64,
@@ -506,7 +506,7 @@ struct Wall {
     peak_memory_mb: Option<f64>,
 }
 
-/// Reads a run of dwell solvers: its surface, and what each solver made of it.
+/// Reads a run of dwell solvers: its surface, and the result of each solver.
 pub fn read_solvers(
     inputs: &mut Inputs,
     run: &Path,

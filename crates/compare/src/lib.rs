@@ -1,21 +1,21 @@
-//! What came of a run: numbers for programs, a table for people, the difference of two artifacts.
+//! Comparison of the results of a run: numbers for programs, tables and a page for people, differences of artifacts.
 //!
-//! * [`answer`]: which plan is to be run, and why, in sentences.
+//! * [`answer`]: the plan that is to be run, with reasons, in sentences.
 //! * [`summary`]: the numbers of `summary.json`.
 //! * [`table`]: the same numbers as tables, methods side by side.
 //! * [`dwell`]: dwell solvers side by side.
-//! * [`execution`]: dwell times kept, overshoot, jerk.
+//! * [`execution`]: error of the dwell times, overshoot, jerk.
 //! * [`report`]: a page to look at, and its figures.
 //! * [`typeset`]: a figure as PDF or PNG.
-//! * [`chain`]: whether the artifacts of a run belong together.
-//! * [`plan`]: how good a plan is known to be.
-//! * [`process`]: what the errors of a process add to a plan.
+//! * [`chain`]: check that the artifacts of a run belong together.
+//! * [`plan`]: state of a plan: certified, converged or not.
+//! * [`process`]: the residual that the errors of a process add to a plan.
 //! * [`reach`]: the part of a residual at wavelengths shorter than the tool corrects.
-//! * [`places`]: where something remains, and where the time goes.
-//! * [`recommended`]: which plan is to be executed;
-//! * [`specification`]: what the runs keep of a specification.
+//! * [`places`]: residual and time by place.
+//! * [`recommended`]: choice of the plan that is to be executed.
+//! * [`specification`]: verdicts on a specification.
 //! * [`sweep`]: the plans of a sweep, and the front of residual against time.
-//! * [`diff`]: how far two arrays are apart.
+//! * [`diff`]: difference of two arrays.
 
 pub mod answer;
 pub mod chain;

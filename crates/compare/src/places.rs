@@ -1,4 +1,4 @@
-//! Where a plan leaves what, and where its time goes: worst places, edge zone, regions, travel.
+//! Residual and time of a plan by place: worst places, edge zone, regions, travel.
 //!
 //! ```text
 //! tool radius      = sqrt(area where T >= max T / 2  /  pi)          width of the edge zone
@@ -8,8 +8,8 @@
 //! travel           = smallest and largest position of the motion along each axis
 //! ```
 //!
-//! The RMS of all zones is about one mean, that of the map: weighted by their pixels, their squares add up to
-//! the square of the RMS. Travel and times are exact: the motion is cut where it enters another pixel.
+//! The RMS of all zones is about one mean, that of the map. So their squares, weighted by their pixels, add up to the
+//! square of the RMS. Travel and times are exact, because the motion is cut where it enters another pixel.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -25,16 +25,19 @@ use planish_numerics::polynomial::{
 use planish_types::{Axis, Grid, Segment, Surface, Tif, Trajectory};
 use serde::Serialize;
 
-/// How many of the worst places are listed.
+/// Number of the worst places that are listed. Larger: places that are hardly worse than others. Smaller: a bad place
+/// is missed. Chosen.
 const WORST_COUNT: usize = 5;
 
-/// Least distance of two of them, as a fraction of the longer side: a pit is listed once.
+/// Least distance of two of them, as a fraction of the longer side of the map. Larger: neighbouring pits are missed.
+/// Smaller: one pit is listed several times. Chosen.
 const WORST_APART: f64 = 0.05;
 
-/// Regions along each side.
+/// Number of regions along each side. Larger: finer regions, in a table that is larger. Smaller: coarser ones.
+/// Chosen.
 const REGIONS: usize = 3;
 
-/// How a mirror is divided.
+/// Division of a mirror into zones and regions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct DivisionReport {
     /// Width of the edge zone, mm: the radius of the tool at half its peak; `null` where the tool is not known.
@@ -67,20 +70,20 @@ pub struct Place {
     pub y_mm: f64,
     /// Residual from the mean of the map, nm; positive = material that stays.
     pub from_mean_nm: f64,
-    /// Whether it lies in the edge zone; `null` where the tool is not known.
+    /// True if the place lies in the edge zone; `null` where the tool is not known.
     pub at_edge: Option<bool>,
 }
 
 /// RMS of the zones of a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct ZoneRms {
-    /// Of the edge zone, nm; `null` where the tool is not known.
+    /// RMS of the edge zone, nm; `null` where the tool is not known.
     pub edge_nm: Option<f64>,
-    /// Of the pixels that are not in it, nm; `null` where there are none or the tool is not known.
+    /// RMS of the other pixels, nm; `null` where there are none or the tool is not known.
     pub inside_nm: Option<f64>,
 }
 
-/// Where the time of a motion goes, s.
+/// Time of a motion by zone, s.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Times {
     /// Tool on, above valid pixels of the edge zone; `null` where the tool is not known.
@@ -93,7 +96,7 @@ pub struct Times {
     pub tool_off_s: f64,
 }
 
-/// What one plan leaves where, and where it spends its time.
+/// Residual and time of one plan by place.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Places {
     /// The places farthest from the mean, the worst first.
@@ -111,7 +114,7 @@ pub struct Places {
 }
 
 impl Division {
-    /// Of the valid pixels of `surface`, with an edge zone as wide as the radius of `tif`.
+    /// The division of the valid pixels of `surface`, with an edge zone as wide as the radius of `tif`.
     pub fn new(surface: &Surface, tif: Option<&Tif>) -> Self {
         let grid = *surface.grid();
         let valid = surface.height_nm().mapv(|v| !v.is_nan());
@@ -128,12 +131,12 @@ impl Division {
         Self { grid, valid, edge, report }
     }
 
-    /// How.
+    /// Numbers of the division.
     pub fn report(&self) -> DivisionReport {
         self.report.clone()
     }
 
-    /// What `trajectory` leaves where when its residual is `residual`, on the pixels of this mirror.
+    /// Residual and time by place for `trajectory` with its `residual`, on the pixels of this mirror.
     pub fn places(&self, residual: &Surface, trajectory: &Trajectory) -> Places {
         let (time, region_time_s) = self.times(trajectory);
         Places {
@@ -237,7 +240,7 @@ impl Division {
         (times, regions)
     }
 
-    /// When a segment enters another pixel, from its start on, in order, and its end, s.
+    /// Times at which a segment enters another pixel, from its start on, in order, and its end, s.
     fn pixel_changes_s(&self, segment: &Segment<'_>) -> Vec<f64> {
         let end_s = segment.duration_s;
         let mut times_s = vec![end_s];

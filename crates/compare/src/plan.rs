@@ -1,4 +1,4 @@
-//! How good a plan is known to be: the end that the stage which chose the motion or the dwell times states.
+//! State of a plan, from the end that the stage which chose the motion or the dwell times states.
 //!
 //! | state | meaning |
 //! |---|---|
@@ -13,16 +13,17 @@ use planish_types::{End, text::significant};
 use serde::Serialize;
 use serde_json::Value;
 
-/// The scheduler that applies the dwell times at the dwell points, without a motion between them.
+/// Name of the scheduler that applies the dwell times at the dwell points, without a motion between them.
 pub const WITHOUT_MOTION: &str = "position";
 
-/// A fraction of the objective below which a difference is the rounding of its sum.
+/// Largest gap, over the objective, that is the rounding of its sum. Larger: a small gap is called optimal to
+/// rounding. Smaller: a gap that is rounding is printed. Chosen: some thousand times the rounding of one number.
 const ROUNDING: f64 = 1e-12;
 
-/// The word for a motion that was read back from a controller's program.
+/// Word for the state of a motion that was read back from a controller's program.
 pub const PROGRAM: &str = "program";
 
-/// How good a plan is known to be.
+/// State of a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum State {
@@ -36,18 +37,18 @@ pub enum State {
     Unconverged,
     /// Dwell times without a motion: not a plan.
     WithoutMotion,
-    /// Nothing says.
+    /// No manifest states an end.
     Unknown,
 }
 
-/// What is known of a plan.
+/// State of a plan, in words too.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Plan {
-    /// How good.
+    /// The state.
     pub state: State,
-    /// The same in a word or two.
+    /// The state in a word or two.
     pub word: String,
-    /// The same in a sentence.
+    /// The state in a sentence.
     pub text: String,
 }
 
@@ -56,9 +57,9 @@ impl Plan {
         Self { state, word: word.into(), text: text.into() }
     }
 
-    /// Of the method `name`, from the manifest of its trajectory, the manifest of the dwell times
-    /// that the trajectory was scheduled from, and what those were solved for that this run does not
-    /// have.
+    /// State of the plan of the method `name`, from the manifest of its trajectory and the manifest of the dwell
+    /// times that the trajectory was scheduled from. `solved_for_another` has the roles of which those were solved
+    /// for another artifact.
     pub fn of(
         name: &str,
         trajectory: Option<&Value>,
@@ -94,7 +95,7 @@ impl Plan {
         Self::of_dwell(dwell)
     }
 
-    /// Of the dwell times of a solver, from their manifest where they have one.
+    /// State of the dwell times of a solver, from their manifest if they have one.
     pub fn of_solver(manifest: Option<&Value>) -> Self {
         manifest.map_or_else(Self::without_manifest, Self::of_dwell)
     }
@@ -104,7 +105,7 @@ impl Plan {
         Self::new(State::Unknown, "not known", text)
     }
 
-    /// Of dwell times, from their manifest: nothing that is proven of them is proven of a motion.
+    /// State of dwell times, from their manifest: nothing that is proven of them is proven of a motion.
     fn of_dwell(manifest: &Value) -> Self {
         match Self::of_manifest(manifest) {
             Self { state: State::Certified, text, .. } => {
@@ -115,7 +116,7 @@ impl Plan {
         }
     }
 
-    /// Of the artifact of a stage, from the end that its manifest states.
+    /// State of the artifact of a stage, from the end that its manifest states.
     fn of_manifest(manifest: &Value) -> Self {
         let outcome = &manifest["outcome"];
         let report = &outcome["report"];
@@ -209,7 +210,7 @@ impl Plan {
     }
 }
 
-/// Whether a trajectory was made from dwell times, by its manifest.
+/// Returns true if a trajectory was made from dwell times, by its manifest.
 fn follows_dwell_times(trajectory: &Value) -> bool {
     let names = |list: &str, key: &str| {
         let mut entries = trajectory[list].as_array().into_iter().flatten();

@@ -1,6 +1,6 @@
-//! What the errors of a process add to the plan of a run, as `planish-tolerance` found it.
+//! Residual that the errors of a process add to the plan of a run, as `planish-tolerance` found it.
 //!
-//! The keys are those of `process` in `summary.json`; every RMS is without what `free` says (the mean, or the best
+//! The keys are those of `process` in `summary.json`. Every RMS is without the terms of `free` (the mean, or the best
 //! plane).
 
 use ndarray::Array2;
@@ -10,14 +10,14 @@ use serde_json::{Value, json};
 
 use crate::report::map::{block_side, screen_map};
 
-/// What the process adds to one plan.
+/// Effect of the process on one plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Process {
     /// The method whose motion it is.
     pub method: String,
-    /// What is not part of the residual: `piston` or `plane`.
+    /// Terms that are not part of the residual: `piston` or `plane`.
     pub free: String,
-    /// What is to be expected, in words.
+    /// Expected residual, in words.
     pub sentence: String,
     /// The numbers.
     #[serde(flatten)]
@@ -27,7 +27,7 @@ pub struct Process {
     pub arrays: ProcessArrays,
 }
 
-/// What `planish-tolerance` says in its manifest.
+/// Numbers in the manifest of `planish-tolerance`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Found {
     /// Name of the process.
@@ -39,11 +39,11 @@ pub struct Found {
     pub expected_rms_nm: f64,
     /// The distribution of the RMS over the runs.
     pub residual: Quantiles,
-    /// Whether the distribution is that of simulated runs.
+    /// True if the distribution is that of simulated runs.
     pub simulated: bool,
-    /// What each error adds.
+    /// Errors of the process, with the RMS that each adds.
     pub errors: Vec<Line>,
-    /// What to improve first; none where no error adds anything.
+    /// Error to improve first; none if no error adds anything.
     #[serde(default)]
     pub first: Option<First>,
 }
@@ -59,7 +59,7 @@ pub struct Quantiles {
     pub interval_95_percent_nm: [f64; 2],
 }
 
-/// What an error adds.
+/// An error of the process and its effect.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Line {
     /// Its kind.
@@ -68,7 +68,7 @@ pub struct Line {
     pub size: f64,
     /// Unit of the size.
     pub unit: String,
-    /// How it scatters.
+    /// Distribution of the error over the runs.
     pub distribution: String,
     /// RMS of what it adds alone, nm.
     pub adds_rms_nm: f64,
@@ -83,16 +83,16 @@ pub struct Line {
 pub struct First {
     /// Its kind.
     pub kind: String,
-    /// Without it 95 % of the runs are below this, nm.
+    /// RMS that 95 % of the runs are below without this error, nm.
     pub without_it_95_percent_nm: f64,
 }
 
 /// The arrays of a tolerance artifact.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProcessArrays {
-    /// Parts of the runs (m).
+    /// Fractions of the runs (m).
     pub part: Vec<f64>,
-    /// RMS that they are below (m), nm.
+    /// RMS that these fractions are below (m), nm.
     pub rms_nm: Vec<f64>,
     /// Standard deviation over the runs of every pixel (ny, nx), nm; NaN where invalid.
     pub deviation_nm: Array2<f64>,
@@ -106,7 +106,8 @@ fn words(kind: &str) -> String {
 }
 
 impl Process {
-    /// From the manifest's settings and outcome, and the arrays, of a tolerance artifact of the motion of `method`.
+    /// The effect on the motion of `method`, from the arrays of a tolerance artifact and the settings and outcome of
+    /// its manifest.
     pub fn new(
         method: &str,
         settings: &Value,
@@ -122,8 +123,8 @@ impl Process {
         Ok(Self { method: method.into(), free, sentence, found, arrays })
     }
 
-    /// For the page: what the summary has, the distribution, and the map on the screen; the map of at most
-    /// `most_pixels` is left out where no pixel is valid.
+    /// JSON for the page: the numbers of the summary, the distribution, and the map on the screen. The map has at
+    /// most `most_pixels`, and is left out if no pixel is valid.
     pub fn for_page(&self, most_pixels: usize) -> Value {
         let ProcessArrays { part, rms_nm, deviation_nm, grid } = &self.arrays;
         let mut page = json!(self);

@@ -28,7 +28,7 @@ use planish_numerics::spectrum::{
 use planish_types::{Surface, Tif};
 use serde::Serialize;
 
-/// Which waves a tool reaches.
+/// Waves that a tool reaches.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ReachReport {
     /// Transfer below which a wave counts as short.
@@ -50,8 +50,8 @@ pub struct Reach {
 }
 
 impl Reach {
-    /// Of the tool on maps whose valid pixels are those of `surface`; `None` where their largest rectangle is too
-    /// small for a spectrum.
+    /// The waves that the tool reaches on maps whose valid pixels are those of `surface`. `None` if their largest
+    /// rectangle is too small for a spectrum.
     pub fn new(surface: &Surface, tif: &Tif) -> Option<Self> {
         let valid = surface.height_nm().mapv(|v| !v.is_nan());
         let (origin, (ny, nx)) = largest_rectangle(&valid);
@@ -88,7 +88,7 @@ impl Reach {
         })
     }
 
-    /// Which waves.
+    /// Threshold and periods of these waves.
     pub fn report(&self) -> ReachReport {
         self.report
     }

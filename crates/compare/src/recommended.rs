@@ -1,20 +1,22 @@
-//! Which plan of a run is to be executed.
+//! Choice of the plan of a run that is to be executed.
 //!
-//! Only a motion within the limits of the machine is one; where some keep the specification of the mirror, only those
-//! are. Of what is left, the plans whose RMS is at most 5 % above the least differ by less than the errors of a process
-//! add, so their time counts: recommended is the least of
+//! Only a motion within the limits of the machine can be chosen. If some of these keep the specification of the
+//! mirror, only those can. Among them, plans whose RMS is at most 5 % above the least differ by less than the errors
+//! of a process add, so their time counts. The plan with the least
 //!
 //! ```text
 //! RMS^2 T^(1/2)                                                                             (1)
 //! ```
 //!
-//! One percent more time is worth taking where it lowers the mean square by at least half a percent, which is also what
-//! `planish-feed` plans for by default.
+//! is recommended. One percent more time is taken if it lowers the mean square by at least half a percent, as in
+//! `planish-feed` by default.
 
-/// By how much the RMS of a recommended plan may be above the least one, over it.
+/// Largest excess of the RMS of a recommended plan over the least RMS, relative to that. Larger: shorter runs with a
+/// larger residual. Smaller: the plan of least RMS whatever its time. Chosen: less than the errors of a process add.
 const NEGLIGIBLE_RMS: f64 = 0.05;
 
-/// By how many percent one percent more time must lower the mean square.
+/// Percentage by which one percent more time must lower the mean square, the exponent of the time in (1). Larger:
+/// shorter runs. Smaller: a smaller residual. Chosen: the default of `planish-feed`.
 const TIME_ELASTICITY: f64 = 0.5;
 
 /// A motion within the limits of the machine.
@@ -24,12 +26,12 @@ pub struct Candidate {
     pub rms_nm: f64,
     /// Its time, s.
     pub total_time_s: f64,
-    /// Whether its residual keeps the specification; true where none was asked.
+    /// True if its residual keeps the specification, or none was asked.
     pub keeps_specification: bool,
 }
 
 impl Candidate {
-    /// (1)
+    /// Cost (1), nm^2 s^(1/2).
     fn cost(&self) -> f64 {
         self.rms_nm * self.rms_nm * self.total_time_s.powf(TIME_ELASTICITY)
     }

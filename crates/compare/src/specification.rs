@@ -1,4 +1,4 @@
-//! What a run keeps of a specification, as `planish-surface spec` judged it: before, predicted, measured after.
+//! Verdicts of `planish-surface spec` on the maps of a run: before, predicted, and measured after.
 //!
 //! | column | judged |
 //! |---|---|
@@ -15,7 +15,7 @@ use serde_json::Value;
 pub struct Judged {
     /// Name of the specification.
     pub name: String,
-    /// Whether every limit is kept.
+    /// True if every limit is kept.
     pub passed: bool,
     /// Limit by limit.
     pub limits: Vec<JudgedLimit>,
@@ -28,20 +28,21 @@ pub struct JudgedLimit {
     pub quantity: String,
     /// Unit of value and limit.
     pub unit: String,
-    /// What was found; `null` for infinity.
+    /// Value of the map; `null` for infinity.
     pub value: Option<f64>,
-    /// What is allowed; of a line under a spectrum, where the spectrum is worst.
+    /// Value that is allowed; for a line under a spectrum, the one at the frequency where the spectrum is worst.
     pub limit: f64,
     /// `at-most` or `at-least`.
     pub bound: String,
-    /// Whether it is kept.
+    /// True if the limit is kept.
     pub passed: bool,
-    /// Where it is worst.
+    /// Place or frequency at which it is worst.
     pub worst: Option<String>,
 }
 
 impl Judged {
-    /// From the outcome of a specification artifact; `None` where it was measured without a specification.
+    /// The verdict in the outcome of a specification artifact; `None` if the map was measured without a
+    /// specification.
     pub fn from_json(outcome: &Value) -> Result<Option<Self>, Invalid> {
         Option::<Self>::deserialize(&outcome["specification"]).map_err(|e| {
             let problem = format!("has no usable outcome ({e})");
@@ -50,7 +51,7 @@ impl Judged {
     }
 }
 
-/// What was judged beside the methods.
+/// Verdicts on the maps that belong to no method.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Around {
     /// The desired removal.

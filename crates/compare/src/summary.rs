@@ -45,23 +45,28 @@ const ORDER: [&str; 9] = [
     "feed",
 ];
 
-/// Coordinates of two maps agree to this fraction of a pixel, as axes do that passed through text.
+/// Largest difference of the coordinates of two maps that are the same, in pixels. Larger: maps of different pixels
+/// are taken for the same. Smaller: axes that passed through text are refused. Chosen between the two.
 const SAME_PIXEL: f64 = 1e-4;
 
-/// `residual = desired - removal` holds to this fraction of the largest of the three: the rounding
-/// of maps that passed through 32-bit floats (6e-8), and far below any residual of interest.
+/// Largest error of `residual = desired - removal`, over the largest of the three. Larger: a removal of another
+/// surface is accepted. Smaller: maps that passed through 32-bit floats (6e-8) are refused. Chosen far above that
+/// rounding, and far below any residual of interest.
 const SAME_HEIGHT: f64 = 1e-6;
 
-/// A motion executes a dwell time to this, s: what a dwell solver takes for no change.
+/// Largest difference between a dwell time and the time of the motion that executes it, s. Larger: motions of other
+/// dwell times are accepted. Smaller: rounding is refused. Chosen: the change that a dwell solver takes for none.
 const SAME_DWELL_S: f64 = 1e-6;
 
-/// Base length of the slopes, mm: what mirrors are specified with; the nearest whole number of pixels is taken.
+/// Base length of the slopes, mm; the nearest whole number of pixels is taken. Larger: slopes of longer waves only.
+/// Smaller: more noise in the slopes. Chosen: the length with which mirrors are specified.
 const SLOPE_BASE_MM: f64 = 1.0;
 
-/// Two durations are the same to this fraction: far above the rounding of a sum of segments.
+/// Largest difference of two durations that are the same, relative. Larger: different motions are taken for one.
+/// Smaller: rounding is refused. Chosen far above the rounding of a sum of segments.
 const SAME_TIME: f64 = 1e-9;
 
-/// One run: a surface, and what each method made of it.
+/// One run: a surface, and the result of each method.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
     /// Name of the pipeline.
@@ -72,13 +77,13 @@ pub struct Summary {
     pub initial: Initial,
     /// Base length of the slopes along [x, y], mm; `null` along what is shorter.
     pub slope_base_mm: [Option<f64>; 2],
-    /// Which waves the tool reaches; `null` where the tool is not known, or the map has no spectrum.
+    /// Waves that the tool reaches; `null` where the tool is not known, or the map has no spectrum.
     pub reach: Option<ReachReport>,
-    /// How the mirror is divided to say where something remains, and where the time goes.
+    /// Division of the mirror, by which residual and time are told.
     pub division: DivisionReport,
-    /// What was judged by a specification beside the methods.
+    /// Verdicts on the maps that belong to no method.
     pub specification: Around,
-    /// What the errors of a process add to one of the plans; `null` where nobody asked.
+    /// Effect of the errors of a process on one of the plans; `null` where there is no such prediction.
     pub process: Option<Process>,
     /// Dwell times at the dwell points, without a motion; `null` when the run has no such method.
     pub without_motion: Option<WithoutMotion>,
@@ -87,7 +92,7 @@ pub struct Summary {
     pub methods: Vec<(String, Method)>,
     /// Methods that take no part in the comparison.
     pub left_out: Vec<LeftOut>,
-    /// What is out of date in what the methods share.
+    /// Sentences on shared artifacts that are out of date.
     pub remarks: Vec<String>,
     /// The method that is recommended; `null` when there is none.
     pub best: Option<String>,
@@ -100,7 +105,7 @@ pub struct LeftOut {
     pub name: String,
     /// `not-valid` or `out-of-date`.
     pub standing: Standing,
-    /// Why.
+    /// Reasons why it takes no part.
     pub reasons: Vec<String>,
 }
 
@@ -128,7 +133,7 @@ pub struct WithoutMotion {
     pub total_time_s: f64,
 }
 
-/// What one method made of the surface.
+/// Result of one method.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Method {
     /// RMS of the residual, mean removed, nm.
@@ -151,7 +156,7 @@ pub struct Method {
     pub max_velocity_step_mm_per_s: [f64; 2],
     /// Largest step in acceleration of [x, y], mm/s^2.
     pub max_acceleration_step_mm_per_s2: [f64; 2],
-    /// Whether the verdict found every limit of the machine kept.
+    /// True if the verdict found every limit of the machine kept.
     pub limits_respected: bool,
     /// Name of the machine that the verdict is about; `null` where its manifest does not say.
     pub machine: Option<String>,
@@ -159,19 +164,19 @@ pub struct Method {
     pub schedule_wall_s: Option<f64>,
     /// Seconds that the simulation took, `null` when not measured.
     pub simulate_wall_s: Option<f64>,
-    /// What the motion does with the plan.
+    /// Execution of the plan by the motion.
     pub execution: Execution,
-    /// What remains where, and where the time goes.
+    /// Residual and time by place.
     pub places: Places,
-    /// How good the plan is known to be.
+    /// State of the plan.
     pub plan: Plan,
-    /// Whether the residual keeps a specification; `null` where none was asked.
+    /// Verdict on the residual by a specification; `null` where none was asked.
     pub specification: Option<Judged>,
-    /// What else is worth knowing.
+    /// Further remarks.
     pub remarks: Vec<String>,
 }
 
-/// What a verdict says, as far as the summary repeats it.
+/// Numbers of a verdict that the summary repeats.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 pub struct VerdictOutcome {
     total_time_s: f64,
@@ -183,7 +188,7 @@ pub struct VerdictOutcome {
 }
 
 impl VerdictOutcome {
-    /// From the outcome of a verdict artifact.
+    /// The numbers in the outcome of a verdict artifact.
     pub fn from_json(outcome: &Value) -> Result<Self, Invalid> {
         Self::deserialize(outcome).map_err(|e| {
             Invalid::whole("verdict", format!("has no usable outcome ({e})"), "verify it again")
@@ -200,25 +205,25 @@ pub struct WallTimes {
     pub simulate_s: Option<f64>,
 }
 
-/// What is known of a method beside its arrays and its verdict.
+/// Information on a method beside its arrays and its verdict.
 #[derive(Clone, Debug)]
 pub struct Told {
     /// Seconds that its stages took.
     pub wall: WallTimes,
     /// Name of the machine that its verdict is about.
     pub machine: Option<String>,
-    /// How good its plan is known to be.
+    /// State of its plan.
     pub plan: Plan,
     /// RMS of the waves of its residual that are shorter than the tool corrects, nm, where the tool is known.
     pub short_wave_rms_nm: Option<f64>,
-    /// Whether its residual keeps a specification, where one was asked.
+    /// Verdict on its residual by a specification, where one was asked.
     pub specification: Option<Judged>,
-    /// What else is worth knowing.
+    /// Further remarks.
     pub remarks: Vec<String>,
 }
 
 impl Method {
-    /// Whether it may be recommended: a motion that keeps the limits.
+    /// Returns true if it may be recommended: a motion that keeps the limits.
     pub fn is_candidate(&self) -> bool {
         self.limits_respected && self.plan.state != State::WithoutMotion
     }
@@ -372,7 +377,7 @@ impl Summary {
         }
     }
 
-    /// The same, with what is known of the tool of the run, and of the specification of the mirror.
+    /// The summary with the tool of the run and the specification of the mirror added.
     pub fn with(self, desired: &Surface, reach: Option<&Reach>, around: Around) -> Self {
         let short_wave_rms_nm = reach.map(|reach| reach.short_wave_rms_nm(desired));
         Self {
@@ -397,7 +402,7 @@ impl Summary {
         Ok(())
     }
 
-    /// Why the run has no plan to recommend without reserve; empty when it has one.
+    /// Reasons why the run has no plan to recommend without reserve; empty when it has one.
     pub fn reserves(&self) -> Vec<String> {
         let mut found = Vec::new();
         for m in self.left_out.iter().filter(|m| m.standing == Standing::NotValid) {
@@ -415,8 +420,8 @@ impl Summary {
     }
 }
 
-/// Why there is no plan to recommend without reserve in some of the runs, each with its name; `None` when
-/// there is one in each.
+/// Reasons why some of the runs have no plan to recommend without reserve, each with the name of its run; `None` when
+/// each has one.
 pub fn negative(runs: &[(&str, &Summary)]) -> Option<String> {
     let several = runs.len() > 1;
     let named = runs.iter().flat_map(|(name, summary)| {

@@ -1,7 +1,8 @@
-//! The plans of a sweep: which are best, and which is to be run.
+//! The plans of a sweep: the front of the best ones, and the one that is to be run.
 //!
-//! A plan is a point of residual against time. On the front are those that no other plan beats in both; the residual is
-//! that of the plan without errors, and, where the sweep has a process, the one that 95 % of the runs are below, too.
+//! A plan is a point of residual against time. On the front are the plans that no other plan beats in both. The
+//! residual is that of the plan without errors. If the sweep has a process, there is a second front with the residual
+//! that 95 % of the runs are below.
 
 mod picture;
 
@@ -16,7 +17,7 @@ use crate::recommended::{Candidate, recommended};
 
 pub use picture::{page, svg};
 
-/// What `planish-sweep table` writes.
+/// Table that `planish-sweep table` writes.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Table {
@@ -24,25 +25,25 @@ pub struct Table {
     pub name: String,
     /// Name of the mirror.
     pub mirror: String,
-    /// Whether the plans were judged by the errors of a process.
+    /// True if the plans were judged by the errors of a process.
     pub has_process: bool,
-    /// What a plan must keep.
+    /// Constraints on the plans.
     pub constraints: Constraints,
     /// The plans.
     pub plans: Vec<Row>,
 }
 
-/// What a plan must keep to be on the front.
+/// Constraints that a plan must keep to be on the front.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Constraints {
     /// Longest time, s.
     pub max_time_s: Option<f64>,
-    /// Whether the limits of the machine must be kept.
+    /// True if the limits of the machine must be kept.
     pub keep_limits: bool,
 }
 
-/// A plan and what came of it.
+/// A plan and its result.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Row {
@@ -56,7 +57,7 @@ pub struct Row {
     pub settings: BTreeMap<String, Value>,
     /// `done`, `negative` or `failed`.
     pub status: String,
-    /// What a stage said.
+    /// Message of the stage that ended the plan.
     pub message: Option<String>,
     /// The numbers, where there are some.
     pub numbers: Option<Numbers>,
@@ -76,18 +77,18 @@ pub struct Numbers {
     pub rms_nm: f64,
     /// RMS of the residual, plane removed, nm.
     pub rms_detilted_nm: f64,
-    /// What 95 % of the runs are below, nm.
+    /// RMS that 95 % of the runs are below, nm.
     pub below_95_percent_nm: Option<f64>,
-    /// Whether the limits of the machine are kept.
+    /// True if the limits of the machine are kept.
     pub limits_kept: bool,
 }
 
-/// Which residual.
+/// Kind of the residual.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Residual {
-    /// Without errors.
+    /// RMS without errors.
     Nominal,
-    /// That 95 % of the runs are below.
+    /// RMS that 95 % of the runs are below.
     Below95,
 }
 
@@ -260,7 +261,7 @@ impl Table {
         lines.iter().map(line).collect::<Vec<_>>().join("\n")
     }
 
-    /// How many plans have no numbers.
+    /// Number of plans without numbers.
     pub fn failed(&self) -> usize {
         self.plans.iter().filter(|row| row.numbers.is_none()).count()
     }

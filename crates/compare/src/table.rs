@@ -88,8 +88,8 @@ fn render(runs: &[(&str, &Summary)]) -> String {
     text
 }
 
-/// What the columns have no room for: how good the plans are, what is known besides, what is left
-/// out. Methods of which the same is said share a line.
+/// Remarks for which the columns have no room: the states of the plans, other remarks, and methods that are left out.
+/// Methods with the same remark share a line.
 fn notes(summary: &Summary) -> Vec<String> {
     let mut said: Vec<(String, Vec<&str>)> = Vec::new();
     for (name, method) in &summary.methods {
@@ -182,7 +182,7 @@ const EXECUTION_HEADINGS: [[&str; 2]; 8] = [
     ["limits", "kept"],
 ];
 
-/// How the methods of one or several runs, each with its name, execute their plans; ends with a
+/// Table of the executions of the plans by the methods of one or several runs, each with its name; ends with a
 /// newline.
 pub fn execution_table(runs: &[(&str, &Summary)]) -> String {
     let ms = |s: Option<f64>| s.map_or("-".into(), |s| fixed(1e3 * s, 4));

@@ -19,13 +19,15 @@ use svg2pdf::{ConversionOptions, PageOptions};
 
 use crate::report::figure::PAPER_PX;
 
-/// Width of a figure in print, mm: both columns of a page.
+/// Width of a figure in print, mm. Larger or smaller: the figure is scaled in print. Chosen: both columns of a page.
 pub const PAPER_MM: f64 = 180.0;
 
-/// Pixels an inch of a PNG where nothing else is asked: what journals ask for.
+/// Default resolution of a PNG, pixels per inch. Larger: larger files. Smaller: less sharp print. Chosen: the
+/// resolution that journals ask for.
 pub const PNG_DPI: f64 = 300.0;
 
-/// Pixels an inch that a PNG can have: of a screen, and the finest print.
+/// Allowed resolutions of a PNG, pixels per inch. Wider: very large files, or texts that cannot be read. Narrower:
+/// sensible resolutions are refused. Chosen: from that of a screen to that of the finest print.
 pub const PNG_DPI_RANGE: RangeInclusive<f64> = 72.0..=1200.0;
 
 const MM_PER_INCH: f64 = 25.4;
@@ -42,10 +44,11 @@ pub fn pdf(svg: &str) -> Result<Vec<u8>, Invalid> {
     pdf.map(in_order).map_err(|e| unprintable(&e.to_string()))
 }
 
-/// The same PDF with the entries of its dictionaries of resources in the order of their names.
+/// Sorts the entries of the dictionaries of resources of a PDF by their names.
 ///
-/// `svg2pdf` 0.13 writes them in that of a hash table, which is another one every time. An entry is a line, such as
-/// `/xo1 12 0 R`; lines that change places within their dictionary move no object, so the table of offsets holds.
+/// `svg2pdf` 0.13 writes them in the order of a hash table, which differs from run to run. An entry is a line, such
+/// as `/xo1 12 0 R`. Lines that change places within their dictionary move no object, so the table of offsets stays
+/// right.
 fn in_order(pdf: Vec<u8>) -> Vec<u8> {
     let is_entry = |line: &[u8]| {
         let line = line.trim_ascii();

@@ -1,5 +1,5 @@
-//! What the report says of artifacts that do not belong together, of plans that are not known to be
-//! good, and of names that are programs: through the binary.
+//! Tests of the report through the binary: artifacts that do not belong together, plans that are not known to be
+//! good, and names that are programs.
 
 use std::{
     fs,
@@ -48,7 +48,8 @@ impl Lab {
         lab
     }
 
-    /// What `tool` makes from the inputs of these roles, each in the directory of its name in `out`.
+    /// Returns a writer for the outputs of `tool` from the inputs of these roles, each in the directory of its name
+    /// in `out`.
     fn writer<const N: usize>(
         &self,
         tool: &'static str,
@@ -169,7 +170,7 @@ impl Lab {
         writer.write_arrays(&kind::VERDICT, &[], &[], outcome, &Status::Done).unwrap();
     }
 
-    /// What planish-surface says of the residual of a method, by the specification of this text.
+    /// Writes the verdict of planish-surface on the residual of a method, by the specification of this text.
     fn specify(&self, name: &str, by: &str) {
         let file = self.run.with_file_name("limits.json");
         fs::write(&file, by).unwrap();

@@ -1,4 +1,4 @@
-//! A map as rectangles of one colour, for pictures that are text.
+//! A map as rectangles of one colour each, for pictures in a text format.
 
 use ndarray::{Array2, ArrayView2, s};
 
@@ -8,11 +8,11 @@ use crate::{
     svg::{Svg, put},
 };
 
-/// Draws `map` (ny, nx) over the whole of `frame`, row 0 at its lower edge, in at most `most` cells
-/// along an axis; invalid pixels (NaN) are left out.
+/// Draws `map` (ny, nx) over the whole of `frame`, row 0 at its lower edge. The map has at most
+/// `most` cells along an axis. Invalid pixels (NaN) stay blank.
 pub fn draw(svg: &mut Svg, frame: &Frame, map: ArrayView2<'_, f64>, bands: &Bands, most: usize) {
     let (means, block) = block_means(map, most);
-    // One path for every band: a rectangle for every run of its cells, in pixels of the map.
+    // One path for every band, with a rectangle for every run of its cells, in pixels of the map.
     let (ny, nx) = map.dim();
     let edge = |k: usize, n: usize| (k * block).min(n);
     let mut paths = vec![String::new(); bands.colours().len()];
@@ -44,8 +44,8 @@ pub fn draw(svg: &mut Svg, frame: &Frame, map: ArrayView2<'_, f64>, bands: &Band
     svg.put(format_args!("</g>"));
 }
 
-/// Means of the valid pixels of square blocks, `most` of them along the longer axis, and the side of
-/// a block in pixels; NaN where most pixels of a block are invalid.
+/// Means of the valid pixels of square blocks, and the side of a block in pixels. There are at most
+/// `most` blocks along the longer axis. A block is NaN if more than half of its pixels are invalid.
 fn block_means(map: ArrayView2<'_, f64>, most: usize) -> (Array2<f64>, usize) {
     let (ny, nx) = map.dim();
     let block = nx.max(ny).div_ceil(most);

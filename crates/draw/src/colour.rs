@@ -1,25 +1,25 @@
-//! Colours that people who see fewer of them can tell apart, on white paper.
+//! Colours on white paper that people with a colour vision deficiency can tell apart.
 
-/// Areas from the smallest value to the largest: viridis, ascending in lightness (S. van der Walt,
-/// N. Smith, 2015).
+/// Colour map of areas, from the smallest value to the largest: viridis, ascending in lightness (S.
+/// van der Walt, N. Smith, 2015).
 pub const VIRIDIS: [&str; 9] = [
     "#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30",
     "#fde725",
 ];
 
-/// Lines and small marks from the smallest value to the largest: viridis, its light end darkened so
-/// that a thin line stands out from the paper.
+/// Colour map of lines and small marks, from the smallest value to the largest: viridis, with a
+/// darker light end so that a thin line is visible on white.
 pub const VIRIDIS_FOR_LINES: [&str; 8] =
     ["#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a0b020", "#d8a010"];
 
-/// Values below and above a middle one, which is white: from blue to brown.
+/// Colour map of values below and above a middle value, which is white: from blue to brown.
 pub const BLUE_TO_BROWN: [&str; 7] =
     ["#053061", "#3a7db8", "#a6cde3", "#f7f7f7", "#f0b573", "#bd6a11", "#5c2f04"];
 
-/// Lines beside each other: the palette of M. Okabe and K. Ito (2008), its yellow darkened.
+/// Colours of lines in one plot: the palette of M. Okabe and K. Ito (2008), with a darker yellow.
 pub const LINES: [&str; 6] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#b8860b"];
 
-/// The line that others are compared with, and the axes.
+/// Colour of the axes, and of the line that the other lines are compared with.
 pub const INK: &str = "#000000";
 
 /// The colour of the `k`-th of several lines.
@@ -27,7 +27,8 @@ pub fn of_line(k: usize) -> &'static str {
     LINES[k % LINES.len()]
 }
 
-/// Red, green and blue at `fraction` (0 to 1) of the way through `stops`, each written `#rrggbb`.
+/// Red, green and blue at `fraction` (0 to 1) between the first and the last of `stops`. Each stop
+/// is written `#rrggbb`.
 pub fn rgb_at(stops: &[&str], fraction: f64) -> [u8; 3] {
     let position = fraction.clamp(0.0, 1.0) * (stops.len() - 1) as f64;
     let i = (position as usize).min(stops.len() - 2);
@@ -40,7 +41,7 @@ pub fn rgb_at(stops: &[&str], fraction: f64) -> [u8; 3] {
     })
 }
 
-/// The same, written `#rrggbb`.
+/// Colour at `fraction` (0 to 1) between the first and the last of `stops`, written `#rrggbb`.
 pub fn at(stops: &[&str], fraction: f64) -> String {
     let [r, g, b] = rgb_at(stops, fraction);
     format!("#{r:02x}{g:02x}{b:02x}")
@@ -60,8 +61,8 @@ impl Bands {
         Self { range, colours: (0..count).map(middle).collect() }
     }
 
-    /// The band of `value`: the first or the last one where it is beyond the range, the middle one
-    /// where the range is a single value.
+    /// Index of the band of `value`. It is the first or the last band if the value is outside the
+    /// range, and the middle band if the range is a single value.
     pub fn of(&self, value: f64) -> usize {
         let [low, high] = self.range;
         let fraction = if high > low { (value - low) / (high - low) } else { 0.5 };

@@ -8,41 +8,49 @@ use crate::{
     ticks::{round_logarithms, round_numbers},
 };
 
-/// Length of an axis that a number has for itself, px: the same along x and y, so that axes of one
-/// scale have the same steps.
+/// Length of axis that each number needs, px. Larger: fewer numbers. Smaller: numbers overlap. The
+/// value is the same along x and y, so that two axes of one scale have the same steps.
 const PX_PER_NUMBER: f64 = 50.0;
 
-/// Digits of a number at an axis: round numbers have fewer, rounding has more.
+/// Significant digits of a number at an axis. Larger: rounding such as 0.30000000000000004 shows.
+/// Smaller: a round number could lose digits. Chosen: more than a round number has, fewer than a
+/// 64-bit float.
 const AXIS_DIGITS: usize = 10;
 
-/// Digits of the ends of a bar of colours.
+/// Significant digits of the ends of a colour bar. Larger: longer texts that need a wider margin.
+/// Smaller: a coarser range.
 const BAR_DIGITS: usize = 4;
 
-/// Length of the mark of a number, px.
+/// Length of a tick mark, px. Larger: numbers stand farther from the axis, and need a wider margin.
 const MARK_PX: f64 = 5.0;
 
-/// Least height of a bar of colours, px: its two numbers and its unit stay apart.
+/// Smallest height of a colour bar, px. Smaller: the numbers at its ends overlap its unit. Larger:
+/// the bar of a flat plot extends farther below its frame.
 const LEAST_BAR_PX: f64 = 100.0;
 
-/// Height that small print needs below its baseline, px: a fourth of its font of 11 px, and a pixel of paper.
+/// Distance of the baseline of small print from the lower edge of the picture, px. Smaller: its
+/// descenders are cut off. Larger: it comes closer to the title of x. Derived: a fourth of its font
+/// of 11 px, and one pixel of paper.
 const NOTE_DESCENT_PX: f64 = 4.0;
 
-/// Distance of a bar of colours from its frame, and its width, px.
+/// Distance of a colour bar from its frame, and width of the bar, px. Larger: less room for its
+/// numbers in the right margin.
 const BAR_PX: [f64; 2] = [14.0, 12.0];
 
-/// What an axis shows, and how.
+/// Range of an axis, and the way that values become lengths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Scale {
-    /// From the first value to the second, equal steps equally long.
+    /// Linear axis from the first value to the second.
     Linear([f64; 2]),
-    /// The same of what is counted: its numbers are whole.
+    /// Linear axis of a count: its numbers are whole.
     Counts([f64; 2]),
-    /// From the first value to the second, equal ratios equally long.
+    /// Logarithmic axis from the first value to the second; both are positive.
     Logarithmic([f64; 2]),
 }
 
 impl Scale {
-    /// From `low` to `high`; about the value where they are the same, 0 to 1 where there is none.
+    /// Linear axis from `low` to `high`. It is one unit long around the value if both are equal,
+    /// and goes from 0 to 1 if there is no value.
     pub fn linear([low, high]: [f64; 2]) -> Self {
         if low < high {
             Self::Linear([low, high])
@@ -53,8 +61,8 @@ impl Scale {
         }
     }
 
-    /// From `low` to `high`, which are positive; about the value where they are the same, 0.1 to 1
-    /// where there is none.
+    /// Logarithmic axis from `low` to `high`, both positive. It goes from half to twice the value
+    /// if both are equal, and from 0.1 to 1 if there is no value.
     pub fn logarithmic([low, high]: [f64; 2]) -> Self {
         if 0.0 < low && low < high && high.is_finite() {
             Self::Logarithmic([low, high])
@@ -65,7 +73,7 @@ impl Scale {
         }
     }
 
-    /// The ends.
+    /// The low and the high end.
     pub fn ends(&self) -> [f64; 2] {
         let (Self::Linear(ends) | Self::Counts(ends) | Self::Logarithmic(ends)) = self;
         *ends
@@ -79,7 +87,8 @@ impl Scale {
         }
     }
 
-    /// The round numbers of an axis of this length; at least two where closer ones are round.
+    /// Round numbers for an axis of `length_px`. If fewer than two fit, the numbers may stand twice
+    /// as close.
     fn numbers(&self, length_px: f64) -> Vec<f64> {
         let most = (length_px / PX_PER_NUMBER).max(2.0);
         let numbers = self.at_most(most);
@@ -99,8 +108,7 @@ impl Scale {
     }
 }
 
-/// The smallest and the largest of the finite `values`; nothing (infinity, -infinity) where there
-/// are none.
+/// Smallest and largest of the finite `values`; [infinity, -infinity] if none is finite.
 pub fn range(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
     let finite = values.into_iter().filter(|v| v.is_finite());
     finite.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)])
@@ -126,16 +134,16 @@ pub struct Frame {
     pub width: f64,
     /// Height, px.
     pub height: f64,
-    /// The axis to the right.
+    /// The horizontal axis; its values ascend to the right.
     pub x: Scale,
-    /// The axis upwards.
+    /// The vertical axis; its values ascend upwards.
     pub y: Scale,
     /// Room for the numbers and titles to the left, above, to the right and below, px.
     pub margin_px: [f64; 4],
 }
 
 impl Frame {
-    /// A frame of `size_px` whose margin begins at `corner`.
+    /// A frame of `size_px`. The upper left corner of its margin is at `corner`.
     pub fn new(
         corner: [f64; 2],
         size_px: [f64; 2],
@@ -147,7 +155,7 @@ impl Frame {
         Self { left: corner[0] + left, top: corner[1] + top, width, height, x, y, margin_px }
     }
 
-    /// From the units of the axes to pixels of the picture.
+    /// Place of the point [x, y], given in the units of the axes, in px of the picture.
     pub fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         [
             self.left + self.x.fraction(x) * self.width,
@@ -165,7 +173,7 @@ impl Frame {
         self.left + self.width
     }
 
-    /// The rectangle, numbers along it, and the titles of both axes.
+    /// Draws the rectangle, the numbers along it, and the titles of both axes.
     pub fn axes(&self, svg: &mut Svg, [x_title, y_title]: [&str; 2]) {
         let (left, bottom, font) = (self.left, self.bottom(), svg.font_px());
         let edge = format!("fill=\"none\" stroke=\"{INK}\"");
@@ -188,7 +196,7 @@ impl Frame {
         svg.upward_text(beside, y_title);
     }
 
-    /// Grey lines across the frame at the numbers of its axes.
+    /// Draws grey lines across the frame at the numbers of its axes.
     pub fn grid(&self, svg: &mut Svg) {
         let mut d = String::new();
         for v in self.x.numbers(self.width) {
@@ -202,14 +210,15 @@ impl Frame {
         svg.path("stroke=\"#dddddd\"", &d);
     }
 
-    /// What the frame shows, above it.
+    /// Writes the title `words` above the frame, at its left edge.
     pub fn title(&self, svg: &mut Svg, words: &str) {
         if !words.is_empty() {
             svg.text([self.left, self.top - 10.0], "", words);
         }
     }
 
-    /// Small print at the right, below the title of x; its descenders end above the edge of the picture.
+    /// Writes small print at the right, below the title of x. Its descenders end above the lower
+    /// edge of the picture.
     pub fn note(&self, svg: &mut Svg, words: &str) {
         if !words.is_empty() {
             let [_, _, margin_right, margin_below] = self.margin_px;
@@ -219,7 +228,7 @@ impl Frame {
         }
     }
 
-    /// A line through `points`, cut where one is NaN.
+    /// Draws a line through `points`. A point with a NaN interrupts it.
     pub fn curve(&self, svg: &mut Svg, points: impl IntoIterator<Item = [f64; 2]>, colour: &str) {
         let mut d = String::new();
         let mut letter = 'M';
@@ -235,13 +244,14 @@ impl Frame {
         svg.path(&format!("fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\""), &d);
     }
 
-    /// A dashed line across the frame where x is `x`.
+    /// Draws a vertical line over the height of the frame at the value `x`; `style` is its SVG
+    /// attributes.
     pub fn upright(&self, svg: &mut Svg, x: f64, style: &str) {
         let x = self.at([x, self.y.ends()[0]])[0];
         svg.path(style, &format!("M{x:.1} {:.1}v{:.1}", self.top, self.height));
     }
 
-    /// The names of curves after dashes in their colours, above the frame, at the right.
+    /// Writes the names of curves above the frame, at the right, each after a dash in its colour.
     pub fn legend(&self, svg: &mut Svg, entries: &[(&str, &str)]) {
         let mut words = String::new();
         for (name, colour) in entries {
@@ -261,13 +271,15 @@ impl Frame {
         ));
     }
 
-    /// The colours of `bands` right of the frame, with the ends of their range and their unit.
+    /// Draws the colours of `bands` to the right of the frame, with the ends of their range and
+    /// their unit.
     pub fn colour_bar(&self, svg: &mut Svg, bands: &Bands, unit: &str) {
         let height = self.height.max(LEAST_BAR_PX);
         let (left, bottom) = (self.right() + BAR_PX[0], self.top + height);
         let step = height / bands.colours().len() as f64;
         for (k, colour) in bands.colours().iter().enumerate() {
-            // A little higher than its step: no paper shines through between two of them.
+            // Each rectangle is a little higher than its step, so that no paper shows between two
+            // of them.
             let corner = [left, bottom - (k + 1) as f64 * step];
             svg.rectangle(corner, [BAR_PX[1], step + 0.3], &format!("fill=\"{colour}\""));
         }

@@ -1,10 +1,10 @@
-//! What the pictures of the stages share, as SVG text.
+//! Elements that the pictures of all stages share, as SVG text.
 //!
-//! A picture is one [`Svg`]; its plots are [`Frame`]s, rectangles with an axis along x and one along
-//! y, which draw themselves, their curves and their maps into it. What a picture shows is decided by
-//! the stage that draws it.
+//! A picture is one [`Svg`]. Its plots are [`Frame`]s: rectangles with an axis along x and one
+//! along y. A frame draws itself, its curves and its maps into the picture. The stage that draws a
+//! picture decides what the picture shows.
 //!
-//! | module | what |
+//! | module | contents |
 //! |---|---|
 //! | [`svg`] | a document and its elements, every text escaped |
 //! | [`frame`] | axes, titles, curves, legend, bar of colours |

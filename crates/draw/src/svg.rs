@@ -4,10 +4,10 @@ use std::fmt::{Arguments, Write};
 
 use planish_types::text::escaped;
 
-/// Attribute of a text whose middle is at its point.
+/// SVG attribute of a text that is centred at its point.
 pub const MIDDLE: &str = "text-anchor=\"middle\"";
 
-/// Attribute of a text that ends at its point.
+/// SVG attribute of a text that ends at its point.
 pub const END: &str = "text-anchor=\"end\"";
 
 /// A picture while it is drawn.
@@ -18,7 +18,7 @@ pub struct Svg {
 }
 
 impl Svg {
-    /// An empty picture on white whose texts are `font_px` high unless they say otherwise.
+    /// An empty picture on white. Its texts are `font_px` high unless their attributes differ.
     pub fn new(font_px: f64) -> Self {
         Self { font_px, elements: String::new() }
     }
@@ -28,13 +28,13 @@ impl Svg {
         self.font_px
     }
 
-    /// One line of markup as it is: the caller has escaped what a user gave.
+    /// Adds one line of markup unchanged; the caller escapes text from a user.
     pub fn put(&mut self, markup: Arguments<'_>) {
         put(&mut self.elements, markup);
         self.elements.push('\n');
     }
 
-    /// A rectangle of `size` px whose upper left corner is at `corner`.
+    /// Adds a rectangle of `size` px whose upper left corner is at `corner`.
     pub fn rectangle(&mut self, corner: [f64; 2], size: [f64; 2], attributes: &str) {
         let ([x, y], [width, height]) = (corner, size);
         self.put(format_args!(
@@ -42,21 +42,21 @@ impl Svg {
         ));
     }
 
-    /// A path with the data `d`; none where there is nothing to draw.
+    /// Adds a path with the data `d`; nothing if `d` is empty.
     pub fn path(&mut self, attributes: &str, d: &str) {
         if !d.is_empty() {
             self.put(format_args!("<path {attributes} d=\"{d}\"/>"));
         }
     }
 
-    /// A text, escaped.
+    /// Adds a text that starts at a point, or as `attributes` say; it is escaped.
     pub fn text(&mut self, [x, y]: [f64; 2], attributes: &str, words: &str) {
         let space = if attributes.is_empty() { "" } else { " " };
         let words = escaped(words);
         self.put(format_args!("<text x=\"{x:.1}\" y=\"{y:.1}\"{space}{attributes}>{words}</text>"));
     }
 
-    /// A text that is read upwards, its middle at a point, escaped.
+    /// Adds a text that is read upwards and centred at a point; it is escaped.
     pub fn upward_text(&mut self, [x, y]: [f64; 2], words: &str) {
         let words = escaped(words);
         self.put(format_args!(
@@ -76,7 +76,7 @@ impl Svg {
     }
 }
 
-/// Appends to the data of a path: writing to a string does not fail.
+/// Appends formatted text to `out`; writing to a string does not fail.
 pub fn put(out: &mut String, words: Arguments<'_>) {
     let _ = out.write_fmt(words);
 }

@@ -1,34 +1,37 @@
 //! Round numbers for the axis of a picture.
 
-/// Fraction of a step by which a number may lie outside: the rounding of an end of the interval.
+/// Tolerance by which a number may lie outside the interval, relative to the step (linear axis) or
+/// to the end of the interval (logarithmic axis). Larger: numbers outside the frame. Smaller: the
+/// number at an end is lost to rounding.
 const SLACK: f64 = 1e-9;
 
-/// The multiples of 1, 2 or 5 times a power of ten from `low` to `high` (both finite, `low` <
-/// `high`), ascending, at most about `most` + 1 of them.
+/// Multiples of 1, 2 or 5 times a power of ten from `low` to `high` (both finite, `low` < `high`),
+/// ascending. There are at most about `most` + 1 of them.
 pub fn round_numbers(low: f64, high: f64, most: f64) -> Vec<f64> {
     let least = (high - low) / most;
     let power = least.log10().floor() as i32;
     let ten = 10.0_f64.powi(power);
     let step = [1.0, 2.0, 5.0].map(|f| f * ten).into_iter().find(|s| *s >= least);
     let step = step.unwrap_or(10.0 * ten);
-    // Without the digits of rounding: 0.3, not 0.30000000000000004.
+    // Rounded to the decimals of the step: 0.3, not 0.30000000000000004.
     let decimals = usize::try_from(-power).unwrap_or(0);
     let round = |v: f64| format!("{v:.decimals$}").parse().unwrap_or(v);
     let first = (low / step - SLACK).ceil() as i64;
     let last = (high / step + SLACK).floor() as i64;
-    // -0 is written as 0.
+    // Adding 0.0 turns -0 into 0.
     (first..=last).map(|k| round(k as f64 * step) + 0.0).collect()
 }
 
-/// Fewest numbers from which a logarithmic axis can be read.
+/// Smallest number of values at a logarithmic axis. If there are fewer powers of ten, multiples of
+/// them are added. Larger: a denser axis. With 2, an axis of one decade shows its ends only.
 const FEWEST: usize = 3;
 
-/// The powers of ten from `low` to `high` (0 < `low` < `high`), every second, third ... of them where
-/// there are more than `most`; where there are fewer than three, numbers between them too.
+/// Powers of ten from `low` to `high` (0 < `low` < `high`). If there are more than `most`, only
+/// every second, third ... of them. If there are fewer than three, also multiples of them.
 pub fn round_logarithms(low: f64, high: f64, most: f64) -> Vec<f64> {
     let inside = |mantissas: &[f64]| -> Vec<f64> {
         let (first, last) = (low.log10().floor() as i32, high.log10().ceil() as i32);
-        // Read as it is written: 0.3, not 0.30000000000000004.
+        // Parsed from its decimal text: 0.3, not 0.30000000000000004.
         let number = |m: &f64, power: i32| format!("{m}e{power}").parse().unwrap_or(f64::NAN);
         (first..=last)
             .flat_map(|power| mantissas.iter().map(move |m| number(m, power)))

@@ -6,13 +6,12 @@
 //! d >= V^2 (1 - eta^2) / (2 A)                                                            (3)
 //! ```
 //!
-//! Within a segment of length d the acceleration A takes the feed from `eta V*` to `V*` (1), so a feed
-//! may change from the least to the largest allowed one, or back, in any segment: every sequence of
-//! dwell times within (2) can be executed by trapezoidal feeds. (3) is the pitch limit of the source:
-//! on shorter segments the machine does not reach its largest feed V. It is enforced through (2):
-//! there the least dwell time is `d / V*`, above `d / V`. V and A are the limits along the segment,
-//! the axis that reaches its own first. Where lengths differ, the least feed is eta times the largest
-//! V* of the segment and its neighbours, and the change is made in the longer one. Changes of
+//! Within a segment of length d the acceleration A takes the feed from `eta V*` to `V*` (1). So a feed may change
+//! from the least to the largest allowed one, or back, in any segment: every sequence of dwell times within (2) can
+//! be executed by trapezoidal feeds. (3) is the pitch limit of the source: on shorter segments the machine does not
+//! reach its largest feed V. It is enforced through (2): there the least dwell time is `d / V*`, above `d / V`. V and
+//! A are the limits along the segment, the axis that reaches its own first. Where lengths differ, the least feed is
+//! eta times the largest V* of the segment and its neighbours, and the change is made in the longer one. Changes of
 //! direction are not part of the source's model: a corner asks for more.
 //!
 //! The minimum within (2) is that of [`crate::bounded_least_squares`], almost without
@@ -38,10 +37,10 @@ use crate::{
     problem::check,
 };
 
-/// How to solve.
+/// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// What a dwell time is spent on.
+    /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment.
     pub columns: Columns,
     /// eta: least feed as a fraction of the largest reachable one; in [0, 1), 0 for none.
     pub least_feed: f64,
@@ -116,11 +115,11 @@ pub struct Bounds {
     pub lo: Vec<f64>,
     /// d / (eta V*), s.
     pub hi: Vec<f64>,
-    /// V*, mm/s.
+    /// V*: largest reachable feed of every segment, mm/s.
     reachable_mm_per_s: Vec<f64>,
     /// A along the segment, mm/s^2.
     acceleration_mm_per_s2: Vec<f64>,
-    /// (3), mm.
+    /// Right-hand side of (3) for every segment: least length at which the machine reaches its largest feed, mm.
     pitch_limit_mm: Vec<f64>,
 }
 

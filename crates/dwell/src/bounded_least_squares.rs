@@ -9,37 +9,39 @@
 //!   + 1/2 t' Q t
 //! ```
 //!
-//! `w` are the weights of the pixels (0 where the map is invalid), `D` the largest diagonal element
-//! of `B' W B`, `A` the effective area of the TIF (at least that of 36 dwell points), `p` the distance of neighbouring
-//! lines of the path, `l_k` the length of segment k, `m_k` that between the middles of segments k - 1 and k, and
-//! `a_k = p l_k` the area that dwell point k stands for: `r` is the dwell time per area. `alpha` decides the dwell
-//! times that the map does not (outside the clear aperture), `beta` keeps neighbours alike, which is what a machine can execute, `lambda`
-//! is the price of a second in half a mean square, and Q, where a program has one, any symmetric positive
-//! semidefinite matrix, of which only products are asked for: what the scatter of a process adds. In place of
-//! the piston a plane may be free, and in place of the square a Huber loss may stand, which counts
-//! residuals above `k` linearly: pits. What is free is implicit: with functions `f` orthonormal
-//! under the weights and `U = B' W f`,
+//! `w` are the weights of the pixels (0 where the map is invalid). `D` is the largest diagonal element of `B' W B`,
+//! and `A` the effective area of the TIF (at least that of 36 dwell points). `p` is the distance of neighbouring
+//! lines of the path, `l_k` the length of segment k, and `m_k` the distance between the middles of segments k - 1 and
+//! k. `a_k = p l_k` is the area of dwell point k, and `r` the dwell time per area.
+//!
+//! `alpha` decides the dwell times that the map does not decide (outside the clear aperture). `beta` keeps neighbours
+//! alike, so that a machine can execute them. `lambda` is the weight of a second in half a mean square. Q, if a
+//! program has one, is any symmetric positive semidefinite matrix, of which only products are needed: the scatter
+//! that a process adds.
+//!
+//! A plane may be free in place of the piston. A Huber loss may replace the square; it counts residuals above `k`
+//! linearly, for maps with pits. The free functions are implicit: with functions `f` orthonormal under the weights
+//! and `U = B' W f`,
 //!
 //! ```text
 //! H = B' W B - U U' + L + Q,     L the matrix of the terms with alpha and beta             (2)
 //! g = B' W (z - its component in f) + alpha D A lo_j / a_j
 //! ```
 //!
-//! **Weights that mean the same at every pitch and pixel.** Both sums of squares are those of integrals over the part,
-//! `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`, and D grows with the number of pixels as the first
-//! term does. So with closer lines, points or pixels the minimum goes to that of one continuous problem, and in units
-//! of the size of the TIF it is the same for a small tool on a small part. Where lines and points are so far apart that
-//! the TIF has less than 36 of them, neighbours weigh as if it had 36: what a machine has to execute goes from point to
-//! point.
+//! **Weights that mean the same at every pitch and pixel.** The two sums of squares are integrals over the part,
+//! `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`. D grows with the number of pixels as the first term
+//! does. So with closer lines, points or pixels the minimum tends to that of one continuous problem. In units of the
+//! size of the TIF, a small tool on a small part has the same minimum. If lines and points are so far apart that the
+//! TIF has less than 36 of them, neighbours have the weights of 36: a machine executes a motion from point to point.
 //!
-//! H is never made. Steps come from a cheap surrogate H~ of it without Q (`surrogate`: cells of pixels and the
-//! primal-dual active set method, by a skyline Cholesky factorisation or, for many points, by the FFT and
-//! conjugate gradients with a spline lattice, after easier problems; where the lattice would be too
-//! large, projected gradient steps), and each is corrected by the gradient of (1) itself, which also certifies the
-//! result. B is applied by FFT, which is exact where the TIF has the pitch of the map; otherwise its
-//! columns are stored, unless they are too many.
-//! Columns that reach the map by less than 1e-9 of the largest stay at their lower bound in (1); in what is returned
-//! they have the density of their neighbours (`continuation`), which removes less than 1e-4 of a column there.
+//! H is never made. Steps come from a cheap surrogate H~ of it without Q (`surrogate`), and each is corrected by the
+//! gradient of (1) itself, which also certifies the result. H~ has cells of pixels and the primal-dual active set
+//! method, with a skyline Cholesky factorisation. For many points it has the FFT and conjugate gradients with a
+//! spline lattice, after easier problems. If the lattice would be too large, it has projected gradient steps. B is
+//! applied by FFT, which is exact if the TIF has the pitch of the map. Otherwise its columns are stored, unless they
+//! are too many.
+//! Columns whose effect on the map is below 1e-9 of the largest stay at their lower bound in (1). In the result they
+//! have the density of their neighbours (`continuation`), which removes less than 1e-4 of a column there.
 //!
 //! Source: the bounded least squares of constrained dwell-time optimisation, e.g. T. Wang et al.,
 //! Opt. Express 29 (2021) 38737, with the free piston, the density smoothness and the certificate.

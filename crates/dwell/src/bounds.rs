@@ -1,4 +1,5 @@
-//! What every solver checks first: the bounds of the dwell times and the weights of the pixels.
+//! Checks that every solver makes first: the bounds of the dwell times and the weights of the
+//! pixels.
 
 use ndarray::{Array2, Zip};
 use planish_types::{Invalid, Surface, ToolPath};
@@ -8,7 +9,7 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Bound {
-    /// The same time for every dwell point, s.
+    /// One time for every dwell point, s.
     Seconds(f64),
     /// Proportional to the length of the segment, s/mm.
     SecondsPerMm(f64),
@@ -49,7 +50,9 @@ pub fn upper(path: &ToolPath, max_dwell: Option<Bound>) -> Result<Vec<f64>, Inva
     }
 }
 
-/// Longest least dwell time of one point, s: four months are a mistake in the units.
+/// Largest lower bound of one dwell time that is accepted, s (1e7 s are four months). A larger one
+/// is refused as a mistake in the units. Larger: such mistakes pass. Smaller: long dwell times of
+/// weak tools are refused.
 const LONGEST_FLOOR_S: f64 = 1e7;
 
 /// The given weights, zero on invalid pixels.

@@ -33,9 +33,9 @@ use serde_json::json;
 pub enum Solver {
     /// Smallest RMS residual with a free piston and bounds on every dwell time
     BoundedLeastSquares(bounded_least_squares::BoundedLeastSquares),
-    /// The same within the dwell times that feed and acceleration limits allow
+    /// Least squares with bounds from the feed and acceleration limits of a machine
     Bcls(bcls::Bcls),
-    /// The same with a floor only, one component at a time (Lawson and Hanson); slow
+    /// Least squares with a lower bound only, one component at a time (Lawson and Hanson); slow
     NonNegativeLeastSquares(non_negative_least_squares::NonNegativeLeastSquares),
     /// Damped least squares without bounds; damping given, by discrepancy, or by L-curve
     TikhonovLsqr(tikhonov_lsqr::TikhonovLsqr),
@@ -47,7 +47,7 @@ pub enum Solver {
     Rifta(rifta::Rifta),
     /// Adjoint image of the extended map, refined by its residual
     Udo(udo::Udo),
-    /// As long as the area of every segment asks for: the feed law of rasters of one or several pitches; solves nothing
+    /// Feed law of rasters of one or several pitches: dwell time from the area of every segment, without a solver
     FeedLaw(feed_law::FeedLaw),
 }
 
@@ -67,7 +67,7 @@ impl Solver {
     }
 }
 
-/// What every solver is given.
+/// Arguments that every solver has in common.
 #[derive(Args)]
 struct Given {
     #[command(flatten)]
@@ -77,7 +77,7 @@ struct Given {
     /// Weight of every pixel [.npy file (ny, nx), >= 0]; without it valid pixels count 1
     #[arg(long, value_name = "FILE")]
     weight: Option<PathBuf>,
-    /// What a dwell time is spent on
+    /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment
     #[arg(long, value_enum, default_value = "segment")]
     columns: Columns,
     #[command(flatten)]
@@ -120,13 +120,13 @@ impl Given {
     }
 }
 
-/// What a report says of its end.
+/// End of a solver as the command reports it.
 struct Ended {
-    /// How the method ended.
+    /// Reason for which the solver ended.
     end: End,
-    /// Why the verdict is negative, where it is.
+    /// Reason of a negative verdict; none if the verdict is positive.
     negative: Option<String>,
-    /// What else there is to tell the user.
+    /// Further sentences for the user.
     words: String,
 }
 

@@ -26,15 +26,18 @@ use rayon::prelude::*;
 
 use crate::dwell_map::lattice;
 
-/// Maps with fewer pixels are solved on the pixels.
+/// Number of pixels of a map from which on the automatic choice solves on squares of several pixels. Larger: more
+/// maps are solved on their pixels, which takes longer. Smaller: smaller maps are solved on squares, too.
 const MIN_PIXELS_FOR_SQUARES: usize = 1_000_000;
 
-/// Squares on which the TIF rises from nothing to its peak, at its steepest slope. A Gaussian rises
-/// on 0.70 of its full width at half maximum: this is ten squares in that width. By the residuals
-/// found with others (docs/dwell.md).
+/// Number of squares on which the TIF rises from zero to its peak at its steepest slope, dimensionless. A Gaussian
+/// rises on 0.70 of its full width at half maximum, so that this is ten squares in that width. Larger: smaller
+/// squares, and more time. Smaller: larger squares, which resolve the TIF less. Chosen by the residuals with other
+/// values (docs/dwell.md).
 const SQUARES_ON_RISE: f64 = 7.0;
 
-/// Largest K, pixels along the side of a square.
+/// Largest K, pixels along the side of a square; the settings accept no larger one. Larger: wider squares for tools
+/// that are large beside the pixels. Smaller: more squares, and more time, for such tools.
 pub(crate) const MAX_SQUARE_PIXELS: usize = 64;
 
 /// K for a map: the largest that the TIF allows, 1 for one that is not large.
@@ -69,9 +72,9 @@ pub(crate) struct CoarseMap<T: Lanes> {
     size: usize,
     /// Tool positions, all of them.
     nodes: Grid,
-    /// Of the map.
+    /// Shape of the map, pixels (ny, nx).
     pixels: (usize, usize),
-    /// Coarse nodes.
+    /// Shape of the lattice of coarse nodes, (rows, columns).
     shape: (usize, usize),
     convolution: Convolution<T>,
 }
@@ -108,7 +111,8 @@ impl<T: Lanes> CoarseMap<T> {
         self.convolution.adjoint(map.view())
     }
 
-    /// What is true at the coarse nodes; the outermost may lie beyond all others.
+    /// Values of a mask at the coarse nodes, (rows, columns). The outermost nodes may lie beyond all pixels; they get
+    /// the value at the border.
     pub fn at_nodes(&self, fine: &Array2<bool>) -> Array2<bool> {
         let (ny, nx) = fine.dim();
         let at = |k: usize, n: usize| (k * self.size).min(n - 1);
@@ -193,7 +197,7 @@ impl<T: Lanes> CoarseMap<T> {
 struct Square {
     weight: f64,
     mean: f64,
-    /// From the middle, pixels [x, y].
+    /// Offset of the centroid of the valid pixels from the middle of the square, pixels [x, y].
     centroid: [f64; 2],
 }
 

@@ -32,7 +32,7 @@ pub(crate) struct Continuation {
 }
 
 impl Continuation {
-    /// For the dwell points of a path that are not `decided`; none when no point is.
+    /// Makes the ties of the dwell points of a path that are not `decided`; none if all points are decided.
     pub fn new(path: &ToolPath, decided: impl Fn(usize) -> bool) -> Self {
         let Some(median) = median_length_mm(path) else { return Self { ties: Vec::new() } };
         let n = path.len();

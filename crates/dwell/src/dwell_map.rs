@@ -75,7 +75,7 @@ pub(crate) fn lattice(tif: &Tif, grid: &Grid) -> Result<(Array2<f64>, Grid), Inv
     Ok((kernel, nodes))
 }
 
-/// Which dwell point a node belongs to.
+/// Assignment of the nodes of a lattice to dwell points.
 pub(crate) struct Cells {
     grid: Grid,
     points: Buckets,
@@ -83,16 +83,17 @@ pub(crate) struct Cells {
     nearest: Array2<u32>,
 }
 
-/// In place of a dwell point: none is near enough.
+/// Marks a node that has no dwell point near enough.
 const NO_POINT: u32 = u32::MAX;
 
-/// Rows of nodes that one thread takes at a time.
+/// Number of rows of nodes that one thread takes at a time. Larger: fewer tasks than threads on small maps. Smaller:
+/// more overhead.
 const NODE_ROWS_PER_TASK: usize = 64;
 
 impl Cells {
-    /// Nodes belong to the nearest dwell point with the tool on, unless it is further away than twice
-    /// the median distance of the nodes in the `aperture` (mm bounds [x, y] are not enough for a disk:
-    /// a test of a position): in a cell of a lattice the corner is 1.8 medians from the middle.
+    /// Assigns nodes to the nearest dwell point with the tool on, unless it is farther away than twice the median
+    /// distance of the nodes in the `aperture`. The aperture is a test of a position, because mm bounds [x, y] cannot
+    /// describe a disk. In a cell of a lattice the corner is 1.8 medians from the middle.
     pub fn new(path: &ToolPath, grid: &Grid, aperture: impl Fn([f64; 2]) -> bool + Sync) -> Self {
         let points: Vec<(u32, [f64; 2])> = (0..path.len())
             .filter(|j| path.tool_on()[*j])
@@ -152,7 +153,7 @@ impl Cells {
         Self { grid: *grid, points, nearest }
     }
 
-    /// Whether somebody is near enough.
+    /// Mask of the nodes that have a dwell point near enough.
     pub fn owned(&self) -> Array2<bool> {
         self.nearest.mapv(|j| j != NO_POINT)
     }
@@ -219,8 +220,8 @@ pub(crate) struct Spread {
 }
 
 impl Spread {
-    /// For the nodes that belong to a dwell point (`owned`) but are not `active` (both by rows): the nearest active
-    /// node, counted in steps to one of the eight neighbours.
+    /// Finds, for the nodes that belong to a dwell point (`owned`) but are not `active` (both by rows), the nearest
+    /// active node. The distance is the number of steps to one of the eight neighbours.
     pub fn new(owned: &Array2<bool>, active: &[bool]) -> Self {
         let (ny, nx) = owned.dim();
         let mut source: Vec<u32> = vec![NO_POINT; active.len()];
@@ -274,7 +275,7 @@ struct Buckets {
     shape: [usize; 2],
     /// Points by square.
     grouped: Grouped,
-    /// In that order.
+    /// Index and position of the points, mm [x, y], in the order of `grouped`.
     points: Vec<(u32, [f64; 2])>,
 }
 
@@ -301,8 +302,9 @@ impl Buckets {
         Self { start, side, shape, grouped, points }
     }
 
-    /// The nearest point of every node of some rows that has one within the side of a square (in a lattice of square
-    /// cells every node has one within 0.71 sides), the lowest number of equals, and its squared distance.
+    /// Finds the nearest point, and its squared distance, for the nodes of some rows that have a point within the
+    /// side of a square. Of equal distances the lowest number counts. In a lattice of square cells every node has a
+    /// point within 0.71 sides.
     fn within_a_side(
         &self,
         grid: &Grid,

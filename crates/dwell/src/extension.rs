@@ -17,7 +17,8 @@ use planish_numerics::linear::skyline::{Factor, Skyline};
 use planish_types::{Axis, Grid, Invalid};
 use rayon::prelude::*;
 
-/// Chebyshev polynomials along y and x, those of the source.
+/// Number of Chebyshev polynomials along y and x, those of the source. Larger: the extension follows the map more
+/// closely, and may swing beyond it. Smaller: it is smoother.
 const POLYNOMIALS_Y_X: (usize, usize) = (6, 9);
 
 /// A map with a border on every side, and the pixels that are known.

@@ -41,34 +41,38 @@ use crate::{
     problem::{Model, Problem, Solution, check},
 };
 
-/// Segments whose direction differs by less than this are parallel, rad.
+/// Angle below which two segments are parallel, rad. Larger: segments of curves count as lines. Smaller: rounding of
+/// coordinates splits lines.
 const PARALLEL: f64 = 1e-3;
 
-/// Lines nearer than this are one, mm.
+/// Distance below which two lines are the same line, mm. Larger: lines of a fine pitch are merged. Smaller: rounding
+/// of coordinates makes two lines of one, and a pitch near zero.
 const SAME_LINE_MM: f64 = 1e-6;
 
-/// Least part of the length of a path that its lines have; half is that of a maze.
+/// Smallest fraction of the length of a path that lies on parallel lines, dimensionless; the law refuses a path with
+/// less. Larger: rasters with long links are refused. Smaller: paths without a pitch are accepted. Chosen: above one
+/// half, the fraction of a maze.
 const LEAST_PART_OF_LINES: f64 = 0.6;
 
-/// How to apply the law.
+/// Settings of the feed law.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Settings {
     /// d everywhere, mm; measured line by line where absent.
     pub pitch_mm: Option<f64>,
 }
 
-/// What was found.
+/// Result of the feed law.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// `direct`: nothing is solved for.
     pub end: End,
-    /// Lines.
+    /// Number of lines.
     pub lines: usize,
-    /// Smallest and largest d, mm.
+    /// Smallest and largest d of the lines, mm.
     pub pitch_mm: [f64; 2],
-    /// Segments of lines whose depth asks for more than the largest feed: more is removed there than asked for.
+    /// Number of segments of lines that need more than the largest feed. The tool removes more there than is desired.
     pub too_fast: usize,
-    /// What was added to the map, so that no height is negative, nm.
+    /// Height that was added to the map so that no height is negative, nm.
     pub lifted_nm: f64,
 }
 
@@ -136,9 +140,9 @@ pub fn dwell(
 struct Line {
     segments: std::ops::Range<usize>,
     pass: i64,
-    /// From a common origin, at right angles to the lines, mm.
+    /// Coordinate across the lines, from an origin that all lines share, mm.
     across_mm: f64,
-    /// From where to where along them, mm.
+    /// Start and end along the direction of the lines, mm.
     along_mm: [f64; 2],
 }
 
@@ -194,7 +198,7 @@ fn lines(path: &ToolPath) -> Result<(Vec<Line>, [f64; 2]), Invalid> {
     Ok((lines, along))
 }
 
-/// From where to where along it the other lines in the place of each one go, mm.
+/// Intervals of the other lines at the place of each line: start and end along it, mm.
 fn in_the_same_place(lines: &[Line]) -> Vec<Vec<[f64; 2]>> {
     let mut order: Vec<usize> = (0..lines.len()).collect();
     order.sort_by(|a, b| lines[*a].across_mm.total_cmp(&lines[*b].across_mm));

@@ -1,4 +1,4 @@
-//! How long the tool shall spend where.
+//! Dwell times of a tool along its path.
 //!
 //! Every solver is a file and faces the same removal model ([`columns`]): the removal is linear
 //! in the dwell times,
@@ -42,7 +42,7 @@ pub mod udo;
 pub use model::columns;
 use planish_types::Invalid;
 
-/// Why no dwell time could be found.
+/// Reasons for which no dwell times can be found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DwellError {
     /// The inputs or settings contradict themselves or each other.

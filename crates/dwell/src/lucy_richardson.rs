@@ -5,22 +5,22 @@
 //! T <- T / (1 - mu kappa) * (B' (w E / B T)) / (B' w)      kappa = div(grad T / |grad T|)      (2)
 //! ```
 //!
-//! `low` is the lowest height but for a given fraction of the pixels: otherwise one pit would decide how
-//! much is removed everywhere. The multiplicative step maximises the likelihood `sum w (E ln m - m)`,
-//! m = B T, of a Poisson process, which here is a device to keep T positive. Without smoothing the
-//! likelihood never falls, and after every step the removed volume is the desired one. `B' w` in place of the volume of the
-//! TIF is the whole treatment of the boundary: a dwell point near it is judged by the pixels that it
-//! reaches, so the map needs no extension. Dwell points that reach less than 2 % of what the best
-//! one reaches are no unknowns: the density of their neighbours goes on there, in every step, so that what they
-//! remove is counted.
+//! `low` is the lowest height except for a given fraction of the pixels; otherwise one pit would decide the removal
+//! everywhere. The multiplicative step maximises the likelihood `sum w (E ln m - m)`, m = B T, of a Poisson process,
+//! which here is a device to keep T positive. Without smoothing the likelihood never falls, and after every step the
+//! removed volume is the desired one.
 //!
-//! The unknowns are the dwell times of the path (smoothness of the density along the path), or a map
-//! of dwell times on the pixels, as in the source (smoothness in two dimensions), which then goes to
-//! the path (`dwell_map.rs`).
+//! `B' w` in place of the volume of the TIF is the whole treatment of the boundary. A dwell point near it is judged
+//! by the pixels that it reaches, so the map needs no extension. Dwell points that reach less than 2 % of what the
+//! best one reaches are no unknowns. They get the density of their neighbours in every step, so that their removal is
+//! counted.
 //!
-//! A map of dwell times has nothing to say at the scale of a pixel where the TIF is many pixels wide:
-//! on large maps it is solved on squares of pixels (`coarse.rs`). What it leaves is always computed
-//! on all pixels.
+//! The unknowns are the dwell times of the path, with smoothness of the density along the path. Or they are a map of
+//! dwell times on the pixels, as in the source, with smoothness in two dimensions. The map is then transferred to the
+//! path (`dwell_map.rs`).
+//!
+//! If the TIF is many pixels wide, a map of dwell times needs no detail at the scale of a pixel: on large maps it is
+//! solved on squares of pixels (`coarse.rs`). Its residual is always computed on all pixels.
 //!
 //! Accelerated, a step starts from a point extrapolated along the last two,
 //!
@@ -59,7 +59,7 @@ use crate::{
     problem::{Model, Problem, Solution, check, check_steps},
 };
 
-/// What is solved for.
+/// Unknowns of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
@@ -70,10 +70,10 @@ pub enum Unknowns {
     Map,
 }
 
-/// How to solve.
+/// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// What is solved for.
+    /// Unknowns of the solver.
     pub unknowns: Unknowns,
     /// mu: weight of the total variation; >= 0, useful up to 0.02.
     pub total_variation: f64,
@@ -81,17 +81,17 @@ pub struct Settings {
     pub margin: f64,
     /// Fraction of the pixels, the lowest ones, that may be cut off; in [0, 1).
     pub pits: f64,
-    /// It ends when ten steps lower the RMS by less than this fraction.
+    /// Relative change of the RMS over ten steps below which the steps end.
     pub tolerance: f64,
-    /// Most steps.
+    /// Largest number of steps.
     pub max_iterations: usize,
-    /// Whether their number is the end that is wanted: the more steps, the more noise is fitted, so that
-    /// to stop after some is a choice, not a failure.
+    /// True if `max_iterations` is the wanted end. More steps fit more noise, so that a limited number of steps can
+    /// be a choice and is then not reported as a failure.
     pub stop_at_max: bool,
-    /// Whether steps start from extrapolated points, (3).
+    /// True if steps start from extrapolated points, (3).
     pub accelerated: bool,
-    /// The side of the squares of pixels that a map of dwell times is solved on, from 1 to 64;
-    /// without it 1 for maps below a million pixels, and for larger ones what the TIF allows.
+    /// Side of the squares on which a map of dwell times is solved, pixels, from 1 to 64. Default: 1 for maps below a
+    /// million pixels, and for larger maps the largest side that the TIF allows.
     pub pixels_per_cell: Option<usize>,
 }
 
@@ -111,13 +111,13 @@ impl Default for Settings {
     }
 }
 
-/// What was reached.
+/// Result of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// `settled` (the RMS changes no more), `iteration-limit`, or `steps-done` where only their number
     /// was to end the steps.
     pub end: End,
-    /// Steps.
+    /// Number of steps.
     pub iterations: usize,
     /// sum w (E ln m - m) before the first step, and after each.
     pub log_likelihood: Vec<f64>,
@@ -133,7 +133,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// Why the verdict is negative, where the end is not what was asked for.
+    /// Returns the reason of a negative verdict; none if the end is the one that the settings ask for.
     pub fn negative(&self, settings: &Settings) -> Option<String> {
         (self.end == End::IterationLimit).then(|| {
             format!(
@@ -145,10 +145,13 @@ impl Report {
     }
 }
 
-/// Below this fraction of the largest `B' w` the density of the neighbours goes on.
+/// Sensitivity of a dwell point, as a fraction of the largest `B' w`, below which its density is continued from its
+/// neighbours. Larger: fewer dwell points at the rim are solved for. Smaller: dwell times at the rim, which hardly
+/// change the map, may become very long.
 const MIN_SENSITIVITY_FRACTION: f64 = 0.02;
 
-/// No dwell time exceeds this multiple of the mean: at the edge of the reach T may run away.
+/// Upper limit of a dwell time, over the mean dwell time. Larger: dwell times at the edge of the reach of the tool
+/// may grow without use. Smaller: the limit cuts dwell times that the map needs.
 const MAX_TIME_OVER_MEAN: f64 = 20.0;
 
 /// Solves by (2).
@@ -218,7 +221,7 @@ fn positive_target(model: &Model<'_>, settings: &Settings) -> Array2<f64> {
     e
 }
 
-/// What (2) needs.
+/// Operators and vectors that the step (2) needs.
 struct Unknown<'a> {
     forward: &'a dyn Fn(&[f64]) -> Array2<f64>,
     adjoint: &'a dyn Fn(&Array2<f64>) -> Vec<f64>,
@@ -340,7 +343,7 @@ fn on_map(
     Ok((t, report))
 }
 
-/// Whether the pixel nearest to `p` counts.
+/// Returns true if the pixel nearest to `p` has a positive weight.
 pub(crate) fn counts(desired: &Surface, weight: &Array2<f64>, p: [f64; 2]) -> bool {
     let grid = desired.grid();
     let index = |axis: &planish_types::Axis, p: f64| {
@@ -378,8 +381,9 @@ fn curvature_2d(t: &[f64], active: &[bool], (ny, nx): (usize, usize), eps: f64) 
     (0..t.len()).into_par_iter().with_min_len(ELEMENTS_PER_TASK).map(divergence).collect()
 }
 
-/// Elements that one thread takes at a time. Sums are sums over such pieces, so that they do not depend on
-/// the number of threads.
+/// Number of elements that one thread takes at a time. Sums are sums over such pieces, so that they do not depend on
+/// the number of threads. Larger: fewer tasks than threads on short vectors. Smaller: more overhead. Another value
+/// changes the last digits of the result.
 const ELEMENTS_PER_TASK: usize = 1 << 13;
 
 /// (2) until it settles.

@@ -12,13 +12,16 @@ pub(crate) mod fft_operator;
 pub(crate) mod operator;
 pub(crate) mod products;
 
-/// A column whose effect on the map (its energy, or its sensitivity) is below this fraction of the largest
-/// does not reach the map: what is left of it there is rounding, and the density of its neighbours goes on there.
+/// Effect of a column on the map (its energy, or its sensitivity), as a fraction of the largest, below which the
+/// column counts as unreached. Its effect is then rounding, and the density of its neighbours is continued there.
+/// Larger: weakly reached dwell points are not solved for. Smaller: rounding decides dwell times.
 pub(crate) const UNREACHED_FRACTION: f64 = 1e-9;
 
-/// Fraction of the largest value that an FFT leaves where nothing is removed.
+/// Rounding of an FFT where nothing is removed, as a fraction of the largest value. Larger: weak removals are
+/// refused. Smaller: rounding passes as removal.
 pub(crate) const FFT_ROUNDING: f64 = 1e-12;
 
-/// Rows of the map that one thread takes at a time. Sums over the map are sums over such bands, so that
-/// they do not depend on the number of threads; another number of rows would round them differently.
+/// Number of rows of the map that one thread takes at a time. Sums over the map are sums over such bands, so that
+/// they do not depend on the number of threads. Larger: fewer tasks for the threads. Smaller: more overhead. Another
+/// value rounds the sums differently.
 pub(crate) const ROWS_PER_TASK: usize = 16;

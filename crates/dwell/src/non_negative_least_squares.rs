@@ -5,11 +5,11 @@
 //! t = lo + s,  z' = z - B lo                                                               (1)
 //! ```
 //!
-//! M frees the piston, D is the largest diagonal element of `B' W M B`, A the effective area of the TIF (at least that of 36
-//! dwell points), `a_j` that of a dwell point. The same minimum as
-//! [`crate::bounded_least_squares`] without an upper bound and without smoothness, by a method that
-//! shares nothing with it ([`planish_numerics::qp::nnls`]): its check, and for comparison with the
-//! literature. One component changes at a time, so it is slow: minutes for thousands of points.
+//! M frees the piston, and D is the largest diagonal element of `B' W M B`. A is the effective area of the TIF (at
+//! least that of 36 dwell points), and `a_j` that of a dwell point. The same minimum as
+//! [`crate::bounded_least_squares`] without an upper bound and without smoothness, by a method that shares nothing
+//! with it ([`planish_numerics::qp::nnls`]): its check, and for comparison with the literature. One component changes
+//! at a time, so it is slow: minutes for thousands of points.
 //!
 //! Source: C. L. Lawson, R. J. Hanson, Solving Least Squares Problems (1974), chapter 23.
 //!
@@ -29,14 +29,14 @@ use crate::{
     problem::{Model, Problem, Solution, check},
 };
 
-/// How to solve.
+/// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// alpha; >= 0.
     pub tikhonov: f64,
     /// Gradient at which it ends, as a fraction of the largest at the floor.
     pub tolerance: f64,
-    /// Most components that are freed or put back, per dwell point.
+    /// Largest number of components that are freed or put back, per dwell point.
     pub max_changes_per_point: usize,
 }
 
@@ -48,19 +48,19 @@ impl Default for Settings {
     }
 }
 
-/// What was reached.
+/// Result of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// `optimal` or `iteration-limit`.
     pub end: End,
     /// Components that were freed or put back.
     pub iterations: usize,
-    /// By how much a dwell time would still move, s.
+    /// Largest change of a dwell time in a projected gradient step, s; 0 at the optimum.
     pub kkt_residual_s: f64,
 }
 
 impl Report {
-    /// Why the verdict is negative, where the end is not what was asked for.
+    /// Returns the reason of a negative verdict; none if the solver converged.
     pub fn negative(&self) -> Option<String> {
         (self.end != End::Optimal).then(|| {
             format!(

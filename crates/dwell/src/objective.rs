@@ -8,12 +8,14 @@ use planish_types::{Axis, Grid, Tif, ToolPath};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// A segment shorter than this fraction of the median is a rest, whose length says nothing about the dwell
-/// time of its neighbours.
+/// Length of a segment, as a fraction of the median length, up to which it counts as a rest. The length of a rest
+/// says nothing about the dwell times of its neighbours. Larger: short segments have no dwell-time density. Smaller:
+/// the tiny length of a rest makes its density huge.
 pub const REST_FRACTION: f64 = 0.01;
 
-/// A function of which Gram-Schmidt leaves less than this fraction of its square is none on the map: on a
-/// map of one column x is a constant.
+/// Fraction of the square of a function that must remain after Gram-Schmidt; a function with less is left out.
+/// Example: on a map of one column, x is a constant. Larger: tilts on narrow maps are not free. Smaller: rounding
+/// passes as a free function.
 const DEPENDENT_FRACTION: f64 = 1e-12;
 
 /// Median length of the segments that have one, mm.
@@ -24,18 +26,18 @@ pub fn median_length_mm(path: &ToolPath) -> Option<f64> {
     lengths.get(lengths.len() / 2).copied()
 }
 
-/// What need not be removed.
+/// Low-order terms of the map that need not be removed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Free {
-    /// A constant.
+    /// Piston: a constant.
     Piston,
     /// A plane: the part keeps the tilt that this leaves.
     Plane,
 }
 
-/// What the removal need not remove, as functions orthonormal under the weights:
+/// Functions that need not be removed, orthonormal under the weights:
 /// `sum_i w_i f_l(x_i) f_m(x_i) = [l = m]`.
 pub struct Basis {
     x_mm: Vec<f64>,
@@ -45,7 +47,7 @@ pub struct Basis {
 }
 
 impl Basis {
-    /// On the pixels of `grid` with these weights.
+    /// Makes the functions on the pixels of `grid` with these weights.
     pub fn new(grid: &Grid, weight: &Array2<f64>, free: Free) -> Self {
         let centred = |a: &Axis| -> Vec<f64> {
             let middle = 0.5 * (a.start_mm() + a.end_mm());
@@ -161,7 +163,7 @@ pub fn weighted_product(weight: &Array2<f64>, a: &Array2<f64>, b: &Array2<f64>) 
     sums.iter().sum()
 }
 
-/// What the terms of the penalty weigh.
+/// Weights of the terms of the penalty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PenaltyWeights {
     /// alpha: weight of the dwell time per area above its lower bound.
@@ -172,12 +174,12 @@ pub struct PenaltyWeights {
     pub time_weight_nm2_per_s: f64,
 }
 
-/// Least A in areas of a dwell point. What a machine has to execute goes from point to point, however small the tool: on
-/// paths that are coarse beside the TIF the weights of neighbouring dwell times do not fall below those of a path with
-/// as many points in the area of the TIF.
+/// Smallest A, in areas of a dwell point. However small the tool, the weights of neighbouring dwell times then do not
+/// fall below those of a path with this many points in the area of the TIF. Larger: smoother dwell times on coarse
+/// paths. Smaller: neighbouring dwell times may differ more than a machine can follow.
 pub const POINTS_PER_AREA: f64 = 36.0;
 
-/// What the weights are relative to.
+/// Quantities to which the weights of the penalty are relative.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PenaltyScale {
     /// D: the largest diagonal element of `B' W B`, nm^2/s^2.
@@ -192,7 +194,7 @@ pub struct PenaltyScale {
 }
 
 impl PenaltyScale {
-    /// For the largest diagonal element of `B' W B`, the sum of the weights w, and `B' w` (n).
+    /// Makes the scale from the largest diagonal element of `B' W B`, the sum of the weights w, and `B' w` (n).
     pub fn new(path: &ToolPath, tif: &Tif, strongest: f64, pixel_weight: f64, b_w: &[f64]) -> Self {
         let line_distance_mm = line_distance_mm(tif, pixel_weight, b_w, &lengths_mm(path));
         let point_mm2 = line_distance_mm * median_length_mm(path).unwrap_or(0.0);
@@ -212,7 +214,7 @@ pub fn lengths_mm(path: &ToolPath) -> Vec<f64> {
     (0..path.len()).map(of).collect()
 }
 
-/// Whether segment j has a dwell-time density: the tool is on, and it is no rest.
+/// Returns true if segment j has a dwell-time density: the tool is on, and the segment is not a rest.
 pub fn has_density(path: &ToolPath, j: usize, median_mm: f64) -> bool {
     path.tool_on()[j] && path.segment_length_mm(j) > REST_FRACTION * median_mm
 }
@@ -244,9 +246,9 @@ pub fn line_distance_mm(tif: &Tif, pixel_weight: f64, b: &[f64], lengths_mm: &[f
 /// `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`, s along the path.
 #[derive(Clone, PartialEq)]
 pub struct Penalty {
-    /// Of every dwell time: `alpha D A / a_j`.
+    /// Diagonal of the Tikhonov term of every dwell time: `alpha D A / a_j`.
     alpha: Vec<f64>,
-    /// Price of a second in the unit of the objective.
+    /// Weight of one second of dwell time, in the unit of the objective.
     time: f64,
     lo: Vec<f64>,
     /// k and the factors u, v of a term `(v t_k - u t_{k-1})^2 / 2`.
@@ -254,7 +256,7 @@ pub struct Penalty {
 }
 
 impl Penalty {
-    /// For the lower bounds `lo` (n), s.
+    /// Makes the penalty for the lower bounds `lo` (n), s.
     pub fn new(
         path: &ToolPath,
         lo: &[f64],

@@ -1,4 +1,4 @@
-//! What every solver is given, and what every solver reports.
+//! Input of every solver, and the output that all solvers have in common.
 //!
 //! ```text
 //! z' = z - B lo        the floor is in the model: what remains for t' = t - lo >= 0        (1)
@@ -50,18 +50,18 @@ pub struct Problem<'a> {
     pub desired: &'a Surface,
     /// Tool.
     pub tif: &'a Tif,
-    /// Where it goes.
+    /// Tool path.
     pub path: &'a ToolPath,
     /// Weights of the pixels (ny, nx) >= 0; without them every valid pixel counts 1.
     pub weight: Option<&'a Array2<f64>>,
-    /// What a dwell time is spent on.
+    /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment.
     pub columns: Columns,
     /// Floor of the dwell times.
     pub min_dwell: Bound,
 }
 
 impl<'a> Problem<'a> {
-    /// The same problem with another map and tool, where there are any: those of [`Tif::centred_on`].
+    /// Returns the same problem with another map and tool, if there are any: those of [`Tif::centred_on`].
     pub(crate) fn with(&self, centred: Option<&'a (Surface, Tif)>) -> Self {
         centred.map_or(*self, |(desired, tif)| Self { desired, tif, ..*self })
     }
@@ -77,25 +77,25 @@ pub fn rms_before(desired: &Surface, weight: Option<&Array2<f64>>) -> Rms {
     counted.map_or_else(|_| Rms::of(desired), |surface| Rms::of(&surface))
 }
 
-/// Dwell times, what they do, and what the solver has to say.
+/// Dwell times, their effect, and the report of the solver.
 #[derive(Clone, Debug)]
 pub struct Solution<R> {
     /// Dwell times.
     pub dwell: DwellTime,
-    /// The same numbers for every solver.
+    /// Result in numbers that every solver has.
     pub outcome: Outcome,
-    /// The solver's own.
+    /// Report of this solver.
     pub report: R,
 }
 
-/// What the dwell times do, in the removal model of the solver.
+/// Effect of the dwell times, in the removal model of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Outcome {
     /// `columns` (exact) or `fft` (large problems).
     pub operator: &'static str,
     /// RMS (mean removed) of the residual, nm.
     pub model_rms_nm: f64,
-    /// The same, plane removed, nm.
+    /// RMS of the residual without its best plane, nm.
     pub model_rms_detilted_nm: f64,
     /// Sum of the dwell times, s.
     pub total_time_s: f64,
@@ -110,8 +110,8 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// Why the dwell times are no plan although the solver ended well, where they are none: they leave more
-    /// than the map `before` them, say.
+    /// Returns the reason for which the dwell times are no plan although the solver ended well, or none. Example:
+    /// they leave more than the map `before` them.
     pub fn drawback(&self, before: Rms) -> Option<String> {
         let after = Rms { rms_nm: self.model_rms_nm, detilted_nm: self.model_rms_detilted_nm };
         plausible::drawback(before, after, self.total_time_s)
@@ -135,7 +135,8 @@ pub(crate) struct Model<'a> {
     pub shape: Vec<f64>,
 }
 
-/// Most steps of the solvers that end after a number of them; no plan needs a thousandth of it.
+/// Largest number of steps that the solvers accept as their limit. Larger: a mistyped limit runs for days. Smaller:
+/// long runs are refused. Chosen: no plan needs a thousandth of it.
 const MAX_STEPS: usize = 1_000_000;
 
 /// Refuses a number of steps that no machine would do.
@@ -154,13 +155,13 @@ impl<'a> Model<'a> {
         Ok(model)
     }
 
-    /// For dwell times that are not solved for: they are what their rule says, whatever the floor removes.
+    /// Makes the model for dwell times that follow a rule and are not solved for; accepts any removal by the floor.
     pub fn with_any_floor(problem: &Problem<'a>) -> Result<Self, DwellError> {
         Self::with_sensitivity(problem, Operator::adjoint)
     }
 
-    /// For solvers on a map of dwell times, which ask the sensitivity of a dwell point only whether it
-    /// reaches the map: within two pixels of its reach a point counts as one that does.
+    /// Makes the model for solvers on a map of dwell times. They ask the sensitivity of a dwell point only whether it
+    /// reaches the map. Within two pixels of its reach, a point counts as reaching it.
     pub fn for_map(problem: &Problem<'a>) -> Result<Self, DwellError> {
         let model = Self::with_sensitivity(problem, Operator::adjoint_with_spill)?;
         model.refuse_a_floor_above_the_map()?;
@@ -222,7 +223,7 @@ impl<'a> Model<'a> {
         Err(Invalid::at("min_dwell", j, problem, remedy))
     }
 
-    /// What `of` makes of bands of `map` and their weights, in order.
+    /// Applies `of` to bands of `map` and their weights; returns the results in order.
     fn by_bands<T: Send>(
         &self,
         map: &Array2<f64>,
@@ -288,8 +289,8 @@ impl<'a> Model<'a> {
         }
     }
 
-    /// Whether dwell point j reaches the map. At the rim of a tool the interpolation of steep flanks, and the noise of
-    /// a measured one, may add more than it removes there: that is within reach, too.
+    /// Returns true if dwell point j reaches the map. At the rim of a tool, the interpolation of steep flanks and the
+    /// noise of a measured TIF may add more material than the tool removes; this counts as within reach, too.
     pub fn reached(&self, j: usize) -> bool {
         self.sensitivity[j].abs() > self.unreached_below
     }
@@ -372,7 +373,8 @@ impl<'a> Model<'a> {
         counted(&ones, FFT_ROUNDING * ones.iter().copied().fold(0.0, f64::max))
     }
 
-    /// What the dwell times do, those of unreached dwell points from the density of their neighbours.
+    /// Returns the solution with these dwell times, s; those of unreached dwell points get the density of their
+    /// neighbours.
     pub fn finish<R>(&self, mut dwell_s: Vec<f64>, report: R) -> Result<Solution<R>, DwellError> {
         let hi = vec![f64::INFINITY; dwell_s.len()];
         let unreached = Continuation::new(self.problem.path, |j| self.reached(j));
@@ -380,7 +382,7 @@ impl<'a> Model<'a> {
         self.finish_as_they_are(dwell_s, report)
     }
 
-    /// What the dwell times do.
+    /// Returns the solution with these dwell times, s, unchanged.
     pub fn finish_as_they_are<R>(
         &self,
         dwell_s: Vec<f64>,

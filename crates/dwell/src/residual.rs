@@ -48,7 +48,7 @@ pub struct Residual<'a> {
     desired: &'a Surface,
     tif: Cow<'a, Tif>,
     places_mm: &'a [[f64; 2]],
-    /// Of the pixels; their sum is 1.
+    /// Weights of the pixels; their sum is 1.
     weight: Array2<f64>,
     free: Free,
     basis: Basis,
@@ -66,7 +66,8 @@ pub struct Evaluation {
 }
 
 impl<'a> Residual<'a> {
-    /// For the desired removal, a tool, and its places (n); with a weight per pixel, or every valid pixel alike.
+    /// Makes (1) for the desired removal, a tool, and its places (n). Without weights every valid pixel counts the
+    /// same.
     pub fn new(
         desired: &'a Surface,
         tif: &'a Tif,
@@ -89,7 +90,7 @@ impl<'a> Residual<'a> {
         Ok(Self { desired, tif, places_mm, weight, free, basis, operator, cell_size })
     }
 
-    /// With normal matrices on cells of at most so many pixels along a side.
+    /// Limits the side of the cells of the normal matrices, pixels.
     pub fn on_cells_of_at_most(self, pixels: usize) -> Self {
         Self { cell_size: self.cell_size.min(pixels), ..self }
     }
@@ -177,7 +178,7 @@ impl<'a> Residual<'a> {
         Ok(Normal { order, matrix: Quadratic { k, u }, below_curvature, cells })
     }
 
-    /// What every column removes, on cells of pixels; those that are known are taken from there.
+    /// Removal of every column on cells of pixels; takes known ones from `known`.
     fn on_cells(&self, places: &[Vec<Place>], known: &mut Known) -> Vec<Patch> {
         let grid = self.desired.grid();
         let new = places.iter().zip(&known.column).filter(|(_, before)| before.is_none());
@@ -192,7 +193,7 @@ impl<'a> Residual<'a> {
     }
 }
 
-/// What is known of some columns from the normal matrix of others, see [`Normal::for_next`].
+/// Known parts of the normal matrix of some columns, from that of others, see [`Normal::for_next`].
 pub struct Known {
     /// Column there of every column, if it is one.
     column: Vec<Option<usize>>,
@@ -243,9 +244,9 @@ pub struct Normal {
     pub order: Vec<usize>,
     /// The matrix, nm^2 by the unit of the columns squared.
     pub matrix: Quadratic,
-    /// Whether it is nowhere above the curvature of f.
+    /// True if the matrix is nowhere above the curvature of f.
     pub below_curvature: bool,
-    /// What every column removes, on cells of pixels.
+    /// Removal of every column, on cells of pixels.
     cells: Vec<Patch>,
 }
 
@@ -257,13 +258,13 @@ impl Normal {
         row_of
     }
 
-    /// What the matrix of other columns can take from here: `column` has the column here of every one there, if
-    /// it is one.
+    /// Returns the parts that the matrix of other columns can take from this one. `column` holds, for every column
+    /// there, the column here that equals it, if there is one.
     pub fn for_next(self, column: Vec<Option<usize>>) -> Known {
         Known { column, row_of: self.row_of(), k: self.matrix.k, cells: self.cells }
     }
 
-    /// Without what only [`Normal::for_next`] needs.
+    /// Drops the parts that only [`Normal::for_next`] needs.
     pub fn as_last(self) -> Self {
         Self { cells: Vec::new(), ..self }
     }
@@ -278,8 +279,8 @@ impl Normal {
     }
 }
 
-/// Where columns are along an axis, mm: one without a place stands beside its predecessor, so that their coupling costs
-/// nothing.
+/// Positions of the columns along an axis, mm. A column without a place gets the position of its predecessor, so that
+/// their coupling costs nothing.
 fn positions_mm(columns: &[Vec<Place>], axis: usize) -> Vec<f64> {
     let mut positions: Vec<f64> = Vec::with_capacity(columns.len());
     for places in columns {

@@ -41,14 +41,14 @@ use crate::{
     problem::{Model, Problem, Solution, check},
 };
 
-/// How to solve.
+/// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// RMS that a smaller margin may cost, nm; >= 0.
     pub margin_tolerance_nm: f64,
     /// Change of the RMS at which the lift of the map ends, nm; > 0.
     pub piston_tolerance_nm: f64,
-    /// Most lifts.
+    /// Largest number of lifts of the map.
     pub max_lifts: usize,
     /// Part of the pixels, the lowest ones, that do not decide how much is removed; in [0, 1).
     pub pits: f64,
@@ -61,11 +61,11 @@ impl Default for Settings {
     }
 }
 
-/// What was reached.
+/// Result of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// How the lifts of the map ended: `settled` (another one would not lower the RMS, or hardly), or
-    /// `lift-limit`.
+    /// Reason for which the lifts of the map ended: `settled` (another lift would lower the RMS by little or not at
+    /// all), or `lift-limit`.
     pub end: End,
     /// Cap of the gain, times the sum of R over the pixels (1: the gain for a constant).
     pub relative_gamma: f64,
@@ -84,7 +84,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// Why the verdict is negative, where the end is not what was asked for.
+    /// Returns the reason of a negative verdict; none if the lifts settled.
     pub fn negative(&self) -> Option<String> {
         (self.end == End::LiftLimit).then(|| {
             "not settled: every lift of the map that is allowed was taken, and another would lower the RMS"
@@ -143,10 +143,12 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     model.finish(model.lo.iter().zip(t).map(|(lo, t)| lo + t).collect(), report)
 }
 
-/// Margins that are tried, all smaller than that of the TIF.
+/// Number of margins that are tried besides that of the TIF; all are smaller. Larger: more time, and a finer choice.
+/// Smaller: the best margin may lie between two trials.
 const MARGINS_TRIED: usize = 8;
 
-/// An extended map whose border is wider than the map says nothing about the mirror.
+/// Refuses a TIF larger than the map: most of the extended map would then be border, which is no measurement of the
+/// mirror.
 pub(crate) fn refuse_a_tif_larger_than_the_map(problem: &Problem<'_>) -> Result<(), Invalid> {
     let (map, tif) = (problem.desired.grid(), problem.tif.grid());
     for (name, map, tif) in [("x_mm", &map.x, &tif.x), ("y_mm", &map.y, &tif.y)] {
@@ -186,7 +188,7 @@ struct Found {
     margin_mm: f64,
     rms_nm: f64,
     time_s: f64,
-    /// Whether the lifts ended before their limit.
+    /// True if the lifts ended before their limit.
     settled: bool,
 }
 
@@ -299,5 +301,6 @@ impl<'a> Fourier<'a> {
     }
 }
 
-/// Caps that are tried before the best is narrowed down: they differ by factors of about 2.4.
+/// Number of intervals of the scan of the cap over a factor of 1000, before the best cap is narrowed down; neighbours
+/// differ by a factor of about 2.4. Larger: more time. Smaller: the scan may miss the lowest valley.
 const CAPS_SCANNED: usize = 8;

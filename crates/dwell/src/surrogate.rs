@@ -1,5 +1,5 @@
-//! Cheap surrogates of the normal matrix of [`crate::bounded_least_squares`], by which its steps
-//! are made. What they cost in accuracy is corrected by the exact gradient.
+//! Cheap surrogates of the normal matrix of [`crate::bounded_least_squares`], which give its steps. The exact
+//! gradient corrects their errors.
 //!
 //! Where H~ is factorised the pixels of every cell of s x s are taken together,
 //!
@@ -16,10 +16,10 @@
 //! H~ = C' W_c C - U U',     W_c: the weights of the pixels, shared linearly by the samples around         (2)
 //! ```
 //!
-//! with C by the splines of `model::fft_operator`. A sum of the product of two smooth TIFs over samples is that
-//! over pixels to many digits, but at the rim of the weights, where the sharing costs `s^2 h^2 / 12` of the
-//! curvature of the product; so (2) holds for what the TIF hardly resolves, too, of which (1) loses several
-//! times as much as of a column. It keeps sums and first moments: U is exact for a piston and a plane.
+//! with C by the splines of `model::fft_operator`. A sum of the product of two smooth TIFs over samples is that over
+//! pixels to many digits. At the rim of the weights the sharing costs `s^2 h^2 / 12` of the curvature of the product.
+//! So (2) holds for details that the TIF hardly resolves, too; (1) loses several times as much of these as of a
+//! column. It keeps sums and first moments: U is exact for a piston and a plane.
 //!
 //! | module | how `min q'd + d'H~d / 2` within the bounds is found |
 //! |---|---|

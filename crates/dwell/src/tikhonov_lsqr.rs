@@ -30,7 +30,7 @@ use crate::{
     problem::{Model, Problem, Solution, check},
 };
 
-/// How delta is chosen. Relative dampings are fractions of the largest singular value of `M W^1/2 B`.
+/// Choice of delta. Relative dampings are fractions of the largest singular value of `M W^1/2 B`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Damping {
@@ -42,14 +42,14 @@ pub enum Damping {
     LCurve,
 }
 
-/// How to solve.
+/// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// Choice of delta.
     pub damping: Damping,
     /// Orthogonality of residual and columns at which LSQR ends.
     pub tolerance: f64,
-    /// Most steps of LSQR.
+    /// Largest number of steps of LSQR.
     pub max_iterations: usize,
 }
 
@@ -61,7 +61,7 @@ impl Default for Settings {
     }
 }
 
-/// What was reached.
+/// Result of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// `converged` or `iteration-limit`.
@@ -72,7 +72,7 @@ pub struct Report {
     pub relative_damping: f64,
     /// delta, nm/s (a singular value of B times the root of the weights).
     pub damping_nm_per_s: f64,
-    /// Whether the residual reached the noise; without `discrepancy`, true.
+    /// True if the residual reached the noise; always true without `discrepancy`.
     pub noise_reached: bool,
     /// Relative dampings of the search.
     pub searched: Vec<f64>,
@@ -87,7 +87,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// Why the verdict is negative, where the end is not what was asked for.
+    /// Returns the reason of a negative verdict; none if the solver converged and reached the noise.
     pub fn negative(&self) -> Option<String> {
         if !self.noise_reached {
             let least = self.searched_rms_nm.iter().copied().fold(f64::INFINITY, f64::min);
@@ -100,13 +100,17 @@ impl Report {
     }
 }
 
-/// Relative dampings of the search for a corner: smallest, largest and number, eight per decade.
+/// Relative dampings of the search for a corner: smallest, largest and number, eight per decade. A wider range or a
+/// larger number: more time. A narrower range: the corner may lie outside of it.
 const SEARCHED_DAMPINGS: (f64, f64, usize) = (1e-3, 1e-1, 17);
 
-/// The same for a noise, which may be a large part of the map: with the largest nearly nothing is removed.
+/// Relative dampings of the search for a noise level: smallest, largest and number, eight per decade. The noise may
+/// be a large part of the map; with the largest damping nearly nothing is removed. A smaller upper end: the search
+/// may not reach the noise.
 const SEARCHED_FOR_NOISE: (f64, f64, usize) = (1e-3, 1e1, 33);
 
-/// Parts of the step in which the residual passes the noise: 4 % of a damping each.
+/// Number of parts of the step in which the residual passes the noise; each part is 4 % of a damping. Larger: the
+/// residual meets the noise more closely, in more time.
 const PARTS_AT_THE_NOISE: usize = 8;
 
 /// Solves (1).

@@ -30,14 +30,14 @@ use crate::{
     problem::{Model, Problem, Solution, check},
 };
 
-/// How to solve.
+/// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// Singular values up to this fraction of the largest are left out; between 0 and 1.
     pub cut: f64,
     /// Change of the dwell times, as a fraction of them, at which the process ends.
     pub tolerance: f64,
-    /// Most steps of the process; each keeps a vector of n.
+    /// Largest number of steps of the process; each keeps a vector of n.
     pub max_iterations: usize,
 }
 
@@ -47,7 +47,7 @@ impl Default for Settings {
     }
 }
 
-/// What was reached.
+/// Result of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// `converged` or `step-limit`.
@@ -67,7 +67,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// Why the verdict is negative, where the end is not what was asked for.
+    /// Returns the reason of a negative verdict; none if the solver converged.
     pub fn negative(&self) -> Option<String> {
         (self.end != End::Converged)
             .then(|| format!("not converged after {} steps; raise `max_iterations`", self.steps))

@@ -36,7 +36,7 @@ use crate::{
     rifta::refuse_a_tif_larger_than_the_map,
 };
 
-/// How the floor is kept.
+/// Methods to keep the dwell times above their floor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
@@ -47,16 +47,16 @@ pub enum Floor {
     Shift,
 }
 
-/// How to solve.
+/// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// How the floor is kept.
+    /// Method to keep the dwell times above their floor.
     pub floor: Floor,
     /// beta: fraction of the best step that is taken from the second round on; in (0, 1].
     pub step: f64,
     /// RMS at which it ends, nm; >= 0.
     pub threshold_nm: f64,
-    /// Most rounds.
+    /// Largest number of rounds.
     pub max_iterations: usize,
 }
 
@@ -67,7 +67,7 @@ impl Default for Settings {
     }
 }
 
-/// What was reached.
+/// Result of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// `threshold`, `stopped` (another round would raise the RMS), `iteration-limit` (the threshold was
@@ -80,7 +80,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// Why the verdict is negative, where the end is not what was asked for.
+    /// Returns the reason of a negative verdict; none if the steps ended as the settings ask for.
     pub fn negative(&self, settings: &Settings) -> Option<String> {
         let threshold_nm = settings.threshold_nm;
         let last = self.rms_nm.last()?;

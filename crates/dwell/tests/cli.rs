@@ -46,7 +46,7 @@ fn path() -> ToolPath {
 
 const PLANTED_S: [f64; 8] = [0.4, 1.0, 0.7, 0.2, 0.9, 1.3, 0.5, 0.8];
 
-/// What `seconds` at the dwell points of `path` remove, by the definition of the TIF.
+/// Removal by `seconds` at the dwell points of `path`, nm, by the definition of the TIF.
 fn removal(path: &ToolPath, seconds: &[f64]) -> Array2<f64> {
     let (g, tif) = (map_grid(), tif());
     Array2::from_shape_fn(g.shape(), |(r, c)| {

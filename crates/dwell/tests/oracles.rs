@@ -207,7 +207,8 @@ fn objective(case: &Case, settings: &Settings, t: &[f64]) -> f64 {
     0.5 * squares + penalty.value(t, &vec![lo; t.len()])
 }
 
-/// It is sampled anew where the columns are not stored: not quite the same problem.
+/// Reason of a larger tolerance: a TIF of another pitch is sampled anew if the columns are not stored, and the
+/// problem differs slightly.
 const OTHER_PITCH: &str = "a TIF of another pitch";
 
 struct Case {

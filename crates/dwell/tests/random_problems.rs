@@ -98,7 +98,7 @@ fn case(seed: u64, pitch_mm: f64) -> Case {
     Case { desired, weight, tif, path, lo, hi, settings }
 }
 
-/// What (1) is made of, by its definition.
+/// Parts of (1), by its definition.
 struct Definition {
     columns: Vec<Patch>,
     /// Given weights, 0 on invalid pixels.

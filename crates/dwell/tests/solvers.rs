@@ -105,7 +105,7 @@ fn machine(velocity: f64, acceleration: f64) -> Limits {
     planish_testkit::machine([velocity; 2], [acceleration; 2])
 }
 
-/// What the table asks of a solver.
+/// Problem and requirements of one line of the table.
 struct Case<'a> {
     desired: &'a Surface,
     tif: &'a Tif,
@@ -135,7 +135,7 @@ impl<'a> Case<'a> {
     }
 }
 
-/// From the solution of a solver to what the table looks at.
+/// Values that the table reads from the solution of a solver.
 macro_rules! found {
     ($solution:expr) => {
         $solution.map(|s| Found { dwell: s.dwell, outcome: Some(s.outcome) })

@@ -1,4 +1,4 @@
-//! How far an objective is above its least value, proven.
+//! Proven upper bound on the excess of an objective over its least value (duality gap), nm^2.
 //!
 //! The convex program is `min f(D)` with the rows `c + J d >= 0` and the bounds `D + d >= lo`, with f quadratic. For
 //! all dual variables z >= 0 and y >= 0, with the curvature F of f, at least alpha,
@@ -7,30 +7,35 @@
 //! f - min <= z' c + y' (D - lo) + 1/2 r' F^-1 r,   r = f' - J' z - y                            (1)
 //! ```
 //!
-//! by Lagrange's function, which is least at `d = -F^-1 r`. The y at hand is not the best one. With that of all of r that
-//! is positive, and alpha in the place of F,
+//! by Lagrange's function, which is least at `d = -F^-1 r`. The y at hand need not be the best one. With y_j the
+//! positive part of `f' - J' z`, and alpha in the place of F,
 //!
 //! ```text
 //! f - min <= z' c + sum over r_j > 0 of r_j (D_j - lo_j) + sum over r_j < 0 of r_j^2 / (2 alpha),   r = f' - J' z   (2)
 //! ```
 //!
-//! costs nothing, and is much too large where r is smooth, since F is far above alpha there. Then (1) is taken, with
-//!
+//! (2) costs almost nothing, but it is much too large where r is smooth, because F is far above alpha there. In that
+//! case (1) is used, with
 //! ```text
 //! r' F^-1 r <= x' r + x' e + e' e / alpha,   e = r - F x,   for every x                          (3)
 //! ```
 //!
-//! for the x of conjugate gradients. (1) holds for every F that is nowhere above the curvature of f, and (3) if it is
-//! nowhere below alpha, too. The normal matrix on cells of pixels, with the weights alpha and beta of [`crate::merit`],
-//! is such a matrix where [`planish_dwell::residual`] says so: its products cost next to nothing, and its own inverse,
-//! which only rounding tells from F^-1, leaves nothing after a step or two. Elsewhere F is the curvature itself.
+//! for the x of conjugate gradients. (1) holds for every F that is nowhere above the curvature of f. (3) also needs
+//! an F that is nowhere below alpha. The normal matrix on cells of pixels, with the weights alpha and beta of
+//! [`crate::merit`], is such a matrix where [`planish_dwell::residual`] says so. Its products are cheap, and its own
+//! inverse differs from F^-1 by rounding only, so that one or two steps are enough. Elsewhere F is the curvature
+//! itself.
 
 use planish_numerics::linear::skyline::dot;
 
-/// Most steps of conjugate gradients for (3).
+/// Largest number of conjugate-gradient steps for (3). Larger: a tighter bound where the preconditioner is poor, at
+/// the cost of one product with F per step. Smaller: a looser, still valid bound, so more proofs fail. Chosen: one or
+/// two steps are usual with the inverse of F itself as the preconditioner.
 const MAX_STEPS: usize = 10;
 
-/// The last term of (3) over all of it at which the steps end.
+/// Last term of (3) over the sum of the first two, dimensionless, at which the steps end. Larger: fewer steps and a
+/// looser bound. Smaller: more steps and a tighter bound. Derived: the first two terms are a lower bound, so the
+/// result is at most a tenth above the exact value.
 const REST: f64 = 0.1;
 
 /// (2) without `z' c`, for `r = f' - J' z`, nm^2.
@@ -41,7 +46,7 @@ pub fn by_alpha(r: &[f64], room: &[f64], alpha: f64) -> f64 {
 
 /// An upper bound of `1/2 r' F^-1 r` by (3), for `r = f' - J' z - y`; `product` is F x, `precondition` nearly F^-1 x.
 ///
-/// The first two terms of (3) are a lower bound, so the steps also end where it exceeds what is `of_use`.
+/// The first two terms of (3) are a lower bound. The steps also end where half of them exceeds `of_use`, nm^2.
 pub fn by_curvature(
     r: &[f64],
     alpha: f64,

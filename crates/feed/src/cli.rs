@@ -27,13 +27,13 @@ pub struct Feed {
     min_dwell_s_per_mm: f64,
     #[command(flatten)]
     price: PriceArgs,
-    /// What need not be removed
+    /// Terms of the surface error that need not be removed
     #[arg(long, value_enum, default_value = "piston")]
     free: Free,
     /// Weight of the distance to the least density, relative to the strongest node
     #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
     tikhonov: f64,
-    /// Weight of the roughness of the density along the path, likewise
+    /// Weight of the squared differences of neighbouring densities, relative to the strongest node
     #[arg(long, value_name = "B", default_value_t = Settings::default().smoothness)]
     smoothness: f64,
     /// Largest distance of the curve from a corner of the path, mm [default: a fifth of the TIF's width]
@@ -46,35 +46,37 @@ pub struct Feed {
     /// so many would take minutes, and less where there are few]
     #[arg(long, value_name = "L")]
     node_spacing_mm: Option<f64>,
-    /// How often nodes are added where they are worth most, in the middle between two others; where so many would take
-    /// minutes, fewer are
+    /// Number of refinements: each adds nodes in the middle of the spans where they lower the objective most. Fewer
+    /// are made where the solver would take minutes
     #[arg(long, value_name = "K", default_value_t = Settings::default().refinements)]
     refinements: usize,
-    /// Relative gap at which the solver ends: a bound for fixed tangents of the limits, whose exact rows are not convex.
-    /// Rounds with new tangents follow until one gains less than a quarter of it
+    /// Relative duality gap at which the solver ends. It bounds the objective under fixed tangents of the limits,
+    /// because the exact limits are not convex. Rounds with new tangents follow until one gains less than a quarter
+    /// of it
     #[arg(long, value_name = "G", default_value_t = Settings::default().relative_gap)]
     relative_gap: f64,
-    /// Most steps of the solver
+    /// Largest number of steps of the solver
     #[arg(long, value_name = "N", default_value_t = Settings::default().max_iterations)]
     max_iterations: usize,
     #[command(flatten)]
     output: OutputArgs,
 }
 
-/// What a second costs.
+/// Price of time.
 #[derive(Args)]
 #[group(multiple = false)]
 struct PriceArgs {
-    /// Price of a second beside half the mean square of the residual, nm^2/s
+    /// Price of a second, relative to half the mean square of the residual, nm^2/s
     #[arg(long, visible_alias = "time-weight", value_name = "L")]
     time_weight_nm2_per_s: Option<f64>,
-    /// By how many percent one percent more time would lower the mean square of the residual [default: 0.5]
+    /// Elasticity of the plan: percentage by which one percent more time would lower the mean square of the residual
+    /// [default: 0.5]
     #[arg(long, value_name = "X")]
     time_elasticity: Option<f64>,
 }
 
 impl Feed {
-    /// The plan, judged.
+    /// Computes the plan, writes it and returns the verdict.
     pub fn run(&self) -> Result<Status, Failure> {
         let settings = Settings {
             min_dwell_s_per_mm: self.min_dwell_s_per_mm,

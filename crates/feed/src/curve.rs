@@ -24,51 +24,65 @@ use std::f64::consts::PI;
 use planish_numerics::motion::clothoid;
 use planish_types::ToolPath;
 
-/// A turn sharper than this is no corner but a way back: the machine rests there.
+/// Largest turn of a corner, rad. At a sharper turn the path goes back on itself: the machine rests there and the
+/// next curve begins. Larger: corners with a very small radius, which the tool must pass slowly. Smaller: more rests.
+/// Chosen.
 pub const SHARPEST_TURN_RAD: f64 = 170.0 / 180.0 * PI;
 
-/// A turn below this is rounding of coordinates: the line goes on.
+/// Largest turn that is taken for rounding of the coordinates, rad: the line goes on there. Larger: real corners are
+/// lost, and the heading steps. Smaller: rounding becomes a corner. Chosen: far above the rounding of coordinates.
 const NO_TURN_RAD: f64 = 1e-9;
 
-/// A shorter segment has no direction: no machine resolves a picometre, and its curvature would be beyond numbers.
+/// Least length of a segment with a direction, mm; shorter ones are left out. Larger: real segments are lost.
+/// Smaller: the curvature of a corner between such segments overflows. Chosen: a picometre, which no machine
+/// resolves.
 const LEAST_SEGMENT_MM: f64 = 1e-9;
 
-/// Half of a corner is at least so long where there is room, mm, whatever its radius: the motion leaves shorter pieces
-/// out, and with them the turn.
+/// Least length of half a corner, mm, where there is room, whatever the radius. Larger: corners wider than asked for.
+/// Smaller: the motion leaves out pieces that are so short, and their turn with them. Chosen: far above the shortest
+/// break of the motion, 1e-5 mm.
 const LEAST_HALF_LENGTH_MM: f64 = 1e-2;
 
-/// Part of the deviation by which points may be moved; what is left is for the corners between them.
+/// Fraction of the largest deviation by which smoothing may move points; the rest is left for rounding the corners
+/// between them. Larger: smoother points and sharper corners. Smaller: the opposite. Chosen.
 const SMOOTHED_FRACTION: f64 = 0.75;
 
-/// Points are moved if that leaves less than this fraction of the bend: lines shall stay lines for less.
+/// Largest bend of the smoothed path over that of the path itself at which the smoothed one is used (bend: integral
+/// of the root of the curvature). Larger: straight lines are bent for a small gain. Smaller: fewer paths are
+/// smoothed. Chosen.
 const LESS_BEND: f64 = 0.9;
 
-/// Most sweeps over the points.
+/// Largest number of sweeps over the points in smoothing. Larger: more time for long runs of points. Smaller: some
+/// points stop before they have reached their places; the path is still within the bound. Chosen.
 const SMOOTHING_SWEEPS: usize = 200;
 
-/// The points are where they shall be when a sweep moves none by more than this fraction of the bound.
+/// Largest movement of a point in a sweep, over the bound on movements, at which smoothing ends. Larger: fewer sweeps
+/// and a little more bend. Smaller: more sweeps. Chosen: the bend does not depend on a thousandth of the bound.
 const SMOOTHED_FINALLY: f64 = 1e-3;
 
-/// Places on a line that are nearer to each other than this fraction of its length are one.
+/// Largest distance between two places on a line that are taken for one, relative to the length of the line. Larger:
+/// short parts of segments are lost. Smaller: rounding becomes a part of its own. Chosen: some thousand times the
+/// rounding.
 const SAME_PLACE: f64 = 1e-12;
 
-/// How far corners may be rounded.
+/// Limits on the rounding of corners.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rounding {
     /// Largest distance of the curve from a vertex, mm.
     pub deviation_mm: f64,
-    /// Largest least radius of a corner, mm: wider ones need not be, whatever the deviation allows.
+    /// Upper limit of the least radius of a corner, mm. Corners are not made wider, even if the deviation would allow
+    /// it.
     pub radius_mm: f64,
 }
 
-/// Where a curve is, and how it runs there.
+/// Position, direction and curvature at a place on a curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Station {
     /// Position, mm.
     pub point_mm: [f64; 2],
     /// Unit vector along the curve.
     pub tangent: [f64; 2],
-    /// Positive to the left, 1/mm.
+    /// Curvature, positive to the left, 1/mm.
     pub curvature_per_mm: f64,
 }
 
@@ -87,7 +101,7 @@ pub struct Piece {
 }
 
 impl Piece {
-    /// At a length from the start of the piece, mm.
+    /// The station at a length from the start of the piece, mm.
     pub fn at(&self, s: f64) -> Station {
         let Station { point_mm, tangent, curvature_per_mm } = self.start;
         let [along, across] = clothoid::position(curvature_per_mm, self.sharpness_per_mm2, s);
@@ -106,7 +120,7 @@ impl Piece {
         (turned, curvature + self.sharpness_per_mm2 * s)
     }
 
-    /// Whether it is a straight line.
+    /// Returns true if the piece is a straight line.
     pub fn is_straight(&self) -> bool {
         self.start.curvature_per_mm == 0.0 && self.sharpness_per_mm2 == 0.0
     }
@@ -181,7 +195,7 @@ impl Curve {
         &self.pieces[after.saturating_sub(1)]
     }
 
-    /// At an arc length, mm.
+    /// The station at an arc length, mm.
     pub fn at(&self, s: f64) -> Station {
         let piece = self.piece_at(s);
         piece.at((s - piece.from_mm).min(piece.length_mm))
@@ -205,9 +219,9 @@ impl Curve {
 /// The curves of a path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Smooth {
-    /// Each from rest to rest.
+    /// The curves, each from rest to rest.
     pub curves: Vec<Curve>,
-    /// By what points of the path were moved at most before its corners were rounded, mm.
+    /// Largest movement of a point of the path by smoothing, before the corners were rounded, mm.
     pub moved_mm: f64,
 }
 
@@ -264,12 +278,12 @@ fn chords(point_mm: &[[f64; 2]], tool_on: &[bool]) -> Vec<Chord> {
     chords
 }
 
-/// From one direction to another, positive to the left, rad.
+/// Angle from the first direction to the second, positive to the left, rad.
 fn turn([tx, ty]: [f64; 2], [nx, ny]: [f64; 2]) -> f64 {
     (tx * ny - ty * nx).atan2(tx * nx + ty * ny)
 }
 
-/// (1) and (2) for a turn.
+/// Dimensions of the rounding of a corner, by (1) and (2).
 struct Blend {
     cut_mm: f64,
     half_length_mm: f64,
@@ -277,7 +291,7 @@ struct Blend {
 }
 
 impl Blend {
-    /// The widest one that the rounding and the room along the two segments allow.
+    /// The widest rounding that the limits and the room along the two segments allow.
     fn widest(turn_rad: f64, room_mm: f64, rounding: &Rounding) -> Self {
         // For L = 1: heading phi u^2 / 2 means a sharpness of phi.
         let [c, s] = clothoid::position(0.0, turn_rad, 1.0);
@@ -297,8 +311,8 @@ impl Blend {
 
 /// The curves of a path, each from rest to rest; segments shorter than a picometre are left out.
 ///
-/// Along the path itself, or through points that are moved a little if that leaves less bend: the machine's least time
-/// in its bends is proportional to the integral of the square root of the curvature.
+/// The curves follow the path itself, or points that are moved a little if that leaves less bend. The least time of a
+/// machine in bends is proportional to the integral of the square root of the curvature.
 pub fn curves(path: &ToolPath, rounding: &Rounding) -> Smooth {
     let along = curves_through(path.point_mm(), path.tool_on(), rounding);
     let (point_mm, moved_mm) =

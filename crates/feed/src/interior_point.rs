@@ -1,34 +1,37 @@
-//! The least objective under the rows: an interior point method for densities.
+//! Interior point method for the densities of least objective under the limits.
 //!
 //! ```text
 //! min f(D)   subject to   c_i(D_j, D_k) >= 0,   D >= lo                                          (1)
 //! ```
 //!
-//! f is convex, c is not concave everywhere: (1) is not convex. Every step is that of a primal-dual method, with of
-//! the curvature of every c the part that bends it downwards (C_i, positive semidefinite) alone,
+//! f is convex. The rows c are not concave everywhere, so (1) is not convex. Every step is that of a primal-dual
+//! method. It takes into account only the part of the curvature of every row that bends it downwards (C_i, positive
+//! semidefinite):
 //!
 //! ```text
 //! (H + sum_i z_i C_i + J' Z/c J + Y/(D - lo)) d = -f' + J' (mu/c) + mu/(D - lo)
 //! dz = mu/c - z - Z/c J d,   dy = mu/(D - lo) - y - Y/(D - lo) d                                  (2)
 //! ```
 //!
-//! with H the surrogate of the curvature of f, f' exact, and mu by Mehrotra's predictor and corrector. Then Gondzio's
-//! corrections bring products of slacks and dual variables that have become outliers back towards mu; without them the
-//! steps end early at a few rows that are far from being active. A step ends where a row would lose more than most
-//! of what it has left, measured on c itself: every iterate can be executed. Where bends end it much before the
-//! tangents do, it is taken round them: what the rows leave beside their tangents at the end of the step is one more
-//! right-hand side for the same factor (a second-order correction). The matrix keeps the skyline of H, because a row
-//! couples neighbours only.
+//! with H the surrogate of the curvature of f, f' exact, and mu by Mehrotra's predictor and corrector. Gondzio's
+//! corrections then bring outlying products of slacks and dual variables back towards mu. Without them the steps end
+//! early at a few rows that are far from being active. A step ends where a row would lose more than most of its
+//! slack, measured on c itself, so every iterate can be executed. If the bends of the rows end a step much before the
+//! tangents do, a second-order correction follows: the distance of the rows from their tangents at the end of the
+//! step is one more right-hand side for the same factor. The matrix keeps the skyline of H, because a row couples
+//! neighbours only.
 //!
-//! f and f' are those of [`crate::merit`]: with the removal itself where the complementarity has fallen to a tenth, and at
-//! every iterate of which something is to be proven; between them H says what has changed.
+//! f and f' are those of [`crate::merit`]. They are computed with the removal itself whenever the complementarity has
+//! fallen to a tenth, and at every iterate of which something is to be proven. Between these iterates H gives the
+//! change.
 //!
-//! That the objective has stopped to fall does not prove that it is least: z fits rows that bend from step to step, and
-//! is always a step late. So when the complementarity is as small as the gap that is wanted, the iterate stays where it is and its
-//! tangents are kept: the steps go on for the convex program that they make of (1), whose slacks may first be larger
-//! than the tangents leave (an infeasible start), until its dual variables prove how far the iterate is above its least
-//! value ([`crate::certificate`]). If that is more than is wanted, its solution is gone towards as far as the rows
-//! themselves allow, and the steps under these go on.
+//! An objective that no longer falls need not be the least one: z fits rows that bend from step to step, and is
+//! always a step late. So when the complementarity is as small as the gap that is wanted, the iterate stays where it
+//! is and its tangents are kept. The steps go on for the convex program with these tangents in the place of the rows.
+//! Its slacks may first be larger than the tangents allow (an infeasible start). They end when its dual variables
+//! prove how far the iterate is above its least value ([`crate::certificate`]). If that is more than is wanted, the
+//! iterate moves towards the solution of this program as far as the rows themselves allow, and the steps under the
+//! rows go on.
 //!
 //! Sources: S. Mehrotra, SIAM J. Optim. 2 (1992) 575; J. Gondzio, Comput. Optim. Appl. 6 (1996) 137; for programs that
 //! are convex but for their rows T. Lipp and S. Boyd, Optim. Eng. 17 (2016) 263; for the second-order correction
@@ -50,94 +53,119 @@ use crate::{
     merit::{Merit, Objective, Progress},
 };
 
-/// Fraction of a slack or dual variable that a step may take.
+/// Largest fraction of a slack or of a dual variable that one step may take away, dimensionless; below 1. Larger:
+/// longer steps, but the next ones are short at rows that are nearly active. Smaller: more steps. Chosen.
 const STEP_TO_BOUNDARY: f64 = 0.95;
 
-/// By what a step is shortened until no row loses too much.
+/// Factor on the length of a step until no row loses too much, dimensionless; below 1. Larger: a length nearer to the
+/// longest one, with more evaluations of the rows. Smaller: fewer evaluations, shorter steps. Chosen.
 const BACKTRACKING: f64 = 0.8;
 
-/// Part of the steps until the complementarity is small enough; the others prove it.
+/// Fraction of the progress bar for the steps until the complementarity is small enough; the rest is for the proof.
+/// It changes only what is shown. Larger or smaller: the bar moves faster or slower towards its end. Chosen.
 const BEFORE_PROOF: f64 = 0.75;
 
-/// Least centring: mu falls to no less than this fraction in a step.
+/// Least ratio of mu to the mean product of a slack and its dual variable before the step. Larger: the
+/// complementarity falls more slowly. Smaller: products may become so unequal that the next steps are short. Chosen.
 const LEAST_CENTRING: f64 = 1e-3;
 
-/// Most corrections of a step that bends end early: each takes a solution with the factor, and of a hundred none needed
-/// a third.
+/// Largest number of corrections of a step that bends of the rows end early. Larger: more solutions with the factor.
+/// Smaller: shorter steps at rows that bend much. Chosen: of a hundred steps none needed a third correction.
 const MAX_BEND_CORRECTIONS: usize = 4;
 
-/// Part of the length by the tangents above which a step is long enough: between half and all of it is usual.
+/// Length of a step over that by the tangents above which it is long enough and no bend is corrected. Larger: more
+/// corrections. Smaller: more, shorter steps. Chosen: a ratio between this one and 1 is usual without a correction.
 const LONG_ENOUGH: f64 = 0.5;
 
-/// Most corrections of a step that bring outlying products back.
+/// Largest number of Gondzio's corrections of a step. Larger: more solutions with the factor per step. Smaller:
+/// shorter steps, because outlying products are left. Chosen.
 const MAX_CENTRALITY_CORRECTIONS: usize = 3;
 
-/// By how much further than a step the products are looked at that a correction shall bring back.
+/// Length by which Gondzio's correction extends the primal and the dual step (1 is a full step) before it measures
+/// the products. Larger: corrections aim at longer steps and fail more often. Smaller: corrections gain less. Chosen.
 const FURTHER: f64 = 0.3;
 
-/// Part of that by which a correction must lengthen the step to be worth another one.
+/// Least gain of a correction in the length of one of the two steps, over [`FURTHER`], for it to be kept and another
+/// one to be tried. Larger: fewer corrections. Smaller: corrections that gain little. Chosen.
 const LEAST_GAIN: f64 = 0.1;
 
-/// A product further than this factor from mu is an outlier.
+/// Largest ratio of a product to mu, and of mu to a product, that is no outlier. Larger: fewer products are
+/// corrected, and steps end early at them. Smaller: corrections of products that hold no step back. Chosen: a decade.
 const OUTLIER: f64 = 10.0;
 
-/// Gap at the start over the objective there.
+/// Complementarity at a start without dual variables, over the objective there. Larger: more steps until it has
+/// fallen. Smaller: dual variables that are too small for the first steps to be long. Chosen.
 const FIRST_RELATIVE_GAP: f64 = 0.3;
 
-/// Least product of a slack and its dual variable at the start, over their mean.
+/// Least product of a slack and its dual variable at a start with dual variables, over the mean product. Larger: dual
+/// variables from before are lost. Smaller: products far below the mean make the first steps short. Chosen.
 const LEAST_PRODUCT: f64 = 0.1;
 
-/// Gap of the program of the tangents at which it is solved, over that which is wanted of the whole.
+/// Gap at which the program of the tangents is taken as solved, over the gap that is wanted. Larger: the method moves
+/// on earlier, towards a less exact solution. Smaller: more steps for a program that does not prove enough. Chosen.
 const PROGRAM_SOLVED: f64 = 0.1;
 
-/// Fall of the objective in a step, over the gap that is wanted, above which tangents are not yet kept.
+/// Largest fall of the objective in a step, over the gap that is wanted, at which tangents are kept. Larger: proofs
+/// begin earlier and fail more often. Smaller: steps after the objective has nearly stopped to fall. Chosen.
 const STILL_FALLING: f64 = 0.3;
 
-/// By what the complementarity must have fallen before tangents are kept again,
+/// Factor on the largest complementarity at which tangents are kept, after each proof that failed. Larger: the next
+/// proof begins sooner and may fail again. Smaller: more steps before the next proof. Chosen.
 const KEPT_AGAIN: f64 = 0.25;
 
-/// down to this part of the gap that is wanted: where rows bend much, the way along them is long, and it is proven earlier
-/// that its end is near.
+/// Least value of that largest complementarity, over the gap that is wanted. Larger: proofs begin earlier. Smaller:
+/// many steps where rows bend much, because the way along them is long. Chosen.
 const LEAST_KEPT_BELOW: f64 = 0.06;
 
-/// Least steps under the rows themselves after a proof that failed: at the same iterate the next one would fail as
-/// well, and so on to the last step.
+/// Least number of steps under the rows themselves after a proof that failed. Larger: later proofs. Smaller: the next
+/// proof begins at nearly the same iterate and fails as well, up to the last step. Chosen.
 const LEAST_STEPS_BETWEEN_PROOFS: usize = 3;
 
-/// Steps that a proof usually takes: so many of the last ones are for it, wherever the iterate is by then.
+/// Number of last steps that are left for the proof: in these, tangents are kept as soon as the complementarity is as
+/// small as the gap that is wanted. Larger: fewer steps lower the objective. Smaller: the last proof is not finished.
+/// Chosen: a proof usually takes about as many.
 const STEPS_OF_A_PROOF: usize = 25;
 
-/// Least part of the way to the solution under the tangents that is worth going: at its end many rows are nearly active,
-/// which makes the next steps short.
+/// Least fraction of the way to the solution under the tangents that the iterate moves; if the rows allow less it
+/// stays. Larger: it moves less often. Smaller: it ends where many rows are nearly active, so the next steps are
+/// short. Chosen.
 const LEAST_PART: f64 = 0.5;
 
-/// Where tangents begin to be kept, products are at least so many times their mean: by larger slacks where these are
-/// below [`ACTIVE_SLACK`], which the steps make good, and by larger dual variables elsewhere. Without it the first
-/// steps are short, because the dual variables fit rows that are bent.
+/// Least product of a slack and its dual variable over their mean, where tangents begin to be kept. Slacks below
+/// [`ACTIVE_SLACK`] are raised first, and the steps take the excess away again; then dual variables are raised.
+/// Larger: more steps until the complementarity has fallen again. Smaller: short first steps, because the dual
+/// variables fit rows that are bent. Chosen.
 const RAISED_PRODUCT: f64 = 100.0;
 
-/// See [`RAISED_PRODUCT`].
+/// Slack below which a row counts as active when tangents begin to be kept, dimensionless (1 at rest). Larger: slacks
+/// of more rows are raised. Smaller: the dual variables of such rows are raised in their place. Chosen. See
+/// [`RAISED_PRODUCT`].
 const ACTIVE_SLACK: f64 = 0.1;
 
-/// Fall of the complementarity after which f is referred to the iterate, so that it is exact there.
+/// Ratio of the complementarity to that at the last reference at which f is computed with the removal itself again.
+/// Larger: more convolutions of the map. Smaller: f is less exact, because the cells of the normal matrix lose a
+/// part. Chosen.
 const REFERRED_AGAIN: f64 = 0.1;
 
-/// Complementarity over f below which an [`approach`] may end: by then the dual variables of the rows that decide are far
-/// above the others.
+/// Complementarity over f at which an [`approach`] may end. Larger: dual variables that do not tell the rows that
+/// decide. Smaller: more steps on a mesh that is not the last one. Chosen: by then the dual variables of the rows
+/// that decide are far above the others.
 pub const NEAR_THE_MINIMUM: f64 = 0.3;
 
-/// Least steps of an [`approach`], in which dual variables that were those of other rows become those of these.
+/// Least number of steps of an [`approach`]. Larger: more time per mesh. Smaller: dual variables that still belong to
+/// the rows of the coarser mesh. Chosen.
 const LEAST_STEPS_OF_AN_APPROACH: usize = 3;
 
-/// What the free functions must leave of the matrix at least ([`Woodbury::least_left`]) for a factor in single precision
-/// as it is: a thousand times the rounding of their products. Where they leave less, it is refined, and where that fails the
-/// factor is made in double precision.
+/// Least remainder of the matrix along the free functions ([`Woodbury::least_left`]), relative, at which a factor in
+/// single precision is used as it is. If less is left it is refined; if that fails, the factor is made in double
+/// precision. Larger: more refinements. Smaller: steps by a wrong inverse. Derived: a thousand times the rounding of
+/// the products.
 const LEFT_TO_SINGLE: f64 = 1e-4;
 
-/// Before any step.
+/// Progress before any step.
 const FIRST: Progress = Progress { iteration: 0, complementarity: f64::INFINITY };
 
-/// (1).
+/// The program (1).
 pub struct Program<'a> {
     /// Curvature of f without its chain, in an order of its own.
     pub normal: &'a Normal,
@@ -192,8 +220,8 @@ impl<'a> Program<'a> {
         Some(Inverse { order: &self.normal.order, by_rows })
     }
 
-    /// The longest part of `length d` from densities at which the rows leave `c` that leaves of every row more than a
-    /// twentieth, and where it ends.
+    /// The longest part of the step `length d` after which every row keeps more than a twentieth of its slack `c`,
+    /// and the densities where it ends.
     fn farthest(&self, density: &[f64], d: &[f64], c: &[f64], mut length: f64) -> (f64, Vec<f64>) {
         loop {
             let to = moved(density, d, length);
@@ -238,7 +266,7 @@ impl Inverse<'_> {
     }
 }
 
-/// When to stop.
+/// Conditions under which the method stops.
 #[derive(Clone, Copy, Debug)]
 pub struct Stop {
     /// Proven gap over the objective.
@@ -283,7 +311,7 @@ fn add_adjoint(rows: &[Constraint], v: impl Fn(usize) -> f64, out: &mut [f64]) {
     }
 }
 
-/// Where to begin.
+/// Densities and dual variables from which the method begins.
 #[derive(Clone, Debug)]
 pub struct Start {
     /// D (n), strictly inside.
@@ -385,7 +413,7 @@ pub fn solve(
     Ok(best.map(solution))
 }
 
-/// Where the method is when it has come near the minimum.
+/// Iterate near the minimum, of which nothing is proven.
 #[derive(Clone, Debug)]
 pub struct Approach {
     /// D (n).
@@ -400,8 +428,8 @@ pub struct Approach {
     pub iterations: usize,
 }
 
-/// Goes towards the minimum of (1) without proving anything, until the complementarity is below this part of f.
-/// `None` where the matrix is singular to rounding.
+/// Goes towards the minimum of (1) without proving anything, until the complementarity is below the fraction `near`
+/// of f. `None` where the matrix is singular to rounding.
 pub fn approach(
     program: &Program<'_>,
     start: Start,
@@ -441,16 +469,16 @@ struct Executable {
     relative_gap: f64,
 }
 
-/// (2).
+/// The step by (2).
 struct Step {
     density: Vec<f64>,
-    /// J d, less the excess.
+    /// Change of the slacks by the tangents: J d, less the excess.
     c: Vec<f64>,
     z: Vec<f64>,
     y: Vec<f64>,
 }
 
-/// Of a slack and its dual variable: c z (rows) and (D - lo) y (n).
+/// Products of slacks and their dual variables: c z (rows) and (D - lo) y (n).
 struct Products {
     rows: Vec<f64>,
     bounds: Vec<f64>,
@@ -474,7 +502,7 @@ impl Products {
         self.combined(other, |a, b| a - b)
     }
 
-    /// What brings outliers back to where they are no more than a decade from `mu`.
+    /// Change of the products that brings outliers back to within a decade of `mu`.
     fn correction(&self, mu: f64) -> Self {
         let of = |v: &f64| (v.clamp(mu / OUTLIER, mu * OUTLIER) - v).max(-mu * OUTLIER);
         Self {
@@ -484,7 +512,7 @@ impl Products {
     }
 }
 
-/// Where the method stands.
+/// An iterate of the method.
 struct Iterate<'a> {
     program: &'a Program<'a>,
     density: Vec<f64>,
@@ -496,9 +524,9 @@ struct Iterate<'a> {
     room: Vec<f64>,
     z: Vec<f64>,
     y: Vec<f64>,
-    /// By how much c is above what the tangents that are kept leave.
+    /// Excess of c over the slacks that the tangents that are kept allow.
     excess: Vec<f64>,
-    /// Where the tangents that are kept are those of the rows.
+    /// The iterate whose tangents are kept; `None` while the rows themselves are used.
     kept: Option<Kept>,
 }
 
@@ -540,8 +568,8 @@ impl<'a> Iterate<'a> {
         dot(&self.c, &self.z) + dot(&self.room, &self.y)
     }
 
-    /// How far f is at most above its least value under the tangents, nm^2; with the inverse of its curvature
-    /// a closer bound is tried, as far as it matters for the relative gap that is wanted.
+    /// Upper bound on the excess of f over its least value under the tangents, nm^2. With the inverse of its
+    /// curvature a closer bound is tried, if it can decide whether `relative_gap` is reached.
     fn gap(&self, inverse: Option<&Inverse<'_>>, relative_gap: f64, merit: &Merit<'_>) -> f64 {
         let alpha = merit.alpha;
         // f' - J' z
@@ -552,7 +580,7 @@ impl<'a> Iterate<'a> {
         let Some(inverse) = inverse else { return simple };
         r.iter_mut().zip(&self.y).for_each(|(r, y)| *r -= y);
         let products = of_tangents + dot(&self.room, &self.y);
-        // To prove that the iterate whose tangents they are is good enough, or that their program is solved.
+        // Gap that proves that the iterate whose tangents are kept is good enough, or that their program is solved.
         let wanted = match &self.kept {
             None => relative_gap * self.f.value,
             Some(kept) => (relative_gap * kept.value - (kept.value - self.f.value))
@@ -567,7 +595,8 @@ impl<'a> Iterate<'a> {
         simple.min(products + square)
     }
 
-    /// The iterate whose rows the tangents are, and how far it is above their least value, with the `gap` from here.
+    /// The iterate whose rows the tangents are, and its proven gap: the excess over their least value, from the `gap`
+    /// here.
     fn executable(&mut self, gap: f64) -> Executable {
         let (density, value, gap) = match &mut self.kept {
             None => (&self.density, self.f.value, gap),
@@ -579,7 +608,7 @@ impl<'a> Iterate<'a> {
         Executable { density: density.clone(), value, relative_gap: gap / value }
     }
 
-    /// From here on the rows are their tangents; `gap` is that known so far.
+    /// Replaces the rows by their tangents for the steps that follow; `gap` is the proven gap so far, nm^2.
     fn keep_tangents(&mut self, gap: f64) {
         let (density, value, c) = (self.density.clone(), self.f.value, self.c.clone());
         self.kept = Some(Kept { density, value, c, gap });
@@ -597,7 +626,8 @@ impl<'a> Iterate<'a> {
         self.y.iter_mut().zip(&self.room).for_each(|(y, room)| *y = y.max(product / room));
     }
 
-    /// As far as the rows allow from where the tangents were kept to here, and the rows there.
+    /// Moves from where the tangents were kept towards this iterate, as far as the rows allow, and returns to the
+    /// rows.
     fn move_towards_solution(&mut self) {
         let Some(kept) = self.kept.take() else { return };
         self.excess.fill(0.0);
@@ -653,8 +683,9 @@ impl<'a> Iterate<'a> {
     /// c(D + t d) = c + t J d - q,   and d' instead of d with   J d' = J d + q / t as far as (2) allows   (3)
     /// ```
     ///
-    /// The curvature C of (2) makes d shorter where a bend costs much, but has no row avoided. So a row of which little
-    /// is left, and along which the others want to go far, ends one step after another, wherever its tangent points.
+    /// The curvature C of (2) makes d shorter where a bend costs much, but it makes no step avoid a row. So a row
+    /// with little slack, along which the other rows let the iterate go far, ends one step after another, wherever
+    /// its tangent points.
     fn around_bends(&self, inverse: &Inverse<'_>, target: &Products, mut step: Step) -> Step {
         let mut length = self.primal(&step).0;
         let mut wanted = self.by_tangents(&step);
@@ -679,7 +710,7 @@ impl<'a> Iterate<'a> {
         step
     }
 
-    /// As far as the step may go; its complementarity by the tangents.
+    /// Goes the longest step that is allowed, and returns the complementarity there by the tangents.
     fn advance(&mut self, step: &Step) -> f64 {
         let (length, to) = self.primal(step);
         let b = self.dual(step);
@@ -717,7 +748,8 @@ impl<'a> Iterate<'a> {
         self.program.inverse(row_of, (&diagonal, &below))
     }
 
-    /// (2) with `target` in place of mu, and slacks that are `excess` (rows) larger than what they shall be.
+    /// The step by (2) with `target` in the place of mu, and slacks that are `excess` (rows) larger than they should
+    /// be.
     fn direction(&self, inverse: &Inverse<'_>, target: &Products, excess: &[f64]) -> Step {
         let Self { f, here, c, room, z, y, .. } = self;
         let t = target.bounds.iter().zip(room).map(|(t, room)| t / room);
@@ -766,7 +798,7 @@ impl<'a> Iterate<'a> {
         }
     }
 
-    /// What a full step changes the products by in the second order.
+    /// Second-order terms of the products after a full step.
     fn second_order(&self, step: &Step) -> Products {
         let of = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect();
         Products { rows: of(&step.c, &step.z), bounds: of(&step.density, &step.y) }

@@ -1,4 +1,4 @@
-//! A limit on jerk: the motion is averaged in time.
+//! Motions that keep a limit on jerk: the moving average in time of a motion that keeps velocity and acceleration.
 //!
 //! The plan keeps velocity and acceleration; where the feed stops to rise and begins to fall its acceleration steps, by at
 //! most twice the limit. The motion p that is planned, at rest before and after, becomes a spline of its moving
@@ -17,30 +17,35 @@
 //! |P - p| <= A (w^2 / 24 + h^2 / 6)      where h^2 / 6 is half the variance of B                 (4)
 //! ```
 //!
-//! So `w = 2 A / J` keeps the limit J. Where that makes (4) larger than the tool should notice, the plan uses
-//! less than all of A: with the fraction f of it, (4) is proportional to f^3. Averaging a motion in time to bound its jerk is
-//! common in controllers: S. Tajima and B. Sencer, Int. J. Mach. Tools Manuf. 112 (2017) 1, among others.
+//! So `w = 2 A / J` keeps the limit J. If (4) is then larger than allowed, the plan uses only a fraction f of A,
+//! because (4) is proportional to f^3. Averaging a motion in time to bound its jerk is common in controllers: S.
+//! Tajima and B. Sencer, Int. J. Mach. Tools Manuf. 112 (2017) 1, among others.
 
 use planish_numerics::polynomial;
 use planish_types::{Invalid, Limits, MachineFile, Trajectory, TrajectoryBuilder, budget};
 use rayon::prelude::*;
 
-/// w over h: (4) is then a quarter above its least value.
+/// Number of intervals h in the window w. Larger: a smaller deviation (4), and more cubic pieces. Smaller: fewer
+/// pieces, a larger deviation. Chosen: (4) is then a quarter above its least value.
 const INTERVALS: usize = 4;
 
-/// Fraction of a limit that is kept for rounding.
+/// Fraction of the limit on jerk that is left for rounding, relative. Larger: a longer average than needed. Smaller:
+/// the judge may find the limit exceeded by rounding. Chosen.
 const ROUNDING_MARGIN: f64 = 1e-9;
 
-/// A piece shorter than this fraction of h is left to its neighbour: far below what a machine notices.
+/// Least duration of a piece over h; what is shorter is left to its neighbour. Larger: a segment of the path gets or
+/// loses more time. Smaller: pieces too short for a controller. Chosen: far below what a machine notices.
 const SHORTEST_OVER_INTERVAL: f64 = 1e-3;
 
-/// Least fraction of the deviation (4) that is used: a shorter average would only make more pieces.
+/// Least deviation (4) that the average uses, over the largest one. Larger: longer averages than the limit on jerk
+/// asks for. Smaller: more cubic pieces, for a deviation that the plan need not avoid. Chosen.
 const LEAST_DEVIATION: f64 = 0.25;
 
-/// Least fraction of the acceleration; what asks for less is a mistake in the units.
+/// Least fraction of the limit on acceleration that the plan may use. If less would be left, the limit on jerk has
+/// probably the wrong unit, and it is refused. Larger: slow machines are refused. Smaller: runs of years. Chosen.
 const LEAST_FRACTION: f64 = 1e-6;
 
-/// How a motion is averaged.
+/// Averaging of a motion in time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Average {
     /// w, s.
@@ -52,7 +57,8 @@ pub struct Average {
 }
 
 impl Average {
-    /// For the jerk of a machine, with (4) at most `deviation_mm`; none where it does not limit jerk.
+    /// The average for the limits on jerk of a machine, with (4) at most `deviation_mm`; `None` if the machine does
+    /// not limit jerk.
     pub fn new(limits: &Limits, deviation_mm: f64) -> Option<Self> {
         let [a, b] = limits.max_acceleration_mm_per_s2();
         let most = a.max(b);

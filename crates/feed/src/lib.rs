@@ -1,23 +1,23 @@
 //! Motion and times as one problem: the dwell-time density along a smooth curve.
 //!
-//! A dwell solver chooses times and a scheduler then looks for a motion that takes them; where the machine is slow
-//! the two contradict each other. Here the curve is fixed first, with rounded corners, and the unknown is how fast
-//! it is run through. The removal is linear in the dwell-time density, and every iterate of the solver is a motion
+//! A dwell solver chooses times, and a scheduler then looks for a motion that takes them. On a slow machine the two
+//! contradict each other. In a joint plan the curve is fixed first, with rounded corners, and the unknown is the
+//! dwell-time density along it. The removal is linear in this density, and every iterate of the solver is a motion
 //! within the limits.
 //!
-//! | module | what |
+//! | module | contents |
 //! |---|---|
 //! | [`curve`] | the smooth curve along a path: lines and clothoids |
-//! | [`mesh`] | its nodes: what they remove, and how the tool moves between them |
-//! | [`limits`] | what the machine allows of that motion |
-//! | [`merit`] | what is minimised: residual and price of time |
-//! | [`interior_point`] | the least objective under the rows |
-//! | [`certificate`] | how far it is above the least, proven |
-//! | `refinement` | more nodes where they are worth most |
+//! | [`mesh`] | nodes of the density: their removal, and the motion between them |
+//! | [`limits`] | limits of the machine on that motion |
+//! | [`merit`] | the objective: residual and price of time |
+//! | [`interior_point`] | the solver: the least objective under the limits |
+//! | [`certificate`] | proven bound on the excess of the objective over its least value |
+//! | `refinement` | nodes added where they lower the objective most |
 //! | `problem` | the densities on one mesh after another, until their motion keeps the limits |
 //! | [`mod@motion`] | the cubic pieces in time |
-//! | [`jerk`] | its average in time, where the machine limits jerk |
-//! | `settings` | how to plan |
+//! | [`jerk`] | the average of the motion in time, if the machine limits jerk |
+//! | `settings` | settings of the plan |
 //! | [`mod@plan`] | all of it, judged as it will be executed |
 
 pub mod certificate;
@@ -40,7 +40,7 @@ pub use settings::Settings;
 use planish_dwell::DwellError;
 use planish_types::Invalid;
 
-/// Why no feed could be found.
+/// Reason why no plan could be found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FeedError {
     /// The inputs or settings contradict themselves or each other.
@@ -52,14 +52,14 @@ pub enum FeedError {
     /// The program has no unique solution to rounding.
     #[error("the densities are not determined by the surface; raise `tikhonov` (now {tikhonov})")]
     Singular {
-        /// alpha.
+        /// alpha, dimensionless.
         tikhonov: f64,
     },
-    /// A normal matrix on cells of the map is too far below the curvature: to be made on smaller ones, down to single
-    /// pixels, with which this does not happen.
+    /// A normal matrix on cells of the map is too far below the curvature. It must be made on smaller cells; with
+    /// single pixels this does not happen.
     #[error("cells of {pixels} x {pixels} pixels are too large for this TIF")]
     CellsTooLarge {
-        /// Along the side of a cell.
+        /// Pixels along a side of a cell.
         pixels: usize,
     },
 }

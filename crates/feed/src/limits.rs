@@ -1,4 +1,4 @@
-//! What a machine allows of the motion along the curves, as functions of the densities of two neighbouring nodes.
+//! Limits of a machine on the motion along the curves, as functions of the densities of two neighbouring nodes.
 //!
 //! ```text
 //! p'' = q'' s'^2 + q' s''        on both axes a, at times of every span:  |p''_a| <= A_a           (1)
@@ -24,38 +24,48 @@ use crate::{
     mesh::{Kinematics, Mesh, Span},
 };
 
-/// Turn between two places of (1) on a clothoid, rad: a component of the acceleration has its largest value before the
-/// curved end, where it has turned further to the axis; between two places it is larger by at most 0.6 %.
+/// Largest turn between two places of (1) on a clothoid, rad. Larger: fewer rows, and more acceleration between the
+/// places than at them. Smaller: more rows. Derived: a component of the acceleration has its largest value before the
+/// curved end, where the tool has turned further to the axis; between two places it is larger by at most 0.6 %.
 const TURN_PER_STEP_RAD: f64 = 0.1;
 
-/// Least number of steps of a clothoid: where the tool slows down into a bend, the largest acceleration is before it.
+/// Least number of steps of a clothoid between places of (1). Larger: more rows. Smaller: the largest acceleration is
+/// missed if the tool slows down into a bend, because it is before the bend. Chosen.
 const LEAST_STEPS: usize = 6;
 
-/// Fraction of the acceleration that is kept for what happens between the places of (1), and for the cubic pieces
-/// that the motion on a clothoid is made of.
+/// Fraction of the limit on acceleration that the rows of a clothoid leave free, for the motion between the places of
+/// (1) and for the cubic pieces that it is made of. Larger: slower corners. Smaller: more rounds with tightened rows,
+/// because the judge finds the limit exceeded. Chosen.
 const CURVED_MARGIN: f64 = 2e-2;
 
-/// Fraction of the velocity that is kept on a clothoid: between two places 0.1 rad apart a component is larger by up to
+/// Fraction of the limit on velocity that is left free on a clothoid. Larger: slower corners. Smaller: the velocity
+/// exceeds the limit between the places. Derived: between two places 0.1 rad apart a component is larger by up to
 /// 1.3e-3.
 const TURNED_MARGIN: f64 = 2e-3;
 
-/// Fraction of the acceleration along a clothoid that is kept: between two places 0.1 rad apart the tangent may have a
+/// Fraction of the limit on the acceleration along the curve that is left free on spans with clothoids. Larger:
+/// slower corners. Smaller: exceeded limits. Derived: between two places 0.1 rad apart the tangent may have a
 /// component that is larger by 1.3e-3, and the cubic pieces differ by 2e-3 of the limit.
 const ALONG_CURVE_MARGIN: f64 = 4e-3;
 
-/// Fraction of a limit that is kept for rounding: half of what the judge allows.
+/// Fraction of a limit that is left free for rounding, relative. Larger: slower motions. Smaller: the judge may find
+/// a limit exceeded by rounding. Derived: half of what the judge allows.
 const ROUNDING_MARGIN: f64 = 5e-10;
 
-/// r of (4): 5 would still be monotone, but the tool would nearly stand in the middle of the span.
+/// r of (4): largest ratio of the densities of two neighbouring nodes. Larger: the tool nearly stands in the middle
+/// of a span. Smaller: densities that follow the desired removal less closely. Chosen below 5, up to which the cubic
+/// of a span is monotone.
 const MAX_RATIO: f64 = 3.0;
 
-/// A row with more left than this is far from being active, and its curvature counts for nothing.
+/// Slack above which a row is far from being active, dimensionless (1 at rest); its curvature is not computed.
+/// Larger: more differences to compute. Smaller: rows whose bend ends a step early. Chosen.
 const FAR_SLACK: f64 = 0.5;
 
-/// Relative step of the differences of first derivatives that give the second ones.
+/// Step of the differences of first derivatives that give the second ones, relative to the density. Larger: an error
+/// of the fourth derivatives. Smaller: rounding. Chosen between the two.
 const DIFFERENCE: f64 = 1e-4;
 
-/// Where a row is imposed, and on what.
+/// A row of the program: its span and the quantity that it limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Row {
     span: usize,
@@ -93,7 +103,7 @@ pub struct Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
-    /// For all spans of a mesh, with D_0 of (4), a density of the usual size.
+    /// The rows of all spans of a mesh; `reference_s_per_mm` is D_0 of (4), a density of the usual size.
     pub fn new(curves: &[Curve], mesh: &'a Mesh, limits: &Limits, reference_s_per_mm: f64) -> Self {
         let mut rows = Vec::new();
         let mut least_density = vec![0.0f64; mesh.nodes];
@@ -143,7 +153,7 @@ impl<'a> Rows<'a> {
         self.rows.len()
     }
 
-    /// Whether there is none.
+    /// Returns true if there is no row.
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }
@@ -203,7 +213,7 @@ impl<'a> Rows<'a> {
         all.collect()
     }
 
-    /// Which rows are those of every span (spans).
+    /// Ranges of the rows of every span (spans).
     pub fn of_spans(&self) -> Vec<Range<usize>> {
         let mut all = Vec::with_capacity(self.mesh.spans.len());
         let mut end = 0;
@@ -215,11 +225,11 @@ impl<'a> Rows<'a> {
         all
     }
 
-    /// What the rows of a span would leave more if it were halved, times their dual variables `z`: by that much the
-    /// objective would fall in the first order (spans), nm^2.
+    /// First-order decrease of the objective if a span is halved (spans), nm^2: the increase of the slacks of its
+    /// rows, times their dual variables `z`.
     ///
-    /// The node in the middle has the feed of a constant acceleration, which leaves most. Where a row asks about the
-    /// whole of a span, the half decides that leaves less.
+    /// The node in the middle has the feedrate of a constant acceleration, which leaves the largest slacks. For a row
+    /// about the whole span, the half with the smaller slack decides.
     pub fn worth_of_halving(&self, density: &[f64], z: &[f64]) -> Vec<f64> {
         let mut worth = vec![0.0; self.mesh.spans.len()];
         for (row, z) in self.rows.iter().zip(z) {
@@ -247,7 +257,8 @@ impl<'a> Rows<'a> {
         worth
     }
 
-    /// Asks less of the spans whose motion uses more than all of a limit: by so much less.
+    /// Multiplies the use of the limits in the rows of every span by `use_of_limit` where that is above 1, so that
+    /// the next solution uses less.
     pub fn tighten(&mut self, use_of_limit: &[f64]) {
         for row in &mut self.rows {
             let factor = use_of_limit[row.span].max(1.0);
@@ -284,7 +295,7 @@ pub fn constant_acceleration(a: f64, b: f64) -> f64 {
 }
 
 impl Row {
-    /// Whether two rows ask about the same motion.
+    /// Returns true if two rows limit the motion at the same place or time.
     fn are_at_one_place(&self, other: &Self) -> bool {
         let same = match (self.on, other.on) {
             (On::Line { tau: a, .. }, On::Line { tau: b, .. }) => a == b,
@@ -296,7 +307,7 @@ impl Row {
 }
 
 impl On {
-    /// The motion that is limited; of a ratio of densities any.
+    /// The motion that the row limits; for a ratio of densities any.
     fn motion(&self, span: &Span, densities: [Option<f64>; 2]) -> Kinematics {
         match *self {
             Self::Ratio { .. } => span.at(0.0, densities),
@@ -336,13 +347,13 @@ fn positive_part([a, b, c]: [f64; 3]) -> [f64; 3] {
     [mean + difference * half, difference * b, mean - difference * half]
 }
 
-/// Where (1) is imposed on a span.
+/// A place on a span at which (1) is imposed.
 struct Sample {
     /// Length from the start of the span, mm.
     s_mm: f64,
     /// q'.
     tangent: [f64; 2],
-    /// 0 on a line.
+    /// Curvature, 1/mm; 0 on a line.
     curvature_per_mm: f64,
 }
 

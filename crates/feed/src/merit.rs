@@ -1,4 +1,4 @@
-//! What is minimised, as a function of the densities of the nodes.
+//! The objective, as a function of the densities of the nodes.
 //!
 //! ```text
 //! 1/2 mean square of the residual + price T
@@ -7,8 +7,8 @@
 //!
 //! K is the largest diagonal element of the normal matrix, so alpha and beta have no unit.
 //!
-//! The price is given, or follows from what time shall be worth. Where the residual falls by x % when the time
-//! grows by 1 %, x is the elasticity; at the minimum of (1)
+//! The price is given, or follows from the elasticity of the plan. If the mean square of the residual falls by x %
+//! when the time grows by 1 %, x is the elasticity; at the minimum of (1)
 //!
 //! ```text
 //! d(1/2 mean square) / dT = -price,   x = 2 price T / mean square                        (2)
@@ -42,44 +42,51 @@ use serde::Serialize;
 
 use crate::{FeedError, mesh::Mesh};
 
-/// The price is found when it changes by less than this fraction in a step,
+/// Largest change of the price in a step, relative, at which it is found and stays as it is. Larger: an elasticity
+/// that is met less exactly. Smaller: more steps before anything can be proven. Chosen.
 const PRICE_FOUND: f64 = 0.01;
 
-/// and the complementarity is below this fraction of the mean square: before that the residual is still falling.
+/// Complementarity over half the mean square below which the price may be found. Larger: the residual is still
+/// falling, and the elasticity is missed. Smaller: more steps. Chosen.
 const NEARLY_SOLVED: f64 = 0.03;
 
-/// Steps in which the price is looked for.
+/// Number of steps after which the price stays as it is, whether it is found or not. Larger: more steps without a
+/// proof. Smaller: an elasticity that is missed. Chosen.
 const PRICE_STEPS: usize = 40;
 
-/// Complementarity over half the mean square from which on the motion is simulated: before that the densities are far from
-/// those that will be executed.
+/// Complementarity over half the mean square from which on the motion is simulated. Larger: simulations at densities
+/// that are far from those that will be executed. Smaller: fewer steps with the residual of the motion. Chosen.
 const SIMULATED_BELOW: f64 = 0.3;
 
-/// Part of the mean square that the cells may not have seen since the last reference: steps by a curvature of less than
-/// half the true one lead away from the minimum. Near it between 1e-4 and 0.04 is usual,
+/// Largest fraction of the mean square that the cells of the normal matrix may have missed since the last reference.
+/// Larger: steps by a curvature of less than half the true one lead away from the minimum. Smaller: smaller cells,
+/// and more time. Chosen: near the minimum between 1e-4 and 0.04 is usual.
 const MOST_UNSEEN: f64 = 0.1;
 
-/// and on the way there, where more may be unseen of what is left, a hundredth of what it fell by.
+/// Largest such part over the fall of the mean square by the cells. Both this and [`MOST_UNSEEN`] must be exceeded
+/// for smaller cells. Larger: steps that lead away. Smaller: smaller cells without need on the way to the minimum.
+/// Chosen: on that way a hundredth is usual.
 const MOST_UNSEEN_OF_FALL: f64 = 0.3;
 
-/// Part of the mean square that must not be unseen where that is all of what it seemed to fall by: it rose, and the next
-/// steps by the same curvature would lead round in circles.
+/// Largest fraction of the mean square that the cells may have missed when it rose although the cells saw a fall.
+/// Larger: the next steps by the same curvature go round in circles. Smaller: smaller cells for a rise that is
+/// rounding. Chosen.
 const MOST_UNSEEN_OF_RISE: f64 = 0.01;
 
-/// What a second costs.
+/// Price of time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Price {
-    /// Beside half the mean square of the residual, nm^2/s.
+    /// Price of a second, relative to half the mean square of the residual, nm^2/s.
     Nm2PerS(f64),
-    /// (2): by how many percent one percent more time lowers the mean square, where the plan ends.
+    /// Elasticity (2) of the plan: percentage by which one percent more time would lower the mean square.
     Elasticity(f64),
 }
 
 /// The removal of the motion for densities (nodes), nm: a map like the desired removal.
 pub type Executed<'a> = &'a dyn Fn(&[f64]) -> Result<Array2<f64>, Invalid>;
 
-/// How a method came to densities.
+/// Progress of a method towards the minimum.
 #[derive(Clone, Copy, Debug)]
 pub struct Progress {
     /// 0 at the start.
@@ -88,15 +95,15 @@ pub struct Progress {
     pub complementarity: f64,
 }
 
-/// (1) at densities.
+/// Value and gradient of (1) at some densities.
 pub struct Objective {
-    /// nm^2.
+    /// Value of (1), nm^2.
     pub value: f64,
-    /// By the densities (nodes).
+    /// Derivatives by the densities (nodes).
     pub gradient: Vec<f64>,
 }
 
-/// (1).
+/// The objective (1) on a mesh.
 pub struct Merit<'a> {
     residual: &'a Residual<'a>,
     mesh: &'a Mesh,
@@ -119,13 +126,13 @@ pub struct Merit<'a> {
     executed: Option<Executed<'a>>,
     /// (3) and (4), once the motion was simulated.
     beyond: Option<Beyond>,
-    /// Whether these stay what they are, see [`Self::keep_motion_of`].
+    /// True if (3) and (4) stay as they are, see [`Self::keep_motion_of`].
     motion_is_kept: bool,
     /// Half the mean square where (1) was computed last.
     last_half_mean_square_nm2: f64,
 }
 
-/// How the removal of the motion differs from that of the densities at D_k.
+/// Difference of the removal of the motion from that of the densities, at D_k.
 struct Beyond {
     /// M(D_k) - B D_k of (3), nm.
     removal_nm: Array2<f64>,
@@ -143,8 +150,8 @@ impl Beyond {
     }
 }
 
-/// Where the mean square f was last computed with the removal itself. Elsewhere it is, with the normal matrix H, which is on
-/// cells of pixels, and the difference x of the densities
+/// Densities at which the mean square f was last computed with the removal itself. Elsewhere f follows from the
+/// normal matrix H, which is on cells of pixels, and from the difference x of the densities,
 ///
 /// ```text
 /// f + f' x + x' H x / 2
@@ -158,7 +165,7 @@ struct Reference {
 }
 
 impl Reference {
-    /// For densities and their removal.
+    /// The reference at densities with this removal.
     fn new(
         residual: &Residual<'_>,
         mesh: &Mesh,
@@ -175,7 +182,7 @@ impl Reference {
 }
 
 impl<'a> Merit<'a> {
-    /// With K of the normal matrix, referred to some densities.
+    /// The objective with K of the normal matrix, referred to some densities.
     pub fn new(
         residual: &'a Residual<'a>,
         normal: &'a Normal,
@@ -219,7 +226,7 @@ impl<'a> Merit<'a> {
         }
     }
 
-    /// With the removal of the motion itself, (3).
+    /// Uses the removal of the motion itself, (3).
     pub fn of_motion(self, executed: Executed<'a>) -> Self {
         Self { executed: Some(executed), ..self }
     }
@@ -236,11 +243,11 @@ impl<'a> Merit<'a> {
         (diagonal, below)
     }
 
-    /// Computes the mean square and its gradient at densities with the removal itself: near the minimum with that of their
-    /// motion, unless (3) `stays` what it is.
+    /// Computes the mean square and its gradient at densities with the removal itself: near the minimum with that of
+    /// their motion, unless (3) `stays` what it is.
     ///
-    /// What the cells of the normal matrix do not see, of a TIF that ends abruptly on a small map say, is missing in the
-    /// mean square since the last reference: [`FeedError::CellsTooLarge`] where that is much of it.
+    /// The cells of the normal matrix miss a part of the mean square, for example of a TIF that ends abruptly on a
+    /// small map. [`FeedError::CellsTooLarge`] if they missed much of it since the last reference.
     pub fn refer_to(
         &mut self,
         at: Progress,
@@ -271,7 +278,7 @@ impl<'a> Merit<'a> {
         Ok(())
     }
 
-    /// By (3) and (4).
+    /// The reference at densities by (3) and (4).
     fn reference_at(&self, density: &[f64], model_nm: Array2<f64>) -> Reference {
         let Some(beyond) = &self.beyond else {
             return Reference::new(self.residual, self.mesh, density, &model_nm);
@@ -283,7 +290,7 @@ impl<'a> Merit<'a> {
         reference
     }
 
-    /// From here on (3) and (4) are those at these densities, and the price is what it is.
+    /// Fixes (3) and (4) at these densities, and the price, for all steps that follow.
     pub fn keep_motion_of(&mut self, density: &[f64]) -> Result<(), FeedError> {
         let model_nm = self.residual.removal_nm(&self.mesh.times_s(density));
         if let Some(executed) = self.executed {
@@ -332,7 +339,7 @@ impl<'a> Merit<'a> {
         Evaluation { half_mean_square_nm2, gradient_nm2_per_s }
     }
 
-    /// (1) and its gradient, and whether the price is found: while it is looked for it changes from step to step.
+    /// Value and gradient of (1), and true if the price is found: before that, it changes from step to step.
     pub fn evaluate(&mut self, at: Progress, density: &[f64]) -> (Objective, bool) {
         let Evaluation { half_mean_square_nm2, gradient_nm2_per_s } = self.by_cells(density);
         self.last_half_mean_square_nm2 = half_mean_square_nm2;

@@ -10,7 +10,7 @@
 //! motion            s(u), 0 <= u <= T: the cubic with s(0) = 0, s'(0) = 1 / D_j, s(T) = l, s'(T) = 1 / D_k   (3)
 //! ```
 //!
-//! (3) has the times and feeds of D at the nodes exactly, and is one polynomial: at `D_k = 2 D_j` it is within
+//! (3) has exactly the times and feedrates of D at the nodes, and is one polynomial. At `D_k = 2 D_j` it is within
 //! 0.8 % of l of the position that D itself asks for. At rest D is infinite. A curve begins and ends at rest, on a
 //! span whose other node decides: `D = D_k (l / s)^1/2`, `T = 2 l D_k`, which is a constant acceleration; with
 //! `s = l u^2` the removal is an integral over u of constant weight.
@@ -20,25 +20,32 @@ use planish_types::{Axis, Invalid, Tif, ToolPath, budget};
 
 use crate::curve::Curve;
 
-/// Gauss points of a span, (1).
+/// Number of Gauss points of a span in (1). Larger: a removal nearer to the integral, with more time for every model
+/// of it. Smaller: the removal of the solver differs from that of the motion. Chosen.
 const GAUSS_POINTS: usize = 3;
 
-/// A corner of a smaller turn gets no node of its own, rad: the feed need not fall there.
+/// Least turn of a corner with a node of its own, rad. Larger: corners between nodes, at which the feedrate cannot
+/// fall by itself. Smaller: nodes at corners where it need not fall. Chosen.
 const GENTLE_TURN_RAD: f64 = 0.1;
 
-/// A corner of a larger turn gets nodes at its ends too: the feed may rise at once after it.
+/// Least turn of a corner with nodes at both of its ends too, rad. Larger: the feedrate cannot rise at once after a
+/// sharp corner. Smaller: more nodes. Chosen.
 const SHARP_TURN_RAD: f64 = 0.5;
 
-/// A corner or an end of one nearer to a node than this fraction of the spacing gets no node of its own.
+/// Least distance of a node at a corner, or at its end, from the other nodes, over the spacing. Larger: corners
+/// without a node. Smaller: short spans, which cost time of the solver. Chosen.
 const NEAREST_NODE_FRACTION: f64 = 0.3;
 
-/// Steps of the inversion of (3): Newton's method takes some five, bisection as many as a number has bits.
+/// Largest number of steps of the inversion of (3). Larger: no difference. Smaller: an inversion by bisection may
+/// stop early. Derived: Newton's method takes some five, bisection as many as a number has bits.
 const MAX_INVERSION_STEPS: usize = 60;
 
-/// A step of the inversion after which the result is exact to rounding.
+/// Step of the inversion below which the result is exact to rounding, as a fraction of the time of the span. Larger:
+/// less exact. Smaller: a step more than needed. Derived: the next step of Newton's method is about the square of
+/// this one.
 const INVERSION_STEP: f64 = 1e-9;
 
-/// Between two nodes, of which one may be a rest.
+/// A part of a curve between two nodes, of which one may be a rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Span {
     /// Its curve.
@@ -92,7 +99,7 @@ impl Span {
         self.nodes.map(|n| n.map(|n| density[n]))
     }
 
-    /// (2), s.
+    /// Duration of the span by (2), s.
     pub fn duration_s(&self, density: &[f64]) -> f64 {
         let l = self.length_mm();
         match self.densities(density) {
@@ -102,7 +109,7 @@ impl Span {
         }
     }
 
-    /// (3) at the fraction `tau` of its time, for the densities of its nodes.
+    /// The motion (3) at the fraction `tau` of the time of the span, for the densities of its nodes.
     pub fn at(&self, tau: f64, densities: [Option<f64>; 2]) -> Kinematics {
         let l = self.length_mm();
         let (t, t2) = (tau, tau * tau);
@@ -168,7 +175,7 @@ impl Span {
         }
     }
 
-    /// (3) where it has come to `s` mm from its start; its derivatives are those at this place, not at a time.
+    /// The motion (3) at `s` mm from the start of the span. Its derivatives are those at this place, not at a time.
     pub fn at_place(&self, s_mm: f64, densities: [Option<f64>; 2]) -> Kinematics {
         let mut at = self.at(self.tau_at(s_mm, densities), densities);
         // At a place the time changes by du / dD = -(ds / dD) / s' with a density.
@@ -182,10 +189,10 @@ impl Span {
         at
     }
 
-    /// Fraction of its time at which it has come to `s` mm from its start.
+    /// Fraction of the time of the span at which the motion has come `s` mm from its start.
     ///
-    /// At rest in closed form; else (3) by Newton's method from the time that the density asks for, within brackets,
-    /// because (3) is monotone.
+    /// In closed form on a span that begins or ends at rest. Otherwise Newton's method solves (3) from the time that
+    /// the density asks for, within brackets, because (3) is monotone.
     pub fn tau_at(&self, s_mm: f64, densities: [Option<f64>; 2]) -> f64 {
         let f = (s_mm / self.length_mm()).clamp(0.0, 1.0);
         let (a, b) = match densities {
@@ -232,17 +239,17 @@ struct Point {
 /// Nodes and spans of all curves.
 #[derive(Clone, Debug)]
 pub struct Mesh {
-    /// In order, curve by curve.
+    /// Spans in order, curve by curve.
     pub spans: Vec<Span>,
     /// Number of nodes that are no rests.
     pub nodes: usize,
-    /// Where the tool acts: the Gauss points of the spans with the tool on.
+    /// Gauss points of the spans with the tool on, at which the tool acts, mm.
     pub points_mm: Vec<[f64; 2]>,
     points: Vec<Point>,
 }
 
 impl Mesh {
-    /// For nodes at most `spacing_mm` apart.
+    /// The mesh with nodes at most `spacing_mm` apart.
     pub fn new(curves: &[Curve], path: &ToolPath, spacing_mm: f64) -> Result<Self, Invalid> {
         let length: f64 = curves.iter().map(Curve::length_mm).sum();
         budget::affordable(
@@ -256,7 +263,8 @@ impl Mesh {
         Ok(Self::through(curves, path, &breaks))
     }
 
-    /// With a node more in the middle of every span that is to be `halved` (spans), none of which may end at rest.
+    /// The mesh with one more node in the middle of every span that is to be `halved` (spans), none of which may end
+    /// at rest.
     pub fn refined(&self, curves: &[Curve], path: &ToolPath, halved: &[bool]) -> Self {
         let mut breaks = vec![vec![0.0]; curves.len()];
         for (span, halved) in self.spans.iter().zip(halved) {
@@ -324,7 +332,7 @@ impl Mesh {
         by_density
     }
 
-    /// By how much the derivatives of a function of the removal of the motion (3) differ from those of [`Self::collect`].
+    /// Difference of the derivatives of a function of the removal of the motion (3) from those of [`Self::collect`].
     ///
     /// At a place the motion takes `1 / s'` per length, whose derivatives by the two densities are `-s'_k / s'^2` and not
     /// `1 - f` and `f`. At rest they are the same. The time of a span is linear in the densities, so on every span the
@@ -359,7 +367,7 @@ impl Mesh {
         by_density
     }
 
-    /// What a unit of density at every node stands for: its points and the length of the path at each, mm.
+    /// Gauss points at which every node acts, with the length of the path at each for a unit of density (nodes), mm.
     pub fn columns(&self) -> Vec<Vec<(usize, f64)>> {
         let mut columns = vec![Vec::new(); self.nodes];
         for (i, point) in self.points.iter().enumerate() {

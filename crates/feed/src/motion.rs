@@ -1,9 +1,9 @@
 //! The motion along the curves: cubic pieces in time.
 //!
 //! Along the curve the motion of a span is one cubic s(u) ([`crate::mesh`]). On a line that is the motion itself.
-//! On a clothoid each axis is the cubic with the positions and velocities of q(s(u)) at both ends of a piece, which is
-//! halved until the acceleration at its ends is that of q(s(u)) within 2e-3 of the limit, so that the cubic keeps what
-//! q(s(u)) keeps with a margin.
+//! On a clothoid each axis is the cubic with the positions and velocities of q(s(u)) at both ends of a piece. Pieces
+//! are halved until the acceleration at their ends is that of q(s(u)) within 2e-3 of the limit. So the cubic keeps
+//! every limit that q(s(u)) keeps with a margin.
 
 use planish_numerics::polynomial;
 use planish_types::{Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
@@ -14,17 +14,22 @@ use crate::{
     mesh::{Mesh, Span},
 };
 
-/// Largest difference of the acceleration at the ends of a cubic piece from that of q(s(u)), over the limit.
+/// Largest difference of the acceleration at the ends of a cubic piece from that of q(s(u)), over the limit. Larger:
+/// fewer pieces, and accelerations beyond the margins of [`crate::limits`]. Smaller: more pieces. Chosen below these
+/// margins.
 const MAX_ACCELERATION_ERROR: f64 = 2e-3;
 
-/// Largest distance of a cubic piece from q(s(u)) at the middle of its time, mm: a machine follows no closer.
+/// Largest distance of a cubic piece from q(s(u)) at the middle of its time, mm. Larger: fewer pieces, further from
+/// the curve. Smaller: more pieces. Chosen: a machine follows no closer.
 const MAX_FIT_ERROR_MM: f64 = 1e-4;
 
-/// Breaks nearer to each other than this are one, mm: far above the rounding of arc lengths, far below anything
-/// that a machine or a TIF notices. The curvature is continuous, so what is left out has no step either.
+/// Largest distance between two breaks that are taken for one, mm. Larger: pieces of the curve are left out. Smaller:
+/// pieces that are rounding of arc lengths. Chosen far above that rounding, and far below anything that a machine or
+/// a TIF notices. The curvature is continuous, so there is no step at a break that is left out.
 const SAME_BREAK_MM: f64 = 1e-5;
 
-/// A piece shorter than this is not halved, mm: the acceleration of the halves would be rounding of their positions.
+/// Least length of a piece that may be halved, mm. Larger: pieces that do not follow the curve. Smaller: halves whose
+/// acceleration is rounding of their positions. Chosen.
 const SHORTEST_PARTED_MM: f64 = 1e-3;
 
 /// The motion, and how closely it follows the curve.
@@ -90,7 +95,7 @@ struct OnSpan<'a> {
 /// A piece of the motion.
 struct Cubic {
     coefficient_mm: [[f64; 4]; 2],
-    /// Of the curve beside it, mm.
+    /// Length of the curve along the piece, mm.
     length_mm: f64,
     /// Distance from q(s(u)) at the middle of its time, mm.
     fit_error_mm: f64,
@@ -129,7 +134,7 @@ impl OnSpan<'_> {
         cubics
     }
 
-    /// The pieces of the curve on the span, and between which fractions of its time.
+    /// Pieces of the curve on the span, with the fractions of its time between which each lies.
     fn parts<'c>(&self, curve: &'c Curve) -> Vec<(&'c Piece, f64, f64)> {
         let span = self.span;
         let first = curve.pieces().partition_point(|p| p.to_mm() <= span.from_mm + SAME_BREAK_MM);

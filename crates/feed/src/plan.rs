@@ -1,4 +1,4 @@
-//! From the map to the motion.
+//! A joint plan, from the map to the motion.
 //!
 //! ```text
 //! path -> smooth curves -> nodes, about one per 0.6 TIF widths and those of the corners -> their densities
@@ -22,42 +22,51 @@ use crate::{
     settings::Settings,
 };
 
-/// Spacing of the nodes over the width of the TIF: a closer density removes nothing that a TIF could.
+/// Default spacing of the nodes over the width of the TIF. Larger: less work, and a residual at wavelengths that the
+/// TIF could remove. Smaller: more nodes, for densities that the removal hardly shows. Chosen.
 const SPACING_OVER_TIF_WIDTH: f64 = 0.6;
 
-/// Deviation at corners over the width of the TIF: wide enough for a corner to cost little time. It is no error of the
-/// removal, because the solver knows where the tool really is.
+/// Default deviation of the curve at corners over the width of the TIF. Larger: faster corners, further from the
+/// path. Smaller: slower corners. Chosen so that a corner costs little time. It is no error of the removal, because
+/// the solver knows the position of the tool.
 const DEVIATION_OVER_TIF_WIDTH: f64 = 0.2;
 
-/// Largest radius of a corner over the width of the TIF.
+/// Default largest radius of a corner over the width of the TIF. Larger: faster, longer corners. Smaller: slower
+/// corners. Chosen.
 const RADIUS_OVER_TIF_WIDTH: f64 = 1.0;
 
-/// By how much a motion that keeps a limit on jerk may leave the one that was planned, over the width of the TIF.
+/// Largest distance of a motion that keeps a limit on jerk from the motion before averaging, over the width of the
+/// TIF. Larger: the tool is further from the curve. Smaller: less of the acceleration may be used, so the plan takes
+/// longer. Chosen.
 const JERK_DEVIATION_OVER_TIF_WIDTH: f64 = 0.1;
 
-/// Least spacing over the width of the TIF; what is smaller is a mistake in the units.
+/// Least spacing of the nodes over the width of the TIF. Larger: spacings that make sense are refused. Smaller: a
+/// spacing in the wrong unit makes a very large program. Chosen.
 const LEAST_SPACING_OVER_TIF_WIDTH: f64 = 0.02;
 
-/// Multiplications of one factorisation of the solver from which on the nodes are set further apart, where the user
-/// does not say how far they are: some 30 of them are a plan.
+/// Largest number of multiplications of one factorisation at the default spacing; above it the nodes are set further
+/// apart. Larger: plans that take many minutes. Smaller: a larger residual on large parts. Chosen: a plan takes some
+/// 30 factorisations.
 const MOST_WORK: f64 = 6e10;
 
-/// By what the spacing grows until the work is affordable, and shrinks while it is little.
+/// Factor by which the spacing grows until the work is affordable, and by which it shrinks while there is little
+/// work. Larger: a spacing further from the limit. Smaller: more meshes that are tried. Chosen.
 const WIDENED_BY: f64 = 1.1;
 
-/// Least spacing over the width of the TIF that is taken where there is so little work.
+/// Least spacing over the width of the TIF to which nodes move closer if there is little work. Larger: a larger
+/// residual with a tool that is wide for its part. Smaller: more nodes, which hardly lower the residual. Chosen.
 const CLOSEST_SPACING_OVER_TIF_WIDTH: f64 = 0.15;
 
-/// Largest spacing over the width of the TIF that is taken for the sake of the work: with a wider one the density
-/// could no longer follow what the TIF removes.
+/// Largest spacing over the width of the TIF to which nodes move apart to save work. Larger: a density that no longer
+/// follows the removal of the TIF. Smaller: plans of large parts that take minutes. Chosen.
 const WIDEST_SPACING_OVER_TIF_WIDTH: f64 = 1.5;
 
-/// What was done.
+/// Report of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// Curves from rest to rest.
     pub curves: usize,
-    /// By what points of the path were moved at most before the corners were rounded, mm.
+    /// Largest movement of a point of the path by smoothing, before the corners were rounded, mm.
     pub points_moved_mm: f64,
     /// Corners that were rounded.
     pub corners: usize,
@@ -68,55 +77,56 @@ pub struct Report {
     pub least_radius_mm: Option<f64>,
     /// Arc length of all curves, mm.
     pub length_mm: f64,
-    /// Unknowns.
+    /// Number of unknowns.
     pub nodes: usize,
     /// Nodes of every mesh, from that of equal distances to the last one.
     pub nodes_of_meshes: Vec<usize>,
     /// Largest distance of neighbouring nodes, mm.
     pub node_spacing_mm: f64,
-    /// Where the nodes are further apart than they are elsewhere by default, because the solver would take too long.
+    /// Widened spacing of the nodes; absent unless the solver would take too long with the default spacing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub widened: Option<Widened>,
     /// Price of a second, nm^2/s.
     pub price_nm2_per_s: f64,
-    /// How the solver ended: `optimal` or `iteration-limit`.
+    /// End of the solver: `optimal` or `iteration-limit`.
     pub end: End,
-    /// Proven bound on how far the objective is above the least one of the last convex program, over it. That program has
-    /// fixed tangents in the place of the limits, which are not convex: it bounds no other motion.
+    /// Proven bound on the excess of the objective over the least one of the last convex program, relative to it.
+    /// This program has fixed tangents in the place of the limits, which are not convex, so it bounds no other
+    /// motion.
     pub relative_gap: f64,
-    /// Steps of the solver, of all its rounds, without those that find out where an elasticity is best met.
+    /// Number of steps of the solver in all its rounds, without those that look for a start for an elasticity.
     pub iterations: usize,
     /// Objective of the last round at its start and after every step, nm^2: the last one, and some before it, with the
     /// removal itself, and those between them by the normal matrix.
     pub objective_nm2: Vec<f64>,
-    /// RMS (without what is free) of the residual in the removal model of the solver, nm.
+    /// RMS of the residual in the removal model of the solver, without the terms that are free, nm.
     pub model_rms_nm: f64,
     /// Largest distance of the motion from the curve at equal times, mm.
     pub fit_error_mm: f64,
-    /// How the motion was averaged in time; absent where the machine does not limit jerk.
+    /// Average of the motion in time; absent if the machine does not limit jerk.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub average: Option<Averaged>,
-    /// Rounds of the solver, with corners asked for less in all but the first.
+    /// Number of rounds of the solver. In all but the first one the limits of some spans are tightened.
     pub rounds: usize,
 }
 
-/// Spacing of the nodes where the default would take too long.
+/// Spacing of the nodes, if the solver would take too long with the default.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Widened {
-    /// By default, mm.
+    /// Default spacing, mm.
     pub from_mm: f64,
-    /// Here, mm.
+    /// Spacing of this plan, mm.
     pub to_mm: f64,
 }
 
-/// Of a motion that keeps a limit on jerk.
+/// Average of a motion that keeps a limit on jerk.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Averaged {
-    /// Over which time, s.
+    /// Time over which the motion is averaged, s.
     pub window_s: f64,
-    /// Fraction of the limits on acceleration that was planned with.
+    /// Fraction of the limits on acceleration that the plan uses before averaging.
     pub fraction_of_acceleration: f64,
-    /// Proven bound on the distance from the motion that was planned, mm.
+    /// Proven bound on the distance from the motion before averaging, mm.
     pub deviation_mm: f64,
 }
 
@@ -127,16 +137,16 @@ pub struct Plan {
     pub dwell: DwellTime,
     /// The motion.
     pub trajectory: Trajectory,
-    /// What it removes, and what is left: simulated.
+    /// Simulated removal of the motion, and the residual.
     pub removal: Removal,
-    /// Whether the judge finds every limit kept, and why not.
+    /// Reason why the judge refuses the motion; `None` if it keeps every limit.
     pub refused: Option<String>,
-    /// What was done.
+    /// Report of the plan.
     pub report: Report,
 }
 
 impl Plan {
-    /// Why it should not be run as it is, if there is a reason.
+    /// Reason why the plan should not be run as it is; `None` if there is none.
     pub fn negative(&self, desired: &Surface) -> Option<String> {
         let r = &self.report;
         let unfinished = (r.end != End::Optimal).then(|| {
@@ -243,7 +253,7 @@ pub fn plan(
     Ok(Plan { dwell, trajectory, removal, refused, report })
 }
 
-/// How corners are rounded, and the distance of the nodes (mm), for the width of the TIF.
+/// Limits on the rounding of corners, and the spacing of the nodes (mm), for the width of the TIF.
 fn scales(tif_width_mm: f64, settings: &Settings) -> Result<(Rounding, f64), Invalid> {
     let of = |given: Option<f64>, over_width: f64| given.unwrap_or(over_width * tif_width_mm);
     let spacing_mm = of(settings.node_spacing_mm, SPACING_OVER_TIF_WIDTH);
@@ -259,8 +269,8 @@ fn scales(tif_width_mm: f64, settings: &Settings) -> Result<(Rounding, f64), Inv
     Ok((rounding, spacing_mm))
 }
 
-/// Nodes that are `spacing_mm[0]` apart, or further, up to `spacing_mm[1]`, where the solver would need more than
-/// `most_work` multiplications for a factorisation; and how far they are.
+/// Mesh with nodes `spacing_mm[0]` apart, and its spacing. It is larger, up to `spacing_mm[1]`, where the solver
+/// would need more than `most_work` multiplications for a factorisation.
 fn affordable(
     curves: &[Curve],
     path: &ToolPath,
@@ -277,7 +287,7 @@ fn affordable(
     }
 }
 
-/// The nodes of a mesh `spacing_mm` apart, or closer, down to `closest_mm`, as long as that is [`LITTLE_WORK`].
+/// The mesh, or one with nodes closer than `spacing_mm`, down to `closest_mm`, as long as it takes [`LITTLE_WORK`].
 fn closer(
     curves: &[Curve],
     path: &ToolPath,

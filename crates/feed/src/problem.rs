@@ -26,66 +26,79 @@ use crate::{
     settings::Settings,
 };
 
-/// By what the first densities are above every bound.
+/// Ratio of the first densities to the largest bound on a uniform density. Larger: a slower start, further from the
+/// minimum. Smaller: slacks near zero, with short first steps. Chosen.
 const FIRST_ABOVE_BOUNDS: f64 = 1.05;
 
-/// Rounds in which spans whose motion exceeds a limit are asked for less, and the program is solved again.
+/// Largest number of rounds in which the limits of spans are tightened because their motion exceeds a limit, and the
+/// program is solved again. Larger: more time before the plan is refused. Smaller: plans are refused that could still
+/// be mended. Chosen.
 const MAX_ROUNDS: usize = 8;
 
-/// By what the densities of a round are above those that just keep the limits, so that the next one can begin there.
+/// Factor on the densities of a round beyond that at which they just keep the limits, so that the next round can
+/// begin there. Larger: a slower start. Smaller: slacks near zero, with short first steps. Chosen.
 const ABOVE_LIMITS: f64 = 1.001;
 
-/// Most rounds with new tangents: more cost more simulations and proofs, and gain less each.
+/// Largest number of rounds with new tangents. Larger: more simulations and proofs, for less gain each. Smaller: an
+/// objective further above its minimum. Chosen.
 const MAX_DESCENTS: usize = 12;
 
-/// Gain of a round with new tangents over the relative gap below which it is the last one: what is left is a few times
-/// as much where the rounds gain half as much each.
+/// Gain of a round with new tangents, over the relative gap, below which it is the last one. Larger: fewer rounds,
+/// and an objective further above its minimum. Smaller: more rounds. Chosen: if every round gains half as much as the
+/// one before, the gain that is left is about that of this round.
 const LAST_GAIN: f64 = 0.25;
 
-/// Least part of the way to the solution of a round that is tried.
+/// Least fraction of the way to the solution of a round that is tried. Larger: rounds that gain nothing, although a
+/// short step would. Smaller: more simulations. Chosen.
 const LEAST_PART: f64 = 0.05;
 
-/// What is asked for beyond the excess.
+/// Factor on the measured use of a limit when the rows are tightened. Larger: spans that use less than the limit.
+/// Smaller: more rounds. Chosen.
 const TIGHTENED_FURTHER: f64 = 1.002;
 
-/// Multiplications of a factorisation on the last mesh over those on the first one, at most.
+/// Largest ratio of the multiplications of a factorisation on the last mesh to those on the first one. Larger: more
+/// nodes, a smaller residual and more time. Smaller: the opposite. Chosen.
 const MOST_GROWTH: f64 = 5.0;
 
-/// Multiplications of one factorisation that take no time beside the rest. Where the first nodes need less, as with a TIF
-/// that is wide for the part, they are closer, because densities that are wanted there go up and down steeply, and an
-/// elasticity is looked for at more than one price.
+/// Number of multiplications of one factorisation that take hardly any time. If the first nodes need less, as with a
+/// TIF that is wide for the part, the nodes are closer, because the densities go up and down steeply there, and the
+/// elasticity is looked for at more than one price. Larger: more plans get this treatment, and take longer. Smaller:
+/// fewer do. Chosen.
 pub const LITTLE_WORK: f64 = 1.5e8;
 
-/// Complementarity over the objective at which two plans can be compared.
+/// Complementarity over the objective at which two plans are compared. Larger: plans that are not finished are
+/// compared. Smaller: more steps for each of them. Chosen.
 const COMPARABLE: f64 = 0.03;
 
-/// What is less than this part of another is so for certain there.
+/// Ratio of the products m T^x of two such plans below which the other plan is taken. Larger: a plan may be taken for
+/// an error of [`COMPARABLE`]. Smaller: better plans are missed. Chosen.
 const CLEARLY_LESS: f64 = 0.95;
 
-/// Factor between the prices of plans at which an elasticity may be met as well.
+/// Factor between the prices from which plans with the same elasticity are looked for. Larger: starts further from
+/// the plan that is sought. Smaller: all starts lead to the same plan. Chosen.
 const MUCH_CHEAPER: f64 = 30.0;
 
-/// What is to be removed, with what, along which curves.
+/// Inputs of a plan: the desired removal, the TIF, the path with its curves, and the limits.
 pub struct Asked<'a> {
     pub desired: &'a Surface,
     pub tif: &'a Tif,
     pub path: &'a ToolPath,
     pub curves: &'a [Curve],
     pub limits: &'a Limits,
-    /// What the machine removes with a motion that was planned (a map like `desired`, nm).
+    /// Removal of the machine for a planned motion, nm: a map like `desired`.
     pub executed: &'a dyn Fn(&Trajectory) -> Result<Array2<f64>, Invalid>,
 }
 
-/// On which meshes the densities are found.
+/// Meshes on which the densities are found.
 pub struct Meshes {
     pub first: Mesh,
-    /// Most times that nodes are added to it,
+    /// Largest number of refinements of the first mesh.
     pub refinements: usize,
-    /// as long as a factorisation takes no more multiplications than these.
+    /// Largest number of multiplications of a factorisation on a refined mesh.
     pub most_work: f64,
 }
 
-/// What was found on the last mesh.
+/// Result on the last mesh.
 pub struct Solved {
     pub mesh: Mesh,
     /// Nodes of every mesh, the last one that of `mesh`.
@@ -93,11 +106,11 @@ pub struct Solved {
     pub found: Found,
 }
 
-/// The densities, and the motion that they are.
+/// Densities, and their motion.
 pub struct Found {
     pub solution: Solution,
     pub motion: Motion,
-    /// Why the judge refuses the motion.
+    /// Reason why the judge refuses the motion; `None` if it keeps the limits.
     pub refused: Option<String>,
     /// RMS (without what is free) of the residual in the removal model of the solver, see [`crate::merit`], nm.
     pub model_rms_nm: f64,
@@ -118,7 +131,7 @@ pub fn solve(asked: &Asked<'_>, meshes: &Meshes, settings: &Settings) -> Result<
     }
 }
 
-/// The same, with normal matrices on cells of at most so many pixels along a side.
+/// Solves as [`solve`] does, with normal matrices on cells of at most `most_pixels` pixels along a side.
 fn solve_on_cells(
     asked: &Asked<'_>,
     meshes: &Meshes,
@@ -187,7 +200,7 @@ fn solve_on_cells(
     Ok(Solved { mesh, nodes_of_meshes, found: Found { iterations, ..found } })
 }
 
-/// The program on a mesh, but for its rows.
+/// Program on a mesh, without its rows.
 struct Posed<'a> {
     mesh: &'a Mesh,
     residual: Residual<'a>,
@@ -210,7 +223,7 @@ impl<'a> Posed<'a> {
         Ok(Self { mesh, residual, normal, lo })
     }
 
-    /// A density above every bound.
+    /// A uniform density above every bound, to start from.
     fn uniform(&self, rows: &Rows<'_>, level_s_per_mm: f64) -> Start {
         let bound = self.lo.iter().copied().fold(rows.least_uniform_density(), f64::max);
         let density = vec![level_s_per_mm.max(FIRST_ABOVE_BOUNDS * bound); self.mesh.nodes];
@@ -227,7 +240,7 @@ impl<'a> Posed<'a> {
         Program { normal: &self.normal, chain, lo: &self.lo, rows }
     }
 
-    /// Near the minimum after at most so many iterations; nothing is proven.
+    /// Iterate near the minimum after at most `max_iterations` steps; nothing is proven of it.
     fn approach(
         &self,
         rows: &Rows<'_>,
@@ -242,11 +255,12 @@ impl<'a> Posed<'a> {
             .ok_or(FeedError::Singular { tikhonov: settings.tikhonov })
     }
 
-    /// Where to begin so that an elasticity is met where it is best to meet it.
+    /// Start of a plan with an elasticity: the one from which the solver finds the least product of mean square and
+    /// time.
     ///
-    /// The mean square m falls with the total time T by x percent for one percent where m T^x is stationary. With a
-    /// tool that is wide for the part there may be several such plans: low orders go in little time, details in much.
-    /// So the plans around a price that is much higher, and much lower, are tried, and that with the least m T^x is taken.
+    /// The mean square m falls by x percent for one percent more total time T where m T^x is stationary. With a tool
+    /// that is wide for the part there may be several such plans: low orders take little time, details take much. So
+    /// the plans near a much higher and a much lower price are also tried. The one with the least m T^x is taken.
     fn start_of_elasticity(
         &self,
         rows: &Rows<'_>,
@@ -277,7 +291,7 @@ impl<'a> Posed<'a> {
         Ok(Start { density, duals: Some(duals) })
     }
 
-    /// Rounds of the solver until the judge finds the limits of the motion kept.
+    /// Solves the program in rounds until the judge finds the limits of the motion kept.
     fn solve(
         &self,
         asked: &Asked<'_>,
@@ -345,8 +359,9 @@ impl<'a> Posed<'a> {
         Ok(Found { solution, motion, refused, model_rms_nm, price, iterations, rounds })
     }
 
-    /// A round with the tangents of the removal of the motion and of the limits at a solution: as far towards the least
-    /// objective of that convex program as the simulated motion has a lower one. `None` where nothing is proven of it.
+    /// A round with new tangents, of the removal of the motion and of the limits. It goes towards the least objective
+    /// of that convex program as far as the simulated motion has a lower one. `None` if nothing is proven of this
+    /// program.
     fn descend(
         &self,
         program: &Program<'_>,
@@ -517,7 +532,7 @@ mod tests {
         }
     }
 
-    /// What both solvers minimise, from the simulated motion.
+    /// Objective of both solvers, from the simulated motion.
     struct Executed<'a> {
         problem: &'a Problem,
         curves: &'a [Curve],
@@ -547,7 +562,7 @@ mod tests {
                 + 0.5 * self.alpha * pull
         }
 
-        /// Where the objective is after at most `steps`, from densities that keep the rows.
+        /// The objective after at most `steps`, from densities that keep the rows.
         fn descend(&self, rows: &Rows<'_>, mut density: Vec<f64>, steps: usize) -> f64 {
             let n = density.len();
             let mut residual = self.residual(&density);
@@ -674,7 +689,7 @@ mod tests {
         }
     }
 
-    /// By how much of itself the other solver lowers the objective, and what was proven.
+    /// Decrease of the objective by the other solver, relative, and the proven relative gap.
     fn gain(number: u64, steps: usize) -> (f64, f64) {
         let problem = problem(number);
         let Problem { desired, tif, path, limits, price, spacing_mm } = &problem;

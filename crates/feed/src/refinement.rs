@@ -1,15 +1,15 @@
-//! More nodes where they are worth most.
+//! Nodes added where they lower the objective most.
 //!
-//! Between two nodes the density is linear, and the motion uses all of what a machine allows at one end of the span only:
-//! the more the two densities differ, the less on the way. Most spans do not mind. Which ones do is seen near the
-//! minimum, where the dual variables z of their rows c are large:
+//! Between two nodes the density is linear, and the motion uses all of the acceleration at one end of the span only.
+//! The more the two densities differ, the less it uses on the way. In most spans this hardly matters. The spans in
+//! which it does are found near the minimum, where the dual variables z of their rows c are large:
 //!
 //! ```text
 //! worth of halving a span = sum over its rows of z_i (c_i halved - c_i)    nm^2      (1)
 //! ```
 //!
-//! is by how much the objective falls in the first order. A span is halved where that is more than a small fraction of
-//! the objective, and the method goes on from densities that are inside the rows of the halves, too.
+//! is the first-order decrease of the objective. A span is halved if this is more than a small fraction of the
+//! objective. The method goes on from densities that are also inside the rows of the halves.
 
 use std::ops::Range;
 
@@ -22,29 +22,33 @@ use crate::{
     mesh::{Mesh, Span},
 };
 
-/// Worth (1) over the objective per node above which a span is halved.
+/// Least worth (1) of a span that is halved, over the objective per node. Larger: fewer nodes and a larger residual.
+/// Smaller: more nodes, which take more time than they gain. Chosen.
 const LEAST_WORTH: f64 = 4e-3;
 
-/// By what the least worth grows until the method can afford the nodes.
+/// Factor by which that least worth grows until the nodes are affordable. Larger: fewer nodes than are affordable.
+/// Smaller: more meshes that are tried. Chosen.
 const DEARER: f64 = 2.0;
 
-/// What the rows of a halved span leave at least, of 1 at rest: with less the first steps would be short.
+/// Least slack of the rows of a halved span at the start, dimensionless (1 at rest). Larger: fewer spans can be
+/// halved. Smaller: short first steps. Chosen.
 const LEAST_SLACK: f64 = 0.02;
 
-/// Densities that are tried in the middle of a halved span: from the mean of those at its ends (1), which takes as long
-/// as before, to that of a constant acceleration (0), of which the rows leave most.
+/// Densities that are tried in the middle of a halved span, as weights of the mean of those at its ends. 1: this
+/// mean, with the same time as before; 0: the density of a constant acceleration, with the largest slacks. More of
+/// them: starts nearer to the mean; fewer: the opposite. Chosen.
 const TOWARDS_MEAN: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
 
 /// A mesh that is finer than another one.
 pub struct Refined {
     pub mesh: Mesh,
-    /// Where to begin on it.
+    /// Densities and dual variables from which the solver begins on it.
     pub start: Start,
-    /// For every node that of the coarser mesh with the same two neighbours, if there is one.
+    /// Node of the coarser mesh with the same two neighbours, if there is one (nodes).
     pub same: Vec<Option<usize>>,
 }
 
-/// What all meshes have in common.
+/// Inputs that are the same for all meshes.
 pub struct Given<'a> {
     pub curves: &'a [Curve],
     pub path: &'a ToolPath,
@@ -104,7 +108,8 @@ impl Given<'_> {
         Some(Refined { mesh: finer, start, same })
     }
 
-    /// For every span that is to be halved the first of [`TOWARDS_MEAN`] that the rows of its halves allow, if one does.
+    /// First value of [`TOWARDS_MEAN`] that the rows of the halves allow, for every span that is to be halved; `None`
+    /// if there is none.
     fn towards_mean(
         &self,
         mesh: &Mesh,
@@ -133,8 +138,8 @@ impl Given<'_> {
         found
     }
 
-    /// Where to begin on the finer mesh. The dual variables of rows and bounds that stay are kept; the product of new
-    /// ones and their slacks is the mean of those that were.
+    /// Start on the finer mesh. The dual variables of rows and bounds that stay are kept. New ones are chosen so that
+    /// their product with the slack is the mean of the products before.
     fn start(
         &self,
         mesh: &Mesh,
@@ -164,7 +169,7 @@ impl Given<'_> {
     }
 }
 
-/// For every node of the finer mesh that of the coarser one, if it is not new.
+/// Node of the coarser mesh for every node of the finer one; `None` for new nodes.
 fn nodes_before(mesh: &Mesh, halved: &[bool]) -> Vec<Option<usize>> {
     let of = |(span, halved): (&Span, &bool)| {
         halved.then_some(None).into_iter().chain(span.nodes[1].map(Some))

@@ -1,4 +1,4 @@
-//! How to plan.
+//! Settings of a joint plan.
 
 use planish_dwell::residual::Free;
 use planish_types::Invalid;
@@ -6,18 +6,18 @@ use serde::Serialize;
 
 use crate::merit::Price;
 
-/// How to plan.
+/// Settings of a joint plan.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// Least dwell-time density, s/mm; >= 0.
     pub min_dwell_s_per_mm: f64,
-    /// What a second costs.
+    /// Price of time.
     pub price: Price,
-    /// alpha > 0.
+    /// alpha, dimensionless; > 0.
     pub tikhonov: f64,
-    /// beta >= 0.
+    /// beta, dimensionless; >= 0.
     pub smoothness: f64,
-    /// What need not be removed.
+    /// Terms of the surface error that need not be removed.
     pub free: Free,
     /// Largest distance of the curve from a corner of the path, mm; a fifth of the TIF's width when absent.
     pub corner_deviation_mm: Option<f64>,
@@ -26,12 +26,12 @@ pub struct Settings {
     /// Largest distance of the nodes, mm; when absent 0.6 of the TIF's width, more where the solver would take too
     /// long, and less where it has little work.
     pub node_spacing_mm: Option<f64>,
-    /// How often nodes are added where they are worth most; without a spacing that is given only as far as the solver
-    /// does not take too long.
+    /// Number of refinements: each adds nodes where they lower the objective most. If no spacing is given, only as
+    /// many are made as the solver can afford.
     pub refinements: usize,
-    /// Proven distance of the objective from its least value, over it, at which the solver ends.
+    /// Proven excess of the objective over its least value, relative to it, at which the solver ends.
     pub relative_gap: f64,
-    /// Most steps of the solver.
+    /// Largest number of steps of the solver.
     pub max_iterations: usize,
 }
 
@@ -53,11 +53,12 @@ impl Default for Settings {
     }
 }
 
-/// Most refinements: so many make a thousandth of the distance of two nodes.
+/// Largest number of refinements. Larger: nodes that stand closer than any machine resolves. Smaller: settings that
+/// make sense are refused. Derived: ten halvings make a thousandth of the distance of two nodes.
 const MOST_REFINEMENTS: usize = 10;
 
 impl Settings {
-    /// That every number makes sense by itself.
+    /// Checks every number by itself.
     pub fn check(&self) -> Result<(), Invalid> {
         let (price_name, price) = match self.price {
             Price::Nm2PerS(price) => ("time_weight_nm2_per_s", price),

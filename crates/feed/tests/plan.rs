@@ -93,7 +93,8 @@ fn one_way() -> ToolPath {
     ToolPath::through(points, on, vec![0; n]).unwrap()
 }
 
-/// With nodes as far apart as on a large part: those that are taken where there is little work tell nothing more here.
+/// Settings with nodes as far apart as on a large part. The closer ones of a plan with little work test nothing more
+/// here.
 fn at_price(price: f64) -> Settings {
     let node_spacing_mm = Some(0.6);
     Settings { price: Price::Nm2PerS(price), node_spacing_mm, ..Settings::default() }
@@ -103,7 +104,7 @@ fn run(path: &ToolPath, limits: &Limits, settings: &Settings) -> Plan {
     plan(&desired(), &tif(), path, limits, settings).unwrap()
 }
 
-/// What the plan minimises, from what is executed.
+/// Objective of the plan, from the executed motion, without the pull to the floor.
 fn merit(plan: &Plan, price: f64) -> f64 {
     let rms = plan.removal.residual().statistics().rms;
     0.5 * rms * rms + price * plan.trajectory.total_time_s()

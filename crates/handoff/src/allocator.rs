@@ -1,13 +1,14 @@
 //! The allocator of every binary: mimalloc within the memory budget of the process.
 //!
-//! Large arrays come on huge pages where the system grants them, and stay with the process for the next
-//! array. With the allocator of the C library the first touch of 4 KiB pages takes a third of the time
-//! of the large cases of docs/performance.md.
+//! If the system grants huge pages, large arrays use them, and the process keeps them for the next
+//! array. With the allocator of the C library, the first access to pages of 4 KiB takes a third of
+//! the time of the large cases of docs/performance.md.
 //!
-//! Counts that a user's numbers decide are refused before they are allocated
-//! ([`planish_types::budget::affordable`]). What still grows beyond `--memory-gib`, or cannot be had
-//! from the system, ends the process with a message and the exit code 2, where the standard library
-//! would abort it. What the run has staged is removed; nothing that is shown is touched.
+//! Counts that depend on a user's numbers are refused before they are allocated
+//! ([`planish_types::budget::affordable`]). Other memory can still exceed `--memory-gib`, or the
+//! system can refuse it. The process then ends with a message and the exit code 2, whereas the
+//! standard library would abort it. Staged files of the run are removed; visible files stay as they
+//! are.
 
 use std::{
     alloc::{GlobalAlloc, Layout},
@@ -21,22 +22,24 @@ use planish_types::budget;
 
 use crate::publish;
 
-/// Bytes that a thread allocates or frees before it says so to the others: a counter that both cores
-/// write at every allocation would cost more than the allocation.
+/// Bytes that a thread allocates or frees before it adds them to the common counter. Larger: the
+/// process exceeds its budget by more before it ends. Smaller: more writes to a counter that all
+/// cores share, each of which can cost more than an allocation.
 const REPORTED_BYTES: i64 = 1 << 16;
 
-/// Bytes that all threads have reported.
+/// Bytes that all threads have added to the common counter.
 static REPORTED: AtomicI64 = AtomicI64::new(0);
 
-/// The end has begun: it may allocate what it needs.
+/// True once the process is ending. From then on the budget is not checked, so that the end can
+/// allocate memory.
 static ENDING: AtomicBool = AtomicBool::new(false);
 
 thread_local! {
-    /// Bytes of this thread that it has not reported.
+    /// Bytes of this thread that are not in the common counter yet.
     static UNREPORTED: Cell<i64> = const { Cell::new(0) };
 }
 
-/// mimalloc within the memory budget of the process; a program chooses it:
+/// Allocator mimalloc within the memory budget of the process. A program selects it:
 ///
 /// ```
 /// #[global_allocator]
@@ -46,9 +49,11 @@ thread_local! {
 pub struct Allocator;
 
 impl Allocator {
-    /// Counts `bytes` more (less where negative); ends the process where that is beyond the budget.
+    /// Adds `bytes` (negative if freed) to the count; ends the process if the sum exceeds the
+    /// budget.
     fn count(bytes: i64) {
-        // A thread that ends has no counter any more: what it still frees is not counted.
+        // A thread that ends has no counter any more; memory that it frees afterwards is not
+        // counted.
         let _ = UNREPORTED.try_with(|unreported| {
             let sum = unreported.get() + bytes;
             if sum.abs() < REPORTED_BYTES {
@@ -70,7 +75,7 @@ impl Allocator {
         });
     }
 
-    /// Ends the process where the system gave nothing.
+    /// Ends the process if the system returned no memory.
     fn checked(pointer: *mut u8, layout: Layout) -> *mut u8 {
         if pointer.is_null() && !ENDING.swap(true, Ordering::Relaxed) {
             let mib = layout.size() as f64 / (1u64 << 20) as f64;
@@ -83,14 +88,15 @@ impl Allocator {
     }
 }
 
-/// The message of a stage that could not run, its temporary files away, exit code 2.
+/// Prints the message of a stage that could not run, removes its temporary files, and ends with
+/// exit code 2.
 fn end(problem: &str) -> ! {
     let _ = writeln!(std::io::stderr(), "error: memory: {problem}");
     publish::remove_all_siblings();
     std::process::exit(2)
 }
 
-// SAFETY: every call is passed on to mimalloc unchanged, and what it returns is returned unchanged;
+// SAFETY: every call is passed on to mimalloc unchanged, and its result is returned unchanged;
 // counting touches neither pointer nor memory.
 #[allow(unsafe_code)] // a global allocator cannot be written without
 unsafe impl GlobalAlloc for Allocator {

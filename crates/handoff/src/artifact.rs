@@ -21,17 +21,18 @@ use crate::{
     publish,
 };
 
-/// Largest manifest that is read, bytes: what a method reports grows with the segments that it
-/// stretched, some hundred bytes each.
+/// Largest manifest that is read, bytes. Larger: a damaged file takes more memory and time.
+/// Smaller: manifests of long plans are refused, because some methods report about a hundred bytes
+/// for every segment that they stretched.
 const LARGEST_MANIFEST_BYTES: u64 = 1 << 28;
 
-/// A noun that can be stored as a directory of arrays.
+/// A type that can be stored as a directory of arrays.
 pub trait Artifact: Sized {
-    /// What the directory holds.
+    /// Kind of the directory.
     const KIND: &'static Kind;
     /// The arrays, in the order of the kind; optional ones may be absent at the end.
     fn to_arrays(&self) -> Vec<ArrayData<'_>>;
-    /// Back from the arrays, whose dtypes, shapes and finiteness have been checked.
+    /// The value from its arrays, whose dtypes, shapes and finiteness have been checked.
     fn from_arrays(arrays: Arrays) -> Result<Self, Invalid>;
 }
 
@@ -65,33 +66,33 @@ impl Arrays {
     }
 }
 
-/// `manifest.json`.
+/// Content of `manifest.json`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// Name of the kind.
     pub kind: String,
     /// Version of the kind's layout.
     pub version: u32,
-    /// Binary that wrote it.
+    /// Program that wrote the artifact.
     pub tool: String,
-    /// Its version.
+    /// Version of the program.
     pub tool_version: String,
-    /// Its subcommand.
+    /// Subcommand of the program.
     pub method: String,
     /// Command line.
     pub command: String,
     /// BLAKE3 of tool, version, method, settings and inputs.
     pub key: String,
-    /// What the coordinates refer to.
+    /// Frame that the coordinates refer to.
     pub frame: String,
     /// Resolved settings.
     pub settings: Value,
     /// Inputs with their hashes.
     pub inputs: Vec<InputRecord>,
-    /// Everything that it was made from, inputs of inputs included.
+    /// All artifacts and files that it was made from, inputs of inputs included.
     #[serde(default)]
     pub lineage: BTreeSet<Ancestor>,
-    /// `status` and what the method reports.
+    /// Outcome: `status` and the numbers that the method reports.
     pub outcome: Value,
     /// Arrays by name.
     pub arrays: BTreeMap<String, ArrayRecord>,
@@ -101,8 +102,8 @@ pub struct Manifest {
 }
 
 impl Manifest {
-    /// BLAKE3 of the content that the manifest describes: what a stage records as its input when it reads the artifact.
-    /// `None` for a kind that this version does not know.
+    /// BLAKE3 of the content that the manifest describes. A stage that reads the artifact records
+    /// it as its input. `None` if this version does not know the kind.
     pub fn content(&self) -> Option<String> {
         let kind = kind::ALL.iter().find(|kind| kind.name == self.kind)?;
         if kind.is_read_by_outcome() {
@@ -116,7 +117,7 @@ impl Manifest {
         Some(hasher.finalize().to_string())
     }
 
-    /// The text of the file: JSON, whose last key is the BLAKE3 of everything before it.
+    /// Text of the file: JSON whose last key is the BLAKE3 of everything before it.
     pub(crate) fn to_text(&self) -> String {
         let text = serde_json::to_string_pretty(self).expect("a manifest serialises");
         let body = text.strip_suffix("\n}").expect("a manifest has keys");
@@ -124,17 +125,17 @@ impl Manifest {
     }
 }
 
-/// What stands between the body of a manifest and its hash.
+/// Text between the body of a manifest and its hash. It is part of the format.
 const SEAL: &str = ",\n  \"seal\": \"";
 
-/// Whether the seal of a manifest is that of its body.
+/// Agreement between the seal of a manifest and its body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Seal {
-    /// It is.
+    /// The seal is the hash of the body.
     Whole,
-    /// It is not: the manifest was edited or damaged.
+    /// The seal is another hash: the manifest was edited or damaged.
     Broken,
-    /// It has none: it was written by a version that knew no seal, or by another program.
+    /// The manifest has no seal: an older version or another program wrote it.
     Absent,
 }
 
@@ -151,7 +152,7 @@ fn seal_of(text: &str) -> Seal {
     }
 }
 
-/// Something that an artifact was made from, at whatever distance.
+/// An artifact or file that an artifact was made from, directly or through others.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Ancestor {
     /// Kind of artifact, or the role of a file.
@@ -163,7 +164,7 @@ pub struct Ancestor {
 /// An input of the stage that wrote an artifact.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct InputRecord {
-    /// The flag it was given by.
+    /// Name of the flag that gave the input.
     pub role: String,
     /// Path as given.
     pub path: String,
@@ -180,9 +181,9 @@ pub struct ArrayRecord {
     pub file: String,
     /// NumPy's name of the element type.
     pub dtype: String,
-    /// Sizes.
+    /// Sizes along the axes.
     pub shape: Vec<usize>,
-    /// What runs along the axes.
+    /// Names of the axes.
     pub axes: Vec<String>,
     /// Unit of the elements.
     pub unit: String,
@@ -199,7 +200,7 @@ pub struct Loaded<T> {
     pub digest: String,
     /// `None` for a directory without a manifest.
     pub manifest: Option<Manifest>,
-    /// What the user should know, for standard error.
+    /// Warning for the user on standard error, if there is one.
     pub warning: Option<String>,
 }
 
@@ -207,8 +208,8 @@ pub struct Loaded<T> {
 pub fn read<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
     publish::finish_interrupted(&parent_of(dir));
     loop {
-        // A directory that is replaced meanwhile is read as a mixture of the old and the new one,
-        // which the hashes reveal: then it is read again.
+        // If another run replaces the directory meanwhile, the reader gets a mixture of the old and
+        // the new one. The hashes reveal that, and the directory is read again.
         let before = identity(dir);
         let result = read_once(dir);
         if result.is_ok() || identity(dir) == before {
@@ -217,7 +218,7 @@ pub fn read<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
     }
 }
 
-/// Differs when a directory has been replaced by another.
+/// Identity of a directory, which changes when another directory replaces it.
 fn identity(dir: &Path) -> Option<impl PartialEq + use<>> {
     let metadata = fs::metadata(dir).ok()?;
     #[cfg(unix)]
@@ -290,7 +291,7 @@ fn read_once<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
     Ok(Loaded { value, digest: hasher.finalize().to_string(), manifest, warning })
 }
 
-/// Refuses what is not a directory.
+/// Refuses a path that is not a directory.
 fn check_directory(dir: &Path, kind: &Kind) -> Result<(), HandoffError> {
     let problem = match fs::metadata(dir) {
         Ok(m) if m.is_dir() => return Ok(()),
@@ -302,12 +303,13 @@ fn check_directory(dir: &Path, kind: &Kind) -> Result<(), HandoffError> {
     Err(HandoffError::new(dir, format!("{problem}; {remedy}")))
 }
 
-/// The manifest in `dir`, checked against `kind`; `None` when there is none.
+/// Manifest in `dir`, checked against `kind`; `None` if there is none.
 pub fn read_manifest(dir: &Path, kind: &Kind) -> Result<Option<Manifest>, HandoffError> {
     Ok(read_sealed_manifest(dir, kind)?.map(|(manifest, _)| manifest))
 }
 
-/// The same, and whether it has a seal; one whose seal is broken is refused.
+/// Manifest in `dir`, checked against `kind`, and the state of its seal; `None` if there is none. A
+/// broken seal is refused.
 pub(crate) fn read_sealed_manifest(
     dir: &Path,
     kind: &Kind,
@@ -324,7 +326,7 @@ pub(crate) fn read_sealed_manifest(
         )
     };
     let unreadable = |e: serde_json::Error| damaged(format!("is not a manifest ({e})"));
-    // Kind and version first: a newer manifest may look different in everything else.
+    // Kind and version are checked first, because everything else may differ in a newer manifest.
     let head: ManifestHead = serde_json::from_str(&text).map_err(unreadable)?;
     if head.kind != kind.name {
         return Err(HandoffError::new(
@@ -348,7 +350,8 @@ pub(crate) fn read_sealed_manifest(
     Ok(Some((serde_json::from_str(&text).map_err(unreadable)?, seal)))
 }
 
-/// The text of a regular file of at most `most` bytes: a pipe or a device would never end.
+/// Text of a regular file of at most `most` bytes. Pipes and devices are refused, because they may
+/// never end.
 pub(crate) fn read_text(path: &Path, most: u64) -> Result<String, HandoffError> {
     String::from_utf8(read_file(path, most)?).map_err(|e| {
         let at = e.utf8_error().valid_up_to();
@@ -356,7 +359,7 @@ pub(crate) fn read_text(path: &Path, most: u64) -> Result<String, HandoffError> 
     })
 }
 
-/// The bytes of a regular file of at most `most` bytes.
+/// Bytes of a regular file of at most `most` bytes.
 pub(crate) fn read_file(path: &Path, most: u64) -> Result<Vec<u8>, HandoffError> {
     let io = |e| HandoffError::io(path, "read", &e);
     if !fs::metadata(path).map_err(io)?.is_file() {
@@ -371,21 +374,22 @@ pub(crate) fn read_file(path: &Path, most: u64) -> Result<Vec<u8>, HandoffError>
     Ok(bytes)
 }
 
-/// What every version of a manifest has.
+/// Keys that every version of a manifest has.
 #[derive(Deserialize)]
 struct ManifestHead {
     kind: String,
     version: u32,
 }
 
-/// Values of an array that are looked at together.
+/// Number of values of an array that are checked in one pass without an early exit. Larger: a bad
+/// value is found later. Smaller: less work in vectors. It does not change the result.
 const VALUES_PER_LOOK: usize = 1 << 12;
 
 fn read_array(path: &Path, def: &ArrayDef) -> Result<npy::Loaded, HandoffError> {
     let loaded = npy::read(path, def.dtype)?;
     if let ArrayData::F64(a) = &loaded.array {
         let bad = |v: f64| v.is_infinite() || (v.is_nan() && !def.nan_allowed);
-        // Without a way out of the middle the compiler makes vectors of it.
+        // The fold has no early exit, so that the compiler uses vectors.
         let any = |part: &[f64]| part.iter().fold(false, |found, v| found | bad(*v));
         let whole = a.as_slice().is_some_and(|a| !a.chunks(VALUES_PER_LOOK).any(any));
         if !whole && let Some((index, v)) = a.indexed_iter().find(|(_, v)| bad(**v)) {
@@ -404,7 +408,7 @@ fn read_array(path: &Path, def: &ArrayDef) -> Result<npy::Loaded, HandoffError> 
     Ok(loaded)
 }
 
-/// Compares `shape` with the definition; binds its symbols on first sight.
+/// Compares `shape` with the definition. A symbol gets its size where it first occurs.
 fn check_shape(
     path: &Path,
     def: &ArrayDef,
@@ -452,7 +456,7 @@ fn check_shape(
     Ok(())
 }
 
-/// `"n+1"` is ("n", 1); `"n"` is ("n", 0).
+/// Symbol and offset of a size: `"n+1"` is ("n", 1); `"n"` is ("n", 0).
 fn split_symbol(symbol: &'static str) -> (&'static str, usize) {
     symbol.strip_suffix("+1").map_or((symbol, 0), |name| (name, 1))
 }
@@ -514,7 +518,8 @@ fn default_array(
     }
 }
 
-/// Writes the arrays of an artifact into the directory `dir`; their records for the manifest.
+/// Writes the arrays of an artifact into the directory `dir`; returns their records for the
+/// manifest.
 pub(crate) fn write_arrays(
     dir: &Path,
     kind: &Kind,
@@ -524,7 +529,7 @@ pub(crate) fn write_arrays(
     assert!(lacking.iter().all(|a| a.optional_since.is_some()), "{}: its arrays", kind.name);
     let each = || kind.arrays.iter().zip(arrays);
     let file = |def: &ArrayDef| format!("{}.npy", def.name);
-    // Each by a thread of its own: what takes time is hashing and copying.
+    // Each array has its own thread, because hashing and copying take most of the time.
     let hashes = thread::scope(|scope| {
         let write = |(def, array)| {
             let path = dir.join(file(def));
@@ -549,16 +554,17 @@ pub(crate) fn write_arrays(
     Ok(each().zip(hashes).map(record).collect())
 }
 
-/// Writes `bytes` as the new file `path`, on the disk when it returns.
+/// Writes `bytes` as the new file `path`. The file is synchronised with the disk when the function
+/// returns.
 pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), HandoffError> {
     fs::File::create_new(path)
         .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_data()))
         .map_err(|e| HandoffError::io(path, "write", &e))
 }
 
-/// Whether the directory holds every file that its manifest lists; refuses one that holds a file which
-/// is not what the manifest says, byte for byte: somebody changed it or put it there, and it would be
-/// lost.
+/// Returns true if the directory holds every file that its manifest lists. Refuses a directory with
+/// a file that differs from the manifest, or is not listed. Somebody changed it or put it there,
+/// and it would be lost.
 pub(crate) fn is_complete(dir: &Path, manifest: &Manifest) -> Result<bool, HandoffError> {
     let mut known: BTreeMap<&str, &str> = BTreeMap::new();
     known.extend(manifest.arrays.values().map(|r| (r.file.as_str(), r.blake3.as_str())));

@@ -1,8 +1,9 @@
-//! The command line of every binary: its flags, and what else can be asked of them.
+//! Command line of every program: its flags, completions, manual page and description.
 //!
-//! `PROGRAM --completions SHELL` prints a completion script, `PROGRAM --man` a manual page in roff.
-//! `--describe` prints the flags as JSON. All are made from the same definition as `--help`, so they cannot drift from
-//! it. Every program also has `--memory-gib`, the memory that it may take ([`planish_types::budget`]).
+//! `PROGRAM --completions SHELL` prints a completion script, `PROGRAM --man` a manual page in roff,
+//! and `--describe` the flags as JSON. All are made from the same definition as `--help`, so they
+//! cannot differ from it. Every program also has `--memory-gib`, the memory that it may take
+//! ([`planish_types::budget`]).
 
 use std::{borrow::Cow, ffi::OsString, io::Write, process::exit};
 
@@ -19,12 +20,12 @@ use crate::{
 /// Id and name of the flag that every program has.
 const MEMORY: &str = "memory-gib";
 
-/// What stands at the end of every help page.
+/// Last paragraph of every help page.
 const ALSO: &str = "Also: --completions bash|zsh|fish|elvish|powershell prints a completion script, \
                     --man a manual page, --describe the flags as JSON.";
 
-/// The parsed command line; prints and ends the program for `--completions`, `--man`, `--describe`, `--help` and
-/// wrong usage.
+/// Parses the command line. For `--completions`, `--man`, `--describe`, `--help` and wrong usage,
+/// it prints a text and ends the program.
 pub(crate) fn parse<C: Parser>() -> C {
     let arguments: Vec<OsString> = std::env::args_os().collect();
     if let Some(text) = generated::<C>(&arguments[1..]) {
@@ -49,8 +50,8 @@ pub(crate) fn parse<C: Parser>() -> C {
     C::from_arg_matches(&matches).unwrap_or_else(|e| end(&e.format(&mut command::<C>())))
 }
 
-/// Ends the program with the help that was asked for, or with a message about wrong usage, which may hold a damaged
-/// value of any length.
+/// Ends the program with the requested help, or with a message about wrong usage. The message may
+/// contain a damaged value of any length.
 fn end(error: &clap::Error) -> ! {
     let text = error.render().to_string();
     if error.use_stderr() && matches!(shortened(&text), Cow::Owned(_)) {
@@ -60,7 +61,7 @@ fn end(error: &clap::Error) -> ! {
     error.exit()
 }
 
-/// The definition of the program, with what every program has.
+/// Definition of the program, with the flags that every program has.
 fn command<C: CommandFactory>() -> clap::Command {
     let memory = Arg::new(MEMORY)
         .long(MEMORY)
@@ -75,13 +76,13 @@ fn command<C: CommandFactory>() -> clap::Command {
     C::command().arg(memory).after_help(after_help::<C>())
 }
 
-/// The command line that started this process, quoted for a shell, under the plain name of the program.
+/// Command line that started this process, quoted for a shell, with the plain name of the program.
 pub(crate) fn as_typed(tool: &str) -> String {
     let arguments = std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned());
     words::join(std::iter::once(tool.to_string()).chain(arguments))
 }
 
-/// The value of a flag for x and y: a number for both, or two as `X,Y`.
+/// Value of a flag for x and y: a number for both, or two numbers as `X,Y`.
 pub fn pair(text: &str) -> Result<[f64; 2], String> {
     let numbers = text.split(',').map(|n| n.trim().parse::<f64>());
     match numbers.collect::<Result<Vec<_>, _>>().as_deref() {
@@ -91,8 +92,8 @@ pub fn pair(text: &str) -> Result<[f64; 2], String> {
     }
 }
 
-/// The message of a library in the words of the command line: a setting that it names in backquotes, such as
-/// `pitch_mm`, is given by the flag of the same name, --pitch-mm.
+/// Message of a library in the words of the command line. A setting that it names in backquotes,
+/// such as `pitch_mm`, becomes the flag of the same name, --pitch-mm.
 pub fn with_flags(message: &str) -> String {
     let is_name = |word: &str| {
         word.starts_with(|c: char| c.is_ascii_lowercase())
@@ -115,13 +116,13 @@ pub fn with_flags(message: &str) -> String {
     text + rest
 }
 
-/// The examples of the program, and [`ALSO`].
+/// Examples of the program, and [`ALSO`].
 fn after_help<C: CommandFactory>() -> String {
     let examples = C::command().get_after_help().map(ToString::to_string);
     examples.into_iter().chain([ALSO.to_string()]).collect::<Vec<_>>().join("\n\n")
 }
 
-/// What `arguments` ask to print, `None` when they are those of a stage.
+/// Text that `arguments` ask to print; `None` if they are those of a stage.
 fn generated<C: CommandFactory>(arguments: &[OsString]) -> Option<Result<Vec<u8>, String>> {
     let first = arguments.first()?.to_str()?;
     let (flag, value) = first.split_once('=').map_or((first, None), |(f, v)| (f, Some(v)));
@@ -145,7 +146,7 @@ fn generated<C: CommandFactory>(arguments: &[OsString]) -> Option<Result<Vec<u8>
     }
 }
 
-/// One page: the program, then each subcommand with its flags.
+/// Manual page: the program, then each subcommand with its flags.
 fn man_page(mut command: clap::Command) -> Result<Vec<u8>, String> {
     command.build();
     let mut bytes = Vec::new();

@@ -1,4 +1,5 @@
-//! A program as data: what `PROGRAM --describe` prints, for other languages to make functions of.
+//! Description of a program as data, which `PROGRAM --describe` prints. Other languages make
+//! functions from it.
 //!
 //! ```json
 //! { "program": "planish-verify", "version": "0.1.0", "about": "...",
@@ -7,8 +8,9 @@
 //!       "positional": false, "default": null, "choices": [] } ] } ] }
 //! ```
 //!
-//! A program without subcommands has one command without a name. `values` is how many values follow a flag, least and
-//! most; a switch has none. It is made from the definition that parses the command line, so the two cannot drift apart.
+//! A program without subcommands has one command without a name. `values` is the smallest and the
+//! largest number of values of a flag; a switch has none. The description is made from the
+//! definition that parses the command line, so the two cannot differ.
 
 use clap::{Arg, ArgAction, Command};
 use serde_json::{Value, json};
@@ -21,7 +23,7 @@ pub(crate) fn program(mut command: Command) -> Value {
         .filter(|c| c.get_name() != "help")
         .map(|c| one(c.get_name(), c))
         .collect();
-    // A program may also do something by itself, beside its subcommands.
+    // A program with subcommands may also run without one.
     let by_itself = !command.is_subcommand_required_set();
     let commands: Vec<Value> =
         by_itself.then(|| one("", &command)).into_iter().chain(subcommands).collect();

@@ -1,6 +1,7 @@
-//! Flags that several programs have: each has one name, one unit and one description.
+//! Flags that several programs share. Each has one name, one unit and one description.
 //!
-//! A command takes a group by `#[command(flatten)]`, and the group reads what its flags give.
+//! A command includes a group by `#[command(flatten)]`, and the group reads the inputs of its
+//! flags.
 
 // The text of a field is the help of its flag, where [JSON] is a kind of file and not a link.
 #![allow(rustdoc::broken_intra_doc_links)]
@@ -14,7 +15,7 @@ use crate::{
     Artifact, HandoffError, Inputs, Manifest, OutputFile, kind::MACHINE_FRAME, shell::warn,
 };
 
-/// The mirror: what is to be removed, and the tool that removes it.
+/// Flags of the mirror: desired removal and tool.
 #[derive(Clone, Debug, Args)]
 pub struct MirrorArgs {
     /// Desired removal [surface artifact]
@@ -26,13 +27,13 @@ pub struct MirrorArgs {
 }
 
 impl MirrorArgs {
-    /// Reads both.
+    /// Reads both artifacts.
     pub fn read(&self, inputs: &mut Inputs) -> Result<(Surface, Tif), HandoffError> {
         Ok((inputs.read("surface", &self.surface)?, inputs.read("tif", &self.tif)?))
     }
 }
 
-/// The tool path.
+/// Flag of the tool path.
 #[derive(Clone, Debug, Args)]
 pub struct PathArgs {
     /// Tool path [tool_path artifact]
@@ -41,13 +42,13 @@ pub struct PathArgs {
 }
 
 impl PathArgs {
-    /// Reads it.
+    /// Reads the tool path.
     pub fn read(&self, inputs: &mut Inputs) -> Result<ToolPath, HandoffError> {
         inputs.read("tool-path", &self.tool_path)
     }
 }
 
-/// The plan: a tool path and its dwell times.
+/// Flags of the plan: a tool path and its dwell times.
 #[derive(Clone, Debug, Args)]
 pub struct PlanArgs {
     #[command(flatten)]
@@ -58,22 +59,22 @@ pub struct PlanArgs {
 }
 
 impl PlanArgs {
-    /// Reads both; refuses dwell times that were made for another path.
+    /// Reads both artifacts. Refuses dwell times that were made for another path.
     pub fn read(&self, inputs: &mut Inputs) -> Result<(ToolPath, DwellTime), HandoffError> {
         let path = self.path.read(inputs)?;
         Ok((path, read_dwell(&self.dwell, inputs)?))
     }
 }
 
-/// Dwell times given by `--dwell`, for the path that was read before; refused where they were made for
-/// another one.
+/// Reads the dwell times of `--dwell`, for the path that was read before. Refuses dwell times that
+/// were made for another path.
 pub fn read_dwell(dir: &Path, inputs: &mut Inputs) -> Result<DwellTime, HandoffError> {
     let (dwell, manifest) = inputs.read_with_manifest("dwell", dir)?;
     inputs.refuse_unrelated("dwell", manifest.as_ref(), "tool-path")?;
     Ok(dwell)
 }
 
-/// The motion.
+/// Flag of the motion.
 #[derive(Clone, Debug, Args)]
 pub struct TrajectoryArgs {
     /// Motion [trajectory artifact]
@@ -82,12 +83,13 @@ pub struct TrajectoryArgs {
 }
 
 impl TrajectoryArgs {
-    /// Reads it.
+    /// Reads the motion.
     pub fn read(&self, inputs: &mut Inputs) -> Result<Trajectory, HandoffError> {
         inputs.read("trajectory", &self.trajectory)
     }
 
-    /// Reads it with the mirror that it runs over; warns where it was made from another one.
+    /// Reads the motion, in the coordinates of the part, and the mirror. Warns if the motion was
+    /// made from another mirror.
     pub fn read_over(
         &self,
         mirror: &MirrorArgs,
@@ -97,7 +99,7 @@ impl TrajectoryArgs {
         Self::read_mirror(trajectory, manifest.as_ref(), mirror, inputs)
     }
 
-    /// Reads it with the mirror, as a machine does: also in the machine's own coordinates.
+    /// Reads the motion, in the coordinates of the part or of the machine, and the mirror.
     pub fn read_on_machine(
         &self,
         mirror: &MirrorArgs,
@@ -107,7 +109,8 @@ impl TrajectoryArgs {
         Self::read_mirror(trajectory, manifest.as_ref(), mirror, inputs)
     }
 
-    /// Reads a motion in the coordinates of the part, with its manifest; refuses one in those of a machine.
+    /// Reads a motion in the coordinates of the part, with its manifest. Refuses a motion in
+    /// machine coordinates.
     pub fn read_on_part(
         &self,
         inputs: &mut Inputs,
@@ -125,10 +128,11 @@ impl TrajectoryArgs {
         Ok((trajectory, manifest))
     }
 
-    /// Reads a motion and a machine, and takes the motion to the axes; one that was taken to a machine already, by
-    /// planish-register, stays as it is.
+    /// Reads a motion and a machine, and transforms the motion to the axes. A motion that
+    /// planish-register has already transformed to a machine stays as it is.
     ///
-    /// Refuses a motion that was made for another machine than that of `machine`, unless the user asks for it.
+    /// Refuses a motion that was made for another machine than that of `machine`, unless
+    /// `--other-machine` accepts it.
     pub fn read_on_axes(
         &self,
         machine: &AxesArgs,
@@ -175,22 +179,23 @@ impl TrajectoryArgs {
     }
 }
 
-/// A motion in what the axes of a machine read.
+/// Motion in the coordinates of the axes of a machine.
 #[derive(Clone, Debug)]
 pub struct OnAxes {
     /// The motion.
     pub motion: Trajectory,
-    /// Program and method that made it, where its manifest says so.
+    /// Program and method that made the motion; `None` without a manifest.
     pub made_by: Option<String>,
     /// The machine.
     pub machine: Machine,
-    /// Whether it came in the coordinates of the machine.
+    /// True if the input was in machine coordinates already.
     pub was_there: bool,
-    /// What took it there, where the machine file says that the two differ.
+    /// Transform that was applied to the motion; `None` if the coordinates of part and axes are
+    /// equal, or if the motion was in machine coordinates already.
     pub part_to_axes: Option<Transform>,
 }
 
-/// The machine.
+/// Flag of the machine.
 #[derive(Clone, Debug, Args)]
 pub struct MachineArgs {
     /// Machine and its limits [JSON]
@@ -198,47 +203,48 @@ pub struct MachineArgs {
     pub machine: PathBuf,
 }
 
-/// The machine whose axes run a motion.
+/// Flags of the machine whose axes run a motion.
 #[derive(Clone, Debug, Args)]
 pub struct AxesArgs {
-    /// File.
+    /// Flag of the machine file.
     #[command(flatten)]
     pub machine: MachineArgs,
-    /// Take a motion that was made for another machine file
+    /// Accept a motion that was made for another machine file
     #[arg(long)]
     pub other_machine: bool,
 }
 
 impl MachineArgs {
-    /// Reads the limits along x and y of the part, which a plan keeps.
+    /// Reads the limits along x and y of the part, which a plan has to keep.
     pub fn read(&self, inputs: &mut Inputs) -> Result<Limits, HandoffError> {
         Ok(inputs.read_machine(&self.machine)?.limits_on_part())
     }
 }
 
-/// The least dwell time.
+/// Flags of the smallest dwell time.
 #[derive(Clone, Debug, Args)]
 pub struct FloorArgs {
-    /// Least dwell time of every dwell point, s [default: 0]
+    /// Smallest dwell time of every dwell point, s [default: 0]
     #[arg(long, value_name = "T", conflicts_with = "min_dwell_s_per_mm")]
     min_dwell_s: Option<f64>,
-    /// Least dwell time per length of the segment (1 / largest feedrate), s/mm
+    /// Smallest dwell time per length of the segment (1 / largest feedrate), s/mm
     #[arg(long, value_name = "T")]
     min_dwell_s_per_mm: Option<f64>,
-    /// Least dwell time per length that the faster axis of this machine needs, 1 / its largest velocity [JSON]
+    /// Smallest dwell time per length from a machine file, s/mm: 1 / largest velocity of its faster
+    /// axis [JSON]
     #[arg(long, value_name = "FILE", conflicts_with_all = ["min_dwell_s", "min_dwell_s_per_mm"])]
     min_dwell_of_machine: Option<PathBuf>,
 }
 
 impl FloorArgs {
-    /// The bound that was given, per dwell point or per length; 0 s where none was.
+    /// The bound of the flags, per dwell point or per length; 0 s if no flag is given.
     pub fn bound<B>(
         &self,
         seconds: fn(f64) -> B,
         seconds_per_mm: fn(f64) -> B,
     ) -> Result<B, HandoffError> {
         if let Some(file) = &self.min_dwell_of_machine {
-            // Of no further use: what follows from it is a setting, with its number.
+            // The machine is not recorded as an input, because the bound itself is a setting.
             let limits = Inputs::new().read_machine(file)?.limits_on_part();
             let fastest = limits.max_velocity_mm_per_s().into_iter().fold(0.0, f64::max);
             return Ok(seconds_per_mm(fastest.recip()));
@@ -250,7 +256,7 @@ impl FloorArgs {
     }
 }
 
-/// Where an artifact goes.
+/// Flags of the directory for an artifact.
 #[derive(Clone, Debug, Args)]
 pub struct OutputArgs {
     /// Directory to write
@@ -259,13 +265,13 @@ pub struct OutputArgs {
     /// Replace an output that was made from other inputs or settings
     #[arg(long)]
     pub force: bool,
-    /// Also write the seconds that the stage took, and the most memory that it held, to FILE, as JSON
-    /// (kept out of the artifact, which is the same for the same command)
+    /// File for the wall time of the stage, s, and its peak memory, MiB, as JSON (not part of the
+    /// artifact, which is the same for the same command)
     #[arg(long, value_name = "FILE")]
     pub wall_time: Option<PathBuf>,
 }
 
-/// Where a single file goes.
+/// Flags of a single output file.
 #[derive(Clone, Debug, Args)]
 pub struct OutputFileArgs {
     /// File to write
@@ -277,7 +283,7 @@ pub struct OutputFileArgs {
 }
 
 impl OutputFileArgs {
-    /// Refuses, before the work, a file that may not be written.
+    /// Refuses, before the work, a file that must not be written.
     pub fn begin(&self, inputs: &Inputs) -> Result<OutputFile, HandoffError> {
         OutputFile::begin("--out", &self.out, self.force, inputs)
     }

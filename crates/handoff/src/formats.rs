@@ -1,11 +1,12 @@
-//! `docs/formats.md`: the page of what is on disk.
+//! Generator of `docs/formats.md`, the page about the files of Planish.
 
 use crate::kind::ALL;
 
-/// Columns of a paragraph of the page.
+/// Largest width of a paragraph of the page, characters. Larger: lines exceed the 120 characters
+/// that a test allows.
 const PARAGRAPH_COLUMNS: usize = 110;
 
-/// A paragraph in lines of at most [`PARAGRAPH_COLUMNS`].
+/// Wraps a paragraph into lines of at most [`PARAGRAPH_COLUMNS`].
 fn wrapped(text: &str) -> String {
     let mut lines = vec![String::new()];
     for word in text.split_whitespace() {
@@ -21,7 +22,7 @@ fn wrapped(text: &str) -> String {
     lines.join("\n")
 }
 
-/// `docs/formats.md`.
+/// Text of `docs/formats.md`.
 pub fn formats_markdown() -> String {
     let mut page = String::from(FORMATS_INTRODUCTION);
     for kind in ALL {
@@ -70,7 +71,7 @@ pub fn formats_markdown() -> String {
     page
 }
 
-/// Keys of a machine file, with their units; those of an axis stand under `axes`.
+/// Keys of a machine file, with unit and meaning. Keys of an axis have the prefix `axes[]`.
 const MACHINE_KEYS: [(&str, &str, &str); 20] = [
     ("name", "-", "Name of the machine."),
     ("axes", "-", "Exactly two objects with the keys below, x first, then y."),
@@ -160,7 +161,7 @@ within the largest box of limits there that the axes can follow in every directi
 part moves the tool the other way: give the opposite sign.
 ";
 
-/// Keys of a process file, with their units.
+/// Keys of a process file, with unit and meaning.
 const PROCESS_KEYS: [(&str, &str, &str); 11] = [
     ("name", "-", "Name of the process."),
     ("errors", "-", "At least one object with the keys below."),

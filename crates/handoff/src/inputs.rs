@@ -1,4 +1,4 @@
-//! What a command reads, with the hash of each input.
+//! Inputs of a command, with the hash of each.
 
 use std::{
     collections::BTreeSet,
@@ -20,18 +20,20 @@ use crate::{
     shell::warn,
 };
 
-/// Largest JSON file that is read (a machine, a recipe, what stands beside a program), bytes.
+/// Largest JSON file that is read, bytes: a machine, a recipe, or the file beside a program.
+/// Larger: a damaged file takes more memory and time. Smaller: long files beside a program are
+/// refused.
 pub(crate) const LARGEST_JSON_BYTES: u64 = 1 << 24;
 
-/// The inputs of a command. Every reader checks what it reads, and records its place and its BLAKE3
-/// hash: the manifest of the output names them, and they decide whether an output is up to date.
+/// Inputs of a command. Every reader checks its input, and records the path and the BLAKE3 hash.
+/// The manifest of the output lists these records, and they decide whether an output is up to date.
 ///
 /// A role is the name of the flag that gives the input, without its dashes.
 #[derive(Debug)]
 pub struct Inputs {
     pub(crate) records: Vec<InputRecord>,
     pub(crate) lineage: BTreeSet<Ancestor>,
-    /// When the command began: reading is part of the time that it takes.
+    /// Start of the command. The wall time includes reading.
     pub(crate) started: Instant,
 }
 
@@ -42,7 +44,7 @@ impl Default for Inputs {
 }
 
 impl Inputs {
-    /// Nothing is read yet.
+    /// Inputs of which none is read yet.
     pub fn new() -> Self {
         Self { records: Vec::new(), lineage: BTreeSet::new(), started: Instant::now() }
     }
@@ -52,7 +54,8 @@ impl Inputs {
         Ok(self.read_with_manifest(role, dir)?.0)
     }
 
-    /// [`Self::read`], and the manifest where there is one.
+    /// Reads an input artifact as [`Self::read`] does, and returns its manifest as well, if it has
+    /// one.
     pub fn read_with_manifest<T: Artifact>(
         &mut self,
         role: &str,
@@ -72,7 +75,7 @@ impl Inputs {
         self.records.iter().find(|input| input.role == role).map(|input| input.blake3.as_str())
     }
 
-    /// Reads the manifest of an artifact whose readers take the numbers of its outcome.
+    /// Reads the manifest of an artifact whose readers use the numbers of its outcome.
     pub fn read_manifest(
         &mut self,
         role: &str,
@@ -83,7 +86,7 @@ impl Inputs {
         let (manifest, seal) = artifact::read_sealed_manifest(dir, kind)?.ok_or_else(|| {
             HandoffError::new(dir, format!("has no {MANIFEST}; give a {} directory", kind.name))
         })?;
-        // Nothing but the seal says that the outcome is what the stage found.
+        // Only the seal guarantees that the outcome is the one that the stage wrote.
         if seal != Seal::Whole {
             let problem = "has no seal: an older Planish wrote it; make it again";
             return Err(HandoffError::new(&dir.join(MANIFEST), problem));
@@ -117,7 +120,7 @@ impl Inputs {
         Ok(bytes)
     }
 
-    /// Records a file, given by the flag `--role`, that the command reads by itself, line by line.
+    /// Records a file, given by the flag `--role`, that the command itself reads line by line.
     pub fn record_file(&mut self, role: &str, path: &Path) -> Result<(), HandoffError> {
         let io = |e| HandoffError::io(path, "read", &e);
         if !fs::metadata(path).map_err(io)?.is_file() {
@@ -179,9 +182,9 @@ impl Inputs {
         });
     }
 
-    /// Refuses inputs that do not belong together: `made` (the manifest of the input `role`) was made
-    /// from another artifact of the kind of the input `from` than that one. Arrays without a manifest
-    /// say nothing of what they were made from, and pass.
+    /// Refuses inputs that do not belong together: the input `role`, whose manifest is `made`, was
+    /// made from another artifact than the input `from`. Arrays without a manifest are accepted,
+    /// because nothing states their origin.
     pub fn refuse_unrelated(
         &self,
         role: &str,
@@ -199,7 +202,8 @@ impl Inputs {
         ))
     }
 
-    /// The same as a warning, where another input makes sense: a plan on another map.
+    /// Warns in the cases in which [`Self::refuse_unrelated`] refuses. It is for combinations that
+    /// make sense, such as a plan on another map.
     pub fn warn_unrelated(&self, role: &str, made: Option<&Manifest>, from: &str) {
         if let Some(problem) = self.unrelated(role, made, from) {
             warn(problem);
@@ -217,14 +221,16 @@ impl Inputs {
         Some(format!("--{role} was made from another {kind} than --{flag} {}", from.path))
     }
 
-    /// A sentence where the motion of the manifest `made` was made for another machine file than the one that was read;
-    /// none where it names no machine, as arrays without a manifest.
+    /// Returns a sentence if the motion with the manifest `made` was made for another machine file
+    /// than the one that was read. `None` if it names no machine, such as arrays without a
+    /// manifest.
     pub fn made_for_another_machine(&self, made: Option<&Manifest>) -> Option<String> {
         let is_machine = |i: &&InputRecord| i.role == "machine";
         let here = self.records.iter().find(is_machine)?;
         let made = made?;
         let ancestors = made.lineage.iter().filter(|a| a.kind == "machine").map(|a| &a.blake3);
-        // The stage that made the motion counts, and of one that only took it elsewhere what it was made from.
+        // If the stage that wrote the motion read a machine, that machine counts. A stage that only
+        // transformed the motion read none; then the machines of its lineage count.
         let known: Vec<&String> = match made.inputs.iter().find(is_machine) {
             Some(direct) => vec![&direct.blake3],
             None => ancestors.collect(),
@@ -240,7 +246,7 @@ impl Inputs {
         })
     }
 
-    /// Refuses to write what is an input, contains one, or lies in one.
+    /// Refuses an output that is an input, contains one, or lies in one.
     pub(crate) fn refuse_overlap(&self, flag: &str, path: &Path) -> Result<(), HandoffError> {
         for input in &self.records {
             let at = Path::new(&input.path);
@@ -257,17 +263,17 @@ impl Inputs {
     }
 }
 
-/// Whether two paths lead to the same file or directory.
+/// Returns true if two paths lead to the same file or directory.
 pub(crate) fn is_same(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
-/// Whether `path` is `dir` or leads into it, links followed as far as they exist.
+/// Returns true if `path` is `dir` or leads into it. Links are followed as far as they exist.
 pub(crate) fn is_within(path: &Path, dir: &Path) -> bool {
     resolved(path).starts_with(resolved(dir))
 }
 
-/// The path without links and `..`; what does not exist yet is appended as it is.
+/// The path without links and `..`. A part that does not exist yet is appended unchanged.
 fn resolved(path: &Path) -> PathBuf {
     if let Ok(whole) = path.canonicalize() {
         return whole;

@@ -1,5 +1,4 @@
-//! What every artifact directory holds: the one table that readers, writers and
-//! `docs/formats.md` follow.
+//! Table of the kinds of artifact directories. Readers, writers and `docs/formats.md` all use it.
 
 mod spectra;
 
@@ -15,12 +14,12 @@ pub enum Dtype {
     F64,
     /// 64-bit signed integer, `<i8`.
     I64,
-    /// 0 or 1 in one byte, `|u1` (`|b1` is read too).
+    /// Unsigned byte that is 0 or 1, `|u1` (`|b1` is read too).
     U8,
 }
 
 impl Dtype {
-    /// Bytes of an element.
+    /// Number of bytes of an element.
     pub(crate) fn bytes(self) -> usize {
         match self {
             Self::F64 | Self::I64 => 8,
@@ -28,7 +27,7 @@ impl Dtype {
         }
     }
 
-    /// The name that NumPy uses.
+    /// NumPy's name of the type.
     pub fn numpy(self) -> &'static str {
         match self {
             Self::F64 => "<f8",
@@ -38,55 +37,56 @@ impl Dtype {
     }
 }
 
-/// One array of a kind.
+/// Definition of an array of a kind.
 #[derive(Debug)]
 pub struct ArrayDef {
-    /// Name; the file is `<name>.npy`.
+    /// Name of the array; its file is `<name>.npy`.
     pub name: &'static str,
     /// Element type.
     pub dtype: Dtype,
-    /// Sizes: a number, a symbol shared by the arrays of the kind, or a symbol `+1`.
+    /// Sizes along the axes: a number, a symbol shared by the arrays of the kind, or a symbol `+1`.
     pub shape: &'static [&'static str],
-    /// What runs along each axis.
+    /// Names of the axes.
     pub axes: &'static [&'static str],
     /// Unit of the elements.
     pub unit: &'static str,
-    /// Whether NaN may occur (it marks an invalid pixel).
+    /// True if NaN may occur (it marks an invalid pixel).
     pub nan_allowed: bool,
-    /// Value that stands for a missing file in a directory without a manifest.
+    /// Value of all elements if the file is missing in a directory without a manifest.
     pub default: Option<u8>,
-    /// Version of the kind in which the array came, where an artifact may lack it: one that does has the
-    /// version before, and `default` stands for it.
+    /// Version of the kind that introduced an optional array. An artifact without the array has the
+    /// version before, and its elements are `default`.
     pub optional_since: Option<u32>,
-    /// One sentence.
+    /// Description of the array in one sentence.
     pub doc: &'static str,
 }
 
-/// What a directory of this kind holds.
+/// Definition of a kind of artifact directory.
 #[derive(Debug)]
 pub struct Kind {
     /// Name in the manifest.
     pub name: &'static str,
     /// Version of the layout; a reader refuses a newer one.
     pub version: u32,
-    /// One sentence.
+    /// Description of the kind.
     pub doc: &'static str,
-    /// The frame that coordinates are in.
+    /// Frame of the coordinates.
     pub frame: &'static str,
-    /// Arrays.
+    /// Arrays, in their order.
     pub arrays: &'static [ArrayDef],
-    /// Files beside the arrays and the manifest.
+    /// Names of the files beside the arrays and the manifest.
     pub files: &'static [&'static str],
 }
 
 impl Kind {
-    /// Returns true if the readers of this kind take the numbers of the manifest's outcome, not the arrays. The outcome is
-    /// then the content that they record.
+    /// Returns true if the readers of this kind use the numbers of the manifest's outcome, not the
+    /// arrays. They then record the hash of the outcome.
     pub(crate) fn is_read_by_outcome(&self) -> bool {
         self.arrays.is_empty() || self.name == SPECIFICATION.name
     }
 
-    /// The version of a layout with the first `arrays` arrays: optional ones may be absent at the end.
+    /// Version of an artifact that has the first `arrays` arrays. Optional arrays at the end may be
+    /// absent.
     pub(crate) fn version_of(&self, arrays: usize) -> u32 {
         let lacking = &self.arrays[arrays..];
         let oldest =
@@ -106,7 +106,7 @@ const MAP_FRAME: &str =
     "part coordinates; arrays are [y, x]; row 0 is the smallest y; x and y ascend uniformly";
 const TIF_FRAME: &str =
     "offset from the tool centre (pixel - tool); arrays are [y, x]; row 0 is the smallest y";
-/// Frame of a path or a motion that was taken to a machine, which its manifest states: what the axes read.
+/// Frame of a path or a motion in the coordinates of the axes of a machine. Its manifest states it.
 pub const MACHINE_FRAME: &str = "machine coordinates; the last axis is [x, y]";
 const PATH_FRAME: &str = "part coordinates; the last axis is [x, y]";
 
@@ -137,7 +137,7 @@ const fn optional(def: ArrayDef, value: u8, since: u32) -> ArrayDef {
 const X: ArrayDef = array("x_mm", Dtype::F64, &["nx"], &["x"], "mm", "Pixel centres along x.");
 const Y: ArrayDef = array("y_mm", Dtype::F64, &["ny"], &["y"], "mm", "Pixel centres along y.");
 
-/// Measured height, or desired removal.
+/// Kind of a height map: measured surface error, or desired removal.
 pub const SURFACE: Kind = Kind {
     name: "surface",
     version: 1,
@@ -158,7 +158,7 @@ pub const SURFACE: Kind = Kind {
     files: &[],
 };
 
-/// Tool influence function.
+/// Kind of a tool influence function.
 pub const TIF: Kind = Kind {
     name: "tif",
     version: 1,
@@ -179,7 +179,7 @@ pub const TIF: Kind = Kind {
     files: &[],
 };
 
-/// Tool path.
+/// Kind of a tool path.
 pub const TOOL_PATH: Kind = Kind {
     name: "tool_path",
     version: 1,
@@ -228,7 +228,7 @@ pub const TOOL_PATH: Kind = Kind {
     files: &[],
 };
 
-/// Dwell times.
+/// Kind of the dwell times of a tool path.
 pub const DWELL: Kind = Kind {
     name: "dwell",
     version: 1,
@@ -238,7 +238,7 @@ pub const DWELL: Kind = Kind {
     files: &[],
 };
 
-/// Dwell-time density along a path; files call it by its inverse, the feed.
+/// Kind of the dwell-time density along a path. Its name in files is that of the inverse, the feed.
 pub const DWELL_DENSITY: Kind = Kind {
     name: "feed",
     version: 1,
@@ -278,7 +278,7 @@ pub const DWELL_DENSITY: Kind = Kind {
     files: &[],
 };
 
-/// Motion.
+/// Kind of a motion.
 pub const TRAJECTORY: Kind = Kind {
     name: "trajectory",
     version: 2,
@@ -336,7 +336,7 @@ pub const TRAJECTORY: Kind = Kind {
     files: &[],
 };
 
-/// Where a part lies on a machine.
+/// Kind of the position of a part on a machine.
 pub const TRANSFORM: Kind = Kind {
     name: "transform",
     version: 1,
@@ -372,7 +372,7 @@ pub const TRANSFORM: Kind = Kind {
     files: &[],
 };
 
-/// Predicted removal and residual.
+/// Kind of the predicted removal and residual.
 pub const REMOVAL: Kind = Kind {
     name: "removal",
     version: 1,
@@ -394,7 +394,7 @@ pub const REMOVAL: Kind = Kind {
     files: &[],
 };
 
-/// The run in time.
+/// Kind of the removal at chosen times of a run.
 pub const FRAMES: Kind = Kind {
     name: "frames",
     version: 1,
@@ -423,7 +423,7 @@ pub const FRAMES: Kind = Kind {
     files: &[],
 };
 
-/// The rounds of a refinement.
+/// Kind of the rounds of a refinement, or the plans of a trade-off.
 pub const ITERATIONS: Kind = Kind {
     name: "iterations",
     version: 1,
@@ -460,7 +460,7 @@ pub const ITERATIONS: Kind = Kind {
     files: &["pareto.svg"],
 };
 
-/// Whether a trajectory keeps the machine's limits.
+/// Kind of the verdict on the limits of a machine.
 pub const VERDICT: Kind = Kind {
     name: "verdict",
     version: 1,
@@ -470,7 +470,7 @@ pub const VERDICT: Kind = Kind {
     files: &[],
 };
 
-/// What the errors of a process add.
+/// Kind of the effect of process errors on a residual.
 pub const TOLERANCE: Kind = Kind {
     name: "tolerance",
     version: 1,
@@ -509,7 +509,7 @@ pub const TOLERANCE: Kind = Kind {
     files: &[],
 };
 
-/// What a run teaches.
+/// Kind of the parameters of machine and tool that a run determines.
 pub const RECONCILIATION: Kind = Kind {
     name: "reconciliation",
     version: 1,
@@ -572,7 +572,7 @@ pub const RECONCILIATION: Kind = Kind {
     files: &["reconcile.svg"],
 };
 
-/// Run again, or stop.
+/// Kind of the decision to run again or to stop.
 pub const DECISION: Kind = Kind {
     name: "decision",
     version: 1,
@@ -583,7 +583,7 @@ pub const DECISION: Kind = Kind {
     files: &[],
 };
 
-/// Runs in a row.
+/// Kind of a campaign: several runs of a mirror.
 pub const CAMPAIGN: Kind = Kind {
     name: "campaign",
     version: 1,
@@ -595,7 +595,7 @@ pub const CAMPAIGN: Kind = Kind {
     files: &["campaign.html", "campaign.svg"],
 };
 
-/// Numbers for people and programs.
+/// Kind of the report of one or several runs.
 pub const REPORT: Kind = Kind {
     name: "report",
     version: 1,
@@ -616,7 +616,7 @@ pub const REPORT: Kind = Kind {
     ],
 };
 
-/// Figures for papers and lab books.
+/// Kind of the figures of a plan, for papers and lab books.
 pub const FIGURES: Kind = Kind {
     name: "figures",
     version: 1,
@@ -651,7 +651,7 @@ pub const FIGURES: Kind = Kind {
     ],
 };
 
-/// The plans of a sweep.
+/// Kind of the results of a sweep.
 pub const SWEEP: Kind = Kind {
     name: "sweep",
     version: 1,
@@ -663,7 +663,7 @@ pub const SWEEP: Kind = Kind {
     files: &["table.csv", "report.html", "front.svg", "front-95-percent.svg"],
 };
 
-/// Every kind, in the order of the pipeline.
+/// All kinds, in the order of the pipeline.
 pub const ALL: [&Kind; 20] = [
     &SURFACE,
     &TIF,

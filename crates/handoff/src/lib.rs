@@ -1,18 +1,19 @@
-//! The only crate that knows files, and the shell that every binary shares.
+//! Files, messages and command lines: the only crate that accesses files, and the shell that all
+//! programs share.
 //!
-//! * [`Allocator`]: mimalloc, within the memory that the run may take; a program chooses it.
-//! * [`kind`]: what an artifact directory holds. One table; the readers, the writers and
-//!   `docs/formats.md` all follow it.
+//! * [`Allocator`]: mimalloc within the memory budget of the process; a program selects it.
+//! * [`kind`]: table of the kinds of artifact directories. Readers, writers and `docs/formats.md` all
+//!   use it.
 //! * [`npy`]: one array from or to a `.npy` file.
 //! * [`artifact`]: a directory of arrays with its manifest: read, checked, hashed, written whole
 //!   or not at all.
 //! * [`command_line`]: flags, and the completions and manual pages made from them.
-//! * `describe`: the same as data, for functions of other languages.
-//! * [`flags`]: groups of flags that several programs have.
-//! * [`Inputs`]: what a command reads, with its hashes.
-//! * [`Output`], [`OutputFile`]: what it writes; skipped where it is there already.
-//! * `publish`: how what a run writes appears, whole and together, and survives a power failure.
-//! * [`program`]: what `main` does; messages and exit codes.
+//! * `describe`: the flags as data, for functions of other languages.
+//! * [`flags`]: groups of flags that several programs share.
+//! * [`Inputs`]: the inputs of a command, with their hashes.
+//! * [`Output`], [`OutputFile`]: the outputs of a command; skipped if they are up to date.
+//! * `publish`: makes the outputs of a run visible, whole and together, safe against power failures.
+//! * [`program`]: the body of every `main`; messages and exit codes.
 //! * [`words`]: several words in one text, as a shell reads them.
 //!
 //! The `main.rs` of a program that doubles every dwell time:
@@ -82,14 +83,14 @@ pub use output::{Begin, Output, OutputFile, Task, Writer, save};
 pub use publish::is_temporary;
 pub use shell::{Failure, Status, program, say, warn};
 
-/// A file or directory that cannot be used. The message names the file, the place, the value and
-/// what to do about it.
+/// A file or directory that cannot be used. The message states the file, the place, the value and
+/// the remedy.
 #[derive(Debug, thiserror::Error)]
 #[error("{path}: {problem}")]
 pub struct HandoffError {
     /// The file or directory.
     pub path: String,
-    /// What is wrong and what to do.
+    /// The fault and its remedy.
     pub problem: String,
 }
 

@@ -1,22 +1,27 @@
-//! Messages on standard error: what could command a terminal is spelt out, and none is longer than a screen.
+//! Messages on standard error. Characters that could command a terminal are escaped, and no message
+//! is longer than a screen.
 
 use std::{borrow::Cow, io::Write};
 
 use planish_types::text;
 
-/// Most characters of a message. It begins with the file and the problem and ends with the remedy; what is longer repeats
-/// a damaged value. Larger: such a value fills the screen; smaller: a list of settings would be cut.
+/// Largest length of a message, characters. It begins with the file and the problem and ends with
+/// the remedy; a longer message repeats a damaged value. Larger: such a value fills the screen.
+/// Smaller: a list of settings would be cut.
 const MOST_CHARACTERS: usize = 4000;
 
-/// Characters of a longer message that are kept at its beginning and at its end.
+/// Number of characters of a longer message that are kept at its beginning and at its end. Larger:
+/// more of a damaged value. Smaller: the problem or the remedy is cut. Their sum has to be below
+/// [`MOST_CHARACTERS`].
 const KEPT_CHARACTERS: [usize; 2] = [1200, 800];
 
-/// Lines on standard error; a closed pipe is not an error.
+/// Prints lines on standard error; a closed pipe is not an error.
 pub(crate) fn complain(message: &str) {
     let _ = writeln!(std::io::stderr(), "{}", shortened(&without_commands(message)));
 }
 
-/// A message of at most [`MOST_CHARACTERS`]: of a longer one the middle is left out, and how much that is said.
+/// Shortens a message to [`MOST_CHARACTERS`]. It replaces the middle of a longer one by the number
+/// of omitted characters.
 pub(crate) fn shortened(message: &str) -> Cow<'_, str> {
     let count = message.chars().count();
     if count <= MOST_CHARACTERS {
@@ -29,7 +34,8 @@ pub(crate) fn shortened(message: &str) -> Cow<'_, str> {
     Cow::Owned(format!("{begin} [... {left_out} characters are left out ...] {end}"))
 }
 
-/// The lines of `message` with what could command a terminal spelt out: names of files are in it.
+/// Escapes the characters in the lines of `message` that could command a terminal; file names may
+/// contain such characters.
 pub(crate) fn without_commands(message: &str) -> String {
     message.split('\n').map(text::visible).collect::<Vec<_>>().join("\n")
 }

@@ -1,4 +1,4 @@
-//! How the nouns become arrays and come back.
+//! Conversion of the types of `planish_types` to arrays and back.
 
 use ndarray::{Array1, Array2, Array3, ArrayD, Ix1, Ix2};
 use planish_types::{

@@ -1,4 +1,4 @@
-//! One array from or to a `.npy` file, with messages a NumPy user understands.
+//! One array from or to a `.npy` file, with messages that a NumPy user understands.
 
 use std::{
     fs::File,
@@ -12,14 +12,17 @@ use planish_types::budget;
 
 use crate::{HandoffError, kind::Dtype};
 
-/// Longest header that is parsed, bytes. NumPy writes 118 for a plain array; a longer header
-/// is a structured dtype or not a header at all.
+/// Longest header that is parsed, bytes. Larger: a damaged length takes more time and memory.
+/// Smaller: plain arrays could be refused; NumPy writes 118 bytes for one. A longer header is a
+/// structured dtype or no header at all.
 const MAX_HEADER_BYTES: usize = 1024;
 
-/// Magic string, version and length field before the header take 12 bytes at most.
+/// Bytes at the beginning of a file that contain its header. Derived: magic string, version and
+/// length field before the header take 12 bytes at most.
 const MAX_PREFIX_BYTES: u64 = 12 + MAX_HEADER_BYTES as u64;
 
-/// An array of one of the three element types, in C order; of what is written, without a copy.
+/// An array of one of the three element types, in C order. An array to be written is borrowed, not
+/// copied.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ArrayData<'a> {
     /// `<f8`.
@@ -49,7 +52,7 @@ impl ArrayData<'_> {
         }
     }
 
-    /// The bytes of a `.npy` file.
+    /// Bytes of a `.npy` file.
     pub fn to_npy(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
         self.write_npy(&mut bytes).expect("writing to memory cannot fail");
@@ -69,14 +72,15 @@ impl ArrayData<'_> {
     }
 }
 
-/// A file and the BLAKE3 of what has been read from it or written to it: a large array is in memory
-/// once.
+/// A file and the BLAKE3 of the bytes read from it or written to it. Hashing needs no second copy
+/// of a large array.
 struct Hashed<F> {
     file: F,
     hasher: blake3::Hasher,
 }
 
-/// Bytes that are hashed while they are in the cache.
+/// Number of bytes that are hashed at a time. Larger: they leave the cache before they are hashed.
+/// Smaller: more calls. It does not change the hash.
 const CHUNK_BYTES: usize = 1 << 18;
 
 impl<F> Hashed<F> {
@@ -110,7 +114,8 @@ impl<F: Write> Write for Hashed<F> {
     }
 }
 
-/// Writes `array` as the new file `path`, on the disk when it returns; returns its BLAKE3.
+/// Writes `array` as the new file `path`; returns its BLAKE3. The file is synchronised with the
+/// disk when the function returns.
 pub(crate) fn write(path: &Path, array: &ArrayData) -> Result<String, HandoffError> {
     let mut file = None;
     File::create_new(path)
@@ -122,7 +127,7 @@ pub(crate) fn write(path: &Path, array: &ArrayData) -> Result<String, HandoffErr
     Ok(file.expect("it was written").finish())
 }
 
-/// The BLAKE3 of the regular file `path`: a pipe or a device would never end.
+/// BLAKE3 of the regular file `path`. Pipes and devices are refused, because they may never end.
 pub(crate) fn hash(path: &Path) -> io::Result<String> {
     if !path.metadata()?.is_file() {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, "is not a file"));
@@ -139,15 +144,15 @@ pub struct Loaded {
     pub array: ArrayData<'static>,
     /// BLAKE3 of the file.
     pub blake3: String,
-    /// What the file holds where it is another element type or order, and was converted exactly:
-    /// "holds >f4 in Fortran order, converted exactly".
+    /// Note about an exact conversion, if the file has another element type or order: "holds >f4 in
+    /// Fortran order, converted exactly".
     pub note: Option<String>,
 }
 
 /// Reads `path` as an array of `dtype`. Other element types, byte orders and Fortran order are
-/// converted where no value changes; what is not exact is refused.
+/// converted if no value changes, and refused otherwise.
 ///
-/// Nothing is allocated beyond the elements that the file has, whatever its header says.
+/// Whatever the header says, only the elements that the file has are allocated.
 pub fn read(path: &Path, dtype: Dtype) -> Result<Loaded, HandoffError> {
     let io = |e: io::Error| HandoffError::io(path, "read", &e);
     let invalid = |problem: String| HandoffError::new(path, problem);
@@ -156,7 +161,7 @@ pub fn read(path: &Path, dtype: Dtype) -> Result<Loaded, HandoffError> {
     }
     let file = File::open(path).map_err(io)?;
     let file_bytes = file.metadata().map_err(io)?.len();
-    // The header decides before the rest is read: a file may claim any size.
+    // The header is checked before the rest is read, because a file may claim any size.
     let mut prefix = Vec::new();
     (&file).take(MAX_PREFIX_BYTES).read_to_end(&mut prefix).map_err(io)?;
     let stored = check(&prefix, file_bytes, dtype).map_err(invalid)?;
@@ -165,7 +170,7 @@ pub fn read(path: &Path, dtype: Dtype) -> Result<Loaded, HandoffError> {
     Ok(Loaded { array, blake3: whole.finish(), note: stored.note(dtype) })
 }
 
-/// The array in the bytes of a `.npy` file, or what is wrong with them.
+/// The array in the bytes of a `.npy` file, or a message about the fault.
 pub fn parse(bytes: &[u8], dtype: Dtype) -> Result<ArrayData<'static>, String> {
     let stored = check(bytes, bytes.len() as u64, dtype)?;
     array(bytes, dtype, &stored)
@@ -197,7 +202,7 @@ fn array(
     })
 }
 
-/// What the header of a file says.
+/// Content of the header of a file.
 #[derive(Debug)]
 struct Stored {
     descriptor: String,
@@ -208,17 +213,17 @@ struct Stored {
 }
 
 impl Stored {
-    /// Whether the elements are read as they are.
+    /// Returns true if the elements need no conversion.
     fn is_as_wanted(&self, dtype: Dtype) -> bool {
         self.descriptor == dtype.numpy() && (!self.is_fortran || self.is_flat())
     }
 
-    /// At most one axis is longer than 1: both orders are the same.
+    /// Returns true if at most one axis is longer than 1, so that both orders are the same.
     fn is_flat(&self) -> bool {
         self.shape.iter().filter(|n| **n > 1).count() <= 1
     }
 
-    /// What the user should know of the conversion. NumPy's booleans are what it calls 0 and 1.
+    /// Note about the conversion for the user. Booleans read as 0 and 1 need none.
     fn note(&self, dtype: Dtype) -> Option<String> {
         let as_flags = dtype == Dtype::U8 && self.element.class == Class::Bool;
         let reordered = self.is_fortran && !self.is_flat();
@@ -229,8 +234,8 @@ impl Stored {
         Some(format!("holds {}{order}, converted exactly", self.descriptor))
     }
 
-    /// The array of `values` in C order, each by `exact`; an error that names the first one that would
-    /// change.
+    /// Array of `values` in C order, each converted by `exact`. The error names the first value
+    /// that would change.
     fn converted<T: Clone>(
         &self,
         values: impl Iterator<Item = Value>,
@@ -268,7 +273,7 @@ impl Stored {
     }
 }
 
-/// An element type of NumPy that a number can be read from.
+/// Element type of NumPy that can be read as a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Element {
     class: Class,
@@ -284,7 +289,7 @@ enum Class {
     Float,
 }
 
-/// An element as it is stored.
+/// Stored value of an element.
 #[derive(Clone, Copy, Debug)]
 enum Value {
     Integer(i128),
@@ -292,7 +297,7 @@ enum Value {
 }
 
 impl Element {
-    /// By NumPy's name: byte order, class, bytes.
+    /// Element type from NumPy's name: byte order, class, bytes.
     fn of(descriptor: &str) -> Option<Self> {
         let (order, rest) = descriptor.split_at_checked(1)?;
         let (class, bytes) = rest.split_at_checked(1)?;
@@ -358,8 +363,8 @@ impl std::fmt::Display for Value {
     }
 }
 
-/// Whether a file of `file_bytes` that starts with `bytes` (its whole header at least) holds
-/// exactly one array that can be one of `dtype`.
+/// Checks that a file of `file_bytes` holds exactly one array that can be read as `dtype`. `bytes`
+/// is its beginning, with the whole header at least.
 fn check(bytes: &[u8], file_bytes: u64, dtype: Dtype) -> Result<Stored, String> {
     if file_bytes == 0 {
         return Err("is empty (0 bytes); write it with numpy.save".into());
@@ -409,7 +414,7 @@ fn check(bytes: &[u8], file_bytes: u64, dtype: Dtype) -> Result<Stored, String> 
     }
     let is_fortran = header.layout.is_fortran();
     let stored = Stored { descriptor, element, is_fortran, shape, header_bytes };
-    // A conversion holds the file beside the array.
+    // A conversion needs memory for the file beside the array.
     let conversion = if stored.is_as_wanted(dtype) { 0 } else { element.bytes };
     let elements = count.unwrap_or(u64::MAX) as f64;
     budget::affordable("array", elements, dtype.bytes() + conversion, "give a smaller array")
@@ -417,13 +422,14 @@ fn check(bytes: &[u8], file_bytes: u64, dtype: Dtype) -> Result<Stored, String> 
     Ok(stored)
 }
 
-/// C order in memory.
+/// The array in C order.
 fn standard<T: Clone>(array: ArrayD<T>) -> ArrayD<T> {
     if array.is_standard_layout() { array } else { array.as_standard_layout().into_owned() }
 }
 
-/// Where the header ends, checked before anything is parsed: the parser's time grows
-/// exponentially with nested brackets, and it allocates what the length field says.
+/// Number of bytes up to the end of the header. It is checked before anything is parsed, because
+/// the time of the parser grows exponentially with nested brackets, and it allocates as much as the
+/// length field says.
 fn header_end(bytes: &[u8]) -> Result<usize, String> {
     const MAGIC: &[u8] = b"\x93NUMPY";
     if !bytes.starts_with(MAGIC) {
@@ -443,7 +449,7 @@ fn header_end(bytes: &[u8]) -> Result<usize, String> {
     if bytes.len() < end {
         return Err(truncated());
     }
-    // A plain array has the bracket of the dictionary and that of the shape.
+    // A plain array has two opening brackets: that of the dictionary and that of the shape.
     if bytes[8..end].iter().filter(|b| b"([{".contains(b)).count() > 2 {
         return Err("holds structured records or has a broken header; save a plain array".into());
     }
@@ -459,12 +465,12 @@ mod tests {
     #[test]
     #[cfg(unix)]
     fn what_is_no_file_has_no_hash() {
-        // It would never end.
+        // Reading it would never end.
         assert!(hash(Path::new("/dev/zero")).is_err());
         assert!(hash(Path::new("/")).is_err());
     }
 
-    /// A `.npy` file of version 1 with this header dictionary and data.
+    /// A `.npy` file of version 1 with the header `dictionary` and `data`.
     fn file(dictionary: &str, data: &[u8]) -> Vec<u8> {
         let mut header = dictionary.to_string();
         header.push('\n');
@@ -583,7 +589,7 @@ mod tests {
             ArrayData::F64(array![[1.0, 3.0, 5.0], [2.0, 4.0, 6.0]].into_dyn().into())
         );
 
-        // What would change is refused with its place.
+        // A value that would change is refused with its place.
         let data = [1i64, (1 << 53) + 1].map(i64::to_le_bytes).concat();
         let message = parse(&file(&dictionary("<i8", "False", "(2,)"), &data), Dtype::F64);
         let message = message.unwrap_err();

@@ -1,6 +1,6 @@
-//! What a command writes: directories with manifests and single files.
+//! Outputs of a command: directories with manifests, and single files.
 //!
-//! Everything that one run writes appears together, whole, when the last of it has been written.
+//! All outputs of one run appear together, whole, when the last of them has been written.
 
 use std::{
     fs::{self, File},
@@ -28,14 +28,16 @@ use crate::{
     shell::{Failure, Status, say},
 };
 
-/// How often the progress on a terminal is drawn anew: the first time after this long.
+/// Period at which the progress on a terminal is redrawn, and delay before it first appears.
+/// Larger: the bar lags. Smaller: short stages flash a bar.
 const PROGRESS_PERIOD: Duration = Duration::from_millis(250);
 
-/// Steps of the bar.
+/// Number of steps of the progress bar. Larger: no visible change. Smaller: the bar moves in jumps,
+/// and the remaining time is estimated later.
 const PROGRESS_STEPS: u64 = 1000;
 
-/// What is done with the inputs: the program, its method, and every setting with its resolved value.
-/// Together with the hashes of the inputs it decides whether an output is up to date.
+/// Work of a run: the program, its method, and every setting with its resolved value. Together with
+/// the hashes of the inputs, it decides whether an output is up to date.
 #[derive(Clone, Debug)]
 pub struct Task {
     tool: &'static str,
@@ -45,8 +47,8 @@ pub struct Task {
 }
 
 impl Task {
-    /// What the version `tool_version` of `tool` does by `method`; [`task!`](crate::task) knows the
-    /// first two.
+    /// Work of version `tool_version` of `tool` by `method`. The macro [`task!`](crate::task) fills
+    /// in the first two.
     pub fn new(
         tool: &'static str,
         tool_version: &'static str,
@@ -58,7 +60,7 @@ impl Task {
     }
 }
 
-/// `task!(method, settings)`: the [`Task`] of the package in which it stands.
+/// `task!(method, settings)`: the [`Task`] of the package that calls the macro.
 #[macro_export]
 macro_rules! task {
     ($method:expr, $settings:expr) => {
@@ -66,7 +68,7 @@ macro_rules! task {
     };
 }
 
-/// What a run is to write: artifact directories, each of a kind of its own, and files beside them.
+/// Announced outputs of a run: artifact directories of different kinds, and files beside them.
 #[derive(Debug)]
 pub struct Output {
     args: OutputArgs,
@@ -76,23 +78,24 @@ pub struct Output {
 
 #[derive(Debug)]
 struct Directory {
-    /// The flag that gives it.
+    /// Flag that gives the path.
     flag: &'static str,
     path: PathBuf,
     kind: &'static Kind,
 }
 
-/// Whether there is work to do.
+/// Result of the check whether there is work to do.
 #[derive(Debug)]
 pub enum Begin {
-    /// The output is there already, made from the same inputs and settings, and ended like this.
+    /// The output exists, made from the same inputs and settings, and its run ended with this
+    /// status.
     Unchanged(Status),
-    /// Run, and write what was announced.
+    /// There is work to do; the writer writes the announced outputs.
     Run(Box<Writer>),
 }
 
 impl Begin {
-    /// The writer, where there is work to do.
+    /// The writer, if there is work to do.
     pub fn writer(self) -> Option<Writer> {
         match self {
             Self::Unchanged(_) => None,
@@ -102,13 +105,13 @@ impl Begin {
 }
 
 impl Output {
-    /// An artifact of this kind as the directory `--out`.
+    /// An output of one artifact of this kind, in the directory `--out`.
     pub fn directory(args: &OutputArgs, kind: &'static Kind) -> Self {
         Self { args: args.clone(), directories: Vec::new(), files: Vec::new() }
             .and_directory("--out", &args.out, kind)
     }
 
-    /// Artifacts as directories of these names in `--out`.
+    /// An output of several artifacts, in directories of these names in `--out`.
     pub fn directories<const N: usize>(
         args: &OutputArgs,
         parts: [(&str, &'static Kind); N],
@@ -120,7 +123,7 @@ impl Output {
         parts.into_iter().fold(empty, add)
     }
 
-    /// One more artifact, as the directory given by `flag`.
+    /// Adds an artifact, in the directory given by `flag`.
     pub fn and_directory(mut self, flag: &'static str, path: &Path, kind: &'static Kind) -> Self {
         let is_new = self.directories.iter().all(|d| d.kind.name != kind.name);
         assert!(is_new, "a run writes one {} at most: its kind says where it goes", kind.name);
@@ -128,14 +131,14 @@ impl Output {
         self
     }
 
-    /// One more file, given by `flag`: a picture of the artifact, say.
+    /// Adds a file, given by `flag`, such as a picture of the artifact.
     pub fn and_file(mut self, flag: &'static str, path: &Path) -> Self {
         self.files.push((flag, plain(path)));
         self
     }
 
-    /// Call when all inputs and settings are known, before the work: refuses an output that may not be
-    /// replaced, and says so when there is nothing to do.
+    /// Checks the outputs. Call it before the work, when all inputs and settings are known. It
+    /// refuses an output that must not be replaced, and tells the user if there is nothing to do.
     pub fn begin(self, task: &Task, inputs: &Inputs) -> Result<Begin, HandoffError> {
         self.check_wall_time(inputs)?;
         self.refuse_overlap_within()?;
@@ -157,8 +160,8 @@ impl Output {
         Ok(Begin::Run(Box::new(self.writer(task, inputs))))
     }
 
-    /// How the artifact ended that stands in the place of this one, when it is what this run would make,
-    /// else `None`; an error when something there may not be replaced.
+    /// Status of the existing artifact in this place, if it is the one that this run would make;
+    /// otherwise `None`. An artifact that must not be replaced is an error.
     fn state_of(
         &self,
         directory: &Directory,
@@ -195,7 +198,7 @@ impl Output {
         Err(HandoffError::new(dir, problem))
     }
 
-    /// Refuses places of which one would replace or contain another.
+    /// Refuses outputs of which one would replace or contain another.
     fn refuse_overlap_within(&self) -> Result<(), HandoffError> {
         for (i, one) in self.directories.iter().enumerate() {
             for other in &self.directories[..i] {
@@ -218,7 +221,7 @@ impl Output {
         Ok(())
     }
 
-    /// Refuses a file for `--wall-time` that would be lost or in the way of the output.
+    /// Refuses a file for `--wall-time` that would be lost, or that is in the way of the output.
     fn check_wall_time(&self, inputs: &Inputs) -> Result<(), HandoffError> {
         let Some(file) = &self.args.wall_time else { return Ok(()) };
         if self.directories.iter().any(|d| is_within(file, &d.path)) {
@@ -268,41 +271,44 @@ impl Output {
     }
 }
 
-/// Decides whether an existing output is what this run would make.
+/// Key of the work and its inputs. An existing output with the same key is the one that this run
+/// would make.
 fn key(task: &Task, inputs: &Inputs) -> String {
     let inputs: Vec<_> = inputs.records.iter().map(|i| (&i.role, &i.kind, &i.blake3)).collect();
     let key = json!([task.tool, task.tool_version, task.method, task.settings, inputs]);
     blake3::hash(key.to_string().as_bytes()).to_string()
 }
 
-/// Writes what an [`Output`] announced, each once; it all appears with the last of it.
+/// Writer of the outputs that an [`Output`] announced, each once. All of them appear when the last
+/// one is written.
 #[derive(Debug)]
 pub struct Writer {
-    /// What all manifests of the run have in common.
+    /// Keys that all manifests of the run share.
     manifest: Manifest,
-    /// What is still to come: directories, each with whether it was there when the run began, and files.
+    /// Outputs that are not written yet: directories, each with a flag that it existed when the run
+    /// began, and files.
     directories: Vec<(Directory, bool)>,
     files: Vec<PathBuf>,
     force: bool,
     wall_time: Option<PathBuf>,
     started: Instant,
-    /// What is written and not shown yet.
+    /// Outputs that are written and not visible yet.
     staged: Vec<Staged>,
     progress: ProgressBar,
     /// Seconds of every round of the work that has ended.
     rounds: Arc<Mutex<Vec<f64>>>,
-    /// What coordinates refer to, where this is not what the kind says.
+    /// Frame of the coordinates, if it is not that of the kind.
     frame: Option<&'static str>,
 }
 
 impl Writer {
-    /// What the coordinates of the artifacts of this run refer to, where it is not what their kind says: to a
-    /// machine, say.
+    /// Sets the frame of the coordinates of the artifacts of this run, if it is not that of their
+    /// kind: machine coordinates, for example.
     pub fn set_frame(&mut self, frame: &'static str) {
         self.frame = Some(frame);
     }
 
-    /// Seconds that each round of the work took, where it has rounds: [`progress::round_ended`].
+    /// Time of each round of the work, s ([`progress::round_ended`]); empty if it has no rounds.
     pub fn round_s(&self) -> Vec<f64> {
         self.rounds.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -368,7 +374,7 @@ impl Writer {
             return Ok(()); // more is to come
         }
         publish::publish(std::mem::take(&mut self.staged))?;
-        // What is said from now on is not mixed with it.
+        // The bar is removed first, so that later messages are not mixed with it.
         self.progress.finish_and_clear();
         self.write_wall_time()
     }
@@ -390,8 +396,8 @@ impl Drop for Writer {
     }
 }
 
-/// On a terminal: what runs, and for how long; as soon as the work says how far it is, a bar, and how long it will take
-/// yet. Nothing in a pipe.
+/// Starts the progress display on a terminal: the name of the work and its elapsed time. As soon as
+/// the work reports a fraction, it adds a bar and the remaining time. In a pipe it shows nothing.
 fn shown_progress(message: String) -> ProgressBar {
     let style = |template| ProgressStyle::with_template(template).expect("a valid template");
     let bar = ProgressBar::hidden();
@@ -414,7 +420,7 @@ fn shown_progress(message: String) -> ProgressBar {
     bar
 }
 
-/// The seconds of every round that ends from now on.
+/// Collects the time of every round that ends from now on, s.
 fn watched_rounds() -> Arc<Mutex<Vec<f64>>> {
     let rounds = Arc::new(Mutex::new(Vec::new()));
     let (to, begun) = (rounds.clone(), Mutex::new(Instant::now()));
@@ -427,7 +433,7 @@ fn watched_rounds() -> Arc<Mutex<Vec<f64>>> {
     rounds
 }
 
-/// Writes `value` as the artifact `dir`, made from nothing, in place of one that stands there: for
+/// Writes `value` as the artifact `dir`, without inputs, and replaces an existing one. It is for
 /// programs that make inputs of their own, such as tests.
 pub fn save<T: Artifact>(dir: &Path, value: &T) -> Result<(), HandoffError> {
     let args = OutputArgs { out: dir.into(), force: true, wall_time: None };
@@ -436,7 +442,7 @@ pub fn save<T: Artifact>(dir: &Path, value: &T) -> Result<(), HandoffError> {
     writer.write(value, json!({}), &Status::Done)
 }
 
-/// A single file without a manifest that a command is to write.
+/// Output of a command that is a single file without a manifest.
 #[derive(Debug)]
 pub struct OutputFile {
     path: PathBuf,
@@ -444,8 +450,8 @@ pub struct OutputFile {
 }
 
 impl OutputFile {
-    /// Call before the work: refuses `path`, given by `flag`, where it is an input or a directory, or
-    /// exists and `force` does not say to replace it.
+    /// Checks the file; call it before the work. It refuses `path`, given by `flag`, if it is an
+    /// input or a directory. It also refuses an existing file, unless `force` is true.
     pub fn begin(
         flag: &str,
         path: &Path,
@@ -461,7 +467,7 @@ impl OutputFile {
         show_file(&self.path, self.force, bytes)
     }
 
-    /// Writes a file that is too large to be held in memory.
+    /// Writes a file that is too large for memory.
     pub fn write_by(
         self,
         write: impl FnOnce(&mut File) -> Result<(), Failure>,
@@ -471,7 +477,7 @@ impl OutputFile {
         Ok(publish::publish(vec![staged])?)
     }
 
-    /// Writes several files, which appear together.
+    /// Writes several files, which become visible together.
     pub fn write_together<const N: usize>(files: [(Self, &[u8]); N]) -> Result<(), HandoffError> {
         let stage = |(file, bytes): (Self, &[u8])| {
             let mut staged = Staged::file(&file.path, file.force)?;
@@ -504,7 +510,7 @@ fn show_file(path: &Path, replace: bool, bytes: &[u8]) -> Result<(), HandoffErro
     publish::publish(vec![staged])
 }
 
-/// What `--wall-time` writes.
+/// Content of the file of `--wall-time`.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct WallTime {
@@ -512,7 +518,8 @@ struct WallTime {
     peak_memory_mb: Option<f64>,
 }
 
-/// The most memory that this process has held, in 2^20 bytes, where the system tells (Linux).
+/// Peak memory of this process, in 2^20 bytes; `None` if the system does not report it (other than
+/// Linux).
 fn peak_memory_mb() -> Option<f64> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
@@ -520,7 +527,8 @@ fn peak_memory_mb() -> Option<f64> {
     Some((kilobytes / 1024.0).round())
 }
 
-/// Whether the output directory is there; an error when it is something else or cannot be.
+/// Returns true if the output directory exists. A path that is something else, or cannot be
+/// created, is an error.
 fn output_exists(flag: &str, dir: &Path) -> Result<bool, HandoffError> {
     let problem = match fs::metadata(dir) {
         Ok(m) if m.is_dir() => return Ok(true),
@@ -541,8 +549,8 @@ fn output_exists(flag: &str, dir: &Path) -> Result<bool, HandoffError> {
     Err(HandoffError::new(dir, format!("{problem}; choose another {flag}")))
 }
 
-/// Whether the file was written before this program was built: a developer changed the program,
-/// and its version does not say so.
+/// Returns true if the file was written before this program was built. A developer may change the
+/// program without a change of its version.
 fn older_than_this_program(file: &Path) -> bool {
     let modified = |path: &Path| fs::metadata(path).and_then(|m| m.modified()).ok();
     let program = std::env::current_exe().ok().and_then(|p| modified(&p));

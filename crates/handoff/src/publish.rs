@@ -1,21 +1,22 @@
-//! How what a run writes appears: whole, all of it together, and still there after a power failure.
+//! Publication of the outputs of a run: whole, all of them together, and safe against power
+//! failures.
 //!
-//! A kill, a full disk or a power failure may come at any moment, and another run may write the same
-//! place. So nothing is ever written where it is to stand:
+//! A kill, a full disk or a power failure may happen at any moment, and another run may write to
+//! the same place. Therefore nothing is ever written in its final place:
 //!
 //! 1. every directory and file is written as a sibling of its place, `.planish-PID-N.tmp`, which the
 //!    process holds by an advisory lock;
 //! 2. the contents, then the directories, are synchronised with the disk;
-//! 3. where several appear together, a journal `.planish-PID-N.journal` says what is to go where;
-//! 4. each is renamed into its place, in exchange for what stood there, and the directory above is
-//!    synchronised; the journal goes, then what was replaced.
+//! 3. if several outputs appear together, a journal `.planish-PID-N.journal` lists their renames;
+//! 4. each output is renamed into its place, in exchange for the previous one, and its parent
+//!    directory is synchronised; then the journal is removed, and after it the previous outputs.
 //!
-//! During steps 3 and 4 the process holds advisory locks on all directories in which something appears,
-//! so that what two runs write together does not mix. A process that ends there leaves its
-//! journal. Whoever reads or writes there next finishes the renames under the same locks, so that a
-//! reader sees all of a run or nothing of it. A process that ends earlier leaves siblings without a
-//! journal; their lock is free, so the next run removes them. On SIGINT and SIGTERM a process removes its
-//! own. A file system without advisory locks (some network file systems) keeps all of this but for the
+//! During steps 3 and 4 the process holds advisory locks on all parent directories, so that the
+//! outputs of two runs do not mix. A process that ends there leaves its journal. The next reader or
+//! writer finishes the renames under the same locks, so a reader sees all of a run or nothing of
+//! it. A process that ends earlier leaves siblings without a journal; their lock is free, so the
+//! next run removes them. On SIGINT and SIGTERM a process removes its own siblings. On a file
+//! system without advisory locks (some network file systems), all of this holds, except for the
 //! order of two runs into one place.
 
 mod journal;
@@ -44,16 +45,19 @@ pub(crate) use self::{
 };
 pub use sibling::is_temporary;
 
-/// Most attempts to let one artifact appear while other runs put something into its place or take it away. A run holds the
-/// directory meanwhile, so that more than a few mean a place that takes no name at all. Larger: later message.
+/// Largest number of attempts to rename one output into its place while other runs create or remove
+/// something there. Larger: a later message if the place accepts no name at all. Smaller: a run can
+/// fail because of others. A run holds the directory, so that more than a few attempts mean such a
+/// place.
 const MOST_ATTEMPTS_TO_APPEAR: usize = 100;
 
-/// A directory or file that is written and not shown yet; removed when it is dropped before that.
+/// A directory or file that is written and not visible yet. It is removed if it is dropped before
+/// that.
 #[derive(Debug)]
 pub(crate) struct Staged {
-    /// Where it is written.
+    /// Temporary path where it is written.
     sibling: PathBuf,
-    /// Where it is to appear.
+    /// Final path.
     place: PathBuf,
     what: What,
     /// Open and locked as long as this process may need the sibling.
@@ -62,14 +66,15 @@ pub(crate) struct Staged {
 
 #[derive(Clone, Copy, Debug)]
 enum What {
-    /// An artifact; only a directory with files of its kind is replaced, and only where `replace`.
+    /// An artifact. It replaces only a directory with files of its kind, and only if `replace` is
+    /// true.
     Directory { kind: &'static Kind, replace: bool },
-    /// A single file, and whether one that stands there is replaced.
+    /// A single file. It replaces an existing one only if `replace` is true.
     File { replace: bool },
 }
 
 impl Staged {
-    /// An empty directory that is to appear as `place`, which may be a link to a directory.
+    /// An empty directory with the final path `place`, which may be a link to a directory.
     pub(crate) fn directory(
         place: &Path,
         kind: &'static Kind,
@@ -79,7 +84,7 @@ impl Staged {
         Self::new(place, What::Directory { kind, replace }, create)
     }
 
-    /// An empty file that is to appear as `place`.
+    /// An empty file with the final path `place`.
     pub(crate) fn file(place: &Path, replace: bool) -> Result<Self, HandoffError> {
         Self::new(place, What::File { replace }, |sibling| File::create_new(sibling))
     }
@@ -91,7 +96,7 @@ impl Staged {
     ) -> Result<Self, HandoffError> {
         let place = match place.exists() {
             true => place.canonicalize().map_err(|e| HandoffError::io(place, "resolve", &e))?,
-            // A name that ends with a dot or a slash cannot be given to what is renamed into it.
+            // A rename fails if the new name ends with a dot or a slash.
             false => plain(place),
         };
         let parent = parent_of(&place);
@@ -103,22 +108,22 @@ impl Staged {
         Ok(Self { sibling, place, what, file })
     }
 
-    /// Where to write it.
+    /// Path to write to.
     pub(crate) fn path(&self) -> &Path {
         &self.sibling
     }
 
-    /// The file to write it to.
+    /// Open file to write to.
     pub(crate) fn open_file(&mut self) -> &mut File {
         &mut self.file
     }
 
-    /// Writes all of a file.
+    /// Writes the whole content of a file.
     pub(crate) fn write_all(&mut self, bytes: &[u8]) -> Result<(), HandoffError> {
         self.file.write_all(bytes).map_err(|e| HandoffError::io(&self.place, "write", &e))
     }
 
-    /// Refuses a place that has been taken since the run began.
+    /// Refuses a place that another program has taken since the run began.
     fn check_place(&self) -> Result<(), HandoffError> {
         let taken = match (self.what, fs::symlink_metadata(&self.place).is_ok()) {
             (_, false) | (What::File { replace: true }, _) => false,
@@ -141,13 +146,13 @@ impl Staged {
 
 impl Drop for Staged {
     fn drop(&mut self) {
-        // What was written in vain, or after an exchange what stood there before.
+        // The sibling is an output that was not published or, after an exchange, the previous one.
         sibling::remove(&self.sibling);
         sibling::forget(&self.sibling);
     }
 }
 
-/// Lets everything that was staged appear together.
+/// Makes all staged outputs visible together.
 pub(crate) fn publish(staged: Vec<Staged>) -> Result<(), HandoffError> {
     for s in &staged {
         s.file.sync_all().map_err(|e| HandoffError::io(&s.place, "write", &e))?;
@@ -156,7 +161,8 @@ pub(crate) fn publish(staged: Vec<Staged>) -> Result<(), HandoffError> {
     parents.sort();
     parents.dedup();
     let _held = journal::hold_without_journals(&parents);
-    // Only now: while this run waited for its turn another may have taken a place.
+    // This check comes after the wait for the locks, because another run may have taken a place
+    // meanwhile.
     staged.iter().try_for_each(Staged::check_place)?;
     let _appearing = signals::appearing();
     let mut journals = match staged.len() {
@@ -171,7 +177,7 @@ pub(crate) fn publish(staged: Vec<Staged>) -> Result<(), HandoffError> {
         while renamed.is_ok() && exchanged.is_none() {
             match put_in_place(&s.sibling, &s.place) {
                 Ok(done) => exchanged = Some(done),
-                // Another run put something there or took it away a moment ago.
+                // Another run has just created or removed something there.
                 Err(e) if matches!(e.kind(), ErrorKind::AlreadyExists | ErrorKind::NotFound) => {
                     attempts += 1;
                     let again = attempts < MOST_ATTEMPTS_TO_APPEAR && inode(&s.sibling).is_some();
@@ -180,7 +186,7 @@ pub(crate) fn publish(staged: Vec<Staged>) -> Result<(), HandoffError> {
                         true => Ok(()),
                     });
                 }
-                // Without an exchange there is a moment in which only the journal knows the place.
+                // Without an exchange, there is a moment in which only the journal knows the place.
                 Err(e) if is_exchange_unknown(&e) && journals.is_empty() => {
                     match write_journals(&staged, &parents) {
                         Ok(written) => journals = written,
@@ -199,7 +205,7 @@ pub(crate) fn publish(staged: Vec<Staged>) -> Result<(), HandoffError> {
         shown.extend(exchanged.map(|exchanged| (s, exchanged)));
     }
     if renamed.is_err() {
-        // All or nothing: back with those that stand already.
+        // All or nothing: undo the renames that are done.
         for (s, exchanged) in shown.into_iter().rev() {
             let _ = match exchanged {
                 true => put_in_place(&s.sibling, &s.place).map(drop),
@@ -216,7 +222,7 @@ pub(crate) fn publish(staged: Vec<Staged>) -> Result<(), HandoffError> {
     renamed
 }
 
-/// The journals of what is staged, one in each of the directories in which something appears.
+/// Writes the journals of the staged outputs, one in each parent directory.
 fn write_journals(staged: &[Staged], parents: &[PathBuf]) -> Result<Vec<PathBuf>, HandoffError> {
     journal::write(staged.iter().map(|s| (&*s.sibling, &*s.place)), parents)
 }
@@ -231,8 +237,8 @@ mod tests {
         fs::read_to_string(path).unwrap_or_default()
     }
 
-    /// Two files that replace old ones, staged; what a process that is gone leaves of them is what is
-    /// there when `Staged` is forgotten and its lock is released.
+    /// Two staged files that replace old ones. A `Staged` that is forgotten, with its lock
+    /// released, leaves the same files as a process that was killed.
     fn staged(dir: &Path) -> Vec<Staged> {
         for name in ["a", "b"] {
             fs::write(dir.join(name), "old").unwrap();
@@ -262,7 +268,7 @@ mod tests {
                 put_in_place(&s.sibling, &s.place).unwrap();
             }
             leave(run);
-            // A writer that has no journal of its own must not take the siblings away.
+            // A writer without a journal of its own must not remove the siblings.
             remove_abandoned(dir.path());
             finish_interrupted(dir.path());
             assert_eq!(
@@ -274,7 +280,8 @@ mod tests {
         }
     }
 
-    /// Two runs renamed one artifact each before the other: the directory then held a mixture.
+    /// Earlier, each of two runs renamed one artifact before the other, and the directory held a
+    /// mixture.
     #[test]
     fn a_run_waits_while_another_lets_its_artifacts_appear() {
         let dir = tempfile::tempdir().unwrap();
@@ -304,7 +311,8 @@ mod tests {
         assert_eq!(text(&dir.path().join("c")), "mine");
     }
 
-    /// Its journal, finished by a later reader, took the place of what the second run had shown.
+    /// Earlier, a later reader finished the journal of the first run, and replaced the outputs of
+    /// the second run.
     #[test]
     fn a_run_that_ended_between_its_renames_is_finished_before_the_next_appears() {
         let dir = tempfile::tempdir().unwrap();
@@ -370,7 +378,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let mut run = staged(dir.path());
         run.push(Staged::file(&dir.path().join("c"), false).unwrap());
-        // Taken by somebody else after the run began.
+        // Another program takes the place after the run began.
         fs::write(dir.path().join("c"), "mine").unwrap();
         assert!(publish(run).unwrap_err().to_string().contains("c: exists"));
         let left = ["a", "b", "c"].map(|name| text(&dir.path().join(name)));

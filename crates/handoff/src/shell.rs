@@ -1,4 +1,4 @@
-//! What surrounds the work of every program: messages and exit codes.
+//! Frame of every program: messages and exit codes.
 
 use std::{
     fmt::Display,
@@ -15,16 +15,16 @@ use crate::{
     publish,
 };
 
-/// How a stage that ran ended.
+/// Status of a stage that ran.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Status {
     /// Done; exit code 0.
     Done,
-    /// Done, and the verdict is negative, for this reason; exit code 1.
+    /// Done, with a negative verdict for this reason; exit code 1.
     Negative(String),
 }
 
-/// Why a stage could not run; exit code 2.
+/// Reason why a stage could not run; exit code 2.
 #[derive(Debug)]
 pub struct Failure(String);
 
@@ -34,8 +34,8 @@ impl Failure {
         Self(message.into())
     }
 
-    /// The error of a library, which names its settings, in the words of the command line: see
-    /// [`with_flags`].
+    /// A failure from the error of a library, with its settings in the words of the command line
+    /// ([`with_flags`]).
     pub fn with_flags(error: impl std::error::Error) -> Self {
         Self(with_flags(&error.to_string()))
     }
@@ -47,22 +47,22 @@ impl Display for Failure {
     }
 }
 
-/// Any error of a library becomes the one message that the user reads.
+/// Failure with the message of any error of a library.
 impl<E: std::error::Error> From<E> for Failure {
     fn from(error: E) -> Self {
         Self(error.to_string())
     }
 }
 
-/// What `main` of a program does: reads the flags, runs the body, and turns its end into the exit code: 0 done, 1 done
-/// with a negative verdict, 2 could not run.
+/// Runs a program: reads the flags, runs the body, and returns the exit code. 0: done. 1: done with
+/// a negative verdict. 2: the stage could not run.
 pub fn program<Flags: Parser>(body: impl FnOnce(&Flags) -> Result<Status, Failure>) -> ExitCode {
     let flags = command_line::parse();
     publish::clean_up_on_signals();
     panic::set_hook(Box::new(|info| {
         complain(&format!("internal error: {info}; this is a defect of Planish, please report it"));
     }));
-    // Where the body panics, what it had changed is not looked at any more.
+    // After a panic of the body, its changed state is not used any more.
     let end = panic::catch_unwind(AssertUnwindSafe(|| body(&flags)));
     publish::wait_for_signal_under_way();
     match end {
@@ -79,12 +79,12 @@ pub fn program<Flags: Parser>(body: impl FnOnce(&Flags) -> Result<Status, Failur
     }
 }
 
-/// A warning on standard error; a closed pipe is not an error.
+/// Prints a warning on standard error; a closed pipe is not an error.
 pub fn warn(message: impl Display) {
     complain(&format!("warning: {message}"));
 }
 
-/// Lines on standard output; a closed pipe is not an error.
+/// Prints lines on standard output; a closed pipe is not an error.
 pub fn say(message: impl Display) {
     let _ = writeln!(std::io::stdout(), "{}", without_commands(&message.to_string()));
 }

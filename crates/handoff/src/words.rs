@@ -1,7 +1,8 @@
-//! A text that holds several words, such as `--unit m --variable 'my map'`, and back.
+//! Conversion between a text of several words, such as `--unit m --variable 'my map'`, and its
+//! words.
 //!
-//! Words are separated by spaces, tabs and line ends. What a shell would evaluate (`$`, backticks,
-//! `*`, `~`, `;`, `#`, ...) is a character like any other. Quoting is that of a POSIX shell:
+//! Words are separated by spaces, tabs and line ends. Characters that a shell would evaluate (`$`,
+//! backticks, `*`, `~`, `;`, `#`, ...) have no special meaning. Quoting is that of a POSIX shell:
 //!
 //! | written | means |
 //! |---|---|
@@ -9,7 +10,7 @@
 //! | `"..."` | the characters as they are, but `\` before one of `"`, `\`, `$`, `` ` `` is dropped |
 //! | `\c` | the character c |
 
-/// Why a text cannot be taken apart.
+/// Reason why a text cannot be split into words.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unfinished {
     /// A quotation mark, at this byte, that is never closed.
@@ -19,7 +20,7 @@ pub enum Unfinished {
     Quote {
         /// `'` or `"`.
         mark: char,
-        /// Where it is, counted from 0.
+        /// Byte of the mark, counted from 0.
         at: usize,
     },
     /// A backslash at the end.
@@ -62,7 +63,7 @@ pub fn split(text: &str) -> Result<Vec<String>, Unfinished> {
     Ok(words)
 }
 
-/// The word as a shell, or [`split`], reads it; in quotation marks only where it needs them.
+/// The word as a shell, or [`split`], reads it. It gets quotation marks only if it needs them.
 pub fn quote(word: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:,+@%".contains(c);
     match !word.is_empty() && word.chars().all(plain) {
@@ -71,7 +72,7 @@ pub fn quote(word: &str) -> String {
     }
 }
 
-/// The words in one line, each as [`quote`] writes it.
+/// Joins words into one line, each as [`quote`] writes it.
 pub fn join<S: AsRef<str>>(words: impl IntoIterator<Item = S>) -> String {
     let quoted: Vec<String> = words.into_iter().map(|word| quote(word.as_ref())).collect();
     quoted.join(" ")

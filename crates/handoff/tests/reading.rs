@@ -1,5 +1,5 @@
-//! What a reader accepts and refuses. Every file is written here byte by byte, as another program
-//! would; a message names the file, the place, the value and what to do.
+//! Files that a reader accepts and refuses. Every file is written here byte by byte, as another
+//! program would write it. A message names the file, the place, the value and the remedy.
 
 mod support;
 
@@ -161,7 +161,7 @@ fn foreign_layouts_and_element_types_are_converted_or_name_the_cure() {
     fs::write(dir.path().join("x_mm.npy"), npy("<f8", true, "(3,)", &doubles(&[0.0, 0.5, 1.0])))
         .unwrap();
     artifact::read::<Surface>(dir.path()).unwrap();
-    // What never ends is not read.
+    // A file that never ends is not read.
     fs::remove_file(dir.path().join("height_nm.npy")).unwrap();
     std::os::unix::fs::symlink("/dev/zero", dir.path().join("height_nm.npy")).unwrap();
     says(&refusal::<Surface>(dir.path()), &["height_nm.npy: is not a file"]);
@@ -272,7 +272,7 @@ fn flags_in_the_wrong_order_are_said_so() {
         &refusal::<Surface>(&path),
         &["/t: holds a tif, needs a surface; check the order of the flags"],
     );
-    // Bare arrays have no kind: the missing file says it.
+    // Bare arrays have no kind; the missing file reveals the wrong one.
     write_bare(dir.path().join("b").as_path(), &tif());
     says(
         &refusal::<Surface>(&dir.path().join("b")),
@@ -280,7 +280,7 @@ fn flags_in_the_wrong_order_are_said_so() {
     );
 }
 
-/// Changes the manifest of a new dwell artifact and returns what the reader says.
+/// Changes the manifest of a new dwell artifact and returns the message of the reader.
 fn with_manifest(change: impl FnOnce(String) -> String) -> String {
     let dir = tmp();
     let path = dir.path().join("d");

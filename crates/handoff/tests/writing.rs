@@ -1,5 +1,5 @@
-//! What a command does to its output: whole or not at all, nothing lost, nothing done twice.
-//! The runs that are killed are this test program itself, started again as [`child`].
+//! Outputs of a command: whole or not at all, nothing lost, nothing done twice. The runs that are
+//! killed are this test program itself, started again as [`child`].
 
 mod support;
 
@@ -74,13 +74,14 @@ impl Run {
         Output::directory(&self.output, DwellTime::KIND).begin(&self.task(), &self.inputs()?)
     }
 
-    /// For two directories in `--out`: a (dwell times) and b (a motion).
+    /// Begins a run with two directories in `--out`: a (dwell times) and b (a motion).
     fn begin_two(&self) -> Result<Begin, HandoffError> {
         let parts = [("a", DwellTime::KIND), ("b", Trajectory::KIND)];
         Output::directories(&self.output, parts).begin(&self.task(), &self.inputs()?)
     }
 
-    /// `None` when it ran, else how the unchanged output ended.
+    /// Runs the command. Returns `None` if it wrote, and the status of an unchanged output
+    /// otherwise.
     fn run(&self) -> Result<Option<Status>, HandoffError> {
         match self.begin()? {
             Begin::Unchanged(status) => Ok(Some(status)),
@@ -97,7 +98,7 @@ impl Run {
     }
 }
 
-/// How an output that is there already ended.
+/// Status of an output that exists already.
 fn unchanged(begin: Begin) -> Status {
     match begin {
         Begin::Unchanged(status) => status,
@@ -105,7 +106,7 @@ fn unchanged(begin: Begin) -> Status {
     }
 }
 
-/// The writer where there is work to do.
+/// The writer of a run with work to do.
 fn writer(begin: Result<Begin, HandoffError>) -> Writer {
     begin.unwrap().writer().expect("there is work to do")
 }
@@ -178,7 +179,7 @@ fn the_key_follows_inputs_settings_method_and_version() {
     let run = || Run::new(dir.path()).force();
     let first = key(run(), "0", "scale");
     assert_eq!(key(run(), "0", "scale"), first);
-    // Where an input lies and where the output goes decide nothing.
+    // The places of inputs and outputs do not matter.
     fs::rename(dir.path().join("input"), dir.path().join("moved")).unwrap();
     let moved = Run { input: dir.path().join("moved"), ..run() };
     assert_eq!(key(moved.out(dir.path().join("elsewhere")), "0", "scale"), first);
@@ -226,7 +227,8 @@ fn what_lacks_in_an_output_is_made_again_and_what_was_changed_is_kept() {
     fs::remove_file(out.join("dwell_s.npy")).unwrap();
     assert_eq!(run().run().unwrap(), None);
     assert_eq!(snapshot(dir.path()), good);
-    // Somebody's array in the place of ours, and an edited or a broken manifest: not ours to replace.
+    // An array of somebody else in place of ours, and an edited or a broken manifest, are not
+    // replaced.
     let kept = |expected: &str| {
         let before = snapshot(dir.path());
         run().refused(expected);
@@ -272,7 +274,7 @@ fn foreign_files_are_never_lost() {
     write(&out, &surface());
     keep("which no dwell has");
     fs::remove_dir_all(&out).unwrap();
-    // Somebody's own arrays, without a manifest.
+    // Arrays of somebody else, without a manifest.
     write_bare(&out, &dwell(7.0));
     keep("out: holds dwell_s.npy and no manifest.json, so Planish did not write it");
     fs::remove_dir_all(&out).unwrap();
@@ -447,7 +449,7 @@ fn a_verdict_that_was_edited_is_refused() {
     fs::write(out.join(MANIFEST), text.replace("false", "true")).unwrap();
     let message = read().unwrap_err().to_string();
     assert!(message.contains("was changed after it was written"), "{message}");
-    // Without its seal it says nothing either.
+    // A manifest without its seal is refused too.
     let (body, _) = text.rsplit_once(",\n  \"seal\"").unwrap();
     fs::write(out.join(MANIFEST), format!("{}\n}}\n", body.replace("false", "true"))).unwrap();
     let message = read().unwrap_err().to_string();
@@ -492,7 +494,7 @@ fn an_input_is_not_an_output() {
     assert_eq!(snapshot(dir.path()), before);
 }
 
-/// A name that ends with a dot or a slash cannot be given to what is renamed into it: the rename was tried for ever.
+/// A rename fails if the new name ends with a dot or a slash; it was once tried for ever.
 #[test]
 fn an_output_that_does_not_exist_may_end_with_a_dot_or_a_slash() {
     for (out, made) in [
@@ -622,10 +624,12 @@ fn beside_files_are_hashed_made_again_when_missing_and_kept_when_changed() {
 
 // ---- processes of their own ------------------------------------------------------------------
 
-/// Values in the artifact that a child writes: enough that writing takes a while.
+/// Number of values in the artifact that a child writes. Smaller: writing is too fast to be
+/// interrupted. Larger: a slower test.
 const LONG: usize = 40_000;
 
-/// Not a test: what this program does when a test starts it again with `PLANISH_CHILD` set.
+/// Program of the child processes, not a test. A test starts this program again with
+/// `PLANISH_CHILD` set.
 ///
 /// `once`: writes the value `PLANISH_VALUE` to `--out`; `forever`: writes 1, 2, 3, ... again and
 /// again.
@@ -682,7 +686,7 @@ fn write_forever(directory: &Path) -> Child {
     child_command("", directory, "forever", "out", 0.0).stderr(Stdio::null()).spawn().unwrap()
 }
 
-/// The value of an artifact, which must be whole: arrays and manifest of one run.
+/// The value of an artifact. Asserts that arrays and manifest are whole and of one run.
 fn whole(out: &Path) -> f64 {
     let loaded = artifact::read::<DwellTime>(out).unwrap();
     let (values, manifest) = (loaded.value.dwell_s(), loaded.manifest.unwrap());
@@ -784,10 +788,10 @@ fn killed_writers_leave_a_whole_artifact_at_every_moment() {
     let (reads, changes) = (reads.into_inner(), changes.into_inner());
     eprintln!("{reads} reads, {changes} changes seen");
     assert!(reads > 50 && changes > 10, "{reads} reads, {changes} changes: too slow to prove much");
-    // Nothing but the artifact and what the killed writers could not clear away.
+    // Only the artifact and the remains of killed writers are left.
     let left = names(dir.path());
     assert!(left.iter().all(|n| n == "out" || n.starts_with(".planish-")), "{left:?}");
-    // Nor is that in the way of the next run.
+    // These remains do not disturb the next run.
     assert!(write_once("", dir.path(), "out", 0.25).status.success());
     assert_eq!(whole(&out), 0.25);
     assert_eq!(names(dir.path()), ["out"]);

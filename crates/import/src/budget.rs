@@ -1,10 +1,10 @@
-//! What one file may cost: bytes, elements and work, whatever it claims of itself. Every reader is held
-//! to these numbers, and says which one a file exceeds.
+//! Limits on the bytes, elements and work that one file may cost, whatever it claims of itself. Every
+//! reader keeps these limits, and its message names the one that a file exceeds.
 //!
 //! A small file can ask for much: a header that claims gigabytes, zeros that inflate a thousandfold, a
-//! group that contains itself. So memory is bounded before it is taken, by [`MOST_PIXELS`] and by what
-//! the process may take ([`planish_types::budget`]), and loops that a file steers are bounded by counts:
-//! a library knows no clock.
+//! group that contains itself. So memory is limited before it is allocated, by [`MOST_PIXELS`] and by the
+//! memory of the process ([`planish_types::budget`]). Loops that a file steers are limited by counts,
+//! because a library knows no clock.
 //!
 //! | budget | of | bounds |
 //! |---|---|---|
@@ -18,45 +18,58 @@
 
 use planish_types::{Invalid, budget};
 
-/// Largest file that is read, bytes: as text, a map of the most pixels.
+/// Largest file that is read, bytes; a larger one is refused. Larger: more memory for files that hold no
+/// map. Smaller: refuses large maps as text. Derived: a map of [`MOST_PIXELS`] pixels as text, 32 bytes
+/// each.
 pub const MOST_FILE_BYTES: u64 = 1 << 30;
 
-/// Most pixels of a map: 5800 x 5800, more than any interferometer has.
+/// Largest number of pixels of a map, or of elements of any array that is decoded; more are refused.
+/// Larger: a small file can claim more memory. Smaller: refuses large maps. Chosen: 5800 x 5800, more than
+/// any interferometer has.
 pub const MOST_PIXELS: usize = 1 << 25;
 
-/// What a pixel costs until it is written: its number as stored, and in nm, in the order of the file and
-/// in that of the map, each for a moment beside the next, and the one that is written.
+/// Memory that a pixel needs until it is written, bytes. Larger: large maps are refused although they would
+/// fit into the memory. Smaller: a map can exceed the memory of the process. Derived: five 64-bit numbers,
+/// which are the value as stored, in nm, in the order of the file, in the order of the map, and as written.
 pub(crate) const BYTES_PER_PIXEL: usize = 5 * 8;
 
-/// What a line `x y z` costs: three numbers in a list that doubles as it grows, their coordinates in
+/// Memory that a line `x y z` needs until its pixel is written, bytes. Larger and smaller: as
+/// [`BYTES_PER_PIXEL`]. Derived: three numbers in a list that doubles as it grows, their coordinates in
 /// order, and the pixel.
 pub(crate) const BYTES_PER_POINT: usize = 3 * 3 * 8 + BYTES_PER_PIXEL;
 
-/// Most samples of a log: nine hours at 1 kHz.
+/// Largest number of samples of a log; more are refused. Larger: more memory for one file. Smaller: refuses
+/// long logs. Chosen: nine hours at 1 kHz.
 pub(crate) const MOST_SAMPLES: usize = MOST_PIXELS;
 
-/// What a sample of a log costs until it is written: seven columns in lists that double as they grow, times,
-/// positions, and a piece of the motion, for a moment twice.
+/// Memory that a sample of a log needs until it is written, bytes. Larger and smaller: as
+/// [`BYTES_PER_PIXEL`]. Derived: seven columns in lists that double as they grow, times and positions, and
+/// a segment of the motion, twice for a moment.
 pub(crate) const BYTES_PER_SAMPLE: usize = 3 * 7 * 8 + 8 * 8 + 3 * 96;
 
-/// Most groups, arrays and images that are looked at in one file to find the map.
+/// Largest number of groups, arrays and images that are searched in one file for the map; more are refused.
+/// Larger: more time on a hostile file. Smaller: refuses files that hold many arrays.
 pub(crate) const MOST_ARRAYS: usize = 10_000;
 
-/// Most lines of a header: ten times the longest header of an observatory.
+/// Largest number of lines of a header; more are refused. Larger: more memory for a hostile header.
+/// Smaller: refuses long headers. Chosen: ten times the longest header of an observatory.
 pub(crate) const MOST_HEADER_LINES: usize = 50_000;
 
-/// Most bytes of names and words, all together; also of the header of one array.
+/// Largest total length of names and words in a file, and of the header of one array, bytes. Larger: more
+/// memory for a hostile file. Smaller: refuses files with many long names.
 pub(crate) const MOST_TEXT_BYTES: usize = 1 << 18;
 
-/// Most reads of pieces of an HDF5 file: as many chunks of eight pixels as [`MOST_PIXELS`] has.
+/// Largest number of reads from an HDF5 file. Larger: a file that points to itself takes more time.
+/// Smaller: refuses maps with small chunks. Derived: as many chunks of eight pixels as [`MOST_PIXELS`] has.
 pub(crate) const MOST_READS: u64 = 1 << 22;
 
-/// Most elements that may be read where one costs `bytes_each`: they fit into the memory too.
+/// Largest number of elements that may be read if one needs `bytes_each` bytes: at most [`MOST_PIXELS`],
+/// and no more than fit into the memory of the process.
 pub(crate) fn most_of(bytes_each: usize) -> usize {
     MOST_PIXELS.min((budget::memory_bytes() / bytes_each as u64) as usize)
 }
 
-/// Whether one more may be read than `count`, where one costs `bytes_each`.
+/// Refuses one more element than `count`, if one needs `bytes_each` bytes and the limit is reached.
 pub(crate) fn check_room(
     array: &'static str,
     count: usize,
@@ -69,7 +82,8 @@ pub(crate) fn check_room(
     budget::affordable(array, (count + 1) as f64, bytes_each, "crop it").map(drop)
 }
 
-/// Whether a map of this size may be read; `array` names what claims it.
+/// Returns the number of pixels of a map of this size, or refuses it; `array` names the array that claims
+/// the size.
 pub(crate) fn check_size(
     array: &'static str,
     rows: usize,
@@ -82,7 +96,7 @@ pub(crate) fn check_size(
     check_elements(array, &[rows as u64, columns as u64])
 }
 
-/// Whether an array of this shape may be decoded.
+/// Returns the number of elements of an array of this shape, or refuses it.
 pub(crate) fn check_elements(array: &'static str, shape: &[u64]) -> Result<usize, Invalid> {
     let n = shape.iter().try_fold(1u64, |n, s| n.checked_mul(*s));
     match n.filter(|n| *n <= MOST_PIXELS as u64) {

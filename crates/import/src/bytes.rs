@@ -1,4 +1,4 @@
-//! Numbers out of bytes, and what is wrong when they end too early.
+//! Numbers read from bytes, and messages for bytes that end too early.
 
 use planish_types::Invalid;
 
@@ -6,7 +6,7 @@ use planish_types::Invalid;
 #[derive(Clone, Copy)]
 pub(crate) struct Bytes<'a> {
     pub all: &'a [u8],
-    /// What an error is about.
+    /// Subject of the messages, for example "FITS file".
     pub name: &'static str,
     pub big_endian: bool,
 }
@@ -54,7 +54,7 @@ impl<'a> Bytes<'a> {
         self.array(at).map(f64::from_ne_bytes)
     }
 
-    /// Text up to a NUL, spaces at its ends left out.
+    /// Text up to a NUL, without spaces at its ends.
     pub fn text(&self, at: usize, len: usize) -> Result<String, Invalid> {
         let bytes = self.slice(at, len)?;
         let end = bytes.iter().position(|b| *b == 0).unwrap_or(len);

@@ -26,9 +26,9 @@ pub enum Method {
     /// A tool influence function: a map of rates, of depth after a known time, or a spot before
     /// and after
     Tif(tif::TifArgs),
-    /// The program of a motion controller, back into the motion that it makes
+    /// The program of a motion controller, as the motion that it makes
     Program(program::ProgramArgs),
-    /// A log of what a machine did, as the motion that it made
+    /// A log of a machine, as the motion that the machine made
     Trace(trace::TraceArgs),
 }
 
@@ -43,7 +43,7 @@ impl Method {
     }
 }
 
-/// What is read, and what the user knows of it.
+/// The file to read, and settings that the file does not state.
 #[derive(Debug, Args)]
 struct FileArgs {
     /// File, or directory of .npy
@@ -82,7 +82,7 @@ struct FileArgs {
     /// Value that marks an invalid pixel, besides NaN and what the format has
     #[arg(long, value_name = "V", allow_negative_numbers = true)]
     no_data: Option<f64>,
-    /// Where the first row of the file is [default: as the format has it]
+    /// Side of the map that the first row of the file is [default: as the format has it]
     #[arg(long, value_enum)]
     first_row: Option<FirstRow>,
     /// Mirror x
@@ -111,12 +111,12 @@ impl FileArgs {
         }
     }
 
-    /// What to take from a file that holds several arrays.
+    /// Names of the arrays to read from a file that holds several.
     fn pick(&self, is_tif: bool) -> Pick {
         Pick { dataset: self.dataset.clone(), x: self.x.clone(), y: self.y.clone(), is_tif }
     }
 
-    /// What the user knows of the file.
+    /// Settings of the library from the flags.
     fn settings(&self, origin: Origin) -> Settings {
         Settings {
             unit: self.unit,
@@ -212,7 +212,7 @@ fn in_flags(statement: Statement) -> Statement {
     Statement { warnings, ..statement }
 }
 
-/// What was done, for the user to check, and the warnings.
+/// Prints the warnings, and how the file was read, for the user to check.
 fn report(statement: &Statement, grid: &Grid) {
     for warning in &statement.warnings {
         warn(warning);

@@ -7,26 +7,29 @@ use ndarray::Array2;
 use planish_draw::{Bands, Frame, Scale as AxisScale, Svg, cells, colour, frame::range};
 use planish_types::{Axis, Grid};
 
-/// Height of the texts, in pixels of the picture.
+/// Height of the texts, pixels of the picture. Larger: texts overlap. Smaller: they are hard to read.
 const FONT_PX: f64 = 16.0;
 
-/// Larger side of the map, in pixels of the picture.
+/// Larger side of the map, pixels of the picture. Larger: the picture does not fit onto a screen. Smaller:
+/// details are lost.
 const SIZE_PX: f64 = 800.0;
 
-/// Left, top, right, bottom of the map, in pixels of the picture.
+/// Margins at the left, top, right and bottom of the map, pixels of the picture. Larger: empty space.
+/// Smaller: labels, title or bar of colours are cut off.
 const MARGIN_PX: [f64; 4] = [80.0, 60.0, 170.0, 60.0];
 
-/// Least width and height of the picture without its upper and lower margin, in its pixels: the
-/// title and the bar of colours are inside.
+/// Smallest width, and smallest height without the upper and lower margin, pixels of the picture. Larger:
+/// empty space beside small maps. Smaller: the title or the bar of colours is cut off.
 const LEAST_PX: [f64; 2] = [640.0, 100.0];
 
-/// Cells along the longer side; a cell is the mean of its valid pixels.
+/// Largest number of cells along the longer side of the map; a cell is the mean of its valid pixels.
+/// Larger: finer details and a larger file. Smaller: a coarser picture.
 const CELLS: usize = 200;
 
-/// Steps of the colours.
+/// Number of colours. Larger: smoother colours and a larger file. Smaller: visible steps.
 const LEVELS: usize = 48;
 
-/// What the values are.
+/// Quantity of the values, for the bar of colours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
     /// Height in nm.

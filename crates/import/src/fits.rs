@@ -23,11 +23,15 @@ use crate::{
 };
 
 const NAME: &str = "FITS file";
+/// Size of a block, bytes (FITS standard 4.0).
 const BLOCK: usize = 2880;
+/// Size of a card of the header, bytes (FITS standard 4.0).
 const CARD: usize = 80;
 
-/// By how much of a step the pixels of an axis may lie beside it, all over the map: as little as coordinates may depart
-/// from equal steps.
+/// Largest offset of pixels across an axis, over the whole map, relative to the step across. A map with
+/// more is refused as turned or sheared. Larger: accepts maps on oblique axes, and places pixels wrongly by
+/// this much. Smaller: refuses maps whose matrix has rounding errors. Chosen: coordinates may depart from
+/// equal steps by as much.
 const MOST_SLANT: f64 = 1e-4;
 
 /// Reads the image of the HDU whose number (0, the primary, first) is `pick.dataset`, else the first.
@@ -177,14 +181,14 @@ impl Header {
         })
     }
 
-    /// Where the pixels lie; `None` where the header has no step of both axes.
+    /// Rule of the coordinates of the pixels; `None` if the header lacks the step of an axis.
     fn rule(&self, len: [usize; 2], warnings: &mut Vec<String>) -> Result<Option<Rule>, Invalid> {
         let refuse = |problem: String, remedy: &str| Err(Invalid::whole(NAME, problem, remedy));
         let remedy = "write the map on axes of length, or delete these cards and give `pitch_mm`";
         let (mut steps, mut unit, mut reference) = ([None; 2], [None; 2], [(0.0, 0.0); 2]);
         for (k, n) in [1, 2].into_iter().enumerate() {
             let (step_key, matrix_key) = (format!("CDELT{n}"), format!("CD{n}_{n}"));
-            // CDn_n, where it is there, is the product.
+            // If CDn_n is given, it is the whole step, and CDELTn does not multiply it.
             steps[k] = match (self.float(&matrix_key)?, self.float(&step_key)?) {
                 (Some(step), _) => Some(step),
                 (None, Some(step)) => {
@@ -225,7 +229,7 @@ impl Header {
             }
             return Ok(None);
         };
-        // The other coordinate along the whole axis, in its steps: as uniform as coordinates have to be.
+        // Change of the other coordinate along the whole axis, against its step.
         for ((row, column), across) in [((1, 2), x), ((2, 1), y)] {
             let (key, scale) = match self.float(&format!("CD{row}_{column}"))? {
                 Some(_) => (format!("CD{row}_{column}"), 1.0),

@@ -37,15 +37,19 @@ const SIGNATURE: &[u8] = b"\x89HDF\r\n\x1a\n";
 /// Names that optics groups use for a map and for a TIF, with their coordinates.
 const CUSTOMARY: [[&str; 3]; 2] = [["Z", "X", "Y"], ["Ztif", "Xtif", "Ytif"]];
 
-/// Groups within groups are listed to this depth.
+/// Depth of groups within groups to which datasets are listed. Larger: more time on a hostile file.
+/// Smaller: a dataset in a deeper group has to be named by its path.
 const DEEPEST: usize = 6;
 
-/// Most values of an attribute.
+/// Largest number of values of an attribute that is read, because each may point to a long text. Larger:
+/// more memory for a hostile file. Smaller: refuses attributes that are long vectors.
 const MOST_VALUES: u64 = 64;
 
-/// Most symbols (entries of groups of the first layout), and the longest block of their names, bytes: the
-/// names of a group may all point to the same long text.
+/// Largest number of symbols (entries of groups of the first layout) that are read from a file. Larger:
+/// more time and memory for a hostile file. Smaller: refuses files with many datasets.
 const MOST_SYMBOLS: u64 = 4096;
+/// Longest block of names of a group, bytes; the names of a group may all point to the same long text.
+/// Larger: more memory for a hostile file. Smaller: refuses groups with many long names.
 const LONGEST_NAMES: u64 = 1 << 16;
 
 pub(crate) fn is_hdf5(bytes: &[u8]) -> bool {
@@ -71,7 +75,7 @@ pub(crate) fn open(bytes: &[u8]) -> Result<Hdf5File, Invalid> {
     let metered = Metered {
         bytes: BytesStorage::new(bytes.to_vec()),
         reads: MOST_READS.into(),
-        // Everything once, and what is read again: headers, blocks of names.
+        // Everything once, and room for reading headers and blocks of names again.
         volume: (4 * bytes.len() as u64 + (1 << 24)).into(),
         symbols: MOST_SYMBOLS.into(),
     };
@@ -395,7 +399,7 @@ fn unit(set: &Dataset) -> Result<(Option<Unit>, Option<String>), Invalid> {
     }
 }
 
-/// What a dataset calls its unit, where it does.
+/// Name of the unit of a dataset, from its attribute `unit` or `units`.
 pub(crate) fn unit_text(set: &Dataset) -> Result<Option<String>, Invalid> {
     let attributes = Attributes::of(set)?;
     let mut named = None;

@@ -1,10 +1,10 @@
-//! Other people's files in: measured maps, measured tool influence functions, the programs of motion
-//! controllers, and the logs of what they did.
+//! Readers of other programs' files: measured maps, measured tool influence functions, programs of motion
+//! controllers, and logs of machines.
 //!
-//! A reader turns the bytes of a file into a [`Reading`]: the numbers as they are stored, and what
-//! the file says about them. [`surface`] and [`tif`] turn a reading into a noun: one
-//! multiplication to nm, pitch in mm, row 0 at the smallest y. What the file does not say is asked
-//! for ([`Settings`]); it is never guessed.
+//! A reader turns the bytes of a file into a [`Reading`]: the numbers as they are stored, and what the file
+//! says about them. [`surface`] and [`tif`] turn a reading into a map or a TIF: one multiplication to nm,
+//! pitch in mm, row 0 at the smallest y. The user must state what the file does not say ([`Settings`]); it
+//! is never guessed.
 //!
 //! | module | format | source of its layout |
 //! |---|---|---|
@@ -20,7 +20,8 @@
 //! | [`program`] | programs for Galil, XPS, PMAC, G-code, CSV | see there |
 //! | [`trace`] | logs of what a machine did: CSV, HDF5, XPS, Aerotech, Galil | see there |
 //!
-//! What a file may cost is in `budget`. Only this crate and `planish-export` convert units.
+//! Limits on the memory and work for one file are in `budget`. Only this crate and `planish-export` convert
+//! units.
 
 mod budget;
 mod bytes;
@@ -111,7 +112,7 @@ impl Format {
     }
 }
 
-/// Reads the bytes of a file of `format`; `pick` says what to take from a file that holds several.
+/// Reads the bytes of a file of `format`; `pick` names the arrays to read from a file that holds several.
 pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let several = matches!(format, Format::Mat5 | Format::Hdf5 | Format::Datx | Format::Fits);
     if let Some(name) = [&pick.dataset, &pick.x, &pick.y].into_iter().flatten().next()

@@ -1,4 +1,4 @@
-//! `planish-import`: files of instruments and other programs in.
+//! `planish-import`: reads files of instruments and of other programs.
 
 mod cli;
 
@@ -14,7 +14,7 @@ const EXAMPLES: &str = "Examples:\n\
     \x20 planish-import tif spot.mat --rate --unit m --coordinate-unit m --out out/tif\n\
     \x20 planish-import trace gathering.dat --format xps --unit mm --rate-hz 1000 --out out/run";
 
-/// Files of instruments and other programs in
+/// Read files of instruments and of other programs
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {

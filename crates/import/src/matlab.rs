@@ -20,16 +20,20 @@ use crate::{
 };
 
 const NAME: &str = "MAT file";
+/// Size of the header of a file, bytes (MAT-File Format, version 5).
 const HEADER: usize = 128;
 
-/// Types of data elements.
+/// Type of a data element that holds a matrix.
 const MATRIX: u32 = 14;
+/// Type of a data element that holds another one, compressed.
 const COMPRESSED: u32 = 15;
 
-/// Flags, dimensions and name of a variable, bytes: MATLAB allows names of 63 characters.
+/// Number of bytes of a compressed variable that are inflated to read its flags, dimensions and name.
+/// Larger: more time on files with many variables. Smaller: a long name does not fit. Chosen: MATLAB allows
+/// names of 63 characters.
 const LONGEST_HEADER: usize = 4096;
 
-/// A variable: what its header says, and where its numbers are.
+/// A variable: the contents of its header, and the place of its numbers.
 struct Variable<'a> {
     name: String,
     rows: usize,
@@ -38,7 +42,7 @@ struct Variable<'a> {
     number: Number,
     /// The element that holds it, inflated or to be inflated.
     element: Element<'a>,
-    /// Where its numbers start in the element as inflated, with their length in bytes.
+    /// Place of its numbers in the element as inflated, and their length, bytes.
     at: usize,
     len: usize,
 }
@@ -259,12 +263,12 @@ fn matrix<'a>(
     }))
 }
 
-/// At most the first `most` bytes of what `compressed` inflates to; when it ends before them its
-/// checksum is checked.
+/// Inflates `compressed`, up to the first `most` bytes. The checksum is checked only if the data ends
+/// before them.
 fn inflate(compressed: &[u8], most: usize) -> Result<Vec<u8>, Invalid> {
     let mut out = Vec::new();
     let stream = ZlibDecoder::new(compressed).take(most as u64);
-    // Grows with what comes out, not with what a header claims.
+    // Memory grows with the inflated bytes, not with the size that a header claims.
     { stream }
         .read_to_end(&mut out)
         .map_err(|e| broken(format!("is truncated or broken in a compressed element ({e})")))?;

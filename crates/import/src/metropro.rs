@@ -35,7 +35,7 @@ const NAME: &str = "MetroPro file";
 const HEADERS: [(u32, u16, u32); 3] =
     [(0x881B_036F, 1, 834), (0x881B_0370, 2, 834), (0x881B_0371, 3, 4096)];
 
-/// Raw values from here on mark an invalid pixel.
+/// Smallest raw value that marks an invalid pixel (MetroPro reference guide).
 const INVALID: f64 = 2_147_483_640.0;
 
 pub(crate) fn is_magic(bytes: &[u8]) -> bool {

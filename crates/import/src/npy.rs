@@ -12,7 +12,9 @@ use crate::{
 
 const NAME: &str = "npy file";
 
-/// A header beyond this is a structured dtype or none at all.
+/// Longest header that is read, bytes; a longer one is refused. Larger: more memory for a hostile file.
+/// Smaller: refuses long headers. Chosen: an array of numbers needs about a hundred bytes; a longer header
+/// belongs to a structured dtype.
 const LONGEST_HEADER: usize = 4096;
 
 /// Reads an array with two axes.

@@ -27,10 +27,12 @@ use crate::{
 
 const NAME: &str = "XYZ file";
 
-/// Phases from here on mark an invalid pixel.
+/// Smallest raw phase that marks an invalid pixel, as in a MetroPro file.
 const INVALID: f64 = 2_147_483_640.0;
 
-/// Largest departure of a coordinate from the grid, as a fraction of its step.
+/// Largest distance of a coordinate from the uniform grid, relative to its step; a file with a larger one
+/// is refused. Larger: accepts points that are scattered, and moves them to the grid. Smaller: refuses
+/// coordinates that were rounded.
 const UNIFORMITY: f64 = 0.01;
 
 /// Reads a Zygo file or lines of `x y z`.
@@ -45,7 +47,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     }
 }
 
-/// What follows the header of a Zygo file.
+/// Contents of a Zygo file after its header.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Body {
     /// Lines `column row z`.

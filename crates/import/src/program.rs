@@ -1,7 +1,7 @@
-//! Programs of motion controllers, back into the motion that the controller will run.
+//! Programs of motion controllers, as the motion that the controller will run.
 //!
-//! Written from the controllers' manuals, not from `planish-export`: the two share no code, so what
-//! one of them gets wrong the other does not undo.
+//! This module follows the manuals of the controllers, not `planish-export`. The two share no code, so that
+//! an error in one of them is not hidden by the same error in the other.
 //!
 //! | module | program | motion between two lines |
 //! |---|---|---|
@@ -11,8 +11,8 @@
 //! | [`gcode`] | `G93` or `G94`, `G1 X Y F` | straight, at constant speed; joined by parabolas after `G64 P` |
 //! | [`csv`] | `t, x, vx, y, vy, tool on` | cubic (Hermite) |
 //!
-//! What a program does not say, where the axes stand before it and what a count is, is given by
-//! [`Configuration`].
+//! [`Configuration`] states what a program does not say: the place of the axes before it, and the size of a
+//! count.
 
 pub mod csv;
 pub mod galil;
@@ -23,7 +23,7 @@ pub mod xps;
 use planish_types::{Invalid, Trajectory, TransformNumbers};
 use serde::{Deserialize, Serialize};
 
-/// Whose program it is.
+/// Controller that a program is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
@@ -40,10 +40,11 @@ pub enum Controller {
     Csv,
 }
 
-/// How the controller is set up. What a program needs and is absent is asked for.
+/// Settings of the controller. A setting that a program needs and that is absent is refused, with a message
+/// that asks for it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Configuration {
-    /// Where the axes (x, y) stand before the program, mm.
+    /// Place of the axes (x, y) before the program, mm.
     pub start_mm: Option<[f64; 2]>,
     /// Size of a count of (x, y), mm.
     pub count_mm: Option<[f64; 2]>,
@@ -51,19 +52,21 @@ pub struct Configuration {
     pub sample_s: Option<f64>,
     /// Unit of time of a PMAC's velocities, s.
     pub feedrate_time_unit_s: Option<f64>,
-    /// What took the motion from the part to the axes: the motion that is read goes the other way.
+    /// Transform that took the motion from the part to the axes. The inverse is applied to the motion that
+    /// is read.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part_to_axes: Option<TransformNumbers>,
-    /// Whether the motion was in the coordinates of the machine, and is so when it is read.
+    /// True if the exported motion was in the coordinates of the machine; the motion that is read is then
+    /// in them too.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub was_on_axes: bool,
-    /// BLAKE3 of the program that this belongs to; not known of one that was written by hand.
+    /// BLAKE3 hash of the program that this configuration belongs to; `None` if it was written by hand.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub program_blake3: Option<String>,
 }
 
 impl Configuration {
-    /// This configuration, and what is absent from it as `about` has it: the file beside the program.
+    /// This configuration, with absent settings taken from `about`, the file beside the program.
     pub fn completed_by(self, about: Self) -> Self {
         Self {
             start_mm: self.start_mm.or(about.start_mm),
@@ -77,8 +80,8 @@ impl Configuration {
     }
 }
 
-/// Reads a program of `controller` into the motion that it makes, in the coordinates of the part where the
-/// configuration says how the part lies on the axes.
+/// Reads a program of `controller` as the motion that it makes. The motion is in the coordinates of the
+/// part if the configuration has the transform from the part to the axes.
 pub fn read(
     controller: Controller,
     bytes: &[u8],
@@ -99,8 +102,8 @@ pub fn read(
     }
 }
 
-/// Whether the configuration is that of the program: a count or a start of another program makes another
-/// motion of this one.
+/// Refuses a configuration of another program. Its size of a count or its start would make another motion
+/// of this program.
 fn belongs(bytes: &[u8], configuration: &Configuration) -> Result<(), Invalid> {
     let Some(expected) = &configuration.program_blake3 else { return Ok(()) };
     let found = blake3::hash(bytes).to_hex();
@@ -122,7 +125,7 @@ struct Knot {
     time_s: f64,
     position_mm: [f64; 2],
     velocity_mm_per_s: [f64; 2],
-    /// Whether the tool removes until the next knot.
+    /// True if the tool removes until the next knot.
     tool_on: bool,
 }
 

@@ -1,11 +1,11 @@
-//! From the numbers of a file to a map in nm on a grid in mm.
+//! Conversion of the numbers of a file to a map in nm on a grid in mm.
 //!
 //! ```text
 //! height (nm) = stored value x factor of the file x unit of the file (nm) x factor asked for
 //! ```
 //!
-//! in one multiplication, so that a map comes back to the last bit its file holds. A unit or a
-//! pitch that the file does not state is asked for; a unit that contradicts the file is refused.
+//! in one multiplication, so that a map comes back to the last bit of its file. The user must state a unit
+//! or a pitch that the file does not state. A unit that contradicts the file is refused.
 
 use ndarray::Array2;
 use planish_types::{Axis, Grid, Invalid, Surface, Tif};
@@ -91,7 +91,7 @@ impl Unit {
     }
 }
 
-/// Which side of the part the first row of a file is.
+/// Side of the map that the first row of a file is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
@@ -103,7 +103,7 @@ pub enum FirstRow {
     SmallestY,
 }
 
-/// What to take from a file that holds several arrays.
+/// Names of the arrays to read from a file that holds several.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Pick {
     /// Name or path of the map.
@@ -113,18 +113,18 @@ pub struct Pick {
     pub x: Option<String>,
     /// Name or path of the coordinates along the rows.
     pub y: Option<String>,
-    /// Whether a TIF is wanted: which of the customary names are tried when none is given.
+    /// True for a TIF, false for a map. It selects the customary names that are tried if no name is given.
     pub is_tif: bool,
 }
 
 /// Coordinates of the columns and rows, in the unit of the file.
 #[derive(Clone, Debug)]
 pub struct Coordinates {
-    /// Of the columns (nx); ascending or descending.
+    /// Coordinates of the columns (nx); ascending or descending.
     pub x: Vec<f64>,
-    /// Of the rows (ny); ascending or descending.
+    /// Coordinates of the rows (ny); ascending or descending.
     pub y: Vec<f64>,
-    /// Their unit, where the file states it.
+    /// Unit of the coordinates, if the file states it.
     pub unit: Option<Unit>,
 }
 
@@ -143,7 +143,7 @@ pub struct Rule {
     pub reference: Option<[(f64, f64); 2]>,
 }
 
-/// What a file holds.
+/// Contents of a file.
 #[derive(Clone, Debug)]
 pub struct Reading {
     /// Format of the file.
@@ -152,7 +152,7 @@ pub struct Reading {
     pub values: Array2<f64>,
     /// Unit of `factor * value`, where the file states it.
     pub unit: Option<Unit>,
-    /// Whether the unit is only what writers of this format use, not in the file.
+    /// True if the unit is not in the file, but the one that writers of this format use.
     pub unit_by_custom: bool,
     /// Factor of the file: stored value to `unit`.
     pub factor: f64,
@@ -164,16 +164,16 @@ pub struct Reading {
     pub coordinates: Option<Coordinates>,
     /// The rule of the coordinates, where the file has that in their place.
     pub rule: Option<Rule>,
-    /// Where the first row is, by the format.
+    /// Side of the map that the first row is, by the format.
     pub first_row: FirstRow,
-    /// What the file states besides, for the manifest.
+    /// Other statements of the file, for the manifest.
     pub stated: Value,
-    /// What the user should know.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
 impl Reading {
-    /// What a directory of `.npy` holds: `map` (ny, nx) in nm or nm/s on `grid`.
+    /// Reading of a directory of `.npy`: `map` (ny, nx) in nm or nm/s on `grid`.
     pub fn of_map(grid: &Grid, map: &Array2<f64>) -> Self {
         let mut reading = Self::new(Format::Directory, map.clone(), FirstRow::SmallestY);
         reading.unit = Some(Unit::Nm);
@@ -200,16 +200,16 @@ impl Reading {
     }
 }
 
-/// Where the coordinate 0 is.
+/// Place of the coordinate 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Origin {
-    /// Where the file has it; without coordinates in the file, at the first pixel.
+    /// The place that the file gives; without coordinates in the file, the first pixel.
     File,
-    /// At the first pixel: smallest x, smallest y.
+    /// The first pixel: smallest x, smallest y.
     Corner,
-    /// In the middle of the map.
+    /// The middle of the map.
     Centre,
 }
 
@@ -235,7 +235,7 @@ pub enum Rotation {
     ThreeQuarters,
 }
 
-/// What the user states about a file. `None` leaves it to the file.
+/// Statements of the user about a file. `None` leaves a quantity to the file.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// Unit of the heights.
@@ -248,11 +248,11 @@ pub struct Settings {
     pub coordinate_unit: Option<Unit>,
     /// Surface height per stated height: 1 for a surface, 0.5 for the wavefront of one reflection.
     pub surface_per_value: f64,
-    /// Whether the file counts material as negative.
+    /// True if the file counts material as negative.
     pub negate: bool,
     /// A stored value that marks an invalid pixel.
     pub no_data: Option<f64>,
-    /// Where the first row of the file is.
+    /// Side of the map that the first row of the file is.
     pub first_row: Option<FirstRow>,
     /// Mirror x.
     pub flip_x: bool,
@@ -260,7 +260,7 @@ pub struct Settings {
     pub flip_y: bool,
     /// Turn, after mirroring.
     pub rotation: Rotation,
-    /// Where the coordinate 0 is.
+    /// Place of the coordinate 0.
     pub origin: Origin,
 }
 
@@ -283,14 +283,14 @@ impl Default for Settings {
     }
 }
 
-/// What was done with a reading, for the manifest.
+/// Conversion of a reading, for the manifest.
 #[derive(Clone, Debug, Serialize)]
 pub struct Statement {
     /// Format of the file.
     pub format: Format,
     /// Unit of the heights in the file.
     pub unit: Unit,
-    /// Who says so: "file", "custom of the format" or "asked for".
+    /// Source of the unit: "file", "custom of the format" or "asked for".
     pub unit_from: &'static str,
     /// Height in nm of the stored value 1: all factors and the sign in one.
     pub nm_per_value: f64,
@@ -298,27 +298,27 @@ pub struct Statement {
     pub surface_per_value: f64,
     /// Distance of pixel centres along (x, y), mm, in the map that was written.
     pub pitch_mm: [f64; 2],
-    /// Who says so: "file" or "asked for".
+    /// Source of the pitch: "file" or "asked for".
     pub pitch_from: &'static str,
-    /// Where the first row of the file is.
+    /// Side of the map that the first row of the file is.
     pub first_row: FirstRow,
-    /// Mirrored in x.
+    /// True if the map was mirrored in x.
     pub flip_x: bool,
-    /// Mirrored in y.
+    /// True if the map was mirrored in y.
     pub flip_y: bool,
-    /// Turned by, degrees.
+    /// Turn of the map after mirroring, degrees.
     pub rotation: Rotation,
-    /// Invalid pixels.
+    /// Number of invalid pixels.
     pub invalid: usize,
-    /// What the file states besides.
+    /// Other statements of the file.
     pub stated: Value,
-    /// What the user should know.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
 impl Reading {
-    /// Where the offset 0 of a map of rates is when nobody says it: as the coordinates of the file have it,
-    /// or in the middle where there are none.
+    /// Place of the offset 0 of a map of rates, if nobody states it: as the coordinates of the file have
+    /// it, or in the middle if there are none.
     pub fn usual_tif_origin(&self, settings: &Settings) -> Origin {
         let by_rule = |rule: &Rule| {
             let known = rule.unit.iter().all(|unit| unit.or(settings.coordinate_unit).is_some());
@@ -432,7 +432,7 @@ struct Placed {
     values: Array2<f64>,
     first_row: FirstRow,
     pitch_from: &'static str,
-    /// Whether the grid has the coordinates of the file; else it begins at 0.
+    /// True if the grid has the coordinates of the file; otherwise it begins at 0.
     has_coordinates: bool,
 }
 
@@ -604,8 +604,8 @@ fn in_mm(rule: &Rule, settings: &Settings) -> Result<Option<Rule>, Invalid> {
     Ok(Some(made))
 }
 
-/// Mirrors, then turns. A mirrored axis keeps its numbers; a quarter turn swaps the axes. Where they are coordinates of
-/// the file, see [`turned_about_0`].
+/// Mirrors, then turns. A mirrored axis keeps its numbers; a quarter turn swaps the axes.
+/// [`turned_about_0`] corrects the numbers if they are coordinates of the file.
 fn turn(grid: Grid, values: Array2<f64>, settings: &Settings) -> (Grid, Array2<f64>) {
     let mut view = values.view();
     let (mut flip_x, mut flip_y) = (settings.flip_x, settings.flip_y);
@@ -635,9 +635,9 @@ fn turn(grid: Grid, values: Array2<f64>, settings: &Settings) -> (Grid, Array2<f
     }
 }
 
-/// The grid of a map that was turned, with the coordinate 0 where it was in the file: coordinates are mirrored and turn
-/// with the pixels, or a tool would act beside the place from which the file counts its offsets, and a mark of the part
-/// would lie elsewhere on its map.
+/// Grid of a map that was turned, with the coordinate 0 at the same place of the part as in the file.
+/// Coordinates are mirrored and turned with the pixels. Otherwise a tool would act at a distance from the
+/// place from which the file counts its offsets, and a mark of the part would lie elsewhere on its map.
 fn turned_about_0(grid: &Grid, settings: &Settings) -> Result<Grid, Invalid> {
     let sign = |flip: bool| if flip { -1.0 } else { 1.0 };
     let (x, y) = (sign(settings.flip_x), sign(settings.flip_y));

@@ -12,11 +12,12 @@
 //! sum_outside (h, 1, x, y)' removal(p) = 0,   h = grad before;     d removal / d d = -grad after(p + d)
 //! ```
 //!
-//! Interpolation averages the noise of `after`, most in the middle between pixels, so least squares would be drawn to
-//! half a pixel wherever noise is larger than the slope per pixel. h, by central differences of `before` as measured,
-//! does not correlate with the noise of the removal at its own pixel: it is an instrumental variable, and the equations
-//! hold at the true shift whatever the interpolation does to the noise. The standard error of d is from
-//! s^2 (H'G)^-1 H'H (G'H)^-1 with G the rows of derivatives and s the RMS of the removal outside.
+//! Interpolation averages the noise of `after`, most in the middle between pixels. Least squares would
+//! therefore be biased to half a pixel wherever the noise is larger than the slope per pixel. h, by central
+//! differences of `before` as measured, does not correlate with the noise of the removal at its own pixel:
+//! it is an instrumental variable. So the equations hold at the true shift, whatever the interpolation does
+//! to the noise. The standard error of d is from s^2 (H'G)^-1 H'H (G'H)^-1 with G the rows of derivatives
+//! and s the RMS of the removal outside.
 //!
 //! `after` between its pixels is Keys' cubic convolution ([`planish_numerics::keys`]). The centre is
 //! the centroid of the removal in the square that becomes the TIF, negative noise included: of an asymmetric spot it is not
@@ -34,39 +35,47 @@ use planish_numerics::{keys, statistics};
 use planish_types::{Axis, Grid, Invalid, Surface, Tif};
 use serde::Serialize;
 
-/// Gauss-Newton steps before the alignment is given up.
+/// Largest number of Gauss-Newton steps; the alignment is refused if it needs more. Larger: more time on
+/// maps that do not align. Smaller: refuses maps that align slowly.
 const MOST_STEPS: usize = 50;
 
-/// Aligned when a step is below this fraction of a pixel: 1e-4 of a pixel moves the steepest spot by
-/// less than its noise.
+/// Step of the shift, pixels, below which the maps are aligned. Larger: the shift is off by up to this
+/// step. Smaller: more steps, without a visible gain. Chosen: far below 1e-4 of a pixel, which moves the
+/// steepest spot by less than its noise.
 const TOLERANCE: f64 = 1e-6;
 
-/// Steps after which the pixels that count stay the same: those that come and go would keep the steps from ending.
+/// Number of steps after which the set of pixels that are compared stays the same. Larger: more steps in
+/// which pixels enter and leave, which keeps the steps from ending. Smaller: the pixels belong to a shift
+/// that is farther from the final one.
 const FREE_STEPS: usize = 6;
 
-/// Largest standard error of the shift, pixels: beyond half a pixel the maps do not tell the shift.
+/// Largest standard error of the shift, pixels; a larger one is refused. Larger: accepts shifts that the
+/// maps barely determine. Smaller: refuses more maps. Chosen: with an error of more than half a pixel the
+/// maps do not determine the shift.
 const MOST_ERROR_PIXELS: f64 = 0.5;
 
-/// Depth of a spot over the RMS outside it below which it may be noise: the deepest of 1e4 pixels of
-/// Gaussian noise is 4 times its RMS.
+/// Smallest depth of a spot, relative to the RMS outside it; a shallower spot is refused. Larger: refuses
+/// faint spots. Smaller: noise may pass for a spot. Derived: the deepest of 1e4 pixels of Gaussian noise is
+/// 4 times its RMS.
 const LEAST_CONTRAST: f64 = 5.0;
 
-/// Squares about the centroid of the one before: the spot has fallen to its noise at the edge of a square, so a square that
-/// is off by less than a pixel has the same centroid.
+/// Number of squares, each about the centroid of the one before. Larger: more time, hardly a change.
+/// Smaller: the centroid may belong to a square that is off. Chosen: the spot has fallen to its noise at
+/// the edge of a square, so a square that is off by less than a pixel has the same centroid.
 const CENTRE_ROUNDS: usize = 3;
 
-/// Whether the part moved between the measurements.
+/// Motion of the part between the two measurements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Alignment {
-    /// It did not.
+    /// The part did not move.
     None,
-    /// It was shifted.
+    /// The part was shifted.
     Shift,
 }
 
-/// What is subtracted from the removal, fitted outside the spot.
+/// Function that is fitted outside the spot and subtracted from the removal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
@@ -79,25 +88,25 @@ pub enum Baseline {
     Plane,
 }
 
-/// How a spot becomes a TIF.
+/// Settings of the conversion of a spot to a TIF.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SpotSettings {
     /// Time that the tool rested, s.
     pub dwell_s: f64,
-    /// Half the side of the square that becomes the TIF; outside it nothing was removed, mm.
+    /// Half the side of the square that becomes the TIF, mm. Outside the square nothing was removed.
     pub half_size_mm: f64,
-    /// Where the spot is, mm; found by itself when absent.
+    /// Place of the spot, mm; if it is absent, the place of the deepest removal.
     pub spot_mm: Option<[f64; 2]>,
-    /// Whether the part moved between the measurements.
+    /// Motion of the part between the two measurements.
     #[serde(rename = "alignment")]
     pub align: Alignment,
-    /// What is subtracted from the removal.
+    /// Function that is subtracted from the removal.
     pub baseline: Baseline,
     /// Negative rates (noise) become zero, and the others are scaled so that the volume stays.
     pub clip_negative: bool,
 }
 
-/// A TIF, and what was done on the way.
+/// A TIF, and the numbers of its measurement.
 #[derive(Clone, Debug, Serialize)]
 pub struct Spot {
     /// The TIF.
@@ -117,7 +126,7 @@ pub struct Spot {
     pub outside_pixels: usize,
     /// Largest depth, nm.
     pub depth_nm: f64,
-    /// Removed volume that was negative and became zero, over the whole.
+    /// Negative removed volume that became zero, relative to the positive removed volume.
     pub clipped_share: f64,
 }
 
@@ -206,8 +215,8 @@ fn shifted(map: &Array2<f64>, d: [f64; 2]) -> (Array2<f64>, [Array2<f64>; 2]) {
     let ([ix, fx], [iy, fy]) =
         ([d[0].floor(), d[0] - d[0].floor()], [d[1].floor(), d[1] - d[1].floor()]);
     let (wx, wy) = (keys::weights(fx), keys::weights(fy));
-    // Derivatives of Keys' weights: central difference with 1e-4 of a pixel; they only steer the
-    // steps of the alignment.
+    // Derivatives of Keys' weights: central differences with 1e-4 of a pixel. They only direct the steps of
+    // the alignment.
     let slope = |f: f64| {
         let (up, down) = (keys::weights(f + 1e-4), keys::weights(f - 1e-4));
         [0, 1, 2, 3].map(|k| (up[k] - down[k]) / 2e-4)
@@ -362,7 +371,8 @@ fn masked(map: &Array2<f64>, mask: &Array2<bool>) -> Array2<f64> {
     out
 }
 
-/// The middle of the square of a quarter of the size that holds the deepest mean.
+/// Middle of the square with the largest mean removal; the side of the square is a quarter of that of the
+/// TIF.
 fn find(grid: &Grid, removal: &Array2<f64>, half_size_mm: f64) -> Result<[f64; 2], Invalid> {
     let (ny, nx) = removal.dim();
     // Sums over all pixels above and to the left, of values and of valid pixels.
@@ -398,8 +408,8 @@ fn find(grid: &Grid, removal: &Array2<f64>, half_size_mm: f64) -> Result<[f64; 2
     })
 }
 
-/// The centroid of the removal within the half size of itself, found from near it: from that of what is above half of the
-/// peak within the half size of `near`.
+/// Centroid of the removal within the half size of itself. The search starts from the centroid of the
+/// removal above half of the peak, within the half size of `near`.
 fn centroid(
     grid: &Grid,
     removal: &Array2<f64>,
@@ -430,7 +440,8 @@ fn centroid(
     };
     let mut centre = first;
     for _ in 0..CENTRE_ROUNDS {
-        // Where that is far away, what is there is no spot, and its contrast will say so.
+        // A centroid that is far away is not that of a spot; the contrast is then too small, and the spot
+        // is refused.
         let is_near = |c: &[f64; 2]| (0..2).all(|k| (c[k] - first[k]).abs() <= 0.5 * half_size_mm);
         centre = about(centre, f64::NEG_INFINITY).filter(is_near).unwrap_or(centre);
     }

@@ -1,8 +1,8 @@
-//! Numbers out of text.
+//! Numbers read from text.
 
 use planish_types::Invalid;
 
-/// What instruments and spreadsheets write for a pixel without a value.
+/// Words that instruments and spreadsheets write for a pixel without a value.
 const NO_DATA: [&str; 6] = ["nan", "bad", "no data", "nodata", "n/a", ""];
 
 /// The text of a file; refuses what is not text.

@@ -1,9 +1,9 @@
-//! Logs of what a machine did, as the motion that it made.
+//! Logs of machines, as the motion that the machine made.
 //!
-//! A controller records where its axes were: an encoder log, a gathering, a scope trace. The removal is an
-//! integral along that motion as it is along a plan's, so a log becomes a [`Trajectory`] with one piece per
-//! interval between two samples ([`motion`]), and the residual *as run* stands beside the residual *as
-//! planned*.
+//! A controller records the positions of its axes: an encoder log, a gathering, a scope trace. The removal
+//! is an integral along that motion as it is along a plan's. So a log becomes a [`Trajectory`] with one
+//! segment per interval between two samples ([`motion`]), and the residual *as run* can be compared with
+//! the residual *as planned*.
 //!
 //! | module | what |
 //! |---|---|
@@ -12,7 +12,7 @@
 //! | [`datasets`] | HDF5 |
 //! | [`clock`] | time stamps or a rate: gaps, drift and scatter |
 //! | [`motion`] | cubic or straight pieces between the samples |
-//! | [`following`] | the setpoint, or a plan, beside what was done |
+//! | [`following`] | following error of the log against its setpoint or a plan |
 //!
 //! The formats, as far as they are public:
 //!
@@ -42,10 +42,10 @@ use self::{
     motion::Between,
 };
 
-/// What an error of this module is about.
+/// Subject of the messages of this module.
 const NAME: &str = "log";
 
-/// Whose log it is.
+/// Controller or format that wrote a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
@@ -105,10 +105,10 @@ pub enum TimeUnit {
     Samples,
 }
 
-/// What the user knows of a log.
+/// Settings for reading a log: what the log does not state.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct TraceSettings {
-    /// Which columns are what; the rest is found by the names in the file.
+    /// Columns of the quantities; those that are not given are found by the names in the file.
     pub columns: Columns,
     /// Unit of the positions, where the log does not state it.
     pub unit: Option<PositionUnit>,
@@ -124,11 +124,11 @@ pub struct TraceSettings {
     pub most_gap_s: f64,
     /// Beam current, in the unit of the log, at which the tool removes as its TIF says.
     pub nominal_current: Option<f64>,
-    /// Where the motion begins, s after the first sample.
+    /// Beginning of the motion, s after the first sample.
     pub from_s: Option<f64>,
-    /// Where it ends, s after the first sample.
+    /// End of the motion, s after the first sample.
     pub until_s: Option<f64>,
-    /// What lies between two samples.
+    /// Motion between two samples.
     pub between: Between,
 }
 
@@ -137,47 +137,52 @@ pub struct TraceSettings {
 pub struct Trace {
     /// Time since the first sample of the log (n), s; ascending.
     pub time_s: Vec<f64>,
-    /// Where the axes were (n), mm.
+    /// Measured positions of the axes (n), mm.
     pub actual_mm: Vec<[f64; 2]>,
-    /// Where they should have been (n), mm.
+    /// Setpoints of the axes (n), mm.
     pub setpoint_mm: Option<Vec<[f64; 2]>>,
-    /// Whether the tool removed from a sample to the next (n).
+    /// True if the tool removed from a sample to the next (n).
     pub tool_on: Option<Vec<bool>>,
     /// Rate of the tool relative to its TIF (n).
     pub rate_factor: Option<Vec<f64>>,
-    /// Time stamps against the rate.
+    /// Comparison of the time stamps with the rate.
     pub clock: Clock,
-    /// How the log was read.
+    /// Columns, unit and warnings of the reading.
     pub statement: TraceStatement,
 }
 
-/// How a log was read, for the user to check.
+/// Columns, unit and warnings of the reading of a log, for the user to check.
 #[derive(Clone, Debug, Serialize)]
 pub struct TraceStatement {
-    /// Whose log it is.
+    /// Controller or format that wrote the log.
     pub format: LogFormat,
     /// Column or dataset of every quantity that was read.
     pub columns: Vec<(Role, String)>,
     /// mm per stored value along x and y.
     pub mm_per_value: [f64; 2],
-    /// Where the unit of the positions is from.
+    /// Source of the unit of the positions: "the log" or "asked for".
     pub unit_from: &'static str,
-    /// What the user should know.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
-/// Most that the current may be below zero where the beam is off, relative to the nominal one: the offset
-/// of a picoammeter is far below it.
+/// Largest current below zero while the beam is off, relative to the nominal current. A current further
+/// below zero is refused; a smaller one counts as 0. Larger: accepts currents with the wrong sign. Smaller:
+/// refuses logs with an offset. Chosen: the offset of a picoammeter is far below it.
 const MOST_NEGATIVE_CURRENT: f64 = 0.05;
 
-/// A rate that is more times larger or smaller than that of the TIF is a mistake in the units: from A to mA it is 1000.
+/// Largest ratio of the current to the nominal current, and of the nominal current to the largest current;
+/// a log beyond it is refused, because its currents are in another unit. Larger: accepts mistakes in the
+/// unit. Smaller: refuses unusual currents. Chosen: from A to mA the ratio is 1000.
 const LARGEST_RATE_FACTOR: f64 = 100.0;
 
-/// A rate that is more times larger or smaller than that of the TIF where the beam is on is named: it is that of another
-/// beam than the one with which the TIF was measured.
+/// Largest ratio, either way, of the mean current with the beam on to the nominal current without a
+/// warning. Larger: does not notice that the TIF was measured with another beam. Smaller: warns of usual
+/// currents.
 const USUAL_RATE_FACTOR: f64 = 2.0;
 
-/// The beam is on where the current is above this part of its largest value.
+/// Fraction of its largest value above which the current means that the beam is on. Larger: a beam with a
+/// drifting current counts as off. Smaller: a beam that is being switched off still counts as on.
 const BEAM_ON: f64 = 0.5;
 
 /// Reads the bytes of a log.
@@ -249,7 +254,7 @@ fn check(settings: &TraceSettings) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// mm per stored value along x and y, and where that is from.
+/// mm per stored value along x and y, and the source of the unit.
 fn scale(
     columns: &[Column],
     settings: &TraceSettings,
@@ -292,7 +297,7 @@ fn scale(
     Ok(([mm; 2], from))
 }
 
-/// The switch of the tool: 0 or 1.
+/// Switch of the tool, from numbers that are 0 or 1.
 fn switched(column: &Column) -> Result<Vec<bool>, Invalid> {
     let one = |(i, v): (usize, &f64)| match *v {
         0.0 => Ok(false),
@@ -305,7 +310,7 @@ fn switched(column: &Column) -> Result<Vec<bool>, Invalid> {
     column.values.iter().enumerate().map(one).collect()
 }
 
-/// w = I / I_nominal; what is slightly below zero is zero.
+/// w = I / I_nominal; a value slightly below zero becomes zero.
 fn rate_factor(
     column: &Column,
     nominal: Option<f64>,
@@ -371,7 +376,7 @@ fn other_unit(current: f64, nominal: f64) -> String {
 }
 
 impl Trace {
-    /// Refuses positions that are in no machine.
+    /// Refuses positions that no machine reaches.
     fn check_plausible(&self) -> Result<(), Invalid> {
         let all = [Some(&self.actual_mm), self.setpoint_mm.as_ref()];
         for positions in all.into_iter().flatten() {
@@ -414,8 +419,8 @@ impl Trace {
         Ok(self)
     }
 
-    /// Whether the tool removed in the intervals between the samples (n-1), by its switch or by its current; `None`
-    /// where the log has neither.
+    /// State of the tool in the intervals between the samples (n-1), true if it removed. It is from the
+    /// switch, the current, or both; `None` if the log has neither.
     pub fn removes(&self) -> Option<Vec<bool>> {
         let intervals = self.time_s.len() - 1;
         let switched = self.tool_on.as_ref().map(|on| on[..intervals].to_vec());
@@ -428,7 +433,7 @@ impl Trace {
         })
     }
 
-    /// What was done, as a motion whose time is that since the first sample of the log.
+    /// Motion of the log; its time counts from the first sample.
     pub fn motion(&self, between: Between) -> Result<Trajectory, Invalid> {
         let gap_s = self.clock.longest_step_s();
         let motion = motion::through(&self.time_s, &self.actual_mm, gap_s, between)?;
@@ -450,7 +455,7 @@ impl Trace {
         }
     }
 
-    /// What should have been done, where the log has it.
+    /// Motion of the setpoint, if the log has it.
     pub fn setpoint(&self, between: Between) -> Result<Option<Trajectory>, Invalid> {
         let gap_s = self.clock.longest_step_s();
         let through = |p: &Vec<[f64; 2]>| motion::through(&self.time_s, p, gap_s, between);

@@ -1,5 +1,5 @@
-//! The corpus of the fuzzer (`just fuzz`), replayed: what once broke a reader, and the inputs that
-//! together reach all of its code. No engine is needed for it.
+//! The corpus of the fuzzer (`just fuzz`), replayed: inputs that once broke a reader, and inputs that
+//! together reach all of its code. The test needs no fuzzing engine.
 
 #[path = "../../../fuzz/src/readers.rs"]
 mod readers;
@@ -10,11 +10,15 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// A file of some kilobytes is read in milliseconds; this is for a machine that does other work too.
+/// Longest time for one file, s. Larger: the test finds a slow reader later. Smaller: it fails on a busy
+/// machine. Chosen: a file of some kilobytes is read in milliseconds.
 const LIMIT: Duration = Duration::from_secs(5);
 
-/// The corpus stays small enough to be read by people who clone the repository.
+/// Largest number of files of the corpus. Larger: a clone of the repository takes more disk. Smaller: fewer
+/// inputs can stay.
 const MOST_FILES: usize = 250;
+/// Largest file of the corpus, bytes. Larger: a clone of the repository takes more disk. Smaller: some
+/// inputs are too large.
 const LARGEST_BYTES: usize = 16 << 10;
 
 #[test]

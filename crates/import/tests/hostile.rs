@@ -1,6 +1,6 @@
-//! Files that ask for much, absurd numbers in every numeric flag, maps that are hardly maps, and what is
-//! no file at all: the program ends in time and within its memory, with an exit code of the table, at
-//! most one message, never with an internal error.
+//! Hostile input: files that ask for much, absurd numbers in every numeric flag, maps that are hardly maps,
+//! and files of no format. The program must end in time and within its memory, with an exit code of the
+//! table and at most one message, never with an internal error.
 
 use std::{
     fs,
@@ -13,10 +13,12 @@ use flate2::{Compress, Compression, FlushCompress};
 use planish_testkit::program::run_within;
 use serde_json::Value;
 
-/// A run takes milliseconds, on a bomb less than a second; what takes this long has no end.
+/// Longest time for one run, s. Larger: the test finds an endless loop later. Smaller: it fails on a busy
+/// machine. Chosen: a run takes milliseconds, on a compressed bomb less than a second.
 const LIMIT: Duration = Duration::from_secs(20);
 
-/// Address space of a run, KiB: the allocator sets 1 GiB aside, of which little is used.
+/// Address space of a run, KiB. Larger: the test does not find a large allocation. Smaller: the allocator
+/// fails, which sets 1 GiB aside and uses little of it.
 const ADDRESS_SPACE_KIB: usize = 1_500_000;
 
 /// Runs to its end, or to [`LIMIT`].
@@ -341,7 +343,7 @@ const NUMBERS: [&str; 14] = [
     "99999999999999999999",
 ];
 
-/// Where a JSON value is null: a number that JSON does not have becomes null.
+/// Collects the places where a JSON value is null, because a number that JSON does not have becomes null.
 fn nulls(value: &Value, at: &str, found: &mut Vec<String>) {
     match value {
         Value::Null => found.push(at.into()),
@@ -351,7 +353,7 @@ fn nulls(value: &Value, at: &str, found: &mut Vec<String>) {
     }
 }
 
-/// Runs; what is wrong with how it ended, and whether it ran.
+/// Runs a command. Returns what is wrong with its end, if anything, and whether it ran.
 fn judged(dir: &Path, arguments: &[&str]) -> (Option<String>, bool) {
     let _ = fs::remove_dir_all(dir.join("out"));
     let _ = fs::remove_file(dir.join("p.svg"));

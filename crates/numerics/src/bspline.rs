@@ -13,8 +13,8 @@
 
 use ndarray::Array2;
 
-/// The four cubic B-splines of knots at distance 1 that are not 0 on a cell, at the offset `f` in [0, 1] from its
-/// beginning.
+/// Values of the four cubic B-splines that are not 0 on a cell, for knots at distance 1. The
+/// argument `f` in [0, 1] is the offset from the start of the cell.
 #[inline]
 pub fn on_a_cell(f: f64) -> [f64; 4] {
     let g = 1.0 - f;
@@ -22,17 +22,17 @@ pub fn on_a_cell(f: f64) -> [f64; 4] {
     [g * g * g / 6.0, inner(f), inner(g), f * f * f / 6.0]
 }
 
-/// Degree of the splines.
+/// Degree of the splines: 3, cubic. [`Knots::basis`] and its callers assume it.
 const P: usize = 3;
 
-/// Clamped knots of cubic splines: strictly ascending but for the fourfold ends.
+/// Clamped knots of cubic splines: strictly ascending, except for the fourfold ends.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Knots {
     t: Vec<f64>,
 }
 
 impl Knots {
-    /// `spans >= 1` spans of equal length on [0, `length`].
+    /// Knots of `spans >= 1` spans of equal length on [0, `length`].
     pub fn uniform(length: f64, spans: usize) -> Self {
         let at = |k: usize| if k == spans { length } else { length * k as f64 / spans as f64 };
         let inner = (1..spans).map(at);
@@ -56,14 +56,15 @@ impl Knots {
         &self.t[P..self.t.len() - P]
     }
 
-    /// Where `B_i` is not zero.
+    /// Interval on which `B_i` is not zero.
     pub fn support(&self, i: usize) -> (f64, f64) {
         (self.t[i], self.t[i + P + 1])
     }
 
     /// Greville's abscissae (n): the mean of the three inner knots of every `B_i`.
     ///
-    /// D = s has these as its control values, and a spline is determined by its values there.
+    /// They are the control values of D = s. The values of a spline at these abscissae determine
+    /// it.
     pub fn greville(&self) -> Vec<f64> {
         (0..self.len()).map(|i| (self.t[i + 1] + self.t[i + 2] + self.t[i + 3]) / 3.0).collect()
     }
@@ -74,13 +75,15 @@ impl Knots {
         P + inner.partition_point(|t| *t <= s)
     }
 
-    /// The first i and the values of `B_i .. B_{i+3}`, all others being zero, at `s`.
+    /// Index of the first B-spline that is not zero at `s`, and the values of `B_i .. B_{i+3}`; all
+    /// others are zero.
     pub fn basis(&self, s: f64) -> (usize, [f64; 4]) {
         let k = self.span(s);
         (k - P, recurrence::<4>(|i| self.t[i], k, s))
     }
 
-    /// The first i and the derivatives of `B_i .. B_{i+3}` at `s`.
+    /// Index of the first B-spline that is not zero at `s`, and the derivatives of `B_i ..
+    /// B_{i+3}`.
     pub fn basis_derivative(&self, s: f64) -> (usize, [f64; 4]) {
         let k = self.span(s);
         let lower = recurrence::<3>(|i| self.t[i], k, s);
@@ -96,17 +99,17 @@ impl Knots {
         (first, derivative)
     }
 
-    /// D(s) of the control values `d` (n).
+    /// Value D(s) of the spline with the control values `d` (n).
     pub fn value(&self, d: &[f64], s: f64) -> f64 {
         combine(d, self.basis(s))
     }
 
-    /// D'(s).
+    /// Derivative D'(s) of the spline with the control values `d` (n).
     pub fn derivative(&self, d: &[f64], s: f64) -> f64 {
         combine(d, self.basis_derivative(s))
     }
 
-    /// The integral of D from the first knot, in closed form.
+    /// Integral of D from the first knot, in closed form.
     pub fn integral(&self, d: &[f64]) -> Integral<'_> {
         let mut e = vec![0.0];
         for i in 0..self.len() {
@@ -122,7 +125,7 @@ impl Knots {
         Self { t }
     }
 
-    /// The matrix (n of `fine`, n) that turns control values on these knots into those of the same
+    /// Matrix (n of `fine`, n) from control values on these knots to control values of the same
     /// spline on `fine`, which has these knots and more.
     pub fn refinement(&self, fine: &Self) -> Array2<f64> {
         let mut knots = self.clone();
@@ -158,7 +161,7 @@ impl Knots {
     }
 }
 
-/// The integral of a spline, a quartic one.
+/// Integral of a spline: a quartic spline.
 #[derive(Clone, Debug)]
 pub struct Integral<'a> {
     knots: &'a Knots,
@@ -166,7 +169,7 @@ pub struct Integral<'a> {
 }
 
 impl Integral<'_> {
-    /// Its value at `s`.
+    /// Value of the integral at `s`.
     pub fn value(&self, s: f64) -> f64 {
         let t = &self.knots.t;
         let k = self.knots.span(s);
@@ -181,7 +184,8 @@ fn combine(d: &[f64], (first, basis): (usize, [f64; 4])) -> f64 {
     (0..4).map(|j| d[first + j] * basis[j]).sum()
 }
 
-/// The N B-splines of degree N - 1 that are not zero in span k, by Cox and de Boor.
+/// Values of the N B-splines of degree N - 1 that are not zero in span k, by the recurrence of Cox
+/// and de Boor.
 fn recurrence<const N: usize>(t: impl Fn(usize) -> f64, k: usize, s: f64) -> [f64; N] {
     let mut b = [0.0; N];
     b[0] = 1.0;

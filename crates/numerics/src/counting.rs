@@ -1,6 +1,7 @@
-//! Sorting by counting, for keys that are small numbers: in time proportional to items and keys.
+//! Counting sort for keys that are small numbers, in time proportional to the number of items and
+//! keys.
 
-/// The numbers of items in the order of their keys; items of the same key stay in their order.
+/// Item numbers in the order of their keys. Items of the same key stay in their order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Grouped {
     /// The items of key k are `items[first[k]..first[k + 1]]`.
@@ -9,10 +10,10 @@ pub struct Grouped {
 }
 
 impl Grouped {
-    /// Groups the items 0, 1, 2, ... (fewer than 2^32) by their keys, all below `keys`; an item without
-    /// a key is left out.
+    /// Groups the items 0, 1, 2, ... (fewer than 2^32) by their keys, all below `keys`. Items
+    /// without a key are left out.
     pub fn new(keys: usize, key_of_item: impl Iterator<Item = Option<usize>> + Clone) -> Self {
-        // The number of items of key k at k + 1, then that of all keys up to k.
+        // Element k + 1 first counts the items of key k, then those of all keys up to k.
         let mut first = vec![0_u32; keys + 1];
         key_of_item.clone().flatten().for_each(|k| first[k + 1] += 1);
         for k in 0..keys {
@@ -34,7 +35,8 @@ impl Grouped {
         &self.items[self.first(key)..self.first(key + 1)]
     }
 
-    /// Place of the first item of a key among all items; the number of items for the key after the last.
+    /// Place of the first item of a key among all items. For the key after the last, it is the
+    /// number of items.
     pub fn first(&self, key: usize) -> usize {
         self.first[key] as usize
     }

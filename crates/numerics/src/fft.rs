@@ -1,16 +1,16 @@
-//! Discrete Fourier transforms and the convolutions that they make.
+//! Discrete Fourier transforms, and convolutions by means of them.
 //!
-//! | module | what is transformed |
+//! | module | subject |
 //! |---|---|
 //! | [`transform`] | a map of any size, for its spectrum |
 //! | [`convolution`] | one real map at a time, convolved with one kernel |
-//! | [`tiles`] | the same, tile by tile |
+//! | [`tiles`] | one real map at a time, convolved with one kernel, tile by tile |
 //! | [`lane_convolution`] | two strips of a tile, as the real and imaginary parts of one field |
 //! | [`lanes`] | as many lines at a time as a vector of the processor has lanes |
 //! | [`line_convolution`] | pairs of lines whose products with several kernels are summed before the inverse |
-//! | [`mod@line`] | the same for single real lines |
+//! | [`mod@line`] | single real lines whose products are summed before the inverse |
 //!
-//! Rows and columns are independent transforms everywhere, so no result depends on the number of
+//! Rows and columns are independent transforms everywhere. No result depends on the number of
 //! threads.
 
 pub mod convolution;

@@ -31,16 +31,16 @@ pub fn weights(f: f64) -> [f64; 4] {
     ]
 }
 
-/// Means of Keys' weights over offsets f with these means `[f, f^2, f^3]`.
+/// Means of Keys' weights over offsets f whose powers have the means `[f, f^2, f^3]`.
 #[inline]
 pub fn mean_weights([f, f2, f3]: [f64; 3]) -> [f64; 4] {
     [f2 - 0.5 * (f3 + f), 1.0 + 1.5 * f3 - 2.5 * f2, 2.0 * f2 - 1.5 * f3 + 0.5 * f, 0.5 * (f3 - f2)]
 }
 
-/// `samples` (ny, nx) with one ghost node on every side: shape (ny+2, nx+2).
+/// `samples` (ny, nx) with one ghost node on every side, (ny+2, nx+2).
 ///
-/// Axes shorter than three samples continue with the highest order they have
-/// (two samples: linear; one: constant).
+/// An axis with fewer than three samples continues with the highest order that it has: linear for
+/// two samples, constant for one.
 pub fn with_ghosts(samples: ArrayView2<f64>) -> Array2<f64> {
     let (ny, nx) = samples.dim();
     let mut g = Array2::zeros((ny + 2, nx + 2));
@@ -56,7 +56,7 @@ pub fn with_ghosts(samples: ArrayView2<f64>) -> Array2<f64> {
     g
 }
 
-/// The node one beyond `at(0)`, from the `n` nodes `at(0), at(1), ...` going inwards.
+/// Ghost node next to `at(0)`, from the `n` nodes `at(0), at(1), ...` towards the middle.
 fn continuation(n: usize, at: impl Fn(usize) -> f64) -> f64 {
     match n {
         1 => at(0),
@@ -65,15 +65,16 @@ fn continuation(n: usize, at: impl Fn(usize) -> f64) -> f64 {
     }
 }
 
-/// A lattice coordinate within this distance of an integer (in steps) is that integer.
+/// Largest distance of a lattice coordinate from an integer at which it counts as that integer, in
+/// steps.
 ///
-/// The interpolated field may jump to zero at its last node; without the snap, rounding in
-/// `(x - x0) / h` would decide whether a point on the border belongs to it. 1e-9 of a step is
-/// far above that rounding (about 1e-12 for coordinates of 1e4 steps) and far below any
-/// lateral accuracy.
+/// The interpolated field may jump to zero at its last node. Without this tolerance, rounding in
+/// `(x - x0) / h` would decide whether a point on the border belongs to it. Larger: lateral
+/// accuracy is lost. Smaller: rounding decides again; it is about 1e-12 for coordinates of 1e4
+/// steps.
 pub const SNAP: f64 = 1e-9;
 
-/// `s` split into its lattice cell and offset, snapped to nodes within [`SNAP`].
+/// Lattice cell and offset of the coordinate `s`, which is moved to a node within [`SNAP`].
 #[inline]
 pub fn split(s: f64) -> (isize, f64) {
     // floor, without a call where the processor that is compiled for has no instruction for it

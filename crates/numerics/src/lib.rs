@@ -1,9 +1,9 @@
 //! Mathematics without optics, shared by the stages.
 //!
-//! Nothing here knows a unit, a file or a clock. A routine lives here when two crates need it,
-//! or when it is a textbook method that would hide the algorithm it serves.
+//! Nothing here knows a unit, a file or a clock. A routine is in this crate if two crates need it,
+//! or if it is a textbook method that would hide the algorithm that uses it.
 //!
-//! | module | what it solves |
+//! | module | contents |
 //! |---|---|
 //! | [`fft`] | transforms and convolutions of lines and maps |
 //! | [`linear`] | symmetric systems (skyline Cholesky, Woodbury), tridiagonal ones, Krylov methods |

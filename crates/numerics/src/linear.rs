@@ -9,8 +9,8 @@
 //! | [`lanczos`] | known by products | the part of the large eigenvalues, Krylov space |
 //! | [`power`] | known by products | largest eigenvalue |
 //!
-//! The products that most of the time goes into: `block_product` of a factorisation, and [`interleaved`] of a matrix that is
-//! made of products of columns.
+//! Most of the time is spent in two products: `block_product` in a factorisation, and
+//! [`interleaved`] for a matrix that consists of products of columns.
 
 mod block_product;
 pub mod interleaved;

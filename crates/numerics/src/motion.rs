@@ -1,4 +1,4 @@
-//! Motions of axes in time, as cubic pieces.
+//! Motions of axes in time, as polynomial pieces of degree three at most.
 
 pub mod clothoid;
 pub mod state_to_state;

@@ -1,4 +1,4 @@
-//! Orthogonal polynomials by their three-term recurrences, which lose no digits at high orders.
+//! Orthogonal polynomials by three-term recurrences, which keep their digits at high orders.
 //!
 //! ```text
 //! Legendre    (k+1) P_(k+1)(u) = (2k+1) u P_k(u) - k P_(k-1)(u),           |u| <= 1
@@ -7,7 +7,7 @@
 //!             Z_n^m = R_n^m cos(m theta) for m >= 0,  R_n^|m| sin(|m| theta) for m < 0
 //! ```
 //!
-//! All are 1 at u = 1, or rho = 1 in the direction where the cosine or sine is 1.
+//! All are 1 at u = 1, or at rho = 1 in the direction in which the cosine or sine is 1.
 //!
 //! Source: F. W. J. Olver et al., NIST Handbook of Mathematical Functions, section 18.9; for the
 //! radial polynomials B. Honarvar Shakibaei, R. Paramesran, Opt. Lett. 38 (2013) 2487, Eq. 12.
@@ -42,14 +42,14 @@ pub fn zernike_terms(order: u32) -> usize {
     (order as usize + 1) * (order as usize + 2) / 2
 }
 
-/// Place of the term (n, m) in the order of OSA and ANSI Z80.28: n ascending, then m.
+/// Index of the term (n, m) in the order of OSA and ANSI Z80.28: n ascending, then m.
 pub fn zernike_index(n: u32, m: i32) -> usize {
     let (n, m) = (i64::from(n), i64::from(m));
     ((n * (n + 2) + m) / 2) as usize
 }
 
-/// All `Z_n^m(x, y)` with n <= `order` at x = rho cos(theta), y = rho sin(theta), at the places of
-/// [`zernike_index`]; `out` has [`zernike_terms`] elements.
+/// All `Z_n^m(x, y)` with n <= `order` at x = rho cos(theta), y = rho sin(theta), at the indices of
+/// [`zernike_index`]. `out` has [`zernike_terms`] elements.
 pub fn zernike(order: u32, x: f64, y: f64, out: &mut [f64]) {
     let n_max = order as usize;
     assert_eq!(out.len(), zernike_terms(order), "one element per term");

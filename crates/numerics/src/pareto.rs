@@ -1,9 +1,10 @@
-//! Which of many points are best in one of two quantities, both of which are to be small.
+//! Pareto front of points with two quantities, both of which should be small.
 //!
-//! A point is on the front when no other is at most as large in both and smaller in one.
+//! A point is on the front if no other point is at most as large in both quantities and smaller in
+//! one.
 
-/// The indices of the points on the front, by ascending first quantity; of equal points the first. Points with NaN are
-/// on no front.
+/// Indices of the points on the front, by ascending first quantity. Of equal points, only the first
+/// is on it. Points with NaN are not on it.
 pub fn front(points: &[[f64; 2]]) -> Vec<usize> {
     let mut order: Vec<usize> =
         (0..points.len()).filter(|&i| !points[i].iter().any(|x| x.is_nan())).collect();
@@ -20,13 +21,14 @@ pub fn front(points: &[[f64; 2]]) -> Vec<usize> {
     order
 }
 
-/// The area that points dominate below a corner, in the logarithms of both quantities:
+/// Area that points dominate below a corner, in the logarithms of both quantities:
 ///
 /// ```text
 /// A = sum_i ln(x_(i+1) / x_i) ln(Y / y_i)        over the front x_1 < x_2 < ..., with x_(n+1) = X
 /// ```
 ///
-/// for the corner (X, Y). It grows with every point that the front gains, whatever the units.
+/// for the corner (X, Y). It grows with every new point on the front, and does not depend on the
+/// units.
 pub fn dominated_area(points: &[[f64; 2]], corner: [f64; 2]) -> f64 {
     let within: Vec<[f64; 2]> =
         points.iter().copied().filter(|p| (0..2).all(|k| p[k] > 0.0 && p[k] < corner[k])).collect();
@@ -43,7 +45,7 @@ pub fn dominated_area(points: &[[f64; 2]], corner: [f64; 2]) -> f64 {
 mod tests {
     use super::*;
 
-    /// By the definition, point against point.
+    /// Front by its definition, point against point.
     fn by_definition(points: &[[f64; 2]]) -> Vec<usize> {
         let dominates = |a: [f64; 2], b: [f64; 2]| a[0] <= b[0] && a[1] <= b[1] && a != b;
         let mut front: Vec<usize> = (0..points.len())
@@ -72,12 +74,12 @@ mod tests {
     #[test]
     fn the_area_is_that_of_rectangles_in_the_logarithms() {
         let e = f64::exp;
-        // One point: a rectangle of 2 by 3. Two: what the second adds is 1 by 1.
+        // The area of one point is a rectangle of 2 by 3. The second point adds 1 by 1.
         let corner = [e(2.0), e(3.0)];
         assert!((dominated_area(&[[1.0, 1.0]], corner) - 6.0).abs() < 1e-12);
         let two = [[e(1.0), e(1.0)], [1.0, e(2.0)]];
         assert!((dominated_area(&two, corner) - (1.0 + 2.0)).abs() < 1e-12);
-        // What is dominated, or outside, adds nothing.
+        // A point that is dominated, or outside of the corner, adds nothing.
         let more = [&two[..], &[[e(1.5), e(1.5)], [e(9.0), 1.0]]].concat();
         assert_eq!(dominated_area(&more, corner), dominated_area(&two, corner));
     }

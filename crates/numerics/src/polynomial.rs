@@ -2,7 +2,7 @@
 //!
 //! Coefficients are ascending: `p(u) = c[0] + c[1] u + c[2] u^2 + c[3] u^3`.
 
-/// `p(u)` by nested multiplication.
+/// Value `p(u)` by nested multiplication.
 #[inline]
 pub fn evaluate(c: &[f64; 4], u: f64) -> f64 {
     ((c[3] * u + c[2]) * u + c[1]) * u + c[0]
@@ -14,7 +14,8 @@ pub fn derivative(c: &[f64; 4]) -> [f64; 4] {
     [c[1], 2.0 * c[2], 3.0 * c[3], 0.0]
 }
 
-/// The same polynomial from `d` on, q(u) = p(u + d): `q_k = p^(k)(d) / k!`; itself to the last bit where d is zero.
+/// Polynomial q(u) = p(u + d), which begins at `d`: `q_k = p^(k)(d) / k!`. For d = 0 it equals p to
+/// the last bit.
 pub fn shifted(p: &[f64; 4], d: f64) -> [f64; 4] {
     if d == 0.0 {
         return *p;
@@ -74,22 +75,22 @@ pub struct Range {
     pub min: f64,
     /// Largest value.
     pub max: f64,
-    /// Where the smallest value occurs.
+    /// Place of the smallest value.
     pub min_at: f64,
-    /// Where the largest value occurs.
+    /// Place of the largest value.
     pub max_at: f64,
 }
 
 impl Range {
-    /// The largest magnitude and where it occurs.
+    /// Largest magnitude and its place.
     pub fn peak(&self) -> (f64, f64) {
         if -self.min > self.max { (-self.min, self.min_at) } else { (self.max, self.max_at) }
     }
 }
 
-/// The root of `p(u) = level` in [`lo`, `hi`], where `p` is monotone and the level is bracketed.
+/// Root of `p(u) = level` in [`lo`, `hi`], where `p` is monotone and the level is bracketed.
 ///
-/// Newton's method kept inside the shrinking bracket by bisection; ends at rounding.
+/// Newton's method, with bisection where it would leave the shrinking bracket. It ends at rounding.
 pub fn monotone_crossing(c: &[f64; 4], level: f64, mut lo: f64, mut hi: f64) -> f64 {
     let rising = evaluate(c, hi) >= evaluate(c, lo);
     let d = derivative(c);

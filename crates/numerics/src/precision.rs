@@ -1,10 +1,10 @@
-//! Double precision, or single where that is proven to be exact enough.
+//! Double precision, and single precision where a proof shows that it is exact enough.
 
 use rustfft::FftNum;
 
-/// A number of a matrix, a transform or a factor.
+/// Number of a matrix, a transform or a factor, in either precision.
 pub trait Real: FftNum + Default + Into<f64> {
-    /// The nearest number.
+    /// The number nearest to `value`.
     fn rounded(value: f64) -> Self;
 }
 

@@ -1,6 +1,6 @@
 //! Gauss-Legendre quadrature.
 
-/// Nodes in (0, 1) and weights summing to 1 of the `N`-point Gauss-Legendre rule.
+/// Nodes in (0, 1) and weights of the `N`-point Gauss-Legendre rule. The weights sum to 1.
 ///
 /// Exact for polynomials up to degree 2N - 1. The nodes are the roots of the Legendre
 /// polynomial P_N, found by Newton's method from Chebyshev's estimate

@@ -5,8 +5,9 @@
 //! a wave of amplitude a and frequency f has the slope amplitude  2 a |sin(pi f k dx)| / (k dx)
 //! ```
 //!
-//! Between neighbouring samples (k = 1) a slope is mostly noise, and grows with every finer pitch; so a slope
-//! error is stated with its base length. A pair with an invalid sample (NaN) has no slope.
+//! Between neighbouring samples (k = 1) a slope is mostly noise, and grows with every finer pitch.
+//! A slope error is therefore stated with its base length. A pair with an invalid sample (NaN) has
+//! no slope.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -36,15 +37,15 @@ impl Along {
     }
 }
 
-/// The whole number of steps, at least one, that is nearest to `base`; `None` where `n` samples are not
-/// longer than that.
+/// Number of steps, at least one, nearest to the length `base`. `None` if `n` samples do not
+/// contain that many steps.
 pub fn steps_of_base(base: f64, step: f64, n: usize) -> Option<usize> {
     let steps = (base / step).round().max(1.0);
     (steps.is_finite() && steps < n as f64).then_some(steps as usize)
 }
 
-/// Slopes of `z` at the coordinates `at` along the axis, over `steps` samples; fewer than `steps` + 1 samples
-/// have none.
+/// Slopes of `z` at the coordinates `at` along the axis, over `steps` samples. The result is empty
+/// for `steps` samples or fewer.
 pub fn slopes(z: ArrayView2<f64>, at: &[f64], along: Along, steps: usize) -> Array2<f64> {
     let axis = along.axis();
     let kept = z.len_of(axis).saturating_sub(steps);

@@ -8,18 +8,19 @@
 //! mean square of a band = sum of S df over the bins with f_0 <= |f| < f_1
 //! ```
 //!
-//! so that the sum of S df over all bins is the mean square of the samples, each weighted with w^2,
-//! exactly (Parseval), and adjoining bands add up.
+//! The sum of S df over all bins therefore equals the mean square of the samples, each weighted
+//! with w^2, exactly (Parseval). Adjoining bands add up.
 //!
-//! The Hann window keeps what is not periodic in the rectangle (nearly everything) from leaking over
-//! all frequencies; it gives the middle more weight than the edges. Without a window all samples weigh
-//! alike, and high bands hold the leakage of low ones.
+//! The Hann window suppresses leakage over all frequencies, which nearly every map has because it
+//! is not periodic in the rectangle. It gives the middle more weight than the edges. Without a
+//! window all samples have equal weight, and high bands contain leakage from low ones.
 //!
-//! **Invalid samples.** A density is estimated on the largest rectangle without one
-//! ([`largest_rectangle`]). Setting them to zero multiplies the samples by a mask, and the density
-//! becomes the convolution of the true one with the spectrum of the mask, whose edges spread low
-//! frequencies, usually a million times stronger, over the high ones (Harris, Section II); filling them
-//! with a guess puts the guess into the result, which is for the user to decide, not for the estimate.
+//! **Invalid samples.** A density is estimated on the largest rectangle without invalid samples
+//! ([`largest_rectangle`]). Setting them to zero would multiply the samples by a mask. The density
+//! would then be the convolution of the true one with the spectrum of the mask, whose edges spread
+//! low frequencies over the high ones (Harris, Section II). Low frequencies are usually a million
+//! times stronger. Filling invalid samples with a guess would put the guess into the result, which
+//! is the decision of the user.
 //!
 //! Source: J. M. Elson, J. M. Bennett, Appl. Opt. 34 (1995) 201; ISO 10110-8 (one-sided along a
 //! line); F. J. Harris, Proc. IEEE 66 (1978) 51 (windows).
@@ -42,13 +43,15 @@ use crate::{
     statistics::{fit_plane, subtract_plane},
 };
 
-/// Fewest samples along an axis of a rectangle whose density says something: the window takes the
-/// ends, and the bin at zero the mean.
+/// Smallest number of samples along an axis of a rectangle with a useful density. Larger: small
+/// maps have no density. Smaller: the density is meaningless, because the window takes the ends,
+/// and the bin at zero the mean.
 pub const MIN_SAMPLES: usize = 8;
 
-/// Least value of a tool's transfer function at which dwell times can correct a wave. To take off a wave of 1 nm, they
-/// have to vary by what would remove 1 nm over the transfer without the wave: at 1 % a hundred nanometres, more than
-/// most plans remove altogether, and dwell times cannot be negative.
+/// Smallest transfer function of a tool, relative to frequency 0, at which dwell times can correct
+/// a wave. Larger: fewer waves count as correctable. Smaller: waves count that no plan can correct.
+/// To remove a wave of 1 nm, the dwell times vary by the removal of 1 nm / transfer. At 1 % that is
+/// 100 nm, more than the whole removal of most plans, and dwell times cannot be negative.
 pub const LEAST_TRANSFER: f64 = 0.01;
 
 /// The periodic Hann window of `n` samples, `w[i] = (1 - cos(2 pi i / n)) / 2`.
@@ -63,8 +66,8 @@ pub fn without_mean(z: ArrayView2<f64>) -> Array2<f64> {
     z - mean
 }
 
-/// `z` (ny, nx) minus its least-squares plane over the coordinates `x` and `y`, and minus its mean;
-/// minus its mean alone where it has no plane.
+/// `z` (ny, nx) minus its least-squares plane over the coordinates `x` and `y`, and minus its mean.
+/// If the samples define no plane, only the mean is subtracted.
 pub fn without_plane(z: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Array2<f64> {
     match fit_plane(z, x, y) {
         Some(plane) => without_mean(subtract_plane(z, x, y, plane).view()),
@@ -81,11 +84,11 @@ pub struct Density {
     pub frequency_y: Vec<f64>,
     /// S (ny, nx).
     pub density: Array2<f64>,
-    /// The area of a bin, df along x times df along y.
+    /// Area of a bin: df along x times df along y.
     pub bin: f64,
 }
 
-/// The means over a ring of frequencies.
+/// Means over a ring of frequencies.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ring {
     /// Mean of |f|.
@@ -95,7 +98,8 @@ pub struct Ring {
 }
 
 impl Density {
-    /// S of `z` (ny, nx) without invalid samples, at `step` [dx, dy], under `window` [w_x, w_y].
+    /// Density S of `z` (ny, nx) without invalid samples, at `step` [dx, dy], under `window` [w_x,
+    /// w_y].
     pub fn of(z: ArrayView2<f64>, step: [f64; 2], window: [&[f64]; 2]) -> Self {
         let ((ny, nx), [dx, dy], [w_x, w_y]) = (z.dim(), step, window);
         // S = |F|^2 / (nx dx ny dy mean(w^2)), F = dx dy DFT(z w)
@@ -112,7 +116,7 @@ impl Density {
         }
     }
 
-    /// Sum of S df over all bins: the mean square of the weighted samples.
+    /// Sum of S df over all bins. It equals the mean square of the weighted samples.
     pub fn total(&self) -> f64 {
         self.density.sum() * self.bin
     }
@@ -123,7 +127,8 @@ impl Density {
         inside.map(|(_, s)| s).sum::<f64>() * self.bin
     }
 
-    /// Means over rings, by `ring_of` |f|, below `count`; a ring without a bin is `None`.
+    /// Means over `count` rings. `ring_of` gives the ring of a frequency |f|, if any. A ring
+    /// without a bin is `None`.
     pub fn rings(&self, count: usize, ring_of: impl Fn(f64) -> Option<usize>) -> Vec<Option<Ring>> {
         let mut sums = vec![(0.0, 0.0, 0_usize); count];
         for (f, s) in self.bins() {
@@ -160,10 +165,11 @@ pub fn along_rows(z: ArrayView2<f64>, step: f64, window: &[f64]) -> (Vec<f64>, V
     ((0..=n / 2).map(|k| k as f64 / (n as f64 * step)).collect(), density)
 }
 
-/// The transfer function of a kernel (my, mx) whose samples are at `x` and `y`, at the frequencies `f_x` and
-/// `f_y`, over that at 0: |sum t exp(-2 pi i (f_x x + f_y y))| / |sum t|, of shape (ny, nx).
+/// Transfer function of a kernel (my, mx) with samples at `x` and `y`, at the frequencies `f_x` and
+/// `f_y`, relative to frequency 0: |sum t exp(-2 pi i (f_x x + f_y y))| / |sum t|, (ny, nx).
 ///
-/// Direct sums, one axis after the other: the steps of the kernel and of the frequencies have nothing in common.
+/// It is a direct sum, one axis after the other, because the steps of the kernel and of the
+/// frequencies are unrelated.
 pub fn transfer(
     kernel: ArrayView2<f64>,
     [x, y]: [&[f64]; 2],
@@ -193,18 +199,18 @@ pub fn transfer(
     Array2::from_shape_fn((f_y.len(), f_x.len()), |(r, c)| lines[r][c])
 }
 
-/// The mean of the squares of a window.
+/// Mean of the squares of a window.
 pub fn mean_square(window: &[f64]) -> f64 {
     window.iter().map(|w| w * w).sum::<f64>() / window.len() as f64
 }
 
-/// Elements of a transform of length `n` by ascending frequency.
+/// Indices of the elements of a transform of length `n` by ascending frequency.
 fn ascending(n: usize) -> Vec<usize> {
     (n / 2 + 1..n).chain(0..=n / 2).collect()
 }
 
-/// The largest rectangle of true by area: its first (row, column) and its (rows, columns). Of
-/// equal ones the first.
+/// Largest rectangle of true by area: its first (row, column) and its (rows, columns). Of equal
+/// rectangles, the first.
 pub fn largest_rectangle(flags: &Array2<bool>) -> ((usize, usize), (usize, usize)) {
     let (ny, nx) = flags.dim();
     let mut best = ((0, 0), (0, 0));

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::vectors::vectorised;
 
-/// RMS, PV and friends of the valid pixels of a map. Units are those of the map.
+/// RMS, PV and other statistics of the valid pixels of a map. Units are those of the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Statistics {
     /// Number of valid (not NaN) pixels.
@@ -24,13 +24,17 @@ pub struct Statistics {
     pub max: f64,
 }
 
-/// Elements that one thread takes at a time.
+/// Number of pixels that a thread takes at a time. Larger: less parallelism on small maps. Smaller:
+/// more overhead. Sums are made part by part, so that this number also decides their rounding.
 const PART: usize = 1 << 14;
 
-/// Sums that are made side by side, of every eighth pixel of a row each: the processor adds them together.
+/// Number of independent sums, each of every eighth pixel of a row. The processor adds them in one
+/// vector. Larger: more sums than a vector has lanes. Smaller: idle lanes. It also decides the
+/// rounding of a sum.
 const SIDE_BY_SIDE: usize = 8;
 
-/// What `of` makes of parts of some rows, numbered from the first of them, in order.
+/// Results of `of` for parts of the rows of `map`, in order. `of` gets the number of the first row
+/// of a part, and the part.
 fn by_parts<T: Send>(
     map: ArrayView2<f64>,
     of: impl Fn(usize, ArrayView2<f64>) -> T + Sync,
@@ -40,14 +44,15 @@ fn by_parts<T: Send>(
     parts.map(|(part, map)| of(part * rows, map)).collect()
 }
 
-/// The pixels of a row.
+/// Pixels of a row, copied if they are not contiguous.
 #[inline(always)]
 fn pixels(row: ArrayView1<'_, f64>) -> Cow<'_, [f64]> {
     row.to_slice().map_or_else(|| row.to_vec().into(), Cow::Borrowed)
 }
 
-/// Sums of what `of` makes of (x, y, value) of every valid pixel, x and y being what stands there for its column and
-/// its row: parts of rows, then their sums in order, the same on any number of threads.
+/// Sums of `of(x, y, value)` over all valid pixels. `x` has a number for every column, `y` for
+/// every row. The sums are made over parts of rows, and added in order: they are the same on any
+/// number of threads.
 fn sums<const N: usize>(
     map: ArrayView2<f64>,
     (x, y): (&[f64], &[f64]),
@@ -66,7 +71,7 @@ fn sums<const N: usize>(
                         if let (Ok(pixels), Ok(x)) = (pixels.try_into(), x.try_into()) {
                             add::<SIDE_BY_SIDE, N>(pixels, x, *y, &of, &mut sums);
                         } else {
-                            // The last ones, and what is not counted beside them.
+                            // The last pixels of a row, padded with NaN, which does not count.
                             let mut whole = [[f64::NAN; SIDE_BY_SIDE]; 2];
                             whole[0][..pixels.len()].copy_from_slice(pixels);
                             whole[1][..x.len()].copy_from_slice(x);
@@ -103,7 +108,7 @@ fn add<const M: usize, const N: usize>(
     }
 }
 
-/// [`sums`] of what does not depend on the place.
+/// Sums of `of(value)` over all valid pixels ([`sums`]).
 fn sums_of_values<const N: usize>(
     map: ArrayView2<f64>,
     of: impl Fn(f64) -> [f64; N] + Sync,
@@ -117,7 +122,7 @@ fn sums_of_values<const N: usize>(
     )
 }
 
-/// Smallest and largest of the valid pixels; without one, infinity and minus infinity.
+/// Smallest and largest of the valid pixels; infinity and minus infinity if there is none.
 pub fn range(map: ArrayView2<f64>) -> (f64, f64) {
     let none = (f64::INFINITY, f64::NEG_INFINITY);
     let parts = by_parts(map, |_, map| {
@@ -150,7 +155,7 @@ pub fn valid_count(map: ArrayView2<f64>) -> usize {
     )[0] as usize
 }
 
-/// How many of the valid pixels have each of these values.
+/// Number of valid pixels that have each of these values.
 pub fn counts<const N: usize>(map: ArrayView2<f64>, values: [f64; N]) -> [usize; N] {
     let found = sums_of_values(
         map,
@@ -160,7 +165,7 @@ pub fn counts<const N: usize>(map: ArrayView2<f64>, values: [f64; N]) -> [usize;
     found.map(|n| n as usize)
 }
 
-/// Sum of what the valid pixels are above `level`.
+/// Sum of the excess of the valid pixels over `level`.
 pub fn sum_above(map: ArrayView2<f64>, level: f64) -> f64 {
     let above = sums_of_values(
         map,
@@ -170,11 +175,12 @@ pub fn sum_above(map: ArrayView2<f64>, level: f64) -> f64 {
     above[0]
 }
 
-/// Of how many rows one tells [`lowest`] what need not be looked at.
+/// Step between the rows that [`lowest`] samples for a bound on its result. Larger: a weaker bound,
+/// so that more pixels are sorted. Smaller: more pixels are sampled. It does not change the result.
 const ROWS_PER_LOOK: usize = 16;
 
-/// The lowest of the valid pixels but for this fraction of them, in [0, 1); of those with a `weight` (ny, nx) > 0
-/// where weights are given. `None` without such a pixel.
+/// Lowest valid pixel after leaving out the lowest `fraction`, in [0, 1). If weights (ny, nx) are
+/// given, only pixels with a `weight` > 0 count. `None` if no pixel counts.
 pub fn lowest(map: ArrayView2<f64>, weight: Option<ArrayView2<f64>>, fraction: f64) -> Option<f64> {
     let row = |r: usize| {
         let counts = move |c: usize| weight.is_none_or(|w| w[[r, c]] > 0.0);
@@ -189,13 +195,13 @@ pub fn lowest(map: ArrayView2<f64>, weight: Option<ArrayView2<f64>>, fraction: f
     let at_rank = |mut values: Vec<f64>| {
         (rank < values.len()).then(|| *values.select_nth_unstable_by(rank, f64::total_cmp).1)
     };
-    // At least as many of all pixels as of these are not above this.
+    // At least as many of all pixels as of the sampled ones are at or below this bound.
     let looked_at = (0..map.nrows()).step_by(ROWS_PER_LOOK).flat_map(|r| row(r).map(|(_, v)| *v));
     let enough = at_rank(looked_at.collect()).unwrap_or(f64::INFINITY);
     at_rank(rows.flat_map_iter(|r| row(r).map(|(_, v)| *v).filter(|v| *v <= enough)).collect())
 }
 
-/// Statistics of the valid pixels; `None` when there are none.
+/// Statistics of the valid pixels; `None` if there are none.
 pub fn statistics(map: ArrayView2<f64>) -> Option<Statistics> {
     let [n, sum] = sums_of_values(
         map,
@@ -230,10 +236,10 @@ pub struct Plane {
 
 /// Fits a plane to the valid pixels of `map` (ny, nx) at the coordinates `x` (nx), `y` (ny).
 ///
-/// `None` when the valid pixels do not define one: fewer than three, or all on one line.
+/// `None` if the valid pixels do not define a plane: fewer than three, or all on one line.
 ///
-/// The coordinates are centred on the valid pixels and scaled to [-1, 1] before the 2 x 2
-/// normal equations are solved, so the condition number is that of the mask, not of the units.
+/// The coordinates are centred on the valid pixels and scaled to [-1, 1] before the 2 x 2 normal
+/// equations are solved. The condition number therefore depends on the mask, not on the units.
 pub fn fit_plane(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Option<Plane> {
     let [n, x_sum, y_sum, z_sum] = sums(
         map,
@@ -261,7 +267,7 @@ pub fn fit_plane(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Option<Plane> {
     );
     // [xx xy; xy yy] [b; c] = [xz; yz]
     let determinant = xx * yy - xy * xy;
-    // Collinear pixels: the determinant vanishes against the product of the diagonal.
+    // Collinear pixels: the determinant is negligible against the product of the diagonal.
     if determinant <= 1e-10 * xx * yy || determinant <= 0.0 {
         return None;
     }
@@ -279,11 +285,11 @@ pub fn subtract_plane(map: ArrayView2<f64>, x: &[f64], y: &[f64], plane: Plane) 
     out
 }
 
-/// Population RMS after removing the least-squares plane; falls back to the mean-removed RMS
-/// where the valid pixels do not define a plane. `None` without valid pixels.
+/// Population RMS after removing the least-squares plane. If the valid pixels define no plane, only
+/// the mean is removed. `None` if there are no valid pixels.
 pub fn detilted_rms(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Option<f64> {
     let Some(plane) = fit_plane(map, x, y) else { return statistics(map).map(|s| s.rms) };
-    // The mean of what is left is zero but for rounding.
+    // The mean of the remainder is zero but for rounding.
     let [n, squares] = sums(
         map,
         (x, y),
@@ -319,7 +325,7 @@ mod tests {
             for map in [map.view(), map.t()] {
                 let valid: Vec<f64> = map.iter().copied().filter(|v| !v.is_nan()).collect();
                 let s = statistics(map).unwrap();
-                // Sums of integers are exact; of the squares of what is left, but for rounding.
+                // Sums of integers are exact. The squares of the remainder round.
                 let mean = valid.iter().sum::<f64>() / valid.len() as f64;
                 let squares: f64 = valid.iter().map(|v| (v - mean).powi(2)).sum();
                 assert_eq!((s.valid_count, s.mean), (valid.len(), mean));

@@ -1,31 +1,34 @@
-//! Loops compiled for the vectors of the processor that runs them.
+//! Loops compiled for the vector width of the processor that runs them.
 //!
-//! A binary is compiled for the oldest processor that may run it, and so for its narrowest vectors. What is done within
-//! [`vectorised`] is compiled for wider ones, too, and `pulp` chooses among them when the program runs. The compiler keeps
-//! the order of sums and never contracts a product and a sum: every bit is the same on all of them.
+//! A binary is compiled for the oldest processor that may run it, and so for its narrowest vectors.
+//! Code within [`vectorised`] is compiled for wider vectors as well, and `pulp` chooses among them
+//! when the program runs. The compiler keeps the order of sums and never contracts a product and a
+//! sum. Every bit is therefore the same on all processors.
 //!
-//! Where that does not find vectors by itself, code is written for the lanes of any of them with [`Lanes`]. It multiplies and
-//! adds in one step where the processor can, so that its last bits depend on the processor.
+//! If the compiler does not use vectors there by itself, code is written for the lanes of any of
+//! them with [`Lanes`]. It multiplies and adds in one step if the processor can, so that its last
+//! bits depend on the processor.
 
 use pulp::{Arch, Simd};
 
 use crate::precision::Real;
 
-/// Does `work`, a closure with the attribute `#[inline(always)]` which calls nothing that is not inlined, too: only what is
-/// inlined here is compiled again.
+/// Runs `work` compiled for the vectors of the processor. `work` is a closure with the attribute
+/// `#[inline(always)]` that calls only inlined functions, because only inlined code is compiled
+/// again.
 #[inline(always)]
 pub fn vectorised<R>(work: impl FnOnce() -> R) -> R {
     Arch::new().dispatch(work)
 }
 
-/// Arithmetic of a number in every lane.
+/// Arithmetic on vectors with a number in every lane.
 pub trait Lanes: Real {
-    /// A vector of the processor.
+    /// Vector type of the processor.
     type Vector<S: Simd>: Copy;
 
-    /// Lanes of a vector.
+    /// Number of lanes of a vector.
     fn lanes<S: Simd>() -> usize;
-    /// A number in every lane.
+    /// Vector with `value` in every lane.
     fn splat<S: Simd>(simd: S, value: Self) -> Self::Vector<S>;
     /// `a + b`.
     fn sum<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
@@ -47,9 +50,9 @@ pub trait Lanes: Real {
         b: Self::Vector<S>,
         c: Self::Vector<S>,
     ) -> Self::Vector<S>;
-    /// Numbers as vectors; a multiple of [`Self::lanes`].
+    /// The numbers as vectors; their count is a multiple of [`Self::lanes`].
     fn vectors<S: Simd>(numbers: &[Self]) -> &[Self::Vector<S>];
-    /// The same, to be changed.
+    /// The numbers as mutable vectors; their count is a multiple of [`Self::lanes`].
     fn vectors_mut<S: Simd>(numbers: &mut [Self]) -> &mut [Self::Vector<S>];
 }
 

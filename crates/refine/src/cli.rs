@@ -1,4 +1,4 @@
-//! The commands, one file each, and what they have in common.
+//! Subcommands, one file each, and the code that they share.
 
 mod pareto;
 mod refine;
@@ -12,7 +12,7 @@ pub use refine::Refine;
 
 #[derive(Subcommand)]
 pub enum Command {
-    /// Refine at rising prices of a second: residual against total time
+    /// Plan at rising prices of a second: residual against total time
     Pareto(pareto::Pareto),
 }
 
@@ -24,7 +24,7 @@ impl Command {
     }
 }
 
-/// The arrays of `kind::ITERATIONS`; there is at least one iterate.
+/// Arrays of `kind::ITERATIONS`, from at least one iterate.
 fn iterations<'a>(iterates: impl Iterator<Item = &'a Iterate>) -> Vec<ArrayData<'a>> {
     let iterates: Vec<&Iterate> = iterates.collect();
     let column = |f: fn(&Iterate) -> f64| {

@@ -1,6 +1,6 @@
-//! Dwell times corrected against the removal of the motion that will run.
+//! Correction of dwell times against the removal of the motion that will run.
 //!
-//! A dwell solver believes that the tool stands at points or moves uniformly along chords; the
+//! A dwell solver assumes that the tool stands at points or moves uniformly along chords; the
 //! machine executes a curve. So, starting from a dwell time `t`:
 //!
 //! ```text
@@ -16,27 +16,29 @@
 //! until    e falls by less than a fraction, or s is spent
 //! ```
 //!
-//! The operator must be the executed one: a fixed one converges on gentle paths and diverges where
-//! the curve leaves the chords. It holds for the curve that it was made of, and t^ bends the curve:
-//! the rougher the correction, the more. Hence the fraction s of the step, which is halved until the
-//! executed residual falls and doubled where it falls at the first try; and hence the smoothness,
-//! which falls from round to round to its last value: the
-//! first corrections are of a plan far from its own operator, the last ones are not.
+//! The operator B must be that of the executed motion: a fixed one converges on gentle paths and
+//! diverges where the curve leaves the chords. B holds for its own curve, but t^ changes the curve, and
+//! a rougher correction changes it more. So two settings limit a correction. The fraction s of the step
+//! is halved until the executed residual falls, and doubled if it falls at the first try. The
+//! smoothness falls from round to round to its last value, because the first corrections change the
+//! plan most.
 //!
-//! Where no part of a correction lowers the executed residual, although by B it was to fall by a tenth or more, t^ was
-//! beyond what B holds for, or asked for what the machine cannot do. The next one is smoother, and has what the machine
-//! needed at every try as lower bounds. Only where smoother ones fail, too, does the loop end.
+//! If no part of a correction lowers the executed residual, although B predicted that it would fall by a tenth or
+//! more, t^ is outside the range of B, or the machine cannot follow it. The next correction is smoother, and its
+//! lower bounds are the times that the machine needed at every try. The loop ends only if smoother corrections
+//! fail, too.
 //!
-//! The result is the iterate of the smallest `e` that keeps the limits, never the last by
-//! accident. With a price `lambda` on the total time T the place of `e` is taken by
-//! `sqrt(e^2 + 2 lambda T)`, twice the objective of the dwell solver. With a noise level the first
-//! correction chooses the smoothness at which the residual reaches the noise; it stays.
+//! The result is the iterate of the smallest `e` that keeps the limits, which need not be the last.
+//! With a price `lambda` on the total time T, `sqrt(e^2 + 2 lambda T)` replaces `e`; its square is twice
+//! the objective of the dwell solver. With a noise level the first correction chooses the smoothness at
+//! which the residual reaches the noise, and all corrections keep it.
 //!
-//! With a process ([`process`]) the loop goes on from its result: e^2 becomes the expected square, to which the errors
-//! of the process add a quadratic t'Q t of the dwell times, and what its fixed errors remove more is taken off the map.
+//! With a process ([`process`]) the loop goes on from its result. The expected square replaces e^2: the errors of
+//! the process add a quadratic t'Q t of the dwell times. The additional removal by its fixed errors is subtracted
+//! from the map.
 //!
-//! This is the only crate that sees several stages. What it promises is what `planish-simulate`
-//! and `planish-verify` say of the trajectory it writes; both are called inside as they are.
+//! This crate calls `planish-simulate` and `planish-verify` as they are, so that its residual and its
+//! limits are those that both report of the trajectory that it writes.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -65,30 +67,33 @@ use planish_types::{
 use planish_verify::{VerifySettings, verify};
 use serde::Serialize;
 
-/// What makes the motion.
+/// Scheduler that makes the motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Scheduler {
-    /// Cubic segments, stretched where the limits ask for it.
+    /// Cubic segments, stretched if the limits demand it.
     Pvt(pvt::Mode),
-    /// One constant acceleration, then constant velocity, per segment. It has no look-ahead: it
-    /// comes late where it cannot stop, and its velocity is not limited.
+    /// One constant acceleration, then constant velocity, per segment. It has no look-ahead: an axis that
+    /// cannot brake in time goes too far, and a segment takes longer if a limit needs more time.
     ConstantAcceleration,
 }
 
-/// How to refine.
+/// Settings of the closed loop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// What makes the motion.
+    /// Scheduler that makes the motion.
     pub scheduler: Scheduler,
-    /// The dwell solver; its columns are those of the first plan, its smoothness that of the last
-    /// corrections.
+    /// Settings of the dwell solver. The columns are those of the first plan, the smoothness is that of the
+    /// last corrections.
     pub dwell: dwell_solver::Settings,
-    /// Smoothness of the first correction; it falls to that of `dwell`.
+    /// Smoothness of the first correction; it falls to that of `dwell`. Larger: more rounds, and a larger
+    /// residual along random paths (docs/refine.md). Smaller: the first corrections are too rough for their
+    /// operator, and more tries fail.
     pub first_smoothness: f64,
-    /// Most rounds of schedule and correction.
+    /// Largest number of rounds of schedule and correction.
     pub max_rounds: usize,
-    /// Fraction of the RMS by which a round must improve on the best one to count as progress.
+    /// Improvement on the best round that counts as progress, relative to [`Iterate::merit_nm`]. Larger: the loop ends
+    /// earlier, with a larger residual. Smaller: more rounds for small gains.
     pub least_improvement: f64,
 }
 
@@ -97,11 +102,11 @@ impl Default for Settings {
         Self {
             scheduler: Scheduler::Pvt(pvt::Mode::Monotone),
             dwell: dwell_solver::Settings {
-                // The columns are the executed ones, so the smoothness need not stand for what a
-                // machine can execute; the pull to the lower bound buys machine time.
+                // The columns are those of the executed motion, so the smoothness need not make the dwell
+                // times executable. The pull to the lower bound saves machine time.
                 tikhonov: 2.78e-6,
                 smoothness: 7.72e-8,
-                // RMS within 5e-4 of the least, half of what counts as progress.
+                // RMS within 5e-4 of the smallest, relative: half of the improvement that counts as progress.
                 relative_gap: 1e-3,
                 ..dwell_solver::Settings::default()
             },
@@ -112,7 +117,7 @@ impl Default for Settings {
     }
 }
 
-/// Why nothing could be refined.
+/// Reasons for which the loop gives no plan.
 #[derive(Debug, thiserror::Error)]
 pub enum RefineError {
     /// The inputs do not belong together.
@@ -144,30 +149,30 @@ pub enum RefineError {
 /// One round.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Iterate {
-    /// Time of every segment of the path in the motion, s.
+    /// Time of every segment of the path, s: the larger of its dwell time and its time in the motion.
     pub dwell_s: Vec<f64>,
     /// RMS (mean removed) of the executed residual, nm.
     pub rms_nm: f64,
-    /// The same, plane removed, nm.
+    /// RMS of the executed residual with its best-fit plane removed, nm.
     pub detilted_nm: f64,
-    /// With a process, sqrt of the expected mean square, nm, of which what is the same whatever the dwell times is
-    /// left out: [`process`].
+    /// Root of the expected mean square with a process, nm, without its part that does not depend on the dwell
+    /// times ([`process`]); `None` without a process.
     pub expected_rms_nm: Option<f64>,
-    /// sqrt(rms^2 + 2 lambda T), nm, with the noise in place of an RMS below it: what the loop
-    /// lowers. With a process the expected square takes the place of rms^2.
+    /// Objective of the loop, sqrt(rms^2 + 2 lambda T), nm. The noise replaces an RMS below it, and with a
+    /// process the expected square replaces rms^2.
     pub merit_nm: f64,
     /// Total time of the motion, s.
     pub total_time_s: f64,
-    /// Segments whose dwell time the schedule had to stretch.
+    /// Number of segments that the scheduler stretched.
     pub stretched: usize,
-    /// Whether the judge finds the limits kept.
+    /// True if `planish-verify` finds that the motion keeps the limits.
     pub limits_respected: bool,
 }
 
-/// The best round, and all of them.
+/// Result of the loop: the best round, and all rounds.
 #[derive(Clone, Debug)]
 pub struct Refined {
-    /// Dwell times of the best round: what every segment takes in `trajectory`.
+    /// Dwell times of the best round: the times of the segments in `trajectory`.
     pub dwell: DwellTime,
     /// Its motion.
     pub trajectory: Trajectory,
@@ -175,17 +180,18 @@ pub struct Refined {
     pub best: usize,
     /// All rounds; the first is the plan before any correction.
     pub iterates: Vec<Iterate>,
-    /// Why it ended: `no-improvement` or `round-limit`.
+    /// Reason for the end of the loop: `no-improvement` or `round-limit`.
     pub end: End,
-    /// How many dwell times of the best round are at a bound: the least that the floor or the machine allows.
+    /// Number of dwell times of the best round at a bound: the upper bound, or the least that the floor or the machine
+    /// allows.
     pub at_bound: usize,
-    /// Lower bounds after the best round: the floor, or what the machine was found to need, s.
+    /// Lower bounds after the best round, s: the floor, or the time that the machine needed.
     pub least_s: Vec<f64>,
 }
 
 impl Refined {
-    /// Why the verdict is negative, where it is. To stop at the largest number of rounds is no reason when
-    /// that number was asked for.
+    /// Reason for a negative verdict; `None` if the verdict is positive. The largest number of rounds is no
+    /// reason if the user gave that number.
     pub fn negative(&self, desired: &Surface, rounds_asked_for: bool) -> Option<String> {
         let best = &self.iterates[self.best];
         if !best.limits_respected {
@@ -203,30 +209,37 @@ impl Refined {
     }
 }
 
-/// By what the smoothness falls from one correction to the next: half a decade.
+/// Factor on the smoothness from one correction to the next: half a decade. Larger: more rounds until the
+/// last smoothness. Smaller: corrections that are too rough for their operator, and more failed tries.
 const LESS_SMOOTHNESS: f64 = 0.316_227_766_016_837_94;
-/// Fraction of the step below which a correction is given up.
+/// Fraction of the step below which a correction is given up, dimensionless. Larger: corrections are given
+/// up of which a small part would help. Smaller: more simulations of failed tries.
 const LEAST_STEP_FRACTION: f64 = 0.1;
-/// Part steps in a row without progress after which the loop ends; of full steps, one is enough, unless it promised
-/// progress.
+/// Number of part steps without progress, in a row, after which the loop ends. One full step is enough, unless its
+/// correction predicted more progress ([`UNKEPT_PROMISE`]). Larger: more rounds for small gains. Smaller: the loop
+/// ends after one short step.
 const PATIENCE: usize = 2;
-/// A full step that leaves this fraction more than its correction promised: the machine needed times that the correction
-/// did not know, and the next one has them as lower bounds.
+/// Excess of the executed RMS over the prediction of the correction, relative, above which a full step does not end
+/// the loop. The machine then needed times that the correction did not know, and the next one has them as lower
+/// bounds. Larger: the loop ends although such a correction would help. Smaller: more rounds.
 const UNKEPT_PROMISE: f64 = 0.01;
 
-/// A correction that was to leave less than this fraction of the RMS, and is given up, asked for too much at once.
+/// Ratio of the RMS that a correction predicts to the best RMS, below which a correction that is given up was too
+/// large: the next one is smoother. Larger: more smoother corrections are tried. Smaller: the loop ends although a
+/// smoother correction would help.
 const LARGE_PROMISE: f64 = 0.9;
-/// By what the next correction after such a one is smoother.
+/// Factor on the smoothness of the correction after one that was too large. Larger: a safer and smaller correction.
+/// Smaller: the next correction can be too large again.
 const MORE_SMOOTHNESS: f64 = 10.0;
 
-/// A motion and what it needed.
+/// Motion, and the segments that it stretched.
 struct Motion {
     trajectory: Trajectory,
-    /// Segment and time of those that took longer than they should.
+    /// Segments that took longer than their dwell time: index and time, s.
     stretched: Vec<(usize, f64)>,
 }
 
-/// P = schedule(t).
+/// Motion P = schedule(t).
 fn schedule(
     path: &ToolPath,
     t: &DwellTime,
@@ -272,15 +285,15 @@ pub fn refine(
     rounds(desired, tif, path, limits, start, settings, None)
 }
 
-/// Where the loop starts.
+/// Start of the loop.
 struct Start {
-    /// First dwell times; those of the dwell solver where there are none.
+    /// First dwell times; `None`: those of the dwell solver.
     dwell: Option<DwellTime>,
-    /// Lower bounds of an earlier loop; those of the settings where there are none.
+    /// Lower bounds of an earlier loop, s; `None`: those of the settings.
     least_s: Option<Vec<f64>>,
 }
 
-/// The loop; with `sources` it lowers the expected square.
+/// Runs the loop; with `sources` it lowers the expected square.
 fn rounds(
     desired: &Surface,
     tif: &Tif,
@@ -304,16 +317,16 @@ fn rounds(
         }
     };
     let simulation = Plan::new(tif, desired.grid(), Simulation::Gridded)?;
-    // Below the noise (its RMS over m pixels scatters by 1 / sqrt(2 m)) nothing is gained.
+    // A residual below the noise is no gain. The RMS of the noise over m pixels scatters by 1 / sqrt(2 m).
     let pixels = desired.height_nm().iter().filter(|z| !z.is_nan()).count() as f64;
     let known = solver.noise_rms_nm.map_or(0.0, |s| s * (1.0 + 3.0 / (2.0 * pixels).sqrt()));
     let mut iterates: Vec<Iterate> = Vec::new();
     let mut best: Option<(usize, Trajectory, Option<Quadratic<'_>>)> = None;
     let (mut proposed_s, mut step_fraction, mut tries) = (Vec::new(), 1.0, 0);
     let mut without_progress = 0;
-    // RMS that t^ promises, and lower bounds by what the machine needed at every try of it.
+    // RMS that t^ predicts, and lower bounds from the times that the machine needed at every try of it.
     let (mut promised_nm, mut tried_lo) = (f64::INFINITY, lo.clone());
-    // Whether a correction has been given up for a smoother one since the best round.
+    // True if a correction has been given up for a smoother one since the best round.
     let mut is_smoother = false;
     let has_noise = solver.noise_rms_nm.is_some();
     let mut end = End::RoundLimit;
@@ -348,7 +361,7 @@ fn rounds(
             dwell_s: h,
         };
 
-        // Keep the best; a plan beyond the limits is worse than any within them.
+        // Keep the best plan; a plan that exceeds the limits ranks below all that keep them.
         let before = best.as_ref().map(|(b, ..)| &iterates[*b]);
         let rank = |i: &Iterate| (!i.limits_respected, i.merit_nm);
         let better = before.is_none_or(|b| rank(&iterate) < rank(b));
@@ -402,8 +415,8 @@ fn rounds(
             best.as_ref().expect("the first round is the best one so far");
         let best_s = &iterates[*b].dwell_s;
         if better || spent {
-            // A step that held at the first try may be longer, and rougher, the next time; so is what follows a
-            // correction that is given up, unless that asked for too much.
+            // After a step that succeeded at the first try, the next one may be longer and rougher. The same
+            // holds after a correction that is given up, unless it was too large.
             if tries == 1 || spent {
                 step_fraction = f64::min(2.0 * step_fraction, 1.0);
                 if gets_smoother {
@@ -412,7 +425,7 @@ fn rounds(
                     solver.smoothness *= MORE_SMOOTHNESS;
                 } else if round > 0 && !at_last {
                     solver.smoothness = (LESS_SMOOTHNESS * solver.smoothness).max(last_smoothness);
-                    // What that changes is not known yet.
+                    // The effect of the new smoothness is not known yet.
                     without_progress = 0;
                 }
             }
@@ -452,7 +465,7 @@ fn rounds(
     Ok(Refined { dwell, trajectory, best, iterates, end, at_bound, least_s: lo_of_best })
 }
 
-/// A map less m: what the fixed errors of a process remove more.
+/// Map minus m, the additional removal by the fixed errors of a process, nm.
 fn less_bias(map: &Surface, quadratic: &Quadratic<'_>) -> Result<Surface, Invalid> {
     let height: Array2<f64> = match &quadratic.bias_nm {
         None => return Ok(map.clone()),

@@ -1,4 +1,4 @@
-//! `planish-refine`: dwell times corrected against the motion that will run.
+//! `planish-refine`: correction of dwell times against the motion that will run.
 
 mod cli;
 

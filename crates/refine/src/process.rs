@@ -1,18 +1,19 @@
-//! The closed loop for a process with errors: the expected square in the place of the square.
+//! The closed loop for a process with errors: the expected square replaces the square of the residual.
 //!
 //! ```text
 //! E |e|^2 = |P (e - m)|^2 + t'Q t + constant                                             (1)
 //! ```
 //!
-//! with the residual e of the motion, what the fixed errors of the process remove more (m), and the quadratic of the
-//! variances Q ([`planish_tolerance::quadratic`]). The loop first lowers |e|, as without a process, and goes on from
-//! there with (1). Its rounds keep the best plan by (1), so what it ends with is expected to leave no more than the
-//! plan that knows nothing of the process; the machine's needs that were found stay lower bounds. Q and m are those of the best motion so far, as the columns are. Q enters
-//! the dwell solver as products, in its exact gradient and curvature, and its certificate holds with them.
+//! with the residual e of the motion, the additional removal m by the fixed errors of the process, and the
+//! quadratic Q of the variances ([`planish_tolerance::quadratic`]). The loop first lowers |e|, as without a
+//! process, and goes on from there with (1). Its rounds keep the best plan by (1), so by (1) the result is no worse
+//! than the plan without the process. The times that the machine needed remain lower bounds. Q and m are those of
+//! the best motion so far, like the columns. Q enters the dwell solver as products, in its exact gradient and
+//! curvature, and its certificate holds with them.
 //!
-//! Both plans are judged by [`planish_tolerance::tolerance`], which has the whole process, the constant included, and
-//! the one with the smaller expected RMS is kept: where the errors are so large that Q, which is of first order, is
-//! none of theirs, that can be the first one.
+//! [`planish_tolerance::tolerance`] judges both plans with the whole process, the constant included, and the plan
+//! with the smaller expected RMS is kept. That can be the first plan, if the errors are too large for Q, which is
+//! of first order.
 
 use planish_tolerance::{
     Settings as ToleranceSettings, Tolerance, process::Process, quadratic::Sources, tolerance,
@@ -22,39 +23,40 @@ use serde::Serialize;
 
 use crate::{RefineError, Refined, Settings, Start, refine, rounds};
 
-/// What a plan leaves under a process.
+/// Residual of a plan under a process.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Judged {
     /// RMS without errors, nm.
     pub nominal_rms_nm: f64,
-    /// sqrt of the mean over runs of the mean square, nm.
+    /// Root of the mean over runs of the mean square, nm.
     pub expected_rms_nm: f64,
-    /// Half of the runs are below, nm.
+    /// Median over the runs, nm.
     pub median_nm: f64,
-    /// 95 % of the runs are below, nm.
+    /// Value that 95 % of the runs do not exceed, nm.
     pub below_95_percent_nm: f64,
     /// Total time, s.
     pub total_time_s: f64,
 }
 
-/// What the process made of the plan, and what that costs and gains.
+/// Residuals and times of the plans without and with the process.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Price {
     /// Name of the process.
     pub name: String,
-    /// Kinds of its errors that the objective has.
+    /// Kinds of its errors in the objective.
     pub in_the_objective: Vec<String>,
-    /// Kinds that it has not, because they add the same whatever the dwell times, or are not differentiable by them.
+    /// Kinds of its errors that are not in the objective: their effect does not depend on the dwell times, or is not
+    /// differentiable by them.
     pub not_in_the_objective: Vec<String>,
-    /// The plan made without the process.
+    /// Plan made without the process.
     pub without: Judged,
-    /// The plan made for it; the same where no error is in the objective.
+    /// Plan made for the process; the same as `without` if no error is in the objective.
     pub with: Judged,
-    /// Whether the plan made for it is the one that is kept.
+    /// True if the plan made for the process is kept.
     pub kept: bool,
 }
 
-/// [`refine`], and then for a process.
+/// Refines by [`refine`], and goes on from there for a process.
 pub fn refine_for(
     desired: &Surface,
     tif: &Tif,

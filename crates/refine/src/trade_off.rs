@@ -1,6 +1,6 @@
 //! Residual against total time: plans at rising prices of a second, and their picture. Each price has a plan of the
-//! closed loop, and one whose motion and times are one problem ([`planish_feed`]).
-//! Both methods minimise half the mean square of the residual plus the price times the total time.
+//! closed loop and a joint plan of motion and times ([`planish_feed`]). Both methods minimise half the mean square
+//! of the residual plus the price times the total time.
 //!
 //! No plan takes less time than the volume to be removed over the volumetric removal rate (VRR) of the tool,
 //!
@@ -8,8 +8,8 @@
 //! T >= sum_i (z_i - z_min) dA / VRR                                                      (1)
 //! ```
 //!
-//! where the tool is never beyond the edge. z_min is the height below which the fraction [`IGNORED`] of the
-//! pixels lies: a pit of a few pixels would ask for a layer of its depth all over the mirror.
+//! if the tool never goes beyond the edge. z_min is the height below which the fraction [`IGNORED`] of the
+//! pixels lies: a pit of a few pixels would demand a layer of its depth over the whole mirror.
 
 use planish_draw::{Frame, Scale, Svg, frame::range};
 use planish_feed::{FeedError, Price, plan};
@@ -20,24 +20,26 @@ use serde::Serialize;
 
 use crate::{Iterate, RefineError, Settings, refine};
 
-/// Fraction of the pixels that are below z_min.
+/// Fraction of the pixels that are below z_min, dimensionless. Larger: a lower bound (1) that deeper parts of the
+/// map may not reach. Smaller: a pit of a few pixels decides the bound.
 pub const IGNORED: f64 = 1e-3;
 
-/// Most prices: a curve of more points looks the same, and takes days.
+/// Largest number of prices. Larger: the curve looks the same, and takes days. Smaller: fewer points can be
+/// requested.
 const MOST_PRICES: usize = 1000;
 
-/// How a plan was made.
+/// Method that made a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
-    /// Dwell times corrected against their motion, round by round.
+    /// Correction of the dwell times against their motion, round by round.
     ClosedLoop,
-    /// Motion and times as one problem.
+    /// Joint plan: motion and times as one problem.
     Feed,
 }
 
 impl Method {
-    /// In tables and pictures.
+    /// Name in tables and pictures.
     pub fn name(self) -> &'static str {
         match self {
             Self::ClosedLoop => "closed loop",
@@ -46,26 +48,26 @@ impl Method {
     }
 }
 
-/// One price.
+/// Plan at one price.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Point {
-    /// How the plan was made.
+    /// Method that made the plan.
     pub method: Method,
     /// Price of a second, nm^2/s.
     pub time_weight_nm2_per_s: f64,
-    /// The plan; of the closed loop its best round.
+    /// The plan; for the closed loop its best round.
     pub best: Iterate,
-    /// Why the method ended.
+    /// Reason for the end of the method.
     pub end: End,
 }
 
-/// Why the verdict on a trade-off is negative, where it is.
+/// Reason for a negative verdict on a trade-off; `None` if the verdict is positive.
 pub fn negative(points: &[Point]) -> Option<String> {
     let kept = points.iter().all(|p| p.best.limits_respected);
     (!kept).then(|| "some plan exceeds the limits of the machine".to_string())
 }
 
-/// (1), s.
+/// Least total time of any plan (1), s.
 pub fn least_time_s(desired: &Surface, tif: &Tif) -> f64 {
     let mut z: Vec<f64> = desired.height_nm().iter().copied().filter(|z| !z.is_nan()).collect();
     z.sort_by(f64::total_cmp);
@@ -75,8 +77,8 @@ pub fn least_time_s(desired: &Surface, tif: &Tif) -> f64 {
     volume / tif.vrr_nm_mm2_per_s()
 }
 
-/// Prices from nothing to 3 % of what the whole correction gains per second of (1), in `count`
-/// steps of equal ratio over three and a half decades.
+/// Prices of a second, nm^2/s: zero, and `count` prices of equal ratio over three and a half decades. The largest
+/// is 3 % of half the mean square of the map per second of (1).
 pub fn prices(desired: &Surface, tif: &Tif, count: usize) -> Result<Vec<f64>, Invalid> {
     if count > MOST_PRICES {
         let remedy = format!("give at most {MOST_PRICES}: every price is a refinement");
@@ -89,13 +91,15 @@ pub fn prices(desired: &Surface, tif: &Tif, count: usize) -> Result<Vec<f64>, In
     Ok(std::iter::once(0.0).chain(priced).collect())
 }
 
-/// Most passes over the prices from one neighbour to the next; a pass that finds no better plan is the last one.
+/// Largest number of passes in which prices begin again with the plan of a neighbour; a pass that finds no better
+/// plan is the last one. Larger: more computing time. Smaller: a better plan reaches fewer neighbours.
 const MAX_PASSES: usize = 4;
 
-/// Fraction of the objective by which the plan of a neighbour must be better for a price to begin anew with it.
+/// Relative difference of the objective by which the plan of a neighbour must be better for a price to begin again
+/// with it. Larger: prices keep worse plans. Smaller: more refinements for small gains.
 const CLEARLY_BETTER: f64 = 1e-3;
 
-/// The objective of a plan, nm^2; a plan beyond the limits comes after all others.
+/// Rank of a plan by its objective, nm^2; a plan that exceeds the limits ranks after all others.
 fn rank(plan: &Iterate, price_nm2_per_s: f64) -> (bool, f64) {
     let objective = 0.5 * plan.rms_nm.powi(2) + price_nm2_per_s * plan.total_time_s;
     (!plan.limits_respected, objective)
@@ -118,9 +122,9 @@ fn give_the_best(points: &mut [Point], plans: &[(Iterate, End)]) {
     }
 }
 
-/// A refinement per price, each from the dwell times of the one before; then again from those of a neighbour whose plan
-/// is better at this price. Every price has the best of all the rounds that were done, so a dearer second never takes
-/// longer, and a cheaper one never leaves more.
+/// Refines once per price, from the dwell times of the price before, then again from those of a neighbour whose
+/// plan is better at this price. Every price gets the best of all rounds of all prices. So a plan at a higher price
+/// never takes longer, and a plan at a lower price never leaves a larger residual.
 pub fn trade_off(
     desired: &Surface,
     tif: &Tif,
@@ -138,7 +142,7 @@ pub fn trade_off(
     let mut first = None;
     for (k, &price) in prices.iter().enumerate() {
         let max_rounds = match first {
-            // What the other prices begin with.
+            // The other prices begin with its result.
             None => settings.max_rounds.max(Settings::default().max_rounds),
             Some(_) => settings.max_rounds,
         };
@@ -182,7 +186,7 @@ pub fn trade_off(
     Ok(points)
 }
 
-/// A plan of motion and times as one problem per price; every price has the best of all of them.
+/// Makes a joint plan per price; every price gets the best of all of them.
 pub fn feed_trade_off(
     desired: &Surface,
     tif: &Tif,
@@ -218,30 +222,31 @@ pub fn feed_trade_off(
     Ok(points)
 }
 
-/// Height of the texts, px of the picture.
+/// Height of the texts, px. Larger: easier to read, but the captions need more room.
 const FONT_PX: f64 = 14.0;
 
 /// Width and height of the frame, px.
 const SIZE_PX: [f64; 2] = [610.0, 340.0];
 
-/// Left, top, right and bottom of the frame, px.
+/// Margins to the left of the frame, above, to the right and below it, px: room for numbers and titles.
 const MARGIN_PX: [f64; 4] = [80.0, 40.0, 30.0, 60.0];
 
-/// Room for the name of a method above the frame, px.
+/// Width for the name of a method above the frame, px. Smaller: the names overlap.
 const NAME_WIDTH_PX: f64 = 110.0;
 
-/// Least residual that is drawn, nm: a logarithm needs a positive value.
+/// Smallest residual in the picture, nm; a smaller one is drawn at this value, because a logarithm needs a positive
+/// number. Larger: small residuals are drawn too high. Smaller: a residual of zero stretches the axis.
 const LEAST_RMS_NM: f64 = 1e-12;
 
-/// Caption of the time axis, which says what the dashed line "volume / VRR" is.
+/// Caption of the time axis; it explains the dashed line "volume / VRR".
 const TIME_AXIS: &str =
     "total time (s), at least volume to be removed / volumetric removal rate (dashed)";
 
 const METHODS: [(Method, &str); 2] = [(Method::ClosedLoop, "#365c8d"), (Method::Feed, "#b5367a")];
 const BOUND: &str = "stroke=\"#d8a010\" stroke-width=\"2\" stroke-dasharray=\"6 4\"";
 
-/// A curve per method as SVG text: total time to the right, residual upwards (logarithmic), the bound (1)
-/// dashed.
+/// Picture as SVG text with a curve per method: total time to the right, residual upwards (logarithmic), the bound
+/// (1) dashed.
 pub fn svg(points: &[Point], least_time_s: f64) -> String {
     let place = |p: &Point| [p.best.total_time_s, p.best.rms_nm.max(LEAST_RMS_NM)];
     let end_s = 1.08 * points.iter().map(|p| place(p)[0]).fold(least_time_s, f64::max);

@@ -1,5 +1,5 @@
-//! The loop on a zigzag whose corners the motion cuts: it must gain, keep what it promises, and
-//! say why it ends.
+//! Tests of the loop on a zigzag whose corners the motion cuts: it must lower the residual, keep its
+//! prediction, and give the reason for its end.
 
 use ndarray::Array2;
 use planish_dwell::bounded_least_squares::{self as dwell_solver, Bound};

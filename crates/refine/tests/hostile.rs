@@ -1,4 +1,4 @@
-//! Flags that nobody means, degenerate maps and tools, mistaken units, through the binary.
+//! Tests of the binary with absurd flags, degenerate maps and tools, and mistaken units.
 
 use std::{process::Command, time::Duration};
 

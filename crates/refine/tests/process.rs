@@ -80,7 +80,7 @@ fn plan_for(process: &Process) -> (Refined, Price) {
     refine_for(&desired(), &tif(), &raster(), &machine(), None, &settings(), process).unwrap()
 }
 
-/// RMS over simulated runs of what is left.
+/// Root of the mean square of the residual over simulated runs, nm.
 fn simulated(plan: &Refined, process: &Process, runs: usize) -> f64 {
     let how = ToleranceSettings { draws: 100, simulated_runs: runs, ..Default::default() };
     let found = tolerance(&plan.trajectory, &tif(), &desired(), process, &how).unwrap();
@@ -138,7 +138,7 @@ fn simulated_runs_leave_less_than_the_plan_that_knows_nothing_of_the_process() {
     }
 }
 
-/// The larger the variance, the more the plan gives of its residual without errors.
+/// With a larger variance the plan accepts a larger residual without errors.
 #[test]
 fn a_larger_variance_is_worth_more_of_the_nominal_residual() {
     let nominal = |um: f64| {
@@ -150,7 +150,7 @@ fn a_larger_variance_is_worth_more_of_the_nominal_residual() {
     assert!(small < middle && middle < large, "{small} {middle} {large}");
 }
 
-/// What is fixed is known: a rate that is always 10 % larger asks for 10 % less time than one that is not.
+/// A fixed error is known: a rate that is always 10 % larger needs 10 % less time.
 #[test]
 fn a_fixed_error_is_made_up_for() {
     let without = plan();

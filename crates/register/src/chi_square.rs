@@ -1,7 +1,8 @@
 //! The distribution of a sum of squares.
 
-/// The probability that the sum of the squares of `degrees` standard normal numbers exceeds `sum`, by the
-/// cube root of Wilson and Hilferty: to 0.005 for three degrees and more, 0.02 for one.
+/// Probability that the sum of the squares of `degrees` standard normal numbers exceeds `sum`, by the cube
+/// root of Wilson and Hilferty. Its error is below 0.005 for three degrees and more, and below 0.02 for
+/// one.
 pub fn exceeded(sum: f64, degrees: f64) -> f64 {
     // (chi^2 / k)^(1/3) is normal about 1 - 2/(9k) with the variance 2/(9k)
     let v = 2.0 / (9.0 * degrees);

@@ -12,13 +12,13 @@ use planish_types::text::significant;
 
 #[derive(Debug, Subcommand)]
 pub enum Method {
-    /// The transform from map to machine, from fiducials
+    /// Fit the transform from map to machine to fiducials
     Fit(fit::FitArgs),
-    /// The transform that a machine file states: where the part lies when nobody measured it
+    /// Write the transform that a machine file states, for a part that nobody measured
     Place(place::PlaceArgs),
-    /// A tool path or a motion in the frame of the machine, or back in that of the part
+    /// Transform a tool path or a motion to the frame of the machine, or back to that of the part
     Apply(apply::ApplyArgs),
-    /// Where a map lies on an earlier one, from the features that both have
+    /// Fit the transform from a map to a later map of the same part, from the features that both have
     Maps(maps::MapsArgs),
 }
 
@@ -33,7 +33,7 @@ impl Method {
     }
 }
 
-/// A number with its standard error, for a line.
+/// Text of a value with its standard error; the value with `digits` decimals.
 fn with_error(estimate: Estimate, digits: usize) -> String {
     let error = significant(estimate.standard_error, 2);
     format!("{:.digits$} (standard error {error})", estimate.value)

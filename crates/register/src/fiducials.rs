@@ -1,29 +1,31 @@
-//! Fiducials: the same points in the map and on the machine.
+//! Fiducials: points that are measured both in the map and on the machine.
 //!
-//! As CSV, one line per fiducial, with a header in any order of `map_x_mm, map_y_mm, machine_x_mm,
-//! machine_y_mm` and, where they are known, `name`, `uncertainty_mm` (standard deviation of the machine's
-//! coordinates, per axis) and `map_uncertainty_mm`. As JSON, a list of objects with `map_mm: [x, y]`,
+//! A CSV file has one line per fiducial, and a header in any order of `map_x_mm, map_y_mm, machine_x_mm,
+//! machine_y_mm`. Optional columns are `name`, `uncertainty_mm` (standard deviation of the machine's
+//! coordinates, per axis) and `map_uncertainty_mm`. A JSON file is a list of objects with `map_mm: [x, y]`,
 //! `machine_mm: [x, y]` and the same optional keys. Lines of the CSV that begin with `#` are comments.
 
 use planish_types::{Invalid, is_plausible_mm};
 use serde::{Deserialize, Serialize};
 
-/// What an error of this module is about.
+/// Subject of the messages of this module.
 const NAME: &str = "fiducial";
 
-/// Most fiducials: far more than anybody measures.
+/// Largest number of fiducials that a file may hold; more are refused. Larger: more memory and time for a
+/// file that is no list of fiducials. Smaller: a real list might be refused. Chosen: far more than anybody
+/// measures.
 pub const MOST_FIDUCIALS: usize = 100_000;
 
 /// A point in the map and on the machine.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Fiducial {
-    /// What it is called.
+    /// Name of the fiducial; its number, counted from 1, if the file gives none.
     #[serde(default)]
     pub name: String,
-    /// Where it is in the map [x, y], mm.
+    /// Place of the fiducial in the map [x, y], mm.
     pub map_mm: [f64; 2],
-    /// Where it is on the machine [x, y], mm.
+    /// Place of the fiducial on the machine [x, y], mm.
     pub machine_mm: [f64; 2],
     /// Standard deviation of each coordinate on the machine, mm.
     #[serde(default)]
@@ -72,7 +74,7 @@ pub fn read(text: &str) -> Result<Vec<Fiducial>, Invalid> {
     Ok(fiducials)
 }
 
-/// Names of the columns.
+/// Names of the columns of a CSV file.
 const COLUMNS: [&str; 7] = [
     "name",
     "map_x_mm",

@@ -23,7 +23,7 @@ use serde::Serialize;
 
 use crate::{chi_square::exceeded, fiducials::Fiducial};
 
-/// What may be between map and machine.
+/// Parameters of the transform from map to machine that are fitted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
@@ -52,63 +52,72 @@ impl Model {
     }
 }
 
-/// Largest standard error of an element of the matrix, or of the angle in rad: a part that may lie anywhere
-/// within 6 degrees is not registered.
+/// Largest standard error of an element of the matrix that a fit may have, dimensionless (for a rigid model
+/// about that of the angle in rad); a fit with more is refused. Larger: accepts fiducials so close together
+/// that the part may be turned by more. Smaller: asks for fiducials that are farther apart or measured
+/// better. Chosen: 0.1 rad is 6 degrees, and such a part is not registered.
 const MOST_MATRIX_ERROR: f64 = 0.1;
 
-/// Least extent of the fiducials across, relative to that along: errors across are amplified by its inverse.
+/// Smallest RMS extent of the fiducials across the line through them, relative to that along it. Below it
+/// an affine fit is refused, and a mirrored part gives a warning only. Smaller: errors across the line are
+/// amplified more, by the inverse of this number. Larger: more layouts count as a line.
 const LEAST_ACROSS: f64 = 1e-3;
 
-/// Probability of the residuals, given the uncertainties, below which they do not belong together.
+/// Probability of the residuals, given the uncertainties, below which the fit is reported as unusable.
+/// Larger: more false alarms, because correct fiducials fall below it with just this probability. Smaller:
+/// larger blunders go unnoticed.
 const LEAST_PROBABILITY: f64 = 1e-3;
 
-/// A fit whose mirror image fits better by this factor is mirrored; one that does not fit better than its
-/// mirror image by it cannot tell.
+/// Factor between the RMS residuals of a fit and of its mirror image, dimensionless. If the mirror image
+/// fits better by more than this factor, the fit is refused as mirrored. If the fit is not better than its
+/// mirror image by this factor, a warning says that the fiducials cannot tell. Larger: fewer refusals and
+/// more warnings. Smaller: noise decides.
 const MIRRORED: f64 = 2.0;
 
-/// What one fiducial leaves.
+/// Residual of one fiducial.
 #[derive(Clone, Debug, Serialize)]
 pub struct Residual {
-    /// The fiducial.
+    /// Name of the fiducial.
     pub name: String,
-    /// Its place on the machine minus that which the transform gives it [x, y], mm.
+    /// Measured place on the machine minus the place that the transform gives [x, y], mm.
     pub residual_mm: [f64; 2],
-    /// Standard deviation that its coordinates have, mm.
+    /// Standard deviation of each coordinate of the residual, mm, as given or as estimated from all
+    /// residuals.
     pub uncertainty_mm: f64,
 }
 
 /// A number with its standard error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
-    /// Its value.
+    /// Value of the number.
     pub value: f64,
-    /// Its standard error.
+    /// Standard error of the number.
     pub standard_error: f64,
 }
 
-/// Where the part lies.
+/// Result of a fit: the transform and its quality.
 #[derive(Clone, Debug)]
 pub struct Registration {
-    /// From the map to the machine.
+    /// Transform from the map to the machine.
     pub transform: Transform,
-    /// How good it is.
+    /// Quality of the fit.
     pub report: Report,
 }
 
-/// How good a transform is.
+/// Quality of a fitted transform.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
-    /// What was free.
+    /// Parameters that were fitted.
     pub model: Model,
-    /// Fiducials.
+    /// Number of fiducials.
     pub fiducials: usize,
     /// Measured numbers minus parameters.
     pub degrees_of_freedom: usize,
-    /// Whether the uncertainties were given; otherwise they are from the residuals.
+    /// True if the uncertainties were given; otherwise they are estimated from the residuals.
     pub uncertainties_given: bool,
     /// Angle by which the part is turned, x towards y, degree.
     pub angle_deg: Estimate,
-    /// Scale from map to machine: what a similarity finds, also where it is not free.
+    /// Scale from map to machine as a similarity finds it, also if the model keeps the scale at 1.
     pub scale: Estimate,
     /// Standard error of a point in the middle of the fiducials [x, y], mm.
     pub standard_error_mm: [f64; 2],
@@ -120,14 +129,14 @@ pub struct Report {
     pub chi_square: f64,
     /// Probability that the given uncertainties make at least these residuals; 1 where they were not given.
     pub probability: f64,
-    /// What every fiducial leaves.
+    /// Residual of every fiducial.
     pub residuals: Vec<Residual>,
-    /// What the user should know.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
 impl Report {
-    /// Why the transform should not be used, where this is so.
+    /// Returns the reason not to use the transform, if the residuals are too large for their uncertainties.
     pub fn drawback(&self) -> Option<String> {
         let worst = |r: &&Residual| r.residual_mm[0].hypot(r.residual_mm[1]) / r.uncertainty_mm;
         let worst = self.residuals.iter().max_by(|a, b| worst(a).total_cmp(&worst(b)))?;
@@ -194,7 +203,7 @@ impl Centred {
         n
     }
 
-    /// Sum of the weighted squares that M leaves; of the mirror image where `mirrored`.
+    /// Sum of the weighted squares of the residuals of M; of the mirror image if `mirrored`.
     fn left(&self, m: &[[f64; 2]; 2], mirrored: bool) -> f64 {
         let sign = if mirrored { -1.0 } else { 1.0 };
         let one = |(d, e, w): &([f64; 2], [f64; 2], f64)| {
@@ -221,8 +230,8 @@ fn eigenvalues(n: &[[f64; 2]; 2]) -> [f64; 2] {
 
 /// Fits `model` to fiducials.
 ///
-/// Refuses too few of them, fiducials that stand in the same place, on a line where an affine transform needs
-/// an area, too close together for their uncertainty, and correspondences that mirror the part.
+/// Refuses too few fiducials, and fiducials in the same place. Refuses fiducials on a line if the model is
+/// affine, fiducials too close together for their uncertainty, and correspondences that mirror the part.
 pub fn fit(fiducials: &[Fiducial], model: Model) -> Result<Registration, Invalid> {
     let n = fiducials.len();
     let least = model.least_fiducials();
@@ -317,7 +326,8 @@ fn uncertainties(fiducials: &[Fiducial]) -> Result<(Vec<f64>, bool), Invalid> {
 }
 
 fn refuse_coincident(fiducials: &[Fiducial], sigma_mm: &[f64], given: bool) -> Result<(), Invalid> {
-    // Of many fiducials neighbours along x are compared: enough for the same point twice.
+    // Fiducials are sorted along x, and only neighbours are compared: that is enough to find a point that
+    // was given twice.
     let mut order: Vec<usize> = (0..fiducials.len()).collect();
     for (name, of) in [
         ("map_mm", (|f: &Fiducial| f.map_mm) as fn(&Fiducial) -> [f64; 2]),
@@ -363,7 +373,8 @@ fn inverse(n: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
     ]
 }
 
-/// Fits `model` to fiducials on axes that mirror the part: x of the machine is turned over, before and after.
+/// Fits `model` to fiducials on axes that mirror the part. The sign of x of the machine is changed before
+/// the fit and changed back after it.
 ///
 /// Refuses what [`fit`] refuses, and correspondences that do not mirror.
 pub fn fit_mirrored(fiducials: &[Fiducial], model: Model) -> Result<Registration, Invalid> {
@@ -385,7 +396,7 @@ pub fn fit_mirrored(fiducials: &[Fiducial], model: Model) -> Result<Registration
     Ok(Registration { transform, report })
 }
 
-/// Refuses correspondences that mirror the part; what cannot be told is a warning.
+/// Refuses correspondences that mirror the part. Returns a warning if the fiducials cannot tell.
 fn refuse_mirrored(
     centred: &Centred,
     model: Model,
@@ -461,7 +472,7 @@ fn covariance(
     c
 }
 
-/// What the report is made from, beside the transform.
+/// Inputs of the report, beside the transform.
 struct Numbers {
     model: Model,
     degrees_of_freedom: usize,

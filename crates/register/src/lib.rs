@@ -1,9 +1,9 @@
-//! Where a part lies: the transform from the coordinates of its map to those of the machine.
+//! Registration of a part: the transform from the coordinates of its map to those of the machine.
 //!
-//! A map has the coordinates of an interferometer, a machine those of its axes. What is between them is found
-//! from fiducials that both can see ([`fit`]), or, for a map taken after a run and the map before it, from the
-//! features that they have in common ([`maps`]). The path is then taken to the machine
-//! ([`planish_types::Transform`]); the map is never resampled.
+//! A map has the coordinates of an interferometer, a machine those of its axes. The transform between them
+//! is fitted to fiducials that are measured in both ([`fit`]). For a map taken after a run and the map
+//! before it, the transform comes from the features that both maps have ([`maps`]). A tool path is then
+//! transformed to the machine ([`planish_types::Transform`]); the map is never resampled.
 //!
 //! | symbol | variable | unit |
 //! |---|---|---|

@@ -1,47 +1,49 @@
-//! Where a map lies on an earlier one of the same part, from the features that both have.
+//! Registration of a map on an earlier one of the same part, from the features that both have.
 //!
-//! A map z after a run shows the part of the map b before it, moved by a shift s and turned by theta about the
-//! middle c of the map, less what was removed. Of that the slow part is taken off by free low-order terms Q, and
-//! everything longer than a wavelength, where one is given, before:
+//! A map z after a run shows the part of the map b before it, moved by a shift s and turned by theta about
+//! the middle c of the map, less the removal. The slowly varying part of the removal is fitted by free
+//! low-order terms Q. If a wavelength is given, everything longer is filtered out of both maps before:
 //!
 //! ```text
 //! z(x) = b(p) + Q a + noise,    p = c + R(-theta) (x - c - s)
 //! ```
 //!
-//! Gauss and Newton in (s, theta), with a solved for in every step, from the best place of a search by whole
-//! pixels. With g the gradient of b at p turned by theta, and d = x - c - s,
+//! Gauss-Newton steps in (s, theta), with a solved for in every step, start at the best place of a search
+//! by whole pixels. With g the gradient of b at p turned by theta, and d = x - c - s,
 //!
 //! ```text
 //! dz/ds = -g,    dz/dtheta = g_x d_y - g_y d_x
 //! ```
 //!
-//! b between its pixels is Keys' cubic convolution. It smooths the noise of b, most in the middle between pixels,
-//! so that least squares are drawn there, by tenths of a pixel where the noise is a tenth of the features. The
-//! equations are therefore not those of least squares but have the gradient h of z in the place of g (an
-//! instrumental variable, J. D. Sargan, Econometrica 26 (1958) 393): with H and G the rows of h and of g, and of
-//! the free terms,
+//! Between its pixels, b is Keys' cubic convolution. The convolution smooths the noise of b, most in the
+//! middle between pixels. Least squares are therefore biased towards there, by tenths of a pixel if the
+//! noise is a tenth of the features. So the equations are not those of least squares: they have the
+//! gradient h of z in the place of g (an instrumental variable, J. D. Sargan, Econometrica 26 (1958) 393).
+//! With H and G the rows of h and of g, and of the free terms,
 //!
 //! ```text
 //! sum H' r = 0,    step = (H'G)^-1 H' r
 //! ```
 //!
-//! h is by central differences, which do not correlate with the noise of z at their own pixel, and knows nothing
-//! of the noise of b. Noise of maps is correlated (air, camera, interpolation), so the standard errors are not from
-//! the number of pixels: with the sums of H'r over blocks of the map,
-//! C = f (H'G)^-1 (sum over blocks of (H'r)(H'r)') (G'H)^-1 (the sandwich of H. White, Econometrica 48 (1980) 817, by
-//! clusters), which holds where the blocks are larger than the correlation length. What correlates across the borders of
-//! blocks of X x Y pixels is lost, and made up for by the autocovariance A of r:
+//! h comes from central differences. Its noise correlates neither with the noise of z at the same pixel nor
+//! with the noise of b. The noise of maps is correlated (air, camera, interpolation), so the standard
+//! errors do not follow from the number of pixels. They follow from the sums of H'r over blocks of the map:
+//! C = f (H'G)^-1 (sum over blocks of (H'r)(H'r)') (G'H)^-1 (the sandwich of H. White, Econometrica 48
+//! (1980) 817, by clusters). C is right if the blocks are larger than the correlation length. The sums over
+//! blocks of X x Y pixels miss the correlation across their borders. The factor f makes up for it, with the
+//! autocovariance A of r:
 //!
 //! ```text
-//! f = sum A(i, j) / sum A(i, j) (1 - |i| / X) (1 - |j| / Y)      over lags out to where A is not seen any more
+//! f = sum A(i, j) / sum A(i, j) (1 - |i| / X) (1 - |j| / Y)     over lags until the mean of A is noise
 //! ```
 //!
-//! For noise averaged over 3 x 3 pixels in blocks of 17 x 10 that is a seventh of the variance.
+//! For noise averaged over 3 x 3 pixels in blocks of 17 x 10, the missing part is a seventh of the
+//! variance.
 //!
-//! Whether the features determine a direction is asked of the features that the maps have *in common*: the
-//! correlation of the derivative of z with that of b along it, where the maps lie, against the same correlation at
-//! many places where they do not. The derivative of noise correlates nowhere, however large it is, and features
-//! that repeat correlate elsewhere too.
+//! A direction counts as determined only by features that the maps have *in common*. The test compares two
+//! correlations of the derivative of z with that of b along the direction: the correlation at the place
+//! that was found, and the same at many wrong places. The derivative of noise correlates at no place,
+//! however large the noise is. Features that repeat correlate at wrong places too.
 
 mod field;
 mod search;
@@ -56,7 +58,7 @@ use serde::Serialize;
 use crate::fit::Estimate;
 use field::Field;
 
-/// How maps are registered.
+/// Settings of the registration of maps.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct MapSettings {
     /// Largest shift along an axis, mm.
@@ -65,20 +67,20 @@ pub struct MapSettings {
     pub most_rotation_deg: f64,
     /// Highest total order of the Legendre terms that are free: 0 is the piston, 1 the plane.
     pub free_order: usize,
-    /// Only what is shorter than this wavelength counts, mm.
+    /// Wavelength, mm, above which features are filtered out of both maps; `None` keeps all.
     pub shorter_than_mm: Option<f64>,
 }
 
-/// Where the later map lies.
+/// Result of the registration of maps.
 #[derive(Clone, Debug)]
 pub struct MapRegistration {
-    /// From the coordinates of the map before to those of the map after.
+    /// Transform from the coordinates of the map before to those of the map after.
     pub transform: Transform,
-    /// How good it is.
+    /// Quality of the registration.
     pub report: MapReport,
 }
 
-/// How good a registration of maps is.
+/// Quality of a registration of maps.
 #[derive(Clone, Debug, Serialize)]
 pub struct MapReport {
     /// Shift along x, mm.
@@ -87,56 +89,72 @@ pub struct MapReport {
     pub shift_y_mm: Estimate,
     /// Rotation of the later map, x towards y, degree.
     pub rotation_deg: Estimate,
-    /// Correlation of the derivatives along x, y and around the middle, over what it is where the maps do not
-    /// lie.
+    /// Correlation of the derivatives along x, y and around the middle at the place found, relative to its
+    /// RMS at wrong places; both after Fisher's transformation (atanh).
     pub features: [f64; 3],
-    /// Correlation of the maps where they lie, without the free terms.
+    /// Correlation of the maps at the place found, without the free terms.
     pub correlation: f64,
-    /// RMS of what remains, nm.
+    /// RMS of the residual of the fit, nm.
     pub rms_nm: f64,
-    /// Pixels in common.
+    /// Number of valid pixels in common.
     pub pixels: usize,
-    /// Steps of Gauss and Newton.
+    /// Number of Gauss-Newton steps.
     pub steps: usize,
 }
 
-/// Highest order of free terms: beyond it they take the features.
+/// Highest total order of the free Legendre terms that a caller may ask for. Larger: the terms begin to fit
+/// the features that the registration needs. Smaller: less of the removal can be fitted.
 const MOST_ORDER: usize = 8;
 
-/// Common features must stand out of chance by this factor. Within the limits of the search some hundred places
-/// are independent of each other, and of so many chance takes the best to 2.5.
+/// Smallest ratio of the correlation of derivatives at the place found to its RMS at wrong places,
+/// dimensionless; a smaller ratio is refused. Larger: refuses maps with weak features. Smaller: chance
+/// passes for features. Derived: within the limits of the search some hundred places are independent of
+/// each other, and the best of so many reaches 2.5 by chance.
 const LEAST_FEATURES: f64 = 3.0;
 
-/// Largest standard error of a shift, and of the rotation at the corner of the map, in pixels: what is not known
-/// to within half a pixel is not known better than by looking.
+/// Largest standard error of a shift, and of the rotation times half the diagonal of the map, pixels; a
+/// larger one is refused. Larger: accepts a place that is less certain. Smaller: refuses more maps. Chosen:
+/// an error of more than half a pixel is no better than a comparison by eye.
 const MOST_ERROR_PIXELS: f64 = 0.5;
 
-/// Wrong places for the comparison: displacements by multiples of a tenth of the map, up to this many along each
-/// side.
+/// Number of wrong places on each side along each axis; they are displaced by multiples of a tenth of the
+/// map. 3 makes 48 wrong places. Larger: the RMS at wrong places is known better, for more time and less
+/// common area. Smaller: that RMS is less certain.
 const WRONG_PLACES: i64 = 3;
 
-/// A correlation that is closer to one is counted as this.
+/// Largest absolute correlation that enters Fisher's transformation; a larger one is counted as this one.
+/// Closer to 1: identical maps get a larger, still finite ratio. Farther from 1: very similar maps count as
+/// less certain.
 const CLOSEST_TO_ONE: f64 = 1.0 - 1e-9;
 
-/// Blocks of the map, along each side.
+/// Number of blocks of the map along each side, for the standard errors. Larger: blocks become smaller than
+/// the correlation length of the noise, and the standard errors too small. Smaller: the standard errors
+/// come from fewer blocks and are uncertain themselves.
 const BLOCKS: usize = 6;
 
-/// A ring of lags correlates where its mean is above this many standard errors of that of white noise.
+/// Mean autocovariance of a ring of lags, in standard errors of the mean for white noise, at which the sum
+/// over lags ends. Larger: the sum ends earlier and misses correlation. Smaller: the sum includes noise.
 const SEEN: f64 = 2.0;
 
-/// Fewest blocks with pixels, and pixels in common.
+/// Smallest number of blocks with common pixels, of `BLOCKS`^2 = 36; fewer are refused. Larger: refuses
+/// maps with a small common area. Smaller: standard errors from few blocks, which are too uncertain.
 const LEAST_BLOCKS: usize = 16;
+/// Smallest number of valid pixels in common (or four per unknown, if that is more); fewer are refused.
+/// Larger: refuses small common areas. Smaller: fits that few pixels determine.
 const LEAST_PIXELS: usize = 200;
 
-/// Steps of Gauss and Newton, and the step in pixels at which they end: pixels that come and go at the border of
-/// the common area keep them from ending closer.
+/// Largest number of Gauss-Newton steps; the registration is refused if it needs more. Larger: more time on
+/// maps that do not settle. Smaller: refuses maps that settle slowly.
 const MOST_STEPS: usize = 50;
+/// Gauss-Newton step, pixels, below which the registration has settled. Smaller: it may never settle,
+/// because pixels enter and leave at the border of the common area. Larger: the place is off by up to this
+/// step.
 const SETTLED_PIXELS: f64 = 5e-3;
 
 /// Shift [x, y] in mm and rotation in rad.
 pub(crate) type Pose = [f64; 3];
 
-/// Finds where `after` lies on `before`.
+/// Finds the place of `after` on `before`: shift and rotation with their standard errors.
 pub fn register(
     before: &Surface,
     after: &Surface,
@@ -155,7 +173,7 @@ pub fn register(
         Ok((pose, equations, steps)) => {
             progress::part(1, 2, || problem.result(pose, &equations, steps))
         }
-        // Where the features are too few, this is why.
+        // If the features are too few, the message gives that as the reason.
         Err(e) => problem.check_features(start).and(Err(e)),
     }
 }
@@ -183,7 +201,7 @@ fn check(settings: &MapSettings) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// What does not change with the place.
+/// Inputs of the fit that do not depend on the place.
 struct Problem<'a> {
     before: &'a Field,
     after: &'a Field,
@@ -202,9 +220,10 @@ struct Equations {
     sizes: [DVector<f64>; 2],
     /// H'r.
     right: DVector<f64>,
-    /// H'r of every block that has pixels, without what the free terms take.
+    /// H'r of every block that has pixels, after subtraction of the free terms.
     scores: Vec<DVector<f64>>,
-    /// f: what the variance is with what correlates across the borders of blocks, over what it is without.
+    /// f of the module: variance with the correlation across the borders of blocks, relative to the
+    /// variance without it.
     across_borders: f64,
     pixels: usize,
     squares: f64,
@@ -228,7 +247,8 @@ impl<'a> Problem<'a> {
         })
     }
 
-    /// Gauss and Newton from `pose`: where they end, the equations there, and the number of steps.
+    /// Takes Gauss-Newton steps from `pose`. Returns the last pose, the equations there, and the number of
+    /// steps.
     fn settled(
         &self,
         mut pose: Pose,
@@ -289,7 +309,7 @@ impl<'a> Problem<'a> {
                     }
                 }
             }
-            // A map of few pixels may not determine all terms: then nothing is taken off.
+            // A map of few pixels may not determine all terms; then no terms are subtracted.
             let solved = normal.cholesky().map(|c| c.solve(&right));
             field.map_values(|x, z| match &solved {
                 Some(a) => {
@@ -353,7 +373,7 @@ impl<'a> Problem<'a> {
         samples: &[([usize; 2], Vec<f64>, f64, f64)],
     ) -> Result<Equations, Invalid> {
         let m = right.len();
-        // What remains with the free terms alone, at this place; and z itself without them.
+        // Residual with the free terms alone, at this place; and z itself without them.
         let of_terms = normal.view((3, 3), (m - 3, m - 3)).into_owned().cholesky();
         let of_terms = of_terms.ok_or_else(|| {
             let problem = format!("does not determine free terms of order {}", self.order);
@@ -399,12 +419,12 @@ impl<'a> Problem<'a> {
         })
     }
 
-    /// f of what the fit leaves, NaN where there is none.
+    /// f of the module, from the residual map `left` of the fit; NaN marks pixels without a residual.
     fn across_borders(&self, left: &Array2<f64>) -> f64 {
         let (ny, nx) = left.dim();
         let block = [ny, nx].map(|n| n as f64 / BLOCKS as f64);
         let mean = |i: isize, j: isize| {
-            // Of one of the two halves of the lags, which are the same
+            // One half of the lags is enough: the autocovariance is even.
             let (rows, from) = (0..ny - i as usize, j.unsigned_abs());
             let (mut sum, mut count) = (0.0, 0.0);
             for r in rows {
@@ -446,8 +466,8 @@ impl<'a> Problem<'a> {
         (r * BLOCKS / ny) * BLOCKS + c * BLOCKS / nx
     }
 
-    /// Correlation of the derivatives along x, y and around the middle at a place, the map before displaced by
-    /// `by_mm`.
+    /// Correlation of the derivatives along x, y and around the middle at a place, with the map before
+    /// displaced by `by_mm`.
     fn common(&self, pose: Pose, by_mm: [f64; 2]) -> [f64; 3] {
         let (sin, cos) = pose[2].sin_cos();
         let mut sums = [[0.0; 3]; 3];
@@ -471,9 +491,9 @@ impl<'a> Problem<'a> {
         sums.map(|[gh, gg, hh]| if gg * hh > 0.0 { gh / (gg * hh).sqrt() } else { 0.0 })
     }
 
-    /// The correlations where the maps lie over the RMS of those where they do not.
+    /// Correlations at `pose` relative to their RMS at wrong places, after Fisher's transformation.
     fn features(&self, pose: Pose) -> [f64; 3] {
-        // Fisher's atanh makes a correlation near one as far from chance as it is.
+        // After Fisher's atanh, correlations near 1 scatter as much as small ones.
         let fisher = |c: [f64; 3]| c.map(|r| r.clamp(-CLOSEST_TO_ONE, CLOSEST_TO_ONE).atanh());
         let here = fisher(self.common(pose, [0.0; 2]));
         let range = -WRONG_PLACES..=WRONG_PLACES;
@@ -492,7 +512,8 @@ impl<'a> Problem<'a> {
         let elsewhere: Vec<[f64; 3]> = wrong.par_iter().map(at).collect();
         [0, 1, 2].map(|k| {
             let squares = elsewhere.iter().map(|c| c[k] * c[k]).sum::<f64>() / wrong.len() as f64;
-            // Without noise the derivatives elsewhere may be exactly zero; then here decides.
+            // Without noise the correlations at wrong places may be exactly zero; then the one at `pose`
+            // decides.
             if here[k] == 0.0 { 0.0 } else { here[k] / squares.sqrt() }
         })
     }
@@ -548,7 +569,7 @@ impl<'a> Problem<'a> {
         })
     }
 
-    /// The common features at a place; refuses too few of them.
+    /// Returns the ratios of [`Self::features`] at a place; refuses ratios below [`LEAST_FEATURES`].
     fn check_features(&self, pose: Pose) -> Result<[f64; 3], Invalid> {
         let features = self.features(pose);
         let names = ["along x", "along y", "around the middle"];
@@ -598,14 +619,16 @@ impl<'a> Problem<'a> {
 }
 
 impl Equations {
-    /// The step of Gauss and Newton.
+    /// Gauss-Newton step: shift in mm, rotation in rad.
     fn step(&self, problem: &Problem) -> Result<Pose, Invalid> {
         let solved = self.inverse()? * &self.right;
         Ok([solved[0], solved[1], solved[2] / problem.half_diagonal_mm])
     }
 
     fn inverse(&self) -> Result<DMatrix<f64>, Invalid> {
-        // Scaled by the sizes of the columns, so that the smallest singular value means something.
+        // Smallest singular value of the scaled matrix H'G, dimensionless; a smaller one is refused.
+        // Columns are scaled to length 1 first, so that the value does not depend on units. Larger: refuses
+        // maps that barely determine the place. Smaller: accepts a nearly singular matrix.
         const LEAST_SINGULAR_VALUE: f64 = 1e-6;
         let m = self.right.len();
         let [h, g] = self.sizes.each_ref().map(|s| s.map(f64::sqrt));
@@ -642,7 +665,7 @@ impl Equations {
         for score in &self.scores {
             middle += score * score.transpose();
         }
-        // Blocks are few: the usual correction of their number.
+        // Correction for the small number of blocks and the three parameters of the pose.
         let correction = self.across_borders * blocks as f64 / (blocks as f64 - 3.0);
         let all = &inverse * middle * inverse.transpose() * correction;
         let unit = [1.0, 1.0, problem.half_diagonal_mm];

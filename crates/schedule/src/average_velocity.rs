@@ -1,12 +1,12 @@
-//! Average velocity: every segment at the constant velocity that its dwell time asks for.
+//! Average velocity: constant velocity in every segment, its displacement over its dwell time.
 //!
 //! ```text
 //! h = max(dwell, |dp_x| / v_max_x, |dp_y| / v_max_y, least segment)      v = dp / h
 //! ```
 //!
-//! The velocity steps at every control point: no machine can do it, and the report says by how
-//! much. It is what a dwell solver with segment columns believes, so the residual is that of the
-//! solver wherever no segment was stretched.
+//! The velocity steps at every control point, and the report has the largest step: no machine can
+//! execute the motion. A dwell solver with segment columns assumes this motion. So the residual is
+//! that of the solver if no segment is stretched.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -22,7 +22,7 @@ use crate::{
     pvt::{Stretched, durations_s},
 };
 
-/// What was done.
+/// Stretched segments and velocity steps of a schedule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Report {
     /// Segments that were given more time, in order.
@@ -35,17 +35,17 @@ pub struct Report {
     pub dropped: Vec<usize>,
 }
 
-/// The motion and what was done to get it.
+/// Motion and its report.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     /// Motion.
     pub trajectory: Trajectory,
-    /// What was done.
+    /// Stretched segments and velocity steps.
     pub report: Report,
 }
 
-/// Schedules `path` with the times `dwell`, or longer where the largest velocity of `limits` or
-/// its shortest segment asks for it.
+/// Schedules `path` with the times `dwell`. A segment takes longer if the velocity limit or the
+/// shortest segment of the controller demands it.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,

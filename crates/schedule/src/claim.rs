@@ -1,4 +1,4 @@
-//! Which limits of the machine a schedule says it keeps, measured on its own polynomials.
+//! Limits of the machine that a schedule claims to keep, measured on its own polynomials.
 //!
 //! ```text
 //! v(u) = c1 + 2 c2 u + 3 c3 u^2      largest at an end or at u = -c2 / (3 c3)
@@ -6,49 +6,54 @@
 //! j    = 6 c3
 //! ```
 //!
-//! It goes into the manifest of every schedule, and `planish-verify`, which shares no code with
-//! this file, must come to the same result. A step below the tolerances is rounding: the motion is
-//! then continuous.
+//! The claim goes into the manifest of every schedule. `planish-verify`, which shares no code with
+//! this file, must come to the same result. A step below the tolerances counts as rounding: the
+//! motion is then continuous.
 
 use planish_types::{Limits, Trajectory, plausible};
 use serde::Serialize;
 
-/// Steps in position up to this are rounding or the tolerance of a fit, mm.
+/// Largest step of the position that counts as continuous, mm: rounding, or the default tolerance of
+/// the fit of `trig_spline`. Larger: real jumps are missed. Smaller: fitted motions count as jumps.
 const POSITION_STEP_MM: f64 = 1e-6;
 
-/// Steps in velocity up to this are rounding of break times, mm/s; 1e-9 of the limit is added.
+/// Largest step of the velocity that counts as continuous, mm/s; 1e-9 of the limit is added. It
+/// covers the rounding of break times. Larger: real steps are missed. Smaller: rounding is reported.
 const VELOCITY_STEP_MM_PER_S: f64 = 1e-6;
 
-/// Part of a limit that is taken for rounding.
+/// Excess over a limit that counts as rounding, relative to the limit. Larger: real excesses are
+/// missed. Smaller: motions exactly at a limit are reported.
 const ROUNDING: f64 = 1e-9;
 
-/// Part of the largest acceleration up to which a step in it is rounding.
+/// Largest step of the acceleration that counts as continuous, relative to its limit. Larger: real
+/// steps are missed. Smaller: rounding of the coefficients is reported as a step.
 const ACCELERATION_STEP: f64 = 1e-6;
 
-/// What there is to say of a motion that shows what others are measured by.
+/// Advice for the motion of a baseline (`position`, `average-velocity`), which no machine can execute.
 pub const JUMPS: &str = "its position or its velocity jumps, which no machine can do";
 
-/// What a schedule says of itself.
+/// Claim of a schedule about the limits of the machine.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Claim {
-    /// Whether every limit is kept: all of the following.
+    /// True if every limit is kept: each of the following is true or `None`.
     pub limits_respected: bool,
-    /// Whether the position is continuous.
+    /// True if the position is continuous.
     pub continuous_position: bool,
-    /// Whether the velocity is continuous, from rest at the start to rest at the end.
+    /// True if the velocity is continuous, from rest at the start to rest at the end.
     pub continuous_velocity: bool,
-    /// Whether the largest velocity is kept on both axes.
+    /// True if both axes keep the velocity limit.
     pub velocity: bool,
-    /// Whether the largest acceleration is kept on both axes.
+    /// True if both axes keep the acceleration limit.
     pub acceleration: bool,
-    /// Whether the largest jerk is kept, steps of the acceleration included; left out when the
-    /// machine does not limit it.
+    /// True if the limited axes keep the jerk limit and their acceleration does not step. `None` if the
+    /// machine does not limit jerk.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jerk: Option<bool>,
-    /// The same inside segments only, steps apart.
+    /// True if the limited axes keep the jerk limit inside segments; steps of the acceleration between
+    /// segments do not count. `None` if the machine does not limit jerk.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jerk_inside_segments: Option<bool>,
-    /// Whether no segment is shorter than the controller accepts.
+    /// True if no segment is shorter than the controller accepts.
     pub min_segment: bool,
     /// Largest |jerk| inside segments of [x, y], mm/s^3.
     pub max_jerk_mm_per_s3: [f64; 2],
@@ -126,7 +131,7 @@ impl Claim {
         }
     }
 
-    /// What breaks a limit, in words; empty when every limit is kept.
+    /// Broken limits, in words; empty if every limit is kept.
     pub fn broken(&self) -> Vec<&'static str> {
         let jerk = match self.jerk_inside_segments {
             Some(true) => "the acceleration steps, which no limit on jerk allows",
@@ -143,8 +148,8 @@ impl Claim {
         broken.iter().filter(|(_, kept)| !kept).map(|(b, _)| *b).collect()
     }
 
-    /// Why the motion is not to be executed as it is, where it is not: a limit is exceeded, followed by what
-    /// the scheduler has to say of that, or the run takes too long.
+    /// Reason against executing the motion, if there is one: a limit is exceeded (followed by the `advice`
+    /// of the scheduler), or the run takes too long.
     pub fn drawback(&self, total_time_s: f64, advice: Option<&str>) -> Option<String> {
         if self.limits_respected {
             return plausible::too_long(total_time_s);
@@ -177,7 +182,7 @@ mod tests {
         .unwrap()
     }
 
-    /// From rest to rest by 1 mm in 1 s: v(1/2) = 1.5, |a| <= 6, j = -12.
+    /// Motion of 1 mm in 1 s from rest to rest: v(1/2) = 1.5, |a| <= 6, j = -12.
     fn rest_to_rest() -> Trajectory {
         let c = [[0.0, 0.0, 3.0, -2.0], [0.0; 4]];
         Trajectory::new(vec![0.0, 1.0], vec![c], vec![true], vec![None]).unwrap()

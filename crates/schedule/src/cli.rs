@@ -1,4 +1,4 @@
-//! The subcommands, one file each, and what the schedulers have in common.
+//! Subcommands, one file each, and the code that all schedulers share.
 
 mod average_velocity;
 mod constant_acceleration;
@@ -25,30 +25,30 @@ use serde_json::{Value, json};
 
 #[derive(Subcommand)]
 pub enum Command {
-    /// Cubic segments through the control points at the dwell times, within the limits
+    /// Cubic segments through the control points at the dwell times, within the limits (PVT)
     Pvt(pvt::Pvt),
-    /// PVT by the least squares of its publication, whose defects it reports; nothing is stretched
+    /// PVT by the least squares of its publication; reports their defects, and stretches nothing
     PvtAsPublished(pvt_as_published::PvtAsPublished),
     /// One constant acceleration, then constant velocity, per segment; no look-ahead
     ///
     /// Each axis keeps its velocity and acceleration limits by itself. It goes too far where the path changes
-    /// direction, and comes back; where a limit needs more time, the segment takes longer.
+    /// direction, and comes back. A segment takes longer if a limit needs more time.
     ConstantAcceleration(constant_acceleration::ConstantAcceleration),
     /// Constant acceleration along the path with look-ahead, at rest in every corner
     ///
-    /// Within all limits, for more time.
+    /// The motion keeps all velocity and acceleration limits, and takes more time.
     StopAtCorners(stop_at_corners::StopAtCorners),
-    /// Dwell-time density as a trigonometric spline along the path, lifted to the limits
+    /// Dwell-time density as a trigonometric spline along the path, raised until the limits are kept
     TrigSpline(trig_spline::TrigSpline),
-    /// Constant velocity per segment: what a dwell solver believes; its velocity steps
+    /// Constant velocity per segment, as a dwell solver assumes; its velocity steps (a baseline, not executable)
     AverageVelocity(average_velocity::AverageVelocity),
-    /// Stand at the dwell points and jump between them, which no machine can do: for comparison only
+    /// Rest at the dwell points, with jumps between them (a baseline, not executable)
     Position(position::Position),
-    /// Reference positions at every tick of a controller, from a feed or its NC program
+    /// Reference positions at every tick of a controller, from a feed artifact or its NC program
     ///
     /// The file, .csv or .npy, has a row per tick: time_s, x_mm, y_mm, feed_mm_per_s, pass_idx.
     Interpolate(interpolate::Interpolate),
-    /// Write a feed as an NC program: blocks of end point, densities and arc lengths
+    /// NC program of a feed artifact: blocks of end point, densities and arc lengths
     Program(program::Program),
 }
 
@@ -68,7 +68,7 @@ impl Command {
     }
 }
 
-/// What every scheduler is given.
+/// Inputs and output of every scheduler.
 #[derive(Args)]
 struct Given {
     #[command(flatten)]
@@ -83,34 +83,34 @@ struct Given {
 #[derive(Serialize)]
 struct NoSettings {}
 
-/// What a scheduler made.
+/// Result of a scheduler.
 struct Made {
     trajectory: Trajectory,
-    /// Native parameters, where the scheduler has them.
+    /// Nodes of the dwell-time density, if the scheduler has them.
     density: Option<DwellDensity>,
     report: Value,
-    /// For the line that the user reads.
+    /// Addition to the line that the program prints.
     remark: String,
 }
 
 /// A subcommand that makes a motion.
 trait Scheduler {
-    /// The method in the manifest: the name of the subcommand.
+    /// Name of the method in the manifest: that of the subcommand.
     const METHOD: &'static str;
 
-    /// As they go into the manifest, with everything that was chosen for this machine.
+    /// Settings for the manifest, with all defaults resolved for this machine.
     type Settings: Serialize;
 
     fn given(&self) -> &Given;
 
     fn settings(&self, machine: &Limits) -> Self::Settings;
 
-    /// The kind of motion among those of the method, where there are several.
+    /// Kind of the motion, if the method has several.
     fn kind(_: &Self::Settings) -> Option<&'static str> {
         None
     }
 
-    /// Where the feed goes, when it is asked for.
+    /// Directory for the nodes of the density, if `--feed` is given.
     fn feed(&self) -> Option<&Path> {
         None
     }
@@ -122,7 +122,7 @@ trait Scheduler {
         settings: &Self::Settings,
     ) -> Result<Made, ScheduleError>;
 
-    /// What there is to say where a limit is exceeded.
+    /// Advice to the user if a limit is exceeded.
     fn advice(_: &Self::Settings, _: &Claim) -> Option<String> {
         None
     }

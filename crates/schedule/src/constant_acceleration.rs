@@ -2,7 +2,7 @@
 //!
 //! Per axis: start with the velocity `v0` that the previous segment left, go the displacement `s`
 //! in the time `d` by accelerating with the full `a = +-a_max` for a time `tau`, then keeping the
-//! velocity `v`. With `r = s - v0 d`, what constant velocity would miss:
+//! velocity `v`. With the distance `r = s - v0 d` that constant velocity would miss:
 //!
 //! ```text
 //! a = sign(r) a_max
@@ -48,23 +48,24 @@ use crate::{
     shortest_cubic::{CubicSegment, State, shortest_cubic},
 };
 
-/// What the recursion could not do.
+/// Times and positions that the recursion did not keep.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Report {
     /// Segments that took longer than their dwell time.
     pub late_segments: usize,
-    /// Time that they took in addition, lifts apart: missed dwell, s.
+    /// Time that these segments took beyond their dwell time, without lifts, s.
     pub added_s: f64,
-    /// Largest addition, s.
+    /// Largest such time of one segment, s.
     pub largest_added_s: f64,
-    /// Segments that ended beyond their control point for want of braking, per axis.
+    /// Segments that did not end at their control point, because the axis could not brake in time, per axis.
     pub missed_points: [usize; 2],
     /// Largest distance to the control point at a segment's end, per axis, mm.
     pub largest_missed_mm: [f64; 2],
     /// Segments in which the axis left the interval between its ends by more than
     /// [`OVERSHOOT_MM`] = 1 nm, per axis.
     pub overshoot_segments: [usize; 2],
-    /// The same by more than [`VISIBLE_OVERSHOOT_MM`] = 1 um, per axis.
+    /// Segments in which the axis left that interval by more than [`VISIBLE_OVERSHOOT_MM`] = 1 um, per
+    /// axis.
     pub visible_overshoot_segments: [usize; 2],
     /// Largest distance from that interval, per axis, mm.
     pub largest_overshoot_mm: [f64; 2],
@@ -78,12 +79,12 @@ pub struct Report {
     pub dropped: Vec<usize>,
 }
 
-/// The motion and what it could not do.
+/// Motion and its report.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     /// Motion.
     pub trajectory: Trajectory,
-    /// What it could not do.
+    /// Times and positions that the motion does not keep.
     pub report: Report,
 }
 
@@ -175,26 +176,28 @@ pub fn schedule(
     Ok(Schedule { trajectory: motion.build()?, report })
 }
 
-/// Shortest piece that ends at the time `end_s`, s.
+/// Shortest duration of a piece that ends at the time `end_s`, s: 64 roundings of that time.
 pub(crate) fn least_piece_s(end_s: f64) -> f64 {
     64.0 * f64::EPSILON * end_s
 }
 
-/// Distances below this are rounding of coordinates up to 1e3 mm, not misses.
+/// Distance from a control point up to which it counts as reached, mm: rounding of coordinates up to
+/// 1e3 mm. Larger: real misses are not counted. Smaller: rounding counts as a miss.
 const ROUNDING_MM: f64 = 1e-9;
 
-/// An excursion beyond the ends of a segment counts as an overshoot above this, mm: 1 nm, what
-/// `planish-verify` takes for the tolerance of a position. The count depends on it: after every
-/// stop an axis swings back by an amount that falls quadratically from one segment to the next, so
-/// that below every threshold there are segments that do it by less. On the reference maze 478 x
-/// and 628 y segments overshoot by more than 1 nm, 632 and 700 by more than 1e-9 mm.
+/// Excursion beyond the ends of a segment above which it counts as an overshoot, mm: 1 nm, the
+/// position tolerance of `planish-verify`. Larger: fewer segments count. Smaller: more, without end:
+/// after every stop an axis swings back by an amount that falls quadratically from one segment to the
+/// next. On the reference maze 478 x and 628 y segments overshoot by more than 1 nm, 632 and 700 by
+/// more than 1e-9 mm.
 pub const OVERSHOOT_MM: f64 = 1e-6;
 
-/// Above this an overshoot is a corner that was missed and not the echo of one, mm: the reference
-/// maze has 379 per axis from here up to twice as much.
+/// Overshoot above which a corner was missed, mm; a smaller one is an echo of a missed corner. Larger:
+/// missed corners are not counted. Smaller: echoes count, too. On the reference maze 379 segments per
+/// axis overshoot by more than this (docs/schedulers.md).
 pub const VISIBLE_OVERSHOOT_MM: f64 = 1e-3;
 
-/// Both axes in the same time: the later one decides.
+/// Motion of both axes in the same time: the later axis decides it.
 fn coupled(
     s: [f64; 2],
     v0: [f64; 2],
@@ -213,7 +216,7 @@ fn coupled(
     }
 }
 
-/// (1), or (2) when the time is too short, or (3) where either is too fast.
+/// Motion of one axis by (1), by (2) if the time is too short, or by (3) if the result is too fast.
 fn phase(s: f64, v0: f64, d: f64, v_max: f64, a_max: f64) -> Phase {
     let free = unlimited(s, v0, d, a_max);
     if free.velocity.abs() <= v_max {
@@ -225,7 +228,7 @@ fn phase(s: f64, v0: f64, d: f64, v_max: f64, a_max: f64) -> Phase {
     Phase { tau_s, duration_s, velocity: v, ..free }
 }
 
-/// (1), or (2) when the time is too short.
+/// Motion of one axis by (1), or by (2) if the time is too short; the velocity is not limited.
 fn unlimited(s: f64, v0: f64, d: f64, a_max: f64) -> Phase {
     let r = s - v0 * d;
     if r.abs() <= 1e-15 * s.abs().max(1.0) {

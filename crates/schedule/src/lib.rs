@@ -1,4 +1,4 @@
-//! Tool path and dwell times become a motion.
+//! Schedulers: each one makes a motion from a tool path and dwell times.
 //!
 //! Every scheduler is a file or a folder of the same shape: `Settings`, `schedule`, and what it reports
 //! beside the trajectory.
@@ -13,8 +13,8 @@
 //! | [`average_velocity`] | constant velocity per segment (a baseline: its velocity steps) |
 //! | [`position`] | stands at the dwell points; jumps between them (a baseline, no motion) |
 //!
-//! [`claim`] is what every schedule says about the limits; [`interpolator`] turns the feed of
-//! `trig_spline` into reference positions, tick by tick.
+//! [`claim`] measures every motion against the limits of the machine. [`interpolator`] turns the
+//! dwell-time density of `trig_spline` into reference positions, tick by tick.
 
 pub mod average_velocity;
 pub mod claim;
@@ -30,31 +30,31 @@ pub mod trig_spline;
 
 use planish_types::{DwellTime, Invalid, NotConverged, ToolPath};
 
-/// Why a motion could not be made.
+/// Reasons for which a scheduler makes no motion.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ScheduleError {
     /// The inputs do not belong together.
     #[error(transparent)]
     Invalid(#[from] Invalid),
-    /// The dwell times ask for more than the machine can do, and stretching was forbidden.
+    /// The machine cannot move at the dwell times, and the settings forbid stretching.
     #[error(
         "no motion within the limits at the given dwell times: segment {segment} \
          ({length_mm:.6} mm in {dwell_s:.6} s) {reason}; allow stretching or raise its dwell time"
     )]
     Infeasible {
-        /// Index of the segment that is furthest from feasible.
+        /// Index of the segment that exceeds the limits most.
         segment: usize,
         /// Its length, mm.
         length_mm: f64,
         /// Its dwell time, s.
         dwell_s: f64,
-        /// Which limit stands in the way.
+        /// Time that the segment needs, or the factor by which its time must grow, in words.
         reason: String,
     },
     /// A system of equations was not solved to its tolerance.
     #[error(transparent)]
     NotConverged(#[from] NotConverged),
-    /// Stretching did not end.
+    /// The limits are still exceeded after the largest number of rounds of stretching.
     #[error(
         "no motion within the limits after {rounds} rounds of stretching; the worst segment is \
          {segment} at {excess:.6} of its limit; check the machine's limits"
@@ -64,17 +64,18 @@ pub enum ScheduleError {
         rounds: usize,
         /// Worst segment.
         segment: usize,
-        /// Its use of the limit; 1 = at the limit.
+        /// Factor by which its time would still have to grow; 1 = at the limit.
         excess: f64,
     },
 }
 
-/// Least length of a segment, mm: a picometre. A corner beside a shorter one would be passed at a density that no proof
-/// can follow.
+/// Smallest length of a segment, mm: a picometre. Segments up to it count as having no length. Larger: short
+/// segments of a real path lose their length, too. Smaller: the density at a corner beside a short segment becomes so
+/// large that rounding keeps the motion from being proven within the limits.
 const LEAST_LENGTH_MM: f64 = 1e-9;
 
-/// Length below which a segment is none, mm: [`LEAST_LENGTH_MM`], or four roundings of its largest coordinate. A closed
-/// path that was computed ends with one.
+/// Length up to which a segment counts as rounding, mm: [`LEAST_LENGTH_MM`], or four roundings of its largest
+/// coordinate. A computed closed path ends with such a segment.
 fn rounding_mm(path: &ToolPath, segment: usize) -> f64 {
     let ends = [path.point_mm()[segment], path.point_mm()[segment + 1]];
     let largest = ends.as_flattened().iter().fold(0.0, |m: f64, v| m.max(v.abs()));

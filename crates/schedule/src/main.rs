@@ -1,4 +1,4 @@
-//! `planish-schedule`: tool path and dwell times become a motion.
+//! `planish-schedule`: a motion from a tool path and dwell times.
 
 mod cli;
 

@@ -4,14 +4,15 @@
 //! P(t) = dwell_point[i]   for the time dwell[i]
 //! ```
 //!
-//! No machine can do this: it jumps between the points, in no time. It is what a dwell solver
-//! with point columns believes, and the ideal that an executed motion is compared with.
+//! No machine can execute this motion: it jumps between the points, in no time. A dwell solver with
+//! point columns assumes it, and executed motions are compared with it.
 
 use planish_types::{DwellTime, Invalid, ToolPath, Trajectory, TrajectoryBuilder};
 
 use crate::{ScheduleError, check_lengths};
 
-/// Part of the total time below which a dwell time vanishes in the rounding of the break times.
+/// Dwell time, relative to the total time, up to which a dwell point is left out: it would vanish in the rounding of
+/// the break times. Four roundings. Larger: short dwell times are lost. Smaller: two break times can be equal.
 const ROUNDING: f64 = 4.0 * f64::EPSILON;
 
 /// Stands at the dwell points of `path`; segments without dwell time, but for rounding, are left out.

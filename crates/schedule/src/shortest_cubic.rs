@@ -1,13 +1,13 @@
-//! From one state of motion to another by one cubic per axis, in the shortest time within the limits.
+//! Motion from one state to another by one cubic per axis, in the shortest time within the limits.
 //!
 //! ```text
 //! p(u) = Hermite cubic of (p, v), (q, w) over T          least T with |p'| <= v_max, |p''| <= a_max
 //! ```
 //!
 //! For long T the velocity tends to `v (1 - 4 x + 3 x^2) + w (3 x^2 - 2 x)`, x = u/T, which is
-//! never faster than its ends, and the acceleration to 0: a time that fits always exists. It is not the
-//! fastest motion (that has several phases), but it is smooth, and its limits are those of one
-//! polynomial. Where it turns around it swings beyond its ends; the tool is off.
+//! never faster than its ends, and the acceleration to 0. So a time within the limits always exists.
+//! The cubic is not the fastest motion, which has several phases. But it is smooth, and only one
+//! polynomial has to be checked. A cubic that turns around swings beyond its ends; the tool is off.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -19,7 +19,8 @@ use planish_types::Limits;
 
 use crate::hermite::{accelerations, coefficients, peak_velocity};
 
-/// Part of the limits that the cubic leaves free, for the rounding of its coefficients.
+/// Part of the acceleration limit that the cubic leaves free, relative: room for the rounding of its
+/// coefficients. Larger: links take longer. Smaller: rounding can exceed the limit.
 const MARGIN: f64 = 1e-6;
 
 /// Position and velocity.
@@ -40,8 +41,8 @@ pub(crate) struct CubicSegment {
     pub coefficient_mm: [[f64; 4]; 2],
 }
 
-/// The segment, lasting at least `least_s`; `None` when there is nothing to do and no time to take.
-/// An end that is faster than the limits stays as it is.
+/// Shortest segment that lasts at least `least_s`. `None` if there is no distance, no velocity and no
+/// time. An end that is faster than the velocity limit keeps its velocity.
 pub(crate) fn shortest_cubic(
     from: State,
     to: State,

@@ -46,16 +46,16 @@ use crate::{
     shortest_cubic::{State, shortest_cubic},
 };
 
-/// What it took.
+/// Stops, late segments and lifts of a schedule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Report {
     /// Nodes between two segments with the tool on where the tool comes to rest.
     pub stops: usize,
     /// Segments with the tool on that took longer than their dwell time.
     pub late_segments: usize,
-    /// Time that they took in addition, s.
+    /// Time that these segments took beyond their dwell time, s.
     pub added_s: f64,
-    /// Largest addition, s.
+    /// Largest such time of one segment, s.
     pub largest_added_s: f64,
     /// Lifts: segments with the tool off, each a link from rest to rest.
     pub lifts: usize,
@@ -65,17 +65,18 @@ pub struct Report {
     pub dropped: Vec<usize>,
 }
 
-/// The motion and what it took.
+/// Motion and its report.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     /// Motion.
     pub trajectory: Trajectory,
-    /// What it took.
+    /// Stops, late segments and lifts.
     pub report: Report,
 }
 
-/// Largest step of the velocity at a node that is no corner, mm/s: a tenth of what is taken for
-/// rounding when a motion is judged.
+/// Largest step of the velocity at a node that the tool passes without a stop, mm/s: a tenth of the
+/// step that a judge takes for rounding. Larger: steps that the judge finds. Smaller: stops at nodes
+/// of a straight line whose coordinates are rounded.
 const STRAIGHT_MM_PER_S: f64 = 1e-7;
 
 /// Schedules `path` with at least the times `dwell` within `limits`.
@@ -134,7 +135,7 @@ pub fn schedule(
     Ok(Schedule { trajectory: motion.build()?, report })
 }
 
-/// A segment as the motion along it sees it.
+/// Length, direction, dwell time and limits of a segment along the path.
 #[derive(Clone, Copy, Debug)]
 struct Along {
     index: usize,
@@ -169,7 +170,7 @@ impl Along {
         }
     }
 
-    /// Whether the motion goes on into the next segment.
+    /// Returns true if the motion goes on into the next segment without a stop.
     fn joins(&self, next: &Self) -> bool {
         let speed = self.max_velocity.min(next.max_velocity);
         let step = |a: usize| (self.direction[a] - next.direction[a]).abs() * speed;
@@ -180,7 +181,7 @@ impl Along {
             && step(0).max(step(1)) <= STRAIGHT_MM_PER_S
     }
 
-    /// (1): the largest velocity at the start, for `next` at the end.
+    /// Largest velocity (1) at the start, mm/s, with the velocity `next` at the end.
     fn bound(&self, next: f64) -> f64 {
         let (l, d, a) = (self.length_mm, self.duration_s, self.max_acceleration);
         let in_time = if d * d < 2.0 * l / a { l / d + 0.5 * a * d } else { (2.0 * a * l).sqrt() };
@@ -234,7 +235,7 @@ impl Along {
     }
 }
 
-/// (1) at every node, from the end backwards.
+/// Largest velocities (1) at all nodes, mm/s, from the end backwards.
 fn bounds(along: &[Along]) -> Vec<f64> {
     let mut bound = vec![0.0; along.len() + 1];
     for i in (1..along.len()).rev() {
@@ -245,8 +246,8 @@ fn bounds(along: &[Along]) -> Vec<f64> {
     bound
 }
 
-/// From velocity[0] to velocity[1] in time_s[0], at velocity[1] for time_s[1], to velocity[2] in
-/// time_s[2].
+/// Velocity along a segment: from velocity[0] to velocity[1] in time_s[0], at velocity[1] for
+/// time_s[1], and to velocity[2] in time_s[2].
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Profile {
     time_s: [f64; 3],

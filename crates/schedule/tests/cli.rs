@@ -170,7 +170,7 @@ fn pvt_is_the_clamped_spline_at_the_dwell_times() {
     assert!(text(&other.stderr).contains("give --force to replace it, or another --out"));
 }
 
-/// Whether the motion leaves the box of the ends of one of its segments.
+/// Returns true if the motion leaves the box of the ends of one of its segments.
 fn leaves_a_box(t: &Trajectory, points: &[[f64; 2]]) -> bool {
     let beyond = |(i, s): (usize, Segment)| {
         (0..=50).any(|k| {
@@ -198,7 +198,7 @@ fn monotone_never_leaves_the_box_of_a_segment() {
     assert!(leaves_a_box(&smooth, &points), "the case proves nothing");
 }
 
-/// 60 mm in 0.1 s between ordinary segments.
+/// Control points, mm, and dwell times, s, of a path with 60 mm in 0.1 s between ordinary segments.
 const STEP: [[f64; 2]; 6] =
     [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [62.0, 0.0], [63.0, 0.0], [64.0, 0.0]];
 const STEP_DWELL_S: [f64; 5] = [0.5, 0.5, 0.1, 0.5, 0.5];
@@ -367,7 +367,7 @@ fn refused(dir: &Path, scheduler: &str, more: &[&str], expected: &[&str]) {
     assert!(!dir.join("trajectory").exists() && output.stdout.is_empty(), "{output:?}");
 }
 
-/// Every scheduler refuses the inputs that `change` leaves.
+/// Asserts that every scheduler refuses the inputs after `change`.
 fn all_refuse(change: impl Fn(&Path), expected: &[&str]) {
     let tmp = tempfile::tempdir().unwrap();
     prepare(tmp.path(), &STEP, &STEP_DWELL_S);
@@ -377,7 +377,7 @@ fn all_refuse(change: impl Fn(&Path), expected: &[&str]) {
     }
 }
 
-/// Takes the manifest of an artifact away and puts `array` in.
+/// Removes the manifest of an artifact and replaces an array by `array`.
 fn bare(artifact: &'static str, name: &'static str, array: ArrayData) -> impl Fn(&Path) {
     move |dir| {
         let dir = dir.join(artifact);
@@ -596,7 +596,7 @@ fn corners_cost_time_and_no_overshoot_when_it_stops_there() {
     assert_eq!(outcome["claim"]["limits_respected"], true);
 }
 
-/// Whether a piece leaves the box of the segment that it serves.
+/// Returns true if a piece leaves the box of the segment that it serves.
 fn leaves_the_path(t: &Trajectory, points: &[[f64; 2]]) -> bool {
     t.segments().any(|s| {
         let i = s.dwell_index.unwrap();

@@ -1,4 +1,4 @@
-//! Flags that nobody means, strange paths and dwell times, through the binary; and the exit codes.
+//! Tests of the binary with absurd flags, strange paths and dwell times, and of its exit codes.
 
 use std::{fs, path::Path};
 

@@ -1,4 +1,4 @@
-//! How far a prediction depends on how a TIF is read between its samples.
+//! Dependence of a prediction on the interpolation of the TIF between its samples.
 //!
 //! Nothing is known of a tool between the samples of its TIF. Of a smooth TIF Keys' cubics are right to the third order
 //! in the step, and straight lines to the second; of a hard edge that falls within a step neither is right, and the
@@ -17,24 +17,34 @@ use planish_types::{Removal, Tif, Trajectory, text::significant};
 use rayon::prelude::*;
 use serde::Serialize;
 
-/// Readings of the TIF in all: some tenths of a second.
+/// Number of values of the TIF that are read in all; it takes some tenths of a second. Larger: more pixels, a smaller
+/// standard error, and more time. Smaller: fewer pixels.
 const READINGS: f64 = 4e6;
 
-/// Least and most pixels that are compared. The standard error of a change by c of the RMS is some c / sqrt(pixels).
+/// Smallest and largest number of pixels that are compared. The standard error of a change by c of the RMS is about c
+/// over the root of the number of pixels. Larger: more time. Smaller: a larger standard error.
 const PIXELS: [f64; 2] = [64.0, 1000.0];
 
-/// Places on the map that are looked at for each pixel that is compared: of a map with fewer valid pixels, fewer are.
+/// Number of places on the map that are tried for each pixel that is compared; only valid pixels are compared.
+/// Larger: maps with few valid pixels are compared on more of them. Smaller: on fewer.
 const PLACES_PER_PIXEL: usize = 8;
 
-/// Parts of a step of the TIF by which the tool goes from point to point, and most points in all.
+/// Length of a step of the midpoint rule along the motion, over a step of the TIF. Larger: less exact. Smaller: more
+/// readings per pixel, and fewer pixels.
 const PARTS_OF_A_STEP: f64 = 0.5;
+/// Largest number of steps of the midpoint rule. Larger: more memory. Smaller: long motions are integrated with
+/// longer steps.
 const MOST_POINTS: f64 = 2e6;
 
-/// Parts of the motion that are summed for themselves; the result may not depend on the number of threads.
+/// Number of parts of the motion that are summed separately. It does not depend on the number of threads, so that the
+/// result does not either. Larger: more overhead. Smaller: fewer tasks for the threads.
 const PARTS: usize = 64;
 
-/// Change of the residual from which it is named, and in standard errors, so that it is none by chance.
+/// Relative change of the residual above which the warning is given. Larger: coarse TIFs pass without a warning.
+/// Smaller: warnings about changes without consequence.
 const NAMED: f64 = 0.01;
+/// Change of the residual, in standard errors, above which the warning is given. Larger: real changes pass without a
+/// warning. Smaller: warnings by chance.
 const STANDARD_ERRORS: f64 = 2.0;
 
 /// Plastic number: 1 / g and 1 / g^2 are the steps of the most even sequence of pairs.
@@ -49,12 +59,12 @@ pub struct Between {
     pub difference_rms_nm: f64,
     /// RMS of the residual with straight lines over that with Keys' cubics, less 1.
     pub residual_change: f64,
-    /// Its standard error.
+    /// Standard error of `residual_change`.
     pub standard_error: f64,
 }
 
 impl Between {
-    /// Of the prediction `removal` of `trajectory` with `tif`; `None` where there is nothing to compare.
+    /// Compares the prediction `removal` of `trajectory` with `tif`; `None` if there is nothing to compare.
     pub fn of(trajectory: &Trajectory, tif: &Tif, removal: &Removal) -> Option<Self> {
         let residual = removal.residual();
         let grid = residual.grid();
@@ -149,7 +159,7 @@ impl Between {
         })
     }
 
-    /// What the user should know.
+    /// Returns the warning that the TIF is sampled too coarsely, or `None`.
     pub fn warning(&self) -> Option<String> {
         let change = self.residual_change;
         let seen = change.abs() > NAMED && change.abs() > STANDARD_ERRORS * self.standard_error;

@@ -27,7 +27,7 @@ pub struct Simulate {
     trajectory: TrajectoryArgs,
     #[command(flatten)]
     mirror: MirrorArgs,
-    /// How the integral along the motion is computed
+    /// Method for the integral along the motion
     #[arg(long, value_enum, default_value = "gridded", conflicts_with = "process")]
     method: Method,
     /// Time steps per segment of the direct method
@@ -47,7 +47,7 @@ pub struct Simulate {
 enum Method {
     /// Exact quadrature and FFT convolution
     Gridded,
-    /// Midpoint quadrature pixel by pixel: slow, to check the other
+    /// Midpoint quadrature pixel by pixel: slow, to check the gridded method
     Direct,
 }
 
@@ -111,7 +111,7 @@ impl Simulate {
     }
 }
 
-/// How a run ends that reaches so much of the map and has this drawback; warns of what the user should know.
+/// Warns of a poor coverage, and returns the status of a run with this coverage and this drawback.
 fn status(coverage: &Coverage, drawback: Option<String>) -> Status {
     if let Some(warning) = coverage.warning() {
         warn(warning);

@@ -8,19 +8,22 @@ use planish_numerics::polynomial;
 use planish_types::{Surface, Tif, Trajectory, text::significant};
 use serde::Serialize;
 
-/// A pixel is touched where more than this part of the largest removal is removed. The rounding of the transforms is
-/// some 1e-15 of it; a tool that ends smoothly goes below 1e-9 of its peak far outside of what it removes.
+/// Removal over the largest removal above which a pixel is touched. Larger: the thin rim of a tool does not count.
+/// Smaller: rounding of the transforms (about 1e-15) and far tails of a smooth tool (below 1e-9 of its peak) count.
 const TOUCHED: f64 = 1e-9;
 
-/// Removal below this part of what the tool at rest removes in its time is the rounding of the transforms.
+/// Removal, over that of the tool at rest for the time of the run, up to which it is rounding of the transforms.
+/// Larger: weak removals do not count. Smaller: rounding counts.
 const ROUNDING: f64 = 1e-13;
 
-/// Least part of the valid pixels that a plan for the whole map touches; what touches less is a local correction, or a
-/// motion in other coordinates.
+/// Smallest fraction of the valid pixels that a plan for the whole map touches, dimensionless; a run that touches
+/// less gets a warning. It is a local correction, or a motion in other coordinates. Larger: warnings about local
+/// corrections. Smaller: wrong coordinates pass.
 const LEAST_TOUCHED: f64 = 0.5;
 
-/// Least part of the removed volume that falls on the valid pixels. Overscan with a tool as large as the part loses
-/// half of the volume, and more with a part that is narrow beside the tool.
+/// Smallest fraction of the removed volume that falls on the valid pixels, dimensionless; a run with less gets a
+/// warning. Overscan with a tool as large as the part loses half of the volume, and more with a part that is narrow
+/// beside the tool. Larger: warnings about such plans. Smaller: wrong coordinates pass.
 const LEAST_ON_MAP: f64 = 0.1;
 
 /// The part of a map that a motion reaches.
@@ -44,7 +47,7 @@ pub struct Coverage {
 }
 
 impl Coverage {
-    /// Of the removal (ny, nx), in nm, of `trajectory` with `tif` on the pixels of `desired`.
+    /// Computes the coverage from the removal (ny, nx), in nm, of `trajectory` with `tif` on the pixels of `desired`.
     pub fn of(
         removal_nm: &Array2<f64>,
         trajectory: &Trajectory,
@@ -87,7 +90,7 @@ impl Coverage {
         }
     }
 
-    /// Why a run that removes nothing is of no use, where this is so.
+    /// Returns the reason for which a run that removes nothing is useless; `None` if it removes something.
     pub fn drawback(&self) -> Option<String> {
         if self.touched_pixels > 0 {
             return None;
@@ -105,7 +108,7 @@ impl Coverage {
         ))
     }
 
-    /// What the user should know of a run that removes something.
+    /// Returns the warning about a run that removes something but covers the map poorly, or `None`.
     pub fn warning(&self) -> Option<String> {
         let touched = self.touched_pixels as f64 / self.valid_pixels.max(1) as f64;
         let few = touched < LEAST_TOUCHED;

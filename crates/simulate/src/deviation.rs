@@ -1,12 +1,11 @@
-//! What a run does in the place of what was planned: motion, TIF and map with their errors.
+//! Deviations of a run from its plan: motion, TIF and map with their errors.
 //!
 //! A rate that differs from one is time in the place of rate: a piece of the motion that takes r times as
 //! long, along the same curve, removes r times as much. So every deviation of the run is a trajectory that the
 //! simulator executes as it is.
 //!
-//! The order is that of the machine: the servo follows the commanded motion, play adds to it, every dwell
-//! point is misplaced, the machine's axes are turned, scaled and shifted against the map, and the rate acts
-//! there.
+//! The order is that of the machine. The servo follows the commanded motion, play adds to it, and every dwell point
+//! is misplaced. Then the machine's axes are turned, scaled and shifted against the map, and the rate acts there.
 
 use ndarray::Array2;
 use planish_types::{Grid, Invalid, Tif, Trajectory};
@@ -19,7 +18,7 @@ use crate::{
     servo::Servo,
 };
 
-/// All that goes wrong in a run; nothing by default.
+/// All errors of a run; none by default.
 #[derive(Clone, Debug, Default)]
 pub struct Deviation {
     /// Factor of the rate less 1.
@@ -44,11 +43,11 @@ pub struct Deviation {
     pub place_of_stay_mm: Vec<[f64; 2]>,
     /// Deviation of the time of every stay, s; empty where there is none.
     pub time_of_stay_s: Vec<f64>,
-    /// What the residual has on top of that of the map, nm.
+    /// Addition to the residual that the errors of the map cause, nm.
     pub map_nm: Option<Array2<f64>>,
 }
 
-/// What acts throughout a run: fractions, mm and rad.
+/// Errors that act throughout a run: fractions, mm and rad.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 #[allow(missing_docs)] // what each is stands at the kinds of a process
 pub struct Truth {
@@ -181,7 +180,7 @@ impl Deviation {
         Trajectory::new(breaks, coefficients, tool_on, index)
     }
 
-    /// What acts throughout the run, as numbers.
+    /// Returns the errors that act throughout the run, as numbers.
     pub fn truth(&self) -> Truth {
         Truth {
             rate_scale: self.rate,

@@ -12,7 +12,8 @@ use rayon::prelude::*;
 
 use crate::{Numerics, Tell};
 
-/// Most quadrature points (2.4 GB).
+/// Largest number of quadrature points (2.4 GB); more are refused. Larger: more memory. Smaller:
+/// long motions need fewer steps per segment.
 const MAX_SAMPLES: usize = 100_000_000;
 
 /// The tool at `position_mm` for `time_s`, counted at the rate of its TIF.
@@ -31,7 +32,7 @@ pub fn removal_nm(
     removal_told(trajectory, tif, grid, steps, &|_| ())
 }
 
-/// The same, while `tell` hears which fraction of it is done.
+/// Computes the removal, and tells `tell` the fraction that is done.
 pub(crate) fn removal_told(
     trajectory: &Trajectory,
     tif: &Tif,

@@ -21,13 +21,14 @@ use rayon::prelude::*;
 
 use crate::{Plan, Settings, coverage::Coverage};
 
-/// Most pixels of a frame: 24 frames take 4 MB.
+/// Largest number of pixels of a frame; 24 frames take 4 MB. Larger: larger files. Smaller: coarser pictures.
 pub const MAX_PIXELS: usize = 20_000;
 
-/// Most frames.
+/// Largest number of frames; more are refused. Larger: large files and long runs. Smaller: coarser steps in time.
 pub const MAX_COUNT: usize = 1000;
 
-/// Parts of the motion that are simulated at a time, each with a map of its own.
+/// Number of parts of the motion that are simulated at the same time, each with its own map. Larger: more memory.
+/// Smaller: threads may idle.
 const SIDE_BY_SIDE: usize = 2;
 
 /// The removal at several times.

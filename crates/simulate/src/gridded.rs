@@ -10,9 +10,9 @@
 //! K(k - f) = sum_d w_d(f) g[k - d],   d = -1..2                                   (1)
 //! ```
 //!
-//! which is a convolution: the tool spreads its seconds over the four lattice points `C + d` with
-//! the weights `w_d(f)` (sixteen in two dimensions), and the field of seconds is convolved with
-//! the samples. No approximation is made: sums are only reordered.
+//! which is a convolution: the tool spreads its seconds over the four lattice points `C + d` with the weights
+//! `w_d(f)` (sixteen in two dimensions). The field of seconds is convolved with the samples. No approximation is
+//! made: sums are only reordered.
 //!
 //! # The border
 //!
@@ -41,12 +41,12 @@
 //!
 //! # Other pixels
 //!
-//! A TIF whose pitch divides that of the map is on a lattice of its own samples, and nothing changes but that only some
-//! of the nodes are pixels. A TIF of any other pitch is first sampled anew, by its own interpolation, on a lattice
-//! that divides the pixels of the map and is at least twice as fine as the TIF's own. The edge of
-//! R then lies between two lattice points, which (2) takes into account. The error of that
-//! interpolation is measured; the lattice is refined until it is below [`TIF_TOLERANCE`] of the
-//! peak or the lattice too large, and what was reached is reported.
+//! A TIF whose pitch divides that of the map is on a lattice of its own samples, and nothing changes but that only
+//! some of the nodes are pixels. A TIF of any other pitch is first sampled anew, by its own interpolation, on another
+//! lattice. That lattice divides the pixels of the map and is at least twice as fine as the TIF's own. The edge of R
+//! then lies between two lattice points, which (2) takes into account. The error of that interpolation is measured;
+//! the lattice is refined until it is below [`TIF_TOLERANCE`] of the peak or the lattice too large, and what was
+//! reached is reported.
 
 use std::{ops::Range, sync::Mutex};
 
@@ -66,19 +66,21 @@ use crate::{
     tile::{Tile, Workspace},
 };
 
-/// Wanted error of the TIF on a lattice that is not its own, relative to its peak: 1e-3 nm in a
-/// removal of 40 nm.
+/// Largest wanted error of the TIF on a lattice that is not its own, over its peak: 1e-3 nm in a removal of 40 nm.
+/// Larger: a coarser lattice and a larger error. Smaller: a finer lattice, more time and memory.
 pub const TIF_TOLERANCE: f64 = 2.5e-5;
 
-/// Most lattice points to refine to, and most that are accepted at all.
+/// Number of lattice points up to which the lattice is refined. Larger: more time and memory for the wanted error.
+/// Smaller: the error may stay above [`TIF_TOLERANCE`].
 const MAX_REFINED: usize = 1 << 25;
+/// Largest number of lattice points; more are refused. Larger: more memory. Smaller: large maps are refused.
 const MAX_LATTICE: usize = 1 << 28;
 
-/// Memory of one sample of the TIF on the lattice, with its part of the padded spectrum (measured: some
-/// 60 bytes).
+/// Memory of one sample of the TIF on the lattice, bytes, with its part of the padded spectrum (measured: about 60).
+/// Larger: problems that would fit are refused. Smaller: the memory may run out.
 const BYTES_PER_SAMPLE: usize = 64;
 
-/// What depends on the TIF and the map only: for many trajectories.
+/// Data that depend on the TIF and the map only, for many trajectories.
 pub struct Plan {
     kernel: Kernel,
     tif_interpolation_error: f64,
@@ -125,7 +127,7 @@ impl Plan {
         self.removal_told(trajectory, &|_| ())
     }
 
-    /// The same, while `tell` hears which fraction of it is done.
+    /// Computes the removal, and tells `tell` the fraction that is done.
     pub(crate) fn removal_told(
         &self,
         trajectory: &Trajectory,
@@ -187,7 +189,7 @@ impl Plan {
             .collect()
     }
 
-    /// For each band the segments, in the order of time, from which the tool may reach it.
+    /// Returns, for each band, the segments from which the tool may reach it, in the order of time.
     fn reaching(&self, bands: &[Range<usize>], trajectory: &Trajectory) -> Vec<Vec<Reach>> {
         let cutter = Cutter::new([self.kernel.x.cells(), self.kernel.y.cells()]);
         let reach = |segment: usize| {
@@ -220,11 +222,14 @@ pub fn removal_nm(
     Ok(Plan::new(tif, grid)?.removal_nm(trajectory))
 }
 
-/// Cores that the tiles are laid out for. The result may not depend on how many there are.
+/// Number of cores for which the tiles are laid out. It is fixed, because the result may not depend on the number of
+/// cores. Larger: smaller tiles, and more work in all. Smaller: cores idle. Another value changes the last digits of
+/// the result.
 const CORES: usize = 2;
 
-/// Work of what spills, in the unit of [`field_work`], for each element of a line of pixels and each level of its
-/// transform: four transforms there and one back, and the sums between them.
+/// Work of the kernel spill, in the unit of [`field_work`], for each element of a line of pixels and each level of
+/// its transform: four transforms there and one back, and the sums between them. Another value changes the choice of
+/// the tiles, and with it the speed.
 const SPILL_WORK: f64 = 4.0;
 
 /// Pixels [per strip along x, per band along y], and the shape (ny, nx) of the transform, at the

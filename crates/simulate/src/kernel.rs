@@ -11,14 +11,15 @@ pub struct Kernel {
     pub x: Lattice,
     /// The lattice along y.
     pub y: Lattice,
-    /// With the samples on the lattice.
+    /// Convolution with the samples on the lattice.
     pub convolution: LaneConvolution,
-    /// `None` where nothing spills.
+    /// Correction of the kernel spill at the border; `None` if nothing spills.
     pub border: Option<Border>,
 }
 
 impl Kernel {
-    /// For transforms of the shape `size`; `spills` says whether anything has to be removed at the border.
+    /// Makes the kernel for transforms of the shape `size`; `spills` says if anything has to be removed at the
+    /// border.
     pub fn new(
         x: Lattice,
         y: Lattice,
@@ -32,11 +33,11 @@ impl Kernel {
     }
 }
 
-/// Most nodes of one axis that get something from beyond the samples: three at either edge, and
-/// one more where the upper edge is between two nodes.
+/// Largest number of nodes of one axis that receive spill from beyond the samples: three at either edge, and one more
+/// if the upper edge is between two nodes. A smaller number is out of range for such an edge.
 pub const MAX_BORDER: usize = 8;
 
-/// What removes the spill: (2) of [`crate::gridded`].
+/// Correction of the kernel spill: (2) of [`crate::gridded`].
 pub struct Border {
     /// Along y.
     pub rows: Edge,
@@ -51,7 +52,7 @@ pub struct Border {
 pub struct Edge {
     /// Nodes that get something from beyond the samples.
     pub nodes: Vec<BorderNode>,
-    /// With the samples of [`Lattice::border_samples`], along the other axis.
+    /// Convolution with the samples of [`Lattice::border_samples`], along the other axis.
     pub convolution: LineConvolution,
 }
 
@@ -64,7 +65,7 @@ impl Edge {
 }
 
 impl Border {
-    /// For transforms of the shape `size`.
+    /// Makes the border for transforms of the shape `size`.
     fn new(x: &Lattice, y: &Lattice, g: ArrayView2<f64>, size: (usize, usize)) -> Self {
         let (rows, columns) = (Edge::new(g, y, size.1), Edge::new(g.t(), x, size.0));
         // corners[slot of j][a][slot of kx] = g[j][kx - (a - 1)]

@@ -9,15 +9,15 @@ use rayon::prelude::*;
 
 use crate::quadrature::Cells;
 
-/// Largest accumulated difference between a TIF sample and its lattice point, in steps, at which
-/// the two lattices are the same. A shift of 1e-4 of a pixel moves the removal by 1e-4 of what it
-/// changes over a pixel.
+/// Largest accumulated difference between a TIF sample and its lattice point, in steps, at which the two lattices are
+/// the same. A shift of 1e-4 of a pixel moves the removal by 1e-4 of its change over a pixel. Larger: a larger error.
+/// Smaller: rounded pitches cost a finer lattice.
 const SAME_LATTICE: f64 = 1e-4;
 
 /// Lattice steps per pixel, and where the samples of the TIF on the lattice come from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Subdivision {
-    /// They are those of the TIF, so many to a pixel.
+    /// The lattice is that of the TIF, with so many points to a pixel.
     Own(usize),
     /// The TIF is sampled anew.
     Anew(usize),
@@ -42,7 +42,7 @@ impl Subdivision {
         }
     }
 
-    /// So many times as fine, where the TIF is sampled anew.
+    /// Returns the subdivision with `times` as many points, if the TIF is sampled anew.
     pub fn refined(self, times: usize) -> Self {
         match self {
             Self::Own(_) => self,
@@ -55,7 +55,7 @@ impl Subdivision {
 /// (on the lattice) has the offset `low + j step`.
 #[derive(Clone, Debug)]
 pub struct Lattice {
-    /// Whether the samples of the TIF are the nodes.
+    /// True if the samples of the TIF are the nodes.
     own: bool,
     /// Lattice steps per pixel.
     pub subdivision: usize,
@@ -74,7 +74,7 @@ pub struct Lattice {
 }
 
 impl Lattice {
-    /// For a map and a TIF along one axis.
+    /// Makes the lattice for a map and a TIF along one axis.
     pub fn new(map: &Axis, tif: &Axis, subdivision: Subdivision) -> Self {
         let (own, subdivision) = match subdivision {
             Subdivision::Own(subdivision) => (true, subdivision),
@@ -155,8 +155,8 @@ impl Lattice {
         }
     }
 
-    /// Whether the node k beyond the tool's cell, at the offset f in it, is beyond R's edges:
-    /// s = k - f outside [0, edge].
+    /// Returns true if the node k, with the tool at the offset f in its cell, is beyond R's edges: s = k - f outside
+    /// [0, edge].
     fn is_beyond(&self, k: isize, f: f64) -> bool {
         let s = k as f64 - f;
         s < -keys::SNAP || s > self.edge + keys::SNAP
@@ -199,20 +199,21 @@ pub struct BorderNode {
     /// 0 where it is beyond wherever in its cell the tool is; else its bit of [`BorderNode::kind`]: there are at most two,
     /// the node whose step an edge crosses at either end.
     at_times: u8,
-    /// What it gets by (1): position in [`Lattice::border_samples`] of the sample j, and the index
-    /// d + 1 of the weight with d = k - j.
+    /// Contributions to the node by (1): position in [`Lattice::border_samples`] of the sample j, and the index d + 1
+    /// of the weight with d = k - j.
     pub terms: Vec<(usize, usize)>,
 }
 
 impl BorderNode {
-    /// Which of the `nodes` that are beyond only at times are so with the tool at the offset `f` in its cell.
+    /// Returns the bits of those `nodes` beyond only at times that are so with the tool at the offset `f` in its
+    /// cell.
     #[inline]
     pub fn kind(nodes: &[Self], lattice: &Lattice, f: f64) -> u8 {
         let is_beyond = |n: &&Self| n.at_times != 0 && lattice.is_beyond(n.k, f);
         nodes.iter().filter(is_beyond).map(|n| n.at_times).sum()
     }
 
-    /// Whether it is beyond with the tool at offsets of this kind.
+    /// Returns true if the node is beyond with the tool at offsets of this kind.
     #[inline]
     pub fn is_beyond(&self, kind: u8) -> bool {
         self.at_times == 0 || self.at_times & kind != 0
@@ -270,7 +271,7 @@ pub fn interpolation_error(tif: &Tif, x: &Lattice, y: &Lattice, g: &Array2<f64>)
     worst / tif.peak_nm_per_s()
 }
 
-/// Whether anything spills: some sample next to the border is not negligible.
+/// Returns true if anything spills: some sample next to the border is not negligible.
 pub fn has_border(tif: &Tif, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> bool {
     let near = |l: &Lattice, j: usize| l.border_samples().contains(&(j as isize - 1));
     let border = g.indexed_iter().filter(|((r, c), _)| near(y, *r) || near(x, *c));

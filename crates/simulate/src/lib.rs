@@ -1,24 +1,28 @@
-//! What a trajectory removes: the time integral of the TIF along the motion.
+//! Removal of a trajectory: the time integral of the TIF along the motion.
 //!
 //! ```text
 //! removal(x) = integral over the time the tool is on of  w(t) R(x - P(t)) dt
 //! ```
 //!
-//! with the TIF `R` of [`planish_types::Tif`], the position `P` of the trajectory, never of the dwell
-//! points, and its rate factor `w`, which is 1 but for logs that have a beam current. Source: the convolution model of computer-controlled optical surfacing
-//! (Jones, Appl. Opt. 16 (1977) 218), with the executed motion in place of the dwell map.
+//! with the TIF `R` of [`planish_types::Tif`]. The position `P` is that of the trajectory, never of the dwell points.
+//! The rate factor `w` is 1 except for logs that have a beam current.
+//!
+//! Source: the convolution model of computer-controlled optical surfacing (Jones, Appl. Opt. 16 (1977) 218), with the
+//! executed motion in place of the dwell map.
 //!
 //! Two methods, which share nothing but the definition of R:
 //!
 //! * [`gridded`]: exact quadrature ([`quadrature`]) and FFT convolution; the default.
 //! * [`direct`]: midpoint quadrature, pixel by pixel; slow, and the oracle of the other.
 //!
-//! [`frames`] does either of them part by part: the surface in the course of the run. [`coverage`] says which part of
-//! the map the tool touches, and [`between`] how far a prediction depends on how the TIF is read between its samples.
+//! [`frames`] computes the removal part by part: the surface in the course of the run. [`coverage`] reports the part
+//! of the map that the tool touches. [`between`] reports the dependence of a prediction on the interpolation of the
+//! TIF.
 //!
-//! What an imperfect process makes of a motion is one more motion, and one more TIF: [`process`] reads the errors,
-//! [`sample`] draws them, [`deviation`] applies them (with [`motion`], [`servo`], [`tool`] and the play of the axes), [`runs`] removes with them, and
-//! [`virtual_machine`] runs a plan with them and measures what is left.
+//! A motion of an imperfect process is simulated as another motion with another TIF. [`process`] reads the errors,
+//! [`sample`] draws them, and [`deviation`] applies them with [`motion`], [`servo`], [`tool`] and the play of the
+//! axes. [`runs`] computes the removal with them. [`virtual_machine`] runs a plan with them and measures the
+//! residual.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -54,7 +58,7 @@ use planish_types::{
 };
 use serde::Serialize;
 
-/// How the integral is computed.
+/// Methods for the integral.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(tag = "method", rename_all = "kebab-case")]
 pub enum Settings {
@@ -72,19 +76,19 @@ pub enum Settings {
 pub struct Prediction {
     /// Removal and residual.
     pub removal: Removal,
-    /// How the integral was computed.
+    /// Numbers about the computation of the integral.
     pub numerics: Numerics,
 }
 
 impl Prediction {
-    /// Why nobody should run the motion, which takes `total_time_s`, on the surface `desired`, where this is
-    /// so: it leaves more than there is, say.
+    /// Returns the reason for which nobody should run the motion, of the length `total_time_s`, on the surface
+    /// `desired`, or `None`. Example: it leaves a larger error than there is.
     pub fn drawback(&self, desired: &Surface, total_time_s: f64) -> Option<String> {
         plausible::drawback(Rms::of(desired), Rms::of(self.removal.residual()), total_time_s)
     }
 }
 
-/// How an integral was computed.
+/// Numbers about the computation of an integral.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Numerics {
     /// Quadrature points.
@@ -96,7 +100,7 @@ pub struct Numerics {
     pub tif_interpolation_error: f64,
 }
 
-/// What depends on the TIF and the map only: for many trajectories.
+/// Data that depend on the TIF and the map only, for many trajectories.
 pub enum Plan<'a> {
     /// [`Settings::Gridded`].
     Gridded(Box<gridded::Plan>),
@@ -125,7 +129,7 @@ impl<'a> Plan<'a> {
         self.removal_told(trajectory, &|_| ())
     }
 
-    /// The same, while `tell` hears which fraction of it is done.
+    /// Computes the removal, and tells `tell` the fraction that is done.
     fn removal_told(
         &self,
         trajectory: &Trajectory,
@@ -150,8 +154,8 @@ impl<'a> Plan<'a> {
     }
 }
 
-/// What hears the fraction of a removal that is done. A removal that is a step of other work has nothing to say: the
-/// work says how far it is.
+/// Receiver of the fraction of a removal that is done. A removal that is a step of other work reports nothing: the
+/// work reports its own progress.
 type Tell<'a> = &'a (dyn Fn(f64) + Sync);
 
 /// Predicts the removal of `trajectory` and the residual of `desired` on the pixels of `desired`, and says how far it

@@ -3,8 +3,9 @@
 use planish_numerics::polynomial::{derivative, evaluate, shifted};
 use planish_types::{Invalid, Segment, Trajectory, budget};
 
-/// Most parts of the run of equal time in which the rate may be taken as constant: the error of a linear
-/// drift is a 1/2000 of its size at most, and its mean is exact.
+/// Smallest number of parts of equal time into which the run is divided; the rate is constant in each. The error of a
+/// linear drift is at most 1/2000 of its size, and its mean is exact. Larger: more pieces, and more time. Smaller: a
+/// larger error.
 const TIME_PARTS: f64 = 1000.0;
 
 /// A part of the motion short enough for its rate and its place to be one.
@@ -16,7 +17,7 @@ pub struct Piece {
     pub duration_s: f64,
     /// Ascending coefficients [x, y], mm/s^k.
     pub coefficient_mm: [[f64; 4]; 2],
-    /// Whether the tool removes.
+    /// True if the tool removes.
     pub tool_on: bool,
     /// Removal rate of the tool relative to its TIF, from a log with the beam current; else 1.
     pub rate_factor: f64,
@@ -27,7 +28,7 @@ pub struct Piece {
 /// A motion in pieces, and in stays: what serves one dwell point without interruption.
 #[derive(Clone, Debug)]
 pub struct Motion {
-    /// In the order of time.
+    /// Pieces in the order of time.
     pub pieces: Vec<Piece>,
     /// Time of every stay, s.
     pub stay_s: Vec<f64>,

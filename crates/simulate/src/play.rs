@@ -20,15 +20,16 @@ use planish_numerics::polynomial::{
 
 use crate::motion::Piece;
 
-/// A drive that is this near its flank touches it, mm: far above the rounding of coordinates, far below any play.
+/// Distance of a drive from its flank up to which it touches it, mm: far above the rounding of coordinates, far below
+/// any play. Larger: a small play is ignored in part. Smaller: rounding decides the contact.
 const TOUCHES_MM: f64 = 1e-9;
 
-/// What the carriage of one axis does in a part of a piece.
+/// Motion of the carriage of one axis in a part of a piece.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Carriage {
-    /// It follows the drive at this distance, q - p.
+    /// The carriage follows the drive at this distance, q - p.
     Follows(f64),
-    /// It stands here.
+    /// The carriage stands at this position, mm.
     Stands(f64),
 }
 
@@ -52,7 +53,8 @@ struct Axis {
 }
 
 impl Axis {
-    /// What the carriage does while the drive moves along `c` for `duration_s`: each with the time at which it begins.
+    /// Adds the motions of the carriage while the drive moves along `c` for `duration_s`, each with the time at which
+    /// it begins.
     fn follow(&mut self, c: &[f64; 4], duration_s: f64, parts: &mut Vec<(f64, Carriage)>) {
         parts.clear();
         let mut add = |from_s: f64, does: Carriage| {
@@ -147,7 +149,7 @@ mod tests {
             .collect()
     }
 
-    /// Where the carriage of `axis` is in the middle of dense steps: q <- the nearest place to q within h of p.
+    /// Positions of the carriage of `axis` in the middle of dense steps: q <- the nearest place to q within h of p.
     fn dense(pieces: &[Piece], axis: usize, play_mm: f64, steps: usize) -> Vec<(f64, f64)> {
         let h = 0.5 * play_mm;
         let mut q = pieces[0].coefficient_mm[axis][0];

@@ -14,7 +14,7 @@
 use planish_types::Invalid;
 use serde::{Deserialize, Serialize};
 
-/// What goes wrong.
+/// Kinds of errors of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -48,7 +48,7 @@ pub enum Kind {
     TifOffsetX,
     /// The beam is beside the place of the tool along y.
     TifOffsetY,
-    /// Every dwell point is misplaced for itself, along x and along y.
+    /// Independent displacement of every dwell point, along x and along y.
     PositionNoise,
     /// The tool is where it should have been this much earlier.
     VelocityLag,
@@ -62,14 +62,14 @@ pub enum Kind {
     TimingJitter,
     /// The controller begins and ends what it does at multiples of a tick.
     TimingTick,
-    /// Every pixel of the map has noise of its own.
+    /// Independent noise of every pixel of the map.
     MapNoise,
     /// The map has an error of low order: Legendre polynomials up to this total degree, piston left out, of this
     /// RMS together.
     MapLowOrder,
 }
 
-/// How an error scatters from run to run.
+/// Distributions of an error from run to run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Distribution {
@@ -87,7 +87,7 @@ pub enum Distribution {
 pub struct ProcessFile {
     /// Name of the process.
     pub name: String,
-    /// Its errors.
+    /// Errors of the process.
     pub errors: Vec<ErrorFile>,
 }
 
@@ -95,15 +95,15 @@ pub struct ProcessFile {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ErrorFile {
-    /// What goes wrong.
+    /// Kind of the error.
     pub kind: Kind,
-    /// By how much, in `unit`.
+    /// Size of the error, in `unit`.
     pub size: f64,
     /// Unit of the size.
     pub unit: String,
-    /// How it scatters.
+    /// Distribution of the error from run to run.
     pub distribution: Distribution,
-    /// Where the figure comes from.
+    /// Source of the number.
     pub note: String,
     /// Correlation time of `rate_noise`, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -124,25 +124,25 @@ pub struct ErrorFile {
 pub struct Process {
     /// Name of the process.
     pub name: String,
-    /// Its errors.
+    /// Errors of the process.
     pub errors: Vec<ProcessError>,
 }
 
 /// One error of a process, checked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProcessError {
-    /// As the file states it.
+    /// The error as the file states it.
     pub stated: ErrorFile,
-    /// Its size as a fraction, or in mm, rad, s or nm.
+    /// Size of the error as a fraction, or in mm, rad, s or nm.
     pub size: f64,
-    /// What it does.
+    /// Effect of the error.
     pub effect: Effect,
 }
 
-/// What an error does, with all that the kind asks for.
+/// Effect of an error, with all numbers that its kind needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Effect {
-    /// One number decides it: [`Scalar`].
+    /// Effect of one number: [`Scalar`].
     Scalar(Scalar),
     /// Independent numbers along the run: [`Noise`].
     Noise(Noise),
@@ -178,7 +178,7 @@ pub enum Scalar {
 }
 
 impl Scalar {
-    /// Whether the maps before and after a run can tell it: rate, place, width and shape of the tool.
+    /// Returns true if the maps before and after a run determine the error: rate, place, width and shape of the tool.
     pub fn is_learnt(self) -> bool {
         match self {
             Self::RateScale
@@ -214,28 +214,43 @@ pub enum Noise {
 /// A unit that a file may state, and its value in the unit of the calculation.
 type Unit = (&'static str, f64);
 
+/// Units of a fraction.
 const FRACTIONS: &[Unit] = &[("%", 0.01), ("1", 1.0)];
+/// Units of a length, in mm.
 const LENGTHS: &[Unit] = &[("mm", 1.0), ("um", 1e-3)];
+/// Units of an angle, in rad.
 const ANGLES: &[Unit] = &[("deg", std::f64::consts::PI / 180.0), ("mrad", 1e-3), ("rad", 1.0)];
+/// Units of a time, in s.
 const TIMES: &[Unit] = &[("s", 1.0), ("ms", 1e-3), ("us", 1e-6)];
+/// Units of a height, in nm.
 const HEIGHTS: &[Unit] = &[("nm", 1.0)];
 
-/// Largest size of a fraction and of an angle in rad: what is larger is another process, not an error of this
-/// one, and a rate could become negative.
+/// Largest size of an error that is a fraction, dimensionless. A larger one is refused: it is another process, not an
+/// error of this one, and a rate could become negative. Smaller: large but real errors are refused.
 const LARGEST_FRACTION: f64 = 0.25;
+/// Largest size of an error that is an angle, rad. A larger one is refused: the unit is probably wrong. Smaller:
+/// large but real errors are refused.
 const LARGEST_ANGLE_RAD: f64 = 0.25;
-/// Largest size of a time, s, a length, mm, and a height, nm: beyond them the unit is wrong.
+/// Largest size of an error that is a time, s; a larger one is refused as a wrong unit. Smaller: slow servos are
+/// refused.
 const LARGEST_TIME_S: f64 = 1e3;
+/// Largest size of an error that is a length, mm; a larger one is refused as a wrong unit. Smaller: errors on large
+/// machines are refused.
 const LARGEST_LENGTH_MM: f64 = 1e3;
+/// Largest size of an error that is a height, nm; a larger one is refused as a wrong unit. Smaller: errors of coarse
+/// maps are refused.
 const LARGEST_HEIGHT_NM: f64 = 1e6;
 
-/// Longest time that a correlation or a warm-up may take, s: a year.
+/// Largest correlation time or warm-up time, s (a year); a larger one is refused as a wrong unit. Smaller: slow
+/// drifts are refused.
 const LONGEST_TIME_S: f64 = 3.2e7;
 
-/// Least and largest damping ratio of a servo that anyone runs.
+/// Smallest and largest damping ratio of a servo, dimensionless; others are refused. A smaller lower end accepts
+/// servos that hardly settle; a larger upper end accepts servos that hardly follow.
 const DAMPING_RATIOS: [f64; 2] = [0.1, 2.0];
 
-/// Largest degree of a low-order error: beyond it is what a map measures.
+/// Largest degree of a low-order error; higher ones are refused. Higher orders are what a map
+/// measures.
 const LARGEST_DEGREE: usize = 8;
 
 impl Kind {
@@ -263,7 +278,7 @@ impl Kind {
         }
     }
 
-    /// Its name in a file.
+    /// Name of the kind in a file.
     pub fn name(self) -> String {
         let value = serde_json::to_value(self).expect("a name serialises");
         value.as_str().expect("an enumeration without contents is a string").into()

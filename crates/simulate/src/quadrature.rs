@@ -1,10 +1,10 @@
 //! Quadrature along the motion that is exact for a TIF given on a lattice.
 //!
-//! Seen from the lattice of the samples, `R` is a bicubic polynomial of the tool position inside
-//! a lattice cell, with kinks at the cell borders and jumps where its samples end. So the motion
-//! is cut where it crosses a line of the lattice, and each piece gets a Gauss rule, which with N points is
-//! exact up to the degree 2N - 1. Keys' weights are cubics of the offsets in the cell, and these are cubics of the
-//! time, so that the degree of the integrand, and the points of a rule without an error, are
+//! Seen from the lattice of the samples, `R` is a bicubic polynomial of the tool position inside a lattice cell, with
+//! kinks at the cell borders and jumps where its samples end. So the motion is cut where it crosses a line of the
+//! lattice. Each piece gets a Gauss rule, which with N points is exact up to the degree 2N - 1. Keys' weights are
+//! cubics of the offsets in the cell, and these are cubics of the time, so that the degree of the integrand, and the
+//! points of a rule without an error, are
 //!
 //! | motion in the piece | degree | points |
 //! |---|---|---|
@@ -29,33 +29,39 @@ use std::ops::Range;
 use planish_numerics::{keys, polynomial, quadrature::gauss_legendre};
 use planish_types::Segment;
 
-/// Error of the cuts, in cells: a piece of a TIF with a border of a nm/s is 1e-11 of the time of
-/// a cell too long.
+/// Error of the cuts, in cells. With a border of a nm/s of the TIF, a piece is 1e-11 of the time of a cell too long.
+/// Larger: a larger error at steep borders. Smaller: below the rounding of the cuts.
 const CUT_TOLERANCE: f64 = 1e-11;
 
-/// Way in cells that is none, and difference from uniform motion over a piece that is none: what that leaves out of the
-/// weights is below 1e-10 of them.
+/// Way in a cell, in cells, up to which an axis counts as at rest over a piece; the error of the weights is below
+/// 1e-10. Larger: a larger error. Smaller: more quadrature points.
 const STILL: f64 = 1e-11;
+/// Difference from uniform motion over a piece, in cells, up to which the motion counts as uniform; the error of the
+/// weights is below 1e-10. Larger: a larger error. Smaller: more quadrature points.
 const UNIFORM: f64 = 1e-9;
 
-/// Way of an axis up to which the other one decides: five points leave 1.4e-6 of the terms of the 10th degree and above,
-/// which all have it as a factor.
+/// Smaller way of the two axes, in cells, up to which a piece has five quadrature points instead of ten. Five points
+/// leave 1.4e-6 of the terms of the 10th degree and above, which all have this way as a factor. Larger: a larger
+/// error. Smaller: more pieces with ten points.
 const SMALL_WAY: f64 = 1e-5;
 
-/// Difference from uniform motion up to which terms of the 10th degree and above, at most 34 of its square, are as small.
+/// Difference from uniform motion, in cells, up to which a piece has five quadrature points instead of ten. The terms
+/// of the 10th degree and above are at most 34 of its square. Larger: a larger error. Smaller: more pieces with ten
+/// points.
 const NEARLY_UNIFORM: f64 = 1e-3;
 
-/// A piece below this fraction of its segment is rounding: two axes that cross at the same time.
+/// Duration of a piece, over that of its segment, below which it is rounding: two axes that cross a border at the
+/// same time. Larger: short pieces are lost. Smaller: pieces that only rounding makes.
 const SHORTEST: f64 = 1e-13;
 
 /// The lattice cells of one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cells {
-    /// Where cell 0 begins, mm.
+    /// Coordinate at which cell 0 begins, mm.
     pub origin_mm: f64,
     /// Size of a cell, mm; > 0.
     pub step_mm: f64,
-    /// Where in every cell the motion is cut besides, in (0, 1): the upper edge of the TIF.
+    /// Further cut of the motion in every cell, in (0, 1): the upper edge of the TIF.
     pub inner: Option<f64>,
 }
 
@@ -64,7 +70,7 @@ pub struct Cells {
 pub struct Window {
     /// First cell.
     pub low: [i64; 2],
-    /// One beyond the last.
+    /// The cell after the last.
     pub high: [i64; 2],
 }
 
@@ -77,7 +83,7 @@ pub struct Reach {
 }
 
 impl Reach {
-    /// Whether some of it may be in the cells `window` along an axis.
+    /// Returns true if some part may be in the cells `window` along an axis.
     pub fn is_in(&self, axis: usize, window: &Range<i64>) -> bool {
         let [low, high] = self.range[axis];
         // One cell more than rounding needs.
@@ -106,12 +112,12 @@ pub struct Cutter {
 }
 
 impl Cutter {
-    /// For cells along [x, y].
+    /// Makes a cutter for cells along [x, y].
     pub fn new(cells: [Cells; 2]) -> Self {
         Self { cells, rules: Rules::new(), cuts: Vec::new() }
     }
 
-    /// How far `segment`, which has the index `index`, goes on the lattice.
+    /// Returns the range on the lattice of `segment`, which has the index `index`.
     pub fn reach(&self, index: usize, segment: &Segment<'_>) -> Reach {
         let range = self.on_lattice(segment).map(|c| {
             let r = polynomial::range(&c, segment.duration_s);

@@ -23,10 +23,12 @@ use crate::{
     process::{Effect, Noise, Process, Scalar},
 };
 
-/// A displacement of the tool beyond the size of the TIF is no error of a process.
+/// Largest displacement of the tool, over the size of the TIF; a larger one is refused as no error of a process.
+/// Larger: mistakes in the units pass. Smaller: large but real errors are refused.
 const LARGEST_DISPLACEMENT: f64 = 1.0;
 
-/// Pieces of the motion are at most this many widths of the TIF long, so that one place stands for each.
+/// Largest length of a piece of the motion, over the width of the TIF, so that one place stands for each. Larger: a
+/// larger error. Smaller: more pieces, and more time.
 const LONGEST_OVER_WIDTH: f64 = 0.5;
 
 /// A plan on the pixels of a map, ready for runs with errors.
@@ -44,7 +46,8 @@ pub struct Runs<'a> {
 }
 
 impl<'a> Runs<'a> {
-    /// Of `trajectory` with `tif` on `grid`; errors are computed with `moved`, which may be `tif` itself.
+    /// Prepares runs of `trajectory` with `tif` on `grid`. Errors are computed with `moved`, which may be `tif`
+    /// itself.
     pub fn new(
         trajectory: &Trajectory,
         tif: &Tif,
@@ -80,7 +83,7 @@ impl<'a> Runs<'a> {
         0.5 * size[0].hypot(size[1])
     }
 
-    /// How far the tool moves, in mm (a TIF's change: times its width), per size of an effect.
+    /// Displacement of the tool, mm (for a change of the TIF: times its width), per size of an effect.
     pub fn displacement_per_size(&self, effect: Scalar) -> f64 {
         match effect {
             Scalar::RateScale | Scalar::RateDrift | Scalar::RateWarmUp { .. } => 0.0,

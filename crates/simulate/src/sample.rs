@@ -127,7 +127,7 @@ pub struct Mean {
 }
 
 impl Mean {
-    /// Over x.
+    /// Averages over a time of x correlation times.
     pub fn over(x: f64) -> Self {
         let gone = -(-x).exp_m1();
         // The difference loses its digits below 1e-3; there the series errs by x^3 / 60.

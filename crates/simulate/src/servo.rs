@@ -14,7 +14,7 @@ use planish_numerics::polynomial::{derivative, evaluate};
 
 use crate::motion::Piece;
 
-/// How the axes follow.
+/// Models of the axes' response.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[allow(missing_docs)] // the lag at constant velocity, s, of each; the equations are above
 pub enum Servo {
@@ -23,19 +23,20 @@ pub enum Servo {
     SecondOrder { lag_s: f64, damping_ratio: f64 },
 }
 
-/// First step between the times at which the transient is exact, in units of its fastest time: a cubic between
-/// two of them errs by 0.5^4 / 384 of it. The steps grow as the fourth root of what is left falls, so that the
-/// error stays.
+/// First step between the times at which the transient is exact, in units of its fastest time. A cubic between two of
+/// them errs by 0.5^4 / 384 of it. The steps grow as the fourth root of what is left falls, so that the error stays.
+/// Larger: a larger error. Smaller: more pieces.
 const STEP: f64 = 0.5;
 
-/// The transient is followed over this many of its slowest times; then exp(-16) of it is left.
+/// Time over which the transient is followed, in units of its slowest time; then exp(-16) of it is left. Larger: more
+/// pieces. Smaller: a step where the transient is dropped.
 const FOLLOWED: f64 = 16.0;
 
-/// A transient below this, mm, is not followed: the TIF is a thousand times wider than the smallest of machines'
-/// counts.
+/// Size of a transient below which it is not followed, mm. The TIF is a thousand times wider than the smallest counts
+/// of machines. Larger: a larger error. Smaller: more pieces without effect.
 const LEAST_TRANSIENT_MM: f64 = 1e-7;
 
-/// Where an axis is, and its velocity.
+/// Position and velocity of an axis.
 type State = [f64; 2];
 
 impl Servo {

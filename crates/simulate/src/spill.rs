@@ -1,4 +1,4 @@
-//! What spills over the edges of R along one axis: `E ly` and `E lx` of [`crate::gridded`].
+//! Kernel spill over the edges of R along one axis: `E ly` and `E lx` of [`crate::gridded`].
 //!
 //! With the line `C` of cells across the axis, the seconds of its pieces spread *along* the line for each of the
 //! weights across it, and the nodes `k` beyond the edges,
@@ -22,15 +22,16 @@ use crate::{
     lattice::{BorderNode, Lattice},
 };
 
-/// Lines of cells whose pieces are gone through in the order of time: their sources stay in the cache, and the motion
-/// is read in runs.
+/// Number of lines of cells whose pieces are visited in the order of time. The sources of so many lines stay in the
+/// cache, and the motion is read in runs. Larger: cache misses. Smaller: the motion is read in shorter runs. Changes
+/// the speed only.
 const BLOCK: usize = 8;
 
-/// Blocks that are transformed before they are used, by the threads that share them: the lines that they spill on stay
-/// in the cache.
+/// Number of blocks that are transformed before they are used, by the threads that share them; the lines that they
+/// spill on stay in the cache. Larger: cache misses. Smaller: threads idle.
 const BLOCKS: usize = 2;
 
-/// Weights across a line.
+/// Number of weights across a line: the four of Keys' convolution.
 pub const WEIGHTS: usize = 4;
 
 /// The lines of a tile, of both its strips.
@@ -39,7 +40,7 @@ pub struct Lines<'a> {
     pub edge: &'a Edge,
     /// The axis across the lines.
     pub across: &'a Lattice,
-    /// Whether they are shared among the threads.
+    /// True if the blocks are shared among the threads.
     pub parallel: bool,
 }
 
@@ -56,9 +57,9 @@ pub trait Pieces: Sync {
 /// Spectra of what is subtracted from lines of pixels, of both strips together.
 #[derive(Default)]
 pub struct Spilt {
-    /// In whole groups of lines.
+    /// Spectra in whole groups of lines.
     pub spectra: Vec<Run>,
-    /// Whether anything spills on the lines of each group.
+    /// True for the groups of lines on which anything spills.
     pub touched: Vec<bool>,
 }
 
@@ -85,7 +86,7 @@ struct Group {
 }
 
 impl Lines<'_> {
-    /// What spills on the lines of pixels 0 .. `count`, with the opposite sign.
+    /// Subtracts the spill on the lines of pixels 0 .. `count`.
     pub fn subtract(
         &self,
         pieces: &impl Pieces,
@@ -169,7 +170,7 @@ impl Lines<'_> {
     }
 }
 
-/// As many runs of zeros.
+/// Sets `runs` to `count` runs of zeros.
 fn zeros(runs: &mut Vec<Run>, count: usize) {
     runs.resize(count, Run::default());
     runs.as_flattened_mut().fill(0.0);
@@ -228,13 +229,13 @@ pub struct Blocks<'a> {
     kinds: &'a [[u8; 2]],
     axis: usize,
     lowest: i32,
-    /// Where in `order` the pieces of each block start; one more at the end.
+    /// Index in `order` at which the pieces of each block start; one more at the end.
     start: Vec<u32>,
     order: Vec<u32>,
 }
 
 impl<'a> Blocks<'a> {
-    /// For the pieces whose cells are within `window` along the axis.
+    /// Makes the blocks for the pieces whose cells are within `window` along the axis.
     pub fn new(
         cells: &'a [[i32; 2]],
         kinds: &'a [[u8; 2]],

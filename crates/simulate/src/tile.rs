@@ -27,7 +27,7 @@ pub struct Workspace {
     transform: lane_convolution::Workspace<f64>,
     cutter: Cutter,
     kept: Kept,
-    /// From the rows or the columns.
+    /// Spill from the rows or the columns.
     spilt: Spilt,
     sources: Sources,
 }
@@ -44,7 +44,7 @@ struct Kept {
 }
 
 impl Workspace {
-    /// For any tile of `kernel`.
+    /// Makes a workspace for any tile of `kernel`.
     pub fn new(kernel: &Kernel) -> Self {
         Self {
             seconds: Default::default(),
@@ -185,7 +185,7 @@ impl<'a> Tile<'a> {
         (points, reached)
     }
 
-    /// Whether the points of this cell are counted here: in every cell by one tile.
+    /// Returns true if the points of this cell are counted in this tile: every cell is counted in one tile.
     fn owns(&self, cell: [i64; 2]) -> bool {
         let overlap = [self.kernel.x.samples(), self.kernel.y.samples()].map(|n| n as i64 + 2);
         let first = [self.strips[0].start, self.rows.start];
@@ -384,7 +384,7 @@ struct Columns<'a> {
     /// Nodes of a line.
     size: usize,
     kept: &'a Kept,
-    /// Of each strip.
+    /// Blocks of each strip.
     blocks: [Blocks<'a>; 2],
 }
 

@@ -15,27 +15,36 @@ use rayon::prelude::*;
 
 use crate::lattice::Subdivision;
 
-/// Radius over which a TIF is smoothed, in its widths; of a Gaussian a quadratic is off by 1e-3 there.
+/// Radius over which a TIF is smoothed, in its widths. A quadratic is off by 1e-3 from a Gaussian there. Larger: the
+/// shape of the tool is smoothed away. Smaller: more noise remains.
 const SMOOTHED: f64 = 0.5;
 
-/// The same in samples: more are not needed against noise.
+/// Largest radius over which a TIF is smoothed, in samples. Larger: more time, without need against noise. Smaller:
+/// more noise of finely sampled TIFs remains.
 const MOST_SAMPLES: f64 = 9.0;
 
-/// Samples that decide a quadratic, twice over; where there are fewer, the sample stays.
+/// Smallest number of samples for the fit of a quadratic, twice its coefficients; with fewer, the sample stays as it
+/// is. Larger: noise at the border stays. Smaller: the fit follows the noise.
 const LEAST_SAMPLES: usize = 12;
 
-/// Over how many of its widths a TIF is led to zero at its border, and the most of its extent.
+/// Distance over which a TIF falls to zero at its border, in its widths. Larger: more of the tool is weakened.
+/// Smaller: a steep border, whose displacement causes large errors.
 const FADED: f64 = 1.0;
+/// Largest distance over which a TIF falls to zero at its border, over its extent. Larger: more of the tool is
+/// weakened. Smaller: a steep border, whose displacement causes large errors.
 const MOST_FADED: f64 = 0.2;
 
-/// Largest error of a TIF that is sampled anew on the pixels of the map, over its peak: as much as Keys' convolution
-/// has wrong of a Gaussian whose standard deviation is two samples, and errors are a small part of what is removed.
+/// Largest error of a TIF that is sampled anew on the pixels of the map, over its peak. It equals the error of Keys'
+/// convolution for a Gaussian whose standard deviation is two samples, and errors are a small part of the removal.
+/// Larger: less exact errors. Smaller: a finer lattice, or none.
 const RESAMPLED: f64 = 2e-3;
 
-/// Memory of a sample of a TIF: its rate, with and without ghost nodes, and what it is made from.
+/// Memory of a sample of a TIF, bytes: its rate, with and without ghost nodes, and its source. Larger: TIFs that
+/// would fit are refused. Smaller: the memory may run out.
 const BYTES_PER_SAMPLE: usize = 4 * size_of::<f64>();
 
-/// A sample below this part of the peak is outside of the TIF.
+/// Size of a sample, over the peak, up to which it is outside of the TIF. Larger: the rim of the tool is cut.
+/// Smaller: rounding counts as part of the tool.
 const NOTHING: f64 = 1e-9;
 
 /// The TIF smoothed, and led to zero at its border, at the same volumetric removal rate.
@@ -126,7 +135,7 @@ fn largest_difference(tif: &Tif, sampled: &Tif) -> f64 {
     rows.reduce(|| 0.0, f64::max) / tif.peak_nm_per_s()
 }
 
-/// Every sample in the TIF is the value of the quadratic through those around it.
+/// Smooths a TIF: every sample in it gets the value of the quadratic through those around it.
 fn smoothed(tif: &Tif, width_mm: f64) -> Array2<f64> {
     let rate = tif.rate_nm_per_s();
     let (ny, nx) = rate.dim();
@@ -160,8 +169,8 @@ fn smoothed(tif: &Tif, width_mm: f64) -> Array2<f64> {
     Array2::from_shape_fn((ny, nx), |(r, c)| rows[r][c])
 }
 
-/// How much of every sample is left: 1 in the TIF, 0 just outside, and smooth between over `over_mm`; all of it where
-/// the TIF falls to zero within its samples, because that is the edge of the tool and not of a measurement.
+/// Weight of every sample: 1 in the TIF, 0 just outside, and smooth between over `over_mm`. It is 1 everywhere if the
+/// TIF falls to zero within its samples: that is the edge of the tool and not of a measurement.
 fn fade(tif: &Tif, over_mm: f64) -> Array2<f64> {
     let rate = tif.rate_nm_per_s();
     let (ny, nx) = rate.dim();

@@ -1,4 +1,4 @@
-//! A machine to learn on: a run with hidden errors, and the map that is measured after it.
+//! Virtual machine for tests of learning: a run with hidden errors, and the map that is measured after it.
 //!
 //! ```text
 //! true before = measured before + m_1
@@ -6,15 +6,15 @@
 //! measured after = true after - m_2
 //! ```
 //!
-//! R(run) is what the motion removes with one draw of the errors of a process ([`Runs`]); m_1 and m_2 are what the
-//! two measurements have wrong (`map_noise` and `map_low_order`), drawn independently of each other, so that the
-//! difference of the two maps has twice the variance of either. Whoever reads the measured map sees neither; the truth
-//! goes elsewhere, to be compared with what is learnt.
+//! R(run) is the removal of the motion with one draw of the errors of a process ([`Runs`]). m_1 and m_2 are the
+//! errors of the two measurements (`map_noise` and `map_low_order`). They are drawn independently, so that the
+//! difference of the two maps has twice the variance of either. A reader of the measured map sees neither. The truth
+//! is written elsewhere, for comparison with what is learnt.
 //!
-//! Every error has random numbers of its own, by its place in the process file: an error added at the end of the file
-//! changes none of the others. The machine of a seed runs more than once ([`Settings::run`]): an error that one number
-//! decides is the same in all of its runs, noise is new in each, and the map after a run is the map before the next
-//! one, with the same error of its measurement. So the measurements of a campaign are counted: run k is between the
+//! Every error has its own random numbers, by its index in the process file: an error added at the end of the file
+//! changes none of the others. The machine of a seed runs more than once ([`Settings::run`]). An error of one number
+//! is the same in all of its runs; noise is new in each. The map after a run is the map before the next one, with the
+//! same error of its measurement. So the measurements of a campaign are counted: run k is between the
 //! measurements k - 1 and k, and [`measure`] makes the first of a mirror.
 
 use ndarray::Array2;
@@ -30,32 +30,34 @@ use crate::{
     tool::moved,
 };
 
-/// Streams of random numbers of one error: of the run, and of the measurements of even and of odd number.
+/// Number of streams of random numbers of one error; used are those of the run, and of the measurements of even and
+/// of odd number. With fewer than three, two errors share a stream.
 const STREAMS_PER_ERROR: u64 = 4;
 
-/// Distance between the streams of later runs, and of later pairs of measurements, of one machine.
+/// Distance between the streams of consecutive runs, and of consecutive pairs of measurements, of one machine.
+/// Smaller: the streams of many errors overlap those of the next run.
 const STREAMS_PER_RUN: u64 = 1 << 32;
 
-/// Runs of one machine.
+/// Largest number of a run of one machine; larger ones are refused. It keeps the number of the stream within 64 bits.
 const MOST_RUNS: u64 = 1_000_000;
 
-/// How the machine is made.
+/// Settings of the machine.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// Random seed of what is hidden.
     pub seed: u64,
-    /// Which run of this machine it is, from 1.
+    /// Number of the run of this machine, from 1.
     pub run: u64,
-    /// Whether rate, place, width and shape of the tool are known, and corrected exactly: all other errors stay.
+    /// True if rate, place, width and shape of the tool are known and corrected exactly; all other errors stay.
     pub known: bool,
-    /// Whether errors move the TIF with the noise and the border of its measurement, and not [`crate::tool`]'s.
+    /// True if errors move the TIF with the noise and the border of its measurement, and not that of [`crate::tool`].
     pub tif_as_sampled: bool,
 }
 
-/// What one error was in this run.
+/// Value of one error in this run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Drawn {
-    /// Its kind.
+    /// Kind of the error.
     pub kind: String,
     /// The number that it drew, in `unit`; `None` of noise, which draws many.
     pub value: Option<f64>,
@@ -63,7 +65,7 @@ pub struct Drawn {
     pub unit: String,
 }
 
-/// What nobody at the machine sees.
+/// Values that nobody at the machine sees.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Hidden {
     /// Sums of what acts on the same quantity.
@@ -75,11 +77,11 @@ pub struct Hidden {
 /// A run and its measurement.
 #[derive(Clone, Debug)]
 pub struct Run {
-    /// What is measured after it; invalid where the map before is.
+    /// Map measured after the run; invalid where the map before is.
     pub measured: Surface,
-    /// What it truly removed, and what truly remains.
+    /// True removal and true residual.
     pub removal: Removal,
-    /// What went wrong.
+    /// Errors of the run.
     pub hidden: Hidden,
 }
 
@@ -168,7 +170,7 @@ pub fn draw_run(
     Ok(Run { measured, removal, hidden: Hidden { truth: deviation.truth(), errors } })
 }
 
-/// What measurement `number` of the machine of a seed has wrong, nm.
+/// Error of the measurement `number` of the machine of a seed, nm.
 fn measurement_error(map: &Surface, process: &Process, seed: u64, number: u64) -> Array2<f64> {
     let mut wrong = Array2::zeros(map.grid().shape());
     for (i, error) in process.errors.iter().enumerate() {
@@ -181,7 +183,7 @@ fn measurement_error(map: &Surface, process: &Process, seed: u64, number: u64) -
     wrong
 }
 
-/// What one measurement has wrong by one error of the map, nm.
+/// Error of one measurement by one error of the map, nm.
 fn map_error(effect: Effect, size: f64, map: &Surface, rng: &mut impl Rng) -> Array2<f64> {
     let shape = map.grid().shape();
     match effect {

@@ -390,7 +390,7 @@ fn the_gridded_result_is_the_limit_of_the_direct_quadrature_in_all_directions() 
     assert!(exact.iter().any(|v| *v > 1.0));
 }
 
-/// The same motion with every segment in two.
+/// Returns the same motion with every segment divided in two.
 fn halved(t: &Trajectory) -> Trajectory {
     let (mut breaks, mut c, mut on) = (vec![t.break_time_s()[0]], vec![], vec![]);
     for s in t.segments() {

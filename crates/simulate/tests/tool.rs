@@ -55,7 +55,7 @@ fn rms(map: &Array2<f64>) -> f64 {
     map.mapv(|v| (v - mean).powi(2)).mean().unwrap().sqrt()
 }
 
-/// What a change of `moved` by `size` adds to the removal.
+/// Addition to the removal by a change of `moved` by `size`.
 fn added(moved: &Tif, effect: Scalar, size: f64) -> Array2<f64> {
     let map = map();
     let runs = Runs::new(&raster(), moved, moved, map.grid()).unwrap();
@@ -70,7 +70,7 @@ fn gaussian(x: f64, y: f64) -> f64 {
     8.0 * (-0.5 * ((x / SIGMA[0]).powi(2) + (y / SIGMA[1]).powi(2))).exp()
 }
 
-/// Of a ring that ends within its samples, as of the ring without any smoothing.
+/// Errors of a ring that ends within its samples are those of the ring without any smoothing.
 #[test]
 fn errors_of_the_shape_of_a_tool_that_ends_by_itself_are_those_of_the_tool() {
     let ring = |x: f64, y: f64| {

@@ -5,10 +5,10 @@
 //! G_kl = sum phi_k phi_l,   b_k = sum phi_k z
 //! ```
 //!
-//! The basis is nearly orthogonal on the shapes it is meant for, so the normal equations, scaled
-//! to a unit diagonal, lose few digits; two steps of iterative refinement give them back. They
-//! need memory for the map and G only, where a QR factorisation of a map of 1641 x 1641 pixels
-//! would need every term on every pixel.
+//! The basis is nearly orthogonal on the shapes it is meant for, so the normal equations, scaled to a unit
+//! diagonal, lose few digits. Two steps of iterative refinement recover them. The equations need memory for
+//! the map and G only. A QR factorisation of a map of 1641 x 1641 pixels would need every term on every
+//! pixel.
 //!
 //! | symbol | variable | shape |
 //! |---|---|---|
@@ -22,13 +22,18 @@ use planish_numerics::orthogonal;
 use planish_types::{Axis, Grid, Invalid};
 use rayon::prelude::*;
 
-/// Rows that are summed together, so that the order of the sums does not depend on the threads.
+/// Number of rows that are summed together, so that the order of the sums does not depend on the threads.
+/// Larger: fewer tasks for the threads. Smaller: more memory for partial sums. Another value changes the
+/// last digits of the result.
 const BAND: usize = 16;
 
-/// Smallest ratio of the eigenvalues of the scaled G. Below it the terms depend on each other on
-/// the valid pixels: the refinement would converge no more.
+/// Smallest ratio of the eigenvalues of the scaled G, dimensionless; a smaller one is refused. Larger:
+/// refuses apertures on which the terms are hard to tell apart. Smaller: accepts terms that depend on each
+/// other on the valid pixels, for which the refinement does not converge.
 const LEAST_EIGENVALUE: f64 = 1e-10;
 
+/// Number of steps of iterative refinement. Larger: more time, no more digits. Smaller: the coefficients
+/// lose the digits that the normal equations lose.
 const REFINEMENTS: usize = 2;
 
 /// Functions on the pixels of a grid.
@@ -45,7 +50,7 @@ pub(crate) enum Basis {
     Zernike { order: u32, x: Vec<f64>, y: Vec<f64> },
 }
 
-/// Which polynomials of one variable.
+/// Family of the polynomials of one variable.
 #[derive(Clone, Copy)]
 pub(crate) enum Polynomial {
     Legendre,
@@ -141,13 +146,13 @@ impl Basis {
 
 /// The fitted terms.
 pub(crate) struct Fit {
-    /// One per term.
+    /// Coefficients, one per term.
     pub coefficients: Vec<f64>,
-    /// Fitted on every pixel, (ny, nx).
+    /// Sum of the fitted terms on every pixel, (ny, nx).
     pub map: Array2<f64>,
     /// Condition number of the terms on the valid pixels, each scaled to the same RMS.
     pub condition: f64,
-    /// Largest correlation of two terms on the valid pixels; 0 where they are orthogonal.
+    /// Largest correlation of two terms on the valid pixels; 0 if they are orthogonal.
     pub largest_correlation: f64,
 }
 

@@ -1,4 +1,4 @@
-//! The subcommands, one file each, and what several of them have.
+//! The subcommands, one file each, and arguments that several of them share.
 
 mod draw;
 mod prepare;
@@ -19,19 +19,20 @@ const CIRCLE: [&str; 3] = ["CX", "CY", "R"];
 
 #[derive(Debug, Subcommand)]
 pub enum Method {
-    /// Makes the desired removal: crops to the clear aperture, masks outliers, levels; on request
-    /// fills holes and extends beyond the aperture
+    /// Make the desired removal: crop to the clear aperture, mask outliers, level; on request fill holes
+    /// and extend beyond the aperture
     Prepare(Box<prepare::PrepareArgs>),
-    /// Prints RMS, PV and robust PV of a map, or of a residual, as JSON
+    /// Print RMS, PV and robust PV of a map, or of a residual, as JSON
     Statistics(statistics::StatisticsArgs),
-    /// Power spectral densities of a map, or of a residual, and the RMS in bands
+    /// Compute power spectral densities of a map, or of a residual, and the RMS in bands
     Psd(psd::PsdArgs),
-    /// Slope errors, heights after the best shape, bands and spectra of a map, a residual or a profile; and
-    /// whether a specification is kept
+    /// Measure slope errors, heights after the best shape, bands and spectra of a map, a residual or a
+    /// profile, and judge them by a specification
     Spec(Box<spec::SpecArgs>),
-    /// Makes a measured tool ready: border, centre, rotation, pitch, taper; or fits a formula to it
+    /// Prepare a measured tool influence function (border, centre, rotation, pitch, taper), or fit a
+    /// formula to it
     Tif(tif::TifArgs),
-    /// Draws maps and a section through them as SVG
+    /// Draw maps and a section through them as SVG
     Draw(draw::DrawArgs),
 }
 

@@ -1,4 +1,4 @@
-//! The nearest valid pixel of every pixel, exactly.
+//! Nearest valid pixel of every pixel, without approximation.
 //!
 //! ```text
 //! d^2(r, c) = min over valid (r', c') of (r - r')^2 dy^2 + (c - c')^2 dx^2
@@ -8,14 +8,14 @@
 //! with g(r, c') the distance to the nearest valid pixel of column c'. The minimum over c' is the
 //! lower envelope of parabolas, found for a whole row in one pass.
 //!
-//! A pixel is a rectangle, though, as large as the steps. Its nearest point from the centre of another one is the middle of
-//! an edge, or a corner:
+//! A pixel is a rectangle of the size of the steps. Its nearest point to the centre of another pixel is the
+//! middle of an edge, or a corner:
 //!
 //! ```text
 //! d^2(r, c) = min over marked (r', c') of max(|r - r'| - 1/2, 0)^2 dy^2 + max(|c - c'| - 1/2, 0)^2 dx^2
 //! ```
 //!
-//! which is the same minimum with sites half a step to either side, because the edge that is turned away is no nearer.
+//! This is the same minimum with sites half a step to either side, because the far edge is no nearer.
 //!
 //! Source: P. F. Felzenszwalb, D. P. Huttenlocher, Theory Comput. 8 (2012) 415, section 2.
 
@@ -23,16 +23,16 @@ use ndarray::{Array2, ArrayView2};
 use planish_types::Grid;
 use rayon::prelude::*;
 
-/// Distance to the nearest valid pixel, and where it is.
+/// Distance to the nearest valid pixel, and the place of that pixel.
 pub(crate) struct Nearest {
-    /// (ny, nx), mm; 0 on a valid pixel.
+    /// Distance to the nearest valid pixel (ny, nx), mm; 0 on a valid pixel.
     pub distance_mm: Array2<f64>,
-    /// (row, column), (ny, nx).
+    /// Place (row, column) of the nearest valid pixel (ny, nx).
     pub place: Array2<(usize, usize)>,
 }
 
-/// Of pixels at the same distance, one that depends on the map alone is taken. `map` has at least
-/// one valid pixel.
+/// Finds the nearest valid pixel of every pixel. Among pixels at the same distance, the choice depends on
+/// the map alone. `map` has at least one valid pixel.
 pub(crate) fn nearest(map: ArrayView2<f64>, grid: &Grid) -> Nearest {
     let (ny, nx) = map.dim();
     // Row of the nearest valid pixel in the same column, if there is one.
@@ -70,7 +70,7 @@ pub(crate) fn nearest(map: ArrayView2<f64>, grid: &Grid) -> Nearest {
     }
 }
 
-/// For every column the least `(c - c')^2 dx^2 + g^2` over the sites (c', row, g^2).
+/// Smallest `(c - c')^2 dx^2 + g^2` over the sites (c', row, g^2), for every column c.
 fn envelope(sites: &[(usize, usize, f64)], nx: usize, dx: f64) -> Vec<(f64, (usize, usize))> {
     // Sites on the envelope, and from which column on each is the lowest.
     let mut lowest: Vec<(usize, f64)> = Vec::with_capacity(sites.len());

@@ -1,7 +1,7 @@
 //! Pictures as SVG text: maps with a section through them, and spectra.
 //!
-//! x to the right, y upwards, axes in mm. A map is drawn in cells of equal height bands; where it has
-//! more pixels than the picture can show, a cell is the mean of its pixels. Invalid pixels are white.
+//! x is to the right, y upwards, axes are in mm. A map is drawn in cells, in bands of equal height. If it
+//! has more pixels than the picture can show, a cell is the mean of its pixels. Invalid pixels are white.
 
 use ndarray::Array2;
 use planish_draw::{Bands, Frame, Scale, Svg, cells, colour, frame::range, svg::put};
@@ -9,36 +9,40 @@ use planish_types::{Axis, Grid, Invalid, text::fixed};
 
 use crate::psd::Psd;
 
-/// Height of the texts, px of the picture.
+/// Height of the texts, px of the picture. Larger: labels overlap. Smaller: they are hard to read.
 const FONT_PX: f64 = 14.0;
 
-/// Width of a frame, px.
+/// Width of a frame, px. Larger: the picture does not fit onto a page. Smaller: details are lost.
 const WIDTH: f64 = 560.0;
 
-/// Height of the frame of a section or of spectra, px.
+/// Height of the frame of a section or of spectra, px. Larger: the picture does not fit onto a page.
+/// Smaller: curves are flat.
 const HEIGHT: f64 = 260.0;
 
-/// Left, top, right and bottom of a frame, px.
+/// Margins at the left, top, right and bottom of a frame, px. Larger: empty space. Smaller: labels, titles
+/// or scales are cut off.
 const MARGIN: [f64; 4] = [64.0, 34.0, 86.0, 50.0];
 
-/// Most cells along an axis of a map.
+/// Largest number of cells along an axis of a map. Larger: finer details and a larger file. Smaller: a
+/// coarser picture.
 const MAX_CELLS: usize = 110;
 
-/// Height bands of a map.
+/// Number of height bands of a map, one colour each. Larger: smoother colours and a larger file. Smaller:
+/// visible steps.
 const BANDS: usize = 24;
 
 /// A map to draw.
 #[derive(Clone, Debug)]
 pub struct Panel {
-    /// Above the map.
+    /// Title above the map.
     pub title: String,
-    /// Its pixels.
+    /// Pixels of the map.
     pub grid: Grid,
-    /// Its heights (ny, nx); NaN = invalid.
+    /// Heights of the map (ny, nx); NaN = invalid.
     pub map: Array2<f64>,
 }
 
-/// What goes beside the maps.
+/// Settings of a picture of maps.
 #[derive(Clone, Debug)]
 pub struct MapsSettings {
     /// Unit of the heights, for the scales.
@@ -131,7 +135,7 @@ pub fn psd_svg(psd: &Psd) -> String {
     svg.finish([2.0 * total, size[1] + MARGIN[1] + MARGIN[3]])
 }
 
-/// Wider by 4 % at both ends, or by 1 about a single value.
+/// Range that is wider by 4 % at both ends, or by 1 about a single value.
 fn with_rim([low, high]: [f64; 2]) -> [f64; 2] {
     let rim = if high > low { 0.04 * (high - low) } else { 1.0 };
     [low - rim, high + rim]
@@ -142,8 +146,8 @@ fn edges(axis: &Axis) -> [f64; 2] {
     [axis.start_mm() - 0.5 * axis.step_mm(), axis.end_mm() + 0.5 * axis.step_mm()]
 }
 
-/// Height over width of a drawing: that of the map, unless the map is a strip so narrow that the
-/// drawing would have no height, or more than a page of it.
+/// Ratio of height to width of a drawing: that of the map, but limited, because the drawing of a narrow
+/// strip would have no height, or more than a page of it.
 fn ratio(grid: &Grid) -> f64 {
     let length = |axis: &Axis| axis.len() as f64 * axis.step_mm();
     (length(&grid.y) / length(&grid.x)).clamp(0.08, 2.0)

@@ -1,9 +1,9 @@
 //! The elliptical cylinder of an x-ray mirror, exactly, in the coordinates of the mirror.
 //!
-//! A mirror images a source at the distance p onto a point at the distance q under the grazing angle theta at
-//! its pole. With x along the mirror from the source to the image and z along the normal at the pole, towards
-//! the light, the source is at (-p cos theta, p sin theta), the image at (q cos theta, q sin theta), and the
-//! mirror is where the path over it is p + q long. Squaring twice leaves
+//! A mirror images a source at the distance p onto a point at the distance q under the grazing angle theta
+//! at its pole. x is along the mirror from the source to the image. z is along the normal at the pole,
+//! towards the light. The source is at (-p cos theta, p sin theta), the image at (q cos theta, q sin
+//! theta). The mirror is the set of points over which the path is p + q long. Squaring twice leaves
 //!
 //! ```text
 //! a z^2 - 2 b z + s^2 x^2 = 0,   s = sin theta,  c = cos theta

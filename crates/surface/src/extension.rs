@@ -8,10 +8,10 @@
 //! * [`gerchberg_papoulis`]: the continuation without high spatial frequencies;
 //! * [`polynomial`]: the continuation of a polynomial fit.
 //!
-//! When it is needed: for a method that works on the whole rectangle at once (an inverse filter by
-//! Fourier transform, an adjoint iteration, a deconvolution without a mask), by at least half the
-//! size of the tool. Least squares with a mask needs none: pixels beyond the aperture have no
-//! weight there, and an extension would only take freedom away.
+//! An extension is needed for a method that works on the whole rectangle at once (an inverse filter by
+//! Fourier transform, an adjoint iteration, a deconvolution without a mask). Its margin is then at least
+//! half the size of the tool. Least squares with a mask needs no extension: pixels beyond the aperture have
+//! no weight there, and an extension would only constrain the dwell times.
 
 use ndarray::{Array2, s};
 use planish_types::{Axis, Grid, Invalid, Surface, budget};
@@ -23,23 +23,26 @@ pub mod gerchberg_papoulis;
 pub mod nearest;
 pub mod polynomial;
 
-/// Largest number of pixels of an extended map: 200 MB as 64-bit floats.
+/// Largest number of pixels of an extended map; a larger map is refused. Larger: more memory for a margin
+/// that was mistyped. Smaller: refuses large maps. At this value a map takes 200 MB as 64-bit floats.
 const MAX_PIXELS: usize = 25_000_000;
 
-/// What a pixel of an extended map costs in all: 300 MB of 4 million were measured.
+/// Memory that a pixel of an extended map needs in all, bytes. Larger: refuses maps that would fit into the
+/// memory. Smaller: an extension can exceed the memory of the process. Measured: 300 MB for 4 million
+/// pixels.
 const BYTES_PER_PIXEL: usize = 80;
 
-/// How far, and how.
+/// Settings of an extension.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ExtensionSettings {
     /// Margin on every side, rounded up to whole pixels, mm; >= 0. At 0 only the invalid pixels of
     /// the map itself get a height.
     pub margin_mm: f64,
-    /// How.
+    /// Method of the extension.
     pub method: Method,
 }
 
-/// Where the heights come from.
+/// Source of the heights of new pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
@@ -53,18 +56,18 @@ pub enum Method {
     Polynomial(polynomial::Settings),
 }
 
-/// What was added.
+/// Extent and heights of the extension.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ExtensionReport {
     /// Pixels added on every side (rows, columns).
     pub margin_px: (usize, usize),
     /// Pixels that got a height.
     pub extended_pixels: usize,
-    /// Smallest and largest of the new heights, nm; those of the map where there are none.
+    /// Smallest and largest of the new heights, nm; those of the map if there are no new heights.
     pub range_nm: [f64; 2],
     /// Population RMS of the steps between neighbours (a valid and an extended pixel), nm.
     pub step_rms_nm: f64,
-    /// What only this method has to say.
+    /// Numbers that only this method reports.
     #[serde(flatten)]
     pub own: Value,
 }

@@ -7,13 +7,14 @@
 //! figure  = sum_k w_k q_k / sum_k w_k,   w_k the distance to the border of window k, along x times along y
 //! ```
 //!
-//! Squares of a pit of 20 nm would draw the fit to it; its absolute values are outvoted by the other pixels, as in a
-//! median, and unlike a median a polynomial follows a slope and a curvature. With i + j <= p it follows a wave along a
-//! diagonal less far than one along an axis, and that in the corners, where the rest looks like a pit: hence the more
-//! terms in windows, for waves. A figure without waves does not need them, and they follow a pit in a corner.
+//! Least squares would bias the fit towards a pit of 20 nm. The absolute values of rho outweigh it by the
+//! other pixels, as in a median, and unlike a median a polynomial follows a slope and a curvature.
+//! Polynomials with i + j <= p follow a wave along a diagonal less far than one along an axis. The misfit
+//! is in the corners, where it looks like a pit. Hence the windows have more terms, for waves. A figure
+//! without waves does not need these terms, and they follow a pit in a corner.
 //!
-//! Windows lie over each other by half or more, so that a pixel is far from the border of one of them, where a polynomial
-//! is weak; the border of the map counts as infinitely far.
+//! Windows overlap by half or more, so that every pixel is far from the border of one of them; a polynomial
+//! is weak at the border. The border of the map counts as infinitely far.
 //!
 //! The normal equations are sums of products over a lattice, and are made along x first, then along y:
 //!
@@ -37,29 +38,37 @@ use ndarray::{Array2, ArrayView2, s};
 use planish_numerics::orthogonal::legendre;
 use rayon::prelude::*;
 
-/// p + 1: order 10 follows one wave over the window to 4e-5 of its height.
+/// Number of orders along an axis, p + 1. Larger: follows shorter waves, and pits too, in more time.
+/// Smaller: leaves waves of the figure, which then look like pits. Derived: order 10 follows one wave over
+/// the window to 4e-5 of its height.
 const ORDERS: usize = 11;
 
-/// Products of two of the polynomials of an axis.
+/// Number of products of two polynomials of an axis.
 const PAIRS: usize = ORDERS * (ORDERS + 1) / 2;
 
-/// Samples per term that outvote a pit; where there are fewer, the order is lower.
+/// Smallest number of samples per term; with fewer samples the order is lower. Larger: lower orders in
+/// small windows. Smaller: the samples do not outweigh a pit.
 const SAMPLES_PER_TERM: usize = 10;
 
-/// Samples along an axis, at most: ten times the order; the time is theirs.
+/// Largest number of samples along an axis. Larger: more time, in proportion to its square. Smaller: fewer
+/// samples per term. Chosen: ten times the order.
 const MAX_SAMPLES: usize = 100;
 
-/// Weighted fits.
+/// Number of weighted fits after the first one. Larger: more time. Smaller: pits still pull the fit.
 const ROUNDS: usize = 8;
 
-/// Added to the diagonal of the normal equations, relative to its mean: far above rounding, so that pixels on a line
-/// can be fitted too, and far below what moves a height.
+/// Term that is added to the diagonal of the normal equations, relative to its mean. Larger: moves heights.
+/// Smaller: pixels on a line cannot be fitted. Chosen: far above rounding, and far below what moves a
+/// height.
 const RIDGE: f64 = 1e-10;
 
-/// Weight of a window with samples for a lower order only: it counts where there is no other.
+/// Weight of a window with samples for a lower order only, relative to a window with all orders. Larger:
+/// such a window changes pixels that have a better one. Smaller: rounding. It counts only at pixels without
+/// another window.
 const LAST_RESORT: f64 = 1e-6;
 
-/// The figure at every pixel, with windows of so many pixels along y and x, or of the map where that is less.
+/// Figure at every pixel, from windows of the given numbers of pixels along y and x, or of the whole map if
+/// that is smaller.
 pub fn figure(map: ArrayView2<f64>, window: (usize, usize)) -> Array2<f64> {
     let (rows, columns) = (windows(map.nrows(), window.0), windows(map.ncols(), window.1));
     let all: Vec<_> =
@@ -84,7 +93,7 @@ pub fn figure(map: ArrayView2<f64>, window: (usize, usize)) -> Array2<f64> {
     sum
 }
 
-/// Ranges of `window` of `n` pixels that lie over each other by half of it or more.
+/// Ranges of `window` of `n` pixels that overlap by half of it or more.
 fn windows(n: usize, window: usize) -> Vec<Range<usize>> {
     let window = window.min(n);
     let rest = n - window;
@@ -93,7 +102,8 @@ fn windows(n: usize, window: usize) -> Vec<Range<usize>> {
     (0..=steps).map(start).map(|start| start..start + window).collect()
 }
 
-/// Distance of the pixels of a window to its border, in windows; that of the map has none.
+/// Distance of the pixels of a window to its border, in windows, at most 1; the border of the map counts as
+/// infinitely far.
 fn tent(window: &Range<usize>, n: usize) -> Vec<f64> {
     let at = |i: usize| {
         let (low, high) = ((i - window.start) as f64 + 0.5, (window.end - i) as f64 - 0.5);
@@ -104,15 +114,15 @@ fn tent(window: &Range<usize>, n: usize) -> Vec<f64> {
     window.clone().map(at).collect()
 }
 
-/// q of a window.
+/// Polynomial q of a window.
 struct Fit {
     terms: Terms,
     order: usize,
-    /// Of the terms in their order.
+    /// Coefficients of the terms, in their order, nm.
     c: DVector<f64>,
 }
 
-/// Which terms an order has.
+/// Rule for the terms of an order.
 #[derive(Clone, Copy, PartialEq)]
 enum Terms {
     /// i + j <= p

@@ -8,9 +8,9 @@
 //! with the five-point formula, solved by conjugate gradients. A plane is filled exactly, and no
 //! filled height leaves the range of the rim.
 //!
-//! When it is needed: for a method that cannot skip pixels (a Fourier transform, a program of
-//! one's own). The solvers and judges of Planish skip invalid pixels and do better without: a
-//! filled height is a guess that would count as a measurement.
+//! Filling is needed for a method that cannot skip pixels (a Fourier transform, another program). The
+//! solvers and judges of Planish skip invalid pixels and do better without filling: a filled height is a
+//! guess that would count as a measurement.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -23,17 +23,19 @@ use serde::Serialize;
 
 use crate::distance::nearest;
 
-/// Residual of the conjugate gradients over that of the rim's mean. The condition number of a
-/// hole of 1000 px is 1e6, so the heights are good to about 1e-6 of the rim's range.
+/// Residual at which the conjugate gradients end, relative to the residual of the mean of the rim. Larger:
+/// less accurate heights. Smaller: it may never be reached in double precision. Derived: the condition
+/// number of a hole of 1000 px is 1e6, so the heights are accurate to about 1e-6 of the range of the rim.
 const TOLERANCE: f64 = 1e-12;
 
-/// More filled pixels than this fraction are worth a note.
+/// Fraction of filled pixels above which the report has a note. Larger: does not notice maps that are
+/// mostly guessed. Smaller: notes for usual holes.
 const NOTEWORTHY_FRACTION: f64 = 0.05;
 
-/// What was filled.
+/// Holes and pixels that were filled.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FillReport {
-    /// Holes, connected by edges.
+    /// Number of holes; pixels of a hole are connected by edges.
     pub holes: usize,
     /// Pixels filled.
     pub filled_pixels: usize,
@@ -41,12 +43,13 @@ pub struct FillReport {
     pub filled_fraction: f64,
     /// Largest distance of a filled pixel from a measured one, mm.
     pub deepest_mm: f64,
-    /// What one should know before using the map.
+    /// Note for the user of the map; absent if there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub note: Option<String>,
 }
 
-/// Which invalid pixels no path of invalid pixels joins to the border of the map: its holes.
+/// True for the pixels of holes: invalid pixels that no path of invalid pixels connects to the border of
+/// the map.
 pub fn enclosed(surface: &Surface) -> Array2<bool> {
     let map = surface.height_nm();
     let (ny, nx) = map.dim();
@@ -160,7 +163,7 @@ fn fill_one(
         let remedy = "crop the map to the part that was measured";
         return Err(Invalid::at("height_nm", region[0], problem, remedy));
     }
-    // About the mean of the rim, so that a large piston costs no digits.
+    // Heights count from the mean of the rim, so that a large piston costs no digits.
     let mean = rim_sum / rim_count;
     for (k, at) in region.iter().enumerate() {
         for (side, n) in neighbours(*at, map.dim()).into_iter().enumerate() {

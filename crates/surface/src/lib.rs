@@ -1,4 +1,4 @@
-//! Conditioning of a measured map, and of a measured tool, before the solvers see them.
+//! Preparation and description of measured maps and measured tools, for the solvers.
 //!
 //! * [`mod@prepare`]: clear aperture, outlier mask, level, fill and extension, in this order.
 //! * [`outliers`]: finds pits and dust that are too narrow for the tool.
@@ -6,9 +6,9 @@
 //! * [`mod@fill`]: heights for holes.
 //! * [`extension`]: heights beyond the clear aperture, four methods.
 //! * [`statistics`], [`psd`]: numbers that describe a map.
-//! * [`quality`]: what a mirror is specified by, of a map or of a [`profile`]; [`shape`], [`ellipse`]: the best
-//!   shape; [`specification`]: limits on all of it.
-//! * [`tif`], [`tif_fit`]: a tool influence function made ready, and described by a formula.
+//! * [`quality`]: quantities that specify a mirror, of a map or of a [`profile`]; [`shape`], [`ellipse`]: the best
+//!   shape; [`specification`]: limits on all of these quantities.
+//! * [`tif`], [`tif_fit`]: preparation of a tool influence function, and its description by a formula.
 //! * [`draw`]: pictures of maps and spectra.
 
 mod basis;
@@ -38,7 +38,7 @@ pub use prepare::{Level, PrepareSettings, Prepared, prepare};
 
 use planish_types::Invalid;
 
-/// Why a map cannot be prepared.
+/// Reason why a map cannot be prepared.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PrepareError {
     /// A value that cannot be what it claims to be.
@@ -65,7 +65,7 @@ pub enum PrepareError {
         masked: usize,
         /// Valid pixels.
         valid: usize,
-        /// Their ratio, %.
+        /// Ratio of masked to valid pixels, %.
         percent: f64,
         /// Largest allowed ratio, %.
         limit: f64,

@@ -9,11 +9,11 @@
 //! chebyshev   phi = T_i(u) T_j(v),   i + j <= order
 //! ```
 //!
-//! All coefficients are fitted together by least squares on the valid pixels (`basis.rs`);
-//! none is an inner product. So what is removed depends only on the order, not on whether the terms
-//! are orthogonal on this aperture. The coefficients do depend on it: on an annulus, or where
-//! pixels are missing, a term is not orthogonal to the others, and its coefficient changes when
-//! terms are added. The report says how far from orthogonal they were.
+//! All coefficients are fitted together by least squares on the valid pixels (`basis.rs`); none is an inner
+//! product. So the fitted shape depends only on the order, not on whether the terms are orthogonal on this
+//! aperture. The coefficients do depend on it: on an annulus, or if pixels are missing, a term is not
+//! orthogonal to the others, and its coefficient changes when terms are added. The report states how far
+//! from orthogonal they were.
 //!
 //! Source: R. J. Noll, J. Opt. Soc. Am. 66 (1976) 207 (normalisation); ANSI Z80.28 (order);
 //! V. N. Mahajan, J. Opt. Soc. Am. 71 (1981) 75 (why an annulus is different).
@@ -32,16 +32,18 @@ use serde::Serialize;
 
 use crate::basis::{Basis, Fit, Polynomial, fit};
 
-/// Highest order: 231 terms, whose 231 x 231 normal equations still are solved in a blink.
+/// Highest order that a caller may ask for; it has 231 terms. Larger: normal equations that take noticeable
+/// time. Smaller: less of the figure can be described.
 const MAX_ORDER: u32 = 20;
 
-/// Two terms with more correlation than this are worth a note.
+/// Correlation of two terms on the valid pixels above which the report has a note. Larger: does not notice
+/// coefficients that depend on the order. Smaller: notes for usual apertures.
 const NOTEWORTHY_CORRELATION: f64 = 0.1;
 
-/// Which terms.
+/// Settings of the fit of low-order terms.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LowOrderSettings {
-    /// Which polynomials.
+    /// Family of the polynomials.
     pub family: Family,
     /// Highest order: n of Zernike, i + j of the others; at most 20.
     pub order: u32,
@@ -50,16 +52,16 @@ pub struct LowOrderSettings {
     pub circle: Option<Circle>,
 }
 
-/// Which polynomials.
+/// Family of polynomials.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Family {
-    /// For circular apertures.
+    /// Zernike polynomials, for circular apertures.
     Zernike,
-    /// For rectangular apertures; orthogonal with equal weights.
+    /// Legendre polynomials, for rectangular apertures; orthogonal with equal weights.
     Legendre,
-    /// For rectangular apertures; more weight on the edges.
+    /// Chebyshev polynomials, for rectangular apertures; more weight on the edges.
     Chebyshev,
 }
 
@@ -84,9 +86,9 @@ pub struct LowOrder {
 /// The low-order part, in numbers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LowOrderReport {
-    /// What the terms are, their normalisation and their order.
+    /// Definition, normalisation and order of the terms.
     pub convention: &'static str,
-    /// Where u and v, or rho, are 1.
+    /// Domain of the terms: u and v, or rho, are 1 at its border.
     pub domain: Domain,
     /// The terms.
     pub terms: Vec<Term>,
@@ -96,17 +98,17 @@ pub struct LowOrderReport {
     pub pv_nm: f64,
     /// Condition number of the terms on the valid pixels.
     pub condition: f64,
-    /// Largest correlation of two terms on the valid pixels; 0 where all are orthogonal.
+    /// Largest correlation of two terms on the valid pixels; 0 if all are orthogonal.
     pub largest_correlation: f64,
     /// Area of the valid pixels over that of the domain; an annulus, a hole or an aperture of
     /// another shape makes it less than 1.
     pub coverage: f64,
-    /// What one should know before using the coefficients.
+    /// Note for the user of the coefficients; absent if there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub note: Option<String>,
 }
 
-/// Where u and v, or rho, are 1.
+/// Domain of the terms: u and v, or rho, are 1 at its border.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Domain {
@@ -204,7 +206,7 @@ pub fn low_order(surface: &Surface, settings: &LowOrderSettings) -> Result<LowOr
     Ok(LowOrder { shape_nm: fitted.height_nm().clone(), report })
 }
 
-/// What `coefficient_nm` multiplies.
+/// Definition of the terms that `coefficient_nm` multiplies.
 fn convention(family: Family) -> &'static str {
     match family {
         Family::Zernike => {

@@ -1,4 +1,4 @@
-//! `planish-surface`: conditions measured maps and tools, and describes them.
+//! `planish-surface`: prepares measured maps and tools, and describes them.
 
 mod cli;
 
@@ -17,7 +17,7 @@ const EXAMPLES: &str = "Examples:\n\
     \x20 planish-surface spec --profile ltp.csv --value-unit urad --after cylinder-x --out out/ltp\n\
     \x20 planish-surface tif --tif spot --centre centroid --fit gaussian --out out/tif";
 
-/// Conditions measured maps and tools, and describes them
+/// Prepare measured maps and tools, and describe them
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {

@@ -24,7 +24,8 @@ use rayon::prelude::*;
 /// Rank of an invalid pixel.
 const INVALID: u32 = u32::MAX;
 
-/// Rows that one task filters with one histogram.
+/// Number of rows that one task filters with one histogram. Larger: fewer tasks for the threads. Smaller:
+/// more histograms to set up. The result does not depend on it.
 const BAND: usize = 64;
 
 /// The median over windows of `2 half + 1` (rows, columns); NaN where `map` is NaN.
@@ -84,7 +85,7 @@ fn mirror(i: isize, n: usize) -> usize {
     if i < n { i } else { 2 * n - 1 - i }
 }
 
-/// How often every rank is in the window, with two levels of sums above.
+/// Count of every rank in the window, with two levels of sums above.
 struct Histogram {
     count: Vec<u16>,
     of_64: Vec<u32>,

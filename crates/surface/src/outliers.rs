@@ -1,8 +1,8 @@
 //! Finds pits and dust: features that are too narrow for the tool and too deep for noise.
 //!
-//! A feature narrower than about half the tool's full width at half maximum W cannot be
-//! corrected; left in the map it sets the minimum and draws the solver after it. With the
-//! least-squares plane removed first (a tilt must not decide what is a pit):
+//! A feature narrower than about half the tool's full width at half maximum W cannot be corrected. Left in
+//! the map, it sets the smallest height, and the solver tries to correct it. With the least-squares plane
+//! subtracted first (a tilt must not decide what is a pit):
 //!
 //! ```text
 //! z   <- z - figure(z),         order 10, robust, in the whole map or in windows
@@ -15,20 +15,23 @@
 //! mask: the kept components, dilated by a square of half-width 3 px
 //! ```
 //!
-//! On a slope that is steeper than the noise the median of a window is the height along its middle. A pit moves it
-//! along the slope, as far as windows reach the pit, which is too far for one to be kept; hence the figure is taken
-//! off first. What the figure does not follow can be steep still: every pixel is the median of its own window then,
-//! and d is zero, which says nothing of the noise; L does.
+//! On a slope that is steeper than the noise, the median of a window is the height along its middle. A pit
+//! moves this median along the slope, as far as windows reach the pit, so that its component becomes too
+//! long to be kept. Hence the figure is subtracted first. The remainder can still be steep: every pixel is
+//! then the median of its own window, and d is zero, which says nothing of the noise. L still measures the
+//! noise.
 //!
-//! A figure of several waves over the map is followed in windows of half the map, a quarter, and so on, as long as that
-//! lowers s. It has to halve it at first, and then lower it by 5 %: what is left of a figure falls by orders of magnitude,
-//! while the roughness of a polished map falls a little in any smaller window, and with it would fall what is taken for a
-//! pit. No window is smaller than five of the median's, 2.5 W: a smaller one follows pits of half the median's window, and
-//! waves of W are followed by this one. Where third differences, which hardly see waves, tell at least half of s, there is
-//! nothing to halve.
+//! A figure of several waves over the map is followed in windows of half the map, a quarter, and so on, as
+//! long as that lowers s. The first such window must halve s, later ones must lower it by 5 %. The
+//! remainder of a figure falls by orders of magnitude. The roughness of a polished map falls a little in
+//! any smaller window, and pits would be found at lower thresholds. No window is smaller than five windows
+//! of the median, 2.5 W: a smaller one follows pits of half the window of the median, and this one still
+//! follows waves of W. Third differences hardly respond to waves. If they give at least half of s, windows
+//! cannot halve it and are not tried.
 //!
-//! The seed finds what is surely not noise, the growth takes its flanks, and the extent spares edges, rims and steps: they are long. The crest of a wave that the figure does
-//! not follow is not: it is spared because a quadratic through its neighbours follows it.
+//! The seed threshold finds what is surely not noise, and the growth adds its flanks. The limit on the
+//! extent spares edges, rims and steps, which are long. The crest of a wave that the figure does not follow
+//! can be short: it is spared because a quadratic through its neighbours follows it.
 //!
 //! Source: thresholds with hysteresis, J. Canny, IEEE Trans. Pattern Anal. Mach. Intell. 8 (1986)
 //! 679; MAD as the estimate of the noise, F. R. Hampel, J. Am. Stat. Assoc. 69 (1974) 383 (1.4826
@@ -54,42 +57,52 @@ use serde::Serialize;
 
 use crate::{PrepareError, figure::figure, median::median_filter};
 
-/// The grown threshold's fraction of the floor.
+/// Smallest threshold of the growth, relative to `floor_nm`. Larger: the flanks of pits stay unmasked.
+/// Smaller: components grow into the noise, and become too long to be kept.
 const GROW_FLOOR: f64 = 0.3;
 
-/// Smallest window of the median filter, px: a window of 9 x 9 still outvotes a pit of 6 x 6.
+/// Smallest window of the median filter, px. Larger: the median is less local on coarse maps. Smaller: a
+/// pit becomes its own median. Derived: a window of 9 x 9 still has a majority of other pixels around a pit
+/// of 6 x 6.
 const MIN_WINDOW_PX: usize = 9;
 
-/// 1 / (the 0.75 quantile of the standard normal distribution).
+/// Ratio of the standard deviation to the median absolute deviation of normal noise: 1 / (the 0.75 quantile
+/// of the standard normal distribution).
 const SIGMA_PER_MAD: f64 = 1.4826;
 
-/// Least window of the figure, in windows of the median.
+/// Smallest window of the figure, in windows of the median. Larger: leaves short waves of the figure.
+/// Smaller: the figure follows pits.
 const LEAST_FIGURE: usize = 5;
 
-/// The noise in windows over that in the whole map, at most, for windows to be used.
+/// Largest ratio of the noise in windows to the noise in the whole map at which windows are used. Larger:
+/// windows are used on maps whose roughness only falls a little, and the thresholds fall. Smaller: waves of
+/// the figure stay.
 const FALLS: f64 = 0.5;
 
-/// The noise in smaller windows over that in the ones that are used already, at most.
+/// Largest ratio of the noise in smaller windows to the noise in the current windows at which the smaller
+/// ones are used. Larger: windows shrink for a fall that is roughness. Smaller: waves of the figure stay.
 const FALLS_ON: f64 = 0.95;
 
-/// Neighbours that a quadratic through them needs, ten for each of its terms.
+/// Smallest number of neighbours for the quadratic through them; with fewer, a component counts as an
+/// outlier. Larger: crests of waves near holes are masked. Smaller: an uncertain quadratic decides.
+/// Derived: ten for each of the six terms.
 const MIN_NEIGHBOURS: usize = 60;
 
-/// A larger fraction of masked pixels means that the parameters are wrong, not the mirror.
+/// Largest fraction of valid pixels that may be masked; more are refused, because then the parameters are
+/// wrong and not the mirror. Larger: masks good pixels. Smaller: refuses maps with much dust.
 const MAX_MASKED_FRACTION: f64 = 0.02;
 
-/// What counts as an outlier.
+/// Settings that define an outlier.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OutlierSettings {
     /// Full width at half maximum of the tool's influence, mm; > 0. See [`half_maximum_width_mm`].
     pub feature_mm: f64,
-    /// A seed deviates by more than this multiple of the noise (1.4826 MAD); > 0. The noise of a
-    /// polished map is not normal: 6 to 10 still flag its borders, 15 does not.
+    /// Multiple of the noise (1.4826 MAD) above which a deviation is a seed; > 0. The noise of a polished
+    /// map is not normal: 6 to 10 still flag its borders, 15 does not.
     pub seed_sigmas: f64,
-    /// A seed grows to neighbours that deviate by more than this multiple of the noise; > 0, at
-    /// most `seed_sigmas`.
+    /// Multiple of the noise above which a neighbour of a seed joins it; > 0, at most `seed_sigmas`.
     pub grow_sigmas: f64,
-    /// No seed deviates by less than this, nm; >= 0. About 5 times the metrology's noise.
+    /// Smallest deviation of a seed, nm; >= 0. About 5 times the metrology's noise.
     pub floor_nm: f64,
     /// Width of the margin around a component, px: the blurred rim of the pit.
     pub dilate_px: usize,
@@ -128,16 +141,16 @@ impl OutlierSettings {
     }
 }
 
-/// What was found.
+/// Result of the search for outliers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outliers {
-    /// True where the map is to be masked (ny, nx); only valid pixels.
+    /// True at the pixels to mask (ny, nx); only valid pixels.
     pub mask: Array2<bool>,
     /// Numbers for the manifest.
     pub report: OutlierReport,
 }
 
-/// What was found, in numbers.
+/// Numbers of the outliers and of the thresholds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OutlierReport {
     /// Components, before the dilation.
@@ -189,7 +202,8 @@ pub fn outliers(surface: &Surface, settings: &OutlierSettings) -> Result<Outlier
     };
     let whole = without_figure(grid.shape());
     let (noise_of_whole, mut best) = (whole.1, whole);
-    // White noise is all that third differences see, unless waves are very short: no window has less.
+    // Third differences respond to white noise only, unless waves are very short. No window has less noise
+    // than they give.
     let worth_while = noise_of_differences(&level, 3) < FALLS * noise_of_whole;
     let smaller = |window: &(usize, usize)| {
         let halved = |of: usize, px: usize| (of / 2).max(LEAST_FIGURE * px).min(of);
@@ -259,8 +273,8 @@ fn window(axis: &Axis, extent_mm: f64) -> usize {
     2 * half + 1
 }
 
-/// Whether a component deviates from the quadratic through its neighbours, half a window around its bounding box:
-/// what the figure leaves of a wave does not.
+/// Returns true if a component deviates from the quadratic through its neighbours, half a window around its
+/// bounding box. The remainder of a wave does not deviate.
 fn stands_out(
     level: &Array2<f64>,
     deviation: &Array2<f64>,
@@ -308,9 +322,9 @@ fn without_plane(surface: &Surface) -> Array2<f64> {
     fit_plane(map, &x, &y).map_or_else(|| map.to_owned(), |p| subtract_plane(map, &x, &y, p))
 }
 
-/// The noise by the n-th differences along one axis of the n-th differences along the other, nm: of L, where n is 2.
-/// Their weights are the signed binomial coefficients, whose squares have the sum binomial(2 n, n) along each axis: by
-/// as much they multiply white noise, 6 where n is 2 and 20 where it is 3.
+/// Noise, nm, from the n-th differences along one axis of the n-th differences along the other; n = 2 gives
+/// L. Their weights are the signed binomial coefficients, whose squares have the sum binomial(2 n, n) along
+/// each axis. They multiply white noise by this number: 6 for n = 2, and 20 for n = 3.
 fn noise_of_differences(map: &Array2<f64>, n: usize) -> f64 {
     let mut differences = map.clone();
     for axis in [NdAxis(0), NdAxis(1)] {
@@ -327,7 +341,7 @@ fn noise_of_differences(map: &Array2<f64>, n: usize) -> f64 {
     SIGMA_PER_MAD * median_absolute_deviation(&differences) / gain
 }
 
-/// 0 without a valid pixel.
+/// Median absolute deviation from the median; 0 without a valid pixel.
 fn median_absolute_deviation(map: &Array2<f64>) -> f64 {
     let mut values: Vec<f64> = map.iter().copied().filter(|v| !v.is_nan()).collect();
     if values.is_empty() {

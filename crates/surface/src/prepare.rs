@@ -1,4 +1,4 @@
-//! Makes the desired removal out of a measured map.
+//! Preparation of the desired removal from a measured map.
 //!
 //! In this order:
 //!
@@ -40,27 +40,27 @@ use crate::{
     outliers::{OutlierReport, OutlierSettings, outliers},
 };
 
-/// Fewest valid pixels for a plane: twice its coefficients.
+/// Smallest number of valid pixels for a plane; fewer are refused. Larger: refuses small maps. Smaller:
+/// noise decides the tilt. Derived: twice the number of its coefficients.
 const MIN_PIXELS_FOR_PLANE: usize = 6;
 
-/// What to do with the map.
+/// Settings of the preparation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PrepareSettings {
     /// The region that counts; `None` keeps the whole map.
     #[serde(serialize_with = "describe_aperture")]
     pub aperture: Option<ClearAperture>,
-    /// How to find outliers; `None` masks none.
+    /// Settings of the outlier mask; `None` masks none.
     pub outliers: Option<OutlierSettings>,
-    /// What to subtract.
+    /// Function to subtract.
     pub level: Level,
-    /// Whether the invalid pixels in the clear aperture, or the enclosed ones where none is given,
-    /// get a height.
+    /// True to fill the invalid pixels in the clear aperture, or the enclosed ones if no aperture is given.
     pub fill: bool,
-    /// How to extend the map; `None` extends it not.
+    /// Settings of the extension; `None` does not extend the map.
     pub extension: Option<ExtensionSettings>,
 }
 
-/// What is subtracted from the map.
+/// Function that is subtracted from the map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Level {
@@ -84,26 +84,26 @@ pub struct Prepared {
     pub report: PrepareReport,
 }
 
-/// What was done, in numbers.
+/// Numbers of the preparation, step by step.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PrepareReport {
-    /// The map as given.
+    /// Statistics of the map as given.
     pub before: MapStatistics,
-    /// Within the clear aperture, before masking and levelling.
+    /// Statistics within the clear aperture, before masking and levelling.
     pub in_aperture: MapStatistics,
-    /// The result.
+    /// Statistics of the result.
     pub after: MapStatistics,
-    /// What the outlier mask took.
+    /// Numbers of the outlier mask.
     pub outliers: Option<OutlierReport>,
-    /// The plane that was subtracted; beside terms of low order only a constant.
+    /// The plane that was subtracted; with low-order terms only a constant.
     pub removed_plane: RemovedPlane,
     /// The terms of low order that were subtracted.
     pub removed_low_order: Option<LowOrderReport>,
     /// The holes that were filled.
     pub filled: Option<FillReport>,
-    /// What was added beyond the clear aperture.
+    /// Numbers of the extension beyond the clear aperture.
     pub extended: Option<ExtensionReport>,
-    /// What is probably a mistake in the map, with its remedy.
+    /// Probable mistakes in the map, with their remedies.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub doubts: Vec<String>,
 }
@@ -138,7 +138,7 @@ pub fn prepare(measured: &Surface, settings: &PrepareSettings) -> Result<Prepare
         Some(aperture) => crop(measured, aperture).map(|(map, inside)| (map, Some(inside)))?,
         None => (measured.clone(), None),
     };
-    // What takes long on a large map: the mask first, the extension last.
+    // Steps that take long on a large map: the mask first, the extension last.
     let parts =
         usize::from(settings.outliers.is_some()) + usize::from(settings.extension.is_some());
     let (masked, found) = match &settings.outliers {
@@ -146,7 +146,7 @@ pub fn prepare(measured: &Surface, settings: &PrepareSettings) -> Result<Prepare
         None => (cropped.clone(), None),
     };
     let (mut surface, removed_plane, removed_low_order) = level(&masked, settings.level)?;
-    // What is no height decides everything else.
+    // A pixel that is not a height decides everything else.
     let levelled = map_statistics(&surface);
     let MapStatistics { pv_nm, rms_nm, rms_detilted_nm, .. } = levelled;
     let of_removal = || doubts::of_removal(pv_nm, rms_nm, rms_detilted_nm);

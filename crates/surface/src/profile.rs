@@ -1,8 +1,8 @@
 //! A profile: heights or slopes along a line, as a long-trace profiler or an autocollimator measures them.
 //!
-//! A file of a profile is a table of numbers, one line per position. What stands before the first line that has
-//! a number in both columns is its header. Neither the columns nor the units are in such a file: the user states
-//! them, and the unit of the values says whether they are heights or slopes.
+//! A file of a profile is a table of numbers, one line per position. The lines before the first one with a
+//! number in both columns are its header. Neither the columns nor the units are in such a file: the user
+//! states them, and the unit of the values decides whether they are heights or slopes.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -13,17 +13,21 @@
 use planish_types::Invalid;
 use serde::Serialize;
 
-/// Fewest positions: a spectrum of fewer says nothing.
+/// Smallest number of positions with a value; fewer are refused. Larger: refuses short profiles. Smaller: a
+/// spectrum of so few positions is meaningless.
 pub const MIN_POSITIONS: usize = 8;
 
-/// Steps between positions that differ from their mean by less than this fraction are equal: positions in files
-/// are rounded.
+/// Largest departure of a step between positions from the mean step, relative to it, at which steps count
+/// as equal. Larger: uneven positions are taken for even ones, and frequencies are wrong by as much.
+/// Smaller: positions that are rounded in the file are interpolated.
 const UNIFORMITY: f64 = 0.01;
 
-/// Longer positions, higher heights (both as maps have them) and steeper slopes than 1 rad have a wrong unit.
+/// Largest plausible magnitudes: positions in mm, heights in nm, slopes in nrad. A larger value is refused,
+/// because its unit is wrong. Larger: accepts wrong units. Smaller: refuses unusual profiles. Chosen:
+/// positions and heights as for maps, slopes of 1 rad.
 const LARGEST_PLAUSIBLE: [(&str, f64); 3] = [("position", 1e7), ("height", 1e12), ("slope", 1e9)];
 
-/// What instruments write where they have no value.
+/// Words that instruments write for an absent value.
 const NO_DATA: [&str; 5] = ["nan", "bad", "no data", "nodata", "n/a"];
 
 /// Unit of a length.
@@ -77,7 +81,7 @@ pub enum ValueUnit {
     Arcsec,
 }
 
-/// Which numbers of a file are the profile.
+/// Columns and units of a profile in its file.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ProfileSettings {
     /// Column of the positions and column of the values, from 1.
@@ -90,7 +94,7 @@ pub struct ProfileSettings {
     pub header_lines: Option<usize>,
 }
 
-/// What was measured.
+/// Measured values of a profile.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Values {
     /// Heights, nm.
@@ -107,8 +111,8 @@ pub struct Profile {
 }
 
 impl Profile {
-    /// Checks the positions: ascending, or descending, which turns the line round; at least [`MIN_POSITIONS`] with
-    /// a value.
+    /// Checks the positions. They ascend, or descend, which reverses the line, and at least
+    /// [`MIN_POSITIONS`] have a value.
     pub fn new(mut position_mm: Vec<f64>, mut values: Values) -> Result<Self, Invalid> {
         let (name, v) = match &mut values {
             Values::HeightNm(v) => ("height", v),
@@ -156,7 +160,7 @@ impl Profile {
         Ok(Self { position_mm, values })
     }
 
-    /// From the rows [position, value] of a file, in its units.
+    /// Makes a profile from the rows [position, value] of a file, in its units.
     pub fn from_rows(rows: &[[f64; 2]], settings: &ProfileSettings) -> Result<Self, Invalid> {
         let position_mm = rows.iter().map(|r| settings.position_unit.mm() * r[0]).collect();
         let times = |factor: f64| rows.iter().map(|r| factor * r[1]).collect::<Vec<f64>>();
@@ -192,7 +196,7 @@ impl Profile {
         (x[x.len() - 1] - x[0]) / (x.len() - 1) as f64
     }
 
-    /// Smallest and largest step, mm, where they differ by more than the rounding of a file.
+    /// Smallest and largest step, mm, if they differ by more than the rounding of a file.
     pub fn uneven_steps_mm(&self) -> Option<[f64; 2]> {
         let steps = self.position_mm.windows(2).map(|w| w[1] - w[0]);
         let [low, high] = steps.fold([f64::INFINITY, 0.0_f64], |[l, h], s| [l.min(s), h.max(s)]);

@@ -1,7 +1,7 @@
 //! Power spectral densities of a rectangle of a map: along x, along y, in two dimensions, radial.
 //!
-//! The mathematics is [`planish_numerics::spectrum`], in nm and mm; the plane or the mean of the
-//! rectangle is taken off first.
+//! The mathematics is [`planish_numerics::spectrum`], in nm and mm; the plane or the mean of the rectangle
+//! is subtracted first.
 //!
 //! ```text
 //! radial           mean of S over the ring |f| = (k +- 1/2) df,  nm^2 mm^2
@@ -27,12 +27,12 @@ use planish_numerics::{
 use planish_types::{Grid, Invalid, Surface};
 use serde::Serialize;
 
-/// How the spectrum is taken.
+/// Settings of the spectrum.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PsdSettings {
     /// The window, along both axes.
     pub window: Window,
-    /// What is taken off the rectangle first.
+    /// Function that is subtracted from the rectangle first.
     pub detrend: Detrend,
     /// Bands [f_0, f_1) whose RMS is wanted, 1/mm.
     pub band_per_mm: Vec<[f64; 2]>,
@@ -49,7 +49,7 @@ pub enum Window {
     Rectangular,
 }
 
-/// What is taken off.
+/// Function that is subtracted from the rectangle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
@@ -85,16 +85,16 @@ pub struct Psd {
     pub report: PsdReport,
 }
 
-/// What was measured, in numbers.
+/// Numbers of the spectrum.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PsdReport {
     /// The rectangle: smallest and largest x, mm.
     pub x_mm: [f64; 2],
     /// The rectangle: smallest and largest y, mm.
     pub y_mm: [f64; 2],
-    /// Its pixels (rows, columns).
+    /// Pixels of the rectangle (rows, columns).
     pub shape: (usize, usize),
-    /// Its pixels over the valid pixels of the map.
+    /// Ratio of the pixels of the rectangle to the valid pixels of the map.
     pub fraction_of_valid_pixels: f64,
     /// RMS of the detrended rectangle without a window, nm.
     pub rms_nm: f64,
@@ -109,11 +109,11 @@ pub struct PsdReport {
 pub struct BandRms {
     /// [f_0, f_1), 1/mm.
     pub band_per_mm: [f64; 2],
-    /// From the two-dimensional PSD, |f| in the band, nm.
+    /// RMS from the two-dimensional PSD, |f| in the band, nm.
     pub rms_nm: f64,
-    /// From the PSD along x, nm.
+    /// RMS from the PSD along x, nm.
     pub rms_x_nm: f64,
-    /// From the PSD along y, nm.
+    /// RMS from the PSD along y, nm.
     pub rms_y_nm: f64,
 }
 
@@ -211,8 +211,8 @@ fn weights(window: Window, n: usize) -> Vec<f64> {
     }
 }
 
-/// Means over rings as wide as the coarser of the two frequency steps, up to the lower Nyquist
-/// frequency; the ring about 0 holds what is nearer to 0 than half a step.
+/// Means over rings as wide as the coarser of the two frequency steps, up to the lower Nyquist frequency.
+/// The ring about 0 holds frequencies nearer to 0 than half a step.
 fn radial(density: &Density) -> (Vec<f64>, Vec<f64>) {
     let (fx, fy) = (&density.frequency_x, &density.frequency_y);
     let df = (fx[1] - fx[0]).max(fy[1] - fy[0]);

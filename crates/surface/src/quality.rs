@@ -1,4 +1,4 @@
-//! What a mirror is specified by: slope errors, heights after the best shape, bands and spectra.
+//! Quantities that specify a mirror: slope errors, heights after the best shape, bands and spectra.
 //!
 //! ```text
 //! slope          s = (z(x + base) - z(x)) / base, nrad; RMS without the mean
@@ -8,15 +8,17 @@
 //! Strehl (Marechal)         exp(-(4 pi sin(g) RMS / wavelength)^2),   g the grazing angle
 //! ```
 //!
-//! A map has slopes along both axes, a profile along x. The heights of a profile of measured slopes are the
-//! integral (by trapezoids) of these slopes after the shape is taken off; the slopes of measured heights are
-//! differences over the base. The shape fits the values that were measured: heights of a map or a profile, or slopes.
-//! It is taken off once, so a profile of heights has the slopes of a map with the same rows. From the integral of
-//! measured slopes a second shape is taken off, because least squares of slopes leave a line or a circle of heights.
+//! A map has slopes along both axes, a profile along x. The shape is fitted to the measured values: heights
+//! of a map or a profile, or slopes. It is subtracted once, so a profile of heights has the slopes of a map
+//! with the same rows. The slopes of measured heights are differences over the base. The heights of a
+//! profile of measured slopes are the integral (by trapezoids) of these slopes after the shape is
+//! subtracted. From this integral a second shape is subtracted, because least squares of slopes leave a
+//! line or a circle of heights.
 //!
-//! Spectra are those of [`crate::psd`]: of the largest rectangle of valid pixels, or of the longest run of valid
-//! positions, under a Hann window; for a spectrum along a direction the mean of every line is taken off first.
-//! Where the positions of a profile are uneven, its values are interpolated linearly at as many even ones.
+//! Spectra are those of [`crate::psd`]: of the largest rectangle of valid pixels, or of the longest run of
+//! valid positions, under a Hann window. For a spectrum along a direction, the mean of every line is
+//! subtracted first. If the positions of a profile are uneven, its values are interpolated linearly at as
+//! many even ones.
 //!
 //! | symbol | variable | unit |
 //! |---|---|---|
@@ -44,22 +46,26 @@ pub use strehl::{Light, StrehlReport};
 
 use spectrum::Spectra;
 
-/// A base length that differs by more than this fraction from the one asked for is worth a note.
+/// Difference of the base length from the one asked for, relative, above which the report has a note.
+/// Larger: does not notice slopes over another base. Smaller: notes for usual maps.
 const NOTEWORTHY_BASE: f64 = 0.02;
 
-/// A fitted ellipse that leaves more than this multiple of the circle is worth a note. Closer than that the two differ by
-/// what is fitted: heights, or slopes.
+/// Ratio of the RMS after a fitted ellipse to that after the circle above which the report has a note.
+/// Larger: does not notice a wrong ellipse. Smaller: notes for differences that come from what is fitted,
+/// heights or slopes.
 const NOTEWORTHY_CIRCLE: f64 = 1.02;
 
-/// Marechal's formula is for small phase errors; above this one, rad RMS (a Strehl ratio of 0.37), there is a note.
+/// RMS phase error, rad, above which the report has a note, because Marechal's formula is for small phase
+/// errors. Larger: does not notice a meaningless Strehl ratio. Smaller: notes for usual mirrors. At this
+/// value the Strehl ratio is 0.37.
 const LARGEST_PHASE_RAD: f64 = 1.0;
 
-/// How a map or a profile is measured.
+/// Settings of the measurement of a map or a profile.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct QualitySettings {
-    /// The shape that is taken off before anything is measured.
+    /// The shape that is subtracted before anything is measured.
     pub after: Shape,
-    /// The ellipse, where one is known.
+    /// The ellipse, if one is known.
     pub ellipse: Option<EllipseSettings>,
     /// Base length of slopes, mm.
     pub base_mm: f64,
@@ -67,20 +73,20 @@ pub struct QualitySettings {
     pub band_per_mm: Vec<[f64; 2]>,
     /// Width of the strip about the middle of y whose mean is the centre line, mm; 0 for one row.
     pub centre_line_width_mm: f64,
-    /// Light for which the Strehl ratio is wanted.
+    /// Light for the Strehl ratio; `None` for no ratio.
     pub light: Option<Light>,
 }
 
-/// Everything that was measured.
+/// Result of the measurement.
 #[derive(Clone, Debug, Serialize)]
 pub struct Quality {
-    /// The shape that was taken off.
+    /// The shape that was subtracted.
     pub shape: ShapeReport,
     /// Height after that shape.
     pub height: HeightReport,
     /// Slopes along x after that shape.
     pub slope_x: SlopeReport,
-    /// Slopes along y after that shape; `null` of a profile, and where the base does not fit.
+    /// Slopes along y after that shape; `null` of a profile, and if the base does not fit.
     pub slope_y: Option<SlopeReport>,
     /// Heights and slopes after each shape that the points determine.
     pub after: Vec<AfterShape>,
@@ -88,15 +94,15 @@ pub struct Quality {
     pub bands: Vec<BandReport>,
     /// The line along x through the middle; `null` of a profile, which is one.
     pub centre_line: Option<LineReport>,
-    /// Autocorrelation length along x, mm; `null` where it is longer than the map.
+    /// Autocorrelation length along x, mm; `null` if it is longer than the map.
     pub autocorrelation_length_x_mm: Option<f64>,
-    /// Autocorrelation length along y, mm; `null` of a profile, and where it is longer than the map.
+    /// Autocorrelation length along y, mm; `null` of a profile, and if it is longer than the map.
     pub autocorrelation_length_y_mm: Option<f64>,
-    /// The Strehl ratio, where light was given.
+    /// The Strehl ratio, if light was given.
     pub strehl: Option<StrehlReport>,
     /// Remarks on the measurement, such as a base length other than the one asked for, in words.
     pub notes: Vec<String>,
-    /// What is stored beside these numbers.
+    /// Arrays that are stored beside these numbers.
     #[serde(skip)]
     pub arrays: QualityArrays,
 }
@@ -112,7 +118,7 @@ pub struct HeightReport {
     pub valid_count: usize,
 }
 
-/// What is left after a shape.
+/// Residual after a shape.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AfterShape {
     /// The shape, as it was fitted.
@@ -153,7 +159,7 @@ pub struct LineReport {
     pub slope_rms_nrad: Option<f64>,
 }
 
-/// What is stored beside the numbers; empty where there is none.
+/// Arrays that are stored beside the numbers; empty if there are none.
 #[derive(Clone, Debug, Default)]
 pub struct QualityArrays {
     /// Positions of the centre line, or of the profile (n), mm.
@@ -262,7 +268,8 @@ fn notes_on_slopes(
     notes
 }
 
-/// A remark on an ellipse that leaves more than a plane, as values of the opposite sign do, or than a circle.
+/// Remark on an ellipse that leaves more than a plane, which values of the opposite sign do, or more than a
+/// circle.
 fn note_on_ellipse(after: &[AfterShape]) -> Option<String> {
     let rms_nm =
         |shape: Shape| after.iter().find(|a| a.shape.shape == shape).map(|a| a.height_rms_nm);
@@ -291,7 +298,7 @@ fn note_on_ellipse(after: &[AfterShape]) -> Option<String> {
     })
 }
 
-/// What remains after each shape; shapes that the points do not determine are left out.
+/// Residuals after each shape; shapes that the points do not determine are left out.
 fn after_shapes(subject: &Subject, settings: &QualitySettings) -> Vec<AfterShape> {
     let mut shapes = vec![Shape::Plane, Shape::CylinderX];
     if matches!(subject, Subject::Map(_)) {

@@ -42,16 +42,19 @@ use curve::Curve;
 use fit::fitted;
 use sphere::Sphere;
 
-/// nm in a mm.
+/// Number of nm in a mm.
 const NM_PER_MM: f64 = 1e6;
 
-/// Most steps of a fit, accepted or not: an ellipse takes twenty, a bad guess with noise up to a hundred.
+/// Largest number of steps of a fit, accepted or not; the last one is used. Larger: more time on a fit that
+/// does not end. Smaller: a fit may stop before its minimum. Measured: an ellipse takes twenty steps, a bad
+/// guess with noise up to a hundred.
 const MAX_STEPS: usize = 400;
 
-/// A step whose effect is below this fraction of the fitted values ends a fit: it is rounding.
+/// Effect of a step, relative to the fitted values, below which a fit ends. Larger: the fit stops before
+/// its minimum. Smaller: rounding keeps it going.
 const LAST_STEP: f64 = 1e-13;
 
-/// The shape that is taken off.
+/// Shape that is fitted and subtracted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
@@ -71,7 +74,7 @@ pub enum Shape {
 }
 
 impl Shape {
-    /// As flags and files name it.
+    /// Name of the shape in flags and files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Piston => "piston",
@@ -89,9 +92,9 @@ impl Shape {
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum EllipseParameter {
-    /// Source to pole.
+    /// Distance from source to pole.
     P,
-    /// Pole to image.
+    /// Distance from pole to image.
     Q,
     /// Grazing angle.
     Theta,
@@ -100,22 +103,23 @@ pub enum EllipseParameter {
 /// The ellipse that a mirror is made for.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EllipseSettings {
-    /// As designed; the first guess of what is fitted.
+    /// Ellipse as designed: the first guess of the parameters that are fitted.
     pub design: Ellipse,
     /// The parameters that are fitted beside piston and tilt.
     pub free: Vec<EllipseParameter>,
-    /// Where the pole is, mm; `None` for the middle of the valid pixels.
+    /// Place of the pole, mm; `None` for the middle of the valid pixels.
     pub pole_mm: Option<f64>,
 }
 
-/// What a fit found.
+/// Result of a fit.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ShapeReport {
-    /// Which shape.
+    /// The fitted shape.
     pub shape: Shape,
     /// Slope of the shape at the middle along x and y, urad.
     pub tilt_urad: [f64; 2],
-    /// Radius of curvature, m; positive is concave; `null` of a plane, and of what is not curved.
+    /// Radius of curvature, m; positive is concave; `null` of a plane, and of other shapes without one
+    /// radius.
     pub radius_m: Option<f64>,
     /// The ellipse, with the parameters that were fitted.
     pub ellipse: Option<EllipseReport>,
@@ -124,17 +128,18 @@ pub struct ShapeReport {
 /// An ellipse as the field states it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EllipseReport {
-    /// Source to pole, mm; `null` for infinity, a parabola.
+    /// Distance from source to pole, mm; `null` for infinity, a parabola.
     pub p_mm: f64,
-    /// Pole to image, mm; `null` for infinity, a parabola.
+    /// Distance from pole to image, mm; `null` for infinity, a parabola.
     pub q_mm: f64,
     /// Grazing angle, mrad.
     pub theta_mrad: f64,
-    /// Where the pole is, mm.
+    /// Place of the pole, mm.
     pub pole_mm: f64,
     /// The parameters that were fitted.
     pub fitted: Vec<EllipseParameter>,
-    /// Standard errors of p, q and theta, relative, as if the residual were white; 0 where given, `null` where infinite.
+    /// Standard errors of p, q and theta, relative, under the assumption that the residual is white; 0 for
+    /// given parameters, `null` for infinite errors.
     pub standard_error: [f64; 3],
 }
 
@@ -446,7 +451,8 @@ mod tests {
         let flat = Array2::zeros((2, 21));
         let heights = Heights { x_mm: &x, y_mm: &y, height_nm: &flat };
         let all = design(90_000.0, 90_000.0, 3e-3, &ALL);
-        // What is flat over 0.2 mm is no worse an ellipse of any distances: the errors say so.
+        // Over 0.2 mm a flat surface fits ellipses of any distances equally well, and the standard errors
+        // must show it.
         let (_, report) = without_shape(&heights, Shape::Ellipse, Some(&all)).unwrap();
         assert!(report.ellipse.unwrap().standard_error.iter().all(|e| *e > 1.0));
     }

@@ -1,4 +1,5 @@
-//! A specification: limits on what [`crate::quality`] measures, in zones, and whether a mirror keeps them.
+//! A specification: limits on the quantities of [`crate::quality`], in zones, and the verdict whether a
+//! mirror keeps them.
 //!
 //! ```text
 //! PSD line (ISO 10110-8)     S(f) <= A / f^B     for every f of the spectrum with f_0 <= f <= f_1
@@ -44,7 +45,7 @@ use zone::Zones;
 pub struct Specification {
     /// Name of the specification.
     pub name: String,
-    /// Where the specification comes from and what it is for.
+    /// Origin and purpose of the specification.
     #[serde(default)]
     pub description: String,
     /// The ellipse of the limits after `ellipse`.
@@ -67,7 +68,7 @@ pub struct EllipseFile {
     pub q_mm: f64,
     /// Grazing angle at the pole, mrad.
     pub theta_mrad: f64,
-    /// Where the pole is, mm; absent for the middle.
+    /// Place of the pole, mm; absent for the middle of the valid pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pole_mm: Option<f64>,
     /// The parameters that are fitted beside piston and tilt.
@@ -76,7 +77,7 @@ pub struct EllipseFile {
 }
 
 impl Specification {
-    /// Checks what the JSON types do not: names, zones, and every number.
+    /// Checks names, zones and every number, which the JSON types do not check.
     pub fn check(&self) -> Result<(), Invalid> {
         if self.limits.is_empty() {
             return Err(Invalid::whole("limits", "are none", "give at least one"));
@@ -92,7 +93,7 @@ impl Specification {
         self.limits.iter().enumerate().try_for_each(|(i, limit)| self.check_limit(i, limit))
     }
 
-    /// Checks that what limit `i` names is there, and its own numbers.
+    /// Checks that the zone and the ellipse of limit `i` exist, and its own numbers.
     fn check_limit(&self, i: usize, limit: &Limit) -> Result<(), Invalid> {
         let refuse = |problem: String, remedy: &str| Err(Invalid::at("limits", i, problem, remedy));
         if let Some(name) = limit.zone().filter(|n| !self.zones.iter().any(|z| z.name == *n)) {
@@ -105,7 +106,7 @@ impl Specification {
         limit.check(i)
     }
 
-    /// The ellipse of the limits after `ellipse`, where the specification has one.
+    /// The ellipse of the limits after `ellipse`, if the specification has one.
     pub fn ellipse(&self) -> Result<Option<EllipseSettings>, Invalid> {
         self.ellipse.as_ref().map(EllipseFile::settings).transpose()
     }
@@ -123,7 +124,7 @@ impl Specification {
     /// largest       PV 2 s (2 ln N)^1/2, slope 2^1/2 s / base (2 ln 2N)^1/2: above what is expected of N values
     /// ```
     ///
-    /// The squares of an RMS subtract; a largest value and a density lose the part of the noise itself.
+    /// For an RMS the squares are subtracted; for a largest value and a density the values themselves.
     pub fn judge_beside_noise(
         &self,
         subject: &Subject,

@@ -1,13 +1,13 @@
-//! Numbers that describe a map: RMS, PV, and a PV that one bad pixel cannot decide.
+//! Numbers that describe a map: RMS, PV, and a robust PV that does not depend on one bad pixel.
 //!
 //! ```text
 //! RMS  = sqrt(mean (z - mean z)^2)        PV = max z - min z
 //! PVr  = PV(low-order fit) + 3 RMS(z - low-order fit)
 //! ```
 //!
-//! The fit of PVr has 36 terms: Zernike terms up to n = 7 where the map is a disc, Legendre terms
-//! with i + j <= 7 where it is a rectangle. The source defines PVr on discs with the first 36
-//! Zernike terms; the same number of Legendre terms on a rectangle is ours.
+//! The fit of PVr has 36 terms: Zernike terms up to n = 7 for a disc, Legendre terms with i + j <= 7 for a
+//! rectangle. The source defines PVr on discs with the first 36 Zernike terms. The same number of Legendre
+//! terms on a rectangle is a definition of Planish.
 //!
 //! Source: C. J. Evans, Opt. Eng. 48 (2009) 043605.
 
@@ -16,10 +16,12 @@ use serde::Serialize;
 
 use crate::low_order::{Circle, Family, LowOrderSettings, low_order};
 
-/// 36 terms.
+/// Highest order of the fit of PVr; it has 36 terms, as in the source. Another order gives another
+/// quantity.
 const PVR_ORDER: u32 = 7;
 
-/// A map that fills less of its bounding box is taken for a disc (pi / 4 = 0.785).
+/// Fraction of its bounding box that a map fills, below which it counts as a disc. Larger: rectangles with
+/// holes get Zernike terms. Smaller: discs get Legendre terms. Derived: a disc fills pi / 4 = 0.785.
 const RECTANGLE_FILLS: f64 = 0.9;
 
 /// Numbers that describe a map.
@@ -29,7 +31,7 @@ pub struct SurfaceStatistics {
     pub shape: (usize, usize),
     /// Number of valid pixels.
     pub valid_pixels: usize,
-    /// Their area, mm^2.
+    /// Area of the valid pixels, mm^2.
     pub valid_area_mm2: f64,
     /// Arithmetic mean, nm.
     pub mean_nm: f64,
@@ -39,9 +41,9 @@ pub struct SurfaceStatistics {
     pub rms_detilted_nm: f64,
     /// Largest minus smallest height, nm.
     pub pv_nm: f64,
-    /// The robust PV; absent where its terms cannot be fitted.
+    /// The robust PV; absent if its terms cannot be fitted.
     pub pvr: Option<RobustPv>,
-    /// Why it is absent.
+    /// Reason why the robust PV is absent.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pvr_note: Option<String>,
 }
@@ -55,17 +57,17 @@ pub struct RobustPv {
     pub fit_pv_nm: f64,
     /// RMS of the rest, nm.
     pub rest_rms_nm: f64,
-    /// What was fitted.
+    /// Family of the fitted terms.
     pub family: Family,
     /// Highest order of the fit.
     pub order: u32,
-    /// How it is defined.
+    /// Definition of PVr, in words.
     pub definition: &'static str,
 }
 
-/// Describes `surface`. `family` of the fit of PVr; `None` takes Zernike terms where the valid
-/// pixels fill less than 90 % of their bounding box, else Legendre terms. `circle` is the unit circle
-/// of Zernike terms, as in [`LowOrderSettings`].
+/// Describes `surface`. `family` is that of the fit of PVr; `None` takes Zernike terms if the valid pixels
+/// fill less than 90 % of their bounding box, else Legendre terms. `circle` is the unit circle of Zernike
+/// terms, as in [`LowOrderSettings`].
 pub fn surface_statistics(
     surface: &Surface,
     family: Option<Family>,

@@ -1,6 +1,6 @@
-//! Makes a measured tool influence function (TIF) ready for the solvers.
+//! Preparation of a measured tool influence function (TIF) for the solvers.
 //!
-//! In this order, each step only where it is asked for:
+//! The steps, in this order, each only if it is asked for:
 //!
 //! 1. border: the mean of the border samples is subtracted; negative noise stays, so the volume has no bias;
 //! 2. centre: the offsets are counted from the centroid or from the peak. The samples stay where
@@ -17,17 +17,17 @@
 //! taper      R'(p) = R(p) (1 + cos(pi t)) / 2,  t = (rho - 1 + F) / F in [0, 1]
 //! ```
 //!
-//! with K Keys' kernel along x and along y, and rho = hypot(x / X, y / Y), X and Y the borders on the side of
-//! the sample (x, y). To a finer pitch K interpolates; to a coarser one it is
-//! stretched, so that what the new lattice cannot hold is averaged, not aliased. Both are exact for
-//! quadratics: a smooth TIF is not widened. Rotation and pitch keep the volumetric removal rate (VRR)
-//! exactly: the samples are scaled by what the interpolation lost, and the report states it. Where it
+//! with K Keys' kernel along x and along y, and rho = hypot(x / X, y / Y), X and Y the borders on the side
+//! of the sample (x, y). To a finer pitch K interpolates. To a coarser pitch K is stretched, so that it
+//! averages, without aliasing, what the new lattice cannot represent. Both are exact for quadratics: a
+//! smooth TIF is not widened. Rotation and pitch keep the volumetric removal rate (VRR) exactly: the
+//! samples are scaled by the loss of the interpolation, and the report states it. Where the interpolation
 //! swings below zero beside a steep edge, it is clipped.
 //!
-//! None of this is needed by the solvers and the simulator: they take a TIF of any pitch, with an
-//! odd or even number of samples, centred or not, as it is: R(pixel - tool). A TIF whose centroid
-//! is off centre shifts the removal, which is right if the tool is mounted like that, and a mistake
-//! if the offset is one of the measurement.
+//! The solvers and the simulator need none of this: they take a TIF of any pitch, with an odd or even
+//! number of samples, centred or not, as it is: R(pixel - tool). A TIF whose centroid is off centre shifts
+//! the removal. That is right if the tool is mounted like that, and a mistake if the offset is one of the
+//! measurement.
 //!
 //! Source: R. Keys, IEEE Trans. Acoust. Speech Signal Process. 29 (1981) 1153, Eq. 15.
 //!
@@ -45,20 +45,22 @@ use planish_numerics::keys;
 use planish_types::{Axis, Grid, Invalid, Tif};
 use serde::Serialize;
 
-/// Largest number of samples along an axis.
+/// Largest number of samples along an axis of a new lattice; more are refused. Larger: more memory and time
+/// for a pitch that was mistyped. Smaller: refuses fine pitches.
 const MAX_SAMPLES: f64 = 5000.0;
 
-/// A TIF that ends higher than this, over its peak, prints its border onto the part.
+/// Rate on the border, relative to the peak, above which the report has a note, because the border would
+/// show on the part. Larger: does not notice a step at the border. Smaller: notes for usual noise.
 const NOTEWORTHY_BORDER: f64 = 0.01;
 
-/// What to do.
+/// Settings of the preparation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct TifSettings {
     /// Subtract the mean of the border samples; negative noise stays.
     pub subtract_border: bool,
-    /// What the offsets are counted from.
+    /// Point from which the offsets are counted.
     pub centre: Centre,
-    /// Counterclockwise about the centre, degrees.
+    /// Turn counterclockwise about the centre, degrees.
     pub rotate_deg: f64,
     /// Pitch of the new lattice, mm; `None` keeps the samples.
     pub pitch_mm: Option<f64>,
@@ -67,12 +69,12 @@ pub struct TifSettings {
     pub taper_fraction: Option<f64>,
 }
 
-/// What the offsets are counted from.
+/// Point from which the offsets are counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Centre {
-    /// As given.
+    /// The origin of the given TIF.
     #[default]
     Given,
     /// The centroid of the samples.
@@ -81,7 +83,7 @@ pub enum Centre {
     Peak,
 }
 
-/// What was done, in numbers.
+/// Numbers of the preparation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TifReport {
     /// The TIF as given.
@@ -90,11 +92,11 @@ pub struct TifReport {
     pub after: TifStatistics,
     /// Mean of the border samples that was subtracted, nm/s.
     pub subtracted_nm_per_s: f64,
-    /// Where [x, y] of the given TIF the new centre is, mm.
+    /// Place of the new centre in the given TIF [x, y], mm.
     pub centre_mm: [f64; 2],
     /// Factor - 1 by which the samples were scaled to keep the VRR in rotation and resampling.
     pub volume_correction: f64,
-    /// What one should know before using it.
+    /// Note for the user of the TIF; absent if there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub note: Option<String>,
 }
@@ -110,18 +112,17 @@ pub struct TifStatistics {
     pub x_mm: [f64; 2],
     /// Smallest and largest offset along y, mm.
     pub y_mm: [f64; 2],
-    /// Whether a sample stands at the centre; one does in the middle of an odd number.
+    /// True if a sample stands at the centre, as one does in the middle of an odd number.
     pub sample_at_centre: bool,
     /// Largest sample, nm/s.
     pub peak_nm_per_s: f64,
-    /// Where it is [x, y], mm.
+    /// Place of the largest sample [x, y], mm.
     pub peak_at_mm: [f64; 2],
     /// Centroid [x, y], mm.
     pub centroid_mm: [f64; 2],
     /// Volumetric removal rate, nm mm^2/s.
     pub vrr_nm_mm2_per_s: f64,
-    /// Full width at half of the peak along x and y through it, mm; absent where the samples end
-    /// before.
+    /// Full width at half of the peak along x and y through it, mm; absent if the samples end before.
     pub fwhm_mm: [Option<f64>; 2],
     /// Largest rate on the border over the peak.
     pub border_to_peak: f64,
@@ -267,8 +268,9 @@ fn border_mean(tif: &Tif) -> f64 {
 /// vertex    (u, v) = -[a c; c b]^-1 (g, h)
 /// ```
 ///
-/// Each coefficient is the central difference, exact for a quadratic. Without c, which is that of a spot whose axes are
-/// turned, each coordinate would be that of the largest rate on the line through the sample, not on the plane.
+/// Each coefficient is the central difference, exact for a quadratic. c belongs to a spot whose axes are
+/// turned. Without c, each coordinate would be that of the largest rate on the line through the sample, not
+/// on the plane.
 fn vertex_mm(tif: &Tif) -> [f64; 2] {
     let (r, c) = peak_place(tif);
     let (g, rate) = (tif.grid(), tif.rate_nm_per_s());
@@ -276,8 +278,8 @@ fn vertex_mm(tif: &Tif) -> [f64; 2] {
         let along = |axis: &Axis, k: usize, offset: f64| axis.at(k) + offset * axis.step_mm();
         [along(&g.x, c, offset[0]), along(&g.y, r, offset[1])]
     };
-    // Slope and bend along a line of which the largest sample is the middle; along a line that ends there nothing is
-    // known but that it is the largest.
+    // Slope and bend along a line whose middle is the largest sample. If the line ends at that sample,
+    // nothing is known but that it is the largest.
     let differences = |before: f64, after: f64| {
         let bend = before - 2.0 * rate[[r, c]] + after;
         (bend < 0.0).then_some((0.5 * (after - before), bend))
@@ -355,7 +357,7 @@ fn quarters_and_rest(degrees: f64) -> (usize, f64) {
     (quarters.rem_euclid(4.0) as usize, degrees - 90.0 * quarters)
 }
 
-/// By 90 degrees: R'(x, y) = R(y, -x), sample by sample.
+/// Turns a TIF by 90 degrees counterclockwise: R'(x, y) = R(y, -x), sample by sample.
 fn quarter_turn(tif: &Tif) -> Result<Tif, Invalid> {
     let g = tif.grid();
     let grid = Grid { x: Axis::new(-g.y.end_mm(), g.y.step_mm(), g.y.len())?, y: g.x };
@@ -385,7 +387,7 @@ fn lattice(low: f64, high: f64, step: f64) -> Result<Axis, Invalid> {
     Axis::new(first * step, step, (last - first) as usize + 1)
 }
 
-/// On multiples of `pitch_mm`, within the rectangle of the samples.
+/// Resamples a TIF on multiples of `pitch_mm`, within the rectangle of the samples.
 fn resampled(tif: &Tif, pitch_mm: f64) -> Result<Tif, Invalid> {
     let g = tif.grid();
     let new = |axis: &Axis| lattice(axis.start_mm(), axis.end_mm(), pitch_mm);
@@ -396,7 +398,7 @@ fn resampled(tif: &Tif, pitch_mm: f64) -> Result<Tif, Invalid> {
     Tif::new(grid, wy.dot(tif.rate_nm_per_s()).dot(&wx.t()).mapv(|v| v.max(least)))
 }
 
-/// What sample `i` of the old axis contributes to sample `k` of the new one, (new, old).
+/// Weights of samples `i` of the old axis in samples `k` of the new one, (new, old).
 fn weights(old: &Axis, new: &Axis) -> Array2<f64> {
     let n = old.len();
     let mut out = Array2::zeros((new.len(), n));
@@ -463,9 +465,9 @@ fn kernel(t: f64) -> f64 {
     }
 }
 
-/// R (1 + cos(pi t)) / 2 on quarters of ellipses about the centre that touch the borders. One ellipse about a centre
-/// that is not the middle of the samples would end at the nearest border, and cut off what lies as far on the other
-/// side.
+/// Tapered TIF R (1 + cos(pi t)) / 2, on quarters of ellipses about the centre that touch the borders. If
+/// the centre is not the middle of the samples, a single ellipse would end at the nearest border, and cut
+/// off samples at the same distance on the other side.
 fn tapered(tif: &Tif, fraction: f64) -> Result<Tif, Invalid> {
     let g = tif.grid();
     let inside = |axis: &Axis| axis.start_mm() < 0.0 && axis.end_mm() > 0.0;

@@ -26,20 +26,24 @@ use serde::Serialize;
 
 use crate::outliers::half_maximum_width_mm;
 
-/// Steps before the fit is given up.
+/// Largest number of steps; a fit that needs more is reported as not converged. Larger: more time on a TIF
+/// that the formula does not describe. Smaller: reports slow fits.
 const MAX_STEPS: usize = 200;
 
-/// Converged when a step changes no parameter by more than this fraction of its scale.
+/// Largest change of a parameter in a step, relative to the scale of the parameter, at which the fit has
+/// converged. Larger: the fit ends earlier, farther from its minimum. Smaller: rounding keeps it from
+/// ending.
 const TOLERANCE: f64 = 1e-10;
 
-/// Step of the central differences, in the scale of the parameter: the error of the derivative is
-/// its square, and rounding over it.
+/// Step of the central differences, relative to the scale of the parameter. Larger: a larger error of the
+/// derivative, which is the square of the step. Smaller: a larger error by rounding, which is divided by
+/// the step.
 const DIFFERENCE: f64 = 1e-5;
 
-/// Full width at half maximum of a Gaussian over its standard deviation, 2 sqrt(2 ln 2).
+/// Ratio of the full width at half maximum of a Gaussian to its standard deviation, 2 sqrt(2 ln 2).
 const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949_3;
 
-/// Which formula.
+/// Formula to fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
@@ -73,12 +77,12 @@ pub struct FitReport {
     pub vrr_ratio: f64,
     /// Steps taken.
     pub steps: usize,
-    /// Whether the last step was small.
+    /// True if the last step was below the tolerance.
     pub converged: bool,
 }
 
 impl FitReport {
-    /// Why the verdict is negative, where it is.
+    /// Returns the reason of a negative verdict, if the fit did not converge.
     pub fn negative(&self) -> Option<String> {
         (!self.converged).then(|| format!("the fit did not converge in {} steps", self.steps))
     }
@@ -147,7 +151,7 @@ pub fn fit(tif: &Tif, model: Model) -> Result<(Tif, FitReport), Invalid> {
                 damping = (damping * 0.1).max(1e-12);
                 break;
             }
-            // A step that rounding makes worse is small enough.
+            // A step that rounding makes worse means convergence if it is small.
             converged = small;
             damping *= 10.0;
             if converged || damping > 1e12 {
@@ -219,7 +223,7 @@ fn value(model: Model, p: &[f64], x: f64, y: f64) -> f64 {
     }
 }
 
-/// Whether the parameters make a spot.
+/// Returns true if the parameters describe a spot.
 fn is_sound(model: Model, p: &[f64]) -> bool {
     match model {
         Model::Gaussian => p[3] > 0.0 && p[3] * p[5] > p[4] * p[4],

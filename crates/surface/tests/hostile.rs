@@ -1,5 +1,5 @@
-//! Absurd numbers in every numeric flag, and maps that are hardly maps: the program ends in time with
-//! an exit code of the table and at most one message, never with an internal error, and writes nothing
+//! Absurd numbers in every numeric flag, and maps that are hardly maps. The program must end in time with
+//! an exit code of the table and at most one message, never with an internal error. It must write nothing
 //! that is not a number.
 
 use std::{
@@ -14,10 +14,11 @@ use ndarray::{Array1, Array2, ArrayD};
 use planish_testkit::program::{run_within, save};
 use serde_json::Value;
 
-/// A run on 12 x 9 pixels takes milliseconds; what takes this long has no end.
+/// Longest time for one run, s. Larger: the test finds an endless loop later. Smaller: it fails on a busy
+/// machine. Chosen: a run on 12 x 9 pixels takes milliseconds.
 const LIMIT: Duration = Duration::from_secs(20);
 
-/// In the place of `?`, each with a number that is usual there first: with that one it runs.
+/// Numbers in the place of `?` of a command, which runs with a usual number first.
 const NUMBERS: [&str; 14] = [
     "0",
     "-0",
@@ -67,9 +68,9 @@ fn run(dir: &Path, arguments: &[&str]) -> Output {
     run_within(command.current_dir(dir).args(arguments), LIMIT)
 }
 
-/// Null in the outcome because there is nothing to report: steps that were not asked for, the width of a TIF
-/// that does not fall to half of its peak; radii and ellipses of shapes that have none, slopes over a base that
-/// does not fit along y, and correlations that do not fall.
+/// Keys of the outcome that may be null, because there is nothing to report: steps that were not asked for,
+/// the width of a TIF that does not fall to half of its peak, radii and ellipses of shapes that have none,
+/// slopes over a base that does not fit along y, and correlations that do not fall.
 const ABSENT: [&str; 19] = [
     ".outcome.shape.radius_m",
     ".outcome.shape.ellipse",
@@ -92,7 +93,7 @@ const ABSENT: [&str; 19] = [
     ".outcome.fit",
 ];
 
-/// Where a JSON value is null: a number that JSON does not have becomes null.
+/// Collects the places where a JSON value is null, because a number that JSON does not have becomes null.
 fn nulls(value: &Value, at: String, found: &mut BTreeSet<String>) {
     match value {
         Value::Null => drop(found.insert(at)),
@@ -102,7 +103,8 @@ fn nulls(value: &Value, at: String, found: &mut BTreeSet<String>) {
     }
 }
 
-/// Runs into `out`; what is wrong with how it ended, and the nulls of its manifest.
+/// Runs a command into `out`. Returns what is wrong with its end, if anything, the nulls of its manifest,
+/// and whether it ran.
 fn judged(dir: &Path, arguments: &[&str], out: &str) -> (Option<String>, BTreeSet<String>, bool) {
     let _ = fs::remove_dir_all(dir.join(out));
     let _ = fs::remove_file(dir.join(out));

@@ -1,4 +1,4 @@
-//! What a mirror is bought by, against analytic oracles.
+//! Quantities and verdicts of specifications, against analytic oracles.
 
 use std::f64::consts::PI;
 

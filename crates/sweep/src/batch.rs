@@ -1,4 +1,4 @@
-//! Which plans a job runs, and what a job needs.
+//! Plans that a job runs, and the time and memory that it needs.
 //!
 //! Time and memory are those of the stages, estimated from the size of the map and the path:
 //!
@@ -9,9 +9,9 @@
 //! | w | width of the tool, mm |
 //! | N | pixels of the map |
 //!
-//! The path is A / p long. A plan of motion and times as one problem has nodes 0.6 w apart along it, n = A / (0.6 p w),
-//! of which m = (8 w)^2 / (0.6 p w) are within reach of each other, and takes some 30 factorisations with n m^2
-//! multiplications. The closed loop has A / (p s) dwell points for steps of s.
+//! The path has the length A / p. A plan of motion and times as one problem has n = A / (0.6 p w) nodes, 0.6 w apart
+//! along the path. Of these, m = (8 w)^2 / (0.6 p w) are within reach of each other. The plan takes about 30
+//! factorisations with n m^2 multiplications. The closed loop has A / (p s) dwell points for steps of s.
 
 use serde::{Deserialize, Serialize};
 
@@ -29,7 +29,7 @@ pub struct Size {
     pub tool_width_mm: f64,
 }
 
-/// What a job asks for.
+/// Resources that a job asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Resources {
     /// Longest time, minutes.
@@ -38,23 +38,29 @@ pub struct Resources {
     pub mem_mb: u64,
 }
 
-/// Seconds of a factorisation per multiplication, on one core.
+/// Time of a factorisation per multiplication on one core, s. Larger: longer limits of jobs. Smaller: jobs are ended
+/// before they are done.
 const S_PER_MULTIPLICATION: f64 = 1e-9;
 
-/// Seconds of a closed loop per dwell point, on one core.
+/// Time of a closed loop per dwell point on one core, s. Larger: longer limits of jobs. Smaller: jobs are ended
+/// before they are done.
 const S_PER_DWELL_POINT: f64 = 5e-3;
 
-/// Seconds of a plan whatever its size: programs that start, hashes, disks.
+/// Time of a plan of any size, s: programs that start, hashes, disks. Larger: longer limits of jobs. Smaller: jobs
+/// with small plans are ended before they are done.
 const S_AT_LEAST: f64 = 1.0;
 
-/// How much longer than estimated a job may take before it is ended: the estimate is rough, and what is killed has
-/// to be begun again.
+/// Factor on the estimated time after which a job is ended, dimensionless. The estimate is rough, and a job that is
+/// ended must begin again. Larger: jobs wait longer in the queue of a cluster. Smaller: jobs are ended before they
+/// are done.
 const TIME_MARGIN: f64 = 5.0;
 
-/// Bytes of a stage per pixel: some twenty maps of 8 bytes, and transforms of twice their size.
+/// Memory of a stage per pixel, bytes: about twenty maps of 8 bytes, and transforms of twice their size. Larger:
+/// fewer jobs fit on a machine. Smaller: jobs run out of memory.
 const BYTES_PER_PIXEL: f64 = 1000.0;
 
-/// Bytes of a stage whatever its size.
+/// Memory of a stage of any size, bytes. Larger: fewer jobs fit on a machine. Smaller: jobs with small maps run out
+/// of memory.
 const BYTES_AT_LEAST: f64 = 400.0 * 1048576.0;
 
 /// Estimated seconds of a plan on one core.
@@ -78,7 +84,7 @@ pub fn estimated_s(plan: &Plan, size: &Size) -> f64 {
     S_AT_LEAST + own_s
 }
 
-/// What a job with these plans asks for, where it runs `jobs` of them at once.
+/// Returns the resources of a job with these plans that runs `jobs` of them at once.
 pub fn resources(plans: &[&Plan], size: &Size, jobs: usize) -> Resources {
     let estimated = plans.iter().map(|plan| estimated_s(plan, size));
     let (sum_s, longest_s) =

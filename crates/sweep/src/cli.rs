@@ -18,15 +18,15 @@ pub enum Command {
     Expand(expand::Expand),
     /// Run the stages of one job: the mirror, the tool paths, or some of the plans
     ///
-    /// What is there already is not made again, so a job that was ended goes on where it was. A plan that fails is
-    /// a row with its message; a stage that was killed is tried once more, alone.
+    /// Existing results are not made again, so that a job that was ended continues where it stopped. A plan that
+    /// fails is a row with its message. A stage that was killed is tried once more, alone.
     Run(run::Run),
-    /// Print what a job asks for, as JSON: minutes and MiB, from the size of the map
+    /// Print the resources of a job as JSON: minutes and MiB, from the size of the map
     Resources(resources::Resources),
-    /// Propose plans between those of the front, as one more round of the sweep; exit code 1 when the front has
-    /// ceased to move
+    /// Propose plans between those of the front, as one more round of the sweep; exit code 1 if the front has stopped
+    /// moving
     Propose(propose::Propose),
-    /// Write what came of all plans to DIR/table.json, which planish-compare sweep reads
+    /// Write the results of all plans to DIR/table.json, which planish-compare sweep reads
     Table(table::Table),
     /// Print the command that makes a plan again
     Again(again::Again),

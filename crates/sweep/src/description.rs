@@ -1,4 +1,4 @@
-//! What the file of a sweep says.
+//! Contents of the file of a sweep.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +10,7 @@ use crate::{
 /// A sweep as its file describes it; paths are as they stand there.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Description {
-    /// What is to be finished.
+    /// Mirror: map and tool.
     pub mirror: Mirror,
     /// Flags of `planish-surface prepare`.
     pub prepare: String,
@@ -20,15 +20,15 @@ pub struct Description {
     pub machine: String,
     /// File of the process, where the plans are judged by its errors, too.
     pub process: Option<String>,
-    /// What a plan must keep to be recommended.
+    /// Constraints that a plan must keep to be recommended.
     pub constraints: Constraints,
-    /// Whether every plan gets a report of its own.
+    /// True if every plan gets its own report.
     pub reports: bool,
-    /// What is varied.
+    /// Settings that are varied.
     pub blocks: Vec<Block>,
 }
 
-/// Where the mirror comes from.
+/// Source of the mirror.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Mirror {
     /// The recipe of a fixture.
@@ -46,12 +46,12 @@ pub enum Mirror {
     },
 }
 
-/// What a plan must keep to be on the front.
+/// Constraints that a plan must keep to be on the front.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Constraints {
     /// Longest time of a run, s.
     pub max_time_s: Option<f64>,
-    /// Whether the limits of the machine must be kept.
+    /// True if the limits of the machine must be kept.
     pub keep_limits: bool,
 }
 
@@ -66,7 +66,7 @@ pub struct Block {
     pub settings: Vec<(String, Vec<Given>)>,
 }
 
-/// What the text of a file describes.
+/// Reads the text of a file.
 pub fn read(text: &str) -> Result<Description, Complaint> {
     let mut top = Table::of("the sweep", &parse(text)?)?;
     let line = top.line;
@@ -274,7 +274,7 @@ impl Table {
         self.entries
     }
 
-    /// Nothing may be left.
+    /// Refuses entries that are left over.
     fn finish(self) -> Result<(), Complaint> {
         let Some((key, _)) = self.entries.first() else { return Ok(()) };
         let known = self.known.join(", ");

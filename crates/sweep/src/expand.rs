@@ -8,7 +8,8 @@ use crate::{
     setting::{Given, SETTINGS},
 };
 
-/// Most plans of a sweep.
+/// Largest number of plans of a sweep; more are refused. Larger: a mistyped range fills a disk. Smaller: large sweeps
+/// must be divided.
 const MOST_PLANS: usize = 200_000;
 
 /// The plans of these blocks, each once, in the order of the file.

@@ -13,7 +13,7 @@ use planish_sweep::{
 };
 use serde::Serialize;
 
-/// Version of the layout of `sweep.json`.
+/// Version of the layout of `sweep.json`; a file with another version is refused.
 pub const VERSION: u32 = 1;
 
 /// The sweep that stands in this directory.
@@ -72,7 +72,7 @@ pub fn read_row(dir: &Path, id: &str) -> Result<Option<Row>, Failure> {
     }
 }
 
-/// Where the row of a plan stands.
+/// Path of the row of a plan.
 pub fn row_path(dir: &Path, id: &str) -> PathBuf {
     dir.join("plans").join(id).join("row.json")
 }

@@ -5,13 +5,13 @@ use std::fmt;
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 use serde_saphyr::Spanned;
 
-/// What is wrong in a file, and where.
+/// Mistake in a file, with its line.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}: {problem}")]
 pub struct Complaint {
     /// Line, counted from 1.
     pub line: u64,
-    /// What is wrong, and the remedy.
+    /// The mistake, and the remedy.
     pub problem: String,
 }
 
@@ -27,11 +27,11 @@ impl Complaint {
 pub struct Node {
     /// Line, counted from 1.
     pub line: u64,
-    /// What stands there.
+    /// Value of the node.
     pub value: Value,
 }
 
-/// What can stand in a file.
+/// Values that a file may have.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value {
     /// `1`, `0.8`, `1e-3`

@@ -1,7 +1,7 @@
 //! Plans, and the stages that make them.
 //!
-//! What is made has the hash of everything that it is made of in its name, so what several plans have in common is
-//! made once, and what is there is never out of date.
+//! The name of every result holds the hash of all its inputs. So results that several plans share are made once, and
+//! an existing result is never out of date.
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -32,9 +32,9 @@ pub struct Sweep {
     pub machine: String,
     /// File of the process.
     pub process: Option<String>,
-    /// Whether every plan gets a report of its own.
+    /// True if every plan gets its own report.
     pub reports: bool,
-    /// What a plan must keep to be on the front.
+    /// Constraints that a plan must keep to be on the front.
     pub constraints: Constraints,
     /// Settings of `just run` that all plans share.
     pub again: Vec<String>,
@@ -58,13 +58,13 @@ pub struct Round {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ground {
-    /// Of the desired removal.
+    /// Hash of the desired removal.
     pub surface: String,
-    /// Of the tools, by name; the mirror's own without one.
+    /// Hashes of the tools, by name; the mirror's own has an empty name.
     pub tools: Vec<(String, String)>,
-    /// Of the machine.
+    /// Hash of the machine.
     pub machine: String,
-    /// Of the process, where there is one.
+    /// Hash of the process, if there is one.
     pub process: Option<String>,
 }
 
@@ -74,7 +74,7 @@ pub struct Ground {
 pub struct Step {
     /// Name of the program.
     pub program: String,
-    /// Its arguments.
+    /// Arguments of the program.
     pub arguments: Vec<String>,
 }
 
@@ -82,11 +82,11 @@ pub struct Step {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
-    /// Its name, which ends with the hash of what it is made of.
+    /// Name of the plan, which ends with the hash of its inputs.
     pub id: String,
-    /// That of its tool path.
+    /// Name of its tool path.
     pub path_id: String,
-    /// That of its first dwell times, where the method begins with some.
+    /// Name of its first dwell times, if the method begins with some.
     pub dwell_id: Option<String>,
     /// Family of the path.
     pub path: String,
@@ -128,7 +128,7 @@ impl Plan {
         format!("plans/{}/methods/{}", self.id, self.method)
     }
 
-    /// Whether the tool goes over the path more than once.
+    /// Returns true if the tool goes over the path more than once.
     fn is_repeated(&self) -> bool {
         self.number("passes").is_some_and(|passes| passes > 1.0)
     }
@@ -154,13 +154,13 @@ const FLOORS: [&str; 2] = ["min_dwell_s", "min_dwell_s_per_mm"];
 /// Programs that make a mirror.
 const MIRROR_PROGRAMS: [&str; 3] = ["planish-fixture", "planish-import", "planish-surface"];
 
-/// Whether this is the name of something directly in a directory, which no shell takes apart.
+/// Returns true if `text` is the name of something directly in a directory that a shell keeps in one piece.
 fn is_name(text: &str) -> bool {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '+' | '.');
     !text.is_empty() && !text.starts_with(['.', '-']) && text.chars().all(is_plain)
 }
 
-/// Whether this is the path of something in the directory of the sweep.
+/// Returns true if `path` is the path of something in the directory of the sweep.
 fn is_inside(path: &str) -> bool {
     path.split('/').all(is_name)
 }
@@ -208,7 +208,7 @@ impl Sweep {
         }
     }
 
-    /// Where the size of the mirror stands when it is made.
+    /// Path of the size of the mirror, once it is made.
     pub fn mirror_file(&self) -> String {
         format!("done/mirror-{}.json", self.ground.surface)
     }
@@ -218,7 +218,7 @@ impl Sweep {
         self.rounds.iter().flat_map(|round| &round.plans)
     }
 
-    /// Where the tool of a plan stands.
+    /// Path of the tool of a plan.
     pub fn tif(&self, plan: &Plan) -> &str {
         let name = match plan.get("tool") {
             Some(Given::Word(name)) => name.as_str(),
@@ -408,7 +408,7 @@ pub fn plan(path: &str, method: &str, given: Vec<(String, Given)>, ground: &Grou
     Plan { id, path_id, dwell_id, path: path.into(), method: method.into(), settings }
 }
 
-/// What `just run` takes where nothing is given and a stage must be told.
+/// Adds the defaults of `just run` for settings that a stage needs and that are not given.
 fn with_defaults(path: &str, mut settings: Vec<(String, Given)>) -> Vec<(String, Given)> {
     let has = |settings: &[(String, Given)], key: &str| settings.iter().any(|(k, _)| k == key);
     if !has(&settings, "pitch_mm") {

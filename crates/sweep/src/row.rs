@@ -1,4 +1,4 @@
-//! What came of a plan: a row of the table.
+//! Result of a plan: a row of the table.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,23 +10,23 @@ use crate::description::Constraints;
 pub struct Row {
     /// The plan.
     pub id: String,
-    /// How it ended.
+    /// Status at the end.
     pub status: RowStatus,
-    /// What a stage said: why there are no numbers, or why a verdict is negative.
+    /// Message of a stage: the reason for which there are no numbers, or of a negative verdict.
     pub message: Option<String>,
     /// The numbers, where the plan was made.
     pub numbers: Option<Numbers>,
 }
 
-/// How a plan ended.
+/// Statuses of a plan at its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RowStatus {
-    /// Made.
+    /// The plan was made.
     Done,
     /// Made, and a stage gave a negative verdict: not converged, a limit exceeded.
     Negative,
-    /// Not made.
+    /// The plan was not made.
     Failed,
 }
 
@@ -42,7 +42,7 @@ pub struct Numbers {
     pub rms_detilted_nm: f64,
     /// RMS of the residual that 95 % of the runs are below, nm, where there is a process.
     pub below_95_percent_nm: Option<f64>,
-    /// Whether the limits of the machine are kept.
+    /// True if the limits of the machine are kept.
     pub limits_kept: bool,
 }
 

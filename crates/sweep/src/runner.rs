@@ -16,20 +16,20 @@ use std::{
 use planish_handoff::Failure;
 use planish_sweep::plan::Step;
 
-/// How a stage ended.
+/// Ends of a stage.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum End {
-    /// With 0.
+    /// Exit code 0.
     Done,
-    /// With 1, and this reason.
+    /// Exit code 1, with this reason.
     Negative(String),
-    /// With 2, and this message.
+    /// Exit code 2, with this message.
     Failed(String),
-    /// By a signal, or with another code that no stage has.
+    /// End by a signal, or with a code that no stage has.
     Killed(String),
 }
 
-/// Where the stages are, and where they run.
+/// Folder of the stages, and the directory in which they run.
 #[derive(Clone, Debug)]
 pub struct Stages {
     /// Folder of the programs: that of this one.
@@ -47,7 +47,7 @@ impl Stages {
         Ok(Self { programs, dir: dir.into() })
     }
 
-    /// When the newest of these programs was built.
+    /// Time at which the newest of these programs was built.
     pub fn newest(&self, programs: &[&str]) -> Option<SystemTime> {
         let built = |name: &&str| fs::metadata(self.programs.join(name)).ok()?.modified().ok();
         programs.iter().filter_map(built).max()

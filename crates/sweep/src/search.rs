@@ -14,7 +14,8 @@ use crate::{
     setting::{Given, SETTINGS},
 };
 
-/// How far the corner of the area lies beyond the front, so that its ends count.
+/// Position of the corner of the area over the largest value on the front, so that the ends of the front count.
+/// Larger: the ends of the front decide the area. Smaller: plans at the ends add nothing to it.
 const BEYOND: f64 = 1.1;
 
 /// A plan and what came of it.
@@ -38,7 +39,7 @@ pub fn proposals(made: &[Made<'_>], all: &[&Plan], ground: &Ground) -> Vec<Plan>
     proposed
 }
 
-/// By which part the area of the front has grown from the first `before` of the points to all of them.
+/// Relative growth of the area of the front from the first `before` of the points to all of them.
 pub fn moved(points: &[[f64; 2]], before: usize) -> f64 {
     let ends = |k: usize| {
         let of_front = front(points).into_iter().map(|i| points[i][k]);
@@ -70,12 +71,12 @@ fn mean(a: f64, b: f64) -> f64 {
     }
 }
 
-/// To 4 digits, which tell plans apart and can be read.
+/// Rounds to 4 digits, which are enough to tell plans apart.
 fn rounded(x: f64) -> f64 {
     format!("{x:.3e}").parse().expect("a formatted number is one")
 }
 
-/// Settings as a sentence: the names without what nobody varied.
+/// Settings as a sentence: the names without settings that the sweep does not vary.
 pub fn in_words(plan: &Plan) -> String {
     let known = |key: &str| SETTINGS.iter().any(|setting| setting.key == key);
     let settings = plan.settings.iter().filter(|(key, _)| known(key));

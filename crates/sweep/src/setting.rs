@@ -9,13 +9,13 @@ use crate::node::{Complaint, Node, Value};
 /// Families of tool paths.
 pub const PATHS: [&str; 4] = ["raster", "maze", "random-adaptive", "spiral"];
 
-/// What makes dwell times and motion of a path.
+/// Methods that make dwell times and motion of a path.
 pub const METHODS: [&str; 2] = ["feed", "pvt+refined"];
 
 /// A setting that can be varied.
 #[derive(Debug)]
 pub struct Setting {
-    /// Its name, which ends with its unit.
+    /// Name of the setting, which ends with its unit.
     pub key: &'static str,
     kind: Kind,
     /// Whose setting it is.
@@ -40,12 +40,12 @@ enum Kind {
     Tool,
 }
 
-/// Whose setting it is.
+/// Paths or methods that have a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Of {
-    /// That of these paths.
+    /// Setting of these paths.
     Paths(&'static [&'static str]),
-    /// That of these methods.
+    /// Setting of these methods.
     Methods(&'static [&'static str]),
 }
 
@@ -68,7 +68,7 @@ impl std::fmt::Display for Given {
     }
 }
 
-/// The largest whole number that a number of YAML keeps.
+/// Largest whole number that a number of YAML keeps exactly: 2^53. A larger one would be rounded.
 const LARGEST_WHOLE: f64 = 9_007_199_254_740_992.0;
 
 /// Every setting, in the order of a table.
@@ -129,7 +129,7 @@ impl Setting {
         format!("--{}={given}", self.key.replace('_', "-"))
     }
 
-    /// Whether a plan with this path and method has this setting.
+    /// Returns true if a plan with this path and method has this setting.
     pub fn concerns(&self, path: &str, method: &str) -> bool {
         match self.of {
             Of::Paths(paths) => paths.contains(&path),
@@ -137,7 +137,7 @@ impl Setting {
         }
     }
 
-    /// Whether the tool path depends on it.
+    /// Returns true if the tool path depends on the setting.
     pub fn is_of_paths(&self) -> bool {
         matches!(self.of, Of::Paths(_))
     }
@@ -225,7 +225,8 @@ fn stem(key: &str) -> &str {
     UNITS.iter().find_map(|unit| key.strip_suffix(unit)).unwrap_or(key)
 }
 
-/// Most values that a range may have.
+/// Largest number of values of a range; more are refused. Larger: a mistyped step makes too many plans. Smaller: fine
+/// ranges are refused.
 const MOST_OF_A_RANGE: f64 = 10_000.0;
 
 /// The numbers of `{from: A, to: B, step: S}` or `{from: A, to: B, count: N}`, the latter in equal ratios with
@@ -302,7 +303,7 @@ fn range(
     Ok((0..count as usize).map(move |i| rounded(at(i as f64))))
 }
 
-/// To 12 digits: 0.8 + 2 * 0.2 is meant to be 1.2.
+/// Rounds to 12 digits, so that 0.8 + 2 * 0.2 is 1.2.
 fn rounded(x: f64) -> f64 {
     format!("{x:.11e}").parse().expect("a formatted number is one")
 }

@@ -14,7 +14,7 @@ use planish_testkit::{
 };
 use serde_json::Value;
 
-/// A plan of the coupon takes a second.
+/// Longest time of a run of the test, s. A plan of the coupon takes a second.
 const LIMIT: Duration = Duration::from_secs(120);
 
 /// Three plans on two paths, and one that cannot be made: no tool path has a floor of the dwell-time density that the

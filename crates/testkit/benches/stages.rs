@@ -25,7 +25,7 @@ use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath, Trajectory};
 use planish_verify::{VerifySettings, verify};
 use rand::RngExt;
 
-/// That of the programs.
+/// Allocator of the programs.
 #[global_allocator]
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
@@ -70,7 +70,7 @@ fn dwell_bounded_least_squares() {
     black_box(bounded_least_squares::solve(&c.surface, &c.tif, &c.path, None, &solver()).unwrap());
 }
 
-/// A raster on the same mirror: 1, 4 and 16 x the points, the same least time for an area; above
+/// A raster on the same mirror with 1, 4 and 16 times the points and the same smallest time per area; above
 /// 6000 points by the two-level method.
 #[divan::bench(args = [1.0, 0.5, 0.25], sample_count = 1)]
 fn dwell_bounded_least_squares_by_pitch(bencher: Bencher, pitch_mm: f64) {
@@ -143,7 +143,7 @@ fn simulate_gridded() {
     black_box(simulate(&c.trajectory, &c.tif, &c.surface, Settings::Gridded).unwrap());
 }
 
-/// The plan of the TIF and the map is made before.
+/// Simulation alone: the plan of the TIF and the map is made before.
 #[divan::bench(sample_count = 20)]
 fn simulate_planned(bencher: Bencher) {
     let c = &*CASE;
@@ -166,8 +166,8 @@ fn simulate_resting(bencher: Bencher) {
     bencher.bench_local(|| black_box(plan.removal_nm(&trajectory).unwrap()));
 }
 
-/// A map of dwell times on `side` x `side` pixels, and the TIF of 107 x 107 px: one transform there and
-/// one back, which a removal without approximation takes at least.
+/// A map of dwell times on `side` x `side` pixels, convolved with the TIF of 107 x 107 px: one transform
+/// and its inverse. A removal without approximation takes at least this time.
 #[divan::bench(types = [f64, f32], args = [1641, 4096, 8192], sample_count = 3)]
 fn convolution<T: Lanes>(bencher: Bencher, side: usize) {
     let rate = CASE.tif.rate_nm_per_s();
@@ -218,6 +218,7 @@ fn long_path(segments: usize) -> (ToolPath, DwellTime) {
     (path, DwellTime::new(dwell).unwrap())
 }
 
+/// Numbers of segments of the paths.
 const LENGTHS: [usize; 3] = [2678, 62_500, 1_000_000];
 
 #[divan::bench(args = LENGTHS, consts = [false, true], sample_count = 3)]
@@ -228,8 +229,8 @@ fn schedule_pvt_long<const MONOTONE: bool>(bencher: Bencher, segments: usize) {
     bencher.bench_local(|| black_box(pvt::schedule(&path, &dwell, &ion_beam(), &how).unwrap()));
 }
 
-/// Lines at a distance of 0.5 mm with a point every 0.4 mm, to and fro, 0.04 to 0.06 s per point, but
-/// one point in twenty has 0.002 to 0.004 s: the limits stretch it and some of its neighbours.
+/// Lines at a distance of 0.5 mm with a point every 0.4 mm, to and fro, 0.04 to 0.06 s per point. One point
+/// in twenty has 0.002 to 0.004 s only: the limits stretch it and some of its neighbours.
 fn short_times(segments: usize) -> (ToolPath, DwellTime) {
     let per_line = segments.isqrt();
     let points = (0..=segments)
@@ -249,7 +250,7 @@ fn short_times(segments: usize) -> (ToolPath, DwellTime) {
     (path, DwellTime::new(dwell).unwrap())
 }
 
-/// The search for the shortest times in many places.
+/// PVT schedule that searches for the shortest times in many places.
 #[divan::bench(args = [3000, 50_000], sample_count = 3)]
 fn schedule_pvt_stretched(bencher: Bencher, segments: usize) {
     let (path, dwell) = short_times(segments);
@@ -299,8 +300,9 @@ fn schedule_trig_spline_of_the_source(bencher: Bencher) {
     bencher.bench_local(|| black_box(trig_spline::schedule(&path, &dwell, &limits, &how).unwrap()));
 }
 
-/// Positions of the real-time interpolator within one block: 10 000 of a usual one, and as many of the worst, whose
-/// densities are nine orders of magnitude apart so that Newton's method falls back to bisection.
+/// Positions of the real-time interpolator within one block: 10 000 of a usual block, and as many of the
+/// worst one. The densities of the worst block are nine orders of magnitude apart, so that Newton's method
+/// falls back to bisection.
 #[divan::bench(args = ["usual", "worst"], sample_count = 20)]
 fn interpolate_10000_ticks(bencher: Bencher, block: &str) {
     let density_s_per_mm = if block == "usual" { [0.03, 0.05] } else { [1e-9, 1.0] };
@@ -315,8 +317,8 @@ fn interpolate_10000_ticks(bencher: Bencher, block: &str) {
     });
 }
 
-/// The part of the trigonometric-spline paper on `side` x `side` pixels: 60 steps of Lucy-Richardson
-/// on the map: on the pixels of the small one, on squares of 4 x 4 of the large one.
+/// 60 steps of Lucy-Richardson on the map of the part of the trigonometric-spline paper, with `side` x
+/// `side` pixels: on the pixels of the small map, on squares of 4 x 4 of the large one.
 #[divan::bench(args = [411, 1641], sample_count = 2, sample_size = 1)]
 fn dwell_lucy_richardson_map(bencher: Bencher, side: usize) {
     let name = if side == 411 { "disk-100" } else { "disk-100-1641" };
@@ -383,8 +385,8 @@ fn maze_of_a_large_part(tree: &str) {
     black_box(maze(&part, &settings).unwrap());
 }
 
-/// What the memory of the machine gives: `a[i] = b[i] + 3 c[i]` over three arrays of 256 MiB, larger
-/// than any cache. 768 MiB are moved, 1024 MiB where a write first reads its line.
+/// Bandwidth of the memory of the machine: `a[i] = b[i] + 3 c[i]` over three arrays of 256 MiB, larger than
+/// any cache. The loop moves 768 MiB, or 1024 MiB if a write first reads its cache line.
 #[divan::bench(args = [1, 2], sample_count = 7, sample_size = 1)]
 fn memory_triad(bencher: Bencher, threads: usize) {
     const LENGTH: usize = 1 << 25;

@@ -1,6 +1,6 @@
-//! How deep and how sharp the valleys are that a removal makes: `valleys RUN_DIR` reads the surface and the
-//! removal of every method of a run, and prints per method, from the profile along x of what is left of a
-//! plane (the removal upside down), the mean over the middle half of the rows,
+//! Depth and sharpness of the valleys that a removal makes. `valleys RUN_DIR` reads the surface and the
+//! removal of every method of a run. It takes the profile along x that the removal leaves of a plane (the
+//! removal upside down, mean over the middle half of the rows), and prints per method
 //!
 //! * the depth of every valley (a local minimum of the desired profile 20 % of its PV below the crests
 //!   beside it) below the mean of those crests, desired and predicted, and the error;
@@ -11,7 +11,7 @@ use std::{env, fs, path::Path};
 use planish_handoff::artifact;
 use planish_types::{Removal, Surface};
 
-/// What a removal leaves of a plane, mean over the middle half of the rows, nm.
+/// Profile along x that a removal leaves of a plane, mean over the middle half of the rows, nm.
 fn profile(map: &ndarray::Array2<f64>) -> Vec<f64> {
     let ny = map.nrows();
     let rows = ny / 4..ny - ny / 4;

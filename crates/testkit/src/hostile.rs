@@ -1,7 +1,7 @@
-//! Drives a program with hostile flags and inputs: what the `hostile` tests of the stages share.
+//! Runs of a program with hostile flags and inputs, for the `hostile` tests of the stages.
 //!
-//! Whatever it is given, a program ends by itself with exit code 0, 1 or 2, without a panic, within a
-//! time limit; with exit code 2 it says why in one message and has written nothing; with 0 or 1 no
+//! A program must end by itself with exit code 0, 1 or 2, without a panic, within a time limit, whatever
+//! its inputs. With exit code 2 it states the reason in one message and has written nothing. With 0 or 1 no
 //! outcome holds `null`, which is what JSON makes of NaN and infinity.
 
 use std::{fs, path::Path, process::Command, time::Duration};
@@ -11,15 +11,15 @@ use planish_handoff::npy::ArrayData;
 
 use crate::program::{run_within, save, save_array, text};
 
-/// Far above what any of these small cases takes, on a machine that is busy, in a build that is not
-/// optimised; an endless loop is found all the same.
+/// Longest time for one run, s. Larger: the test finds an endless loop later. Smaller: it fails on a busy
+/// machine or in a build without optimisation. Chosen: far above the time of any of these small cases.
 const TIME_LIMIT: Duration = Duration::from_secs(120);
 
-/// Numbers that nobody means.
+/// Values for a flag that takes a number: valid and invalid ones that no user means.
 pub const FLOATS: [&str; 10] =
     ["0", "-1", "NaN", "inf", "-inf", "1e-300", "1e-9", "1e-3", "1e9", "1e300"];
 
-/// The same for counts.
+/// Values for a flag that takes a count: valid and invalid ones that no user means.
 pub const COUNTS: [&str; 5] = ["0", "1", "-1", "1000000000", "18446744073709551615"];
 
 /// Writes numbers as the array `name` of a directory without a manifest.
@@ -29,12 +29,12 @@ pub fn npy(dir: &Path, name: &str, shape: &[usize], values: &[f64]) {
     save(dir, name, array);
 }
 
-/// The same for integers.
+/// Writes integers as the array `name` of a directory without a manifest.
 pub fn integers(dir: &Path, name: &str, values: &[i64]) {
     save_array(dir, name, ArrayData::I64(Array1::from(values.to_vec()).into_dyn().into()));
 }
 
-/// A map of `name` (height_nm, rate_nm_per_s) on the axes.
+/// Writes a map of `name` (height_nm, rate_nm_per_s) on the axes.
 pub fn map(dir: &Path, name: &str, x: &[f64], y: &[f64], of: impl Fn(usize, usize) -> f64) {
     let all: Vec<f64> = (0..y.len())
         .flat_map(|r| (0..x.len()).map(move |c| (r, c)))
@@ -45,7 +45,7 @@ pub fn map(dir: &Path, name: &str, x: &[f64], y: &[f64], of: impl Fn(usize, usiz
     npy(dir, name, &[y.len(), x.len()], &all);
 }
 
-/// A path through points, the tool on; where y changes a pass begins.
+/// Writes a path through points, with the tool on; a pass begins where y changes.
 pub fn path(dir: &Path, points: &[[f64; 2]]) {
     let n = points.len() - 1;
     let middle = |w: &[[f64; 2]]| [0.5 * (w[0][0] + w[1][0]), 0.5 * (w[0][1] + w[1][1])];
@@ -70,9 +70,8 @@ fn raster(scale: f64) -> Vec<[f64; 2]> {
     (0..=12).flat_map(line).map(|p| p.map(|v| scale * f64::from(v))).collect()
 }
 
-/// Writes `surface` (10 x 8 mm), `tif` (4 mm), `tool_path`, `dwell` and `machine.json`, all of them
-/// sensible, and beside them what no measurement is; returns the names of the strange maps, TIFs and
-/// paths.
+/// Writes sensible inputs: `surface` (10 x 8 mm), `tif` (4 mm), `tool_path`, `dwell` and `machine.json`.
+/// Beside them it writes maps, TIFs and paths that no measurement gives, and returns their names.
 pub fn inputs(dir: &Path) -> [Vec<&'static str>; 3] {
     let (x, y) = (steps(0.0, 0.25, 41), steps(0.0, 0.25, 33));
     let z = |r: usize, c: usize| {
@@ -165,8 +164,8 @@ pub fn inputs(dir: &Path) -> [Vec<&'static str>; 3] {
     ]
 }
 
-/// Runs `binary` in `dir`; returns its exit code and what it said on standard error. Panics where it
-/// does not end as it should. `out` is what it would write.
+/// Runs `binary` in `dir`; returns its exit code and its standard error. Panics if the program does not end
+/// as the module states. `out` is the output that it would write.
 pub fn survives(binary: &str, dir: &Path, arguments: &[&str], out: &str) -> (i32, String) {
     let out = dir.join(out);
     let _ = fs::remove_dir_all(&out);

@@ -1,5 +1,5 @@
-//! What the tests of several crates share: a dev-dependency of the stages, whose library names none of them.
-//! The tests that see several crates are in `tests/`:
+//! Helpers of the tests of several crates. The stages have this crate as a dev-dependency; its library
+//! names none of them. The tests that see several crates are in `tests/`:
 //!
 //! * `architecture`: who may name whom, and what a library must not do.
 //! * `conventions`: every statement of `docs/conventions.md`.
@@ -30,7 +30,7 @@ pub fn workspace() -> PathBuf {
     crates.and_then(Path::parent).expect("this crate is in crates/").to_path_buf()
 }
 
-/// What a setting of a pipeline is where nobody gives it: of `pipelines/PIPELINE.just`, or of `stages.just`.
+/// Default of a setting of a pipeline, from `pipelines/PIPELINE.just` or from `stages.just`.
 pub fn pipeline_setting(pipeline: &str, name: &str) -> String {
     let value = |file: &&str| {
         let file = workspace().join("pipelines").join(format!("{file}.just"));
@@ -45,7 +45,8 @@ pub fn pipeline_setting(pipeline: &str, name: &str) -> String {
     }
 }
 
-/// Numbers in 0..1 from a seed, for a problem whose golden value belongs to it: Knuth's linear congruence.
+/// Numbers in 0..1 from a seed, by Knuth's linear congruence. A golden value of a test belongs to them, so
+/// they must never change.
 pub fn numbers(seed: u64) -> impl FnMut() -> f64 {
     let mut state = seed;
     move || {

@@ -1,4 +1,4 @@
-//! Random maps, and how far two of them are apart.
+//! Random maps, and the difference of two maps.
 
 use std::ops::Range;
 
@@ -6,10 +6,11 @@ use ndarray::Array2;
 use planish_types::{Axis, Grid, Surface};
 use proptest::{collection, prelude::*};
 
-/// Pixel of [`random_aperture`], mm.
+/// Pixel of [`random_aperture`], mm. Another value changes the extent of the maps in mm, and the waves per
+/// pixel.
 const PIXEL_MM: f64 = 0.5;
 
-/// Largest |a - b|; NaN where one of them is, which no bound holds for.
+/// Largest |a - b|; NaN if one of the values is NaN, so that no bound holds.
 pub fn largest_difference<'a>(
     a: impl IntoIterator<Item = &'a f64>,
     b: impl IntoIterator<Item = &'a f64>,
@@ -17,7 +18,7 @@ pub fn largest_difference<'a>(
     largest_magnitude(a.into_iter().zip(b).map(|(a, b)| a - b))
 }
 
-/// Largest magnitude; NaN where one value is. (`f64::max` would pass over it.)
+/// Largest magnitude; NaN if one value is. (`f64::max` would ignore it.)
 pub fn largest_magnitude(values: impl IntoIterator<Item = f64>) -> f64 {
     values
         .into_iter()

@@ -12,7 +12,7 @@ use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath};
 
 use crate::skipped::reference;
 
-/// The mirror, its TIF, and where the other files are.
+/// The mirror, its TIF, and the folder of the other files.
 pub struct Mirror {
     dir: PathBuf,
     /// Desired removal.
@@ -21,8 +21,8 @@ pub struct Mirror {
     pub tif: Tif,
 }
 
-/// The mirror; `None`, and the test counts as skipped, when `PLANISH_REFERENCE` does not name the folder
-/// that holds `nsls2-mirror/`. Panics where a file of it is missing or damaged.
+/// Reads the mirror. Returns `None`, and the test counts as skipped, if `PLANISH_REFERENCE` does not name
+/// the folder that holds `nsls2-mirror/`. Panics if a file of it is missing or damaged.
 pub fn mirror() -> Option<Mirror> {
     let dir = reference()?.join("nsls2-mirror");
     let desired = Surface::new(grid(&dir, ""), map(&dir, "height_nm")).unwrap();

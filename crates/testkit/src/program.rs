@@ -1,4 +1,4 @@
-//! What the tests of a program share: its inputs on disk, its run, what it said.
+//! Helpers of the tests of a program: its inputs on disk, its run, its output.
 
 use std::{
     ffi::OsString,
@@ -56,14 +56,14 @@ pub fn save_array(dir: &Path, name: &str, array: ArrayData) {
     fs::write(dir.join(format!("{name}.npy")), array.to_npy()).unwrap();
 }
 
-/// What a program said.
+/// Text that a program printed.
 pub fn text(bytes: &[u8]) -> String {
     String::from_utf8(bytes.to_vec()).expect("a program speaks UTF-8")
 }
 
-/// Runs to the end; panics, and ends the program, where this takes longer than `limit`.
+/// Runs a command to its end. If this takes longer than `limit`, ends the program and panics.
 ///
-/// What it says goes to files: a pipe that nobody reads stops the program when it is full.
+/// The output goes to files: a pipe that nobody reads stops the program when it is full.
 pub fn run_within(command: &mut Command, limit: Duration) -> Output {
     let mut said = [tempfile::tempfile().unwrap(), tempfile::tempfile().unwrap()];
     let [stdout, stderr] = said.each_ref().map(|file| Stdio::from(file.try_clone().unwrap()));

@@ -1,8 +1,8 @@
-//! Tests that need what not every machine has: each that is skipped says so, and is counted.
+//! Tests that need data or programs that not every machine has: each skipped test is named and counted.
 //!
-//! The test harness keeps what a passing test prints to itself, so the line goes to standard error past it;
-//! and where the environment variable `PLANISH_SKIPPED` names a file the name of the test is appended there,
-//! for `just test` to count.
+//! The test harness hides the output of a passing test, so the line goes to standard error past it. If the
+//! environment variable `PLANISH_SKIPPED` names a file, the name of the test is appended there, for `just
+//! test` to count.
 
 use std::{
     env,
@@ -12,8 +12,8 @@ use std::{
     thread,
 };
 
-/// The folder of the data that are not in the repository, named by `PLANISH_REFERENCE`; `None`, and the
-/// test that asks counts as skipped, where it is not set.
+/// Folder of the data that are not in the repository, from `PLANISH_REFERENCE`. Returns `None`, and the
+/// test counts as skipped, if the variable is not set.
 pub fn reference() -> Option<PathBuf> {
     let folder = env::var_os("PLANISH_REFERENCE").map(PathBuf::from);
     if folder.is_none() {
@@ -22,7 +22,7 @@ pub fn reference() -> Option<PathBuf> {
     folder
 }
 
-/// Says and counts that the test of this thread is skipped, and why.
+/// Names and counts the test of this thread as skipped, with the reason.
 pub fn skip(reason: &str) {
     let package = env::var("CARGO_PKG_NAME").unwrap_or_default();
     let line = format!("{package}: {}", thread::current().name().unwrap_or("a test"));

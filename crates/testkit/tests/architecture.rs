@@ -1,5 +1,5 @@
-//! The rules of the house, from `cargo metadata` and from the sources: who may name whom, what a
-//! stage library must not do, and what every crate has.
+//! Rules of the workspace, checked on `cargo metadata` and on the sources: names between crates, forbidden
+//! calls in stage libraries, and files that every crate has.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -13,7 +13,8 @@ use planish_testkit::workspace;
 /// A folder under `crates/`, and the folders that it may name.
 type Room = (&'static str, &'static [&'static str]);
 
-/// Layers 0 to 2, the stages that see others, what runs several stages, and the tests that see all.
+/// Crates of layers 0 to 2, the stages that see others, crates that run several stages, and the tests that
+/// see all.
 const ROOMS: [Room; 12] = [
     ("numerics", &[]),
     ("types", &["numerics"]),
@@ -86,14 +87,14 @@ const ALL: [&str; 23] = [
     "register",
 ];
 
-/// What the library of `testkit` may name: the tests of every stage use it.
+/// Crates that the library of `testkit` may name, because the tests of every stage use it.
 const TESTKIT_MAY_NAME: [&str; 2] = ["types", "handoff"];
 
-/// Judges see nothing of what they judge, however many crates lie between.
+/// Pairs (judge, judged): a judge must not depend on what it judges, also not through other crates.
 const NEVER: [(&str, &str); 4] =
     [("simulate", "dwell"), ("simulate", "schedule"), ("verify", "dwell"), ("verify", "schedule")];
 
-/// What a library of the layers 0, 1 and 3 must not contain: files, the shell, printing, the clock,
+/// Words that a library of the layers 0, 1 and 3 must not contain: files, the shell, printing, the clock,
 /// the environment.
 const IMPURE: [&str; 14] = [
     "planish_handoff",
@@ -112,18 +113,19 @@ const IMPURE: [&str; 14] = [
     "SystemTime",
 ];
 
-/// Flags in the sources of libraries that are no settings of theirs: a comment in a program for a
+/// Flags in the sources of libraries that are no settings of the library: a comment in a program for a
 /// controller, whose reader has the command line before him.
 const FLAGS_FOR_OPERATORS: [(&str, &str); 1] = [("pmac.rs", "--tool-output")];
 
-/// Split so that this file does not contain them.
+/// Marks of unfinished code; they are split so that this file does not contain them.
 const UNFINISHED: [&str; 3] =
     [concat!("unimplemented", "!"), concat!("to", "do!"), concat!("#[ig", "nore")];
 
+/// Names of modules that say nothing about their contents.
 const DRAWERS: [&str; 5] = ["utils", "util", "common", "core", "misc"];
 
 // ---------------------------------------------------------------------------------------------
-// Checkers: from facts to complaints, so that they can be shown to complain
+// Checkers: functions from facts to complaints, so that tests can show that they complain
 
 /// Arrows (from, to) between folders that the layers forbid.
 fn forbidden_arrows(arrows: &[(String, String)]) -> Vec<String> {
@@ -147,8 +149,8 @@ fn forbidden_arrows(arrows: &[(String, String)]) -> Vec<String> {
     complaints
 }
 
-/// Names of `testkit` outside of tests, and what its library must not name. Each dependency is (from, to,
-/// only for tests).
+/// Complaints about names of `testkit` outside of tests, and about names in its library. Each dependency is
+/// (from, to, only for tests).
 fn misuse_of_testkit(dependencies: &[(String, String, bool)]) -> Vec<String> {
     let mut complaints = Vec::new();
     for (from, to, _) in dependencies.iter().filter(|(.., for_tests)| !for_tests) {
@@ -184,10 +186,10 @@ fn closure(arrows: &[(String, String)]) -> BTreeSet<(String, String)> {
     }
 }
 
-/// All that a library may say of its command line: the names that a setting has there.
+/// The only attribute for the command line that a library may have: names of the values of a setting.
 const NAMES_OF_VALUES: &str = "#[cfg_attr(feature = \"cli\", derive(clap::ValueEnum))]";
 
-/// Which of `words` the code contains, comments and unit tests left out.
+/// Words of `words` that the code contains, without comments and unit tests.
 fn mentions(source: &str, words: &[&'static str]) -> Vec<&'static str> {
     let tests = source.find("#[cfg(test)]\nmod tests").unwrap_or(source.len());
     let code: Vec<&str> = source[..tests].lines().map(without_comment).collect();
@@ -195,8 +197,8 @@ fn mentions(source: &str, words: &[&'static str]) -> Vec<&'static str> {
     words.iter().copied().filter(|word| contains_word(&code, word)).collect()
 }
 
-/// The flags that the code names, comments and unit tests left out; not those of a command that it
-/// tells to run, whose program stands before them in the line.
+/// Flags that the code names, without comments and unit tests. Flags of a command that the code tells to
+/// run do not count; the program of such a command stands before them in the line.
 fn flags(source: &str) -> Vec<&str> {
     let tests = source.find("#[cfg(test)]\nmod tests").unwrap_or(source.len());
     let mut flags = Vec::new();
@@ -218,7 +220,7 @@ fn without_comment(line: &str) -> &str {
     line.split("//").next().unwrap_or_default()
 }
 
-/// Whether `word` occurs in `code`, not as the end or the beginning of a longer name.
+/// Returns true if `word` occurs in `code`, not as the end or the beginning of a longer name.
 fn contains_word(code: &str, word: &str) -> bool {
     let part_of_name = |c: char| c.is_alphanumeric() || c == '_';
     let open_end = !word.ends_with(part_of_name);
@@ -245,7 +247,7 @@ fn named_modules(own: &str, source: &str, all: &BTreeSet<String>) -> BTreeSet<St
     let code = code.join("\n");
     let mut paths = Vec::new();
     for statement in code.split_inclusive(';') {
-        // What a module passes on it does not use.
+        // A name that a module only re-exports is no use of it.
         if statement.trim_start().starts_with("pub use ") {
             continue;
         }

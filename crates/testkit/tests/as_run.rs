@@ -63,8 +63,9 @@ fn apart_nm(dir: &Path, one: &str, other: &str) -> f64 {
     (removal(one) - removal(other)).std(0.0)
 }
 
-/// 1 kHz and 1 um of noise, and 20 Hz without, of the run of `dwell` along `path`; the RMS difference of
-/// the removal of the former and of the latter with cubic and with straight pieces, nm.
+/// Makes logs of the run of `dwell` along `path`: at 1 kHz with 1 um of noise, and at 20 Hz without noise.
+/// Returns the RMS difference of the removal, nm, for the first log, and for the second log with cubic and
+/// with straight pieces.
 fn as_run(desired: &Surface, tif: &Tif, path: &ToolPath, dwell: &DwellTime) -> [f64; 3] {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();

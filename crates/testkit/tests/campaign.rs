@@ -1,5 +1,5 @@
-//! What was learnt from one run pays in the next: through the programs, on the fixture coupon, as `just campaign` strings
-//! them together, with few lines for a plan.
+//! A campaign of two runs on the fixture coupon, through the programs, as `just campaign` runs them, with
+//! plans of few lines: parameters that are learnt from the first run improve the second.
 
 use std::{fs, path::Path, process::Command};
 
@@ -93,7 +93,7 @@ fn the_second_run_leaves_with_learning_what_a_known_tool_leaves() {
     let place_alone = machine_runs(dir, "map-2", "placed", "--run 2", "place");
     assert!(tool_alone > 1.1 * known && place_alone > 1.1 * known, "{tool_alone} {place_alone}");
 
-    // The first mirror again: whether another run is worth it, and what it leaves.
+    // The first mirror again: the decision on another run, and its residual.
     plan(dir, "blind-measured", "tif", "second");
     let mirror = "--surface second-map --trajectory second/trajectory";
     run(dir, &format!("tolerance {mirror} --tif tif --process process.json --out tolerance"));
@@ -110,6 +110,6 @@ fn the_second_run_leaves_with_learning_what_a_known_tool_leaves() {
     let [low, high] =
         [0, 1].map(|k| decision["next"]["interval_95_percent_nm"][k].as_f64().unwrap());
     assert!((0.95 * low..1.05 * high).contains(&left), "{left} {decision}");
-    // Of noise that is believed to be all that is there nothing is gained.
+    // If everything were believed to be noise, the gain would be 0.
     assert!(number("gain_median_nm") > 0.1 && left < 0.6 * blind, "{decision} {left}");
 }

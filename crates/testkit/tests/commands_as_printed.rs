@@ -21,7 +21,7 @@ use std::{
 use planish_testkit::workspace;
 use serde_json::Value;
 
-/// What is not run here, and why.
+/// Commands that are not run here, with the reason.
 const EXCEPTIONS: [(&str, &str); 13] = [
     ("just run bspline", "two minutes; it ends with 1, its gap is not proven after 200 steps"),
     ("just sweep sweeps/small.yaml refine_front=yes", "a minute"),
@@ -45,11 +45,12 @@ const EXCEPTIONS: [(&str, &str); 13] = [
     ("PLANISH_REFERENCE=DIR just paths-table", "needs the reference mirror"),
 ];
 
-/// How much smaller the executed residual of docs/replace_a_stage.py must be than the surface error: it
-/// is 35 times smaller on this mirror, whose error is all within reach of the tool but a pit.
+/// Smallest ratio of the surface error to the executed residual of docs/replace_a_stage.py. Larger: the
+/// test may fail after a small change. Smaller: a worse example passes. Measured: 35 on this mirror, whose
+/// error is within reach of the tool but for a pit.
 const EXAMPLE_IMPROVES: f64 = 20.0;
 
-/// What the python block of README.md has in its variables.
+/// Definitions of the variables that the python block of README.md uses.
 const ARRAYS: &str = "
 import os
 import numpy as np
@@ -63,11 +64,12 @@ os.makedirs('mirror'), os.makedirs('tool')
 /// the same bytes on any number of threads, but another processor may round another way.
 const LAST_DIGITS: f64 = 2.0;
 
-/// Begins the line above a block that a command prints; `, but for the last N numbers` leaves out times and memory.
+/// Beginning of the line above a block that a command prints.
 const PRINTED_BY: &str = "<!-- printed by: ";
+/// Beginning of the part of that line that excludes the last N numbers, for times and memory.
 const BUT_FOR: &str = ", but for the last ";
 
-/// A code block: its mark, its text, and what prints it.
+/// A code block: its mark, its text, and the command that prints it.
 #[derive(Debug, Default, PartialEq)]
 struct Block {
     mark: String,
@@ -75,7 +77,8 @@ struct Block {
     printed: Option<Printed>,
 }
 
-/// The command that prints a block, and how many numbers at the end of every line differ from run to run.
+/// The command that prints a block, and the count of numbers at the end of every line that differ from run
+/// to run.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Printed {
     by: String,
@@ -161,7 +164,7 @@ fn commands(text: &str) -> Vec<String> {
     lines.filter(|line| !line.trim().is_empty() && !line.starts_with('#')).collect()
 }
 
-/// Why a command is not run here.
+/// Reason why a command is not run here, if there is one.
 fn exception(command: &str) -> Option<&'static str> {
     let found = EXCEPTIONS.iter().find(|(excepted, _)| bare(command) == *excepted);
     found.map(|(_, reason)| *reason)

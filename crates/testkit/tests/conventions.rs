@@ -61,8 +61,8 @@ fn the_page_and_the_tests_say_the_same() {
 // ---------------------------------------------------------------------------------------------
 // Words and lines
 
-/// Words that the field does not use for what they were used for, where they are kept out (the
-/// beginning of a path), and what says it.
+/// Retired words: the word, the beginning of the paths in which it is forbidden, and the word of the field
+/// to write instead.
 const RETIRED: [(&str, &str, &str); 13] = [
     ("stand-in", "", "surrogate"),
     ("stand_in", "", "surrogate"),
@@ -79,13 +79,14 @@ const RETIRED: [(&str, &str, &str); 13] = [
     ("seed formulation", "", "PVT as published"),
 ];
 
-/// A constant with one of these names says nothing about what it decides.
+/// Names of constants that say nothing about what the constant decides.
 const EMPTY_NAMES: [&str; 14] = [
     "SETS", "SOME", "MOST", "ENOUGH", "CLEARLY", "TOGETHER", "LARGE", "LARGEST", "SMALL", "FEW",
     "MANY", "NEAR", "WEAK", "TINY",
 ];
 
-/// Longest line of a page, but for tables, fenced blocks, headings and addresses.
+/// Largest number of characters of a line of a page, except tables, fenced blocks, headings and addresses.
+/// Larger: lines are hard to read and to compare. Smaller: more breaks.
 const LINE: usize = 120;
 
 /// The texts of the project with their paths from its folder: sources, scripts and pages.
@@ -122,7 +123,7 @@ fn texts() -> Vec<(String, String)> {
     texts
 }
 
-/// Whether `line` holds `word`, and no letter or digit next to it.
+/// Returns true if `line` holds `word` without a letter or a digit next to it.
 fn holds(line: &str, word: &str) -> bool {
     let line = line.to_lowercase();
     let touches = |c: Option<char>| c.is_some_and(|c| c.is_alphanumeric() || c == '_');

@@ -13,7 +13,7 @@ use planish_testkit::{program::binaries, workspace};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// Name of the run's directory for a scheduler, and how it is called.
+/// Name of the directory of a run, and the arguments of `planish-schedule` for it.
 const METHODS: [(&str, &str); 4] = [
     ("position", "position"),
     ("constant-acceleration", "constant-acceleration"),
@@ -73,7 +73,7 @@ impl Line {
         said
     }
 
-    /// From the map to the dwell times.
+    /// Runs the stages from the map to the dwell times; returns what they say.
     fn plan(&self, map: &str, tif: &str, run: &str) -> Vec<String> {
         [
             format!("surface prepare --surface {map} --out {run}/surface"),
@@ -90,10 +90,10 @@ impl Line {
         .to_vec()
     }
 
-    /// From the dwell times to the verdict.
+    /// Runs the stages from the dwell times to the verdict; returns what they say.
     fn method(&self, name: &str, scheduler: &str, tif: &str, run: &str) -> Vec<String> {
         let dir = format!("{run}/methods/{name}");
-        // Position mode jumps; its schedule and the judge say so.
+        // Position mode jumps, so the schedule and the judge end with exit code 1.
         let verdict = i32::from(scheduler == "position");
         [
             (
@@ -421,8 +421,8 @@ fn the_closed_loop_gains_and_its_trade_off_is_ordered() {
         assert!(rows[3][1] > 64.0, "{said}");
     }
     assert!(said.contains("volume / VRR: 64.0 s"), "{said}");
-    // What both minimise, by the numbers shown: motion and times as one problem is never above by more than
-    // what they are rounded to, and the gap at which it ends, 1e-3.
+    // The merit that both minimise, from the printed numbers. Motion and times as one problem is never
+    // above the closed loop by more than the rounding of these numbers, and the gap at which it ends, 1e-3.
     for (a, b) in closed_loop.iter().zip(&feed) {
         let merit = |row: &Vec<f64>| 0.5 * row[2] * row[2] + row[0] * row[1];
         assert_eq!(a[0], b[0], "{said}");

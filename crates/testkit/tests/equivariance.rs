@@ -1,5 +1,6 @@
-//! What is shifted or mirrored comes out shifted or mirrored: a fixture mirror through path, dwell times,
-//! schedule and simulation. A sign, an axis or an offset that one stage has and another one lacks shows here.
+//! A part that is shifted or mirrored must give a plan that is shifted or mirrored: a fixture mirror goes
+//! through path, dwell times, schedule and simulation. The test finds a sign, an axis or an offset that one
+//! stage has and another one lacks.
 
 use std::fs;
 
@@ -99,11 +100,13 @@ fn path(surface: &Surface) -> ToolPath {
     raster(surface, &settings).unwrap()
 }
 
-/// Natural residual at which the dwell solver stops, s: far below what anybody needs.
+/// Natural residual at which the dwell solver stops, s. Larger: two solutions differ more. Smaller: more
+/// steps, down to rounding. Chosen: far below any need of a plan.
 const NATURAL_RESIDUAL_S: f64 = 1e-11;
 
-/// Two solutions of the same problem. Each is within its natural residual, times the condition of the
-/// problem as the solver scales it, of the minimum: room for a hundred.
+/// Largest difference of two solutions of the same problem, s. Each solution is within its natural residual
+/// of the minimum, times the condition of the problem as the solver scales it; the factor 100 allows for
+/// the condition. Larger: the test misses small errors. Smaller: it fails by rounding.
 const DWELL_TOLERANCE_S: f64 = 100.0 * NATURAL_RESIDUAL_S;
 
 fn dwell(surface: &Surface, tif: &Tif, path: &ToolPath) -> DwellTime {
@@ -118,10 +121,10 @@ fn dwell(surface: &Surface, tif: &Tif, path: &ToolPath) -> DwellTime {
 
 type Scheduler = fn(&ToolPath, &DwellTime) -> Trajectory;
 
-/// Each scheduler, and how accurate its motion is, relative to the removal: what it may make of a rounding of
-/// coordinates and times.
+/// Schedulers, each with the largest relative difference of the removal: the effect of a rounding of
+/// coordinates and times on its motion.
 const SCHEDULERS: [(&str, Scheduler, f64); 5] = [
-    // It computes nothing: the rounding of an FFT.
+    // The scheduler computes nothing: rounding of an FFT.
     ("position", |path, dwell| position::schedule(path, dwell).unwrap(), 1e-13),
     // Velocities to the margin that it leaves below the limits for the tolerance of its program.
     (

@@ -1,4 +1,4 @@
-//! What the sources of the methods mean, on small cases; `just reproduce` has them in full.
+//! Claims of the sources of the methods, on small cases; `just reproduce` computes them in full.
 
 use planish_dwell::{
     bcls, bounded_least_squares::Bound, columns::Columns, lucy_richardson, problem::Problem,

@@ -1,5 +1,5 @@
-//! `just run` and its relatives as a user calls them. `just test-pipelines` runs this file: it needs
-//! `just` and the release build. Where `just` is not installed it says so and checks nothing.
+//! `just run` and related commands as a user calls them. `just test-pipelines` runs this file: it needs
+//! `just` and the release build. If `just` is not installed, the tests count as skipped.
 #![cfg(unix)]
 
 use std::{
@@ -17,14 +17,14 @@ use planish_testkit::{hostile, skipped::skip, workspace};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-/// Whole runs that begin at once on one directory: few, because each takes seconds;
-/// `crates/run/tests/cli.rs` has many races of short commands.
+/// Number of races of two whole runs on one directory. Larger: more time; each run takes seconds. Smaller:
+/// fewer chances to find a race. `crates/run/tests/cli.rs` has many races of short commands.
 const RACES: usize = 3;
 
-/// The smallest run: no closed loop, no pictures in time.
+/// Settings of the smallest run: the coupon, no closed loop, no pictures of frames.
 const QUICK_RUN: [&str; 3] = ["fixture=coupon", "refine=no", "frames=0"];
 
-/// Whether `just` is there; says so when it is not.
+/// Returns true if `just` is installed; otherwise counts the test as skipped.
 fn just_is_installed() -> bool {
     let there = Command::new("just").arg("--version").output().is_ok();
     if !there {
@@ -205,7 +205,7 @@ fn flags_in_a_setting_are_taken_apart_as_by_a_shell() {
     );
     let path = manifest(&dir.path().join("o/tool_path"));
     assert!(path["command"].as_str().unwrap().contains("--line-order bi-step "), "{path}");
-    // What a shell would evaluate is a word like any other.
+    // A word that a shell would evaluate is a word like any other.
     fs::write(dir.path().join("4"), "").unwrap();
     let settings = ["run", "raster", "out=o", "prepare=--feature-mm $(touch${IFS}PWNED) *"];
     let text = ended_with(&run(dir.path(), &[&settings[..], &QUICK_RUN].concat()), 2);
@@ -302,7 +302,7 @@ fn numbers(dir: &Path, name: &str) -> (Vec<usize>, Vec<f64>) {
     (array.shape().to_vec(), array.iter().copied().collect())
 }
 
-/// Each of these took hours of machine time, or made nonsense, without a word before the plan.
+/// Each of these mistakes took hours of machine time, or made nonsense, without a message before the plan.
 #[test]
 fn what_is_probably_a_mistake_is_said_before_the_plan() {
     if !just_is_installed() {

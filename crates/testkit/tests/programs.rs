@@ -1,6 +1,7 @@
-//! Random motions at the limits of their machine, written for the controllers that interpolate cubics by `planish-export` and read back by the
-//! reader of `planish-import`, which shares no code with the writer. `planish-verify` judges what was read: every limit
-//! and the travel kept, the path within the stated deviation of the plan's, little more time, the tool as planned.
+//! Random motions at the limits of their machine. `planish-export` writes them for the controllers that
+//! interpolate cubics, and the reader of `planish-import`, which shares no code with the writer, reads them
+//! back. `planish-verify` judges what was read: every limit and the travel kept, the path within the stated
+//! deviation of the plan's, little more time, the tool as planned.
 
 use planish_export::{Common, Controller, Origin, PATH_DEVIATION_MM, pmac, program};
 use planish_import::program::{self as reader, Configuration};
@@ -157,8 +158,8 @@ fn every_program_keeps_the_limits_and_the_path() {
 fn compare(plan: &Trajectory, run: &Trajectory, target: &Target, name: &str) {
     let planned = samples(plan);
     let added_s = run.total_time_s() - plan.total_time_s();
-    // A motion that is all limit is slowed down by some percent where it is at its limits; the clock adds a tick or two
-    // at every switch, and joined lines half a line at both ends.
+    // A motion that is at its limits everywhere is slowed down by some percent. The clock adds a tick or
+    // two at every switch, and joined lines add half a line at both ends.
     let most_s = 0.03 * plan.total_time_s() + 0.05;
     assert!(added_s > -1e-6 && added_s < most_s, "{name}: {added_s} s longer");
     let mut near = 0;

@@ -134,8 +134,9 @@ fn published_maze_executed_by_constant_acceleration() {
     }
 }
 
-/// The source's least squares misses positions and moves resting axes; the node velocities do not.
-/// 0.37 mm and RMS of 24 to 89 um here; an independent prototype found up to 0.49 mm and 14 to 90.
+/// The source's least squares misses positions and moves resting axes; the node velocities do not. Here it
+/// misses by up to 0.37 mm, and by 24 to 89 um RMS. An independent prototype found up to 0.49 mm, and 14 to
+/// 90 um RMS.
 #[test]
 fn pvt_as_published_and_its_defects() {
     let Some(mirror) = mirror() else { return };

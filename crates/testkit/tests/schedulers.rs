@@ -25,10 +25,10 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-/// Limits that nothing reaches.
+/// Velocity limit that no motion reaches, mm/s, for a machine without limits.
 const FREE: f64 = 1e9;
 
-/// What a scheduler is given.
+/// Input of a scheduler.
 #[derive(Clone, Debug)]
 struct Case {
     points: Vec<[f64; 2]>,
@@ -46,7 +46,8 @@ impl Case {
         DwellTime::new(self.dwell_s.clone()).unwrap()
     }
 
-    /// The same without limits; a length without time, which has nothing else to go by, gets some.
+    /// The case without limits. A segment with a length and without a time gets 0.5 s, because nothing else
+    /// defines its time.
     fn free(&self) -> Self {
         let mut free = Self { limits: machine([FREE; 2], [1e15; 2]), ..self.clone() };
         for (t, w) in free.dwell_s.iter_mut().zip(self.points.windows(2)) {
@@ -65,7 +66,7 @@ impl Case {
         f64::EPSILON * self.dwell_s.iter().sum::<f64>() / shortest_s
     }
 
-    /// Its limits with one on the jerk: its own, or that of a slow stage.
+    /// Limits of the case with a limit on jerk: its own, or that of a slow stage.
     fn with_jerk(&self) -> Limits {
         let mut file = MachineFile::from(&self.limits);
         for (axis, jerk) in file.axes.iter_mut().zip([5e3, 2e3]) {
@@ -97,20 +98,21 @@ impl Case {
     }
 }
 
-/// A motion, and what its scheduler says of the time that it added.
+/// A motion, and the report of its scheduler on the time that it added.
 struct Motion {
     trajectory: Trajectory,
-    /// Whether it says that it gave segments with the tool on more than their dwell time.
+    /// True if the scheduler reports segments with the tool on that last longer than their dwell time.
     stretched: bool,
-    /// How much more, s.
+    /// Added time of these segments, s.
     added_s: f64,
-    /// Whether every such segment keeps its own dwell time, not only their sum.
+    /// True if every segment with the tool on keeps its own dwell time, not only their sum.
     one_by_one: bool,
 }
 
-/// A scheduler: its name and its motion, or why it refuses.
+/// A scheduler: its name, and a function that returns its motion or the reason of a refusal.
 type Scheduler = (&'static str, fn(&ToolPath, &DwellTime, &Limits) -> Result<Motion, String>);
 
+/// The schedulers under test, by the names of the table.
 const SCHEDULERS: [Scheduler; 11] = [
     ("pvt smooth", |p, d, l| pvt_motion(p, d, l, Mode::Smooth)),
     ("pvt monotone", |p, d, l| pvt_motion(p, d, l, Mode::Monotone)),
@@ -220,6 +222,7 @@ fn ensure(condition: bool, message: impl FnOnce() -> String) -> Result<(), Strin
 
 type Population = (&'static str, fn(&mut ChaCha8Rng) -> Case);
 
+/// Populations of random cases; the position in this list is the number of a population's stream.
 const POPULATIONS: [Population; 7] = [
     ("easy", easy),
     ("infeasible", infeasible),
@@ -262,7 +265,7 @@ fn times(generator: &mut ChaCha8Rng, n: usize, low: f64, high: f64) -> Vec<f64> 
     (0..n).map(|_| log_uniform(generator, low, high)).collect()
 }
 
-/// The machine can follow without more time, or nearly.
+/// Cases that the machine can follow without more time, or nearly.
 fn easy(generator: &mut ChaCha8Rng) -> Case {
     let n = segments(generator);
     let lengths = times(generator, n, 0.2, 2.0);
@@ -273,7 +276,7 @@ fn easy(generator: &mut ChaCha8Rng) -> Case {
     }
 }
 
-/// Mean speeds up to several times the largest.
+/// Cases with mean speeds up to several times the largest speed of the machine.
 fn infeasible(generator: &mut ChaCha8Rng) -> Case {
     let n = segments(generator);
     let lengths = times(generator, n, 0.1, 20.0);
@@ -284,7 +287,7 @@ fn infeasible(generator: &mut ChaCha8Rng) -> Case {
     }
 }
 
-/// Times and lengths over five orders of magnitude.
+/// Cases with times and lengths over five orders of magnitude.
 fn unequal(generator: &mut ChaCha8Rng) -> Case {
     let n = segments(generator);
     let lengths = times(generator, n, 1e-3, 50.0);
@@ -295,7 +298,7 @@ fn unequal(generator: &mut ChaCha8Rng) -> Case {
     }
 }
 
-/// Lines along x, steps along y, dwell times that vary slowly.
+/// Cases with lines along x, steps along y, and dwell times that vary slowly.
 fn raster_like(generator: &mut ChaCha8Rng) -> Case {
     let (lines, steps) = (generator.random_range(2..6), generator.random_range(3..15));
     let (pitch, step) = (log_uniform(generator, 0.1, 3.0), log_uniform(generator, 0.05, 2.0));
@@ -316,7 +319,7 @@ fn raster_like(generator: &mut ChaCha8Rng) -> Case {
     Case { points, dwell_s, limits: ion_beam() }
 }
 
-/// Repeated points, times of zero, motion along one axis, exact reversals, equal segments.
+/// Cases with repeated points, times of zero, motion along one axis, exact reversals, equal segments.
 fn degenerate(generator: &mut ChaCha8Rng) -> Case {
     let n = segments(generator);
     let along = generator.random_range(0..3);
@@ -338,7 +341,7 @@ fn degenerate(generator: &mut ChaCha8Rng) -> Case {
     Case { points, dwell_s, limits: ion_beam() }
 }
 
-/// Accelerations so small that braking takes many segments.
+/// Cases with accelerations so small that braking takes many segments.
 fn slow_drives(generator: &mut ChaCha8Rng) -> Case {
     let n = segments(generator);
     let lengths = times(generator, n, 0.1, 5.0);
@@ -350,7 +353,7 @@ fn slow_drives(generator: &mut ChaCha8Rng) -> Case {
     }
 }
 
-/// Everything at once: five orders of magnitude, slow and unlike drives, a least segment time.
+/// Cases with everything at once: five orders of magnitude, slow and unlike drives, a least segment time.
 fn harsh(generator: &mut ChaCha8Rng) -> Case {
     let n = segments(generator);
     let lengths = times(generator, n, 1e-3, 50.0);
@@ -360,7 +363,7 @@ fn harsh(generator: &mut ChaCha8Rng) -> Case {
     Case { points: walk(generator, &lengths), dwell_s: times(generator, n, 1e-4, 10.0), limits }
 }
 
-/// Populations of every scale, 1e-6 to 1e6, for what holds at every scale; the numbers of their
+/// Populations of every scale, 1e-6 to 1e6, for properties that hold at every scale. The numbers of their
 /// streams follow those of [`POPULATIONS`].
 const SCALES: [Population; 4] =
     [("scaled", scaled), ("neighbours", neighbours), ("axes", axes), ("everything", everything)];
@@ -375,7 +378,7 @@ fn any_scale(generator: &mut ChaCha8Rng) -> f64 {
     log_uniform(generator, 1e-6, 1e6)
 }
 
-/// As many segments as [`segments`] at most, few more often than many.
+/// Number of segments, at most as many as [`segments`] gives; small numbers are more frequent.
 fn few_segments(generator: &mut ChaCha8Rng) -> usize {
     log_uniform(generator, 1.0, 60.0) as usize
 }
@@ -416,8 +419,8 @@ fn step(generator: &mut ChaCha8Rng, length: f64) -> [f64; 2] {
     [length * direction.cos(), length * direction.sin()]
 }
 
-/// Any unit of length and of time, and a machine whose limits are about what the path asks for, as
-/// far as they are between 1e-6 and 1e6.
+/// Cases in any unit of length and of time, with a machine whose limits are near those that the path needs,
+/// as far as these are between 1e-6 and 1e6.
 fn scaled(generator: &mut ChaCha8Rng) -> Case {
     let (length, time) = (any_scale(generator), any_scale(generator));
     let n = few_segments(generator);
@@ -429,7 +432,7 @@ fn scaled(generator: &mut ChaCha8Rng) -> Case {
     Case { points, dwell_s, limits: machine_near(generator, [v, v / time, v / time / time]) }
 }
 
-/// Neighbours that differ by up to twelve orders of magnitude in length and in time.
+/// Cases with neighbours that differ by up to twelve orders of magnitude in length and in time.
 fn neighbours(generator: &mut ChaCha8Rng) -> Case {
     let n = few_segments(generator);
     let points = wander((0..n).map(|_| {
@@ -440,7 +443,7 @@ fn neighbours(generator: &mut ChaCha8Rng) -> Case {
     Case { points, dwell_s, limits: machine_near(generator, [100.0, 1e3, 1e4]) }
 }
 
-/// Steps and limits of the two axes that differ by up to twelve orders of magnitude.
+/// Cases with steps and limits of the two axes that differ by up to twelve orders of magnitude.
 fn axes(generator: &mut ChaCha8Rng) -> Case {
     let n = few_segments(generator);
     let unit = [any_scale(generator), any_scale(generator)];
@@ -451,7 +454,7 @@ fn axes(generator: &mut ChaCha8Rng) -> Case {
     Case { points, dwell_s, limits: any_machine(generator) }
 }
 
-/// All of it, with repeated points, times of zero and a least segment time among them.
+/// Cases with all of these, with repeated points, times of zero and a least segment time among them.
 fn everything(generator: &mut ChaCha8Rng) -> Case {
     let n = few_segments(generator);
     let points = wander((0..n).map(|_| match generator.random_range(0..20) {
@@ -575,23 +578,23 @@ fn failing(
 // ---------------------------------------------------------------------------------------------
 // All of them
 
-/// Segments that the random path lifts the tool in.
+/// The path of a case, with the tool lifted in every seventh segment.
 fn lifted(case: &Case) -> ToolPath {
     let n = case.dwell_s.len();
     let on = (0..n).map(|i| i % 7 != 3).collect();
     ToolPath::through(case.points.clone(), on, vec![0; n]).unwrap()
 }
 
-/// What a scheduler always keeps where it makes a motion; the position is continuous in all but
+/// Limits that a scheduler always keeps if it makes a motion. The position is continuous in all modes but
 /// the position mode.
 struct Promise {
     /// No step in velocity, at rest before and after.
     smooth: bool,
     velocity: bool,
     acceleration: bool,
-    /// Inside segments.
+    /// Limit on jerk inside segments.
     jerk: bool,
-    /// No step in acceleration where the jerk is limited.
+    /// No step in acceleration, if the jerk is limited.
     acceleration_step: bool,
     min_segment: bool,
 }
@@ -623,21 +626,22 @@ fn promise(scheduler: &str) -> Promise {
     }
 }
 
-/// What came of the random cases of a population in a scheduler.
+/// Counts of the random cases of a population in a scheduler, by result.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Count {
     made: u64,
-    /// With a message.
+    /// Cases that the scheduler refused with a message.
     refused: u64,
-    /// Of those made: with more time than the dwell times in segments with the tool on.
+    /// Motions with more time than the dwell times in segments with the tool on.
     stretched: u64,
-    /// Of those made: says that it breaks a limit that it should keep, and that is because its times,
-    /// as numbers of 53 bits, are too coarse for its shortest segments.
+    /// Motions whose scheduler reports that they break a promised limit, because their times, as numbers of
+    /// 53 bits, are too coarse for their shortest segments.
     coarse: u64,
-    /// Of those made: another claim than verdict, another broken promise, a time that was cut.
+    /// Motions with an error: a claim that differs from the verdict, another broken promise, or a dwell
+    /// time that was cut.
     violations: u64,
-    /// Largest use of a promised limit on velocity, acceleration or jerk, 1 = at the limit; 0 where
-    /// none is promised.
+    /// Largest use of a promised limit on velocity, acceleration or jerk, 1 = at the limit; 0 if none is
+    /// promised.
     largest_use: f64,
 }
 
@@ -652,8 +656,9 @@ impl Count {
     }
 }
 
-/// What a scheduler says of its motion is what the judge finds, limit by limit, what it promises
-/// it keeps, and no dwell time is cut: at all scales. Prints the table of `Counts`.
+/// The claim of a scheduler on its motion must be the verdict of the judge, limit by limit. The motion must
+/// keep the promises of the scheduler, and no dwell time may be cut, at all scales. Prints the table of
+/// `Counts`.
 #[test]
 fn the_judge_agrees_with_every_claim() {
     let populations = all_populations();
@@ -696,7 +701,7 @@ fn the_judge_agrees_with_every_claim() {
     assert!(failures.is_empty(), "{} failing:\n{}", failures.len(), failures.join("\n"));
 }
 
-/// Runs a scheduler and judges its motion; what is wrong in sentences.
+/// Runs a scheduler and judges its motion; returns the counts, and a sentence for every error.
 fn judged(
     name: &str,
     scheduler: fn(&ToolPath, &DwellTime, &Limits) -> Result<Motion, String>,
@@ -745,7 +750,7 @@ fn judged(
         if std::ptr::eq(judged_by, limits) {
             match keeps_its_promise(name, &verdict) {
                 Kept::Yes(largest_use) => count.largest_use = largest_use,
-                // The claim says so, or it would not be that of the judge.
+                // The claim agrees, or it would differ from the verdict.
                 Kept::ButForRounding if any_scale => count.coarse = 1,
                 _ => problems.push(format!("breaks its promise: {:?}", verdict.violations)),
             }
@@ -759,24 +764,25 @@ fn judged(
     (count, problems)
 }
 
-/// Whether both axes keep a limit.
+/// Returns true if both axes keep a limit.
 fn kept(verdict: &Verdict, check: fn(&AxisVerdict) -> &Check) -> bool {
     verdict.axes.iter().all(|axis| !check(axis).exceeded)
 }
 
-/// Whether a motion keeps what its scheduler promises.
+/// Result of the check of a scheduler's promises on its motion.
 enum Kept {
-    /// With the largest use of the promised limits on velocity, acceleration and jerk.
+    /// The motion keeps them; with the largest use of the promised limits on velocity, acceleration and
+    /// jerk.
     Yes(f64),
-    /// But for what the rounding of its times makes.
+    /// The motion exceeds them by no more than the rounding of its times explains.
     ButForRounding,
     No,
 }
 
-/// How far the rounding of times may take an axis beyond a limit.
+/// Largest excess of an axis over a limit that the rounding of times explains.
 type Excess = fn(&AxisVerdict, Rounding) -> f64;
 
-/// Whether a limit was promised, what the judge says of it, and how far rounding may exceed it.
+/// True if the limit was promised, the judge's check of it, and the excess that rounding explains.
 type PromisedLimit = (bool, fn(&AxisVerdict) -> &Check, Excess);
 
 fn keeps_its_promise(name: &str, verdict: &Verdict) -> Kept {
@@ -830,13 +836,14 @@ fn keeps_its_promise(name: &str, verdict: &Verdict) -> Kept {
 #[derive(Clone, Copy)]
 struct Rounding {
     relative: f64,
-    /// Of the last break time, s.
+    /// Rounding of the last break time, s.
     time_s: f64,
     /// Shortest segment, s.
     shortest_s: f64,
 }
 
-/// The larger of the limit and what is reached: where pieces are left out, what they reach is not.
+/// The larger of the limit and the largest value of the motion. Pieces that were left out may have had more
+/// than the motion, up to the limit.
 fn limit_or_reached(check: &Check) -> f64 {
     check.magnitude().max(check.limit.unwrap_or(0.0))
 }
@@ -849,13 +856,14 @@ fn a_max(axis: &AxisVerdict) -> f64 {
     limit_or_reached(&axis.acceleration_mm_per_s2)
 }
 
-/// Of 6 dp / h^2 and 4 v / h at the shortest duration h, which is off by the rounding of the time.
+/// Rounding of the accelerations 6 dp / h^2 and 4 v / h at the shortest duration h, which has the rounding
+/// of the time.
 fn acceleration_rounding(axis: &AxisVerdict, u: Rounding) -> f64 {
     u.time_s / u.shortest_s * (a_max(axis) + v_max(axis) / u.shortest_s)
 }
 
-/// Whether segments with the tool on were stretched. None is shorter than its dwell time, and what
-/// they take beyond it is what the scheduler says.
+/// Checks that no segment with the tool on is shorter than its dwell time, and that the added time is the
+/// reported one. Returns true if segments were stretched.
 fn keeps_the_dwell_times(path: &ToolPath, case: &Case, motion: &Motion) -> Result<bool, String> {
     let (t, n) = (&motion.trajectory, path.len());
     let served_s = t.served_s(n, |piece| piece.tool_on).map_err(|e| e.to_string())?;
@@ -1148,8 +1156,8 @@ fn the_interpolator_is_where_the_trajectory_is() {
 }
 
 /// A disk of 100 mm after smoothing, steps of 0.2 mm, at two feed limits. The offset of the feed is
-/// 1/v_max where the smallest density is nothing; the repaired motion removes what the ideal one
-/// does but for a piston, when the path goes beyond the aperture by the TIF and 1 mm.
+/// 1/v_max, because the smallest density is 0. If the path goes beyond the aperture by the TIF and 1 mm,
+/// the repaired motion removes what the ideal one does plus a piston.
 #[test]
 fn disk_100_repaired_removes_a_piston_more() {
     let recipe =
@@ -1232,7 +1240,8 @@ fn disk_100_repaired_removes_a_piston_more() {
 
 const MODES: [Mode; 2] = [Mode::Smooth, Mode::Monotone];
 
-/// As long as a real plan, on drives that are at their limit in every line.
+/// PVT keeps the limits of a path that is as long as a real plan, on drives that are at their limit in
+/// every line.
 #[test]
 fn pvt_keeps_the_limits_of_a_long_path() {
     let (lines, steps) = (20, 100);
@@ -1582,8 +1591,8 @@ fn stop_at_corners_stays_on_the_path_and_cuts_no_dwell_time() {
     });
 }
 
-/// With a limit on jerk the smooth motion keeps it, steps of the acceleration included, and every
-/// other limit; monotone keeps it inside segments only, and claims no more.
+/// With a limit on jerk, the smooth motion keeps it, steps of the acceleration included, and every other
+/// limit. The monotone motion keeps it inside segments only, and claims no more.
 #[test]
 fn pvt_keeps_a_limit_on_jerk() {
     on_every_case(|case| {

@@ -10,7 +10,9 @@ use planish_schedule::position;
 use planish_simulate::{Settings, simulate};
 use planish_types::{Axis, Grid, Surface, Tif, ToolPath};
 
+/// Standard deviation of the Gaussian TIF, mm; four pixels of the map.
 const SIGMA_MM: f64 = 0.8;
+/// Pixel of the map, mm.
 const PITCH_MM: f64 = 0.2;
 
 fn map() -> Surface {

@@ -1,4 +1,5 @@
-//! What an imperfect process adds, on the reference mirror where `PLANISH_REFERENCE` names its folder.
+//! Residuals that an imperfect process adds, on the reference mirror, if `PLANISH_REFERENCE` names its
+//! folder.
 
 use planish_schedule::pvt;
 use planish_testkit::{ion_beam, mirror::mirror};
@@ -34,9 +35,10 @@ fn halves(dwell: &DwellTime) -> DwellTime {
     DwellTime::new(there.clone().chain(there.rev()).collect()).unwrap()
 }
 
-/// What the published plans lose by single errors, nm RMS without the best plane, of the raster and of the maze,
-/// from dwell times that were put at the dwell points and convolved with the bilinear TIF, the error in them,
-/// independently of this program (NumPy); the noise of the rate is one draw there.
+/// Residuals that single errors add to the published plans, nm RMS without the best plane, on the raster
+/// and on the maze. The expected values were computed independently of this program (NumPy): dwell times at
+/// the dwell points, with the error in them, convolved with the bilinear TIF. The noise of the rate is one
+/// draw there.
 #[test]
 fn single_errors_add_what_was_found_independently() {
     let Some(mirror) = mirror() else { return };
@@ -50,9 +52,9 @@ fn single_errors_add_what_was_found_independently() {
         error("magnification", 0.5, "%"),
         noise,
     ]);
-    // Relative bounds: the scale is that of the map. The executed motion leaves the dwell points by tenths of the
-    // width of the TIF, which changes how much a drift and a displacement do; a draw of the noise has some ten
-    // degrees of freedom.
+    // Relative bounds. The scale is that of the map. The executed motion leaves the dwell points by tenths
+    // of the width of the TIF, which changes the effect of a drift and of a displacement. A draw of the
+    // noise has some ten degrees of freedom.
     let expected = [
         ("raster", [0.063, 0.055, 0.029, 0.022, 0.117, 0.13]),
         ("maze", [0.063, 0.200, 0.029, 0.022, 0.117, 0.16]),
@@ -71,8 +73,8 @@ fn single_errors_add_what_was_found_independently() {
     }
 }
 
-/// At 1 % of the rate, 50 um, 2 ms and 0.01 degree what is added to first order is within 2 % of what a simulated
-/// run adds: the line and the departure are at right angles or less.
+/// At 1 % of the rate, 50 um, 2 ms and 0.01 degree, the first-order residual is within 2 % of the one that
+/// a simulated run adds. The line and the departure from it are at right angles or less.
 #[test]
 fn small_errors_are_of_first_order() {
     let Some(mirror) = mirror() else { return };

@@ -13,7 +13,7 @@ use planish_toolpath::{
 };
 use planish_types::{Axis, Grid, Surface, Tif, ToolPath, Trajectory};
 
-/// What is removed along `path` at the dwell-time density `s_per_mm(segment)`; nothing by lifts.
+/// Removal along `path` at the dwell-time density `s_per_mm(segment)`; lifts remove nothing.
 fn removal_nm(
     path: &ToolPath,
     tif: &Tif,
@@ -38,7 +38,7 @@ fn uniform(pitch_mm: f64, overscan_mm: f64, line_origin_mm: Option<f64>) -> Rast
     RasterSettings { line_origin_mm, ..RasterSettings::new(pitch_mm, 1.0, overscan_mm) }
 }
 
-/// Largest minus smallest value and mean of what is chosen.
+/// Largest minus smallest value, and mean, of the chosen pixels.
 fn spread(map: &Array2<f64>, chosen: impl Fn(usize, usize) -> bool) -> (f64, f64) {
     let values: Vec<f64> =
         map.indexed_iter().filter(|((r, c), _)| chosen(*r, *c)).map(|(_, v)| *v).collect();
@@ -154,13 +154,13 @@ fn multi_pitch_keeps_the_ripple_in_a_band_and_removes_less_too_much() {
     let of = |map| present.iter().map(|k| ripple(map, *k)).collect::<Vec<_>>();
     let (own, one) = (of(&multi), of(&wide_map));
     println!("ripple PV: multi-pitch {own:.3?} nm, {wide:.2} mm throughout {one:.3?} nm");
-    // At one pitch the ripple grows with the depth: 0.45 % (the FFT of the TIF's line integral at
-    // 1 / pitch) of the 400 nm and more of the deepest class. With its own pitches it falls.
+    // At one pitch the ripple grows with the depth: it is 0.45 % (the FFT of the TIF's line integral at 1 /
+    // pitch) of the depth, which is 400 nm and more in the deepest class. With its own pitches it falls.
     let deepest = present.len() - 1;
     assert!(deepest >= 2 && one.windows(2).all(|w| w[1] > w[0]), "{one:?}");
     assert!(one[deepest] > 1.6, "{one:?}");
-    // Regression bounds: measured 0.68 nm in the deepest class, where the depth at the dwell points in the place of its
-    // mean around them leaves 0.03 nm, and up to 1.09 nm in the others.
+    // Regression bounds: measured 0.68 nm in the deepest class, and up to 1.09 nm in the others. The depth
+    // at the dwell points, in the place of its mean around them, would leave 0.03 nm in the deepest class.
     assert!(own[deepest] < 0.3 * one[deepest], "{own:?} {one:?}");
     assert!(own.iter().all(|pv| *pv < 1.2), "{own:?}");
 
@@ -173,8 +173,8 @@ fn multi_pitch_keeps_the_ripple_in_a_band_and_removes_less_too_much() {
     assert!(m < 0.2 * n && n > 200.0, "{m} {n}");
 }
 
-/// The loop changes its dwell times by steps that may fail, and ends where they gain nothing more: whether it ends too early
-/// is seen beside paths that differ little.
+/// The loop changes its dwell times by steps that may fail, and ends when they gain nothing more. Paths
+/// that differ little show whether it ends too early.
 #[test]
 fn a_closed_loop_does_not_end_early_on_one_path_among_others() {
     let text = fs::read_to_string(workspace().join("fixtures/coupon-ring.json")).unwrap();

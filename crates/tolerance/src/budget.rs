@@ -14,23 +14,26 @@ use crate::{
     work::Work,
 };
 
-/// Largest departure of an error from its first order, as a part of what it adds; above, it is simulated, unless
-/// the departure is less than [`SEEN`].
+/// Departure of an error from its first order, over what it adds, above which the error is simulated, unless the
+/// departure is less than [`SEEN`]. Larger: fewer simulations, less exact lines. Smaller: more simulations.
 pub const LARGEST_DEPARTURE: f64 = 0.1;
 
-/// A departure that is seen, as a part of the RMS that is expected: a smaller one changes that by 5e-5 of it.
+/// Departure of an error from its first order, over the expected RMS, up to which the departure is ignored; it
+/// changes that RMS by at most 5e-5. Larger: less exact results. Smaller: more simulations.
 pub const SEEN: f64 = 0.01;
 
-/// Runs from which the distribution is taken where the first order is not enough.
+/// Number of simulated runs that give the distribution if the first order is not enough. Larger: more time. Smaller:
+/// larger standard errors of the quantiles.
 const RUNS_OF_ALL: usize = 200;
 
-/// Draws from which it is known what 95 % of the runs are below without one of the errors.
+/// Largest number of draws for the 95 % level of the runs without one of the errors. Larger: more time per error.
+/// Smaller: the error to improve first is less certain.
 const DRAWS_WITHOUT_ONE: usize = 10_000;
 
-/// Derivatives, second order and runs, which count alike in the estimate of the time.
+/// Number of parts of the work that count alike in the estimate of the time: derivatives, second order, and runs.
 const PARTS: usize = 3;
 
-/// What `process` adds to the residual of `trajectory` on `desired`.
+/// Computes the errors that `process` adds to the residual of `trajectory` on `desired`.
 pub fn tolerance(
     trajectory: &Trajectory,
     tif: &Tif,

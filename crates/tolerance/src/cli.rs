@@ -27,7 +27,7 @@ pub struct Tolerance {
     /// Process and its errors [JSON]
     #[arg(long, value_name = "FILE")]
     process: PathBuf,
-    /// What is not part of the residual
+    /// Low-order terms that are not part of the residual
     #[arg(long, value_enum, default_value = "piston")]
     free: Free,
     /// Runs that are drawn to first order, for the distribution
@@ -97,7 +97,7 @@ impl Tolerance {
     }
 }
 
-/// What a person reads.
+/// Table for a reader.
 fn table(found: &planish_tolerance::Tolerance, free: Free) -> String {
     let without = match free {
         Free::Piston => "",

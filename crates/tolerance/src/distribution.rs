@@ -15,19 +15,20 @@ use crate::{
     work::Work,
 };
 
-/// Fields from which trace(S_perp^2) is estimated: 1128 pairs.
+/// Number of fields from which trace(S_perp^2) is estimated, with 1128 pairs. Larger: more time. Smaller: a less
+/// exact variance of the rest.
 const POOL: usize = 48;
 
 /// e0 and the f_i in an orthonormal basis of their span.
 pub struct Span {
-    /// Of e0, then of the f_i, a column each.
+    /// Coordinates of e0, then of the f_i, one column each.
     coordinates: DMatrix<f64>,
     /// The basis on the cells.
     pub basis: Vec<Vec<f64>>,
 }
 
 impl Span {
-    /// Of the residual of the plan and the fields of the errors.
+    /// Makes the span of the residual of the plan and the fields of the errors.
     pub fn new(work: &Work<'_>, linear: &[Linear]) -> Self {
         let maps: Vec<&Array2<f64>> =
             [&work.nominal].into_iter().chain(linear.iter().map(|l| &l.field)).collect();
@@ -66,7 +67,7 @@ pub struct Errors<'a> {
 }
 
 impl<'a> Errors<'a> {
-    /// Of what was found of each.
+    /// Collects the results for each error.
     pub fn new(
         work: &'a Work<'a>,
         linear: &'a [Linear],
@@ -79,7 +80,7 @@ impl<'a> Errors<'a> {
         Self { work, linear, responses, span, noise_squares }
     }
 
-    /// What is drawn, without one of the errors where one is named.
+    /// Returns the model that is drawn from, without the error `without` if one is named.
     pub fn model(&self, without: Option<usize>) -> Model {
         let coordinates = &self.span.coordinates;
         let dimension = coordinates.nrows();

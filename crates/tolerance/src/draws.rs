@@ -17,33 +17,36 @@ use rayon::prelude::*;
 
 use crate::process::Distribution;
 
-/// Draws from one stream of random numbers.
+/// Number of draws from one stream of random numbers. Larger: fewer tasks for the threads. Smaller: more overhead.
+/// Another value draws other numbers.
 const DRAWS_PER_STREAM: usize = 1000;
 
-/// Where the streams of random numbers of each use begin among those of a seed: runs with one error, fields of
-/// the noise, runs with all errors, runs in the place of a line, and the draws, which have all from theirs on.
+/// First stream of the runs with one error, among the streams of a seed. The uses follow each other: runs with one
+/// error, fields of the noise, runs with all errors, runs in the place of a line, draws.
 pub const DEPARTURE_STREAM: u64 = 0;
-/// Fields of the noise.
+/// First stream of the fields of the noise.
 pub const POOL_STREAM: u64 = 1 << 20;
-/// Runs with all errors.
+/// First stream of the runs with all errors.
 pub const RUN_STREAM: u64 = 1 << 24;
-/// Runs in the place of a line.
+/// First stream of the runs in the place of a line.
 pub const LINE_STREAM: u64 = 1 << 30;
+/// First stream of the draws, which have all streams from here on.
 const FIRST_STREAM: u64 = 1 << 32;
 
-/// A Gram matrix loses directions below this part of the largest.
+/// Eigenvalue of a Gram matrix, over the largest, up to which its direction is left out. Larger: weak errors are left
+/// out. Smaller: rounding makes directions.
 const INDEPENDENT: f64 = 1e-12;
 
-/// One number that a run draws, and what it does.
+/// Number that a run draws, and its effect.
 #[derive(Clone, Debug)]
 pub struct Term {
-    /// How it scatters about zero, at size one.
+    /// Distribution of the number about zero, at size one.
     pub distribution: Distribution,
     /// a_i at its size.
     pub coordinates: DVector<f64>,
 }
 
-/// What is drawn.
+/// Model of the residual that is drawn from.
 #[derive(Clone, Debug)]
 pub struct Model {
     /// a0.

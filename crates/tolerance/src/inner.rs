@@ -5,8 +5,8 @@
 //! P f    = f - sum_q <q, f> q                       the free terms q (piston, or a plane) removed
 //! ```
 //!
-//! What is smooth on the scale of the TIF (all that noise along the run removes) is known on cells of pixels, a
-//! third of the TIF's width wide, at the centroid of the valid pixels of each.
+//! Fields that are smooth on the scale of the TIF (all that noise along the run removes) are stored on cells of
+//! pixels. A cell is a third of the TIF's width wide; its value is that at the centroid of its valid pixels.
 
 use ndarray::Array2;
 use planish_types::{Grid, Surface};
@@ -14,10 +14,12 @@ use planish_types::{Grid, Surface};
 use crate::settings::Free;
 
 /// Width of the TIF over that of a cell. The product of two Gaussians of this width is summed over cells with an
-/// error of exp(-pi^2 3^2) in the interior; at a border the error is (1/3)^2 / 24 of what lies there.
+/// error of exp(-pi^2 3^2) in the interior; at a border the error is (1/3)^2 / 24 of the part there. Larger: more
+/// cells, more time. Smaller: a larger error.
 const CELLS_PER_WIDTH: f64 = 3.0;
 
-/// A free term is none where this part of it is left beside those before it: a plane on one row of pixels.
+/// Part of a free term that must remain after the terms before it; a term with less is left out, for example a plane
+/// on one row of pixels. Larger: tilts on narrow maps are not free. Smaller: rounding passes as a free term.
 const INDEPENDENT: f64 = 1e-9;
 
 /// The valid pixels of a map, its free terms, and its cells.
@@ -48,7 +50,7 @@ pub struct Cells {
 }
 
 impl Inner {
-    /// Of the map `desired` for a TIF of this width.
+    /// Makes the cells of the map `desired` for a TIF of this width.
     pub fn new(desired: &Surface, free: Free, width_mm: f64) -> Self {
         let grid = *desired.grid();
         let valid = desired.height_nm().mapv(|z| !z.is_nan());

@@ -1,4 +1,4 @@
-//! What the errors of a process add to the residual of a plan.
+//! Errors that a process adds to the residual of a plan.
 //!
 //! ```text
 //! e = P (h - R) = e0 - sum_i eta_i f_i - n

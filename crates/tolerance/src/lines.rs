@@ -15,19 +15,20 @@ use crate::{
     work::Work,
 };
 
-/// Pairs of simulated deviations move the tool by this part of the width of the TIF, or change it by as much:
-/// the third order, which does not cancel, is 1e-4 / 6 of the first.
+/// Displacement of the tool in a pair of simulated deviations, or change of its width, over the width of the TIF. The
+/// third order, which does not cancel, is 1e-4 / 6 of the first. Larger: more of the third order. Smaller: more
+/// rounding.
 pub const STEP: f64 = 0.01;
 
 /// A field that one number decides, and what it belongs to.
 pub struct Linear {
     /// Index of the error.
     pub error: usize,
-    /// How it scatters.
+    /// Distribution of the error from run to run.
     pub distribution: Distribution,
-    /// At size one.
+    /// Field of the error at size one, nm.
     pub field: Array2<f64>,
-    /// Its size.
+    /// Size of the error.
     pub size: f64,
 }
 
@@ -77,7 +78,7 @@ impl Work<'_> {
         Ok(each.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
     }
 
-    /// For every error, how far the run with its size alone is from its first order, nm RMS.
+    /// Returns, for every error, the RMS difference of the run with its size alone from its first order, nm.
     pub fn departures(
         &self,
         linear: &[Linear],

@@ -1,4 +1,4 @@
-//! What independent errors along the run add: variances without a draw.
+//! Variances that independent errors along the run add, without a draw.
 //!
 //! A piece k of the motion removes b_k(x), the integral of the TIF over it. With the deviation g_k of the rate
 //! the residual changes by `-sum g_k b_k`, and for a zero-mean g of covariance C the mean square that is added is
@@ -7,11 +7,11 @@
 //! E |P sum g_k b_k|^2 = sum_kl C_kl <P b_k, P b_l>
 //! ```
 //!
-//! Nothing of the size (pieces)^2 is made. Errors of their own for every stay have a diagonal C. The
-//! Ornstein-Uhlenbeck process is Markovian: with the mean of g over piece k, whose covariance with that over an
-//! earlier piece l is `sigma^2 a_k a_l exp(-gap / tau)`, `a = tau / h (1 - exp(-h / tau))` of its duration h,
-//! one pass over the pieces carries `s = sum_l a_l b_l exp(-gap / tau)` along, cell by cell, or for whatever
-//! linear functional of b is wanted. The variance of P n in a place is, with the free terms q,
+//! No matrix of the size (pieces)^2 is made. Independent errors of every stay have a diagonal C. The
+//! Ornstein-Uhlenbeck process is Markovian. The covariance of the mean of g over piece k with that over an earlier
+//! piece l is `sigma^2 a_k a_l exp(-gap / tau)`, with `a = tau / h (1 - exp(-h / tau))` of the duration h. So one
+//! pass over the pieces carries `s = sum_l a_l b_l exp(-gap / tau)` along, cell by cell, or for any wanted linear
+//! functional of b. The variance of P n at a place is, with the free terms q,
 //!
 //! ```text
 //! Var n(x) - 2 sum_q q(x) Cov(n(x), <q, n>) + sum_qr q(x) r(x) Cov(<q, n>, <r, n>)
@@ -38,7 +38,7 @@ use crate::{
     sample::Mean,
 };
 
-/// What the errors of one kind add at size one.
+/// Effect of the errors of one kind at size one.
 pub struct Response {
     /// Variance on the cells, free terms removed, nm^2.
     pub variance: Vec<f64>,
@@ -54,11 +54,11 @@ pub struct Response {
 pub struct Columns<'a> {
     motion: &'a Motion,
     inner: &'a Inner,
-    /// Of every piece.
+    /// Field of every piece.
     piece: Vec<Field>,
-    /// Of every stay.
+    /// Field of every stay.
     stay: Vec<Field>,
-    /// Of every stay per displacement along x and y; only where it was asked for.
+    /// Field of every stay per displacement along x and y; empty if it was not asked for.
     displaced: [Vec<Field>; 2],
     /// Rows of the functionals of a field: free terms, basis, cosines.
     functionals: Functionals,
@@ -125,8 +125,8 @@ impl Functionals {
 }
 
 impl<'a> Columns<'a> {
-    /// Of a motion; with `displaced`, also the change with the place. `basis` are fields on the cells without
-    /// free terms.
+    /// Makes the fields of a motion; with `displaced`, also their change with the place. `basis` are fields on the
+    /// cells without free terms.
     pub fn new(
         motion: &'a Motion,
         inner: &'a Inner,
@@ -179,7 +179,7 @@ impl<'a> Columns<'a> {
         Ok(Self { motion, inner, piece, stay, displaced, functionals })
     }
 
-    /// What the errors of a kind add at size one.
+    /// Returns the effect of the errors of a kind at size one.
     pub fn response(&self, noise: Noise) -> Response {
         match noise {
             Noise::Rate { correlation_s } => self.of_rate(correlation_s),
@@ -199,7 +199,7 @@ impl<'a> Columns<'a> {
         }
     }
 
-    /// What a second more in every stay removes.
+    /// Removal of every stay per second of its time, nm/s.
     fn longer(&self) -> Vec<Field> {
         let stays = self.stay.iter().zip(&self.motion.stay_s);
         stays.map(|(f, t)| Field::sum(&[(f, 1.0 / t)])).collect()
@@ -293,7 +293,7 @@ impl<'a> Columns<'a> {
         self.finish(on_cells, mean_square, &squares[basis.end..], covariance)
     }
 
-    /// From the variance on the cells and the squares of the free terms, nm^2.
+    /// Mean square without the free terms, from the variance on the cells and the squares of the free terms, nm^2.
     fn mean_square(&self, variance: &[f64], free: &[f64]) -> f64 {
         let weight = &self.inner.cells.weight;
         let all = variance.iter().zip(weight).map(|(v, w)| v * w).sum::<f64>() / self.inner.count;
@@ -329,7 +329,7 @@ impl<'a> Columns<'a> {
         variance.iter_mut().for_each(|v| *v = v.max(0.0));
     }
 
-    /// Where the free terms and the basis stand among the functionals.
+    /// Ranges of the free terms and of the basis among the functionals.
     fn parts(&self) -> (Range<usize>, Range<usize>) {
         let f = &self.functionals;
         (0..f.free, f.free..f.fields.len())
@@ -372,7 +372,7 @@ impl<'a> Columns<'a> {
     }
 }
 
-/// Variance of what is uniform in a tick.
+/// Variance of a time that is uniform in a tick, in squared ticks: 1/12.
 const TICK_VARIANCE: f64 = 1.0 / 12.0;
 
 /// m += by a b'

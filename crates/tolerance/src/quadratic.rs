@@ -1,4 +1,4 @@
-//! What of a process the dwell times decide: the expected mean square of the residual as a quadratic in them.
+//! Expected mean square of the residual as a quadratic in the dwell times: the part of a process that they decide.
 //!
 //! With b_j what a second at dwell point j of a motion removes, t_j the times, and independent errors eta_k of
 //! variance s_k^2,
@@ -10,14 +10,15 @@
 //!         + s^2 sum_j t_j^2 (|P db_j/dx|^2 + |P db_j/dy|^2)          noise of the places
 //! ```
 //!
-//! c_kj is the derivative of b_j by eta_k. The TIF acts in six ways (`Kernels`): as it is, displaced along x and y,
-//! wider, elliptical, rotated; what an error of one number does at a place and a time is a combination of them.
-//! C is the covariance of the Ornstein-Uhlenbeck process between pieces of the motion. Each is a sum of squares, so
-//! Q is positive semidefinite, and it is never made: a product with it takes a pass over the columns.
+//! c_kj is the derivative of b_j by eta_k. The TIF acts in seven ways (`Kernels`): as it is, displaced along x and y,
+//! wider, elliptical, rotated, and elliptical along the diagonals. The effect of an error of one number at a place
+//! and a time is a combination of them. C is the covariance of the Ornstein-Uhlenbeck process between pieces of the
+//! motion. Each term is a sum of squares, so Q is positive semidefinite. Q is never made: a product with it takes a
+//! pass over the columns.
 //!
-//! Q is that of one motion: where the tool is and when is taken from it, and so are the times at which the rate has
-//! drifted. m is what the `fixed` errors of the process change in its removal, simulated: they are known, and a plan
-//! can make up for them.
+//! Q is that of one motion. The motion gives the places and times of the tool, and the times at which the rate has
+//! drifted. m is the change of the removal by the `fixed` errors of the process, simulated: they are known, and a
+//! plan can compensate for them.
 //!
 //! Errors that add the same whatever the dwell times are no part of Q: the jitter and the tick, which are times of
 //! their own; the map's; and a lag that scatters, because the time that the tool takes for a millimetre times its
@@ -51,7 +52,7 @@ use crate::{
     tool::smooth,
 };
 
-/// Ways in which the TIF acts.
+/// Number of changes of the TIF by errors; the constants below are their indices.
 const KERNELS: usize = 7;
 const AS_IT_IS: usize = 0;
 const ALONG_X: usize = 1;
@@ -61,8 +62,9 @@ const ELLIPTICAL: usize = 4;
 const ROTATED: usize = 5;
 const DIAGONAL: usize = 6;
 
-/// Gauss points of a piece, over which the tool goes half the width of the TIF at most: of a Gaussian the integral
-/// errs by `(1/2)^4 / 4320` of its fourth derivative times the width^4.
+/// Number of Gauss points of a piece, over which the tool goes half the width of the TIF at most. For a Gaussian the
+/// integral errs by `(1/2)^4 / 4320` of its fourth derivative times the width^4. Larger: more time. Smaller: a larger
+/// error.
 const POINTS: usize = 2;
 
 /// The errors of a process that matter to the dwell times, on one mirror.
@@ -71,13 +73,13 @@ pub struct Sources {
     tif: Tif,
     width_mm: f64,
     kernels: Kernels,
-    /// One number each, and its variance.
+    /// Errors of one number each, and their variances.
     scalars: Vec<(Scalar, f64)>,
     /// Variance of the place of every dwell point along each axis, mm^2.
     place_mm2: f64,
     /// Correlation time, s, and variance of every noise of the rate.
     rates: Vec<(f64, f64)>,
-    /// All that is fixed, where anything is.
+    /// Errors that are fixed, if there are any.
     fixed: Option<Deviation>,
     /// Kinds of the errors that are in Q or in m, in the order of the process.
     pub included: Vec<String>,
@@ -86,7 +88,7 @@ pub struct Sources {
 }
 
 impl Sources {
-    /// Of `process` on the map `desired` with `tif`; errors of size zero are none.
+    /// Makes the sources of `process` on the map `desired` with `tif`; errors of size zero are left out.
     pub fn new(
         desired: &Surface,
         tif: &Tif,
@@ -142,7 +144,7 @@ impl Sources {
         Ok(sources)
     }
 
-    /// Whether the dwell times decide anything of what the process adds.
+    /// Returns true if the dwell times decide nothing of the errors of the process.
     pub fn is_empty(&self) -> bool {
         self.included.is_empty()
     }
@@ -211,7 +213,7 @@ impl Sources {
         all
     }
 
-    /// What a run with these errors removes more than one without, nm.
+    /// Difference of the removals of a run with these errors and one without, nm.
     fn change(&self, run: &Deviation, motion: &Motion) -> Result<Array2<f64>, Invalid> {
         let grid = &self.inner.grid;
         let removal = |run: &Deviation| -> Result<Array2<f64>, Invalid> {
@@ -310,8 +312,8 @@ impl Sources {
     }
 }
 
-/// How much of every kernel an error has of size one, `[x, y]` mm from the middle of the map, where the rate has g of
-/// it; none where this does not depend on the place and the time alone.
+/// Weights of the kernels for an error of size one, at `[x, y]` mm from the middle of the map, for a rate deviation
+/// g. None if the effect depends on more than the place and the time.
 type Combination = fn([f64; 2], f64) -> [f64; KERNELS];
 
 fn combination(effect: Scalar) -> Option<Combination> {
@@ -436,9 +438,9 @@ struct Carried {
     part: f64,
     start_s: f64,
     duration_s: f64,
-    /// What it removes at the rate of the plan.
+    /// Removal of the piece at the rate of the plan.
     field: Field,
-    /// Its inner products with the free terms.
+    /// Inner products of the field with the free terms.
     free: Vec<f64>,
 }
 

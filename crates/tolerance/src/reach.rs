@@ -4,10 +4,10 @@
 //! f(x, y) = sum over j, k of f_jk cos(pi j (x - x0) / Lx) cos(pi k (y - y0) / Ly)
 //! ```
 //!
-//! The cosines of the rectangle of the map are orthonormal over its pixels, so that the mean square of the map
-//! (0 where it is invalid) is the sum of the squares of its coefficients. A wave of the dwell-time density at a
-//! spatial frequency removes a wave that is smaller by the transfer function of the TIF, its Fourier transform
-//! over its volume. The tool reaches the cosines at which that is at least [`LEAST_TRANSFER`].
+//! The cosines of the rectangle of the map are orthonormal over its pixels. So the mean square of the map (0 where it
+//! is invalid) is the sum of the squares of its coefficients. A wave of the dwell-time density at a spatial frequency
+//! removes a wave that is smaller by the transfer function of the TIF, its Fourier transform over its volume. The
+//! tool reaches the cosines at which that is at least [`LEAST_TRANSFER`].
 
 use std::f64::consts::PI;
 
@@ -17,8 +17,8 @@ use planish_types::{Axis, Tif};
 
 use crate::inner::Inner;
 
-/// Largest frequency that is looked at, times the width of the TIF; at it the transfer function of a Gaussian is
-/// exp(-2 pi^2).
+/// Largest frequency that is considered, times the width of the TIF, dimensionless. The transfer function of a
+/// Gaussian is exp(-2 pi^2) there. Larger: more time. Smaller: frequencies that the tool reaches are left out.
 const LARGEST_FREQUENCY: f64 = 1.0;
 
 /// The cosines that the tool reaches.
@@ -27,7 +27,7 @@ pub struct Reach {
     y: Array2<f64>,
     /// Cosines along x (rows j) on the pixels, orthonormal.
     x: Array2<f64>,
-    /// Whether the tool reaches (k, j).
+    /// True for the pairs (k, j) that the tool reaches.
     reached: Array2<bool>,
     /// The reached pairs.
     pairs: Vec<(usize, usize)>,
@@ -42,7 +42,7 @@ fn cosine(j: usize, n: usize, i: f64) -> f64 {
 }
 
 impl Reach {
-    /// For maps on the pixels of `inner`.
+    /// Makes the cosines for maps on the pixels of `inner`.
     pub fn new(inner: &Inner, tif: &Tif, width_mm: f64) -> Self {
         let (x_axis, y_axis) = (inner.grid.x, inner.grid.y);
         let frequencies = |a: &Axis| -> Vec<f64> {
@@ -72,14 +72,14 @@ impl Reach {
         Self { y: all(ny, &y_axis), x: all(nx, &x_axis), reached, pairs, x_axis, y_axis }
     }
 
-    /// What the tool reaches of the mean square of a map that is 0 where it is invalid.
+    /// Part of the mean square of a map that the tool reaches; the map is 0 at invalid pixels.
     pub fn mean_square(&self, inner: &Inner, map: &Array2<f64>) -> f64 {
         let coefficients = self.y.dot(map).dot(&self.x.t());
         let reached = coefficients.iter().zip(&self.reached).filter(|(_, r)| **r);
         reached.map(|(c, _)| c * c).sum::<f64>() / inner.count
     }
 
-    /// What the tool reaches of the mean square of P w, with w white noise of variance one on the valid pixels:
+    /// Part of the mean square of P w that the tool reaches, with w white noise of variance one on the valid pixels:
     /// `tr(P C' C P) / m = (sum over the cosines of |c|^2 on the valid pixels - sum_q |C q|^2 / m) / m`.
     pub fn of_white(&self, inner: &Inner) -> f64 {
         let square = |a: &Array2<f64>| a.mapv(|v| v * v);
@@ -142,7 +142,8 @@ mod tests {
     use super::*;
     use crate::settings::Free;
 
-    /// On a disk, which fills 3/5 of its rectangle, against the mean over drawn maps.
+    /// The part of white noise that the tool reaches agrees with the mean over drawn maps, on a disk, which fills 3/5
+    /// of its rectangle.
     #[test]
     fn of_white_noise_the_tool_reaches_what_drawn_maps_say() {
         let axis = |n| Axis::new(0.0, 0.5, n).unwrap();

@@ -1,4 +1,4 @@
-//! What is found: the lines of the errors, the distribution, and the runs that were simulated.
+//! Report: the lines of the errors, the distribution, and the simulated runs.
 
 use ndarray::Array2;
 use planish_simulate::coverage::Coverage;
@@ -6,33 +6,33 @@ use serde::Serialize;
 
 use crate::process::Distribution;
 
-/// Levels at which the distribution is stored.
+/// Number of levels at which the distribution is stored. Larger: larger files. Smaller: coarser curves.
 pub const LEVELS: usize = 201;
 
-/// What an error adds.
+/// Effect of one error.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Line {
-    /// Its kind.
+    /// Kind of the error.
     pub kind: String,
-    /// Its size as stated.
+    /// Size of the error as stated.
     pub size: f64,
     /// Unit of the size.
     pub unit: String,
-    /// How it scatters.
+    /// Distribution of the error from run to run.
     pub distribution: Distribution,
-    /// Where the figure comes from.
+    /// Source of the number.
     pub note: String,
-    /// RMS over pixels and runs of what it adds alone, nm.
+    /// RMS over pixels and runs of the residual that the error adds alone, nm.
     pub adds_rms_nm: f64,
-    /// The part of it at frequencies that the tool corrects.
+    /// Part of `adds_rms_nm` at frequencies that the tool corrects, nm.
     pub reached_rms_nm: f64,
-    /// The part of it at frequencies that the tool does not correct.
+    /// Part of `adds_rms_nm` at frequencies that the tool does not correct, nm.
     pub unreached_rms_nm: f64,
     /// RMS difference between what one run with the error of this size adds and its first order, nm.
     pub departs_by_rms_nm: f64,
-    /// Whether the line is that of simulated runs, because the departure is too large.
+    /// True if the line is that of simulated runs, because the departure is too large.
     pub simulated: bool,
-    /// Standard error of `adds_rms_nm` where it is that of simulated runs with noise, nm; an error of one number is
+    /// Standard error of `adds_rms_nm`, nm, if it is that of simulated runs with noise. An error of one number is
     /// simulated at the nodes of a quadrature, which has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub standard_error_nm: Option<f64>,
@@ -61,15 +61,15 @@ pub struct Quantiles {
 /// The error without which the residual that 95 % of the runs are below is least.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct First {
-    /// Its index among the errors.
+    /// Index of the error.
     pub index: usize,
-    /// Its kind.
+    /// Kind of the error.
     pub kind: String,
-    /// Without it 95 % of the runs are below this, nm (first order).
+    /// RMS below which 95 % of the runs are without this error, nm (first order).
     pub without_it_95_percent_nm: f64,
 }
 
-/// What the process adds.
+/// Effect of the process on the residual.
 #[derive(Clone, Debug, Serialize)]
 pub struct Tolerance {
     /// Name of the process.
@@ -78,22 +78,22 @@ pub struct Tolerance {
     pub nominal_rms_nm: f64,
     /// sqrt of the mean over runs of the mean square, nm (first order).
     pub expected_rms_nm: f64,
-    /// The distribution.
+    /// Distribution of the RMS of the residual.
     pub residual: Quantiles,
-    /// Whether the distribution is that of simulated runs.
+    /// True if the distribution is that of simulated runs.
     pub simulated: bool,
     /// An entry per error of the process.
     pub errors: Vec<Line>,
-    /// What to improve first; none where no error adds anything.
+    /// Error to improve first; none if no error adds anything.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub first: Option<First>,
     /// Runs that were simulated.
     pub runs: Vec<Pair>,
     /// Largest relative difference between the two RMS of these runs.
     pub largest_difference: f64,
-    /// How many of the simulated runs are in the interval of 95 %.
+    /// Number of the simulated runs that are in the interval of 95 %.
     pub within_interval: usize,
-    /// The distribution: parts of the runs, and the RMS they are below, nm.
+    /// Distribution: fractions of the runs, and the RMS below which they are, nm.
     #[serde(skip)]
     pub levels: Vec<(f64, f64)>,
     /// Standard deviation over the runs of the residual of every pixel, nm; NaN where invalid.

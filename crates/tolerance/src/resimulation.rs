@@ -18,13 +18,15 @@ use crate::{
     work::Work,
 };
 
-/// Runs from which the line of noise is taken where the first order is not enough; their standard error is stated.
+/// Number of runs that give the line of a noise if the first order is not enough; their standard error is stated.
+/// Larger: more time. Smaller: a larger standard error.
 const RUNS_OF_NOISE: usize = 32;
 
-/// Nodes of the quadrature over the one number of an error, where its first order is not enough: exact for the square
-/// of a polynomial of the 5th degree in it. None of them is 0, where a response that has no derivative there (a TIF
-/// with noise that moves over the pixels) would not be seen; the farthest is at 3.32 standard deviations, where the
-/// largest fraction that a process may state has not yet made a rate or a width negative.
+/// Number of nodes of the quadrature over the one number of an error whose first order is not enough. It is exact for
+/// the square of a polynomial of the 5th degree. An even number has no node at 0, at which a response without a
+/// derivative there (a TIF with noise that moves over the pixels) would not be seen. The farthest node is at 3.32
+/// standard deviations, at which the largest fraction that a process may state leaves a rate or a width positive.
+/// Larger: more time, and farther nodes. Smaller: less exact.
 const NODES: usize = 6;
 
 /// Numbers of a distribution at size one, and weights that sum to one, so that the weighted sum of a function of them

@@ -1,23 +1,27 @@
-//! How to find out: the settings.
+//! Settings of the tolerance analysis.
 
 pub use planish_dwell::residual::Free;
 use planish_types::{Invalid, budget};
 use serde::Serialize;
 
-/// Most draws and simulated runs: a day of work is not meant.
+/// Largest number of draws; more are refused. Larger: a mistyped number runs for days. Smaller: rare quantiles cannot
+/// be drawn.
 const MOST_DRAWS: usize = 100_000_000;
+/// Largest number of simulated runs; more are refused. Larger: a mistyped number runs for days. Smaller: long checks
+/// are refused.
 const MOST_SIMULATED_RUNS: usize = 100_000;
 
-/// How to find out.
+/// Settings of the tolerance analysis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// What is not part of the residual.
+    /// Low-order terms that are not part of the residual.
     pub free: Free,
     /// Runs that are drawn to first order.
     pub draws: usize,
     /// Runs that are simulated, to check the first order.
     pub simulated_runs: usize,
-    /// Whether the TIF that errors move is that of the plan, with its noise and its border, and not [`crate::tool`]'s.
+    /// True if the TIF that errors move is that of the plan, with its noise and its border, and not that of
+    /// [`crate::tool`].
     pub tif_as_sampled: bool,
     /// Random seed.
     pub seed: u64,
@@ -36,7 +40,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Refuses counts that nobody means.
+    /// Refuses counts that are out of range.
     pub fn check(&self) -> Result<(), Invalid> {
         let draws = [("draws", self.draws, 100, MOST_DRAWS)];
         let runs = [("simulated_runs", self.simulated_runs, 0, MOST_SIMULATED_RUNS)];

@@ -16,7 +16,7 @@ use crate::{
     settings::Free,
 };
 
-/// What the errors are, apart from what they do.
+/// Plan, process, and the means to compute the effect of errors.
 pub struct Work<'a> {
     runs: Runs<'a>,
     pub inner: Inner,
@@ -28,7 +28,7 @@ pub struct Work<'a> {
 }
 
 impl<'a> Work<'a> {
-    /// Of a plan with the TIF `tif`, whose errors are computed with `moved`, both of this width.
+    /// Prepares a plan with the TIF `tif`, whose errors are computed with `moved`, both of this width.
     pub fn new(
         trajectory: &Trajectory,
         tif: &Tif,
@@ -58,7 +58,7 @@ impl<'a> Work<'a> {
         self.inner.dot(judged, judged).sqrt()
     }
 
-    /// How far the tool moves, in mm (a TIF's change: times its width), per size of an effect.
+    /// Displacement of the tool, mm (for a change of the TIF: times its width), per size of an effect.
     pub fn displacement_per_size(&self, effect: Scalar) -> f64 {
         self.runs.displacement_per_size(effect)
     }

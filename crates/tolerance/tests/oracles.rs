@@ -231,7 +231,7 @@ fn the_interval_covers_simulated_runs() {
     assert!(found.largest_difference < 0.05, "{}", found.largest_difference);
 }
 
-/// What the plane is free of is not counted: a magnification along one axis of a ramp, say.
+/// Free planes are not counted, for example a magnification along one axis of a ramp.
 #[test]
 fn free_planes_are_not_counted() {
     let plane = Settings { free: Free::Plane, ..settings() };
@@ -244,7 +244,7 @@ fn free_planes_are_not_counted() {
     assert!((found.errors[0].adds_rms_nm - 1.0).abs() < 0.1, "{}", found.errors[0].adds_rms_nm);
 }
 
-/// Beyond its first order an error is simulated: a shift by half the width of the tool.
+/// An error beyond its first order is simulated: a shift by half the width of the tool.
 #[test]
 fn large_errors_are_simulated() {
     let large = error("offset_x", 0.8, "mm", "uniform");

@@ -64,7 +64,7 @@ fn times(motion: &Trajectory) -> Vec<f64> {
     motion.served_s(motion.len(), |_| true).unwrap()
 }
 
-/// What the table says that an error adds, from simulations of the motion.
+/// RMS that an error adds, nm, by the table, from simulations of the motion.
 fn adds(motion: &Trajectory, error: &Value) -> f64 {
     let process = process(&json!({ "name": "test", "errors": [error] })).unwrap();
     let settings = Settings { draws: 100, simulated_runs: 0, ..Settings::default() };

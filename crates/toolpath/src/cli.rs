@@ -32,7 +32,7 @@ pub enum Method {
     MultiPitch(multi_pitch::MultiPitchArgs),
     /// One line from the inside out, for round parts
     Spiral(spiral::SpiralArgs),
-    /// The same path several times, there and back
+    /// Repeat a path several times, there and back
     Passes(passes::PassesArgs),
     /// Print the statistics of a path as JSON
     Inspect(inspect::InspectArgs),
@@ -55,7 +55,7 @@ impl Method {
     }
 }
 
-/// What every path needs.
+/// Arguments that every path has in common.
 #[derive(Debug, Args)]
 struct RegionArgs {
     /// Map whose valid pixels (their centres) are the clear aperture [surface artifact]
@@ -67,18 +67,18 @@ struct RegionArgs {
     /// Distance between neighbouring lines, mm
     #[arg(long, value_name = "P", allow_negative_numbers = true)]
     pitch_mm: f64,
-    /// How far the path goes beyond the aperture, mm [default: half the size of the square around
-    /// the centroid of the TIF that holds all but 0.05 % of its volume]
+    /// Distance that the path goes beyond the aperture, mm [default: half the size of the square around the centroid
+    /// of the TIF that holds all but 0.05 % of its volume]
     #[arg(long, value_name = "O", allow_negative_numbers = true)]
     overscan_mm: Option<f64>,
-    /// Machine: a warning says where the path leaves the travel of its axes [JSON]
+    /// Machine, for a warning if the path leaves the travel of its axes [JSON]
     #[arg(long, value_name = "FILE")]
     machine: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
 
-/// A run of a method: where the path shall go.
+/// Run of a method: the region of the path and its inputs.
 struct Region {
     inputs: Inputs,
     output: OutputArgs,
@@ -87,9 +87,9 @@ struct Region {
     tif: Option<Tif>,
     off_centre_mm: [f64; 2],
     overscan_mm: f64,
-    /// Where its travel is limited or its limits are in doubt: only then the report depends on it.
+    /// Machine, if its travel is limited or its limits are in doubt; the report depends on it only then.
     machine: Option<Machine>,
-    /// What is probably a mistake in the inputs.
+    /// Probable mistakes in the inputs.
     doubts: Vec<String>,
 }
 
@@ -147,7 +147,7 @@ impl Region {
         Ok(Output::directory(&self.output, ToolPath::KIND).begin(task, &self.inputs)?)
     }
 
-    /// Writes the path with what there is to say of it; `own` and `warnings` are those of its method.
+    /// Writes the path and its report; `own` and `warnings` are those of its method.
     fn write<R: Serialize>(
         &self,
         output: &mut Writer,

@@ -34,7 +34,7 @@ pub fn svg(path: &ToolPath, surface: Option<&Surface>) -> String {
     svg.finish([left + frame.width + right, top + frame.height + bottom])
 }
 
-/// With a rim, about the path and the aperture.
+/// Makes the frame around the path and the aperture, with a rim.
 fn frame_around(path: &ToolPath, aperture: Option<&Aperture>) -> Frame {
     let half = aperture.map_or([0.0; 2], |a| a.pixel_mm.map(|h| 0.5 * h));
     let beyond = [aperture.map(|a| a.along(half[0])), aperture.map(|a| a.across(half[1]))];

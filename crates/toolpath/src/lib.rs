@@ -42,10 +42,11 @@ pub use statistics::{PathStatistics, PitchLimit, pitch_limit, statistics, time_l
 
 use planish_types::Invalid;
 
-/// Most segments of a path: a plan with more is a mistake in the units, not a run.
+/// Largest number of segments of a path; a plan with more is refused as a mistake in the units. Larger: such mistakes
+/// exhaust the memory. Smaller: fine paths on large parts are refused.
 pub const MAX_SEGMENTS: usize = 20_000_000;
 
-/// Why a path cannot be made.
+/// Reasons for which a path cannot be made.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ToolPathError {
     /// A value that cannot be what it claims to be.

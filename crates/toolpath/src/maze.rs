@@ -19,10 +19,10 @@
 //! corners  replaced by quarter circles of radius R <= p/2, then nodes every L / ceil(L/s)
 //! ```
 //!
-//! Every step goes from a cell to its neighbour and every cell has one step in and one out, so
-//! the path cannot cross itself and every turn is 0 or 90 degrees. A closed loop on a lattice has
-//! as many black as white cells (of a chess board), so some cells at the rim may stay out.
-//! Parts of the region that are still apart are passes of their own with a lift between them.
+//! Every step goes from a cell to its neighbour, and every cell has one step in and one out. So the
+//! path cannot cross itself, and every turn is 0 or 90 degrees. A closed loop on a lattice has as
+//! many black as white cells (of a chess board), so some cells at the rim may stay out. Parts of
+//! the region that are still apart are passes of their own with a lift between them.
 //!
 //! Trees: depth-first goes on at random until it is stuck, then back to where it can go on (long
 //! corridors); its straightness is the chance to keep the direction where that is possible.
@@ -54,18 +54,18 @@ use crate::{
     region::{Aperture, SLACK, check_length},
 };
 
-/// How to draw a maze.
+/// Settings of a maze.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MazeSettings {
     /// Side of a cell: distance between neighbouring lanes, mm; > 0.
     pub pitch_mm: f64,
     /// Longest segment, mm; > 0. Steps between cells are never longer than the pitch.
     pub step_mm: f64,
-    /// How far the path goes beyond the clear aperture, mm; >= 0.
+    /// Distance that the path goes beyond the clear aperture, mm; >= 0.
     pub overscan_mm: f64,
     /// Radius of the corners, mm; from 0 (sharp) to half the pitch.
     pub corner_radius_mm: f64,
-    /// Which random tree the path walks around.
+    /// Random tree around which the path goes.
     pub tree: Tree,
     /// Leave out the step that leads back to the start.
     pub open: bool,
@@ -101,7 +101,7 @@ pub struct Maze {
     pub path: ToolPath,
     /// Cells of the region.
     pub cells: usize,
-    /// Those of them that the path does not pass.
+    /// Cells that the path does not pass.
     pub cells_left_out: usize,
 }
 
@@ -153,7 +153,8 @@ fn check(settings: &MazeSettings) -> Result<(), Invalid> {
 /// East, north, west, south: the sides of a block in the order of its loop.
 const SIDES: usize = 4;
 
-/// Columns and rows outside the region on every side, so that a neighbour always has an index.
+/// Number of columns and rows outside the region on every side, so that a neighbour always has an
+/// index. Larger: more memory. Smaller: neighbours of the border have no index.
 const MARGIN: usize = 2;
 
 /// Cells, row by row from the smallest y.
@@ -251,9 +252,9 @@ impl Lattice {
 
 /// The 2 x 2 blocks, by their south-western cells.
 struct Blocks {
-    /// In ascending order.
+    /// South-western cells of the blocks, in ascending order.
     corners: Vec<usize>,
-    /// Whether a cell is the south-western one of a block.
+    /// True for the cells that are the south-western one of a block.
     is_corner: Vec<bool>,
     /// Connected part of the region that a cell belongs to.
     part: Vec<u32>,
@@ -285,7 +286,7 @@ impl Blocks {
         Self { corners, is_corner, part, phase, width }
     }
 
-    /// Whether two cells, the first of them `low`, would be in one block.
+    /// Returns true if two cells, the first of them `low`, would be in one block.
     fn in_phase(&self, low: usize, side_by_side: bool) -> bool {
         let [x, y] = self.phase[self.part[low] as usize];
         if side_by_side { low % self.width % 2 == x } else { low / self.width % 2 == y }
@@ -403,7 +404,7 @@ fn roots(lattice: &Lattice, blocks: &Blocks) -> Vec<usize> {
     roots
 }
 
-/// No cell.
+/// Marks a cell without a successor.
 const NONE: u32 = u32::MAX;
 
 /// Closed loops of steps between neighbouring cells, each cell in at most one.

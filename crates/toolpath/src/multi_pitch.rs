@@ -60,10 +60,11 @@ use crate::{
 use cells::{Cell, Raster, Visit};
 use regions::{Field, OUTSIDE};
 
-/// Most classes: with more, the border of a region outweighs the region.
+/// Largest number of depth classes; more are refused. Larger: regions so narrow that their borders decide the result.
+/// Smaller: fewer choices of the pitch.
 const MAX_CLASSES: usize = 100;
 
-/// How to divide the aperture, and how to scan its regions.
+/// Settings for the regions of the aperture and for their scan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MultiPitchSettings {
     /// Classes of depth m; from 1 to 100.
@@ -78,23 +79,23 @@ pub struct MultiPitchSettings {
     pub min_area_mm2: Option<f64>,
     /// Longest segment, mm; > 0.
     pub step_mm: f64,
-    /// How far the path goes beyond the clear aperture, mm; >= 0.
+    /// Distance that the path goes beyond the clear aperture, mm; >= 0.
     pub overscan_mm: f64,
-    /// Where the tool stays on from one line to the next.
+    /// Links between lines on which the tool stays on.
     pub links: Links,
 }
 
-/// Where the tool stays on from a line to the next one of its cell.
+/// Links from a line to the next one of its cell on which the tool stays on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Links {
-    /// Everywhere.
+    /// All links: the tool stays on.
     #[default]
     On,
-    /// Where the link is beyond the aperture; along a border, where the other region has links too, it is lifted.
+    /// Links beyond the aperture only. Along a border at which the other region has links too, the tool is lifted.
     Outside,
-    /// Nowhere: every line stands alone.
+    /// No links: the tool is lifted between lines.
     Off,
 }
 
@@ -105,25 +106,25 @@ pub struct MultiPitch {
     pub path: ToolPath,
     /// Region of every pixel of the map (ny, nx); -1 where it is not valid.
     pub region_idx: Array2<i64>,
-    /// What was decided.
+    /// Decisions on classes and regions.
     pub report: MultiPitchReport,
 }
 
-/// What was decided.
+/// Decisions on classes and regions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MultiPitchReport {
     /// Volumetric removal rate of the TIF, nm mm^2/s.
     pub vrr_nm_mm2_per_s: f64,
     /// Standard deviation of the Gaussian that the depth was smoothed with, mm.
     pub smoothing_mm: f64,
-    /// From the least depth to the largest; classes of equal pitch are one.
+    /// Classes from the smallest depth to the largest; classes of equal pitch are one.
     pub classes: Vec<DepthClass>,
-    /// In the order of the path: region i has the `pass_idx` i.
+    /// Regions in the order of the path: region i has the `pass_idx` i.
     pub regions: Vec<PitchRegion>,
 }
 
 impl MultiPitchReport {
-    /// What the user should know: classes whose least depth needs a larger feed than the settings allow.
+    /// Returns warnings for classes whose smallest depth needs a larger feed than the settings allow.
     pub fn warnings(&self, settings: &MultiPitchSettings) -> Vec<String> {
         let limit = settings.max_velocity_mm_per_s;
         let too_fast = self.classes.iter().enumerate().skip(1).filter_map(|(k, class)| {
@@ -156,7 +157,7 @@ pub struct DepthClass {
     pub area_mm2: f64,
     /// Part of that area where the depth asks for more than the largest feed, mm^2.
     pub too_fast_mm2: f64,
-    /// Regions.
+    /// Number of regions.
     pub components: usize,
 }
 

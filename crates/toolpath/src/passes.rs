@@ -1,20 +1,19 @@
-//! The same path several times: there and back, or always forwards.
+//! Repetition of a path: there and back, or always forwards.
 //!
-//! A removal rate that drifts linearly over the run is too high by as much in the one pass as it is too low in the
-//! other where a pass goes there and the next one back: every place is passed at times that are symmetrical about
-//! the turn. With N passes each takes about one N-th of the dwell time, and the floor of the machine holds in
-//! each of them.
+//! If one pass goes there and the next one back, every place is passed at times that are symmetrical about the turn.
+//! A linear drift of the removal rate is then too high in one pass by as much as it is too low in the other. With N
+//! passes each takes about one N-th of the dwell time. The floor of the machine holds in each of them.
 
 use planish_types::{Invalid, ToolPath};
 
 use crate::{MAX_SEGMENTS, draft::Draft};
 
-/// How often, and which way.
+/// Number and direction of the passes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct PassesSettings {
     /// Passes; >= 2.
     pub passes: usize,
-    /// Whether every other pass runs backwards; otherwise the tool is lifted back to the start.
+    /// True if every other pass runs backwards; otherwise the tool is lifted back to the start.
     #[serde(rename = "return")]
     pub back: bool,
 }

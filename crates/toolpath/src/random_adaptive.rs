@@ -7,9 +7,9 @@
 //! rho = (clamp(r, mean r / 4, 4 mean r) / mean r)^b,     d = p / sqrt(rho)
 //! ```
 //!
-//! so that the length of the path per area varies by 2^b down and up from its mean. d is lowered
-//! where it would change by more than an eighth of the distance, and then scaled as a whole
-//! until the aperture's area over the length within it is the pitch.
+//! so that the length of the path per area varies by 2^b down and up from its mean. d is lowered where it would
+//! change by more than an eighth of the distance. Then it is scaled as a whole until the aperture's area over the
+//! length within it is the pitch.
 //!
 //! The region is the clear aperture (centres of the valid pixels) dilated by a square of
 //! half-width max(o, p/2, h/2); h is the pixel. Gaps of at most 4p/3 are closed. Islands wider
@@ -55,33 +55,38 @@ use serde::Serialize;
 use crate::{MAX_SEGMENTS, ToolPathError, region::check_length};
 use field::Field;
 
-/// Smallest region, in squared pitches: less has no room for a random path.
+/// Smallest area of the largest island, in squared pitches; a smaller region is refused. Larger: more parts are
+/// refused. Smaller: regions without room for a random path are accepted.
 const MIN_AREA: f64 = 16.0;
-/// Passes of rounding that are allowed: each doubles the number of points.
+/// Largest number of passes of rounding that the settings accept. Each doubles the number of points. Larger: paths
+/// with more points. Smaller: sharper corners.
 const MAX_ROUNDING_PASSES: u32 = 4;
-/// Departure from the pitch at which the spacing is not scaled any more.
+/// Relative difference between wanted and reached pitch below which the spacing is not scaled again. Larger: the
+/// pitch is less exact. Smaller: more trials.
 const PITCH_TOLERANCE: f64 = 0.02;
-/// Times that the path is made, at most.
+/// Largest number of trials of a path. Larger: more time if the pitch is not reached. Smaller: the pitch may miss its
+/// tolerance.
 const TRIALS: usize = 5;
-/// Mesh edge per spacing of the path: with this the length per area of a uniform path with one
-/// rounding pass is that of its spacing (measured, to 2 %).
+/// Mesh edge over the spacing of the path, dimensionless. With this value the length per area of a uniform path with
+/// one rounding pass is that of its spacing (measured, to 2 %). Another value: more trials until the pitch is
+/// reached.
 const EDGE_PER_SPACING: f64 = 2.4;
 
 type Point = [f64; 2];
 
-/// How the path is made.
+/// Settings of a random-adaptive path.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RandomAdaptiveSettings {
     /// Area of the aperture over the length of the path within it, mm; > 0.
     pub pitch_mm: f64,
-    /// How far the region goes beyond the clear aperture, mm; >= 0. Half the TIF's size keeps the
-    /// removal at the edge equal to that inside.
+    /// Distance that the region goes beyond the clear aperture, mm; >= 0. Half the TIF's size keeps the removal at
+    /// the edge equal to that inside.
     pub overscan_mm: f64,
     /// Wanted length of a step, mm; > 0. `None` keeps the nodes of the construction.
     pub step_mm: Option<f64>,
     /// Exponent b of the density law, 0 ..= 1: 0 is uniform.
     pub contrast: f64,
-    /// What the path goes around.
+    /// Construction of the nodes and of their order.
     pub construction: Construction,
     /// Passes of corner cutting, 0 ..= 4.
     pub rounding_passes: u32,
@@ -89,7 +94,7 @@ pub struct RandomAdaptiveSettings {
     pub seed: u64,
 }
 
-/// How the nodes are made and joined.
+/// Methods to make and join the nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
@@ -106,14 +111,14 @@ pub enum Construction {
 pub struct RandomAdaptive {
     /// One pass per island, lifts between them; closed, unless it jumps over a hole.
     pub path: ToolPath,
-    /// About the path.
+    /// Report on the path.
     pub report: RandomAdaptiveReport,
 }
 
-/// What is known of a random-adaptive path beyond its statistics.
+/// Numbers of a random-adaptive path beyond its statistics.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RandomAdaptiveReport {
-    /// Closed paths.
+    /// Number of closed paths.
     pub islands: usize,
     /// Small triangles (6 per triangle) or random points, each visited once.
     pub visits: usize,
@@ -217,8 +222,8 @@ fn check(settings: &RandomAdaptiveSettings) -> Result<(), Invalid> {
 /// Closed paths at one scale of the spacing.
 struct Trial {
     loops: Vec<Vec<Point>>,
-    /// What d is multiplied by to be the spacing of this path: the mean of 1/d over the aperture
-    /// is its length over the area.
+    /// Factor of d that gives the spacing of this path: the mean of 1/d over the aperture is its length over the
+    /// area.
     pitch_scale: f64,
     visits: usize,
     corners_kept: usize,

@@ -64,10 +64,11 @@ use crate::{
 };
 use runs::Runs;
 
-/// Fewest chords of a semicircle: 45 degrees between neighbours.
+/// Smallest number of chords of a semicircle: 45 degrees between neighbours. Larger: rounder turns, and more
+/// segments. Smaller: sharper corners.
 const MIN_CHORDS: usize = 4;
 
-/// How to scan.
+/// Settings of a raster.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RasterSettings {
     /// Distance between the lines, mm; > 0. With a `pitch_range_mm` that where the map has its
@@ -75,18 +76,18 @@ pub struct RasterSettings {
     pub pitch_mm: f64,
     /// Longest segment, mm; > 0.
     pub step_mm: f64,
-    /// How far the path goes beyond the clear aperture, mm; >= 0. Half the TIF's size keeps the
-    /// removal at the edge equal to that inside.
+    /// Distance that the path goes beyond the clear aperture, mm; >= 0. Half the TIF's size keeps the removal at the
+    /// edge equal to that inside.
     pub overscan_mm: f64,
     /// Direction of the lines.
     pub scan: Scan,
-    /// How consecutive lines are joined.
+    /// Turns between consecutive lines.
     pub turn: Turn,
     /// Coordinate w of one line (y for lines along x), mm; `None` centres the lines.
     pub line_origin_mm: Option<f64>,
-    /// Which line follows which.
+    /// Order of the lines.
     pub order: LineOrder,
-    /// Whether all lines run towards larger u; needs [`Turn::Lift`].
+    /// True if all lines run towards larger u; needs [`Turn::Lift`].
     pub one_directional: bool,
     /// Least and largest distance between lines that follow the desired removal, mm;
     /// 0 < least <= largest. `None` for one pitch.
@@ -115,7 +116,7 @@ impl RasterSettings {
         self.pitch_range_mm.map_or(self.pitch_mm, |[_, most]| most)
     }
 
-    /// What the user should know of the `path` with these settings: that it has one line only, say.
+    /// Returns warnings for `path` with these settings, for example that it has one line only.
     pub fn warnings(&self, path: &ToolPath) -> Vec<String> {
         let across = self.scan.axes()[1];
         let w = |p: &[f64; 2]| p[0] * across[0] + p[1] * across[1];
@@ -166,7 +167,7 @@ impl Scan {
     }
 }
 
-/// Which line follows which.
+/// Order of the lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LineOrder {
@@ -182,7 +183,7 @@ pub enum LineOrder {
     },
 }
 
-/// How consecutive lines are joined.
+/// Turns between consecutive lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
@@ -275,7 +276,7 @@ struct Pass {
 }
 
 impl Pass {
-    /// Where the pass begins and ends, along the line.
+    /// Start and end of the pass, as coordinates along the line.
     fn ends(&self) -> (f64, f64) {
         let Interval { low, high } = self.along;
         if self.forward { (low, high) } else { (high, low) }
@@ -303,7 +304,7 @@ fn passes(runs: &Runs, lines: &[f64], settings: &RasterSettings) -> Option<Vec<P
     Some(passes)
 }
 
-/// Where the tool is on along a line, ascending and apart from each other.
+/// Intervals of a line with the tool on, ascending and disjoint.
 fn intervals(runs: &Runs, lines: &[f64], line: usize, settings: &RasterSettings) -> Vec<Interval> {
     let o = settings.overscan_mm;
     let [pixel_along, pixel_across] = runs.pixel_mm;
@@ -328,7 +329,7 @@ fn intervals(runs: &Runs, lines: &[f64], line: usize, settings: &RasterSettings)
     merged
 }
 
-/// How the tool comes from a pass to the next.
+/// Way of the tool from a pass to the next.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Link {
     TurnAround,
@@ -761,7 +762,7 @@ mod tests {
         }
     }
 
-    /// Whether two segments have a point in common.
+    /// Returns true if two segments have a point in common.
     fn touch(a: [[f64; 2]; 2], b: [[f64; 2]; 2]) -> bool {
         let side = |p: [f64; 2], q: [f64; 2], r: [f64; 2]| {
             (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])

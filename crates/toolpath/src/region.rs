@@ -16,12 +16,13 @@
 use ndarray::ArrayView2;
 use planish_types::{Axis, Invalid, Tif};
 
-/// Lengths that agree to this fraction of a pitch or a step are equal: rounding of coordinates.
+/// Difference of two lengths, as a fraction of a pitch or a step, up to which they are equal. Larger: different
+/// lengths are taken as equal. Smaller: rounding of coordinates adds a segment.
 pub(crate) const SLACK: f64 = 1e-9;
 
-/// Part of the volume of a TIF that may lie beyond its support. What is missing at an edge of the part is half of it.
-/// Larger: the edge is left higher. Smaller: noise in the margin of a measured TIF counts, and the path spends time beyond
-/// the part.
+/// Fraction of the volume of a TIF that may lie beyond its support. Half of it is missing at an edge of the part.
+/// Larger: the edge is left higher. Smaller: noise in the margin of a measured TIF counts, and the path spends time
+/// beyond the part.
 const BEYOND_SUPPORT: f64 = 5e-4;
 
 /// The usual overscan: half the size of the square around `off_centre_mm`, where the TIF removes, that holds its volume
@@ -99,8 +100,8 @@ impl Aperture {
         }
     }
 
-    /// Where a line is in the region: the runs `[u_first - o, u_last + o]` of the pixel rows
-    /// with `low_mm <= w <= high_mm`, those at most `bridge_mm` apart joined; ascending.
+    /// Intervals of a line in the region: the runs `[u_first - o, u_last + o]` of the pixel rows with coordinates
+    /// `low_mm <= w <= high_mm`, joined if they are at most `bridge_mm` apart; ascending.
     pub fn stretches(
         &self,
         low_mm: f64,
@@ -131,7 +132,8 @@ pub(crate) fn join(mut all: Vec<Interval>, bridge_mm: f64) -> Vec<Interval> {
     joined
 }
 
-/// Longest length of a setting, mm: beyond it no path has its points.
+/// Largest length that a setting may have, mm; a larger one is refused. Larger: mistakes in the units pass. Chosen:
+/// no path has points beyond it.
 const LONGEST_MM: f64 = 1e7;
 
 /// Refuses what is not a length > 0, or >= 0 where `zero` allows it.

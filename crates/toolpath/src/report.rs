@@ -1,12 +1,12 @@
-//! What there is to say of a path that was made: its statistics, and what the user should know.
+//! Report on a path: its statistics, and warnings for the user.
 
 use planish_types::{Machine, Surface, Tif, ToolPath};
 use serde::Serialize;
 
 use crate::statistics::{PathStatistics, PitchLimit, pitch_limit, statistics};
 
-/// Where `path` leaves the travel of the axes of `machine`, and what of that is its overscan: a sentence for every
-/// axis that cannot follow it.
+/// Returns a sentence for every axis of `machine` whose travel `path` leaves. It says how far the path is beyond the
+/// travel, and how much overscan the travel allows.
 ///
 /// ```text
 /// too far = beyond the travel by the path;   the largest overscan = travel beyond the clear aperture, on the nearer side
@@ -61,22 +61,23 @@ pub fn travel_warnings(path: &ToolPath, surface: &Surface, machine: &Machine) ->
 /// Names of the axes.
 const AXES: [&str; 2] = ["x", "y"];
 
-/// A place is known to less than this, mm: the rounding of a rotation is 1e-13.
+/// Distance beyond the travel up to which a place counts as within it, mm. Larger: real violations pass without a
+/// warning. Smaller: rounding of a rotation (1e-13 mm) causes warnings.
 const TRAVEL_NOISE_MM: f64 = 1e-9;
 
-/// What there is to say of a path.
+/// Report on a path.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PathReport<R> {
     /// Numbers about the path.
     #[serde(flatten)]
     pub statistics: PathStatistics,
-    /// What bounds the pitch; left out without a TIF.
+    /// Bounds of the pitch; left out without a TIF.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pitch_limit: Option<PitchLimit>,
-    /// What only the method of this path has to say.
+    /// Numbers that only the method of this path reports.
     #[serde(flatten)]
     pub own: R,
-    /// What the user should know.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 

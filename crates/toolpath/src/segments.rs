@@ -1,4 +1,4 @@
-//! Whether two segments meet, decided without rounding.
+//! Intersection test of two segments without rounding.
 //!
 //! Two segments whose bounding boxes overlap have a point in common when neither lies strictly on one
 //! side of the line through the other. A side is the sign of the determinant `(b - a) x (c - a)`, which
@@ -6,7 +6,7 @@
 
 use robust::{Coord, orient2d};
 
-/// Whether the segments `a` and `b`, each (end, [x, y]), have a point in common; touching counts.
+/// Returns true if the segments `a` and `b`, each (end, [x, y]), have a point in common; touching counts.
 pub(crate) fn meet(a: &[[f64; 2]; 2], b: &[[f64; 2]; 2]) -> bool {
     boxes_overlap(a, b) && side(a, b[0]) * side(a, b[1]) <= 0 && side(b, a[0]) * side(b, a[1]) <= 0
 }

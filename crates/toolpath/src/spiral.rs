@@ -36,18 +36,18 @@ use crate::{
     region::{Aperture, check_length},
 };
 
-/// Longest chord, in pitches: on the radius at which it spans 45 degrees it is 0.4 pitches from
-/// its arc.
+/// Longest chord, in pitches. On the radius at which it spans 45 degrees it is 0.4 pitches from its
+/// arc. Larger: sharper turns near the centre. Smaller: more segments.
 const LONGEST_CHORD: f64 = 4.0;
 
-/// How to wind a spiral.
+/// Settings of a spiral.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SpiralSettings {
     /// Distance between neighbouring turns, mm; > 0.
     pub pitch_mm: f64,
     /// Longest segment, mm; > 0.
     pub step_mm: f64,
-    /// How far the path goes beyond the clear aperture, mm; >= 0.
+    /// Distance that the path goes beyond the clear aperture, mm; >= 0.
     pub overscan_mm: f64,
 }
 

@@ -1,4 +1,4 @@
-//! What can be said about any tool path before the dwell time is known.
+//! Numbers of a tool path that do not depend on the dwell time.
 //!
 //! ```text
 //! length            sum of |P_{i+1} - P_i| over the segments with the tool on
@@ -15,9 +15,9 @@
 //! A percentile of n sorted values is the value number ceil(q n). Whether two segments meet is
 //! decided without rounding (module `segments`).
 //!
-//! The pitch that keeps the ripple of parallel lines below `r` (peak to valley over mean) for a
-//! Gaussian TIF of standard deviation sigma, from `r = 4 exp(-2 pi^2 sigma^2 / p^2)`, the first
-//! harmonic of Poisson's sum (at these pitches the third is below 1e-20):
+//! The pitch limit keeps the ripple of parallel lines below `r` (peak to valley over mean) for a Gaussian TIF of
+//! standard deviation sigma. It follows from `r = 4 exp(-2 pi^2 sigma^2 / p^2)`, the first harmonic of Poisson's sum
+//! (at these pitches the third is below 1e-20):
 //!
 //! ```text
 //! p = sigma sqrt(2 pi^2 / ln(4 / r)),     sigma = sqrt(VRR / (2 pi peak))
@@ -38,13 +38,16 @@ use serde::Serialize;
 
 use crate::segments::meet;
 
-/// Ripple that the pitch limit allows, peak to valley over mean: 0.1 %.
+/// Ripple that the pitch limit allows, peak to valley over mean, dimensionless (0.1 %). Larger: a larger pitch, and
+/// visible lines. Smaller: a smaller pitch, and a longer path.
 const RIPPLE: f64 = 1e-3;
 
-/// Cells per axis of the search grid: at most 1024 x 1024 lists of segments.
+/// Largest number of cells per axis of the search grid: at most 1024 x 1024 lists of segments. Larger: more memory.
+/// Smaller: longer searches in long lists.
 const MAX_CELLS: f64 = 1024.0;
 
-/// Most cells that a segment touches, on average: 4 for segments as long as the cells are wide.
+/// Largest mean number of cells that a segment touches; 4 for segments as long as the cells are wide. Larger: more
+/// memory for long segments. Smaller: larger cells, and longer searches.
 const TOUCHED: f64 = 8.0;
 
 /// Numbers about a path.
@@ -56,7 +59,7 @@ pub struct PathStatistics {
     pub length_mm: f64,
     /// Length with the tool lifted, mm.
     pub lift_length_mm: f64,
-    /// Passes.
+    /// Number of passes.
     pub passes: usize,
     /// Runs of segments with the tool lifted.
     pub lifts: usize,
@@ -88,7 +91,7 @@ pub struct PathStatistics {
     pub coverage_mm: Option<f64>,
 }
 
-/// What bounds the pitch.
+/// Bounds of the pitch.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PitchLimit {
     /// A sixth of the TIF's smaller size, mm; larger pitches leave visible lines.
@@ -178,7 +181,7 @@ fn turns_deg(path: &ToolPath) -> Vec<f64> {
     turns
 }
 
-/// What bounds the pitch for this TIF.
+/// Bounds of the pitch for this TIF.
 pub fn pitch_limit(tif: &Tif) -> PitchLimit {
     let [x, y] = tif.grid().size_mm();
     let sigma_mm = (tif.vrr_nm_mm2_per_s() / (2.0 * PI * tif.peak_nm_per_s())).sqrt();
@@ -241,7 +244,8 @@ fn coverage_mm(path: &ToolPath, surface: &Surface) -> Option<f64> {
     Some(bands.map(farthest).reduce(|| 0.0, f64::max))
 }
 
-/// Rows of the map that one thread takes at a time.
+/// Number of rows of the map that one thread takes at a time. Larger: fewer tasks for the threads. Smaller: more
+/// overhead.
 const BAND: usize = 64;
 
 /// The outermost valid pixels in eight directions, as (row, column).

@@ -1,4 +1,4 @@
-//! The clear aperture: the region of a map that counts.
+//! The clear aperture: the region of a map in which statistics and plans count.
 
 use ndarray::Array2;
 
@@ -28,7 +28,7 @@ pub enum ClearAperture {
 impl ClearAperture {
     /// The aperture as a mask (ny, nx) on `grid`; refuses one that contains no pixel.
     pub fn mask(&self, grid: &Grid) -> Result<Array2<bool>, Invalid> {
-        // A pixel centre that rounding puts outside by 1e-9 of a step is on the edge.
+        // A pixel centre that rounding moves outside by up to 1e-9 of a step is inside.
         let slack = 1e-9 * grid.x.step_mm().max(grid.y.step_mm());
         let mask = match self {
             Self::Rectangle { x_mm, y_mm } => {

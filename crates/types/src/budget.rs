@@ -1,17 +1,19 @@
 //! The memory that one run of a stage may take.
 //!
-//! A pitch of 1e-9 mm or a path in micrometres asks for more memory than any machine has, and an
-//! allocation that fails ends a process without a message. So whoever is about to allocate by a number
-//! that a user gave asks here first and gets an [`Invalid`] that names the number and the remedy.
+//! A pitch of 1e-9 mm or a path in micrometres needs more memory than any machine has, and an
+//! allocation that fails ends a process without a message. Code that allocates by a number from the
+//! user therefore calls [`affordable`] first. It gets an [`Invalid`] that names the number and the
+//! remedy.
 //!
-//! The budget belongs to the process, as its memory does: a binary sets it once, from `--memory-gib`,
-//! before any work.
+//! The budget belongs to the process, as its memory does. A binary sets it once, from
+//! `--memory-gib`, before any work.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::{Invalid, text::significant};
 
-/// Budget where the user gives none, GiB (2^30 bytes): every case of docs/performance.md fits.
+/// Default memory budget of a process, GiB (2^30 bytes). Larger: a machine with less memory swaps.
+/// Smaller: large plans are refused. Chosen so that every case of docs/performance.md fits.
 pub const DEFAULT_MEMORY_GIB: f64 = 8.0;
 
 const BYTES_PER_GIB: f64 = (1u64 << 30) as f64;
@@ -33,11 +35,11 @@ pub fn memory_bytes() -> u64 {
     MEMORY_BYTES.load(Ordering::Relaxed)
 }
 
-/// `count` as a number of elements of `bytes_each` that fit into the budget together; an error that
-/// says how many there would be, how much memory they take, and `remedy`.
+/// Returns `count` as a number of elements of `bytes_each`, if all of them together fit into the
+/// budget. Otherwise the error states their number, their memory and `remedy`.
 ///
-/// `count` is a float because it comes from lengths that a user gave: infinite and NaN are refused as
-/// well. `array` names what there would be too much of.
+/// `count` is a float because it comes from lengths that a user gave; infinite and NaN are refused.
+/// `array` names the array that would be too large.
 pub fn affordable(
     array: &'static str,
     count: f64,

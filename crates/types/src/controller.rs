@@ -1,7 +1,9 @@
-//! What a motion controller runs: positions, velocities and times on grids, and a law between two nodes.
+//! Motion controllers: grids of their positions, velocities and times, and their motion between two
+//! nodes.
 //!
-//! [`ControllerFile`] is the object `controller` of a machine file, unchecked; [`ControllerModel`] is what a stage
-//! works with. What the file leaves out has the default of the controller:
+//! [`ControllerFile`] is the object `controller` of a machine file, unchecked. [`ControllerModel`]
+//! is its checked form, which the stages use. Fields that the file omits have the default of the
+//! controller:
 //!
 //! | controller | clock | shortest segment | velocity | law | switches the tool | source |
 //! |---|---|---|---|---|---|---|
@@ -11,13 +13,13 @@
 //! | `gcode` | 1 us | 1 ms | none | linear | yes | LinuxCNC user manual, G93, G1, M62; `[EMCMOT]SERVO_PERIOD` of 1 ms |
 //! | `csv` | 1 us | 1 us | 1e-9 mm/s | Hermite | yes | our own table |
 //!
-//! The count is that of the encoder, 0.1 um by default: no manual states it.
+//! The default count is that of an encoder, 0.1 um: no manual states it.
 
 use serde::{Deserialize, Serialize};
 
 use crate::Invalid;
 
-/// Whose program it is.
+/// Kind of controller; it decides the format of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ControllerKind {
@@ -47,7 +49,7 @@ pub enum Interpolation {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Controller")]
 pub struct ControllerFile {
-    /// Which controller.
+    /// Kind of controller.
     pub kind: ControllerKind,
     /// Clock: node times are multiples of it, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -75,7 +77,7 @@ pub struct ControllerFile {
 /// A controller: every number positive and finite.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ControllerModel {
-    /// Which controller.
+    /// Kind of controller.
     pub kind: ControllerKind,
     /// Clock, s.
     pub tick_s: f64,
@@ -85,7 +87,7 @@ pub struct ControllerModel {
     pub velocity_mm_per_s: [f64; 2],
     /// Shortest segment, s.
     pub min_segment_s: f64,
-    /// Largest number of segments of a program, where there is one.
+    /// Largest number of segments of a program; `None` if there is no limit.
     pub max_segments: Option<usize>,
     /// Motion between two nodes.
     pub interpolation: Interpolation,
@@ -93,13 +95,18 @@ pub struct ControllerModel {
     pub switches_tool: bool,
 }
 
-/// Count where nobody states one, mm: 0.1 um, as a linear encoder of a figuring machine has.
+/// Default count of an encoder, mm: 0.1 um. Larger: positions in a program are rounded more.
+/// Smaller: a program states positions that the encoder does not resolve. Chosen: the count of a
+/// linear encoder of a figuring machine.
 const COUNT_MM: f64 = 1e-4;
 
-/// Last decimal of a velocity in a text, mm/s.
+/// Default resolution of a velocity in a program that writes decimals, mm/s: the last of nine
+/// decimals. Larger: velocities in a program are rounded more.
 const LAST_DECIMAL_MM_PER_S: f64 = 1e-9;
 
-/// Two samples of a Galil at TM 1000, s.
+/// Default clock and shortest segment of a Galil, s: two samples at TM 1000. Larger: the program
+/// follows the plan less closely. Smaller: the controller refuses the program (DMC-40x0 command
+/// reference, PV).
 const TWO_SAMPLES_S: f64 = 2.0 / 1024.0;
 
 impl ControllerKind {
@@ -138,7 +145,8 @@ impl ControllerKind {
 }
 
 impl ControllerModel {
-    /// The same controller on another clock or with other counts, where they are given; refuses what is not positive.
+    /// The controller with another clock or other counts, if they are given. Refuses numbers that
+    /// are not positive.
     pub fn with(self, tick_s: Option<f64>, count_mm: Option<[f64; 2]>) -> Result<Self, Invalid> {
         let number = |name: &'static str, v: f64| match v.is_finite() && v > 0.0 {
             true => Ok(v),
@@ -161,7 +169,7 @@ impl ControllerModel {
 }
 
 impl ControllerFile {
-    /// Nothing but the name: every default.
+    /// A controller that states its kind only, so that every other number is the default.
     pub fn new(kind: ControllerKind) -> Self {
         Self {
             kind,
@@ -175,7 +183,8 @@ impl ControllerFile {
         }
     }
 
-    /// The controller, with the defaults of its kind; refuses what no controller of the kind does.
+    /// The checked controller, with the defaults of its kind. Refuses settings that no controller
+    /// of the kind supports.
     pub fn checked(&self) -> Result<ControllerModel, Invalid> {
         let default = self.kind.model();
         let number = |name: &'static str, given: Option<f64>, default: f64| match given {
@@ -198,7 +207,7 @@ impl ControllerFile {
             };
             number("controller.velocity_mm_per_s", self.velocity_mm_per_s, default)
         };
-        // A default is no shorter than the clock.
+        // The default segment is no shorter than the clock.
         let shortest = default.min_segment_s.max(tick_s);
         let min_segment_s = number("controller.min_segment_s", self.min_segment_s, shortest)?;
         if self.max_segments == Some(0) {

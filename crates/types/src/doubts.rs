@@ -1,57 +1,79 @@
-//! What is probably a mistake in inputs of which each is possible, in one sentence with its remedy, before anything is
-//! planned: a plan for a tilt that nobody wants, or for a pixel that is no height, takes hours of machine time.
+//! Doubts: probable mistakes in inputs of which each one is possible. A doubt is a sentence with a
+//! remedy, and never refuses an input. It comes before anything is planned, because a plan for a
+//! tilt that nobody wants, or for a pixel that is no height, takes hours of machine time.
 //!
-//! What is certainly a mistake is refused by [`crate::plausible`]. Each bound here is beyond what the fixtures and
-//! measured mirrors have, and below what the mistake makes of them; a doubt is never more than a sentence.
+//! [`crate::plausible`] refuses what is certainly a mistake. Each bound here is beyond the values
+//! of the fixtures and of measured mirrors, and below the values that the mistake causes.
 
 use ndarray::Array2;
 use planish_numerics::statistics;
 
 use crate::{Limits, Surface, Tif, text::significant};
 
-/// Part of the mean square of a map that is a plane, from which on the plane is taken for a tilt of the measurement. A
-/// part whose desired removal is a wedge has more of it, and is rare. Larger: a tilt that triples the time goes unsaid.
+/// Fraction of the mean square of a map that is a plane, above which the plane is doubted as a tilt
+/// of the measurement. Larger: a tilt that triples the time causes no doubt. Smaller: more parts
+/// whose desired removal is a wedge are doubted; above 0.9 they are rare.
 const MOST_PLANE: f64 = 0.9;
 
-/// Smallest PV of a map that is taken for heights in nm, nm. An interferometer repeats to some 0.1 nm RMS; heights in um
-/// are a thousand times smaller than they are.
+/// Smallest PV of a map in nm without a doubt, nm. Larger: flat parts are doubted. Smaller: maps in
+/// um pass, whose numbers are a thousand times too small. Chosen: an interferometer repeats to
+/// about 0.1 nm RMS.
 const LEAST_PV_NM: f64 = 0.5;
 
-/// Most pixels of a map that are looked at for repeated heights and quantiles: what concerns 0.2 % of the map is 200 of
-/// them.
+/// Largest number of pixels that are searched for repeated heights and quantiles. Larger: more
+/// time. Smaller: less certain quantiles. Chosen: 0.2 % of the pixels, the threshold of
+/// [`LEAST_REPEATED`] and [`EXTREMES`], are 200 samples.
 const MOST_SAMPLES: usize = 100_000;
 
-/// Least part of the pixels that have one height, exactly, before it is taken for no height; and least ratio of their
-/// number to that of the next most frequent height. In a map of counts neighbouring heights are about as frequent.
+/// Smallest fraction of the pixels with exactly one height, above which that height is doubted as a
+/// mark of missing data. Larger: small areas without data pass. Smaller: heights that repeat by
+/// chance are doubted.
 const LEAST_REPEATED: f64 = 2e-3;
+/// Smallest ratio of the number of pixels with that height to the number with the next most
+/// frequent height. Larger: fewer doubts. Smaller: maps of integer counts are doubted, in which
+/// neighbouring heights are about as frequent.
 const LEAST_REPEATED_RATIO: usize = 10;
 
-/// Part of the pixels, the lowest and the highest ones, that do not decide the range of the others; and how many times
-/// that range a pixel may lie beyond it. The pits of the fixtures, which a tool leaves as they are, lie within one.
+/// Fraction of the pixels at each end, the lowest and the highest ones, that do not decide the
+/// range of the others. Larger: larger defects count as spikes. Smaller: a group of spikes widens
+/// the range, and hides itself.
 const EXTREMES: f64 = 2e-3;
+/// Distance of a pixel from the range of the others, relative to that range, above which it is
+/// doubted as a spike. Larger: lower spikes pass. Smaller: real pits are doubted. Chosen: the pits
+/// of the fixtures, which a tool cannot correct, lie within one range.
 const MOST_RANGES: f64 = 3.0;
 
-/// Times that a tool needs at one place for the mean depth, s: below the first the machine would never stand still, above
-/// the second a part takes days. The fixtures and the reference mirror are between 1.6 and 11 s; rates in nm/min are 60
-/// times too fast, rates in um/s 1000 times too slow.
+/// Smallest and largest time in which the resting tool removes the mean depth, s, without a doubt.
+/// Below the first, the machine would never stand still. Above the second, a part takes days. A
+/// narrower interval doubts good plans, a wider one misses mistaken units. Chosen: the fixtures and
+/// the reference mirror are between 1.6 and 11 s; rates in nm/min are 60 times too fast, rates in
+/// um/s 1000 times too slow.
 const MEAN_DEPTH_S: [f64; 2] = [0.1, 300.0];
 
-/// Most times that the machine may take for the path at its largest velocities, of the time that the removal takes. At
-/// most 0.7 for the fixtures and the reference mirror on every machine; limits in m/s are 1000 times too small.
+/// Ratio of the time for the path at the largest velocity to the time of the removal, above which
+/// the limits are doubted. Larger: mistaken units pass. Smaller: slow machines are doubted. Chosen:
+/// at most 0.7 for the fixtures and the reference mirror on every machine; limits in m/s are 1000
+/// times too small.
 const MOST_TRAVEL: f64 = 5.0;
 
-/// A baseline is what 9 of 10 samples on the border of a TIF exceed, over the peak: of a Gaussian that ends at 3 standard
-/// deviations that is 2e-4. It counts from the first of these on, up to the second, where 8 of 10 samples differ by less
-/// than so many times their median: the border of a cropped spot falls off towards its corners.
+/// Smallest baseline of a TIF that is doubted, relative to the peak. The baseline is the rate that
+/// 9 of 10 samples on the border exceed. Larger: real baselines pass. Smaller: good TIFs are
+/// doubted. Chosen: a Gaussian that ends at 3 standard deviations has 2e-4.
 const LEAST_BASELINE: f64 = 0.01;
+/// Largest rate on the border up to which it can be a baseline, relative to the peak. Larger:
+/// cropped spots are called a baseline. Smaller: high baselines are called a cropped spot.
 const MOST_BASELINE: f64 = 0.3;
+/// Largest spread of a level border: the difference of its 90 % and 10 % quantiles, relative to its
+/// median. Larger: a cropped spot, whose border falls off towards its corners, is called a
+/// baseline. Smaller: a baseline with noise is not recognised.
 const MOST_SPREAD: f64 = 0.8;
 
-/// Largest rate on the border over the peak from which on the samples are taken for a part of the spot: a Gaussian that
-/// ends at 2.4 standard deviations. Noise of 1 % of the peak stays below.
+/// Largest rate on the border, relative to the peak, above which the TIF is doubted as cropped.
+/// Larger: cropped spots pass. Smaller: noise is doubted. Chosen: a Gaussian that ends at 2.4
+/// standard deviations has this value, and noise of 1 % of the peak stays below it.
 const MOST_BORDER: f64 = 0.06;
 
-/// What a map in the clear aperture, before it is levelled, says against its heights.
+/// Doubt about the heights of a map in the clear aperture, before the map is levelled.
 pub fn of_heights(measured: &Surface) -> Option<String> {
     let map = measured.height_nm();
     let mut some = sampled(map);
@@ -59,7 +81,7 @@ pub fn of_heights(measured: &Surface) -> Option<String> {
     no_height(map, &some).or_else(|| spikes(map, &some))
 }
 
-/// What the desired removal says, whose RMS is given with and without its best plane.
+/// Doubt about the desired removal, from its PV and its RMS with and without the best plane, nm.
 pub fn of_removal(pv_nm: f64, rms_nm: f64, detilted_nm: f64) -> Option<String> {
     if pv_nm > 0.0 && pv_nm < LEAST_PV_NM {
         return Some(format!(
@@ -80,7 +102,7 @@ pub fn of_removal(pv_nm: f64, rms_nm: f64, detilted_nm: f64) -> Option<String> {
     })
 }
 
-/// What the samples of a TIF say against it.
+/// Doubt about the samples of a TIF.
 pub fn of_tif(tif: &Tif) -> Option<String> {
     let (ny, nx) = tif.grid().shape();
     let rate = tif.rate_nm_per_s();
@@ -112,7 +134,8 @@ pub fn of_tif(tif: &Tif) -> Option<String> {
     })
 }
 
-/// What the map and the tool say against each other's units.
+/// Doubt about the units of the map and the TIF, from the time in which the resting tool removes
+/// the mean depth.
 pub fn of_rates(desired: &Surface, tif: &Tif) -> Option<String> {
     let depth_nm = mean_depth_nm(desired);
     let at_one_place_s = depth_nm / tif.peak_nm_per_s();
@@ -132,7 +155,8 @@ pub fn of_rates(desired: &Surface, tif: &Tif) -> Option<String> {
         .then(|| said("rates in nm/min, or heights in um? give nm/s and nm"))
 }
 
-/// What the limits of the machine say, for lines of this pitch: the path is some A / pitch long.
+/// Doubt about the limits of the machine for lines of this pitch, mm. The path is about area /
+/// pitch long.
 pub fn of_limits(desired: &Surface, tif: &Tif, limits: &Limits, pitch_mm: f64) -> Option<String> {
     let area_mm2 = desired.statistics().valid_count as f64 * desired.grid().pixel_mm2();
     let removal_s = mean_depth_nm(desired) * area_mm2 / tif.vrr_nm_mm2_per_s();
@@ -149,7 +173,8 @@ pub fn of_limits(desired: &Surface, tif: &Tif, limits: &Limits, pitch_mm: f64) -
     })
 }
 
-/// Mean of the heights above the lowest but for [`EXTREMES`]: a spike downwards is not the depth of the part.
+/// Mean depth of the desired removal, nm: the mean height above the lowest height but for
+/// [`EXTREMES`]. A downward spike is not the depth of the part.
 fn mean_depth_nm(desired: &Surface) -> f64 {
     let s = desired.statistics();
     let low = statistics::lowest(desired.height_nm().view(), None, EXTREMES).unwrap_or(s.min);
@@ -162,7 +187,8 @@ fn sampled(map: &Array2<f64>) -> Vec<f64> {
     map.iter().filter(|z| !z.is_nan()).step_by(valid.div_ceil(MOST_SAMPLES)).copied().collect()
 }
 
-/// A height that so many pixels have exactly, as they have no other; `some` are sorted.
+/// Doubt about a height that far more pixels have, exactly, than any other height; `some` are
+/// sorted.
 fn no_height(map: &Array2<f64>, some: &[f64]) -> Option<String> {
     let runs = some.chunk_by(|a, b| a == b);
     let (mut first, mut second) = ((0, 0.0), 0);
@@ -174,7 +200,7 @@ fn no_height(map: &Array2<f64>, some: &[f64]) -> Option<String> {
         }
     }
     let (repeated, height) = first;
-    // Where it is not the only height.
+    // Fewer than two heights are a flat map, and no doubt.
     let many = repeated as f64 > LEAST_REPEATED * some.len() as f64;
     if !many || second == 0 || repeated < LEAST_REPEATED_RATIO * second {
         return None;
@@ -186,7 +212,7 @@ fn no_height(map: &Array2<f64>, some: &[f64]) -> Option<String> {
     ))
 }
 
-/// Pixels far beyond the range of all others; `some` are sorted.
+/// Doubt about pixels far outside the range of all others; `some` are sorted.
 fn spikes(map: &Array2<f64>, some: &[f64]) -> Option<String> {
     // At least the two outermost samples on each side.
     let out = ((EXTREMES * some.len() as f64) as usize).max(2);
@@ -219,7 +245,8 @@ mod tests {
         Axis::new(start, (end - start) / (n - 1) as f64, n).unwrap()
     }
 
-    /// 40 x 24 mm, PV some 40 nm, with what `change` makes of the heights.
+    /// A map of 40 x 24 mm with a PV of about 40 nm, whose heights are replaced by those of
+    /// `change`.
     fn map(change: impl Fn(f64, (usize, usize)) -> f64) -> Surface {
         let grid = Grid { x: axis(0.0, 40.0, 81), y: axis(0.0, 24.0, 49) };
         let z = Array2::from_shape_fn((49, 81), |(r, c)| {
@@ -229,7 +256,8 @@ mod tests {
         Surface::new(grid, z).unwrap()
     }
 
-    /// Gaussian of sigma 1.5 mm and 10 nm/s out to `half` mm, with what `change` makes of the rates.
+    /// A Gaussian TIF of sigma 1.5 mm and 10 nm/s out to `half` mm, whose rates are replaced by
+    /// those of `change`.
     fn tool(half: f64, change: impl Fn(f64) -> f64) -> Tif {
         let a = axis(-half, half, 49);
         let rate = Array2::from_shape_fn((49, 49), |(r, c)| {

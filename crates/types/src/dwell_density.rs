@@ -1,18 +1,21 @@
-//! How slowly the tool moves along its path: what the artifact of the kind `feed` holds.
+//! Dwell-time density along a path: the content of an artifact of the kind `feed`.
 
 use crate::{Invalid, grid::is_plausible_mm};
 
-/// Lengths along the path and distances of its points agree to this, mm.
+/// Largest difference between arc lengths and the distances of their points, mm. Larger:
+/// inconsistent artifacts pass. Smaller: the rounding of a script that wrote the artifact is
+/// refused.
 const SAME_LENGTH_MM: f64 = 1e-6;
 
-/// The densities around a corner agree to this part.
+/// Largest relative difference between the density of a corner and those of its two neighbours.
+/// Larger: a blend has a step in its feedrate. Smaller: rounding is refused.
 const SAME_DENSITY: f64 = 1e-9;
 
 /// Dwell-time density at nodes along a path.
 ///
-/// Nodes of one pass are joined by straight lines; a node marked as a corner is the control point
-/// of a blend between its two neighbours, a parabola run through with constant acceleration at the
-/// density of the three. From one pass to the next leads a link that is not part of it.
+/// Straight lines join the nodes of one pass. A node marked as a corner is the control point of a
+/// blend between its two neighbours: a parabola with constant acceleration, at the density that the
+/// three nodes share. The link from one pass to the next is not part of the path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DwellDensity {
     nodes: DensityNodes,
@@ -29,7 +32,7 @@ pub struct DensityNodes {
     pub point_mm: Vec<[f64; 2]>,
     /// Pass (m), counted from 0.
     pub pass_idx: Vec<i64>,
-    /// Whether the node is the control point of a blend (m).
+    /// True if the node is the control point of a blend (m).
     pub corner: Vec<bool>,
 }
 
@@ -107,7 +110,7 @@ impl DwellDensity {
         &self.nodes.pass_idx
     }
 
-    /// Whether the node is the control point of a blend (m).
+    /// Corner flags (m): true if the node is the control point of a blend.
     pub fn corner(&self) -> &[bool] {
         &self.nodes.corner
     }

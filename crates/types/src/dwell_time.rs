@@ -1,18 +1,19 @@
-//! How long the tool shall spend at each dwell point.
+//! Dwell time of the tool at each dwell point.
 
 use crate::Invalid;
 
-/// Longest dwell time, s: thirty years are a mistake in the units.
+/// Largest dwell time of a point, s: thirty years. Larger values are a mistake in the units. It is
+/// no limit of a real run.
 const LONGEST_S: f64 = 1e9;
 
-/// Seconds per dwell point, one per segment of a tool path; finite and >= 0.
+/// Dwell times in s, one per segment of a tool path; finite and >= 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DwellTime {
     dwell_s: Vec<f64>,
 }
 
 impl DwellTime {
-    /// Refuses an empty, negative or not finite dwell time.
+    /// Refuses an empty array, and dwell times that are negative, too large or not finite.
     pub fn new(dwell_s: Vec<f64>) -> Result<Self, Invalid> {
         if dwell_s.is_empty() {
             return Err(Invalid::whole(

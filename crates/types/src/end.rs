@@ -1,11 +1,11 @@
-//! How a method that goes step by step came to its end.
+//! Reasons why an iterative method ended.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// How an iterative method ended. Manifests hold its name in kebab case, which is also how it is
-/// displayed; whether a stage calls an end a success is for the stage to say.
+/// Reason why an iterative method ended. Manifests and messages contain its name in kebab case.
+/// Each stage decides which ends are a success.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum End {
@@ -13,35 +13,37 @@ pub enum End {
     Optimal,
     /// The last step changed less than the tolerance.
     Converged,
-    /// What the method watches changes no more, or another step would not pay.
+    /// The quantity that the method watches no longer changes, or another step is not worth its
+    /// cost.
     Settled,
-    /// No round improved the result any more.
+    /// The last round did not improve the result.
     NoImprovement,
-    /// The threshold that was asked for is reached.
+    /// The requested threshold is reached.
     Threshold,
-    /// The next step would have made it worse.
+    /// The next step would have made the result worse.
     Stopped,
-    /// The objective changes no more, without a proof that it is the least.
+    /// The objective no longer changes, but there is no proof that it is the smallest.
     Stagnated,
-    /// The number of steps that was asked for is done.
+    /// The requested number of steps is done.
     StepsDone,
-    /// The number of rounds that was asked for is done.
+    /// The requested number of rounds is done.
     RoundsDone,
-    /// Every price that was asked for is done.
+    /// All requested prices are done.
     AllPrices,
     /// The method does not iterate.
     Direct,
-    /// As many iterations as are allowed.
+    /// The largest allowed number of iterations is reached.
     IterationLimit,
-    /// As many rounds as are allowed.
+    /// The largest allowed number of rounds is reached.
     RoundLimit,
-    /// As many steps as are allowed.
+    /// The largest allowed number of steps is reached.
     StepLimit,
-    /// As many sweeps as are allowed.
+    /// The largest allowed number of sweeps is reached.
     SweepLimit,
-    /// As many lifts of the map as are allowed.
+    /// The largest allowed number of lifts of the map is reached.
     LiftLimit,
-    /// What the links between the passes remove did not stand still in the rounds that are allowed.
+    /// The removal of the links between the passes still changed after the largest allowed number
+    /// of rounds.
     LinkLimit,
 }
 

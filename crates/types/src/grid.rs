@@ -2,18 +2,21 @@
 
 use crate::Invalid;
 
-/// Largest departure of a given coordinate from its uniform axis, as a fraction of a step.
+/// Largest distance of a given coordinate from its uniform axis, relative to a step.
 ///
-/// Coordinates that passed through 32-bit floats depart by up to 5e-5 of a step (92 mm at a
-/// step of 0.09 mm); a real non-uniformity of 1e-4 of a pixel is below any registration error.
+/// Larger: non-uniform maps are treated as uniform. Smaller: coordinates that passed through 32-bit
+/// floats are refused; they depart by up to 5e-5 of a step (92 mm at a step of 0.09 mm). Chosen:
+/// 1e-4 of a pixel is below any registration error.
 const UNIFORMITY: f64 = 1e-4;
 
-/// Largest distance from the origin, mm, and smallest step, mm. Beyond them the unit is wrong, and
-/// arithmetic would overflow far from where the mistake was made.
+/// Largest distance of a coordinate from the origin, mm: 10 km. Farther coordinates are in another
+/// unit. Much larger: products of coordinates overflow, far from the place of the mistake.
 const LARGEST_MM: f64 = 1e7;
+/// Smallest distance between neighbouring coordinates, mm. A smaller step is a mistake in the unit,
+/// or rounding.
 const SMALLEST_STEP_MM: f64 = 1e-9;
 
-/// Whether a coordinate can be one in mm.
+/// Returns true if a coordinate is plausible in mm.
 pub fn is_plausible_mm(mm: f64) -> bool {
     mm.abs() <= LARGEST_MM
 }
@@ -81,7 +84,8 @@ impl Axis {
         }
         let axis = Self { start_mm, step_mm, len };
         if (0..len).any(|i| (mm[i] - axis.at(i)).abs() > UNIFORMITY * step_mm) {
-            // One jump moves every coordinate off the axis from end to end: the odd step tells where.
+            // A single jump displaces all coordinates from the axis between both ends. The odd step
+            // tells its place.
             let mut steps: Vec<f64> = mm.windows(2).map(|w| w[1] - w[0]).collect();
             let odd = |median: f64| {
                 let off = |i: &usize| (mm[*i] - mm[i - 1] - median).abs();
@@ -136,7 +140,7 @@ impl Axis {
         (0..self.len).map(|i| self.at(i)).collect()
     }
 
-    /// The part of the axis from pixel `first` to `last` inclusive.
+    /// Part of the axis from pixel `first` to `last` inclusive.
     pub fn crop(&self, first: usize, last: usize) -> Result<Self, Invalid> {
         Self::new(self.at(first), self.step_mm, (last + 1).saturating_sub(first))
     }
@@ -145,25 +149,25 @@ impl Axis {
 /// Pixel centres of a map with shape (ny, nx); row 0 is the smallest y.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grid {
-    /// Along the columns.
+    /// Pixel centres along a row.
     pub x: Axis,
-    /// Along the rows.
+    /// Pixel centres along a column.
     pub y: Axis,
 }
 
 impl Grid {
-    /// (ny, nx).
+    /// Number of rows and columns (ny, nx).
     pub fn shape(&self) -> (usize, usize) {
         (self.y.len(), self.x.len())
     }
 
-    /// The same pixels elsewhere: [x, y] larger by `by_mm`.
+    /// The grid with all coordinates [x, y] larger by `by_mm`.
     pub fn moved(&self, by_mm: [f64; 2]) -> Result<Self, Invalid> {
         let moved = |axis: &Axis, by| Axis::new(axis.start_mm() + by, axis.step_mm(), axis.len());
         Ok(Self { x: moved(&self.x, by_mm[0])?, y: moved(&self.y, by_mm[1])? })
     }
 
-    /// From the first to the last pixel centre [x, y], mm.
+    /// Distance [x, y] from the first to the last pixel centre, mm.
     pub fn size_mm(&self) -> [f64; 2] {
         [self.x, self.y].map(|axis| axis.end_mm() - axis.start_mm())
     }
@@ -202,7 +206,7 @@ mod tests {
         assert!(message(&[0.0, f64::NAN]).contains("x_mm[1]: is NaN"));
         assert!(message(&[0.0, 1.0, 1.0]).contains("x_mm[2]: is 1 after 1"));
         assert!(message(&[2.0, 1.0]).contains("ascend"));
-        // Where it jumps, not where it first departs from the axis from end to end.
+        // The message names the jump, not the first departure from the axis between both ends.
         let jump = message(&[0.0, 1.0, 2.0, 3.0, 4.5, 5.5]);
         assert!(jump.contains("x_mm[4]: is 4.5 after 3, a step of 1.5 mm"), "{jump}");
         assert!(jump.contains("the median step is 1 mm"), "{jump}");

@@ -1,7 +1,7 @@
-//! The nouns that the stages exchange. A value is checked once, when it is made; afterwards
-//! its type says that it is whole.
+//! Types that the stages exchange. Constructors check a value once, when it is made; from then on
+//! its type guarantees that it is valid.
 //!
-//! | noun | what | array shape |
+//! | type | contents | array shape |
 //! |---|---|---|
 //! | [`Axis`], [`Grid`] | uniform, ascending pixel centres in mm | (nx), (ny) |
 //! | [`Surface`] | height in nm, NaN where invalid | (ny, nx) |
@@ -10,11 +10,11 @@
 //! | [`ToolPath`] | velocity control points, dwell points in mm | (n+1, 2), (n, 2) |
 //! | [`DwellTime`] | seconds per dwell point | (n) |
 //! | [`DwellDensity`] | dwell-time density in s/mm at nodes along the path | (m) |
-//! | [`Limits`] | what the machine's axes can do | - |
+//! | [`Limits`] | limits of the machine's axes | - |
 //! | [`Machine`] | a machine: limits, travel, and how a part lies on it | - |
 //! | [`ControllerModel`] | grids of times, positions and velocities of a controller, and its motion between two nodes | - |
 //! | [`Trajectory`] | piecewise cubic motion in segment-local time | (k, 2, 4) |
-//! | [`Transform`] | where a part lies on a machine, with its covariance | (2, 2), (6, 6) |
+//! | [`Transform`] | position of a part on a machine, with its covariance | (2, 2), (6, 6) |
 //! | [`Removal`] | predicted removal and residual in nm | (ny, nx) |
 
 mod aperture;
@@ -53,10 +53,10 @@ pub use trajectory::{
 };
 pub use transform::{Transform, TransformNumbers};
 
-/// A value that cannot be what it claims to be.
+/// A value that its type refuses.
 ///
-/// `array` is the name of the array or field, `place` the index (or what stands for it),
-/// `problem` says what is wrong including the value, `remedy` what to do about it.
+/// `array` is the name of the array or field, and `place` the index or its substitute. `problem`
+/// states the fault with the value, and `remedy` the correction.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{array}{place}: {problem}; {remedy}")]
 pub struct Invalid {
@@ -64,9 +64,9 @@ pub struct Invalid {
     pub array: &'static str,
     /// Index in brackets, or empty for the whole array.
     pub place: String,
-    /// What is wrong, with the offending value.
+    /// The fault, with the offending value.
     pub problem: String,
-    /// What to do about it.
+    /// The correction that the user can make.
     pub remedy: String,
 }
 
@@ -76,15 +76,15 @@ pub struct Invalid {
     "{method} has not converged: after {iterations} iterations {residual_of} is {residual:.3e}; {remedy}"
 )]
 pub struct NotConverged {
-    /// The method.
+    /// Name of the method.
     pub method: &'static str,
-    /// Iterations that were done.
+    /// Number of iterations done.
     pub iterations: usize,
-    /// What is left, in the unit that `residual_of` says.
+    /// Residual at the end, in the unit that `residual_of` states.
     pub residual: f64,
-    /// What the residual is of, and what would be enough.
+    /// Quantity of the residual, with the value that would be enough.
     pub residual_of: &'static str,
-    /// What to do about it.
+    /// The correction that the user can make.
     pub remedy: &'static str,
 }
 

@@ -1,8 +1,9 @@
-//! What the axes of a machine can do.
+//! Limits of the axes of a machine.
 //!
-//! [`MachineFile`] is what a machine file says, unchecked; [`Limits`] is what a stage works with, made
-//! from it by [`MachineFile::checked`], so that no stage ever divides by a limit of zero, or by one so small that
-//! durations overflow. Where the axes travel and how a part lies on them is [`crate::Machine`].
+//! [`MachineFile`] is the content of a machine file, unchecked. [`MachineFile::checked`] makes
+//! [`Limits`] from it, which the stages use. No stage therefore divides by a limit of zero, or by
+//! one so small that durations overflow. [`crate::Machine`] adds the travel of the axes and the
+//! position of a part on them.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,15 +12,18 @@ use crate::{ControllerFile, Invalid};
 /// Names of the axes, in their order.
 pub(crate) const AXES: [&str; 2] = ["x", "y"];
 
-/// Smallest plausible limit of an axis, mm/s, mm/s^2 or mm/s^3: 1e-9 mm/s is a millimetre in 30 years. Below it
-/// durations, and their cubes in a polynomial, leave the range of doubles.
+/// Smallest plausible limit of an axis, mm/s, mm/s^2 or mm/s^3. 1e-9 mm/s is a millimetre in 30
+/// years. Smaller: durations and their cubes in a polynomial leave the range of 64-bit floats.
+/// Larger: a slow machine could be refused.
 const LEAST_LIMIT: f64 = 1e-9;
 
-/// Largest plausible velocity, mm/s, three times the velocity of light. A machine file may state a limit that nothing
-/// reaches; each derivative may be a thousand times larger.
+/// Largest plausible velocity, mm/s: three times the velocity of light, so that a machine file can
+/// state a limit that nothing reaches. The bound on acceleration is a thousand times larger, that
+/// on jerk a million times. Much larger: products overflow.
 const LARGEST_VELOCITY_MM_PER_S: f64 = 1e12;
 
-/// Longest plausible `min_segment_s`, s, as of any time. Controllers ask for milliseconds.
+/// Largest plausible `min_segment_s`, s. Controllers need milliseconds; the other times of this
+/// crate have the same bound. Much larger: times lose their digits.
 const LARGEST_MIN_SEGMENT_S: f64 = 1e9;
 
 /// The limits of a machine: two axes, every limit positive and finite.
@@ -50,10 +54,10 @@ pub struct MachineFile {
     /// Shortest segment that the controller accepts, s; 0 when it does not matter.
     #[serde(default)]
     pub min_segment_s: f64,
-    /// What the axes read where the part has its origin, mm; [0, 0] when absent.
+    /// Readings of the axes at the origin of the part, mm; [0, 0] if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part_origin_mm: Option<[f64; 2]>,
-    /// Angle by which the part is turned from x towards y, degrees; 0 when absent.
+    /// Angle of the part on the machine, from x towards y, degrees; 0 if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part_rotation_deg: Option<f64>,
     /// The controller; its usual grids when absent.
@@ -74,18 +78,18 @@ pub struct MachineFileAxis {
     /// Largest jerk, mm/s^3; absent when the machine does not limit it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_jerk_mm_per_s3: Option<f64>,
-    /// Smallest and largest position, mm; absent when nobody limits it.
+    /// Smallest and largest position of the axis, mm; absent if the travel has no limit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub travel_mm: Option<[f64; 2]>,
-    /// "+x", "-x", "+y" or "-y": where the tool goes over the turned part when the axis counts up. The axis x
-    /// goes along "+x" and y along "+y" when absent.
+    /// Direction in which the tool moves over the turned part when the axis reading increases:
+    /// "+x", "-x", "+y" or "-y". If absent, the axis x moves along "+x" and y along "+y".
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub along: Option<String>,
 }
 
 impl MachineFile {
-    /// The limits of the axes; checks what the JSON types do not: two axes named x and y, every limit positive
-    /// and of a plausible size.
+    /// The limits of the axes. Checks what JSON cannot: two axes named x and y, and limits that are
+    /// positive and of a plausible size.
     pub fn checked(self) -> Result<Limits, Invalid> {
         let names: Vec<&str> = self.axes.iter().map(|a| a.name.as_str()).collect();
         if names != AXES {
@@ -175,7 +179,8 @@ impl Limits {
         self.min_segment_s
     }
 
-    /// The same machine with other limits of (x, y): velocity, acceleration and jerk, all positive and finite.
+    /// The machine with other limits of (x, y). Velocity, acceleration and jerk have to be positive
+    /// and finite.
     pub(crate) fn with_axes(
         &self,
         velocity: [f64; 2],
@@ -258,7 +263,7 @@ mod tests {
             let refused = MachineFile { min_segment_s: v, ..file.clone() }.checked();
             assert!(refused.unwrap_err().to_string().contains("min_segment_s: is"));
         }
-        // The smallest double, the smallest normal one, and what overflows in a product.
+        // The smallest 64-bit float, the smallest normal one, and numbers whose products overflow.
         for v in [5e-324, 1e-308, 1e-10, 1e300] {
             let message = machine(v, ["x", "y"]).checked().unwrap_err().to_string();
             let said =

@@ -1,13 +1,14 @@
-//! A machine as it stands in a lab: what its axes can do, how far they travel, and how a part lies on them.
+//! A machine in its place: limits of its axes, their travel, and the position of a part on them.
 //!
-//! A plan is made in the coordinates of the part. What the axes read is
+//! A plan is made in the coordinates of the part. The axes read
 //!
 //! ```text
 //! q_i = s_i (R p)_j(i) + o_i            R = [[cos t, -sin t], [sin t, cos t]]
 //! ```
 //!
-//! for a point p of the part that is turned by t: axis i counts up where the tool goes along s_i times the
-//! direction j(i) of the turned part, and reads o_i where the part has its origin. A quarter turn is exact.
+//! for a point p of a part that is turned by t. When the reading of axis i increases, the tool
+//! moves along s_i times the direction j(i) of the turned part. The axis reads o_i at the origin of
+//! the part. A quarter turn is exact.
 //!
 //! | symbol | in the machine file | unit |
 //! |---|---|---|
@@ -15,14 +16,15 @@
 //! | s_i, j(i) | `along` of the axis | - |
 //! | o_i | `part_origin_mm` | mm |
 //!
-//! A stage that plans in the coordinates of the part needs limits there ([`Machine::limits_on_part`]): the largest
-//! box of (x, y) that the axes can follow in every direction,
+//! A stage that plans in the coordinates of the part needs limits in these coordinates
+//! ([`Machine::limits_on_part`]). They are the largest box of (x, y) that the axes can follow in
+//! every direction,
 //!
 //! ```text
 //! |M| w <= limit of the axes            M = matrix of q;  w_x w_y largest
 //! ```
 //!
-//! which for axes along x and y is each axis's own limit.
+//! which is the limit of each axis itself for axes along x and y.
 
 use crate::{
     AxisLimits, ControllerKind, ControllerModel, Invalid, Limits, MachineFile, Transform,
@@ -38,7 +40,7 @@ pub struct Machine {
     controller: Option<ControllerModel>,
 }
 
-/// Axes that read the coordinates of the part and travel as far as anybody likes.
+/// A machine whose axes read the coordinates of the part and have no limit of travel.
 impl From<Limits> for Machine {
     fn from(limits: Limits) -> Self {
         Self { limits, travel_mm: [None; 2], part_to_axes: None, controller: None }
@@ -46,7 +48,7 @@ impl From<Limits> for Machine {
 }
 
 impl Machine {
-    /// Checks what a machine file says.
+    /// Checks the content of a machine file.
     pub fn new(file: MachineFile) -> Result<Self, Invalid> {
         let limits = file.clone().checked()?;
         let mut travel_mm = [None; 2];
@@ -82,22 +84,23 @@ impl Machine {
         self.limits.name()
     }
 
-    /// What the axes can do.
+    /// Limits of the axes.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
 
-    /// Smallest and largest position of the axes x and y, mm; none where nobody limits it.
+    /// Smallest and largest position of the axes x and y, mm; `None` if the travel has no limit.
     pub fn travel_mm(&self) -> &[Option<[f64; 2]>; 2] {
         &self.travel_mm
     }
 
-    /// From the coordinates of the part to what the axes read; none where both are the same.
+    /// Transform from the coordinates of the part to the readings of the axes; `None` if both are
+    /// equal.
     pub fn part_to_axes(&self) -> Option<&Transform> {
         self.part_to_axes.as_ref()
     }
 
-    /// What the axes can do along x and y of the part, in every direction at once.
+    /// Limits along x and y of the part that the axes can follow in every direction at once.
     pub fn limits_on_part(&self) -> Limits {
         let Some(transform) = &self.part_to_axes else { return self.limits.clone() };
         let axes = self.limits.axes();
@@ -113,7 +116,7 @@ impl Machine {
     }
 }
 
-/// q of the module; none where it is p.
+/// Transform q(p) of the module; `None` if it is the identity.
 fn part_to_axes(file: &MachineFile) -> Result<Option<Transform>, Invalid> {
     let origin_mm = file.part_origin_mm.unwrap_or_default();
     if let Some(i) = origin_mm.iter().position(|v| !is_plausible_mm(*v)) {
@@ -142,7 +145,7 @@ fn part_to_axes(file: &MachineFile) -> Result<Option<Transform>, Invalid> {
     Transform::new(matrix, [0.0; 2], origin_mm, [[0.0; 6]; 6]).map(Some)
 }
 
-/// j and s of the axis `i`.
+/// Direction j and sign s of the axis `i`.
 fn direction(i: usize, along: Option<&str>) -> Result<(usize, f64), Invalid> {
     match along {
         None => Ok((i, 1.0)),
@@ -173,11 +176,13 @@ fn sine_cosine(angle_deg: f64) -> (f64, f64) {
     }
 }
 
-/// Elements of M below this are zero: their part of a limit vanishes at every plausible ratio of two limits, and a limit
-/// over a much smaller one would overflow.
+/// Smallest magnitude of an element of M that counts, dimensionless; smaller elements are zero.
+/// Much smaller: a limit divided by the element overflows. Larger: a part of a limit is lost.
+/// Chosen: at 1e-100 it vanishes at every plausible ratio of two limits.
 const LEAST_PART: f64 = 1e-100;
 
-/// The box w of the largest w_x w_y with |M| w <= `limits`, for M of orthogonal rows; none where nothing limits.
+/// The box w of the largest w_x w_y with |M| w <= `limits`, for M of orthogonal rows; `None` where
+/// no limit applies.
 fn largest_box(m: &[[f64; 2]; 2], limits: [Option<f64>; 2]) -> [Option<f64>; 2] {
     // a w_x + b w_y <= c
     let part = |v: f64| if v.abs() < LEAST_PART { 0.0 } else { v.abs() };
@@ -202,7 +207,8 @@ fn largest_box(m: &[[f64; 2]; 2], limits: [Option<f64>; 2]) -> [Option<f64>; 2] 
         _ => None,
     };
     let candidates = middle.chain(corner.filter(|w| w.iter().all(|v| v.is_finite() && *v > 0.0)));
-    // Each as large as the limits allow: a comparison would leave it to rounding whether a middle is on its own line.
+    // Each candidate is scaled up to the limits. A comparison would depend on rounding where a
+    // middle lies on its own line.
     let scaled = candidates.map(|w| {
         let most =
             rows.iter().map(|[a, b, c]| c / (a * w[0] + b * w[1])).fold(f64::INFINITY, f64::min);
@@ -246,7 +252,7 @@ mod tests {
         let machine = Machine::new(file()).unwrap();
         assert_eq!((machine.part_to_axes(), machine.travel_mm()), (None, &[None; 2]));
         assert_eq!(machine.limits_on_part(), file().checked().unwrap());
-        // Neither does what states the same.
+        // Keys that state the same have no effect either.
         let same = MachineFile { part_rotation_deg: Some(360.0), ..along("+x", "y") };
         assert_eq!(Machine::new(same).unwrap().part_to_axes(), None);
     }
@@ -288,8 +294,9 @@ mod tests {
         );
     }
 
-    /// The largest box has its corner in the middle of the nearer of two lines, or where they meet; either is some
-    /// 1e-16 beyond a line by rounding, which once made the box negative, or half as large.
+    /// The largest box has its corner in the middle of the nearer of two lines, or at their
+    /// intersection. Rounding puts either about 1e-16 beyond a line, which once made the box
+    /// negative, or half as large.
     #[test]
     fn rounding_does_not_decide_on_the_box_of_a_turned_part() {
         for tenth in 1..900 {
@@ -305,8 +312,8 @@ mod tests {
                 let used = [(c * wx + s * wy) / speeds[0], (s * wx + c * wy) / speeds[1]];
                 let most = used[0].max(used[1]);
                 assert!((most - 1.0).abs() < 1e-12, "{angle_deg} {speeds:?}: {most} of a limit");
-                // On the line of the nearer limit the product is c^2 / 4ab at its middle; no box has more, and that
-                // where both lines meet has less.
+                // On the line of the nearer limit the product is c^2 / 4ab at its middle. No box
+                // has a larger product, and the box at the intersection has a smaller one.
                 let middle = |i: usize| speeds[i].powi(2) / (4.0 * s * c);
                 let bound = middle(0).min(middle(1)) * (1.0 + 1e-12);
                 let is_corner = used.iter().all(|u| (u - 1.0).abs() < 1e-12);
@@ -316,7 +323,8 @@ mod tests {
         }
     }
 
-    /// Every corner of the box is within the limits of the axes, and no box of a larger product is: found by trying.
+    /// Every corner of the box is within the limits of the axes, and a search finds no box of a
+    /// larger product.
     #[test]
     fn the_box_on_the_part_is_the_largest_that_the_axes_follow() {
         for angle_deg in [0.0, 1.0, 20.0, 31.0, 45.0, 60.0, 89.0, 130.0] {
@@ -324,7 +332,7 @@ mod tests {
             let [wx, wy] = machine.limits_on_part().max_velocity_mm_per_s();
             let (s, c) = f64::to_radians(angle_deg).sin_cos();
             let (s, c) = (s.abs(), c.abs());
-            // Most of y that the axes of 100 and 60 mm/s can do with x.
+            // Largest velocity along y that the axes of 100 and 60 mm/s can reach together with x.
             let most = |x: f64| {
                 let y = |a: f64, b: f64, limit: f64| match b > 1e-15 {
                     true => (limit - a * x) / b,

@@ -1,60 +1,70 @@
-//! Whether inputs, each of them whole, make sense together.
+//! Checks of inputs against each other, after each of them is valid by itself.
 //!
-//! Lengths in metres, heights in metres, rates in m/s, axes that begin at 0: every number is finite
-//! and in range, and the plan is nonsense. So surface, tool and path are compared with each other.
-//! The comparisons are free of a scale (micro-optics and telescope mirrors are alike) wherever one
-//! exists, and each bound is an order of magnitude and more beyond what is done on purpose, while a
-//! mistaken unit is a factor of 1000.
+//! With lengths or heights in metres, rates in m/s, or axes that begin at 0, every number is finite
+//! and in range, and the plan is nonsense. The checks therefore compare surface, tool and path with
+//! each other. Wherever possible a comparison is independent of scale, so that it suits
+//! micro-optics and telescope mirrors. Each bound is at least an order of magnitude beyond what is
+//! done on purpose; a mistaken unit is a factor of 1000.
 //!
-//! What is certainly a mistake is an [`Invalid`]. A plan that was made and is of no use, because
-//! the surface would be worse than before or the run would last for months, is a result with a
-//! negative verdict: [`drawback`] says why.
+//! A certain mistake is an [`Invalid`]. A plan can also be of no use, because it makes the surface
+//! worse or because the run lasts for months. That is a result with a negative verdict, and
+//! [`drawback`] states the reason.
 
 use planish_numerics::statistics;
 
 use crate::{Invalid, Surface, Tif, ToolPath};
 
-/// Longest run that is taken for a plan, s: 30 days. Machines run for days on large mirrors; a run of
-/// months is stopped, measured and planned anew long before its end.
+/// Longest useful run, s: 30 days. Larger: plans in mistaken units pass. Smaller: runs of days on
+/// large mirrors fail. Chosen: a run of months is stopped, measured and planned anew long before
+/// its end.
 pub const LONGEST_RUN_S: f64 = 30.0 * 86_400.0;
 
-/// Most times that the TIF may be larger than the map. Laps a few times larger than a small part are
-/// in use; TIFs in micrometres are hundreds of times larger than the map.
+/// Largest ratio of the size of the TIF to the size of the map. Larger: mistaken units pass; a TIF
+/// in micrometres is hundreds of times larger than the map. Smaller: laps that are a few times
+/// larger than a small part are refused.
 const MOST_TIF_PER_MAP: f64 = 50.0;
 
-/// Least part of a pixel that the TIF extends over. A tool that is narrower than a pixel is not seen
-/// by the map; a TIF in metres extends over a few hundredths of one.
+/// Smallest ratio of the size of the TIF to a pixel. Larger: narrow tools are refused. Smaller:
+/// mistaken units pass; a TIF in metres extends over a few hundredths of a pixel. Chosen: a map
+/// does not resolve a tool that is narrower than a pixel.
 const LEAST_TIF_PER_PIXEL: f64 = 0.25;
 
-/// Least time that the volume of the map over the volumetric removal rate may take, s: three years.
-/// Rates in m/s ask for a billion times too much.
+/// Largest ratio of the volume of the map to the volumetric removal rate, s: three years. Larger:
+/// mistaken units pass; rates in m/s take a billion times too long. Smaller: slow tools on large
+/// parts are refused.
 const LONGEST_VOLUME_S: f64 = 1e8;
 
-/// Part of the pixels, the lowest ones, that do not decide the volume: a pit would ask for a layer of
-/// its depth all over the part.
+/// Fraction of the pixels, the lowest ones, that do not decide the volume. Larger: more of the real
+/// volume is left out. Smaller: a pit counts as a layer of its depth all over the part.
 const PITS: f64 = 1e-3;
 
-/// Smallest PV that a map in nm can have, nm: a thousandth of an atom's radius. A flat map has none,
-/// but for rounding.
+/// Smallest PV of a map in nm, nm: a thousandth of the radius of an atom. Larger: exact test maps
+/// are refused. Smaller: maps in metres pass. A map of PV 0, but for [`ROUNDING`], is allowed.
 const LEAST_PV_NM: f64 = 1e-4;
+/// Largest PV of a flat map, relative to its largest height. Larger: maps in metres with an offset
+/// pass as flat. Smaller: the rounding of a flat map is refused.
 const ROUNDING: f64 = 1e-9;
 
-/// An extreme height that stands in several pixels to the last digit is a marker when it is farther
-/// from all others than this many times their PV: a measured height does not repeat.
+/// Distance of an extreme height from all others, relative to their PV, above which it is a marker
+/// of invalid pixels. It applies if several pixels have exactly this height, because a measured
+/// height does not repeat. Larger: markers pass as heights. Smaller: real plateaus are refused.
 const MARKER_DISTANCE: f64 = 10.0;
 
-/// The same for numbers that are written as markers: -9999, 32767.
+/// The [`MARKER_DISTANCE`] of numbers that are known as markers, such as -9999 and 32767. Larger:
+/// markers pass as heights. Smaller: such a number within the heights is refused.
 const KNOWN_MARKER_DISTANCE: f64 = 1.0;
 
-/// Most times that the path with the tool on may be longer or higher than the map and the TIF together.
-/// Several parts on one table are within it; a path in micrometres is not.
+/// Largest ratio of the extent of the path with the tool on to that of the map and the TIF
+/// together. Larger: mistaken units pass, such as a path in micrometres. Smaller: paths over
+/// several parts on one table are refused.
 const MOST_PATH_PER_MAP: f64 = 100.0;
 
-/// Most times that the pitch may be larger than the TIF. Beyond 1 the lines leave stripes that no tool
-/// has touched, as a test of a tool may want; in metres a TIF is hundreds of pitches small.
+/// Largest ratio of the pitch to the size of the TIF. Above 1 the lines leave untouched stripes,
+/// which a test of a tool may want. Larger: mistaken units pass; in metres, the TIF is a few
+/// hundredths of a pitch. Smaller: such tests are refused.
 const MOST_PITCH_PER_TIF: f64 = 10.0;
 
-/// Refuses a TIF that cannot be the tool for this map, and heights that are none.
+/// Refuses a TIF that cannot be the tool for this map, and heights that cannot be measured.
 pub fn check_tool(surface: &Surface, tif: &Tif) -> Result<(), Invalid> {
     check_offsets(tif)?;
     check_sizes(surface, tif)?;
@@ -75,7 +85,7 @@ pub fn check_tool(surface: &Surface, tif: &Tif) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// [`check_tool`], and refuses a path that cannot be meant for this map.
+/// Refuses everything that [`check_tool`] refuses, and a path that cannot be meant for this map.
 pub fn check_path(surface: &Surface, tif: &Tif, path: &ToolPath) -> Result<(), Invalid> {
     check_tool(surface, tif)?;
     let on = (0..path.len()).filter(|i| path.tool_on()[*i]);
@@ -113,26 +123,27 @@ pub fn check_pitch(tif: &Tif, pitch_mm: f64) -> Result<(), Invalid> {
     ))
 }
 
-/// RMS of a map in nm, mean removed, and with its best plane removed.
+/// RMS of a map, nm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rms {
-    /// Without the mean.
+    /// RMS after removing the mean, nm.
     pub rms_nm: f64,
-    /// Without the best plane.
+    /// RMS after removing the least-squares plane, nm.
     pub detilted_nm: f64,
 }
 
 impl Rms {
-    /// That of a map.
+    /// The two RMS values of a map.
     pub fn of(surface: &Surface) -> Self {
         Self { rms_nm: surface.statistics().rms, detilted_nm: surface.detilted_rms_nm() }
     }
 }
 
-/// Why a plan that leaves `after` of `before` in `total_time_s` is of no use: the surface is worse
-/// than before (with and without its best plane), or the run is longer than [`LONGEST_RUN_S`].
+/// Reason why a plan that reduces `before` to `after` in `total_time_s` is of no use; `None` if it
+/// is of use. Either the surface is worse than before, with and without its best plane, or the run
+/// is longer than [`LONGEST_RUN_S`].
 pub fn drawback(before: Rms, after: Rms, total_time_s: f64) -> Option<String> {
-    // Of a flat map nothing is known to be better than nothing.
+    // Any plan makes a flat map worse, so that nothing is expected of it.
     let flat = before.rms_nm <= 0.0;
     if !flat && after.rms_nm > before.rms_nm && after.detilted_nm > before.detilted_nm {
         return Some(format!(
@@ -144,7 +155,7 @@ pub fn drawback(before: Rms, after: Rms, total_time_s: f64) -> Option<String> {
     too_long(total_time_s)
 }
 
-/// Why a run of this length is of no use.
+/// Reason why a run of `total_time_s` is too long; `None` if it is not.
 pub fn too_long(total_time_s: f64) -> Option<String> {
     (total_time_s > LONGEST_RUN_S).then(|| {
         format!(
@@ -156,8 +167,8 @@ pub fn too_long(total_time_s: f64) -> Option<String> {
     })
 }
 
-/// The offset 0 is where the tool is. On axes that begin (or end) at it the removal is beside the
-/// tool by its own size: those are coordinates of an array, not offsets.
+/// Refuses a TIF whose removal is farther from the offset 0, the place of the tool, than its own
+/// width. Such axes begin or end at 0, and are coordinates of an array rather than offsets.
 fn check_offsets(tif: &Tif) -> Result<(), Invalid> {
     let grid = tif.grid();
     for (name, axis, of_row) in [("x_mm", grid.x, false), ("y_mm", grid.y, true)] {
@@ -249,8 +260,8 @@ fn check_heights(surface: &Surface) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Whether a number is made of nines, or the limit of an integer type; at any power of ten, because
-/// units may have been converted.
+/// Returns true if the digits of `value` are all nines, or those of the limit of an integer type.
+/// The power of ten does not matter, because units may have been converted.
 fn is_known_marker(value: f64) -> bool {
     let digits: String = format!("{:e}", value.abs()).chars().take_while(|c| *c != 'e').collect();
     let digits = digits.replace('.', "");
@@ -261,8 +272,8 @@ fn is_known_marker(value: f64) -> bool {
             .any(|limit| limit.trim_end_matches('0') == digits)
 }
 
-/// Volume above the lowest pixel, but for [`PITS`], over the volumetric removal rate, s: no plan is
-/// faster.
+/// Lower bound on the time of any plan, s: the volume above the lowest pixel, but for [`PITS`],
+/// over the volumetric removal rate.
 fn least_time_s(surface: &Surface, tif: &Tif) -> f64 {
     let map = surface.height_nm().view();
     let low = statistics::lowest(map, None, PITS).expect("a surface has a valid pixel");

@@ -1,14 +1,16 @@
-//! How far a computation is, told to whoever watches the process.
+//! Progress of a computation, reported to one watcher of the process.
 //!
-//! A library knows neither clock nor terminal: it says which fraction of its work is done, and a program that shows it
-//! has called [`watch`] before. Work that consists of others takes the part of the whole that each of them is:
+//! A library knows neither clock nor terminal. It reports the fraction of its work that is done,
+//! and a program that shows it has called [`watch`] before. Work that consists of several parts
+//! assigns each part an interval of the whole:
 //!
 //! ```text
 //! told = first + (last - first) fraction        of the part [first, last] that is under way
 //! ```
 //!
-//! Fractions of iterations are estimates, see [`of_convergence`]; none decides anything. Like the
-//! [budget](crate::budget), this belongs to the process: two computations at once tell the watcher in turn.
+//! Fractions of iterations are estimates, see [`of_convergence`]; no result depends on them. Like
+//! the [budget](crate::budget), the progress belongs to the process. Two computations at once
+//! report to the same watcher in turn.
 
 use std::sync::{
     Mutex, MutexGuard, OnceLock, PoisonError,
@@ -21,32 +23,34 @@ static WATCHER: OnceLock<Watcher> = OnceLock::new();
 
 static ROUND_WATCHER: OnceLock<Box<dyn Fn() + Send + Sync>> = OnceLock::new();
 
-/// First and last fraction of the part under way, and the largest fraction told.
+/// State of the progress: first and last fraction of the part under way, and the largest fraction
+/// reported so far; all from 0 to 1.
 static UNDER_WAY: Mutex<([f64; 2], f64)> = Mutex::new(([0.0, 1.0], 0.0));
 
 fn under_way() -> MutexGuard<'static, ([f64; 2], f64)> {
     UNDER_WAY.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// From now on `watcher` is told the fraction of the work that is done, never less than before; only the first
-/// watcher of a process is told.
+/// Registers `watcher`, which gets the fraction of the work that is done, 0 to 1, never smaller
+/// than before. Only the first watcher of a process is registered.
 pub fn watch(watcher: impl Fn(f64) + Send + Sync + 'static) {
     let _ = WATCHER.set(Box::new(watcher));
 }
 
-/// From now on `watcher` is told when a round ends; only the first watcher of a process is told.
+/// Registers `watcher`, which is called at the end of every round. Only the first watcher of a
+/// process is registered.
 pub fn watch_rounds(watcher: impl Fn() + Send + Sync + 'static) {
     let _ = ROUND_WATCHER.set(Box::new(watcher));
 }
 
-/// A round of the computation has ended: whoever watches knows what it cost.
+/// Reports the end of a round, so that a watcher can measure its time.
 pub fn round_ended() {
     if let Some(watcher) = ROUND_WATCHER.get() {
         watcher();
     }
 }
 
-/// Of the part under way this fraction is done.
+/// Reports the fraction of the part under way that is done, 0 to 1.
 pub fn done(fraction: f64) {
     let Some(watcher) = WATCHER.get() else { return };
     let told = {
@@ -57,7 +61,7 @@ pub fn done(fraction: f64) {
     watcher(told);
 }
 
-/// Does the work that is part number `k` of `n` equal ones.
+/// Runs `work`, which is part number `k` of `n` equal parts.
 pub fn part<T>(k: usize, n: usize, work: impl FnOnce() -> T) -> T {
     let whole = under_way().0;
     let edge = |k: usize| within(whole, k as f64 / n as f64);
@@ -68,25 +72,26 @@ pub fn part<T>(k: usize, n: usize, work: impl FnOnce() -> T) -> T {
     result
 }
 
-/// Equal pieces of work, which threads end in any order.
+/// Counter of equal pieces of work, which threads end in any order.
 pub struct Pieces {
     count: usize,
     ended: AtomicUsize,
 }
 
 impl Pieces {
-    /// So many, none of which has ended.
+    /// A counter of `count` pieces, none of which has ended.
     pub fn new(count: usize) -> Self {
         Self { count, ended: AtomicUsize::new(0) }
     }
 
-    /// One more has ended: the fraction of those that have.
+    /// Counts one more piece as ended; returns the fraction of the ended ones.
     pub fn one_more(&self) -> f64 {
         (self.ended.fetch_add(1, Ordering::Relaxed) + 1) as f64 / self.count as f64
     }
 }
 
-/// Tells how far an iteration is that ends where its excess is 1 or less, from the excess after every step.
+/// Returns a function that reports the progress of an iteration from its excess after every step.
+/// The iteration ends when the excess is 1 or less.
 pub fn of_excess() -> impl FnMut(f64) {
     let mut first = None;
     move |excess| done(of_convergence(*first.get_or_insert(excess), excess, 1.0))
@@ -96,7 +101,8 @@ fn within([first, last]: [f64; 2], fraction: f64) -> f64 {
     first + (last - first) * fraction.clamp(0.0, 1.0)
 }
 
-/// The fraction of an iteration that is done when what falls geometrically from `first` to `last` is at `now`:
+/// Estimated fraction of an iteration that is done, 0 to 1. The quantity falls geometrically from
+/// `first` to `last` and is now `now`:
 ///
 /// ```text
 /// log(first / now) / log(first / last)

@@ -1,4 +1,4 @@
-//! Height maps: what is there, what shall be removed, what is predicted to remain.
+//! Height maps: measured surface, desired removal, and predicted residual.
 
 use ndarray::{Array2, Zip};
 use planish_numerics::statistics::{self, Statistics};
@@ -31,8 +31,9 @@ impl Surface {
         &self.height_nm
     }
 
-    /// The map where the tool stands when it removes there, which it does `off_centre_mm` beside its place
-    /// ([`crate::Tif::off_centre_mm`]).
+    /// The map in the coordinates of the tool position: shifted by the offset `off_centre_mm` of
+    /// the centre of removal ([`crate::Tif::off_centre_mm`]). A pixel then lies where the tool
+    /// stands when it removes there.
     pub fn seen_by_tool(&self, off_centre_mm: [f64; 2]) -> Result<Self, Invalid> {
         let grid = self.grid.moved(off_centre_mm.map(|mm| -mm))?;
         Self::new(grid, self.height_nm.clone())
@@ -63,7 +64,7 @@ impl Surface {
         }
         let distance2 =
             |r: usize, c: usize| (grid.x.at(c) - p[0]).powi(2) + (grid.y.at(r) - p[1]).powi(2);
-        // Squares of growing size, until no farther one can hold a nearer pixel.
+        // Search in square rings of growing size, until no farther ring can contain a nearer pixel.
         let (ny, nx) = map.dim();
         let least_step = grid.x.step_mm().min(grid.y.step_mm());
         let mut best: Option<(f64, (usize, usize))> = None;
@@ -88,7 +89,7 @@ impl Surface {
     }
 }
 
-/// What a run is predicted to remove, and what it leaves: `residual = desired - removal`.
+/// Predicted removal and residual of a run: `residual = desired - removal`.
 #[derive(Clone, Debug)]
 pub struct Removal {
     removal_nm: Array2<f64>,
@@ -105,7 +106,8 @@ pub struct RemovalMaps {
 }
 
 impl Removal {
-    /// `removal_nm` (ny, nx) >= 0 on every pixel of the desired map, also on its invalid ones.
+    /// The removal `removal_nm` (ny, nx) and the residual that it leaves of `desired`. The removal
+    /// has to be known on every pixel, also on the invalid ones.
     pub fn new(desired: &Surface, removal_nm: Array2<f64>) -> Result<Self, Invalid> {
         let mut residual_nm = desired.height_nm().clone();
         if removal_nm.dim() == residual_nm.dim() {
@@ -114,7 +116,7 @@ impl Removal {
         Self::from_maps(*desired.grid(), RemovalMaps { removal_nm, residual_nm })
     }
 
-    /// From both maps, as stored.
+    /// A removal from both maps, as stored.
     pub fn from_maps(grid: Grid, maps: RemovalMaps) -> Result<Self, Invalid> {
         let RemovalMaps { removal_nm, residual_nm } = maps;
         check_map("removal_nm", &grid, &removal_nm)?;
@@ -144,7 +146,8 @@ impl Removal {
     }
 }
 
-/// Largest height, nm: a kilometre is a mistake in the units.
+/// Largest height, nm: one kilometre. Larger heights are a mistake in the units. Much larger:
+/// squares of heights overflow.
 const LARGEST_NM: f64 = 1e12;
 
 fn check_map(name: &'static str, grid: &Grid, map: &Array2<f64>) -> Result<(), Invalid> {

@@ -1,10 +1,10 @@
-//! Text that people and other programs read: names hold whatever a file system allows, numbers
-//! whatever arithmetic leaves.
+//! Text for people and other programs. Names may contain any character that a file system allows,
+//! and numbers may be any result of arithmetic.
 
 use std::{borrow::Cow, fmt::Write};
 
-/// `text` for a line of a terminal or a cell of a table: characters that could command the terminal,
-/// end the line or turn the direction of reading are spelt out (`\u{1b}`, `\n`).
+/// `text` for a line of a terminal or a cell of a table. Characters that could command the
+/// terminal, end the line or turn the reading direction are escaped (`\u{1b}`, `\n`).
 pub fn visible(text: &str) -> Cow<'_, str> {
     if !text.chars().any(is_invisible) {
         return Cow::Borrowed(text);
@@ -19,7 +19,8 @@ pub fn visible(text: &str) -> Cow<'_, str> {
     Cow::Owned(out)
 }
 
-/// Control characters, separators of lines, marks of direction, and what XML 1.0 has no way to write.
+/// Returns true for control characters, line separators, direction marks, and characters that XML
+/// 1.0 cannot represent.
 fn is_invisible(c: char) -> bool {
     c.is_control()
         || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}')
@@ -42,7 +43,7 @@ pub fn escaped(text: &str) -> String {
     out
 }
 
-/// `value` with so many decimals; zero has no sign, and what is no number is a dash.
+/// `value` with `decimals` decimals. Zero has no sign; a value that is not finite is a dash.
 pub fn fixed(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return "-".into();
@@ -54,8 +55,8 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     }
 }
 
-/// `value` with `digits` significant ones, without an exponent from 1e-4 to 1e6, and without zeros
-/// at the end.
+/// `value` with `digits` significant digits and without trailing zeros. Values from 1e-4 to 1e6
+/// have no exponent; a value that is not finite is a dash.
 pub fn significant(value: f64, digits: usize) -> String {
     if !value.is_finite() {
         return "-".into();

@@ -1,4 +1,4 @@
-//! The tool influence function: how fast the resting tool removes material around itself.
+//! The tool influence function (TIF): removal rate of the resting tool at every offset from it.
 
 use std::borrow::Cow;
 
@@ -7,38 +7,48 @@ use planish_numerics::keys;
 
 use crate::{Axis, Grid, Invalid, Surface, text::significant};
 
-/// Largest rate and smallest peak, nm/s: beyond them the unit is wrong.
+/// Largest rate, nm/s. A larger rate is a mistake in the units.
 const LARGEST_RATE: f64 = 1e12;
+/// Smallest peak, nm/s. A smaller peak is a mistake in the units.
 const SMALLEST_PEAK: f64 = 1e-12;
 
-/// Systematic part of the lowest rate that is accepted, over the peak: interpolation and baselines of measured spots.
-/// Larger: more of a real negative lobe passes. Smaller: spots without noise need exact baselines.
+/// Magnitude of the lowest rate that is accepted without noise, relative to the peak. It covers the
+/// interpolation and the baseline of measured spots. Larger: more of a real negative lobe passes.
+/// Smaller: spots without noise need exact baselines.
 const NEGATIVE_SYSTEMATIC: f64 = 0.02;
 
-/// Probability that white noise alone has a spot refused, for the extreme-value factor.
+/// Parameter of the extreme-value factor of [`check_sign`]: bound on the probability that white
+/// noise alone has a spot refused. Larger: more good spots are refused. Smaller: deeper negative
+/// lobes pass.
 const REFUSED_BY_NOISE: f64 = 1e-3;
 
-/// Lowest rate that noise can excuse, over the peak. Beyond it the peak is less than 20 times the noise, and a spot
-/// does not stand out enough to be told from one with a negative lobe.
+/// Magnitude of the lowest rate that noise can explain, relative to the peak. Larger: the peak is
+/// less than 20 times the noise, and a spot cannot be told from one with a negative lobe. Smaller:
+/// more noisy spots are refused.
 const LARGEST_NEGATIVE: f64 = 0.25;
 
-/// Fewest differences that tell the noise: a median of fewer has a standard error above 20 %.
+/// Smallest number of differences for an estimate of the noise; with fewer, the noise counts as 0.
+/// Smaller: the median has a standard error above 20 %. Larger: small TIFs get no allowance for
+/// noise.
 const LEAST_DIFFERENCES: usize = 32;
 
-/// Standard deviation over the median of the magnitudes of normal noise.
+/// Ratio of the standard deviation of normal noise to the median of its magnitude, 1 / 0.6745
+/// (derived).
 const SIGMA_PER_MEDIAN: f64 = 1.482_602_218_505_602;
 
-/// Distance of the samples in the differences along the border: correlated noise of one or two samples shows.
+/// Distance of the samples in the differences along the border, samples. Smaller: noise that is
+/// correlated over one or two samples cancels. Larger: the slope of the spot enters the estimate.
 const BORDER_LAG: usize = 2;
 
-/// Samples of 0 that a margin keeps: a ghost node is made of three.
+/// Number of zero samples that a margin keeps. Smaller: the interpolation at its edge changes,
+/// because a ghost node is made of three samples. Larger: more memory and time, no change.
 const MARGIN: usize = 3;
 
 /// Removal rate `R(dx, dy)` in nm/s, sampled at the offsets (pixel - tool) of `grid`.
 ///
-/// Between its samples R is Keys' cubic convolution ([`planish_numerics::keys`]); outside the
-/// closed rectangle of its samples it is zero. A rotated or asymmetric TIF is applied as it is
-/// drawn: removal(pixel) = sum over time of R(pixel - tool), a convolution.
+/// Between its samples, R is Keys' cubic convolution ([`planish_numerics::keys`]). Outside the
+/// closed rectangle of its samples it is zero. A rotated or asymmetric TIF is used as it is given:
+/// removal(pixel) = integral over time of R(pixel - tool), a convolution.
 #[derive(Clone, Debug)]
 pub struct Tif {
     grid: Grid,
@@ -89,8 +99,9 @@ impl Tif {
         Ok(tif)
     }
 
-    /// The same R without margins in which all samples are 0: of every margin three are left, by which the interpolation
-    /// before them stays what it is. A TIF is often stored with more room than the tool takes.
+    /// The TIF without margins in which all samples are 0. Each margin keeps three zero samples, so
+    /// that the interpolation next to it does not change. A TIF is often stored with more room than
+    /// the tool needs.
     pub fn without_zero_margins(&self) -> Cow<'_, Self> {
         let rate = &self.rate_nm_per_s;
         let kept = |axis: usize| {
@@ -123,7 +134,7 @@ impl Tif {
         &self.rate_nm_per_s
     }
 
-    /// Samples with Keys' ghost nodes, (my+2, mx+2), nm/s; node (r, c) stands at [r+1, c+1].
+    /// Samples with Keys' ghost nodes, (my+2, mx+2), nm/s; node (r, c) is element [r+1, c+1].
     pub fn with_ghosts(&self) -> &Array2<f64> {
         &self.with_ghosts
     }
@@ -138,7 +149,7 @@ impl Tif {
         self.rate_nm_per_s.sum() * self.grid.pixel_mm2()
     }
 
-    /// Centroid of the removal [x, y], mm: where the tool removes most, but for its shape.
+    /// Centroid of the removal [x, y], mm, relative to the place of the tool.
     pub fn centroid_mm(&self) -> [f64; 2] {
         let Grid { x, y } = &self.grid;
         let mut sums = [0.0; 2];
@@ -149,21 +160,22 @@ impl Tif {
         sums.map(|sum| sum / self.rate_nm_per_s.sum())
     }
 
-    /// Effective area `(integral of R)^2 / integral of R^2`, mm^2: that of a tool which removes the same everywhere
-    /// under it; `4 pi sigma^2` of a Gaussian.
+    /// Effective area `(integral of R)^2 / integral of R^2`, mm^2. It is the area of a flat tool,
+    /// and `4 pi sigma^2` for a Gaussian.
     pub fn effective_area_mm2(&self) -> f64 {
         let squares: f64 = self.rate_nm_per_s.iter().map(|r| r * r).sum();
         self.rate_nm_per_s.sum().powi(2) / squares * self.grid.pixel_mm2()
     }
 
-    /// Width `(<R^2> / <|grad R|^2>)^1/2`, mm: the standard deviation of a Gaussian.
+    /// Width `(<R^2> / <|grad R|^2>)^1/2`, mm. It is the standard deviation of a Gaussian.
     pub fn width_mm(&self) -> f64 {
         let [along_x, along_y] = self.slope_energy_per_mm2();
         (along_x + along_y).sqrt().recip()
     }
 
-    /// `<R_x^2> / <R^2>` and `<R_y^2> / <R^2>` from differences of the samples, 1/mm^2. Where the samples end the
-    /// TIF falls to zero within a step, as with a margin of zeros: of a flat pad that is all there is.
+    /// `<R_x^2> / <R^2>` and `<R_y^2> / <R^2>` from differences of the samples, 1/mm^2. Beyond its
+    /// samples the TIF falls to zero within a step, as with a margin of zeros. For a flat pad this
+    /// step is the only contribution.
     pub fn slope_energy_per_mm2(&self) -> [f64; 2] {
         let (rate, grid) = (&self.rate_nm_per_s, &self.grid);
         let energy: f64 = rate.iter().map(|r| r * r).sum();
@@ -182,22 +194,23 @@ impl Tif {
         [along_x, along_y].map(|slope| slope / energy)
     }
 
-    /// Where the tool removes beside its own place on a map with this grid, [x, y], mm: the centroid c of the removal.
-    /// Along an axis where that is less than half a pixel it is 0: an aperture of pixels is not known better.
+    /// Offset of the centre of removal from the place of the tool, [x, y], mm: the centroid c of
+    /// the removal. It is 0 along an axis where it is less than half a pixel of `map`, because an
+    /// aperture of pixels has no finer resolution.
     pub fn off_centre_mm(&self, map: &Grid) -> [f64; 2] {
         let [x, y] = self.centroid_mm();
         let seen = |mm: f64, axis: &Axis| if mm.abs() < 0.5 * axis.step_mm() { 0.0 } else { mm };
         [seen(x, &map.x), seen(y, &map.y)]
     }
 
-    /// The map and the tool by the places of a tool that removes around itself: `None` where this one does.
+    /// Map and TIF for a tool position at the centre of removal; `None` if the offset is 0.
     ///
     /// ```text
     /// removal(p) = sum over time of R(p - q),   p - q = (p - c) - q + c,   q the place of the tool
     /// ```
     ///
-    /// so the map that is moved by -c and the TIF whose offsets are less by c give the same removal along the same
-    /// path, and what is near the tool is what it removes.
+    /// The map shifted by -c and the TIF with offsets smaller by c give the same removal along the
+    /// same path. The tool then removes around its own place.
     pub fn centred_on(&self, map: &Surface) -> Result<Option<(Surface, Self)>, Invalid> {
         let off_centre_mm = self.off_centre_mm(map.grid());
         if off_centre_mm == [0.0; 2] {
@@ -217,7 +230,8 @@ impl Tif {
         [&self.grid.x, &self.grid.y].map(|a| a.start_mm().abs().max(a.end_mm().abs()))
     }
 
-    /// Largest rate on the border over the peak: how abruptly the samples end.
+    /// Largest rate on the border relative to the peak: the size of the step at which the samples
+    /// end.
     pub fn border_to_peak(&self) -> f64 {
         let (ny, nx) = self.grid.shape();
         let border = self
@@ -233,7 +247,7 @@ impl Tif {
             let (i, f) = keys::split((d - axis.start_mm()) / axis.step_mm());
             let last = axis.len() as isize - 1;
             match i {
-                // The closed rectangle: the last node is inside, seen from the cell before it.
+                // The rectangle is closed: the last node belongs to the cell before it.
                 _ if i == last && f == 0.0 => Some((axis.len() - 2, 1.0)),
                 _ if (0..last).contains(&i) => Some((i as usize, f)),
                 _ => None,
@@ -254,14 +268,14 @@ impl Tif {
     }
 }
 
-/// Refuses rates that are lower than noise explains.
+/// Refuses rates below those that noise explains.
 ///
 /// ```text
 /// R >= -min(0.02 peak + z s, 0.25 peak),   z = (2 ln(N / 1e-3))^1/2
 /// ```
 ///
-/// s is the noise of [`noise`]. Of N samples of normal noise the lowest is below -z s with a probability of at most
-/// N exp(-z^2 / 2) / 2 = 5e-4.
+/// s is the standard deviation from [`noise`]. The lowest of N samples of normal noise is below -z
+/// s with a probability of at most N exp(-z^2 / 2) / 2 = 5e-4.
 fn check_sign(name: &'static str, rate: &Array2<f64>, peak: f64) -> Result<(), Invalid> {
     let lowest = rate.iter().copied().fold(0.0, f64::min);
     if lowest >= -NEGATIVE_SYSTEMATIC * peak {
@@ -287,14 +301,15 @@ fn check_sign(name: &'static str, rate: &Array2<f64>, peak: f64) -> Result<(), I
     }
 }
 
-/// Standard deviation of the noise of samples, nm/s: the larger of two estimates that a smooth spot does not enter.
+/// Standard deviation of the noise of the samples, nm/s: the larger of two estimates that are
+/// insensitive to a smooth spot.
 ///
 /// ```text
 /// border     median |r_{k-2} - 2 r_k + r_{k+2}| / (0.6745 sqrt(6))        along the border
 /// whole      median |sum of [1 -2 1]' [1 -2 1] r| / (0.6745 sqrt(36))     over 3 x 3 samples that are not all 0
 /// ```
 ///
-/// The border knows correlated noise better; a border that is tapered to zero knows none.
+/// The border gives the better estimate of correlated noise, but none if it is tapered to zero.
 fn noise(rate: &Array2<f64>) -> f64 {
     let (ny, nx) = rate.dim();
     let scale = |mut differences: Vec<f64>, squares: f64| {
@@ -407,8 +422,8 @@ mod tests {
         assert!(message(Array2::ones((2, 3))).contains("(2, 3)"));
     }
 
-    /// A Gaussian of peak 1 with a full width at half maximum of 1 mm on n x n samples of +-1.6 mm, and uniform noise
-    /// made normal by sums of twelve.
+    /// A Gaussian of peak 1 with a full width at half maximum of 1 mm, on n x n samples of +-1.6
+    /// mm, plus normal noise. The noise is made of sums of twelve uniform numbers.
     fn noisy_spot(n: usize, sigma: f64, seed: u64) -> (Grid, Array2<f64>) {
         let x = axis(1.6, n);
         let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
@@ -429,7 +444,8 @@ mod tests {
 
     #[test]
     fn noise_is_not_refused_and_keeps_the_volume() {
-        // pi / (4 ln 2) mm^2 of the whole Gaussian, less what is beyond 1.6 mm: erf(1.6 sqrt(4 ln 2))^2 = 1 - 3.3e-4.
+        // pi / (4 ln 2) mm^2 of the whole Gaussian, less its part beyond 1.6 mm: erf(1.6 sqrt(4 ln
+        // 2))^2 = 1 - 3.3e-4.
         let volume = std::f64::consts::PI / (4.0 * std::f64::consts::LN_2);
         for sigma in [0.005, 0.01, 0.02] {
             for n in [41, 61, 81] {

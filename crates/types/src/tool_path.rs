@@ -1,4 +1,4 @@
-//! Where the tool goes.
+//! Tool path: control points of the motion and dwell points.
 
 use crate::{Invalid, grid::is_plausible_mm};
 
@@ -14,8 +14,8 @@ pub struct ToolPath {
 impl ToolPath {
     /// Checks lengths and finiteness.
     ///
-    /// `point_mm` (n+1) velocity control points [x, y]; `dwell_point_mm` (n), one per segment;
-    /// `tool_on` (n) false where the tool is lifted; `pass_idx` (n) contiguous pass or region.
+    /// `point_mm` (n+1): velocity control points [x, y]. `dwell_point_mm` (n): one per segment.
+    /// `tool_on` (n): false if the tool is lifted. `pass_idx` (n): contiguous pass or region.
     pub fn new(
         point_mm: Vec<[f64; 2]>,
         dwell_point_mm: Vec<[f64; 2]>,
@@ -79,7 +79,7 @@ impl ToolPath {
         &self.dwell_point_mm
     }
 
-    /// False where the tool is lifted and removes nothing (n).
+    /// Tool flags (n): false if the tool is lifted and removes nothing.
     pub fn tool_on(&self) -> &[bool] {
         &self.tool_on
     }

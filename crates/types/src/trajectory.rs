@@ -6,15 +6,15 @@ use crate::Invalid;
 
 /// `p(u) = c0 + c1 u + c2 u^2 + c3 u^3` per axis, `u = t - break_time_s[i]`.
 ///
-/// Segment-local time keeps the digits that t^3 at 500 s would cost. Segments need not join:
-/// a discontinuity between two of them is a jump, representable, and for `verify` to report.
+/// Segment-local time keeps the digits that t^3 would lose at 500 s. A trajectory may have a jump
+/// between two segments; `verify` reports it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
     break_time_s: Vec<f64>,
     coefficient_mm: Vec<[[f64; 4]; 2]>,
     tool_on: Vec<bool>,
     dwell_index: Vec<Option<usize>>,
-    /// `None` where every segment has 1, which is what plans have.
+    /// `None` if all factors are 1, as in every plan.
     rate_factor: Option<Vec<f64>>,
 }
 
@@ -27,7 +27,7 @@ pub struct Segment<'a> {
     pub duration_s: f64,
     /// Ascending coefficients per axis [x, y]; order k has the unit mm/s^k.
     pub coefficient_mm: &'a [[f64; 4]; 2],
-    /// False when the tool removes nothing.
+    /// False if the tool removes nothing.
     pub tool_on: bool,
     /// Dwell point that the segment serves, if any.
     pub dwell_index: Option<usize>,
@@ -97,8 +97,8 @@ impl Trajectory {
         Ok(Self { break_time_s, coefficient_mm, tool_on, dwell_index, rate_factor: None })
     }
 
-    /// The same motion with a tool whose removal rate in segment i is `rate_factor[i]` (k) times that of
-    /// its TIF, as a measured beam current has it; refuses what is negative or not finite.
+    /// The motion with a removal rate in segment i that is `rate_factor[i]` (k) times that of the
+    /// TIF, such as from a measured beam current. Refuses factors that are negative or not finite.
     pub fn with_rate_factor(self, rate_factor: Vec<f64>) -> Result<Self, Invalid> {
         let k = self.len();
         if rate_factor.len() != k {
@@ -129,7 +129,7 @@ impl Trajectory {
         &self.coefficient_mm
     }
 
-    /// Whether the tool removes (k).
+    /// Tool flags (k): true if the tool removes.
     pub fn tool_on(&self) -> &[bool] {
         &self.tool_on
     }
@@ -139,12 +139,13 @@ impl Trajectory {
         &self.dwell_index
     }
 
-    /// Removal rate of every segment relative to that of the TIF (k); `None` where all of them are 1.
+    /// Removal rate of every segment relative to that of the TIF (k); `None` if all of them are 1.
     pub fn rate_factor(&self) -> Option<&[f64]> {
         self.rate_factor.as_deref()
     }
 
-    /// Refuses a motion whose rate is not that of the TIF throughout, for what plans with the TIF alone.
+    /// Refuses a motion whose removal rate differs from that of the TIF, for stages that plan with
+    /// the TIF alone.
     pub fn check_rate_is_constant(&self) -> Result<(), Invalid> {
         let varies = |f: &[f64]| f.iter().position(|f| *f != 1.0).map(|i| (i, f[i]));
         match self.rate_factor().and_then(varies) {
@@ -175,15 +176,16 @@ impl Trajectory {
         (0..self.len()).map(|i| self.segment(i))
     }
 
-    /// From the first to the last break, s.
+    /// Time from the first to the last break, s.
     pub fn total_time_s(&self) -> f64 {
         self.break_time_s[self.len()] - self.break_time_s[0]
     }
 
-    /// Time served per dwell point by the segments that are `counted`, (`dwell_points`), s.
+    /// Total time per dwell point of the segments that serve it and that are `counted`,
+    /// (`dwell_points`), s.
     ///
-    /// A point that no such segment serves gets 0, and a segment that serves no point counts nowhere.
-    /// Refuses a dwell index beyond the points.
+    /// The time of a point without such a segment is 0. A segment that serves no point does not
+    /// count. Refuses a dwell index beyond the points.
     pub fn served_s(
         &self,
         dwell_points: usize,
@@ -206,7 +208,7 @@ impl Trajectory {
     }
 }
 
-/// Break times of consecutive durations (k), from 0: (k+1), s.
+/// Break times (k+1) of segments with the durations (k), s; the first one is 0.
 pub fn break_times(duration_s: &[f64]) -> Vec<f64> {
     let mut breaks = Vec::with_capacity(duration_s.len() + 1);
     let mut time = 0.0;
@@ -249,7 +251,7 @@ impl TrajectoryBuilder {
         self.duration_s.len()
     }
 
-    /// Whether there is no segment yet.
+    /// Returns true if there is no segment yet.
     pub fn is_empty(&self) -> bool {
         self.duration_s.is_empty()
     }
@@ -269,30 +271,30 @@ impl TrajectoryBuilder {
         &self.coefficient_mm
     }
 
-    /// The first segment that is too short to be seen in the time of the motion, if there is one: its
-    /// duration and the time at which it begins, s. [`Self::build`] would refuse it.
+    /// Duration and start time, s, of the first segment that is too short to change the time of the
+    /// motion; `None` if there is none. [`Self::build`] would refuse it.
     pub fn vanishing_duration_s(&self) -> Option<(f64, f64)> {
         let time_s = break_times(&self.duration_s);
         let vanishes = |k: &usize| time_s[k + 1] <= time_s[*k];
         (0..self.len()).find(vanishes).map(|k| (self.duration_s[k], time_s[k]))
     }
 
-    /// The trajectory; refuses one without segments, and durations that are not positive.
+    /// The trajectory. Refuses an empty one, and durations that are not positive.
     pub fn build(self) -> Result<Trajectory, Invalid> {
         let break_time_s = break_times(&self.duration_s);
         Trajectory::new(break_time_s, self.coefficient_mm, self.tool_on, self.dwell_index)
     }
 }
 
-/// What files hold for the dwell index of a segment that serves no dwell point.
+/// Dwell index in files of a segment that serves no dwell point.
 const STORED_NONE: i64 = -1;
 
-/// A dwell index as files hold it: -1 for none.
+/// The dwell index as stored in files: -1 for none.
 pub fn stored_dwell_index(dwell_index: Option<usize>) -> i64 {
     dwell_index.map_or(STORED_NONE, |i| i as i64)
 }
 
-/// Dwell indices (k) from what a file holds; refuses a negative one other than -1, which is none.
+/// Dwell indices (k) from those stored in files: -1 is none. Refuses other negative numbers.
 pub fn dwell_index_from_stored(stored: &[i64]) -> Result<Vec<Option<usize>>, Invalid> {
     let one = |(k, stored): (usize, &i64)| match usize::try_from(*stored) {
         Ok(i) => Ok(Some(i)),

@@ -1,19 +1,21 @@
-//! Where a part lies: from the coordinates of its map to those of a machine, or of another map.
+//! Position of a part: transform from the coordinates of its map to those of a machine or of
+//! another map.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{Invalid, ToolPath, Trajectory, is_plausible_mm};
 
-/// Largest and smallest scale of a transform: a part and its machine are measured in the same unit, and a
-/// factor of ten between them is a mistake in it.
+/// Largest magnitude of an element of M and largest scale, dimensionless; the smallest scale is its
+/// inverse. Larger: mistaken units pass. Smaller: real scales are refused. Chosen: part and machine
+/// have the same unit, so that a factor of ten is a mistake.
 const LARGEST_SCALE: f64 = 10.0;
 
 /// `q = M (p - centre) + image`, for a point p of the part and q of the machine.
 ///
-/// M mirrors where the axes of the machine are left-handed, seen from above the part.
+/// M mirrors if the axes of the machine are left-handed, seen from above the part.
 ///
-/// The covariance is that of the six numbers (image x, image y in mm; M xx, xy, yx, yy): of an affine
-/// transform it has the rank 6, of a rigid one 3.
+/// The covariance is that of the six numbers (image x, image y in mm; M xx, xy, yx, yy). It has
+/// rank 6 for an affine transform and rank 3 for a rigid one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Transform {
     matrix: [[f64; 2]; 2],
@@ -23,7 +25,7 @@ pub struct Transform {
 }
 
 impl Transform {
-    /// Checks that the numbers are finite and that the matrix does not collapse the plane.
+    /// Checks that the numbers are finite, and that the scale is plausible.
     pub fn new(
         matrix: [[f64; 2]; 2],
         centre_mm: [f64; 2],
@@ -70,12 +72,12 @@ impl Transform {
         &self.matrix
     }
 
-    /// The point [x, y] of the part about which it turns, mm.
+    /// Reference point [x, y] of the part, about which M turns, mm.
     pub fn centre_mm(&self) -> [f64; 2] {
         self.centre_mm
     }
 
-    /// Where that point goes, mm.
+    /// Image of the reference point on the machine, mm.
     pub fn image_mm(&self) -> [f64; 2] {
         self.image_mm
     }
@@ -85,32 +87,32 @@ impl Transform {
         &self.covariance
     }
 
-    /// Whether M turns the part over: a negative determinant.
+    /// Returns true if M turns the part over (negative determinant).
     pub fn mirrors(&self) -> bool {
         let [[a, b], [c, d]] = self.matrix;
         a * d < b * c
     }
 
-    /// Angle by which M turns x towards y, rad: of an affine matrix that of the nearest rotation. Of one that
-    /// mirrors it is that of M after y of the part was turned over.
+    /// Angle by which M turns x towards y, rad. For an affine matrix it is the angle of the nearest
+    /// rotation. For a mirroring M it is the angle after y of the part was turned over.
     pub fn angle_rad(&self) -> f64 {
         let sign = if self.mirrors() { -1.0 } else { 1.0 };
         let [[a, b], [c, d]] = self.matrix;
         (c - sign * b).atan2(a + sign * d)
     }
 
-    /// Root of the modulus of the determinant: the scale of a similarity.
+    /// Scale of a similarity: square root of the magnitude of the determinant.
     pub fn scale(&self) -> f64 {
         let [[a, b], [c, d]] = self.matrix;
         (a * d - b * c).abs().sqrt()
     }
 
-    /// M v.
+    /// Image M v of a direction.
     pub fn direction(&self, v: [f64; 2]) -> [f64; 2] {
         self.matrix.map(|row| row[0] * v[0] + row[1] * v[1])
     }
 
-    /// q = M (p - centre) + image, mm.
+    /// Image q = M (p - centre) + image of a point, mm.
     pub fn point(&self, p: [f64; 2]) -> [f64; 2] {
         let v = self.direction([p[0] - self.centre_mm[0], p[1] - self.centre_mm[1]]);
         [v[0] + self.image_mm[0], v[1] + self.image_mm[1]]
@@ -124,7 +126,7 @@ impl Transform {
         rows.map(|row| self.variance(&row).sqrt())
     }
 
-    /// j' C j for the gradient of a number by the six parameters, not below zero.
+    /// Variance j' C j of a quantity whose gradient by the six parameters is j, not below zero.
     pub fn variance(&self, gradient: &[f64; 6]) -> f64 {
         let mut sum = 0.0;
         for i in 0..6 {
@@ -135,7 +137,7 @@ impl Transform {
         sum.max(0.0)
     }
 
-    /// From the machine to the part, with its covariance to first order.
+    /// Transform from the machine to the part, with its covariance to first order.
     pub fn inverse(&self) -> Result<Self, Invalid> {
         // p = N (q - image) + centre with N = M^-1:  dN = -N dM N,  d centre = -N d image
         let [[a, b], [c, d]] = self.matrix;
@@ -166,14 +168,15 @@ impl Transform {
         Self::new(n, self.image_mm, self.centre_mm, covariance)
     }
 
-    /// The path on the machine: its points move, what they are for stays.
+    /// The tool path in machine coordinates. Its points move; tool flags and passes stay.
     pub fn tool_path(&self, path: &ToolPath) -> Result<ToolPath, Invalid> {
         let moved = |points: &[[f64; 2]]| points.iter().map(|p| self.point(*p)).collect();
         let (on, pass) = (path.tool_on().to_vec(), path.pass_idx().to_vec());
         ToolPath::new(moved(path.point_mm()), moved(path.dwell_point_mm()), on, pass)
     }
 
-    /// The motion on the machine: a cubic stays a cubic, c0 moves as a point and c1 to c3 as directions.
+    /// The motion in machine coordinates. A cubic stays a cubic: c0 transforms as a point, c1 to c3
+    /// as directions.
     pub fn trajectory(&self, motion: &Trajectory) -> Result<Trajectory, Invalid> {
         let moved = |c: &[[f64; 4]; 2]| {
             let mut all = [[0.0; 4]; 2];
@@ -202,9 +205,9 @@ impl Transform {
 pub struct TransformNumbers {
     /// M, dimensionless.
     pub matrix: [[f64; 2]; 2],
-    /// Point [x, y] of the part, mm.
+    /// Reference point [x, y] of the part, mm.
     pub centre_mm: [f64; 2],
-    /// Where it goes, mm.
+    /// Image of the reference point, mm.
     pub image_mm: [f64; 2],
 }
 
@@ -215,7 +218,7 @@ impl From<&Transform> for TransformNumbers {
 }
 
 impl TransformNumbers {
-    /// The transform, known exactly.
+    /// The transform, without uncertainty.
     pub fn checked(&self) -> Result<Transform, Invalid> {
         Transform::new(self.matrix, self.centre_mm, self.image_mm, [[0.0; 6]; 6])
     }

@@ -31,47 +31,57 @@ use serde::Serialize;
 use tally::{Bound, Tally};
 pub use verdict::{AxisVerdict, Check, Excursions, Place, Verdict};
 
-/// A limit counts as exceeded above `limit (1 + 1e-9)`.
+/// Excess over a limit that is taken for rounding, relative to the limit.
 ///
-/// A scheduler that uses a limit fully reaches it up to the rounding of its coefficients, some
-/// 1e-13 relative, and of the break times: 1e-13 s at 500 s, which a segment of 1 ms feels as
-/// 1e-10. No drive resolves 1e-9 of its limit.
+/// A scheduler that uses a limit fully reaches it up to rounding. The rounding of its coefficients
+/// is about 1e-13 relative. The rounding of a break time is 1e-13 s at 500 s, which is 1e-10 of a
+/// segment of 1 ms. Smaller: such motions fail. Larger: real excesses pass. No drive resolves 1e-9
+/// of its limit.
 pub const LIMIT_ALLOWANCE: f64 = 1e-9;
 
-/// Part of the largest velocity that is added to the tolerance of a velocity step.
+/// Allowance for a step in velocity, relative to the largest velocity; added to the tolerance of
+/// the settings.
 ///
-/// The velocity before a break is a sum of terms up to the largest velocity; 1e-9 of it is the
-/// allowance that the limit itself has.
+/// The velocity before a break is a sum of terms up to the largest velocity, so its rounding is
+/// relative to that. Smaller: rounding at high velocities fails. Larger: real steps pass. Derived:
+/// the same 1e-9 as [`LIMIT_ALLOWANCE`].
 const VELOCITY_STEP_ALLOWANCE: f64 = 1e-9;
 
-/// A step in acceleration up to this fraction of the largest acceleration is the rounding of a
-/// continuous acceleration: `6 dp / h^2` of a position of 100 mm is known to 1e-8 mm/s^2 at
-/// h = 3 ms, and the acceleration jumps by 1e-6 of its limit without a drive noticing.
+/// Allowance for a step in acceleration, relative to the largest acceleration.
+///
+/// Smaller: the rounding of a continuous acceleration fails. It is `6 dp / h^2`, which is 1e-8
+/// mm/s^2 for a position of 100 mm and h = 3 ms. Larger: real steps pass. No drive notices a step
+/// of 1e-6 of its limit.
 const ACCELERATION_STEP_ALLOWANCE: f64 = 1e-6;
 
-/// An excursion beyond the ends of a segment counts above this, mm: far above the rounding of a
-/// coordinate (2e-13 mm at 1 m), far below anything that removes material.
+/// Smallest excursion beyond the ends of a segment that counts, mm. Smaller: rounding counts (2e-13
+/// mm for a coordinate of 1 m). Larger: small overshoots are missed. Chosen: far above rounding,
+/// and far below any motion that changes the removal.
 const EXCURSION_NOISE_MM: f64 = 1e-9;
 
-/// A position leaves its travel beyond this, mm; reason as above, and a rotation rounds by as much.
+/// Smallest distance outside the travel that counts, mm. Smaller: rounding counts, also that of the
+/// rotation from the part to the axes. Larger: small excursions are missed. Chosen as
+/// [`EXCURSION_NOISE_MM`].
 const TRAVEL_NOISE_MM: f64 = 1e-9;
 
-/// A motion against the direction of its segment counts above this, mm/s; reason as above.
+/// Smallest speed against the direction of a segment that counts, mm/s. Smaller: rounding counts.
+/// Larger: slow reversals are missed. Chosen: far above the rounding of a velocity.
 const REVERSAL_NOISE_MM_PER_S: f64 = 1e-6;
 
-/// Coefficients and times beyond this are refused: their squares and cubes stay finite below it,
-/// so no comparison can be defeated by an infinity. No length in mm or time in s comes near.
+/// Largest magnitude of a coefficient or a time, in mm/s^order or s. [`verify`] refuses larger
+/// ones. Derived: squares and cubes of numbers up to 1e60 are finite, so no comparison meets an
+/// infinity. No length in mm and no time in s comes near it.
 const LARGEST_NUMBER: f64 = 1e60;
 
-/// What counts as a step.
+/// Tolerances below which a step is taken for rounding.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct VerifySettings {
-    /// Largest jump in position that is taken for rounding, mm. Default 1e-6 mm = 1 nm: below the
-    /// count of a stage's encoder, and the tolerance to which curved motions are fitted.
+    /// Largest step in position that is taken for rounding, mm. Default 1e-6 mm = 1 nm: below the
+    /// count of a stage's encoder, and equal to the tolerance to which curved motions are fitted.
     pub position_step_mm: f64,
     /// Largest step in velocity that is taken for rounding, mm/s; 1e-9 of the largest velocity is
-    /// added. Default 1e-6 mm/s: rounding of the break times makes `a ulp(t)` = 3e-8 mm/s of it at
-    /// 2000 mm/s^2 and 1e5 s, and at only 10 mm/s^2 the drive makes up for it in 0.1 us, less than
+    /// added. Default 1e-6 mm/s. Rounding of the break times causes steps of `a ulp(t)`: 3e-8 mm/s
+    /// at 2000 mm/s^2 and 1e5 s. At only 10 mm/s^2, a drive takes 0.1 us for 1e-6 mm/s, less than
     /// any servo cycle.
     pub velocity_step_mm_per_s: f64,
 }
@@ -82,9 +92,9 @@ impl Default for VerifySettings {
     }
 }
 
-/// Judges the motion of the axes of `machine`: against its limits, and against its travel.
+/// Judges the motion of the axes of `machine` against its limits and its travel.
 ///
-/// Refuses what [`verify`] refuses.
+/// Refuses the same inputs as [`verify`].
 pub fn verify_on_axes(
     motion: &Trajectory,
     machine: &Machine,
@@ -95,8 +105,8 @@ pub fn verify_on_axes(
 
 /// Judges `trajectory` against `limits` (validated, so with the two axes x and y).
 ///
-/// Refuses tolerances that are negative or not finite, and numbers beyond 1e60. One pass over the
-/// segments; the memory does not depend on their number.
+/// Refuses tolerances that are negative or not finite, and coefficients or times beyond 1e60. It
+/// passes over the segments once; its memory does not depend on their number.
 pub fn verify(
     trajectory: &Trajectory,
     limits: &Limits,
@@ -141,13 +151,13 @@ fn judge(
 /// Position, velocity and acceleration at an instant.
 type State = [f64; 3];
 
-/// Everything that is collected along one axis.
+/// Tallies of one axis.
 struct AxisTally {
     name: &'static str,
     travel_mm: Option<[f64; 2]>,
-    /// Position, velocity, acceleration, jerk.
+    /// Tallies of position, velocity, acceleration, jerk.
     ranges: [Tally; 4],
-    /// Position, velocity, acceleration.
+    /// Tallies of the steps in position, velocity, acceleration.
     steps: [Tally; 3],
     overshoot: Excursions,
     reversal: Excursions,
@@ -198,7 +208,8 @@ impl AxisTally {
         }
     }
 
-    /// Takes in segment `i` with the coefficients `c` of this axis, and the break it starts at.
+    /// Adds segment `i` with the coefficients `c` of this axis, and the steps at the break where it
+    /// starts.
     fn add_segment(&mut self, i: usize, segment: &Segment<'_>, c: &[f64; 4]) {
         let h = segment.duration_s;
         // p, v = p', a = p'', j = p'''
@@ -220,7 +231,7 @@ impl AxisTally {
         self.add_steps(start, Place::new(i, segment, 0.0, 0.0));
         self.before = Some(end);
 
-        // How far the position leaves the interval between the ends of its own segment.
+        // Distance of the position from the interval between both ends of its own segment.
         let (low, high) = (start[0].min(end[0]), start[0].max(end[0]));
         let [p, v] = [&ranges[0], &ranges[1]];
         let (above, below) = (p.max - high, low - p.min);
@@ -231,7 +242,7 @@ impl AxisTally {
         self.reversal.add(Place::new(i, segment, slower, v.max.min(-v.min)));
     }
 
-    /// The steps at the break at `place`, from the state before it to the state `after` it.
+    /// Adds the steps at the break at `place`, from the state before it to the state `after` it.
     fn add_steps(&mut self, after: State, place: Place) {
         // Before the first break the machine stands where the motion starts.
         let before = self.before.unwrap_or([after[0], 0.0, 0.0]);
@@ -241,7 +252,8 @@ impl AxisTally {
         }
     }
 
-    /// After the last break, number `index`, the machine stands where the motion ends.
+    /// Adds the steps at the last break, number `index`: after it the machine stands where the
+    /// motion ends.
     fn add_stop(&mut self, index: usize, last: &Segment<'_>) {
         let position = self.before.map_or(0.0, |before| before[0]);
         self.add_steps([position, 0.0, 0.0], Place::new(index, last, last.duration_s, 0.0));

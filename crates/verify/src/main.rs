@@ -1,4 +1,4 @@
-//! `planish-verify`: whether a trajectory keeps the limits of a machine.
+//! `planish-verify`: checks whether a trajectory keeps the limits of a machine.
 
 use std::process::ExitCode;
 
@@ -19,7 +19,8 @@ const EXAMPLES: &str = "Examples:\n\
 
 /// Prove whether a trajectory keeps the limits of a machine; exit code 1 when it does not
 ///
-/// Judged is what the axes do: where the machine file says how the part lies on them, the motion is taken there.
+/// planish-verify judges the motion of the axes. If the machine file states how the part lies on
+/// the axes, it transforms the motion to them first.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
@@ -27,7 +28,7 @@ struct Cli {
     trajectory: TrajectoryArgs,
     #[command(flatten)]
     machine: AxesArgs,
-    /// Largest jump in position that is taken for rounding, mm
+    /// Largest step in position that is taken for rounding, mm
     #[arg(long, value_name = "T", default_value_t = VerifySettings::default().position_step_mm)]
     position_step_mm: f64,
     /// Largest step in velocity that is taken for rounding, mm/s; 1e-9 of the largest velocity

@@ -1,4 +1,4 @@
-//! Collects one quantity over all segments: its range, and where it exceeds its limit.
+//! Collects the range of one quantity over all segments, and the places where it exceeds its limit.
 
 use planish_types::text::significant;
 
@@ -7,24 +7,25 @@ use crate::{
     verdict::{Check, Place},
 };
 
-/// Number of offenders that are listed.
+/// Number of offending segments or breaks that a check lists. Larger: longer manifests. Smaller:
+/// fewer places to look at. Chosen: 20; `exceeding_count` counts all of them.
 const WORST_COUNT: usize = 20;
 
-/// What is allowed.
+/// Allowed values of a quantity.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Bound {
-    /// A magnitude of at most this inside a segment.
+    /// The magnitude inside a segment is at most this.
     Within(f64),
-    /// A step of at most this at a break; the tolerance is the allowance for rounding.
+    /// The step at a break is at most this tolerance, which covers rounding.
     StepWithin(f64),
-    /// A value of at least this.
+    /// The value is at least this.
     AtLeast(f64),
-    /// A value from the first to the second.
+    /// The value is between the first number and the second.
     Between([f64; 2]),
 }
 
 impl Bound {
-    /// The number that bounds, where it is one.
+    /// The limit, if it is a single number.
     fn value(self) -> Option<f64> {
         match self {
             Self::Within(v) | Self::StepWithin(v) | Self::AtLeast(v) => Some(v),
@@ -32,7 +33,7 @@ impl Bound {
         }
     }
 
-    /// Whether `value`, known to `rounding`, is beyond the bound.
+    /// Returns true if `value` is outside the bound by more than `rounding`, its uncertainty.
     fn is_exceeded_by(self, value: f64, rounding: f64) -> bool {
         match self {
             Self::Within(limit) => value.abs() > limit * (1.0 + LIMIT_ALLOWANCE) + rounding,
@@ -42,7 +43,8 @@ impl Bound {
         }
     }
 
-    /// How near: 1 is the bound itself. `None` when the bound is zero (a tolerance may be), or two.
+    /// Ratio of the value to its limit: 1 is the limit itself. `None` if the limit is zero (a
+    /// tolerance may be), or consists of two numbers.
     fn ratio(self, value: f64) -> Option<f64> {
         match self {
             Self::Within(limit) | Self::StepWithin(limit) => {
@@ -53,12 +55,12 @@ impl Bound {
         }
     }
 
-    /// The larger, the worse.
+    /// Order of the offenders: the larger this number, the worse.
     fn badness(self, value: f64) -> f64 {
         match self {
             Self::Within(_) | Self::StepWithin(_) => value.abs(),
             Self::AtLeast(_) => -value,
-            // How far beyond the nearer end.
+            // Excess over the nearer end.
             Self::Between([low, high]) => (low - value).max(value - high),
         }
     }
@@ -93,14 +95,14 @@ impl Bound {
     }
 }
 
-/// Range and offenders so far.
+/// Range and offenders of one quantity in the segments so far.
 pub(crate) struct Tally {
     name: String,
     unit: &'static str,
     bound: Option<Bound>,
     range: Option<(Place, Place)>,
     exceeding_count: usize,
-    /// Worst first; equals in the order of the motion.
+    /// Offenders, the worst first; equal ones in the order of the motion.
     worst: Vec<Place>,
 }
 
@@ -110,7 +112,8 @@ impl Tally {
         Self { name, unit, bound, range: None, exceeding_count: 0, worst: Vec::new() }
     }
 
-    /// Takes in one segment or break with its smallest and largest value, known to `rounding`.
+    /// Adds one segment or break with its smallest and largest value. Both have the uncertainty
+    /// `rounding`.
     pub(crate) fn add(&mut self, min: Place, max: Place, rounding: f64) {
         let (low, high) = self.range.get_or_insert((min, max));
         if min.value < low.value {

@@ -1,19 +1,19 @@
-//! What the judge says: numbers for programs, one sentence for people.
+//! The verdict: numbers for programs, one sentence for people.
 
 use planish_types::{Segment, Trajectory, stored_dwell_index};
 use serde::{Serialize, Serializer};
 
 use crate::LIMIT_ALLOWANCE;
 
-/// A value and where it occurs.
+/// A value and the place where it occurs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Place {
-    /// Segment; for a step the break, which is where segment `index` starts.
+    /// Index of the segment. For a step: index of the break at which segment `index` starts.
     pub index: usize,
     /// Dwell point that the segment serves, if any; serialised as -1 when none.
     #[serde(serialize_with = "as_stored")]
     pub dwell_index: Option<usize>,
-    /// Time of the trajectory, s.
+    /// Time on the time axis of the trajectory, s.
     pub time_s: f64,
     /// The value, with its sign, in the unit of the check.
     pub value: f64,
@@ -37,18 +37,18 @@ pub struct Check {
     pub min: Place,
     /// Largest value.
     pub max: Place,
-    /// Largest magnitude that is allowed (for durations: smallest value); absent when anything is, and for a
-    /// position, which has two ends (`travel_mm` of its axis).
+    /// Largest magnitude that is allowed (for durations: smallest value). Absent if nothing limits
+    /// the quantity, and for a position: its two limits are `travel_mm` of the axis.
     pub limit: Option<f64>,
-    /// Whether the limit is exceeded, rounding allowed for.
+    /// True if a value exceeds the limit by more than rounding.
     pub exceeded: bool,
     /// Number of segments (for steps: breaks) that exceed the limit.
     pub exceeding_count: usize,
-    /// Largest magnitude over the limit (for durations: limit over the shortest).
+    /// Ratio of the largest magnitude to the limit (for durations: of the limit to the shortest).
     pub worst_ratio: Option<f64>,
-    /// Up to 20 segments (for steps: breaks) that exceed the limit, the worst first.
+    /// The worst segments (for steps: breaks) that exceed the limit, the worst first; at most 20.
     pub worst: Vec<Place>,
-    /// The worst of them in a sentence.
+    /// The worst excess in a sentence.
     #[serde(skip)]
     pub(crate) complaint: Option<String>,
 }
@@ -60,14 +60,15 @@ impl Check {
     }
 }
 
-/// How often and how far something happens inside segments; information, not a limit.
+/// Number and size of excursions inside segments. They are information, and no limit applies to
+/// them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Excursions {
-    /// Number of segments in which it happens.
+    /// Number of segments with an excursion.
     pub count: usize,
-    /// The largest, `None` when it never happens.
+    /// The largest excursion; `None` if there is none.
     pub largest: Option<Place>,
-    /// Smaller values are rounding and do not count.
+    /// Threshold, in the unit of the quantity. Values up to it are rounding and do not count.
     pub noise: f64,
 }
 
@@ -91,7 +92,8 @@ impl Excursions {
 pub struct AxisVerdict {
     /// "x" or "y".
     pub name: String,
-    /// Smallest and largest position that the axis takes, mm; absent when nobody limits it.
+    /// Smallest and largest position within the travel of the axis, mm. Absent if no travel is
+    /// stated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub travel_mm: Option<[f64; 2]>,
     /// Range of the position, mm.
@@ -102,20 +104,21 @@ pub struct AxisVerdict {
     pub acceleration_mm_per_s2: Check,
     /// Range of the jerk inside the segments, mm/s^3.
     pub jerk_mm_per_s3: Check,
-    /// Jumps at the breaks, mm.
+    /// Steps in position at the breaks, mm.
     pub position_step_mm: Check,
     /// Steps in velocity at the breaks, start and end included, mm/s.
     pub velocity_step_mm_per_s: Check,
     /// Steps in acceleration at the breaks, start and end included, mm/s^2.
     pub acceleration_step_mm_per_s2: Check,
-    /// How far the position leaves the interval between the ends of its segment, mm.
+    /// Largest distance of the position from the interval between both ends of its segment, mm.
     pub overshoot_mm: Excursions,
-    /// Velocity of both signs inside a segment: the slower of the two directions, mm/s.
+    /// Speed against the main direction of a segment in which the velocity has both signs, mm/s:
+    /// the smaller of the two largest speeds.
     pub reversal_mm_per_s: Excursions,
 }
 
 impl AxisVerdict {
-    /// What can be exceeded, the gravest first.
+    /// Checks that can fail, the gravest first.
     fn checks(&self) -> [&Check; 7] {
         [
             &self.position_mm,
@@ -132,9 +135,9 @@ impl AxisVerdict {
 /// The verdict on a trajectory.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Verdict {
-    /// Whether every limit is kept.
+    /// True if the motion keeps every limit.
     pub limits_respected: bool,
-    /// One sentence per limit that is exceeded, the gravest first.
+    /// One sentence per exceeded limit, the gravest first.
     pub violations: Vec<String>,
     /// Duration of the motion, s.
     pub total_time_s: f64,
@@ -146,7 +149,7 @@ pub struct Verdict {
     pub max_acceleration_mm_per_s2: [f64; 2],
     /// Largest |jerk| inside segments of [x, y], mm/s^3.
     pub max_jerk_mm_per_s3: [f64; 2],
-    /// Largest jump of [x, y], mm.
+    /// Largest step in position of [x, y], mm.
     pub max_position_step_mm: [f64; 2],
     /// Largest step in velocity of [x, y], mm/s.
     pub max_velocity_step_mm_per_s: [f64; 2],
@@ -154,11 +157,11 @@ pub struct Verdict {
     pub max_acceleration_step_mm_per_s2: [f64; 2],
     /// Largest overshoot beyond the ends of a segment of [x, y], mm.
     pub max_overshoot_mm: [f64; 2],
-    /// Part of a limit above it that is taken for rounding.
+    /// Excess over a limit that is taken for rounding, relative to the limit.
     pub limit_allowance: f64,
     /// Durations of the segments, s.
     pub segment_duration_s: Check,
-    /// x, y.
+    /// Verdicts on the axes [x, y].
     pub axes: [AxisVerdict; 2],
 }
 
@@ -169,7 +172,7 @@ impl Verdict {
         segment_duration_s: Check,
     ) -> Self {
         let [x, y] = axes.each_ref().map(AxisVerdict::checks);
-        // One kind of limit after the other, both axes of each.
+        // The violations are sorted by kind of limit; x comes before y within a kind.
         let by_kind = x.into_iter().zip(y).flat_map(|(x, y)| [x, y]);
         let violations: Vec<String> =
             by_kind.chain([&segment_duration_s]).filter_map(|c| c.complaint.clone()).collect();
@@ -195,7 +198,8 @@ impl Verdict {
         }
     }
 
-    /// Which limit is exceeded, where and by how much; `None` when all are kept.
+    /// The gravest violation in a sentence, with the number of further ones; `None` if the motion
+    /// keeps every limit.
     pub fn reason(&self) -> Option<String> {
         let first = self.violations.first()?;
         Some(match self.violations.len() - 1 {

@@ -158,8 +158,8 @@ fn acceleration_steps_count_only_against_a_limit_on_jerk() {
 #[test]
 fn a_hermite_cubic_with_known_accelerations_and_a_peak_between_its_nodes() {
     // p = (0, 1, 3, 4), h = 1, v = (0, 1.8, 1.8, 0): the clamped spline. One-sided accelerations
-    // (2.4, 1.2, -1.2) and (1.2, -1.2, -2.4) join without a step, and the middle segment has
-    // V1 = 3*2 - 1.8 - 1.8 = 2.4, so max v = (v0 v1 - V1^2)/(v0 - 2 V1 + v1) = -2.52/-1.2 = 2.1.
+    // (2.4, 1.2, -1.2) and (1.2, -1.2, -2.4) join without a step. The middle segment has V1 = 3*2 -
+    // 1.8 - 1.8 = 2.4, so max v = (v0 v1 - V1^2)/(v0 - 2 V1 + v1) = -2.52/-1.2 = 2.1.
     let x = hermite(&[0.0, 1.0, 3.0, 4.0], &[0.0, 1.8, 1.8, 0.0], 1.0);
     let trajectory = along_x(&[1.0; 3], &x);
     let verdict = judge(&trajectory, &machine(2.1, 2.4, None, 0.0));
@@ -318,7 +318,8 @@ fn reversed(c: &Cubic, h: f64) -> Cubic {
     ]
 }
 
-/// Numbers up to 10 (1 + 2 + 4 + 8) and their derivatives, up to 1e3; some roundings of that.
+/// Rounding of numbers up to 10 (1 + 2 + 4 + 8) and of their derivatives, up to 1e3: a few units in
+/// the last place.
 const RANDOM_ROUNDING: f64 = 1e-11;
 
 fn same(a: [f64; 2], b: [f64; 2], factor: f64) -> Result<(), TestCaseError> {
@@ -335,8 +336,8 @@ proptest! {
         const STEPS: u32 = 400;
         let verdict = judge(&both(&h, &x, &y), &machine(1.0, 1.0, None, 0.0));
         for (axis, c) in verdict.axes.iter().zip([&x, &y]) {
-            // Sampled extremes of position, velocity, acceleration, and how much further the
-            // true ones can be: (step)^2 / 8 times the largest second derivative.
+            // Extremes of the sampled position, velocity and acceleration, and a bound on their
+            // distance from the true ones: (step)^2 / 8 times the largest second derivative.
             let mut sampled = [[f64::INFINITY, f64::NEG_INFINITY]; 3];
             let mut bound = [0.0_f64; 3];
             for (c, h) in c.iter().zip(&h) {

@@ -16,22 +16,22 @@ use serde::Deserialize;
 
 #[derive(Args)]
 pub struct Decide {
-    /// Map now, as the next plan was made for it [surface artifact]
+    /// Present map, for which the next plan was made [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
     /// Motion of the next plan
     #[command(flatten)]
     trajectory: TrajectoryArgs,
-    /// What the next plan leaves with the errors of the process [tolerance artifact]
+    /// Residual of the next plan with the errors of the process [tolerance artifact]
     #[arg(long, value_name = "DIR")]
     tolerance: PathBuf,
-    /// Whether the map keeps its specification [specification artifact]
+    /// Specification, judged on the map [specification artifact]
     #[arg(long, value_name = "DIR", requires = "specified_next")]
     specified_now: Option<PathBuf>,
-    /// Whether the plan keeps it [specification artifact]
+    /// Specification, judged on the residual of the plan [specification artifact]
     #[arg(long, value_name = "DIR", requires = "specified_now")]
     specified_next: Option<PathBuf>,
-    /// Least gain of half of the runs that is worth the time of a run, in percent of what is there
+    /// Least median gain for another run, in percent of the RMS on the mirror now; raise it if a run is expensive
     #[arg(long, value_name = "P", default_value_t = Settings::default().least_gain_percent)]
     least_gain_percent: f64,
     #[command(flatten)]
@@ -70,7 +70,7 @@ impl Decide {
         };
         let statistics = surface.statistics();
         let known = Known {
-            // The RMS that the tolerance is in
+            // The RMS with the same free terms as that of the tolerance
             measured_rms_nm: match manifest.settings["free"] == "plane" {
                 true => surface.detilted_rms_nm(),
                 false => statistics.rms,
@@ -91,7 +91,7 @@ impl Decide {
     }
 }
 
-/// What a person reads.
+/// Text for the terminal.
 fn words(d: &Decision) -> String {
     let [low, high] = d.next.interval_95_percent_nm;
     let verdict = match d.verdict {
@@ -121,7 +121,7 @@ fn words(d: &Decision) -> String {
     .join("\n")
 }
 
-/// The distribution of a tolerance artifact: parts of the runs, and the RMS that they are below, nm.
+/// Distribution of a tolerance artifact: fractions of the runs, and the RMS that each does not exceed, nm.
 struct Levels(Vec<(f64, f64)>);
 
 impl Artifact for Levels {
@@ -143,7 +143,7 @@ impl Artifact for Levels {
     }
 }
 
-/// What `planish-tolerance` says in its manifest.
+/// Outcome in the manifest of `planish-tolerance`.
 #[derive(Deserialize)]
 struct Found {
     nominal_rms_nm: f64,
@@ -158,7 +158,7 @@ struct Line {
 }
 
 impl Line {
-    /// The error, where it is one of the map.
+    /// Error of the map; `None` for an error of another kind.
     fn of_the_map(&self) -> Option<MapError> {
         let is_white = self.kind == "map_noise";
         (is_white || self.kind == "map_low_order").then_some(MapError {
@@ -169,7 +169,7 @@ impl Line {
     }
 }
 
-/// Whether a specification is kept; refused where none was given.
+/// Returns true if a specification is kept; refuses an artifact without a specification.
 fn is_kept(inputs: &mut Inputs, role: &str, dir: &Path) -> Result<bool, Failure> {
     let outcome = inputs.read_manifest(role, dir, &kind::SPECIFICATION)?.outcome;
     outcome["specification"]["passed"].as_bool().ok_or_else(|| {

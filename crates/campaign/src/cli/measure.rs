@@ -12,16 +12,16 @@ use serde_json::json;
 
 #[derive(Args)]
 pub struct Measure {
-    /// The mirror as it is [surface artifact]
+    /// True figure of the mirror [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
-    /// Process of the virtual machine, whose map_noise and map_low_order the measurement has [JSON]
+    /// Process of the virtual machine; the measurement has its map_noise and map_low_order [JSON]
     #[arg(long, value_name = "FILE")]
     process: PathBuf,
     /// Random seed of the virtual machine
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
-    /// Run of the virtual machine before which it is measured
+    /// Number of the run before which the mirror is measured
     #[arg(long, value_name = "K", default_value_t = 1)]
     run: u64,
     #[command(flatten)]

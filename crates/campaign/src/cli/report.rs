@@ -15,17 +15,18 @@ use planish_types::{Surface, text::significant};
 use serde::{Deserialize, de::DeserializeOwned};
 use serde_json::{Value, json};
 
-/// Most runs of a campaign: a thousand pages are nothing to look at.
+/// Largest number of runs of a campaign. Larger: a table and a page that nobody can read. Smaller: long campaigns
+/// are refused.
 const MOST_RUNS: usize = 100;
 
 #[derive(Args)]
 pub struct Report {
-    /// Directory of the campaign, in which are learning/K, without/K and known/K
+    /// Directory of the campaign, with the directories learning/K, without/K, known/K and alike
     dir: PathBuf,
     /// Mirror before the first run [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
-    /// Runs of the campaign
+    /// Number of runs of the campaign
     #[arg(long, value_name = "N")]
     runs: usize,
     /// Name of the mirror
@@ -71,7 +72,7 @@ impl Report {
         Ok(Status::Done)
     }
 
-    /// Of an artifact of one run, which is at `place`.
+    /// Directory and manifest of an artifact of the run at `place`.
     fn manifest(
         &self,
         inputs: &mut Inputs,
@@ -84,7 +85,7 @@ impl Report {
         Ok((dir, manifest))
     }
 
-    /// What run `k` of each chain left.
+    /// True result of run `k` of each chain.
     fn chains(
         &self,
         inputs: &mut Inputs,
@@ -96,7 +97,7 @@ impl Report {
         Ok(Chains { learning: of("learning")?, without: of("without")?, known: of("known")? })
     }
 
-    /// What a run of a chain truly left; all runs are of the same machine, whose truth is kept.
+    /// True result of a run of a chain. All runs must be of the same machine: its seed and truth go into `hidden`.
     fn left(
         &self,
         inputs: &mut Inputs,
@@ -156,7 +157,7 @@ struct Made {
     known: bool,
 }
 
-/// What it says of the run.
+/// Outcome of a run of the virtual machine.
 #[derive(Deserialize)]
 struct Outcome {
     rms_nm: f64,
@@ -169,7 +170,7 @@ struct Hidden {
     truth: Truth,
 }
 
-/// A part of a manifest.
+/// Value of a part of a manifest.
 fn part<T: DeserializeOwned>(dir: &Path, value: &Value) -> Result<T, Failure> {
     T::deserialize(value).map_err(|e| {
         let problem = format!("has no usable manifest ({e}); make it again");
@@ -177,7 +178,7 @@ fn part<T: DeserializeOwned>(dir: &Path, value: &Value) -> Result<T, Failure> {
     })
 }
 
-/// What a person reads.
+/// Table for the terminal.
 fn table(campaign: &Campaign) -> String {
     let mut lines = vec![
         format!("{}: {}", campaign.mirror, answer(campaign)),

@@ -8,7 +8,7 @@ use planish_handoff::{Failure, Inputs, Status, kind, say};
 
 #[derive(Args)]
 pub struct Spread {
-    /// Reports of campaigns with as many runs each [campaign artifacts]
+    /// Reports of campaigns that have the same number of runs [campaign artifacts]
     #[arg(required = true)]
     reports: Vec<PathBuf>,
 }
@@ -34,7 +34,7 @@ impl Spread {
     }
 }
 
-/// What a person reads.
+/// Table for the terminal.
 fn table(campaigns: &[Campaign]) -> String {
     let runs = campaigns[0].runs.len();
     let mut lines = vec![
@@ -70,7 +70,7 @@ fn table(campaigns: &[Campaign]) -> String {
     lines.join("\n")
 }
 
-/// How often the next run left what was expected of it.
+/// Lines on the results of each next run: ratio to the expected median, and number of results within the interval.
 fn expected(campaigns: &[Campaign]) -> Vec<String> {
     let runs = campaigns[0].runs.len();
     let line = |k: usize| {
@@ -92,7 +92,7 @@ fn expected(campaigns: &[Campaign]) -> Vec<String> {
     (0..runs - 1).map(line).collect()
 }
 
-/// How often the truth is within two standard errors of what was learnt after the last run.
+/// Line on the parameters after the last run: number whose truth is within two standard errors of the learnt value.
 fn parameters(campaigns: &[Campaign]) -> String {
     let (mut determined, mut all, mut within) = (0, 0, 0);
     for learnt in campaigns.iter().flat_map(|c| c.runs.last()).flat_map(|run| &run.parameters) {

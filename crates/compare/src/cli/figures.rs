@@ -23,7 +23,7 @@ pub struct Figures {
     /// Run: a directory with surface/ and methods/<scheduler>/{trajectory,removal,verdict}/
     #[arg(required = true, value_name = "RUN_DIR")]
     runs: Vec<PathBuf>,
-    /// What the figures are written as: pdf (180 mm wide, fonts embedded), png (300 pixels an inch) or svg
+    /// File format of the figures: pdf (180 mm wide, fonts embedded), png (300 pixels an inch) or svg
     #[arg(long, value_enum)]
     format: Format,
     /// Resolution of a PNG [default: 300, 2126 pixels a line]

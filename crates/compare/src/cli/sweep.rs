@@ -8,7 +8,8 @@ use planish_handoff::{Failure, Inputs, Output, Status, flags::OutputArgs, kind, 
 use planish_types::text::visible;
 use serde_json::json;
 
-/// Most bytes of a table: a million plans.
+/// Largest size of a table, bytes. Larger: a wrong file fills the memory. Smaller: large sweeps are refused. Chosen:
+/// a million plans.
 const LARGEST_TABLE_BYTES: u64 = 1 << 30;
 
 #[derive(Args)]

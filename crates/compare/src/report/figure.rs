@@ -19,19 +19,21 @@ use super::{
 };
 use crate::{answer::duration, plan::WITHOUT_MOTION};
 
-/// Colours of the lines and squares of a picture.
+/// Number of colours of the lines and squares of a picture. Larger: finer steps, larger files. Smaller: coarser
+/// steps. Chosen.
 const BINS: usize = 24;
 
-/// Steps of the bar of colours beside a map.
+/// Number of steps of the bar of colours beside a map. Larger: a smoother bar. Smaller: visible steps. Chosen.
 const BAR_BANDS: usize = 32;
 
-/// Largest number of points of a line in a picture.
+/// Largest number of points of a line in a picture. Larger: larger files. Smaller: a coarser line. Chosen.
 const MAX_POINTS: usize = 20_000;
 
-/// Differences below this fraction of the values are their rounding.
+/// Largest difference of values, over their size, that is their rounding. Larger: small differences are drawn as
+/// none. Smaller: rounding fills the whole scale. Chosen: some thousand times the rounding of one number.
 const FLAT: f64 = 1e-12;
 
-/// Columns of a picture of ranges.
+/// Number of columns of a picture of ranges. Larger: larger files. Smaller: coarser peaks. Chosen.
 const COLUMNS: usize = 900;
 
 /// Colours of the axes x and y.
@@ -43,7 +45,8 @@ const FONT_PX: f64 = 14.0;
 /// Left, top, right and bottom of a panel, px.
 const MARGIN_PX: [f64; 4] = [80.0, 34.0, 96.0, 56.0];
 
-/// Panels of a figure side by side, and how wide each is, px; the height where it is not that of a mirror.
+/// Panels of a figure side by side: their number, and the width of each, px. The height, px, applies where it is not
+/// that of a mirror.
 #[derive(Clone, Copy, Debug)]
 struct Panels {
     columns: usize,
@@ -67,11 +70,11 @@ impl Panels {
     }
 }
 
-/// What size the panels of a set of figures have.
+/// Sizes of the panels of a set of figures.
 #[derive(Clone, Copy, Debug)]
 pub struct Layout {
     overview: Panels,
-    /// Of a mirror that is much longer than wide.
+    /// Panels of a mirror that is much longer than wide.
     overview_narrow: Panels,
     maps: Panels,
     path: Panels,
@@ -83,7 +86,7 @@ pub struct Layout {
 }
 
 impl Layout {
-    /// Beside the page: many methods, one below the other.
+    /// Layout beside the page: many methods, one below the other.
     pub const BESIDE_PAGE: Self = Self {
         overview: Panels::new(3, 300.0, 300.0),
         overview_narrow: Panels::new(1, 900.0, 900.0),
@@ -96,7 +99,7 @@ impl Layout {
         refinement: Panels::new(1, 600.0, 320.0),
     };
 
-    /// For papers and lab books: every figure [`PAPER_PX`] wide.
+    /// Layout for papers and lab books: every figure is [`PAPER_PX`] wide.
     pub const PAPER: Self = {
         let margin = MARGIN_PX[0] + MARGIN_PX[2];
         let (whole, half) = (PAPER_PX - margin, 0.5 * PAPER_PX - margin);
@@ -114,23 +117,29 @@ impl Layout {
     };
 }
 
-/// Margins to the left and right of three panels side by side, px: their numbers have two digits.
+/// Margins to the left and right of three panels side by side, px. Larger: narrower maps. Smaller: numbers that do
+/// not fit. Chosen for numbers of two digits.
 const MARGIN_OF_THREE_PX: f64 = 134.0;
 
-/// Height over width of a path whose panels are one below the other in an overview.
+/// Height over width of a path below which the panels of an overview are one below the other. Larger: more overviews
+/// of this kind. Smaller: very flat maps side by side. Chosen.
 const NARROW: f64 = 0.4;
 
-/// Width of the panels that have small print below them, px.
+/// Least width of panels that have small print below them, px. Larger: fewer notes. Smaller: notes that do not fit.
+/// Chosen.
 const NOTED_FROM_PX: f64 = 500.0;
 
-/// Least scale of a residual, over that of the desired removal, at which it is drawn on the latter, too: below, the map
-/// spans less than a colour of the bar to either side and looks empty.
+/// Least scale of a residual, over that of the desired removal, at which it is also drawn on the latter. Larger:
+/// fewer such maps. Smaller: maps that look empty. Chosen: below it the map spans less than a colour of the bar to
+/// either side.
 const LEAST_CONTRAST: f64 = 0.05;
 
-/// Largest difference between planned and executed dwell times that is the rounding of a sum of segments, s.
+/// Largest difference between planned and executed dwell times that is the rounding of a sum of segments, s. Larger:
+/// real differences are not drawn. Smaller: rounding is drawn. Chosen.
 const ROUNDING_S: f64 = 1e-6;
 
-/// Width of a figure for papers, px: its texts of 14 px are 7.5 pt high where it is printed 180 mm wide.
+/// Width of a figure for papers, px. Larger: smaller texts in print. Smaller: larger texts and less room for maps.
+/// Derived: its texts of 14 px are 7.5 pt high when it is printed 180 mm wide.
 pub const PAPER_PX: f64 = 952.0;
 
 /// The figures of a report: names and SVG; only those that have something to show.
@@ -241,7 +250,7 @@ fn draw_map(svg: &mut Svg, frame: &Frame, image: &[u8], scale: f64) {
     note_below(svg, frame, "height from the mean");
 }
 
-/// The same, where the map takes a part of the frame.
+/// Draws a map as [`draw_map`] does, in a part of the frame.
 fn draw_map_at(svg: &mut Svg, frame: &Frame, image: &[u8], (map, scale): (&ScreenMap, f64)) {
     let [x, y] = extent(map);
     let ([left, top], [right, bottom]) = (frame.at([x[0], y[1]]), frame.at([x[1], y[0]]));

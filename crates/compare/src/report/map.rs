@@ -29,7 +29,7 @@ pub struct ScreenMap {
     pub reach_99_nm: f64,
     /// Heights (ny, nx), nm.
     pub height_nm: Packed,
-    /// The same, not packed.
+    /// Heights (ny, nx), nm, not packed.
     #[serde(skip)]
     pub means_nm: Array2<f64>,
 }
@@ -102,7 +102,8 @@ pub struct Histogram {
 
 const BINS: usize = 101;
 
-/// Half the range of a histogram in RMS: a Gaussian has 6e-5 of its pixels beyond.
+/// Half the range of a histogram, in RMS of the map. Larger: coarser bins. Smaller: more pixels beyond the bins.
+/// Chosen: a Gaussian has 6e-5 of its pixels beyond it.
 const REACH_RMS: f64 = 4.0;
 
 /// Bins over four RMS on both sides of the mean.

@@ -6,10 +6,12 @@
 use planish_numerics::polynomial::{derivative, range};
 use planish_types::{DwellTime, ToolPath, Trajectory};
 
-/// Gaps between segments above this are jumps, mm: far above rounding, far below a pixel.
+/// Least gap between two segments that is drawn as a jump, mm. Larger: jumps are drawn as lines. Smaller: rounding is
+/// drawn as a jump. Chosen far above rounding, and far below a pixel.
 const JUMP_MM: f64 = 1e-6;
 
-/// Most points per segment: enough for a cubic on the screen.
+/// Largest number of points per segment. Larger: larger pages. Smaller: cubics with visible corners. Chosen: enough
+/// for a cubic on the screen.
 const MOST_PER_SEGMENT: usize = 4;
 
 /// A line through the points of a motion.
@@ -134,7 +136,7 @@ pub struct Dwell {
     pub total_error_s: f64,
 }
 
-/// At most `most` dwell points; `None` where path, plan and motion do not belong together.
+/// Times of at most `most` dwell points; `None` where path, plan and motion do not belong together.
 pub fn dwell(path: &ToolPath, plan: &DwellTime, t: &Trajectory, most: usize) -> Option<Dwell> {
     let n = path.len();
     if plan.dwell_s().len() != n {

@@ -20,17 +20,18 @@ pub struct Packed {
     pub i16: String,
 }
 
-/// Quantised values are within plus and minus this.
+/// Largest magnitude of a quantised value, dimensionless. Derived: the largest one that a signed 16-bit integer has
+/// with both signs; -32768 stands for NaN.
 const LARGEST_STORED_INTEGER: f64 = 32767.0;
 
-/// How a value between two steps is rounded.
+/// Direction in which a value between two steps is rounded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rounding {
-    /// To the nearest step.
+    /// Rounds to the nearest step.
     Nearest,
-    /// To the step below: a lower end of a range stays one.
+    /// Rounds to the step below, so that a lower end of a range remains a lower bound.
     Down,
-    /// To the step above.
+    /// Rounds to the step above.
     Up,
 }
 

@@ -61,8 +61,8 @@ pub fn page(views: &[View], summaries: &Value) -> String {
     )
 }
 
-/// What the browser may run: the program and the style of this page, known by their hashes, and
-/// nothing else, whatever stands in the names and manifests of a run.
+/// Content security policy of the page. The browser runs only the program and the style of this page, known by their
+/// hashes, whatever the names and manifests of a run contain.
 fn policy() -> String {
     let hash = |text: &str| format!("'sha256-{}'", base64(&Sha256::digest(text.as_bytes())));
     format!(
@@ -145,7 +145,7 @@ fn method_json(m: &MethodView) -> Value {
     })
 }
 
-/// Keys of the steps in a verdict that a machine cannot do.
+/// Keys of a verdict for the steps of position and velocity, which no machine can do.
 const STEPS: [&str; 2] = ["position_step_mm", "velocity_step_mm_per_s"];
 
 fn ranges_json(ranges: &Ranges) -> Value {
@@ -227,7 +227,7 @@ fn frames_json(f: &FrameView) -> Value {
     })
 }
 
-/// What the page shows of manifests: all but the arrays.
+/// Manifests for the page, without the arrays.
 fn provenance_json(manifests: &[(String, Value)]) -> Value {
     manifests
         .iter()

@@ -6,7 +6,7 @@ use super::{map::Histogram, motion::Ranges, view::View};
 
 const BLOCKS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
-/// Characters of a plot.
+/// Width of a plot, characters. Larger: lines that do not fit into a terminal. Smaller: coarser plots. Chosen.
 const WIDTH: usize = 48;
 
 /// One character per value, from 0 to the largest; a blank where there is none.

@@ -28,13 +28,15 @@ use planish_numerics::{
 use planish_types::Grid;
 use serde::Serialize;
 
-/// Periods that separate the bands, mm.
+/// Periods that separate the bands, mm. Longer or shorter: residual moves from one band to the next. Chosen.
 pub const BAND_PERIOD_MM: [f64; 2] = [10.0, 1.0];
 
-/// Rings per decade of frequency.
+/// Number of rings per decade of frequency. Larger: finer frequencies with more noise. Smaller: a smoother, coarser
+/// spectrum. Chosen.
 const PER_DECADE: f64 = 20.0;
 
-/// Fraction of a ring by which a frequency may lie below the first one: rounding.
+/// Fraction of a ring by which a frequency may lie below the first one. Larger: frequencies that belong to no ring
+/// are counted. Smaller: rounding loses the first frequency. Chosen far above rounding.
 const SLACK: f64 = 1e-9;
 
 /// A spectrum and the RMS of its bands.
@@ -53,7 +55,8 @@ pub struct Spectrum {
     /// Contributions to it of the periods above 10 mm, between, and of 1 mm and below in the rectangle, nm; `null` where
     /// the map does not resolve them.
     pub band_rms_nm: [Option<f64>; 3],
-    /// What the bands leave of it, nm: pixels outside of the rectangle, and what the window and its plane hide.
+    /// Rest of the RMS beside the bands, nm: pixels outside of the rectangle, and the part that the window and its
+    /// plane hide.
     pub not_in_spectrum_rms_nm: f64,
 }
 

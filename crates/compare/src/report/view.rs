@@ -1,4 +1,4 @@
-//! What the screen needs of a run, down-sampled where there is more.
+//! Data of a run for the screen, down-sampled where there are more.
 
 use std::borrow::Cow;
 
@@ -16,20 +16,25 @@ use super::{
 };
 use crate::summary::Summary;
 
-/// Most pixels of a map, and of all maps together (2 bytes each, 2.7 in base64).
+/// Largest number of pixels of a map, and of all maps together (2 bytes each, 2.7 in base64). Larger: larger, slower
+/// pages. Smaller: coarser maps. Chosen: all maps take at most 5.4 MB of a page.
 pub const MAX_MAP_PIXELS: usize = 400_000;
 const MAX_ALL_PIXELS: usize = 2_000_000;
 
-/// Most points of the lines of all motions (16 bytes each, 22 in base64).
+/// Largest number of points of the lines of all motions (16 bytes each, 22 in base64). Larger: larger, slower pages.
+/// Smaller: coarser lines. Chosen: at most 1.7 MB of a page.
 const MAX_ALL_POINTS: usize = 75_000;
 
-/// Most pieces with ranges of all motions (32 bytes each, 43 in base64).
+/// Largest number of pieces with ranges of all motions (32 bytes each, 43 in base64). Larger: larger, slower pages.
+/// Smaller: coarser ranges. Chosen: at most 0.9 MB of a page.
 const MAX_ALL_PIECES: usize = 21_000;
 
-/// Most dwell points of all plans (12 bytes each, 16 in base64).
+/// Largest number of dwell points of all plans (12 bytes each, 16 in base64). Larger: larger, slower pages. Smaller:
+/// fewer points. Chosen: at most 0.64 MB of a page.
 const MAX_ALL_DWELL: usize = 40_000;
 
-/// Most pixels of all frames (2 bytes each, 2.7 in base64).
+/// Largest number of pixels of all frames (2 bytes each, 2.7 in base64). Larger: larger, slower pages. Smaller: fewer
+/// frames. Chosen: at most 1.2 MB of a page.
 const MAX_ALL_FRAME_PIXELS: usize = 450_000;
 
 /// Everything of one run.
@@ -45,7 +50,7 @@ pub struct Run {
     pub measured: Option<Surface>,
     /// Path, where the run has one.
     pub path: Option<ToolPath>,
-    /// What each method made of it.
+    /// Results of the methods.
     pub methods: Vec<RunMethod>,
     /// Manifests of the artifacts that the methods share: role and manifest.
     pub provenance: Vec<(String, Value)>,
@@ -94,7 +99,7 @@ pub struct Rounds {
     pub best: Option<u64>,
 }
 
-/// What the screen needs of a run.
+/// Data of a run for the screen.
 #[derive(Debug)]
 pub struct View {
     pub(super) name: String,
@@ -106,7 +111,7 @@ pub struct View {
     pub(super) provenance: Vec<(String, Value)>,
 }
 
-/// What the screen needs of a method.
+/// Data of a method for the screen.
 #[derive(Debug)]
 pub(super) struct MethodView {
     pub(super) name: String,
@@ -131,7 +136,7 @@ pub(super) struct FrameView {
     pub(super) grid: Grid,
 }
 
-/// What the screen needs of `runs`, the methods in the order of their summaries.
+/// Data of `runs` for the screen, the methods in the order of their summaries.
 pub fn views(runs: Vec<Run>) -> Vec<View> {
     let methods: usize = runs.iter().map(|r| r.methods.len()).sum::<usize>().max(1);
     let maps = 2 * methods + runs.len() + runs.iter().filter(|r| r.measured.is_some()).count();
@@ -146,7 +151,7 @@ pub fn views(runs: Vec<Run>) -> Vec<View> {
     runs.into_iter().map(|run| view(run, &allotment)).collect()
 }
 
-/// How much of each thing a method may take.
+/// Largest numbers of pixels, points, pieces and dwell points of a method.
 struct Allotment {
     pixels: usize,
     points: usize,

@@ -1,4 +1,4 @@
-//! The front as a picture, and the page around it.
+//! Picture of the front, and the page around it.
 
 use std::fmt::Write;
 
@@ -20,13 +20,16 @@ const SIZE_PX: [f64; 2] = [760.0, 420.0];
 /// Left, top, right and bottom of the frame, px.
 const MARGIN_PX: [f64; 4] = [90.0, 40.0, 30.0, 60.0];
 
-/// Most points that are drawn beside those of the front: more could not be told apart, and would make the page slow.
+/// Largest number of points that are drawn beside those of the front. Larger: points that cannot be told apart, and a
+/// slow page. Smaller: fewer plans in the picture. Chosen.
 const MOST_POINTS: usize = 4000;
 
-/// Room beside the points, as a factor.
+/// Room beside the points, as a factor on the ends of an axis. Larger: empty borders. Smaller: points on the frame.
+/// Chosen.
 const ROOM: f64 = 1.1;
 
-/// An axis is logarithmic from this ratio of its ends on: on shorter ones few round numbers would have a place.
+/// Least ratio of the ends of an axis that is logarithmic. Larger: small values crowd at one end of a linear axis.
+/// Smaller: few round numbers have a place on a short logarithmic one. Chosen.
 const DECADES_FROM: f64 = 10.0;
 
 /// The plans that keep the constraints, each a point that is a link to its report; those of the front are joined.
@@ -85,7 +88,7 @@ pub fn svg(table: &Table, residual: Residual, to_table: &str) -> String {
     svg.finish([MARGIN_PX[0] + SIZE_PX[0] + MARGIN_PX[2], MARGIN_PX[1] + SIZE_PX[1] + MARGIN_PX[3]])
 }
 
-/// What is drawn: the others first, so that those of the front lie over them.
+/// Plans that are drawn: the others first, so that those of the front lie over them.
 fn points(table: &Table, residual: Residual, front: &[usize]) -> Vec<(usize, [f64; 2])> {
     let all =
         (0..table.plans.len()).filter_map(|i| Some((i, table.point(&table.plans[i], residual)?)));
@@ -94,7 +97,7 @@ fn points(table: &Table, residual: Residual, front: &[usize]) -> Vec<(usize, [f6
     others.into_iter().step_by(every).chain(on_front).collect()
 }
 
-/// What has a colour of its own.
+/// Family of a plan, which has a colour of its own: path and method.
 fn family_of(row: &Row) -> String {
     format!("{}, {}", row.path, row.method)
 }
@@ -106,7 +109,7 @@ fn families(table: &Table) -> Vec<String> {
     families
 }
 
-/// What is said of a point.
+/// Text of a point.
 fn told(row: &Row, [time_s, rms_nm]: [f64; 2]) -> String {
     format!("{}: {} nm in {} s", row.in_words(), significant(rms_nm, 4), significant(time_s, 4))
 }

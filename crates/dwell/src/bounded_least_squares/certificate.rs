@@ -2,7 +2,8 @@
 //!
 //! It is proven by the exact gradient alone, so whatever the surrogate does, the claim in the report holds.
 
-/// By how much (1) can still fall, at most. With the diagonal C of the Tikhonov term, `c_j = alpha D A / a_j`, H is
+/// Upper bound of the decrease of (1) that is still possible. With the diagonal C of the Tikhonov term,
+/// `c_j = alpha D A / a_j`, H is
 /// at least C, so
 ///
 /// ```text

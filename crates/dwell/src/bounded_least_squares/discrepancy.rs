@@ -20,20 +20,27 @@ use super::{
 };
 use crate::{DwellError, objective::Basis};
 
-/// Range of the smoothness that the noise level chooses from.
+/// Smallest smoothness beta that the noise level may choose, dimensionless. Larger: a map with little noise is
+/// smoothed more than its noise asks for. Smaller: more trials.
 const MIN_SMOOTHNESS: f64 = 1e-9;
+/// Largest smoothness beta that the noise level may choose, dimensionless. Larger: more trials with a noise that no
+/// smoothness reaches. Smaller: a large noise is not reached.
 const MAX_SMOOTHNESS: f64 = 1e3;
 
-/// Factor between two trials of the smoothness while none is too smooth.
+/// Factor between two trials of the smoothness while none is too smooth. Larger: a wider bracket, and more
+/// bisections. Smaller: more trials before the bracket.
 const SMOOTHNESS_FACTOR: f64 = 10.0;
 
-/// Ratio of two trials, one too smooth and one not, that are near enough to each other.
+/// Ratio of two trials of the smoothness, one too smooth and one not, at which the search ends. Larger: the residual
+/// meets the noise less closely. Smaller: more trials, each of which solves the problem.
 const SMOOTHNESS_RATIO: f64 = 1.05;
 
-/// Deviations beyond which there is no noise to rounding.
+/// Threshold of the Huber loss, in standard deviations of the noise, from which on no noise lies beyond it, to
+/// rounding. Larger: integrals whose value is known. Smaller: the tail of the noise is left out.
 const BEYOND_NOISE: f64 = 8.0;
 
-/// Points of the integrals over the normal distribution: exact to rounding over [`BEYOND_NOISE`] deviations.
+/// Number of points of the Gauss rule for integrals over the normal distribution: exact to rounding over
+/// [`BEYOND_NOISE`] deviations. Smaller: errors of the expected noise.
 const QUADRATURE_POINTS: usize = 32;
 
 /// The minimum, at the given smoothness or at the one that the noise of the map asks for.

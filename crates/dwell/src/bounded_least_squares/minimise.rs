@@ -19,60 +19,75 @@ use crate::{
     surrogate::{Penalised, Surrogate, Unbounded},
 };
 
-/// Corrections that a problem usually takes, for an estimate of the time, and the part after so many of them.
+/// Usual number of corrections of a problem, for the estimate of the remaining time only. Larger: the progress starts
+/// slower and ends with a jump. Smaller: it waits before its end.
 const USUAL_CORRECTIONS: f64 = 6.0;
+/// Largest fraction of the progress that is reported before the end, for the estimate of the remaining time only.
 const BEFORE_LAST: f64 = 0.9;
 
-/// Most steps of H~; measured problems take 3 to 6.
+/// Largest number of steps of H~. Larger: problems that do not converge take longer. Smaller: slow problems end
+/// without a certificate. Chosen: measured problems take 3 to 6.
 const MAX_CORRECTIONS: usize = 100;
 
-/// Easier problems than (1), one after the other, see [`BoundedProblem::approach`]: the weights of the penalty and the
-/// pitch of the splines, both over those of (1). By the time that problems took: a third one, or smaller steps of the
-/// weights, cost what they save.
+/// Easier problems that are solved before (1), one after the other, see [`BoundedProblem::approach`]: weights of the
+/// penalty and pitch of the splines, both over those of (1). Chosen by the time that problems took: a third easier
+/// problem, or smaller steps of the weights, cost as much time as they save.
 const ROUGH_PROBLEMS: [(f64, f64); 2] = [(1e3, 2.0), (30.0, 1.5)];
 
-/// The side of their cells over that for (1).
+/// Side of the cells of an easier problem over that for (1). Larger: cheaper and less exact easier problems.
 const ROUGH_CELLS: usize = 2;
 
-/// alpha from which on a problem is no way to another: the penalty decides all of it.
+/// Largest alpha of an easier problem, dimensionless; a problem with a larger one is left out, because the penalty
+/// would decide its whole result. Larger: useless easier problems cost time. Smaller: strongly regularised problems
+/// start without easier ones.
 const MAX_ROUGH_TIKHONOV: f64 = 1e-2;
 
-/// Steps of H~ for an easier problem.
+/// Number of steps of H~ for an easier problem. Larger: a better start of the next problem, for more time.
 const ROUGH_CORRECTIONS: usize = 1;
 
-/// The same with a Huber loss, whose weights come with the second one.
+/// Number of steps of H~ for an easier problem with a Huber loss, whose weights come with the second step. Smaller:
+/// the next problem starts without these weights.
 const ROUGH_CORRECTIONS_HUBER: usize = 3;
 
-/// A step that leaves more than this fraction of the natural residual is a slow one ...
+/// Fraction of the natural residual above which a step is slow: it leaves more than this. Larger: fewer steps count
+/// as slow. Smaller: the surrogate gets smaller cells earlier, and costs more.
 const SLOW_RESIDUAL_FRACTION: f64 = 0.5;
 
-/// ... and after so many slow ones in a row the factorised surrogate gets smaller cells.
+/// Number of slow steps in a row after which the factorised surrogate gets smaller cells. Larger: more slow steps.
+/// Smaller: one slow step causes a new factorisation.
 const SLOW_STEPS_BEFORE_SHARPENING: usize = 2;
 
-/// The gradient method ends when 50 steps change the mean square of the residual by less than this
-/// fraction, its RMS by half of it; the corrections of its result end when one changes it by less.
+/// Relative change of the mean square of the residual over 50 steps below which the gradient method ends; the RMS
+/// changes by half of it. The corrections of its result end if one changes the mean square by less. Larger: earlier
+/// end, larger residual. Smaller: more steps.
 const STAGNATION: f64 = 2e-4;
 
-/// Fraction of the natural residual that a step of the two-level method may leave.
+/// Fraction of the natural residual that a step of the two-level method may leave. Larger: more corrections by the
+/// exact gradient. Smaller: more products with H~ per step.
 const RESIDUAL_FRACTION_TWO_LEVEL: f64 = 0.1;
 
-/// The same for gradient steps, which are not restarted as cheaply.
+/// Fraction of the natural residual that gradient steps may leave. It is smaller than that of the two-level method
+/// because gradient steps are more expensive to restart.
 const RESIDUAL_FRACTION_GRADIENT: f64 = 0.01;
 
-/// Most times that it goes on without bounds before the surrogate finds other sets.
+/// Largest number of rounds that continue without bounds before the surrogate finds other sets. Larger: more rounds
+/// with a set of free dwell times that may be wrong. Smaller: more searches for sets.
 const MAX_ROUNDS_WITHOUT_BOUNDS: usize = 3;
 
-/// A step that promises to lower (1) by less than this fraction of it is rounding.
+/// Decrease of (1) that a step promises, as a fraction of (1), up to which it is rounding and the steps end. Larger:
+/// an earlier end. Smaller: steps that only rounding decides.
 const STEP_ROUNDING: f64 = 1e-15;
 
-/// A step from which on the best one is taken to be the whole: only that puts the components that the
-/// surrogate has at their bounds on them.
+/// Length of the best step, over the whole step, above which the whole step is taken. Only a whole step puts the
+/// components that the surrogate has at their bounds on these bounds. Larger: more steps that stop short of the
+/// bounds. Smaller: whole steps that lower (1) less, or raise it.
 const WHOLE_STEP_FROM: f64 = 0.6;
 
-/// A dwell time nearer to its bound than this fraction of itself differs from it by rounding.
+/// Distance of a dwell time from its bound, as a fraction of the dwell time, up to which the difference is rounding.
+/// Larger: free dwell times count as being at a bound. Smaller: rounding makes bound ones free.
 const BOUND_ROUNDING: f64 = 1e-13;
 
-/// Where the iteration is.
+/// State of the iteration.
 pub struct Iterate {
     pub t: Vec<f64>,
     /// B t.
@@ -106,10 +121,10 @@ impl BoundedProblem<'_> {
         self.minimise_by(&Settings { smoothness, ..*self.settings }, MAX_CORRECTIONS)
     }
 
-    /// Takes the two-level method near the minimum by easier problems, and returns the products with their surrogates:
-    /// with larger weights of the penalty the dwell times are smoother, so that wider splines and larger cells can say
-    /// them, and which of them are at their bounds is settled in fewer and cheaper steps. Afterwards some percent of
-    /// them change.
+    /// Brings the two-level method near the minimum by easier problems, and returns the number of products with their
+    /// surrogates. Larger weights of the penalty make the dwell times smoother, so that wider splines and larger
+    /// cells can represent them. Fewer and cheaper steps then find the dwell times at their bounds. Some percent of
+    /// these change afterwards.
     ///
     /// Does nothing for other methods, or where a guess is given.
     pub(super) fn approach(&mut self, smoothness: f64) -> Result<usize, DwellError> {

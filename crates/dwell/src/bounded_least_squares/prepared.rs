@@ -17,21 +17,27 @@ use crate::{
     surrogate::{self, Convolved, Ordered, Surrogate},
 };
 
-/// Least diagonal of the Tikhonov term, over D, for the two-level method: below, its rounding is larger.
+/// Smallest diagonal of the Tikhonov term, over D, for the two-level method. Below it, the rounding of the method is
+/// larger than the term. Larger: more problems take the slower gradient steps. Smaller: rounding decides the steps.
 const MIN_TIKHONOV_TWO_LEVEL: f64 = 1e-7;
 
-/// Below this fraction of the largest the energy of a column is computed, not estimated.
+/// Estimated energy of a column, as a fraction of the largest, below which it is computed. Larger: more columns are
+/// computed, which takes time. Smaller: columns of weak effect keep an inexact estimate.
 const ESTIMATED_ENERGY_FRACTION: f64 = 1e-3;
 
-/// Largest rate on the border over the peak from which on a TIF ends abruptly. What it does there wide splines cannot say,
-/// and the surrogate of the two-level method takes it for nothing.
+/// Ratio of the largest rate on the border to the peak above which a TIF ends abruptly, dimensionless. Wide splines
+/// cannot represent the step at such a border, and the surrogate of the two-level method ignores it. Larger: steps at
+/// the border slow the two-level method. Smaller: more problems are factorised.
 const ABRUPT_BORDER_TO_PEAK: f64 = 0.1;
 
-/// By what more dwell points are factorised where the splines of the two-level method say too little,
+/// Factor on the number of dwell points up to which a problem is factorised if the splines of the two-level method
+/// represent too little. Larger: more memory and time for the factor. Smaller: more problems take many steps of the
+/// two-level method.
 const MORE_FACTORISED: usize = 10;
 
-/// as long as a factorisation takes no more multiplications than these: a second or two, for each of ten (pads, and
-/// points that are far apart) to a hundred (wide spots that were cropped).
+/// Largest number of multiplications of a factorisation beyond the usual number of dwell points: one or two seconds.
+/// A problem takes ten (pads, and points that are far apart) to a hundred of them (wide spots that were cropped).
+/// Larger: longer factorisations. Smaller: more problems take many steps of the two-level method.
 const MOST_WORK: f64 = 1e11;
 
 /// (1) with everything that defines it.
@@ -45,7 +51,7 @@ pub struct BoundedProblem<'a> {
     pub b: Removal,
     /// z minus its weighted mean, 0 where the weight is 0.
     pub z: Array2<f64>,
-    /// As given.
+    /// Weights of the pixels as given.
     pub weight: Array2<f64>,
     pub lo: &'a [f64],
     /// Upper bounds; the lower ones of unreached columns, which keep them whatever the others do.
@@ -55,18 +61,18 @@ pub struct BoundedProblem<'a> {
     pub reached: Vec<bool>,
     /// Diagonal of H without the penalty.
     pub diagonal: Vec<f64>,
-    /// What the weights of the penalty are relative to.
+    /// Quantities to which the weights of the penalty are relative.
     pub scale: PenaltyScale,
-    /// U of (2): what is free.
+    /// U of (2): the free functions.
     u: Vec<Vec<f64>>,
     pub surrogate: Surrogate,
     /// Pixels along the side of a cell of `surrogate`.
     pub cell: usize,
     /// Pitch of its splines, mm.
     pub splines_mm: Option<f64>,
-    /// Where the steps begin (n), s.
+    /// Dwell times at which the steps begin (n), s.
     pub start: Vec<f64>,
-    /// Whether that is a guess of whoever asks.
+    /// True if `start` is a guess of the caller.
     pub is_guessed: bool,
     /// Q.
     pub quadratic: Option<Product<'a>>,
@@ -98,7 +104,7 @@ fn energies(
 }
 
 impl<'a> BoundedProblem<'a> {
-    /// For a program and the weights of the pixels.
+    /// Prepares the problem for a program and the weights of the pixels.
     pub fn new(
         desired: &'a Surface,
         tif: &'a Tif,

@@ -1,4 +1,4 @@
-//! What was reached.
+//! Report of the solver.
 
 use std::fmt;
 
@@ -13,7 +13,7 @@ use serde::Serialize;
 use super::{minimise::Iterate, prepared::BoundedProblem};
 use crate::{continuation::Continuation, model::FFT_ROUNDING, surrogate::Surrogate};
 
-/// How the steps of the surrogate are found; manifests hold its name in kebab case.
+/// Method that finds the steps of the surrogate; manifests hold its name in kebab case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Algorithm {
@@ -31,10 +31,10 @@ impl fmt::Display for Algorithm {
     }
 }
 
-/// What was reached.
+/// Result of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// How the steps were found.
+    /// Method that found the steps.
     pub algorithm: Algorithm,
     /// Sets of free dwell times that were solved for with the surrogate of H, or products with it.
     pub iterations: usize,
@@ -42,10 +42,9 @@ pub struct Report {
     pub corrections: usize,
     /// Pixels along the side of a cell of the surrogate; 1: exact.
     pub cell_pixels: usize,
-    /// How it ended: `optimal`, `stagnated` (the objective changes no more) or
-    /// `iteration-limit`.
+    /// Reason for which the steps ended: `optimal`, `stagnated` (the objective changes no more) or `iteration-limit`.
     pub end: End,
-    /// Largest |t - clip(t - gradient / H_jj)|: by how much a dwell time would still move, s.
+    /// Natural residual, the largest |t - clip(t - gradient / H_jj)|, s: 0 at the optimum.
     pub kkt_residual_s: f64,
     /// Bound on how far (1) is above its minimum, relative to it; left out when alpha is 0: then
     /// `kkt_residual_s` alone certifies the result.
@@ -63,19 +62,19 @@ pub struct Report {
     pub unreached_pixels: usize,
     /// RMS (mean removed) of the residual in the removal model of the solver, nm.
     pub model_rms_nm: f64,
-    /// The same, plane removed, nm.
+    /// RMS of the residual without its best plane, nm.
     pub model_rms_detilted_nm: f64,
     /// Sum of the dwell times, s.
     pub total_time_s: f64,
-    /// With a robust loss the root of twice its mean, of the map and of what remains, nm.
+    /// Root of twice the mean of a robust loss, of the map and of the residual, nm; none without a robust loss.
     #[serde(skip)]
     pub robust_nm: Option<[f64; 2]>,
 }
 
 impl Report {
-    /// Why the verdict is negative, where it is: without its certificate a result is not known to be the
-    /// best, and the best is no plan where it leaves more than the map `before` it. More is what its loss says:
-    /// pits, which a robust loss leaves alone, decide an RMS, and what is removed around them deepens them.
+    /// Returns the reason of a negative verdict, or none. A result without its certificate is not known to be the
+    /// best, and the best one is no plan if it leaves more than the map `before` it. A robust loss measures this by
+    /// itself: the pits that it leaves alone would decide an RMS, and removal around them deepens them.
     pub fn negative(&self, before: Rms) -> Option<String> {
         let plain = Rms { rms_nm: self.model_rms_nm, detilted_nm: self.model_rms_detilted_nm };
         let both = |rms_nm| Rms { rms_nm, detilted_nm: rms_nm };
@@ -106,12 +105,12 @@ impl Report {
 pub struct BoundedSolution {
     /// Dwell times.
     pub dwell: DwellTime,
-    /// What was reached.
+    /// Report of the solver.
     pub report: Report,
 }
 
 impl BoundedProblem<'_> {
-    /// What the result of [`Self::minimise`] at this beta is.
+    /// Makes the solution from the result of [`Self::minimise`] at this beta.
     pub(super) fn finish(
         &self,
         mut iterate: Iterate,
@@ -168,7 +167,8 @@ impl BoundedProblem<'_> {
     }
 }
 
-/// Steps of the piston; each halves what is left of an error at least where more than half of the pixels are within k.
+/// Number of steps of the piston. Each halves the error at least, if more than half of the pixels are within k.
+/// Larger: more time. Smaller: the piston is not exact to rounding.
 const PISTON_STEPS: usize = 50;
 
 /// The root of twice the mean of the loss, at the piston p where it is least:

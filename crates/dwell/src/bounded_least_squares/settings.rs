@@ -1,4 +1,4 @@
-//! How to solve, and what of it may be given point by point.
+//! Settings of the solver, and those inputs that may be given point by point.
 
 use serde::Serialize;
 
@@ -8,10 +8,10 @@ use crate::{
     objective::{Free, PenaltyWeights},
 };
 
-/// How to solve.
+/// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// What a dwell time is spent on.
+    /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment.
     pub columns: Columns,
     /// Lower bound.
     pub min_dwell: Bound,
@@ -23,9 +23,9 @@ pub struct Settings {
     pub smoothness: f64,
     /// Weight of the total time beside half the mean square of the residual, nm^2/s; >= 0.
     pub time_weight_nm2_per_s: f64,
-    /// What need not be removed.
+    /// Low-order terms of the map that need not be removed.
     pub free: Free,
-    /// Residual above which a pixel counts linearly instead of squared (Huber), nm: pits.
+    /// Residual above which a pixel counts linearly instead of squared (Huber loss), nm; for maps with pits.
     pub huber_nm: Option<f64>,
     /// RMS of the noise of the map, nm: beta is raised until the residual is no smaller; with a Huber loss pixels
     /// beyond its threshold do not count there.
@@ -36,7 +36,7 @@ pub struct Settings {
     pub tolerance_s: f64,
     /// Bound on how far (1) is above its minimum, relative to it, that is enough.
     pub relative_gap: f64,
-    /// Most products with the surrogate of H where it is not factorised.
+    /// Largest number of products with the surrogate of H if it is not factorised.
     pub max_iterations: usize,
 }
 
@@ -64,7 +64,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// What the terms beside the residual weigh.
+    /// Weights of the terms beside the residual.
     pub(super) fn penalty_weights(&self) -> PenaltyWeights {
         PenaltyWeights {
             tikhonov: self.tikhonov,
@@ -80,7 +80,7 @@ pub type Product<'a> = &'a (dyn Fn(&[f64]) -> Vec<f64> + Sync);
 /// The columns of B and the bounds of their dwell times.
 #[derive(Clone)]
 pub struct Program<'a> {
-    /// Where the tool is in each column (n).
+    /// Places of the tool in each column (n).
     pub places: &'a [Vec<Place>],
     /// Lower bounds (n), s.
     pub lo: Vec<f64>,

@@ -1,9 +1,9 @@
 //! The certificate of the two-level method, without new factors: steps on the free dwell times alone.
 //!
-//! By its own gradient alone a result within the bounds is proven late. What the surrogate misses and what the bounds cut
-//! off leaves a gradient q on the free dwell times, and of that the bound of [`super::certificate`] counts
-//! `q^2 / (2 c)`, as if the map said nothing of them: with c a hundred millionth of what it says, a result that is 1e-6
-//! above the minimum seems to be 0.3 of it above. So the free dwell times are taken to where q is zero, whatever their
+//! By its own gradient alone a result within the bounds is proven late. The errors of the surrogate and the cuts at
+//! the bounds leave a gradient q on the free dwell times. The bound of [`super::certificate`] counts `q^2 / (2 c)` of
+//! it, as if the map did not depend on them: with c a hundred millionth of what it says, a result that is 1e-6 above
+//! the minimum seems to be 0.3 of it above. So the free dwell times are taken to where q is zero, whatever their
 //! bounds. That costs a few products with the factor that is at hand; beyond its bounds a dwell time costs the bound
 //! almost nothing; and within the bounds again the result is better than before, too.
 
@@ -17,16 +17,20 @@ use super::{
 };
 use crate::surrogate::{Surrogate, Unbounded};
 
-/// Fraction of (1) that the bounds may cost: where they cost more other dwell times should be free.
+/// Change of (1) by the bounds, as a fraction of (1), above which the solution without bounds is dropped: other dwell
+/// times should then be free. Larger: more rounds with a wrong set of free dwell times. Smaller: useful solutions are
+/// dropped.
 const MAX_COST_OF_BOUNDS: f64 = 1e-3;
 
-/// Fraction of the wanted gap at which the steps end: the rest is for what the bounds cost.
+/// Fraction of the wanted gap at which the steps end; the rest is left for the cost of the bounds. Larger: the bounds
+/// may spoil the certificate. Smaller: more steps.
 const GAP_FRACTION: f64 = 0.3;
 
-/// The steps end where one leaves more than this fraction of the gap.
+/// Fraction of the gap that a step may leave; the steps end if one leaves more. Larger: more slow steps. Smaller: the
+/// steps end while they still help.
 const SLOW_GAP_FRACTION: f64 = 0.5;
 
-/// Where [`BoundedProblem::without_bounds`] ended.
+/// Result of [`BoundedProblem::without_bounds`].
 pub struct Found {
     /// Dwell times, some of the free ones beyond their bounds; none where the bounds cost too much.
     pub end: Option<Unbounded>,

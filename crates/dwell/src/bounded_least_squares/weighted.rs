@@ -6,8 +6,8 @@ use planish_numerics::linear::skyline::dot;
 use super::{certificate::gap, prepared::BoundedProblem, settings::Product};
 use crate::objective::{Basis, Penalty, weighted_product};
 
-/// Two directions are as good as parallel when the determinant of their products is below this fraction of
-/// that of orthogonal ones.
+/// Determinant of the products of two directions, as a fraction of that of orthogonal ones, up to which they count as
+/// parallel. Larger: useful second directions are dropped. Smaller: rounding decides the step.
 const MIN_DETERMINANT_FRACTION: f64 = 1e-9;
 
 /// (1) with the weights that pixels have now.
@@ -59,7 +59,7 @@ impl Weighted<'_> {
         weighted_product(self.weight, d.1, p.1) - dot(&free(d.1), &free(p.1)) + dot(&curved, d.0)
     }
 
-    /// Where `q'e + e'He / 2` is least for `e = a d + b p`:
+    /// Minimum of `q'e + e'He / 2` over `e = a d + b p`, as [a, b]:
     ///
     /// ```text
     /// [d'Hd d'Hp; d'Hp p'Hp] [a; b] = -[q'd; q'p]
@@ -81,7 +81,7 @@ impl Weighted<'_> {
 }
 
 impl BoundedProblem<'_> {
-    /// By how much (1) can fall below its value at t with the gradient q, at most: [`gap`].
+    /// Upper bound of the decrease of (1) from its value at t with the gradient q: [`gap`].
     pub fn gap(&self, penalty: &Penalty, t: &[f64], q: &[f64]) -> Option<f64> {
         gap(t, q, self.lo, &self.hi, penalty.alpha(), &self.reached)
     }

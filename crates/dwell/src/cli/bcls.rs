@@ -16,7 +16,7 @@ pub struct Bcls {
     given: Given,
     #[command(flatten)]
     machine: MachineArgs,
-    /// Least feed as a fraction of the largest that is reachable on a segment; 0 for none
+    /// Least feed as a fraction of the largest reachable feed on a segment; 0 for none
     #[arg(long, value_name = "ETA", default_value_t = bcls::Settings::default().least_feed)]
     least_feed: f64,
     /// Weight of the square of the dwell time per area above the least one: the same at every pitch, pixel and tool

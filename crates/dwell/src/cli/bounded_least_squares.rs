@@ -41,20 +41,20 @@ pub struct BoundedLeastSquares {
     /// Largest dwell times point by point [dwell artifact]
     #[arg(long, value_name = "DIR", conflicts_with_all = ["max_dwell_s", "max_dwell_s_per_mm"])]
     max_dwell: Option<PathBuf>,
-    /// Price of a second beside half the mean square of the residual, nm^2/s
+    /// Weight of a second of dwell time beside half the mean square of the residual, nm^2/s
     #[arg(long, visible_alias = "time-weight", value_name = "L", default_value_t = 0.0)]
     time_weight_nm2_per_s: f64,
-    /// What need not be removed
+    /// Low-order terms of the map that need not be removed
     #[arg(long, value_enum, default_value = "piston")]
     free: Free,
-    /// Residual above which a pixel counts linearly instead of squared, nm: robust to pits
+    /// Residual above which a pixel counts linearly instead of squared, nm; for maps with pits
     #[arg(long, value_name = "K")]
     huber_nm: Option<f64>,
     /// RMS of the noise of the map, nm: the smoothness is raised until the residual reaches it, without the
     /// pixels beyond `--huber-nm`
     #[arg(long, value_name = "S")]
     noise_rms_nm: Option<f64>,
-    /// What a dwell time is spent on
+    /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment
     #[arg(long, value_enum, default_value = "segment")]
     columns: Columns,
     /// Weight of the square of the dwell time per area above the least one: the same at every pitch, pixel and tool

@@ -12,30 +12,30 @@ pub struct LucyRichardson {
     given: Given,
     #[command(flatten)]
     least: FloorArgs,
-    /// What is solved for
+    /// Unknowns: dwell times of the path, or a map of dwell times
     #[arg(long, value_enum, default_value = "path")]
     unknowns: lucy_richardson::Unknowns,
     /// Weight of the total variation, useful from 0 to 0.02
     #[arg(long, value_name = "MU", default_value_t = lucy_richardson::Settings::default().total_variation)]
     total_variation: f64,
-    /// Removal at the lowest pixel, as a fraction of the PV of what is to be removed
+    /// Removal at the lowest pixel, as a fraction of the PV of the desired removal
     #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().margin)]
     margin: f64,
-    /// Part of the pixels, the lowest ones, that may be cut off as pits
+    /// Fraction of the pixels, the lowest ones, that may be cut off as pits
     #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().pits)]
     pits: f64,
-    /// End when ten steps lower the RMS by less than this part
+    /// Fraction by which ten steps must lower the RMS; the solver ends when they lower it by less
     #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().tolerance)]
     tolerance: f64,
-    /// Most steps; where a number is given, to stop there is what is wanted [default: 300, and a negative
-    /// verdict where they do not settle]
+    /// Largest number of steps; if it is given, stopping there is not reported as a failure [default: 300, and a
+    /// negative verdict if the RMS does not settle]
     #[arg(long, value_name = "N")]
     max_iterations: Option<usize>,
     /// Start every step from a point extrapolated along the last two: fewer steps
     #[arg(long)]
     accelerated: bool,
-    /// Solve for the map on squares of this many pixels a side [default: 1, and what the TIF allows
-    /// from a million pixels on]
+    /// Side of the squares on which the map is solved, pixels [default: 1; from a million pixels on, the largest that
+    /// the TIF allows]
     #[arg(long, value_name = "K")]
     pixels_per_cell: Option<usize>,
 }

@@ -15,13 +15,13 @@ pub struct TikhonovLsqr {
     /// Damping as a fraction of the largest singular value [default: 0.01]
     #[arg(long, value_name = "PART", group = "choice")]
     damping: Option<f64>,
-    /// RMS of the noise of the map, nm: the largest damping whose residual is at most that
+    /// RMS of the noise of the map, nm: chooses the largest damping whose residual is at most that
     #[arg(long, value_name = "S", group = "choice")]
     noise_rms_nm: Option<f64>,
     /// Choose the damping at the corner of the L-curve
     #[arg(long, group = "choice")]
     l_curve: bool,
-    /// Most steps of LSQR
+    /// Largest number of steps of LSQR
     #[arg(long, value_name = "N", default_value_t = tikhonov_lsqr::Settings::default().max_iterations)]
     max_iterations: usize,
 }

@@ -12,10 +12,10 @@ pub struct TruncatedSvd {
     given: Given,
     #[command(flatten)]
     least: FloorArgs,
-    /// Leave out singular values up to this fraction of the largest
+    /// Fraction of the largest singular value up to which singular values are left out
     #[arg(long, value_name = "PART", default_value_t = truncated_svd::Settings::default().cut)]
     cut: f64,
-    /// Most steps; each keeps a vector of the number of dwell points
+    /// Largest number of steps; each keeps a vector of the number of dwell points
     #[arg(long, value_name = "N", default_value_t = truncated_svd::Settings::default().max_iterations)]
     max_iterations: usize,
 }

@@ -12,16 +12,16 @@ pub struct Udo {
     given: Given,
     #[command(flatten)]
     least: FloorArgs,
-    /// How the floor is kept
+    /// Method to keep the dwell times above their floor
     #[arg(long, value_enum, default_value = "model")]
     floor: udo::Floor,
-    /// Part of the best step that is taken from the second round on
+    /// Fraction of the best step that is taken from the second round on
     #[arg(long, value_name = "BETA", default_value_t = udo::Settings::default().step)]
     step: f64,
-    /// RMS at which it ends, nm
+    /// RMS of the residual at which the solver ends, nm
     #[arg(long, value_name = "NM", default_value_t = udo::Settings::default().threshold_nm)]
     threshold_nm: f64,
-    /// Most rounds
+    /// Largest number of rounds
     #[arg(long, value_name = "N", default_value_t = udo::Settings::default().max_iterations)]
     max_iterations: usize,
 }

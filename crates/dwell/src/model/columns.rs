@@ -23,7 +23,7 @@ use serde::Serialize;
 
 use crate::model::ROWS_PER_TASK;
 
-/// What a dwell time is spent on.
+/// Columns of the removal model: motion of the tool during one dwell time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
@@ -44,8 +44,8 @@ pub struct Place {
 }
 
 impl Columns {
-    /// Where the tool is in each column; nowhere when it is lifted. A three-point Gauss rule on every segment, or on equal
-    /// parts of it that are short beside the tool.
+    /// Places of the tool in each column; none if the tool is lifted. A segment has a three-point Gauss rule on the
+    /// whole, or on equal parts that are short beside the tool.
     pub fn places(self, path: &ToolPath, tif: &Tif) -> Vec<Vec<Place>> {
         self.places_in_parts(path, longest_part_mm(tif))
     }
@@ -86,7 +86,8 @@ fn longest_part_mm(tif: &Tif) -> [f64; 2] {
     })
 }
 
-/// See [`longest_part_mm`].
+/// Smallest half length of a part, over the spread of the TIF, dimensionless; see [`longest_part_mm`]. Larger: longer
+/// parts of tools with steep flanks, and a larger error of the removal. Smaller: more parts, and more time.
 const LEAST_PART_OF_SPREAD: f64 = 0.25;
 
 /// Equal parts of a displacement that are no longer than this along x and y.
@@ -102,8 +103,8 @@ fn in_parts(rule: &[(f64, f64)], parts: usize, place: impl Fn(f64, f64) -> Place
     each.map(|(s, w)| place(s, w)).collect()
 }
 
-/// Where the tool is in each of `columns` columns of an executed motion: a three-point Gauss rule in
-/// time on every piece that serves the column with the tool on, or on equal parts that are short beside the tool.
+/// Places of the tool in each of `columns` columns of an executed motion. Every piece that serves a column with the
+/// tool on has a three-point Gauss rule in time on the whole, or on equal parts that are short beside the tool.
 pub fn executed(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<Vec<Place>> {
     let rule = gauss_legendre::<3>();
     let longest_mm = longest_part_mm(tif);
@@ -209,11 +210,13 @@ struct Under {
     runs: Vec<Range<usize>>,
 }
 
-/// Offsets from a node that differ by less, in steps of the TIF, are the same: the rounding of
-/// coordinates.
+/// Difference of two offsets from a node, in steps of the TIF, below which they are the same. Larger: the weights of
+/// one pixel serve another one at which they are wrong. Smaller: rounding of coordinates splits runs of pixels, which
+/// costs time.
 const SAME_OFFSET: f64 = 1e-11;
 
-/// A shorter run of pixels is faster one by one.
+/// Smallest number of pixels in a run that is computed as a run; shorter ones are faster pixel by pixel. Changes the
+/// speed only.
 const SHORTEST_RUN: usize = 8;
 
 impl Under {
@@ -500,7 +503,7 @@ struct TwoSums<'a> {
     samples: &'a Array2<f64>,
     /// `sum_m A_m g[m, n]` of a row of cells, by n.
     row: Vec<f64>,
-    /// The same of all rows of cells: those of one n side by side.
+    /// `sum_m A_m g[m, n]` of all rows of cells: those of one n are adjacent.
     rows: Vec<f64>,
     /// (1): the cells of one column of them side by side.
     cells: Vec<f64>,
@@ -559,14 +562,14 @@ struct Summed {
     cell: usize,
     /// The first sample of every cell, of those with ghosts.
     node: Vec<usize>,
-    /// Where the weights of every cell begin, and where the last ones end.
+    /// Start of the weights of every cell in `weight`, and the end of the last ones.
     from: Vec<usize>,
     /// The weights of all cells, one after the other.
     weight: Vec<f64>,
 }
 
 impl Summed {
-    /// For the pixels under a tool, which begin at pixel `first` of the map.
+    /// Sums the weights of the pixels under a tool, which begin at pixel `first` of the map, to cells.
     fn new(under: &Under, first: usize, size: usize) -> Self {
         let first = first + under.pixel;
         let mut summed =
@@ -605,7 +608,7 @@ impl Patch {
         start..start + self.rate_nm_per_s.shape()[axis]
     }
 
-    /// Whether some pixel is in both patches.
+    /// Returns true if the patches have a pixel in common.
     pub fn overlaps(&self, other: &Self) -> bool {
         let apart = |a: usize, n: usize, b: usize, m: usize| a >= b + m || b >= a + n;
         let ((ny, nx), (my, mx)) = (self.rate_nm_per_s.dim(), other.rate_nm_per_s.dim());

@@ -49,7 +49,9 @@ pub struct FftOperator {
     spills: bool,
 }
 
-/// Samples below this fraction of the peak do not spill.
+/// Size of a sample at the border of the TIF, as a fraction of the peak, up to which its spill is left out. Larger:
+/// the removal errs by that fraction at the rim of the tool. Smaller: rounding in the margin of a TIF costs the time
+/// of the spill.
 const NEGLIGIBLE_SPILL: f64 = 1e-14;
 
 impl FftOperator {
@@ -105,7 +107,7 @@ impl FftOperator {
         Self { columns, samples, corners, convolution, rows, columns_across, spread, spills }
     }
 
-    /// Whether (1) is exact: the TIF has the pitch of the map.
+    /// Returns true if (1) is exact: the TIF has the pitch of the map.
     pub fn is_exact(tif: &Tif, grid: &Grid) -> bool {
         let of = |map, tif| Lattice::new(map, tif, Spread::Keys);
         of(&grid.x, &tif.grid().x).own && of(&grid.y, &tif.grid().y).own

@@ -15,17 +15,21 @@ use crate::model::{
     products::{Bundle, MOST_BUNDLED},
 };
 
-/// Most elements of B that [`Operator`] stores (400 MB).
+/// Largest number of elements of B that [`Operator`] stores (400 MB). Larger: more memory. Smaller: more problems use
+/// the FFT.
 const MAX_STORED_ELEMENTS: f64 = 5e7;
 
-/// Most elements of B that are held while something else is made of it, or where they are more exact
-/// than the FFT (2 GB).
+/// Largest number of elements of B that are held temporarily, or if they are more exact than the FFT (2 GB). Larger:
+/// more memory. Smaller: more problems use the FFT or are refused.
 pub const MAX_COLUMN_ELEMENTS: f64 = 2.5e8;
 
-/// Most pixels of the map under the TIF: it may exceed the map, but not by orders of magnitude.
+/// Largest number of pixels of the map under the TIF; a larger TIF is refused. The TIF may exceed the map, but not by
+/// orders of magnitude. Larger: mistakes in the pitch of a TIF exhaust the memory. Smaller: wide TIFs on fine maps
+/// are refused.
 const MAX_TIF_PIXELS: f64 = 2.7e8;
 
-/// Most dwell points of a normal matrix (288 MB).
+/// Largest number of dwell points of a normal matrix (288 MB); more are refused. Larger: memory grows with the
+/// square. Smaller: fewer problems can be solved.
 pub const MAX_MATRIX_POINTS: usize = 6000;
 
 /// Pixels of the map that the TIF covers.
@@ -48,14 +52,14 @@ fn covered_pixels(tif: &Tif, grid: &Grid) -> Result<f64, Invalid> {
 
 /// B.
 pub enum Operator {
-    /// By columns.
+    /// Stored columns.
     Stored {
         /// One per dwell point.
         patches: Vec<Patch>,
         /// (ny, nx).
         shape: (usize, usize),
     },
-    /// By spreading and FFT.
+    /// Operator by spreading and FFT.
     Fft(Box<FftOperator>),
 }
 
@@ -79,7 +83,7 @@ impl Operator {
         }
     }
 
-    /// Whether B is that of [`columns`] but for rounding: stored, or by FFT where TIF and map have one pitch.
+    /// Returns true if B is that of [`columns`] but for rounding: stored, or by FFT if TIF and map have one pitch.
     pub fn is_exact(&self, tif: &Tif, grid: &Grid) -> bool {
         matches!(self, Self::Stored { .. }) || FftOperator::is_exact(tif, grid)
     }
@@ -135,9 +139,9 @@ impl Operator {
 ///
 /// It sums in another order than [`Operator`], which stores fewer columns and prefers them.
 pub enum Removal {
-    /// By columns.
+    /// Stored columns.
     Stored(Stored),
-    /// By spreading and FFT.
+    /// Operator by spreading and FFT.
     Convolved(Box<FftOperator>),
 }
 

@@ -12,7 +12,7 @@ use planish_numerics::linear::{
 
 use super::columns::Patch;
 
-/// Most patches of a [`Bundle`].
+/// Largest number of patches of a [`Bundle`]: the number of lanes that are computed at once.
 pub const MOST_BUNDLED: usize = interleaved::EIGHT;
 
 /// A few columns of B side by side, on the pixels of any of them. The products of all of them with another column read
@@ -26,7 +26,7 @@ pub struct Bundle {
 }
 
 impl Bundle {
-    /// Of up to [`MOST_BUNDLED`] patches near each other.
+    /// Bundles up to [`MOST_BUNDLED`] patches near each other.
     pub fn new<'a>(patches: impl Iterator<Item = &'a Patch> + Clone) -> Self {
         let range = |axis: usize| {
             let ranges = patches.clone().filter(|p| !p.rate_nm_per_s.is_empty());

@@ -20,10 +20,12 @@ use crate::{
     objective::{Basis, Free, Penalty},
 };
 
-/// Most sets of free dwell times in a step; measured problems take 2 to 12.
+/// Largest number of sets of free dwell times in a step. Larger: a step that cycles takes longer. Smaller: steps end
+/// before their set is found. Chosen: measured problems take 2 to 12.
 const MAX_ACTIVE_SETS: usize = 30;
 
-/// Conjugate gradients end when they would gain this fraction of what they have gained, in the norm of H~.
+/// Gain of a conjugate-gradient step, as a fraction of the gain so far in the norm of H~, at which the conjugate
+/// gradients end. Larger: more steps with inexact solutions. Smaller: more products per step.
 const LINEAR_SOLVE_ERROR: f64 = 0.1;
 
 /// H~ as an operator on the cells: the TIF and the weights of the pixels are sampled on these.
@@ -53,7 +55,7 @@ impl Operator {
     }
 }
 
-/// What [`TwoLevel`] needs.
+/// Data that [`TwoLevel`] needs.
 struct Splines {
     sums: Sums,
     nodes: Nodes,
@@ -64,15 +66,15 @@ struct Splines {
 pub struct Unbounded {
     /// Dwell times, s.
     pub t: Vec<f64>,
-    /// Which of them are free; the others are at their bounds.
+    /// Mask of the free dwell times; the others are at their bounds.
     pub free: Vec<bool>,
 }
 
 /// A minimum of H~.
 pub struct Minimum {
-    /// Within the bounds.
+    /// Dwell times within the bounds, s.
     pub t: Vec<f64>,
-    /// The one over the last set of free dwell times, without their bounds; none after gradient steps.
+    /// Minimum over the last set of free dwell times, without their bounds; none after gradient steps.
     pub unbounded: Option<Unbounded>,
     /// Products, or gradient steps.
     pub iterations: usize,
@@ -210,7 +212,8 @@ impl Convolved {
     }
 }
 
-/// Longest column in cells that two places stand for: half the width of the TIF.
+/// Largest length of a column, in cells, that two places represent: half the width of the TIF. Larger: the surrogate
+/// errs more for long segments. Smaller: more places, and more time.
 const MAX_CELLS_IN_TWO: f64 = 3.0;
 
 /// Two places in place of more, with their mean and with their spread along the line on which that is largest. For uniform

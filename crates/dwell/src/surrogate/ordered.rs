@@ -14,16 +14,17 @@ use crate::{
     objective::Penalty,
 };
 
-/// Fraction of its natural residual to which a step of H~ on cells has to get: the exact gradient corrects
-/// by more than that.
+/// Fraction of its natural residual to which a step of H~ on cells is solved; the exact gradient corrects more than
+/// that. Larger: more corrections. Smaller: more factorisations per step.
 const RESIDUAL_FRACTION_ON_CELLS: f64 = 0.02;
 
-/// Factorisations after which the active set method cycles, from any start; measured problems take 10 to
-/// 20.
+/// Number of factorisations after which the active-set method counts as cycling, from any start; gradient steps then
+/// give another start. Larger: a cycle takes longer. Smaller: slow problems get the other start without need. Chosen:
+/// measured problems take 10 to 20.
 const MAX_FACTORISATIONS: usize = 30;
 
-/// The same from where gradient steps have found most of the active set, so that another attempt is worth
-/// more.
+/// Number of factorisations after which the active-set method from gradient steps is given up, and the result of the
+/// gradient steps is taken. They have found most of the active set, so that a longer attempt is justified.
 const MAX_FACTORISATIONS_AFTER_DESCENT: usize = 100;
 
 /// The columns in an order in which H~ has a small skyline.

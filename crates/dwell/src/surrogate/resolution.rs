@@ -1,44 +1,54 @@
-//! How large the cells and how wide the splines of the surrogates are.
+//! Size of the cells and pitch of the splines of the surrogates.
 
 use planish_types::{Grid, Tif};
 
 use crate::model::columns::Place;
 
-/// Fraction of the energy of the TIF that the cells may lose where H~ is factorised.
+/// Fraction of the energy of the TIF that the cells may lose if H~ is factorised. Larger: larger cells, and more
+/// corrections by the exact gradient. Smaller: smaller cells, and more time per factorisation.
 pub const MAX_LOSS_FACTORISED: f64 = 5e-3;
 
-/// The same for the two-level method, which samples its cells: it loses nothing of this, but it says how far apart the
-/// samples are, 0.17 of the width of the TIF.
+/// Loss that sets the cells of the two-level method, as a fraction of the energy of the TIF. The method samples its
+/// cells and loses nothing of this; the number sets the distance of the samples, 0.17 of the width of the TIF.
+/// Larger: fewer samples. Smaller: more samples, and more time per product.
 pub const MAX_LOSS_TWO_LEVEL: f64 = 2.5e-3;
 
-/// The same for gradient steps, where products with H~ are what costs: 0.49 of that width.
+/// Loss that sets the cells for gradient steps, as a fraction of the energy of the TIF; their distance is 0.49 of the
+/// width of the TIF. It is larger than for the two-level method because products with H~ take most of the time there.
 pub const MAX_LOSS_GRADIENT: f64 = 2e-2;
 
-/// Most pixels of the map along the side of a cell.
+/// Largest number of pixels along the side of a cell. Larger: larger cells for tools that are wide in pixels.
+/// Smaller: more cells, and more time.
 const MAX_CELL_PIXELS: usize = 16;
 
-/// Pitch of the splines over the width of the TIF `(<R^2> / <|grad R|^2>)^1/2` (sigma of a Gaussian). By the
-/// time that problems took.
+/// Pitch of the splines over the width of the TIF `(<R^2> / <|grad R|^2>)^1/2` (sigma of a Gaussian). Larger: a
+/// smaller factor, and more steps of conjugate gradients. Smaller: the reverse. Chosen by the time that problems
+/// took.
 const SPLINE_PITCH_OVER_TIF_WIDTH: f64 = 0.8;
 
-/// The same, at most: further on conjugate gradients, which have to find what wider splines cannot say, take several times
-/// as many steps.
+/// Largest pitch of the splines over the width of the TIF for a factor that is made quickly. Beyond it, conjugate
+/// gradients take several times as many steps to find what wider splines cannot represent.
 const MAX_SPLINE_PITCH_OVER_TIF_WIDTH: f64 = 1.0;
 
-/// By what the pitch grows until the factor of the matrix is small enough.
+/// Factor by which the pitch grows in each trial until the factor of the matrix is small enough. Larger: the pitch
+/// overshoots more. Smaller: more trials.
 const WIDENED_BY: f64 = 1.05;
 
-/// Least pitch over the mean spacing of the columns: many more splines than columns are dependent, and
-/// their matrix is singular to rounding.
+/// Smallest pitch over the mean spacing of the columns. With many more splines than columns, the splines are
+/// dependent and their matrix is singular to rounding. Larger: coarser splines than the TIF needs. Smaller: singular
+/// matrices.
 const MIN_SPLINE_PITCH_OVER_SPACING: f64 = 1.5;
 
-/// Longest column that a spline can be made of, over the pitch.
+/// Largest length of a column over the pitch for which a spline can include the column. Larger: splines represent
+/// long columns badly. Smaller: fewer columns take part in the coarse solution.
 const MAX_COLUMN_OVER_SPLINE_PITCH: f64 = 2.0;
 
-/// Most elements of the factor of the matrix of the splines for which the pitch is not widened: it is made in seconds.
+/// Number of elements of the factor of the matrix of the splines up to which the pitch is not widened: the factor
+/// takes seconds. Larger: longer factorisations. Smaller: wider splines, and more conjugate gradients.
 const QUICK_SPLINE_FACTOR_ELEMENTS: f64 = 1.6e8;
 
-/// Most elements at all (2.8 GB, twice that while it is made).
+/// Largest number of elements of the factor (2.8 GB, twice that while it is made); with more there are no splines.
+/// Larger: more memory. Smaller: more problems without the two-level method.
 const MAX_SPLINE_FACTOR_ELEMENTS: f64 = 7e8;
 
 /// Pixels of the map along the side of the largest cell that loses at most this fraction of the energy.
@@ -55,7 +65,7 @@ pub fn length_mm(places: &[Place]) -> f64 {
     (high[0] - low[0]).max(high[1] - low[1]).max(0.0)
 }
 
-/// Which of the reached columns a spline of this pitch can be made of.
+/// Mask of the reached columns that a spline of this pitch can include.
 pub fn are_short(places: &[Vec<Place>], reached: &[bool], pitch_mm: f64) -> Vec<bool> {
     places
         .iter()
@@ -78,8 +88,8 @@ pub fn spline_pitch(places: &[Vec<Place>], reached: &[bool], tif: &Tif) -> Optio
     dense.then_some(pitch_mm)
 }
 
-/// Whether dwell points are so far apart that splines over them are wider than what the TIF resolves: then many steps are
-/// needed to find what the splines cannot say.
+/// Returns true if dwell points are so far apart that splines over them are wider than the resolution of the TIF. The
+/// conjugate gradients then take many steps.
 pub fn are_sparse(places: &[Vec<Place>], tif: &Tif) -> bool {
     let (_, least_mm) = least_pitch_mm(places.iter().filter(|places| !places.is_empty()));
     least_mm > SPLINE_PITCH_OVER_TIF_WIDTH * width_mm(tif)
@@ -129,7 +139,7 @@ pub fn factorisation_work(places: &[Vec<Place>], tif: &Tif) -> f64 {
     n * (n * part(0).min(part(1))).powi(2)
 }
 
-/// How far apart the splines are whose removals, by a TIF of the size [x, y], meet: [x, y], mm.
+/// Largest distance of two splines whose removals meet, for a TIF of the size [x, y]: [x, y], mm.
 pub fn spline_reach_mm(tif_mm: [f64; 2], pitch_mm: f64) -> [f64; 2] {
     tif_mm.map(|size| size + 4.0 * pitch_mm)
 }

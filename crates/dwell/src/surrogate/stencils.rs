@@ -12,8 +12,8 @@ pub struct Stencils {
     per_line: usize,
     /// Most nodes from one to another that is coupled with it, across the lines and along them.
     reach: [usize; 2],
-    /// For every row those that are coupled with it and do not come after it: by the distance across the lines, then
-    /// along them.
+    /// For every row, the values of the rows that are coupled with it and do not come after it: by the distance
+    /// across the lines, then along them.
     values: Vec<f64>,
 }
 
@@ -83,7 +83,7 @@ impl Stencils {
         self.values.len() / Self::len(self.reach)
     }
 
-    /// Which rows are coupled with one of these, or one of these themselves.
+    /// Mask of the rows that are coupled with one of `these`, or are one of `these`.
     pub fn coupled_with(&self, these: &[bool]) -> Vec<bool> {
         let mut found = these.to_vec();
         for i in 0..self.rows() {
@@ -129,7 +129,7 @@ pub struct Near<'a> {
 }
 
 impl Near<'_> {
-    /// Which rows.
+    /// Rows that this part holds.
     pub fn rows(&self) -> Range<usize> {
         self.rows.clone()
     }

@@ -1,10 +1,9 @@
-//! What makes conjugate gradients fast for the normal matrix of [`crate::bounded_least_squares`]
-//! where dwell points are much denser than the TIF can resolve.
+//! Preconditioner of conjugate gradients for the normal matrix of [`crate::bounded_least_squares`], for dwell points
+//! that are much denser than the TIF can resolve.
 //!
-//! With L, the matrix of the penalty, that of the free dwell times is `H = B' W B - U U' + L`. B is a
-//! low pass: what it sees of dwell times is what smooth functions of the position can say, and on
-//! everything rougher H is almost L, a chain that is solved in one sweep. So the smooth component is taken
-//! out exactly,
+//! With L, the matrix of the penalty, that of the free dwell times is `H = B' W B - U U' + L`. B is a low pass: it
+//! depends on the part of the dwell times that smooth functions of the position represent. On everything rougher H is
+//! almost L, a chain that is solved in one sweep. So the smooth component is taken out exactly,
 //!
 //! ```text
 //! Q = V (V' H V)^-1 V',   V[j, node] = b(x_j / p) b(y_j / p)                              (1)
@@ -49,9 +48,9 @@ use crate::{
 pub struct Nodes {
     /// (y, x)
     shape: (usize, usize),
-    /// Whether a line of nodes in the matrix is one along x; else it is one along y.
+    /// True if a line of nodes in the matrix runs along x; else it runs along y.
     by_rows: bool,
-    /// Of every reached column.
+    /// Weights of every column; none if it is not reached.
     at: Vec<Option<Weights>>,
     /// Columns by cell.
     by_cell: Grouped,
@@ -76,16 +75,18 @@ impl Weights {
     }
 }
 
-/// Most cells between two columns whose difference is in the matrix of the lattice; for columns farther
-/// apart, which would make its skyline wider, there is a bound of it.
+/// Largest distance, in cells, of two columns whose difference is in the matrix of the lattice. For columns farther
+/// apart, which would widen its skyline, the matrix has a bound of the difference. Larger: a larger factor. Smaller:
+/// a less exact matrix.
 const MAX_COUPLED_CELLS: u32 = 1;
 
-/// Fraction of the part of `V' L V` without differences by which the diagonal is raised: splines may differ on no column. That it
-/// is small beside it keeps Q as good as exact.
+/// Increase of the diagonal, as a fraction of the part of `V' L V` without differences; splines may differ on no
+/// column. Larger: Q is less exact, and conjugate gradients take more steps. Smaller: the matrix may be singular to
+/// rounding.
 const SPLINE_RIDGE: f64 = 1e-3;
 
-/// Most elements of the removal by all splines that are kept from one set of free columns to the next (1.6 GB). With more,
-/// those near a spline that changes are computed anew.
+/// Largest number of elements of the removal by all splines that are kept from one set of free columns to the next
+/// (1.6 GB). With more, those near a spline that changes are computed again. Larger: more memory. Smaller: more time.
 const MAX_KEPT_PATCH_ELEMENTS: usize = 200_000_000;
 
 impl Nodes {
@@ -141,7 +142,7 @@ impl Nodes {
         if self.by_rows { (i / nx, i % nx) } else { (i % ny, i / ny) }
     }
 
-    /// Whether a difference of near columns couples two rows.
+    /// Returns true if a difference of near columns couples two rows.
     fn are_linked(&self, a: usize, b: usize) -> bool {
         let ((ra, ca), (rb, cb)) = (self.node(a), self.node(b));
         ra.abs_diff(rb) <= PENALTY_REACH && ca.abs_diff(cb) <= PENALTY_REACH
@@ -261,10 +262,12 @@ impl Nodes {
     }
 }
 
-/// Parts of the penalty that are summed each for itself: a number that does not depend on that of the threads.
+/// Number of parts of the penalty that are summed separately. It does not depend on the number of threads, so that
+/// the result does not either. Larger: more memory. Another value changes the last digits of the result.
 const PENALTY_PARTS: usize = 2;
 
-/// Most nodes from one to another with which the difference of near columns couples it.
+/// Largest distance, in nodes, of two nodes that the difference of near columns couples; follows from the width of
+/// the splines and [`MAX_COUPLED_CELLS`].
 const PENALTY_REACH: usize = 3 + MAX_COUPLED_CELLS as usize;
 
 /// `V' B' W B V` of some free columns.
@@ -336,7 +339,7 @@ impl Coarse {
         }
     }
 
-    /// Whether the last inverse is for this penalty, and of no column that is not free.
+    /// Returns true if the last inverse is for this penalty, and all its columns are free.
     pub fn is_of(&self, penalty: &Penalty, free: &[bool]) -> bool {
         let known = self.last.as_ref().is_some_and(|(of, _)| of == penalty);
         known && self.free.iter().zip(free).all(|(own, free)| *free || !own)
@@ -424,14 +427,14 @@ impl Coarse {
 pub struct TwoLevel<'a> {
     nodes: &'a Nodes,
     free: Vec<bool>,
-    /// Of L.
+    /// Factor of L.
     chain: tridiagonal::Factor,
     /// `(V' H V)^-1`; none where that is singular to rounding.
     inverse: Option<Arc<Woodbury<f32>>>,
 }
 
 impl<'a> TwoLevel<'a> {
-    /// For other free columns than `coarse` is of; `u` is that of all columns.
+    /// Updates `coarse` to other free columns; `u` is that of all columns.
     pub fn new(
         nodes: &'a Nodes,
         coarse: &mut Coarse,
@@ -450,7 +453,7 @@ impl<'a> TwoLevel<'a> {
         Self::again(nodes, coarse, penalty, free)
     }
 
-    /// For free columns that hold those which `coarse` is of: the others are not in V, but in L.
+    /// Makes the preconditioner for free columns that include those of `coarse`: the others are in L, but not in V.
     pub fn again(nodes: &'a Nodes, coarse: &Coarse, penalty: &Penalty, free: &[bool]) -> Self {
         let inverse = coarse.last.as_ref().map(|(_, inverse)| inverse.clone());
         Self { nodes, free: coarse.free.clone(), chain: chain(penalty, free), inverse }

@@ -15,7 +15,8 @@ pub struct Penalty {
 }
 
 impl Penalty {
-    /// For `columns` of segments on a map whose pixels have the weights `weight`, and D `strongest`.
+    /// Makes the definition for `columns` of segments on a map whose pixels have the weights `weight`, and D
+    /// `strongest`.
     pub fn new(
         path: &ToolPath,
         tif: &Tif,

@@ -1,8 +1,8 @@
-//! Kinds with spectra: what a mirror is made of, and what it is bought by.
+//! Kinds with spectra: power spectral densities of a map, and the quantities of a specification.
 
 use super::{Dtype, Kind, array, or_nan};
 
-/// Power spectral densities of a map.
+/// Kind of the power spectral densities of a map.
 pub const PSD: Kind = Kind {
     name: "psd",
     version: 1,
@@ -71,7 +71,7 @@ pub const PSD: Kind = Kind {
     files: &["psd.svg"],
 };
 
-/// What a mirror is bought by.
+/// Kind of the quantities that a specification of a mirror limits.
 pub const SPECIFICATION: Kind = Kind {
     name: "specification",
     version: 1,

@@ -1,4 +1,4 @@
-//! The journal of what appears together, and the locks on the directories in which it appears.
+//! Journal of the outputs that appear together, and locks on their parent directories.
 
 use std::{
     fs::{self, File},
@@ -17,46 +17,48 @@ use crate::{
     place::{absolute, parent_of, sync_directory},
 };
 
-/// A process would have to end between its renames as often as this while another waits for its turn;
-/// a journal that is still there cannot be removed, and what it names does not come back.
+/// Largest number of attempts to finish the journals in the directories of a run. Larger: more time
+/// if a journal cannot be removed. Smaller: a run can start beside an unfinished journal. Each
+/// attempt beyond the first needs another process that ended between its renames meanwhile. A
+/// journal that remains after all of them cannot be removed, and its files do not come back.
 const MOST_ATTEMPTS_TO_FINISH: usize = 16;
 
-/// What is to appear together.
+/// Renames that belong together.
 #[derive(Default, Serialize, Deserialize)]
 struct Journal {
     renames: Vec<Rename>,
 }
 
-/// One of them.
+/// One rename of a journal.
 #[derive(Serialize, Deserialize)]
 struct Rename {
     from: PathBuf,
     to: PathBuf,
-    /// Of what is to appear: it tells whether the rename has been done.
+    /// Inode of the new file. If `from` has another one, the rename is done.
     inode: u64,
 }
 
-/// Holds directories by their advisory locks, always in the same order, so that no two processes wait for
-/// each other. Where the file system has no locks, nothing is held.
+/// Locks directories by advisory locks, always in the same order, so that no two processes wait for
+/// each other. On a file system without locks, nothing is locked.
 pub(super) fn hold(directories: &[PathBuf]) -> Vec<File> {
     let mut opened: Vec<File> = directories.iter().filter_map(|d| File::open(d).ok()).collect();
     opened.sort_by_key(identity);
-    // One directory under two names would wait for itself.
+    // A directory under two names would wait for itself.
     opened.dedup_by(|a, b| identity(a).is_some() && identity(a) == identity(b));
     opened.retain(|directory| directory.lock().is_ok());
     opened
 }
 
-/// Holds directories in which no journal of a process that is gone waits to be finished.
+/// Locks directories after finishing the journals that ended processes left in them.
 pub(super) fn hold_without_journals(directories: &[PathBuf]) -> Vec<File> {
     let mut held = Vec::new();
     for _ in 0..MOST_ATTEMPTS_TO_FINISH {
-        // Released first: what finishes a journal holds its directories itself.
+        // The locks are released first, because finishing a journal locks its directories itself.
         held.clear();
         directories.iter().for_each(|directory| finish_interrupted(directory));
         held = hold(directories);
         let waits = |d: &PathBuf| !temporaries(d, JOURNAL).is_empty();
-        // Without locks a journal may be of a process that lives, which removes it.
+        // Without locks, a journal may belong to a running process, which removes it.
         if held.is_empty() || !directories.iter().any(waits) {
             break;
         }
@@ -64,7 +66,7 @@ pub(super) fn hold_without_journals(directories: &[PathBuf]) -> Vec<File> {
     held
 }
 
-/// Writes the journal into every directory in `parents`: each sibling is to become its place.
+/// Writes a journal with the renames of siblings to places into every directory in `parents`.
 pub(super) fn write<'a>(
     renames: impl Iterator<Item = (&'a Path, &'a Path)>,
     parents: &[PathBuf],
@@ -78,7 +80,7 @@ pub(super) fn write<'a>(
     let bytes = serde_json::to_vec(&journal).expect("a journal serialises");
     let write = |parent: &PathBuf| {
         let io = |e| HandoffError::io(parent, "write a journal there", &e);
-        // Complete before it is called a journal.
+        // The file is complete before it gets the name of a journal.
         let (path, mut file) =
             sibling::create(parent, |path| File::create_new(path)).map_err(io)?;
         let name = path.with_extension(&JOURNAL[1..]);
@@ -96,17 +98,19 @@ pub(super) fn write<'a>(
     parents.iter().map(write).collect()
 }
 
-/// Finishes what a process that is gone began to show in `parent`; waits for one that is at it.
+/// Finishes the journals that ended processes left in `parent`. Waits for a process that is still
+/// publishing.
 pub(crate) fn finish_interrupted(parent: &Path) {
     for path in temporaries(parent, JOURNAL) {
-        // What cannot be read is left to who can read it; what is no journal asks for nothing.
+        // An unreadable journal is left for a process that can read it. A file that is no journal
+        // has no renames.
         let Ok(bytes) = fs::read(&path) else { continue };
         let journal: Journal = serde_json::from_slice(&bytes).unwrap_or_default();
         let mut directories: Vec<PathBuf> =
             journal.renames.iter().map(|rename| parent_of(&rename.to)).collect();
         directories.push(parent.to_path_buf());
         let held = hold(&directories);
-        // Its process, or another that finished it, removed it meanwhile.
+        // Its process, or another that finished it, has removed it meanwhile.
         if held.is_empty() || fs::symlink_metadata(&path).is_err() {
             continue;
         }

@@ -1,4 +1,4 @@
-//! One rename: what was written becomes what stands in a place.
+//! Rename of an output into its place.
 
 use std::{
     fs::{self, File},
@@ -6,7 +6,8 @@ use std::{
     path::Path,
 };
 
-/// `from` becomes `to`; where `to` exists the two are exchanged, in one step. Whether they were.
+/// Renames `from` to `to`. If `to` exists, both are exchanged in one step. Returns true if they
+/// were exchanged.
 #[cfg(target_os = "linux")]
 pub(super) fn put_in_place(from: &Path, to: &Path) -> io::Result<bool> {
     use rustix::fs::{CWD, RenameFlags, renameat_with};
@@ -21,19 +22,19 @@ pub(super) fn put_in_place(_: &Path, _: &Path) -> io::Result<bool> {
     Err(ErrorKind::Unsupported.into())
 }
 
-/// Whether the file system cannot exchange two names.
+/// Returns true if the error means that the file system cannot exchange two names.
 pub(super) fn is_exchange_unknown(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::InvalidInput | ErrorKind::Unsupported)
 }
 
-/// The same in three steps: between the first two the old one stands under a temporary name, and
-/// nothing in its place.
+/// Renames `from` to `to` as [`put_in_place`] does, but in three steps. Between the first two, the
+/// old output has a temporary name, and its place is empty.
 pub(super) fn put_in_place_by_plain_renames(from: &Path, to: &Path) -> io::Result<bool> {
     if fs::symlink_metadata(to).is_err() {
         return fs::rename(from, to).map(|()| false);
     }
     let old = from.with_extension("old.tmp");
-    // Locked, so that no other run takes it for abandoned.
+    // The lock keeps other runs from taking it for abandoned.
     let held = File::open(to)?;
     let _ = held.try_lock();
     fs::rename(to, &old)?;

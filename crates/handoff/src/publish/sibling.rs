@@ -1,4 +1,4 @@
-//! The siblings of places: what a process writes before it appears, held by advisory locks.
+//! Siblings: temporary files and directories next to the final place, held by advisory locks.
 
 use std::{
     fs::{self, File, TryLockError},
@@ -9,41 +9,44 @@ use std::{
 
 use crate::kind;
 
-/// What the names of everything temporary begin with.
+/// Prefix of all temporary names.
 const PREFIX: &str = ".planish-";
 
-/// What stands at the end of a sibling that is not shown yet, and of a journal.
+/// Suffix of a sibling that is not visible yet, and of an incomplete journal.
 const TEMPORARY: &str = ".tmp";
+/// Suffix of a journal.
 pub(super) const JOURNAL: &str = ".journal";
 
-/// Most names that are tried for a sibling: other runs, and what they left, have taken one each, or have taken a new one
-/// for abandoned. In a directory that has been removed while it is the current one no name can be taken.
+/// Largest number of names that are tried for a sibling. Larger: a later message if no name can be
+/// taken, as in a current directory that has been removed. Smaller: a run fails beside many others.
+/// Each failed name belongs to another run or to the remains of one, or another run took the new
+/// sibling for abandoned.
 const MOST_NAMES: u32 = 10_000;
 
-/// Temporary siblings of this process, for the handler of signals.
+/// Siblings of this process, for the signal handler.
 static SIBLINGS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// The temporary siblings of this process; who holds the list lets no other thread create one.
+/// Locks the list of siblings of this process. While it is locked, no other thread can create one.
 pub(super) fn known() -> MutexGuard<'static, Vec<PathBuf>> {
-    // The list is whole whatever panicked meanwhile.
+    // The list is valid even if a thread has panicked while it held the lock.
     SIBLINGS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Takes a sibling off the list: it has been removed, or has got another name.
+/// Removes a sibling from the list, because it has been removed or renamed.
 pub(super) fn forget(sibling: &Path) {
     known().retain(|known| known != sibling);
 }
 
-/// Removes every temporary sibling of this process: it is about to end.
+/// Removes all siblings of this process, which is about to end.
 pub(crate) fn remove_all_siblings() {
-    // Whoever runs out of memory may hold the list.
+    // A thread that runs out of memory may hold the list.
     if let Ok(siblings) = SIBLINGS.try_lock() {
         siblings.iter().for_each(|sibling| remove(sibling));
     }
 }
 
-/// A new sibling in `parent`, locked and known to the handler of signals. Numbers count up because a
-/// container gives every run the same process id.
+/// Creates a new sibling in `parent`, locked and known to the signal handler. Its number counts up,
+/// because a container gives every run the same process id.
 pub(super) fn create(
     parent: &Path,
     create: impl Fn(&Path) -> io::Result<File>,
@@ -52,13 +55,13 @@ pub(super) fn create(
     loop {
         let sibling = parent.join(format!("{PREFIX}{}-{count}{TEMPORARY}", std::process::id()));
         count += 1;
-        // Under one lock, so that the handler of signals sees it as soon as it is there.
+        // The list stays locked, so that the signal handler sees the sibling as soon as it exists.
         let mut siblings = known();
         match create(&sibling) {
             Ok(file) => {
                 siblings.push(sibling.clone());
                 drop(siblings);
-                // Where the file system has no locks, nobody can take it for abandoned either.
+                // On a file system without locks, no other run can take it for abandoned either.
                 let locked = !matches!(file.try_lock(), Err(TryLockError::WouldBlock));
                 if locked && is_at(&file, &sibling) {
                     return Ok((sibling, file));
@@ -66,7 +69,7 @@ pub(super) fn create(
                 // Another run took it for abandoned between its creation and the lock.
                 forget(&sibling);
             }
-            // Not found: removed by another run, see above.
+            // Not found: another run removed it (see above).
             Err(e) => {
                 let again = matches!(e.kind(), ErrorKind::AlreadyExists | ErrorKind::NotFound);
                 if !again || !parent.is_dir() || count > MOST_NAMES {
@@ -77,13 +80,13 @@ pub(super) fn create(
     }
 }
 
-/// Whether this is the name of something that a run has not finished, or left when it was killed;
-/// the next run into the same directory clears it away.
+/// Returns true if this is the name of a temporary file of a run, either running or killed. The
+/// next run into the same directory removes the files of killed runs.
 pub fn is_temporary(name: &str) -> bool {
     name.starts_with(PREFIX) && (name.ends_with(TEMPORARY) || name.ends_with(JOURNAL))
 }
 
-/// Names in `parent` that begin as ours and end with `end`.
+/// Temporary files in `parent` whose names end with `end`.
 pub(super) fn temporaries(parent: &Path, end: &str) -> Vec<PathBuf> {
     let Ok(entries) = fs::read_dir(parent) else { return Vec::new() };
     let names = entries.filter_map(|entry| entry.ok().map(|e| e.file_name()));
@@ -92,11 +95,12 @@ pub(super) fn temporaries(parent: &Path, end: &str) -> Vec<PathBuf> {
     ours.map(|name| parent.join(name)).collect()
 }
 
-/// Removes the siblings in `parent` whose process is gone: their lock is free.
+/// Removes the siblings in `parent` whose process has ended, so that their lock is free.
 pub(crate) fn remove_abandoned(parent: &Path) {
     for sibling in temporaries(parent, TEMPORARY) {
         let Ok(file) = File::open(&sibling) else { continue };
-        // A journal that its process left is finished first, by the next run: it needs the siblings.
+        // A journal that its process left is finished first, by the next run, because it needs the
+        // siblings.
         let gone = file.try_lock().is_ok() && is_at(&file, &sibling);
         if gone && temporaries(parent, JOURNAL).is_empty() {
             remove(&sibling);
@@ -104,8 +108,8 @@ pub(crate) fn remove_abandoned(parent: &Path) {
     }
 }
 
-/// Removes a sibling. Of a directory only what an artifact may hold: a file that somebody put into the
-/// old artifact at the moment of the exchange is left there.
+/// Removes a sibling. In a directory it removes only files that an artifact may hold. A file that
+/// somebody put into the old artifact at the moment of the exchange stays there.
 pub(super) fn remove(sibling: &Path) {
     if !sibling.is_dir() {
         let _ = fs::remove_file(sibling);
@@ -121,7 +125,7 @@ pub(super) fn remove(sibling: &Path) {
     let _ = fs::remove_dir(sibling);
 }
 
-/// Whether the open `file` is what stands at `path`.
+/// Returns true if the open `file` is the one at `path`.
 #[cfg(unix)]
 fn is_at(file: &File, path: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
@@ -129,7 +133,7 @@ fn is_at(file: &File, path: &Path) -> bool {
     opened.is_some() && opened == fs::symlink_metadata(path).ok().map(|m| (m.dev(), m.ino()))
 }
 
-/// What tells an open file or directory from every other: its device and its inode.
+/// Identity of an open file or directory: device and inode.
 #[cfg(unix)]
 pub(super) fn identity(file: &File) -> Option<(u64, u64)> {
     use std::os::unix::fs::MetadataExt;
@@ -146,7 +150,7 @@ fn is_at(_: &File, path: &Path) -> bool {
     path.exists()
 }
 
-/// The inode of what stands at `path`: it tells whether that has been renamed.
+/// Inode of the file at `path`. It shows whether a rename is done.
 #[cfg(unix)]
 pub(super) fn inode(path: &Path) -> Option<u64> {
     use std::os::unix::fs::MetadataExt;

@@ -1,4 +1,4 @@
-//! A signal ends a process without leaving its siblings on the disk.
+//! Signal handler that ends a process and removes its siblings.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 #[cfg(unix)]
@@ -6,24 +6,26 @@ use std::{fs, thread, time::Duration};
 
 use super::sibling;
 
-/// How often a directory is emptied into which another thread is writing.
+/// Largest number of attempts to empty a directory into which another thread is writing, 1 ms
+/// apart. Larger: the end of the process can take longer. Smaller: a sibling can remain.
 #[cfg(unix)]
 const MOST_REMOVALS: usize = 100;
 
-/// Held while a run appears: a signal waits until all of it is there.
+/// Lock held while the outputs of a run become visible. A signal waits until all of them are.
 static APPEARING: Mutex<()> = Mutex::new(());
 
-/// Nothing ends this process by a signal as long as the guard is held.
+/// Locks out signals: none ends this process while the guard is held.
 pub(super) fn appearing() -> MutexGuard<'static, ()> {
     APPEARING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Returns unless a signal is ending the process, which then ends by it.
+/// Returns, unless a signal is ending the process; then it waits for that end.
 pub(crate) fn wait_for_signal_under_way() {
     drop(sibling::known());
 }
 
-/// From now on SIGINT, SIGTERM and SIGHUP end the process as they always do, and its siblings with it.
+/// Installs the handler: SIGINT, SIGTERM and SIGHUP remove the siblings, and then end the process
+/// as usual.
 #[cfg(unix)]
 pub(crate) fn clean_up_on_signals() {
     use signal_hook::{consts::signal, iterator::Signals, low_level::emulate_default_handler};
@@ -33,10 +35,11 @@ pub(crate) fn clean_up_on_signals() {
     thread::spawn(move || {
         for signal in &mut signals {
             let _appearing = appearing();
-            // Held to the end: from now on the other threads stage nothing more, nor end the process.
+            // The lock is held to the end, so that other threads stage nothing more and do not end
+            // the process.
             let siblings = sibling::known();
             for path in siblings.iter() {
-                // The other threads may still be creating files in it.
+                // Other threads may still be creating files in the directory.
                 for _ in 0..MOST_REMOVALS {
                     sibling::remove(path);
                     if fs::symlink_metadata(path).is_err() {

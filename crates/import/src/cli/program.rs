@@ -15,15 +15,15 @@ use super::{about, foreign};
 
 #[derive(Debug, Args)]
 pub struct ProgramArgs {
-    /// Program
+    /// Program of a controller
     file: PathBuf,
-    /// Whose program it is
+    /// Controller that the program is for
     #[arg(long, value_enum)]
     controller: Controller,
-    /// File that planish-export wrote beside the program; the flags below go before it
+    /// File that planish-export wrote beside the program; the flags below take precedence over it
     #[arg(long, value_name = "FILE")]
     about: Option<PathBuf>,
-    /// Where the axes stand before the program, mm
+    /// Place of the axes before the program, mm
     #[arg(long, value_name = "X,Y", value_parser = pair, allow_hyphen_values = true)]
     start_mm: Option<[f64; 2]>,
     /// Size of a count, mm: one number, or two for X,Y

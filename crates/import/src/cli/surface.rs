@@ -12,7 +12,7 @@ use super::{FileArgs, about, draw, in_flags, map_bytes, open, report};
 pub struct SurfaceArgs {
     #[command(flatten)]
     file: FileArgs,
-    /// Where the coordinate 0 is
+    /// Place of the coordinate 0
     #[arg(long, value_enum, default_value = "file")]
     origin: Origin,
 }

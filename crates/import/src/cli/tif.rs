@@ -17,7 +17,7 @@ pub struct TifArgs {
     /// The values are rates already: height unit per second, on the offsets from the tool centre
     #[arg(long, required_unless_present = "dwell_s", conflicts_with_all = ["dwell_s", "before"])]
     rate: bool,
-    /// Where the offset 0 of a map of rates is [default: the file's coordinates, else the middle]
+    /// Place of the offset 0 of a map of rates [default: the file's coordinates, else the middle]
     #[arg(long, value_enum, requires = "rate")]
     origin: Option<Origin>,
     /// Time that the tool rested, s; FILE is the depth of the removal, or the map after it
@@ -29,13 +29,13 @@ pub struct TifArgs {
     /// Half the side of the square that becomes the TIF, mm
     #[arg(long, value_name = "H", requires = "dwell_s", allow_negative_numbers = true)]
     half_size_mm: Option<f64>,
-    /// Where the spot is, mm [default: where the removal is deepest]
+    /// Place of the spot, mm [default: the place of the deepest removal]
     #[arg(long, value_name = "X,Y", value_parser = pair, requires = "dwell_s", allow_hyphen_values = true)]
     spot_mm: Option<[f64; 2]>,
-    /// Whether the part moved between the maps
+    /// Motion of the part between the two maps
     #[arg(long, value_enum, default_value = "none")]
     align: Alignment,
-    /// What is subtracted from the removal, fitted outside the square
+    /// Function that is fitted outside the square and subtracted from the removal
     #[arg(long, value_enum, default_value = "plane")]
     baseline: Baseline,
     /// Set negative rates (noise) to zero and scale the others, so that the volume stays

@@ -20,9 +20,9 @@ use super::{about, foreign};
 
 #[derive(Debug, Args)]
 pub struct TraceArgs {
-    /// Log
+    /// Log of a machine
     file: PathBuf,
-    /// Whose log it is [default: hdf5 by the content, csv by the ending]
+    /// Controller or format that wrote the log [default: hdf5 by the content, csv by the ending]
     #[arg(long, value_enum)]
     format: Option<LogFormat>,
     /// Column of the time stamps: name, number counted from 1, path in HDF5 (PATH:K for its column K)
@@ -62,7 +62,8 @@ pub struct TraceArgs {
     /// Sample time of the controller, s, for time stamps in samples
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     sample_s: Option<f64>,
-    /// Samples per second, Hz: the time where there are no stamps, and what stamps are compared with
+    /// Samples per second, Hz; gives the times if the log has no stamps, and is compared with the stamps if
+    /// it has
     #[arg(long, value_name = "F", allow_negative_numbers = true)]
     rate_hz: Option<f64>,
     /// Longest gap in the time stamps that is bridged by a straight line, s
@@ -83,7 +84,7 @@ pub struct TraceArgs {
     /// Longest time between the beginnings of the log and of the plan, s
     #[arg(long, value_name = "T", default_value_t = 10.0, allow_negative_numbers = true)]
     most_offset_s: f64,
-    /// The tool is on when the plan has it on: for logs that do not tell
+    /// Take the state of the tool from the plan, for logs that do not have it
     #[arg(long, requires = "planned", conflicts_with = "tool_on")]
     tool_from_plan: bool,
     #[command(flatten)]
@@ -165,7 +166,7 @@ impl TraceArgs {
         let status = drawback.map_or(Status::Done, Status::Negative);
         output.write(&motion, outcome, &status)?;
         self.report(&trace, &motion);
-        // What the verdict says is not said twice.
+        // A warning would only repeat the verdict.
         if let (Some(extent), Status::Done) = (&extent, &status) {
             extent.warnings().iter().for_each(|warning| warn(with_flags(warning)));
         }

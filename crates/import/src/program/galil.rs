@@ -2,8 +2,8 @@
 //! a distance in counts, the velocity at its end in counts/s and a time of 1 to 2048 samples;
 //! T = -1 clears the buffer, `0,0,0` ends the motion, `BT` begins it. A is x, B is y.
 //!
-//! What would change the motion without a trace is an error: clearing the buffer after the first segment,
-//! a segment after the end, an end or a beginning that is missing (a program that was cut off).
+//! Errors are refused that would change the motion without a trace: clearing the buffer after the first
+//! segment, a segment after the end, and a missing end or beginning (a program that was cut off).
 //!
 //! Source: Galil DMC-40x0 command reference, PV and BT.
 
@@ -11,12 +11,14 @@ use planish_types::{Invalid, Trajectory};
 
 use super::{Configuration, Knot, needed, positive, through, wrong};
 
-/// Most samples, counts and counts/s of a segment.
+/// Largest time of a segment, samples (Galil DMC-40x0 command reference, PV).
 const MOST_SAMPLES: i64 = 2048;
+/// Largest distance of a segment, counts (Galil DMC-40x0 command reference, PV).
 const MOST_DISTANCE: i64 = 44_000_000;
+/// Largest velocity at the end of a segment, counts/s (Galil DMC-40x0 command reference, PV).
 const MOST_VELOCITY: i64 = 22_000_000;
 
-/// What a line asks for.
+/// Command of a line.
 enum Command {
     /// A segment of an axis.
     Segment(usize, [i64; 3]),

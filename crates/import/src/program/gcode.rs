@@ -17,11 +17,16 @@
 //! are read as they stand, with steps of the velocity. The times are nominal: a planner that joins lines otherwise, or
 //! is held by its limits, takes longer.
 //!
-//! What LinuxCNC refuses is refused, with the line, and so is what would change the motion without a trace:
-//! a word twice, two words of one modal group, a word without a number or that nothing on the line uses, a
-//! comment within a comment, one that does not end, a bracket without a comment, a line that a switch of the
-//! machine may leave out (/), more than 252 characters (the interpreter ends at 253). A program without M62 to M65 has the tool on
-//! always; one with them must say so before it moves, and must end with the tool off.
+//! The reader refuses what LinuxCNC refuses, and names the line. It also refuses whatever would change the
+//! motion without a trace:
+//!
+//! * a word twice, two words of one modal group, a word without a number or that nothing on the line uses;
+//! * a comment within a comment, a comment that does not end, a bracket without a comment;
+//! * a line that a switch of the machine may leave out (/);
+//! * more than 252 characters (the interpreter ends at 253).
+//!
+//! In a program without M62 to M65 the tool is always on. A program with them must switch the tool before
+//! it moves, and must end with the tool off.
 //!
 //! Source: LinuxCNC documentation: G-codes, M-codes (M62 - M65 Digital Output Control), G-code Overview
 //! (Format of a line, Numbers, Comments, modal groups).
@@ -68,9 +73,9 @@ struct Machine {
     /// 0 or 1 of G0, G1.
     motion: u32,
     tool_on: bool,
-    /// Of M62 and M63, until a motion begins.
+    /// Tool switch of M62 or M63 that waits for the next motion.
     queued: Option<bool>,
-    /// Whether the program switches the output.
+    /// True if the program switches the output.
     switches: bool,
     /// P of G64, mm; zero for lines that are not joined.
     tolerance_mm: f64,
@@ -98,7 +103,7 @@ impl Default for Machine {
 }
 
 impl Machine {
-    /// Runs a line; whether the program ends with it.
+    /// Runs a line; returns true if the program ends with it.
     fn line(&mut self, number: usize, line: &str) -> Result<bool, Invalid> {
         let words = words(number, line)?;
         check_words(number, &words)?;
@@ -201,7 +206,8 @@ impl Machine {
         let n = self.segments.len();
         let time_s: Vec<f64> = self.times.windows(2).map(|t| t[1] - t[0]).collect();
         let velocity: Vec<[f64; 2]> = self.segments.iter().map(|c| [c[0][1], c[1][1]]).collect();
-        // Of the node between the lines k - 1 and k: b, and the change of the velocity. At rest before and after.
+        // At the node between the lines k - 1 and k: b, and the change of the velocity. At rest before and
+        // after.
         let span = |k: usize| match k {
             0 => time_s[0],
             k if k == n => time_s[n - 1],
@@ -243,7 +249,7 @@ impl Machine {
             pieces.extend([first, second]);
             tool.extend([self.tool[k.saturating_sub(1)], self.tool[k.min(n - 1)]]);
             let straight_s = if k < n { time_s[k] - 0.5 * (b + span(k + 1)) } else { 0.0 };
-            // What is less is rounding of equal times.
+            // A shorter time is rounding of equal times.
             if straight_s > 1e-9 * b {
                 times.push(node_s + 0.5 * b - begin_s);
                 pieces.push([0, 1].map(|a| [node[a] + 0.5 * b * after[a], after[a], 0.0, 0.0]));
@@ -293,7 +299,8 @@ impl Machine {
     }
 }
 
-/// Ten times a code: they have at most one decimal. LinuxCNC takes what is within 0.0001 of a whole number.
+/// Ten times a code, because codes have at most one decimal. LinuxCNC accepts a code within 0.0001 of a
+/// whole number.
 fn code(v: f64) -> Option<i64> {
     let tenfold = 10.0 * v;
     ((tenfold - tenfold.round()).abs() <= 1e-4).then_some(tenfold.round() as i64)
@@ -359,7 +366,8 @@ fn check_words(number: usize, words: &[(char, f64)]) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Most characters of a line: `rs274` ends with "Command too long" at one more.
+/// Largest number of characters of a line that the interpreter `rs274` accepts; it ends with "Command too
+/// long" at one more.
 const MOST_CHARACTERS: usize = 252;
 
 /// Letters with their numbers, comments left out.

@@ -18,7 +18,7 @@ use super::{Configuration, Knot, finite, needed, positive, through, wrong};
 pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Invalid> {
     let goes_there = text.lines().any(|line| code(line) == "RAPID");
     let start_mm = match goes_there {
-        // Where the axes stand before does not matter.
+        // The place of the axes before the program does not matter.
         true => configuration.start_mm.unwrap_or_default(),
         false => needed("start_mm", configuration.start_mm)?,
     };
@@ -106,7 +106,7 @@ fn code(line: &str) -> &str {
     line.split(';').next().unwrap_or_default().trim()
 }
 
-/// Where a rapid move goes: both axes, absolute, so that it does not matter where they stood.
+/// Target of a rapid move: both axes, absolute, so that the place of the axes before it does not matter.
 fn rapid_to(line: usize, text: &str, absolute: bool) -> Result<[f64; 2], Invalid> {
     let whole =
         "goes to the start without both axes, or by a distance: the motion would start anywhere";

@@ -1,4 +1,4 @@
-//! The time of the samples: stamps in the log, or a rate.
+//! Times of the samples: stamps in the log, or a rate.
 //!
 //! Time stamps are checked against equal steps of h, the inverse of the rate, or the median step where no
 //! rate is given. With n_i = sum of round(dt/h), the number of steps up to sample i, and the least-squares
@@ -8,27 +8,33 @@
 //! t_i = t_0 + (1 + d) n_i h + e_i
 //! ```
 //!
-//! d is the drift of the clock against the rate and e_i its scatter. A step of more than 1.5 h is a gap: samples
-//! were lost, and the motion is not known there.
+//! d is the drift of the clock against the rate and e_i its scatter. A step of more than 1.5 h is a gap:
+//! samples were lost, and the motion there is not known.
 
 use planish_types::{Invalid, text::significant};
 use serde::Serialize;
 
 use super::{TimeUnit, columns::Column};
 
-/// A step of more than this many usual ones is a gap.
+/// Step between two samples, in usual steps, above which there is a gap. Larger: a lost sample goes
+/// unnoticed. Smaller: the scatter of the stamps passes for gaps. Chosen: midway between one step and the
+/// two steps of a lost sample.
 const GAP: f64 = 1.5;
 
-/// Most gaps that are named one by one.
+/// Largest number of gaps that the manifest lists. Larger: longer manifests of bad logs. Smaller: fewer
+/// gaps to look at.
 const MOST_NAMED: usize = 10;
 
-/// Drift that is worth a word: quartz oscillators are within 1e-4 of their frequency.
+/// Largest drift of the clock without a warning, relative. Larger: does not notice a wrong rate. Smaller:
+/// warns of usual clocks. Chosen: quartz oscillators are within 1e-4 of their frequency.
 const USUAL_DRIFT: f64 = 1e-4;
 
-/// Scatter of the stamps, relative to their step, above which the velocities between samples are made of it.
+/// Largest RMS scatter of the stamps without a warning, relative to their step. Larger: does not notice
+/// stamps that make wrong velocities. Smaller: warns of usable stamps. At this value, independent scatter
+/// makes the velocity between two samples wrong by 14 % RMS.
 const USUAL_SCATTER: f64 = 0.1;
 
-/// What is known of the time of the samples.
+/// Inputs for the times of the samples.
 pub struct Timing<'a> {
     /// Time stamps, where the log has some.
     pub stamps: Option<&'a Column>,
@@ -44,38 +50,39 @@ pub struct Timing<'a> {
     pub most_gap_s: f64,
 }
 
-/// Samples that are absent.
+/// A gap in the time stamps.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Gap {
-    /// The sample after which they are, counted from 0.
+    /// Index of the last sample before the gap, counted from 0.
     pub index: usize,
-    /// Time of that sample since the first, s.
+    /// Time of that sample since the first sample, s.
     pub at_s: f64,
-    /// Time to the next one, s.
+    /// Time to the next sample, s.
     pub lasts_s: f64,
-    /// Samples that a log without the gap would have there.
+    /// Number of samples that are missing in the gap.
     pub missing: usize,
 }
 
-/// Time stamps against equal steps.
+/// Comparison of the time stamps with equal steps.
 #[derive(Clone, Debug, Serialize)]
 pub struct Clock {
     /// Samples per second, Hz.
     pub rate_hz: f64,
-    /// Where the rate is from.
+    /// Source of the rate: "asked for" or "the median step of the time stamps".
     pub rate_from: &'static str,
-    /// Whether the times are stamps of the log.
+    /// True if the times are stamps of the log; false if they are from the rate.
     pub stamps: bool,
     /// Number of gaps.
     pub gaps: usize,
-    /// Their time, s.
+    /// Total time of the gaps, s.
     pub gaps_last_s: f64,
-    /// The largest of them, then the first ones.
+    /// The largest gap, then others; at most 10.
     pub named_gaps: Vec<Gap>,
-    /// By how much the stamps run fast against the rate, relative; where both are given.
+    /// Drift of the stamps against the rate, relative; positive if the stamps run fast. Present if the log
+    /// has stamps and the rate was given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drift: Option<f64>,
-    /// What the drift amounts to at the end of the log, s.
+    /// Drift at the end of the log, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drift_at_the_end_s: Option<f64>,
     /// RMS scatter of the stamps about equal steps, s.
@@ -83,7 +90,7 @@ pub struct Clock {
 }
 
 impl Timing<'_> {
-    /// Times since the first sample (n), s, and what they are worth.
+    /// Times since the first sample (n), s, and their comparison with equal steps.
     pub fn clock(&self) -> Result<(Vec<f64>, Clock), Invalid> {
         let Some(stamps) = self.stamps else { return self.by_rate() };
         let unit_s = self.unit_s(stamps)?;
@@ -203,12 +210,12 @@ impl Timing<'_> {
 }
 
 impl Clock {
-    /// A longer step between two samples is a gap, s.
+    /// Longest step between two samples that is no gap, s.
     pub fn longest_step_s(&self) -> f64 {
         if self.stamps { GAP / self.rate_hz } else { f64::INFINITY }
     }
 
-    /// What the user should know of it.
+    /// Warnings of gaps, drift and scatter.
     pub(super) fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if let Some(largest) = self.named_gaps.first() {
@@ -252,7 +259,7 @@ fn median_step(time_s: &[f64]) -> f64 {
     *steps.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// Slope of the least-squares line of y over x, and the RMS of what is beside it.
+/// Slope of the least-squares line of y over x, and the RMS distance from it in y.
 fn line(x: &[f64], y: &[f64]) -> (f64, f64) {
     let n = x.len() as f64;
     let mean = |v: &[f64]| v.iter().sum::<f64>() / n;

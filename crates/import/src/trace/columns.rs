@@ -1,7 +1,7 @@
-//! Which column of a log is what.
+//! Assignment of the columns of a log to quantities.
 //!
-//! A column is given by its number, counted from 1, or by its name. What is not given is found by the words
-//! of the names in the file, where exactly one column has them; the user is told which.
+//! The user gives a column by its number, counted from 1, or by its name. Other columns are found by the
+//! words of the names in the file, if exactly one column has them; the user is told which.
 
 use planish_types::Invalid;
 use serde::Serialize;
@@ -14,22 +14,22 @@ use super::{LogFormat, NAME, PositionUnit, TimeUnit};
 pub enum Role {
     /// Time stamp.
     Time,
-    /// Where x was.
+    /// Measured position of x.
     X,
-    /// Where y was.
+    /// Measured position of y.
     Y,
-    /// Where x should have been.
+    /// Setpoint of x.
     SetpointX,
-    /// Where y should have been.
+    /// Setpoint of y.
     SetpointY,
     /// Beam current.
     Current,
-    /// Whether the tool removes: 0 or 1.
+    /// Switch of the tool: 1 if it removes, 0 if not.
     ToolOn,
 }
 
 impl Role {
-    /// All of them.
+    /// All quantities, in the order in which columns are assigned.
     pub const ALL: [Self; 7] = [
         Self::Time,
         Self::X,
@@ -40,12 +40,12 @@ impl Role {
         Self::ToolOn,
     ];
 
-    /// Whether it is a length.
+    /// Returns true if the quantity is a length.
     pub fn is_position(self) -> bool {
         matches!(self, Self::X | Self::Y | Self::SetpointX | Self::SetpointY)
     }
 
-    /// The setting that gives it.
+    /// Name of the setting that gives the column of the quantity.
     pub fn setting(self) -> &'static str {
         match self {
             Self::Time => "time",
@@ -65,13 +65,13 @@ impl Role {
 pub struct Columns {
     /// Time stamps.
     pub time: Option<String>,
-    /// Where x was.
+    /// Measured position of x.
     pub x: Option<String>,
-    /// Where y was.
+    /// Measured position of y.
     pub y: Option<String>,
-    /// Where x should have been.
+    /// Setpoint of x.
     pub setpoint_x: Option<String>,
-    /// Where y should have been.
+    /// Setpoint of y.
     pub setpoint_y: Option<String>,
     /// Beam current.
     pub current: Option<String>,
@@ -80,7 +80,7 @@ pub struct Columns {
 }
 
 impl Columns {
-    /// What the user named for a quantity.
+    /// Name or number that the user gave for a quantity.
     pub fn of(&self, role: Role) -> Option<&str> {
         let named = match role {
             Role::Time => &self.time,
@@ -98,28 +98,28 @@ impl Columns {
 /// A column that was read.
 #[derive(Clone, Debug)]
 pub struct Column {
-    /// What it is.
+    /// Quantity of the column.
     pub role: Role,
-    /// Its name, or its number.
+    /// Name of the column, or its number.
     pub name: String,
     /// Unit that the log states for a position.
     pub position_unit: Option<PositionUnit>,
     /// Unit that the log states for a time.
     pub time_unit: Option<TimeUnit>,
-    /// Its values (n), finite.
+    /// Values (n), finite.
     pub values: Vec<f64>,
 }
 
-/// Where a quantity stands in a table.
+/// Column of a quantity in a table.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Place {
-    /// What it is.
+    /// Quantity of the column.
     pub role: Role,
     /// Column, counted from 0.
     pub index: usize,
 }
 
-/// Where the quantities stand in a table of `count` columns with `names`, where it has some.
+/// Columns of the quantities in a table of `count` columns, with `names` if it has some.
 pub fn places(
     format: LogFormat,
     names: Option<&[String]>,
@@ -254,7 +254,7 @@ fn words(name: &str) -> Vec<String> {
     words
 }
 
-/// Whether a column of this name is the quantity.
+/// Returns true if a column of this name holds the quantity.
 fn is_known_as(format: LogFormat, role: Role, name: &str) -> bool {
     if format == LogFormat::Galil {
         let galil = match role {
@@ -297,7 +297,8 @@ fn is_known_as(format: LogFormat, role: Role, name: &str) -> bool {
     }
 }
 
-/// Positioners that are called otherwise: the first is x, the second y.
+/// Column of a quantity by the order of positioners with other names than x and y: the first is x, the
+/// second y.
 fn in_order_of_positioners(role: Role, names: &[String]) -> Option<usize> {
     let (ending, which) = match role {
         Role::X => ("CurrentPosition", 0),
@@ -322,9 +323,9 @@ pub fn stated_unit(name: &str) -> Option<&str> {
 /// A unit of length or time that a log names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Named {
-    /// Of positions.
+    /// Unit of positions.
     Position(PositionUnit),
-    /// Of times.
+    /// Unit of times.
     Time(TimeUnit),
 }
 

@@ -1,48 +1,68 @@
-//! What was done beside what should have been done.
+//! Following error of a log: the measured motion against its setpoint or a plan.
 //!
-//! With the position p(t_i) of the log and the reference r, a setpoint or a plan, the following error is
-//! e_i = p(t_i) - r(t_i) on each axis, and the lag the delay d that least squares find,
+//! With the position p(t_i) of the log and the reference r (a setpoint or a plan), the following error is
+//! e_i = p(t_i) - r(t_i) on each axis. The lag is the delay d by least squares,
 //!
 //! ```text
 //! d = arg min sum_i (p(t_i) - r(t_i - d))^2,   d <- d - sum_i e_i r'(t_i - d) / sum_i r'(t_i - d)^2
 //! ```
 //!
-//! by Gauss and Newton; positive where the axis comes late. A log has a clock of its own: beside a plan the
-//! delay that both axes share is found first, from a search on a grid, and the errors are those after it.
+//! by Gauss-Newton steps; it is positive if the axis comes late. A log has a clock of its own. So beside a
+//! plan the delay that both axes share is found first, by a search on a grid. The errors are those after
+//! this delay.
 
 use planish_numerics::polynomial;
 use planish_types::{Invalid, Trajectory, text::significant};
 use serde::Serialize;
 
-/// Samples that the lag is found from, and those of the search on a grid.
+/// Largest number of samples that enter the lag. Larger: more time. Smaller: a larger standard error of the
+/// lag.
 const LAG_SAMPLES: usize = 100_000;
+/// Largest number of samples that enter the search on a grid. Larger: more time. Smaller: the place of the
+/// minimum is less certain.
 const SEARCH_SAMPLES: usize = 1000;
 
-/// Grid of the search, s. The sum of squares has one valley within a quarter of the time of a line of a
-/// raster, which takes seconds.
+/// Step of the search on a grid, s. Larger: the search can miss the minimum. Smaller: more time. Chosen:
+/// the sum of squares has one minimum within a quarter of the time of a line of a raster, which takes
+/// seconds.
 const SEARCH_STEP_S: f64 = 0.02;
 
-/// Longest search: some seconds of work.
+/// Largest delay that can be searched for, s. Larger: the search takes longer than some seconds. Smaller:
+/// the user has to cut more logs with `from_s`.
 const LONGEST_SEARCH_S: f64 = 300.0;
 
-/// Steps of Gauss and Newton, and the delay at which they end, s.
+/// Largest number of Gauss-Newton steps; the delay of the last step is used. Larger: more time. Smaller:
+/// the delay may not have settled.
 const MOST_STEPS: usize = 30;
+/// Step of the delay, s, below which the delay has settled. Larger: the delay is off by up to this step.
+/// Smaller: more steps, without a visible gain.
 const SETTLED_S: f64 = 1e-10;
 
-/// RMS distance of a log from a plan, relative to the RMS extent of the plan, above which it is no log of it.
+/// RMS distance of a log from a plan, relative to the RMS extent of the plan, above which the log is
+/// refused as one of another motion. Larger: accepts logs of other motions. Smaller: refuses logs with a
+/// large following error.
 const OTHER_MOTION: f64 = 0.05;
 
-/// Part of the plan's time with the tool on that a log may lack without being named, and the part above which the log
-/// is not one of the whole run.
+/// Fraction of the plan's time with the tool on that may be absent from the log without a warning. Larger:
+/// missing removal goes unnoticed. Smaller: warns if a log begins or ends a little inside the plan.
 const USUAL_ABSENCE: f64 = 1e-3;
+/// Fraction of the plan's time with the tool on that may be absent from the log; with more absent, the log
+/// is reported as not one of the whole run. Larger: accepts incomplete logs. Smaller: reports logs that
+/// miss the beginning or the end.
 const MOST_ABSENCE: f64 = 0.05;
 
-/// Part of the time between two samples to which the beginning of a plan in a log is known.
+/// Smallest time of the plan before or after the log that is reported, relative to the time between two
+/// samples: the beginning of a plan in a log is known to about this fraction. Larger: hides a short
+/// absence. Smaller: reports an absence that is an error of the fit.
 const SEEN_OF_A_SAMPLE: f64 = 0.1;
 
-/// Part of the plan's time in which the tool of the log may differ from that of the plan without being named, and the
-/// part above which it is not the tool of the plan. Switches have latencies.
+/// Fraction of the plan's time in which the tool of the log may differ from that of the plan without a
+/// warning, because switches have latencies. Larger: a wrong switch goes unnoticed. Smaller: warns of
+/// latencies.
 const USUAL_DIFFERENCE: f64 = 0.01;
+/// Fraction of the plan's time in which the tool of the log may differ from that of the plan; above it, the
+/// log is reported as one with another tool. Larger: accepts wrong columns of the switch. Smaller: reports
+/// late switches.
 const MOST_DIFFERENCE: f64 = 0.1;
 
 /// The following error of one axis.
@@ -50,17 +70,17 @@ const MOST_DIFFERENCE: f64 = 0.1;
 pub struct AxisError {
     /// RMS of the error, mm.
     pub rms_mm: f64,
-    /// Its largest magnitude, mm.
+    /// Largest magnitude of the error, mm.
     pub largest_mm: f64,
-    /// When that is, s after the first sample.
+    /// Time of the largest error, s after the first sample.
     pub largest_at_s: f64,
-    /// By how much the axis is late, ms; absent where it does not move.
+    /// Lag of the axis, ms, positive if it is late; absent if the axis does not move.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lag_ms: Option<f64>,
-    /// Standard error of the lag, ms, as if what remains were white noise.
+    /// Standard error of the lag, ms, under the assumption that the residual is white noise.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lag_standard_error_ms: Option<f64>,
-    /// RMS of the error that remains without the lag, mm.
+    /// RMS of the error after the lag is taken out, mm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rms_without_lag_mm: Option<f64>,
 }
@@ -85,7 +105,7 @@ impl<'a> Walk<'a> {
         Self { motion, at: 0 }
     }
 
-    /// At `t_s` since the first break, which is not before that of the last call.
+    /// Position and velocity at `t_s` after the first break; `t_s` is not smaller than in the last call.
     fn state(&mut self, t_s: f64) -> ([f64; 2], [f64; 2]) {
         let breaks = self.motion.break_time_s();
         let t = t_s + breaks[0];
@@ -162,7 +182,7 @@ impl Pair<'_> {
         delay_s
     }
 
-    /// The delay of each axis near `from_s`, with what remains; `None` where an axis does not move.
+    /// Delay of each axis near `from_s`, s, with the sums there; `None` if an axis does not move.
     fn delays(&self, from_s: f64) -> [Option<(f64, Sums, f64)>; 2] {
         let stride = self.stride(LAG_SAMPLES);
         let mut delay_s = [from_s; 2];
@@ -271,7 +291,7 @@ fn check_same_motion(following: &Following, plan: &Trajectory) -> Result<(), Inv
     Ok(())
 }
 
-/// How much of a plan a log holds, and its tool beside that of the plan.
+/// Extent of a plan that a log holds, and the tool of the log against that of the plan.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Extent {
     /// Duration of the plan, s.
@@ -282,9 +302,10 @@ pub struct Extent {
     pub after_the_log_s: f64,
     /// Time of the plan with the tool on, s.
     pub tool_on_s: f64,
-    /// The part of it that is not in the log, s.
+    /// Time of the plan with the tool on that is not in the log, s.
     pub tool_on_absent_s: f64,
-    /// Time in which one of log and plan has the tool on and the other off, s; absent where the log does not tell.
+    /// Time in which one of log and plan has the tool on and the other off, s; absent if the log has no
+    /// state of the tool.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tool_differs_s: Option<f64>,
     /// Time in the log, s.
@@ -293,17 +314,19 @@ pub struct Extent {
     /// Time in the log in which the plan has the tool off, s.
     #[serde(skip)]
     planned_off_s: f64,
-    /// What the samples of the log cannot tell, s: half an interval at every switch.
+    /// Time that the samples of the log do not resolve, s: one mean interval between samples per switch of
+    /// the plan.
     #[serde(skip)]
     unresolved_s: f64,
 }
 
 impl Extent {
-    /// Of a log whose tool is `removes` (n-1), where it tells, beside `plan`, which begins at `begin_s`.
+    /// Extent of a log beside `plan`, which begins at `begin_s`; `removes` (n-1) is the state of the tool,
+    /// if the log has it.
     pub fn of(time_s: &[f64], removes: Option<&[bool]>, plan: &Trajectory, begin_s: f64) -> Self {
         let [first_s, last_s] = [time_s[0], time_s[time_s.len() - 1]];
         let to_log = begin_s - plan.break_time_s()[0];
-        // The beginning of the plan is not known to less than a part of a sample.
+        // The beginning of the plan is known to a fraction of an interval only.
         let least_s = SEEN_OF_A_SAMPLE * (last_s - first_s) / (time_s.len() - 1) as f64;
         let lacks = |s: f64| if s > least_s { s } else { 0.0 };
         let (mut tool_on_s, mut tool_on_absent_s) = (0.0, 0.0);
@@ -315,7 +338,7 @@ impl Extent {
         }
         let planned = tool_of_plan(time_s, plan, begin_s);
         let lasts_s = |i: usize| time_s[i + 1] - time_s[i];
-        // Before the plan and after it the tool of the plan is off, and the machine does as it likes.
+        // Before and after the plan its tool is off, and the state of the machine does not matter.
         let in_plan = |i: &usize| {
             let at = 0.5 * (time_s[*i] + time_s[*i + 1]) - begin_s;
             (0.0..plan.total_time_s()).contains(&at)
@@ -336,7 +359,8 @@ impl Extent {
         }
     }
 
-    /// Why the log is not one of the whole plan, where this is so. One that was cut on request may be shorter.
+    /// Returns the reason why the log is not one of the whole plan, if there is one. A log that was cut on
+    /// request may be shorter.
     pub fn drawback(&self, cut: bool) -> Option<String> {
         if !cut && self.tool_on_absent_s > MOST_ABSENCE * self.tool_on_s {
             return Some(format!(
@@ -356,7 +380,7 @@ impl Extent {
         })
     }
 
-    /// What the user should know.
+    /// Warnings for the user.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if self.tool_on_absent_s > USUAL_ABSENCE * self.tool_on_s {
@@ -400,8 +424,8 @@ impl Extent {
     }
 }
 
-/// Where the plan has the tool on in the intervals of a log (n-1), when it begins at `begin_s`; off before
-/// and after it.
+/// State of the plan's tool in the intervals of a log (n-1), true if it is on, when the plan begins at
+/// `begin_s`; false before and after the plan.
 pub fn tool_of_plan(time_s: &[f64], plan: &Trajectory, begin_s: f64) -> Vec<bool> {
     let breaks = plan.break_time_s();
     let on = |t: &[f64]| {

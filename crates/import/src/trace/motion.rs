@@ -1,7 +1,7 @@
 //! A motion through samples.
 //!
 //! Between the samples at t_i and t_(i+1), h_i apart, the position is the cubic with the velocities v_i and
-//! v_(i+1) at its ends, each that of the parabola through a sample and its two neighbours:
+//! v_(i+1) at its ends. Each velocity is that of the parabola through a sample and its two neighbours:
 //!
 //! ```text
 //! v_i = (h_i s_(i-1) + h_(i-1) s_i) / (h_(i-1) + h_i),   s_i = (p_(i+1) - p_i) / h_i
@@ -10,12 +10,12 @@
 //! with the end of the outermost parabola at both ends. Source: cubic Bessel interpolation, C. de Boor, A
 //! Practical Guide to Splines (1978), chapter IV.
 //!
-//! Why cubic. The removal is a time integral, so noise of the samples averages out in either kind of piece, and
-//! what differs is how they follow a motion that accelerates: a straight piece cuts its corner by a h^2/12 on
-//! average, always to the inside, which is a systematic error of the removal of second order in h; the cubic's
-//! is of fourth order. At 1 kHz both are below the noise; a log at 20 Hz shows the difference (the tests print
-//! it). A straight piece also has a step in velocity at every sample, which no machine makes and a judge of
-//! limits would find.
+//! Why cubic. The removal is a time integral, so noise of the samples averages out in either kind of piece.
+//! The kinds differ in how they follow a motion that accelerates. A straight piece cuts its corner by a
+//! h^2/12 on average, always to the inside: a systematic error of the removal of second order in h. The
+//! error of the cubic is of fourth order. At 1 kHz both are below the noise; a log at 20 Hz shows the
+//! difference (the tests print it). A straight piece also has a step in velocity at every sample. No
+//! machine makes such steps, and the judge of limits would report them.
 //!
 //! Where samples are absent (a step longer than a given one) the motion is straight, and the parabolas on both
 //! sides do not reach over the gap.
@@ -23,7 +23,7 @@
 use planish_types::{Invalid, Trajectory};
 use serde::Serialize;
 
-/// What lies between two samples.
+/// Motion between two samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]

@@ -1,8 +1,9 @@
 //! Text in columns: one line per sample, fields separated by semicolon, tab, comma or white space.
 //!
-//! Above the samples there may be lines that are no rows of numbers: comments, and the names of the columns,
-//! which are the last line with as many fields as a sample has. Empty cells may stand at the end, where one
-//! array of a Galil is shorter than another: the log ends with the first sample that lacks what is read.
+//! There may be lines above the samples that are no rows of numbers: comments and the names of the columns.
+//! The names are the last of these lines with as many fields as a sample has. Empty cells may stand at the
+//! end, if one array of a Galil is shorter than another. The log ends with the first sample that lacks a
+//! cell of a column that is read.
 
 use planish_types::{Invalid, budget};
 
@@ -15,13 +16,15 @@ use crate::{
     text,
 };
 
-/// Lines above the samples at most.
+/// Largest number of lines above the samples. Larger: more time on text that is no log. Smaller: refuses
+/// logs with long headers.
 const MOST_LINES_ABOVE: usize = 200;
 
-/// Most columns of a table.
+/// Largest number of columns that are counted in a table. Larger: more time and memory for a hostile file.
+/// Smaller: columns further to the right are not found.
 const MOST_COLUMNS: usize = 1000;
 
-/// What separates the fields of a line.
+/// Separator of the fields of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Separator {
     Character(char),
@@ -77,7 +80,7 @@ impl Separator {
     }
 }
 
-/// Whether a line is a row of numbers; cells may be empty, but not all of them.
+/// Returns true if a line is a row of numbers; cells may be empty, but not all of them.
 fn is_row(line: &str) -> bool {
     let (mut numbers, mut others) = (0, 0);
     Separator::of(line).fields(line, |_, field| {
@@ -167,15 +170,16 @@ pub fn read(format: LogFormat, bytes: &[u8], asked: &Columns) -> Result<Vec<Colu
     Ok(columns.collect())
 }
 
-/// Most samples that may be read: they fit into the memory too.
+/// Largest number of samples that may be read: at most [`MOST_SAMPLES`], and no more than fit into the
+/// memory of the process.
 pub(super) fn most_samples() -> usize {
     MOST_SAMPLES.min((budget::memory_bytes() / BYTES_PER_SAMPLE as u64) as usize)
 }
 
-/// What a line holds.
+/// Result of reading a line.
 enum Row {
     Whole,
-    /// A cell that is read is empty.
+    /// A cell of a wanted column is empty: the log ends.
     Ended,
 }
 

@@ -6,23 +6,24 @@
 //! valid[i, j] = sum_{a, b} g[a, b] s[i + gy-1 - a, j + gx-1 - b],   shape (sy-gy+1, sx-gx+1)
 //! ```
 //!
-//! the part of the convolution that never leaves the source. A circular convolution of the
-//! source's size (rounded up to 2^a 3^b 5^c 7^d) contains it unspoilt: the wrapped part falls on
-//! the first g-1 elements, which are not used. Rows and columns are independent transforms, so
-//! the result does not depend on the number of threads. Where tiles are less work, as with most maps and tools,
+//! This is the part of the convolution that never leaves the source. A circular convolution of the
+//! source's size (rounded up to 2^a 3^b 5^c 7^d) contains it: the wrapped part falls on the first
+//! g-1 elements, which are not used. Rows and columns are independent transforms, so the result
+//! does not depend on the number of threads. If tiles are less work, as for most maps and tools,
 //! sources are convolved tile by tile ([`super::tiles`]).
 //!
-//! In single precision (`T` = f32) a convolution takes two thirds of the time, and its transforms half of the memory;
-//! maps come and go in double precision. With the unit roundoff `u`, the `N` elements of the transform and the 1-norm
-//! of the kernel
+//! In single precision (`T` = f32) a convolution takes two thirds of the time, and its transforms
+//! take half of the memory. Its input and output are in double precision. With the unit roundoff
+//! `u`, the `N` elements of the transform and the 1-norm of the kernel
 //!
 //! ```text
 //! rms(error) <= 20 log2(N) u |g|_1 rms(s)                                               (1)
 //! ```
 //!
-//! because a transform errs by at most `6.7 log2(N) u` of its 2-norm (N. Higham, Accuracy and Stability of Numerical
-//! Algorithms, 2nd ed., theorem 24.2), and there are three. In single precision that is 2e-5 of the largest removal
-//! by dwell times of that RMS for 1e6 elements.
+//! because a transform has an error of at most `6.7 log2(N) u` of its 2-norm (N. Higham, Accuracy
+//! and Stability of Numerical Algorithms, 2nd ed., theorem 24.2), and there are three transforms.
+//! In single precision and for 1e6 elements, the bound is 2e-5 of the largest removal by dwell
+//! times of that RMS.
 
 use std::sync::{Arc, OnceLock};
 
@@ -34,7 +35,9 @@ use rustfft::{Fft, FftPlanner};
 use super::{Complex, smooth_size, tiles::Tiles};
 use crate::vectors::Lanes;
 
-/// Columns that a thread transforms at a time: four cache lines of every row.
+/// Number of columns that a thread transforms at a time: four cache lines of every row. Larger: the
+/// columns leave the cache. Smaller: cache lines are read more than once. It does not change the
+/// result.
 const LINES: usize = 16;
 
 /// Convolution with one kernel for sources of one shape.
@@ -46,14 +49,16 @@ pub struct Convolution<T: Lanes = f64> {
     inverse_x: Arc<dyn ComplexToReal<T>>,
     forward_y: Arc<dyn Fft<T>>,
     inverse_y: Arc<dyn Fft<T>>,
-    /// Spectrum of the kernel, [kx][ky], scaled by 1 / (number of elements), from its first use on.
+    /// Spectrum of the kernel, [kx][ky], scaled by 1 / (number of elements); made at its first use.
     spectrum: OnceLock<Vec<Complex<T>>>,
-    /// For the valid part and its adjoint, from their first use on; `None` where tiles are no gain.
+    /// Tiles for the valid part and for its adjoint, made at their first use; `None` if tiles are
+    /// no gain.
     tiles: [OnceLock<Option<Tiles<T>>>; 2],
 }
 
 impl<T: Lanes> Convolution<T> {
-    /// Plans for sources of shape `source`, at least as large as the kernel on both axes.
+    /// Plans transforms for sources of shape `source`, at least as large as the kernel on both
+    /// axes.
     pub fn new(kernel: ArrayView2<f64>, source: (usize, usize)) -> Self {
         let (gy, gx) = kernel.dim();
         assert!(
@@ -76,7 +81,7 @@ impl<T: Lanes> Convolution<T> {
         }
     }
 
-    /// The valid part of kernel * source, shape (sy-gy+1, sx-gx+1).
+    /// Valid part of kernel * source, (sy-gy+1, sx-gx+1).
     pub fn valid(&self, source: ArrayView2<f64>) -> Array2<f64> {
         assert_eq!(source.dim(), self.source, "shape of the source");
         let (gy, gx) = self.kernel.dim();
@@ -89,9 +94,10 @@ impl<T: Lanes> Convolution<T> {
         }
     }
 
-    /// The adjoint of [`Self::valid`]: `<valid(s), m> = <s, adjoint(m)>`; shape of the source.
+    /// Adjoint of [`Self::valid`]: `<valid(s), m> = <s, adjoint(m)>`. It has the shape of the
+    /// source.
     pub fn adjoint(&self, map: ArrayView2<f64>) -> Array2<f64> {
-        // The kernel is turned by half a turn, and the map in the middle of zeros.
+        // The kernel is rotated by 180 degrees, and the map is placed in the middle of zeros.
         let turned = self.kernel.slice(s![..;-1, ..;-1]);
         let tiles = self.tiles[1]
             .get_or_init(|| Tiles::new(turned, self.source, self.size.0 * self.size.1));
@@ -101,8 +107,9 @@ impl<T: Lanes> Convolution<T> {
         }
     }
 
-    /// The adjoint with `filter(G)` in place of conj(G), where G is the spectrum of the kernel: a
-    /// filter near 1 / G gives a source whose valid part is near `map`; shape of the source.
+    /// Adjoint with `filter(G)` in place of conj(G), where G is the spectrum of the kernel. A
+    /// filter near 1 / G gives a source whose valid part is near `map`. The result has the shape of
+    /// the source.
     pub fn filtered(
         &self,
         map: ArrayView2<f64>,
@@ -114,14 +121,14 @@ impl<T: Lanes> Convolution<T> {
         self.through(map, self.placed(), filter, (0, 0), self.source)
     }
 
-    /// Where the valid part is in the source.
+    /// Place of the valid part in the source (row, column).
     fn placed(&self) -> (usize, usize) {
         (self.kernel.nrows() - 1, self.kernel.ncols() - 1)
     }
 
-    /// `map` placed at `at` in a field of zeros, its spectrum times the filter, and the part of what
-    /// that gives which starts at `from`. The columns stay in the cache from one transform to
-    /// the other.
+    /// Places `map` at `at` in a field of zeros, multiplies its spectrum by the filter, and returns
+    /// the part of the result that starts at `from`. The columns stay in the cache between both
+    /// transforms.
     fn through(
         &self,
         map: ArrayView2<f64>,
@@ -178,7 +185,7 @@ impl<T: Lanes> Convolution<T> {
                     let start = (b * shape.0 + r) * LINES;
                     half.copy_from_slice(&by_blocks[start..start + half.len()]);
                 }
-                // The transform of a real line: these two are real but for rounding.
+                // These two elements of the transform of a real line are real but for rounding.
                 half[0].im = T::default();
                 if px % 2 == 0 {
                     half[kx - 1].im = T::default();
@@ -246,7 +253,7 @@ mod tests {
         Array2::from_shape_simple_fn(shape, || rng.random_range(-1.0..1.0))
     }
 
-    /// The definition.
+    /// Valid part of the convolution by its definition.
     fn by_definition(g: &Array2<f64>, s: &Array2<f64>) -> Array2<f64> {
         let ((gy, gx), (sy, sx)) = (g.dim(), s.dim());
         Array2::from_shape_fn((sy - gy + 1, sx - gx + 1), |(i, j)| {
@@ -324,8 +331,8 @@ mod tests {
             let bound = |n: usize| 20.0 * (n as f64).log2() * unit_roundoff * g.sum();
             let exact = double.valid(s.view());
             let error = rms(&(&single.valid(s.view()) - &exact));
-            // (1) for the elements of all of the source, of which a tile is a part. What is found has the size of the
-            // rounding of single precision.
+            // Bound (1) for the number of elements of the whole source, of which a tile is a part.
+            // The error found is of the size of single-precision rounding.
             assert!(error < bound(s.len()) * rms(&s), "{error}");
             assert!(error > 0.01 * unit_roundoff * rms(&exact), "{error}");
             let adjoint = double.adjoint(exact.view());

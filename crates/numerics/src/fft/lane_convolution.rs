@@ -4,12 +4,13 @@
 //! map, share one complex transform. A circular convolution of `n` elements contains the part that never leaves a
 //! source of `s <= n` elements: `valid[i] = circular[i + g - 1]`, i = 0 .. s-g.
 //!
-//! The columns are transformed first, as many at a time as a vector has lanes, each block in its place. Then squares of
-//! lanes are transposed, so that as many rows are in the lanes, transformed, multiplied and transformed back while they
-//! stay in the cache, and returned. At last the columns are transformed back. A map is transposed twice and never
-//! reordered, because the order of the frequencies does not matter ([`super::lanes`]).
+//! First the columns are transformed, as many at a time as a vector has lanes, each block in its
+//! place. Then squares of lanes are transposed, so that as many rows are in the lanes. The rows are
+//! transformed, multiplied and transformed back while they stay in the cache, and transposed again.
+//! Finally the columns are transformed back. A map is transposed twice and never reordered, because
+//! the order of the frequencies does not matter ([`super::lanes`]).
 //!
-//! Everything is the work of one thread. Many fields at once are the work of many.
+//! One thread does all work of a field. Many threads work on many fields at once.
 
 use std::ops::Range;
 
@@ -19,19 +20,21 @@ use pulp::{Arch, Simd, WithSimd};
 use super::lanes::{Transform, elements, is_size, transpose};
 use crate::vectors::Lanes;
 
-/// Every length is a multiple of the most lanes that a vector has, those of single precision in 64 bytes.
+/// Divisor of every length, elements: the largest number of lanes of a vector, which is that of
+/// single precision in 64 bytes. Derived. Smaller: a length is not a whole number of vectors.
+/// Larger: more padding.
 const STEP: usize = 16;
 
-/// Rows of a map that are gone through together: few enough for the processor to fetch all of them ahead, and each of
-/// their blocks is written in one run.
+/// Number of map rows that are processed together. Larger: more rows than the processor can fetch
+/// ahead. Smaller: shorter runs of writing into a block. It does not change the result.
 const ROWS: usize = 8;
 
-/// Whether fields may have `n` rows or columns.
+/// Returns true if fields may have `n` rows or columns.
 pub fn is_field_size(n: usize) -> bool {
     n > 0 && n.is_multiple_of(STEP) && is_size(n)
 }
 
-/// The smallest of these sizes `>= n`.
+/// Smallest size of a field `>= n` ([`is_field_size`]).
 pub fn field_size(n: usize) -> usize {
     (n.max(1).next_multiple_of(STEP)..)
         .step_by(STEP)
@@ -39,12 +42,12 @@ pub fn field_size(n: usize) -> usize {
         .expect("powers of two are unbounded")
 }
 
-/// Two strips of sources, and where the valid parts of their convolutions go.
+/// Access to two strips of sources, and to the valid parts of their convolutions.
 pub trait Strips<T> {
-    /// Puts the elements from `column` on of a row of both sources into these: zero where there are none.
+    /// Reads the elements from `column` on of a row of both sources; zero outside the sources.
     fn read(&self, row: usize, column: usize, left: &mut [T], right: &mut [T]);
 
-    /// Takes the elements from `column` on of a row of both valid parts.
+    /// Writes the elements from `column` on of a row of both valid parts.
     fn write(&mut self, row: usize, column: usize, left: &[T], right: &[T]);
 }
 
@@ -53,22 +56,23 @@ pub struct LaneConvolution<T = f64> {
     kernel: (usize, usize),
     x: Transform<T>,
     y: Transform<T>,
-    /// Spectrum of the kernel, scaled by 1 / (number of elements): for each `lanes` frequencies along y the elements
-    /// along x, in the order of the transforms.
+    /// Spectrum of the kernel, scaled by 1 / (number of elements). For each `lanes` frequencies
+    /// along y it has the elements along x, in the order of the transforms.
     spectrum: Vec<T>,
 }
 
 /// Buffers of a thread.
 #[derive(Default)]
 pub struct Workspace<T> {
-    /// For each `lanes` columns the elements along y.
+    /// Elements along y for each `lanes` columns.
     field: Vec<T>,
-    /// `lanes` lines along x.
+    /// Elements of `lanes` lines along x.
     lines: Vec<T>,
 }
 
 impl<T: Lanes> LaneConvolution<T> {
-    /// Plans for fields of shape `size`, each a size by [`is_field_size`], at least as large as the kernel (gy, gx).
+    /// Plans transforms for fields of shape `size`, each a size by [`is_field_size`], at least as
+    /// large as the kernel (gy, gx).
     pub fn new(kernel: ArrayView2<f64>, size: (usize, usize)) -> Self {
         let (gy, gx) = kernel.dim();
         assert!(gy >= 1 && gx >= 1 && size.0 >= gy && size.1 >= gx, "kernel exceeds the field");
@@ -88,12 +92,12 @@ impl<T: Lanes> LaneConvolution<T> {
         plan
     }
 
-    /// The shape (ny, nx) of the fields.
+    /// Shape (ny, nx) of the fields.
     pub fn size(&self) -> (usize, usize) {
         (self.y.size(), self.x.size())
     }
 
-    /// The valid parts for sources of shape `source`, at most that of the fields.
+    /// Makes the valid parts for sources of shape `source`, at most that of the fields.
     pub fn convolve(
         &self,
         source: (usize, usize),
@@ -143,28 +147,28 @@ struct Run<'a, T: Lanes, X> {
     spectrum: Option<&'a mut Vec<T>>,
 }
 
-/// Where the numbers of a field are.
+/// Layout of the numbers of a field.
 #[derive(Clone, Copy)]
 struct Places {
     lanes: usize,
-    /// Numbers of an element in all lanes.
+    /// Count of the numbers of an element in all lanes.
     element: usize,
-    /// Numbers from a block of columns to the next.
+    /// Count of numbers from one block of columns to the next.
     stride: usize,
-    /// Numbers of as many elements as there are lanes.
+    /// Count of the numbers of as many elements as there are lanes.
     square: usize,
-    /// Blocks with columns of the source.
+    /// Count of the blocks with columns of the source.
     blocks: usize,
 }
 
 impl Places {
-    /// The square of a block and a group of rows.
+    /// Range of the square of a block and a group of rows.
     fn square(&self, block: usize, group: usize) -> Range<usize> {
         let from = block * self.stride + group * self.square;
         from..from + self.square
     }
 
-    /// The element of a block and a row.
+    /// Range of the element of a block and a row.
     fn element(&self, block: usize, row: usize) -> Range<usize> {
         let from = block * self.stride + row * self.element;
         from..from + self.element
@@ -202,7 +206,8 @@ impl<T: Lanes, X: Strips<T>> WithSimd for Run<'_, T, X> {
     }
 }
 
-/// The steps of a convolution: all are made part of the one function that may use the vectors of the processor.
+/// Steps of a convolution. All of them are inlined into the one function that may use the vectors
+/// of the processor.
 impl<T: Lanes> LaneConvolution<T> {
     /// Reads the rows of the strips and transforms their columns.
     #[inline(always)]
@@ -234,7 +239,7 @@ impl<T: Lanes> LaneConvolution<T> {
         }
     }
 
-    /// Transforms the rows of a field whose columns are.
+    /// Transforms the rows of a field whose columns are transformed already.
     #[inline(always)]
     fn rows_of_spectrum<S: Simd>(&self, simd: S, field: &[T], spectrum: &mut [T], places: Places) {
         for (group, lines) in spectrum.chunks_exact_mut(self.x.size() * places.element).enumerate()
@@ -246,7 +251,7 @@ impl<T: Lanes> LaneConvolution<T> {
         }
     }
 
-    /// Convolves these rows.
+    /// Convolves the rows of a field whose columns are transformed already.
     #[inline(always)]
     fn convolve_rows<S: Simd>(&self, simd: S, work: &mut Workspace<T>, places: Places) {
         let Workspace { field, lines } = work;
@@ -297,7 +302,8 @@ impl<T: Lanes> LaneConvolution<T> {
         }
     }
 
-    /// Blocks of columns that a circular convolution spoils as a whole by what it takes from the other end.
+    /// Number of blocks of columns that the wrapped part of a circular convolution fills
+    /// completely.
     fn spoilt(&self, places: Places) -> usize {
         (self.kernel.1 - 1) / places.lanes
     }

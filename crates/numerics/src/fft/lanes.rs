@@ -1,19 +1,21 @@
 //! Transforms of as many lines at a time as a vector of the processor has lanes.
 //!
-//! A line in every lane needs no shuffling within a vector, whatever its length, and what a convolution needs of its
-//! spectra is only that those of the map and of the kernel are in the same order. So the transform there leaves the
-//! order of its frequencies reversed in the digits of the radices (decimation in frequency), and the one back takes
-//! them so (decimation in time): both are in place. With the radices `r` and the rest `m = n / r` of a level
+//! With a line in every lane, nothing is shuffled within a vector, whatever the length. For a
+//! convolution, the spectra of the map and of the kernel only have to be in the same order. The
+//! forward transform therefore leaves its frequencies reversed in the digits of the radices
+//! (decimation in frequency), and the inverse takes them in this order (decimation in time). Both
+//! are in place. With the radices `r` and the rest `m = n / r` of a level
 //!
 //! ```text
 //! y[p m' + j] = exp(-2 pi i j p / n) sum_q exp(-2 pi i p q / r) x[q m + j],   j < m, p < r         (1)
 //! ```
 //!
-//! and then each of the `r` blocks of `m` elements by itself. Blocks that fit into the fastest cache are gone through
-//! level by level, larger ones are divided first.
+//! and then each of the `r` blocks of `m` elements by itself. Blocks that fit into the fastest
+//! cache are processed level by level; larger ones are divided first.
 //!
-//! `pulp` chooses the vectors when the program runs. Each lane is computed by itself: a result does not depend on the
-//! number of lanes but for the rounding of processors that multiply and add in one step.
+//! `pulp` chooses the vectors when the program runs. Each lane is computed by itself. A result
+//! depends on the number of lanes only by the rounding of processors that multiply and add in one
+//! step.
 
 use std::f64::consts::{FRAC_1_SQRT_2, TAU};
 
@@ -21,10 +23,12 @@ use pulp::{NullaryFnOnce, Simd};
 
 use crate::vectors::Lanes;
 
-/// Elements of all lanes that are gone through level by level: 16 KiB with vectors of 64 bytes.
+/// Largest number of elements, in all lanes, that are processed level by level: 16 KiB with vectors
+/// of 64 bytes. Larger: a block leaves the fastest cache. Smaller: more calls. It does not change
+/// the result.
 const BLOCK: usize = 128;
 
-/// Whether there is a transform of `n` elements: 2^a 3^b 5^c.
+/// Returns true if there is a transform of `n` elements: 2^a 3^b 5^c.
 pub fn is_size(n: usize) -> bool {
     let mut rest = n;
     for p in [2, 3, 5] {
@@ -38,19 +42,19 @@ pub fn is_size(n: usize) -> bool {
 /// An element of a line in every lane: the real and the imaginary parts.
 pub type Element<T, S> = [<T as Lanes>::Vector<S>; 2];
 
-/// Numbers as elements: the real parts of one, its imaginary parts, and so on.
+/// The numbers as elements: the real parts of the first element, its imaginary parts, and so on.
 #[inline(always)]
 pub fn elements<T: Lanes, S: Simd>(numbers: &mut [T]) -> &mut [Element<T, S>] {
     T::vectors_mut::<S>(numbers).as_chunks_mut::<2>().0
 }
 
-/// Transforms of lines of one length.
+/// Plan of the transforms of lines of one length.
 pub struct Transform<T> {
     size: usize,
     levels: Vec<Level<T>>,
 }
 
-/// (1) for blocks of `radix rest` elements.
+/// Step (1) for blocks of `radix rest` elements.
 struct Level<T> {
     radix: usize,
     rest: usize,
@@ -59,7 +63,7 @@ struct Level<T> {
 }
 
 impl<T: Lanes> Transform<T> {
-    /// Plans for lines of `len` elements, a size by [`is_size`].
+    /// Plans transforms for lines of `len` elements, a size by [`is_size`].
     pub fn new(len: usize) -> Self {
         assert!(is_size(len), "no transform of {len} elements");
         let mut size = len;
@@ -78,24 +82,25 @@ impl<T: Lanes> Transform<T> {
         Self { size: len, levels: levels.collect() }
     }
 
-    /// Elements of a line.
+    /// Number of elements of a line.
     pub fn size(&self) -> usize {
         self.size
     }
 
-    /// The transforms of lines, their frequencies in the order of this type.
+    /// Transforms lines in place. Their frequencies are in the order of this type.
     #[inline(always)]
     pub fn forward<S: Simd>(&self, simd: S, lines: &mut [Element<T, S>]) {
         Step { simd, levels: &self.levels, lines, what: What::<T, S>::Forward }.run();
     }
 
-    /// The lines of such transforms, times the number of their elements.
+    /// Inverse of [`Self::forward`] in place, times the number of elements.
     #[inline(always)]
     pub fn inverse<S: Simd>(&self, simd: S, lines: &mut [Element<T, S>]) {
         Step { simd, levels: &self.levels, lines, what: What::<T, S>::Inverse }.run();
     }
 
-    /// There, times a spectrum in the order of this type, and back.
+    /// Transforms lines, multiplies them by a spectrum in the order of this type, and transforms
+    /// them back.
     #[inline(always)]
     pub fn convolve<S: Simd>(
         &self,
@@ -107,7 +112,7 @@ impl<T: Lanes> Transform<T> {
     }
 }
 
-/// Eights first, so that the blocks are soon small.
+/// Radices of a length. Eights come first, so that the blocks are soon small.
 fn radices(len: usize) -> Vec<usize> {
     let (mut twos, mut rest) = (len.trailing_zeros(), len >> len.trailing_zeros());
     let mut radices = vec![];
@@ -137,14 +142,14 @@ fn radices(len: usize) -> Vec<usize> {
     radices
 }
 
-/// What is done to lines.
+/// Operation on lines.
 enum What<'a, T: Lanes, S: Simd> {
     Forward,
     Inverse,
     Convolve(&'a [Element<T, S>]),
 }
 
-/// Some levels of a transform, on lines that have the features of a processor.
+/// Levels of a transform and the lines, for one vector type of a processor.
 struct Step<'a, T: Lanes, S: Simd> {
     simd: S,
     levels: &'a [Level<T>],
@@ -209,7 +214,8 @@ impl<T: Lanes, S: Simd> NullaryFnOnce for Step<'_, T, S> {
 }
 
 impl<T: Lanes> Level<T> {
-    /// (1) within a block, or its inverse. With real and imaginary parts exchanged, the transform is its own inverse.
+    /// Step (1) within a block, or its inverse. With real and imaginary parts exchanged, the
+    /// transform is its own inverse.
     #[inline(always)]
     fn pass<S: Simd, const INVERSE: bool>(&self, simd: S, block: &mut [Element<T, S>]) {
         match self.radix {
@@ -271,7 +277,7 @@ impl<T: Lanes> Level<T> {
     }
 }
 
-/// Exchanges real and imaginary parts on the way back.
+/// Exchanges real and imaginary parts if the transform is an inverse.
 #[inline(always)]
 fn exchange<T: Lanes, S: Simd, const INVERSE: bool>(v: &mut [Element<T, S>]) {
     if INVERSE {
@@ -281,7 +287,7 @@ fn exchange<T: Lanes, S: Simd, const INVERSE: bool>(v: &mut [Element<T, S>]) {
     }
 }
 
-/// Multiplies by a root of unity each.
+/// Multiplies each element by its root of unity.
 #[inline(always)]
 fn twiddle<T: Lanes, S: Simd>(simd: S, v: &mut [Element<T, S>], roots: &[[T; 2]]) {
     for (v, [re, im]) in v.iter_mut().zip(roots) {
@@ -418,9 +424,12 @@ impl Butterfly<8> for Eight {
     }
 }
 
-/// Puts numbers in the precision of a transform, as many at a time as the compiler has vectors for.
+/// Rounds numbers to the precision of a transform, as many at a time as the compiler has vectors
+/// for.
 #[inline(always)]
 pub fn round<T: Lanes>(from: &[f64], to: &mut [T]) {
+    /// Number of values that are rounded at a time. Larger: more than the compiler has vectors for.
+    /// Smaller: single values. It does not change the result.
     const AT_A_TIME: usize = 4;
     let (from, from_rest) = from.as_chunks::<AT_A_TIME>();
     let (to, to_rest) = to.as_chunks_mut::<AT_A_TIME>();
@@ -437,8 +446,8 @@ pub fn round<T: Lanes>(from: &[f64], to: &mut [T]) {
     }
 }
 
-/// Exchanges rows and columns of a square of as many numbers on a side as a vector has lanes: row `i` begins at
-/// `from[i from_step]` and becomes the column `i` of the rows that begin at `to[j to_step]`.
+/// Transposes a square of numbers whose side is the number of lanes. Row `i` begins at `from[i
+/// from_step]` and becomes the column `i` of the rows that begin at `to[j to_step]`.
 #[inline(always)]
 pub fn transpose<T: Lanes, S: Simd>(from: &[T], from_step: usize, to: &mut [T], to_step: usize) {
     match T::lanes::<S>() {
@@ -455,7 +464,7 @@ pub fn transpose<T: Lanes, S: Simd>(from: &[T], from_step: usize, to: &mut [T], 
     }
 }
 
-/// By squares of four, for which the compiler has vectors.
+/// Transposes by squares of four, for which the compiler has vectors.
 #[inline(always)]
 fn transpose_square<T: Lanes, const N: usize>(
     from: &[T],
@@ -463,6 +472,8 @@ fn transpose_square<T: Lanes, const N: usize>(
     to: &mut [T],
     to_step: usize,
 ) {
+    /// Side of the squares that are transposed at a time. Larger: more than the compiler has
+    /// vectors for. Smaller: single values. It does not change the result.
     const SIDE: usize = 4;
     let (from, to) = (&from[..(N - 1) * from_step + N], &mut to[..(N - 1) * to_step + N]);
     for i in 0..N / SIDE {
@@ -486,8 +497,8 @@ mod tests {
 
     use super::*;
 
-    /// Transforms `line` in every lane, scaled by the number of the lane, and says what one of them gives, and what a
-    /// convolution with a spectrum of ones leaves of it.
+    /// Transforms `line` in every lane, scaled by the number of the lane. Returns the results of
+    /// one lane: the transform, its inverse, and the convolution with a spectrum of ones.
     struct Lane<'a> {
         line: &'a [[f64; 2]],
         lane: usize,

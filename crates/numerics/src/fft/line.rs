@@ -1,5 +1,5 @@
 //! Real transforms of lines of one size, for convolutions along one axis whose products are summed
-//! before they are transformed back.
+//! before the inverse transform.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 
 use super::{Complex64, smooth_size};
 
-/// The transforms of lines of up to `len` elements.
+/// Plan of the transforms of lines of up to `len` elements.
 pub struct Lines {
     size: usize,
     forward: Arc<dyn RealToComplex<f64>>,
@@ -23,7 +23,7 @@ pub struct Workspace {
 }
 
 impl Lines {
-    /// Plans for lines of `len` elements, continued by zeros up to 2^a 3^b 5^c 7^d.
+    /// Plans transforms for lines of `len` elements, continued by zeros up to 2^a 3^b 5^c 7^d.
     pub fn new(len: usize) -> Self {
         let size = smooth_size(len);
         let mut planner = RealFftPlanner::new();
@@ -31,7 +31,7 @@ impl Lines {
         Self { size, forward, inverse }
     }
 
-    /// Elements of a spectrum.
+    /// Number of elements of a spectrum.
     pub fn half(&self) -> usize {
         self.size / 2 + 1
     }
@@ -46,7 +46,7 @@ impl Lines {
         }
     }
 
-    /// The spectrum of what `write` puts on a line of zeros.
+    /// Makes the spectrum of a line of zeros on which `write` has put its values.
     pub fn forward(
         &self,
         write: impl FnOnce(&mut [f64]),
@@ -60,11 +60,11 @@ impl Lines {
             .expect("buffers have the planned sizes");
     }
 
-    /// The line of a spectrum, divided by the number of its elements.
+    /// Line of a spectrum, divided by the number of its elements.
     pub fn inverse<'a>(&self, spectrum: &[Complex64], work: &'a mut Workspace) -> &'a [f64] {
         let scale = 1.0 / self.size as f64;
         work.half.iter_mut().zip(spectrum).for_each(|(h, s)| *h = s * scale);
-        // The transform of a real line: these two are real but for rounding.
+        // These two elements of the transform of a real line are real but for rounding.
         work.half[0].im = 0.0;
         if self.size.is_multiple_of(2) {
             work.half[self.size / 2].im = 0.0;

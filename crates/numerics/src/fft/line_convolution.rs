@@ -1,12 +1,14 @@
-//! Convolutions of lines with several kernels, whose spectra are summed before they are transformed back.
+//! Convolutions of lines with several kernels, whose spectra are summed before the inverse
+//! transform.
 //!
 //! A real kernel convolves the real and the imaginary part of a line independently: two real lines, here called left
 //! and right, share one complex transform. A circular convolution of `n` elements contains the part that never leaves a
 //! source of `s <= n` elements: `valid[i] = circular[i + g - 1]`, i = 0 .. s-g.
 //!
-//! [`GROUP`] lines are transformed at a time, in the lanes of vectors ([`super::lanes`]); a product goes through the
-//! frequencies in runs of 16 ([`Run`]), all sums of a run before the next, so that what several sums share stays in the
-//! fastest cache. No result depends on which lines are in a group, nor on the number of threads.
+//! [`GROUP`] lines are transformed at a time, in the lanes of vectors ([`super::lanes`]). A product
+//! handles the frequencies in runs of 16 ([`Run`]). All sums of a run come before the next run, so
+//! that data that several sums share stays in the fastest cache. No result depends on the grouping
+//! of the lines, nor on the number of threads.
 
 use ndarray::ArrayView2;
 use pulp::{Arch, Simd, WithSimd};
@@ -17,34 +19,38 @@ use super::{
 };
 use crate::vectors::Lanes;
 
-/// Lines that are transformed together: a multiple of the lanes of every vector.
+/// Number of lines that are transformed together: a multiple of the lanes of every vector. Larger:
+/// more padding for few lines. Smaller: idle lanes. It does not change the result.
 pub const GROUP: usize = 8;
 
-/// Frequencies of a run.
+/// Number of frequencies of a run. Larger: the data of a run leaves the fastest cache. Smaller:
+/// more loops. It has to be a multiple of [`PAIR`] vectors of the widest processor.
 const RUN: usize = 16;
 
 /// The real parts of a run of frequencies, and then the imaginary ones.
 pub type Run = [f64; 2 * RUN];
 
-/// Runs from the end of a line to the next: were lines a power of two apart, all would fall on the same few lines of
-/// the cache.
+/// Number of runs between the end of a line and the start of the next. With 0, lines can be a power
+/// of two apart, and all of them fall on the same few lines of the cache. Larger: more memory.
 const GAP: usize = 1;
 
-/// Convolutions along one axis with several kernels. Their sum is made of the spectra, and the
-/// spectrum of a source serves all kernels.
+/// Plan of convolutions along one axis with several kernels. The spectra of their results are
+/// summed, and the spectrum of a source serves all kernels.
 pub struct LineConvolution {
     size: usize,
     kernels: usize,
     transform: Transform<f64>,
-    /// Spectra of the kernels, scaled by 1 / (number of elements): of each run those of all kernels.
+    /// Spectra of the kernels, scaled by 1 / (number of elements): for each run, those of all
+    /// kernels.
     spectra: Vec<Run>,
 }
 
-/// A sum of products: where it is, and its terms among those of all sums.
+/// Sum of products: its place, and the range of its terms among those of all sums.
 pub type Sum<'a> = (&'a mut [Run], std::ops::Range<usize>);
 
 impl LineConvolution {
-    /// Plans for kernels (m, g) and lines of `size >= g` elements, a size by [`is_field_size`].
+    /// Plans transforms for kernels (m, g) and lines of `size >= g` elements, a size by
+    /// [`is_field_size`].
     pub fn new(kernels: ArrayView2<f64>, size: usize) -> Self {
         let (m, g) = kernels.dim();
         assert!(g >= 1 && size >= g, "kernel exceeds the line");
@@ -63,18 +69,18 @@ impl LineConvolution {
         plan
     }
 
-    /// Runs from a line to the next. As numbers these are the elements of the left line, those of the right one, and
-    /// the gap; as a spectrum, its runs and the gap.
+    /// Number of runs from one line to the next. As numbers, they are the elements of the left
+    /// line, those of the right one, and the gap. As a spectrum, they are its runs and the gap.
     pub fn runs(&self) -> usize {
         self.size / RUN + GAP
     }
 
-    /// Elements of a left or a right line.
+    /// Number of elements of a left or a right line.
     pub fn size(&self) -> usize {
         self.size
     }
 
-    /// Numbers from a line to the next.
+    /// Count of numbers from one line to the next.
     pub fn numbers(&self) -> usize {
         self.runs() * 2 * RUN
     }
@@ -85,22 +91,22 @@ impl LineConvolution {
         [left, &rest[..self.size]]
     }
 
-    /// The spectra of lines, in whole groups. `work` is a buffer.
+    /// Replaces lines, in whole groups, by their spectra. `work` is a buffer.
     pub fn forward(&self, lines: &mut [Run], work: &mut Vec<f64>) {
         for lines in lines.chunks_exact_mut(GROUP * self.runs()) {
             Arch::new().dispatch(Forward { plan: self, lines, work });
         }
     }
 
-    /// The lines of sums of [`Self::subtract`], in whole groups.
+    /// Replaces sums of [`Self::subtract`], in whole groups, by their lines. `work` is a buffer.
     pub fn inverse(&self, lines: &mut [Run], work: &mut Vec<f64>) {
         for lines in lines.chunks_exact_mut(GROUP * self.runs()) {
             Arch::new().dispatch(Inverse { plan: self, lines, work });
         }
     }
 
-    /// Tells the lines of one group of such sums by their elements: of element `i` of the lines from `first` on, the
-    /// left ones and the right ones, `write(i, first, left, right)`.
+    /// Passes the lines of one group of such sums to `write`, element by element: `write(i, first,
+    /// left, right)` gets element `i` of the left and of the right lines from line `first` on.
     pub fn inverse_by_elements(
         &self,
         lines: &[Run],
@@ -111,20 +117,21 @@ impl LineConvolution {
         Arch::new().dispatch(ByElements { plan: self, lines, work, write });
     }
 
-    /// Subtracts from the spectra of sums the convolutions of their terms (kernel, spectrum of a source):
-    /// `sum -= g_j s` for each.
+    /// Subtracts the convolutions of the terms (kernel, spectrum of a source) from the spectra of
+    /// their sums: `sum -= g_j s` for each.
     pub fn subtract(&self, sums: &mut [Sum<'_>], terms: &[(usize, &[Run])]) {
         Arch::new().dispatch(Subtract { plan: self, sums, terms });
     }
 
-    /// Where in a line the element `i` is, of the left line (part 0) or the right one, or of a spectrum its real (0) or
-    /// imaginary part.
+    /// Place in a line of element `i`: of the left line (part 0) or the right one (part 1), or of
+    /// the real (0) or imaginary (1) part of a spectrum.
     #[inline(always)]
     fn at<const SPECTRUM: bool>(&self, part: usize, i: usize) -> usize {
         if SPECTRUM { (i / RUN * 2 + part) * RUN + i % RUN } else { part * self.size + i }
     }
 
-    /// Puts as many lines or spectra as there are lanes, from `first` on, into the lanes of `to`.
+    /// Copies as many lines or spectra as there are lanes, from line `first` on, into the lanes of
+    /// `to`.
     #[inline(always)]
     fn gather<S: Simd, const SPECTRUM: bool>(&self, lines: &[Run], first: usize, to: &mut [f64]) {
         let (lanes, numbers) = (f64::lanes::<S>(), self.numbers());
@@ -137,7 +144,8 @@ impl LineConvolution {
         }
     }
 
-    /// The reverse.
+    /// Copies the lanes of `from` back into lines or spectra from line `first` on: the inverse of
+    /// [`Self::gather`].
     #[inline(always)]
     fn scatter<S: Simd, const SPECTRUM: bool>(
         &self,
@@ -155,7 +163,7 @@ impl LineConvolution {
         }
     }
 
-    /// A buffer for as many lines as there are lanes.
+    /// Buffer for as many lines as there are lanes.
     #[inline(always)]
     fn buffer<'a, S: Simd>(&self, work: &'a mut Vec<f64>) -> &'a mut [f64] {
         let needed = 2 * self.size * f64::lanes::<S>();
@@ -252,10 +260,11 @@ impl WithSimd for Subtract<'_, '_> {
     }
 }
 
-/// Vectors of real parts, and of imaginary ones, that are multiplied together.
+/// Number of vectors of real parts, and of imaginary parts, that are multiplied together. Larger:
+/// more sums than registers. Smaller: fewer independent sums.
 const PAIR: usize = 2;
 
-/// The run `k` of a sum, pair by pair.
+/// Subtracts the terms of run `k` from a sum, pair by pair.
 #[inline(always)]
 fn subtract_run<S: Simd>(
     simd: S,

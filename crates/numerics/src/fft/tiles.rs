@@ -1,10 +1,11 @@
 //! Convolution of a map with a smaller kernel, tile by tile.
 //!
-//! The valid part of a convolution needs, for each of its elements, only what the kernel reaches: a tile of it is the
-//! valid part of a smaller convolution (overlap-save). What a thread works on stays in its cache, and nothing as large
-//! as the map is kept but the result. Tiles overlap by the kernel less one element, for which their transforms are
-//! shorter. A tile has two strips of the map side by side, which share one complex transform. The tiles depend on the
-//! shapes only: the result does not depend on the number of threads.
+//! Each element of the valid part needs only the part of the map under the kernel. A tile of it is
+//! therefore the valid part of a smaller convolution (overlap-save). The data of a thread stays in
+//! its cache, and only the result is as large as the map. Tiles overlap by the kernel less one
+//! element; in return, their transforms are shorter. A tile consists of two adjoining strips of the
+//! map, which share one complex transform. The tiles depend on the shapes only, so the result does
+//! not depend on the number of threads.
 
 use std::sync::Mutex;
 
@@ -17,23 +18,26 @@ use super::{
 };
 use crate::vectors::Lanes;
 
-/// Cores that the tiles are laid out for. The result may not depend on how many there are.
+/// Number of cores that the tiles are laid out for. It is fixed, because the result must not depend
+/// on the number of cores. Larger: more and smaller tiles, with more overlap. Smaller: cores are
+/// idle on small maps.
 const CORES: usize = 2;
 
-/// The valid part of convolutions with one kernel, of one shape.
+/// Plan of valid parts of convolutions with one kernel, of one shape.
 pub struct Tiles<T> {
     convolution: LaneConvolution<T>,
     kernel: (usize, usize),
     shape: (usize, usize),
-    /// Rows of a band, columns of a strip.
+    /// Rows of a band and columns of a strip.
     part: (usize, usize),
-    /// Buffers that no thread uses at the moment.
+    /// Buffers that no thread is using.
     idle: Mutex<Vec<Workspace<T>>>,
 }
 
-/// Work of the transforms there and back of a field, in units of an element once through the arithmetic of a transform.
-/// What is not arithmetic (reading, transposing, writing) takes as long as eight levels of it, and a field that is too
-/// large for the cache takes longer: measured in double precision on fields of 384 x 384 to 1536 x 1024 elements.
+/// Work of the forward and inverse transform of a field. The unit is the arithmetic of one element
+/// in one level of a transform. Reading, transposing and writing take as long as eight levels, and
+/// a field that exceeds the cache takes longer. Both were measured in double precision on fields of
+/// 384 x 384 to 1536 x 1024 elements.
 pub fn field_work<T>((ny, nx): (usize, usize)) -> f64 {
     let elements = (ny * nx) as f64;
     let bytes = elements * 2.0 * size_of::<T>() as f64;
@@ -48,10 +52,12 @@ pub fn field_work<T>((ny, nx): (usize, usize)) -> f64 {
 }
 
 impl<T: Lanes> Tiles<T> {
-    /// Plans for valid parts of this `shape`; `None` where transforms of `whole` real elements are less work.
+    /// Plans tiles for valid parts of this `shape`; `None` if transforms of `whole` real elements
+    /// are less work.
     pub fn new(kernel: ArrayView2<f64>, shape: (usize, usize), whole: usize) -> Option<Self> {
         let (gy, gx) = kernel.dim();
-        // Two real elements for one complex, lines that are gathered and scattered, all cores.
+        // Two real elements count as one complex one, gathering and scattering of lines as a factor
+        // of 2, and all cores work.
         let mut least = field_work::<T>((whole.div_ceil(2), 1)) * 2.0 / CORES as f64;
         let mut best = None;
         let sizes = |g: usize, valid: usize| -> Vec<usize> {
@@ -76,7 +82,7 @@ impl<T: Lanes> Tiles<T> {
         Some(Self { convolution, kernel: (gy, gx), shape, part, idle: Mutex::default() })
     }
 
-    /// The valid part of the convolution of `map`, placed at `at` in a field of zeros.
+    /// Valid part of the convolution of `map`, placed at `at` in a field of zeros.
     pub fn valid(&self, map: ArrayView2<f64>, at: (usize, usize)) -> Array2<f64> {
         let map = map.as_standard_layout();
         let data = map.as_slice().expect("in C order");
@@ -113,7 +119,7 @@ struct Source<'a> {
 }
 
 impl Source<'_> {
-    /// Elements of the field from `column` on.
+    /// Reads the elements of the field from `column` on.
     #[inline(always)]
     fn read<T: Lanes>(&self, row: usize, column: usize, to: &mut [T]) {
         let (rows, columns) = self.shape;

@@ -1,28 +1,30 @@
-//! The product of two panels of a factor: nearly all of the work of a factorisation.
+//! Product of two panels of a factor, which is nearly all of the work of a factorisation.
 //!
 //! ```text
 //! C -= A' B,      A (k, n), B (k, n), C (n, n),      n = BLOCK
 //! ```
 //!
-//! A row of either panel holds one column of [`BLOCK`] rows of the matrix, already in the order in which the product reads
-//! it. A product of any matrices copies both into such an order first, which for panels as narrow as these takes half as
-//! long as the multiplications. Some elements of C stay in registers while a part of both panels that fits into the fastest
-//! cache is gone through.
+//! A row of either panel contains one column of [`BLOCK`] rows of the matrix, in the order in which
+//! the product reads it. A general matrix product copies both into such an order first. For panels
+//! as narrow as these, the copy takes half as long as the multiplications. Some elements of C stay
+//! in registers while the product reads a part of both panels that fits into the fastest cache.
 //!
-//! Every element of C is summed in the order of k, whatever the width of the vectors.
+//! Every element of C is summed in the order of k, whatever the vector width.
 
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::vectors::Lanes;
 
-/// Rows of a block: small enough for the unblocked part to be negligible, large enough for the
-/// matrix products to run at full speed.
+/// Number of rows of a block. Larger: the unblocked part takes longer. Smaller: the matrix products
+/// do not run at full speed.
 pub(crate) const BLOCK: usize = 64;
 
-/// Rows of both panels that are gone through for all of C: 32 KiB in single precision.
+/// Number of rows of both panels that are used for all of C before the next ones: 32 KiB in single
+/// precision. Larger: they leave the fastest cache. Smaller: C is read and written more often.
 const DEPTH: usize = 64;
 
-/// Rows of C in registers.
+/// Number of rows of C in registers. Larger: more accumulators than registers. Smaller: elements of
+/// B are read more often.
 const ROWS: usize = 4;
 
 /// `c -= a' b`.
@@ -54,7 +56,7 @@ impl<T: Lanes> WithSimd for Product<'_, T> {
     }
 }
 
-/// The same with `VECTORS` vectors of a row of C at a time.
+/// Computes `c -= a' b` with `VECTORS` vectors of a row of C at a time.
 #[inline(always)]
 fn subtract_part<T: Lanes, S: Simd, const VECTORS: usize>(simd: S, a: &[T], b: &[T], c: &mut [T]) {
     let of_row = BLOCK / T::lanes::<S>();

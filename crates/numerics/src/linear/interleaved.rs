@@ -1,28 +1,31 @@
-//! Products of eight rectangles of numbers with one, the eight side by side.
+//! Products of eight interleaved rectangles of numbers with one rectangle.
 //!
 //! ```text
 //! y[l] += sum over r, c of a[r, c, l] b[r, c],      l < EIGHT
 //! ```
 //!
-//! An element of b is read once for all of them, and the sums stay in registers.
+//! An element of b is read once for all eight rectangles, and the sums stay in registers.
 
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::vectors::Lanes;
 
-/// As many as a wide vector of the processor has lanes.
+/// Number of interleaved rectangles: the lanes of a wide vector of the processor. Larger: sums do
+/// not fit into registers. Smaller: idle lanes.
 pub const EIGHT: usize = 8;
 
-/// Rows of numbers, `pitch` from the first one of a row to the first one of the next.
+/// Rows of numbers. The first numbers of two neighbouring rows are `pitch` apart.
 #[derive(Clone, Copy, Debug)]
 pub struct Rows<'a> {
-    /// From the first one that counts on.
+    /// Numbers, from the first one of the rectangle on.
     pub numbers: &'a [f64],
-    /// In elements, of which each is eight numbers where eight are side by side.
+    /// Distance between rows, in elements. An element is eight numbers if the rectangle is
+    /// interleaved.
     pub pitch: usize,
 }
 
-/// Adds the products of `a`, eight numbers for each of `b`, over so many rows and columns.
+/// Adds to `sums` the products of `a`, with eight numbers for each one of `b`, over `shape` (rows,
+/// columns).
 pub fn add_products(a: Rows<'_>, b: Rows<'_>, shape: (usize, usize), sums: &mut [f64; EIGHT]) {
     Arch::new().dispatch(Products { a, b, shape, sums });
 }
@@ -49,12 +52,13 @@ impl WithSimd for Products<'_> {
 }
 
 impl Products<'_> {
-    /// With eight numbers in so many vectors.
+    /// Runs the product with eight numbers in `VECTORS` vectors.
     #[inline(always)]
     fn by<S: Simd, const VECTORS: usize>(self, simd: S) {
         let Self { a, b, shape: (ny, nx), sums } = self;
         let elements = f64::vectors::<S>(a.numbers).as_chunks::<VECTORS>().0;
-        // Sums of every fourth column: one alone would wait for itself.
+        // Four sums, each of every fourth column, because a single sum would wait for its own
+        // result.
         let mut four = [[simd.splat_f64s(0.0); VECTORS]; 4];
         for (a, b) in elements.chunks(a.pitch).zip(b.numbers.chunks(b.pitch)).take(ny) {
             let ((a4, a_rest), (b4, b_rest)) = (a[..nx].as_chunks::<4>(), b[..nx].as_chunks::<4>());
@@ -87,7 +91,8 @@ mod tests {
 
     #[test]
     fn every_lane_has_its_own_sum() {
-        // Whole numbers, so that sums are exact in any order; rows longer than what is summed.
+        // Whole numbers, so that sums are exact in any order. The rows are longer than the summed
+        // part.
         for shape in [(1, 1), (3, 4), (5, 7), (2, 11)] {
             let (ny, nx) = shape;
             let (pitch_a, pitch_b) = (nx + 3, nx + 1);

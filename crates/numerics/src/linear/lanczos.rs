@@ -1,4 +1,4 @@
-//! The part of a linear system that its large eigenvalues decide:
+//! Solution of a linear system in the space of its large eigenvalues:
 //!
 //! ```text
 //! x = sum over theta_i > cut theta_1 of  u_i (u_i' g) / theta_i,     H u_i = theta_i u_i   (1)
@@ -8,49 +8,57 @@
 //! `g = A' b` this is the truncated singular value decomposition of `min ||A x - b||`, cut at
 //! `sigma_i > sqrt(cut) sigma_1`.
 //!
-//! The process of Lanczos from g spans the eigenvectors that g contains; the small eigenvalues that
-//! it finds last are those that (1) leaves out. Every new vector is made orthogonal to all before it,
-//! twice, so no eigenvalue appears twice.
+//! The process of Lanczos from g spans the eigenvectors that g contains. It finds the small
+//! eigenvalues last, which are those that (1) leaves out. Every new vector is made orthogonal to
+//! all previous ones, twice, so no eigenvalue appears twice.
 //!
 //! Source: Golub and Van Loan, Matrix Computations, 4th ed., sections 10.1 and 10.3.
 
 use nalgebra::{DMatrix, Dyn, SymmetricEigen};
 use ndarray::{Array1, Array2, ArrayView1, s};
 
-/// Steps before the first look at x; a look costs the eigenvalues of a small matrix, so the next one comes
-/// after half as many steps again.
+/// Number of steps before the first test of convergence. A test needs the eigenvalues of a small
+/// matrix; the next one follows after half as many steps again. Larger: more steps than necessary.
+/// Smaller: more tests.
 const FIRST_LOOK: usize = 20;
 
-/// A new vector below this fraction of the largest diagonal element is rounding.
+/// Length of a new vector, relative to the largest diagonal element, below which it is rounding.
+/// Larger: the process ends before all of g is spanned. Smaller: it continues with vectors of
+/// rounding.
 const SPANNED: f64 = 1e-13;
 
-/// Steps for the largest eigenvalue before the first look, and most of them.
+/// Number of steps for the largest eigenvalue before the first test. Larger: more steps than
+/// necessary. Smaller: more tests.
 const FIRST_LOOK_AT_LARGEST: usize = 8;
+/// Largest number of steps for the largest eigenvalue. Larger: more time if eigenvalues are
+/// crowded. Smaller: a less exact eigenvalue.
 const MAX_STEPS_FOR_LARGEST: usize = 150;
 
-/// Residual of the largest eigenvalue, in units of it, at which the process ends: 1e-3 of its root.
+/// Residual of the largest eigenvalue, relative to it, at which its process ends: 1e-3 of its
+/// square root. Larger: a less exact eigenvalue. Smaller: more steps.
 const RESIDUAL_OF_LARGEST: f64 = 2e-3;
 
-/// What (1) gave.
+/// Result of (1).
 #[derive(Clone, Debug)]
 pub struct Truncated {
-    /// x.
+    /// Solution x.
     pub value: Vec<f64>,
-    /// Eigenvalues above the cut.
+    /// Number of eigenvalues above the cut.
     pub rank: usize,
     /// Largest eigenvalue.
     pub largest: f64,
     /// Smallest eigenvalue above the cut.
     pub smallest: f64,
-    /// Steps of the process.
+    /// Number of steps of the process.
     pub steps: usize,
-    /// Whether x changes by less than the tolerance between the last two looks.
+    /// True if x changed by less than the tolerance between the last two tests, or if the process
+    /// spanned all of g.
     pub converged: bool,
 }
 
 /// Computes (1) from the products `apply`. The process ends when it has spanned all of g, or when x
-/// changed by less than `tolerance` of its length in the last third of the steps; at every look `watch` is told that
-/// change over the one wanted.
+/// changed by less than `tolerance` of its length in the last third of the steps. At every test
+/// `watch` gets the ratio of that change to the tolerance.
 pub fn truncated(
     apply: impl Fn(&[f64]) -> Vec<f64>,
     g: &[f64],
@@ -89,7 +97,7 @@ pub fn truncated(
             w -= &basis.t().dot(&components);
         }
         let b = w.dot(&w).sqrt();
-        // All of g is spanned when what is new is rounding.
+        // All of g is spanned if the new vector is rounding.
         let scale = alpha.iter().copied().fold(0.0, f64::max);
         let spanned = b <= SPANNED * scale;
         let last = spanned || k + 1 == max_steps;
@@ -113,13 +121,15 @@ pub fn truncated(
     result
 }
 
-/// The largest eigenvalue of H from the products `apply` of n numbers: from below, and where no other one is near to
-/// about the square of the residual at which it ends, 2e-3 of it.
+/// Largest eigenvalue of H from the products `apply` of n numbers. The result is a lower bound.
+/// Unless another eigenvalue is near, its relative error is about the square of the residual at the
+/// end, 2e-3.
 ///
-/// The vectors are not made orthogonal to all before them: that an eigenvalue appears twice does no harm here, and
-/// three vectors are enough. Of a vector s of T to the eigenvalue theta the residual of `V s` is `beta_k |s_k|`, and
-/// an eigenvalue of H is as near to theta as that. The power method creeps where eigenvalues are crowded below the
-/// largest, as those of a tool that is narrow for its part are, and that its steps are small then says nothing.
+/// The vectors are not made orthogonal to all previous ones, so three vectors are enough. An
+/// eigenvalue may then appear twice, which does no harm here. For an eigenvector s of T with the
+/// eigenvalue theta, the residual of `V s` is `beta_k |s_k|`, and an eigenvalue of H lies within
+/// this distance of theta. The power method is slow if eigenvalues are crowded below the largest,
+/// as for a tool that is narrow for its part. Small steps of that method then prove nothing.
 pub fn largest_eigenvalue(apply: impl Fn(&[f64]) -> Vec<f64>, n: usize) -> f64 {
     let start = Array1::from_iter((0..n as u64).map(without_structure));
     let length = start.dot(&start).sqrt();
@@ -134,7 +144,7 @@ pub fn largest_eigenvalue(apply: impl Fn(&[f64]) -> Vec<f64>, n: usize) -> f64 {
         w.scaled_add(-beta.last().copied().unwrap_or(0.0), &before);
         alpha.push(a);
         let b = w.dot(&w).sqrt();
-        // With what is new only rounding, everything that the start contains is spanned.
+        // If the new vector is rounding, everything that the start contains is spanned.
         let spanned = b <= SPANNED * alpha.iter().copied().fold(0.0, f64::max);
         if spanned || k == max_steps || k == next_look {
             let eigen = eigen(&alpha, &beta);
@@ -152,8 +162,8 @@ pub fn largest_eigenvalue(apply: impl Fn(&[f64]) -> Vec<f64>, n: usize) -> f64 {
     largest
 }
 
-/// A number from -1/2 to 1/2 without any relation to its neighbours: the finaliser of SplitMix64 (G. L. Steele,
-/// D. Lea, C. H. Flood, OOPSLA 2014, Fig. 17).
+/// Number from -1/2 to 1/2 that is unrelated to its neighbours: the finaliser of SplitMix64 (G. L.
+/// Steele, D. Lea, C. H. Flood, OOPSLA 2014, Fig. 17).
 fn without_structure(j: u64) -> f64 {
     let z = (j + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -161,7 +171,7 @@ fn without_structure(j: u64) -> f64 {
     ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
 }
 
-/// Eigenvalues and vectors of the tridiagonal matrix T of alpha and beta.
+/// Eigenvalues and eigenvectors of the tridiagonal matrix T of alpha and beta.
 fn eigen(alpha: &[f64], beta: &[f64]) -> SymmetricEigen<f64, Dyn> {
     let k = alpha.len();
     let mut t = DMatrix::zeros(k, k);
@@ -175,7 +185,8 @@ fn eigen(alpha: &[f64], beta: &[f64]) -> SymmetricEigen<f64, Dyn> {
     SymmetricEigen::new(t)
 }
 
-/// (1) in the space of the first vectors: the tridiagonal matrix T of alpha and beta in place of H.
+/// Solves (1) in the space of the first vectors, with the tridiagonal matrix T of alpha and beta in
+/// place of H.
 fn solve(alpha: &[f64], beta: &[f64], v: &Array2<f64>, length: f64, cut: f64) -> Truncated {
     let k = alpha.len();
     let eigen = eigen(alpha, beta);
@@ -222,7 +233,7 @@ mod tests {
         let expected = svd.solve(&b, 0.03).unwrap();
         let error = (DVector::from_row_slice(&found.value) - &expected).norm();
         assert_eq!(found.rank, 10);
-        // Rounding times the condition number 1.2e3 of what is kept.
+        // Rounding times the condition number 1.2e3 of the kept eigenvalues.
         assert!(error < 1e-10 * expected.norm(), "{error}");
         assert!((found.largest - 1.0).abs() < 1e-12);
         assert!((found.smallest / 0.7_f64.powi(18) - 1.0).abs() < 1e-9);

@@ -5,8 +5,9 @@
 //! min ||A x - b||^2 + delta^2 ||x||^2                                                     (1)
 //! ```
 //!
-//! The bidiagonalisation `A V = U L` of Golub and Kahan does not depend on delta, only the rotations
-//! that solve the small problem do. So one pair of products per step serves every damping.
+//! The bidiagonalisation `A V = U L` of Golub and Kahan does not depend on delta. Only the
+//! rotations that solve the small problem do. One pair of products per step therefore serves every
+//! damping.
 //!
 //! Source: C. C. Paige, M. A. Saunders, ACM Trans. Math. Softw. 8 (1982) 43, section 4 (the
 //! rotations), 5.3 (damping), 5.4 (stopping).
@@ -16,17 +17,17 @@ use crate::linear::lanczos::largest_eigenvalue;
 /// The solution of (1) for one damping.
 #[derive(Clone, Debug)]
 pub struct Damped {
-    /// delta.
+    /// Damping delta.
     pub damping: f64,
-    /// x.
+    /// Solution x.
     pub value: Vec<f64>,
-    /// Steps that it took.
+    /// Number of steps.
     pub iterations: usize,
-    /// Whether the residual is orthogonal to the columns within the tolerance.
+    /// True if the residual is orthogonal to the columns within the tolerance.
     pub converged: bool,
 }
 
-/// What one damping needs beside the common bidiagonalisation.
+/// State of one damping in addition to the common bidiagonalisation.
 struct Lane {
     result: Damped,
     direction: Vec<f64>,
@@ -40,9 +41,9 @@ struct Lane {
 
 /// Solves (1) for every delta of `dampings`, in their order.
 ///
-/// `apply` is x (n) -> A x (m), `adjoint` its adjoint. A lane ends when
-/// `||[A' r - delta^2 x]|| <= tolerance ||[A; delta I]||_F ||[r; delta x]||`; after every step `watch` is told the
-/// largest ratio of the two sides.
+/// `apply` is x (n) -> A x (m), and `adjoint` its adjoint. A lane ends when `||[A' r - delta^2 x]||
+/// <= tolerance ||[A; delta I]||_F ||[r; delta x]||`. After every step `watch` gets the largest
+/// ratio of the two sides.
 pub fn lsqr(
     apply: impl Fn(&[f64]) -> Vec<f64>,
     adjoint: impl Fn(&[f64]) -> Vec<f64>,
@@ -93,7 +94,7 @@ pub fn lsqr(
 }
 
 impl Lane {
-    /// One step; the left side of the condition over the right one.
+    /// Does one step; returns the ratio of the left side of the condition to the right one.
     fn advance(&mut self, v: &[f64], alpha: f64, beta: f64, tolerance: f64) -> f64 {
         let delta = self.result.damping;
         // A rotation takes delta out of the bidiagonal matrix ...
@@ -135,7 +136,8 @@ fn normalise(x: &mut [f64]) -> f64 {
     length
 }
 
-/// Largest singular value of a matrix of n columns known by `x -> A' A x`, to about 1e-3, and never above it.
+/// Largest singular value of a matrix of n columns known by `x -> A' A x`, to about 1e-3. The
+/// result is a lower bound.
 pub fn largest_singular_value(normal: impl Fn(&[f64]) -> Vec<f64>, n: usize) -> f64 {
     largest_eigenvalue(normal, n).sqrt()
 }

@@ -7,10 +7,10 @@
 //! for a symmetric positive semidefinite A that is known by its products only, and a diagonal S.
 //! Source: Golub and Van Loan, Matrix Computations, 4th ed., section 8.2.1.
 
-/// Estimates of the largest eigenvalue of `S A S`, S = diag(`scale`), one per product: from below, and
-/// ever closer. It ends when a product vanishes, after the estimate 0.
+/// Estimates of the largest eigenvalue of `S A S`, S = diag(`scale`), one per product. They are
+/// lower bounds that increase. The iterator ends when a product vanishes, after the estimate 0.
 ///
-/// `product(x)` is A x. The start has no structure, so that it meets every eigenvector.
+/// `product(x)` is A x. The start has no structure, so that it contains every eigenvector.
 pub fn power_method(
     product: impl Fn(&[f64]) -> Vec<f64>,
     scale: &[f64],

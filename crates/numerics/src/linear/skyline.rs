@@ -1,8 +1,8 @@
 //! A symmetric matrix in skyline (also called profile) storage, and its Cholesky factor.
 //!
-//! Row i stores the columns from its first nonzero one up to the diagonal. `A = L L'` fills
-//! nothing outside of that, so where every row reaches back by at most b, the factor has n b
-//! elements and costs n b^2 multiplications; with every row full it is the dense factorisation.
+//! Row i stores the columns from its first nonzero one up to the diagonal. `A = L L'` has no
+//! nonzero element outside of that. If every row reaches back by at most b, the factor has n b
+//! elements and costs n b^2 multiplications. With full rows it is the dense factorisation.
 //!
 //! By blocks of rows, left-looking:
 //!
@@ -13,8 +13,9 @@
 //! ```
 //!
 //! The blocks below a diagonal block are independent of each other, so the result does not depend
-//! on the number of threads. A factor is stored by columns within its blocks, as the matrix products
-//! read it: in single precision they spend more time on reading rows than on multiplying.
+//! on the number of threads. A factor is stored by columns within its blocks, in the order in which
+//! the matrix products read it. In single precision, reading rows would take longer than the
+//! multiplications.
 //!
 //! Source: A. George and J. Liu, Computer Solution of Large Sparse Positive Definite Systems, 1981,
 //! chapter 4; Golub and Van Loan, Matrix Computations, 4th ed., section 4.2.
@@ -30,7 +31,7 @@ use crate::{
     vectors::{Lanes, vectorised},
 };
 
-/// A symmetric matrix (n, n): the lower triangle within the skyline.
+/// A symmetric matrix (n, n), stored as the lower triangle within the skyline.
 #[derive(Clone, Debug)]
 pub struct Skyline {
     /// First column of every row.
@@ -38,7 +39,7 @@ pub struct Skyline {
     blocks: Vec<Rows>,
 }
 
-/// Up to [`BLOCK`] rows.
+/// Block of up to [`BLOCK`] rows.
 #[derive(Clone, Debug)]
 struct Rows {
     /// First column that is stored, a multiple of [`BLOCK`].
@@ -54,12 +55,12 @@ pub struct Element {
     pub row: usize,
     /// Column of the element, at most `row`.
     pub column: usize,
-    /// What stands there.
+    /// Value of the element.
     pub value: f64,
 }
 
 impl Skyline {
-    /// Zero, with room in row i for the columns from `first[i] <= i` on.
+    /// A zero matrix that stores the columns from `first[i] <= i` on in row i.
     pub fn zeros(first: Vec<usize>) -> Self {
         let n = first.len();
         let block = |top: usize| {
@@ -85,12 +86,12 @@ impl Skyline {
         self.first.len()
     }
 
-    /// Whether there is no row.
+    /// Returns true if there is no row.
     pub fn is_empty(&self) -> bool {
         self.first.is_empty()
     }
 
-    /// Numbers that are stored.
+    /// Count of the stored numbers.
     pub fn elements(&self) -> usize {
         self.blocks.iter().map(|b| b.values.len()).sum()
     }
@@ -100,14 +101,14 @@ impl Skyline {
         self.first[i]
     }
 
-    /// Writes every row: `write(i, row)` with `row[0]` the element of column `first(i)`, the last
-    /// one that of the diagonal.
+    /// Writes every row by `write(i, row)`. `row[0]` is the element of column `first(i)`, and the
+    /// last element is the diagonal.
     pub fn fill(&mut self, write: impl Fn(usize, &mut [f64]) + Sync) {
         self.fill_together(1, |rows, elements| write(rows.start, elements[0]));
     }
 
-    /// The same for some neighbouring rows at a time, `most` or fewer, which has to divide the rows of a block:
-    /// `write(rows, elements)` with the elements of each.
+    /// Writes up to `most` neighbouring rows at a time by `write(rows, elements)`, with the
+    /// elements of each row. `most` has to divide the number of rows of a block.
     pub fn fill_together(
         &mut self,
         most: usize,
@@ -138,7 +139,8 @@ impl Skyline {
         &all[from + self.first[i] - rows.start..=from + i - rows.start]
     }
 
-    /// Adds to the element (i, j) of the lower triangle, which the skyline must hold.
+    /// Adds `value` to the element (i, j) of the lower triangle, which has to be within the
+    /// skyline.
     pub fn add(&mut self, i: usize, j: usize, value: f64) {
         assert!(self.first[i] <= j && j <= i, "({i}, {j}) is outside of the skyline");
         let rows = &mut self.blocks[i / BLOCK];
@@ -158,7 +160,7 @@ impl Skyline {
 
     /// `A x`.
     pub fn product(&self, x: &[f64]) -> Vec<f64> {
-        // The rows of either half of the elements; the split is the same on one thread.
+        // Each task takes the rows with half of the elements; the split is the same on one thread.
         let half = self.elements() / 2;
         let mut before = 0;
         let is_first_half = |rows: &Rows| {
@@ -188,7 +190,7 @@ impl Skyline {
         y
     }
 
-    /// The rows and columns `keep`, which ascend.
+    /// Submatrix of the rows and columns `keep`, which ascend.
     pub fn principal(&self, keep: &[usize]) -> Self {
         let first = keep.iter().map(|i| keep.partition_point(|k| *k < self.first[*i])).collect();
         let mut part = Self::zeros(first);
@@ -202,13 +204,14 @@ impl Skyline {
         part
     }
 
-    /// Factorises; `None` when the matrix is not positive definite to rounding.
+    /// Factorises the matrix; `None` if it is not positive definite to rounding.
     pub fn factorise(self) -> Option<Factor> {
         self.factorise_keeping(|panel| panel)
     }
 
-    /// The same, of which single precision is kept: half the memory, and half the time of a solution. For a
-    /// preconditioner: a solution is that of a matrix whose elements differ by 1e-7 of the largest ones.
+    /// Factorises the matrix and rounds the factor to single precision. It needs half the memory,
+    /// and half the time per solution. It is meant for a preconditioner: a solution is that of a
+    /// matrix whose elements differ by 1e-7 of the largest ones.
     pub fn factorise_to_single(self) -> Option<Factor<f32>> {
         self.factorise_keeping(|panel| Panel {
             start: panel.start,
@@ -216,9 +219,9 @@ impl Skyline {
         })
     }
 
-    /// Factorises the sum of this matrix and some elements, whose rows ascend, in single precision; only the
-    /// diagonal blocks are factorised and inverted in double precision. It takes half the time, and more
-    /// matrices are not positive definite to rounding.
+    /// Factorises the sum of this matrix and the elements `added`, whose rows ascend, in single
+    /// precision. Only the diagonal blocks are factorised and inverted in double precision. It
+    /// takes half the time, and more matrices are not positive definite to rounding.
     pub fn factorise_in_single(&self, added: &[Element]) -> Option<Factor<f32>> {
         assert!(added.is_sorted_by_key(|e| e.row), "elements whose rows ascend");
         assert!(added.last().is_none_or(|e| e.row < self.len()), "elements of this matrix");
@@ -242,14 +245,17 @@ impl Skyline {
     ) -> Option<Factor<T>> {
         let panels: Vec<Panel<f64>> =
             self.blocks.into_par_iter().map(|rows| Panel::new(&rows)).collect();
-        // Within the pool: to enter it for every block would cost as much as a small block.
+        // All blocks run within one scope of the pool: entering it for every block would cost as
+        // much as a small block.
         rayon::scope(|_| factorise_panels(panels, keep))
     }
 }
 
-/// A number of a factor.
+/// Number type of a factor.
 pub trait Number: Lanes + LinalgScalar {
-    /// Least square of a pivot over the element of the diagonal that it is left of: below, it is rounding.
+    /// Smallest square of a pivot, relative to the diagonal element of the matrix, that is not
+    /// rounding. Larger: nearly singular matrices are refused. Smaller: a pivot of rounding is
+    /// accepted.
     const LEAST_PIVOT: f64;
 }
 
@@ -258,11 +264,11 @@ impl Number for f64 {
 }
 
 impl Number for f32 {
-    // Some hundred sums round by more than one of them.
+    // A pivot is a sum of some hundred terms, which rounds by more than one epsilon.
     const LEAST_PIVOT: f64 = 16.0 * f32::EPSILON as f64;
 }
 
-/// Up to [`BLOCK`] rows of a factor, by columns.
+/// Block of up to [`BLOCK`] rows of a factor, stored by columns.
 #[derive(Clone, Debug)]
 struct Panel<T> {
     /// First column that is stored, a multiple of [`BLOCK`].
@@ -271,7 +277,7 @@ struct Panel<T> {
     values: Array2<T>,
 }
 
-/// Factorises panel by panel; `keep` says what is kept of every one that is done.
+/// Factorises panel by panel; `keep` converts each finished panel into the stored one.
 fn factorise_panels<S: Number, T>(
     mut panels: Vec<Panel<S>>,
     keep: impl Fn(Panel<S>) -> Panel<T>,
@@ -285,7 +291,8 @@ fn factorise_panels<S: Number, T>(
         let (head, below) = panels.split_at_mut(k + 1);
         let (pivot, at) = (&mut head[k], k * BLOCK);
         if let Some((first, others)) = below.split_first_mut() {
-            // Only those with work are shared out, one at a time: threads take halves of what they are given.
+            // Only panels with work are shared out, one at a time, because threads take halves of a
+            // list.
             let others = &mut others[..last.saturating_sub(k + 1)];
             // The next pivot is ready when the others are.
             let (of_first, ()) = rayon::join(
@@ -306,7 +313,7 @@ fn factorise_panels<S: Number, T>(
     Some(Factor { len, panels: kept })
 }
 
-/// Of every panel the last one with columns of it.
+/// For every panel, the index of the last panel that has columns of it.
 fn last_panels<T>(panels: &[Panel<T>]) -> Vec<usize> {
     let mut last: Vec<usize> = (0..panels.len()).collect();
     for (i, panel) in panels.iter().enumerate() {
@@ -325,8 +332,8 @@ impl<T: Number> Panel<T> {
         Self { start: rows.start, values: Array2::from_shape_fn((columns, count), value) }
     }
 
-    /// From `A[i, k]`, of which nothing is subtracted yet, to `L[i, k]`, for a pivot panel k whose rows
-    /// begin at `at`.
+    /// Computes `L[i, k]` from `A[i, k]`, of which nothing is subtracted yet, for a pivot panel k
+    /// whose rows begin at `at`.
     fn eliminate(&mut self, pivot: &Self, inverse: &Array2<T>, at: usize) {
         if self.start > at {
             return;
@@ -345,8 +352,8 @@ impl<T: Number> Panel<T> {
         general_mat_mul(T::one(), inverse, &known, T::zero(), &mut block);
     }
 
-    /// From `A[k, k]` of the rows that begin at `at`, of which nothing is subtracted yet, to `L[k, k]`, and
-    /// its inverse; `None` when it is not positive definite to rounding.
+    /// Computes `L[k, k]` and its inverse from `A[k, k]`, whose rows begin at `at` and of which
+    /// nothing is subtracted yet. `None` if it is not positive definite to rounding.
     fn factorise_diagonal(&mut self, at: usize) -> Option<Array2<T>> {
         let (left, mut diagonal) = self.values.view_mut().split_at(Axis(0), at - self.start);
         let least: Vec<f64> =
@@ -381,14 +388,15 @@ impl<T> Panel<T> {
 }
 
 impl<T: Copy> Panel<T> {
-    /// The columns before the diagonal block and those of it, for the first row `at`.
+    /// Splits the values into the columns before the diagonal block and those of it. The first row
+    /// is `at`.
     fn split(&self, at: usize) -> (&[T], &[T]) {
         let all = self.values.as_slice().expect("in C order");
         all.split_at((at - self.start) * self.rows())
     }
 }
 
-/// L of `A = L L'`, in double or in single precision.
+/// Factor L of `A = L L'`, in double or in single precision.
 #[derive(Clone, Debug)]
 pub struct Factor<T = f64> {
     len: usize,
@@ -396,7 +404,7 @@ pub struct Factor<T = f64> {
 }
 
 impl<T: Number> Factor<T> {
-    /// The least square of a pivot: nowhere below the least eigenvalue.
+    /// Smallest square of a pivot. It is at least the smallest eigenvalue.
     pub fn least_pivot(&self) -> f64 {
         let of_panel = |panel: &Panel<T>| {
             let rows = panel.rows();
@@ -419,7 +427,8 @@ impl<T: Number> Factor<T> {
         }
     }
 
-    /// The panels one after the other; what is left of the diagonal block of each, nearly all of it, by two threads.
+    /// Solves panel after panel. Two threads share the part of each panel outside its diagonal
+    /// block, which is nearly all of it.
     fn solve_by_panels(&self, b: &mut [f64], parallel: bool) {
         // L y = b
         for (k, panel) in self.panels.iter().enumerate() {
@@ -479,7 +488,7 @@ impl<T: Number> Factor<T> {
     }
 }
 
-/// `sums += columns y`, of as many rows as there are sums.
+/// Adds `columns y` to `sums`. `columns` has as many rows as there are sums.
 #[inline(always)]
 fn add_products<T: Number>(columns: &[T], y: &[f64], sums: &mut [f64]) {
     let rows = sums.len();
@@ -497,7 +506,9 @@ fn add_products<T: Number>(columns: &[T], y: &[f64], sums: &mut [f64]) {
     }
 }
 
-/// Elements from which on two threads solve sooner than one: by the time that problems took.
+/// Smallest number of elements of a factor at which two threads solve faster than one. Larger: one
+/// thread for larger problems. Smaller: the overhead of a second thread exceeds its gain. Chosen by
+/// the times of problems; the value does not change the result.
 const MIN_ELEMENTS_PARALLEL: usize = 1_000_000;
 
 fn both<R: Send>(
@@ -516,7 +527,7 @@ pub fn dot<T: Copy + Into<f64>>(a: &[T], b: &[f64]) -> f64 {
     sums.total()
 }
 
-/// A sum in eight independent ones, which a compiler turns into vectors.
+/// A sum as eight independent sums, which a compiler turns into vectors.
 #[derive(Default)]
 struct Sums([f64; 8]);
 
@@ -550,7 +561,7 @@ pub(crate) fn axpy<T: Copy + Into<f64>>(a: f64, x: &[T], y: &mut [f64]) {
     }
 }
 
-/// X of `L X = 1`, row by row: `X[i, :] = (1[i, :] - sum_{k < i} L[i, k] X[k, :]) / L[i, i]`.
+/// Inverse X of L, row by row: `X[i, :] = (1[i, :] - sum_{k < i} L[i, k] X[k, :]) / L[i, i]`.
 fn inverse(l: &Array2<f64>) -> Array2<f64> {
     let n = l.nrows();
     let mut x = Array2::zeros((n, n));
@@ -569,7 +580,8 @@ fn inverse(l: &Array2<f64>) -> Array2<f64> {
     x
 }
 
-/// The lower triangle becomes L, the upper one zero; `None` where the square of a pivot is not above its `least`.
+/// Replaces the lower triangle by L and the upper one by zero. `None` if the square of a pivot is
+/// not above its `least`.
 fn factorise_unblocked(a: &mut Array2<f64>, least: &[f64]) -> Option<()> {
     let n = a.nrows();
     for i in 0..n {
@@ -693,7 +705,7 @@ mod tests {
             let factor = a.factorise().unwrap();
             // The last pivot of ones + e is e (n + e) / (n - 1 + e).
             let expected = 1e-9 * n as f64 / (n - 1) as f64;
-            // What n subtractions of numbers of order 1 round by.
+            // Rounding of n subtractions of numbers of order 1.
             assert!((factor.least_pivot() - expected).abs() < 1e-15 * n as f64, "n {n}");
         }
     }

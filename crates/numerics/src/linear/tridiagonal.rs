@@ -3,18 +3,18 @@
 //! Neither method exchanges rows: the matrix is diagonally dominant, at least weakly, or positive
 //! definite. Source: Golub and Van Loan, Matrix Computations, 4th ed., section 4.3.
 
-/// Row k of a tridiagonal system: its elements at the unknowns k - 1, k and k + 1 and its right-hand
-/// side. What would be at the unknowns -1 and n is not used.
+/// Row k of a tridiagonal system: its elements at the unknowns k - 1, k and k + 1, and its
+/// right-hand side. The elements at the unknowns -1 and n are not used.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
-    /// Elements [below, own, above].
+    /// Elements [k - 1, k, k + 1], called below, own and above.
     pub elements: [f64; 3],
     /// Right-hand side.
     pub right: f64,
 }
 
 impl Row {
-    /// The row of an unknown that is held at a value, and gives its own equation up.
+    /// The row of an unknown with a fixed value, in place of its own equation.
     pub fn held(value: f64) -> Self {
         Self { elements: [0.0, 1.0, 0.0], right: value }
     }
@@ -42,11 +42,11 @@ pub fn solve(n: usize, row: impl Fn(usize) -> Row) -> Vec<f64> {
     x
 }
 
-/// `A = C P C'` of a symmetric positive definite tridiagonal matrix A of which some rows and columns
-/// may be left out: C is unit lower bidiagonal, P holds the pivots.
+/// `A = C P C'` of a symmetric positive definite tridiagonal matrix A, of which some rows and
+/// columns may be left out. C is unit lower bidiagonal, and P contains the pivots.
 #[derive(Clone, Debug)]
 pub struct Factor {
-    /// 0 where the row is left out.
+    /// Pivots; 0 if the row is left out.
     pivot: Vec<f64>,
     /// C[j, j-1].
     below: Vec<f64>,
@@ -56,9 +56,9 @@ impl Factor {
     /// Factorises the matrix with the elements `diagonal[j]` and `A[j, j-1] = below[j]`; `below[0]` is not
     /// used.
     ///
-    /// Rows and columns with a diagonal of 0 are left out; nothing may couple them to others. In exact
-    /// arithmetic no pivot is smaller than the least eigenvalue of A, for which `least_pivot` > 0 is a
-    /// lower bound: it keeps rounding from making a pivot smaller.
+    /// Rows and columns with a diagonal of 0 are left out; they must not be coupled to others. In
+    /// exact arithmetic no pivot is smaller than the smallest eigenvalue of A. `least_pivot` > 0 is
+    /// a lower bound for it, and keeps rounding from making a pivot smaller.
     pub fn new(diagonal: Vec<f64>, below: Vec<f64>, least_pivot: f64) -> Self {
         let (mut pivot, mut below) = (diagonal, below);
         for j in 1..pivot.len() {
@@ -72,7 +72,7 @@ impl Factor {
         Self { pivot, below }
     }
 
-    /// `A^-1 r`; 0 where a row is left out.
+    /// Solution `A^-1 r`; 0 where a row is left out.
     pub fn solve(&self, r: &[f64]) -> Vec<f64> {
         let mut x = r.to_vec();
         // C y = r
@@ -95,7 +95,8 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// Condition numbers below 10, values of order 1, and at most 200 rows.
+    /// Rounding of solutions, for condition numbers below 10, values of order 1, and at most 200
+    /// rows.
     const ROUNDING: f64 = 1e-13;
 
     #[test]

@@ -4,39 +4,46 @@
 //! (K - U U')^-1 = K^-1 + V S^-1 V',   V = K^-1 U,   S = 1 - U' V                          (1)
 //! ```
 //!
-//! K keeps its skyline, which the outer products would fill. `K - U U'` is positive definite exactly
-//! when K and S are. Where U U' leaves little of K, S is the small difference of 1 and what has the rounding of the factor
-//! of K: one in single precision needs V to be refined ([`Woodbury::refined`]). Source: Golub and Van Loan, Matrix
-//! Computations, 4th ed., section 2.1.4.
+//! K keeps its skyline, which the outer products would fill. `K - U U'` is positive definite
+//! exactly if K and S are. If U U' leaves little of K, S is the small difference of 1 and a product
+//! with the rounding of the factor of K. A factor in single precision then needs V to be refined
+//! ([`Woodbury::refined`]). Source: Golub and Van Loan, Matrix Computations, 4th ed., section
+//! 2.1.4.
 
 use crate::linear::skyline::{Factor, Number, Skyline, axpy, dot};
 
-/// Most steps of a refinement: each leaves a thousandth or less of the error, if the factor is of any use.
+/// Largest number of steps of a refinement. Larger: more time on a factor that is too far from K.
+/// Smaller: usable factors are refused. With a usable factor, each step leaves a thousandth or less
+/// of the error.
 const MOST_REFINEMENTS: usize = 4;
 
-/// What the last step of a refinement may still change S by, over what is left ([`Woodbury::least_left`]).
+/// Largest change of S by the last step of a refinement, relative to the remainder
+/// [`Woodbury::least_left`]. Larger: a less exact S. Smaller: more steps.
 const REFINED_TO: f64 = 1e-3;
 
-/// `(K - U U')^-1`.
+/// The inverse `(K - U U')^-1`.
 #[derive(Clone, Debug)]
 pub struct Woodbury<T = f64> {
-    /// Of K.
+    /// Factor of K.
     factor: Factor<T>,
     v: Vec<Vec<f64>>,
-    /// Of S.
+    /// Factor of S.
     small: Factor,
 }
 
 impl<T: Number> Woodbury<T> {
-    /// From the factor of K and the columns of U; `None` when `K - U U'` is not positive definite.
+    /// The inverse from the factor of K and the columns of U; `None` if `K - U U'` is not positive
+    /// definite.
     pub fn new(factor: Factor<T>, u: &[Vec<f64>]) -> Option<Self> {
         let v = solutions(&factor, u);
         let small = small(u, &v)?;
         Some(Self { factor, v, small })
     }
 
-    /// The same with a V that the rounding of the factor does not limit where less than `enough` is left of K along the
-    /// directions of U; `product` is K times a vector. `None` also when the factor is too far from K for that.
+    /// The inverse with a refined V. V is refined if less than `enough` is left of K along the
+    /// directions of U, so that the rounding of the factor does not limit it. `product` is K times
+    /// a vector. `None` if `K - U U'` is not positive definite, or if the factor is too far from K
+    /// for a refinement.
     pub fn refined(
         factor: Factor<T>,
         u: &[Vec<f64>],
@@ -65,8 +72,9 @@ impl<T: Number> Woodbury<T> {
         None
     }
 
-    /// The least square of a pivot of S: what the outer products leave of K along the directions of U,
-    /// as a part of it. The less, the more the rounding of the factor of K counts.
+    /// Remainder of K along the directions of U after the outer products, relative to K: the
+    /// smallest square of a pivot of S. The smaller it is, the more the rounding of the factor of K
+    /// counts.
     pub fn least_left(&self) -> f64 {
         self.small.least_pivot()
     }
@@ -90,7 +98,7 @@ fn solutions<T: Number>(factor: &Factor<T>, u: &[Vec<f64>]) -> Vec<Vec<f64>> {
     v
 }
 
-/// The factor of `S = 1 - U' V`.
+/// Factor of `S = 1 - U' V`.
 fn small(u: &[Vec<f64>], v: &[Vec<f64>]) -> Option<Factor> {
     let mut small = Skyline::zeros(vec![0; u.len()]);
     small.fill(|i, row| {
@@ -148,7 +156,7 @@ mod tests {
         }
     }
 
-    /// A factor in single precision alone would not see the 1e-11 that is left here.
+    /// A factor in single precision alone would not resolve the remainder of 1e-11 here.
     #[test]
     fn a_factor_in_single_precision_is_refined() {
         let (k, u, _) = case(1.0);
@@ -172,8 +180,9 @@ mod tests {
             Woodbury::refined(single(), std::slice::from_ref(&u), enough, |x| k.product(x)).unwrap()
         };
         let found = refined(1e-4);
-        // What is left, to what the last step may change it by. The planted part along V is of order 1 and appears in b as
-        // small as what is left, so rounding of 1e-16 in b is 1e-5 of it; that of single precision is far more.
+        // The remainder agrees to the change that the last step may make. The planted part along V
+        // is of order 1 and appears in b as small as the remainder. Rounding of 1e-16 in b is
+        // therefore 1e-5 of it; that of single precision is far more.
         assert!((found.least_left() / left - 1.0).abs() < 1e-3, "{}", found.least_left());
         assert!(error(&found) < 1e-4, "{}", error(&found));
         let alone = Woodbury::new(single(), std::slice::from_ref(&u)).map(|alone| error(&alone));

@@ -1,4 +1,5 @@
-//! Clothoids: curves whose curvature is linear in the arc length, straight lines and circular arcs among them.
+//! Clothoids: curves whose curvature is linear in the arc length. Straight lines and circular arcs
+//! are special cases.
 //!
 //! ```text
 //! theta(s) = kappa_0 s + sigma s^2 / 2                        heading, rad; 0 at s = 0
@@ -6,8 +7,9 @@
 //! q(s) = integral from 0 to s of (cos theta, sin theta)       position, mm                    (1)
 //! ```
 //!
-//! The arc length is exact by construction, and so are heading and curvature; only (1) is a sum. Its integrand solves
-//! `z' = i (kappa_0 + sigma s) z`, so the terms t_n of its power series at s follow from each other:
+//! Arc length, heading and curvature are exact by construction; only (1) is a sum. Its integrand
+//! solves `z' = i (kappa_0 + sigma s) z`, so the terms t_n of its power series at s follow from
+//! each other:
 //!
 //! ```text
 //! q(s) = s sum_n t_n / (n + 1),   t_0 = 1,   (n + 1) t_(n+1) = i (kappa_0 s t_n + sigma s^2 t_(n-1))         (2)
@@ -15,23 +17,28 @@
 //!
 //! Source: the Fresnel integrals, M. Abramowitz and I. Stegun, *Handbook of Mathematical Functions*, 7.3.
 
-/// A bound on the change of the heading where (2) is summed, rad: its terms are then not much larger than the sum, and
-/// no more than a digit of rounding is lost.
+/// Largest bound on the change of heading for which (2) is summed, rad. Larger: the terms exceed
+/// the sum, and more than a digit is lost to rounding. Smaller: the curve is divided into more
+/// steps.
 const MAX_TURN_OF_SERIES_RAD: f64 = 1.5;
 
-/// Terms of (2): with that turn the last one is below `1.5^39 / 39!`, 4e-40, along a circle, and below
-/// `0.75^19 / 19!`, 4e-20, along a clothoid that begins straight, on which only every other term is not 0.
+/// Largest number of terms of (2). Derived: with the turn of [`MAX_TURN_OF_SERIES_RAD`], the last
+/// term is below `1.5^39 / 39!` = 4e-40 on a circle. On a clothoid that begins straight, only every
+/// other term is not 0, and the last one is below `0.75^19 / 19!` = 4e-20. Larger: no change.
+/// Smaller: truncation exceeds rounding.
 const MAX_TERMS: usize = 40;
 
-/// Two terms in turn below this are below the rounding of the sum, and so are all that follow.
+/// Size of a term of (2), relative to the first, below which two terms in a row end the sum.
+/// Larger: truncation exceeds rounding. Smaller: more terms without an effect.
 const NEGLIGIBLE_TERM: f64 = 1e-18;
 
-/// Position (1) at the arc length `s`, mm, in the frame of the start: it begins along the first axis.
+/// Position (1) at the arc length `s`, mm, in the frame of the start; the curve begins along the
+/// first axis.
 pub fn position(curvature: f64, sharpness: f64, s: f64) -> [f64; 2] {
     if curvature == 0.0 && sharpness == 0.0 {
         return [s, 0.0];
     }
-    // With the largest curvature everywhere: a bound for every step.
+    // A bound for every step: the turn at the largest curvature.
     let turn = (curvature.abs() + (sharpness * s).abs()) * s.abs();
     let steps = (turn / MAX_TURN_OF_SERIES_RAD).ceil().max(1.0);
     let step = s / steps;
@@ -46,7 +53,7 @@ pub fn position(curvature: f64, sharpness: f64, s: f64) -> [f64; 2] {
     at
 }
 
-/// (2), mm.
+/// Sum (2), mm.
 fn series(curvature: f64, sharpness: f64, s: f64) -> [f64; 2] {
     let (bend, change) = (curvature * s, sharpness * s * s);
     let (mut before, mut term) = ([0.0; 2], [1.0, 0.0]);
@@ -65,7 +72,7 @@ fn series(curvature: f64, sharpness: f64, s: f64) -> [f64; 2] {
     sum.map(|v| s * v)
 }
 
-/// Heading at the arc length `s` against that of the start, rad.
+/// Heading at the arc length `s` relative to that of the start, rad.
 pub fn heading(curvature: f64, sharpness: f64, s: f64) -> f64 {
     s * (curvature + 0.5 * sharpness * s)
 }

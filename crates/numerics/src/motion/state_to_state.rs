@@ -1,21 +1,21 @@
-//! The motion of two axes from a position and velocity to another, within limits.
+//! Fastest motion of two axes from one position and velocity to another, within limits.
 //!
 //! ```text
 //! per axis  p(0) = p0, p'(0) = v0, p(T) = p1, p'(T) = v1,  |p'| <= V,  |p''| <= A             (1)
 //! ```
 //!
-//! For a given T the velocities that meet (1) but for `p1` are a convex set, and the largest
-//! displacement among them is that of: accelerate by A to `w`, hold, brake by A,
+//! For a given T, the velocities that satisfy (1) except for `p1` are a convex set. The largest
+//! displacement among them is reached by this motion: accelerate by A to `w`, hold, brake by A,
 //!
 //! ```text
 //! w = min(V, (v0 + v1 + A T)/2),   T >= |v1 - v0|/A                                           (2)
 //! d_max = (2 w^2 - v0^2 - v1^2)/(2 A) + w (T - (2 w - v0 - v1)/A)                             (3)
 //! ```
 //!
-//! the smallest that of its mirror image. So an axis can arrive at T if and only if
-//! `d_min <= p1 - p0 <= d_max`, and the mean of both motions with the right weight arrives. The
-//! duration is the smallest that both axes can do, found from below; every T is possible from that
-//! on at which both can stop, move and start again.
+//! The smallest displacement is that of its mirror image. An axis can therefore arrive at T if and
+//! only if `d_min <= p1 - p0 <= d_max`, and a weighted mean of both motions arrives. The result is
+//! the smallest duration that both axes can do, searched from below. Every duration is possible
+//! from the one on in which both axes can stop, move and start again.
 //!
 //! | symbol | variable |
 //! |---|---|
@@ -23,7 +23,7 @@
 //! | p1, v1 | `to` |
 //! | V, A | `max_velocity`, `max_acceleration` |
 
-/// What one axis has to do.
+/// Boundary conditions and limits of one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AxisLink {
     /// Position and velocity at the start.
@@ -36,7 +36,8 @@ pub struct AxisLink {
     pub max_acceleration: f64,
 }
 
-/// A time and, per axis, ascending coefficients of the position in the time since the piece began.
+/// Duration of a piece, and ascending coefficients per axis of the position in the time since its
+/// start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkPiece {
     /// Duration; > 0.
@@ -45,12 +46,13 @@ pub struct LinkPiece {
     pub coefficient: [[f64; 4]; 2],
 }
 
-/// Durations tried between the least and one that is surely possible. A window of possible
-/// durations narrower than one of these steps may be missed: the link is then slower than it
-/// could be by less than the whole range.
+/// Number of durations tried between the smallest conceivable one and one that is surely possible.
+/// Larger: more time. Smaller: a range of possible durations that is narrower than a step can be
+/// missed. The link is then slower than necessary.
 const TRIALS: u32 = 400;
 
-/// Pieces of constant acceleration of both axes; none when nothing has to be done.
+/// Pieces of constant acceleration of both axes; none if both axes are already in their final
+/// state.
 pub fn link(axes: &[AxisLink; 2]) -> Vec<LinkPiece> {
     let duration = least_duration(axes);
     if duration == 0.0 {
@@ -60,7 +62,7 @@ pub fn link(axes: &[AxisLink; 2]) -> Vec<LinkPiece> {
     let mut times: Vec<f64> = profiles.iter().flatten().flat_map(|p| p.corner).collect();
     times.extend([0.0, duration]);
     times.sort_by(f64::total_cmp);
-    // Corners closer than this are one; the velocity differs by less than the rounding of A T.
+    // Corners closer than this are merged. The velocity differs by less than the rounding of A T.
     times.dedup_by(|b, a| *b - *a <= 1e-12 * duration);
     *times.last_mut().expect("it holds 0 and T") = duration;
 
@@ -82,7 +84,7 @@ pub fn link(axes: &[AxisLink; 2]) -> Vec<LinkPiece> {
     pieces
 }
 
-/// The smallest duration that both axes can do.
+/// Smallest duration that both axes can do.
 fn least_duration(axes: &[AxisLink; 2]) -> f64 {
     let possible = |t: f64| axes.iter().all(|axis| axis.can_take(t));
     let low = axes[0].least_for_velocity().max(axes[1].least_for_velocity());
@@ -105,10 +107,11 @@ fn least_duration(axes: &[AxisLink; 2]) -> f64 {
     above
 }
 
-/// Accelerate, hold, brake; or the mirror image.
+/// Motion that accelerates, holds and brakes, or its mirror image.
 #[derive(Clone, Copy, Debug)]
 struct Profile {
-    /// Acceleration before the first corner; its opposite after the second.
+    /// Acceleration before the first corner; the acceleration after the second corner is its
+    /// opposite.
     acceleration: f64,
     corner: [f64; 2],
     displacement: f64,
@@ -133,14 +136,14 @@ impl AxisLink {
         (self.to[1] - self.from[1]).abs() / self.max_acceleration
     }
 
-    /// Brake to rest, move from rest to rest, start.
+    /// Duration of the motion that brakes to rest, moves from rest to rest, and starts again.
     fn stop_and_go(&self) -> f64 {
         let (v, a) = (self.max_velocity, self.max_acceleration);
         let [v0, v1] = [self.from[1], self.to[1]];
         let rest = self.displacement() - (v0 * v0.abs() + v1 * v1.abs()) / (2.0 * a);
         let d = rest.abs();
         let between = if d * a < v * v { 2.0 * (d / a).sqrt() } else { d / v + v / a };
-        // The rounding of the sum must not make it too short.
+        // The factor keeps the rounding of the sum from making the duration too short.
         ((v0.abs() + v1.abs()) / a + between) * (1.0 + 1e-12)
     }
 
@@ -150,7 +153,7 @@ impl AxisLink {
         lowest.displacement <= d && d <= highest.displacement
     }
 
-    /// (2) and (3) mirrored and as they are.
+    /// Profiles by (2) and (3): the mirrored one first, then the direct one.
     fn profiles(&self, duration: f64) -> [Profile; 2] {
         let a = self.max_acceleration;
         [-1.0, 1.0].map(|sign| {
@@ -165,7 +168,7 @@ impl AxisLink {
         })
     }
 
-    /// Part of the highest profile in the motion.
+    /// Weight of the highest profile in the mean of both profiles, 0 to 1.
     fn weight(&self, lowest: &Profile, highest: &Profile) -> f64 {
         let room = highest.displacement - lowest.displacement;
         if room <= 0.0 {

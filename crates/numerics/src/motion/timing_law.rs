@@ -1,55 +1,60 @@
-//! A motion along an arc whose time is a function of the arc length, as cubic pieces in time.
+//! Motion along an arc whose time is a function of the arc length, as cubic pieces in time.
 //!
 //! ```text
 //! t(s) = integral of D ds,  D = dt/ds > 0;   v = 1/D,  a = -D'/D^3
 //! s(u) = s0 + v0 u + (3 ds/h - 2 v0 - v1)/h u^2 + (v0 + v1 - 2 ds/h)/h^2 u^3,  u = t - t(s0)   (1)
 //! ```
 //!
-//! A piece from `s0` to `s1` is the cubic Hermite polynomial (1) with the exact positions, times and
-//! velocities at its ends (`ds = s1 - s0`, `h = t(s1) - t(s0)`). It is halved until it is within
-//! the tolerance of the inverse of t(s), and its velocity and acceleration within the limits. The inverse itself is
-//! not needed: at the time t(s) the true position is s. The error falls with the fourth power of h.
+//! A piece from `s0` to `s1` is the cubic Hermite polynomial (1). Positions, times and velocities
+//! at its ends are exact (`ds = s1 - s0`, `h = t(s1) - t(s0)`). It is halved until it is within the
+//! tolerance of the inverse of t(s), and its velocity and acceleration are within the limits. The
+//! inverse itself is not needed, because at the time t(s) the true position is s. The error falls
+//! with the fourth power of h.
 //!
 //! Source: C. de Boor, *A Practical Guide to Splines*, chapter IV.
 
 use crate::polynomial::{derivative, evaluate, range};
 
-/// One piece of the motion along the arc.
+/// One cubic piece of the motion along the arc.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Piece {
-    /// Arc length at its start.
+    /// Arc length at the start of the piece.
     pub start: f64,
-    /// Arc length at its end.
+    /// Arc length at the end of the piece.
     pub end: f64,
     /// Duration; > 0.
     pub duration: f64,
-    /// Arc length as ascending powers of the time since its start.
+    /// Coefficients of the arc length in ascending powers of the time since the start of the piece.
     pub coefficient: [f64; 4],
 }
 
-/// The pieces, and how far they are from the motion that they stand for.
+/// Pieces, and their distance from the motion that they approximate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fit {
     /// Pieces in order.
     pub pieces: Vec<Piece>,
-    /// Largest distance from the motion at equal times, at 15 places in every piece.
+    /// Largest distance from the motion at equal times, among 15 places in every piece.
     pub largest_error: f64,
 }
 
-/// Places inside a piece where it is compared with the motion.
+/// Number of places inside a piece where it is compared with the motion. Larger: more time.
+/// Smaller: the largest distance can be missed by more. A test allows that 15 places miss it by 5
+/// %.
 const PLACES: u32 = 15;
 
-/// Smallest tolerance that makes sense, mm: a picometre. Below it pieces would be halved for the
-/// rounding of the lengths of a path.
+/// Smallest useful tolerance of a fit, mm: a picometre. Smaller: pieces are halved because of the
+/// rounding of path lengths. Larger: fine fits are refused.
 pub const LEAST_TOLERANCE_MM: f64 = 1e-9;
 
-/// Most halvings of an interval: the error falls by 16 with each, 3e14 in all, so rounding comes first.
+/// Largest number of halvings of an interval. Each halving divides the error by 16, which is 3e14
+/// for 12. Larger: no change, because rounding comes first. Smaller: a piece can stay outside the
+/// tolerance.
 const MAX_HALVINGS: u32 = 12;
 
-/// Fits the motion with the time `time(s)` and its derivative `density(s)` on the intervals
-/// between consecutive `breaks` (ascending, strictly), to `tolerance` in arc length and within
-/// `max_velocity` and `max_acceleration` along the arc (infinite when they do not matter), which the
-/// motion itself should leave some room.
+/// Fits the motion with the time `time(s)` and its derivative `density(s)` on the intervals between
+/// consecutive `breaks` (strictly ascending). The fit is within `tolerance` in arc length, and
+/// within `max_velocity` and `max_acceleration` along the arc (infinite if there is no limit). The
+/// motion itself should stay somewhat below both limits.
 pub fn fit(
     time: impl Fn(f64) -> f64,
     density: impl Fn(f64) -> f64,
@@ -80,7 +85,7 @@ pub fn fit(
     fit
 }
 
-/// (1).
+/// Piece (1) from `start` to `end`.
 fn hermite(time: impl Fn(f64) -> f64, density: impl Fn(f64) -> f64, start: f64, end: f64) -> Piece {
     let (ds, h) = (end - start, time(end) - time(start));
     let (v0, v1) = (1.0 / density(start), 1.0 / density(end));
@@ -98,7 +103,8 @@ fn largest_error(time: impl Fn(f64) -> f64, piece: &Piece) -> f64 {
     (1..=PLACES).map(error).fold(0.0, f64::max)
 }
 
-/// The acceleration is linear in time: its largest magnitude is at an end.
+/// Largest magnitude of the acceleration. It is at an end, because the acceleration is linear in
+/// time.
 fn end_acceleration(piece: &Piece) -> f64 {
     let [_, _, c2, c3] = piece.coefficient;
     (2.0 * c2).abs().max((2.0 * c2 + 6.0 * c3 * piece.duration).abs())

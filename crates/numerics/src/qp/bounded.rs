@@ -4,14 +4,14 @@
 //! min 1/2 t' H t - g' t   subject to   lo <= t <= hi,   H symmetric positive definite     (1)
 //! ```
 //!
-//! Three algorithms, one certificate. With the gradient `q = H t - g`, `t` is the solution if and
-//! only if every component stays where it is under a projected step; the *natural residual*
+//! There are three algorithms and one certificate. With the gradient `q = H t - g`, `t` is the
+//! solution if and only if no component moves in a projected step. The *natural residual*
 //!
 //! ```text
 //! max_j | t_j - clip(t_j - q_j / H_jj, lo_j, hi_j) |                                      (2)
 //! ```
 //!
-//! is zero there, and says by how much a component would still move.
+//! is zero there. Elsewhere it is the largest move of a component in such a step.
 
 use crate::linear::{
     power::power_method,
@@ -19,23 +19,31 @@ use crate::linear::{
     woodbury::Woodbury,
 };
 
-/// Steps of the power method for the largest eigenvalue that bounds the steps of
-/// [`projected_gradient`].
+/// Number of steps of the power method for the largest eigenvalue, which bounds the steps of
+/// [`projected_gradient`]. Larger: more products. Smaller: a lower estimate, so that
+/// [`EIGENVALUE_MARGIN`] may not cover its error.
 const POWER_STEPS: usize = 40;
 
-/// By how much that estimate, which is a lower bound, is raised to be an upper one.
+/// Factor on the estimate of the largest eigenvalue, which is a lower bound, to make it an upper
+/// one. Larger: shorter steps. Smaller: steps that are too long, so that the iteration may diverge.
 const EIGENVALUE_MARGIN: f64 = 1.02;
 
-/// Steps after which [`projected_gradient`] looks whether it has ended: a look costs a product.
+/// Number of steps of [`projected_gradient`] between two tests of convergence. A test costs a
+/// product. Larger: more steps than necessary. Smaller: more tests.
 const STEPS_BETWEEN_LOOKS: usize = 50;
 
-/// Gradient steps that make progress where an active set method has failed.
+/// Number of gradient steps for a caller to do after an active set method has failed. Larger: more
+/// time. Smaller: less progress.
 pub const DESCENT_STEPS: usize = 300;
 
-/// Products after which [`conjugate_gradients`] has come down to the rounding of its coarse solutions.
+/// Number of products without a smaller residual after which [`conjugate_gradients`] has reached
+/// the rounding of its coarse solutions and ends. Larger: more products without an effect. Smaller:
+/// it ends in a plateau.
 const PRODUCTS_WITHOUT_PROGRESS: usize = 60;
 
-/// Factorisations without a smaller natural residual after which [`active_set`] is cycling.
+/// Number of factorisations without a smaller natural residual after which [`active_set`] is
+/// cycling. Larger: more factorisations of a cycle. Smaller: the slow rule of single components
+/// begins without need.
 const CYCLING_AFTER: usize = 10;
 
 /// `H = K - U U'`: a skyline matrix less a few outer products.
@@ -48,7 +56,7 @@ pub struct Quadratic {
 }
 
 impl Quadratic {
-    /// `H t`.
+    /// Product `H t`.
     pub fn product(&self, t: &[f64]) -> Vec<f64> {
         let mut h_t = self.k.product(t);
         for u in &self.u {
@@ -64,10 +72,10 @@ impl Quadratic {
         (0..self.k.len()).map(of).collect()
     }
 
-    /// x of `H_II x = r` with I = `keep`; `None` when H_II is not positive definite.
+    /// Solution x of `H_II x = r` with I = `keep`; `None` if H_II is not positive definite.
     fn solve(&self, keep: &[usize], mut r: Vec<f64>, last: &mut LastFactor) -> Option<Vec<f64>> {
         if last.0.as_ref().is_none_or(|(of, _)| of != keep) {
-            // One factor at a time.
+            // The last factor is dropped first, so that only one is in memory.
             last.0 = None;
             let factor = self.k.principal(keep).factorise()?;
             let u: Vec<Vec<f64>> =
@@ -79,36 +87,36 @@ impl Quadratic {
     }
 }
 
-/// The set I that [`active_set`] solved for last and the factor of H_II, for the next g with the same H: where one
-/// solution is corrected by another, the free components are soon the same ones again.
+/// The last set I that [`active_set`] solved for and the factor of H_II, for another g with the
+/// same H. If one solution is corrected by another, the free components are soon the same again.
 #[derive(Debug, Default)]
 pub struct LastFactor(Option<(Vec<usize>, Woodbury)>);
 
 /// A candidate solution of (1).
 #[derive(Clone, Debug)]
 pub struct Solution {
-    /// t.
+    /// Candidate t.
     pub value: Vec<f64>,
-    /// (2).
+    /// Natural residual (2).
     pub natural_residual: f64,
-    /// Sets of free components, products, or gradient steps.
+    /// Number of iterations: sets of free components, products, or gradient steps.
     pub iterations: usize,
-    /// Why the iteration ended.
+    /// Reason why the iteration ended.
     pub end: End,
 }
 
-/// Why an iteration ended.
+/// Reason why an iteration ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     /// The natural residual is within the tolerance.
     Optimal,
-    /// The monitored value changes no more.
+    /// The monitored value no longer changes.
     Stagnated,
     /// The allowed iterations are used up.
     IterationLimit,
 }
 
-/// (2) over the components with H_jj > 0.
+/// Natural residual (2) over the components with H_jj > 0.
 pub fn natural_residual(
     t: &[f64],
     gradient: &[f64],
@@ -124,14 +132,14 @@ pub fn natural_residual(
 
 /// Primal-dual active set method for an H that can be factorised.
 ///
-/// Source: Hintermueller, Ito, Kunisch, SIAM J. Optim. 13 (2002) 865, algorithm of section 2. The sets of
-/// components at a bound are guessed from `t - q / c`, the others solved for; where the sets
-/// repeat, (2) holds to rounding. It may cycle: then the guess changes one component at a time
-/// (the one of largest index, Murty's rule), which ends.
+/// Source: Hintermueller, Ito, Kunisch, SIAM J. Optim. 13 (2002) 865, algorithm of section 2. The
+/// sets of components at a bound are guessed from `t - q / c`, and the other components are solved
+/// for. If the sets repeat, (2) is zero to rounding. The method may cycle. Then the guess changes
+/// one component at a time (the one of largest index, Murty's rule), which ends.
 ///
-/// `start` is a first guess: its components at a bound are the first sets. It ends at the latest when
-/// the sets repeat, and as soon as (2) is below `enough`. `last` is of the same H, or empty.
-/// `None` when H is not positive definite.
+/// The components of `start` at a bound are the first sets. The method ends when the sets repeat,
+/// or as soon as (2) is below `enough`. `last` is of the same H, or empty. `None` if H is not
+/// positive definite.
 pub fn active_set(
     h: &Quadratic,
     g: &[f64],
@@ -189,7 +197,7 @@ pub fn active_set(
             break;
         }
         if without_progress >= CYCLING_AFTER {
-            // Cycling: change only the last component that wants to.
+            // Cycling: change only the last component whose place differs from the wanted one.
             if let Some(j) = (0..n).rev().find(|j| wanted[*j] != state[*j]) {
                 state[j] = wanted[j];
             }
@@ -200,7 +208,7 @@ pub fn active_set(
     best
 }
 
-/// Where a component stands.
+/// Place of a component: free, or at a bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Place {
     Free,
@@ -209,7 +217,7 @@ enum Place {
 }
 
 impl Place {
-    /// Where a component goes that aims at a value.
+    /// Place of a component whose target is the value `aim`.
     fn of(aim: f64, lo: f64, hi: f64) -> Self {
         match aim {
             aim if aim < lo => Self::Low,
@@ -220,17 +228,17 @@ impl Place {
     }
 }
 
-/// The nearest point within the bounds.
+/// Nearest point within the bounds.
 pub fn clip(t: &[f64], lo: &[f64], hi: &[f64]) -> Vec<f64> {
     (0..t.len()).map(|j| t[j].clamp(lo[j], hi[j])).collect()
 }
 
-/// H t - g.
+/// Gradient H t - g.
 fn gradient(h: &Quadratic, g: &[f64], t: &[f64]) -> Vec<f64> {
     h.product(t).iter().zip(g).map(|(h, g)| h - g).collect()
 }
 
-/// Bound components at their bounds, the others where their gradient vanishes.
+/// The point with the bound components at their bounds, and a zero gradient of the free ones.
 fn solve_free(
     h: &Quadratic,
     g: &[f64],
@@ -258,44 +266,46 @@ fn solve_free(
     Some(t)
 }
 
-/// When [`active_set_by_products`] ends.
+/// Conditions for the end of [`active_set_by_products`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProductSettings {
     /// Natural residual to reach.
     pub enough: f64,
-    /// Error of a linear solve over its step, both in the norm of H, that is enough.
+    /// Largest error of a linear solve, relative to its step, both in the norm of H.
     pub inexact: f64,
-    /// Most sets.
+    /// Largest number of sets.
     pub max_sets: usize,
-    /// Most products within linear solves.
+    /// Largest number of products within linear solves.
     pub max_products: usize,
 }
 
-/// What speeds up conjugate gradients on the free components: the exact solution in a coarse space V,
-/// and a cheap one for what is left.
+/// Acceleration of conjugate gradients on the free components: the exact solution in a coarse space
+/// V, and an approximate one for the remainder.
 pub trait Deflation {
-    /// `V (V' H V)^-1 V' r`, of the free components alone.
+    /// Product `V (V' H V)^-1 V' r` on the free components.
     fn coarse(&self, r: &[f64]) -> Vec<f64>;
-    /// An approximate inverse of H_II times r, for r orthogonal to V.
+    /// Product of an approximate inverse of H_II and r, for r orthogonal to V.
     fn smooth(&self, r: &[f64]) -> Vec<f64>;
 }
 
-/// What [`active_set_by_products`] found.
+/// Result of [`active_set_by_products`].
 #[derive(Clone, Debug)]
 pub struct ProductSolution {
-    /// Where (1) was least.
+    /// The point with the smallest value of (1).
     pub solution: Solution,
-    /// The least of (1) over the free components of the last set, without their bounds; the others are at theirs.
+    /// The minimiser of (1) over the free components of the last set, without their bounds; the
+    /// others are at their bounds.
     pub unbounded: Vec<f64>,
-    /// The free components of the last set.
+    /// Flags of the free components of the last set.
     pub free: Vec<bool>,
 }
 
-/// [`active_set`] for an H that can only be applied: the free components are found by conjugate gradients,
-/// which `deflation(free)` speeds up.
+/// Method [`active_set`] for an H that can only be applied. Conjugate gradients solve for the free
+/// components, and `deflation(free)` accelerates them.
 ///
-/// `apply(t)` is H t; components with H_jj <= 0 stay at `start`. The result has the least value of
-/// (1) that was met, `start` included. It ends when the sets repeat or (2) is small enough.
+/// `apply(t)` is H t; components with H_jj <= 0 stay at `start`. The result is the point with the
+/// smallest value of (1) during the iteration, `start` included. The method ends when the sets
+/// repeat or (2) is small enough.
 pub fn active_set_by_products<D: Deflation>(
     apply: impl Fn(&[f64]) -> Vec<f64>,
     mut deflation: impl FnMut(&[bool]) -> D,
@@ -383,15 +393,16 @@ pub fn active_set_by_products<D: Deflation>(
     ProductSolution { solution, unbounded: x, free }
 }
 
-/// Deflated conjugate gradients for `q_I = 0` by the free components of t; q is the gradient at t, of
-/// all components. With `Q = V (V' H V)^-1 V'` and the smoother S,
+/// Solves `q_I = 0` for the free components of t by deflated conjugate gradients; q is the gradient
+/// at t, of all components. With `Q = V (V' H V)^-1 V'` and the smoother S,
 ///
 /// ```text
 /// t += Q r,   z = S r + Q (r - H S r)        then the residuals r stay orthogonal to V
 /// ```
 ///
 /// Source: J. M. Tang, R. Nabben, C. Vuik, Y. A. Erlangga, J. Sci. Comput. 39 (2009) 340, method A-DEF2.
-/// Ends where `r' z <= inexact^2 * (fall so far)`, or falls no more, with the number of products.
+/// Ends if `r' z <= inexact^2 * (decrease of (1) so far)`, or if `r' z` no longer falls. Returns
+/// the number of products.
 pub fn conjugate_gradients(
     apply: &impl Fn(&[f64]) -> Vec<f64>,
     deflation: &impl Deflation,
@@ -449,17 +460,17 @@ pub fn conjugate_gradients(
     products
 }
 
-/// When an accelerated projected gradient iteration ends.
+/// Conditions for the end of an accelerated projected gradient iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GradientSettings {
     /// Natural residual to reach.
     pub tolerance: f64,
-    /// Most steps.
+    /// Largest number of steps.
     pub max_iterations: usize,
-    /// Ends when the objective plus `offset` falls by less than this fraction between two
-    /// looks, 50 steps apart.
+    /// The iteration ends if the objective plus `offset` falls by less than this fraction between
+    /// two tests, 50 steps apart.
     pub stagnation: f64,
-    /// What makes the objective of (1) the sum of squares that it stands for.
+    /// Constant that completes the objective of (1) to a sum of squares.
     pub offset: f64,
 }
 
@@ -475,8 +486,8 @@ pub struct GradientSettings {
 /// theta+ = (1 + sqrt(1 + 4 theta^2)) / 2,   y = t+ + (theta - 1)/theta+ (t+ - t)
 /// ```
 ///
-/// `apply(t)` is H t; `diagonal` its diagonal (components with H_jj <= 0 stay at `lo`);
-/// `start` a first guess.
+/// `apply(t)` is H t, and `diagonal` its diagonal (components with H_jj <= 0 stay at `lo`). `start`
+/// is a first guess.
 pub fn projected_gradient(
     apply: impl Fn(&[f64]) -> Vec<f64>,
     diagonal: &[f64],
@@ -538,7 +549,7 @@ pub fn projected_gradient(
     }
 }
 
-/// Largest eigenvalue of S H S, S = diag(H)^-1/2; 1 where there is nothing.
+/// Estimate of the largest eigenvalue of S H S, S = diag(H)^-1/2; 1 if H is zero.
 fn largest_eigenvalue(apply: &impl Fn(&[f64]) -> Vec<f64>, diagonal: &[f64]) -> f64 {
     let scale: Vec<f64> =
         diagonal.iter().map(|d| if *d > 0.0 { d.sqrt().recip() } else { 0.0 }).collect();
@@ -562,7 +573,7 @@ mod tests {
         (a.t().dot(&a) + ridge * Array2::<f64>::eye(n), g)
     }
 
-    /// H as it is, and as a fuller matrix less two outer products.
+    /// H in two forms: without outer products, and as a fuller matrix less two of them.
     fn forms(h: &Array2<f64>) -> [Quadratic; 2] {
         let n = h.nrows();
         let u: Vec<Vec<f64>> = (1..3_u32)

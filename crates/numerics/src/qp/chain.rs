@@ -1,4 +1,4 @@
-//! Convex quadratic programs on a chain, where every bound couples two neighbours at most:
+//! Convex quadratic programs on a chain, in which every bound couples at most two neighbours:
 //!
 //! ```text
 //! min 1/2 x' P x - c' x + p' e                                                          (1)
@@ -6,7 +6,8 @@
 //! ```
 //!
 //! `P` is tridiagonal and positive definite; `x_i` and `x_{i+1}` are the ends of link `i`. Without
-//! prices `p` there is no `e` and the rows are hard; with them a row may be exceeded by `k e_i`.
+//! prices `p` there is no `e`, and the rows are hard. With prices, `k e_i` is the allowed excess
+//! over the bound of a row.
 //!
 //! The method is Mehrotra's predictor-corrector interior point method (SIAM J. Optim. 2 (1992)
 //! 575). With the slacks `s = b - G x`, the multipliers `l` and `D = diag(l / s)`, a step solves
@@ -17,20 +18,20 @@
 //! predictor: t = 0;   corrector: t = (sigma mu - ds dl) / s  with ds, dl of the predictor
 //! ```
 //!
-//! (`s (l + dl) + l ds = s t`: the complementarity that the step aims at), and since a row couples
-//! neighbours only, the matrix of (2) is tridiagonal: time and memory of an iteration are
-//! proportional to the length of the chain. The `e_i` of a link is eliminated within the link; what
-//! is left is a sum of squares again, without a difference,
+//! (`s (l + dl) + l ds = s t` is the target of the complementarity.) Since a row couples neighbours
+//! only, the matrix of (2) is tridiagonal. Time and memory of an iteration are therefore
+//! proportional to the length of the chain. The `e_i` of a link is eliminated within the link. The
+//! remainder is a sum of squares again, without a difference,
 //!
 //! ```text
 //! sum_j D_j (a_j - k_j m) (a_j - k_j m)',   m = sum_j D_j k_j a_j / sum_j D_j k_j^2      (3)
 //! ```
 //!
-//! A long chain does not fit the caches, so an iteration goes over it four times and no more: there
-//! (residual, factorisation, right-hand side) and back (substitution) for the predictor, and the
-//! same for the corrector; `r_p` and the predictor's `ds`, `dl` are computed again where they are
+//! A long chain does not fit into the caches, so an iteration passes over it only four times.
+//! Predictor and corrector take two passes each: forward (residual, factorisation, right-hand side)
+//! and back (substitution). `r_p` and the predictor's `ds`, `dl` are computed again where they are
 //! needed. The chain is eliminated from both ends towards the node in its middle, one half per
-//! thread; the halves are the same on one thread, and so are their bytes.
+//! thread. The halves are the same on one thread, so the result is identical to the last bit.
 
 use std::ops::Range;
 
@@ -45,33 +46,33 @@ pub struct Program {
     pub beside: Vec<f64>,
     /// c (n).
     pub linear: Vec<f64>,
-    /// Whether the variable is free (n); the others are zero.
+    /// Flags of the free variables (n); the other variables are zero.
     pub free: Vec<bool>,
-    /// p (n-1), > 0; or empty: the rows are hard.
+    /// Prices p (n-1), > 0; empty if the rows are hard.
     pub price: Vec<f64>,
 }
 
-/// The rows of a half of the chain, in units of y and with a largest coefficient of 1. Rows without
-/// coefficients vanish.
+/// Rows of a half of the chain, in units of y and with a largest coefficient of 1. Rows without
+/// coefficients are left out.
 #[derive(Debug)]
 pub struct Rows {
     row: Vec<Row>,
-    /// k of the rows; empty where they are hard.
+    /// Coefficients k of the rows; empty if the rows are hard.
     slack: Vec<f64>,
     /// Number of rows up to the end of link k.
     end: Vec<usize>,
     elastic: bool,
-    /// Whether links and their ends are in descending order.
+    /// True if links and their ends are in descending order.
     up: bool,
-    /// w of the present link's ends.
+    /// Scales w of both ends of the present link.
     w: [f64; 2],
-    /// A row without coefficients has a bound below zero.
+    /// True if a row without coefficients has a bound below zero.
     infeasible: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Row {
-    /// Of the outer end of the link, and of the inner one.
+    /// Coefficients of the outer and of the inner end of the link.
     a: [f64; 2],
     bound: f64,
 }
@@ -107,7 +108,7 @@ impl Rows {
     }
 }
 
-/// Why there is no solution.
+/// Reason why there is no solution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Failure {
     /// The rows contradict each other: some `l >= 0` has `G' l = 0` and `b' l < 0`.
@@ -116,25 +117,31 @@ pub enum Failure {
     NotConverged,
 }
 
-/// r_p and mean complementarity at the end, in units in which P has a unit diagonal and the
-/// largest linear term is 1. The error of y at a row that is only just active is its root.
+/// Largest r_p and mean complementarity at the end, in units in which P has a unit diagonal and the
+/// largest linear term is 1. Larger: a less exact solution; at a row that is barely active, the
+/// error of y is the square root of it. Smaller: rounding prevents convergence.
 const TOLERANCE: f64 = 1e-14;
 
-/// r_d at the end, an error of the same size in y. Its rounding is that of `D r`, where D is up to
-/// 1 / [`TOLERANCE`] at an active row.
+/// Largest r_d at the end, in the same units. It causes an error of the same size in y. Larger: a
+/// less exact solution. Smaller: the iteration does not end, because r_d has the rounding of `D r`,
+/// where D is up to 1 / [`TOLERANCE`] at an active row.
 const DUAL_TOLERANCE: f64 = 1e-9;
 
-/// What r_p and the complementarity may be where rounding ends the iteration early.
+/// Largest r_p and complementarity at which the iteration may end early, when rounding prevents
+/// more. Larger: a less exact solution is accepted. Smaller: more programs fail.
 const EARLY_END_TOLERANCE: f64 = 1e-9;
 
-/// Most iterations. Programs of 1e6 links take 7 to 40.
+/// Largest number of iterations. Programs of 1e6 links take 7 to 40. Larger: more time before a
+/// failure. Smaller: programs fail that would converge.
 const MAX_ITERATIONS: usize = 150;
 
-/// Links below which a second thread costs more than it saves.
+/// Smallest number of links at which a second thread is a gain. Larger: one thread for longer
+/// chains. Smaller: the overhead of the thread exceeds its gain. It does not change the result.
 const MIN_LINKS_PER_THREAD: usize = 2048;
 
-/// x of (1), where `rows` adds the rows of a link, in any order, but always the same. The program
-/// is scaled in place: a copy of a long one would take as long as an iteration.
+/// Solution x of (1). `rows` adds the rows of a link, in any order, but in the same order at every
+/// call. The program is scaled in place, because a copy of a long one would take as long as an
+/// iteration.
 pub fn solve(
     mut program: Program,
     rows: impl Fn(usize, &mut Rows) + Sync,
@@ -151,10 +158,10 @@ pub fn solve(
 }
 
 impl Program {
-    /// (1) in the variables y, x = w y: a diagonal all the same, 1 without prices; a largest linear
-    /// term of 1; the objective divided so that no price is above 1. Variables that are not free
-    /// have no coefficient but the one on the diagonal. Returns w and the diagonal; `diagonal` is
-    /// empty afterwards.
+    /// Scales (1) to the variables y, x = w y. Then all diagonal elements are equal (1 without
+    /// prices), the largest linear term is 1, and the objective is divided so that no price is
+    /// above 1. Variables that are not free have only their diagonal coefficient. Returns w and the
+    /// diagonal; `diagonal` is empty afterwards.
     fn scale(&mut self) -> (Vec<f64>, f64) {
         // w_i = unit / sqrt(P_ii)
         let mut w = std::mem::take(&mut self.diagonal);
@@ -182,42 +189,42 @@ impl Program {
     }
 }
 
-/// What is known of a variable.
+/// State of a variable.
 #[derive(Clone, Copy, Default)]
 struct Node {
     y: f64,
-    /// On the way there, the right-hand side of (2), eliminated and divided by the pivot; on the way
-    /// back the step.
+    /// In the forward pass: the right-hand side of (2), eliminated and divided by the pivot. In the
+    /// backward pass: the step.
     dy: f64,
-    /// 1 / D_ii of L D L'.
+    /// Inverse 1 / D_ii of the pivot of L D L'.
     inverse: f64,
-    /// L of the next node towards the middle.
+    /// Element of L at the next node towards the middle.
     below: f64,
 }
 
-/// s and l, or their steps.
+/// Slack s and multiplier l of a row, or their steps.
 #[derive(Clone, Copy, Default)]
 struct Pair {
     s: f64,
     l: f64,
 }
 
-/// A row on the way of a step.
+/// Values of a row during a step.
 struct RowStep {
     a: [f64; 2],
     slack: f64,
     s: f64,
     l: f64,
-    /// Of r_p.
+    /// Element of r_p.
     primal: f64,
     ds: f64,
 }
 
-/// The e of a link.
+/// State of the e of a link.
 #[derive(Clone, Copy, Default)]
 struct Excess {
     e: f64,
-    /// Right-hand side, then step.
+    /// Right-hand side in the forward pass, step in the backward pass.
     de: f64,
     /// m of (3).
     mean: [f64; 2],
@@ -225,16 +232,16 @@ struct Excess {
     inverse: f64,
 }
 
-/// What an elimination has left to the next node towards the middle.
+/// Contributions of an elimination to the next node towards the middle.
 #[derive(Clone, Copy, Default)]
 struct Carry {
-    /// To its pivot.
+    /// Contribution to its pivot.
     pivot: f64,
-    /// To its right-hand side.
+    /// Contribution to its right-hand side.
     right: f64,
-    /// To c - P y.
+    /// Contribution to its c - P y.
     gradient: f64,
-    /// To G' l.
+    /// Contribution to its G' l.
     multipliers: f64,
 }
 
@@ -249,14 +256,14 @@ impl Carry {
     }
 }
 
-/// What decides on the end.
+/// Residuals that decide whether the iteration ends.
 #[derive(Clone, Copy, Default)]
 struct Residual {
-    /// Sum, then mean, of the complementarity.
+    /// Sum, and later the mean, of the complementarity.
     mu: f64,
     /// Largest |r_d| = |P y - c + G' l|.
     largest_dual: f64,
-    /// Largest |r_p|, then of that and mu.
+    /// Largest |r_p|, and later the larger of that and mu.
     largest: f64,
     /// -b' l.
     gain: f64,
@@ -282,19 +289,19 @@ impl Residual {
         self.largest <= tolerance && self.largest_dual <= DUAL_TOLERANCE.max(tolerance)
     }
 
-    /// Whether the multipliers prove that no point satisfies hard rows: any y with G y <= b has
-    /// `-gain >= (G' l) . y >= -largest |y|_1`, it would be huge.
+    /// Returns true if the multipliers prove that no point satisfies the hard rows. A point y with
+    /// G y <= b would have `-gain >= (G' l) . y >= -largest |y|_1`, so it would be huge.
     fn is_infeasible(&self) -> bool {
         self.gain > 1e-9 * self.total && self.largest_multipliers < 1e-10 * self.gain
     }
 }
 
-/// How far a step may go, and what becomes of the complementarity.
+/// Longest step, and its effect on the complementarity.
 #[derive(Clone, Copy, Default)]
 struct Reach {
     /// Largest -ds / s or -dl / l: the inverse of the longest step.
     inverse: f64,
-    /// Of the predictor: sum of -ds dl.
+    /// Sum of -ds dl of the predictor.
     product: f64,
 }
 
@@ -305,7 +312,7 @@ impl Reach {
     }
 }
 
-/// The larger; NaN is the largest of all.
+/// The larger number; NaN counts as the largest.
 fn worse(a: f64, b: f64) -> f64 {
     if a >= b || a.is_nan() { a } else { b }
 }
@@ -313,12 +320,12 @@ fn worse(a: f64, b: f64) -> f64 {
 /// A scaled program.
 struct Chain<'a, const ELASTIC: bool> {
     program: &'a Program,
-    /// P_ii.
+    /// Diagonal element P_ii.
     diagonal: f64,
 }
 
 impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
-    /// w y.
+    /// Solution w y.
     fn solve(
         &self,
         mut w: Vec<f64>,
@@ -337,7 +344,7 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
         }
         let m = low.rows.row.len() + high.rows.row.len();
         let linear = self.program.linear[middle];
-        /// Both halves, by two threads where that is worth it.
+        /// Runs a method on both halves, by two threads if that is a gain.
         macro_rules! both {
             ($method:ident($($argument:expr),*)) => {
                 if n < MIN_LINKS_PER_THREAD {
@@ -348,7 +355,7 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
             };
         }
 
-        // The free minimiser is a good start.
+        // The minimiser without rows is a good start.
         let (a, b) = both!(eliminate_free());
         let c = a.plus(b);
         let (mut y, mut dy) = ((linear + c.right) / (diagonal + c.pivot), 0.0);
@@ -392,8 +399,8 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
             // sum (s + a ds) (l + a dl) = sum s l (1 - a) + a^2 sum ds dl
             let after = r.mu * (1.0 - a) - a * a * reach.product / m as f64;
             let sigma = (after / r.mu).max(0.0).powi(3);
-            // Corrector. Where mu did not fall the second-order term can make the iteration go in
-            // circles: then a step towards the centre without it.
+            // Corrector. If mu did not fall, the second-order term can make the iteration cycle.
+            // Then a step towards the centre without that term is taken.
             let (second, sigma) = if r.mu < 0.9 * lowest { (1.0, sigma) } else { (0.0, 0.3) };
             lowest = lowest.min(r.mu);
             let (a, b) = both!(eliminate_corrector(second, sigma * r.mu, y, dy));
@@ -416,18 +423,18 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
     }
 }
 
-/// The links from an end of the chain to its middle. Link k joins node k and node k + 1, counted
-/// from the end; node k + 1 of the last link is the middle.
+/// Links from an end of the chain to its middle. Link k joins node k and node k + 1, counted from
+/// the end. Node k + 1 of the last link is the middle.
 struct Half<'a, const ELASTIC: bool> {
     program: &'a Program,
-    /// P_ii.
+    /// Diagonal element P_ii.
     diagonal: f64,
-    /// Whether this is the half of the last nodes.
+    /// True if this is the half with the last nodes.
     up: bool,
     rows: Rows,
     node: Vec<Node>,
     at: Vec<Pair>,
-    /// t of the corrector in `l` before its way back.
+    /// Steps; before the backward pass of the corrector, `l` contains its t.
     step: Vec<Pair>,
     excess: Vec<Excess>,
 }
@@ -474,7 +481,7 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         self.node.len()
     }
 
-    /// c of the outer node of link k, and P of its two.
+    /// Linear term c of the outer node of link k, and the element of P between both nodes.
     fn terms(&self, k: usize) -> (f64, f64) {
         let Program { linear, beside, .. } = self.program;
         if self.up {
@@ -489,13 +496,13 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         price[if self.up { price.len() - 1 - k } else { k }]
     }
 
-    /// Coefficients of the outer and of the inner node, k and the bound.
+    /// Coefficients of the outer and of the inner node, k and the bound of row j.
     fn row(&self, j: usize) -> ([f64; 2], f64, f64) {
         let Row { a, bound } = self.rows.row[j];
         (a, if ELASTIC { self.rows.slack[j] } else { 0.0 }, bound)
     }
 
-    /// P y = c towards the middle.
+    /// Eliminates P y = c towards the middle.
     fn eliminate_free(&mut self) -> Carry {
         let mut carry = Carry::default();
         for k in 0..self.links() {
@@ -511,7 +518,7 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         carry
     }
 
-    /// y by substitution from the middle, and slacks and multipliers to begin with.
+    /// Computes y by substitution from the middle, and the first slacks and multipliers.
     fn start(&mut self, middle: f64) {
         let mut y1 = middle;
         for k in (0..self.links()).rev() {
@@ -527,8 +534,8 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         }
     }
 
-    /// Goes the fraction `length` of the step; the residuals there; (2) of the predictor towards the
-    /// middle.
+    /// Moves by the fraction `length` of the step, computes the residuals there, and eliminates (2)
+    /// of the predictor towards the middle.
     fn advance_and_eliminate(&mut self, length: f64, middle: f64) -> (Carry, Residual) {
         let (mut carry, mut r) = (Carry::default(), Residual::default());
         let go = |node: &mut Node| {
@@ -578,7 +585,7 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
                     excess.mean[1] += d * slack * a[1];
                     square += d * slack * slack;
                     right_e += slack * d * primal;
-                    // For the loop below.
+                    // The loop below uses these values.
                     *step = Pair { s: primal, l: d };
                 } else {
                     pivot[0] += d * a[0] * a[0];
@@ -626,7 +633,7 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         (carry, r)
     }
 
-    /// Step of node k and of its link by substitution.
+    /// Step of node k and of its link by substitution; returns the step of the node.
     fn substitute(&mut self, k: usize, dy1: f64) -> f64 {
         let node = &mut self.node[k];
         node.dy -= node.below * dy1;
@@ -640,13 +647,13 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         dy0
     }
 
-    /// e and its step.
+    /// Excess e of link k and its step.
     fn excess_of(&self, k: usize) -> (f64, f64) {
         if ELASTIC { (self.excess[k].e, self.excess[k].de) } else { (0.0, 0.0) }
     }
 
-    /// Coefficients of row j, its s and l, r_p, and ds of a step; y, e and their steps are those of its
-    /// link.
+    /// Values of row j during a step: coefficients, s and l, r_p, and ds. The arguments are y, e
+    /// and their steps of its link.
     #[inline(always)]
     fn step_of(&self, j: usize, y: [f64; 2], dy: [f64; 2], (e, de): (f64, f64)) -> RowStep {
         let (a, slack, bound) = self.row(j);
@@ -656,7 +663,7 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         RowStep { a, slack, s, l, primal, ds }
     }
 
-    /// The predictor back from the middle.
+    /// Substitutes the predictor from the middle outwards.
     fn predict(&mut self, middle: f64, step: f64) -> Reach {
         let mut reach = Reach::default();
         let (mut y1, mut dy1) = (middle, step);
@@ -675,7 +682,7 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         reach
     }
 
-    /// (2) of the corrector towards the middle.
+    /// Eliminates (2) of the corrector towards the middle.
     fn eliminate_corrector(&mut self, second: f64, sigma_mu: f64, middle: f64, step: f64) -> Carry {
         let mut carry = Carry::default();
         let of = |node: Option<&Node>| node.map_or((middle, step), |node| (node.y, node.dy));
@@ -717,7 +724,7 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         carry
     }
 
-    /// The corrector back from the middle.
+    /// Substitutes the corrector from the middle outwards.
     fn correct(&mut self, middle: f64, step: f64) -> Reach {
         let mut reach = Reach::default();
         let (mut y1, mut dy1) = (middle, step);
@@ -799,7 +806,7 @@ mod tests {
         Case { program: Program { diagonal, beside, linear, free, price }, rows }
     }
 
-    /// The same by a general conic solver.
+    /// Solution of the same program by a general conic solver.
     fn clarabel(Case { program, rows: bounds }: &Case) -> Option<Vec<f64>> {
         let (n, elastic) = (program.diagonal.len(), !program.price.is_empty());
         let variables = n + program.price.len();
@@ -884,8 +891,8 @@ mod tests {
         tight.rows[0].bound = 3.0;
         let x = tight.solve().unwrap();
         assert!((x[1] - 1.5).abs() < 1e-11 && (x[2] - 1.5).abs() < 1e-11, "{x:?}");
-        // At a price of 1 the row x1 + x2 - e <= 3 is kept or broken as the multiplier says: it
-        // is 9 - 5 * 1.5 = 1.5 at the hard bound. Above: hard. Below: 5 x = 9 - price.
+        // The multiplier of the row x1 + x2 - e <= 3 at the hard bound is 9 - 5 * 1.5 = 1.5. At a
+        // higher price the row is hard. At a lower price it is exceeded, and 5 x = 9 - price.
         for (price, expected) in [(2.0, 1.5), (1.0, 1.6)] {
             tight.rows[0].slack = 1.0;
             tight.program.price = vec![price; 3];

@@ -4,9 +4,9 @@
 //! min 1/2 x' H x - g' x   subject to   x >= 0,   H symmetric positive definite             (1)
 //! ```
 //!
-//! The classic active set method: the component with the steepest descent is freed, the free
-//! problem solved, and whoever turns negative on the way is put back. Every step lowers the
-//! objective, so it ends. The factor of the free part of H gains and loses single rows.
+//! The classic active set method frees the component with the steepest descent and solves the free
+//! problem. Components that turn negative on the way are fixed at zero again. Every step lowers the
+//! objective, so the method ends. The factor of the free part of H gains and loses single rows.
 //!
 //! Source: C. L. Lawson, R. J. Hanson, Solving Least Squares Problems (1974), chapter 23; on the
 //! normal equations, R. Bro, S. de Jong, J. Chemometrics 11 (1997) 393; the rows that leave the
@@ -17,21 +17,21 @@ use ndarray::{Array2, ArrayView1};
 /// A solution of (1).
 #[derive(Clone, Debug)]
 pub struct NonNegative {
-    /// x.
+    /// Solution x.
     pub value: Vec<f64>,
-    /// Components that were freed or put back.
+    /// Number of components that were freed or fixed again.
     pub iterations: usize,
-    /// Largest violation of the optimality conditions: `|q_j| / H_jj` of a free component,
-    /// `max(0, -q_j) / H_jj` of one at zero, `q = H x - g`.
+    /// Largest violation of the optimality conditions, with `q = H x - g`: `|q_j| / H_jj` of a free
+    /// component, and `max(0, -q_j) / H_jj` of a component at zero.
     pub violation: f64,
-    /// Whether it ended by itself.
+    /// True if the method ended before its limit of iterations.
     pub converged: bool,
 }
 
 /// Solves (1); components with `H_jj <= 0` stay 0.
 ///
-/// Ends when no component at zero wants to grow: `-q_j <= tolerance max |g|`; before every change `watch` is told the
-/// largest ratio of the two sides.
+/// Ends when no component at zero would grow: `-q_j <= tolerance max |g|`. Before every change
+/// `watch` gets the largest ratio of the two sides.
 pub fn nnls(
     h: &Array2<f64>,
     g: &[f64],
@@ -43,7 +43,7 @@ pub fn nnls(
     let floor = tolerance * g.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
     let mut x = vec![0.0; n];
     let mut free = Free { rows: Vec::new(), members: Vec::new() };
-    // Components whose column depends on the free ones, until the free ones change.
+    // Components whose column depends on the free ones; cleared when the free ones change.
     let mut barred = vec![false; n];
     let mut iterations = 0;
     let mut converged = false;
@@ -70,7 +70,7 @@ pub fn nnls(
             continue;
         }
         barred.fill(false);
-        // Go towards the free solution until the first component reaches zero.
+        // Move towards the free solution until the first component reaches zero.
         while wanted.iter().any(|v| *v <= 0.0) {
             let fraction = (free.members.iter().zip(&wanted))
                 .filter(|(_, w)| **w <= 0.0)
@@ -101,7 +101,7 @@ pub fn nnls(
     NonNegative { value: x, iterations, violation, converged }
 }
 
-/// `H x - g` from the columns where x is not zero.
+/// Gradient `H x - g` from the columns where x is not zero.
 fn gradient(h: &Array2<f64>, g: &[f64], x: &[f64], members: &[usize]) -> Vec<f64> {
     let mut q: Vec<f64> = g.iter().map(|v| -v).collect();
     for &k in members.iter().filter(|k| x[**k] != 0.0) {
@@ -113,14 +113,14 @@ fn gradient(h: &Array2<f64>, g: &[f64], x: &[f64], members: &[usize]) -> Vec<f64
     q
 }
 
-/// The Cholesky factor of the rows and columns of H that are free, row by row.
+/// Cholesky factor of the rows and columns of H that are free, row by row.
 struct Free {
     rows: Vec<Vec<f64>>,
     members: Vec<usize>,
 }
 
 impl Free {
-    /// Adds component j; false when its column depends on those that are there.
+    /// Adds component j; returns false if its column depends on those of the free components.
     fn add(&mut self, h: &Array2<f64>, j: usize) -> bool {
         // L l = H[members, j],  d = H_jj - l' l
         let mut row = Vec::with_capacity(self.members.len() + 1);
@@ -130,7 +130,7 @@ impl Free {
         }
         let l = ArrayView1::from(&row[..]);
         let d = h[[j, j]] - l.dot(&l);
-        // Below, d is the rounding of the difference.
+        // A smaller d is the rounding of the difference.
         if d <= 1e-13 * h[[j, j]] {
             return false;
         }
@@ -140,7 +140,7 @@ impl Free {
         true
     }
 
-    /// Takes the component at `at` out: rotations bring the rows below back to triangular form.
+    /// Removes the component at `at`. Rotations bring the rows below back to triangular form.
     fn remove(&mut self, at: usize) {
         self.rows.remove(at);
         self.members.remove(at);
@@ -158,7 +158,7 @@ impl Free {
         }
     }
 
-    /// `L L' y = g[members]`.
+    /// Solves `L L' y = g[members]`.
     fn solve(&self, g: &[f64]) -> Vec<f64> {
         let mut y: Vec<f64> = Vec::with_capacity(self.members.len());
         for (k, row) in self.rows.iter().enumerate() {

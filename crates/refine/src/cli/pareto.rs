@@ -19,9 +19,9 @@ use super::iterations;
 
 /// Plan at rising prices of a second: residual against total time
 ///
-/// By the closed loop, and by motion and times as one problem (planish-feed).
-/// Writes the plans as iterations and DIR/pareto.svg, and prints the table, with the least total time that any
-/// plan can take: the volume to be removed over the volumetric removal rate (VRR) of the tool.
+/// Each price has a plan of the closed loop, and a joint plan of motion and times (planish-feed). The program
+/// writes the plans as iterations and DIR/pareto.svg, and prints a table with the least total time of any plan: the
+/// volume to be removed over the volumetric removal rate (VRR) of the tool.
 #[derive(Args)]
 pub struct Pareto {
     #[command(flatten)]
@@ -35,10 +35,10 @@ pub struct Pareto {
     /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "auto")]
     mode: ModeChoice,
-    /// Prices beside that of nothing
+    /// Number of prices besides zero
     #[arg(long, value_name = "N", default_value_t = 8)]
     prices: usize,
-    /// Most rounds of every refinement but the first
+    /// Largest number of rounds of every refinement but the first
     #[arg(long, value_name = "N", default_value_t = 6)]
     max_rounds: usize,
     #[command(flatten)]
@@ -66,7 +66,7 @@ impl Pareto {
         let prices = trade_off::prices(&surface, &tif, self.prices)?;
         let of_loop = || trade_off::trade_off(&surface, &tif, &path, &machine, &prices, &settings);
         let mut points = progress::part(0, 2, of_loop).map_err(Failure::with_flags)?;
-        // A floor per dwell point says nothing of a motion without points.
+        // A floor per dwell point does not apply to a motion without points.
         let floor = self.floor.bound(|_| 0.0, |s_per_mm| s_per_mm)?;
         let of_feed = || trade_off::feed_trade_off(&surface, &tif, &path, &machine, &prices, floor);
         points.extend(progress::part(1, 2, of_feed).map_err(Failure::with_flags)?);

@@ -32,34 +32,37 @@ pub struct Refine {
     path: PathArgs,
     #[command(flatten)]
     machine: MachineArgs,
-    /// First dwell times [dwell artifact]; without it, bounded least squares
+    /// First dwell times [dwell artifact] [default: those of bounded least squares]
     #[arg(long, value_name = "DIR")]
     dwell: Option<PathBuf>,
     #[command(flatten)]
     floor: FloorArgs,
-    /// Weight of the square of the dwell time per area above the least one: the same at every pitch, pixel and tool
+    /// Weight of the square of the dwell time per area above the least one; larger values shorten the run. Its effect
+    /// does not depend on pitch, pixel and tool
     #[arg(long, value_name = "A", default_value_t = Settings::default().dwell.tikhonov)]
     tikhonov: f64,
-    /// Weight of the square of the slope of the dwell time per area along the path, in the last corrections
+    /// Weight of the square of the slope of the dwell time per area along the path, in the last corrections; larger
+    /// values give smoother dwell times and a larger residual
     #[arg(long, value_name = "B", default_value_t = Settings::default().dwell.smoothness)]
     smoothness: f64,
-    /// Price of a second beside half the mean square of the residual, nm^2/s
+    /// Price of a second in the objective, beside half the mean square of the residual, nm^2/s; larger values shorten
+    /// the run
     #[arg(long, visible_alias = "time-weight", value_name = "L", default_value_t = 0.0)]
     time_weight_nm2_per_s: f64,
-    /// RMS of the noise of the map, nm: the smoothness is raised until the residual reaches it
+    /// RMS of the noise of the map, nm; the smoothness is raised until the residual reaches it
     #[arg(long, value_name = "S")]
     noise_rms_nm: Option<f64>,
-    /// What makes the motion
+    /// Scheduler that makes the motion
     #[arg(long, value_enum, default_value = "pvt")]
     scheduler: SchedulerKind,
     /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "auto")]
     mode: pvt::ModeChoice,
-    /// Process and its errors [JSON]: the expected square of the residual takes the place of the square
+    /// Process and its errors [JSON]; the expected square of the residual replaces the square
     #[arg(long, value_name = "FILE")]
     process: Option<PathBuf>,
-    /// Most rounds; where a number is given, to stop there is what is wanted [default: 50, and a negative
-    /// verdict where they still improve]
+    /// Largest number of rounds; to stop at a given number is no failure [default: 50, and a negative
+    /// verdict if the rounds still improve]
     #[arg(long, value_name = "N")]
     max_rounds: Option<usize>,
     #[command(flatten)]
@@ -68,13 +71,13 @@ pub struct Refine {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum SchedulerKind {
-    /// Cubic segments, stretched where the limits ask for it
+    /// Cubic segments, stretched if the limits demand it
     Pvt,
     /// One constant acceleration, then constant velocity, per segment; no look-ahead
     ConstantAcceleration,
 }
 
-/// Every setting, and whether the number of rounds was given.
+/// All settings, and true if the user gave the number of rounds.
 #[derive(Serialize)]
 struct Resolved {
     #[serde(flatten)]
@@ -193,7 +196,7 @@ fn read_process(path: &Path, inputs: &mut Inputs) -> Result<Process, Failure> {
     file.checked().map_err(|e| Failure::new(format!("{}: {e}", path.display())))
 }
 
-/// What the process made of the plan.
+/// Sentence on the residuals and times of the plans without and with the process.
 fn words(price: &Price) -> String {
     let Price { name, without, with, kept, not_in_the_objective, .. } = price;
     let objective = match not_in_the_objective.as_slice() {

@@ -16,16 +16,16 @@ use super::with_error;
 #[derive(Debug, Args)]
 #[command(group = ArgGroup::new("what").required(true))]
 pub struct ApplyArgs {
-    /// From part to machine [transform artifact]
+    /// Transform from part to machine [transform artifact]
     #[arg(long, value_name = "DIR")]
     transform: PathBuf,
-    /// Tool path to take there [tool_path artifact]
+    /// Tool path to transform [tool_path artifact]
     #[arg(long, value_name = "DIR", group = "what")]
     tool_path: Option<PathBuf>,
-    /// Motion to take there [trajectory artifact]
+    /// Motion to transform [trajectory artifact]
     #[arg(long, value_name = "DIR", group = "what")]
     trajectory: Option<PathBuf>,
-    /// From the machine to the part: for the log of a run
+    /// Transform from the machine to the part, for example the log of a run
     #[arg(long)]
     inverse: bool,
     #[command(flatten)]
@@ -50,7 +50,7 @@ impl ApplyArgs {
         }
     }
 
-    /// Reads what is to be taken to the machine; refuses what says that it is there.
+    /// Reads the artifact to transform; refuses one that is in the frame of the machine already.
     fn read<T: Artifact>(&self, role: &str, dir: &Path, inputs: &mut Inputs) -> Result<T, Failure> {
         let (found, manifest) = inputs.read_with_manifest(role, dir)?;
         if !self.inverse && manifest.is_some_and(|m| m.frame == MACHINE_FRAME) {

@@ -15,14 +15,15 @@ use serde_json::json;
 
 use super::with_error;
 
-/// Largest file of fiducials, bytes.
+/// Largest file of fiducials, bytes; a larger one is refused. Larger: more memory for a file that is no
+/// list of fiducials. Smaller: a long list is refused. Chosen: 16 MiB hold 100 000 lines of 160 bytes.
 const MOST_BYTES: u64 = 1 << 24;
 
 #[derive(Debug, Args)]
 pub struct FitArgs {
     /// Fiducials: CSV with the columns map_x_mm, map_y_mm, machine_x_mm, machine_y_mm, uncertainty_mm, or JSON
     file: PathBuf,
-    /// What may be between map and machine
+    /// Parameters of the transform from map to machine that are fitted
     #[arg(long, value_enum, default_value = "rigid")]
     model: Model,
     /// Machine whose axes the fiducials were measured with, where its file says that they mirror the part [JSON]

@@ -17,7 +17,7 @@ pub struct MapsArgs {
     /// Map before the run [surface artifact]
     #[arg(long, value_name = "DIR")]
     before: PathBuf,
-    /// Map after it [surface artifact]
+    /// Map after the run [surface artifact]
     #[arg(long, value_name = "DIR")]
     after: PathBuf,
     /// Largest shift along an axis, mm
@@ -29,7 +29,8 @@ pub struct MapsArgs {
     /// Highest order of the Legendre terms that are free (0 piston, 1 plane, 2 power and astigmatism)
     #[arg(long, value_name = "N", default_value_t = 2)]
     free_order: usize,
-    /// Only what is shorter than this wavelength counts, mm: what the tool has not changed [default: all]
+    /// Wavelength above which features are filtered out of both maps, mm; give the shortest that the tool
+    /// has changed [default: keep all]
     #[arg(long, value_name = "L", allow_negative_numbers = true)]
     shorter_than_mm: Option<f64>,
     #[command(flatten)]

@@ -17,7 +17,7 @@ pub struct PlaceArgs {
     output: OutputArgs,
 }
 
-/// Where a part lies on axes that read its coordinates.
+/// Identity transform, of axes that read the coordinates of the part.
 const SAME: TransformNumbers =
     TransformNumbers { matrix: [[1.0, 0.0], [0.0, 1.0]], centre_mm: [0.0; 2], image_mm: [0.0; 2] };
 

@@ -1,10 +1,10 @@
-//! A map between its pixels.
+//! Heights and gradients of a map between its pixels.
 
 use ndarray::Array2;
 use planish_numerics::keys;
 use planish_types::{Grid, Invalid, Surface};
 
-/// A map with its gradient, where the sixteen pixels around a point are valid.
+/// A map that gives heights and gradients at any point whose sixteen surrounding pixels are valid.
 pub(super) struct Field {
     map: Surface,
 }
@@ -107,8 +107,8 @@ fn slopes(f: f64) -> [f64; 4] {
     ]
 }
 
-/// The map less its Gaussian mean, which lets one half of the amplitude of this wavelength through (ISO 16610-21):
-/// `exp(-2 pi^2 s^2 / L^2) = 1/2`, s = 0.1874 L. Invalid pixels have no weight.
+/// Map minus its Gaussian mean. The Gaussian filter passes one half of the amplitude at this wavelength
+/// (ISO 16610-21): `exp(-2 pi^2 s^2 / L^2) = 1/2`, s = 0.1874 L. Invalid pixels have no weight.
 pub(super) fn shorter_than(map: &Surface, wavelength_mm: f64) -> Result<Surface, Invalid> {
     let grid = map.grid();
     let sigma_mm = wavelength_mm * (0.5 * std::f64::consts::LN_2).sqrt() / std::f64::consts::PI;

@@ -1,20 +1,23 @@
-//! The best place by whole pixels, where Gauss and Newton begin.
+//! Search for the best place by whole pixels; the Gauss-Newton steps start there.
 
 use rayon::prelude::*;
 
 use super::{Pose, field::Field};
 
-/// Pixels of the later map that are compared: those with the steepest slopes say most.
+/// Largest number of pixels of the later map that are compared: those with the steepest slopes, which
+/// determine the place best. Larger: more time. Smaller: the correlation of a place is less certain.
 const COMPARED: usize = 3000;
 
-/// Most places along each direction.
+/// Largest number of places along x, along y and in rotation; the search takes their product. Larger: time
+/// grows with the cube. Smaller: steps larger than a pixel begin at smaller limits of the search.
 const MOST_PLACES: usize = 61;
 
-/// Fewest of the compared pixels that must fall on valid ones.
+/// Smallest number of compared pixels that must fall on valid ones; a place with fewer is skipped. Larger:
+/// skips places with little overlap. Smaller: a few pixels correlate by chance.
 const LEAST_COMPARED: usize = COMPARED / 10;
 
-/// The pose with the largest correlation within `limits` (shift in mm, rotation in rad) of the maps without
-/// their free terms, `values` of the later one and of the one before.
+/// Pose with the largest correlation within `limits` (shift in mm, rotation in rad). `values` are the
+/// heights of the later map and of the map before, without their free terms.
 pub(super) fn best(
     values: &[Vec<f64>; 2],
     after: &Field,
@@ -72,14 +75,15 @@ pub(super) fn best(
     each.into_iter().fold((f64::NEG_INFINITY, [0.0; 3]), |m, e| if e.0 > m.0 { e } else { m }).1
 }
 
-/// From -limit to limit in steps of `step`, or larger ones where they would be too many; zero is among them.
+/// Places from `-limit` to `limit` in steps of `step`, zero among them. The steps are larger if there would
+/// be more than [`MOST_PLACES`].
 fn places(limit: f64, step: f64) -> Vec<f64> {
     let half = ((limit / step).floor() as usize).min(MOST_PLACES / 2);
     let step = if half == MOST_PLACES / 2 { limit / half as f64 } else { step };
     (0..=2 * half).map(|k| (k as f64 - half as f64) * step).collect()
 }
 
-/// Correlation coefficient of pairs; none where they are few.
+/// Correlation coefficient of pairs; minus infinity if there are fewer than [`LEAST_COMPARED`].
 fn correlation(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
     let (mut n, mut a, mut b, mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
     for (p, q) in pairs {

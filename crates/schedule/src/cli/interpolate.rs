@@ -1,4 +1,4 @@
-//! `planish-schedule interpolate`: a feed, or its NC program, as positions.
+//! `planish-schedule interpolate`: positions from a feed artifact or its NC program.
 
 use std::{
     ffi::OsStr,
@@ -14,13 +14,13 @@ use planish_types::{DwellDensity, budget};
 
 #[derive(Args)]
 pub struct Interpolate {
-    /// Feed [feed artifact]
+    /// Nodes of the dwell-time density [feed artifact]
     #[arg(long, value_name = "DIR", required_unless_present = "program")]
     feed: Option<PathBuf>,
-    /// NC program, read block by block, in place of a feed
+    /// NC program, read block by block, in place of a feed artifact
     #[arg(long, value_name = "FILE", conflicts_with = "feed")]
     program: Option<PathBuf>,
-    /// Time between two positions, s
+    /// Time between two positions, s: the tick of the controller
     #[arg(long, value_name = "S", default_value_t = 0.001)]
     tick_s: f64,
     #[command(flatten)]
@@ -71,14 +71,14 @@ impl Interpolate {
     }
 }
 
-/// Where the records come from.
+/// Source of the records.
 enum Source<'a> {
     Density(DwellDensity, &'a Path),
     Program(&'a Path),
 }
 
 impl Source<'_> {
-    /// The records, in order.
+    /// Calls `push` with every record, in order.
     fn for_each_record(
         &self,
         mut push: impl FnMut(&Record) -> Result<(), String>,
@@ -95,7 +95,8 @@ impl Source<'_> {
     }
 }
 
-/// Runs the program without writing it: how long it takes decides how large the file becomes.
+/// Refuses a file that would be too large. It runs the program without writing, because the duration of the program
+/// decides the size of the file.
 fn refuse_too_many(source: &Source, tick_s: f64, table: Table) -> Result<(), Failure> {
     let mut whole = Interpolator::new(f64::MAX).map_err(Failure::new)?;
     source.for_each_record(|record| whole.push(record, |_| ()))?;
@@ -109,7 +110,8 @@ fn refuse_too_many(source: &Source, tick_s: f64, table: Table) -> Result<(), Fai
     Ok(())
 }
 
-/// Longest line of a program, bytes: ten words of 30 digits.
+/// Length of a line of a program above which it is refused, bytes. Larger: a file without line ends takes more
+/// memory. Smaller: valid lines are refused. A block of ten words of 30 digits has 300 bytes.
 const LONGEST_LINE: u64 = 1000;
 
 /// Reads a program line by line.
@@ -119,7 +121,7 @@ fn for_each_line(
 ) -> Result<(), Failure> {
     let unreadable =
         |e: std::io::Error| Failure::new(format!("{}: cannot read: {e}", path.display()));
-    // It is read twice.
+    // The file is read twice, so it must not be a pipe.
     if !fs::metadata(path).map_err(unreadable)?.is_file() {
         return Err(Failure::new(format!("{}: is no file; give a program", path.display())));
     }
@@ -142,17 +144,17 @@ fn for_each_line(
     Ok(())
 }
 
-/// Columns of a reference.
+/// Names of the columns of a reference.
 const COLUMNS: [&str; 5] = ["time_s", "x_mm", "y_mm", "feed_mm_per_s", "pass_idx"];
 
-/// How references are written.
+/// Format of the references.
 #[derive(Clone, Copy)]
 enum Table {
     Csv,
     Npy,
 }
 
-/// Bytes of the head of an `.npy` file that leaves room for any number of rows.
+/// Length of the head of an `.npy` file, bytes: room for any number of rows.
 const NPY_HEAD_BYTES: usize = 128;
 
 impl Table {
@@ -167,7 +169,7 @@ impl Table {
         }
     }
 
-    /// Bytes of a row: five numbers, or some 16 characters of each.
+    /// Estimated size of a row, bytes: five numbers of 8 bytes, or of about 16 characters.
     fn bytes_per_row(self) -> usize {
         match self {
             Self::Csv => 16 * COLUMNS.len(),
@@ -196,7 +198,7 @@ impl Table {
         }
     }
 
-    /// The number of rows is known now.
+    /// Ends the file: the number of rows, which is known now, goes into the head.
     fn end(self, mut to: BufWriter<&mut File>, rows: u64) -> Result<(), Failure> {
         to.flush()?;
         if let Self::Npy = self {
@@ -208,7 +210,7 @@ impl Table {
     }
 }
 
-/// Format version 1.0 of NumPy's `.npy`: magic, version, length of the header, the header.
+/// Head in format version 1.0 of NumPy's `.npy`: magic, version, length of the header, the header.
 fn npy_head(rows: u64) -> Vec<u8> {
     let columns = COLUMNS.len();
     let header =

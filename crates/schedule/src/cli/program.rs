@@ -1,4 +1,4 @@
-//! `planish-schedule program`: a feed as an NC program.
+//! `planish-schedule program`: the NC program of a feed artifact.
 
 use std::{
     io::{BufWriter, Write},
@@ -12,7 +12,7 @@ use planish_types::DwellDensity;
 
 #[derive(Args)]
 pub struct Program {
-    /// Feed [feed artifact]
+    /// Nodes of the dwell-time density [feed artifact]
     #[arg(long, value_name = "DIR")]
     feed: PathBuf,
     #[command(flatten)]

@@ -11,7 +11,7 @@ use super::{Given, Made, Scheduler, micron};
 pub struct PvtAsPublished {
     #[command(flatten)]
     given: Given,
-    /// Where Eq. 16 of the publication, which is misprinted, has the tool rest besides the end
+    /// Node at which the tool rests besides the end: as Eq. 16 of the publication means, or as it is misprinted
     #[arg(long, value_enum, default_value = "corrected")]
     rest_condition: pvt_as_published::RestCondition,
 }

@@ -13,13 +13,13 @@ use super::{Given, Made, Scheduler};
 pub struct TrigSpline {
     #[command(flatten)]
     given: Given,
-    /// How densities that the machine cannot follow are repaired
+    /// Repair of the dwell-time densities that the machine cannot follow
     #[arg(long, value_enum, default_value = "offset")]
     repair: trig_spline::Repair,
-    /// Largest distance of the motion from a corner, mm
+    /// Largest distance of the motion from a corner, mm: larger values let the tool pass corners faster
     #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().corner_deviation_mm)]
     corner_deviation_mm: f64,
-    /// Largest error of the position where the motion is fitted by cubics, mm
+    /// Largest error of the position in the fit of the motion by cubics, mm
     #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().fit_tolerance_mm)]
     fit_tolerance_mm: f64,
     /// Also write the nodes of the spline, for `interpolate` and `program` [feed artifact]

@@ -1,8 +1,8 @@
 //! The node velocities of one axis: equation (4) of [`super`] under the limits of the machine.
 //!
-//! The free minimiser is a tridiagonal solution. Where it exceeds a limit, a quadratic program is
-//! solved; where that has no solution, the one with the least excess over the limits says where more
-//! time is needed ([`super::shortest`] says how much). The numbers of equations are those of the scheduler.
+//! The free minimiser is a tridiagonal solution. If it exceeds a limit, a quadratic program is solved.
+//! If that has no solution, the program with the least excess over the limits shows the segments that
+//! need more time, and [`super::shortest`] finds the times. Equation numbers are those of [`super`].
 
 use std::{borrow::Cow, collections::BTreeMap, ops::Range, sync::OnceLock};
 
@@ -14,11 +14,12 @@ use serde::Serialize;
 use super::{mode::Mode, timing::parallel};
 use crate::hermite::{accelerations, peak_velocity};
 
-/// Part of the limit that the schedule leaves free, for the tolerance of the interior point
-/// method (1e-7 relative at the worst) and the rounding of the judge.
+/// Part of every limit that the schedule leaves free, relative: room for the tolerance of the interior
+/// point method (1e-7 at the worst) and the rounding of the judge. Larger: motions are slower. Smaller:
+/// the judge can find an excess.
 const MARGIN: f64 = 1e-6;
 
-/// How (4) was solved for an axis: where it was solved in parts, for the hardest of them.
+/// Solver of (4) for an axis; of several parts, that of the hardest one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Solver {
@@ -26,28 +27,30 @@ pub enum Solver {
     Tridiagonal,
     /// Bounds are active: interior point method.
     QuadraticProgram,
-    /// The interior point method did not converge: the motion that takes the least time. It is within the
-    /// limits, but has not the least energy.
+    /// The interior point method did not converge, and the motion of the least time was taken. It keeps the
+    /// limits, but does not have the least energy.
     LeastTime,
 }
 
-/// How the limits of the machine enter the quadratic program.
+/// Form in which the limits of the machine enter the quadratic program.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Bounds {
-    /// They hold.
+    /// The limits hold.
     Hard,
-    /// They are exceeded as little as possible.
+    /// The limits are exceeded as little as possible.
     Elastic {
-        /// Of an excess of 1 for 1 s.
+        /// Penalty for an excess of 1 (relative to the limit) that lasts 1 s.
         price: f64,
     },
 }
 
-/// Most programs until every limit that matters has its rows: the reach of a round is four times
-/// that of the one before, and an added time lies within rounding of the last after a few.
+/// Largest number of quadratic programs until all limits that become active have rows. Every program
+/// reaches four times as many neighbours as the one before, and places of the largest velocity settle
+/// after a few. Larger: an endless case runs longer. Smaller: a solvable program is given up.
 const MAX_PROGRAMS: usize = 24;
 
-/// Weight of the energy beside the excess over the limits: small, but enough to choose among the
+/// Weight of the acceleration energy relative to the penalty for exceeding the limits. Larger: limits
+/// are exceeded for the sake of a smaller energy. Smaller: the energy no longer selects one of the
 /// motions with the least excess.
 const ELASTIC_ENERGY: f64 = 1e-4;
 
@@ -58,36 +61,37 @@ pub(super) struct AxisProblem<'a> {
     mode: Mode,
     pub(super) max_velocity: f64,
     pub(super) max_acceleration: f64,
-    /// Infinite where the machine has none.
+    /// Jerk limit, mm/s^3; infinite if the machine has none.
     pub(super) max_jerk: f64,
 }
 
-/// Where an axis at the asked times exceeds its limits.
+/// Motion of an axis that exceeds its limits at the given times.
 #[derive(Debug)]
 pub(super) struct Exceeding {
     /// Node velocities (N+1), within the limits elsewhere.
     pub(super) velocity: Vec<f64>,
-    /// How much each segment (N) exceeds the limits: the factor by which its time should grow at least; 1
-    /// where it does not.
+    /// Excess of each segment (N): the factor by which its time should grow at least; 1 if it keeps the
+    /// limits.
     pub(super) excess: Vec<f64>,
 }
 
-/// Segments of an axis from a node at rest to another. Neither (4) nor a bound couples what is on the
-/// two sides of a node whose velocity is zero, so the parts are solved one by one: they fit the
-/// caches, and those whose times do not change are solved once.
+/// Segments of an axis from a node at rest to another. Neither (4) nor a bound couples the two sides of
+/// a node whose velocity is fixed at zero, so the parts are solved one by one. They fit the caches, and
+/// parts whose times do not change are solved once.
 #[derive(Debug)]
 pub(super) struct Part {
     pub(super) segments: Range<usize>,
     /// Segments that needed the rows of the machine's limits in the programs before.
     pub(super) limited: Vec<usize>,
-    /// At the present durations, or `None`; see [`AxisProblem::solve`].
+    /// Solution at the present durations, by [`AxisProblem::solve`]; `None` if it is not solved yet.
     pub(super) solved: Option<Result<Solved, Exceeding>>,
 }
 
-/// Least segments of a part: fewer cost more to set up than to solve.
+/// Smallest number of segments of a part. Larger: fewer parts, which fit the caches less, and more
+/// segments to solve again. Smaller: parts cost more to set up than to solve.
 const LEAST_PART_SEGMENTS: usize = 64;
 
-/// How much each of n segments exceeds the limits, the worse axis counts; `None` where no part does.
+/// Excess of each of n segments, the larger of both axes; `None` if no part exceeds the limits.
 pub(super) fn excess_of_parts(parts: &[Vec<Part>; 2], n: usize) -> Option<Vec<f64>> {
     let mut all = None;
     for part in parts.iter().flatten() {
@@ -124,12 +128,12 @@ pub(super) fn joined(parts: Vec<Part>) -> Solved {
     all
 }
 
-/// Where the limits of the machine are in a program.
+/// Segments and places at which a program has the limits of the machine as rows.
 #[derive(Debug)]
 struct Limited {
-    /// Whether a segment (N) has them.
+    /// True for each segment (N) that has rows.
     segment: Vec<bool>,
-    /// Times, in units of the duration, at which its velocity is bounded besides the middle.
+    /// Times, in units of the duration, at which the velocity of a segment is bounded besides the middle.
     velocity_at: BTreeMap<usize, Vec<f64>>,
 }
 
@@ -162,12 +166,13 @@ impl AxisProblem<'_> {
         }
     }
 
-    /// The same axis along other segments.
+    /// Problem of the same axis along other segments.
     pub(super) fn along(&self, displacement_mm: Vec<f64>) -> AxisProblem<'static> {
         AxisProblem { displacement_mm: Cow::Owned(displacement_mm), ..*self }
     }
 
-    /// The whole in *smooth*; in *monotone* cut at nodes that the signs of the displacements fix.
+    /// Parts of the axis: one in *smooth*. In *monotone* the axis is cut at nodes at which the signs of the
+    /// displacements fix the velocity at zero.
     pub(super) fn parts(&self) -> Vec<Part> {
         let n = self.displacement_mm.len();
         let (mut parts, mut start) = (Vec::new(), 0);
@@ -211,8 +216,8 @@ impl AxisProblem<'_> {
         if let Some(velocity) = self.quadratic_program(h, Bounds::Hard, limited) {
             return solved(velocity);
         }
-        // Where the bounds leave a single motion, hard rows have no interior and the method does
-        // not converge; with the elastic ones it does, and nothing exceeds.
+        // If the bounds allow a single motion only, hard rows have no interior and the method does not
+        // converge. With the elastic ones it does, and no limit is exceeded.
         let within = 1.0 + 0.5 * MARGIN;
         let elastic = self.quadratic_program(h, Bounds::Elastic { price: price() }, limited);
         let converged = elastic.is_some();
@@ -249,8 +254,8 @@ impl AxisProblem<'_> {
         v
     }
 
-    /// Factor by which the time of each segment should grow: the velocity is inversely
-    /// proportional to it, the acceleration to its square, the jerk to its cube.
+    /// Factor by which the time of each segment should grow; up to 1 if it keeps the limits. The velocity
+    /// falls with the time, the acceleration with its square, the jerk with its cube.
     pub(super) fn excess(&self, v: &[f64], h: &[f64]) -> Vec<f64> {
         (0..h.len()).map(|i| self.excess_of(i, v, h)).collect()
     }
@@ -279,7 +284,7 @@ impl AxisProblem<'_> {
         [before < 0.0 && after < 0.0, before > 0.0 && after > 0.0]
     }
 
-    /// Whether the axis may reverse inside a segment.
+    /// Returns true if the axis may reverse inside a segment.
     pub(super) fn is_reversal_allowed(&self) -> bool {
         self.mode == Mode::Smooth
     }
@@ -296,12 +301,11 @@ impl AxisProblem<'_> {
         (0..v.len()).all(sign_ok) && (0..h.len()).all(middle_ok)
     }
 
-    /// (4) under the bounds of the mode and of the machine; `None` when there is no solution.
+    /// Minimiser of (4) within the bounds of the mode and of the machine; `None` if there is no solution.
     ///
-    /// Most segments are far from the machine's limits. A segment gets their rows when the motion
-    /// without exceeds them, with more and more of its neighbours; the velocity, whose largest
-    /// value lies anywhere in the segment, is bounded at its middle first and then wherever the
-    /// limit was exceeded.
+    /// Most segments are far from the machine's limits. A segment gets rows for the limits if the motion
+    /// without them exceeds a limit, with more and more of its neighbours. The largest velocity can lie
+    /// anywhere in the segment: it is bounded at the middle first, then at each place of an excess.
     fn quadratic_program(
         &self,
         h: &[f64],
@@ -356,8 +360,8 @@ impl AxisProblem<'_> {
         None
     }
 
-    /// Price of elastic bounds, from the largest energy and the largest mean velocity of the axis:
-    /// the energy hardly counts against it.
+    /// Penalty of elastic bounds, for an excess of 1 that lasts 1 s: from the largest energy and the largest
+    /// mean velocity of the axis, so that the energy hardly counts against it.
     fn elastic_price(&self, h: &[f64]) -> f64 {
         let (n, dp) = (h.len(), &self.displacement_mm);
         let of = |i: usize| 4.0 / h[i];
@@ -367,14 +371,14 @@ impl AxisProblem<'_> {
         energy * mean * mean / (ELASTIC_ENERGY * mean_s)
     }
 
-    /// (4), and how its bounds may be exceeded.
+    /// Quadratic program of (4), with the penalty for exceeding its bounds.
     ///
-    /// Elastic bounds: the limits of segment i may be exceeded by the fraction e_i >= 0, a
-    /// variable of its own, at the price of h_i e_i, about twice the time that it costs to mend.
-    /// The excesses are then few and cheap.
+    /// Elastic bounds: segment i may exceed its limits by the fraction e_i >= 0, a variable of its own. The
+    /// penalty is proportional to h_i e_i, about twice the time that a stretch of the segment would add.
+    /// The excesses are then few and need little time.
     fn program(&self, h: &[f64], bounds: Bounds) -> chain::Program {
         let (n, dp) = (h.len(), &self.displacement_mm);
-        // Of the segments at a node.
+        // Sum over the segments at a node.
         let sum = |node: usize, of: &dyn Fn(usize) -> f64| {
             (node.saturating_sub(1)..(node + 1).min(n)).map(of).sum()
         };

@@ -9,12 +9,13 @@ use super::{
 };
 use crate::{ScheduleError, hermite::coefficients};
 
-/// Rounds after which everything is slowed together, which ends: a factor k divides velocity,
-/// acceleration and jerk by k, k^2 and k^3.
+/// Number of rounds in which only the segments in excess are slowed. After that all segments are
+/// slowed by the same factor k, which divides velocity, acceleration and jerk by k, k^2 and k^3, so
+/// that the loop ends. Larger: hard cases run longer. Smaller: more of them are slowed as a whole.
 const MAX_LOCAL_ROUNDS: usize = 200;
 
-/// The spline of (5), its `timing` stretched until every limit is kept, where `stretch` allows that;
-/// and the rounds that it took.
+/// Motion along the spline of (5), and the number of rounds. `timing` is stretched until every limit
+/// is kept; without `stretch` an excess is an error.
 pub(super) fn motion(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -85,8 +86,8 @@ pub(super) fn motion(
     unreachable!("the rounds have no end")
 }
 
-/// The pieces of the spline that starts and ends with v = a = 0, by (5): their displacements in
-/// a problem of their own, and the velocities of their ends.
+/// Pieces of the spline that starts and ends with v = a = 0, by (5): their displacements in
+/// a problem of their own, and the velocities of their ends, mm/s.
 fn smooth_from_rest(axis: &AxisProblem, h: &[f64]) -> (AxisProblem<'static>, Vec<f64>) {
     let (n, dp) = (h.len(), &axis.displacement_mm);
     if n == 1 {

@@ -79,16 +79,16 @@ use self::{
 };
 use crate::{ScheduleError, check_lengths, hermite::coefficients};
 
-/// How to schedule.
+/// Settings of PVT.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// What the motion shall be like.
+    /// Objective of the motion: smooth or monotone.
     pub mode: Mode,
-    /// Give segments more time where the limits need it; else such dwell times are refused.
+    /// True: segments get more time if the limits need it. False: such dwell times are refused.
     pub stretch: bool,
 }
 
-/// What was done.
+/// Stretched segments and solvers of a schedule.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// Segments that were given more time, in order.
@@ -99,19 +99,19 @@ pub struct Report {
     pub added_tool_off_s: f64,
     /// Segments without length and dwell time, left out.
     pub dropped: Vec<usize>,
-    /// Solver of (4) for [x, y] in the last round.
+    /// Solver of (4) for [x, y], at the final times.
     pub solver: [Solver; 2],
     /// Sweeps of the search for the shortest times, or under a limit on jerk rounds of stretching; 0 where the
     /// machine can follow the dwell times.
     pub rounds: usize,
 }
 
-/// The motion and what was done to get it.
+/// Motion and its report.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     /// Motion.
     pub trajectory: Trajectory,
-    /// What was done.
+    /// Stretched segments and solvers.
     pub report: Report,
 }
 
@@ -123,7 +123,7 @@ pub fn schedule(
     settings: &Settings,
 ) -> Result<Schedule, ScheduleError> {
     check_lengths(path, dwell)?;
-    // All of it by the threads of rayon: to hand over every part of it would cost more than a part.
+    // The whole runs on the threads of rayon: handing over every part by itself would cost more than a part.
     rayon::scope(|_| schedule_stretched(path, dwell, limits, settings))
 }
 
@@ -201,7 +201,7 @@ fn solve_parts(axes: &[AxisProblem<'_>; 2], h: &[f64], parts: &mut [Vec<Part>; 2
     rayon::join(|| axes[0].solve_parts(h, x), || axes[1].solve_parts(h, y));
 }
 
-/// The motion of parts that are solved.
+/// Motion from the solutions of all parts.
 fn joined_motion(
     path: &ToolPath,
     dwell: &DwellTime,

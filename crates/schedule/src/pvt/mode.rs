@@ -1,11 +1,11 @@
-//! What a motion shall be like.
+//! Modes of PVT: the objective of the motion, and the default of a machine.
 
 use planish_types::Limits;
 use serde::Serialize;
 
 use crate::claim::Claim;
 
-/// What the motion shall be like.
+/// Objective of a PVT motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Mode {
@@ -15,7 +15,7 @@ pub enum Mode {
     Monotone,
 }
 
-/// A [`Mode`], or the one that suits the machine.
+/// Choice of a [`Mode`], or of the default of the machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum ModeChoice {
@@ -29,7 +29,7 @@ pub enum ModeChoice {
 }
 
 impl ModeChoice {
-    /// The mode on this machine.
+    /// Mode on this machine.
     pub fn on(self, machine: &Limits) -> Mode {
         match self {
             Self::Auto => Mode::within(machine),
@@ -40,7 +40,7 @@ impl ModeChoice {
 }
 
 impl Mode {
-    /// As it is called in settings and messages.
+    /// Name in settings and messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Smooth => "smooth",
@@ -48,13 +48,13 @@ impl Mode {
         }
     }
 
-    /// The mode that keeps the limit on jerk, where the motion of this one breaks it.
+    /// Mode that keeps the limit on jerk, if the motion of this mode breaks it.
     pub fn for_jerk(self, claim: &Claim) -> Option<Self> {
         (self == Self::Monotone && claim.jerk == Some(false)).then_some(Self::Smooth)
     }
 
-    /// The mode for a machine where none is asked for: monotone, which never leaves the box of a segment;
-    /// where the machine limits jerk, smooth, because the acceleration of monotone motions steps.
+    /// Default mode of a machine: monotone, which never leaves the box of a segment. If the machine limits
+    /// jerk: smooth, because the acceleration of monotone motions steps.
     pub fn within(limits: &Limits) -> Self {
         match limits.axes().iter().any(|axis| axis.max_jerk_mm_per_s3().is_some()) {
             true => Self::Smooth,

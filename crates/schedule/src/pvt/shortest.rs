@@ -1,4 +1,4 @@
-//! The shortest times that a machine needs, where it cannot follow the dwell times.
+//! Search for the shortest times of the segments whose dwell times the machine cannot follow.
 //!
 //! Between the velocities `v0` and `v1` a segment of the cubics (1) of [`super`] can last any time at which it keeps
 //! the limits. Each limit excludes an interval of times h; with `dp >= 0` (else all signs turn), and A, V and J the
@@ -21,14 +21,14 @@
 //! min over v_1 .. v_{N-1} of  sum_i h_i(v_{i-1}, v_i)                                      (5)
 //! ```
 //!
-//! Where every node has a few candidates for its velocity, the best of all their combinations follows from node to node
-//! (dynamic programming; R. Bellman, 1957). The first candidates are speeds along the path, rest among them, which
-//! gives a motion whatever is asked; then there are steps of both axes up and down around the best so far, which get
-//! smaller when they gain nothing more. All nodes can move at once, so braking before a bend takes no more sweeps over
-//! a hundred segments than over one.
+//! With a few candidates for the velocity of every node, the best of all their combinations is found from node to
+//! node (dynamic programming; R. Bellman, 1957). The first candidates are speeds along the path and rest. With rest
+//! there is a motion for all dwell times. The next candidates are steps of both axes up and down around the best so
+//! far, which get smaller when they gain little. All nodes can change in one sweep, so braking before a bend takes
+//! no more sweeps over a hundred segments than over one.
 //!
-//! Most of a path can be as it was asked. Only nodes near segments that take longer have candidates, as far as it takes
-//! an axis to brake; what the others pass at is kept.
+//! Most of a path keeps its dwell times. Only nodes near segments that take longer have candidates, as far as an
+//! axis needs to brake. The other nodes keep their velocity.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -38,47 +38,61 @@
 
 use super::axis::AxisProblem;
 
-/// Times that the search leaves to the program, which needs an interior: every segment could last so much less.
+/// Part of the time of a segment that the search leaves free, relative: it plans with limits that a segment could
+/// keep in (1 - ROOM) of its time. Larger: motions take longer. Smaller: the quadratic program that follows has no
+/// interior, and the motion of the search replaces that of the least energy. The value, 0.1 %, is in
+/// docs/schedulers.md.
 const ROOM: f64 = 1e-3;
 
-/// Least time of a segment, in roundings of the total time: a duration is the difference of two break times, and a
-/// rounding may not take all of [`ROOM`].
+/// Least time of a segment, in roundings of the total time. A duration is the difference of two break times, and
+/// its rounding is then at most a tenth of [`ROOM`]. Larger: very short segments take longer. Smaller: rounding
+/// uses up [`ROOM`].
 const LEAST_ROUNDINGS: f64 = 1e4;
 
-/// Speeds along the path that are tried first: so many, from the largest that any direction allows, each lower by this
-/// factor. The lowest is 5e-4 of the largest.
+/// Number of speeds along the path that are tried first, and the ratio of each to the next lower one. They begin at
+/// the largest that any direction allows; the lowest is 6e-4 of it. More speeds: a wider range, and more computing
+/// time. A larger ratio: a wider, coarser range. A smaller one: a finer range that ends at a higher speed.
 const SPEEDS: usize = 42;
 const SPEED_FACTOR: f64 = 1.2;
 
-/// How many of these speeds a segment may change by, unless it comes from rest or goes there: from rest with constant
-/// acceleration the second of equal segments ends 1.41 times as fast as the first.
+/// Largest change along one segment, in steps of these speeds, except from and to rest. Larger: more computing
+/// time. Smaller: the search misses accelerations that the machine can do. From rest with constant acceleration the
+/// second of equal segments ends 1.41 times as fast as the first, which is two steps.
 const SPEEDS_PER_SEGMENT: usize = 3;
 
-/// Candidates that are not such speeds: rest, what was before, and the speed of the [`Search::profile`].
+/// Number of candidates that are not such speeds: rest, the velocity before, and that of the [`Search::profile`].
 const OTHERS: usize = 3;
 
-/// By how much longer a segment may last at the speeds of a profile than at constant acceleration, for the sake of
-/// the others: the cubics bend a little at nodes where lengths or directions change.
+/// Ratio of the time of a segment at the speeds of a profile to its time at constant acceleration, at most. It
+/// allows for cubics whose acceleration varies where lengths or directions change. Larger: the segment itself may
+/// take longer. Smaller: the profile, and with it the neighbours, become slower.
 const LONGER_THAN_EVEN: f64 = 1.02;
 
-/// How fast the profile is at most, over the length of a segment in its asked time: where neighbours are asked for
-/// at different speeds, the velocity between them is above the lower one.
+/// Ratio of the largest speed of the profile to the mean speed of a segment in its asked time. Where neighbours
+/// have different mean speeds, the velocity between them is above the lower one. Larger: the profile may be faster
+/// than the dwell times need. Smaller: it is too slow between such neighbours.
 const FASTER_THAN_ASKED: f64 = 1.25;
 
-/// Bisections for a speed of the profile.
+/// Number of bisections for a speed of the profile, which resolve it to 1e-6 of its upper bound. More: a finer
+/// speed and more computing time.
 const BISECTIONS: usize = 20;
 
-/// First and last step around the best so far, in units of a node's velocity.
+/// First and last step around the best velocities so far, relative to the velocity at a node or, if that is larger,
+/// to the mean velocity of a segment beside it. A larger first step: a wider search. A smaller last step: a finer
+/// result, and more sweeps.
 const STEPS: [f64; 2] = [0.1, 2e-3];
 
-/// Steps are halved when a sweep gains less than this part of the time.
+/// Gain of a sweep below which the steps are halved, relative to the time of the segments that may change. Larger:
+/// fewer sweeps, and longer times. Smaller: more sweeps for small gains.
 const GAIN: f64 = 1e-3;
 
-/// Most sweeps of steps.
+/// Largest number of sweeps over the path. Larger: more computing time. Smaller: the search ends before the last
+/// step size, with longer times.
 const MAX_SWEEPS: usize = 40;
 
-/// What a node does reaches as far as it takes an axis to brake from its largest velocity and to be as fast again, and
-/// over so many segments at least.
+/// Reach of the search around a segment that takes longer: in braking times of an axis from its largest velocity
+/// (two: to brake, and to be as fast again), and the smallest number of segments. Larger: more nodes may change,
+/// and the search takes longer. Smaller: neighbours cannot brake for the segment, so it takes more time.
 const BRAKING_TIMES: f64 = 2.0;
 const LEAST_REACH: usize = 8;
 
@@ -98,13 +112,13 @@ struct Axis<'a> {
 #[derive(Debug)]
 pub(super) struct Search<'a> {
     axes: [Axis<'a>; 2],
-    /// What was asked, s.
+    /// Asked time of every segment, s.
     asked_s: &'a [f64],
-    /// The same, not below what rounding allows, s.
+    /// Least time of every segment, s: the asked time, but not below [`LEAST_ROUNDINGS`].
     least_s: Vec<f64>,
 }
 
-/// What the search found.
+/// Result of the search.
 #[derive(Debug)]
 pub(super) struct Shortest {
     /// Time of every segment, s.
@@ -129,7 +143,7 @@ impl<'a> Search<'a> {
         Self { axes, asked_s, least_s }
     }
 
-    /// Searches from a motion that keeps the limits at the asked times but in the segments that `exceed`.
+    /// Searches from a motion that keeps the limits at the asked times, except in the segments that `exceed`.
     pub(super) fn run(&self, before: &[Vec<f64>; 2], exceed: &[bool]) -> Shortest {
         let before: Vec<Velocity> =
             before[0].iter().zip(&before[1]).map(|(x, y)| [*x, *y]).collect();
@@ -137,7 +151,7 @@ impl<'a> Search<'a> {
         let (mut open, mut velocity) = match self.along_the_path(&open, &before) {
             Some(velocity) => (open, velocity),
             None => {
-                // What is kept beside asks for the impossible. With all nodes there is always rest.
+                // No candidate joins the velocities that are kept. If all nodes may change, rest is always a solution.
                 let all = self.near(&vec![true; exceed.len()], &before);
                 let velocity = self.along_the_path(&all, &before);
                 (all, velocity.expect("from rest to rest every segment has a time"))
@@ -167,8 +181,8 @@ impl<'a> Search<'a> {
         Shortest { duration_s, velocity, sweeps }
     }
 
-    /// Nodes whose velocity may change: within reach of the `wanted` segments, and on to a segment that keeps the
-    /// limits of the search at the asked time, so that it can keep its far end.
+    /// True for nodes whose velocity may change: within reach of the `wanted` segments, and on to a segment that keeps
+    /// the limits of the search at the asked time. That segment can keep the velocity at its far end.
     fn near(&self, wanted: &[bool], velocity: &[Velocity]) -> Vec<bool> {
         let n = wanted.len();
         let braking_s = |axis: &Axis| BRAKING_TIMES * axis.velocity / axis.acceleration;
@@ -200,7 +214,7 @@ impl<'a> Search<'a> {
         self.least_time(i, velocity[i], velocity[i + 1]) <= self.least_s[i]
     }
 
-    /// Times of all segments: of those between two nodes that keep their velocity what was asked.
+    /// Times of all segments, s. A segment between two nodes that keep their velocity has its asked time.
     fn durations(&self, open: &[bool], velocity: &[Velocity]) -> Vec<f64> {
         let of = |i: usize| {
             let least = self.least_time(i, velocity[i], velocity[i + 1]);
@@ -211,7 +225,7 @@ impl<'a> Search<'a> {
         (0..self.asked_s.len()).map(of).collect()
     }
 
-    /// The best of speeds along the path, of rest, and of what was before.
+    /// Best combination of speeds along the path, rest, and the velocities before; `None` if none keeps the limits.
     fn along_the_path(&self, open: &[bool], before: &[Velocity]) -> Option<Vec<Velocity>> {
         let largest = self.axes[0].velocity.hypot(self.axes[1].velocity);
         let speeds: Vec<f64> = (0..SPEEDS as i32).map(|k| largest / SPEED_FACTOR.powi(k)).collect();
@@ -223,10 +237,10 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// The highest speeds along the path between which every segment is passed in about the time of a constant
-    /// acceleration: as at a constant speed, then by speeding up and, backwards, by braking (J. E. Bobrow, S. Dubowsky,
-    /// J. S. Gibson, Int. J. Robot. Res. 4 (1985) 3). Speeds of a grid would not do along segments that are too short
-    /// for a step of it.
+    /// Highest speeds along the path at which every segment takes about the time of a constant acceleration. The limits
+    /// at constant speed come first, then those of accelerating, and backwards those of braking (J. E. Bobrow, S.
+    /// Dubowsky, J. S. Gibson, Int. J. Robot. Res. 4 (1985) 3). A grid of speeds is too coarse along segments that are
+    /// too short to change the speed by one of its steps.
     fn profile(&self, open: &[bool], before: &[Velocity]) -> Vec<Velocity> {
         let n = self.asked_s.len();
         let length_mm = |i: usize| {
@@ -286,7 +300,7 @@ impl<'a> Search<'a> {
         (0..=n).map(|node| at(node, speed[node])).collect()
     }
 
-    /// The best of steps up and down.
+    /// Best combination of steps up and down from `velocity`.
     fn stepped(
         &self,
         open: &[bool],
@@ -314,8 +328,8 @@ impl<'a> Search<'a> {
         best.unwrap_or_else(|| velocity.to_vec())
     }
 
-    /// The best of all combinations of candidates at the open nodes, or `None` where none keeps the limits. The first
-    /// [`OTHERS`] candidates go with all of a neighbour, the others with those that are at most `apart` from them.
+    /// Best of all combinations of candidates at the open nodes; `None` if none keeps the limits. The first [`OTHERS`]
+    /// candidates are combined with all candidates of a neighbour, the others with those at most `apart` places away.
     fn best(
         &self,
         open: &[bool],
@@ -328,7 +342,7 @@ impl<'a> Search<'a> {
             to.clear();
             if open[node] { fill(node, to) } else { to.push(kept[node]) }
         };
-        // Of the present node: candidates, the least time until there, and, of all nodes, from which candidate.
+        // Candidates of the present node, the least time until there, and for all nodes the candidate before.
         let (mut here, mut next) = (Vec::new(), Vec::new());
         candidates(0, &mut here);
         let (mut cost, mut cost_next) = (vec![0.0], Vec::new());
@@ -395,7 +409,7 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// The nearest velocity that the mode and the limits allow.
+    /// Nearest velocity that the mode and the limits allow.
     fn allowed(&self, node: usize, velocity: Velocity) -> Velocity {
         [0, 1].map(|a| {
             let axis = &self.axes[a];
@@ -409,7 +423,7 @@ impl<'a> Search<'a> {
         (0..2).all(|a| velocity[a].abs() <= self.axes[a].velocity)
     }
 
-    /// Least time of segment `i`, not below what was asked: infinite where none keeps the limits.
+    /// Least time of segment `i`, s, not below `least_s`; infinite if no time keeps the limits.
     fn least_time(&self, i: usize, from: Velocity, to: Velocity) -> f64 {
         let mut h = self.least_s[i];
         loop {
@@ -426,9 +440,10 @@ impl<'a> Search<'a> {
 }
 
 impl Axis<'_> {
-    /// The end of the excluded intervals that `h` is in, or `h` itself; infinite where an interval has no end.
+    /// End of the excluded intervals that contain `h`, or `h` itself, s; infinite if an interval has no end.
     fn least_time(&self, i: usize, v0: f64, v1: f64, mut h: f64) -> f64 {
-        /// Rounding of a condition that holds with equality.
+        /// Excess over a condition that counts as equality, relative. Larger: limits are exceeded by as much. Smaller:
+        /// a time at the end of an interval counts as excluded, because of rounding.
         const ROUNDING: f64 = 1e-12;
         let dp = self.problem.displacement_mm[i];
         let [dp, v0, v1] = if dp < 0.0 { [-dp, -v0, -v1] } else { [dp, v0, v1] };

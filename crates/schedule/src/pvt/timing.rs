@@ -1,5 +1,5 @@
-//! Segments and the time they get: never less than the machine's, more where a round of stretching
-//! gives it.
+//! Times of the segments: at least the dwell time and the least time of the machine, and more after a
+//! round of stretching.
 
 use planish_types::{DwellTime, Limits, ToolPath};
 use rayon::prelude::*;
@@ -7,8 +7,9 @@ use serde::Serialize;
 
 use crate::ScheduleError;
 
-/// Most rounds of stretching. A round multiplies the time of a segment in excess by up to 1.5,
-/// so 100 rounds cover 17 orders of magnitude.
+/// Largest number of rounds in which all segments are stretched by the same factor. A round multiplies
+/// their times by up to 1.5, so 100 rounds cover 17 orders of magnitude. Larger: a hopeless case runs
+/// longer. Smaller: times that are orders of magnitude too short end in an error.
 pub(super) const MAX_ROUNDS: usize = 100;
 
 /// A segment that was given more time.
@@ -16,7 +17,7 @@ pub(super) const MAX_ROUNDS: usize = 100;
 pub struct Stretched {
     /// Index of the segment (= dwell point).
     pub segment: usize,
-    /// Whether the tool removes there: then the stretch is an error of the dwell time.
+    /// True if the tool is on: then the additional time is an error of the dwell time.
     pub tool_on: bool,
     /// Dwell time, s.
     pub dwell_s: f64,
@@ -24,7 +25,7 @@ pub struct Stretched {
     pub scheduled_s: f64,
 }
 
-/// Segments and the time they get.
+/// Segments that take time, and their times.
 #[derive(Debug)]
 pub(super) struct Timing {
     /// Segments that take time.
@@ -34,7 +35,7 @@ pub(super) struct Timing {
 }
 
 impl Timing {
-    /// [`durations_s`], without the segments that take no time.
+    /// Times by [`durations_s`], without the segments that take no time.
     pub(super) fn new(path: &ToolPath, dwell: &DwellTime, limits: &Limits) -> Self {
         let mut duration_s = durations_s(path, dwell, limits);
         let kept = (0..path.len()).filter(|i| duration_s[*i] > 0.0).collect();
@@ -42,7 +43,7 @@ impl Timing {
         Self { kept, duration_s }
     }
 
-    /// The segment that is furthest from what its mean speed or duration may be.
+    /// Error about the segment whose dwell time is the most below its least time; `None` if none is.
     pub(super) fn refusal(
         &self,
         path: &ToolPath,
@@ -62,8 +63,8 @@ impl Timing {
         })
     }
 
-    /// `h <- 1.002 min(excess, 1.5) h` where the excess is above 1: algorithms that scale a segment's time
-    /// by k divide its velocity by k and its acceleration by k^2.
+    /// Stretches every segment with an excess above 1: `h <- 1.002 min(excess, 1.5) h`. A time that is k
+    /// times as long divides the velocity by k and the acceleration by k^2.
     pub(super) fn stretch(&mut self, excess: &[f64]) {
         for (h, e) in self.duration_s.iter_mut().zip(excess) {
             if *e > 1.0 {
@@ -72,7 +73,7 @@ impl Timing {
         }
     }
 
-    /// Segments that have more than their dwell time, in order.
+    /// Segments that take longer than their dwell time, in order.
     pub(super) fn stretched(&self, path: &ToolPath, dwell: &DwellTime) -> Vec<Stretched> {
         (self.kept.iter().zip(&self.duration_s))
             .map(|(&segment, &scheduled_s)| Stretched {
@@ -92,9 +93,9 @@ impl Timing {
     }
 }
 
-/// Least duration, in roundings of the time of the whole motion: a duration is the difference of two break times, and
-/// what rounds to zero is no time. With 64 a duration has two digits, which is enough for a segment so short that its
-/// times and lengths are rounding.
+/// Least duration of a segment, in roundings of the total time. A duration is the difference of two break times, so a
+/// shorter one could round to zero. Larger: very short segments are stretched by more. Smaller: durations keep fewer
+/// digits. 64 roundings leave two digits, enough for a segment whose times and lengths are rounding.
 const LEAST_ROUNDINGS: f64 = 64.0;
 
 /// Duration of every segment of `path`: `h >= dwell`, `h >= |dp| / v_max` on both axes, `h >= min_segment_s`, and
@@ -107,20 +108,20 @@ pub(crate) fn durations_s(path: &ToolPath, dwell: &DwellTime, limits: &Limits) -
     duration_s
 }
 
-/// Least time of segment `i`: its mean velocity within the limits, and the controller's least.
+/// Least time of segment `i`, s: the mean velocity keeps its limits, and the controller accepts the duration.
 fn least_time(path: &ToolPath, limits: &Limits, i: usize) -> f64 {
     let (dp, v) = (path.displacement_mm(i), limits.max_velocity_mm_per_s());
     let axis = |a: usize| dp[a].abs() / v[a];
     axis(0).max(axis(1)).max(limits.min_segment_s())
 }
 
-/// The segment that exceeds the limits most, and by how much; 1 where none does.
+/// Segment with the largest excess, and that excess; 1 if no segment exceeds the limits.
 pub(super) fn worst(excess: &[f64]) -> (usize, f64) {
     let each = excess.iter().copied().enumerate();
     each.fold((0, 1.0), |m, (k, e)| if e > m.1 { (k, e) } else { m })
 }
 
-/// A segment whose time may not be stretched, but would have to be.
+/// Error about a segment that would have to be stretched by `factor`, which the settings forbid.
 pub(super) fn too_short(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -135,8 +136,8 @@ pub(super) fn too_short(
     }
 }
 
-/// The segments by all threads, where there are many: the system's work for memory that is touched
-/// for the first time would else be that of one.
+/// Iterator over the segments, on all threads if there are many. With one thread, that thread alone
+/// would do the system's work for memory that is touched for the first time.
 pub(super) fn parallel(segments: usize) -> impl IndexedParallelIterator<Item = usize> {
     (0..segments).into_par_iter().with_min_len(2048)
 }

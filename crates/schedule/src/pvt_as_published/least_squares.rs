@@ -4,10 +4,10 @@
 //! min |J x - r|^2   with   low <= x <= high,   a row of J in the unknowns of two neighbouring nodes
 //! ```
 //!
-//! With unknowns held at bounds, the others are solved for by Givens rotations of the rows; the normal
-//! equations would hold the squares of entries, which vanish in rounding. Which are held is found by
-//! primal-dual active sets, or, where these repeat themselves, one bound at a time from the solution of
-//! an interior point method.
+//! With some unknowns held at bounds, Givens rotations of the rows solve for the others. The normal
+//! equations would contain the squares of entries, which vanish in rounding. Primal-dual active sets
+//! find the held unknowns. If the sets repeat, the bounds are changed one at a time, from the solution
+//! of an interior point method.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -25,20 +25,23 @@ use clarabel::{
 /// Unknowns per node: v, A, a.
 pub(super) const PER_NODE: usize = 3;
 
-/// Half bandwidth: an unknown of a node meets those of the next one.
+/// Half bandwidth of the triangle: a row has the unknowns of two neighbouring nodes.
 const BAND: usize = 5;
 
-/// Most rounds of the active set method: it ends after 4 to 12 on real paths, and where it has
-/// not ended after 60 it repeats itself.
+/// Largest number of rounds of the active set method. It ends after 4 to 12 on real paths; after 60 it
+/// repeats itself. Larger: more factorisations before the slower method begins. Smaller: paths on which
+/// the active sets would end are solved by the slower method.
 pub(super) const MAX_ROUNDS: usize = 60;
 
-/// Most changes of one bound; a random path of 60 segments needs some tens.
+/// Largest number of changes of one bound each; a random path of 60 segments needs some tens. Larger: a
+/// hopeless case runs longer. Smaller: the method ends before the minimum, and the result is refused.
 const MAX_CHANGES: usize = 2000;
 
-/// Gradients below this fraction of the right-hand side are rounding.
+/// Gradient that counts as zero, relative to the norm of the right-hand side. Larger: the method ends
+/// before the minimum. Smaller: rounding releases bounds without end.
 const ROUNDING: f64 = 1e-13;
 
-/// Where an unknown is.
+/// Place of an unknown: held at its lower or upper bound, or free.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Side {
     Low,
@@ -46,7 +49,7 @@ pub(super) enum Side {
     High,
 }
 
-/// A row `value x[first..] = right` of the least squares.
+/// Row `value x[first..] = right` of the least squares.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Row {
     pub(super) first: usize,
@@ -61,7 +64,7 @@ impl Row {
     }
 }
 
-/// min |J x - r|^2, rows ascending in `first`.
+/// Problem min |J x - r|^2; the rows ascend in `first`.
 #[derive(Clone, Debug)]
 pub(super) struct LeastSquares {
     pub(super) rows: Vec<Row>,
@@ -69,7 +72,7 @@ pub(super) struct LeastSquares {
 }
 
 impl LeastSquares {
-    /// J'(J x - r) and the diagonal of J'J.
+    /// Gradient J'(J x - r), and the diagonal of J'J.
     pub(super) fn gradient(&self, x: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let (mut gradient, mut square) = (vec![0.0; self.unknowns], vec![0.0; self.unknowns]);
         for row in &self.rows {
@@ -82,7 +85,8 @@ impl LeastSquares {
         (gradient, square)
     }
 
-    /// max_j |J_j| |x_j - clamp(x_j - gradient_j / |J_j|^2)| / |r|, 0 at the minimum and only there.
+    /// Distance from the minimum, max_j |J_j| |x_j - clamp(x_j - gradient_j / |J_j|^2)| / |r|; it is 0 at the
+    /// minimum and only there.
     pub(super) fn optimality(&self, low: &[f64], high: &[f64], x: &[f64]) -> f64 {
         let (gradient, square) = self.gradient(x);
         let scale = self.right_norm();
@@ -95,7 +99,7 @@ impl LeastSquares {
         if largest == 0.0 { 0.0 } else { largest / scale }
     }
 
-    /// The side to which x - gradient / |J_j|^2 points.
+    /// Side of every unknown, to which x - gradient / |J_j|^2 points.
     fn sides(&self, low: &[f64], high: &[f64], x: &[f64]) -> Vec<Side> {
         let (gradient, square) = self.gradient(x);
         (0..self.unknowns)
@@ -112,8 +116,9 @@ impl LeastSquares {
             .collect()
     }
 
-    /// Primal-dual active sets: solve with the unknowns on their sides, choose the sides anew,
-    /// until they stay. `None` when they do not, or the rows are dependent.
+    /// Solution by primal-dual active sets, and the number of rounds: solve with the unknowns on their
+    /// sides and choose the sides again, until they no longer change. `None` if they keep changing, or if
+    /// the rows are dependent.
     pub(super) fn active_set(
         &self,
         low: &[f64],
@@ -141,9 +146,10 @@ impl LeastSquares {
         None
     }
 
-    /// From the feasible x down to the minimum: to the solution of the free unknowns, or to the
-    /// first bound on the way, which holds from then on; there, the bound that keeps most from the
-    /// minimum is given up. The sum of squares never grows.
+    /// Descends from a feasible x to the minimum, and returns it with the number of changes. Each step goes
+    /// to the solution of the free unknowns, or to the first bound on the way, which is then held. At the
+    /// solution of the free unknowns the bound with the largest gradient is released. The sum of squares
+    /// never grows.
     pub(super) fn descend(
         &self,
         low: &[f64],
@@ -200,7 +206,7 @@ impl LeastSquares {
         Some((x, MAX_CHANGES))
     }
 
-    /// |r|.
+    /// Norm |r| of the right-hand side.
     fn right_norm(&self) -> f64 {
         self.rows.iter().map(|row| row.right * row.right).sum::<f64>().sqrt()
     }
@@ -251,7 +257,7 @@ impl LeastSquares {
         x.iter().all(|x| x.is_finite()).then_some(x)
     }
 
-    /// The same problem by clarabel, to its tolerance of 1e-8: min |z|^2/2 with J x - z = r.
+    /// Solution by clarabel, to its tolerance of 1e-8, as min |z|^2/2 with J x - z = r.
     pub(super) fn interior_point(&self, low: &[f64], high: &[f64]) -> Vec<f64> {
         let (n, m) = (self.unknowns, self.rows.len());
         let (mut r, mut c, mut v, mut bound) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
@@ -287,8 +293,8 @@ impl LeastSquares {
             return vec![0.0; n];
         };
         solver.solve();
-        // Any point within the bounds is a start for `descend`, the last one of a run that made too
-        // little progress too.
+        // Any point within the bounds is a start for `descend`, also the last point of a run that did not
+        // converge.
         let clamped = |j: usize| {
             let x = solver.solution.x[j];
             if x.is_finite() { x.clamp(low[j], high[j]) } else { 0.0 }

@@ -28,14 +28,17 @@
 //! ```
 //!
 //! and the cubic misses its points by the last, r: `p(0) - P0 = P1 - p(h) = r / sqrt(2 + h^2/2)`.
-//! The unknowns `(v, A, a)` of the nodes are solved for by Givens rotations of the rows; the normal
-//! equations hold the squares of `h^2/12`, which at 1e-4 s vanish in the rounding of 1. The bounds
-//! are met by active sets.
+//! Givens rotations of the rows solve for the unknowns `(v, A, a)` of the nodes. The normal equations
+//! would contain the squares of `h^2/12`, which at 1e-4 s vanish in the rounding of 1. Active sets
+//! keep the bounds.
 //!
-//! What the report shows and nothing repairs: the squares of unlike units are added, so the
-//! positions, cheapest to violate, are missed by up to 0.37 mm on the reference mirror before Eq. 8
-//! puts them right, which breaks the continuity of the acceleration; an axis at rest is asked for
-//! `v_i >= 0` and moves; neither the inside of a segment nor the limits after Eq. 8 are looked at.
+//! Defects that the report shows and nothing repairs:
+//!
+//! * The least squares add squares of unlike units. Errors of position cost least, and are up to
+//!   0.37 mm on the reference mirror. Eq. 8 then restores the positions, which breaks the continuity
+//!   of the acceleration.
+//! * Eq. 18 demands `v_i >= 0` of an axis at rest, so it moves.
+//! * Neither the inside of a segment nor the limits after Eq. 8 are checked.
 //!
 //! Source: T. Wang et al., J. Manuf. Process. 2023, doi 10.1016/j.jmapro.2023.01.005, Eqs 8-18.
 //! Corrected: Eq. 16 pins the end of the first segment where it means its start (the `v = a = 0`
@@ -62,26 +65,26 @@ use crate::{
     rounding_mm,
 };
 
-/// Where Eq. 16 has the tool rest, `v = a = 0`, besides the end.
+/// Node at which Eq. 16 sets the tool at rest, `v = a = 0`, besides the end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum RestCondition {
-    /// At the start: node 0.
+    /// The start: node 0.
     #[default]
     Corrected,
-    /// At node 0 and, since the unknowns of the first segment belong to its end, at node 1 too.
+    /// Node 0, and node 1 as well, because the unknowns of the first segment belong to its end.
     AsPrinted,
 }
 
-/// How to schedule.
+/// Settings of PVT as published.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Settings {
-    /// Where Eq. 16 has the tool rest.
+    /// Node at which Eq. 16 sets the tool at rest.
     pub rest_condition: RestCondition,
 }
 
-/// What came of it, per axis [x, y].
+/// Errors of the least squares and of the motion, per axis [x, y].
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Report {
     /// Largest distance of the least-squares cubics from their control points, mm.
@@ -98,28 +101,28 @@ pub struct Report {
     pub largest_acceleration_step_mm_per_s2: [f64; 2],
     /// Nodes whose velocity is at a bound of Eq. 18.
     pub velocities_at_a_bound: [usize; 2],
-    /// Factorisations of the active set method; more than 60 where it repeated itself and went on
-    /// one bound at a time from the solution of the interior point method.
+    /// Factorisations of the active set method. More than 60 if the sets repeated and the bounds were
+    /// changed one at a time, from the solution of the interior point method.
     pub factorisations: [usize; 2],
-    /// How far the solution is from a least one: the longest step of one unknown within its bounds
-    /// that the gradient asks for, by the change of the rows, over the right-hand side.
+    /// Distance of the solution from the minimum, relative: the largest step of one unknown to the minimum
+    /// along it, within its bounds, as the change of the rows over the norm of the right-hand side.
     pub optimality: [f64; 2],
     /// Segments without length and dwell time, left out.
     pub dropped: Vec<usize>,
 }
 
-/// The motion and what came of it.
+/// Motion and its report.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     /// Motion.
     pub trajectory: Trajectory,
-    /// What came of it.
+    /// Errors of the least squares and of the motion.
     pub report: Report,
 }
 
-/// Schedules `path` with the times `dwell`; nothing is stretched.
+/// Schedules `path` with the times `dwell`, and stretches nothing.
 ///
-/// Refuses a dwell time of zero on a segment with a length: the cubic has no time.
+/// Refuses a dwell time of zero on a segment with a length: its cubic would have no time.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -227,7 +230,7 @@ struct Axis {
 /// The solution of one axis.
 #[derive(Debug)]
 struct Nodes {
-    /// v, A, a of node 0, of node 1, ...
+    /// Unknowns v, A, a of node 0, then of node 1, and so on.
     value: Vec<f64>,
     velocities_at_a_bound: usize,
     factorisations: usize,
@@ -240,11 +243,12 @@ impl Nodes {
     }
 }
 
-/// A solution farther from a least one than this is refused; see [`Report::optimality`].
+/// Largest [`Report::optimality`] of a solution, relative; others are refused. Larger: inaccurate velocities pass.
+/// Smaller: solutions are refused because of rounding. The reference mirror reaches 4e-15 (docs/schedulers.md).
 const LARGEST_OPTIMALITY: f64 = 1e-9;
 
 impl Axis {
-    /// Distances p(0) - P0, p(h) - P1 of the least-squares cubic.
+    /// Distances p(0) - P0 and p(h) - P1 of the least-squares cubic, mm.
     fn position_errors(&self, nodes: &Nodes, i: usize) -> [f64; 2] {
         let h = self.duration_s[i];
         let [_, row] = self.rows(i);
@@ -252,7 +256,7 @@ impl Axis {
         [error, -error]
     }
 
-    /// (3) of segment i.
+    /// Rows (3) of segment i.
     fn rows(&self, i: usize) -> [Row; 2] {
         let (h, dp) = (self.duration_s[i], self.displacement_mm[i]);
         let (turn, shift) = (0.5_f64.sqrt(), 1.0 / (2.0 + 0.5 * h * h).sqrt());
@@ -310,8 +314,8 @@ impl Axis {
         (low, high)
     }
 
-    /// Active sets from the free solution; where they repeat, one bound at a time from the solution
-    /// of the interior point method.
+    /// Solution by active sets, from the free solution. If they repeat, the bounds are changed one at a time, from the
+    /// solution of the interior point method.
     fn solve(&self) -> Result<Nodes, NotConverged> {
         let problem = self.least_squares();
         let (low, high) = self.bounds();

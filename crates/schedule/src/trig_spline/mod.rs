@@ -1,4 +1,4 @@
-//! Dwell-time density as a trigonometric spline of arc length, lifted until the machine can follow.
+//! Dwell-time density as a trigonometric spline of arc length, raised until the machine can follow.
 //!
 //! The tool moves along the path at the feedrate `1/D`; the dwell-time density `D` (s/mm) joins the
 //! densities `d` of the dwell points by half a period of a cosine. On a piece of length `L` from
@@ -30,16 +30,17 @@
 //! ```
 //!
 //!    The nodes before and after it are raised as far as the acceleration along the path needs it.
-//! 4. *Links.* A pass starts and ends at its feed. The tool, off, runs up to it and brakes after it
-//!    on the extended line at constant acceleration; lifts are links within all limits.
+//! 4. *Links.* A pass starts and ends at its feedrate. With the tool off, the motion accelerates to
+//!    it and brakes after it on the extended line, at constant acceleration. Lifts are links within
+//!    all limits.
 //! 5. *Fit.* (2) is inverted and fitted by cubic Hermite polynomials in time, with exact velocities
 //!    at their ends, cut until they are within the tolerance of the position and within the limits.
-//! 6. *Proof.* Every piece is within the limits by (3) and every cubic of it by its own extrema, or
-//!    the smaller density of the piece is raised to the geometric mean of the two, its neighbours as
-//!    far as they need it, and after a few rounds all densities by an offset; the report says so.
+//! 6. *Proof.* Every piece must keep the limits by (3), and every cubic of it by its own extrema. Else
+//!    the smaller density of the piece is raised to the geometric mean of the two, and its neighbours
+//!    as far as they need it. After a few rounds an offset is added to all densities. The report says
+//!    so.
 //!
-//! Segments without a length, but for the rounding of their coordinates, have no density: their time goes to the
-//! neighbours in the pass.
+//! Segments whose length is rounding have no density: their time goes to the neighbours in the pass.
 //!
 //! Source: the trigonometric-spline scheduler of Opt. Express 32 (2024) 9255, Eqs 3-17. Corrected:
 //! its Eq. 5 has the factor 8 L for 4/L and the wrong sign, and Eqs 9-16 follow it; the peak (3)
@@ -72,15 +73,16 @@ use self::{
 };
 use crate::{ScheduleError, check_lengths};
 
-/// How to schedule.
+/// Settings of the trigonometric spline.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// How densities that the machine cannot follow are repaired.
+    /// Repair of the densities that the machine cannot follow.
     pub repair: Repair,
-    /// Largest distance of the motion from a corner, mm; > 0. Default 0.02 mm: a hundredth of the
-    /// smallest tools, and 90 degrees at 10 mm/s need no more at 1000 mm/s^2.
+    /// Largest distance of the motion from a corner, mm; > 0. Larger: corners are passed faster, and the
+    /// tool is farther from the path. Default 0.02 mm: a hundredth of the smallest tools, and enough to
+    /// turn by 90 degrees at 10 mm/s with 1000 mm/s^2.
     pub corner_deviation_mm: f64,
-    /// Largest error of the position where it is fitted by cubics, mm; > 0. Default 1e-6 mm.
+    /// Largest error of the position in the fit by cubics, mm; > 0. Smaller: more cubics. Default 1e-6 mm.
     pub fit_tolerance_mm: f64,
 }
 
@@ -107,14 +109,14 @@ impl Settings {
     }
 }
 
-/// The motion, its dwell-time density, and what was done to get them.
+/// Motion, its dwell-time density, and the report.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     /// Motion.
     pub trajectory: Trajectory,
-    /// Native parameters: the nodes of the spline. `None` when no pass has a length.
+    /// Nodes of the spline; `None` if no pass has a length.
     pub density: Option<DwellDensity>,
-    /// What was done.
+    /// Changes of the densities, and errors of the motion.
     pub report: Report,
 }
 

@@ -1,5 +1,5 @@
-//! The passes as cubics in time, joined by links with the tool off; each proven within the limits: steps
-//! 3 to 6 of [`super`].
+//! Motion along the passes, as cubics in time that are proven within the limits, and along the links
+//! with the tool off: steps 3 to 6 of [`super`].
 
 use planish_types::{DwellTime, Limits, ToolPath, TrajectoryBuilder};
 
@@ -13,7 +13,7 @@ use crate::{
     shortest_cubic::{State, shortest_cubic},
 };
 
-/// The trajectory so far.
+/// Trajectory so far.
 pub(super) struct Motion<'a> {
     path: &'a ToolPath,
     dwell: &'a DwellTime,
@@ -24,12 +24,12 @@ pub(super) struct Motion<'a> {
     pub(super) unproven: Vec<(usize, usize)>,
     /// The segments so far.
     pub(super) made: TrajectoryBuilder,
-    /// Where the motion is, and how fast.
+    /// Present position and velocity.
     now: State,
 }
 
 impl<'a> Motion<'a> {
-    /// Along all passes; `report` is what was done to them.
+    /// Motion along all passes; `report` has the changes of their densities.
     pub(super) fn along(
         path: &'a ToolPath,
         dwell: &'a DwellTime,
@@ -65,7 +65,7 @@ impl<'a> Motion<'a> {
         }
     }
 
-    /// From rest to the start of the first pass, along its extension backwards.
+    /// Adds the acceleration from rest to the start of the first pass, along its extension backwards.
     fn run_up(&mut self, start: State) {
         let (speed, direction) = polar(start.velocity_mm_per_s);
         if speed > 0.0 {
@@ -80,7 +80,7 @@ impl<'a> Motion<'a> {
         self.now = start;
     }
 
-    /// To rest after the end of the last pass.
+    /// Adds the brake to rest after the end of the last pass.
     fn brake(&mut self) {
         let (speed, direction) = polar(self.now.velocity_mm_per_s);
         if speed > 0.0 {
@@ -101,7 +101,7 @@ impl<'a> Motion<'a> {
         (1.0 - MARGIN) * along(direction, self.limits.max_acceleration_mm_per_s2())
     }
 
-    /// Segments with the tool off: a link each, at rest in between.
+    /// Adds a link for every segment with the tool off, at rest in between.
     fn lift(&mut self, run: std::ops::Range<usize>, end: State) {
         for i in run.clone() {
             let rest =
@@ -155,14 +155,14 @@ impl<'a> Motion<'a> {
         self.now = pass.end();
     }
 
-    /// Constant density from `from` to `to` along a straight.
+    /// Adds a constant density from `from` to `to` along a straight.
     fn plateau(&mut self, s: &Straight, from: f64, to: f64, density: f64) {
         let c = [0, 1]
             .map(|a| [s.start[a] + s.direction[a] * from, s.direction[a] / density, 0.0, 0.0]);
         self.made.push((to - from) * density, c, true, Some(s.index));
     }
 
-    /// The parabola at corner node k, in two halves.
+    /// Adds the parabola at corner node k, in two halves.
     fn blend(&mut self, pass: &Pass, k: usize) {
         let (node, s) = (&pass.nodes[k], &pass.straights[pass.straight_of[k]]);
         let next = &pass.straights[pass.straight_of[k] + 1];
@@ -180,12 +180,12 @@ impl<'a> Motion<'a> {
         self.made.push(half_s, middle, true, Some(next.index));
     }
 
-    /// Step 5 for the piece from node k to the next one; whether it is proven within the limits.
+    /// Adds the piece from node k to the next one, by step 5. Returns true if it is proven within the limits.
     fn piece(&mut self, pass: &Pass, k: usize) -> bool {
         let (a, b) = (&pass.nodes[k], &pass.nodes[k + 1]);
         let own = &pass.straights[pass.straight_of[k]];
-        // Where the piece starts and along what; a piece between two dwell points is cut where the
-        // first segment ends.
+        // The straight along which the piece starts, and the start on it. A piece between two dwell points
+        // is cut at the end of the first segment.
         let next = pass.straights.get(pass.straight_of[k] + 1);
         let (straight, offset) = match next {
             Some(next) if a.half_length_mm > 0.0 => (next, a.half_length_mm),
@@ -236,11 +236,12 @@ fn polar(v: [f64; 2]) -> (f64, [f64; 2]) {
     (speed, v.map(|v| if speed > 0.0 { v / speed } else { 0.0 }))
 }
 
-/// Lengths of neighbours that agree to this part are the same but for rounding: their piece is cut in the
-/// middle, where the spline can be looked up.
+/// Difference of the lengths of two neighbours that counts as rounding, relative. Their piece is then cut
+/// in the middle, where the values of the spline are in a table. Larger: the cut is off by as much.
+/// Smaller: equal steps with rounded coordinates miss the table, and take more computing time.
 const SAME_LENGTH: f64 = 1e-12;
 
-/// How a piece is fitted.
+/// Piece to be fitted, its limits and the tolerance.
 #[derive(Clone, Copy, Debug)]
 struct Fit {
     shape: Piece,
@@ -253,19 +254,23 @@ struct Fit {
 #[derive(Clone, Copy, Debug)]
 struct Cubic {
     duration_s: f64,
-    /// Distance from the start of the piece.
+    /// Coefficients of the distance from the start of the piece, ascending, mm/s^order.
     coefficient_mm: [f64; 4],
-    /// An upper bound, or the largest at the places of its stretch where the bound does not decide.
+    /// Error of the position, mm: an upper bound, or, if that exceeds the tolerance, the largest error at
+    /// the places of the stretch.
     error_mm: f64,
-    /// The largest velocity and acceleration of the cubic, at its own extrema.
+    /// True if the velocity and the acceleration of the cubic keep the limits, at its own extrema.
     within_limits: bool,
 }
 
-/// Most halvings of a piece: the error falls by 16 with each, the swing of the acceleration by 4.
+/// Largest number of halvings of a piece. Each divides the error by 16, and the deviation of the
+/// acceleration from that of the spline by 4. Larger: a hopeless piece becomes more cubics. Smaller:
+/// pieces stay unproven that another halving would prove.
 const MAX_HALVINGS: usize = 20;
 
-/// Part of the tolerance that the error at the places of a stretch may take: that of Hermite interpolation has one hump,
-/// u^2 (1-u)^2, which is higher by 2 % at most between two of them.
+/// Ratio of the largest error at the places of a stretch to the tolerance. The error of Hermite interpolation has
+/// one hump, u^2 (1-u)^2, which is at most 2 % higher between two places. Larger: the error between them can exceed
+/// the tolerance. Smaller: more cubics.
 const FIT_SAFETY: f64 = 0.95;
 
 impl Fit {
@@ -279,7 +284,7 @@ impl Fit {
         }
     }
 
-    /// The Hermite cubic along a stretch, where it is good or the last one.
+    /// Hermite cubic along a stretch; `None` if it misses the tolerance or the limits and can be halved.
     fn cubic(&self, stretch: &Stretch, is_last: bool) -> Option<Cubic> {
         let piece = &self.shape;
         let ends = piece.ends(stretch);
@@ -296,7 +301,7 @@ impl Fit {
         // Hermite interpolation: error <= h^4 / 384 max |d^4 s/dt^4|
         let mut error_mm = (h * h).powi(2) / 384.0 * piece.fourth_derivative_bound(ends);
         if error_mm.is_nan() || error_mm > most_mm {
-            // The middle first: it decides nearly always where the cubic is not good.
+            // The middle first: a cubic that misses the tolerance nearly always misses it there.
             if error_mm_at(STRETCH_PLACES / 2) > most_mm && !is_last {
                 return None;
             }

@@ -1,4 +1,4 @@
-//! The passes of a path: maximal runs of segments with the tool on, their corners, and the densities
+//! Passes of a path: maximal runs of segments with the tool on, their corners, and the densities
 //! that give every segment its dwell time. The numbers of equations and steps are those of [`super`].
 
 use std::{f64::consts::PI, ops::Range};
@@ -12,33 +12,40 @@ use super::{
 };
 use crate::{rounding_mm, shortest_cubic::State};
 
-/// Part of the limits that the repair leaves free: the fitted cubics, whose acceleration swings
-/// about that of the spline, then need no more than a few cuts near its peak.
+/// Part of the limits that the repair leaves free, relative. The acceleration of a fitted cubic deviates
+/// from that of the spline; with the margin a few cuts near its peak are enough. Larger: motions are
+/// slower. Smaller: more cubics.
 pub(super) const MARGIN: f64 = 1e-4;
 
-/// Directions closer than this are the same: it makes a velocity step of 1e-7 mm/s at 100 mm/s.
+/// Largest difference of two unit vectors that count as the same direction, dimensionless. Larger: the
+/// velocity steps at the node. Smaller: rounded coordinates of a line become corners. The value makes a
+/// step of 1e-7 mm/s at 100 mm/s.
 const SAME_DIRECTION: f64 = 1e-9;
 
-/// Directions are the same only where the tool, keeping to the first to the middle of the second
-/// segment, is not farther from that than this, mm: a tenth of what is taken for rounding when a
-/// motion is judged.
+/// Largest distance from the path at which two directions still count as the same, mm, for a tool that
+/// keeps the first direction up to the middle of the second segment. Larger: the position steps at the
+/// node. Smaller: rounded coordinates of a line become corners. The value is a tenth of the position
+/// step that a judge takes for rounding.
 const SAME_LINE_MM: f64 = 1e-7;
 
-/// A straight whose time is short by less than this part of it has its time but for rounding.
+/// Deficit of the time of a straight that counts as rounding, relative to the time. Larger: segments get less than
+/// their dwell time. Smaller: rounding releases held densities without need.
 const SHORT: f64 = 1e-9;
 
-/// How often a density that is held may be let go: two that hold each other in turn would go on for ever.
+/// Largest number of times that a held density is released. Two that are held in turn would never end. Larger: more
+/// tridiagonal solutions. Smaller: segments can keep less than their dwell time.
 const MOST_LET_GO: usize = 3;
 
-/// A blend takes at most this fraction of the shorter of its two segments.
+/// Largest half length of a blend, relative to the shorter of its two segments. Larger: less of the segment is left
+/// for the change of density. Smaller: corners of short segments are passed more slowly.
 const LARGEST_BLEND: f64 = 0.25;
 
 /// A blend at the end of a segment.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Corner {
-    /// b.
+    /// Half length b, mm.
     half_length_mm: f64,
-    /// u2 - u1.
+    /// Change of the unit vector of the direction, u2 - u1.
     turn: [f64; 2],
 }
 
@@ -46,11 +53,11 @@ pub(super) struct Corner {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Node {
     pub(super) density: f64,
-    /// Smallest density that its velocity, and the acceleration of a corner, allow.
+    /// Smallest density that the velocity limit, and the acceleration limit at a corner, allow, s/mm.
     pub(super) least: f64,
-    /// Smallest density that the velocity alone allows, without the margin.
+    /// Smallest density that the velocity limit alone allows, without the margin, s/mm.
     pub(super) fastest: f64,
-    /// Length on which the density is constant before and after it; b of a corner, else 0.
+    /// Length on which the density is constant before and after the node, mm: b of a corner, else 0.
     pub(super) half_length_mm: f64,
 }
 
@@ -62,9 +69,9 @@ pub(super) struct Straight {
     pub(super) start: [f64; 2],
     pub(super) direction: [f64; 2],
     pub(super) length: f64,
-    /// Of the whole path up to here, mm.
+    /// Arc length of the whole path up to the start of the straight, mm.
     arc_length: f64,
-    /// Along its direction, mm/s^2; the margin is taken off.
+    /// Largest acceleration along its direction, mm/s^2, less the margin.
     max_acceleration: f64,
     /// Corner at its end.
     corner: Option<Corner>,
@@ -75,13 +82,13 @@ pub(super) struct Straight {
 pub(super) struct Pass {
     /// Segments [first, end) of the path.
     pub(super) run: Range<usize>,
-    /// Where it starts.
+    /// Start of the pass [x, y], mm.
     start_mm: [f64; 2],
-    /// Those with a length above rounding; none when the tool stands.
+    /// Segments with a length above rounding; none if the tool stands.
     pub(super) straights: Vec<Straight>,
     /// Dwell points, and the corners between them.
     pub(super) nodes: Vec<Node>,
-    /// For each node the straight it is the middle of, or at the end of.
+    /// Index of the straight of each node; a dwell point is at its middle, a corner at its end.
     pub(super) straight_of: Vec<usize>,
 }
 
@@ -239,8 +246,9 @@ impl Pass {
             rows[k + 1][0] += after[0];
             rows[k + 1][1] += after[1];
         }
-        // A density that falls too low is held, and its row has more than its time; the others stay exact. One that was
-        // held before its neighbours were may have less than its time: it is let go again, a few times at most.
+        // A density that falls too low is held, and its row then has more than its time; the others stay exact.
+        // A density that was held before its neighbours may have less than its time. It is released again, a few
+        // times at most.
         let least: Vec<f64> = (0..n).map(|k| 0.5 * times[k] / self.straights[k].length).collect();
         let (mut held, mut times_let_go) = (vec![false; n], vec![0; n]);
         loop {
@@ -273,7 +281,7 @@ impl Pass {
         }
     }
 
-    /// The piece from node k to the next one.
+    /// Piece from node k to the next one.
     pub(super) fn piece(&self, k: usize) -> Limited {
         let (a, b) = (&self.nodes[k], &self.nodes[k + 1]);
         let (from, to) = (self.arc_length(k), self.arc_length(k + 1));
@@ -340,7 +348,7 @@ impl Pass {
     }
 }
 
-/// Weights of the dwell points before and after it in the density of a corner: the nearer has more.
+/// Weights of the dwell points before and after a corner in its density: the nearer one has more.
 fn corner_weights(before: f64, after: f64) -> [f64; 2] {
     [after / (before + after), before / (before + after)]
 }

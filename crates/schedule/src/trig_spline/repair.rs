@@ -1,29 +1,33 @@
-//! Densities that the machine cannot follow are raised: by one offset, or where it is needed; at
-//! corners; and where a motion could not be proven: steps 2, 3 and 6 of [`super`].
+//! Repair of densities that the machine cannot follow: steps 2, 3 and 6 of [`super`]. They are raised
+//! by one offset or only where needed, at corners, and where a motion could not be proven.
 
 use serde::Serialize;
 
 use super::{passes::Pass, report::Report};
 
-/// How densities that the machine cannot follow are repaired.
+/// Repair of the densities that the machine cannot follow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Repair {
-    /// One offset for all densities.
+    /// Add one offset to all densities.
     Offset,
-    /// Only the densities that need it are raised.
+    /// Raise only the densities that need it.
     Local,
 }
 
-/// Rounds of the proof that even out single pieces: densities that differ by a factor of 1e15
-/// differ by 1.15 after them.
+/// Number of rounds of the proof that even out single pieces. Densities that differ by a factor of 1e15
+/// differ by 1.15 after them. Larger: more rounds before the offset. Smaller: an offset lengthens the
+/// whole motion although single pieces would do.
 const EVENING_ROUNDS: usize = 8;
 
-/// Most rounds of the proof: the others add an offset, which halves all relative differences.
+/// Largest number of rounds of the proof. Those after [`EVENING_ROUNDS`] add an offset, which halves
+/// all relative differences. Larger: a hopeless case runs longer. Smaller: dwell times are refused that
+/// another offset would make possible.
 pub(super) const PROOF_ROUNDS: usize = 16;
 
-/// Step 2; O(N): the offset grows piece by piece, and no piece is visited twice.
+/// Repairs the densities by step 2, in O(N): the offset grows piece by piece, and no piece is visited
+/// twice.
 pub(super) fn repair(passes: &mut [Pass], how: Repair, report: &mut Report) {
     let before: f64 = passes.iter().map(Pass::duration_s).sum();
     let all = || passes.iter().flat_map(|p| &p.nodes).filter(|n| n.half_length_mm == 0.0);
@@ -53,7 +57,7 @@ pub(super) fn repair(passes: &mut [Pass], how: Repair, report: &mut Report) {
     report.offset_added_s = passes.iter().map(Pass::duration_s).sum::<f64>() - before;
 }
 
-/// Step 3.
+/// Raises the densities at corners and beside them, step 3.
 pub(super) fn slow_at_corners(passes: &mut [Pass], report: &mut Report) {
     let before: f64 = passes.iter().map(Pass::duration_s).sum();
     for pass in passes.iter_mut() {
@@ -86,7 +90,7 @@ fn sweep(pass: &mut Pass) -> usize {
     raised
 }
 
-/// Step 6: less of what could not be proven, the pieces (pass, first node).
+/// Raises densities of the `unproven` pieces (pass, first node), step 6.
 pub(super) fn ease(
     passes: &mut [Pass],
     unproven: &[(usize, usize)],
@@ -102,8 +106,8 @@ pub(super) fn ease(
             let node = &mut passes[p].nodes[smaller];
             node.density = node.density.max(a.sqrt() * b.sqrt());
         }
-        // Nodes are raised only, so that every limit that they kept is kept; what that does to the
-        // pieces beside them is swept.
+        // Nodes are only raised, so that they keep every limit that they kept. A sweep then repairs the
+        // acceleration of the pieces beside them.
         passes.iter_mut().for_each(|pass| {
             sweep(pass);
         });

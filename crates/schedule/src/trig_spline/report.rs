@@ -1,29 +1,30 @@
-//! What was done to the densities and to the motion.
+//! Report of the scheduler: changes of the densities, and errors of the motion.
 
 use serde::Serialize;
 
-/// What was done.
+/// Changes of the densities, and errors of the motion.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Report {
     /// Passes: maximal runs of segments with the tool on.
     pub passes: usize,
     /// Smallest density before the repair, s/mm.
     pub smallest_density_s_per_mm: f64,
-    /// Offset that the largest velocity asks for, s/mm.
+    /// Offset that the velocity limit demands, s/mm.
     pub feed_offset_s_per_mm: f64,
-    /// What the largest acceleration asks for in addition, s/mm.
+    /// Additional offset that the acceleration limit demands, s/mm.
     pub acceleration_offset_s_per_mm: f64,
     /// Time that the offset added, s.
     pub offset_added_s: f64,
     /// Nodes that a local repair raised.
     pub raised_nodes: usize,
-    /// Dwell points whose density was held at half of its mean: their neighbours differ too much.
+    /// Dwell points whose density was held at half the mean density of the segment, because the neighbours differ too
+    /// much.
     pub held_densities: usize,
     /// Time that holding them added, s.
     pub held_added_s: f64,
     /// Changes of direction with the tool on, each rounded by a parabola.
     pub corners: usize,
-    /// Corners at which the tool moves slower than the dwell times ask for.
+    /// Corners at which the tool moves slower than the dwell times demand.
     pub slowed_corners: usize,
     /// Time that slowing at corners added, braking and accelerating included, s.
     pub corner_added_s: f64,
@@ -37,15 +38,16 @@ pub struct Report {
     pub moved_dwell: Vec<usize>,
     /// Segments without length and dwell time, left out.
     pub dropped: Vec<usize>,
-    /// Pieces whose motion could not be proven at first, and were evened out; see step 6.
+    /// Pieces whose densities were evened out, because their motion could not be proven at first; see step 6 of
+    /// [`super`].
     pub evened_pieces: usize,
-    /// Offset of all densities that the proof asked for in the end, s/mm.
+    /// Offset of all densities that the proof demanded in the end, s/mm.
     pub proof_offset_s_per_mm: f64,
-    /// Largest feedrate over its limit along the path, exact.
+    /// Largest ratio of the feedrate to its limit along the path, exact.
     pub feed_use: f64,
-    /// Largest acceleration along the path over its limit, exact, by (3).
+    /// Largest ratio of the acceleration along the path to its limit, exact, by (3) of [`super`].
     pub acceleration_use: f64,
-    /// Largest error of the fitted position, mm: a bound on it, or where that does not decide the largest at 9 points
-    /// of a cubic.
+    /// Largest error of the fitted position, mm: an upper bound, or, if that exceeds the tolerance, the largest error
+    /// at 9 points of a cubic.
     pub fit_error_mm: f64,
 }

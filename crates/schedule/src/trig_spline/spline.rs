@@ -1,9 +1,10 @@
-//! The pieces of the spline, equations (1) to (3) of [`super`], and what raising their densities does to
-//! their acceleration.
+//! Pieces of the spline, equations (1) to (3) of [`super`], and the increase of their densities that the
+//! acceleration limit demands.
 
 use std::{f64::consts::PI, sync::LazyLock};
 
-/// Bisections of a density: 2^-60 of the interval is its rounding.
+/// Number of bisections of a density. 2^-60 of the interval is below rounding. Larger: no change. Smaller: the
+/// increase of a density is larger than needed.
 const BISECTIONS: usize = 60;
 
 /// One piece of the spline, (1).
@@ -18,10 +19,10 @@ pub struct Piece {
 /// A place along a piece.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Place {
-    /// Part of the length.
+    /// Part of the length, 0 to 1.
     x: f64,
     angle: HalfAngle,
-    /// (1).
+    /// Density (1), s/mm.
     pub(super) density_s_per_mm: f64,
 }
 
@@ -34,22 +35,22 @@ impl Piece {
         self.density_s_per_mm[1] - self.density_s_per_mm[0]
     }
 
-    /// e = M1/M2, in (-1, 1).
+    /// Eccentricity e = M1/M2, in (-1, 1).
     pub fn eccentricity(&self) -> f64 {
         self.difference() / self.sum()
     }
 
-    /// T = L M2/2, s.
+    /// Duration T = L M2/2, s.
     pub fn duration_s(&self) -> f64 {
         0.5 * self.length_mm * self.sum()
     }
 
-    /// (1) at the part `x` of the length, s/mm.
+    /// Density (1) at the part `x` of the length, s/mm.
     pub fn density_s_per_mm_at(&self, x: f64) -> f64 {
         self.place(x, HalfAngle::at(x)).density_s_per_mm
     }
 
-    /// Both ends of a stretch.
+    /// Ends of a stretch.
     pub(super) fn ends(&self, stretch: &Stretch) -> [Place; 2] {
         let [from, to] = stretch.angles();
         [self.place(stretch.from, from), self.place(stretch.to, to)]
@@ -63,7 +64,7 @@ impl Piece {
         Place { x, angle, density_s_per_mm }
     }
 
-    /// A bound on |d^4 s/dt^4| of the position s between two parts of the length, mm/s^4.
+    /// Upper bound on |d^4 s/dt^4| of the position s between two parts of the length, mm/s^4.
     pub(super) fn fourth_derivative_bound(&self, ends: [Place; 2]) -> f64 {
         // ds/dt = 1/D, so d^4 s/dt^4 = (-D''' D^2 + 10 D D' D'' - 15 D'^3) / D^7, and by (1), with
         // q = pi/L and A = M1 q/2,  D' = A sin(pi x),  D'' = A q cos(pi x),  D''' = -A q^2 sin(pi x)
@@ -85,14 +86,14 @@ impl Piece {
         (third + ratio * (10.0 * second + 15.0 * ratio * first)) / (least * least).powi(2) / least
     }
 
-    /// (2): the time between the parts `from` and `to` of the length, s, to rounding of itself: where the
-    /// densities of the ends differ by orders of magnitude, a difference of two times of (2) leaves
-    /// no digit of a short one.
+    /// Time (2) between the parts `from` and `to` of the length, s, to its own rounding. If the densities of
+    /// the ends differ by orders of magnitude, the difference of two times of (2) would leave no digit of a
+    /// short one.
     pub fn elapsed_s(&self, from: f64, to: f64) -> f64 {
         self.time_s(time_weights(from, to))
     }
 
-    /// The time from the start of a stretch to its place `k`, s; the place [`STRETCH_PLACES`] is its end.
+    /// Time from the start of a stretch to its place `k`, s; the place [`STRETCH_PLACES`] is its end.
     pub(super) fn elapsed_s_to(&self, stretch: &Stretch, k: usize) -> f64 {
         self.time_s(stretch.time_weights(k))
     }
@@ -102,8 +103,8 @@ impl Piece {
         self.length_mm * (d1 * weights[0] + d2 * weights[1])
     }
 
-    /// (2) inverted: the part of the length at the part `m` of the time, by Newton's method kept in
-    /// a bracket by bisection.
+    /// Part of the length at the part `m` of the time, the inverse of (2), by Newton's method within a
+    /// bracket that bisection narrows.
     pub fn progress(&self, m: f64) -> f64 {
         let e = self.eccentricity();
         let (mut low, mut high) = (0.0, 1.0);
@@ -125,7 +126,7 @@ impl Piece {
         x
     }
 
-    /// (3), mm/s^2.
+    /// Peak acceleration (3), mm/s^2.
     pub fn peak_acceleration(&self) -> f64 {
         let r = self.eccentricity().abs();
         let [d1, d2] = self.density_s_per_mm;
@@ -146,7 +147,7 @@ impl Piece {
     }
 }
 
-/// sin(pi x/2) and cos(pi x/2) at a part x of the length of a piece.
+/// Values sin(pi x/2) and cos(pi x/2) at a part x of the length of a piece.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct HalfAngle {
     sine: f64,
@@ -159,7 +160,8 @@ impl HalfAngle {
     }
 }
 
-/// The time between two parts of the length, by the length, of a density of 1 at either end of the piece alone.
+/// Time between two parts of the length per mm of length, for a density of 1 s/mm at one end and 0 at the other,
+/// for each end.
 fn time_weights(from: f64, to: f64) -> [f64; 2] {
     // The integral of (1) in half-angle form, w = to - from, m the middle; no term is negative:
     //   of sin^2(pi x/2):  (theta - sin theta)/pi + 2/pi sin^2(pi m/2) sin theta,  theta = pi w/2
@@ -170,7 +172,8 @@ fn time_weights(from: f64, to: f64) -> [f64; 2] {
     [0.5 * ((1.0 - from) + (1.0 - to)), 0.5 * (from + to)].map(part)
 }
 
-/// Equal steps of a stretch at whose ends the motion along it is looked at.
+/// Number of equal steps of a stretch; the fit is checked at their ends. Larger: more computing time, and larger
+/// tables. Smaller: the error can be larger between two places; with 10 steps by at most 2 %.
 pub(super) const STRETCH_PLACES: usize = 10;
 
 /// A stretch of a piece, between two parts of its length.
@@ -178,14 +181,14 @@ pub(super) const STRETCH_PLACES: usize = 10;
 pub(super) struct Stretch {
     pub(super) from: f64,
     pub(super) to: f64,
-    /// Its number among the halved ones: 1 is the whole piece, 2 k and 2 k + 1 are the halves of k; 0 for any other.
+    /// Number among the halved stretches: 1 is the whole piece, 2 k and 2 k + 1 are the halves of k; 0 for any other.
     halved: usize,
 }
 
 impl Stretch {
     pub(super) const WHOLE: Self = Self { from: 0.0, to: 1.0, halved: 1 };
 
-    /// Between any two parts of the length.
+    /// Stretch between any two parts of the length.
     pub(super) fn new(from: f64, to: f64) -> Self {
         Self { from, to, halved: 0 }
     }
@@ -222,15 +225,15 @@ impl Stretch {
     }
 }
 
-/// What all pieces have in common on a stretch, whatever their densities and lengths.
+/// Values on a stretch that do not depend on the densities and the length of a piece.
 #[derive(Clone, Copy, Debug)]
 struct Known {
     angles: [HalfAngle; 2],
-    /// To every place, the start included.
+    /// Weights of the time from the start of the stretch to every place, the start included.
     time_weights: [[f64; 2]; STRETCH_PLACES + 1],
 }
 
-/// The halved stretches, in the order of their numbers: down to 1/128 of a piece.
+/// Values of the halved stretches, in the order of their numbers, down to 1/128 of a piece.
 static KNOWN: LazyLock<Vec<Known>> = LazyLock::new(|| {
     let mut stretches = vec![Stretch::WHOLE];
     for k in 0..127 {
@@ -243,7 +246,7 @@ static KNOWN: LazyLock<Vec<Known>> = LazyLock::new(|| {
     stretches.iter().map(known).collect()
 });
 
-/// x - sin x for 0 <= x <= pi/2 to rounding of itself.
+/// Difference x - sin x for 0 <= x <= pi/2, to its own rounding.
 fn angle_less_sine(x: f64) -> f64 {
     if x > 0.5 {
         return x - x.sin();
@@ -258,11 +261,11 @@ fn angle_less_sine(x: f64) -> f64 {
     sum
 }
 
-/// A piece with what the machine allows along it.
+/// Piece with the acceleration that the machine allows along it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limited {
     pub(super) shape: Piece,
-    /// Along the path, mm/s^2; the margin is taken off.
+    /// Largest acceleration along the path, mm/s^2, less the margin.
     pub(super) max_acceleration: f64,
 }
 
@@ -271,7 +274,7 @@ impl Limited {
         self.shape.raised(by).peak_acceleration() > self.max_acceleration
     }
 
-    /// The smallest offset >= `offset` that keeps the acceleration. Raising both densities by the
+    /// Smallest offset >= `offset` that keeps the acceleration limit, s/mm. Raising both densities by the
     /// same amount leaves D' and raises D: |D'|/D^3 falls.
     pub(super) fn offset(&self, offset: f64) -> f64 {
         if !self.is_too_fast([offset; 2]) {
@@ -283,8 +286,8 @@ impl Limited {
         bisect(offset, offset.max(bound), |by| !self.is_too_fast([by; 2]))
     }
 
-    /// How much the smaller density at the end `which` must grow at least. It lowers |D'| and
-    /// raises D everywhere; at equal densities there is no acceleration.
+    /// Smallest increase of the smaller density, at the end `which`, that keeps the acceleration limit,
+    /// s/mm. It lowers |D'| and raises D everywhere; at equal densities there is no acceleration.
     pub(super) fn raise(&self, which: usize) -> f64 {
         let by = |amount: f64| if which == 0 { [amount, 0.0] } else { [0.0, amount] };
         let all = self.shape.difference().abs();
@@ -295,7 +298,7 @@ impl Limited {
     }
 }
 
-/// The smallest value in (low, high] that is `good`; `high` is, and everything above a good value.
+/// Smallest value in (low, high] that is `good`. `high` is good, and so is every value above a good one.
 fn bisect(mut low: f64, mut high: f64, good: impl Fn(f64) -> bool) -> f64 {
     for _ in 0..BISECTIONS {
         let middle = 0.5 * (low + high);

@@ -17,7 +17,7 @@ use planish_types::{Removal, Surface, plausible};
 
 #[derive(Args)]
 pub struct VirtualRun {
-    /// Run with hidden errors of this process, drawn with the seed: --out is the truth, and --measured the map
+    /// Process whose hidden errors, drawn with the seed, act on the run: --out is the truth, and --measured the map
     /// measured after the run [JSON]
     #[arg(long, value_name = "FILE", requires = "measured")]
     process: Option<PathBuf>,
@@ -27,20 +27,20 @@ pub struct VirtualRun {
     /// Random seed of the hidden errors
     #[arg(long, value_name = "S", requires = "process", default_value_t = 1)]
     seed: u64,
-    /// Which run of the machine of this seed: errors that one number decides are those of its first run, noise is
-    /// new, and --surface is the map measured after the run before
+    /// Number of the run of the machine of this seed. Errors of one number are those of its first run, and noise is
+    /// new; --surface is the map measured after the run before
     #[arg(long = "run", value_name = "K", requires = "process", default_value_t = 1)]
     number: u64,
-    /// Let rate, place, width and shape of the tool be known and corrected exactly; all other errors stay
+    /// Assume that rate, place, width and shape of the tool are known and corrected exactly; all other errors stay
     #[arg(long, requires = "process")]
     known: bool,
-    /// Move the TIF with its noise and the step at its border, which the tool has not
+    /// Move the TIF with its measured noise and the step at its border, which the tool does not have
     #[arg(long, requires = "process")]
     tif_as_sampled: bool,
 }
 
 impl VirtualRun {
-    /// Whether a process and a place for the map were given.
+    /// Returns the process and the place for the map if both were given.
     pub fn asked(&self) -> Option<(&PathBuf, &PathBuf)> {
         self.process.as_ref().zip(self.measured.as_ref())
     }

@@ -23,8 +23,8 @@ pub struct PrepareArgs {
     /// Measured map [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
-    /// What to subtract: nothing, a constant (smallest height 0), the plane and a constant, or terms
-    /// up to --level-order and a constant
+    /// Function to subtract: nothing, a constant (smallest height 0), the plane and a constant, or terms up
+    /// to --level-order and a constant
     #[arg(long, value_enum, default_value_t = LevelArg::Piston)]
     level: LevelArg,
     /// Highest order of the terms: n of zernike, i + j of legendre and chebyshev; at most 20
@@ -37,8 +37,8 @@ pub struct PrepareArgs {
     aperture: ApertureArgs,
     #[command(flatten)]
     outliers: OutlierArgs,
-    /// Fill invalid pixels of the clear aperture, or enclosed ones where none is given, smoothly
-    /// from their rims (for programs that cannot skip them; the solvers here do)
+    /// Fill invalid pixels of the clear aperture (enclosed ones, if no aperture is given) smoothly from
+    /// their rims, for programs that cannot skip invalid pixels; the solvers of Planish skip them
     #[arg(long)]
     fill: bool,
     #[command(flatten)]
@@ -76,7 +76,8 @@ struct OutlierArgs {
     /// Mask pits and dust that are narrower than half the tool; needs --tif or --feature-mm
     #[arg(long, requires = "feature")]
     mask_outliers: bool,
-    /// Tool influence function whose width at half maximum tells what is narrow [tif artifact]
+    /// Tool influence function, whose width at half maximum decides which features are narrow [tif
+    /// artifact]
     #[arg(long, value_name = "DIR", group = "feature", requires = "mask_outliers")]
     tif: Option<PathBuf>,
     /// Full width at half maximum of the tool, mm
@@ -88,13 +89,13 @@ struct OutlierArgs {
         allow_negative_numbers = true
     )]
     feature_mm: Option<f64>,
-    /// A seed deviates by more than this multiple of the noise (1.4826 MAD) [default: 15]
+    /// Multiple of the noise (1.4826 MAD) above which a deviation is a seed [default: 15]
     #[arg(long, value_name = "K", requires = "mask_outliers", allow_negative_numbers = true)]
     outlier_seed_sigmas: Option<f64>,
-    /// A seed grows to pixels above this multiple of the noise [default: 6]
+    /// Multiple of the noise above which a pixel joins a seed next to it [default: 6]
     #[arg(long, value_name = "K", requires = "mask_outliers", allow_negative_numbers = true)]
     outlier_grow_sigmas: Option<f64>,
-    /// No seed deviates by less than this, nm [default: 1]
+    /// Smallest deviation of a seed, nm [default: 1]
     #[arg(long, value_name = "NM", requires = "mask_outliers", allow_negative_numbers = true)]
     outlier_floor_nm: Option<f64>,
     /// Margin around an outlier, px [default: 3]
@@ -117,16 +118,16 @@ struct ExtensionArgs {
     /// gerchberg-papoulis: highest spatial frequency, 1/mm; 1 / (2 FWHM) of the tool is usual
     #[arg(long, value_name = "F", requires = "extend", allow_negative_numbers = true)]
     extend_cutoff_per_mm: Option<f64>,
-    /// gerchberg-papoulis: most steps [default: 300]
+    /// gerchberg-papoulis: largest number of steps [default: 300]
     #[arg(long, value_name = "N", requires = "extend", allow_negative_numbers = true)]
     extend_iterations: Option<usize>,
-    /// gerchberg-papoulis: stop when no height changes by more, nm [default: 1e-3]
+    /// gerchberg-papoulis: largest change of a height in the last step, nm [default: 1e-3]
     #[arg(long, value_name = "NM", requires = "extend", allow_negative_numbers = true)]
     extend_tolerance_nm: Option<f64>,
     /// polynomial: highest orders along x and y [default: 9 6]
     #[arg(long, num_args = 2, value_names = ["I", "J"], requires = "extend", allow_negative_numbers = true)]
     extend_order: Option<Vec<u32>>,
-    /// polynomial: let nothing hold it at the outer edge (only for maps that are polynomials)
+    /// polynomial: fit without the ring of heights at the outer edge (only for maps that are polynomials)
     #[arg(long, requires = "extend")]
     extend_without_ring: bool,
 }

@@ -19,10 +19,10 @@ pub struct PsdArgs {
     /// Window along x and y
     #[arg(long, value_enum, default_value_t = Window::Hann)]
     window: Window,
-    /// What to take off first
+    /// Function to subtract first
     #[arg(long, value_enum, default_value_t = Detrend::Plane)]
     detrend: Detrend,
-    /// Band of spatial frequencies [F0, F1) whose RMS is wanted, 1/mm; may be repeated
+    /// Band of spatial frequencies [F0, F1) for an RMS, 1/mm; may be repeated
     #[arg(long, num_args = 2, value_names = ["F0", "F1"], action = clap::ArgAction::Append, allow_negative_numbers = true)]
     band_per_mm: Vec<f64>,
     #[command(flatten)]
@@ -68,7 +68,7 @@ impl PsdArgs {
     }
 }
 
-/// In the order of the kind.
+/// Arrays of the artifact, in the order of its kind.
 fn psd_arrays(psd: &Psd) -> Vec<ArrayData<'_>> {
     let line = |v: &[f64]| ArrayData::F64(Array1::from(v.to_vec()).into_dyn().into());
     vec![

@@ -17,10 +17,11 @@ use planish_surface::{
 use planish_types::{Invalid, Removal, text::significant};
 use serde_json::json;
 
-/// Largest file of a profile, bytes: some million lines.
+/// Largest file of a profile, bytes; a larger one is refused. Larger: more memory for a file that is no
+/// profile. Smaller: refuses long profiles. Chosen: room for some million lines.
 const LARGEST_PROFILE_BYTES: u64 = 1 << 28;
 
-/// Grazing angle of normal incidence, mrad.
+/// Grazing angle of normal incidence, mrad (a right angle).
 const NORMAL_MRAD: f64 = 1e3 * std::f64::consts::FRAC_PI_2;
 
 #[derive(Debug, Args)]
@@ -39,23 +40,23 @@ pub struct SpecArgs {
     /// Lines of the profile before its numbers [default: all that have none in both columns]
     #[arg(long, value_name = "N", requires = "profile")]
     header_lines: Option<usize>,
-    /// Shape that is taken off before anything is measured
+    /// Shape to subtract before anything is measured
     #[arg(long, value_enum, default_value_t = Shape::Plane)]
     after: Shape,
     /// Elliptical mirror: source to pole (mm), pole to image (mm), grazing angle (mrad); the source is
     /// where x is smallest [default: that of the specification]
     #[arg(long, num_args = 3, value_names = ["P_MM", "Q_MM", "THETA_MRAD"], allow_negative_numbers = true)]
     ellipse: Option<Vec<f64>>,
-    /// What of the ellipse is fitted, beside piston and tilt
+    /// Parameters of the ellipse that are fitted, beside piston and tilt
     #[arg(long, value_enum, value_delimiter = ',', requires = "ellipse")]
     ellipse_free: Vec<EllipseParameter>,
-    /// Where the pole of the ellipse is, mm [default: the middle of the valid pixels]
+    /// Place of the pole of the ellipse, mm [default: the middle of the valid pixels]
     #[arg(long, value_name = "X", requires = "ellipse", allow_negative_numbers = true)]
     ellipse_pole_mm: Option<f64>,
     /// Base length of slopes, mm; the whole number of pixels nearest to it is used
     #[arg(long, value_name = "L", default_value_t = 1.0, allow_negative_numbers = true)]
     base_mm: f64,
-    /// Band of spatial frequencies [F0, F1) whose RMS is wanted, 1/mm; may be repeated
+    /// Band of spatial frequencies [F0, F1) for an RMS, 1/mm; may be repeated
     #[arg(long, num_args = 2, value_names = ["F0", "F1"], action = ArgAction::Append, allow_negative_numbers = true)]
     band_per_mm: Vec<f64>,
     /// Width of the strip about the middle of y whose mean is the centre line, mm; 0 for one row
@@ -67,10 +68,11 @@ pub struct SpecArgs {
     /// Grazing angle for the Strehl ratio, mrad [default: normal incidence]
     #[arg(long, value_name = "A", requires = "wavelength_nm", allow_negative_numbers = true)]
     grazing_mrad: Option<f64>,
-    /// Limits that the mirror must keep; exit code 1 names those that it does not [JSON]
+    /// Limits that the mirror must keep; with exit code 1 the program names those that it does not keep [JSON]
     #[arg(long, value_name = "FILE")]
     specification: Option<PathBuf>,
-    /// White noise of the heights, nm RMS, if known: every verdict states its part and says where it decides
+    /// RMS of the white noise of the heights, nm, if known: every verdict states the part of the noise, and
+    /// whether the noise decides
     #[arg(long, value_name = "S", requires = "specification", allow_negative_numbers = true)]
     noise_nm: Option<f64>,
     #[command(flatten)]
@@ -228,7 +230,7 @@ impl SpecArgs {
     }
 }
 
-/// The numbers in lines.
+/// Prints the numbers.
 fn report(found: &Quality) {
     let nrad = |v: Option<f64>| v.map_or("-".into(), |v| significant(v, 4));
     let base_mm = found.slope_x.base_mm;
@@ -288,7 +290,7 @@ fn report(found: &Quality) {
     found.notes.iter().for_each(|note| say(format!("note: {note}")));
 }
 
-/// In the order of the kind.
+/// Arrays of the artifact, in the order of its kind.
 fn arrays(found: &QualityArrays) -> Vec<ArrayData<'_>> {
     let line = |v: &[f64]| ArrayData::F64(Array1::from(v.to_vec()).into_dyn().into());
     let mut all = vec![

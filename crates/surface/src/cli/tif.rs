@@ -21,7 +21,7 @@ pub struct TifArgs {
     /// Subtract the mean of the border samples; negative noise stays, so the volume has no bias
     #[arg(long)]
     subtract_border: bool,
-    /// What the offsets are counted from; the samples stay as they are
+    /// Point from which the offsets are counted; the samples stay as they are
     #[arg(long, value_enum, default_value_t = Centre::Given)]
     centre: Centre,
     /// Turn counterclockwise about the centre, degrees; multiples of 90 are exact
@@ -30,7 +30,7 @@ pub struct TifArgs {
     /// Resample to this pitch, with a sample at the centre, mm
     #[arg(long, value_name = "P", allow_negative_numbers = true)]
     pitch_mm: Option<f64>,
-    /// Let the outer fraction of the half size go to zero by a cosine, in (0, 1]; 0.15 is usual
+    /// Outer fraction of the half size over which a cosine takes the TIF to zero, in (0, 1]; 0.15 is usual
     #[arg(long, value_name = "F", allow_negative_numbers = true)]
     taper_fraction: Option<f64>,
     /// Fit a formula to the result and report it

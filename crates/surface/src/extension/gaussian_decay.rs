@@ -4,9 +4,9 @@
 //! z(p) = z(q) exp(-|p - q|^2 / 2 sigma^2),  q the valid pixel with the least |p - q|
 //! ```
 //!
-//! Zero is the smallest desired removal after levelling, so the tool leaves sooner and the run is
-//! shorter; but the tool leaves while it is still over the edge, and some tenths of a nanometre
-//! stay there. For a short run whose edge does not matter.
+//! Zero is the smallest desired removal after levelling, so the dwell times beyond the edge are shorter and
+//! the run is shorter. But the tool leaves the part while it still overlaps the edge, and some tenths of a
+//! nanometre remain there. Use it for a short run whose edge does not matter.
 
 use ndarray::{Array2, Zip};
 use planish_types::{Grid, Invalid};
@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use crate::distance;
 
-/// How fast it decays.
+/// Length of the decay.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// Distance at which the height has fallen to exp(-1/2) = 0.61, mm; > 0.

@@ -6,14 +6,14 @@
 //! L       = low pass |f| <= f_c of the enlarged map, continued periodically
 //! ```
 //!
-//! Each step is a projection onto a set that a band-limited surface is in, so the error of one
-//! falls with every step, ever more slowly. The mean of the map is taken off first. What the map
-//! has above f_c stays on the valid pixels and makes a step at their edge.
+//! Each step is a projection onto a set that contains every band-limited surface, so the error of such a
+//! surface falls with every step, but ever more slowly. The mean of the map is subtracted first. The part
+//! of the map above f_c stays on the valid pixels and makes a step at their edge.
 //!
-//! Smooth continuation into the margin, at the price of hundreds of Fourier transforms. For the
-//! inverse filters, which amplify whatever kinks at the edge; f_c about 1 / (2 FWHM) of the tool.
-//! The map is continued periodically: give at least 1 / (2 f_c) of margin, so that the opposite
-//! edge does not matter.
+//! The continuation into the margin is smooth, at the cost of hundreds of Fourier transforms. Use it for
+//! the inverse filters, which amplify kinks at the edge, with f_c about 1 / (2 FWHM) of the tool. The map
+//! is continued periodically: give a margin of at least 1 / (2 f_c), so that the opposite edge does not
+//! matter.
 //!
 //! Source: R. W. Gerchberg, Opt. Acta 21 (1974) 709; A. Papoulis, IEEE Trans. Circuits Syst. 22
 //! (1975) 735, Eqs 3-6.
@@ -26,17 +26,19 @@ use serde_json::{Value, json};
 
 use super::nearest;
 
-/// Most steps that may be asked for: after the first hundreds they change less than any measurement sees.
+/// Largest number of steps that a caller may ask for. Larger: a mistyped number takes longer. Smaller:
+/// refuses long but useful runs. Chosen: after the first hundreds of steps the change is below what any
+/// measurement resolves.
 const MOST_ITERATIONS: usize = 100_000;
 
-/// The cutoff, and when to stop.
+/// Cutoff and stopping rule.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// f_c, 1/mm; > 0, at most half the sampling frequency.
     pub cutoff_per_mm: f64,
-    /// Most steps.
+    /// Largest number of steps.
     pub max_iterations: usize,
-    /// Stop when no height changes by more than this in a step, nm; >= 0.
+    /// Largest change of a height in a step, nm, at which the steps end; >= 0.
     pub tolerance_nm: f64,
 }
 

@@ -4,8 +4,8 @@
 //! z(p) = z(q),  q the valid pixel with the least |p - q|
 //! ```
 //!
-//! No settings, no new extremes, no step at the edge; a kink there. The dwell time that a solver
-//! finds stays as high beyond the edge as on it. A good default where an extension is needed.
+//! The method has no settings, makes no new extremes and no step at the edge, but a kink there. The dwell
+//! times of a solver stay as long beyond the edge as on it. It is a good default if an extension is needed.
 
 use ndarray::Array2;
 use planish_types::Grid;

@@ -6,13 +6,13 @@
 //!        extension: the outermost pixels, and all at least the margin away from a valid one
 //! ```
 //!
-//! Without the ring nothing holds the polynomial beyond the aperture and it explodes, unless the
-//! map is a polynomial of this order; then it is continued exactly. With the ring it is smooth,
-//! and follows the low orders of the map over the edge; it leaves a step there, of what the
+//! Without the ring the polynomial has no data beyond the aperture and grows without limit, unless the map
+//! is a polynomial of this order; then it is continued exactly. With the ring the polynomial is smooth and
+//! continues the low orders of the map over the edge. It leaves a step there: the part of the map that the
 //! polynomial does not describe (`misfit_rms_nm`).
 //!
-//! For maps whose error is a figure of low order, and for iterations that only try to correct what
-//! is correctable.
+//! Use it for maps whose error is a figure of low order, and for iterations that correct only what the tool
+//! can correct.
 //!
 //! Source: T. Wang et al., Opt. Express 29 (2021) 15114 (robust iterative surface extension), for
 //! the idea; the ring's heights are the nearest ones here.
@@ -29,15 +29,17 @@ use crate::{
     low_order::bounding_box_mm,
 };
 
-/// Highest order: 31 x 31 terms.
+/// Highest order along an axis that a caller may ask for; 31 x 31 terms. Larger: normal equations that take
+/// long and determine their terms badly. Smaller: a coarser continuation.
 const MAX_ORDER: u32 = 30;
 
-/// Which polynomial.
+/// Settings of the polynomial.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// Highest orders [I along x, J along y]; at most 30.
     pub order: [u32; 2],
-    /// Whether the ring holds it. Without the ring only for maps that are polynomials.
+    /// True to fit the ring too, with the heights of the nearest extension. False is for maps that are
+    /// polynomials only.
     pub ring: bool,
 }
 

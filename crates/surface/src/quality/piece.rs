@@ -17,15 +17,17 @@ use crate::{
     shape::{EllipseSettings, Heights, Shape, ShapeReport, without_shape, without_shape_of_slopes},
 };
 
-/// A relative standard error of an ellipse's parameter above this says that the data hardly determine it.
+/// Standard error of a parameter of the ellipse, relative, above which the report has a note, because the
+/// data hardly determine the parameter. Larger: does not notice meaningless parameters. Smaller: notes for
+/// usual fits.
 const NOTEWORTHY_ERROR: f64 = 0.1;
 
-/// What is measured.
+/// Measured object.
 #[derive(Clone, Debug)]
 pub enum Subject {
     /// A map.
     Map(Surface),
-    /// A line.
+    /// A profile.
     Profile(Profile),
 }
 
@@ -37,24 +39,24 @@ pub enum Direction {
     X,
     /// Along y.
     Y,
-    /// In two dimensions, averaged over the directions.
+    /// Both dimensions, averaged over the directions.
     Radial,
 }
 
 /// Slopes along one axis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SlopeReport {
-    /// Base length, mm; 0 where slopes were measured.
+    /// Base length, mm; 0 if slopes were measured.
     pub base_mm: f64,
     /// RMS without the mean, nrad.
     pub rms_nrad: f64,
     /// Largest distance from the mean, nrad.
     pub peak_nrad: f64,
-    /// The middle of the base of the largest one, [x, y], mm.
+    /// Middle of the base of the largest slope, [x, y], mm.
     pub peak_at_mm: [f64; 2],
 }
 
-/// A map or a profile, or a zone of it, from which the best shape is taken off.
+/// A map or a profile, or a zone of it, after subtraction of the best shape.
 pub(crate) struct Piece {
     /// (nx), mm.
     pub(super) x_mm: Vec<f64>,
@@ -72,7 +74,8 @@ pub(crate) struct Piece {
 }
 
 impl Piece {
-    /// `subject` where `inside` holds (all of it without one), after its best `shape` is taken off.
+    /// Makes a piece of `subject` from the pixels at which `inside` is true (from all of them without it),
+    /// and subtracts its best `shape`.
     pub(crate) fn new(
         subject: &Subject,
         inside: Option<&Array2<bool>>,
@@ -181,14 +184,15 @@ impl Piece {
             .ok_or_else(|| Invalid::whole("map", "has no valid pixel here", "give another zone"))
     }
 
-    /// Where the height is farthest from its mean, [x, y], mm, and by how much, nm.
+    /// Place [x, y], mm, of the height that is farthest from the mean, and its distance from the mean, nm.
     pub(crate) fn farthest_height(&self) -> Result<([f64; 2], f64), Invalid> {
         let mean = self.height()?.mean;
         let ((r, c), distance) = farthest(self.height_nm.view(), mean);
         Ok(([self.x_mm[c], self.y_mm[r]], distance))
     }
 
-    /// Slopes along an axis over the whole number of steps nearest to the base; measured ones as they are.
+    /// Slopes along an axis over the whole number of steps nearest to the base; measured slopes are used as
+    /// they are.
     pub(crate) fn slope(&self, along: Direction, base_mm: f64) -> Result<SlopeReport, Invalid> {
         let (positions, values, base_mm) = self.slopes(along, base_mm)?;
         let found = statistics(values.view()).ok_or_else(|| {
@@ -276,8 +280,8 @@ impl Piece {
     }
 }
 
-/// The shape to take off the integral of measured slopes from which the best `shape` was taken off: least squares of
-/// slopes are not those of heights, and leave a line or a circle.
+/// Shape to subtract from the integral of measured slopes after the best `shape`. Least squares of slopes
+/// are not those of heights, and leave a line or a circle.
 fn rest_of(shape: Shape) -> Shape {
     match shape {
         Shape::CylinderX | Shape::CylinderY | Shape::Sphere => Shape::CylinderX,

@@ -20,21 +20,23 @@ use crate::{
 pub struct SpectrumLine {
     /// Frequencies, ascending from 0, 1/mm.
     pub frequency_per_mm: Vec<f64>,
-    /// Of heights: nm^2 mm, over rings nm^2 mm^2.
+    /// Density of heights: nm^2 mm; over rings nm^2 mm^2.
     pub height: Vec<f64>,
-    /// Of slopes: nrad^2 mm, over rings nrad^2 mm^2.
+    /// Density of slopes: nrad^2 mm; over rings nrad^2 mm^2.
     pub slope: Vec<f64>,
 }
 
 impl SpectrumLine {
-    /// From the density S of heights: that of slopes is (2 pi f)^2 S, in nrad^2 from nm^2 (1 nm/mm is 1 urad).
+    /// Makes both densities from the density S of heights: that of slopes is (2 pi f)^2 S, in nrad^2 from
+    /// nm^2 (1 nm/mm is 1 urad).
     fn of_heights(frequency_per_mm: Vec<f64>, height: Vec<f64>) -> Self {
         let slope = frequency_per_mm.iter().zip(&height);
         let slope = slope.map(|(f, s)| (2.0 * PI * f * 1e3).powi(2) * s).collect();
         Self { frequency_per_mm, height, slope }
     }
 
-    /// From the density of slopes: that of heights is it over (2 pi f)^2, and 0 at f = 0, where it is not defined.
+    /// Makes both densities from the density of slopes: that of heights is it over (2 pi f)^2, and 0 at f =
+    /// 0, where it is not defined.
     fn of_slopes(frequency_per_mm: Vec<f64>, slope: Vec<f64>) -> Self {
         let height = frequency_per_mm.iter().zip(&slope);
         let height = height.map(|(f, s)| match *f > 0.0 {
@@ -45,7 +47,7 @@ impl SpectrumLine {
         Self { frequency_per_mm, height, slope }
     }
 
-    /// The same frequencies with one density of heights.
+    /// Makes both densities at the same frequencies from a constant density of heights.
     fn flat(&self, density: f64) -> Self {
         let f = self.frequency_per_mm.clone();
         let density = vec![density; f.len()];
@@ -69,7 +71,7 @@ impl SpectrumLine {
         self.mean_square(&self.slope, band).sqrt()
     }
 
-    /// Whether a frequency is in the band.
+    /// Returns true if a frequency of the spectrum is in the band.
     pub(crate) fn holds(&self, [low, high]: [f64; 2]) -> bool {
         self.frequency_per_mm.iter().any(|f| *f > 0.0 && *f >= low && *f < high)
     }
@@ -121,7 +123,7 @@ impl Spectra {
         }
     }
 
-    /// Of a map from which the shape is taken off.
+    /// Spectra of a map after subtraction of the shape.
     pub(super) fn of_map(surface: &Surface) -> Result<Self, Invalid> {
         let settings =
             PsdSettings { window: Window::Hann, detrend: Detrend::Plane, band_per_mm: vec![] };
@@ -131,7 +133,8 @@ impl Spectra {
         let (x, y) = (surface.grid().x.coordinates(), surface.grid().y.coordinates());
         let z = surface.height_nm().slice(s![rows.clone(), columns.clone()]);
         let z = without_plane(z, &x[columns], &y[rows]);
-        // The mean of a line has no slope along it, and would leak into the lowest frequencies.
+        // The mean of a line has no slope along it, and the window would spread it over the lowest
+        // frequencies.
         let lines = |z: ArrayView2<f64>, step_mm: f64| {
             let mut z = z.to_owned();
             for mut line in z.outer_iter_mut() {
@@ -153,13 +156,13 @@ impl Spectra {
         })
     }
 
-    /// Of the heights of a profile from which the shape is taken off, nm.
+    /// Spectra of the heights of a profile after subtraction of the shape, nm.
     pub(super) fn of_heights(x_mm: &[f64], height_nm: &[f64]) -> Result<Self, Invalid> {
         let (f, density) = density_of_profile(x_mm, height_nm, Shape::Plane)?;
         Ok(Self::of_line(SpectrumLine::of_heights(f, density)))
     }
 
-    /// Of the measured slopes of a profile from which those of the shape are taken off, nrad.
+    /// Spectra of the measured slopes of a profile after subtraction of those of the shape, nrad.
     pub(super) fn of_slopes(x_mm: &[f64], slope_nrad: &[f64]) -> Result<Self, Invalid> {
         let (f, density) = density_of_profile(x_mm, slope_nrad, Shape::Piston)?;
         Ok(Self::of_line(SpectrumLine::of_slopes(f, density)))
@@ -170,8 +173,8 @@ impl Spectra {
     }
 }
 
-/// Frequencies, 1/mm, and density of the longest run of valid values of a profile at even steps, after `rest`
-/// (its mean, or its line) is taken off the run.
+/// Frequencies, 1/mm, and density of the longest run of valid values of a profile at even steps, after
+/// subtraction of `rest` (the mean of the run, or its line).
 fn density_of_profile(
     x_mm: &[f64],
     values: &[f64],
@@ -200,7 +203,7 @@ pub(super) fn at_even_steps(x: &[f64], values: &[f64], step: f64) -> Array2<f64>
         let at = x[0] + c as f64 * step;
         let i = x.partition_point(|v| *v <= at).clamp(1, n - 1);
         let part = ((at - x[i - 1]) / (x[i] - x[i - 1])).clamp(0.0, 1.0);
-        // Where an even step meets a position but for rounding, the value there is taken as it is: its
+        // If an even step meets a position but for rounding, the value there is used as it is: its
         // neighbour may be invalid.
         match part {
             p if p < 1e-9 => values[i - 1],
@@ -210,7 +213,7 @@ pub(super) fn at_even_steps(x: &[f64], values: &[f64], step: f64) -> Array2<f64>
     })
 }
 
-/// Lag in samples at which the autocorrelation of the rows falls to 1/e; `None` where it does not.
+/// Lag in samples at which the autocorrelation of the rows falls to 1/e; `None` if it does not.
 ///
 /// C(k) = sum of z_i z_(i+k) over the pairs of valid samples, over their number: both sums are correlations,
 /// whose transforms are squares.

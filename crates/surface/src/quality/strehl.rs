@@ -17,7 +17,7 @@ pub struct Light {
 /// The Strehl ratio after Marechal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct StrehlReport {
-    /// The light that it is of.
+    /// The light.
     pub light: Light,
     /// RMS of the phase, rad.
     pub phase_rms_rad: f64,

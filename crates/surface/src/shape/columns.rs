@@ -1,7 +1,8 @@
-//! Heights of a map column by column, or measured slopes, as the fit of a [`super::curve::Curve`] takes them.
+//! Heights of a map column by column, or measured slopes, as input of the fit of a [`super::curve::Curve`].
 //!
-//! The squares of a column are those of its mean, with the weight of its pixels, and those of the deviations from
-//! it, which only the tilt along y can lessen. So a curve over a million pixels is a problem of some thousand rows.
+//! The squares of a column are those of its mean, with the weight of its pixels, and those of the
+//! deviations from the mean. Only the tilt along y can reduce the latter. So a curve over a million pixels
+//! is a problem of some thousand rows.
 
 use super::{Heights, NM_PER_MM};
 
@@ -56,7 +57,7 @@ impl Columns {
         columns
     }
 
-    /// At most twice `count` of the columns, at even steps, for what only has to be compared.
+    /// Every n-th column, so that at most twice `count` remain; for comparisons of fits.
     pub fn thinned(&self, count: usize) -> Self {
         let step = (self.x_mm.len() / count).max(1);
         let some = |of: &[f64]| of.iter().step_by(step).copied().collect();
@@ -69,12 +70,12 @@ impl Columns {
         }
     }
 
-    /// Whether these are heights, not slopes.
+    /// Returns true if the columns are heights, false for slopes.
     pub fn of_heights(&self) -> bool {
         !self.weight.is_empty()
     }
 
-    /// Whether the pixels determine a tilt along y.
+    /// Returns true if the pixels determine a tilt along y.
     pub fn has_y(&self) -> bool {
         self.within.is_some()
     }

@@ -1,4 +1,4 @@
-//! A curve of x with a tilt along y: line, circle or ellipse, and its derivatives by what is fitted.
+//! A curve of x with a tilt along y: line, circle or ellipse, and its derivatives by the fitted parameters.
 
 use nalgebra::{DMatrix, DVector};
 use planish_types::Invalid;
@@ -20,9 +20,9 @@ pub(super) struct Curve {
     curvature_per_mm: f64,
     /// The ellipse, of the shape of that name.
     pub ellipse: Option<MovedEllipse>,
-    /// Whether A is fitted.
+    /// True if A is fitted.
     curved: bool,
-    /// Where x and y count from, mm.
+    /// Point from which x and y count, mm.
     pub middle_mm: [f64; 2],
     /// Relative standard errors of p, q and theta; see [`EllipseReport`].
     pub standard_error: [f64; 3],
@@ -155,13 +155,13 @@ impl Curve {
         moved.into_iter().map(|e| Self { ellipse: Some(e), ..self.clone() }).collect()
     }
 
-    /// How far the last parameters, those of the ellipse, may still move.
+    /// Room of the last parameters, those of the ellipse, to move down and up to their bounds.
     pub fn room(&self) -> Vec<[f64; 2]> {
         self.ellipse.as_ref().map_or(Vec::new(), MovedEllipse::room)
     }
 
-    /// The weighted differences of the means of the columns from the curve, and that of the deviations from these
-    /// means, where there are any.
+    /// Weighted differences of the means of the columns from the curve. If there are deviations from these
+    /// means, their difference follows.
     pub fn left(&self, columns: &Columns) -> DVector<f64> {
         let n = columns.x_mm.len();
         let mut left = DVector::zeros(n + usize::from(columns.has_y()));

@@ -4,8 +4,8 @@
 //! [J; sqrt(damping) I] step = [left; 0]
 //! ```
 //!
-//! The columns of the Jacobian J of an ellipse are nearly parallel (p, q and theta differ in the third and fourth
-//! order only), so every step is solved by a QR decomposition.
+//! The columns of the Jacobian J of an ellipse are nearly parallel, because p, q and theta differ in the
+//! third and fourth order only. So every step is solved by a QR decomposition.
 
 use nalgebra::{DMatrix, DVector};
 use planish_types::Invalid;
@@ -13,36 +13,47 @@ use planish_types::Invalid;
 use super::{LAST_STEP, MAX_STEPS, Shape, columns::Columns, curve::Curve, too_few};
 use crate::ellipse::Ellipse;
 
-/// Damping of the first step, of Jacobian columns of length 1; a tenth of it after a step that lessens the squares,
-/// ten times as much, and at least [`LEAST_DAMPING`], after one that does not.
+/// Damping of the first step, for Jacobian columns of length 1. It is divided by 10 after a step that
+/// lowers the sum of squares. After another step it is multiplied by 10, from [`LEAST_DAMPING`] at least.
+/// Larger: shorter first steps. Smaller: the first steps may leave the range of the linear model. Both only
+/// cost steps.
 const FIRST_DAMPING: f64 = 1e-3;
+/// Smallest damping from which a failed step raises it, dimensionless. Larger: slower steps near the
+/// minimum. Smaller: more failed steps until the damping acts.
 const LEAST_DAMPING: f64 = 1e-10;
 
-/// Damping above which no step lessens the squares: it goes less than 1e-8 down the gradient.
+/// Damping above which a failed step ends the fit: such a step goes less than 1e-8 down the gradient.
+/// Larger: more failed steps at the end. Smaller: the fit may end too early.
 const LAST_DAMPING: f64 = 1e8;
 
-/// A step that lessens the squares by less than this fraction is the last.
+/// Relative decrease of the sum of squares at which a step is the last. Larger: the fit ends earlier,
+/// farther from its minimum. Smaller: more steps that rounding decides.
 const LAST_GAIN: f64 = 1e-12;
 
-/// A column of the Jacobian of which the others leave less than this fraction is not determined: with
-/// heights in double precision nothing but rounding would decide it.
+/// Smallest part of a Jacobian column, relative to its length, that is independent of the other columns;
+/// below it the fit is refused as not determined. Larger: refuses ellipses that the data determine.
+/// Smaller: with heights in double precision, rounding would decide the parameters.
 const INDEPENDENT: f64 = 1e-11;
 
-/// Steps after which the starts of an ellipse are compared: most of what a start gains, it gains in the first ten.
+/// Number of steps after which the starts of an ellipse are compared. Larger: more time for every start.
+/// Smaller: a good start may be dropped. Chosen: most of the decrease comes in the first ten steps.
 const FIRST_STEPS: usize = 10;
 
-/// Columns, or positions, on which the starts take their first steps: curves of few parameters need no more to be
-/// compared, and every step costs in proportion.
+/// Number of columns, or positions, on which the starts take their first steps (up to twice as many are
+/// used). Larger: more time, in proportion. Smaller: the comparison is less certain. Chosen: curves of few
+/// parameters need no more.
 const COMPARED_COLUMNS: usize = 40;
 
-/// Starts of an ellipse that are followed to their ends.
+/// Number of starts of an ellipse that are followed to their ends. Larger: more time. Smaller: the deepest
+/// minimum may be missed.
 const FOLLOWED: usize = 5;
 
-/// Another start than the design is taken where it lowers the norm by more than this fraction: below is rounding.
+/// Relative decrease of the norm above which another start replaces the design. Larger: keeps the design
+/// although another minimum is deeper. Smaller: rounding decides.
 const NOTEWORTHY_GAIN: f64 = 1e-9;
 
-/// `curve` fitted to `columns`: from the design and, of an ellipse, from starts all over its bounds, as the valley of
-/// equal curvature has several minima.
+/// Fits `curve` to `columns` from the design. An ellipse is also fitted from starts all over its bounds,
+/// because the sum of squares has several minima along ellipses of equal curvature.
 pub(super) fn fitted(mut curve: Curve, columns: &Columns, shape: Shape) -> Result<Curve, Invalid> {
     curve.middle_mm[1] = columns.y_middle_mm;
     let starts = curve.starts();
@@ -76,7 +87,7 @@ pub(super) fn fitted(mut curve: Curve, columns: &Columns, shape: Shape) -> Resul
     with_errors(best?, columns, shape)
 }
 
-/// `curve` after at most `steps` steps down the squares.
+/// Returns `curve` after at most `steps` steps that lower the sum of squares.
 fn descended(
     mut curve: Curve,
     columns: &Columns,
@@ -117,7 +128,7 @@ fn descended(
     Ok(curve)
 }
 
-/// `curve`, a minimum, with its standard errors; refused where the points do not determine it.
+/// Returns `curve`, a minimum, with its standard errors; refuses it if the points do not determine it.
 fn with_errors(mut curve: Curve, columns: &Columns, shape: Shape) -> Result<Curve, Invalid> {
     let left = curve.left(columns);
     let (matrix, scale) = scaled_jacobian(&curve, columns, shape)?;
@@ -135,7 +146,8 @@ fn with_errors(mut curve: Curve, columns: &Columns, shape: Shape) -> Result<Curv
     Ok(curve)
 }
 
-/// A step of the parameters, of which the last have `room` to move, and its length by the scaled Jacobian.
+/// A step of the parameters, and its length by the scaled Jacobian. The last parameters have `room` to
+/// move.
 fn damped_step(
     (matrix, scale): &(DMatrix<f64>, Vec<f64>),
     left: &DVector<f64>,
@@ -199,8 +211,9 @@ fn size(columns: &Columns) -> f64 {
     squares.sum::<f64>().sqrt()
 }
 
-/// Relative standard errors of p, q, theta: those of G C G' with C = s^2 (J' J)^-1 of what was fitted, s^2 =
-/// |left|^2 / (rows - unknowns), and G the derivatives of their logarithms by it.
+/// Relative standard errors of p, q, theta: the roots of the diagonal of G C G'. C = s^2 (J' J)^-1 is the
+/// covariance of the fitted coordinates, with s^2 = |left|^2 / (rows - unknowns). G has the derivatives of
+/// ln p, ln q and ln theta by these coordinates.
 fn errors(curve: &Curve, r: &DMatrix<f64>, scale: &[f64], left: &DVector<f64>) -> [f64; 3] {
     let Some(moved) = &curve.ellipse else { return [0.0; 3] };
     let unknowns = r.ncols();

@@ -1,4 +1,4 @@
-//! An ellipse some of whose parameters are fitted, and how far the fit has moved it from the given one.
+//! An ellipse some of whose parameters are fitted, and the distance of the fit from the given ellipse.
 //!
 //! One or two free parameters move along their logarithms. All three move along
 //!
@@ -6,24 +6,27 @@
 //! ln(sin theta (1/p + 1/q)),   k = (1/q - 1/p) / (1/p + 1/q) from -1 to 1,   ln(1/p + 1/q)
 //! ```
 //!
-//! the curvature, the asymmetry, and what remains: along p, q and theta themselves the valley of equal curvature
-//! is bent, and noise has p wander to infinity and beyond.
+//! These are the curvature, the asymmetry, and the remaining scale. Along p, q and theta themselves, the
+//! set of ellipses of equal curvature is bent, and with noise p moves to infinity and beyond.
 
 use super::{EllipseParameter, EllipseSettings};
 use crate::ellipse::Ellipse;
 
-/// The distances and the angle of an ellipse are looked for within this factor, e^3 = 20, of the given ones.
+/// Largest change of a coordinate that is a logarithm; the factor is e^3 = 20. Larger: a longer search, and
+/// ellipses that are far from the design. Smaller: the best ellipse may lie outside.
 const LARGEST_LOGARITHM: f64 = 3.0;
 
-/// Places between the bounds of a coordinate at which fits begin. More of them find narrower minima and cost in
-/// proportion; five along each of three coordinates are 125 starts of ten steps.
+/// Places between the bounds of a coordinate, relative to their distance, at which fits begin. More of them
+/// find narrower minima and cost time in proportion. Five along each of three coordinates are 125 starts of
+/// ten steps.
 const STARTS: [f64; 5] = [0.1, 0.3, 0.5, 0.7, 0.9];
 
-/// Step of the differences by the coordinates of an ellipse: extrapolated, they are off by its fourth power, 1e-12,
-/// and by rounding, 1e-13.
+/// Step of the central differences by the coordinates of an ellipse, dimensionless. Larger: a larger error
+/// of the extrapolated difference, which is the fourth power of the step, 1e-12. Smaller: a larger error by
+/// rounding, which is 1e-13 here.
 const DIFFERENCE: f64 = 1e-3;
 
-/// The given ellipse, and by how much each coordinate of the fit differs from it.
+/// The given ellipse, and the change of each coordinate of the fit.
 #[derive(Clone, Debug)]
 pub(super) struct MovedEllipse {
     pub settings: EllipseSettings,
@@ -40,7 +43,7 @@ impl MovedEllipse {
         Self { settings, by }
     }
 
-    /// How many coordinates are fitted.
+    /// Number of coordinates that are fitted.
     pub fn count(&self) -> usize {
         self.by.len()
     }
@@ -66,7 +69,7 @@ impl MovedEllipse {
         if room.is_empty() { Vec::new() } else { (0..count).map(at).collect() }
     }
 
-    /// The ellipse where it is now.
+    /// The ellipse at the current coordinates.
     pub fn ellipse(&self) -> Ellipse {
         self.at(&self.by)
     }
@@ -107,7 +110,7 @@ impl MovedEllipse {
         (4.0 * difference(DIFFERENCE) - difference(2.0 * DIFFERENCE)) / 3.0
     }
 
-    /// How far every coordinate may still move, down and up.
+    /// Distance of every coordinate to its lower and upper bound.
     pub fn room(&self) -> Vec<[f64; 2]> {
         let k = asymmetry(&self.settings.design);
         let whole = |i: usize| match (self.by.len(), i) {

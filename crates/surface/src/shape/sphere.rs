@@ -5,11 +5,11 @@ use planish_types::Invalid;
 
 use super::{Heights, LAST_STEP, MAX_STEPS, NM_PER_MM, Shape, ShapeReport, too_few};
 
-/// A sphere, and where its parameters count from.
+/// A sphere, and the point from which its coordinates count.
 pub(super) struct Sphere {
     /// c0 mm, bx, by rad, A 1/mm.
     parameter: [f64; 4],
-    /// Where x and y count from, mm.
+    /// Point from which x and y count, mm.
     middle_mm: [f64; 2],
 }
 

@@ -12,7 +12,7 @@ use crate::{
     shape::{EllipseSettings, Shape},
 };
 
-/// Grazing angle of normal incidence, mrad.
+/// Grazing angle of normal incidence, mrad (a right angle).
 const NORMAL_MRAD: f64 = 1e3 * std::f64::consts::FRAC_PI_2;
 
 /// Zones of the mirror after shapes, each made once.
@@ -114,7 +114,8 @@ impl Judged<'_> {
                     Direction::Y => white.y,
                     Direction::Radial => white.radial,
                 };
-                // One line scatters about the density; its mean is subtracted.
+                // The density of the noise of one line scatters about this mean density, which is
+                // subtracted.
                 largest(line.map_or(0.0, |line| line.height[0]))
             }
             Limit::Strehl { wavelength_nm, grazing_mrad, .. } => {
@@ -175,7 +176,7 @@ impl Judged<'_> {
                 LimitReport::new(text, "", value, Bound::AtLeast, *at_least)
             }
             Limit::Radius { along: direction, at_least_m, .. } => {
-                // What is not curved has no radius that could be too small.
+                // A shape without curvature has no radius that could be too small.
                 let value = piece.shape.radius_m.map_or(f64::INFINITY, f64::abs);
                 let text = format!("radius of curvature{}{}", along(*direction), self.in_zone());
                 LimitReport::new(text, "m", value, Bound::AtLeast, *at_least_m)

@@ -3,12 +3,12 @@
 use planish_types::text::significant;
 use serde::Serialize;
 
-/// What a specification says of a mirror.
+/// Verdict of a specification on a mirror.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SpecificationReport {
     /// Name of the specification.
     pub name: String,
-    /// Whether every limit is kept.
+    /// True if every limit is kept.
     pub passed: bool,
     /// The verdict on each limit, in the order of the file.
     pub limits: Vec<LimitReport>,
@@ -25,13 +25,14 @@ pub struct LimitReport {
     pub value: f64,
     /// Largest or smallest allowed value.
     pub limit: f64,
-    /// Whether `limit` is the largest or the smallest allowed value.
+    /// Kind of the limit: largest or smallest allowed value.
     pub bound: Bound,
-    /// Whether the limit is kept.
+    /// True if the limit is kept.
     pub passed: bool,
-    /// Where the mirror is worst, in words; `null` where the quantity has no place.
+    /// Place where the mirror is worst, in words; `null` if the quantity has no place.
     pub worst: Option<String>,
-    /// The part of noise in the value; absent where the noise is not known or the quantity does not tell it.
+    /// The part of noise in the value; absent if the noise is not known, or the part cannot be computed for
+    /// the quantity.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub noise: Option<NoisePart>,
 }
@@ -43,11 +44,11 @@ pub struct NoisePart {
     pub of_noise: f64,
     /// The value without the noise; of a largest value a lower bound.
     pub without_noise: f64,
-    /// Whether the limit lies between the value and the one without the noise.
+    /// True if the limit lies between the value and the value without the noise.
     pub decides: bool,
 }
 
-/// How a limit is judged.
+/// Verdict on a limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// The value keeps the limit.
@@ -58,7 +59,7 @@ pub enum Verdict {
     NoiseDecides,
 }
 
-/// How the part of noise leaves a value.
+/// Rule by which the part of noise is subtracted from a value.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Subtraction {
     /// sqrt(value^2 - part^2), of an RMS.
@@ -67,13 +68,13 @@ pub(super) enum Subtraction {
     Linear,
 }
 
-/// Which side of a limit is allowed.
+/// Allowed side of a limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Bound {
-    /// At most the limit.
+    /// Values up to the limit are allowed.
     AtMost,
-    /// At least the limit.
+    /// Values from the limit on are allowed.
     AtLeast,
 }
 
@@ -93,12 +94,13 @@ impl LimitReport {
         Self { quantity, unit, value, limit, bound, passed, worst: None, noise: None }
     }
 
-    /// The same, with the place where the mirror is worst.
+    /// This report with the place where the mirror is worst.
     pub(super) fn worst_at(self, worst: String) -> Self {
         Self { worst: Some(worst), ..self }
     }
 
-    /// The same with the value that noise alone would have; nothing where that is 0.
+    /// This report with the value that noise alone would have, and the value without the noise by the rule
+    /// `how`.
     pub(super) fn beside_noise(self, of_noise: f64, how: Subtraction) -> Self {
         let without_noise = match how {
             Subtraction::OfSquares => (self.value.powi(2) - of_noise.powi(2)).max(0.0).sqrt(),
@@ -107,7 +109,7 @@ impl LimitReport {
         self.with_and_without_noise(of_noise, without_noise)
     }
 
-    /// The same with the value that noise alone would have, and the value without the noise.
+    /// This report with the value that noise alone would have, and the value without the noise.
     pub(super) fn with_and_without_noise(mut self, of_noise: f64, without_noise: f64) -> Self {
         let would_pass = match self.bound {
             Bound::AtMost => without_noise <= self.limit,

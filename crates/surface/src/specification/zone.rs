@@ -1,4 +1,4 @@
-//! Zones of a mirror, and which pixels are in them.
+//! Zones of a mirror, and the pixels in them.
 //!
 //! ```text
 //! `inside_mm`: w      the valid pixels at least w from the outline
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{distance::to_marked, quality::Subject};
 
-/// Which part of a mirror; exactly one of the keys beside the name, or `x_mm` and `y_mm` together.
+/// Part of a mirror; exactly one of the keys beside the name, or `x_mm` and `y_mm` together.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename = "zone")]
 pub struct Zone {
@@ -29,10 +29,10 @@ pub struct Zone {
     /// Centre x, centre y and radius of a circle, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub circle_mm: Option<[f64; 3]>,
-    /// At least this far from the outline, mm.
+    /// Smallest distance from the outline, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inside_mm: Option<f64>,
-    /// Nearer than this to the outline, mm.
+    /// Distance from the outline below which pixels are in the zone, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub edge_mm: Option<f64>,
 }
@@ -85,12 +85,12 @@ pub(super) struct Zones<'a> {
 }
 
 impl<'a> Zones<'a> {
-    /// No mask is made before it is asked for.
+    /// Makes zones without their masks; a mask is made when it is asked for.
     pub fn new(subject: &'a Subject, zones: &'a [Zone]) -> Self {
         Self { subject, zones, outline: None, masks: Vec::new() }
     }
 
-    /// Which pixels are in the zone `name`, one of the given zones.
+    /// True at the pixels that are in the zone `name`, one of the given zones.
     pub fn mask(&mut self, name: &str) -> Result<Array2<bool>, Invalid> {
         if let Some((_, mask)) = self.masks.iter().find(|(n, _)| n == name) {
             return Ok(mask.clone());

@@ -16,7 +16,8 @@ use serde_json::{Value, json};
 
 use crate::files::{VERSION, write_json};
 
-/// Most bytes of a sweep's file: a thousand blocks.
+/// Largest size of a sweep's file, bytes: about a thousand blocks. Larger files are refused. Larger: other files
+/// given by mistake are read. Smaller: long sweeps are refused.
 const LARGEST_FILE_BYTES: u64 = 1 << 20;
 
 /// Files of instruments, which are imported.
@@ -73,7 +74,7 @@ impl Expand {
         }
     }
 
-    /// A directory with files and without a sweep is somebody's.
+    /// Refuses a directory that has files and no sweep: it belongs to somebody.
     fn refuse_foreign(&self) -> Result<(), Failure> {
         let out = &self.out;
         if out.join("sweep.json").exists() {
@@ -106,7 +107,7 @@ struct Made {
     again: Vec<String>,
 }
 
-/// What the plans are made of, as it stands on the disk.
+/// Files from which the plans are made, as they are on the disk.
 struct Grounds<'a> {
     folder: &'a Path,
     out: &'a Path,
@@ -175,7 +176,7 @@ impl Grounds<'_> {
         })
     }
 
-    /// How map and tool are made, and what `just run` calls them.
+    /// Adds the steps that make map and tool, and returns the names by which `just run` calls them.
     fn mirror(&mut self, d: &Description) -> Result<Made, Failure> {
         match &d.mirror {
             Mirror::Fixture(recipe) => {

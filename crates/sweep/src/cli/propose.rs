@@ -15,10 +15,11 @@ use crate::files::{read_row, read_sweep, write_json};
 pub struct Propose {
     /// Directory of the sweep, whose plans are made
     dir: PathBuf,
-    /// Part by which the last round must have enlarged the area that the front dominates
+    /// Relative growth of the area that the front dominates, in the last round, below which the
+    /// search ends
     #[arg(long, value_name = "P", default_value_t = 0.01)]
     least_move: f64,
-    /// Most rounds
+    /// Largest number of rounds
     #[arg(long, value_name = "N", default_value_t = 8)]
     most_rounds: usize,
 }

@@ -41,10 +41,10 @@ pub struct Run {
     end_with_parent: bool,
 }
 
-/// Which part of a sweep.
+/// Part of a sweep.
 #[derive(Args)]
 pub struct Job {
-    /// What is to be made
+    /// Layer to make
     #[arg(long, value_enum)]
     pub layer: Layer,
     /// Round of the search, by its name in sweep.json [default: the grid]
@@ -62,26 +62,26 @@ pub struct Job {
 pub enum Layer {
     /// The mirror: map, tool, desired removal
     Mirror,
-    /// What plans have in common: tool paths, first dwell times
+    /// Files that plans share: tool paths, first dwell times
     Paths,
     /// The plans
     Plans,
 }
 
-/// What the file of a finished job says.
+/// Contents of the file of a finished job.
 #[derive(Serialize, Deserialize)]
 struct Finished {
     made_or_found: usize,
     failed: usize,
 }
 
-/// Why a tool path could not be made.
+/// Reason for which a tool path could not be made.
 #[derive(Serialize, Deserialize)]
 struct NoPath {
     message: String,
 }
 
-/// What a job took; beside the results, which are the same whatever it took.
+/// Time of a job. It is kept apart from the results, which do not depend on it.
 #[derive(Serialize)]
 struct Took {
     wall_s: f64,
@@ -350,7 +350,7 @@ impl Work<'_> {
         Ok((to_do.len(), failed.into_inner()))
     }
 
-    /// Whether the row of a plan is there, and made by the programs that are there now. What failed is tried again.
+    /// Returns true if the row of a plan exists and was made by the present programs. Failed plans are tried again.
     fn is_made(&self, plan: &Plan, newest: Option<SystemTime>) -> Result<bool, Failure> {
         let path = row_path(self.dir, &plan.id);
         let modified = fs::metadata(&path).and_then(|m| m.modified()).ok();

@@ -1,6 +1,7 @@
 //! The tables of docs/feed.md: motion and times as one problem, beside the closed loop on the same path.
 //!
-//! Every number is of the executed motion. The closed loop has a floor of 0.02 s/mm and its own price of time.
+//! Every number is that of the executed motion. The closed loop has a floor of 0.02 s/mm and its own price
+//! of time.
 
 use planish_dwell::bounded_least_squares::Bound;
 use planish_feed::{Price, Settings, plan};
@@ -18,15 +19,20 @@ use crate::{
     paths::{fixture, lines, own_maze, random},
 };
 
-/// Of the further plans on the mirror: dearer seconds, and closer nodes.
+/// Distance of the nodes of the third plan on the mirror, mm. Larger: fewer unknowns, a coarser feed.
+/// Smaller: a finer feed in more time.
 const FINE_SPACING_MM: f64 = 0.8;
+/// Elasticity of the third plan: decrease of the mean square, %, for 1 % more time. Larger: time is dearer,
+/// and the plan is shorter with a larger residual. Smaller: the reverse.
 const FINE_ELASTICITY: f64 = 0.6;
 
-/// Of the second plan.
+/// Elasticity of the second plan, and of the second plan of the fixtures; see [`FINE_ELASTICITY`].
 const DEARER_ELASTICITY: f64 = 0.75;
 
+/// Limits on jerk of the rows of the table, mm/s^3.
 const JERKS_MM_PER_S3: [f64; 3] = [1e5, 2e4, 2e3];
 
+/// Seeds of the random-adaptive paths; the table shows medians over them.
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=5;
 
 fn heading(title: &str, plans: &[Settings]) {
@@ -51,7 +57,7 @@ struct Part<'a> {
 }
 
 impl Part<'_> {
-    /// RMS (nm) and time (s) of the closed loop and of the plans.
+    /// RMS (nm) and time (s) of the closed loop and of the plans, in this order.
     fn measured(&self, path: &ToolPath) -> Vec<[f64; 2]> {
         let Self { desired, tif, limits, plans } = *self;
         let floor = Bound::SecondsPerMm(0.02);
@@ -112,7 +118,7 @@ fn on_the_mirror(title: &str, reference: &Mirror, limits: &Limits) {
     part.median_of_seeds();
 }
 
-/// On the raster and the maze.
+/// Table of plans with limits on jerk, on the raster and the maze.
 fn with_limits_on_jerk(reference: &Mirror) {
     let (desired, tif, plans) = (&reference.desired, &reference.tif, &[Settings::default()]);
     heading("The reference mirror, with a limit on jerk", plans);

@@ -1,6 +1,6 @@
 //! The tables of docs/refine.md: the closed loop on the reference mirror (`PLANISH_REFERENCE`), with a
-//! tenth of the limits of the machine, and on the coupon with noise and with a ring-shaped tool. With the argument
-//! `feed`: those of docs/feed.md, motion and times as one problem beside the closed loop.
+//! tenth of the limits of the machine, on the coupon with noise, and with a ring-shaped tool. The argument
+//! `feed` makes those of docs/feed.md: motion and times as one problem beside the closed loop.
 
 mod feed;
 mod paths;
@@ -16,9 +16,10 @@ use planish_types::{Limits, Surface, Tif, ToolPath};
 
 use paths::{fixture, lines, own_maze, random};
 
+/// Smallest dwell times of the tables, with their names.
 const FLOORS: [(&str, Bound); 2] =
     [("0.1 s", Bound::Seconds(0.1)), ("0.02 s/mm", Bound::SecondsPerMm(0.02))];
-/// The part, the tool, and what is to happen to them.
+/// The part, the tool, and the settings of a row.
 struct Case<'a> {
     desired: &'a Surface,
     tif: &'a Tif,
@@ -29,7 +30,7 @@ struct Case<'a> {
 }
 
 impl Case<'_> {
-    /// From the dwell times of the solver with its own settings, as a pipeline does.
+    /// Refines the dwell times of the solver with its own settings, as a pipeline does.
     fn refined(&self, path: &ToolPath) -> Refined {
         let mut settings = Settings { scheduler: Scheduler::Pvt(self.mode), ..Settings::default() };
         settings.dwell.min_dwell = self.floor;

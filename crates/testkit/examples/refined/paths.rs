@@ -10,11 +10,13 @@ use planish_toolpath::{
 };
 use planish_types::{Surface, Tif, ToolPath};
 
-/// Pitches at which the random paths have about the published number of dwell points, 2678.
+/// Pitch of the random path by a tree, mm. Larger: fewer dwell points. Smaller: more. Chosen: the path has
+/// about the published number of dwell points, 2678.
 const MESH_TREE_PITCH_MM: f64 = 1.13;
+/// Pitch of the random path by a tour, mm; chosen like [`MESH_TREE_PITCH_MM`].
 const TOUR_PITCH_MM: f64 = 1.17;
 
-/// A path along which the pitch follows what is to be removed, with about as many points as the published ones.
+/// A path whose pitch follows the desired removal, with about as many points as the published ones.
 pub fn random(desired: &Surface, construction: Construction, seed: u64) -> ToolPath {
     let (pitch_mm, rounding_passes) = match construction {
         Construction::MeshTree => (MESH_TREE_PITCH_MM, 1),
@@ -57,7 +59,7 @@ pub fn fixture(name: &str, noise: bool) -> Fixture {
     make(&recipe).expect("a fixture")
 }
 
-/// Lines `pitch_mm` apart, which the tool leaves the part between.
+/// Lines `pitch_mm` apart; between two lines the tool leaves the part.
 pub fn lines(desired: &Surface, tif: &Tif, pitch_mm: f64, scan: Scan) -> ToolPath {
     let [x, y] = tif.half_size_mm();
     let settings = RasterSettings { scan, ..RasterSettings::new(pitch_mm, pitch_mm, x.max(y)) };

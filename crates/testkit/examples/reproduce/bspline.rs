@@ -25,11 +25,12 @@ use crate::{
     recipe,
 };
 
-/// Times the limit that the acceleration of a feed without a limit exceeds. The feed steps in the cusp, so the exact
-/// value is that of rounding; it was 2786 times the limit on one machine.
+/// Smallest ratio of the largest acceleration to its limit, for a feed without a limit, at which the claim
+/// holds. The feed steps in the cusp, so that the exact value depends on rounding; it was 2786 on one
+/// machine. Larger: the claim may fail on another machine. Smaller: a weaker claim.
 const UNLIMITED: f64 = 100.0;
 
-/// Cylinders meet here, mm; away from the ends of the part.
+/// Places where cylinders meet, mm; those away from the ends of the part.
 const CUSPS_MM: [f64; 5] = [5.0, 8.0, 10.0, 13.0, 15.0];
 
 pub fn reproduce() -> Outcome {
@@ -125,7 +126,8 @@ pub fn reproduce() -> Outcome {
     }
 }
 
-/// The inverse of the largest density of the splines, which their values at Greville's abscissae show.
+/// Smallest feed, mm/s: the inverse of the largest density of the splines, from their values at Greville's
+/// abscissae.
 fn least_feed_mm_per_s(density: &DwellDensity) -> f64 {
     1.0 / density.dwell_density_s_per_mm().iter().copied().fold(0.0, f64::max)
 }
@@ -148,37 +150,37 @@ fn amplitude(z: &[f64], step_mm: f64, per_mm: f64) -> f64 {
     2.0 * re.hypot(im) / n
 }
 
-/// One line for which all lines are the same, as in the source: what they remove together is
-/// z(x) = integral of H(x - X) D(X) dX, H(x) = VRR / pitch times the Gaussian of the jet.
+/// One line that stands for all lines, as in the source. Together the lines remove `z(x) = integral of
+/// H(x-X) D(X) dX`, H(x) = VRR / pitch times the Gaussian of the jet.
 struct Line<'a> {
     desired_nm: &'a [f64],
     step_mm: f64,
     knots: Knots,
     /// G (pixels, control values), nm mm/s.
     basis: Array2<f64>,
-    /// z p / VRR, Eq. 1, as it is removed, nm.
+    /// Removal by the density z p / VRR of Eq. 1, nm.
     vrr_nm: Vec<f64>,
 }
 
 /// Control values on the knots of the line.
 struct Feeds {
-    /// Without the limit of the acceleration.
+    /// Control values without the limit on acceleration, s/mm.
     free: Vec<f64>,
-    /// By knot removal, and the knots that are left.
+    /// Control values after knot removal, s/mm; `kept` has the remaining knots.
     removed: Vec<f64>,
     kept: Knots,
-    /// By the convex-concave procedure.
+    /// Control values by the convex-concave procedure, s/mm.
     procedure: Vec<f64>,
 }
 
-/// The machine of the fixture.
+/// Limits of the machine of the fixture: largest feed 20 mm/s, acceleration 200 mm/s^2.
 const MACHINE: FeedLimits =
     FeedLimits { min_density_s_per_mm: 1.0 / 20.0, max_acceleration_mm_per_s2: 200.0 };
 
-/// Away from the ends of the part, mm.
+/// Range of x away from the ends of the part, mm, for residuals without the ends.
 const INNER_MM: [f64; 2] = [6.5, 15.5];
 
-/// The lines go beyond the part by the jet.
+/// Overscan of the line, mm: the reach of the jet.
 const BEYOND_MM: f64 = 0.9;
 
 impl<'a> Line<'a> {

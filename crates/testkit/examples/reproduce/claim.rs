@@ -1,14 +1,14 @@
-//! A claim of a paper beside what is computed here.
+//! A claim of a paper, and the same number or statement as it is computed here.
 
-/// In the place of the paper's number.
+/// Text in the place of the paper's number, if the paper has none.
 const NOT_GIVEN: &str = "not given";
 
-/// How the two compare.
+/// Comparison of the computed number with the paper's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     Agrees,
     Better,
-    /// Another part or tool leaves less than the paper's.
+    /// The computed number is smaller, but on another part or with another tool.
     Lower,
     Differs,
 }
@@ -23,13 +23,13 @@ pub struct Claim {
     within: Option<f64>,
     found: Verdict,
     expected: Verdict,
-    /// True where the row follows from the inputs alone, by a formula.
+    /// True if the row follows from the inputs alone, by a formula.
     is_arithmetic: bool,
     why: String,
 }
 
 impl Claim {
-    /// A number that ours agrees with to `within`, a fraction of it.
+    /// A number with which the computed one agrees within `within`, relative.
     pub fn number(what: &str, unit: &str, paper: f64, ours: f64, within: f64) -> Self {
         let ratio = ours / paper;
         let digits = if within < 0.01 { 4 } else { 3 };
@@ -47,8 +47,8 @@ impl Claim {
         }
     }
 
-    /// A number that follows from the inputs alone, by the formula that is named: it says that the formula is the
-    /// paper's, and nothing about a method.
+    /// A number that follows from the inputs alone, by the formula that is named. Agreement shows that the
+    /// formula is the paper's, and nothing about a method.
     pub fn arithmetic(
         what: &str,
         unit: &str,
@@ -64,8 +64,8 @@ impl Claim {
         }
     }
 
-    /// A number that should be small, where the paper has another part or tool. Ours agrees within the fraction
-    /// `within`; below that it is lower, which compares no method.
+    /// A number that should be small, if the paper has another part or tool. The computed one agrees within
+    /// `within`, relative; a smaller one is `Lower`, which compares no method.
     pub fn elsewhere(what: &str, unit: &str, paper: f64, ours: f64, within: f64) -> Self {
         let claim = Self::number(what, unit, paper, ours, within);
         if ours < paper * (1.0 - within) {
@@ -74,7 +74,8 @@ impl Claim {
         claim
     }
 
-    /// A number that should be small, on the same part with the same tool: below it is better.
+    /// A number that should be small, on the same part with the same tool; a smaller computed one is
+    /// `Better`.
     pub fn small(what: &str, unit: &str, paper: f64, ours: f64, within: f64) -> Self {
         let mut claim = Self::number(what, unit, paper, ours, within);
         if ours < paper * (1.0 - within) {
@@ -98,7 +99,7 @@ impl Claim {
         }
     }
 
-    /// What a paper does not give, and `holds` here or not.
+    /// A statement that the paper does not make, which `holds` here or not.
     pub fn check(what: &str, ours: String, holds: bool) -> Self {
         Self::statement(what, NOT_GIVEN, ours, holds)
     }
@@ -123,7 +124,7 @@ impl Claim {
         Self { why: why.into(), ..self }
     }
 
-    /// Whether the verdict is the expected one.
+    /// Returns true if the verdict is the expected one.
     pub fn as_expected(&self) -> bool {
         self.found == self.expected
     }
@@ -151,7 +152,7 @@ impl Claim {
     }
 }
 
-/// How many verdicts are not the expected ones.
+/// Number of verdicts that are not the expected ones.
 pub fn changed(claims: &[Claim]) -> usize {
     claims.iter().filter(|c| !c.as_expected()).count()
 }

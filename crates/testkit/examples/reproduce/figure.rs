@@ -6,9 +6,11 @@ use ndarray::{Array2, s};
 use planish_surface::draw::{MapsSettings, Panel, maps_svg};
 use planish_types::{Axis as Pixels, Grid, Surface};
 
+/// Width of a chart, px of the picture.
 const WIDTH: f64 = 640.0;
+/// Height of a chart, px of the picture.
 const HEIGHT: f64 = 320.0;
-/// Left, right, top, bottom.
+/// Margins at the left, right, top and bottom of a chart, px of the picture.
 const MARGIN: [f64; 4] = [64.0, 16.0, 16.0, 44.0];
 const COLOURS: [&str; 5] = ["#888888", "#c2410c", "#1d4ed8", "#15803d", "#7e22ce"];
 
@@ -38,7 +40,7 @@ impl Axis {
     }
 }
 
-/// The chart; what lies beyond the ticks is drawn at the edge.
+/// SVG of a chart; points beyond the ticks are drawn at the edge.
 pub fn chart(x: &Axis, y: &Axis, series: &[Series]) -> String {
     chart_of(HEIGHT, x, y, series)
 }

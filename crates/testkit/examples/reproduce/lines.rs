@@ -17,6 +17,8 @@ use planish_testkit::ion_beam;
 use planish_toolpath::{RasterSettings, raster};
 use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath};
 
+/// Pixel of the simulated maps and of the TIF, mm. Larger: less time and a less accurate ripple. Smaller:
+/// the reverse.
 const PIXEL_MM: f64 = 0.05;
 
 /// A sum of Gaussians, (peak in nm/s, sigma in mm).
@@ -94,7 +96,7 @@ pub fn lines(part: &Surface, pitch_mm: f64, overscan_mm: f64) -> ToolPath {
     lines_in_steps(part, pitch_mm, 1.0, overscan_mm)
 }
 
-/// The same in steps of at most `step_mm`.
+/// Lines along x, one of them at y = 0, in steps of at most `step_mm`.
 pub fn lines_in_steps(part: &Surface, pitch_mm: f64, step_mm: f64, overscan_mm: f64) -> ToolPath {
     let settings = RasterSettings {
         line_origin_mm: Some(0.0),

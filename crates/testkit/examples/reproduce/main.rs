@@ -5,8 +5,9 @@
 //! figures to `docs/reproduction/`. Tables of the reference mirror are made when `PLANISH_REFERENCE`
 //! is set, and stay as they are otherwise. Exit 1 when a verdict is not the one stated in the code.
 //!
-//! A number of a paper is only ever on the side that ours is compared with. "Better" is said only of the same part and
-//! tool, "lower" of another part or tool, and a number that follows from its inputs alone is called arithmetic.
+//! Numbers of papers are only compared with, and never used to compute ours. "Better" is said only of the
+//! same part and tool, "lower" of another part or tool. A number that follows from its inputs alone is
+//! called arithmetic.
 
 mod bspline;
 mod claim;
@@ -24,12 +25,12 @@ use claim::{Claim, table};
 use planish_fixture::{Fixture, Recipe, make};
 use planish_testkit::workspace;
 
-/// What a paper's module computes.
+/// Result of the module of a paper: its tables and figures.
 #[derive(Default)]
 pub struct Outcome {
-    /// Marker in the page, and the rows there.
+    /// Marker of each table in the page, and its rows.
     pub tables: Vec<(&'static str, Vec<Claim>)>,
-    /// Name, and SVG.
+    /// Name of each figure, and its SVG.
     pub figures: Vec<(&'static str, String)>,
 }
 

@@ -15,7 +15,8 @@ use crate::{
     plate,
 };
 
-/// The paper's TIF is not published: a Gaussian of half the widest pitch.
+/// Standard deviation of the Gaussian TIF, mm. The TIF of the paper is not published. Larger: less ripple
+/// at a pitch. Smaller: more. Chosen: half of the widest pitch.
 const SIGMA_MM: f64 = 0.4;
 
 pub fn reproduce() -> Outcome {
@@ -32,7 +33,7 @@ fn spot() -> Spot {
     Spot(vec![(10.0, SIGMA_MM)])
 }
 
-/// Simulated (PV over mean, pitch in mm).
+/// Pitches at which the ripple is simulated, mm.
 const PITCHES_MM: [f64; 5] = [0.7, 0.8, 1.0, 1.2, 1.6];
 
 fn ripples() -> Vec<Claim> {
@@ -93,15 +94,15 @@ fn ripples() -> Vec<Claim> {
     ]
 }
 
-/// Where the ripple bends most as a function of the pitch, and how steep it is on both sides.
+/// Pitch at which the ripple bends most as a function of the pitch, and its slopes on both sides.
 struct Knee {
     at_mm: f64,
-    /// It bends less at both ends of the range.
+    /// True if the curve bends less at both ends of the range.
     is_inside: bool,
     slopes_per_mm: [f64; 2],
 }
 
-/// By second differences of the closed form, from a sigma to four.
+/// Finds the knee by second differences of the closed form, for pitches from one sigma to four.
 fn knee(spot: &Spot) -> Knee {
     let (step, first, last) = (0.01, 1.0 * SIGMA_MM, 4.0 * SIGMA_MM);
     let bend = |d: f64| {

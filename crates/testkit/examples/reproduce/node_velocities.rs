@@ -1,5 +1,6 @@
-//! The node velocities that the authors of the PVT paper stored with a run of theirs, against the least squares of the
-//! paper: the file `instruments/pvt_model_scheduler.h5` of the folder `PLANISH_REFERENCE`, from their repository.
+//! Node velocities that the authors of the PVT paper stored with a run of theirs, against the least squares
+//! of the paper. They are in the file `instruments/pvt_model_scheduler.h5` of the folder
+//! `PLANISH_REFERENCE`, from the authors' repository.
 //!
 //! Six unknowns per segment i: the coefficients k of `p(u) = sum k_j (u/h)^j` in the local time u, and the
 //! velocity and acceleration `v_i`, `a_i` of its end. The rows are those of the paper (Eqs 9 to 14 and 16, the latter
@@ -27,7 +28,8 @@ use planish_types::{DwellTime, ToolPath};
 
 use crate::claim::{Claim, significant};
 
-/// Of (1), in metres and seconds: the decade that comes nearest to the stored velocities.
+/// Weight of (1), in metres and seconds. Larger: the coefficients C_j are pulled towards zero more.
+/// Smaller: (1) has less effect. Chosen: the decade that comes nearest to the stored velocities.
 const PULL: f64 = 1e-10;
 
 /// The run of the authors, per axis [x, y].
@@ -69,8 +71,8 @@ impl Stored {
         ends.filter(|(dp, v)| if *dp >= 0.0 { *v < 0.0 } else { *v > 0.0 }).count()
     }
 
-    /// Least value of the objective of the paper with these velocities at the nodes, mm^2: the best accelerations at the
-    /// nodes, shared by the cubics, and the best cubics.
+    /// Smallest value of the objective of the paper with these velocities at the nodes, mm^2: with the best
+    /// accelerations at the nodes, shared by the cubics, and the best cubics.
     fn objective_mm2(&self, axis: usize, v: &[f64]) -> f64 {
         let (h, dp) = (self.durations_s(), self.displacements_mm(axis));
         // Rows in A_i, A_{i+1} alone, after the start and the end of the cubic are eliminated:
@@ -104,7 +106,8 @@ impl Stored {
             .fold(0.0, |sum, (i, ([p, q], right))| sum + (p * a[i] + q * a[i + 1] + right).powi(2))
     }
 
-    /// Eqs 9 to 16 with the bounds of Eq. 18 by the segment before the node and (1): the velocities of nodes 1 to N.
+    /// Velocities of nodes 1 to N by Eqs 9 to 16 and (1), with the bounds of Eq. 18 by the segment before
+    /// the node.
     fn pulled(&self, axis: usize) -> Vec<f64> {
         let (h, dp) = (self.durations_s(), self.displacements_mm(axis));
         let (n, limits) = (h.len(), ion_beam());

@@ -22,20 +22,24 @@ use crate::{
     recipe,
 };
 
-/// Widest pitch, and the lines of the uniform raster, mm.
+/// Widest pitch of the multi-pitch raster, and pitch of the uniform one, mm.
 const WIDEST_MM: f64 = 0.8;
+/// Number of classes of depth.
 const CLASSES: usize = 4;
+/// Pixel of the plate and of the TIF, mm; [`PERIOD`] of them make the widest pitch. Larger: the lines are
+/// not resolved. Smaller: more time and memory.
 const PIXEL_MM: f64 = 0.1;
-/// Pixels per widest pitch.
+/// Number of pixels per widest pitch, `WIDEST_MM / PIXEL_MM`.
 const PERIOD: usize = 8;
-/// Ripple is measured farther than this from borders of regions and of the plate: 10 sigma.
+/// Distance from borders of regions and of the plate within which ripple is not measured, mm. Larger: less
+/// area. Smaller: the ripple includes edges. Chosen: 10 sigma.
 const RIM_MM: f64 = 4.0;
-/// A section that crosses all four classes of depth.
+/// y of the section of the figure, mm; it crosses all four classes of depth.
 const SECTION_MM: f64 = 120.0;
-/// HeNe, the unit of the paper.
+/// Wavelength of a helium-neon laser, nm: the unit of heights in the paper.
 const WAVE_NM: f64 = 632.8;
 
-/// What a path leaves.
+/// Result of a run along a path.
 struct Run {
     residual: Surface,
     ripple_nm: Array2<f64>,
@@ -251,9 +255,9 @@ fn ripple_figure(runs: &[&Run; 2], (row, column): (usize, usize)) -> String {
     )
 }
 
-/// The same plate and paths with the D-shaped spot of magnetorheological finishing (its process: W. I. Kordonski and
-/// others, Optical Fabrication and Testing 1998, doi 10.1364/oft.1998.omd.1), whose removal across the lines has the same
-/// standard deviation. The flow is along the lines.
+/// Runs on the same plate and paths with the D-shaped spot of magnetorheological finishing (its process: W.
+/// I. Kordonski and others, Optical Fabrication and Testing 1998, doi 10.1364/oft.1998.omd.1). Its removal
+/// across the lines has the same standard deviation. The flow is along the lines.
 struct Mrf {
     uniform: Run,
     multi: Run,
@@ -288,7 +292,7 @@ impl Mrf {
     }
 }
 
-/// Standard deviation along y of what a TIF removes, mm.
+/// Standard deviation along y of the removal by a TIF, mm.
 fn across_mm(tif: &Tif) -> f64 {
     let (rate, y) = (tif.rate_nm_per_s(), tif.grid().y);
     let moment = |k: i32| -> f64 {

@@ -28,8 +28,8 @@ use crate::{
     node_velocities::{self, correlation},
 };
 
-/// The shift at the end removes another shape where the points are not uniform: on the random path the floor is in
-/// the model, so that its residual is that of path and motion.
+/// Kind of the floor on a path. If the points are not uniform, the shift at the end removes another shape.
+/// So on the random path the floor is in the model, and the residual is that of path and motion.
 fn floor_on(name: &str) -> udo::Floor {
     if name == "random" { udo::Floor::Model } else { udo::Floor::Shift }
 }
@@ -51,7 +51,7 @@ impl Run<'_> {
         done.expect("a removal").removal.residual().clone()
     }
 
-    /// The same, plane removed, nm RMS.
+    /// RMS of the residual of a motion, plane removed, nm.
     fn residual_nm(&self, trajectory: &Trajectory) -> f64 {
         self.residual(trajectory).detilted_rms_nm()
     }
@@ -185,7 +185,7 @@ fn random_path(part: &Surface, tif: &Tif, seed: u64) -> ToolPath {
     random_adaptive(part, &settings).expect("a path").path
 }
 
-/// Seeds of the random paths.
+/// Seeds of the random paths; the tables show medians over them.
 const SEEDS: [u64; 5] = [1, 2, 3, 4, 5];
 
 /// Median and range of an odd number of values.
@@ -217,7 +217,7 @@ fn udo_dwell(
     udo::solve(&problem, &settings).expect("dwell times").dwell
 }
 
-/// Rounds of UDO that are shown: the source does not say how many it did.
+/// Numbers of rounds of UDO that are shown, because the source does not state its number.
 const UDO_ROUNDS: [usize; 4] = [0, 1, 2, 10];
 
 fn statement(what: &str, paper: &str, ours: String, holds: bool) -> Claim {
@@ -264,7 +264,7 @@ pub fn reproduce() -> Outcome {
     Outcome { tables, figures }
 }
 
-/// Fig. 6: what PVT leaves along the three paths, with its RMS.
+/// Fig. 6: residual maps of PVT along the three paths, with their RMS.
 fn residual_maps(runs: &[Run<'_>; 3], smooth: &[Trajectory; 3]) -> String {
     let left = [0, 1, 2].map(|k| without_plane(&runs[k].residual(&smooth[k])));
     let titled = [0, 1, 2].map(|k| {
@@ -401,7 +401,8 @@ struct Seeds {
 }
 
 impl Seeds {
-    /// With the floor in the model, and by a shift.
+    /// Medians and ranges over the runs with the floor in the model, and over those with the floor by a
+    /// shift.
     fn new(model: &[Run<'_>; 5], shifted: &[Run<'_>; 5]) -> Self {
         let of = |runs: &[Run<'_>; 5], f: &dyn Fn(&Run<'_>) -> f64| {
             median_and_range(&runs.each_ref().map(f))
@@ -645,7 +646,7 @@ fn on_the_mirror() -> Option<Vec<Claim>> {
     ])
 }
 
-/// When half of the segments are done, s.
+/// Time at which half of the segments are done, s.
 fn middle_s(t: &Trajectory) -> f64 {
     t.break_time_s()[t.len() / 2]
 }

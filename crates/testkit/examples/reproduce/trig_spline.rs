@@ -27,10 +27,11 @@ use crate::{
     lines::{Spot, lines, lines_in_steps, ripple, uniform},
 };
 
-/// The paper's groups of limits: (mm/s, mm/s^2); 4000 and 12 000 mm/min.
+/// The paper's groups of limits (mm/s, mm/s^2); the feeds are 4000 and 12 000 mm/min.
 const GROUPS: [(f64, f64); 2] = [(4000.0 / 60.0, 2000.0), (12_000.0 / 60.0, 200.0)];
 
-/// 0.015 + 0.0003 and 0.005 + 0.00045 s/mm, what the paper adds in the two groups.
+/// Offsets for the acceleration that the paper adds to the densities 0.015 and 0.005 s/mm of its two
+/// groups, s/mm.
 const ACCELERATION_OFFSETS: [f64; 2] = [0.0003, 0.00045];
 
 fn limits((velocity, acceleration): (f64, f64)) -> Limits {
@@ -202,8 +203,8 @@ fn one_piece() -> Vec<Claim> {
     ]
 }
 
-/// Table 2: Lucy-Richardson with the spline, the same as a plain controller executes it, and BCLS on segments as long
-/// as it asks for, by the trapezoidal feeds that it is made for.
+/// Table 2: Lucy-Richardson with the spline, and the same as a plain controller executes it. BCLS has
+/// segments as long as it asks for, and is executed with the trapezoidal feeds that it is made for.
 fn solvers(part: &planish_fixture::Fixture) -> (Vec<Claim>, String) {
     let path = lines(&part.surface, 2.0, 5.0);
     let (surface, tif) = (&part.surface, &part.tif);
@@ -292,7 +293,7 @@ fn solvers(part: &planish_fixture::Fixture) -> (Vec<Claim>, String) {
     (rows, figure)
 }
 
-/// Over the inscribed square of the disk.
+/// Spectrum of the residual over the inscribed square of the disk.
 fn spectrum(residual: &Surface) -> Psd {
     let settings = PsdSettings {
         window: Window::Hann,
@@ -302,7 +303,7 @@ fn spectrum(residual: &Surface) -> Psd {
     psd(residual, &settings).expect("a spectrum")
 }
 
-/// Fig. 12: radial spectra of what is left, by method.
+/// Fig. 12: radial spectra of the residuals, by method.
 fn spectra_figure(spectra: [&Psd; 4]) -> String {
     let names = [
         "Lucy-Richardson, spline",
@@ -397,7 +398,8 @@ fn full_run() -> Vec<Claim> {
     ]
 }
 
-/// How many positions the real-time interpolator gives, and how far they are from the motion at most, mm.
+/// Number of positions that the real-time interpolator gives, and their largest distance from the motion,
+/// mm.
 fn interpolated(schedule: &Schedule) -> (usize, f64) {
     let density = schedule.density.as_ref().expect("a path with a length");
     let trajectory = &schedule.trajectory;
@@ -424,7 +426,8 @@ fn interpolated(schedule: &Schedule) -> (usize, f64) {
     (count, largest)
 }
 
-/// Times 1 / feed: 0.02 s/mm at 4000 mm/min.
+/// Largest offset of the density for which the claim holds, in units of 1 / feed: 0.02 s/mm at 4000 mm/min.
+/// Larger: a weaker claim. Smaller: another part may fail it.
 const MOST_OFFSET: f64 = 4.0 / 3.0;
 
 /// PV of a map on the part, the plane removed, without `cut_mm` at the edge of its disk.
@@ -522,10 +525,10 @@ fn waviness() -> Vec<Claim> {
     ]
 }
 
-/// What the paper leaves out at the edge, mm.
+/// Width of the edge that the paper leaves out, mm.
 const EDGE_MM: f64 = 2.0;
 
-/// What an offset of all densities leaves inside the aperture, against the overscan.
+/// Residual inside the aperture after an offset of all densities, against the overscan.
 fn overscan(part: &planish_fixture::Fixture) -> (Vec<Claim>, Vec<[f64; 2]>) {
     let surface = &part.surface;
     // Without `cut_mm` at the edge of the disk.

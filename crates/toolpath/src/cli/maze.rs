@@ -17,7 +17,7 @@ pub struct MazeArgs {
     /// Seed of the random numbers
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Random tree that the path walks around
+    /// Random tree around which the path goes
     #[arg(long, value_enum, default_value_t = TreeArg::DepthFirst)]
     tree: TreeArg,
     /// Chance that depth-first keeps its direction where that is possible, 0 to 1 [default: 0]
@@ -33,9 +33,9 @@ pub struct MazeArgs {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum TreeArg {
-    /// Long corridors
+    /// Depth-first tree: long corridors
     DepthFirst,
-    /// Every spanning tree equally likely: more turns
+    /// Wilson's algorithm, every spanning tree equally likely: more turns
     Wilson,
 }
 

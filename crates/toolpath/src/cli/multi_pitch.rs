@@ -16,10 +16,10 @@ pub struct MultiPitchArgs {
     /// Tool influence function [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
-    /// Feed that shall not be exceeded, mm/s
+    /// Largest feed of the classes but the first, mm/s
     #[arg(long, value_name = "V", allow_negative_numbers = true)]
     max_velocity_mm_per_s: f64,
-    /// Classes of depth
+    /// Number of classes of depth
     #[arg(long, value_name = "M", default_value_t = 4)]
     classes: usize,
     /// Smallest pitch: what the machine can position, mm
@@ -35,15 +35,15 @@ pub struct MultiPitchArgs {
     /// Longest segment, mm
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     step_mm: f64,
-    /// How far the path goes beyond the aperture, mm [default: half the size of the square around
-    /// the centroid of the TIF that holds all but 0.05 % of its volume]
+    /// Distance that the path goes beyond the aperture, mm [default: half the size of the square around the centroid
+    /// of the TIF that holds all but 0.05 % of its volume]
     #[arg(long, value_name = "O", allow_negative_numbers = true)]
     overscan_mm: Option<f64>,
-    /// Machine: a warning says where the path leaves the travel of its axes [JSON]
+    /// Machine, for a warning if the path leaves the travel of its axes [JSON]
     #[arg(long, value_name = "FILE")]
     machine: Option<PathBuf>,
-    /// Where the tool stays on from a line to the next one: everywhere, beyond the aperture (not along the border of
-    /// another region), or nowhere
+    /// Links between lines on which the tool stays on: all, those beyond the aperture (but not along the border of
+    /// another region), or none
     #[arg(long, value_enum, default_value_t = Links::On)]
     links: Links,
     #[command(flatten)]

@@ -14,7 +14,7 @@ use serde_json::json;
 pub struct PassesArgs {
     #[command(flatten)]
     path: PathArgs,
-    /// Passes over the same path, 2 or more
+    /// Number of passes over the same path, 2 or more
     #[arg(long, value_name = "N")]
     passes: usize,
     /// Run every other pass backwards, so that a drift of the rate cancels; otherwise the tool is lifted

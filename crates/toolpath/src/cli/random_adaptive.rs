@@ -19,10 +19,11 @@ pub struct RandomAdaptiveArgs {
     /// Exponent of the density in the desired removal: 0 (uniform) to 1 (proportional)
     #[arg(long, value_name = "B", default_value_t = 1.0, allow_negative_numbers = true)]
     contrast: f64,
-    /// What the path goes around
+    /// Construction of the path: around a random spanning tree of triangles, or a short tour
+    /// through random points
     #[arg(long, value_enum, default_value_t = Construction::MeshTree)]
     construction: Construction,
-    /// Passes of corner cutting; each halves the turns and doubles the points
+    /// Number of passes of corner cutting; each halves the turns and doubles the points
     #[arg(long, value_name = "K", default_value_t = 1)]
     rounding_passes: u32,
 }

@@ -20,21 +20,21 @@ pub struct RasterArgs {
     /// Direction of the lines from x towards y, degrees: 0 and 90 are the scans along x and y
     #[arg(long, value_name = "A", conflicts_with = "scan", allow_negative_numbers = true)]
     angle_deg: Option<f64>,
-    /// How consecutive lines are joined [default: square; lift for lines in one direction or in
+    /// Turns between consecutive lines [default: square; lift for lines in one direction or in
     /// random order]
     #[arg(long, value_enum)]
     turn: Option<Turn>,
     /// Run all lines in the same direction, and return with the tool off
     #[arg(long)]
     one_directional: bool,
-    /// Which line follows which
+    /// Order of the lines
     #[arg(long, value_enum, default_value_t = LineOrderArg::Sequential)]
     line_order: LineOrderArg,
     /// Seed of the random line order [default: 1]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Let the distance of the lines follow the mean of the map along them, from A to B; then
-    /// --pitch-mm is the distance where that mean is the map's
+    /// Range A to B of the distance of the lines, which follows the mean of the map along them;
+    /// --pitch-mm is then the distance at the mean of the map
     #[arg(
         long,
         value_names = ["A", "B"],
@@ -57,11 +57,11 @@ enum ScanArg {
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
 enum LineOrderArg {
-    /// The next one
+    /// The next line
     Sequential,
     /// Every other line, then back over the lines between them
     BiStep,
-    /// A random one; the tool is lifted between lines
+    /// A random line; the tool is lifted between lines
     Random,
 }
 

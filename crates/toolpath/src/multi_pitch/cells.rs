@@ -12,30 +12,32 @@ use crate::{
     region::SLACK,
 };
 
-/// Longest link along a border between two regions, in pitches or, where they are larger, pixels:
-/// a slope of 14 degrees.
+/// Longest link along a border between two regions, in pitches or, if they are larger, pixels: a
+/// slope of 14 degrees. Larger: longer links along borders. Smaller: more lifts.
 const LONGEST_LINK: f64 = 4.0;
 
-/// Most rounds of 2-opt, and the longest part of the order that one step reverses.
+/// Largest number of rounds of 2-opt. Larger: more time. Smaller: a longer way between the cells.
 const MAX_ROUNDS: usize = 30;
+/// Largest number of cells of the order that one step of 2-opt reverses. Larger: more time with
+/// many cells. Smaller: a longer way between the cells.
 const MAX_REVERSED: usize = 1000;
 
-/// Where the tool is on along a line, mm.
+/// Interval of a line with the tool on, mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Stretch {
     low: f64,
     high: f64,
-    /// Whether the (low, high) end lies on the border of another region.
+    /// True if the (low, high) end lies on the border of another region.
     inner: [bool; 2],
 }
 
 /// The lines of one region.
 pub(super) struct Raster {
     pitch_mm: f64,
-    /// Longest link along a border.
+    /// Longest link along a border, mm.
     link_mm: f64,
     first_mm: f64,
-    /// By line, ascending.
+    /// Stretches of each line, ascending.
     lines: Vec<Vec<Stretch>>,
 }
 
@@ -105,7 +107,8 @@ fn line_positions(field: &Field, id: usize, d: f64, [r0, r1, c0, c1]: [usize; 4]
     (if count == 1.0 { first.clamp(low, high) } else { first }, count)
 }
 
-/// Where a row of pixels belongs to a region, gaps of one pitch or two pixels bridged.
+/// Intervals of a row of pixels that belong to a region; gaps of one pitch or two pixels are
+/// bridged.
 fn stretches(field: &Field, id: usize, row: usize, [c0, c1]: [usize; 2], d: f64) -> Vec<Stretch> {
     let (h, rest) = (field.pixel_mm[0], field.rest_mm[0]);
     let x = |c: usize| field.first_mm[0] + c as f64 * h;
@@ -146,7 +149,7 @@ fn stretches(field: &Field, id: usize, row: usize, [c0, c1]: [usize; 2], d: f64)
     found
 }
 
-/// Whether no region lies between two coordinates of a row.
+/// Returns true if no region lies between two coordinates of a row.
 fn between_is_outside(field: &Field, row: usize, [low, high]: [f64; 2]) -> bool {
     let column = |x: f64| (x - field.first_mm[0]) / field.pixel_mm[0];
     // Ends reach less than a pixel beyond their last centre.
@@ -202,7 +205,7 @@ struct CellLine {
     across: f64,
     /// The low and the high end.
     ends: [f64; 2],
-    /// Whether they lie on the border of another region.
+    /// True for the ends that lie on the border of another region.
     inner: [bool; 2],
 }
 
@@ -241,7 +244,7 @@ impl Raster {
         cells
     }
 
-    /// Whether the ends are close, wherever a link between them would run along a border.
+    /// Returns true if the ends are close wherever a link between them would run along a border.
     fn can_link(&self, a: &Stretch, b: &Stretch) -> bool {
         let ends = [(a.low, b.low), (a.high, b.high)];
         (0..2).all(|i| {
@@ -256,9 +259,9 @@ impl Raster {
 pub(super) struct Visit {
     /// Index of the cell.
     pub cell: usize,
-    /// From the last line to the first.
+    /// True if the lines are run from the last to the first.
     downwards: bool,
-    /// The first line that is run is run towards smaller x.
+    /// True if the first line that is run is run towards smaller x.
     backwards: bool,
 }
 
@@ -326,7 +329,7 @@ pub(super) fn order(cells: &[Cell]) -> Vec<Visit> {
     visits
 }
 
-/// One round of 2-opt; whether it found anything.
+/// Makes one round of 2-opt; returns true if it found a shorter way.
 fn improve(cells: &[Cell], visits: &mut [Visit]) -> bool {
     let n = visits.len();
     let region = |v: &Visit| cells[v.cell].region;

@@ -1,4 +1,4 @@
-//! Which region a pixel belongs to.
+//! Division of the aperture into regions.
 
 use std::{cmp::Reverse, collections::BinaryHeap};
 
@@ -7,10 +7,11 @@ use planish_types::{Grid, Surface};
 
 use crate::{MAX_SEGMENTS, region::SLACK};
 
-/// The class or region of a pixel that has none.
+/// Marks a pixel without a class or a region.
 pub(super) const OUTSIDE: usize = usize::MAX;
 
-/// Where the Gaussian is cut off, in standard deviations: 3e-4 of its peak.
+/// Radius at which the Gaussian is cut off, in standard deviations; it is 3e-4 of its peak there.
+/// Larger: more time. Smaller: steps in the smoothed depth.
 const CUT_OFF: f64 = 4.0;
 
 /// The depth to be removed, smoothed over the valid pixels; NaN elsewhere.
@@ -141,14 +142,14 @@ fn neighbours([r, c]: [usize; 2], (ny, nx): (usize, usize)) -> impl Iterator<Ite
 pub(super) struct Field {
     /// Region of every pixel.
     pub label: Array2<usize>,
-    /// Whether the pixel is one of the aperture.
+    /// True for the pixels of the aperture.
     pub inside: Array2<bool>,
     /// Pixel along [x, y], mm.
     pub pixel_mm: [f64; 2],
     /// Centre of the first pixel [x, y], mm.
     pub first_mm: [f64; 2],
-    /// From the last pixel's centre to the end of the overscan [x, y], mm: from -1/2 to 1/2 of a
-    /// pixel, so that no line leaves the pixels of its region.
+    /// Distance from the last pixel's centre to the end of the overscan [x, y], mm: from -1/2 to
+    /// 1/2 of a pixel, so that no line leaves the pixels of its region.
     pub rest_mm: [f64; 2],
 }
 

@@ -23,19 +23,25 @@ use planish_types::{Axis, Invalid, Surface};
 
 use super::{EDGE_PER_SPACING, RandomAdaptiveSettings};
 
-/// Cells per pitch.
+/// Number of cells per pitch. Larger: more memory, and a border that follows the aperture more closely. Smaller: a
+/// coarser border.
 const CELLS_PER_PITCH: f64 = 3.0;
-/// Gaps of twice this many cells are closed.
+/// Half the width of the gaps in the region that are closed, in cells. Larger: wider holes and slits are closed.
+/// Smaller: the path is divided at narrow gaps.
 const CLOSING_CELLS: usize = 2;
-/// Cells around the region, so that closing and its border stay within the lattice.
+/// Number of cells around the region, so that closing and its border stay within the lattice: one more than
+/// [`CLOSING_CELLS`].
 const MARGIN_CELLS: usize = CLOSING_CELLS + 1;
-/// Most cells of a lattice: about 1 GB.
+/// Largest number of cells of a lattice (about 1 GB); more are refused. Larger: more memory. Smaller: fine pitches on
+/// large parts are refused.
 const MAX_CELLS: f64 = 3e7;
-/// Bounds of r / mean r in the density law: the spacing varies by at most 4 in all.
+/// Smallest r / mean r in the density law, dimensionless: with [`HIGHEST_RATIO`], the spacing varies by at most 4 in
+/// all. Larger: less contrast. Smaller: a coarser path in shallow places.
 pub(super) const LOWEST_RATIO: f64 = 0.25;
+/// Largest r / mean r in the density law, dimensionless. Larger: a finer path in deep places. Smaller: less contrast.
 pub(super) const HIGHEST_RATIO: f64 = 4.0;
-/// Largest slope of the spacing: 0.3 for mesh edges, so that neighbouring triangles differ by a
-/// third at most.
+/// Largest slope of the spacing over the place, dimensionless. It is 0.3 for mesh edges, so that neighbouring
+/// triangles differ by a third at most. Larger: thinner triangles. Smaller: the spacing follows the removal less.
 const MAX_SLOPE: f64 = 0.3 / EDGE_PER_SPACING;
 
 /// Marks cells outside the region.
@@ -289,7 +295,7 @@ impl Field {
         (island != OUTSIDE).then_some(island as usize)
     }
 
-    /// Whether the step from `a` to `b` goes more than [`CLOSING_CELLS`] beyond the region.
+    /// Returns true if the step from `a` to `b` goes more than [`CLOSING_CELLS`] beyond the region.
     pub(super) fn leaves(&self, a: [f64; 2], b: [f64; 2]) -> bool {
         let cells = [0, 1].map(|x| ((b[x] - a[x]) / self.side_mm[x]).abs());
         let parts = cells[0].max(cells[1]).ceil().max(1.0);
@@ -305,7 +311,7 @@ impl Field {
         (self.island[k] != OUTSIDE).then_some(self.island[k] as usize)
     }
 
-    /// Whether `p` is in the clear aperture: its cell's nearest pixel is valid.
+    /// Returns true if `p` is in the clear aperture: its cell's nearest pixel is valid.
     pub(super) fn in_aperture(&self, p: [f64; 2]) -> bool {
         self.cell(p).is_some_and(|k| self.aperture[k])
     }

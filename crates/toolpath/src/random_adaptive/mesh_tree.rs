@@ -34,16 +34,18 @@ use spade::{DelaunayTriangulation, Point2, Triangulation};
 
 use super::{EDGE_PER_SPACING, Loop, Point, field::Field, points::mesh_points};
 
-/// w. The middle of the gap around a vertex is the point that is farthest from the path: with
-/// w = 1 it is 1.01 pitches away in a uniform path, with 1.4 it is 0.9 (measured; more gains
-/// nothing and makes the turns sharper).
+/// Weight w of the vertex, dimensionless. The middle of the gap around a vertex is the point that is farthest from
+/// the path: with w = 1 it is 1.01 pitches away in a uniform path, with 1.4 it is 0.9 (measured). Larger: no gain,
+/// and sharper turns. Smaller: wider gaps.
 const VERTEX_WEIGHT: f64 = 1.4;
-/// Lloyd iterations.
+/// Number of Lloyd iterations. Larger: more time, more even triangles. Smaller: less even triangles.
 const LLOYD_ITERATIONS: usize = 20;
-/// Triangles on the border that are lower than this fraction of their longest edge are left out.
+/// Height of a border triangle, as a fraction of its longest edge, below which it is left out. Larger: gaps at the
+/// border. Smaller: needle-like triangles with short steps.
 const MIN_HEIGHT: f64 = 0.1;
-/// Where a step over an edge meets it when it would pass it by: this fraction of the way from
-/// (w V + M)/(w + 1) to the end that it passes by.
+/// Position at which a step over an edge meets the edge if it would pass it by: fraction of the way to the end that
+/// it passes by. The way begins at `(w V + M)/(w + 1)`. Larger: nearer to the end of the edge. Smaller: nearer to the
+/// middle of the edge.
 const MEETS_AT: f64 = 0.5;
 
 /// One closed path per edge-connected part of the mesh.

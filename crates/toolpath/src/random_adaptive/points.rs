@@ -19,11 +19,15 @@ use rayon::prelude::*;
 
 use super::{Point, distance, field::Field};
 
-/// Straight runs of this many cells (one pitch) on both sides make a corner.
+/// Number of cells (one pitch) of a straight run that makes a corner of the border if there is one
+/// on both sides. Larger: fewer corners are kept sharp. Smaller: the staircase of a slanted border
+/// counts as corners.
 const CORNER_CELLS: usize = 3;
-/// Nodes on either side over which the border is averaged: the staircase of a slanted border.
+/// Number of nodes on either side over which the border is averaged, against the staircase of a
+/// slanted border. Larger: a smoother border that cuts its bends. Smaller: steps remain.
 const SMOOTHING_CELLS: usize = 2;
-/// Times that every cell is offered as a place for a dart.
+/// Number of times that every cell is offered as a place for a dart. Larger: more time, fewer gaps.
+/// Smaller: gaps between the darts.
 const ROUNDS: usize = 3;
 
 /// Points in square buckets.

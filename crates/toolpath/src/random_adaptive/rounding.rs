@@ -22,10 +22,11 @@
 
 use super::{Point, crossing::crossings, distance};
 
-/// Largest new step, in spacings.
+/// Longest new step, in spacings. Larger: coarser paths, which leave the region or cross more easily. Smaller: more
+/// nodes than `step_mm` asks for.
 const MAX_STEP: f64 = 2.0;
 
-/// One pass over closed paths that do not cross; how many corners had to stay.
+/// Makes one pass over closed paths that do not cross; returns the number of corners that had to stay.
 pub(super) fn round(loops: &mut [Vec<Point>]) -> usize {
     // 3Q/4 + P/4
     let quarter = |q: Point, other: Point, _: f64| [0, 1].map(|x| 0.75 * q[x] + 0.25 * other[x]);
@@ -102,7 +103,7 @@ fn cut_corners(
     (new, corner_of)
 }
 
-/// Turning of the path along one step, at most.
+/// Largest turn of the path along one step, rad. Larger: steps that cut hairpins. Smaller: more nodes.
 const MAX_TURN: f64 = std::f64::consts::FRAC_PI_2;
 
 /// Divides closed paths that do not cross into steps of about `step_mm`, at most twice the

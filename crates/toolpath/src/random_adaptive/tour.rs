@@ -19,17 +19,21 @@ use super::{
     points::{Buckets, darts},
 };
 
-/// Radius of the darts per spacing of the path.
+/// Radius of the darts over the spacing of the path, dimensionless. Larger: fewer points, and a wider path. Smaller:
+/// more points, and a denser path.
 const RADIUS_PER_SPACING: f64 = 0.83;
-/// Neighbours per point.
+/// Number of neighbours of a point that the tour considers. Larger: more time. Smaller: a longer tour.
 const NEIGHBOURS: usize = 12;
-/// Steps above this many spacings are long.
+/// Length above which a step is long and is repaired, in spacings. Larger: longer steps remain. Smaller: more
+/// repairs.
 pub(super) const LONG: f64 = 2.2;
-/// Most points that Or-opt moves at once.
+/// Largest number of points that Or-opt moves at once. Larger: more time. Smaller: a longer tour.
 const MOVED: usize = 3;
-/// What a step that leaves the region counts: a way around a hole is shorter.
+/// Factor of the cost of a step that leaves the region, dimensionless; a way around a hole is shorter than that.
+/// Larger: longer ways around. Smaller: more steps outside of the region.
 const DETOUR: f64 = 10.0;
-/// Times that long steps are repaired and crossings exchanged.
+/// Largest number of rounds against steps that leave the region, and of rounds against long steps. Larger: more time.
+/// Smaller: more such steps remain.
 const REPAIRS: usize = 4;
 
 /// One closed path per island.
@@ -379,5 +383,6 @@ impl<'a> Tour<'a> {
     }
 }
 
-/// A move counts when it gains this fraction: more than rounding.
+/// Gain of a move, as a fraction of the length that it replaces, above which the move is made. Larger: useful moves
+/// are left out. Smaller: moves that only rounding decides, without end.
 const LEAST_GAIN: f64 = 1e-9;

@@ -1,4 +1,4 @@
-//! Where the lines are, and the order in which they are run.
+//! Positions of the lines, and the order in which they are run.
 
 use planish_types::Surface;
 use rand::{SeedableRng, seq::SliceRandom};
@@ -70,7 +70,7 @@ pub(super) fn order(lines: usize, order: LineOrder) -> Vec<usize> {
 
 /// N(w), the number of line distances below w: straight between the rows.
 struct Count {
-    /// Ascending, mm.
+    /// Breaks of N, ascending, mm.
     break_mm: Vec<f64>,
     /// N at the breaks, from 0.
     line: Vec<f64>,

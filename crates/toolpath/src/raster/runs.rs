@@ -13,7 +13,8 @@ pub(super) struct Runs {
     piece: Vec<[[f64; 2]; 2]>,
     /// Largest extent of a piece across the lines, mm.
     tilt_mm: f64,
-    /// From a column to the next along a line, from a row to the next across the lines, mm.
+    /// Distance from a column to the next along a line, and from a row to the next across the
+    /// lines, mm.
     pub(super) pixel_mm: [f64; 2],
 }
 
@@ -53,8 +54,8 @@ impl Runs {
         }
     }
 
-    /// Where a line is in the region: what the pieces have in the band `low_mm <= w <= high_mm`,
-    /// `[u_first - o, u_last + o]`, those at most `bridge_mm` apart joined; ascending.
+    /// Intervals of a line in the region: `[u_first - o, u_last + o]` of the parts of the pieces in
+    /// the band `low_mm <= w <= high_mm`, joined if they are at most `bridge_mm` apart; ascending.
     pub(super) fn stretches(
         &self,
         [low_mm, high_mm]: [f64; 2],

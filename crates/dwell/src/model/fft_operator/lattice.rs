@@ -10,11 +10,12 @@ use rayon::prelude::*;
 
 use crate::model::columns::Place;
 
-/// Two pitches are the same when they differ by less than this over the whole TIF, in steps: the same
-/// pitch may be rounded differently in two files.
+/// Difference of two pitches, accumulated over the whole TIF, in steps, up to which they are the same. The same pitch
+/// may be rounded differently in two files. Larger: the removal shifts by up to that many steps. Smaller: rounded
+/// pitches cost the time of another lattice.
 const SAME_PITCH: f64 = 1e-4;
 
-/// How a tool between nodes is spread on four of them, and of what numbers the kernel is made.
+/// Method to spread a tool between nodes on four of them, with the kernel that belongs to it.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Spread {
     /// Keys' weights, and the samples of R with ghost nodes: what R is between its samples.
@@ -33,7 +34,7 @@ pub struct Lattice {
     pub pixels: usize,
     tif_start_mm: f64,
     tif_end_mm: f64,
-    /// Whether the samples of the TIF have the pitch of the map.
+    /// True if the samples of the TIF have the pitch of the map.
     pub own: bool,
     /// Upper edge of R, in pixels from the lower one.
     pub edge: f64,
@@ -92,7 +93,8 @@ impl Lattice {
         reaches.then_some((cell as i32, f))
     }
 
-    /// Up to the first and from the second k on, pixel C + k is beyond R: k - f outside [0, edge].
+    /// Pixel offsets k from C that are beyond R: all up to the first returned value, and all from the second one on.
+    /// There k - f lies outside [0, edge].
     pub fn spills(&self, f: f64) -> [isize; 2] {
         let low = if f > 0.0 { 0 } else { -1 };
         let (whole, _) = keys::split(self.edge + f);
@@ -128,7 +130,7 @@ pub fn without_ghosts(mut samples: Array2<f64>) -> Array2<f64> {
     samples
 }
 
-/// What is convolved with the spread dwell times, for samples of R.
+/// Kernel that is convolved with the spread dwell times, from samples of R.
 pub fn kernel(samples: &Array2<f64>, spread: Spread) -> Array2<f64> {
     let mut kernel = samples.clone();
     if spread == Spread::Keys {

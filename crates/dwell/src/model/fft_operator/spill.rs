@@ -51,8 +51,9 @@ impl Under {
     }
 }
 
-/// Most nodes of one axis that get something from beyond the samples, and most samples that they get it from: three at
-/// the lower edge, and four nodes or five samples at the upper one, which may be between two of them.
+/// Largest number of nodes of one axis that receive spill from the samples, and of samples that spill. The lower edge
+/// has three. The upper edge, which may lie between two nodes, has four nodes or five samples. A smaller number fails
+/// an assertion.
 const MAX_BORDER: usize = 8;
 
 /// A number for each of these nodes.
@@ -62,11 +63,11 @@ type Nodes = [f64; MAX_BORDER];
 pub struct Corners {
     /// Offsets c of the nodes beyond the edges of the lines.
     nodes: Vec<isize>,
-    /// For every sample j across that spills, and every weight e along: g[j, c - e] of every node.
+    /// For every spilling sample j across, and every weight e along: g[j, c - e] of every node.
     samples: Vec<[Nodes; 4]>,
 }
 
-/// Lines that one thread takes at a time.
+/// Number of lines that one thread takes at a time. Larger: fewer tasks for the threads. Smaller: more overhead.
 pub const LINES_PER_TASK: usize = 32;
 
 impl Across {
@@ -308,7 +309,7 @@ impl Across {
         Corners { samples: self.border.iter().map(of).collect(), nodes }
     }
 
-    /// Where sample j is among those that spill.
+    /// Index of sample j among those that spill.
     #[inline(always)]
     fn slot(&self, j: isize) -> usize {
         (if j <= 1 { j + 1 } else { j - self.across.last + self.border.len() as isize - 1 })

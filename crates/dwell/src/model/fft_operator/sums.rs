@@ -22,7 +22,7 @@ pub struct Sums {
 }
 
 impl Sums {
-    /// For columns whose places are within a square of `size_mm`.
+    /// Makes the sums for columns whose places lie within a square of `size_mm`.
     pub fn new(
         places: &[Vec<Place>],
         tif: &Tif,
