@@ -14,9 +14,11 @@ use serde_json::json;
 use tempfile::TempDir;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_planish-run");
-/// Races of two starts; each is two processes of a few milliseconds.
+/// Number of races of two starts. Larger: a longer test. Smaller: a fault in the lock is found less often. Each
+/// race is two processes of a few milliseconds.
 const RACES: usize = 40;
-/// Longer than any of the commands here takes on a loaded machine; a test that waits so long fails.
+/// Longest time that a test waits for a command. Larger: a failed test ends later. Smaller: a loaded machine fails
+/// the test, because its commands take longer.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A directory with a machine, a recipe of the fixture `coupon` and a measured mirror.
