@@ -360,8 +360,8 @@ impl AxisProblem<'_> {
         None
     }
 
-    /// Penalty of elastic bounds, for an excess of 1 that lasts 1 s: from the largest energy and the largest
-    /// mean velocity of the axis, so that the energy hardly counts against it.
+    /// Penalty of elastic bounds, for an excess of 1 that lasts 1 s. It follows from the largest energy and
+    /// the largest mean velocity of the axis, so that the energy hardly counts against it.
     fn elastic_price(&self, h: &[f64]) -> f64 {
         let (n, dp) = (h.len(), &self.displacement_mm);
         let of = |i: usize| 4.0 / h[i];
