@@ -82,7 +82,7 @@ fn wait_for(path: &Path) {
     }
 }
 
-/// Starts anew until the directory is free: what a killed command has started ends a moment later.
+/// Starts again until the directory is free: the processes of a killed command end a moment later.
 fn wait_until_free(dir: &Path) {
     let since = Instant::now();
     while !run(dir, "out", &FIXTURE, &["true"]).status.success() {
@@ -315,8 +315,8 @@ fn the_verdict_is_that_on_the_plan_and_on_what_it_is_made_of() {
     refused(&verdict(&["methods/none"]), &["run/methods/none", "cannot read"]);
 }
 
-/// A run with other settings that is killed leaves its own artifacts beside older ones; whatever stage it had reached, the
-/// verdict on the plan was that of another plan.
+/// A run with other settings that is killed leaves its own artifacts beside older ones. Before this test the
+/// verdict on the plan was then that of another plan, whichever stage the run had reached.
 #[test]
 fn a_run_that_was_ended_between_its_stages_has_no_verdict() {
     let dir = tempfile::tempdir().unwrap();
