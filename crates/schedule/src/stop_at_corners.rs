@@ -49,7 +49,7 @@ use crate::{
 /// Stops, late segments and lifts of a schedule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Report {
-    /// Nodes between two segments with the tool on where the tool comes to rest.
+    /// Number of nodes between two segments with the tool on at which the tool comes to rest.
     pub stops: usize,
     /// Segments with the tool on that took longer than their dwell time.
     pub late_segments: usize,

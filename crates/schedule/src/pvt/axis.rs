@@ -394,7 +394,7 @@ impl AxisProblem<'_> {
         chain::Program { diagonal, beside, linear, free, price }
     }
 
-    /// Rows of segment i: its signs, and the limits of the machine where it is limited.
+    /// Adds the rows of segment i: its signs, and the limits of the machine if `limited` has the segment.
     fn rows(&self, i: usize, h: &[f64], limited: &Limited, rows: &mut chain::Rows) {
         let dp = self.displacement_mm[i];
         if self.mode == Mode::Monotone {

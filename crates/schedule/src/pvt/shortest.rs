@@ -49,10 +49,11 @@ const ROOM: f64 = 1e-3;
 /// uses up [`ROOM`].
 const LEAST_ROUNDINGS: f64 = 1e4;
 
-/// Number of speeds along the path that are tried first, and the ratio of each to the next lower one. They begin at
-/// the largest that any direction allows; the lowest is 6e-4 of it. More speeds: a wider range, and more computing
-/// time. A larger ratio: a wider, coarser range. A smaller one: a finer range that ends at a higher speed.
+/// Number of speeds along the path that are tried first, from the largest that any direction allows. Larger: a lower
+/// lowest speed, and more computing time. Smaller: slow speeds are missing. The lowest is 6e-4 of the largest.
 const SPEEDS: usize = 42;
+/// Ratio of each of these speeds to the next lower one. Larger: coarser speeds, and a lower lowest one. Smaller: finer
+/// speeds that end at a higher one.
 const SPEED_FACTOR: f64 = 1.2;
 
 /// Largest change along one segment, in steps of these speeds, except from and to rest. Larger: more computing
@@ -90,10 +91,12 @@ const GAIN: f64 = 1e-3;
 /// step size, with longer times.
 const MAX_SWEEPS: usize = 40;
 
-/// Reach of the search around a segment that takes longer: in braking times of an axis from its largest velocity
-/// (two: to brake, and to be as fast again), and the smallest number of segments. Larger: more nodes may change,
-/// and the search takes longer. Smaller: neighbours cannot brake for the segment, so it takes more time.
+/// Reach of the search around a segment that takes longer, in the time that an axis needs to brake from its largest
+/// velocity. Two: to brake, and to be as fast again. Larger: more nodes may change, and the search takes longer.
+/// Smaller: neighbours cannot brake for the segment, so it takes more time.
 const BRAKING_TIMES: f64 = 2.0;
+/// Smallest reach of the search, in segments. Larger: more nodes may change. Smaller: too few nodes may change where
+/// segments are long.
 const LEAST_REACH: usize = 8;
 
 /// Velocities of a node, mm/s.
