@@ -242,7 +242,9 @@ const LEAST_RMS_NM: f64 = 1e-12;
 const TIME_AXIS: &str =
     "total time (s), at least volume to be removed / volumetric removal rate (dashed)";
 
+/// Methods in the order of their names from the right, and the colours of their curves.
 const METHODS: [(Method, &str); 2] = [(Method::ClosedLoop, "#365c8d"), (Method::Feed, "#b5367a")];
+/// SVG attributes of the line of the bound (1).
 const BOUND: &str = "stroke=\"#d8a010\" stroke-width=\"2\" stroke-dasharray=\"6 4\"";
 
 /// Picture as SVG text with a curve per method: total time to the right, residual upwards (logarithmic), the bound
