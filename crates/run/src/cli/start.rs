@@ -18,10 +18,10 @@ const OWNER: &str = "run.json";
 /// the run: if a run removed it, two runs could lock two files of the same name.
 const LOCK: &str = "run.lock";
 
-/// Number of times that a run reads the name of the process that has locked the directory, and the time between two
-/// reads: a second in all, for a slow disk. Larger: the message comes later. Smaller: it names no process if the
-/// disk is slow.
+/// Number of times that a run reads the name of the process that has locked the directory: with [`BETWEEN_READS`] a
+/// second in all, for a slow disk. Larger: the message comes later. Smaller: it names no process if the disk is slow.
 const READS_OF_HOLDER: usize = 20;
+/// Time between two such reads. Larger: the message comes later. Smaller: more reads are needed for a slow disk.
 const BETWEEN_READS: Duration = Duration::from_millis(50);
 
 #[derive(Args)]
