@@ -7,8 +7,9 @@ use planish_types::text::{escaped, significant};
 
 use crate::summary::{Campaign, Chains, Learnt};
 
-/// Height of the texts, px, and width and height of the frame of the plot, px. Larger texts need larger margins.
+/// Height of the texts, px. Larger texts need larger margins.
 const FONT_PX: f64 = 14.0;
+/// Width and height of the frame of the plot, px.
 const SIZE: [f64; 2] = [560.0, 300.0];
 /// Margins to the left of the frame, above, to the right and below it, px: room for numbers and titles.
 const MARGIN: [f64; 4] = [64.0, 34.0, 24.0, 50.0];

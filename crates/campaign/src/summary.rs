@@ -12,8 +12,8 @@
 //! percent leaves some percent of that residual. Learning gains most on the next mirror, where the whole figure is
 //! to be removed. So after the last run another mirror, like the first, has one run of each chain (`alike`).
 //!
-//! A run finds the deviation from the tool that it was planned with, so parameters accumulate from run to run:
-//! factors (rate, magnification, width) by products, the rest, which is small, by sums.
+//! A run finds the deviation from the tool that it was planned with, so parameters accumulate from run to run.
+//! Factors (rate, magnification, width) are multiplied; the others, which are small, are added.
 
 use serde::{Deserialize, Serialize};
 

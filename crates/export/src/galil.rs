@@ -22,23 +22,26 @@ use planish_types::Invalid;
 
 use crate::{Abilities, About, Approach, Job, Tool, header::Comment, positive};
 
-/// Limits of a segment.
+/// Limits of the controller for a segment: distance, counts; velocity, counts/s; duration, samples. Larger: the
+/// controller refuses the program. Smaller: motions are refused that it could run. Source: the command reference.
 const MOST_DISTANCE: i64 = 44_000_000;
 const MOST_VELOCITY: f64 = 22_000_000.0;
 const MOST_SAMPLES: i64 = 2048;
 
-/// Samples of a tick: the controller needs two samples per segment.
+/// Number of samples of a tick. The controller needs an even number of samples per segment for fast hosts, at least
+/// two. Larger: a coarser clock. Smaller: segments that it may not take in time.
 const SAMPLES_PER_TICK: i64 = 2;
 
-/// What a sample is a multiple of, s, and the most of them (TM 20000).
+/// Unit of a sample, s (TM 31.25), and the largest sample in these units (TM 20000). Facts of the controller: other
+/// samples are refused.
 const SAMPLE_UNIT_S: f64 = 1.0 / 32768.0;
 const MOST_SAMPLE_UNITS: f64 = 640.0;
-/// TM of a sample of one second.
+/// TM of a sample of one second: TM counts 1/1.024e6 s. A fact of the controller.
 const TM_PER_S: f64 = 1.024e6;
 
 const COMMENT: Comment = Comment { open: "' ", close: "", line: 80 };
 
-/// Segments of the buffer of an axis. The line that ends the motion takes one.
+/// Number of segments of the buffer of an axis, a fact of the controller. The line that ends the motion takes one.
 const BUFFER: usize = 255;
 
 pub(crate) fn write(job: &Job) -> Result<(String, About), Invalid> {

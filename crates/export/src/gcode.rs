@@ -32,19 +32,23 @@ use serde::Serialize;
 
 use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment};
 
-/// Decimals of a position in mm and of a time in s.
+/// Number of decimals of a position in mm and of a time in s. Larger: longer lines. Smaller: rounding that a
+/// controller may notice. Chosen: counts below 1e-9 mm and clocks below 1e-9 s are refused.
 const DIGITS: usize = 9;
 
-/// Significant digits of F. Nine keep a segment of 100 s to 1e-7 s.
+/// Number of significant digits of F. Larger: longer lines. Smaller: times that are off. Derived: nine keep a segment
+/// of 100 s to 1e-7 s.
 const FEED_DIGITS: i32 = 9;
 
-/// `rs274` takes lines of up to 252 characters, whatever the documentation says ("Command too long" at 253).
+/// Form of a comment. `rs274` takes lines of up to 252 characters, whatever the documentation says ("Command too
+/// long" at 253).
 const COMMENT: Comment = Comment { open: "(", close: ")", line: 252 };
 
-/// Least path tolerance, mm: less would be written as 0, which means any deviation.
+/// Least path tolerance, mm, except 0. Larger: sensible tolerances are refused. Smaller: it would be written as 0,
+/// which means any deviation.
 const LEAST_TOLERANCE_MM: f64 = 1e-6;
 
-/// What F is.
+/// Convention of the F word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
@@ -55,12 +59,13 @@ pub enum Feed {
     PerMinute,
 }
 
-/// How a program is written.
+/// Settings of a G-code program.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// What F is.
+    /// Convention of the F word.
     pub feed: Feed,
-    /// How far the path may leave the corners, mm (G64 P); 0 for an exact path (G61). Absent: the path deviation.
+    /// Largest distance of the path from the corners, mm (G64 P); 0 for an exact path (G61). Absent: the path
+    /// deviation.
     pub path_tolerance_mm: Option<f64>,
 }
 

@@ -1,4 +1,4 @@
-//! From a plan to the nodes that a controller runs: on its clock, in its counts, within the limits of the machine.
+//! Nodes of a program from a plan: on the clock of the controller, in its counts, within the limits of the machine.
 //!
 //! 1. The plan gets its clock (`slowed`): its own, slower only where it uses a limit fully.
 //! 2. `nodes` chooses the times of the nodes, multiples of the tick, and the plan is sampled there.
@@ -28,38 +28,48 @@ use crate::{
     velocities::{Axis, hermite},
 };
 
-/// Beyond this a float has no whole numbers between its neighbours.
+/// Largest whole number up to which a float holds every whole number, 2^53. Derived: beyond it counts and ticks would
+/// be wrong.
 const LARGEST_EXACT_INTEGER: f64 = 9_007_199_254_740_992.0;
 
-/// Positions are written with nine decimals, mm.
+/// Least size of a count, mm. Larger: fine encoders are refused. Smaller: positions that nine decimals do not tell
+/// apart. Derived: programs have nine decimals.
 const SMALLEST_COUNT_MM: f64 = 1e-9;
 
-/// Memory of a segment: nodes as floats and as counts, programs, and two lines of text of up to 60 bytes.
+/// Memory of a segment, bytes, for the check of the memory budget. Larger: programs are refused that fit. Smaller:
+/// the memory may run out. Derived: nodes as floats and as counts, programs, and two lines of text of up to 60 bytes.
 const BYTES_PER_SEGMENT: usize = 1024;
 
-/// Most rounds. A round that does not end raises the time where a limit is exceeded; 3 to 15 are usual.
+/// Largest number of rounds; each raises the times where a limit is exceeded. Larger: more time before a plan is
+/// refused. Smaller: plans are refused that could be mended. Chosen: 3 to 15 rounds are usual.
 const MOST_ROUNDS: usize = 80;
 
-/// Part of a limit that is rounding of the arithmetic, as the judge has it.
+/// Fraction of a limit that is rounding of the arithmetic. Larger: a program may exceed a limit by it. Smaller:
+/// rounding is mended in further rounds. Chosen: that of the judge.
 const LIMIT_ROUNDING: f64 = 1e-9;
 
-/// Part of the path deviation beyond which an excess of the travel is mended by shorter segments, which follow the plan
-/// more closely where it turns; below it the path is moved inwards.
+/// Least excess of the travel, over the path deviation, that is mended by shorter segments, which follow the plan
+/// more closely where it turns. A smaller excess is mended by moving the path inwards. Larger: the path moves
+/// further. Smaller: more segments. Chosen.
 const FAR_BEYOND: f64 = 0.2;
 
-/// Part of a segment's length that it has in the next round if it leaves the path.
+/// Factor on the length of a segment in the next round if it leaves the path; below 1. Larger: more rounds. Smaller:
+/// more segments than needed. Chosen.
 const LESS_LONG: f64 = 0.6;
 
-/// Part of the path deviation that the choice of the nodes may use; rounding and the velocities use the rest.
+/// Fraction of the path deviation that the choice of the nodes may use; rounding and the velocities use the rest.
+/// Larger: more rounds, because the rest is too small. Smaller: more segments. Chosen.
 const CHOSEN_DEVIATION: f64 = 0.6;
 
-/// Most that a plan may be slowed down somewhere. A plan that needs more is not one for this controller.
+/// Largest factor by which a plan may be slowed down at a place. Larger: programs that hardly move there. Smaller:
+/// plans are refused. Chosen: a plan that needs more is not one for this controller.
 const MOST_FACTOR: f64 = 64.0;
 
-/// Points of a segment at which the program is compared with the plan.
+/// Number of intervals of a piece at whose ends the program is compared with the plan. Larger: more time. Smaller: a
+/// deviation between the points may be missed. Chosen.
 const COMPARED: usize = 12;
 
-/// How a plan is made a program.
+/// Settings of the generator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// Grids and law of the controller.
@@ -264,7 +274,7 @@ struct Generator<'a> {
     switches_s: Vec<f64>,
 }
 
-/// Where a program is not good enough.
+/// Faults of a program, which the next round mends.
 #[derive(Default)]
 struct Faults {
     /// Segment and the factor by which its time has to grow.
@@ -601,14 +611,17 @@ fn least_for_rounding_s(model: &ControllerModel, limits: &Limits) -> f64 {
     least_s
 }
 
-/// Part of a limit that rounding to counts may use in the shortest segments. Larger: shorter segments, nearer to the
-/// plan at steps of the acceleration, but slower where the plan is at its limit.
+/// Fraction of the limits on acceleration and jerk that rounding to counts may use in the shortest segments. Larger:
+/// shorter segments, nearer to the plan at steps of the acceleration, but slower where the plan is at its limit.
+/// Smaller: longer segments. Chosen.
 const ROUNDING: f64 = 0.1;
 
-/// Segments are not made longer than this for the sake of rounding, s: slower axes have less to round.
+/// Largest length of the shortest segment that rounding may ask for, s. Larger: long segments on slow axes, which
+/// have less to round. Smaller: rounding may use more of the limits. Chosen.
 const LONGEST_LEAST_S: f64 = 0.05;
 
-/// A position leaves its travel beyond this, mm: the rounding of a coordinate.
+/// Largest excess of the travel that is rounding of a coordinate, mm. Larger: axes may leave their travel by it.
+/// Smaller: rounding is mended in further rounds. Chosen far below a count.
 const TRAVEL_ROUNDING_MM: f64 = 1e-9;
 
 /// The largest use of a limit by a cubic, as the factor by which its time has to grow; at most 1 where all are kept.

@@ -2,11 +2,11 @@
 
 use crate::{About, decimal};
 
-/// Begins a line that goes on with the text of the one before. A comment of LinuxCNC that begins with a
-/// word like MSG is a command; these dots are none.
+/// Beginning of a line that goes on with the text of the one before. A comment of LinuxCNC that begins with a word
+/// like MSG is a command; one that begins with dots is none.
 const CONTINUED: &str = "... ";
 
-/// How a controller takes a comment.
+/// Form of a comment of a controller.
 pub(crate) struct Comment {
     pub open: &'static str,
     pub close: &'static str,

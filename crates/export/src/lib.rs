@@ -42,7 +42,7 @@ use crate::{
     limits::Proof,
 };
 
-/// Which controller, with its settings.
+/// Controller with its settings.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "controller", rename_all = "kebab-case")]
 pub enum Controller {
@@ -71,7 +71,7 @@ impl Controller {
     }
 }
 
-/// What every program is made with.
+/// Settings of every program.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Common {
     /// Size of a count of (x, y), mm. Absent: that of the machine's controller.
@@ -82,12 +82,13 @@ pub struct Common {
     pub max_step_s: Option<f64>,
     /// Largest distance of the program's path from the plan's, mm. Smaller: more segments.
     pub path_deviation_mm: f64,
-    /// Whether a motion that lifts the tool may go to a controller whose program cannot switch it;
-    /// the tool then stays on.
+    /// True if a motion that lifts the tool may go to a controller whose program cannot switch it; the tool then
+    /// stays on.
     pub always_on: bool,
 }
 
-/// Largest distance of the program's path from the plan's by default, mm: a hundredth of the pixels of a fine map.
+/// Default of the largest distance of the program's path from the plan's, mm. Larger: fewer segments, and a removal
+/// that differs more. Smaller: more segments. Chosen: a hundredth of the pixels of a fine map.
 pub const PATH_DEVIATION_MM: f64 = 0.005;
 
 impl Default for Common {
@@ -102,14 +103,14 @@ impl Default for Common {
     }
 }
 
-/// What the header says besides the numbers.
+/// Origin of a program, for its header.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Origin {
     /// The trajectory: where it was, and its hash.
     pub made_from: String,
-    /// What took the motion from the part to the axes, where they read other coordinates.
+    /// Transform of the motion from the part to the axes, where they read other coordinates.
     pub part_to_axes: Option<TransformNumbers>,
-    /// Whether the motion was in the coordinates of the machine before the export.
+    /// True if the motion was in the coordinates of the machine before the export.
     pub was_on_axes: bool,
     /// Program that writes.
     pub made_by: String,
@@ -120,11 +121,11 @@ pub struct Origin {
 pub struct Program {
     /// The text of the file.
     pub text: String,
-    /// The same as its header, for programs; goes beside the file.
+    /// Content of the header, for the file beside the program.
     pub about: About,
 }
 
-/// What a program is, for the file beside it.
+/// Description of a program, for the file beside it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct About {
     /// Controller.
@@ -135,28 +136,28 @@ pub struct About {
     pub made_from: String,
     /// Program that wrote it.
     pub made_by: String,
-    /// What took the motion from the part to the axes, where they read other coordinates: whoever reads the
-    /// program back goes the other way.
+    /// Transform of the motion from the part to the axes, where they read other coordinates. A reader of the program
+    /// applies its inverse.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub part_to_axes: Option<TransformNumbers>,
-    /// Whether the motion was in the coordinates of the machine before the export.
+    /// True if the motion was in the coordinates of the machine before the export.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub was_on_axes: bool,
-    /// Where the axes (x, y) stand before the program, mm.
+    /// Position of the axes (x, y) before the program, mm.
     pub start_mm: [f64; 2],
     /// Size of a count of (x, y), mm.
     pub count_mm: [f64; 2],
     /// Sample time, s, where the program counts samples.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sample_s: Option<f64>,
-    /// How the tool is switched, or who has to.
+    /// Sentence on the switching of the tool: by the program, or by the host.
     pub tool: String,
-    /// What an operator is to know and to do before the program runs; at the head of it where it can have one.
+    /// Sentences for the operator before the program runs; at the head of a program that can have comments.
     pub preamble: Vec<String>,
     /// Unit of time of the velocities of a PMAC, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub feedrate_time_unit_s: Option<f64>,
-    /// What times are rounded to, s.
+    /// Clock to which times are rounded, s.
     pub tick_s: f64,
     /// Segments of the program.
     pub segments: usize,
@@ -172,15 +173,16 @@ pub struct About {
     pub path_deviation_mm: f64,
     /// Time that the program takes longer than the plan, s.
     pub added_time_s: f64,
-    /// What is proven of the motion that the controller executes.
+    /// Proof for the motion that the controller executes.
     pub limits: Proof,
-    /// What the user should know.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
     /// BLAKE3 of the bytes of the program: the reader refuses another program with this file.
     pub program_blake3: String,
 }
 
-/// Part of the plan's time that a program may add without a warning: the plan was made for other limits then.
+/// Largest time that a program may add without a warning, over the time of the plan. Larger: slower programs without
+/// a warning. Smaller: warnings for what rounding adds. Chosen: a plan that needs more was made for other limits.
 const WARNED_ADDED: f64 = 0.03;
 
 /// Writes the program of `trajectory`, in the coordinates of the axes, for `controller` on `machine`.
@@ -211,7 +213,7 @@ pub fn program(
     Ok(Program { text, about })
 }
 
-/// What the modules of the controllers work on.
+/// Inputs of the modules of the controllers.
 struct Job<'a> {
     trajectory: &'a Trajectory,
     machine: &'a Machine,
@@ -220,7 +222,7 @@ struct Job<'a> {
     grids: ControllerModel,
 }
 
-/// What a controller can do.
+/// Abilities of a controller.
 struct Abilities {
     /// Most ticks of a segment.
     most_ticks: i64,
@@ -228,7 +230,7 @@ struct Abilities {
     approach: Approach,
 }
 
-/// How the axes come to where the program begins.
+/// Way of the axes to the start of the program.
 enum Approach {
     /// The program goes there by itself: how.
     InProgram(&'static str),
@@ -236,7 +238,7 @@ enum Approach {
     Before(&'static str),
 }
 
-/// Whether the program switches the tool, and how, or who has to.
+/// Switching of the tool: by the program, or by the host.
 enum Tool {
     Switched(String),
     LeftToTheHost(&'static str),

@@ -14,25 +14,30 @@ use serde::Serialize;
 
 use crate::generate::Nodes;
 
-/// Part of a limit that is rounding of the plan's own numbers: a schedule that uses a limit fully
-/// reaches it to some 1e-10, and no drive resolves 1e-9 of its limit.
+/// Fraction of a limit that is rounding of the plan's own numbers. Larger: plans may exceed a limit by it. Smaller:
+/// plans at their limits are refused. Chosen: a schedule that uses a limit fully reaches it to some 1e-10, and no
+/// drive resolves 1e-9 of its limit.
 const LIMIT_ROUNDING: f64 = 1e-9;
 
-/// Steps in position and velocity that are rounding, mm and mm/s: the accuracy to which a schedule
-/// is fitted by cubics. 1e-9 of the largest velocity is added to the second.
+/// Largest steps in position, mm, and in velocity, mm/s, that are rounding; 1e-9 of the largest velocity is added to
+/// the second. Larger: plans with real steps are accepted. Smaller: schedules are refused. Chosen: the accuracy to
+/// which a schedule is fitted by cubics.
 pub(crate) const STEP_MM: f64 = 1e-6;
 const STEP_MM_PER_S: f64 = 1e-6;
 
-/// A position leaves its travel beyond this, mm: the rounding of a coordinate.
+/// Largest excess of the travel that is rounding of a coordinate, mm. Larger: axes may leave their travel by it.
+/// Smaller: programs at the end of the travel are refused. Chosen far below a count.
 const TRAVEL_MM: f64 = 1e-9;
 
 const REMEDY_OF_TRAVEL: &str =
     "move the part (part_origin_mm of the machine), or plan with a smaller overscan";
 
-/// Part of the largest acceleration up to which a step in it is rounding.
+/// Largest step in the acceleration that is rounding, over the largest acceleration. Larger: real steps are accepted
+/// on machines with a limit on jerk. Smaller: smooth plans are refused. Chosen.
 const ACCELERATION_STEP: f64 = 1e-6;
 
-/// Coefficients and times beyond this are refused, so that their products stay finite.
+/// Largest magnitude of a coefficient or a time, in its unit. Larger: products may overflow. Smaller: no motion is
+/// affected. Chosen so that products stay finite.
 const LARGEST_NUMBER: f64 = 1e60;
 
 /// A proof, with the largest values that the program asks for.
@@ -178,7 +183,7 @@ fn derivatives(c: &[f64; 4]) -> [[f64; 4]; 4] {
 
 type Limited<'a> = (&'static str, &'static str, f64, &'a [f64; 4]);
 
-/// What has a limit: name, unit, limit, polynomial; velocity, acceleration, jerk in this order.
+/// Quantities that have a limit: name, unit, limit, polynomial; velocity, acceleration, jerk in this order.
 fn limited<'a>(
     limits: &AxisLimits,
     orders: &'a [[f64; 4]; 4],
@@ -193,7 +198,7 @@ fn limited<'a>(
     .chain(jerk)
 }
 
-/// Whether `value` is beyond `limit`; what is not a number is beyond every limit.
+/// Returns true if `value` is beyond `limit`, or is not a number.
 fn exceeds(value: f64, limit: f64) -> bool {
     value > limit || value.is_nan()
 }

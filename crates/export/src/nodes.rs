@@ -18,24 +18,28 @@ use crate::{
     velocities::hermite,
 };
 
-/// Points within a segment at which it is compared with the plan, besides the plan's own breaks.
+/// Number of points within a segment at which it is compared with the plan, besides the plan's own breaks. Larger:
+/// more time. Smaller: a deviation between the points may be missed. Chosen.
 const POINTS: usize = 7;
 
-/// Most breaks of the plan within a segment that are looked at one by one.
+/// Largest number of breaks of the plan within a segment that are looked at one by one. Larger: more time for plans
+/// of many short segments. Smaller: a deviation at a break may be missed. Chosen.
 const MOST_BREAKS: usize = 64;
 
-/// How far a node may be along the path from where the plan is then, in path deviations. It is a time of microseconds,
-/// which no removal feels.
+/// Largest distance of a node along the path from the plan at that time, in path deviations. Larger: a removal that
+/// differs more in time. Smaller: more segments. Chosen: it is a time of microseconds, which does not change the
+/// removal.
 const ALONG_PATH: f64 = 2.0;
 
-/// Growth of the segments that are tried.
+/// Ratio of the lengths of segments that are tried one after the other; above 1. Larger: a good length may be jumped
+/// over. Smaller: more trials. Chosen.
 const GROWTH: f64 = 1.4;
 
-/// Segments of lines grow and shrink by this part of their length at most: the parabola between two lines takes the
-/// time of the shorter one.
+/// Largest relative change of the length from one line to the next. Larger: unequal neighbours, with a steep parabola
+/// between them, which takes the time of the shorter one. Smaller: shorter lines near a bend. Chosen.
 const CHANGE_OF_LINES: f64 = 0.04;
 
-/// What a choice of nodes is made for.
+/// Settings and limits for the choice of nodes.
 pub(crate) struct Choice<'a> {
     pub limits: &'a Limits,
     pub count_mm: [f64; 2],
@@ -139,7 +143,8 @@ impl Choice<'_> {
         }
     }
 
-    /// How far the cubic from `at` over `n` ticks is beyond what it may be; at most 1 where it is good.
+    /// Largest deviation or use of a limit by the cubic from `at` over `n` ticks, over its allowance; at most 1 where
+    /// it is good.
     fn misfit(&self, motion: &Slowed, from: &State, at: i64, n: i64) -> f64 {
         let (start_s, t) = (at as f64 * self.tick_s, n as f64 * self.tick_s);
         let end_s = start_s + t;
@@ -179,7 +184,8 @@ impl Choice<'_> {
     }
 }
 
-/// Segments without a fit that are tried before the nearest is taken.
+/// Number of segments without a fit that are tried before the nearest is taken. Larger: more time. Smaller: a fit may
+/// be missed. Chosen.
 const TRIES: usize = 8;
 
 /// The longest lines, tick by tick of a coarse grid.

@@ -27,21 +27,22 @@ use serde::Serialize;
 
 use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment, positive};
 
-/// Longest segment, s.
+/// Longest segment, s. A fact of the controller: longer ones are refused.
 const LONGEST_S: f64 = 4.095_999_8;
 
-/// What a Turbo PMAC resolves of a time, s.
+/// Resolution of a time on a Turbo PMAC, s. A fact of the controller: smaller ticks are refused.
 const RESOLUTION_S: f64 = 2.5e-7;
 
-/// Largest number of an M-variable.
+/// Largest number of an M-variable, a fact of the controller.
 const LAST_M_VARIABLE: u32 = 8191;
 
 const COMMENT: Comment = Comment { open: "; ", close: "", line: 80 };
 
-/// Decimals of a position in mm, and of a velocity in mm/s.
+/// Number of decimals of a position in mm, and of a velocity in mm/s. Larger: longer lines. Smaller: rounding that
+/// the controller may notice. Chosen: counts below 1e-9 mm are refused.
 const DIGITS: usize = 9;
 
-/// How a motion program is written.
+/// Settings of a motion program.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// Unit of time of the velocities, s: Isx90 in ms over 1000.

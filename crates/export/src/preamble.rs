@@ -1,4 +1,4 @@
-//! What an operator is to know and to do before a program runs.
+//! Sentences for the operator before a program runs.
 //!
 //! How a part lies on the axes, how far the axes go, how fast, how they come to the start, and what nobody but the
 //! operator can see to. Numbers are those of the rounded motion, which the controller executes.
@@ -7,7 +7,8 @@ use planish_types::{Machine, Transform};
 
 use crate::{Approach, Origin, decimal, limits::Proof};
 
-/// Decimals of a position in mm.
+/// Number of decimals of a position in mm, for people. Larger: numbers that are slow to read. Smaller: positions that
+/// are too coarse to check. Chosen.
 const DIGITS: usize = 4;
 
 /// One sentence per line of a header, without the brackets and semicolons that end a comment somewhere.
@@ -62,7 +63,7 @@ pub(crate) fn sentences(
     lines
 }
 
-/// Where a part lies on the axes.
+/// Sentence on the position of a part on the axes.
 fn place(transform: &Transform) -> String {
     let [x, y] = transform.point([0.0, 0.0]);
     let [[xx, _], [yx, _]] = *transform.matrix();

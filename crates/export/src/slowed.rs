@@ -25,20 +25,25 @@
 use planish_numerics::polynomial::{derivative, evaluate, range};
 use planish_types::{Limits, Trajectory};
 
-/// Unused part of the velocity limit: rounding of positions adds 1.5 counts per segment time.
+/// Fraction of the velocity limit that stays unused. Larger: slower programs. Smaller: more rounds. Chosen: rounding
+/// of positions adds 1.5 counts per segment time.
 const VELOCITY_MARGIN: f64 = 1e-3;
 
-/// Unused part of the acceleration limit. Larger: more time where the plan is at its limit; smaller: more rounds.
+/// Fraction of the acceleration limit that stays unused. Larger: more time where the plan is at its limit. Smaller:
+/// more rounds. Chosen.
 const ACCELERATION_MARGIN: f64 = 0.02;
 
-/// Unused part of the jerk limit. A cubic segment that spans a step of the jerk exceeds the plan's by some percent.
+/// Fraction of the jerk limit that stays unused. Larger: slower programs. Smaller: more rounds. Chosen: a cubic
+/// segment that spans a step of the jerk exceeds the plan's by some percent.
 const JERK_MARGIN: f64 = 0.06;
 
-/// Length of a cell, s: shorter than what a stage feels, and most cells of a plan.
+/// Length of a cell, s, and largest number of cells of a plan. Longer: a plan is slowed down for longer than needed.
+/// More and shorter: more memory and time. Chosen: shorter than a stage can follow.
 const CELL_S: f64 = 2e-3;
 const MOST_CELLS: f64 = 2e6;
 
-/// Steepest `k`, 1/s, where the plan stands.
+/// Largest slope of `k` where the plan stands, 1/s. Larger: the clock may change more abruptly there. Smaller: the
+/// program stays slow for longer. Chosen.
 const STEEPEST_PER_S: f64 = 2.0;
 
 /// Position, velocity and acceleration of [x, y] at an instant.
@@ -61,7 +66,8 @@ pub(crate) struct Inwards {
     pub by_mm: [[f64; 2]; 2],
 }
 
-/// L, mm: the tool reaches the end at a low speed, so a change of micrometres over this adds little acceleration.
+/// L, mm: length over which the path is moved inwards. Larger: more of the path is moved. Smaller: more acceleration.
+/// Chosen: the tool reaches the end at a low speed, so a change of micrometres over this adds little acceleration.
 const INWARDS_OVER_MM: f64 = 0.5;
 
 impl Inwards {
@@ -103,7 +109,7 @@ pub(crate) struct Slowed<'a> {
     time_s: Vec<f64>,
 }
 
-/// What the cells of a plan need.
+/// Cells of a plan, with the slowing down that each needs.
 pub(crate) struct Cells {
     cell_s: f64,
     /// Least k of every cell (m), without the raised factors.
@@ -276,7 +282,8 @@ impl<'a> Slowed<'a> {
     }
 }
 
-/// Most that [`Slowed::distance_mm`] looks away in time, s.
+/// Largest shift in time by which [`Slowed::distance_mm`] looks for a nearer point, s. Larger: points of another pass
+/// may count as near. Smaller: distances along the path count as deviations. Chosen.
 const SHIFT_S: f64 = 0.01;
 
 /// State of the plan at a time since its start.

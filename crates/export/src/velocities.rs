@@ -18,13 +18,16 @@ use planish_numerics::{
 };
 use planish_types::AxisLimits;
 
-/// Part of a limit left to the tolerance of the interior point method.
+/// Fraction of a limit that is left to the tolerance of the interior point method. Larger: slower programs. Smaller:
+/// a limit may be exceeded by that tolerance. Chosen.
 const MARGIN: f64 = 1e-6;
 
-/// Price of an excess, relative to the largest energy of a node.
+/// Price of an excess of a limit, relative to the largest energy of a node. Larger: a program that is badly
+/// conditioned. Smaller: a larger excess than necessary. Chosen.
 const PRICE: f64 = 1e4;
 
-/// Most programs until the largest velocity within every segment keeps its limit.
+/// Largest number of quadratic programs until the largest velocity within every segment keeps its limit. Larger: more
+/// time. Smaller: velocities that exceed it, so that the plan is slowed down there. Chosen.
 const MOST_PROGRAMS: usize = 12;
 
 /// An axis between fixed nodes.

@@ -33,7 +33,7 @@ impl Bench {
         bench
     }
 
-    /// From rest at (1, -2) by 1 mm along x to rest in 0.1 s, then 3 s of standing: v = 15, a = 600.
+    /// Motion from rest at (1, -2) by 1 mm along x to rest in 0.1 s, then 3 s of standing: v = 15, a = 600.
     fn simple() -> Self {
         let x = [1.0, 0.0, 300.0, -2000.0];
         let y = [-2.0, 0.0, 0.0, 0.0];
@@ -101,7 +101,7 @@ impl Bench {
         (text, serde_json::from_str(&about).unwrap())
     }
 
-    /// What it says when it refuses; nothing is written.
+    /// Message of a refusal; nothing is written.
     fn refused(&self, controller: &str, more: &[&str]) -> String {
         let (code, said) = self.run(controller, "t", more);
         assert_eq!(code, Some(2), "{controller} {more:?}: {said}");

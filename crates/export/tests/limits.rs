@@ -21,7 +21,7 @@ fn machine(v: f64, a: f64, j: Option<f64>) -> Limits {
     .unwrap()
 }
 
-/// From rest to rest over `d` in `t`: v = 1.5 d/t in the middle, a = 6 d/t^2 at the ends, j = 12 d/t^3.
+/// Motion from rest to rest over `d` in `t`: v = 1.5 d/t in the middle, a = 6 d/t^2 at the ends, j = 12 d/t^3.
 fn rest_to_rest(d: f64, t: f64) -> Trajectory {
     let c = [[0.0, 0.0, 3.0 * d / (t * t), -2.0 * d / (t * t * t)], [0.0; 4]];
     Trajectory::new(vec![0.0, t], vec![c], vec![true], vec![Some(0)]).unwrap()
@@ -52,7 +52,7 @@ fn export(
     Ok(made.about)
 }
 
-/// Only the ends were looked at: there the velocity is zero.
+/// At the ends of this plan the velocity is zero: its limit must be checked within the segment.
 #[test]
 fn a_limit_within_a_segment_is_found_for_every_controller() {
     // v = 15, a = 60 mm/s^2, j = 120 mm/s^3 (and a step of the acceleration at both ends).
@@ -77,8 +77,8 @@ fn a_limit_within_a_segment_is_found_for_every_controller() {
     }
 }
 
-/// From rest to rest at the limits, 0.125 s and a = 385.88 mm/s^2: whatever the clock and the count, the program keeps the
-/// limits, and takes at most a few percent longer, of a motion that is all limit.
+/// A motion from rest to rest at its limits, 0.125 s and a = 385.88 mm/s^2. Whatever the clock and the count, the
+/// program keeps the limits and takes at most a few percent longer.
 #[test]
 fn a_plan_at_its_limits_is_a_program_within_them() {
     let plan = rest_to_rest(1.0049, 0.125);

@@ -1,12 +1,12 @@
-//! When the tool is on, in every program that switches it: replayed by controllers written here from the
-//! manuals alone, which know nothing of the writers.
+//! State of the tool in every program that switches it: replayed by controllers written here from the manuals alone,
+//! which know nothing of the writers.
 
 use planish_export::{Common, Controller, Origin, gcode, pmac, program};
 use planish_types::{Limits, MachineFile, MachineFileAxis, Trajectory};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// What the axes do, and whether the tool is on while they do it.
+/// Actions of the axes, each with the state of the tool meanwhile.
 type Events = Vec<(String, bool)>;
 
 /// LinuxCNC, M-codes, "M62 - M65 Digital Output Control": M62 and M63 are queued, the change happens at the
@@ -153,7 +153,7 @@ fn the_tool_is_on_exactly_where_the_plan_has_it_on() {
     }
 }
 
-/// How programs were written once: with synchronised switches only.
+/// An older form of the programs, with synchronised switches only.
 #[test]
 fn synchronised_switches_alone_leave_the_tool_on() {
     let old = "G21 G90 G17 G40 G49 G94\nG0 X1 Y-2\nG93\nM62 P0\nG1 X2 Y-2 F600\nM63 P0\nG4 P3\nM62 P0\n\

@@ -1,4 +1,4 @@
-//! How often the truth is within two standard errors: many runs of the virtual machine, each reconciled.
+//! Coverage of the standard errors: many runs of the virtual machine, each reconciled.
 //!
 //! `cargo run --release -p planish-reconcile --example coverage -- SURFACE TIF TRAJECTORY PROCESS [RUNS [BLOCK]]`
 //! prints, for every parameter, in how many of RUNS (500) it is within two of its standard errors, the RMS of its error
@@ -24,7 +24,8 @@ use planish_simulate::{
 };
 use planish_types::{Surface, Tif, Trajectory};
 
-/// Streams of the correlated noise, apart from those of the virtual machine.
+/// First stream of the correlated noise. Larger or smaller: no difference, as long as it is apart from the streams of
+/// the virtual machine. Chosen.
 const NOISE_STREAM: u64 = 1 << 40;
 
 fn main() -> ExitCode {
@@ -104,7 +105,7 @@ fn study(words: &[String]) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Of one parameter over the runs.
+/// Counts and sums of one parameter over the runs.
 #[derive(Clone, Default)]
 struct Tally {
     within: usize,

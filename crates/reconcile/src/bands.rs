@@ -11,7 +11,9 @@ use planish_numerics::spectrum::{Density, MIN_SAMPLES, hann, largest_rectangle, 
 use planish_types::Grid;
 use serde::Serialize;
 
-/// Longest periods of the bands over the width of the TIF, from the second band on.
+/// Longest periods of the bands over the width of the TIF, from the second band on, dimensionless. More or closer:
+/// narrower bands with more noise. Fewer: less detail. Chosen: octaves, from what a tool removes easily to what it
+/// does not reach.
 const PERIODS_OVER_WIDTH: [f64; 4] = [16.0, 8.0, 4.0, 2.0];
 
 /// One band.

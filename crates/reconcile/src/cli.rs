@@ -48,17 +48,17 @@ pub struct Reconcile {
     /// Move the TIF with its noise and the step at its border, which the tool has not
     #[arg(long)]
     tif_as_sampled: bool,
-    /// What took the plan to the machine in this run [transform artifact]
+    /// Transform that took the plan to the machine in this run [transform artifact]
     #[arg(long, value_name = "DIR")]
     transform: Option<PathBuf>,
-    /// Also write the TIF with the rate and the shape that were learnt [tif artifact]
+    /// TIF with the rate and the shape that were learnt, written in addition [tif artifact]
     #[arg(long, value_name = "DIR")]
     corrected_tif: Option<PathBuf>,
-    /// Also write what takes the next plan to the machine, so that the tool acts where it is planned [transform
-    /// artifact]
+    /// Transform that takes the next plan to the machine, so that the tool acts where it is planned, written in
+    /// addition [transform artifact]
     #[arg(long, value_name = "DIR")]
     corrected_transform: Option<PathBuf>,
-    /// Also write the process as it is now: standard errors in the place of the errors that were learnt [JSON]
+    /// Process with standard errors in the place of the errors that were learnt, written in addition [JSON]
     #[arg(long, value_name = "FILE")]
     learnt_process: Option<PathBuf>,
     #[command(flatten)]
@@ -162,7 +162,7 @@ impl Reconcile {
     }
 }
 
-/// What a person reads.
+/// Table for a person.
 fn table(found: &Reconciled) -> String {
     let outcome = &found.outcome;
     let mut lines =

@@ -38,13 +38,17 @@ use planish_numerics::fft::{smooth_size, transform};
 use planish_types::Grid;
 use serde::Serialize;
 
-/// Radius of the window over the correlation length.
+/// Radius of the window over the correlation length, dimensionless. Larger: lags that have noise and no signal.
+/// Smaller: a part of the correlation is cut off, and standard errors are too small. Chosen: a Gaussian correlation
+/// has 0.2 % of its integral beyond the flat part of this window.
 const WINDOW_OVER_LENGTH: f64 = 5.0;
 
-/// Most of the spectrum about zero frequency that the fit may have taken; the window is no larger than that.
+/// Largest fraction of the spectrum about zero frequency that the fit may have taken; the window is no larger than
+/// that allows. Larger: the spectrum is corrected by a factor that is uncertain. Smaller: windows that cut long
+/// correlations off. Chosen.
 const LARGEST_LOST: f64 = 0.5;
 
-/// What is known of the noise.
+/// Numbers of the noise.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Noise {
     /// RMS of what the fit leaves, nm.
@@ -53,11 +57,11 @@ pub struct Noise {
     pub correlation_length_mm: f64,
     /// L, mm.
     pub window_mm: f64,
-    /// Whether the correlation goes on beyond the largest window: standard errors are then too small.
+    /// True if the correlation goes on beyond the largest window: standard errors are then too small.
     pub window_is_cut: bool,
     /// Valid pixels.
     pub pixels: usize,
-    /// How many independent ones would give the same variance of a mean.
+    /// Number of independent pixels that would give the same variance of a mean.
     pub effective_pixels: f64,
     /// Part of the noise's spectrum at zero frequency that the fit took; made up for.
     pub lost_to_the_fit: f64,
@@ -65,7 +69,7 @@ pub struct Noise {
 
 /// The covariance of the noise, ready to be applied.
 pub struct Covariance {
-    /// In numbers.
+    /// Numbers of the noise.
     pub noise: Noise,
     shape: (usize, usize),
     /// Transform of C w, never negative, divided by what the fit has left of it (padded).
@@ -73,8 +77,9 @@ pub struct Covariance {
 }
 
 impl Covariance {
-    /// Of the `rest` of a fit of `terms` unknowns with these orthonormal `fields`, from which the part that it took is
-    /// known (without them nothing is made up for); all are 0 where `valid` is 0, which is 1 elsewhere.
+    /// Covariance of the noise from the `rest` of a fit of `terms` unknowns with these orthonormal `fields`. They
+    /// give the part that the fit took; without them it is not made up for. All are 0 where `valid` is 0, which is 1
+    /// elsewhere.
     pub fn of(
         rest: &Array2<f64>,
         valid: &Array2<f64>,

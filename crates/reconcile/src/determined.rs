@@ -1,4 +1,4 @@
-//! Whether the data determine a parameter.
+//! Checks that the data determine a parameter.
 //!
 //! Before any of it, what is known beforehand must not contradict the data ([`contradicted`]): such a parameter is
 //! refused, and the others are estimated with its usual scale.
@@ -31,29 +31,36 @@ use crate::{
     parameter::Parameter,
 };
 
-/// Largest variance inflation.
+/// Largest variance inflation, dimensionless. Larger: numbers that the errors of the models decide. Smaller:
+/// parameters are refused that the data determine. Chosen: at this value the other unknowns explain 99 % of the
+/// signal of the parameter, and the models are not better than a percent.
 pub const LARGEST_INFLATION: f64 = 100.0;
 
-/// Largest correlation of two estimates.
+/// Largest magnitude of the correlation of two estimates, dimensionless. Larger: two numbers of which only a
+/// combination is known. Smaller: parameters are refused that can be told apart. Chosen.
 pub const LARGEST_CORRELATION: f64 = 0.99;
 
-/// Largest estimate over its scale.
+/// Largest magnitude of an estimate, over its scale. Larger: numbers are given that take up what the model leaves
+/// out. Smaller: large but true errors are refused. Chosen.
 pub const BELIEVABLE: f64 = 3.0;
 
-/// A move by more standard errors than this is no chance.
+/// Least move, over its standard error, that is not taken for chance. Larger: parameters that depend on the metrology
+/// are given. Smaller: parameters are refused by chance. Chosen.
 pub const SIGNIFICANT: f64 = 3.0;
 
-/// A move below this part of what is known beforehand matters to nobody, however small the noise is.
+/// Largest move, over the scale of the parameter, that does not matter, however small the noise is. Larger: moves
+/// that matter are accepted. Smaller: parameters of low noise are refused for moves that change no plan. Chosen.
 const NEGLIGIBLE: f64 = 0.01;
 
-/// Least orders of the wider metrology along x and y, and how much further it goes than the fit's own.
+/// Least orders of the wider metrology along x and y, and least excess over the orders of the fit. Larger: the wider
+/// fit determines less. Smaller: a dependence on the metrology is missed. Chosen.
 const WIDER: [usize; 2] = [4, 3];
 const FURTHER: usize = 1;
 
-/// How a parameter moves when more terms of the metrology are free.
+/// Move of a parameter when more terms of the metrology are free.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Move {
-    /// By how much.
+    /// Change of its value.
     pub by: f64,
     /// Standard error of the move.
     pub standard_error: f64,
@@ -87,7 +94,7 @@ pub fn wider_orders(own: Option<[usize; 2]>) -> [usize; 2] {
 struct Another {
     normal: Normal,
     inverse: DMatrix<f64>,
-    /// How its unknowns move.
+    /// Changes of its unknowns.
     step: DVector<f64>,
 }
 
@@ -113,8 +120,8 @@ fn standard_error(fit: &Fit, field: &Array2<f64>) -> f64 {
     dot(field, &fit.noise.apply(field)).max(0.0).sqrt()
 }
 
-/// How the parameters of a fit move with the terms of these orders free in the place of its own (`None`: piston, tilt
-/// and power), to first order at its minimum.
+/// Moves of the parameters of a fit when the terms of these orders are free in the place of its own (`None`: piston,
+/// tilt and power), to first order at its minimum.
 pub fn moves(fit: &Fit, data: &Data<'_>, orders: Option<[usize; 2]>) -> Vec<Move> {
     let wider = Another::new(fit, data, orders, fit.known.clone());
     let of = |i: usize| {
@@ -124,8 +131,8 @@ pub fn moves(fit: &Fit, data: &Data<'_>, orders: Option<[usize; 2]>) -> Vec<Move
     (0..fit.parameters.len()).map(of).collect()
 }
 
-/// What the data say of parameter `i` of a fit with the orders `own` without what is known of it beforehand, and the
-/// standard error of that, to first order at the minimum.
+/// Value of parameter `i` of a fit with the orders `own` by the data alone, without what is known of it beforehand,
+/// and its standard error, to first order at the minimum.
 fn alone(fit: &Fit, data: &Data<'_>, own: Option<[usize; 2]>, i: usize) -> [f64; 2] {
     let mut known = fit.known.clone();
     known[i] = 0.0;
@@ -154,7 +161,7 @@ pub fn contradicted(
     all.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(parameter, _)| parameter)
 }
 
-/// Why the data do not determine parameter `i` of a fit; `None` where they do.
+/// Reason why the data do not determine parameter `i` of a fit; `None` if they do.
 pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) -> Option<String> {
     let parameter = fit.parameters[i];
     let (value, error) = (fit.values[i], fit.standard_error(i));

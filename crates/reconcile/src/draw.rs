@@ -20,7 +20,8 @@ const HEIGHT: f64 = 220.0;
 /// Left, top, right and bottom of a frame, px.
 const MARGIN: [f64; 4] = [64.0, 34.0, 96.0, 50.0];
 
-/// Most cells along an axis of a map, and bands of colour.
+/// Largest number of cells along an axis of a map, and number of colours. Larger: larger files. Smaller: coarser
+/// maps. Chosen.
 const MOST_CELLS: usize = 110;
 const COLOURS: usize = 24;
 

@@ -24,30 +24,36 @@ use planish_types::{End, Grid, Invalid, progress};
 
 use crate::{correlation::Covariance, metrology::Term, model::Model, parameter::Parameter};
 
-/// A step below this part of the standard errors is none: an interval of two standard errors that is off by it covers
-/// 3e-4 less. The removal has kinks where samples of Keys' convolution cross the pixels' centres, and steps much
-/// smaller than this would go from one to the next.
+/// Largest step, over the standard errors, that counts as none. Larger: estimates further from the minimum. Smaller:
+/// steps from kink to kink, because the removal has kinks where samples of Keys' convolution cross the centres of
+/// pixels. Chosen: an interval of two standard errors that is off by it covers 3e-4 less.
 const SMALL_STEP: f64 = 0.05;
 
-/// A step below this part of what is known beforehand is none either, however small the noise: of 0.5 mm it is 0.05 um.
+/// Largest step, over the scale of the parameter, that counts as none, however small the noise. Larger: estimates
+/// further from the minimum. Smaller: more steps with data of low noise. Chosen: of 0.5 mm it is 0.05 um.
 const NOTHING: f64 = 1e-4;
 
-/// Steps with the derivatives of one point, and how often they are computed anew.
+/// Largest number of steps with the derivatives of one point, and of points at which derivatives are computed.
+/// Larger: more time before a fit ends without a minimum. Smaller: fits end before their minimum. Chosen.
 const MOST_STEPS: usize = 12;
 const MOST_POINTS: usize = 25;
 
-/// Points that a fit usually takes, for an estimate of the time, and the part after so many of them.
+/// Number of points that a fit usually takes, and largest fraction of the progress bar before its end. They change
+/// only the progress that is shown. Chosen.
 const USUAL_POINTS: f64 = 4.0;
 const BEFORE_LAST: f64 = 0.9;
 
-/// First and largest lambda.
+/// First and largest lambda, relative to the diagonal of the normal matrix. Larger: shorter first steps, and more
+/// trials before the end. Smaller: more trials until a step is short enough. Chosen.
 const LAMBDA: [f64; 2] = [1e-3, 1e6];
 
-/// Largest part of the way back that is taken for an oscillation.
+/// Largest ratio of a way back to the way before that is taken for an oscillation. Larger: steps are divided by up to
+/// 2. Smaller: oscillations die out more slowly. Chosen below 1.
 const LARGEST_RETURN: f64 = 0.9;
 
-/// Directions of the scaled normal matrix below this part of the largest eigenvalue are none: rounding, and the
-/// 2e-5 of the derivatives, would decide the step along them.
+/// Least eigenvalue of an independent direction of the scaled normal matrix, over the largest one. Larger: directions
+/// that the data determine are left out. Smaller: rounding, and the error of 2e-5 of the derivatives, decide the
+/// step. Chosen.
 const INDEPENDENT: f64 = 1e-9;
 
 /// The data of a fit.
@@ -60,7 +66,7 @@ pub struct Data<'a> {
     pub valid: Array2<f64>,
 }
 
-/// What a fit found.
+/// Result of a fit.
 pub struct Fit {
     /// Parameters, in their order.
     pub parameters: Vec<Parameter>,
@@ -91,9 +97,9 @@ pub struct Fit {
     pub metrology: Array2<f64>,
     /// d - F - Q c, 0 where invalid.
     pub rest: Array2<f64>,
-    /// What is known of the noise.
+    /// Covariance of the noise.
     pub noise: Covariance,
-    /// How it ended.
+    /// End of the fit.
     pub end: End,
     /// Points at which derivatives were computed.
     pub points: usize,
@@ -106,7 +112,7 @@ pub struct Start {
 }
 
 impl Start {
-    /// Of a model.
+    /// The start of the fits of a model.
     pub fn new(model: &Model<'_>) -> Result<Self, Invalid> {
         let (removal, derivatives) = model.linear(&vec![0.0; model.parameters.len()])?;
         Ok(Self { removal, derivatives })
@@ -169,7 +175,7 @@ pub(crate) struct Normal {
 }
 
 impl Normal {
-    /// Of derivatives and terms.
+    /// The normal matrix of derivatives and terms.
     pub fn new(
         derivatives: &[Array2<f64>],
         terms: &[Array2<f64>],
@@ -260,7 +266,7 @@ struct Inverted {
     inverse: DMatrix<f64>,
     /// Eigenvalues, descending.
     eigenvalues: Vec<f64>,
-    /// Which unknowns have a part in the others.
+    /// True for the unknowns that have a part in a direction that is not independent.
     is_dependent: Vec<bool>,
 }
 

@@ -11,7 +11,7 @@ use planish_simulate::process::{
 
 use crate::{fit::Fit, parameter::Parameter};
 
-/// What `planish-reconcile` says of an error in a file.
+/// Notes of `planish-reconcile` on the errors in a file.
 const LEARNT: &str = "learnt: standard error of planish-reconcile";
 const BELIEVED: &str = "not learnt: what is believed of a machine that nobody knows";
 const FROM_THE_REST: &str =

@@ -1,4 +1,4 @@
-//! What a run teaches: the true rate, place, width and shape of the tool from the maps before and after it.
+//! Reconciliation of a run: the true rate, place, width and shape of the tool from the maps before and after it.
 //!
 //! ```text
 //! d = before - after = (1 + a) R(s, theta, m, w, e) + Q c + n                                 (1)

@@ -1,4 +1,4 @@
-//! What an interferometer does not know of a map: its mean, its tilt, its power, and more where somebody says so.
+//! Low-order terms of a map that an interferometer does not measure: mean, tilt, power, and more where asked for.
 //!
 //! Every term has the RMS one over the rectangle of the map, so that its coefficient is in nm RMS. The Legendre
 //! polynomials P_i(u) P_j(v) times sqrt((2 i + 1)(2 j + 1)), with u and v from -1 to 1 over the rectangle; the power is

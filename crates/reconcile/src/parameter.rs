@@ -1,4 +1,4 @@
-//! What is learnt of machine and tool.
+//! Parameters of machine and tool that a run teaches.
 
 use planish_simulate::process::{Effect, Kind, Process, ProcessError, Scalar};
 use planish_types::Invalid;
@@ -63,7 +63,7 @@ impl Parameter {
         }
     }
 
-    /// What it does to a run; of the rate nothing: it is a factor of the removal.
+    /// Effect on a run; `None` for the rate, which is a factor of the removal.
     pub fn effect(self) -> Option<Scalar> {
         Some(match self {
             Self::RateScale => return None,
@@ -77,9 +77,9 @@ impl Parameter {
         })
     }
 
-    /// What anybody would believe beforehand without knowing the machine: a standard error beyond it says less than
-    /// that. A rate off by 10 %, a part misplaced by 0.5 mm or turned by 0.5 degrees, lengths off by 1 %, a TIF
-    /// wider or longer by 10 %.
+    /// Standard deviation of the parameter about the plan for a machine that nobody knows. The data must tell it
+    /// better than that. Rate 10 %, position of the part 0.5 mm and 0.5 degrees, lengths 1 %, width and ellipticity
+    /// of the TIF 10 %.
     pub fn usual_scale(self) -> f64 {
         match self {
             Self::RateScale | Self::TifWidth | Self::TifEllipticity => 0.1,
@@ -123,7 +123,7 @@ impl Parameter {
         }
     }
 
-    /// By its name.
+    /// The parameter of this name.
     pub fn named(name: &str) -> Option<Self> {
         ALL.into_iter().find(|p| p.name() == name)
     }

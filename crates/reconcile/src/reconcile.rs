@@ -1,4 +1,4 @@
-//! From two maps and a plan to what the run taught.
+//! Reconciliation of two maps and a plan.
 
 use nalgebra::Matrix2;
 use ndarray::Array2;
@@ -22,13 +22,16 @@ use crate::{
     settings::Settings,
 };
 
-/// Pixels of both maps are the same where they are no further apart than this part of a step.
+/// Largest distance between pixels of both maps that are the same, over the step. Larger: maps of shifted pixels are
+/// compared. Smaller: axes that passed through text are refused. Chosen.
 const SAME_PLACE: f64 = 1e-3;
 
-/// Fewest valid pixels for every unknown.
+/// Least number of valid pixels per unknown. Larger: small maps are refused. Smaller: noise that is estimated from
+/// too few pixels. Chosen.
 const LEAST_PIXELS_PER_UNKNOWN: f64 = 20.0;
 
-/// Standard errors from none within which an ellipticity has no direction.
+/// Largest ellipticity without a direction, in standard errors. Larger: directions are left out that are known.
+/// Smaller: directions of noise are given. Chosen.
 const NO_DIRECTION: f64 = 2.0;
 
 /// The maps before and after a run, and what was planned.
@@ -42,13 +45,13 @@ pub struct Comparison<'a> {
     pub trajectory: &'a Trajectory,
     /// The TIF of the plan.
     pub tif: &'a Tif,
-    /// Where it is known: what is believed beforehand.
+    /// Process with what is believed beforehand, where it is known.
     pub process: Option<&'a Process>,
-    /// What took the plan to the machine, where anything did.
+    /// Transform that took the plan to the machine, if there was one.
     pub transform: Option<&'a Transform>,
 }
 
-/// What a run taught.
+/// Result of a reconciliation.
 pub struct Reconciled {
     /// The numbers.
     pub outcome: Outcome,
@@ -62,15 +65,15 @@ pub struct Reconciled {
     pub predicted_nm: Array2<f64>,
     /// The terms of the metrology (ny, nx), nm.
     pub metrology_nm: Array2<f64>,
-    /// What is left (ny, nx), nm; NaN where a map is invalid.
+    /// Rest of the fit (ny, nx), nm; NaN where a map is invalid.
     pub rest_nm: Array2<f64>,
     /// The TIF with the rate and the shape that are determined.
     pub tif: Tif,
-    /// What takes the next plan to the machine, by what is determined.
+    /// Transform that takes the next plan to the machine, by the parameters that are determined.
     pub transform: Transform,
     /// The errors of the next run.
     pub process: ProcessFile,
-    /// Why the verdict is negative, where it is: a parameter that was asked for by name is refused, or all are.
+    /// Reason for a negative verdict, if it is one: a parameter that was asked for by name is refused, or all are.
     pub drawback: Option<String>,
 }
 
@@ -121,7 +124,7 @@ fn are_same(a: &Axis, b: &Axis) -> bool {
         && near(a.end_mm(), b.end_mm(), a.step_mm())
 }
 
-/// What the run taught.
+/// Compares the maps with the plan, and returns the parameters that the data determine.
 pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Reconciled, Invalid> {
     let (parameters, terms) = settings.chosen()?;
     let data = comparison.data(parameters.len() + terms.len())?;
@@ -279,7 +282,7 @@ fn ellipse(fit: &Fit, refusals: &[Option<String>]) -> Option<Ellipse> {
     })
 }
 
-/// What is said of parameter `i` where its scale contradicts the data.
+/// Message on parameter `i`, whose scale contradicts the data.
 fn contradiction(fit: &Fit, i: usize, scale: f64) -> String {
     let parameter = fit.parameters[i];
     format!(

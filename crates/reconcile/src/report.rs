@@ -1,4 +1,4 @@
-//! What a reconciliation says, for the manifest.
+//! Report of a reconciliation, for the manifest.
 
 use serde::Serialize;
 
@@ -11,17 +11,18 @@ pub struct Estimate {
     pub name: String,
     /// Its unit: that of the file of a process, or nm RMS.
     pub unit: &'static str,
-    /// What was found; `null` where it is refused or held.
+    /// Estimate; `null` where it is refused or held.
     pub value: Option<f64>,
     /// Standard error; `null` where it is held, or the removal does not depend on it.
     pub standard_error: Option<f64>,
-    /// What is known beforehand, in the same unit; `null` of the metrology, of which nothing is.
+    /// Scale that is known beforehand, in the same unit; `null` for terms of the metrology, of which nothing is
+    /// known.
     pub known_beforehand: Option<f64>,
-    /// How much larger the other unknowns make its variance.
+    /// Factor by which the other unknowns enlarge its variance.
     pub variance_inflation: Option<f64>,
-    /// Why the data do not determine it.
+    /// Reason why the data do not determine it.
     pub refused: Option<String>,
-    /// Whether it was held at its value in the plan.
+    /// True if it was held at its value in the plan.
     pub held: bool,
 }
 
@@ -42,11 +43,11 @@ pub struct Ellipse {
 /// RMS values, nm, with the terms of the metrology removed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Fitted {
-    /// Of the measured removal.
+    /// RMS of the measured removal.
     pub measured_removal_rms_nm: f64,
-    /// Of what the plan did not predict of it.
+    /// RMS of the measured removal less the planned one.
     pub measured_less_planned_rms_nm: f64,
-    /// Of what is left with what was learnt.
+    /// RMS of the rest, after the fit of all unknowns.
     pub rest_rms_nm: f64,
 }
 
@@ -69,7 +70,7 @@ pub struct Outcome {
     pub fitted: Fitted,
     /// Predicted against measured.
     pub bands: Vec<Band>,
-    /// How the fit ended, and at how many points derivatives were computed.
+    /// End of the fit.
     pub end: String,
     /// Points at which derivatives were computed.
     pub points: usize,

@@ -1,4 +1,4 @@
-//! What is free, and by what it is judged.
+//! Settings of a reconciliation: free parameters and terms.
 
 use planish_types::Invalid;
 use serde::Serialize;
@@ -8,25 +8,26 @@ use crate::{
     parameter::{self, Parameter},
 };
 
-/// Largest order of Legendre polynomials along an axis: beyond it they are what a map measures.
+/// Largest order of Legendre polynomials along an axis. Larger: the metrology takes up what a map measures. Smaller:
+/// fewer of its errors can be free. Chosen.
 const LARGEST_ORDER: usize = 12;
 
-/// What is free, and by what it is judged.
+/// Settings of a reconciliation.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Settings {
-    /// Names of what is free; all where none is given. Who names a parameter wants its number: where the data do not
+    /// Names of the free parameters and terms; all if none is given. If a parameter is named and the data do not
     /// determine it, the verdict is negative.
     pub free: Vec<String>,
-    /// Names of what is held at its value in the plan.
+    /// Names of the parameters and terms that are held at their values in the plan.
     pub hold: Vec<String>,
     /// Legendre terms of the metrology up to these orders along x and y that are free beside piston, tilt and power.
     pub metrology_order: Option<[usize; 2]>,
-    /// Whether errors move the TIF with the noise and the border of its measurement.
+    /// True if errors move the TIF with the noise and the border of its measurement.
     pub tif_as_sampled: bool,
 }
 
 impl Settings {
-    /// What is free: parameters and terms of the metrology.
+    /// The free parameters and terms of the metrology.
     pub fn chosen(&self) -> Result<(Vec<Parameter>, Vec<Term>), Invalid> {
         let free = parameter::parse("free", &self.free)?;
         let hold = parameter::parse("hold", &self.hold)?;

@@ -1,5 +1,5 @@
-//! What the next run needs: a place, a tool and a process that undo the errors of the last one; and logs of what the
-//! machine did.
+//! Tests of the results for the next run: a place, a tool and a process that undo the errors of the last one; and
+//! logs of the machine's motion.
 
 mod example;
 
@@ -52,7 +52,7 @@ fn hidden() -> Process {
     ])
 }
 
-/// What that machine makes of a command.
+/// Run of that machine with a command.
 fn executed(command: &Trajectory) -> virtual_machine::Run {
     let settings =
         virtual_machine::Settings { seed: 1, run: 1, known: false, tif_as_sampled: true };

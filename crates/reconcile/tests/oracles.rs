@@ -1,4 +1,4 @@
-//! What is found, against what was planted by other means; how often intervals hold; what is refused.
+//! Tests of estimates against errors that were planted by other means, of the coverage of intervals, and of refusals.
 
 mod example;
 
@@ -265,7 +265,7 @@ fn what_is_known_beforehand_and_wrong_is_said_and_spoils_no_other_number() {
     }
 }
 
-/// How a parameter moves with more terms of the metrology is said without a second fit; here is the second fit.
+/// The move of a parameter with more terms of the metrology is computed without a second fit. This is the second fit.
 #[test]
 fn a_move_with_the_metrology_is_that_of_the_wider_fit() {
     let astigmatism = |x: f64, y: f64| 0.01 * (x - 7.0) * (y - 7.0);

@@ -23,10 +23,10 @@
 //! smoothness falls from round to round to its last value, because the first corrections change the
 //! plan most.
 //!
-//! If no part of a correction lowers the executed residual, although B predicted that it would fall by a tenth or
-//! more, t^ is outside the range of B, or the machine cannot follow it. The next correction is smoother, and its
-//! lower bounds are the times that the machine needed at every try. The loop ends only if smoother corrections
-//! fail, too.
+//! It can happen that no part of a correction lowers the executed residual, although B predicted a decrease by a
+//! tenth or more. Then t^ is outside the range of B, or the machine cannot follow it. The next correction is
+//! smoother, and its lower bounds are the times that the machine needed at every try. The loop ends only if
+//! smoother corrections fail, too.
 //!
 //! The result is the iterate of the smallest `e` that keeps the limits, which need not be the last.
 //! With a price `lambda` on the total time T, `sqrt(e^2 + 2 lambda T)` replaces `e`; its square is twice

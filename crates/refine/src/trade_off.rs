@@ -107,9 +107,9 @@ fn rank(plan: &Iterate, price_nm2_per_s: f64) -> (bool, f64) {
 
 /// Gives every price the best of all plans.
 ///
-/// The least objectives of a common set of plans are monotone: with e the RMS, and plans 1 and 2 of the prices p < q,
-/// `e1^2 / 2 + p T1 <= e2^2 / 2 + p T2` and `e2^2 / 2 + q T2 <= e1^2 / 2 + q T1` add up to `T2 <= T1`, and then the
-/// first one says `e1 <= e2`.
+/// The best plans of a common set are monotone in the price. Let e be the RMS, and plans 1 and 2 the best ones at
+/// the prices p < q. Then `e1^2 / 2 + p T1 <= e2^2 / 2 + p T2` and `e2^2 / 2 + q T2 <= e1^2 / 2 + q T1` add up to
+/// `T2 <= T1`, and with that the first inequality gives `e1 <= e2`.
 fn give_the_best(points: &mut [Point], plans: &[(Iterate, End)]) {
     for point in points {
         let price = point.time_weight_nm2_per_s;
@@ -242,7 +242,9 @@ const LEAST_RMS_NM: f64 = 1e-12;
 const TIME_AXIS: &str =
     "total time (s), at least volume to be removed / volumetric removal rate (dashed)";
 
+/// Methods in the order of their names from the right, and the colours of their curves.
 const METHODS: [(Method, &str); 2] = [(Method::ClosedLoop, "#365c8d"), (Method::Feed, "#b5367a")];
+/// SVG attributes of the line of the bound (1).
 const BOUND: &str = "stroke=\"#d8a010\" stroke-width=\"2\" stroke-dasharray=\"6 4\"";
 
 /// Picture as SVG text with a curve per method: total time to the right, residual upwards (logarithmic), the bound
@@ -288,8 +290,8 @@ pub fn svg(points: &[Point], least_time_s: f64) -> String {
 mod tests {
     use super::*;
 
-    /// The front of the coupon, as it was found price by price: six prices with the same plan, then one that is worse than
-    /// the next in both; and a plan beyond the limits that is better than all.
+    /// The front of the coupon, found price by price, has six prices with the same plan, then one that is worse than
+    /// the next in both RMS and time. Another plan is better than all, but exceeds the limits.
     #[test]
     fn every_price_has_the_best_of_all_plans_so_the_front_is_monotone() {
         let plan = |total_time_s: f64, rms_nm: f64, limits_respected: bool| Iterate {

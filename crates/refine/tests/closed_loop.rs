@@ -64,7 +64,7 @@ fn waves(number: u32) -> Surface {
     Surface::new(g, height).unwrap()
 }
 
-/// One problem; as many as `PLANISH_FRONTS` says where it is set.
+/// Test of one problem, or of as many as the environment variable `PLANISH_FRONTS` says.
 #[test]
 fn a_dearer_second_never_takes_longer_and_a_cheaper_one_never_leaves_more() {
     let count = std::env::var("PLANISH_FRONTS").ok().and_then(|n| n.parse().ok()).unwrap_or(1);
@@ -155,7 +155,7 @@ fn a_correction_that_promises_much_and_holds_in_no_part_is_followed_by_a_smoothe
     let own = refine(&desired, &tif, &path, &machine(40.0, 640.0), None, &how).unwrap();
     for refined in [given, own] {
         let rms: Vec<f64> = refined.iterates.iter().map(|i| i.rms_nm).collect();
-        // No part of a correction was better than what was known, down to an eighth of it ...
+        // No part of a correction was better than the best plan, down to an eighth of it ...
         let is_given_up = |k: usize| {
             let least = rms[..k].iter().copied().fold(f64::MAX, f64::min);
             (k..k + 3).all(|k| rms.get(k).is_some_and(|rms| *rms > least))

@@ -166,8 +166,8 @@ fn a_fixed_error_is_made_up_for() {
     for percent in [10.0, -10.0] {
         let process = process(&[error("rate_scale", percent, "%", "fixed")]);
         let (plan, price) = plan_for(&process);
-        // What varies over the map is removed as before, at the other rate, but for the 0.4 of 3 nm that the plan
-        // without the error leaves; were the error made up for with the wrong sign, this would be 1.2 or 0.8.
+        // The removal varies over the map as before, at the other rate, except for the 0.4 of 3 nm that the plan
+        // without the error leaves. With the wrong sign of the correction this ratio would be 1.2 or 0.8.
         let ratio = removes(&plan) / removes(&without) * (1.0 + 0.01 * percent);
         println!("{percent} %: {ratio}, {price:?}");
         assert!((ratio - 1.0).abs() < 0.08, "{percent}: {ratio}");

@@ -1,8 +1,8 @@
-//! What a run of several stages needs beside the stages.
+//! Tools for a run of several stages: the lock of its directory, its owner, and its verdict.
 //!
-//! * [`owner`]: whose directory it is: a pipeline's, for one mirror.
+//! * [`owner`]: owner of a directory, that is one pipeline for one mirror.
 //!
-//! The binary holds the directory while the stages run, and says at the end which of them gave a
+//! The binary locks the directory while the stages run, and names at the end the stages that gave a
 //! negative verdict.
 
 pub mod owner;

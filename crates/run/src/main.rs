@@ -1,4 +1,4 @@
-//! `planish-run`: what a run of several stages needs beside the stages.
+//! `planish-run`: lock, owner and verdict of a run of several stages.
 
 mod cli;
 
@@ -14,7 +14,7 @@ const EXAMPLES: &str = "Examples:\n\
     \x20 planish-run words \"--unit m --variable 'my map'\"\n\
     \x20 planish-run verdict --run out/mine --plan methods/pvt";
 
-/// Start a run of several stages as the only owner of its directory; say at its end which stage gave a
+/// Start a run of several stages as the only owner of its directory; name at its end the stages that gave a
 /// negative verdict
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]

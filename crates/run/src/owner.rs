@@ -1,8 +1,8 @@
-//! Whose directory it is: that of one pipeline for one mirror.
+//! Owner of the directory of a run: one pipeline for one mirror.
 
 use serde::{Deserialize, Serialize};
 
-/// What `run.json` in the directory of a run says.
+/// Content of `run.json` in the directory of a run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Owner {
@@ -28,7 +28,7 @@ pub enum Mirror {
 }
 
 impl Owner {
-    /// In words, for messages.
+    /// Description in words, for messages.
     pub fn describe(&self) -> String {
         let Self { pipeline, mirror } = self;
         match mirror {

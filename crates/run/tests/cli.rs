@@ -14,9 +14,11 @@ use serde_json::json;
 use tempfile::TempDir;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_planish-run");
-/// Races of two starts; each is two processes of a few milliseconds.
+/// Number of races of two starts. Larger: a longer test. Smaller: a fault in the lock is found less often. Each
+/// race is two processes of a few milliseconds.
 const RACES: usize = 40;
-/// Longer than any of the commands here takes on a loaded machine; a test that waits so long fails.
+/// Longest time that a test waits for a command. Larger: a failed test ends later. Smaller: a loaded machine fails
+/// the test, because its commands take longer.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A directory with a machine, a recipe of the fixture `coupon` and a measured mirror.
@@ -80,7 +82,7 @@ fn wait_for(path: &Path) {
     }
 }
 
-/// Starts anew until the directory is free: what a killed command has started ends a moment later.
+/// Starts again until the directory is free: the processes of a killed command end a moment later.
 fn wait_until_free(dir: &Path) {
     let since = Instant::now();
     while !run(dir, "out", &FIXTURE, &["true"]).status.success() {
@@ -313,8 +315,8 @@ fn the_verdict_is_that_on_the_plan_and_on_what_it_is_made_of() {
     refused(&verdict(&["methods/none"]), &["run/methods/none", "cannot read"]);
 }
 
-/// A run with other settings that is killed leaves its own artifacts beside older ones; whatever stage it had reached, the
-/// verdict on the plan was that of another plan.
+/// A run with other settings that is killed leaves its own artifacts beside older ones. Before this test the
+/// verdict on the plan was then that of another plan, whichever stage the run had reached.
 #[test]
 fn a_run_that_was_ended_between_its_stages_has_no_verdict() {
     let dir = tempfile::tempdir().unwrap();

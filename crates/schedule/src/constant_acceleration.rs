@@ -1,15 +1,15 @@
 //! One constant acceleration, then constant velocity, in every segment.
 //!
-//! Per axis: start with the velocity `v0` that the previous segment left, go the displacement `s`
-//! in the time `d` by accelerating with the full `a = +-a_max` for a time `tau`, then keeping the
-//! velocity `v`. With the distance `r = s - v0 d` that constant velocity would miss:
+//! Each axis starts with the end velocity `v0` of the previous segment. It moves by the displacement `s`
+//! in the time `d`: first with the full acceleration `a = +-a_max` for a time `tau`, then with the
+//! constant velocity `v`. With the distance `r = s - v0 d` that the velocity `v0` alone would miss:
 //!
 //! ```text
 //! a = sign(r) a_max
 //! v = v0 + a d - sign(a) sqrt(a^2 d^2 - 2 a r),   tau = (v - v0) / a      if 2 |r| <= a_max d^2   (1)
 //! ```
 //!
-//! Otherwise the time is too short for the machine. If the axis comes too late it takes
+//! Otherwise the time is too short for the machine. If the axis comes too late, it takes
 //!
 //! ```text
 //! v = sign(s) sqrt(v0^2 + 2 a s),   d' = (v - v0) / a > d                                         (2)
@@ -21,18 +21,18 @@
 //! v = sign(a) v_max,   tau = (v - v0) / a,   d' = tau + (s - (v0 + v) tau / 2) / v > d            (3)
 //! ```
 //!
-//! Both axes take the longer of their times. If an axis cannot brake in time it goes too far, by
-//! `|r| - a_max d^2 / 2`, and the next segment starts from there. There is no look-ahead. So velocity and acceleration
-//! are within the limits, and the path and the times give way. Lifts (tool off) are links
-//! within all limits that end at rest, and the motion ends with a brake to rest, tool off.
+//! Both axes take the longer of their times. If an axis cannot brake in time, it goes too far, by `|r| - a_max d^2
+//! / 2`, and the next segment starts from there. There is no look-ahead. So velocity and acceleration are within
+//! the limits, but the motion leaves the path and takes longer than the dwell times. Lifts (tool off) are links
+//! within all limits that end at rest. The motion ends with a brake to rest, tool off.
 //!
 //! Source: T. Wang et al., J. Manuf. Process. 2023, doi 10.1016/j.jmapro.2023.01.005, Eqs 3-7,
 //! with signed accelerations and the sign of the displacement on the root of Eq. 7. Two things are built otherwise:
 //!
 //! * The source sets v to v_max where it is above. (3) adds the time that the axis then needs to its control point.
-//! * By Eq. 7 an axis that brakes too late arrives early. One axis alone could then begin its next segment
-//!   early; two axes share the time of a segment, so here the axis keeps braking until the other one
-//!   is there, and goes too far.
+//! * By Eq. 7 an axis that brakes too late arrives early, and could begin its next segment early. But two
+//!   axes share the time of a segment. So here the axis keeps braking until the other one arrives, and
+//!   goes too far.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|

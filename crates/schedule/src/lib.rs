@@ -1,12 +1,12 @@
 //! Schedulers: each one makes a motion from a tool path and dwell times.
 //!
-//! Every scheduler is a file or a folder of the same shape: `Settings`, `schedule`, and what it reports
-//! beside the trajectory.
+//! Every scheduler is a file or a folder with the same items: `Settings`, `schedule`, and a report
+//! in addition to the trajectory.
 //!
 //! | scheduler | motion |
 //! |---|---|
 //! | [`pvt`] | cubic Hermite segments through the control points at the dwell times |
-//! | [`pvt_as_published`] | the same by the least squares of its source, whose defects it reports |
+//! | [`pvt_as_published`] | the same by the least squares of its source; reports their defects |
 //! | [`constant_acceleration`] | one constant acceleration, then constant velocity, per segment |
 //! | [`stop_at_corners`] | the same along the path, at rest in corners, within all limits |
 //! | [`trig_spline`] | dwell-time density as a half-period trigonometric spline of arc length |

@@ -4,8 +4,8 @@
 //! p(u) = Hermite cubic of (p, v), (q, w) over T          least T with |p'| <= v_max, |p''| <= a_max
 //! ```
 //!
-//! For long T the velocity tends to `v (1 - 4 x + 3 x^2) + w (3 x^2 - 2 x)`, x = u/T, which is
-//! never faster than its ends, and the acceleration to 0. So a time within the limits always exists.
+//! For long T the acceleration tends to 0, and the velocity to `v (1 - 4 x + 3 x^2) + w (3 x^2 - 2 x)`
+//! with x = u/T, which is never faster than its ends. So a time within the limits always exists.
 //! The cubic is not the fastest motion, which has several phases. But it is smooth, and only one
 //! polynomial has to be checked. A cubic that turns around swings beyond its ends; the tool is off.
 //!
@@ -66,7 +66,7 @@ pub(crate) fn shortest_cubic(
     if scale == 0.0 && v == [0.0; 2] && least_s == 0.0 {
         return None;
     }
-    // The same velocity at the same place asks for a loop; its time is that of braking.
+    // The same velocity at the same place needs a loop; its time is at least that of braking.
     let braking = (0..2).map(|a| v[a].abs() / a_max[a]).fold(0.0, f64::max);
     let mut low = least_s.max(if scale > 0.0 { 0.1 * scale } else { braking });
     if !fits(low) {

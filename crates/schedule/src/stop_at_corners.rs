@@ -7,26 +7,26 @@
 //! v_max = min over axes v_axis / |t_axis|,   a = min over axes a_axis / |t_axis|
 //! ```
 //!
-//! it accelerates or brakes with `a`, or keeps its velocity; where the direction changes, where it
-//! stands, and at the ends it is at rest. From `v0` a segment takes its dwell time `d` by
-//! Eqs 5 and 6 of the source, as there: `a` for a while, then `v` to the end. Look-ahead bounds the
-//! velocity at every node, so that the next ones can be braked for and no segment is left early:
+//! it accelerates or brakes with `a`, or keeps its velocity. It is at rest where the direction changes,
+//! where it stands, and at the ends. From `v0` a segment takes its dwell time `d` by Eqs 5 and 6 of
+//! the source: `a` for a while, then `v` to the end. Look-ahead bounds the velocity at every node, so
+//! that the tool can brake for the next nodes and no segment ends early:
 //!
 //! ```text
 //! V_i <= v_max on both sides,   V_i^2 <= V_{i+1}^2 + 2 a L                                     (1)
 //! V_i <= L/d + a d/2  where  d^2 < 2 L/a,  else  V_i^2 <= 2 a L
 //! ```
 //!
-//! Where Eqs 5 and 6 would end faster than `V`, the segment ends with `v1 = V` and has a velocity
-//! `w` of its own in between,
+//! If Eqs 5 and 6 would end faster than `V`, the segment ends with `v1 = V` and has a velocity `w` of
+//! its own in between,
 //!
 //! ```text
 //! w^2 - (a d + v0 + v1) w + a L + (v0^2 + v1^2)/2 = 0        faster than both ends             (2)
 //! w = (L - (v0^2 - v1^2)/(2 a)) / (d - (v0 - v1)/a)          between them
 //! ```
 //!
-//! and where the machine cannot do that in the time `d`, it takes the least time it can. Dwell times
-//! are kept or exceeded, never cut; the report says by how much. Lifts are links, rest to rest.
+//! and if the machine cannot do that in the time `d`, the segment takes the least time. Dwell times
+//! are kept or exceeded, never cut; the report has the additional time. Lifts are links, rest to rest.
 //!
 //! Source: T. Wang et al., J. Manuf. Process. 2023, doi 10.1016/j.jmapro.2023.01.005, Eqs 3-7, for
 //! the motion within a segment; stops and look-ahead are not in it.
@@ -49,7 +49,7 @@ use crate::{
 /// Stops, late segments and lifts of a schedule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Report {
-    /// Nodes between two segments with the tool on where the tool comes to rest.
+    /// Number of nodes between two segments with the tool on at which the tool comes to rest.
     pub stops: usize,
     /// Segments with the tool on that took longer than their dwell time.
     pub late_segments: usize,

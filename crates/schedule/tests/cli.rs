@@ -115,9 +115,9 @@ fn state(c: &[f64; 4], u: f64) -> [f64; 3] {
     ]
 }
 
-/// The motion starts and ends at rest, passes every control point at the end of its segment, is
-/// continuous in position and velocity, and keeps the limits everywhere: the velocity is a
-/// parabola, largest at an end or its vertex; the acceleration is linear, largest at an end.
+/// Asserts that the motion starts and ends at rest, passes every control point at the end of its segment,
+/// is continuous in position and velocity, and keeps the limits everywhere. The velocity is a parabola,
+/// largest at an end or its vertex. The acceleration is linear, largest at an end.
 fn judge(t: &Trajectory, points: &[[f64; 2]]) {
     assert_eq!(t.len(), points.len() - 1);
     for axis in 0..2 {

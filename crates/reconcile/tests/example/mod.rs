@@ -23,7 +23,7 @@ const WAVES: [(f64, f64, f64); 8] = [
     (1.5, -0.2, 1.5),
 ];
 
-/// What the raster is to remove, nm.
+/// Desired removal of the raster, nm.
 fn wanted_nm(x: f64, y: f64) -> f64 {
     let wave = |(k, (a, kx, ky)): (usize, &(f64, f64, f64))| a * (kx * x + ky * y + k as f64).sin();
     30.0 + WAVES.iter().enumerate().map(wave).sum::<f64>()
@@ -53,7 +53,7 @@ pub fn gaussian(scale: f64, along: f64, across: f64, angle_rad: f64) -> Tif {
     Tif::new(grid, Array2::from_shape_fn(grid.shape(), rate)).unwrap()
 }
 
-/// How the machine places the points of the plan.
+/// Place of the machine for every point of the plan.
 pub type Place<'a> = &'a dyn Fn([f64; 2]) -> [f64; 2];
 
 /// Lines 0.8 mm apart from 3 mm before the map to 3 mm beyond, in pieces of 0.8 mm; every point where `place` says.

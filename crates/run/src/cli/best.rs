@@ -1,4 +1,4 @@
-//! `planish-run best`: which plan of a run its report marks as the best, for a shell.
+//! `planish-run best`: name of the plan that the report of a run recommends, for a shell.
 
 use std::path::PathBuf;
 
@@ -12,7 +12,7 @@ pub struct Best {
     /// Directory of the run, with its report
     #[arg(long, value_name = "DIR")]
     run: PathBuf,
-    /// Plan to be named where the report recommends none
+    /// Name to print if the report recommends no plan
     #[arg(long, value_name = "NAME")]
     otherwise: String,
 }

@@ -1,4 +1,4 @@
-//! `planish-run program`: of which plan the program of a run is, and why.
+//! `planish-run program`: the plan that the program of a run executes, and the reason for that plan.
 
 use std::{
     fs,
@@ -14,7 +14,7 @@ pub struct Program {
     /// Directory of the run, with its report and the file program.CONTROLLER
     #[arg(long, value_name = "DIR")]
     run: PathBuf,
-    /// Plan that the program was written of
+    /// Plan from which the program was written
     #[arg(long, value_name = "NAME")]
     of: String,
     /// Controller of the program
@@ -22,22 +22,22 @@ pub struct Program {
     controller: String,
 }
 
-/// What is read of `report/summary.json`.
+/// Part of `report/summary.json` that is read.
 #[derive(Deserialize)]
 struct Summary {
     answer: Answer,
 }
 
-/// What the report recommends.
+/// Recommendation of the report.
 #[derive(Deserialize)]
 pub struct Answer {
-    /// Name of the plan, or of a program that was read back.
+    /// Name of the plan, or of a program that was read back; `None` if the report recommends none.
     pub method: Option<String>,
     why: String,
 }
 
 impl Answer {
-    /// That of the report in `run`.
+    /// Reads the recommendation of the report in `run`.
     pub fn read(run: &Path) -> Result<Self, Failure> {
         let path = run.join("report/summary.json");
         let about = |e: &dyn std::fmt::Display| {
@@ -49,10 +49,10 @@ impl Answer {
     }
 }
 
-/// Controllers, as a program that was read back names its own: `pvt+galil`.
+/// Names of the controllers, as they stand in the name of a program that was read back: `pvt+galil`.
 const CONTROLLERS: [&str; 5] = ["galil", "xps", "pmac", "gcode", "csv"];
 
-/// The plan that the program `method` was written of; a plan is its own.
+/// Name of the plan from which the program `method` was written; the name of a plan itself is unchanged.
 pub fn plan_of(method: &str) -> &str {
     match method.rsplit_once('+') {
         Some((plan, controller)) if CONTROLLERS.contains(&controller) => plan,

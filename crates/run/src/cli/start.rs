@@ -12,15 +12,16 @@ use clap::Args;
 use planish_handoff::{Failure, Inputs, OutputFile, Status, is_temporary, words};
 use planish_run::owner::{Mirror, Owner};
 
-/// Says whose directory it is.
+/// Name of the file that says who owns the directory.
 const OWNER: &str = "run.json";
-/// Locked while a run has the directory; says which process that is. It stays when the run is over:
-/// to remove it would let two runs lock two files of the same name.
+/// Name of the file that is locked while a run uses the directory; it names the process. It stays after
+/// the run: if a run removed it, two runs could lock two files of the same name.
 const LOCK: &str = "run.lock";
 
-/// How often a run that finds the directory locked reads which process has it, and how long it waits in between: a
-/// second in all, for a slow disk.
+/// Number of times that a run reads the name of the process that has locked the directory: with [`BETWEEN_READS`] a
+/// second in all, for a slow disk. Larger: the message comes later. Smaller: it names no process if the disk is slow.
 const READS_OF_HOLDER: usize = 20;
+/// Time between two such reads. Larger: the message comes later. Smaller: more reads are needed for a slow disk.
 const BETWEEN_READS: Duration = Duration::from_millis(50);
 
 #[derive(Args)]
@@ -43,11 +44,11 @@ pub struct Start {
     /// Machine and its limits [JSON]
     #[arg(long, value_name = "FILE")]
     machine: PathBuf,
-    /// A setting that holds several flags, as NAME=FLAGS; can be given again. An unclosed quotation
-    /// mark in it is found before anything runs
+    /// Setting that holds several flags, as NAME=FLAGS; can be given again. The program refuses an unclosed
+    /// quotation mark in it before anything runs
     #[arg(long, value_name = "NAME=FLAGS")]
     flags: Vec<String>,
-    /// What to run, with its arguments
+    /// Command to run, with its arguments
     #[arg(last = true, required = true, value_name = "COMMAND")]
     command: Vec<String>,
 }
@@ -58,14 +59,14 @@ impl Start {
     }
 }
 
-/// Checks what can be checked, takes the directory and becomes the command.
+/// Checks the inputs, locks the directory and becomes the command.
 fn start(arguments: &Start) -> Result<Status, Failure> {
     let Start { out, machine, command, .. } = arguments;
     for flags in &arguments.flags {
         let (name, text) = flags.split_once('=').unwrap_or(("", flags));
         words::split(text).map_err(|e| Failure::new(format!("{name}={text}: {e}")))?;
     }
-    // By the reader of the stages.
+    // The reader is that of the stages.
     Inputs::new().read_machine(machine)?;
     let owner = Owner { pipeline: arguments.pipeline.clone(), mirror: mirror(arguments)? };
     for (input, path) in [("surface", &arguments.surface), ("tif", &arguments.tif)] {
@@ -77,7 +78,7 @@ fn start(arguments: &Start) -> Result<Status, Failure> {
     Err(become_command(command, lock))
 }
 
-/// The mirror, which is there.
+/// Mirror of the run; refuses a mirror whose files do not exist.
 fn mirror(arguments: &Start) -> Result<Mirror, Failure> {
     match (&arguments.fixture, &arguments.surface, &arguments.tif) {
         (Some(recipe), ..) => fixture(recipe).map(Mirror::Fixture),
@@ -91,7 +92,7 @@ fn mirror(arguments: &Start) -> Result<Mirror, Failure> {
     }
 }
 
-/// The name of the recipe.
+/// Name of the recipe; refuses a recipe that does not exist.
 fn fixture(recipe: &Path) -> Result<String, Failure> {
     let name = |path: &Path| Some(path.file_stem()?.to_string_lossy().into_owned());
     if let (true, Some(name)) = (recipe.is_file(), name(recipe)) {
@@ -112,7 +113,7 @@ fn fixture(recipe: &Path) -> Result<String, Failure> {
     Err(Failure::new(format!("no fixture '{name}' ({}); {there}", recipe.display())))
 }
 
-/// The absolute path of an input that is there, without links.
+/// Absolute path of an existing input, without links.
 fn existing(role: &str, path: &Path) -> Result<String, Failure> {
     let here = path.canonicalize().map_err(|e| {
         Failure::new(format!(
@@ -125,7 +126,7 @@ fn existing(role: &str, path: &Path) -> Result<String, Failure> {
     })
 }
 
-/// No output may be, contain or lie inside an input.
+/// Refuses an output that is, contains or lies inside an input.
 fn refuse_overlap(out: &Path, role: &str, input: &Path) -> Result<(), Failure> {
     let (o, i) = (resolved(out), resolved(input));
     let how = match () {
@@ -141,7 +142,7 @@ fn refuse_overlap(out: &Path, role: &str, input: &Path) -> Result<(), Failure> {
     )))
 }
 
-/// The absolute path without links, as far as it is there.
+/// Absolute path, without links as far as it exists.
 fn resolved(path: &Path) -> PathBuf {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.into());
     for there in path.ancestors() {
@@ -152,15 +153,14 @@ fn resolved(path: &Path) -> PathBuf {
     path
 }
 
-/// Locks the directory, and makes it the owner's when it is nobody's; the lock.
+/// Locks the directory and returns the lock. A directory without an owner becomes that of `owner`.
 fn take(out: &Path, owner: &Owner, command: &[String]) -> Result<File, Failure> {
     let failed = |doing: &str, e: std::io::Error| {
         Failure::new(format!("{}: cannot {doing}: {e}; give another out", out.display()))
     };
     let path = out.join(LOCK);
-    // Nothing is written into a directory that is somebody else's. Where there is a lock, and be it
-    // since a moment ago, another run may be about to say whose the directory is: that is looked at
-    // below, under the lock.
+    // Nothing is written into a directory of another owner. If there is a lock file, even a new one,
+    // another run may be about to write the owner: that is checked below, under the lock.
     if !path.exists()
         && let Err(refusal) = owned(out, owner)
         && !path.exists()
@@ -185,7 +185,7 @@ fn take(out: &Path, owner: &Owner, command: &[String]) -> Result<File, Failure> 
     if !owned(out, owner)? {
         write_owner(out, owner)?;
     }
-    // The command takes over the process, and its number.
+    // The command takes over this process with its number.
     let holder = format!("process {} ({})\n", process::id(), words::join(command));
     lock.set_len(0)
         .and_then(|()| lock.write_all(holder.as_bytes()))
@@ -193,7 +193,8 @@ fn take(out: &Path, owner: &Owner, command: &[String]) -> Result<File, Failure> 
     Ok(lock)
 }
 
-/// Who holds a lock: it says so a moment after it has taken it, when `run.json` is on the disk.
+/// Description of the process that holds a lock. That process writes it a moment after it has taken the
+/// lock, when `run.json` is on the disk.
 fn holder(lock: &mut File) -> String {
     for _ in 0..READS_OF_HOLDER {
         let mut holder = String::new();
@@ -207,8 +208,8 @@ fn holder(lock: &mut File) -> String {
     "another run".into()
 }
 
-/// Whether the directory is the owner's already; `false` where it is nobody's, an error where it is
-/// somebody else's.
+/// Returns true if the directory belongs to `owner`, false if it has no owner, and an error if it belongs
+/// to another one.
 fn owned(out: &Path, owner: &Owner) -> Result<bool, Failure> {
     let refused = |problem: String| Err(Failure::new(format!("{} {problem}", out.display())));
     let text = match fs::read(out.join(OWNER)) {
@@ -238,7 +239,7 @@ fn owned(out: &Path, owner: &Owner) -> Result<bool, Failure> {
     }
 }
 
-/// The first file, by name, that no start leaves in a directory; none where there is no directory.
+/// First file, by name, that is neither the lock nor a temporary file; `None` if there is no directory.
 fn foreign(out: &Path) -> std::io::Result<Option<String>> {
     let entries = match fs::read_dir(out) {
         Ok(entries) => entries,
@@ -252,16 +253,16 @@ fn foreign(out: &Path) -> std::io::Result<Option<String>> {
     Ok(names.into_iter().min())
 }
 
-/// The lock is held, so nobody else writes it.
+/// Writes `run.json`. The lock is held, so no other run writes it.
 fn write_owner(out: &Path, owner: &Owner) -> Result<(), Failure> {
     let text = format!("{}\n", serde_json::to_string_pretty(owner)?);
     let file = OutputFile::begin("out", &out.join(OWNER), false, &Inputs::new())?;
     Ok(file.write(text.as_bytes())?)
 }
 
-/// Runs the command in the place of this process, so that signals reach it and its exit code is the run's
-/// own. The open lock is inherited by all that it starts: the directory is free when the last of them
-/// has ended, and not before, whatever was killed. Returns only when the command cannot be run.
+/// Runs the command in place of this process, so that signals reach it and its exit code is that of the
+/// run. All processes that it starts inherit the open lock: the directory is free when the last of them
+/// has ended, and not before, even if some are killed. Returns only if the command cannot be run.
 #[cfg(unix)]
 fn become_command(command: &[String], lock: File) -> Failure {
     use std::os::unix::process::CommandExt;
@@ -272,7 +273,7 @@ fn become_command(command: &[String], lock: File) -> Failure {
     Failure::new(format!("cannot run {}: {error}", command[0]))
 }
 
-/// Where no process can take the place of another, this one waits with the lock.
+/// Runs the command on systems on which no process can replace another: this process waits with the lock.
 #[cfg(not(unix))]
 fn become_command(command: &[String], lock: File) -> Failure {
     let status = process::Command::new(&command[0]).args(&command[1..]).status();

@@ -1,4 +1,4 @@
-//! `planish-run verdict`: which stages of a run gave a negative verdict: their manifests say so.
+//! `planish-run verdict`: the stages of a run that gave a negative verdict, from their manifests.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -12,22 +12,22 @@ use planish_handoff::{Failure, Manifest, Status, kind::MANIFEST, words};
 
 #[derive(Args)]
 pub struct Verdict {
-    /// Directory of the run; the artifacts directly in it count
+    /// Directory of the run; the verdicts on the artifacts directly in it count
     #[arg(long, value_name = "DIR")]
     run: PathBuf,
-    /// Directory in it whose artifacts count too: the plan that is to be executed. Can be given
+    /// Directory in the run whose artifacts count too: that of the plan to be executed. Can be given
     /// again; the verdicts on other methods, made for comparison, do not count
     #[arg(long, value_name = "NAME")]
     plan: Vec<PathBuf>,
 }
 
-/// Names of the artifacts that the verdict on a plan rests on, where they are there.
+/// Names of the artifacts on which the verdict on a plan rests, if they exist.
 const JUDGED: [&str; 4] = ["trajectory", "removal", "verdict", "specification"];
 
-/// What a trajectory needs beside it before it is a plan.
+/// Names of the artifacts that a directory with a trajectory needs to be a plan.
 const NEEDED: [&str; 2] = ["removal", "verdict"];
 
-/// Files that all stages of a run share.
+/// Roles of the files that all stages of a run share.
 const SHARED: [&str; 3] = ["machine", "process", "specification"];
 
 impl Verdict {
@@ -36,8 +36,8 @@ impl Verdict {
     }
 }
 
-/// The negative verdicts on the artifacts directly in `run` and in each of `plans`, with the programs
-/// that gave them.
+/// Collects the negative verdicts on the artifacts directly in `run` and in each of `plans`, with the
+/// programs that gave them.
 fn verdict(run: &Path, plans: &[PathBuf]) -> Result<Status, Failure> {
     let mut negative = Vec::new();
     let mut whole = Whole { run, seen: BTreeSet::new(), shared: BTreeMap::new() };
@@ -67,18 +67,18 @@ fn verdict(run: &Path, plans: &[PathBuf]) -> Result<Status, Failure> {
     })
 }
 
-/// Whether the artifacts of a run were made from each other: a run with other settings that was ended leaves some of its
-/// own beside older ones.
+/// Check that the artifacts of a run were made from each other. A run with other settings that was ended early
+/// leaves some of its own artifacts beside older ones.
 struct Whole<'a> {
     run: &'a Path,
-    /// Artifacts that were checked.
+    /// Artifacts that are checked already.
     seen: BTreeSet<PathBuf>,
-    /// Hashes of the files that all stages share, by their roles, and the artifact that was made with it.
+    /// For each role in [`SHARED`], the hash of the file, and an artifact that was made with it.
     shared: BTreeMap<String, (String, PathBuf)>,
 }
 
 impl Whole<'_> {
-    /// Refuses an artifact, at a place in the run, that was made from other artifacts of the run than those that are there.
+    /// Refuses an artifact, at a place in the run, that was not made from the present artifacts of the run.
     fn check(&mut self, at: &Path, manifest: &Manifest) -> Result<(), Failure> {
         if !self.seen.insert(at.into()) {
             return Ok(());
@@ -128,8 +128,8 @@ impl Whole<'_> {
     }
 }
 
-/// The directory of the run as it was called when the artifact at a place in it was made: a run may be moved, and looked
-/// at from elsewhere.
+/// Path of the run when the artifact at a place in it was made. It can differ from the present path, because a run
+/// may be moved, and checked from another directory.
 fn run_as_given(at: &Path, manifest: &Manifest) -> Option<PathBuf> {
     let words = words::split(&manifest.command).ok()?;
     let mut values = words.iter().skip_while(|word| *word != "--out").skip(1);
@@ -143,7 +143,8 @@ fn run_as_given(at: &Path, manifest: &Manifest) -> Option<PathBuf> {
     Some(run.into())
 }
 
-/// The directories in `plan` of the run that have a manifest, by name: their places in the run.
+/// Places in the run, and manifests, of the directories in `plan` that have a manifest, in the order of their
+/// names.
 fn manifests(run: &Path, plan: &Path) -> Result<Vec<(PathBuf, Manifest)>, Failure> {
     let dir = run.join(plan);
     let unreadable = |path: &Path, e: &dyn std::fmt::Display| {
@@ -160,7 +161,7 @@ fn manifests(run: &Path, plan: &Path) -> Result<Vec<(PathBuf, Manifest)>, Failur
     Ok(found)
 }
 
-/// The manifest in a directory, where there is one.
+/// Manifest in a directory; `None` if there is none.
 fn manifest_in(dir: &Path) -> Result<Option<Manifest>, Failure> {
     let file = dir.join(MANIFEST);
     let unreadable =

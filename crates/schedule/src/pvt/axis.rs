@@ -360,8 +360,8 @@ impl AxisProblem<'_> {
         None
     }
 
-    /// Penalty of elastic bounds, for an excess of 1 that lasts 1 s: from the largest energy and the largest
-    /// mean velocity of the axis, so that the energy hardly counts against it.
+    /// Penalty of elastic bounds, for an excess of 1 that lasts 1 s. It follows from the largest energy and
+    /// the largest mean velocity of the axis, so that the energy hardly counts against it.
     fn elastic_price(&self, h: &[f64]) -> f64 {
         let (n, dp) = (h.len(), &self.displacement_mm);
         let of = |i: usize| 4.0 / h[i];
@@ -394,7 +394,7 @@ impl AxisProblem<'_> {
         chain::Program { diagonal, beside, linear, free, price }
     }
 
-    /// Rows of segment i: its signs, and the limits of the machine where it is limited.
+    /// Adds the rows of segment i: its signs, and the limits of the machine if `limited` has the segment.
     fn rows(&self, i: usize, h: &[f64], limited: &Limited, rows: &mut chain::Rows) {
         let dp = self.displacement_mm[i];
         if self.mode == Mode::Monotone {

@@ -19,35 +19,35 @@
 //! ```
 //!
 //! with `v_0 = v_N = 0`. Its free minimiser has `a-` = `a+` at every node: the clamped cubic
-//! spline. Where a limit is exceeded, (4) is solved under `|v| <= v_max`, `|a| <= a_max` on whole
-//! segments as a quadratic program; where that has no solution, the program with the least excess
-//! over the limits says where more time is needed, the shortest times there are searched for (`shortest`), and
-//! (4) is solved again at those. The report says how much the segments got.
+//! spline. If that exceeds a limit, (4) is solved under `|v| <= v_max`, `|a| <= a_max` on whole
+//! segments as a quadratic program. If the program has no solution, the program with the least excess
+//! over the limits shows the segments that need more time. `shortest` searches for the shortest times
+//! there, and (4) is solved again at those. The report has the additional times.
 //!
-//! Modes: *smooth* is (4); *monotone* adds that no axis reverses inside a segment, so the tool
-//! never leaves the box of a segment's ends: `v_i` has the sign of its two displacements (zero
-//! where they differ), and `sign(dp) V >= 0`. A node at which the velocity is fixed at zero parts the
-//! axis: neither (4) nor a bound couples what is on its two sides, so the parts are solved one by one,
-//! and again only those whose times have changed.
+//! Modes: *smooth* is (4). In *monotone*, in addition, no axis reverses inside a segment, so the tool
+//! never leaves the box of a segment's ends: `v_i` has the sign of its two displacements (zero if they
+//! differ), and `sign(dp) V >= 0`. A node at which the velocity is fixed at zero divides the axis:
+//! neither (4) nor a bound couples its two sides. So the parts are solved one by one, and only those
+//! whose times have changed are solved again.
 //!
-//! A limit on jerk. The jerk of (1) is constant, `6 (v0 + v1)/h^2 - 12 dp/h^3`. Where the machine
-//! limits it, *monotone* has it as rows of its program; its acceleration still steps at the nodes,
-//! which no limit on jerk allows, and the claim says so. *smooth* must not use a program then: an
-//! active row makes the acceleration step. It is the spline whose acceleration too starts and ends
-//! at zero. That takes one more node, at no given place, in the middle of the first and of the last
-//! segment; with `tau = h/2`, the jerk `j` of the first half is, from rest to `v` at `dp`,
+//! A limit on jerk. The jerk of (1) is constant, `6 (v0 + v1)/h^2 - 12 dp/h^3`. If the machine limits
+//! it, *monotone* has it as rows of its program. Its acceleration still steps at the nodes, which no
+//! limit on jerk allows, and the claim says so. *smooth* must not use a program then, because an
+//! active row makes the acceleration step. It is the spline whose acceleration also starts and ends
+//! at zero. That needs one more node, at a free position, at half the time of the first and of the
+//! last segment. With `tau = h/2`, the jerk `j` of the first half is, from rest to `v` at `dp`,
 //!
 //! ```text
 //! j = 3 dp / (2 tau^3) - v / (2 tau^2),   a- = 6 v/h - 12 dp/h^2                        (5)
 //! ```
 //!
 //! and (5) replaces (2) in the equations `a- = a+`. (One segment from rest to rest: four quarters
-//! of `j = 32 dp/h^3` with the signs + - - +.) It is slowed where it exceeds a limit; every limit is
+//! of `j = 32 dp/h^3` with the signs + - - +.) Segments that exceed a limit are slowed. Every limit is
 //! then kept, with continuous acceleration, but not in the least time.
 //!
 //! Source: T. Wang et al., J. Manuf. Process. 2023, doi 10.1016/j.jmapro.2023.01.005, Eqs 8-18,
-//! in the node velocities instead of polynomial coefficients: positions and times are then exact,
-//! where the source's least squares trades them against accelerations, unit against unit.
+//! in the node velocities instead of polynomial coefficients. Positions and times are then exact. The
+//! least squares of the source weighs their errors against accelerations, in different units.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -287,7 +287,7 @@ mod tests {
         let settings = Settings { mode: Mode::Monotone, stretch: true };
         let dwell = DwellTime::new(dwell_s).unwrap();
         let found = schedule(&path, &dwell, &limits, &settings).unwrap();
-        // 7.7 s where segments were slowed one by one, each by what it exceeded.
+        // With segments slowed one by one, each by its excess, it was 7.7 s.
         let total_s = found.trajectory.total_time_s();
         assert!(total_s < 7.0, "{total_s}");
     }
@@ -310,7 +310,7 @@ mod tests {
             let settings = Settings { mode, stretch: true };
             let found = schedule(&path, &dwell, &limits, &settings).unwrap();
             let total_s = found.trajectory.total_time_s();
-            // Slowed one by one, each by what it exceeded, they took six times as long.
+            // Slowed one by one, each by its excess, they took six times as long.
             assert!(total_s > least_s && total_s < 1.2 * least_s, "{mode:?}: {total_s} {least_s}");
             assert!(found.report.solver.iter().all(|s| *s != Solver::LeastTime));
         }
@@ -344,7 +344,7 @@ mod tests {
                 let settings = Settings { mode, stretch: true };
                 let found = schedule(&path, &dwell, &limits, &settings).unwrap();
                 let total_s = found.trajectory.total_time_s();
-                // 0.001 is what the search leaves to the program.
+                // The search leaves 0.001 free for the program (`shortest::ROOM`).
                 assert!(total_s < 1.0011 * stops_s, "{seed} {mode:?}: {total_s} {stops_s}");
             }
         }

@@ -19,7 +19,7 @@ pub enum Mode {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum ModeChoice {
-    /// Monotone, or smooth where the machine has a limit on jerk, which only that mode keeps.
+    /// Monotone; smooth if the machine has a limit on jerk, which only smooth keeps.
     #[default]
     Auto,
     /// Least acceleration energy; may overshoot corners; keeps a limit on jerk.

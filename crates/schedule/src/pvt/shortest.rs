@@ -13,9 +13,9 @@
 //! no reversal:            3 dp / h >= v0 + v1
 //! ```
 //!
-//! (3): with a quadratic Bezier curve `V - v(u)` is never negative where its middle control value is at least minus the
-//! root of the product of the outer ones. So the least time that both axes allow and that is at least the dwell time is
-//! found by going from the end of one excluded interval to that of the next, and the shortest motion is
+//! (3): a quadratic Bezier curve `V - v(u)` is never negative if its middle control value is at least minus the
+//! root of the product of the outer ones. The search for the least time starts at the dwell time and goes from the
+//! end of one excluded interval to that of the next, until both axes allow the time. The shortest motion is
 //!
 //! ```text
 //! min over v_1 .. v_{N-1} of  sum_i h_i(v_{i-1}, v_i)                                      (5)
@@ -49,10 +49,11 @@ const ROOM: f64 = 1e-3;
 /// uses up [`ROOM`].
 const LEAST_ROUNDINGS: f64 = 1e4;
 
-/// Number of speeds along the path that are tried first, and the ratio of each to the next lower one. They begin at
-/// the largest that any direction allows; the lowest is 6e-4 of it. More speeds: a wider range, and more computing
-/// time. A larger ratio: a wider, coarser range. A smaller one: a finer range that ends at a higher speed.
+/// Number of speeds along the path that are tried first, from the largest that any direction allows. Larger: a lower
+/// lowest speed, and more computing time. Smaller: slow speeds are missing. The lowest is 6e-4 of the largest.
 const SPEEDS: usize = 42;
+/// Ratio of each of these speeds to the next lower one. Larger: coarser speeds, and a lower lowest one. Smaller: finer
+/// speeds that end at a higher one.
 const SPEED_FACTOR: f64 = 1.2;
 
 /// Largest change along one segment, in steps of these speeds, except from and to rest. Larger: more computing
@@ -90,10 +91,12 @@ const GAIN: f64 = 1e-3;
 /// step size, with longer times.
 const MAX_SWEEPS: usize = 40;
 
-/// Reach of the search around a segment that takes longer: in braking times of an axis from its largest velocity
-/// (two: to brake, and to be as fast again), and the smallest number of segments. Larger: more nodes may change,
-/// and the search takes longer. Smaller: neighbours cannot brake for the segment, so it takes more time.
+/// Reach of the search around a segment that takes longer, in the time that an axis needs to brake from its largest
+/// velocity. Two: to brake, and to be as fast again. Larger: more nodes may change, and the search takes longer.
+/// Smaller: neighbours cannot brake for the segment, so it takes more time.
 const BRAKING_TIMES: f64 = 2.0;
+/// Smallest reach of the search, in segments. Larger: more nodes may change. Smaller: too few nodes may change where
+/// segments are long.
 const LEAST_REACH: usize = 8;
 
 /// Velocities of a node, mm/s.
@@ -558,7 +561,7 @@ mod tests {
                 }
                 h = next;
             }
-            // The limits of the machine leave 1e-6 beside what the search leaves; 1e-5 is beyond that.
+            // The limits leave 1e-6 free in addition to the part that the search leaves; 1e-5 is more than that.
             let before = |part: f64| 1e-3 * (h.min(1e3) / 1e-3).powf(part);
             if h.is_finite() {
                 assert!(kept(h, 1.0), "{case}: {h}");
@@ -585,7 +588,7 @@ mod tests {
             let found = Search::new(&axes, &asked).run(&rest, &[true; 300]);
             let total_s: f64 = found.duration_s.iter().sum();
             assert!(total_s > 3.1666, "{mode:?}: {total_s}");
-            // What the search leaves to the program, and a first segment whose acceleration falls linearly.
+            // The part that the search leaves to the program, and a first segment whose acceleration falls linearly.
             assert!(total_s < 3.1667 * (1.0 + 2.0 * ROOM) + 0.02, "{mode:?}: {total_s}");
             for (i, h) in found.duration_s.iter().enumerate() {
                 let [v0, v1] = [0, 1].map(|end| found.velocity[0][i + end]);
@@ -622,7 +625,7 @@ mod tests {
 
     #[test]
     fn what_is_far_from_segments_that_exceed_is_kept() {
-        // At 5 mm/s along 2000 segments; one in the middle is asked for in a tenth of the time.
+        // 5 mm/s along 2000 segments; one in the middle has a tenth of the time.
         let limits = machine(10.0, 60.0, None);
         let axes = problems([vec![0.1; 2000], vec![0.0; 2000]], Mode::Monotone, &limits);
         let mut velocity = vec![5.0; 2001];
@@ -644,7 +647,7 @@ mod tests {
 
     #[test]
     fn where_what_is_kept_cannot_be_reached_everything_may_change() {
-        // The segments beside the one that exceeds are far too short to brake in from what is kept.
+        // The segments beside the one that exceeds are far too short to brake in from the velocities that are kept.
         let limits = machine(10.0, 60.0, None);
         let mut dp = vec![0.1; 60];
         dp[10..50].fill(1e-6);

@@ -95,7 +95,7 @@ impl LeastSquares {
             square[j].sqrt() * (x[j] - wanted).abs()
         };
         let largest = (0..self.unknowns).map(off).fold(0.0, f64::max);
-        // At rest along the whole axis nothing is asked for.
+        // For an axis at rest the right-hand side is zero.
         if largest == 0.0 { 0.0 } else { largest / scale }
     }
 

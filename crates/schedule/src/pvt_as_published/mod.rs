@@ -41,11 +41,10 @@
 //! * Neither the inside of a segment nor the limits after Eq. 8 are checked.
 //!
 //! Source: T. Wang et al., J. Manuf. Process. 2023, doi 10.1016/j.jmapro.2023.01.005, Eqs 8-18.
-//! Corrected: Eq. 16 pins the end of the first segment where it means its start (the `v = a = 0`
-//! here is that of node 0; [`RestCondition::AsPrinted`] pins both, and misses positions by up to
-//! 0.495 mm); Eq. 18 is not defined for the last node, which rests. The time of the source is
-//! absolute, whose t^3 leaves no digit at 30 s; the local one is the same least squares in other
-//! variables.
+//! Corrected: Eq. 16 fixes the end of the first segment, but means its start. Here `v = a = 0` holds at
+//! node 0. [`RestCondition::AsPrinted`] fixes both, and misses positions by up to 0.495 mm. Eq. 18 is
+//! not defined for the last node, which rests. The time of the source is absolute, and its t^3 leaves
+//! no digit at 30 s. Local time gives the same least squares in other variables.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -104,8 +103,8 @@ pub struct Report {
     /// Factorisations of the active set method. More than 60 if the sets repeated and the bounds were
     /// changed one at a time, from the solution of the interior point method.
     pub factorisations: [usize; 2],
-    /// Distance of the solution from the minimum, relative: the largest step of one unknown to the minimum
-    /// along it, within its bounds, as the change of the rows over the norm of the right-hand side.
+    /// Distance of the solution from the minimum, relative. It is the largest step of one unknown to the
+    /// minimum along it, within its bounds: the change of the rows over the norm of the right-hand side.
     pub optimality: [f64; 2],
     /// Segments without length and dwell time, left out.
     pub dropped: Vec<usize>,
@@ -367,9 +366,9 @@ mod tests {
         }
     }
 
-    /// Eqs 9-16 as printed: six unknowns (c1 t^3 + c2 t^2 + c3 t + c4, v, a) per segment in the
-    /// absolute time `t` of the source, dense, the hard rows by their null space. No bounds; they
-    /// must not be active. Returns (v, a) of the nodes 1 .. N-1.
+    /// Solution (v, a) of the nodes 1 .. N-1 by Eqs 9-16 as printed: six unknowns
+    /// (c1 t^3 + c2 t^2 + c3 t + c4, v, a) per segment in the absolute time `t` of the source. The matrix is
+    /// dense, and the null space keeps the hard rows. There are no bounds; they must not be active.
     fn as_printed(problem: &Axis) -> Vec<[f64; 2]> {
         let n = problem.duration_s.len();
         let t = break_times(&problem.duration_s);
@@ -481,9 +480,9 @@ mod tests {
         }
     }
 
-    /// A motion with continuous acceleration, from rest to rest, is its own least squares, whatever
-    /// its times: runs of segments of 1e-4 s among those of seconds, whose rows the squares of the
-    /// normal equations do not hold.
+    /// A motion with continuous acceleration, from rest to rest, is its own least-squares solution at all
+    /// times. Here segments of 1e-4 s are among those of seconds; the squares of their rows would vanish in
+    /// the normal equations.
     #[test]
     fn a_smooth_motion_is_found_again_at_unequal_times() {
         let h = [2.0, 1e-4, 1e-4, 2e-4, 1e-4, 3e-4, 0.5, 1.0, 1e-3, 1e-4, 1e-4, 2e-4, 1.5, 3.0];
@@ -516,7 +515,7 @@ mod tests {
 
     #[test]
     fn times_a_hundred_orders_of_magnitude_apart_do_not_converge_and_it_says_so() {
-        // Rows of 1e-100 s beside those of 0.2 s: the rotations keep no digit of what the former ask for.
+        // Rows of 1e-100 s beside those of 0.2 s: the rotations keep no digit of the former.
         let meander = |i: usize| [(i / 2 + i % 2) as f64, (i / 2 % 2) as f64];
         let path = ToolPath::through((0..=40).map(meander).collect(), vec![true; 40], vec![0; 40]);
         let times = (0..40).map(|i| if i % 2 == 0 { 1e-100 } else { 0.2 }).collect();

@@ -17,13 +17,13 @@
 //!    in the densities of its own dwell point and its two neighbours, a tridiagonal system. (The
 //!    source takes `d_k = t_k / l_k`, which smooths the dwell times.) Where the solution falls below
 //!    half of that, half of it is held, and the others are solved again.
-//! 2. *Repair.* The smallest offset `delta >= 0`, added to every density, with which no feed exceeds
-//!    its limit (`delta >= 1/v_max - min d`) and no piece its acceleration, by (3). A constant is
-//!    added to the removal density, which is a piston wherever the path goes far enough beyond the
-//!    aperture. [`Repair::Local`] raises only the nodes that need it instead.
-//! 3. *Corners.* Where the direction changes from `u1` to `u2` the tool leaves the path `b` before
-//!    the corner and joins it again at the distance `b` after it on a parabola of constant acceleration, at a density
-//!    that the axes can follow:
+//! 2. *Repair.* Every density is raised by the smallest offset `delta >= 0` at which no feedrate exceeds
+//!    its limit (`delta >= 1/v_max - min d`) and no piece its acceleration limit, by (3). The offset adds
+//!    a constant to the density of the removal. That is a piston if the overscan is large enough.
+//!    [`Repair::Local`] raises only the nodes that need it instead.
+//! 3. *Corners.* Where the direction changes from `u1` to `u2`, the tool leaves the path at the distance
+//!    `b` before the corner and joins it at the distance `b` after it. It moves on a parabola of constant
+//!    acceleration, at a density that the axes can follow:
 //!
 //! ```text
 //! a = v^2 (u2 - u1) / (2 b)     d >= sqrt(|u2 - u1| / (2 b a_max)) per axis     deviation b |u2 - u1| / 4

@@ -186,6 +186,7 @@ pub(super) struct Stretch {
 }
 
 impl Stretch {
+    /// The whole piece.
     pub(super) const WHOLE: Self = Self { from: 0.0, to: 1.0, halved: 1 };
 
     /// Stretch between any two parts of the length.
