@@ -56,8 +56,8 @@ pub enum ScheduleError {
     NotConverged(#[from] NotConverged),
     /// The limits are still exceeded after the largest number of rounds of stretching.
     #[error(
-        "no motion within the limits after {rounds} rounds of stretching; the worst segment is \
-         {segment} at {excess:.6} of its limit; check the machine's limits"
+        "no motion within the limits after {rounds} rounds of stretching; segment {segment} would still need \
+         {excess:.6} times its time; check the machine's limits"
     )]
     StretchLimit {
         /// Rounds of stretching.
