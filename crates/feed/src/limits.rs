@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! p'' = q'' s'^2 + q' s''        on both axes a, at times of every span:  |p''_a| <= A_a           (1)
-//! |q'_a| / D <= V_a              at the nodes, where the feed of a span is largest                 (2)
+//! |q'_a| / D <= V_a              at the nodes, where the feedrate of a span is largest             (2)
 //! c = 1 -+ p''_a / A_a >= 0                                                                        (3)
 //! c = (r D_j - D_k) / D_0 >= 0, and back                          r = MAX_RATIO                   (4)
 //! ```
@@ -279,7 +279,7 @@ impl<'a> Rows<'a> {
 
     /// The least uniform density at which every row holds, s/mm.
     ///
-    /// At a uniform feed p'' is that feed squared times what it is at 1 mm/s, at rest too.
+    /// At a uniform feedrate p'' is that feedrate squared times what it is at 1 mm/s, at rest too.
     pub fn least_uniform_density(&self) -> f64 {
         let at_one = self.slacks(&vec![1.0; self.mesh.nodes]);
         let limits =
@@ -288,7 +288,7 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Density in the middle between two others where the acceleration is constant: the mean of the squared feeds.
+/// Density in the middle between two others where the acceleration is constant: that of the root mean square of their feedrates.
 pub fn constant_acceleration(a: f64, b: f64) -> f64 {
     (0.5 * (a.powi(-2) + b.powi(-2))).powf(-0.5)
 }
@@ -477,7 +477,7 @@ mod tests {
                 assert_eq!(worth[i], 0.0);
                 continue;
             };
-            // The mesh in which this span alone is halved, with the mean of the squared feeds in the middle.
+            // The mesh in which this span alone is halved, with the mean of the squared feedrates in the middle.
             let halved: Vec<bool> = (0..mesh.spans.len()).map(|k| k == i).collect();
             let finer = mesh.refined(&curves, &path, &halved);
             assert_eq!(finer.nodes, mesh.nodes + 1);
@@ -496,7 +496,7 @@ mod tests {
             assert!((worth[i] - expected).abs() < 1e-12, "{} {expected}", worth[i]);
             assert!(worth[i] > 0.0);
         }
-        // A uniform feed uses no more of the limits between two nodes than at them.
+        // A uniform feedrate uses no more of the limits between two nodes than at them.
         let uniform = rows.worth_of_halving(&vec![0.1; mesh.nodes], &z);
         assert!(uniform.iter().all(|w| w.abs() < 1e-12), "{uniform:?}");
     }

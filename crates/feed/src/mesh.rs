@@ -58,7 +58,7 @@ pub struct Span {
     pub nodes: [Option<usize>; 2],
 }
 
-/// (3) at some time: position along the span, feed and acceleration along the curve.
+/// (3) at some time: position along the span, feedrate and acceleration along the curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Kinematics {
     /// s from the start of the span, mm.
@@ -71,7 +71,7 @@ pub struct Kinematics {
     pub jerk_mm_per_s3: f64,
     /// Derivatives of s by the densities of the two nodes.
     pub s_by: [f64; 2],
-    /// Derivatives of the feed by the densities of the two nodes.
+    /// Derivatives of the feedrate by the densities of the two nodes.
     pub feed_by: [f64; 2],
     /// Derivatives of the acceleration by the densities of the two nodes.
     pub acceleration_by: [f64; 2],
