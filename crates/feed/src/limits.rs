@@ -288,7 +288,8 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Density in the middle between two others where the acceleration is constant: that of the root mean square of their feedrates.
+/// Density in the middle between two others where the acceleration is constant: that of the root mean square of their
+/// feedrates.
 pub fn constant_acceleration(a: f64, b: f64) -> f64 {
     (0.5 * (a.powi(-2) + b.powi(-2))).powf(-0.5)
 }
