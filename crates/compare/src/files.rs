@@ -39,7 +39,7 @@ pub fn name_of(run: &Path) -> String {
     whole.file_name().unwrap_or(run.as_os_str()).to_string_lossy().into_owned()
 }
 
-/// Reads the run number `number` (its surface, and what each method made of it), and sums it up.
+/// Reads the run number `number` (its surface, and the results of each method), and sums it up.
 pub fn read_run(
     inputs: &mut Inputs,
     number: usize,
@@ -156,8 +156,8 @@ pub struct Names<'a> {
     pub tif: Option<&'a Path>,
 }
 
-/// Reads what `planish-surface spec` said of the maps of a run: all by one specification, each of the map
-/// that stands there now.
+/// Reads the verdicts of `planish-surface spec` on the maps of a run: all by one specification, each of the map that
+/// is there now.
 struct Judge<'a> {
     inputs: &'a mut Inputs,
     role: &'a str,
@@ -246,7 +246,7 @@ fn machine_of(provenance: &Provenance) -> Option<String> {
     Some(path.file_stem()?.to_string_lossy().into_owned())
 }
 
-/// An artifact and what is known of where it comes from.
+/// An artifact and its record.
 struct Known<T> {
     value: T,
     recorded: Recorded,
@@ -303,7 +303,7 @@ struct Found {
     provenance: Provenance,
 }
 
-/// Reads what the method `name` left in `dir`.
+/// Reads the results of the method `name` in `dir`.
 fn read_method(
     inputs: &mut Inputs,
     role: &str,
@@ -453,7 +453,7 @@ impl Artifact for FramesFile {
     }
 }
 
-/// `kind::ITERATIONS` as an artifact; the times of the segments are not looked at.
+/// `kind::ITERATIONS` as an artifact; the times of the segments are not read.
 struct RoundsFile(Rounds);
 
 impl Artifact for RoundsFile {

@@ -61,7 +61,7 @@ pub struct Division {
     report: DivisionReport,
 }
 
-/// A place and what is left there.
+/// A place and the residual there.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Place {
     /// Centre of the pixel along x, mm.

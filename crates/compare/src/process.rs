@@ -70,7 +70,7 @@ pub struct Line {
     pub unit: String,
     /// Distribution of the error over the runs.
     pub distribution: String,
-    /// RMS of what it adds alone, nm.
+    /// RMS that this error adds alone, nm.
     pub adds_rms_nm: f64,
     /// The part of it that the tool reaches, nm.
     pub reached_rms_nm: f64,

@@ -9,12 +9,12 @@
 //! so that the squares of the short-wave RMS and of the rest add up to that of the RMS without the plane. S is the
 //! two-dimensional spectrum of the report: of the largest rectangle of valid pixels, plane removed, Hann window.
 //!
-//! The short-wave RMS is a description of a residual, not a bound on it. It holds the ripple that the lines of the path
-//! leave, and what the window spreads from longer waves; other dwell times change both. The map outside of the rectangle
-//! counts as if its spectrum were the same.
+//! The short-wave RMS is a description of a residual, not a bound on it. It contains the ripple of the lines of the
+//! path, and the part that the window spreads from longer waves; other dwell times change both. The map outside of
+//! the rectangle counts as if its spectrum were the same.
 //!
-//! The threshold is [`LEAST_TRANSFER`], where its reason stands. A Gaussian TIF reaches it at a period of 2.07 sigma; a
-//! measured one has side lobes above it at shorter periods.
+//! The threshold is [`LEAST_TRANSFER`], whose comment has the reason. A Gaussian TIF reaches it at a period of 2.07
+//! sigma; a measured one has side lobes above it at shorter periods.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|

@@ -1,11 +1,11 @@
 //! The page that people look at, and its figures.
 //!
-//! [`View`] holds what the screen needs of a run, down-sampled where there is more; [`page()`] puts
-//! views into one HTML file with its own style and program (`report/page.*` and `report/page/`, plain
-//! JavaScript and canvas, no library, nothing from a network), [`figure`] draws them as SVG,
-//! [`sparkline`] in a terminal.
+//! [`View`] holds the data of a run for the screen, down-sampled where there are more. [`page()`] puts views into one
+//! HTML file with its own style and program (`report/page.*` and `report/page/`). The program is plain JavaScript and
+//! canvas, without a library, and loads nothing from a network. [`figure`] draws views as SVG, [`sparkline`] in a
+//! terminal.
 //!
-//! How much of the arrays is in the page is bounded, and stated on it: see the constants of `view`.
+//! The amount of data in the page is bounded, and the page states the bounds: see the constants of `view`.
 
 pub mod figure;
 pub mod map;

@@ -75,7 +75,7 @@ pub struct Summary {
     pub fixture: String,
     /// The desired removal.
     pub initial: Initial,
-    /// Base length of the slopes along [x, y], mm; `null` along what is shorter.
+    /// Base length of the slopes along [x, y], mm; `null` along an axis that is shorter.
     pub slope_base_mm: [Option<f64>; 2],
     /// Waves that the tool reaches; `null` where the tool is not known, or the map has no spectrum.
     pub reach: Option<ReachReport>,

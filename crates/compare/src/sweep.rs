@@ -285,8 +285,8 @@ fn shown(value: &Value) -> String {
     }
 }
 
-/// A word for a cell. A spreadsheet takes what begins with one of these characters for a formula and evaluates it; after
-/// an apostrophe it is a text, of which a spreadsheet does not show the apostrophe.
+/// A word for a cell. A spreadsheet evaluates a text that begins with one of these characters as a formula. After an
+/// apostrophe, which it does not show, it takes it as a text.
 fn text_cell(word: &str) -> String {
     match word.starts_with(['=', '+', '-', '@', '\t', '\r']) {
         true => format!("'{word}"),

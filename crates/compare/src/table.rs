@@ -223,8 +223,8 @@ fn judged_columns(summary: &Summary) -> Vec<(&str, &Judged)> {
     before.chain(methods).chain(after).collect()
 }
 
-/// The limits of each run that was judged, in rows, and what was judged, in columns; what fails has a mark.
-/// Empty where nothing was judged.
+/// Table of the limits of each run that was judged, in rows, and of the judged maps, in columns; exceeded limits have
+/// a mark. Empty if nothing was judged.
 pub fn specification_table(runs: &[(&str, &Summary)]) -> String {
     let mut text = String::new();
     for (name, summary) in runs {

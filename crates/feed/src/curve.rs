@@ -440,8 +440,8 @@ fn curves_through(point_mm: &[[f64; 2]], tool_on: &[bool], rounding: &Rounding) 
 }
 
 impl Curve {
-    /// The corner between two chords. Every part of it serves the segment of the path beside which it runs: one that
-    /// is a fraction of the way along its clothoid is as far along the part of the chord that the corner replaces.
+    /// Adds the corner between two chords. Every part of it serves the segment of the path next to it: a fraction of
+    /// a clothoid belongs to the same fraction of the part of the chord that the corner replaces.
     fn round(&mut self, chord: &Chord, next: &Chord, turn: f64, blend: &Blend) {
         let ([tx, ty], v, l) = (chord.tangent, chord.to, blend.half_length_mm);
         let (peak, cut) = (turn / l, blend.cut_mm);

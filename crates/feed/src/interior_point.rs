@@ -17,9 +17,9 @@
 //! corrections then bring outlying products of slacks and dual variables back towards mu. Without them the steps end
 //! early at a few rows that are far from being active. A step ends where a row would lose more than most of its
 //! slack, measured on c itself, so every iterate can be executed. If the bends of the rows end a step much before the
-//! tangents do, a second-order correction follows: the distance of the rows from their tangents at the end of the
-//! step is one more right-hand side for the same factor. The matrix keeps the skyline of H, because a row couples
-//! neighbours only.
+//! tangents do, a second-order correction follows. Its right-hand side has the distance of the rows from their
+//! tangents at the end of the step, and the factor is the same. The matrix keeps the skyline of H, because a row
+//! couples neighbours only.
 //!
 //! f and f' are those of [`crate::merit`]. They are computed with the removal itself whenever the complementarity has
 //! fallen to a tenth, and at every iterate of which something is to be proven. Between these iterates H gives the
@@ -30,8 +30,8 @@
 //! is and its tangents are kept. The steps go on for the convex program with these tangents in the place of the rows.
 //! Its slacks may first be larger than the tangents allow (an infeasible start). They end when its dual variables
 //! prove how far the iterate is above its least value ([`crate::certificate`]). If that is more than is wanted, the
-//! iterate moves towards the solution of this program as far as the rows themselves allow, and the steps under the
-//! rows go on.
+//! iterate moves towards the solution of this program, as far as the rows themselves allow. The steps under the rows
+//! then go on.
 //!
 //! Sources: S. Mehrotra, SIAM J. Optim. 2 (1992) 575; J. Gondzio, Comput. Optim. Appl. 6 (1996) 137; for programs that
 //! are convex but for their rows T. Lipp and S. Boyd, Optim. Eng. 17 (2016) 263; for the second-order correction

@@ -1,7 +1,7 @@
 //! Motions that keep a limit on jerk: the moving average in time of a motion that keeps velocity and acceleration.
 //!
-//! The plan keeps velocity and acceleration; where the feed stops to rise and begins to fall its acceleration steps, by at
-//! most twice the limit. The motion p that is planned, at rest before and after, becomes a spline of its moving
+//! The plan keeps velocity and acceleration. Where the feedrate stops to rise and begins to fall, its acceleration
+//! steps, by at most twice the limit. The planned motion p, at rest before and after, becomes a spline of its moving
 //! average,
 //!
 //! ```text
@@ -9,8 +9,8 @@
 //! P(t)   = sum_i p_w(i h) B(t / h - i),   B the uniform cubic B-spline                          (2)
 //! ```
 //!
-//! P is twice continuously differentiable and cubic in between. Its k-th derivative is a mean of `p_w^(k)`, because that of
-//! (2) is one of the k-th differences of the coefficients over h^k, and those are means of derivatives:
+//! P is twice continuously differentiable and cubic in between. Its k-th derivative is a mean of `p_w^(k)`: the
+//! derivative of (2) is a mean of k-th differences of the coefficients over h^k, and these are means of derivatives:
 //!
 //! ```text
 //! |P'| <= V,   |P''| <= A,   |P'''| <= max |p''(t + w/2) - p''(t - w/2)| / w <= 2 A / w          (3)
@@ -94,7 +94,7 @@ impl Average {
         file.checked()
     }
 
-    /// (2), w longer and four h; what serves a segment of the path, and whether the tool acts, keeps its times.
+    /// The motion (2), longer by w and four h. Segments of the path and the state of the tool keep their times.
     pub fn of(&self, motion: &Trajectory) -> Result<Trajectory, Invalid> {
         let total_s = motion.total_time_s();
         let h = self.window_s / INTERVALS as f64;

@@ -2,17 +2,16 @@
 //!
 //! ```text
 //! p'' = q'' s'^2 + q' s''        on both axes a, at times of every span:  |p''_a| <= A_a           (1)
-//! |q'_a| / D <= V_a              at the nodes, where the feed of a span is largest                 (2)
+//! |q'_a| / D <= V_a              at the nodes, where the feedrate of a span is largest             (2)
 //! c = 1 -+ p''_a / A_a >= 0                                                                        (3)
 //! c = (r D_j - D_k) / D_0 >= 0, and back                          r = MAX_RATIO                   (4)
 //! ```
 //!
-//! s' and s'' are those of [`crate::mesh`], q' and q'' those of [`crate::curve`]. Along
-//! the curve the acceleration is linear in time, so its ends decide, with the smallest A_a / |q'_a| of the span. On a
-//! clothoid (1) is also imposed every 0.1 rad, towards the bend; what may happen between the places has
-//! a margin, and the motion is judged in the end.
-//! (4) keeps the cubic of a span monotone: its feeds at both ends are at most three times its mean feed where r is
-//! at most 5 (F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
+//! s' and s'' are those of [`crate::mesh`], q' and q'' those of [`crate::curve`]. Along the curve the acceleration is
+//! linear in time, so its ends decide, with the smallest A_a / |q'_a| of the span. On a clothoid (1) is also imposed
+//! every 0.1 rad, towards the bend. Margins allow for the motion between these places, and a judge checks the motion
+//! in the end. (4) keeps the cubic of a span monotone: its feedrates at both ends are at most three times its mean
+//! feedrate if r is at most 5 (F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
 
 use std::ops::Range;
 
@@ -25,17 +24,17 @@ use crate::{
 };
 
 /// Largest turn between two places of (1) on a clothoid, rad. Larger: fewer rows, and more acceleration between the
-/// places than at them. Smaller: more rows. Derived: a component of the acceleration has its largest value before the
-/// curved end, where the tool has turned further to the axis; between two places it is larger by at most 0.6 %.
+/// places than at them. Smaller: more rows. Derived: between two places a component of the acceleration is larger by
+/// at most 0.6 % (it is largest before the curved end, where the tool has turned further to the axis).
 const TURN_PER_STEP_RAD: f64 = 0.1;
 
 /// Least number of steps of a clothoid between places of (1). Larger: more rows. Smaller: the largest acceleration is
 /// missed if the tool slows down into a bend, because it is before the bend. Chosen.
 const LEAST_STEPS: usize = 6;
 
-/// Fraction of the limit on acceleration that the rows of a clothoid leave free, for the motion between the places of
-/// (1) and for the cubic pieces that it is made of. Larger: slower corners. Smaller: more rounds with tightened rows,
-/// because the judge finds the limit exceeded. Chosen.
+/// Fraction of the limit on acceleration that the rows of a clothoid leave free. It allows for the motion between the
+/// places of (1) and for the cubic pieces. Larger: slower corners. Smaller: more rounds with tightened rows, because
+/// the judge finds the limit exceeded. Chosen.
 const CURVED_MARGIN: f64 = 2e-2;
 
 /// Fraction of the limit on velocity that is left free on a clothoid. Larger: slower corners. Smaller: the velocity
@@ -280,7 +279,7 @@ impl<'a> Rows<'a> {
 
     /// The least uniform density at which every row holds, s/mm.
     ///
-    /// At a uniform feed p'' is that feed squared times what it is at 1 mm/s, at rest too.
+    /// At a uniform feedrate p'' is that feedrate squared times what it is at 1 mm/s, at rest too.
     pub fn least_uniform_density(&self) -> f64 {
         let at_one = self.slacks(&vec![1.0; self.mesh.nodes]);
         let limits =
@@ -289,7 +288,8 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Density in the middle between two others where the acceleration is constant: the mean of the squared feeds.
+/// Density in the middle between two others where the acceleration is constant: that of the root mean square of their
+/// feedrates.
 pub fn constant_acceleration(a: f64, b: f64) -> f64 {
     (0.5 * (a.powi(-2) + b.powi(-2))).powf(-0.5)
 }
@@ -478,7 +478,7 @@ mod tests {
                 assert_eq!(worth[i], 0.0);
                 continue;
             };
-            // The mesh in which this span alone is halved, with the mean of the squared feeds in the middle.
+            // The mesh in which this span alone is halved, with the mean of the squared feedrates in the middle.
             let halved: Vec<bool> = (0..mesh.spans.len()).map(|k| k == i).collect();
             let finer = mesh.refined(&curves, &path, &halved);
             assert_eq!(finer.nodes, mesh.nodes + 1);
@@ -497,7 +497,7 @@ mod tests {
             assert!((worth[i] - expected).abs() < 1e-12, "{} {expected}", worth[i]);
             assert!(worth[i] > 0.0);
         }
-        // A uniform feed uses no more of the limits between two nodes than at them.
+        // A uniform feedrate uses no more of the limits between two nodes than at them.
         let uniform = rows.worth_of_halving(&vec![0.1; mesh.nodes], &z);
         assert!(uniform.iter().all(|w| w.abs() < 1e-12), "{uniform:?}");
     }

@@ -14,10 +14,10 @@
 //! d(1/2 mean square) / dT = -price,   x = 2 price T / mean square                        (2)
 //! ```
 //!
-//! and the price is the one for which x is as asked.
+//! and the price is the one that gives the elasticity of the settings.
 //!
-//! The residual is that of the motion. Its removal M(D) is not linear in the densities: between two nodes the motion has
-//! the times and feeds of D at both, but not D itself. So near the minimum, at some densities D_k,
+//! The residual is that of the motion. Its removal M(D) is not linear in the densities: between two nodes the motion
+//! has the times and feedrates of D at both, but not D itself. So near the minimum, at some densities D_k,
 //!
 //! ```text
 //! removal(D) = B D + M(D_k) - B D_k                                                      (3)
@@ -29,10 +29,10 @@
 //! g' (D - D_k),   g = (M'(D_k) - B)' times the gradient by the removal at D_k            (4)
 //! ```
 //!
-//! is added to the mean square, whose gradient at D_k is then that of the motion. (4) does not change the curvature, so the
-//! program stays convex. The solver simulates the motion at every iterate at which it computes the mean square exactly, up
-//! to the first one of which it proves something. Up to there g is zero, because steps by another curvature than that of
-//! the motion need a line search; the rounds after it have one (`problem`).
+//! is added to the mean square. The gradient of the mean square at D_k is then that of the motion. (4) does not
+//! change the curvature, so the program stays convex. The solver simulates the motion at every iterate at which it
+//! computes the mean square exactly, up to the first one of which it proves something. Up to there g is zero, because
+//! steps by another curvature than that of the motion need a line search. The rounds after it have one (`problem`).
 
 use ndarray::Array2;
 use planish_dwell::residual::{Evaluation, Normal, Residual};

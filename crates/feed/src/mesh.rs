@@ -1,7 +1,7 @@
-//! The unknowns along the curves: what they remove, and how the tool moves between them.
+//! Nodes of the density along the curves: their removal, and the motion of the tool between them.
 //!
-//! The unknown is the dwell-time density D = 1 / v at nodes, linear in the arc length between them, so the removal
-//! is linear in the unknowns and the time as well. With the fraction f of a span of length l from node j to node k:
+//! The unknown is the dwell-time density D = 1 / v at nodes, linear in the arc length between them. So the removal
+//! and the time are linear in the unknowns. With the fraction f of a span of length l from node j to node k:
 //!
 //! ```text
 //! D(f) = (1 - f) D_j + f D_k
@@ -11,9 +11,9 @@
 //! ```
 //!
 //! (3) has exactly the times and feedrates of D at the nodes, and is one polynomial. At `D_k = 2 D_j` it is within
-//! 0.8 % of l of the position that D itself asks for. At rest D is infinite. A curve begins and ends at rest, on a
-//! span whose other node decides: `D = D_k (l / s)^1/2`, `T = 2 l D_k`, which is a constant acceleration; with
-//! `s = l u^2` the removal is an integral over u of constant weight.
+//! 0.8 % of l of the position of D itself. At rest D is infinite. A curve begins and ends at rest, on a span with one
+//! node: `D = D_k (l / s)^1/2`, `T = 2 l D_k`. That is a constant acceleration. With `s = l u^2` the removal is an
+//! integral over u of constant weight.
 
 use planish_numerics::quadrature::gauss_legendre;
 use planish_types::{Axis, Invalid, Tif, ToolPath, budget};
@@ -58,7 +58,7 @@ pub struct Span {
     pub nodes: [Option<usize>; 2],
 }
 
-/// (3) at some time: position along the span, feed and acceleration along the curve.
+/// (3) at some time: position along the span, feedrate and acceleration along the curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Kinematics {
     /// s from the start of the span, mm.
@@ -71,7 +71,7 @@ pub struct Kinematics {
     pub jerk_mm_per_s3: f64,
     /// Derivatives of s by the densities of the two nodes.
     pub s_by: [f64; 2],
-    /// Derivatives of the feed by the densities of the two nodes.
+    /// Derivatives of the feedrate by the densities of the two nodes.
     pub feed_by: [f64; 2],
     /// Derivatives of the acceleration by the densities of the two nodes.
     pub acceleration_by: [f64; 2],
@@ -380,8 +380,8 @@ impl Mesh {
         columns
     }
 
-    /// Multiplications of one factorisation of the normal matrix: the sum of b^2, where b of the nodes before a node
-    /// are within reach of a TIF of it, in the order along that axis in which the sum is less.
+    /// Number of multiplications of one factorisation of the normal matrix: the sum of b^2 over the nodes. b is the
+    /// number of earlier nodes within reach of a TIF, in the order along the axis for which the sum is less.
     pub fn work(&self, tif: &Tif) -> f64 {
         let columns = self.columns();
         let along = |axis: usize, own: &Axis| -> f64 {

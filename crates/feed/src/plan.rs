@@ -64,11 +64,11 @@ const WIDEST_SPACING_OVER_TIF_WIDTH: f64 = 1.5;
 /// Report of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// Curves from rest to rest.
+    /// Number of curves from rest to rest.
     pub curves: usize,
     /// Largest movement of a point of the path by smoothing, before the corners were rounded, mm.
     pub points_moved_mm: f64,
-    /// Corners that were rounded.
+    /// Number of corners that were rounded.
     pub corners: usize,
     /// Largest distance of a curve from a corner, mm.
     pub corner_deviation_mm: f64,
@@ -79,7 +79,7 @@ pub struct Report {
     pub length_mm: f64,
     /// Number of unknowns.
     pub nodes: usize,
-    /// Nodes of every mesh, from that of equal distances to the last one.
+    /// Number of nodes of every mesh, from that of equal distances to the last one.
     pub nodes_of_meshes: Vec<usize>,
     /// Largest distance of neighbouring nodes, mm.
     pub node_spacing_mm: f64,
@@ -96,8 +96,8 @@ pub struct Report {
     pub relative_gap: f64,
     /// Number of steps of the solver in all its rounds, without those that look for a start for an elasticity.
     pub iterations: usize,
-    /// Objective of the last round at its start and after every step, nm^2: the last one, and some before it, with the
-    /// removal itself, and those between them by the normal matrix.
+    /// Objective of the last round at its start and after every step, nm^2. The last value and some before it are
+    /// computed with the removal itself, the others with the normal matrix.
     pub objective_nm2: Vec<f64>,
     /// RMS of the residual in the removal model of the solver, without the terms that are free, nm.
     pub model_rms_nm: f64,
@@ -196,7 +196,7 @@ pub fn plan(
             (mesh, (taken_mm > spacing_mm).then_some(widened))
         }
     };
-    // Where the first nodes are as many as can be afforded there is none to add.
+    // No node is added if the first nodes are already as many as can be afforded.
     let refinements = if widened.is_some() { 0 } else { settings.refinements };
     let most_work = settings.node_spacing_mm.map_or(MOST_WORK, |_| f64::INFINITY);
     let simulation = Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?;

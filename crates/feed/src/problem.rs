@@ -1,4 +1,5 @@
-//! The densities: found on meshes that become finer where that is worth most, until their motion keeps the limits.
+//! Solution for the densities: meshes are refined where this lowers the objective most, until the motion keeps the
+//! limits.
 //!
 //! ```text
 //! mesh -> near the minimum (nothing proven) -> finer mesh -> ... -> minimum, proven -> motion -> judge
@@ -61,9 +62,9 @@ const TIGHTENED_FURTHER: f64 = 1.002;
 const MOST_GROWTH: f64 = 5.0;
 
 /// Number of multiplications of one factorisation that take hardly any time. If the first nodes need less, as with a
-/// TIF that is wide for the part, the nodes are closer, because the densities go up and down steeply there, and the
-/// elasticity is looked for at more than one price. Larger: more plans get this treatment, and take longer. Smaller:
-/// fewer do. Chosen.
+/// TIF that is wide for the part, they are set closer, because the densities go up and down steeply there. A start
+/// for the elasticity is then looked for at more than one price. Larger: more plans get this treatment, and take
+/// longer. Smaller: fewer do. Chosen.
 pub const LITTLE_WORK: f64 = 1.5e8;
 
 /// Complementarity over the objective at which two plans are compared. Larger: plans that are not finished are
@@ -101,7 +102,7 @@ pub struct Meshes {
 /// Result on the last mesh.
 pub struct Solved {
     pub mesh: Mesh,
-    /// Nodes of every mesh, the last one that of `mesh`.
+    /// Number of nodes of every mesh; the last one is that of `mesh`.
     pub nodes_of_meshes: Vec<usize>,
     pub found: Found,
 }
@@ -112,15 +113,16 @@ pub struct Found {
     pub motion: Motion,
     /// Reason why the judge refuses the motion; `None` if it keeps the limits.
     pub refused: Option<String>,
-    /// RMS (without what is free) of the residual in the removal model of the solver, see [`crate::merit`], nm.
+    /// RMS of the residual in the removal model of the solver ([`crate::merit`]), without the terms that are free,
+    /// nm.
     pub model_rms_nm: f64,
-    /// nm^2/s.
+    /// Price of a second, nm^2/s.
     pub price: f64,
     pub iterations: usize,
     pub rounds: usize,
 }
 
-/// Densities on the last of some meshes, whose motion keeps the limits if the judge says so.
+/// Finds the densities on a series of meshes. Their motion keeps the limits if the judge does not refuse it.
 pub fn solve(asked: &Asked<'_>, meshes: &Meshes, settings: &Settings) -> Result<Solved, FeedError> {
     let mut most_pixels = usize::MAX;
     loop {
@@ -142,7 +144,7 @@ fn solve_on_cells(
     let (mut mesh, refinements) = (first.clone(), *refinements);
     let Asked { tif, path, curves, limits, .. } = *asked;
     let level_s_per_mm = level_s_per_mm(asked, &mesh, settings)?;
-    // Nothing to remove is no reference: the density at the largest feed is one.
+    // If nothing is to be removed, the reference is the density at the largest feedrate.
     let fastest = limits.axes().iter().map(|a| a.max_velocity_mm_per_s()).fold(0.0, f64::max);
     let given = Given {
         curves,
@@ -325,7 +327,7 @@ impl<'a> Posed<'a> {
             let tighter: Vec<f64> =
                 used.iter().map(|u| if *u > 1.0 { u * TIGHTENED_FURTHER } else { 1.0 }).collect();
             rows.tighten(&tighter);
-            // Times longer by a factor have accelerations smaller by its square.
+            // If times are longer by a factor, accelerations are smaller by its square.
             let factor = ABOVE_LIMITS * (excess * TIGHTENED_FURTHER).sqrt();
             let density = solution.density.iter().map(|d| d * factor).collect();
             start = Start { density, duals: Some(solution.duals) };

@@ -69,7 +69,7 @@ impl Given<'_> {
         rows.least_density().iter().map(|d| d.max(self.min_dwell_s_per_mm)).collect()
     }
 
-    /// A finer mesh that is affordable, near the minimum on another one; `None` where no node is worth what it costs.
+    /// A finer mesh that is affordable, near the minimum on another one; `None` if no span has the least worth.
     pub fn refined(
         &self,
         mesh: &Mesh,

@@ -40,8 +40,8 @@ pub struct Report {
     /// Tool of the runs, for the part of the residual at wavelengths shorter than it corrects [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: Option<PathBuf>,
-    /// Row of a program that was read back, such as feed+galil: the report recommends it in the place of its plan [of one
-    /// run only; default: the report chooses among all rows]
+    /// Row of a program that was read back, such as feed+galil. The report recommends it in the place of its plan [of
+    /// one run only; default: the report chooses among all rows]
     #[arg(long, value_name = "ROW")]
     program: Option<String>,
     /// Small plots under the table; auto: where standard output is a terminal

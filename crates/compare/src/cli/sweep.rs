@@ -76,8 +76,8 @@ impl Sweep {
         Ok(status)
     }
 
-    /// The way from the page to the folder of the table, to which the reports are relative: one step up where the page
-    /// is beside the table, else from the root.
+    /// Path from the page to the folder of the table, to which the reports are relative: one step up if the page is
+    /// beside the table, otherwise from the root.
     fn to_table(&self) -> String {
         let folder = |path: &Path| path.parent().map(|p| Path::new(".").join(p).canonicalize());
         match (folder(&self.table), folder(&self.output.out)) {
@@ -88,7 +88,7 @@ impl Sweep {
     }
 }
 
-/// Each line without what could command a terminal.
+/// The lines without characters that could command a terminal.
 fn visible_lines(text: &str) -> String {
     text.lines().map(visible).collect::<Vec<_>>().join("\n")
 }

@@ -1,5 +1,4 @@
-//! Figures as SVG, for papers and slides: axes with units, colours that people who see fewer of
-//! them can tell apart.
+//! Figures as SVG, for papers and slides: axes with units, and colours for people with colour vision deficiency too.
 
 use planish_draw::{
     Bands, Frame, Scale, Svg,
@@ -567,7 +566,7 @@ fn extent(map: &ScreenMap) -> [[f64; 2]; 2] {
     })
 }
 
-/// Height over width of what lies around `points`, within what a panel can show.
+/// Height over width of the extent of `points`, within the range that a panel can show.
 fn shape_of(points: &[[f64; 2]]) -> f64 {
     let [w, h] = [0, 1].map(|a| {
         let [low, high] = range(points.iter().map(|p| p[a]));

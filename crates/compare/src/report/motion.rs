@@ -1,7 +1,7 @@
 //! A motion for the screen: points to draw, and exact ranges of velocity, acceleration and jerk.
 //!
-//! Where there are more segments than the screen needs, neighbours are taken together: a point is
-//! the end of a group, a range is that of all its segments, so no peak is lost.
+//! If there are more segments than the screen needs, neighbours form groups. A point is the end of a group, a range
+//! is that of all its segments, so no peak is lost.
 
 use planish_numerics::polynomial::{derivative, range};
 use planish_types::{DwellTime, ToolPath, Trajectory};
@@ -63,8 +63,7 @@ pub fn line(t: &Trajectory, most: usize) -> Line {
     line
 }
 
-/// Smallest and largest value of one quantity on one axis, piece by piece: what plots call a min-max
-/// envelope.
+/// Smallest and largest value of one quantity on one axis, piece by piece (min-max envelope).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Envelope {
     /// Smallest values.

@@ -86,7 +86,7 @@ fn in_script(data: &Value) -> String {
     out
 }
 
-/// `template` with every `{{key}}` replaced by its value, which is not looked at again.
+/// `template` with every `{{key}}` replaced by its value; keys within values are not replaced.
 fn filled(template: &str, values: &[(&str, &str)]) -> String {
     let mut out = String::new();
     let mut rest = template;
@@ -169,7 +169,7 @@ fn ranges_json(ranges: &Ranges) -> Value {
     json
 }
 
-/// The sentences of a verdict about what exceeds a limit.
+/// Sentences of a verdict on exceeded limits.
 fn violations_json(verdict: &Value) -> Value {
     verdict["violations"]
         .as_array()

@@ -2,8 +2,8 @@
 //!
 //! It is that of `planish-surface psd` with its defaults, of the same rectangle: the largest one
 //! without an invalid pixel, its plane taken off, under a Hann window
-//! ([`planish_numerics::spectrum`]). Before and after have their invalid pixels at the same places, so
-//! their spectra are of the same rectangle; how much of the map that is stands beside them.
+//! ([`planish_numerics::spectrum`]). Before and after have their invalid pixels at the same places, so their spectra
+//! are of the same rectangle. The fraction of the map that it covers stands next to them.
 //!
 //! ```text
 //! PSD(|f|) = mean of S over the ring of |f|             nm^2 mm^2
@@ -12,10 +12,10 @@
 //! not in the spectrum    = sqrt(mean square of z - contributions^2)
 //! ```
 //!
-//! where z is the map without the plane of all its valid pixels. So the squares of all contributions add up to the mean
-//! square of z. The sums of S alone do not, and may exceed it: the window gives the middle of the rectangle more weight
-//! than its edges, and a long wave is rarely the same in both. Not in the spectrum are the pixels outside of the
-//! rectangle, heights at its edges, and its own plane.
+//! where z is the map without the plane of all its valid pixels. So the squares of all contributions add up to the
+//! mean square of z. The sums of S alone do not, and may exceed it. The window gives the middle of the rectangle more
+//! weight than its edges, and a long wave is rarely the same in both. Not in the spectrum are the pixels outside of
+//! the rectangle, heights at its edges, and its own plane.
 //!
 //! A rectangle shorter than the periods of a band, or pixels longer than half of them, do not resolve the band. Its bins
 //! (the mean, the corners of the plane of frequencies) count in the next band.
