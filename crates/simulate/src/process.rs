@@ -178,6 +178,11 @@ pub enum Scalar {
 }
 
 impl Scalar {
+    /// Whether it delays the axes behind their command.
+    pub fn is_a_lag(self) -> bool {
+        matches!(self, Self::VelocityLag | Self::ServoFirstOrder | Self::ServoSecondOrder { .. })
+    }
+
     /// Whether the maps before and after a run can tell it: rate, place, width and shape of the tool.
     pub fn is_learnt(self) -> bool {
         match self {
@@ -227,13 +232,15 @@ const LARGEST_ANGLE_RAD: f64 = 0.25;
 /// Largest size of a time, s, a length, mm, and a height, nm: beyond them the unit is wrong.
 const LARGEST_TIME_S: f64 = 1e3;
 const LARGEST_LENGTH_MM: f64 = 1e3;
+/// Largest lag of an axis behind its command, s: a servo of 0.2 Hz, which follows no plan.
+const LARGEST_LAG_S: f64 = 1.0;
 const LARGEST_HEIGHT_NM: f64 = 1e6;
 
 /// Longest time that a correlation or a warm-up may take, s: a year.
 const LONGEST_TIME_S: f64 = 3.2e7;
 
-/// Least and largest damping ratio of a servo that anyone runs.
-const DAMPING_RATIOS: [f64; 2] = [0.1, 2.0];
+/// Least and largest damping ratio: structures of steel have some 0.01 to 0.03, and a servo above 2 is one of first order.
+const DAMPING_RATIOS: [f64; 2] = [0.005, 2.0];
 
 /// Largest degree of a low-order error: beyond it is what a map measures.
 const LARGEST_DEGREE: usize = 8;
@@ -256,9 +263,8 @@ impl Kind {
                 (LENGTHS, LARGEST_LENGTH_MM)
             }
             Rotation | TifRotation => (ANGLES, LARGEST_ANGLE_RAD),
-            VelocityLag | ServoFirstOrder | ServoSecondOrder | TimingJitter | TimingTick => {
-                (TIMES, LARGEST_TIME_S)
-            }
+            VelocityLag | ServoFirstOrder | ServoSecondOrder => (TIMES, LARGEST_LAG_S),
+            TimingJitter | TimingTick => (TIMES, LARGEST_TIME_S),
             MapNoise | MapLowOrder => (HEIGHTS, LARGEST_HEIGHT_NM),
         }
     }

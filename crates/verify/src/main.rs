@@ -17,9 +17,14 @@ static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-verify --trajectory out/trajectory --machine machine.json --out out/verdict";
 
+/// Program and method in the manifest of a controller's program that was read back.
+const PROGRAM: &str = "planish-import program";
+
 /// Prove whether a trajectory keeps the limits of a machine; exit code 1 when it does not
 ///
-/// Judged is what the axes do: where the machine file says how the part lies on them, the motion is taken there.
+/// Judged is what the axes do: where the machine file says how the part lies on them, the motion is taken there. A limit
+/// on jerk allows no step of the acceleration. The acceleration of a controller's program, read by planish-import program,
+/// may step at a node by the jerk limit times the time between the middles of the two segments.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
@@ -44,12 +49,13 @@ struct Cli {
 
 fn main() -> ExitCode {
     planish_handoff::program(|cli: &Cli| {
+        let mut inputs = Inputs::new();
+        let on_axes = cli.trajectory.read_on_axes(&cli.machine, &mut inputs)?;
         let settings = VerifySettings {
             position_step_mm: cli.position_step_mm,
             velocity_step_mm_per_s: cli.velocity_step_mm_per_s,
+            program: on_axes.made_by.as_deref() == Some(PROGRAM),
         };
-        let mut inputs = Inputs::new();
-        let on_axes = cli.trajectory.read_on_axes(&cli.machine, &mut inputs)?;
         let machine = &on_axes.machine;
         let task = task!("verify", settings);
         let mut output =
@@ -76,6 +82,14 @@ fn main() -> ExitCode {
             if verdict.limits_respected { "kept" } else { "exceeded" },
             cli.output.out.display()
         ));
+        let limits_jerk = machine.limits().axes().iter().any(|a| a.max_jerk_mm_per_s3().is_some());
+        if settings.program && limits_jerk {
+            let [x, y] = verdict.max_acceleration_step_mm_per_s2;
+            say(format!(
+                "a controller joins its cubics with steps of the acceleration: here up to {x:.1}, {y:.1} mm/s^2 (x, y), \
+                 and the jerk limit bounds each by the time between the middles of two segments"
+            ));
+        }
         Ok(status)
     })
 }
