@@ -713,6 +713,43 @@ mod tests {
     }
 
     #[test]
+    fn with_a_servo_the_best_is_the_one_after_it_and_the_answer_says_so() {
+        let with =
+            |rms_nm, after_servo_rms_nm| Method { rms_nm, after_servo_rms_nm, ..method().unwrap() };
+        let of = |feed, pvt| {
+            summary_of(vec![
+                ("feed".to_string(), with(0.1, feed)),
+                ("pvt".to_string(), with(0.2, pvt)),
+            ])
+        };
+        assert_eq!(of(None, None).best.as_deref(), Some("feed"));
+        let followed = of(Some(0.3), Some(0.22));
+        assert_eq!(followed.best.as_deref(), Some("pvt"));
+        let answer = crate::answer::Answer::of(&followed);
+        let said = "The plans are compared by the RMS after the servo of the process, where pvt leaves 0.22 nm.";
+        assert!(answer.why.contains(said), "{}", answer.why);
+        assert!(answer.why.contains("feed with 0.3 nm"), "{}", answer.why);
+    }
+
+    #[test]
+    fn the_answer_names_the_limits_that_a_plan_does_not_keep() {
+        let mut outcome = verdict(4.0);
+        outcome["limits_respected"] = json!(false);
+        outcome["axes"] = json!([
+            { "jerk_mm_per_s3": { "exceeded": true }, "velocity_mm_per_s": { "exceeded": false } },
+            { "acceleration_step_mm_per_s2": { "exceeded": true } },
+        ]);
+        let found = VerdictOutcome::from_json(&outcome).unwrap();
+        assert_eq!(found.broken_limits, ["jerk"]);
+        let broken_limits = found.broken_limits;
+        let rough = Method { limits_respected: false, broken_limits, ..method().unwrap() };
+        let rows = [("pvt", method().unwrap()), ("constant-acceleration", rough)];
+        let summary = summary_of(rows.map(|(name, m)| (name.to_string(), m)).to_vec());
+        let why = crate::answer::Answer::of(&summary).why;
+        assert!(why.ends_with(" constant-acceleration does not keep: jerk."), "{why}");
+    }
+
+    #[test]
     fn the_program_that_will_run_is_recommended_if_it_keeps_the_limits() {
         let (plan, mut broken) = (method().unwrap(), method().unwrap());
         broken.limits_respected = false;

@@ -21,7 +21,8 @@
 //!
 //! which a motion within the limit may do from the middle of one segment to the middle of the next. Cubics through nodes
 //! of a motion within the limit step by at most 8/27 J (T1 + T2) and have a jerk of at most J inside (Peano kernels of
-//! the cubic Hermite interpolant); the rest of (1) is for the rounding of the nodes to the grids of the controller.
+//! the cubic Hermite interpolant); the rest of (1) is for the rounding of the nodes to the grids of the controller. A
+//! program of straight lines leaves it to its controller how it joins them, so that its jerk is not judged.
 //!
 //! Source: the extreme value theorem; for cubics in Hermite form de Boor, *A Practical Guide to
 //! Splines*, chapter IV. The judge shares no code with the schedulers that it judges.
@@ -74,6 +75,16 @@ const REVERSAL_NOISE_MM_PER_S: f64 = 1e-6;
 /// so no comparison can be defeated by an infinity. No length in mm or time in s comes near.
 const LARGEST_NUMBER: f64 = 1e60;
 
+/// How a controller runs from node to node of its program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Program {
+    /// Along cubics through positions and velocities: with a limit on jerk their acceleration may step by (1).
+    Cubics,
+    /// Along straight lines that it joins: a limit on jerk is not judged.
+    Lines,
+}
+
 /// What counts as a step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct VerifySettings {
@@ -85,14 +96,13 @@ pub struct VerifySettings {
     /// 2000 mm/s^2 and 1e5 s, and at only 10 mm/s^2 the drive makes up for it in 0.1 us, less than
     /// any servo cycle.
     pub velocity_step_mm_per_s: f64,
-    /// Whether the motion is that of a controller's program, whose acceleration may step by (1). Default: no, a limit on
-    /// jerk allows no step.
-    pub program: bool,
+    /// Program of a controller that the motion was read from. Default: none, a limit on jerk allows no step.
+    pub program: Option<Program>,
 }
 
 impl Default for VerifySettings {
     fn default() -> Self {
-        Self { position_step_mm: 1e-6, velocity_step_mm_per_s: 1e-6, program: false }
+        Self { position_step_mm: 1e-6, velocity_step_mm_per_s: 1e-6, program: None }
     }
 }
 
@@ -186,8 +196,9 @@ impl AxisTally {
         let within = |limit: f64| Some(Bound::Within(limit));
         let step = |tolerance: f64| Some(Bound::StepWithin(tolerance));
         let acceleration_bound = |tolerance: f64| match settings.program {
-            true => Some(Bound::StepOfProgram(tolerance)),
-            false => step(tolerance),
+            None => step(tolerance),
+            Some(Program::Cubics) => Some(Bound::StepOfProgram(tolerance)),
+            Some(Program::Lines) => None,
         };
         let name = limit.name();
         Self {
@@ -211,8 +222,8 @@ impl AxisTally {
                 ),
             ],
             step_per_s: match settings.program {
-                true => 0.5 * limit.max_jerk_mm_per_s3().unwrap_or_default(),
-                false => 0.0,
+                Some(Program::Cubics) => 0.5 * limit.max_jerk_mm_per_s3().unwrap_or_default(),
+                _ => 0.0,
             },
             name,
             travel_mm,

@@ -1,7 +1,7 @@
 //! The verdict against closed forms, invariants and dense sampling.
 
 use planish_types::{Limits, MachineFile, MachineFileAxis, Trajectory};
-use planish_verify::{Check, Verdict, VerifySettings, verify};
+use planish_verify::{Check, Program, Verdict, VerifySettings, verify};
 use proptest::prelude::*;
 
 /// Coefficients of one axis.
@@ -444,7 +444,7 @@ fn program_of(jerk: f64, nodes: &[f64]) -> Trajectory {
 
 #[test]
 fn the_program_of_a_motion_within_the_jerk_limit_keeps_it_and_steps_by_less_than_8_27ths() {
-    let settings = VerifySettings { program: true, ..VerifySettings::default() };
+    let settings = VerifySettings { program: Some(Program::Cubics), ..VerifySettings::default() };
     let jerk = 100.0;
     // Segments of 0.03 to 0.09 s, off the breaks at multiples of 0.25 s.
     let mut nodes = vec![0.0];
@@ -468,6 +468,9 @@ fn the_program_of_a_motion_within_the_jerk_limit_keeps_it_and_steps_by_less_than
     assert!(verify(&bang, &machine(100.0), &settings).unwrap().limits_respected);
     let beyond = verify(&bang, &machine(39.6), &settings).unwrap();
     assert_eq!(beyond.axes[0].acceleration_step_mm_per_s2.exceeding_count, 3);
+    // How a controller joins lines is not known.
+    let lines = VerifySettings { program: Some(Program::Lines), ..settings };
+    assert!(verify(&bang, &machine(39.6), &lines).unwrap().limits_respected);
     assert!(
         beyond.violations[0].contains("of the program steps by 20 mm/s^2 at break 0")
             || beyond.violations[0].contains("of the program steps by -40 mm/s^2 at break 1"),

@@ -72,7 +72,7 @@ fn start(arguments: &Start) -> Result<Status, Failure> {
     // By the reader of the stages.
     Inputs::new().read_machine(machine)?;
     let copy = out.join(MACHINE).join(machine.file_name().unwrap_or_default());
-    let machine_text = with_limit_on_jerk(machine, &copy)?;
+    let (machine_text, assumed) = with_limit_on_jerk(machine, &copy)?;
     let owner = Owner { pipeline: arguments.pipeline.clone(), mirror: mirror(arguments)? };
     for (input, path) in [("surface", &arguments.surface), ("tif", &arguments.tif)] {
         path.as_ref().map_or(Ok(()), |path| refuse_overlap(out, input, path))?;
@@ -83,12 +83,15 @@ fn start(arguments: &Start) -> Result<Status, Failure> {
     fs::create_dir_all(out.join(MACHINE))
         .map_err(|e| Failure::new(format!("{}: cannot write in it: {e}", out.display())))?;
     OutputFile::begin("out", &copy, true, &Inputs::new())?.write(&machine_text)?;
+    if let Some(assumed) = assumed {
+        warn(assumed);
+    }
     Err(become_command(command, lock))
 }
 
 /// The machine file as the stages of the run get it, in `copy`: as it is, or, where it says nothing of jerk, with the time
-/// to full acceleration that is assumed, which a warning states.
-fn with_limit_on_jerk(machine: &Path, copy: &Path) -> Result<Vec<u8>, Failure> {
+/// to full acceleration that is assumed, and a warning that says so.
+fn with_limit_on_jerk(machine: &Path, copy: &Path) -> Result<(Vec<u8>, Option<String>), Failure> {
     let failed = |e: &dyn std::fmt::Display| {
         Failure::new(format!("{}: cannot be read: {e}", machine.display()))
     };
@@ -96,18 +99,19 @@ fn with_limit_on_jerk(machine: &Path, copy: &Path) -> Result<Vec<u8>, Failure> {
     let file: MachineFile = serde_json::from_slice(&text).map_err(|e| failed(&e))?;
     let silent = file.axes_without_word_on_jerk();
     if silent.is_empty() {
-        return Ok(text);
+        return Ok((text, None));
     }
     let time_s = DEFAULT_TIME_TO_FULL_ACCELERATION_S;
-    warn(format!(
+    let warning = format!(
         "{} states no jerk limit of {}, so this run assumes {time_s} s from rest to full acceleration and plans for {}; \
          state \"time_to_full_acceleration_s\" in the machine file, where 0 means no jerk limit",
         machine.display(),
         silent.join(" and "),
         copy.display()
-    ));
+    );
     let file = MachineFile { time_to_full_acceleration_s: Some(time_s), ..file };
-    Ok(format!("{}\n", serde_json::to_string_pretty(&file)?).into_bytes())
+    let text = format!("{}\n", serde_json::to_string_pretty(&file)?);
+    Ok((text.into_bytes(), Some(warning)))
 }
 
 /// The mirror, which is there.
