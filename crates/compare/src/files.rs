@@ -379,24 +379,29 @@ fn read_after_servo(
     removal: &Recorded,
 ) -> Result<Option<f64>, Failure> {
     let place = dir.join(AFTER_SERVO);
-    let manifest = inputs.read_manifest(&format!("{role}/{AFTER_SERVO}"), &place, Removal::KIND)?;
-    let after = record_of(&manifest);
+    let role_of_file = format!("{role}/{AFTER_SERVO}");
+    // Whole, so that the report records its arrays.
+    let (after, manifest): (Removal, _) = inputs.read_with_manifest(&role_of_file, &place)?;
+    let Some(manifest) = manifest else {
+        let problem = "has no manifest; run planish-simulate --servo-of again";
+        return Err(Failure::new(format!("{}: {problem}", place.display())));
+    };
+    let record = record_of(&manifest);
     let input = |record: &Record, role: &str| {
         record.inputs.iter().find(|(r, _)| r == role).map(|(_, digest)| digest.clone())
     };
     for role in ["trajectory", "surface", "tif"] {
         let of = removal.record.as_ref().and_then(|record| input(record, role));
-        if of.is_some() && of != input(&after, role) {
+        if of.is_some() && of != input(&record, role) {
             return Err(Failure::new(format!(
                 "{}: is of another {role} than removal; run planish-simulate --servo-of again",
                 place.display()
             )));
         }
     }
-    let (servos, rms) = (manifest.outcome["servos"].as_u64(), manifest.outcome["rms_nm"].as_f64());
-    match servos.zip(rms) {
-        Some((0, _)) => Ok(None),
-        Some((_, rms_nm)) => Ok(Some(rms_nm)),
+    match manifest.outcome["servos"].as_u64() {
+        Some(0) => Ok(None),
+        Some(_) => Ok(Some(after.residual().statistics().rms)),
         None => Err(Failure::new(format!(
             "{}: does not say what a servo leaves; run planish-simulate --servo-of",
             place.display()
