@@ -178,7 +178,7 @@ pub enum Scalar {
 }
 
 impl Scalar {
-    /// Whether it delays the axes behind their command.
+    /// Whether it makes the axes late.
     pub fn is_a_lag(self) -> bool {
         matches!(self, Self::VelocityLag | Self::ServoFirstOrder | Self::ServoSecondOrder { .. })
     }
@@ -232,7 +232,7 @@ const LARGEST_ANGLE_RAD: f64 = 0.25;
 /// Largest size of a time, s, a length, mm, and a height, nm: beyond them the unit is wrong.
 const LARGEST_TIME_S: f64 = 1e3;
 const LARGEST_LENGTH_MM: f64 = 1e3;
-/// Largest lag of an axis behind its command, s: a servo of 0.2 Hz, which follows no plan.
+/// Largest lag of an axis, s: a servo of 0.2 Hz, which follows no plan.
 const LARGEST_LAG_S: f64 = 1.0;
 const LARGEST_HEIGHT_NM: f64 = 1e6;
 

@@ -38,7 +38,7 @@ fn residual_nm(trajectory: &Trajectory, tif: &Tif, desired: &Surface) -> f64 {
     prediction.removal.residual().statistics().rms
 }
 
-/// The motion of the closed loop, or why it has none.
+/// The motion of the closed loop, which keeps every limit.
 fn closed_loop(
     desired: &Surface,
     tif: &Tif,
@@ -72,30 +72,36 @@ fn cells(motion: Result<Trajectory, String>, tif: &Tif, desired: &Surface) -> St
     }
 }
 
-/// The cost of a limit on jerk along five paths.
+/// The cost of a limit on jerk: the joint plan along five paths, and the closed loop along two of them.
 pub fn limits_on_jerk(reference: &Mirror) {
+    let limit = |jerk: Option<f64>| jerk.map_or("no limit".into(), |j| format!("{j:e} mm/s^3"));
+    let names = JERKS_MM_PER_S3.map(|jerk| format!(" {}: nm | s |", limit(jerk))).concat();
     println!(
-        "\nLimits on jerk, both axes\n\n| path, jerk | closed loop: nm | s | joint plan: nm | s |\n|---|---|---|---|---|"
+        "\nLimits on jerk, both axes\n\n| path, plan |{names}\n|---|{}",
+        "---|---|".repeat(JERKS_MM_PER_S3.len())
     );
     let (desired, tif) = (&reference.desired, &reference.tif);
-    let along = |name: &str, desired: &Surface, tif: &Tif, path: &ToolPath| {
-        for jerk in JERKS_MM_PER_S3 {
-            let limits = &with_jerk(jerk);
-            let closed = closed_loop(desired, tif, path, limits, FLOOR);
-            let limit = jerk.map_or("no limit".into(), |j| format!("{j:e} mm/s^3"));
-            println!(
-                "| {name}, {limit} |{}{}",
-                cells(Ok(closed), tif, desired),
-                cells(joint(desired, tif, path, limits), tif, desired)
-            );
-        }
+    let joint_along = |name: &str, desired: &Surface, tif: &Tif, path: &ToolPath| {
+        let row = JERKS_MM_PER_S3
+            .map(|jerk| cells(joint(desired, tif, path, &with_jerk(jerk)), tif, desired));
+        println!("| {name}, joint plan |{}", row.concat());
     };
-    along("raster", desired, tif, &lines(desired, tif, 1.0, Scan::X));
-    along("maze", desired, tif, &own_maze(desired));
-    along("random-adaptive", desired, tif, &random(desired, Construction::MeshTree, 1));
-    along("multi-pitch", desired, tif, &pitches(desired, tif));
-    let Fixture { surface, tif, .. } = fixture("disk-100", true);
-    along("spiral on `disk-100`", &surface, &tif, &turns(&surface, &tif, 1.3));
+    let (raster, maze) = (lines(desired, tif, 1.0, Scan::X), own_maze(desired));
+    joint_along("raster", desired, tif, &raster);
+    joint_along("maze", desired, tif, &maze);
+    let random = random(desired, Construction::MeshTree, 1);
+    joint_along("random-adaptive", desired, tif, &random);
+    joint_along("multi-pitch", desired, tif, &pitches(desired, tif));
+    let disk = fixture("disk-100", true);
+    let spiral = turns(&disk.surface, &disk.tif, 1.3);
+    joint_along("spiral on `disk-100`", &disk.surface, &disk.tif, &spiral);
+    for (name, path) in [("raster", &raster), ("maze", &maze)] {
+        let row = JERKS_MM_PER_S3.map(|jerk| {
+            let motion = closed_loop(desired, tif, path, &with_jerk(jerk), FLOOR);
+            cells(Ok(motion), tif, desired)
+        });
+        println!("| {name}, closed loop |{}", row.concat());
+    }
 }
 
 /// What axes leave that follow the plans as servos do.
