@@ -321,12 +321,17 @@ refine-table:
     @cargo run --quiet --release --locked --example refined
 
 # Motion and times as one problem beside the closed loop; all (with PLANISH_REFERENCE set, also those of the reference
-# mirror), or some: just feed-table mirror slow jerk fixtures
+# mirror), or some: just feed-table mirror slow jerk servo fixtures
 #
 # The tables of docs/feed.md
 [group('5 pages and tables')]
 feed-table *names:
     @cargo run --quiet --release --locked --example refined -- feed {{ names }}
+
+# The table of docs/decisions/0071: the shapes of the PVT motion over fixtures and paths, of these fixtures or of all
+[group('5 pages and tables')]
+mode-table *fixtures:
+    @cargo run --quiet --release --locked --example refined -- modes {{ fixtures }}
 
 # `just run` and its relatives as a user calls them: hostile settings, races, exit codes
 [group('4 slower tests')]

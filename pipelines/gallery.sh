@@ -27,7 +27,7 @@ made run random-adaptive random-adaptive
 made run multi-pitch multi-pitch
 made run spiral spiral pitch_mm=1
 made compare schedulers raster
-made run bspline bspline pitch_mm=1 step_mm=1 machine=fixtures/machines/ion-beam.json
+made run bspline bspline pitch_mm=1 step_mm=1 machine=fixtures/machines/ion-beam-no-jerk-limit.json
 
 for path in raster raster-angle maze random-adaptive multi-pitch spiral; do
     draw $path pvt+refined path-$path

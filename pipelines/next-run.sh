@@ -91,7 +91,7 @@ go_on() {
 
 # Where the part lay, when nobody measured it: as the machine file says
 if [ -z "$transform" ]; then
-    planish-register place --machine "$machine" --out "$out/place" --force
+    planish-register place --machine "$out/machine/${machine##*/}" --out "$out/place" --force
     transform=$out/place
 fi
 
@@ -112,7 +112,7 @@ planned=$(just --justfile "$file" --working-directory . --evaluate plan_feed=no 
 motion=$out/plan/methods/$planned/trajectory
 
 go_on planish-register apply --transform "$out/transform" --trajectory "$motion" --out "$out/commanded" --force
-go_on planish-verify --trajectory "$out/commanded" --machine "$machine" --out "$out/verdict" --force
+go_on planish-verify --trajectory "$out/commanded" --machine "$out/machine/${machine##*/}" --out "$out/verdict" --force
 go_on planish-tolerance --trajectory "$motion" --tif "$out/tif" --surface "$out/plan/surface" \
     --process "$out/process.json" --out "$out/tolerance" --force
 judged_now= judged_next=

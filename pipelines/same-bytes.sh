@@ -26,7 +26,7 @@ run random-adaptive fixture=coupon
 run spiral fixture=coupon
 run multi-pitch fixture=coupon classes=3 max_velocity_mm_per_s=5
 run trig-spline fixture=coupon
-run bspline fixture=coupon machine=fixtures/machines/ion-beam.json pitch_mm=1 step_mm=0.5
+run bspline fixture=coupon machine=fixtures/machines/ion-beam-no-jerk-limit.json pitch_mm=1 step_mm=0.5
 compare-dwell coupon
 compare coupon
 '

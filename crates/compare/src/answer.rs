@@ -120,18 +120,19 @@ fn sentence(summary: &Summary, name: &str, m: &Method) -> String {
 
 fn why(summary: &Summary, name: &str, m: &Method) -> String {
     let rivals = summary.methods.iter().filter(|(other, m)| other != name && m.is_candidate());
-    let next = rivals.clone().min_by(|(_, a), (_, b)| a.rms_nm.total_cmp(&b.rms_nm));
+    let next =
+        rivals.clone().min_by(|(_, a), (_, b)| a.compared_rms_nm().total_cmp(&b.compared_rms_nm()));
     let choice = match next {
         None => format!("{name}, because it is the only plan here that keeps the limits."),
         Some((next, other)) => {
             let plans = rivals.count() + 1;
             let theirs = format!(
                 "{next} with {} nm in {}",
-                significant(other.rms_nm, DIGITS),
+                significant(other.compared_rms_nm(), DIGITS),
                 duration(other.total_time_s)
             );
             let keeps = |m: &Method| m.specification.as_ref().is_some_and(|judged| judged.passed);
-            if m.rms_nm <= other.rms_nm {
+            if m.compared_rms_nm() <= other.compared_rms_nm() {
                 format!(
                     "{name}, because it leaves the least RMS of the {plans} plans that keep the limits; the next is \
                      {theirs}."
@@ -139,7 +140,7 @@ fn why(summary: &Summary, name: &str, m: &Method) -> String {
             } else if keeps(m) && !keeps(other) {
                 format!("{name}, because it keeps the specification, which {theirs} does not.")
             } else {
-                let more_percent = 100.0 * (m.rms_nm / other.rms_nm - 1.0);
+                let more_percent = 100.0 * (m.compared_rms_nm() / other.compared_rms_nm() - 1.0);
                 format!(
                     "{name}, because it takes {} and leaves {} % more than the least RMS of the {plans} plans that keep \
                      the limits, {theirs}.",
@@ -150,11 +151,22 @@ fn why(summary: &Summary, name: &str, m: &Method) -> String {
         }
     };
     format!(
-        "{choice} Its plan is marked \"{}\": {}.{}",
+        "{choice}{} Its plan is marked \"{}\": {}.{}",
+        after_servo(name, m),
         m.plan.word,
         m.plan.text,
         exceeding(summary)
     )
+}
+
+/// Says that the plans are compared after the servo, where the process has one.
+fn after_servo(name: &str, m: &Method) -> String {
+    m.after_servo_rms_nm.map_or(String::new(), |rms_nm| {
+        format!(
+            " The plans are compared by the RMS after the servo of the process, where {name} leaves {} nm.",
+            significant(rms_nm, DIGITS)
+        )
+    })
 }
 
 fn why_none(summary: &Summary) -> String {
@@ -164,16 +176,16 @@ fn why_none(summary: &Summary) -> String {
     }
 }
 
-/// The plans that a machine cannot follow.
+/// The plans that a machine cannot follow, with the limits that each breaks.
 fn exceeding(summary: &Summary) -> String {
     let beyond = |m: &Method| !m.limits_respected && m.plan.state != State::WithoutMotion;
-    let names = summary.methods.iter().filter(|(_, m)| beyond(m)).map(|(name, _)| name.as_str());
-    let names: Vec<&str> = names.collect();
-    match names.len() {
-        0 => String::new(),
-        1 => format!(" {} exceeds the limits of the machine.", names[0]),
-        _ => format!(" {} exceed the limits of the machine.", names.join(", ")),
-    }
+    let broken = summary.methods.iter().filter(|(_, m)| beyond(m)).map(|(name, m)| {
+        match m.broken_limits[..] {
+            [] => format!(" {name} exceeds the limits of the machine."),
+            ref limits => format!(" {name} does not keep: {}.", limits.join(", ")),
+        }
+    });
+    broken.collect()
 }
 
 /// Reasons against the plan that is to be run.

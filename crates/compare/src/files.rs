@@ -84,7 +84,8 @@ pub fn read_run(
     let mut read = Vec::new();
     for scheduler in schedulers {
         let dir = methods_dir.join(&scheduler);
-        read.push(read_method(inputs, &format!("{number}/{scheduler}"), &scheduler, dir)?);
+        let role = format!("{number}/{scheduler}");
+        read.push(read_method(inputs, &role, &scheduler, dir, names.after_servo)?);
     }
     if read.is_empty() {
         let message = "holds no method; schedule, simulate and verify at least one";
@@ -154,6 +155,8 @@ pub struct Names<'a> {
     pub measured: Option<&'a Path>,
     /// The tool [tif artifact].
     pub tif: Option<&'a Path>,
+    /// Whether the methods have a prediction after the servo of the process.
+    pub after_servo: bool,
 }
 
 /// Reads the verdicts of `planish-surface spec` on the maps of a run: all by one specification, each of the map that
@@ -298,6 +301,7 @@ struct Found {
     own_plan: Option<DwellTime>,
     frames: Option<Frames>,
     rounds: Option<Rounds>,
+    after_servo_rms_nm: Option<f64>,
     wall: WallTimes,
     records: MethodRecords,
     provenance: Provenance,
@@ -309,6 +313,7 @@ fn read_method(
     role: &str,
     name: &str,
     dir: PathBuf,
+    after_servo: bool,
 ) -> Result<Found, Failure> {
     let mut provenance = Provenance::default();
     let trajectory: Known<Trajectory> =
@@ -324,6 +329,10 @@ fn read_method(
         read_optional_artifact(inputs, role, &dir, "frames", &mut provenance)?;
     let rounds: Option<Known<RoundsFile>> =
         read_optional_artifact(inputs, role, &dir, "iterations", &mut provenance)?;
+    let after_servo_rms_nm = match after_servo {
+        true => read_after_servo(inputs, role, &dir, &removal.recorded)?,
+        false => None,
+    };
     let mut wall = |name: &str| -> Result<Option<f64>, Failure> {
         let path = dir.join(format!("{name}-wall.json"));
         if !path.exists() {
@@ -354,13 +363,56 @@ fn read_method(
         own_plan: own_plan.map(|p| p.value),
         frames: frames.map(|f| f.value.0),
         rounds: rounds.map(|r| Rounds { best, ..r.value.0 }),
+        after_servo_rms_nm,
         wall,
         records,
         provenance,
     })
 }
 
-/// Artifacts of a run that its methods share.
+/// RMS that the motion in `dir` leaves after the servo of the process, nm; `None` where the process has no servo. Refuses a
+/// prediction of another motion, mirror or tool than that of the `removal` without a servo.
+fn read_after_servo(
+    inputs: &mut Inputs,
+    role: &str,
+    dir: &Path,
+    removal: &Recorded,
+) -> Result<Option<f64>, Failure> {
+    let place = dir.join(AFTER_SERVO);
+    let role_of_file = format!("{role}/{AFTER_SERVO}");
+    // Whole, so that the report records its arrays.
+    let (after, manifest): (Removal, _) = inputs.read_with_manifest(&role_of_file, &place)?;
+    let Some(manifest) = manifest else {
+        let problem = "has no manifest; run planish-simulate --servo-of again";
+        return Err(Failure::new(format!("{}: {problem}", place.display())));
+    };
+    let record = record_of(&manifest);
+    let input = |record: &Record, role: &str| {
+        record.inputs.iter().find(|(r, _)| r == role).map(|(_, digest)| digest.clone())
+    };
+    for role in ["trajectory", "surface", "tif"] {
+        let of = removal.record.as_ref().and_then(|record| input(record, role));
+        if of.is_some() && of != input(&record, role) {
+            return Err(Failure::new(format!(
+                "{}: is of another {role} than removal; run planish-simulate --servo-of again",
+                place.display()
+            )));
+        }
+    }
+    match manifest.outcome["servos"].as_u64() {
+        Some(0) => Ok(None),
+        Some(_) => Ok(Some(after.residual().statistics().rms)),
+        None => Err(Failure::new(format!(
+            "{}: does not say what a servo leaves; run planish-simulate --servo-of",
+            place.display()
+        ))),
+    }
+}
+
+/// Directory of a method with the prediction after the servo of the process.
+const AFTER_SERVO: &str = "removal-after-servo";
+
+/// What the methods of a run are measured by.
 struct Shared<'a> {
     desired: &'a Surface,
     plan: Option<&'a DwellTime>,
@@ -412,6 +464,7 @@ impl Shared<'_> {
                 plan,
                 short_wave_rms_nm,
                 specification,
+                after_servo_rms_nm: found.after_servo_rms_nm,
                 remarks,
             },
         )

@@ -158,6 +158,12 @@ pub struct Method {
     pub max_acceleration_step_mm_per_s2: [f64; 2],
     /// True if the verdict found every limit of the machine kept.
     pub limits_respected: bool,
+    /// Limits that the verdict found broken: `travel`, `velocity`, `acceleration`, `jerk`, or `jumps`; empty where all are
+    /// kept, or where the verdict does not say.
+    pub broken_limits: Vec<&'static str>,
+    /// RMS of the residual after the servo of the process, mean removed, nm; `null` where the process has none, or nobody
+    /// asked.
+    pub after_servo_rms_nm: Option<f64>,
     /// Name of the machine that the verdict is about; `null` where its manifest does not say.
     pub machine: Option<String>,
     /// Seconds that the scheduler took, `null` when not measured.
@@ -176,8 +182,8 @@ pub struct Method {
     pub remarks: Vec<String>,
 }
 
-/// Numbers of a verdict that the summary repeats.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+/// What a verdict says, as far as the summary repeats it.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct VerdictOutcome {
     total_time_s: f64,
     max_velocity_mm_per_s: [f64; 2],
@@ -185,14 +191,35 @@ pub struct VerdictOutcome {
     max_velocity_step_mm_per_s: [f64; 2],
     max_acceleration_step_mm_per_s2: [f64; 2],
     limits_respected: bool,
+    #[serde(skip)]
+    broken_limits: Vec<&'static str>,
 }
+
+/// Checks of an axis in a verdict, and the limit of the machine that each of them is about: a step of the velocity is an
+/// infinite acceleration, a step of the acceleration an infinite jerk.
+const LIMIT_OF_CHECK: [(&str, &str); 7] = [
+    ("position_step_mm", "jumps"),
+    ("position_mm", "travel"),
+    ("velocity_mm_per_s", "velocity"),
+    ("velocity_step_mm_per_s", "acceleration"),
+    ("acceleration_mm_per_s2", "acceleration"),
+    ("acceleration_step_mm_per_s2", "jerk"),
+    ("jerk_mm_per_s3", "jerk"),
+];
 
 impl VerdictOutcome {
     /// The numbers in the outcome of a verdict artifact.
     pub fn from_json(outcome: &Value) -> Result<Self, Invalid> {
-        Self::deserialize(outcome).map_err(|e| {
+        let mut found = Self::deserialize(outcome).map_err(|e| {
             Invalid::whole("verdict", format!("has no usable outcome ({e})"), "verify it again")
-        })
+        })?;
+        for (check, limit) in LIMIT_OF_CHECK {
+            let exceeded = |axis: usize| outcome["axes"][axis][check]["exceeded"] == true;
+            if (exceeded(0) || exceeded(1)) && !found.broken_limits.contains(&limit) {
+                found.broken_limits.push(limit);
+            }
+        }
+        Ok(found)
     }
 }
 
@@ -218,12 +245,19 @@ pub struct Told {
     pub short_wave_rms_nm: Option<f64>,
     /// Verdict on its residual by a specification, where one was asked.
     pub specification: Option<Judged>,
-    /// Further remarks.
+    /// RMS of its residual after the servo of the process, nm, where the process has one.
+    pub after_servo_rms_nm: Option<f64>,
+    /// What else is worth knowing.
     pub remarks: Vec<String>,
 }
 
 impl Method {
-    /// Returns true if it may be recommended: a motion that keeps the limits.
+    /// RMS that the plans are compared by, nm: after the servo of the process, where it has one.
+    pub fn compared_rms_nm(&self) -> f64 {
+        self.after_servo_rms_nm.unwrap_or(self.rms_nm)
+    }
+
+    /// Whether it may be recommended: a motion that keeps the limits.
     pub fn is_candidate(&self) -> bool {
         self.limits_respected && self.plan.state != State::WithoutMotion
     }
@@ -231,7 +265,7 @@ impl Method {
     fn candidate(&self) -> Candidate {
         let judged = self.specification.as_ref();
         Candidate {
-            rms_nm: self.rms_nm,
+            rms_nm: self.compared_rms_nm(),
             total_time_s: self.total_time_s,
             keeps_specification: judged.is_none_or(|judged| judged.passed),
         }
@@ -248,7 +282,15 @@ impl Method {
         verdict: &VerdictOutcome,
         told: Told,
     ) -> Result<Self, Invalid> {
-        let Told { wall, machine, plan, short_wave_rms_nm, specification, mut remarks } = told;
+        let Told {
+            wall,
+            machine,
+            plan,
+            short_wave_rms_nm,
+            specification,
+            after_servo_rms_nm,
+            mut remarks,
+        } = told;
         check_same_surface(desired, removal)?;
         let total_time_s = trajectory.total_time_s();
         if (verdict.total_time_s - total_time_s).abs() > SAME_TIME * total_time_s {
@@ -269,6 +311,10 @@ impl Method {
                 significant(departure_s, 4)
             ));
         }
+        if let Some(rms_nm) = after_servo_rms_nm {
+            let rms_nm = significant(rms_nm, 4);
+            remarks.push(format!("after the servo of the process it leaves {rms_nm} nm RMS"));
+        }
         let residual = removal.residual();
         let statistics = residual.statistics();
         Ok(Self {
@@ -283,6 +329,8 @@ impl Method {
             max_velocity_step_mm_per_s: verdict.max_velocity_step_mm_per_s,
             max_acceleration_step_mm_per_s2: verdict.max_acceleration_step_mm_per_s2,
             limits_respected: verdict.limits_respected,
+            broken_limits: verdict.broken_limits.clone(),
+            after_servo_rms_nm,
             machine,
             schedule_wall_s: wall.schedule_s,
             simulate_wall_s: wall.simulate_s,
@@ -519,6 +567,7 @@ mod tests {
             plan: plan(),
             short_wave_rms_nm: None,
             specification: None,
+            after_servo_rms_nm: None,
             remarks: vec![],
         }
     }
@@ -666,6 +715,43 @@ mod tests {
         stagnated.plan = state(State::Unconverged);
         let summary = summary_of(vec![("pvt".into(), stagnated)]);
         assert!(summary.reserves()[0].contains("pvt is the best, but not optimal"));
+    }
+
+    #[test]
+    fn with_a_servo_the_best_is_the_one_after_it_and_the_answer_says_so() {
+        let with =
+            |rms_nm, after_servo_rms_nm| Method { rms_nm, after_servo_rms_nm, ..method().unwrap() };
+        let of = |feed, pvt| {
+            summary_of(vec![
+                ("feed".to_string(), with(0.1, feed)),
+                ("pvt".to_string(), with(0.2, pvt)),
+            ])
+        };
+        assert_eq!(of(None, None).best.as_deref(), Some("feed"));
+        let followed = of(Some(0.3), Some(0.22));
+        assert_eq!(followed.best.as_deref(), Some("pvt"));
+        let answer = crate::answer::Answer::of(&followed);
+        let said = "The plans are compared by the RMS after the servo of the process, where pvt leaves 0.22 nm.";
+        assert!(answer.why.contains(said), "{}", answer.why);
+        assert!(answer.why.contains("feed with 0.3 nm"), "{}", answer.why);
+    }
+
+    #[test]
+    fn the_answer_names_the_limits_that_a_plan_does_not_keep() {
+        let mut outcome = verdict(4.0);
+        outcome["limits_respected"] = json!(false);
+        outcome["axes"] = json!([
+            { "jerk_mm_per_s3": { "exceeded": true }, "velocity_mm_per_s": { "exceeded": false } },
+            { "acceleration_step_mm_per_s2": { "exceeded": true } },
+        ]);
+        let found = VerdictOutcome::from_json(&outcome).unwrap();
+        assert_eq!(found.broken_limits, ["jerk"]);
+        let broken_limits = found.broken_limits;
+        let rough = Method { limits_respected: false, broken_limits, ..method().unwrap() };
+        let rows = [("pvt", method().unwrap()), ("constant-acceleration", rough)];
+        let summary = summary_of(rows.map(|(name, m)| (name.to_string(), m)).to_vec());
+        let why = crate::answer::Answer::of(&summary).why;
+        assert!(why.ends_with(" constant-acceleration does not keep: jerk."), "{why}");
     }
 
     #[test]

@@ -71,8 +71,8 @@ pub fn formats_markdown() -> String {
     page
 }
 
-/// Keys of a machine file, with unit and meaning. Keys of an axis have the prefix `axes[]`.
-const MACHINE_KEYS: [(&str, &str, &str); 20] = [
+/// Keys of a machine file, with their units; those of an axis stand under `axes`.
+const MACHINE_KEYS: [(&str, &str, &str); 21] = [
     ("name", "-", "Name of the machine."),
     ("axes", "-", "Exactly two objects with the keys below, x first, then y."),
     ("axes[].name", "-", "`x` or `y`."),
@@ -81,7 +81,7 @@ const MACHINE_KEYS: [(&str, &str, &str); 20] = [
     (
         "axes[].max_jerk_mm_per_s3",
         "mm/s^3",
-        "Largest jerk; > 0; left out where the machine does not limit it.",
+        "Largest jerk; > 0; when left out, `time_to_full_acceleration_s` decides.",
     ),
     (
         "axes[].travel_mm",
@@ -93,6 +93,13 @@ const MACHINE_KEYS: [(&str, &str, &str); 20] = [
         "-",
         "`+x`, `-x`, `+y` or `-y`: where the tool goes over the turned part when the axis counts up. Left out: the \
          axis x along `+x`, y along `+y`.",
+    ),
+    (
+        "time_to_full_acceleration_s",
+        "s",
+        "Time from rest to the full acceleration: the jerk limit of an axis without `max_jerk_mm_per_s3` is its \
+         acceleration limit over this time. 0: no limit on jerk. Left out: no limit on jerk either, but a pipeline \
+         (`just run`) warns and takes 0.1 s.",
     ),
     (
         "min_segment_s",
@@ -180,7 +187,7 @@ const PROCESS_KEYS: [(&str, &str, &str); 11] = [
     ("errors[].note", "-", "Where the figure comes from."),
     ("errors[].correlation_s", "s", "Correlation time; of `rate_noise` only."),
     ("errors[].time_constant_s", "s", "Time constant; of `rate_warm_up` only."),
-    ("errors[].damping_ratio", "1", "Damping ratio, 0.1 to 2; of `servo_second_order` only."),
+    ("errors[].damping_ratio", "1", "Damping ratio, 0.005 to 2; of `servo_second_order` only."),
     ("errors[].degree", "1", "Largest total degree, 1 to 8; of `map_low_order` only."),
 ];
 

@@ -25,7 +25,8 @@ const PATIENCE: Duration = Duration::from_secs(60);
 fn bench() -> TempDir {
     let dir = tempfile::tempdir().unwrap();
     let axis = |name: &str| json!({"name": name, "max_velocity_mm_per_s": 10.0, "max_acceleration_mm_per_s2": 20.0});
-    let machine = json!({"name": "bench", "axes": [axis("x"), axis("y")]});
+    let axes = [axis("x"), axis("y")];
+    let machine = json!({"name": "bench", "time_to_full_acceleration_s": 0, "axes": axes});
     fs::write(dir.path().join("machine.json"), machine.to_string()).unwrap();
     fs::create_dir(dir.path().join("fixtures")).unwrap();
     for name in ["coupon", "disk"] {
@@ -108,6 +109,32 @@ fn the_command_gets_its_arguments_and_its_exit_code_is_the_runs() {
         assert_eq!(ended.status.code(), Some(code));
     }
     refused(&run(dir.path(), "a/out", &FIXTURE, &["no-such-program"]), &["no-such-program"]);
+}
+
+#[test]
+fn a_machine_that_says_nothing_of_jerk_gets_a_limit_and_a_warning() {
+    let dir = bench();
+    let here = dir.path();
+    let (file, copy) = (here.join("machine.json"), here.join("out/machine/machine.json"));
+    // What it states is copied byte by byte, and nothing is said.
+    let said = run(here, "out", &FIXTURE, &["true"]);
+    assert_eq!((said.status.code(), message(&said).as_str()), (Some(0), ""));
+    let stated = fs::read_to_string(&file).unwrap();
+    assert_eq!(fs::read_to_string(&copy).unwrap(), stated);
+    let mut silent: serde_json::Value = serde_json::from_str(&stated).unwrap();
+    silent.as_object_mut().unwrap().remove("time_to_full_acceleration_s");
+    silent["axes"][1]["max_jerk_mm_per_s3"] = json!(50.0);
+    fs::write(&file, silent.to_string()).unwrap();
+    let warned = run(here, "out", &FIXTURE, &["true"]);
+    assert_eq!(warned.status.code(), Some(0));
+    let text = message(&warned);
+    assert_eq!(text.lines().count(), 1, "{text}");
+    let parts = ["machine.json states no jerk limit of x, so this run assumes 0.1 s", "0 means no"];
+    assert!(parts.iter().all(|part| text.contains(part)), "{text}");
+    let assumed: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(&copy).unwrap()).unwrap();
+    assert_eq!(assumed["time_to_full_acceleration_s"], 0.1);
+    assert_eq!(assumed["axes"][1]["max_jerk_mm_per_s3"], 50.0);
 }
 
 #[test]

@@ -2,6 +2,8 @@
 
 mod virtual_run;
 
+use std::path::PathBuf;
+
 use clap::{Args, ValueEnum};
 use ndarray::Array1;
 use planish_handoff::{
@@ -15,7 +17,10 @@ use planish_simulate::{
     Settings,
     between::Between,
     coverage::Coverage,
+    deviation::Deviation,
     frames::{Frames, frames},
+    motion::Motion,
+    process::ProcessFile,
     simulate,
 };
 use planish_types::{Removal, plausible, progress};
@@ -27,7 +32,11 @@ pub struct Simulate {
     trajectory: TrajectoryArgs,
     #[command(flatten)]
     mirror: MirrorArgs,
-    /// Method for the integral along the motion
+    /// Predict the removal of axes that follow the motion as the servos of this process do: its errors velocity_lag,
+    /// servo_first_order and servo_second_order of a fixed size; no other error [JSON]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["process", "frames"])]
+    servo_of: Option<PathBuf>,
+    /// How the integral along the motion is computed
     #[arg(long, value_enum, default_value = "gridded", conflicts_with = "process")]
     method: Method,
     /// Time steps per segment of the direct method
@@ -61,12 +70,27 @@ impl Simulate {
             Method::Direct => Settings::Direct { steps: self.steps },
         };
         let method = if self.frames.is_some() { "frames" } else { "simulate" };
-        let task = match self.frames {
-            Some(count) => task!(method, json!({ "method": settings, "frames": count })),
-            None => task!(method, settings),
+        let task = match (self.frames, &self.servo_of) {
+            (Some(count), _) => task!(method, json!({ "method": settings, "frames": count })),
+            (None, Some(_)) => task!("after-servo", settings),
+            (None, None) => task!(method, settings),
         };
         let mut inputs = Inputs::new();
-        let (trajectory, tif, surface) = self.trajectory.read_over(&self.mirror, &mut inputs)?;
+        let (command, tif, surface) = self.trajectory.read_over(&self.mirror, &mut inputs)?;
+        let servos = match &self.servo_of {
+            None => Deviation::default(),
+            Some(path) => {
+                let file: ProcessFile = inputs.read_json("process", path)?;
+                let process =
+                    file.checked().map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
+                Deviation::servos_of(&process)
+            }
+        };
+        let trajectory = match servos.servo_count() {
+            0 => command,
+            // A servo follows a cubic of any length.
+            _ => servos.trajectory(&Motion::new(&command, f64::INFINITY)?, surface.grid())?,
+        };
         let kind = if self.frames.is_some() { &kind::FRAMES } else { Removal::KIND };
         let mut output = match Output::directory(&self.output, kind).begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
@@ -86,7 +110,7 @@ impl Simulate {
         let coverage = Coverage::of(prediction.removal.removal_nm(), &trajectory, &tif, &surface);
         let status = status(&coverage, prediction.drawback(&surface, trajectory.total_time_s()));
         let between = Between::of(&trajectory, &tif, &prediction.removal);
-        let outcome = json!({
+        let mut outcome = json!({
             "rms_nm": statistics.rms,
             "rms_detilted_nm": detilted,
             "pv_nm": statistics.pv,
@@ -95,12 +119,22 @@ impl Simulate {
             "coverage": coverage,
             "tif_between_samples": between,
         });
+        if self.servo_of.is_some() {
+            outcome["servos"] = json!(servos.servo_count());
+        }
         output.write(&prediction.removal, outcome, &status)?;
         if let Some(warning) = between.and_then(|b| b.warning()) {
             warn(warning);
         }
+        let after = match (&self.servo_of, servos.servo_count()) {
+            (None, _) => "",
+            (Some(_), 0) => {
+                "the process states no servo of a fixed lag, so the axes follow exactly: "
+            }
+            (Some(_), _) => "after the servo of the process: ",
+        };
         say(format!(
-            "residual {:.4} nm RMS ({:.4} nm detilted), {:.2} nm PV after {:.2} s -> {}",
+            "{after}residual {:.4} nm RMS ({:.4} nm detilted), {:.2} nm PV after {:.2} s -> {}",
             statistics.rms,
             detilted,
             statistics.pv,

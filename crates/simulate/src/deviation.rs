@@ -14,7 +14,7 @@ use serde::Serialize;
 use crate::{
     motion::{Motion, Piece},
     play::with_play,
-    process::Scalar,
+    process::{Distribution, Effect, Process, Scalar},
     servo::Servo,
 };
 
@@ -64,6 +64,26 @@ pub struct Truth {
 }
 
 impl Deviation {
+    /// The axes of `process` as they follow in every run: its lags of a fixed size, in the order of the file.
+    pub fn servos_of(process: &Process) -> Self {
+        let mut run = Self::default();
+        for error in &process.errors {
+            if let Effect::Scalar(effect) = error.effect
+                && effect.is_a_lag()
+                && error.stated.distribution == Distribution::Fixed
+                && error.size != 0.0
+            {
+                run.add(effect, error.size);
+            }
+        }
+        run
+    }
+
+    /// Number of servos that the axes follow through, one after the other.
+    pub fn servo_count(&self) -> usize {
+        self.servos.len()
+    }
+
     /// Adds an effect of this size.
     pub fn add(&mut self, effect: Scalar, size: f64) {
         match effect {

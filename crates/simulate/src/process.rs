@@ -178,7 +178,12 @@ pub enum Scalar {
 }
 
 impl Scalar {
-    /// Returns true if the maps before and after a run determine the error: rate, place, width and shape of the tool.
+    /// Whether it makes the axes late.
+    pub fn is_a_lag(self) -> bool {
+        matches!(self, Self::VelocityLag | Self::ServoFirstOrder | Self::ServoSecondOrder { .. })
+    }
+
+    /// Whether the maps before and after a run can tell it: rate, place, width and shape of the tool.
     pub fn is_learnt(self) -> bool {
         match self {
             Self::RateScale
@@ -237,17 +242,16 @@ const LARGEST_TIME_S: f64 = 1e3;
 /// Largest size of an error that is a length, mm; a larger one is refused as a wrong unit. Smaller: errors on large
 /// machines are refused.
 const LARGEST_LENGTH_MM: f64 = 1e3;
-/// Largest size of an error that is a height, nm; a larger one is refused as a wrong unit. Smaller: errors of coarse
-/// maps are refused.
+/// Largest lag of an axis, s: a servo of 0.2 Hz, which follows no plan.
+const LARGEST_LAG_S: f64 = 1.0;
 const LARGEST_HEIGHT_NM: f64 = 1e6;
 
 /// Largest correlation time or warm-up time, s (a year); a larger one is refused as a wrong unit. Smaller: slow
 /// drifts are refused.
 const LONGEST_TIME_S: f64 = 3.2e7;
 
-/// Smallest and largest damping ratio of a servo, dimensionless; others are refused. A smaller lower end accepts
-/// servos that hardly settle; a larger upper end accepts servos that hardly follow.
-const DAMPING_RATIOS: [f64; 2] = [0.1, 2.0];
+/// Least and largest damping ratio: structures of steel have some 0.01 to 0.03, and a servo above 2 is one of first order.
+const DAMPING_RATIOS: [f64; 2] = [0.005, 2.0];
 
 /// Largest degree of a low-order error; higher ones are refused. Higher orders are what a map
 /// measures.
@@ -271,9 +275,8 @@ impl Kind {
                 (LENGTHS, LARGEST_LENGTH_MM)
             }
             Rotation | TifRotation => (ANGLES, LARGEST_ANGLE_RAD),
-            VelocityLag | ServoFirstOrder | ServoSecondOrder | TimingJitter | TimingTick => {
-                (TIMES, LARGEST_TIME_S)
-            }
+            VelocityLag | ServoFirstOrder | ServoSecondOrder => (TIMES, LARGEST_LAG_S),
+            TimingJitter | TimingTick => (TIMES, LARGEST_TIME_S),
             MapNoise | MapLowOrder => (HEIGHTS, LARGEST_HEIGHT_NM),
         }
     }

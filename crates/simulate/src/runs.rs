@@ -105,6 +105,8 @@ impl<'a> Runs<'a> {
         let largest = LARGEST_DISPLACEMENT * x.max(y);
         for (i, error) in process.errors.iter().enumerate() {
             let moved = match error.effect {
+                // The tool comes later to where it should be, and removes there what it should.
+                Effect::Scalar(effect) if effect.is_a_lag() => 0.0,
                 Effect::Scalar(effect) => self.displacement_per_size(effect) * error.size,
                 Effect::Noise(Noise::Position) => error.size,
                 _ => 0.0,

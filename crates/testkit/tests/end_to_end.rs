@@ -34,7 +34,7 @@ impl Line {
         let fixtures = workspace().join("fixtures");
         fs::copy(fixtures.join("coupon.json"), dir.path().join("coupon.json")).unwrap();
         let machine = dir.path().join("machine.json");
-        fs::copy(fixtures.join("machines/ion-beam.json"), machine).unwrap();
+        fs::copy(fixtures.join("machines/ion-beam-no-jerk-limit.json"), machine).unwrap();
         Self { dir, threads }
     }
 
@@ -212,6 +212,8 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
                 "max_velocity_step_mm_per_s",
                 "max_acceleration_step_mm_per_s2",
                 "limits_respected",
+                "broken_limits",
+                "after_servo_rms_nm",
                 "machine",
                 "schedule_wall_s",
                 "simulate_wall_s",

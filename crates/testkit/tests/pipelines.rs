@@ -539,7 +539,7 @@ fn a_negative_verdict_on_the_plan_ends_the_run_with_1_after_the_report() {
         "step_mm=1",
         "deconvolution=--max-sweeps 1",
     ];
-    let machine = workspace().join("fixtures/machines/ion-beam.json");
+    let machine = workspace().join("fixtures/machines/ion-beam-no-jerk-limit.json");
     fs::copy(machine, dir.path().join("machine.json")).unwrap();
     for _ in 0..2 {
         let text = ended_with(&run(dir.path(), &settings), 1);

@@ -176,7 +176,7 @@ fn what_is_no_process_is_refused_by_name() {
                 "kind": "servo_second_order", "size": 1, "unit": "ms", "distribution": "fixed",
                 "note": "measured", "damping_ratio": 50
             })),
-            "`damping_ratio` of servo_second_order is 50; give 0.1 to 2",
+            "`damping_ratio` of servo_second_order is 50; give 0.005 to 2",
         ),
         (json!({ "name": "p", "errors": [] }), "errors: are none; give at least one error"),
         (json!({ "name": "p" }), "missing field `errors`"),

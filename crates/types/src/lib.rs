@@ -42,7 +42,9 @@ pub use dwell_density::{DensityNodes, DwellDensity};
 pub use dwell_time::DwellTime;
 pub use end::End;
 pub use grid::{Axis, Grid, is_plausible_mm};
-pub use limits::{AxisLimits, Limits, MachineFile, MachineFileAxis};
+pub use limits::{
+    AxisLimits, DEFAULT_TIME_TO_FULL_ACCELERATION_S, Limits, MachineFile, MachineFileAxis,
+};
 pub use machine::Machine;
 pub use surface::{Removal, RemovalMaps, Surface};
 pub use tif::Tif;

@@ -22,8 +22,15 @@ const LEAST_LIMIT: f64 = 1e-9;
 /// on jerk a million times. Much larger: products overflow.
 const LARGEST_VELOCITY_MM_PER_S: f64 = 1e12;
 
-/// Largest plausible `min_segment_s`, s. Controllers need milliseconds; the other times of this
-/// crate have the same bound. Much larger: times lose their digits.
+/// Time from rest to the full acceleration, s, of a machine whose file states neither this time nor a limit on jerk.
+/// Larger: smoother and slower plans. 0.1 s of 2000 mm/s^2 is a jerk of 2e4 mm/s^3, which stages for optics reach.
+pub const DEFAULT_TIME_TO_FULL_ACCELERATION_S: f64 = 0.1;
+
+/// Shortest and longest plausible `time_to_full_acceleration_s` beside 0, s: drives build up their current in some
+/// 0.1 ms, and no axis takes minutes.
+const TIMES_TO_FULL_ACCELERATION_S: [f64; 2] = [1e-6, 100.0];
+
+/// Longest plausible `min_segment_s`, s, as of any time. Controllers ask for milliseconds.
 const LARGEST_MIN_SEGMENT_S: f64 = 1e9;
 
 /// The limits of a machine: two axes, every limit positive and finite.
@@ -51,6 +58,11 @@ pub struct MachineFile {
     pub name: String,
     /// The axes, x first, then y.
     pub axes: Vec<MachineFileAxis>,
+    /// Time from rest to the full acceleration, s: the jerk limit of an axis that states none is its acceleration limit
+    /// over this time. 0: such an axis has no jerk limit. Absent: the same, but a pipeline takes
+    /// [`DEFAULT_TIME_TO_FULL_ACCELERATION_S`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_to_full_acceleration_s: Option<f64>,
     /// Shortest segment that the controller accepts, s; 0 when it does not matter.
     #[serde(default)]
     pub min_segment_s: f64,
@@ -88,8 +100,16 @@ pub struct MachineFileAxis {
 }
 
 impl MachineFile {
-    /// The limits of the axes. Checks what JSON cannot: two axes named x and y, and limits that are
-    /// positive and of a plausible size.
+    /// Names of the axes of which the file states neither a jerk limit nor that there is none.
+    pub fn axes_without_word_on_jerk(&self) -> Vec<&str> {
+        let silent = |a: &&MachineFileAxis| {
+            a.max_jerk_mm_per_s3.is_none() && self.time_to_full_acceleration_s.is_none()
+        };
+        self.axes.iter().filter(silent).map(|a| a.name.as_str()).collect()
+    }
+
+    /// The limits of the axes; checks what the JSON types do not: two axes named x and y, every limit positive
+    /// and of a plausible size.
     pub fn checked(self) -> Result<Limits, Invalid> {
         let names: Vec<&str> = self.axes.iter().map(|a| a.name.as_str()).collect();
         if names != AXES {
@@ -99,7 +119,16 @@ impl MachineFile {
                 "give exactly two axes named \"x\" and \"y\", in this order",
             ));
         }
-        let axes = [self.axes[0].checked(0)?, self.axes[1].checked(1)?];
+        let [shortest, longest] = TIMES_TO_FULL_ACCELERATION_S;
+        let time_s = self.time_to_full_acceleration_s.unwrap_or_default();
+        if time_s != 0.0 && !(shortest..=longest).contains(&time_s) {
+            return Err(Invalid::whole(
+                "time_to_full_acceleration_s",
+                format!("is {time_s:?}"),
+                format!("give seconds, from {shortest:e} to {longest}, or 0 for no limit on jerk"),
+            ));
+        }
+        let axes = [self.axes[0].checked(0, time_s)?, self.axes[1].checked(1, time_s)?];
         if !(0.0..=LARGEST_MIN_SEGMENT_S).contains(&self.min_segment_s) {
             return Err(Invalid::whole(
                 "min_segment_s",
@@ -112,7 +141,8 @@ impl MachineFile {
 }
 
 impl MachineFileAxis {
-    fn checked(&self, index: usize) -> Result<AxisLimits, Invalid> {
+    /// The limits of axis `index`, whose jerk limit follows from the time to full acceleration where it states none.
+    fn checked(&self, index: usize, time_s: f64) -> Result<AxisLimits, Invalid> {
         let largest = LARGEST_VELOCITY_MM_PER_S;
         let limits = [
             ("max_velocity_mm_per_s", Some(self.max_velocity_mm_per_s), largest, "mm/s"),
@@ -139,7 +169,11 @@ impl MachineFileAxis {
             name: AXES[index],
             max_velocity_mm_per_s: self.max_velocity_mm_per_s,
             max_acceleration_mm_per_s2: self.max_acceleration_mm_per_s2,
-            max_jerk_mm_per_s3: self.max_jerk_mm_per_s3,
+            max_jerk_mm_per_s3: self.max_jerk_mm_per_s3.or_else(|| {
+                (time_s > 0.0).then(|| {
+                    (self.max_acceleration_mm_per_s2 / time_s).clamp(LEAST_LIMIT, 1e6 * largest)
+                })
+            }),
         })
     }
 }
@@ -273,9 +307,30 @@ mod tests {
         for v in [1e-9, 1e12] {
             assert!(machine(v, ["x", "y"]).checked().is_ok());
         }
+        for v in [-1.0, f64::NAN, f64::INFINITY, 1e-7, 101.0] {
+            let refused =
+                MachineFile { time_to_full_acceleration_s: Some(v), ..file.clone() }.checked();
+            let message = refused.unwrap_err().to_string();
+            assert!(message.contains("time_to_full_acceleration_s: is"), "{message}");
+        }
         assert!(machine(1.0, ["y", "x"]).checked().is_err());
         let mut one = file;
         one.axes.pop();
         assert!(one.checked().unwrap_err().to_string().contains("exactly two axes"));
+    }
+
+    #[test]
+    fn an_axis_takes_its_own_jerk_limit_or_that_of_the_machines_time() {
+        let mut file = machine(1.0, ["x", "y"]);
+        assert_eq!(file.axes_without_word_on_jerk(), ["x", "y"]);
+        file.axes[1].max_jerk_mm_per_s3 = Some(7.0);
+        assert_eq!(file.axes_without_word_on_jerk(), ["x"]);
+        // 10 mm/s^2 in 0.1 s.
+        for (time_s, jerk) in [(None, None), (Some(0.0), None), (Some(0.1), Some(100.0))] {
+            let file = MachineFile { time_to_full_acceleration_s: time_s, ..file.clone() };
+            assert_eq!(file.axes_without_word_on_jerk().is_empty(), time_s.is_some());
+            let limits = file.checked().unwrap();
+            assert_eq!(limits.axes().map(|a| a.max_jerk_mm_per_s3()), [jerk, Some(7.0)]);
+        }
     }
 }

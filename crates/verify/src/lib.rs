@@ -12,6 +12,18 @@
 //! infinite acceleration; a step in acceleration is an infinite jerk, and counts only against a
 //! machine with a limit on jerk. Where an axis has a travel, its position stays within it.
 //!
+//! A program of a controller ([`VerifySettings::program`]) gives positions and velocities at nodes, and the controller
+//! runs cubics between them, whose acceleration steps at every node. With a limit J on jerk it may step by
+//!
+//! ```text
+//! J (T1 + T2) / 2                        T1, T2 = times of the segments beside the node                (1)
+//! ```
+//!
+//! which a motion within the limit may do from the middle of one segment to the middle of the next. Cubics through nodes
+//! of a motion within the limit step by at most 8/27 J (T1 + T2) and have a jerk of at most J inside (Peano kernels of
+//! the cubic Hermite interpolant); the rest of (1) is for the rounding of the nodes to the grids of the controller. A
+//! program of straight lines leaves it to its controller how it joins them, so that its jerk is not judged.
+//!
 //! Source: the extreme value theorem; for cubics in Hermite form de Boor, *A Practical Guide to
 //! Splines*, chapter IV. The judge shares no code with the schedulers that it judges.
 //!
@@ -73,7 +85,17 @@ const REVERSAL_NOISE_MM_PER_S: f64 = 1e-6;
 /// infinity. No length in mm and no time in s comes near it.
 const LARGEST_NUMBER: f64 = 1e60;
 
-/// Tolerances below which a step is taken for rounding.
+/// How a controller runs from node to node of its program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Program {
+    /// Along cubics through positions and velocities: with a limit on jerk their acceleration may step by (1).
+    Cubics,
+    /// Along straight lines that it joins: a limit on jerk is not judged.
+    Lines,
+}
+
+/// What counts as a step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct VerifySettings {
     /// Largest step in position that is taken for rounding, mm. Default 1e-6 mm = 1 nm: below the
@@ -84,11 +106,13 @@ pub struct VerifySettings {
     /// at 2000 mm/s^2 and 1e5 s. At only 10 mm/s^2, a drive takes 0.1 us for 1e-6 mm/s, less than
     /// any servo cycle.
     pub velocity_step_mm_per_s: f64,
+    /// Program of a controller that the motion was read from. Default: none, a limit on jerk allows no step.
+    pub program: Option<Program>,
 }
 
 impl Default for VerifySettings {
     fn default() -> Self {
-        Self { position_step_mm: 1e-6, velocity_step_mm_per_s: 1e-6 }
+        Self { position_step_mm: 1e-6, velocity_step_mm_per_s: 1e-6, program: None }
     }
 }
 
@@ -161,8 +185,10 @@ struct AxisTally {
     steps: [Tally; 3],
     overshoot: Excursions,
     reversal: Excursions,
-    /// State before the next break; `None` before the first.
-    before: Option<State>,
+    /// Half the jerk limit where the motion is a program: times the durations beside a break it is (1). 0 otherwise.
+    step_per_s: f64,
+    /// State before the next break and duration of the segment that ends there; `None` before the first.
+    before: Option<(State, f64)>,
 }
 
 impl AxisTally {
@@ -179,6 +205,11 @@ impl AxisTally {
         let acceleration_step = limit.max_jerk_mm_per_s3().map(|_| ACCELERATION_STEP_ALLOWANCE * a);
         let within = |limit: f64| Some(Bound::Within(limit));
         let step = |tolerance: f64| Some(Bound::StepWithin(tolerance));
+        let acceleration_bound = |tolerance: f64| match settings.program {
+            None => step(tolerance),
+            Some(Program::Cubics) => Some(Bound::StepOfProgram(tolerance)),
+            Some(Program::Lines) => None,
+        };
         let name = limit.name();
         Self {
             ranges: [
@@ -197,9 +228,13 @@ impl AxisTally {
                 Tally::new(
                     format!("{name} acceleration"),
                     "mm/s^2",
-                    acceleration_step.and_then(step),
+                    acceleration_step.and_then(acceleration_bound),
                 ),
             ],
+            step_per_s: match settings.program {
+                Some(Program::Cubics) => 0.5 * limit.max_jerk_mm_per_s3().unwrap_or_default(),
+                _ => 0.0,
+            },
             name,
             travel_mm,
             overshoot: Excursions::new(EXCURSION_NOISE_MM),
@@ -228,8 +263,8 @@ impl AxisTally {
 
         let state = |u: f64| [0, 1, 2].map(|order| evaluate(&orders[order], u));
         let (start, end) = (state(0.0), state(h));
-        self.add_steps(start, Place::new(i, segment, 0.0, 0.0));
-        self.before = Some(end);
+        self.add_steps(start, h, Place::new(i, segment, 0.0, 0.0));
+        self.before = Some((end, h));
 
         // Distance of the position from the interval between both ends of its own segment.
         let (low, high) = (start[0].min(end[0]), start[0].max(end[0]));
@@ -242,21 +277,23 @@ impl AxisTally {
         self.reversal.add(Place::new(i, segment, slower, v.max.min(-v.min)));
     }
 
-    /// Adds the steps at the break at `place`, from the state before it to the state `after` it.
-    fn add_steps(&mut self, after: State, place: Place) {
+    /// The steps at the break at `place`, from the state before it to the state `after` it, in which the motion stays in
+    /// a segment of `after_s`.
+    fn add_steps(&mut self, after: State, after_s: f64, place: Place) {
         // Before the first break the machine stands where the motion starts.
-        let before = self.before.unwrap_or([after[0], 0.0, 0.0]);
+        let (before, before_s) = self.before.unwrap_or(([after[0], 0.0, 0.0], 0.0));
+        let allowed = [0.0, 0.0, self.step_per_s * (before_s + after_s)];
         for (order, tally) in self.steps.iter_mut().enumerate() {
             let step = Place { value: after[order] - before[order], ..place };
-            tally.add(step, step, 0.0);
+            tally.add(step, step, allowed[order]);
         }
     }
 
     /// Adds the steps at the last break, number `index`: after it the machine stands where the
     /// motion ends.
     fn add_stop(&mut self, index: usize, last: &Segment<'_>) {
-        let position = self.before.map_or(0.0, |before| before[0]);
-        self.add_steps([position, 0.0, 0.0], Place::new(index, last, last.duration_s, 0.0));
+        let position = self.before.map_or(0.0, |(before, _)| before[0]);
+        self.add_steps([position, 0.0, 0.0], 0.0, Place::new(index, last, last.duration_s, 0.0));
     }
 
     fn finish(self) -> AxisVerdict {

@@ -1,15 +1,15 @@
 //! `planish-verify`: checks whether a trajectory keeps the limits of a machine.
 
-use std::process::ExitCode;
+use std::{fs, path::Path, process::ExitCode};
 
 use clap::Parser;
 use planish_handoff::{
-    Begin, Inputs, Output, Status,
+    Begin, Failure, Inputs, Manifest, Output, Status,
     flags::{AxesArgs, OutputArgs, TrajectoryArgs},
     kind, say, task,
 };
 use planish_types::TransformNumbers;
-use planish_verify::{VerifySettings, verify_on_axes};
+use planish_verify::{Program, VerifySettings, verify_on_axes};
 
 #[global_allocator]
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
@@ -17,10 +17,29 @@ static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-verify --trajectory out/trajectory --machine machine.json --out out/verdict";
 
+/// Program and method in the manifest of a controller's program that was read back.
+const PROGRAM: &str = "planish-import program";
+
+/// How the controller of a program that was read back runs it, as the manifest beside the motion says.
+fn program_in(trajectory: &Path) -> Result<Program, Failure> {
+    let file = trajectory.join("manifest.json");
+    let failed = |e: &dyn std::fmt::Display| {
+        Failure::new(format!("{}: cannot be read: {e}", file.display()))
+    };
+    let text = fs::read(&file).map_err(|e| failed(&e))?;
+    let manifest: Manifest = serde_json::from_slice(&text).map_err(|e| failed(&e))?;
+    Ok(match manifest.settings["controller"].as_str() {
+        Some("gcode") => Program::Lines,
+        _ => Program::Cubics,
+    })
+}
+
 /// Prove whether a trajectory keeps the limits of a machine; exit code 1 when it does not
 ///
-/// planish-verify judges the motion of the axes. If the machine file states how the part lies on
-/// the axes, it transforms the motion to them first.
+/// Judged is what the axes do: where the machine file says how the part lies on them, the motion is taken there. A limit
+/// on jerk allows no step of the acceleration. The acceleration of a controller's program, read by planish-import program,
+/// may step at a node by the jerk limit times the time between the middles of the two segments; the jerk of a program of
+/// straight lines (gcode) is not judged.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
@@ -45,12 +64,16 @@ struct Cli {
 
 fn main() -> ExitCode {
     planish_handoff::program(|cli: &Cli| {
+        let mut inputs = Inputs::new();
+        let on_axes = cli.trajectory.read_on_axes(&cli.machine, &mut inputs)?;
         let settings = VerifySettings {
             position_step_mm: cli.position_step_mm,
             velocity_step_mm_per_s: cli.velocity_step_mm_per_s,
+            program: match on_axes.made_by.as_deref() {
+                Some(PROGRAM) => Some(program_in(&cli.trajectory.trajectory)?),
+                _ => None,
+            },
         };
-        let mut inputs = Inputs::new();
-        let on_axes = cli.trajectory.read_on_axes(&cli.machine, &mut inputs)?;
         let machine = &on_axes.machine;
         let task = task!("verify", settings);
         let mut output =
@@ -77,6 +100,19 @@ fn main() -> ExitCode {
             if verdict.limits_respected { "kept" } else { "exceeded" },
             cli.output.out.display()
         ));
+        let limits_jerk = machine.limits().axes().iter().any(|a| a.max_jerk_mm_per_s3().is_some());
+        let [x, y] = verdict.max_acceleration_step_mm_per_s2;
+        match settings.program.filter(|_| limits_jerk) {
+            None => {}
+            Some(Program::Cubics) => say(format!(
+                "a controller joins its cubics with steps of the acceleration: here up to {x:.1}, {y:.1} mm/s^2 (x, y), \
+                 and the jerk limit bounds each by the time between the middles of two segments"
+            )),
+            Some(Program::Lines) => say(
+                "the jerk limit is not judged: how the controller joins the straight lines of the program decides on the \
+                 jerk",
+            ),
+        }
         Ok(status)
     })
 }

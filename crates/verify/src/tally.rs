@@ -18,7 +18,10 @@ pub(crate) enum Bound {
     Within(f64),
     /// The step at a break is at most this tolerance, which covers rounding.
     StepWithin(f64),
-    /// The value is at least this.
+    /// A step of the acceleration of a program; the tolerance is for rounding, beside what the jerk limit allows at the
+    /// break.
+    StepOfProgram(f64),
+    /// A value of at least this.
     AtLeast(f64),
     /// The value is between the first number and the second.
     Between([f64; 2]),
@@ -29,7 +32,7 @@ impl Bound {
     fn value(self) -> Option<f64> {
         match self {
             Self::Within(v) | Self::StepWithin(v) | Self::AtLeast(v) => Some(v),
-            Self::Between(_) => None,
+            Self::StepOfProgram(_) | Self::Between(_) => None,
         }
     }
 
@@ -37,7 +40,9 @@ impl Bound {
     fn is_exceeded_by(self, value: f64, rounding: f64) -> bool {
         match self {
             Self::Within(limit) => value.abs() > limit * (1.0 + LIMIT_ALLOWANCE) + rounding,
-            Self::StepWithin(tolerance) => value.abs() > tolerance + rounding,
+            Self::StepWithin(tolerance) | Self::StepOfProgram(tolerance) => {
+                value.abs() > tolerance + rounding
+            }
             Self::AtLeast(limit) => value < limit * (1.0 - LIMIT_ALLOWANCE) - rounding,
             Self::Between(_) => self.badness(value) > rounding,
         }
@@ -51,14 +56,14 @@ impl Bound {
                 (limit > 0.0).then(|| value.abs() / limit)
             }
             Self::AtLeast(limit) => Some(limit / value),
-            Self::Between(_) => None,
+            Self::StepOfProgram(_) | Self::Between(_) => None,
         }
     }
 
     /// Order of the offenders: the larger this number, the worse.
     fn badness(self, value: f64) -> f64 {
         match self {
-            Self::Within(_) | Self::StepWithin(_) => value.abs(),
+            Self::Within(_) | Self::StepWithin(_) | Self::StepOfProgram(_) => value.abs(),
             Self::AtLeast(_) => -value,
             // Excess over the nearer end.
             Self::Between([low, high]) => (low - value).max(value - high),
@@ -79,6 +84,11 @@ impl Bound {
                  taken for rounding (breaks that exceed it: {count})",
                 significant(*value, 7),
                 significant(tolerance, 2)
+            ),
+            Self::StepOfProgram(_) => format!(
+                "{name} of the program steps by {} {unit} at break {index} at {time_s:.6} s, more than the jerk limit \
+                 allows from the middle of the segment before to that of the next (breaks that exceed it: {count})",
+                significant(*value, 7)
             ),
             Self::AtLeast(limit) => format!(
                 "{name} is {} {unit} in segment {index} at {time_s:.6} s, below the \

@@ -1,7 +1,7 @@
 //! The verdict against closed forms, invariants and dense sampling.
 
 use planish_types::{Limits, MachineFile, MachineFileAxis, Trajectory};
-use planish_verify::{Check, Verdict, VerifySettings, verify};
+use planish_verify::{Check, Program, Verdict, VerifySettings, verify};
 use proptest::prelude::*;
 
 /// Coefficients of one axis.
@@ -417,4 +417,65 @@ proptest! {
             );
         }
     }
+}
+
+/// A motion of piecewise constant jerk from rest to rest as its program has it: cubics through its positions and
+/// velocities at nodes that are none of its own breaks. The motion is the integral of j(t) = J s(t), s = +-1.
+fn program_of(jerk: f64, nodes: &[f64]) -> Trajectory {
+    // Rest to rest: + - - + + ... in steps of 0.25 s; the last motion goes back.
+    let signs = [1.0, -1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0];
+    let at = |t: f64| {
+        let (mut p, mut v, mut a) = (0.0, 0.0, 0.0);
+        for (k, s) in signs.iter().enumerate() {
+            let h = (t - 0.25 * k as f64).clamp(0.0, 0.25);
+            let j = s * jerk;
+            p += h * (v + h * (a / 2.0 + h * j / 6.0));
+            v += h * (a + h * j / 2.0);
+            a += h * j;
+        }
+        (p, v)
+    };
+    let cubic = |w: &[f64]| {
+        let (h, [(p, v), (q, u)]) = (w[1] - w[0], [at(w[0]), at(w[1])]);
+        hermite(&[p, q], &[v, u], h)[0]
+    };
+    let h: Vec<f64> = nodes.windows(2).map(|w| w[1] - w[0]).collect();
+    along_x(&h, &nodes.windows(2).map(cubic).collect::<Vec<_>>())
+}
+
+#[test]
+fn the_program_of_a_motion_within_the_jerk_limit_keeps_it_and_steps_by_less_than_8_27ths() {
+    let settings = VerifySettings { program: Some(Program::Cubics), ..VerifySettings::default() };
+    let jerk = 100.0;
+    // Segments of 0.03 to 0.09 s, off the breaks at multiples of 0.25 s.
+    let mut nodes = vec![0.0];
+    while nodes[nodes.len() - 1] < 1.9 {
+        nodes.push(nodes[nodes.len() - 1] + 0.03 + 0.06 * (nodes.len() as f64 * 0.618).fract());
+    }
+    nodes.push(2.0);
+    let program = program_of(jerk, &nodes);
+    let machine = |jerk| machine(1e3, 1e3, Some(jerk), 0.0);
+    let kept = verify(&program, &machine(jerk), &settings).unwrap();
+    assert!(kept.limits_respected, "{:?}", kept.violations);
+    let step = kept.max_acceleration_step_mm_per_s2[0];
+    assert!(step > 0.5 && step <= 8.0 / 27.0 * jerk * (2.0 * 0.09), "{step}");
+    // A motion that is no program may not step; nor may a program by more than the limit does between two middles.
+    assert!(!judge(&program, &machine(jerk)).limits_respected);
+    let stricter = verify(&program, &machine(0.9 * jerk), &settings).unwrap();
+    assert!(stricter.violations[0].contains("jerk reaches"), "{:?}", stricter.violations);
+    // Constant acceleration from rest: a step of 20 mm/s^2 before a segment of 1 s, J T / 2 = 50 or 19.8 mm/s^2.
+    let bang = along_x(&[1.0, 1.0], &[[0.0, 0.0, 10.0, 0.0], [10.0, 20.0, -10.0, 0.0]]);
+    // In the middle the step is twice as large, and so is the time beside it.
+    assert!(verify(&bang, &machine(100.0), &settings).unwrap().limits_respected);
+    let beyond = verify(&bang, &machine(39.6), &settings).unwrap();
+    assert_eq!(beyond.axes[0].acceleration_step_mm_per_s2.exceeding_count, 3);
+    // How a controller joins lines is not known.
+    let lines = VerifySettings { program: Some(Program::Lines), ..settings };
+    assert!(verify(&bang, &machine(39.6), &lines).unwrap().limits_respected);
+    assert!(
+        beyond.violations[0].contains("of the program steps by 20 mm/s^2 at break 0")
+            || beyond.violations[0].contains("of the program steps by -40 mm/s^2 at break 1"),
+        "{:?}",
+        beyond.violations
+    );
 }

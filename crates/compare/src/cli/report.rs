@@ -44,6 +44,10 @@ pub struct Report {
     /// one run only; default: the report chooses among all rows]
     #[arg(long, value_name = "ROW")]
     program: Option<String>,
+    /// Compare the plans by what they leave after the servo of the process: methods/<scheduler>/removal-after-servo, written
+    /// by planish-simulate --servo-of
+    #[arg(long)]
+    after_servo: bool,
     /// Small plots under the table; auto: where standard output is a terminal
     #[arg(long, value_enum, default_value = "auto")]
     plots: Plots,
@@ -60,18 +64,21 @@ enum Plots {
 
 impl Report {
     pub fn run(&self) -> Result<Status, Failure> {
-        let Report { runs, pipeline, fixture, measured, tif, program, plots, output } = self;
+        let Report { runs, pipeline, fixture, measured, tif, program, after_servo, plots, output } =
+            self;
         let mut inputs = Inputs::new();
         let names: Vec<String> = runs.iter().map(|dir| files::name_of(dir)).collect();
         let task = task!(
             "report",
-            json!({ "pipeline": pipeline, "fixture": fixture, "runs": names, "program": program })
+            json!({ "pipeline": pipeline, "fixture": fixture, "runs": names, "program": program,
+                "after_servo": after_servo })
         );
         let called = Names {
             pipeline: pipeline.as_deref(),
             fixture,
             measured: measured.as_deref().filter(|_| runs.len() == 1),
             tif: tif.as_deref(),
+            after_servo: *after_servo,
         };
         if measured.is_some() && runs.len() > 1 {
             let message =

@@ -9,13 +9,17 @@ use std::{
 };
 
 use clap::Args;
-use planish_handoff::{Failure, Inputs, OutputFile, Status, is_temporary, words};
+use planish_handoff::{Failure, Inputs, OutputFile, Status, is_temporary, warn, words};
 use planish_run::owner::{Mirror, Owner};
+use planish_types::{DEFAULT_TIME_TO_FULL_ACCELERATION_S, MachineFile};
 
 /// Name of the file that says who owns the directory.
 const OWNER: &str = "run.json";
-/// Name of the file that is locked while a run uses the directory; it names the process. It stays after
-/// the run: if a run removed it, two runs could lock two files of the same name.
+/// Directory of the machine that the stages of the run plan for: a copy of the machine file under its own name, with a
+/// limit on jerk where that states none.
+const MACHINE: &str = "machine";
+/// Locked while a run has the directory; says which process that is. It stays when the run is over:
+/// to remove it would let two runs lock two files of the same name.
 const LOCK: &str = "run.lock";
 
 /// Number of times that a run reads the name of the process that has locked the directory: with [`BETWEEN_READS`] a
@@ -68,6 +72,8 @@ fn start(arguments: &Start) -> Result<Status, Failure> {
     }
     // The reader is that of the stages.
     Inputs::new().read_machine(machine)?;
+    let copy = out.join(MACHINE).join(machine.file_name().unwrap_or_default());
+    let (machine_text, assumed) = with_limit_on_jerk(machine, &copy)?;
     let owner = Owner { pipeline: arguments.pipeline.clone(), mirror: mirror(arguments)? };
     for (input, path) in [("surface", &arguments.surface), ("tif", &arguments.tif)] {
         path.as_ref().map_or(Ok(()), |path| refuse_overlap(out, input, path))?;
@@ -75,10 +81,41 @@ fn start(arguments: &Start) -> Result<Status, Failure> {
     refuse_overlap(out, "machine", machine)?;
 
     let lock = take(out, &owner, command)?;
+    fs::create_dir_all(out.join(MACHINE))
+        .map_err(|e| Failure::new(format!("{}: cannot write in it: {e}", out.display())))?;
+    OutputFile::begin("out", &copy, true, &Inputs::new())?.write(&machine_text)?;
+    if let Some(assumed) = assumed {
+        warn(assumed);
+    }
     Err(become_command(command, lock))
 }
 
-/// Mirror of the run; refuses a mirror whose files do not exist.
+/// The machine file as the stages of the run get it, in `copy`: as it is, or, where it says nothing of jerk, with the time
+/// to full acceleration that is assumed, and a warning that says so.
+fn with_limit_on_jerk(machine: &Path, copy: &Path) -> Result<(Vec<u8>, Option<String>), Failure> {
+    let failed = |e: &dyn std::fmt::Display| {
+        Failure::new(format!("{}: cannot be read: {e}", machine.display()))
+    };
+    let text = fs::read(machine).map_err(|e| failed(&e))?;
+    let file: MachineFile = serde_json::from_slice(&text).map_err(|e| failed(&e))?;
+    let silent = file.axes_without_word_on_jerk();
+    if silent.is_empty() {
+        return Ok((text, None));
+    }
+    let time_s = DEFAULT_TIME_TO_FULL_ACCELERATION_S;
+    let warning = format!(
+        "{} states no jerk limit of {}, so this run assumes {time_s} s from rest to full acceleration and plans for {}; \
+         state \"time_to_full_acceleration_s\" in the machine file, where 0 means no jerk limit",
+        machine.display(),
+        silent.join(" and "),
+        copy.display()
+    );
+    let file = MachineFile { time_to_full_acceleration_s: Some(time_s), ..file };
+    let text = format!("{}\n", serde_json::to_string_pretty(&file)?);
+    Ok((text.into_bytes(), Some(warning)))
+}
+
+/// The mirror, which is there.
 fn mirror(arguments: &Start) -> Result<Mirror, Failure> {
     match (&arguments.fixture, &arguments.surface, &arguments.tif) {
         (Some(recipe), ..) => fixture(recipe).map(Mirror::Fixture),

@@ -12,11 +12,12 @@ use planish_testkit::{
     mirror::{self, Mirror},
 };
 use planish_toolpath::{Construction, Scan};
-use planish_types::{Limits, MachineFile, Surface, Tif, ToolPath, plausible::Rms};
+use planish_types::{Limits, Surface, Tif, ToolPath, plausible::Rms};
 
 use crate::{
     Case,
     paths::{fixture, lines, own_maze, random},
+    smooth,
 };
 
 /// Distance of the nodes of the third plan on the mirror, mm. Larger: fewer unknowns, a coarser feed.
@@ -29,10 +30,6 @@ const FINE_ELASTICITY: f64 = 0.6;
 /// Elasticity of the second plan, and of the second plan of the fixtures; see [`FINE_ELASTICITY`].
 const DEARER_ELASTICITY: f64 = 0.75;
 
-/// Limits on jerk of the rows of the table, mm/s^3.
-const JERKS_MM_PER_S3: [f64; 3] = [1e5, 2e4, 2e3];
-
-/// Seeds of the random-adaptive paths; the table shows medians over them.
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=5;
 
 fn heading(title: &str, plans: &[Settings]) {
@@ -61,8 +58,7 @@ impl Part<'_> {
     fn measured(&self, path: &ToolPath) -> Vec<[f64; 2]> {
         let Self { desired, tif, limits, plans } = *self;
         let floor = Bound::SecondsPerMm(0.02);
-        let limits_jerk = limits.axes().iter().any(|a| a.max_jerk_mm_per_s3().is_some());
-        let mode = if limits_jerk { Mode::Smooth } else { Mode::Monotone };
+        let mode = Mode::within(limits);
         let case = Case { desired, tif, limits, mode, floor, noise_rms_nm: None };
         let refined = case.refined(path);
         let best = &refined.iterates[refined.best];
@@ -118,22 +114,6 @@ fn on_the_mirror(title: &str, reference: &Mirror, limits: &Limits) {
     part.median_of_seeds();
 }
 
-/// Table of plans with limits on jerk, on the raster and the maze.
-fn with_limits_on_jerk(reference: &Mirror) {
-    let (desired, tif, plans) = (&reference.desired, &reference.tif, &[Settings::default()]);
-    heading("The reference mirror, with a limit on jerk", plans);
-    let paths = [("raster", lines(desired, tif, 1.0, Scan::X)), ("maze", own_maze(desired))];
-    for (name, path) in &paths {
-        for jerk_mm_per_s3 in JERKS_MM_PER_S3 {
-            let mut file = MachineFile::from(&ion_beam());
-            file.axes.iter_mut().for_each(|axis| axis.max_jerk_mm_per_s3 = Some(jerk_mm_per_s3));
-            let limits = &file.checked().expect("a machine");
-            let part = Part { desired, tif, limits, plans };
-            part.row(&format!("{name}, {jerk_mm_per_s3:e} mm/s^3"), path);
-        }
-    }
-}
-
 fn on_fixtures() {
     let price = Price::Elasticity(DEARER_ELASTICITY);
     let dearer = Settings { price, ..Settings::default() };
@@ -161,7 +141,10 @@ pub fn tables(names: &[String]) {
             on_the_mirror("The same, a tenth of every limit", &reference, &slow);
         }
         if wanted("jerk") {
-            with_limits_on_jerk(&reference);
+            smooth::limits_on_jerk(&reference);
+        }
+        if wanted("servo") {
+            smooth::servos(&reference);
         }
     }
     if wanted("fixtures") {

@@ -1,9 +1,11 @@
 //! The tables of docs/refine.md: the closed loop on the reference mirror (`PLANISH_REFERENCE`), with a
-//! tenth of the limits of the machine, on the coupon with noise, and with a ring-shaped tool. The argument
-//! `feed` makes those of docs/feed.md: motion and times as one problem beside the closed loop.
+//! tenth of the limits of the machine, and on the coupon with noise and with a ring-shaped tool. With the argument
+//! `feed`: those of docs/feed.md, motion and times as one problem beside the closed loop. With `modes`: the shapes of the
+//! PVT motion over fixtures and paths (docs/decisions/0071-pvt-mode-over-fixtures.md).
 
 mod feed;
 mod paths;
+mod smooth;
 
 use planish_dwell::bounded_least_squares::{self, Bound};
 use planish_fixture::Fixture;
@@ -198,6 +200,9 @@ fn main() {
     let words: Vec<String> = std::env::args().skip(1).collect();
     if let Some(("feed", names)) = words.split_first().map(|(first, rest)| (first.as_str(), rest)) {
         return feed::tables(names);
+    }
+    if words.first().is_some_and(|first| first == "modes") {
+        return smooth::modes(&words[1..]);
     }
     if let Some(reference) = mirror::mirror() {
         on_the_mirror(&reference);

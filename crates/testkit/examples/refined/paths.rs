@@ -5,8 +5,8 @@ use std::fs;
 use planish_fixture::{Fixture, Recipe, make};
 use planish_testkit::workspace;
 use planish_toolpath::{
-    Construction, MazeSettings, RandomAdaptiveSettings, RasterSettings, Scan, Tree, maze,
-    random_adaptive, raster,
+    Construction, MazeSettings, MultiPitchSettings, RandomAdaptiveSettings, RasterSettings, Scan,
+    SpiralSettings, Tree, maze, multi_pitch, multi_pitch::Links, random_adaptive, raster, spiral,
 };
 use planish_types::{Surface, Tif, ToolPath};
 
@@ -64,4 +64,26 @@ pub fn lines(desired: &Surface, tif: &Tif, pitch_mm: f64, scan: Scan) -> ToolPat
     let [x, y] = tif.half_size_mm();
     let settings = RasterSettings { scan, ..RasterSettings::new(pitch_mm, pitch_mm, x.max(y)) };
     raster(desired, &settings).expect("a path")
+}
+
+/// A spiral with turns `pitch_mm` apart, which the tool leaves the part on.
+pub fn turns(desired: &Surface, tif: &Tif, pitch_mm: f64) -> ToolPath {
+    let [x, y] = tif.half_size_mm();
+    let settings = SpiralSettings { pitch_mm, step_mm: pitch_mm, overscan_mm: x.max(y) };
+    spiral(desired, &settings).expect("a path")
+}
+
+/// A multi-pitch raster as `just paths-table` has it.
+pub fn pitches(desired: &Surface, tif: &Tif) -> ToolPath {
+    let settings = MultiPitchSettings {
+        classes: 4,
+        max_velocity_mm_per_s: 6.0,
+        min_pitch_mm: 0.2,
+        max_pitch_mm: 1.6,
+        min_area_mm2: None,
+        step_mm: 1.0,
+        overscan_mm: 5.0,
+        links: Links::Outside,
+    };
+    multi_pitch(desired, tif, &settings).expect("a path").path
 }
