@@ -162,12 +162,15 @@ def main():
             for controller in CONTROLLERS:
                 grids = [[]]
                 if given.grids:
-                    grids = [[f"--tick-s={t}", f"--count-mm={c}"] for c in COUNTS_MM for t in TICKS_S]
+                    clock = "--sample-s={:g}".format if controller == "galil" else "--tick-s={:g}".format
+                    # A Galil counts pairs of samples.
+                    part = 0.5 if controller == "galil" else 1.0
+                    grids = [[clock(part * t), f"--count-mm={c}"] for c in COUNTS_MM for t in TICKS_S]
                 for flags in grids:
                     line, told = judge(to, plan, controller, flags)
                     grid = [f.split("=")[1] for f in flags]
                     if given.grids:
-                        grid = [f"{1e3 * float(grid[0]):g}", f"{1e3 * float(grid[1]):g}"]
+                        grid = [f"{1e3 * float(grid[0]) / part:g}", f"{1e3 * float(grid[1]):g}"]
                     first = [f"{name}, {plan}" + ("" if line is None else f": {told}"), controller]
                     if line is None:
                         show([*first, *grid, told])

@@ -15,7 +15,7 @@
 //! ```
 //!
 //! times a factor that the generator raises where a program still exceeds a limit. Between cells `k` is linear, no
-//! steeper than `|P'| |k'| <= d_a A / 2`.
+//! steeper than `|P'| |k'| <= d_a A / 2`, or a part of what the plan leaves of A.
 //!
 //! Time that is added removes more. So the clock gives it back nearby, where the plan uses less than its limits: with
 //! e = k - 1 > 0 where the plan is slowed down, the room r = 1 - (least k) elsewhere, and sums over the cells within a
@@ -46,10 +46,14 @@ const JERK_MARGIN: f64 = 0.06;
 
 /// Distance R along the path within which added time is given back, mm. Larger: more of it is given back; smaller: the
 /// removal is nearer to the plan's. A tool of 5 mm FWHM does not see a time that is moved by half of it.
-const GIVEN_BACK_WITHIN_MM: f64 = 1.0;
+const GIVEN_BACK_WITHIN_MM: f64 = 2.0;
 
 /// Least `k` where time is given back. Smaller: more is given back, and the velocities differ more from the plan's.
 const LEAST_FACTOR: f64 = 0.8;
+
+/// Part of the acceleration that the plan does not use which the change of `k` may use. Larger: the plan is slowed down
+/// for shorter, and its acceleration changes more within a segment.
+const UNUSED: f64 = 0.5;
 
 /// Length of a cell, s: shorter than what a stage feels, and most cells of a plan.
 const CELL_S: f64 = 2e-3;
@@ -177,7 +181,11 @@ impl Cells {
                         let used = derivative(&a)[0].abs() / ((1.0 - JERK_MARGIN) * jerk);
                         *need = need.max(used.cbrt());
                     }
-                    let steepest = 0.5 * ACCELERATION_MARGIN * most_a / speed.max(1e-9 * most_v);
+                    let unused = (1.0 - ACCELERATION_MARGIN) * most_a - acceleration;
+                    // Under a limit on the jerk a change of k' is a change of the acceleration that takes time.
+                    let part = if limit.max_jerk_mm_per_s3().is_some() { 0.0 } else { UNUSED };
+                    let for_clock = (0.5 * ACCELERATION_MARGIN * most_a).max(part * unused);
+                    let steepest = for_clock / speed.max(1e-9 * most_v);
                     cells.steepest[i] = cells.steepest[i].min(steepest);
                 }
             }

@@ -338,14 +338,20 @@ fn programs_of_random_problems_keep_the_limits() {
         let file =
             MachineFile { name: "bench".into(), axes: axes.to_vec(), ..MachineFile::default() };
         let machine = Machine::new(file).unwrap();
-        let settings = pvt::Settings { mode: Mode::Monotone, stretch: true };
-        let Ok(plan) = pvt::schedule(&path, &dwell, machine.limits(), &settings) else {
-            no_plan += 1;
-            continue;
+        let mode = if has_jerk { Mode::Smooth } else { Mode::Monotone };
+        let settings = pvt::Settings { mode, stretch: true };
+        let plan = match pvt::schedule(&path, &dwell, machine.limits(), &settings) {
+            Ok(plan) => plan.trajectory,
+            Err(e) => {
+                println!("case {case}: {e}");
+                no_plan += 1;
+                continue;
+            }
         };
-        let plan = plan.trajectory;
         // What the scheduler does not keep is refused by every controller, with that remedy.
-        if !verify_on_axes(&plan, &machine, &VerifySettings::default()).unwrap().limits_respected {
+        let verdict = verify_on_axes(&plan, &machine, &VerifySettings::default()).unwrap();
+        if !verdict.limits_respected {
+            println!("case {case}: {:?}", verdict.reason());
             no_plan += 1;
             continue;
         }
