@@ -65,9 +65,8 @@ const CHOSEN_DEVIATION: f64 = 0.6;
 /// plans are refused. Chosen: a plan that needs more is not one for this controller.
 const MOST_FACTOR: f64 = 64.0;
 
-/// Number of intervals of a piece at whose ends the program is compared with the plan. Larger: more time. Smaller: a
-/// deviation between the points may be missed. Chosen.
-const COMPARED: usize = 12;
+/// Part of the path deviation below which its bound is not made tighter.
+const WORTH: f64 = 0.3;
 
 /// Settings of the generator.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -351,7 +350,7 @@ impl<'a> Generator<'a> {
     }
 
     fn run(mut self) -> Result<Nodes, Invalid> {
-        let mut cells = Cells::new(self.plan, self.machine.limits());
+        let mut cells = Cells::new(self.plan, self.machine.limits(), self.settings.follows_tool);
         let mut last = (0, 1.0_f64);
         let mut deviation_mm = 0.0;
         for _ in 0..MOST_ROUNDS {
@@ -564,17 +563,9 @@ impl<'a> Generator<'a> {
                     }
                 }
             }
-            let mut off_mm = 0.0_f64;
-            for j in 0..=COMPARED {
-                let u = piece.time_s * j as f64 / COMPARED as f64;
-                let position = piece
-                    .coefficient_mm
-                    .each_ref()
-                    .map(|c| planish_numerics::polynomial::evaluate(c, u));
-                off_mm = off_mm.max(motion.distance_mm(piece.start_s + u, position)[0]);
-            }
-            // The motion is that of the path that was moved inwards.
-            off_mm += self.inwards.most_mm();
+            let worth_mm = WORTH * self.settings.path_deviation_mm;
+            let off_mm =
+                motion.bound_mm(piece.start_s, piece.time_s, &piece.coefficient_mm, worth_mm);
             faults.deviation_mm = faults.deviation_mm.max(off_mm);
             let too_far = off_mm / self.settings.path_deviation_mm;
             if too_far > 1.0 && nodes.duration(i) > self.least_ticks {

@@ -15,14 +15,24 @@
 //! ```
 //!
 //! times a factor that the generator raises where a program still exceeds a limit. Between cells `k` is linear, no
-//! steeper than `|P'| |k'| <= d_a A / 2`.
+//! steeper than `|P'| |k'| <= d_a A / 2`, or a part of what the plan leaves of A.
+//!
+//! Time that is added removes more. So the clock gives it back nearby, where the plan uses less than its limits: with
+//! e = k - 1 > 0 where the plan is slowed down, the room r = 1 - (least k) elsewhere, and sums over the cells within a
+//! distance R of the path,
+//!
+//! ```text
+//! k_j = 1 - r_j min(1, sum_i e_i / C_i),   C_i = sum_j r_j
+//! ```
+//!
+//! The removal then differs from the plan's by time that is moved by at most R, and the program takes the plan's time.
 //!
 //! | symbol | variable | unit |
 //! |---|---|---|
 //! | s, t | `plan_s`, `time_s` | s |
 //! | k | `factor` | - |
 
-use planish_numerics::polynomial::{derivative, evaluate, range};
+use planish_numerics::polynomial::{derivative, evaluate, range, shifted};
 use planish_types::{Limits, Trajectory};
 
 /// Fraction of the velocity limit that stays unused. Larger: slower programs. Smaller: more rounds. Chosen: rounding
@@ -37,8 +47,18 @@ const ACCELERATION_MARGIN: f64 = 0.02;
 /// segment that spans a step of the jerk exceeds the plan's by some percent.
 const JERK_MARGIN: f64 = 0.06;
 
-/// Length of a cell, s, and largest number of cells of a plan. Longer: a plan is slowed down for longer than needed.
-/// More and shorter: more memory and time. Chosen: shorter than a stage can follow.
+/// Distance R along the path within which added time is given back, mm. Larger: more of it is given back; smaller: the
+/// removal is nearer to the plan's. A tool of 5 mm FWHM does not see a time that is moved by half of it.
+const GIVEN_BACK_WITHIN_MM: f64 = 2.0;
+
+/// Least `k` where time is given back. Smaller: more is given back, and the velocities differ more from the plan's.
+const LEAST_FACTOR: f64 = 0.8;
+
+/// Part of the acceleration that the plan does not use which the change of `k` may use. Larger: the plan is slowed down
+/// for shorter, and its acceleration changes more within a segment.
+const UNUSED: f64 = 0.5;
+
+/// Length of a cell, s: shorter than what a stage feels, and most cells of a plan.
 const CELL_S: f64 = 2e-3;
 const MOST_CELLS: f64 = 2e6;
 
@@ -112,8 +132,12 @@ pub(crate) struct Slowed<'a> {
 /// Cells of a plan, with the slowing down that each needs.
 pub(crate) struct Cells {
     cell_s: f64,
-    /// Least k of every cell (m), without the raised factors.
+    /// Least k of every cell (m), without the raised factors; below 1 where the plan uses less than its limits.
     need: Vec<f64>,
+    /// False where the tool removes nothing somewhere in the cell (m).
+    on: Vec<bool>,
+    /// Length of the path at the borders of the cells (m+1), mm.
+    arc_mm: Vec<f64>,
     /// Steepest k of every cell (m), 1/s.
     steepest: Vec<f64>,
     /// Factors of the need that the generator asks for besides (m); >= 1.
@@ -123,14 +147,16 @@ pub(crate) struct Cells {
 }
 
 impl Cells {
-    /// The cells of `plan` on a machine with `limits`.
-    pub fn new(plan: &Trajectory, limits: &Limits) -> Self {
+    /// The cells of `plan` on a machine with `limits`; the tool is on where the plan says so, or always.
+    pub fn new(plan: &Trajectory, limits: &Limits, follows_tool: bool) -> Self {
         let total_s = plan.total_time_s();
         let cell_s = CELL_S.max(total_s / MOST_CELLS);
         let m = (total_s / cell_s).ceil().max(1.0) as usize;
         let mut cells = Self {
             cell_s,
-            need: vec![1.0; m],
+            need: vec![LEAST_FACTOR; m],
+            on: vec![true; m],
+            arc_mm: Vec::with_capacity(m + 1),
             steepest: vec![STEEPEST_PER_S; m],
             raised: vec![1.0; m],
             longest_s: vec![f64::INFINITY; m],
@@ -141,11 +167,11 @@ impl Cells {
             let first = cells.of(from_s);
             let last = cells.of(from_s + segment.duration_s);
             for i in first..=last {
+                cells.on[i] &= segment.tool_on || !follows_tool;
                 let begin = (i as f64 * cell_s - from_s).max(0.0).min(segment.duration_s);
                 let end = ((i + 1) as f64 * cell_s - from_s).clamp(begin, segment.duration_s);
                 for (axis, limit) in limits.axes().iter().enumerate() {
-                    let c =
-                        planish_numerics::polynomial::shifted(&segment.coefficient_mm[axis], begin);
+                    let c = shifted(&segment.coefficient_mm[axis], begin);
                     let v = derivative(&c);
                     let a = derivative(&v);
                     let peak = |c: &[f64; 4]| range(c, end - begin).peak().0;
@@ -160,10 +186,21 @@ impl Cells {
                         let used = derivative(&a)[0].abs() / ((1.0 - JERK_MARGIN) * jerk);
                         *need = need.max(used.cbrt());
                     }
-                    let steepest = 0.5 * ACCELERATION_MARGIN * most_a / speed.max(1e-9 * most_v);
+                    let unused = (1.0 - ACCELERATION_MARGIN) * most_a - acceleration;
+                    // Under a limit on the jerk a change of k' is a change of the acceleration that takes time.
+                    let part = if limit.max_jerk_mm_per_s3().is_some() { 0.0 } else { UNUSED };
+                    let for_clock = (0.5 * ACCELERATION_MARGIN * most_a).max(part * unused);
+                    let steepest = for_clock / speed.max(1e-9 * most_v);
                     cells.steepest[i] = cells.steepest[i].min(steepest);
                 }
             }
+        }
+        let (mut arc_mm, mut before) = (0.0, at_plan(plan, 0.0).position_mm);
+        for i in 0..=m {
+            let here = at_plan(plan, (i as f64 * cell_s).min(total_s)).position_mm;
+            arc_mm += (here[0] - before[0]).hypot(here[1] - before[1]);
+            before = here;
+            cells.arc_mm.push(arc_mm);
         }
         cells
     }
@@ -176,16 +213,80 @@ impl Cells {
     /// `k` at the borders: above the need of both cells beside a border, and nowhere steeper than allowed.
     fn factor(&self) -> Vec<f64> {
         let m = self.need.len();
-        let cell = |i: usize| self.need[i] * self.raised[i];
+        let cell = |i: usize| self.need[i].max(1.0) * self.raised[i];
         let mut k: Vec<f64> =
             (0..=m).map(|i| cell(i.saturating_sub(1)).max(cell(i.min(m - 1)))).collect();
+        self.flatten(&mut k);
+        self.give_back(&mut k);
+        self.flatten(&mut k);
+        k
+    }
+
+    /// Raises `k` until it is nowhere steeper than allowed.
+    fn flatten(&self, k: &mut [f64]) {
+        let m = self.need.len();
         for i in 0..m {
             k[i + 1] = k[i + 1].max(k[i] - self.steepest[i] * self.cell_s);
         }
         for i in (0..m).rev() {
             k[i] = k[i].max(k[i + 1] - self.steepest[i] * self.cell_s);
         }
-        k
+    }
+
+    /// Lowers `k` below 1 near the places where it is above.
+    fn give_back(&self, k: &mut [f64]) {
+        let m = self.need.len();
+        if m < 4 {
+            return;
+        }
+        // The ends stay as they are: the last cell is shorter than the others.
+        let inner = 1..m - 1;
+        let is_on = |b: usize| self.on[b - 1] && self.on[b];
+        let room = |b: usize| {
+            let is_free = k[b] == 1.0 && self.raised[b - 1] == 1.0 && self.raised[b] == 1.0;
+            let least = self.need[b - 1].max(self.need[b]);
+            if is_free && is_on(b) { (1.0 - least).max(0.0) } else { 0.0 }
+        };
+        let mut rooms = vec![0.0; m + 1];
+        inner.clone().for_each(|b| rooms[b] = room(b));
+        // Half as steep as allowed: the part of the room that is used varies too.
+        for i in 0..m {
+            rooms[i + 1] = rooms[i + 1].min(rooms[i] + 0.5 * self.steepest[i] * self.cell_s);
+        }
+        for i in (0..m).rev() {
+            rooms[i] = rooms[i].min(rooms[i + 1] + 0.5 * self.steepest[i] * self.cell_s);
+        }
+        let room_near = self.sums_within(&rooms);
+        let mut wanted = vec![0.0; m + 1];
+        for b in inner.clone() {
+            if is_on(b) && k[b] > 1.0 && room_near[b] > 1e-9 {
+                wanted[b] = (k[b] - 1.0) / room_near[b];
+            }
+        }
+        let wanted_near = self.sums_within(&wanted);
+        for b in inner.filter(|b| rooms[*b] > 0.0) {
+            k[b] -= rooms[b] * wanted_near[b].clamp(0.0, 1.0);
+        }
+    }
+
+    /// Sums of `values` at the borders (m+1) over the borders within [`GIVEN_BACK_WITHIN_MM`] of each.
+    fn sums_within(&self, values: &[f64]) -> Vec<f64> {
+        let mut before = vec![0.0];
+        for v in values {
+            before.push(before[before.len() - 1] + v);
+        }
+        let (mut low, mut end) = (0, 0);
+        (self.arc_mm.iter())
+            .map(|at| {
+                while self.arc_mm[low] < at - GIVEN_BACK_WITHIN_MM {
+                    low += 1;
+                }
+                while end < values.len() && self.arc_mm[end] <= at + GIVEN_BACK_WITHIN_MM {
+                    end += 1;
+                }
+                before[end] - before[low]
+            })
+            .collect()
     }
 }
 
@@ -282,8 +383,116 @@ impl<'a> Slowed<'a> {
     }
 }
 
-/// Largest shift in time by which [`Slowed::distance_mm`] looks for a nearer point, s. Larger: points of another pass
-/// may count as near. Smaller: distances along the path count as deviations. Chosen.
+impl Slowed<'_> {
+    /// Upper bound of the distance of the cubic `c`, from `start_s` over `time_s` of the program, from the path of the plan,
+    /// mm.
+    ///
+    /// Any map u -> s of its time to the plan's gives one: the largest |c(u) - P(s(u))|. Piecewise linear maps, which meet the
+    /// nearest point at their ends, leave a cubic per axis between two breaks of the plan. Its exact extremes along
+    /// the line between the ends and across it are the bound. A stretch is halved until the bound is near what is reached.
+    pub fn bound_mm(&self, start_s: f64, time_s: f64, c: &[[f64; 4]; 2], worth_mm: f64) -> f64 {
+        let ends = [0.0, time_s].map(|u| (u, self.nearest_plan_s(start_s + u, at(c, u))));
+        self.bound_between(start_s, c, ends, worth_mm, MOST_HALVINGS)
+    }
+
+    fn bound_between(
+        &self,
+        start_s: f64,
+        c: &[[f64; 4]; 2],
+        [from, to]: [(f64, f64); 2],
+        worth_mm: f64,
+        halvings: usize,
+    ) -> f64 {
+        let bound = self.bound_of_linear(c, from, to);
+        if bound <= worth_mm || halvings == 0 {
+            return bound;
+        }
+        let u = 0.5 * (from.0 + to.0);
+        let middle = (u, self.nearest_plan_s(start_s + u, at(c, u)));
+        let reached = [from, middle, to].into_iter().fold(0.0_f64, |most, (u, s)| {
+            let (p, q) = (at(c, u), at_plan(self.plan, s).position_mm);
+            most.max((p[0] - q[0]).hypot(p[1] - q[1]))
+        });
+        if bound <= TIGHT * reached {
+            return bound;
+        }
+        let half = |ends| self.bound_between(start_s, c, ends, worth_mm, halvings - 1);
+        half([from, middle]).max(half([middle, to]))
+    }
+
+    /// Time of the plan at which it is nearest to `position_mm`, near a time of the program, s.
+    fn nearest_plan_s(&self, time_s: f64, position_mm: [f64; 2]) -> f64 {
+        let plan_s = self.plan_time(time_s.max(0.0)).0;
+        let here = at_plan(self.plan, plan_s);
+        let v = here.velocity;
+        let along: f64 = (0..2).map(|a| (position_mm[a] - here.position_mm[a]) * v[a]).sum();
+        let shift_s = along / (v[0] * v[0] + v[1] * v[1]);
+        if !(shift_s.is_finite() && shift_s.abs() < SHIFT_S) {
+            return plan_s;
+        }
+        let off = |p: [f64; 2]| (position_mm[0] - p[0]).hypot(position_mm[1] - p[1]);
+        let shifted_s = (plan_s + shift_s).clamp(0.0, self.plan.total_time_s());
+        match off(at_plan(self.plan, shifted_s).position_mm) < off(here.position_mm) {
+            true => shifted_s,
+            false => plan_s,
+        }
+    }
+
+    /// Largest |c(u) - P(s(u))| with s linear between two pairs (u, s), by the extremes along and across.
+    fn bound_of_linear(&self, c: &[[f64; 4]; 2], from: (f64, f64), to: (f64, f64)) -> f64 {
+        let plan_start_s = self.plan.break_time_s()[0];
+        let rate = (to.1 - from.1).max(0.0) / (to.0 - from.0);
+        let (p, q) = (at(c, from.0), at(c, to.0));
+        let length = (q[0] - p[0]).hypot(q[1] - p[1]);
+        let [x, y] = match length > 0.0 {
+            true => [0, 1].map(|a| (q[a] - p[a]) / length),
+            false => [1.0, 0.0],
+        };
+        let breaks = self.plan.break_time_s();
+        let mut most = 0.0_f64;
+        let (mut u, mut time_s) = (from.0, plan_start_s + from.1);
+        let mut i = breaks.partition_point(|b| *b <= time_s).clamp(1, self.plan.len()) - 1;
+        loop {
+            let segment = self.plan.segment(i);
+            let rest_s = breaks[i + 1] - time_s;
+            // The rest of this segment, or of the stretch.
+            let is_last = rate * (to.0 - u) <= rest_s || i + 1 == self.plan.len();
+            let du = if is_last { to.0 - u } else { rest_s / rate };
+            let off = [0, 1].map(|a| {
+                let local_s = (time_s - segment.start_s).clamp(0.0, segment.duration_s);
+                let plan = shifted(&segment.coefficient_mm[a], local_s);
+                let own = shifted(&c[a], u);
+                let mut scale = 1.0;
+                [0, 1, 2, 3].map(|k| {
+                    let d = own[k] - scale * plan[k];
+                    scale *= rate;
+                    d
+                })
+            });
+            let turned = |x: f64, y: f64| [0, 1, 2, 3].map(|k| x * off[0][k] + y * off[1][k]);
+            let peak = |c: [f64; 4]| range(&c, du.max(0.0)).peak().0;
+            most = most.max(peak(turned(x, y)).hypot(peak(turned(-y, x))));
+            if is_last {
+                return most;
+            }
+            u += du;
+            time_s = breaks[i + 1];
+            i += 1;
+        }
+    }
+}
+
+fn at(c: &[[f64; 4]; 2], u: f64) -> [f64; 2] {
+    c.each_ref().map(|c| evaluate(c, u))
+}
+
+/// Halvings of a stretch at most; each leaves a quarter of what the linear map of the times adds.
+const MOST_HALVINGS: usize = 8;
+
+/// A bound this much above what is reached is good.
+const TIGHT: f64 = 1.05;
+
+/// Most that the nearest point of the plan is looked for away in time, s.
 const SHIFT_S: f64 = 0.01;
 
 /// State of the plan at a time since its start.

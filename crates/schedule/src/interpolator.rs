@@ -24,10 +24,17 @@
 //! N00002 X3 Y2.5 Z0 I3 J2 P0.12 Q0.12 R1 S2              blend: corner I, J
 //! ```
 //!
-//! What lies between two passes (run-up, lift, brake) is left to the controller.
+//! Run-up, lifts and brake are cubics in time, from where the tool is, at its velocity, to a point with a velocity
+//! (mm/s) after a time (s). [`linked_records`] takes them from the trajectory of the schedule:
+//!
+//! ```text
+//! N00003 X5 Y5 Z0 U0 V2 T0.75 K0                         cubic: velocity U, V at the end, time T, tool K (1 on, 0 off)
+//! ```
+//!
+//! A pass that starts elsewhere than the tool is, without such a record, is refused.
 //!
 //! Source: the real-time interpolation of Opt. Express 32 (2024) 9255 (blocks of end point, tau1,
-//! tau2, s1, s2); the record for blends is ours.
+//! tau2, s1, s2); the records for blends and cubics are ours.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -36,9 +43,9 @@
 //! | P2, C | `end_mm`, `corner_mm` | (2) | mm |
 //! | t_tick | `tick_s` | - | s |
 
-use planish_types::DwellDensity;
+use planish_types::{DwellDensity, Segment, Trajectory};
 
-use crate::trig_spline::Piece;
+use crate::{hermite, trig_spline::Piece};
 
 /// Lengths of a program agree with the distances of its points to this, mm.
 const SAME_LENGTH_MM: f64 = 1e-6;
@@ -66,8 +73,23 @@ pub enum Record {
         /// At this arc length, mm.
         arc_length_mm: f64,
     },
-    /// The tool moves.
+    /// The tool moves along a pass.
     Block(Block),
+    /// The tool moves outside of the passes, or stands.
+    Cubic(Cubic),
+}
+
+/// A cubic in time from where the tool is, at its velocity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cubic {
+    /// Where it ends [x, y], mm.
+    pub end_mm: [f64; 2],
+    /// Velocity there [x, y], mm/s.
+    pub velocity_mm_per_s: [f64; 2],
+    /// Duration, s.
+    pub duration_s: f64,
+    /// True if the tool removes.
+    pub tool_on: bool,
 }
 
 /// The records of `density`, in order.
@@ -90,6 +112,107 @@ pub fn records(density: &DwellDensity) -> impl Iterator<Item = Record> + '_ {
     })
 }
 
+/// [`records`] with the run-up, the lifts and the brake of `trajectory`, which was scheduled with `density`. The error says
+/// where the two differ.
+pub fn linked_records(
+    density: &DwellDensity,
+    trajectory: &Trajectory,
+) -> Result<Vec<Record>, String> {
+    let differs = |what: String| {
+        format!("{what}: the trajectory is not the one that was scheduled with this feed")
+    };
+    let cubic = |s: Segment| {
+        let [(x, u), (y, v)] = s.coefficient_mm.map(|c| end_of(&c, s.duration_s));
+        Record::Cubic(Cubic {
+            end_mm: [x, y],
+            velocity_mm_per_s: [u, v],
+            duration_s: s.duration_s,
+            tool_on: s.tool_on,
+        })
+    };
+    let is_of_a_pass = |s: &Segment| {
+        s.tool_on && s.coefficient_mm.iter().any(|c| c[1..].iter().any(|c| *c != 0.0))
+    };
+    let n = trajectory.len();
+    let mut all: Vec<Record> = Vec::with_capacity(density.len() + n);
+    let first = trajectory.segment(0);
+    let point_mm = first.coefficient_mm.map(|c| c[0]);
+    if !is_of_a_pass(&first) {
+        all.push(Record::Start { point_mm, arc_length_mm: 0.0 });
+    }
+    let mut next = 0;
+    let mut pass_end_s = f64::NEG_INFINITY;
+    // Break times and sums of blocks are rounded differently.
+    let same_s = 1e-9 * trajectory.total_time_s();
+    for record in records(density) {
+        match &record {
+            Record::Start { point_mm, .. } => {
+                let start_of = |k: usize| trajectory.segment(k).start_s;
+                while next < n && start_of(next) < pass_end_s - same_s {
+                    next += 1;
+                }
+                while next < n && !is_of_a_pass(&trajectory.segment(next)) {
+                    all.push(cubic(trajectory.segment(next)));
+                    next += 1;
+                }
+                let Some(begin) = (next < n).then(|| trajectory.segment(next)) else {
+                    return Err(differs("a pass is missing at the end".into()));
+                };
+                let at = begin.coefficient_mm.map(|c| c[0]);
+                let away_mm = distance(at, *point_mm);
+                if away_mm > SAME_LENGTH_MM {
+                    return Err(differs(format!(
+                        "the pass that starts at {point_mm:?} mm starts at {at:?} mm in segment {next}"
+                    )));
+                }
+                pass_end_s = begin.start_s;
+            }
+            Record::Block(block) => pass_end_s += block.piece().duration_s(),
+            Record::Cubic(_) => unreachable!("a density has none"),
+        }
+        all.push(record);
+    }
+    while next < n && trajectory.segment(next).start_s < pass_end_s - same_s {
+        next += 1;
+    }
+    for k in next..n {
+        let segment = trajectory.segment(k);
+        if is_of_a_pass(&segment) {
+            return Err(differs(format!("segment {k} moves after the last pass")));
+        }
+        all.push(cubic(segment));
+    }
+    Ok(all)
+}
+
+/// Position and velocity of a cubic after a time.
+fn end_of(c: &[f64; 4], t: f64) -> (f64, f64) {
+    (c[0] + t * (c[1] + t * (c[2] + t * c[3])), c[1] + t * (2.0 * c[2] + 3.0 * t * c[3]))
+}
+
+fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (b[0] - a[0]).hypot(b[1] - a[1])
+}
+
+impl Block {
+    fn piece(&self) -> Piece {
+        let [s1, s2] = self.arc_length_mm;
+        Piece { density_s_per_mm: self.density_s_per_mm, length_mm: s2 - s1 }
+    }
+
+    /// Velocity at its end [x, y], mm/s, if it starts at `start`.
+    fn end_velocity(&self, start: [f64; 2]) -> [f64; 2] {
+        let from = self.corner_mm.unwrap_or(start);
+        let length = distance(from, self.end_mm);
+        // At the end of a blend 2 (P2 - C) / T.
+        let time_s = match self.corner_mm {
+            None => length * self.density_s_per_mm[1],
+            Some(_) => 0.5 * self.piece().duration_s(),
+        };
+        [0, 1].map(|a| (self.end_mm[a] - from[a]) / time_s)
+    }
+}
+
 impl Record {
     /// The line of a program, without a line break; numbers keep every digit.
     pub fn to_line(&self, number: usize) -> String {
@@ -101,6 +224,11 @@ impl Record {
                 let ([x, y], [p, q], [r, s]) = (b.end_mm, b.density_s_per_mm, b.arc_length_mm);
                 let corner = b.corner_mm.map_or(String::new(), |[i, j]| format!(" I{i} J{j}"));
                 format!("N{number:05} X{x} Y{y} Z0{corner} P{p} Q{q} R{r} S{s}")
+            }
+            Self::Cubic(c) => {
+                let ([x, y], [u, v], t) = (c.end_mm, c.velocity_mm_per_s, c.duration_s);
+                let tool = u8::from(c.tool_on);
+                format!("N{number:05} X{x} Y{y} Z0 U{u} V{v} T{t} K{tool}")
             }
         }
     }
@@ -116,10 +244,10 @@ impl Record {
         for word in line.split_whitespace() {
             let (letter, number) = word.split_at(word.chars().next().map_or(0, char::len_utf8));
             let value: Option<f64> = number.parse().ok().filter(|v: &f64| v.is_finite());
-            let known = letter.chars().all(|c| "NXYZIJPQRS".contains(c));
+            let known = letter.chars().all(|c| "NXYZIJPQRSUVTK".contains(c));
             let (Some(value), true) = (value, known) else {
                 return Err(format!(
-                    "the word {word:?} is not one of N X Y Z I J P Q R S with a finite number"
+                    "the word {word:?} is not one of N X Y Z I J P Q R S U V T K with a finite number"
                 ));
             };
             let place = &mut words[usize::from(letter.as_bytes()[0] - b'A')];
@@ -131,6 +259,24 @@ impl Record {
         let need =
             |letter: char| get(letter).ok_or_else(|| format!("the word {letter} is missing"));
         let end_mm = [need('X')?, need('Y')?];
+        if "UVTK".chars().any(|c| get(c).is_some()) {
+            if let Some(other) = "IJPQRS".chars().find(|c| get(*c).is_some()) {
+                return Err(format!("the word {other} does not stand beside U V T K"));
+            }
+            let (tool, duration_s) = (need('K')?, need('T')?);
+            if tool != 0.0 && tool != 1.0 {
+                return Err(format!("K is {tool}; it is 1 with the tool on, 0 with the tool off"));
+            }
+            if duration_s <= 0.0 {
+                return Err(format!("T is {duration_s} s; give a positive time"));
+            }
+            return Ok(Some(Self::Cubic(Cubic {
+                end_mm,
+                velocity_mm_per_s: [need('U')?, need('V')?],
+                duration_s,
+                tool_on: tool == 1.0,
+            })));
+        }
         let s2 = need('S')?;
         if "PQRIJ".chars().all(|c| get(c).is_none()) {
             return Ok(Some(Self::Start { point_mm: end_mm, arc_length_mm: s2 }));
@@ -158,7 +304,7 @@ pub struct Reference {
     pub position_mm: [f64; 2],
     /// Feedrate, mm/s: the magnitude of the velocity.
     pub feed_mm_per_s: f64,
-    /// Number of the pass, from 0.
+    /// Number of the pass, from 0; -1 where the tool is off.
     pub pass_idx: i64,
 }
 
@@ -172,8 +318,21 @@ pub struct Interpolator {
     start_s: f64,
     lost_s: f64,
     pass_idx: i64,
-    /// End of the block before: point, arc length, density.
-    before: Option<([f64; 2], f64, f64)>,
+    before: Option<Before>,
+}
+
+/// End of the record before.
+#[derive(Clone, Copy, Debug)]
+struct Before {
+    point_mm: [f64; 2],
+    velocity_mm_per_s: [f64; 2],
+    arc_length_mm: f64,
+    /// Number of the pass in which it is; -1 outside.
+    pass_idx: i64,
+    /// False until something has moved.
+    has_moved: bool,
+    /// True after the start of a pass and after a block.
+    in_pass: bool,
 }
 
 impl Interpolator {
@@ -197,42 +356,57 @@ impl Interpolator {
     pub fn push(&mut self, record: &Record, emit: impl FnMut(Reference)) -> Result<(), String> {
         match record {
             Record::Start { point_mm, arc_length_mm } => {
-                self.before = Some((*point_mm, *arc_length_mm, f64::NAN));
-                self.pass_idx += 1;
+                let before = self.before.filter(|b| b.has_moved);
+                if let Some(b) = before.filter(|b| distance(b.point_mm, *point_mm) > SAME_LENGTH_MM)
+                {
+                    return Err(format!(
+                        "the pass starts at {point_mm:?} mm, the tool is at {:?} mm, and nothing takes it there; \
+                         give --trajectory (to planish-schedule program, if this is a program), which has the way",
+                        b.point_mm
+                    ));
+                }
+                self.before = Some(Before {
+                    point_mm: *point_mm,
+                    velocity_mm_per_s: before.map_or([0.0; 2], |b| b.velocity_mm_per_s),
+                    arc_length_mm: *arc_length_mm,
+                    pass_idx: -1,
+                    has_moved: before.is_some(),
+                    in_pass: true,
+                });
                 Ok(())
             }
             Record::Block(block) => self.run(block, emit),
+            Record::Cubic(cubic) => self.link(cubic, emit),
         }
     }
 
     /// The last reference, at the end of the program; `None` when a tick has just been there or
     /// nothing has moved.
     pub fn finish(self) -> Option<Reference> {
-        let (position_mm, _, density) = self.before.filter(|(_, _, density)| *density > 0.0)?;
+        let before = self.before.filter(|b| b.has_moved)?;
         let last_tick_s = (self.tick.max(1) - 1) as f64 * self.tick_s;
+        let [u, v] = before.velocity_mm_per_s;
         (last_tick_s < self.start_s).then_some(Reference {
             time_s: self.start_s,
-            position_mm,
-            feed_mm_per_s: 1.0 / density,
-            pass_idx: self.pass_idx,
+            position_mm: before.point_mm,
+            feed_mm_per_s: u.hypot(v),
+            pass_idx: before.pass_idx,
         })
     }
 
     fn run(&mut self, block: &Block, mut emit: impl FnMut(Reference)) -> Result<(), String> {
         let start = self.check(block)?;
-        let [s1, s2] = block.arc_length_mm;
-        let piece = Piece { density_s_per_mm: block.density_s_per_mm, length_mm: s2 - s1 };
+        let before = self.before.expect("checked");
+        if before.pass_idx < 0 {
+            self.pass_idx += 1;
+        }
+        let piece = block.piece();
         let duration_s = piece.duration_s();
-        loop {
-            let time_s = self.tick as f64 * self.tick_s;
-            let t = time_s - self.start_s;
-            if t >= duration_s {
-                break;
-            }
-            let m = (t / duration_s).max(0.0);
+        let (end, pass_idx) = (block.end_mm, self.pass_idx);
+        self.ticks(duration_s, |time_s, t| {
+            let m = t / duration_s;
             // x - e/pi sin(pi x) = t/T
             let x = piece.progress(m);
-            let end = block.end_mm;
             let (position_mm, feed_mm_per_s) = match block.corner_mm {
                 None => (
                     [0, 1].map(|a| start[a] + (end[a] - start[a]) * x),
@@ -248,20 +422,69 @@ impl Interpolator {
                     ([0, 1].map(position), velocity(0).hypot(velocity(1)))
                 }
             };
-            emit(Reference { time_s, position_mm, feed_mm_per_s, pass_idx: self.pass_idx });
+            emit(Reference { time_s, position_mm, feed_mm_per_s, pass_idx });
+        });
+        self.before = Some(Before {
+            point_mm: end,
+            velocity_mm_per_s: block.end_velocity(start),
+            arc_length_mm: block.arc_length_mm[1],
+            pass_idx,
+            has_moved: true,
+            in_pass: true,
+        });
+        Ok(())
+    }
+
+    /// The references of a cubic.
+    fn link(&mut self, cubic: &Cubic, mut emit: impl FnMut(Reference)) -> Result<(), String> {
+        let Some(before) = self.before else {
+            return Err("a cubic stands before the start; begin with N X Y Z S".into());
+        };
+        let duration_s = cubic.duration_s;
+        let c = [0, 1].map(|a| {
+            let (p, v) = (before.point_mm[a], before.velocity_mm_per_s[a]);
+            let w = cubic.velocity_mm_per_s[a];
+            hermite::coefficients(p, cubic.end_mm[a] - p, v, w, duration_s)
+        });
+        let pass_idx = if cubic.tool_on { self.pass_idx.max(0) } else { -1 };
+        self.ticks(duration_s, |time_s, t| {
+            let [(x, u), (y, v)] = c.each_ref().map(|c| end_of(c, t));
+            emit(Reference { time_s, position_mm: [x, y], feed_mm_per_s: u.hypot(v), pass_idx });
+        });
+        self.before = Some(Before {
+            point_mm: cubic.end_mm,
+            velocity_mm_per_s: cubic.velocity_mm_per_s,
+            pass_idx,
+            has_moved: true,
+            in_pass: false,
+            ..before
+        });
+        Ok(())
+    }
+
+    /// Gives `emit` the time of every tick within the next `duration_s`, since the start of the program and since now, and
+    /// goes on by it.
+    fn ticks(&mut self, duration_s: f64, mut emit: impl FnMut(f64, f64)) {
+        loop {
+            let time_s = self.tick as f64 * self.tick_s;
+            let t = time_s - self.start_s;
+            if t >= duration_s {
+                break;
+            }
+            emit(time_s, t.max(0.0));
             self.tick += 1;
         }
         let add = duration_s - self.lost_s;
         let sum = self.start_s + add;
         self.lost_s = (sum - self.start_s) - add;
         self.start_s = sum;
-        self.before = Some((block.end_mm, s2, block.density_s_per_mm[1]));
-        Ok(())
     }
 
     /// The start of the block, when everything agrees.
     fn check(&self, block: &Block) -> Result<[f64; 2], String> {
-        let Some((start, s, _)) = self.before else {
+        let Some(Before { point_mm: start, arc_length_mm: s, .. }) =
+            self.before.filter(|b| b.in_pass)
+        else {
             return Err("a block stands before the start of a pass; begin with N X Y Z S".into());
         };
         let [s1, s2] = block.arc_length_mm;
@@ -274,7 +497,6 @@ impl Interpolator {
         if let Some(d) = block.density_s_per_mm.iter().find(|d| **d <= 0.0) {
             return Err(format!("a density is {d} s/mm; give the inverse of a feedrate"));
         }
-        let distance = |a: [f64; 2], b: [f64; 2]| (b[0] - a[0]).hypot(b[1] - a[1]);
         let length = match block.corner_mm {
             None => distance(start, block.end_mm),
             Some(corner) => {
@@ -308,8 +530,8 @@ mod tests {
             [2.0, 0.0],
             [2.0, 0.1],
             [2.0, 1.0],
-            [5.0, 5.0],
-            [5.0, 6.0],
+            [2.0, 1.0],
+            [2.0, 2.0],
         ];
         let corner = (0..8).map(|i| i == 3).collect();
         let nodes = planish_types::DensityNodes {
@@ -334,6 +556,15 @@ mod tests {
         assert_eq!(records[3].to_line(3), "N00003 X2 Y0.1 Z0 I2 J0 P0.3 Q0.3 R1.9 S2.1");
         let third = Record::Start { point_mm: [1.0 / 3.0, -2e-7], arc_length_mm: 1e6 / 7.0 };
         assert_eq!(Record::parse(&third.to_line(2)).unwrap(), Some(third));
+        let cubic = Cubic {
+            end_mm: [1.0 / 3.0, -2.0],
+            velocity_mm_per_s: [-1.5, 0.0],
+            duration_s: 0.75,
+            tool_on: false,
+        };
+        let line = Record::Cubic(cubic).to_line(3);
+        assert_eq!(line, "N00003 X0.3333333333333333 Y-2 Z0 U-1.5 V0 T0.75 K0");
+        assert_eq!(Record::parse(&line).unwrap(), Some(Record::Cubic(cubic)));
         assert_eq!(Record::parse("  ").unwrap(), None);
         assert_eq!(Record::parse("(units: mm)").unwrap(), None);
     }
@@ -348,6 +579,10 @@ mod tests {
         assert!(error("N1 X1 S3").contains("Y is missing"));
         assert!(error("N1 X1 Y1 P1 R0 S3").contains("Q is missing"));
         assert!(error("N1 X1 Y1 I1 P1 Q1 R0 S3").contains("I and J"));
+        assert!(error("N1 X1 Y1 U0 V0 T1").contains("K is missing"));
+        assert!(error("N1 X1 Y1 U0 V0 T0 K0").contains("T is 0 s"));
+        assert!(error("N1 X1 Y1 U0 V0 T1 K2").contains("K is 2"));
+        assert!(error("N1 X1 Y1 U0 V0 T1 K0 S1").contains("S does not stand beside"));
         assert!(error("\u{3c0}1").contains("not one of"));
     }
 
@@ -359,6 +594,16 @@ mod tests {
             i.push(&start, |_| {}).unwrap();
             i.push(&Record::parse(line).unwrap().unwrap(), |_| {}).unwrap_err()
         };
+        let mut i = Interpolator::new(1e-3).unwrap();
+        let mut push = |line: &str| i.push(&Record::parse(line).unwrap().unwrap(), |_| {});
+        push("X0 Y0 S0").unwrap();
+        push("X1 Y0 P1 Q1 R0 S1").unwrap();
+        let said = push("X3 Y0 S0").unwrap_err();
+        assert!(said.contains("the tool is at [1.0, 0.0] mm") && said.contains("--trajectory"));
+        push("X3 Y0 U0 V0 T2 K0").unwrap();
+        assert!(push("X4 Y0 P1 Q1 R1 S2").unwrap_err().contains("before the start of a pass"));
+        push("X3 Y0 S0").unwrap();
+        push("X4 Y0 P1 Q1 R0 S1").unwrap();
         assert!(block("X1 Y0 P1 Q1 R4 S5").contains("the one before ended at 5 mm"));
         assert!(block("X1 Y0 P1 Q1 R5 S5").contains("ascend"));
         assert!(block("X1 Y0 P1 Q0 R5 S6").contains("0 s/mm"));
@@ -382,7 +627,7 @@ mod tests {
         // 0.1 + 0.9 * 0.2 + 0.2 * 0.3 + 0.9 * 0.25 + 0.45 s
         let total = 1.015;
         let last = found.last().unwrap();
-        assert!((last.time_s - total).abs() < 1e-12 && last.position_mm == [5.0, 6.0], "{last:?}");
+        assert!((last.time_s - total).abs() < 1e-12 && last.position_mm == [2.0, 2.0], "{last:?}");
         assert_eq!(found.len(), 103);
         for (k, r) in found[..102].iter().enumerate() {
             assert!((r.time_s - tick_s * k as f64).abs() < 1e-15);

@@ -1,12 +1,25 @@
-//! Random motions at the limits of their machine. `planish-export` writes them for the controllers that
-//! interpolate cubics, and the reader of `planish-import`, which shares no code with the writer, reads them
-//! back. `planish-verify` judges what was read: every limit and the travel kept, the path within the stated
-//! deviation of the plan's, little more time, the tool as planned.
+//! Random motions at the limits of their machine, and plans of random problems, written by `planish-export` and read
+//! back by the reader of `planish-import`, which shares no code with the writer. `planish-verify` judges what was read:
+//! every limit and the travel kept, the path within the stated deviation of the plan's, little more time, the tool as
+//! planned. The reference positions of `planish-schedule interpolate` are continuous.
 
-use planish_export::{Common, Controller, Origin, PATH_DEVIATION_MM, pmac, program};
+use ndarray::Array2;
+use planish_export::{Common, Controller, Origin, PATH_DEVIATION_MM, gcode, pmac, program};
 use planish_import::program::{self as reader, Configuration};
+use planish_schedule::{
+    interpolator::{Interpolator, Record, linked_records, records},
+    pvt::{self, Mode},
+    trig_spline,
+};
 use planish_testkit::case_generator;
-use planish_types::{Machine, MachineFile, MachineFileAxis, Trajectory};
+use planish_toolpath::{
+    MazeSettings, MultiPitchSettings, RasterSettings, SpiralSettings, Tree, Turn, maze,
+    multi_pitch, multi_pitch::Links, raster, spiral,
+};
+use planish_types::{
+    Axis, DwellTime, Grid, Machine, MachineFile, MachineFileAxis, Surface, Tif, ToolPath,
+    Trajectory,
+};
 use planish_verify::{VerifySettings, verify_on_axes};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -197,4 +210,298 @@ fn compare(plan: &Trajectory, run: &Trajectory, target: &Target, name: &str) {
         |t: &Trajectory| t.segments().filter(|s| s.tool_on).map(|s| s.duration_s).sum::<f64>();
     let difference = on_s(run) - on_s(plan);
     assert!(difference.abs() <= added_s + 1e-3 * plan.len() as f64, "{name}: {difference} s");
+}
+
+/// A number from `low` to `high`, evenly on a logarithmic scale.
+fn log_range(random: &mut ChaCha8Rng, low: f64, high: f64) -> f64 {
+    low * (high / low).powf(random.random_range(0.0..1.0))
+}
+
+/// A round or rectangular part with a wavy error, NaN outside.
+fn random_part(random: &mut ChaCha8Rng) -> Surface {
+    let size = [0, 1].map(|_| random.random_range(6.0..24.0));
+    let pixel = 0.5;
+    let [x, y] = size.map(|s: f64| Axis::new(-0.5 * s, pixel, (s / pixel) as usize + 1).unwrap());
+    let is_round = random.random_range(0..2) == 0;
+    let wave = [0, 1].map(|_| random.random_range(0.2..1.5));
+    let height = Array2::from_shape_fn((y.len(), x.len()), |(r, c)| {
+        let (u, v) = (x.at(c), y.at(r));
+        let is_out = is_round && (2.0 * u / size[0]).powi(2) + (2.0 * v / size[1]).powi(2) > 1.0;
+        if is_out { f64::NAN } else { 50.0 + 30.0 * (wave[0] * u).sin() * (wave[1] * v).cos() }
+    });
+    Surface::new(Grid { x, y }, height).unwrap()
+}
+
+/// A Gaussian TIF of the standard deviation `sigma` mm.
+fn gaussian(sigma: f64) -> Tif {
+    let axis = Axis::new(-4.0 * sigma, 0.2 * sigma, 41).unwrap();
+    let g = |d: f64| (-0.5 * (d / sigma).powi(2)).exp();
+    let rate = Array2::from_shape_fn((41, 41), |(r, c)| g(axis.at(r)) * g(axis.at(c)));
+    Tif::new(Grid { x: axis, y: axis }, rate).unwrap()
+}
+
+/// A multi-pitch raster, whose regions are joined by lifts.
+fn multi_pitch_path(part: &Surface, tool: &Tif, links: Links) -> Option<ToolPath> {
+    let settings = MultiPitchSettings {
+        classes: 3,
+        max_velocity_mm_per_s: 5.0,
+        min_pitch_mm: 0.3,
+        max_pitch_mm: 2.0,
+        min_area_mm2: Some(9.0),
+        step_mm: 1.0,
+        overscan_mm: 1.0,
+        links,
+    };
+    multi_pitch(part, tool, &settings).ok().map(|m| m.path)
+}
+
+fn random_path(random: &mut ChaCha8Rng, part: &Surface, tool: &Tif) -> Option<ToolPath> {
+    let pitch_mm = random.random_range(0.6..2.0);
+    let overscan_mm = random.random_range(0.0..2.0);
+    match random.random_range(0..5) {
+        0 => raster(part, &RasterSettings::new(pitch_mm, pitch_mm, overscan_mm)).ok(),
+        1 => {
+            let settings = RasterSettings {
+                turn: Turn::Lift,
+                ..RasterSettings::new(pitch_mm, 0.5 * pitch_mm, overscan_mm)
+            };
+            raster(part, &settings).ok()
+        }
+        2 => {
+            let seed = random.random_range(0..1000);
+            let corner_radius_mm =
+                if random.random_range(0..2) == 0 { 0.0 } else { 0.3 * pitch_mm };
+            let step_mm = MazeSettings::usual_step_mm(pitch_mm, corner_radius_mm);
+            let settings = MazeSettings {
+                pitch_mm,
+                step_mm,
+                overscan_mm,
+                corner_radius_mm,
+                tree: Tree::Wilson,
+                open: false,
+                seed,
+            };
+            maze(part, &settings).ok().map(|m| m.path)
+        }
+        3 => spiral(part, &SpiralSettings { pitch_mm, step_mm: 0.7 * pitch_mm, overscan_mm }).ok(),
+        _ => multi_pitch_path(part, tool, Links::Outside),
+    }
+}
+
+/// Dwell times that vary along the path by up to the ratio 30.
+fn random_dwell(random: &mut ChaCha8Rng, path: &ToolPath) -> DwellTime {
+    let (mean, wave, phase) = (
+        log_range(random, 0.01, 0.5),
+        random.random_range(0.05..1.0),
+        random.random_range(0.0..6.0),
+    );
+    let times = (0..path.len()).map(|i| {
+        let [dx, dy] = path.displacement_mm(i);
+        let swing = (1.7 * (wave * i as f64 + phase).sin()).exp();
+        if path.tool_on()[i] { (dx.hypot(dy) * mean * swing).max(1e-3) } else { 0.0 }
+    });
+    DwellTime::new(times.collect()).unwrap()
+}
+
+/// Random parts, tools, machines and paths through every controller, and back. `PLANISH_CASES` is their number and
+/// `PLANISH_FIRST` the first of them; a failing case is named by its number.
+#[test]
+fn programs_of_random_problems_keep_the_limits() {
+    let setting = |name: &str, usual: u64| {
+        std::env::var(name).ok().map_or(usual, |v| v.parse().expect("a number"))
+    };
+    let (first, count) = (setting("PLANISH_FIRST", 0), setting("PLANISH_CASES", 12));
+    let origin = Origin {
+        made_from: "a test".into(),
+        made_by: "planish-export".into(),
+        ..Origin::default()
+    };
+    let (mut programs, mut refused, mut no_plan, mut failures) = (0, 0, 0, Vec::new());
+    let mut longest = (0.0_f64, String::new());
+    for case in first..first + count {
+        let random = &mut case_generator(58, 1, case);
+        let part = random_part(random);
+        let tool = gaussian(random.random_range(0.6..2.0));
+        let Some(path) = random_path(random, &part, &tool) else {
+            no_plan += 1;
+            continue;
+        };
+        let dwell = random_dwell(random, &path);
+        let has_jerk = random.random_range(0..2) == 0;
+        let axes = ["x", "y"].map(|name| MachineFileAxis {
+            name: name.into(),
+            max_velocity_mm_per_s: log_range(random, 5.0, 250.0),
+            max_acceleration_mm_per_s2: log_range(random, 50.0, 3000.0),
+            max_jerk_mm_per_s3: has_jerk.then(|| log_range(random, 1e3, 1e5)),
+            ..MachineFileAxis::default()
+        });
+        let file =
+            MachineFile { name: "bench".into(), axes: axes.to_vec(), ..MachineFile::default() };
+        let machine = Machine::new(file).unwrap();
+        let mode = if has_jerk { Mode::Smooth } else { Mode::Monotone };
+        let settings = pvt::Settings { mode, stretch: true };
+        let plan = match pvt::schedule(&path, &dwell, machine.limits(), &settings) {
+            Ok(plan) => plan.trajectory,
+            Err(e) => {
+                println!("case {case}: {e}");
+                no_plan += 1;
+                continue;
+            }
+        };
+        // What the scheduler does not keep is refused by every controller, with that remedy.
+        let verdict = verify_on_axes(&plan, &machine, &VerifySettings::default()).unwrap();
+        if !verdict.limits_respected {
+            println!("case {case}: {:?}", verdict.reason());
+            no_plan += 1;
+            continue;
+        }
+        let count_mm = [1e-4, 1e-3, 1e-5][random.random_range(0..3)];
+        let tick_s = [None, Some(5e-4), Some(1e-3), Some(2e-3), Some(4e-3)];
+        let tick_s = tick_s[random.random_range(0..5)];
+        let pmac =
+            Controller::Pmac(pmac::Settings { feedrate_time_unit_s: 1.0, tool_output: Some(1) });
+        for (controller, reader) in [
+            (Controller::Galil, reader::Controller::Galil),
+            (Controller::Xps, reader::Controller::Xps),
+            (pmac, reader::Controller::Pmac),
+            (Controller::Csv, reader::Controller::Csv),
+            (Controller::Gcode(gcode::Settings::default()), reader::Controller::Gcode),
+        ] {
+            let name =
+                format!("case {case}, tick {tick_s:?} s, count {count_mm} mm, {controller:?}");
+            // Samples of a Galil are whole parts of a second of their own.
+            let is_galil = matches!(controller, Controller::Galil);
+            let mut common = Common {
+                count_mm: Some([count_mm; 2]),
+                tick_s: tick_s.filter(|_| !is_galil),
+                always_on: true,
+                ..Common::default()
+            };
+            let mut made = program(&plan, &machine, &controller, &common, &origin);
+            if let Err(e) = &made {
+                refused += 1;
+                let said = e.to_string();
+                // What the message says, once.
+                if said.contains("path_deviation_mm") {
+                    common.path_deviation_mm *= 4.0;
+                }
+                if said.contains("smaller tick") {
+                    common.tick_s = None;
+                }
+                if said.contains("count") {
+                    common.count_mm = Some([1e-5; 2]);
+                }
+                println!("{name}: {said}");
+                made = program(&plan, &machine, &controller, &common, &origin);
+            }
+            let made = match made {
+                Ok(made) => made,
+                Err(e) => {
+                    failures.push(format!("{name}: the remedy does not work: {e}"));
+                    continue;
+                }
+            };
+            programs += 1;
+            let about = serde_json::to_string(&made.about).unwrap();
+            let configuration: Configuration = serde_json::from_str(&about).unwrap();
+            let run = match reader::read(reader, made.text.as_bytes(), &configuration) {
+                Ok(run) => run,
+                Err(e) => {
+                    failures.push(format!("{name}: is not read: {e}"));
+                    continue;
+                }
+            };
+            // A program of lines has steps of the acceleration, which no limit on the jerk allows: its head says so.
+            let is_lines = matches!(controller, Controller::Gcode(_));
+            let judge = if is_lines { without_jerk(&machine) } else { machine.clone() };
+            let verdict = verify_on_axes(&run, &judge, &VerifySettings::default()).unwrap();
+            if !verdict.limits_respected {
+                failures.push(format!("{name}: {:?}", verdict.reason()));
+            }
+            if made.about.path_deviation_mm > common.path_deviation_mm {
+                failures.push(format!("{name}: path {} mm", made.about.path_deviation_mm));
+            }
+            let ratio = run.total_time_s() / plan.total_time_s();
+            if ratio > longest.0 {
+                longest = (ratio, name);
+            }
+        }
+    }
+    println!(
+        "{count} problems, {no_plan} without a plan: {programs} programs, {refused} refused at first; largest time \
+         {:.4} of the plan's ({})",
+        longest.0, longest.1
+    );
+    assert!(failures.is_empty(), "{} of {programs}:\n{}", failures.len(), failures.join("\n"));
+    // Half of the problems have a plan, or the test tests nothing.
+    assert!(2 * no_plan <= count, "{no_plan} of {count} without a plan");
+}
+
+fn without_jerk(machine: &Machine) -> Machine {
+    let mut file = MachineFile::from(machine.limits());
+    file.axes.iter_mut().for_each(|axis| axis.max_jerk_mm_per_s3 = None);
+    Machine::new(file).unwrap()
+}
+
+/// The reference positions of a multi-pitch raster with lifts: continuous, and as long as the trajectory.
+#[test]
+fn reference_positions_go_through_lifts() {
+    let random = &mut case_generator(58, 2, 0);
+    let part = random_part(random);
+    let path = multi_pitch_path(&part, &gaussian(1.0), Links::Off).unwrap();
+    let lifts = path.tool_on().iter().filter(|on| !**on).count();
+    assert!(lifts > 3, "{lifts} lifts");
+    let times = (0..path.len()).map(|i| {
+        let [dx, dy] = path.displacement_mm(i);
+        if path.tool_on()[i] { 0.2 * dx.hypot(dy) } else { 0.0 }
+    });
+    let dwell = DwellTime::new(times.collect()).unwrap();
+    let machine = planish_testkit::machine([20.0, 15.0], [200.0, 150.0]);
+    let made =
+        trig_spline::schedule(&path, &dwell, &machine, &trig_spline::Settings::default()).unwrap();
+    let density = made.density.unwrap();
+    let tick_s = 1e-3;
+    let mut positions = Interpolator::new(tick_s).unwrap();
+    let mut found = Vec::new();
+    for record in linked_records(&density, &made.trajectory).unwrap() {
+        // Through the text, as a controller gets it.
+        let read = Record::parse(&record.to_line(1)).unwrap().unwrap();
+        positions.push(&read, |r| found.push(r)).unwrap();
+    }
+    let total_s = made.trajectory.total_time_s();
+    // Break times are sums of 1e3 durations, each rounded to 1e-16 of the total.
+    assert!((positions.duration_s() - total_s).abs() < 1e-9 * total_s);
+    found.extend(positions.finish());
+    for two in found.windows(2) {
+        for (a, most) in [20.0, 15.0].into_iter().enumerate() {
+            let step = (two[1].position_mm[a] - two[0].position_mm[a]).abs();
+            // The passes are fitted to 1e-6 mm.
+            assert!(step <= most * tick_s + 2e-6, "{step} mm: {two:?}");
+        }
+    }
+    assert!(found.iter().any(|r| r.pass_idx == -1));
+    // Without the way nothing is interpolated past the first pass.
+    let mut alone = Interpolator::new(tick_s).unwrap();
+    let refused = records(&density).find_map(|r| alone.push(&r, |_| ()).err()).unwrap();
+    assert!(refused.contains("--trajectory"), "{refused}");
+    // The trajectory of another schedule.
+    let later: Vec<_> = made
+        .trajectory
+        .coefficient_mm()
+        .iter()
+        .map(|c| {
+            let mut c = *c;
+            c[0][0] += 1.0;
+            c
+        })
+        .collect();
+    let n = made.trajectory.len();
+    let other = Trajectory::new(
+        made.trajectory.break_time_s().to_vec(),
+        later,
+        made.trajectory.tool_on().to_vec(),
+        vec![None; n],
+    )
+    .unwrap();
+    assert!(linked_records(&density, &other).unwrap_err().contains("is not the one"));
 }

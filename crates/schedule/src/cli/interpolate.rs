@@ -9,8 +9,10 @@ use std::{
 
 use clap::Args;
 use planish_handoff::{Failure, Inputs, Status, flags::OutputFileArgs, say};
-use planish_schedule::interpolator::{Interpolator, Record, Reference, records};
-use planish_types::{DwellDensity, budget};
+use planish_schedule::interpolator::{Interpolator, Record, Reference};
+use planish_types::budget;
+
+use super::program::read_records;
 
 #[derive(Args)]
 pub struct Interpolate {
@@ -20,7 +22,10 @@ pub struct Interpolate {
     /// NC program, read block by block, in place of a feed artifact
     #[arg(long, value_name = "FILE", conflicts_with = "feed")]
     program: Option<PathBuf>,
-    /// Time between two positions, s: the tick of the controller
+    /// Trajectory scheduled with the feed: its run-up, lifts and brake are interpolated too [trajectory artifact]
+    #[arg(long, value_name = "DIR", conflicts_with = "program")]
+    trajectory: Option<PathBuf>,
+    /// Time between two positions, s
     #[arg(long, value_name = "S", default_value_t = 0.001)]
     tick_s: f64,
     #[command(flatten)]
@@ -38,7 +43,9 @@ impl Interpolate {
                 inputs.record_file("program", program)?;
                 Source::Program(program)
             }
-            (None, Some(dir)) => Source::Density(inputs.read("feed", dir)?, dir),
+            (None, Some(dir)) => {
+                Source::Records(read_records(&mut inputs, dir, self.trajectory.as_deref())?, dir)
+            }
             (None, None) => unreachable!("clap asks for one of them"),
         };
         let output = self.output.begin(&inputs)?;
@@ -73,7 +80,7 @@ impl Interpolate {
 
 /// Source of the records.
 enum Source<'a> {
-    Density(DwellDensity, &'a Path),
+    Records(Vec<Record>, &'a Path),
     Program(&'a Path),
 }
 
@@ -85,9 +92,9 @@ impl Source<'_> {
     ) -> Result<(), Failure> {
         match self {
             Self::Program(path) => for_each_line(path, push),
-            Self::Density(density, dir) => {
-                for record in records(density) {
-                    push(&record).map_err(|e| Failure::new(format!("{}: {e}", dir.display())))?;
+            Self::Records(records, dir) => {
+                for record in records {
+                    push(record).map_err(|e| Failure::new(format!("{}: {e}", dir.display())))?;
                 }
                 Ok(())
             }
@@ -138,7 +145,7 @@ fn for_each_line(
         };
         let pushed = parsed.and_then(|record| record.map_or(Ok(()), |record| push(&record)));
         pushed.map_err(|e| {
-            Failure::new(format!("{}: line {number}: {e}; write it again", path.display()))
+            Failure::new(format!("{}: line {number}: {e}; write the program again", path.display()))
         })?;
     }
     Ok(())

@@ -2,19 +2,22 @@
 
 use std::{
     io::{BufWriter, Write},
-    path::PathBuf,
+    path::{Path, PathBuf},
 };
 
 use clap::Args;
 use planish_handoff::{Failure, Inputs, Status, flags::OutputFileArgs, say};
-use planish_schedule::interpolator::records;
-use planish_types::DwellDensity;
+use planish_schedule::interpolator::{Record, linked_records, records};
+use planish_types::{DwellDensity, Trajectory};
 
 #[derive(Args)]
 pub struct Program {
     /// Nodes of the dwell-time density [feed artifact]
     #[arg(long, value_name = "DIR")]
     feed: PathBuf,
+    /// Trajectory scheduled with the feed: its run-up, lifts and brake go into the program [trajectory artifact]
+    #[arg(long, value_name = "DIR")]
+    trajectory: Option<PathBuf>,
     #[command(flatten)]
     output: OutputFileArgs,
 }
@@ -23,18 +26,19 @@ pub struct Program {
 const PROGRAM_HEAD: &str = "\
 (Feed of planish-schedule: trigonometric spline of the dwell-time density along the path)
 (X Y end point mm, I J corner of a blend mm, P Q densities at both ends s/mm, R S arc lengths mm)
+(U V velocity mm/s at the end of a cubic, T its time s, K1 tool on, K0 tool off)
 ";
 
 impl Program {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
-        let density: DwellDensity = inputs.read("feed", &self.feed)?;
+        let records = read_records(&mut inputs, &self.feed, self.trajectory.as_deref())?;
         let output = self.output.begin(&inputs)?;
         let mut count = 0;
         output.write_by(|file| {
             let mut to = BufWriter::new(file);
             to.write_all(PROGRAM_HEAD.as_bytes())?;
-            for (number, record) in records(&density).enumerate() {
+            for (number, record) in records.iter().enumerate() {
                 writeln!(to, "{}", record.to_line(number))?;
                 count += 1;
             }
@@ -43,4 +47,22 @@ impl Program {
         say(format!("program: {count} records -> {}", self.output.out.display()));
         Ok(Status::Done)
     }
+}
+
+/// The records of a feed, with what lies outside of its passes if the trajectory is given.
+pub(super) fn read_records(
+    inputs: &mut Inputs,
+    feed: &Path,
+    trajectory: Option<&Path>,
+) -> Result<Vec<Record>, Failure> {
+    let density: DwellDensity = inputs.read("feed", feed)?;
+    let Some(dir) = trajectory else { return Ok(records(&density).collect()) };
+    let trajectory: Trajectory = inputs.read("trajectory", dir)?;
+    linked_records(&density, &trajectory).map_err(|e| {
+        Failure::new(format!(
+            "{}: {e}; give the one that {} was written with",
+            dir.display(),
+            feed.display()
+        ))
+    })
 }

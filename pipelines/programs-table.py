@@ -1,0 +1,182 @@
+#!/usr/bin/env python3
+"""Tables of docs/programs.md: plans as programs of every controller, read back and judged.
+
+programs-table.py [--out DIR] [--rows NAME,...] [--grids]
+
+Without --grids: the rows of ROWS, every plan, every controller. With --grids: clocks and counts.
+Plans that are in DIR already are not made again. Every number is of the program as planish-import reads it:
+planish-simulate predicts its residual, planish-verify judges its limits.
+"""
+
+import argparse
+import json
+import os
+import pathlib
+import subprocess
+import sys
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent
+BIN = ROOT / "target/release"
+MACHINE = ROOT / "fixtures/machines/ion-beam.json"
+CONTROLLERS = ["galil", "xps", "pmac", "csv", "gcode"]
+# Controllers of which no program switches the tool, unless an output is named: the tool of a plan with lifts stays on.
+SWITCHES = {"pmac": ["--tool-output", "1"]}
+
+RASTER = ["raster", "--pitch-mm=1", "--step-mm=1"]
+MAZE = ["maze", "--pitch-mm=1.2", "--step-mm=1.2"]
+RANDOM = ["random-adaptive", "--pitch-mm=1"]
+SPIRAL = ["spiral", "--pitch-mm=1.3", "--step-mm=1"]
+MULTI = ["multi-pitch", "--max-velocity-mm-per-s=5", "--step-mm=1"]
+# Name: fixture (None: the measured mirror in PLANISH_REFERENCE), path, flags of the dwell times, plans.
+ROWS = {
+    "raster": ("flat-92x16", RASTER, [], ["pvt", "feed"]),
+    "maze": ("flat-92x16", MAZE, [], ["pvt", "feed"]),
+    "random-adaptive": ("flat-92x16", RANDOM, [], ["pvt", "feed"]),
+    "spiral": ("disk-100", SPIRAL, [], ["pvt", "feed"]),
+    # docs/feed.md: the joint plan takes minutes along lines this close.
+    "multi-pitch": ("square-200", MULTI, ["--min-dwell-s-per-mm=0.2"], ["pvt"]),
+}
+GRID_ROWS = {
+    "coupon raster": ("coupon", RASTER, [], ["pvt", "feed"]),
+    "flat-92x16 raster": ("flat-92x16", RASTER, [], ["pvt", "feed"]),
+    "reference raster": (None, RASTER, [], ["pvt", "feed"]),
+    "reference maze": (None, MAZE, [], ["pvt", "feed"]),
+}
+TICKS_S = [0.0005, 0.001, 0.002, 0.004]
+COUNTS_MM = [0.0001, 0.001]
+
+
+def run(*command, allowed=(0,)):
+    """Runs a program of Planish; the text of its last line."""
+    program, *arguments = [str(c) for c in command]
+    done = subprocess.run([BIN / program, *arguments], capture_output=True, text=True)
+    if done.returncode not in allowed:
+        sys.exit(f"{' '.join([program, *arguments])}\n{done.stdout}{done.stderr}")
+    return done
+
+
+def outcome(directory):
+    return json.loads((directory / "manifest.json").read_text())["outcome"]
+
+
+def prepare(to, fixture, path, dwell, plans):
+    """Surface, TIF, path and plans of a row in `to`."""
+    to.mkdir(parents=True, exist_ok=True)
+    if fixture is None:
+        if "PLANISH_REFERENCE" not in os.environ:
+            return False
+        subprocess.run(["just", "reference-mirror", to], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+        surface, tif = to / "surface", to / "tif"
+    else:
+        run("planish-fixture", ROOT / f"fixtures/{fixture}.json", "--out", to / "fixture", "--force")
+        surface, tif = to / "prepared", to / "fixture/tif"
+        run("planish-surface", "prepare", "--surface", to / "fixture/surface", "--level", "piston", "--out", surface,
+            "--force")
+    part = ["--surface", surface, "--tif", tif]
+    run("planish-toolpath", *path, *part, "--machine", MACHINE, "--out", to / "path", "--force")
+    along = ["--tool-path", to / "path"]
+    least = dwell or [f"--min-dwell-of-machine={MACHINE}"]
+    run("planish-dwell", "bounded-least-squares", *part, *along, *least, "--out", to / "dwell", "--force",
+        allowed=(0, 1))
+    run("planish-schedule", "pvt", *along, "--dwell", to / "dwell", "--machine", MACHINE, "--out", to / "pvt", "--force",
+        allowed=(0, 1))
+    if "feed" in plans:
+        run("planish-feed", *part, *along, "--machine", MACHINE, *dwell, "--out", to / "joint", "--force", allowed=(0, 1))
+    (to / "part.json").write_text(json.dumps([str(surface), str(tif)]))
+    return True
+
+
+def residual(to, trajectory, name):
+    surface, tif = json.loads((to / "part.json").read_text())
+    run("planish-simulate", "--trajectory", trajectory, "--surface", surface, "--tif", tif, "--out", to / name, "--force")
+    return outcome(to / name)["rms_nm"]
+
+
+def judge(to, plan, controller, flags):
+    """A line of the table: the plan as a program, read back."""
+    trajectory = to / {"pvt": "pvt", "feed": "joint/trajectory"}[plan]
+    planned = to / f"planned-{plan}.json"
+    if not planned.exists():
+        planned.write_text(json.dumps(residual(to, trajectory, f"removal-{plan}")))
+    rms = json.loads(planned.read_text())
+    program = to / f"{plan}-{controller}"
+    lifts = outcome(to / "path").get("lifts", 0) if (to / "path/manifest.json").exists() else 0
+    if lifts:
+        flags = [*flags, *SWITCHES.get(controller, ["--always-on"] if controller in ("galil", "xps") else [])]
+    made = run("planish-export", controller, "--trajectory", trajectory, "--machine", MACHINE, *flags, "--out", program,
+               "--force", allowed=(0, 1, 2))
+    if made.returncode == 2:
+        return None, f"refused: {made.stderr.strip().splitlines()[-1]}"
+    about = json.loads(pathlib.Path(f"{program}.json").read_text())
+    back = to / f"{plan}-{controller}-back"
+    run("planish-import", "program", program, "--controller", controller, "--about", f"{program}.json", "--out", back,
+        "--force")
+    kept = run("planish-verify", "--trajectory", back, "--machine", MACHINE, "--out", to / "verdict", "--force",
+               allowed=(0, 1)).returncode == 0
+    program_rms = residual(to, back, "removal-program")
+    # The tool that stays on in a lift removes there: no comparison with the plan.
+    stays_on = "--always-on" in flags
+    return {
+        "segments": about["segments"],
+        "rms": None if stays_on else program_rms / rms,
+        "time": about["total_time_s"] / (about["total_time_s"] - about["added_time_s"]),
+        "deviation_um": 1e3 * about["path_deviation_mm"],
+        "used": {p["quantity"]: p["value"] / p["limit"] for p in about["limits"]["largest"]},
+        "kept": kept,
+    }, f"{rms:.4f} nm in {about['total_time_s'] - about['added_time_s']:.2f} s"
+
+
+def cells(line):
+    rms = "tool stays on" if line["rms"] is None else f"{line['rms']:.4f}"
+    used = max(line["used"].values()) if line["used"] else 0.0
+    which = max(line["used"], key=line["used"].get) if line["used"] else "-"
+    return [rms, f"{line['time']:.5f}", f"{line['deviation_um']:.2f}", f"{100 * used:.3f} % ({which})",
+            "yes" if line["kept"] else "no"]
+
+
+def show(cells):
+    print("| " + " | ".join(cells) + " |", flush=True)
+
+
+def main():
+    ask = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    ask.add_argument("--out", type=pathlib.Path, default=ROOT / "out/programs")
+    ask.add_argument("--rows", default="")
+    ask.add_argument("--grids", action="store_true")
+    given = ask.parse_args()
+    rows = GRID_ROWS if given.grids else ROWS
+    names = given.rows.split(",") if given.rows else list(rows)
+    if given.grids:
+        show(["plan", "controller", "tick ms", "count um", "residual", "time", "path um", "largest use of a limit", "kept"])
+        show(["---"] * 9)
+    else:
+        show(["plan", "controller", "segments", "residual", "time", "path um", "largest use of a limit", "kept"])
+        show(["---"] * 8)
+    for name in names:
+        fixture, path, dwell, plans = rows[name]
+        to = given.out / name.replace(" ", "-")
+        if not (to / "part.json").exists() and not prepare(to, fixture, path, dwell, plans):
+            print(f"left out, PLANISH_REFERENCE is not set: {name}", file=sys.stderr)
+            continue
+        for plan in plans:
+            for controller in CONTROLLERS:
+                grids = [[]]
+                if given.grids:
+                    clock = "--sample-s={:g}".format if controller == "galil" else "--tick-s={:g}".format
+                    # A Galil counts pairs of samples.
+                    part = 0.5 if controller == "galil" else 1.0
+                    grids = [[clock(part * t), f"--count-mm={c}"] for c in COUNTS_MM for t in TICKS_S]
+                for flags in grids:
+                    line, told = judge(to, plan, controller, flags)
+                    grid = [f.split("=")[1] for f in flags]
+                    if given.grids:
+                        grid = [f"{1e3 * float(grid[0]) / part:g}", f"{1e3 * float(grid[1]):g}"]
+                    first = [f"{name}, {plan}" + ("" if line is None else f": {told}"), controller]
+                    if line is None:
+                        show([*first, *grid, told])
+                    else:
+                        show([*first, *(grid or [str(line["segments"])]), *cells(line)])
+
+
+if __name__ == "__main__":
+    main()
