@@ -7,7 +7,7 @@ case " $* " in
 *" --crate-name planish_fuzz "* | *" --crate-name planish_import "* | *" --crate-name planish_handoff "* | \
     *" --crate-name planish_types "* | *" --crate-name hdf5_reader "* | *" --crate-name hdf5_core "* | \
     *" --crate-name flate2 "* | *" --crate-name miniz_oxide "* | *" --crate-name serde_json "* | \
-    *" --crate-name ndarray_npy "* | *" --crate-name py_literal "*)
+    *" --crate-name ndarray_npy "* | *" --crate-name py_literal "* | *" --crate-name roxmltree "*)
     exec "$rustc" "$@" -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
         -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
         -Cllvm-args=-sanitizer-coverage-trace-compares

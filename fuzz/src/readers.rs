@@ -22,7 +22,7 @@ const LONGEST_MESSAGE: usize = 1500;
 pub type Reader = (&'static str, fn(&[u8]));
 
 /// Every reader.
-pub const READERS: [Reader; 18] = [
+pub const READERS: [Reader; 27] = [
     ("metropro", |bytes| map(Format::Metropro, bytes)),
     ("datx", |bytes| map(Format::Datx, bytes)),
     ("xyz", |bytes| map(Format::Xyz, bytes)),
@@ -32,6 +32,15 @@ pub const READERS: [Reader; 18] = [
     ("csv", |bytes| map(Format::Csv, bytes)),
     ("npy", |bytes| map(Format::Npy, bytes)),
     ("sdf", |bytes| map(Format::Sdf, bytes)),
+    ("gsf", |bytes| map(Format::Gsf, bytes)),
+    ("sur", |bytes| map(Format::Sur, bytes)),
+    ("codev", |bytes| map(Format::CodevInt, bytes)),
+    ("grid-sag", |bytes| map(Format::GridSag, bytes)),
+    ("x3p", |bytes| map(Format::X3p, bytes)),
+    ("opd", |bytes| map(Format::Opd, bytes)),
+    ("presurface", |bytes| map(Format::Presurface, bytes)),
+    ("4sight", |bytes| map(Format::FourSight, bytes)),
+    ("scattered", scattered),
     ("galil", |bytes| motion(Controller::Galil, bytes)),
     ("xps", |bytes| motion(Controller::Xps, bytes)),
     ("pmac", |bytes| motion(Controller::Pmac, bytes)),
@@ -58,6 +67,7 @@ fn map(format: Format, bytes: &[u8]) {
             Err(error) => return readable(&error.to_string()),
         };
         let settings = Settings {
+            override_file: true,
             unit: reading.unit.or(Some(Unit::Nm)),
             wavelength_nm: reading.wavelength_nm.or(Some(632.8)),
             pitch_mm: reading.coordinates.is_none().then_some([0.5, 0.25]),
@@ -77,6 +87,15 @@ fn map(format: Format, bytes: &[u8]) {
             Ok(statement) => assert!(statement.nm_per_value.is_finite()),
             Err(error) => readable(&error.to_string()),
         }
+    }
+}
+
+/// Points that are gridded.
+fn scattered(bytes: &[u8]) {
+    let pick =
+        Pick { grid_mm: Some([0.5, 0.25]), coordinate_unit: Some(Unit::Mm), ..Pick::default() };
+    if let Err(error) = read(Format::Xyz, bytes, &pick) {
+        readable(&error.to_string());
     }
 }
 

@@ -7,7 +7,7 @@ mod trace;
 
 use std::path::{Path, PathBuf};
 
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueEnum};
 use ndarray::Array2;
 use planish_handoff::{
     Failure, Inputs, Output, Status, Writer, flags::OutputArgs, kind::Kind, pair, say, warn,
@@ -15,7 +15,7 @@ use planish_handoff::{
 };
 use planish_import::{
     FirstRow, Format, MOST_FILE_BYTES, Origin, Pick, Reading, Rotation, Scale, Settings, Statement,
-    Unit, read, svg,
+    Unit, read, svg, unknown,
 };
 use planish_types::{Grid, Surface, Tif, text::significant};
 
@@ -61,25 +61,37 @@ struct FileArgs {
     /// Array of the coordinates of the rows [default: Y (Ytif) beside Z]
     #[arg(long, value_name = "NAME")]
     y: Option<String>,
+    /// Array of the same size that is not 0 at invalid pixels, named as for --dataset [default in FITS: the image
+    /// called MASK]
+    #[arg(long, value_name = "NAME")]
+    mask: Option<String>,
     /// Unit of the heights, where the file does not state it
     #[arg(long, value_enum)]
     unit: Option<Unit>,
     /// Wavelength of heights in waves, nm
     #[arg(long, value_name = "W", allow_negative_numbers = true)]
     wavelength_nm: Option<f64>,
-    /// Distance of pixel centres along x and y, mm: one number, or two for X,Y
+    /// Distance of pixel centres along x and y, mm, where the file does not state it: one number, or two for X,Y
     #[arg(long, value_name = "P", value_parser = pair, allow_hyphen_values = true)]
     pitch_mm: Option<[f64; 2]>,
+    /// Pitch along x and y, mm, to which points x y z that lie on no grid are interpolated (linear in triangles)
+    #[arg(long, value_name = "P", value_parser = pair, allow_hyphen_values = true)]
+    grid_mm: Option<[f64; 2]>,
     /// Unit of the coordinates in the file, where it does not state it
     #[arg(long, value_enum)]
     coordinate_unit: Option<Unit>,
+    /// Take --unit, --wavelength-nm, --pitch-mm, --coordinate-unit and --surface-per-value in the place of what the file
+    /// states, with a warning. Use it where the file is wrong
+    #[arg(long)]
+    override_file: bool,
     /// Surface height per height in the file: 0.5 for the wavefront of one reflection
     #[arg(long, value_name = "F", default_value_t = 1.0, allow_negative_numbers = true)]
     surface_per_value: f64,
     /// The file counts material (or removal) as negative
     #[arg(long)]
     negate: bool,
-    /// Value that marks an invalid pixel, besides NaN and what the format has
+    /// Stored value that marks an invalid pixel, besides NaN and what the format has; compared in the type in which the
+    /// file stores its numbers
     #[arg(long, value_name = "V", allow_negative_numbers = true)]
     no_data: Option<f64>,
     /// Side of the map that the first row of the file is [default: as the format has it]
@@ -113,12 +125,21 @@ impl FileArgs {
 
     /// Names of the arrays to read from a file that holds several.
     fn pick(&self, is_tif: bool) -> Pick {
-        Pick { dataset: self.dataset.clone(), x: self.x.clone(), y: self.y.clone(), is_tif }
+        Pick {
+            dataset: self.dataset.clone(),
+            x: self.x.clone(),
+            y: self.y.clone(),
+            mask: self.mask.clone(),
+            grid_mm: self.grid_mm,
+            coordinate_unit: self.coordinate_unit,
+            is_tif,
+        }
     }
 
     /// Settings of the library from the flags.
     fn settings(&self, origin: Origin) -> Settings {
         Settings {
+            override_file: self.override_file,
             unit: self.unit,
             wavelength_nm: self.wavelength_nm,
             pitch_mm: self.pitch_mm,
@@ -142,10 +163,9 @@ impl FileArgs {
         let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
         let by_ending = || Format::of_ending(ending.as_deref()?);
         self.format.or_else(|| Format::of(bytes)).or_else(by_ending).ok_or_else(|| {
-            Failure::new(format!(
-                "{}: is of no format that is known; give --format",
-                path.display()
-            ))
+            let named = Format::value_variants().iter().filter_map(|f| f.to_possible_value());
+            let formats: Vec<String> = named.map(|f| f.get_name().to_string()).collect();
+            Failure::new(format!("{}: {}", path.display(), with_flags(&unknown(bytes, &formats))))
         })
     }
 
@@ -188,8 +208,10 @@ fn open(
     pick: &Pick,
 ) -> Result<Reading, Failure> {
     let Some(bytes) = bytes else {
-        if pick.dataset.is_some() || pick.x.is_some() || pick.y.is_some() {
-            let problem = "is a directory; leave out --dataset, --x and --y";
+        if [&pick.dataset, &pick.x, &pick.y, &pick.mask].iter().any(|name| name.is_some())
+            || pick.grid_mm.is_some()
+        {
+            let problem = "is a directory; leave out --dataset, --x, --y, --mask and --grid-mm";
             return Err(Failure::new(format!("{}: {problem}", path.display())));
         }
         return Ok(match pick.is_tif {
@@ -232,10 +254,15 @@ fn report(statement: &Statement, grid: &Grid) {
         significant(grid.y.end_mm(), 10),
         statement.invalid
     ));
+    let value = match statement.nm_of_zero {
+        0.0 => format!("stored value 1 is {} nm of surface", statement.nm_per_value),
+        zero => format!(
+            "stored value 0 is {zero} nm of surface, a step of 1 is {} nm",
+            statement.nm_per_value
+        ),
+    };
     say(format!(
-        "planish-import: stored value 1 is {} nm of surface (unit: {}); the first row of the file is \
-         the {}",
-        statement.nm_per_value,
+        "planish-import: {value} (unit: {}); the first row of the file is the {}",
         statement.unit_from,
         if statement.first_row == FirstRow::Top { "top" } else { "smallest y" }
     ));

@@ -79,6 +79,8 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
 
     let mut reading = Reading::new(Format::Datx, values, FirstRow::Top);
     (reading.unit, reading.factor) = (Some(unit), factor);
+    reading.single = matches!(set.dtype(), Datatype::FloatingPoint { size: 4, .. });
+    reading.scale_applied = scale.filter(|_| unit == Unit::M);
     reading.wavelength_nm = wavelength_m.map(|w| w * 1e9);
     let mut converters = Vec::new();
     for name in ["X Converter", "Y Converter"] {

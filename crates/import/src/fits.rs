@@ -5,7 +5,8 @@
 //! coordinate n = CRVALn + CDn_n (i - CRPIXn),   i = 1 ... NAXISn,   CDn_n = CDELTn PCn_n
 //! ```
 //!
-//! BLANK or NaN is an invalid pixel. The unit is BUNIT, that of the coordinates CUNITn. A header without CRPIX and CRVAL
+//! BLANK or NaN is an invalid pixel; so is one at which an image extension called MASK is not 0, as CCDData of
+//! astropy writes it. A file with any other second image is refused until `dataset` or `mask` names one. The unit is BUNIT, that of the coordinates CUNITn. A header without CRPIX and CRVAL
 //! has a pitch alone, |CDELTn|. The first row of the file is the smallest y, as the standard shows it; an axis with a
 //! negative step runs the other way. Axes that are turned, sheared or not linear are refused.
 
@@ -36,80 +37,141 @@ const MOST_SLANT: f64 = 1e-4;
 
 /// Reads the image of the HDU whose number (0, the primary, first) is `pick.dataset`, else the first.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
+    let number = |name: &str| {
+        name.parse::<usize>().map_err(|_| {
+            let remedy = "give the number of the HDU, 0 for the primary one";
+            Invalid::whole(NAME, format!("has no dataset \"{name}\""), remedy)
+        })
+    };
     if pick.x.is_some() || pick.y.is_some() {
         let remedy = "FITS has its coordinates in the header; leave out `x` and `y`";
         return Err(Invalid::whole(NAME, "has no arrays of coordinates", remedy));
     }
-    let wanted = match &pick.dataset {
-        None => None,
-        Some(text) => Some(text.parse::<usize>().map_err(|_| {
-            let remedy = "give the number of the HDU, 0 for the primary one";
-            Invalid::whole(NAME, format!("has no dataset \"{text}\""), remedy)
-        })?),
-    };
+    let wanted = pick.dataset.as_deref().map(number).transpose()?;
+    let wanted_mask = pick.mask.as_deref().map(number).transpose()?;
     let b = Bytes { all: bytes, name: NAME, big_endian: true };
     if !bytes.starts_with(b"SIMPLE  =") {
         let problem = "does not start with SIMPLE";
         return Err(Invalid::whole(NAME, problem, "give a FITS file, or the right `format`"));
     }
+    let mut images = Vec::new();
     let (mut at, mut index) = (0, 0);
-    while at < bytes.len() {
+    // What follows the last unit is no concern of a reader.
+    while index == 0 || bytes.get(at..).is_some_and(|rest| rest.starts_with(b"XTENSION")) {
         let (header, data_at) = header(&b, at)?;
         let sizes = header.sizes()?;
+        at = data_at + blocks(header.data_bytes(&sizes)?);
         let image = index == 0 || header.text("XTENSION").as_deref() == Some("IMAGE");
         let has_map = sizes.len() >= 2 && sizes[2..].iter().all(|n| *n == 1);
-        let here = wanted.is_none_or(|w| w == index);
-        if here && image && has_map {
-            return map(&b, &header, data_at, sizes[1], sizes[0], index);
-        }
-        if here && wanted.is_some() {
+        if image && has_map {
+            let name = header.text("EXTNAME").unwrap_or_default();
+            images.push(Image {
+                hdu: index,
+                header,
+                at: data_at,
+                size: [sizes[1], sizes[0]],
+                name,
+            });
+        } else if [wanted, wanted_mask].contains(&Some(index)) {
             let problem = format!("has in HDU {index} no image with two axes (NAXISn {sizes:?})");
-            return Err(Invalid::whole(NAME, problem, "give another `dataset`"));
+            return Err(Invalid::whole(NAME, problem, "give another number"));
         }
-        at = data_at + blocks(header.data_bytes(&sizes)?);
         index += 1;
         if index > MOST_ARRAYS {
             let remedy = "export only the map";
             return Err(too_many(NAME, MOST_ARRAYS, "header and data units", remedy));
         }
     }
-    let remedy = "give a file with a map, or another `dataset`";
-    Err(Invalid::whole(NAME, format!("has no image with two axes in {index} HDU(s)"), remedy))
+    let is_mask = |image: &Image| match wanted_mask {
+        Some(hdu) => image.hdu == hdu,
+        None => image.name.eq_ignore_ascii_case("MASK"),
+    };
+    let found = match wanted {
+        Some(hdu) => images.iter().find(|image| image.hdu == hdu),
+        None => {
+            let maps: Vec<&Image> = images.iter().filter(|image| !is_mask(image)).collect();
+            if maps.len() > 1 {
+                let named = maps.iter().take(20).map(|image| image.label());
+                let listed = named.collect::<Vec<_>>().join(", ");
+                let problem = format!("holds {} images: {listed}", maps.len());
+                let remedy = "choose the map with `dataset`; `mask` names an image that is not 0 at invalid pixels";
+                return Err(Invalid::whole(NAME, problem, remedy));
+            }
+            maps.first().copied()
+        }
+    };
+    let Some(image) = found else {
+        let remedy = "give a file with a map, or another `dataset`";
+        let problem = match wanted {
+            Some(hdu) => format!("has no HDU {hdu}, only {index}"),
+            None => format!("has no image with two axes in {index} HDU(s)"),
+        };
+        return Err(Invalid::whole(NAME, problem, remedy));
+    };
+    let mut reading = map(&b, image)?;
+    let masks: Vec<&Image> = images.iter().filter(|m| is_mask(m) && m.hdu != image.hdu).collect();
+    if let (Some(hdu), []) = (wanted_mask, &masks[..]) {
+        let problem = format!("has no HDU {hdu} beside the map");
+        return Err(Invalid::whole("mask", problem, "give the number of another image"));
+    }
+    for mask in masks {
+        let values = numbers(&b, mask)?;
+        reading.apply_mask(&mask.label(), &values)?;
+        reading.stated["mask_hdu"] = mask.hdu.into();
+    }
+    Ok(reading)
 }
 
-fn map(
-    b: &Bytes,
-    header: &Header,
-    at: usize,
-    rows: usize,
-    columns: usize,
+/// An image with two axes.
+struct Image {
     hdu: usize,
-) -> Result<Reading, Invalid> {
-    let count = check_size("FITS image", rows, columns)?;
-    let number = header.number()?;
-    let raw = b.slice(at, count * number.size())?;
-    let mut values = number.decode(raw, count, true)?;
-    if let Some(blank) =
-        header.float("BLANK")?.filter(|_| number.size() <= 8 && number.is_integer())
-    {
-        for v in values.iter_mut().filter(|v| **v == blank) {
-            *v = f64::NAN;
+    header: Header,
+    /// Byte at which its numbers begin.
+    at: usize,
+    /// Rows, columns.
+    size: [usize; 2],
+    /// EXTNAME; empty where there is none.
+    name: String,
+}
+
+impl Image {
+    fn label(&self) -> String {
+        match self.name.as_str() {
+            "" => format!("HDU {}", self.hdu),
+            name => format!("HDU {} {}", self.hdu, name.chars().take(40).collect::<String>()),
         }
     }
+}
+
+/// The numbers of an image as stored.
+fn numbers(b: &Bytes, image: &Image) -> Result<Array2<f64>, Invalid> {
+    let [rows, columns] = image.size;
+    let count = check_size("FITS image", rows, columns)?;
+    let number = image.header.number()?;
+    let raw = b.slice(image.at, count * number.size())?;
+    let values = number.decode(raw, count, true)?;
+    Ok(Array2::from_shape_vec((rows, columns), values).expect("one value per pixel"))
+}
+
+fn map(b: &Bytes, image: &Image) -> Result<Reading, Invalid> {
+    let header = &image.header;
+    let number = header.number()?;
+    let mut reading = Reading::new(Format::Fits, numbers(b, image)?, FirstRow::SmallestY);
+    reading.single = number == Number::F32;
+    if let Some(blank) = header.float("BLANK")?.filter(|_| number.is_integer()) {
+        reading.invalidate(blank);
+    }
+    // value = BZERO + BSCALE raw
     let (zero, scale) =
         (header.float("BZERO")?.unwrap_or(0.0), header.float("BSCALE")?.unwrap_or(1.0));
-    if (zero, scale) != (0.0, 1.0) {
-        // value = BZERO + BSCALE raw
-        values.iter_mut().for_each(|v| *v = zero + scale * *v);
-    }
-    let values = Array2::from_shape_vec((rows, columns), values).expect("one value per pixel");
-
+    (reading.offset, reading.factor) = (zero, scale);
     let unit_name = header.text("BUNIT").filter(|u| !u.is_empty());
     let unit = unit_name.as_deref().map(|u| Unit::stated("BUNIT", u)).transpose()?;
-    let mut reading = Reading::new(Format::Fits, values, FirstRow::SmallestY);
     reading.unit = unit;
+    let [rows, columns] = image.size;
     reading.rule = header.rule([columns, rows], &mut reading.warnings)?;
-    reading.stated = json!({ "hdu": hdu, "bunit": unit_name, "bscale": scale, "bzero": zero });
+    reading.stated =
+        json!({ "hdu": image.hdu, "bunit": unit_name, "bscale": scale, "bzero": zero });
     Ok(reading)
 }
 

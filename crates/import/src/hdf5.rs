@@ -2,7 +2,15 @@
 //!
 //! A dataset is two-dimensional, of any real number type, stored in any of the layouts and filters
 //! that the crate hdf5-reader knows (contiguous, chunked, deflate, shuffle, szip, ...). Its unit is
-//! the attribute `unit` or `units`, where there is one. Coordinates are datasets too: vectors, or
+//! the attribute `unit` or `units`, where there is one. The attributes of netCDF and its CF conventions are
+//! obeyed:
+//!
+//! ```text
+//! value = add_offset + scale_factor raw
+//! ```
+//!
+//! and a raw value that is `_FillValue` or one of `missing_value`, or outside `valid_range`, `valid_min` or
+//! `valid_max`, is invalid. Source: NetCDF Users Guide, "Attribute Conventions". Coordinates are datasets too: vectors, or
 //! matrices as `meshgrid` makes them.
 
 use std::{
@@ -14,8 +22,8 @@ use std::{
 };
 
 use hdf5_reader::{
-    Attribute, BytesStorage, Dataset, Datatype, Hdf5File, OpenOptions, Storage, StorageBuffer,
-    error::Error, group::Group,
+    Attribute, ByteOrder, BytesStorage, Dataset, Datatype, Hdf5File, OpenOptions, Storage,
+    StorageBuffer, error::Error, group::Group,
 };
 use ndarray::{Array2, ArrayD, Ix2};
 use planish_types::Invalid;
@@ -27,7 +35,7 @@ use crate::{
         BYTES_PER_PIXEL, MOST_ARRAYS, MOST_PIXELS, MOST_READS, MOST_TEXT_BYTES, check_elements,
         check_size, most_of, too_many,
     },
-    bytes::{exact, refuse_rounded},
+    bytes::{Number, exact, refuse_rounded},
     reading::{Coordinates, FirstRow, Pick, Reading},
 };
 
@@ -41,9 +49,8 @@ const CUSTOMARY: [[&str; 3]; 2] = [["Z", "X", "Y"], ["Ztif", "Xtif", "Ytif"]];
 /// Smaller: a dataset in a deeper group has to be named by its path.
 const DEEPEST: usize = 6;
 
-/// Largest number of values of an attribute that is read, because each may point to a long text. Larger:
-/// more memory for a hostile file. Smaller: refuses attributes that are long vectors.
-const MOST_VALUES: u64 = 64;
+/// Most values of an attribute.
+pub(crate) const MOST_VALUES: u64 = 64;
 
 /// Largest number of symbols (entries of groups of the first layout) that are read from a file. Larger:
 /// more time and memory for a hostile file. Smaller: refuses files with many datasets.
@@ -144,8 +151,16 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let (rows, columns) = values.dim();
     check_size("dataset", rows, columns)?;
     let mut reading = Reading::new(Format::Hdf5, values, FirstRow::SmallestY);
+    reading.single = is_single(&set);
     let (unit, unit_name) = unit(&set)?;
     reading.unit = unit;
+    let convention = Convention::of(&set)?;
+    (reading.factor, reading.offset) = (convention.scale, convention.offset);
+    convention.mark(&mut reading);
+    if let Some(name) = &pick.mask {
+        let mask = matrix(&file.dataset(name).map_err(broken)?, transposed)?;
+        reading.apply_mask(name, &mask)?;
+    }
     if let (Some(x), Some(y)) = (&pick.x, &pick.y) {
         let (x_set, y_set) = (file.dataset(x).map_err(broken)?, file.dataset(y).map_err(broken)?);
         let ((x_unit, _), (y_unit, _)) = (self::unit(&x_set)?, self::unit(&y_set)?);
@@ -153,9 +168,16 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
             let problem = format!("has x in {x_unit:?} and y in {y_unit:?}");
             return Err(Invalid::whole(NAME, problem, "give both the same unit"));
         }
+        let scaled = |set: &Dataset| -> Result<Array2<f64>, Invalid> {
+            let Convention { scale, offset, .. } = Convention::of(set)?;
+            Ok(matrix(set, transposed)?.mapv(|v| match (scale, offset) {
+                (1.0, 0.0) => v,
+                _ => offset + scale * v,
+            }))
+        };
         reading.coordinates = Some(Coordinates {
-            x: along("x", &matrix(&x_set, transposed)?, columns, true)?,
-            y: along("y", &matrix(&y_set, transposed)?, rows, false)?,
+            x: along("x", &scaled(&x_set)?, columns, true)?,
+            y: along("y", &scaled(&y_set)?, rows, false)?,
             unit: x_unit,
         });
     }
@@ -163,7 +185,11 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         "dataset": name,
         "x": pick.x,
         "y": pick.y,
+        "mask": pick.mask,
         "unit": unit_name,
+        "scale_factor": convention.scale,
+        "add_offset": convention.offset,
+        "invalid_values": convention.invalid,
         "matlab_7_3": transposed,
     });
     Ok(reading)
@@ -183,6 +209,7 @@ pub(crate) fn choose(
     let maps: Vec<&str> =
         arrays.iter().filter(|(_, shape)| is_map(shape)).map(|(name, _)| name.as_str()).collect();
     let mut chosen = pick.clone();
+    let is_mask = |name: &str| leaf(name).to_lowercase().contains("mask");
     let customary = CUSTOMARY[usize::from(pick.is_tif)];
     if chosen.dataset.is_none() {
         chosen.dataset = match (has(customary[0]), &maps[..]) {
@@ -192,12 +219,34 @@ pub(crate) fn choose(
                 let remedy = "give a file with an array of two axes";
                 return Err(Invalid::whole(file, "holds no matrix of real numbers", remedy));
             }
+            (false, several)
+                if pick.mask.is_some() && {
+                    let mask = pick.mask.as_deref();
+                    several.len() == 2 && several.iter().any(|name| Some(*name) == mask)
+                } =>
+            {
+                several
+                    .iter()
+                    .find(|name| Some(**name) != pick.mask.as_deref())
+                    .map(|n| n.to_string())
+            }
             (false, several) => {
                 let listed: Vec<&str> = several.iter().copied().take(20).collect();
                 let problem = format!("holds several matrices: {}", listed.join(", "));
                 return Err(Invalid::whole(file, problem, "choose one with `dataset`"));
             }
         };
+    }
+    if let (None, None, Some(map)) = (&pick.mask, &pick.dataset, &chosen.dataset) {
+        let shape = |name: &str| arrays.iter().find(|a| a.0 == name).map(|a| &a.1);
+        let beside = |name: &&&str| **name != map && is_mask(name) && shape(name) == shape(map);
+        if let Some(mask) = maps.iter().find(beside) {
+            let problem = format!("holds \"{mask}\", an array of the size of \"{map}\"");
+            let remedy = format!(
+                "give `mask` {mask} where it is not 0 at invalid pixels, or `dataset` {map} to leave it out"
+            );
+            return Err(Invalid::whole(file, problem, remedy));
+        }
     }
     let [z, x, y] = customary;
     if chosen.x.is_none() && chosen.dataset.as_deref() == Some(z) && has(x) && has(y) {
@@ -300,7 +349,7 @@ fn holds_complex(name: &str) -> Invalid {
     Invalid::whole("dataset", problem, "save their real part, or choose another with `dataset`")
 }
 
-fn leaf(name: &str) -> &str {
+pub(crate) fn leaf(name: &str) -> &str {
     name.rsplit('/').next().unwrap_or(name)
 }
 
@@ -390,6 +439,103 @@ impl<'a> Attributes<'a> {
             Some(_) => self.set.attribute(name).map(Some).map_err(broken),
         }
     }
+}
+
+/// True where a dataset holds 32-bit floats.
+pub(crate) fn is_single(set: &Dataset) -> bool {
+    matches!(set.dtype(), Datatype::FloatingPoint { size: 4, .. })
+}
+
+/// What the attributes of netCDF say of the numbers of a dataset.
+struct Convention {
+    /// Factor from the stored to the meant number.
+    scale: f64,
+    /// Meant number of the stored 0.
+    offset: f64,
+    /// Stored values that mark an invalid pixel.
+    invalid: Vec<f64>,
+    /// Smallest and largest stored value of a valid pixel.
+    least: Option<f64>,
+    most: Option<f64>,
+}
+
+impl Convention {
+    fn of(set: &Dataset) -> Result<Self, Invalid> {
+        let attributes = Attributes::of(set)?;
+        let numbers = |name: &str| -> Result<Vec<f64>, Invalid> {
+            let Some(attribute) = attributes.get(name)? else { return Ok(Vec::new()) };
+            attribute_numbers(&attribute).ok_or_else(|| {
+                let problem = format!("has an attribute \"{name}\" that is no number");
+                Invalid::whole(NAME, problem, "correct the attribute")
+            })
+        };
+        let one = |name: &str| -> Result<Option<f64>, Invalid> {
+            match numbers(name)?[..] {
+                [] => Ok(None),
+                [v] if !v.is_nan() => Ok(Some(v)),
+                ref several => {
+                    let problem = format!("has {name} = {several:?}");
+                    Err(Invalid::whole(NAME, problem, "give the attribute one number"))
+                }
+            }
+        };
+        if attributes.get("_Unsigned")?.is_some() {
+            let problem =
+                "has the attribute \"_Unsigned\": its integers have another sign than their type";
+            return Err(Invalid::whole(NAME, problem, "write it with an unsigned type"));
+        }
+        let mut invalid = numbers("_FillValue")?;
+        invalid.extend(numbers("missing_value")?);
+        invalid.retain(|v| !v.is_nan());
+        let (least, most) = match numbers("valid_range")?[..] {
+            [] => (one("valid_min")?, one("valid_max")?),
+            [least, most] => (Some(least), Some(most)),
+            ref other => {
+                let problem = format!("has valid_range = {other:?}");
+                return Err(Invalid::whole(NAME, problem, "give the attribute two numbers"));
+            }
+        };
+        let (scale, offset) =
+            (one("scale_factor")?.unwrap_or(1.0), one("add_offset")?.unwrap_or(0.0));
+        Ok(Self { scale, offset, invalid, least, most })
+    }
+
+    fn mark(&self, reading: &mut Reading) {
+        for marker in &self.invalid {
+            reading.invalidate(*marker);
+        }
+        let (least, most) = (self.least, self.most);
+        let beside = |v: f64| least.is_some_and(|l| v < l) || most.is_some_and(|m| v > m);
+        reading.values.mapv_inplace(|v| if beside(v) { f64::NAN } else { v });
+    }
+}
+
+/// The numbers of an attribute, of any type of real numbers; `None` for what is none.
+pub(crate) fn attribute_numbers(attribute: &Attribute) -> Option<Vec<f64>> {
+    let number = match attribute.datatype {
+        Datatype::FloatingPoint { size: 4, .. } => Number::F32,
+        Datatype::FloatingPoint { size: 8, .. } => Number::F64,
+        Datatype::FixedPoint { size, signed, .. } => match (size, signed) {
+            (1, true) => Number::I8,
+            (1, false) => Number::U8,
+            (2, true) => Number::I16,
+            (2, false) => Number::U16,
+            (4, true) => Number::I32,
+            (4, false) => Number::U32,
+            (8, true) => Number::I64,
+            (8, false) => Number::U64,
+            _ => return None,
+        },
+        _ => return None,
+    };
+    let big_endian = match &attribute.datatype {
+        Datatype::FloatingPoint { byte_order, .. } | Datatype::FixedPoint { byte_order, .. } => {
+            matches!(byte_order, ByteOrder::BigEndian)
+        }
+        _ => false,
+    };
+    let count = attribute.raw_data.len() / number.size();
+    number.decode(&attribute.raw_data, count, big_endian).ok()
 }
 
 fn unit(set: &Dataset) -> Result<(Option<Unit>, Option<String>), Invalid> {

@@ -16,6 +16,14 @@
 //! | [`fits`] | FITS images | FITS standard 4.0 |
 //! | [`npy`] | `.npy` of any real number type | NumPy enhancement proposal 1 |
 //! | [`csv`] | a matrix of numbers as text | - |
+//! | [`gsf`] | Gwyddion Simple Field | Gwyddion user guide |
+//! | [`sur`] | Digital Surf `.sur` | Digital Surf's description, see there |
+//! | [`codev`] | CODE V `.int` | CODE V reference manual |
+//! | [`grid_sag`] | Zemax OpticStudio grid sag | OpticStudio help |
+//! | [`x3p`] | `.x3p` | ISO 25178-72 |
+//! | [`opd`] | Wyko and Veeco `.opd` | documentation of public readers |
+//! | [`presurface`] | SHADOW presurface | SHADOW's user guide |
+//! | [`four_sight`] | 4D Technology 4Sight `.h5` | public readers |
 //! | [`sdf`] | surface data file, text and binary | ISO 25178-71 |
 //! | [`program`] | programs for Galil, XPS, PMAC, G-code, CSV | see there |
 //! | [`trace`] | logs of what a machine did: CSV, HDF5, XPS, Aerotech, Galil | see there |
@@ -25,21 +33,32 @@
 
 mod budget;
 mod bytes;
+pub mod codev;
 pub mod csv;
 pub mod datx;
 mod draw;
 pub mod fits;
+pub mod four_sight;
+pub mod grid_sag;
+pub mod gsf;
 pub mod hdf5;
 pub mod matlab;
 pub mod metropro;
 pub mod npy;
+pub mod opd;
 pub mod points;
+pub mod presurface;
 pub mod program;
 mod reading;
+mod scattered;
 pub mod sdf;
 mod spot;
+pub mod sur;
 mod text;
 pub mod trace;
+mod unknown;
+pub mod x3p;
+mod zip;
 
 pub use budget::{MOST_FILE_BYTES, MOST_PIXELS};
 pub use draw::{Scale, svg};
@@ -48,6 +67,8 @@ pub use reading::{
     surface, tif,
 };
 pub use spot::{Alignment, Baseline, Spot, SpotSettings, spot};
+
+pub use unknown::unknown;
 
 use planish_types::Invalid;
 
@@ -74,6 +95,24 @@ pub enum Format {
     Npy,
     /// Surface data file.
     Sdf,
+    /// Gwyddion Simple Field.
+    Gsf,
+    /// Digital Surf `.sur`.
+    Sur,
+    /// CODE V interferogram file on a grid.
+    CodevInt,
+    /// Zemax OpticStudio grid sag.
+    GridSag,
+    /// ISO 25178-72.
+    X3p,
+    /// Wyko and Veeco `.opd`.
+    Opd,
+    /// SHADOW presurface.
+    Presurface,
+    /// 4D Technology 4Sight.
+    #[cfg_attr(feature = "cli", value(name = "4sight"))]
+    #[serde(rename = "4sight")]
+    FourSight,
     /// Directory of `.npy` files, with or without a manifest.
     #[cfg_attr(feature = "cli", value(skip))]
     Directory,
@@ -90,15 +129,33 @@ impl Format {
         } else if starts(b"SIMPLE  =") {
             Some(Self::Fits)
         } else if hdf5::is_hdf5(bytes) {
-            Some(if datx::is_datx(bytes) { Self::Datx } else { Self::Hdf5 })
+            Some(match () {
+                () if datx::is_datx(bytes) => Self::Datx,
+                () if four_sight::is_four_sight(bytes) => Self::FourSight,
+                () => Self::Hdf5,
+            })
         } else if starts(b"MATLAB 5.0") {
             Some(Self::Mat5)
         } else if starts(b"Zygo XYZ Data File") || starts(b"Zygo ASCII Data File") {
             Some(Self::Xyz)
         } else if starts(b"aISO-1.0") || starts(b"bISO-1.0") {
             Some(Self::Sdf)
+        } else if starts(gsf::MAGIC) {
+            Some(Self::Gsf)
+        } else if starts(sur::MAGIC) || starts(sur::COMPRESSED) {
+            Some(Self::Sur)
+        } else if starts(opd::MAGIC) {
+            Some(Self::Opd)
+        } else if starts(zip::MAGIC) {
+            Some(Self::X3p)
         } else {
-            None
+            let text = text::text("text", bytes).ok()?;
+            match () {
+                () if codev::is_codev(text) => Some(Self::CodevInt),
+                () if grid_sag::is_grid_sag(text) => Some(Self::GridSag),
+                () if presurface::is_presurface(text) => Some(Self::Presurface),
+                () => None,
+            }
         }
     }
 
@@ -114,23 +171,42 @@ impl Format {
 
 /// Reads the bytes of a file of `format`; `pick` names the arrays to read from a file that holds several.
 pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
-    let several = matches!(format, Format::Mat5 | Format::Hdf5 | Format::Datx | Format::Fits);
-    if let Some(name) = [&pick.dataset, &pick.x, &pick.y].into_iter().flatten().next()
+    if pick.grid_mm.is_some() && format != Format::Xyz {
+        let problem = "was given, but only lines x y z are interpolated";
+        return Err(Invalid::whole("grid_mm", problem, "leave it out, or give `format` xyz"));
+    }
+    let several = matches!(
+        format,
+        Format::Mat5 | Format::Hdf5 | Format::Datx | Format::Fits | Format::Opd | Format::FourSight
+    );
+    if let (Some(name), Format::Datx) = (&pick.mask, format) {
+        let remedy = "a datx file marks its invalid pixels itself; leave it out";
+        return Err(Invalid::whole("mask", format!("\"{name}\" was asked for"), remedy));
+    }
+    if let Some(name) = [&pick.dataset, &pick.x, &pick.y, &pick.mask].into_iter().flatten().next()
         && !several
     {
-        let remedy = "only datx, mat5, hdf5 and fits files have names; leave it out";
+        let remedy = "only datx, mat5, hdf5, fits, opd and 4sight files have names; leave it out";
         return Err(Invalid::whole("dataset", format!("\"{name}\" was asked for"), remedy));
     }
     match format {
         Format::Metropro => metropro::read(bytes),
         Format::Datx => datx::read(bytes, pick),
-        Format::Xyz => points::read(bytes),
+        Format::Xyz => points::read(bytes, pick),
         Format::Mat5 => matlab::read(bytes, pick),
         Format::Hdf5 => hdf5::read(bytes, pick),
         Format::Fits => fits::read(bytes, pick),
         Format::Csv => csv::read(bytes),
         Format::Npy => npy::read(bytes),
         Format::Sdf => sdf::read(bytes),
+        Format::Gsf => gsf::read(bytes),
+        Format::Sur => sur::read(bytes),
+        Format::CodevInt => codev::read(bytes),
+        Format::GridSag => grid_sag::read(bytes),
+        Format::X3p => x3p::read(bytes),
+        Format::Opd => opd::read(bytes, pick),
+        Format::Presurface => presurface::read(bytes),
+        Format::FourSight => four_sight::read(bytes, pick),
         Format::Directory => {
             let remedy = "give the directory that holds it";
             Err(Invalid::whole("format", "directory was given for a file", remedy))

@@ -95,6 +95,10 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let (rows, columns) = values.dim();
     check_size("matrix", rows, columns)?;
     let mut reading = Reading::new(Format::Mat5, values, FirstRow::SmallestY);
+    reading.single = find(name).is_some_and(|v| v.number == Number::F32);
+    if let Some(mask) = &pick.mask {
+        reading.apply_mask(mask, &get(mask)?)?;
+    }
     if let (Some(x), Some(y)) = (&pick.x, &pick.y) {
         reading.coordinates = Some(Coordinates {
             x: along("x", &get(x)?, columns, true)?,
@@ -102,7 +106,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
             unit: None,
         });
     }
-    reading.stated = json!({ "dataset": name, "x": pick.x, "y": pick.y });
+    reading.stated = json!({ "dataset": name, "x": pick.x, "y": pick.y, "mask": pick.mask });
     Ok(reading)
 }
 

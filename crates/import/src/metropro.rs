@@ -102,6 +102,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     reading.unit = Some(Unit::M);
     // z = raw W S O / R
     reading.factor = sign * (wavelength_m * scale * obliquity / resolution);
+    reading.scale_applied = Some(scale);
     reading.wavelength_nm = Some(wavelength_m * 1e9);
     if lateral_m > 0.0 {
         reading.pitch_mm = Some([lateral_m * 1e3; 2]);

@@ -62,6 +62,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let values = Array2::from_shape_vec((rows, columns).set_f(fortran), values)
         .expect("one value per element");
     let mut reading = Reading::new(Format::Npy, values, FirstRow::SmallestY);
+    reading.single = number == Number::F32;
     reading.stated = serde_json::json!({ "dtype": descriptor, "fortran_order": fortran });
     Ok(reading)
 }

@@ -2,7 +2,9 @@
 //!
 //! A `Zygo XYZ Data File` has a header of 14 lines, then `#`, then `column row z` or
 //! `column row No Data`, then `#`. The pitch is in the header, in m. The unit of z is not in the file:
-//! micrometres by custom. Row 0 is the top.
+//! micrometres by custom. Row 0 is the top. Some writers count the pixels within the camera, others within the
+//! rectangle of the map whose origin is in the header; all indices of a file together tell which. A pixel
+//! that is named twice is refused.
 //!
 //! A `Zygo ASCII Data File` has the same header, then `#`, the intensity, `#`, the phase, `#`, both as
 //! whole numbers, row by row. The phase is coded as in a MetroPro file ([`crate::metropro`]):
@@ -12,7 +14,8 @@
 //! ```
 //!
 //! Other text: three numbers per line, in any order of the pixels, on a uniform grid; a pixel that
-//! no line names is invalid.
+//! no line names is invalid. Points that lie on no grid are gridded where `grid_mm` asks for it
+//! ([`crate::scattered`]).
 
 use ndarray::Array2;
 use planish_types::Invalid;
@@ -21,7 +24,8 @@ use serde_json::json;
 use crate::{
     Format, Unit,
     budget::{BYTES_PER_POINT, MOST_PIXELS, check_room, check_size, most_of},
-    reading::{Coordinates, FirstRow, Reading},
+    reading::{Coordinates, FirstRow, Pick, Reading},
+    scattered::{Gridded, grid},
     text,
 };
 
@@ -36,14 +40,18 @@ const INVALID: f64 = 2_147_483_640.0;
 const UNIFORMITY: f64 = 0.01;
 
 /// Reads a Zygo file or lines of `x y z`.
-pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
+pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
+    if pick.grid_mm.is_some() && text.starts_with("Zygo ") {
+        let problem = "was given, but the file has its pixels on a grid";
+        return Err(Invalid::whole("grid_mm", problem, "leave it out"));
+    }
     if text.starts_with("Zygo XYZ Data File") {
         zygo(text, Body::Points)
     } else if text.starts_with("Zygo ASCII Data File") {
         zygo(text, Body::Phase)
     } else {
-        lines(text)
+        lines(text, pick)
     }
 }
 
@@ -114,6 +122,7 @@ fn zygo(text: &str, body: Body) -> Result<Reading, Invalid> {
     let mut reading = Reading::new(Format::Xyz, values, FirstRow::Top);
     (reading.unit, reading.unit_by_custom) = (Some(unit), body == Body::Points);
     reading.factor = factor;
+    reading.scale_applied = (body == Body::Phase).then_some(scale);
     if wavelength_m > 0.0 && wavelength_m.is_finite() {
         reading.wavelength_nm = Some(wavelength_m * 1e9);
     }
@@ -143,8 +152,10 @@ impl Frame {
         lines: impl Iterator<Item = (usize, &'a str)>,
     ) -> Result<Array2<f64>, Invalid> {
         let (rows, columns) = (self.rows, self.columns);
-        let mut values = Array2::from_elem((rows, columns), f64::NAN);
-        let (mut count, mut closed) = (0, false);
+        let of = rows * columns;
+        // Column, row, z, line.
+        let mut points: Vec<([f64; 2], f64, usize)> = Vec::new();
+        let mut closed = false;
         for (i, line) in lines {
             let line = line.trim();
             if line == "#" {
@@ -154,39 +165,52 @@ impl Frame {
             if line.is_empty() {
                 continue;
             }
+            if points.len() == of {
+                return Err(broken(format!("has more than {of} pixels in line {}", i + 1)));
+            }
             let (column, rest) = next(line);
             let (row, z) = next(rest);
-            let at = [
-                self.index(row, i + 1, 2, self.y0, rows)?,
-                self.index(column, i + 1, 1, self.x0, columns)?,
-            ];
-            values[at] = text::number(NAME, z.trim(), i + 1, 3)?;
-            count += 1;
+            let at = [text::number(NAME, column, i + 1, 1)?, text::number(NAME, row, i + 1, 2)?];
+            if at.iter().any(|v| v.fract() != 0.0) {
+                return Err(broken(format!("has pixel {column} {row} in line {}", i + 1)));
+            }
+            points.push((at, text::number(NAME, z.trim(), i + 1, 3)?, i + 1));
         }
-        if !closed || count != rows * columns {
-            let of = rows * columns;
+        if !closed || points.len() != of {
+            let count = points.len();
             return Err(broken(format!(
                 "is truncated: {count} of {of} pixels, closing # {closed}"
             )));
         }
-        Ok(values)
-    }
-
-    fn index(
-        &self,
-        field: &str,
-        line: usize,
-        k: usize,
-        origin: f64,
-        len: usize,
-    ) -> Result<usize, Invalid> {
-        let v = text::number(NAME, field, line, k)?;
-        // Writers count within the rectangle or within the camera.
-        let inside = [v - origin, v].into_iter().find(|v| (0.0..len as f64).contains(v));
-        match inside.filter(|v| v.fract() == 0.0) {
-            Some(v) => Ok(v as usize),
-            None => Err(broken(format!("has pixel {field} of {len} in line {line}"))),
+        // Counted within the camera, or within the rectangle: one of them, for all pixels.
+        let size = [columns as f64, rows as f64];
+        let inside = |origin: &[f64; 2], at: &[f64; 2]| {
+            (0..2).all(|k| (0.0..size[k]).contains(&(at[k] - origin[k])))
+        };
+        let origins = [[self.x0, self.y0], [0.0; 2]];
+        let fits = |origin: &&[f64; 2]| points.iter().all(|(at, ..)| inside(origin, at));
+        let Some(origin) = origins.iter().find(fits) else {
+            // One that lies in neither rectangle, or in one of them while another lies in the other.
+            let beside = |(at, ..): &&([f64; 2], f64, usize)| !inside(&origins[1], at);
+            let (at, _, line) = points.iter().find(beside).expect("they do not all fit");
+            return Err(broken(format!(
+                "has pixel {} {} in line {line}: the pixels lie neither all from {} {} on nor all from 0 0 on, in a \
+                 map of {columns} x {rows}",
+                at[0], at[1], self.x0, self.y0
+            )));
+        };
+        let mut values = Array2::from_elem((rows, columns), f64::NAN);
+        let mut seen = Array2::from_elem((rows, columns), false);
+        for ([column, row], z, line) in &points {
+            let at = [(row - origin[1]) as usize, (column - origin[0]) as usize];
+            if std::mem::replace(&mut seen[at], true) {
+                let problem =
+                    format!("names the pixel {column} {row} a second time in line {line}");
+                return Err(Invalid::whole(NAME, problem, "give every pixel once"));
+            }
+            values[at] = *z;
         }
+        Ok(values)
     }
 
     /// The numbers between the second and the third `#` (the first one closed the header).
@@ -221,7 +245,7 @@ fn next(line: &str) -> (&str, &str) {
     line.trim_start().split_once(char::is_whitespace).unwrap_or((line.trim_start(), ""))
 }
 
-fn lines(text: &str) -> Result<Reading, Invalid> {
+fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
     let mut points: Vec<[f64; 3]> = Vec::new();
     let most = most_of(BYTES_PER_POINT);
     for (i, line) in text.lines().enumerate() {
@@ -260,13 +284,34 @@ fn lines(text: &str) -> Result<Reading, Invalid> {
         }
         points.push(point);
     }
+    if let Some(pitch_mm) = pick.grid_mm {
+        let Some(unit) = pick.coordinate_unit else {
+            let remedy = "give `coordinate_unit`";
+            return Err(Invalid::whole("coordinate_unit", "is not in the file", remedy));
+        };
+        let mm = unit.mm()?;
+        for point in &mut points {
+            (point[0], point[1]) = (point[0] * mm, point[1] * mm);
+        }
+        let Gridded { values, x_mm, y_mm, warnings } = grid(&points, pitch_mm)?;
+        let mut reading = Reading::new(Format::Xyz, values, FirstRow::SmallestY);
+        let of_file = |mm_all: Vec<f64>| mm_all.into_iter().map(|v| v / mm).collect();
+        reading.coordinates = Some(Coordinates { x: of_file(x_mm), y: of_file(y_mm), unit: None });
+        reading.warnings = warnings;
+        reading.stated = json!({ "points": points.len(), "grid_mm": pitch_mm });
+        return Ok(reading);
+    }
     let x = uniform("x", points.iter().map(|p| p[0]).collect())?;
     let y = uniform("y", points.iter().map(|p| p[1]).collect())?;
     check_size(NAME, y.count, x.count)?;
     // A grid of which most pixels are absent is a mistake in the coordinates.
     if x.count * y.count > 100 * points.len() {
         let problem = format!("names {} of {} x {} pixels", points.len(), y.count, x.count);
-        return Err(Invalid::whole(NAME, problem, "resample it to a uniform grid"));
+        return Err(Invalid::whole(
+            NAME,
+            problem,
+            "correct the coordinates, or give `grid_mm` to interpolate",
+        ));
     }
     let mut values = Array2::from_elem((y.count, x.count), f64::NAN);
     let mut seen = Array2::from_elem((y.count, x.count), false);
@@ -333,7 +378,7 @@ fn jump(name: &'static str, values: &[f64]) -> Invalid {
     let [a, b] = at(i);
     let problem =
         format!("has {b} after {a}: a step of {}, where the usual step is {usual}", b - a);
-    Invalid::whole(name, problem, "resample it to a uniform grid, or correct the coordinate")
+    Invalid::whole(name, problem, "correct the coordinate, or give `grid_mm` to interpolate")
 }
 
 impl Found {
@@ -354,7 +399,7 @@ mod tests {
     #[test]
     fn points_in_any_order_become_a_grid_with_holes() {
         let text = "# x y z\n1.0 0 3\n0,0,1\n0.5 0 2\n0 2 4\n1 2 No Data\n";
-        let reading = read(text.as_bytes()).unwrap();
+        let reading = read(text.as_bytes(), &Pick::default()).unwrap();
         let [a, b] = [reading.values.row(0).to_vec(), reading.values.row(1).to_vec()];
         assert_eq!(a, [1.0, 2.0, 3.0]);
         assert!(b[0] == 4.0 && b[1].is_nan() && b[2].is_nan());
@@ -364,7 +409,7 @@ mod tests {
 
     #[test]
     fn what_is_no_grid_is_refused() {
-        let message = |text: &str| read(text.as_bytes()).unwrap_err().to_string();
+        let message = |text: &str| read(text.as_bytes(), &Pick::default()).unwrap_err().to_string();
         assert!(message("0 0 1\n1 0 2\n0 1 3\n1 1 4\n1 1 4\n").contains("twice"));
         let said = message("0 0 1\n1 0 2\n2 0 2\n0 1 3\n2.4 1 4\n");
         assert!(said.contains("x: has 2.4 after 2: a step of 0.3999"), "{said}");
@@ -381,14 +426,19 @@ mod tests {
         let mut text = String::from("Zygo ASCII Data File - Format 2\n0\n0\n0 0 2 2\n\n\n\n");
         text += "0 0.5 6.4e-007 0 1 0 1.5e-004 0\n0\n0\n1 1\n0\n0\n0\n#\n7 7\n#\n";
         let whole = format!("{text}32768 -16384 2147483640\n0\n#\n");
-        let reading = read(whole.as_bytes()).unwrap();
+        let reading = read(whole.as_bytes(), &Pick::default()).unwrap();
         // 32768 is half a wavelength of 640 nm.
         assert!((reading.factor * 32768.0 - 320e-9).abs() < 1e-22);
         assert_eq!(reading.values.row(0), array![32768.0, -16384.0]);
         assert!(reading.values[[1, 0]].is_nan() && reading.values[[1, 1]] == 0.0);
         assert_eq!((reading.unit, reading.unit_by_custom), (Some(Unit::M), false));
         let cut = format!("{text}32768 -16384\n#\n");
-        assert!(read(cut.as_bytes()).unwrap_err().to_string().contains("2 of 4 pixels"));
+        assert!(
+            read(cut.as_bytes(), &Pick::default())
+                .unwrap_err()
+                .to_string()
+                .contains("2 of 4 pixels")
+        );
     }
 
     #[test]
@@ -396,13 +446,15 @@ mod tests {
         let mut text = String::from("Zygo XYZ Data File - Format 1\n0 5 0 0 \"x\"\n0 0 0 0 0 0\n");
         text += "3 4 2 2\n\"\"\n\"\"\n\"\"\n0 0.5 6.328e-007 0 1 0 1.5e-004 0\n";
         text += "0\n0\n0\n0\n0\n0\n#\n3 4 0.25\n4 4 -0.5\n3 5 No Data\n4 5 1\n#\n";
-        let reading = read(text.as_bytes()).unwrap();
+        let reading = read(text.as_bytes(), &Pick::default()).unwrap();
         assert_eq!(reading.values.row(0), array![0.25, -0.5]);
         assert!(reading.values[[1, 0]].is_nan());
         assert_eq!((reading.unit, reading.unit_by_custom), (Some(Unit::Um), true));
         // 1.5e-4 m; the product rounds.
         assert!((reading.pitch_mm.unwrap()[0] - 0.15).abs() < 1e-15);
         let cut = &text[..text.len() - 8];
-        assert!(read(cut.as_bytes()).unwrap_err().to_string().contains("truncated"));
+        assert!(
+            read(cut.as_bytes(), &Pick::default()).unwrap_err().to_string().contains("truncated")
+        );
     }
 }

@@ -1,14 +1,15 @@
 //! Conversion of the numbers of a file to a map in nm on a grid in mm.
 //!
 //! ```text
-//! height (nm) = stored value x factor of the file x unit of the file (nm) x factor asked for
+//! height (nm) = (offset + factor x stored value) x unit of the file (nm) x factor asked for
 //! ```
 //!
-//! in one multiplication, so that a map comes back to the last bit of its file. The user must state a unit
-//! or a pitch that the file does not state. A unit that contradicts the file is refused.
+//! Without an offset this is one multiplication, so that a map comes back to the last bit its file
+//! holds. A unit or a pitch that the file does not state is asked for. A setting that contradicts the
+//! file is refused with both values; with [`Settings::override_file`] it takes the file's place.
 
 use ndarray::Array2;
-use planish_types::{Axis, Grid, Invalid, Surface, Tif};
+use planish_types::{Axis, Grid, Invalid, Surface, Tif, text::significant};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -103,8 +104,8 @@ pub enum FirstRow {
     SmallestY,
 }
 
-/// Names of the arrays to read from a file that holds several.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+/// What to take from a file that holds several arrays.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Pick {
     /// Name or path of the map.
     #[serde(rename = "data")]
@@ -113,7 +114,13 @@ pub struct Pick {
     pub x: Option<String>,
     /// Name or path of the coordinates along the rows.
     pub y: Option<String>,
-    /// True for a TIF, false for a map. It selects the customary names that are tried if no name is given.
+    /// Name or path of a map of the same size in which a number other than 0 marks an invalid pixel.
+    pub mask: Option<String>,
+    /// Pitch along (x, y), mm, to which lines `x y z` of scattered points are interpolated.
+    pub grid_mm: Option<[f64; 2]>,
+    /// Unit of the coordinates of scattered points.
+    pub coordinate_unit: Option<Unit>,
+    /// Whether a TIF is wanted: which of the customary names are tried when none is given.
     pub is_tif: bool,
 }
 
@@ -150,12 +157,18 @@ pub struct Reading {
     pub format: Format,
     /// Stored values (rows, columns) in the order of the file; NaN = invalid pixel.
     pub values: Array2<f64>,
-    /// Unit of `factor * value`, where the file states it.
+    /// True where the file stores 32-bit floats: a value that is looked for is rounded to one first.
+    pub single: bool,
+    /// Unit of `offset + factor * value`, where the file states it.
     pub unit: Option<Unit>,
     /// True if the unit is not in the file, but the one that writers of this format use.
     pub unit_by_custom: bool,
     /// Factor of the file: stored value to `unit`.
     pub factor: f64,
+    /// Height of the stored value 0, in `unit`.
+    pub offset: f64,
+    /// Surface per wavefront that `factor` contains already (0.5: one reflection), where the file states it.
+    pub scale_applied: Option<f64>,
     /// Wavelength, nm, where the file states it.
     pub wavelength_nm: Option<f64>,
     /// Distance of pixel centres along (x, y), mm, where the file states it.
@@ -186,9 +199,12 @@ impl Reading {
         Self {
             format,
             values,
+            single: false,
             unit: None,
             unit_by_custom: false,
             factor: 1.0,
+            offset: 0.0,
+            scale_applied: None,
             wavelength_nm: None,
             pitch_mm: None,
             coordinates: None,
@@ -197,6 +213,37 @@ impl Reading {
             stated: Value::Null,
             warnings: Vec::new(),
         }
+    }
+
+    /// Makes the pixels invalid whose stored value is `marker`, and returns how many there are. The comparison is in the
+    /// type of the stored values: -999.9 as a 32-bit float is not the 64-bit number of that name.
+    pub(crate) fn invalidate(&mut self, marker: f64) -> usize {
+        let marker = if self.single { f64::from(marker as f32) } else { marker };
+        let mut count = 0;
+        self.values.iter_mut().filter(|v| **v == marker).for_each(|v| {
+            *v = f64::NAN;
+            count += 1;
+        });
+        count
+    }
+
+    /// Makes the pixels invalid at which `mask`, called `name` in the file, is not 0.
+    pub(crate) fn apply_mask(&mut self, name: &str, mask: &Array2<f64>) -> Result<(), Invalid> {
+        if mask.dim() != self.values.dim() {
+            let problem =
+                format!("\"{name}\" has shape {:?}, the map {:?}", mask.dim(), self.values.dim());
+            return Err(Invalid::whole("mask", problem, "give a mask of the size of the map"));
+        }
+        let mut count = 0;
+        for (value, _) in self.values.iter_mut().zip(mask).filter(|(_, m)| **m != 0.0) {
+            *value = f64::NAN;
+            count += 1;
+        }
+        if count == 0 || count == mask.len() {
+            let which = if count == 0 { "no" } else { "every" };
+            self.warnings.push(format!("the mask \"{name}\" marks {which} pixel as invalid"));
+        }
+        Ok(())
     }
 }
 
@@ -238,11 +285,14 @@ pub enum Rotation {
 /// Statements of the user about a file. `None` leaves a quantity to the file.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Settings {
+    /// True: a unit, pitch or wavelength given here takes the place of a different one in the file, with a warning.
+    /// False: it is refused.
+    pub override_file: bool,
     /// Unit of the heights.
     pub unit: Option<Unit>,
     /// Wavelength of heights in waves, nm.
     pub wavelength_nm: Option<f64>,
-    /// Distance of pixel centres along (x, y), mm; takes the place of the file's, with a warning.
+    /// Distance of pixel centres along (x, y), mm.
     pub pitch_mm: Option<[f64; 2]>,
     /// Unit of the coordinates in the file.
     pub coordinate_unit: Option<Unit>,
@@ -267,6 +317,7 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Self {
+            override_file: false,
             unit: None,
             wavelength_nm: None,
             pitch_mm: None,
@@ -292,8 +343,10 @@ pub struct Statement {
     pub unit: Unit,
     /// Source of the unit: "file", "custom of the format" or "asked for".
     pub unit_from: &'static str,
-    /// Height in nm of the stored value 1: all factors and the sign in one.
+    /// Height in nm of a step of 1 in the stored value: all factors and the sign in one.
     pub nm_per_value: f64,
+    /// Height in nm of the stored value 0.
+    pub nm_of_zero: f64,
     /// Surface height per stated height.
     pub surface_per_value: f64,
     /// Distance of pixel centres along (x, y), mm, in the map that was written.
@@ -348,19 +401,45 @@ fn map(
 ) -> Result<(Grid, Array2<f64>, Statement), Invalid> {
     let mut warnings = std::mem::take(&mut reading.warnings);
     let (unit, unit_from) = unit(&reading, settings, &mut warnings)?;
-    let wavelength_nm = wavelength(&reading, settings)?;
+    let wavelength_nm = wavelength(&reading, unit, settings, &mut warnings)?;
     if !(settings.surface_per_value.is_finite() && settings.surface_per_value > 0.0) {
         let problem = format!("is {}", settings.surface_per_value);
         let remedy = "give a positive factor, and `negate` for the other sign";
         return Err(Invalid::whole("surface_per_value", problem, remedy));
     }
+    if let Some(applied) = reading.scale_applied
+        && settings.surface_per_value != 1.0
+    {
+        let asked = settings.surface_per_value;
+        if !settings.override_file {
+            let problem = format!("is {applied} in the file and applied, {asked} was asked for");
+            let remedy = "leave out `surface_per_value`, or give `override_file`";
+            return Err(Invalid::whole("surface_per_value", problem, remedy));
+        }
+        reading.factor /= applied;
+        warnings
+            .push(format!("`surface_per_value` {asked} takes the place of {applied} in the file"));
+    }
+    let (factor, offset) = (reading.factor, reading.offset);
+    if !(factor.is_finite() && factor != 0.0 && offset.is_finite()) {
+        let problem = format!("of the heights is {factor}, their offset {offset}");
+        return Err(Invalid::whole("scale", problem, "correct the file, or export it again"));
+    }
     let sign = if settings.negate { -1.0 } else { 1.0 };
-    let nm_per_value =
-        sign * settings.surface_per_value * (reading.factor * unit.nm(wavelength_nm)?);
+    let unit_nm = unit.nm(wavelength_nm)?;
+    let nm_per_value = sign * settings.surface_per_value * (factor * unit_nm);
+    let nm_per_unit = sign * settings.surface_per_value * unit_nm;
 
-    let no_data = settings.no_data;
-    // height (nm) = stored value x nm_per_value
-    reading.values.mapv_inplace(|v| if Some(v) == no_data { f64::NAN } else { v * nm_per_value });
+    if let Some(no_data) = settings.no_data
+        && reading.invalidate(no_data) == 0
+    {
+        warnings.push(format!("no pixel has the value {no_data}: `no_data` has no effect"));
+    }
+    // height (nm) = (offset + factor x stored value) x nm_per_unit
+    reading.values.mapv_inplace(|v| match offset == 0.0 {
+        true => v * nm_per_value,
+        false => (offset + factor * v) * nm_per_unit,
+    });
     let Placed { grid, values, first_row, pitch_from, has_coordinates } =
         place(&reading, settings, &mut warnings)?;
     let (mut grid, values) = turn(grid, values, settings);
@@ -373,6 +452,7 @@ fn map(
         unit,
         unit_from,
         nm_per_value,
+        nm_of_zero: offset * nm_per_unit,
         surface_per_value: settings.surface_per_value,
         pitch_mm: [grid.x.step_mm(), grid.y.step_mm()],
         pitch_from,
@@ -405,25 +485,67 @@ fn unit(
             Ok((custom, "custom of the format"))
         }
         (Some(_), Some(asked)) if reading.unit_by_custom => Ok((asked, "asked for")),
-        (Some(stated), Some(asked)) if asked != stated => Err(Invalid::whole(
-            "unit",
-            format!("is {stated:?} in the file, {asked:?} was asked for"),
-            "leave out `unit`, or correct the file",
-        )),
+        (Some(stated), Some(asked)) if asked != stated => {
+            contradicts("unit", format!("{stated:?}"), format!("{asked:?}"), settings, warnings)?;
+            Ok((asked, "asked for"))
+        }
         (Some(stated), _) => Ok((stated, "file")),
     }
 }
 
-fn wavelength(reading: &Reading, settings: &Settings) -> Result<Option<f64>, Invalid> {
+/// A setting that is not what the file says: refused with both values, or a warning where it overrides.
+fn contradicts(
+    name: &'static str,
+    stated: String,
+    asked: String,
+    settings: &Settings,
+    warnings: &mut Vec<String>,
+) -> Result<(), Invalid> {
+    if settings.override_file {
+        warnings.push(format!("`{name}` {asked} takes the place of {stated} in the file"));
+        return Ok(());
+    }
+    Err(Invalid::whole(
+        name,
+        format!("is {stated} in the file, {asked} was asked for"),
+        format!("leave out `{name}`, or give `override_file` where the file is wrong"),
+    ))
+}
+
+fn wavelength(
+    reading: &Reading,
+    unit: Unit,
+    settings: &Settings,
+    warnings: &mut Vec<String>,
+) -> Result<Option<f64>, Invalid> {
     match (reading.wavelength_nm, settings.wavelength_nm) {
-        // Writers keep the wavelength with 6 digits or more.
-        (Some(a), Some(b)) if (a - b).abs() > 1e-5 * a.abs() => Err(Invalid::whole(
-            "wavelength_nm",
-            format!("is {a} in the file, {b} was asked for"),
-            "leave out `wavelength_nm`, or correct the file",
-        )),
+        (Some(a), Some(b)) if !agree(a, b) => {
+            if unit != Unit::Waves {
+                let [a, b] = [significant(a, 10), significant(b, 10)];
+                let problem = format!("is {a} in the file, {b} was asked for");
+                let remedy = "leave it out: the heights of this file are not in waves";
+                return Err(Invalid::whole("wavelength_nm", problem, remedy));
+            }
+            contradicts(
+                "wavelength_nm",
+                significant(a, 10),
+                significant(b, 10),
+                settings,
+                warnings,
+            )?;
+            Ok(Some(b))
+        }
+        (None, Some(_)) if unit != Unit::Waves => {
+            warnings.push(format!("the heights are in {unit:?}: `wavelength_nm` has no effect"));
+            Ok(None)
+        }
         (stated, asked) => Ok(asked.or(stated)),
     }
+}
+
+/// True where two numbers are one: writers keep 6 digits or more.
+fn agree(a: f64, b: f64) -> bool {
+    (a - b).abs() <= 1e-5 * a.abs()
 }
 
 /// A map with both axes ascending.
@@ -446,15 +568,24 @@ fn place(
     let Some(coordinates) = &reading.coordinates else {
         return place_by_pitch(reading, settings, warnings);
     };
-    for (name, given) in
-        [("pitch_mm", settings.pitch_mm.is_some()), ("first_row", settings.first_row.is_some())]
-    {
-        if given {
-            let remedy = "leave it out";
-            return Err(Invalid::whole(name, "was given, but the file has coordinates", remedy));
-        }
+    if let Some(asked) = settings.pitch_mm {
+        let step = |c: &[f64]| match c {
+            [first, .., last] => (last - first) / (c.len() - 1) as f64,
+            _ => 0.0,
+        };
+        let problem = format!(
+            "{asked:?} was given, but the file has coordinates with the steps {} and {}",
+            step(&coordinates.x),
+            step(&coordinates.y)
+        );
+        let remedy = "leave it out; give `coordinate_unit` where the file does not state it";
+        return Err(Invalid::whole("pitch_mm", problem, remedy));
     }
-    let unit = coordinate_unit(coordinates.unit, settings)?.ok_or_else(|| {
+    if settings.first_row.is_some() {
+        let problem = "was given, but the file has coordinates";
+        return Err(Invalid::whole("first_row", problem, "leave it out; `flip_y` mirrors"));
+    }
+    let unit = coordinate_unit(coordinates.unit, settings, warnings)?.ok_or_else(|| {
         Invalid::whole("coordinate_unit", "is not in the file", "give `coordinate_unit`")
     })?;
     let to_mm = unit.mm()?;
@@ -490,15 +621,17 @@ fn place(
 }
 
 /// The unit of coordinates that the file states or the user gives, who must not contradict each other.
-fn coordinate_unit(stated: Option<Unit>, settings: &Settings) -> Result<Option<Unit>, Invalid> {
-    match (stated, settings.coordinate_unit) {
-        (Some(a), Some(b)) if a != b => Err(Invalid::whole(
-            "coordinate_unit",
-            format!("is {a:?} in the file, {b:?} was asked for"),
-            "leave out `coordinate_unit`, or correct the file",
-        )),
-        (a, b) => Ok(a.or(b)),
+fn coordinate_unit(
+    stated: Option<Unit>,
+    settings: &Settings,
+    warnings: &mut Vec<String>,
+) -> Result<Option<Unit>, Invalid> {
+    if let (Some(a), Some(b)) = (stated, settings.coordinate_unit)
+        && a != b
+    {
+        contradicts("coordinate_unit", format!("{a:?}"), format!("{b:?}"), settings, warnings)?;
     }
+    Ok(settings.coordinate_unit.or(stated))
 }
 
 /// [`place`] of a file without arrays of coordinates: with its [`Rule`], or with a pitch alone.
@@ -516,7 +649,7 @@ fn place_by_pitch(
     }
     let mut rule = None;
     if let Some(stated) = &reading.rule {
-        match in_mm(stated, settings)? {
+        match in_mm(stated, settings, warnings)? {
             None if settings.pitch_mm.is_none() => {
                 let problem = format!("of the steps {:?} is not in the file", stated.step);
                 let remedy = "give `coordinate_unit`, or `pitch_mm` in the place of the steps";
@@ -540,8 +673,13 @@ fn place_by_pitch(
             ));
         }
         (Some(asked), stated) => {
-            for s in stated.into_iter().filter(|s| *s != asked) {
-                warnings.push(format!("the pitch of the file, {s:?} mm, is not used"));
+            if let Some(s) = stated
+                && !(agree(s[0], asked[0]) && agree(s[1], asked[1]))
+            {
+                let text = |p: [f64; 2]| {
+                    format!("{} x {} mm", significant(p[0], 10), significant(p[1], 10))
+                };
+                contradicts("pitch_mm", text(s), text(asked), settings, warnings)?;
             }
             (asked, "asked for")
         }
@@ -590,10 +728,14 @@ fn place_by_pitch(
 }
 
 /// A rule in mm; `None` where nobody knows its unit.
-fn in_mm(rule: &Rule, settings: &Settings) -> Result<Option<Rule>, Invalid> {
+fn in_mm(
+    rule: &Rule,
+    settings: &Settings,
+    warnings: &mut Vec<String>,
+) -> Result<Option<Rule>, Invalid> {
     let mut made = rule.clone();
     for (k, stated) in rule.unit.iter().enumerate() {
-        let Some(unit) = coordinate_unit(*stated, settings)? else { return Ok(None) };
+        let Some(unit) = coordinate_unit(*stated, settings, warnings)? else { return Ok(None) };
         let to_mm = unit.mm()?;
         made.step[k] *= to_mm;
         made.unit[k] = Some(Unit::Mm);
@@ -775,8 +917,18 @@ mod tests {
         assert!(message(&|r| r.pitch_mm = Some([0.1, 0.0]), &plain).contains("pitch_mm: is 0"));
         let asked = Settings { unit: Some(Unit::Nm), ..plain.clone() };
         assert!(message(&|_| (), &asked).contains("Um in the file, Nm was asked for"));
+        let asked = Settings { pitch_mm: Some([0.5, 0.3]), ..plain.clone() };
+        let said = message(&|_| (), &asked);
+        assert!(said.contains("0.5 x 0.25 mm in the file, 0.5 x 0.3 mm was asked for"), "{said}");
+        let asked = Settings { surface_per_value: 0.5, ..plain.clone() };
+        let said = message(&|r| r.scale_applied = Some(0.5), &asked);
+        assert!(said.contains("is 0.5 in the file and applied"), "{said}");
+        let asked = Settings { wavelength_nm: Some(600.0), ..plain.clone() };
+        let said = message(&|r| r.wavelength_nm = Some(632.8), &asked);
+        assert!(said.contains("is 632.8 in the file, 600 was asked for"), "{said}");
         let asked = Settings { pitch_mm: Some([-1.0; 2]), ..plain.clone() };
-        assert!(message(&|_| (), &asked).contains("pitch_mm: is -1"));
+        assert!(message(&|r| r.pitch_mm = None, &asked).contains("pitch_mm: is -1"));
+        assert!(message(&|r| r.factor = 0.0, &plain).contains("of the heights is 0"));
         let coordinates = Coordinates { x: vec![0.0, 1.0, 2.0], y: vec![1.0, 0.0], unit: None };
         let with = |r: &mut Reading| r.coordinates = Some(coordinates.clone());
         assert!(message(&with, &plain).contains("give `coordinate_unit`"));
@@ -797,8 +949,9 @@ mod tests {
     }
 
     #[test]
-    fn a_pitch_asked_for_is_used_with_a_warning_and_no_data_is_nan() {
+    fn a_pitch_overrides_with_a_warning_and_no_data_is_nan() {
         let settings = Settings {
+            override_file: true,
             pitch_mm: Some([0.1, 0.1]),
             no_data: Some(5.0),
             surface_per_value: 0.5,

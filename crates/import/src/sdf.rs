@@ -145,5 +145,8 @@ fn binary(bytes: &[u8]) -> Result<Reading, Invalid> {
         _ => f64::NAN,
     };
     values.iter_mut().filter(|v| **v == invalid).for_each(|v| *v = f64::NAN);
-    finish(values, [columns, rows], scales, [f64::from(compression?), f64::from(check?)])
+    let checks = [f64::from(compression?), f64::from(check?)];
+    let mut reading = finish(values, [columns, rows], scales, checks)?;
+    reading.single = number == Number::F32;
+    Ok(reading)
 }

@@ -167,6 +167,14 @@ fn seeds() -> Vec<(Format, Vec<u8>)> {
         (Format::Sdf, sdf_binary()),
         (Format::Hdf5, include_bytes!("data/map.h5").to_vec()),
         (Format::Datx, include_bytes!("data/map.datx").to_vec()),
+        (Format::Gsf, include_bytes!("data/cases/map.gsf").to_vec()),
+        (Format::Sur, include_bytes!("data/cases/map.sur").to_vec()),
+        (Format::CodevInt, include_bytes!("data/cases/map.int").to_vec()),
+        (Format::GridSag, include_bytes!("data/cases/grid-sag.dat").to_vec()),
+        (Format::X3p, include_bytes!("data/cases/map.x3p").to_vec()),
+        (Format::Opd, include_bytes!("data/cases/map.opd").to_vec()),
+        (Format::Presurface, include_bytes!("data/cases/presurface.dat").to_vec()),
+        (Format::FourSight, include_bytes!("data/cases/4sight.h5").to_vec()),
     ]
 }
 
@@ -216,12 +224,15 @@ fn npy_of_every_type_and_order() {
 #[test]
 fn fits_scale_blank_unit_and_pitch() {
     let reading = read(Format::Fits, &fits_map(), &Pick::default()).unwrap();
-    let expected = raw().mapv(|v| 10.0 + 0.5 * v);
-    assert_eq!(reading.values.row(0), expected.row(0));
+    assert_eq!((reading.values.row(0), reading.offset, reading.factor), (raw().row(0), 10.0, 0.5));
     assert!(reading.values[[1, 2]].is_nan());
     assert_eq!(reading.unit, Some(Unit::Um));
     // Steps alone: 0 is at the first pixel.
-    let grid = *surface(reading, &Settings::default()).unwrap().0.grid();
+    let (map, statement) = surface(reading, &Settings::default()).unwrap();
+    // Halves of these numbers are exact, in um: nm.
+    assert_eq!(map.height_nm().row(0), raw().row(0).mapv(|v| (10.0 + 0.5 * v) * 1e3));
+    assert_eq!((statement.nm_of_zero, statement.nm_per_value), (1e4, 500.0));
+    let grid = *map.grid();
     assert_eq!((grid.x.start_mm(), grid.x.step_mm()), (0.0, 1.0));
     assert_eq!((grid.y.start_mm(), grid.y.step_mm()), (0.0, 2.0));
 }
@@ -284,7 +295,7 @@ fn fits_pixels_lie_where_the_header_says() {
         &expected(&|i| 10.0 + 0.5 * i, &|j| -4.0 - 0.25 * j),
     );
     // Another pitch leaves the reference where it is.
-    let pitch = Settings { pitch_mm: Some([0.25, 0.5]), ..plain.clone() };
+    let pitch = Settings { pitch_mm: Some([0.25, 0.5]), override_file: true, ..plain.clone() };
     same(
         heights(&placed(&linear), &pitch).unwrap(),
         &expected(&|i| 10.0 + 0.25 * (i - 2.0), &|j| -4.0 - 0.5 * (j - 2.5)),
@@ -478,6 +489,7 @@ fn executions() -> usize {
 #[test]
 fn damaged_files_are_read_or_refused() {
     let settings = Settings {
+        override_file: true,
         unit: Some(Unit::Nm),
         coordinate_unit: Some(Unit::Mm),
         pitch_mm: Some([1.0; 2]),

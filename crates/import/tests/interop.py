@@ -213,7 +213,7 @@ def compare(program, folder):
     raw = np.array(lines[2].split(), dtype=float).reshape(z.shape)
     raw[raw >= 2147483640] = np.nan
     factor = 0.6328e-6 * 0.5 * 1.0 / 32768 * 1e9
-    check.same("prysm.asc", (raw * factor)[::-1], "--format xyz --pitch-mm 0.2", pitch=[0.2, 0.2])
+    check.same("prysm.asc", (raw * factor)[::-1], "--format xyz --pitch-mm 0.2 --override-file", pitch=[0.2, 0.2])
 
     def header(hdu, unit):
         hdu.header["BUNIT"] = unit

@@ -32,11 +32,11 @@ pub struct TifArgs {
     /// Place of the spot, mm [default: the place of the deepest removal]
     #[arg(long, value_name = "X,Y", value_parser = pair, requires = "dwell_s", allow_hyphen_values = true)]
     spot_mm: Option<[f64; 2]>,
-    /// Motion of the part between the two maps
-    #[arg(long, value_enum, default_value = "none")]
+    /// Whether the part moved between the maps
+    #[arg(long, value_enum, default_value = "none", requires = "dwell_s")]
     align: Alignment,
-    /// Function that is fitted outside the square and subtracted from the removal
-    #[arg(long, value_enum, default_value = "plane")]
+    /// What is subtracted from the removal, fitted outside the square
+    #[arg(long, value_enum, default_value = "plane", requires = "dwell_s")]
     baseline: Baseline,
     /// Set negative rates (noise) to zero and scale the others, so that the volume stays
     #[arg(long, requires = "dwell_s")]
@@ -86,11 +86,15 @@ impl TifArgs {
         };
         let (made, statement, own) = match &spot_settings {
             Some(spot_settings) => {
-                let (after, statement) =
+                let (after, mut statement) =
                     surface(reading, &settings).map_err(|e| about(&file.file, &e))?;
                 let before = match (before, &self.before) {
                     (Some(reading), Some(path)) => {
-                        Some(surface(reading, &settings).map_err(|e| about(path, &e))?.0)
+                        let (map, of_before) =
+                            surface(reading, &settings).map_err(|e| about(path, &e))?;
+                        let named = |w: String| format!("{}: {w}", path.display());
+                        statement.warnings.extend(of_before.warnings.into_iter().map(named));
+                        Some(map)
                     }
                     _ => None,
                 };

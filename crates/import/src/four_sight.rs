@@ -1,0 +1,141 @@
+//! 4D Technology 4Sight `.h5`: HDF5 with the map in `measurement0/genraw/data`.
+//!
+//! ```text
+//! height (waves) = raw
+//! ```
+//!
+//! The attributes of the group `genraw` are `wavelength` ("632.8 nm"), `xpix` ("0.5 mm"), `height_units` ("wv"), `aspect` and
+//! `wedge`. Values beyond 1e38 are invalid. The first row is the top. Three public readers agree on this, and none of
+//! them applies `wedge`; the vendor has no public description. Source: public readers of 4Sight files for FizCam and
+//! PhaseCam, which state the factor, the invalid value and the orientation.
+
+use hdf5_reader::{Attribute, group::Group};
+use planish_types::Invalid;
+use serde_json::json;
+
+use crate::{
+    Format, Unit,
+    budget::MOST_ARRAYS,
+    hdf5::{MOST_VALUES, attribute_numbers, broken, is_single, leaf, matrix, open},
+    reading::{FirstRow, Pick, Reading},
+};
+
+const NAME: &str = "4Sight file";
+const DATA: &str = "measurement0/genraw/data";
+
+/// Stored values from here on are invalid.
+const INVALID: f64 = 1e38;
+
+pub(crate) fn is_four_sight(bytes: &[u8]) -> bool {
+    open(bytes).is_ok_and(|file| file.dataset(DATA).is_ok())
+}
+
+/// Reads the map of the only measurement, or the one that `pick.dataset` names.
+pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
+    let bad = |problem: String| Invalid::whole(NAME, problem, "export it again from 4Sight");
+    if pick.x.is_some() || pick.y.is_some() || pick.mask.is_some() {
+        let remedy = "leave out `x`, `y` and `mask`, or give `format` hdf5 for one array";
+        return Err(Invalid::whole(NAME, "has its pitch and marks invalid pixels", remedy));
+    }
+    let file = open(bytes)?;
+    let root = file.root_group().map_err(broken)?;
+    let (groups, _) = root.member_names().map_err(broken)?;
+    let named = groups.iter().take(MOST_ARRAYS).map(|name| leaf(name));
+    let measurements: Vec<&str> = named.filter(|name| name.starts_with("measurement")).collect();
+    let path = match &pick.dataset {
+        Some(path) => path.trim_start_matches('/').to_string(),
+        None if measurements.len() > 1 => {
+            let listed = measurements.iter().take(20).copied().collect::<Vec<_>>().join(", ");
+            let problem = format!("holds {} measurements: {listed}", measurements.len());
+            let remedy = "choose one with `dataset`, such as measurement0/genraw/data";
+            return Err(Invalid::whole(NAME, problem, remedy));
+        }
+        None => DATA.to_string(),
+    };
+    let set = file.dataset(&path).map_err(broken)?;
+    let values = matrix(&set, false)?;
+    let group_path = path.rsplit_once('/').map_or("", |split| split.0);
+    let group = file.group(group_path).map_err(broken)?;
+
+    let length = |name: &str| -> Result<Option<(f64, Unit)>, Invalid> {
+        let Some(text) = attribute_text(&group, name)? else { return Ok(None) };
+        let parsed = text.trim().split_once(char::is_whitespace).and_then(|(value, unit)| {
+            Some((value.parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0)?, unit))
+        });
+        match parsed {
+            Some((value, unit)) => Ok(Some((value, Unit::stated("unit", unit)?))),
+            None => Err(bad(format!("has {name} = \"{}\"", short(&text)))),
+        }
+    };
+    let number = |name: &str| -> Result<Option<f64>, Invalid> {
+        let Some(attribute) = group_attribute(&group, name)? else { return Ok(None) };
+        Ok(attribute_numbers(&attribute).and_then(|v| v.first().copied()).filter(|v| v.is_finite()))
+    };
+    let mut reading = Reading::new(Format::FourSight, values, FirstRow::Top);
+    reading.single = is_single(&set);
+    reading.values.mapv_inplace(|v| if v.abs() >= INVALID { f64::NAN } else { v });
+    let unit = attribute_text(&group, "height_units")?;
+    reading.unit = match unit.as_deref().map(str::trim) {
+        Some("wv") => Some(Unit::Waves),
+        Some(name) => Some(Unit::stated("height_units", name)?),
+        None => None,
+    };
+    if let Some((value, unit)) = length("wavelength")? {
+        // mm to nm
+        reading.wavelength_nm = Some(value * (unit.mm()? * 1e6));
+    }
+    let aspect = number("aspect")?.unwrap_or(1.0);
+    if let Some((value, unit)) = length("xpix")? {
+        let mm = value * unit.mm()?;
+        if aspect == 1.0 {
+            reading.pitch_mm = Some([mm; 2]);
+        } else {
+            let say =
+                format!("xpix {mm} mm is not used: the pixels are not square (aspect {aspect})");
+            reading.warnings.push(say);
+        }
+    }
+    let wedge = number("wedge")?;
+    if let Some(wedge) = wedge.filter(|w| *w != 1.0) {
+        let say = format!(
+            "the file states the wedge factor {wedge}, which public readers do not apply: compare the heights with 4Sight, \
+             and give `surface_per_value` where they differ"
+        );
+        reading.warnings.push(say);
+    }
+    let kind = attribute_text(&group, "lut_type")?.map(|kind| short(&kind));
+    reading.stated = json!({
+        "dataset": path,
+        "wavelength_nm": reading.wavelength_nm,
+        "height_units": unit.map(|u| short(&u)),
+        "aspect": aspect,
+        "wedge": wedge,
+        "lut_type": kind,
+    });
+    Ok(reading)
+}
+
+/// An attribute of a group. All of them are looked at together: one of many values may point to long texts.
+fn group_attribute(group: &Group, name: &str) -> Result<Option<Attribute>, Invalid> {
+    let raw = group.raw_attributes().map_err(broken)?;
+    for attribute in &raw {
+        let count = attribute.message().dataspace.num_elements().map_err(|e| broken(e.into()))?;
+        if count > MOST_VALUES {
+            let problem = format!("has {count} values of \"{}\"", short(attribute.name()));
+            return Err(Invalid::whole(NAME, problem, "export it again from 4Sight"));
+        }
+    }
+    match raw.iter().any(|attribute| attribute.name() == name) {
+        true => group.attribute(name).map(Some).map_err(broken),
+        false => Ok(None),
+    }
+}
+
+fn attribute_text(group: &Group, name: &str) -> Result<Option<String>, Invalid> {
+    let Some(attribute) = group_attribute(group, name)? else { return Ok(None) };
+    Ok(attribute.read_strings().map_err(broken)?.into_iter().next())
+}
+
+fn short(text: &str) -> String {
+    text.chars().filter(|c| !c.is_control()).take(40).collect()
+}

@@ -1,0 +1,206 @@
+//! Heights of scattered points on a uniform grid.
+//!
+//! The points are the corners of Delaunay triangles. A pixel in a triangle gets the height of the plane through its three
+//! corners, so a plane comes back to rounding and a curvature c in a triangle of longest side d is missed by at most c d^2 / 6.
+//! Pixels lie at whole multiples of the pitch. A pixel outside of all triangles is invalid, and so is one in a triangle
+//! with a side longer than [`LONGEST_SIDE`] median sides: a hole in the data is not bridged.
+
+use ndarray::Array2;
+use planish_types::{Invalid, budget};
+use spade::{
+    DelaunayTriangulation, HasPosition, Point2, PositionInTriangulation, Triangulation as _,
+};
+
+use crate::budget::check_size;
+
+/// Longest side of a triangle that is used, in median sides. Larger: wider holes are bridged. Smaller: points whose density
+/// varies leave holes. Profiles five times as dense along as across have sides of 1 to 5 of their spacing, and a median
+/// between them.
+const LONGEST_SIDE: f64 = 3.0;
+
+/// What a point costs in the triangulation: a vertex, six half edges, two faces, and the lists that order them.
+const BYTES_PER_CORNER: usize = 400;
+
+struct Corner {
+    at: Point2<f64>,
+    z: f64,
+}
+
+impl HasPosition for Corner {
+    type Scalar = f64;
+
+    fn position(&self) -> Point2<f64> {
+        self.at
+    }
+}
+
+/// A grid of heights, and what was done.
+pub(crate) struct Gridded {
+    /// Heights (rows, columns); NaN = invalid.
+    pub values: Array2<f64>,
+    /// Coordinates of the columns and rows, mm.
+    pub x_mm: Vec<f64>,
+    pub y_mm: Vec<f64>,
+    /// Sentences for the user.
+    pub warnings: Vec<String>,
+}
+
+/// Grids `points` (x and y in mm, height) with a pitch along (x, y).
+pub(crate) fn grid(points: &[[f64; 3]], pitch_mm: [f64; 2]) -> Result<Gridded, Invalid> {
+    if let Some(p) = pitch_mm.into_iter().find(|p| !(p.is_finite() && *p > 0.0)) {
+        return Err(Invalid::whole("grid_mm", format!("is {p}"), "a pitch is positive"));
+    }
+    let valid: Vec<&[f64; 3]> = points.iter().filter(|p| !p[2].is_nan()).collect();
+    let axis = |k: usize| -> Result<(f64, usize), Invalid> {
+        let (low, high) = valid
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p[k]), h.max(p[k])));
+        // A point that lies on a pixel but for rounding is on it.
+        let first = (low / pitch_mm[k] - 1e-6).ceil();
+        let last = (high / pitch_mm[k] + 1e-6).floor();
+        // A float to an integer saturates; the size is checked next.
+        Ok((first, if last >= first { (last - first + 1.0) as usize } else { 0 }))
+    };
+    let [(x0, columns), (y0, rows)] = [axis(0)?, axis(1)?];
+    check_size("grid of the points", rows, columns)?;
+    budget::affordable("points", valid.len() as f64, BYTES_PER_CORNER, "leave some out")?;
+
+    let mut sorted = valid.clone();
+    sorted.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
+    if let Some(w) = sorted.windows(2).find(|w| w[0][..2] == w[1][..2] && w[0][2] != w[1][2]) {
+        let problem = format!("has two heights at x {}, y {} mm", w[0][0], w[0][1]);
+        return Err(Invalid::whole("XYZ file", problem, "give every point once"));
+    }
+    // Coordinates of which the predicates of the triangulation cannot decide are tiny beside a pitch.
+    let tidy = |v: f64| if v.abs() < 1e-30 { 0.0 } else { v };
+    let corners = valid.iter().map(|p| Corner { at: Point2::new(tidy(p[0]), tidy(p[1])), z: p[2] });
+    let mesh = DelaunayTriangulation::<Corner>::bulk_load(corners.collect()).map_err(|e| {
+        let remedy = "correct the coordinates or their unit";
+        Invalid::whole("XYZ file", format!("has points that cannot be triangulated ({e})"), remedy)
+    })?;
+    let length = |a: Point2<f64>, b: Point2<f64>| (a.x - b.x).hypot(a.y - b.y);
+    let mut sides: Vec<f64> =
+        mesh.undirected_edges().map(|edge| edge.positions()).map(|[a, b]| length(a, b)).collect();
+    if mesh.num_inner_faces() == 0 {
+        let problem = format!("has {} points on one line or fewer", valid.len());
+        return Err(Invalid::whole("XYZ file", problem, "give points of an area"));
+    }
+    let middle = sides.len() / 2;
+    let median = *sides.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let longest = LONGEST_SIDE * median;
+
+    let coordinate = |k: usize, first: f64, i: usize| (first + i as f64) * pitch_mm[k];
+    let mut values = Array2::from_elem((rows, columns), f64::NAN);
+    let mut hint = None;
+    for ((r, c), value) in values.indexed_iter_mut() {
+        let at = Point2::new(tidy(coordinate(0, x0, c)), tidy(coordinate(1, y0, r)));
+        let place = match hint {
+            Some(hint) => mesh.locate_with_hint(at, hint),
+            None => mesh.locate(at),
+        };
+        match place {
+            PositionInTriangulation::OnVertex(v) => {
+                *value = mesh.vertex(v).data().z;
+                hint = Some(v);
+            }
+            PositionInTriangulation::OnEdge(e) => {
+                let [a, b] = mesh.directed_edge(e).vertices();
+                let (p, q) = (a.position(), b.position());
+                let side = length(p, q);
+                hint = Some(a.fix());
+                if side <= longest {
+                    let t = length(p, at) / side;
+                    *value = a.data().z + t * (b.data().z - a.data().z);
+                }
+            }
+            PositionInTriangulation::OnFace(f) => {
+                let [a, b, c] = mesh.face(f).vertices();
+                hint = Some(a.fix());
+                let [p, q, s] = [a.position(), b.position(), c.position()];
+                if [length(p, q), length(q, s), length(s, p)].iter().all(|l| *l <= longest) {
+                    // z = za + u (zb - za) + v (zc - za) with at - p = u (q - p) + v (s - p)
+                    let (d, e) = ([q.x - p.x, q.y - p.y], [s.x - p.x, s.y - p.y]);
+                    let w = [at.x - p.x, at.y - p.y];
+                    let area = d[0] * e[1] - d[1] * e[0];
+                    let u = (w[0] * e[1] - w[1] * e[0]) / area;
+                    let v = (d[0] * w[1] - d[1] * w[0]) / area;
+                    let z = a.data().z;
+                    *value = z + u * (b.data().z - z) + v * (c.data().z - z);
+                }
+            }
+            PositionInTriangulation::OutsideOfConvexHull(_)
+            | PositionInTriangulation::NoTriangulation => {}
+        }
+    }
+    let invalid = values.iter().filter(|v| v.is_nan()).count();
+    let mut warnings = vec![format!(
+        "the heights are interpolated: linear in Delaunay triangles of {} points with sides up to {longest:.4} mm; {invalid} \
+         of {} pixels lie in none and are invalid",
+        valid.len(),
+        values.len()
+    )];
+    if pitch_mm.iter().any(|p| *p > 1.5 * median) {
+        warnings.push(format!(
+            "the pitch {pitch_mm:?} mm is coarser than the points, whose median distance is {median:.4} mm: not every point has \
+             an effect"
+        ));
+    }
+    let x_mm = (0..columns).map(|i| coordinate(0, x0, i)).collect();
+    let y_mm = (0..rows).map(|i| coordinate(1, y0, i)).collect();
+    Ok(Gridded { values, x_mm, y_mm, warnings })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rings of 24 points, 1 mm apart, with the heights of a function.
+    fn rings(z: impl Fn(f64, f64) -> f64, rings: std::ops::Range<usize>) -> Vec<[f64; 3]> {
+        let ring = |k: usize| {
+            (0..24).map(move |i| (k as f64, f64::from(i) / 24.0 * std::f64::consts::TAU))
+        };
+        rings
+            .flat_map(ring)
+            .map(|(r, a)| {
+                let (x, y) = (r * a.cos(), r * a.sin());
+                [x, y, z(x, y)]
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_plane_comes_back_and_a_hole_stays() {
+        let plane = |x: f64, y: f64| 5.0 + 2.0 * x - 3.0 * y;
+        let made = grid(&rings(plane, 1..7), [0.5, 0.25]).unwrap();
+        assert_eq!((made.x_mm[0], made.y_mm[0]), (-6.0, -6.0));
+        for ((r, c), v) in made.values.indexed_iter() {
+            let (x, y) = (made.x_mm[c], made.y_mm[r]);
+            // Within the ring of 6 mm, whose chords are 0.05 mm inside of it.
+            assert!(x.hypot(y) > 5.9 || !v.is_nan(), "{x} {y}");
+            // Rounding of heights up to 40 nm in triangles of 0.3 mm.
+            assert!(v.is_nan() || (v - plane(x, y)).abs() < 1e-9, "{x} {y} {v}");
+        }
+        // Without the rings to 4 mm the hole is 8 mm wide, its triangles have sides of several mm; the median is below 1.3 mm.
+        let made = grid(&rings(plane, 4..7), [0.5, 0.5]).unwrap();
+        assert!(made.values[[12, 12]].is_nan() && !made.values[[12, 2]].is_nan());
+        assert!(made.warnings[0].contains("of 72 points"), "{:?}", made.warnings);
+    }
+
+    #[test]
+    fn what_cannot_be_gridded_is_refused() {
+        let said = |points: &[[f64; 3]], pitch: f64| match grid(points, [pitch; 2]) {
+            Ok(_) => panic!("{points:?} has a grid"),
+            Err(error) => error.to_string(),
+        };
+        let line: Vec<[f64; 3]> = (0..9).map(|i| [f64::from(i), f64::from(i), 1.0]).collect();
+        assert!(said(&line, 1.0).contains("on one line"));
+        let mut twice = rings(|_, _| 1.0, 1..4);
+        twice.push([twice[3][0], twice[3][1], 2.0]);
+        assert!(said(&twice, 0.5).contains("has two heights at"));
+        assert!(said(&twice, 1e-6).contains("at most"));
+        assert!(said(&twice, 0.0).contains("is 0"));
+        assert!(said(&[], 1.0).contains("0 rows"));
+        let large = [[1e200, 0.0, 1.0], [0.0, 1e200, 1.0], [1.0, 1.0, 1.0]];
+        assert!(said(&large, 1e199).contains("cannot be triangulated"));
+    }
+}

@@ -1,0 +1,146 @@
+//! ISO 25178-72 `.x3p`: a ZIP archive of `main.xml` and the heights in bytes.
+//!
+//! | element of `main.xml` | what is read |
+//! |---|---|
+//! | `Record1/FeatureType` | `SUR`: a map |
+//! | `Record1/Axes/CX`, `CY` | `AxisType` I (equal steps), `Increment` in m |
+//! | `Record1/Axes/CZ` | `DataType` I, L, F or D: i16, i32, f32 or f64; `Increment` and `Offset` in m |
+//! | `Record1/Axes/Rotation` | refused: the axes of the map are those of the part |
+//! | `Record3/MatrixDimension` | `SizeX`, `SizeY`, and `SizeZ` 1 |
+//! | `Record3/DataLink/PointDataLink` | member with the heights, little-endian, x first |
+//! | `Record3/DataLink/ValidPointsLink` | member with a bit per pixel, 0 = invalid |
+//!
+//! ```text
+//! height (m) = Offset + Increment raw
+//! ```
+//!
+//! NaN is an invalid pixel too. The first row is the smallest y. Source: ISO 25178-72, and the schema `ISO5436_2.xsd` of
+//! OpenGPS.
+
+use ndarray::Array2;
+use planish_types::Invalid;
+use roxmltree::{Document, Node};
+use serde_json::json;
+
+use crate::{
+    Format, Unit,
+    budget::{MOST_TEXT_BYTES, check_size},
+    bytes::Number,
+    reading::{FirstRow, Reading},
+    zip::Archive,
+};
+
+const NAME: &str = "x3p file";
+
+/// Largest `main.xml`, bytes: a list of heights in text is larger, and is refused.
+const MOST_XML: usize = 4 * MOST_TEXT_BYTES;
+
+/// Reads a map.
+pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
+    let refuse = |problem: String, remedy: &str| Invalid::whole(NAME, problem, remedy);
+    let again = "export it again";
+    let archive = Archive::open(bytes, NAME)?;
+    let xml = archive.member("main.xml", MOST_XML)?;
+    let xml = std::str::from_utf8(&xml);
+    let xml = xml.map_err(|_| refuse("has a main.xml that is not UTF-8".into(), again))?;
+    let document = Document::parse(xml).map_err(|e| {
+        let reason: String = e.to_string().chars().take(120).collect();
+        refuse(format!("has a broken main.xml ({reason})"), again)
+    })?;
+    let root = document.root_element();
+    let text = |path: &str| -> Option<String> {
+        let found = path.split('/').try_fold(root, child)?;
+        let text: String = found.text()?.trim().chars().take(200).collect();
+        (!text.is_empty()).then_some(text)
+    };
+    let number = |path: &str| -> Result<Option<f64>, Invalid> {
+        let Some(text) = text(path) else { return Ok(None) };
+        match text.parse::<f64>() {
+            Ok(v) if v.is_finite() => Ok(Some(v)),
+            _ => Err(refuse(format!("has \"{text}\" in {path}"), "write a number there")),
+        }
+    };
+    let kind = text("Record1/FeatureType").unwrap_or_default();
+    if kind != "SUR" {
+        let problem = format!("holds the feature \"{kind}\", not a map (SUR)");
+        return Err(refuse(problem, "export the surface"));
+    }
+    if child(root, "Record1").and_then(|r| child(child(r, "Axes")?, "Rotation")).is_some() {
+        let remedy = "export it with the axes of the map";
+        return Err(refuse("has turned axes (Rotation)".into(), remedy));
+    }
+    for axis in ["CX", "CY"] {
+        let kind = text(&format!("Record1/Axes/{axis}/AxisType"));
+        if kind.as_deref() != Some("I") {
+            let problem = format!("has an axis {axis} of type {kind:?}, not of equal steps (I)");
+            return Err(refuse(problem, "export it on a uniform grid"));
+        }
+    }
+    let size = |name: &str| -> Result<usize, Invalid> {
+        let path = format!("Record3/MatrixDimension/{name}");
+        match number(&path)? {
+            // A float to an integer saturates; the size is checked next.
+            Some(v) if v >= 0.0 && v.fract() == 0.0 => Ok(v as usize),
+            other => Err(refuse(format!("has {path} = {other:?}"), "export it as a matrix")),
+        }
+    };
+    let (columns, rows, layers) = (size("SizeX")?, size("SizeY")?, size("SizeZ")?);
+    if layers != 1 {
+        return Err(refuse(format!("has {layers} layers (SizeZ)"), "export one layer"));
+    }
+    let count = check_size("x3p map", rows, columns)?;
+    let number_type = match text("Record1/Axes/CZ/DataType").as_deref() {
+        Some("I") => Number::I16,
+        Some("L") => Number::I32,
+        Some("F") => Number::F32,
+        Some("D") => Number::F64,
+        other => {
+            return Err(refuse(format!("has heights of type {other:?}, not I, L, F or D"), again));
+        }
+    };
+    let Some(link) = text("Record3/DataLink/PointDataLink") else {
+        let problem = "has no bytes of heights (PointDataLink)";
+        return Err(refuse(problem.into(), "export it with binary data"));
+    };
+    let raw = archive.member(&link, count * number_type.size())?;
+    if raw.len() != count * number_type.size() {
+        let problem = format!("has {} bytes of heights for {columns} x {rows} pixels", raw.len());
+        return Err(refuse(problem, again));
+    }
+    let values = number_type.decode(&raw, count, false)?;
+    let values = Array2::from_shape_vec((rows, columns), values).expect("one value per pixel");
+    let mut reading = Reading::new(Format::X3p, values, FirstRow::SmallestY);
+    reading.single = number_type == Number::F32;
+    if let Some(link) = text("Record3/DataLink/ValidPointsLink") {
+        let bits = archive.member(&link, count.div_ceil(8))?;
+        if bits.len() != count.div_ceil(8) {
+            let problem = format!("has {} bytes of valid pixels for {count}", bits.len());
+            return Err(refuse(problem, again));
+        }
+        for (k, v) in reading.values.iter_mut().enumerate() {
+            if bits[k / 8] >> (k % 8) & 1 == 0 {
+                *v = f64::NAN;
+            }
+        }
+    }
+    reading.unit = Some(Unit::M);
+    reading.factor = number("Record1/Axes/CZ/Increment")?.unwrap_or(1.0);
+    reading.offset = number("Record1/Axes/CZ/Offset")?.unwrap_or(0.0);
+    let pitch = |axis: &str| number(&format!("Record1/Axes/{axis}/Increment"));
+    if let (Some(x), Some(y)) = (pitch("CX")?, pitch("CY")?) {
+        reading.pitch_mm = Some([x * 1e3, y * 1e3]);
+    }
+    reading.stated = json!({
+        "revision": text("Record1/Revision"),
+        "manufacturer": text("Record2/Instrument/Manufacturer"),
+        "model": text("Record2/Instrument/Model"),
+        "z_increment_m": reading.factor,
+        "z_offset_m": reading.offset,
+    });
+    Ok(reading)
+}
+
+/// The first child of this name, in any namespace.
+fn child<'a>(node: Node<'a, 'a>, name: &str) -> Option<Node<'a, 'a>> {
+    node.children().find(|child| child.tag_name().name() == name)
+}

@@ -1,0 +1,109 @@
+//! Members of a ZIP archive, stored or deflated. Source: PKWARE's APPNOTE, "General Format of a .ZIP file".
+
+use std::io::Read;
+
+use flate2::{Crc, read::DeflateDecoder};
+use planish_types::Invalid;
+
+use crate::{
+    budget::{MOST_ARRAYS, too_many},
+    bytes::Bytes,
+};
+
+pub(crate) const MAGIC: &[u8] = b"PK\x03\x04";
+const END: &[u8] = b"PK\x05\x06";
+
+/// Bytes of the record at the end, and the longest comment after it.
+const END_BYTES: usize = 22;
+const LONGEST_COMMENT: usize = 0xffff;
+
+/// The members of an archive.
+pub(crate) struct Archive<'a> {
+    b: Bytes<'a>,
+    members: Vec<Member>,
+}
+
+struct Member {
+    name: String,
+    method: u16,
+    crc: u32,
+    packed: usize,
+    size: usize,
+    at: usize,
+}
+
+impl<'a> Archive<'a> {
+    /// Reads the directory at the end of `bytes`; `name` is what an error is about.
+    pub fn open(bytes: &'a [u8], name: &'static str) -> Result<Self, Invalid> {
+        let b = Bytes { all: bytes, name, big_endian: false };
+        let from = bytes.len().saturating_sub(END_BYTES + LONGEST_COMMENT);
+        let end = bytes[from..].windows(END.len()).rposition(|w| w == END).map(|at| from + at);
+        let end = end.ok_or_else(|| {
+            let problem = "has no directory at its end: it is truncated, or no ZIP archive";
+            Invalid::whole(name, problem, "export it again")
+        })?;
+        let (count, mut at) = (usize::from(b.u16(end + 10)?), b.u32(end + 16)? as usize);
+        if count > MOST_ARRAYS {
+            return Err(too_many(name, MOST_ARRAYS, "members", "export only the map"));
+        }
+        let mut members = Vec::new();
+        for _ in 0..count {
+            if b.slice(at, 4)? != b"PK\x01\x02" {
+                let problem = format!("has no entry of its directory at byte {at}");
+                return Err(Invalid::whole(name, problem, "export it again"));
+            }
+            let lengths = [28, 30, 32].map(|k| b.u16(at + k).map(usize::from));
+            let [name_len, extra, comment] = lengths;
+            let name_len = name_len?;
+            members.push(Member {
+                name: b.text(at + 46, name_len)?,
+                method: b.u16(at + 10)?,
+                crc: b.u32(at + 16)?,
+                packed: b.u32(at + 20)? as usize,
+                size: b.u32(at + 24)? as usize,
+                at: b.u32(at + 42)? as usize,
+            });
+            at += 46 + name_len + extra? + comment?;
+        }
+        Ok(Self { b, members })
+    }
+
+    /// The content of a member of at most `most` bytes.
+    pub fn member(&self, name: &str, most: usize) -> Result<Vec<u8>, Invalid> {
+        let refuse = |problem: String| Invalid::whole(self.b.name, problem, "export it again");
+        let wanted = name.trim_start_matches(['/', '.']);
+        let found = self.members.iter().find(|member| member.name == wanted);
+        let short: String = wanted.chars().take(80).collect();
+        let Some(member) = found else {
+            return Err(refuse(format!("has no member \"{short}\"")));
+        };
+        if member.size > most {
+            let problem = format!("has {} bytes in \"{short}\", more than {most}", member.size);
+            return Err(refuse(problem));
+        }
+        // The local header repeats the name and has an extra field of its own.
+        if self.b.slice(member.at, 4)? != MAGIC {
+            return Err(refuse(format!("has no \"{short}\" at byte {}", member.at)));
+        }
+        let (name_len, extra) = (self.b.u16(member.at + 26)?, self.b.u16(member.at + 28)?);
+        let start = member.at + 30 + usize::from(name_len) + usize::from(extra);
+        let packed = self.b.slice(start, member.packed)?;
+        let mut content = Vec::new();
+        match member.method {
+            0 => content.extend_from_slice(packed),
+            8 => {
+                let stream = DeflateDecoder::new(packed).take(member.size as u64 + 1);
+                { stream }
+                    .read_to_end(&mut content)
+                    .map_err(|e| refuse(format!("is broken in \"{short}\" ({e})")))?;
+            }
+            other => return Err(refuse(format!("has \"{short}\" packed by method {other}"))),
+        }
+        let mut crc = Crc::new();
+        crc.update(&content);
+        if content.len() != member.size || crc.sum() != member.crc {
+            return Err(refuse(format!("is broken in \"{short}\": its checksum is another")));
+        }
+        Ok(content)
+    }
+}

@@ -1,0 +1,426 @@
+//! One small file per case that a reader can get wrong, through the program: its command and its right value. All of
+//! them hold the map of `truth.npy`, but for the two Zygo files.
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output},
+};
+
+use ndarray::Array2;
+use planish_handoff::artifact::{self, Manifest};
+use planish_types::Surface;
+
+const CASES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/cases");
+
+fn call(out: &Path, file: &str, flags: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_planish-import"))
+        .current_dir(CASES)
+        .args([&["surface", file, "--force", "--out", out.to_str().unwrap()][..], flags].concat())
+        .output()
+        .unwrap()
+}
+
+/// The map that is read, its manifest, and the warnings.
+fn read(file: &str, flags: &[&str]) -> (Surface, Manifest, String) {
+    let tmp = tempfile::tempdir().unwrap();
+    let out = tmp.path().join("out");
+    let output = call(&out, file, flags);
+    let warned = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{file} {flags:?}: {warned}");
+    let loaded = artifact::read::<Surface>(&out).unwrap();
+    (loaded.value, loaded.manifest.unwrap(), warned)
+}
+
+/// The one message with which the file is refused; nothing is written.
+fn refused(file: &str, flags: &[&str]) -> String {
+    let tmp = tempfile::tempdir().unwrap();
+    let out = tmp.path().join("out");
+    let output = call(&out, file, flags);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{file} {flags:?}: {said}");
+    assert!(said.starts_with("error: ") && said.lines().count() == 1 && !out.exists(), "{said}");
+    said
+}
+
+fn invalid(map: &Surface) -> usize {
+    map.height_nm().iter().filter(|v| v.is_nan()).count()
+}
+
+/// The map in most of the cases, nm: row 0 is the smallest y.
+fn truth() -> Array2<f64> {
+    let bytes = fs::read(Path::new(CASES).join("truth.npy")).unwrap();
+    planish_import::read(planish_import::Format::Npy, &bytes, &Default::default()).unwrap().values
+}
+
+/// The map of [`truth`] on pixels of 0.5 mm, every height within `tolerance_nm`, and `invalid_pixels` invalid ones: 12,
+/// or 0 where the format has none and the file has heights there.
+fn is_truth(map: &Surface, tolerance_nm: f64, invalid_pixels: usize) {
+    let truth = truth();
+    assert_eq!((map.height_nm().dim(), invalid(map)), (truth.dim(), invalid_pixels));
+    let g = map.grid();
+    // Pitches in the files have 6 digits or more.
+    assert!((g.x.step_mm() / 0.5 - 1.0).abs() < 1e-6 && (g.y.step_mm() / 0.5 - 1.0).abs() < 1e-6);
+    for ((at, found), right) in map.height_nm().indexed_iter().zip(&truth) {
+        let same = (found - right).abs() <= tolerance_nm || right.is_nan();
+        assert!(same, "pixel {at:?}: {found}, not {right}");
+    }
+}
+
+/// RMS to the four digits of the right value.
+fn has_rms(map: &Surface, right_nm: f64) {
+    let rms = map.statistics().rms;
+    assert!((rms - right_nm).abs() < 5e-5, "{rms}, not {right_nm}");
+}
+
+#[test]
+fn a_marker_is_compared_as_the_file_stores_it() {
+    for (file, flags) in
+        [("no-data.npy", &["--unit", "nm", "--pitch-mm", "0.5"][..]), ("no-data.fits", &[])]
+    {
+        let (map, _, warned) = read(file, &[flags, &["--no-data", "-999.9"]].concat());
+        assert_eq!(invalid(&map), 158);
+        has_rms(&map, 2.8724);
+        assert!(warned.is_empty(), "{warned}");
+        let (_, _, warned) = read(file, &[flags, &["--no-data", "-999.8"]].concat());
+        let expected = "no pixel has the value -999.8: --no-data has no effect";
+        assert!(warned.contains(expected) && warned.lines().count() == 1, "{warned}");
+    }
+}
+
+#[test]
+fn attributes_of_netcdf_are_obeyed() {
+    let (map, manifest, _) = read("packed.h5", &["--pitch-mm", "0.5"]);
+    has_rms(&map, 3.4807);
+    let (low, high) =
+        map.height_nm().iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
+    // Whole steps of 0.01 nm.
+    assert!((low - 50.03).abs() < 1e-9 && (high - 65.0).abs() < 1e-9, "{low} {high}");
+    let reading = &manifest.outcome["reading"];
+    assert_eq!((&reading["nm_of_zero"], &reading["nm_per_value"]), (&50.0.into(), &0.01.into()));
+    let (map, _, _) = read("fill.h5", &["--pitch-mm", "0.5"]);
+    assert_eq!(invalid(&map), 12);
+    has_rms(&map, 3.4794);
+}
+
+#[test]
+fn a_mask_in_a_second_image_is_named_or_used() {
+    let flags = ["--pitch-mm", "0.5"];
+    let said = refused("mask.fits", &flags);
+    assert!(said.contains("holds 2 images: HDU 0, HDU 1") && said.contains("--mask"), "{said}");
+    let (map, _, _) = read("mask.fits", &[&flags[..], &["--dataset", "0", "--mask", "1"]].concat());
+    assert_eq!(invalid(&map), 158);
+    has_rms(&map, 2.8724);
+    // The same image under its customary name needs no flag.
+    let tmp = tempfile::tempdir().unwrap();
+    let mut bytes = fs::read(Path::new(CASES).join("mask.fits")).unwrap();
+    let end = bytes.windows(80).rposition(|card| card.starts_with(b"END  ")).unwrap();
+    bytes[end..end + 160]
+        .copy_from_slice(format!("{:<80}{:<80}", "EXTNAME = 'MASK'", "END").as_bytes());
+    let named = tmp.path().join("named.fits");
+    fs::write(&named, &bytes).unwrap();
+    let (map, manifest, _) = read(named.to_str().unwrap(), &flags);
+    assert_eq!(
+        (invalid(&map), &manifest.outcome["reading"]["stated"]["mask_hdu"]),
+        (158, &1.into())
+    );
+    let said = refused(named.to_str().unwrap(), &[&flags[..], &["--mask", "7"]].concat());
+    assert!(said.contains("holds 2 images") || said.contains("no HDU 7"), "{said}");
+    // A name that no format but these has is no silent flag.
+    let said = refused("no-data.npy", &["--unit", "nm", "--pitch-mm", "0.5", "--mask", "m"]);
+    assert!(said.contains("leave it out"), "{said}");
+}
+
+#[test]
+fn axes_in_a_table_are_no_heights() {
+    let (map, _, warned) = read("axes.csv", &["--unit", "nm", "--coordinate-unit", "mm"]);
+    // 4 decimals of a nm.
+    is_truth(&map, 5e-5, 0);
+    assert!(warned.contains("are the coordinates x and y"), "{warned}");
+    let said = refused("axes.csv", &["--unit", "nm", "--pitch-mm", "0.5"]);
+    assert!(said.contains("coordinates with the steps 0.5 and 0.5"), "{said}");
+    assert!(said.contains("give --coordinate-unit"), "{said}");
+    // Axes with a number in the corner, and lines x y z, are read as heights with a warning.
+    let tmp = tempfile::tempdir().unwrap();
+    let put = |name: &str, text: &str| {
+        let path = tmp.path().join(name);
+        fs::write(&path, text).unwrap();
+        path.to_str().unwrap().to_string()
+    };
+    let nm = ["--unit", "nm", "--pitch-mm", "1"];
+    let text = fs::read_to_string(Path::new(CASES).join("axes.csv")).unwrap();
+    let (_, _, warned) = read(&put("a.csv", &format!("0{text}")), &nm);
+    assert!(warned.contains("read as heights"), "{warned}");
+    let (map, _, _) =
+        read(&put("b.csv", &format!("y\\x{text}")), &["--unit", "nm", "--coordinate-unit", "mm"]);
+    is_truth(&map, 5e-5, 0);
+    let lines: String = (0..12).map(|i| format!("{},{},{i}\n", i % 4, i / 4)).collect();
+    let (_, _, warned) = read(&put("c.csv", &lines), &nm);
+    assert!(warned.contains("--format xyz"), "{warned}");
+    // A word in the corner of a table without axes stays a mistake.
+    let said = refused(&put("d.csv", "a,2,3\n4,5,6\n"), &nm);
+    assert!(said.contains("\"a\" in line 1, field 1"), "{said}");
+}
+
+#[test]
+fn a_header_of_text_is_believed_before_a_flag() {
+    // 7 digits of a metre.
+    let (map, manifest, _) = read("gwyddion.csv", &[]);
+    is_truth(&map, 1e-5, 0);
+    assert_eq!(manifest.outcome["reading"]["unit_from"], "file");
+    let said = refused("gwyddion.csv", &["--unit", "nm"]);
+    assert!(said.contains("is M in the file, Nm was asked for"), "{said}");
+    let said = refused("gwyddion.csv", &["--pitch-mm", "0.1"]);
+    assert!(said.contains("0.5 x 0.5 mm in the file, 0.1 x 0.1 mm was asked for"), "{said}");
+    let (map, _, warned) = read("gwyddion.csv", &["--pitch-mm", "0.1", "--override-file"]);
+    assert_eq!(map.grid().x.step_mm(), 0.1);
+    assert!(warned.contains("takes the place of 0.5 x 0.5 mm"), "{warned}");
+    let spip = "# File Format = ASCII\n# x-pixels = 2\n# y-pixels = 2\n# x-length = 1000\n# y-length = 4000\n\
+                # x-unit = nm\n# Bit2nm = 0.5\n# Start of Data:\n1 2\n3 4\n";
+    let tmp = tempfile::tempdir().unwrap();
+    let path = tmp.path().join("a.csv");
+    fs::write(&path, spip).unwrap();
+    let (map, _, _) = read(path.to_str().unwrap(), &[]);
+    assert_eq!(map.height_nm().row(0).to_vec(), [1.5, 2.0]);
+    // 1000 and 4000 nm over 2 pixels; the products round.
+    assert!((map.grid().x.step_mm() - 5e-4).abs() < 1e-15);
+    assert!((map.grid().y.step_mm() - 2e-3).abs() < 1e-15);
+}
+
+#[test]
+fn pixels_are_counted_one_way_in_a_file() {
+    let (relative, _, _) = read("relative.xyz", &["--unit", "um"]);
+    let (camera, _, _) = read("camera.xyz", &["--unit", "um"]);
+    assert_eq!(invalid(&relative), 0);
+    has_rms(&relative, 576.7437);
+    assert_eq!(relative.height_nm(), camera.height_nm());
+    assert_eq!(relative.grid(), camera.grid());
+    let text = fs::read_to_string(Path::new(CASES).join("camera.xyz")).unwrap();
+    let tmp = tempfile::tempdir().unwrap();
+    let said = |from: &str, to: &str| {
+        let path = tmp.path().join("a.xyz");
+        assert!(text.contains(from));
+        fs::write(&path, text.replace(from, to)).unwrap();
+        refused(path.to_str().unwrap(), &["--unit", "um"])
+    };
+    assert!(said("\n11 5 ", "\n10 5 ").contains("names the pixel 10 5 a second time"));
+    assert!(
+        said("\n10 5 0.0", "\n0 0 0.0").contains("neither all from 10 5 on nor all from 0 0 on")
+    );
+}
+
+#[test]
+fn a_flag_without_an_effect_says_so() {
+    let flags = ["--unit", "nm", "--pitch-mm", "0.5", "--wavelength-nm", "632.8"];
+    let (_, _, warned) = read("truth.npy", &flags);
+    assert!(warned.contains("in Nm: --wavelength-nm has no effect"), "{warned}");
+}
+
+/// Files that state unit and pitch: no flag is needed, and a flag that contradicts them is refused.
+#[test]
+fn files_that_state_everything_need_no_flag() {
+    // Each with the rounding of its numbers in nm, its invalid pixels, and the name of its format.
+    for (file, tolerance_nm, invalid_pixels, format) in [
+        // 32-bit floats of 65e-9 m.
+        ("map.gsf", 65.0 * 6e-8, 12, "gsf"),
+        // Ten digits of a millimetre.
+        ("grid-sag.dat", 65.0 * 5e-10, 12, "grid-sag"),
+        // 64-bit floats, in m.
+        ("map.x3p", 1e-12, 12, "x3p"),
+        // 32-bit floats of waves, and a wavelength that passed through one.
+        ("map.opd", 65.0 * 12e-8, 12, "opd"),
+        ("4sight.h5", 65.0 * 6e-8, 12, "4sight"),
+    ] {
+        let (map, manifest, _) = read(file, &[]);
+        is_truth(&map, tolerance_nm, invalid_pixels);
+        has_rms(&map, 3.4794);
+        let reading = &manifest.outcome["reading"];
+        assert_eq!((&reading["format"], &reading["pitch_from"]), (&format.into(), &"file".into()));
+        assert_eq!(reading["unit_from"], "file");
+        let said = refused(file, &["--unit", "angstrom"]);
+        assert!(said.contains("in the file, Angstrom was asked for"), "{said}");
+        let said = refused(file, &["--pitch-mm", "0.4"]);
+        assert!(said.contains("0.5") && said.contains("0.4"), "{said}");
+    }
+}
+
+#[test]
+fn code_v_has_no_pitch() {
+    let said = refused("map.int", &[]);
+    assert!(said.contains("give --pitch-mm"), "{said}");
+    let (map, _, _) = read("map.int", &["--pitch-mm", "0.5"]);
+    // A whole number is 632.8 nm / 10000; half of it.
+    is_truth(&map, 0.0317, 12);
+    let said = refused("map.int", &["--pitch-mm", "0.5", "--wavelength-nm", "633"]);
+    assert!(said.contains("is 632.8 in the file, 633 was asked for"), "{said}");
+}
+
+#[test]
+fn a_presurface_has_no_units() {
+    let said = refused("presurface.dat", &["--unit", "m"]);
+    assert!(said.contains("give --coordinate-unit"), "{said}");
+    let (map, _, _) = read("presurface.dat", &["--unit", "m", "--coordinate-unit", "m"]);
+    // Seven digits of 65 nm.
+    is_truth(&map, 1e-5, 0);
+    has_rms(&map, 3.4806);
+}
+
+#[test]
+fn digital_surf_heights_are_relative() {
+    let (map, manifest, _) = read("map.sur", &[]);
+    assert_eq!(invalid(&map), 0);
+    // The writer filled the invalid pixels: its own RMS.
+    assert!((map.statistics().rms - 3.511).abs() < 5e-4, "{}", map.statistics().rms);
+    let truth = truth();
+    for (found, right) in map.height_nm().iter().zip(&truth).filter(|(_, right)| !right.is_nan()) {
+        // Offset by the writer so that -7.5 .. 7.5 nm fill the numbers; dz and the offset are 32-bit floats.
+        assert!((found + 57.5 - right).abs() < 1e-4, "{found} {right}");
+    }
+    assert!((map.grid().x.step_mm() - 0.5).abs() < 1e-7);
+    let offset = manifest.outcome["reading"]["stated"]["z_offset"].as_f64().unwrap();
+    assert!((offset - 0.0575).abs() < 1e-8, "{offset}");
+}
+
+#[test]
+fn scattered_points_are_gridded_on_request() {
+    let said = refused("polar.xyz", &["--unit", "nm", "--coordinate-unit", "mm"]);
+    assert!(said.contains("give --grid-mm"), "{said}");
+    let flags = ["--unit", "nm", "--coordinate-unit", "mm", "--grid-mm", "1"];
+    let (map, manifest, warned) = read("polar.xyz", &flags);
+    assert!(warned.contains("interpolated: linear in Delaunay triangles"), "{warned}");
+    assert_eq!(manifest.outcome["reading"]["stated"]["points"], 109);
+    let g = map.grid();
+    // The heights are 0.004 r^2 on rings of 12 points, 5 mm apart, to 45 mm. Chords are above a convex surface, by at most
+    // c d^2 / 6 with c = 0.008 and sides d of 24 mm; 4 decimals in the file.
+    let mut valid = 0;
+    for ((r, c), z) in map.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan()) {
+        let square = g.x.at(c).powi(2) + g.y.at(r).powi(2);
+        let above = z - 0.004 * square;
+        assert!((-1e-4..0.008 * 576.0 / 6.0).contains(&above), "{square}: {z}");
+        valid += 1;
+    }
+    // The polygon of 12 corners: 3 R^2 pixels of 1 mm^2; a pixel in fifty lies on its edges.
+    assert!((f64::from(valid) / (3.0 * 45.0 * 45.0) - 1.0).abs() < 0.02, "{valid}");
+    let said = refused("truth.npy", &["--unit", "nm", "--pitch-mm", "1", "--grid-mm", "1"]);
+    assert!(said.contains("only lines x y z are interpolated"), "{said}");
+    let said = refused("camera.xyz", &["--grid-mm", "1"]);
+    assert!(said.contains("has its pixels on a grid"), "{said}");
+}
+
+/// What a damaged or unusual file of each format is refused for.
+#[test]
+fn what_a_reader_does_not_know_is_refused() {
+    let tmp = tempfile::tempdir().unwrap();
+    let said = |file: &str, format: &str, change: &dyn Fn(&mut Vec<u8>)| {
+        let mut bytes = fs::read(Path::new(CASES).join(file)).unwrap();
+        change(&mut bytes);
+        let path = tmp.path().join("changed");
+        fs::write(&path, bytes).unwrap();
+        refused(path.to_str().unwrap(), &["--format", format])
+    };
+    let text = |from: &'static str, to: &'static str| {
+        move |bytes: &mut Vec<u8>| {
+            let text = String::from_utf8_lossy(bytes).into_owned();
+            assert!(text.contains(from), "{from}");
+            *bytes = text.replacen(from, to, 1).into_bytes();
+        }
+    };
+    let cut = |bytes: &mut Vec<u8>| bytes.truncate(bytes.len() - 30);
+    for (file, format) in [
+        ("map.gsf", "gsf"),
+        ("map.sur", "sur"),
+        ("map.int", "codev-int"),
+        ("grid-sag.dat", "grid-sag"),
+        ("map.x3p", "x3p"),
+        ("presurface.dat", "presurface"),
+    ] {
+        let message = said(file, format, &cut);
+        assert!(message.contains("truncated"), "{message}");
+        assert!(said(file, format, &|b: &mut Vec<u8>| b.truncate(1)).contains("changed: "));
+    }
+    // A block after the map is cut, and the map.
+    assert!(said("map.opd", "opd", &|b: &mut Vec<u8>| b.truncate(2000)).contains("truncated"));
+    assert!(said("4sight.h5", "4sight", &|b: &mut Vec<u8>| b.truncate(5000)).contains("HDF5"));
+
+    let at = |at: usize, new: &'static [u8]| {
+        move |bytes: &mut Vec<u8>| bytes[at..at + new.len()].copy_from_slice(new)
+    };
+    assert!(said("map.sur", "sur", &at(0, b"DSCOMPRESSED")).contains("is compressed"));
+    assert!(said("map.sur", "sur", &at(18, b"\x01")).contains("of type 1, not one surface"));
+    assert!(said("map.sur", "sur", &at(14, b"\x02")).contains("holds 2 object(s)"));
+    assert!(said("map.sur", "sur", &at(98, b"\x08")).contains("numbers of 8 bits"));
+    assert!(said("map.sur", "sur", &at(290, b"\x01")).contains("states the inversion 1"));
+    assert!(said("map.sur", "sur", &at(108, b"\xff\xff\xff\x7f")).contains("at most"));
+    // The number of bytes per height, after the directory of seven blocks.
+    assert!(said("map.opd", "opd", &at(2 + 168 + 4, b"\x01")).contains("numbers of 1 bytes"));
+    assert!(said("map.opd", "opd", &at(2 + 168, b"\xff\xff\xff\xff")).contains("at most"));
+    assert!(
+        said("map.x3p", "x3p", &at(400, b"\xff\xff\xff")).contains("is broken in \"main.xml\"")
+    );
+    assert!(said("map.gsf", "gsf", &|b: &mut Vec<u8>| b.extend([0; 3])).contains("3 bytes after"));
+    assert!(
+        said("grid-sag.dat", "grid-sag", &text("0.5 0.5 0 0 0", "0.5 0.5 7 0 0"))
+            .contains("unit flag 7")
+    );
+    assert!(said("map.int", "codev-int", &text("SUR", "FIL")).contains("intensity filter"));
+    assert!(said("map.int", "codev-int", &text("GRD", "ZFR")).contains("holds ZFR, polynomials"));
+    assert!(said("map.int", "codev-int", &text("SSZ 10000", "")).contains("has no SSZ"));
+    assert!(
+        said("presurface.dat", "presurface", &text("30 20", "29 20")).contains("more than 29 x 20")
+    );
+}
+
+#[test]
+fn special_points_of_digital_surf_and_bits_of_opd_are_invalid() {
+    let tmp = tempfile::tempdir().unwrap();
+    let changed = |file: &str, change: &dyn Fn(&mut Vec<u8>)| {
+        let mut bytes = fs::read(Path::new(CASES).join(file)).unwrap();
+        change(&mut bytes);
+        let path = tmp.path().join(file);
+        fs::write(&path, bytes).unwrap();
+        read(path.to_str().unwrap(), &[]).0
+    };
+    // The first number, the upper left pixel, becomes the least value less two; special points are stated.
+    let map = changed("map.sur", &|b| {
+        b[86] = 1;
+        let least = i32::from_le_bytes(b[100..104].try_into().unwrap());
+        b[512..516].copy_from_slice(&(least - 2).to_le_bytes());
+    });
+    assert!(map.height_nm()[[19, 0]].is_nan() && invalid(&map) == 1);
+    // Absolute heights have the offset.
+    let map = changed("map.sur", &|b| b[88] = 1);
+    assert!((map.height_nm()[[19, 29]] - 65.0).abs() < 1e-4, "{}", map.height_nm()[[19, 29]]);
+    // Integers of waves / Mult: the map becomes 16-bit numbers k at (x, y) = (k / 20, k mod 20), the third one is invalid.
+    let map = changed("map.opd", &|b| {
+        let data = 2 + 168 + 6;
+        b[data - 2] = 2;
+        let mult = u16::from_le_bytes(b[data + 2400 + 12..data + 2400 + 14].try_into().unwrap());
+        assert_ne!(mult, 0);
+        for k in 0..600_u16 {
+            let at = data + 2 * usize::from(k);
+            b[at..at + 2].copy_from_slice(&(if k == 2 { 32767 } else { k }).to_le_bytes());
+        }
+    });
+    assert!(map.height_nm()[[2, 0]].is_nan() && invalid(&map) == 1);
+    let step = map.height_nm()[[1, 0]];
+    assert!((map.height_nm()[[0, 1]] / step - 20.0).abs() < 1e-9);
+}
+
+#[test]
+fn a_format_that_is_not_known_is_described() {
+    let tmp = tempfile::tempdir().unwrap();
+    for (bytes, expected) in [
+        (&b"GWYP..."[..], "a Gwyddion file (.gwy); save the channel as Gwyddion Simple Field"),
+        (b"\x89PNG\r\n\x1a\n", "a PNG picture; export the heights"),
+        (b"1 2 3\n4 5 6\n", "lines of 3 numbers; give --format xyz for lines x y z, or csv"),
+        (b"1 2 3 4\n4 5 6 7\n", "4 numbers in its first line; give --format csv"),
+        (b"height map\n1 2\n", "text that begins \"height map\"; give --format csv"),
+        (b"\x01\x02\xff\x00", "binary data that begins 01 02 FF 00; export it"),
+    ] {
+        let path = tmp.path().join("a.bin");
+        fs::write(&path, bytes).unwrap();
+        let said = refused(path.to_str().unwrap(), &[]);
+        assert!(said.contains(expected), "{said}");
+        assert!(said.contains("Formats: metropro, datx,") && said.contains("x3p, opd,"), "{said}");
+    }
+}
