@@ -8,11 +8,14 @@
 //! 1. **It has a signal of its own**: less than [`LARGEST_INFLATION`] of variance inflation, 1 / (1 - R^2) of its column
 //!    on all others, the mean of each removed. At 100 the others explain 99 % of what it does. The models of the tool, of the motion and of the
 //!    metrology are not better than a percent, so what is left of it would be decided by what they have wrong.
+//!    A standard error below [`CLEAR`] of its scale lifts this limit to [`LARGEST_CLEAR_INFLATION`]: the estimate still
+//!    beats the prior knowledge if the model errors make its error ten times larger.
 //! 2. **It can be told from every single other one**: a correlation below [`LARGEST_CORRELATION`] of the estimates
 //!    (the piston apart, which every removal has a part of).
 //! 3. **The data say more than was known beforehand**: a standard error by the data alone below its scale, that of the
 //!    process where one is given ([`crate::parameter`]).
-//! 4. The fit ended at a minimum.
+//! 4. The fit ended at a minimum, or its last step moved the parameter by less than [`UNFINISHED`] standard errors,
+//!    which then contain that step.
 //! 5. **It is believable**: within [`BELIEVABLE`] scales of the plan.
 //! 6. **It does not depend on what was taken as known**: with Legendre terms up to 4 x 3 (further than the fit's own), or
 //!    where the fit has more terms with piston, tilt and power alone, free in the metrology, it moves by less than [`SIGNIFICANT`] standard errors of that move, or by less than its own
@@ -33,6 +36,16 @@ use crate::{
 
 /// Largest variance inflation.
 pub const LARGEST_INFLATION: f64 = 100.0;
+
+/// Standard error over the scale below which a parameter may share more of its signal.
+const CLEAR: f64 = 0.1;
+
+/// Largest variance inflation of such a parameter. Its own signal is then 1 % of its column, beside errors of the
+/// derivatives of 3e-4.
+const LARGEST_CLEAR_INFLATION: f64 = 1e4;
+
+/// Largest last step of an unfinished fit, in standard errors.
+const UNFINISHED: f64 = 1.0;
 
 /// Largest correlation of two estimates.
 pub const LARGEST_CORRELATION: f64 = 0.99;
@@ -159,20 +172,23 @@ pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) ->
     let parameter = fit.parameters[i];
     let (value, error) = (fit.values[i], fit.standard_error(i));
     let names = fit.names();
-    if fit.inflation[i] > LARGEST_INFLATION {
+    // More terms of the metrology than the usual four take up errors of the model, and the rest says less of them.
+    let is_clear = error < CLEAR * scale && fit.terms.len() <= crate::metrology::NAMES.len();
+    let largest = if is_clear { LARGEST_CLEAR_INFLATION } else { LARGEST_INFLATION };
+    if fit.inflation[i] > largest {
         let inflation = match fit.inflation[i].is_finite() {
             true => significant(fit.inflation[i], 3),
             false => "infinite".into(),
         };
         return Some(format!(
-            "the data do not tell it from {}: variance inflation {inflation} (at most {LARGEST_INFLATION}), smallest \
+            "the data do not tell it from {}: variance inflation {inflation} (at most {largest}), smallest \
              singular value {}",
             confounded(fit, i, &names),
             significant(fit.singular_values.last().copied().unwrap_or(0.0), 2)
         ));
     }
     let twin = (0..names.len())
-        .filter(|j| *j != i && names[*j] != "piston")
+        .filter(|j| !is_clear && *j != i && names[*j] != "piston")
         .find(|j| fit.correlation(i, *j).abs() > LARGEST_CORRELATION);
     if let Some(j) = twin {
         return Some(format!(
@@ -193,8 +209,11 @@ pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) ->
             shown(parameter, scale)
         ));
     }
-    if fit.end != End::Converged {
-        return Some("the fit did not end at a minimum".into());
+    if fit.end != End::Converged && fit.unfinished[i] > UNFINISHED {
+        return Some(format!(
+            "the fit did not end at a minimum: its last step moves the parameter by {} standard errors",
+            significant(fit.unfinished[i], 2)
+        ));
     }
     if value.abs() > BELIEVABLE * scale {
         return Some(format!(

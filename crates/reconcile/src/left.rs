@@ -14,19 +14,28 @@ use crate::{fit::Fit, parameter::Parameter};
 /// What `planish-reconcile` says of an error in a file.
 const LEARNT: &str = "learnt: standard error of planish-reconcile";
 const BELIEVED: &str = "not learnt: what is believed of a machine that nobody knows";
+const DRIFTS: &str = "learnt by planish-reconcile; the next plan does not correct it";
 const FROM_THE_REST: &str =
     "learnt: what the fit of planish-reconcile leaves, over the root of two maps";
 
-/// The errors of the next run; `refused[i]` says whether the data do not determine unknown `i` of the fit.
+/// The errors of the next run. `refused[i]` says whether the data do not determine unknown `i` of the fit, which the next
+/// plan corrects by `corrections[i]`.
 pub fn left(
     process: Option<&Process>,
     fit: &Fit,
+    corrections: &[f64],
     refused: &[bool],
     scale: impl Fn(Parameter) -> f64,
 ) -> ProcessFile {
     let learnt = |p: Parameter| {
         let i = fit.parameters.iter().position(|q| *q == p)?;
-        (!refused[i]).then(|| fit.standard_error(i))
+        // What stays at the plan is off by its estimate and by its standard error.
+        let uncorrected = match p {
+            Parameter::RateDrift => 0.0,
+            _ if corrections[i] == 0.0 => fit.values[i],
+            _ => 0.0,
+        };
+        (!refused[i]).then(|| fit.standard_error(i).hypot(uncorrected))
     };
     let is_learnt = |effect: &Effect| {
         let Effect::Scalar(scalar) = effect else { return false };
@@ -46,6 +55,13 @@ pub fn left(
             None if process.is_none() => errors.push(entry(*p, scale(*p), BELIEVED)),
             None => {}
         }
+    }
+    // No plan corrects a drift: it is known, and stays.
+    let drift = fit.parameters.iter().position(|p| *p == Parameter::RateDrift);
+    if let Some(i) = drift.filter(|i| corrections[*i] != 0.0) {
+        let mut known = entry(Parameter::RateDrift, corrections[i], DRIFTS);
+        known.distribution = Distribution::Fixed;
+        errors.push(known);
     }
     if !stated.iter().any(|e| e.effect == Effect::MapNoise) {
         let size = fit.noise.noise.rest_rms_nm * std::f64::consts::FRAC_1_SQRT_2;

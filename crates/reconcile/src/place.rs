@@ -20,17 +20,18 @@ use crate::{fit::Fit, parameter::Parameter};
 const PLACE: [Parameter; 4] =
     [Parameter::OffsetX, Parameter::OffsetY, Parameter::Rotation, Parameter::Magnification];
 
-/// T' from T; `refused[i]` says whether the data do not determine unknown `i` of the fit.
+/// T' from T with these corrections; `refused[i]` says whether the data do not determine unknown `i` of the fit.
 pub fn place(
     before: Option<&Transform>,
     fit: &Fit,
+    corrections: &[f64],
     refused: &[bool],
     scale: impl Fn(Parameter) -> f64,
     grid: &Grid,
 ) -> Result<Transform, Invalid> {
     let at = PLACE.map(|p| fit.parameters.iter().position(|q| *q == p));
     let learnt = at.map(|i| i.filter(|i| !refused[*i]));
-    let [x, y, theta, magnification] = learnt.map(|i| i.map_or(0.0, |i| fit.values[i]));
+    let [x, y, theta, magnification] = learnt.map(|i| i.map_or(0.0, |i| corrections[i]));
     let covariance = SMatrix::<f64, 4, 4>::from_fn(|i, j| match (learnt[i], learnt[j]) {
         (Some(a), Some(b)) => fit.covariance[(a, b)],
         // Free and refused: known beforehand. Held: as in the plan.

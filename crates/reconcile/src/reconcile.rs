@@ -7,23 +7,23 @@ use planish_simulate::{
     runs::Runs,
     tool::smooth,
 };
-use planish_types::{Axis, Invalid, Surface, Tif, Trajectory, Transform};
+use planish_types::{Invalid, Surface, Tif, Trajectory, Transform};
 
 use crate::{
+    applied::{applied, hold},
     bands::{Maps, bands},
+    contradictory::explains_nothing,
     determined::{all_moves, contradicted, refusal, shown, wider_orders},
-    fit::{Data, Fit, Start, fit},
+    fit::{Data, Fit, Start, dot, fit},
     left::left,
     metrology,
     model::Model,
     parameter::{ALL, Parameter},
     place::place,
     report::{Ellipse, Estimate, Fitted, Outcome},
+    resample::{METHOD, are_same, resampled},
     settings::Settings,
 };
-
-/// Pixels of both maps are the same where they are no further apart than this part of a step.
-const SAME_PLACE: f64 = 1e-3;
 
 /// Fewest valid pixels for every unknown.
 const LEAST_PIXELS_PER_UNKNOWN: f64 = 20.0;
@@ -36,7 +36,7 @@ const NO_DIRECTION: f64 = 2.0;
 pub struct Comparison<'a> {
     /// Measured before the run.
     pub before: &'a Surface,
-    /// Measured after it, on the same pixels.
+    /// Measured after it. A map on other pixels is resampled on those of `before`.
     pub after: &'a Surface,
     /// The motion, as planned or as it was traced.
     pub trajectory: &'a Trajectory,
@@ -85,23 +85,11 @@ impl<'a> Comparison<'a> {
 
     /// before - after on the pixels that are valid in both.
     pub fn data(&self, unknowns: usize) -> Result<Data<'a>, Invalid> {
-        let (a, b) = (self.before.grid(), self.after.grid());
-        for (name, a, b) in [("x_mm", a.x, b.x), ("y_mm", a.y, b.y)] {
-            if !are_same(&a, &b) {
-                let problem = format!(
-                    "of the map after are {} from {} to {} mm, of the map before {} from {} to {} mm",
-                    b.len(),
-                    b.start_mm(),
-                    b.end_mm(),
-                    a.len(),
-                    a.start_mm(),
-                    a.end_mm()
-                );
-                let remedy = "register and resample one map on the pixels of the other first";
-                return Err(Invalid::whole(name, problem, remedy));
-            }
-        }
-        let mut data = self.before.height_nm() - self.after.height_nm();
+        let grid = self.before.grid();
+        let mut data = match are_same(grid, self.after.grid()) {
+            true => self.before.height_nm() - self.after.height_nm(),
+            false => self.before.height_nm() - resampled(self.after, grid)?.height_nm(),
+        };
         let valid = data.mapv(|v| if v.is_nan() { 0.0 } else { 1.0 });
         data.mapv_inplace(|v| if v.is_nan() { 0.0 } else { v });
         let least = LEAST_PIXELS_PER_UNKNOWN * unknowns.max(1) as f64;
@@ -110,15 +98,8 @@ impl<'a> Comparison<'a> {
             let remedy = format!("give maps with at least {least} in common, or hold parameters");
             return Err(Invalid::whole("height_nm", problem, remedy));
         }
-        Ok(Data { grid: a, data, valid })
+        Ok(Data { grid, data, valid })
     }
-}
-
-fn are_same(a: &Axis, b: &Axis) -> bool {
-    let near = |a: f64, b: f64, step: f64| (a - b).abs() <= SAME_PLACE * step;
-    a.len() == b.len()
-        && near(a.start_mm(), b.start_mm(), a.step_mm())
-        && near(a.end_mm(), b.end_mm(), a.step_mm())
 }
 
 /// What the run taught.
@@ -127,23 +108,38 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
     let data = comparison.data(parameters.len() + terms.len())?;
     let moved = comparison.moved_tif(settings)?;
     let runs = Runs::new(comparison.trajectory, comparison.tif, &moved, data.grid)?;
+    let as_sampled = match settings.tif_as_sampled {
+        true => None,
+        false => Some(Runs::new(comparison.trajectory, comparison.tif, comparison.tif, data.grid)?),
+    };
     let scale = |p: Parameter| comparison.process.map_or(p.usual_scale(), |file| p.scale_in(file));
     // (1), by Gauss and Newton; again with the usual scale of what contradicts the data
     let mut released: Vec<Parameter> = Vec::new();
-    let found = loop {
+    let (mut found, model, start) = loop {
         let scale = |p| if released.contains(&p) { p.usual_scale() } else { scale(p) };
-        let model = Model::new(&runs, &moved, parameters.clone(), scale);
-        let found = fit(&model, &terms, &data, &Start::new(&model)?)?;
+        let mut model = Model::new(&runs, &moved, parameters.clone(), scale);
+        let start = Start::new(&model)?;
+        let mut found = fit(&model, &terms, &data, &start)?;
+        // The TIF as it is sampled has no error of smoothing, but moves its noise: the data decide.
+        if let Some(as_sampled) = &as_sampled {
+            let mut other = Model::new(&runs, &moved, parameters.clone(), scale);
+            other.removal_from = Some(as_sampled);
+            let from = Start::at(&other, found.values[..parameters.len()].to_vec())?;
+            let again = fit(&other, &terms, &data, &from)?;
+            if dot(&again.rest, &again.rest) < dot(&found.rest, &found.rest) {
+                (found, model) = (again, other);
+            }
+        }
         match contradicted(&found, &data, settings.metrology_order, scale) {
             Some(parameter) => released.push(parameter),
-            None => break found,
+            None => break (found, model, start),
         }
     };
 
     // What of it the data determine
     let orders = wider_orders(settings.metrology_order);
     let moved_by = all_moves(&found, &data, settings.metrology_order);
-    let refusals: Vec<Option<String>> = (0..found.parameters.len())
+    let mut refusals: Vec<Option<String>> = (0..found.parameters.len())
         .map(|i| {
             let parameter = found.parameters[i];
             match released.contains(&parameter) {
@@ -152,32 +148,82 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
             }
         })
         .collect();
-    let known: Vec<(Parameter, f64)> = (0..found.parameters.len())
-        .filter(|i| refusals[*i].is_none())
-        .map(|i| (found.parameters[i], found.values[i]))
+    let fitted = |found: &Fit| {
+        let measured = &data.data - &found.metrology;
+        Fitted {
+            measured_removal_rms_nm: rms(&measured, &data.valid),
+            measured_less_planned_rms_nm: rms(&(&measured - &runs.executed), &data.valid),
+            rest_rms_nm: rms(&found.rest, &data.valid),
+        }
+    };
+    let before = comparison.before.height_nm();
+    let nothing = explains_nothing(before, &data, &start, &terms, &found.rest, &fitted(&found));
+    if nothing.is_some() {
+        refusals.fill(Some("the fit explains nothing of this run".into()));
+    }
+    let joint = found.values.clone();
+    let may: Vec<bool> = (0..refusals.len())
+        .map(|i| {
+            let p = found.parameters[i];
+            let is_asked_for = settings.free.iter().any(|name| name == p.name());
+            p != Parameter::RateScale && !is_asked_for && !released.contains(&p)
+        })
         .collect();
+    let held = match nothing {
+        Some(_) => Vec::new(),
+        None => {
+            let (held, values) = hold(&found, &may);
+            if !held.is_empty() {
+                found.take(&model, &data, values)?;
+            }
+            held
+        }
+    };
+    let why_held = |i: usize| held.iter().find(|h| h.index == i).map(|h| h.reason.clone());
+    let learnt: Vec<bool> =
+        (0..refusals.len()).map(|i| refusals[i].is_none() && why_held(i).is_none()).collect();
+    // The others do not make up for what contradicts the data, nor where nothing is explained.
+    let follows: Vec<bool> =
+        found.parameters.iter().map(|p| nothing.is_none() && !released.contains(p)).collect();
+    let corrections = applied(&found, &learnt, &follows);
+    let known: Vec<(Parameter, f64)> =
+        found.parameters.iter().copied().zip(corrections.iter().copied()).collect();
 
     let refused: Vec<bool> = refusals.iter().map(Option::is_some).collect();
     let measured = &data.data - &found.metrology;
     let maps = Maps { measured: &measured, planned: &runs.executed, predicted: &found.removal };
-    let less_planned = &measured - &runs.executed;
     let n = found.values.len();
     let outcome = Outcome {
-        parameters: ALL.into_iter().map(|p| estimate(&found, p, scale(p), &refusals)).collect(),
+        parameters: ALL
+            .into_iter()
+            .map(|p| {
+                let mut estimate = estimate(&found, p, scale(p), &refusals);
+                if let Some(i) = found.parameters.iter().position(|q| *q == p) {
+                    let factor = p.unit().1;
+                    // No plan corrects a drift.
+                    let is_corrected = p != Parameter::RateDrift;
+                    estimate.applied = if is_corrected { corrections[i] / factor } else { 0.0 };
+                    estimate.held_because = why_held(i);
+                    if estimate.held_because.is_some() {
+                        estimate.value = refusals[i].is_none().then(|| joint[i] / factor);
+                    }
+                }
+                estimate
+            })
+            .collect(),
         metrology: metrology_estimates(&found, settings),
         ellipse: ellipse(&found, &refusals),
         correlation_of: found.names(),
         singular_values: found.singular_values.clone(),
         noise: found.noise.noise,
-        fitted: Fitted {
-            measured_removal_rms_nm: rms(&measured, &data.valid),
-            measured_less_planned_rms_nm: rms(&less_planned, &data.valid),
-            rest_rms_nm: rms(&found.rest, &data.valid),
-        },
+        fitted: fitted(&found),
         bands: bands(&maps, &data.valid, data.grid, comparison.tif.width_mm()),
         end: found.end.to_string(),
         points: found.points,
         tried_orders: orders,
+        tif_is_as_sampled: settings.tif_as_sampled || model.removal_from.is_some(),
+        resampled: (!are_same(data.grid, comparison.after.grid())).then_some(METHOD),
+        explains_nothing: nothing.clone(),
     };
     let with_nan = |map: &Array2<f64>| {
         let mut map = map.clone();
@@ -189,7 +235,7 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
         map
     };
     Ok(Reconciled {
-        drawback: drawback(settings, &found, &refusals, &released),
+        drawback: nothing.or_else(|| drawback(settings, &found, &refusals, &released)),
         correlation: Array2::from_shape_fn((n, n), |(i, j)| found.correlation(i, j)),
         measured_nm: with_nan(&measured),
         planned_nm: runs.executed.clone(),
@@ -197,8 +243,8 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
         metrology_nm: found.metrology.clone(),
         rest_nm: with_nan(&found.rest),
         tif: Model::corrected_tif(comparison.tif, &known)?,
-        transform: place(comparison.transform, &found, &refused, scale, data.grid)?,
-        process: left(comparison.process, &found, &refused, scale),
+        transform: place(comparison.transform, &found, &corrections, &refused, scale, data.grid)?,
+        process: left(comparison.process, &found, &corrections, &refused, scale),
         outcome,
     })
 }
@@ -225,6 +271,8 @@ fn estimate(fit: &Fit, parameter: Parameter, scale: f64, refusals: &[Option<Stri
         variance_inflation: inflation,
         refused,
         held: at.is_none(),
+        held_because: None,
+        applied: 0.0,
     }
 }
 
@@ -244,6 +292,8 @@ fn metrology_estimates(fit: &Fit, settings: &Settings) -> Vec<Estimate> {
             variance_inflation: inflation,
             refused,
             held: at.is_none(),
+            held_because: None,
+            applied: 0.0,
         }
     };
     all.into_iter().map(one).collect()

@@ -80,13 +80,13 @@ fn what_cannot_be_compared_is_refused_and_nothing_is_written() {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();
     prepare(dir);
-    let moved = Grid { x: Axis::new(-1.9, 0.3, 61).unwrap(), ..grid() };
-    write(dir, "moved", &Surface::new(moved, before().height_nm().clone()).unwrap());
+    let elsewhere = Grid { x: Axis::new(98.0, 0.3, 61).unwrap(), ..grid() };
+    write(dir, "elsewhere", &Surface::new(elsewhere, before().height_nm().clone()).unwrap());
     let mut few = before().height_nm().clone();
     few.iter_mut().skip(100).for_each(|v| *v = f64::NAN);
     write(dir, "few", &Surface::new(grid(), few).unwrap());
     for (flags, message) in [
-        (&["--after", "moved"][..], "resample"),
+        (&["--after", "elsewhere"][..], "has no pixel within the map before"),
         (&["--after", "few"], "valid in both maps"),
         (&["--free", "wobble"], "free[0]: is \"wobble\"; give one of rate_scale, offset_x"),
         (&["--free", "rotation", "--hold", "rotation"], "is free or held"),
