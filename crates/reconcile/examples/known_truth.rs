@@ -13,6 +13,33 @@ use std::{env, process::ExitCode};
 use known::Case;
 
 fn main() -> ExitCode {
+    if let (Some(seed), Some(sigma)) = (env::args().nth(2), env::args().nth(3)) {
+        let case = Case::new(seed.parse().unwrap(), sigma.parse().unwrap());
+        let found = case.learn();
+        println!("{} {:?}", case.kind, case.truth);
+        for (e, (_, off)) in found.outcome.parameters.iter().zip(case.over_errors(&found)) {
+            println!(
+                "{:<26} {:?} se {:?} off {off:?} applied {} vif {:?}\n   ref {:?}\n   held {:?}",
+                e.name,
+                e.value,
+                e.standard_error,
+                e.applied,
+                e.variance_inflation,
+                e.refused,
+                e.held_because
+            );
+        }
+        println!(
+            "{:?} {:?} {} {} {:?}",
+            found.outcome.fitted,
+            found.outcome.noise,
+            found.outcome.end,
+            found.outcome.points,
+            found.outcome.tif_is_as_sampled
+        );
+        println!("{:?}", case.next_mirror_nm(&found));
+        return ExitCode::SUCCESS;
+    }
     let count = match env::args().nth(1).map_or(Ok(60), |w| w.parse::<u64>()) {
         Ok(count) => count,
         Err(e) => {

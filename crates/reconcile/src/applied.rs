@@ -1,38 +1,64 @@
-//! The correction that the next run gets.
+//! The correction that the next run gets, and what is held at the plan.
 //!
 //! ```text
-//! E |p - p'|^2 < E |p - 0|^2   only if   p^2 > var(p'),   and E p'^2 = p^2 + var(p')
+//! p_i ~ N(0, (t s_i)^2)                       s_i the scale of parameter i, t one number for the machine
+//! L(t) = sum_k b_k^2 / (l_k + t^-2) / 2 - log(1 + t^2 l_k) / 2         t where L is largest, at most 1
+//! p*   = (D + t^-2 S^-2)^-1 D p'                                        D the information of the data alone
 //! ```
 //!
-//! An estimate p' therefore lowers the expected residual of the next run only if it exceeds sqrt(2) of its standard
-//! error. Every other parameter stays at the plan. The applied values are those of the fit with these parameters, and
-//! the refused ones, at the plan. They leave less of this run's removal unexplained than a part of the joint estimate.
+//! The expected residual of the next run is least for the mean p* of what the run leaves possible. How far a machine is
+//! off is known only roughly, so t is found from all parameters together by maximum likelihood ([`Joint::spread`]): l_k are
+//! the eigenvalues of S D S, b_k the components of S D p'. Directions that the data determine are corrected as they
+//! are found; of the others p* takes what the data support. It therefore needs no decision for each parameter.
 //!
-//! [`hold`] takes the same step before the numbers are stated. A parameter within sqrt(2) standard errors of the plan
-//! that makes the standard error of another one at least twice as large is held at the plan. The others take the values
-//! of the fit without it. Their standard errors remain those of the fit with it: they contain the error that the hold
-//! may cause.
+//! A parameter is held at the plan ([`hold`]) if it at least doubles the standard error of another one that
+//! matters, and if the data favour the plan's value by [`FAVOURED`] to 1 over a value of the spread t s:
+//!
+//! ```text
+//! odds = (t^2 s^2 / c)^1/2 exp(-p'^2 / 2 c)          c the variance of p' (Savage and Dickey's ratio)
+//! ```
+//!
+//! The others and their standard errors are then those of a fit without it. If the plan's value is as probable
+//! beforehand as any other, the hold is wrong in one of [`FAVOURED`] runs.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use planish_types::text::significant;
 
 use crate::{determined::shown, fit::Fit, parameter::Parameter};
 
-/// Estimate over its standard error from which a correction lowers the expected residual.
+/// Estimate over its standard error from which a parameter matters: correcting it lowers the expected residual.
 const WORTH: f64 = std::f64::consts::SQRT_2;
 
 /// Square of the correlation from which holding one unknown halves the standard error of another.
 const HALVES: f64 = 0.75;
 
+/// Least odds of the plan's value from which a parameter is held. Larger: fewer holds, and fewer wrong ones.
+const FAVOURED: f64 = 20.0;
+
+/// Smallest spread, and the number of spreads that are tried in a decade.
+const SMALLEST_SPREAD: f64 = 1e-3;
+const PER_DECADE: i32 = 20;
+
+/// Variance below this part of the largest one (in scales) is rounding.
+const ROUNDING: f64 = 1e-15;
+
 /// Estimates and their covariance while parameters are taken to the plan.
-struct Joint {
-    values: DVector<f64>,
-    covariance: DMatrix<f64>,
+pub struct Joint {
+    /// Estimates of all unknowns.
+    pub values: DVector<f64>,
+    /// Their covariance.
+    pub covariance: DMatrix<f64>,
 }
 
 impl Joint {
-    fn new(fit: &Fit) -> Self {
+    /// Of a fit.
+    pub fn new(fit: &Fit) -> Self {
         Self { values: DVector::from_vec(fit.values.clone()), covariance: fit.covariance.clone() }
+    }
+
+    /// Standard error of unknown `i`.
+    pub fn standard_error(&self, i: usize) -> f64 {
+        self.covariance[(i, i)].max(0.0).sqrt()
     }
 
     fn over_error(&self, i: usize) -> f64 {
@@ -50,6 +76,50 @@ impl Joint {
         }
         self.values[i] = 0.0;
     }
+
+    /// The information of the data on the parameters `of` in units of their scales: eigenvalues, components of the
+    /// estimates times it, eigenvectors.
+    fn information(&self, of: &[usize], scales: &[f64]) -> (Vec<f64>, DVector<f64>, DMatrix<f64>) {
+        let n = of.len();
+        let scaled = DMatrix::from_fn(n, n, |a, b| {
+            self.covariance[(of[a], of[b])] / (scales[of[a]] * scales[of[b]])
+        });
+        let values = DVector::from_fn(n, |a, _| self.values[of[a]] / scales[of[a]]);
+        let eigen = SymmetricEigen::new(scaled);
+        let least = (ROUNDING * eigen.eigenvalues.max()).max(f64::MIN_POSITIVE);
+        let along = eigen.eigenvectors.transpose() * values;
+        // The fit has the scales as one observation more.
+        let precision = |k: usize| eigen.eigenvalues[k].max(least).recip();
+        let information = (0..n).map(|k| (precision(k) - 1.0).max(0.0)).collect();
+        let right = DVector::from_fn(n, |k, _| precision(k) * along[k]);
+        (information, right, eigen.eigenvectors)
+    }
+
+    /// The spread t of the parameters `of`, by maximum likelihood.
+    pub fn spread(&self, of: &[usize], scales: &[f64]) -> f64 {
+        if of.is_empty() {
+            return 1.0;
+        }
+        let (information, right, _) = self.information(of, scales);
+        let likelihood = |t: f64| -> f64 {
+            let one =
+                |(l, b): (&f64, &f64)| 0.5 * b * b / (l + t.powi(-2)) - 0.5 * (t * t * l).ln_1p();
+            information.iter().zip(right.iter()).map(one).sum()
+        };
+        let decades = -SMALLEST_SPREAD.log10();
+        let count = (decades * f64::from(PER_DECADE)).round() as i32;
+        let tried = (0..=count).map(|k| 10_f64.powf(f64::from(k - count) / f64::from(PER_DECADE)));
+        let best = tried.max_by(|a, b| likelihood(*a).total_cmp(&likelihood(*b)));
+        best.unwrap_or(1.0)
+    }
+
+    /// The mean of the parameters `of` with the spread `t`.
+    fn mean(&self, of: &[usize], scales: &[f64], t: f64) -> Vec<f64> {
+        let (information, right, vectors) = self.information(of, scales);
+        let along = DVector::from_fn(of.len(), |k, _| right[k] / (information[k] + t.powi(-2)));
+        let values = vectors * along;
+        of.iter().enumerate().map(|(a, i)| values[a] * scales[*i]).collect()
+    }
 }
 
 /// One parameter that is held automatically.
@@ -60,9 +130,9 @@ pub struct Held {
     pub reason: String,
 }
 
-/// Holds what only inflates: the parameters and the values of all unknowns with them at the plan. `may[i]` says whether
-/// parameter `i` may be held.
-pub fn hold(fit: &Fit, may: &[bool]) -> (Vec<Held>, Vec<f64>) {
+/// Holds what only inflates: the parameters, and all unknowns with them at the plan. `may[i]` says whether parameter `i`
+/// may be held; `spread[i]` is t s of it.
+pub fn hold(fit: &Fit, may: &[bool], spread: &[f64]) -> (Vec<Held>, Joint) {
     let mut joint = Joint::new(fit);
     let mut held: Vec<Held> = Vec::new();
     loop {
@@ -70,9 +140,13 @@ pub fn hold(fit: &Fit, may: &[bool]) -> (Vec<Held>, Vec<f64>) {
         let matters =
             |i: usize| fit.parameters[i] == Parameter::RateScale || joint.over_error(i) > WORTH;
         let c = &joint.covariance;
+        let odds = |q: usize| {
+            let z = joint.over_error(q);
+            (spread[q] / c[(q, q)].sqrt()) * (-0.5 * z * z).exp()
+        };
         let mut worst: Option<(usize, usize, f64)> = None;
         for q in (0..may.len()).filter(|q| may[*q] && !is_held(*q)) {
-            if joint.over_error(q) > WORTH {
+            if odds(q) < FAVOURED {
                 continue;
             }
             for i in (0..may.len()).filter(|i| *i != q && !is_held(*i) && matters(*i)) {
@@ -85,9 +159,11 @@ pub fn hold(fit: &Fit, may: &[bool]) -> (Vec<Held>, Vec<f64>) {
         let Some((q, i, square)) = worst else { break };
         let alone = (c[(i, i)] * (1.0 - square).max(0.0)).sqrt();
         let reason = format!(
-            "held at the plan: its estimate is {} standard errors from it, and it raises the standard error of {} from \
-             {} to {}; the stated standard errors still contain it",
+            "held at the plan: its estimate is {} standard errors ({}) from it, the data favour the plan by {} to 1, \
+             and it raises the standard error of {} from {} to {}",
             significant(joint.over_error(q), 2),
+            shown(fit.parameters[q], c[(q, q)].sqrt()),
+            significant(odds(q), 2),
             fit.parameters[i].name(),
             shown(fit.parameters[i], alone),
             shown(fit.parameters[i], c[(i, i)].sqrt()),
@@ -95,29 +171,36 @@ pub fn hold(fit: &Fit, may: &[bool]) -> (Vec<Held>, Vec<f64>) {
         joint.put_at_plan(q);
         held.push(Held { index: q, reason });
     }
-    (held, joint.values.iter().copied().collect())
+    (held, joint)
 }
 
-/// The corrections of the next run, 0 for what stays at the plan. `learnt[i]` is false for a parameter that is refused
-/// or held; `follows[i]` is false for one that the others must not make up for.
-pub fn applied(fit: &Fit, learnt: &[bool], follows: &[bool]) -> Vec<f64> {
+/// How a parameter takes part in the corrections.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Part {
+    /// It is corrected as far as the data support it.
+    Corrected,
+    /// It stays at the plan, and the others are those of a fit with it there.
+    AtPlan,
+    /// It stays at the plan, and the others do not make up for it.
+    Left,
+}
+
+/// The corrections of the next run, 0 for what stays at the plan.
+pub fn applied(fit: &Fit, parts: &[Part], scales: &[f64]) -> Vec<f64> {
     let mut joint = Joint::new(fit);
-    let mut stays: Vec<bool> = learnt.iter().map(|l| !l).collect();
-    for i in (0..learnt.len()).filter(|i| stays[*i]) {
-        if follows[i] {
-            joint.put_at_plan(i);
+    for i in (0..parts.len()).filter(|i| parts[*i] == Part::AtPlan) {
+        joint.put_at_plan(i);
+    }
+    let free: Vec<usize> = (0..parts.len()).filter(|i| parts[*i] != Part::AtPlan).collect();
+    let mut corrections = vec![0.0; parts.len()];
+    if free.is_empty() {
+        return corrections;
+    }
+    let t = joint.spread(&free, scales);
+    for (i, value) in free.iter().zip(joint.mean(&free, scales, t)) {
+        if parts[*i] == Part::Corrected {
+            corrections[*i] = value;
         }
     }
-    loop {
-        let rest = (0..learnt.len()).filter(|i| !stays[*i]);
-        let least = rest.min_by(|a, b| joint.over_error(*a).total_cmp(&joint.over_error(*b)));
-        match least {
-            Some(i) if joint.over_error(i) <= WORTH => {
-                joint.put_at_plan(i);
-                stays[i] = true;
-            }
-            _ => break,
-        }
-    }
-    (0..learnt.len()).map(|i| if stays[i] { 0.0 } else { joint.values[i] }).collect()
+    corrections
 }

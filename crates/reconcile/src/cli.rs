@@ -200,16 +200,30 @@ fn table(found: &Reconciled) -> String {
             "the map after has other pixels: it is resampled on those of the map before by {method}"
         ));
     }
-    let kept: Vec<&str> = outcome
+    let little = |e: &&Estimate| {
+        let found = e.value.filter(|_| e.held_because.is_none() && e.name != "rate_drift");
+        found.is_some_and(|v| e.applied.abs() < 0.5 * v.abs())
+    };
+    let little: Vec<&str> =
+        outcome.parameters.iter().filter(little).map(|e| e.name.as_str()).collect();
+    if !little.is_empty() && outcome.explains_nothing.is_none() {
+        lines.push(format!(
+            "the written tool and transform correct less than half of what was found of {}: the data leave it too \
+             uncertain, and more would raise the expected residual",
+            little.join(", ")
+        ));
+    }
+    let weak: Vec<&str> = outcome
         .parameters
         .iter()
-        .filter(|e| !e.held && e.value.is_some() && e.applied == 0.0 && e.name != "rate_drift")
+        .filter(|e| e.refused.is_some() && e.applied != 0.0)
         .map(|e| e.name.as_str())
         .collect();
-    if !kept.is_empty() && outcome.explains_nothing.is_none() {
+    if !weak.is_empty() {
         lines.push(format!(
-            "the written tool and transform keep the plan's {}: a correction would raise the expected residual",
-            kept.join(", ")
+            "{}: no number is stated, but the written tool and transform contain a correction, because the data \
+             determine what it does together with others",
+            weak.join(", ")
         ));
     }
     let (noise, fitted) = (&outcome.noise, &outcome.fitted);
@@ -233,7 +247,12 @@ fn table(found: &Reconciled) -> String {
 
 /// One unknown.
 fn line(estimate: &Estimate) -> String {
-    let number = |v: Option<f64>| v.map_or("-".into(), |v| significant(v, 4));
+    // Both end at the second digit of the standard error.
+    let decimals = estimate.standard_error.filter(|e| *e > 0.0).map_or(4, |e| {
+        // At most 12: a value of that many digits is none of a measurement.
+        (1.0 - e.log10().floor()).clamp(0.0, 12.0) as usize
+    });
+    let number = |v: Option<f64>| v.map_or("-".into(), |v| format!("{v:.decimals$}"));
     let beforehand = match estimate.known_beforehand {
         Some(scale) => format!("+- {} {}", significant(scale, 3), estimate.unit),
         None => String::new(),

@@ -14,8 +14,8 @@
 //!    (the piston apart, which every removal has a part of).
 //! 3. **The data say more than was known beforehand**: a standard error by the data alone below its scale, that of the
 //!    process where one is given ([`crate::parameter`]).
-//! 4. The fit ended at a minimum, or its last step moved the parameter by less than [`UNFINISHED`] standard errors,
-//!    which then contain that step.
+//! 4. The fit ended at a minimum, or its last step moved the parameter by less than [`UNFINISHED`] standard errors or a
+//!    hundredth of its scale. The standard error then contains that step.
 //! 5. **It is believable**: within [`BELIEVABLE`] scales of the plan.
 //! 6. **It does not depend on what was taken as known**: with Legendre terms up to 4 x 3 (further than the fit's own), or
 //!    where the fit has more terms with piston, tilt and power alone, free in the metrology, it moves by less than [`SIGNIFICANT`] standard errors of that move, or by less than its own
@@ -167,35 +167,61 @@ pub fn contradicted(
     all.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(parameter, _)| parameter)
 }
 
+/// Why no number is stated of a parameter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Refusal {
+    /// The reason, for people.
+    pub reason: String,
+    /// True if the data do not contradict the model, and only do not tell the parameter from others: what they say of
+    /// all together can still be corrected.
+    pub is_weak: bool,
+}
+
+impl Refusal {
+    fn weak(reason: String, is_weak: bool) -> Option<Self> {
+        Some(Self { reason, is_weak })
+    }
+
+    /// Of a parameter that takes up what the model leaves out.
+    pub fn of_the_model(reason: String) -> Self {
+        Self { reason, is_weak: false }
+    }
+}
+
 /// Why the data do not determine parameter `i` of a fit; `None` where they do.
-pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) -> Option<String> {
+pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) -> Option<Refusal> {
     let parameter = fit.parameters[i];
     let (value, error) = (fit.values[i], fit.standard_error(i));
     let names = fit.names();
+    let of_the_model = |reason: String| Some(Refusal::of_the_model(reason));
     // More terms of the metrology than the usual four take up errors of the model, and the rest says less of them.
-    let is_clear = error < CLEAR * scale && fit.terms.len() <= crate::metrology::NAMES.len();
+    let is_usual = fit.terms.len() <= crate::metrology::NAMES.len();
+    let is_clear = error < CLEAR * scale && is_usual;
     let largest = if is_clear { LARGEST_CLEAR_INFLATION } else { LARGEST_INFLATION };
     if fit.inflation[i] > largest {
         let inflation = match fit.inflation[i].is_finite() {
             true => significant(fit.inflation[i], 3),
             false => "infinite".into(),
         };
-        return Some(format!(
+        let is_weak = is_usual && fit.inflation[i] <= LARGEST_CLEAR_INFLATION;
+        let reason = format!(
             "the data do not tell it from {}: variance inflation {inflation} (at most {largest}), smallest \
              singular value {}",
             confounded(fit, i, &names),
             significant(fit.singular_values.last().copied().unwrap_or(0.0), 2)
-        ));
+        );
+        return Refusal::weak(reason, is_weak);
     }
     let twin = (0..names.len())
         .filter(|j| !is_clear && *j != i && names[*j] != "piston")
         .find(|j| fit.correlation(i, *j).abs() > LARGEST_CORRELATION);
     if let Some(j) = twin {
-        return Some(format!(
+        let reason = format!(
             "its estimate correlates by {} with that of {}",
             significant(fit.correlation(i, j), 4),
             names[j]
-        ));
+        );
+        return Refusal::weak(reason, is_usual);
     }
     // 1 / error^2 = 1 / scale^2 + 1 / (that of the data)^2
     if error > scale * std::f64::consts::FRAC_1_SQRT_2 {
@@ -204,19 +230,21 @@ pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) ->
             true => shown(parameter, of_the_data),
             false => "nothing".into(),
         };
-        return Some(format!(
+        let reason = format!(
             "the data alone give it to {size}, beyond the {} that are known beforehand",
             shown(parameter, scale)
-        ));
+        );
+        return Refusal::weak(reason, is_usual);
     }
-    if fit.end != End::Converged && fit.unfinished[i] > UNFINISHED {
-        return Some(format!(
+    let last = fit.unfinished[i];
+    if fit.end != End::Converged && last > UNFINISHED && last * error > NEGLIGIBLE * scale {
+        return of_the_model(format!(
             "the fit did not end at a minimum: its last step moves the parameter by {} standard errors",
             significant(fit.unfinished[i], 2)
         ));
     }
     if value.abs() > BELIEVABLE * scale {
-        return Some(format!(
+        return of_the_model(format!(
             "its estimate is beyond {BELIEVABLE} times {}, which is known beforehand: the model leaves something out \
              that it takes up",
             shown(parameter, scale)
@@ -226,7 +254,7 @@ pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) ->
     for (moved, orders) in moved {
         let is_no_chance = cut || moved.by.abs() > SIGNIFICANT * moved.standard_error;
         if is_no_chance && moved.by.abs() > error.max(NEGLIGIBLE * scale) {
-            return Some(format!(
+            return of_the_model(format!(
                 "it depends on the metrology: with Legendre terms up to {} x {} free it moves by {} ({} standard errors \
                  of the move)",
                 orders[0],

@@ -22,7 +22,9 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use ndarray::Array2;
 use planish_types::{End, Grid, Invalid, progress};
 
-use crate::{correlation::Covariance, metrology::Term, model::Model, parameter::Parameter};
+use crate::{
+    applied::Joint, correlation::Covariance, metrology::Term, model::Model, parameter::Parameter,
+};
 
 /// A step below this part of the standard errors is none: an interval of two standard errors that is off by it covers
 /// 3e-4 less. The removal has kinks where samples of Keys' convolution cross the pixels' centres, and steps much
@@ -152,19 +154,20 @@ impl Fit {
         parameters.chain(self.terms.iter().map(|t| t.name())).collect()
     }
 
-    /// Takes other values of all unknowns; the covariance stays.
+    /// Takes these values of all unknowns, and their covariance.
     pub(crate) fn take(
         &mut self,
         model: &Model<'_>,
         data: &Data<'_>,
-        values: Vec<f64>,
+        joint: Joint,
     ) -> Result<(), Invalid> {
+        let values: Vec<f64> = joint.values.iter().copied().collect();
         let p = self.parameters.len();
         let maps: Vec<Array2<f64>> = self.terms.iter().map(|t| t.map(data.grid)).collect();
         self.removal = model.removal_nm(&values[..p])?;
         self.metrology = sum_of(&maps, &values[p..], self.removal.dim());
         self.rest = (&data.data - &self.removal - &self.metrology) * &data.valid;
-        self.values = values;
+        (self.values, self.covariance) = (values, joint.covariance);
         Ok(())
     }
 
@@ -364,7 +367,7 @@ pub fn fit(
         let objective = |rest: &Array2<f64>, values: &DVector<f64>| {
             dot(rest, rest) + known.iter().zip(values.iter()).map(|(k, v)| k * v * v).sum::<f64>()
         };
-        let (mut lambda, mut first_was_small) = (0.0, false);
+        let (mut lambda, mut first_was_small, mut is_stuck) = (0.0, false, false);
         for k in 0..MOST_STEPS {
             let mut step = normal.step(&rest, values.as_slice(), &inverse, lambda);
             let error = |i: usize| {
@@ -408,11 +411,17 @@ pub fn fit(
                 _ => lambda = (10.0 * lambda).max(LAMBDA[0]),
             }
             if small || lambda > LAMBDA[1] {
+                is_stuck = values == here;
                 break;
             }
         }
         if points > 1 && first_was_small {
             end = End::Converged;
+            break;
+        }
+        // Not even a step that is none lowers the square: new derivatives would be the same.
+        if points > 1 && is_stuck {
+            end = End::NoImprovement;
             break;
         }
         if points == MOST_POINTS {

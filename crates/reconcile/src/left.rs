@@ -18,24 +18,28 @@ const DRIFTS: &str = "learnt by planish-reconcile; the next plan does not correc
 const FROM_THE_REST: &str =
     "learnt: what the fit of planish-reconcile leaves, over the root of two maps";
 
-/// The errors of the next run. `refused[i]` says whether the data do not determine unknown `i` of the fit, which the next
-/// plan corrects by `corrections[i]`.
+/// The errors of the next run. `refused[i]` says whether the data do not determine unknown `i` of the fit, `found[i]` is
+/// its estimate and standard error, and the next plan corrects it by `corrections[i]`.
 pub fn left(
     process: Option<&Process>,
     fit: &Fit,
+    found: &[[f64; 2]],
     corrections: &[f64],
     refused: &[bool],
     scale: impl Fn(Parameter) -> f64,
 ) -> ProcessFile {
+    let drifts = |i: usize| found[i][0].abs() > std::f64::consts::SQRT_2 * found[i][1];
     let learnt = |p: Parameter| {
         let i = fit.parameters.iter().position(|q| *q == p)?;
-        // What stays at the plan is off by its estimate and by its standard error.
+        let [value, standard_error] = found[i];
+        // What stays at the plan is off by its estimate, too.
         let uncorrected = match p {
-            Parameter::RateDrift => 0.0,
-            _ if corrections[i] == 0.0 => fit.values[i],
+            Parameter::RateDrift if drifts(i) => 0.0,
+            Parameter::RateDrift => value,
+            _ if corrections[i] == 0.0 => value,
             _ => 0.0,
         };
-        (!refused[i]).then(|| fit.standard_error(i).hypot(uncorrected))
+        (!refused[i]).then(|| standard_error.hypot(uncorrected))
     };
     let is_learnt = |effect: &Effect| {
         let Effect::Scalar(scalar) = effect else { return false };
@@ -56,10 +60,10 @@ pub fn left(
             None => {}
         }
     }
-    // No plan corrects a drift: it is known, and stays.
+    // No plan corrects a drift: where it is clear it is known, and stays.
     let drift = fit.parameters.iter().position(|p| *p == Parameter::RateDrift);
-    if let Some(i) = drift.filter(|i| corrections[*i] != 0.0) {
-        let mut known = entry(Parameter::RateDrift, corrections[i], DRIFTS);
+    if let Some(i) = drift.filter(|i| !refused[*i] && drifts(*i)) {
+        let mut known = entry(Parameter::RateDrift, found[i][0], DRIFTS);
         known.distribution = Distribution::Fixed;
         errors.push(known);
     }

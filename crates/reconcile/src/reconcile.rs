@@ -10,10 +10,10 @@ use planish_simulate::{
 use planish_types::{Invalid, Surface, Tif, Trajectory, Transform};
 
 use crate::{
-    applied::{applied, hold},
+    applied::{Joint, Part, applied, hold},
     bands::{Maps, bands},
     contradictory::explains_nothing,
-    determined::{all_moves, contradicted, refusal, shown, wider_orders},
+    determined::{Refusal, all_moves, contradicted, refusal, shown, wider_orders},
     fit::{Data, Fit, Start, dot, fit},
     left::left,
     metrology,
@@ -139,15 +139,18 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
     // What of it the data determine
     let orders = wider_orders(settings.metrology_order);
     let moved_by = all_moves(&found, &data, settings.metrology_order);
-    let mut refusals: Vec<Option<String>> = (0..found.parameters.len())
+    let judged: Vec<Option<Refusal>> = (0..found.parameters.len())
         .map(|i| {
             let parameter = found.parameters[i];
             match released.contains(&parameter) {
-                true => Some(contradiction(&found, i, scale(parameter))),
+                true => Some(Refusal::of_the_model(contradiction(&found, i, scale(parameter)))),
                 false => refusal(&found, i, scale(parameter), &moved_by[i]),
             }
         })
         .collect();
+    let is_spoilt = |i: usize| judged[i].as_ref().is_some_and(|r| !r.is_weak);
+    let mut refusals: Vec<Option<String>> =
+        judged.iter().map(|r| r.as_ref().map(|r| r.reason.clone())).collect();
     let fitted = |found: &Fit| {
         let measured = &data.data - &found.metrology;
         Fitted {
@@ -161,31 +164,43 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
     if nothing.is_some() {
         refusals.fill(Some("the fit explains nothing of this run".into()));
     }
-    let joint = found.values.clone();
-    let may: Vec<bool> = (0..refusals.len())
+    let is_released = |i: usize| released.contains(&found.parameters[i]);
+    let count = found.parameters.len();
+    let with_all = Joint::new(&found);
+    let determined: Vec<usize> = (0..count).filter(|i| !is_spoilt(*i)).collect();
+    let spread = with_all.spread(&determined, &model.scales);
+    let may: Vec<bool> = (0..count)
         .map(|i| {
             let p = found.parameters[i];
             let is_asked_for = settings.free.iter().any(|name| name == p.name());
-            p != Parameter::RateScale && !is_asked_for && !released.contains(&p)
+            p != Parameter::RateScale && !is_asked_for && refusals[i].is_none()
         })
         .collect();
-    let held = match nothing {
-        Some(_) => Vec::new(),
-        None => {
-            let (held, values) = hold(&found, &may);
-            if !held.is_empty() {
-                found.take(&model, &data, values)?;
-            }
-            held
-        }
+    let spreads: Vec<f64> = model.scales.iter().map(|s| spread * s).collect();
+    let (held, without) = hold(&found, &may, &spreads);
+    let why_held: Vec<Option<String>> =
+        (0..count).map(|i| held.iter().find(|h| h.index == i).map(|h| h.reason.clone())).collect();
+    let part = |i: usize| match (&nothing, is_released(i)) {
+        // The others do not make up for what contradicts the data.
+        (None, true) => Part::Left,
+        (None, false) if !is_spoilt(i) && why_held[i].is_none() => Part::Corrected,
+        _ => Part::AtPlan,
     };
-    let why_held = |i: usize| held.iter().find(|h| h.index == i).map(|h| h.reason.clone());
-    let learnt: Vec<bool> =
-        (0..refusals.len()).map(|i| refusals[i].is_none() && why_held(i).is_none()).collect();
-    // The others do not make up for what contradicts the data, nor where nothing is explained.
-    let follows: Vec<bool> =
-        found.parameters.iter().map(|p| nothing.is_none() && !released.contains(p)).collect();
-    let corrections = applied(&found, &learnt, &follows);
+    let parts: Vec<Part> = (0..count).map(part).collect();
+    let corrections = match nothing {
+        Some(_) => vec![0.0; count],
+        None => applied(&found, &parts, &model.scales),
+    };
+    if !held.is_empty() {
+        found.take(&model, &data, without)?;
+    }
+    // With the held ones as they were found with all free
+    let stated: Vec<[f64; 2]> = (0..count)
+        .map(|i| match why_held[i] {
+            Some(_) => [with_all.values[i], with_all.standard_error(i)],
+            None => [found.values[i], found.standard_error(i)],
+        })
+        .collect();
     let known: Vec<(Parameter, f64)> =
         found.parameters.iter().copied().zip(corrections.iter().copied()).collect();
 
@@ -203,9 +218,10 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
                     // No plan corrects a drift.
                     let is_corrected = p != Parameter::RateDrift;
                     estimate.applied = if is_corrected { corrections[i] / factor } else { 0.0 };
-                    estimate.held_because = why_held(i);
+                    estimate.held_because = why_held[i].clone();
                     if estimate.held_because.is_some() {
-                        estimate.value = refusals[i].is_none().then(|| joint[i] / factor);
+                        estimate.value = Some(stated[i][0] / factor);
+                        estimate.standard_error = Some(stated[i][1] / factor);
                     }
                 }
                 estimate
@@ -243,8 +259,16 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
         metrology_nm: found.metrology.clone(),
         rest_nm: with_nan(&found.rest),
         tif: Model::corrected_tif(comparison.tif, &known)?,
-        transform: place(comparison.transform, &found, &corrections, &refused, scale, data.grid)?,
-        process: left(comparison.process, &found, &corrections, &refused, scale),
+        transform: place(
+            comparison.transform,
+            &found,
+            &with_all.covariance,
+            &corrections,
+            &refused,
+            scale,
+            data.grid,
+        )?,
+        process: left(comparison.process, &found, &stated, &corrections, &refused, scale),
         outcome,
     })
 }

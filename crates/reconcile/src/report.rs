@@ -23,9 +23,11 @@ pub struct Estimate {
     pub refused: Option<String>,
     /// True if the settings hold it at its value in the plan.
     pub held: bool,
-    /// The reason for which the fit itself held it at the plan, where it did. `value` is then the estimate without that.
+    /// The reason for which the fit itself held it at the plan, where it did. `value` and `standard_error` are then those
+    /// with it free, and those of the other parameters are those with it held.
     pub held_because: Option<String>,
-    /// Correction that the written tool and transform contain; 0 where they keep the value of the plan.
+    /// Correction that the written tool and transform contain: the part of the estimate that lowers the expected residual
+    /// of the next run; 0 where they keep the value of the plan.
     pub applied: f64,
 }
 

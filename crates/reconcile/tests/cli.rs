@@ -76,6 +76,27 @@ fn a_parameter_that_was_asked_for_and_is_not_determined_ends_with_1() {
 }
 
 #[test]
+fn contradictory_maps_after_end_with_1() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    let run = simulate(&planned(), &gaussian(1.03, 1.0, 1.0, 0.0), &before(), Settings::Gridded);
+    let after = run.unwrap().removal.residual().height_nm().clone();
+    let turned = after.slice(ndarray::s![..;-1, ..;-1]).to_owned();
+    for (name, map) in [("sign", -&after), ("half", 0.5 * &after), ("turned", turned)] {
+        write(dir, name, &Surface::new(grid(), map).unwrap());
+        let (out, tool) = (format!("out-{name}"), format!("tool-{name}"));
+        let ended = run_on("2", dir, &["--after", name, "--out", &out, "--corrected-tif", &tool]);
+        let (said, stderr) = (text(&ended.stdout), text(&ended.stderr));
+        assert_eq!(ended.status.code(), Some(1), "{name}: {said}{stderr}");
+        assert!(stderr.contains("the fit explains nothing"), "{name}: {stderr}");
+        // The tool stays that of the plan.
+        let rate = |tool: &str| fs::read(dir.join(tool).join("rate_nm_per_s.npy")).unwrap();
+        assert!(rate(&tool) == rate("tif"), "{name}");
+    }
+}
+
+#[test]
 fn what_cannot_be_compared_is_refused_and_nothing_is_written() {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();

@@ -13,8 +13,24 @@ const DEGREE: f64 = std::f64::consts::PI / 180.0;
 /// Places along each piece at which the direct sum puts its time (Gauss's rule of two points on each half).
 const NODES: [f64; 4] = [0.105_662_433, 0.394_337_567, 0.605_662_433, 0.894_337_567];
 
-/// Pitch of maps and tools, mm: four to six samples per sigma.
-const PITCH_MM: f64 = 0.25;
+/// Part and tool of a kind of case.
+#[derive(Clone, Copy, Debug)]
+struct Kind {
+    name: &'static str,
+    /// Size of the part, mm.
+    size_mm: [f64; 2],
+    sigma_mm: f64,
+    /// Pitch of maps and tool, mm: about four samples per sigma, where Keys' convolution of a Gaussian errs by 2e-4 of
+    /// its peak.
+    pitch_mm: f64,
+}
+
+/// A coupon, a strip like a long flat mirror, and a plate.
+const KINDS: [Kind; 3] = [
+    Kind { name: "coupon", size_mm: [20.0, 12.0], sigma_mm: 1.0, pitch_mm: 0.25 },
+    Kind { name: "flat", size_mm: [60.0, 16.0], sigma_mm: 1.7, pitch_mm: 0.4 },
+    Kind { name: "plate", size_mm: [36.0, 24.0], sigma_mm: 1.5, pitch_mm: 0.4 },
+];
 
 /// Rounds of the multiplicative planner.
 const ROUNDS: usize = 25;
@@ -36,6 +52,7 @@ pub struct Truth {
 #[derive(Clone, Copy, Debug)]
 struct Tool {
     sigma_mm: f64,
+    pitch_mm: f64,
     flatter: bool,
 }
 
@@ -55,7 +72,7 @@ impl Tool {
 
     fn sampled(&self, errors: &Truth) -> Tif {
         // Out to 5.5 sigma, where the tool has ended; the pitch of the map, at which a simulation is fastest
-        let step = PITCH_MM;
+        let step = self.pitch_mm;
         let n = (5.5 * self.sigma_mm / step).ceil() as usize;
         let axis = Axis::new(-(n as f64) * step, step, 2 * n + 1).unwrap();
         let rate = |(r, c): (usize, usize)| self.rate(axis.at(c), axis.at(r), errors);
@@ -67,6 +84,7 @@ impl Tool {
 /// One run.
 pub struct Case {
     seed: u64,
+    pub kind: &'static str,
     pub truth: Truth,
     grid: Grid,
     tool: Tool,
@@ -120,13 +138,15 @@ impl Case {
     /// The case of a seed: part, tool and path change with it, and half of the machines have no magnification.
     pub fn new(seed: u64, sigma_nm: f64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let tool = Tool { sigma_mm: [1.0, 1.2, 1.5][(seed % 3) as usize], flatter: seed % 2 == 1 };
-        let (nx, ny) = [(48, 36), (60, 26), (40, 40)][(seed / 3 % 3) as usize];
-        let step = PITCH_MM;
-        let grid =
-            Grid { x: Axis::new(-3.0, step, nx).unwrap(), y: Axis::new(2.0, step, ny).unwrap() };
+        let kind = KINDS[(seed % 3) as usize];
+        let (sigma_mm, pitch_mm) = (kind.sigma_mm, kind.pitch_mm);
+        let tool = Tool { sigma_mm, pitch_mm, flatter: seed % 2 == 1 };
+        let axis = |start: f64, size: f64| {
+            Axis::new(start, pitch_mm, (size / pitch_mm).round() as usize).unwrap()
+        };
+        let grid = Grid { x: axis(-3.0, kind.size_mm[0]), y: axis(2.0, kind.size_mm[1]) };
         let figure = Figure::new(&mut rng, tool.sigma_mm, 4.0);
-        let path = path_over(&grid, 0.75 * tool.sigma_mm, 2.5 * tool.sigma_mm, seed % 4);
+        let path = path_over(&grid, 0.75 * tool.sigma_mm, 2.5 * tool.sigma_mm, seed / 3 % 4);
         let truth = Truth {
             rate: rng.random_range(-0.05..0.05),
             offset_mm: [0.06 * normal(&mut rng), 0.06 * normal(&mut rng)],
@@ -135,7 +155,7 @@ impl Case {
             width: 0.015 * normal(&mut rng),
             ellipticity: 0.015 * normal(&mut rng),
             diagonal: 0.015 * normal(&mut rng),
-            drift: if seed % 3 == 0 { 0.0 } else { 0.02 * normal(&mut rng) },
+            drift: if seed % 4 < 2 { 0.0 } else { 0.02 * normal(&mut rng) },
         };
         let shape = grid.shape();
         let noise = Array2::from_shape_simple_fn(shape, || sigma_nm * normal(&mut rng));
@@ -149,6 +169,7 @@ impl Case {
         let after = Surface::new(grid, &real - &removal + &after_noise).unwrap();
         Self {
             seed,
+            kind: kind.name,
             truth,
             grid,
             tool,
