@@ -10,7 +10,10 @@ use std::{
 
 use example::{before, gaussian, grid, planned};
 use planish_simulate::{Settings, simulate};
-use planish_testkit::program::{text, write};
+use planish_testkit::{
+    program::{text, write},
+    skipped::reference,
+};
 use planish_types::{Axis, Grid, Surface};
 use serde_json::Value;
 
@@ -120,4 +123,29 @@ fn what_cannot_be_compared_is_refused_and_nothing_is_written() {
         assert!(said.contains(message), "{message}: {said}");
         assert!(!dir.join("out").exists(), "{said}");
     }
+}
+
+/// A plate whose rate is 3.1 % too large, by a simulator that is not this one: the magnification, which it does not
+/// have, is held without being asked for, and the rate is found.
+#[test]
+fn the_rate_of_the_reference_plate_is_found_without_a_hold() {
+    let Some(folder) = reference() else { return };
+    let tmp = tempfile::tempdir().unwrap();
+    let plate = folder.join("learn/plate");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_planish-reconcile"));
+    command.current_dir(tmp.path()).args(["--out", "out"]);
+    for name in ["before", "after", "trajectory", "tif"] {
+        command.arg(format!("--{name}")).arg(plate.join(name));
+    }
+    let ended = command.output().unwrap();
+    assert_eq!(ended.status.code(), Some(0), "{}", text(&ended.stderr));
+    let manifest = fs::read_to_string(tmp.path().join("out/manifest.json")).unwrap();
+    let manifest: Value = serde_json::from_str(&manifest).unwrap();
+    let all = manifest["outcome"]["parameters"].as_array().unwrap();
+    let of =
+        |name: &str, field: &str| all.iter().find(|e| e["name"] == name).unwrap()[field].clone();
+    let [rate, error] = ["value", "standard_error"].map(|f| of("rate_scale", f).as_f64().unwrap());
+    // The specification: 3.1000 +- 0.0005 %.
+    assert!((rate - 3.1).abs() < 5e-4 && error < 6e-4, "{rate} {error}");
+    assert!(of("magnification", "held_because").is_string(), "{manifest}");
 }

@@ -6,30 +6,37 @@ use known::Case;
 use ndarray::{Array2, s};
 use planish_types::{Axis, Grid, Surface};
 
-/// Two noises, six cases each with every tool, part and path.
+/// A coupon, a strip and a plate, each with two noises.
 #[test]
 fn standard_errors_hold_and_the_next_mirror_is_that_of_a_known_tool() {
+    let (mut within, mut of) = (0.0, 0.0);
     for sigma_nm in [0.05, 0.5] {
-        let (mut within, mut of) = (0.0, 0.0);
-        for seed in 0..6 {
+        let mut ratios = Vec::new();
+        for seed in 0..3 {
             let case = Case::new(seed, sigma_nm);
             let found = case.learn();
             assert!(found.drawback.is_none(), "{seed}: {:?}", found.drawback);
             for (name, off) in case.over_errors(&found) {
-                // One in twenty is refused, of which no number is stated.
+                // What is refused states no number.
                 let Some(off) = off else { continue };
                 within += f64::from(off.abs() <= 2.0);
                 of += 1.0;
-                // 108 normal numbers are beyond 4.5 in one of 1400 sets.
+                // 54 normal numbers are beyond 4.5 in one of 2700 sets.
                 assert!(off.abs() < 4.5, "{seed}: {name} {off}");
             }
-            let [learnt, _, known] = case.next_mirror_nm(&found);
-            // The example gives at most 1.19 for these cases.
-            assert!(learnt < 1.3 * known, "{seed}: {learnt} {known}");
+            let [learnt, without, known] = case.next_mirror_nm(&found);
+            println!("{sigma_nm} nm, {}: {learnt:.4} {without:.4} {known:.4}", case.kind);
+            assert!(learnt < without, "{seed}: {learnt} {without}");
+            ratios.push(learnt / known);
         }
-        // 95.4 % of some 50 numbers scatter by 2.9 %: three of it.
-        assert!(within / of > 0.867, "{sigma_nm}: {within} of {of}");
+        ratios.sort_by(f64::total_cmp);
+        // The bound of the middle one is that of the specification. At 0.05 nm the largest has it, too; at 0.5 nm the
+        // noise of the two maps decides how well a small part knows its tool, and one in ten is beyond.
+        let bounded = if sigma_nm < 0.1 { ratios[2] } else { ratios[1] };
+        assert!(bounded < 1.15, "{sigma_nm}: {ratios:?}");
     }
+    // 95.4 % of 54 numbers scatter by 2.9 %: three of it.
+    assert!(of > 45.0 && within / of > 0.867, "{within} of {of}");
 }
 
 #[test]
@@ -50,7 +57,7 @@ fn maps_after_that_are_not_those_of_the_run_are_named() {
     }
 }
 
-/// A map on pixels that are displaced by half a pixel gives the same numbers.
+/// Maps on pixels that are displaced by half a pixel, or of another pitch, give the same numbers.
 #[test]
 fn a_map_after_on_other_pixels_gives_the_same_numbers() {
     let case = Case::new(2, 0.05);
@@ -58,16 +65,21 @@ fn a_map_after_on_other_pixels_gives_the_same_numbers() {
     let grid = *case.after.grid();
     let half =
         |a: &Axis| Axis::new(a.start_mm() + 0.5 * a.step_mm(), a.step_mm(), a.len()).unwrap();
-    let moved = Grid { x: half(&grid.x), y: half(&grid.y) };
-    let found = case.learn_from(&case.after_on(moved));
-    assert!(found.outcome.resampled.is_some() && own.outcome.resampled.is_none());
-    // The border of the stencil is lost.
-    assert!(found.outcome.noise.pixels < own.outcome.noise.pixels);
-    let valid: Array2<bool> = found.rest_nm.mapv(|v| !v.is_nan());
-    assert!(valid[[10, 10]] && !valid[[0, 0]]);
-    for (name, off) in case.over_errors(&found) {
-        let Some(off) = off else { continue };
-        // Nine normal numbers are beyond 3.5 in one of 240 sets.
-        assert!(off.abs() < 3.5, "{name} {off}");
+    let other =
+        |a: &Axis| Axis::new(a.start_mm(), 1.13 * a.step_mm(), a.len() * 100 / 113).unwrap();
+    for moved in
+        [Grid { x: half(&grid.x), y: half(&grid.y) }, Grid { x: other(&grid.x), y: other(&grid.y) }]
+    {
+        let found = case.learn_from(&case.after_on(moved));
+        assert!(found.outcome.resampled.is_some() && own.outcome.resampled.is_none());
+        // The border of the stencil is lost.
+        assert!(found.outcome.noise.pixels < own.outcome.noise.pixels);
+        let valid: Array2<bool> = found.rest_nm.mapv(|v| !v.is_nan());
+        assert!(valid[[10, 10]]);
+        for (name, off) in case.over_errors(&found) {
+            let Some(off) = off else { continue };
+            // Nine normal numbers are beyond 3.5 in one of 240 sets.
+            assert!(off.abs() < 3.5, "{name} {off}");
+        }
     }
 }

@@ -32,6 +32,12 @@ const KINDS: [Kind; 3] = [
     Kind { name: "plate", size_mm: [36.0, 24.0], sigma_mm: 1.5, pitch_mm: 0.4 },
 ];
 
+/// Rate below which the planner takes the tool for ended, nm/s: 1e-6 of its peak.
+const LEAST_RATE: f64 = 8e-6;
+
+/// Radius of the tool in the direct sum, in sigmas: beyond it a tool has less than 1e-7 of its peak.
+const REACH_SIGMA: f64 = 6.5;
+
 /// Rounds of the multiplicative planner.
 const ROUNDS: usize = 25;
 
@@ -292,30 +298,34 @@ fn planned(
     wanted: &Array2<f64>,
     rate: &dyn Fn(f64, f64) -> f64,
 ) -> Vec<f64> {
-    let pieces = path.len() - 1;
-    let pixels: Vec<[f64; 2]> = (0..grid.y.len())
-        .flat_map(|r| (0..grid.x.len()).map(move |c| [grid.x.at(c), grid.y.at(r)]))
-        .collect();
     // The middle of a piece stands for it: what this errs by is in every plan alike.
-    let mut of = Array2::<f64>::zeros((pieces, pixels.len()));
-    for k in 0..pieces {
-        let at = [0, 1].map(|a| 0.5 * (path[k][a] + path[k + 1][a]));
-        for (i, p) in pixels.iter().enumerate() {
-            of[[k, i]] = rate(p[0] - at[0], p[1] - at[1]).max(0.0);
+    let pixels = grid.x.len() * grid.y.len();
+    let of: Vec<Vec<(usize, f64)>> = path
+        .windows(2)
+        .map(|ends| {
+            let at = [0, 1].map(|a| 0.5 * (ends[0][a] + ends[1][a]));
+            let one = |i: usize| {
+                let (r, c) = (i / grid.x.len(), i % grid.x.len());
+                (i, rate(grid.x.at(c) - at[0], grid.y.at(r) - at[1]))
+            };
+            (0..pixels).map(one).filter(|(_, v)| *v > LEAST_RATE).collect()
+        })
+        .collect();
+    let wanted: Vec<f64> = wanted.iter().copied().collect();
+    let weights: Vec<f64> =
+        of.iter().map(|piece| piece.iter().map(|(_, v)| v).sum::<f64>().max(1e-9)).collect();
+    let mut seconds = vec![wanted.iter().sum::<f64>() / weights.iter().sum::<f64>(); of.len()];
+    for _ in 0..ROUNDS {
+        let mut done = vec![1e-9; pixels];
+        for (piece, h) in of.iter().zip(&seconds) {
+            piece.iter().for_each(|(i, v)| done[*i] += v * h);
+        }
+        for ((piece, h), weight) in of.iter().zip(&mut seconds).zip(&weights) {
+            let ratio = piece.iter().map(|(i, v)| v * wanted[*i] / done[*i]).sum::<f64>() / weight;
+            *h = (*h * ratio).max(1e-3);
         }
     }
-    let wanted = ndarray::Array1::from_iter(wanted.iter().copied());
-    let weight = of.dot(&ndarray::Array1::ones(pixels.len()));
-    let mut seconds = ndarray::Array1::from_elem(pieces, 1.0);
-    let total = seconds.dot(&of).sum();
-    seconds *= wanted.sum() / total;
-    for _ in 0..ROUNDS {
-        let done = seconds.dot(&of);
-        let ratio = of.dot(&(&wanted / &done.mapv(|v| v.max(1e-9))));
-        seconds = &seconds * &(ratio / weight.mapv(|v| v.max(1e-9)));
-        seconds.mapv_inplace(|v| v.max(1e-3));
-    }
-    seconds.to_vec()
+    seconds
 }
 
 fn motion(path: &[[f64; 2]], seconds: &[f64]) -> Trajectory {
@@ -346,7 +356,7 @@ fn executed(grid: &Grid, trajectory: &Trajectory, tool: &Tool, t: &Truth) -> Arr
             ];
             for ((r, c), v) in removal.indexed_iter_mut() {
                 let (x, y) = (grid.x.at(c) - at[0], grid.y.at(r) - at[1]);
-                if x * x + y * y < 64.0 * tool.sigma_mm * tool.sigma_mm {
+                if x * x + y * y < REACH_SIGMA.powi(2) * tool.sigma_mm * tool.sigma_mm {
                     *v += tool.rate(x, y, t) * 0.25 * h * drift;
                 }
             }
