@@ -56,6 +56,15 @@ impl Joint {
         Self { values: DVector::from_vec(fit.values.clone()), covariance: fit.covariance.clone() }
     }
 
+    /// Makes the first unknowns uncertain by one standard error along this move of all of them together.
+    pub fn widen(&mut self, along: &[f64]) {
+        for (i, a) in along.iter().enumerate() {
+            for (j, b) in along.iter().enumerate() {
+                self.covariance[(i, j)] += a * b;
+            }
+        }
+    }
+
     /// Standard error of unknown `i`.
     pub fn standard_error(&self, i: usize) -> f64 {
         self.covariance[(i, i)].max(0.0).sqrt()
@@ -185,9 +194,8 @@ pub enum Part {
     Left,
 }
 
-/// The corrections of the next run, 0 for what stays at the plan.
-pub fn applied(fit: &Fit, parts: &[Part], scales: &[f64]) -> Vec<f64> {
-    let mut joint = Joint::new(fit);
+/// The corrections of the next run from what is found of all unknowns, 0 for what stays at the plan.
+pub fn applied(mut joint: Joint, parts: &[Part], scales: &[f64]) -> Vec<f64> {
     for i in (0..parts.len()).filter(|i| parts[*i] == Part::AtPlan) {
         joint.put_at_plan(i);
     }

@@ -29,6 +29,7 @@ use ndarray::Array2;
 use planish_types::{End, text::significant};
 
 use crate::{
+    applied::Part,
     fit::{Data, Fit, Normal, dot},
     metrology::terms,
     parameter::Parameter,
@@ -172,19 +173,23 @@ pub fn contradicted(
 pub struct Refusal {
     /// The reason, for people.
     pub reason: String,
-    /// True if the data do not contradict the model, and only do not tell the parameter from others: what they say of
-    /// all together can still be corrected.
-    pub is_weak: bool,
+    /// How it takes part in the corrections of the next run.
+    pub part: Part,
+    /// Which of the moves with other terms of the metrology decided it, if one did.
+    pub moved: Option<usize>,
 }
 
 impl Refusal {
-    fn weak(reason: String, is_weak: bool) -> Option<Self> {
-        Some(Self { reason, is_weak })
+    /// Of a parameter that the data do not tell from others. What they say of it together with others is corrected
+    /// where the metrology has no more than its usual terms.
+    fn weak(reason: String, is_usual: bool) -> Option<Self> {
+        let part = if is_usual { Part::Corrected } else { Part::AtPlan };
+        Some(Self { reason, part, moved: None })
     }
 
     /// Of a parameter that takes up what the model leaves out.
     pub fn of_the_model(reason: String) -> Self {
-        Self { reason, is_weak: false }
+        Self { reason, part: Part::Left, moved: None }
     }
 }
 
@@ -193,7 +198,6 @@ pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) ->
     let parameter = fit.parameters[i];
     let (value, error) = (fit.values[i], fit.standard_error(i));
     let names = fit.names();
-    let of_the_model = |reason: String| Some(Refusal::of_the_model(reason));
     // More terms of the metrology than the usual four take up errors of the model, and the rest says less of them.
     let is_usual = fit.terms.len() <= crate::metrology::NAMES.len();
     let is_clear = error < CLEAR * scale && is_usual;
@@ -203,14 +207,14 @@ pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) ->
             true => significant(fit.inflation[i], 3),
             false => "infinite".into(),
         };
-        let is_weak = is_usual && fit.inflation[i] <= LARGEST_CLEAR_INFLATION;
+        let is_told = is_usual && fit.inflation[i] <= LARGEST_CLEAR_INFLATION;
         let reason = format!(
             "the data do not tell it from {}: variance inflation {inflation} (at most {largest}), smallest \
              singular value {}",
             confounded(fit, i, &names),
             significant(fit.singular_values.last().copied().unwrap_or(0.0), 2)
         );
-        return Refusal::weak(reason, is_weak);
+        return Refusal::weak(reason, is_told);
     }
     let twin = (0..names.len())
         .filter(|j| !is_clear && *j != i && names[*j] != "piston")
@@ -238,30 +242,33 @@ pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) ->
     }
     let last = fit.unfinished[i];
     if fit.end != End::Converged && last > UNFINISHED && last * error > NEGLIGIBLE * scale {
-        return of_the_model(format!(
+        let reason = format!(
             "the fit did not end at a minimum: its last step moves the parameter by {} standard errors",
-            significant(fit.unfinished[i], 2)
-        ));
+            significant(last, 2)
+        );
+        return Refusal::weak(reason, is_usual);
     }
     if value.abs() > BELIEVABLE * scale {
-        return of_the_model(format!(
+        return Some(Refusal::of_the_model(format!(
             "its estimate is beyond {BELIEVABLE} times {}, which is known beforehand: the model leaves something out \
              that it takes up",
             shown(parameter, scale)
-        ));
+        )));
     }
     let cut = fit.noise.noise.window_is_cut;
-    for (moved, orders) in moved {
+    for (k, (moved, orders)) in moved.iter().enumerate() {
         let is_no_chance = cut || moved.by.abs() > SIGNIFICANT * moved.standard_error;
         if is_no_chance && moved.by.abs() > error.max(NEGLIGIBLE * scale) {
-            return of_the_model(format!(
+            let reason = format!(
                 "it depends on the metrology: with Legendre terms up to {} x {} free it moves by {} ({} standard errors \
                  of the move)",
                 orders[0],
                 orders[1],
                 shown(parameter, moved.by),
                 significant(moved.by.abs() / moved.standard_error, 2)
-            ));
+            );
+            let weak = Refusal::weak(reason, is_usual);
+            return weak.map(|weak| Refusal { moved: Some(k), ..weak });
         }
     }
     None

@@ -27,7 +27,7 @@
 //! | Q | `metrology::Term` | (ny, nx) | 1 |
 //! | c | | | nm |
 
-mod applied;
+pub mod applied;
 pub mod bands;
 mod contradictory;
 pub mod correlation;

@@ -148,7 +148,7 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
             }
         })
         .collect();
-    let is_spoilt = |i: usize| judged[i].as_ref().is_some_and(|r| !r.is_weak);
+    let part_of = |i: usize| judged[i].as_ref().map_or(Part::Corrected, |r| r.part);
     let mut refusals: Vec<Option<String>> =
         judged.iter().map(|r| r.as_ref().map(|r| r.reason.clone())).collect();
     let fitted = |found: &Fit| {
@@ -164,11 +164,19 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
     if nothing.is_some() {
         refusals.fill(Some("the fit explains nothing of this run".into()));
     }
-    let is_released = |i: usize| released.contains(&found.parameters[i]);
     let count = found.parameters.len();
     let with_all = Joint::new(&found);
-    let determined: Vec<usize> = (0..count).filter(|i| !is_spoilt(*i)).collect();
-    let spread = with_all.spread(&determined, &model.scales);
+    let determined: Vec<usize> = (0..count).filter(|i| part_of(*i) == Part::Corrected).collect();
+    let mut uncertain = Joint::new(&found);
+    // What moves with the metrology is uncertain along the move of all parameters together.
+    let mut moves: Vec<usize> = judged.iter().flatten().filter_map(|r| r.moved).collect();
+    moves.sort_unstable();
+    moves.dedup();
+    for k in moves {
+        let along: Vec<f64> = moved_by.iter().map(|m| m[k].0.by).collect();
+        uncertain.widen(&along);
+    }
+    let spread = uncertain.spread(&determined, &model.scales);
     let may: Vec<bool> = (0..count)
         .map(|i| {
             let p = found.parameters[i];
@@ -180,16 +188,11 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
     let (held, without) = hold(&found, &may, &spreads);
     let why_held: Vec<Option<String>> =
         (0..count).map(|i| held.iter().find(|h| h.index == i).map(|h| h.reason.clone())).collect();
-    let part = |i: usize| match (&nothing, is_released(i)) {
-        // The others do not make up for what contradicts the data.
-        (None, true) => Part::Left,
-        (None, false) if !is_spoilt(i) && why_held[i].is_none() => Part::Corrected,
-        _ => Part::AtPlan,
-    };
-    let parts: Vec<Part> = (0..count).map(part).collect();
+    let parts: Vec<Part> =
+        (0..count).map(|i| if why_held[i].is_some() { Part::AtPlan } else { part_of(i) }).collect();
     let corrections = match nothing {
         Some(_) => vec![0.0; count],
-        None => applied(&found, &parts, &model.scales),
+        None => applied(uncertain, &parts, &model.scales),
     };
     if !held.is_empty() {
         found.take(&model, &data, without)?;
