@@ -12,8 +12,8 @@
 //! percent leaves some percent of that residual. Learning gains most on the next mirror, where the whole figure is
 //! to be removed. So after the last run another mirror, like the first, has one run of each chain (`alike`).
 //!
-//! A run finds the deviation from the tool that it was planned with, so parameters accumulate from run to run.
-//! Factors (rate, magnification, width) are multiplied; the others, which are small, are added.
+//! A run finds the deviation from the tool that it was planned with. It adds to the corrections of the runs before:
+//! factors (rate, magnification, width) by products, the rest, which is small, by sums.
 
 use serde::{Deserialize, Serialize};
 
@@ -30,6 +30,9 @@ pub struct Found {
     pub standard_error: Option<f64>,
     /// Reason for which it was refused.
     pub refused: Option<String>,
+    /// The part of it that the next run corrects.
+    #[serde(default)]
+    pub applied: f64,
 }
 
 /// The hidden truth of the virtual machine: fractions, mm and rad.
@@ -133,6 +136,9 @@ pub struct Learnt {
     pub is_of_this_run: bool,
     /// Reason for which this run did not determine it.
     pub refused: Option<String>,
+    /// The corrections of all runs so far, which the next run has.
+    #[serde(default)]
+    pub applied: f64,
 }
 
 /// One run of a campaign.
@@ -203,12 +209,11 @@ fn after(before: &[Learnt], found: &Found, truth: &Truth) -> Learnt {
     let earlier = before.iter().find(|p| p.name == found.name);
     let known = earlier.and_then(|p| p.value);
     let is_factor = ["rate_scale", "magnification", "tif_width"].contains(&found.name.as_str());
-    let value = match (known, found.value) {
-        // (1 + a)(1 + b) - 1, in percent
-        (Some(a), Some(b)) if is_factor => Some(a + b + 0.01 * a * b),
-        (Some(a), Some(b)) => Some(a + b),
-        (known, new) => new.or(known),
-    };
+    // (1 + a)(1 + b) - 1, in percent
+    let sum = |a: f64, b: f64| if is_factor { a + b + 0.01 * a * b } else { a + b };
+    // A run finds what the corrections so far have left.
+    let corrected = earlier.map_or(0.0, |p| p.applied);
+    let value = found.value.map(|v| sum(corrected, v)).or(known);
     Learnt {
         name: found.name.clone(),
         unit: found.unit.clone(),
@@ -220,6 +225,7 @@ fn after(before: &[Learnt], found: &Found, truth: &Truth) -> Learnt {
         truth: truth.of(&found.name),
         is_of_this_run: found.value.is_some(),
         refused: found.refused.clone(),
+        applied: sum(corrected, found.applied),
     }
 }
 
@@ -235,7 +241,17 @@ mod tests {
             value,
             standard_error: Some(standard_error),
             refused,
+            applied: value.unwrap_or(0.0),
         }
+    }
+
+    #[test]
+    fn a_value_that_no_run_corrects_does_not_add_up() {
+        let first = Found { applied: 0.0, ..found("magnification", Some(0.2), 0.1) };
+        let one = after(&[], &first, &Truth::default());
+        assert_eq!((one.value, one.applied), (Some(0.2), 0.0));
+        let two = after(&[one], &found("magnification", Some(0.25), 0.1), &Truth::default());
+        assert_eq!((two.value, two.applied), (Some(0.25), 0.25));
     }
 
     #[test]

@@ -135,6 +135,8 @@ fn of(parameter: Parameter, truth: &planish_simulate::deviation::Truth) -> f64 {
         Parameter::TifWidth => truth.tif_width,
         Parameter::TifEllipticity => truth.tif_ellipticity * turned.cos(),
         Parameter::TifDiagonalEllipticity => truth.tif_ellipticity * turned.sin(),
+        // The processes of this study have none.
+        Parameter::RateDrift => 0.0,
     }
 }
 

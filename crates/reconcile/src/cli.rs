@@ -22,7 +22,8 @@ pub struct Reconcile {
     /// Map measured before the run [surface artifact]
     #[arg(long, value_name = "DIR")]
     before: PathBuf,
-    /// Map measured after the run, on the same pixels [surface artifact]
+    /// Map measured after the run. On other pixels than those of the map before it is resampled there by Lagrange
+    /// interpolation of degree five along each axis [surface artifact]
     #[arg(long, value_name = "DIR")]
     after: PathBuf,
     #[command(flatten)]
@@ -35,7 +36,7 @@ pub struct Reconcile {
     process: Option<PathBuf>,
     /// Learn this parameter (again for more) and hold the others; exit code 1 where the data do not determine it
     /// [rate_scale, offset_x, offset_y, rotation, magnification, tif_width, tif_ellipticity,
-    /// tif_diagonal_ellipticity; default: all]
+    /// tif_diagonal_ellipticity, rate_drift; default: all]
     #[arg(long, value_name = "NAME")]
     free: Vec<String>,
     /// Hold this parameter, or this term of the metrology [piston, tilt_x, tilt_y, power], at its value in the plan
@@ -45,7 +46,8 @@ pub struct Reconcile {
     /// Legendre terms of the metrology up to these orders along x and y are free, too
     #[arg(long, num_args = 2, value_names = ["M", "N"])]
     metrology_order: Option<Vec<usize>>,
-    /// Move the TIF with its noise and the step at its border, which the tool has not
+    /// Compare the run with the TIF as it is sampled only. By default the fit also tries a TIF without the noise and the
+    /// border step of its measurement, and keeps the one that leaves less
     #[arg(long)]
     tif_as_sampled: bool,
     /// Transform that took the plan to the machine in this run [transform artifact]
@@ -193,6 +195,37 @@ fn table(found: &Reconciled) -> String {
             band.measured_rms_nm, band.measured_less_planned_rms_nm, band.rest_rms_nm
         ));
     }
+    if let Some(method) = outcome.resampled {
+        lines.push(format!(
+            "the map after has other pixels: it is resampled on those of the map before by {method}"
+        ));
+    }
+    let little = |e: &&Estimate| {
+        let found = e.value.filter(|_| e.held_because.is_none() && e.name != "rate_drift");
+        found.is_some_and(|v| e.applied.abs() < 0.5 * v.abs())
+    };
+    let little: Vec<&str> =
+        outcome.parameters.iter().filter(little).map(|e| e.name.as_str()).collect();
+    if !little.is_empty() && outcome.explains_nothing.is_none() {
+        lines.push(format!(
+            "the written tool and transform correct less than half of what was found of {}: the data leave it too \
+             uncertain, and more would raise the expected residual",
+            little.join(", ")
+        ));
+    }
+    let weak: Vec<&str> = outcome
+        .parameters
+        .iter()
+        .filter(|e| e.refused.is_some() && e.applied != 0.0)
+        .map(|e| e.name.as_str())
+        .collect();
+    if !weak.is_empty() {
+        lines.push(format!(
+            "{}: no number is stated, but the written tool and transform contain a correction, because the data \
+             determine what it does together with others",
+            weak.join(", ")
+        ));
+    }
     let (noise, fitted) = (&outcome.noise, &outcome.fitted);
     lines.push(format!(
         "the plan missed {:.4} nm RMS of {:.4}; with what was learnt {:.4} are left, correlated over {:.2} mm{}: {} \
@@ -214,7 +247,12 @@ fn table(found: &Reconciled) -> String {
 
 /// One unknown.
 fn line(estimate: &Estimate) -> String {
-    let number = |v: Option<f64>| v.map_or("-".into(), |v| significant(v, 4));
+    // Both end at the second digit of the standard error.
+    let decimals = estimate.standard_error.filter(|e| *e > 0.0).map_or(4, |e| {
+        // At most 12: a value of that many digits is none of a measurement.
+        (1.0 - e.log10().floor()).clamp(0.0, 12.0) as usize
+    });
+    let number = |v: Option<f64>| v.map_or("-".into(), |v| format!("{v:.decimals$}"));
     let beforehand = match estimate.known_beforehand {
         Some(scale) => format!("+- {} {}", significant(scale, 3), estimate.unit),
         None => String::new(),
@@ -226,6 +264,9 @@ fn line(estimate: &Estimate) -> String {
         _ => format!("{} {unit}", number(estimate.value)),
     };
     let mut line = format!("{:<26} {found:>14}  +- {error:<10} {beforehand:>18}", estimate.name);
+    if let Some(reason) = &estimate.held_because {
+        line += &format!("\n    {}: {reason}", estimate.name);
+    }
     if let Some(reason) = &estimate.refused {
         line += &format!("\n    {}: {reason}", estimate.name);
     }

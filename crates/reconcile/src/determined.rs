@@ -8,11 +8,14 @@
 //! 1. **It has a signal of its own**: less than [`LARGEST_INFLATION`] of variance inflation, 1 / (1 - R^2) of its column
 //!    on all others, the mean of each removed. At 100 the others explain 99 % of what it does. The models of the tool, of the motion and of the
 //!    metrology are not better than a percent, so what is left of it would be decided by what they have wrong.
+//!    A standard error below [`CLEAR`] of its scale lifts this limit to [`LARGEST_CLEAR_INFLATION`]: the estimate still
+//!    beats the prior knowledge if the model errors make its error ten times larger.
 //! 2. **It can be told from every single other one**: a correlation below [`LARGEST_CORRELATION`] of the estimates
 //!    (the piston apart, which every removal has a part of).
 //! 3. **The data say more than was known beforehand**: a standard error by the data alone below its scale, that of the
 //!    process where one is given ([`crate::parameter`]).
-//! 4. The fit ended at a minimum.
+//! 4. The fit ended at a minimum, or its last step moved the parameter by less than [`UNFINISHED`] standard errors or a
+//!    hundredth of its scale. The standard error then contains that step.
 //! 5. **It is believable**: within [`BELIEVABLE`] scales of the plan.
 //! 6. **It does not depend on what was taken as known**: with Legendre terms up to 4 x 3 (further than the fit's own), or
 //!    where the fit has more terms with piston, tilt and power alone, free in the metrology, it moves by less than [`SIGNIFICANT`] standard errors of that move, or by less than its own
@@ -26,6 +29,7 @@ use ndarray::Array2;
 use planish_types::{End, text::significant};
 
 use crate::{
+    applied::Part,
     fit::{Data, Fit, Normal, dot},
     metrology::terms,
     parameter::Parameter,
@@ -36,8 +40,17 @@ use crate::{
 /// signal of the parameter, and the models are not better than a percent.
 pub const LARGEST_INFLATION: f64 = 100.0;
 
-/// Largest magnitude of the correlation of two estimates, dimensionless. Larger: two numbers of which only a
-/// combination is known. Smaller: parameters are refused that can be told apart. Chosen.
+/// Standard error over the scale below which a parameter may share more of its signal.
+const CLEAR: f64 = 0.1;
+
+/// Largest variance inflation of such a parameter. Its own signal is then 1 % of its column, beside errors of the
+/// derivatives of 3e-4.
+const LARGEST_CLEAR_INFLATION: f64 = 1e4;
+
+/// Largest last step of an unfinished fit, in standard errors.
+const UNFINISHED: f64 = 1.0;
+
+/// Largest correlation of two estimates.
 pub const LARGEST_CORRELATION: f64 = 0.99;
 
 /// Largest magnitude of an estimate, over its scale. Larger: numbers are given that take up what the model leaves
@@ -161,32 +174,64 @@ pub fn contradicted(
     all.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(parameter, _)| parameter)
 }
 
-/// Reason why the data do not determine parameter `i` of a fit; `None` if they do.
-pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) -> Option<String> {
+/// Why no number is stated of a parameter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Refusal {
+    /// The reason, for people.
+    pub reason: String,
+    /// How it takes part in the corrections of the next run.
+    pub part: Part,
+    /// Which of the moves with other terms of the metrology decided it, if one did.
+    pub moved: Option<usize>,
+}
+
+impl Refusal {
+    /// Of a parameter that the data do not tell from others. What they say of it together with others is corrected
+    /// where the metrology has no more than its usual terms.
+    fn weak(reason: String, is_usual: bool) -> Option<Self> {
+        let part = if is_usual { Part::Corrected } else { Part::AtPlan };
+        Some(Self { reason, part, moved: None })
+    }
+
+    /// Of a parameter that takes up what the model leaves out.
+    pub fn of_the_model(reason: String) -> Self {
+        Self { reason, part: Part::Left, moved: None }
+    }
+}
+
+/// Why the data do not determine parameter `i` of a fit; `None` where they do.
+pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) -> Option<Refusal> {
     let parameter = fit.parameters[i];
     let (value, error) = (fit.values[i], fit.standard_error(i));
     let names = fit.names();
-    if fit.inflation[i] > LARGEST_INFLATION {
+    // More terms of the metrology than the usual four take up errors of the model, and the rest says less of them.
+    let is_usual = fit.terms.len() <= crate::metrology::NAMES.len();
+    let is_clear = error < CLEAR * scale && is_usual;
+    let largest = if is_clear { LARGEST_CLEAR_INFLATION } else { LARGEST_INFLATION };
+    if fit.inflation[i] > largest {
         let inflation = match fit.inflation[i].is_finite() {
             true => significant(fit.inflation[i], 3),
             false => "infinite".into(),
         };
-        return Some(format!(
-            "the data do not tell it from {}: variance inflation {inflation} (at most {LARGEST_INFLATION}), smallest \
+        let is_told = is_usual && fit.inflation[i] <= LARGEST_CLEAR_INFLATION;
+        let reason = format!(
+            "the data do not tell it from {}: variance inflation {inflation} (at most {largest}), smallest \
              singular value {}",
             confounded(fit, i, &names),
             significant(fit.singular_values.last().copied().unwrap_or(0.0), 2)
-        ));
+        );
+        return Refusal::weak(reason, is_told);
     }
     let twin = (0..names.len())
-        .filter(|j| *j != i && names[*j] != "piston")
+        .filter(|j| !is_clear && *j != i && names[*j] != "piston")
         .find(|j| fit.correlation(i, *j).abs() > LARGEST_CORRELATION);
     if let Some(j) = twin {
-        return Some(format!(
+        let reason = format!(
             "its estimate correlates by {} with that of {}",
             significant(fit.correlation(i, j), 4),
             names[j]
-        ));
+        );
+        return Refusal::weak(reason, is_usual);
     }
     // 1 / error^2 = 1 / scale^2 + 1 / (that of the data)^2
     if error > scale * std::f64::consts::FRAC_1_SQRT_2 {
@@ -195,33 +240,41 @@ pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) ->
             true => shown(parameter, of_the_data),
             false => "nothing".into(),
         };
-        return Some(format!(
+        let reason = format!(
             "the data alone give it to {size}, beyond the {} that are known beforehand",
             shown(parameter, scale)
-        ));
+        );
+        return Refusal::weak(reason, is_usual);
     }
-    if fit.end != End::Converged {
-        return Some("the fit did not end at a minimum".into());
+    let last = fit.unfinished[i];
+    if fit.end != End::Converged && last > UNFINISHED && last * error > NEGLIGIBLE * scale {
+        let reason = format!(
+            "the fit did not end at a minimum: its last step moves the parameter by {} standard errors",
+            significant(last, 2)
+        );
+        return Refusal::weak(reason, is_usual);
     }
     if value.abs() > BELIEVABLE * scale {
-        return Some(format!(
+        return Some(Refusal::of_the_model(format!(
             "its estimate is beyond {BELIEVABLE} times {}, which is known beforehand: the model leaves something out \
              that it takes up",
             shown(parameter, scale)
-        ));
+        )));
     }
     let cut = fit.noise.noise.window_is_cut;
-    for (moved, orders) in moved {
+    for (k, (moved, orders)) in moved.iter().enumerate() {
         let is_no_chance = cut || moved.by.abs() > SIGNIFICANT * moved.standard_error;
         if is_no_chance && moved.by.abs() > error.max(NEGLIGIBLE * scale) {
-            return Some(format!(
+            let reason = format!(
                 "it depends on the metrology: with Legendre terms up to {} x {} free it moves by {} ({} standard errors \
                  of the move)",
                 orders[0],
                 orders[1],
                 shown(parameter, moved.by),
                 significant(moved.by.abs() / moved.standard_error, 2)
-            ));
+            );
+            let weak = Refusal::weak(reason, is_usual);
+            return weak.map(|weak| Refusal { moved: Some(k), ..weak });
         }
     }
     None

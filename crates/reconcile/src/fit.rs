@@ -22,7 +22,9 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use ndarray::Array2;
 use planish_types::{End, Grid, Invalid, progress};
 
-use crate::{correlation::Covariance, metrology::Term, model::Model, parameter::Parameter};
+use crate::{
+    applied::Joint, correlation::Covariance, metrology::Term, model::Model, parameter::Parameter,
+};
 
 /// Largest step, over the standard errors, that counts as none. Larger: estimates further from the minimum. Smaller:
 /// steps from kink to kink, because the removal has kinks where samples of Keys' convolution cross the centres of
@@ -101,21 +103,42 @@ pub struct Fit {
     pub noise: Covariance,
     /// End of the fit.
     pub end: End,
+    /// Length of the last step with new derivatives, in standard errors; 0 where the fit converged.
+    pub unfinished: Vec<f64>,
     /// Points at which derivatives were computed.
     pub points: usize,
 }
 
-/// F and its derivatives at the plan, which no data change: for many fits of one plan.
+/// F and its derivatives where a fit starts. At the plan they serve many fits of one plan.
 pub struct Start {
+    values: Vec<f64>,
     removal: Array2<f64>,
     derivatives: Vec<Array2<f64>>,
 }
 
 impl Start {
-    /// The start of the fits of a model.
+    /// Of a model at the plan.
     pub fn new(model: &Model<'_>) -> Result<Self, Invalid> {
-        let (removal, derivatives) = model.linear(&vec![0.0; model.parameters.len()])?;
-        Ok(Self { removal, derivatives })
+        Self::at(model, vec![0.0; model.parameters.len()])
+    }
+
+    /// Of a model at these parameters.
+    pub fn at(model: &Model<'_>, values: Vec<f64>) -> Result<Self, Invalid> {
+        let (removal, derivatives) = model.linear(&values)?;
+        Ok(Self { values, removal, derivatives })
+    }
+
+    /// The RMS that the derivatives and `terms` leave of `data` by linear least squares, nm.
+    pub fn left_of(&self, terms: &[Term], data: &Data<'_>) -> f64 {
+        let maps: Vec<Array2<f64>> = terms.iter().map(|t| t.map(data.grid)).collect();
+        let normal = Normal::new(&self.derivatives, &maps, &data.valid, Vec::new());
+        let mut rest = (&data.data - &self.removal) * &data.valid;
+        let values = vec![0.0; normal.lengths.len()];
+        let step = normal.step(&rest, &values, &normal.inverse(), 0.0);
+        for (column, s) in normal.columns.iter().zip(step.iter()) {
+            rest.scaled_add(-s, column);
+        }
+        (dot(&rest, &rest) / data.valid.sum().max(1.0)).sqrt()
     }
 }
 
@@ -135,6 +158,23 @@ impl Fit {
     pub fn names(&self) -> Vec<String> {
         let parameters = self.parameters.iter().map(|p| p.name().to_string());
         parameters.chain(self.terms.iter().map(|t| t.name())).collect()
+    }
+
+    /// Takes these values of all unknowns, and their covariance.
+    pub(crate) fn take(
+        &mut self,
+        model: &Model<'_>,
+        data: &Data<'_>,
+        joint: Joint,
+    ) -> Result<(), Invalid> {
+        let values: Vec<f64> = joint.values.iter().copied().collect();
+        let p = self.parameters.len();
+        let maps: Vec<Array2<f64>> = self.terms.iter().map(|t| t.map(data.grid)).collect();
+        self.removal = model.removal_nm(&values[..p])?;
+        self.metrology = sum_of(&maps, &values[p..], self.removal.dim());
+        self.rest = (&data.data - &self.removal - &self.metrology) * &data.valid;
+        (self.values, self.covariance) = (values, joint.covariance);
+        Ok(())
     }
 
     /// Field by which unknown `i` is estimated: its value is the sum of the data times it (to first order).
@@ -294,7 +334,7 @@ fn inverted(matrix: &DMatrix<f64>) -> Inverted {
     Inverted { inverse, eigenvalues, is_dependent }
 }
 
-/// Fits `model` and these terms to `data`; `start` is the model at the plan.
+/// Fits `model` and these terms to `data`, from `start`.
 pub fn fit(
     model: &Model<'_>,
     terms: &[Term],
@@ -307,6 +347,7 @@ pub fn fit(
         (&data.data - removal - sum_of(&maps, &values.as_slice()[p..], removal.dim())) * &data.valid
     };
     let mut values = DVector::zeros(p + maps.len());
+    values.rows_mut(0, p).copy_from_slice(&start.values);
     let (mut removal, mut derivatives) = (start.removal.clone(), start.derivatives.clone());
     // The terms of the metrology first: a piston of the whole removal is no noise
     let mut rest = rest_of(&removal, &values);
@@ -324,6 +365,7 @@ pub fn fit(
     let mut normal = Normal::new(&derivatives, &maps, &data.valid, known.clone());
     let (mut points, mut end) = (1, End::RoundLimit);
     let mut way: Option<DVector<f64>> = None;
+    let mut last = vec![0.0; p];
     loop {
         progress::done((points as f64 / USUAL_POINTS).min(BEFORE_LAST));
         let here = values.clone();
@@ -331,7 +373,7 @@ pub fn fit(
         let objective = |rest: &Array2<f64>, values: &DVector<f64>| {
             dot(rest, rest) + known.iter().zip(values.iter()).map(|(k, v)| k * v * v).sum::<f64>()
         };
-        let (mut lambda, mut first_was_small) = (0.0, false);
+        let (mut lambda, mut first_was_small, mut is_stuck) = (0.0, false, false);
         for k in 0..MOST_STEPS {
             let mut step = normal.step(&rest, values.as_slice(), &inverse, lambda);
             let error = |i: usize| {
@@ -351,6 +393,9 @@ pub fn fit(
                 step /= 1.0 - q;
             }
             first_was_small |= k == 0 && small;
+            if k == 0 {
+                last = (0..p).map(|i| step[i].abs()).collect();
+            }
             let tried = &values + &step;
             let possible = model.is_possible(&tried.as_slice()[..p]);
             let after = match possible {
@@ -359,7 +404,11 @@ pub fn fit(
             };
             let better = after.map(|r| (rest_of(&r, &tried), r));
             match better {
-                Some((r, f)) if objective(&r, &tried) <= objective(&rest, &values) => {
+                // A step below SMALL_STEP raises the square by less than this, whatever the derivatives err by.
+                Some((r, f))
+                    if objective(&r, &tried)
+                        <= objective(&rest, &values) + SMALL_STEP.powi(2) * variance =>
+                {
                     (values, rest, removal) = (tried, r, f);
                     lambda = if lambda > LAMBDA[0] { 0.1 * lambda } else { 0.0 };
                 }
@@ -368,11 +417,17 @@ pub fn fit(
                 _ => lambda = (10.0 * lambda).max(LAMBDA[0]),
             }
             if small || lambda > LAMBDA[1] {
+                is_stuck = values == here;
                 break;
             }
         }
         if points > 1 && first_was_small {
             end = End::Converged;
+            break;
+        }
+        // Not even a step that is none lowers the square: new derivatives would be the same.
+        if points > 1 && is_stuck {
+            end = End::NoImprovement;
             break;
         }
         if points == MOST_POINTS {
@@ -388,7 +443,8 @@ pub fn fit(
     let metrology = sum_of(&maps, &values.as_slice()[p..], data.data.dim());
     let noise = Covariance::of(&rest, &data.valid, data.grid, values.len(), &normal.orthonormal());
     let maps = (removal, metrology, rest);
-    Ok(finished(model, terms, values, normal, maps, (noise, variance), end, points))
+    let last = if end == End::Converged { vec![0.0; p] } else { last };
+    Ok(finished(model, terms, values, normal, maps, (noise, variance), (end, last), points))
 }
 
 /// Q c.
@@ -409,7 +465,7 @@ fn finished(
     normal: Normal,
     (removal, metrology, rest): (Array2<f64>, Array2<f64>, Array2<f64>),
     (noise, variance): (Covariance, f64),
-    end: End,
+    (end, last): (End, Vec<f64>),
     points: usize,
 ) -> Fit {
     let inverse = normal.inverse();
@@ -425,9 +481,16 @@ fn finished(
         middle[(i, i)] += variance * k / (normal.lengths[i] * normal.lengths[i]);
     }
     let scaled = &inverse * middle * &inverse;
-    let covariance = DMatrix::from_fn(n, n, |i, j| {
+    let mut covariance = DMatrix::from_fn(n, n, |i, j| {
         0.5 * (scaled[(i, j)] + scaled[(j, i)]) / (normal.lengths[i] * normal.lengths[j])
     });
+    let mut unfinished = vec![0.0; last.len()];
+    for (i, step) in last.into_iter().enumerate() {
+        let error = covariance[(i, i)].max(0.0).sqrt().max(f64::MIN_POSITIVE);
+        unfinished[i] = step / error;
+        // The fit may end anywhere within its last step.
+        covariance[(i, i)] += step * step;
+    }
     // Of the part of a column that is no piston: every removal has a mean, which says nothing of anything
     let piston = terms.iter().position(|t| *t == Term::Legendre(0, 0));
     let piston = piston.map(|k| model.parameters.len() + k);
@@ -456,6 +519,7 @@ fn finished(
         rest,
         noise,
         end,
+        unfinished,
         points,
     }
 }

@@ -14,19 +14,32 @@ use crate::{fit::Fit, parameter::Parameter};
 /// Notes of `planish-reconcile` on the errors in a file.
 const LEARNT: &str = "learnt: standard error of planish-reconcile";
 const BELIEVED: &str = "not learnt: what is believed of a machine that nobody knows";
+const DRIFTS: &str = "learnt by planish-reconcile; the next plan does not correct it";
 const FROM_THE_REST: &str =
     "learnt: what the fit of planish-reconcile leaves, over the root of two maps";
 
-/// The errors of the next run; `refused[i]` says whether the data do not determine unknown `i` of the fit.
+/// The errors of the next run. `refused[i]` says whether the data do not determine unknown `i` of the fit, `found[i]` is
+/// its estimate and standard error, and the next plan corrects it by `corrections[i]`.
 pub fn left(
     process: Option<&Process>,
     fit: &Fit,
+    found: &[[f64; 2]],
+    corrections: &[f64],
     refused: &[bool],
     scale: impl Fn(Parameter) -> f64,
 ) -> ProcessFile {
+    let drifts = |i: usize| found[i][0].abs() > std::f64::consts::SQRT_2 * found[i][1];
     let learnt = |p: Parameter| {
         let i = fit.parameters.iter().position(|q| *q == p)?;
-        (!refused[i]).then(|| fit.standard_error(i))
+        let [value, standard_error] = found[i];
+        // What stays at the plan is off by its estimate, too.
+        let uncorrected = match p {
+            Parameter::RateDrift if drifts(i) => 0.0,
+            Parameter::RateDrift => value,
+            _ if corrections[i] == 0.0 => value,
+            _ => 0.0,
+        };
+        (!refused[i]).then(|| standard_error.hypot(uncorrected))
     };
     let is_learnt = |effect: &Effect| {
         let Effect::Scalar(scalar) = effect else { return false };
@@ -46,6 +59,13 @@ pub fn left(
             None if process.is_none() => errors.push(entry(*p, scale(*p), BELIEVED)),
             None => {}
         }
+    }
+    // No plan corrects a drift: where it is clear it is known, and stays.
+    let drift = fit.parameters.iter().position(|p| *p == Parameter::RateDrift);
+    if let Some(i) = drift.filter(|i| !refused[*i] && drifts(*i)) {
+        let mut known = entry(Parameter::RateDrift, found[i][0], DRIFTS);
+        known.distribution = Distribution::Fixed;
+        errors.push(known);
     }
     if !stated.iter().any(|e| e.effect == Effect::MapNoise) {
         let size = fit.noise.noise.rest_rms_nm * std::f64::consts::FRAC_1_SQRT_2;

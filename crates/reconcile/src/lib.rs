@@ -27,7 +27,9 @@
 //! | Q | `metrology::Term` | (ny, nx) | 1 |
 //! | c | | | nm |
 
+pub mod applied;
 pub mod bands;
+mod contradictory;
 pub mod correlation;
 pub mod determined;
 pub mod draw;
@@ -39,6 +41,7 @@ pub mod parameter;
 mod place;
 mod reconcile;
 pub mod report;
+pub mod resample;
 mod settings;
 
 pub use crate::{

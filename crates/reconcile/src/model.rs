@@ -26,10 +26,15 @@ pub const STEP: f64 = 0.04;
 const LARGEST_IN_WIDTHS: f64 = 20.0;
 const LARGEST_PART: f64 = 0.5;
 
+/// Step of the difference by a drift of the rate. The removal is linear in it, so any step is exact.
+const DRIFT_STEP: f64 = 0.1;
+
 /// The executed plan, and what its removal depends on.
 pub struct Model<'a> {
-    /// Ready to run.
+    /// Runs with the TIF of the derivatives.
     pub runs: &'a Runs<'a>,
+    /// Runs of which the removal itself is taken, where they differ from `runs`.
+    pub removal_from: Option<&'a Runs<'a>>,
     /// The TIF that errors move.
     pub tif: &'a Tif,
     /// Parameters that are free.
@@ -49,7 +54,7 @@ impl<'a> Model<'a> {
         scale: impl Fn(Parameter) -> f64,
     ) -> Self {
         let scales = parameters.iter().map(|p| scale(*p)).collect();
-        Self { runs, tif, parameters, scales, step: STEP }
+        Self { runs, removal_from: None, tif, parameters, scales, step: STEP }
     }
 
     /// Change of a parameter that moves the tool by `mm`.
@@ -72,33 +77,45 @@ impl<'a> Model<'a> {
         })
     }
 
+    fn removal_runs(&self) -> &'a Runs<'a> {
+        self.removal_from.unwrap_or(self.runs)
+    }
+
     fn split(&self, values: &[f64]) -> (f64, Deviation) {
         let (mut rate, mut run) = (0.0, Deviation::default());
+        let mut drift = 0.0;
         for (parameter, value) in self.parameters.iter().zip(values) {
             match parameter.effect() {
                 None => rate += value,
+                Some(Scalar::RateDrift) => drift += value,
                 Some(effect) => run.add(effect, *value),
             }
         }
+        // Both are parts of the planned rate: (1 + a) (1 + u d / (1 + a)) = 1 + a + u d
+        run.add(Scalar::RateDrift, drift / (1.0 + rate));
         (1.0 + rate, run)
     }
 
     /// F (ny, nx), nm.
     pub fn removal_nm(&self, values: &[f64]) -> Result<Array2<f64>, Invalid> {
         let (factor, run) = self.split(values);
-        Ok(self.runs.removal_nm(&run)? * factor)
+        Ok(self.removal_runs().removal_nm(&run)? * factor)
     }
 
     /// F, and its derivatives by every parameter, nm per size.
     pub fn linear(&self, values: &[f64]) -> Result<(Array2<f64>, Vec<Array2<f64>>), Invalid> {
         let (factor, run) = self.split(values);
-        let removal = self.runs.removal_nm(&run)?;
+        let removal = self.removal_runs().removal_nm(&run)?;
         let derivative = |parameter: &Parameter| -> Result<Array2<f64>, Invalid> {
             let Some(effect) = parameter.effect() else { return Ok(removal.clone()) };
-            let h = self.per_mm(effect, self.step * self.tif.width_mm());
+            let h = match effect {
+                Scalar::RateDrift => DRIFT_STEP,
+                _ => self.per_mm(effect, self.step * self.tif.width_mm()),
+            };
+            let by = if effect == Scalar::RateDrift { 1.0 / factor } else { 1.0 };
             let side = |h: f64| {
                 let mut run = run.clone();
-                run.add(effect, h);
+                run.add(effect, by * h);
                 self.runs.moved_nm(&run)
             };
             Ok((side(h)? - side(-h)?) * (factor / (2.0 * h)))

@@ -8,10 +8,10 @@
 //! T'(p) = T(D^-1(p)),   D^-1(p) = C + R(-theta) (p - C - s) / m
 //! ```
 //!
-//! What was not learnt is 0 in D, and uncertain by what is known beforehand. The covariance is that of D alone: the
+//! What is refused is uncertain in D by what is known beforehand. The covariance is that of D alone: the
 //! errors of T are among what D has found.
 
-use nalgebra::SMatrix;
+use nalgebra::{DMatrix, SMatrix};
 use planish_types::{Grid, Invalid, Transform};
 
 use crate::{fit::Fit, parameter::Parameter};
@@ -20,19 +20,22 @@ use crate::{fit::Fit, parameter::Parameter};
 const PLACE: [Parameter; 4] =
     [Parameter::OffsetX, Parameter::OffsetY, Parameter::Rotation, Parameter::Magnification];
 
-/// T' from T; `refused[i]` says whether the data do not determine unknown `i` of the fit.
+/// T' from T with these corrections, of which `covariance` is; `refused[i]` says whether the data do not determine
+/// unknown `i` of the fit.
 pub fn place(
     before: Option<&Transform>,
     fit: &Fit,
+    covariance: &DMatrix<f64>,
+    corrections: &[f64],
     refused: &[bool],
     scale: impl Fn(Parameter) -> f64,
     grid: &Grid,
 ) -> Result<Transform, Invalid> {
     let at = PLACE.map(|p| fit.parameters.iter().position(|q| *q == p));
     let learnt = at.map(|i| i.filter(|i| !refused[*i]));
-    let [x, y, theta, magnification] = learnt.map(|i| i.map_or(0.0, |i| fit.values[i]));
-    let covariance = SMatrix::<f64, 4, 4>::from_fn(|i, j| match (learnt[i], learnt[j]) {
-        (Some(a), Some(b)) => fit.covariance[(a, b)],
+    let [x, y, theta, magnification] = at.map(|i| i.map_or(0.0, |i| corrections[i]));
+    let of_place = SMatrix::<f64, 4, 4>::from_fn(|i, j| match (learnt[i], learnt[j]) {
+        (Some(a), Some(b)) => covariance[(a, b)],
         // Free and refused: known beforehand. Held: as in the plan.
         (None, None) if i == j && at[i].is_some() => scale(PLACE[i]).powi(2),
         _ => 0.0,
@@ -57,7 +60,7 @@ pub fn place(
         (2.., 3) => by_m[i - 2],
         _ => 0.0,
     });
-    let six = by * covariance * by.transpose();
+    let six = by * of_place * by.transpose();
     let both = |i: usize, j: usize| 0.5 * (six[(i, j)] + six[(j, i)]);
     Transform::new(
         std::array::from_fn(|i| std::array::from_fn(|j| matrix[(i, j)])),

@@ -7,27 +7,25 @@ use planish_simulate::{
     runs::Runs,
     tool::smooth,
 };
-use planish_types::{Axis, Invalid, Surface, Tif, Trajectory, Transform};
+use planish_types::{Invalid, Surface, Tif, Trajectory, Transform};
 
 use crate::{
+    applied::{Joint, Part, applied, hold},
     bands::{Maps, bands},
-    determined::{all_moves, contradicted, refusal, shown, wider_orders},
-    fit::{Data, Fit, Start, fit},
+    contradictory::explains_nothing,
+    determined::{Refusal, all_moves, contradicted, refusal, shown, wider_orders},
+    fit::{Data, Fit, Start, dot, fit},
     left::left,
     metrology,
     model::Model,
     parameter::{ALL, Parameter},
     place::place,
     report::{Ellipse, Estimate, Fitted, Outcome},
+    resample::{METHOD, are_same, resampled},
     settings::Settings,
 };
 
-/// Largest distance between pixels of both maps that are the same, over the step. Larger: maps of shifted pixels are
-/// compared. Smaller: axes that passed through text are refused. Chosen.
-const SAME_PLACE: f64 = 1e-3;
-
-/// Least number of valid pixels per unknown. Larger: small maps are refused. Smaller: noise that is estimated from
-/// too few pixels. Chosen.
+/// Fewest valid pixels for every unknown.
 const LEAST_PIXELS_PER_UNKNOWN: f64 = 20.0;
 
 /// Largest ellipticity without a direction, in standard errors. Larger: directions are left out that are known.
@@ -39,7 +37,7 @@ const NO_DIRECTION: f64 = 2.0;
 pub struct Comparison<'a> {
     /// Measured before the run.
     pub before: &'a Surface,
-    /// Measured after it, on the same pixels.
+    /// Measured after it. A map on other pixels is resampled on those of `before`.
     pub after: &'a Surface,
     /// The motion, as planned or as it was traced.
     pub trajectory: &'a Trajectory,
@@ -88,23 +86,11 @@ impl<'a> Comparison<'a> {
 
     /// before - after on the pixels that are valid in both.
     pub fn data(&self, unknowns: usize) -> Result<Data<'a>, Invalid> {
-        let (a, b) = (self.before.grid(), self.after.grid());
-        for (name, a, b) in [("x_mm", a.x, b.x), ("y_mm", a.y, b.y)] {
-            if !are_same(&a, &b) {
-                let problem = format!(
-                    "of the map after are {} from {} to {} mm, of the map before {} from {} to {} mm",
-                    b.len(),
-                    b.start_mm(),
-                    b.end_mm(),
-                    a.len(),
-                    a.start_mm(),
-                    a.end_mm()
-                );
-                let remedy = "register and resample one map on the pixels of the other first";
-                return Err(Invalid::whole(name, problem, remedy));
-            }
-        }
-        let mut data = self.before.height_nm() - self.after.height_nm();
+        let grid = self.before.grid();
+        let mut data = match are_same(grid, self.after.grid()) {
+            true => self.before.height_nm() - self.after.height_nm(),
+            false => self.before.height_nm() - resampled(self.after, grid)?.height_nm(),
+        };
         let valid = data.mapv(|v| if v.is_nan() { 0.0 } else { 1.0 });
         data.mapv_inplace(|v| if v.is_nan() { 0.0 } else { v });
         let least = LEAST_PIXELS_PER_UNKNOWN * unknowns.max(1) as f64;
@@ -113,74 +99,151 @@ impl<'a> Comparison<'a> {
             let remedy = format!("give maps with at least {least} in common, or hold parameters");
             return Err(Invalid::whole("height_nm", problem, remedy));
         }
-        Ok(Data { grid: a, data, valid })
+        Ok(Data { grid, data, valid })
     }
 }
 
-fn are_same(a: &Axis, b: &Axis) -> bool {
-    let near = |a: f64, b: f64, step: f64| (a - b).abs() <= SAME_PLACE * step;
-    a.len() == b.len()
-        && near(a.start_mm(), b.start_mm(), a.step_mm())
-        && near(a.end_mm(), b.end_mm(), a.step_mm())
-}
-
-/// Compares the maps with the plan, and returns the parameters that the data determine.
+/// What the run taught.
 pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Reconciled, Invalid> {
     let (parameters, terms) = settings.chosen()?;
     let data = comparison.data(parameters.len() + terms.len())?;
     let moved = comparison.moved_tif(settings)?;
     let runs = Runs::new(comparison.trajectory, comparison.tif, &moved, data.grid)?;
+    let as_sampled = match settings.tif_as_sampled {
+        true => None,
+        false => Some(Runs::new(comparison.trajectory, comparison.tif, comparison.tif, data.grid)?),
+    };
     let scale = |p: Parameter| comparison.process.map_or(p.usual_scale(), |file| p.scale_in(file));
     // (1), by Gauss and Newton; again with the usual scale of what contradicts the data
     let mut released: Vec<Parameter> = Vec::new();
-    let found = loop {
+    let (mut found, model, start) = loop {
         let scale = |p| if released.contains(&p) { p.usual_scale() } else { scale(p) };
-        let model = Model::new(&runs, &moved, parameters.clone(), scale);
-        let found = fit(&model, &terms, &data, &Start::new(&model)?)?;
+        let mut model = Model::new(&runs, &moved, parameters.clone(), scale);
+        let start = Start::new(&model)?;
+        let mut found = fit(&model, &terms, &data, &start)?;
+        // The TIF as it is sampled has no error of smoothing, but moves its noise: the data decide.
+        if let Some(as_sampled) = &as_sampled {
+            let mut other = Model::new(&runs, &moved, parameters.clone(), scale);
+            other.removal_from = Some(as_sampled);
+            let from = Start::at(&other, found.values[..parameters.len()].to_vec())?;
+            let again = fit(&other, &terms, &data, &from)?;
+            if dot(&again.rest, &again.rest) < dot(&found.rest, &found.rest) {
+                (found, model) = (again, other);
+            }
+        }
         match contradicted(&found, &data, settings.metrology_order, scale) {
             Some(parameter) => released.push(parameter),
-            None => break found,
+            None => break (found, model, start),
         }
     };
 
     // What of it the data determine
     let orders = wider_orders(settings.metrology_order);
     let moved_by = all_moves(&found, &data, settings.metrology_order);
-    let refusals: Vec<Option<String>> = (0..found.parameters.len())
+    let judged: Vec<Option<Refusal>> = (0..found.parameters.len())
         .map(|i| {
             let parameter = found.parameters[i];
             match released.contains(&parameter) {
-                true => Some(contradiction(&found, i, scale(parameter))),
+                true => Some(Refusal::of_the_model(contradiction(&found, i, scale(parameter)))),
                 false => refusal(&found, i, scale(parameter), &moved_by[i]),
             }
         })
         .collect();
-    let known: Vec<(Parameter, f64)> = (0..found.parameters.len())
-        .filter(|i| refusals[*i].is_none())
-        .map(|i| (found.parameters[i], found.values[i]))
+    let part_of = |i: usize| judged[i].as_ref().map_or(Part::Corrected, |r| r.part);
+    let mut refusals: Vec<Option<String>> =
+        judged.iter().map(|r| r.as_ref().map(|r| r.reason.clone())).collect();
+    let fitted = |found: &Fit| {
+        let measured = &data.data - &found.metrology;
+        Fitted {
+            measured_removal_rms_nm: rms(&measured, &data.valid),
+            measured_less_planned_rms_nm: rms(&(&measured - &runs.executed), &data.valid),
+            rest_rms_nm: rms(&found.rest, &data.valid),
+        }
+    };
+    let before = comparison.before.height_nm();
+    let nothing = explains_nothing(before, &data, &start, &terms, &found.rest, &fitted(&found));
+    if nothing.is_some() {
+        refusals.fill(Some("the fit explains nothing of this run".into()));
+    }
+    let count = found.parameters.len();
+    let with_all = Joint::new(&found);
+    let determined: Vec<usize> = (0..count).filter(|i| part_of(*i) == Part::Corrected).collect();
+    let mut uncertain = Joint::new(&found);
+    // What moves with the metrology is uncertain along the move of all parameters together.
+    let mut moves: Vec<usize> = judged.iter().flatten().filter_map(|r| r.moved).collect();
+    moves.sort_unstable();
+    moves.dedup();
+    for k in moves {
+        let along: Vec<f64> = moved_by.iter().map(|m| m[k].0.by).collect();
+        uncertain.widen(&along);
+    }
+    let spread = uncertain.spread(&determined, &model.scales);
+    let may: Vec<bool> = (0..count)
+        .map(|i| {
+            let p = found.parameters[i];
+            let is_asked_for = settings.free.iter().any(|name| name == p.name());
+            p != Parameter::RateScale && !is_asked_for && refusals[i].is_none()
+        })
         .collect();
+    let spreads: Vec<f64> = model.scales.iter().map(|s| spread * s).collect();
+    let (held, without) = hold(&found, &may, &spreads);
+    let why_held: Vec<Option<String>> =
+        (0..count).map(|i| held.iter().find(|h| h.index == i).map(|h| h.reason.clone())).collect();
+    let parts: Vec<Part> =
+        (0..count).map(|i| if why_held[i].is_some() { Part::AtPlan } else { part_of(i) }).collect();
+    let corrections = match nothing {
+        Some(_) => vec![0.0; count],
+        None => applied(uncertain, &parts, &model.scales),
+    };
+    if !held.is_empty() {
+        found.take(&model, &data, without)?;
+    }
+    // With the held ones as they were found with all free
+    let stated: Vec<[f64; 2]> = (0..count)
+        .map(|i| match why_held[i] {
+            Some(_) => [with_all.values[i], with_all.standard_error(i)],
+            None => [found.values[i], found.standard_error(i)],
+        })
+        .collect();
+    let known: Vec<(Parameter, f64)> =
+        found.parameters.iter().copied().zip(corrections.iter().copied()).collect();
 
     let refused: Vec<bool> = refusals.iter().map(Option::is_some).collect();
     let measured = &data.data - &found.metrology;
     let maps = Maps { measured: &measured, planned: &runs.executed, predicted: &found.removal };
-    let less_planned = &measured - &runs.executed;
     let n = found.values.len();
     let outcome = Outcome {
-        parameters: ALL.into_iter().map(|p| estimate(&found, p, scale(p), &refusals)).collect(),
+        parameters: ALL
+            .into_iter()
+            .map(|p| {
+                let mut estimate = estimate(&found, p, scale(p), &refusals);
+                if let Some(i) = found.parameters.iter().position(|q| *q == p) {
+                    let factor = p.unit().1;
+                    // No plan corrects a drift.
+                    let is_corrected = p != Parameter::RateDrift;
+                    estimate.applied = if is_corrected { corrections[i] / factor } else { 0.0 };
+                    estimate.held_because = why_held[i].clone();
+                    if estimate.held_because.is_some() {
+                        estimate.value = Some(stated[i][0] / factor);
+                        estimate.standard_error = Some(stated[i][1] / factor);
+                    }
+                }
+                estimate
+            })
+            .collect(),
         metrology: metrology_estimates(&found, settings),
         ellipse: ellipse(&found, &refusals),
         correlation_of: found.names(),
         singular_values: found.singular_values.clone(),
         noise: found.noise.noise,
-        fitted: Fitted {
-            measured_removal_rms_nm: rms(&measured, &data.valid),
-            measured_less_planned_rms_nm: rms(&less_planned, &data.valid),
-            rest_rms_nm: rms(&found.rest, &data.valid),
-        },
+        fitted: fitted(&found),
         bands: bands(&maps, &data.valid, data.grid, comparison.tif.width_mm()),
         end: found.end.to_string(),
         points: found.points,
         tried_orders: orders,
+        tif_is_as_sampled: settings.tif_as_sampled || model.removal_from.is_some(),
+        resampled: (!are_same(data.grid, comparison.after.grid())).then_some(METHOD),
+        explains_nothing: nothing.clone(),
     };
     let with_nan = |map: &Array2<f64>| {
         let mut map = map.clone();
@@ -192,7 +255,7 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
         map
     };
     Ok(Reconciled {
-        drawback: drawback(settings, &found, &refusals, &released),
+        drawback: nothing.or_else(|| drawback(settings, &found, &refusals, &released)),
         correlation: Array2::from_shape_fn((n, n), |(i, j)| found.correlation(i, j)),
         measured_nm: with_nan(&measured),
         planned_nm: runs.executed.clone(),
@@ -200,8 +263,16 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
         metrology_nm: found.metrology.clone(),
         rest_nm: with_nan(&found.rest),
         tif: Model::corrected_tif(comparison.tif, &known)?,
-        transform: place(comparison.transform, &found, &refused, scale, data.grid)?,
-        process: left(comparison.process, &found, &refused, scale),
+        transform: place(
+            comparison.transform,
+            &found,
+            &with_all.covariance,
+            &corrections,
+            &refused,
+            scale,
+            data.grid,
+        )?,
+        process: left(comparison.process, &found, &stated, &corrections, &refused, scale),
         outcome,
     })
 }
@@ -228,6 +299,8 @@ fn estimate(fit: &Fit, parameter: Parameter, scale: f64, refusals: &[Option<Stri
         variance_inflation: inflation,
         refused,
         held: at.is_none(),
+        held_because: None,
+        applied: 0.0,
     }
 }
 
@@ -247,6 +320,8 @@ fn metrology_estimates(fit: &Fit, settings: &Settings) -> Vec<Estimate> {
             variance_inflation: inflation,
             refused,
             held: at.is_none(),
+            held_because: None,
+            applied: 0.0,
         }
     };
     all.into_iter().map(one).collect()

@@ -22,8 +22,14 @@ pub struct Estimate {
     pub variance_inflation: Option<f64>,
     /// Reason why the data do not determine it.
     pub refused: Option<String>,
-    /// True if it was held at its value in the plan.
+    /// True if the settings hold it at its value in the plan.
     pub held: bool,
+    /// The reason for which the fit itself held it at the plan, where it did. `value` and `standard_error` are then those
+    /// with it free, and those of the other parameters are those with it held.
+    pub held_because: Option<String>,
+    /// Correction that the written tool and transform contain: the part of the estimate that lowers the expected residual
+    /// of the next run; 0 where they keep the value of the plan.
+    pub applied: f64,
 }
 
 /// Magnitude and direction of the TIF's ellipticity, from its two components.
@@ -76,4 +82,10 @@ pub struct Outcome {
     pub points: usize,
     /// Orders of the Legendre terms by which the dependence on the metrology was tried.
     pub tried_orders: [usize; 2],
+    /// True if the removal is that of the TIF as it is sampled; false if that of the smoothed TIF fits better.
+    pub tif_is_as_sampled: bool,
+    /// Method by which the map after was taken to the pixels of the map before, where they differ.
+    pub resampled: Option<&'static str>,
+    /// The sentence that the fit explains nothing, where it does not.
+    pub explains_nothing: Option<String>,
 }

@@ -10,7 +10,10 @@ use std::{
 
 use example::{before, gaussian, grid, planned};
 use planish_simulate::{Settings, simulate};
-use planish_testkit::program::{text, write};
+use planish_testkit::{
+    program::{text, write},
+    skipped::reference,
+};
 use planish_types::{Axis, Grid, Surface};
 use serde_json::Value;
 
@@ -76,17 +79,38 @@ fn a_parameter_that_was_asked_for_and_is_not_determined_ends_with_1() {
 }
 
 #[test]
+fn contradictory_maps_after_end_with_1() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    prepare(dir);
+    let run = simulate(&planned(), &gaussian(1.03, 1.0, 1.0, 0.0), &before(), Settings::Gridded);
+    let after = run.unwrap().removal.residual().height_nm().clone();
+    let turned = after.slice(ndarray::s![..;-1, ..;-1]).to_owned();
+    for (name, map) in [("sign", -&after), ("half", 0.5 * &after), ("turned", turned)] {
+        write(dir, name, &Surface::new(grid(), map).unwrap());
+        let (out, tool) = (format!("out-{name}"), format!("tool-{name}"));
+        let ended = run_on("2", dir, &["--after", name, "--out", &out, "--corrected-tif", &tool]);
+        let (said, stderr) = (text(&ended.stdout), text(&ended.stderr));
+        assert_eq!(ended.status.code(), Some(1), "{name}: {said}{stderr}");
+        assert!(stderr.contains("the fit explains nothing"), "{name}: {stderr}");
+        // The tool stays that of the plan.
+        let rate = |tool: &str| fs::read(dir.join(tool).join("rate_nm_per_s.npy")).unwrap();
+        assert!(rate(&tool) == rate("tif"), "{name}");
+    }
+}
+
+#[test]
 fn what_cannot_be_compared_is_refused_and_nothing_is_written() {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();
     prepare(dir);
-    let moved = Grid { x: Axis::new(-1.9, 0.3, 61).unwrap(), ..grid() };
-    write(dir, "moved", &Surface::new(moved, before().height_nm().clone()).unwrap());
+    let elsewhere = Grid { x: Axis::new(98.0, 0.3, 61).unwrap(), ..grid() };
+    write(dir, "elsewhere", &Surface::new(elsewhere, before().height_nm().clone()).unwrap());
     let mut few = before().height_nm().clone();
     few.iter_mut().skip(100).for_each(|v| *v = f64::NAN);
     write(dir, "few", &Surface::new(grid(), few).unwrap());
     for (flags, message) in [
-        (&["--after", "moved"][..], "resample"),
+        (&["--after", "elsewhere"][..], "has no pixel within the map before"),
         (&["--after", "few"], "valid in both maps"),
         (&["--free", "wobble"], "free[0]: is \"wobble\"; give one of rate_scale, offset_x"),
         (&["--free", "rotation", "--hold", "rotation"], "is free or held"),
@@ -99,4 +123,29 @@ fn what_cannot_be_compared_is_refused_and_nothing_is_written() {
         assert!(said.contains(message), "{message}: {said}");
         assert!(!dir.join("out").exists(), "{said}");
     }
+}
+
+/// A plate whose rate is 3.1 % too large, by a simulator that is not this one: the magnification, which it does not
+/// have, is held without being asked for, and the rate is found.
+#[test]
+fn the_rate_of_the_reference_plate_is_found_without_a_hold() {
+    let Some(folder) = reference() else { return };
+    let tmp = tempfile::tempdir().unwrap();
+    let plate = folder.join("learn/plate");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_planish-reconcile"));
+    command.current_dir(tmp.path()).args(["--out", "out"]);
+    for name in ["before", "after", "trajectory", "tif"] {
+        command.arg(format!("--{name}")).arg(plate.join(name));
+    }
+    let ended = command.output().unwrap();
+    assert_eq!(ended.status.code(), Some(0), "{}", text(&ended.stderr));
+    let manifest = fs::read_to_string(tmp.path().join("out/manifest.json")).unwrap();
+    let manifest: Value = serde_json::from_str(&manifest).unwrap();
+    let all = manifest["outcome"]["parameters"].as_array().unwrap();
+    let of =
+        |name: &str, field: &str| all.iter().find(|e| e["name"] == name).unwrap()[field].clone();
+    let [rate, error] = ["value", "standard_error"].map(|f| of("rate_scale", f).as_f64().unwrap());
+    // The specification: 3.1000 +- 0.0005 %.
+    assert!((rate - 3.1).abs() < 5e-4 && error < 6e-4, "{rate} {error}");
+    assert!(of("magnification", "held_because").is_string(), "{manifest}");
 }

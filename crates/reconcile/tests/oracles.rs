@@ -215,7 +215,7 @@ fn what_the_data_do_not_determine_is_refused_by_name_and_with_the_reason() {
     assert!(found.drawback.is_none(), "{:?}", found.outcome.parameters);
     assert!((value(&found, Parameter::RateScale) - 3.0).abs() < 0.05);
     let held = found.outcome.parameters.iter().filter(|e| e.held).count();
-    assert_eq!(held, 6);
+    assert_eq!(held, 7);
 }
 
 #[test]

@@ -1,0 +1,256 @@
+//! The correction that the next run gets, and what is held at the plan.
+//!
+//! ```text
+//! p_i ~ N(0, (t s_i)^2)                       s_i the scale of parameter i, t one number for the machine
+//! L(t) = sum_k b_k^2 / (l_k + t^-2) / 2 - log(1 + t^2 l_k) / 2         t where L is largest, at most 1
+//! p*   = (D + t^-2 S^-2)^-1 D p'                                        D the information of the data alone
+//! ```
+//!
+//! The expected residual of the next run is least for the mean p* of what the run leaves possible. How far a machine is
+//! off is known only roughly, so t is found from all parameters together by maximum likelihood ([`Joint::spread`]): l_k are
+//! the eigenvalues of S D S, b_k the components of S D p'. Directions that the data determine are corrected as they
+//! are found; of the others p* takes what the data support. It therefore needs no decision for each parameter.
+//!
+//! A parameter is held at the plan ([`hold`]) if it at least doubles the standard error of another one that
+//! matters, and if the data favour the plan's value by [`FAVOURED`] to 1 over a value of the spread t s:
+//!
+//! ```text
+//! odds = (t^2 s^2 / c)^1/2 exp(-p'^2 / 2 c)          c the variance of p' (Savage and Dickey's ratio)
+//! ```
+//!
+//! The others and their standard errors are then those of a fit without it. If the plan's value is as probable
+//! beforehand as any other, the hold is wrong in one of [`FAVOURED`] runs.
+
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use planish_types::text::significant;
+
+use crate::{determined::shown, fit::Fit, parameter::Parameter};
+
+/// Estimate over its standard error from which a parameter matters: correcting it lowers the expected residual.
+const WORTH: f64 = std::f64::consts::SQRT_2;
+
+/// Square of the correlation from which holding one unknown halves the standard error of another.
+const HALVES: f64 = 0.75;
+
+/// Least odds of the plan's value from which a parameter is held. Larger: fewer holds, and fewer wrong ones.
+const FAVOURED: f64 = 20.0;
+
+/// Smallest spread, and the number of spreads that are tried in a decade.
+const SMALLEST_SPREAD: f64 = 1e-3;
+const PER_DECADE: i32 = 20;
+
+/// Variance below this part of the largest one (in scales) is rounding.
+const ROUNDING: f64 = 1e-15;
+
+/// Estimates and their covariance while parameters are taken to the plan.
+pub struct Joint {
+    /// Estimates of all unknowns.
+    pub values: DVector<f64>,
+    /// Their covariance.
+    pub covariance: DMatrix<f64>,
+}
+
+impl Joint {
+    /// Of a fit.
+    pub fn new(fit: &Fit) -> Self {
+        Self { values: DVector::from_vec(fit.values.clone()), covariance: fit.covariance.clone() }
+    }
+
+    /// Makes the first unknowns uncertain by one standard error along this move of all of them together.
+    pub fn widen(&mut self, along: &[f64]) {
+        for (i, a) in along.iter().enumerate() {
+            for (j, b) in along.iter().enumerate() {
+                self.covariance[(i, j)] += a * b;
+            }
+        }
+    }
+
+    /// Standard error of unknown `i`.
+    pub fn standard_error(&self, i: usize) -> f64 {
+        self.covariance[(i, i)].max(0.0).sqrt()
+    }
+
+    fn over_error(&self, i: usize) -> f64 {
+        let variance = self.covariance[(i, i)];
+        if variance > 0.0 { self.values[i].abs() / variance.sqrt() } else { f64::INFINITY }
+    }
+
+    /// Takes unknown `i` to the plan; the others follow by their correlation with it.
+    fn put_at_plan(&mut self, i: usize) {
+        let variance = self.covariance[(i, i)];
+        if variance > 0.0 {
+            let column = self.covariance.column(i).clone_owned();
+            self.values -= &column * (self.values[i] / variance);
+            self.covariance -= &column * column.transpose() / variance;
+        }
+        self.values[i] = 0.0;
+    }
+
+    /// The information of the data on the parameters `of` in units of their scales: eigenvalues, components of the
+    /// estimates times it, eigenvectors.
+    fn information(&self, of: &[usize], scales: &[f64]) -> (Vec<f64>, DVector<f64>, DMatrix<f64>) {
+        let n = of.len();
+        let scaled = DMatrix::from_fn(n, n, |a, b| {
+            self.covariance[(of[a], of[b])] / (scales[of[a]] * scales[of[b]])
+        });
+        let values = DVector::from_fn(n, |a, _| self.values[of[a]] / scales[of[a]]);
+        let eigen = SymmetricEigen::new(scaled);
+        let least = (ROUNDING * eigen.eigenvalues.max()).max(f64::MIN_POSITIVE);
+        let along = eigen.eigenvectors.transpose() * values;
+        // The fit has the scales as one observation more.
+        let precision = |k: usize| eigen.eigenvalues[k].max(least).recip();
+        let information = (0..n).map(|k| (precision(k) - 1.0).max(0.0)).collect();
+        let right = DVector::from_fn(n, |k, _| precision(k) * along[k]);
+        (information, right, eigen.eigenvectors)
+    }
+
+    /// The spread t of the parameters `of`, by maximum likelihood.
+    pub fn spread(&self, of: &[usize], scales: &[f64]) -> f64 {
+        if of.is_empty() {
+            return 1.0;
+        }
+        let (information, right, _) = self.information(of, scales);
+        let likelihood = |t: f64| -> f64 {
+            let one =
+                |(l, b): (&f64, &f64)| 0.5 * b * b / (l + t.powi(-2)) - 0.5 * (t * t * l).ln_1p();
+            information.iter().zip(right.iter()).map(one).sum()
+        };
+        let decades = -SMALLEST_SPREAD.log10();
+        let count = (decades * f64::from(PER_DECADE)).round() as i32;
+        let tried = (0..=count).map(|k| 10_f64.powf(f64::from(k - count) / f64::from(PER_DECADE)));
+        let best = tried.max_by(|a, b| likelihood(*a).total_cmp(&likelihood(*b)));
+        best.unwrap_or(1.0)
+    }
+
+    /// The mean of the parameters `of` with the spread `t`.
+    fn mean(&self, of: &[usize], scales: &[f64], t: f64) -> Vec<f64> {
+        let (information, right, vectors) = self.information(of, scales);
+        let along = DVector::from_fn(of.len(), |k, _| right[k] / (information[k] + t.powi(-2)));
+        let values = vectors * along;
+        of.iter().enumerate().map(|(a, i)| values[a] * scales[*i]).collect()
+    }
+}
+
+/// One parameter that is held automatically.
+pub struct Held {
+    /// Its place among the parameters.
+    pub index: usize,
+    /// The reason, for people.
+    pub reason: String,
+}
+
+/// Holds what only inflates: the parameters, and all unknowns with them at the plan. `may[i]` says whether parameter `i`
+/// may be held; `spread[i]` is t s of it.
+pub fn hold(fit: &Fit, may: &[bool], spread: &[f64]) -> (Vec<Held>, Joint) {
+    let mut joint = Joint::new(fit);
+    let mut held: Vec<Held> = Vec::new();
+    loop {
+        let is_held = |i: usize| held.iter().any(|h| h.index == i);
+        let matters =
+            |i: usize| fit.parameters[i] == Parameter::RateScale || joint.over_error(i) > WORTH;
+        let c = &joint.covariance;
+        let odds = |q: usize| {
+            let z = joint.over_error(q);
+            (spread[q] / c[(q, q)].sqrt()) * (-0.5 * z * z).exp()
+        };
+        let mut worst: Option<(usize, usize, f64)> = None;
+        for q in (0..may.len()).filter(|q| may[*q] && !is_held(*q)) {
+            if odds(q) < FAVOURED {
+                continue;
+            }
+            for i in (0..may.len()).filter(|i| *i != q && !is_held(*i) && matters(*i)) {
+                let square = c[(i, q)].powi(2) / (c[(i, i)] * c[(q, q)]);
+                if square >= HALVES && worst.is_none_or(|w| square > w.2) {
+                    worst = Some((q, i, square));
+                }
+            }
+        }
+        let Some((q, i, square)) = worst else { break };
+        let alone = (c[(i, i)] * (1.0 - square).max(0.0)).sqrt();
+        let reason = format!(
+            "held at the plan: its estimate is {} standard errors ({}) from it, the data favour the plan by {} to 1, \
+             and it raises the standard error of {} from {} to {}",
+            significant(joint.over_error(q), 2),
+            shown(fit.parameters[q], c[(q, q)].sqrt()),
+            significant(odds(q), 2),
+            fit.parameters[i].name(),
+            shown(fit.parameters[i], alone),
+            shown(fit.parameters[i], c[(i, i)].sqrt()),
+        );
+        joint.put_at_plan(q);
+        held.push(Held { index: q, reason });
+    }
+    (held, joint)
+}
+
+/// How a parameter takes part in the corrections.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Part {
+    /// It is corrected as far as the data support it.
+    Corrected,
+    /// It stays at the plan, and the others are those of a fit with it there.
+    AtPlan,
+    /// It stays at the plan, and the others do not make up for it.
+    Left,
+}
+
+/// The corrections of the next run from what is found of all unknowns, 0 for what stays at the plan.
+pub fn applied(mut joint: Joint, parts: &[Part], scales: &[f64]) -> Vec<f64> {
+    for i in (0..parts.len()).filter(|i| parts[*i] == Part::AtPlan) {
+        joint.put_at_plan(i);
+    }
+    let free: Vec<usize> = (0..parts.len()).filter(|i| parts[*i] != Part::AtPlan).collect();
+    let mut corrections = vec![0.0; parts.len()];
+    if free.is_empty() {
+        return corrections;
+    }
+    let t = joint.spread(&free, scales);
+    for (i, value) in free.iter().zip(joint.mean(&free, scales, t)) {
+        if parts[*i] == Part::Corrected {
+            corrections[*i] = value;
+        }
+    }
+    corrections
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn joint(values: &[f64], covariance: &[f64]) -> Joint {
+        let n = values.len();
+        Joint {
+            values: DVector::from_row_slice(values),
+            covariance: DMatrix::from_row_slice(n, n, covariance),
+        }
+    }
+
+    /// Of one number z standard errors from the plan the spread is (z^2 - 1)^1/2 standard errors, and 1 - 1/z^2 of it are
+    /// left; of one within a standard error nothing.
+    #[test]
+    fn one_parameter_is_shrunk_as_james_and_stein_say() {
+        for (z, part) in [(0.5, 0.0), (3.0, 1.0 - 1.0 / 9.0), (50.0, 1.0)] {
+            let one = joint(&[1e-3 * z], &[1e-6]);
+            let t = one.spread(&[0], &[1.0]);
+            let found = one.mean(&[0], &[1.0], t)[0] / (1e-3 * z);
+            // The spreads are tried in steps of 12 %: half of one changes the part by 0.012; the smallest, which is a
+            // standard error here, leaves half of the first.
+            let bound = if z < 1.0 { 0.51 } else { 0.015 };
+            assert!((found - part).abs() < bound, "{z}: {found} {part}");
+        }
+    }
+
+    /// What two parameters do together is kept where only their difference is unknown.
+    #[test]
+    fn a_determined_sum_of_two_parameters_is_kept() {
+        // The sum has the standard error 1e-3, the difference 1, beside scales of 1.
+        let (sum, difference) = (1e-6, 0.5);
+        let c = [sum + difference, sum - difference, sum - difference, sum + difference];
+        let two = joint(&[0.4, -0.2], &c.map(|v| 0.25 * v));
+        let t = two.spread(&[0, 1], &[1.0, 1.0]);
+        let found = two.mean(&[0, 1], &[1.0, 1.0], t);
+        // Shrinking it by the square of its standard error over the spread of 0.14 is below 1e-3 of 0.2.
+        assert!((found[0] + found[1] - 0.2).abs() < 2e-4, "{found:?}");
+        assert!((found[0] - found[1]).abs() < 0.3, "{found:?}");
+    }
+}

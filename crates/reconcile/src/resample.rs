@@ -1,0 +1,104 @@
+//! The map after a run on the pixels of the map before it.
+//!
+//! Lagrange's polynomial of degree five through six samples along each axis. At half a pixel its transfer is 0.999 at
+//! eight pixels per period and 0.95 at four. It averages noise: at half a pixel along both axes the noise of the map
+//! after keeps half of its variance. The standard errors follow, because they use the covariance of the rest and no
+//! stated noise. A pixel with an invalid sample among its six along an axis is invalid.
+
+use ndarray::Array2;
+use planish_types::{Axis, Grid, Invalid, Surface};
+
+/// Pixels of both maps are the same where they are no further apart than this part of a step.
+const SAME_PLACE: f64 = 1e-3;
+
+/// Samples along each axis.
+const SAMPLES: usize = 6;
+
+/// The method, for people.
+pub const METHOD: &str = "Lagrange interpolation of degree five along each axis";
+
+/// Returns true if both grids have the same pixels.
+pub fn are_same(a: &Grid, b: &Grid) -> bool {
+    let near = |a: f64, b: f64, step: f64| (a - b).abs() <= SAME_PLACE * step;
+    let axis = |a: &Axis, b: &Axis| {
+        a.len() == b.len()
+            && near(a.start_mm(), b.start_mm(), a.step_mm())
+            && near(a.end_mm(), b.end_mm(), a.step_mm())
+    };
+    axis(&a.x, &b.x) && axis(&a.y, &b.y)
+}
+
+/// First sample and weights for every coordinate of `to`; `None` outside of `from`.
+fn weights(from: &Axis, to: &Axis) -> Vec<Option<(usize, Vec<f64>)>> {
+    let of = |i: usize| {
+        let at = (to.at(i) - from.start_mm()) / from.step_mm();
+        let nearest = at.round();
+        if (at - nearest).abs() <= SAME_PLACE {
+            let inside = nearest >= 0.0 && nearest < from.len() as f64;
+            return inside.then(|| (nearest as usize, vec![1.0]));
+        }
+        let first = at.floor() - (SAMPLES / 2 - 1) as f64;
+        if first < 0.0 || first + SAMPLES as f64 > from.len() as f64 {
+            return None;
+        }
+        let u = at - first;
+        let weight = |j: usize| {
+            let others = (0..SAMPLES).filter(|k| *k != j);
+            others.map(|k| (u - k as f64) / (j as f64 - k as f64)).product()
+        };
+        Some((first as usize, (0..SAMPLES).map(weight).collect()))
+    };
+    (0..to.len()).map(of).collect()
+}
+
+/// `map` on the pixels of `grid`, invalid where it has too few samples.
+pub fn resampled(map: &Surface, grid: &Grid) -> Result<Surface, Invalid> {
+    let x = weights(&map.grid().x, &grid.x);
+    let y = weights(&map.grid().y, &grid.y);
+    let height = map.height_nm();
+    let at = |(r, c): (usize, usize)| {
+        let (Some((r0, rows)), Some((c0, columns))) = (&y[r], &x[c]) else { return f64::NAN };
+        let row = |i: usize| {
+            columns.iter().enumerate().map(|(j, w)| w * height[[r0 + i, c0 + j]]).sum::<f64>()
+        };
+        rows.iter().enumerate().map(|(i, w)| w * row(i)).sum()
+    };
+    let found = Array2::from_shape_fn(grid.shape(), at);
+    if found.iter().all(|v| v.is_nan()) {
+        let problem = "has no pixel within the map before";
+        let remedy = "give two maps of the same part in the same coordinates";
+        return Err(Invalid::whole("height_nm", problem, remedy));
+    }
+    Surface::new(*grid, found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A polynomial of degree five along each axis is its own interpolant.
+    #[test]
+    fn polynomials_of_degree_five_are_exact_and_samples_outside_are_invalid() {
+        let value = |x: f64, y: f64| (0.3 * x - 1.0).powi(5) + x * y.powi(4) - 2.0 * y;
+        let map = |grid: Grid| {
+            let at = |(r, c): (usize, usize)| value(grid.x.at(c), grid.y.at(r));
+            Surface::new(grid, Array2::from_shape_fn(grid.shape(), at)).unwrap()
+        };
+        let from =
+            Grid { x: Axis::new(0.0, 0.2, 30).unwrap(), y: Axis::new(0.0, 0.25, 20).unwrap() };
+        let to = Grid { x: Axis::new(0.1, 0.2, 30).unwrap(), y: Axis::new(0.0, 0.3, 16).unwrap() };
+        let (found, expected) = (resampled(&map(from), &to).unwrap(), map(to));
+        let mut valid = 0;
+        for (a, b) in found.height_nm().iter().zip(expected.height_nm()) {
+            if !a.is_nan() {
+                valid += 1;
+                // Rounding of weights whose sum of magnitudes is below 2.
+                assert!((a - b).abs() < 1e-9, "{a} {b}");
+            }
+        }
+        // Along x 25 of 30 have three samples on each side. Along y the place 0.3 k / 0.25 = 1.2 k has them for
+        // k = 2 to 14, and k = 0 and 15 are on samples.
+        assert_eq!(valid, 25 * 15);
+        assert!(are_same(&from, &from) && !are_same(&from, &to));
+    }
+}

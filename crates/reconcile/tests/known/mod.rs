@@ -1,0 +1,366 @@
+//! Cases of known truth, by a direct sum over analytic tools: nothing of it uses the simulator of the product.
+
+#![allow(dead_code)] // the test and the example use a part each
+
+use ndarray::Array2;
+use planish_reconcile::{Comparison, Reconciled, Settings, reconcile};
+use planish_types::{Axis, Grid, Surface, Tif, Trajectory, TrajectoryBuilder};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+const DEGREE: f64 = std::f64::consts::PI / 180.0;
+
+/// Places along each piece at which the direct sum puts its time (Gauss's rule of two points on each half).
+const NODES: [f64; 4] = [0.105_662_433, 0.394_337_567, 0.605_662_433, 0.894_337_567];
+
+/// Part and tool of a kind of case.
+#[derive(Clone, Copy, Debug)]
+struct Kind {
+    name: &'static str,
+    /// Size of the part, mm.
+    size_mm: [f64; 2],
+    sigma_mm: f64,
+    /// Pitch of maps and tool, mm: about four samples per sigma, where Keys' convolution of a Gaussian errs by 2e-4 of
+    /// its peak.
+    pitch_mm: f64,
+}
+
+/// A coupon, a strip like a long flat mirror, and a plate.
+const KINDS: [Kind; 3] = [
+    Kind { name: "coupon", size_mm: [20.0, 12.0], sigma_mm: 1.0, pitch_mm: 0.25 },
+    Kind { name: "flat", size_mm: [60.0, 16.0], sigma_mm: 1.7, pitch_mm: 0.4 },
+    Kind { name: "plate", size_mm: [36.0, 24.0], sigma_mm: 1.5, pitch_mm: 0.4 },
+];
+
+/// Rate below which the planner takes the tool for ended, nm/s: 1e-6 of its peak.
+const LEAST_RATE: f64 = 8e-6;
+
+/// Radius of the tool in the direct sum, in sigmas: beyond it a tool has less than 1e-7 of its peak.
+const REACH_SIGMA: f64 = 6.5;
+
+/// Rounds of the multiplicative planner.
+const ROUNDS: usize = 25;
+
+/// True errors of machine and tool.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Truth {
+    pub rate: f64,
+    pub offset_mm: [f64; 2],
+    pub rotation_rad: f64,
+    pub magnification: f64,
+    pub width: f64,
+    pub ellipticity: f64,
+    pub diagonal: f64,
+    pub drift: f64,
+}
+
+/// A tool in closed form: a Gaussian, or one with a flatter top.
+#[derive(Clone, Copy, Debug)]
+struct Tool {
+    sigma_mm: f64,
+    pitch_mm: f64,
+    flatter: bool,
+}
+
+impl Tool {
+    /// Rate at (x, y) from its middle with the errors of its shape, nm/s; the volume is that of the tool without them.
+    fn rate(&self, x: f64, y: f64, t: &Truth) -> f64 {
+        // The inverse of w [[1 + e/2, d/2], [d/2, 1 - e/2]]
+        let (w, e, d) = (1.0 + t.width, 0.5 * t.ellipticity, 0.5 * t.diagonal);
+        let determinant = w * (1.0 - e * e - d * d);
+        let u = ((1.0 - e) * x - d * y) / determinant;
+        let v = ((1.0 + e) * y - d * x) / determinant;
+        let q = (u * u + v * v) / (self.sigma_mm * self.sigma_mm);
+        let shape =
+            if self.flatter { (1.0 + 0.4 * q) * (-0.5 * q).exp() } else { (-0.5 * q).exp() };
+        8.0 * shape * (1.0 + t.rate) / (w * w * (1.0 - e * e - d * d))
+    }
+
+    fn sampled(&self, errors: &Truth) -> Tif {
+        // Out to 5.5 sigma, where the tool has ended; the pitch of the map, at which a simulation is fastest
+        let step = self.pitch_mm;
+        let n = (5.5 * self.sigma_mm / step).ceil() as usize;
+        let axis = Axis::new(-(n as f64) * step, step, 2 * n + 1).unwrap();
+        let rate = |(r, c): (usize, usize)| self.rate(axis.at(c), axis.at(r), errors);
+        Tif::new(Grid { x: axis, y: axis }, Array2::from_shape_fn((2 * n + 1, 2 * n + 1), rate))
+            .unwrap()
+    }
+}
+
+/// One run.
+pub struct Case {
+    seed: u64,
+    pub kind: &'static str,
+    pub truth: Truth,
+    grid: Grid,
+    tool: Tool,
+    /// Corners of the path, in the coordinates of the part.
+    path: Vec<[f64; 2]>,
+    sigma_nm: f64,
+    figure: Figure,
+    noise: Array2<f64>,
+    pub before: Surface,
+    pub after: Surface,
+    pub trajectory: Trajectory,
+    pub tif: Tif,
+}
+
+/// Waves of amplitude, nm, wave vector, 1/mm, and phase, on a base.
+struct Figure {
+    base_nm: f64,
+    waves: Vec<[f64; 4]>,
+}
+
+impl Figure {
+    fn new(rng: &mut ChaCha8Rng, sigma_mm: f64, amplitude_nm: f64) -> Self {
+        let wave = |_| {
+            // Periods of 4 to 16 sigma: the tool reaches them.
+            let k = 2.0 * std::f64::consts::PI / (sigma_mm * rng.random_range(6.0..20.0));
+            let turn = rng.random_range(0.0..2.0 * std::f64::consts::PI);
+            let a = amplitude_nm * rng.random_range(0.5..1.5);
+            [a, k * turn.cos(), k * turn.sin(), rng.random_range(0.0..6.2)]
+        };
+        let waves = (0..8).map(wave).collect();
+        Self { base_nm: 8.0 * amplitude_nm, waves }
+    }
+
+    fn at(&self, x: f64, y: f64) -> f64 {
+        let wave = |[a, kx, ky, p]: &[f64; 4]| a * (kx * x + ky * y + p).sin();
+        self.base_nm + self.waves.iter().map(wave).sum::<f64>()
+    }
+
+    fn map(&self, grid: &Grid) -> Array2<f64> {
+        Array2::from_shape_fn(grid.shape(), |(r, c)| self.at(grid.x.at(c), grid.y.at(r)))
+    }
+}
+
+/// A normal number from two uniform ones (Box and Muller).
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    let (u, v): (f64, f64) = (rng.random_range(1e-12..1.0), rng.random_range(0.0..1.0));
+    (-2.0 * u.ln()).sqrt() * (2.0 * std::f64::consts::PI * v).cos()
+}
+
+impl Case {
+    /// The case of a seed: part, tool and path change with it, and half of the machines have no magnification.
+    pub fn new(seed: u64, sigma_nm: f64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let kind = KINDS[(seed % 3) as usize];
+        let (sigma_mm, pitch_mm) = (kind.sigma_mm, kind.pitch_mm);
+        let tool = Tool { sigma_mm, pitch_mm, flatter: seed % 2 == 1 };
+        let axis = |start: f64, size: f64| {
+            Axis::new(start, pitch_mm, (size / pitch_mm).round() as usize).unwrap()
+        };
+        let grid = Grid { x: axis(-3.0, kind.size_mm[0]), y: axis(2.0, kind.size_mm[1]) };
+        let figure = Figure::new(&mut rng, tool.sigma_mm, 4.0);
+        let path = path_over(&grid, 0.75 * tool.sigma_mm, 2.5 * tool.sigma_mm, seed / 3 % 4);
+        let truth = Truth {
+            rate: rng.random_range(-0.05..0.05),
+            offset_mm: [0.06 * normal(&mut rng), 0.06 * normal(&mut rng)],
+            rotation_rad: 0.05 * DEGREE * normal(&mut rng),
+            magnification: if seed % 2 == 0 { 0.0 } else { 1e-3 * normal(&mut rng) },
+            width: 0.015 * normal(&mut rng),
+            ellipticity: 0.015 * normal(&mut rng),
+            diagonal: 0.015 * normal(&mut rng),
+            drift: if seed % 4 < 2 { 0.0 } else { 0.02 * normal(&mut rng) },
+        };
+        let shape = grid.shape();
+        let noise = Array2::from_shape_simple_fn(shape, || sigma_nm * normal(&mut rng));
+        let after_noise = Array2::from_shape_simple_fn(shape, || sigma_nm * normal(&mut rng));
+        let tif = tool.sampled(&Truth::default());
+        let real = figure.map(&grid);
+        let before = Surface::new(grid, &real + &noise).unwrap();
+        let seconds = planned(&grid, &path, &real, &|x, y| tool.rate(x, y, &Truth::default()));
+        let trajectory = motion(&path, &seconds);
+        let removal = executed(&grid, &trajectory, &tool, &truth);
+        let after = Surface::new(grid, &real - &removal + &after_noise).unwrap();
+        Self {
+            seed,
+            kind: kind.name,
+            truth,
+            grid,
+            tool,
+            path,
+            sigma_nm,
+            figure,
+            noise,
+            before,
+            after,
+            trajectory,
+            tif,
+        }
+    }
+
+    /// The map after the run on other pixels, with noise of its own.
+    pub fn after_on(&self, grid: Grid) -> Surface {
+        let removal = executed(&grid, &self.trajectory, &self.tool, &self.truth);
+        let mut rng = ChaCha8Rng::seed_from_u64(2_000_000 + self.seed);
+        let noise = Array2::from_shape_simple_fn(grid.shape(), || self.sigma_nm * normal(&mut rng));
+        Surface::new(grid, self.figure.map(&grid) - &removal + &noise).unwrap()
+    }
+
+    pub fn learn(&self) -> Reconciled {
+        self.learn_from(&self.after)
+    }
+
+    pub fn learn_from(&self, after: &Surface) -> Reconciled {
+        let comparison = Comparison {
+            before: &self.before,
+            after,
+            trajectory: &self.trajectory,
+            tif: &self.tif,
+            process: None,
+            transform: None,
+        };
+        reconcile(&comparison, &Settings::default()).unwrap()
+    }
+
+    /// Error of every parameter over its standard error; `None` where it is not determined.
+    pub fn over_errors(&self, found: &Reconciled) -> Vec<(String, Option<f64>)> {
+        let t = &self.truth;
+        let truth = [
+            100.0 * t.rate,
+            t.offset_mm[0],
+            t.offset_mm[1],
+            t.rotation_rad / DEGREE,
+            100.0 * t.magnification,
+            100.0 * t.width,
+            100.0 * t.ellipticity,
+            100.0 * t.diagonal,
+            100.0 * t.drift,
+        ];
+        let estimates = found.outcome.parameters.iter().zip(truth);
+        let one = |(e, truth): (&planish_reconcile::report::Estimate, f64)| {
+            let off = e.value.map(|v| (v - truth) / e.standard_error.unwrap());
+            (e.name.clone(), off)
+        };
+        estimates.map(one).collect()
+    }
+
+    /// The true residual of another mirror of the kind with what was learnt, without it, and with a known tool, nm RMS.
+    pub fn next_mirror_nm(&self, found: &Reconciled) -> [f64; 3] {
+        let mut rng = ChaCha8Rng::seed_from_u64(1_000_000 + self.seed);
+        let figure = Figure::new(&mut rng, self.tool.sigma_mm, 4.0);
+        let real = figure.map(&self.grid);
+        let measured = &real + &self.noise;
+        // No plan corrects a drift, so the machine of the known tool has it, too.
+        let shape = Truth { drift: 0.0, ..self.truth };
+        let true_tool = self.tool.sampled(&shape);
+        let residual = |rate: &dyn Fn(f64, f64) -> f64, place: &dyn Fn([f64; 2]) -> [f64; 2]| {
+            let seconds = planned(&self.grid, &self.path, &measured, rate);
+            let corners: Vec<[f64; 2]> = self.path.iter().map(|p| place(*p)).collect();
+            let done = executed(&self.grid, &motion(&corners, &seconds), &self.tool, &self.truth);
+            (&real - &done).std(0.0)
+        };
+        let middle = middle(&self.grid);
+        let known = |p: [f64; 2]| {
+            let t = &self.truth;
+            let (sine, cosine) = t.rotation_rad.sin_cos();
+            let d = [0, 1].map(|k| (p[k] - middle[k] - t.offset_mm[k]) / (1.0 + t.magnification));
+            [middle[0] + cosine * d[0] + sine * d[1], middle[1] - sine * d[0] + cosine * d[1]]
+        };
+        [
+            residual(&|x, y| found.tif.rate_at(x, y), &|p| found.transform.point(p)),
+            residual(&|x, y| self.tif.rate_at(x, y), &|p| p),
+            residual(&|x, y| true_tool.rate_at(x, y), &known),
+        ]
+    }
+}
+
+fn middle(grid: &Grid) -> [f64; 2] {
+    [&grid.x, &grid.y].map(|a| 0.5 * (a.start_mm() + a.end_mm()))
+}
+
+/// Corners of a raster along x or along y, to and fro or always in one order, with pieces as long as the pitch.
+fn path_over(grid: &Grid, pitch: f64, beyond: f64, kind: u64) -> Vec<[f64; 2]> {
+    let [x, y] = [&grid.x, &grid.y].map(|a| (a.start_mm() - beyond, a.end_mm() + beyond));
+    let count = |(from, to): (f64, f64)| ((to - from) / pitch).ceil() as usize + 1;
+    let (along, across) = if kind % 2 == 0 { (x, y) } else { (y, x) };
+    let mut path = Vec::new();
+    for line in 0..count(across) {
+        let v = across.0 + pitch * line as f64;
+        let n = count(along);
+        for k in 0..n {
+            let k = if line % 2 == 0 { k } else { n - 1 - k };
+            let u = along.0 + pitch * k as f64;
+            path.push(if kind % 2 == 0 { [u, v] } else { [v, u] });
+        }
+    }
+    if kind >= 2 {
+        path.reverse();
+    }
+    path
+}
+
+/// Time of every piece, s: multiplicative rounds from an even dwell, with the tool that the planner believes in.
+fn planned(
+    grid: &Grid,
+    path: &[[f64; 2]],
+    wanted: &Array2<f64>,
+    rate: &dyn Fn(f64, f64) -> f64,
+) -> Vec<f64> {
+    // The middle of a piece stands for it: what this errs by is in every plan alike.
+    let pixels = grid.x.len() * grid.y.len();
+    let of: Vec<Vec<(usize, f64)>> = path
+        .windows(2)
+        .map(|ends| {
+            let at = [0, 1].map(|a| 0.5 * (ends[0][a] + ends[1][a]));
+            let one = |i: usize| {
+                let (r, c) = (i / grid.x.len(), i % grid.x.len());
+                (i, rate(grid.x.at(c) - at[0], grid.y.at(r) - at[1]))
+            };
+            (0..pixels).map(one).filter(|(_, v)| *v > LEAST_RATE).collect()
+        })
+        .collect();
+    let wanted: Vec<f64> = wanted.iter().copied().collect();
+    let weights: Vec<f64> =
+        of.iter().map(|piece| piece.iter().map(|(_, v)| v).sum::<f64>().max(1e-9)).collect();
+    let mut seconds = vec![wanted.iter().sum::<f64>() / weights.iter().sum::<f64>(); of.len()];
+    for _ in 0..ROUNDS {
+        let mut done = vec![1e-9; pixels];
+        for (piece, h) in of.iter().zip(&seconds) {
+            piece.iter().for_each(|(i, v)| done[*i] += v * h);
+        }
+        for ((piece, h), weight) in of.iter().zip(&mut seconds).zip(&weights) {
+            let ratio = piece.iter().map(|(i, v)| v * wanted[*i] / done[*i]).sum::<f64>() / weight;
+            *h = (*h * ratio).max(1e-3);
+        }
+    }
+    seconds
+}
+
+fn motion(path: &[[f64; 2]], seconds: &[f64]) -> Trajectory {
+    let mut motion = TrajectoryBuilder::default();
+    for (k, h) in seconds.iter().enumerate() {
+        let line = |a: usize| [path[k][a], (path[k + 1][a] - path[k][a]) / h, 0.0, 0.0];
+        motion.push(*h, [line(0), line(1)], true, None);
+    }
+    motion.build().unwrap()
+}
+
+/// The direct sum: the analytic tool at the displaced places, four per piece, with the rate of its time.
+fn executed(grid: &Grid, trajectory: &Trajectory, tool: &Tool, t: &Truth) -> Array2<f64> {
+    let middle = middle(grid);
+    let (sine, cosine) = t.rotation_rad.sin_cos();
+    let breaks = trajectory.break_time_s();
+    let total = breaks[breaks.len() - 1];
+    let mut removal = Array2::zeros(grid.shape());
+    for (k, c) in trajectory.coefficient_mm().iter().enumerate() {
+        let h = breaks[k + 1] - breaks[k];
+        let drift = 1.0 + t.drift * ((breaks[k] + 0.5 * h) / total - 0.5) / (1.0 + t.rate);
+        for node in NODES {
+            let d = [0, 1]
+                .map(|a| (1.0 + t.magnification) * (c[a][0] + c[a][1] * node * h - middle[a]));
+            let at = [
+                middle[0] + cosine * d[0] - sine * d[1] + t.offset_mm[0],
+                middle[1] + sine * d[0] + cosine * d[1] + t.offset_mm[1],
+            ];
+            for ((r, c), v) in removal.indexed_iter_mut() {
+                let (x, y) = (grid.x.at(c) - at[0], grid.y.at(r) - at[1]);
+                if x * x + y * y < REACH_SIGMA.powi(2) * tool.sigma_mm * tool.sigma_mm {
+                    *v += tool.rate(x, y, t) * 0.25 * h * drift;
+                }
+            }
+        }
+    }
+    removal
+}
