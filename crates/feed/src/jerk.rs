@@ -60,8 +60,9 @@ impl Average {
     /// The average for the limits on jerk of a machine, with (4) at most `deviation_mm`; `None` if the machine does
     /// not limit jerk.
     pub fn new(limits: &Limits, deviation_mm: f64) -> Option<Self> {
+        // (4) holds for every axis; the distance is that of both together.
         let [a, b] = limits.max_acceleration_mm_per_s2();
-        let most = a.max(b);
+        let most = a.hypot(b);
         let over_jerk = |axis: &planish_types::AxisLimits| {
             axis.max_jerk_mm_per_s3().map(|jerk| 2.0 * axis.max_acceleration_mm_per_s2() / jerk)
         };

@@ -317,6 +317,12 @@ impl<'a> Merit<'a> {
         Ok(self.priced(density, left.half_mean_square_nm2, vec![0.0; density.len()]).value)
     }
 
+    /// (1) of the model at its last reference, nm^2.
+    pub fn value_nm2(&self, density: &[f64]) -> f64 {
+        let half_mean_square_nm2 = self.by_cells(density).half_mean_square_nm2;
+        self.priced(density, half_mean_square_nm2, vec![0.0; density.len()]).value
+    }
+
     /// Half the mean square of the residual by (3), nm^2.
     pub fn half_mean_square_nm2(&self, density: &[f64]) -> f64 {
         let mut removal_nm = self.residual.removal_nm(&self.mesh.times_s(density));

@@ -328,6 +328,11 @@ pub(crate) fn read_sealed_manifest(
     let unreadable = |e: serde_json::Error| damaged(format!("is not a manifest ({e})"));
     // Kind and version are checked first, because everything else may differ in a newer manifest.
     let head: ManifestHead = serde_json::from_str(&text).map_err(unreadable)?;
+    if head.kind == kind::FORMER_DWELL_DENSITY {
+        let problem = "holds a feed, as an older Planish called a dwell_density; make it again, by \
+                       `planish-schedule trig-spline --dwell-density` or `planish-bspline-feed`";
+        return Err(HandoffError::new(dir, problem));
+    }
     if head.kind != kind.name {
         return Err(HandoffError::new(
             dir,

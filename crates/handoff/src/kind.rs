@@ -238,6 +238,9 @@ pub const DWELL: Kind = Kind {
     files: &[],
 };
 
+/// Name that [`DWELL_DENSITY`] had before: `feed` now means the feedrate only. A reader names the new kind.
+pub(crate) const FORMER_DWELL_DENSITY: &str = "feed";
+
 /// Kind of the dwell-time density along a path. Its name in files is that of the inverse, the feed.
 pub const DWELL_DENSITY: Kind = Kind {
     name: "feed",
