@@ -32,7 +32,7 @@ compare-dwell fixture="coupon" *settings: build
 compare fixture="flat-92x16" *settings: build
     @{{ quote(justfile_directory() / "pipelines/compare.sh") }} "$@"
 
-# just tolerance raster maze fixture=coupon process=fixtures/processes/mrf.json; just tolerance reference: single errors
+# just tolerance raster maze fixture=coupon error_budget=fixtures/error-budgets/mrf.json; just tolerance reference: single errors
 # on the mirror in PLANISH_REFERENCE (docs/tolerance.md)
 #
 # What the errors of a process add to the plans of pipelines, the best first: just tolerance raster maze fixture=coupon
@@ -44,7 +44,7 @@ tolerance *words: build
     @{{ quote(justfile_directory() / "pipelines/tolerance.sh") }} "$@"
 
 # Beside the same without learning and with a tool that is known: just campaign coupon runs=3 seed=7
-# process=fixtures/processes/hidden.json (docs/campaign.md)
+# error_budget=fixtures/error-budgets/hidden.json (docs/campaign.md)
 #
 # A campaign on the virtual machine: plan, run, measure, learn, plan again: just campaign coupon runs=3
 [group('1 plans')]
@@ -64,7 +64,7 @@ campaign *words: build
 campaign-spread *words: build
     @{{ quote(justfile_directory() / "pipelines/campaign-spread.sh") }} "$@"
 
-# just next-run before=DIR after=DIR trajectory=DIR tif=DIR [machine=FILE process=FILE transform=DIR specification=FILE
+# just next-run before=DIR after=DIR trajectory=DIR tif=DIR [machine=FILE error_budget=FILE transform=DIR specification=FILE
 # out=DIR] (docs/campaign.md)
 #
 # What the last run taught, the next plan, and whether it is worth it: just next-run before=DIR after=DIR ...
@@ -112,7 +112,7 @@ learn-coverage runs="500": build
     @just run raster fixture=coupon out=out/learn > /dev/null || [ $? -eq 1 ]
     @for block in 1 3; do \
         cargo run --quiet --release --locked --example coverage -- out/learn/surface out/learn/fixture/tif \
-            out/learn/methods/pvt/trajectory fixtures/processes/hidden.json {{ runs }} $block || exit; \
+            out/learn/methods/pvt/trajectory fixtures/error-budgets/hidden.json {{ runs }} $block || exit; \
     done
     @cargo run --quiet --release --locked --example known_truth
 
@@ -321,11 +321,11 @@ refine-table:
     @cargo run --quiet --release --locked --example refined
 
 # Motion and times as one problem beside the closed loop; all (with PLANISH_REFERENCE set, also those of the reference
-# mirror), or some: just feed-table mirror slow jerk servo fixtures
+# mirror), or some: just joint-table mirror slow jerk servo fixtures
 #
-# The tables of docs/feed.md
+# The tables of docs/joint.md
 [group('5 pages and tables')]
-feed-table *names:
+joint-table *names:
     @cargo run --quiet --release --locked --example refined -- feed {{ names }}
 
 # The table of docs/decisions/0071: the shapes of the PVT motion over fixtures and paths, of these fixtures or of all

@@ -1,12 +1,12 @@
 #!/bin/sh
 # A campaign on the virtual machine: plan, run, measure, reconcile, plan again; with learning, without, and on a machine
-# that is known: campaign.sh [FIXTURE] [runs=3] [seed=1] [process=FILE] [pipeline=raster] [least_gain_percent=5]
+# that is known: campaign.sh [FIXTURE] [runs=3] [seed=1] [error_budget=FILE] [pipeline=raster] [least_gain_percent=5]
 # [reconcile=FLAGS] [NAME=VALUE...]. The other settings are those of `just run`; a mirror of one's own is surface=DIR tif=DIR, two artifacts,
 # and its map is taken for the mirror itself. Everything goes to out/campaign/MIRROR, or to OUT where out=OUT is given:
 #
 #   measured        the map before the first run
 #   first           the first plan, which all chains run
-#   learning/K      run K, and what it taught: measured, truth, reconciliation, tif, transform, process.json, the next
+#   learning/K      run K, and what it taught: measured, truth, reconciliation, tif, transform, error_budget.json, the next
 #                   plan, tolerance, decision; from the second run on the motion that is commanded
 #   without/K       run K without learning: measured, truth, the next plan
 #   known/K         the same on a machine whose tool and place are those of the plan
@@ -24,7 +24,7 @@ if [ "${1-}" = held ]; then
 fi
 
 if [ "$(pwd -P)" = "$root" ]; then here= ; else here=$root/; fi
-fixture=coupon surface= tif= machine= out= process=${here}fixtures/processes/hidden.json
+fixture=coupon surface= tif= machine= out= error_budget=${here}fixtures/error-budgets/hidden.json
 runs=3 seed=1 pipeline=raster least_gain_percent=5 specification= reconcile=
 for word in "$@"; do
     case $word in
@@ -33,7 +33,7 @@ for word in "$@"; do
     tif=*) tif=${word#*=} ;;
     machine=*) machine=${word#*=} ;;
     out=*) out=${word#*=} ;;
-    process=*) process=${word#*=} ;;
+    error_budget=*) error_budget=${word#*=} ;;
     runs=*) runs=${word#*=} ;;
     seed=*) seed=${word#*=} ;;
     pipeline=*) pipeline=${word#*=} ;;
@@ -61,7 +61,7 @@ while [ "$remaining" -gt 0 ]; do
     shift
     remaining=$((remaining - 1))
     case $word in
-    fixture=* | surface=* | tif=* | out=* | process=* | runs=* | seed=* | pipeline=* | least_gain_percent=* | reconcile=*) ;;
+    fixture=* | surface=* | tif=* | out=* | error_budget=* | runs=* | seed=* | pipeline=* | least_gain_percent=* | reconcile=*) ;;
     *=*) set -- "$@" "$word" ;;
     esac
 done
@@ -73,12 +73,12 @@ else
 fi
 [ -n "$out" ] || out=${here}out/campaign/$(printf %s "$name" | tr -c 'A-Za-z0-9._+-' _)
 [ -n "$machine" ] || machine=$(just --justfile "$file" --working-directory . --evaluate machine)
-paths_are_no_flags out surface tif process machine
+paths_are_no_flags out surface tif error_budget machine
 recipe=${here}fixtures/$fixture.json
 
 if [ "$held" = no ]; then
-    [ -f "$process" ] || refuse "process $process is no file; give the errors of the virtual machine (docs/tolerance.md)"
-    set -- "$root/pipelines/campaign.sh" held "$@" "fixture=$fixture" "runs=$runs" "seed=$seed" "process=$process" "out=$out" \
+    [ -f "$error_budget" ] || refuse "error_budget $error_budget is no file; give the errors of the virtual machine (docs/tolerance.md)"
+    set -- "$root/pipelines/campaign.sh" held "$@" "fixture=$fixture" "runs=$runs" "seed=$seed" "error_budget=$error_budget" "out=$out" \
         "pipeline=$pipeline" "least_gain_percent=$least_gain_percent" "reconcile=$reconcile"
     set -- --out="$out" --pipeline=campaign --machine="$machine" --flags="reconcile=$reconcile" -- "$@"
     [ -n "$surface$tif" ] || exec planish-run start --fixture="$recipe" "$@"
@@ -103,7 +103,7 @@ begun=$(date +%s) plans=$((3 * runs + 1)) made=0
 plan() {
     plan_at=$1 plan_map=$2 plan_tool=$3
     shift 3
-    quiet "$root/pipelines/start.sh" run "$pipeline" frames=0 plan_feed=no "$@" "surface=$plan_map" "tif=$plan_tool" "out=$plan_at"
+    quiet "$root/pipelines/start.sh" run "$pipeline" frames=0 plan_joint=no "$@" "surface=$plan_map" "tif=$plan_tool" "out=$plan_at"
     made=$((made + 1)) took=$(($(date +%s) - begun))
     [ ! -t 2 ] || printf 'plan %s of %s after %s s, about %s s left\n' \
         "$made" "$plans" "$took" $((took * (plans - made) / made)) >&2
@@ -113,7 +113,7 @@ plan() {
 machine_runs() {
     run_at=$1 run_number=$2 run_map=$3 run_motion=$4
     shift 4
-    quiet planish-simulate --trajectory "$run_motion" --tif "$tif" --surface "$run_map" --process "$process" \
+    quiet planish-simulate --trajectory "$run_motion" --tif "$tif" --surface "$run_map" --error-budget "$error_budget" \
         --seed="$seed" --run="$run_number" "$@" --measured "$run_at/measured" --out "$run_at/truth" --force
 }
 
@@ -121,10 +121,10 @@ if [ -z "$surface$tif" ]; then
     quiet planish-fixture "$recipe" --out "$out/fixture" --force
     surface=$out/fixture/surface tif=$out/fixture/tif
 fi
-quiet planish-campaign measure --surface "$surface" --process "$process" --seed="$seed" --out "$out/measured" --force
+quiet planish-campaign measure --surface "$surface" --error-budget "$error_budget" --seed="$seed" --out "$out/measured" --force
 plan "$out/first" "$out/measured" "$tif" "$@"
 # The method of a run that is to be executed, as pipelines/stages.just has it
-planned=$(just --justfile "$file" --working-directory . --evaluate plan_feed=no "$@" planned)
+planned=$(just --justfile "$file" --working-directory . --evaluate plan_joint=no "$@" planned)
 
 for chain in without known; do
     map=$out/measured run=$out/first flag=
@@ -139,7 +139,7 @@ for chain in without known; do
     done
 done
 
-map=$out/measured run=$out/first tool=$tif knowledge=$process
+map=$out/measured run=$out/first tool=$tif knowledge=$error_budget
 k=1
 while [ "$k" -le "$runs" ]; do
     at=$out/learning/$k
@@ -154,12 +154,12 @@ while [ "$k" -le "$runs" ]; do
     fi
     machine_runs "$at" "$k" "$map" "$commanded"
     learn quiet --before "$map" --after "$at/measured" --trajectory "$motion" --tif "$tool" \
-        --process "$knowledge" ${place:+--transform "$place"} --out "$at/reconciliation" --corrected-tif "$at/tif" \
-        --corrected-transform "$at/transform" --learnt-process "$at/process.json" --force
-    map=$at/measured run=$at/plan tool=$at/tif knowledge=$at/process.json
+        --error-budget "$knowledge" ${place:+--transform "$place"} --out "$at/reconciliation" --corrected-tif "$at/tif" \
+        --corrected-transform "$at/transform" --learnt-error-budget "$at/error_budget.json" --force
+    map=$at/measured run=$at/plan tool=$at/tif knowledge=$at/error_budget.json
     plan "$run" "$map" "$tool" "$@"
     quiet planish-tolerance --trajectory "$run/methods/$planned/trajectory" --tif "$tool" --surface "$run/surface" \
-        --process "$knowledge" --out "$at/tolerance" --force
+        --error-budget "$knowledge" --out "$at/tolerance" --force
     judged_now= judged_next=
     if [ -n "$specification" ]; then
         judged_now=$run/specified/before/specification judged_next=$run/specified/$planned/specification
@@ -171,7 +171,7 @@ while [ "$k" -le "$runs" ]; do
     k=$((k + 1))
 done
 
-quiet planish-campaign measure --surface "$surface" --process "$process" --seed="$seed" --run="$k" \
+quiet planish-campaign measure --surface "$surface" --error-budget "$error_budget" --seed="$seed" --run="$k" \
     --out "$out/alike/measured" --force
 motion=methods/$planned/trajectory
 plan "$out/alike/first" "$out/alike/measured" "$tif" "$@"

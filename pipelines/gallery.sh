@@ -37,5 +37,5 @@ for method in position average-velocity constant-acceleration stop-at-corners pv
     draw schedulers $method "method-$(echo $method | tr + -)"
 done
 draw raster pvt+refined method-pvt-refined
-draw raster feed method-feed
+draw raster joint method-joint
 draw bspline bspline method-bspline

@@ -1,12 +1,12 @@
 #!/bin/sh
 # From the maps before and after a run to the next one: next-run.sh before=DIR after=DIR trajectory=DIR tif=DIR
-# [transform=DIR] [process=FILE] [machine=FILE] [pipeline=raster] [least_gain_percent=5] [reconcile=FLAGS] [NAME=VALUE...]. The maps, the
+# [transform=DIR] [error_budget=FILE] [machine=FILE] [pipeline=raster] [least_gain_percent=5] [reconcile=FLAGS] [NAME=VALUE...]. The maps, the
 # motion (planned or traced, in the coordinates of the part) and the tool are artifacts; transform is what took the plan
 # to the machine in that run (what the machine file says when empty), process the errors that are known beforehand (docs/campaign.md). The other settings are those
 # of `just run`. Everything goes to out/next-run/MAP, or to OUT where out=OUT is given:
 #
 #   reconciliation  what the run taught
-#   tif, transform, process.json    tool, place and errors of the next run
+#   tif, transform, error_budget.json    tool, place and errors of the next run
 #   plan            the next plan, in the coordinates of the part
 #   commanded       its motion in those of the machine, and verdict on it
 #   tolerance       what it is expected to leave
@@ -23,7 +23,7 @@ if [ "${1-}" = held ]; then
 fi
 
 if [ "$(pwd -P)" = "$root" ]; then here= ; else here=$root/; fi
-before= after= trajectory= tif= transform= process= machine= out= specification= pipeline=raster least_gain_percent=5
+before= after= trajectory= tif= transform= error_budget= machine= out= specification= pipeline=raster least_gain_percent=5
 reconcile=
 for word in "$@"; do
     case $word in
@@ -32,7 +32,7 @@ for word in "$@"; do
     trajectory=*) trajectory=${word#*=} ;;
     tif=*) tif=${word#*=} ;;
     transform=*) transform=${word#*=} ;;
-    process=*) process=${word#*=} ;;
+    error_budget=*) error_budget=${word#*=} ;;
     machine=*) machine=${word#*=} ;;
     out=*) out=${word#*=} ;;
     specification=*) specification=${word#*=} ;;
@@ -52,7 +52,7 @@ for given in "before=$before" "after=$after" "trajectory=$trajectory" "tif=$tif"
     [ -d "$value" ] || refuse "${given%%=*} $value is not there; give a directory"
 done
 [ -z "$transform" ] || [ -d "$transform" ] || refuse "transform $transform is not there; give a directory"
-[ -z "$process" ] || [ -f "$process" ] || refuse "process $process is no file; give the errors that are known beforehand"
+[ -z "$error_budget" ] || [ -f "$error_budget" ] || refuse "error_budget $error_budget is no file; give the errors that are known beforehand"
 find_pipeline "$pipeline"
 
 # The settings that are for the pipeline
@@ -62,7 +62,7 @@ while [ "$remaining" -gt 0 ]; do
     shift
     remaining=$((remaining - 1))
     case $word in
-    before=* | after=* | trajectory=* | tif=* | transform=* | process=* | out=* | pipeline=* | least_gain_percent=*) ;;
+    before=* | after=* | trajectory=* | tif=* | transform=* | error_budget=* | out=* | pipeline=* | least_gain_percent=*) ;;
     reconcile=*) ;;
     *) set -- "$@" "$word" ;;
     esac
@@ -71,12 +71,12 @@ done
 name_of_directory "$after"
 [ -n "$out" ] || out=${here}out/next-run/$(printf %s "$name" | tr -c 'A-Za-z0-9._+-' _)
 [ -n "$machine" ] || machine=$(just --justfile "$file" --working-directory . --evaluate machine)
-paths_are_no_flags out before after trajectory tif transform process machine
+paths_are_no_flags out before after trajectory tif transform error_budget machine
 
 if [ "$held" = no ]; then
     exec planish-run start --out="$out" --pipeline=next-run --surface="$after" --tif="$tif" --machine="$machine" \
         --flags="reconcile=$reconcile" -- "$root/pipelines/next-run.sh" held "$@" "before=$before" "after=$after" \
-        "trajectory=$trajectory" "tif=$tif" "transform=$transform" "process=$process" "out=$out" "pipeline=$pipeline" \
+        "trajectory=$trajectory" "tif=$tif" "transform=$transform" "error_budget=$error_budget" "out=$out" "pipeline=$pipeline" \
         "least_gain_percent=$least_gain_percent" "reconcile=$reconcile"
 fi
 
@@ -96,25 +96,25 @@ if [ -z "$transform" ]; then
 fi
 
 learn go_on --before "$before" --after "$after" --trajectory "$trajectory" --tif "$tif" \
-    ${process:+--process "$process"} ${transform:+--transform "$transform"} --out "$out/reconciliation" \
-    --corrected-tif "$out/tif" --corrected-transform "$out/transform" --learnt-process "$out/process.json" --force
+    ${error_budget:+--error-budget "$error_budget"} ${transform:+--transform "$transform"} --out "$out/reconciliation" \
+    --corrected-tif "$out/tif" --corrected-transform "$out/transform" --learnt-error-budget "$out/error_budget.json" --force
 
 # The next plan, whose pages and tables are its own
 status=0
-"$root/pipelines/start.sh" run "$pipeline" frames=0 plan_feed=no "$@" "surface=$after" "tif=$out/tif" "out=$out/plan" > "$log" 2>&1 ||
+"$root/pipelines/start.sh" run "$pipeline" frames=0 plan_joint=no "$@" "surface=$after" "tif=$out/tif" "out=$out/plan" > "$log" 2>&1 ||
     status=$?
 [ "$status" -le 1 ] || {
     cat "$log" >&2
     exit "$status"
 }
 # The method of a run that is to be executed, as pipelines/stages.just has it
-planned=$(just --justfile "$file" --working-directory . --evaluate plan_feed=no "$@" planned)
+planned=$(just --justfile "$file" --working-directory . --evaluate plan_joint=no "$@" planned)
 motion=$out/plan/methods/$planned/trajectory
 
 go_on planish-register apply --transform "$out/transform" --trajectory "$motion" --out "$out/commanded" --force
 go_on planish-verify --trajectory "$out/commanded" --machine "$out/machine/${machine##*/}" --out "$out/verdict" --force
 go_on planish-tolerance --trajectory "$motion" --tif "$out/tif" --surface "$out/plan/surface" \
-    --process "$out/process.json" --out "$out/tolerance" --force
+    --error-budget "$out/error_budget.json" --out "$out/tolerance" --force
 judged_now= judged_next=
 if [ -n "$specification" ]; then
     judged_now=$out/plan/specified/before/specification judged_next=$out/plan/specified/$planned/specification

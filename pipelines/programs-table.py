@@ -29,18 +29,18 @@ SPIRAL = ["spiral", "--pitch-mm=1.3", "--step-mm=1"]
 MULTI = ["multi-pitch", "--max-velocity-mm-per-s=5", "--step-mm=1"]
 # Name: fixture (None: the measured mirror in PLANISH_REFERENCE), path, flags of the dwell times, plans.
 ROWS = {
-    "raster": ("flat-92x16", RASTER, [], ["pvt", "feed"]),
-    "maze": ("flat-92x16", MAZE, [], ["pvt", "feed"]),
-    "random-adaptive": ("flat-92x16", RANDOM, [], ["pvt", "feed"]),
-    "spiral": ("disk-100", SPIRAL, [], ["pvt", "feed"]),
-    # docs/feed.md: the joint plan takes minutes along lines this close.
+    "raster": ("flat-92x16", RASTER, [], ["pvt", "joint"]),
+    "maze": ("flat-92x16", MAZE, [], ["pvt", "joint"]),
+    "random-adaptive": ("flat-92x16", RANDOM, [], ["pvt", "joint"]),
+    "spiral": ("disk-100", SPIRAL, [], ["pvt", "joint"]),
+    # docs/joint.md: the joint plan takes minutes along lines this close.
     "multi-pitch": ("square-200", MULTI, ["--min-dwell-s-per-mm=0.2"], ["pvt"]),
 }
 GRID_ROWS = {
-    "coupon raster": ("coupon", RASTER, [], ["pvt", "feed"]),
-    "flat-92x16 raster": ("flat-92x16", RASTER, [], ["pvt", "feed"]),
-    "reference raster": (None, RASTER, [], ["pvt", "feed"]),
-    "reference maze": (None, MAZE, [], ["pvt", "feed"]),
+    "coupon raster": ("coupon", RASTER, [], ["pvt", "joint"]),
+    "flat-92x16 raster": ("flat-92x16", RASTER, [], ["pvt", "joint"]),
+    "reference raster": (None, RASTER, [], ["pvt", "joint"]),
+    "reference maze": (None, MAZE, [], ["pvt", "joint"]),
 }
 TICKS_S = [0.0005, 0.001, 0.002, 0.004]
 COUNTS_MM = [0.0001, 0.001]
@@ -80,8 +80,8 @@ def prepare(to, fixture, path, dwell, plans):
         allowed=(0, 1))
     run("planish-schedule", "pvt", *along, "--dwell", to / "dwell", "--machine", MACHINE, "--out", to / "pvt", "--force",
         allowed=(0, 1))
-    if "feed" in plans:
-        run("planish-feed", *part, *along, "--machine", MACHINE, *dwell, "--out", to / "joint", "--force", allowed=(0, 1))
+    if "joint" in plans:
+        run("planish-joint", *part, *along, "--machine", MACHINE, *dwell, "--out", to / "joint", "--force", allowed=(0, 1))
     (to / "part.json").write_text(json.dumps([str(surface), str(tif)]))
     return True
 
@@ -94,7 +94,7 @@ def residual(to, trajectory, name):
 
 def judge(to, plan, controller, flags):
     """A line of the table: the plan as a program, read back."""
-    trajectory = to / {"pvt": "pvt", "feed": "joint/trajectory"}[plan]
+    trajectory = to / {"pvt": "pvt", "joint": "joint/trajectory"}[plan]
     planned = to / f"planned-{plan}.json"
     if not planned.exists():
         planned.write_text(json.dumps(residual(to, trajectory, f"removal-{plan}")))

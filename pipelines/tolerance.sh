@@ -1,6 +1,6 @@
 #!/bin/sh
 # What the errors of a process add to the plans of several pipelines, and which of them bears the errors best:
-# tolerance.sh [reference] [PIPELINE...] [process=FILE] [NAME=VALUE...]. The plans are those of `just run`, with the
+# tolerance.sh [reference] [PIPELINE...] [error_budget=FILE] [NAME=VALUE...]. The plans are those of `just run`, with the
 # same settings, each in a run of its own in out/tolerance/MIRROR/PIPELINE, or in OUT/PIPELINE where out=OUT is given.
 # `reference` is the mirror in PLANISH_REFERENCE; its residuals are without their planes, as the published ones are,
 # and its process is one of single errors unless another is given.
@@ -9,12 +9,12 @@ root=$(cd "$(dirname "$0")/.." && pwd -P)
 . "$root/pipelines/several-runs.sh"
 
 case $(pwd -P) in "$root") out=out ;; *) out=$root/out ;; esac
-home=$out/tolerance out= process= pipelines= reference=no own_tif= own_surface= fixture=
+home=$out/tolerance out= error_budget= pipelines= reference=no own_tif= own_surface= fixture=
 settings=$(mktemp) && trap 'rm -f "$settings"' EXIT
 for word in "$@"; do
     case $word in
     reference) reference=yes ;;
-    process=*) process=${word#process=} ;;
+    error_budget=*) error_budget=${word#error_budget=} ;;
     out=*) out=${word#out=} ;;
     tif=*) own_tif=${word#tif=} ;;
     surface=*) own_surface=${word#surface=} ;;
@@ -43,9 +43,9 @@ if [ "$reference" = yes ]; then
     [ -n "${PLANISH_REFERENCE:-}" ] || refuse 'PLANISH_REFERENCE does not name the folder of the reference mirror'
     just --justfile "$root/justfile" reference-mirror "$(mkdir -p "$out" && cd "$out" && pwd -P)/mirror"
     free=plane
-    [ -n "$process" ] || process=$root/fixtures/processes/single-errors.json
+    [ -n "$error_budget" ] || error_budget=$root/fixtures/error-budgets/single-errors.json
 fi
-[ -n "$process" ] || process=$root/fixtures/processes/ion-beam.json
+[ -n "$error_budget" ] || error_budget=$root/fixtures/error-budgets/ion-beam.json
 
 # The settings that are for the pipelines, and the mirror
 remaining=$#
@@ -53,7 +53,7 @@ while [ "$remaining" -gt 0 ]; do
     word=$1
     shift
     remaining=$((remaining - 1))
-    case $word in process=* | out=*) ;; *=*) set -- "$@" "$word" ;; esac
+    case $word in error_budget=* | out=*) ;; *=*) set -- "$@" "$word" ;; esac
 done
 [ "$reference" = no ] || set -- "$@" "surface=$out/mirror/surface" "tif=$out/mirror/tif"
 
@@ -75,7 +75,7 @@ for pipeline in $pipelines; do
     done
     printf '\n%s: ' "$pipeline"
     planish-tolerance --trajectory "$at/methods/$plan/trajectory" --tif "$tif" --surface "$at/surface" \
-        --process "$process" --free "$free" --out "$at/tolerance" --force
+        --error-budget "$error_budget" --free "$free" --out "$at/tolerance" --force
     below=$(sed -n 's/.*"below_95_percent_nm": *\([0-9.eE+-]*\).*/\1/p' "$at/tolerance/manifest.json")
     printf '%s %s\n' "$below" "$pipeline" >> "$ranks"
 done

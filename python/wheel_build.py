@@ -36,7 +36,7 @@ class Programs(BuildHookInterface):
             ("pipelines", "show.awk"),
             ("fixtures", "*.json"),
             ("fixtures/machines", "*.json"),
-            ("fixtures/processes", "*.json"),
+            ("fixtures/error-budgets", "*.json"),
             ("fixtures/specifications", "*.json"),
         ):
             for file in sorted((ROOT / folder).glob(pattern)):

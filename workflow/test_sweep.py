@@ -107,7 +107,7 @@ def main():
     made_before = len(there)
 
     second = start(killed)
-    stages = ("planish-feed", "planish-refine", "planish-toleran")  # the system keeps 15 letters of a name
+    stages = ("planish-joint", "planish-refine", "planish-toleran")  # the system keeps 15 letters of a name
     stage = wait_for("a stage", lambda: [p for p, n in below(second.pid).items() if n in stages])
     os.kill(stage[0], signal.SIGKILL)
     ended(second, "the run after the kill")

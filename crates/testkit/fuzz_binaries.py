@@ -78,7 +78,7 @@ TABLE = {
     "name": "sweep", "mirror": "tiny", "has_process": False,
     "constraints": {"max_time_s": 100.0, "keep_limits": True},
     "plans": [
-        {"id": f"raster-feed-{i}", "path": "raster", "method": "feed", "settings": {"pitch_mm": i}, "status": "done",
+        {"id": f"raster-joint-{i}", "path": "raster", "method": "joint", "settings": {"pitch_mm": i}, "status": "done",
          "message": None, "report": None, "again": f"just run raster pitch_mm={i}",
          "numbers": {"total_time_s": 10.0 / i, "rms_nm": i, "rms_detilted_nm": i, "below_95_percent_nm": None,
                      "limits_kept": True}}
@@ -123,8 +123,8 @@ planish-simulate --trajectory {run/methods/pvt/trajectory} --tif {tif} --surface
 planish-verify --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --out {run/methods/pvt/verdict}
 planish-refine --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --machine {machine.json} --out {refined}
 planish-refine pareto --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --machine {machine.json} --min-dwell-s-per-mm 0.02 --prices 2 --out {pareto}
-planish-feed --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --machine {machine.json} --out {feed-plan}
-planish-tolerance --trajectory {run/methods/pvt/trajectory} --tif {tif} --surface {run/surface} --process {process.json} --draws 1000 --simulated-runs 2 --out {tolerance}
+planish-joint --surface {run/surface} --tif {tif} --tool-path {run/tool_path} --machine {machine.json} --out {feed-plan}
+planish-tolerance --trajectory {run/methods/pvt/trajectory} --tif {tif} --surface {run/surface} --error-budget {error_budget.json} --draws 1000 --simulated-runs 2 --out {tolerance}
 planish-export galil --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.dmc}
 planish-export xps --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.trj}
 planish-export pmac --trajectory {run/methods/pvt/trajectory} --machine {machine.json} --count-mm 0.0001 --out {p.pmc}
@@ -141,10 +141,10 @@ planish-import program {p.pmc} --controller pmac --about {p.pmc.json} --out {fro
 planish-import program {p.ngc} --controller gcode --out {from-gcode}
 planish-import program {p.csv} --controller csv --out {from-csv}
 planish-import trace {p.csv} --tool-on tool_on --most-gap-s 5 --planned {run/methods/pvt/trajectory} --out {as-run}
-planish-simulate --trajectory {run/methods/pvt/trajectory} --tif {tif} --surface {run/surface} --process {process.json} --measured {after} --out {truth}
+planish-simulate --trajectory {run/methods/pvt/trajectory} --tif {tif} --surface {run/surface} --error-budget {error_budget.json} --measured {after} --out {truth}
 planish-reconcile --before {run/surface} --after {after} --trajectory {run/methods/pvt/trajectory} --tif {tif} --hold magnification --out {reconciliation}
-planish-reconcile --before {run/surface} --after {after} --trajectory {run/methods/pvt/trajectory} --tif {tif} --hold magnification --process {process.json} --corrected-tif {learnt-tif} --corrected-transform {learnt-place} --learnt-process {learnt.json} --out {learnt}
-planish-campaign measure --surface {run/surface} --process {process.json} --out {measured}
+planish-reconcile --before {run/surface} --after {after} --trajectory {run/methods/pvt/trajectory} --tif {tif} --hold magnification --error-budget {error_budget.json} --corrected-tif {learnt-tif} --corrected-transform {learnt-place} --learnt-error-budget {learnt.json} --out {learnt}
+planish-campaign measure --surface {run/surface} --error-budget {error_budget.json} --out {measured}
 planish-campaign decide --surface {run/surface} --trajectory {run/methods/pvt/trajectory} --tolerance {tolerance} --out {decision}
 planish-register fit {fiducials.csv} --out {where}
 planish-register fit {fiducials.csv} --machine {machine.json} --out {where-on-axes}
@@ -167,7 +167,7 @@ NUMBERS = """0 -0 -1 1 2 0.5 nan inf -inf 1e-300 1e-9 1e-3 1e3 1e6 1e9 1e300 -1e
 9007199254740993 18446744073709551615 99999999999999999999 1,2 ,""".split() + ["", "x", "\x1b[2J", "\u00b5"]
 
 # Flags that say where something goes.
-OUTPUTS = ("--out", "--picture", "--measured", "--corrected-tif", "--corrected-transform", "--learnt-process")
+OUTPUTS = ("--out", "--picture", "--measured", "--corrected-tif", "--corrected-transform", "--learnt-error-budget")
 
 # What flags take that count something.
 COUNTS = "0 1 2 3 7 20 100 10000 1000000 4294967295 18446744073709551615".split()
@@ -227,7 +227,7 @@ def make_base(programs, base):
     fixtures = Path(__file__).resolve().parents[2] / "fixtures"
     shutil.copy(fixtures / "machines/ion-beam.json", base / "machine.json")
     shutil.copy(fixtures / "machines/ion-beam-lab.json", base / "lab.json")
-    shutil.copy(fixtures / "processes/ion-beam.json", base / "process.json")
+    shutil.copy(fixtures / "error-budgets/ion-beam.json", base / "error_budget.json")
     (base / "fiducials.csv").write_text(FIDUCIALS)
     (base / "sweep.yaml").write_text(SWEEP.format(base=base))
     (base / "table.json").write_text(json.dumps(TABLE))

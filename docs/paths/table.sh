@@ -16,7 +16,7 @@ cp "$mirror/tif_y_mm.npy" "$out/tif/y_mm.npy"
 # Name, pipeline and its settings; the paths share 5 mm of overscan.
 while read -r name pipeline settings; do
     eval "set -- $settings"
-    just run "$pipeline" surface="$out/map" tif="$out/tif" overscan_mm=5 plan_feed=yes machine="$machine" \
+    just run "$pipeline" surface="$out/map" tif="$out/tif" overscan_mm=5 plan_joint=yes machine="$machine" \
         out="$out/$name" "$@" >"$out/$name.log" 2>&1 </dev/null && continue
     # A plan that is not proven to be the best ends with 1 and its verdict, and is in the table all the same.
     [ $? -eq 1 ] && grep -q '^verdict: ' "$out/$name.log" || { cat "$out/$name.log"; exit 1; }
@@ -40,7 +40,7 @@ for name in raster raster-angle raster-one-direction raster-bi-step raster-rando
     points=$(jq .outcome.points "$out/$name/tool_path/manifest.json")
     jq -r --arg name "$name" --arg points "$points" '
         def shown($n): . * $n | round / $n;
-        .methods as $m | ("pvt", "pvt+refined", "feed") as $k | $m[$k] | "| \($name) | \($points) | \($k)"
+        .methods as $m | ("pvt", "pvt+refined", "joint") as $k | $m[$k] | "| \($name) | \($points) | \($k)"
         + " | \(.rms_nm | shown(1e4)) | \(.total_time_s | shown(10))"
         + " | \(.max_acceleration_mm_per_s2 | map(shown(1)) | join(", ")) |"
     ' "$out/$name/report/summary.json"

@@ -42,8 +42,8 @@ pub struct Feed {
     #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
     tikhonov: f64,
     /// Weight of the second differences of the control values along a pass, relative to the strongest column
-    #[arg(long, value_name = "B", default_value_t = Settings::default().smoothness)]
-    smoothness: f64,
+    #[arg(long, value_name = "B", default_value_t = Settings::default().curvature_weight)]
+    curvature_weight: f64,
     /// Gap between the objective and its proven lower bound, over the objective, at which the solver ends; with knot
     /// removal, the relative fall of the objective in a sweep
     #[arg(long, value_name = "R", default_value_t = Settings::default().tolerance)]
@@ -67,7 +67,7 @@ impl Feed {
             pitch_mm: self.pitch_mm,
             piston: self.piston,
             tikhonov: self.tikhonov,
-            smoothness: self.smoothness,
+            curvature_weight: self.curvature_weight,
             tolerance: self.tolerance,
             max_sweeps: self.max_sweeps,
             fit_tolerance_mm: self.fit_tolerance_mm,

@@ -69,7 +69,7 @@ pub struct Settings {
     /// alpha: weight of the distance to the least density; >= 0.
     pub tikhonov: f64,
     /// beta: weight of the second differences of the control values; >= 0.
-    pub smoothness: f64,
+    pub curvature_weight: f64,
     /// Largest gap, or fall of the objective in the last sweep, over the objective.
     pub tolerance: f64,
     /// Largest number of sweeps, or of steps of the interior point method.
@@ -214,7 +214,7 @@ impl Problem {
     /// alpha K and beta K.
     pub(crate) fn weights(&self, settings: &Settings) -> [f64; 2] {
         // A trace of the identity makes the program definite where the tool reaches nothing.
-        [settings.tikhonov.max(1e-12), settings.smoothness].map(|w| w * self.strongest)
+        [settings.tikhonov.max(1e-12), settings.curvature_weight].map(|w| w * self.strongest)
     }
 
     /// The basis of line `m`.

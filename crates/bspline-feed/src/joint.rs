@@ -660,7 +660,7 @@ mod tests {
             refinement: Refinement::ConvexConcave,
             free_piston,
             tikhonov: 1e-5,
-            smoothness: 1e-4,
+            curvature_weight: 1e-4,
             tolerance,
             max_sweeps: 300,
         }

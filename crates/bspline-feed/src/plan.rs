@@ -78,7 +78,7 @@ pub struct Settings {
     /// Weight of the distance to the least density, relative to the strongest column; >= 0.
     pub tikhonov: f64,
     /// Weight of the second differences of the control values along a pass, relative to the strongest column; >= 0.
-    pub smoothness: f64,
+    pub curvature_weight: f64,
     /// Largest gap between the objective and its proven lower bound, over the objective; of knot removal, fall of the
     /// objective in the last sweep.
     pub tolerance: f64,
@@ -98,7 +98,7 @@ impl Default for Settings {
             // A free piston converges slowly: it trades time for depth of the valleys.
             piston: Piston::Keep,
             tikhonov: 1e-5,
-            smoothness: 1e-4,
+            curvature_weight: 1e-4,
             tolerance: 1e-3,
             max_sweeps: 200,
             fit_tolerance_mm: 1e-6,
@@ -189,7 +189,7 @@ impl Plan {
             return Some(format!(
                 "the limit on jerk of the machine is exceeded: by a factor of {:.3} inside pieces, and the \
                  acceleration steps by up to {:.4} mm/s^2; a B-spline feed keeps no limit on jerk: plan with \
-                 `planish-feed`, or `planish-dwell` and `planish-schedule pvt`, which keep it",
+                 `planish-joint`, or `planish-dwell` and `planish-schedule pvt`, which keep it",
                 jerk.inside, jerk.largest_acceleration_step_mm_per_s2
             ));
         }
@@ -359,7 +359,7 @@ fn check(settings: &Settings) -> Result<(), Invalid> {
     }
     let weights = [
         ("tikhonov", settings.tikhonov),
-        ("smoothness", settings.smoothness),
+        ("curvature_weight", settings.curvature_weight),
         ("tolerance", settings.tolerance),
     ];
     for (name, v) in weights {
@@ -433,7 +433,7 @@ fn deconvolution_settings(settings: &Settings) -> deconvolution::Settings {
         refinement: settings.refinement,
         free_piston: settings.piston == Piston::Free,
         tikhonov: settings.tikhonov,
-        smoothness: settings.smoothness,
+        curvature_weight: settings.curvature_weight,
         tolerance: settings.tolerance,
         max_sweeps: settings.max_sweeps,
     }

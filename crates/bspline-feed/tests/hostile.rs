@@ -21,7 +21,7 @@ fn no_flag_ends_in_a_panic_or_takes_all_memory() {
     let tmp = tempfile::tempdir().unwrap();
     inputs(tmp.path());
     let all = arguments("surface", "tif", "tool_path");
-    let flags = ["--knot-spacing-mm", "--tikhonov", "--smoothness", "--fit-tolerance-mm"];
+    let flags = ["--knot-spacing-mm", "--tikhonov", "--curvature-weight", "--fit-tolerance-mm"];
     every_value(BINARY, tmp.path(), &quick(&all), &flags, &FLOATS, "out");
     every_value(BINARY, tmp.path(), &quick(&all), &["--max-sweeps"], &COUNTS, "out");
     let plain: Vec<&str> = all.iter().map(String::as_str).collect();

@@ -67,7 +67,7 @@ fn exact() -> Settings {
     Settings {
         piston: Piston::Keep,
         tikhonov: 0.0,
-        smoothness: 0.0,
+        curvature_weight: 0.0,
         knot_spacing_mm: Some(1.0),
         tolerance: 1e-6,
         max_sweeps: 100,
@@ -175,7 +175,7 @@ fn the_objective_falls_and_its_gradient_vanishes_where_no_limit_is_met() {
     let path = ToolPath::through(vec![[-0.5, 1.0], [8.5, 1.0]], vec![true], vec![0]).unwrap();
     let limits = machine(20.0, 1e9);
     let surface = ridges();
-    let settings = Settings { tikhonov: 0.0, smoothness: 0.0, ..exact() };
+    let settings = Settings { tikhonov: 0.0, curvature_weight: 0.0, ..exact() };
     let solved = plan(&surface, &tif(), &path, &limits, &settings).unwrap();
     let pass = &passes(&path, &surface, &limits).unwrap()[0];
     let knots = Knots::uniform(9.0, 9);

@@ -10,8 +10,8 @@ use clap::Parser;
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-campaign measure --surface mirror --process process.json --seed 7 --out out/measured\n\
-    \x20 planish-campaign decide --surface out/plan/surface --trajectory out/plan/methods/feed/trajectory \\\n\
+    \x20 planish-campaign measure --surface mirror --error-budget error_budget.json --seed 7 --out out/measured\n\
+    \x20 planish-campaign decide --surface out/plan/surface --trajectory out/plan/methods/joint/trajectory \\\n\
     \x20     --tolerance out/tolerance --out out/decision\n\
     \x20 planish-campaign report out/campaign/coupon --runs 3 --out out/campaign/coupon/report";
 

@@ -39,7 +39,7 @@ fn mirror() -> Surface {
 fn process(dir: &Path) {
     let noise = json!({ "kind": "map_noise", "size": 0.4, "unit": "nm", "distribution": "normal", "note": "" });
     let file = json!({ "name": "test", "errors": [noise] });
-    fs::write(dir.join("process.json"), file.to_string()).unwrap();
+    fs::write(dir.join("error_budget.json"), file.to_string()).unwrap();
 }
 
 fn manifest(artifact: &Path) -> Value {
@@ -52,7 +52,7 @@ fn a_measurement_has_the_noise_of_the_process_and_its_own_for_every_run() {
     let dir = tmp.path();
     write(dir, "mirror", &mirror());
     process(dir);
-    let command = "measure --surface mirror --process process.json --seed 3";
+    let command = "measure --surface mirror --error-budget error_budget.json --seed 3";
     said(&run(dir, &format!("{command} --out a")), 0);
     said(&run(dir, &format!("{command} --run 1 --out b")), 0);
     said(&run(dir, &format!("{command} --run 2 --out c")), 0);
@@ -70,7 +70,7 @@ fn a_measurement_has_the_noise_of_the_process_and_its_own_for_every_run() {
     assert!((dot(&b, &b) / 0.16 - 1.0).abs() < 0.13 && (dot(&b, &c) / 0.16).abs() < 0.09);
     let message = said(&run(dir, &format!("{command} --run 0 --out d")), 2);
     assert!(message.contains("run: is 0; give 1 to 1000000"), "{message}");
-    let message = said(&run(dir, "measure --surface mirror --process none.json --out d"), 2);
+    let message = said(&run(dir, "measure --surface mirror --error-budget none.json --out d"), 2);
     assert!(message.contains("none.json") && !dir.join("d").exists(), "{message}");
 }
 
@@ -120,13 +120,14 @@ fn a_decision_and_a_page_say_what_the_artifacts_say() {
     };
     let errors = [error("rate_scale", 3.0, "%"), error("map_noise", 0.2, "nm")];
     let file = json!({ "name": "test", "errors": errors });
-    fs::write(dir.join("process.json"), file.to_string()).unwrap();
+    fs::write(dir.join("error_budget.json"), file.to_string()).unwrap();
     program(dir, "fixture coupon.json --out made");
     let mirror = "--surface made/surface --tif made/tif";
     program(dir, &format!("toolpath raster {mirror} --pitch-mm 2 --step-mm 2 --out path"));
     program(dir, &format!("dwell bounded-least-squares {mirror} --tool-path path --out dwell"));
     program(dir, "schedule pvt --tool-path path --dwell dwell --machine machine.json --out motion");
-    let machine = format!("simulate --trajectory motion {mirror} --process process.json --seed 4");
+    let machine =
+        format!("simulate --trajectory motion {mirror} --error-budget error_budget.json --seed 4");
     for (at, k, known) in [
         ("learning/1", 1, ""),
         ("without/1", 1, ""),
@@ -145,12 +146,12 @@ fn a_decision_and_a_page_say_what_the_artifacts_say() {
     program(
         dir,
         "reconcile --before made/surface --after c/learning/1/measured --trajectory motion --tif made/tif \
-         --free rate_scale --out c/learning/1/reconciliation",
+         --fit rate_scale --out c/learning/1/reconciliation",
     );
     program(
         dir,
         &format!(
-            "tolerance --trajectory motion {mirror} --process process.json --draws 1000 --out tolerance"
+            "tolerance --trajectory motion {mirror} --error-budget error_budget.json --draws 1000 --out tolerance"
         ),
     );
     let decide = "decide --surface made/surface --trajectory motion --tolerance tolerance";

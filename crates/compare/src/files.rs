@@ -12,9 +12,9 @@ use planish_compare::{
     chain::{self, Chain, MethodRecords, Record, Recorded, RunRecords, Standing},
     diff::Elements,
     dwell::{Row, Solver},
+    error_budget::{ErrorBudget, ProcessArrays},
     places::Division,
     plan::Plan,
-    process::{Process, ProcessArrays},
     reach::Reach,
     report::{Frames, Rounds, Run, RunMethod},
     specification::{Around, Judged},
@@ -139,7 +139,7 @@ pub fn read_run(
         pipeline, mirror, surface, &division, numbers, left_out, remarks,
     )
     .with(&desired.value, reach.as_ref().map(|(reach, _)| reach), around);
-    summary.process = process;
+    summary.error_budget = process;
     let path = path.map(|p| p.value);
     Ok(Run { name, summary, desired: desired.value, measured, path, methods, provenance })
 }
@@ -215,7 +215,7 @@ fn read_process(
     run: &Path,
     records: &[MethodRecords],
     names: &[String],
-) -> Result<(Option<Process>, Option<String>), Failure> {
+) -> Result<(Option<ErrorBudget>, Option<String>), Failure> {
     let dir = run.join("tolerance");
     if !dir.exists() {
         return Ok((None, None));
@@ -230,7 +230,7 @@ fn read_process(
         let remark = "tolerance: it is of a motion that no method of the run has now; run planish-tolerance again";
         return Ok((None, Some(remark.into())));
     };
-    let process = Process::new(&names[method], &manifest.settings, &manifest.outcome, file.0);
+    let process = ErrorBudget::new(&names[method], &manifest.settings, &manifest.outcome, file.0);
     Ok((Some(process.map_err(|e| Failure::new(format!("{}: {e}", dir.display())))?), None))
 }
 

@@ -9,7 +9,7 @@
 //! * [`typeset`]: a figure as PDF or PNG.
 //! * [`chain`]: check that the artifacts of a run belong together.
 //! * [`plan`]: state of a plan: certified, converged or not.
-//! * [`process`]: the residual that the errors of a process add to a plan.
+//! * [`error_budget`]: the residual that the errors of a process add to a plan.
 //! * [`reach`]: the part of a residual at wavelengths shorter than the tool corrects.
 //! * [`places`]: residual and time by place.
 //! * [`recommended`]: choice of the plan that is to be executed.
@@ -21,10 +21,10 @@ pub mod answer;
 pub mod chain;
 pub mod diff;
 pub mod dwell;
+pub mod error_budget;
 pub mod execution;
 pub mod places;
 pub mod plan;
-pub mod process;
 pub mod reach;
 pub mod recommended;
 pub mod report;

@@ -72,7 +72,7 @@ impl Plan {
             return Self::new(State::WithoutMotion, "no motion", text);
         }
         match trajectory.and_then(|manifest| manifest["tool"].as_str()) {
-            Some("planish-refine" | "planish-feed" | "planish-bspline-feed") => {
+            Some("planish-refine" | "planish-joint" | "planish-bspline-feed") => {
                 return Self::of_manifest(trajectory.unwrap_or(&Value::Null));
             }
             Some("planish-import") => {
@@ -319,7 +319,7 @@ mod tests {
             (made("planish-import", json!({})), State::Unknown, "program"),
             (
                 made(
-                    "planish-feed",
+                    "planish-joint",
                     json!({ "report": { "end": "optimal", "relative_gap": 1e-4 } }),
                 ),
                 State::Certified,

@@ -9,14 +9,14 @@
 //! ```
 //!
 //! is recommended. One percent more time is taken if it lowers the mean square by at least half a percent, as in
-//! `planish-feed` by default.
+//! `planish-joint` by default.
 
 /// Largest excess of the RMS of a recommended plan over the least RMS, relative to that. Larger: shorter runs with a
 /// larger residual. Smaller: the plan of least RMS whatever its time. Chosen: less than the errors of a process add.
 const NEGLIGIBLE_RMS: f64 = 0.05;
 
 /// Percentage by which one percent more time must lower the mean square, the exponent of the time in (1). Larger:
-/// shorter runs. Smaller: a smaller residual. Chosen: the default of `planish-feed`.
+/// shorter runs. Smaller: a smaller residual. Chosen: the default of `planish-joint`.
 const TIME_ELASTICITY: f64 = 0.5;
 
 /// A motion within the limits of the machine.

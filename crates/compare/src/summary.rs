@@ -23,10 +23,10 @@ use serde_json::Value;
 
 use crate::{
     chain::Standing,
+    error_budget::ErrorBudget,
     execution::Execution,
     places::{Division, DivisionReport, Places, ZoneRms},
     plan::{PROGRAM, Plan, State, WITHOUT_MOTION},
-    process::Process,
     reach::{Reach, ReachReport},
     recommended::{Candidate, recommended},
     specification::{Around, Judged},
@@ -42,7 +42,7 @@ const ORDER: [&str; 9] = [
     "pvt-as-published",
     "trig-spline",
     "bspline",
-    "feed",
+    "joint",
 ];
 
 /// Largest difference of the coordinates of two maps that are the same, in pixels. Larger: maps of different pixels
@@ -84,7 +84,7 @@ pub struct Summary {
     /// Verdicts on the maps that belong to no method.
     pub specification: Around,
     /// Effect of the errors of a process on one of the plans; `null` where there is no such prediction.
-    pub process: Option<Process>,
+    pub error_budget: Option<ErrorBudget>,
     /// Dwell times at the dwell points, without a motion; `null` when the run has no such method.
     pub without_motion: Option<WithoutMotion>,
     /// Methods by scheduler.
@@ -416,7 +416,7 @@ impl Summary {
             reach: None,
             division: division.report(),
             specification: Around::default(),
-            process: None,
+            error_budget: None,
             without_motion,
             methods,
             left_out,
@@ -614,7 +614,7 @@ mod tests {
                 "reach",
                 "division",
                 "specification",
-                "process",
+                "error_budget",
                 "without_motion",
                 "methods",
                 "left_out",
@@ -683,10 +683,13 @@ mod tests {
         // Time counts among plans within 5 % of the least RMS: 2 % of RMS are 4 % of its square, which 8 % of time are
         // worth; beyond 5 % it does not count, however short it is.
         let timed = |rms_nm, total_time_s| Method { total_time_s, ..with(rms_nm, true) };
-        for (rms_nm, total_time_s, expected) in
-            [(0.204, 91.0, "feed"), (0.204, 94.0, "pvt"), (0.211, 1.0, "pvt"), (0.2, 99.0, "feed")]
-        {
-            let other = ("feed".to_string(), timed(rms_nm, total_time_s));
+        for (rms_nm, total_time_s, expected) in [
+            (0.204, 91.0, "joint"),
+            (0.204, 94.0, "pvt"),
+            (0.211, 1.0, "pvt"),
+            (0.2, 99.0, "joint"),
+        ] {
+            let other = ("joint".to_string(), timed(rms_nm, total_time_s));
             let summary = summary_of(vec![("pvt".to_string(), timed(0.2, 100.0)), other]);
             assert_eq!(summary.best.as_deref(), Some(expected), "{rms_nm} {total_time_s}");
         }
@@ -695,13 +698,13 @@ mod tests {
         let specified =
             |rms_nm, passed| Method { specification: Some(judged(passed)), ..with(rms_nm, true) };
         let of = |first, second| {
-            let methods = [("pvt", 0.1, first), ("feed", 0.2, second)];
+            let methods = [("pvt", 0.1, first), ("joint", 0.2, second)];
             let of = |(name, rms_nm, passed): (&str, f64, bool)| {
                 (name.to_string(), specified(rms_nm, passed))
             };
             summary_of(methods.map(of).to_vec()).best
         };
-        assert_eq!(of(false, true).as_deref(), Some("feed"));
+        assert_eq!(of(false, true).as_deref(), Some("joint"));
         assert_eq!(of(false, false).as_deref(), Some("pvt"));
         let none = summary_of(vec![("pvt".into(), with(0.1, false))]);
         assert_eq!((none.best.as_deref(), none.reserves().len()), (None, 1));
@@ -723,11 +726,11 @@ mod tests {
             |rms_nm, after_servo_rms_nm| Method { rms_nm, after_servo_rms_nm, ..method().unwrap() };
         let of = |feed, pvt| {
             summary_of(vec![
-                ("feed".to_string(), with(0.1, feed)),
+                ("joint".to_string(), with(0.1, feed)),
                 ("pvt".to_string(), with(0.2, pvt)),
             ])
         };
-        assert_eq!(of(None, None).best.as_deref(), Some("feed"));
+        assert_eq!(of(None, None).best.as_deref(), Some("joint"));
         let followed = of(Some(0.3), Some(0.22));
         assert_eq!(followed.best.as_deref(), Some("pvt"));
         let answer = crate::answer::Answer::of(&followed);
@@ -765,8 +768,8 @@ mod tests {
         assert_eq!(summary.best.as_deref(), Some("pvt+galil"));
         summary.recommend("pvt+csv").unwrap();
         assert_eq!(summary.best, None);
-        let said = summary.recommend("feed+galil").unwrap_err();
-        assert!(said.contains("no row feed+galil; the rows are pvt"), "{said}");
+        let said = summary.recommend("joint+galil").unwrap_err();
+        assert!(said.contains("no row joint+galil; the rows are pvt"), "{said}");
     }
 
     #[test]

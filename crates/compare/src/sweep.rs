@@ -311,7 +311,7 @@ mod tests {
     pub(super) fn table(plans: &[(f64, f64, bool)], max_time_s: Option<f64>) -> Table {
         let row = |(i, (time, rms, kept)): (usize, &(f64, f64, bool))| {
             json!({
-                "id": format!("plan-{i}"), "path": if i % 2 == 0 { "raster" } else { "maze" }, "method": "feed",
+                "id": format!("plan-{i}"), "path": if i % 2 == 0 { "raster" } else { "maze" }, "method": "joint",
                 "settings": { "pitch_mm": i, "turn": "lift" }, "status": "done", "message": null,
                 "numbers": {
                     "total_time_s": time, "rms_nm": rms, "rms_detilted_nm": rms, "below_95_percent_nm": null,

@@ -329,7 +329,7 @@ mod tests {
 
     fn summary() -> Summary {
         Summary {
-            process: None,
+            error_budget: None,
             pipeline: "raster".into(),
             fixture: "coupon".into(),
             initial: Initial {

@@ -92,7 +92,7 @@ pub fn solve(
     let squares = bounded_least_squares::Settings {
         columns: settings.columns,
         tikhonov: settings.tikhonov,
-        smoothness: 0.0,
+        slope_weight: 0.0,
         ..bounded_least_squares::Settings::default()
     };
     let program = Program {

@@ -120,7 +120,7 @@ pub fn solve_columns(
     let weight = pixel_weights(desired, weight)?;
     let weights = [
         ("tikhonov", settings.tikhonov),
-        ("smoothness", settings.smoothness),
+        ("slope_weight", settings.slope_weight),
         ("time_weight_nm2_per_s", settings.time_weight_nm2_per_s),
     ];
     for (name, value) in weights {

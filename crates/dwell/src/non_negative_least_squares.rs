@@ -85,8 +85,11 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
         model.weight.sum(),
         &model.sensitivity,
     );
-    let weights =
-        PenaltyWeights { tikhonov: settings.tikhonov, smoothness: 0.0, time_weight_nm2_per_s: 0.0 };
+    let weights = PenaltyWeights {
+        tikhonov: settings.tikhonov,
+        slope_weight: 0.0,
+        time_weight_nm2_per_s: 0.0,
+    };
     let penalty = Penalty::new(problem.path, &model.lo, &scale, &weights);
     for (j, alpha) in penalty.alpha().iter().enumerate() {
         // A column that does not reach the map takes no part.

@@ -169,7 +169,7 @@ pub struct PenaltyWeights {
     /// alpha: weight of the dwell time per area above its lower bound.
     pub tikhonov: f64,
     /// beta: weight of the slope of the dwell time per area along the path.
-    pub smoothness: f64,
+    pub slope_weight: f64,
     /// Price of a second beside half the mean square of the residual, nm^2/s.
     pub time_weight_nm2_per_s: f64,
 }
@@ -273,7 +273,7 @@ impl Penalty {
             // p m ((r_k - r_{k-1}) / m)^2 = (t_k / l_k - t_{k-1} / l_{k-1})^2 / (p m)
             let factor = |k: usize| {
                 let between = 0.5 * (lengths[k - 1] + lengths[k]);
-                let weight = weights.smoothness * strongest * area_mm2 * area_mm2;
+                let weight = weights.slope_weight * strongest * area_mm2 * area_mm2;
                 (weight / (line_distance_mm * between)).sqrt()
             };
             let both =
@@ -396,7 +396,7 @@ mod tests {
         let far = 0.5 * 2e-3 * d * area_mm2 * (0.64 + 0.0225) * part_mm2;
         let rough =
             0.5 * 3e-4 * d * area_mm2 * area_mm2 * 0.0225 * (TAU / width).powi(2) * part_mm2;
-        let error = |pitch: f64, step: f64, tikhonov: f64, smoothness: f64, exact: f64| {
+        let error = |pitch: f64, step: f64, tikhonov: f64, slope_weight: f64, exact: f64| {
             let path = raster(part, pitch, step);
             let a = pitch * step;
             let on = path.tool_on();
@@ -408,7 +408,7 @@ mod tests {
             let t: Vec<f64> = (0..path.len())
                 .map(|j| if on[j] { a * density(&places[j]) } else { lo[j] })
                 .collect();
-            let weights = PenaltyWeights { tikhonov, smoothness, time_weight_nm2_per_s: 0.0 };
+            let weights = PenaltyWeights { tikhonov, slope_weight, time_weight_nm2_per_s: 0.0 };
             let scale =
                 PenaltyScale { strongest: d, pixel_weight: 1.0, area_mm2, line_distance_mm: pitch };
             Penalty::new(&path, &lo, &scale, &weights).value(&t) / exact - 1.0

@@ -66,7 +66,7 @@ fn prepare(dir: &Path) {
 const INPUTS: [&str; 7] =
     ["bounded-least-squares", "--surface", "surface", "--tif", "tif", "--tool-path", "tool_path"];
 /// Columns at the dwell points, no regularisation: the planted dwell times are the solution.
-const EXACT: [&str; 4] = ["--columns=point", "--tikhonov=0", "--smoothness=0", "--out=dwell"];
+const EXACT: [&str; 4] = ["--columns=point", "--tikhonov=0", "--slope-weight=0", "--out=dwell"];
 
 fn run_on(threads: &str, dir: &Path, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_planish-dwell"))
@@ -278,7 +278,7 @@ fn bad_flags_end_with_2_a_message_and_no_output() {
         (&["--min-dwell-s=nan"], "min_dwell: is NaN"),
         (&["--max-dwell-s=inf"], "max_dwell: is inf"),
         (&["--tikhonov=-1e-5"], "tikhonov: is -0.00001; give a number >= 0"),
-        (&["--smoothness=nan"], "smoothness: is NaN"),
+        (&["--slope-weight=nan"], "slope_weight: is NaN"),
         (&["--min-dwell-s=1", "--min-dwell-s-per-mm=1"], "cannot be used with"),
         (&["--columns=spline"], "invalid value 'spline'"),
         (&["--weight=nowhere.npy"], "nowhere.npy: cannot read"),
@@ -410,7 +410,7 @@ fn dwell_points_on_one_spot_need_a_regularisation() {
     };
     refused_after(
         same,
-        &["--tikhonov=0", "--smoothness=0"],
+        &["--tikhonov=0", "--slope-weight=0"],
         &["not determined by the surface; raise --tikhonov (now 0) above 0"],
     );
 }

@@ -17,7 +17,7 @@ const CASES: [(&str, &[&str], &[&str]); 9] = [
             "--huber-nm",
             "--noise-rms-nm",
             "--tikhonov",
-            "--smoothness",
+            "--slope-weight",
         ],
         &[],
     ),

@@ -94,7 +94,7 @@ fn the_removal_of_a_planted_dwell_is_recovered() {
         let path = path(0.0);
         let planted = random(path.len(), 0.5, 2.0, 1);
         let desired = surface(removal(&path, columns, &planted));
-        let exact = Settings { columns, tikhonov: 1e-12, smoothness: 0.0, ..settings() };
+        let exact = Settings { columns, tikhonov: 1e-12, slope_weight: 0.0, ..settings() };
         let found = run(&desired, &path, &exact);
         // What is left is the regularisation: some 1e-11 of the largest column energy.
         assert!(found.report.model_rms_nm < 1e-5, "{:?}", found.report);
@@ -120,9 +120,9 @@ fn the_certificate_holds_by_an_independent_computation() {
         })
         .collect();
     let d = energy.iter().copied().fold(0.0, f64::max);
-    let Settings { tikhonov, smoothness, .. } = settings();
+    let Settings { tikhonov, slope_weight, .. } = settings();
     let weight = Array2::ones(grid().shape());
-    let penalty = Penalty::new(&path, &tif(), &b, &weight, d, (tikhonov, smoothness));
+    let penalty = Penalty::new(&path, &tif(), &b, &weight, d, (tikhonov, slope_weight));
     // In the program the unreached columns, the weakest, stay at their bound; what is returned has their
     // neighbours' density there.
     let mut weakest: Vec<usize> = (0..path.len()).collect();
@@ -202,7 +202,7 @@ fn objective(case: &Case, settings: &Settings, t: &[f64]) -> f64 {
     let held: Vec<f64> =
         (0..t.len()).map(|j| if energy[j] > 1e-9 * strongest { t[j] } else { lo }).collect();
     let t = &held;
-    let weights = (settings.tikhonov, settings.smoothness);
+    let weights = (settings.tikhonov, settings.slope_weight);
     let penalty = Penalty::new(&case.path, &case.tif, &b, &valid, strongest, weights);
     0.5 * squares + penalty.value(t, &vec![lo; t.len()])
 }
@@ -346,7 +346,7 @@ fn many_points_keep_every_term_of_the_problem() {
         // others, together by up to a thousand times that.
         assert!(apart(&a, &b) < 1e-4, "{settings:?}: {} {:?}", apart(&a, &b), b.report);
     }
-    let noisy = Settings { noise_rms_nm: Some(1.0), smoothness: 1e-8, ..plain };
+    let noisy = Settings { noise_rms_nm: Some(1.0), slope_weight: 1e-8, ..plain };
     let noisy = Settings { max_factorised_points: 0, relative_gap: 1e-4, ..noisy };
     let stopped = solve(desired, tif, path, None, &noisy).unwrap().report;
     assert!((0.95..=1.0).contains(&(stopped.model_rms_nm / 1.0)), "{stopped:?}");
@@ -364,7 +364,7 @@ fn a_piston_changes_nothing_and_more_room_never_hurts() {
             min_dwell: Bound::Seconds(low),
             max_dwell: Some(Bound::Seconds(high)),
             tikhonov: 1e-9,
-            smoothness: 0.0,
+            slope_weight: 0.0,
             ..settings()
         };
         run(&surface(bowl()), &path, &free)
@@ -473,9 +473,9 @@ fn a_pit_is_left_to_itself_by_the_huber_loss() {
         p.rate_nm_per_s.mapv(|v| v * v).sum() - sum * sum / total
     });
     let d = energy.fold(0.0, f64::max);
-    let Settings { tikhonov, smoothness, .. } = settings();
+    let Settings { tikhonov, slope_weight, .. } = settings();
     let weight = Array2::ones(grid().shape());
-    let penalty = Penalty::new(&path, &tif(), &b, &weight, d, (tikhonov, smoothness));
+    let penalty = Penalty::new(&path, &tif(), &b, &weight, d, (tikhonov, slope_weight));
     let slope = penalty.gradient(t, &vec![0.05; t.len()]);
     for j in (1..path.len() - 1).filter(|j| t[*j] > 0.05) {
         let ((r, c), (ny, nx)) = (b[j].origin, b[j].rate_nm_per_s.dim());
@@ -533,7 +533,7 @@ fn strongest(path: &ToolPath) -> f64 {
 }
 
 /// A quadratic term is what it says: the penalty that it writes out is a larger `tikhonov` where the least dwell time
-/// is 0, or a larger `smoothness`.
+/// is 0, or a larger `slope_weight`.
 #[test]
 fn a_quadratic_term_is_the_penalty_that_it_writes_out() {
     let path = path(2.0);
@@ -552,7 +552,7 @@ fn a_quadratic_term_is_the_penalty_that_it_writes_out() {
     let slope = |t: &[f64]| slope.gradient(t, &vec![0.0; n]);
     let products: [(Product<'_>, Settings); 2] = [
         (&distance, Settings { tikhonov: weak.tikhonov + more_tikhonov, ..weak }),
-        (&slope, Settings { smoothness: weak.smoothness + more_smoothness, ..weak }),
+        (&slope, Settings { slope_weight: weak.slope_weight + more_smoothness, ..weak }),
     ];
     let nothing = run(&surface(bowl()), &path, &weak);
     for (product, strong) in products {
@@ -628,7 +628,7 @@ fn where_the_factor_is_singular_many_points_are_solved_without_one() {
     let path = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
     // More dwell points than pixels, and nothing else that tells their times apart.
     let by = |max_factorised_points: usize| {
-        let weights = Settings { tikhonov: 0.0, smoothness: 0.0, ..settings() };
+        let weights = Settings { tikhonov: 0.0, slope_weight: 0.0, ..settings() };
         let settings = Settings { max_factorised_points, max_iterations: 300, ..weights };
         solve(&surface(bowl()), &tif, &path, None, &settings)
     };
@@ -654,7 +654,7 @@ fn stopping_at_the_noise_is_closer_to_the_true_surface() {
     let noise_nm = 2.0;
     let uniform = rand::distr::Uniform::new(-1.0, 1.0).unwrap();
     let measured = truth.mapv(|z| z + noise_nm * 3.0_f64.sqrt() * rng.sample::<f64, _>(uniform));
-    let weak = Settings { smoothness: 1e-8, ..settings() };
+    let weak = Settings { slope_weight: 1e-8, ..settings() };
     let fitted = run(&surface(measured.clone()), &path, &weak);
     let stopping = Settings { noise_rms_nm: Some(noise_nm), ..weak };
     let stopped = run(&surface(measured.clone()), &path, &stopping);
@@ -666,7 +666,7 @@ fn stopping_at_the_noise_is_closer_to_the_true_surface() {
     println!("residual against the truth: {without} nm, stopped at the noise {with} nm");
     assert!(fitted.report.model_rms_nm < 0.98 * noise_nm, "{:?}", fitted.report);
     assert!((0.95..=1.0).contains(&(stopped.report.model_rms_nm / noise_nm)));
-    assert!(stopped.report.smoothness > 10.0 * weak.smoothness);
+    assert!(stopped.report.slope_weight > 10.0 * weak.slope_weight);
     // Regression bound: measured 0.41 nm instead of 0.56 nm, a ratio of 0.73, on this noise.
     assert!(with < 0.8 * without, "{with} {without}");
 
@@ -678,8 +678,8 @@ fn stopping_at_the_noise_is_closer_to_the_true_surface() {
     });
     let robust = Settings { huber_nm: Some(4.0 * noise_nm), ..stopping };
     let pitted = run(&surface(&measured + &pits), &path, &robust);
-    let ratio = pitted.report.smoothness / stopped.report.smoothness;
-    println!("smoothness with pits over that without {ratio}, {} nm missed", missed(&pitted));
+    let ratio = pitted.report.slope_weight / stopped.report.slope_weight;
+    println!("slope_weight with pits over that without {ratio}, {} nm missed", missed(&pitted));
     assert!((0.5..=2.0).contains(&ratio), "{ratio}");
     assert!(missed(&pitted) < 0.9 * without, "{} {without}", missed(&pitted));
 }
@@ -689,7 +689,7 @@ fn a_price_on_time_is_its_derivative() {
     // At the optimum of f + L T the fall of f per second is L: between two prices,
     // L1 <= -(f2 - f1) / (T2 - T1) <= L2 with f half the mean square plus the other terms.
     let path = path(2.0);
-    let free = Settings { tikhonov: 1e-9, smoothness: 0.0, ..settings() };
+    let free = Settings { tikhonov: 1e-9, slope_weight: 0.0, ..settings() };
     let at = |price: f64| {
         let priced = Settings { time_weight_nm2_per_s: price, ..free };
         let r = run(&surface(bowl()), &path, &priced).report;
@@ -739,8 +739,8 @@ fn one_continuous_problem_is_solved_whatever_the_pitch_the_pixels_and_the_size()
         let min_dwell = Bound::Seconds(0.05 * pitch * pitch);
         let how = Settings { min_dwell, relative_gap: 1e-8, tolerance_s: 1e-9, ..settings() };
         // Heavy enough to decide the plan.
-        let (tikhonov, smoothness) = (1e-4 * weights, 1e-3 * weights * weights);
-        let how = Settings { tikhonov, smoothness, ..how };
+        let (tikhonov, slope_weight) = (1e-4 * weights, 1e-3 * weights * weights);
+        let how = Settings { tikhonov, slope_weight, ..how };
         (solve(&desired, &tif, &path, None, &how).unwrap(), path)
     };
     // Mean and standard deviation of the dwell time per area over the part, s/mm^2

@@ -85,7 +85,7 @@ fn case(seed: u64, pitch_mm: f64) -> Case {
     let hi = lo.iter().map(|lo| lo + rng.random_range(0.05..0.6)).collect();
     let settings = Settings {
         tikhonov: 10.0_f64.powf(rng.random_range(-6.0..-4.0)),
-        smoothness: 10.0_f64.powf(rng.random_range(-7.0..-4.0)),
+        slope_weight: 10.0_f64.powf(rng.random_range(-7.0..-4.0)),
         time_weight_nm2_per_s: rng.random_range(0.0..0.01),
         free: if seed.is_multiple_of(2) { Free::Piston } else { Free::Plane },
         tolerance_s: 1e-8,
@@ -174,8 +174,8 @@ impl Definition {
         // In (1) an unreached column stays at its bound.
         let held = |j: usize| if self.diagonal[j] > 1e-9 * largest { t[j] } else { case.lo[j] };
         let t = &(0..t.len()).map(held).collect::<Vec<f64>>()[..];
-        let Settings { tikhonov, smoothness, time_weight_nm2_per_s, .. } = case.settings;
-        let weights = (tikhonov, smoothness);
+        let Settings { tikhonov, slope_weight, time_weight_nm2_per_s, .. } = case.settings;
+        let weights = (tikhonov, slope_weight);
         let penalty = Penalty::new(&case.path, &case.tif, &self.columns, &self.weight, d, weights);
         let residual = self.residual(case, t);
         let n = t.len();

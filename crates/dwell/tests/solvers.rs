@@ -492,7 +492,7 @@ fn nnls_and_bounded_least_squares_find_the_same_minimum_and_its_conditions_hold(
     let settings = bounded_least_squares::Settings {
         min_dwell: Bound::SecondsPerMm(FLOOR),
         tikhonov,
-        smoothness: 0.0,
+        slope_weight: 0.0,
         ..Default::default()
     };
     let b = bounded_least_squares::solve(&desired, &tool, &path, None, &settings).unwrap();

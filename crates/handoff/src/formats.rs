@@ -168,7 +168,7 @@ within the largest box of limits there that the axes can follow in every directi
 part moves the tool the other way: give the opposite sign.
 ";
 
-/// Keys of a process file, with unit and meaning.
+/// Keys of an error budget, with unit and meaning.
 const PROCESS_KEYS: [(&str, &str, &str); 11] = [
     ("name", "-", "Name of the process."),
     ("errors", "-", "At least one object with the keys below."),
@@ -194,7 +194,7 @@ const PROCESS_KEYS: [(&str, &str, &str); 11] = [
 const PROCESS_FILE: &str = "
 ## Process file
 
-The errors of a process, given by `--process`: one JSON object, see `fixtures/processes/`. A key that is not in
+The errors of a process, given by `--error-budget`: one JSON object, see `fixtures/error-budgets/`. A key that is not in
 the table is refused, and so is one that the kind of the error does not ask for.
 
 | key | unit | what |

@@ -243,7 +243,7 @@ pub(crate) const FORMER_DWELL_DENSITY: &str = "feed";
 
 /// Kind of the dwell-time density along a path. Its name in files is that of the inverse, the feed.
 pub const DWELL_DENSITY: Kind = Kind {
-    name: "feed",
+    name: "dwell_density",
     version: 1,
     doc: "Dwell-time density at m nodes along a path; the method in the manifest says what lies between them.",
     frame: PATH_FRAME,

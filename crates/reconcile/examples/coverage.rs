@@ -17,7 +17,7 @@ use planish_reconcile::{
     parameter::Parameter,
 };
 use planish_simulate::{
-    process::{Effect, Process, ProcessFile},
+    error_budget::{Effect, ErrorBudget, ErrorBudgetFile},
     runs::Runs,
     sample::{stream, white},
     virtual_machine::draw_run,
@@ -48,7 +48,7 @@ fn study(words: &[String]) -> Result<(), Box<dyn std::error::Error>> {
     let before: Surface = inputs.read("surface", Path::new(surface))?;
     let tif: Tif = inputs.read("tif", Path::new(tif))?;
     let trajectory: Trajectory = inputs.read("trajectory", Path::new(trajectory))?;
-    let file: ProcessFile = inputs.read_json("process", Path::new(process))?;
+    let file: ErrorBudgetFile = inputs.read_json("error-budget", Path::new(process))?;
     let process = file.checked()?;
     let (process, sigma_nm) = match block {
         1 => (process, 0.0),
@@ -62,7 +62,7 @@ fn study(words: &[String]) -> Result<(), Box<dyn std::error::Error>> {
         after: &before,
         trajectory: &trajectory,
         tif: &tif,
-        process: None,
+        error_budget: None,
         transform: None,
     };
     let moved = first.moved_tif(&settings)?;
@@ -141,7 +141,7 @@ fn of(parameter: Parameter, truth: &planish_simulate::deviation::Truth) -> f64 {
 }
 
 /// The process without the noise of the map, and the standard deviation of that.
-fn without_map_noise(mut process: Process) -> (Process, f64) {
+fn without_map_noise(mut process: ErrorBudget) -> (ErrorBudget, f64) {
     let mut square = 0.0;
     process.errors.retain(|e| {
         let noise = e.effect == Effect::MapNoise;

@@ -14,7 +14,7 @@ use planish_handoff::{
 use planish_reconcile::{
     Comparison, Reconciled, Settings, draw::picture, reconcile, report::Estimate,
 };
-use planish_simulate::process::{Process, ProcessFile};
+use planish_simulate::error_budget::{ErrorBudget, ErrorBudgetFile};
 use planish_types::{Surface, Tif, Transform, plausible, text::significant};
 
 #[derive(Args)]
@@ -31,14 +31,14 @@ pub struct Reconcile {
     /// Tool influence function of the plan [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
-    /// Process, whose errors say what is known beforehand [JSON]
+    /// ErrorBudget, whose errors say what is known beforehand [JSON]
     #[arg(long, value_name = "FILE")]
-    process: Option<PathBuf>,
+    error_budget: Option<PathBuf>,
     /// Learn this parameter (again for more) and hold the others; exit code 1 where the data do not determine it
     /// [rate_scale, offset_x, offset_y, rotation, magnification, tif_width, tif_ellipticity,
     /// tif_diagonal_ellipticity, rate_drift; default: all]
     #[arg(long, value_name = "NAME")]
-    free: Vec<String>,
+    fit: Vec<String>,
     /// Hold this parameter, or this term of the metrology [piston, tilt_x, tilt_y, power], at its value in the plan
     /// (again for more)
     #[arg(long, value_name = "NAME")]
@@ -60,9 +60,9 @@ pub struct Reconcile {
     /// addition [transform artifact]
     #[arg(long, value_name = "DIR")]
     corrected_transform: Option<PathBuf>,
-    /// Process with standard errors in the place of the errors that were learnt, written in addition [JSON]
+    /// ErrorBudget with standard errors in the place of the errors that were learnt, written in addition [JSON]
     #[arg(long, value_name = "FILE")]
-    learnt_process: Option<PathBuf>,
+    learnt_error_budget: Option<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -70,7 +70,7 @@ pub struct Reconcile {
 impl Reconcile {
     pub fn run(&self) -> Result<Status, Failure> {
         let settings = Settings {
-            free: self.free.clone(),
+            free: self.fit.clone(),
             hold: self.hold.clone(),
             metrology_order: self.metrology_order.as_ref().map(|n| [n[0], n[1]]),
             tif_as_sampled: self.tif_as_sampled,
@@ -93,8 +93,8 @@ impl Reconcile {
         if let Some(dir) = &self.corrected_transform {
             output = output.and_directory("--corrected-transform", dir, Transform::KIND);
         }
-        if let Some(file) = &self.learnt_process {
-            output = output.and_file("--learnt-process", file);
+        if let Some(file) = &self.learnt_error_budget {
+            output = output.and_file("--learnt-error-budget", file);
         }
         let mut output = match output.begin(&task!("reconcile", &settings), &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
@@ -106,7 +106,7 @@ impl Reconcile {
             after: &after,
             trajectory: &trajectory,
             tif: &tif,
-            process: process.as_ref(),
+            error_budget: process.as_ref(),
             transform: transform.as_ref(),
         };
 
@@ -146,8 +146,8 @@ impl Reconcile {
         if self.corrected_transform.is_some() {
             output.write(&found.transform, serde_json::json!({}), &status)?;
         }
-        if let Some(file) = &self.learnt_process {
-            let text = format!("{}\n", serde_json::to_string_pretty(&found.process)?);
+        if let Some(file) = &self.learnt_error_budget {
+            let text = format!("{}\n", serde_json::to_string_pretty(&found.error_budget)?);
             output.write_file(file, text.as_bytes())?;
         }
         say(table(&found));
@@ -155,9 +155,9 @@ impl Reconcile {
         Ok(status)
     }
 
-    fn read_process(&self, inputs: &mut Inputs) -> Result<Option<Process>, Failure> {
-        let Some(path) = &self.process else { return Ok(None) };
-        let file: ProcessFile = inputs.read_json("process", path)?;
+    fn read_process(&self, inputs: &mut Inputs) -> Result<Option<ErrorBudget>, Failure> {
+        let Some(path) = &self.error_budget else { return Ok(None) };
+        let file: ErrorBudgetFile = inputs.read_json("error-budget", path)?;
         let process =
             file.checked().map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
         Ok(Some(process))

@@ -3,10 +3,10 @@
 //! An error that was learnt is corrected in the next plan, and what is left of it is the standard error of its
 //! estimate. It takes the place of all errors of the process that act on the same quantity; where the TIF's ellipticity
 //! is learnt in both directions, these are its rotation, too. What was refused, or not asked for, stays as it was
-//! known. Correlations between the estimates are not in the file of a process, whose errors are independent.
+//! known. Correlations between the estimates are not in the error budget, whose errors are independent.
 
-use planish_simulate::process::{
-    Distribution, Effect, ErrorFile, Kind, Process, ProcessFile, Scalar,
+use planish_simulate::error_budget::{
+    Distribution, Effect, ErrorBudget, ErrorBudgetFile, ErrorFile, Kind, Scalar,
 };
 
 use crate::{fit::Fit, parameter::Parameter};
@@ -21,13 +21,13 @@ const FROM_THE_REST: &str =
 /// The errors of the next run. `refused[i]` says whether the data do not determine unknown `i` of the fit, `found[i]` is
 /// its estimate and standard error, and the next plan corrects it by `corrections[i]`.
 pub fn left(
-    process: Option<&Process>,
+    process: Option<&ErrorBudget>,
     fit: &Fit,
     found: &[[f64; 2]],
     corrections: &[f64],
     refused: &[bool],
     scale: impl Fn(Parameter) -> f64,
-) -> ProcessFile {
+) -> ErrorBudgetFile {
     let drifts = |i: usize| found[i][0].abs() > std::f64::consts::SQRT_2 * found[i][1];
     let learnt = |p: Parameter| {
         let i = fit.parameters.iter().position(|q| *q == p)?;
@@ -72,7 +72,7 @@ pub fn left(
         errors.push(error(Kind::MapNoise, size, "nm", FROM_THE_REST));
     }
     let name = process.map_or("what a run taught".into(), |p| p.name.clone());
-    ProcessFile { name, errors }
+    ErrorBudgetFile { name, errors }
 }
 
 fn entry(parameter: Parameter, size: f64, note: &str) -> ErrorFile {

@@ -13,7 +13,7 @@ const EXAMPLES: &str = "Examples:\n\
     \x20 planish-reconcile --before out/surface --after out/after --trajectory out/trajectory --tif tool \\\n\
     \x20     --out out/reconcile --corrected-tif out/tool-learnt\n\
     \x20 planish-reconcile --before out/surface --after out/after --trajectory out/trajectory --tif tool \\\n\
-    \x20     --hold magnification --hold power --process fixtures/processes/ion-beam.json --out out/reconcile";
+    \x20     --hold magnification --hold power --error-budget fixtures/error-budgets/ion-beam.json --out out/reconcile";
 
 /// Learn the rate, the place, the width and the shape of the tool from the maps before and after a run
 #[derive(Parser)]

@@ -9,7 +9,7 @@
 //! a sampled TIF (Keys' convolution has a continuous slope and no more), which change from one point to the next.
 
 use ndarray::Array2;
-use planish_simulate::{deviation::Deviation, process::Scalar, runs::Runs};
+use planish_simulate::{deviation::Deviation, error_budget::Scalar, runs::Runs};
 use planish_types::{Invalid, Tif};
 use rayon::prelude::*;
 

@@ -1,11 +1,11 @@
 //! Parameters of machine and tool that a run teaches.
 
-use planish_simulate::process::{Effect, Kind, Process, ProcessError, Scalar};
+use planish_simulate::error_budget::{Effect, ErrorBudget, Kind, ProcessError, Scalar};
 use planish_types::Invalid;
 use serde::Serialize;
 
 /// A number that machine and tool have; the meaning and the sign are those of the error of the same name in a
-/// process file.
+/// error budget.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Parameter {
@@ -96,7 +96,7 @@ impl Parameter {
     }
 
     /// The scale that a process states for it: the sizes of its errors together; the usual one where it states none.
-    pub fn scale_in(self, process: &Process) -> f64 {
+    pub fn scale_in(self, process: &ErrorBudget) -> f64 {
         let stated = |scalar: Scalar| {
             let of = |e: &&ProcessError| e.effect == Effect::Scalar(scalar);
             process.errors.iter().filter(of).map(|e| e.size * e.size).sum::<f64>()
@@ -114,7 +114,7 @@ impl Parameter {
         self.effect().unwrap_or(Scalar::RateScale)
     }
 
-    /// The kind of error of a process file that it is.
+    /// The kind of error of an error budget that it is.
     pub fn kind(self) -> Kind {
         match self {
             Self::RateScale => Kind::RateScale,

@@ -3,7 +3,7 @@
 use nalgebra::Matrix2;
 use ndarray::Array2;
 use planish_simulate::{
-    process::{Process, ProcessFile},
+    error_budget::{ErrorBudget, ErrorBudgetFile},
     runs::Runs,
     tool::smooth,
 };
@@ -43,8 +43,8 @@ pub struct Comparison<'a> {
     pub trajectory: &'a Trajectory,
     /// The TIF of the plan.
     pub tif: &'a Tif,
-    /// Process with what is believed beforehand, where it is known.
-    pub process: Option<&'a Process>,
+    /// ErrorBudget with what is believed beforehand, where it is known.
+    pub error_budget: Option<&'a ErrorBudget>,
     /// Transform that took the plan to the machine, if there was one.
     pub transform: Option<&'a Transform>,
 }
@@ -70,7 +70,7 @@ pub struct Reconciled {
     /// Transform that takes the next plan to the machine, by the parameters that are determined.
     pub transform: Transform,
     /// The errors of the next run.
-    pub process: ProcessFile,
+    pub error_budget: ErrorBudgetFile,
     /// Reason for a negative verdict, if it is one: a parameter that was asked for by name is refused, or all are.
     pub drawback: Option<String>,
 }
@@ -113,7 +113,8 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
         true => None,
         false => Some(Runs::new(comparison.trajectory, comparison.tif, comparison.tif, data.grid)?),
     };
-    let scale = |p: Parameter| comparison.process.map_or(p.usual_scale(), |file| p.scale_in(file));
+    let scale =
+        |p: Parameter| comparison.error_budget.map_or(p.usual_scale(), |file| p.scale_in(file));
     // (1), by Gauss and Newton; again with the usual scale of what contradicts the data
     let mut released: Vec<Parameter> = Vec::new();
     let (mut found, model, start) = loop {
@@ -272,7 +273,7 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
             scale,
             data.grid,
         )?,
-        process: left(comparison.process, &found, &stated, &corrections, &refused, scale),
+        error_budget: left(comparison.error_budget, &found, &stated, &corrections, &refused, scale),
         outcome,
     })
 }

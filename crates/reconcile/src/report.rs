@@ -9,7 +9,7 @@ use crate::{bands::Band, correlation::Noise};
 pub struct Estimate {
     /// Its name.
     pub name: String,
-    /// Its unit: that of the file of a process, or nm RMS.
+    /// Its unit: that of the error budget, or nm RMS.
     pub unit: &'static str,
     /// Estimate; `null` where it is refused or held.
     pub value: Option<f64>,

@@ -71,7 +71,7 @@ fn the_table_the_artifact_and_the_corrected_tool_say_the_same_on_any_number_of_t
 fn a_parameter_that_was_asked_for_and_is_not_determined_ends_with_1() {
     let tmp = tempfile::tempdir().unwrap();
     prepare(tmp.path());
-    let flags = ["--free", "rate_scale", "--metrology-order", "10", "8"];
+    let flags = ["--fit", "rate_scale", "--metrology-order", "10", "8"];
     let ended = run_on("2", tmp.path(), &flags);
     let (said, stderr) = (text(&ended.stdout), text(&ended.stderr));
     assert_eq!(ended.status.code(), Some(1), "{said}{stderr}");
@@ -112,10 +112,10 @@ fn what_cannot_be_compared_is_refused_and_nothing_is_written() {
     for (flags, message) in [
         (&["--after", "elsewhere"][..], "has no pixel within the map before"),
         (&["--after", "few"], "valid in both maps"),
-        (&["--free", "wobble"], "free[0]: is \"wobble\"; give one of rate_scale, offset_x"),
-        (&["--free", "rotation", "--hold", "rotation"], "is free or held"),
+        (&["--fit", "wobble"], "free[0]: is \"wobble\"; give one of rate_scale, offset_x"),
+        (&["--fit", "rotation", "--hold", "rotation"], "is free or held"),
         (&["--metrology-order", "3", "90"], "metrology_order[1]: is 90; give at most 12"),
-        (&["--process", "none.json"], "none.json"),
+        (&["--error-budget", "none.json"], "none.json"),
     ] {
         let ended = run_on("2", dir, flags);
         let said = text(&ended.stderr);

@@ -8,7 +8,7 @@ use ndarray::Array2;
 use planish_reconcile::{Comparison, Reconciled, Settings, parameter::Parameter, reconcile};
 use planish_simulate::{
     Settings as Simulation,
-    process::{Kind, Process, ProcessFile},
+    error_budget::{ErrorBudget, ErrorBudgetFile, Kind},
     simulate,
     virtual_machine::{self, run},
 };
@@ -28,19 +28,19 @@ fn rms(map: &Array2<f64>) -> f64 {
     map.std(0.0)
 }
 
-fn process(errors: &[(&str, f64, &str)]) -> Process {
+fn process(errors: &[(&str, f64, &str)]) -> ErrorBudget {
     let entry = |(kind, size, unit): &(&str, f64, &str)| {
         let distribution = if *kind == "map_noise" { "normal" } else { "fixed" };
         json!({ "kind": kind, "size": size, "unit": unit, "distribution": distribution, "note": "" })
     };
     let errors: Vec<_> = errors.iter().map(entry).collect();
-    let file: ProcessFile =
+    let file: ErrorBudgetFile =
         serde_json::from_value(json!({ "name": "hidden", "errors": errors })).unwrap();
     file.checked().unwrap()
 }
 
 /// A machine with hidden errors of the place and of the tool.
-fn hidden() -> Process {
+fn hidden() -> ErrorBudget {
     process(&[
         ("rate_scale", 3.0, "%"),
         ("offset_x", 60.0, "um"),
@@ -63,11 +63,17 @@ fn learnt(
     after: &Surface,
     trajectory: &Trajectory,
     transform: Option<&Transform>,
-    process: Option<&Process>,
+    process: Option<&ErrorBudget>,
 ) -> Reconciled {
     let (before, tif) = (before(), tif());
-    let comparison =
-        Comparison { before: &before, after, trajectory, tif: &tif, process, transform };
+    let comparison = Comparison {
+        before: &before,
+        after,
+        trajectory,
+        tif: &tif,
+        error_budget: process,
+        transform,
+    };
     reconcile(&comparison, &Settings { tif_as_sampled: true, ..Settings::default() }).unwrap()
 }
 
@@ -150,7 +156,7 @@ fn what_was_learnt_takes_the_place_of_the_errors_that_were_believed() {
     ]);
     let found = learnt(&first.measured, &planned(), None, Some(&believed));
     let left = |kind: Kind| -> Vec<f64> {
-        found.process.errors.iter().filter(|e| e.kind == kind).map(|e| e.size).collect()
+        found.error_budget.errors.iter().filter(|e| e.kind == kind).map(|e| e.size).collect()
     };
     let error = |p: Parameter| {
         let all = &found.outcome.parameters;
@@ -167,14 +173,14 @@ fn what_was_learnt_takes_the_place_of_the_errors_that_were_believed() {
     // What nobody learns stays.
     assert_eq!((left(Kind::VelocityLag), left(Kind::MapNoise)), (vec![5.0], vec![0.1]));
     // It is a process: the next reconciliation takes it for what is known beforehand.
-    let known = found.process.clone().checked().unwrap();
+    let known = found.error_budget.clone().checked().unwrap();
     let scale = Parameter::RateScale.scale_in(&known);
     assert!((scale - 0.01 * error(Parameter::RateScale)).abs() < 1e-12 * scale);
     let diagonal = Parameter::TifDiagonalEllipticity.scale_in(&known);
     let expected = 0.01 * error(Parameter::TifDiagonalEllipticity);
     assert!((diagonal - expected).abs() < 1e-12 * expected);
     // Without a process the noise of a map is what the fit leaves, over the root of two.
-    let alone = learnt(&first.measured, &planned(), None, None).process;
+    let alone = learnt(&first.measured, &planned(), None, None).error_budget;
     let noise = alone.errors.iter().find(|e| e.kind == Kind::MapNoise).unwrap();
     // 2500 pixels: their RMS scatters by 1 / sqrt(2 x 2500) = 1.4 %; three of it.
     assert!((noise.size / 0.1 - 1.0).abs() < 0.042, "{}", noise.size);

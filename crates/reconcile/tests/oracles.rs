@@ -16,7 +16,8 @@ use planish_reconcile::{
     reconcile,
 };
 use planish_simulate::{
-    Settings as Simulation, process::ProcessFile, runs::Runs, simulate, virtual_machine::draw_run,
+    Settings as Simulation, error_budget::ErrorBudgetFile, runs::Runs, simulate,
+    virtual_machine::draw_run,
 };
 use planish_types::{Surface, Tif, Trajectory};
 use serde_json::json;
@@ -41,7 +42,7 @@ fn learnt(after: &Surface, settings: &Settings) -> Reconciled {
         after,
         trajectory: &trajectory,
         tif: &tif,
-        process: None,
+        error_budget: None,
         transform: None,
     };
     reconcile(&comparison, settings).unwrap()
@@ -138,7 +139,7 @@ fn derivatives_are_those_of_the_removal() {
 /// 30 runs of the virtual machine with white noise of 0.5 nm; `examples/coverage.rs` has 500 and more kinds of noise.
 #[test]
 fn intervals_of_two_standard_errors_hold_in_95_percent_of_the_cases() {
-    let file: ProcessFile = serde_json::from_value(json!({ "name": "test", "errors": [
+    let file: ErrorBudgetFile = serde_json::from_value(json!({ "name": "test", "errors": [
         { "kind": "rate_scale", "size": 5, "unit": "%", "distribution": "uniform", "note": "" },
         { "kind": "offset_x", "size": 50, "unit": "um", "distribution": "normal", "note": "" },
         { "kind": "offset_y", "size": 50, "unit": "um", "distribution": "normal", "note": "" },
@@ -162,7 +163,7 @@ fn intervals_of_two_standard_errors_hold_in_95_percent_of_the_cases() {
             after: &run.measured,
             trajectory: &trajectory,
             tif: &tif,
-            process: None,
+            error_budget: None,
             transform: None,
         };
         let found = fit(&model, &terms, &comparison.data(12).unwrap(), &start).unwrap();
@@ -227,7 +228,7 @@ fn what_is_known_beforehand_and_wrong_is_said_and_spoils_no_other_number() {
         let error = json!({
             "kind": "rate_scale", "size": size, "unit": "%", "distribution": "normal", "note": ""
         });
-        let file: ProcessFile =
+        let file: ErrorBudgetFile =
             serde_json::from_value(json!({ "name": "test", "errors": [error] })).unwrap();
         file.checked().unwrap()
     };
@@ -236,13 +237,13 @@ fn what_is_known_beforehand_and_wrong_is_said_and_spoils_no_other_number() {
         |x: f64, y: f64| 0.2 * (61.3 * x + 47.9 * y).sin() + 0.2 * (53.1 * x - 71.7 * y).cos();
     let measured = after(&removal(&planned(), &gaussian(1.05, 1.0, 1.0, 0.0)), noise);
     let (before, trajectory, tif) = (before(), planned(), gaussian(1.0, 1.0, 1.0, 0.0));
-    let learnt = |process: &planish_simulate::process::Process| {
+    let learnt = |process: &planish_simulate::error_budget::ErrorBudget| {
         let comparison = Comparison {
             before: &before,
             after: &measured,
             trajectory: &trajectory,
             tif: &tif,
-            process: Some(process),
+            error_budget: Some(process),
             transform: None,
         };
         reconcile(&comparison, &Settings::default()).unwrap()
@@ -283,7 +284,7 @@ fn a_move_with_the_metrology_is_that_of_the_wider_fit() {
         after: &measured,
         trajectory: &trajectory,
         tif: &tif,
-        process: None,
+        error_budget: None,
         transform: None,
     };
     let data = comparison.data(20).unwrap();

@@ -33,7 +33,7 @@
 //! the objective of the dwell solver. With a noise level the first correction chooses the smoothness at
 //! which the residual reaches the noise, and all corrections keep it.
 //!
-//! With a process ([`process`]) the loop goes on from its result. The expected square replaces e^2: the errors of
+//! With a process ([`error_budget`]) the loop goes on from its result. The expected square replaces e^2: the errors of
 //! the process add a quadratic t'Q t of the dwell times. The additional removal by its fixed errors is subtracted
 //! from the map.
 //!
@@ -47,7 +47,7 @@
 //! | e | `rms_nm` | - | nm |
 //! | t^, s | `proposed_s`, `step_fraction` | (n), - | s, 1 |
 
-pub mod process;
+pub mod error_budget;
 pub mod trade_off;
 
 use ndarray::Array2;
@@ -105,7 +105,7 @@ impl Default for Settings {
                 // The columns are those of the executed motion, so the smoothness need not make the dwell
                 // times executable. The pull to the lower bound saves machine time.
                 tikhonov: 2.78e-6,
-                smoothness: 7.72e-8,
+                slope_weight: 7.72e-8,
                 // RMS within 5e-4 of the smallest, relative: half of the improvement that counts as progress.
                 relative_gap: 1e-3,
                 ..dwell_solver::Settings::default()
@@ -156,7 +156,7 @@ pub struct Iterate {
     /// RMS of the executed residual with its best-fit plane removed, nm.
     pub detilted_nm: f64,
     /// Root of the expected mean square with a process, nm, without its part that does not depend on the dwell
-    /// times ([`process`]); `None` without a process.
+    /// times ([`error_budget`]); `None` without a process.
     pub expected_rms_nm: Option<f64>,
     /// Objective of the loop, sqrt(rms^2 + 2 lambda T), nm. The noise replaces an RMS below it, and with a
     /// process the expected square replaces rms^2.
@@ -307,8 +307,8 @@ fn rounds(
     let (floor_s, hi) = dwell_solver::bounds(path, &solver)?;
     let mut lo = start.least_s.unwrap_or(floor_s);
     let mut lo_of_best = lo.clone();
-    let last_smoothness = solver.smoothness;
-    solver.smoothness = last_smoothness.max(settings.first_smoothness);
+    let last_smoothness = solver.slope_weight;
+    solver.slope_weight = last_smoothness.max(settings.first_smoothness);
     let parts = settings.max_rounds.max(1);
     let mut t = match start.dwell {
         Some(dwell) => dwell,
@@ -372,7 +372,7 @@ fn rounds(
         iterates.push(iterate);
         work::round_ended();
         tries += 1;
-        let at_last = solver.smoothness <= last_smoothness || has_noise;
+        let at_last = solver.slope_weight <= last_smoothness || has_noise;
         if better {
             is_smoother = false;
             best = Some((round, motion.trajectory, quadratic));
@@ -422,9 +422,10 @@ fn rounds(
                 if gets_smoother {
                     is_smoother = true;
                     lo.clone_from(&tried_lo);
-                    solver.smoothness *= MORE_SMOOTHNESS;
+                    solver.slope_weight *= MORE_SMOOTHNESS;
                 } else if round > 0 && !at_last {
-                    solver.smoothness = (LESS_SMOOTHNESS * solver.smoothness).max(last_smoothness);
+                    solver.slope_weight =
+                        (LESS_SMOOTHNESS * solver.slope_weight).max(last_smoothness);
                     // The effect of the new smoothness is not known yet.
                     without_progress = 0;
                 }
@@ -445,7 +446,7 @@ fn rounds(
                 dwell_solver::solve_columns(target, tif, path, None, &solver, &program)
             })?;
             if solver.noise_rms_nm.take().is_some() {
-                solver.smoothness = solution.report.smoothness;
+                solver.slope_weight = solution.report.slope_weight;
             }
             promised_nm = solution.report.model_rms_nm;
             tried_lo.clone_from(&program.lo);

@@ -1,5 +1,5 @@
 //! Residual against total time: plans at rising prices of a second, and their picture. Each price has a plan of the
-//! closed loop and a joint plan of motion and times ([`planish_feed`]). Both methods minimise half the mean square
+//! closed loop and a joint plan of motion and times ([`planish_joint`]). Both methods minimise half the mean square
 //! of the residual plus the price times the total time.
 //!
 //! No plan takes less time than the volume to be removed over the volumetric removal rate (VRR) of the tool,
@@ -12,7 +12,7 @@
 //! pixels lies: a pit of a few pixels would demand a layer of its depth over the whole mirror.
 
 use planish_draw::{Frame, Scale, Svg, frame::range};
-use planish_feed::{FeedError, Price, plan};
+use planish_joint::{FeedError, Price, plan};
 use planish_types::{
     DwellTime, End, Invalid, Limits, Surface, Tif, ToolPath, plausible::Rms, progress, text::fixed,
 };
@@ -43,7 +43,7 @@ impl Method {
     pub fn name(self) -> &'static str {
         match self {
             Self::ClosedLoop => "closed loop",
-            Self::Feed => "feed",
+            Self::Feed => "joint",
         }
     }
 }
@@ -197,7 +197,7 @@ pub fn feed_trade_off(
 ) -> Result<Vec<Point>, FeedError> {
     let at_price = |(k, price): (usize, &f64)| {
         let price = Price::Nm2PerS(*price);
-        let settings = planish_feed::Settings { min_dwell_s_per_mm, price, ..Default::default() };
+        let settings = planish_joint::Settings { min_dwell_s_per_mm, price, ..Default::default() };
         let plan = progress::part(k, prices.len(), || plan(desired, tif, path, limits, &settings))?;
         let rms = Rms::of(plan.removal.residual());
         let best = Iterate {

@@ -282,7 +282,7 @@ fn noise_is_not_fitted_at_the_cost_of_the_true_surface() {
     let measured = noisy(&clean, noise_nm);
     let mut how = settings(pvt::Mode::Smooth);
     // So little that the noise is fitted.
-    (how.dwell.smoothness, how.first_smoothness, how.dwell.tikhonov) = (1e-8, 1e-8, 1e-7);
+    (how.dwell.slope_weight, how.first_smoothness, how.dwell.tikhonov) = (1e-8, 1e-8, 1e-7);
     how.dwell.noise_rms_nm = Some(noise_nm);
     let missed = |refined: &Refined| {
         let p = simulate(&refined.trajectory, &tif, &clean, planish_simulate::Settings::Gridded);

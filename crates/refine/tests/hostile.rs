@@ -26,7 +26,7 @@ fn no_flag_ends_in_a_panic_or_takes_all_memory() {
         "--min-dwell-s",
         "--min-dwell-s-per-mm",
         "--tikhonov",
-        "--smoothness",
+        "--slope-weight",
         "--time-weight-nm2-per-s",
         "--noise-rms-nm",
     ];

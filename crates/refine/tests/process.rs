@@ -4,12 +4,12 @@ use ndarray::Array2;
 use planish_dwell::bounded_least_squares::Bound;
 use planish_refine::{
     Refined, Settings,
-    process::{Price, refine_for},
+    error_budget::{Price, refine_for},
     refine,
 };
 use planish_tolerance::{
     Settings as ToleranceSettings,
-    process::{Process, ProcessFile},
+    error_budget::{ErrorBudget, ErrorBudgetFile},
     tolerance,
 };
 use planish_types::{Axis, Grid, Limits, Surface, Tif, ToolPath};
@@ -66,8 +66,8 @@ fn with(mut error: Value, setting: &str, value: f64) -> Value {
     error
 }
 
-fn process(errors: &[Value]) -> Process {
-    let file: ProcessFile =
+fn process(errors: &[Value]) -> ErrorBudget {
+    let file: ErrorBudgetFile =
         serde_json::from_value(json!({ "name": "test", "errors": errors })).unwrap();
     file.checked().unwrap()
 }
@@ -76,12 +76,12 @@ fn plan() -> Refined {
     refine(&desired(), &tif(), &raster(), &machine(), None, &settings()).unwrap()
 }
 
-fn plan_for(process: &Process) -> (Refined, Price) {
+fn plan_for(process: &ErrorBudget) -> (Refined, Price) {
     refine_for(&desired(), &tif(), &raster(), &machine(), None, &settings(), process).unwrap()
 }
 
 /// Root of the mean square of the residual over simulated runs, nm.
-fn simulated(plan: &Refined, process: &Process, runs: usize) -> f64 {
+fn simulated(plan: &Refined, process: &ErrorBudget, runs: usize) -> f64 {
     let how = ToleranceSettings { draws: 100, simulated_runs: runs, ..Default::default() };
     let found = tolerance(&plan.trajectory, &tif(), &desired(), process, &how).unwrap();
     let square: f64 = found.runs.iter().map(|p| p.simulated_rms_nm.powi(2)).sum();

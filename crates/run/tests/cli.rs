@@ -446,9 +446,9 @@ fn the_program_is_named_with_its_plan_and_the_plan_that_is_recommended() {
         assert!(code == Some(0) && text.contains(expected), "{text}");
         assert!(text.contains("run/program.galil is of the plan pvt; pvt+galil is that"), "{text}");
     }
-    summary(json!("feed"));
+    summary(json!("joint"));
     let (code, text) = said("pvt");
-    assert!(code == Some(0) && text.contains("give program_of=feed"), "{text}");
+    assert!(code == Some(0) && text.contains("give program_of=joint"), "{text}");
     summary(json!("pvt+refined"));
     assert_eq!(named(), "pvt+refined\n");
     summary(json!(null));

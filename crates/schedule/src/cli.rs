@@ -110,8 +110,8 @@ trait Scheduler {
         None
     }
 
-    /// Directory for the nodes of the density, if `--feed` is given.
-    fn feed(&self) -> Option<&Path> {
+    /// Directory for the nodes of the density, if `--dwell-density` is given.
+    fn dwell_density(&self) -> Option<&Path> {
         None
     }
 
@@ -136,8 +136,8 @@ fn schedule<S: Scheduler>(scheduler: &S) -> Result<Status, Failure> {
     let settings = scheduler.settings(&machine);
     let task = task!(S::METHOD, &settings);
     let mut output = Output::directory(&given.output, Trajectory::KIND);
-    if let Some(dir) = scheduler.feed() {
-        output = output.and_directory("--feed", dir, DwellDensity::KIND);
+    if let Some(dir) = scheduler.dwell_density() {
+        output = output.and_directory("--dwell-density", dir, DwellDensity::KIND);
     }
     let mut output = match output.begin(&task, &inputs)? {
         Begin::Unchanged(status) => return Ok(status),
@@ -155,9 +155,9 @@ fn schedule<S: Scheduler>(scheduler: &S) -> Result<Status, Failure> {
         "claim": claim,
         "report": made.report,
     });
-    if scheduler.feed().is_some() {
+    if scheduler.dwell_density().is_some() {
         let density = made.density.as_ref().ok_or_else(|| {
-            Failure::new("--feed: the path has no length, so there is no feed; leave --feed out")
+            Failure::new("--dwell-density: the path has no length, so there is no dwell-time density; leave --dwell-density out")
         })?;
         output.write(density, json!({ "report": made.report }), &status)?;
     }

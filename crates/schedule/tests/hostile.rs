@@ -150,12 +150,16 @@ fn no_flag_ends_in_a_panic_or_fills_the_disk() {
     let spline = [&["trig-spline", "--dwell=dwell"], &GIVEN[..]].concat();
     let flags = ["--corner-deviation-mm", "--fit-tolerance-mm"];
     every_value(BINARY, tmp.path(), &spline, &flags, &FLOATS, "out");
-    let (code, said) =
-        survives(BINARY, tmp.path(), &[&spline[..], &["--feed=feed"]].concat(), "out");
+    let (code, said) = survives(
+        BINARY,
+        tmp.path(),
+        &[&spline[..], &["--dwell-density=dwell_density"]].concat(),
+        "out",
+    );
     assert!(code == 0, "{said}");
     for out in ["ticks.csv", "ticks.npy"] {
         let to = format!("--out={out}");
-        let arguments = ["interpolate", "--feed=feed", &to];
+        let arguments = ["interpolate", "--dwell-density=dwell_density", &to];
         every_value(BINARY, tmp.path(), &arguments, &["--tick-s"], &FLOATS, out);
         let (code, said) =
             survives(BINARY, tmp.path(), &[&arguments[..], &["--tick-s=1e-9"]].concat(), out);

@@ -18,9 +18,9 @@ use planish_simulate::{
     between::Between,
     coverage::Coverage,
     deviation::Deviation,
+    error_budget::ErrorBudgetFile,
     frames::{Frames, frames},
     motion::Motion,
-    process::ProcessFile,
     simulate,
 };
 use planish_types::{Removal, plausible, progress};
@@ -34,17 +34,17 @@ pub struct Simulate {
     mirror: MirrorArgs,
     /// Predict the removal of axes that follow the motion as the servos of this process do: its errors velocity_lag,
     /// servo_first_order and servo_second_order of a fixed size; no other error [JSON]
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["process", "frames"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["error_budget", "frames"])]
     servo_of: Option<PathBuf>,
     /// How the integral along the motion is computed
-    #[arg(long, value_enum, default_value = "gridded", conflicts_with = "process")]
+    #[arg(long, value_enum, default_value = "gridded", conflicts_with = "error_budget")]
     method: Method,
     /// Time steps per segment of the direct method
     #[arg(long, default_value_t = 16)]
     steps: usize,
     /// Write the removal at N equal steps of time instead [frames artifact of at most 20 000 pixels
     /// a frame]
-    #[arg(long, value_name = "N", conflicts_with = "process")]
+    #[arg(long, value_name = "N", conflicts_with = "error_budget")]
     frames: Option<usize>,
     #[command(flatten)]
     virtual_run: virtual_run::VirtualRun,
@@ -80,7 +80,7 @@ impl Simulate {
         let servos = match &self.servo_of {
             None => Deviation::default(),
             Some(path) => {
-                let file: ProcessFile = inputs.read_json("process", path)?;
+                let file: ErrorBudgetFile = inputs.read_json("error-budget", path)?;
                 let process =
                     file.checked().map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
                 Deviation::servos_of(&process)

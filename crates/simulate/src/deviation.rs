@@ -12,9 +12,9 @@ use planish_types::{Grid, Invalid, Tif, Trajectory};
 use serde::Serialize;
 
 use crate::{
+    error_budget::{Distribution, Effect, ErrorBudget, Scalar},
     motion::{Motion, Piece},
     play::with_play,
-    process::{Distribution, Effect, Process, Scalar},
     servo::Servo,
 };
 
@@ -65,7 +65,7 @@ pub struct Truth {
 
 impl Deviation {
     /// The axes of `process` as they follow in every run: its lags of a fixed size, in the order of the file.
-    pub fn servos_of(process: &Process) -> Self {
+    pub fn servos_of(process: &ErrorBudget) -> Self {
         let mut run = Self::default();
         for error in &process.errors {
             if let Effect::Scalar(effect) = error.effect

@@ -19,7 +19,7 @@
 //! of the map that the tool touches. [`between`] reports the dependence of a prediction on the interpolation of the
 //! TIF.
 //!
-//! A motion of an imperfect process is simulated as another motion with another TIF. [`process`] reads the errors,
+//! A motion of an imperfect process is simulated as another motion with another TIF. [`error_budget`] reads the errors,
 //! [`sample`] draws them, and [`deviation`] applies them with [`motion`], [`servo`], [`tool`] and the play of the
 //! axes. [`runs`] computes the removal with them. [`virtual_machine`] runs a plan with them and measures the
 //! residual.
@@ -34,13 +34,13 @@ pub mod between;
 pub mod coverage;
 pub mod deviation;
 pub mod direct;
+pub mod error_budget;
 pub mod frames;
 pub mod gridded;
 mod kernel;
 mod lattice;
 pub mod motion;
 mod play;
-pub mod process;
 pub mod quadrature;
 pub mod runs;
 pub mod sample;

@@ -19,8 +19,8 @@ use planish_types::{Grid, Invalid, Tif, Trajectory, text::significant};
 use crate::{
     Plan, Settings,
     deviation::Deviation,
+    error_budget::{Effect, ErrorBudget, Noise, Scalar},
     motion::Motion,
-    process::{Effect, Noise, Process, Scalar},
 };
 
 /// Largest displacement of the tool, over the size of the TIF; a larger one is refused as no error of a process.
@@ -100,7 +100,7 @@ impl<'a> Runs<'a> {
     }
 
     /// Refuses displacements that are no errors, and fixed sizes of which the first order has no meaning.
-    pub fn check_sizes(&self, process: &Process) -> Result<(), Invalid> {
+    pub fn check_sizes(&self, process: &ErrorBudget) -> Result<(), Invalid> {
         let [x, y] = self.tif.grid().size_mm();
         let largest = LARGEST_DISPLACEMENT * x.max(y);
         for (i, error) in process.errors.iter().enumerate() {

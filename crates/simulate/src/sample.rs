@@ -13,8 +13,8 @@ use rand_distr::{Distribution as _, StandardNormal, StandardUniform};
 
 use crate::{
     deviation::Deviation,
+    error_budget::{Distribution, Noise},
     motion::Motion,
-    process::{Distribution, Noise},
 };
 
 /// A standardised number: of standard deviation one, of half a width one, or one.

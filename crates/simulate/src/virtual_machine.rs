@@ -11,7 +11,7 @@
 //! difference of the two maps has twice the variance of either. A reader of the measured map sees neither. The truth
 //! is written elsewhere, for comparison with what is learnt.
 //!
-//! Every error has its own random numbers, by its index in the process file: an error added at the end of the file
+//! Every error has its own random numbers, by its index in the error budget: an error added at the end of the file
 //! changes none of the others. The machine of a seed runs more than once ([`Settings::run`]). An error of one number
 //! is the same in all of its runs; noise is new in each. The map after a run is the map before the next one, with the
 //! same error of its measurement. So the measurements of a campaign are counted: run k is between the
@@ -24,7 +24,7 @@ use serde::Serialize;
 
 use crate::{
     deviation::{Deviation, Truth},
-    process::{Distribution, Effect, Process},
+    error_budget::{Distribution, Effect, ErrorBudget},
     runs::Runs,
     sample::{draw, legendre_terms, low_orders, sample, stream, white},
     tool::moved,
@@ -61,7 +61,7 @@ pub struct Drawn {
     pub kind: String,
     /// The number that it drew, in `unit`; `None` of noise, which draws many.
     pub value: Option<f64>,
-    /// The unit that the process file states.
+    /// The unit that the error budget states.
     pub unit: String,
 }
 
@@ -90,7 +90,7 @@ pub fn run(
     trajectory: &Trajectory,
     tif: &Tif,
     before: &Surface,
-    process: &Process,
+    process: &ErrorBudget,
     settings: &Settings,
 ) -> Result<Run, Invalid> {
     check_run(settings.run)?;
@@ -109,7 +109,7 @@ fn check_run(run: u64) -> Result<(), Invalid> {
 }
 
 /// The process with the sizes of what can be learnt from maps at zero, each error at its place.
-fn without_what_is_learnt(process: &Process) -> Process {
+fn without_what_is_learnt(process: &ErrorBudget) -> ErrorBudget {
     let mut process = process.clone();
     for error in &mut process.errors {
         if matches!(error.effect, Effect::Scalar(effect) if effect.is_learnt()) {
@@ -122,7 +122,7 @@ fn without_what_is_learnt(process: &Process) -> Process {
 /// The map that is measured of `mirror` before run `run` of the machine of `seed`.
 pub fn measure(
     mirror: &Surface,
-    process: &Process,
+    process: &ErrorBudget,
     seed: u64,
     run: u64,
 ) -> Result<Surface, Invalid> {
@@ -138,7 +138,7 @@ pub fn measure(
 pub fn draw_run(
     runs: &Runs<'_>,
     before: &Surface,
-    process: &Process,
+    process: &ErrorBudget,
     seed: u64,
     run: u64,
 ) -> Result<Run, Invalid> {
@@ -171,7 +171,7 @@ pub fn draw_run(
 }
 
 /// Error of the measurement `number` of the machine of a seed, nm.
-fn measurement_error(map: &Surface, process: &Process, seed: u64, number: u64) -> Array2<f64> {
+fn measurement_error(map: &Surface, process: &ErrorBudget, seed: u64, number: u64) -> Array2<f64> {
     let mut wrong = Array2::zeros(map.grid().shape());
     for (i, error) in process.errors.iter().enumerate() {
         if matches!(error.effect, Effect::MapLowOrder { .. } | Effect::MapNoise) {

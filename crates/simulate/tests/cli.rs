@@ -372,12 +372,12 @@ fn a_motion_that_never_touches_the_map_is_a_negative_verdict() {
         &[][..],
         &["--method=direct"],
         &["--frames=3"],
-        &["--process=process.json", "--measured=after"],
+        &["--error-budget=error_budget.json", "--measured=after"],
     ] {
         let tmp = tempfile::tempdir().unwrap();
         prepare(tmp.path());
         write(tmp.path(), "trajectory", &far);
-        fs::write(tmp.path().join("process.json"), process).unwrap();
+        fs::write(tmp.path().join("error_budget.json"), process).unwrap();
         let output = run_on("2", tmp.path(), more);
         let said = text(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{more:?}: {said}");

@@ -6,7 +6,7 @@ use planish_simulate::{
     Settings,
     between::Between,
     deviation::Deviation,
-    process::Scalar,
+    error_budget::Scalar,
     runs::Runs,
     simulate,
     tool::{moved, smooth},

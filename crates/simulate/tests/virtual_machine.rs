@@ -6,7 +6,7 @@ use ndarray::Array2;
 use planish_simulate::{
     Settings as Simulation,
     deviation::Deviation,
-    process::{Process, ProcessFile, Scalar},
+    error_budget::{ErrorBudget, ErrorBudgetFile, Scalar},
     runs::Runs,
     simulate,
     virtual_machine::{Run, Settings, draw_run, measure, run},
@@ -54,8 +54,8 @@ fn error(kind: &str, size: f64, unit: &str, distribution: &str) -> Value {
     json!({ "kind": kind, "size": size, "unit": unit, "distribution": distribution, "note": "" })
 }
 
-fn process(errors: &[Value]) -> Process {
-    let file: ProcessFile =
+fn process(errors: &[Value]) -> ErrorBudget {
+    let file: ErrorBudgetFile =
         serde_json::from_value(json!({ "name": "test", "errors": errors })).unwrap();
     file.checked().unwrap()
 }
@@ -276,7 +276,7 @@ fn a_diagonal_ellipticity_is_one_along_x_turned_by_45_degrees() {
 fn program(threads: &str, dir: &Path, more: &[&str]) -> std::process::Output {
     let errors = [error("rate_scale", 2.0, "%", "normal"), error("map_noise", 0.1, "nm", "normal")];
     let file = json!({ "name": "test", "errors": errors });
-    fs::write(dir.join("process.json"), file.to_string()).unwrap();
+    fs::write(dir.join("error_budget.json"), file.to_string()).unwrap();
     Command::new(env!("CARGO_BIN_EXE_planish-simulate"))
         .current_dir(dir)
         .env("RAYON_NUM_THREADS", threads)
@@ -296,8 +296,16 @@ fn the_program_hides_the_truth_from_the_reader_of_the_map() {
     let out = |k: &str| [format!("after{k}"), format!("truth{k}")];
     for (threads, k) in [("1", "1"), ("2", "2")] {
         let [after, truth] = out(k);
-        let flags =
-            ["--process", "process.json", "--seed", "9", "--measured", &after, "--out", &truth];
+        let flags = [
+            "--error-budget",
+            "error_budget.json",
+            "--seed",
+            "9",
+            "--measured",
+            &after,
+            "--out",
+            &truth,
+        ];
         let ended = program(threads, dir, &flags);
         assert_eq!(ended.status.code(), Some(0), "{}", text(&ended.stderr));
     }
@@ -322,13 +330,16 @@ fn what_is_no_run_is_refused_and_writes_nothing() {
     write(dir, "trajectory", &raster([0.0; 2]));
     write(dir, "tif", &tif());
     write(dir, "surface", &before());
-    let both = ["--process", "process.json", "--measured", "after", "--out", "truth"];
+    let both = ["--error-budget", "error_budget.json", "--measured", "after", "--out", "truth"];
     for (flags, said) in [
         (&both[..2], "--measured"),
-        (&["--measured", "after", "--out", "truth"], "--process"),
+        (&["--measured", "after", "--out", "truth"], "--error-budget"),
         (&[&both[..], &["--frames", "3"]].concat(), "--frames"),
-        (&["--process", "none.json", "--measured", "after", "--out", "truth"], "none.json"),
-        (&["--process", "process.json", "--measured", "truth/in", "--out", "truth"], "--measured"),
+        (&["--error-budget", "none.json", "--measured", "after", "--out", "truth"], "none.json"),
+        (
+            &["--error-budget", "error_budget.json", "--measured", "truth/in", "--out", "truth"],
+            "--measured",
+        ),
     ] {
         let ended = program("2", dir, flags);
         let stderr = text(&ended.stderr);

@@ -69,7 +69,7 @@ pub fn estimated_s(plan: &Plan, size: &Size) -> f64 {
     let step_mm = plan.number("step_mm").unwrap_or(pitch_mm);
     let passes = plan.number("passes").unwrap_or(1.0);
     let Size { area_mm2, tool_width_mm, .. } = *size;
-    let own_s = if plan.method == "feed" {
+    let own_s = if plan.method == "joint" {
         let spacing_mm = plan.number("node_spacing_mm").unwrap_or(0.6 * tool_width_mm);
         let nodes = area_mm2 / (pitch_mm * spacing_mm);
         let near = (8.0 * tool_width_mm).powi(2) / (pitch_mm * spacing_mm);
@@ -145,7 +145,7 @@ mod tests {
 
     #[test]
     fn finer_plans_are_estimated_to_take_longer() {
-        for method in ["feed", "pvt+refined"] {
+        for method in ["joint", "pvt+refined"] {
             let of = |pitch: f64| {
                 estimated_s(&plan(method, &[("pitch_mm", pitch), ("step_mm", 1.0)]), &SIZE)
             };
@@ -155,7 +155,7 @@ mod tests {
 
     #[test]
     fn resources_grow_with_the_map_and_the_plans() {
-        let one = plan("feed", &[("pitch_mm", 1.0)]);
+        let one = plan("joint", &[("pitch_mm", 1.0)]);
         let large = Size { pixels: 4e6, area_mm2: 4e4, tool_width_mm: 3.0 };
         let (few, many) = (vec![&one; 10], vec![&one; 1000]);
         assert!(resources(&many, &SIZE, 2).runtime > resources(&few, &SIZE, 2).runtime);

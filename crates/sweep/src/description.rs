@@ -77,7 +77,8 @@ pub fn read(text: &str) -> Result<Description, Complaint> {
         None => vec![],
     };
     let machine = text_of("machine", &top.required("machine", "machine: FILE")?)?;
-    let process = top.take("process").map(|node| text_of("process", &node)).transpose()?;
+    let process =
+        top.take("error_budget").map(|node| text_of("error_budget", &node)).transpose()?;
     let constraints = constraints_of(top.take("constraints"))?;
     let reports = match top.take("reports") {
         None => true,
@@ -154,7 +155,7 @@ fn block_of(node: &Node, tools: &[String]) -> Result<Block, Complaint> {
     let paths = words("path", &path, &PATHS)?;
     let methods = match table.take("method") {
         Some(node) => words("method", &node, &METHODS)?,
-        None => vec!["feed".into()],
+        None => vec!["joint".into()],
     };
     let mut settings = Vec::new();
     for (key, node) in table.rest() {
@@ -186,7 +187,7 @@ fn block_of(node: &Node, tools: &[String]) -> Result<Block, Complaint> {
     let repeated =
         |(_, values, _): &&(_, Vec<Given>, u64)| values.iter().any(|v| *v != Given::Number(1.0));
     if let (true, Some((.., line))) =
-        (methods.iter().any(|m| m == "feed"), find("passes").filter(repeated))
+        (methods.iter().any(|m| m == "joint"), find("passes").filter(repeated))
     {
         let problem = "passes above 1 are planned by the method pvt+refined, whose times are the same in every \
                        pass; leave feed out of this block";
@@ -305,7 +306,7 @@ plans:
         assert_eq!(sweep.prepare, "--level piston");
         assert_eq!(sweep.constraints, Constraints { max_time_s: Some(600.0), keep_limits: true });
         let [block] = &sweep.blocks[..] else { panic!("one block") };
-        assert_eq!((block.paths.len(), &block.methods[..]), (2, &["feed".to_string()][..]));
+        assert_eq!((block.paths.len(), &block.methods[..]), (2, &["joint".to_string()][..]));
         assert_eq!(block.settings[1].1.len(), 3);
     }
 

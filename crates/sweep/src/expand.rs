@@ -94,7 +94,7 @@ mod tests {
             numbers("seed", &[1.0, 2.0, 3.0]),
             numbers("time_elasticity", &[0.5, 1.0]),
         ];
-        let block = block(&["raster", "maze"], &["feed", "pvt+refined"], settings);
+        let block = block(&["raster", "maze"], &["joint", "pvt+refined"], settings);
         let plans = expand(&[block.clone(), block], &ground()).unwrap();
         // A raster has no seed, and the closed loop no elasticity: 2 (2 + 1) + 6 (2 + 1).
         assert_eq!(plans.len(), 2 * 3 + 6 * 3);
@@ -106,7 +106,7 @@ mod tests {
     fn what_plans_have_in_common_has_one_name() {
         let prices = vec![numbers("time_weight_nm2_per_s", &[0.0, 1e-5, 1e-4])];
         let plans =
-            expand(&[block(&["raster"], &["feed", "pvt+refined"], prices)], &ground()).unwrap();
+            expand(&[block(&["raster"], &["joint", "pvt+refined"], prices)], &ground()).unwrap();
         assert_eq!(plans.len(), 6);
         let paths: BTreeSet<_> = plans.iter().map(|p| &p.path_id).collect();
         let dwell: BTreeSet<_> = plans.iter().filter_map(|p| p.dwell_id.as_ref()).collect();
@@ -120,7 +120,7 @@ mod tests {
                 ("pitch_mm".into(), Given::Number(pitch_mm)),
                 ("time_weight_nm2_per_s".into(), Given::Number(weight)),
             ];
-            plan("raster", "feed", settings, ground)
+            plan("raster", "joint", settings, ground)
         };
         let base = id(&ground(), 1.0, 0.0);
         assert_eq!(base, id(&ground(), 1.0, 0.0));
@@ -137,14 +137,14 @@ mod tests {
         assert!(!changed(Ground { process: Some("p".into()), ..ground() }, 1.0, 0.0));
         assert!(!changed(ground(), 1.0, 1e-4));
         // What is given as it would be taken anyway is the same plan.
-        assert_eq!(plan("raster", "feed", vec![], &ground()).path_id, base.path_id);
+        assert_eq!(plan("raster", "joint", vec![], &ground()).path_id, base.path_id);
     }
 
     #[test]
     fn too_many_plans_are_refused_before_they_are_made() {
         let long: Vec<f64> = (0..10_000).map(f64::from).collect();
         let settings = vec![numbers("pitch_mm", &long), numbers("step_mm", &long)];
-        let said = expand(&[block(&["raster"], &["feed"], settings)], &ground()).unwrap_err();
+        let said = expand(&[block(&["raster"], &["joint"], settings)], &ground()).unwrap_err();
         assert!(said.contains("more than 200000 plans"), "{said}");
     }
 }

@@ -15,7 +15,7 @@ const EXAMPLES: &str = "Examples:\n\
     \x20 planish-sweep expand sweeps/small.yaml --out out/sweeps/small\n\
     \x20 planish-sweep run out/sweeps/small --layer plans --job 1 --of 4 --at-once 2\n\
     \x20 planish-sweep propose out/sweeps/small\n\
-    \x20 planish-sweep again out/sweeps/small raster-feed-0123456789ab";
+    \x20 planish-sweep again out/sweeps/small raster-joint-0123456789ab";
 
 /// Many plans of one mirror: what is in a sweep, and the stages that make it
 ///

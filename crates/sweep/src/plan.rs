@@ -291,10 +291,10 @@ impl Sweep {
         let program = match &plan.dwell_id {
             Some(id) => {
                 own.extend(["--dwell".into(), format!("dwell/{id}")]);
-                own.extend(self.process.iter().map(|process| format!("--process={process}")));
+                own.extend(self.process.iter().map(|process| format!("--error-budget={process}")));
                 "planish-refine"
             }
-            None => "planish-feed",
+            None => "planish-joint",
         };
         let of_method = plan.of_method();
         own.extend(of_method.map(|(setting, given)| setting.flag(given)));
@@ -316,7 +316,7 @@ impl Sweep {
         ];
         if let Some(process) = &self.process {
             let (process, out) =
-                (format!("--process={process}"), format!("{}/tolerance", plan.dir()));
+                (format!("--error-budget={process}"), format!("{}/tolerance", plan.dir()));
             let own = [process.as_str(), "--out", &out, "--force"];
             steps.push(Step::new("planish-tolerance", [&over[..], &own[..]].concat()));
         }
@@ -337,7 +337,7 @@ impl Sweep {
     pub fn again(&self, plan: &Plan) -> Vec<String> {
         let mut words = vec![plan.path.clone()];
         // A plan of motion and times as one problem does not depend on the process.
-        let is_feed = plan.method == "feed";
+        let is_feed = plan.method == "joint";
         let concerns = |word: &&String| {
             !(is_feed && word.starts_with("process=")
                 || plan.get("tool").is_some() && word.starts_with("tif="))
@@ -349,10 +349,10 @@ impl Sweep {
                 key => words.push(format!("{key}={given}")),
             }
         }
-        let method = if plan.method == "feed" {
-            ["plan_feed=yes", "refine=no"]
+        let method = if plan.method == "joint" {
+            ["plan_joint=yes", "refine=no"]
         } else {
-            ["plan_feed=no", "refine=yes"]
+            ["plan_joint=no", "refine=yes"]
         };
         words.extend(method.map(String::from));
         words
@@ -451,7 +451,7 @@ mod tests {
             process: process.map(String::from),
             constraints: Constraints { max_time_s: None, keep_limits: true },
             reports: true,
-            again: ["surface=a/b", "tif=a/t", "process=p.json"].map(String::from).to_vec(),
+            again: ["surface=a/b", "tif=a/t", "error_budget=p.json"].map(String::from).to_vec(),
             ground: Ground {
                 surface: "s".into(),
                 tools: named("t", "n"),
@@ -504,8 +504,8 @@ mod tests {
             lines.iter().map(|l| l.split(' ').next().unwrap().into()).collect()
         };
         assert_eq!(
-            programs(&of(None, "feed")),
-            ["planish-feed", "planish-simulate", "planish-verify"]
+            programs(&of(None, "joint")),
+            ["planish-joint", "planish-simulate", "planish-verify"]
         );
         let refined = of(Some("p.json"), "pvt+refined");
         assert_eq!(
@@ -526,18 +526,18 @@ mod tests {
             "{}",
             refined[1]
         );
-        assert!(refined[1].contains(" --process=p.json "), "{}", refined[1]);
+        assert!(refined[1].contains(" --error-budget=p.json "), "{}", refined[1]);
     }
 
     #[test]
     fn another_tool_is_that_of_its_stages_and_of_the_command() {
         let sweep = sweep(Some("p.json"));
-        let plan = given(&sweep, "feed", &[("tool", Given::Word("narrow".into()))]);
+        let plan = given(&sweep, "joint", &[("tool", Given::Word("narrow".into()))]);
         assert!(line(&sweep.plan_steps(&plan)[0]).contains("--tif /tools/narrow "));
         let again = sweep.again(&plan).join(" ");
         assert_eq!(
             again,
-            "raster surface=a/b tif=/tools/narrow pitch_mm=1 step_mm=1 plan_feed=yes refine=no"
+            "raster surface=a/b tif=/tools/narrow pitch_mm=1 step_mm=1 plan_joint=yes refine=no"
         );
     }
 }

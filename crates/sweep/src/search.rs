@@ -100,7 +100,7 @@ mod tests {
     fn made(path: &str, pitch_mm: f64, price: f64) -> Plan {
         let settings = [("pitch_mm", pitch_mm), ("time_weight_nm2_per_s", price)];
         let settings = settings.map(|(k, x)| (k.to_string(), Given::Number(x)));
-        plan(path, "feed", settings.to_vec(), &ground())
+        plan(path, "joint", settings.to_vec(), &ground())
     }
 
     #[test]

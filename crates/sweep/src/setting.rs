@@ -10,7 +10,7 @@ use crate::node::{Complaint, Node, Value};
 pub const PATHS: [&str; 4] = ["raster", "maze", "random-adaptive", "spiral"];
 
 /// Methods that make dwell times and motion of a path.
-pub const METHODS: [&str; 2] = ["feed", "pvt+refined"];
+pub const METHODS: [&str; 2] = ["joint", "pvt+refined"];
 
 /// A setting that can be varied.
 #[derive(Debug)]
@@ -88,9 +88,9 @@ pub const SETTINGS: [Setting; 18] = [
     method("min_dwell_s", Kind::NotNegative, &["pvt+refined"]),
     method("min_dwell_s_per_mm", Kind::NotNegative, &METHODS),
     method("mode", Kind::Word(&["auto", "monotone", "smooth"]), &["pvt+refined"]),
-    method("time_elasticity", Kind::Positive, &["feed"]),
+    method("time_elasticity", Kind::Positive, &["joint"]),
     method("time_weight_nm2_per_s", Kind::NotNegative, &METHODS),
-    method("node_spacing_mm", Kind::Positive, &["feed"]),
+    method("node_spacing_mm", Kind::Positive, &["joint"]),
 ];
 
 /// Settings of which a plan has one at most.

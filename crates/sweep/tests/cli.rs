@@ -143,7 +143,7 @@ fn jobs_make_the_same_bytes_however_the_plans_are_shared_out() {
     let again = ended(0, &["again", &one, plans[1]["id"].as_str().unwrap()]);
     assert!(again.starts_with("just run raster "), "{again}");
     assert!(
-        again.contains(" pitch_mm=2 step_mm=1 time_elasticity=2 plan_feed=yes refine=no"),
+        again.contains(" pitch_mm=2 step_mm=1 time_elasticity=2 plan_joint=yes refine=no"),
         "{again}"
     );
 

@@ -31,11 +31,11 @@ const ROOMS: [Room; 12] = [
             "schedule",
             "simulate",
             "verify",
-            "feed",
+            "joint",
             "tolerance",
         ],
     ),
-    ("feed", &["numerics", "types", "handoff", "dwell", "simulate", "verify"]),
+    ("joint", &["numerics", "types", "handoff", "dwell", "simulate", "verify"]),
     ("tolerance", &["numerics", "types", "handoff", "dwell", "simulate"]),
     ("reconcile", &["numerics", "types", "draw", "handoff", "simulate"]),
     ("campaign", &["types", "draw", "handoff", "simulate"]),
@@ -78,7 +78,7 @@ const ALL: [&str; 23] = [
     "export",
     "compare",
     "refine",
-    "feed",
+    "joint",
     "tolerance",
     "reconcile",
     "campaign",
@@ -468,7 +468,7 @@ fn libraries_have_no_files_no_shell_and_no_clock() {
 #[test]
 fn the_messages_of_stage_libraries_name_settings_and_no_flags() {
     let mut complaints = Vec::new();
-    for folder in STAGES.iter().chain(&["refine", "feed", "tolerance", "reconcile", "campaign"]) {
+    for folder in STAGES.iter().chain(&["refine", "joint", "tolerance", "reconcile", "campaign"]) {
         for file in module_tree(&directory_of(folder).join("src/lib.rs")) {
             let source = fs::read_to_string(&file).unwrap();
             for flag in flags(&source) {
@@ -546,7 +546,7 @@ fn every_crate_has_name_licence_description_and_the_lints() {
         let name = format!("planish-{folder}");
         assert_eq!(package.name.as_str(), name);
         let program = STAGES.contains(&folder.as_str())
-            || ["refine", "feed", "tolerance", "reconcile", "campaign", "run", "sweep"]
+            || ["refine", "joint", "tolerance", "reconcile", "campaign", "run", "sweep"]
                 .contains(&folder.as_str());
         let binaries: Vec<&str> = package
             .targets
@@ -597,7 +597,7 @@ fn a_forbidden_arrow_is_caught() {
         ("refine", "compare"),
         ("simulate", "refine"),
         ("run", "compare"),
-        ("sweep", "feed"),
+        ("sweep", "joint"),
         ("verify", "run"),
         ("newcomer", "types"),
     ] {

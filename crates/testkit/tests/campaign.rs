@@ -41,7 +41,7 @@ fn machine_runs(dir: &Path, map: &str, motion: &str, more: &str, to: &str) -> f6
     run(
         dir,
         &format!(
-            "simulate --trajectory {motion} --tif made/tif --surface {map} --process hidden.json --seed 7 {more} \
+            "simulate --trajectory {motion} --tif made/tif --surface {map} --error-budget hidden.json --seed 7 {more} \
              --measured {to}-measured --out {to}-truth"
         ),
     );
@@ -55,21 +55,21 @@ fn the_second_run_leaves_with_learning_what_a_known_tool_leaves() {
     let fixtures = workspace().join("fixtures");
     for (from, to) in [
         ("coupon.json", "coupon.json"),
-        ("processes/hidden.json", "hidden.json"),
+        ("error-budgets/hidden.json", "hidden.json"),
         ("machines/ion-beam.json", "machine.json"),
     ] {
         fs::copy(fixtures.join(from), dir.join(to)).unwrap();
     }
     run(dir, "fixture coupon.json --out made");
-    let measure = "campaign measure --surface made/surface --process hidden.json --seed 7";
+    let measure = "campaign measure --surface made/surface --error-budget hidden.json --seed 7";
     run(dir, &format!("{measure} --out map-1"));
     plan(dir, "map-1", "made/tif", "first");
     let blind = machine_runs(dir, "map-1", "first/trajectory", "--run 1", "blind");
     run(
         dir,
         "reconcile --before map-1 --after blind-measured --trajectory first/trajectory --tif made/tif \
-         --process hidden.json --out learnt --corrected-tif tif --corrected-transform place \
-         --learnt-process process.json",
+         --error-budget hidden.json --out learnt --corrected-tif tif --corrected-transform place \
+         --learnt-error-budget error_budget.json",
     );
 
     // Another mirror like the first is the second run of this machine.
@@ -96,7 +96,10 @@ fn the_second_run_leaves_with_learning_what_a_known_tool_leaves() {
     // The first mirror again: the decision on another run, and its residual.
     plan(dir, "blind-measured", "tif", "second");
     let mirror = "--surface second-map --trajectory second/trajectory";
-    run(dir, &format!("tolerance {mirror} --tif tif --process process.json --out tolerance"));
+    run(
+        dir,
+        &format!("tolerance {mirror} --tif tif --error-budget error_budget.json --out tolerance"),
+    );
     run(dir, &format!("campaign decide {mirror} --tolerance tolerance --out decision"));
     let decision = outcome(dir, "decision");
     assert_eq!(decision["verdict"], "run_again", "{decision}");

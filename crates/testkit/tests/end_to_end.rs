@@ -181,7 +181,7 @@ fn the_coupon_is_polished_and_the_summary_says_so() {
             "reach",
             "division",
             "specification",
-            "process",
+            "error_budget",
             "without_motion",
             "methods",
             "left_out",
@@ -413,7 +413,7 @@ fn the_closed_loop_gains_and_its_trade_off_is_ordered() {
             .map(|l| l.split('|').filter_map(|c| c.trim().parse().ok()).collect())
             .collect()
     };
-    let [closed_loop, feed] = ["closed loop", "feed"].map(rows);
+    let [closed_loop, feed] = ["closed loop", "joint"].map(rows);
     println!("{closed_loop:?} {feed:?}");
     for rows in [&closed_loop, &feed] {
         assert_eq!(rows.len(), 4, "{said}");

@@ -60,7 +60,7 @@ class Stage:
 # Every path is relative to a directory that holds `in` (read-only inputs) and `out`.
 PLAN = "--tool-path in/path --dwell in/dwell --machine in/machine.json"
 MAPS = "--surface in/surface --tif in/tif"
-LEARNT = "--out out/a --corrected-tif out/tif --corrected-transform out/place --learnt-process out/process.json --force"
+LEARNT = "--out out/a --corrected-tif out/tif --corrected-transform out/place --learnt-error-budget out/error_budget.json --force"
 DECIDED = "--surface in/surface --trajectory in/trajectory --tolerance in/tolerance"
 STAGES = [
     Stage("fixture", "planish-fixture in/recipe.json --out out --force", "planish-fixture in/other.json --out out --force",
@@ -80,14 +80,14 @@ STAGES = [
           "planish-toolpath draw --tool-path in/path --surface in/surface --out out/a.svg --force"),
     Stage("dwell", f"planish-dwell bounded-least-squares {MAPS} --tool-path in/path --min-dwell-s 0.1 --out out/a --force",
           f"planish-dwell bounded-least-squares {MAPS} --tool-path in/path --min-dwell-s 0.2 --out out/a --force"),
-    Stage("schedule", f"planish-schedule trig-spline {PLAN} --feed out/feed --out out/a --force",
-          f"planish-schedule trig-spline --repair local {PLAN} --feed out/feed --out out/a --force",
-          "planish-schedule program --feed out/feed --out read.nc --force"),
-    Stage("interpolate", "planish-schedule interpolate --feed in/feed --tick-s 0.1 --out out/a.npy --force",
-          "planish-schedule interpolate --feed in/feed --tick-s 0.2 --out out/a.npy --force"),
+    Stage("schedule", f"planish-schedule trig-spline {PLAN} --dwell-density out/dwell_density --out out/a --force",
+          f"planish-schedule trig-spline --repair local {PLAN} --dwell-density out/dwell_density --out out/a --force",
+          "planish-schedule program --dwell-density out/dwell_density --out read.nc --force"),
+    Stage("interpolate", "planish-schedule interpolate --dwell-density in/dwell_density --tick-s 0.1 --out out/a.npy --force",
+          "planish-schedule interpolate --dwell-density in/dwell_density --tick-s 0.2 --out out/a.npy --force"),
     Stage("bspline-feed", f"planish-bspline-feed {MAPS} --tool-path in/path --machine in/machine.json --method vrr --out out --force",
           f"planish-bspline-feed {MAPS} --tool-path in/path --machine in/machine.json --out out --force",
-          "planish-schedule program --feed out/feed --out read.nc --force"),
+          "planish-schedule program --dwell-density out/dwell_density --out read.nc --force"),
     Stage("simulate", "planish-simulate --trajectory in/trajectory --tif in/tif --surface in/surface --out out/a --force",
           "planish-simulate --trajectory in/trajectory --tif in/tif --surface in/surface --method direct --steps 2 --out out/a --force"),
     Stage("verify", "planish-verify --trajectory in/trajectory --machine in/machine.json --out out/a --force",
@@ -95,11 +95,11 @@ STAGES = [
     Stage("refine", f"planish-refine {MAPS} --tool-path in/path --machine in/machine.json --max-rounds 1 --out out --force",
           f"planish-refine {MAPS} --tool-path in/path --machine in/machine.json --max-rounds 2 --out out --force",
           "planish-verify --trajectory out/trajectory --machine in/machine.json --out read --force"),
-    Stage("feed", f"planish-feed {MAPS} --tool-path in/path --machine in/machine.json --max-iterations 2 --out out --force",
-          f"planish-feed {MAPS} --tool-path in/path --machine in/machine.json --max-iterations 3 --out out --force",
+    Stage("joint", f"planish-joint {MAPS} --tool-path in/path --machine in/machine.json --max-iterations 2 --out out --force",
+          f"planish-joint {MAPS} --tool-path in/path --machine in/machine.json --max-iterations 3 --out out --force",
           "planish-verify --trajectory out/trajectory --machine in/machine.json --out read --force"),
-    Stage("tolerance", "planish-tolerance --trajectory in/trajectory --tif in/tif --surface in/surface --process in/process.json --simulated-runs 1 --out out/a --force",
-          "planish-tolerance --trajectory in/trajectory --tif in/tif --surface in/surface --process in/process.json --simulated-runs 2 --out out/a --force"),
+    Stage("tolerance", "planish-tolerance --trajectory in/trajectory --tif in/tif --surface in/surface --error-budget in/error_budget.json --simulated-runs 1 --out out/a --force",
+          "planish-tolerance --trajectory in/trajectory --tif in/tif --surface in/surface --error-budget in/error_budget.json --simulated-runs 2 --out out/a --force"),
     Stage("register", "planish-register fit in/fiducials.csv --out out/a --force",
           "planish-register fit in/fiducials.csv --model affine --out out/a --force",
           "planish-register apply --transform out/a --trajectory in/trajectory --out read --force"),
@@ -121,11 +121,11 @@ planish-surface prepare --surface in/fixture/surface --level piston --out in/sur
 planish-toolpath raster --surface in/surface --tif in/fixture/tif --pitch-mm 2 --step-mm 1 --out in/path
 planish-dwell bounded-least-squares --surface in/surface --tif in/fixture/tif --tool-path in/path --out in/dwell
 planish-schedule pvt --tool-path in/path --dwell in/dwell --machine in/machine.json --out in/trajectory
-planish-schedule trig-spline --tool-path in/path --dwell in/dwell --machine in/machine.json --feed in/feed --out in/spline
+planish-schedule trig-spline --tool-path in/path --dwell in/dwell --machine in/machine.json --dwell-density in/dwell_density --out in/spline
 planish-simulate --trajectory in/trajectory --tif in/fixture/tif --surface in/surface --out in/removal
 planish-verify --trajectory in/trajectory --machine in/machine.json --out in/verdict
-planish-simulate --trajectory in/trajectory --tif in/fixture/tif --surface in/surface --process in/process.json --measured in/after --out in/truth
-planish-tolerance --trajectory in/trajectory --tif in/fixture/tif --surface in/surface --process in/process.json --draws 1000 --simulated-runs 0 --out in/tolerance
+planish-simulate --trajectory in/trajectory --tif in/fixture/tif --surface in/surface --error-budget in/error_budget.json --measured in/after --out in/truth
+planish-tolerance --trajectory in/trajectory --tif in/fixture/tif --surface in/surface --error-budget in/error_budget.json --draws 1000 --simulated-runs 0 --out in/tolerance
 """
 
 
@@ -166,7 +166,7 @@ class Faults:
         (inputs / "recipe.json").write_text(small)
         (inputs / "other.json").write_text(small.replace('"seed": 2012', '"seed": 2013'))
         (inputs / "machine.json").write_text(MACHINE)
-        (inputs / "process.json").write_text((ROOT / "fixtures/processes/ion-beam.json").read_text())
+        (inputs / "error_budget.json").write_text((ROOT / "fixtures/error-budgets/ion-beam.json").read_text())
         (inputs / "fiducials.csv").write_text(FIDUCIALS)
         (inputs / "slow.json").write_text((ROOT / "fixtures/machines/ion-beam-slow.json").read_text())
         generator = random.Random(1)

@@ -366,7 +366,7 @@ fn what_is_probably_a_mistake_is_said_before_the_plan() {
         }
         fs::write(&machine, file.to_string()).unwrap();
         let settings = ["surface=mirror", "tif=tool", "machine=machine.json", "out=o"];
-        let quick = ["refine=no", "frames=0", "plan_feed=no"];
+        let quick = ["refine=no", "frames=0", "plan_joint=no"];
         let ended = run(dir.path(), &[&["run", "raster"], &settings[..], &quick].concat());
         let err = String::from_utf8_lossy(&ended.stderr);
         let before_plan = err.split("planish-dwell").next().unwrap();
@@ -439,37 +439,37 @@ fn a_user_s_files_and_another_mirror_s_run_stay_as_they_are() {
     // Motion and times as one problem are what is to be run, and what a program is written of.
     let summary = fs::read(dir.path().join("o/report/summary.json")).unwrap();
     let summary: Value = serde_json::from_slice(&summary).unwrap();
-    assert_eq!(summary["best"], "feed", "{}", summary["answer"]);
+    assert_eq!(summary["best"], "joint", "{}", summary["answer"]);
     let program = ["run", "raster", "fixture=coupon", "frames=0", "export=galil", "out=g"];
     let text = ended_with(&run(dir.path(), &program), 0);
-    assert!(text.contains("--plan='methods/feed+galil'"), "{text}");
+    assert!(text.contains("--plan='methods/joint+galil'"), "{text}");
     // The end of the run names the plan of the program, and that it is the one to run, with the reason.
-    assert!(text.contains("program: g/program.galil is of the plan feed;"), "{text}");
+    assert!(text.contains("program: g/program.galil is of the plan joint;"), "{text}");
     assert!(
-        text.contains("program: the plan is the one that the report recommends: feed+galil"),
+        text.contains("program: the plan is the one that the report recommends: joint+galil"),
         "{text}"
     );
     let program = fs::read_to_string(dir.path().join("g/program.galil")).unwrap();
-    assert!(program.contains("methods/feed/trajectory"), "{program}");
+    assert!(program.contains("methods/joint/trajectory"), "{program}");
     // The plan that the report marks is exported, whatever it is: the program keeps the limits on every controller.
     for controller in ["gcode", "csv"] {
         let export = format!("export={controller}");
         let out = format!("out={controller}");
-        let more = ["plan_feed=yes", export.as_str(), out.as_str(), "frames=0"];
+        let more = ["plan_joint=yes", export.as_str(), out.as_str(), "frames=0"];
         let text = ended_with(
             &run(dir.path(), &[&["run", "raster", "fixture=coupon"], &more[..]].concat()),
             0,
         );
-        assert!(text.contains(&format!("program.{controller} is of the plan feed;")), "{text}");
+        assert!(text.contains(&format!("program.{controller} is of the plan joint;")), "{text}");
         let tables = text.matches("raster, coupon: initial surface").count();
         assert_eq!(tables, 1, "the table stands there once: {text}");
-        assert!(text.contains(&format!("recommends: feed+{controller}, because")), "{text}");
+        assert!(text.contains(&format!("recommends: joint+{controller}, because")), "{text}");
         assert!(!text.contains("is none for"), "{text}");
     }
     for (more, said) in [
         (
-            &["program_of=feed", "plan_feed=no", "export=galil"][..],
-            "program_of=feed is not planned here; give plan_feed=yes",
+            &["program_of=joint", "plan_joint=no", "export=galil"][..],
+            "program_of=joint is not planned here; give plan_joint=yes",
         ),
         (&["program_of=pvt+refined", "export=galil", "refine=no"], "give refine=yes"),
         (&["program_of=pvt"], "give a controller too (export=galil)"),
@@ -585,7 +585,7 @@ fn a_campaign_and_the_next_run_of_a_lab_take_any_names_and_keep_to_their_directo
     }
     let hostile = "it's; touch PWNED $(touch PWNED2) {{ out }}\n\"é\"";
     let dir = user(hostile, "tool");
-    let process = workspace().join("fixtures/processes/hidden.json");
+    let process = workspace().join("fixtures/error-budgets/hidden.json");
     fs::copy(process, dir.path().join("-hidden' errors.json")).unwrap();
     let before = entries(dir.path());
     let out = format!("-{hostile}.out");
@@ -593,7 +593,7 @@ fn a_campaign_and_the_next_run_of_a_lab_take_any_names_and_keep_to_their_directo
         format!("surface={hostile}"),
         "tif=tool".into(),
         "machine=machine.json".into(),
-        "process=-hidden' errors.json".into(),
+        "error_budget=-hidden' errors.json".into(),
         format!("out={out}"),
         "refine=no".into(),
         "runs=1".into(),
@@ -621,7 +621,7 @@ fn a_campaign_and_the_next_run_of_a_lab_take_any_names_and_keep_to_their_directo
         "tif=tool".into(),
         "machine=machine.json".into(),
         // With what was learnt of that run the tool would be known better than as it is.
-        "process=-hidden' errors.json".into(),
+        "error_budget=-hidden' errors.json".into(),
         "refine=no".into(),
         "out=next $(touch PWNED)".into(),
     ];
@@ -652,7 +652,7 @@ fn what_is_no_campaign_and_no_next_run_is_refused_and_nothing_is_written() {
         (vec!["campaign", "nothing"], "no fixture 'nothing'"),
         (vec!["campaign", "runs=0"], "runs is '0'; give 1 to 99"),
         (vec!["campaign", "pipeline=stages"], "'stages' is no pipeline that plans a run"),
-        (vec!["campaign", "process=none.json"], "process none.json is no file"),
+        (vec!["campaign", "error_budget=none.json"], "error_budget none.json is no file"),
         (vec!["campaign", "surface=machine.json", "tif=tool"], "read it with planish-import"),
         (vec!["campaign", "surface=mirror"], "surface is given without tif"),
         (vec!["campaign", "reconcile=--hold 'x", "out=o"], "the quotation mark"),
@@ -682,7 +682,7 @@ fn the_command_of_a_plan_of_a_sweep_makes_the_same_plan_again() {
     let fixtures = workspace().join("fixtures");
     let sweep = format!(
         "mirror: {{fixture: {0}/coupon.json}}\nmachine: {0}/machines/ion-beam.json\nreports: none\nplans:\n  \
-         path: maze\n  pitch_mm: 2\n  seed: 3\n  method: [feed, pvt+refined]\n  time_weight_nm2_per_s: 1e-4\n",
+         path: maze\n  pitch_mm: 2\n  seed: 3\n  method: [joint, pvt+refined]\n  time_weight_nm2_per_s: 1e-4\n",
         fixtures.display()
     );
     fs::write(dir.path().join("two.yaml"), sweep).unwrap();
@@ -705,7 +705,7 @@ fn the_command_of_a_plan_of_a_sweep_makes_the_same_plan_again() {
         let words: Vec<&str> = words.chain(["frames=0", "out=again"]).collect();
         let ended = run(dir.path(), &words);
         assert!(matches!(ended.status.code(), Some(0 | 1)), "{}", text(&ended));
-        let method = if plan.contains("feed") { "feed" } else { "pvt+refined" };
+        let method = if plan.contains("joint") { "joint" } else { "pvt+refined" };
         let motion =
             |run: &str| dir.path().join(run).join("methods").join(method).join("trajectory");
         for array in ["break_time_s.npy", "coefficient_mm.npy"] {

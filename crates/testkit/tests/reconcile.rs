@@ -20,7 +20,7 @@ fn learnt(mirror: &Mirror, path: &str, settings: &Settings) -> Reconciled {
         after: &after,
         trajectory: &trajectory,
         tif: &mirror.tif,
-        process: None,
+        error_budget: None,
         transform: None,
     };
     let found = reconcile(&comparison, settings).unwrap();

@@ -267,7 +267,7 @@ fn best_dwell_on_the_published_raster_points() {
         columns: Columns::Point,
         min_dwell: Bound::Seconds(0.1),
         tikhonov: 2.8e-8,
-        smoothness: 0.0,
+        slope_weight: 0.0,
         ..Default::default()
     };
     let solution =
@@ -292,7 +292,7 @@ fn best_dwell_within_its_own_model() {
             columns: Columns::Point,
             min_dwell: Bound::Seconds(0.1),
             tikhonov: 2.8e-8,
-            smoothness: 0.0,
+            slope_weight: 0.0,
             ..Default::default()
         };
         let path = mirror.path(name);

@@ -3,7 +3,7 @@
 
 use planish_schedule::pvt;
 use planish_testkit::{ion_beam, mirror::mirror};
-use planish_tolerance::{Free, Settings, Tolerance, process::ProcessFile, tolerance};
+use planish_tolerance::{Free, Settings, Tolerance, error_budget::ErrorBudgetFile, tolerance};
 use planish_toolpath::{PassesSettings, passes};
 use planish_types::{DwellTime, Surface, Tif, ToolPath, Trajectory};
 use serde_json::{Value, json};
@@ -20,7 +20,7 @@ fn of(
     errors: Value,
     settings: &Settings,
 ) -> Tolerance {
-    let file: ProcessFile =
+    let file: ErrorBudgetFile =
         serde_json::from_value(json!({ "name": "reference", "errors": errors })).unwrap();
     tolerance(motion, tif, desired, &file.checked().unwrap(), settings).unwrap()
 }

@@ -5,8 +5,8 @@ use planish_types::{Invalid, Surface, Tif, Trajectory, progress};
 use crate::{
     distribution::{Errors, Span},
     draws::{Model, quantile},
+    error_budget::{ErrorBudget, Noise},
     noise::{Columns, Response},
-    process::{Noise, Process},
     reach::Reach,
     report::{First, LEVELS, Line, Pair, Quantiles, Tolerance},
     settings::Settings,
@@ -38,7 +38,7 @@ pub fn tolerance(
     trajectory: &Trajectory,
     tif: &Tif,
     desired: &Surface,
-    process: &Process,
+    process: &ErrorBudget,
     settings: &Settings,
 ) -> Result<Tolerance, Invalid> {
     settings.check()?;
@@ -106,7 +106,7 @@ pub fn tolerance(
     let differences = runs.iter().filter(|p| p.first_order_rms_nm > 0.0).map(difference);
     let level = |k: usize| k as f64 / (LEVELS - 1) as f64;
     Ok(Tolerance {
-        process: process.name.clone(),
+        error_budget: process.name.clone(),
         nominal_rms_nm: work.rms(&work.nominal),
         expected_rms_nm,
         residual,

@@ -13,7 +13,7 @@ use planish_handoff::{
 };
 use planish_tolerance::{
     Free, Settings,
-    process::{Distribution, ProcessFile},
+    error_budget::{Distribution, ErrorBudgetFile},
     tolerance,
 };
 use planish_types::{plausible, text::significant};
@@ -24,9 +24,9 @@ pub struct Tolerance {
     trajectory: TrajectoryArgs,
     #[command(flatten)]
     mirror: MirrorArgs,
-    /// Process and its errors [JSON]
+    /// ErrorBudget and its errors [JSON]
     #[arg(long, value_name = "FILE")]
-    process: PathBuf,
+    error_budget: PathBuf,
     /// Low-order terms that are not part of the residual
     #[arg(long, value_enum, default_value = "piston")]
     free: Free,
@@ -57,9 +57,10 @@ impl Tolerance {
         };
         let mut inputs = Inputs::new();
         let (trajectory, tif, surface) = self.trajectory.read_over(&self.mirror, &mut inputs)?;
-        let file: ProcessFile = inputs.read_json("process", &self.process)?;
-        let process =
-            file.checked().map_err(|e| Failure::new(format!("{}: {e}", self.process.display())))?;
+        let file: ErrorBudgetFile = inputs.read_json("error-budget", &self.error_budget)?;
+        let process = file
+            .checked()
+            .map_err(|e| Failure::new(format!("{}: {e}", self.error_budget.display())))?;
         let task = task!("tolerance", settings);
         let output = Output::directory(&self.output, &kind::TOLERANCE);
         let mut output = match output.begin(&task, &inputs)? {
@@ -71,7 +72,7 @@ impl Tolerance {
         let found =
             tolerance(&trajectory, &tif, &surface, &process, &settings).map_err(|e| {
                 match e.array {
-                    "errors" => Failure::new(format!("{}: {e}", self.process.display())),
+                    "errors" => Failure::new(format!("{}: {e}", self.error_budget.display())),
                     _ => Failure::with_flags(e),
                 }
             })?;
@@ -104,7 +105,7 @@ fn table(found: &planish_tolerance::Tolerance, free: Free) -> String {
         Free::Plane => " without the best plane",
     };
     let mut lines = vec![
-        format!("{}: {:.4} nm RMS{without} as planned", found.process, found.nominal_rms_nm),
+        format!("{}: {:.4} nm RMS{without} as planned", found.error_budget, found.nominal_rms_nm),
         String::new(),
         "                                             adds   reached  not reached  departs by"
             .into(),

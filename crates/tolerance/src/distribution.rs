@@ -8,9 +8,9 @@ use rayon::prelude::*;
 use crate::{
     deviation::Deviation,
     draws::{Model, POOL_STREAM, Term, orthonormal},
+    error_budget::Effect,
     lines::Linear,
     noise::{Columns, Response},
-    process::Effect,
     sample::{sample, stream},
     work::Work,
 };

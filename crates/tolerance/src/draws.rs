@@ -15,7 +15,7 @@ use planish_simulate::sample::{draw, stream};
 use rand_distr::{Distribution as _, Gamma, StandardNormal};
 use rayon::prelude::*;
 
-use crate::process::Distribution;
+use crate::error_budget::Distribution;
 
 /// Number of draws from one stream of random numbers. Larger: fewer tasks for the threads. Smaller: more overhead.
 /// Another value draws other numbers.

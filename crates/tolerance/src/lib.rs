@@ -40,7 +40,7 @@ mod settings;
 mod work;
 
 // What a run with errors is stands where it is simulated: the virtual machine draws the same errors.
-pub use planish_simulate::{deviation, motion, process, sample, servo, tool};
+pub use planish_simulate::{deviation, error_budget, motion, sample, servo, tool};
 
 pub use crate::{
     budget::{LARGEST_DEPARTURE, SEEN, tolerance},

@@ -7,8 +7,8 @@ use rayon::prelude::*;
 use crate::{
     deviation::Deviation,
     draws::DEPARTURE_STREAM,
+    error_budget::{Distribution, Effect, ProcessError, Scalar},
     noise::{Columns, Response},
-    process::{Distribution, Effect, ProcessError, Scalar},
     reach::Reach,
     report::Line,
     sample::{sample, stream},

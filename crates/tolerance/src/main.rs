@@ -11,9 +11,9 @@ static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-tolerance --trajectory out/trajectory --tif tool --surface out/surface \\\n\
-    \x20     --process fixtures/processes/ion-beam.json --out out/tolerance\n\
+    \x20     --error-budget fixtures/error-budgets/ion-beam.json --out out/tolerance\n\
     \x20 planish-tolerance --trajectory out/trajectory --tif tool --surface out/surface \\\n\
-    \x20     --process my-process.json --simulated-runs 1000 --out out/tolerance";
+    \x20     --error-budget my-error_budget.json --simulated-runs 1000 --out out/tolerance";
 
 /// Say before the run what each error of a process adds to the residual, and what to expect of all of them
 #[derive(Parser)]

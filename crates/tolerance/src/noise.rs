@@ -30,10 +30,10 @@ use rayon::prelude::*;
 
 use crate::{
     deviation::Deviation,
+    error_budget::Noise,
     field::{Field, cells_of_tif, field, slope_x, slope_y},
     inner::Inner,
     motion::{Motion, Piece},
-    process::Noise,
     reach::CosinesOnCells,
     sample::Mean,
 };

@@ -42,11 +42,11 @@ use rayon::prelude::*;
 
 use crate::{
     deviation::Deviation,
+    error_budget::{Distribution, Effect, ErrorBudget, Noise, Scalar},
     field::{Field, cells_of_tif, field, reached},
     inner::Inner,
     lines::STEP,
     motion::{Motion, Piece},
-    process::{Distribution, Effect, Noise, Process, Scalar},
     sample::Mean,
     settings::Free,
     tool::smooth,
@@ -92,7 +92,7 @@ impl Sources {
     pub fn new(
         desired: &Surface,
         tif: &Tif,
-        process: &Process,
+        process: &ErrorBudget,
         free: Free,
     ) -> Result<Self, Invalid> {
         let width = tif.width_mm();

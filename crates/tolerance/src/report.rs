@@ -4,7 +4,7 @@ use ndarray::Array2;
 use planish_simulate::coverage::Coverage;
 use serde::Serialize;
 
-use crate::process::Distribution;
+use crate::error_budget::Distribution;
 
 /// Number of levels at which the distribution is stored. Larger: larger files. Smaller: coarser curves.
 pub const LEVELS: usize = 201;
@@ -73,7 +73,7 @@ pub struct First {
 #[derive(Clone, Debug, Serialize)]
 pub struct Tolerance {
     /// Name of the process.
-    pub process: String,
+    pub error_budget: String,
     /// RMS of the residual of the plan, nm.
     pub nominal_rms_nm: f64,
     /// sqrt of the mean over runs of the mean square, nm (first order).

@@ -9,9 +9,9 @@ use rayon::prelude::*;
 use crate::{
     deviation::Deviation,
     draws::{LINE_STREAM, RUN_STREAM},
+    error_budget::{Distribution, Effect},
     lines::Linear,
     noise::Columns,
-    process::{Distribution, Effect},
     reach::Reach,
     report::{Line, Pair},
     sample::{draw, sample, stream, white},

@@ -10,9 +10,9 @@ use planish_types::{Invalid, Surface, Tif, Trajectory};
 
 use crate::{
     deviation::Deviation,
+    error_budget::{Effect, ErrorBudget, Noise, Scalar},
     inner::Inner,
     motion::Motion,
-    process::{Effect, Noise, Process, Scalar},
     settings::Free,
 };
 
@@ -20,7 +20,7 @@ use crate::{
 pub struct Work<'a> {
     runs: Runs<'a>,
     pub inner: Inner,
-    pub process: &'a Process,
+    pub process: &'a ErrorBudget,
     /// P (h - R).
     pub nominal: Array2<f64>,
     /// Part of the map that the plan reaches.
@@ -34,7 +34,7 @@ impl<'a> Work<'a> {
         tif: &Tif,
         moved: &'a Tif,
         desired: &'a Surface,
-        process: &'a Process,
+        process: &'a ErrorBudget,
         free: Free,
         width: f64,
     ) -> Result<Self, Invalid> {

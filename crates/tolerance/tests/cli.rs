@@ -26,12 +26,12 @@ fn prepare(dir: &Path) {
 }
 
 fn run_on(threads: &str, dir: &Path, process: &Value, more: &[&str]) -> Output {
-    fs::write(dir.join("process.json"), process.to_string()).unwrap();
+    fs::write(dir.join("error_budget.json"), process.to_string()).unwrap();
     Command::new(env!("CARGO_BIN_EXE_planish-tolerance"))
         .current_dir(dir)
         .env("RAYON_NUM_THREADS", threads)
         .args(["--trajectory", "trajectory", "--tif", "tif", "--surface", "surface"])
-        .args(["--process", "process.json", "--draws", "2000", "--simulated-runs", "2"])
+        .args(["--error-budget", "error_budget.json", "--draws", "2000", "--simulated-runs", "2"])
         .args(if more.contains(&"--out") { &[][..] } else { &["--out", "out"] })
         .args(more)
         .output()
@@ -55,7 +55,7 @@ fn numbers(path: &Path) -> Vec<f64> {
 }
 
 fn ion_beam() -> Value {
-    let file = workspace().join("fixtures/processes/ion-beam.json");
+    let file = workspace().join("fixtures/error-budgets/ion-beam.json");
     serde_json::from_str(&fs::read_to_string(file).unwrap()).unwrap()
 }
 
@@ -194,7 +194,7 @@ fn what_is_no_process_is_refused_by_name() {
         let said = text(&ended.stderr);
         assert_eq!(ended.status.code(), Some(2), "{said}");
         assert!(said.contains(message), "{message}: {said}");
-        assert!(said.contains("process.json"), "{said}");
+        assert!(said.contains("error_budget.json"), "{said}");
         assert!(!tmp.path().join("out").exists(), "{said}");
     }
 }

@@ -28,7 +28,7 @@ fn arguments(surface: &str, tif: &str, trajectory: &str) -> Vec<String> {
         ("surface", surface),
         ("tif", tif),
         ("trajectory", trajectory),
-        ("process", "process.json"),
+        ("process", "error_budget.json"),
         ("draws", "200"),
         ("simulated-runs", "1"),
         ("out", "out"),
@@ -41,8 +41,8 @@ fn no_count_no_map_no_tool_and_no_motion_ends_in_a_panic() {
     let tmp = tempfile::tempdir().unwrap();
     let [maps, tifs, _] = inputs(tmp.path());
     fs::copy(
-        workspace().join("fixtures/processes/fluid-jet.json"),
-        tmp.path().join("process.json"),
+        workspace().join("fixtures/error-budgets/fluid-jet.json"),
+        tmp.path().join("error_budget.json"),
     )
     .unwrap();
     lines(tmp.path(), "trajectory", 1.0, 1.0);

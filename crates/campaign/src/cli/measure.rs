@@ -6,7 +6,7 @@ use clap::Args;
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task,
 };
-use planish_simulate::{process::ProcessFile, virtual_machine::measure};
+use planish_simulate::{error_budget::ErrorBudgetFile, virtual_machine::measure};
 use planish_types::Surface;
 use serde_json::json;
 
@@ -15,9 +15,9 @@ pub struct Measure {
     /// True figure of the mirror [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
-    /// Process of the virtual machine; the measurement has its map_noise and map_low_order [JSON]
+    /// ErrorBudget of the virtual machine; the measurement has its map_noise and map_low_order [JSON]
     #[arg(long, value_name = "FILE")]
-    process: PathBuf,
+    error_budget: PathBuf,
     /// Random seed of the virtual machine
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
@@ -32,9 +32,10 @@ impl Measure {
     pub fn write(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let mirror: Surface = inputs.read("surface", &self.surface)?;
-        let file: ProcessFile = inputs.read_json("process", &self.process)?;
-        let process =
-            file.checked().map_err(|e| Failure::new(format!("{}: {e}", self.process.display())))?;
+        let file: ErrorBudgetFile = inputs.read_json("error-budget", &self.error_budget)?;
+        let process = file
+            .checked()
+            .map_err(|e| Failure::new(format!("{}: {e}", self.error_budget.display())))?;
         let task = task!("measure", json!({ "seed": self.seed, "run": self.run }));
         let output = Output::directory(&self.output, Surface::KIND);
         let mut output = match output.begin(&task, &inputs)? {

@@ -40,7 +40,7 @@ pub struct Report {
     /// Tool of the runs, for the part of the residual at wavelengths shorter than it corrects [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: Option<PathBuf>,
-    /// Row of a program that was read back, such as feed+galil. The report recommends it in the place of its plan [of
+    /// Row of a program that was read back, such as joint+galil. The report recommends it in the place of its plan [of
     /// one run only; default: the report chooses among all rows]
     #[arg(long, value_name = "ROW")]
     program: Option<String>,
@@ -130,7 +130,7 @@ impl Report {
         if !judged.is_empty() {
             say(judged);
         }
-        for process in summaries.iter().filter_map(|s| s.process.as_ref()) {
+        for process in summaries.iter().filter_map(|s| s.error_budget.as_ref()) {
             say(visible(&process.sentence));
         }
         if plotted {

@@ -45,11 +45,11 @@ const QUADRATURE_POINTS: usize = 32;
 
 /// The minimum, at the given smoothness or at the one that the noise of the map asks for.
 pub fn solve(mut problem: BoundedProblem<'_>) -> Result<BoundedSolution, DwellError> {
-    let given = problem.settings.smoothness;
+    let given = problem.settings.slope_weight;
     let approach = problem.approach(given)?;
     let mut first = problem.minimise(given)?;
     first.iterations += approach;
-    let (smoothness, iterate) = match problem.settings.noise_rms_nm {
+    let (slope_weight, iterate) = match problem.settings.noise_rms_nm {
         Some(noise) => {
             let noise_nm = problem.settings.huber_nm.map_or(noise, |k| rms_within(noise, k));
             match problem.rms_nm(&first) < noise_nm {
@@ -59,14 +59,14 @@ pub fn solve(mut problem: BoundedProblem<'_>) -> Result<BoundedSolution, DwellEr
         }
         None => (given, first),
     };
-    Ok(problem.finish(iterate, smoothness)?)
+    Ok(problem.finish(iterate, slope_weight)?)
 }
 
 impl BoundedProblem<'_> {
     /// The largest beta at which the residual does not exceed the noise (Morozov's discrepancy
     /// principle), and its minimum; `first` is that of the given beta, which fits the noise.
     fn stop_at(&mut self, noise_nm: f64, first: Iterate) -> Result<(f64, Iterate), DwellError> {
-        let (mut low, mut best) = (self.settings.smoothness.max(MIN_SMOOTHNESS), first);
+        let (mut low, mut best) = (self.settings.slope_weight.max(MIN_SMOOTHNESS), first);
         let mut high = low;
         while high < MAX_SMOOTHNESS {
             high *= SMOOTHNESS_FACTOR;

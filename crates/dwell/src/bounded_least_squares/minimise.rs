@@ -117,8 +117,8 @@ impl BoundedProblem<'_> {
     /// step before, p, this is the conjugate gradient method preconditioned by H~ as soon as the
     /// components at their bounds are settled. With a Huber loss every q has the weights of its own
     /// residual ([`huber_weights`]).
-    pub(super) fn minimise(&mut self, smoothness: f64) -> Result<Iterate, DwellError> {
-        self.minimise_by(&Settings { smoothness, ..*self.settings }, MAX_CORRECTIONS)
+    pub(super) fn minimise(&mut self, slope_weight: f64) -> Result<Iterate, DwellError> {
+        self.minimise_by(&Settings { slope_weight, ..*self.settings }, MAX_CORRECTIONS)
     }
 
     /// Brings the two-level method near the minimum by easier problems, and returns the number of products with their
@@ -127,7 +127,7 @@ impl BoundedProblem<'_> {
     /// these change afterwards.
     ///
     /// Does nothing for other methods, or where a guess is given.
-    pub(super) fn approach(&mut self, smoothness: f64) -> Result<usize, DwellError> {
+    pub(super) fn approach(&mut self, slope_weight: f64) -> Result<usize, DwellError> {
         let (cell, Some(pitch_mm)) = (self.cell, self.splines_mm) else { return Ok(0) };
         if self.is_guessed {
             return Ok(0);
@@ -141,7 +141,8 @@ impl BoundedProblem<'_> {
             let cells = (ROUGH_CELLS * cell, Some(splines * pitch_mm));
             let surrogate = self.convolved(cells)?;
             let fine = std::mem::replace(&mut self.surrogate, surrogate);
-            let settings = Settings { tikhonov, smoothness: weight * smoothness, ..*self.settings };
+            let settings =
+                Settings { tikhonov, slope_weight: weight * slope_weight, ..*self.settings };
             let corrections = match settings.huber_nm {
                 Some(_) => ROUGH_CORRECTIONS_HUBER,
                 None => ROUGH_CORRECTIONS,

@@ -51,7 +51,7 @@ pub struct Report {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub relative_gap: Option<f64>,
     /// beta that was used: the given one, or what the noise level asked for.
-    pub smoothness: f64,
+    pub slope_weight: f64,
     /// Dwell points at their lower bound, unreached and lifted ones not counted.
     pub at_lower_bound: usize,
     /// Dwell points at their upper bound.
@@ -87,7 +87,7 @@ impl Report {
         });
         let unproven = format!(
             "after {} iterations a dwell time would still move by {:.1e} s{gap}; raise `tikhonov` or \
-             `smoothness`",
+             `slope_weight`",
             self.iterations, self.kkt_residual_s
         );
         match self.end {
@@ -114,7 +114,7 @@ impl BoundedProblem<'_> {
     pub(super) fn finish(
         &self,
         mut iterate: Iterate,
-        smoothness: f64,
+        slope_weight: f64,
     ) -> Result<BoundedSolution, Invalid> {
         let unreached = Continuation::new(self.path, |j| self.reached[j]);
         unreached.apply_within(&mut iterate.t, self.lo, self.hi_given);
@@ -151,7 +151,7 @@ impl BoundedProblem<'_> {
             end: iterate.end,
             kkt_residual_s: iterate.natural_residual,
             relative_gap: iterate.relative_gap,
-            smoothness,
+            slope_weight,
             at_lower_bound: (0..t.len()).filter(reached).filter(|j| t[*j] <= self.lo[*j]).count(),
             at_upper_bound: (0..t.len()).filter(reached).filter(|j| t[*j] >= self.hi[*j]).count(),
             unreached_points: (0..t.len()).filter(|j| !reached(j)).count(),

@@ -20,7 +20,7 @@ pub struct Settings {
     /// alpha: weight of the dwell time per area above its lower bound; >= 0.
     pub tikhonov: f64,
     /// beta: weight of the slope of the dwell time per area along the path; >= 0.
-    pub smoothness: f64,
+    pub slope_weight: f64,
     /// Weight of the total time beside half the mean square of the residual, nm^2/s; >= 0.
     pub time_weight_nm2_per_s: f64,
     /// Low-order terms of the map that need not be removed.
@@ -49,7 +49,7 @@ impl Default for Settings {
             // Flat optima of the executed residual, as measured on a mirror with 36 dwell points in the area of the TIF:
             // 1e-5 / 36 and 1e-2 / 36^2.
             tikhonov: 2.78e-7,
-            smoothness: 7.72e-6,
+            slope_weight: 7.72e-6,
             time_weight_nm2_per_s: 0.0,
             free: Free::Piston,
             huber_nm: None,
@@ -68,7 +68,7 @@ impl Settings {
     pub(super) fn penalty_weights(&self) -> PenaltyWeights {
         PenaltyWeights {
             tikhonov: self.tikhonov,
-            smoothness: self.smoothness,
+            slope_weight: self.slope_weight,
             time_weight_nm2_per_s: self.time_weight_nm2_per_s,
         }
     }

@@ -61,8 +61,8 @@ pub struct BoundedLeastSquares {
     #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
     tikhonov: f64,
     /// Weight of the square of the slope of the dwell time per area along the path: the same at every pitch and tool
-    #[arg(long, value_name = "B", default_value_t = Settings::default().smoothness)]
-    smoothness: f64,
+    #[arg(long, value_name = "B", default_value_t = Settings::default().slope_weight)]
+    slope_weight: f64,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -78,7 +78,7 @@ impl BoundedLeastSquares {
                 .map(Bound::Seconds)
                 .or(self.max_dwell_s_per_mm.map(Bound::SecondsPerMm)),
             tikhonov: self.tikhonov,
-            smoothness: self.smoothness,
+            slope_weight: self.slope_weight,
             time_weight_nm2_per_s: self.time_weight_nm2_per_s,
             free: self.free,
             huber_nm: self.huber_nm,

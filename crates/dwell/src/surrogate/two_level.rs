@@ -531,7 +531,7 @@ mod tests {
         let weight =
             Array2::from_shape_fn(map.shape(), |(r, c)| if r < 5 && c > 20 { 0.0 } else { 1.0 });
         let weights =
-            PenaltyWeights { tikhonov: 1e-7, smoothness: 1e-6, time_weight_nm2_per_s: 0.0 };
+            PenaltyWeights { tikhonov: 1e-7, slope_weight: 1e-6, time_weight_nm2_per_s: 0.0 };
         // Areas of 0.25 x 0.2 mm: alpha A / a = 1e-5, and beta A^2 / (p l^3) = 8e-3.
         let scale = PenaltyScale {
             strongest: 12.0,
@@ -584,7 +584,7 @@ mod tests {
         }
         // The same free columns with another penalty, of which the smooth component is 1e-2 of H.
         let weights =
-            PenaltyWeights { tikhonov: 1e-2, smoothness: 1e-2, time_weight_nm2_per_s: 0.0 };
+            PenaltyWeights { tikhonov: 1e-2, slope_weight: 1e-2, time_weight_nm2_per_s: 0.0 };
         let stiff = Penalty::new(&path, &vec![0.0; n], &scale, &weights);
         let free: Vec<bool> = (0..n).map(|j| j < 700).collect();
         let two = TwoLevel::new(&nodes, &mut coarse, (&sums, &weight), &stiff, &u, &free);

@@ -23,7 +23,7 @@ impl Penalty {
         columns: &[Patch],
         weight: &Array2<f64>,
         strongest: f64,
-        (tikhonov, smoothness): (f64, f64),
+        (tikhonov, slope_weight): (f64, f64),
     ) -> Self {
         let n = path.len();
         let own: Vec<f64> = (0..n).map(|j| path.segment_length_mm(j)).collect();
@@ -51,7 +51,7 @@ impl Penalty {
         let between = |k: usize| 0.5 * (length_mm[k - 1] + length_mm[k]);
         let beta = (0..n)
             .map(|k| match k > 0 && has_density[k - 1] && has_density[k] {
-                true => smoothness * strongest * area * area / (p * between(k)),
+                true => slope_weight * strongest * area * area / (p * between(k)),
                 false => 0.0,
             })
             .collect();

@@ -11,11 +11,11 @@ use planish_handoff::{
 };
 use planish_refine::{
     Scheduler, Settings,
-    process::{Price, refine_for},
+    error_budget::{Price, refine_for},
     refine,
 };
 use planish_schedule::pvt;
-use planish_tolerance::process::{Process, ProcessFile};
+use planish_tolerance::error_budget::{ErrorBudget, ErrorBudgetFile};
 use planish_types::{DwellTime, Trajectory, plausible};
 use serde::Serialize;
 use serde_json::json;
@@ -43,8 +43,8 @@ pub struct Refine {
     tikhonov: f64,
     /// Weight of the square of the slope of the dwell time per area along the path, in the last corrections; larger
     /// values give smoother dwell times and a larger residual
-    #[arg(long, value_name = "B", default_value_t = Settings::default().dwell.smoothness)]
-    smoothness: f64,
+    #[arg(long, value_name = "B", default_value_t = Settings::default().dwell.slope_weight)]
+    slope_weight: f64,
     /// Price of a second in the objective, beside half the mean square of the residual, nm^2/s; larger values shorten
     /// the run
     #[arg(long, visible_alias = "time-weight", value_name = "L", default_value_t = 0.0)]
@@ -58,9 +58,9 @@ pub struct Refine {
     /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "auto")]
     mode: pvt::ModeChoice,
-    /// Process and its errors [JSON]; the expected square of the residual replaces the square
+    /// ErrorBudget and its errors [JSON]; the expected square of the residual replaces the square
     #[arg(long, value_name = "FILE")]
-    process: Option<PathBuf>,
+    error_budget: Option<PathBuf>,
     /// Largest number of rounds; to stop at a given number is no failure [default: 50, and a negative
     /// verdict if the rounds still improve]
     #[arg(long, value_name = "N")]
@@ -93,7 +93,7 @@ impl Refine {
         settings.dwell.noise_rms_nm = self.noise_rms_nm;
         settings.dwell.min_dwell = self.floor.bound(Bound::Seconds, Bound::SecondsPerMm)?;
         settings.dwell.tikhonov = self.tikhonov;
-        settings.dwell.smoothness = self.smoothness;
+        settings.dwell.slope_weight = self.slope_weight;
         let method = match self.scheduler {
             SchedulerKind::Pvt => "pvt",
             SchedulerKind::ConstantAcceleration => "constant-acceleration",
@@ -106,7 +106,7 @@ impl Refine {
             SchedulerKind::ConstantAcceleration => Scheduler::ConstantAcceleration,
             SchedulerKind::Pvt => Scheduler::Pvt(self.mode.on(&machine)),
         };
-        let process = self.process.as_ref().map(|path| read_process(path, &mut inputs));
+        let process = self.error_budget.as_ref().map(|path| read_process(path, &mut inputs));
         let process = process.transpose()?;
         let resolved = Resolved { settings, stop_at_max_rounds: self.max_rounds.is_some() };
         let task = task!(method, resolved);
@@ -144,7 +144,7 @@ impl Refine {
             "total_time_s": best.total_time_s,
         });
         if let Some(price) = &price {
-            outcome["process"] = json!(price);
+            outcome["error_budget"] = json!(price);
         }
         let status = match refined.negative(&surface, self.max_rounds.is_some()) {
             None => Status::Done,
@@ -191,8 +191,8 @@ impl Refine {
     }
 }
 
-fn read_process(path: &Path, inputs: &mut Inputs) -> Result<Process, Failure> {
-    let file: ProcessFile = inputs.read_json("process", path)?;
+fn read_process(path: &Path, inputs: &mut Inputs) -> Result<ErrorBudget, Failure> {
+    let file: ErrorBudgetFile = inputs.read_json("error-budget", path)?;
     file.checked().map_err(|e| Failure::new(format!("{}: {e}", path.display())))
 }
 

@@ -16,11 +16,11 @@ use super::program::read_records;
 
 #[derive(Args)]
 pub struct Interpolate {
-    /// Nodes of the dwell-time density [feed artifact]
+    /// Nodes of the dwell-time density [dwell_density artifact]
     #[arg(long, value_name = "DIR", required_unless_present = "program")]
-    feed: Option<PathBuf>,
-    /// NC program, read block by block, in place of a feed artifact
-    #[arg(long, value_name = "FILE", conflicts_with = "feed")]
+    dwell_density: Option<PathBuf>,
+    /// NC program, read block by block, in place of a dwell-time density artifact
+    #[arg(long, value_name = "FILE", conflicts_with = "dwell_density")]
     program: Option<PathBuf>,
     /// Trajectory scheduled with the feed: its run-up, lifts and brake are interpolated too [trajectory artifact]
     #[arg(long, value_name = "DIR", conflicts_with = "program")]
@@ -38,7 +38,7 @@ impl Interpolate {
         let mut interpolator = Interpolator::new(self.tick_s).map_err(tick)?;
         let table = Table::of(&self.output.out)?;
         let mut inputs = Inputs::new();
-        let source = match (&self.program, &self.feed) {
+        let source = match (&self.program, &self.dwell_density) {
             (Some(program), _) => {
                 inputs.record_file("program", program)?;
                 Source::Program(program)

@@ -12,9 +12,9 @@ use planish_types::{DwellDensity, Trajectory};
 
 #[derive(Args)]
 pub struct Program {
-    /// Nodes of the dwell-time density [feed artifact]
+    /// Nodes of the dwell-time density [dwell_density artifact]
     #[arg(long, value_name = "DIR")]
-    feed: PathBuf,
+    dwell_density: PathBuf,
     /// Trajectory scheduled with the feed: its run-up, lifts and brake go into the program [trajectory artifact]
     #[arg(long, value_name = "DIR")]
     trajectory: Option<PathBuf>,
@@ -32,7 +32,7 @@ const PROGRAM_HEAD: &str = "\
 impl Program {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
-        let records = read_records(&mut inputs, &self.feed, self.trajectory.as_deref())?;
+        let records = read_records(&mut inputs, &self.dwell_density, self.trajectory.as_deref())?;
         let output = self.output.begin(&inputs)?;
         let mut count = 0;
         output.write_by(|file| {
@@ -52,7 +52,7 @@ impl Program {
 /// The records of a feed, with what lies outside of its passes if the trajectory is given.
 pub(super) fn read_records(
     inputs: &mut Inputs,
-    feed: &Path,
+    dwell_density: &Path,
     trajectory: Option<&Path>,
 ) -> Result<Vec<Record>, Failure> {
     let density: DwellDensity = inputs.read("feed", feed)?;

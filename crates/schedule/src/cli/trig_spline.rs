@@ -22,9 +22,9 @@ pub struct TrigSpline {
     /// Largest error of the position in the fit of the motion by cubics, mm
     #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().fit_tolerance_mm)]
     fit_tolerance_mm: f64,
-    /// Also write the nodes of the spline, for `interpolate` and `program` [feed artifact]
+    /// Also write the nodes of the spline, for `interpolate` and `program` [dwell_density artifact]
     #[arg(long, value_name = "DIR")]
-    feed: Option<PathBuf>,
+    dwell_density: Option<PathBuf>,
 }
 
 impl Scheduler for TrigSpline {
@@ -44,8 +44,8 @@ impl Scheduler for TrigSpline {
         }
     }
 
-    fn feed(&self) -> Option<&Path> {
-        self.feed.as_deref()
+    fn dwell_density(&self) -> Option<&Path> {
+        self.dwell_density.as_deref()
     }
 
     fn make(

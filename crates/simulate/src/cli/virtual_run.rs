@@ -10,39 +10,39 @@ use planish_handoff::{
 };
 use planish_simulate::{
     coverage::Coverage,
-    process::ProcessFile,
+    error_budget::ErrorBudgetFile,
     virtual_machine::{Settings, run},
 };
 use planish_types::{Removal, Surface, plausible};
 
 #[derive(Args)]
 pub struct VirtualRun {
-    /// Process whose hidden errors, drawn with the seed, act on the run: --out is the truth, and --measured the map
+    /// ErrorBudget whose hidden errors, drawn with the seed, act on the run: --out is the truth, and --measured the map
     /// measured after the run [JSON]
     #[arg(long, value_name = "FILE", requires = "measured")]
-    process: Option<PathBuf>,
+    error_budget: Option<PathBuf>,
     /// Map measured after the run with errors [surface artifact]
-    #[arg(long, value_name = "DIR", requires = "process")]
+    #[arg(long, value_name = "DIR", requires = "error_budget")]
     measured: Option<PathBuf>,
     /// Random seed of the hidden errors
-    #[arg(long, value_name = "S", requires = "process", default_value_t = 1)]
+    #[arg(long, value_name = "S", requires = "error_budget", default_value_t = 1)]
     seed: u64,
     /// Number of the run of the machine of this seed. Errors of one number are those of its first run, and noise is
     /// new; --surface is the map measured after the run before
-    #[arg(long = "run", value_name = "K", requires = "process", default_value_t = 1)]
+    #[arg(long = "run", value_name = "K", requires = "error_budget", default_value_t = 1)]
     number: u64,
     /// Assume that rate, place, width and shape of the tool are known and corrected exactly; all other errors stay
-    #[arg(long, requires = "process")]
+    #[arg(long, requires = "error_budget")]
     known: bool,
     /// Move the TIF with its measured noise and the step at its border, which the tool does not have
-    #[arg(long, requires = "process")]
+    #[arg(long, requires = "error_budget")]
     tif_as_sampled: bool,
 }
 
 impl VirtualRun {
     /// Returns the process and the place for the map if both were given.
     pub fn asked(&self) -> Option<(&PathBuf, &PathBuf)> {
-        self.process.as_ref().zip(self.measured.as_ref())
+        self.error_budget.as_ref().zip(self.measured.as_ref())
     }
 
     pub fn run(
@@ -60,7 +60,7 @@ impl VirtualRun {
         };
         let mut inputs = Inputs::new();
         let (trajectory, tif, before) = trajectory.read_on_machine(mirror, &mut inputs)?;
-        let file: ProcessFile = inputs.read_json("process", process)?;
+        let file: ErrorBudgetFile = inputs.read_json("error-budget", process)?;
         let in_file = |e| Failure::new(format!("{}: {e}", process.display()));
         let errors = file.checked().map_err(in_file)?;
         let to = Output::directory(output, Removal::KIND).and_directory(

@@ -151,7 +151,7 @@ impl Grounds<'_> {
             again.push(format!("prepare={}", d.prepare));
         }
         again.push(format!("machine={}", self.plain(&d.machine).display()));
-        again.extend(d.process.iter().map(|p| format!("process={}", self.plain(p).display())));
+        again.extend(d.process.iter().map(|p| format!("error_budget={}", self.plain(p).display())));
         let (process, process_hash) = process.unzip();
         let ground = Ground {
             surface: surface_hash,

@@ -291,7 +291,7 @@ impl Work<'_> {
     /// Makes plans and their rows; how many were made, and how many of all failed.
     fn plans(&self, plans: &[&Plan]) -> Result<(usize, usize), Failure> {
         let newest = self.stages.newest(&[
-            "planish-feed",
+            "planish-joint",
             "planish-refine",
             "planish-simulate",
             "planish-verify",

@@ -1,9 +1,9 @@
 //! The tables of docs/refine.md: the closed loop on the reference mirror (`PLANISH_REFERENCE`), with a
 //! tenth of the limits of the machine, and on the coupon with noise and with a ring-shaped tool. With the argument
-//! `feed`: those of docs/feed.md, motion and times as one problem beside the closed loop. With `modes`: the shapes of the
+//! `joint`: those of docs/joint.md, motion and times as one problem beside the closed loop. With `modes`: the shapes of the
 //! PVT motion over fixtures and paths (docs/decisions/0071-pvt-mode-over-fixtures.md).
 
-mod feed;
+mod joint;
 mod paths;
 mod smooth;
 
@@ -198,8 +198,9 @@ fn on_the_coupons() {
 
 fn main() {
     let words: Vec<String> = std::env::args().skip(1).collect();
-    if let Some(("feed", names)) = words.split_first().map(|(first, rest)| (first.as_str(), rest)) {
-        return feed::tables(names);
+    if let Some(("joint", names)) = words.split_first().map(|(first, rest)| (first.as_str(), rest))
+    {
+        return joint::tables(names);
     }
     if words.first().is_some_and(|first| first == "modes") {
         return smooth::modes(&words[1..]);

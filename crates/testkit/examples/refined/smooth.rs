@@ -2,11 +2,11 @@
 //! shapes of the PVT motion.
 
 use planish_dwell::bounded_least_squares::{self, Bound};
-use planish_feed::{Settings, plan};
 use planish_fixture::Fixture;
+use planish_joint::{Settings, plan};
 use planish_schedule::{pvt, pvt::Mode, pvt_as_published};
 use planish_simulate::{
-    Settings::Gridded, deviation::Deviation, motion::Motion, process::Scalar, simulate,
+    Settings::Gridded, deviation::Deviation, error_budget::Scalar, motion::Motion, simulate,
 };
 use planish_testkit::{ion_beam, mirror::Mirror};
 use planish_toolpath::{Construction, Scan};

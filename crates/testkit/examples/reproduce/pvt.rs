@@ -469,7 +469,7 @@ fn on_the_mirror() -> Option<Vec<Claim>> {
             columns: Columns::Point,
             min_dwell: Bound::Seconds(0.1),
             tikhonov: 2.8e-8,
-            smoothness: 0.0,
+            slope_weight: 0.0,
             ..bounded_least_squares::Settings::default()
         },
     )

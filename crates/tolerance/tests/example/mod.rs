@@ -1,7 +1,7 @@
 //! A small plan: a raster of twelve lines, each in pieces of its own feed, over a map with a round corner.
 
 use ndarray::Array2;
-use planish_tolerance::process::{Process, ProcessFile};
+use planish_tolerance::error_budget::{ErrorBudget, ErrorBudgetFile};
 use planish_types::{Axis, Grid, Surface, Tif, Trajectory, TrajectoryBuilder};
 use serde_json::Value;
 
@@ -56,7 +56,7 @@ pub fn raster() -> Trajectory {
 
 /// The process of a file.
 #[allow(dead_code)] // the tests of the program write the file
-pub fn process(file: &Value) -> Result<Process, String> {
-    let file: ProcessFile = serde_json::from_value(file.clone()).map_err(|e| e.to_string())?;
+pub fn process(file: &Value) -> Result<ErrorBudget, String> {
+    let file: ErrorBudgetFile = serde_json::from_value(file.clone()).map_err(|e| e.to_string())?;
     file.checked().map_err(|e| e.to_string())
 }

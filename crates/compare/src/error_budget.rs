@@ -12,7 +12,7 @@ use crate::report::map::{block_side, screen_map};
 
 /// Effect of the process on one plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Process {
+pub struct ErrorBudget {
     /// The method whose motion it is.
     pub method: String,
     /// Terms that are not part of the residual: `piston` or `plane`.
@@ -31,7 +31,7 @@ pub struct Process {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Found {
     /// Name of the process.
-    #[serde(rename(deserialize = "process", serialize = "name"))]
+    #[serde(rename(deserialize = "error_budget", serialize = "name"))]
     pub name: String,
     /// RMS without errors, nm.
     pub nominal_rms_nm: f64,
@@ -105,7 +105,7 @@ fn words(kind: &str) -> String {
     kind.replace('_', " ")
 }
 
-impl Process {
+impl ErrorBudget {
     /// The effect on the motion of `method`, from the arrays of a tolerance artifact and the settings and outcome of
     /// its manifest.
     pub fn new(
@@ -179,7 +179,7 @@ mod tests {
             })
         };
         json!({
-            "process": "beam", "nominal_rms_nm": 0.1, "expected_rms_nm": 0.2, "simulated": false,
+            "error_budget": "beam", "nominal_rms_nm": 0.1, "expected_rms_nm": 0.2, "simulated": false,
             "residual": {
                 "median_nm": 0.19, "below_95_percent_nm": 0.3, "interval_95_percent_nm": [0.14, 0.31],
             },
@@ -201,7 +201,7 @@ mod tests {
     #[test]
     fn the_sentence_says_what_to_expect_and_what_costs_most() {
         let settings = json!({ "free": "plane" });
-        let process = Process::new("pvt", &settings, &outcome(), arrays(0.1)).unwrap();
+        let process = ErrorBudget::new("pvt", &settings, &outcome(), arrays(0.1)).unwrap();
         assert_eq!(
             process.sentence,
             "With this process (beam) expect 0.14 to 0.31 nm RMS of pvt in 95 % of the runs; 0.1 nm without errors; \
@@ -221,9 +221,9 @@ mod tests {
     fn an_outcome_without_its_numbers_is_refused_and_a_map_without_pixels_is_none() {
         let mut broken = outcome();
         broken["errors"][0]["adds_rms_nm"] = json!("much");
-        let error = Process::new("pvt", &json!({}), &broken, arrays(0.1)).unwrap_err();
+        let error = ErrorBudget::new("pvt", &json!({}), &broken, arrays(0.1)).unwrap_err();
         assert!(error.to_string().contains("tolerance: has no usable outcome"), "{error}");
-        let process = Process::new("pvt", &json!({}), &outcome(), arrays(f64::NAN)).unwrap();
+        let process = ErrorBudget::new("pvt", &json!({}), &outcome(), arrays(f64::NAN)).unwrap();
         assert!(process.for_page(100).get("deviation").is_none());
     }
 }

@@ -233,7 +233,7 @@ impl<'a> Posed<'a> {
     }
 
     fn merit<'m>(&'m self, density: &[f64], settings: &Settings) -> Merit<'m> {
-        let weights = (settings.tikhonov, settings.smoothness);
+        let weights = (settings.tikhonov, settings.difference_weight);
         let Self { mesh, residual, normal, lo } = self;
         Merit::new(residual, normal, mesh, lo, weights, settings.price, density)
     }

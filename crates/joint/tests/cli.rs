@@ -54,7 +54,7 @@ fn write<T: Artifact>(dir: &Path, name: &str, value: &T) {
 }
 
 fn run(dir: &Path, threads: &str, more: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-feed"))
+    Command::new(env!("CARGO_BIN_EXE_planish-joint"))
         .current_dir(dir)
         .env("RAYON_NUM_THREADS", threads)
         .args(["--surface=surface", "--tif=tif", "--tool-path=tool_path"])
@@ -84,7 +84,7 @@ fn a_plan_is_written_with_its_certificate_and_keeps_the_limits() {
     assert!((dwell.dwell_s().iter().sum::<f64>() - total).abs() < 1e-9 * total);
     let text = fs::read_to_string(tmp.path().join("out/trajectory/manifest.json")).unwrap();
     let manifest: Value = serde_json::from_str(&text).unwrap();
-    assert_eq!(manifest["method"], "feed");
+    assert_eq!(manifest["method"], "joint");
     assert_eq!(manifest["outcome"]["end"], "optimal");
     assert!(manifest["outcome"]["report"]["relative_gap"].as_f64().unwrap() <= 1e-3);
     // The same bytes on one thread

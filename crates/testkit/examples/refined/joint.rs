@@ -1,11 +1,11 @@
-//! The tables of docs/feed.md: motion and times as one problem, beside the closed loop on the same path.
+//! The tables of docs/joint.md: motion and times as one problem, beside the closed loop on the same path.
 //!
 //! Every number is that of the executed motion. The closed loop has a floor of 0.02 s/mm and its own price
 //! of time.
 
 use planish_dwell::bounded_least_squares::Bound;
-use planish_feed::{Price, Settings, plan};
 use planish_fixture::Fixture;
+use planish_joint::{Price, Settings, plan};
 use planish_schedule::pvt::Mode;
 use planish_testkit::{
     ion_beam, machine,

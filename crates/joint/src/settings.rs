@@ -16,7 +16,7 @@ pub struct Settings {
     /// alpha, dimensionless; > 0.
     pub tikhonov: f64,
     /// beta, dimensionless; >= 0.
-    pub smoothness: f64,
+    pub difference_weight: f64,
     /// Terms of the surface error that need not be removed.
     pub free: Free,
     /// Largest distance of the curve from a corner of the path, mm; a fifth of the TIF's width when absent.
@@ -41,7 +41,7 @@ impl Default for Settings {
             min_dwell_s_per_mm: 0.0,
             price: Price::Elasticity(0.5),
             tikhonov: 1e-5,
-            smoothness: 0.0,
+            difference_weight: 0.0,
             free: Free::Piston,
             corner_deviation_mm: None,
             corner_radius_mm: None,
@@ -67,7 +67,7 @@ impl Settings {
         let not_negative = [
             ("min_dwell_s_per_mm", self.min_dwell_s_per_mm),
             (price_name, price),
-            ("smoothness", self.smoothness),
+            ("difference_weight", self.difference_weight),
         ];
         for (name, v) in not_negative {
             if !(v.is_finite() && v >= 0.0) {

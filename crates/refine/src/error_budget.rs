@@ -16,7 +16,8 @@
 //! of first order.
 
 use planish_tolerance::{
-    Settings as ToleranceSettings, Tolerance, process::Process, quadratic::Sources, tolerance,
+    Settings as ToleranceSettings, Tolerance, error_budget::ErrorBudget, quadratic::Sources,
+    tolerance,
 };
 use planish_types::{DwellTime, End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory};
 use serde::Serialize;
@@ -64,7 +65,7 @@ pub fn refine_for(
     limits: &Limits,
     first: Option<DwellTime>,
     settings: &Settings,
-    process: &Process,
+    process: &ErrorBudget,
 ) -> Result<(Refined, Price), RefineError> {
     let sources = Sources::new(desired, tif, process, settings.dwell.free)?;
     let plan = refine(desired, tif, path, limits, first, settings)?;

@@ -84,7 +84,7 @@ pub enum Distribution {
 /// A process as its file states it, not checked yet.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ProcessFile {
+pub struct ErrorBudgetFile {
     /// Name of the process.
     pub name: String,
     /// Errors of the process.
@@ -121,7 +121,7 @@ pub struct ErrorFile {
 
 /// The errors of a process, checked.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Process {
+pub struct ErrorBudget {
     /// Name of the process.
     pub name: String,
     /// Errors of the process.
@@ -288,15 +288,15 @@ impl Kind {
     }
 }
 
-impl ProcessFile {
+impl ErrorBudgetFile {
     /// Checks what the JSON types do not: units, signs, magnitudes, and the settings of every kind.
-    pub fn checked(self) -> Result<Process, Invalid> {
+    pub fn checked(self) -> Result<ErrorBudget, Invalid> {
         if self.errors.is_empty() {
             let remedy = "give at least one error";
             return Err(Invalid::whole("errors", "are none", remedy));
         }
         let errors = self.errors.into_iter().enumerate().map(|(i, e)| e.checked(i));
-        Ok(Process { name: self.name, errors: errors.collect::<Result<_, _>>()? })
+        Ok(ErrorBudget { name: self.name, errors: errors.collect::<Result<_, _>>()? })
     }
 }
 

@@ -2,12 +2,12 @@
 
 use clap::Args;
 use planish_dwell::residual::Free;
-use planish_feed::{Price, Settings, plan};
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status,
     flags::{MachineArgs, MirrorArgs, OutputArgs, PathArgs},
     say, task, with_flags,
 };
+use planish_joint::{Price, Settings, plan};
 use planish_types::{
     DwellTime, Trajectory,
     plausible::{self, Rms},
@@ -34,8 +34,8 @@ pub struct Feed {
     #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
     tikhonov: f64,
     /// Weight of the squared differences of neighbouring densities, relative to the strongest node
-    #[arg(long, value_name = "B", default_value_t = Settings::default().smoothness)]
-    smoothness: f64,
+    #[arg(long, value_name = "B", default_value_t = Settings::default().difference_weight)]
+    difference_weight: f64,
     /// Largest distance of the curve from a corner of the path, mm [default: a fifth of the TIF's width]
     #[arg(long, value_name = "E")]
     corner_deviation_mm: Option<f64>,
@@ -86,7 +86,7 @@ impl Feed {
                 (None, None) => Settings::default().price,
             },
             tikhonov: self.tikhonov,
-            smoothness: self.smoothness,
+            difference_weight: self.difference_weight,
             free: self.free,
             corner_deviation_mm: self.corner_deviation_mm,
             corner_radius_mm: self.corner_radius_mm,
@@ -99,7 +99,7 @@ impl Feed {
         let (surface, tif) = self.mirror.read(&mut inputs)?;
         let path = self.path.read(&mut inputs)?;
         let machine = self.machine.read(&mut inputs)?;
-        let task = task!("feed", settings);
+        let task = task!("joint", settings);
         let parts = [("dwell", DwellTime::KIND), ("trajectory", Trajectory::KIND)];
         let mut output = match Output::directories(&self.output, parts).begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),

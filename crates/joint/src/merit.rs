@@ -188,7 +188,7 @@ impl<'a> Merit<'a> {
         normal: &'a Normal,
         mesh: &'a Mesh,
         lo: &'a [f64],
-        (tikhonov, smoothness): (f64, f64),
+        (tikhonov, difference_weight): (f64, f64),
         wanted: Price,
         density: &[f64],
     ) -> Self {
@@ -208,7 +208,7 @@ impl<'a> Merit<'a> {
             lengths_mm: mesh.lengths_mm(),
             lo,
             alpha: tikhonov * strongest,
-            beta: smoothness * strongest,
+            beta: difference_weight * strongest,
             neighbours: neighbours.collect(),
             wanted,
             price,

@@ -1,4 +1,4 @@
-//! `planish-feed`: desired removal, TIF, tool path and machine become the motion along a smooth curve.
+//! `planish-joint`: desired removal, TIF, tool path and machine become the motion along a smooth curve.
 
 mod cli;
 
@@ -10,7 +10,7 @@ use clap::Parser;
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-feed --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/feed";
+    \x20 planish-joint --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/feed";
 
 /// Find how fast to run along a path with rounded corners: the dwell-time density of least residual within the
 /// limits of the machine, and its motion

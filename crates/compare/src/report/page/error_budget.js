@@ -1,6 +1,6 @@
 // What the errors of the process add: bars, distribution, map of the expected deviation.
 
-const processOf = (entry) => entry.run.process;
+const processOf = (entry) => entry.run.error_budget;
 const inWords = (kind) => kind.replaceAll("_", " ");
 const deviationLayers = new Map();
 
@@ -105,7 +105,7 @@ function drawProcess() {
   if (!process) return;
   const without = process.free === "plane" ? " Every RMS of this section is without the best plane." : "";
   byId("process-sentence").textContent = process.sentence;
-  byId("process-note").textContent = `${process.simulated ? "The distribution is that of simulated runs." : "The distribution is drawn to first order."}${without} Errors that the file of the process does not state are not in it.`;
+  byId("process-note").textContent = `${process.simulated ? "The distribution is that of simulated runs." : "The distribution is drawn to first order."}${without} Errors that the error budget does not state are not in it.`;
   drawBudget();
   drawDistribution();
 }

@@ -1,7 +1,7 @@
 //! A small mirror along every kind of path: the plan is what the judges find, and a freer problem is never worse.
 
 use ndarray::Array2;
-use planish_feed::{Plan, Price, Settings, plan};
+use planish_joint::{Plan, Price, Settings, plan};
 use planish_simulate::{Settings as Simulation, simulate};
 use planish_types::{
     Axis, End, Grid, Limits, MachineFile, MachineFileAxis, Surface, Tif, ToolPath,
