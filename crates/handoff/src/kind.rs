@@ -579,8 +579,8 @@ pub const RECONCILIATION: Kind = Kind {
 pub const DECISION: Kind = Kind {
     name: "decision",
     version: 1,
-    doc: "Whether another run is worth it: what is on the mirror, what the next run is expected to leave, the gain, how \
-          sure it is and how long it takes; everything is in the manifest's outcome.",
+    doc: "The decision to run again or to stop. The outcome of the manifest has the residual on the mirror, the expected \
+          residual after the next run, the gain, its certainty, and the time of the run.",
     frame: MAP_FRAME,
     arrays: &[],
     files: &[],
@@ -590,9 +590,9 @@ pub const DECISION: Kind = Kind {
 pub const CAMPAIGN: Kind = Kind {
     name: "campaign",
     version: 1,
-    doc: "A campaign on the virtual machine, run by run: what remains with learning, without, and with a tool that is \
-          known, what was learnt beside the hidden truth, and what was decided; the numbers are in the manifest's \
-          outcome.",
+    doc: "A campaign on the virtual machine, run by run. It has the residual with learning, without it, and with a known \
+          tool, the learnt values beside the hidden truth, and the decisions. The numbers are in the outcome of the \
+          manifest.",
     frame: MAP_FRAME,
     arrays: &[],
     files: &["campaign.html", "campaign.svg"],

@@ -264,6 +264,6 @@ pub fn rows() -> Vec<Claim> {
             pulled_text,
             pulled.iter().all(|r| *r > 0.99),
         )
-        .remark("the pull is fitted, by decades; rounding in absolute time would act like it, hardly where segments take seconds, and strongly where they are short; their solver itself was not run"),
+        .remark("the pull is fitted, by decades. Rounding in absolute time would act like it: hardly on segments of seconds, strongly on short ones. Their solver itself was not run"),
     ]
 }

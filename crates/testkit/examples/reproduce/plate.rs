@@ -124,7 +124,7 @@ pub fn reproduce(sigma_mm: f64) -> (Vec<Claim>, Vec<(&'static str, String)>) {
         Claim::number("PV that the multi-pitch path leaves, tool lifted along borders (`--links outside`)", "um", 0.095, multi.pv_um(), 0.25)
             .remark("its extremes are at borders of regions"),
         Claim::number("the same, tool off on all links (`--links off`)", "um", 0.095, apart.pv_um(), 0.25),
-        Claim::number("the same, tool on on all links (`--links on`)", "um", 0.095, linked.pv_um(), 0.25).differs(
+        Claim::number("the same, tool on along all links (`--links on`)", "um", 0.095, linked.pv_um(), 0.25).differs(
             "links along a border remove beside the lines; Eq. 12 does not know them, a dwell solver does",
         ),
         Claim::check(
