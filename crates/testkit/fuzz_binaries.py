@@ -21,6 +21,7 @@ repeats case 17, prints its command and leaves its files there. Python 3.9 or la
 import argparse
 import hashlib
 import json
+import math
 import os
 import random
 import re
@@ -63,6 +64,16 @@ FIDUCIALS = """map_x_mm,map_y_mm,machine_x_mm,machine_y_mm,uncertainty_mm
 8,6,108,56,0.005
 0,6,100,56,0.005
 """
+
+# Heights on rings, which lie on no grid.
+POINTS = "".join(
+    f"{r * math.cos(k * math.pi / 6):.4f} {r * math.sin(k * math.pi / 6):.4f} {0.1 * r * r:.4f}\n"
+    for r in (1, 2, 3, 4) for k in range(12)
+)
+
+# 4 x 3 pixels of 0.5 mm, as Gwyddion writes them: the header is filled up to a multiple of 4 bytes.
+GSF_HEADER = b"Gwyddion Simple Field 1.0\nXRes = 4\nYRes = 3\nXReal = 0.002\nYReal = 0.0015\nXYUnits = m\nZUnits = m\n"
+GSF = GSF_HEADER + bytes(4 - len(GSF_HEADER) % 4) + struct.pack("<12f", *(1e-9 * k for k in range(12)))
 
 # Two plans of the recipe. The paths are those of the base, wherever a case has its copy of the file.
 SWEEP = """mirror: {{fixture: {base}/recipe.json}}
@@ -152,6 +163,8 @@ planish-register place --machine {lab.json} --out {place}
 planish-register apply --transform {where} --trajectory {run/methods/pvt/trajectory} --out {on-machine}
 planish-import surface {run/surface/height_nm.npy} --unit nm --pitch-mm 0.5 --picture {a.svg} --out {from-npy}
 planish-import surface {run/surface} --flip-x --out {from-directory}
+planish-import surface {points.xyz} --unit nm --coordinate-unit mm --grid-mm 0.5 --out {from-points}
+planish-import surface {map.gsf} --out {from-gsf}
 planish-import tif {tif/rate_nm_per_s.npy} --rate --unit nm --pitch-mm 0.5 --out {tif-from-npy}
 planish-import tif {tif/rate_nm_per_s.npy} --unit nm --pitch-mm 0.5 --dwell-s 30 --half-size-mm 1 --baseline none --out {spot}
 planish-surface psd --removal {run/methods/pvt/removal} --out {psd-removal}
@@ -229,6 +242,8 @@ def make_base(programs, base):
     shutil.copy(fixtures / "machines/ion-beam-lab.json", base / "lab.json")
     shutil.copy(fixtures / "error-budgets/ion-beam.json", base / "error_budget.json")
     (base / "fiducials.csv").write_text(FIDUCIALS)
+    (base / "points.xyz").write_text(POINTS)
+    (base / "map.gsf").write_bytes(GSF)
     (base / "sweep.yaml").write_text(SWEEP.format(base=base))
     (base / "table.json").write_text(json.dumps(TABLE))
     for line in BASE.split("\n"):

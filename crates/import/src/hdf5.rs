@@ -9,9 +9,9 @@
 //! value = add_offset + scale_factor raw
 //! ```
 //!
-//! and a raw value that is `_FillValue` or one of `missing_value`, or outside `valid_range`, `valid_min` or
-//! `valid_max`, is invalid. Source: NetCDF Users Guide, "Attribute Conventions". Coordinates are datasets too: vectors, or
-//! matrices as `meshgrid` makes them.
+//! A raw value is invalid if it is `_FillValue` or one of `missing_value`, or outside `valid_range`, `valid_min` or
+//! `valid_max`. Source: NetCDF Users Guide, "Attribute Conventions". Vectors `x` and `y` beside the map, of its size,
+//! are its coordinates. Other coordinates are named: vectors, or matrices as `meshgrid` makes them.
 
 use std::{
     collections::HashSet,
@@ -140,16 +140,28 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         Some(name) => (named(&file, name), None),
         None => matrices(&file)?,
     };
-    let pick = choose(&arrays, pick, NAME).map_err(|e| match complex {
+    let mut pick = choose(&arrays, pick, NAME).map_err(|e| match complex {
         Some(name) if arrays.is_empty() => holds_complex(&name),
         _ => e,
     })?;
 
-    let name = pick.dataset.as_deref().unwrap_or_default();
+    let name = pick.dataset.clone().unwrap_or_default();
+    let name = name.as_str();
     let set = file.dataset(name).map_err(broken)?;
     let values = matrix(&set, transposed)?;
     let (rows, columns) = values.dim();
     check_size("dataset", rows, columns)?;
+    // Coordinates of a netCDF file: vectors called x and y beside the map, of its size.
+    if pick.x.is_none() {
+        let group = name.rsplit_once('/').map_or(String::new(), |split| format!("{}/", split.0));
+        let has = |path: &str, len: usize| {
+            file.dataset(path).is_ok_and(|set| set.shape() == [len as u64] && set.name() != name)
+        };
+        let (x, y) = (format!("{group}x"), format!("{group}y"));
+        if has(&x, columns) && has(&y, rows) {
+            (pick.x, pick.y) = (Some(x), Some(y));
+        }
+    }
     let mut reading = Reading::new(Format::Hdf5, values, FirstRow::SmallestY);
     reading.single = is_single(&set);
     let (unit, unit_name) = unit(&set)?;

@@ -568,6 +568,11 @@ fn place(
     let Some(coordinates) = &reading.coordinates else {
         return place_by_pitch(reading, settings, warnings);
     };
+    if let (Some(asked), true) = (settings.pitch_mm, settings.override_file) {
+        warnings
+            .push(format!("`pitch_mm` {asked:?} takes the place of the coordinates in the file"));
+        return place_by_pitch(reading, settings, warnings);
+    }
     if let Some(asked) = settings.pitch_mm {
         let step = |c: &[f64]| match c {
             [first, .., last] => (last - first) / (c.len() - 1) as f64,

@@ -1,8 +1,6 @@
 //! Members of a ZIP archive, stored or deflated. Source: PKWARE's APPNOTE, "General Format of a .ZIP file".
 
-use std::io::Read;
-
-use flate2::{Crc, read::DeflateDecoder};
+use flate2::{Crc, Decompress, FlushDecompress};
 use planish_types::Invalid;
 
 use crate::{
@@ -16,6 +14,9 @@ const END: &[u8] = b"PK\x05\x06";
 /// Bytes of the record at the end, and the longest comment after it.
 const END_BYTES: usize = 22;
 const LONGEST_COMMENT: usize = 0xffff;
+
+/// Most bytes that a byte of deflated data becomes.
+const MOST_GROWTH: u64 = 1032;
 
 /// The members of an archive.
 pub(crate) struct Archive<'a> {
@@ -88,17 +89,23 @@ impl<'a> Archive<'a> {
         let (name_len, extra) = (self.b.u16(member.at + 26)?, self.b.u16(member.at + 28)?);
         let start = member.at + 30 + usize::from(name_len) + usize::from(extra);
         let packed = self.b.slice(start, member.packed)?;
-        let mut content = Vec::new();
-        match member.method {
-            0 => content.extend_from_slice(packed),
+        // Deflate does not grow further, so memory is taken for what is there, not for what is claimed.
+        if member.size as u64 > MOST_GROWTH * (packed.len() as u64 + 1) {
+            let problem =
+                format!("claims {} bytes of \"{short}\" in {}", member.size, packed.len());
+            return Err(refuse(problem));
+        }
+        let content = match member.method {
+            0 => packed.to_vec(),
             8 => {
-                let stream = DeflateDecoder::new(packed).take(member.size as u64 + 1);
-                { stream }
-                    .read_to_end(&mut content)
+                let mut content = Vec::with_capacity(member.size + 1);
+                Decompress::new(false)
+                    .decompress_vec(packed, &mut content, FlushDecompress::Finish)
                     .map_err(|e| refuse(format!("is broken in \"{short}\" ({e})")))?;
+                content
             }
             other => return Err(refuse(format!("has \"{short}\" packed by method {other}"))),
-        }
+        };
         let mut crc = Crc::new();
         crc.update(&content);
         if content.len() != member.size || crc.sum() != member.crc {

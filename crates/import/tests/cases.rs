@@ -216,6 +216,42 @@ fn a_flag_without_an_effect_says_so() {
     assert!(warned.contains("in Nm: --wavelength-nm has no effect"), "{warned}");
 }
 
+#[test]
+fn coordinates_and_masks_of_hdf5_are_used_or_named() {
+    let (map, manifest, _) = read("axes.h5", &[]);
+    // 32-bit floats of 65 nm.
+    is_truth(&map, 65.0 * 6e-8, 12);
+    assert_eq!(manifest.outcome["reading"]["pitch_from"], "file");
+    let said = refused("axes.h5", &["--pitch-mm", "0.4"]);
+    assert!(said.contains("[0.4, 0.4] was given, but the file has coordinates"), "{said}");
+    let (map, _, warned) = read("axes.h5", &["--pitch-mm", "0.4", "--override-file"]);
+    assert_eq!(map.grid().x.step_mm(), 0.4);
+    assert!(warned.contains("takes the place of the coordinates"), "{warned}");
+
+    let flags = ["--pitch-mm", "0.5"];
+    let said = refused("mask.h5", &flags);
+    assert!(said.contains("holds \"pixel_mask\"") && said.contains("--mask pixel_mask"), "{said}");
+    let (map, _, _) = read("mask.h5", &[&flags[..], &["--mask", "pixel_mask"]].concat());
+    is_truth(&map, 65.0 * 6e-8, 12);
+    let (map, _, _) = read("mask.h5", &[&flags[..], &["--dataset", "Z"]].concat());
+    assert_eq!(invalid(&map), 0);
+}
+
+#[test]
+fn a_measurement_of_several_is_chosen() {
+    let said = refused("4sight-two.h5", &[]);
+    assert!(said.contains("holds 2 measurements: measurement0, measurement1"), "{said}");
+    let first = ["--dataset", "measurement0/genraw/data"];
+    let (map, _, _) = read("4sight-two.h5", &first);
+    assert_eq!(map.height_nm()[[0, 0]], 0.25 * 632.8);
+    // The pixels of the second are not square.
+    let second = ["--dataset", "measurement1/genraw/data"];
+    assert!(refused("4sight-two.h5", &second).contains("give --pitch-mm"));
+    let (map, _, warned) = read("4sight-two.h5", &[&second[..], &["--pitch-mm", "0.5,1"]].concat());
+    assert_eq!((map.height_nm()[[1, 2]], map.grid().y.step_mm()), (0.5 * 632.8, 1.0));
+    assert!(warned.contains("not square (aspect 2)"), "{warned}");
+}
+
 /// Files that state unit and pitch: no flag is needed, and a flag that contradicts them is refused.
 #[test]
 fn files_that_state_everything_need_no_flag() {
@@ -325,7 +361,7 @@ fn what_a_reader_does_not_know_is_refused() {
             *bytes = text.replacen(from, to, 1).into_bytes();
         }
     };
-    let cut = |bytes: &mut Vec<u8>| bytes.truncate(bytes.len() - 30);
+    let cut = |bytes: &mut Vec<u8>| bytes.truncate(bytes.len() - 27);
     for (file, format) in [
         ("map.gsf", "gsf"),
         ("map.sur", "sur"),
