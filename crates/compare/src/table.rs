@@ -316,6 +316,8 @@ mod tests {
             max_velocity_step_mm_per_s: [0.0, 0.0],
             max_acceleration_step_mm_per_s2: [4.0, 4.0],
             limits_respected,
+            broken_limits: vec![],
+            after_servo_rms_nm: None,
             machine: None,
             schedule_wall_s: Some(0.1234),
             simulate_wall_s: None,

@@ -1,4 +1,4 @@
-//! `planish-schedule interpolate`: positions from a feed artifact or its NC program.
+//! `planish-schedule interpolate`: positions from a dwell-time density or its NC program.
 
 use std::{
     ffi::OsStr,
@@ -22,7 +22,7 @@ pub struct Interpolate {
     /// NC program, read block by block, in place of a dwell-time density artifact
     #[arg(long, value_name = "FILE", conflicts_with = "dwell_density")]
     program: Option<PathBuf>,
-    /// Trajectory scheduled with the feed: its run-up, lifts and brake are interpolated too [trajectory artifact]
+    /// Trajectory scheduled with the dwell-time density: its run-up, lifts and brake are interpolated too [trajectory artifact]
     #[arg(long, value_name = "DIR", conflicts_with = "program")]
     trajectory: Option<PathBuf>,
     /// Time between two positions, s

@@ -15,7 +15,7 @@ pub struct Program {
     /// Nodes of the dwell-time density [dwell_density artifact]
     #[arg(long, value_name = "DIR")]
     dwell_density: PathBuf,
-    /// Trajectory scheduled with the feed: its run-up, lifts and brake go into the program [trajectory artifact]
+    /// Trajectory scheduled with the dwell-time density: its run-up, lifts and brake go into the program [trajectory artifact]
     #[arg(long, value_name = "DIR")]
     trajectory: Option<PathBuf>,
     #[command(flatten)]
@@ -49,20 +49,20 @@ impl Program {
     }
 }
 
-/// The records of a feed, with what lies outside of its passes if the trajectory is given.
+/// Records of a dwell-time density, with what lies outside of its passes if the trajectory is given.
 pub(super) fn read_records(
     inputs: &mut Inputs,
     dwell_density: &Path,
     trajectory: Option<&Path>,
 ) -> Result<Vec<Record>, Failure> {
-    let density: DwellDensity = inputs.read("feed", feed)?;
+    let density: DwellDensity = inputs.read("dwell-density", dwell_density)?;
     let Some(dir) = trajectory else { return Ok(records(&density).collect()) };
     let trajectory: Trajectory = inputs.read("trajectory", dir)?;
     linked_records(&density, &trajectory).map_err(|e| {
         Failure::new(format!(
             "{}: {e}; give the one that {} was written with",
             dir.display(),
-            feed.display()
+            dwell_density.display()
         ))
     })
 }
