@@ -215,11 +215,10 @@ test-gcode: build
     just run raster fixture=coupon out=out/gcode export=gcode
     @if command -v rs274 > /dev/null; then python3 crates/export/tests/interpreter.py out/gcode; else echo "skipped: no rs274"; fi
 
-# The residual with counts of 0.1 and 1 um, on the mirror in PLANISH_REFERENCE
+# Plans as programs of every controller, read back and judged: the tables of docs/programs.md (--grids: clocks and counts)
 [group('5 pages and tables')]
-quantisation: build (reference-mirror "out/quantisation/mirror")
-    just run raster surface=out/quantisation/mirror/surface tif=out/quantisation/mirror/tif out=out/quantisation/raster
-    pipelines/quantisation.sh out/quantisation/raster out/quantisation/mirror/tif
+programs-table *flags: build
+    @python3 pipelines/programs-table.py {{ flags }}
 
 # Surface and TIF of the mirror in PLANISH_REFERENCE, as artifacts without manifests
 [private]
