@@ -492,7 +492,7 @@ fn reference_positions_go_through_lifts() {
     // Without the way nothing is interpolated past the first pass.
     let mut alone = Interpolator::new(tick_s).unwrap();
     let refused = records(&density).find_map(|r| alone.push(&r, |_| ()).err()).unwrap();
-    assert!(refused.contains("--trajectory"), "{refused}");
+    assert!(refused.contains("`trajectory`"), "{refused}");
     // The trajectory of another schedule.
     let later: Vec<_> = made
         .trajectory
