@@ -398,7 +398,7 @@ impl<'a> Generator<'a> {
             }
         }
         let (k, excess) = last;
-        let (problem, remedy) = if excess > 1.0 {
+        let (problem, remedy) = if excess > 1.0 || deviation_mm > self.settings.path_deviation_mm {
             (
                 format!(
                     "still asks for {:.2} times what the machine can do, or leaves the path by more than {} mm \
@@ -568,7 +568,8 @@ impl<'a> Generator<'a> {
                 motion.bound_mm(piece.start_s, piece.time_s, &piece.coefficient_mm, worth_mm);
             faults.deviation_mm = faults.deviation_mm.max(off_mm);
             let too_far = off_mm / self.settings.path_deviation_mm;
-            if too_far > 1.0 && nodes.duration(i) > self.least_ticks {
+            // What lies between two switches is not cut below two of the shortest segments.
+            if too_far > 1.0 && nodes.duration(i) >= 2 * self.least_ticks {
                 if faults.long.last() != Some(&i) {
                     faults.long.push(i);
                 }

@@ -361,7 +361,7 @@ impl Interpolator {
                 {
                     return Err(format!(
                         "the pass starts at {point_mm:?} mm, the tool is at {:?} mm, and nothing takes it there; \
-                         give --trajectory (to planish-schedule program, if this is a program), which has the way",
+                         give `trajectory` (where the program is written, if this is one), which has the way",
                         b.point_mm
                     ));
                 }
@@ -599,7 +599,7 @@ mod tests {
         push("X0 Y0 S0").unwrap();
         push("X1 Y0 P1 Q1 R0 S1").unwrap();
         let said = push("X3 Y0 S0").unwrap_err();
-        assert!(said.contains("the tool is at [1.0, 0.0] mm") && said.contains("--trajectory"));
+        assert!(said.contains("the tool is at [1.0, 0.0] mm") && said.contains("`trajectory`"));
         push("X3 Y0 U0 V0 T2 K0").unwrap();
         assert!(push("X4 Y0 P1 Q1 R1 S2").unwrap_err().contains("before the start of a pass"));
         push("X3 Y0 S0").unwrap();

@@ -707,7 +707,7 @@ fn a_feed_becomes_a_program_and_positions() {
     refuse(&["interpolate", "--program", "no.nc", "--out", "c.csv"], "no.nc: cannot read");
     let program = text(&read("part.nc"));
     fs::write(tmp.path().join("bad.nc"), program.replacen(" P0", " W0", 1)).unwrap();
-    refuse(&["interpolate", "--program", "bad.nc", "--out", "c.csv"], "bad.nc: line 4: the word");
+    refuse(&["interpolate", "--program", "bad.nc", "--out", "c.csv"], "bad.nc: line 5: the word");
     fs::write(tmp.path().join("empty.nc"), "(nothing)\n").unwrap();
     refuse(&["interpolate", "--program", "empty.nc", "--out", "c.csv"], "moves nothing");
     // Nothing temporary is left.

@@ -8,7 +8,7 @@ use std::{
 };
 
 use clap::Args;
-use planish_handoff::{Failure, Inputs, Status, flags::OutputFileArgs, say};
+use planish_handoff::{Failure, Inputs, Status, flags::OutputFileArgs, say, with_flags};
 use planish_schedule::interpolator::{Interpolator, Record, Reference};
 use planish_types::budget;
 
@@ -94,7 +94,9 @@ impl Source<'_> {
             Self::Program(path) => for_each_line(path, push),
             Self::Records(records, dir) => {
                 for record in records {
-                    push(record).map_err(|e| Failure::new(format!("{}: {e}", dir.display())))?;
+                    push(record).map_err(|e| {
+                        Failure::new(with_flags(&format!("{}: {e}", dir.display())))
+                    })?;
                 }
                 Ok(())
             }
@@ -145,6 +147,7 @@ fn for_each_line(
         };
         let pushed = parsed.and_then(|record| record.map_or(Ok(()), |record| push(&record)));
         pushed.map_err(|e| {
+            let e = with_flags(&e);
             Failure::new(format!("{}: line {number}: {e}; write the program again", path.display()))
         })?;
     }
