@@ -78,7 +78,7 @@ impl Feed {
         let path = self.path.read(&mut inputs)?;
         let machine = self.machine.read(&mut inputs)?;
         let task = task!(method, settings);
-        let parts = [("feed", DwellDensity::KIND), ("trajectory", Trajectory::KIND)];
+        let parts = [("dwell_density", DwellDensity::KIND), ("trajectory", Trajectory::KIND)];
         let mut output = match Output::directories(&self.output, parts).begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,

@@ -73,7 +73,7 @@ fn writes_trajectory_and_feed_and_then_nothing() {
     let mut served: Vec<usize> = trajectory.dwell_index().iter().copied().flatten().collect();
     served.dedup();
     assert_eq!(served, [0, 2, 4]);
-    let feed = &manifest(tmp.path(), "feed")["arrays"];
+    let feed = &manifest(tmp.path(), "dwell_density")["arrays"];
     assert_eq!(feed["arc_length_mm"]["shape"], feed["dwell_density_s_per_mm"]["shape"]);
 
     let again = run(tmp.path(), &[]);
@@ -82,7 +82,7 @@ fn writes_trajectory_and_feed_and_then_nothing() {
     assert_eq!(other.status.code(), Some(2), "another method needs --force");
     let forced = run(tmp.path(), &["--method=vrr", "--force"]);
     assert_eq!(forced.status.code(), Some(0));
-    assert_eq!(manifest(tmp.path(), "feed")["method"], "vrr");
+    assert_eq!(manifest(tmp.path(), "dwell_density")["method"], "vrr");
 }
 
 #[test]

@@ -155,7 +155,7 @@ pub struct Names<'a> {
     pub measured: Option<&'a Path>,
     /// The tool [tif artifact].
     pub tif: Option<&'a Path>,
-    /// Whether the methods have a prediction after the servo of the process.
+    /// True if the methods have a prediction after the servo of the error budget.
     pub after_servo: bool,
 }
 
@@ -412,7 +412,7 @@ fn read_after_servo(
 /// Directory of a method with the prediction after the servo of the process.
 const AFTER_SERVO: &str = "removal-after-servo";
 
-/// What the methods of a run are measured by.
+/// Measures that the methods of a run share.
 struct Shared<'a> {
     desired: &'a Surface,
     plan: Option<&'a DwellTime>,

@@ -182,7 +182,7 @@ pub struct Method {
     pub remarks: Vec<String>,
 }
 
-/// What a verdict says, as far as the summary repeats it.
+/// Part of a verdict that the summary repeats.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct VerdictOutcome {
     total_time_s: f64,
@@ -247,7 +247,7 @@ pub struct Told {
     pub specification: Option<Judged>,
     /// RMS of its residual after the servo of the process, nm, where the process has one.
     pub after_servo_rms_nm: Option<f64>,
-    /// What else is worth knowing.
+    /// Further remarks on the method.
     pub remarks: Vec<String>,
 }
 
@@ -257,7 +257,7 @@ impl Method {
         self.after_servo_rms_nm.unwrap_or(self.rms_nm)
     }
 
-    /// Whether it may be recommended: a motion that keeps the limits.
+    /// Returns true if the report may recommend it: a motion that keeps the limits.
     pub fn is_candidate(&self) -> bool {
         self.limits_respected && self.plan.state != State::WithoutMotion
     }

@@ -92,7 +92,7 @@ mod tests {
         /// Shape
         #[arg(long, value_enum, default_value = "monotone")]
         mode: Mode,
-        /// From A to B, mm
+        /// Distance from A to B, mm
         #[arg(long, num_args = 2, value_names = ["A", "B"])]
         range_mm: Option<Vec<f64>>,
         /// Replace

@@ -116,10 +116,10 @@ fn is_uniform(values: &[f64]) -> bool {
     values.len() >= FEWEST && step.is_finite() && step != 0.0 && values.windows(2).all(is_step)
 }
 
-/// What the comments of a file say.
+/// Statements in the comments of a file.
 #[derive(Default)]
 struct Header {
-    /// What the first field would be refused for, where it is a word.
+    /// Reason to refuse the first field if it is a word.
     corner: Option<Invalid>,
     unit: Option<Unit>,
     /// Sizes along (x, y), as Gwyddion writes them, with their unit.

@@ -458,7 +458,7 @@ pub(crate) fn is_single(set: &Dataset) -> bool {
     matches!(set.dtype(), Datatype::FloatingPoint { size: 4, .. })
 }
 
-/// What the attributes of netCDF say of the numbers of a dataset.
+/// Attributes of netCDF that change the numbers of a dataset.
 struct Convention {
     /// Factor from the stored to the meant number.
     scale: f64,

@@ -104,7 +104,7 @@ pub enum FirstRow {
     SmallestY,
 }
 
-/// What to take from a file that holds several arrays.
+/// Choice of an array in a file that holds several.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Pick {
     /// Name or path of the map.
@@ -120,7 +120,7 @@ pub struct Pick {
     pub grid_mm: Option<[f64; 2]>,
     /// Unit of the coordinates of scattered points.
     pub coordinate_unit: Option<Unit>,
-    /// Whether a TIF is wanted: which of the customary names are tried when none is given.
+    /// True if a TIF is wanted: its customary names are then tried if no name is given.
     pub is_tif: bool,
 }
 

@@ -18,7 +18,7 @@ use crate::budget::check_size;
 /// between them.
 const LONGEST_SIDE: f64 = 3.0;
 
-/// What a point costs in the triangulation: a vertex, six half edges, two faces, and the lists that order them.
+/// Memory of a point in the triangulation, bytes: a vertex, six half edges, two faces, and the lists that order them.
 const BYTES_PER_CORNER: usize = 400;
 
 struct Corner {

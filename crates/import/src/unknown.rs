@@ -1,4 +1,4 @@
-//! What a file of no known format looks like, and what helps.
+//! Description of a file of no known format, and the remedy.
 
 use crate::text;
 

@@ -51,7 +51,7 @@ pub struct Joint {
 }
 
 impl Joint {
-    /// Of a fit.
+    /// Creates the joint distribution of the parameters of a fit.
     pub fn new(fit: &Fit) -> Self {
         Self { values: DVector::from_vec(fit.values.clone()), covariance: fit.covariance.clone() }
     }
@@ -183,7 +183,7 @@ pub fn hold(fit: &Fit, may: &[bool], spread: &[f64]) -> (Vec<Held>, Joint) {
     (held, joint)
 }
 
-/// How a parameter takes part in the corrections.
+/// Part of a parameter in the corrections.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Part {
     /// It is corrected as far as the data support it.

@@ -174,32 +174,32 @@ pub fn contradicted(
     all.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(parameter, _)| parameter)
 }
 
-/// Why no number is stated of a parameter.
+/// Reasons to state no number of a parameter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refusal {
     /// The reason, for people.
     pub reason: String,
-    /// How it takes part in the corrections of the next run.
+    /// Part of it in the corrections of the next run.
     pub part: Part,
-    /// Which of the moves with other terms of the metrology decided it, if one did.
+    /// Index of the move with other terms of the metrology that decided it, if one did.
     pub moved: Option<usize>,
 }
 
 impl Refusal {
-    /// Of a parameter that the data do not tell from others. What they say of it together with others is corrected
+    /// Reason for a parameter that the data do not tell from others. What they say of it together with others is corrected
     /// where the metrology has no more than its usual terms.
     fn weak(reason: String, is_usual: bool) -> Option<Self> {
         let part = if is_usual { Part::Corrected } else { Part::AtPlan };
         Some(Self { reason, part, moved: None })
     }
 
-    /// Of a parameter that takes up what the model leaves out.
+    /// Reason for a parameter that takes up what the model leaves out.
     pub fn of_the_model(reason: String) -> Self {
         Self { reason, part: Part::Left, moved: None }
     }
 }
 
-/// Why the data do not determine parameter `i` of a fit; `None` where they do.
+/// Reason why the data do not determine parameter `i` of a fit; `None` where they do.
 pub fn refusal(fit: &Fit, i: usize, scale: f64, moved: &[(Move, [usize; 2])]) -> Option<Refusal> {
     let parameter = fit.parameters[i];
     let (value, error) = (fit.values[i], fit.standard_error(i));

@@ -117,12 +117,12 @@ pub struct Start {
 }
 
 impl Start {
-    /// Of a model at the plan.
+    /// Creates the start of a fit at the plan.
     pub fn new(model: &Model<'_>) -> Result<Self, Invalid> {
         Self::at(model, vec![0.0; model.parameters.len()])
     }
 
-    /// Of a model at these parameters.
+    /// Creates the start of a fit at these parameters.
     pub fn at(model: &Model<'_>, values: Vec<f64>) -> Result<Self, Invalid> {
         let (removal, derivatives) = model.linear(&values)?;
         Ok(Self { values, removal, derivatives })

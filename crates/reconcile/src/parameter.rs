@@ -82,7 +82,7 @@ impl Parameter {
         })
     }
 
-    /// What anybody would believe beforehand without knowing the machine: a standard error beyond it says less than
+    /// Usual scale of the parameter without knowledge of the machine: a standard error beyond it says less than
     /// that. A rate off, or drifting, by 10 %, a part misplaced by 0.5 mm or turned by 0.5 degrees, lengths off by 1 %, a TIF
     /// wider or longer by 10 %.
     pub fn usual_scale(self) -> f64 {

@@ -103,7 +103,7 @@ impl<'a> Comparison<'a> {
     }
 }
 
-/// What the run taught.
+/// Result of a reconciliation: the parameters and the corrections.
 pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Reconciled, Invalid> {
     let (parameters, terms) = settings.chosen()?;
     let data = comparison.data(parameters.len() + terms.len())?;

@@ -70,7 +70,7 @@ pub enum Record {
     Start {
         /// Where [x, y], mm.
         point_mm: [f64; 2],
-        /// At this arc length, mm.
+        /// Returns the state at this arc length, mm.
         arc_length_mm: f64,
     },
     /// The tool moves along a pass.
@@ -308,7 +308,7 @@ pub struct Reference {
     pub pass_idx: i64,
 }
 
-/// Where the interpolator is.
+/// Place of the interpolator in the program.
 #[derive(Clone, Debug)]
 pub struct Interpolator {
     tick_s: f64,
@@ -336,7 +336,7 @@ struct Before {
 }
 
 impl Interpolator {
-    /// At the start of a program; `tick_s` is positive and finite.
+    /// Creates an interpolator at the start of a program; `tick_s` is positive and finite.
     pub fn new(tick_s: f64) -> Result<Self, String> {
         if !(tick_s.is_finite() && tick_s > 0.0) {
             return Err(format!("the tick is {tick_s} s; give a positive time"));

@@ -36,7 +36,7 @@ pub struct Simulate {
     /// servo_first_order and servo_second_order of a fixed size; no other error [JSON]
     #[arg(long, value_name = "FILE", conflicts_with_all = ["error_budget", "frames"])]
     servo_of: Option<PathBuf>,
-    /// How the integral along the motion is computed
+    /// Method of the integral along the motion
     #[arg(long, value_enum, default_value = "gridded", conflicts_with = "error_budget")]
     method: Method,
     /// Time steps per segment of the direct method

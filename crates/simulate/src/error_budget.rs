@@ -178,12 +178,12 @@ pub enum Scalar {
 }
 
 impl Scalar {
-    /// Whether it makes the axes late.
+    /// Returns true if it makes the axes late.
     pub fn is_a_lag(self) -> bool {
         matches!(self, Self::VelocityLag | Self::ServoFirstOrder | Self::ServoSecondOrder { .. })
     }
 
-    /// Whether the maps before and after a run can tell it: rate, place, width and shape of the tool.
+    /// Returns true if the maps before and after a run can tell it: rate, place, width and shape of the tool.
     pub fn is_learnt(self) -> bool {
         match self {
             Self::RateScale

@@ -18,7 +18,7 @@ pub struct Setting {
     /// Name of the setting, which ends with its unit.
     pub key: &'static str,
     kind: Kind,
-    /// Whose setting it is.
+    /// Owner of a setting.
     pub of: Of,
 }
 

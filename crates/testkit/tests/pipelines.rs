@@ -564,7 +564,7 @@ fn a_prediction_that_does_not_keep_the_specification_ends_the_run_with_1() {
         let said = ended_with(&run(dir.path(), &[&settings[..], &QUICK_RUN].concat()), code);
         assert!(said.contains("PV height after plane (nm)"), "{said}");
         assert_eq!(
-            said.contains("out/specified/feed/specification (planish-surface): 1 of 1"),
+            said.contains("out/specified/joint/specification (planish-surface): 1 of 1"),
             code == 1
         );
         let before = manifest(&dir.path().join("out/specified/before/specification"));

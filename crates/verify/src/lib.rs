@@ -85,7 +85,7 @@ const REVERSAL_NOISE_MM_PER_S: f64 = 1e-6;
 /// infinity. No length in mm and no time in s comes near it.
 const LARGEST_NUMBER: f64 = 1e60;
 
-/// How a controller runs from node to node of its program.
+/// Law by which a controller runs from node to node of its program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Program {
@@ -95,7 +95,7 @@ pub enum Program {
     Lines,
 }
 
-/// What counts as a step.
+/// Thresholds above which a change counts as a step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct VerifySettings {
     /// Largest step in position that is taken for rounding, mm. Default 1e-6 mm = 1 nm: below the

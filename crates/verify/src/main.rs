@@ -20,7 +20,7 @@ const EXAMPLES: &str = "Examples:\n\
 /// Program and method in the manifest of a controller's program that was read back.
 const PROGRAM: &str = "planish-import program";
 
-/// How the controller of a program that was read back runs it, as the manifest beside the motion says.
+/// Law by which the controller of a program that was read back runs it, from the manifest of the motion.
 fn program_in(trajectory: &Path) -> Result<Program, Failure> {
     let file = trajectory.join("manifest.json");
     let failed = |e: &dyn std::fmt::Display| {

@@ -32,10 +32,10 @@ pub struct TifArgs {
     /// Place of the spot, mm [default: the place of the deepest removal]
     #[arg(long, value_name = "X,Y", value_parser = pair, requires = "dwell_s", allow_hyphen_values = true)]
     spot_mm: Option<[f64; 2]>,
-    /// Whether the part moved between the maps
+    /// Treatment of a part that moved between the maps
     #[arg(long, value_enum, default_value = "none", requires = "dwell_s")]
     align: Alignment,
-    /// What is subtracted from the removal, fitted outside the square
+    /// Function that is subtracted from the removal, fitted outside the square
     #[arg(long, value_enum, default_value = "plane", requires = "dwell_s")]
     baseline: Baseline,
     /// Set negative rates (noise) to zero and scale the others, so that the volume stays
