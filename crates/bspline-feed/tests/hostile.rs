@@ -75,7 +75,8 @@ fn mistaken_units_are_refused_by_name_and_a_limit_is_a_verdict() {
         let all = arguments("surface", "tif", "tool_path");
         let all: Vec<&str> = all.iter().map(String::as_str).chain(more.iter().copied()).collect();
         let (got, message) = survives(BINARY, tmp.path(), &all, "out");
-        let text = std::fs::read_to_string(tmp.path().join("out/dwell_density/manifest.json")).unwrap();
+        let text =
+            std::fs::read_to_string(tmp.path().join("out/dwell_density/manifest.json")).unwrap();
         let manifest: serde_json::Value = serde_json::from_str(&text).unwrap();
         assert_eq!(manifest["outcome"]["end"], end, "{more:?}: {message}");
         assert_eq!(got, code, "{more:?}: {message}");

@@ -68,9 +68,9 @@ pub struct Block {
 pub enum Record {
     /// A pass starts.
     Start {
-        /// Where [x, y], mm.
+        /// Position [x, y], mm.
         point_mm: [f64; 2],
-        /// Returns the state at this arc length, mm.
+        /// Arc length there, mm.
         arc_length_mm: f64,
     },
     /// The tool moves along a pass.
