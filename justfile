@@ -114,6 +114,7 @@ learn-coverage runs="500": build
         cargo run --quiet --release --locked --example coverage -- out/learn/surface out/learn/fixture/tif \
             out/learn/methods/pvt/trajectory fixtures/processes/hidden.json {{ runs }} $block || exit; \
     done
+    @cargo run --quiet --release --locked --example known_truth
 
 # The settings of a pipeline as a table, with their defaults and units: just show raster
 [group('1 plans')]

@@ -12,6 +12,7 @@ mod known;
 use std::{collections::BTreeMap, env, process::ExitCode};
 
 use known::Case;
+use rayon::prelude::*;
 
 /// Ratio to a known tool from which a next mirror is named.
 const NAMED: f64 = 1.15;
@@ -38,11 +39,15 @@ fn main() -> ExitCode {
     let mut tallies: BTreeMap<(String, &str), Tally> = BTreeMap::new();
     let mut names: BTreeMap<String, [usize; 3]> = BTreeMap::new();
     for sigma_nm in [0.05, 0.5] {
-        for seed in first..first + count {
+        let learn = |seed| {
             let case = Case::new(seed, sigma_nm);
             let found = case.learn();
+            (seed, case.kind, case.over_errors(&found), case.next_mirror_nm(&found))
+        };
+        let cases: Vec<_> = (first..first + count).into_par_iter().map(learn).collect();
+        for (seed, kind, over_errors, [learnt, without, known]) in cases {
             let mut tally = Tally::default();
-            for (name, off) in case.over_errors(&found) {
+            for (name, off) in &over_errors {
                 let [within, stated, refused] = names.entry(name.clone()).or_default();
                 let Some(off) = off else {
                     (tally.refused, *refused) = (tally.refused + 1, *refused + 1);
@@ -55,13 +60,11 @@ fn main() -> ExitCode {
                     println!("{sigma_nm} nm, case {seed}: {name} is {off:.1} standard errors off");
                 }
             }
-            let [learnt, without, known] = case.next_mirror_nm(&found);
             if learnt > NAMED * known {
-                let refused: Vec<String> = case
-                    .over_errors(&found)
-                    .into_iter()
-                    .filter(|e| e.1.is_none())
-                    .map(|e| e.0)
+                let refused: Vec<&str> = over_errors
+                    .iter()
+                    .filter(|(_, off)| off.is_none())
+                    .map(|(name, _)| name.as_str())
                     .collect();
                 println!(
                     "{sigma_nm} nm, case {seed}: next mirror {learnt:.4} nm, known tool {known:.4}, without learning \
@@ -69,7 +72,7 @@ fn main() -> ExitCode {
                     refused.join(", ")
                 );
             }
-            for part in [case.kind, "together"] {
+            for part in [kind, "together"] {
                 let sum = tallies.entry((format!("{sigma_nm}"), part)).or_default();
                 sum.within += tally.within;
                 sum.stated += tally.stated;

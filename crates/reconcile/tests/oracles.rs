@@ -3,9 +3,11 @@
 mod example;
 
 use example::{before, gaussian, grid, planned, raster};
+use nalgebra::{DMatrix, DVector};
 use ndarray::Array2;
 use planish_reconcile::{
     Comparison, Reconciled, Settings,
+    applied::Joint,
     determined::{moves, wider_orders},
     fit::{Start, fit},
     metrology::terms,
@@ -310,4 +312,41 @@ fn pixels_that_are_invalid_in_one_of_the_maps_are_left_out() {
         assert!(found.rest_nm[at].is_nan() && found.measured_nm[at].is_nan());
     }
     assert!((value(&found, Parameter::RateScale) - 2.0).abs() < 0.02);
+}
+
+fn joint(values: &[f64], covariance: &[f64]) -> Joint {
+    let n = values.len();
+    Joint {
+        values: DVector::from_row_slice(values),
+        covariance: DMatrix::from_row_slice(n, n, covariance),
+    }
+}
+
+/// Of one number z standard errors from the plan the spread is (z^2 - 1)^1/2 standard errors, and 1 - 1/z^2 of it are
+/// left; of one within a standard error nothing.
+#[test]
+fn one_parameter_is_shrunk_as_james_and_stein_say() {
+    for (z, part) in [(0.5, 0.0), (3.0, 1.0 - 1.0 / 9.0), (50.0, 1.0)] {
+        let one = joint(&[1e-3 * z], &[1e-6]);
+        let t = one.spread(&[0], &[1.0]);
+        let found = one.mean(&[0], &[1.0], t)[0] / (1e-3 * z);
+        // The spreads are tried in steps of 12 %: half of one changes the part by 0.012; the smallest, which is a
+        // standard error here, leaves half of the first.
+        let bound = if z < 1.0 { 0.51 } else { 0.015 };
+        assert!((found - part).abs() < bound, "{z}: {found} {part}");
+    }
+}
+
+/// What two parameters do together is kept where only their difference is unknown.
+#[test]
+fn a_determined_sum_of_two_parameters_is_kept() {
+    // The sum has the standard error 1e-3, the difference 1, beside scales of 1.
+    let (sum, difference) = (1e-6, 0.5);
+    let c = [sum + difference, sum - difference, sum - difference, sum + difference];
+    let two = joint(&[0.4, -0.2], &c.map(|v| 0.25 * v));
+    let t = two.spread(&[0, 1], &[1.0, 1.0]);
+    let found = two.mean(&[0, 1], &[1.0, 1.0], t);
+    // Shrinking it by the square of its standard error over the spread of 0.14 is below 1e-3 of 0.2.
+    assert!((found[0] + found[1] - 0.2).abs() < 2e-4, "{found:?}");
+    assert!((found[0] - found[1]).abs() < 0.3, "{found:?}");
 }
