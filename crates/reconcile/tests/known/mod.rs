@@ -157,7 +157,7 @@ impl Case {
             rate: rng.random_range(-0.05..0.05),
             offset_mm: [0.06 * normal(&mut rng), 0.06 * normal(&mut rng)],
             rotation_rad: 0.05 * DEGREE * normal(&mut rng),
-            magnification: if seed % 2 == 0 { 0.0 } else { 1e-3 * normal(&mut rng) },
+            magnification: if seed.is_multiple_of(2) { 0.0 } else { 1e-3 * normal(&mut rng) },
             width: 0.015 * normal(&mut rng),
             ellipticity: 0.015 * normal(&mut rng),
             diagonal: 0.015 * normal(&mut rng),
@@ -274,7 +274,7 @@ fn middle(grid: &Grid) -> [f64; 2] {
 fn path_over(grid: &Grid, pitch: f64, beyond: f64, kind: u64) -> Vec<[f64; 2]> {
     let [x, y] = [&grid.x, &grid.y].map(|a| (a.start_mm() - beyond, a.end_mm() + beyond));
     let count = |(from, to): (f64, f64)| ((to - from) / pitch).ceil() as usize + 1;
-    let (along, across) = if kind % 2 == 0 { (x, y) } else { (y, x) };
+    let (along, across) = if kind.is_multiple_of(2) { (x, y) } else { (y, x) };
     let mut path = Vec::new();
     for line in 0..count(across) {
         let v = across.0 + pitch * line as f64;
@@ -282,7 +282,7 @@ fn path_over(grid: &Grid, pitch: f64, beyond: f64, kind: u64) -> Vec<[f64; 2]> {
         for k in 0..n {
             let k = if line % 2 == 0 { k } else { n - 1 - k };
             let u = along.0 + pitch * k as f64;
-            path.push(if kind % 2 == 0 { [u, v] } else { [v, u] });
+            path.push(if kind.is_multiple_of(2) { [u, v] } else { [v, u] });
         }
     }
     if kind >= 2 {
