@@ -736,7 +736,7 @@ mod tests {
         let answer = crate::answer::Answer::of(&followed);
         let said = "The plans are compared by the RMS after the servo of the process, where pvt leaves 0.22 nm.";
         assert!(answer.why.contains(said), "{}", answer.why);
-        assert!(answer.why.contains("feed with 0.3 nm"), "{}", answer.why);
+        assert!(answer.why.contains("joint with 0.3 nm"), "{}", answer.why);
     }
 
     #[test]
