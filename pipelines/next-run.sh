@@ -2,7 +2,7 @@
 # From the maps before and after a run to the next one: next-run.sh before=DIR after=DIR trajectory=DIR tif=DIR
 # [transform=DIR] [error_budget=FILE] [machine=FILE] [pipeline=raster] [least_gain_percent=5] [reconcile=FLAGS] [NAME=VALUE...]. The maps, the
 # motion (planned or traced, in the coordinates of the part) and the tool are artifacts; transform is what took the plan
-# to the machine in that run (what the machine file says when empty), process the errors that are known beforehand (docs/campaign.md). The other settings are those
+# to the machine in that run (what the machine file says when empty), error_budget the errors that are known beforehand (docs/campaign.md). The other settings are those
 # of `just run`. Everything goes to out/next-run/MAP, or to OUT where out=OUT is given:
 #
 #   reconciliation  what the run taught
