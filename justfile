@@ -326,7 +326,7 @@ refine-table:
 # The tables of docs/joint.md
 [group('5 pages and tables')]
 joint-table *names:
-    @cargo run --quiet --release --locked --example refined -- feed {{ names }}
+    @cargo run --quiet --release --locked --example refined -- joint {{ names }}
 
 # The table of docs/decisions/0071: the shapes of the PVT motion over fixtures and paths, of these fixtures or of all
 [group('5 pages and tables')]
