@@ -31,7 +31,7 @@ pub struct Reconcile {
     /// Tool influence function of the plan [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
-    /// ErrorBudget, whose errors say what is known beforehand [JSON]
+    /// Error budget, whose errors say what is known beforehand [JSON]
     #[arg(long, value_name = "FILE")]
     error_budget: Option<PathBuf>,
     /// Learn this parameter (again for more) and hold the others; exit code 1 where the data do not determine it
@@ -60,7 +60,7 @@ pub struct Reconcile {
     /// addition [transform artifact]
     #[arg(long, value_name = "DIR")]
     corrected_transform: Option<PathBuf>,
-    /// ErrorBudget with standard errors in the place of the errors that were learnt, written in addition [JSON]
+    /// Error budget with standard errors in the place of the errors that were learnt, written in addition [JSON]
     #[arg(long, value_name = "FILE")]
     learnt_error_budget: Option<PathBuf>,
     #[command(flatten)]

@@ -43,7 +43,7 @@ pub struct Comparison<'a> {
     pub trajectory: &'a Trajectory,
     /// The TIF of the plan.
     pub tif: &'a Tif,
-    /// ErrorBudget with what is believed beforehand, where it is known.
+    /// Error budget with what is believed beforehand, where it is known.
     pub error_budget: Option<&'a ErrorBudget>,
     /// Transform that took the plan to the machine, if there was one.
     pub transform: Option<&'a Transform>,

@@ -24,7 +24,7 @@ pub struct Tolerance {
     trajectory: TrajectoryArgs,
     #[command(flatten)]
     mirror: MirrorArgs,
-    /// ErrorBudget and its errors [JSON]
+    /// Error budget: the errors of the process [JSON]
     #[arg(long, value_name = "FILE")]
     error_budget: PathBuf,
     /// Low-order terms that are not part of the residual

@@ -15,7 +15,7 @@ pub struct Measure {
     /// True figure of the mirror [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
-    /// ErrorBudget of the virtual machine; the measurement has its map_noise and map_low_order [JSON]
+    /// Error budget of the virtual machine; the measurement has its map_noise and map_low_order [JSON]
     #[arg(long, value_name = "FILE")]
     error_budget: PathBuf,
     /// Random seed of the virtual machine

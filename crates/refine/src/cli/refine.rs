@@ -58,7 +58,7 @@ pub struct Refine {
     /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "auto")]
     mode: pvt::ModeChoice,
-    /// ErrorBudget and its errors [JSON]; the expected square of the residual replaces the square
+    /// Error budget: the errors of the process [JSON]; the expected square of the residual replaces the square
     #[arg(long, value_name = "FILE")]
     error_budget: Option<PathBuf>,
     /// Largest number of rounds; to stop at a given number is no failure [default: 50, and a negative

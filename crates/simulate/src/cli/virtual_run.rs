@@ -17,7 +17,7 @@ use planish_types::{Removal, Surface, plausible};
 
 #[derive(Args)]
 pub struct VirtualRun {
-    /// ErrorBudget whose hidden errors, drawn with the seed, act on the run: --out is the truth, and --measured the map
+    /// Error budget whose hidden errors, drawn with the seed, act on the run: --out is the truth, and --measured the map
     /// measured after the run [JSON]
     #[arg(long, value_name = "FILE", requires = "measured")]
     error_budget: Option<PathBuf>,
