@@ -24,7 +24,11 @@
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use planish_types::text::significant;
 
-use crate::{determined::shown, fit::Fit, parameter::Parameter};
+use crate::{
+    determined::{Part, shown},
+    fit::Fit,
+    parameter::Parameter,
+};
 
 /// Estimate over its standard error from which a parameter matters: correcting it lowers the expected residual.
 const WORTH: f64 = std::f64::consts::SQRT_2;
@@ -181,17 +185,6 @@ pub fn hold(fit: &Fit, may: &[bool], spread: &[f64]) -> (Vec<Held>, Joint) {
         held.push(Held { index: q, reason });
     }
     (held, joint)
-}
-
-/// Part of a parameter in the corrections.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Part {
-    /// It is corrected as far as the data support it.
-    Corrected,
-    /// It stays at the plan, and the others are those of a fit with it there.
-    AtPlan,
-    /// It stays at the plan, and the others do not make up for it.
-    Left,
 }
 
 /// The corrections of the next run from what is found of all unknowns, 0 for what stays at the plan.

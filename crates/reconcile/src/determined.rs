@@ -29,7 +29,6 @@ use ndarray::Array2;
 use planish_types::{End, text::significant};
 
 use crate::{
-    applied::Part,
     fit::{Data, Fit, Normal, dot},
     metrology::terms,
     parameter::Parameter,
@@ -172,6 +171,17 @@ pub fn contradicted(
     let stated = |(_, p): &(usize, &Parameter)| scale(**p) < p.usual_scale();
     let all = fit.parameters.iter().enumerate().filter(stated).filter_map(of);
     all.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(parameter, _)| parameter)
+}
+
+/// Part of a parameter in the corrections.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Part {
+    /// It is corrected as far as the data support it.
+    Corrected,
+    /// It stays at the plan, and the others are those of a fit with it there.
+    AtPlan,
+    /// It stays at the plan, and the others do not make up for it.
+    Left,
 }
 
 /// Reasons to state no number of a parameter.

@@ -22,9 +22,7 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use ndarray::Array2;
 use planish_types::{End, Grid, Invalid, progress};
 
-use crate::{
-    applied::Joint, correlation::Covariance, metrology::Term, model::Model, parameter::Parameter,
-};
+use crate::{correlation::Covariance, metrology::Term, model::Model, parameter::Parameter};
 
 /// Largest step, over the standard errors, that counts as none. Larger: estimates further from the minimum. Smaller:
 /// steps from kink to kink, because the removal has kinks where samples of Keys' convolution cross the centres of
@@ -165,15 +163,15 @@ impl Fit {
         &mut self,
         model: &Model<'_>,
         data: &Data<'_>,
-        joint: Joint,
+        values: Vec<f64>,
+        covariance: DMatrix<f64>,
     ) -> Result<(), Invalid> {
-        let values: Vec<f64> = joint.values.iter().copied().collect();
         let p = self.parameters.len();
         let maps: Vec<Array2<f64>> = self.terms.iter().map(|t| t.map(data.grid)).collect();
         self.removal = model.removal_nm(&values[..p])?;
         self.metrology = sum_of(&maps, &values[p..], self.removal.dim());
         self.rest = (&data.data - &self.removal - &self.metrology) * &data.valid;
-        (self.values, self.covariance) = (values, joint.covariance);
+        (self.values, self.covariance) = (values, covariance);
         Ok(())
     }
 

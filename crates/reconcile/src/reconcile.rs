@@ -10,10 +10,10 @@ use planish_simulate::{
 use planish_types::{Invalid, Surface, Tif, Trajectory, Transform};
 
 use crate::{
-    applied::{Joint, Part, applied, hold},
+    applied::{Joint, applied, hold},
     bands::{Maps, bands},
     contradictory::explains_nothing,
-    determined::{Refusal, all_moves, contradicted, refusal, shown, wider_orders},
+    determined::{Part, Refusal, all_moves, contradicted, refusal, shown, wider_orders},
     fit::{Data, Fit, Start, dot, fit},
     left::left,
     metrology,
@@ -197,7 +197,8 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
         None => applied(uncertain, &parts, &model.scales),
     };
     if !held.is_empty() {
-        found.take(&model, &data, without)?;
+        let values = without.values.iter().copied().collect();
+        found.take(&model, &data, values, without.covariance)?;
     }
     // With the held ones as they were found with all free
     let stated: Vec<[f64; 2]> = (0..count)
