@@ -645,6 +645,8 @@ mod tests {
                 "max_velocity_step_mm_per_s",
                 "max_acceleration_step_mm_per_s2",
                 "limits_respected",
+                "broken_limits",
+                "after_servo_rms_nm",
                 "machine",
                 "schedule_wall_s",
                 "simulate_wall_s",

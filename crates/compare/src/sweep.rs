@@ -369,7 +369,7 @@ mod tests {
         assert!(lines[0].starts_with("id,path,method,pitch_mm,turn,total_time_s"));
         assert!(
             lines[1]
-                .starts_with("plan-0,raster,feed,0,lift,2,1,1,,true,true,true,false,true,done,")
+                .starts_with("plan-0,raster,joint,0,lift,2,1,1,,true,true,true,false,true,done,")
         );
         assert!(lines[2].contains(",,,,,,false,false,false,false,done,\"a, \"\"b\"\"\","), "{csv}");
     }

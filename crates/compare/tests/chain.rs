@@ -568,7 +568,7 @@ fn flat_maps_and_points_are_drawn_with_numbers_only() {
             }
         }
         let numbers = lab.summary().to_string();
-        // The two times that were not measured, the method `position`, the tool (it, and the part that it does not
+        // The two times that were not measured, the RMS after a servo that is not there, the method `position`, the tool (it, and the part that it does not
         // reach, before and after), three verdicts by a specification, the process; slopes along y, before and
         // after, and their base, which is as long as the map. Without a tool there is no edge zone (width and
         // fraction, RMS of it and of the inside before and after, time, each of five places), two rows fill two
@@ -576,7 +576,7 @@ fn flat_maps_and_points_are_drawn_with_numbers_only() {
         let edge = 2 + 2 + 2 + 1 + 5;
         assert_eq!(
             numbers.matches("null").count(),
-            2 + 1 + 3 + 3 + 1 + 3 + edge + 3 + 1,
+            2 + 1 + 1 + 3 + 3 + 1 + 3 + edge + 3 + 1,
             "{numbers}"
         );
     }

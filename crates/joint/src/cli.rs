@@ -126,13 +126,13 @@ impl Feed {
         output.write(&plan.trajectory, outcome, &status)?;
         if let Some(widened) = r.widened {
             say(format!(
-                "feed: nodes {:.3} mm apart in the place of {:.3}, because the solver would take minutes with as many; \
+                "joint: nodes {:.3} mm apart in the place of {:.3}, because the solver would take minutes with as many; \
                  closer ones (--node-spacing-mm) leave less",
                 widened.to_mm, widened.from_mm
             ));
         }
         say(format!(
-            "feed: {} after {} steps, proven within {:.1e} of the least objective for fixed tangents of the limits (the \
+            "joint: {} after {} steps, proven within {:.1e} of the least objective for fixed tangents of the limits (the \
              limits are not convex: a local optimum); {:.4} nm in {:.2} s at {:.3e} \
              nm^2/s; {} nodes, points moved by at most {:.3} mm, {} corners rounded by at most {:.3} mm -> {}",
             r.end,

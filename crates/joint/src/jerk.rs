@@ -280,8 +280,9 @@ mod tests {
                 farthest = farthest.max((segment.position_mm(0.0)[0] - there).abs());
             }
             assert!(before_s > 0.0);
-            // While all of the acceleration lasts longer than the average, (4) is exact.
-            let reached = farthest / average.deviation_mm;
+            // The motion is along x. While all of its acceleration lasts longer than the average, (4) is exact.
+            let [a, b] = limits.max_acceleration_mm_per_s2();
+            let reached = farthest / (average.deviation_mm * a / a.hypot(b));
             assert!(
                 reached < 1.0 + 1e-9 && (jerk < 5e4 || reached > 1.0 - 1e-6),
                 "{jerk}: {reached}"

@@ -20,9 +20,9 @@ const EXAMPLES: &str = "Examples:\n\
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
     #[command(flatten)]
-    feed: cli::Feed,
+    joint: cli::Feed,
 }
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.feed.run())
+    planish_handoff::program(|cli: &Cli| cli.joint.run())
 }

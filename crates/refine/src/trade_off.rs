@@ -350,7 +350,7 @@ mod tests {
         let svg = svg(&points, 54.0);
         let of = |colour: &str| svg.matches(&format!("r=\"4\" fill=\"{colour}\"")).count();
         assert_eq!(METHODS.map(|(_, colour)| of(colour)), [2, 1]);
-        assert!(svg.contains(">closed loop<") && svg.contains(">feed<"), "{svg}");
+        assert!(svg.contains(">closed loop<") && svg.contains(">joint<"), "{svg}");
         // The axis ends 8 % beyond 200 s: a quarter of its 610 px is 54 s, from 80 px.
         assert!(svg.contains("stroke-dasharray=\"6 4\" d=\"M232.5 40.0v340.0\""), "{svg}");
         // The longest plan: 80 + 610 / 1.08.

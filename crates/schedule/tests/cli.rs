@@ -659,7 +659,7 @@ fn a_feed_becomes_a_program_and_positions() {
     assert!(text(&again.stdout).contains("unchanged"), "{again:?}");
     fs::remove_dir_all(tmp.path().join("dwell_density")).unwrap();
     schedule(tmp.path(), "trig-spline", &["--dwell-density", "dwell_density"]);
-    assert!(tmp.path().join("feed/manifest.json").exists());
+    assert!(tmp.path().join("dwell_density/manifest.json").exists());
 
     let ok = |arguments: &[&str]| {
         let output = planish(tmp.path(), arguments);

@@ -190,7 +190,7 @@ fn block_of(node: &Node, tools: &[String]) -> Result<Block, Complaint> {
         (methods.iter().any(|m| m == "joint"), find("passes").filter(repeated))
     {
         let problem = "passes above 1 are planned by the method pvt+refined, whose times are the same in every \
-                       pass; leave feed out of this block";
+                       pass; leave joint out of this block";
         return Err(Complaint::new(*line, problem));
     }
     if settings

@@ -339,7 +339,7 @@ impl Sweep {
         // A plan of motion and times as one problem does not depend on the process.
         let is_feed = plan.method == "joint";
         let concerns = |word: &&String| {
-            !(is_feed && word.starts_with("process=")
+            !(is_feed && word.starts_with("error_budget=")
                 || plan.get("tool").is_some() && word.starts_with("tif="))
         };
         words.extend(self.again.iter().filter(concerns).cloned());

@@ -160,7 +160,7 @@ fn jobs_make_the_same_bytes_however_the_plans_are_shared_out() {
 
     // Between the plans of the front lie others, in a round of their own; what is there is not proposed again.
     let said = ended(0, &["propose", &one]);
-    assert!(said.contains("raster, feed: pitch_mm=2 step_mm=1 time_elasticity=1"), "{said}");
+    assert!(said.contains("raster, joint: pitch_mm=2 step_mm=1 time_elasticity=1"), "{said}");
     let said = ended(2, &["propose", &one]);
     assert!(said.contains("has no row; make the plans of round 1 first"), "{said}");
 }

@@ -28,7 +28,7 @@ fn arguments(surface: &str, tif: &str, trajectory: &str) -> Vec<String> {
         ("surface", surface),
         ("tif", tif),
         ("trajectory", trajectory),
-        ("process", "error_budget.json"),
+        ("error-budget", "error_budget.json"),
         ("draws", "200"),
         ("simulated-runs", "1"),
         ("out", "out"),

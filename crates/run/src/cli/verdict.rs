@@ -28,7 +28,7 @@ const JUDGED: [&str; 4] = ["trajectory", "removal", "verdict", "specification"];
 const NEEDED: [&str; 2] = ["removal", "verdict"];
 
 /// Roles of the files that all stages of a run share.
-const SHARED: [&str; 3] = ["machine", "process", "specification"];
+const SHARED: [&str; 3] = ["machine", "error-budget", "specification"];
 
 impl Verdict {
     pub fn run(&self) -> Result<Status, Failure> {
