@@ -32,7 +32,9 @@ def main():
     print("This page lists every program, command and flag, for looking up. `just docs` writes it from `--describe`.\n")
     print("```sh\nplanish-verify --help\n```\n")
     print("Every program also takes `--help`, `--version`, `--completions`, `--man` and `--describe`.")
-    programs = sorted(p for p in pathlib.Path(sys.argv[1]).glob("planish-*") if not p.suffix and p.is_file())
+    crates = pathlib.Path(__file__).resolve().parents[2] / "crates"
+    names = sorted(f"planish-{main.parents[1].name}" for main in crates.glob("*/src/main.rs"))
+    programs = [pathlib.Path(sys.argv[1]) / name for name in names]
     for program in programs:
         described = subprocess.run([program, "--describe"], check=True, capture_output=True, text=True)
         about = json.loads(described.stdout)
