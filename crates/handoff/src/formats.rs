@@ -196,8 +196,8 @@ const PROCESS_KEYS: [(&str, &str, &str); 11] = [
 const ERROR_BUDGET: &str = "
 ## Error budget
 
-The errors of a process, given by `--error-budget`: one JSON object, see `fixtures/error-budgets/`. Planish refuses a key
-that is not in the table, and one that the kind of the error does not use.
+The errors of a process, given by `--error-budget`: one JSON object, see `fixtures/error-budgets/`. Planish refuses a
+key that is not in the table, and one that the kind of the error does not use.
 
 | key | unit | what |
 |---|---|---|

@@ -15,7 +15,7 @@
 //!
 //! Other text: three numbers per line, in any order of the pixels, on a uniform grid; a pixel that
 //! no line names is invalid. Points that lie on no grid are gridded where `grid_mm` asks for it
-//! ([`crate::scattered`]).
+//! (`crate::scattered`).
 
 use ndarray::Array2;
 use planish_types::Invalid;

@@ -12,14 +12,14 @@
 //! are found; of the others p* takes what the data support. It therefore needs no decision for each parameter.
 //!
 //! A parameter is held at the plan ([`hold`]) if it at least doubles the standard error of another one that
-//! matters, and if the data favour the plan's value by [`FAVOURED`] to 1 over a value of the spread t s:
+//! matters, and if the data favour the plan's value by `FAVOURED` to 1 over a value of the spread t s:
 //!
 //! ```text
 //! odds = (t^2 s^2 / c)^1/2 exp(-p'^2 / 2 c)          c the variance of p' (Savage and Dickey's ratio)
 //! ```
 //!
 //! The others and their standard errors are then those of a fit without it. If the plan's value is as probable
-//! beforehand as any other, the hold is wrong in one of [`FAVOURED`] runs.
+//! beforehand as any other, the hold is wrong in one of `FAVOURED` runs.
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use planish_types::text::significant;

@@ -8,13 +8,13 @@
 //! 1. **It has a signal of its own**: less than [`LARGEST_INFLATION`] of variance inflation, 1 / (1 - R^2) of its column
 //!    on all others, the mean of each removed. At 100 the others explain 99 % of what it does. The models of the tool, of the motion and of the
 //!    metrology are not better than a percent, so what is left of it would be decided by what they have wrong.
-//!    A standard error below [`CLEAR`] of its scale lifts this limit to [`LARGEST_CLEAR_INFLATION`]: the estimate still
+//!    A standard error below `CLEAR` of its scale lifts this limit to `LARGEST_CLEAR_INFLATION`: the estimate still
 //!    beats the prior knowledge if the model errors make its error ten times larger.
 //! 2. **It can be told from every single other one**: a correlation below [`LARGEST_CORRELATION`] of the estimates
 //!    (the piston apart, which every removal has a part of).
 //! 3. **The data say more than was known beforehand**: a standard error by the data alone below its scale, that of the
 //!    process where one is given ([`crate::parameter`]).
-//! 4. The fit ended at a minimum, or its last step moved the parameter by less than [`UNFINISHED`] standard errors or a
+//! 4. The fit ended at a minimum, or its last step moved the parameter by less than `UNFINISHED` standard errors or a
 //!    hundredth of its scale. The standard error then contains that step.
 //! 5. **It is believable**: within [`BELIEVABLE`] scales of the plan.
 //! 6. **It does not depend on what was taken as known**: with Legendre terms up to 4 x 3 (further than the fit's own), or
