@@ -13,6 +13,7 @@ const ROWS = [
   ["RMS (nm)", "rms_nm", 4, true], ["of which short waves (nm)", "short_wave_rms_nm", 4, true],
   ["RMS, plane removed (nm)", "rms_detilted_nm", 4, true], ["PV (nm)", "pv_nm", 3, true],
   ["RMS slope x, y (nrad)", "slope_rms_nrad", 1, true],
+  ["RMS after the servo (nm)", "after_servo_rms_nm", 4, true],
   ["time (s)", "total_time_s", 2, true],
   ["largest velocity x, y (mm/s)", "max_velocity_mm_per_s", 2],
   ["largest acceleration x, y (mm/s²)", "max_acceleration_mm_per_s2", 1],
@@ -22,6 +23,7 @@ const ROWS = [
   ["dwell error, RMS (s)", "dwell_error_rms_s", 6, true], ["dwell error, worst (s)", "dwell_error_worst_s", 6, true],
   ["points with overshoot x, y", "overshoot_points", 0], ["largest overshoot x, y (mm)", "max_overshoot_mm", 6],
   ["limits of the machine", "limits_respected"],
+  ["limits that are not kept", "broken_limits"],
   ["plan", "plan"],
   ["schedule (s of computing)", "schedule_wall_s", 3, true], ["simulate (s of computing)", "simulate_wall_s", 3, true],
 ];
@@ -47,7 +49,7 @@ function fillSummary() {
   for (const [title, key, decimals, isRated] of ROWS) {
     const row = element("tr"), values = numbers.map((m) => m[key]);
     row.append(element("th", title, { scope: "row" }));
-    const inWords = { limits_respected: (v) => (v ? "kept" : "exceeded"), plan: (v) => v.word }[key];
+    const inWords = { limits_respected: (v) => (v ? "kept" : "exceeded"), broken_limits: (v) => v.join(", ") || "-", plan: (v) => v.word }[key];
     // Equal where the digits shown are: a step of 1e-13 is none.
     const size = (v) => +Math.max(...[v].flat().map(Math.abs)).toFixed(decimals);
     const compares = (i) => key !== "max_jerk_mm_per_s3" || smooth[i];
