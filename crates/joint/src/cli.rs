@@ -15,7 +15,7 @@ use planish_types::{
 use serde_json::json;
 
 #[derive(Args)]
-pub struct Feed {
+pub struct Joint {
     #[command(flatten)]
     mirror: MirrorArgs,
     #[command(flatten)]
@@ -75,7 +75,7 @@ struct PriceArgs {
     time_elasticity: Option<f64>,
 }
 
-impl Feed {
+impl Joint {
     /// Computes the plan, writes it and returns the verdict.
     pub fn run(&self) -> Result<Status, Failure> {
         let settings = Settings {

@@ -48,7 +48,7 @@ use planish_numerics::{
 use planish_types::{End, progress};
 
 use crate::{
-    FeedError, certificate,
+    JointError, certificate,
     limits::{Constraint, Rows},
     merit::{Merit, Objective, Progress},
 };
@@ -327,7 +327,7 @@ pub fn solve(
     start: Start,
     stop: &Stop,
     merit: &mut Merit<'_>,
-) -> Result<Option<Solution>, FeedError> {
+) -> Result<Option<Solution>, JointError> {
     let row_of = program.normal.row_of();
     let (f, mut settled) = merit.evaluate(FIRST, &start.density);
     let mut at = Iterate::new(program, start, f);
@@ -436,7 +436,7 @@ pub fn approach(
     near: f64,
     max_iterations: usize,
     merit: &mut Merit<'_>,
-) -> Result<Option<Approach>, FeedError> {
+) -> Result<Option<Approach>, JointError> {
     let row_of = program.normal.row_of();
     let f = merit.evaluate(FIRST, &start.density).0;
     let mut at = Iterate::new(program, start, f);

@@ -42,7 +42,7 @@ use planish_types::Invalid;
 
 /// Reason why no plan could be found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum FeedError {
+pub enum JointError {
     /// The inputs or settings contradict themselves or each other.
     #[error(transparent)]
     Invalid(#[from] Invalid),

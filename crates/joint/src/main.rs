@@ -20,7 +20,7 @@ const EXAMPLES: &str = "Examples:\n\
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
     #[command(flatten)]
-    joint: cli::Feed,
+    joint: cli::Joint,
 }
 
 fn main() -> ExitCode {

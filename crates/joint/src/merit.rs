@@ -40,7 +40,7 @@ use planish_numerics::linear::skyline::dot;
 use planish_types::Invalid;
 use serde::Serialize;
 
-use crate::{FeedError, mesh::Mesh};
+use crate::{JointError, mesh::Mesh};
 
 /// Largest change of the price in a step, relative, at which it is found and stays as it is. Larger: an elasticity
 /// that is met less exactly. Smaller: more steps before anything can be proven. Chosen.
@@ -247,13 +247,13 @@ impl<'a> Merit<'a> {
     /// their motion, unless (3) `stays` what it is.
     ///
     /// The cells of the normal matrix miss a part of the mean square, for example of a TIF that ends abruptly on a
-    /// small map. [`FeedError::CellsTooLarge`] if they missed much of it since the last reference.
+    /// small map. [`JointError::CellsTooLarge`] if they missed much of it since the last reference.
     pub fn refer_to(
         &mut self,
         at: Progress,
         density: &[f64],
         stays: bool,
-    ) -> Result<(), FeedError> {
+    ) -> Result<(), JointError> {
         let near = at.complementarity <= SIMULATED_BELOW * self.last_half_mean_square_nm2;
         let model_nm = self.residual.removal_nm(&self.mesh.times_s(density));
         if let Some(executed) = self.executed.filter(|_| near && !stays && !self.motion_is_kept) {
@@ -273,7 +273,7 @@ impl<'a> Merit<'a> {
         let leads_away = unseen > MOST_UNSEEN * there && unseen > MOST_UNSEEN_OF_FALL * fall;
         let rises = stays && unseen > MOST_UNSEEN_OF_RISE * there && unseen > fall;
         if pixels > 1 && (leads_away || rises) {
-            return Err(FeedError::CellsTooLarge { pixels });
+            return Err(JointError::CellsTooLarge { pixels });
         }
         Ok(())
     }
@@ -291,7 +291,7 @@ impl<'a> Merit<'a> {
     }
 
     /// Fixes (3) and (4) at these densities, and the price, for all steps that follow.
-    pub fn keep_motion_of(&mut self, density: &[f64]) -> Result<(), FeedError> {
+    pub fn keep_motion_of(&mut self, density: &[f64]) -> Result<(), JointError> {
         let model_nm = self.residual.removal_nm(&self.mesh.times_s(density));
         if let Some(executed) = self.executed {
             let executed_nm = executed(density)?;
@@ -308,7 +308,7 @@ impl<'a> Merit<'a> {
     }
 
     /// (1) of the simulated motion, nm^2.
-    pub fn of_execution_nm2(&self, density: &[f64]) -> Result<f64, FeedError> {
+    pub fn of_execution_nm2(&self, density: &[f64]) -> Result<f64, JointError> {
         let removal_nm = match self.executed {
             Some(executed) => executed(density)?,
             None => self.residual.removal_nm(&self.mesh.times_s(density)),
@@ -483,9 +483,9 @@ mod tests {
         // anew it may have risen for that.
         let ([after, seen, before], said) = refer(2.5, true);
         assert!(seen < before && before < after);
-        assert_eq!(said, Err(FeedError::CellsTooLarge { pixels }));
+        assert_eq!(said, Err(JointError::CellsTooLarge { pixels }));
         assert_eq!(refer(2.5, false).1, Ok(()));
         // Much further a tenth of it is unseen.
-        assert_eq!(refer(6.0, false).1, Err(FeedError::CellsTooLarge { pixels }));
+        assert_eq!(refer(6.0, false).1, Err(JointError::CellsTooLarge { pixels }));
     }
 }

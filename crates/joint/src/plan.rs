@@ -14,7 +14,7 @@ use planish_verify::{VerifySettings, verify};
 use serde::Serialize;
 
 use crate::{
-    FeedError,
+    JointError,
     curve::{self, Curve, Rounding, Smooth},
     jerk::Average,
     mesh::Mesh,
@@ -173,7 +173,7 @@ pub fn plan(
     path: &ToolPath,
     limits: &Limits,
     settings: &Settings,
-) -> Result<Plan, FeedError> {
+) -> Result<Plan, JointError> {
     settings.check()?;
     let tif_width_mm = tif.width_mm();
     let (rounding, spacing_mm) = scales(tif_width_mm, settings)?;

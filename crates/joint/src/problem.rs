@@ -16,7 +16,7 @@ use planish_types::{End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory, pr
 use planish_verify::{VerifySettings, verify};
 
 use crate::{
-    FeedError,
+    JointError,
     curve::Curve,
     interior_point::{self, Approach, NEAR_THE_MINIMUM, Program, Solution, Start, Stop},
     limits::Rows,
@@ -123,11 +123,15 @@ pub struct Found {
 }
 
 /// Finds the densities on a series of meshes. Their motion keeps the limits if the judge does not refuse it.
-pub fn solve(asked: &Asked<'_>, meshes: &Meshes, settings: &Settings) -> Result<Solved, FeedError> {
+pub fn solve(
+    asked: &Asked<'_>,
+    meshes: &Meshes,
+    settings: &Settings,
+) -> Result<Solved, JointError> {
     let mut most_pixels = usize::MAX;
     loop {
         match solve_on_cells(asked, meshes, settings, most_pixels) {
-            Err(FeedError::CellsTooLarge { pixels }) => most_pixels = pixels / 2,
+            Err(JointError::CellsTooLarge { pixels }) => most_pixels = pixels / 2,
             other => return other,
         }
     }
@@ -139,7 +143,7 @@ fn solve_on_cells(
     meshes: &Meshes,
     settings: &Settings,
     most_pixels: usize,
-) -> Result<Solved, FeedError> {
+) -> Result<Solved, JointError> {
     let Meshes { first, refinements, most_work } = meshes;
     let (mut mesh, refinements) = (first.clone(), *refinements);
     let Asked { tif, path, curves, limits, .. } = *asked;
@@ -177,7 +181,7 @@ fn solve_on_cells(
             let from = start.take().unwrap_or_else(|| posed.uniform(&rows, level_s_per_mm));
             let at = posed.approach(&rows, from, (NEAR_THE_MINIMUM, most), settings)?;
             let refined = given.refined(&mesh, &rows, &at, affordable);
-            Ok::<_, FeedError>((at, refined, posed.normal))
+            Ok::<_, JointError>((at, refined, posed.normal))
         })?;
         iterations += at.iterations;
         let Some(Refined { mesh: finer, start: from, same }) = refined else {
@@ -219,7 +223,7 @@ impl<'a> Posed<'a> {
         known: Option<Known>,
         settings: &Settings,
         most_pixels: usize,
-    ) -> Result<Self, FeedError> {
+    ) -> Result<Self, JointError> {
         let residual = residual(asked, mesh, settings)?.on_cells_of_at_most(most_pixels);
         let normal = residual.normal(&mesh.columns(), known)?;
         Ok(Self { mesh, residual, normal, lo })
@@ -249,12 +253,12 @@ impl<'a> Posed<'a> {
         start: Start,
         (near, max_iterations): (f64, usize),
         settings: &Settings,
-    ) -> Result<Approach, FeedError> {
+    ) -> Result<Approach, JointError> {
         let mut merit = self.merit(&start.density, settings);
         let (diagonal, below) = merit.chain();
         let program = self.program((&diagonal, &below), rows);
         interior_point::approach(&program, start, near, max_iterations, &mut merit)?
-            .ok_or(FeedError::Singular { tikhonov: settings.tikhonov })
+            .ok_or(JointError::Singular { tikhonov: settings.tikhonov })
     }
 
     /// Start of a plan with an elasticity: the one from which the solver finds the least product of mean square and
@@ -269,7 +273,7 @@ impl<'a> Posed<'a> {
         uniform: Start,
         x: f64,
         settings: &Settings,
-    ) -> Result<Start, FeedError> {
+    ) -> Result<Start, JointError> {
         let most = (COMPARABLE, settings.max_iterations);
         let product = |density: &[f64]| {
             let m = 2.0 * self.residual.evaluate(&self.mesh.times_s(density)).half_mean_square_nm2;
@@ -301,7 +305,7 @@ impl<'a> Posed<'a> {
         mut start: Start,
         max_iterations: usize,
         settings: &Settings,
-    ) -> Result<Found, FeedError> {
+    ) -> Result<Found, JointError> {
         let Asked { path, curves, limits, executed, .. } = *asked;
         let mesh = self.mesh;
         let stop = Stop { relative_gap: settings.relative_gap, max_iterations };
@@ -315,7 +319,7 @@ impl<'a> Posed<'a> {
             rounds += 1;
             let program = self.program((&diagonal, &below), &rows);
             let solution = interior_point::solve(&program, start, &stop, &mut merit)?
-                .ok_or(FeedError::Singular { tikhonov: settings.tikhonov })?;
+                .ok_or(JointError::Singular { tikhonov: settings.tikhonov })?;
             iterations += solution.iterations;
             let motion = motion::motion(curves, mesh, path, limits, &solution.density)?;
             let verdict = verify(&motion.trajectory, limits, &VerifySettings::default())?;
@@ -371,13 +375,13 @@ impl<'a> Posed<'a> {
         max_iterations: usize,
         stop: &Stop,
         merit: &mut Merit<'_>,
-    ) -> Result<Option<Solution>, FeedError> {
+    ) -> Result<Option<Solution>, JointError> {
         merit.keep_motion_of(&from.density)?;
         let before = merit.of_execution_nm2(&from.density)?;
         let start = Start { density: from.density.clone(), duals: Some(from.duals.clone()) };
         let stop = Stop { max_iterations, ..*stop };
         let found = match interior_point::solve(program, start, &stop, merit) {
-            Err(FeedError::CellsTooLarge { .. }) => return Ok(None),
+            Err(JointError::CellsTooLarge { .. }) => return Ok(None),
             other => other?.filter(|found| found.end == End::Optimal),
         };
         let Some(mut found) = found else { return Ok(None) };
@@ -419,7 +423,7 @@ fn residual<'a>(
     asked: &Asked<'a>,
     mesh: &'a Mesh,
     settings: &Settings,
-) -> Result<Residual<'a>, FeedError> {
+) -> Result<Residual<'a>, JointError> {
     let Asked { desired, tif, path, .. } = *asked;
     Residual::new(desired, tif, &mesh.points_mm, None, settings.free).map_err(|e| match e {
         // The points of the mesh are nothing that was given.
@@ -429,7 +433,7 @@ fn residual<'a>(
 }
 
 /// The uniform density, s/mm, that removes on average what is above the lowest point.
-fn level_s_per_mm(asked: &Asked<'_>, mesh: &Mesh, settings: &Settings) -> Result<f64, FeedError> {
+fn level_s_per_mm(asked: &Asked<'_>, mesh: &Mesh, settings: &Settings) -> Result<f64, JointError> {
     let residual = residual(asked, mesh, settings)?;
     let heights = asked.desired.height_nm().iter().filter(|z| !z.is_nan());
     let (sum, count, low) =

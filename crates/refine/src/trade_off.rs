@@ -12,7 +12,7 @@
 //! pixels lies: a pit of a few pixels would demand a layer of its depth over the whole mirror.
 
 use planish_draw::{Frame, Scale, Svg, frame::range};
-use planish_joint::{FeedError, Price, plan};
+use planish_joint::{JointError, Price, plan};
 use planish_types::{
     DwellTime, End, Invalid, Limits, Surface, Tif, ToolPath, plausible::Rms, progress, text::fixed,
 };
@@ -35,7 +35,7 @@ pub enum Method {
     /// Correction of the dwell times against their motion, round by round.
     ClosedLoop,
     /// Joint plan: motion and times as one problem.
-    Feed,
+    Joint,
 }
 
 impl Method {
@@ -43,7 +43,7 @@ impl Method {
     pub fn name(self) -> &'static str {
         match self {
             Self::ClosedLoop => "closed loop",
-            Self::Feed => "joint",
+            Self::Joint => "joint",
         }
     }
 }
@@ -194,7 +194,7 @@ pub fn feed_trade_off(
     limits: &Limits,
     prices: &[f64],
     min_dwell_s_per_mm: f64,
-) -> Result<Vec<Point>, FeedError> {
+) -> Result<Vec<Point>, JointError> {
     let at_price = |(k, price): (usize, &f64)| {
         let price = Price::Nm2PerS(*price);
         let settings = planish_joint::Settings { min_dwell_s_per_mm, price, ..Default::default() };
@@ -213,10 +213,10 @@ pub fn feed_trade_off(
             limits_respected: plan.refused.is_none(),
         };
         let time_weight_nm2_per_s = plan.report.price_nm2_per_s;
-        Ok(Point { method: Method::Feed, time_weight_nm2_per_s, best, end: plan.report.end })
+        Ok(Point { method: Method::Joint, time_weight_nm2_per_s, best, end: plan.report.end })
     };
     let mut points: Vec<Point> =
-        prices.iter().enumerate().map(at_price).collect::<Result<_, FeedError>>()?;
+        prices.iter().enumerate().map(at_price).collect::<Result<_, JointError>>()?;
     let plans: Vec<_> = points.iter().map(|p| (p.best.clone(), p.end)).collect();
     give_the_best(&mut points, &plans);
     Ok(points)
@@ -243,7 +243,7 @@ const TIME_AXIS: &str =
     "total time (s), at least volume to be removed / volumetric removal rate (dashed)";
 
 /// Methods in the order of their names from the right, and the colours of their curves.
-const METHODS: [(Method, &str); 2] = [(Method::ClosedLoop, "#365c8d"), (Method::Feed, "#b5367a")];
+const METHODS: [(Method, &str); 2] = [(Method::ClosedLoop, "#365c8d"), (Method::Joint, "#b5367a")];
 /// SVG attributes of the line of the bound (1).
 const BOUND: &str = "stroke=\"#d8a010\" stroke-width=\"2\" stroke-dasharray=\"6 4\"";
 
@@ -345,8 +345,9 @@ mod tests {
             },
             end: End::NoImprovement,
         };
-        let (closed, feed) = (Method::ClosedLoop, Method::Feed);
-        let points = [point(closed, 100.0, 0.5), point(closed, 200.0, 0.0), point(feed, 90.0, 0.4)];
+        let (closed, joint) = (Method::ClosedLoop, Method::Joint);
+        let points =
+            [point(closed, 100.0, 0.5), point(closed, 200.0, 0.0), point(joint, 90.0, 0.4)];
         let svg = svg(&points, 54.0);
         let of = |colour: &str| svg.matches(&format!("r=\"4\" fill=\"{colour}\"")).count();
         assert_eq!(METHODS.map(|(_, colour)| of(colour)), [2, 1]);

@@ -43,6 +43,7 @@
 //! | P2, C | `end_mm`, `corner_mm` | (2) | mm |
 //! | t_tick | `tick_s` | - | s |
 
+use planish_numerics::polynomial::{derivative, evaluate};
 use planish_types::{DwellDensity, Segment, Trajectory};
 
 use crate::{hermite, trig_spline::Piece};
@@ -187,7 +188,7 @@ pub fn linked_records(
 
 /// Position and velocity of a cubic after a time.
 fn end_of(c: &[f64; 4], t: f64) -> (f64, f64) {
-    (c[0] + t * (c[1] + t * (c[2] + t * c[3])), c[1] + t * (2.0 * c[2] + 3.0 * t * c[3]))
+    (evaluate(c, t), evaluate(&derivative(c), t))
 }
 
 fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {

@@ -337,9 +337,9 @@ impl Sweep {
     pub fn again(&self, plan: &Plan) -> Vec<String> {
         let mut words = vec![plan.path.clone()];
         // A plan of motion and times as one problem does not depend on the process.
-        let is_feed = plan.method == "joint";
+        let is_joint = plan.method == "joint";
         let concerns = |word: &&String| {
-            !(is_feed && word.starts_with("error_budget=")
+            !(is_joint && word.starts_with("error_budget=")
                 || plan.get("tool").is_some() && word.starts_with("tif="))
         };
         words.extend(self.again.iter().filter(concerns).cloned());

@@ -58,7 +58,9 @@ impl Interpolate {
             let mut emit = |r: Reference| {
                 count += 1;
                 end_s = r.time_s;
-                failed = failed.take().or(table.row(&mut to, &r).err());
+                if failed.is_none() {
+                    failed = table.row(&mut to, &r).err();
+                }
             };
             source.for_each_record(|record| interpolator.push(record, &mut emit))?;
             interpolator.finish().into_iter().for_each(&mut emit);
