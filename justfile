@@ -216,7 +216,7 @@ test-gcode: build
     just run raster fixture=coupon out=out/gcode export=gcode
     @if command -v rs274 > /dev/null; then python3 crates/export/tests/interpreter.py out/gcode; else echo "skipped: no rs274"; fi
 
-# Plans as programs of every controller, read back and judged: the tables of docs/programs.md (--grids: clocks and counts)
+# Plans as programs of every controller, read back and judged: the tables of docs/controller-programs.md (--grids: clocks and counts)
 [group('5 pages and tables')]
 programs-table *flags: build
     @python3 pipelines/programs-table.py {{ flags }}

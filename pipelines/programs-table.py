@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Tables of docs/programs.md: plans as programs of every controller, read back and judged.
+"""Tables of docs/controller-programs.md: plans as programs of every controller, read back and judged.
 
 programs-table.py [--out DIR] [--rows NAME,...] [--grids]
 

@@ -81,7 +81,10 @@ impl CommonArgs {
         refuse_foreign_about(&about)?;
 
         let digest = inputs.digest("trajectory").unwrap_or_default();
-        let by = on_axes.made_by.as_ref().map_or(String::new(), |by| format!(" by {by}"));
+        let by = on_axes
+            .manifest
+            .as_ref()
+            .map_or(String::new(), |m| format!(" by {} {}", m.tool, m.method));
         let origin = Origin {
             made_from: format!(
                 "trajectory {}{by}, BLAKE3 {digest}",

@@ -153,7 +153,6 @@ impl TrajectoryArgs {
             warn(format!("{}: {problem}", self.trajectory.display()));
         }
         let was_there = manifest.as_ref().is_some_and(|m| m.frame == MACHINE_FRAME);
-        let made_by = manifest.map(|m| format!("{} {}", m.tool, m.method));
         let part_to_axes = machine.part_to_axes().filter(|_| !was_there).cloned();
         let motion = match &part_to_axes {
             Some(transform) => transform
@@ -161,7 +160,7 @@ impl TrajectoryArgs {
                 .map_err(|e| HandoffError::new(&self.trajectory, e.to_string()))?,
             None => motion,
         };
-        Ok(OnAxes { motion, made_by, machine, was_there, part_to_axes })
+        Ok(OnAxes { motion, manifest, machine, was_there, part_to_axes })
     }
 
     fn read_mirror(
@@ -184,8 +183,8 @@ impl TrajectoryArgs {
 pub struct OnAxes {
     /// The motion.
     pub motion: Trajectory,
-    /// Program and method that made the motion; `None` without a manifest.
-    pub made_by: Option<String>,
+    /// Manifest of the motion, if it has one.
+    pub manifest: Option<Manifest>,
     /// The machine.
     pub machine: Machine,
     /// True if the input was in machine coordinates already.

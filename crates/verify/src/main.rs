@@ -1,10 +1,10 @@
 //! `planish-verify`: checks whether a trajectory keeps the limits of a machine.
 
-use std::{fs, path::Path, process::ExitCode};
+use std::process::ExitCode;
 
 use clap::Parser;
 use planish_handoff::{
-    Begin, Failure, Inputs, Manifest, Output, Status,
+    Begin, Inputs, Manifest, Output, Status,
     flags::{AxesArgs, OutputArgs, TrajectoryArgs},
     kind, say, task,
 };
@@ -17,18 +17,11 @@ static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-verify --trajectory out/trajectory --machine machine.json --out out/verdict";
 
-/// Program and method in the manifest of a controller's program that was read back.
-const PROGRAM: &str = "planish-import program";
-
-/// Law by which the controller of a program that was read back runs it, from the manifest of the motion.
-fn program_in(trajectory: &Path) -> Result<Program, Failure> {
-    let file = trajectory.join("manifest.json");
-    let failed = |e: &dyn std::fmt::Display| {
-        Failure::new(format!("{}: cannot be read: {e}", file.display()))
-    };
-    let text = fs::read(&file).map_err(|e| failed(&e))?;
-    let manifest: Manifest = serde_json::from_slice(&text).map_err(|e| failed(&e))?;
-    Ok(match manifest.settings["controller"].as_str() {
+/// Law by which a controller runs the motion of this manifest; `None` if the motion is no program that
+/// `planish-import program` read back.
+fn program_of(manifest: &Manifest) -> Option<Program> {
+    let is_program = manifest.tool == "planish-import" && manifest.method == "program";
+    is_program.then(|| match manifest.settings["controller"].as_str() {
         Some("gcode") => Program::Lines,
         _ => Program::Cubics,
     })
@@ -69,10 +62,7 @@ fn main() -> ExitCode {
         let settings = VerifySettings {
             position_step_mm: cli.position_step_mm,
             velocity_step_mm_per_s: cli.velocity_step_mm_per_s,
-            program: match on_axes.made_by.as_deref() {
-                Some(PROGRAM) => Some(program_in(&cli.trajectory.trajectory)?),
-                _ => None,
-            },
+            program: on_axes.manifest.as_ref().and_then(program_of),
         };
         let machine = &on_axes.machine;
         let task = task!("verify", settings);
