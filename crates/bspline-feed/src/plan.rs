@@ -258,6 +258,7 @@ pub fn plan(
     settings: &Settings,
 ) -> Result<Plan, FeedError> {
     check(settings)?;
+    tif.same_everywhere("planish-bspline-feed")?;
     plausible::check_path(surface, tif, path)?;
     // What is at the place of the tool is what it removes: its turn-arounds beside the map, and (1) of `vrr`.
     let centred = tif.centred_on(surface)?;

@@ -26,7 +26,7 @@ use planish_handoff::{
     kind::{self, Dtype, Kind, MANIFEST},
     npy::{self, ArrayData},
 };
-use planish_types::{Axis, DwellTime, Grid, Invalid, Removal, Surface, Tif, ToolPath, Trajectory};
+use planish_types::{Axis, DwellTime, Grid, Invalid, Removal, Surface, ToolPath, Trajectory};
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::Value;
@@ -58,7 +58,7 @@ pub fn read_run(
         None => None,
     };
     let tif_role = format!("{role}/tif");
-    let tif: Option<Tif> = names.tif.map(|dir| inputs.read(&tif_role, dir)).transpose()?;
+    let tif = names.tif.map(|dir| inputs.read_tool(&tif_role, dir)).transpose()?;
     let reach = tif.as_ref().and_then(|tif| {
         let digest = inputs.digest(&tif_role).unwrap_or_default().to_string();
         Some((Reach::new(&desired.value, tif)?, digest))

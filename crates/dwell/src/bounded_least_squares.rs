@@ -74,11 +74,12 @@ mod unbounded;
 mod weighted;
 
 use ndarray::Array2;
-use planish_types::{Invalid, Surface, Tif, ToolPath};
+use planish_types::{Invalid, Surface, Tif, TimeFactor, ToolPath, Variation};
 
 use crate::{
     DwellError,
     bounds::{self, pixel_weights},
+    columns::Place,
 };
 pub use crate::{bounds::Bound, objective::Free};
 use prepared::BoundedProblem;
@@ -97,14 +98,48 @@ pub fn solve(
 ) -> Result<BoundedSolution, DwellError> {
     let (lo, hi) = bounds(path, settings)?;
     let columns = settings.columns.places(path, tif);
-    solve_columns(
-        desired,
-        tif,
-        path,
-        weight,
-        settings,
-        &Program { places: &columns, lo, hi, guess: None, quadratic: None },
-    )
+    let at = |places: &[Vec<Place>], guess: Option<Vec<f64>>| {
+        let (lo, hi) = (lo.clone(), hi.clone());
+        let program = Program { places, lo, hi, guess, quadratic: None };
+        solve_columns(desired, tif, path, weight, settings, &program)
+    };
+    let mut solution = at(&columns, None)?;
+    let Some(time) = tif.variation().and_then(Variation::time_factor) else { return Ok(solution) };
+    let mut before = vec![1.0; path.len()];
+    for _ in 0..MAX_ROUNDS_OF_TIMES {
+        let factors = time_factors(time, solution.dwell.dwell_s());
+        let change = factors.iter().zip(&before).map(|(a, b)| (a / b - 1.0).abs());
+        if change.fold(0.0, f64::max) <= SAME_TIME_FACTOR {
+            break;
+        }
+        let of = |(places, factor): (&Vec<Place>, &f64)| -> Vec<Place> {
+            places.iter().map(|p| Place { fraction: factor * p.fraction, ..*p }).collect()
+        };
+        let places: Vec<Vec<Place>> = columns.iter().zip(&factors).map(of).collect();
+        solution = at(&places, Some(solution.dwell.dwell_s().to_vec()))?;
+        before = factors;
+    }
+    Ok(solution)
+}
+
+/// Largest number of times that a tool whose rate depends on the time of the run is solved for. The times of a round
+/// are those of the solution before, which converges by the relative change of the rate in each round. Larger: more
+/// time. Smaller: tools that wear fast are solved for with the rates of other times.
+const MAX_ROUNDS_OF_TIMES: usize = 8;
+
+/// Relative change of a rate from one round to the next up to which it is the same. Larger: dwell times for rates that
+/// are wrong by it. Smaller: more rounds.
+const SAME_TIME_FACTOR: f64 = 1e-5;
+
+/// Mean factor of the time over each of some dwell times (n), s, one after the other from the start of the run.
+fn time_factors(time: &TimeFactor, dwell_s: &[f64]) -> Vec<f64> {
+    let mut start_s = 0.0;
+    let of = |t: &f64| {
+        let from = start_s;
+        start_s += t;
+        time.mean(from, start_s)
+    };
+    dwell_s.iter().map(of).collect()
 }
 
 /// [`solve`] with given columns and bounds in place of those of the settings.

@@ -56,6 +56,7 @@ impl DwellMap {
 
 /// R at the pitch of the map, and the tool positions from which it reaches the map.
 pub(crate) fn lattice(tif: &Tif, grid: &Grid) -> Result<(Array2<f64>, Grid), Invalid> {
+    tif.same_everywhere("a map of dwell times")?;
     let samples = |map: &Axis, tif: &Axis| {
         // The tolerance of a shared pitch that is rounded differently in the two files.
         ((tif.end_mm() - tif.start_mm()) / map.step_mm() + 1e-4).floor() as usize + 1

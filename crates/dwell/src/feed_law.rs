@@ -104,6 +104,7 @@ pub fn dwell(
         None => measured(&lines)?,
     };
     let lifted_nm = (-desired.statistics().min).max(0.0);
+    tif.same_everywhere("the feed law")?;
     let vrr = tif.vrr_nm_mm2_per_s();
     let [off_x, off_y] = tif.centroid_mm();
     let mut too_fast = 0;

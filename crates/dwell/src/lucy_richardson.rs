@@ -197,8 +197,11 @@ fn check_size(settings: &Settings) -> Result<(), DwellError> {
 }
 
 /// The likelihood needs a TIF that is not negative: zeros in the place of negative rates, scaled to the same volume, and
-/// the number of these samples.
+/// the number of these samples. A tool that varies keeps its kernels, of which single ones are negative.
 fn without_negatives(tif: &Tif) -> Result<(Tif, usize), DwellError> {
+    if tif.variation().is_some() {
+        return Ok((tif.clone(), 0));
+    }
     let negative = tif.rate_nm_per_s().iter().filter(|r| **r < 0.0).count();
     if negative == 0 {
         return Ok((tif.clone(), 0));

@@ -5,12 +5,14 @@
 //! | [`columns`] | what one second at a dwell point removes, column by column |
 //! | `products` | their products with each other, and an order in which the matrix of these is small |
 //! | `fft_operator` | the same removal without a matrix, in memory proportional to the map |
+//! | `varying` | the kernels of a tool that is not the same everywhere |
 //! | `operator` | the choice between the two, and the normal matrix `B' W B` |
 
 pub mod columns;
 pub(crate) mod fft_operator;
 pub(crate) mod operator;
 pub(crate) mod products;
+pub(crate) mod varying;
 
 /// Effect of a column on the map (its energy, or its sensitivity), as a fraction of the largest, below which the
 /// column counts as unreached. Its effect is then rounding, and the density of its neighbours is continued there.

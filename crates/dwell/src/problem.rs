@@ -173,6 +173,7 @@ impl<'a> Model<'a> {
         adjoint: impl Fn(&Operator, &Array2<f64>) -> Vec<f64>,
     ) -> Result<Self, DwellError> {
         let Problem { desired, tif, path, weight, columns, min_dwell } = *problem;
+        tif.same_at_all_times("this solver")?;
         let weight = pixel_weights(desired, weight)?;
         let lo = bounds::lower(path, min_dwell)?;
         let places = columns.places(path, tif);

@@ -48,6 +48,8 @@ pub struct Residual<'a> {
     desired: &'a Surface,
     tif: Cow<'a, Tif>,
     places_mm: &'a [[f64; 2]],
+    /// Factor of the rate at every place.
+    rates: Vec<f64>,
     /// Weights of the pixels; their sum is 1.
     weight: Array2<f64>,
     free: Free,
@@ -75,11 +77,24 @@ impl<'a> Residual<'a> {
         weight: Option<&Array2<f64>>,
         free: Free,
     ) -> Result<Self, DwellError> {
+        Self::with_rates(desired, tif, places_mm, vec![1.0; places_mm.len()], weight, free)
+    }
+
+    /// [`Self::new`] with a factor of the rate at every place (n): that of the time at which the tool is there.
+    pub fn with_rates(
+        desired: &'a Surface,
+        tif: &'a Tif,
+        places_mm: &'a [[f64; 2]],
+        rates: Vec<f64>,
+        weight: Option<&Array2<f64>>,
+        free: Free,
+    ) -> Result<Self, DwellError> {
         let tif = tif.without_zero_margins();
         let mut weight = pixel_weights(desired, weight)?;
         weight /= weight.sum();
-        let alone = |p: &[f64; 2]| vec![Place { position_mm: *p, fraction: 1.0 }];
-        let places: Vec<Vec<Place>> = places_mm.iter().map(alone).collect();
+        let alone =
+            |(p, rate): (&[f64; 2], &f64)| vec![Place { position_mm: *p, fraction: *rate }];
+        let places: Vec<Vec<Place>> = places_mm.iter().zip(&rates).map(alone).collect();
         let operator = Operator::new(&places, &tif, desired.grid())?;
         let largest = operator.adjoint(&weight).into_iter().fold(0.0, f64::max);
         if largest <= FFT_ROUNDING * tif.peak_nm_per_s() {
@@ -87,7 +102,7 @@ impl<'a> Residual<'a> {
         }
         let basis = Basis::new(desired.grid(), &weight, free);
         let cell_size = cell_size(&tif, desired.grid(), MAX_LOSS_FACTORISED);
-        Ok(Self { desired, tif, places_mm, weight, free, basis, operator, cell_size })
+        Ok(Self { desired, tif, places_mm, rates, weight, free, basis, operator, cell_size })
     }
 
     /// Limits the side of the cells of the normal matrices, pixels.
@@ -146,7 +161,7 @@ impl<'a> Residual<'a> {
     ) -> Result<Normal, Invalid> {
         let place = |(index, time): &(usize, f64)| Place {
             position_mm: self.places_mm[*index],
-            fraction: *time,
+            fraction: self.rates[*index] * time,
         };
         let places: Vec<Vec<Place>> =
             columns.iter().map(|column| column.iter().map(place).collect()).collect();

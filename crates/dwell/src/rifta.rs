@@ -99,6 +99,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     check("margin_tolerance_nm", margin_tolerance_nm, |t| t >= 0.0, "give a number >= 0")?;
     check("piston_tolerance_nm", piston_tolerance_nm, |t| t > 0.0, "give a number > 0")?;
     check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a fraction from 0 to below 1")?;
+    problem.tif.same_everywhere("rifta")?;
     refuse_a_tif_larger_than_the_map(problem)?;
     let centred = problem.tif.centred_on(problem.desired)?;
     let problem = &problem.with(centred.as_ref());

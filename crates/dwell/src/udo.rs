@@ -96,6 +96,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     check("step", settings.step, |s| s > 0.0 && s <= 1.0, "give a number above 0 and at most 1")?;
     check("threshold_nm", settings.threshold_nm, |t| t >= 0.0, "give a number >= 0")?;
     check_steps(settings.max_iterations)?;
+    problem.tif.same_everywhere("udo")?;
     refuse_a_tif_larger_than_the_map(problem)?;
     let centred = problem.tif.centred_on(problem.desired)?;
     let problem = &problem.with(centred.as_ref());

@@ -303,6 +303,13 @@ fn check_directory(dir: &Path, kind: &Kind) -> Result<(), HandoffError> {
     Err(HandoffError::new(dir, format!("{problem}; {remedy}")))
 }
 
+/// Kind that the manifest in `dir` states; `None` without a manifest that can be read.
+pub(crate) fn kind_of(dir: &Path) -> Option<String> {
+    publish::finish_interrupted(&parent_of(dir));
+    let text = read_text(&dir.join(MANIFEST), LARGEST_MANIFEST_BYTES).ok()?;
+    serde_json::from_str::<ManifestHead>(&text).ok().map(|head| head.kind)
+}
+
 /// Manifest in `dir`, checked against `kind`; `None` if there is none.
 pub fn read_manifest(dir: &Path, kind: &Kind) -> Result<Option<Manifest>, HandoffError> {
     Ok(read_sealed_manifest(dir, kind)?.map(|(manifest, _)| manifest))

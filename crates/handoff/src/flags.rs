@@ -21,7 +21,7 @@ pub struct MirrorArgs {
     /// Desired removal [surface artifact]
     #[arg(long, value_name = "DIR")]
     pub surface: PathBuf,
-    /// Tool influence function [tif artifact]
+    /// Tool influence function [tif artifact, or tool artifact if it varies over the part]
     #[arg(long, value_name = "DIR")]
     pub tif: PathBuf,
 }
@@ -29,7 +29,7 @@ pub struct MirrorArgs {
 impl MirrorArgs {
     /// Reads both artifacts.
     pub fn read(&self, inputs: &mut Inputs) -> Result<(Surface, Tif), HandoffError> {
-        Ok((inputs.read("surface", &self.surface)?, inputs.read("tif", &self.tif)?))
+        Ok((inputs.read("surface", &self.surface)?, inputs.read_tool("tif", &self.tif)?))
     }
 }
 
@@ -170,7 +170,7 @@ impl TrajectoryArgs {
         inputs: &mut Inputs,
     ) -> Result<(Trajectory, Tif, Surface), HandoffError> {
         let (tif, surface) =
-            (inputs.read("tif", &mirror.tif)?, inputs.read("surface", &mirror.surface)?);
+            (inputs.read_tool("tif", &mirror.tif)?, inputs.read("surface", &mirror.surface)?);
         for other in ["tif", "surface"] {
             inputs.warn_unrelated("trajectory", manifest, other);
         }

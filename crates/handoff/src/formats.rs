@@ -42,6 +42,8 @@ pub fn formats_markdown() -> String {
                     " Taken as {v} where it is absent: an artifact without it has version {}.",
                     since - 1
                 );
+            } else if let Some(since) = a.optional_since {
+                doc += &format!(" May be absent: an artifact without it has version {}.", since - 1);
             } else if let Some(v) = a.default {
                 doc += &format!(" Taken as {v} where a directory without a manifest lacks it.");
             }

@@ -8,12 +8,13 @@ use std::{
 };
 
 use ndarray::{Array2, Ix2};
-use planish_types::{Machine, MachineFile};
+use planish_types::{Machine, MachineFile, Tif};
 
 use crate::{
     HandoffError,
     artifact::{self, Ancestor, Artifact, InputRecord, Manifest, Seal},
     kind::{Dtype, Kind, MANIFEST},
+    nouns::Tool,
     npy::{self, ArrayData},
     place::parent_of,
     publish,
@@ -68,6 +69,16 @@ impl Inputs {
         self.lineage.extend(loaded.manifest.iter().flat_map(|m| m.lineage.clone()));
         self.record(role, dir, T::KIND.name, loaded.digest);
         Ok((loaded.value, loaded.manifest))
+    }
+
+    /// Reads a tool: a TIF, or one that varies over the part. The manifest says which it is; without one, a directory
+    /// with weights holds a tool that varies.
+    pub fn read_tool(&mut self, role: &str, dir: &Path) -> Result<Tif, HandoffError> {
+        let varies = match artifact::kind_of(dir) {
+            Some(kind) => kind == Tool::KIND.name,
+            None => dir.join("weight.npy").exists(),
+        };
+        if varies { Ok(self.read::<Tool>(role, dir)?.0) } else { self.read(role, dir) }
     }
 
     /// BLAKE3 of the content of the input that was read for this role.

@@ -55,7 +55,7 @@ pub struct ArrayDef {
     /// Value of all elements if the file is missing in a directory without a manifest.
     pub default: Option<u8>,
     /// Version of the kind that introduced an optional array. An artifact without the array has the
-    /// version before, and its elements are `default`.
+    /// version before, and its elements are `default`; without a default the array is empty.
     pub optional_since: Option<u32>,
     /// Description of the array in one sentence.
     pub doc: &'static str,
@@ -134,6 +134,11 @@ const fn optional(def: ArrayDef, value: u8, since: u32) -> ArrayDef {
     ArrayDef { default: Some(value), optional_since: Some(since), ..def }
 }
 
+/// An array that may be absent, without a value in its place.
+const fn may_be_absent(def: ArrayDef, since: u32) -> ArrayDef {
+    ArrayDef { optional_since: Some(since), ..def }
+}
+
 const X: ArrayDef = array("x_mm", Dtype::F64, &["nx"], &["x"], "mm", "Pixel centres along x.");
 const Y: ArrayDef = array("y_mm", Dtype::F64, &["ny"], &["y"], "mm", "Pixel centres along y.");
 
@@ -175,6 +180,76 @@ pub const TIF: Kind = Kind {
         ),
         X,
         Y,
+    ],
+    files: &[],
+};
+
+/// Kind of a tool that is not the same everywhere.
+pub const TOOL: Kind = Kind {
+    name: "tool",
+    version: 3,
+    doc: "A tool influence function that varies over the part: the removal rate at the pixel x of a tool at p is the sum \
+          over k of weight[k](p) rate_nm_per_s[k](x - p), times the factor of the pixel, times the factor of the time \
+          since the start of the motion. Every flag `--tif` takes it in the place of a tif. Between samples, kernels, \
+          weights and the factor of the pixels are Keys' cubic convolution, and the factor of the time is linear; beyond \
+          their samples, weights and factors are those of the nearest sample.",
+    frame: "kernels: offset from the tool centre (pixel - tool); weights and factor: part coordinates; arrays are \
+            [y, x]; row 0 is the smallest y",
+    arrays: &[
+        array(
+            "rate_nm_per_s",
+            Dtype::F64,
+            &["k", "my", "mx"],
+            &["kernel", "y", "x"],
+            "nm/s",
+            "Kernels at the offset (pixel - tool); zero outside their samples. A single one may be negative.",
+        ),
+        array("offset_x_mm", Dtype::F64, &["mx"], &["x"], "mm", "Offsets of the kernels along x."),
+        array("offset_y_mm", Dtype::F64, &["my"], &["y"], "mm", "Offsets of the kernels along y."),
+        array(
+            "weight",
+            Dtype::F64,
+            &["k", "ny", "nx"],
+            &["kernel", "y", "x"],
+            "1",
+            "Weight of every kernel at a grid of tool positions, which may be much coarser than the map.",
+        ),
+        array("x_mm", Dtype::F64, &["nx"], &["x"], "mm", "Tool positions of the weights along x."),
+        array("y_mm", Dtype::F64, &["ny"], &["y"], "mm", "Tool positions of the weights along y."),
+        may_be_absent(
+            array(
+                "time_s",
+                Dtype::F64,
+                &["m"],
+                &["time"],
+                "s",
+                "Times since the start of the motion; ascending. Empty without a factor of the time.",
+            ),
+            2,
+        ),
+        may_be_absent(
+            array("time_factor", Dtype::F64, &["m"], &["time"], "1", "Factor of the rate at these times."),
+            2,
+        ),
+        may_be_absent(
+            array(
+                "factor",
+                Dtype::F64,
+                &["py", "px"],
+                &["y", "x"],
+                "1",
+                "Factor of the removal at a pixel of the part, for causes that act there.",
+            ),
+            3,
+        ),
+        may_be_absent(
+            array("factor_x_mm", Dtype::F64, &["px"], &["x"], "mm", "Places of the factor along x."),
+            3,
+        ),
+        may_be_absent(
+            array("factor_y_mm", Dtype::F64, &["py"], &["y"], "mm", "Places of the factor along y."),
+            3,
+        ),
     ],
     files: &[],
 };
@@ -667,9 +742,10 @@ pub const SWEEP: Kind = Kind {
 };
 
 /// All kinds, in the order of the pipeline.
-pub const ALL: [&Kind; 20] = [
+pub const ALL: [&Kind; 21] = [
     &SURFACE,
     &TIF,
+    &TOOL,
     &TOOL_PATH,
     &DWELL,
     &DWELL_DENSITY,

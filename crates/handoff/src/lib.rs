@@ -79,6 +79,7 @@ pub use allocator::Allocator;
 pub use artifact::{Arrays, Artifact, Manifest};
 pub use command_line::{pair, with_flags};
 pub use inputs::Inputs;
+pub use nouns::Tool;
 pub use output::{Begin, Output, OutputFile, Task, Writer, save};
 pub use publish::is_temporary;
 pub use shell::{Failure, Status, program, say, warn};

@@ -1,9 +1,10 @@
 //! Conversion of the types of `planish_types` to arrays and back.
 
-use ndarray::{Array1, Array2, Array3, ArrayD, Ix1, Ix2};
+use ndarray::{Array1, Array2, Array3, ArrayD, Axis as NdAxis, Ix1, Ix2, Ix3};
 use planish_types::{
-    Axis, DensityNodes, DwellDensity, DwellTime, Grid, Invalid, Removal, RemovalMaps, Surface, Tif,
-    ToolPath, Trajectory, Transform, dwell_index_from_stored, stored_dwell_index,
+    Axis, DensityNodes, DwellDensity, DwellTime, Grid, Invalid, PixelFactor, Removal, RemovalMaps,
+    Surface, Tif, TimeFactor, ToolPath, Trajectory, Transform, VaryingTif,
+    dwell_index_from_stored, stored_dwell_index,
 };
 
 use crate::{
@@ -80,6 +81,88 @@ impl Artifact for Tif {
     fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
         Self::new(take_grid(&mut arrays)?, take_map(&mut arrays, "rate_nm_per_s"))
     }
+}
+
+/// A TIF as an artifact of the kind `tool`: one that varies over the part.
+pub struct Tool(pub Tif);
+
+impl Artifact for Tool {
+    const KIND: &'static Kind = &kind::TOOL;
+
+    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
+        let Self(tif) = self;
+        let offsets = [axis_array(&tif.grid().x), axis_array(&tif.grid().y)];
+        let Some(v) = tif.variation() else {
+            // One kernel with the weight 1, on the smallest grid around the tool.
+            let kernel = tif.rate_nm_per_s().clone().insert_axis(NdAxis(0)).into_dyn();
+            let ends = [&tif.grid().x, &tif.grid().y].map(|a| floats(&[a.start_mm(), a.end_mm()]));
+            let ones = Array3::<f64>::ones((1, 2, 2)).into_dyn();
+            let [x, y] = ends;
+            let [offset_x, offset_y] = offsets;
+            return vec![
+                ArrayData::F64(kernel.into()),
+                offset_x,
+                offset_y,
+                ArrayData::F64(ones.into()),
+                x,
+                y,
+            ];
+        };
+        let kernels: Vec<_> = v.components().iter().map(|c| c.kernel().rate_nm_per_s()).collect();
+        let weights: Vec<_> = (0..kernels.len()).map(|k| v.weight_samples(k)).collect();
+        let [offset_x, offset_y] = offsets;
+        let mut arrays = vec![
+            stacked(&kernels),
+            offset_x,
+            offset_y,
+            stacked(&weights.iter().collect::<Vec<_>>()),
+            axis_array(&v.positions().x),
+            axis_array(&v.positions().y),
+        ];
+        let none = (&[][..], &[][..]);
+        let (time, pixels) = (v.time_factor(), v.pixel_factor());
+        if time.is_some() || pixels.is_some() {
+            let (time_s, factor) = time.map_or(none, |t| (&t.time_s[..], &t.factor[..]));
+            arrays.extend([floats(time_s), floats(factor)]);
+        }
+        if let Some(PixelFactor { grid, factor }) = pixels {
+            arrays.extend([map_array(factor), axis_array(&grid.x), axis_array(&grid.y)]);
+        }
+        arrays
+    }
+
+    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
+        let mut axis = |name| Axis::from_coordinates(name, &take_vec(arrays.take_f64(name)));
+        let offsets = Grid { x: axis("offset_x_mm")?, y: axis("offset_y_mm")? };
+        let positions = take_grid(&mut arrays)?;
+        let mut maps = |name| -> Vec<Array2<f64>> {
+            let stack = arrays.take_f64(name).into_dimensionality::<Ix3>();
+            let stack = stack.expect("the shape was checked");
+            stack.outer_iter().map(|map| map.to_owned()).collect()
+        };
+        let (kernels, weights) = (maps("rate_nm_per_s"), maps("weight"));
+        let time_s = take_vec(arrays.take_f64("time_s"));
+        let time_factor = take_vec(arrays.take_f64("time_factor"));
+        let time = (!time_s.is_empty()).then_some(TimeFactor { time_s, factor: time_factor });
+        let factor = take_map(&mut arrays, "factor");
+        let mut axis = |name| Axis::from_coordinates(name, &take_vec(arrays.take_f64(name)));
+        let pixels = match factor.is_empty() {
+            true => None,
+            false => {
+                let grid = Grid { x: axis("factor_x_mm")?, y: axis("factor_y_mm")? };
+                Some(PixelFactor { grid, factor })
+            }
+        };
+        let given = VaryingTif { offsets, kernels, positions, weights, pixels, time };
+        Tif::varying(given).map(Self)
+    }
+}
+
+/// Maps of one shape, one after the other.
+fn stacked<'a>(maps: &[&Array2<f64>]) -> ArrayData<'a> {
+    let views: Vec<_> = maps.iter().map(|map| map.view()).collect();
+    let stack = ndarray::stack(NdAxis(0), &views).expect("maps of one shape");
+    ArrayData::F64(stack.into_dyn().into())
 }
 
 impl Artifact for ToolPath {

@@ -245,6 +245,8 @@ pub struct Mesh {
     pub nodes: usize,
     /// Gauss points of the spans with the tool on, at which the tool acts, mm.
     pub points_mm: Vec<[f64; 2]>,
+    /// Segment of the path of every Gauss point.
+    pub segments: Vec<usize>,
     points: Vec<Point>,
 }
 
@@ -290,7 +292,7 @@ impl Mesh {
             }
         }
         let rule = gauss_legendre::<GAUSS_POINTS>();
-        let (mut points, mut points_mm) = (Vec::new(), Vec::new());
+        let (mut points, mut points_mm, mut segments) = (Vec::new(), Vec::new(), Vec::new());
         for (i, span) in spans.iter().enumerate() {
             let (curve, l) = (&curves[span.curve], span.length_mm());
             for (u, omega) in rule {
@@ -300,13 +302,15 @@ impl Mesh {
                     [_, None] => (1.0 - u * u, [2.0 * l * omega, 0.0]),
                 };
                 let s = span.from_mm + f * l;
-                if path.tool_on()[curve.piece_at(s).segment] {
+                let segment = curve.piece_at(s).segment;
+                if path.tool_on()[segment] {
+                    segments.push(segment);
                     points.push(Point { weight, nodes: span.nodes, span: i, s_mm: f * l });
                     points_mm.push(curve.at(s).point_mm);
                 }
             }
         }
-        Self { spans, nodes, points_mm, points }
+        Self { spans, nodes, points_mm, segments, points }
     }
 
     /// (1): the time at every Gauss point for the densities of the nodes, s.

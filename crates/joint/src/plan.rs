@@ -5,9 +5,11 @@
 //! -> motion -> its removal (simulated) and its limits (proven)
 //! ```
 
+use planish_dwell::columns;
 use planish_simulate::{Plan as Simulation, Settings as SimulationSettings};
 use planish_types::{
-    DwellTime, End, Invalid, Limits, Removal, Surface, Tif, ToolPath, Trajectory,
+    DwellTime, End, Invalid, Limits, Removal, Segment, Surface, Tif, ToolPath, Trajectory,
+    Variation,
     plausible::{self, Rms},
 };
 use planish_verify::{VerifySettings, verify};
@@ -166,6 +168,14 @@ impl Plan {
     }
 }
 
+/// Relative change of a rate from one plan to the next up to which the plan has the rates of its own times. Larger: a
+/// larger residual of tools whose rate changes. Smaller: more plans.
+const SAME_RATE: f64 = 1e-4;
+
+/// Largest number of plans for a tool whose rate depends on the time of the run. Larger: more time. Smaller: rates of
+/// other times.
+const MAX_ROUNDS_OF_TIMES: usize = 6;
+
 /// Finds density and motion along `path` for the desired removal.
 pub fn plan(
     desired: &Surface,
@@ -199,21 +209,39 @@ pub fn plan(
     // No node is added if the first nodes are already as many as can be afforded.
     let refinements = if widened.is_some() { 0 } else { settings.refinements };
     let most_work = settings.node_spacing_mm.map_or(MOST_WORK, |_| f64::INFINITY);
-    let simulation = Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?;
+    let constant = tif.without_time();
+    let simulation = Simulation::new(&constant, desired.grid(), SimulationSettings::Gridded)?;
     let averaged = |planned: &Trajectory| average.map(|average| average.of(planned)).transpose();
-    let asked = Asked {
-        desired,
-        tif,
-        path,
-        curves: &curves,
-        limits: &average.map_or(Ok(limits.clone()), |a| a.limits(limits))?,
-        executed: &|planned| {
+    let slower = average.map_or(Ok(limits.clone()), |a| a.limits(limits))?;
+    let meshes = Meshes { first: mesh, refinements, most_work };
+    let mut rates = vec![1.0; path.len()];
+    let mut rounds_of_times = 0;
+    let Solved { mesh, nodes_of_meshes, found } = loop {
+        // The rates of a plan are fixed, in its model as in its motion.
+        let executed = |planned: &Trajectory| {
             let averaged = averaged(planned)?;
-            Ok(simulation.removal_nm(averaged.as_ref().unwrap_or(planned))?.0)
-        },
+            let motion = averaged.as_ref().unwrap_or(planned);
+            match tif.variation().and_then(Variation::time_factor) {
+                None => Ok(simulation.removal_nm(motion)?.0),
+                Some(_) => {
+                    let rate = |s: Segment<'_>| s.dwell_index.map_or(1.0, |j| rates[j]);
+                    let rates = motion.segments().map(rate).collect();
+                    Ok(simulation.removal_nm(&motion.clone().with_rate_factor(rates)?)?.0)
+                }
+            }
+        };
+        let (curves, limits, executed) = (&curves, &slower, &executed);
+        let asked = Asked { desired, tif, path, curves, limits, rates: &rates, executed };
+        let solved = solve(&asked, &meshes, settings)?;
+        rounds_of_times += 1;
+        // Where the rate depends on the time of the run, the next plan has the rates at the times of this one.
+        let next = columns::time_factors(&solved.found.motion.trajectory, path.len(), tif);
+        let change = next.iter().zip(&rates).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max);
+        if change <= SAME_RATE || rounds_of_times == MAX_ROUNDS_OF_TIMES {
+            break solved;
+        }
+        rates = next;
     };
-    let Solved { mesh, nodes_of_meshes, found } =
-        solve(&asked, &Meshes { first: mesh, refinements, most_work }, settings)?;
     let Found { solution, motion, refused, model_rms_nm, price, iterations, rounds } = found;
     let (trajectory, refused) = match averaged(&motion.trajectory)? {
         None => (motion.trajectory, refused),
@@ -222,6 +250,7 @@ pub fn plan(
             (trajectory, verdict.reason())
         }
     };
+    let simulation = Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?;
     let removal = simulation.predict(&trajectory, desired)?.removal;
     let dwell = DwellTime::new(trajectory.served_s(path.len(), |_| true)?)?;
     let corners = || curves.iter().flat_map(Curve::corners);

@@ -86,6 +86,8 @@ pub struct Asked<'a> {
     pub path: &'a ToolPath,
     pub curves: &'a [Curve],
     pub limits: &'a Limits,
+    /// Factor of the rate in every segment of the path: that of the time at which the tool is there.
+    pub rates: &'a [f64],
     /// Removal of the machine for a planned motion, nm: a map like `desired`.
     pub executed: &'a dyn Fn(&Trajectory) -> Result<Array2<f64>, Invalid>,
 }
@@ -424,8 +426,10 @@ fn residual<'a>(
     mesh: &'a Mesh,
     settings: &Settings,
 ) -> Result<Residual<'a>, JointError> {
-    let Asked { desired, tif, path, .. } = *asked;
-    Residual::new(desired, tif, &mesh.points_mm, None, settings.free).map_err(|e| match e {
+    let Asked { desired, tif, path, rates, .. } = *asked;
+    let rates = mesh.segments.iter().map(|j| rates[*j]).collect();
+    let places = &mesh.points_mm;
+    Residual::with_rates(desired, tif, places, rates, None, settings.free).map_err(|e| match e {
         // The points of the mesh are nothing that was given.
         DwellError::OutOfReach { .. } => DwellError::OutOfReach { points: path.len() }.into(),
         e => e.into(),
@@ -714,7 +718,9 @@ mod tests {
         let mesh = Mesh::new(&curves, path, *spacing_mm).unwrap();
         let simulation = Simulation::new(tif, desired.grid(), SimulationSettings::Gridded).unwrap();
         let executed = |planned: &Trajectory| Ok(simulation.removal_nm(planned)?.0);
-        let asked = Asked { desired, tif, path, curves: &curves, limits, executed: &executed };
+        let rates = vec![1.0; path.len()];
+        let rates = &rates;
+        let asked = Asked { desired, tif, path, curves: &curves, limits, rates, executed: &executed };
         let settings = Settings { price: Price::Nm2PerS(*price), ..Settings::default() };
         let meshes = Meshes { first: mesh, refinements: 0, most_work: f64::INFINITY };
         let Solved { mesh, found, .. } = solve(&asked, &meshes, &settings).unwrap();

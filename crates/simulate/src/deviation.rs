@@ -126,14 +126,16 @@ impl Deviation {
         ];
         let grid = tif.grid();
         let [cx, cy] = tif.off_centre_mm(grid);
-        let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            let (x, y) = (grid.x.at(c) - cx, grid.y.at(r) - cy);
-            let u = [cosine * x + sine * y, cosine * y - sine * x];
-            let [dx, dy] = inverse.map(|row| row[0] * u[0] + row[1] * u[1]);
-            tif.rate_at(cx + dx, cy + dy)
-        });
-        let volume = tif.rate_nm_per_s().sum() / rate.sum();
-        Tif::new(*grid, rate * volume).map(Some)
+        let moved = |kernel: &Tif| {
+            Array2::from_shape_fn(grid.shape(), |(r, c)| {
+                let (x, y) = (grid.x.at(c) - cx, grid.y.at(r) - cy);
+                let u = [cosine * x + sine * y, cosine * y - sine * x];
+                let [dx, dy] = inverse.map(|row| row[0] * u[0] + row[1] * u[1]);
+                kernel.rate_at(cx + dx, cy + dy)
+            })
+        };
+        let volume = tif.rate_nm_per_s().sum() / moved(tif).sum();
+        tif.with_kernels(|kernel| Ok((*grid, moved(kernel) * volume))).map(Some)
     }
 
     /// The motion that runs over a map of `grid`.

@@ -4,10 +4,12 @@
 //! removal(x) = sum over segments, sum_{q=0}^{m-1} (h / m) R(x - P((q + 1/2) h / m))
 //! ```
 //!
+//! For a tool that varies, R is K of [`planish_types::Variation`] at the place and the time of each step.
+//!
 //! Order 2 in 1/m for a TIF that ends smoothly, order 1 where its samples end with a step.
 
 use ndarray::Array2;
-use planish_types::{Grid, Invalid, Tif, Trajectory, progress::Pieces};
+use planish_types::{Grid, Invalid, Tif, Trajectory, Variation, progress::Pieces};
 use rayon::prelude::*;
 
 use crate::{Numerics, Tell};
@@ -47,7 +49,8 @@ pub(crate) fn removal_told(
         let problem = format!("is {steps} for {} segments", trajectory.len());
         return Err(Invalid::whole("steps", problem, "give fewer: at most 1e8 samples in total"));
     }
-    let samples = samples(trajectory, steps);
+    let samples = samples(trajectory, tif, steps);
+    let factor = tif.variation().and_then(|v| v.factor_on(grid));
     let mut removal_nm = Array2::zeros(grid.shape());
     let pieces = Pieces::new(grid.y.len());
     removal_nm.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
@@ -59,7 +62,7 @@ pub(crate) fn removal_told(
         };
         let near: Vec<&Sample> = samples.iter().filter(reach).collect();
         for (c, out) in row.iter_mut().enumerate() {
-            *out = at(&near, tif, grid.x.at(c), y);
+            *out = at(&near, tif, grid.x.at(c), y) * factor.as_ref().map_or(1.0, |g| g[[r, c]]);
         }
         tell(pieces.one_more());
     });
@@ -71,7 +74,7 @@ pub(crate) fn removal_told(
     Ok((removal_nm, numerics))
 }
 
-/// Removal in nm at the point (`x_mm`, `y_mm`), with `steps` equal time steps per segment.
+/// Removal in nm at the point (`x_mm`, `y_mm`), without the factor of the pixels of a tool that varies, with `steps` equal time steps per segment.
 pub fn removal_at_nm(
     trajectory: &Trajectory,
     tif: &Tif,
@@ -79,23 +82,31 @@ pub fn removal_at_nm(
     y_mm: f64,
     steps: usize,
 ) -> f64 {
-    at(&samples(trajectory, steps).iter().collect::<Vec<_>>(), tif, x_mm, y_mm)
+    at(&samples(trajectory, tif, steps).iter().collect::<Vec<_>>(), tif, x_mm, y_mm)
 }
 
 fn at(samples: &[&Sample], tif: &Tif, x_mm: f64, y_mm: f64) -> f64 {
     samples
         .iter()
-        .map(|s| s.time_s * tif.rate_at(x_mm - s.position_mm[0], y_mm - s.position_mm[1]))
+        .map(|s| {
+            let offset_mm = [x_mm - s.position_mm[0], y_mm - s.position_mm[1]];
+            s.time_s * tif.rate_of_tool_at(s.position_mm, offset_mm)
+        })
         .sum()
 }
 
-fn samples(trajectory: &Trajectory, steps: usize) -> Vec<Sample> {
+fn samples(trajectory: &Trajectory, tif: &Tif, steps: usize) -> Vec<Sample> {
+    let time = tif.variation().and_then(Variation::time_factor);
     let mut samples = Vec::with_capacity(trajectory.len() * steps);
     for segment in trajectory.segments().filter(|s| s.tool_on) {
         let time_s = segment.duration_s / steps as f64;
-        samples.extend((0..steps).map(|q| Sample {
-            position_mm: segment.position_mm((q as f64 + 0.5) * time_s),
-            time_s: segment.rate_factor * time_s,
+        samples.extend((0..steps).map(|q| {
+            let u_s = (q as f64 + 0.5) * time_s;
+            let factor = time.map_or(1.0, |time| time.at(segment.start_s + u_s));
+            Sample {
+                position_mm: segment.position_mm(u_s),
+                time_s: segment.rate_factor * factor * time_s,
+            }
         }));
     }
     samples

@@ -48,21 +48,21 @@
 //! the lattice is refined until it is below [`TIF_TOLERANCE`] of the peak or the lattice too large, and what was
 //! reached is reported.
 
-use std::{ops::Range, sync::Mutex};
+use std::{borrow::Cow, ops::Range, sync::Mutex};
 
 use ndarray::{Array2, Axis as NdAxis};
 use planish_numerics::fft::{
     lane_convolution::{field_size, is_field_size},
     tiles::field_work,
 };
-use planish_types::{Grid, Invalid, Tif, Trajectory, budget, progress::Pieces};
+use planish_types::{Component, Grid, Invalid, Tif, Trajectory, budget, progress::Pieces};
 use rayon::prelude::*;
 
 use crate::{
     Numerics, Tell,
     kernel::Kernel,
     lattice::{Lattice, Subdivision, has_border, interpolation_error, sample_anew},
-    quadrature::{Cutter, Reach},
+    quadrature::{Cutter, Reach, Weight},
     tile::{Tile, Workspace},
 };
 
@@ -80,8 +80,23 @@ const MAX_LATTICE: usize = 1 << 28;
 /// Larger: problems that would fit are refused. Smaller: the memory may run out.
 const BYTES_PER_SAMPLE: usize = 64;
 
-/// Data that depend on the TIF and the map only, for many trajectories.
+/// Data that depend on the TIF and the map only, for many trajectories: [`OfKernel`] for every kernel of the tool.
+///
+/// ```text
+/// removal(x) = g(x) sum_k (phi_k * the seconds weighted with c(t) a_k(P(t)))(x)           (3)
+/// ```
+///
+/// by (1) of [`planish_types::Variation`]; a constant tool has one kernel, and no weights.
 pub struct Plan {
+    kernels: Vec<OfKernel>,
+    /// The tool, if it varies.
+    varying: Option<Tif>,
+    /// Factor of every pixel, if the tool has one.
+    factor: Option<Array2<f64>>,
+}
+
+/// The convolution with a kernel of the tool.
+struct OfKernel {
     kernel: Kernel,
     tif_interpolation_error: f64,
     /// Pixels per strip along x and per band along y.
@@ -93,7 +108,50 @@ pub struct Plan {
 impl Plan {
     /// Plans the removal of `tif` on `grid`.
     pub fn new(tif: &Tif, grid: &Grid) -> Result<Self, Invalid> {
-        let tif = &*tif.without_zero_margins();
+        let tif = tif.without_zero_margins();
+        let Some(variation) = tif.variation() else {
+            let kernels = vec![OfKernel::new(&tif, tif.peak_nm_per_s(), grid)?];
+            return Ok(Self { kernels, varying: None, factor: None });
+        };
+        let kernel = |c: &Component| OfKernel::new(c.kernel(), tif.peak_nm_per_s(), grid);
+        let kernels = variation.components().iter().map(kernel).collect::<Result<_, _>>()?;
+        let factor = variation.factor_on(grid).map(Cow::into_owned);
+        Ok(Self { kernels, varying: Some(tif.into_owned()), factor })
+    }
+
+    /// Removal (ny, nx) of `trajectory`, nm.
+    pub fn removal_nm(&self, trajectory: &Trajectory) -> (Array2<f64>, Numerics) {
+        self.removal_told(trajectory, &|_| ())
+    }
+
+    /// Computes the removal, and tells `tell` the fraction that is done.
+    pub(crate) fn removal_told(
+        &self,
+        trajectory: &Trajectory,
+        tell: Tell<'_>,
+    ) -> (Array2<f64>, Numerics) {
+        let count = self.kernels.len() as f64;
+        let variation = self.varying.as_ref().and_then(Tif::variation);
+        let of = |(k, kernel): (usize, &OfKernel)| {
+            let weight = variation.map(|variation| Weight { variation, kernel: k });
+            let tell = |part: f64| tell((k as f64 + part) / count);
+            kernel.removal_told(trajectory, weight.as_ref(), &tell)
+        };
+        let sum = self.kernels.iter().enumerate().map(of).reduce(|(a, of_a), (b, of_b)| {
+            let worse = of_a.tif_interpolation_error.max(of_b.tif_interpolation_error);
+            (a + b, Numerics { tif_interpolation_error: worse, ..of_a })
+        });
+        let (mut removal, numerics) = sum.expect("a tool has a kernel");
+        if let Some(factor) = &self.factor {
+            removal *= factor;
+        }
+        (removal, numerics)
+    }
+}
+
+impl OfKernel {
+    /// Plans the removal of a kernel on `grid`, to an accuracy relative to a `peak`, nm/s.
+    fn new(tif: &Tif, peak: f64, grid: &Grid) -> Result<Self, Invalid> {
         let own = [grid.x, grid.y].into_iter().zip([tif.grid().x, tif.grid().y]);
         let subdivision: Vec<Subdivision> =
             own.map(|(map, tif)| Subdivision::least(&map, &tif)).collect();
@@ -110,27 +168,24 @@ impl Plan {
             let remedy = "check that the TIF and the map are both in mm, or crop and bin the TIF";
             budget::affordable("rate_nm_per_s", samples, BYTES_PER_SAMPLE, remedy)?;
             let samples = sample_anew(tif, &x, &y);
-            let error = interpolation_error(tif, &x, &y, &samples);
+            let error = interpolation_error(tif, peak, &x, &y, &samples);
             if error <= TIF_TOLERANCE || points > MAX_REFINED / 4 {
                 break (x, y, samples, error);
             }
             refinement *= 2;
         };
-        let spills = has_border(tif, &x, &y, &samples);
+        let spills = has_border(peak, &x, &y, &samples);
         let (pixels, size) = layout(&x, &y, spills);
         let kernel = Kernel::new(x, y, samples.view(), size, spills);
         Ok(Self { kernel, tif_interpolation_error, pixels, idle: Mutex::default() })
     }
 
-    /// Removal (ny, nx) of `trajectory`, nm.
-    pub fn removal_nm(&self, trajectory: &Trajectory) -> (Array2<f64>, Numerics) {
-        self.removal_told(trajectory, &|_| ())
-    }
-
-    /// Computes the removal, and tells `tell` the fraction that is done.
-    pub(crate) fn removal_told(
+    /// Removal (ny, nx) of `trajectory`, nm, with the seconds times a weight, if there is one; tells `tell` the fraction
+    /// that is done.
+    fn removal_told(
         &self,
         trajectory: &Trajectory,
+        weight: Option<&Weight<'_>>,
         tell: Tell<'_>,
     ) -> (Array2<f64>, Numerics) {
         let mut removal = Array2::zeros((self.kernel.y.pixels, self.kernel.x.pixels));
@@ -160,7 +215,7 @@ impl Plan {
             .map(|(tile, segments, part)| {
                 let work = idle().pop();
                 let mut work = work.unwrap_or_else(|| Workspace::new(&self.kernel));
-                let points = tile.run(trajectory, segments, part, &mut work, alone);
+                let points = tile.run((trajectory, weight), segments, part, &mut work, alone);
                 idle().push(work);
                 tell(pieces.one_more());
                 points

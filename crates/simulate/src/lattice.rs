@@ -244,8 +244,8 @@ fn continued(tif: &Tif, dx_mm: f64, dy_mm: f64) -> f64 {
     (0..4).map(|b| wy[b] * (0..4).map(|a| wx[a] * g[[iy + b, ix + a]]).sum::<f64>()).sum()
 }
 
-/// Largest error of (1) against R in the middle of the lattice cells, relative to the peak.
-pub fn interpolation_error(tif: &Tif, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> f64 {
+/// Largest error of (1) against R in the middle of the lattice cells, relative to a `peak`, nm/s.
+pub fn interpolation_error(tif: &Tif, peak: f64, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> f64 {
     if x.own && y.own {
         return 0.0;
     }
@@ -268,13 +268,13 @@ pub fn interpolation_error(tif: &Tif, x: &Lattice, y: &Lattice, g: &Array2<f64>)
                 .fold(0.0, f64::max)
         })
         .reduce(|| 0.0, f64::max);
-    worst / tif.peak_nm_per_s()
+    worst / peak
 }
 
 /// Returns true if anything spills: some sample next to the border is not negligible.
-pub fn has_border(tif: &Tif, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> bool {
+pub fn has_border(peak: f64, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> bool {
     let near = |l: &Lattice, j: usize| l.border_samples().contains(&(j as isize - 1));
     let border = g.indexed_iter().filter(|((r, c), _)| near(y, *r) || near(x, *c));
     // Below this the spill is lost in the rounding of the peak.
-    border.map(|(_, v)| v.abs()).fold(0.0, f64::max) > f64::EPSILON * tif.peak_nm_per_s()
+    border.map(|(_, v)| v.abs()).fold(0.0, f64::max) > f64::EPSILON * peak
 }

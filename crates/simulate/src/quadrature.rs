@@ -22,12 +22,14 @@
 //! ```
 //!
 //! of Keys' weights, which sum to its duration, times the rate factor of the segment: a tool that
-//! removes at half its rate is one that stands for half the time.
+//! removes at half its rate is one that stands for half the time. The rate of a tool that varies, [`Weight`], is a
+//! factor under the integral. It is not a polynomial of low degree, so that such pieces have five points, or ten. Their
+//! error is that of the change of the weight within a cell, beyond its cubic.
 
 use std::ops::Range;
 
 use planish_numerics::{keys, polynomial, quadrature::gauss_legendre};
-use planish_types::Segment;
+use planish_types::{Segment, Variation};
 
 /// Error of the cuts, in cells. With a border of a nm/s of the TIF, a piece is 1e-11 of the time of a cell too long.
 /// Larger: a larger error at steep borders. Smaller: below the rounding of the cuts.
@@ -91,6 +93,29 @@ impl Reach {
     }
 }
 
+/// Rate of a tool that varies: the weight of one of its kernels, by place and time.
+#[derive(Clone, Copy)]
+pub struct Weight<'a> {
+    /// The tool.
+    pub variation: &'a Variation,
+    /// Index of the kernel.
+    pub kernel: usize,
+}
+
+impl Weight<'_> {
+    /// At a place of the part, and a time of the run.
+    fn at(&self, tool_mm: [f64; 2], time_s: f64) -> f64 {
+        let of_time = self.variation.time_factor().map_or(1.0, |time| time.at(time_s));
+        of_time * self.variation.weight(self.kernel, tool_mm)
+    }
+
+    /// Mean over a time of the run at a place of the part.
+    fn mean(&self, tool_mm: [f64; 2], from_s: f64, to_s: f64) -> f64 {
+        let of_time = self.variation.time_factor().map_or(1.0, |time| time.mean(from_s, to_s));
+        of_time * self.variation.weight(self.kernel, tool_mm)
+    }
+}
+
 /// A piece of the motion within one cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Piece {
@@ -126,15 +151,26 @@ impl Cutter {
         Reach { segment: index, range }
     }
 
-    /// Calls `each` with the pieces of `segment` in the window, in the order of time.
-    pub fn pieces(&mut self, segment: &Segment<'_>, window: &Window, mut each: impl FnMut(&Piece)) {
+    /// Calls `each` with the pieces of `segment` in the window, in the order of time. With a weight, the seconds of the
+    /// pieces are those times the weight.
+    pub fn pieces(
+        &mut self,
+        segment: &Segment<'_>,
+        window: &Window,
+        weight: Option<&Weight<'_>>,
+        mut each: impl FnMut(&Piece),
+    ) {
         let c = self.on_lattice(segment);
         if c.iter().all(|axis| axis[1..] == [0.0; 3]) {
             // At rest: the integrand is constant.
             let at = c.map(|c| keys::split(c[0]));
             if let Some(cell) = window.cell(at) {
                 let offset = at.map(|(_, f)| f);
-                let seconds = segment.rate_factor * segment.duration_s;
+                let mut seconds = segment.rate_factor * segment.duration_s;
+                if let Some(weight) = weight {
+                    let end_s = segment.start_s + segment.duration_s;
+                    seconds *= weight.mean(segment.position_mm(0.0), segment.start_s, end_s);
+                }
                 let [wx, wy] = offset.map(keys::weights);
                 each(&Piece { cell, offset, seconds: outer(wx, wy, seconds), points: 1 });
             }
@@ -155,7 +191,16 @@ impl Cutter {
                 let offset = [at[0].1, at[1].1];
                 let local = [0, 1].map(|axis| within(&c[axis], cell[axis], start, duration));
                 let seconds = segment.rate_factor * duration;
-                let piece = self.rules.piece(cell, offset, &local, seconds);
+                let piece = match weight {
+                    None => self.rules.piece(cell, offset, &local, seconds),
+                    Some(weight) => {
+                        let at = |u: f64| {
+                            let u_s = start + u * duration;
+                            weight.at(segment.position_mm(u_s), segment.start_s + u_s)
+                        };
+                        self.rules.weighted_piece(cell, offset, &local, seconds, at)
+                    }
+                };
                 each(&piece);
             }
             start = end;
@@ -233,8 +278,6 @@ impl Rules {
         seconds: f64,
     ) -> Piece {
         let [x, y] = motion;
-        let bend = |p: &[f64; 4]| p[2].abs() + p[3].abs();
-        let way = |p: &[f64; 4]| p[1].abs() + bend(p);
         let along = |p: &[f64; 4]| {
             if bend(p) <= UNIFORM {
                 (mean_weights(&self.two, p), 2)
@@ -250,14 +293,43 @@ impl Rules {
             let (wy, points) = along(y);
             (outer(keys::weights(offset[0]), wy, seconds), points)
         } else if most_bent <= UNIFORM {
-            (products(&self.four, motion, seconds), 4)
+            (products(&self.four, motion, seconds, |_| 1.0), 4)
         } else if least_way <= SMALL_WAY || most_bent <= NEARLY_UNIFORM {
-            (products(&self.five, motion, seconds), 5)
+            (products(&self.five, motion, seconds, |_| 1.0), 5)
         } else {
-            (products(&self.ten, motion, seconds), 10)
+            (products(&self.ten, motion, seconds, |_| 1.0), 10)
         };
         Piece { cell, offset, seconds, points }
     }
+
+    /// The piece times a weight at the fraction of it, from 0 to 1.
+    fn weighted_piece(
+        &self,
+        cell: [i64; 2],
+        offset: [f64; 2],
+        motion: &[[f64; 4]; 2],
+        seconds: f64,
+        weight: impl Fn(f64) -> f64,
+    ) -> Piece {
+        let [x, y] = motion;
+        let (least_way, most_bent) = (way(x).min(way(y)), bend(x).max(bend(y)));
+        let (seconds, points) = if least_way <= SMALL_WAY || most_bent <= NEARLY_UNIFORM {
+            (products(&self.five, motion, seconds, weight), 5)
+        } else {
+            (products(&self.ten, motion, seconds, weight), 10)
+        };
+        Piece { cell, offset, seconds, points }
+    }
+}
+
+/// Largest difference of a cubic on 0..1 from uniform motion.
+fn bend(p: &[f64; 4]) -> f64 {
+    p[2].abs() + p[3].abs()
+}
+
+/// Largest way of a cubic on 0..1.
+fn way(p: &[f64; 4]) -> f64 {
+    p[1].abs() + bend(p)
 }
 
 /// The cubic p of the time as one of the fraction of the piece from `start`, less its cell.
@@ -282,19 +354,21 @@ fn mean_weights<const N: usize>(rule: &[(f64, f64); N], p: &[f64; 4]) -> [f64; 4
     keys::mean_weights(mean)
 }
 
-/// Mean of the products of Keys' weights along a motion [x, y], times `seconds`.
+/// Mean of the products of Keys' weights along a motion [x, y] and of a factor, times `seconds`.
 #[inline]
 fn products<const N: usize>(
     rule: &[(f64, f64); N],
     [x, y]: &[[f64; 4]; 2],
     seconds: f64,
+    factor: impl Fn(f64) -> f64,
 ) -> [[f64; 4]; 4] {
     let mut sums = [[0.0; 4]; 4];
     for (node, weight) in rule {
+        let factor = factor(*node);
         let wx = keys::weights(polynomial::evaluate(x, *node));
         let wy = keys::weights(polynomial::evaluate(y, *node));
         for (row, wy) in sums.iter_mut().zip(wy) {
-            let t = weight * seconds * wy;
+            let t = weight * seconds * factor * wy;
             row.iter_mut().zip(wx).for_each(|(m, wx)| *m += t * wx);
         }
     }
@@ -392,7 +466,7 @@ mod tests {
     fn pieces(t: &Trajectory, cells: [Cells; 2], window: &Window) -> Vec<Piece> {
         let mut pieces = vec![];
         let mut cutter = Cutter::new(cells);
-        t.segments().for_each(|s| cutter.pieces(&s, window, |p| pieces.push(*p)));
+        t.segments().for_each(|s| cutter.pieces(&s, window, None, |p| pieces.push(*p)));
         pieces
     }
 

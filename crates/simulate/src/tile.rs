@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use crate::{
     kernel::{Border, Kernel, MAX_BORDER},
     lattice::BorderNode,
-    quadrature::{Cutter, Reach, Window},
+    quadrature::{Cutter, Reach, Weight, Window},
     spill::{Blocks, Lines, Pieces, Sources, Spilt, WEIGHTS},
 };
 
@@ -93,13 +93,13 @@ impl<'a> Tile<'a> {
     /// quadrature points. With `alone` its lines are shared among the threads.
     pub fn run(
         &self,
-        trajectory: &Trajectory,
+        (trajectory, weight): (&Trajectory, Option<&Weight<'_>>),
         segments: &[Reach],
         mut out: ArrayViewMut2<f64>,
         work: &mut Workspace,
         alone: bool,
     ) -> usize {
-        let (points, reached) = self.spread(trajectory, segments, work);
+        let (points, reached) = self.spread((trajectory, weight), segments, work);
         if !reached {
             return points;
         }
@@ -138,7 +138,7 @@ impl<'a> Tile<'a> {
     /// the number of quadrature points, and whether there are any pieces.
     fn spread(
         &self,
-        trajectory: &Trajectory,
+        (trajectory, weight): (&Trajectory, Option<&Weight<'_>>),
         segments: &[Reach],
         work: &mut Workspace,
     ) -> (usize, bool) {
@@ -158,7 +158,7 @@ impl<'a> Tile<'a> {
         let x = self.window.low[0]..self.window.high[0];
         let (mut points, mut reached) = (0, false);
         for reach in segments.iter().filter(|r| r.is_in(0, &x)) {
-            cutter.pieces(&trajectory.segment(reach.segment), &self.window, |piece| {
+            cutter.pieces(&trajectory.segment(reach.segment), &self.window, weight, |piece| {
                 reached = true;
                 points += if self.owns(piece.cell) { piece.points } else { 0 };
                 for part in 0..2 {

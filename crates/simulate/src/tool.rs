@@ -51,9 +51,9 @@ const NOTHING: f64 = 1e-9;
 pub fn smooth(tif: &Tif, width_mm: f64) -> Result<Tif, Invalid> {
     let extent = tif.grid().size_mm();
     let over_mm = (FADED * width_mm).min(MOST_FADED * extent[0].min(extent[1]));
-    let rate = smoothed(tif, width_mm) * fade(tif, over_mm);
-    let volume = tif.rate_nm_per_s().sum() / rate.sum();
-    Tif::new(*tif.grid(), rate * volume)
+    let smooth = |kernel: &Tif| smoothed(kernel, width_mm) * fade(kernel, over_mm);
+    let volume = tif.rate_nm_per_s().sum() / smooth(tif).sum();
+    tif.with_kernels(|kernel| Ok((*tif.grid(), smooth(kernel) * volume)))
 }
 
 /// The TIF that errors move.
@@ -104,11 +104,13 @@ fn on_pixels(tif: &Tif, map: &Grid) -> Result<Option<(Tif, f64)>, Invalid> {
         // A tool that is narrow beside a pixel falls between the samples.
         if let (Ok(x), Ok(y)) = (whole(x), whole(y)) {
             let grid = Grid { x, y };
-            let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-                tif.rate_at(grid.x.at(c), grid.y.at(r))
-            });
-            let scale = tif.vrr_nm_mm2_per_s() / grid.pixel_mm2() / rate.sum();
-            if let Ok(sampled) = Tif::new(grid, rate * scale) {
+            let anew = |kernel: &Tif| {
+                Array2::from_shape_fn(grid.shape(), |(r, c)| {
+                    kernel.rate_at(grid.x.at(c), grid.y.at(r))
+                })
+            };
+            let scale = tif.vrr_nm_mm2_per_s() / grid.pixel_mm2() / anew(tif).sum();
+            if let Ok(sampled) = tif.with_kernels(|kernel| Ok((grid, anew(kernel) * scale))) {
                 let error = largest_difference(tif, &sampled);
                 if error <= RESAMPLED {
                     return Ok(Some((sampled, error)));

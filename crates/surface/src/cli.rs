@@ -6,6 +6,7 @@ mod psd;
 mod spec;
 mod statistics;
 mod tif;
+mod tool;
 
 use std::path::PathBuf;
 
@@ -32,6 +33,16 @@ pub enum Method {
     /// Prepare a measured tool influence function (border, centre, rotation, pitch, taper), or fit a
     /// formula to it
     Tif(tif::TifArgs),
+    /// Make a tool whose rate depends on the place, or on the incidence of its beam
+    ToolRate(tool::RateArgs),
+    /// Make a tool from spots that were measured at several places, angles or edge distances
+    ToolSpots(tool::SpotsArgs),
+    /// Make a tool of a pad that hangs over the edge, with its pressure law
+    ToolEdge(tool::EdgeArgs),
+    /// Make a tool of a spot that turns with the azimuth of its place, as on a spindle
+    ToolTurned(tool::TurnedArgs),
+    /// Make a tool whose rate depends on the time of the run: wear and warm-up
+    ToolTime(tool::TimeArgs),
     /// Draw maps and a section through them as SVG
     Draw(draw::DrawArgs),
 }
@@ -44,6 +55,11 @@ impl Method {
             Self::Psd(arguments) => arguments.run(),
             Self::Spec(arguments) => arguments.run(),
             Self::Tif(arguments) => arguments.run(),
+            Self::ToolRate(arguments) => arguments.run(),
+            Self::ToolSpots(arguments) => arguments.run(),
+            Self::ToolEdge(arguments) => arguments.run(),
+            Self::ToolTurned(arguments) => arguments.run(),
+            Self::ToolTime(arguments) => arguments.run(),
             Self::Draw(arguments) => arguments.run(),
         }
     }

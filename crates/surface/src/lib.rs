@@ -30,6 +30,7 @@ pub mod specification;
 pub mod statistics;
 pub mod tif;
 pub mod tif_fit;
+pub mod varying;
 
 pub use extension::{ExtensionSettings, extend};
 pub use low_order::{Family, LowOrderSettings, low_order};

@@ -40,6 +40,7 @@ impl<'a> Work<'a> {
     ) -> Result<Self, Invalid> {
         // The removal of a piece by itself, from which the noise follows, has the rate of the TIF.
         trajectory.check_rate_is_constant()?;
+        tif.same_everywhere("planish-tolerance")?;
         let inner = Inner::new(desired, free, width);
         let runs = Runs::new(trajectory, tif, moved, desired.grid())?;
         let nominal = inner.judged(desired.height_nm() - &runs.executed);

@@ -61,7 +61,7 @@ struct RegionArgs {
     /// Map whose valid pixels (their centres) are the clear aperture [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
-    /// Tool influence function, for the overscan and the pitch limit [tif artifact]
+    /// Tool influence function, for the overscan and the pitch limit [tif or tool artifact]
     #[arg(long, value_name = "DIR", required_unless_present = "overscan_mm")]
     tif: Option<PathBuf>,
     /// Distance between neighbouring lines, mm
@@ -97,7 +97,7 @@ impl Region {
     fn read(args: &RegionArgs) -> Result<Self, Failure> {
         let mut inputs = Inputs::new();
         let surface: Surface = inputs.read("surface", &args.surface)?;
-        let tif: Option<Tif> = args.tif.as_ref().map(|dir| inputs.read("tif", dir)).transpose()?;
+        let tif = args.tif.as_ref().map(|dir| inputs.read_tool("tif", dir)).transpose()?;
         if let Some(tif) = &tif {
             plausible::check_tool(&surface, tif)?;
             plausible::check_pitch(tif, args.pitch_mm)?;

@@ -7,6 +7,7 @@
 //! | [`Surface`] | height in nm, NaN where invalid | (ny, nx) |
 //! | [`ClearAperture`] | the region that counts | mask (ny, nx) |
 //! | [`Tif`] | removal rate in nm/s at the offset (pixel - tool) | (my, mx) |
+//! | [`Variation`] | how the TIF differs from place to place, and in time | kernels (k, my, mx), weights (k, ny, nx) |
 //! | [`ToolPath`] | velocity control points, dwell points in mm | (n+1, 2), (n, 2) |
 //! | [`DwellTime`] | seconds per dwell point | (n) |
 //! | [`DwellDensity`] | dwell-time density in s/mm at nodes along the path | (m) |
@@ -35,6 +36,7 @@ mod tif;
 mod tool_path;
 mod trajectory;
 mod transform;
+mod variation;
 
 pub use aperture::ClearAperture;
 pub use controller::{ControllerFile, ControllerKind, ControllerModel, Interpolation};
@@ -47,13 +49,14 @@ pub use limits::{
 };
 pub use machine::Machine;
 pub use surface::{Removal, RemovalMaps, Surface};
-pub use tif::Tif;
+pub use tif::{Tif, VaryingTif};
 pub use tool_path::ToolPath;
 pub use trajectory::{
     Segment, Trajectory, TrajectoryBuilder, break_times, dwell_index_from_stored,
     stored_dwell_index,
 };
 pub use transform::{Transform, TransformNumbers};
+pub use variation::{Component, PixelFactor, TimeFactor, Variation};
 
 /// A value that its type refuses.
 ///

@@ -1,11 +1,13 @@
 //! The tool influence function (TIF): removal rate of the resting tool at every offset from it.
 
-use std::borrow::Cow;
+use std::{borrow::Cow, sync::Arc};
 
 use ndarray::{Array2, ArrayView1, Axis as NdAxis, s};
 use planish_numerics::keys;
 
-use crate::{Axis, Grid, Invalid, Surface, text::significant};
+use crate::{
+    Axis, Grid, Invalid, PixelFactor, Surface, TimeFactor, Variation, text::significant,
+};
 
 /// Largest rate, nm/s. A larger rate is a mistake in the units.
 const LARGEST_RATE: f64 = 1e12;
@@ -49,12 +51,34 @@ const MARGIN: usize = 3;
 /// Between its samples, R is Keys' cubic convolution ([`planish_numerics::keys`]). Outside the
 /// closed rectangle of its samples it is zero. A rotated or asymmetric TIF is used as it is given:
 /// removal(pixel) = integral over time of R(pixel - tool), a convolution.
+///
+/// A tool that is not the same everywhere has a [`Variation`] beside its samples. The samples are then those of the
+/// mean tool, which decides about widths, pitches and reach. Only what asks for the variation sees how the tool
+/// differs from it; what cannot use it refuses such a tool by [`Tif::same_everywhere`].
 #[derive(Clone, Debug)]
 pub struct Tif {
     grid: Grid,
     rate_nm_per_s: Array2<f64>,
     /// Samples with one ghost node on every side, (my+2, mx+2).
     with_ghosts: Array2<f64>,
+    variation: Option<Arc<Variation>>,
+}
+
+/// Numbers of a tool that varies, before they are checked.
+#[derive(Clone, Debug)]
+pub struct VaryingTif {
+    /// Offsets of the samples of the kernels from the tool.
+    pub offsets: Grid,
+    /// Kernels (k), each (my, mx), nm/s.
+    pub kernels: Vec<Array2<f64>>,
+    /// Tool positions of the samples of the weights.
+    pub positions: Grid,
+    /// Weights of the kernels (k), each (ny, nx), dimensionless.
+    pub weights: Vec<Array2<f64>>,
+    /// Factor of every pixel of the map, if there is one.
+    pub pixels: Option<PixelFactor>,
+    /// Factor of the time since the start of the run, if there is one.
+    pub time: Option<TimeFactor>,
 }
 
 impl Tif {
@@ -87,7 +111,7 @@ impl Tif {
         }
         check_sign(NAME, &rate_nm_per_s, peak)?;
         let with_ghosts = keys::with_ghosts(rate_nm_per_s.view());
-        let tif = Self { grid, rate_nm_per_s, with_ghosts };
+        let tif = Self { grid, rate_nm_per_s, with_ghosts, variation: None };
         let vrr = tif.vrr_nm_mm2_per_s();
         if vrr <= 0.0 {
             return Err(Invalid::whole(
@@ -99,13 +123,146 @@ impl Tif {
         Ok(tif)
     }
 
+    /// A tool that varies, [`Variation`]. Checks shapes, finiteness, and at every sample of the weights that the tool
+    /// removes material. One kernel with the weight 1 everywhere and no factor is a TIF like any other.
+    pub fn varying(given: VaryingTif) -> Result<Self, Invalid> {
+        let VaryingTif { offsets, kernels, positions, weights, pixels, time } = given;
+        if kernels.is_empty() || kernels.len() != weights.len() {
+            let problem = format!("has {} kernels for {} weights", kernels.len(), weights.len());
+            return Err(Invalid::whole("rate_nm_per_s", problem, "give one weight per kernel"));
+        }
+        for (name, grid, arrays) in
+            [("rate_nm_per_s", &offsets, &kernels), ("weight", &positions, &weights)]
+        {
+            if let Some(k) = arrays.iter().position(|a| a.dim() != grid.shape()) {
+                let problem = format!("has shape {:?}, its grid {:?}", arrays[k].dim(), grid.shape());
+                return Err(Invalid::at(name, k, problem, "give one number per place of the grid"));
+            }
+            let of = |(k, a): (usize, &Array2<f64>)| {
+                let bad = |v: f64| !(v.abs() <= LARGEST_RATE);
+                let found = a.indexed_iter().find(|(_, v)| bad(**v));
+                found.map(|((r, c), v)| ([k, r, c], *v))
+            };
+            if let Some((index, v)) = arrays.iter().enumerate().find_map(of) {
+                return Err(Invalid::at(name, index, format!("is {v:?}"), "give finite numbers"));
+            }
+        }
+        let at = |place: (usize, usize)| -> Array2<f64> {
+            let mut rate = Array2::zeros(offsets.shape());
+            for (kernel, weight) in kernels.iter().zip(&weights) {
+                rate.scaled_add(weight[place], kernel);
+            }
+            rate
+        };
+        let same = weights.len() == 1 && weights[0].iter().all(|w| *w == 1.0);
+        if same && pixels.is_none() && time.is_none() {
+            return Self::new(offsets, at((0, 0)));
+        }
+        let (ny, nx) = positions.shape();
+        for place in (0..ny).flat_map(|r| (0..nx).map(move |c| (r, c))) {
+            Self::new(offsets, at(place)).map_err(|e| {
+                let [x, y] = [positions.x.at(place.1), positions.y.at(place.0)];
+                let problem = format!("makes a tool at x = {x} mm, y = {y} mm that {}", e.problem);
+                let remedy = format!("{}; or give weights only where the tool is used", e.remedy);
+                Invalid::at("weight", place, problem, remedy)
+            })?;
+        }
+        let mut mean = Array2::zeros(offsets.shape());
+        for (kernel, weight) in kernels.iter().zip(&weights) {
+            mean.scaled_add(weight.sum() / weight.len() as f64, kernel);
+        }
+        let bare = |rate: Array2<f64>| Self {
+            grid: offsets,
+            with_ghosts: keys::with_ghosts(rate.view()),
+            rate_nm_per_s: rate,
+            variation: None,
+        };
+        let kernels = kernels.into_iter().map(bare).collect();
+        let variation = Variation::new(kernels, &weights, positions, pixels, time)?;
+        Ok(Self { variation: Some(Arc::new(variation)), ..Self::new(offsets, mean)? })
+    }
+
+    /// How the tool differs from place to place; none if it is the same everywhere and at all times.
+    pub fn variation(&self) -> Option<&Variation> {
+        self.variation.as_deref()
+    }
+
+    /// Refuses a tool that varies; `method` is what needs one that is the same everywhere, for the message.
+    pub fn same_everywhere(&self, method: &str) -> Result<(), Invalid> {
+        match self.variation {
+            None => Ok(()),
+            Some(_) => Err(Invalid::whole(
+                "tif",
+                format!("varies over the part, and {method} assumes a tool that is the same everywhere"),
+                "give a tif; planish-dwell bounded-least-squares, planish-refine, planish-joint and planish-simulate \
+                 take a tool that varies",
+            )),
+        }
+    }
+
+    /// Refuses a tool whose rate depends on the time of the run; `method` is what needs a constant one, for the message.
+    pub fn same_at_all_times(&self, method: &str) -> Result<(), Invalid> {
+        match self.variation().and_then(Variation::time_factor) {
+            None => Ok(()),
+            Some(_) => Err(Invalid::whole(
+                "tif",
+                format!("has a rate that depends on the time of the run, and {method} assumes a constant one"),
+                "give a tool without time_factor; planish-dwell bounded-least-squares, planish-refine, planish-joint and \
+                 planish-simulate take one",
+            )),
+        }
+    }
+
+    /// The mean tool, the same everywhere.
+    pub fn mean_tool(&self) -> Self {
+        Self { variation: None, ..self.clone() }
+    }
+
+    /// The tool as it is while its factor of the time is 1.
+    pub fn without_time(&self) -> Cow<'_, Self> {
+        match &self.variation {
+            Some(v) if v.time_factor().is_some() => {
+                let variation = Some(Arc::new(v.without_time()));
+                Cow::Owned(Self { variation, ..self.clone() })
+            }
+            _ => Cow::Borrowed(self),
+        }
+    }
+
+    /// (1) of [`Variation`] without its factors: the rate in nm/s at the offset (pixel - tool) of a tool at a place.
+    pub fn rate_of_tool_at(&self, tool_mm: [f64; 2], [dx_mm, dy_mm]: [f64; 2]) -> f64 {
+        let Some(variation) = &self.variation else { return self.rate_at(dx_mm, dy_mm) };
+        let each = variation.components().iter().enumerate();
+        each.map(|(k, c)| variation.weight(k, tool_mm) * c.kernel().rate_at(dx_mm, dy_mm)).sum()
+    }
+
+    /// The tool with other samples: `of` makes those of the mean tool, and of every kernel, which may be negative.
+    pub fn with_kernels(
+        &self,
+        of: impl Fn(&Self) -> Result<(Grid, Array2<f64>), Invalid>,
+    ) -> Result<Self, Invalid> {
+        let (grid, rate) = of(&self.mean_tool())?;
+        let mean = Self::new(grid, rate)?;
+        let Some(variation) = &self.variation else { return Ok(mean) };
+        let kernel = |c: &crate::Component| -> Result<Self, Invalid> {
+            let (grid, rate) = of(c.kernel())?;
+            let with_ghosts = keys::with_ghosts(rate.view());
+            Ok(Self { grid, rate_nm_per_s: rate, with_ghosts, variation: None })
+        };
+        let kernels = variation.components().iter().map(kernel).collect::<Result<Vec<_>, _>>()?;
+        Ok(Self { variation: Some(Arc::new(variation.with_kernels(kernels))), ..mean })
+    }
+
     /// The TIF without margins in which all samples are 0. Each margin keeps three zero samples, so
     /// that the interpolation next to it does not change. A TIF is often stored with more room than
     /// the tool needs.
     pub fn without_zero_margins(&self) -> Cow<'_, Self> {
         let rate = &self.rate_nm_per_s;
+        let kernels = self.variation().map_or(&[][..], Variation::components);
         let kept = |axis: usize| {
-            let is_used = |i: &usize| rate.index_axis(NdAxis(axis), *i).iter().any(|r| *r != 0.0);
+            let all = || kernels.iter().map(|c| &c.kernel().rate_nm_per_s).chain([rate]);
+            let is_used =
+                |i: &usize| all().any(|a| a.index_axis(NdAxis(axis), *i).iter().any(|r| *r != 0.0));
             let n = rate.len_of(NdAxis(axis));
             let (first, last) = ((0..n).find(is_used), (0..n).rev().find(is_used));
             let first = first.unwrap_or(0).saturating_sub(MARGIN);
@@ -116,12 +273,19 @@ impl Tif {
         if shape == rate.dim() {
             return Cow::Borrowed(self);
         }
-        let rate = rate.slice(s![rows.clone(), columns.clone()]).to_owned();
         let x = self.grid.x.crop(columns.start, columns.end - 1);
         let y = self.grid.y.crop(rows.start, rows.end - 1);
         let (Ok(x), Ok(y)) = (x, y) else { return Cow::Borrowed(self) };
-        let with_ghosts = keys::with_ghosts(rate.view());
-        Cow::Owned(Self { grid: Grid { x, y }, rate_nm_per_s: rate, with_ghosts })
+        let cropped = |rate: &Array2<f64>, variation| {
+            let rate = rate.slice(s![rows.clone(), columns.clone()]).to_owned();
+            let with_ghosts = keys::with_ghosts(rate.view());
+            Self { grid: Grid { x, y }, rate_nm_per_s: rate, with_ghosts, variation }
+        };
+        let variation = self.variation().map(|v| {
+            let kernels = kernels.iter().map(|c| cropped(&c.kernel().rate_nm_per_s, None));
+            Arc::new(v.with_kernels(kernels.collect()))
+        });
+        Cow::Owned(cropped(rate, variation))
     }
 
     /// Offsets of the samples from the tool centre.
@@ -217,11 +381,16 @@ impl Tif {
             return Ok(None);
         }
         let map = map.seen_by_tool(off_centre_mm)?;
-        let tif = Self {
-            grid: self.grid.moved(off_centre_mm.map(|mm| -mm))?,
-            rate_nm_per_s: self.rate_nm_per_s.clone(),
-            with_ghosts: self.with_ghosts.clone(),
+        let by_mm = off_centre_mm.map(|mm| -mm);
+        let moved = |tif: &Self| -> Result<Self, Invalid> {
+            Ok(Self { grid: tif.grid.moved(by_mm)?, variation: None, ..tif.clone() })
         };
+        let variation = self.variation().map(|v| -> Result<Arc<Variation>, Invalid> {
+            let kernels = v.components().iter().map(|c| moved(c.kernel()));
+            let kernels = kernels.collect::<Result<Vec<_>, _>>()?;
+            Ok(Arc::new(v.with_pixels_moved(by_mm)?.with_kernels(kernels)))
+        });
+        let tif = Self { variation: variation.transpose()?, ..moved(self)? };
         Ok(Some((map, tif)))
     }
 

@@ -7,11 +7,11 @@
 //! ```
 //!
 //! with the three-point Gauss rule along the chord of segment j, or in time along each piece of the
-//! trajectory that serves it. R is the interpolated TIF of
-//! [`planish_types::Tif`]. This model is the solver's own; what the machine really does is
+//! trajectory that serves it. R is the interpolated TIF of [`planish_types::Tif`]. For a tool that varies, `R(x_i - p)`
+//! is K of [`planish_types::Variation`], with its factor of the time in the fractions of executed columns. This model is the solver's own; what the machine really does is
 //! predicted elsewhere, by code that shares nothing with it.
 
-use std::ops::Range;
+use std::{borrow::Cow, ops::Range};
 
 use ndarray::{Array2, ArrayView2, Axis as NdAxis, Zip, s};
 use planish_numerics::{
@@ -21,7 +21,7 @@ use planish_types::{Axis, Grid, Tif, ToolPath, Trajectory};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::model::ROWS_PER_TASK;
+use crate::model::{ROWS_PER_TASK, varying};
 
 /// Columns of the removal model: motion of the tool during one dwell time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -123,11 +123,27 @@ pub fn executed(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<Vec<P
             fraction: w * segment.duration_s,
         }));
     }
-    for column in &mut places {
+    for (column, factor) in places.iter_mut().zip(time_factors(trajectory, columns, tif)) {
         let total: f64 = column.iter().map(|p| p.fraction).sum();
-        column.iter_mut().for_each(|p| p.fraction /= total);
+        column.iter_mut().for_each(|p| p.fraction *= factor / total);
     }
     places
+}
+
+/// Mean factor of the time of a tool over what serves each of `columns` columns of an executed motion; 1 without one.
+pub fn time_factors(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<f64> {
+    let Some(time) = tif.variation().and_then(|v| v.time_factor()) else {
+        return vec![1.0; columns];
+    };
+    let mut sums = vec![(0.0, 0.0); columns];
+    for segment in trajectory.segments() {
+        let of = segment.dwell_index.filter(|_| segment.tool_on);
+        let Some((sum, total)) = of.and_then(|j| sums.get_mut(j)) else { continue };
+        let end_s = segment.start_s + segment.duration_s;
+        *sum += segment.duration_s * time.mean(segment.start_s, end_s);
+        *total += segment.duration_s;
+    }
+    sums.into_iter().map(|(sum, total)| if total > 0.0 { sum / total } else { 1.0 }).collect()
 }
 
 /// One column of B: a rectangle of pixels, zero elsewhere.
@@ -141,7 +157,15 @@ pub struct Patch {
 
 /// B by columns; empty patches where the tool is nowhere.
 pub fn patches(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Vec<Patch> {
-    places.par_iter().map(|places| patch(places, tif, grid)).collect()
+    let factor = tif.variation().and_then(|v| v.factor_on(grid));
+    let of = |places: &Vec<Place>| {
+        let mut patch = patch(places, tif, grid);
+        if let Some(factor) = &factor {
+            patch.times(factor);
+        }
+        patch
+    };
+    places.par_iter().map(of).collect()
 }
 
 fn nowhere() -> Patch {
@@ -157,8 +181,23 @@ fn reach(places: &[Place], tif: &Tif, grid: &Grid) -> Option<[(usize, usize); 2]
     Some([along(0, &grid.x, &tif.grid().x)?, along(1, &grid.y, &tif.grid().y)?])
 }
 
+/// `sum_q w_q K(x_i; p_q)` on the pixels that any of the places reaches, without the factor of the pixels.
+fn patch(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
+    let Some(v) = tif.variation() else { return of_kernel(places, tif, grid) };
+    let each = v.components().iter().enumerate().map(|(k, component)| {
+        let places: Vec<Place> = places.iter().map(|p| varying::weighted(v, k, p)).collect();
+        of_kernel(&places, component.kernel(), grid)
+    });
+    // All kernels have one grid, and reach the same pixels.
+    let sum = each.reduce(|mut sum, patch| {
+        sum.rate_nm_per_s += &patch.rate_nm_per_s;
+        sum
+    });
+    sum.unwrap_or_else(nowhere)
+}
+
 /// `sum_q w_q R(x_i - p_q)` on the pixels that any of the places reaches.
-pub(crate) fn patch(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
+fn of_kernel(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
     let Some([x, y]) = reach(places, tif, grid) else { return nowhere() };
     let mut rate_nm_per_s = Array2::zeros((y.1 - y.0 + 1, x.1 - x.0 + 1));
     let samples = tif.with_ghosts();
@@ -280,6 +319,12 @@ impl Under {
 }
 
 impl Patch {
+    /// Multiplies by a factor of every pixel of the map.
+    pub(crate) fn times(&mut self, factor: &Array2<f64>) {
+        let ((r, c), (ny, nx)) = (self.origin, self.rate_nm_per_s.dim());
+        self.rate_nm_per_s *= &factor.slice(s![r..r + ny, c..c + nx]);
+    }
+
     /// Rows of the map and, in each, its columns and the patch there.
     fn rows(&self) -> impl Iterator<Item = (usize, Range<usize>, &[f64])> {
         let (r, c) = self.origin;
@@ -428,6 +473,8 @@ struct Cells<'a> {
     scale: Array2<f64>,
     /// The weight of each pixel of a cell; NaN where they are not alike.
     alike: Array2<f64>,
+    /// Factor of every pixel, if the tool has one.
+    factor: Option<Cow<'a, Array2<f64>>>,
 }
 
 impl<'a> Cells<'a> {
@@ -437,13 +484,17 @@ impl<'a> Cells<'a> {
             let first = if *alike == f64::INFINITY { pixels[0] } else { *alike };
             *alike = if pixels.iter().all(|w| *w == first) { first } else { f64::NAN };
         });
-        Self { tif, grid, weight, size, scale, alike }
+        let factor = tif.variation().and_then(|v| v.factor_on(grid));
+        Self { tif, grid, weight, size, scale, alike, factor }
     }
 
     /// A column, from all of its pixels.
     fn by_pixels(&self, places: &[Place]) -> Patch {
         let Self { tif, grid, size, .. } = *self;
-        let p = patch(places, tif, grid);
+        let mut p = patch(places, tif, grid);
+        if let Some(factor) = &self.factor {
+            p.times(factor);
+        }
         let ((r, c), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
         if ny == 0 || nx == 0 {
             return nowhere();
@@ -468,9 +519,13 @@ impl<'a> Cells<'a> {
         Patch { origin: (top, left), rate_nm_per_s: cells }
     }
 
-    /// A column by (1); `None` where it reaches a cell of which the pixels have not one weight.
+    /// A column by (1); `None` where it reaches a cell of which the pixels have not one weight, or where they have
+    /// factors.
     fn by_sums(&self, places: &[Place]) -> Option<Patch> {
         let Self { tif, grid, size, .. } = *self;
+        if self.factor.is_some() {
+            return None;
+        }
         let Some([x, y]) = reach(places, tif, grid) else { return Some(nowhere()) };
         let (top, left) = (y.0 / size, x.0 / size);
         let window = s![top..=y.1 / size, left..=x.1 / size];
@@ -479,18 +534,21 @@ impl<'a> Cells<'a> {
             return None;
         }
         let mut cells = Array2::zeros(alike.dim());
-        let mut sums = TwoSums::new(tif.with_ghosts(), alike.dim());
-        for places in places.chunk_by(|a, b| a.position_mm[1] == b.position_mm[1]) {
-            let of_cells = |axis: usize, p: &Place, map: &Axis, own: &Axis, range, fraction| {
-                let under = Under::new(p.position_mm[axis], map, own, range, fraction);
-                Summed::new(&under, range.0, size)
-            };
-            let along_y = of_cells(1, &places[0], &grid.y, &tif.grid().y, y, 1.0);
-            let along_x =
-                places.iter().map(|p| of_cells(0, p, &grid.x, &tif.grid().x, x, p.fraction));
-            sums.add(&along_y, top, &along_x.collect::<Vec<_>>(), left);
+        let one_column = [places.to_vec()];
+        for (kernel, places) in varying::kernels(&one_column, tif) {
+            let mut sums = TwoSums::new(kernel.with_ghosts(), alike.dim());
+            for places in places[0].chunk_by(|a, b| a.position_mm[1] == b.position_mm[1]) {
+                let of_cells = |axis: usize, p: &Place, map: &Axis, own: &Axis, range, fraction| {
+                    let under = Under::new(p.position_mm[axis], map, own, range, fraction);
+                    Summed::new(&under, range.0, size)
+                };
+                let along_y = of_cells(1, &places[0], &grid.y, &kernel.grid().y, y, 1.0);
+                let along_x =
+                    places.iter().map(|p| of_cells(0, p, &grid.x, &kernel.grid().x, x, p.fraction));
+                sums.add(&along_y, top, &along_x.collect::<Vec<_>>(), left);
+            }
+            sums.add_to(&mut cells);
         }
-        sums.write(&mut cells);
         cells *= &alike;
         cells *= &self.scale.slice(window);
         Some(Patch { origin: (top, left), rate_nm_per_s: cells })
@@ -550,9 +608,9 @@ impl<'a> TwoSums<'a> {
         );
     }
 
-    /// The sums of all places, (rows of cells, columns of cells).
-    fn write(&self, cells: &mut Array2<f64>) {
-        cells.indexed_iter_mut().for_each(|((r, c), v)| *v = self.cells[c * self.height + r]);
+    /// Adds the sums of all places to `cells` (rows of cells, columns of cells).
+    fn add_to(&self, cells: &mut Array2<f64>) {
+        cells.indexed_iter_mut().for_each(|((r, c), v)| *v += self.cells[c * self.height + r]);
     }
 }
 

@@ -24,19 +24,30 @@ mod lattice;
 mod spill;
 mod sums;
 
+use std::borrow::Cow;
+
 use ndarray::{Array2, Axis as NdAxis, Zip};
 use planish_numerics::fft::convolution::Convolution;
 use planish_types::{Grid, Tif};
 use rayon::prelude::*;
 
-use crate::model::columns::Place;
+use crate::model::{columns::Place, varying};
 pub use lattice::Spread;
 use lattice::{Lattice, Placed, kernel, placed, samples, without_ghosts};
 use spill::{Across, Corners, LINES_PER_TASK};
 pub use sums::Sums;
 
-/// B of [`crate::model::columns`] as an operator.
+/// B of [`crate::model::columns`] as an operator: (1) for every kernel of the tool.
 pub struct FftOperator {
+    kernels: Vec<OfKernel>,
+    /// Factor of every pixel, if the tool has one.
+    factor: Option<Array2<f64>>,
+    /// The mean tool by its energy at every place, for a tool that varies.
+    by_energy: Option<Box<OfKernel>>,
+}
+
+/// (1) for a kernel and the places at which it removes.
+struct OfKernel {
     columns: usize,
     /// g[j], j = -1 ..= last on both axes.
     samples: Array2<f64>,
@@ -67,6 +78,80 @@ impl FftOperator {
     }
 
     fn spreading(
+        places: &[Vec<Place>],
+        tif: &Tif,
+        grid: &Grid,
+        spread: Spread,
+        border: bool,
+    ) -> Self {
+        let of = |places: &[Vec<Place>], kernel: &Tif, border| {
+            OfKernel::new(places, kernel, grid, spread, border)
+        };
+        let kernels = varying::kernels(places, tif);
+        let kernels = kernels.map(|(kernel, places)| of(&places, kernel, border)).collect();
+        let by_energy = tif.variation().map(|_| {
+            Box::new(of(&varying::by_energy(places, tif), &tif.mean_tool(), false))
+        });
+        let factor = tif.variation().and_then(|v| v.factor_on(grid)).map(Cow::into_owned);
+        Self { kernels, factor, by_energy }
+    }
+
+    /// Returns true if (1) is exact: the TIF has the pitch of the map.
+    pub fn is_exact(tif: &Tif, grid: &Grid) -> bool {
+        let of = |map, tif| Lattice::new(map, tif, Spread::Keys);
+        of(&grid.x, &tif.grid().x).own && of(&grid.y, &tif.grid().y).own
+    }
+
+    /// `B t`: (ny, nx), nm.
+    pub fn apply(&self, t: &[f64]) -> Array2<f64> {
+        let sum = self.kernels.iter().map(|kernel| kernel.apply(t)).reduce(|a, b| a + b);
+        let mut map = sum.expect("a tool has a kernel");
+        if let Some(factor) = &self.factor {
+            Zip::from(&mut map).and(factor).par_for_each(|map, g| *map *= g);
+        }
+        map
+    }
+
+    /// `B' m` for a map (ny, nx).
+    pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
+        self.sum_of_adjoints(map, OfKernel::adjoint)
+    }
+
+    /// `E' m`.
+    pub fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
+        self.sum_of_adjoints(map, OfKernel::adjoint_with_spill)
+    }
+
+    fn sum_of_adjoints(
+        &self,
+        map: &Array2<f64>,
+        adjoint: impl Fn(&OfKernel, &Array2<f64>) -> Vec<f64>,
+    ) -> Vec<f64> {
+        let map = match &self.factor {
+            Some(factor) => Cow::Owned(map * factor),
+            None => Cow::Borrowed(map),
+        };
+        let mut kernels = self.kernels.iter().map(|kernel| adjoint(kernel, &map));
+        let mut sums = kernels.next().expect("a tool has a kernel");
+        for of_kernel in kernels {
+            sums.iter_mut().zip(of_kernel).for_each(|(sum, v)| *sum += v);
+        }
+        sums
+    }
+
+    /// `B' m` with R^2 in place of R, but for what spills. Of a tool that varies, R is the mean tool with the energy that
+    /// the tool has at every place.
+    pub fn adjoint_of_squared_tif(&self, map: &Array2<f64>) -> Vec<f64> {
+        let map = match &self.factor {
+            Some(factor) => Cow::Owned(map * factor * factor),
+            None => Cow::Borrowed(map),
+        };
+        self.by_energy.as_deref().unwrap_or(&self.kernels[0]).adjoint_of_squared_tif(&map)
+    }
+}
+
+impl OfKernel {
+    fn new(
         places: &[Vec<Place>],
         tif: &Tif,
         grid: &Grid,
@@ -107,14 +192,8 @@ impl FftOperator {
         Self { columns, samples, corners, convolution, rows, columns_across, spread, spills }
     }
 
-    /// Returns true if (1) is exact: the TIF has the pitch of the map.
-    pub fn is_exact(tif: &Tif, grid: &Grid) -> bool {
-        let of = |map, tif| Lattice::new(map, tif, Spread::Keys);
-        of(&grid.x, &tif.grid().x).own && of(&grid.y, &tif.grid().y).own
-    }
-
     /// `B t`: (ny, nx), nm.
-    pub fn apply(&self, t: &[f64]) -> Array2<f64> {
+    fn apply(&self, t: &[f64]) -> Array2<f64> {
         let mut map = self.convolution.valid(self.rows.seconds(t).view());
         if self.spills {
             let spill = self.rows.spill(t, Some(&self.corners));
@@ -130,7 +209,7 @@ impl FftOperator {
     }
 
     /// `B' m` for a map (ny, nx).
-    pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
+    fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
         let mut sums = self.adjoint_with_spill(map);
         if self.spills {
             self.rows.subtract_spill(map.view(), Some(&self.corners), &mut sums);
@@ -146,12 +225,12 @@ impl FftOperator {
     }
 
     /// `E' m`.
-    pub fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
+    fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
         self.rows.gather(&self.convolution.adjoint(map.view()), self.columns)
     }
 
     /// `B' m` with R^2 in place of R, but for what spills.
-    pub fn adjoint_of_squared_tif(&self, map: &Array2<f64>) -> Vec<f64> {
+    fn adjoint_of_squared_tif(&self, map: &Array2<f64>) -> Vec<f64> {
         let squared = kernel(&self.samples.mapv(|r| r * r), self.spread);
         let shape = (self.rows.across.sources(), self.rows.along.sources());
         let field = Convolution::<f64>::new(squared.view(), shape).adjoint(map.view());

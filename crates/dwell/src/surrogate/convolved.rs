@@ -268,9 +268,12 @@ fn sampled(tif: &Tif, map: &Grid, size: usize) -> Result<Tif, Invalid> {
         Axis::new(own.start_mm() - BEYOND as f64 * step, step, samples)
     };
     let grid = Grid { x: axis(&tif.grid().x, &map.x)?, y: axis(&tif.grid().y, &map.y)? };
-    let mut rate = Array2::zeros(grid.shape());
-    Zip::indexed(&mut rate).par_for_each(|(r, c), v| *v = tif.rate_at(grid.x.at(c), grid.y.at(r)));
-    Tif::new(grid, rate)
+    tif.with_kernels(|kernel| {
+        let mut rate = Array2::zeros(grid.shape());
+        Zip::indexed(&mut rate)
+            .par_for_each(|(r, c), v| *v = kernel.rate_at(grid.x.at(c), grid.y.at(r)));
+        Ok((grid, rate))
+    })
 }
 
 #[cfg(test)]

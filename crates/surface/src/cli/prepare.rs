@@ -12,7 +12,7 @@ use planish_surface::{
     outliers::half_maximum_width_mm,
     prepare,
 };
-use planish_types::{ClearAperture, Surface, Tif};
+use planish_types::{ClearAperture, Surface};
 
 use super::{CIRCLE, circle};
 
@@ -235,7 +235,7 @@ impl ApertureArgs {
 impl OutlierArgs {
     fn read(&self, inputs: &mut Inputs) -> Result<Option<OutlierSettings>, Failure> {
         let feature_mm = match (&self.tif, self.feature_mm) {
-            (Some(dir), _) => half_maximum_width_mm(&inputs.read::<Tif>("tif", dir)?),
+            (Some(dir), _) => half_maximum_width_mm(&inputs.read_tool("tif", dir)?),
             (None, Some(width)) => width,
             (None, None) => return Ok(None),
         };

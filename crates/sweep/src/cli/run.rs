@@ -18,7 +18,7 @@ use planish_sweep::{
     plan::{Plan, Round, Sweep},
     row::{Numbers, Row, RowStatus},
 };
-use planish_types::{Surface, Tif};
+use planish_types::Surface;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -233,9 +233,9 @@ fn mirror(sweep: &Sweep, stages: &Stages, dir: &Path) -> Result<(Size, usize), F
     }
     let mut inputs = Inputs::new();
     let surface: Surface = inputs.read("surface", &dir.join(&sweep.surface))?;
-    let tif: Tif = inputs.read("tif", &dir.join(&sweep.tools[0].1))?;
+    let tif = inputs.read_tool("tif", &dir.join(&sweep.tools[0].1))?;
     for (name, other) in &sweep.tools[1..] {
-        inputs.read::<Tif>(name, &dir.join(other))?;
+        inputs.read_tool(name, &dir.join(other))?;
     }
     let pixels = surface.height_nm().len() as f64;
     let area_mm2 = pixels * surface.grid().pixel_mm2();

@@ -1,16 +1,26 @@
 //! The removal by a few columns, on the pixels that they reach.
 
-use std::ops::Range;
+use std::{borrow::Cow, ops::Range};
 
 use ndarray::{Array2, s};
 use planish_numerics::fft::convolution::Convolution;
 use planish_types::{Grid, Tif};
 
 use super::lattice::{Lattice, Placed, Spread, kernel, placed, samples, without_ghosts};
-use crate::model::columns::{Patch, Place};
+use crate::model::{
+    columns::{Patch, Place},
+    varying,
+};
 
 /// Sums of a few columns of `FftOperator::without_border`, on the pixels that they reach.
 pub struct Sums {
+    kernels: Vec<OfKernel>,
+    /// Factor of every pixel, if the tool has one.
+    factor: Option<Array2<f64>>,
+}
+
+/// [`Sums`] of a kernel of the tool.
+struct OfKernel {
     x: Lattice,
     y: Lattice,
     placed: Vec<Placed>,
@@ -24,6 +34,43 @@ pub struct Sums {
 impl Sums {
     /// Makes the sums for columns whose places lie within a square of `size_mm`.
     pub fn new(
+        places: &[Vec<Place>],
+        tif: &Tif,
+        grid: &Grid,
+        size_mm: f64,
+        spread: Spread,
+    ) -> Self {
+        let kernels = varying::kernels(places, tif);
+        let of = |(kernel, places): (&Tif, Cow<'_, [Vec<Place>]>)| {
+            OfKernel::new(&places, kernel, grid, size_mm, spread)
+        };
+        let factor = tif.variation().and_then(|v| v.factor_on(grid)).map(Cow::into_owned);
+        Self { kernels: kernels.map(of).collect(), factor }
+    }
+
+    /// Pixels (y, x) that the columns reach.
+    pub fn extent(&self, columns: impl Iterator<Item = usize>) -> (Range<usize>, Range<usize>) {
+        // All kernels have one grid, and reach the same pixels.
+        self.kernels[0].extent(columns)
+    }
+
+    /// `sum_j t_j B_j` for columns j and their t_j.
+    pub fn patch(&self, t: &[(usize, f64)]) -> Patch {
+        let kernels = self.kernels.iter().map(|kernel| kernel.patch(t));
+        let sum = kernels.reduce(|mut sum, patch| {
+            sum.rate_nm_per_s += &patch.rate_nm_per_s;
+            sum
+        });
+        let mut patch = sum.unwrap_or_default();
+        if let Some(factor) = &self.factor {
+            patch.times(factor);
+        }
+        patch
+    }
+}
+
+impl OfKernel {
+    fn new(
         places: &[Vec<Place>],
         tif: &Tif,
         grid: &Grid,
@@ -66,12 +113,12 @@ impl Sums {
     }
 
     /// Pixels (y, x) that the columns reach.
-    pub fn extent(&self, columns: impl Iterator<Item = usize>) -> (Range<usize>, Range<usize>) {
+    fn extent(&self, columns: impl Iterator<Item = usize>) -> (Range<usize>, Range<usize>) {
         self.nodes(columns).map_or((0..0, 0..0), |nodes| self.pixels(nodes))
     }
 
     /// `sum_j t_j B_j` for columns j and their t_j.
-    pub fn patch(&self, t: &[(usize, f64)]) -> Patch {
+    fn patch(&self, t: &[(usize, f64)]) -> Patch {
         let Some(nodes) = self.nodes(t.iter().map(|(j, _)| *j)) else { return Patch::default() };
         let (rows, columns) = self.pixels(nodes);
         if rows.is_empty() || columns.is_empty() {

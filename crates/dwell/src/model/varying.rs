@@ -1,0 +1,53 @@
+//! The kernels of a tool that varies, each with the places at which it removes.
+//!
+//! ```text
+//! B_ij = g(x_i) sum_k sum_q a_k(p_q) w_q phi_k(x_i - p_q)                                 (1)
+//! ```
+//!
+//! over the places q of column j: (1) of [`planish_types::Variation`]. A kernel sees the places of the tool with the
+//! fractions `a_k w`, so that every form of B for a constant tool serves each of them.
+
+use std::borrow::Cow;
+
+use planish_types::{Tif, Variation};
+
+use super::columns::Place;
+
+/// The kernels of a tool, and the places of each for some columns: those of the tool itself, if it does not vary.
+pub fn kernels<'a>(
+    places: &'a [Vec<Place>],
+    tif: &'a Tif,
+) -> impl ExactSizeIterator<Item = (&'a Tif, Cow<'a, [Vec<Place>]>)> {
+    let count = tif.variation().map_or(1, |v| v.components().len());
+    (0..count).map(move |k| match tif.variation() {
+        None => (tif, Cow::Borrowed(places)),
+        Some(v) => {
+            let of = |places: &Vec<Place>| places.iter().map(|p| weighted(v, k, p)).collect();
+            (v.components()[k].kernel(), Cow::Owned(places.iter().map(of).collect()))
+        }
+    })
+}
+
+/// A place with its fraction times the weight of a kernel.
+pub fn weighted(variation: &Variation, kernel: usize, place: &Place) -> Place {
+    let weight = variation.weight(kernel, place.position_mm);
+    Place { fraction: weight * place.fraction, ..*place }
+}
+
+/// Places whose fractions are those of the tool times the ratio of its energy there to that of the mean tool,
+/// `int K^2 / int R^2`.
+pub fn by_energy<'a>(places: &'a [Vec<Place>], tif: &Tif) -> Cow<'a, [Vec<Place>]> {
+    let Some(v) = tif.variation() else { return Cow::Borrowed(places) };
+    let rates: Vec<_> = v.components().iter().map(|c| c.kernel().rate_nm_per_s()).collect();
+    let products: Vec<Vec<f64>> =
+        rates.iter().map(|a| rates.iter().map(|b| (*a * *b).sum()).collect()).collect();
+    let of_mean: f64 = tif.rate_nm_per_s().iter().map(|r| r * r).sum();
+    let of = |p: &Place| {
+        let a: Vec<f64> = (0..rates.len()).map(|k| v.weight(k, p.position_mm)).collect();
+        let rows = a.iter().zip(&products);
+        let energy: f64 =
+            rows.map(|(a_k, row)| a_k * row.iter().zip(&a).map(|(g, a_l)| g * a_l).sum::<f64>()).sum();
+        Place { fraction: p.fraction * energy / of_mean, ..*p }
+    };
+    places.iter().map(|places| places.iter().map(of).collect()).collect()
+}

@@ -1,0 +1,172 @@
+//! Tools that are not the same everywhere: the gridded removal beside the midpoint rule and closed forms.
+
+use ndarray::Array2;
+use planish_simulate::{Plan, Settings, direct, gridded};
+use planish_types::{
+    Axis, Grid, PixelFactor, Tif, TimeFactor, Trajectory, TrajectoryBuilder, VaryingTif,
+};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+fn axis(start: f64, step: f64, n: usize) -> Axis {
+    Axis::new(start, step, n).unwrap()
+}
+
+fn samples(grid: &Grid, of: impl Fn(f64, f64) -> f64) -> Array2<f64> {
+    Array2::from_shape_fn(grid.shape(), |(r, c)| of(grid.x.at(c), grid.y.at(r)))
+}
+
+/// Three kernels on one grid: a bell, its change with the width, and one that leans.
+fn kernels(offsets: &Grid) -> Vec<Array2<f64>> {
+    let bell = |x: f64, y: f64| 20.0 * (-(x * x + 1.2 * y * y) / 0.6).exp();
+    vec![
+        samples(offsets, bell),
+        samples(offsets, |x, y| bell(x, y) * (x * x + y * y - 1.0) * 0.2),
+        samples(offsets, |x, y| bell(x, y) * (0.3 * x - 0.2 * y)),
+    ]
+}
+
+/// A tool that varies smoothly over 12 x 9 mm, with a factor of every pixel and of the time.
+fn varying(seed: u64, pitch_mm: f64, factors: bool) -> Tif {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let n = (6.0 / pitch_mm).round() as usize + 1;
+    let offsets = Grid { x: axis(-3.0, pitch_mm, n), y: axis(-3.0, pitch_mm, n) };
+    let positions = Grid { x: axis(-1.0, 1.7, 9), y: axis(-1.0, 1.5, 8) };
+    let mut smooth = || -> [f64; 4] { [(); 4].map(|()| rng.random_range(-0.4..0.4)) };
+    let weights = [1.0, 0.0, 0.0].map(|mean| {
+        let [a, b, c, d] = smooth();
+        samples(&positions, |x, y| mean + a * (0.3 * x + b).sin() + c * (0.25 * y + d).cos())
+    });
+    let map = Grid { x: axis(0.0, 0.25, 41), y: axis(0.0, 0.25, 29) };
+    let pixels = PixelFactor { grid: map, factor: samples(&map, |x, y| 1.0 + 0.03 * x - 0.02 * y) };
+    let time = TimeFactor { time_s: vec![0.0, 3.0, 20.0], factor: vec![1.1, 1.0, 0.8] };
+    Tif::varying(VaryingTif {
+        kernels: kernels(&offsets),
+        offsets,
+        positions,
+        weights: weights.to_vec(),
+        pixels: factors.then_some(pixels),
+        time: factors.then_some(time),
+    })
+    .unwrap()
+}
+
+/// Pieces with a rest, uniform and bent motion over the map and beyond.
+fn motion(seed: u64) -> Trajectory {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut builder = TrajectoryBuilder::default();
+    let mut at = [1.0, 1.0];
+    for k in 0..12 {
+        let h = rng.random_range(0.3..1.2);
+        let to = [rng.random_range(-1.0..11.0), rng.random_range(-1.0..8.0)];
+        let c = [0, 1].map(|a| match k % 3 {
+            0 => [at[a], 0.0, 0.0, 0.0],
+            1 => [at[a], (to[a] - at[a]) / h, 0.0, 0.0],
+            _ => {
+                let d = to[a] - at[a];
+                [at[a], 0.0, 3.0 * d / (h * h), -2.0 * d / (h * h * h)]
+            }
+        });
+        builder.push(h, c, k != 7, Some(k));
+        if k % 3 != 0 {
+            at = to;
+        }
+    }
+    builder.build().unwrap()
+}
+
+fn largest(map: &Array2<f64>) -> f64 {
+    map.iter().fold(0.0, |m, v| v.abs().max(m))
+}
+
+#[test]
+fn the_gridded_removal_is_that_of_the_midpoint_rule() {
+    let map = Grid { x: axis(0.0, 0.25, 41), y: axis(0.0, 0.25, 29) };
+    for seed in 0..8 {
+        let factors = seed % 2 == 1;
+        let (tif, motion) = (varying(seed, 0.25, factors), motion(seed));
+        let (found, _) = gridded::removal_nm(&motion, &tif, &map).unwrap();
+        // Two step sizes of a rule of second order: their extrapolation.
+        let [coarse, fine] =
+            [250, 500].map(|steps| direct::removal_nm(&motion, &tif, &map, steps).unwrap().0);
+        let expected = &fine + &((&fine - &coarse) / 3.0);
+        let error = largest(&(&found - &expected)) / largest(&expected);
+        // What the extrapolation leaves, of third order at the kinks of Keys' second derivative: 1e-6 with half the steps.
+        assert!(error < 1e-6, "{seed}: {error}");
+    }
+}
+
+#[test]
+fn one_kernel_of_weight_one_is_a_tif_to_the_last_bit() {
+    let offsets = Grid { x: axis(-3.0, 0.25, 25), y: axis(-3.0, 0.25, 25) };
+    let positions = Grid { x: axis(0.0, 5.0, 3), y: axis(0.0, 5.0, 3) };
+    let map = Grid { x: axis(0.0, 0.25, 41), y: axis(0.0, 0.25, 29) };
+    let kernel = kernels(&offsets).swap_remove(0);
+    let one = Tif::varying(VaryingTif {
+        offsets,
+        kernels: vec![kernel.clone()],
+        positions,
+        weights: vec![Array2::ones((3, 3))],
+        pixels: None,
+        time: None,
+    })
+    .unwrap();
+    let plain = Tif::new(offsets, kernel).unwrap();
+    assert!(one.variation().is_none());
+    let of = |tif: &Tif| gridded::removal_nm(&motion(3), tif, &map).unwrap().0;
+    assert_eq!(of(&one), of(&plain));
+}
+
+#[test]
+fn a_rate_that_rises_along_a_line_has_a_closed_form() {
+    // a(p) = 1 + 0.02 x, along an infinite line at the feedrate v: the removal at x is that of the constant tool times
+    // 1 + 0.02 (x - m), m the mean offset x - p of the removal, 0 for a symmetric tool.
+    let offsets = Grid { x: axis(-3.0, 0.25, 25), y: axis(-3.0, 0.25, 25) };
+    let positions = Grid { x: axis(-20.0, 10.0, 7), y: axis(-20.0, 10.0, 5) };
+    let given = |weight: Array2<f64>| VaryingTif {
+        offsets,
+        kernels: vec![kernels(&offsets).swap_remove(0)],
+        positions,
+        weights: vec![weight],
+        pixels: None,
+        time: None,
+    };
+    let rising = Tif::varying(given(samples(&positions, |x, _| 1.0 + 0.02 * x))).unwrap();
+    let constant = Tif::varying(given(Array2::ones(positions.shape()))).unwrap();
+    let map = Grid { x: axis(0.0, 0.25, 41), y: axis(0.0, 0.25, 29) };
+    let line = [[-10.0, 2.0, 0.0, 0.0], [3.3, 0.0, 0.0, 0.0]];
+    let motion = Trajectory::new(vec![0.0, 15.0], vec![line], vec![true], vec![Some(0)]).unwrap();
+    let of = |tif: &Tif| gridded::removal_nm(&motion, tif, &map).unwrap().0;
+    let (rising, constant) = (of(&rising), of(&constant));
+    for ((r, c), v) in rising.indexed_iter() {
+        let expected = constant[[r, c]] * (1.0 + 0.02 * map.x.at(c));
+        // Rounding of transforms of numbers of order 100.
+        assert!((v - expected).abs() < 1e-11, "{r} {c}: {v} {expected}");
+    }
+}
+
+#[test]
+fn a_known_wear_is_the_integral_of_its_factor() {
+    // A tool at rest for 8 s with the factor 1 - 0.05 t removes for 8 - 0.025 * 64 = 6.4 s.
+    let offsets = Grid { x: axis(-3.0, 0.25, 25), y: axis(-3.0, 0.25, 25) };
+    let positions = Grid { x: axis(0.0, 5.0, 3), y: axis(0.0, 5.0, 3) };
+    let kernel = kernels(&offsets).swap_remove(0);
+    let tif = Tif::varying(VaryingTif {
+        offsets,
+        kernels: vec![kernel.clone()],
+        positions,
+        weights: vec![Array2::ones((3, 3))],
+        pixels: None,
+        time: Some(TimeFactor { time_s: vec![0.0, 10.0], factor: vec![1.0, 0.5] }),
+    })
+    .unwrap();
+    let rest = [[5.0, 0.0, 0.0, 0.0], [4.0, 0.0, 0.0, 0.0]];
+    let motion = Trajectory::new(vec![0.0, 8.0], vec![rest], vec![true], vec![Some(0)]).unwrap();
+    let map = Grid { x: axis(0.0, 0.25, 41), y: axis(0.0, 0.25, 29) };
+    for settings in [Settings::Gridded, Settings::Direct { steps: 1 }] {
+        let removal = Plan::new(&tif, &map, settings).unwrap().removal_nm(&motion).unwrap().0;
+        let centre = removal[[16, 20]];
+        // Rounding.
+        assert!((centre / (6.4 * kernel[[12, 12]]) - 1.0).abs() < 1e-12, "{centre}");
+    }
+}

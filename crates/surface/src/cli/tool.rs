@@ -1,0 +1,444 @@
+//! `planish-surface tool-rate`, `tool-spots`, `tool-edge`, `tool-turned` and `tool-time`: tools that are not the same
+//! everywhere.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use ndarray::{Array2, Zip};
+use planish_handoff::{
+    Artifact, Begin, Failure, Inputs, Output, Status, Tool, flags::OutputArgs, say, task, with_flags,
+};
+use planish_surface::varying::{
+    Form, LowRank, LowRankReport, LowRankSettings, Overhang, Parameter, Places, PressureLaw,
+    RateLaw, Spots, low_rank, tool_at, turned,
+};
+use planish_types::{Grid, PixelFactor, Surface, Tif, TimeFactor, VaryingTif};
+use serde::Serialize;
+use serde_json::json;
+
+/// Largest table of a law that is read, bytes.
+const LARGEST_TABLE_BYTES: u64 = 1 << 22;
+
+/// Where a rate law acts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "kebab-case")]
+enum Acts {
+    /// At the pixel that is removed
+    Pixel,
+    /// At the place of the tool
+    Tool,
+}
+
+/// The map, and how exact the tool is.
+#[derive(Debug, Args)]
+struct MakeArgs {
+    /// Map of the part, whose valid pixels are the part [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    surface: PathBuf,
+    /// Wanted error of the kernels and weights, relative to the tool (root mean square over the places)
+    #[arg(long, value_name = "E", default_value_t = 1e-3)]
+    error: f64,
+    /// Distance of the places of the weights, mm [default: by the error]
+    #[arg(long, value_name = "MM")]
+    spacing_mm: Option<f64>,
+    /// Largest number of kernels
+    #[arg(long, value_name = "K", default_value_t = 64)]
+    max_rank: usize,
+    /// Distance beyond the valid pixels up to which the tool is known, mm [default: the half size of the TIF]
+    #[arg(long, value_name = "MM")]
+    beyond_mm: Option<f64>,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+impl MakeArgs {
+    fn settings(&self) -> LowRankSettings {
+        let Self { error, spacing_mm, max_rank, .. } = *self;
+        LowRankSettings { error, spacing_mm, max_rank }
+    }
+
+    /// The rectangle of the places of the tool, [low, high].
+    fn rectangle(&self, surface: &Surface, tif: &Tif) -> [[f64; 2]; 2] {
+        let grid = surface.grid();
+        let [x, y] = tif.half_size_mm();
+        let beyond = [x, y].map(|half| self.beyond_mm.unwrap_or(half));
+        let ends = [&grid.x, &grid.y].map(|a| [a.start_mm(), a.end_mm()]);
+        [0, 1].map(|end| {
+            let sign = if end == 0 { -1.0 } else { 1.0 };
+            [0, 1].map(|k| ends[k][end] + sign * beyond[k])
+        })
+    }
+
+    /// Makes kernels and weights of the tool `of`, and writes them with the factors of `base`.
+    fn make<S: Serialize>(
+        &self,
+        method: &'static str,
+        settings: &S,
+        inputs: &Inputs,
+        (surface, base): (&Surface, &Tif),
+        (offsets, of): (Grid, LocalTool<'_>),
+    ) -> Result<Status, Failure> {
+        let shared = json!({ "settings": settings, "low_rank": self.settings(), "beyond_mm": self.beyond_mm });
+        let task = task!(method, &shared);
+        let output = match Output::directory(&self.output, Tool::KIND).begin(&task, inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        let rectangle = self.rectangle(surface, base);
+        let LowRank { tool, report } =
+            low_rank(&offsets, rectangle, &*of, &self.settings()).map_err(Failure::with_flags)?;
+        let factors = base.variation();
+        let tool = VaryingTif {
+            pixels: factors.and_then(|v| v.pixel_factor()).cloned(),
+            time: factors.and_then(|v| v.time_factor()).cloned(),
+            ..tool
+        };
+        let status = match report.negative() {
+            None => Status::Done,
+            Some(reason) => Status::Negative(with_flags(&reason)),
+        };
+        write(output, Tif::varying(tool)?, Some(&report), &self.output.out, status)
+    }
+}
+
+/// A tool as a function of its place.
+type LocalTool<'a> = Box<dyn Fn([f64; 2]) -> Array2<f64> + Sync + 'a>;
+
+/// Writes a tool, and says what it is.
+fn write(
+    mut output: Box<planish_handoff::Writer>,
+    tif: Tif,
+    report: Option<&LowRankReport>,
+    out: &Path,
+    status: Status,
+) -> Result<Status, Failure> {
+    let rank = tif.variation().map_or(1, |v| v.components().len());
+    let outcome = json!({
+        "rank": rank,
+        "mean_peak_nm_per_s": tif.peak_nm_per_s(),
+        "mean_vrr_nm_mm2_per_s": tif.vrr_nm_mm2_per_s(),
+        "report": report,
+    });
+    output.write(&Tool(tif), outcome, &status)?;
+    let exact = report.map_or(String::new(), |r| {
+        format!(
+            ", on {} x {} places {:.3} mm apart; error {:.1e} of the tool, largest {:.1e} at ({:.2}, {:.2}) mm",
+            r.places[0],
+            r.places[1],
+            r.spacing_mm[0].max(r.spacing_mm[1]),
+            r.error,
+            r.largest_error,
+            r.largest_error_at_mm[0],
+            r.largest_error_at_mm[1]
+        )
+    });
+    let kernels = if rank == 1 { "1 kernel".to_string() } else { format!("{rank} kernels") };
+    say(format!("planish-surface: tool of {kernels}{exact} -> {}", out.display()));
+    Ok(status)
+}
+
+/// The form of the part.
+#[derive(Debug, Args)]
+struct FormArgs {
+    /// Radius of curvature of a sphere with its vertex in the middle of the valid pixels, mm
+    #[arg(long, value_name = "MM", allow_negative_numbers = true, conflicts_with = "form")]
+    sphere_radius_mm: Option<f64>,
+    /// Form of the part: its height along z, nm [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    form: Option<PathBuf>,
+}
+
+impl FormArgs {
+    fn read(&self, inputs: &mut Inputs) -> Result<Option<Form>, Failure> {
+        Ok(match (&self.sphere_radius_mm, &self.form) {
+            (Some(radius_mm), _) => Some(Form::Sphere { radius_mm: *radius_mm }),
+            (None, Some(dir)) => Some(Form::Sampled(inputs.read("form", dir)?)),
+            (None, None) => None,
+        })
+    }
+}
+
+#[derive(Debug, Args)]
+pub struct RateArgs {
+    /// Tool where the factor is 1 [tif or tool artifact]
+    #[arg(long, value_name = "DIR")]
+    tif: PathBuf,
+    /// Parameter of the place on which the rate depends
+    #[arg(long, value_enum)]
+    by: Parameter,
+    #[command(flatten)]
+    form: FormArgs,
+    /// Exponent m of cos(incidence)^m; below 0 the rate rises with the angle
+    #[arg(long, value_name = "M", allow_negative_numbers = true, conflicts_with = "table")]
+    exponent: Option<f64>,
+    /// Table of parameter and factor, two numbers in each line, ascending [text file]
+    #[arg(long, value_name = "FILE", required_unless_present = "exponent")]
+    table: Option<PathBuf>,
+    /// Where the factor acts [default: pixel for the incidence, tool for all others]
+    #[arg(long, value_enum)]
+    acts_at: Option<Acts>,
+    #[command(flatten)]
+    make: MakeArgs,
+}
+
+impl RateArgs {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let mut inputs = Inputs::new();
+        let tif = inputs.read_tool("tif", &self.tif)?;
+        let surface: Surface = inputs.read("surface", &self.make.surface)?;
+        let form = self.form.read(&mut inputs)?;
+        let law = match (self.exponent, &self.table) {
+            (Some(_), _) if self.by != Parameter::Incidence => {
+                return Err(Failure::new(
+                    "--exponent: is of the cosine of the incidence; give --by incidence, or a --table",
+                ));
+            }
+            (Some(exponent), _) => RateLaw::Cosine { exponent },
+            (None, Some(file)) => RateLaw::Table { pairs: read_table(&mut inputs, "table", file)? },
+            (None, None) => return Err(Failure::new("--table: is missing; give it or --exponent")),
+        };
+        law.check().map_err(Failure::with_flags)?;
+        let at_pixel = self.by == Parameter::Incidence;
+        let acts = self.acts_at.unwrap_or(if at_pixel { Acts::Pixel } else { Acts::Tool });
+        let settings = json!({
+            "by": self.by, "law": law, "acts_at": acts, "sphere_radius_mm": self.form.sphere_radius_mm,
+        });
+        let places = Places::new(&surface, form.as_ref()).map_err(Failure::with_flags)?;
+        let factor = |p: [f64; 2]| places.parameter(self.by, p).map(|v| law.factor(v));
+        // A place whose parameter does not exist is refused before anything is written.
+        let [low, high] = self.make.rectangle(&surface, &tif);
+        if acts == Acts::Tool {
+            for p in [low, high, [low[0], high[1]], [high[0], low[1]]] {
+                factor(p).map_err(Failure::with_flags)?;
+            }
+            let of: LocalTool<'_> =
+                Box::new(|p| tool_at(&tif, p) * factor(p).expect("checked at the corners"));
+            let tool = (*tif.grid(), of);
+            return self.make.make("tool-rate", &settings, &inputs, (&surface, &tif), tool);
+        }
+        let task = task!("tool-rate", &settings);
+        let output = match Output::directory(&self.make.output, Tool::KIND).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        let grid = *surface.grid();
+        let mut values = Array2::ones(grid.shape());
+        for ((r, c), v) in values.indexed_iter_mut() {
+            // Beyond the part the form may not exist; nothing is removed there.
+            let on_part = !surface.height_nm()[[r, c]].is_nan();
+            let found = factor([grid.x.at(c), grid.y.at(r)]);
+            *v = match found {
+                Err(e) if on_part => return Err(Failure::with_flags(e)),
+                Err(_) => f64::NAN,
+                Ok(v) => v,
+            };
+        }
+        nearest_where_none(&mut values);
+        let tif = with_factor(&tif, PixelFactor { grid, factor: values })?;
+        write(output, tif, None, &self.make.output.out, Status::Done)
+    }
+}
+
+/// Puts the mean of the numbers in the place of those that do not exist; no pixel of the part is there.
+fn nearest_where_none(values: &mut Array2<f64>) {
+    let (sum, count) = values.iter().filter(|v| !v.is_nan()).fold((0.0, 0), |(s, n), v| (s + v, n + 1));
+    let mean = if count > 0 { sum / f64::from(count) } else { 1.0 };
+    values.iter_mut().filter(|v| v.is_nan()).for_each(|v| *v = mean);
+}
+
+/// A tool with a further factor of the pixels.
+fn with_factor(tif: &Tif, mut pixels: PixelFactor) -> Result<Tif, Failure> {
+    let mut given = numbers(tif);
+    if let Some(before) = tif.variation().and_then(|v| v.factor_on(&pixels.grid)) {
+        Zip::from(&mut pixels.factor).and(&*before).for_each(|f, before| *f *= before);
+    }
+    given.pixels = Some(pixels);
+    Tif::varying(given).map_err(Failure::with_flags)
+}
+
+/// The numbers of a tool, one that does not vary as well.
+fn numbers(tif: &Tif) -> VaryingTif {
+    let offsets = *tif.grid();
+    match tif.variation() {
+        None => VaryingTif {
+            offsets,
+            kernels: vec![tif.rate_nm_per_s().clone()],
+            // One weight everywhere: any grid does.
+            positions: offsets,
+            weights: vec![Array2::ones(offsets.shape())],
+            pixels: None,
+            time: None,
+        },
+        Some(v) => VaryingTif {
+            offsets,
+            kernels: v.components().iter().map(|c| c.kernel().rate_nm_per_s().clone()).collect(),
+            positions: *v.positions(),
+            weights: (0..v.components().len()).map(|k| v.weight_samples(k)).collect(),
+            pixels: v.pixel_factor().cloned(),
+            time: v.time_factor().cloned(),
+        },
+    }
+}
+
+#[derive(Debug, Args)]
+pub struct SpotsArgs {
+    /// Parameter of the place on which the spot depends
+    #[arg(long, value_enum)]
+    by: Parameter,
+    #[command(flatten)]
+    form: FormArgs,
+    /// Spot that was measured at this value of the parameter [tif artifact]; give it once for each spot
+    #[arg(long, value_name = "VALUE=DIR", required = true)]
+    spot: Vec<String>,
+    #[command(flatten)]
+    make: MakeArgs,
+}
+
+impl SpotsArgs {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let mut inputs = Inputs::new();
+        let surface: Surface = inputs.read("surface", &self.make.surface)?;
+        let form = self.form.read(&mut inputs)?;
+        let mut spots = Vec::new();
+        for given in &self.spot {
+            let parsed = given.split_once('=').and_then(|(value, dir)| Some((value.parse().ok()?, dir)));
+            let Some((value, dir)) = parsed else {
+                let problem = format!("--spot: is {given:?}; give VALUE=DIR, such as 12.5=spots/12");
+                return Err(Failure::new(problem));
+            };
+            spots.push((value, inputs.read::<Tif>("spot", Path::new(dir))?));
+        }
+        let values: Vec<f64> = spots.iter().map(|s| s.0).collect();
+        let settings = json!({
+            "by": self.by, "values": values, "sphere_radius_mm": self.form.sphere_radius_mm,
+        });
+        let places = Places::new(&surface, form.as_ref()).map_err(Failure::with_flags)?;
+        let widest = spots[0].1.clone();
+        let spots = Spots::new(spots).map_err(Failure::with_flags)?;
+        let [low, high] = self.make.rectangle(&surface, &widest);
+        for p in [low, high, [low[0], high[1]], [high[0], low[1]]] {
+            places.parameter(self.by, p).map_err(Failure::with_flags)?;
+        }
+        let of: LocalTool<'_> =
+            Box::new(|p| spots.at(places.parameter(self.by, p).expect("checked at the corners")));
+        let tool = (spots.offsets(), of);
+        self.make.make("tool-spots", &settings, &inputs, (&surface, &widest), tool)
+    }
+}
+
+#[derive(Debug, Args)]
+pub struct EdgeArgs {
+    /// Removal of the pad where all of it is on the part [tif artifact]
+    #[arg(long, value_name = "DIR")]
+    tif: PathBuf,
+    /// Radius of the pad, mm
+    #[arg(long, value_name = "MM")]
+    pad_radius_mm: f64,
+    /// Pressure under a pad that hangs over the edge, with the same force
+    #[arg(long, value_enum, default_value = "linear")]
+    pressure: PressureLaw,
+    #[command(flatten)]
+    make: MakeArgs,
+}
+
+impl EdgeArgs {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let mut inputs = Inputs::new();
+        let tif: Tif = inputs.read("tif", &self.tif)?;
+        let surface: Surface = inputs.read("surface", &self.make.surface)?;
+        let settings = json!({ "pad_radius_mm": self.pad_radius_mm, "pressure": self.pressure });
+        let places = Places::new(&surface, None)?;
+        let pad = Overhang::new(&tif, &places, self.pressure, self.pad_radius_mm);
+        let pad = pad.map_err(Failure::with_flags)?;
+        let of: LocalTool<'_> = Box::new(|p| pad.at(p));
+        let tool = (*tif.grid(), of);
+        self.make.make("tool-edge", &settings, &inputs, (&surface, &tif), tool)
+    }
+}
+
+#[derive(Debug, Args)]
+pub struct TurnedArgs {
+    /// Spot at the azimuth 0: beside the middle, towards positive x [tif artifact]
+    #[arg(long, value_name = "DIR")]
+    tif: PathBuf,
+    #[command(flatten)]
+    make: MakeArgs,
+}
+
+impl TurnedArgs {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let mut inputs = Inputs::new();
+        let tif: Tif = inputs.read("tif", &self.tif)?;
+        let surface: Surface = inputs.read("surface", &self.make.surface)?;
+        let places = Places::new(&surface, None)?;
+        let (offsets, of) = turned(&tif, places.middle_mm()).map_err(Failure::with_flags)?;
+        let of: LocalTool<'_> = Box::new(of);
+        let tool = (offsets, of);
+        self.make.make("tool-turned", &json!({}), &inputs, (&surface, &tif), tool)
+    }
+}
+
+#[derive(Debug, Args)]
+pub struct TimeArgs {
+    /// Tool where the factor is 1 [tif or tool artifact]
+    #[arg(long, value_name = "DIR")]
+    tif: PathBuf,
+    /// Table of time since the start of the run (s) and factor, two numbers in each line, ascending [text file]
+    #[arg(long, value_name = "FILE")]
+    table: PathBuf,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+impl TimeArgs {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let mut inputs = Inputs::new();
+        let tif = inputs.read_tool("tif", &self.tif)?;
+        if tif.variation().is_some_and(|v| v.time_factor().is_some()) {
+            return Err(Failure::new("--tif: has a factor of the time already; give a tool without one"));
+        }
+        let pairs = read_table(&mut inputs, "table", &self.table)?;
+        let task = task!("tool-time", &json!({ "pairs": pairs }));
+        let output = match Output::directory(&self.output, Tool::KIND).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        let time = TimeFactor {
+            time_s: pairs.iter().map(|p| p[0]).collect(),
+            factor: pairs.iter().map(|p| p[1]).collect(),
+        };
+        let given = VaryingTif { time: Some(time), ..numbers(&tif) };
+        let tif = Tif::varying(given).map_err(Failure::with_flags)?;
+        write(output, tif, None, &self.output.out, Status::Done)
+    }
+}
+
+/// Rows of two numbers, separated by blanks, commas or semicolons; lines that begin with `#` are left out.
+fn read_table(inputs: &mut Inputs, role: &str, file: &Path) -> Result<Vec<[f64; 2]>, Failure> {
+    let bytes = inputs.read_bytes(role, file, LARGEST_TABLE_BYTES)?;
+    let text = String::from_utf8_lossy(&bytes);
+    let mut rows = Vec::new();
+    for (i, line) in text.lines().enumerate() {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let words = line.split(|c: char| c.is_whitespace() || c == ',' || c == ';');
+        let numbers: Vec<Option<f64>> = words
+            .filter(|word| !word.is_empty())
+            .map(|word| word.parse().ok().filter(|v: &f64| v.is_finite()))
+            .collect();
+        match numbers[..] {
+            [Some(a), Some(b)] => rows.push([a, b]),
+            _ => {
+                let shown: String = line.chars().take(40).collect();
+                return Err(Failure::new(format!(
+                    "{}: line {} is {shown:?}; give two numbers, the parameter and the factor",
+                    file.display(),
+                    i + 1
+                )));
+            }
+        }
+    }
+    Ok(rows)
+}

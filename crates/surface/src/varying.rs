@@ -1,0 +1,27 @@
+//! Tools that are not the same everywhere, from their causes.
+//!
+//! A cause says which tool acts at every place: a function K(p) of the place p whose value is a TIF on one grid of
+//! offsets. [`low_rank`] turns it into kernels and weights, `K(u; p) = sum_k a_k(p) phi_k(u)`, the form in which
+//! every program takes it ([`planish_types::Variation`]).
+//!
+//! | cause | function | rank |
+//! |---|---|---|
+//! | rate by place, or by the incidence of a beam | [`RateLaw`] | 1 |
+//! | spots measured at several parameters | [`Spots`] | number of spots |
+//! | pad that hangs over the edge | [`Overhang`] | 1, or about 3 |
+//! | spot that turns with the azimuth | [`turned`] | 10 to 100 |
+//! | rate by time | [`planish_types::TimeFactor`] | 1 |
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | `low_rank` | kernels and weights of a function of the place, to a stated error |
+//! | `place` | parameters of a place: distance to the edge, incidence, radius |
+//! | `causes` | the tools of the table |
+
+mod causes;
+mod low_rank;
+mod place;
+
+pub use causes::{Overhang, PressureLaw, RateLaw, Spots, tool_at, turned};
+pub use low_rank::{LowRank, LowRankReport, LowRankSettings, low_rank};
+pub use place::{Form, Parameter, Places};

@@ -1,0 +1,280 @@
+//! The tools of [`crate::varying`] at every place.
+
+use ndarray::Array2;
+use planish_types::{Axis, Grid, Invalid, Tif};
+use serde::Serialize;
+
+use super::place::Places;
+
+/// Samples of a tool at a place, nm/s, on its own offsets.
+pub fn tool_at(tif: &Tif, tool_mm: [f64; 2]) -> Array2<f64> {
+    let Some(variation) = tif.variation() else { return tif.rate_nm_per_s().clone() };
+    let mut rate = Array2::zeros(tif.rate_nm_per_s().dim());
+    for (k, component) in variation.components().iter().enumerate() {
+        let weight = variation.weight(k, tool_mm);
+        rate.scaled_add(weight, component.kernel().rate_nm_per_s());
+    }
+    rate
+}
+
+/// Factor of the rate by a parameter of the place.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RateLaw {
+    /// `cos(parameter)^exponent`, the parameter an angle in degrees.
+    Cosine {
+        /// Exponent; below 0 the rate rises with the angle.
+        exponent: f64,
+    },
+    /// Linear between given pairs of parameter and factor, which ascend; constant beyond them.
+    Table {
+        /// Pairs [parameter, factor].
+        pairs: Vec<[f64; 2]>,
+    },
+}
+
+impl RateLaw {
+    /// Checks that a table ascends.
+    pub fn check(&self) -> Result<(), Invalid> {
+        match self {
+            Self::Cosine { exponent } if !exponent.is_finite() => {
+                Err(Invalid::whole("exponent", format!("is {exponent}"), "give a number"))
+            }
+            Self::Cosine { .. } => Ok(()),
+            Self::Table { pairs } => ascending("table", pairs),
+        }
+    }
+
+    /// The factor at a parameter.
+    pub fn factor(&self, parameter: f64) -> f64 {
+        match self {
+            Self::Cosine { exponent } => parameter.to_radians().cos().powf(*exponent),
+            Self::Table { pairs } => {
+                let (before, after, f) = between(pairs.len(), parameter, |i| pairs[i][0]);
+                (1.0 - f) * pairs[before][1] + f * pairs[after][1]
+            }
+        }
+    }
+}
+
+/// Refuses pairs whose first numbers do not ascend.
+fn ascending(name: &'static str, pairs: &[[f64; 2]]) -> Result<(), Invalid> {
+    if pairs.is_empty() {
+        return Err(Invalid::whole(name, "has no rows", "give a parameter and a factor in each row"));
+    }
+    match (1..pairs.len()).find(|i| pairs[*i][0] <= pairs[*i - 1][0]) {
+        None => Ok(()),
+        Some(i) => {
+            let problem = format!("is {} after {}", pairs[i][0], pairs[i - 1][0]);
+            Err(Invalid::at(name, i, problem, "give ascending parameters"))
+        }
+    }
+}
+
+/// The two of `count` ascending numbers around a value, and how far it is from the first to the second, 0 to 1.
+fn between(count: usize, value: f64, at: impl Fn(usize) -> f64) -> (usize, usize, f64) {
+    let after = (0..count).find(|i| at(*i) > value).unwrap_or(count);
+    match after {
+        0 => (0, 0, 0.0),
+        _ if after == count => (count - 1, count - 1, 0.0),
+        _ => (after - 1, after, (value - at(after - 1)) / (at(after) - at(after - 1))),
+    }
+}
+
+/// Spots measured at several values of a parameter. Between two of them the tool is their linear mixture; beyond the
+/// first and the last it is that one.
+#[derive(Clone, Debug)]
+pub struct Spots {
+    offsets: Grid,
+    /// Parameter and samples of every spot on `offsets`, ascending.
+    spots: Vec<(f64, Array2<f64>)>,
+}
+
+impl Spots {
+    /// Spots on the pitch of the first one, over the offsets that any of them has.
+    pub fn new(mut given: Vec<(f64, Tif)>) -> Result<Self, Invalid> {
+        let Some((_, first)) = given.first() else {
+            return Err(Invalid::whole("spot", "is missing", "give at least one spot"));
+        };
+        let pitch = [first.grid().x.step_mm(), first.grid().y.step_mm()];
+        let centre = [first.grid().x.start_mm(), first.grid().y.start_mm()];
+        for (parameter, tif) in &given {
+            tif.same_everywhere("a measured spot")?;
+            if !parameter.is_finite() {
+                let remedy = "give the parameter of the place where it was measured";
+                return Err(Invalid::whole("spot", format!("has the parameter {parameter}"), remedy));
+            }
+        }
+        given.sort_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some(i) = (1..given.len()).find(|i| given[*i].0 == given[*i - 1].0) {
+            let problem = format!("two have the parameter {}", given[i].0);
+            return Err(Invalid::whole("spot", problem, "average them first, or give another one"));
+        }
+        // Nodes of the first spot, continued as far as the widest one.
+        let axis = |k: usize| {
+            let of = |tif: &Tif| if k == 0 { tif.grid().x } else { tif.grid().y };
+            let low = given.iter().map(|(_, t)| of(t).start_mm()).fold(f64::INFINITY, f64::min);
+            let high = given.iter().map(|(_, t)| of(t).end_mm()).fold(f64::NEG_INFINITY, f64::max);
+            let before = ((centre[k] - low) / pitch[k] - 1e-6).ceil().max(0.0);
+            let start = centre[k] - before * pitch[k];
+            let count = ((high - start) / pitch[k] - 1e-6).ceil() as usize + 1;
+            Axis::new(start, pitch[k], count)
+        };
+        let offsets = Grid { x: axis(0)?, y: axis(1)? };
+        let samples = |tif: &Tif| {
+            Array2::from_shape_fn(offsets.shape(), |(r, c)| {
+                tif.rate_at(offsets.x.at(c), offsets.y.at(r))
+            })
+        };
+        let spots = given.iter().map(|(parameter, tif)| (*parameter, samples(tif))).collect();
+        Ok(Self { offsets, spots })
+    }
+
+    /// Offsets of the samples.
+    pub fn offsets(&self) -> Grid {
+        self.offsets
+    }
+
+    /// The tool at a parameter.
+    pub fn at(&self, parameter: f64) -> Array2<f64> {
+        let (before, after, f) = between(self.spots.len(), parameter, |i| self.spots[i].0);
+        &self.spots[before].1 * (1.0 - f) + &self.spots[after].1 * f
+    }
+}
+
+/// Law of the pressure under a pad that hangs over the edge, with the same force as on the part.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "kebab-case")]
+pub enum PressureLaw {
+    /// The same pressure on all of the covered area: the whole area over the covered one.
+    Uniform,
+    /// Linear in the offset, in equilibrium of force and moments about the centre of the pad, and nowhere negative.
+    Linear,
+}
+
+/// A pad that hangs over the edge of the part: `K(u; p) = R(u) q(u; p)`, q the pressure over that of a pad that is
+/// covered.
+///
+/// With the covered part C of the area A of the pad,
+///
+/// ```text
+/// uniform    q = |A| / |C|
+/// linear     q = max(c0 + c . u, 0),   integral over C of q = |A|,   integral over C of q u = 0          (1)
+/// ```
+///
+/// Source: the linear law is that of R. A. Jones, Appl. Opt. 25 (1986) 4236; measured edge functions and the parameters
+/// of others are in D. W. Kim et al., Opt. Express 17 (2009) 5656, and can be given as [`Spots`].
+#[derive(Debug)]
+pub struct Overhang<'a> {
+    tif: &'a Tif,
+    places: &'a Places<'a>,
+    law: PressureLaw,
+    /// Offsets of the pad, mm.
+    pad_mm: Vec<[f64; 2]>,
+}
+
+/// Smallest covered fraction of the pad for which the law is used. A tool further outside has the pressure of the place
+/// towards the middle of the part at which so much is covered. Larger: pads that hang over far have too little pressure.
+/// Smaller: the pressure of the linear law grows without bound where nobody works.
+const LEAST_COVERED: f64 = 0.4;
+
+/// Number of halvings with which that place is found: to 1e-4 of the distance to the middle. Larger: more time.
+/// Smaller: a step in the pressure.
+const HALVINGS: usize = 14;
+
+/// Number of points along the diameter of the pad. Larger: more time. Smaller: the covered area is less exact.
+const POINTS_OF_PAD: usize = 61;
+
+impl<'a> Overhang<'a> {
+    /// A round pad of a radius, mm, whose removal on the part is `tif`.
+    pub fn new(
+        tif: &'a Tif,
+        places: &'a Places<'a>,
+        law: PressureLaw,
+        pad_radius_mm: f64,
+    ) -> Result<Self, Invalid> {
+        tif.same_everywhere("a pad that hangs over the edge")?;
+        if !(pad_radius_mm.is_finite() && pad_radius_mm > 0.0) {
+            let problem = format!("is {pad_radius_mm}");
+            return Err(Invalid::whole("pad_radius_mm", problem, "give the radius of the pad in mm"));
+        }
+        let at = |k: usize| (2.0 * (k as f64 + 0.5) / POINTS_OF_PAD as f64 - 1.0) * pad_radius_mm;
+        let all = (0..POINTS_OF_PAD).flat_map(|r| (0..POINTS_OF_PAD).map(move |c| [at(c), at(r)]));
+        let pad_mm = all.filter(|[x, y]| x.hypot(*y) <= pad_radius_mm).collect();
+        Ok(Self { tif, places, law, pad_mm })
+    }
+
+    /// Fraction of the pad on the part, for a tool at a place.
+    pub fn covered(&self, p: [f64; 2]) -> f64 {
+        let covered = self.pad_mm.iter().filter(|u| self.places.is_on_part([p[0] + u[0], p[1] + u[1]]));
+        covered.count() as f64 / self.pad_mm.len() as f64
+    }
+
+    /// The place itself, or the nearest one towards the middle at which enough of the pad is covered.
+    fn covered_enough(&self, p: [f64; 2]) -> [f64; 2] {
+        if self.covered(p) >= LEAST_COVERED {
+            return p;
+        }
+        let middle = self.places.middle_mm();
+        let towards = |s: f64| [0, 1].map(|k| p[k] + s * (middle[k] - p[k]));
+        let (mut low, mut high) = (0.0, 1.0);
+        for _ in 0..HALVINGS {
+            let s = 0.5 * (low + high);
+            if self.covered(towards(s)) >= LEAST_COVERED { high = s } else { low = s }
+        }
+        towards(high)
+    }
+
+    /// The tool at a place.
+    pub fn at(&self, p: [f64; 2]) -> Array2<f64> {
+        let p = self.covered_enough(p);
+        let rate = self.tif.rate_nm_per_s();
+        let uniform = [1.0 / self.covered(p), 0.0, 0.0];
+        let [c0, cx, cy] = match self.law {
+            PressureLaw::Uniform => uniform,
+            PressureLaw::Linear => self.linear(p).unwrap_or(uniform),
+        };
+        let grid = self.tif.grid();
+        let pressure = |(r, c): (usize, usize)| (c0 + cx * grid.x.at(c) + cy * grid.y.at(r)).max(0.0);
+        Array2::from_shape_fn(rate.dim(), |place| rate[place] * pressure(place))
+    }
+
+    /// (1) without its maximum: c0 and c; none where the covered points lie on a line.
+    fn linear(&self, p: [f64; 2]) -> Option<[f64; 3]> {
+        let mut moments = nalgebra::Matrix3::zeros();
+        for [x, y] in self.pad_mm.iter().filter(|u| self.places.is_on_part([p[0] + u[0], p[1] + u[1]])) {
+            let u = nalgebra::Vector3::new(1.0, *x, *y);
+            moments += u * u.transpose();
+        }
+        let all = self.pad_mm.len() as f64;
+        let solution = moments.lu().solve(&nalgebra::Vector3::new(all, 0.0, 0.0))?;
+        Some([solution[0], solution[1], solution[2]])
+    }
+}
+
+/// A spot that turns about its centre with the azimuth of its place about a middle: at the azimuth 0 it is `tif`.
+/// Returns the offsets, which hold the spot in every direction, and the tool at a place.
+pub fn turned(
+    tif: &Tif,
+    middle_mm: [f64; 2],
+) -> Result<(Grid, impl Fn([f64; 2]) -> Array2<f64> + Sync), Invalid> {
+    tif.same_everywhere("a spot that turns")?;
+    let spot = tif.without_zero_margins().into_owned();
+    let [x, y] = spot.half_size_mm();
+    let step = spot.grid().x.step_mm().min(spot.grid().y.step_mm());
+    let half = (x.hypot(y) / step).ceil() as usize;
+    let axis = Axis::new(-(half as f64) * step, step, 2 * half + 1)?;
+    let offsets = Grid { x: axis, y: axis };
+    let at = move |p: [f64; 2]| {
+        // K(u; p) = R(T(-azimuth) u)
+        let (dx, dy) = (p[0] - middle_mm[0], p[1] - middle_mm[1]);
+        let radius = dx.hypot(dy);
+        let (cosine, sine) = if radius > 0.0 { (dx / radius, dy / radius) } else { (1.0, 0.0) };
+        Array2::from_shape_fn(offsets.shape(), |(r, c)| {
+            let (x, y) = (offsets.x.at(c), offsets.y.at(r));
+            spot.rate_at(cosine * x + sine * y, cosine * y - sine * x)
+        })
+    };
+    Ok((offsets, at))
+}

@@ -1,0 +1,256 @@
+//! Kernels and weights of a tool that is a function of the place.
+//!
+//! With the samples `K_j` of the tool at places `p_j` of a grid,
+//!
+//! ```text
+//! K_i . K_j = V L V'                      eigenvalues l_1 >= l_2 >= ...                   (1)
+//! phi_k = sum_j V_jk K_j / l_k^1/2        orthonormal: the singular vectors of the samples
+//! a_k(p) = phi_k . K(p)                   at every place of the grid                      (2)
+//! ```
+//!
+//! By (2), `|K(p) - sum_k a_k phi_k|^2 = |K(p)|^2 - sum_k a_k^2`, which is computed at every place. Between the places
+//! the weights are interpolated; what that leaves is measured in the middles of cells. The rank is the least, and the
+//! grid the coarsest of halved ones, whose errors stay below the wanted one.
+
+use nalgebra::{DMatrix, SymmetricEigen};
+use ndarray::{Array2, Zip};
+use planish_types::{Axis, Grid, Invalid, Tif, VaryingTif};
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// Largest number of places whose samples decide the kernels. Larger: a larger matrix, and more time. Smaller: kernels
+/// that miss a rare tool.
+const MOST_TRAINING: usize = 400;
+
+/// Largest number of places of the weights. Larger: finer grids for tools that change fast, and more time and memory.
+/// Smaller: such tools are less exact.
+const MOST_PLACES: usize = 20_000;
+
+/// Number of cells along the longer side of the first grid. Larger: finer grids than smooth tools need. Smaller: more
+/// halvings.
+const FIRST_CELLS: f64 = 8.0;
+
+/// Largest number of middles of cells at which the interpolation is measured. Larger: more time. Smaller: a larger
+/// scatter of the measured error.
+const MOST_MIDDLES: usize = 400;
+
+/// Part of the wanted error that the rank may take; the interpolation has the rest. Larger: fewer kernels, and finer
+/// grids. Smaller: the reverse.
+const PART_OF_RANK: f64 = 0.5;
+
+/// How exact a tool is to be.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LowRankSettings {
+    /// Wanted error: root mean square over the places of the error of the samples, over that of the samples.
+    pub error: f64,
+    /// Distance of the places of the weights, mm; chosen by the error without it.
+    pub spacing_mm: Option<f64>,
+    /// Largest number of kernels.
+    pub max_rank: usize,
+}
+
+/// What was reached.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LowRankReport {
+    /// Kernels.
+    pub rank: usize,
+    /// Places of the weights along x and y.
+    pub places: [usize; 2],
+    /// Distance of the places along x and y, mm.
+    pub spacing_mm: [f64; 2],
+    /// Error of the rank: root mean square over the places, relative.
+    pub rank_error: f64,
+    /// Largest error of the rank at a place, relative to the root mean square of the samples.
+    pub largest_rank_error: f64,
+    /// Error in the middles between the places, rank and interpolation together: root mean square, relative.
+    pub error: f64,
+    /// Largest of these errors, relative.
+    pub largest_error: f64,
+    /// Place of the largest error [x, y], mm.
+    pub largest_error_at_mm: [f64; 2],
+    /// Wanted error.
+    pub wanted_error: f64,
+}
+
+impl LowRankReport {
+    /// Returns the sentence that says what is not reached; none if the error is below the wanted one.
+    pub fn negative(&self) -> Option<String> {
+        (self.error > self.wanted_error).then(|| {
+            format!(
+                "the kernels and weights miss the tool by {:.2e} of it (root mean square), more than the wanted {:.2e}; \
+                 the largest error, {:.2e}, is at x = {:.3} mm, y = {:.3} mm; give a larger `error`, a smaller \
+                 `spacing_mm`, or a larger `max_rank`",
+                self.error,
+                self.wanted_error,
+                self.largest_error,
+                self.largest_error_at_mm[0],
+                self.largest_error_at_mm[1]
+            )
+        })
+    }
+}
+
+/// A tool that varies, and how exact it is.
+#[derive(Debug)]
+pub struct LowRank {
+    /// The tool, without factors of pixels and time.
+    pub tool: VaryingTif,
+    /// What was reached.
+    pub report: LowRankReport,
+}
+
+/// Kernels and weights of the tool `of` on `offsets`, for places in the rectangle from `low_mm` to `high_mm` [x, y].
+pub fn low_rank(
+    offsets: &Grid,
+    [low_mm, high_mm]: [[f64; 2]; 2],
+    of: &(dyn Fn([f64; 2]) -> Array2<f64> + Sync),
+    settings: &LowRankSettings,
+) -> Result<LowRank, Invalid> {
+    let LowRankSettings { error, spacing_mm, max_rank } = *settings;
+    if !(error > 0.0 && error < 1.0) {
+        let problem = format!("is {error}");
+        return Err(Invalid::whole("error", problem, "give a fraction above 0 and below 1"));
+    }
+    if max_rank == 0 {
+        return Err(Invalid::whole("max_rank", "is 0", "give at least one kernel"));
+    }
+    if let Some(mm) = spacing_mm.filter(|mm| !(mm.is_finite() && *mm > 0.0)) {
+        return Err(Invalid::whole("spacing_mm", format!("is {mm}"), "give a distance in mm"));
+    }
+    let size = [0, 1].map(|k| high_mm[k] - low_mm[k]);
+    let mut spacing = spacing_mm.unwrap_or(size[0].max(size[1]) / FIRST_CELLS);
+    loop {
+        let axis = |k: usize| {
+            let cells = (size[k] / spacing - 1e-9).ceil().max(1.0);
+            Axis::new(low_mm[k], size[k].max(spacing) / cells, cells as usize + 1)
+        };
+        let positions = Grid { x: axis(0)?, y: axis(1)? };
+        let places = positions.x.len() * positions.y.len();
+        if places > MOST_PLACES && spacing_mm.is_some() {
+            let problem = format!("is {spacing} mm, which makes {places} places");
+            let remedy = format!("give one that makes at most {MOST_PLACES}");
+            return Err(Invalid::whole("spacing_mm", problem, remedy));
+        }
+        let found = at(offsets, positions, of, error, max_rank)?;
+        let is_last = spacing_mm.is_some() || 4 * places > MOST_PLACES;
+        // Halving the distance does not mend the rank.
+        let of_rank = found.report.rank_error > error;
+        if is_last || of_rank || found.report.error <= error {
+            return Ok(found);
+        }
+        spacing *= 0.5;
+    }
+}
+
+/// Kernels and weights on a grid of places.
+fn at(
+    offsets: &Grid,
+    positions: Grid,
+    of: &(dyn Fn([f64; 2]) -> Array2<f64> + Sync),
+    error: f64,
+    max_rank: usize,
+) -> Result<LowRank, Invalid> {
+    let (ny, nx) = positions.shape();
+    let place = |i: usize| [positions.x.at(i % nx), positions.y.at(i / nx)];
+    let count = nx * ny;
+    let training = count.min(MOST_TRAINING);
+    // Evenly spread, by the golden ratio where not all are taken.
+    let chosen = |k: usize| match training == count {
+        true => k,
+        false => ((k as f64 * 0.618_033_988_749_894_9).fract() * count as f64) as usize,
+    };
+    let samples: Vec<Array2<f64>> =
+        (0..training).into_par_iter().map(|k| of(place(chosen(k)))).collect();
+    let dot = |a: &Array2<f64>, b: &Array2<f64>| Zip::from(a).and(b).fold(0.0, |s, a, b| s + a * b);
+    let rows: Vec<Vec<f64>> = (0..training)
+        .into_par_iter()
+        .map(|i| (0..=i).map(|j| dot(&samples[i], &samples[j])).collect())
+        .collect();
+    let products =
+        DMatrix::from_fn(training, training, |i, j| rows[i.max(j)][i.min(j)]);
+    let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(products);
+    let mut order: Vec<usize> = (0..training).collect();
+    order.sort_by(|a, b| eigenvalues[*b].total_cmp(&eigenvalues[*a]));
+    let total: f64 = eigenvalues.iter().map(|l| l.max(0.0)).sum();
+    let mut left = total;
+    let mut rank = 0;
+    while rank < max_rank.min(training)
+        && left > (PART_OF_RANK * error).powi(2) * total
+        && eigenvalues[order[rank]] > f64::EPSILON * total
+    {
+        left -= eigenvalues[order[rank]];
+        rank += 1;
+    }
+    let scale = (total / training as f64).sqrt();
+    let kernel = |k: usize| -> Array2<f64> {
+        let column = eigenvectors.column(order[k]);
+        let mut kernel = Array2::zeros(offsets.shape());
+        for (sample, v) in samples.iter().zip(column.iter()) {
+            kernel.scaled_add(v / eigenvalues[order[k]].sqrt(), sample);
+        }
+        // A sign that does not depend on the eigenvectors' own: the larger part of a kernel is positive.
+        if kernel.sum() < 0.0 { -kernel } else { kernel }
+    };
+    let kernels: Vec<Array2<f64>> = (0..rank).into_par_iter().map(kernel).collect();
+    let of_place = |p: [f64; 2]| -> (Vec<f64>, f64) {
+        let sample = of(p);
+        let square = dot(&sample, &sample);
+        (kernels.iter().map(|kernel| dot(kernel, &sample)).collect(), square)
+    };
+    let found: Vec<(Vec<f64>, f64)> = (0..count).into_par_iter().map(|i| of_place(place(i))).collect();
+    let missed = |(a, square): &(Vec<f64>, f64)| {
+        (square - a.iter().map(|a| a * a).sum::<f64>()).max(0.0)
+    };
+    let squares: f64 = found.iter().map(|(_, square)| square).sum::<f64>() / count as f64;
+    let of_rank: f64 = found.iter().map(missed).sum::<f64>() / count as f64;
+    let largest_of_rank = found.iter().map(missed).fold(0.0, f64::max);
+    let weights: Vec<Array2<f64>> = (0..rank)
+        .map(|k| Array2::from_shape_fn((ny, nx), |(r, c)| found[r * nx + c].0[k] / scale))
+        .collect();
+    let tool = VaryingTif {
+        offsets: *offsets,
+        kernels: kernels.iter().map(|kernel| kernel * scale).collect(),
+        positions,
+        weights,
+        pixels: None,
+        time: None,
+    };
+    // |K - sum_k a phi_k|^2 = |K|^2 - 2 a . (phi . K) + |a|^2 with the interpolated a.
+    let cells = (nx - 1) * (ny - 1);
+    let middles = cells.min(MOST_MIDDLES);
+    let tif = Tif::varying(tool.clone())?;
+    // A tool that turns out to be the same everywhere has no weights.
+    let interpolated = |p: [f64; 2]| -> Vec<f64> {
+        (0..rank).map(|k| tif.variation().map_or(1.0, |v| v.weight(k, p))).collect()
+    };
+    let errors: Vec<(f64, [f64; 2])> = (0..middles)
+        .into_par_iter()
+        .map(|k| {
+            let i = k * cells / middles;
+            let (c, r) = (i % (nx - 1), i / (nx - 1));
+            let p = [
+                0.5 * (positions.x.at(c) + positions.x.at(c + 1)),
+                0.5 * (positions.y.at(r) + positions.y.at(r + 1)),
+            ];
+            let (exact, square) = of_place(p);
+            let a: Vec<f64> = interpolated(p).iter().map(|a| a * scale).collect();
+            let of_terms = exact.iter().zip(&a).map(|(e, a)| a * a - 2.0 * a * e).sum::<f64>();
+            ((square + of_terms).max(0.0), p)
+        })
+        .collect();
+    let of_middles = errors.iter().map(|e| e.0).sum::<f64>() / middles as f64;
+    let worst = errors.iter().fold((0.0, place(0)), |a, b| if b.0 > a.0 { *b } else { a });
+    let relative = |square: f64| (square / squares).sqrt();
+    let report = LowRankReport {
+        rank,
+        places: [nx, ny],
+        spacing_mm: [positions.x.step_mm(), positions.y.step_mm()],
+        rank_error: relative(of_rank),
+        largest_rank_error: relative(largest_of_rank),
+        error: relative(of_middles).max(relative(of_rank)),
+        largest_error: relative(worst.0.max(largest_of_rank)),
+        largest_error_at_mm: worst.1,
+        wanted_error: error,
+    };
+    Ok(LowRank { tool, report })
+}

@@ -1,0 +1,232 @@
+//! How a tool influence function differs from place to place of the part, and in the course of a run.
+//!
+//! ```text
+//! K(x; p, t) = c(t) g(x) sum_k a_k(p) phi_k(x - p)                                        (1)
+//! ```
+//!
+//! K is the removal rate at the pixel x of a tool at p, at the time t of the run. The kernels `phi_k` are samples on one
+//! grid of offsets, and their weights `a_k` are samples on a coarse grid of tool positions. `g` is a factor of every
+//! pixel, for causes that act at the place of the removal. `c` is a factor of the time, for wear and warm-up. Without
+//! `g` and `c` both are 1. Everything that is linear in the dwell time stays linear.
+//!
+//! Between their samples, kernels, weights and the factor of the pixels are Keys' cubic convolution
+//! ([`planish_numerics::keys`]), and `c` is linear. Beyond the samples, a weight has the value of the nearest place of
+//! its grid, and `c` that of the nearest time.
+
+use std::borrow::Cow;
+
+use ndarray::Array2;
+use planish_numerics::keys;
+
+use crate::{Axis, Grid, Invalid, Tif};
+
+/// Smallest factor of a pixel or of a time. A tool that removes nothing at a place makes the place unreachable, and a
+/// negative factor adds material. Larger: strong causes are refused. Smaller: mistakes in the units pass.
+const LEAST_FACTOR: f64 = 1e-3;
+
+/// Largest factor of a pixel or of a time. Larger: mistakes in the units pass. Smaller: strong causes are refused.
+const LARGEST_FACTOR: f64 = 1e3;
+
+/// Numbers of the map under a factor: a product of samples and a grid.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PixelFactor {
+    /// Grid of the samples, in coordinates of the part.
+    pub grid: Grid,
+    /// Samples (ny, nx), dimensionless.
+    pub factor: Array2<f64>,
+}
+
+/// Factor of the removal rate in the course of a run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TimeFactor {
+    /// Times (m) from the start of the run, s; ascending.
+    pub time_s: Vec<f64>,
+    /// Factor at these times (m), dimensionless.
+    pub factor: Vec<f64>,
+}
+
+/// A kernel and its weights.
+#[derive(Clone, Debug)]
+pub struct Component {
+    /// The kernel `phi_k`; unlike a TIF it may be negative.
+    kernel: Tif,
+    /// Samples of the weight with Keys' ghost nodes, (ny+2, nx+2).
+    weight: Array2<f64>,
+}
+
+impl Component {
+    /// The kernel, nm/s; its samples may be negative.
+    pub fn kernel(&self) -> &Tif {
+        &self.kernel
+    }
+}
+
+/// (1) without the kernel of a constant tool.
+#[derive(Clone, Debug)]
+pub struct Variation {
+    components: Vec<Component>,
+    positions: Grid,
+    pixels: Option<PixelFactor>,
+    time: Option<TimeFactor>,
+}
+
+impl Variation {
+    /// Kernels and weights, which [`Tif::varying`] has checked.
+    pub(crate) fn new(
+        kernels: Vec<Tif>,
+        weights: &[Array2<f64>],
+        positions: Grid,
+        pixels: Option<PixelFactor>,
+        time: Option<TimeFactor>,
+    ) -> Result<Self, Invalid> {
+        if let Some(PixelFactor { grid, factor }) = &pixels {
+            if factor.dim() != grid.shape() {
+                let problem = format!("has shape {:?}, its grid {:?}", factor.dim(), grid.shape());
+                return Err(Invalid::whole("factor", problem, "give one factor per pixel"));
+            }
+            let bad = factor.indexed_iter().find(|(_, v)| !is_factor(**v));
+            if let Some((index, v)) = bad {
+                return Err(Invalid::at("factor", index, format!("is {v}"), FACTOR_REMEDY));
+            }
+        }
+        if let Some(TimeFactor { time_s, factor }) = &time {
+            if time_s.len() != factor.len() || time_s.is_empty() {
+                let problem = format!("has {} elements for {} times", factor.len(), time_s.len());
+                return Err(Invalid::whole("time_factor", problem, "give one factor per time"));
+            }
+            if let Some(i) = (1..time_s.len()).find(|i| time_s[*i] <= time_s[*i - 1]) {
+                let problem = format!("is {} s after {} s", time_s[i], time_s[i - 1]);
+                return Err(Invalid::at("time_s", i, problem, "give ascending times"));
+            }
+            if let Some(i) = (0..factor.len()).find(|i| !is_factor(factor[*i])) {
+                let problem = format!("is {}", factor[i]);
+                return Err(Invalid::at("time_factor", i, problem, FACTOR_REMEDY));
+            }
+        }
+        let components = kernels.into_iter().zip(weights);
+        let components = components
+            .map(|(kernel, weight)| Component { kernel, weight: keys::with_ghosts(weight.view()) })
+            .collect();
+        Ok(Self { components, positions, pixels, time })
+    }
+
+    /// The kernels with their weights.
+    pub fn components(&self) -> &[Component] {
+        &self.components
+    }
+
+    /// Tool positions of the samples of the weights.
+    pub fn positions(&self) -> &Grid {
+        &self.positions
+    }
+
+    /// Samples of the weight of a component (ny, nx).
+    pub fn weight_samples(&self, component: usize) -> Array2<f64> {
+        let (ny, nx) = self.positions.shape();
+        self.components[component].weight.slice(ndarray::s![1..=ny, 1..=nx]).to_owned()
+    }
+
+    /// The factor of the pixels as it was given.
+    pub fn pixel_factor(&self) -> Option<&PixelFactor> {
+        self.pixels.as_ref()
+    }
+
+    /// The factor of the time as it was given.
+    pub fn time_factor(&self) -> Option<&TimeFactor> {
+        self.time.as_ref()
+    }
+
+    /// `a_k` of a component for a tool at a place of the part.
+    pub fn weight(&self, component: usize, tool_mm: [f64; 2]) -> f64 {
+        let weight = &self.components[component].weight;
+        keys_at(&self.positions, weight, tool_mm)
+    }
+
+    /// `g` on the pixels of a map, (ny, nx); none if it is 1. Pixels beyond the samples have the factor of the nearest
+    /// one.
+    pub fn factor_on(&self, map: &Grid) -> Option<Cow<'_, Array2<f64>>> {
+        let PixelFactor { grid, factor } = self.pixels.as_ref()?;
+        if grid == map {
+            return Some(Cow::Borrowed(factor));
+        }
+        let with_ghosts = keys::with_ghosts(factor.view());
+        let at = |(r, c)| keys_at(grid, &with_ghosts, [map.x.at(c), map.y.at(r)]);
+        Some(Cow::Owned(Array2::from_shape_fn(map.shape(), at)))
+    }
+
+    /// The same without the factor of the time: the tool as it is while that is 1.
+    pub(crate) fn without_time(&self) -> Self {
+        Self { time: None, ..self.clone() }
+    }
+
+    /// The same kernels and weights with the factor of the pixels moved by a distance [x, y].
+    pub(crate) fn with_pixels_moved(&self, by_mm: [f64; 2]) -> Result<Self, Invalid> {
+        let moved = |p: &PixelFactor| -> Result<PixelFactor, Invalid> {
+            Ok(PixelFactor { grid: p.grid.moved(by_mm)?, factor: p.factor.clone() })
+        };
+        Ok(Self { pixels: self.pixels.as_ref().map(moved).transpose()?, ..self.clone() })
+    }
+
+    /// The same weights and factors with other kernels, one for each.
+    pub(crate) fn with_kernels(&self, kernels: Vec<Tif>) -> Self {
+        let components = self.components.iter().zip(kernels);
+        let components = components
+            .map(|(c, kernel)| Component { kernel, weight: c.weight.clone() })
+            .collect();
+        Self { components, ..self.clone() }
+    }
+}
+
+/// Sentence after a factor that is none.
+const FACTOR_REMEDY: &str = "give a factor of the rate between 0.001 and 1000, 1 where the rate is that of the kernels";
+
+fn is_factor(v: f64) -> bool {
+    (LEAST_FACTOR..=LARGEST_FACTOR).contains(&v)
+}
+
+impl TimeFactor {
+    /// `c` at a time of the run, s.
+    pub fn at(&self, time_s: f64) -> f64 {
+        let Self { time_s: times, factor } = self;
+        let after = times.partition_point(|t| *t <= time_s);
+        if after == 0 {
+            return factor[0];
+        }
+        let Some(end) = times.get(after) else { return factor[after - 1] };
+        let start = times[after - 1];
+        let f = (time_s - start) / (end - start);
+        (1.0 - f) * factor[after - 1] + f * factor[after]
+    }
+
+    /// Mean of `c` between two times of the run, s: exact, as `c` is linear between its samples.
+    pub fn mean(&self, from_s: f64, to_s: f64) -> f64 {
+        if to_s <= from_s {
+            return self.at(from_s);
+        }
+        let inside = self.time_s.iter().copied().filter(|t| *t > from_s && *t < to_s);
+        let mut sum = 0.0;
+        let mut before = from_s;
+        for t in inside.chain([to_s]) {
+            sum += 0.5 * (self.at(before) + self.at(t)) * (t - before);
+            before = t;
+        }
+        sum / (to_s - from_s)
+    }
+}
+
+/// Keys' interpolation of samples with ghost nodes at a place, which counts as on the border of the grid beyond it.
+fn keys_at(grid: &Grid, with_ghosts: &Array2<f64>, [x, y]: [f64; 2]) -> f64 {
+    let node = |axis: &Axis, mm: f64| {
+        let last = axis.len() - 1;
+        let s = ((mm - axis.start_mm()) / axis.step_mm()).clamp(0.0, last as f64);
+        let (cell, f) = keys::split(s);
+        let cell = cell.clamp(0, last as isize) as usize;
+        // The last node belongs to the cell before it; a single node has no cell.
+        match cell {
+            _ if cell == last && last > 0 => (last - 1, keys::weights(1.0)),
+            _ => (cell, keys::weights(f)),
+        }
+    };
+    let ((ix, wx), (iy, wy)) = (node(&grid.x, x), node(&grid.y, y));
+    (0..4).map(|b| wy[b] * (0..4).map(|a| wx[a] * with_ghosts[[iy + b, ix + a]]).sum::<f64>()).sum()
+}
