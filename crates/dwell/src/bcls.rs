@@ -87,6 +87,7 @@ pub fn solve(
     limits: &Limits,
     settings: &Settings,
 ) -> Result<Bcls, DwellError> {
+    tif.same_at_all_times("bcls")?;
     let bounds = bounds(path, limits, settings.least_feed)?;
     let places = settings.columns.places(path, tif);
     let squares = bounded_least_squares::Settings {

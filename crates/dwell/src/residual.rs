@@ -92,8 +92,7 @@ impl<'a> Residual<'a> {
         let tif = tif.without_zero_margins();
         let mut weight = pixel_weights(desired, weight)?;
         weight /= weight.sum();
-        let alone =
-            |(p, rate): (&[f64; 2], &f64)| vec![Place { position_mm: *p, fraction: *rate }];
+        let alone = |(p, rate): (&[f64; 2], &f64)| vec![Place { position_mm: *p, fraction: *rate }];
         let places: Vec<Vec<Place>> = places_mm.iter().zip(&rates).map(alone).collect();
         let operator = Operator::new(&places, &tif, desired.grid())?;
         let largest = operator.adjoint(&weight).into_iter().fold(0.0, f64::max);

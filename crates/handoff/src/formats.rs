@@ -43,7 +43,8 @@ pub fn formats_markdown() -> String {
                     since - 1
                 );
             } else if let Some(since) = a.optional_since {
-                doc += &format!(" May be absent: an artifact without it has version {}.", since - 1);
+                doc +=
+                    &format!(" May be absent: an artifact without it has version {}.", since - 1);
             } else if let Some(v) = a.default {
                 doc += &format!(" Taken as {v} where a directory without a manifest lacks it.");
             }

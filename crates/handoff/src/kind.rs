@@ -188,11 +188,11 @@ pub const TIF: Kind = Kind {
 pub const TOOL: Kind = Kind {
     name: "tool",
     version: 3,
-    doc: "A tool influence function that varies over the part: the removal rate at the pixel x of a tool at p is the sum \
-          over k of weight[k](p) rate_nm_per_s[k](x - p), times the factor of the pixel, times the factor of the time \
-          since the start of the motion. Every flag `--tif` takes it in the place of a tif. Between samples, kernels, \
-          weights and the factor of the pixels are Keys' cubic convolution, and the factor of the time is linear; beyond \
-          their samples, weights and factors are those of the nearest sample.",
+    doc: "A tool influence function that varies over the part. The removal rate at the pixel x of a tool at p is a sum over \
+          the kernels: weight of the kernel at p, times its rate at x - p. The factor of the pixel and the factor of the \
+          time since the start of the motion multiply it. Every flag `--tif` takes it in the place of a tif. Kernels, \
+          weights and the factor of the pixels are interpolated by Keys' cubic convolution, and the factor of the time \
+          linearly. Beyond their samples, weights and factors are those of the nearest sample.",
     frame: "kernels: offset from the tool centre (pixel - tool); weights and factor: part coordinates; arrays are \
             [y, x]; row 0 is the smallest y",
     arrays: &[
@@ -223,12 +223,19 @@ pub const TOOL: Kind = Kind {
                 &["m"],
                 &["time"],
                 "s",
-                "Times since the start of the motion; ascending. Empty without a factor of the time.",
+                "Times since the start of the motion; ascending. One time for a rate that does not change.",
             ),
             2,
         ),
         may_be_absent(
-            array("time_factor", Dtype::F64, &["m"], &["time"], "1", "Factor of the rate at these times."),
+            array(
+                "time_factor",
+                Dtype::F64,
+                &["m"],
+                &["time"],
+                "1",
+                "Factor of the rate at these times.",
+            ),
             2,
         ),
         may_be_absent(
@@ -243,11 +250,25 @@ pub const TOOL: Kind = Kind {
             3,
         ),
         may_be_absent(
-            array("factor_x_mm", Dtype::F64, &["px"], &["x"], "mm", "Places of the factor along x."),
+            array(
+                "factor_x_mm",
+                Dtype::F64,
+                &["px"],
+                &["x"],
+                "mm",
+                "Places of the factor along x.",
+            ),
             3,
         ),
         may_be_absent(
-            array("factor_y_mm", Dtype::F64, &["py"], &["y"], "mm", "Places of the factor along y."),
+            array(
+                "factor_y_mm",
+                Dtype::F64,
+                &["py"],
+                &["y"],
+                "mm",
+                "Places of the factor along y.",
+            ),
             3,
         ),
     ],

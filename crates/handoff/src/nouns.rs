@@ -3,8 +3,8 @@
 use ndarray::{Array1, Array2, Array3, ArrayD, Axis as NdAxis, Ix1, Ix2, Ix3};
 use planish_types::{
     Axis, DensityNodes, DwellDensity, DwellTime, Grid, Invalid, PixelFactor, Removal, RemovalMaps,
-    Surface, Tif, TimeFactor, ToolPath, Trajectory, Transform, VaryingTif,
-    dwell_index_from_stored, stored_dwell_index,
+    Surface, Tif, TimeFactor, ToolPath, Trajectory, Transform, VaryingTif, dwell_index_from_stored,
+    stored_dwell_index,
 };
 
 use crate::{
@@ -119,7 +119,8 @@ impl Artifact for Tool {
             axis_array(&v.positions().x),
             axis_array(&v.positions().y),
         ];
-        let none = (&[][..], &[][..]);
+        // The arrays of the pixels come after those of the time: a rate that does not change has one time.
+        let none = (&[0.0][..], &[1.0][..]);
         let (time, pixels) = (v.time_factor(), v.pixel_factor());
         if time.is_some() || pixels.is_some() {
             let (time_s, factor) = time.map_or(none, |t| (&t.time_s[..], &t.factor[..]));
@@ -143,7 +144,8 @@ impl Artifact for Tool {
         let (kernels, weights) = (maps("rate_nm_per_s"), maps("weight"));
         let time_s = take_vec(arrays.take_f64("time_s"));
         let time_factor = take_vec(arrays.take_f64("time_factor"));
-        let time = (!time_s.is_empty()).then_some(TimeFactor { time_s, factor: time_factor });
+        let is_one = time_factor.iter().all(|v| *v == 1.0);
+        let time = (!is_one).then_some(TimeFactor { time_s, factor: time_factor });
         let factor = take_map(&mut arrays, "factor");
         let mut axis = |name| Axis::from_coordinates(name, &take_vec(arrays.take_f64(name)));
         let pixels = match factor.is_empty() {

@@ -720,7 +720,8 @@ mod tests {
         let executed = |planned: &Trajectory| Ok(simulation.removal_nm(planned)?.0);
         let rates = vec![1.0; path.len()];
         let rates = &rates;
-        let asked = Asked { desired, tif, path, curves: &curves, limits, rates, executed: &executed };
+        let asked =
+            Asked { desired, tif, path, curves: &curves, limits, rates, executed: &executed };
         let settings = Settings { price: Price::Nm2PerS(*price), ..Settings::default() };
         let meshes = Meshes { first: mesh, refinements: 0, most_work: f64::INFINITY };
         let Solved { mesh, found, .. } = solve(&asked, &meshes, &settings).unwrap();

@@ -80,7 +80,7 @@ const MAX_LATTICE: usize = 1 << 28;
 /// Larger: problems that would fit are refused. Smaller: the memory may run out.
 const BYTES_PER_SAMPLE: usize = 64;
 
-/// Data that depend on the TIF and the map only, for many trajectories: [`OfKernel`] for every kernel of the tool.
+/// Data that depend on the TIF and the map only, for many trajectories: those of every kernel of the tool.
 ///
 /// ```text
 /// removal(x) = g(x) sum_k (phi_k * the seconds weighted with c(t) a_k(P(t)))(x)           (3)

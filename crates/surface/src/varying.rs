@@ -23,5 +23,5 @@ mod low_rank;
 mod place;
 
 pub use causes::{Overhang, PressureLaw, RateLaw, Spots, tool_at, turned};
-pub use low_rank::{LowRank, LowRankReport, LowRankSettings, low_rank};
+pub use low_rank::{LocalTool, LowRank, LowRankReport, LowRankSettings, Used, low_rank};
 pub use place::{Form, Parameter, Places};

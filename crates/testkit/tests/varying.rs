@@ -43,7 +43,8 @@ fn tool(tif: &Tif, error: f64, k: impl Fn([f64; 2], [f64; 2]) -> f64 + Sync) -> 
         Array2::from_shape_fn(offsets.shape(), |(r, c)| k(p, [offsets.x.at(c), offsets.y.at(r)]))
     };
     let settings = LowRankSettings { error, spacing_mm: None, max_rank: 20 };
-    let found = low_rank(&offsets, [[-4.0, -4.0], [24.0, 16.0]], &of, &settings).unwrap();
+    let found =
+        low_rank(&offsets, [[-4.0, -4.0], [24.0, 16.0]], &of, &|_| true, &settings).unwrap();
     assert!(found.report.negative().is_none(), "{:?}", found.report);
     Tif::varying(found.tool).unwrap()
 }
@@ -221,11 +222,12 @@ fn other_solvers_use_the_tool_or_refuse_it() {
 fn the_joint_plan_and_the_closed_loop_know_the_tool() {
     let (desired, tif, path) = coupon();
     let varying = tool(&tif, 1e-4, gaussian);
-    let judged = |t: &Trajectory, varies: bool| {
-        left_nm(t, &desired, 8, 3.5, |p, u, _| {
-            if varies { gaussian(p, u) } else { gaussian([10.0, 6.0], u) }
-        })
-    };
+    let judged =
+        |t: &Trajectory, varies: bool| {
+            left_nm(t, &desired, 8, 3.5, |p, u, _| {
+                if varies { gaussian(p, u) } else { gaussian([10.0, 6.0], u) }
+            })
+        };
     let joint = |tif: &Tif| {
         let settings = planish_joint::Settings::default();
         planish_joint::plan(&desired, tif, &path, &ion_beam(), &settings).unwrap().trajectory
@@ -298,7 +300,10 @@ fn low_rank_is_the_tool_to_the_stated_error() {
         let mut worst = (0.0_f64, 0.0_f64);
         let (mut squares, mut missed) = (0.0, 0.0);
         for k in 0..200 {
-            let p = [(0.37 * f64::from(k)).fract() * 28.0 - 4.0, (0.71 * f64::from(k)).fract() * 20.0 - 4.0];
+            let p = [
+                (0.37 * f64::from(k)).fract() * 28.0 - 4.0,
+                (0.71 * f64::from(k)).fract() * 20.0 - 4.0,
+            ];
             for ((r, c), _) in tif.rate_nm_per_s().indexed_iter().step_by(17) {
                 let u = [offsets.x.at(c), offsets.y.at(r)];
                 let (exact, found) = (gaussian(p, u), varying.rate_of_tool_at(p, u));
@@ -345,9 +350,13 @@ fn causes_have_their_closed_forms() {
 
     // A pad whose centre is on a straight edge: half of it is covered. With the same force the uniform pressure is
     // twice that on the part, and the linear law is in equilibrium.
-    let half = Array2::from_shape_fn(grid.shape(), |(_, c)| {
-        if grid.x.at(c) <= 0.0 { 0.0 } else { f64::NAN }
-    });
+    let half =
+        Array2::from_shape_fn(
+            grid.shape(),
+            |(_, c)| {
+                if grid.x.at(c) <= 0.0 { 0.0 } else { f64::NAN }
+            },
+        );
     let half = Surface::new(grid, half).unwrap();
     let edge = Places::new(&half, None).unwrap();
     let own = Grid { x: axis(25), y: axis(25) };

@@ -7,7 +7,7 @@
 //! | [`Surface`] | height in nm, NaN where invalid | (ny, nx) |
 //! | [`ClearAperture`] | the region that counts | mask (ny, nx) |
 //! | [`Tif`] | removal rate in nm/s at the offset (pixel - tool) | (my, mx) |
-//! | [`Variation`] | how the TIF differs from place to place, and in time | kernels (k, my, mx), weights (k, ny, nx) |
+//! | [`Variation`] | variation of the TIF over the part, and in time | kernels (k, my, mx), weights (k, ny, nx) |
 //! | [`ToolPath`] | velocity control points, dwell points in mm | (n+1, 2), (n, 2) |
 //! | [`DwellTime`] | seconds per dwell point | (n) |
 //! | [`DwellDensity`] | dwell-time density in s/mm at nodes along the path | (m) |

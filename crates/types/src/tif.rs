@@ -5,9 +5,7 @@ use std::{borrow::Cow, sync::Arc};
 use ndarray::{Array2, ArrayView1, Axis as NdAxis, s};
 use planish_numerics::keys;
 
-use crate::{
-    Axis, Grid, Invalid, PixelFactor, Surface, TimeFactor, Variation, text::significant,
-};
+use crate::{Axis, Grid, Invalid, PixelFactor, Surface, TimeFactor, Variation, text::significant};
 
 /// Largest rate, nm/s. A larger rate is a mistake in the units.
 const LARGEST_RATE: f64 = 1e12;
@@ -28,6 +26,11 @@ const REFUSED_BY_NOISE: f64 = 1e-3;
 /// less than 20 times the noise, and a spot cannot be told from one with a negative lobe. Smaller:
 /// more noisy spots are refused.
 const LARGEST_NEGATIVE: f64 = 0.25;
+
+/// Magnitude of the lowest rate of a tool that varies, at a place, relative to its peak there. It covers what too few
+/// kernels leave beside the tool. Larger: more of a mistake in the weights passes. Smaller: tools of few kernels are
+/// refused.
+const NEGATIVE_OF_PLACE: f64 = 0.1;
 
 /// Smallest number of differences for an estimate of the noise; with fewer, the noise counts as 0.
 /// Smaller: the median has a standard error above 20 %. Larger: small TIFs get no allowance for
@@ -135,11 +138,12 @@ impl Tif {
             [("rate_nm_per_s", &offsets, &kernels), ("weight", &positions, &weights)]
         {
             if let Some(k) = arrays.iter().position(|a| a.dim() != grid.shape()) {
-                let problem = format!("has shape {:?}, its grid {:?}", arrays[k].dim(), grid.shape());
+                let problem =
+                    format!("has shape {:?}, its grid {:?}", arrays[k].dim(), grid.shape());
                 return Err(Invalid::at(name, k, problem, "give one number per place of the grid"));
             }
             let of = |(k, a): (usize, &Array2<f64>)| {
-                let bad = |v: f64| !(v.abs() <= LARGEST_RATE);
+                let bad = |v: f64| v.is_nan() || v.abs() > LARGEST_RATE;
                 let found = a.indexed_iter().find(|(_, v)| bad(**v));
                 found.map(|((r, c), v)| ([k, r, c], *v))
             };
@@ -160,12 +164,18 @@ impl Tif {
         }
         let (ny, nx) = positions.shape();
         for place in (0..ny).flat_map(|r| (0..nx).map(move |c| (r, c))) {
-            Self::new(offsets, at(place)).map_err(|e| {
+            let rate = at(place);
+            let peak = rate.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            let lowest = rate.iter().copied().fold(f64::INFINITY, f64::min);
+            if peak < SMALLEST_PEAK || lowest < -NEGATIVE_OF_PLACE * peak {
                 let [x, y] = [positions.x.at(place.1), positions.y.at(place.0)];
-                let problem = format!("makes a tool at x = {x} mm, y = {y} mm that {}", e.problem);
-                let remedy = format!("{}; or give weights only where the tool is used", e.remedy);
-                Invalid::at("weight", place, problem, remedy)
-            })?;
+                let [x, y, low, high] = [x, y, lowest, peak].map(|v| significant(v, 5));
+                let problem = format!(
+                    "makes a tool at x = {x} mm, y = {y} mm with rates from {low} to {high} nm/s"
+                );
+                let remedy = "removal is positive: check kernels and weights, or use more kernels";
+                return Err(Invalid::at("weight", place, problem, remedy));
+            }
         }
         let mut mean = Array2::zeros(offsets.shape());
         for (kernel, weight) in kernels.iter().zip(&weights) {
@@ -182,7 +192,7 @@ impl Tif {
         Ok(Self { variation: Some(Arc::new(variation)), ..Self::new(offsets, mean)? })
     }
 
-    /// How the tool differs from place to place; none if it is the same everywhere and at all times.
+    /// Variation of the tool over the part and in time; none if it is the same everywhere and at all times.
     pub fn variation(&self) -> Option<&Variation> {
         self.variation.as_deref()
     }
@@ -193,7 +203,9 @@ impl Tif {
             None => Ok(()),
             Some(_) => Err(Invalid::whole(
                 "tif",
-                format!("varies over the part, and {method} assumes a tool that is the same everywhere"),
+                format!(
+                    "varies over the part, and {method} assumes a tool that is the same everywhere"
+                ),
                 "give a tif; planish-dwell bounded-least-squares, planish-refine, planish-joint and planish-simulate \
                  take a tool that varies",
             )),
@@ -206,7 +218,9 @@ impl Tif {
             None => Ok(()),
             Some(_) => Err(Invalid::whole(
                 "tif",
-                format!("has a rate that depends on the time of the run, and {method} assumes a constant one"),
+                format!(
+                    "has a rate that depends on the time of the run, and {method} assumes a constant one"
+                ),
                 "give a tool without time_factor; planish-dwell bounded-least-squares, planish-refine, planish-joint and \
                  planish-simulate take one",
             )),

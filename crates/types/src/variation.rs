@@ -1,4 +1,4 @@
-//! How a tool influence function differs from place to place of the part, and in the course of a run.
+//! Variation of a tool influence function over the part, and in the course of a run.
 //!
 //! ```text
 //! K(x; p, t) = c(t) g(x) sum_k a_k(p) phi_k(x - p)                                        (1)
@@ -170,15 +170,15 @@ impl Variation {
     /// The same weights and factors with other kernels, one for each.
     pub(crate) fn with_kernels(&self, kernels: Vec<Tif>) -> Self {
         let components = self.components.iter().zip(kernels);
-        let components = components
-            .map(|(c, kernel)| Component { kernel, weight: c.weight.clone() })
-            .collect();
+        let components =
+            components.map(|(c, kernel)| Component { kernel, weight: c.weight.clone() }).collect();
         Self { components, ..self.clone() }
     }
 }
 
 /// Sentence after a factor that is none.
-const FACTOR_REMEDY: &str = "give a factor of the rate between 0.001 and 1000, 1 where the rate is that of the kernels";
+const FACTOR_REMEDY: &str =
+    "give a factor of the rate between 0.001 and 1000, 1 where the rate is that of the kernels";
 
 fn is_factor(v: f64) -> bool {
     (LEAST_FACTOR..=LARGEST_FACTOR).contains(&v)

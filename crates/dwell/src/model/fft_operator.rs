@@ -89,9 +89,9 @@ impl FftOperator {
         };
         let kernels = varying::kernels(places, tif);
         let kernels = kernels.map(|(kernel, places)| of(&places, kernel, border)).collect();
-        let by_energy = tif.variation().map(|_| {
-            Box::new(of(&varying::by_energy(places, tif), &tif.mean_tool(), false))
-        });
+        let by_energy = tif
+            .variation()
+            .map(|_| Box::new(of(&varying::by_energy(places, tif), &tif.mean_tool(), false)));
         let factor = tif.variation().and_then(|v| v.factor_on(grid)).map(Cow::into_owned);
         Self { kernels, factor, by_energy }
     }
@@ -151,13 +151,7 @@ impl FftOperator {
 }
 
 impl OfKernel {
-    fn new(
-        places: &[Vec<Place>],
-        tif: &Tif,
-        grid: &Grid,
-        spread: Spread,
-        border: bool,
-    ) -> Self {
+    fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid, spread: Spread, border: bool) -> Self {
         let x = Lattice::new(&grid.x, &tif.grid().x, spread);
         let y = Lattice::new(&grid.y, &tif.grid().y, spread);
         let mut samples = samples(tif, &x, &y);

@@ -45,8 +45,9 @@ pub fn by_energy<'a>(places: &'a [Vec<Place>], tif: &Tif) -> Cow<'a, [Vec<Place>
     let of = |p: &Place| {
         let a: Vec<f64> = (0..rates.len()).map(|k| v.weight(k, p.position_mm)).collect();
         let rows = a.iter().zip(&products);
-        let energy: f64 =
-            rows.map(|(a_k, row)| a_k * row.iter().zip(&a).map(|(g, a_l)| g * a_l).sum::<f64>()).sum();
+        let energy: f64 = rows
+            .map(|(a_k, row)| a_k * row.iter().zip(&a).map(|(g, a_l)| g * a_l).sum::<f64>())
+            .sum();
         Place { fraction: p.fraction * energy / of_mean, ..*p }
     };
     places.iter().map(|places| places.iter().map(of).collect()).collect()

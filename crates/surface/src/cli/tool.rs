@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use ndarray::{Array2, Zip};
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, Tool, flags::OutputArgs, say, task, with_flags,
+    Artifact, Begin, Failure, Inputs, Output, Status, Tool, flags::OutputArgs, say, task,
+    with_flags,
 };
 use planish_surface::varying::{
-    Form, LowRank, LowRankReport, LowRankSettings, Overhang, Parameter, Places, PressureLaw,
-    RateLaw, Spots, low_rank, tool_at, turned,
+    Form, LocalTool, LowRank, LowRankReport, LowRankSettings, Overhang, Parameter, Places,
+    PressureLaw, RateLaw, Spots, Used, low_rank, tool_at, turned,
 };
 use planish_types::{Grid, PixelFactor, Surface, Tif, TimeFactor, VaryingTif};
 use serde::Serialize;
@@ -19,13 +20,13 @@ use serde_json::json;
 /// Largest table of a law that is read, bytes.
 const LARGEST_TABLE_BYTES: u64 = 1 << 22;
 
-/// Where a rate law acts.
+/// Place at which a rate law acts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "kebab-case")]
 enum Acts {
-    /// At the pixel that is removed
+    /// The factor belongs to the pixel that is removed
     Pixel,
-    /// At the place of the tool
+    /// The factor belongs to the place of the tool
     Tool,
 }
 
@@ -57,15 +58,20 @@ impl MakeArgs {
         LowRankSettings { error, spacing_mm, max_rank }
     }
 
+    /// Distance beyond the valid pixels up to which a tool with this mean is known, mm.
+    fn beyond_mm(&self, tif: &Tif) -> f64 {
+        let [x, y] = tif.half_size_mm();
+        self.beyond_mm.unwrap_or(x.max(y))
+    }
+
     /// The rectangle of the places of the tool, [low, high].
     fn rectangle(&self, surface: &Surface, tif: &Tif) -> [[f64; 2]; 2] {
         let grid = surface.grid();
-        let [x, y] = tif.half_size_mm();
-        let beyond = [x, y].map(|half| self.beyond_mm.unwrap_or(half));
+        let beyond = self.beyond_mm(tif);
         let ends = [&grid.x, &grid.y].map(|a| [a.start_mm(), a.end_mm()]);
         [0, 1].map(|end| {
             let sign = if end == 0 { -1.0 } else { 1.0 };
-            [0, 1].map(|k| ends[k][end] + sign * beyond[k])
+            [0, 1].map(|k| ends[k][end] + sign * beyond)
         })
     }
 
@@ -76,7 +82,7 @@ impl MakeArgs {
         settings: &S,
         inputs: &Inputs,
         (surface, base): (&Surface, &Tif),
-        (offsets, of): (Grid, LocalTool<'_>),
+        (offsets, of, counts): (Grid, Box<LocalTool<'_>>, Box<Used<'_>>),
     ) -> Result<Status, Failure> {
         let shared = json!({ "settings": settings, "low_rank": self.settings(), "beyond_mm": self.beyond_mm });
         let task = task!(method, &shared);
@@ -86,7 +92,8 @@ impl MakeArgs {
         };
         let rectangle = self.rectangle(surface, base);
         let LowRank { tool, report } =
-            low_rank(&offsets, rectangle, &*of, &self.settings()).map_err(Failure::with_flags)?;
+            low_rank(&offsets, rectangle, &*of, &*counts, &self.settings())
+                .map_err(Failure::with_flags)?;
         let factors = base.variation();
         let tool = VaryingTif {
             pixels: factors.and_then(|v| v.pixel_factor()).cloned(),
@@ -101,8 +108,10 @@ impl MakeArgs {
     }
 }
 
-/// A tool as a function of its place.
-type LocalTool<'a> = Box<dyn Fn([f64; 2]) -> Array2<f64> + Sync + 'a>;
+/// Places no further than `beyond_mm` from the valid pixels.
+fn near<'a>(places: &'a Places<'a>, beyond_mm: f64) -> Box<Used<'a>> {
+    Box::new(move |p| places.parameter(Parameter::EdgeDistance, p).is_ok_and(|mm| mm >= -beyond_mm))
+}
 
 /// Writes a tool, and says what it is.
 fn write(
@@ -211,9 +220,9 @@ impl RateArgs {
             for p in [low, high, [low[0], high[1]], [high[0], low[1]]] {
                 factor(p).map_err(Failure::with_flags)?;
             }
-            let of: LocalTool<'_> =
+            let of: Box<LocalTool<'_>> =
                 Box::new(|p| tool_at(&tif, p) * factor(p).expect("checked at the corners"));
-            let tool = (*tif.grid(), of);
+            let tool = (*tif.grid(), of, near(&places, self.make.beyond_mm(&tif)));
             return self.make.make("tool-rate", &settings, &inputs, (&surface, &tif), tool);
         }
         let task = task!("tool-rate", &settings);
@@ -241,7 +250,8 @@ impl RateArgs {
 
 /// Puts the mean of the numbers in the place of those that do not exist; no pixel of the part is there.
 fn nearest_where_none(values: &mut Array2<f64>) {
-    let (sum, count) = values.iter().filter(|v| !v.is_nan()).fold((0.0, 0), |(s, n), v| (s + v, n + 1));
+    let (sum, count) =
+        values.iter().filter(|v| !v.is_nan()).fold((0.0, 0), |(s, n), v| (s + v, n + 1));
     let mean = if count > 0 { sum / f64::from(count) } else { 1.0 };
     values.iter_mut().filter(|v| v.is_nan()).for_each(|v| *v = mean);
 }
@@ -301,9 +311,11 @@ impl SpotsArgs {
         let form = self.form.read(&mut inputs)?;
         let mut spots = Vec::new();
         for given in &self.spot {
-            let parsed = given.split_once('=').and_then(|(value, dir)| Some((value.parse().ok()?, dir)));
+            let parsed =
+                given.split_once('=').and_then(|(value, dir)| Some((value.parse().ok()?, dir)));
             let Some((value, dir)) = parsed else {
-                let problem = format!("--spot: is {given:?}; give VALUE=DIR, such as 12.5=spots/12");
+                let problem =
+                    format!("--spot: is {given:?}; give VALUE=DIR, such as 12.5=spots/12");
                 return Err(Failure::new(problem));
             };
             spots.push((value, inputs.read::<Tif>("spot", Path::new(dir))?));
@@ -319,9 +331,9 @@ impl SpotsArgs {
         for p in [low, high, [low[0], high[1]], [high[0], low[1]]] {
             places.parameter(self.by, p).map_err(Failure::with_flags)?;
         }
-        let of: LocalTool<'_> =
+        let of: Box<LocalTool<'_>> =
             Box::new(|p| spots.at(places.parameter(self.by, p).expect("checked at the corners")));
-        let tool = (spots.offsets(), of);
+        let tool = (spots.offsets(), of, near(&places, self.make.beyond_mm(&widest)));
         self.make.make("tool-spots", &settings, &inputs, (&surface, &widest), tool)
     }
 }
@@ -350,8 +362,9 @@ impl EdgeArgs {
         let places = Places::new(&surface, None)?;
         let pad = Overhang::new(&tif, &places, self.pressure, self.pad_radius_mm);
         let pad = pad.map_err(Failure::with_flags)?;
-        let of: LocalTool<'_> = Box::new(|p| pad.at(p));
-        let tool = (*tif.grid(), of);
+        let of: Box<LocalTool<'_>> = Box::new(|p| pad.at(p));
+        let counts: Box<Used<'_>> = Box::new(|p| pad.is_used(p));
+        let tool = (*tif.grid(), of, counts);
         self.make.make("tool-edge", &settings, &inputs, (&surface, &tif), tool)
     }
 }
@@ -372,8 +385,7 @@ impl TurnedArgs {
         let surface: Surface = inputs.read("surface", &self.make.surface)?;
         let places = Places::new(&surface, None)?;
         let (offsets, of) = turned(&tif, places.middle_mm()).map_err(Failure::with_flags)?;
-        let of: LocalTool<'_> = Box::new(of);
-        let tool = (offsets, of);
+        let tool = (offsets, of, near(&places, self.make.beyond_mm(&tif)));
         self.make.make("tool-turned", &json!({}), &inputs, (&surface, &tif), tool)
     }
 }
@@ -395,7 +407,9 @@ impl TimeArgs {
         let mut inputs = Inputs::new();
         let tif = inputs.read_tool("tif", &self.tif)?;
         if tif.variation().is_some_and(|v| v.time_factor().is_some()) {
-            return Err(Failure::new("--tif: has a factor of the time already; give a tool without one"));
+            return Err(Failure::new(
+                "--tif: has a factor of the time already; give a tool without one",
+            ));
         }
         let pairs = read_table(&mut inputs, "table", &self.table)?;
         let task = task!("tool-time", &json!({ "pairs": pairs }));

@@ -4,7 +4,7 @@ use ndarray::Array2;
 use planish_types::{Axis, Grid, Invalid, Tif};
 use serde::Serialize;
 
-use super::place::Places;
+use super::{low_rank::LocalTool, place::Places};
 
 /// Samples of a tool at a place, nm/s, on its own offsets.
 pub fn tool_at(tif: &Tif, tool_mm: [f64; 2]) -> Array2<f64> {
@@ -60,7 +60,11 @@ impl RateLaw {
 /// Refuses pairs whose first numbers do not ascend.
 fn ascending(name: &'static str, pairs: &[[f64; 2]]) -> Result<(), Invalid> {
     if pairs.is_empty() {
-        return Err(Invalid::whole(name, "has no rows", "give a parameter and a factor in each row"));
+        return Err(Invalid::whole(
+            name,
+            "has no rows",
+            "give a parameter and a factor in each row",
+        ));
     }
     match (1..pairs.len()).find(|i| pairs[*i][0] <= pairs[*i - 1][0]) {
         None => Ok(()),
@@ -102,7 +106,11 @@ impl Spots {
             tif.same_everywhere("a measured spot")?;
             if !parameter.is_finite() {
                 let remedy = "give the parameter of the place where it was measured";
-                return Err(Invalid::whole("spot", format!("has the parameter {parameter}"), remedy));
+                return Err(Invalid::whole(
+                    "spot",
+                    format!("has the parameter {parameter}"),
+                    remedy,
+                ));
             }
         }
         given.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -163,8 +171,8 @@ pub enum PressureLaw {
 /// linear     q = max(c0 + c . u, 0),   integral over C of q = |A|,   integral over C of q u = 0          (1)
 /// ```
 ///
-/// Source: the linear law is that of R. A. Jones, Appl. Opt. 25 (1986) 4236; measured edge functions and the parameters
-/// of others are in D. W. Kim et al., Opt. Express 17 (2009) 5656, and can be given as [`Spots`].
+/// The linear law is the equilibrium of a rigid pad. Measured edge functions, and a parametric model of them, are in D. W.
+/// Kim et al., Opt. Express 17 (2009) 5656; they can be given as [`Spots`].
 #[derive(Debug)]
 pub struct Overhang<'a> {
     tif: &'a Tif,
@@ -174,10 +182,14 @@ pub struct Overhang<'a> {
     pad_mm: Vec<[f64; 2]>,
 }
 
-/// Smallest covered fraction of the pad for which the law is used. A tool further outside has the pressure of the place
-/// towards the middle of the part at which so much is covered. Larger: pads that hang over far have too little pressure.
-/// Smaller: the pressure of the linear law grows without bound where nobody works.
-const LEAST_COVERED: f64 = 0.4;
+/// Smallest covered fraction of the pad for which the uniform law is used. A tool further outside has the pressure of the
+/// place towards the middle of the part at which so much is covered. Larger: pads that hang over far have too little
+/// pressure. Smaller: the pressure grows without bound where nobody works.
+const LEAST_COVERED_UNIFORM: f64 = 0.4;
+
+/// The same for the linear law: below what a straight edge leaves where a third of the diameter hangs over, 0.7. Further
+/// outside the pad tilts off the part, and no linear pressure without a negative part is in equilibrium.
+const LEAST_COVERED_LINEAR: f64 = 0.6;
 
 /// Number of halvings with which that place is found: to 1e-4 of the distance to the middle. Larger: more time.
 /// Smaller: a step in the pressure.
@@ -197,7 +209,11 @@ impl<'a> Overhang<'a> {
         tif.same_everywhere("a pad that hangs over the edge")?;
         if !(pad_radius_mm.is_finite() && pad_radius_mm > 0.0) {
             let problem = format!("is {pad_radius_mm}");
-            return Err(Invalid::whole("pad_radius_mm", problem, "give the radius of the pad in mm"));
+            return Err(Invalid::whole(
+                "pad_radius_mm",
+                problem,
+                "give the radius of the pad in mm",
+            ));
         }
         let at = |k: usize| (2.0 * (k as f64 + 0.5) / POINTS_OF_PAD as f64 - 1.0) * pad_radius_mm;
         let all = (0..POINTS_OF_PAD).flat_map(|r| (0..POINTS_OF_PAD).map(move |c| [at(c), at(r)]));
@@ -205,15 +221,29 @@ impl<'a> Overhang<'a> {
         Ok(Self { tif, places, law, pad_mm })
     }
 
+    /// Points of the pad, and the part of each that is on the part.
+    fn points(&self, p: [f64; 2]) -> impl Iterator<Item = ([f64; 2], f64)> {
+        let on_part = move |u: &[f64; 2]| (*u, self.places.covered([p[0] + u[0], p[1] + u[1]]));
+        self.pad_mm.iter().map(on_part)
+    }
+
     /// Fraction of the pad on the part, for a tool at a place.
     pub fn covered(&self, p: [f64; 2]) -> f64 {
-        let covered = self.pad_mm.iter().filter(|u| self.places.is_on_part([p[0] + u[0], p[1] + u[1]]));
-        covered.count() as f64 / self.pad_mm.len() as f64
+        self.points(p).map(|(_, part)| part).sum::<f64>() / self.pad_mm.len() as f64
+    }
+
+    /// Returns true if enough of the pad is on the part for the law to be used at the place.
+    pub fn is_used(&self, p: [f64; 2]) -> bool {
+        let least = match self.law {
+            PressureLaw::Uniform => LEAST_COVERED_UNIFORM,
+            PressureLaw::Linear => LEAST_COVERED_LINEAR,
+        };
+        self.covered(p) >= least
     }
 
     /// The place itself, or the nearest one towards the middle at which enough of the pad is covered.
     fn covered_enough(&self, p: [f64; 2]) -> [f64; 2] {
-        if self.covered(p) >= LEAST_COVERED {
+        if self.is_used(p) {
             return p;
         }
         let middle = self.places.middle_mm();
@@ -221,7 +251,7 @@ impl<'a> Overhang<'a> {
         let (mut low, mut high) = (0.0, 1.0);
         for _ in 0..HALVINGS {
             let s = 0.5 * (low + high);
-            if self.covered(towards(s)) >= LEAST_COVERED { high = s } else { low = s }
+            if self.is_used(towards(s)) { high = s } else { low = s }
         }
         towards(high)
     }
@@ -236,16 +266,17 @@ impl<'a> Overhang<'a> {
             PressureLaw::Linear => self.linear(p).unwrap_or(uniform),
         };
         let grid = self.tif.grid();
-        let pressure = |(r, c): (usize, usize)| (c0 + cx * grid.x.at(c) + cy * grid.y.at(r)).max(0.0);
+        let pressure =
+            |(r, c): (usize, usize)| (c0 + cx * grid.x.at(c) + cy * grid.y.at(r)).max(0.0);
         Array2::from_shape_fn(rate.dim(), |place| rate[place] * pressure(place))
     }
 
     /// (1) without its maximum: c0 and c; none where the covered points lie on a line.
     fn linear(&self, p: [f64; 2]) -> Option<[f64; 3]> {
         let mut moments = nalgebra::Matrix3::zeros();
-        for [x, y] in self.pad_mm.iter().filter(|u| self.places.is_on_part([p[0] + u[0], p[1] + u[1]])) {
-            let u = nalgebra::Vector3::new(1.0, *x, *y);
-            moments += u * u.transpose();
+        for ([x, y], part) in self.points(p).filter(|(_, part)| *part > 0.0) {
+            let u = nalgebra::Vector3::new(1.0, x, y);
+            moments += part * u * u.transpose();
         }
         let all = self.pad_mm.len() as f64;
         let solution = moments.lu().solve(&nalgebra::Vector3::new(all, 0.0, 0.0))?;
@@ -255,10 +286,7 @@ impl<'a> Overhang<'a> {
 
 /// A spot that turns about its centre with the azimuth of its place about a middle: at the azimuth 0 it is `tif`.
 /// Returns the offsets, which hold the spot in every direction, and the tool at a place.
-pub fn turned(
-    tif: &Tif,
-    middle_mm: [f64; 2],
-) -> Result<(Grid, impl Fn([f64; 2]) -> Array2<f64> + Sync), Invalid> {
+pub fn turned(tif: &Tif, middle_mm: [f64; 2]) -> Result<(Grid, Box<LocalTool<'static>>), Invalid> {
     tif.same_everywhere("a spot that turns")?;
     let spot = tif.without_zero_margins().into_owned();
     let [x, y] = spot.half_size_mm();
@@ -276,5 +304,5 @@ pub fn turned(
             spot.rate_at(cosine * x + sine * y, cosine * y - sine * x)
         })
     };
-    Ok((offsets, at))
+    Ok((offsets, Box::new(at)))
 }

@@ -34,11 +34,14 @@ const FIRST_CELLS: f64 = 8.0;
 /// scatter of the measured error.
 const MOST_MIDDLES: usize = 400;
 
+/// Golden ratio less 1: its multiples are spread evenly between the whole numbers.
+const GOLDEN: f64 = 0.618_033_988_749_894_9;
+
 /// Part of the wanted error that the rank may take; the interpolation has the rest. Larger: fewer kernels, and finer
 /// grids. Smaller: the reverse.
 const PART_OF_RANK: f64 = 0.5;
 
-/// How exact a tool is to be.
+/// Wanted exactness of a tool.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LowRankSettings {
     /// Wanted error: root mean square over the places of the error of the samples, over that of the samples.
@@ -49,7 +52,7 @@ pub struct LowRankSettings {
     pub max_rank: usize,
 }
 
-/// What was reached.
+/// Exactness of a tool of kernels and weights.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LowRankReport {
     /// Kernels.
@@ -90,20 +93,28 @@ impl LowRankReport {
     }
 }
 
+/// Samples of a tool at a place [x, y], nm/s.
+pub type LocalTool<'a> = dyn Fn([f64; 2]) -> Array2<f64> + Sync + 'a;
+
+/// Returns true for the places [x, y] at which a tool is used.
+pub type Used<'a> = dyn Fn([f64; 2]) -> bool + Sync + 'a;
+
 /// A tool that varies, and how exact it is.
 #[derive(Debug)]
 pub struct LowRank {
     /// The tool, without factors of pixels and time.
     pub tool: VaryingTif,
-    /// What was reached.
+    /// Exactness of a tool of kernels and weights.
     pub report: LowRankReport,
 }
 
-/// Kernels and weights of the tool `of` on `offsets`, for places in the rectangle from `low_mm` to `high_mm` [x, y].
+/// Kernels and weights of the tool `of` on `offsets`, for places in the rectangle from `low_mm` to `high_mm` [x, y]. The
+/// places at which the tool is used, those that `counts` says, decide about the kernels and the errors.
 pub fn low_rank(
     offsets: &Grid,
     [low_mm, high_mm]: [[f64; 2]; 2],
-    of: &(dyn Fn([f64; 2]) -> Array2<f64> + Sync),
+    of: &LocalTool<'_>,
+    counts: &Used<'_>,
     settings: &LowRankSettings,
 ) -> Result<LowRank, Invalid> {
     let LowRankSettings { error, spacing_mm, max_rank } = *settings;
@@ -131,8 +142,15 @@ pub fn low_rank(
             let remedy = format!("give one that makes at most {MOST_PLACES}");
             return Err(Invalid::whole("spacing_mm", problem, remedy));
         }
-        let found = at(offsets, positions, of, error, max_rank)?;
         let is_last = spacing_mm.is_some() || 4 * places > MOST_PLACES;
+        let found = match at(offsets, positions, (of, counts), error, max_rank) {
+            // On a coarse grid the few places may say too little of the tool.
+            Err(_) if !is_last => {
+                spacing *= 0.5;
+                continue;
+            }
+            found => found?,
+        };
         // Halving the distance does not mend the rank.
         let of_rank = found.report.rank_error > error;
         if is_last || of_rank || found.report.error <= error {
@@ -146,18 +164,23 @@ pub fn low_rank(
 fn at(
     offsets: &Grid,
     positions: Grid,
-    of: &(dyn Fn([f64; 2]) -> Array2<f64> + Sync),
+    (of, counts): (&LocalTool<'_>, &Used<'_>),
     error: f64,
     max_rank: usize,
 ) -> Result<LowRank, Invalid> {
     let (ny, nx) = positions.shape();
     let place = |i: usize| [positions.x.at(i % nx), positions.y.at(i / nx)];
     let count = nx * ny;
-    let training = count.min(MOST_TRAINING);
+    let used: Vec<usize> = (0..count).into_par_iter().filter(|i| counts(place(*i))).collect();
+    if used.is_empty() {
+        let remedy = "give a map with valid pixels in the coordinates of the part";
+        return Err(Invalid::whole("surface", "has no place at which the tool is used", remedy));
+    }
+    let training = used.len().min(MOST_TRAINING);
     // Evenly spread, by the golden ratio where not all are taken.
-    let chosen = |k: usize| match training == count {
-        true => k,
-        false => ((k as f64 * 0.618_033_988_749_894_9).fract() * count as f64) as usize,
+    let chosen = |k: usize| match training == used.len() {
+        true => used[k],
+        false => used[((k as f64 * GOLDEN).fract() * used.len() as f64) as usize],
     };
     let samples: Vec<Array2<f64>> =
         (0..training).into_par_iter().map(|k| of(place(chosen(k)))).collect();
@@ -166,8 +189,7 @@ fn at(
         .into_par_iter()
         .map(|i| (0..=i).map(|j| dot(&samples[i], &samples[j])).collect())
         .collect();
-    let products =
-        DMatrix::from_fn(training, training, |i, j| rows[i.max(j)][i.min(j)]);
+    let products = DMatrix::from_fn(training, training, |i, j| rows[i.max(j)][i.min(j)]);
     let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(products);
     let mut order: Vec<usize> = (0..training).collect();
     order.sort_by(|a, b| eigenvalues[*b].total_cmp(&eigenvalues[*a]));
@@ -197,13 +219,14 @@ fn at(
         let square = dot(&sample, &sample);
         (kernels.iter().map(|kernel| dot(kernel, &sample)).collect(), square)
     };
-    let found: Vec<(Vec<f64>, f64)> = (0..count).into_par_iter().map(|i| of_place(place(i))).collect();
-    let missed = |(a, square): &(Vec<f64>, f64)| {
-        (square - a.iter().map(|a| a * a).sum::<f64>()).max(0.0)
-    };
-    let squares: f64 = found.iter().map(|(_, square)| square).sum::<f64>() / count as f64;
-    let of_rank: f64 = found.iter().map(missed).sum::<f64>() / count as f64;
-    let largest_of_rank = found.iter().map(missed).fold(0.0, f64::max);
+    let found: Vec<(Vec<f64>, f64)> =
+        (0..count).into_par_iter().map(|i| of_place(place(i))).collect();
+    let missed =
+        |(a, square): &(Vec<f64>, f64)| (square - a.iter().map(|a| a * a).sum::<f64>()).max(0.0);
+    let of_used = || used.iter().map(|i| &found[*i]);
+    let squares: f64 = of_used().map(|(_, square)| square).sum::<f64>() / used.len() as f64;
+    let of_rank: f64 = of_used().map(missed).sum::<f64>() / used.len() as f64;
+    let largest_of_rank = of_used().map(missed).fold(0.0, f64::max);
     let weights: Vec<Array2<f64>> = (0..rank)
         .map(|k| Array2::from_shape_fn((ny, nx), |(r, c)| found[r * nx + c].0[k] / scale))
         .collect();
@@ -216,8 +239,17 @@ fn at(
         time: None,
     };
     // |K - sum_k a phi_k|^2 = |K|^2 - 2 a . (phi . K) + |a|^2 with the interpolated a.
+    let middle = |i: usize| {
+        let (c, r) = (i % (nx - 1), i / (nx - 1));
+        [
+            0.5 * (positions.x.at(c) + positions.x.at(c + 1)),
+            0.5 * (positions.y.at(r) + positions.y.at(r + 1)),
+        ]
+    };
     let cells = (nx - 1) * (ny - 1);
-    let middles = cells.min(MOST_MIDDLES);
+    let inside: Vec<[f64; 2]> =
+        (0..cells).into_par_iter().map(middle).filter(|p| counts(*p)).collect();
+    let middles = inside.len().min(MOST_MIDDLES);
     let tif = Tif::varying(tool.clone())?;
     // A tool that turns out to be the same everywhere has no weights.
     let interpolated = |p: [f64; 2]| -> Vec<f64> {
@@ -226,19 +258,14 @@ fn at(
     let errors: Vec<(f64, [f64; 2])> = (0..middles)
         .into_par_iter()
         .map(|k| {
-            let i = k * cells / middles;
-            let (c, r) = (i % (nx - 1), i / (nx - 1));
-            let p = [
-                0.5 * (positions.x.at(c) + positions.x.at(c + 1)),
-                0.5 * (positions.y.at(r) + positions.y.at(r + 1)),
-            ];
+            let p = inside[k * inside.len() / middles];
             let (exact, square) = of_place(p);
             let a: Vec<f64> = interpolated(p).iter().map(|a| a * scale).collect();
             let of_terms = exact.iter().zip(&a).map(|(e, a)| a * a - 2.0 * a * e).sum::<f64>();
             ((square + of_terms).max(0.0), p)
         })
         .collect();
-    let of_middles = errors.iter().map(|e| e.0).sum::<f64>() / middles as f64;
+    let of_middles = errors.iter().map(|e| e.0).sum::<f64>() / middles.max(1) as f64;
     let worst = errors.iter().fold((0.0, place(0)), |a, b| if b.0 > a.0 { *b } else { a });
     let relative = |square: f64| (square / squares).sqrt();
     let report = LowRankReport {

@@ -87,6 +87,22 @@ impl<'a> Places<'a> {
         matches!((r, c), (Some(r), Some(c)) if !self.surface.height_nm()[[r, c]].is_nan())
     }
 
+    /// Part of a pixel around a point that is valid, from 0 to 1: linear between the centres of the pixels.
+    pub fn covered(&self, [x, y]: [f64; 2]) -> f64 {
+        let (z, grid) = (self.surface.height_nm(), self.surface.grid());
+        let cell = |axis: &Axis, mm: f64| {
+            let s = (mm - axis.start_mm()) / axis.step_mm();
+            (s.floor(), s - s.floor())
+        };
+        let ((c, fx), (r, fy)) = (cell(&grid.x, x), cell(&grid.y, y));
+        let valid = |r: f64, c: f64| {
+            let inside = r >= 0.0 && c >= 0.0 && r < grid.y.len() as f64 && c < grid.x.len() as f64;
+            f64::from(u8::from(inside && !z[[r as usize, c as usize]].is_nan()))
+        };
+        let row = |r: f64| (1.0 - fx) * valid(r, c) + fx * valid(r, c + 1.0);
+        (1.0 - fy) * row(r) + fy * row(r + 1.0)
+    }
+
     /// A parameter at a point of the part, in its unit.
     pub fn parameter(&self, parameter: Parameter, p: [f64; 2]) -> Result<f64, Invalid> {
         let from_middle = [p[0] - self.middle_mm[0], p[1] - self.middle_mm[1]];
@@ -99,7 +115,8 @@ impl<'a> Places<'a> {
                 let to = |q: &[f64; 2]| (p[0] - q[0]).hypot(p[1] - q[1]);
                 let nearest = self.border_mm.iter().map(to).fold(f64::INFINITY, f64::min);
                 // The edge is half a pixel outside of the centres of the border.
-                let half = 0.25 * (self.surface.grid().x.step_mm() + self.surface.grid().y.step_mm());
+                let half =
+                    0.25 * (self.surface.grid().x.step_mm() + self.surface.grid().y.step_mm());
                 if self.is_on_part(p) { nearest + half } else { -(nearest - half).max(0.0) }
             }
             Parameter::Incidence => match self.form {

@@ -70,13 +70,7 @@ impl Sums {
 }
 
 impl OfKernel {
-    fn new(
-        places: &[Vec<Place>],
-        tif: &Tif,
-        grid: &Grid,
-        size_mm: f64,
-        spread: Spread,
-    ) -> Self {
+    fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid, size_mm: f64, spread: Spread) -> Self {
         let x = Lattice::new(&grid.x, &tif.grid().x, spread);
         let y = Lattice::new(&grid.y, &tif.grid().y, spread);
         // In the order of the columns.
