@@ -125,7 +125,7 @@ pub fn executed(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<Vec<P
     }
     for (column, factor) in places.iter_mut().zip(time_factors(trajectory, columns, tif)) {
         let total: f64 = column.iter().map(|p| p.fraction).sum();
-        column.iter_mut().for_each(|p| p.fraction *= factor / total);
+        column.iter_mut().for_each(|p| p.fraction = factor * (p.fraction / total));
     }
     places
 }
