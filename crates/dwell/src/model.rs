@@ -5,12 +5,14 @@
 //! | [`columns`] | what one second at a dwell point removes, column by column |
 //! | `products` | their products with each other, and an order in which the matrix of these is small |
 //! | `fft_operator` | the same removal without a matrix, in memory proportional to the map |
+//! | `place` | a place of the tool in a column |
 //! | `varying` | the kernels of a tool that is not the same everywhere |
 //! | `operator` | the choice between the two, and the normal matrix `B' W B` |
 
 pub mod columns;
 pub(crate) mod fft_operator;
 pub(crate) mod operator;
+mod place;
 pub(crate) mod products;
 pub(crate) mod varying;
 

@@ -193,8 +193,7 @@ pub const TOOL: Kind = Kind {
           time since the start of the motion multiply it. Every flag `--tif` takes it in the place of a tif. Kernels, \
           weights and the factor of the pixels are interpolated by Keys' cubic convolution, and the factor of the time \
           linearly. Beyond their samples, weights and factors are those of the nearest sample.",
-    frame: "kernels: offset from the tool centre (pixel - tool); weights and factor: part coordinates; arrays are \
-            [y, x]; row 0 is the smallest y",
+    frame: "kernels by offset (pixel - tool), weights and factor in part coordinates; arrays are [y, x]",
     arrays: &[
         array(
             "rate_nm_per_s",

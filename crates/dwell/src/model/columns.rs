@@ -21,6 +21,7 @@ use planish_types::{Axis, Grid, Tif, ToolPath, Trajectory};
 use rayon::prelude::*;
 use serde::Serialize;
 
+pub use crate::model::place::Place;
 use crate::model::{ROWS_PER_TASK, varying};
 
 /// Columns of the removal model: motion of the tool during one dwell time.
@@ -32,15 +33,6 @@ pub enum Columns {
     Point,
     /// Moving uniformly along the segment.
     Segment,
-}
-
-/// The tool is at `position_mm` for this fraction of a dwell time.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
-    /// Position [x, y], mm.
-    pub position_mm: [f64; 2],
-    /// Fraction of the dwell time; those of a column sum to 1.
-    pub fraction: f64,
 }
 
 impl Columns {

@@ -11,7 +11,7 @@ use std::borrow::Cow;
 
 use planish_types::{Tif, Variation};
 
-use super::columns::Place;
+use super::place::Place;
 
 /// The kernels of a tool, and the places of each for some columns: those of the tool itself, if it does not vary.
 pub fn kernels<'a>(
