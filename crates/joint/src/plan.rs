@@ -5,6 +5,8 @@
 //! -> motion -> its removal (simulated) and its limits (proven)
 //! ```
 
+use std::borrow::Cow;
+
 use planish_dwell::columns;
 use planish_simulate::{Plan as Simulation, Settings as SimulationSettings};
 use planish_types::{
@@ -250,8 +252,11 @@ pub fn plan(
             (trajectory, verdict.reason())
         }
     };
-    let simulation = Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?;
-    let removal = simulation.predict(&trajectory, desired)?.removal;
+    let of_run = match constant {
+        Cow::Borrowed(_) => None,
+        Cow::Owned(_) => Some(Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?),
+    };
+    let removal = of_run.as_ref().unwrap_or(&simulation).predict(&trajectory, desired)?.removal;
     let dwell = DwellTime::new(trajectory.served_s(path.len(), |_| true)?)?;
     let corners = || curves.iter().flat_map(Curve::corners);
     let report = Report {

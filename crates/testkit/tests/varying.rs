@@ -100,6 +100,19 @@ fn settings(most_factorised: usize) -> squares::Settings {
     squares::Settings { max_factorised_points: most_factorised, ..squares::Settings::default() }
 }
 
+/// The motion of the joint plan.
+fn joint(desired: &Surface, tif: &Tif, path: &ToolPath) -> Trajectory {
+    let settings = planish_joint::Settings::default();
+    planish_joint::plan(desired, tif, path, &ion_beam(), &settings).unwrap().trajectory
+}
+
+/// The motion of the closed loop.
+fn refined(desired: &Surface, tif: &Tif, path: &ToolPath) -> Trajectory {
+    let mut settings = planish_refine::Settings::default();
+    settings.dwell.min_dwell = Bound::SecondsPerMm(0.02);
+    planish_refine::refine(desired, tif, path, &ion_beam(), None, &settings).unwrap().trajectory
+}
+
 #[test]
 fn bounded_least_squares_know_the_tool_and_prove_it_at_all_sizes() {
     let (desired, tif, path) = coupon();
@@ -228,17 +241,8 @@ fn the_joint_plan_and_the_closed_loop_know_the_tool() {
                 if varies { gaussian(p, u) } else { gaussian([10.0, 6.0], u) }
             })
         };
-    let joint = |tif: &Tif| {
-        let settings = planish_joint::Settings::default();
-        planish_joint::plan(&desired, tif, &path, &ion_beam(), &settings).unwrap().trajectory
-    };
-    let refined = |tif: &Tif| {
-        let mut settings = planish_refine::Settings::default();
-        settings.dwell.min_dwell = Bound::SecondsPerMm(0.02);
-        planish_refine::refine(&desired, tif, &path, &ion_beam(), None, &settings)
-            .unwrap()
-            .trajectory
-    };
+    let joint = |tif: &Tif| joint(&desired, tif, &path);
+    let refined = |tif: &Tif| refined(&desired, tif, &path);
     // The closed loop ends where single segments decide, and a wider tool makes it end up to a third higher.
     for (plan, most) in [(&joint as &dyn Fn(&Tif) -> Trajectory, 1.1), (&refined, 1.35)] {
         let (constant, known) = (judged(&plan(&tif), false), judged(&plan(&varying), true));
@@ -273,17 +277,8 @@ fn a_rate_that_falls_in_a_known_way_costs_nothing() {
         let found = squares::solve(&desired, tif, &path, None, &settings(6000)).unwrap();
         at_uniform_feed(&path, found.dwell.dwell_s())
     };
-    let joint = |tif: &Tif| {
-        let settings = planish_joint::Settings::default();
-        planish_joint::plan(&desired, tif, &path, &ion_beam(), &settings).unwrap().trajectory
-    };
-    let refined = |tif: &Tif| {
-        let mut settings = planish_refine::Settings::default();
-        settings.dwell.min_dwell = Bound::SecondsPerMm(0.02);
-        planish_refine::refine(&desired, tif, &path, &ion_beam(), None, &settings)
-            .unwrap()
-            .trajectory
-    };
+    let joint = |tif: &Tif| joint(&desired, tif, &path);
+    let refined = |tif: &Tif| refined(&desired, tif, &path);
     for plan in [&dwell as &dyn Fn(&Tif) -> Trajectory, &joint, &refined] {
         let (constant, known) = (judged(&plan(&tif), false), judged(&plan(&wears), true));
         println!("constant {constant:.4}, known {known:.4} nm");

@@ -8,8 +8,8 @@
 //!
 //! with the three-point Gauss rule along the chord of segment j, or in time along each piece of the
 //! trajectory that serves it. R is the interpolated TIF of [`planish_types::Tif`]. For a tool that varies, `R(x_i - p)`
-//! is K of [`planish_types::Variation`], with its factor of the time in the fractions of executed columns. This model is the solver's own; what the machine really does is
-//! predicted elsewhere, by code that shares nothing with it.
+//! is K of [`planish_types::Variation`], with its factor of the time in the fractions of executed columns. This model is
+//! the solver's own; what the machine really does is predicted elsewhere, by code that shares nothing with it.
 
 use std::{borrow::Cow, ops::Range};
 

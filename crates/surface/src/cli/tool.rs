@@ -13,7 +13,7 @@ use planish_surface::varying::{
     Form, LocalTool, LowRank, LowRankReport, LowRankSettings, Overhang, Parameter, Places,
     PressureLaw, RateLaw, Spots, Used, low_rank, tool_at, turned,
 };
-use planish_types::{Grid, PixelFactor, Surface, Tif, TimeFactor, VaryingTif};
+use planish_types::{Grid, Invalid, PixelFactor, Surface, Tif, TimeFactor, VaryingTif};
 use serde::Serialize;
 use serde_json::json;
 
@@ -73,6 +73,20 @@ impl MakeArgs {
             let sign = if end == 0 { -1.0 } else { 1.0 };
             [0, 1].map(|k| ends[k][end] + sign * beyond)
         })
+    }
+
+    /// Checks a parameter of the places at the corners of the rectangle, before anything is written: what does not exist
+    /// at some place does not at one of these.
+    fn check_corners<T>(
+        &self,
+        (surface, tif): (&Surface, &Tif),
+        parameter: impl Fn([f64; 2]) -> Result<T, Invalid>,
+    ) -> Result<(), Failure> {
+        let [low, high] = self.rectangle(surface, tif);
+        for p in [low, high, [low[0], high[1]], [high[0], low[1]]] {
+            parameter(p).map_err(Failure::with_flags)?;
+        }
+        Ok(())
     }
 
     /// Makes kernels and weights of the tool `of`, and writes them with the factors of `base`.
@@ -214,12 +228,8 @@ impl RateArgs {
         });
         let places = Places::new(&surface, form.as_ref()).map_err(Failure::with_flags)?;
         let factor = |p: [f64; 2]| places.parameter(self.by, p).map(|v| law.factor(v));
-        // A place whose parameter does not exist is refused before anything is written.
-        let [low, high] = self.make.rectangle(&surface, &tif);
         if acts == Acts::Tool {
-            for p in [low, high, [low[0], high[1]], [high[0], low[1]]] {
-                factor(p).map_err(Failure::with_flags)?;
-            }
+            self.make.check_corners((&surface, &tif), factor)?;
             let of: Box<LocalTool<'_>> =
                 Box::new(|p| tool_at(&tif, p) * factor(p).expect("checked at the corners"));
             let tool = (*tif.grid(), of, near(&places, self.make.beyond_mm(&tif)));
@@ -242,14 +252,14 @@ impl RateArgs {
                 Ok(v) => v,
             };
         }
-        nearest_where_none(&mut values);
+        mean_where_none(&mut values);
         let tif = with_factor(&tif, PixelFactor { grid, factor: values })?;
         write(output, tif, None, &self.make.output.out, Status::Done)
     }
 }
 
 /// Puts the mean of the numbers in the place of those that do not exist; no pixel of the part is there.
-fn nearest_where_none(values: &mut Array2<f64>) {
+fn mean_where_none(values: &mut Array2<f64>) {
     let (sum, count) =
         values.iter().filter(|v| !v.is_nan()).fold((0.0, 0), |(s, n), v| (s + v, n + 1));
     let mean = if count > 0 { sum / f64::from(count) } else { 1.0 };
@@ -327,12 +337,10 @@ impl SpotsArgs {
         let places = Places::new(&surface, form.as_ref()).map_err(Failure::with_flags)?;
         let widest = spots[0].1.clone();
         let spots = Spots::new(spots).map_err(Failure::with_flags)?;
-        let [low, high] = self.make.rectangle(&surface, &widest);
-        for p in [low, high, [low[0], high[1]], [high[0], low[1]]] {
-            places.parameter(self.by, p).map_err(Failure::with_flags)?;
-        }
+        let parameter = |p: [f64; 2]| places.parameter(self.by, p);
+        self.make.check_corners((&surface, &widest), parameter)?;
         let of: Box<LocalTool<'_>> =
-            Box::new(|p| spots.at(places.parameter(self.by, p).expect("checked at the corners")));
+            Box::new(|p| spots.at(parameter(p).expect("checked at the corners")));
         let tool = (spots.offsets(), of, near(&places, self.make.beyond_mm(&widest)));
         self.make.make("tool-spots", &settings, &inputs, (&surface, &widest), tool)
     }

@@ -77,7 +77,7 @@ impl<'a> Places<'a> {
     }
 
     /// Returns true if a point lies in a valid pixel.
-    pub fn is_on_part(&self, [x, y]: [f64; 2]) -> bool {
+    fn is_on_part(&self, [x, y]: [f64; 2]) -> bool {
         let grid = self.surface.grid();
         let pixel = |axis: &Axis, mm: f64| {
             let i = ((mm - axis.start_mm()) / axis.step_mm()).round();
