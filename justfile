@@ -282,6 +282,7 @@ ci-long:
     just test-matlab
     just test-clone
     just test-schedulers-long
+    PLANISH_FRONTS=20 cargo test --release --locked --workspace --test closed_loop never_takes_longer
     just fuzz 10000000
     just fuzz-binaries 100000
 

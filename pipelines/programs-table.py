@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 """Tables of docs/controller-programs.md: plans as programs of every controller, read back and judged.
 
-programs-table.py [--out DIR] [--rows NAME,...] [--grids]
+programs-table.py [--out DIR] [--rows NAME,...] [--machine FILE] [--grids]
 
-Without --grids: the rows of ROWS, every plan, every controller. With --grids: clocks and counts.
+Without --grids: the rows of ROWS, every plan, every controller. With --grids: clocks and counts. DIR is
+out/programs/MACHINE by default.
 Plans that are in DIR already are not made again. Every number is of the program as planish-import reads it:
 planish-simulate predicts its residual, planish-verify judges its limits.
 """
@@ -17,7 +18,8 @@ import sys
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 BIN = ROOT / "target/release"
-MACHINE = ROOT / "fixtures/machines/ion-beam.json"
+# Without a limit on jerk, because its plans use the full acceleration more.
+MACHINE = ROOT / "fixtures/machines/ion-beam-no-jerk-limit.json"
 CONTROLLERS = ["galil", "xps", "pmac", "csv", "gcode"]
 # Controllers of which no program switches the tool, unless an output is named: the tool of a plan with lifts stays on.
 SWITCHES = {"pmac": ["--tool-output", "1"]}
@@ -139,11 +141,15 @@ def show(cells):
 
 
 def main():
+    global MACHINE
     ask = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    ask.add_argument("--out", type=pathlib.Path, default=ROOT / "out/programs")
+    ask.add_argument("--out", type=pathlib.Path)
     ask.add_argument("--rows", default="")
     ask.add_argument("--grids", action="store_true")
+    ask.add_argument("--machine", type=pathlib.Path, default=MACHINE)
     given = ask.parse_args()
+    MACHINE = given.machine.resolve()
+    out = given.out or ROOT / "out/programs" / MACHINE.stem
     rows = GRID_ROWS if given.grids else ROWS
     names = given.rows.split(",") if given.rows else list(rows)
     if given.grids:
@@ -154,7 +160,7 @@ def main():
         show(["---"] * 8)
     for name in names:
         fixture, path, dwell, plans = rows[name]
-        to = given.out / name.replace(" ", "-")
+        to = out / name.replace(" ", "-")
         if not (to / "part.json").exists() and not prepare(to, fixture, path, dwell, plans):
             print(f"left out, PLANISH_REFERENCE is not set: {name}", file=sys.stderr)
             continue

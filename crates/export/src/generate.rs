@@ -350,7 +350,8 @@ impl<'a> Generator<'a> {
     }
 
     fn run(mut self) -> Result<Nodes, Invalid> {
-        let mut cells = Cells::new(self.plan, self.machine.limits(), self.settings.follows_tool);
+        let (limits, controller) = (self.machine.limits(), &self.settings.controller);
+        let mut cells = Cells::new(self.plan, limits, self.settings.follows_tool, controller);
         let mut last = (0, 1.0_f64);
         let mut deviation_mm = 0.0;
         for _ in 0..MOST_ROUNDS {

@@ -14,7 +14,7 @@
 //! During steps 3 and 4 the process holds advisory locks on all parent directories, so that the
 //! outputs of two runs do not mix. A process that ends there leaves its journal. The next reader or
 //! writer finishes the renames under the same locks, so a reader sees all of a run or nothing of
-//! it. A process that ends earlier leaves siblings without a journal; their lock is free, so the
+//! it. Where one of them fails, it undoes the others. A process that ends earlier leaves siblings without a journal; their lock is free, so the
 //! next run removes them. On SIGINT and SIGTERM a process removes its own siblings. On a file
 //! system without advisory locks (some network file systems), all of this holds, except for the
 //! order of two runs into one place.
@@ -35,7 +35,7 @@ use crate::{
     kind::Kind,
     place::{absolute, create_directories, parent_of, plain, refuse_foreign_files, sync_directory},
 };
-use rename::{is_exchange_unknown, put_in_place, put_in_place_by_plain_renames};
+use rename::{is_exchange_unknown, put_in_place, put_in_place_by_plain_renames, take_back};
 use sibling::inode;
 
 pub(crate) use self::{
@@ -207,10 +207,7 @@ pub(crate) fn publish(staged: Vec<Staged>) -> Result<(), HandoffError> {
     if renamed.is_err() {
         // All or nothing: undo the renames that are done.
         for (s, exchanged) in shown.into_iter().rev() {
-            let _ = match exchanged {
-                true => put_in_place(&s.sibling, &s.place).map(drop),
-                false => fs::rename(&s.place, &s.sibling),
-            };
+            let _ = take_back(&s.sibling, &s.place, exchanged);
         }
     }
     for parent in &parents {
@@ -363,6 +360,43 @@ mod tests {
             ("new".into(), "new".into())
         );
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
+    }
+
+    /// Earlier, the undoing of a rename needed the exchange that the file system does not have.
+    #[test]
+    fn a_rename_is_undone_where_names_cannot_be_exchanged() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut run = staged(dir.path());
+        run.push(Staged::file(&dir.path().join("c"), false).unwrap());
+        for s in &run {
+            let exchanged = put_in_place_by_plain_renames(&s.sibling, &s.place).unwrap();
+            assert_eq!(exchanged, !s.place.ends_with("c"));
+            take_back(&s.sibling, &s.place, exchanged).unwrap();
+        }
+        assert_eq!(["a", "b"].map(|name| text(&dir.path().join(name))), ["old", "old"]);
+        assert!(!run[2].place.exists() && run[2].sibling.exists());
+    }
+
+    /// Earlier, the journal was removed and left the first output of the run beside the old second one.
+    #[test]
+    fn a_journal_that_cannot_be_finished_is_undone() {
+        for renames_done in 0..=1 {
+            let dir = tempfile::tempdir().unwrap();
+            let run = staged(dir.path());
+            // The second place is in a directory that a file has replaced meanwhile.
+            fs::write(dir.path().join("d"), "mine").unwrap();
+            let places = [run[0].place.clone(), dir.path().join("d/b")];
+            let renames = run.iter().map(|s| &*s.sibling).zip(places.iter().map(|p| &**p));
+            journal::write(renames, &[dir.path().to_path_buf()]).unwrap();
+            for s in &run[..renames_done] {
+                put_in_place(&s.sibling, &s.place).unwrap();
+            }
+            leave(run);
+            finish_interrupted(dir.path());
+            assert_eq!(text(&dir.path().join("a")), "old");
+            remove_abandoned(dir.path());
+            assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 3, "{renames_done}");
+        }
     }
 
     #[test]

@@ -8,8 +8,8 @@
 //! w is 1 up to half of a radius L and falls to 0 at L as a cosine: far lags have noise and no signal. With the
 //! correlation length l(L), the radius of the disk whose area is the integral of C(h)/C(0) out to L, L is the first
 //! with `L >= 5 l(L)` (Madras and Sokal's automatic window, in two dimensions). A Gaussian correlation exp(-h^2 / 2 s^2)
-//! has l = sqrt(2) s, and what lies beyond the flat part, 3.5 s, is 0.2 % of it. The window goes no further than a
-//! quarter of the shorter side or to where the fit itself would decide: see `LARGEST_LOST`.
+//! has l = sqrt(2) s, and what lies beyond the flat part, 3.5 s, is 0.2 % of it. The window goes no further than
+//! half of the longer side, or to where the fit itself would decide: see `LARGEST_LOST`.
 //!
 //! A fit leaves nothing of the noise along its own fields, which is where its variance is asked for. With orthonormal
 //! fields u_k of the fit the rest of white noise of variance one has the covariance

@@ -6,7 +6,7 @@ use planish_dwell::bounded_least_squares::{self as dwell_solver, Bound};
 use planish_refine::{RefineError, Refined, Scheduler, Settings, refine, trade_off};
 use planish_schedule::pvt;
 use planish_simulate::simulate;
-use planish_types::{Axis, DwellTime, End, Grid, Limits, Surface, Tif, ToolPath};
+use planish_types::{Axis, DwellTime, End, Grid, Limits, MachineFile, Surface, Tif, ToolPath};
 use planish_verify::{VerifySettings, verify};
 
 /// Both axes alike.
@@ -64,15 +64,39 @@ fn waves(number: u32) -> Surface {
     Surface::new(g, height).unwrap()
 }
 
-/// Test of one problem, or of as many as the environment variable `PLANISH_FRONTS` says.
+/// The waves on a round part, NaN outside.
+fn round(waves: &Surface) -> Surface {
+    let g = waves.grid();
+    let mut height = waves.height_nm().clone();
+    for ((r, c), h) in height.indexed_iter_mut() {
+        if (g.x.at(c) - 5.0).hypot(g.y.at(r) - 4.0) > 4.1 {
+            *h = f64::NAN;
+        }
+    }
+    Surface::new(*g, height).unwrap()
+}
+
+/// A machine of the acceleration limit in mm/s^2 that reaches it in 0.1 s.
+fn machine_with_jerk(acceleration: f64) -> Limits {
+    let mut file = MachineFile::from(&machine(20.0, acceleration));
+    file.axes.iter_mut().for_each(|a| a.max_jerk_mm_per_s3 = Some(10.0 * acceleration));
+    file.checked().unwrap()
+}
+
+/// Test of one problem, or of as many as the environment variable `PLANISH_FRONTS` says: rectangular and round parts,
+/// machines with and without a limit on jerk, two kinds of PVT.
 #[test]
 fn a_dearer_second_never_takes_longer_and_a_cheaper_one_never_leaves_more() {
     let count = std::env::var("PLANISH_FRONTS").ok().and_then(|n| n.parse().ok()).unwrap_or(1);
     for number in 0..count {
-        let (desired, tif, path) = (waves(number), tif(), meander());
+        let (tif, path) = (tif(), meander());
+        let desired = if number % 4 < 2 { waves(number) } else { round(&waves(number)) };
         let acceleration = [30.0, 100.0, 400.0][number as usize % 3];
-        let machine = machine(20.0, acceleration);
-        let mut how = Settings { max_rounds: 6, ..settings(pvt::Mode::Monotone) };
+        let (machine, mode) = match number % 2 {
+            0 => (machine(20.0, acceleration), pvt::Mode::Monotone),
+            _ => (machine_with_jerk(acceleration), pvt::Mode::Smooth),
+        };
+        let mut how = Settings { max_rounds: 6, ..settings(mode) };
         how.dwell.min_dwell = Bound::SecondsPerMm(0.02);
         let prices = trade_off::prices(&desired, &tif, 5).unwrap();
         let of_loop = trade_off::trade_off(&desired, &tif, &path, &machine, &prices, &how).unwrap();

@@ -302,6 +302,19 @@ mod tests {
         }
     }
 
+    /// Earlier, a design that ends within the data was the end of the fit, although p was free.
+    #[test]
+    fn a_design_whose_ellipse_ends_within_the_data_is_fitted_from_other_starts() {
+        let x = coordinates(-45.0, 0.5, 181);
+        let truth = Ellipse::new(200.0, 30_000.0, 3e-3).unwrap();
+        let heights = map(&x, &[0.0], |x, _| truth.height_mm(x));
+        let heights = Heights { x_mm: &x, y_mm: &[0.0], height_nm: &heights };
+        let guess = design(20.0, 30_000.0, 3e-3, &[EllipseParameter::P]);
+        let (left, report) = without_shape(&heights, Shape::Ellipse, Some(&guess)).unwrap();
+        assert!((report.ellipse.unwrap().p_mm / 200.0 - 1.0).abs() < 1e-6);
+        assert!(largest(&left) < 1e-3, "{} nm", largest(&left));
+    }
+
     #[test]
     fn measured_slopes_of_an_ellipse_are_fitted_alike() {
         let x = coordinates(-110.0, 1.0, 221);

@@ -446,6 +446,43 @@ fn programs_of_random_problems_keep_the_limits() {
     assert!(2 * no_plan <= count, "{no_plan} of {count} without a plan");
 }
 
+/// A plan that uses the full acceleration at nearly every corner of a maze, on controllers whose clocks do not meet its
+/// corners. The plan's own time is the oracle: what rounding to the clock takes longer removes more than planned.
+#[test]
+fn a_plan_at_its_limits_takes_little_longer_on_a_coarse_clock() {
+    let height = Array2::from_elem((25, 41), 1.0);
+    let part = Surface::new(
+        Grid { x: Axis::new(0.0, 0.5, 41).unwrap(), y: Axis::new(0.0, 0.5, 25).unwrap() },
+        height,
+    )
+    .unwrap();
+    let settings = MazeSettings {
+        pitch_mm: 1.0,
+        step_mm: MazeSettings::usual_step_mm(1.0, 0.0),
+        overscan_mm: 2.0,
+        corner_radius_mm: 0.0,
+        tree: Tree::Wilson,
+        open: false,
+        seed: 3,
+    };
+    let path = maze(&part, &settings).unwrap().path;
+    // Slow stretches and fast ones, as along a figure.
+    let times = (0..path.len()).map(|i| 0.004 * (2.0 * (0.05 * i as f64).sin()).exp());
+    let dwell = DwellTime::new(times.collect()).unwrap();
+    let limits = planish_testkit::ion_beam();
+    let machine = Machine::new(MachineFile::from(&limits)).unwrap();
+    let plan = pvt::Settings { mode: Mode::Monotone, stretch: true };
+    let plan = pvt::schedule(&path, &dwell, &limits, &plan).unwrap().trajectory;
+    for target in targets() {
+        let common = Common { tick_s: target.tick_s, ..Common::default() };
+        let made =
+            program(&plan, &machine, &target.controller, &common, &Origin::default()).unwrap();
+        let ratio = made.about.total_time_s / plan.total_time_s();
+        println!("{:?} {:?}: {ratio:.5}", target.controller, target.tick_s);
+        assert!(ratio < 1.01, "{:?}: {ratio}", target.controller);
+    }
+}
+
 fn without_jerk(machine: &Machine) -> Machine {
     let mut file = MachineFile::from(machine.limits());
     file.axes.iter_mut().for_each(|axis| axis.max_jerk_mm_per_s3 = None);

@@ -2,14 +2,14 @@
 
 use std::{
     fs::{self, File},
-    io::Write,
+    io::{self, Write},
     path::{Path, PathBuf},
 };
 
 use serde::{Deserialize, Serialize};
 
 use super::{
-    rename::{is_exchange_unknown, put_in_place, put_in_place_by_plain_renames},
+    rename::{put_in_place_anyhow, take_back},
     sibling::{self, JOURNAL, identity, inode, temporaries},
 };
 use crate::{
@@ -98,7 +98,7 @@ pub(super) fn write<'a>(
     parents.iter().map(write).collect()
 }
 
-/// Finishes the journals that ended processes left in `parent`. Waits for a process that is still
+/// Finishes, or undoes, the journals that ended processes left in `parent`. Waits for a process that is still
 /// publishing.
 pub(crate) fn finish_interrupted(parent: &Path) {
     for path in temporaries(parent, JOURNAL) {
@@ -114,20 +114,29 @@ pub(crate) fn finish_interrupted(parent: &Path) {
         if held.is_empty() || fs::symlink_metadata(&path).is_err() {
             continue;
         }
-        for rename in journal.renames {
-            if inode(&rename.from) != Some(rename.inode) {
-                continue; // it is done
-            }
-            let put = match put_in_place(&rename.from, &rename.to) {
-                Err(e) if is_exchange_unknown(&e) => {
-                    put_in_place_by_plain_renames(&rename.from, &rename.to)
-                }
-                result => result,
-            };
-            if put.is_ok() {
-                let _ = sync_directory(&parent_of(&rename.to));
-            }
+        if finish(&journal.renames).is_ok() {
+            let _ = fs::remove_file(&path);
         }
-        let _ = fs::remove_file(&path);
     }
+}
+
+/// Does the renames that are not done. If one fails, undoes all of them. Fails if that fails too, and then the journal
+/// stays for a process that may rename there.
+fn finish(renames: &[Rename]) -> io::Result<()> {
+    let is_done = |r: &Rename| inode(&r.from) != Some(r.inode);
+    let mut waiting = renames.iter().filter(|r| !is_done(r));
+    let finished: io::Result<()> = waiting.try_for_each(|r| {
+        put_in_place_anyhow(&r.from, &r.to)?;
+        let _ = sync_directory(&parent_of(&r.to));
+        Ok(())
+    });
+    if finished.is_ok() {
+        return Ok(());
+    }
+    let mut undone = renames.iter().rev().filter(|r| is_done(r) && inode(&r.to) == Some(r.inode));
+    undone.try_for_each(|r| {
+        take_back(&r.from, &r.to, inode(&r.from).is_some())?;
+        let _ = sync_directory(&parent_of(&r.to));
+        Ok(())
+    })
 }

@@ -22,6 +22,23 @@ pub(super) fn put_in_place(_: &Path, _: &Path) -> io::Result<bool> {
     Err(ErrorKind::Unsupported.into())
 }
 
+/// Renames `from` to `to`, by plain renames where the file system cannot exchange two names. Only a journal may know the
+/// place between them. Returns true if both were exchanged.
+pub(super) fn put_in_place_anyhow(from: &Path, to: &Path) -> io::Result<bool> {
+    match put_in_place(from, to) {
+        Err(e) if is_exchange_unknown(&e) => put_in_place_by_plain_renames(from, to),
+        result => result,
+    }
+}
+
+/// Undoes a rename of `from` to `to`, which has exchanged them or not.
+pub(super) fn take_back(from: &Path, to: &Path, exchanged: bool) -> io::Result<()> {
+    match exchanged {
+        true => put_in_place_anyhow(from, to).map(drop),
+        false => fs::rename(to, from),
+    }
+}
+
 /// Returns true if the error means that the file system cannot exchange two names.
 pub(super) fn is_exchange_unknown(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::InvalidInput | ErrorKind::Unsupported)

@@ -255,7 +255,7 @@ fn say_following(of: &str, following: &Following) {
                 significant(error, 2),
                 um(rest)
             ),
-            _ => "no lag: it does not move".into(),
+            _ => "no lag: the axis does not move, or its delay has not settled".into(),
         };
         say(format!(
             "planish-import: {name} beside the {of}: {} um RMS, {} um at most (at {:.4} s), {lag}",

@@ -31,12 +31,15 @@ const SEARCH_STEP_S: f64 = 0.02;
 /// the user has to cut more logs with `from_s`.
 const LONGEST_SEARCH_S: f64 = 300.0;
 
-/// Largest number of Gauss-Newton steps; the delay of the last step is used. Larger: more time. Smaller:
-/// the delay may not have settled.
+/// Largest number of Gauss-Newton steps. Larger: more time. Smaller: no lag is reported where a delay settles
+/// slowly.
 const MOST_STEPS: usize = 30;
 /// Step of the delay, s, below which the delay has settled. Larger: the delay is off by up to this step.
 /// Smaller: more steps, without a visible gain.
 const SETTLED_S: f64 = 1e-10;
+/// Last step of the delay of an axis, over the standard error of the delay, up to which it has settled too. Larger: the
+/// lag is off by this part of its standard error. Smaller: no lag is reported where the samples decide the last steps.
+const SETTLED_PART: f64 = 0.1;
 
 /// RMS distance of a log from a plan, relative to the RMS extent of the plan, above which the log is
 /// refused as one of another motion. Larger: accepts logs of other motions. Smaller: refuses logs with a
@@ -74,7 +77,8 @@ pub struct AxisError {
     pub largest_mm: f64,
     /// Time of the largest error, s after the first sample.
     pub largest_at_s: f64,
-    /// Lag of the axis, ms, positive if it is late; absent if the axis does not move.
+    /// Lag of the axis, ms, positive if it is late; absent if the axis does not move or the delay has not
+    /// settled.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lag_ms: Option<f64>,
     /// Standard error of the lag, ms, under the assumption that the residual is white noise.
@@ -182,13 +186,15 @@ impl Pair<'_> {
         delay_s
     }
 
-    /// Delay of each axis near `from_s`, s, with the sums there; `None` if an axis does not move.
+    /// Delay of each axis near `from_s`, s, with the sums there; `None` if an axis does not move or its
+    /// delay has not settled.
     fn delays(&self, from_s: f64) -> [Option<(f64, Sums, f64)>; 2] {
         let stride = self.stride(LAG_SAMPLES);
         let mut delay_s = [from_s; 2];
         let mut last = self.sums(delay_s, stride);
+        let mut step_s = [0.0; 2];
         for _ in 0..MOST_STEPS {
-            let step_s = last.0.map(|s| if s.speed > 0.0 { -s.mixed / s.speed } else { 0.0 });
+            step_s = last.0.map(|s| if s.speed > 0.0 { -s.mixed / s.speed } else { 0.0 });
             delay_s = [delay_s[0] + step_s[0], delay_s[1] + step_s[1]];
             last = self.sums(delay_s, stride);
             if step_s.iter().all(|s| s.abs() < SETTLED_S) {
@@ -197,7 +203,9 @@ impl Pair<'_> {
         }
         let (sums, count) = last;
         [0, 1].map(|a| {
-            let valid = sums[a].speed > 0.0 && delay_s[a].is_finite();
+            let error_s = (sums[a].square / count / sums[a].speed).sqrt();
+            let settled = step_s[a].abs() <= SETTLED_S.max(SETTLED_PART * error_s);
+            let valid = sums[a].speed > 0.0 && delay_s[a].is_finite() && settled;
             valid.then_some((delay_s[a], sums[a], count))
         })
     }
@@ -483,6 +491,23 @@ mod tests {
             let whole = 20.0 + begin_s.min(0.0);
             assert!((seconds - whole.min(21.999 - begin_s.max(0.0))).abs() < 2e-3, "{seconds}");
         }
+    }
+
+    /// Of r = sin wt and its log c sin(wt - p) the phase moves by -c sin(phase - p) in a step: for c = 2.5 it goes to and fro
+    /// for ever. Earlier, the phase of the last step was reported as the lag.
+    #[test]
+    fn a_delay_that_does_not_settle_is_not_reported() {
+        let time_s: Vec<f64> = (0..20_000).map(|i| f64::from(i) * 1e-3).collect();
+        let sine = |of: f64, by_s: f64| -> Vec<[f64; 2]> {
+            time_s
+                .iter()
+                .map(|t| [of * (2.0 * (t - by_s)).sin(), (2.0 * (t - by_s)).cos()])
+                .collect()
+        };
+        let setpoint = through(&time_s, &sine(1.0, 0.0), f64::INFINITY, Between::Cubic).unwrap();
+        let [x, y] = beside_setpoint(&time_s, &sine(2.5, 0.05), &setpoint).axes;
+        assert!(x.lag_ms.is_none() && x.rms_without_lag_mm.is_none(), "{x:?}");
+        assert!((y.lag_ms.unwrap() - 50.0).abs() < 1.0, "{y:?}");
     }
 
     #[test]

@@ -122,7 +122,8 @@ impl Whole<'_> {
 
     fn mixed(&self, problem: &str) -> Failure {
         Failure::new(format!(
-            "{}: {problem}: a run was ended before its last stage; run the pipeline again",
+            "{}: {problem}: a run was ended before its last stage, or a part is left over from an older run; run the \
+             pipeline again, and if that does not help, into another directory",
             self.run.display()
         ))
     }

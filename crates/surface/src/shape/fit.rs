@@ -78,7 +78,8 @@ pub(super) fn fitted(mut curve: Curve, columns: &Columns, shape: Shape) -> Resul
     for end in ends {
         let is_better = match &best {
             Ok(best) => norm(&end) < norm(best) * (1.0 - NOTEWORTHY_GAIN) - rounding,
-            Err(_) => false,
+            // The data may lie beyond the ends of the design alone.
+            Err(_) => true,
         };
         if is_better {
             best = Ok(end);
