@@ -259,12 +259,15 @@ check:
 
 # The summary alone: just prose --summary; some pages or sources: just prose --only README.md crates/dwell/src
 #
+# Spelling and repeated words need Harper, an offline checker, which pip installs once (10 MB). Without it the rest is checked
+#
 # Check the prose: length of sentences and paragraphs, doc comments without a subject, spelling
 [group('3 development')]
 [positional-arguments]
 prose *words:
     @test -d target/prose || python3 -m venv target/prose
-    @target/prose/bin/python -m pip install --quiet harper-py==0.2.0 || echo "harper-py cannot be installed here"
+    @target/prose/bin/python -c "import harper" 2> /dev/null || target/prose/bin/python -m pip install --quiet \
+        harper-py==0.2.0 || echo "harper-py cannot be installed here"
     @target/prose/bin/python docs/prose/check.py --harper "$@"
 
 # Everything that must pass before a change lands
@@ -292,10 +295,11 @@ checks:
     cargo fmt --all --check
     cargo clippy --release --locked --workspace --all-targets -- -D warnings
     RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps --quiet
-    python3 docs/prose/links.py
     just docs
     just reproduce
     git diff --exit-code docs
+    just prose
+    just book
     just test-pipelines
     just test-commands
 
@@ -356,11 +360,11 @@ docs: (picture "raster" "raster" "coupon" "--pitch-mm 1 --step-mm 1 --turn semic
     @python3 docs/prose/programs.py target/release > docs/programs.md
     @just surface-pictures
 
-# Build the book of docs/ in target/book, and check its links; installs mdbook in target/tools the first time (minutes)
+# Build the book of docs/ in target/book, and check its links; builds mdbook in target/tools the first time
 [group('5 pages and tables')]
 book:
     python3 docs/prose/links.py
-    @test -x target/tools/bin/mdbook || cargo install --quiet --locked --root target/tools \
+    @test -x target/tools/bin/mdbook || cargo install --quiet --locked --debug --root target/tools \
         --no-default-features --features search mdbook --version 0.4.52
     target/tools/bin/mdbook build
 
@@ -411,7 +415,7 @@ surface-pictures: build
     # A magnetorheological spot, turned, and on a coarser lattice
     tool=out/pictures/square-200/tif
     surface tif --tif $tool --rotate-deg 30 --out $at/turned
-    surface tif --tif $tool --centre centroid --pitch-mm 1.5 --out $at/coarse
+    surface tif --tif $tool --centre centroid --pixel-mm 1.5 --out $at/coarse
     surface draw --tif $tool --tif $at/turned --tif $at/coarse --section-y-mm 0 --out docs/surface/tif.svg
 
 # Print the tables of docs/paths.md and docs/schedulers.md: every path on the reference mirror (PLANISH_REFERENCE)
@@ -448,6 +452,26 @@ test-report: build browser
 [group('5 pages and tables')]
 gallery: build
     pipelines/gallery.sh
+
+# Draw the pictures of the method pages to docs/methods/: dwell, schedulers, refine, joint, tolerance, campaign
+[group('5 pages and tables')]
+method-pictures: build python
+    #!/bin/sh
+    set -eu
+    at=out/method-pictures
+    mkdir -p $at docs/methods
+    made() { "$@" > $at/log 2>&1 || [ $? -eq 1 ] || { cat $at/log; exit 2; }; }
+    made pipelines/start.sh run raster fixture=coupon frames=0 out=$at/raster
+    made pipelines/start.sh compare maze fixture=coupon frames=0 machine=fixtures/machines/ion-beam-slow.json out=$at/maze
+    made pipelines/start.sh run compare-dwell fixture=coupon out=$at/dwell
+    mirror="--surface $at/raster/surface --tif $at/raster/fixture/tif"
+    made target/release/planish-tolerance $mirror --trajectory $at/raster/methods/pvt+refined/trajectory \
+        --error-budget fixtures/error-budgets/ion-beam.json --out $at/tolerance --force
+    made target/release/planish-refine pareto $mirror --tool-path $at/raster/tool_path --min-dwell-s-per-mm 0.02 \
+        --machine fixtures/machines/ion-beam-no-jerk-limit.json --out $at/pareto --force
+    made pipelines/campaign.sh coupon runs=3 seed=7 out=$at/campaign
+    target/python/bin/python docs/methods/draw.py $at docs/methods
+    cp $at/pareto/pareto.svg $at/campaign/report/campaign.svg docs/methods
 
 # Write the pictures of docs/report.md, and the one that README.md opens with
 [group('5 pages and tables')]

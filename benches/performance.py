@@ -285,7 +285,7 @@ def residuals(whole, stages):
         ("Planish, every pixel, then to the path", 20, ["--pixels-per-cell", "1"]),
     ):
         command = [
-            stages / "planish-dwell", "lucy-richardson", "--unknowns", "map", "--max-iterations", steps, "--tolerance", "0",
+            stages / "planish-dwell", "lucy-richardson", "--unknowns", "map", "--max-iterations", steps, "--min-decrease", "0",
             "--total-variation", "0", *flags, "--surface", at / "fixture/surface", "--tif", at / "fixture/tif",
             "--tool-path", at / "path", "--wall-time", told, "--out", at / "residual",
         ]

@@ -114,7 +114,7 @@ machine_runs() {
     run_at=$1 run_number=$2 run_map=$3 run_motion=$4
     shift 4
     quiet planish-simulate --trajectory "$run_motion" --tif "$tif" --surface "$run_map" --error-budget "$error_budget" \
-        --seed="$seed" --run="$run_number" "$@" --measured "$run_at/measured" --out "$run_at/truth" --force
+        --seed="$seed" --run-number="$run_number" "$@" --measured-out "$run_at/measured" --out "$run_at/truth" --force
 }
 
 if [ -z "$surface$tif" ]; then
@@ -171,7 +171,7 @@ while [ "$k" -le "$runs" ]; do
     k=$((k + 1))
 done
 
-quiet planish-campaign measure --surface "$surface" --error-budget "$error_budget" --seed="$seed" --run="$k" \
+quiet planish-campaign measure --surface "$surface" --error-budget "$error_budget" --seed="$seed" --run-number="$k" \
     --out "$out/alike/measured" --force
 motion=methods/$planned/trajectory
 plan "$out/alike/first" "$out/alike/measured" "$tif" "$@"

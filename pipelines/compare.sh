@@ -35,6 +35,6 @@ PATH=$root/target/release:$PATH
 export PATH
 PS4=
 set -x
-planish-compare report "$out/raster" "$out/maze" "$out/random-adaptive" --fixture="$fixture" --tif "$tif" --out "$out/report" --force
+planish-compare report "$out/raster" "$out/maze" "$out/random-adaptive" --mirror="$fixture" --tif "$tif" --out "$out/report" --force
 { set +x; } 2> /dev/null
 exit "$end"

@@ -152,7 +152,7 @@ planish-import program {p.pmc} --controller pmac --about {p.pmc.json} --out {fro
 planish-import program {p.ngc} --controller gcode --out {from-gcode}
 planish-import program {p.csv} --controller csv --out {from-csv}
 planish-import trace {p.csv} --tool-on tool_on --most-gap-s 5 --planned {run/methods/pvt/trajectory} --out {as-run}
-planish-simulate --trajectory {run/methods/pvt/trajectory} --tif {tif} --surface {run/surface} --error-budget {error_budget.json} --measured {after} --out {truth}
+planish-simulate --trajectory {run/methods/pvt/trajectory} --tif {tif} --surface {run/surface} --error-budget {error_budget.json} --measured-out {after} --out {truth}
 planish-reconcile --before {run/surface} --after {after} --trajectory {run/methods/pvt/trajectory} --tif {tif} --hold magnification --out {reconciliation}
 planish-reconcile --before {run/surface} --after {after} --trajectory {run/methods/pvt/trajectory} --tif {tif} --hold magnification --error-budget {error_budget.json} --corrected-tif {learnt-tif} --corrected-transform {learnt-place} --learnt-error-budget {learnt.json} --out {learnt}
 planish-campaign measure --surface {run/surface} --error-budget {error_budget.json} --out {measured}
@@ -161,16 +161,16 @@ planish-register fit {fiducials.csv} --out {where}
 planish-register fit {fiducials.csv} --machine {machine.json} --out {where-on-axes}
 planish-register place --machine {lab.json} --out {place}
 planish-register apply --transform {where} --trajectory {run/methods/pvt/trajectory} --out {on-machine}
-planish-import surface {run/surface/height_nm.npy} --unit nm --pitch-mm 0.5 --picture {a.svg} --out {from-npy}
+planish-import surface {run/surface/height_nm.npy} --unit nm --pixel-mm 0.5 --picture {a.svg} --out {from-npy}
 planish-import surface {run/surface} --flip-x --out {from-directory}
 planish-import surface {points.xyz} --unit nm --coordinate-unit mm --grid-mm 0.5 --out {from-points}
 planish-import surface {map.gsf} --out {from-gsf}
-planish-import tif {tif/rate_nm_per_s.npy} --rate --unit nm --pitch-mm 0.5 --out {tif-from-npy}
-planish-import tif {tif/rate_nm_per_s.npy} --unit nm --pitch-mm 0.5 --dwell-s 30 --half-size-mm 1 --baseline none --out {spot}
+planish-import tif {tif/rate_nm_per_s.npy} --rate --unit nm --pixel-mm 0.5 --out {tif-from-npy}
+planish-import tif {tif/rate_nm_per_s.npy} --unit nm --pixel-mm 0.5 --dwell-s 30 --half-size-mm 1 --baseline none --out {spot}
 planish-surface psd --removal {run/methods/pvt/removal} --out {psd-removal}
 planish-sweep expand {sweep.yaml} --out {sweep}
 planish-compare sweep {table.json} --out {sweep-report}
-planish-compare diff --tolerance 1 {run/surface} {from-directory}
+planish-compare diff --max-difference 1 {run/surface} {from-directory}
 planish-compare report {run} --measured {mirror/surface} --out {run/report}
 planish-run program --run {run} --of pvt --controller galil
 """
@@ -180,7 +180,7 @@ NUMBERS = """0 -0 -1 1 2 0.5 nan inf -inf 1e-300 1e-9 1e-3 1e3 1e6 1e9 1e300 -1e
 9007199254740993 18446744073709551615 99999999999999999999 1,2 ,""".split() + ["", "x", "\x1b[2J", "\u00b5"]
 
 # Flags that say where something goes.
-OUTPUTS = ("--out", "--picture", "--measured", "--corrected-tif", "--corrected-transform", "--learnt-error-budget")
+OUTPUTS = ("--out", "--picture", "--measured-out", "--corrected-tif", "--corrected-transform", "--learnt-error-budget")
 
 # What flags take that count something.
 COUNTS = "0 1 2 3 7 20 100 10000 1000000 4294967295 18446744073709551615".split()

@@ -51,7 +51,8 @@ def main():
                 value = f" {flag['value']}" if flag["value"] and not flag["positional"] else ""
                 default = "required" if flag["required"] else (f"`{cell(str(flag['default']))}`" if flag["default"] else "-")
                 choices = [c if isinstance(c, str) else c["name"] for c in flag["choices"]]
-                chosen = f" [{', '.join(choices)}]" if choices else ""
+                named = ", ".join(f"`{choice}`" for choice in choices)
+                chosen = f". One of {named}" if choices else ""
                 print(f"| `{name}{value}` | {default} | {cell((flag['help'] or '') + chosen)} |")
 
 

@@ -70,7 +70,7 @@ fn map(format: Format, bytes: &[u8]) {
             override_file: true,
             unit: reading.unit.or(Some(Unit::Nm)),
             wavelength_nm: reading.wavelength_nm.or(Some(632.8)),
-            pitch_mm: reading.coordinates.is_none().then_some([0.5, 0.25]),
+            pixel_mm: reading.coordinates.is_none().then_some([0.5, 0.25]),
             coordinate_unit: reading
                 .coordinates
                 .as_ref()

@@ -25,33 +25,32 @@ pub struct Feed {
     machine: MachineArgs,
     /// Source of the feed
     #[arg(long, value_enum, default_value = "deconvolution")]
-    method: Method,
+    feed_source: Method,
     /// Method to keep the acceleration limit
     #[arg(long, value_enum, default_value = "convex-concave")]
     refinement: Refinement,
     /// Distance of the knots, mm [default: a quarter of the TIF's width]
     #[arg(long, value_name = "L")]
     knot_spacing_mm: Option<f64>,
-    /// Distance of neighbouring passes for the VRR feed, mm [default: measured]
+    /// Distance of neighbouring lines, mm, for the VRR feed [default: measured]
     #[arg(long, value_name = "P")]
     pitch_mm: Option<f64>,
     /// Treatment of the uniform part of the desired removal
     #[arg(long, value_enum, default_value = "keep")]
     piston: Piston,
-    /// Weight of the distance to the least dwell density, relative to the strongest column
+    /// Tikhonov weight of the squared distance to the least dwell density, relative to the strongest column
     #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
     tikhonov: f64,
     /// Weight of the second differences of the control values along a pass, relative to the strongest column
     #[arg(long, value_name = "B", default_value_t = Settings::default().curvature_weight)]
     curvature_weight: f64,
-    /// Gap between the objective and its proven lower bound, over the objective, at which the solver ends; with knot
-    /// removal, the relative fall of the objective in a sweep
-    #[arg(long, value_name = "R", default_value_t = Settings::default().tolerance)]
-    tolerance: f64,
+    /// Relative duality gap at which the solver ends; with knot removal, relative decrease of the objective in a sweep
+    #[arg(long, value_name = "R", default_value_t = Settings::default().relative_gap)]
+    relative_gap: f64,
     /// Largest number of steps of the interior point method; with knot removal, of sweeps over the lines
     #[arg(long, value_name = "N", default_value_t = Settings::default().max_sweeps)]
     max_sweeps: usize,
-    /// Largest distance of the motion from the feed profile at equal times, mm
+    /// Largest error of the position in the fit of the motion by cubics, mm
     #[arg(long, value_name = "E", default_value_t = Settings::default().fit_tolerance_mm)]
     fit_tolerance_mm: f64,
     #[command(flatten)]
@@ -61,18 +60,18 @@ pub struct Feed {
 impl Feed {
     pub fn run(&self) -> Result<Status, Failure> {
         let settings = Settings {
-            method: self.method,
+            method: self.feed_source,
             refinement: self.refinement,
             knot_spacing_mm: self.knot_spacing_mm,
             pitch_mm: self.pitch_mm,
             piston: self.piston,
             tikhonov: self.tikhonov,
             curvature_weight: self.curvature_weight,
-            tolerance: self.tolerance,
+            relative_gap: self.relative_gap,
             max_sweeps: self.max_sweeps,
             fit_tolerance_mm: self.fit_tolerance_mm,
         };
-        let method = self.method.name();
+        let method = self.feed_source.name();
         let mut inputs = Inputs::new();
         let (surface, tif) = self.mirror.read(&mut inputs)?;
         let path = self.path.read(&mut inputs)?;

@@ -81,7 +81,7 @@ pub struct Settings {
     pub curvature_weight: f64,
     /// Largest gap between the objective and its proven lower bound, over the objective; of knot removal, fall of the
     /// objective in the last sweep.
-    pub tolerance: f64,
+    pub relative_gap: f64,
     /// Largest number of steps of the interior point method, or of sweeps of knot removal.
     pub max_sweeps: usize,
     /// Largest distance of the motion from t(s), mm.
@@ -99,7 +99,7 @@ impl Default for Settings {
             piston: Piston::Keep,
             tikhonov: 1e-5,
             curvature_weight: 1e-4,
-            tolerance: 1e-3,
+            relative_gap: 1e-3,
             max_sweeps: 200,
             fit_tolerance_mm: 1e-6,
         }
@@ -198,13 +198,13 @@ impl Plan {
             End::SweepLimit => Some(match settings.refinement {
                 Refinement::ConvexConcave => format!(
                     "not converged: after {} steps no proof that the objective is within {} of its minimum; \
-                     raise `max_sweeps` or `tolerance`",
-                    r.sweeps, settings.tolerance
+                     raise `max_sweeps` or `relative_gap`",
+                    r.sweeps, settings.relative_gap
                 ),
                 Refinement::KnotRemoval => format!(
                     "not converged: after {} sweeps the objective still falls by more than {} of itself; \
-                     raise `max_sweeps` or `tolerance`",
-                    r.sweeps, settings.tolerance
+                     raise `max_sweeps` or `relative_gap`",
+                    r.sweeps, settings.relative_gap
                 ),
             }),
             End::Stopped => Some(self.stopped()),
@@ -361,7 +361,7 @@ fn check(settings: &Settings) -> Result<(), Invalid> {
     let weights = [
         ("tikhonov", settings.tikhonov),
         ("curvature_weight", settings.curvature_weight),
-        ("tolerance", settings.tolerance),
+        ("relative_gap", settings.relative_gap),
     ];
     for (name, v) in weights {
         if !(v.is_finite() && v >= 0.0) {
@@ -435,7 +435,7 @@ fn deconvolution_settings(settings: &Settings) -> deconvolution::Settings {
         free_piston: settings.piston == Piston::Free,
         tikhonov: settings.tikhonov,
         curvature_weight: settings.curvature_weight,
-        tolerance: settings.tolerance,
+        tolerance: settings.relative_gap,
         max_sweeps: settings.max_sweeps,
     }
 }

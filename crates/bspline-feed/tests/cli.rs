@@ -78,9 +78,9 @@ fn writes_trajectory_and_feed_and_then_nothing() {
 
     let again = run(tmp.path(), &[]);
     assert!(text(&again.stdout).contains("unchanged"));
-    let other = run(tmp.path(), &["--method=vrr"]);
+    let other = run(tmp.path(), &["--feed-source=vrr"]);
     assert_eq!(other.status.code(), Some(2), "another method needs --force");
-    let forced = run(tmp.path(), &["--method=vrr", "--force"]);
+    let forced = run(tmp.path(), &["--feed-source=vrr", "--force"]);
     assert_eq!(forced.status.code(), Some(0));
     assert_eq!(manifest(tmp.path(), "dwell_density")["method"], "vrr");
 }

@@ -13,7 +13,7 @@ fn arguments(surface: &str, tif: &str, path: &str) -> Vec<String> {
 
 /// Few sweeps: what is hostile is the flag, not the time that convergence takes.
 fn quick(all: &[String]) -> Vec<&str> {
-    all.iter().map(String::as_str).chain(["--tolerance=0.1"]).collect()
+    all.iter().map(String::as_str).chain(["--relative-gap=0.1"]).collect()
 }
 
 #[test]
@@ -26,8 +26,8 @@ fn no_flag_ends_in_a_panic_or_takes_all_memory() {
     every_value(BINARY, tmp.path(), &quick(&all), &["--max-sweeps"], &COUNTS, "out");
     let plain: Vec<&str> = all.iter().map(String::as_str).collect();
     let loose: Vec<&str> = [&plain[..], &["--max-sweeps=2"]].concat();
-    every_value(BINARY, tmp.path(), &loose, &["--tolerance", "--pitch-mm"], &FLOATS, "out");
-    let vrr: Vec<&str> = [&plain[..], &["--method=vrr"]].concat();
+    every_value(BINARY, tmp.path(), &loose, &["--relative-gap", "--pitch-mm"], &FLOATS, "out");
+    let vrr: Vec<&str> = [&plain[..], &["--feed-source=vrr"]].concat();
     every_value(BINARY, tmp.path(), &vrr, &["--pitch-mm"], &FLOATS, "out");
     for spacing in ["1e-300", "1e-9", "1e-3"] {
         let set = format!("--knot-spacing-mm={spacing}");
@@ -68,9 +68,9 @@ fn mistaken_units_are_refused_by_name_and_a_limit_is_a_verdict() {
         assert!(message.contains(said), "{said}: {message}");
     }
     for (more, code, end) in [
-        (&["--max-sweeps=1", "--tolerance=1e-9"][..], 1, "sweep-limit"),
-        (&["--tolerance=0.1"], 0, "converged"),
-        (&["--method=vrr"], 0, "direct"),
+        (&["--max-sweeps=1", "--relative-gap=1e-9"][..], 1, "sweep-limit"),
+        (&["--relative-gap=0.1"], 0, "converged"),
+        (&["--feed-source=vrr"], 0, "direct"),
     ] {
         let all = arguments("surface", "tif", "tool_path");
         let all: Vec<&str> = all.iter().map(String::as_str).chain(more.iter().copied()).collect();

@@ -69,7 +69,7 @@ fn exact() -> Settings {
         tikhonov: 0.0,
         curvature_weight: 0.0,
         knot_spacing_mm: Some(1.0),
-        tolerance: 1e-6,
+        relative_gap: 1e-6,
         max_sweeps: 100,
         ..Settings::default()
     }
@@ -117,7 +117,7 @@ fn a_tool_that_is_off_centre_has_the_feed_of_a_centred_one() {
     let off_tif = Tif::new(tif.grid().moved(off).unwrap(), tif.rate_nm_per_s().clone()).unwrap();
     let surface = map(|x, y| 40.0 + 8.0 * (1.3 * x).sin() + 4.0 * y);
     for method in [Method::Vrr, Method::Deconvolution] {
-        let settings = Settings { method, tolerance: 1e-3, max_sweeps: 200, ..exact() };
+        let settings = Settings { method, relative_gap: 1e-3, max_sweeps: 200, ..exact() };
         let run = |tif, path| plan(&surface, tif, path, &machine(50.0, 500.0), &settings).unwrap();
         let (centred, found) = (run(&tif, &path), run(&off_tif, &off_path));
         let densities = |plan: &Plan| plan.density.dwell_density_s_per_mm().to_vec();
@@ -159,7 +159,7 @@ fn ridges() -> Surface {
 }
 
 fn ridges_with(refinement: Refinement, acceleration: f64) -> Plan {
-    let settings = Settings { refinement, tolerance: 1e-2, ..Settings::default() };
+    let settings = Settings { refinement, relative_gap: 1e-2, ..Settings::default() };
     let (tif, path) = (tif(), raster(0.5, 2.5));
     plan(&ridges(), &tif, &path, &machine(5.0, acceleration), &settings).unwrap()
 }
@@ -259,7 +259,7 @@ fn a_sweep_that_raises_the_objective_is_given_up_and_said() {
 #[test]
 fn deconvolution_leaves_less_than_the_vrr_feed() {
     let (tif, path, limits) = (tif(), raster(0.5, 2.5), machine(5.0, 50.0));
-    let settings = Settings { tolerance: 1e-2, ..Settings::default() };
+    let settings = Settings { relative_gap: 1e-2, ..Settings::default() };
     let solved = plan(&ridges(), &tif, &path, &limits, &settings).unwrap();
     // The blur of a Gaussian of 0.5 mm leaves 1 - exp(-(1.9 x 0.5)^2 / 2) = 0.36 of 30 nm.
     let fraction = solved.report.model_rms_nm.unwrap() / (0.36 * 30.0 / 2.0_f64.sqrt());
@@ -271,7 +271,7 @@ fn deconvolution_leaves_less_than_the_vrr_feed() {
 #[test]
 fn turns_with_the_tool_on_near_the_edge_are_taken_into_account() {
     let (tif, path, limits) = (tif(), raster(0.5, 0.5), machine(5.0, 5.0));
-    let settings = Settings { tolerance: 1e-2, ..Settings::default() };
+    let settings = Settings { relative_gap: 1e-2, ..Settings::default() };
     let solved = plan(&ridges(), &tif, &path, &limits, &settings).unwrap();
     let r = &solved.report;
     assert!(r.link_removal_nm > 0.1 && r.links.turn_arounds == 6, "{r:?}");

@@ -54,8 +54,8 @@ fn a_measurement_has_the_noise_of_the_process_and_its_own_for_every_run() {
     process(dir);
     let command = "measure --surface mirror --error-budget error_budget.json --seed 3";
     said(&run(dir, &format!("{command} --out a")), 0);
-    said(&run(dir, &format!("{command} --run 1 --out b")), 0);
-    said(&run(dir, &format!("{command} --run 2 --out c")), 0);
+    said(&run(dir, &format!("{command} --run-number 1 --out b")), 0);
+    said(&run(dir, &format!("{command} --run-number 2 --out c")), 0);
     let map =
         |name: &str| planish_handoff::artifact::read::<Surface>(&dir.join(name)).unwrap().value;
     let error = |name: &str| -> Vec<f64> {
@@ -68,7 +68,7 @@ fn a_measurement_has_the_noise_of_the_process_and_its_own_for_every_run() {
     let dot = |u: &[f64], v: &[f64]| u.iter().zip(v).map(|(a, b)| a * b).sum::<f64>() / 1199.0;
     // 1199 pixels: a variance scatters by sqrt(2 / 1199) = 4 %, a correlation by 3 %; three of each.
     assert!((dot(&b, &b) / 0.16 - 1.0).abs() < 0.13 && (dot(&b, &c) / 0.16).abs() < 0.09);
-    let message = said(&run(dir, &format!("{command} --run 0 --out d")), 2);
+    let message = said(&run(dir, &format!("{command} --run-number 0 --out d")), 2);
     assert!(message.contains("run: is 0; give 1 to 1000000"), "{message}");
     let message = said(&run(dir, "measure --surface mirror --error-budget none.json --out d"), 2);
     assert!(message.contains("none.json") && !dir.join("d").exists(), "{message}");
@@ -140,7 +140,9 @@ fn a_decision_and_a_page_say_what_the_artifacts_say() {
         fs::create_dir_all(dir.join(&at)).unwrap();
         program(
             dir,
-            &format!("{machine} --run {k} {known} --measured {at}/measured --out {at}/truth"),
+            &format!(
+                "{machine} --run-number {k} {known} --measured-out {at}/measured --out {at}/truth"
+            ),
         );
     }
     program(
@@ -197,14 +199,17 @@ fn a_decision_and_a_page_say_what_the_artifacts_say() {
 
     // Another machine, or another run, in the place of one
     let at = "c/known/1";
-    program(dir, &format!("{machine} --measured {at}/measured --out {at}/truth --force"));
+    program(dir, &format!("{machine} --measured-out {at}/measured --out {at}/truth --force"));
     let message = said(&run(dir, "report c --surface made/surface --runs 1 --out no"), 2);
     assert!(
         message.contains("known/1/truth: is not run 1 of a machine that is known"),
         "{message}"
     );
     let machine = machine.replace("--seed 4", "--seed 5");
-    program(dir, &format!("{machine} --known --measured {at}/measured --out {at}/truth --force"));
+    program(
+        dir,
+        &format!("{machine} --known --measured-out {at}/measured --out {at}/truth --force"),
+    );
     let message = said(&run(dir, "report c --surface made/surface --runs 1 --out no"), 2);
     assert!(message.contains("is of another machine than the runs before it"), "{message}");
     assert!(!dir.join("no").exists());

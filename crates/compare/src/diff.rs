@@ -42,19 +42,22 @@ impl Difference {
     }
 }
 
-/// Sentence on the differences, each with the name of its arrays, that are larger than `tolerance`; `None` when none
+/// Sentence on the differences, each with the name of its arrays, that are larger than `max_difference`; `None` when none
 /// is.
-pub fn beyond(found: &[(String, Difference)], tolerance: f64) -> Result<Option<String>, Invalid> {
-    if tolerance.is_nan() || tolerance < 0.0 {
+pub fn beyond(
+    found: &[(String, Difference)],
+    max_difference: f64,
+) -> Result<Option<String>, Invalid> {
+    if max_difference.is_nan() || max_difference < 0.0 {
         let remedy = "give a number that is not negative";
-        return Err(Invalid::whole("tolerance", format!("is {tolerance}"), remedy));
+        return Err(Invalid::whole("max_difference", format!("is {max_difference}"), remedy));
     }
     let beyond: Vec<String> = found
         .iter()
-        .filter(|(_, difference)| difference.largest > tolerance)
+        .filter(|(_, difference)| difference.largest > max_difference)
         .map(|(name, difference)| format!("{name} by {:e}", difference.largest))
         .collect();
-    Ok((!beyond.is_empty()).then(|| format!("above {tolerance:e}: {}", beyond.join(", "))))
+    Ok((!beyond.is_empty()).then(|| format!("above {max_difference:e}: {}", beyond.join(", "))))
 }
 
 /// Compares two arrays; the message of an error says why they cannot be compared.
@@ -142,7 +145,7 @@ mod tests {
         assert_eq!(beyond(&found, 1.0), Ok(Some("above 1e0: far by 2e0".into())));
         for wrong in [-1.0, NAN] {
             let message = beyond(&found, wrong).unwrap_err().to_string();
-            assert!(message.contains(&format!("tolerance: is {wrong}")), "{message}");
+            assert!(message.contains(&format!("max_difference: is {wrong}")), "{message}");
         }
     }
 

@@ -15,7 +15,7 @@ const EXAMPLES: &str = "Examples:\n\
     \x20 planish-compare report out/raster out/maze --out out/both\n\
     \x20 planish-compare figures out/raster --format pdf --out out/figures\n\
     \x20 planish-compare sweep out/sweeps/small/table.json --out out/sweeps/small/report\n\
-    \x20 planish-compare diff out/a/removal out/b/removal --tolerance 0.001";
+    \x20 planish-compare diff out/a/removal out/b/removal --max-difference 0.001";
 
 /// Compare runs, or two artifacts
 #[derive(Parser)]

@@ -605,7 +605,7 @@ def hostile(programs, run):
         data["settings"] = {program: [program, "\u2028"]}
         manifest.write_text(json.dumps(data))
     (copy / "methods/pvt").rename(copy / "methods/pvt<svg onload=window.hit=4>\u0007")
-    made = subprocess.run([programs.resolve() / "planish-compare", "report", copy, "--out", work / "report", "--fixture", program,
+    made = subprocess.run([programs.resolve() / "planish-compare", "report", copy, "--out", work / "report", "--mirror", program,
                            "--pipeline", "<!--<script>"], capture_output=True, text=True)
     check("the report is made", made.returncode == 0, made.stderr[-300:])
     check("no command reaches the terminal", not any(ord(c) < 32 and c != "\n" for c in made.stdout + made.stderr))

@@ -465,7 +465,7 @@ fn names_that_are_programs_stay_names() {
     lab.schedule(method, 1.0);
     lab.judge(method, 0.5, true);
     let named = "</script><script>alert(3)</script>\u{1b}[2J";
-    let flags = ["--fixture", named, "--pipeline", "<!--<script>", "--plots", "always"];
+    let flags = ["--mirror", named, "--pipeline", "<!--<script>", "--plots", "always"];
     let report = ["report", hostile, "--out", "report"];
     let made = compare(dir.path(), &[&report[..], &flags].concat());
     assert_eq!(made.status.code(), Some(0), "{}", text(&made.stderr));

@@ -78,7 +78,7 @@ fn a_report_writes_the_summary_and_prints_the_table() {
     fs::write(run.join("methods/pvt/schedule-wall.json"), r#"{"wall_s": 0.125}"#).unwrap();
     // What a stage that was killed leaves is no method.
     fs::create_dir(run.join("methods/.pvt.123.tmp")).unwrap();
-    let report = ["report", "raster", "--out", "report", "--fixture", "coupon"];
+    let report = ["report", "raster", "--out", "report", "--mirror", "coupon"];
     let first = compare(dir.path(), &report);
     assert_eq!(first.status.code(), Some(0), "{}", text(&first.stderr));
 
@@ -161,7 +161,7 @@ fn the_page_holds_the_summary_and_is_the_same_for_the_same_input() {
     let dir = tempfile::tempdir().unwrap();
     // A name that would end the element of the data if it were not escaped.
     prepare(&dir.path().join("a<b"), &[("pvt", 0.75, true), ("position", 0.9, false)]);
-    let made = compare(dir.path(), &["report", "a<b", "--out", "one", "--fixture", "</script>"]);
+    let made = compare(dir.path(), &["report", "a<b", "--out", "one", "--mirror", "</script>"]);
     assert_eq!(made.status.code(), Some(0), "{}", text(&made.stderr));
     let data = page_data(&dir.path().join("one"));
     assert_eq!(data["summary"], summary(&dir.path().join("one")));
@@ -176,7 +176,7 @@ fn the_page_holds_the_summary_and_is_the_same_for_the_same_input() {
     let page = fs::read_to_string(dir.path().join("one/report.html")).unwrap();
     assert!(page.contains("<title>Planish: a&lt;b</title>"));
     assert!(!page.contains("http:") && !page.contains("https:") && !page.contains("{{"));
-    compare(dir.path(), &["report", "a<b", "--out", "two", "--fixture", "</script>"]);
+    compare(dir.path(), &["report", "a<b", "--out", "two", "--mirror", "</script>"]);
     for file in
         ["report.html", "overview.svg", "maps.svg", "path.svg", "motion.svg", "histogram.svg"]
     {
@@ -441,7 +441,7 @@ fn diff_decides_by_the_tolerance_and_by_nothing_else() {
     heights[[0, 0]] = f64::NAN;
     write("c", &Surface::new(*desired().grid(), heights).unwrap());
     let diff = |a: &str, b: &str, tolerance: &str| {
-        let run = compare(dir.path(), &["diff", a, b, "--tolerance", tolerance]);
+        let run = compare(dir.path(), &["diff", a, b, "--max-difference", tolerance]);
         (run.status.code(), text(&run.stdout), text(&run.stderr))
     };
 
@@ -481,7 +481,7 @@ fn diff_refuses_what_cannot_be_compared() {
     write_npy(out("single").join("dwell_s.npy"), &array![1_f32, 2.0]).unwrap();
 
     let diff = |a: &str, b: &str, tolerance: &str| {
-        compare(dir.path(), &["diff", a, b, &format!("--tolerance={tolerance}")])
+        compare(dir.path(), &["diff", a, b, &format!("--max-difference={tolerance}")])
     };
     // Bare arrays stand in for an artifact.
     assert_eq!(diff("dwell", "two", "0.5").status.code(), Some(0));
@@ -501,8 +501,8 @@ fn diff_refuses_what_cannot_be_compared() {
         ("dwell", "pipe", "1", "dwell_s.npy: is not a file"),
         ("dwell", "nowhere", "1", "nowhere: cannot read"),
         ("report", "report", "1", "holds no .npy file"),
-        ("two", "two", "-1", "tolerance: is -1"),
-        ("two", "two", "nan", "tolerance: is NaN"),
+        ("two", "two", "-1", "max_difference: is -1"),
+        ("two", "two", "nan", "max_difference: is NaN"),
     ] {
         let run = diff(a, b, tolerance);
         assert_eq!(run.status.code(), Some(2), "{a} {b}: {run:?}");

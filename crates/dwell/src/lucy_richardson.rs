@@ -82,7 +82,7 @@ pub struct Settings {
     /// Fraction of the pixels, the lowest ones, that may be cut off; in [0, 1).
     pub pits: f64,
     /// Relative change of the RMS over ten steps below which the steps end.
-    pub tolerance: f64,
+    pub min_decrease: f64,
     /// Largest number of steps.
     pub max_iterations: usize,
     /// True if `max_iterations` is the wanted end. More steps fit more noise, so that a limited number of steps can
@@ -102,7 +102,7 @@ impl Default for Settings {
             total_variation: 1e-3,
             margin: 0.02,
             pits: 1e-3,
-            tolerance: 1e-3,
+            min_decrease: 1e-3,
             max_iterations: 300,
             stop_at_max: false,
             accelerated: false,
@@ -138,8 +138,8 @@ impl Report {
         (self.end == End::IterationLimit).then(|| {
             format!(
                 "not settled: after {} steps ten more still lower the RMS by more than {} of it; give \
-                 `accelerated`, a larger `tolerance`, or `max_iterations` to stop there on purpose",
-                self.iterations, settings.tolerance
+                 `accelerated`, a larger `min_decrease`, or `max_iterations` to stop there on purpose",
+                self.iterations, settings.min_decrease
             )
         })
     }
@@ -159,7 +159,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     check("total_variation", settings.total_variation, |m| m >= 0.0, "give a number >= 0")?;
     check("margin", settings.margin, |m| m > 0.0, "give a number > 0")?;
     check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a fraction from 0 to below 1")?;
-    check("tolerance", settings.tolerance, |t| t >= 0.0, "give a number >= 0")?;
+    check("min_decrease", settings.min_decrease, |t| t >= 0.0, "give a number >= 0")?;
     check_steps(settings.max_iterations)?;
     check_size(settings)?;
     let (tif, clipped_tif_samples) = without_negatives(problem.tif)?;
@@ -405,7 +405,7 @@ fn iterate(
     let count = active.iter().filter(|a| **a).count();
     let floor = 1e-9 * e.iter().copied().fold(0.0, f64::max);
     let (mut log_likelihood, mut rms_nm) = (Vec::new(), Vec::new());
-    let wanted = settings.stop_at_max || settings.tolerance == 0.0;
+    let wanted = settings.stop_at_max || settings.min_decrease == 0.0;
     let mut end = if wanted { End::StepsDone } else { End::IterationLimit };
     let mut iterations = 0;
     // x_k and g_k of (3)
@@ -420,11 +420,11 @@ fn iterate(
         if iterations >= 10 {
             let before = rms_nm[iterations - 10];
             let fall = before - rms_nm[iterations];
-            if fall < settings.tolerance * before {
+            if fall < settings.min_decrease * before {
                 end = End::Settled;
                 break;
             }
-            tell_excess(fall / (settings.tolerance * before));
+            tell_excess(fall / (settings.min_decrease * before));
         }
         progress::done(iterations as f64 / settings.max_iterations as f64);
         if iterations == settings.max_iterations {

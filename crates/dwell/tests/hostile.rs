@@ -23,7 +23,7 @@ const CASES: [(&str, &[&str], &[&str]); 9] = [
     ),
     (
         "lucy-richardson",
-        &["--min-dwell-s", "--total-variation", "--margin", "--pits", "--tolerance"],
+        &["--min-dwell-s", "--total-variation", "--margin", "--pits", "--min-decrease"],
         &["--max-iterations"],
     ),
     ("rifta", &["--min-dwell-s", "--margin-tolerance-nm", "--pits"], &[]),
@@ -126,9 +126,14 @@ fn a_limit_that_the_user_gives_is_an_end_and_one_that_he_does_not_is_a_verdict()
     let tmp = tempfile::tempdir().unwrap();
     inputs(tmp.path());
     for (solver, more, code, said) in [
-        ("lucy-richardson", &["--tolerance=1e-9", "--total-variation=0"][..], 1, "iteration-limit"),
+        (
+            "lucy-richardson",
+            &["--min-decrease=1e-9", "--total-variation=0"][..],
+            1,
+            "iteration-limit",
+        ),
         ("lucy-richardson", &["--max-iterations=5"], 0, "steps-done"),
-        ("lucy-richardson", &["--tolerance=0.5"], 0, "settled"),
+        ("lucy-richardson", &["--min-decrease=0.5"], 0, "settled"),
         ("udo", &["--max-iterations=2"], 0, "rounds-done"),
         ("udo", &["--threshold-nm=1e-9", "--max-iterations=3"], 1, "iteration-limit"),
         ("tikhonov-lsqr", &["--max-iterations=2"], 1, "iteration-limit"),

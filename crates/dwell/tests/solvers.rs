@@ -618,7 +618,7 @@ fn lucy_richardson_raises_the_likelihood_and_keeps_the_volume() {
         let settings = lucy_richardson::Settings {
             unknowns,
             total_variation: 0.0,
-            tolerance: 0.0,
+            min_decrease: 0.0,
             max_iterations: 40,
             ..Default::default()
         };
@@ -682,7 +682,7 @@ fn lucy_richardson_on_squares_leaves_what_it_leaves_on_pixels() {
         let solve = |pixels_per_cell| {
             let settings = lucy_richardson::Settings {
                 unknowns: Unknowns::Map,
-                tolerance: 0.0,
+                min_decrease: 0.0,
                 max_iterations: 40,
                 pixels_per_cell,
                 ..Default::default()
@@ -713,7 +713,7 @@ fn accelerated_lucy_richardson_needs_fewer_steps() {
             let settings = lucy_richardson::Settings {
                 unknowns,
                 total_variation: 0.0,
-                tolerance: 0.0,
+                min_decrease: 0.0,
                 max_iterations,
                 accelerated,
                 ..Default::default()
@@ -761,7 +761,7 @@ fn lucy_richardson_stays_where_the_removal_is_the_desired_one() {
         margin: low / (high - low),
         pits: 0.0,
         total_variation: 0.0,
-        tolerance: 0.0,
+        min_decrease: 0.0,
         max_iterations: 400,
         ..Default::default()
     };

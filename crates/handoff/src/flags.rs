@@ -18,7 +18,7 @@ use crate::{
 /// Flags of the mirror: desired removal and tool.
 #[derive(Clone, Debug, Args)]
 pub struct MirrorArgs {
-    /// Desired removal [surface artifact]
+    /// Map of the desired removal [surface artifact]
     #[arg(long, value_name = "DIR")]
     pub surface: PathBuf,
     /// Tool influence function [tif artifact, or tool artifact if it varies over the part]
@@ -226,7 +226,7 @@ pub struct FloorArgs {
     /// Smallest dwell time of every dwell point, s [default: 0]
     #[arg(long, value_name = "T", conflicts_with = "min_dwell_s_per_mm")]
     min_dwell_s: Option<f64>,
-    /// Smallest dwell time per length of the segment (1 / largest feedrate), s/mm
+    /// Smallest dwell time per length (1 / largest feedrate), s/mm
     #[arg(long, value_name = "T")]
     min_dwell_s_per_mm: Option<f64>,
     /// Smallest dwell time per length from a machine file, s/mm: 1 / largest velocity of its faster
@@ -258,10 +258,10 @@ impl FloorArgs {
 /// Flags of the directory for an artifact.
 #[derive(Clone, Debug, Args)]
 pub struct OutputArgs {
-    /// Directory to write
+    /// Output directory
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Replace an output that was made from other inputs or settings
+    /// Replace an existing output that was made from other inputs or settings
     #[arg(long)]
     pub force: bool,
     /// File for the wall time of the stage, s, and its peak memory, MiB, as JSON (not part of the
@@ -273,10 +273,10 @@ pub struct OutputArgs {
 /// Flags of a single output file.
 #[derive(Clone, Debug, Args)]
 pub struct OutputFileArgs {
-    /// File to write
+    /// Output file
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
-    /// Replace an existing file
+    /// Replace an existing output file
     #[arg(long)]
     pub force: bool,
 }

@@ -48,39 +48,39 @@ impl Method {
 struct FileArgs {
     /// File, or directory of .npy
     file: PathBuf,
-    /// Format [default: by the content; for text of numbers by the ending .csv or .xyz]
+    /// File format [default: by the content; for text of numbers by the ending .csv or .xyz]
     #[arg(long, value_enum)]
     format: Option<Format>,
     /// Array to read: variable of a .mat, path in HDF5 or datx, number of the HDU in FITS
     /// [default: Z (Ztif for rates), or the only one]
     #[arg(long, value_name = "NAME")]
     dataset: Option<String>,
-    /// Array of the coordinates of the columns [default: X (Xtif) beside Z]
+    /// Name of the x coordinates in the file: those of the columns [default: X (Xtif) beside Z]
     #[arg(long, value_name = "NAME")]
     x: Option<String>,
-    /// Array of the coordinates of the rows [default: Y (Ytif) beside Z]
+    /// Name of the y coordinates in the file: those of the rows [default: Y (Ytif) beside Z]
     #[arg(long, value_name = "NAME")]
     y: Option<String>,
     /// Array of the same size that is not 0 at invalid pixels, named as for --dataset [default in FITS: the image
     /// called MASK]
     #[arg(long, value_name = "NAME")]
     mask: Option<String>,
-    /// Unit of the heights, where the file does not state it
+    /// Unit of the values in the file (heights), where it does not state it
     #[arg(long, value_enum)]
     unit: Option<Unit>,
-    /// Wavelength of heights in waves, nm
+    /// Wavelength of the light, nm, for heights in waves
     #[arg(long, value_name = "W", allow_negative_numbers = true)]
     wavelength_nm: Option<f64>,
-    /// Distance of pixel centres along x and y, mm, where the file does not state it: one number, or two for X,Y
+    /// Distance of pixel centres, mm, along x and y, where the file does not state it: one number, or two for X,Y
     #[arg(long, value_name = "P", value_parser = pair, allow_hyphen_values = true)]
-    pitch_mm: Option<[f64; 2]>,
+    pixel_mm: Option<[f64; 2]>,
     /// Pitch along x and y, mm, to which points x y z that lie on no grid are interpolated (linear in triangles)
     #[arg(long, value_name = "P", value_parser = pair, allow_hyphen_values = true)]
     grid_mm: Option<[f64; 2]>,
     /// Unit of the coordinates in the file, where it does not state it
     #[arg(long, value_enum)]
     coordinate_unit: Option<Unit>,
-    /// Take --unit, --wavelength-nm, --pitch-mm, --coordinate-unit and --surface-per-value in the place of what the file
+    /// Take --unit, --wavelength-nm, --pixel-mm, --coordinate-unit and --surface-per-value in the place of what the file
     /// states, with a warning. Use it where the file is wrong
     #[arg(long)]
     override_file: bool,
@@ -103,7 +103,7 @@ struct FileArgs {
     /// Mirror y
     #[arg(long)]
     flip_y: bool,
-    /// Turn counter-clockwise with y upwards, after mirroring
+    /// Turn counterclockwise, degrees, with y upwards, after mirroring
     #[arg(long, value_enum, default_value = "0")]
     rotate_deg: Rotation,
     /// Draw what was read, as SVG, to compare with the picture on the instrument
@@ -142,7 +142,7 @@ impl FileArgs {
             override_file: self.override_file,
             unit: self.unit,
             wavelength_nm: self.wavelength_nm,
-            pitch_mm: self.pitch_mm,
+            pixel_mm: self.pixel_mm,
             coordinate_unit: self.coordinate_unit,
             surface_per_value: self.surface_per_value,
             negate: self.negate,

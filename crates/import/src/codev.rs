@@ -102,7 +102,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let scales = [after("XSC")?.unwrap_or(1.0), after("YSC")?.unwrap_or(1.0)];
     if scales != [1.0; 2] {
         let say = format!(
-            "XSC and YSC {scales:?} are not used: `pitch_mm` says how far the pixels are apart"
+            "XSC and YSC {scales:?} are not used: `pixel_mm` says how far the pixels are apart"
         );
         reading.warnings.push(say);
     }

@@ -182,7 +182,7 @@ impl Header {
             }
         }
         if let ([Some(x), Some(y)], None) = (pitch, &reading.coordinates) {
-            reading.pitch_mm = Some([x, y]);
+            reading.pixel_mm = Some([x, y]);
             // Both programs write the picture from its top.
             reading.first_row = FirstRow::Top;
         }

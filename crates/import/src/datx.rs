@@ -93,7 +93,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
             reading.warnings.push(warning);
         }
     }
-    reading.pitch_mm = <[f64; 2]>::try_from(converters).ok();
+    reading.pixel_mm = <[f64; 2]>::try_from(converters).ok();
     reading.stated = json!({
         "dataset": path,
         "unit": unit_name,

@@ -246,7 +246,7 @@ impl Header {
     /// Rule of the coordinates of the pixels; `None` if the header lacks the step of an axis.
     fn rule(&self, len: [usize; 2], warnings: &mut Vec<String>) -> Result<Option<Rule>, Invalid> {
         let refuse = |problem: String, remedy: &str| Err(Invalid::whole(NAME, problem, remedy));
-        let remedy = "write the map on axes of length, or delete these cards and give `pitch_mm`";
+        let remedy = "write the map on axes of length, or delete these cards and give `pixel_mm`";
         let (mut steps, mut unit, mut reference) = ([None; 2], [None; 2], [(0.0, 0.0); 2]);
         for (k, n) in [1, 2].into_iter().enumerate() {
             let (step_key, matrix_key) = (format!("CDELT{n}"), format!("CD{n}_{n}"));
@@ -259,7 +259,7 @@ impl Header {
                 (None, None) => None,
             };
             if let Some(step) = steps[k].filter(|step| !(step.is_finite() && *step != 0.0)) {
-                let remedy = "correct the header, or delete CDELT and give `pitch_mm`";
+                let remedy = "correct the header, or delete CDELT and give `pixel_mm`";
                 return refuse(format!("has {step_key} = {step}"), remedy);
             }
             if let Some(kind) = self.text(&format!("CTYPE{n}")).filter(|t| t.get(4..5) == Some("-"))

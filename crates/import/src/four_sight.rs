@@ -88,7 +88,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     if let Some((value, unit)) = length("xpix")? {
         let mm = value * unit.mm()?;
         if aspect == 1.0 {
-            reading.pitch_mm = Some([mm; 2]);
+            reading.pixel_mm = Some([mm; 2]);
         } else {
             let say =
                 format!("xpix {mm} mm is not used: the pixels are not square (aspect {aspect})");

@@ -62,7 +62,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     reading.unit = unit.as_deref().map(|name| Unit::stated("ZUnits", name)).transpose()?;
     if let (Some(x), Some(y), Some(name)) = (number("XReal")?, number("YReal")?, field("XYUnits")) {
         let mm = Unit::stated("XYUnits", &name)?.mm()?;
-        reading.pitch_mm = Some([x * mm / columns as f64, y * mm / rows as f64]);
+        reading.pixel_mm = Some([x * mm / columns as f64, y * mm / rows as f64]);
     }
     let offset = [number("XOffset")?.unwrap_or(0.0), number("YOffset")?.unwrap_or(0.0)];
     if offset != [0.0; 2] {

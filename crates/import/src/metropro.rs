@@ -105,7 +105,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     reading.scale_applied = Some(scale);
     reading.wavelength_nm = Some(wavelength_m * 1e9);
     if lateral_m > 0.0 {
-        reading.pitch_mm = Some([lateral_m * 1e3; 2]);
+        reading.pixel_mm = Some([lateral_m * 1e3; 2]);
     }
     if sign_word != 0 {
         reading.warnings.push(format!("the sign word is {sign_word}: the heights are negated"));

@@ -126,7 +126,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         }
     }
     let (pixel, aspect) = (parameter("Pixel_size")?, parameter("Aspect")?.unwrap_or(1.0));
-    reading.pitch_mm = pixel.filter(|v| *v > 0.0).map(|v| [v, v * aspect]);
+    reading.pixel_mm = pixel.filter(|v| *v > 0.0).map(|v| [v, v * aspect]);
     let wedge = parameter("Wedge")?;
     if let Some(wedge) = wedge.filter(|w| *w != 0.0 && *w != 1.0) {
         let say = format!(

@@ -127,7 +127,7 @@ fn zygo(text: &str, body: Body) -> Result<Reading, Invalid> {
         reading.wavelength_nm = Some(wavelength_m * 1e9);
     }
     if pitch_m > 0.0 {
-        reading.pitch_mm = Some([pitch_m * 1e3; 2]);
+        reading.pixel_mm = Some([pitch_m * 1e3; 2]);
     }
     reading.stated = json!({
         "interferometric_scale_factor": scale,
@@ -284,7 +284,7 @@ fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
         }
         points.push(point);
     }
-    if let Some(pitch_mm) = pick.grid_mm {
+    if let Some(pixel_mm) = pick.grid_mm {
         let Some(unit) = pick.coordinate_unit else {
             let remedy = "give `coordinate_unit`";
             return Err(Invalid::whole("coordinate_unit", "is not in the file", remedy));
@@ -293,12 +293,12 @@ fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
         for point in &mut points {
             (point[0], point[1]) = (point[0] * mm, point[1] * mm);
         }
-        let Gridded { values, x_mm, y_mm, warnings } = grid(&points, pitch_mm)?;
+        let Gridded { values, x_mm, y_mm, warnings } = grid(&points, pixel_mm)?;
         let mut reading = Reading::new(Format::Xyz, values, FirstRow::SmallestY);
         let of_file = |mm_all: Vec<f64>| mm_all.into_iter().map(|v| v / mm).collect();
         reading.coordinates = Some(Coordinates { x: of_file(x_mm), y: of_file(y_mm), unit: None });
         reading.warnings = warnings;
-        reading.stated = json!({ "points": points.len(), "grid_mm": pitch_mm });
+        reading.stated = json!({ "points": points.len(), "grid_mm": pixel_mm });
         return Ok(reading);
     }
     let x = uniform("x", points.iter().map(|p| p[0]).collect())?;
@@ -451,7 +451,7 @@ mod tests {
         assert!(reading.values[[1, 0]].is_nan());
         assert_eq!((reading.unit, reading.unit_by_custom), (Some(Unit::Um), true));
         // 1.5e-4 m; the product rounds.
-        assert!((reading.pitch_mm.unwrap()[0] - 0.15).abs() < 1e-15);
+        assert!((reading.pixel_mm.unwrap()[0] - 0.15).abs() < 1e-15);
         let cut = &text[..text.len() - 8];
         assert!(
             read(cut.as_bytes(), &Pick::default()).unwrap_err().to_string().contains("truncated")

@@ -172,7 +172,7 @@ pub struct Reading {
     /// Wavelength, nm, where the file states it.
     pub wavelength_nm: Option<f64>,
     /// Distance of pixel centres along (x, y), mm, where the file states it.
-    pub pitch_mm: Option<[f64; 2]>,
+    pub pixel_mm: Option<[f64; 2]>,
     /// Coordinates, where the file has them.
     pub coordinates: Option<Coordinates>,
     /// The rule of the coordinates, where the file has that in their place.
@@ -206,7 +206,7 @@ impl Reading {
             offset: 0.0,
             scale_applied: None,
             wavelength_nm: None,
-            pitch_mm: None,
+            pixel_mm: None,
             coordinates: None,
             rule: None,
             first_row,
@@ -293,7 +293,7 @@ pub struct Settings {
     /// Wavelength of heights in waves, nm.
     pub wavelength_nm: Option<f64>,
     /// Distance of pixel centres along (x, y), mm.
-    pub pitch_mm: Option<[f64; 2]>,
+    pub pixel_mm: Option<[f64; 2]>,
     /// Unit of the coordinates in the file.
     pub coordinate_unit: Option<Unit>,
     /// Surface height per stated height: 1 for a surface, 0.5 for the wavefront of one reflection.
@@ -320,7 +320,7 @@ impl Default for Settings {
             override_file: false,
             unit: None,
             wavelength_nm: None,
-            pitch_mm: None,
+            pixel_mm: None,
             coordinate_unit: None,
             surface_per_value: 1.0,
             negate: false,
@@ -350,7 +350,7 @@ pub struct Statement {
     /// Surface height per stated height.
     pub surface_per_value: f64,
     /// Distance of pixel centres along (x, y), mm, in the map that was written.
-    pub pitch_mm: [f64; 2],
+    pub pixel_mm: [f64; 2],
     /// Source of the pitch: "file" or "asked for".
     pub pitch_from: &'static str,
     /// Side of the map that the first row of the file is.
@@ -454,7 +454,7 @@ fn map(
         nm_per_value,
         nm_of_zero: offset * nm_per_unit,
         surface_per_value: settings.surface_per_value,
-        pitch_mm: [grid.x.step_mm(), grid.y.step_mm()],
+        pixel_mm: [grid.x.step_mm(), grid.y.step_mm()],
         pitch_from,
         first_row,
         flip_x: settings.flip_x,
@@ -568,12 +568,12 @@ fn place(
     let Some(coordinates) = &reading.coordinates else {
         return place_by_pitch(reading, settings, warnings);
     };
-    if let (Some(asked), true) = (settings.pitch_mm, settings.override_file) {
+    if let (Some(asked), true) = (settings.pixel_mm, settings.override_file) {
         warnings
-            .push(format!("`pitch_mm` {asked:?} takes the place of the coordinates in the file"));
+            .push(format!("`pixel_mm` {asked:?} takes the place of the coordinates in the file"));
         return place_by_pitch(reading, settings, warnings);
     }
-    if let Some(asked) = settings.pitch_mm {
+    if let Some(asked) = settings.pixel_mm {
         let step = |c: &[f64]| match c {
             [first, .., last] => (last - first) / (c.len() - 1) as f64,
             _ => 0.0,
@@ -584,7 +584,7 @@ fn place(
             step(&coordinates.y)
         );
         let remedy = "leave it out; give `coordinate_unit` where the file does not state it";
-        return Err(Invalid::whole("pitch_mm", problem, remedy));
+        return Err(Invalid::whole("pixel_mm", problem, remedy));
     }
     if settings.first_row.is_some() {
         let problem = "was given, but the file has coordinates";
@@ -655,26 +655,26 @@ fn place_by_pitch(
     let mut rule = None;
     if let Some(stated) = &reading.rule {
         match in_mm(stated, settings, warnings)? {
-            None if settings.pitch_mm.is_none() => {
+            None if settings.pixel_mm.is_none() => {
                 let problem = format!("of the steps {:?} is not in the file", stated.step);
-                let remedy = "give `coordinate_unit`, or `pitch_mm` in the place of the steps";
+                let remedy = "give `coordinate_unit`, or `pixel_mm` in the place of the steps";
                 return Err(Invalid::whole("coordinate_unit", problem, remedy));
             }
             None => warnings.push(format!(
                 "the header has the steps {:?} without their unit: neither they nor where the pixels lie \
-                 are used; give `coordinate_unit` in the place of `pitch_mm`",
+                 are used; give `coordinate_unit` in the place of `pixel_mm`",
                 stated.step
             )),
             found => rule = found,
         }
     }
-    let of_file = rule.as_ref().map(|rule| rule.step.map(f64::abs)).or(reading.pitch_mm);
-    let (pitch, pitch_from) = match (settings.pitch_mm, of_file) {
+    let of_file = rule.as_ref().map(|rule| rule.step.map(f64::abs)).or(reading.pixel_mm);
+    let (pitch, pitch_from) = match (settings.pixel_mm, of_file) {
         (None, None) => {
             return Err(Invalid::whole(
-                "pitch_mm",
+                "pixel_mm",
                 "is not in the file",
-                "give `pitch_mm`, the distance of pixel centres",
+                "give `pixel_mm`, the distance of pixel centres",
             ));
         }
         (Some(asked), stated) => {
@@ -684,7 +684,7 @@ fn place_by_pitch(
                 let text = |p: [f64; 2]| {
                     format!("{} x {} mm", significant(p[0], 10), significant(p[1], 10))
                 };
-                contradicts("pitch_mm", text(s), text(asked), settings, warnings)?;
+                contradicts("pixel_mm", text(s), text(asked), settings, warnings)?;
             }
             (asked, "asked for")
         }
@@ -692,8 +692,8 @@ fn place_by_pitch(
     };
     for pitch in pitch {
         if !(pitch.is_finite() && pitch > 0.0) {
-            let remedy = "a pitch is positive; give `pitch_mm`";
-            return Err(Invalid::whole("pitch_mm", format!("is {pitch}"), remedy));
+            let remedy = "a pitch is positive; give `pixel_mm`";
+            return Err(Invalid::whole("pixel_mm", format!("is {pitch}"), remedy));
         }
     }
     let reference = rule.as_ref().and_then(|rule| rule.reference);
@@ -822,7 +822,7 @@ mod tests {
         let values = array![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]];
         let mut reading = Reading::new(Format::Npy, values, FirstRow::SmallestY);
         reading.unit = Some(Unit::Um);
-        reading.pitch_mm = Some([0.5, 0.25]);
+        reading.pixel_mm = Some([0.5, 0.25]);
         reading
     }
 
@@ -859,7 +859,7 @@ mod tests {
         let settings =
             Settings { rotation: Rotation::Quarter, origin: Origin::Centre, ..Settings::default() };
         let (surface, statement) = surface(reading(), &settings).unwrap();
-        assert_eq!(statement.pitch_mm, [0.25, 0.5]);
+        assert_eq!(statement.pixel_mm, [0.25, 0.5]);
         let grid = surface.grid();
         assert_eq!((grid.x.start_mm(), grid.y.start_mm()), (-0.125, -0.5));
         assert_eq!((grid.x.end_mm(), grid.y.end_mm()), (0.125, 0.5));
@@ -917,12 +917,12 @@ mod tests {
         };
         let plain = Settings::default();
         assert!(message(&|r| r.unit = None, &plain).contains("give `unit`"));
-        assert!(message(&|r| r.pitch_mm = None, &plain).contains("give `pitch_mm`"));
+        assert!(message(&|r| r.pixel_mm = None, &plain).contains("give `pixel_mm`"));
         assert!(message(&|r| r.unit = Some(Unit::Waves), &plain).contains("`wavelength_nm`"));
-        assert!(message(&|r| r.pitch_mm = Some([0.1, 0.0]), &plain).contains("pitch_mm: is 0"));
+        assert!(message(&|r| r.pixel_mm = Some([0.1, 0.0]), &plain).contains("pixel_mm: is 0"));
         let asked = Settings { unit: Some(Unit::Nm), ..plain.clone() };
         assert!(message(&|_| (), &asked).contains("Um in the file, Nm was asked for"));
-        let asked = Settings { pitch_mm: Some([0.5, 0.3]), ..plain.clone() };
+        let asked = Settings { pixel_mm: Some([0.5, 0.3]), ..plain.clone() };
         let said = message(&|_| (), &asked);
         assert!(said.contains("0.5 x 0.25 mm in the file, 0.5 x 0.3 mm was asked for"), "{said}");
         let asked = Settings { surface_per_value: 0.5, ..plain.clone() };
@@ -931,8 +931,8 @@ mod tests {
         let asked = Settings { wavelength_nm: Some(600.0), ..plain.clone() };
         let said = message(&|r| r.wavelength_nm = Some(632.8), &asked);
         assert!(said.contains("is 632.8 in the file, 600 was asked for"), "{said}");
-        let asked = Settings { pitch_mm: Some([-1.0; 2]), ..plain.clone() };
-        assert!(message(&|r| r.pitch_mm = None, &asked).contains("pitch_mm: is -1"));
+        let asked = Settings { pixel_mm: Some([-1.0; 2]), ..plain.clone() };
+        assert!(message(&|r| r.pixel_mm = None, &asked).contains("pixel_mm: is -1"));
         assert!(message(&|r| r.factor = 0.0, &plain).contains("of the heights is 0"));
         let coordinates = Coordinates { x: vec![0.0, 1.0, 2.0], y: vec![1.0, 0.0], unit: None };
         let with = |r: &mut Reading| r.coordinates = Some(coordinates.clone());
@@ -957,7 +957,7 @@ mod tests {
     fn a_pitch_overrides_with_a_warning_and_no_data_is_nan() {
         let settings = Settings {
             override_file: true,
-            pitch_mm: Some([0.1, 0.1]),
+            pixel_mm: Some([0.1, 0.1]),
             no_data: Some(5.0),
             surface_per_value: 0.5,
             ..Settings::default()

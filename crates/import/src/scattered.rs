@@ -46,8 +46,8 @@ pub(crate) struct Gridded {
 }
 
 /// Grids `points` (x and y in mm, height) with a pitch along (x, y).
-pub(crate) fn grid(points: &[[f64; 3]], pitch_mm: [f64; 2]) -> Result<Gridded, Invalid> {
-    if let Some(p) = pitch_mm.into_iter().find(|p| !(p.is_finite() && *p > 0.0)) {
+pub(crate) fn grid(points: &[[f64; 3]], pixel_mm: [f64; 2]) -> Result<Gridded, Invalid> {
+    if let Some(p) = pixel_mm.into_iter().find(|p| !(p.is_finite() && *p > 0.0)) {
         return Err(Invalid::whole("grid_mm", format!("is {p}"), "a pitch is positive"));
     }
     let valid: Vec<&[f64; 3]> = points.iter().filter(|p| !p[2].is_nan()).collect();
@@ -56,8 +56,8 @@ pub(crate) fn grid(points: &[[f64; 3]], pitch_mm: [f64; 2]) -> Result<Gridded, I
             .iter()
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p[k]), h.max(p[k])));
         // A point that lies on a pixel but for rounding is on it.
-        let first = (low / pitch_mm[k] - 1e-6).ceil();
-        let last = (high / pitch_mm[k] + 1e-6).floor();
+        let first = (low / pixel_mm[k] - 1e-6).ceil();
+        let last = (high / pixel_mm[k] + 1e-6).floor();
         // A float to an integer saturates; the size is checked next.
         Ok((first, if last >= first { (last - first + 1.0) as usize } else { 0 }))
     };
@@ -89,7 +89,7 @@ pub(crate) fn grid(points: &[[f64; 3]], pitch_mm: [f64; 2]) -> Result<Gridded, I
     let median = *sides.select_nth_unstable_by(middle, f64::total_cmp).1;
     let longest = LONGEST_SIDE * median;
 
-    let coordinate = |k: usize, first: f64, i: usize| (first + i as f64) * pitch_mm[k];
+    let coordinate = |k: usize, first: f64, i: usize| (first + i as f64) * pixel_mm[k];
     let mut values = Array2::from_elem((rows, columns), f64::NAN);
     let mut hint = None;
     for ((r, c), value) in values.indexed_iter_mut() {
@@ -139,9 +139,9 @@ pub(crate) fn grid(points: &[[f64; 3]], pitch_mm: [f64; 2]) -> Result<Gridded, I
         valid.len(),
         values.len()
     )];
-    if pitch_mm.iter().any(|p| *p > 1.5 * median) {
+    if pixel_mm.iter().any(|p| *p > 1.5 * median) {
         warnings.push(format!(
-            "the pitch {pitch_mm:?} mm is coarser than the points, whose median distance is {median:.4} mm: not every point has \
+            "the pitch {pixel_mm:?} mm is coarser than the points, whose median distance is {median:.4} mm: not every point has \
              an effect"
         ));
     }

@@ -53,7 +53,7 @@ fn finish(
         return Err(Invalid::whole(NAME, format!("has Zscale {z}"), "export it again"));
     }
     (reading.unit, reading.factor) = (Some(Unit::M), z);
-    reading.pitch_mm = Some([x * 1e3, y * 1e3]);
+    reading.pixel_mm = Some([x * 1e3, y * 1e3]);
     reading.stated = json!({ "z_scale_m": z });
     Ok(reading)
 }

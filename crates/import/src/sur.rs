@@ -99,7 +99,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let pitch = |at: usize, unit_at: usize| -> Result<f64, Invalid> {
         Ok(f64::from(b.f32(at)?) * unit(unit_at)?.mm()?)
     };
-    reading.pitch_mm = Some([pitch(120, 180)?, pitch(124, 196)?]);
+    reading.pixel_mm = Some([pitch(120, 180)?, pitch(124, 196)?]);
     if b.i16(288)? == 1 {
         let say = "the file says that a replica was measured: `negate` gives the surface it was taken from";
         reading.warnings.push(say.into());

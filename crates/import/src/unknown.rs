@@ -45,7 +45,7 @@ fn looks(bytes: &[u8]) -> (String, String) {
             ),
             (true, n) if n > 1 => (
                 format!("text with {n} numbers in its first line"),
-                "give `format` csv for a matrix, with `unit` and `pitch_mm`".into(),
+                "give `format` csv for a matrix, with `unit` and `pixel_mm`".into(),
             ),
             _ => (
                 format!("text that begins \"{short}\""),

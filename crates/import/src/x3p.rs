@@ -128,7 +128,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     reading.offset = number("Record1/Axes/CZ/Offset")?.unwrap_or(0.0);
     let pitch = |axis: &str| number(&format!("Record1/Axes/{axis}/Increment"));
     if let (Some(x), Some(y)) = (pitch("CX")?, pitch("CY")?) {
-        reading.pitch_mm = Some([x * 1e3, y * 1e3]);
+        reading.pixel_mm = Some([x * 1e3, y * 1e3]);
     }
     reading.stated = json!({
         "revision": text("Record1/Revision"),

@@ -76,7 +76,7 @@ fn has_rms(map: &Surface, right_nm: f64) {
 #[test]
 fn a_marker_is_compared_as_the_file_stores_it() {
     for (file, flags) in
-        [("no-data.npy", &["--unit", "nm", "--pitch-mm", "0.5"][..]), ("no-data.fits", &[])]
+        [("no-data.npy", &["--unit", "nm", "--pixel-mm", "0.5"][..]), ("no-data.fits", &[])]
     {
         let (map, _, warned) = read(file, &[flags, &["--no-data", "-999.9"]].concat());
         assert_eq!(invalid(&map), 158);
@@ -90,7 +90,7 @@ fn a_marker_is_compared_as_the_file_stores_it() {
 
 #[test]
 fn attributes_of_netcdf_are_obeyed() {
-    let (map, manifest, _) = read("packed.h5", &["--pitch-mm", "0.5"]);
+    let (map, manifest, _) = read("packed.h5", &["--pixel-mm", "0.5"]);
     has_rms(&map, 3.4807);
     let (low, high) =
         map.height_nm().iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
@@ -98,14 +98,14 @@ fn attributes_of_netcdf_are_obeyed() {
     assert!((low - 50.03).abs() < 1e-9 && (high - 65.0).abs() < 1e-9, "{low} {high}");
     let reading = &manifest.outcome["reading"];
     assert_eq!((&reading["nm_of_zero"], &reading["nm_per_value"]), (&50.0.into(), &0.01.into()));
-    let (map, _, _) = read("fill.h5", &["--pitch-mm", "0.5"]);
+    let (map, _, _) = read("fill.h5", &["--pixel-mm", "0.5"]);
     assert_eq!(invalid(&map), 12);
     has_rms(&map, 3.4794);
 }
 
 #[test]
 fn a_mask_in_a_second_image_is_named_or_used() {
-    let flags = ["--pitch-mm", "0.5"];
+    let flags = ["--pixel-mm", "0.5"];
     let said = refused("mask.fits", &flags);
     assert!(said.contains("holds 2 images: HDU 0, HDU 1") && said.contains("--mask"), "{said}");
     let (map, _, _) = read("mask.fits", &[&flags[..], &["--dataset", "0", "--mask", "1"]].concat());
@@ -127,7 +127,7 @@ fn a_mask_in_a_second_image_is_named_or_used() {
     let said = refused(named.to_str().unwrap(), &[&flags[..], &["--mask", "7"]].concat());
     assert!(said.contains("holds 2 images") || said.contains("no HDU 7"), "{said}");
     // A name that no format but these has is no silent flag.
-    let said = refused("no-data.npy", &["--unit", "nm", "--pitch-mm", "0.5", "--mask", "m"]);
+    let said = refused("no-data.npy", &["--unit", "nm", "--pixel-mm", "0.5", "--mask", "m"]);
     assert!(said.contains("leave it out"), "{said}");
 }
 
@@ -137,7 +137,7 @@ fn axes_in_a_table_are_no_heights() {
     // 4 decimals of a nm.
     is_truth(&map, 5e-5, 0);
     assert!(warned.contains("are the coordinates x and y"), "{warned}");
-    let said = refused("axes.csv", &["--unit", "nm", "--pitch-mm", "0.5"]);
+    let said = refused("axes.csv", &["--unit", "nm", "--pixel-mm", "0.5"]);
     assert!(said.contains("coordinates with the steps 0.5 and 0.5"), "{said}");
     assert!(said.contains("give --coordinate-unit"), "{said}");
     // Axes with a number in the corner, and lines x y z, are read as heights with a warning.
@@ -147,7 +147,7 @@ fn axes_in_a_table_are_no_heights() {
         fs::write(&path, text).unwrap();
         path.to_str().unwrap().to_string()
     };
-    let nm = ["--unit", "nm", "--pitch-mm", "1"];
+    let nm = ["--unit", "nm", "--pixel-mm", "1"];
     let text = fs::read_to_string(Path::new(CASES).join("axes.csv")).unwrap();
     let (_, _, warned) = read(&put("a.csv", &format!("0{text}")), &nm);
     assert!(warned.contains("read as heights"), "{warned}");
@@ -170,9 +170,9 @@ fn a_header_of_text_is_believed_before_a_flag() {
     assert_eq!(manifest.outcome["reading"]["unit_from"], "file");
     let said = refused("gwyddion.csv", &["--unit", "nm"]);
     assert!(said.contains("is M in the file, Nm was asked for"), "{said}");
-    let said = refused("gwyddion.csv", &["--pitch-mm", "0.1"]);
+    let said = refused("gwyddion.csv", &["--pixel-mm", "0.1"]);
     assert!(said.contains("0.5 x 0.5 mm in the file, 0.1 x 0.1 mm was asked for"), "{said}");
-    let (map, _, warned) = read("gwyddion.csv", &["--pitch-mm", "0.1", "--override-file"]);
+    let (map, _, warned) = read("gwyddion.csv", &["--pixel-mm", "0.1", "--override-file"]);
     assert_eq!(map.grid().x.step_mm(), 0.1);
     assert!(warned.contains("takes the place of 0.5 x 0.5 mm"), "{warned}");
     let spip = "# File Format = ASCII\n# x-pixels = 2\n# y-pixels = 2\n# x-length = 1000\n# y-length = 4000\n\
@@ -211,7 +211,7 @@ fn pixels_are_counted_one_way_in_a_file() {
 
 #[test]
 fn a_flag_without_an_effect_says_so() {
-    let flags = ["--unit", "nm", "--pitch-mm", "0.5", "--wavelength-nm", "632.8"];
+    let flags = ["--unit", "nm", "--pixel-mm", "0.5", "--wavelength-nm", "632.8"];
     let (_, _, warned) = read("truth.npy", &flags);
     assert!(warned.contains("in Nm: --wavelength-nm has no effect"), "{warned}");
 }
@@ -222,13 +222,13 @@ fn coordinates_and_masks_of_hdf5_are_used_or_named() {
     // 32-bit floats of 65 nm.
     is_truth(&map, 65.0 * 6e-8, 12);
     assert_eq!(manifest.outcome["reading"]["pitch_from"], "file");
-    let said = refused("axes.h5", &["--pitch-mm", "0.4"]);
+    let said = refused("axes.h5", &["--pixel-mm", "0.4"]);
     assert!(said.contains("[0.4, 0.4] was given, but the file has coordinates"), "{said}");
-    let (map, _, warned) = read("axes.h5", &["--pitch-mm", "0.4", "--override-file"]);
+    let (map, _, warned) = read("axes.h5", &["--pixel-mm", "0.4", "--override-file"]);
     assert_eq!(map.grid().x.step_mm(), 0.4);
     assert!(warned.contains("takes the place of the coordinates"), "{warned}");
 
-    let flags = ["--pitch-mm", "0.5"];
+    let flags = ["--pixel-mm", "0.5"];
     let said = refused("mask.h5", &flags);
     assert!(said.contains("holds \"pixel_mask\"") && said.contains("--mask pixel_mask"), "{said}");
     let (map, _, _) = read("mask.h5", &[&flags[..], &["--mask", "pixel_mask"]].concat());
@@ -246,8 +246,8 @@ fn a_measurement_of_several_is_chosen() {
     assert_eq!(map.height_nm()[[0, 0]], 0.25 * 632.8);
     // The pixels of the second are not square.
     let second = ["--dataset", "measurement1/genraw/data"];
-    assert!(refused("4sight-two.h5", &second).contains("give --pitch-mm"));
-    let (map, _, warned) = read("4sight-two.h5", &[&second[..], &["--pitch-mm", "0.5,1"]].concat());
+    assert!(refused("4sight-two.h5", &second).contains("give --pixel-mm"));
+    let (map, _, warned) = read("4sight-two.h5", &[&second[..], &["--pixel-mm", "0.5,1"]].concat());
     assert_eq!((map.height_nm()[[1, 2]], map.grid().y.step_mm()), (0.5 * 632.8, 1.0));
     assert!(warned.contains("not square (aspect 2)"), "{warned}");
 }
@@ -275,7 +275,7 @@ fn files_that_state_everything_need_no_flag() {
         assert_eq!(reading["unit_from"], "file");
         let said = refused(file, &["--unit", "angstrom"]);
         assert!(said.contains("in the file, Angstrom was asked for"), "{said}");
-        let said = refused(file, &["--pitch-mm", "0.4"]);
+        let said = refused(file, &["--pixel-mm", "0.4"]);
         assert!(said.contains("0.5") && said.contains("0.4"), "{said}");
     }
 }
@@ -283,11 +283,11 @@ fn files_that_state_everything_need_no_flag() {
 #[test]
 fn code_v_has_no_pitch() {
     let said = refused("map.int", &[]);
-    assert!(said.contains("give --pitch-mm"), "{said}");
-    let (map, _, _) = read("map.int", &["--pitch-mm", "0.5"]);
+    assert!(said.contains("give --pixel-mm"), "{said}");
+    let (map, _, _) = read("map.int", &["--pixel-mm", "0.5"]);
     // A whole number is 632.8 nm / 10000; half of it.
     is_truth(&map, 0.0317, 12);
-    let said = refused("map.int", &["--pitch-mm", "0.5", "--wavelength-nm", "633"]);
+    let said = refused("map.int", &["--pixel-mm", "0.5", "--wavelength-nm", "633"]);
     assert!(said.contains("is 632.8 in the file, 633 was asked for"), "{said}");
 }
 
@@ -337,7 +337,7 @@ fn scattered_points_are_gridded_on_request() {
     }
     // The polygon of 12 corners: 3 R^2 pixels of 1 mm^2; a pixel in fifty lies on its edges.
     assert!((f64::from(valid) / (3.0 * 45.0 * 45.0) - 1.0).abs() < 0.02, "{valid}");
-    let said = refused("truth.npy", &["--unit", "nm", "--pitch-mm", "1", "--grid-mm", "1"]);
+    let said = refused("truth.npy", &["--unit", "nm", "--pixel-mm", "1", "--grid-mm", "1"]);
     assert!(said.contains("only lines x y z are interpolated"), "{said}");
     let said = refused("camera.xyz", &["--grid-mm", "1"]);
     assert!(said.contains("has its pixels on a grid"), "{said}");

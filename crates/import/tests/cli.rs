@@ -58,7 +58,7 @@ fn a_map_its_statement_and_its_picture() {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();
     fs::write(dir.join("a.csv"), CSV).unwrap();
-    let flags = ["surface", "a.csv", "--unit", "um", "--pitch-mm", "0.5,0.25", "--negate"];
+    let flags = ["surface", "a.csv", "--unit", "um", "--pixel-mm", "0.5,0.25", "--negate"];
     let more = ["--first-row", "top", "--picture", "p/a.svg", "--origin", "centre", "--out", "a"];
     let (said, _) = done(dir, &[&flags[..], &more].concat());
     assert!(said.contains("stored value 1 is -1000 nm of surface (unit: asked for)"), "{said}");
@@ -75,7 +75,7 @@ fn a_map_its_statement_and_its_picture() {
     // Again: nothing to do. Without --force another file is not replaced.
     let (said, _) = done(dir, &[&flags[..], &more].concat());
     assert!(said.contains("unchanged"), "{said}");
-    let other = ["surface", "a.csv", "--unit", "nm", "--pitch-mm", "1", "--out", "a"];
+    let other = ["surface", "a.csv", "--unit", "nm", "--pixel-mm", "1", "--out", "a"];
     assert_eq!(call(dir, &other).status.code(), Some(2));
 }
 
@@ -86,7 +86,7 @@ fn a_flat_strip_with_a_hostile_name_has_a_picture() {
     let name = "a<b>\u{1b}[31m\u{8}.csv";
     let row = ["0"; 300].join(",");
     fs::write(dir.join(name), format!("{row}\n{row}\n")).unwrap();
-    let flags = ["--unit", "nm", "--pitch-mm", "0.5", "--first-row", "top", "--picture", "a.svg"];
+    let flags = ["--unit", "nm", "--pixel-mm", "0.5", "--first-row", "top", "--picture", "a.svg"];
     done(dir, &[&["surface", name][..], &flags, &["--out", "a"]].concat());
     let picture = fs::read_to_string(dir.join("a.svg")).unwrap();
     assert!(picture.contains(r"a&lt;b&gt;\u{1b}[31m\u{8}.csv: 300 x 2 pixels"), "{picture}");
@@ -102,7 +102,7 @@ fn a_directory_of_npy_is_a_format_too() {
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();
     fs::write(dir.join("a.csv"), CSV).unwrap();
-    done(dir, &["surface", "a.csv", "--unit", "nm", "--pitch-mm", "0.1", "--out", "a"]);
+    done(dir, &["surface", "a.csv", "--unit", "nm", "--pixel-mm", "0.1", "--out", "a"]);
     fs::remove_file(dir.join("a/manifest.json")).unwrap();
     done(dir, &["surface", "a", "--flip-x", "--out", "b"]);
     assert_eq!(surface(&dir.join("b")).0.height_nm().row(0).to_vec(), [3.0, 2.0, 1.0]);
@@ -122,7 +122,7 @@ fn a_tif_from_rates_and_from_a_spot() {
         fs::write(dir.join(name), ArrayData::F64(map.into_dyn().into()).to_npy()).unwrap();
     };
     save("rate.npy", spot(8e-9, 0.0));
-    done(dir, &["tif", "rate.npy", "--rate", "--unit", "m", "--pitch-mm", "0.1", "--out", "rate"]);
+    done(dir, &["tif", "rate.npy", "--rate", "--unit", "m", "--pixel-mm", "0.1", "--out", "rate"]);
     let tif = artifact::read::<Tif>(&dir.join("rate")).unwrap().value;
     // The middle is the origin.
     assert!((tif.grid().x.start_mm() + 3.0).abs() < 1e-12);
@@ -130,7 +130,7 @@ fn a_tif_from_rates_and_from_a_spot() {
 
     save("after.npy", -spot(240.0, 0.5));
     save("before.npy", Array2::zeros((41, 61)));
-    let base = ["tif", "after.npy", "--unit", "nm", "--pitch-mm", "0.1", "--dwell-s", "30"];
+    let base = ["tif", "after.npy", "--unit", "nm", "--pixel-mm", "0.1", "--dwell-s", "30"];
     let more = ["--half-size-mm", "1.5", "--before", "before.npy", "--out", "spot"];
     let (said, _) = done(dir, &[&base[..], &more].concat());
     assert!(said.contains("noise"), "{said}");
@@ -141,7 +141,7 @@ fn a_tif_from_rates_and_from_a_spot() {
     assert!((spot["centre_mm"][0].as_f64().unwrap() - 3.5).abs() < 1e-2, "{spot}");
 
     // Directories of maps are read as maps.
-    let nm = ["--unit", "nm", "--pitch-mm", "0.1"];
+    let nm = ["--unit", "nm", "--pixel-mm", "0.1"];
     done(dir, &[&["surface", "after.npy", "--out", "after"], &nm[..]].concat());
     done(dir, &[&["surface", "before.npy", "--out", "before"], &nm[..]].concat());
     let base = ["tif", "after", "--before", "before", "--dwell-s", "30", "--half-size-mm", "1.5"];
@@ -149,8 +149,8 @@ fn a_tif_from_rates_and_from_a_spot() {
     let again = artifact::read::<Tif>(&dir.join("spot-2")).unwrap().value;
     assert_eq!(again.rate_nm_per_s(), loaded.value.rate_nm_per_s());
 
-    assert!(refused(dir, &["tif", "rate.npy", "--rate", "--unit", "m"]).contains("--pitch-mm"));
-    let added = ["tif", "after.npy", "--unit", "nm", "--pitch-mm", "0.1", "--rate"];
+    assert!(refused(dir, &["tif", "rate.npy", "--rate", "--unit", "m"]).contains("--pixel-mm"));
+    let added = ["tif", "after.npy", "--unit", "nm", "--pixel-mm", "0.1", "--rate"];
     assert!(refused(dir, &added).contains("no positive rate"));
 }
 
@@ -166,7 +166,7 @@ fn a_spot_with_noise_becomes_a_tif_without_bias() {
         300.0 * (-4.0 * std::f64::consts::LN_2 * square).exp() + 3.0 * normal
     });
     fs::write(dir.join("depth.npy"), ArrayData::F64(depth.into_dyn().into()).to_npy()).unwrap();
-    let base = ["tif", "depth.npy", "--unit", "nm", "--pitch-mm", "0.05", "--dwell-s", "30"];
+    let base = ["tif", "depth.npy", "--unit", "nm", "--pixel-mm", "0.05", "--dwell-s", "30"];
     let vrr = |out: &str, more: &[&str]| {
         done(dir, &[&base[..], &["--half-size-mm", "1.6", "--out", out], more].concat());
         artifact::read::<Tif>(&dir.join(out)).unwrap().value.vrr_nm_mm2_per_s()
@@ -242,13 +242,13 @@ fn bad_files_and_flags_are_one_message() {
     put("c.bin", b"what is this");
     put("d.dat", b"\x88\x1b\x03\x6f\x00\x01\x00\x00\x03\x42short");
     put("e.dat", &[0; 100]);
-    let nm = ["--unit", "nm", "--pitch-mm", "1"];
+    let nm = ["--unit", "nm", "--pixel-mm", "1"];
     for (arguments, expected) in [
         (vec!["surface", "none.csv"], "none.csv: cannot read"),
         (vec!["surface", "a.csv"], "a.csv: unit: is not in the file"),
-        (vec!["surface", "a.csv", "--unit", "nm"], "a.csv: pitch_mm: is not in the file"),
-        (vec!["surface", "a.csv", "--unit", "nm", "--pitch-mm", "0"], "pitch_mm: is 0"),
-        (vec!["surface", "a.csv", "--unit", "waves", "--pitch-mm", "1"], "--wavelength-nm"),
+        (vec!["surface", "a.csv", "--unit", "nm"], "a.csv: pixel_mm: is not in the file"),
+        (vec!["surface", "a.csv", "--unit", "nm", "--pixel-mm", "0"], "pixel_mm: is 0"),
+        (vec!["surface", "a.csv", "--unit", "waves", "--pixel-mm", "1"], "--wavelength-nm"),
         (vec!["surface", "b.csv"], "\"four\" in line 2, field 2"),
         (vec!["surface", "c.bin"], "give --format"),
         (vec!["surface", "c.bin", "--format", "hdf5"], "signature of HDF5"),
@@ -296,7 +296,7 @@ fn what_a_header_claims_takes_no_memory() {
     for name in ["a.dat", "a.npy", "a.fits"] {
         let program = env!("CARGO_BIN_EXE_planish-import");
         let line = format!(
-            "ulimit -v 1500000; exec {program} surface {name} --unit nm --pitch-mm 1 --out out"
+            "ulimit -v 1500000; exec {program} surface {name} --unit nm --pixel-mm 1 --out out"
         );
         let output = Command::new("sh").args(["-c", &line]).current_dir(dir).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr).into_owned();

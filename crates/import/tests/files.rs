@@ -197,7 +197,7 @@ fn metropro_factors_sign_and_invalid_pixels() {
     // The first row is the top.
     assert_eq!(map.height_nm().row(1), array![k, -2.0 * k, 3.0 * k]);
     assert!(map.height_nm()[[0, 2]].is_nan() && statement.invalid == 1);
-    assert_eq!(statement.pitch_mm[0], f64::from(1.5e-4_f32) * 1e3);
+    assert_eq!(statement.pixel_mm[0], f64::from(1.5e-4_f32) * 1e3);
 
     b[232..234].copy_from_slice(&1_i16.to_be_bytes());
     let (map, statement) = made(&b);
@@ -295,7 +295,7 @@ fn fits_pixels_lie_where_the_header_says() {
         &expected(&|i| 10.0 + 0.5 * i, &|j| -4.0 - 0.25 * j),
     );
     // Another pitch leaves the reference where it is.
-    let pitch = Settings { pitch_mm: Some([0.25, 0.5]), override_file: true, ..plain.clone() };
+    let pitch = Settings { pixel_mm: Some([0.25, 0.5]), override_file: true, ..plain.clone() };
     same(
         heights(&placed(&linear), &pitch).unwrap(),
         &expected(&|i| 10.0 + 0.25 * (i - 2.0), &|j| -4.0 - 0.5 * (j - 2.5)),
@@ -308,7 +308,7 @@ fn fits_pixels_lie_where_the_header_says() {
     // Without their units they are asked for, and nothing is taken from the header without them.
     let bare: Vec<&str> = without("CUNIT");
     let said = heights(&placed(&bare), &plain).unwrap_err();
-    assert!(said.contains("give `coordinate_unit`, or `pitch_mm`"), "{said}");
+    assert!(said.contains("give `coordinate_unit`, or `pixel_mm`"), "{said}");
     let um = Settings { coordinate_unit: Some(Unit::Um), ..plain.clone() };
     same(
         heights(&placed(&bare), &um).unwrap(),
@@ -362,7 +362,7 @@ fn sdf_in_text_and_bytes() {
         let reading = read(Format::Sdf, &b, &Pick::default()).unwrap();
         assert_eq!(reading.values.row(0), raw().row(0));
         assert_eq!((reading.unit, reading.factor), (Some(Unit::M), 1e-6));
-        assert_eq!(reading.pitch_mm, Some([1.0, 2.0]));
+        assert_eq!(reading.pixel_mm, Some([1.0, 2.0]));
     }
 }
 
@@ -377,7 +377,7 @@ fn hdf5_and_datx_of_a_real_library() {
             Format::Datx => {
                 assert!(reading.values[[1, 2]].is_nan());
                 assert_eq!(reading.factor, 0.5 * 1.0 * 632.8e-9);
-                assert_eq!(reading.pitch_mm, Some([0.25, 0.25]));
+                assert_eq!(reading.pixel_mm, Some([0.25, 0.25]));
             }
             _ => assert_eq!(reading.unit, Some(Unit::Nm)),
         }
@@ -492,7 +492,7 @@ fn damaged_files_are_read_or_refused() {
         override_file: true,
         unit: Some(Unit::Nm),
         coordinate_unit: Some(Unit::Mm),
-        pitch_mm: Some([1.0; 2]),
+        pixel_mm: Some([1.0; 2]),
         ..Settings::default()
     };
     let mut random = ChaCha8Rng::seed_from_u64(1);

@@ -46,7 +46,7 @@ fn done(dir: &Path, arguments: &[&str]) {
     assert_eq!(output.status.code(), Some(0), "{arguments:?}: {said}");
 }
 
-const NM: [&str; 4] = ["--unit", "nm", "--pitch-mm", "1"];
+const NM: [&str; 4] = ["--unit", "nm", "--pixel-mm", "1"];
 
 #[test]
 fn pipes_and_devices_are_refused() {
@@ -385,28 +385,28 @@ fn judged(dir: &Path, arguments: &[&str]) -> (Option<String>, bool) {
 
 /// A command with a `?` where a hostile number goes, and a number that is usual there.
 const FLAGS: [(&str, &str); 24] = [
-    ("surface a.csv --unit waves --pitch-mm 1 --wavelength-nm ?", "632.8"),
-    ("surface a.csv --unit nm --pitch-mm ?", "0.5"),
-    ("surface a.csv --unit nm --pitch-mm 1,?", "0.5"),
-    ("surface a.csv --unit nm --pitch-mm ?,1 --rotate-deg 90 --origin centre", "0.5"),
-    ("surface a.csv --unit m --pitch-mm 1 --surface-per-value ?", "1e-9"),
-    ("surface a.csv --unit nm --pitch-mm 1 --surface-per-value ?", "0.5"),
-    ("surface a.csv --unit nm --pitch-mm 1 --no-data ?", "3"),
-    ("surface a.csv --unit nm --pitch-mm 1 --memory-gib ?", "1"),
-    ("tif t.csv --unit nm --rate --pitch-mm ?", "0.5"),
-    ("tif t.csv --unit nm --rate --pitch-mm 1 --surface-per-value ?", "0.5"),
-    ("tif t.csv --unit nm --rate --pitch-mm 1 --no-data ?", "3"),
-    ("tif t.csv --unit nm --pitch-mm 1 --half-size-mm 3 --dwell-s ?", "30"),
-    ("tif t.csv --unit nm --pitch-mm 1 --dwell-s 30 --half-size-mm ?", "3"),
+    ("surface a.csv --unit waves --pixel-mm 1 --wavelength-nm ?", "632.8"),
+    ("surface a.csv --unit nm --pixel-mm ?", "0.5"),
+    ("surface a.csv --unit nm --pixel-mm 1,?", "0.5"),
+    ("surface a.csv --unit nm --pixel-mm ?,1 --rotate-deg 90 --origin centre", "0.5"),
+    ("surface a.csv --unit m --pixel-mm 1 --surface-per-value ?", "1e-9"),
+    ("surface a.csv --unit nm --pixel-mm 1 --surface-per-value ?", "0.5"),
+    ("surface a.csv --unit nm --pixel-mm 1 --no-data ?", "3"),
+    ("surface a.csv --unit nm --pixel-mm 1 --memory-gib ?", "1"),
+    ("tif t.csv --unit nm --rate --pixel-mm ?", "0.5"),
+    ("tif t.csv --unit nm --rate --pixel-mm 1 --surface-per-value ?", "0.5"),
+    ("tif t.csv --unit nm --rate --pixel-mm 1 --no-data ?", "3"),
+    ("tif t.csv --unit nm --pixel-mm 1 --half-size-mm 3 --dwell-s ?", "30"),
+    ("tif t.csv --unit nm --pixel-mm 1 --dwell-s 30 --half-size-mm ?", "3"),
     (
-        "tif t.csv --unit nm --pitch-mm 1 --dwell-s 30 --half-size-mm 3 --baseline none --spot-mm ?",
+        "tif t.csv --unit nm --pixel-mm 1 --dwell-s 30 --half-size-mm 3 --baseline none --spot-mm ?",
         "8",
     ),
-    ("tif t.csv --unit nm --pitch-mm 1 --dwell-s 30 --half-size-mm 3 --spot-mm 8,?", "8"),
-    ("tif t.csv --unit nm --dwell-s 30 --half-size-mm 3 --baseline piston --pitch-mm ?", "1"),
-    ("tif t.csv --before z.csv --unit nm --pitch-mm 1 --dwell-s 30 --half-size-mm ? --negate", "3"),
+    ("tif t.csv --unit nm --pixel-mm 1 --dwell-s 30 --half-size-mm 3 --spot-mm 8,?", "8"),
+    ("tif t.csv --unit nm --dwell-s 30 --half-size-mm 3 --baseline piston --pixel-mm ?", "1"),
+    ("tif t.csv --before z.csv --unit nm --pixel-mm 1 --dwell-s 30 --half-size-mm ? --negate", "3"),
     (
-        "tif s.csv --before w.csv --align shift --unit nm --pitch-mm 1 --dwell-s ? --half-size-mm 3",
+        "tif s.csv --before w.csv --align shift --unit nm --pixel-mm 1 --dwell-s ? --half-size-mm 3",
         "3",
     ),
     ("program p.trj --controller xps --start-mm ?", "1"),
@@ -480,13 +480,13 @@ fn maps_that_are_hardly_maps_end_with_a_result_or_a_message() {
         ("two-by-two", "1,2\n3,4\n".into()),
     ];
     let calls = [
-        "surface m.csv --unit nm --pitch-mm 1",
-        "surface m.csv --unit m --pitch-mm 1e-9",
-        "surface m.csv --unit nm --pitch-mm 1 --rotate-deg 270 --flip-x --origin centre",
-        "tif m.csv --unit nm --rate --pitch-mm 1",
-        "tif m.csv --unit nm --pitch-mm 1 --dwell-s 30 --half-size-mm 1",
-        "tif m.csv --unit nm --pitch-mm 1 --dwell-s 30 --half-size-mm 1 --baseline none --clip-negative",
-        "tif m.csv --before m.csv --unit nm --pitch-mm 1 --dwell-s 30 --half-size-mm 1 --align shift",
+        "surface m.csv --unit nm --pixel-mm 1",
+        "surface m.csv --unit m --pixel-mm 1e-9",
+        "surface m.csv --unit nm --pixel-mm 1 --rotate-deg 270 --flip-x --origin centre",
+        "tif m.csv --unit nm --rate --pixel-mm 1",
+        "tif m.csv --unit nm --pixel-mm 1 --dwell-s 30 --half-size-mm 1",
+        "tif m.csv --unit nm --pixel-mm 1 --dwell-s 30 --half-size-mm 1 --baseline none --clip-negative",
+        "tif m.csv --before m.csv --unit nm --pixel-mm 1 --dwell-s 30 --half-size-mm 1 --align shift",
     ];
     let mut failures = Vec::new();
     let (mut done, mut refused) = (0, 0);

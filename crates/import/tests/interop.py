@@ -119,7 +119,7 @@ def maps():
 def compare(program, folder):
     check = Check(program, folder)
     z, holed, x, y = maps()
-    grid = "--pitch-mm 0.2,0.5"
+    grid = "--pixel-mm 0.2,0.5"
 
     for name, array in {
         "f8": holed,
@@ -172,7 +172,7 @@ def compare(program, folder):
             check.same(path.name, (holed * 1e6) * 1e3, grid)
     with h5py.File(folder / "huge.h5", "w") as f:
         f.create_dataset("z", shape=(65536, 65536), dtype="f8", chunks=(64, 64))
-    _, said = check.read("huge.h5", "surface", "--unit nm --pitch-mm 1", code=2)
+    _, said = check.read("huge.h5", "surface", "--unit nm --pixel-mm 1", code=2)
     assert "claims 65536 rows x 65536 columns" in said, said
     with h5py.File(folder / "v73.mat", "w", userblock_size=512) as f:
         for key, value in {"X": xx, "Y": yy, "Z": holed}.items():
@@ -213,7 +213,7 @@ def compare(program, folder):
     raw = np.array(lines[2].split(), dtype=float).reshape(z.shape)
     raw[raw >= 2147483640] = np.nan
     factor = 0.6328e-6 * 0.5 * 1.0 / 32768 * 1e9
-    check.same("prysm.asc", (raw * factor)[::-1], "--format xyz --pitch-mm 0.2 --override-file", pitch=[0.2, 0.2])
+    check.same("prysm.asc", (raw * factor)[::-1], "--format xyz --pixel-mm 0.2 --override-file", pitch=[0.2, 0.2])
 
     def header(hdu, unit):
         hdu.header["BUNIT"] = unit
@@ -247,7 +247,7 @@ def spot(check, folder):
     dig = 300 * np.exp(-(xx**2 + yy**2) / 0.8)
     np.save(folder / "before.npy", before)
     np.save(folder / "after.npy", before - dig + 3 * xx - 7)
-    flags = "--unit nm --pitch-mm 0.1 --dwell-s 30 --half-size-mm 3 --before before.npy"
+    flags = "--unit nm --pixel-mm 0.1 --dwell-s 30 --half-size-mm 3 --before before.npy"
     out, _ = check.read("after.npy", "tif", flags)
     rate, at = np.load(out / "rate_nm_per_s.npy"), np.load(out / "x_mm.npy")
     assert np.abs(rate - 10 * np.exp(-(at**2 + at[:, None] ** 2) / 0.8)).max() < 1e-3

@@ -22,24 +22,25 @@ pub struct Joint {
     path: PathArgs,
     #[command(flatten)]
     machine: MachineArgs,
-    /// Least dwell time per length (1 / largest feedrate), s/mm
+    /// Smallest dwell time per length (1 / largest feedrate), s/mm
     #[arg(long, value_name = "T", default_value_t = Settings::default().min_dwell_s_per_mm)]
     min_dwell_s_per_mm: f64,
     #[command(flatten)]
     price: PriceArgs,
-    /// Terms of the surface error that need not be removed
+    /// Low-order terms of the map that need not be removed
     #[arg(long, value_enum, default_value = "piston")]
     free: Free,
-    /// Weight of the distance to the least density, relative to the strongest node
+    /// Tikhonov weight of the squared distance to the least dwell density, relative to the strongest node
     #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
     tikhonov: f64,
     /// Weight of the squared differences of neighbouring densities, relative to the strongest node
     #[arg(long, value_name = "B", default_value_t = Settings::default().difference_weight)]
     difference_weight: f64,
-    /// Largest distance of the curve from a corner of the path, mm [default: a fifth of the TIF's width]
+    /// Largest distance of the motion from a corner of the path, mm [default: a fifth of the TIF's width]
     #[arg(long, value_name = "E")]
     corner_deviation_mm: Option<f64>,
-    /// Largest radius to which corners are rounded, mm [default: the TIF's width]
+    /// Radius of rounded corners, mm: an upper limit, because `--corner-deviation-mm` may ask for less [default: the
+    /// TIF's width]
     #[arg(long, value_name = "R")]
     corner_radius_mm: Option<f64>,
     /// Largest distance of the nodes of the density, mm [default: 0.6 of the TIF's width, more where
@@ -55,7 +56,7 @@ pub struct Joint {
     /// of it
     #[arg(long, value_name = "G", default_value_t = Settings::default().relative_gap)]
     relative_gap: f64,
-    /// Largest number of steps of the solver
+    /// Largest number of iterations of the solver
     #[arg(long, value_name = "N", default_value_t = Settings::default().max_iterations)]
     max_iterations: usize,
     #[command(flatten)]

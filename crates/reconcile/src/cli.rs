@@ -19,10 +19,10 @@ use planish_types::{Surface, Tif, Transform, plausible, text::significant};
 
 #[derive(Args)]
 pub struct Reconcile {
-    /// Map measured before the run [surface artifact]
+    /// Map measured before the tool acted [surface artifact]
     #[arg(long, value_name = "DIR")]
     before: PathBuf,
-    /// Map measured after the run. On other pixels than those of the map before it is resampled there by Lagrange
+    /// Map measured after the tool acted. On other pixels than those of the map before it is resampled there by Lagrange
     /// interpolation of degree five along each axis [surface artifact]
     #[arg(long, value_name = "DIR")]
     after: PathBuf,
@@ -31,12 +31,12 @@ pub struct Reconcile {
     /// Tool influence function of the plan [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
-    /// Error budget, whose errors say what is known beforehand [JSON]
+    /// Error budget of the process: the errors that were expected before the run [JSON]
     #[arg(long, value_name = "FILE")]
     error_budget: Option<PathBuf>,
-    /// Learn this parameter (again for more) and hold the others; exit code 1 where the data do not determine it
-    /// [rate_scale, offset_x, offset_y, rotation, magnification, tif_width, tif_ellipticity,
-    /// tif_diagonal_ellipticity, rate_drift; default: all]
+    /// Parameter to learn, while the others are held; may be repeated [default: all]. The exit code is 1 if the data do
+    /// not determine it. One of rate_scale, offset_x, offset_y, rotation, magnification, tif_width, tif_ellipticity,
+    /// tif_diagonal_ellipticity, rate_drift
     #[arg(long, value_name = "NAME")]
     fit: Vec<String>,
     /// Hold this parameter, or this term of the metrology [piston, tilt_x, tilt_y, power], at its value in the plan
@@ -46,11 +46,11 @@ pub struct Reconcile {
     /// Legendre terms of the metrology up to these orders along x and y are free, too
     #[arg(long, num_args = 2, value_names = ["M", "N"])]
     metrology_order: Option<Vec<usize>>,
-    /// Compare the run with the TIF as it is sampled only. By default the fit also tries a TIF without the noise and the
-    /// border step of its measurement, and keeps the one that leaves less
+    /// Use the TIF as it is sampled, with the noise and the border step of its measurement. By default the fit
+    /// also tries a TIF without them, and keeps the one with the smaller residual
     #[arg(long)]
     tif_as_sampled: bool,
-    /// Transform that took the plan to the machine in this run [transform artifact]
+    /// Transform from part to machine that was applied to the plan of this run [transform artifact]
     #[arg(long, value_name = "DIR")]
     transform: Option<PathBuf>,
     /// TIF with the rate and the shape that were learnt, written in addition [tif artifact]

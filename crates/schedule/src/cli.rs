@@ -110,7 +110,7 @@ trait Scheduler {
         None
     }
 
-    /// Directory for the nodes of the density, if `--dwell-density` is given.
+    /// Directory for the nodes of the density, if `--dwell-density-out` is given.
     fn dwell_density(&self) -> Option<&Path> {
         None
     }
@@ -137,7 +137,7 @@ fn schedule<S: Scheduler>(scheduler: &S) -> Result<Status, Failure> {
     let task = task!(S::METHOD, &settings);
     let mut output = Output::directory(&given.output, Trajectory::KIND);
     if let Some(dir) = scheduler.dwell_density() {
-        output = output.and_directory("--dwell-density", dir, DwellDensity::KIND);
+        output = output.and_directory("--dwell-density-out", dir, DwellDensity::KIND);
     }
     let mut output = match output.begin(&task, &inputs)? {
         Begin::Unchanged(status) => return Ok(status),
@@ -157,7 +157,7 @@ fn schedule<S: Scheduler>(scheduler: &S) -> Result<Status, Failure> {
     });
     if scheduler.dwell_density().is_some() {
         let density = made.density.as_ref().ok_or_else(|| {
-            Failure::new("--dwell-density: the path has no length, so there is no dwell-time density; leave --dwell-density out")
+            Failure::new("--dwell-density-out: the path has no length, so there is no dwell-time density; omit the flag")
         })?;
         output.write(density, json!({ "report": made.report }), &status)?;
     }

@@ -516,7 +516,7 @@ fn bad_settings_and_times_end_with_2() {
     refused(
         tmp.path(),
         "trig-spline",
-        &["--dwell-density", "dwell_density"],
+        &["--dwell-density-out", "dwell_density"],
         &["the path has no length"],
     );
     assert!(!tmp.path().join("dwell_density").exists());
@@ -648,17 +648,18 @@ fn a_feed_becomes_a_program_and_positions() {
     let tmp = tempfile::tempdir().unwrap();
     let points = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [2.0, 2.0]];
     prepare(tmp.path(), &points, &[0.5, 0.3, 0.4, 0.5]);
-    let (t, outcome) = scheduled(tmp.path(), "trig-spline", &["--dwell-density", "dwell_density"]);
+    let (t, outcome) =
+        scheduled(tmp.path(), "trig-spline", &["--dwell-density-out", "dwell_density"]);
     assert!(number(&outcome["report"]["fit_error_mm"]) <= 1e-6);
     let feed =
         artifact::read::<planish_types::DwellDensity>(&tmp.path().join("dwell_density")).unwrap();
     assert_eq!(feed.manifest.unwrap().method, "trig-spline");
     assert_eq!(feed.value.corner().iter().filter(|c| **c).count(), 1);
     // Again, nothing to do; a lost feed comes back.
-    let again = schedule(tmp.path(), "trig-spline", &["--dwell-density", "dwell_density"]);
+    let again = schedule(tmp.path(), "trig-spline", &["--dwell-density-out", "dwell_density"]);
     assert!(text(&again.stdout).contains("unchanged"), "{again:?}");
     fs::remove_dir_all(tmp.path().join("dwell_density")).unwrap();
-    schedule(tmp.path(), "trig-spline", &["--dwell-density", "dwell_density"]);
+    schedule(tmp.path(), "trig-spline", &["--dwell-density-out", "dwell_density"]);
     assert!(tmp.path().join("dwell_density/manifest.json").exists());
 
     let ok = |arguments: &[&str]| {
@@ -667,11 +668,11 @@ fn a_feed_becomes_a_program_and_positions() {
         text(&output.stdout)
     };
     ok(&["program", "--dwell-density", "dwell_density", "--out", "part.nc"]);
-    ok(&["interpolate", "--program", "part.nc", "--tick-s", "0.01", "--out", "a.csv"]);
-    ok(&["interpolate", "--dwell-density", "dwell_density", "--tick-s", "0.01", "--out", "b.csv"]);
+    ok(&["interpolate", "--program", "part.nc", "--cycle-s", "0.01", "--out", "a.csv"]);
+    ok(&["interpolate", "--dwell-density", "dwell_density", "--cycle-s", "0.01", "--out", "b.csv"]);
     let read = |name: &str| fs::read(tmp.path().join(name)).unwrap();
     assert_eq!(read("a.csv"), read("b.csv"));
-    ok(&["interpolate", "--dwell-density", "dwell_density", "--tick-s", "0.01", "--out", "a.npy"]);
+    ok(&["interpolate", "--dwell-density", "dwell_density", "--cycle-s", "0.01", "--out", "a.npy"]);
     let table: Array2<f64> = ndarray_npy::read_npy(tmp.path().join("a.npy")).unwrap();
     // 1.7 s in ticks of 0.01 s; the first and the last one are the ends.
     assert_eq!(table.shape(), [171, 5]);
@@ -702,7 +703,7 @@ fn a_feed_becomes_a_program_and_positions() {
     let with = |more: &[&'static str]| [&from[..], more].concat();
     refuse(&with(&["--out", "a.csv"]), "a.csv: exists; give --force");
     refuse(&with(&["--out", "c.txt"]), "c.txt is neither .csv nor .npy");
-    refuse(&with(&["--out", "c.csv", "--tick-s", "0"]), "--tick-s: the tick is 0 s");
+    refuse(&with(&["--out", "c.csv", "--cycle-s", "0"]), "--cycle-s: the tick is 0 s");
     refuse(&with(&["--out", "c.csv", "--dwell-density", "dwell_density"]), "cannot be used with");
     refuse(&["interpolate", "--program", "no.nc", "--out", "c.csv"], "no.nc: cannot read");
     let program = text(&read("part.nc"));

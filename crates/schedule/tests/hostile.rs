@@ -153,18 +153,18 @@ fn no_flag_ends_in_a_panic_or_fills_the_disk() {
     let (code, said) = survives(
         BINARY,
         tmp.path(),
-        &[&spline[..], &["--dwell-density=dwell_density"]].concat(),
+        &[&spline[..], &["--dwell-density-out=dwell_density"]].concat(),
         "out",
     );
     assert!(code == 0, "{said}");
     for out in ["ticks.csv", "ticks.npy"] {
         let to = format!("--out={out}");
         let arguments = ["interpolate", "--dwell-density=dwell_density", &to];
-        every_value(BINARY, tmp.path(), &arguments, &["--tick-s"], &FLOATS, out);
+        every_value(BINARY, tmp.path(), &arguments, &["--cycle-s"], &FLOATS, out);
         let (code, said) =
-            survives(BINARY, tmp.path(), &[&arguments[..], &["--tick-s=1e-9"]].concat(), out);
+            survives(BINARY, tmp.path(), &[&arguments[..], &["--cycle-s=1e-9"]].concat(), out);
         assert_eq!(code, 2);
-        assert!(said.contains("positions: would have") && said.contains("--tick-s"), "{said}");
+        assert!(said.contains("positions: would have") && said.contains("--cycle-s"), "{said}");
     }
 }
 

@@ -36,9 +36,9 @@ pub struct Simulate {
     /// servo_first_order and servo_second_order of a fixed size; no other error [JSON]
     #[arg(long, value_name = "FILE", conflicts_with_all = ["error_budget", "frames"])]
     servo_of: Option<PathBuf>,
-    /// Method of the integral along the motion
+    /// Method of integration along the motion
     #[arg(long, value_enum, default_value = "gridded", conflicts_with = "error_budget")]
-    method: Method,
+    integral: Method,
     /// Time steps per segment of the direct method
     #[arg(long, default_value_t = 16)]
     steps: usize,
@@ -65,7 +65,7 @@ impl Simulate {
         if let Some(asked) = self.virtual_run.asked() {
             return self.virtual_run.run(asked, &self.trajectory, &self.mirror, &self.output);
         }
-        let settings = match self.method {
+        let settings = match self.integral {
             Method::Gridded => Settings::Gridded,
             Method::Direct => Settings::Direct { steps: self.steps },
         };

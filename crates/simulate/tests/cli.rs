@@ -169,7 +169,7 @@ fn the_direct_method_converges_to_the_gridded_one_with_the_second_order_of_the_m
     write(tmp.path(), "trajectory", &t);
     let gridded = simulate(tmp.path(), &[]);
     let error = |steps: &str| {
-        let direct = simulate(tmp.path(), &["--method=direct", "--steps", steps, "--force"]);
+        let direct = simulate(tmp.path(), &["--integral=direct", "--steps", steps, "--force"]);
         largest(direct.removal_nm(), |r, c| gridded.removal_nm()[[r, c]])
     };
     let (coarse, fine) = (error("40"), error("160"));
@@ -219,7 +219,7 @@ fn bare_directories_of_a_numpy_user_are_read_with_a_warning() {
 
 #[test]
 fn the_bytes_do_not_depend_on_the_threads() {
-    for more in [&[][..], &["--method=direct"]] {
+    for more in [&[][..], &["--integral=direct"]] {
         let bytes: Vec<_> = ["1", "2"]
             .iter()
             .map(|threads| {
@@ -341,8 +341,8 @@ fn bad_maps_tifs_and_flags_end_with_2() {
     };
     refused_after(swap, &[], &["tif: holds a surface, needs a tif; check the order of the flags"]);
     refused_after(|d| fs::remove_dir_all(d.join("tif")).unwrap(), &[], &["tif: does not exist"]);
-    refused_after(|_| (), &["--method=direct", "--steps=0"], &["steps: is 0"]);
-    refused_after(|_| (), &["--method=exact"], &["invalid value 'exact'"]);
+    refused_after(|_| (), &["--integral=direct", "--steps=0"], &["steps: is 0"]);
+    refused_after(|_| (), &["--integral=exact"], &["invalid value 'exact'"]);
     refused_after(|_| (), &["--steps=-1"], &["invalid value '-1'"]);
 }
 
@@ -370,9 +370,9 @@ fn a_motion_that_never_touches_the_map_is_a_negative_verdict() {
     let process = r#"{"name":"p","errors":[{"kind":"offset_x","size":1,"unit":"um","distribution":"normal","note":""}]}"#;
     for more in [
         &[][..],
-        &["--method=direct"],
+        &["--integral=direct"],
         &["--frames=3"],
-        &["--error-budget=error_budget.json", "--measured=after"],
+        &["--error-budget=error_budget.json", "--measured-out=after"],
     ] {
         let tmp = tempfile::tempdir().unwrap();
         prepare(tmp.path());

@@ -30,7 +30,7 @@ fn no_count_no_map_and_no_tool_ends_in_a_panic() {
     let all = arguments("surface", "tif");
     let all: Vec<&str> = all.iter().map(String::as_str).collect();
     every_value(BINARY, tmp.path(), &all, &["--frames"], &COUNTS, "out");
-    let direct = [&all[..], &["--method=direct"]].concat();
+    let direct = [&all[..], &["--integral=direct"]].concat();
     every_value(BINARY, tmp.path(), &direct, &["--steps"], &COUNTS, "out");
     let with_map = maps.iter().map(|m| arguments(m, "tif"));
     let with_tif = tifs.iter().map(|t| arguments("surface", t));

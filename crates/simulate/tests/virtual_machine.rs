@@ -301,7 +301,7 @@ fn the_program_hides_the_truth_from_the_reader_of_the_map() {
             "error_budget.json",
             "--seed",
             "9",
-            "--measured",
+            "--measured-out",
             &after,
             "--out",
             &truth,
@@ -330,15 +330,25 @@ fn what_is_no_run_is_refused_and_writes_nothing() {
     write(dir, "trajectory", &raster([0.0; 2]));
     write(dir, "tif", &tif());
     write(dir, "surface", &before());
-    let both = ["--error-budget", "error_budget.json", "--measured", "after", "--out", "truth"];
+    let both = ["--error-budget", "error_budget.json", "--measured-out", "after", "--out", "truth"];
     for (flags, said) in [
-        (&both[..2], "--measured"),
-        (&["--measured", "after", "--out", "truth"], "--error-budget"),
+        (&both[..2], "--measured-out"),
+        (&["--measured-out", "after", "--out", "truth"], "--error-budget"),
         (&[&both[..], &["--frames", "3"]].concat(), "--frames"),
-        (&["--error-budget", "none.json", "--measured", "after", "--out", "truth"], "none.json"),
         (
-            &["--error-budget", "error_budget.json", "--measured", "truth/in", "--out", "truth"],
-            "--measured",
+            &["--error-budget", "none.json", "--measured-out", "after", "--out", "truth"],
+            "none.json",
+        ),
+        (
+            &[
+                "--error-budget",
+                "error_budget.json",
+                "--measured-out",
+                "truth/in",
+                "--out",
+                "truth",
+            ],
+            "--measured-out",
         ),
     ] {
         let ended = program("2", dir, flags);

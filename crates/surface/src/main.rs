@@ -14,8 +14,8 @@ const EXAMPLES: &str = "Examples:\n\
     \x20 planish-surface prepare --surface mirror --mask-outliers --feature-mm 4 --out out/surface\n\
     \x20 planish-surface psd --surface mirror --band-per-mm 0.1 1 --out out/psd\n\
     \x20 planish-surface spec --surface mirror --base-mm 1 --specification limits.json --out out/spec\n\
-    \x20 planish-surface spec --profile ltp.csv --value-unit urad --after cylinder-x --out out/ltp\n\
-    \x20 planish-surface tif --tif spot --centre centroid --fit gaussian --out out/tif";
+    \x20 planish-surface spec --profile ltp.csv --value-unit urad --subtract cylinder-x --out out/ltp\n\
+    \x20 planish-surface tif --tif spot --centre centroid --fit-formula gaussian --out out/tif";
 
 /// Prepare measured maps and tools, and describe them
 #[derive(Debug, Parser)]

@@ -34,7 +34,7 @@
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | R | `rate_nm_per_s` | (my, mx) | nm/s |
-//! | P | `pitch_mm` | - | mm |
+//! | P | `pixel_mm` | - | mm |
 //! | F | `taper_fraction` | - | 1 |
 
 use std::f64::consts::PI;
@@ -63,7 +63,7 @@ pub struct TifSettings {
     /// Turn counterclockwise about the centre, degrees.
     pub rotate_deg: f64,
     /// Pitch of the new lattice, mm; `None` keeps the samples.
-    pub pitch_mm: Option<f64>,
+    pub pixel_mm: Option<f64>,
     /// Outer fraction of the half size in which the TIF goes to zero, in (0, 1]; `None` keeps the
     /// border.
     pub taper_fraction: Option<f64>,
@@ -146,12 +146,12 @@ pub fn prepare_tif(tif: &Tif, settings: &TifSettings) -> Result<(Tif, TifReport)
     now = Tif::new(shifted(now.grid(), centre_mm)?, now.rate_nm_per_s().clone())?;
     let volume = now.vrr_nm_mm2_per_s();
     now = rotated(&now, settings.rotate_deg)?;
-    if let Some(pitch_mm) = settings.pitch_mm {
-        now = resampled(&now, pitch_mm)?;
+    if let Some(pixel_mm) = settings.pixel_mm {
+        now = resampled(&now, pixel_mm)?;
     }
     // Quarter turns only move samples: those stay bit for bit.
     let interpolated =
-        quarters_and_rest(settings.rotate_deg).1 != 0.0 || settings.pitch_mm.is_some();
+        quarters_and_rest(settings.rotate_deg).1 != 0.0 || settings.pixel_mm.is_some();
     let factor = if interpolated { volume / now.vrr_nm_mm2_per_s() } else { 1.0 };
     if interpolated {
         now = Tif::new(*now.grid(), now.rate_nm_per_s() * factor)?;
@@ -188,7 +188,7 @@ impl TifSettings {
             let remedy = "give the tapered fraction of the half size, above 0 and at most 1";
             return Err(Invalid::whole("taper fraction", format!("is {f}"), remedy));
         }
-        if let Some(p) = self.pitch_mm.filter(|p| !(p.is_finite() && *p > 0.0)) {
+        if let Some(p) = self.pixel_mm.filter(|p| !(p.is_finite() && *p > 0.0)) {
             return Err(Invalid::whole(
                 "pitch",
                 format!("is {p} mm"),
@@ -646,7 +646,7 @@ mod tests {
             let error = |pitch: f64| {
                 let n = (10.0 / pitch).round() as usize;
                 let tif = gaussian([n, n + 1], pitch, [0.1, -0.3], [0.8, 0.7]);
-                let s = TifSettings { pitch_mm: Some(ratio * pitch), ..settings() };
+                let s = TifSettings { pixel_mm: Some(ratio * pitch), ..settings() };
                 let (t, report) = prepare_tif(&tif, &s).unwrap();
                 let before = report.before.vrr_nm_mm2_per_s;
                 assert!((report.after.vrr_nm_mm2_per_s / before - 1.0).abs() < 1e-12);
@@ -665,7 +665,7 @@ mod tests {
     #[test]
     fn resampling_onto_its_own_lattice_changes_nothing() {
         let tif = gaussian([21, 31], 0.25, [0.1, 0.0], [0.8, 0.7]);
-        let s = TifSettings { pitch_mm: Some(0.25), ..settings() };
+        let s = TifSettings { pixel_mm: Some(0.25), ..settings() };
         let (same, _) = prepare_tif(&tif, &s).unwrap();
         assert_eq!(same.grid().shape(), tif.grid().shape());
         let difference = same.rate_nm_per_s() - tif.rate_nm_per_s();
@@ -679,7 +679,7 @@ mod tests {
         let axis = Axis::new(-5.0, 0.1, 101).unwrap();
         let grid = Grid { x: axis, y: axis };
         let rate = Array2::from_shape_fn(grid.shape(), |(_, c)| if c % 2 == 0 { 2.0 } else { 0.0 });
-        let s = TifSettings { pitch_mm: Some(0.5), ..settings() };
+        let s = TifSettings { pixel_mm: Some(0.5), ..settings() };
         let (coarse, _) = prepare_tif(&Tif::new(grid, rate).unwrap(), &s).unwrap();
         let middle = coarse.rate_nm_per_s().slice(ndarray::s![.., 3..18]).to_owned();
         let (low, high) =
@@ -695,8 +695,8 @@ mod tests {
             if axis.at(c).hypot(axis.at(r)) < 1.5 { 4.0 } else { 0.0 }
         });
         let top_hat = Tif::new(grid, rate).unwrap();
-        for (rotate_deg, pitch_mm) in [(20.0, None), (0.0, Some(0.13)), (0.0, Some(0.31))] {
-            let s = TifSettings { rotate_deg, pitch_mm, ..settings() };
+        for (rotate_deg, pixel_mm) in [(20.0, None), (0.0, Some(0.13)), (0.0, Some(0.31))] {
+            let s = TifSettings { rotate_deg, pixel_mm, ..settings() };
             let (t, report) = prepare_tif(&top_hat, &s).unwrap();
             assert!(t.rate_nm_per_s().iter().all(|v| *v >= 0.0), "{s:?}");
             let vrr = [report.before, report.after].map(|s| s.vrr_nm_mm2_per_s);
@@ -728,7 +728,7 @@ mod tests {
     fn bad_settings_are_refused() {
         let tif = gaussian([21, 21], 0.25, [0.0; 2], [0.8; 2]);
         let message = |s: TifSettings| prepare_tif(&tif, &s).unwrap_err().to_string();
-        let pitch = |p| TifSettings { pitch_mm: Some(p), ..settings() };
+        let pitch = |p| TifSettings { pixel_mm: Some(p), ..settings() };
         assert!(message(pitch(0.0)).contains("is 0 mm"));
         assert!(message(pitch(9.0)).contains("less than 2 samples"));
         assert!(message(pitch(1e-6)).contains("at most 5000"));

@@ -284,8 +284,7 @@ fn statistics_and_spectrum_of_a_wave() {
 fn a_tool_is_centred_turned_resampled_and_fitted() {
     let tmp = tempfile::tempdir().unwrap();
     write_tif(&tmp.path().join("tif"));
-    let line =
-        "tif --tif tif --centre centroid --rotate-deg 90 --pitch-mm 0.2 --fit gaussian --out out";
+    let line = "tif --tif tif --centre centroid --rotate-deg 90 --pixel-mm 0.2 --fit-formula gaussian --out out";
     let output = surface_command(tmp.path(), &line.split_whitespace().collect::<Vec<_>>());
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let outcome = &manifest(&tmp.path().join("out"))["outcome"];
@@ -301,7 +300,7 @@ fn a_tool_is_centred_turned_resampled_and_fitted() {
     let sigma = number(&outcome["fit"]["components"][0]["sigma_mm"][0]);
     assert!((sigma / 0.7 - 1.0).abs() < 5e-3, "{outcome}");
 
-    let line = "tif --tif tif --fit super-gaussian --use-fit --out fitted";
+    let line = "tif --tif tif --fit-formula super-gaussian --use-fit --out fitted";
     let output = surface_command(tmp.path(), &line.split_whitespace().collect::<Vec<_>>());
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let (a, b) = (
@@ -370,7 +369,7 @@ fn bad_input_of_the_other_commands_ends_with_2_and_no_output() {
         ("tif --tif tif --pitch-mm 0", "is 0 mm"),
         ("tif --tif tif --pitch-mm 50", "less than 2 samples"),
         ("tif --tif tif --rotate-deg inf", "rotation: is inf"),
-        ("tif --tif tif --use-fit", "--fit"),
+        ("tif --tif tif --use-fit", "--fit-formula"),
     ] {
         let line = format!("{line} --out out");
         let output = surface_command(tmp.path(), &line.split_whitespace().collect::<Vec<_>>());
@@ -526,7 +525,7 @@ fn what_cannot_be_specified_ends_with_2_and_no_output() {
     let cases: [(&[&[&str]], &str); 11] = [
         (&[&map, &["--base-mm", "0"]], "--base-mm is 0; give a length in mm"),
         (&[&map, &["--base-mm", "7.9999"]], "--base-mm is 7.9999, the map is 7.9 mm long"),
-        (&[&map, &["--after", "ellipse"]], "give --ellipse"),
+        (&[&map, &["--subtract", "ellipse"]], "give --ellipse"),
         (&[&map, &["--ellipse", "1", "0", "3"]], "ellipse: q is 0 mm; give a distance"),
         (&[&map, &["--band-per-mm", "20", "30"]], "holds no frequency along x"),
         (&[&map, &["--specification", "typo.json"]], "typo.json: unknown field `limit`"),

@@ -13,7 +13,7 @@ static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-sweep expand sweeps/small.yaml --out out/sweeps/small\n\
-    \x20 planish-sweep run out/sweeps/small --layer plans --job 1 --of 4 --at-once 2\n\
+    \x20 planish-sweep run out/sweeps/small --layer plans --job 1 --jobs 4 --at-once 2\n\
     \x20 planish-sweep propose out/sweeps/small\n\
     \x20 planish-sweep again out/sweeps/small raster-joint-0123456789ab";
 

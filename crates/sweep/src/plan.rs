@@ -328,7 +328,7 @@ impl Sweep {
         let dir = plan.dir();
         let out = format!("{dir}/report");
         let called =
-            [dir.as_str(), "--pipeline", &plan.id, "--fixture", &self.mirror, "--plots", "never"];
+            [dir.as_str(), "--pipeline", &plan.id, "--mirror", &self.mirror, "--plots", "never"];
         let own = ["--tif", self.tif(plan), "--out", &out, "--force"];
         Step::new("planish-compare", ["report"].iter().chain(&called).chain(&own).copied())
     }

@@ -102,10 +102,10 @@ fn jobs_make_the_same_bytes_however_the_plans_are_shared_out() {
     let two = expanded(dir.path(), "two");
     ended(0, &["run", &two, "--layer", "mirror"]);
     for job in ["1", "2"] {
-        ended(0, &["run", &two, "--layer", "paths", "--job", job, "--of", "2"]);
+        ended(0, &["run", &two, "--layer", "paths", "--job", job, "--jobs", "2"]);
     }
     for job in ["3", "2", "1"] {
-        ended(0, &["run", &two, "--layer", "plans", "--job", job, "--of", "3"]);
+        ended(0, &["run", &two, "--layer", "plans", "--job", job, "--jobs", "3"]);
     }
     for dir in [&one, &two] {
         ended(0, &["table", dir]);

@@ -113,7 +113,7 @@ fn dwell_lucy_richardson_large<const ACCELERATED: bool>(bencher: Bencher) {
     let settings = lucy_richardson::Settings {
         unknowns: Unknowns::Map,
         total_variation: 0.0,
-        tolerance: 0.0,
+        min_decrease: 0.0,
         max_iterations: if ACCELERATED { 12 } else { 20 },
         accelerated: ACCELERATED,
         ..Default::default()
@@ -330,7 +330,7 @@ fn dwell_lucy_richardson_map(bencher: Bencher, side: usize) {
     let how = lucy_richardson::Settings {
         unknowns: Unknowns::Map,
         max_iterations: 60,
-        tolerance: 0.0,
+        min_decrease: 0.0,
         ..Default::default()
     };
     bencher.bench_local(|| black_box(lucy_richardson::solve(&problem, &how).unwrap()));

@@ -39,7 +39,7 @@ fn the_coupon_is_executed_as_planned_within_the_limits() {
     let path = lines(&surface, &tif, 1.0);
     let limits = machine([50.0, 30.0], [400.0, 200.0]);
     let with = |settings: Settings| plan(&surface, &tif, &path, &limits, &settings).unwrap();
-    let base = Settings { tolerance: 1e-2, ..Settings::default() };
+    let base = Settings { relative_gap: 1e-2, ..Settings::default() };
     let solved = with(base);
     let removed = with(Settings { refinement: Refinement::KnotRemoval, ..base });
     let vrr = with(Settings { method: Method::Vrr, ..base });

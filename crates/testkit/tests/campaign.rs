@@ -42,7 +42,7 @@ fn machine_runs(dir: &Path, map: &str, motion: &str, more: &str, to: &str) -> f6
         dir,
         &format!(
             "simulate --trajectory {motion} --tif made/tif --surface {map} --error-budget hidden.json --seed 7 {more} \
-             --measured {to}-measured --out {to}-truth"
+             --measured-out {to}-measured --out {to}-truth"
         ),
     );
     outcome(dir, &format!("{to}-truth"))["rms_nm"].as_f64().unwrap()
@@ -64,7 +64,7 @@ fn the_second_run_leaves_with_learning_what_a_known_tool_leaves() {
     let measure = "campaign measure --surface made/surface --error-budget hidden.json --seed 7";
     run(dir, &format!("{measure} --out map-1"));
     plan(dir, "map-1", "made/tif", "first");
-    let blind = machine_runs(dir, "map-1", "first/trajectory", "--run 1", "blind");
+    let blind = machine_runs(dir, "map-1", "first/trajectory", "--run-number 1", "blind");
     run(
         dir,
         "reconcile --before map-1 --after blind-measured --trajectory first/trajectory --tif made/tif \
@@ -73,13 +73,14 @@ fn the_second_run_leaves_with_learning_what_a_known_tool_leaves() {
     );
 
     // Another mirror like the first is the second run of this machine.
-    run(dir, &format!("{measure} --run 2 --out map-2"));
+    run(dir, &format!("{measure} --run-number 2 --out map-2"));
     plan(dir, "map-2", "made/tif", "untaught");
     plan(dir, "map-2", "tif", "taught");
     run(dir, "register apply --transform place --trajectory taught/trajectory --out commanded");
-    let known = machine_runs(dir, "map-2", "untaught/trajectory", "--run 2 --known", "known");
-    let without = machine_runs(dir, "map-2", "untaught/trajectory", "--run 2", "without");
-    let learning = machine_runs(dir, "map-2", "commanded", "--run 2", "learning");
+    let known =
+        machine_runs(dir, "map-2", "untaught/trajectory", "--run-number 2 --known", "known");
+    let without = machine_runs(dir, "map-2", "untaught/trajectory", "--run-number 2", "without");
+    let learning = machine_runs(dir, "map-2", "commanded", "--run-number 2", "learning");
     println!(
         "{blind:.4} nm after the first run; the second leaves {learning:.4} nm with learning, {without:.4} nm without, \
          {known:.4} nm with a tool that is known"
@@ -88,9 +89,9 @@ fn the_second_run_leaves_with_learning_what_a_known_tool_leaves() {
     assert!(learning <= 1.1 * known, "{learning} {known}");
     assert!(without > 1.4 * known, "{without} {known}");
     // Each half of what was learnt is needed: the tool alone, or the place alone, is not enough.
-    let tool_alone = machine_runs(dir, "map-2", "taught/trajectory", "--run 2", "tool");
+    let tool_alone = machine_runs(dir, "map-2", "taught/trajectory", "--run-number 2", "tool");
     run(dir, "register apply --transform place --trajectory untaught/trajectory --out placed");
-    let place_alone = machine_runs(dir, "map-2", "placed", "--run 2", "place");
+    let place_alone = machine_runs(dir, "map-2", "placed", "--run-number 2", "place");
     assert!(tool_alone > 1.1 * known && place_alone > 1.1 * known, "{tool_alone} {place_alone}");
 
     // The first mirror again: the decision on another run, and its residual.
@@ -104,7 +105,7 @@ fn the_second_run_leaves_with_learning_what_a_known_tool_leaves() {
     let decision = outcome(dir, "decision");
     assert_eq!(decision["verdict"], "run_again", "{decision}");
     run(dir, "register apply --transform place --trajectory second/trajectory --out again");
-    let left = machine_runs(dir, "blind-measured", "again", "--run 2", "again");
+    let left = machine_runs(dir, "blind-measured", "again", "--run-number 2", "again");
     // The mirror now, to three standard errors; the next run, within the interval of 95 % and a little (docs/campaign.md:
     // in 20 campaigns on this mirror all are in it).
     let number = |key: &str| decision[key].as_f64().unwrap();

@@ -68,7 +68,7 @@ impl Line {
         for (name, scheduler) in METHODS {
             said.extend(self.method(name, scheduler, "run/fixture/tif", "run"));
         }
-        let report = "compare report run --pipeline raster --fixture coupon --out run/report";
+        let report = "compare report run --pipeline raster --mirror coupon --out run/report";
         said.push(self.expect(0, report));
         said
     }

@@ -65,8 +65,8 @@ DECIDED = "--surface in/surface --trajectory in/trajectory --tolerance in/tolera
 STAGES = [
     Stage("fixture", "planish-fixture in/recipe.json --out out --force", "planish-fixture in/other.json --out out --force",
           "planish-toolpath raster --surface out/surface --tif out/tif --pitch-mm 2 --step-mm 2 --out read --force"),
-    Stage("import", "planish-import surface in/map.csv --unit nm --pitch-mm 0.25 --out out/a --picture out/a.svg --force",
-          "planish-import surface in/map.csv --unit um --pitch-mm 0.25 --out out/a --picture out/a.svg --force",
+    Stage("import", "planish-import surface in/map.csv --unit nm --pixel-mm 0.25 --out out/a --picture out/a.svg --force",
+          "planish-import surface in/map.csv --unit um --pixel-mm 0.25 --out out/a --picture out/a.svg --force",
           "planish-surface prepare --surface out/a --out read --force"),
     Stage("surface", "planish-surface prepare --surface in/surface --level piston --out out/a --force",
           "planish-surface prepare --surface in/surface --level plane --out out/a --force"),
@@ -80,16 +80,16 @@ STAGES = [
           "planish-toolpath draw --tool-path in/path --surface in/surface --out out/a.svg --force"),
     Stage("dwell", f"planish-dwell bounded-least-squares {MAPS} --tool-path in/path --min-dwell-s 0.1 --out out/a --force",
           f"planish-dwell bounded-least-squares {MAPS} --tool-path in/path --min-dwell-s 0.2 --out out/a --force"),
-    Stage("schedule", f"planish-schedule trig-spline {PLAN} --dwell-density out/dwell_density --out out/a --force",
-          f"planish-schedule trig-spline --repair local {PLAN} --dwell-density out/dwell_density --out out/a --force",
+    Stage("schedule", f"planish-schedule trig-spline {PLAN} --dwell-density-out out/dwell_density --out out/a --force",
+          f"planish-schedule trig-spline --repair local {PLAN} --dwell-density-out out/dwell_density --out out/a --force",
           "planish-schedule program --dwell-density out/dwell_density --out read.nc --force"),
-    Stage("interpolate", "planish-schedule interpolate --dwell-density in/dwell_density --tick-s 0.1 --out out/a.npy --force",
-          "planish-schedule interpolate --dwell-density in/dwell_density --tick-s 0.2 --out out/a.npy --force"),
-    Stage("bspline-feed", f"planish-bspline-feed {MAPS} --tool-path in/path --machine in/machine.json --method vrr --out out --force",
+    Stage("interpolate", "planish-schedule interpolate --dwell-density in/dwell_density --cycle-s 0.1 --out out/a.npy --force",
+          "planish-schedule interpolate --dwell-density in/dwell_density --cycle-s 0.2 --out out/a.npy --force"),
+    Stage("bspline-feed", f"planish-bspline-feed {MAPS} --tool-path in/path --machine in/machine.json --feed-source vrr --out out --force",
           f"planish-bspline-feed {MAPS} --tool-path in/path --machine in/machine.json --out out --force",
           "planish-schedule program --dwell-density out/dwell_density --out read.nc --force"),
     Stage("simulate", "planish-simulate --trajectory in/trajectory --tif in/tif --surface in/surface --out out/a --force",
-          "planish-simulate --trajectory in/trajectory --tif in/tif --surface in/surface --method direct --steps 2 --out out/a --force"),
+          "planish-simulate --trajectory in/trajectory --tif in/tif --surface in/surface --integral direct --steps 2 --out out/a --force"),
     Stage("verify", "planish-verify --trajectory in/trajectory --machine in/machine.json --out out/a --force",
           "planish-verify --trajectory in/trajectory --machine in/slow.json --other-machine --out out/a --force"),
     Stage("refine", f"planish-refine {MAPS} --tool-path in/path --machine in/machine.json --max-rounds 1 --out out --force",
@@ -111,7 +111,7 @@ STAGES = [
     Stage("export", "planish-export gcode --trajectory in/trajectory --machine in/machine.json --out out/p.ngc --force",
           "planish-export gcode --trajectory in/trajectory --machine in/machine.json --count-mm 0.001 --out out/p.ngc --force",
           "planish-import program out/p.ngc --controller gcode --about out/p.ngc.json --out read --force"),
-    Stage("compare", "planish-compare report in/run --out out/a --force", "planish-compare report in/run --fixture coupon --out out/a --force"),
+    Stage("compare", "planish-compare report in/run --out out/a --force", "planish-compare report in/run --mirror coupon --out out/a --force"),
 ]
 
 # What makes the inputs above.
@@ -121,10 +121,10 @@ planish-surface prepare --surface in/fixture/surface --level piston --out in/sur
 planish-toolpath raster --surface in/surface --tif in/fixture/tif --pitch-mm 2 --step-mm 1 --out in/path
 planish-dwell bounded-least-squares --surface in/surface --tif in/fixture/tif --tool-path in/path --out in/dwell
 planish-schedule pvt --tool-path in/path --dwell in/dwell --machine in/machine.json --out in/trajectory
-planish-schedule trig-spline --tool-path in/path --dwell in/dwell --machine in/machine.json --dwell-density in/dwell_density --out in/spline
+planish-schedule trig-spline --tool-path in/path --dwell in/dwell --machine in/machine.json --dwell-density-out in/dwell_density --out in/spline
 planish-simulate --trajectory in/trajectory --tif in/fixture/tif --surface in/surface --out in/removal
 planish-verify --trajectory in/trajectory --machine in/machine.json --out in/verdict
-planish-simulate --trajectory in/trajectory --tif in/fixture/tif --surface in/surface --error-budget in/error_budget.json --measured in/after --out in/truth
+planish-simulate --trajectory in/trajectory --tif in/fixture/tif --surface in/surface --error-budget in/error_budget.json --measured-out in/after --out in/truth
 planish-tolerance --trajectory in/trajectory --tif in/fixture/tif --surface in/surface --error-budget in/error_budget.json --draws 1000 --simulated-runs 0 --out in/tolerance
 """
 

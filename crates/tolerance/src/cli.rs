@@ -24,10 +24,10 @@ pub struct Tolerance {
     trajectory: TrajectoryArgs,
     #[command(flatten)]
     mirror: MirrorArgs,
-    /// Error budget: the errors of the process [JSON]
+    /// Error budget of the process [JSON]
     #[arg(long, value_name = "FILE")]
     error_budget: PathBuf,
-    /// Low-order terms that are not part of the residual
+    /// Low-order terms of the map that need not be removed; they are no part of the residual
     #[arg(long, value_enum, default_value = "piston")]
     free: Free,
     /// Runs that are drawn to first order, for the distribution
@@ -36,7 +36,7 @@ pub struct Tolerance {
     /// Runs with all errors that are simulated, to check the first order
     #[arg(long, value_name = "N", default_value_t = Settings::default().simulated_runs)]
     simulated_runs: usize,
-    /// Move the TIF with its noise and the step at its border, which the tool has not
+    /// Use the TIF as it is sampled, with the noise and the border step of its measurement
     #[arg(long)]
     tif_as_sampled: bool,
     /// Random seed

@@ -64,14 +64,14 @@ struct RegionArgs {
     /// Tool influence function, for the overscan and the pitch limit [tif or tool artifact]
     #[arg(long, value_name = "DIR", required_unless_present = "overscan_mm")]
     tif: Option<PathBuf>,
-    /// Distance between neighbouring lines, mm
+    /// Distance of neighbouring lines, mm
     #[arg(long, value_name = "P", allow_negative_numbers = true)]
     pitch_mm: f64,
     /// Distance that the path goes beyond the aperture, mm [default: half the size of the square around the centroid
     /// of the TIF that holds all but 0.05 % of its volume]
     #[arg(long, value_name = "O", allow_negative_numbers = true)]
     overscan_mm: Option<f64>,
-    /// Machine, for a warning if the path leaves the travel of its axes [JSON]
+    /// Machine and its limits, for a warning if the path leaves the travel of its axes [JSON]
     #[arg(long, value_name = "FILE")]
     machine: Option<PathBuf>,
     #[command(flatten)]

@@ -1,4 +1,4 @@
-//! Dwell-time density along a path: the content of an artifact of the kind `feed`.
+//! Dwell-time density along a path: the content of an artifact of the kind `dwell_density`.
 
 use crate::{Invalid, grid::is_plausible_mm};
 

@@ -29,10 +29,12 @@ fn program_of(manifest: &Manifest) -> Option<Program> {
 
 /// Prove whether a trajectory keeps the limits of a machine; exit code 1 when it does not
 ///
-/// Judged is what the axes do: where the machine file says how the part lies on them, the motion is taken there. A limit
-/// on jerk allows no step of the acceleration. The acceleration of a controller's program, read by planish-import program,
-/// may step at a node by the jerk limit times the time between the middles of the two segments; the jerk of a program of
-/// straight lines (gcode) is not judged.
+/// The program judges the motion of the axes. If the machine file states how the part lies on them, the motion is
+/// transformed there. A limit on jerk allows no step of the acceleration.
+///
+/// A controller's program that planish-import program read is judged by another law. Its acceleration may step at a node
+/// by the jerk limit times the time between the middles of the two segments. The jerk of a program of straight lines
+/// (gcode) is not judged.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {

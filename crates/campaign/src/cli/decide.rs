@@ -16,7 +16,7 @@ use serde::Deserialize;
 
 #[derive(Args)]
 pub struct Decide {
-    /// Present map, for which the next plan was made [surface artifact]
+    /// Map of the present figure, for which the next plan was made [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
     /// Motion of the next plan

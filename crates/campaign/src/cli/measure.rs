@@ -12,17 +12,17 @@ use serde_json::json;
 
 #[derive(Args)]
 pub struct Measure {
-    /// True figure of the mirror [surface artifact]
+    /// Map of the true figure of the mirror [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
-    /// Error budget of the virtual machine; the measurement has its map_noise and map_low_order [JSON]
+    /// Error budget of the process: the measurement has its map_noise and map_low_order [JSON]
     #[arg(long, value_name = "FILE")]
     error_budget: PathBuf,
     /// Random seed of the virtual machine
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
-    /// Number of the run before which the mirror is measured
-    #[arg(long, value_name = "K", default_value_t = 1)]
+    /// Number of the run, from 1, before which the mirror is measured
+    #[arg(long = "run-number", value_name = "K", default_value_t = 1)]
     run: u64,
     #[command(flatten)]
     output: OutputArgs,

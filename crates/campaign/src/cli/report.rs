@@ -23,7 +23,7 @@ const MOST_RUNS: usize = 100;
 pub struct Report {
     /// Directory of the campaign, with the directories learning/K, without/K, known/K and alike
     dir: PathBuf,
-    /// Mirror before the first run [surface artifact]
+    /// Map of the mirror before the first run [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
     /// Number of runs of the campaign

@@ -18,7 +18,7 @@ pub struct Diff {
     b: PathBuf,
     /// Largest absolute difference that is accepted, in the unit of each array
     #[arg(long, value_name = "T")]
-    tolerance: f64,
+    max_difference: f64,
 }
 
 impl Diff {
@@ -29,7 +29,7 @@ impl Diff {
                 .map_err(|e| Failure::new(format!("{name}: {e}; nothing compared")))?;
             found.push((name, difference));
         }
-        let beyond = beyond(&found, self.tolerance)?;
+        let beyond = beyond(&found, self.max_difference)?;
         for (name, difference) in &found {
             say(difference.line(name));
         }

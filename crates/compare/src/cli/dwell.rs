@@ -18,14 +18,14 @@ pub struct Dwell {
     run: PathBuf,
     /// Name of the mirror
     #[arg(long, value_name = "NAME", default_value = "")]
-    fixture: String,
+    mirror: String,
     #[command(flatten)]
     output: OutputArgs,
 }
 
 impl Dwell {
     pub fn run(&self) -> Result<Status, Failure> {
-        let Dwell { run, fixture, output } = self;
+        let Dwell { run, mirror: fixture, output } = self;
         let mut inputs = Inputs::new();
         let task = task!("dwell", json!({ "fixture": fixture }));
         let (surface, rows) = files::read_solvers(&mut inputs, run)?;

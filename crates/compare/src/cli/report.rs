@@ -32,18 +32,18 @@ pub struct Report {
     pipeline: Option<String>,
     /// Name of the mirror
     #[arg(long, value_name = "NAME", default_value = "")]
-    fixture: String,
+    mirror: String,
     /// Map as it was measured, before anything was done to it; shown beside the others [surface
     /// artifact; of one run only]
     #[arg(long, value_name = "DIR")]
     measured: Option<PathBuf>,
-    /// Tool of the runs, for the part of the residual at wavelengths shorter than it corrects [tif artifact]
+    /// Tool influence function, for the part of the residual at wavelengths shorter than it corrects [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: Option<PathBuf>,
     /// Row of a program that was read back, such as joint+galil. The report recommends it in the place of its plan [of
     /// one run only; default: the report chooses among all rows]
     #[arg(long, value_name = "ROW")]
-    program: Option<String>,
+    program_row: Option<String>,
     /// Compare the plans by what they leave after the servo of the process: methods/<scheduler>/removal-after-servo, written
     /// by planish-simulate --servo-of
     #[arg(long)]
@@ -64,8 +64,17 @@ enum Plots {
 
 impl Report {
     pub fn run(&self) -> Result<Status, Failure> {
-        let Report { runs, pipeline, fixture, measured, tif, program, after_servo, plots, output } =
-            self;
+        let Report {
+            runs,
+            pipeline,
+            mirror: fixture,
+            measured,
+            tif,
+            program_row: program,
+            after_servo,
+            plots,
+            output,
+        } = self;
         let mut inputs = Inputs::new();
         let names: Vec<String> = runs.iter().map(|dir| files::name_of(dir)).collect();
         let task = task!(
@@ -92,7 +101,9 @@ impl Report {
             (None, _) => {}
             (Some(row), [run]) => run.summary.recommend(row).map_err(Failure::new)?,
             (Some(_), _) => {
-                return Err(Failure::new("--program is of one run; give one run, or leave it out"));
+                return Err(Failure::new(
+                    "--program-row is of one run; give one run, or leave it out",
+                ));
             }
         }
         let summaries: Vec<Summary> = read.iter().map(|run| run.summary.clone()).collect();

@@ -19,7 +19,7 @@ pub struct Bcls {
     /// Least feed as a fraction of the largest reachable feed on a segment; 0 for none
     #[arg(long, value_name = "ETA", default_value_t = bcls::Settings::default().least_feed)]
     least_feed: f64,
-    /// Weight of the square of the dwell time per area above the least one: the same at every pitch, pixel and tool
+    /// Tikhonov weight of the squared dwell time per area above its floor; the same at every pitch, pixel and tool
     #[arg(long, value_name = "A", default_value_t = bcls::Settings::default().tikhonov)]
     tikhonov: f64,
 }

@@ -41,7 +41,7 @@ pub struct BoundedLeastSquares {
     /// Largest dwell times point by point [dwell artifact]
     #[arg(long, value_name = "DIR", conflicts_with_all = ["max_dwell_s", "max_dwell_s_per_mm"])]
     max_dwell: Option<PathBuf>,
-    /// Weight of a second of dwell time beside half the mean square of the residual, nm^2/s
+    /// Price of a second, relative to half the mean square of the residual, nm^2/s; larger values shorten the run
     #[arg(long, visible_alias = "time-weight", value_name = "L", default_value_t = 0.0)]
     time_weight_nm2_per_s: f64,
     /// Low-order terms of the map that need not be removed
@@ -57,7 +57,7 @@ pub struct BoundedLeastSquares {
     /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment
     #[arg(long, value_enum, default_value = "segment")]
     columns: Columns,
-    /// Weight of the square of the dwell time per area above the least one: the same at every pitch, pixel and tool
+    /// Tikhonov weight of the squared dwell time per area above its floor; the same at every pitch, pixel and tool
     #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
     tikhonov: f64,
     /// Weight of the square of the slope of the dwell time per area along the path: the same at every pitch and tool

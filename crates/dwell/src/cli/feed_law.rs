@@ -12,7 +12,7 @@ pub struct FeedLaw {
     given: Given,
     #[command(flatten)]
     least: FloorArgs,
-    /// Distance between the lines, mm [default: measured line by line, in every pass by itself]
+    /// Distance of neighbouring lines, mm [default: measured line by line, in every pass by itself]
     #[arg(long, value_name = "P", allow_negative_numbers = true)]
     pitch_mm: Option<f64>,
 }

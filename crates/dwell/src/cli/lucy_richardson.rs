@@ -21,13 +21,13 @@ pub struct LucyRichardson {
     /// Removal at the lowest pixel, as a fraction of the PV of the desired removal
     #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().margin)]
     margin: f64,
-    /// Fraction of the pixels, the lowest ones, that may be cut off as pits
+    /// Fraction of the pixels that count as pits: the lowest ones, which may be cut off as pits
     #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().pits)]
     pits: f64,
-    /// Fraction by which ten steps must lower the RMS; the solver ends when they lower it by less
-    #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().tolerance)]
-    tolerance: f64,
-    /// Largest number of steps; if it is given, stopping there is not reported as a failure [default: 300, and a
+    /// Smallest decrease of the RMS in ten iterations, as a fraction of it; the solver ends after a smaller one
+    #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().min_decrease)]
+    min_decrease: f64,
+    /// Largest number of iterations; if it is given, stopping there is not reported as a failure [default: 300, and a
     /// negative verdict if the RMS does not settle]
     #[arg(long, value_name = "N")]
     max_iterations: Option<usize>,
@@ -47,7 +47,7 @@ impl LucyRichardson {
             total_variation: self.total_variation,
             margin: self.margin,
             pits: self.pits,
-            tolerance: self.tolerance,
+            min_decrease: self.min_decrease,
             max_iterations: self
                 .max_iterations
                 .unwrap_or(lucy_richardson::Settings::default().max_iterations),

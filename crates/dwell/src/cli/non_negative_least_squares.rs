@@ -12,7 +12,7 @@ pub struct NonNegativeLeastSquares {
     given: Given,
     #[command(flatten)]
     least: FloorArgs,
-    /// Weight of the square of the dwell time per area above the least one: the same at every pitch, pixel and tool
+    /// Tikhonov weight of the squared dwell time per area above its floor; the same at every pitch, pixel and tool
     #[arg(long, value_name = "A", default_value_t = non_negative_least_squares::Settings::default().tikhonov)]
     tikhonov: f64,
 }

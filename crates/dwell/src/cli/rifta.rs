@@ -15,7 +15,7 @@ pub struct Rifta {
     /// RMS that a smaller margin around the aperture may cost, nm
     #[arg(long, value_name = "NM", default_value_t = rifta::Settings::default().margin_tolerance_nm)]
     margin_tolerance_nm: f64,
-    /// Fraction of the pixels, the lowest ones, that do not decide the uniform part of the removal
+    /// Fraction of the pixels that count as pits: the lowest ones, which do not decide the uniform part of the removal
     #[arg(long, value_name = "PART", default_value_t = rifta::Settings::default().pits)]
     pits: f64,
 }

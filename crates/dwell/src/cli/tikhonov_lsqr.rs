@@ -21,7 +21,7 @@ pub struct TikhonovLsqr {
     /// Choose the damping at the corner of the L-curve
     #[arg(long, group = "choice")]
     l_curve: bool,
-    /// Largest number of steps of LSQR
+    /// Largest number of iterations of LSQR
     #[arg(long, value_name = "N", default_value_t = tikhonov_lsqr::Settings::default().max_iterations)]
     max_iterations: usize,
 }

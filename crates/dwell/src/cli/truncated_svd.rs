@@ -15,7 +15,7 @@ pub struct TruncatedSvd {
     /// Fraction of the largest singular value up to which singular values are left out
     #[arg(long, value_name = "PART", default_value_t = truncated_svd::Settings::default().cut)]
     cut: f64,
-    /// Largest number of steps; each keeps a vector of the number of dwell points
+    /// Largest number of iterations; each keeps a vector of the number of dwell points
     #[arg(long, value_name = "N", default_value_t = truncated_svd::Settings::default().max_iterations)]
     max_iterations: usize,
 }

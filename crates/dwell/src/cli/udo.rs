@@ -21,7 +21,7 @@ pub struct Udo {
     /// RMS of the residual at which the solver ends, nm
     #[arg(long, value_name = "NM", default_value_t = udo::Settings::default().threshold_nm)]
     threshold_nm: f64,
-    /// Largest number of rounds
+    /// Largest number of iterations
     #[arg(long, value_name = "N", default_value_t = udo::Settings::default().max_iterations)]
     max_iterations: usize,
 }

@@ -8,8 +8,8 @@ use super::CommonArgs;
 
 #[derive(Debug, Args)]
 pub struct Galil {
-    /// Sample time, s; a segment has an even number of them [default: half the clock of the machine's controller, else
-    /// 1/1024, that of TM 1000]
+    /// Sample time of the controller, s; a segment has an even number of them [default: half the clock of the
+    /// machine's controller, else 1/1024, that of TM 1000]
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     sample_s: Option<f64>,
     #[command(flatten)]

@@ -8,9 +8,9 @@ use super::CommonArgs;
 
 #[derive(Debug, Args)]
 pub struct Gcode {
-    /// Convention of the F word
+    /// Convention of the F word: inverse time of each line (G93), or units per minute (G94)
     #[arg(long, value_enum, default_value = "inverse-time")]
-    feed: gcode::Feed,
+    f_word: gcode::Feed,
     /// Clock, s: times are rounded to it [default: that of the machine's controller, else 1e-6]
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     tick_s: Option<f64>,
@@ -25,7 +25,7 @@ pub struct Gcode {
 impl Gcode {
     pub fn run(&self) -> Result<Status, Failure> {
         let settings =
-            gcode::Settings { feed: self.feed, path_tolerance_mm: self.path_tolerance_mm };
+            gcode::Settings { feed: self.f_word, path_tolerance_mm: self.path_tolerance_mm };
         self.common.export(&Controller::Gcode(settings), self.tick_s)
     }
 }

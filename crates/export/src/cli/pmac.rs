@@ -12,7 +12,7 @@ pub struct Pmac {
     /// a Turbo PMAC goes down to 2.5e-7]
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     tick_s: Option<f64>,
-    /// Unit of time of the velocities, s: Isx90 / 1000
+    /// Unit of time of the velocities of a PMAC, s: Isx90 / 1000
     #[arg(long, value_name = "T", default_value_t = 1.0, allow_negative_numbers = true)]
     feedrate_time_unit_s: f64,
     /// M-variable that switches the tool, 1 for on [default: the program does not switch it]

@@ -17,7 +17,7 @@ use super::{about, foreign};
 pub struct ProgramArgs {
     /// Program of a controller
     file: PathBuf,
-    /// Controller that the program is for
+    /// Controller of the program
     #[arg(long, value_enum)]
     controller: Controller,
     /// File that planish-export wrote beside the program; the flags below take precedence over it
@@ -29,10 +29,10 @@ pub struct ProgramArgs {
     /// Size of a count, mm: one number, or two for X,Y
     #[arg(long, value_name = "C", value_parser = pair, allow_hyphen_values = true)]
     count_mm: Option<[f64; 2]>,
-    /// Sample time, s
+    /// Sample time of the controller, s
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     sample_s: Option<f64>,
-    /// Unit of time of a PMAC's velocities, s
+    /// Unit of time of the velocities of a PMAC, s
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     feedrate_time_unit_s: Option<f64>,
     #[command(flatten)]

@@ -17,13 +17,14 @@ pub struct TifArgs {
     /// The values are rates already: height unit per second, on the offsets from the tool centre
     #[arg(long, required_unless_present = "dwell_s", conflicts_with_all = ["dwell_s", "before"])]
     rate: bool,
-    /// Place of the offset 0 of a map of rates [default: the file's coordinates, else the middle]
+    /// Place of the coordinate 0, the centre of the tool, in a map of rates [default: the file's coordinates, else
+    /// the middle]
     #[arg(long, value_enum, requires = "rate")]
     origin: Option<Origin>,
     /// Time that the tool rested, s; FILE is the depth of the removal, or the map after it
     #[arg(long, value_name = "T", requires = "half_size_mm", allow_negative_numbers = true)]
     dwell_s: Option<f64>,
-    /// Map before, read with the same flags; FILE is the map after
+    /// Map measured before the tool acted, read with the same flags; FILE is the map after
     #[arg(long, value_name = "FILE")]
     before: Option<PathBuf>,
     /// Half the side of the square that becomes the TIF, mm

@@ -22,17 +22,17 @@ use super::{about, foreign};
 pub struct TraceArgs {
     /// Log of a machine
     file: PathBuf,
-    /// Controller or format that wrote the log [default: hdf5 by the content, csv by the ending]
+    /// File format: the controller or the program that wrote the log [default: hdf5 by the content, csv by the ending]
     #[arg(long, value_enum)]
     format: Option<LogFormat>,
     /// Column of the time stamps: name, number counted from 1, path in HDF5 (PATH:K for its column K)
     /// [default: the one that is called t or time]
     #[arg(long, value_name = "COLUMN")]
     time: Option<String>,
-    /// Column of the position of x [default: by its name]
+    /// Name of the x coordinates in the file: the column of the positions [default: by its name]
     #[arg(long, value_name = "COLUMN")]
     x: Option<String>,
-    /// Column of the position of y [default: by its name]
+    /// Name of the y coordinates in the file: the column of the positions [default: by its name]
     #[arg(long, value_name = "COLUMN")]
     y: Option<String>,
     /// Column of the setpoint of x [default: by its name]
@@ -50,7 +50,7 @@ pub struct TraceArgs {
     /// Column that is 1 where the tool removes and 0 where it does not
     #[arg(long, value_name = "COLUMN")]
     tool_on: Option<String>,
-    /// Unit of the positions, where the log does not state it
+    /// Unit of the values in the file (positions), where it does not state it
     #[arg(long, value_enum)]
     unit: Option<PositionUnit>,
     /// Size of a count, mm: one number, or two for X,Y

@@ -32,12 +32,12 @@ pub struct Refine {
     path: PathArgs,
     #[command(flatten)]
     machine: MachineArgs,
-    /// First dwell times [dwell artifact] [default: those of bounded least squares]
+    /// Dwell times of the first round [dwell artifact] [default: those of bounded least squares]
     #[arg(long, value_name = "DIR")]
     dwell: Option<PathBuf>,
     #[command(flatten)]
     floor: FloorArgs,
-    /// Weight of the square of the dwell time per area above the least one; larger values shorten the run. Its effect
+    /// Tikhonov weight of the squared dwell time per area above its floor; larger values shorten the run. Its effect
     /// does not depend on pitch, pixel and tool
     #[arg(long, value_name = "A", default_value_t = Settings::default().dwell.tikhonov)]
     tikhonov: f64,
@@ -45,7 +45,7 @@ pub struct Refine {
     /// values give smoother dwell times and a larger residual
     #[arg(long, value_name = "B", default_value_t = Settings::default().dwell.slope_weight)]
     slope_weight: f64,
-    /// Price of a second in the objective, beside half the mean square of the residual, nm^2/s; larger values shorten
+    /// Price of a second, relative to half the mean square of the residual, nm^2/s; larger values shorten
     /// the run
     #[arg(long, visible_alias = "time-weight", value_name = "L", default_value_t = 0.0)]
     time_weight_nm2_per_s: f64,
@@ -58,7 +58,7 @@ pub struct Refine {
     /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "auto")]
     mode: pvt::ModeChoice,
-    /// Error budget: the errors of the process [JSON]; the expected square of the residual replaces the square
+    /// Error budget of the process [JSON]; the expected square of the residual replaces the square
     #[arg(long, value_name = "FILE")]
     error_budget: Option<PathBuf>,
     /// Largest number of rounds; to stop at a given number is no failure [default: 50, and a negative

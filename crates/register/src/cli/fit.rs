@@ -26,7 +26,8 @@ pub struct FitArgs {
     /// Parameters of the transform from map to machine that are fitted
     #[arg(long, value_enum, default_value = "rigid")]
     model: Model,
-    /// Machine whose axes the fiducials were measured with, where its file says that they mirror the part [JSON]
+    /// Machine and its limits: the machine that measured the fiducials, if its file says that its axes mirror the part
+    /// [JSON]
     #[arg(long, value_name = "FILE")]
     machine: Option<PathBuf>,
     #[command(flatten)]

@@ -14,10 +14,10 @@ use super::with_error;
 
 #[derive(Debug, Args)]
 pub struct MapsArgs {
-    /// Map before the run [surface artifact]
+    /// Map measured before the tool acted [surface artifact]
     #[arg(long, value_name = "DIR")]
     before: PathBuf,
-    /// Map after the run [surface artifact]
+    /// Map measured after the tool acted [surface artifact]
     #[arg(long, value_name = "DIR")]
     after: PathBuf,
     /// Largest shift along an axis, mm

@@ -30,7 +30,7 @@ const BETWEEN_READS: Duration = Duration::from_millis(50);
 
 #[derive(Args)]
 pub struct Start {
-    /// Directory of the run
+    /// Output directory of the run
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Name of the pipeline
@@ -39,10 +39,10 @@ pub struct Start {
     /// Mirror from a recipe [JSON]
     #[arg(long, value_name = "FILE", conflicts_with_all = ["surface", "tif"])]
     fixture: Option<PathBuf>,
-    /// Mirror as it was measured [surface artifact, or a file of an instrument]
+    /// Map of the mirror as it was measured [surface artifact, or a file of an instrument]
     #[arg(long, value_name = "PATH")]
     surface: Option<PathBuf>,
-    /// Its tool [tif artifact, or a file of an instrument]
+    /// Tool influence function [tif artifact, or a file of an instrument]
     #[arg(long, value_name = "PATH")]
     tif: Option<PathBuf>,
     /// Machine and its limits [JSON]

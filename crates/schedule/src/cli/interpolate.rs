@@ -22,20 +22,21 @@ pub struct Interpolate {
     /// NC program, read block by block, in place of a dwell-time density artifact
     #[arg(long, value_name = "FILE", conflicts_with = "dwell_density")]
     program: Option<PathBuf>,
-    /// Trajectory scheduled with the dwell-time density: its run-up, lifts and brake are interpolated too [trajectory artifact]
+    /// Motion that was scheduled with the dwell-time density: its run-up, lifts and brake are
+    /// interpolated too [trajectory artifact]
     #[arg(long, value_name = "DIR", conflicts_with = "program")]
     trajectory: Option<PathBuf>,
-    /// Time between two positions, s
+    /// Interpolation cycle, s: the time between two positions
     #[arg(long, value_name = "S", default_value_t = 0.001)]
-    tick_s: f64,
+    cycle_s: f64,
     #[command(flatten)]
     output: OutputFileArgs,
 }
 
 impl Interpolate {
     pub fn run(&self) -> Result<Status, Failure> {
-        let tick = |e| Failure::new(format!("--tick-s: {e}"));
-        let mut interpolator = Interpolator::new(self.tick_s).map_err(tick)?;
+        let tick = |e| Failure::new(format!("--cycle-s: {e}"));
+        let mut interpolator = Interpolator::new(self.cycle_s).map_err(tick)?;
         let table = Table::of(&self.output.out)?;
         let mut inputs = Inputs::new();
         let source = match (&self.program, &self.dwell_density) {
@@ -49,7 +50,7 @@ impl Interpolate {
             (None, None) => unreachable!("clap asks for one of them"),
         };
         let output = self.output.begin(&inputs)?;
-        refuse_too_many(&source, self.tick_s, table)?;
+        refuse_too_many(&source, self.cycle_s, table)?;
         let (mut count, mut end_s) = (0_u64, 0.0);
         output.write_by(|file| {
             let mut to = BufWriter::new(file);
@@ -113,7 +114,7 @@ fn refuse_too_many(source: &Source, tick_s: f64, table: Table) -> Result<(), Fai
     source.for_each_record(|record| whole.push(record, |_| ()))?;
     let count = whole.duration_s() / tick_s + 1.0;
     let remedy = format!(
-        "the file would have {count:.3e} positions in {:.3} s at a --tick-s of {tick_s}: give a longer \
+        "the file would have {count:.3e} positions in {:.3} s at a --cycle-s of {tick_s}: give a longer \
          one",
         whole.duration_s(),
     );

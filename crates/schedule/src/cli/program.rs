@@ -15,7 +15,8 @@ pub struct Program {
     /// Nodes of the dwell-time density [dwell_density artifact]
     #[arg(long, value_name = "DIR")]
     dwell_density: PathBuf,
-    /// Trajectory scheduled with the dwell-time density: its run-up, lifts and brake go into the program [trajectory artifact]
+    /// Motion that was scheduled with the dwell-time density: its run-up, lifts and brake go into the
+    /// program [trajectory artifact]
     #[arg(long, value_name = "DIR")]
     trajectory: Option<PathBuf>,
     #[command(flatten)]

@@ -11,7 +11,7 @@ use super::{Given, Made, Scheduler};
 pub struct Pvt {
     #[command(flatten)]
     given: Given,
-    /// Mode of the motion
+    /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "auto")]
     mode: pvt::ModeChoice,
     /// Refuse dwell times that the machine cannot follow instead of stretching them

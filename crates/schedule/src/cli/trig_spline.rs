@@ -16,15 +16,15 @@ pub struct TrigSpline {
     /// Repair of the dwell-time densities that the machine cannot follow
     #[arg(long, value_enum, default_value = "offset")]
     repair: trig_spline::Repair,
-    /// Largest distance of the motion from a corner, mm: larger values let the tool pass corners faster
+    /// Largest distance of the motion from a corner of the path, mm; larger values let the tool pass corners faster
     #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().corner_deviation_mm)]
     corner_deviation_mm: f64,
     /// Largest error of the position in the fit of the motion by cubics, mm
     #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().fit_tolerance_mm)]
     fit_tolerance_mm: f64,
-    /// Also write the nodes of the spline, for `interpolate` and `program` [dwell_density artifact]
+    /// Output directory of the nodes of the spline, for `interpolate` and `program` [dwell_density artifact]
     #[arg(long, value_name = "DIR")]
-    dwell_density: Option<PathBuf>,
+    dwell_density_out: Option<PathBuf>,
 }
 
 impl Scheduler for TrigSpline {
@@ -45,7 +45,7 @@ impl Scheduler for TrigSpline {
     }
 
     fn dwell_density(&self) -> Option<&Path> {
-        self.dwell_density.as_deref()
+        self.dwell_density_out.as_deref()
     }
 
     fn make(

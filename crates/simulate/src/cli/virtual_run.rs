@@ -17,24 +17,24 @@ use planish_types::{Removal, Surface, plausible};
 
 #[derive(Args)]
 pub struct VirtualRun {
-    /// Error budget whose hidden errors, drawn with the seed, act on the run: --out is the truth, and --measured the map
-    /// measured after the run [JSON]
-    #[arg(long, value_name = "FILE", requires = "measured")]
+    /// Error budget of the process: its hidden errors, drawn with the seed, act on the run. `--out` is the truth, and
+    /// `--measured-out` the map that is measured after the run [JSON]
+    #[arg(long, value_name = "FILE", requires = "measured_out")]
     error_budget: Option<PathBuf>,
-    /// Map measured after the run with errors [surface artifact]
+    /// Output directory of the map that is measured after the run with errors [surface artifact]
     #[arg(long, value_name = "DIR", requires = "error_budget")]
-    measured: Option<PathBuf>,
+    measured_out: Option<PathBuf>,
     /// Random seed of the hidden errors
     #[arg(long, value_name = "S", requires = "error_budget", default_value_t = 1)]
     seed: u64,
-    /// Number of the run of the machine of this seed. Errors of one number are those of its first run, and noise is
+    /// Number of the run, from 1, on the machine of this seed. Errors of one number are those of its first run, and noise is
     /// new; --surface is the map measured after the run before
-    #[arg(long = "run", value_name = "K", requires = "error_budget", default_value_t = 1)]
+    #[arg(long = "run-number", value_name = "K", requires = "error_budget", default_value_t = 1)]
     number: u64,
     /// Assume that rate, place, width and shape of the tool are known and corrected exactly; all other errors stay
     #[arg(long, requires = "error_budget")]
     known: bool,
-    /// Move the TIF with its measured noise and the step at its border, which the tool does not have
+    /// Use the TIF as it is sampled, with the noise and the border step of its measurement
     #[arg(long, requires = "error_budget")]
     tif_as_sampled: bool,
 }
@@ -42,7 +42,7 @@ pub struct VirtualRun {
 impl VirtualRun {
     /// Returns the process and the place for the map if both were given.
     pub fn asked(&self) -> Option<(&PathBuf, &PathBuf)> {
-        self.error_budget.as_ref().zip(self.measured.as_ref())
+        self.error_budget.as_ref().zip(self.measured_out.as_ref())
     }
 
     pub fn run(
@@ -64,7 +64,7 @@ impl VirtualRun {
         let in_file = |e| Failure::new(format!("{}: {e}", process.display()));
         let errors = file.checked().map_err(in_file)?;
         let to = Output::directory(output, Removal::KIND).and_directory(
-            "--measured",
+            "--measured-out",
             measured,
             Surface::KIND,
         );

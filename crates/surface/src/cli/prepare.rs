@@ -20,7 +20,7 @@ const RECTANGLE: [&str; 4] = ["X0", "X1", "Y0", "Y1"];
 
 #[derive(Debug, Args)]
 pub struct PrepareArgs {
-    /// Measured map [surface artifact]
+    /// Map as it was measured [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
     /// Function to subtract: nothing, a constant (smallest height 0), the plane and a constant, or terms up
@@ -37,8 +37,8 @@ pub struct PrepareArgs {
     aperture: ApertureArgs,
     #[command(flatten)]
     outliers: OutlierArgs,
-    /// Fill invalid pixels of the clear aperture (enclosed ones, if no aperture is given) smoothly from
-    /// their rims, for programs that cannot skip invalid pixels; the solvers of Planish skip them
+    /// Fill invalid pixels of the clear aperture smoothly from their rims; without an aperture, enclosed ones only. Use
+    /// it for programs that cannot skip invalid pixels; the solvers of Planish skip them
     #[arg(long)]
     fill: bool,
     #[command(flatten)]

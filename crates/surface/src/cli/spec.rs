@@ -42,7 +42,7 @@ pub struct SpecArgs {
     header_lines: Option<usize>,
     /// Shape to subtract before anything is measured
     #[arg(long, value_enum, default_value_t = Shape::Plane)]
-    after: Shape,
+    subtract: Shape,
     /// Elliptical mirror: source to pole (mm), pole to image (mm), grazing angle (mrad); the source is
     /// where x is smallest [default: that of the specification]
     #[arg(long, num_args = 3, value_names = ["P_MM", "Q_MM", "THETA_MRAD"], allow_negative_numbers = true)]
@@ -62,7 +62,7 @@ pub struct SpecArgs {
     /// Width of the strip about the middle of y whose mean is the centre line, mm; 0 for one row
     #[arg(long, value_name = "W", default_value_t = 0.0, allow_negative_numbers = true)]
     centre_line_width_mm: f64,
-    /// Wavelength for the Strehl ratio, nm
+    /// Wavelength of the light, nm, for the Strehl ratio
     #[arg(long, value_name = "L", allow_negative_numbers = true)]
     wavelength_nm: Option<f64>,
     /// Grazing angle for the Strehl ratio, mrad [default: normal incidence]
@@ -220,7 +220,7 @@ impl SpecArgs {
         let grazing_mrad = self.grazing_mrad.unwrap_or(NORMAL_MRAD);
         let light = self.wavelength_nm.map(|wavelength_nm| Light { wavelength_nm, grazing_mrad });
         Ok(QualitySettings {
-            after: self.after,
+            after: self.subtract,
             ellipse,
             base_mm: self.base_mm,
             band_per_mm: self.band_per_mm.chunks_exact(2).map(|b| [b[0], b[1]]).collect(),

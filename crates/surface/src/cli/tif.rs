@@ -15,7 +15,7 @@ use serde_json::json;
 
 #[derive(Debug, Args)]
 pub struct TifArgs {
-    /// Measured tool influence function [tif artifact]
+    /// Tool influence function as it was measured [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
     /// Subtract the mean of the border samples; negative noise stays, so the volume has no bias
@@ -24,20 +24,20 @@ pub struct TifArgs {
     /// Point from which the offsets are counted; the samples stay as they are
     #[arg(long, value_enum, default_value_t = Centre::Given)]
     centre: Centre,
-    /// Turn counterclockwise about the centre, degrees; multiples of 90 are exact
+    /// Turn counterclockwise, degrees, about the centre; multiples of 90 are exact
     #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_negative_numbers = true)]
     rotate_deg: f64,
-    /// Resample to this pitch, with a sample at the centre, mm
+    /// Distance of pixel centres, mm, to which the TIF is resampled, with a sample at the centre
     #[arg(long, value_name = "P", allow_negative_numbers = true)]
-    pitch_mm: Option<f64>,
+    pixel_mm: Option<f64>,
     /// Outer fraction of the half size over which a cosine takes the TIF to zero, in (0, 1]; 0.15 is usual
     #[arg(long, value_name = "F", allow_negative_numbers = true)]
     taper_fraction: Option<f64>,
     /// Fit a formula to the result and report it
     #[arg(long, value_enum)]
-    fit: Option<tif_fit::Model>,
+    fit_formula: Option<tif_fit::Model>,
     /// Write the formula's samples instead of the measured ones
-    #[arg(long, requires = "fit")]
+    #[arg(long, requires = "fit_formula")]
     use_fit: bool,
     #[command(flatten)]
     output: OutputArgs,
@@ -51,10 +51,10 @@ impl TifArgs {
             subtract_border: self.subtract_border,
             centre: self.centre,
             rotate_deg: self.rotate_deg,
-            pitch_mm: self.pitch_mm,
+            pixel_mm: self.pixel_mm,
             taper_fraction: self.taper_fraction,
         };
-        let model = self.fit;
+        let model = self.fit_formula;
         let task = task!("tif", json!({ "tif": settings, "fit": model, "use_fit": self.use_fit }));
         let mut output = match Output::directory(&self.output, Tif::KIND).begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),

@@ -28,7 +28,7 @@ const FILES: [&str; 13] =
 pub struct Expand {
     /// Sweep [YAML]; relative paths in it begin in its folder
     sweep: PathBuf,
-    /// Directory of the sweep
+    /// Output directory of the sweep
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }

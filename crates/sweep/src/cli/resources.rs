@@ -15,7 +15,7 @@ pub struct Resources {
     dir: PathBuf,
     #[command(flatten)]
     job: Job,
-    /// Stages that will run at the same time
+    /// Stages that run at the same time, each on one core
     #[arg(long, value_name = "N", default_value_t = 1)]
     at_once: usize,
 }

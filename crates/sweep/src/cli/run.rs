@@ -55,7 +55,7 @@ pub struct Job {
     pub job: usize,
     /// Number of jobs that share the layer
     #[arg(long, value_name = "N", default_value_t = 1)]
-    pub of: usize,
+    pub jobs: usize,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -93,7 +93,7 @@ struct Took {
 impl Job {
     /// The plans of the job, the most expensive first; of the paths, one plan for each.
     pub fn plans<'a>(&self, sweep: &'a Sweep, size: &Size) -> Result<Vec<&'a Plan>, Failure> {
-        let Self { job, of, layer, .. } = *self;
+        let Self { job, jobs: of, layer, .. } = *self;
         if !(1..=of).contains(&job) {
             return Err(Failure::new(format!("--job is {job} of {of}; give 1 to {of}")));
         }
@@ -118,7 +118,7 @@ impl Job {
 
     /// The file that says that the job is done.
     fn finished(&self, sweep: &Sweep, dir: &Path) -> Result<PathBuf, Failure> {
-        let Self { job, of, .. } = self;
+        let Self { job, jobs: of, .. } = self;
         let layer = match self.layer {
             Layer::Mirror => return Ok(dir.join(sweep.mirror_file())),
             Layer::Paths => "paths",

@@ -42,7 +42,7 @@ pub fn reproduce() -> Outcome {
     let limits = machine([20.0, 20.0], [200.0, 200.0]);
     let path =
         raster(surface, &RasterSettings::new(0.2, 0.2, tif.half_size_mm()[0])).expect("a raster");
-    let base = Settings { tolerance: 1e-2, ..Settings::default() };
+    let base = Settings { relative_gap: 1e-2, ..Settings::default() };
     let with = |settings: Settings| plan(surface, tif, &path, &limits, &settings).expect("a feed");
     let spline = with(base);
     let vrr = with(Settings { method: Method::Vrr, ..base });

@@ -14,7 +14,7 @@ pub struct MazeArgs {
     /// Longest segment, mm [default: the pitch; with rounded corners their radius]
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     step_mm: Option<f64>,
-    /// Seed of the random numbers
+    /// Random seed
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// Random tree around which the path goes
@@ -23,7 +23,7 @@ pub struct MazeArgs {
     /// Chance that depth-first keeps its direction where that is possible, 0 to 1 [default: 0]
     #[arg(long, value_name = "C", allow_negative_numbers = true)]
     straightness: Option<f64>,
-    /// Radius of the corners, mm: from 0 (sharp) to half the pitch
+    /// Radius of rounded corners, mm: from 0 (sharp) to half the pitch
     #[arg(long, value_name = "R", default_value_t = 0.0, allow_negative_numbers = true)]
     corner_radius_mm: f64,
     /// Leave out the step that leads back to the start

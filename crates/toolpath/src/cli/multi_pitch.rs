@@ -10,7 +10,7 @@ use super::{Region, RegionArgs};
 
 #[derive(Debug, Args)]
 pub struct MultiPitchArgs {
-    /// Desired removal; its valid pixels (their centres) are the clear aperture [surface artifact]
+    /// Map of the desired removal; its valid pixels (their centres) are the clear aperture [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
     /// Tool influence function [tif artifact]
@@ -39,7 +39,7 @@ pub struct MultiPitchArgs {
     /// of the TIF that holds all but 0.05 % of its volume]
     #[arg(long, value_name = "O", allow_negative_numbers = true)]
     overscan_mm: Option<f64>,
-    /// Machine, for a warning if the path leaves the travel of its axes [JSON]
+    /// Machine and its limits, for a warning if the path leaves the travel of its axes [JSON]
     #[arg(long, value_name = "FILE")]
     machine: Option<PathBuf>,
     /// Links between lines on which the tool stays on: all, those beyond the aperture (but not along the border of

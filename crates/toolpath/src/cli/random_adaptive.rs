@@ -10,10 +10,10 @@ use super::{Region, RegionArgs};
 pub struct RandomAdaptiveArgs {
     #[command(flatten)]
     region: RegionArgs,
-    /// Wanted length of a step, mm [default: the nodes of the construction]
+    /// Longest segment, mm, by which the path is divided anew [default: the nodes of the construction]
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     step_mm: Option<f64>,
-    /// Seed of the random numbers
+    /// Random seed
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// Exponent of the density in the desired removal: 0 (uniform) to 1 (proportional)

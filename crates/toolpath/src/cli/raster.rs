@@ -30,7 +30,7 @@ pub struct RasterArgs {
     /// Order of the lines
     #[arg(long, value_enum, default_value_t = LineOrderArg::Sequential)]
     line_order: LineOrderArg,
-    /// Seed of the random line order [default: 1]
+    /// Random seed of the line order [default: 1]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
     /// Range A to B of the distance of the lines, which follows the mean of the map along them;
