@@ -23,9 +23,8 @@ struct Tally {
     within: usize,
     stated: usize,
     refused: usize,
-    /// Residual of the next mirror over that with a known tool: with learning, without, and with learning as the noise of
-    /// the maps lets it be expected.
-    ratios: Vec<[f64; 3]>,
+    /// Residual of the next mirror over that with a known tool: with learning, and without.
+    ratios: Vec<[f64; 2]>,
 }
 
 fn main() -> ExitCode {
@@ -43,12 +42,10 @@ fn main() -> ExitCode {
         let learn = |seed| {
             let case = Case::new(seed, sigma_nm);
             let found = case.learn();
-            let next = case.next_mirror_nm(&found);
-            let expected = case.expected_over_known(&found, next[2]);
-            (seed, case.kind, case.over_errors(&found), next, expected)
+            (seed, case.kind, case.over_errors(&found), case.next_mirror_nm(&found))
         };
         let cases: Vec<_> = (first..first + count).into_par_iter().map(learn).collect();
-        for (seed, kind, over_errors, [learnt, without, known], expected) in cases {
+        for (seed, kind, over_errors, [learnt, without, known]) in cases {
             let mut tally = Tally::default();
             for (name, off) in &over_errors {
                 let [within, stated, refused] = names.entry(name.clone()).or_default();
@@ -71,8 +68,7 @@ fn main() -> ExitCode {
                     .collect();
                 println!(
                     "{sigma_nm} nm, case {seed}: next mirror {learnt:.4} nm, known tool {known:.4}, without learning \
-                     {without:.4}; ratio {:.3}, expected of the noise {expected:.3}; refused: {}",
-                    learnt / known,
+                     {without:.4}; refused: {}",
                     refused.join(", ")
                 );
             }
@@ -81,7 +77,7 @@ fn main() -> ExitCode {
                 sum.within += tally.within;
                 sum.stated += tally.stated;
                 sum.refused += tally.refused;
-                sum.ratios.push([learnt / known, without / known, expected]);
+                sum.ratios.push([learnt / known, without / known]);
             }
         }
     }
@@ -89,18 +85,18 @@ fn main() -> ExitCode {
         "noise, nm  part      cases  within two of stated  refused  next mirror over a known tool: median (largest)"
     );
     println!(
-        "                                                          with learning         without               expected              worse than without"
+        "                                                          with learning         without               worse than without"
     );
     for ((sigma, part), tally) in &tallies {
         let percent = 100.0 * tally.within as f64 / tally.stated.max(1) as f64;
-        let [with, without, expected] = [0, 1, 2].map(|k| {
+        let [with, without] = [0, 1].map(|k| {
             let mut sorted: Vec<f64> = tally.ratios.iter().map(|r| r[k]).collect();
             sorted.sort_by(f64::total_cmp);
             format!("{:.3} ({:.3})", sorted[sorted.len() / 2], sorted[sorted.len() - 1])
         });
-        let worse = tally.ratios.iter().filter(|[a, b, _]| a > b).count();
+        let worse = tally.ratios.iter().filter(|[a, b]| a > b).count();
         println!(
-            "{sigma:<10} {part:<9} {:>5} {percent:>8.1} % of {:<8} {:>7}  {with:<21} {without:<21} {expected:<21} {worse}",
+            "{sigma:<10} {part:<9} {:>5} {percent:>8.1} % of {:<8} {:>7}  {with:<21} {without:<21} {worse}",
             tally.ratios.len(),
             tally.stated,
             tally.refused

@@ -58,7 +58,7 @@ pub fn explains_nothing(
             continue;
         }
         other.mapv_inplace(|v| if v.is_nan() { 0.0 } else { v });
-        let other = Data { grid: data.grid, data: other, valid, planned_noise: Vec::new() };
+        let other = Data { grid: data.grid, data: other, valid };
         let left = start.left_of(terms, &other) / gain;
         if left < best.1 {
             best = (name, left);

@@ -32,7 +32,6 @@ use crate::{
     fit::{Data, Fit, Normal, dot},
     metrology::terms,
     parameter::Parameter,
-    planned_noise::UNCERTAIN,
 };
 
 /// Largest variance inflation, dimensionless. Larger: numbers that the errors of the models decide. Smaller:
@@ -109,21 +108,18 @@ struct Another {
     inverse: DMatrix<f64>,
     /// Changes of its unknowns.
     step: DVector<f64>,
-    /// Changes of its unknowns by the noise in the plan, which are made up for.
-    planned: DVector<f64>,
 }
 
 impl Another {
     fn new(fit: &Fit, data: &Data<'_>, orders: Option<[usize; 2]>, known: Vec<f64>) -> Self {
         let maps: Vec<Array2<f64>> = terms(orders).into_iter().map(|t| t.map(data.grid)).collect();
         let parameters = &fit.columns[..fit.parameters.len()];
-        let normal = Normal::new(parameters, &maps, &data.valid, known, &data.planned_noise);
+        let normal = Normal::new(parameters, &maps, &data.valid, known);
         let inverse = normal.inverse();
         // Its terms are found anew, so those of the fit are data again.
-        let planned = normal.by_planned_noise(&inverse);
         let data = &fit.rest + &(&fit.metrology * &data.valid);
         let step = normal.step(&data, &fit.values, &inverse, 0.0);
-        Self { normal, inverse, step, planned }
+        Self { normal, inverse, step }
     }
 
     fn influence(&self, i: usize) -> Array2<f64> {
@@ -140,11 +136,9 @@ fn standard_error(fit: &Fit, field: &Array2<f64>) -> f64 {
 /// tilt and power), to first order at its minimum.
 pub fn moves(fit: &Fit, data: &Data<'_>, orders: Option<[usize; 2]>) -> Vec<Move> {
     let wider = Another::new(fit, data, orders, fit.known.clone());
-    let planned = fit.moved_by(&data.planned_noise);
     let of = |i: usize| {
         let field = wider.influence(i) - fit.influence(i);
-        let of_plan = UNCERTAIN * (wider.planned[i] - planned[i]);
-        Move { by: wider.step[i], standard_error: standard_error(fit, &field).hypot(of_plan) }
+        Move { by: wider.step[i], standard_error: standard_error(fit, &field) }
     };
     (0..fit.parameters.len()).map(of).collect()
 }
@@ -155,8 +149,7 @@ fn alone(fit: &Fit, data: &Data<'_>, own: Option<[usize; 2]>, i: usize) -> [f64;
     let mut known = fit.known.clone();
     known[i] = 0.0;
     let freed = Another::new(fit, data, own, known);
-    let of_plan = UNCERTAIN * freed.planned[i];
-    [fit.values[i] + freed.step[i], standard_error(fit, &freed.influence(i)).hypot(of_plan)]
+    [fit.values[i] + freed.step[i], standard_error(fit, &freed.influence(i))]
 }
 
 /// The parameter of which what is known beforehand contradicts the data most, if there is one: without it they put the

@@ -2,12 +2,9 @@
 //!
 //! ```text
 //! minimise |d - F(p) - Q c|^2 + sum_i k_i p_i^2 over the pixels that are valid in both maps
-//! step:        (J' J + K + lambda D) delta = J' r - s - K p,   J = [dF/dp, Q],  D = diag(J' J)
-//! covariance:  H^-1 (J' C J + v K + e^2 s s') H^-1,  H = J' J + K
+//! step:        (J' J + K + lambda D) delta = J' r - K p,   J = [dF/dp, Q],  D = diag(J' J)
+//! covariance:  H^-1 (J' C J + v K) H^-1,  H = J' J + K     C of the noise, from the rest (the `correlation` module)
 //! ```
-//!
-//! C is that of the noise, from the rest (the `correlation` module). s is the score of the noise of the map before that
-//! the plan has removed, known to e s (the `planned_noise` module).
 //!
 //! k_i = v / s_i^2 is what is known beforehand as one more observation: p_i is 0, the plan, within s_i; v is the
 //! variance of the noise times the pixels over the effective ones, so that both count as they should. Where the data
@@ -25,10 +22,7 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use ndarray::Array2;
 use planish_types::{End, Grid, Invalid, progress};
 
-use crate::{
-    correlation::Covariance, metrology::Term, model::Model, parameter::Parameter,
-    planned_noise::UNCERTAIN,
-};
+use crate::{correlation::Covariance, metrology::Term, model::Model, parameter::Parameter};
 
 /// Largest step, over the standard errors, that counts as none. Larger: estimates further from the minimum. Smaller:
 /// steps from kink to kink, because the removal has kinks where samples of Keys' convolution cross the centres of
@@ -70,8 +64,6 @@ pub struct Data<'a> {
     pub data: Array2<f64>,
     /// 1 where both maps are valid, else 0 (ny, nx).
     pub valid: Array2<f64>,
-    /// s of every parameter (the module `planned_noise`); empty if the plan has none of the noise.
-    pub planned_noise: Vec<f64>,
 }
 
 /// Result of a fit.
@@ -137,7 +129,7 @@ impl Start {
     /// The RMS that the derivatives and `terms` leave of `data` by linear least squares, nm.
     pub fn left_of(&self, terms: &[Term], data: &Data<'_>) -> f64 {
         let maps: Vec<Array2<f64>> = terms.iter().map(|t| t.map(data.grid)).collect();
-        let normal = Normal::new(&self.derivatives, &maps, &data.valid, Vec::new(), &[]);
+        let normal = Normal::new(&self.derivatives, &maps, &data.valid, Vec::new());
         let mut rest = (&data.data - &self.removal) * &data.valid;
         let values = vec![0.0; normal.lengths.len()];
         let step = normal.step(&rest, &values, &normal.inverse(), 0.0);
@@ -183,11 +175,6 @@ impl Fit {
         Ok(())
     }
 
-    /// Change of every unknown by the score s.
-    pub fn moved_by(&self, score: &[f64]) -> Vec<f64> {
-        moved_by(score, &self.lengths, &self.inverse).iter().copied().collect()
-    }
-
     /// Field by which unknown `i` is estimated: its value is the sum of the data times it (to first order).
     pub fn influence(&self, i: usize) -> Array2<f64> {
         influence(&self.columns, &self.lengths, &self.inverse, i)
@@ -223,8 +210,6 @@ pub(crate) struct Normal {
     cosines: DMatrix<f64>,
     /// k, as far as there is one.
     known: Vec<f64>,
-    /// s, as far as there is one.
-    planned_noise: Vec<f64>,
 }
 
 impl Normal {
@@ -234,7 +219,6 @@ impl Normal {
         terms: &[Array2<f64>],
         valid: &Array2<f64>,
         known: Vec<f64>,
-        planned_noise: &[f64],
     ) -> Self {
         let columns: Vec<Array2<f64>> =
             derivatives.iter().chain(terms).map(|column| column * valid).collect();
@@ -250,7 +234,7 @@ impl Normal {
                 cosines[(j, i)] = v;
             }
         }
-        Self { columns, lengths, cosines, known, planned_noise: planned_noise.to_vec() }
+        Self { columns, lengths, cosines, known }
     }
 
     /// H in scaled columns.
@@ -283,15 +267,6 @@ impl Normal {
         inverted(&self.matrix()).inverse
     }
 
-    fn planned(&self, i: usize) -> f64 {
-        self.planned_noise.get(i).copied().unwrap_or(0.0)
-    }
-
-    /// Change of the unknowns by s, by their [`Self::inverse`].
-    pub fn by_planned_noise(&self, inverse: &DMatrix<f64>) -> DVector<f64> {
-        moved_by(&self.planned_noise, &self.lengths, inverse)
-    }
-
     /// [`Fit::influence`] of a fit with these unknowns, by their [`Self::inverse`].
     pub fn influence(&self, inverse: &DMatrix<f64>, i: usize) -> Array2<f64> {
         influence(&self.columns, &self.lengths, inverse, i)
@@ -306,10 +281,10 @@ impl Normal {
         lambda: f64,
     ) -> DVector<f64> {
         let n = self.lengths.len();
-        // J' r - s - K p
+        // J' r - K p
         let known = |i: usize| self.known.get(i).map_or(0.0, |k| k * values[i]);
-        let score = |i: usize| dot(&self.columns[i], rest) - self.planned(i) - known(i);
-        let right = DVector::from_fn(n, |i, _| score(i) / self.lengths[i]);
+        let right =
+            DVector::from_fn(n, |i, _| (dot(&self.columns[i], rest) - known(i)) / self.lengths[i]);
         let damped = || {
             let mut matrix = self.matrix();
             (0..n).for_each(|i| matrix[(i, i)] += lambda);
@@ -321,14 +296,6 @@ impl Normal {
         };
         DVector::from_fn(n, |i, _| scaled[i] / self.lengths[i])
     }
-}
-
-/// H^-1 s.
-fn moved_by(score: &[f64], lengths: &[f64], inverse: &DMatrix<f64>) -> DVector<f64> {
-    let scaled =
-        DVector::from_fn(lengths.len(), |i, _| score.get(i).map_or(0.0, |s| s / lengths[i]));
-    let moved = inverse * scaled;
-    DVector::from_fn(lengths.len(), |i, _| moved[i] / lengths[i])
 }
 
 /// A symmetric matrix, decomposed.
@@ -382,7 +349,7 @@ pub fn fit(
     let (mut removal, mut derivatives) = (start.removal.clone(), start.derivatives.clone());
     // The terms of the metrology first: a piston of the whole removal is no noise
     let mut rest = rest_of(&removal, &values);
-    let linear = Normal::new(&[], &maps, &data.valid, Vec::new(), &[]);
+    let linear = Normal::new(&[], &maps, &data.valid, Vec::new());
     let terms_alone = linear.step(&rest, &[], &linear.inverse(), 0.0);
     values.rows_mut(p, maps.len()).copy_from(&terms_alone);
     rest = rest_of(&removal, &values);
@@ -393,8 +360,7 @@ pub fn fit(
         (v, model.scales.iter().map(|s| v / (s * s)).collect::<Vec<f64>>())
     };
     let (mut variance, mut known) = weigh(&rest);
-    let mut normal =
-        Normal::new(&derivatives, &maps, &data.valid, known.clone(), &data.planned_noise);
+    let mut normal = Normal::new(&derivatives, &maps, &data.valid, known.clone());
     let (mut points, mut end) = (1, End::RoundLimit);
     let mut way: Option<DVector<f64>> = None;
     let mut last = vec![0.0; p];
@@ -403,10 +369,7 @@ pub fn fit(
         let here = values.clone();
         let inverse = normal.inverse();
         let objective = |rest: &Array2<f64>, values: &DVector<f64>| {
-            let known: f64 = known.iter().zip(values.iter()).map(|(k, v)| k * v * v).sum();
-            let planned: f64 =
-                data.planned_noise.iter().zip(values.iter()).map(|(s, v)| 2.0 * s * v).sum();
-            dot(rest, rest) + known + planned
+            dot(rest, rest) + known.iter().zip(values.iter()).map(|(k, v)| k * v * v).sum::<f64>()
         };
         let (mut lambda, mut first_was_small, mut is_stuck) = (0.0, false, false);
         for k in 0..MOST_STEPS {
@@ -473,7 +436,7 @@ pub fn fit(
         (removal, derivatives) = model.linear(&values.as_slice()[..p])?;
         rest = rest_of(&removal, &values);
         (variance, known) = weigh(&rest);
-        normal = Normal::new(&derivatives, &maps, &data.valid, known.clone(), &data.planned_noise);
+        normal = Normal::new(&derivatives, &maps, &data.valid, known.clone());
     }
     let metrology = sum_of(&maps, &values.as_slice()[p..], data.data.dim());
     let noise = Covariance::of(&rest, &data.valid, data.grid, values.len(), &normal.orthonormal());
@@ -519,8 +482,6 @@ fn finished(
     let mut covariance = DMatrix::from_fn(n, n, |i, j| {
         0.5 * (scaled[(i, j)] + scaled[(j, i)]) / (normal.lengths[i] * normal.lengths[j])
     });
-    let planned = UNCERTAIN * normal.by_planned_noise(&inverse);
-    covariance += &planned * planned.transpose();
     let mut unfinished = vec![0.0; last.len()];
     for (i, step) in last.into_iter().enumerate() {
         let error = covariance[(i, i)].max(0.0).sqrt().max(f64::MIN_POSITIVE);

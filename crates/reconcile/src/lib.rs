@@ -39,7 +39,6 @@ pub mod metrology;
 pub mod model;
 pub mod parameter;
 mod place;
-mod planned_noise;
 mod reconcile;
 pub mod report;
 pub mod resample;

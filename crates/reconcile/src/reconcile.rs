@@ -20,7 +20,6 @@ use crate::{
     model::Model,
     parameter::{ALL, Parameter},
     place::place,
-    planned_noise::{Planned, UNCERTAIN},
     report::{Ellipse, Estimate, Fitted, Outcome},
     resample::{METHOD, are_same, resampled},
     settings::Settings,
@@ -100,18 +99,14 @@ impl<'a> Comparison<'a> {
             let remedy = format!("give maps with at least {least} in common, or hold parameters");
             return Err(Invalid::whole("height_nm", problem, remedy));
         }
-        Ok(Data { grid, data, valid, planned_noise: Vec::new() })
+        Ok(Data { grid, data, valid })
     }
 }
-
-/// Least move of a parameter by the noise in the plan, in standard errors, that is made up for. Larger: estimates are
-/// biased by it. Smaller: a second fit for nothing. Chosen.
-const WORTH: f64 = 0.1;
 
 /// Result of a reconciliation: the parameters and the corrections.
 pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Reconciled, Invalid> {
     let (parameters, terms) = settings.chosen()?;
-    let mut data = comparison.data(parameters.len() + terms.len())?;
+    let data = comparison.data(parameters.len() + terms.len())?;
     let moved = comparison.moved_tif(settings)?;
     let runs = Runs::new(comparison.trajectory, comparison.tif, &moved, data.grid)?;
     let as_sampled = match settings.tif_as_sampled {
@@ -126,7 +121,6 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
         let scale = |p| if released.contains(&p) { p.usual_scale() } else { scale(p) };
         let mut model = Model::new(&runs, &moved, parameters.clone(), scale);
         let start = Start::new(&model)?;
-        data.planned_noise.clear();
         let mut found = fit(&model, &terms, &data, &start)?;
         // The TIF as it is sampled has no error of smoothing, but moves its noise: the data decide.
         if let Some(as_sampled) = &as_sampled {
@@ -137,30 +131,6 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
             if dot(&again.rest, &again.rest) < dot(&found.rest, &found.rest) {
                 (found, model) = (again, other);
             }
-        }
-        // The noise of the map before that the plan has removed, where it moves anything
-        let planned = Planned {
-            before: comparison.before.height_nm(),
-            removal: &(&found.removal * &data.valid),
-            columns: &found.columns[..parameters.len()],
-            rest: &found.rest,
-            valid: &data.valid,
-            grid: data.grid,
-            width_mm: comparison.tif.width_mm(),
-        };
-        let score = planned.score();
-        let moved_by = found.moved_by(&score);
-        if (0..parameters.len()).any(|i| moved_by[i].abs() > WORTH * found.standard_error(i)) {
-            // One linear step from the minimum: where s is much, the data say little of anything else.
-            let values = found.values.iter().zip(&moved_by).map(|(v, by)| v - by).collect();
-            let mut covariance = found.covariance.clone();
-            for (i, a) in moved_by.iter().enumerate() {
-                for (j, b) in moved_by.iter().enumerate() {
-                    covariance[(i, j)] += UNCERTAIN * UNCERTAIN * a * b;
-                }
-            }
-            found.take(&model, &data, values, covariance)?;
-            data.planned_noise = score;
         }
         match contradicted(&found, &data, settings.metrology_order, scale) {
             Some(parameter) => released.push(parameter),

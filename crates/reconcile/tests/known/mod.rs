@@ -264,49 +264,6 @@ impl Case {
             residual(&|x, y| true_tool.rate_at(x, y), &known),
         ]
     }
-
-    /// The RMS of [`Self::next_mirror_nm`] with what was learnt, over a known tool, as the covariance of the estimates
-    /// lets it be expected: the noise of the two maps alone, to first order.
-    ///
-    /// ```text
-    /// (1 + sum_ij C_ij <g_i, g_j> / (N known^2))^(1/2)      g_i derivative of the next removal, its mean removed
-    /// ```
-    pub fn expected_over_known(&self, found: &Reconciled, known_nm: f64) -> f64 {
-        let mut rng = ChaCha8Rng::seed_from_u64(1_000_000 + self.seed);
-        let real = Figure::new(&mut rng, self.tool.sigma_mm, 4.0).map(&self.grid);
-        let rate = |x: f64, y: f64| self.tif.rate_at(x, y);
-        let plan = motion(&self.path, &planned(&self.grid, &self.path, &real, &rate));
-        let removal = |t: &Truth| executed(&self.grid, &plan, &self.tool, t);
-        let at_plan = removal(&Truth::default());
-        // Without the drift, which no plan corrects
-        let derivative = |i: usize| {
-            let mut t = Truth::default();
-            // The units are those of the estimates.
-            let step = [1.0, 0.02, 0.02, 0.05, 0.1, 1.0, 1.0, 1.0][i];
-            match i {
-                0 => t.rate = 0.01 * step,
-                1 | 2 => t.offset_mm[i - 1] = step,
-                3 => t.rotation_rad = DEGREE * step,
-                4 => t.magnification = 0.01 * step,
-                5 => t.width = 0.01 * step,
-                6 => t.ellipticity = 0.01 * step,
-                _ => t.diagonal = 0.01 * step,
-            }
-            let change = (removal(&t) - &at_plan) / step;
-            let mean = change.mean().unwrap();
-            change - mean
-        };
-        let fields: Vec<Array2<f64>> = (0..8).map(derivative).collect();
-        let error = |i: usize| found.outcome.parameters[i].standard_error.unwrap_or(0.0);
-        let mut square = 0.0;
-        for i in 0..8 {
-            for j in 0..8 {
-                let mean = (&fields[i] * &fields[j]).mean().unwrap();
-                square += found.correlation[(i, j)] * error(i) * error(j) * mean;
-            }
-        }
-        (1.0 + square / known_nm.powi(2)).sqrt()
-    }
 }
 
 fn middle(grid: &Grid) -> [f64; 2] {
