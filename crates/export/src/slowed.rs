@@ -28,7 +28,7 @@
 //! The removal then differs from the plan's by time that is moved by at most R, and the program takes the plan's time.
 //!
 //! What remains delays the program against the plan by a part of a tick. The next stretch with room takes this part
-//! back or adds to it until the delay is a whole number of ticks (`Cells::whole_ticks`). The nodes behind the stretch
+//! back or adds to it until the delay is a whole number of ticks (`Cells::whole_ticks`). The nodes after the stretch
 //! then lie at the same times of the plan as before, so mending one place does not spoil the others.
 //!
 //! | symbol | variable | unit |
@@ -267,7 +267,7 @@ impl Cells {
         rooms
     }
 
-    /// Changes `k` in stretches with room until the delay behind each is a multiple of its unit:
+    /// Changes `k` in stretches with room until the delay after each is a multiple of its unit:
     ///
     /// ```text
     /// k_j = k_j - w_j (D - u round(D / u)) / (h sum w_j)        D = h sum (k_j - 1) up to the end of the stretch

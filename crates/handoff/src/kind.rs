@@ -190,9 +190,8 @@ pub const TOOL: Kind = Kind {
     version: 3,
     doc: "A tool influence function that varies over the part. The removal rate at the pixel x of a tool at p is a sum over \
           the kernels: weight of the kernel at p, times its rate at x - p. The factor of the pixel and the factor of the \
-          time since the start of the motion multiply it. Every flag `--tif` takes it in the place of a tif. Kernels, \
-          weights and the factor of the pixels are interpolated by Keys' cubic convolution, and the factor of the time \
-          linearly. Beyond their samples, weights and factors are those of the nearest sample.",
+          time since the start of the motion multiply it. Every flag `--tif` takes it. Kernels, weights and the factor of the \
+          pixels are interpolated by Keys' cubic convolution, and the factor of the time linearly. Beyond their samples, weights and factors are those of the nearest sample.",
     frame: "kernels by offset (pixel - tool), weights and factor in part coordinates; arrays are [y, x]",
     arrays: &[
         array(

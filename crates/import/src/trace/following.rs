@@ -493,8 +493,8 @@ mod tests {
         }
     }
 
-    /// Of r = sin wt and its log c sin(wt - p) the phase moves by -c sin(phase - p) in a step: for c = 2.5 it goes to and fro
-    /// for ever. Earlier, the phase of the last step was reported as the lag.
+    /// The search moves the phase of r = sin wt against its log c sin(wt - p) by -c sin(phase - p) in a step. For c = 2.5
+    /// the phase goes to and fro for ever. Earlier, the phase of the last step was reported as the lag.
     #[test]
     fn a_delay_that_does_not_settle_is_not_reported() {
         let time_s: Vec<f64> = (0..20_000).map(|i| f64::from(i) * 1e-3).collect();
