@@ -260,7 +260,7 @@ pub fn plan(
     check(settings)?;
     tif.same_everywhere("planish-bspline-feed")?;
     plausible::check_path(surface, tif, path)?;
-    // What is at the place of the tool is what it removes: its turn-arounds beside the map, and (1) of `vrr`.
+    // `passes` and (1) of `vrr` take the removal to be at the position of the tool, so its centroid has the offset 0.
     let centred = tif.centred_on(surface)?;
     let (surface, tif) = centred.as_ref().map_or((surface, tif), |(surface, tif)| (surface, tif));
     let passes = passes(path, surface, limits)?;

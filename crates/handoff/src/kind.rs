@@ -187,11 +187,12 @@ pub const TIF: Kind = Kind {
 /// Kind of a tool that is not the same everywhere.
 pub const TOOL: Kind = Kind {
     name: "tool",
-    version: 3,
+    version: 4,
     doc: "A tool influence function that varies over the part. The removal rate at the pixel x of a tool at p is a sum over \
           the kernels: weight of the kernel at p, times its rate at x - p. The factor of the pixel and the factor of the \
           time since the start of the motion multiply it. Every flag `--tif` takes it. Kernels, weights and the factor of the \
-          pixels are interpolated by Keys' cubic convolution, and the factor of the time linearly. Beyond their samples, weights and factors are those of the nearest sample.",
+          pixels are interpolated by Keys' cubic convolution, and the factor of the time linearly. Beyond their samples, \
+          weights and factors are those of the nearest sample.",
     frame: "kernels by offset (pixel - tool), weights and factor in part coordinates; arrays are [y, x]",
     arrays: &[
         array(
@@ -268,6 +269,39 @@ pub const TOOL: Kind = Kind {
                 "Places of the factor along y.",
             ),
             3,
+        ),
+        may_be_absent(
+            array(
+                "azimuth_weight",
+                Dtype::F64,
+                &["k", "na"],
+                &["kernel", "azimuth"],
+                "1",
+                "Factor of the weight of every kernel by the azimuth of the tool, for tools that turn.",
+            ),
+            4,
+        ),
+        may_be_absent(
+            array(
+                "azimuth_deg",
+                Dtype::F64,
+                &["na"],
+                &["azimuth"],
+                "deg",
+                "Azimuths of these factors from positive x towards positive y: uniform over one turn, without its end.",
+            ),
+            4,
+        ),
+        may_be_absent(
+            array(
+                "azimuth_middle_mm",
+                Dtype::F64,
+                &["2"],
+                &["x|y"],
+                "mm",
+                "Point of the part about which the tool turns.",
+            ),
+            4,
         ),
     ],
     files: &[],
@@ -685,7 +719,7 @@ pub const CAMPAIGN: Kind = Kind {
     name: "campaign",
     version: 1,
     doc: "A campaign on the virtual machine, run by run. It has the residual with learning, without it, and with a known \
-          tool, the learnt values beside the hidden truth, and the decisions. The numbers are in the outcome of the \
+          tool, the learnt values beside the hidden truth, and the decision after every run. The numbers are in the outcome of the \
           manifest.",
     frame: MAP_FRAME,
     arrays: &[],

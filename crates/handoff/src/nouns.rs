@@ -2,9 +2,9 @@
 
 use ndarray::{Array1, Array2, Array3, ArrayD, Axis as NdAxis, Ix1, Ix2, Ix3};
 use planish_types::{
-    Axis, DensityNodes, DwellDensity, DwellTime, Grid, Invalid, PixelFactor, Removal, RemovalMaps,
-    Surface, Tif, TimeFactor, ToolPath, Trajectory, Transform, VaryingTif, dwell_index_from_stored,
-    stored_dwell_index,
+    Axis, AzimuthWeights, DensityNodes, DwellDensity, DwellTime, Grid, Invalid, PixelFactor,
+    Removal, RemovalMaps, Surface, Tif, TimeFactor, ToolPath, Trajectory, Transform, VaryingTif,
+    dwell_index_from_stored, stored_dwell_index,
 };
 
 use crate::{
@@ -90,44 +90,33 @@ impl Artifact for Tool {
     const KIND: &'static Kind = &kind::TOOL;
 
     fn to_arrays(&self) -> Vec<ArrayData<'_>> {
-        let Self(tif) = self;
-        let offsets = [axis_array(&tif.grid().x), axis_array(&tif.grid().y)];
-        let Some(v) = tif.variation() else {
-            // One kernel with the weight 1, on the smallest grid around the tool.
-            let kernel = tif.rate_nm_per_s().clone().insert_axis(NdAxis(0)).into_dyn();
-            let ends = [&tif.grid().x, &tif.grid().y].map(|a| floats(&[a.start_mm(), a.end_mm()]));
-            let ones = Array3::<f64>::ones((1, 2, 2)).into_dyn();
-            let [x, y] = ends;
-            let [offset_x, offset_y] = offsets;
-            return vec![
-                ArrayData::F64(kernel.into()),
-                offset_x,
-                offset_y,
-                ArrayData::F64(ones.into()),
-                x,
-                y,
-            ];
-        };
-        let kernels: Vec<_> = v.components().iter().map(|c| c.kernel().rate_nm_per_s()).collect();
-        let weights: Vec<_> = (0..kernels.len()).map(|k| v.weight_samples(k)).collect();
-        let [offset_x, offset_y] = offsets;
+        let VaryingTif { offsets, kernels, positions, weights, azimuth, pixels, time } =
+            self.0.numbers();
         let mut arrays = vec![
             stacked(&kernels),
-            offset_x,
-            offset_y,
-            stacked(&weights.iter().collect::<Vec<_>>()),
-            axis_array(&v.positions().x),
-            axis_array(&v.positions().y),
+            axis_array(&offsets.x),
+            axis_array(&offsets.y),
+            stacked(&weights),
+            axis_array(&positions.x),
+            axis_array(&positions.y),
         ];
-        // The arrays of the pixels come after those of the time: a rate that does not change has one time.
-        let none = (&[0.0][..], &[1.0][..]);
-        let (time, pixels) = (v.time_factor(), v.pixel_factor());
-        if time.is_some() || pixels.is_some() {
-            let (time_s, factor) = time.map_or(none, |t| (&t.time_s[..], &t.factor[..]));
-            arrays.extend([floats(time_s), floats(factor)]);
+        // Arrays may be absent at the end only. One time, and pixels with the factor 1, say that there is no such factor.
+        if time.is_some() || pixels.is_some() || azimuth.is_some() {
+            let none = TimeFactor { time_s: vec![0.0], factor: vec![1.0] };
+            let TimeFactor { time_s, factor } = time.unwrap_or(none);
+            arrays.extend([floats(&time_s), floats(&factor)]);
         }
-        if let Some(PixelFactor { grid, factor }) = pixels {
-            arrays.extend([map_array(factor), axis_array(&grid.x), axis_array(&grid.y)]);
+        if pixels.is_some() || azimuth.is_some() {
+            let none = || PixelFactor { grid: positions, factor: Array2::ones(positions.shape()) };
+            let PixelFactor { grid, factor } = pixels.unwrap_or_else(none);
+            let factor = ArrayData::F64(factor.into_dyn().into());
+            arrays.extend([factor, axis_array(&grid.x), axis_array(&grid.y)]);
+        }
+        if let Some(azimuth) = azimuth {
+            let rows = azimuth.weights();
+            let weights = Array2::from_shape_fn((rows.len(), rows[0].len()), |(k, i)| rows[k][i]);
+            let weights = ArrayData::F64(weights.into_dyn().into());
+            arrays.extend([weights, floats(azimuth.azimuth_deg()), floats(&azimuth.middle_mm())]);
         }
         arrays
     }
@@ -148,20 +137,30 @@ impl Artifact for Tool {
         let time = (!is_one).then_some(TimeFactor { time_s, factor: time_factor });
         let factor = take_map(&mut arrays, "factor");
         let mut axis = |name| Axis::from_coordinates(name, &take_vec(arrays.take_f64(name)));
-        let pixels = match factor.is_empty() {
+        let pixels = match factor.iter().all(|v| *v == 1.0) {
             true => None,
             false => {
                 let grid = Grid { x: axis("factor_x_mm")?, y: axis("factor_y_mm")? };
                 Some(PixelFactor { grid, factor })
             }
         };
-        let given = VaryingTif { offsets, kernels, positions, weights, pixels, time };
+        let rows = take_map(&mut arrays, "azimuth_weight");
+        let azimuth = match rows.is_empty() {
+            true => None,
+            false => {
+                let degrees = take_vec(arrays.take_f64("azimuth_deg"));
+                let middle = take_vec(arrays.take_f64("azimuth_middle_mm"));
+                let rows = rows.outer_iter().map(|row| row.to_vec()).collect();
+                Some(AzimuthWeights::new([middle[0], middle[1]], degrees, rows)?)
+            }
+        };
+        let given = VaryingTif { offsets, kernels, positions, weights, azimuth, pixels, time };
         Tif::varying(given).map(Self)
     }
 }
 
 /// Maps of one shape, one after the other.
-fn stacked<'a>(maps: &[&Array2<f64>]) -> ArrayData<'a> {
+fn stacked<'a>(maps: &[Array2<f64>]) -> ArrayData<'a> {
     let views: Vec<_> = maps.iter().map(|map| map.view()).collect();
     let stack = ndarray::stack(NdAxis(0), &views).expect("maps of one shape");
     ArrayData::F64(stack.into_dyn().into())

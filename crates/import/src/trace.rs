@@ -303,7 +303,7 @@ fn switched(column: &Column) -> Result<Vec<bool>, Invalid> {
         0.0 => Ok(false),
         1.0 => Ok(true),
         v => {
-            let remedy = "give a column of 0 and 1, or the beam current as `current`";
+            let remedy = "a switch of the tool is 0 (off) or 1 (on); give such a column, or the beam current as `current`";
             Err(Invalid::at("tool_on", i, format!("is {v}"), remedy))
         }
     };

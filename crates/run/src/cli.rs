@@ -11,7 +11,7 @@ use planish_handoff::{Failure, Status};
 
 #[derive(Subcommand)]
 pub enum Command {
-    /// Lock a directory for a run, and run a command in place of this program
+    /// Run a command while the directory of a run is locked for it; the command replaces this program
     ///
     /// The program checks the machine file and the mirror first, so that a mistake in them is not found
     /// after the long stages. Then it locks --out until the command and all processes that it has started

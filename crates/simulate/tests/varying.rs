@@ -3,7 +3,8 @@
 use ndarray::Array2;
 use planish_simulate::{Plan, Settings, direct, gridded};
 use planish_types::{
-    Axis, Grid, PixelFactor, Tif, TimeFactor, Trajectory, TrajectoryBuilder, VaryingTif,
+    Axis, AzimuthWeights, Grid, PixelFactor, Tif, TimeFactor, Trajectory, TrajectoryBuilder,
+    VaryingTif,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -40,11 +41,18 @@ fn varying(seed: u64, pitch_mm: f64, factors: bool) -> Tif {
     let map = Grid { x: axis(0.0, 0.25, 41), y: axis(0.0, 0.25, 29) };
     let pixels = PixelFactor { grid: map, factor: samples(&map, |x, y| 1.0 + 0.03 * x - 0.02 * y) };
     let time = TimeFactor { time_s: vec![0.0, 3.0, 20.0], factor: vec![1.1, 1.0, 0.8] };
+    // About a point that the motion does not come near, where the azimuth is smooth.
+    let degrees: Vec<f64> = (0..24).map(|i| 15.0 * f64::from(i)).collect();
+    let row =
+        |order: f64| degrees.iter().map(|a| 1.0 + 0.2 * (order * a.to_radians()).cos()).collect();
+    let rows = vec![row(1.0), row(2.0), row(3.0)];
+    let azimuth = AzimuthWeights::new([-6.0, -5.0], degrees.clone(), rows).unwrap();
     Tif::varying(VaryingTif {
         kernels: kernels(&offsets),
         offsets,
         positions,
         weights: weights.to_vec(),
+        azimuth: factors.then_some(azimuth),
         pixels: factors.then_some(pixels),
         time: factors.then_some(time),
     })
@@ -107,6 +115,7 @@ fn one_kernel_of_weight_one_is_a_tif_to_the_last_bit() {
         kernels: vec![kernel.clone()],
         positions,
         weights: vec![Array2::ones((3, 3))],
+        azimuth: None,
         pixels: None,
         time: None,
     })
@@ -128,6 +137,7 @@ fn a_rate_that_rises_along_a_line_has_a_closed_form() {
         kernels: vec![kernels(&offsets).swap_remove(0)],
         positions,
         weights: vec![weight],
+        azimuth: None,
         pixels: None,
         time: None,
     };
@@ -156,6 +166,7 @@ fn a_known_wear_is_the_integral_of_its_factor() {
         kernels: vec![kernel.clone()],
         positions,
         weights: vec![Array2::ones((3, 3))],
+        azimuth: None,
         pixels: None,
         time: Some(TimeFactor { time_s: vec![0.0, 10.0], factor: vec![1.0, 0.5] }),
     })

@@ -23,5 +23,8 @@ mod low_rank;
 mod place;
 
 pub use causes::{Overhang, PressureLaw, RateLaw, Spots, tool_at, turned};
-pub use low_rank::{LocalTool, LowRank, LowRankReport, LowRankSettings, Used, low_rank};
+pub use low_rank::{
+    LocalTool, LowRank, LowRankReport, LowRankSettings, Samples, Used, low_rank,
+    low_rank_by_azimuth,
+};
 pub use place::{Form, Parameter, Places};

@@ -15,7 +15,7 @@ use crate::{
 };
 
 /// Position of the corner of the area over the largest value on the front, so that the ends of the front count.
-/// Larger: the ends of the front decide the area. Smaller: plans at the ends add nothing to it.
+/// A larger ratio: the ends of the front decide the area. A smaller one: plans at the ends add nothing to the area.
 const BEYOND: f64 = 1.1;
 
 /// A plan and what came of it.

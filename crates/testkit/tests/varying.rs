@@ -13,7 +13,7 @@ use planish_dwell::{
 use planish_fixture::{Recipe, make};
 use planish_surface::varying::{
     Form, LowRankSettings, Overhang, Parameter, Places, PressureLaw, RateLaw, Spots, low_rank,
-    tool_at, turned,
+    low_rank_by_azimuth, tool_at, turned,
 };
 use planish_testkit::{ion_beam, workspace};
 use planish_toolpath::raster::{RasterSettings, raster};
@@ -42,9 +42,9 @@ fn tool(tif: &Tif, error: f64, k: impl Fn([f64; 2], [f64; 2]) -> f64 + Sync) -> 
     let of = |p: [f64; 2]| {
         Array2::from_shape_fn(offsets.shape(), |(r, c)| k(p, [offsets.x.at(c), offsets.y.at(r)]))
     };
-    let settings = LowRankSettings { error, spacing_mm: None, max_rank: 20 };
-    let found =
-        low_rank(&offsets, [[-4.0, -4.0], [24.0, 16.0]], &of, &|_| true, &settings).unwrap();
+    let settings = LowRankSettings { error, max_rank: 20 };
+    let rectangle = [[-4.0, -4.0], [24.0, 16.0]];
+    let found = low_rank(&offsets, (rectangle, None), &of, &|_| true, &settings).unwrap();
     assert!(found.report.negative().is_none(), "{:?}", found.report);
     Tif::varying(found.tool).unwrap()
 }
@@ -158,6 +158,7 @@ fn a_factor_of_the_pixels_is_known_at_all_sizes() {
         kernels: vec![tif.rate_nm_per_s().clone()],
         positions: grid,
         weights: vec![Array2::ones(grid.shape())],
+        azimuth: None,
         pixels: Some(PixelFactor { grid, factor: factor.clone() }),
         time: None,
     };
@@ -263,6 +264,7 @@ fn a_rate_that_falls_in_a_known_way_costs_nothing() {
         kernels: vec![tif.rate_nm_per_s().clone()],
         positions: *desired.grid(),
         weights: vec![Array2::ones(desired.grid().shape())],
+        azimuth: None,
         pixels: None,
         time: Some(law.clone()),
     };
@@ -396,6 +398,24 @@ fn causes_have_their_closed_forms() {
             let [a, b] = [[x, y], [y, -x], [-x, -y], [-y, x]][k];
             assert!((v - spot.rate_at(a, b)).abs() < 1e-12, "{k} {x} {y}");
         }
+    }
+
+    // Its kernels and weights, near the axis and far from it, where a grid of places would follow the first badly.
+    let settings = LowRankSettings { error: 1e-3, max_rank: 64 };
+    let found = low_rank_by_azimuth(&offsets, ([0.0; 2], 15.0), &*of, &settings).unwrap();
+    assert!(found.report.negative().is_none(), "{:?}", found.report);
+    let varying = Tif::varying(found.tool).unwrap();
+    for (k, radius_mm) in [0.01, 0.3, 5.0, 14.0, 40.0].into_iter().enumerate() {
+        let azimuth = 0.3 + 1.3 * k as f64;
+        let p = [radius_mm * azimuth.cos(), radius_mm * azimuth.sin()];
+        let (mut squares, mut missed) = (0.0, 0.0);
+        for ((r, c), v) in of(p).indexed_iter() {
+            let found = varying.rate_of_tool_at(p, [offsets.x.at(c), offsets.y.at(r)]);
+            squares += v * v;
+            missed += (found - v).powi(2);
+        }
+        // The error of one azimuth may be above that of the mean over all.
+        assert!(f64::sqrt(missed / squares) < 2e-3, "{radius_mm}: {}", f64::sqrt(missed / squares));
     }
 
     // Spots: the mixture of the two around the parameter, and the last one beyond.

@@ -56,7 +56,7 @@ pub use trajectory::{
     stored_dwell_index,
 };
 pub use transform::{Transform, TransformNumbers};
-pub use variation::{Component, PixelFactor, TimeFactor, Variation};
+pub use variation::{AzimuthWeights, Component, PixelFactor, TimeFactor, Variation};
 
 /// A value that its type refuses.
 ///

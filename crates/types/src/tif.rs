@@ -5,7 +5,10 @@ use std::{borrow::Cow, sync::Arc};
 use ndarray::{Array2, ArrayView1, Axis as NdAxis, s};
 use planish_numerics::keys;
 
-use crate::{Axis, Grid, Invalid, PixelFactor, Surface, TimeFactor, Variation, text::significant};
+use crate::{
+    Axis, AzimuthWeights, Grid, Invalid, PixelFactor, Surface, TimeFactor, Variation,
+    text::significant,
+};
 
 /// Largest rate, nm/s. A larger rate is a mistake in the units.
 const LARGEST_RATE: f64 = 1e12;
@@ -78,6 +81,8 @@ pub struct VaryingTif {
     pub positions: Grid,
     /// Weights of the kernels (k), each (ny, nx), dimensionless.
     pub weights: Vec<Array2<f64>>,
+    /// Factors of the weights by the azimuth of the tool, if there are any.
+    pub azimuth: Option<AzimuthWeights>,
     /// Factor of every pixel of the map, if there is one.
     pub pixels: Option<PixelFactor>,
     /// Factor of the time since the start of the run, if there is one.
@@ -129,7 +134,7 @@ impl Tif {
     /// A tool that varies, [`Variation`]. Checks shapes, finiteness, and at every sample of the weights that the tool
     /// removes material. One kernel with the weight 1 everywhere and no factor is a TIF like any other.
     pub fn varying(given: VaryingTif) -> Result<Self, Invalid> {
-        let VaryingTif { offsets, kernels, positions, weights, pixels, time } = given;
+        let VaryingTif { offsets, kernels, positions, weights, azimuth, pixels, time } = given;
         if kernels.is_empty() || kernels.len() != weights.len() {
             let problem = format!("has {} kernels for {} weights", kernels.len(), weights.len());
             return Err(Invalid::whole("rate_nm_per_s", problem, "give one weight per kernel"));
@@ -151,35 +156,9 @@ impl Tif {
                 return Err(Invalid::at(name, index, format!("is {v:?}"), "give finite numbers"));
             }
         }
-        let at = |place: (usize, usize)| -> Array2<f64> {
-            let mut rate = Array2::zeros(offsets.shape());
-            for (kernel, weight) in kernels.iter().zip(&weights) {
-                rate.scaled_add(weight[place], kernel);
-            }
-            rate
-        };
         let same = weights.len() == 1 && weights[0].iter().all(|w| *w == 1.0);
-        if same && pixels.is_none() && time.is_none() {
-            return Self::new(offsets, at((0, 0)));
-        }
-        let (ny, nx) = positions.shape();
-        for place in (0..ny).flat_map(|r| (0..nx).map(move |c| (r, c))) {
-            let rate = at(place);
-            let peak = rate.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-            let lowest = rate.iter().copied().fold(f64::INFINITY, f64::min);
-            if peak < SMALLEST_PEAK || lowest < -NEGATIVE_OF_PLACE * peak {
-                let [x, y] = [positions.x.at(place.1), positions.y.at(place.0)];
-                let [x, y, low, high] = [x, y, lowest, peak].map(|v| significant(v, 5));
-                let problem = format!(
-                    "makes a tool at x = {x} mm, y = {y} mm with rates from {low} to {high} nm/s"
-                );
-                let remedy = "removal is positive: check kernels and weights, or use more kernels";
-                return Err(Invalid::at("weight", place, problem, remedy));
-            }
-        }
-        let mut mean = Array2::zeros(offsets.shape());
-        for (kernel, weight) in kernels.iter().zip(&weights) {
-            mean.scaled_add(weight.sum() / weight.len() as f64, kernel);
+        if same && azimuth.is_none() && pixels.is_none() && time.is_none() {
+            return Self::new(offsets, kernels.into_iter().next().expect("there is one"));
         }
         let bare = |rate: Array2<f64>| Self {
             grid: offsets,
@@ -188,13 +167,64 @@ impl Tif {
             variation: None,
         };
         let kernels = kernels.into_iter().map(bare).collect();
-        let variation = Variation::new(kernels, &weights, positions, pixels, time)?;
+        let variation = Variation::new(kernels, &weights, positions, azimuth, pixels, time)?;
+        let places = variation.sampled_places();
+        let mut mean = Array2::zeros(offsets.shape());
+        for place in &places {
+            let mut rate = Array2::zeros(offsets.shape());
+            for (k, component) in variation.components().iter().enumerate() {
+                rate.scaled_add(variation.weight(k, *place), component.kernel().rate_nm_per_s());
+            }
+            let peak = rate.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            let lowest = rate.iter().copied().fold(f64::INFINITY, f64::min);
+            if peak < SMALLEST_PEAK || lowest < -NEGATIVE_OF_PLACE * peak {
+                let [x, y, low, high] =
+                    [place[0], place[1], lowest, peak].map(|v| significant(v, 5));
+                let problem = format!(
+                    "makes a tool at x = {x} mm, y = {y} mm with rates from {low} to {high} nm/s"
+                );
+                let remedy = "removal is positive: check kernels and weights, or use more kernels";
+                return Err(Invalid::whole("weight", problem, remedy));
+            }
+            mean.scaled_add(1.0 / places.len() as f64, &rate);
+        }
         Ok(Self { variation: Some(Arc::new(variation)), ..Self::new(offsets, mean)? })
     }
 
     /// Variation of the tool over the part and in time; none if it is the same everywhere and at all times.
     pub fn variation(&self) -> Option<&Variation> {
         self.variation.as_deref()
+    }
+
+    /// The numbers from which [`Self::varying`] makes this tool; of one that does not vary, one kernel with the weight 1
+    /// at the ends of its samples.
+    pub fn numbers(&self) -> VaryingTif {
+        let Some(v) = self.variation() else {
+            let ends = |axis: &Axis| Axis::new(axis.start_mm(), axis.end_mm() - axis.start_mm(), 2);
+            let positions = match (ends(&self.grid.x), ends(&self.grid.y)) {
+                (Ok(x), Ok(y)) => Grid { x, y },
+                // A single sample along an axis has no ends.
+                _ => self.grid,
+            };
+            return VaryingTif {
+                offsets: self.grid,
+                kernels: vec![self.rate_nm_per_s.clone()],
+                positions,
+                weights: vec![Array2::ones(positions.shape())],
+                azimuth: None,
+                pixels: None,
+                time: None,
+            };
+        };
+        VaryingTif {
+            offsets: self.grid,
+            kernels: v.components().iter().map(|c| c.kernel().rate_nm_per_s.clone()).collect(),
+            positions: *v.positions(),
+            weights: (0..v.components().len()).map(|k| v.weight_samples(k)).collect(),
+            azimuth: v.azimuth_weights().cloned(),
+            pixels: v.pixel_factor().cloned(),
+            time: v.time_factor().cloned(),
+        }
     }
 
     /// Refuses a tool that varies; `method` is what needs one that is the same everywhere, for the message.

@@ -12,6 +12,15 @@
 //! Between their samples, kernels, weights and the factor of the pixels are Keys' cubic convolution
 //! ([`planish_numerics::keys`]), and `c` is linear. Beyond the samples, a weight has the value of the nearest place of
 //! its grid, and `c` that of the nearest time.
+//!
+//! A tool that turns with the azimuth of its place changes ever faster towards the axis, where no grid of places follows
+//! it. The weights of such a tool have a factor by azimuth:
+//!
+//! ```text
+//! a_k(p) = b_k(p) z_k(azimuth of p - m)                                                   (2)
+//! ```
+//!
+//! with the samples `b_k` on the grid of places, and periodic samples `z_k` around the middle m. At m the azimuth is 0.
 
 use std::borrow::Cow;
 
@@ -34,6 +43,93 @@ pub struct PixelFactor {
     pub grid: Grid,
     /// Samples (ny, nx), dimensionless.
     pub factor: Array2<f64>,
+}
+
+/// Largest distance of an azimuth from its place in a uniform turn, over the step. Larger: azimuths that are not uniform
+/// pass. Smaller: rounded ones do not.
+const OFF_TURN: f64 = 1e-6;
+
+/// Factors of the weights by the azimuth of the tool: z of (2).
+#[derive(Clone, Debug, PartialEq)]
+pub struct AzimuthWeights {
+    middle_mm: [f64; 2],
+    azimuth_deg: Vec<f64>,
+    weights: Vec<Vec<f64>>,
+}
+
+impl AzimuthWeights {
+    /// Factors (k, n), dimensionless, of the k kernels at n azimuths about the point `middle_mm` [x, y]. The azimuths, in
+    /// degrees from positive x towards positive y, are uniform over one turn without its end.
+    pub fn new(
+        middle_mm: [f64; 2],
+        azimuth_deg: Vec<f64>,
+        weights: Vec<Vec<f64>>,
+    ) -> Result<Self, Invalid> {
+        if let Some(i) = (0..2).find(|i| !middle_mm[*i].is_finite()) {
+            let problem = format!("is {}", middle_mm[i]);
+            return Err(Invalid::at("azimuth_middle_mm", i, problem, "give a point of the part"));
+        }
+        let n = azimuth_deg.len();
+        let step = 360.0 / n as f64;
+        let off = |i: &usize| {
+            let uniform = azimuth_deg[0] + step * *i as f64;
+            (azimuth_deg[*i] - uniform).abs() > OFF_TURN * step || azimuth_deg[*i].is_nan()
+        };
+        let remedy = "give azimuths that are uniform over one turn, without its end: 0, 1, ... 359";
+        match (0..n).find(off) {
+            None if n == 0 => return Err(Invalid::whole("azimuth_deg", "is empty", remedy)),
+            None => {}
+            Some(i) => {
+                let problem = format!("is {} of {n} azimuths", azimuth_deg[i]);
+                return Err(Invalid::at("azimuth_deg", i, problem, remedy));
+            }
+        }
+        for (k, row) in weights.iter().enumerate() {
+            if row.len() != n {
+                let problem = format!("has {} factors for {n} azimuths", row.len());
+                return Err(Invalid::at("azimuth_weight", k, problem, "give one for each azimuth"));
+            }
+            if let Some(i) = row.iter().position(|v| !v.is_finite()) {
+                let problem = format!("is {}", row[i]);
+                return Err(Invalid::at("azimuth_weight", [k, i], problem, "give finite numbers"));
+            }
+        }
+        Ok(Self { middle_mm, azimuth_deg, weights })
+    }
+
+    /// Point about which the tool turns [x, y], mm.
+    pub fn middle_mm(&self) -> [f64; 2] {
+        self.middle_mm
+    }
+
+    /// Azimuths of the factors (n), degrees.
+    pub fn azimuth_deg(&self) -> &[f64] {
+        &self.azimuth_deg
+    }
+
+    /// Factors (k, n), dimensionless.
+    pub fn weights(&self) -> &[Vec<f64>] {
+        &self.weights
+    }
+
+    /// `z_k` of a kernel for a tool at a place of the part.
+    fn at(&self, kernel: usize, tool_mm: [f64; 2]) -> f64 {
+        let row = &self.weights[kernel];
+        let n = row.len();
+        let [dx, dy] = [0, 1].map(|i| tool_mm[i] - self.middle_mm[i]);
+        let turns = (dy.atan2(dx).to_degrees() - self.azimuth_deg[0]) / 360.0;
+        let (cell, f) = keys::split(turns * n as f64);
+        let node = |a: usize| (cell - 1 + a as isize).rem_euclid(n as isize) as usize;
+        keys::weights(f).iter().enumerate().map(|(a, w)| w * row[node(a)]).sum()
+    }
+
+    /// Places at a distance from the middle, one for each azimuth.
+    fn places(&self, radius_mm: f64) -> impl Iterator<Item = [f64; 2]> {
+        self.azimuth_deg.iter().map(move |degrees| {
+            let (sine, cosine) = degrees.to_radians().sin_cos();
+            [self.middle_mm[0] + radius_mm * cosine, self.middle_mm[1] + radius_mm * sine]
+        })
+    }
 }
 
 /// Factor of the removal rate in the course of a run.
@@ -66,6 +162,7 @@ impl Component {
 pub struct Variation {
     components: Vec<Component>,
     positions: Grid,
+    azimuth: Option<AzimuthWeights>,
     pixels: Option<PixelFactor>,
     time: Option<TimeFactor>,
 }
@@ -76,9 +173,16 @@ impl Variation {
         kernels: Vec<Tif>,
         weights: &[Array2<f64>],
         positions: Grid,
+        azimuth: Option<AzimuthWeights>,
         pixels: Option<PixelFactor>,
         time: Option<TimeFactor>,
     ) -> Result<Self, Invalid> {
+        if let Some(rows) =
+            azimuth.as_ref().map(|a| a.weights.len()).filter(|n| *n != kernels.len())
+        {
+            let problem = format!("has {rows} rows for {} kernels", kernels.len());
+            return Err(Invalid::whole("azimuth_weight", problem, "give a row for each kernel"));
+        }
         if let Some(PixelFactor { grid, factor }) = &pixels {
             if factor.dim() != grid.shape() {
                 let problem = format!("has shape {:?}, its grid {:?}", factor.dim(), grid.shape());
@@ -107,7 +211,7 @@ impl Variation {
         let components = components
             .map(|(kernel, weight)| Component { kernel, weight: keys::with_ghosts(weight.view()) })
             .collect();
-        Ok(Self { components, positions, pixels, time })
+        Ok(Self { components, positions, azimuth, pixels, time })
     }
 
     /// The kernels with their weights.
@@ -126,6 +230,20 @@ impl Variation {
         self.components[component].weight.slice(ndarray::s![1..=ny, 1..=nx]).to_owned()
     }
 
+    /// The factors by azimuth as they were given.
+    pub fn azimuth_weights(&self) -> Option<&AzimuthWeights> {
+        self.azimuth.as_ref()
+    }
+
+    /// Places of the tool at which samples decide the weights: those of the grid, and one for each azimuth.
+    pub(crate) fn sampled_places(&self) -> Vec<[f64; 2]> {
+        let Grid { x, y } = &self.positions;
+        let of_grid = (0..y.len()).flat_map(|r| (0..x.len()).map(move |c| [x.at(c), y.at(r)]));
+        let radius_mm = 0.25 * (x.end_mm() - x.start_mm() + y.end_mm() - y.start_mm());
+        let around = self.azimuth.iter().flat_map(|azimuth| azimuth.places(radius_mm));
+        of_grid.chain(around).collect()
+    }
+
     /// The factor of the pixels as it was given.
     pub fn pixel_factor(&self) -> Option<&PixelFactor> {
         self.pixels.as_ref()
@@ -138,8 +256,8 @@ impl Variation {
 
     /// `a_k` of a component for a tool at a place of the part.
     pub fn weight(&self, component: usize, tool_mm: [f64; 2]) -> f64 {
-        let weight = &self.components[component].weight;
-        keys_at(&self.positions, weight, tool_mm)
+        let weight = keys_at(&self.positions, &self.components[component].weight, tool_mm);
+        self.azimuth.as_ref().map_or(weight, |azimuth| weight * azimuth.at(component, tool_mm))
     }
 
     /// `g` on the pixels of a map, (ny, nx); none if it is 1. Pixels beyond the samples have the factor of the nearest

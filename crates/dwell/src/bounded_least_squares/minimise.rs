@@ -369,7 +369,7 @@ pub(super) fn huber_weights(weight: &Array2<f64>, r: &Array2<f64>, k: f64) -> Ar
     Zip::from(weight).and(r).map_collect(|w, r| w * (k / r.abs()).min(1.0))
 }
 
-/// `q'd` of the step d to other dwell times.
+/// Slope of the objective along the step d = to - t of the dwell times: `q'd`, with its gradient q.
 fn slope(q: &[f64], t: &[f64], to: &[f64]) -> f64 {
     q.iter().zip(to.iter().zip(t)).map(|(q, (to, t))| q * (to - t)).sum()
 }

@@ -11,8 +11,8 @@
 //!
 //! with cubic B-splines b on a lattice of pitch p over the dwell points (free ones only; a node with
 //! none stands alone), and conjugate gradients see `(1 - Q H) L^-1` ([`planish_numerics::qp::bounded`]).
-//! How many steps they take depends on what of `H^-1 B' y` the splines cannot say, not on the number
-//! of dwell points.
+//! The number of steps of conjugate gradients depends on the part of the solution that the splines cannot
+//! represent. It does not depend on the number of dwell points.
 //!
 //! V' H V must be that of the H that is applied: an error of 1e-8 of its largest element is alpha. It
 //! is kept while the free dwell times change, and only the nodes over those that do are

@@ -204,7 +204,7 @@ impl TraceArgs {
         let columns: Vec<String> =
             columns.map(|(role, name)| format!("{} {name:?}", role.setting())).collect();
         say(format!(
-            "planish-import: {} samples over {:.4} s at {} Hz ({}); read: {}; unit: {}",
+            "planish-import: {} samples over {:.4} s at {} Hz ({}); columns: {}; unit of the positions: {}",
             trace.time_s.len(),
             motion.total_time_s(),
             significant(trace.clock.rate_hz, 8),

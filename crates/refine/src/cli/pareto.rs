@@ -38,7 +38,7 @@ pub struct Pareto {
     /// Number of prices besides zero
     #[arg(long, value_name = "N", default_value_t = 8)]
     prices: usize,
-    /// Largest number of rounds of every refinement but the first
+    /// Largest number of rounds of the refinement at each price of a second after the first
     #[arg(long, value_name = "N", default_value_t = 6)]
     max_rounds: usize,
     #[command(flatten)]

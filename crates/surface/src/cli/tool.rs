@@ -11,7 +11,7 @@ use planish_handoff::{
 };
 use planish_surface::varying::{
     Form, LocalTool, LowRank, LowRankReport, LowRankSettings, Overhang, Parameter, Places,
-    PressureLaw, RateLaw, Spots, Used, low_rank, tool_at, turned,
+    PressureLaw, RateLaw, Samples, Spots, Used, low_rank, low_rank_by_azimuth, tool_at, turned,
 };
 use planish_types::{Grid, Invalid, PixelFactor, Surface, Tif, TimeFactor, VaryingTif};
 use serde::Serialize;
@@ -30,21 +30,45 @@ enum Acts {
     Tool,
 }
 
+/// Wanted error without `--error`, relative to the tool. Larger: plans that miss the real tool. Smaller: more kernels,
+/// each of which costs as much as a constant tool.
+const DEFAULT_ERROR: f64 = 1e-3;
+
+/// Largest number of kernels without `--max-rank`. Larger: plans that take hours. Smaller: tools that are less exact than
+/// asked for.
+const DEFAULT_MAX_RANK: usize = 64;
+
+/// Exactness of the tool.
+#[derive(Debug, Args)]
+struct ExactArgs {
+    /// Wanted error of the kernels and weights, relative to the tool (root mean square over the places) [default: 0.001]
+    #[arg(long, value_name = "E")]
+    error: Option<f64>,
+    /// Largest number of kernels [default: 64]
+    #[arg(long, value_name = "K")]
+    max_rank: Option<usize>,
+}
+
+impl ExactArgs {
+    fn settings(&self) -> LowRankSettings {
+        LowRankSettings {
+            error: self.error.unwrap_or(DEFAULT_ERROR),
+            max_rank: self.max_rank.unwrap_or(DEFAULT_MAX_RANK),
+        }
+    }
+}
+
 /// The map, and how exact the tool is.
 #[derive(Debug, Args)]
 struct MakeArgs {
     /// Map of the part, whose valid pixels are the part [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
-    /// Wanted error of the kernels and weights, relative to the tool (root mean square over the places)
-    #[arg(long, value_name = "E", default_value_t = 1e-3)]
-    error: f64,
+    #[command(flatten)]
+    exact: ExactArgs,
     /// Distance of the places of the weights, mm [default: by the error]
     #[arg(long, value_name = "MM")]
     spacing_mm: Option<f64>,
-    /// Largest number of kernels
-    #[arg(long, value_name = "K", default_value_t = 64)]
-    max_rank: usize,
     /// Distance beyond the valid pixels up to which the tool is known, mm [default: the half size of the TIF]
     #[arg(long, value_name = "MM")]
     beyond_mm: Option<f64>,
@@ -53,9 +77,21 @@ struct MakeArgs {
 }
 
 impl MakeArgs {
-    fn settings(&self) -> LowRankSettings {
-        let Self { error, spacing_mm, max_rank, .. } = *self;
-        LowRankSettings { error, spacing_mm, max_rank }
+    /// Refuses settings of kernels and weights for a factor of the pixels, which has none of them.
+    fn refuse_all(&self) -> Result<(), Failure> {
+        let Self { exact: ExactArgs { error, max_rank }, spacing_mm, beyond_mm, .. } = self;
+        let given = [
+            ("--error", error.is_some()),
+            ("--max-rank", max_rank.is_some()),
+            ("--spacing-mm", spacing_mm.is_some()),
+            ("--beyond-mm", beyond_mm.is_some()),
+        ];
+        match given.iter().find(|(_, is_given)| *is_given) {
+            None => Ok(()),
+            Some((flag, _)) => Err(Failure::new(format!(
+                "{flag}: has no effect on a factor of the pixels, which is exact; leave it out, or give --acts-at tool"
+            ))),
+        }
     }
 
     /// Distance beyond the valid pixels up to which a tool with this mean is known, mm.
@@ -98,15 +134,18 @@ impl MakeArgs {
         (surface, base): (&Surface, &Tif),
         (offsets, of, counts): (Grid, Box<LocalTool<'_>>, Box<Used<'_>>),
     ) -> Result<Status, Failure> {
-        let shared = json!({ "settings": settings, "low_rank": self.settings(), "beyond_mm": self.beyond_mm });
+        let shared = json!({
+            "settings": settings, "low_rank": self.exact.settings(), "spacing_mm": self.spacing_mm,
+            "beyond_mm": self.beyond_mm,
+        });
         let task = task!(method, &shared);
         let output = match Output::directory(&self.output, Tool::KIND).begin(&task, inputs)? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };
-        let rectangle = self.rectangle(surface, base);
+        let places = (self.rectangle(surface, base), self.spacing_mm);
         let LowRank { tool, report } =
-            low_rank(&offsets, rectangle, &*of, &*counts, &self.settings())
+            low_rank(&offsets, places, &*of, &*counts, &self.exact.settings())
                 .map_err(Failure::with_flags)?;
         let factors = base.variation();
         let tool = VaryingTif {
@@ -114,11 +153,7 @@ impl MakeArgs {
             time: factors.and_then(|v| v.time_factor()).cloned(),
             ..tool
         };
-        let status = match report.negative() {
-            None => Status::Done,
-            Some(reason) => Status::Negative(with_flags(&reason)),
-        };
-        write(output, Tif::varying(tool)?, Some(&report), &self.output.out, status)
+        write(output, Tif::varying(tool)?, Some(&report), &self.output.out)
     }
 }
 
@@ -133,8 +168,11 @@ fn write(
     tif: Tif,
     report: Option<&LowRankReport>,
     out: &Path,
-    status: Status,
 ) -> Result<Status, Failure> {
+    let status = match report.and_then(LowRankReport::negative) {
+        None => Status::Done,
+        Some(reason) => Status::Negative(with_flags(&reason)),
+    };
     let rank = tif.variation().map_or(1, |v| v.components().len());
     let outcome = json!({
         "rank": rank,
@@ -144,15 +182,17 @@ fn write(
     });
     output.write(&Tool(tif), outcome, &status)?;
     let exact = report.map_or(String::new(), |r| {
+        let samples = match r.samples {
+            Samples::Places { places: [nx, ny], spacing_mm: [x, y] } => {
+                format!("on {nx} x {ny} places {:.3} mm apart", x.max(y))
+            }
+            Samples::Azimuths { azimuths, spacing_deg } => {
+                format!("at {azimuths} azimuths {spacing_deg:.2} degrees apart")
+            }
+        };
         format!(
-            ", on {} x {} places {:.3} mm apart; error {:.1e} of the tool, largest {:.1e} at ({:.2}, {:.2}) mm",
-            r.places[0],
-            r.places[1],
-            r.spacing_mm[0].max(r.spacing_mm[1]),
-            r.error,
-            r.largest_error,
-            r.largest_error_at_mm[0],
-            r.largest_error_at_mm[1]
+            ", {samples}; error {:.1e} of the tool, largest {:.1e} at ({:.2}, {:.2}) mm",
+            r.error, r.largest_error, r.largest_error_at_mm[0], r.largest_error_at_mm[1]
         )
     });
     let kernels = if rank == 1 { "1 kernel".to_string() } else { format!("{rank} kernels") };
@@ -235,6 +275,7 @@ impl RateArgs {
             let tool = (*tif.grid(), of, near(&places, self.make.beyond_mm(&tif)));
             return self.make.make("tool-rate", &settings, &inputs, (&surface, &tif), tool);
         }
+        self.make.refuse_all()?;
         let task = task!("tool-rate", &settings);
         let output = match Output::directory(&self.make.output, Tool::KIND).begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
@@ -254,7 +295,7 @@ impl RateArgs {
         }
         mean_where_none(&mut values);
         let tif = with_factor(&tif, PixelFactor { grid, factor: values })?;
-        write(output, tif, None, &self.make.output.out, Status::Done)
+        write(output, tif, None, &self.make.output.out)
     }
 }
 
@@ -268,36 +309,12 @@ fn mean_where_none(values: &mut Array2<f64>) {
 
 /// A tool with a further factor of the pixels.
 fn with_factor(tif: &Tif, mut pixels: PixelFactor) -> Result<Tif, Failure> {
-    let mut given = numbers(tif);
+    let mut given = tif.numbers();
     if let Some(before) = tif.variation().and_then(|v| v.factor_on(&pixels.grid)) {
         Zip::from(&mut pixels.factor).and(&*before).for_each(|f, before| *f *= before);
     }
     given.pixels = Some(pixels);
     Tif::varying(given).map_err(Failure::with_flags)
-}
-
-/// The numbers of a tool, one that does not vary as well.
-fn numbers(tif: &Tif) -> VaryingTif {
-    let offsets = *tif.grid();
-    match tif.variation() {
-        None => VaryingTif {
-            offsets,
-            kernels: vec![tif.rate_nm_per_s().clone()],
-            // One weight everywhere: any grid does.
-            positions: offsets,
-            weights: vec![Array2::ones(offsets.shape())],
-            pixels: None,
-            time: None,
-        },
-        Some(v) => VaryingTif {
-            offsets,
-            kernels: v.components().iter().map(|c| c.kernel().rate_nm_per_s().clone()).collect(),
-            positions: *v.positions(),
-            weights: (0..v.components().len()).map(|k| v.weight_samples(k)).collect(),
-            pixels: v.pixel_factor().cloned(),
-            time: v.time_factor().cloned(),
-        },
-    }
 }
 
 #[derive(Debug, Args)]
@@ -382,19 +399,32 @@ pub struct TurnedArgs {
     /// Spot at the azimuth 0: beside the middle, towards positive x [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
+    /// Map of the part; the spot turns about the middle of its valid pixels [surface artifact]
+    #[arg(long, value_name = "DIR")]
+    surface: PathBuf,
     #[command(flatten)]
-    make: MakeArgs,
+    exact: ExactArgs,
+    #[command(flatten)]
+    output: OutputArgs,
 }
 
 impl TurnedArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let tif: Tif = inputs.read("tif", &self.tif)?;
-        let surface: Surface = inputs.read("surface", &self.make.surface)?;
+        let surface: Surface = inputs.read("surface", &self.surface)?;
         let places = Places::new(&surface, None)?;
         let (offsets, of) = turned(&tif, places.middle_mm()).map_err(Failure::with_flags)?;
-        let tool = (offsets, of, near(&places, self.make.beyond_mm(&tif)));
-        self.make.make("tool-turned", &json!({}), &inputs, (&surface, &tif), tool)
+        let task = task!("tool-turned", &json!({ "low_rank": self.exact.settings() }));
+        let output = match Output::directory(&self.output, Tool::KIND).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        let around = (places.middle_mm(), places.radius_mm());
+        let LowRank { tool, report } =
+            low_rank_by_azimuth(&offsets, around, &*of, &self.exact.settings())
+                .map_err(Failure::with_flags)?;
+        write(output, Tif::varying(tool)?, Some(&report), &self.output.out)
     }
 }
 
@@ -429,9 +459,9 @@ impl TimeArgs {
             time_s: pairs.iter().map(|p| p[0]).collect(),
             factor: pairs.iter().map(|p| p[1]).collect(),
         };
-        let given = VaryingTif { time: Some(time), ..numbers(&tif) };
+        let given = VaryingTif { time: Some(time), ..tif.numbers() };
         let tif = Tif::varying(given).map_err(Failure::with_flags)?;
-        write(output, tif, None, &self.output.out, Status::Done)
+        write(output, tif, None, &self.output.out)
     }
 }
 

@@ -11,10 +11,13 @@
 //! By (2), `|K(p) - sum_k a_k phi_k|^2 = |K(p)|^2 - sum_k a_k^2`, which is computed at every place. Between the places
 //! the weights are interpolated; what that leaves is measured in the middles of cells. The rank is the least, and the
 //! grid the coarsest of halved ones, whose errors stay below the wanted one.
+//!
+//! A tool that only turns with the azimuth of its place is sampled at azimuths of one turn instead of places of a grid.
+//! It is then as exact at the axis as far from it.
 
 use nalgebra::{DMatrix, SymmetricEigen};
 use ndarray::{Array2, Zip};
-use planish_types::{Axis, Grid, Invalid, Tif, VaryingTif};
+use planish_types::{Axis, AzimuthWeights, Grid, Invalid, Tif, VaryingTif};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -29,6 +32,12 @@ const MOST_PLACES: usize = 20_000;
 /// Number of cells along the longer side of the first grid. Larger: finer grids than smooth tools need. Smaller: more
 /// halvings.
 const FIRST_CELLS: f64 = 8.0;
+
+/// First number of azimuths of a tool that turns. Larger: more than smooth tools need. Smaller: more doublings.
+const FIRST_AZIMUTHS: usize = 32;
+
+/// Largest number of azimuths. Larger: tools with finer shapes, and more time. Smaller: such tools are less exact.
+const MOST_AZIMUTHS: usize = 1024;
 
 /// Largest number of middles of cells at which the interpolation is measured. Larger: more time. Smaller: a larger
 /// scatter of the measured error.
@@ -46,10 +55,42 @@ const PART_OF_RANK: f64 = 0.5;
 pub struct LowRankSettings {
     /// Wanted error: root mean square over the places of the error of the samples, over that of the samples.
     pub error: f64,
-    /// Distance of the places of the weights, mm; chosen by the error without it.
-    pub spacing_mm: Option<f64>,
     /// Largest number of kernels.
     pub max_rank: usize,
+}
+
+impl LowRankSettings {
+    fn check(&self) -> Result<(), Invalid> {
+        let Self { error, max_rank } = *self;
+        if !(error > 0.0 && error < 1.0) {
+            let problem = format!("is {error}");
+            return Err(Invalid::whole("error", problem, "give a fraction above 0 and below 1"));
+        }
+        if max_rank == 0 {
+            return Err(Invalid::whole("max_rank", "is 0", "give at least one kernel"));
+        }
+        Ok(())
+    }
+}
+
+/// Number and distance of the samples of the weights.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Samples {
+    /// On a grid of places.
+    Places {
+        /// Places along x and y.
+        places: [usize; 2],
+        /// Their distance along x and y, mm.
+        spacing_mm: [f64; 2],
+    },
+    /// Around a point.
+    Azimuths {
+        /// Azimuths of one turn.
+        azimuths: usize,
+        /// Their distance, degrees.
+        spacing_deg: f64,
+    },
 }
 
 /// Exactness of a tool of kernels and weights.
@@ -57,10 +98,8 @@ pub struct LowRankSettings {
 pub struct LowRankReport {
     /// Kernels.
     pub rank: usize,
-    /// Places of the weights along x and y.
-    pub places: [usize; 2],
-    /// Distance of the places along x and y, mm.
-    pub spacing_mm: [f64; 2],
+    /// Number and distance of the samples of the weights.
+    pub samples: Samples,
     /// Error of the rank: root mean square over the places, relative.
     pub rank_error: f64,
     /// Largest error of the rank at a place, relative to the root mean square of the samples.
@@ -81,13 +120,17 @@ impl LowRankReport {
         (self.error > self.wanted_error).then(|| {
             format!(
                 "the kernels and weights miss the tool by {:.2e} of it (root mean square), more than the wanted {:.2e}; \
-                 the largest error, {:.2e}, is at x = {:.3} mm, y = {:.3} mm; give a larger `error`, a smaller \
-                 `spacing_mm`, or a larger `max_rank`",
+                 the largest error, {:.2e}, is at x = {:.3} mm, y = {:.3} mm; give a larger `error`{}, or a larger \
+                 `max_rank`",
                 self.error,
                 self.wanted_error,
                 self.largest_error,
                 self.largest_error_at_mm[0],
-                self.largest_error_at_mm[1]
+                self.largest_error_at_mm[1],
+                match self.samples {
+                    Samples::Places { .. } => ", a smaller `spacing_mm`",
+                    Samples::Azimuths { .. } => "",
+                }
             )
         })
     }
@@ -108,23 +151,88 @@ pub struct LowRank {
     pub report: LowRankReport,
 }
 
+/// Samples of the weights.
+#[derive(Clone, Copy)]
+enum Lattice {
+    /// On a grid of places.
+    Places(Grid),
+    /// At azimuths of one turn about a middle, at a distance from it.
+    Azimuths { middle_mm: [f64; 2], radius_mm: f64, count: usize },
+}
+
+impl Lattice {
+    fn len(&self) -> usize {
+        match self {
+            Self::Places(grid) => grid.x.len() * grid.y.len(),
+            Self::Azimuths { count, .. } => *count,
+        }
+    }
+
+    /// Place of a sample [x, y], mm.
+    fn place(&self, i: usize) -> [f64; 2] {
+        match self {
+            Self::Places(Grid { x, y }) => [x.at(i % x.len()), y.at(i / x.len())],
+            Self::Azimuths { .. } => self.around(i as f64),
+        }
+    }
+
+    /// Middles between neighbouring samples [x, y], mm.
+    fn middles(&self) -> Vec<[f64; 2]> {
+        match self {
+            Self::Places(Grid { x, y }) => {
+                let between = |axis: &Axis, i: usize| 0.5 * (axis.at(i) + axis.at(i + 1));
+                let row = |r: usize| (0..x.len() - 1).map(move |c| [between(x, c), between(y, r)]);
+                (0..y.len() - 1).flat_map(row).collect()
+            }
+            Self::Azimuths { count, .. } => {
+                (0..*count).map(|i| self.around(i as f64 + 0.5)).collect()
+            }
+        }
+    }
+
+    /// The place this many steps of the azimuth from positive x.
+    fn around(&self, steps: f64) -> [f64; 2] {
+        let Self::Azimuths { middle_mm, radius_mm, count } = self else { return [f64::NAN; 2] };
+        let (sine, cosine) = (std::f64::consts::TAU * steps / *count as f64).sin_cos();
+        [middle_mm[0] + radius_mm * cosine, middle_mm[1] + radius_mm * sine]
+    }
+}
+
+/// Kernels and weights of the tool `of` on `offsets` that depends on the azimuth of its place about `middle_mm` only, and
+/// removes within `radius_mm` of it.
+pub fn low_rank_by_azimuth(
+    offsets: &Grid,
+    (middle_mm, radius_mm): ([f64; 2], f64),
+    of: &LocalTool<'_>,
+    settings: &LowRankSettings,
+) -> Result<LowRank, Invalid> {
+    settings.check()?;
+    let mut count = FIRST_AZIMUTHS;
+    loop {
+        let lattice = Lattice::Azimuths { middle_mm, radius_mm, count };
+        let found = at(offsets, lattice, (of, &|_| true), settings);
+        let is_last = 2 * count > MOST_AZIMUTHS;
+        match found {
+            Err(_) if !is_last => {}
+            Ok(found) if !is_last && found.report.error > settings.error => {}
+            found => return found,
+        }
+        count *= 2;
+    }
+}
+
 /// Kernels and weights of the tool `of` on `offsets`, for places in the rectangle from `low_mm` to `high_mm` [x, y]. The
-/// places at which the tool is used, those that `counts` says, decide about the kernels and the errors.
+/// places at which the tool is used, those that `counts` says, decide about the kernels and the errors. The places of the
+/// weights are `spacing_mm` apart, or as far as the wanted error allows.
 pub fn low_rank(
     offsets: &Grid,
-    [low_mm, high_mm]: [[f64; 2]; 2],
+    ([low_mm, high_mm], spacing_mm): ([[f64; 2]; 2], Option<f64>),
     of: &LocalTool<'_>,
     counts: &Used<'_>,
     settings: &LowRankSettings,
 ) -> Result<LowRank, Invalid> {
-    let LowRankSettings { error, spacing_mm, max_rank } = *settings;
-    if !(error > 0.0 && error < 1.0) {
-        let problem = format!("is {error}");
-        return Err(Invalid::whole("error", problem, "give a fraction above 0 and below 1"));
-    }
-    if max_rank == 0 {
-        return Err(Invalid::whole("max_rank", "is 0", "give at least one kernel"));
-    }
+    settings.check()?;
+    let error = settings.error;
     if let Some(mm) = spacing_mm.filter(|mm| !(mm.is_finite() && *mm > 0.0)) {
         return Err(Invalid::whole("spacing_mm", format!("is {mm}"), "give a distance in mm"));
     }
@@ -143,7 +251,7 @@ pub fn low_rank(
             return Err(Invalid::whole("spacing_mm", problem, remedy));
         }
         let is_last = spacing_mm.is_some() || 4 * places > MOST_PLACES;
-        let found = match at(offsets, positions, (of, counts), error, max_rank) {
+        let found = match at(offsets, Lattice::Places(positions), (of, counts), settings) {
             // On a coarse grid the few places may say too little of the tool.
             Err(_) if !is_last => {
                 spacing *= 0.5;
@@ -160,17 +268,16 @@ pub fn low_rank(
     }
 }
 
-/// Kernels and weights on a grid of places.
+/// Kernels and weights on a lattice.
 fn at(
     offsets: &Grid,
-    positions: Grid,
+    lattice: Lattice,
     (of, counts): (&LocalTool<'_>, &Used<'_>),
-    error: f64,
-    max_rank: usize,
+    settings: &LowRankSettings,
 ) -> Result<LowRank, Invalid> {
-    let (ny, nx) = positions.shape();
-    let place = |i: usize| [positions.x.at(i % nx), positions.y.at(i / nx)];
-    let count = nx * ny;
+    let LowRankSettings { error, max_rank } = *settings;
+    let place = |i: usize| lattice.place(i);
+    let count = lattice.len();
     let used: Vec<usize> = (0..count).into_par_iter().filter(|i| counts(place(*i))).collect();
     if used.is_empty() {
         let remedy = "give a map with valid pixels in the coordinates of the part";
@@ -227,28 +334,40 @@ fn at(
     let squares: f64 = of_used().map(|(_, square)| square).sum::<f64>() / used.len() as f64;
     let of_rank: f64 = of_used().map(missed).sum::<f64>() / used.len() as f64;
     let largest_of_rank = of_used().map(missed).fold(0.0, f64::max);
-    let weights: Vec<Array2<f64>> = (0..rank)
-        .map(|k| Array2::from_shape_fn((ny, nx), |(r, c)| found[r * nx + c].0[k] / scale))
-        .collect();
-    let tool = VaryingTif {
-        offsets: *offsets,
-        kernels: kernels.iter().map(|kernel| kernel * scale).collect(),
-        positions,
-        weights,
-        pixels: None,
-        time: None,
+    let kernels_nm_per_s = kernels.iter().map(|kernel| kernel * scale).collect();
+    let weight = |k: usize, i: usize| found[i].0[k] / scale;
+    let tool = match lattice {
+        Lattice::Places(positions) => {
+            let (ny, nx) = positions.shape();
+            let map = |k| Array2::from_shape_fn((ny, nx), |(r, c)| weight(k, r * nx + c));
+            VaryingTif {
+                offsets: *offsets,
+                kernels: kernels_nm_per_s,
+                positions,
+                weights: (0..rank).map(map).collect(),
+                azimuth: None,
+                pixels: None,
+                time: None,
+            }
+        }
+        Lattice::Azimuths { middle_mm, radius_mm, .. } => {
+            let around = |i: usize| Axis::new(middle_mm[i] - radius_mm, 2.0 * radius_mm, 2);
+            let positions = Grid { x: around(0)?, y: around(1)? };
+            let degrees = (0..count).map(|i| 360.0 * i as f64 / count as f64).collect();
+            let rows = (0..rank).map(|k| (0..count).map(|i| weight(k, i)).collect()).collect();
+            VaryingTif {
+                offsets: *offsets,
+                kernels: kernels_nm_per_s,
+                positions,
+                weights: vec![Array2::ones(positions.shape()); rank],
+                azimuth: Some(AzimuthWeights::new(middle_mm, degrees, rows)?),
+                pixels: None,
+                time: None,
+            }
+        }
     };
     // |K - sum_k a phi_k|^2 = |K|^2 - 2 a . (phi . K) + |a|^2 with the interpolated a.
-    let middle = |i: usize| {
-        let (c, r) = (i % (nx - 1), i / (nx - 1));
-        [
-            0.5 * (positions.x.at(c) + positions.x.at(c + 1)),
-            0.5 * (positions.y.at(r) + positions.y.at(r + 1)),
-        ]
-    };
-    let cells = (nx - 1) * (ny - 1);
-    let inside: Vec<[f64; 2]> =
-        (0..cells).into_par_iter().map(middle).filter(|p| counts(*p)).collect();
+    let inside: Vec<[f64; 2]> = lattice.middles().into_par_iter().filter(|p| counts(*p)).collect();
     let middles = inside.len().min(MOST_MIDDLES);
     let tif = Tif::varying(tool.clone())?;
     // A tool that turns out to be the same everywhere has no weights.
@@ -270,8 +389,15 @@ fn at(
     let relative = |square: f64| (square / squares).sqrt();
     let report = LowRankReport {
         rank,
-        places: [nx, ny],
-        spacing_mm: [positions.x.step_mm(), positions.y.step_mm()],
+        samples: match lattice {
+            Lattice::Places(Grid { x, y }) => Samples::Places {
+                places: [x.len(), y.len()],
+                spacing_mm: [x.step_mm(), y.step_mm()],
+            },
+            Lattice::Azimuths { count, .. } => {
+                Samples::Azimuths { azimuths: count, spacing_deg: 360.0 / count as f64 }
+            }
+        },
         rank_error: relative(of_rank),
         largest_rank_error: relative(largest_of_rank),
         error: relative(of_middles).max(relative(of_rank)),

@@ -76,6 +76,12 @@ impl<'a> Places<'a> {
         self.middle_mm
     }
 
+    /// Largest distance of a valid pixel from the middle, mm.
+    pub fn radius_mm(&self) -> f64 {
+        let from = |q: &[f64; 2]| (q[0] - self.middle_mm[0]).hypot(q[1] - self.middle_mm[1]);
+        self.border_mm.iter().map(from).fold(0.0, f64::max)
+    }
+
     /// Returns true if a point lies in a valid pixel.
     fn is_on_part(&self, [x, y]: [f64; 2]) -> bool {
         let grid = self.surface.grid();

@@ -47,7 +47,7 @@ const MAX_SLOPE: f64 = 0.3 / EDGE_PER_SPACING;
 /// Marks cells outside the region.
 const OUTSIDE: u32 = u32::MAX;
 
-/// Cells of about p/3, row by row from the smallest y.
+/// Square cells over the region, with sides of about a third of the pitch p; row by row from the smallest y.
 pub(super) struct Field {
     low_mm: [f64; 2],
     pub(super) side_mm: [f64; 2],
