@@ -135,7 +135,7 @@ pub fn psd_svg(psd: &Psd) -> String {
     svg.finish([2.0 * total, size[1] + MARGIN[1] + MARGIN[3]])
 }
 
-/// Range that is wider by 4 % at both ends, or by 1 about a single value.
+/// Range of a plot: that of the data, wider by 4 % at both ends; about a single value, 1 to each side.
 fn with_rim([low, high]: [f64; 2]) -> [f64; 2] {
     let rim = if high > low { 0.04 * (high - low) } else { 1.0 };
     [low - rim, high + rim]
