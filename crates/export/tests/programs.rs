@@ -166,7 +166,7 @@ fn a_long_program_says_how_fast_its_buffer_runs_empty() {
         Trajectory::new(times, (0..n).map(there).collect(), vec![true; n], vec![Some(0); n])
             .unwrap();
     let text = write(&motion, &Controller::Galil, &common()).unwrap();
-    assert!(text.contains("' buffer: 255 segments, which last "), "{text}");
+    assert!(text.contains("' buffer of the controller: 255 segments, which last "), "{text}");
     let before = text.split("\nBTAB").next().unwrap();
     // The line that clears the buffer, then 255 segments.
     assert_eq!(before.matches("PVA=").count(), 1 + 255);

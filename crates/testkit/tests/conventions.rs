@@ -305,7 +305,7 @@ fn lengths_are_mm_heights_nm_times_s() {
     let mut units: BTreeSet<&str> =
         kind::ALL.iter().flat_map(|k| k.arrays).map(|a| a.unit).collect();
     let spectral = ["1/mm", "nm^2 mm", "nm^2 mm^2", "nrad^2 mm", "nrad^2 mm^2"];
-    let plain = ["mm", "mm^2", "nm", "nrad", "nm/s", "s", "s/mm", "mm/s^order", "1"];
+    let plain = ["mm", "mm^2", "nm", "nrad", "nm/s", "s", "s/mm", "mm/s^order", "1", "deg"];
     for known in plain.into_iter().chain(spectral) {
         assert!(units.remove(known), "no array in {known}");
     }

@@ -11,7 +11,7 @@ use serde::Deserialize;
 
 #[derive(Args)]
 pub struct Program {
-    /// Directory of a finished run, in which its report and the program (such as program.galil) are
+    /// Directory of the run, in which its report and the program (such as program.galil) are
     #[arg(long, value_name = "DIR")]
     run: PathBuf,
     /// Plan from which the program was written

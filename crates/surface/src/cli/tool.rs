@@ -223,10 +223,10 @@ impl FormArgs {
 
 #[derive(Debug, Args)]
 pub struct RateArgs {
-    /// Tool where the factor is 1 [tif or tool artifact]
+    /// Tool influence function where the factor is 1 [tif or tool artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
-    /// Parameter of the place on which the rate depends
+    /// Parameter of the place on which the tool depends
     #[arg(long, value_enum)]
     by: Parameter,
     #[command(flatten)]
@@ -319,7 +319,7 @@ fn with_factor(tif: &Tif, mut pixels: PixelFactor) -> Result<Tif, Failure> {
 
 #[derive(Debug, Args)]
 pub struct SpotsArgs {
-    /// Parameter of the place on which the spot depends
+    /// Parameter of the place on which the tool depends
     #[arg(long, value_enum)]
     by: Parameter,
     #[command(flatten)]
@@ -365,7 +365,7 @@ impl SpotsArgs {
 
 #[derive(Debug, Args)]
 pub struct EdgeArgs {
-    /// Removal of the pad where all of it is on the part [tif artifact]
+    /// Tool influence function of the pad where all of it is on the part [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
     /// Radius of the pad, mm
@@ -396,7 +396,7 @@ impl EdgeArgs {
 
 #[derive(Debug, Args)]
 pub struct TurnedArgs {
-    /// Spot at the azimuth 0: beside the middle, towards positive x [tif artifact]
+    /// Tool influence function at the azimuth 0: beside the middle, towards positive x [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
     /// Map of the part; the spot turns about the middle of its valid pixels [surface artifact]
@@ -430,10 +430,11 @@ impl TurnedArgs {
 
 #[derive(Debug, Args)]
 pub struct TimeArgs {
-    /// Tool where the factor is 1 [tif or tool artifact]
+    /// Tool influence function where the factor is 1 [tif or tool artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
-    /// Table of time since the start of the run (s) and factor, two numbers in each line, ascending [text file]
+    /// Table of parameter and factor, two numbers in each line, ascending; the parameter is the time since the start of
+    /// the run in s [text file]
     #[arg(long, value_name = "FILE")]
     table: PathBuf,
     #[command(flatten)]

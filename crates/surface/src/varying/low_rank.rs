@@ -77,14 +77,14 @@ impl LowRankSettings {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Samples {
-    /// On a grid of places.
+    /// Samples on a grid of places.
     Places {
         /// Places along x and y.
         places: [usize; 2],
         /// Their distance along x and y, mm.
         spacing_mm: [f64; 2],
     },
-    /// Around a point.
+    /// Samples around a point.
     Azimuths {
         /// Azimuths of one turn.
         azimuths: usize,
@@ -154,9 +154,9 @@ pub struct LowRank {
 /// Samples of the weights.
 #[derive(Clone, Copy)]
 enum Lattice {
-    /// On a grid of places.
+    /// Samples on a grid of places.
     Places(Grid),
-    /// At azimuths of one turn about a middle, at a distance from it.
+    /// Samples at azimuths of one turn about a middle, at a distance from it.
     Azimuths { middle_mm: [f64; 2], radius_mm: f64, count: usize },
 }
 
