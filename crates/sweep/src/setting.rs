@@ -280,7 +280,10 @@ fn range(
         ));
     }
     if logarithmic && (from <= 0.0 || step.is_some()) {
-        return refused("has logarithmic spacing; begin the range above 0, and give `count` instead of `step`".into());
+        return refused(
+            "has logarithmic spacing; begin the range above 0, and give `count` instead of `step`"
+                .into(),
+        );
     }
     let count = match (step, count) {
         // Its end belongs to a range, whatever rounding makes of it.
@@ -364,7 +367,11 @@ mod tests {
                 "{from: 1, to: 2, step: 1e-9}",
                 "has 1000000000 values; give at most 10000",
             ),
-            ("pitch_mm", "{from: 0, to: 2, count: 3, spacing: logarithmic}", "begin the range above 0"),
+            (
+                "pitch_mm",
+                "{from: 0, to: 2, count: 3, spacing: logarithmic}",
+                "begin the range above 0",
+            ),
         ] {
             let complaint = values(key, text).unwrap_err();
             assert!(complaint.contains(said) && complaint.starts_with("line 2: "), "{complaint}");

@@ -139,7 +139,8 @@ fn check(settings: &MazeSettings) -> Result<(), Invalid> {
     check_length("overscan_mm", settings.overscan_mm, true)?;
     check_length("corner_radius_mm", radius, true)?;
     if radius > 0.5 * pitch * (1.0 + SLACK) {
-        let remedy = format!("two corners share a step of {pitch} mm: give a radius of at most half of it");
+        let remedy =
+            format!("two corners share a step of {pitch} mm: give a radius of at most half of it");
         return Err(Invalid::whole("corner_radius_mm", format!("is {radius}"), remedy));
     }
     match settings.tree {
