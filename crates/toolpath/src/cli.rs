@@ -16,7 +16,7 @@ use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, Task, Writer, flags::OutputArgs, say, warn,
     with_flags,
 };
-use planish_toolpath::{PathReport, travel_warnings, usual_overscan_mm};
+use planish_toolpath::{PathReport, inset, travel_warnings, usual_overscan_mm};
 use planish_types::{Machine, Surface, Tif, ToolPath, doubts, plausible};
 use serde::Serialize;
 
@@ -67,8 +67,9 @@ struct RegionArgs {
     /// Distance of neighbouring lines, mm
     #[arg(long, value_name = "P", allow_negative_numbers = true)]
     pitch_mm: f64,
-    /// Distance that the path goes beyond the aperture, mm [default: half the size of the square around the centroid
-    /// of the TIF that holds all but 0.05 % of its volume]
+    /// Distance that the path goes beyond the aperture, mm; below 0, it stays that far inside of the edge, for pads that
+    /// may hang over only in part [default: half the size of the square around the centroid of the TIF that holds all but
+    /// 0.05 % of its volume]
     #[arg(long, value_name = "O", allow_negative_numbers = true)]
     overscan_mm: Option<f64>,
     /// Machine and its limits, for a warning if the path leaves the travel of its axes [JSON]
@@ -87,10 +88,21 @@ struct Region {
     tif: Option<Tif>,
     off_centre_mm: [f64; 2],
     overscan_mm: f64,
+    /// Distance of the path from the edge of the aperture where it stays inside, mm; else 0.
+    inset_mm: f64,
     /// Machine, if its travel is limited or its limits are in doubt; the report depends on it only then.
     machine: Option<Machine>,
     /// Probable mistakes in the inputs.
     doubts: Vec<String>,
+}
+
+/// What a method is asked for.
+#[derive(Serialize)]
+struct Asked<'a, S> {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    inset_mm: Option<f64>,
+    #[serde(flatten)]
+    settings: &'a S,
 }
 
 impl Region {
@@ -131,6 +143,13 @@ impl Region {
                 "overscan: unknown; give --overscan-mm, or --tif for half the size of the tool",
             )
         })?;
+        // A path that stays inside is that of a smaller aperture, without overscan.
+        let inset_mm = (-overscan_mm).max(0.0);
+        let surface = match inset_mm > 0.0 {
+            true => inset(&surface, inset_mm).map_err(Failure::with_flags)?,
+            false => surface,
+        };
+        let overscan_mm = if inset_mm > 0.0 { 0.0 } else { overscan_mm };
         Ok(Self {
             inputs,
             output: args.output.clone(),
@@ -138,9 +157,15 @@ impl Region {
             tif,
             off_centre_mm,
             overscan_mm,
+            inset_mm,
             machine,
             doubts,
         })
+    }
+
+    /// Settings of a method with what the aperture has become.
+    fn asked<'a, S: Serialize>(&self, settings: &'a S) -> Asked<'a, S> {
+        Asked { inset_mm: (self.inset_mm > 0.0).then_some(self.inset_mm), settings }
     }
 
     fn begin(&self, task: &Task) -> Result<Begin, Failure> {

@@ -35,7 +35,7 @@ pub use random_adaptive::{
     Construction, RandomAdaptive, RandomAdaptiveReport, RandomAdaptiveSettings, random_adaptive,
 };
 pub use raster::{LineOrder, RasterSettings, Scan, Turn, raster};
-pub use region::usual_overscan_mm;
+pub use region::{inset, usual_overscan_mm};
 pub use report::{PathReport, travel_warnings};
 pub use spiral::{SpiralSettings, spiral};
 pub use statistics::{PathStatistics, PitchLimit, pitch_limit, statistics, time_lower_bound_s};

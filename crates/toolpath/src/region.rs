@@ -14,7 +14,7 @@
 //! not their array.
 
 use ndarray::ArrayView2;
-use planish_types::{Axis, Invalid, Tif};
+use planish_types::{Axis, Invalid, Surface, Tif};
 
 /// Difference of two lengths, as a fraction of a pitch or a step, up to which they are equal. Larger: different
 /// lengths are taken as equal. Smaller: rounding of coordinates adds a segment.
@@ -45,6 +45,47 @@ pub fn usual_overscan_mm(tif: &Tif, off_centre_mm: [f64; 2]) -> f64 {
         }
     }
     support
+}
+
+/// The part of an aperture that is at least `inset_mm` from its edge, which runs half a pixel beyond the centres of the
+/// valid pixels at it:
+///
+/// ```text
+/// kept   the pixels with |x - b| + h/2 >= inset for every valid pixel b that has an invalid or no neighbour
+/// ```
+///
+/// with the smaller pitch h. Returns an error if nothing is left.
+pub fn inset(surface: &Surface, inset_mm: f64) -> Result<Surface, Invalid> {
+    let (z, grid) = (surface.height_nm(), surface.grid());
+    let (ny, nx) = z.dim();
+    let pixel_mm = [grid.x.step_mm(), grid.y.step_mm()];
+    if !inset_mm.is_finite() {
+        let problem = format!("is {}", -inset_mm);
+        return Err(Invalid::whole("overscan_mm", problem, "give a finite number"));
+    }
+    let reach_mm = inset_mm - 0.5 * pixel_mm[0].min(pixel_mm[1]);
+    let cells = pixel_mm.map(|mm| (reach_mm / mm).ceil().clamp(0.0, nx.max(ny) as f64) as usize);
+    let is_border = |r: usize, c: usize| {
+        let inside = r > 0 && c > 0 && r + 1 < ny && c + 1 < nx;
+        !inside || [(r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)].iter().any(|p| z[*p].is_nan())
+    };
+    let mut left = z.clone();
+    for ((r, c), _) in z.indexed_iter().filter(|((r, c), v)| !v.is_nan() && is_border(*r, *c)) {
+        for i in r.saturating_sub(cells[1])..(r + cells[1] + 1).min(ny) {
+            for k in c.saturating_sub(cells[0])..(c + cells[0] + 1).min(nx) {
+                let distance_mm = (i.abs_diff(r) as f64 * pixel_mm[1])
+                    .hypot(k.abs_diff(c) as f64 * pixel_mm[0]);
+                if distance_mm < reach_mm {
+                    left[[i, k]] = f64::NAN;
+                }
+            }
+        }
+    }
+    if left.iter().all(|v| v.is_nan()) {
+        let problem = format!("is -{inset_mm} mm, which leaves nothing of the aperture");
+        return Err(Invalid::whole("overscan_mm", problem, "give a smaller distance from the edge"));
+    }
+    Surface::new(*grid, left)
 }
 
 /// The clear aperture as runs of valid pixels, in coordinates along and across the lines.
@@ -156,6 +197,41 @@ mod tests {
     use planish_types::Grid;
 
     use super::*;
+
+    #[test]
+    fn an_inset_disk_is_a_smaller_disk() {
+        for [x, y] in [[0.25, 0.25], [0.5, 0.2]] {
+            let axis = |step: f64| {
+                let half = (12.0 / step).round();
+                Axis::new(-step * half, step, 2 * half as usize + 1).unwrap()
+            };
+            let grid = Grid { x: axis(x), y: axis(y) };
+            let radius = |(r, c): (usize, usize)| grid.x.at(c).hypot(grid.y.at(r));
+            let disk = ndarray::Array2::from_shape_fn(grid.shape(), |at| {
+                if radius(at) <= 10.0 { 1.0 } else { f64::NAN }
+            });
+            let left = inset(&Surface::new(grid, disk).unwrap(), 3.0).unwrap();
+            // The centres at the edge lie up to a pixel inside of it, so the kept disk is exact to a pixel.
+            for (at, v) in left.height_nm().indexed_iter() {
+                let beyond_mm = radius(at) - 7.0;
+                assert!(v.is_nan() || beyond_mm <= x.max(y), "{beyond_mm}");
+                assert!(!v.is_nan() || beyond_mm >= -x.max(y), "{beyond_mm}");
+            }
+        }
+    }
+
+    #[test]
+    fn an_inset_that_leaves_nothing_is_refused() {
+        let axis = |n| Axis::new(0.0, 1.0, n).unwrap();
+        let grid = Grid { x: axis(9), y: axis(5) };
+        let surface = Surface::new(grid, ndarray::Array2::zeros(grid.shape())).unwrap();
+        // The part is 5 mm high: at 2.5 mm its middle row is left but for two pixels at each end, beyond it nothing.
+        let left = inset(&surface, 2.5).unwrap();
+        assert_eq!(left.height_nm().iter().filter(|v| !v.is_nan()).count(), 5);
+        assert!(inset(&surface, 2.6).is_err());
+        assert!(inset(&surface, f64::INFINITY).is_err());
+    }
+
 
     /// Rates in `half` mm around 0, in samples of 0.25 mm.
     fn tif(half: f64, rate: impl Fn(f64, f64) -> f64) -> Tif {

@@ -258,7 +258,7 @@ fn bad_input_ends_with_2_a_message_and_no_output() {
         (with("0", "1", &["--overscan-mm", "1"]), "pitch_mm: is 0"),
         (with("-1", "1", &["--overscan-mm", "1"]), "pitch_mm: is -1"),
         (with("1", "NaN", &["--overscan-mm", "1"]), "step_mm: is NaN"),
-        (with("1", "1", &["--overscan-mm", "-2"]), "overscan_mm: is -2"),
+        (with("1", "1", &["--overscan-mm", "-200"]), "which leaves nothing of the aperture"),
         (with("1e-8", "1", &["--overscan-mm", "1"]), "more than 20000000 segments"),
         (with("1", "1", &["--tif", "surface"]), "rate_nm_per_s"),
         (with("1", "one", &["--overscan-mm", "1"]), "invalid value"),

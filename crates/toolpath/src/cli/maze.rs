@@ -60,7 +60,7 @@ impl MazeArgs {
             open: self.open,
             seed: self.seed,
         };
-        let mut output = match on.begin(&task!("maze", &settings))? {
+        let mut output = match on.begin(&task!("maze", &on.asked(&settings)))? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };

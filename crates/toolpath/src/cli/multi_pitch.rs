@@ -71,7 +71,7 @@ impl MultiPitchArgs {
             overscan_mm: on.overscan_mm,
             links: self.links,
         };
-        let mut output = match on.begin(&task!("multi-pitch", &settings))? {
+        let mut output = match on.begin(&task!("multi-pitch", &on.asked(&settings)))? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };

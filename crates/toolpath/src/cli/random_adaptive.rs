@@ -40,7 +40,7 @@ impl RandomAdaptiveArgs {
             rounding_passes: self.rounding_passes,
             seed: self.seed,
         };
-        let mut output = match on.begin(&task!("random-adaptive", &settings))? {
+        let mut output = match on.begin(&task!("random-adaptive", &on.asked(&settings)))? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };
