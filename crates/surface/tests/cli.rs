@@ -366,8 +366,8 @@ fn bad_input_of_the_other_commands_ends_with_2_and_no_output() {
         ("psd --surface in --removal in", "cannot be used with"),
         ("tif --tif zero", "no positive rate"),
         ("tif --tif negative", "no positive rate"),
-        ("tif --tif tif --pitch-mm 0", "is 0 mm"),
-        ("tif --tif tif --pitch-mm 50", "less than 2 samples"),
+        ("tif --tif tif --pixel-mm 0", "is 0 mm"),
+        ("tif --tif tif --pixel-mm 50", "less than 2 samples"),
         ("tif --tif tif --rotate-deg inf", "rotation: is inf"),
         ("tif --tif tif --use-fit", "--fit-formula"),
     ] {
