@@ -32,6 +32,24 @@ impl Jet {
         ]
     }
 
+    /// h(f, g) with the derivatives [h, h_f, h_g, h_ff, h_fg, h_gg] of h at the values of f and g:
+    /// `h_xy = h_f f_xy + h_g g_xy + h_ff f_x f_y + h_fg (f_x g_y + f_y g_x) + h_gg g_x g_y`.
+    pub(crate) fn composed([h, hf, hg, hff, hfg, hgg]: [f64; 6], [f, g]: [Self; 2]) -> Self {
+        let second = |k: usize, i: usize, j: usize| {
+            let ([a, b], [c, d]) = ([f.gradient[i], f.gradient[j]], [g.gradient[i], g.gradient[j]]);
+            hf * f.hessian[k]
+                + hg * g.hessian[k]
+                + hff * a * b
+                + hfg * (a * d + b * c)
+                + hgg * c * d
+        };
+        Self {
+            value: h,
+            gradient: [0, 1].map(|k| hf * f.gradient[k] + hg * g.gradient[k]),
+            hessian: [second(0, 0, 0), second(1, 0, 1), second(2, 1, 1)],
+        }
+    }
+
     /// h(f) with h, h' and h'' at the value of f.
     fn of(self, [h, first, second]: [f64; 3]) -> Self {
         let [x, y] = self.gradient;

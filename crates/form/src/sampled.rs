@@ -89,19 +89,22 @@ impl Sampled {
             of_t.iter().flatten().flat_map(|r| of_s.iter().flatten().map(move |c| (*r, *c)));
         let found = cells.into_iter().find(|(r, c)| self.is_cell(*r, *c));
         let Some((r, c)) = found.filter(|_| near) else { return Jet::constant(f64::NAN) };
-        let local = |v: Jet, axis: &Axis, i: usize| {
-            (v - Jet::constant(axis.at(i))).times(1.0 / axis.step_mm())
-        };
-        let (u, v) = (hermite(local(x, of_x, c)), hermite(local(y, of_y, r)));
-        let mut sum = Jet::constant(0.0);
-        for (j, (along_y, of_y)) in v.into_iter().zip([0, 1, 0, 1]).enumerate() {
-            for (i, (along_x, of_x)) in u.into_iter().zip([0, 1, 0, 1]).enumerate() {
-                // The first two are of heights, the others of slopes.
+        let (of_x, of_y) =
+            (basis(s - c as f64, of_x.step_mm()), basis(t - r as f64, of_y.step_mm()));
+        // Derivatives of these orders by x and y.
+        let orders = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)];
+        let mut sums = [0.0; 6];
+        for (j, down) in [0, 1, 0, 1].into_iter().enumerate() {
+            for (i, right) in [0, 1, 0, 1].into_iter().enumerate() {
+                // The first two of the basis are of heights, the others of slopes.
                 let which = usize::from(i > 1) + 2 * usize::from(j > 1);
-                sum = sum + (along_x * along_y).times(self.values[which][[r + of_y, c + of_x]]);
+                let value = self.values[which][[r + down, c + right]];
+                for (sum, (by_x, by_y)) in sums.iter_mut().zip(orders) {
+                    *sum += of_x[by_x][i] * of_y[by_y][j] * value;
+                }
             }
         }
-        sum
+        Jet::composed(sums, [x, y])
     }
 }
 
@@ -110,12 +113,17 @@ fn pixels(axis: &Axis, mm: f64) -> f64 {
     (mm - axis.start_mm()) / axis.step_mm()
 }
 
-/// Cubic Hermite basis on [0, 1]: of the heights at both ends, then of the slopes.
-fn hermite(f: Jet) -> [Jet; 4] {
-    let (one, square) = (Jet::constant(1.0), f * f);
-    let cube = square * f;
-    let end = square.times(3.0) - cube.times(2.0);
-    [one - end, end, cube - square.times(2.0) + f, cube - square]
+/// Cubic Hermite basis at f in [0, 1], of the heights at both ends, then of the slopes per pixel; and its first and second
+/// derivatives by a coordinate in mm, for pixels of this size, mm.
+fn basis(f: f64, pixel_mm: f64) -> [[f64; 4]; 3] {
+    let (end, start) = (f * f * (3.0 - 2.0 * f), f * f * (f - 1.0));
+    let (first, second) = (1.0 / pixel_mm, 1.0 / (pixel_mm * pixel_mm));
+    let rise = 6.0 * f * (1.0 - f);
+    [
+        [1.0 - end, end, start - f * (f - 1.0), start],
+        [-rise, rise, 1.0 + f * (3.0 * f - 4.0), f * (3.0 * f - 2.0)].map(|v| first * v),
+        [12.0 * f - 6.0, 6.0 - 12.0 * f, 6.0 * f - 4.0, 6.0 * f - 2.0].map(|v| second * v),
+    ]
 }
 
 /// Gives invalid pixels beside valid ones the mean of the quadratic continuations along x and y that exist.

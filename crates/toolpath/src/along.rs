@@ -23,8 +23,9 @@ use crate::statistics::{PathStatistics, statistics};
 /// parts where nothing can be seen.
 const NOTEWORTHY: f64 = 1.05;
 
-/// Largest number of pixels at which the stretches are computed. Larger: more time. Smaller: a rare one is missed.
-const MOST_PLACES: usize = 10_000;
+/// Largest number of pixels at which the stretches are computed; they change slowly over a part. Larger: more time.
+/// Smaller: the largest is missed.
+const MOST_PLACES: usize = 400;
 
 /// The surface of a part, along which a path is made.
 #[derive(Clone, Debug)]
@@ -70,9 +71,24 @@ impl AlongReport {
 }
 
 impl OnForm {
-    /// The form of a part whose valid pixels are those of `surface`. Refuses a form that does not exist in their middle.
+    /// The form of a part whose valid pixels are those of `surface`. Refuses a form that does not exist at one of them, or
+    /// in their middle.
     pub fn new(form: Form, surface: &Surface) -> Result<Self, Invalid> {
         let grid = surface.grid();
+        let lacks = |((r, c), z): &((usize, usize), &f64)| {
+            !z.is_nan() && form.at([grid.x.at(*c), grid.y.at(*r)]).is_none()
+        };
+        let mut lacking = surface.height_nm().indexed_iter().filter(lacks);
+        if let Some(((r, c), _)) = lacking.next() {
+            let (x, y, more) = (grid.x.at(c), grid.y.at(r), lacking.count());
+            let problem = format!(
+                "is invalid or absent at ({x:.4}, {y:.4}) mm, where the map of the part has a valid pixel (and at {more} \
+                 more)"
+            );
+            let remedy = "fill the form by `planish-surface prepare --fill`, give a formula in a form file, or make these \
+                          pixels of the map of the part invalid";
+            return Err(Invalid::at("form", (r, c), problem, remedy));
+        }
         let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
         let none = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
         let [x, y] = valid.fold(none, |[x, y], ((r, c), _)| {
@@ -168,8 +184,14 @@ impl OnForm {
         ToolPath::new(points, dwell_points, path.tool_on().to_vec(), path.pass_idx().to_vec())
     }
 
-    /// Numbers of a path in the coordinates along the surface, over the map `surface` of the part.
-    pub fn report(&self, path: &ToolPath, surface: &Surface) -> Result<AlongReport, Invalid> {
+    /// Numbers of a path in the coordinates along the surface, over the map `surface` of the part, which is `developed` in
+    /// these coordinates.
+    pub fn report(
+        &self,
+        path: &ToolPath,
+        surface: &Surface,
+        developed: &Surface,
+    ) -> Result<AlongReport, Invalid> {
         let on = self.development()?;
         let valid = valid_mm(surface);
         let taken = valid.len().min(MOST_PLACES);
@@ -179,7 +201,7 @@ impl OnForm {
             .collect();
         let both = |[low, high]: [f64; 2], v: &[f64; 2]| [low.min(v[0]), high.max(v[1])];
         Ok(AlongReport {
-            along_surface: statistics(path, &self.developed(surface)?),
+            along_surface: statistics(path, developed),
             stretches: stretches.iter().fold([1.0; 2], both),
             largest_over_projection: self.largest_over_projection(surface),
         })
@@ -228,6 +250,11 @@ mod tests {
         Form::new(&serde_json::from_str(json).unwrap(), None).unwrap()
     }
 
+    /// The report on a path of a part.
+    fn reported(on: &OnForm, path: &ToolPath, part: &Surface) -> AlongReport {
+        on.report(path, part, &on.developed(part).unwrap()).unwrap()
+    }
+
     #[test]
     fn lines_on_a_cylinder_are_one_pitch_apart_along_its_arc() {
         // Curved along y: the lines along x lie at equal arcs 30 asin(y / 30).
@@ -247,7 +274,7 @@ mod tests {
         for pair in arcs.windows(2) {
             assert!((pair[1] - pair[0] - 1.0).abs() < 1e-9, "{pair:?}");
         }
-        let report = on.report(&flat, &part).unwrap();
+        let report = reported(&on, &flat, &part);
         assert!(report.stretches.iter().all(|s| (s - 1.0).abs() < 1e-6), "{:?}", report.stretches);
         // 1 / cos at 24 mm of 30 mm is 1 / 0.6.
         assert!((report.largest_over_projection - 1.0 / 0.6).abs() < 1e-9);
@@ -278,7 +305,7 @@ mod tests {
             assert!((arc - turns - offset).abs() < 1e-9, "{arc} {turns}");
         }
         // 30 degrees of slope at the edge: b / sin b = 1.047, and 1 / cos b = 1.155.
-        let report = on.report(&flat, &part).unwrap();
+        let report = reported(&on, &flat, &part);
         let angle = 30_f64.to_radians();
         assert!((report.stretches[0] - angle.sin() / angle).abs() < 1e-4, "{:?}", report.stretches);
         assert!((report.largest_over_projection - 1.0 / angle.cos()).abs() < 1e-9);
@@ -297,6 +324,6 @@ mod tests {
             assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 1e-13, "{a:?} {b:?}");
         }
         assert!(on.warning_of_projection(&part).is_none());
-        assert!(on.report(&there, &part).unwrap().warnings().is_empty());
+        assert!(reported(&on, &there, &part).warnings().is_empty());
     }
 }

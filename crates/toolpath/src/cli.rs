@@ -144,10 +144,7 @@ impl Region {
             }
             doubts.extend(doubt);
         }
-        let surface = match off_centre_mm {
-            [0.0, 0.0] => surface,
-            _ => surface.seen_by_tool(off_centre_mm)?,
-        };
+        // The form is of the part, not of the places of the tool.
         let on_form = args.form.read(&surface, &mut inputs)?;
         // The form beside the map, which `planish-surface prepare` wrote, matters to a path in projection.
         let beside = args.surface.join(kind::FORM_FILE);
@@ -161,6 +158,10 @@ impl Region {
                 }),
             );
         }
+        let surface = match off_centre_mm {
+            [0.0, 0.0] => surface,
+            _ => surface.seen_by_tool(off_centre_mm)?,
+        };
         let (surface, on_form) = match on_form {
             None => (surface, None),
             Some(on) => (on.developed(&surface)?, Some((on, surface))),
@@ -200,7 +201,7 @@ impl Region {
         let tif = self.tif.as_ref();
         let (mut along, mut projected) = (None, None);
         if let Some((on, part)) = &self.on_form {
-            along = Some(on.report(path, part)?);
+            along = Some(on.report(path, part, &self.surface)?);
             projected = Some((on.projected(path)?, part));
         }
         let (path, surface) = match &projected {

@@ -555,6 +555,17 @@ fn pitch_and_step_count_along_the_surface_of_a_form() {
         let (_, manifest) = read(&dir.join(&out));
         assert!(manifest.outcome["form"]["stretches"][0].as_f64().unwrap() > 0.999_999, "{method}");
     }
+    // A form that ends within the part.
+    let file = r#"{"kind": "cylinder", "radius_mm": 9.8, "vertex_mm": [10, 5]}"#;
+    fs::write(dir.join("small.json"), file).unwrap();
+    let small = ["--overscan-mm", "1", "--form", "small.json", "--out", "refused"];
+    let output = run(dir, &[&BASIC[..], &small[..]].concat());
+    assert_eq!(output.status.code(), Some(2));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        said.contains("small.json: form[0, 0]: is invalid or absent at (0.0000, 0.0000) mm"),
+        "{said}"
+    );
     let missing = ["--overscan-mm", "1", "--form", "nowhere.json", "--out", "refused"];
     let output = run(dir, &[&BASIC[..], &missing[..]].concat());
     assert_eq!(output.status.code(), Some(2));

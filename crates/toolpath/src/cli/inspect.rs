@@ -30,7 +30,9 @@ impl InspectArgs {
         let surface: Surface = inputs.read("surface", &self.surface)?;
         let mut found = serde_json::to_value(statistics(&path, &surface))?;
         if let Some(on) = self.form.read(&surface, &mut inputs)? {
-            found["form"] = serde_json::to_value(on.report(&on.unrolled(&path)?, &surface)?)?;
+            let developed = on.developed(&surface)?;
+            let report = on.report(&on.unrolled(&path)?, &surface, &developed)?;
+            found["form"] = serde_json::to_value(report)?;
         }
         if let Some(file) = &self.machine {
             found["least_time_s"] =
