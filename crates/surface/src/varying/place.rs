@@ -62,7 +62,7 @@ impl<'a> Places<'a> {
         let (name, remedy) = ("sphere_radius_mm", "give a radius of curvature in mm");
         let sphere = Form::sphere(radius_mm, self.middle_mm)
             .map_err(|_| Invalid::whole(name, format!("is {radius_mm}"), remedy))?;
-        let reach = self.border_mm.iter().map(|q| self.from_middle_mm(*q)).fold(0.0, f64::max);
+        let reach = self.border_mm.iter().map(|q| self.radius_mm_of(*q)).fold(0.0, f64::max);
         if reach >= radius_mm.abs() {
             let problem = format!("is {radius_mm} mm, but the map reaches {reach} mm");
             let remedy = "give the radius of curvature, which is larger than the part";
@@ -102,7 +102,7 @@ impl<'a> Places<'a> {
     }
 
     /// Distance from the middle of the valid pixels, mm.
-    fn from_middle_mm(&self, [x, y]: [f64; 2]) -> f64 {
+    fn radius_mm_of(&self, [x, y]: [f64; 2]) -> f64 {
         (x - self.middle_mm[0]).hypot(y - self.middle_mm[1])
     }
 
@@ -148,7 +148,7 @@ impl<'a> Places<'a> {
         Ok(match parameter {
             Parameter::X => p[0],
             Parameter::Y => p[1],
-            Parameter::Radius => self.from_middle_mm(p),
+            Parameter::Radius => self.radius_mm_of(p),
             Parameter::EdgeDistance => {
                 let to = |q: &[f64; 2]| (p[0] - q[0]).hypot(p[1] - q[1]);
                 let nearest = self.border_mm.iter().map(to).fold(f64::INFINITY, f64::min);
