@@ -4,7 +4,7 @@
 //! A mirror images a source at the distance p onto a point at the distance q under the grazing angle theta
 //! at its pole. x is along the mirror from the source to the image. z is along the normal at the pole,
 //! towards the light. The source is at (-p cos theta, p sin theta), the image at (q cos theta, q sin
-//! theta). Over an ellipse the path is p + q long. A negative distance is that of a virtual point behind the mirror:
+//! theta). Over an ellipse the path is p + q long. A negative distance is that of a virtual point beyond the mirror:
 //! the difference of the distances is constant, and the curve is a hyperbola. Squaring twice leaves
 //!
 //! ```text

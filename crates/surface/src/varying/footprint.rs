@@ -146,7 +146,7 @@ impl<'a> Footprint<'a> {
                 let ray = u[0].hypot(u[1]).hypot(depth);
                 // - n . r with r = (u, -depth) / |..|
                 let cos_b = n_z * (depth + fx * u[0] + fy * u[1]) / ray;
-                // Behind the source, or turned away from it: only far beyond the part.
+                // Beyond the source, or turned away from it: only far beyond the part.
                 if depth <= 0.0 || cos_b <= 0.0 {
                     return 0.0;
                 }
