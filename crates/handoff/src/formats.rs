@@ -67,6 +67,7 @@ pub fn formats_markdown() -> String {
         page += &format!("| `{key}` | {unit} | {doc} |\n");
     }
     page += MACHINE_COORDINATES;
+    page += FORM_FILE;
     page += ERROR_BUDGET;
     for (key, unit, doc) in PROCESS_KEYS {
         page += &format!("| `{key}` | {unit} | {doc} |\n");
@@ -195,6 +196,14 @@ const PROCESS_KEYS: [(&str, &str, &str); 11] = [
     ("errors[].damping_ratio", "1", "Damping ratio, 0.005 to 2; of `servo_second_order` only."),
     ("errors[].degree", "1", "Largest total degree, 1 to 8; of `map_low_order` only."),
 ];
+
+const FORM_FILE: &str = "
+## Form file
+
+The form of a part, given by `--form` or `--target`: one JSON object. Its kinds and keys are in
+[the form of a part](forms.md#the-form-file). Planish refuses a key that the kind does not use.
+`planish-surface prepare --target` writes one as `form.json` beside its map.
+";
 
 const ERROR_BUDGET: &str = "
 ## Error budget

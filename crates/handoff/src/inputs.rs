@@ -8,7 +8,8 @@ use std::{
 };
 
 use ndarray::{Array2, Ix2};
-use planish_types::{Machine, MachineFile, Tif};
+use planish_form::{Form, FormFile, FormKind};
+use planish_types::{Invalid, Machine, MachineFile, Surface, Tif};
 
 use crate::{
     HandoffError,
@@ -36,6 +37,24 @@ pub struct Inputs {
     pub(crate) lineage: BTreeSet<Ancestor>,
     /// Start of the command. The wall time includes reading.
     pub(crate) started: Instant,
+}
+
+/// The form of a part, as it was given.
+#[derive(Clone, Debug)]
+pub struct GivenForm {
+    /// The form.
+    pub form: Form,
+    /// Content of the form file; `None` if the form is a map that was given as a directory.
+    pub file: Option<StatedForm>,
+}
+
+/// Content of a form file.
+#[derive(Clone, Debug)]
+pub struct StatedForm {
+    /// The file.
+    pub file: FormFile,
+    /// The map of a form of the kind `map`.
+    pub map: Option<Surface>,
 }
 
 impl Default for Inputs {
@@ -146,6 +165,25 @@ impl Inputs {
     pub fn read_machine(&mut self, path: &Path) -> Result<Machine, HandoffError> {
         let file: MachineFile = self.read_json("machine", path)?;
         Machine::new(file).map_err(|e| HandoffError::new(path, e.to_string()))
+    }
+
+    /// Reads the form of a part given by the flag `--role`: a form file, or a directory with its height along z.
+    pub fn read_form(&mut self, role: &str, path: &Path) -> Result<GivenForm, HandoffError> {
+        let failure = |e: Invalid| HandoffError::new(path, e.to_string());
+        if path.is_dir() {
+            let map: Surface = self.read(role, path)?;
+            let form = Form::sampled(&map).map_err(failure)?;
+            return Ok(GivenForm { form, file: None });
+        }
+        let file: FormFile = self.read_json(role, path)?;
+        let map: Option<Surface> = match &file.surface {
+            Some(dir) if file.kind == FormKind::Map => {
+                Some(self.read(&format!("{role}-map"), &parent_of(path).join(dir))?)
+            }
+            _ => None,
+        };
+        let form = Form::new(&file, map.as_ref()).map_err(failure)?;
+        Ok(GivenForm { form, file: Some(StatedForm { file, map }) })
     }
 
     /// Reads one float map (ny, nx) from a `.npy` file given by the flag `--role`.

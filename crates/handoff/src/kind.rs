@@ -160,8 +160,11 @@ pub const SURFACE: Kind = Kind {
         X,
         Y,
     ],
-    files: &[],
+    files: &[FORM_FILE],
 };
+
+/// Name of the form file beside a surface.
+pub const FORM_FILE: &str = "form.json";
 
 /// Kind of a tool influence function.
 pub const TIF: Kind = Kind {

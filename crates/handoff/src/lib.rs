@@ -78,7 +78,7 @@ pub mod words;
 pub use allocator::Allocator;
 pub use artifact::{Arrays, Artifact, Manifest};
 pub use command_line::{pair, with_flags};
-pub use inputs::Inputs;
+pub use inputs::{GivenForm, Inputs, StatedForm};
 pub use nouns::Tool;
 pub use output::{Begin, Output, OutputFile, Task, Writer, save};
 pub use publish::is_temporary;

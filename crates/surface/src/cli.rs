@@ -41,6 +41,8 @@ pub enum Method {
     ToolEdge(tool::EdgeArgs),
     /// Make a tool of a spot that turns with the azimuth of its place, as on a spindle
     ToolTurned(tool::TurnedArgs),
+    /// Make the tool that a TIF is on a curved part, along its normal or of fixed direction
+    ToolFootprint(tool::FootprintArgs),
     /// Make a tool whose rate depends on the time of the run: wear and warm-up
     ToolTime(tool::TimeArgs),
     /// Draw maps and a section through them as SVG
@@ -59,6 +61,7 @@ impl Method {
             Self::ToolSpots(arguments) => arguments.run(),
             Self::ToolEdge(arguments) => arguments.run(),
             Self::ToolTurned(arguments) => arguments.run(),
+            Self::ToolFootprint(arguments) => arguments.run(),
             Self::ToolTime(arguments) => arguments.run(),
             Self::Draw(arguments) => arguments.run(),
         }

@@ -4,9 +4,10 @@
 //! * [`outliers`]: finds pits and dust that are too narrow for the tool.
 //! * [`mod@low_order`]: Zernike, Legendre and Chebyshev terms by least squares.
 //! * [`mod@fill`]: heights for holes.
+//! * [`target`]: the form that the part is to have, fitted and subtracted.
 //! * [`extension`]: heights beyond the clear aperture, four methods.
 //! * [`statistics`], [`psd`]: numbers that describe a map.
-//! * [`quality`]: quantities that specify a mirror, of a map or of a [`profile`]; [`shape`], [`ellipse`]: the best
+//! * [`quality`]: quantities that specify a mirror, of a map or of a [`profile`]; [`shape`]: the best
 //!   shape; [`specification`]: limits on all of these quantities.
 //! * [`tif`], [`tif_fit`]: preparation of a tool influence function, and its description by a formula.
 //! * [`draw`]: pictures of maps and spectra.
@@ -14,7 +15,6 @@
 mod basis;
 mod distance;
 pub mod draw;
-pub mod ellipse;
 pub mod extension;
 mod figure;
 pub mod fill;
@@ -28,6 +28,7 @@ pub mod quality;
 pub mod shape;
 pub mod specification;
 pub mod statistics;
+pub mod target;
 pub mod tif;
 pub mod tif_fit;
 pub mod varying;
@@ -35,7 +36,7 @@ pub mod varying;
 pub use extension::{ExtensionSettings, extend};
 pub use low_order::{Family, LowOrderSettings, low_order};
 pub use outliers::{OutlierSettings, Outliers};
-pub use prepare::{Level, PrepareSettings, Prepared, prepare};
+pub use prepare::{Level, PrepareSettings, Prepared, prepare, prepare_to};
 
 use planish_types::Invalid;
 

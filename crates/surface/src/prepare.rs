@@ -4,11 +4,12 @@
 //!
 //! 1. clear aperture: pixels outside become invalid, the map is cropped to the bounding box;
 //! 2. outlier mask ([`crate::outliers`]): pits and dust become invalid;
-//! 3. level: a plane `a + b x + c y`, or terms of low order ([`mod@crate::low_order`]), is
+//! 3. target ([`crate::target`]): a form, as given or fitted, is subtracted; the mask is found in what it leaves;
+//! 4. level: a plane `a + b x + c y`, or terms of low order ([`mod@crate::low_order`]), is
 //!    subtracted, fitted to the valid pixels, and the smallest valid height becomes 0 (the machine
 //!    can only remove);
-//! 4. fill ([`mod@crate::fill`]): holes get a height;
-//! 5. extend ([`crate::extension`]): pixels beyond the clear aperture get a height.
+//! 5. fill ([`mod@crate::fill`]): holes get a height;
+//! 6. extend ([`crate::extension`]): pixels beyond the clear aperture get a height.
 //!
 //! The last two are for programs that cannot skip pixels; by default invalid pixels stay invalid.
 //!
@@ -38,6 +39,7 @@ use crate::{
     fill::{FillReport, enclosed, fill},
     low_order::{LowOrderReport, LowOrderSettings, low_order},
     outliers::{OutlierReport, OutlierSettings, outliers},
+    target::{Target, TargetReport, without_target},
 };
 
 /// Smallest number of valid pixels for a plane; fewer are refused. Larger: refuses small maps. Smaller:
@@ -95,6 +97,9 @@ pub struct PrepareReport {
     pub after: MapStatistics,
     /// Numbers of the outlier mask.
     pub outliers: Option<OutlierReport>,
+    /// The form that was subtracted.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub target: Option<TargetReport>,
     /// The plane that was subtracted; with low-order terms only a constant.
     pub removed_plane: RemovedPlane,
     /// The terms of low order that were subtracted.
@@ -134,6 +139,15 @@ pub struct RemovedPlane {
 
 /// Crops, masks, levels, fills and extends `measured`.
 pub fn prepare(measured: &Surface, settings: &PrepareSettings) -> Result<Prepared, PrepareError> {
+    prepare_to(measured, settings, None)
+}
+
+/// [`prepare()`] of the map less the form `target`.
+pub fn prepare_to(
+    measured: &Surface,
+    settings: &PrepareSettings,
+    target: Option<&Target>,
+) -> Result<Prepared, PrepareError> {
     let (cropped, inside) = match &settings.aperture {
         Some(aperture) => crop(measured, aperture).map(|(map, inside)| (map, Some(inside)))?,
         None => (measured.clone(), None),
@@ -141,10 +155,24 @@ pub fn prepare(measured: &Surface, settings: &PrepareSettings) -> Result<Prepare
     // Steps that take long on a large map: the mask first, the extension last.
     let parts =
         usize::from(settings.outliers.is_some()) + usize::from(settings.extension.is_some());
-    let (masked, found) = match &settings.outliers {
-        Some(settings) => progress::part(0, parts, || mask_outliers(&cropped, settings))?,
-        None => (cropped.clone(), None),
+    // The mask is found in what the form leaves, and the form is fitted again without the masked pixels.
+    let mut of_form = target.map(|target| without_target(&cropped, target)).transpose()?;
+    let to_mask = of_form.as_ref().map_or(&cropped, |(map, _)| map);
+    let (mut masked, found) = match &settings.outliers {
+        Some(settings) => progress::part(0, parts, || mask_outliers(to_mask, settings))?,
+        None => (to_mask.clone(), None),
     };
+    if let (Some(target), Some(_)) = (target, &found) {
+        let mut map = cropped.height_nm().clone();
+        map.zip_mut_with(masked.height_nm(), |z, masked| {
+            if masked.is_nan() {
+                *z = f64::NAN;
+            }
+        });
+        let fitted = without_target(&Surface::new(*cropped.grid(), map)?, target)?;
+        masked = fitted.0.clone();
+        of_form = Some(fitted);
+    }
     let (mut surface, removed_plane, removed_low_order) = level(&masked, settings.level)?;
     // A pixel that is not a height decides everything else.
     let levelled = map_statistics(&surface);
@@ -170,6 +198,7 @@ pub fn prepare(measured: &Surface, settings: &PrepareSettings) -> Result<Prepare
             _ => map_statistics(&surface),
         },
         outliers: found,
+        target: of_form.map(|(_, report)| report),
         removed_plane,
         removed_low_order,
         filled,

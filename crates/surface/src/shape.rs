@@ -5,7 +5,7 @@
 //! cylinder-x   z = c0 + by y + w(x),      w - A (x^2 + w^2) = bx x         (curved along x)
 //! cylinder-y   the same with x and y exchanged
 //! sphere       z = c0 + w(x, y),          w - A (x^2 + y^2 + w^2) = bx x + by y
-//! ellipse      z = c0 + by y + bx x + e(x - x0)                            (`ellipse.rs`)
+//! ellipse      z = c0 + by y + bx x + e(x - x0)                            ([`ImagingConic`])
 //! w = 2 g / (1 + sqrt(1 - 4 A g)),   g = bx x + by y + A (x^2 + y^2)
 //! ```
 //!
@@ -25,11 +25,10 @@
 //! | c0, bx, by, A | `piston_mm`, `tilt`, `curvature_per_mm` | | mm, rad, rad, 1/mm |
 
 use ndarray::Array2;
+use planish_form::ImagingConic;
 use planish_numerics::statistics::{Plane, fit_plane};
 use planish_types::Invalid;
 use serde::{Deserialize, Serialize};
-
-use crate::ellipse::Ellipse;
 
 mod columns;
 mod curve;
@@ -104,7 +103,7 @@ pub enum EllipseParameter {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EllipseSettings {
     /// Ellipse as designed: the first guess of the parameters that are fitted.
-    pub design: Ellipse,
+    pub design: ImagingConic,
     /// The parameters that are fitted beside piston and tilt.
     pub free: Vec<EllipseParameter>,
     /// Place of the pole, mm; `None` for the middle of the valid pixels.
@@ -266,7 +265,7 @@ mod tests {
     }
 
     fn design(p: f64, q: f64, theta: f64, free: &[EllipseParameter]) -> EllipseSettings {
-        let design = Ellipse::new(p, q, theta).unwrap();
+        let design = ImagingConic::ellipse(p, q, theta).unwrap();
         EllipseSettings { design, free: free.to_vec(), pole_mm: Some(0.0) }
     }
 
@@ -281,7 +280,7 @@ mod tests {
         for (p, q, theta) in
             [(30_000.0, 300.0, 3e-3), (40_000.0, 1500.0, 2.5e-3), (900.0, 700.0, 0.02)]
         {
-            let truth = Ellipse::new(p, q, theta).unwrap();
+            let truth = ImagingConic::ellipse(p, q, theta).unwrap();
             let mut heights = map(&x, &y, |x, y| truth.height_mm(x) + 2e-4 + 1e-6 * y);
             heights.mapv_inplace(|z| if rng.random_range(0.0..1.0) < 0.2 { f64::NAN } else { z });
             let heights = Heights { x_mm: &x, y_mm: &y, height_nm: &heights };
@@ -306,7 +305,7 @@ mod tests {
     #[test]
     fn a_design_whose_ellipse_ends_within_the_data_is_fitted_from_other_starts() {
         let x = coordinates(-45.0, 0.5, 181);
-        let truth = Ellipse::new(200.0, 30_000.0, 3e-3).unwrap();
+        let truth = ImagingConic::ellipse(200.0, 30_000.0, 3e-3).unwrap();
         let heights = map(&x, &[0.0], |x, _| truth.height_mm(x));
         let heights = Heights { x_mm: &x, y_mm: &[0.0], height_nm: &heights };
         let guess = design(20.0, 30_000.0, 3e-3, &[EllipseParameter::P]);
@@ -318,7 +317,7 @@ mod tests {
     #[test]
     fn measured_slopes_of_an_ellipse_are_fitted_alike() {
         let x = coordinates(-110.0, 1.0, 221);
-        let truth = Ellipse::new(25_000.0, 800.0, 3.5e-3).unwrap();
+        let truth = ImagingConic::ellipse(25_000.0, 800.0, 3.5e-3).unwrap();
         let slopes: Vec<f64> = x.iter().map(|x| 1e9 * (truth.slope(*x) + 4e-6)).collect();
         let guess = design(20_000.0, 900.0, 3e-3, &ALL);
         let (left, report) =
@@ -344,7 +343,7 @@ mod tests {
             let p = 10_f64.powf(rng.random_range(3.5..5.0));
             let q = 10_f64.powf(rng.random_range(f64::max(length, 150.0).log10()..4.3));
             let theta = rng.random_range(2e-3..1.2e-2);
-            let truth = Ellipse::new(p, q, theta).unwrap();
+            let truth = ImagingConic::ellipse(p, q, theta).unwrap();
             let mut walk = 0.0;
             let noise: Vec<f64> = x
                 .iter()
@@ -382,7 +381,7 @@ mod tests {
             let x = coordinates(-0.5 * length, length / 120.0, 121);
             let p = 10_f64.powf(rng.random_range(3.7..4.7));
             let q = length.max(150.0) * rng.random_range(1.0..20.0);
-            let truth = Ellipse::new(p, q, rng.random_range(2e-3..1.2e-2)).unwrap();
+            let truth = ImagingConic::ellipse(p, q, rng.random_range(2e-3..1.2e-2)).unwrap();
             let mut walk = 0.0;
             let slopes: Vec<f64> = x
                 .iter()

@@ -17,11 +17,11 @@
 //! | B | `b` | 1 |
 //! | f | `frequency_per_mm` | 1/mm |
 
+use planish_form::ImagingConic;
 use planish_types::Invalid;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    ellipse::Ellipse,
     profile::Values,
     quality::Subject,
     shape::{EllipseParameter, EllipseSettings, Shape},
@@ -157,7 +157,7 @@ impl Specification {
 
 impl EllipseFile {
     fn settings(&self) -> Result<EllipseSettings, Invalid> {
-        let design = Ellipse::new(self.p_mm, self.q_mm, 1e-3 * self.theta_mrad)?;
+        let design = ImagingConic::ellipse(self.p_mm, self.q_mm, 1e-3 * self.theta_mrad)?;
         if let Some(mm) = self.pole_mm.filter(|mm| !mm.is_finite()) {
             let problem = format!("pole_mm is {mm}");
             return Err(Invalid::whole("ellipse", problem, "give a place in mm, or leave it out"));

@@ -10,21 +10,25 @@
 //! | spots measured at several parameters | [`Spots`] | number of spots |
 //! | pad that hangs over the edge | [`Overhang`] | 1, or about 3 |
 //! | spot that turns with the azimuth | [`turned`] | 10 to 100 |
+//! | tool along the normal of a curved part, or of fixed direction | [`Footprint`] | 1 to 20 |
 //! | rate by time | [`planish_types::TimeFactor`] | 1 |
 //!
 //! | module | what it holds |
 //! |---|---|
 //! | `low_rank` | kernels and weights of a function of the place, to a stated error |
 //! | `place` | parameters of a place: distance to the edge, incidence, radius |
-//! | `causes` | the tools of the table |
+//! | `footprint` | the tool on a curved part |
+//! | `causes` | the other tools of the table |
 
 mod causes;
+mod footprint;
 mod low_rank;
 mod place;
 
 pub use causes::{Overhang, PressureLaw, RateLaw, Spots, tool_at, turned};
+pub use footprint::{Direction, Footprint};
 pub use low_rank::{
     LocalTool, LowRank, LowRankReport, LowRankSettings, Samples, Used, low_rank,
     low_rank_by_azimuth,
 };
-pub use place::{Form, Parameter, Places};
+pub use place::{Parameter, Places};

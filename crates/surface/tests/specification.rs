@@ -3,8 +3,8 @@
 use std::f64::consts::PI;
 
 use ndarray::Array2;
+use planish_form::ImagingConic;
 use planish_surface::{
-    ellipse::Ellipse,
     profile::{Profile, Values},
     quality::{Light, Quality, QualitySettings, Subject, quality},
     shape::{EllipseParameter, EllipseSettings, Shape},
@@ -385,7 +385,7 @@ fn the_specifications_of_the_fixtures_are_whole() {
 #[test]
 fn an_elliptical_mirror_with_an_error_of_known_slope_is_judged_by_that_error() {
     // A sinusoid of 1 nm and 20 mm on an ellipse: 2 pi / 20 / sqrt 2 urad RMS.
-    let design = Ellipse::new(30_000.0, 400.0, 3e-3).unwrap();
+    let design = ImagingConic::ellipse(30_000.0, 400.0, 3e-3).unwrap();
     let x: Vec<f64> = (0..401).map(|i| -100.0 + 0.5 * f64::from(i)).collect();
     let error = |x: f64| 2.0 * PI / 20.0 * (2.0 * PI * x / 20.0).cos();
     let slopes: Vec<f64> =

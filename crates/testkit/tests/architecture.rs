@@ -15,11 +15,12 @@ type Room = (&'static str, &'static [&'static str]);
 
 /// Crates of layers 0 to 2, the stages that see others, crates that run several stages, and the tests that
 /// see all.
-const ROOMS: [Room; 12] = [
+const ROOMS: [Room; 13] = [
     ("numerics", &[]),
     ("types", &["numerics"]),
     ("draw", &["types"]),
-    ("handoff", &["types"]),
+    ("form", &["types"]),
+    ("handoff", &["types", "form"]),
     (
         "refine",
         &[
@@ -59,12 +60,13 @@ const STAGES: [&str; 12] = [
     "compare",
     "register",
 ];
-const STAGE_MAY_NAME: [&str; 4] = ["numerics", "types", "draw", "handoff"];
+const STAGE_MAY_NAME: [&str; 5] = ["numerics", "types", "draw", "form", "handoff"];
 
-const ALL: [&str; 23] = [
+const ALL: [&str; 24] = [
     "numerics",
     "types",
     "draw",
+    "form",
     "handoff",
     "fixture",
     "import",

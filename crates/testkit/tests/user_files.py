@@ -3,10 +3,11 @@
     python3 user_files.py FIXTURE_DIR
 
 makes them in the current directory out of a fixture's surface and tif: `mirror.datx`, `spot.mat`,
-`rates.mat`, `depth.datx`, `before.datx`, `after.datx`, and the lines of a profiler `scan.csv`, `scan.npy`. A reader goes by the content and not by the name:
+`rates.mat`, `depth.datx`, `before.datx`, `after.datx`, the map `measured` with its `asphere.json`, and the lines of a profiler `scan.csv`, `scan.npy`. A reader goes by the content and not by the name:
 what is called .datx here is FITS, which takes four lines to write and states its units as datx does.
 """
 
+import json
 import struct
 import sys
 from pathlib import Path
@@ -44,6 +45,17 @@ fits("mirror.datx", height_nm, float(x_mm[1] - x_mm[0]))
 x, y = np.meshgrid(dx_mm / 1e3, dy_mm / 1e3)
 for name in ("spot.mat", "rates.mat"):
     mat(name, Xtif=x, Ytif=y, Ztif=rate_nm_per_s / 1e9)
+
+# The same error on an asphere of 250.3 mm, as docs/forms.md has it.
+asphere = {"kind": "asphere", "radius_mm": 250.0, "conic_constant": -0.9, "even_terms": [1e-8], "vertex_mm": [10, 6],
+           "fit": {"radius_mm": [249.0, 251.0], "conic_constant": "free"}}
+Path("asphere.json").write_text(json.dumps(asphere))
+y_mm = np.load(fixture / "surface" / "y_mm.npy")
+r2_mm2 = (x_mm[None] - 10) ** 2 + (y_mm[:, None] - 6) ** 2
+sag_mm = r2_mm2 / 250.3 / (1 + np.sqrt(1 - 0.1 * r2_mm2 / 250.3**2)) + 1e-8 * r2_mm2**2
+Path("measured").mkdir()
+for name, values in (("height_nm", height_nm + 1e6 * sag_mm), ("x_mm", x_mm), ("y_mm", y_mm)):
+    np.save(f"measured/{name}.npy", values)
 
 # A test piece of 25 mm, with a spot of 30 s; measured again with a shift of a tenth of a pixel.
 axis_mm = np.arange(-50, 51) * 0.25

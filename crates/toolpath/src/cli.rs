@@ -13,10 +13,12 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, Task, Writer, flags::OutputArgs, say, warn,
-    with_flags,
+    Artifact, Begin, Failure, Inputs, Output, Status, Task, Writer, flags::OutputArgs, kind, say,
+    warn, with_flags,
 };
-use planish_toolpath::{PathReport, inset, travel_warnings, usual_overscan_mm};
+use planish_toolpath::{
+    AlongReport, OnForm, PathReport, inset, travel_warnings, usual_overscan_mm,
+};
 use planish_types::{Machine, Surface, Tif, ToolPath, doubts, plausible};
 use serde::Serialize;
 
@@ -76,15 +78,38 @@ struct RegionArgs {
     #[arg(long, value_name = "FILE")]
     machine: Option<PathBuf>,
     #[command(flatten)]
+    form: FormArgs,
+    #[command(flatten)]
     output: OutputArgs,
+}
+
+/// The form of the part, along which pitch and step count.
+#[derive(Clone, Debug, Default, Args)]
+struct FormArgs {
+    /// Form of the part: a form file [JSON], or its height along z [surface artifact]; pitch, step and overscan then
+    /// count along the surface
+    #[arg(long, value_name = "PATH")]
+    form: Option<PathBuf>,
+}
+
+impl FormArgs {
+    /// The surface of a part with these valid pixels; `None` without the flag.
+    fn read(&self, surface: &Surface, inputs: &mut Inputs) -> Result<Option<OnForm>, Failure> {
+        let Some(path) = &self.form else { return Ok(None) };
+        let form = inputs.read_form("form", path)?.form;
+        let named = |e| Failure::new(format!("{}: {e}", path.display()));
+        OnForm::new(form, surface).map(Some).map_err(named)
+    }
 }
 
 /// Run of a method: the region of the path and its inputs.
 struct Region {
     inputs: Inputs,
     output: OutputArgs,
-    /// The map where the tool stands when it removes there.
+    /// The map where the tool stands when it removes there; along the surface if there is a form.
     surface: Surface,
+    /// The form of the part, and the same map in projection.
+    on_form: Option<(OnForm, Surface)>,
     tif: Option<Tif>,
     off_centre_mm: [f64; 2],
     overscan_mm: f64,
@@ -133,9 +158,27 @@ impl Region {
             }
             doubts.extend(doubt);
         }
+        // The form is of the part, not of the places of the tool.
+        let on_form = args.form.read(&surface, &mut inputs)?;
+        // The form beside the map, which `planish-surface prepare` wrote, matters to a path in projection.
+        let beside = args.surface.join(kind::FORM_FILE);
+        if on_form.is_none() && beside.exists() {
+            let form = Inputs::new().read_form("form", &beside)?.form;
+            let warning =
+                OnForm::new(form, &surface).ok().and_then(|on| on.warning_of_projection(&surface));
+            doubts.extend(
+                warning.map(|w| {
+                    w.replace("give `form`", &format!("give `form` {}", beside.display()))
+                }),
+            );
+        }
         let surface = match off_centre_mm {
             [0.0, 0.0] => surface,
             _ => surface.seen_by_tool(off_centre_mm)?,
+        };
+        let (surface, on_form) = match on_form {
+            None => (surface, None),
+            Some(on) => (on.developed(&surface)?, Some((on, surface))),
         };
         let usual_mm = tif.as_ref().map(|tif| usual_overscan_mm(tif, off_centre_mm));
         let overscan_mm = args.overscan_mm.or(usual_mm).ok_or_else(|| {
@@ -154,6 +197,7 @@ impl Region {
             inputs,
             output: args.output.clone(),
             surface,
+            on_form,
             tif,
             off_centre_mm,
             overscan_mm,
@@ -182,7 +226,17 @@ impl Region {
         warnings: Vec<String>,
     ) -> Result<Status, Failure> {
         let tif = self.tif.as_ref();
-        let mut report = PathReport::new(path, &self.surface, tif, largest_pitch_mm, own, warnings);
+        let (mut along, mut projected) = (None, None);
+        if let Some((on, part)) = &self.on_form {
+            along = Some(on.report(path, part, &self.surface)?);
+            projected = Some((on.projected(path)?, part));
+        }
+        let (path, surface) = match &projected {
+            Some((path, part)) => (path, *part),
+            None => (path, &self.surface),
+        };
+        let mut report = PathReport::new(path, surface, tif, largest_pitch_mm, own, warnings);
+        report.warnings.extend(along.iter().flat_map(AlongReport::warnings));
         report.warnings.extend(self.doubts.iter().cloned());
         if self.off_centre_mm != [0.0; 2] {
             let [x, y] = self.off_centre_mm;
@@ -193,18 +247,29 @@ impl Region {
             ));
         }
         if let Some(machine) = &self.machine {
-            report.warnings.extend(travel_warnings(path, &self.surface, machine));
+            report.warnings.extend(travel_warnings(path, surface, machine));
         }
         for warning in &mut report.warnings {
             *warning = with_flags(warning);
             warn(&*warning);
         }
-        output.write(path, serde_json::to_value(&report)?, &Status::Done)?;
+        let mut outcome = serde_json::to_value(&report)?;
+        if let Some(along) = &along {
+            outcome["form"] = serde_json::to_value(along)?;
+        }
+        output.write(path, outcome, &Status::Done)?;
         let s = &report.statistics;
         say(format!(
             "planish-toolpath: {} points, {:.1} mm in {} pass(es), {} lift(s), step <= {:.4} mm",
             s.points, s.length_mm, s.passes, s.lifts, s.longest_step_mm
         ));
+        if let Some(AlongReport { along_surface: s, stretches: [low, high], .. }) = &along {
+            say(format!(
+                "planish-toolpath: along the surface {:.1} mm, step <= {:.4} mm; lengths there are {low:.4} to {high:.4} of \
+                 the given ones",
+                s.length_mm, s.longest_step_mm
+            ));
+        }
         Ok(Status::Done)
     }
 }

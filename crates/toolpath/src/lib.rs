@@ -9,11 +9,14 @@
 //! * [`mod@multi_pitch`]: regions by depth, each a raster of its own pitch.
 //! * [`mod@spiral`]: one line from the inside out, for round parts.
 //!
+//! [`mod@along`] makes each of them along the surface of a curved part.
+//!
 //! [`mod@passes`] repeats any of them, there and back.
 //!
 //! For any path: [`mod@statistics`] (length, steps, turns, crossings, coverage, least time), [`PathReport`]
 //! (these, and what the user should know) and [`mod@draw`] (a picture).
 
+pub mod along;
 mod draft;
 pub mod draw;
 pub mod maze;
@@ -27,6 +30,7 @@ mod segments;
 pub mod spiral;
 pub mod statistics;
 
+pub use along::{AlongReport, OnForm};
 pub use draw::svg;
 pub use maze::{Maze, MazeSettings, Tree, maze};
 pub use multi_pitch::{MultiPitch, MultiPitchReport, MultiPitchSettings, multi_pitch};

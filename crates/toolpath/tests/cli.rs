@@ -499,3 +499,74 @@ fn passes_repeat_any_path_there_and_back() {
     assert!(said.contains("passes: are 1; give 2 to"), "{said}");
     assert!(!tmp.path().join("no").exists());
 }
+
+/// A cylinder of 12 mm that is curved along x, on the map of 20 x 10 mm: 56 degrees steep at its ends.
+#[test]
+fn pitch_and_step_count_along_the_surface_of_a_form() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    write_inputs(dir);
+    let file = r#"{"kind": "cylinder", "radius_mm": 12, "vertex_mm": [10, 5]}"#;
+    fs::write(dir.join("form.json"), file).unwrap();
+    let lines = ["--scan", "y", "--overscan-mm", "1", "--form", "form.json", "--out", "out"];
+    let output = run(dir, &[&BASIC[..], &lines[..]].concat());
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let (path, manifest) = read(&dir.join("out"));
+    let mut arcs: Vec<f64> = (0..path.len())
+        .filter(|i| path.displacement_mm(*i)[0].abs() < 1e-9)
+        .map(|i| path.dwell_point_mm()[i][0])
+        .filter(|x| (0.0..=20.0).contains(x))
+        .map(|x| 12.0 * ((x - 10.0) / 12.0).asin())
+        .collect();
+    arcs.sort_by(f64::total_cmp);
+    arcs.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
+    assert!(arcs.len() >= 23, "{arcs:?}");
+    assert!(arcs.windows(2).all(|pair| (pair[1] - pair[0] - 1.0).abs() < 1e-9), "{arcs:?}");
+    let form = &manifest.outcome["form"];
+    let longest = form["along_surface"]["longest_step_mm"].as_f64().unwrap();
+    assert!(longest <= 1.0 + 1e-9, "{longest}");
+    // 1 / cos at 10 mm of 12 mm.
+    let ratio = form["largest_over_projection"].as_f64().unwrap();
+    assert!((ratio - 12.0 / 44_f64.sqrt()).abs() < 1e-9, "{ratio}");
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("up to 80.9 % longer than their projections"), "{said}");
+
+    // The same numbers of a path that exists.
+    let inspect = ["--tool-path", "out", "--surface", "surface", "--form", "form.json"];
+    let found = call(dir, "inspect", &inspect);
+    let found: serde_json::Value = serde_json::from_slice(&found.stdout).unwrap();
+    let again = found["form"]["along_surface"]["length_mm"].as_f64().unwrap();
+    assert!((again - form["along_surface"]["length_mm"].as_f64().unwrap()).abs() < 1e-6);
+
+    // A path in projection over a map with a form beside it: a warning with the remedy.
+    fs::copy(dir.join("form.json"), dir.join("surface/form.json")).unwrap();
+    let output = run(dir, &[&BASIC[..], &["--overscan-mm", "1", "--out", "flat"]].concat());
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        said.contains("give --form surface/form.json, and they count along the surface"),
+        "{said}"
+    );
+    for method in ["spiral", "maze", "random-adaptive"] {
+        let out = format!("out-{method}");
+        let base = if method == "random-adaptive" { &BASIC[..4] } else { &BASIC[..] };
+        let more = ["--overscan-mm", "1", "--form", "form.json", "--out", &out];
+        let output = call(dir, method, &[base, &more[..]].concat());
+        assert_eq!(output.status.code(), Some(0), "{method}: {output:?}");
+        let (_, manifest) = read(&dir.join(&out));
+        assert!(manifest.outcome["form"]["stretches"][0].as_f64().unwrap() > 0.999_999, "{method}");
+    }
+    // A form that ends within the part.
+    let file = r#"{"kind": "cylinder", "radius_mm": 9.8, "vertex_mm": [10, 5]}"#;
+    fs::write(dir.join("small.json"), file).unwrap();
+    let small = ["--overscan-mm", "1", "--form", "small.json", "--out", "refused"];
+    let output = run(dir, &[&BASIC[..], &small[..]].concat());
+    assert_eq!(output.status.code(), Some(2));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        said.contains("small.json: form[0, 0]: is invalid or absent at (0.0000, 0.0000) mm"),
+        "{said}"
+    );
+    let missing = ["--overscan-mm", "1", "--form", "nowhere.json", "--out", "refused"];
+    let output = run(dir, &[&BASIC[..], &missing[..]].concat());
+    assert_eq!(output.status.code(), Some(2));
+}

@@ -3,16 +3,19 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use planish_form::FormFile;
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task, warn,
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, kind, say, task, warn,
 };
 use planish_surface::{
-    Family, Level, LowOrderSettings, OutlierSettings, PrepareSettings,
+    Family, Level, LowOrderSettings, OutlierSettings, PrepareError, PrepareSettings,
     extension::{self, ExtensionSettings, gaussian_decay, gerchberg_papoulis, polynomial},
     outliers::half_maximum_width_mm,
-    prepare,
+    prepare_to,
+    target::{Heights, Lateral, Target, converted},
 };
-use planish_types::{ClearAperture, Surface};
+use planish_types::{ClearAperture, Surface, text::significant};
+use serde_json::json;
 
 use super::{CIRCLE, circle};
 
@@ -23,6 +26,8 @@ pub struct PrepareArgs {
     /// Map as it was measured [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
+    #[command(flatten)]
+    form: FormArgs,
     /// Function to subtract: nothing, a constant (smallest height 0), the plane and a constant, or terms up
     /// to --level-order and a constant
     #[arg(long, value_enum, default_value_t = LevelArg::Piston)]
@@ -69,6 +74,66 @@ struct ApertureArgs {
     /// Clear aperture: pixels that are 1 [.npy file (ny, nx)]
     #[arg(long, value_name = "FILE")]
     aperture_mask: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+struct FormArgs {
+    /// Form to subtract, as given or with the parameters that its `fit` frees [form file, JSON]
+    #[arg(long, value_name = "FILE")]
+    target: Option<PathBuf>,
+    /// Form of the part: a form file [JSON], or its height along z [surface artifact]; for --heights and --lateral
+    #[arg(long, value_name = "PATH")]
+    form: Option<PathBuf>,
+    /// Direction of the heights of the map; they become heights along z
+    #[arg(long, value_enum, default_value_t = Heights::Z)]
+    heights: Heights,
+    /// Lateral axes of the map; they become projected ones
+    #[arg(long, value_enum, default_value_t = Lateral::Projected)]
+    lateral: Lateral,
+}
+
+impl FormArgs {
+    /// The map with heights along z and projected axes, and the form file that this took.
+    fn converted(
+        &self,
+        surface: Surface,
+        inputs: &mut Inputs,
+    ) -> Result<(Surface, Option<FormFile>), Failure> {
+        let Self { form, heights, lateral, .. } = self;
+        match form {
+            None if *heights == Heights::Normal => {
+                Err(Failure::new("--heights: is normal, of an unknown form; give --form"))
+            }
+            None if *lateral == Lateral::Surface => {
+                Err(Failure::new("--lateral: is surface, of an unknown form; give --form"))
+            }
+            None => Ok((surface, None)),
+            Some(path) if (*heights, *lateral) == (Heights::Z, Lateral::Projected) => {
+                Err(Failure::new(format!(
+                    "--form: {} has no effect on heights along z over projected axes; give --heights normal or --lateral \
+                     surface, or --target to subtract a form",
+                    path.display()
+                )))
+            }
+            Some(path) => {
+                let given = inputs.read_form("form", path)?;
+                let named = |e| Failure::new(format!("{}: {e}", path.display()));
+                let map = converted(&surface, &given.form, *heights, *lateral).map_err(named)?;
+                Ok((map, given.file.map(|stated| stated.file)))
+            }
+        }
+    }
+
+    fn target(&self, inputs: &mut Inputs) -> Result<Option<Target>, Failure> {
+        let Some(path) = &self.target else { return Ok(None) };
+        let Some(stated) = inputs.read_form("target", path)?.file else {
+            return Err(Failure::new(format!(
+                "--target: {} is a directory; give a form file, such as {{\"kind\": \"map\", \"surface\": \"DIR\"}}",
+                path.display()
+            )));
+        };
+        Ok(Some(Target { file: stated.file, map: stated.map }))
+    }
 }
 
 #[derive(Debug, Args)]
@@ -144,6 +209,14 @@ impl PrepareArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let surface: Surface = inputs.read("surface", &self.surface)?;
+        let (surface, converted_along) = self.form.converted(surface, &mut inputs)?;
+        // The form that an earlier run wrote beside the map stays with it.
+        let earlier = self.surface.join(kind::FORM_FILE);
+        let earlier = match earlier.exists() {
+            true => inputs.read_form("surface-form", &earlier)?.file.map(|stated| stated.file),
+            false => None,
+        };
+        let target = self.form.target(&mut inputs)?;
         let settings = PrepareSettings {
             aperture: self.aperture.read(&mut inputs)?,
             outliers: self.outliers.read(&mut inputs)?,
@@ -151,15 +224,39 @@ impl PrepareArgs {
             fill: self.fill,
             extension: self.extension.settings()?,
         };
-        let task = task!("prepare", &settings);
+        let mut stated = serde_json::to_value(&settings)?;
+        if self.form.form.is_some() {
+            stated["heights"] = json!(self.form.heights);
+            stated["lateral"] = json!(self.form.lateral);
+        }
+        if let Some(target) = &target {
+            stated["target"] = json!(target.file);
+        }
+        let task = task!("prepare", &stated);
         let mut output =
             match Output::directory(&self.output, Surface::KIND).begin(&task, &inputs)? {
                 Begin::Unchanged(status) => return Ok(status),
                 Begin::Run(output) => output,
             };
-        let prepared = prepare(&surface, &settings)?;
+        let prepared = prepare_to(&surface, &settings, target.as_ref()).map_err(|e| {
+            match (&self.form.target, e) {
+                (Some(path), PrepareError::Invalid(e)) if e.to_string().starts_with("target") => {
+                    Failure::new(format!("{}: {e}", path.display()))
+                }
+                (_, e) => e.into(),
+            }
+        })?;
         let report = &prepared.report;
-        output.write(&prepared.surface, serde_json::to_value(report)?, &Status::Done)?;
+        // The form stands beside the map, for the stages that need it; a map refers to another directory.
+        let subtracted = report.target.as_ref().map(|t| t.form.clone());
+        let of_part = earlier.or(converted_along).or(subtracted);
+        let of_part = of_part.filter(|file| file.surface.is_none());
+        let of_part = of_part.map(|file| FormFile { fit: None, ..file });
+        let beside = of_part.map(|file| serde_json::to_vec_pretty(&file)).transpose()?;
+        let beside: Vec<_> = beside.into_iter().map(|bytes| (kind::FORM_FILE, bytes)).collect();
+        let arrays = prepared.surface.to_arrays();
+        let outcome = serde_json::to_value(report)?;
+        output.write_arrays(Surface::KIND, &arrays, &beside, outcome, &Status::Done)?;
         let (rows, columns) = report.after.shape;
         let masked = report.outliers.as_ref().map_or(String::new(), |o| {
             format!(", {} outlier(s) masked ({} px)", o.components, o.masked_pixels)
@@ -173,6 +270,20 @@ impl PrepareArgs {
                 e.extended_pixels, e.range_nm[0], e.range_nm[1]
             )
         });
+        if let Some(target) = &report.target {
+            let fitted = target.parameters.iter().map(|p| {
+                let bound = if p.at_bound { ", at its bound" } else { "" };
+                format!(", {} {} (given {}{bound})", p.name, significant(p.value, 9), p.given)
+            });
+            let [x, y] = target.tilt_urad;
+            say(format!(
+                "planish-surface: form subtracted, tilt {} and {} urad{}; it leaves {} nm RMS",
+                significant(x, 6),
+                significant(y, 6),
+                fitted.collect::<String>(),
+                significant(target.rms_nm, 5)
+            ));
+        }
         say(format!(
             "planish-surface: {columns} x {rows} px, {} valid, RMS {:.4} nm, PV {:.3} nm{masked}{filled}{extended}",
             report.after.valid_pixels, report.after.rms_nm, report.after.pv_nm

@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 
 use clap::{ArgAction, Args};
 use ndarray::Array1;
+use planish_form::ImagingConic;
 use planish_handoff::{
     Begin, Failure, Inputs, Output, Status, flags::OutputArgs, kind, npy::ArrayData, say, task,
 };
 use planish_surface::{
-    ellipse::Ellipse,
     profile::{LengthUnit, Profile, ProfileSettings, ValueUnit, rows_of_text},
     quality::{Light, Quality, QualityArrays, QualitySettings, Subject, quality},
     shape::{EllipseParameter, EllipseSettings, Shape},
@@ -211,7 +211,7 @@ impl SpecArgs {
     fn settings(&self, specification: Option<&Specification>) -> Result<QualitySettings, Failure> {
         let ellipse = match &self.ellipse {
             Some(numbers) => Some(EllipseSettings {
-                design: Ellipse::new(numbers[0], numbers[1], 1e-3 * numbers[2])?,
+                design: ImagingConic::ellipse(numbers[0], numbers[1], 1e-3 * numbers[2])?,
                 free: self.ellipse_free.clone(),
                 pole_mm: self.ellipse_pole_mm,
             }),

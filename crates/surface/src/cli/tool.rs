@@ -1,4 +1,4 @@
-//! `planish-surface tool-rate`, `tool-spots`, `tool-edge`, `tool-turned` and `tool-time`: tools that are not the same
+//! `planish-surface tool-rate`, `tool-spots`, `tool-edge`, `tool-turned`, `tool-footprint` and `tool-time`: tools that are not the same
 //! everywhere.
 
 use std::path::{Path, PathBuf};
@@ -10,10 +10,12 @@ use planish_handoff::{
     with_flags,
 };
 use planish_surface::varying::{
-    Form, LocalTool, LowRank, LowRankReport, LowRankSettings, Overhang, Parameter, Places,
-    PressureLaw, RateLaw, Samples, Spots, Used, low_rank, low_rank_by_azimuth, tool_at, turned,
+    Direction, Footprint, LocalTool, LowRank, LowRankReport, LowRankSettings, Overhang, Parameter,
+    Places, PressureLaw, RateLaw, Samples, Spots, Used, low_rank, low_rank_by_azimuth, tool_at,
+    turned,
 };
 use planish_types::{Grid, Invalid, PixelFactor, Surface, Tif, TimeFactor, VaryingTif};
+use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::json;
 
@@ -206,18 +208,24 @@ struct FormArgs {
     /// Radius of curvature of a sphere with its vertex in the middle of the valid pixels, mm
     #[arg(long, value_name = "MM", allow_negative_numbers = true, conflicts_with = "form")]
     sphere_radius_mm: Option<f64>,
-    /// Form of the part: its height along z, nm [surface artifact]
-    #[arg(long, value_name = "DIR")]
+    /// Form of the part: a form file [JSON], or its height along z [surface artifact]
+    #[arg(long, value_name = "PATH")]
     form: Option<PathBuf>,
 }
 
 impl FormArgs {
-    fn read(&self, inputs: &mut Inputs) -> Result<Option<Form>, Failure> {
-        Ok(match (&self.sphere_radius_mm, &self.form) {
-            (Some(radius_mm), _) => Some(Form::Sphere { radius_mm: *radius_mm }),
-            (None, Some(dir)) => Some(Form::Sampled(inputs.read("form", dir)?)),
-            (None, None) => None,
-        })
+    /// The places of a map, of a part with this form.
+    fn places<'a>(&self, surface: &'a Surface, inputs: &mut Inputs) -> Result<Places<'a>, Failure> {
+        let places = Places::new(surface);
+        match (self.sphere_radius_mm, &self.form) {
+            (Some(radius_mm), _) => places.on_sphere(radius_mm).map_err(Failure::with_flags),
+            (None, Some(path)) => {
+                let form = inputs.read_form("form", path)?.form;
+                let named = |e| Failure::new(format!("{}: {e}", path.display()));
+                places.with_form(form).map_err(named)
+            }
+            (None, None) => Ok(places),
+        }
     }
 }
 
@@ -249,7 +257,7 @@ impl RateArgs {
         let mut inputs = Inputs::new();
         let tif = inputs.read_tool("tif", &self.tif)?;
         let surface: Surface = inputs.read("surface", &self.make.surface)?;
-        let form = self.form.read(&mut inputs)?;
+        let places = self.form.places(&surface, &mut inputs)?;
         let law = match (self.exponent, &self.table) {
             (Some(_), _) if self.by != Parameter::Incidence => {
                 return Err(Failure::new(
@@ -266,7 +274,6 @@ impl RateArgs {
         let settings = json!({
             "by": self.by, "law": law, "acts_at": acts, "sphere_radius_mm": self.form.sphere_radius_mm,
         });
-        let places = Places::new(&surface, form.as_ref()).map_err(Failure::with_flags)?;
         let factor = |p: [f64; 2]| places.parameter(self.by, p).map(|v| law.factor(v));
         if acts == Acts::Tool {
             self.make.check_corners((&surface, &tif), factor)?;
@@ -282,29 +289,14 @@ impl RateArgs {
             Begin::Run(output) => output,
         };
         let grid = *surface.grid();
-        let mut values = Array2::ones(grid.shape());
-        for ((r, c), v) in values.indexed_iter_mut() {
-            // Beyond the part the form may not exist; nothing is removed there.
-            let on_part = !surface.height_nm()[[r, c]].is_nan();
-            let found = factor([grid.x.at(c), grid.y.at(r)]);
-            *v = match found {
-                Err(e) if on_part => return Err(Failure::with_flags(e)),
-                Err(_) => f64::NAN,
-                Ok(v) => v,
-            };
-        }
-        mean_where_none(&mut values);
+        let (ny, nx) = grid.shape();
+        let at = |i: usize| factor([grid.x.at(i % nx), grid.y.at(i / nx)]);
+        let found: Result<Vec<f64>, Invalid> = (0..ny * nx).into_par_iter().map(at).collect();
+        let values = found.map_err(Failure::with_flags)?;
+        let values = Array2::from_shape_vec((ny, nx), values).expect("one factor per pixel");
         let tif = with_factor(&tif, PixelFactor { grid, factor: values })?;
         write(output, tif, None, &self.make.output.out)
     }
-}
-
-/// Puts the mean of the numbers in the place of those that do not exist; no pixel of the part is there.
-fn mean_where_none(values: &mut Array2<f64>) {
-    let (sum, count) =
-        values.iter().filter(|v| !v.is_nan()).fold((0.0, 0), |(s, n), v| (s + v, n + 1));
-    let mean = if count > 0 { sum / f64::from(count) } else { 1.0 };
-    values.iter_mut().filter(|v| v.is_nan()).for_each(|v| *v = mean);
 }
 
 /// A tool with a further factor of the pixels.
@@ -335,7 +327,7 @@ impl SpotsArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let surface: Surface = inputs.read("surface", &self.make.surface)?;
-        let form = self.form.read(&mut inputs)?;
+        let places = self.form.places(&surface, &mut inputs)?;
         let mut spots = Vec::new();
         for given in &self.spot {
             let parsed =
@@ -351,7 +343,6 @@ impl SpotsArgs {
         let settings = json!({
             "by": self.by, "values": values, "sphere_radius_mm": self.form.sphere_radius_mm,
         });
-        let places = Places::new(&surface, form.as_ref()).map_err(Failure::with_flags)?;
         let widest = spots[0].1.clone();
         let spots = Spots::new(spots).map_err(Failure::with_flags)?;
         let parameter = |p: [f64; 2]| places.parameter(self.by, p);
@@ -384,7 +375,7 @@ impl EdgeArgs {
         let tif: Tif = inputs.read("tif", &self.tif)?;
         let surface: Surface = inputs.read("surface", &self.make.surface)?;
         let settings = json!({ "pad_radius_mm": self.pad_radius_mm, "pressure": self.pressure });
-        let places = Places::new(&surface, None)?;
+        let places = Places::new(&surface);
         let pad = Overhang::new(&tif, &places, self.pressure, self.pad_radius_mm);
         let pad = pad.map_err(Failure::with_flags)?;
         let of: Box<LocalTool<'_>> = Box::new(|p| pad.at(p));
@@ -413,7 +404,7 @@ impl TurnedArgs {
         let mut inputs = Inputs::new();
         let tif: Tif = inputs.read("tif", &self.tif)?;
         let surface: Surface = inputs.read("surface", &self.surface)?;
-        let places = Places::new(&surface, None)?;
+        let places = Places::new(&surface);
         let (offsets, of) = turned(&tif, places.middle_mm()).map_err(Failure::with_flags)?;
         let task = task!("tool-turned", &json!({ "low_rank": self.exact.settings() }));
         let output = match Output::directory(&self.output, Tool::KIND).begin(&task, &inputs)? {
@@ -425,6 +416,82 @@ impl TurnedArgs {
             low_rank_by_azimuth(&offsets, around, &*of, &self.exact.settings())
                 .map_err(Failure::with_flags)?;
         write(output, Tif::varying(tool)?, Some(&report), &self.output.out)
+    }
+}
+
+/// Direction of a tool.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "kebab-case")]
+enum DirectionArg {
+    /// Along the normal of the part
+    Normal,
+    /// Along z everywhere, as a beam whose source does not tilt
+    Fixed,
+}
+
+#[derive(Debug, Args)]
+pub struct FootprintArgs {
+    /// Tool influence function on a flat part [tif or tool artifact]
+    #[arg(long, value_name = "DIR")]
+    tif: PathBuf,
+    #[command(flatten)]
+    form: FormArgs,
+    /// Direction of the tool
+    #[arg(long, value_enum)]
+    direction: DirectionArg,
+    /// Exponent m of cos(incidence)^m; below 0 the rate rises with the angle
+    #[arg(long, value_name = "M", allow_negative_numbers = true, conflicts_with = "table")]
+    exponent: Option<f64>,
+    /// Table of parameter and factor, two numbers in each line, ascending; the parameter is the incidence in degrees [text
+    /// file]
+    #[arg(long, value_name = "FILE")]
+    table: Option<PathBuf>,
+    /// fixed: distance of the point from which the rays come to the part, mm [default: parallel rays]
+    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    source_distance_mm: Option<f64>,
+    #[command(flatten)]
+    make: MakeArgs,
+}
+
+impl FootprintArgs {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let mut inputs = Inputs::new();
+        let tif = inputs.read_tool("tif", &self.tif)?;
+        let surface: Surface = inputs.read("surface", &self.make.surface)?;
+        let places = self.form.places(&surface, &mut inputs)?;
+        let has_law = self.exponent.is_some() || self.table.is_some();
+        if self.direction == DirectionArg::Normal && (has_law || self.source_distance_mm.is_some())
+        {
+            return Err(Failure::new(
+                "--direction: is normal, where the incidence is 0 everywhere; leave --exponent, --table and \
+                 --source-distance-mm out, or give --direction fixed",
+            ));
+        }
+        let rate_law = match (self.exponent, &self.table) {
+            (Some(exponent), _) => RateLaw::Cosine { exponent },
+            (None, Some(file)) => RateLaw::Table { pairs: read_table(&mut inputs, "table", file)? },
+            (None, None) => RateLaw::Cosine { exponent: 0.0 },
+        };
+        rate_law.check().map_err(Failure::with_flags)?;
+        if self.direction == DirectionArg::Fixed && !has_law {
+            say(
+                "planish-surface: note: without --exponent or --table the yield does not depend on the incidence",
+            );
+        }
+        let settings = json!({
+            "direction": self.direction, "rate_law": rate_law, "source_distance_mm": self.source_distance_mm,
+            "sphere_radius_mm": self.form.sphere_radius_mm,
+        });
+        let direction = match self.direction {
+            DirectionArg::Normal => Direction::Normal,
+            DirectionArg::Fixed => {
+                Direction::Fixed { rate_law, source_distance_mm: self.source_distance_mm }
+            }
+        };
+        let on = Footprint::new(&tif, &places, direction).map_err(Failure::with_flags)?;
+        let of: Box<LocalTool<'_>> = Box::new(|p| on.at(p));
+        let tool = (on.offsets(), of, near(&places, self.make.beyond_mm(&tif)));
+        self.make.make("tool-footprint", &settings, &inputs, (&surface, &tif), tool)
     }
 }
 

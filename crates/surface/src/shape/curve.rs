@@ -7,7 +7,7 @@ use super::{
     EllipseReport, EllipseSettings, Shape, ShapeReport, columns::Columns,
     moved_ellipse::MovedEllipse, too_few,
 };
-use crate::ellipse::Ellipse;
+use planish_form::ImagingConic;
 
 /// A curve of x, with a tilt along y.
 #[derive(Clone, Debug)]
@@ -105,7 +105,7 @@ impl Curve {
         match &self.ellipse {
             Some(moved) => {
                 row.push(if heights { u } else { 1.0 });
-                let value = |ellipse: Ellipse| match heights {
+                let value = |ellipse: ImagingConic| match heights {
                     true => ellipse.height_mm(u),
                     false => ellipse.slope(u),
                 };

@@ -11,7 +11,7 @@ use nalgebra::{DMatrix, DVector};
 use planish_types::Invalid;
 
 use super::{LAST_STEP, MAX_STEPS, Shape, columns::Columns, curve::Curve, too_few};
-use crate::ellipse::Ellipse;
+use planish_form::ImagingConic;
 
 /// Damping of the first step, for Jacobian columns of length 1. It is divided by 10 after a step that
 /// lowers the sum of squares. After another step it is multiplied by 10, from [`LEAST_DAMPING`] at least.
@@ -222,7 +222,7 @@ fn errors(curve: &Curve, r: &DMatrix<f64>, scale: &[f64], left: &DVector<f64>) -
     let Some(inverse) = r.clone().try_inverse() else { return [0.0; 3] };
     let first = unknowns - moved.count();
     [0, 1, 2].map(|parameter| {
-        let logarithm = |ellipse: Ellipse| {
+        let logarithm = |ellipse: ImagingConic| {
             [ellipse.p_mm, ellipse.q_mm, ellipse.theta_rad][parameter].abs().ln()
         };
         let mut row = DVector::zeros(unknowns);

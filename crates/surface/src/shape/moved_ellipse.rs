@@ -10,7 +10,7 @@
 //! set of ellipses of equal curvature is bent, and with noise p moves to infinity and beyond.
 
 use super::{EllipseParameter, EllipseSettings};
-use crate::ellipse::Ellipse;
+use planish_form::ImagingConic;
 
 /// Largest change of a coordinate that is a logarithm; the factor is e^3 = 20. Larger: a longer search, and
 /// ellipses that are far from the design. Smaller: the best ellipse may lie outside.
@@ -70,11 +70,11 @@ impl MovedEllipse {
     }
 
     /// The ellipse at the current coordinates.
-    pub fn ellipse(&self) -> Ellipse {
+    pub fn ellipse(&self) -> ImagingConic {
         self.at(&self.by)
     }
 
-    fn at(&self, by: &[f64]) -> Ellipse {
+    fn at(&self, by: &[f64]) -> ImagingConic {
         let mut ellipse = self.settings.design;
         if let [curvature, asymmetric, rest] = by {
             let sum = 1.0 / ellipse.p_mm + 1.0 / ellipse.q_mm;
@@ -82,7 +82,7 @@ impl MovedEllipse {
             let sum_then = sum * rest.exp();
             let sine = ellipse.theta_rad.sin() * (curvature - rest).exp();
             // Beyond a right angle there is no mirror: the arc sine is NaN, and a fit refuses the step.
-            return Ellipse {
+            return ImagingConic {
                 p_mm: 2.0 / (sum_then * (1.0 - k)),
                 q_mm: 2.0 / (sum_then * (1.0 + k)),
                 theta_rad: sine.asin(),
@@ -100,7 +100,7 @@ impl MovedEllipse {
     }
 
     /// Derivative of a value of the ellipse by coordinate `k`.
-    pub fn derivative(&self, k: usize, value: impl Fn(Ellipse) -> f64) -> f64 {
+    pub fn derivative(&self, k: usize, value: impl Fn(ImagingConic) -> f64) -> f64 {
         let at = |step: f64| {
             let mut by = self.by.clone();
             by[k] += step;
@@ -122,7 +122,7 @@ impl MovedEllipse {
 }
 
 /// k = (1/q - 1/p) / (1/p + 1/q)
-fn asymmetry(ellipse: &Ellipse) -> f64 {
+fn asymmetry(ellipse: &ImagingConic) -> f64 {
     let (u, v) = (1.0 / ellipse.p_mm, 1.0 / ellipse.q_mm);
     (v - u) / (u + v)
 }

@@ -1,6 +1,8 @@
 //! Parameters of a place of the part.
 
-use planish_types::{Axis, Grid, Invalid, Surface};
+use planish_form::Form;
+use planish_types::{Axis, Invalid, Surface};
+use rayon::prelude::*;
 use serde::Serialize;
 
 /// Parameter of a place on which a tool depends.
@@ -20,37 +22,19 @@ pub enum Parameter {
     Incidence,
 }
 
-/// Form of the part: its height along z, as far as its slopes matter.
-#[derive(Clone, Debug)]
-pub enum Form {
-    /// Sphere of this radius of curvature, mm, whose vertex is in the middle of the valid pixels.
-    Sphere {
-        /// Radius of curvature, mm; its sign does not matter.
-        radius_mm: f64,
-    },
-    /// Measured or computed height, nm, on its own pixels.
-    Sampled(Surface),
-}
-
 /// A map whose places have parameters.
 #[derive(Debug)]
 pub struct Places<'a> {
     surface: &'a Surface,
-    form: Option<&'a Form>,
+    form: Option<Form>,
     middle_mm: [f64; 2],
     /// Valid pixels with an invalid or no neighbour.
     border_mm: Vec<[f64; 2]>,
 }
 
 impl<'a> Places<'a> {
-    /// Places of the map `surface`, of a part with this form.
-    pub fn new(surface: &'a Surface, form: Option<&'a Form>) -> Result<Self, Invalid> {
-        if let Some(Form::Sphere { radius_mm }) = form
-            && !(radius_mm.is_finite() && *radius_mm != 0.0)
-        {
-            let remedy = "give a radius of curvature in mm";
-            return Err(Invalid::whole("sphere_radius_mm", format!("is {radius_mm}"), remedy));
-        }
+    /// Places of the map `surface`, of a part without a form.
+    pub fn new(surface: &'a Surface) -> Self {
         let (z, grid) = (surface.height_nm(), surface.grid());
         let (ny, nx) = grid.shape();
         let valid = |r: isize, c: isize| {
@@ -68,7 +52,58 @@ impl<'a> Places<'a> {
             ![(1, 0), (-1, 0), (0, 1), (0, -1)].iter().all(|(i, k)| valid(r + i, c + k))
         });
         let border_mm = border.map(|(r, c)| [grid.x.at(c), grid.y.at(r)]).collect();
-        Ok(Self { surface, form, middle_mm: [middle(&grid.x, 0), middle(&grid.y, 1)], border_mm })
+        let middle_mm = [middle(&grid.x, 0), middle(&grid.y, 1)];
+        Self { surface, form: None, middle_mm, border_mm }
+    }
+
+    /// The same of a part that is a sphere of this radius of curvature, mm, with its vertex in the middle of the valid
+    /// pixels. Refuses a sphere that is smaller than the part.
+    pub fn on_sphere(self, radius_mm: f64) -> Result<Self, Invalid> {
+        let (name, remedy) = ("sphere_radius_mm", "give a radius of curvature in mm");
+        let sphere = Form::sphere(radius_mm, self.middle_mm)
+            .map_err(|_| Invalid::whole(name, format!("is {radius_mm}"), remedy))?;
+        let reach = self.border_mm.iter().map(|q| self.radius_mm_of(*q)).fold(0.0, f64::max);
+        if reach >= radius_mm.abs() {
+            let problem = format!("is {radius_mm} mm, but the map reaches {reach} mm");
+            let remedy = "give the radius of curvature, which is larger than the part";
+            return Err(Invalid::whole(name, problem, remedy));
+        }
+        Ok(Self { form: Some(sphere), ..self })
+    }
+
+    /// The same of a part with this form. Refuses a form that does not exist at a valid pixel: its slope there would be
+    /// a guess.
+    pub fn with_form(self, form: Form) -> Result<Self, Invalid> {
+        let grid = self.surface.grid();
+        let (ny, nx) = grid.shape();
+        let lacks = |i: &usize| {
+            let (r, c) = (i / nx, i % nx);
+            let is_valid = !self.surface.height_nm()[[r, c]].is_nan();
+            is_valid && form.at([grid.x.at(c), grid.y.at(r)]).is_none()
+        };
+        let lacking: Vec<usize> = (0..ny * nx).into_par_iter().filter(lacks).collect();
+        if let Some(first) = lacking.first() {
+            let (r, c) = (first / nx, first % nx);
+            let (x, y, more) = (grid.x.at(c), grid.y.at(r), lacking.len() - 1);
+            let problem = format!(
+                "is invalid or absent at ({x:.4}, {y:.4}) mm, where the map of the part has a valid pixel (and at {more} \
+                 more)"
+            );
+            let remedy = "fill the form by `planish-surface prepare --fill`, give a formula in a form file, or make these \
+                          pixels of the map of the part invalid";
+            return Err(Invalid::at("form", (r, c), problem, remedy));
+        }
+        Ok(Self { form: Some(form), ..self })
+    }
+
+    /// The form of the part, if it has one.
+    pub fn form(&self) -> Option<&Form> {
+        self.form.as_ref()
+    }
+
+    /// Distance from the middle of the valid pixels, mm.
+    fn radius_mm_of(&self, [x, y]: [f64; 2]) -> f64 {
+        (x - self.middle_mm[0]).hypot(y - self.middle_mm[1])
     }
 
     /// Middle of the valid pixels [x, y], mm.
@@ -80,6 +115,11 @@ impl<'a> Places<'a> {
     pub fn radius_mm(&self) -> f64 {
         let from = |q: &[f64; 2]| (q[0] - self.middle_mm[0]).hypot(q[1] - self.middle_mm[1]);
         self.border_mm.iter().map(from).fold(0.0, f64::max)
+    }
+
+    /// Valid pixels with an invalid or no neighbour, [x, y], mm.
+    pub fn border_mm(&self) -> &[[f64; 2]] {
+        &self.border_mm
     }
 
     /// Returns true if a point lies in a valid pixel.
@@ -111,12 +151,10 @@ impl<'a> Places<'a> {
 
     /// A parameter at a point of the part, in its unit.
     pub fn parameter(&self, parameter: Parameter, p: [f64; 2]) -> Result<f64, Invalid> {
-        let from_middle = [p[0] - self.middle_mm[0], p[1] - self.middle_mm[1]];
-        let radius = from_middle[0].hypot(from_middle[1]);
         Ok(match parameter {
             Parameter::X => p[0],
             Parameter::Y => p[1],
-            Parameter::Radius => radius,
+            Parameter::Radius => self.radius_mm_of(p),
             Parameter::EdgeDistance => {
                 let to = |q: &[f64; 2]| (p[0] - q[0]).hypot(p[1] - q[1]);
                 let nearest = self.border_mm.iter().map(to).fold(f64::INFINITY, f64::min);
@@ -125,40 +163,24 @@ impl<'a> Places<'a> {
                     0.25 * (self.surface.grid().x.step_mm() + self.surface.grid().y.step_mm());
                 if self.is_on_part(p) { nearest + half } else { -(nearest - half).max(0.0) }
             }
-            Parameter::Incidence => match self.form {
-                Some(Form::Sphere { radius_mm }) => {
-                    let sine = radius / radius_mm.abs();
-                    if sine >= 1.0 {
-                        let problem = format!("is {radius_mm} mm, but the map reaches {radius} mm");
-                        let remedy = "give the radius of curvature, which is larger than the part";
-                        return Err(Invalid::whole("sphere_radius_mm", problem, remedy));
-                    }
-                    sine.asin().to_degrees()
-                }
-                Some(Form::Sampled(form)) => slope(form, p).atan().to_degrees(),
-                None => {
+            Parameter::Incidence => {
+                let Some(form) = &self.form else {
                     let remedy = "give the form of the part: `sphere_radius_mm` or `form`";
                     return Err(Invalid::whole("by", "is incidence, without a form", remedy));
-                }
-            },
+                };
+                // Beyond the part the tool sees the nearest place of the form.
+                let Some(place) = form.nearest(p, self.middle_mm) else {
+                    let [x, y] = self.middle_mm;
+                    let problem =
+                        format!("does not exist in the middle of the part, ({x}, {y}) mm");
+                    return Err(Invalid::whole(
+                        "form",
+                        problem,
+                        "give a form that covers the part",
+                    ));
+                };
+                place.slope_deg()
+            }
         })
     }
-}
-
-/// Magnitude of the slope of a form at a point, mm/mm, by differences of its pixels around it; at its border and beyond
-/// by those of the nearest pixels.
-fn slope(form: &Surface, [x, y]: [f64; 2]) -> f64 {
-    let (z, Grid { x: of_x, y: of_y }) = (form.height_nm(), form.grid());
-    let cell = |axis: &Axis, mm: f64| {
-        let s = ((mm - axis.start_mm()) / axis.step_mm()).clamp(0.0, (axis.len() - 1) as f64);
-        let i = (s as usize).min(axis.len() - 2);
-        (i, s - i as f64)
-    };
-    let ((c, fx), (r, fy)) = (cell(of_x, x), cell(of_y, y));
-    // The bilinear form in the cell, nm.
-    let [a, b, d, e] = [z[[r, c]], z[[r, c + 1]], z[[r + 1, c]], z[[r + 1, c + 1]]];
-    let along_x = ((1.0 - fy) * (b - a) + fy * (e - d)) / of_x.step_mm();
-    let along_y = ((1.0 - fx) * (d - a) + fx * (e - b)) / of_y.step_mm();
-    let slope = 1e-6 * along_x.hypot(along_y);
-    if slope.is_nan() { 0.0 } else { slope }
 }

@@ -6,7 +6,7 @@ use clap::Args;
 use planish_handoff::{Begin, Failure, Status, flags::OutputArgs, task};
 use planish_toolpath::{MultiPitchSettings, multi_pitch, multi_pitch::Links, pitch_limit};
 
-use super::{Region, RegionArgs};
+use super::{FormArgs, Region, RegionArgs};
 
 #[derive(Debug, Args)]
 pub struct MultiPitchArgs {
@@ -58,6 +58,7 @@ impl MultiPitchArgs {
             pitch_mm: self.min_pitch_mm,
             overscan_mm: self.overscan_mm,
             machine: self.machine.clone(),
+            form: FormArgs::default(),
             output: self.output.clone(),
         })?;
         let tif = on.tif.as_ref().ok_or_else(|| Failure::new("tif: give --tif"))?;

@@ -1,0 +1,490 @@
+//! The form of a part: its height along z over the plane of the part, with normal and curvatures.
+//!
+//! ```text
+//! sphere, conic, paraboloid     z = c r^2 / (1 + sqrt(1 - (1 + k) c^2 r^2)),   c = 1 / R             (1)
+//! asphere                       the same plus A4 r^4 + A6 r^6 + ...                                  (2)
+//! cylinder                      (1) or (2) with r = x
+//! imaging cylinders             [`ImagingConic`]: ellipse, parabola, hyperbola from p, q and theta
+//! map                           bicubic, from splines along the runs of valid pixels ([`sampled`])
+//! ```
+//!
+//! R is positive where the ends of the part are above its vertex (concave). The terms of (1) and (2) are those of ISO
+//! 10110-12. A form can lie off the axis of its parent, turned in the plane, and have Zernike terms ([`Numbering`]).
+//!
+//! | module | contents |
+//! |---|---|
+//! | `jet` | values with first and second derivatives |
+//! | `imaging` | elliptic, parabolic and hyperbolic cylinders |
+//! | `zernike` | Zernike terms |
+//! | `sampled` | a form that is a map |
+//! | `file` | the form file, and its parameters |
+//! | `development` | coordinates along the surface |
+//!
+//! | symbol | in the form file | unit |
+//! |---|---|---|
+//! | R | `radius_mm` | mm |
+//! | k | `conic_constant` | 1 |
+//! | A4, A6, ... | `even_terms` | mm^-3, mm^-5, ... |
+
+pub mod development;
+pub mod file;
+pub mod imaging;
+mod jet;
+pub mod sampled;
+mod zernike;
+
+pub use development::Development;
+pub use file::{Axis, Fit, FormFile, FormKind, ZernikeFile};
+pub use imaging::ImagingConic;
+pub use jet::Jet;
+pub use sampled::Sampled;
+pub use zernike::Numbering;
+
+use planish_types::{Invalid, Surface};
+
+/// Number of nm in a mm.
+const NM_PER_MM: f64 = 1e6;
+
+/// Largest number of Newton steps to a point of a tilted parent; it converges quadratically from the tangent plane.
+/// Larger: no effect. Smaller: steep parts are refused.
+const NEWTON_STEPS: usize = 30;
+
+/// Step in the height, relative to 1 mm and the height, below which the height has converged. Larger: heights are less
+/// exact. Smaller: rounding of the coordinates keeps the steps going.
+const CONVERGED: f64 = 1e-12;
+
+/// Steps after the value has converged: each makes one more order of the derivatives exact.
+const STEPS_FOR_DERIVATIVES: usize = 3;
+
+/// A form, checked.
+#[derive(Clone, Debug)]
+pub struct Form {
+    shape: Shape,
+    vertex_mm: [f64; 2],
+    /// Cosine and sine of the angle by which the axes of the form are turned in the plane of the part.
+    turn: [f64; 2],
+    off_axis: Option<OffAxis>,
+    terms: Option<Terms>,
+}
+
+/// Height of a form over its own axes.
+#[derive(Clone, Debug)]
+enum Shape {
+    Plane,
+    /// (1) and (2) of the radius, or of x alone.
+    Even {
+        curvature_per_mm: f64,
+        conic_constant: f64,
+        terms: Vec<f64>,
+        is_cylinder: bool,
+    },
+    Imaging(ImagingConic),
+    Sampled(Box<Sampled>),
+}
+
+impl Shape {
+    fn jet(&self, [x, y]: [Jet; 2]) -> Jet {
+        match self {
+            Self::Plane => Jet::constant(0.0),
+            Self::Even { curvature_per_mm: c, conic_constant: k, terms, is_cylinder } => {
+                let square = if *is_cylinder { x * x } else { x * x + y * y };
+                let one = Jet::constant(1.0);
+                // z = c r^2 / (1 + sqrt(1 - (1 + k) c^2 r^2)) + A4 r^4 + A6 r^6 + ...
+                let root = (one - square.times((1.0 + k) * c * c)).sqrt();
+                let mut z = square.times(*c) / (one + root);
+                let mut power = square;
+                for term in terms {
+                    power = power * square;
+                    z = z + power.times(*term);
+                }
+                z
+            }
+            Self::Imaging(conic) => conic.jet(x),
+            Self::Sampled(map) => map.jet([x, y]),
+        }
+    }
+
+    /// Returns true if the height depends on x alone.
+    fn is_cylinder(&self) -> bool {
+        matches!(self, Self::Imaging(_) | Self::Even { is_cylinder: true, .. })
+    }
+}
+
+/// Section of a parent away from its vertex.
+#[derive(Clone, Copy, Debug)]
+enum OffAxis {
+    /// Heights along the axis of the parent, from the height at this place.
+    Parent { at_mm: [f64; 2], height_mm: f64 },
+    /// Heights along the normal of the parent at this point: origin and the directions of x, y and z.
+    Normal { origin_mm: [f64; 3], axes: [[f64; 3]; 3] },
+}
+
+/// Zernike terms.
+#[derive(Clone, Debug)]
+struct Terms {
+    numbering: Numbering,
+    centre_mm: [f64; 2],
+    radius_mm: f64,
+    /// Index and coefficient in mm.
+    terms: Vec<(u32, f64)>,
+}
+
+/// A point of a form.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    jet: Jet,
+}
+
+impl Place {
+    /// Height along z above the vertex, mm.
+    pub fn sag_mm(&self) -> f64 {
+        self.jet.value
+    }
+
+    /// Slopes of the height along [x, y], mm/mm.
+    pub fn gradient(&self) -> [f64; 2] {
+        self.jet.gradient
+    }
+
+    /// Second derivatives [xx, xy, yy] of the height, 1/mm.
+    pub fn hessian(&self) -> [f64; 3] {
+        self.jet.hessian
+    }
+
+    /// Unit normal, out of the material: `(-f_x, -f_y, 1) / sqrt(1 + f_x^2 + f_y^2)`.
+    pub fn normal(&self) -> [f64; 3] {
+        let [x, y] = self.jet.gradient;
+        let n = self.cosine();
+        [-x * n, -y * n, n]
+    }
+
+    /// Cosine of the slope angle, the z component of the normal.
+    pub fn cosine(&self) -> f64 {
+        let [x, y] = self.jet.gradient;
+        1.0 / (1.0 + x * x + y * y).sqrt()
+    }
+
+    /// Slope angle: between the normal and z, degrees.
+    pub fn slope_deg(&self) -> f64 {
+        let [x, y] = self.jet.gradient;
+        x.hypot(y).atan().to_degrees()
+    }
+
+    /// Principal curvatures, 1/mm, the smaller first; positive where the part is concave. They are the roots of the
+    /// characteristic polynomial of the shape operator of a graph (M. do Carmo, Differential Geometry of Curves and
+    /// Surfaces, section 3-3).
+    pub fn principal_curvatures_per_mm(&self) -> [f64; 2] {
+        let ([p, q], [r, s, t]) = (self.jet.gradient, self.jet.hessian);
+        let w = 1.0 + p * p + q * q;
+        // H = ((1 + q^2) r - 2 p q s + (1 + p^2) t) / (2 w^(3/2)),   K = (r t - s^2) / w^2
+        let mean = ((1.0 + q * q) * r - 2.0 * p * q * s + (1.0 + p * p) * t) / (2.0 * w.powf(1.5));
+        let gauss = (r * t - s * s) / (w * w);
+        let half = (mean * mean - gauss).max(0.0).sqrt();
+        [mean - half, mean + half]
+    }
+}
+
+impl Form {
+    /// The form that a file states; `map` is the height of a file of the kind `map`.
+    pub fn new(file: &FormFile, map: Option<&Surface>) -> Result<Self, Invalid> {
+        file.check()?;
+        let shape = match file.kind {
+            FormKind::Map => {
+                let map = map.expect("a caller reads the map of a form of the kind map");
+                Shape::Sampled(Box::new(Sampled::new(map)?))
+            }
+            FormKind::EllipticCylinder
+            | FormKind::HyperbolicCylinder
+            | FormKind::ParabolicCylinder => Shape::Imaging(file.imaging()?),
+            FormKind::Plane => Shape::Plane,
+            kind => Shape::Even {
+                curvature_per_mm: 1.0 / file.radius_mm.expect("checked: the kind has a radius"),
+                conic_constant: match kind {
+                    FormKind::Paraboloid => -1.0,
+                    _ => file.conic_constant.unwrap_or_default(),
+                },
+                terms: file.even_terms.clone().unwrap_or_default(),
+                is_cylinder: kind == FormKind::Cylinder,
+            },
+        };
+        let (sine, cosine) = file.rotation_deg.unwrap_or_default().to_radians().sin_cos();
+        let terms = file.zernike.as_ref().map(|z| Terms {
+            numbering: z.numbering,
+            centre_mm: z.centre_mm,
+            radius_mm: z.radius_mm,
+            terms: z.indexed().map(|(j, nm)| (j, nm / NM_PER_MM)).collect(),
+        });
+        let mut form = Self {
+            shape,
+            vertex_mm: file.vertex_mm.unwrap_or_default(),
+            turn: [cosine, sine],
+            off_axis: None,
+            terms,
+        };
+        if let Some(at_mm) = file.off_axis_mm {
+            form.off_axis = Some(form.section(at_mm, file.height_along.unwrap_or(Axis::Parent))?);
+        }
+        Ok(form)
+    }
+
+    /// A sphere of this radius of curvature, mm, with its vertex at [x, y], mm.
+    pub fn sphere(radius_mm: f64, vertex_mm: [f64; 2]) -> Result<Self, Invalid> {
+        let file = FormFile {
+            kind: FormKind::Sphere,
+            radius_mm: Some(radius_mm),
+            vertex_mm: Some(vertex_mm),
+            ..FormFile::plane()
+        };
+        Self::new(&file, None)
+    }
+
+    /// A form that is a map of its height along z, nm.
+    pub fn sampled(map: &Surface) -> Result<Self, Invalid> {
+        let shape = Shape::Sampled(Box::new(Sampled::new(map)?));
+        Ok(Self { shape, vertex_mm: [0.0; 2], turn: [1.0, 0.0], off_axis: None, terms: None })
+    }
+
+    /// The section about a place of the parent.
+    fn section(&self, at_mm: [f64; 2], along: Axis) -> Result<OffAxis, Invalid> {
+        let jet = self.shape.jet(Jet::coordinates(at_mm));
+        if !jet.is_finite() {
+            let problem = format!("is {at_mm:?}, where the parent does not exist");
+            let remedy = "give a place within the parent, in mm from its vertex";
+            return Err(Invalid::whole("off_axis_mm", problem, remedy));
+        }
+        if along == Axis::Parent {
+            return Ok(OffAxis::Parent { at_mm, height_mm: jet.value });
+        }
+        let [fx, _] = jet.gradient;
+        let z = Place { jet }.normal();
+        let length = fx.hypot(1.0);
+        let x = [1.0 / length, 0.0, fx / length];
+        let y = [z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]];
+        let origin_mm = [at_mm[0], at_mm[1], jet.value];
+        Ok(OffAxis::Normal { origin_mm, axes: [x, y, z] })
+    }
+
+    /// The point of the form over [x, y] of the part, mm; `None` where the form does not exist.
+    pub fn at(&self, p: [f64; 2]) -> Option<Place> {
+        let jet = self.jet(p);
+        jet.is_finite().then_some(Place { jet })
+    }
+
+    /// Height along z over [x, y], mm; `None` where the form does not exist.
+    pub fn sag_mm(&self, p: [f64; 2]) -> Option<f64> {
+        self.at(p).map(|place| place.sag_mm())
+    }
+
+    /// Place of the vertex of the form on the part [x, y], mm; that of a map is its origin.
+    pub fn vertex_mm(&self) -> [f64; 2] {
+        self.vertex_mm
+    }
+
+    /// The direction of the part along which the form is curved, if its height depends on one coordinate alone.
+    fn cylinder_direction(&self) -> Option<[f64; 2]> {
+        let tilted = matches!(self.off_axis, Some(OffAxis::Normal { .. }));
+        (self.shape.is_cylinder() && !tilted && self.terms.is_none()).then_some(self.turn)
+    }
+
+    /// The map of the form, if it is one.
+    fn map(&self) -> Option<&Sampled> {
+        match &self.shape {
+            Shape::Sampled(map) => Some(map),
+            _ => None,
+        }
+    }
+
+    fn jet(&self, p: [f64; 2]) -> Jet {
+        let part = Jet::coordinates(p);
+        let [cosine, sine] = self.turn;
+        let [dx, dy] = [0, 1].map(|k| part[k] - Jet::constant(self.vertex_mm[k]));
+        let local = [dx.times(cosine) + dy.times(sine), dy.times(cosine) - dx.times(sine)];
+        let mut z = match &self.off_axis {
+            None => self.shape.jet(local),
+            Some(OffAxis::Parent { at_mm, height_mm }) => {
+                let at = [0, 1].map(|k| local[k] + Jet::constant(at_mm[k]));
+                self.shape.jet(at) - Jet::constant(*height_mm)
+            }
+            Some(OffAxis::Normal { origin_mm, axes }) => self.tilted(local, *origin_mm, axes),
+        };
+        if let Some(terms) = &self.terms {
+            let at = [0, 1].map(|k| {
+                (part[k] - Jet::constant(terms.centre_mm[k])).times(1.0 / terms.radius_mm)
+            });
+            for (index, mm) in &terms.terms {
+                let term = terms.numbering.term(*index, at).expect("checked with the file");
+                z = z + term.times(*mm);
+            }
+        }
+        z
+    }
+
+    /// Height z along the third axis at which `origin + x e1 + y e2 + z e3` lies on the parent, by Newton's method.
+    fn tilted(&self, [x, y]: [Jet; 2], origin: [f64; 3], [e1, e2, e3]: &[[f64; 3]; 3]) -> Jet {
+        let mut z = Jet::constant(0.0);
+        let mut exact = 0;
+        for _ in 0..NEWTON_STEPS {
+            let at = |k: usize| {
+                Jet::constant(origin[k]) + x.times(e1[k]) + y.times(e2[k]) + z.times(e3[k])
+            };
+            let [px, py] = [at(0), at(1)];
+            // G = P_z - F(P_x, P_y),   dG/dz = e3_z - F_x e3_x - F_y e3_y
+            let f = self.shape.jet([px, py]);
+            let [fx, fy] = self.shape.jet(Jet::coordinates([px.value, py.value])).gradient;
+            let step = (at(2) - f).times(1.0 / (e3[2] - fx * e3[0] - fy * e3[1]));
+            z = z - step;
+            if step.value.abs() <= CONVERGED * (1.0 + z.value.abs()) || exact > 0 {
+                exact += 1;
+            }
+            if exact == STEPS_FOR_DERIVATIVES {
+                return z;
+            }
+        }
+        Jet::constant(f64::NAN)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn form(json: &str) -> Form {
+        Form::new(&serde_json::from_str(json).unwrap(), None).unwrap()
+    }
+
+    #[test]
+    fn a_sphere_has_its_radius_everywhere() {
+        for radius in [80.0, -80.0] {
+            let sphere = Form::sphere(radius, [3.0, -2.0]).unwrap();
+            for p in [[3.0, -2.0], [13.0, 8.0], [3.0, 58.0], [-40.0, -30.0]] {
+                let at = sphere.at(p).unwrap();
+                let centre = [3.0, -2.0, radius];
+                let point = [p[0], p[1], at.sag_mm()];
+                let n = at.normal();
+                // The centre of curvature lies along the normal; coordinates of 80 mm carry roundings of 1e-14.
+                for k in 0..3 {
+                    assert!((point[k] + radius * n[k] - centre[k]).abs() < 1e-11, "{p:?}");
+                }
+                for curvature in at.principal_curvatures_per_mm() {
+                    assert!((curvature * radius - 1.0).abs() < 1e-7, "{p:?}: {curvature}");
+                }
+            }
+            assert!(sphere.at([90.0, 0.0]).is_none());
+        }
+    }
+
+    #[test]
+    fn a_paraboloid_has_the_curvatures_of_its_formula() {
+        // Meridional 1 / (R w^3), sagittal 1 / (R w), w = sqrt(1 + r^2 / R^2).
+        let parabola = form(r#"{"kind": "paraboloid", "radius_mm": 100}"#);
+        let at = parabola.at([30.0, 40.0]).unwrap();
+        let w = 1.25_f64.sqrt();
+        assert!((at.sag_mm() - 12.5).abs() < 1e-13);
+        let [low, high] = at.principal_curvatures_per_mm();
+        assert!(
+            (low * 100.0 * w.powi(3) - 1.0).abs() < 1e-12 && (high * 100.0 * w - 1.0).abs() < 1e-12
+        );
+        assert!((at.slope_deg() - 0.5_f64.atan().to_degrees()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_section_along_the_normal_is_the_parent_itself() {
+        for json in [
+            r#"{"kind": "paraboloid", "radius_mm": 400, "off_axis_mm": [120, 50], "height_along": "normal"}"#,
+            r#"{"kind": "asphere", "radius_mm": -300, "conic_constant": 0.4, "even_terms": [1e-9, -2e-14],
+                "off_axis_mm": [-60, 80], "height_along": "normal"}"#,
+        ] {
+            let section = form(json);
+            let Some(OffAxis::Normal { origin_mm, axes }) = section.off_axis else { panic!() };
+            assert!(section.at([0.0; 2]).unwrap().sag_mm().abs() < 1e-14);
+            for p in [[0.0, 0.0], [10.0, -20.0], [-25.0, 3.0]] {
+                let at = section.at(p).unwrap();
+                let point = [0, 1, 2].map(|k| {
+                    origin_mm[k] + p[0] * axes[0][k] + p[1] * axes[1][k] + at.sag_mm() * axes[2][k]
+                });
+                let parent =
+                    Place { jet: section.shape.jet(Jet::coordinates([point[0], point[1]])) };
+                assert!((parent.sag_mm() - point[2]).abs() < 1e-13);
+                // Curvatures and normal do not depend on the frame.
+                let (a, b) =
+                    (at.principal_curvatures_per_mm(), parent.principal_curvatures_per_mm());
+                assert!((0..2).all(|k| (a[k] - b[k]).abs() < 1e-14), "{a:?} {b:?}");
+                let n = at.normal();
+                for k in 0..3 {
+                    let turned: f64 = (0..3).map(|i| n[i] * axes[i][k]).sum();
+                    assert!((turned - parent.normal()[k]).abs() < 1e-14, "{p:?}");
+                }
+            }
+        }
+        // The section of a sphere is that sphere.
+        let section = form(
+            r#"{"kind": "sphere", "radius_mm": 200, "off_axis_mm": [70, -20], "height_along": "normal"}"#,
+        );
+        let sphere = Form::sphere(200.0, [0.0; 2]).unwrap();
+        for p in [[5.0, 9.0], [-30.0, 40.0]] {
+            assert!((section.sag_mm(p).unwrap() - sphere.sag_mm(p).unwrap()).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_turned_cylinder_is_straight_across() {
+        let cylinder = form(
+            r#"{"kind": "cylinder", "radius_mm": 50, "rotation_deg": 30, "vertex_mm": [1, 2]}"#,
+        );
+        let (s, c) = 30_f64.to_radians().sin_cos();
+        for (along, across) in [(0.0, 7.0), (20.0, -3.0), (-31.0, 0.0)] {
+            let at =
+                cylinder.at([1.0 + along * c - across * s, 2.0 + along * s + across * c]).unwrap();
+            let want = 50.0 - (2500.0 - along * along).sqrt();
+            assert!((at.sag_mm() - want).abs() < 1e-13);
+            let [low, high] = at.principal_curvatures_per_mm();
+            assert!(low.abs() < 1e-9 && (high * 50.0 - 1.0).abs() < 1e-9, "{low} {high}");
+        }
+    }
+
+    #[test]
+    fn zernike_terms_add_their_height() {
+        let form = form(
+            r#"{"kind": "plane", "zernike": {"numbering": "fringe", "centre_mm": [5, 0], "radius_mm": 20,
+                "terms_nm": {"4": 100, "5": 30}}}"#,
+        );
+        // 100 (2 rho^2 - 1) + 30 rho^2 cos 2 phi
+        let (x, y) = (8.0 / 20.0, -6.0 / 20.0);
+        let want = 100.0 * (2.0 * (x * x + y * y) - 1.0) + 30.0 * (x * x - y * y);
+        assert!((1e6 * form.sag_mm([13.0, -6.0]).unwrap() - want).abs() < 1e-12);
+    }
+
+    proptest! {
+        /// The derivatives against differences: h^2 = 1e-6 times third derivatives below 1e-4, and rounding of 1e-13
+        /// over h = 1e-3.
+        #[test]
+        fn gradient_and_hessian_are_derivatives(x in -20.0..20.0_f64, y in -20.0..20.0_f64, kind in 0..6_usize) {
+            let form = form([
+                r#"{"kind": "conic", "radius_mm": 120, "conic_constant": -2.1, "vertex_mm": [4, 1]}"#,
+                r#"{"kind": "asphere", "radius_mm": 90, "conic_constant": 0.5, "even_terms": [1e-7, 1e-11]}"#,
+                r#"{"kind": "elliptic-cylinder", "p_mm": 300, "q_mm": 150, "theta_mrad": 300, "rotation_deg": 20}"#,
+                r#"{"kind": "hyperbolic-cylinder", "p_mm": 300, "q_mm": -150, "theta_mrad": 300}"#,
+                r#"{"kind": "parabolic-cylinder", "q_mm": 150, "theta_mrad": 300}"#,
+                r#"{"kind": "conic", "radius_mm": 150, "conic_constant": -1.5, "off_axis_mm": [40, 10],
+                    "height_along": "normal", "rotation_deg": -70}"#,
+            ][kind]);
+            let at = form.at([x, y]).unwrap();
+            let h = 1e-3;
+            for k in 0..2 {
+                let moved = |by: f64| {
+                    let mut p = [x, y];
+                    p[k] += by;
+                    form.at(p).unwrap()
+                };
+                let (up, down) = (moved(h), moved(-h));
+                let slope = (up.sag_mm() - down.sag_mm()) / (2.0 * h);
+                prop_assert!((slope - at.gradient()[k]).abs() < 1e-8, "{slope} {:?}", at.gradient());
+                for j in 0..2 {
+                    let second = (up.gradient()[j] - down.gradient()[j]) / (2.0 * h);
+                    prop_assert!((second - at.hessian()[j + k]).abs() < 1e-8, "{second}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,278 @@
+//! A form that is a map: bicubic between the pixels, with slopes from splines along the runs of valid pixels.
+//!
+//! ```text
+//! m_(i-1) + 4 m_i + m_(i+1) = 3 (z_(i+1) - z_(i-1))        slopes along a run, per pixel               (1)
+//! m_0 + 2 m_1 = (-5 z_0 + 4 z_1 + z_2) / 2                 at its ends: one cubic over two intervals   (2)
+//! ```
+//!
+//! z_x follows from the rows, z_y from the columns, and z_xy from the columns of z_x. Over a rectangle of valid pixels
+//! this is the tensor product of the splines (C. de Boor, A Practical Guide to Splines, chapters IV and XVII). At an
+//! edge, one ring of pixels continues the map quadratically, so that slopes exist up to half a pixel beyond the centres
+//! of the valid pixels. The form exists where the nearest pixel is valid, and nowhere else.
+
+use ndarray::{Array2, ArrayViewMut1};
+use planish_types::{Axis, Grid, Invalid, Surface};
+
+use crate::{NM_PER_MM, jet::Jet};
+
+/// Distance from the middle between two pixels at which rounding does not decide which is the nearest one, in pixels.
+const ON_THE_EDGE: f64 = 1e-9;
+
+/// A map with its slopes.
+#[derive(Clone, Debug)]
+pub struct Sampled {
+    map: Surface,
+    /// Height, its derivatives along x and y, and the mixed one, (ny, nx), mm and per pixel; NaN where there is none.
+    values: [Array2<f64>; 4],
+}
+
+impl Sampled {
+    /// The form of a map of heights along z, nm. Refuses a map without 2 x 2 valid pixels.
+    pub fn new(map: &Surface) -> Result<Self, Invalid> {
+        let mut z = map.height_nm().mapv(|nm| nm / NM_PER_MM);
+        continue_by_one(&mut z);
+        let mut zx = z.clone();
+        zx.rows_mut().into_iter().for_each(slopes);
+        let mut zy = z.clone();
+        zy.columns_mut().into_iter().for_each(slopes);
+        let mut zxy = zx.clone();
+        zxy.columns_mut().into_iter().for_each(slopes);
+        let form = Self { map: map.clone(), values: [z, zx, zy, zxy] };
+        let (ny, nx) = map.height_nm().dim();
+        let has_cell = (0..ny - 1).any(|r| (0..nx - 1).any(|c| form.is_cell(r, c)));
+        if !has_cell {
+            let remedy = "give a map with areas of valid pixels";
+            return Err(Invalid::whole("form", "has no 2 x 2 valid pixels", remedy));
+        }
+        Ok(form)
+    }
+
+    /// Pixel centres.
+    pub fn grid(&self) -> &Grid {
+        self.map.grid()
+    }
+
+    /// Centre of the valid pixel that is nearest to a place [x, y], mm.
+    pub fn nearest_mm(&self, p: [f64; 2]) -> [f64; 2] {
+        let (r, c) = self.map.nearest_valid(p);
+        [self.grid().x.at(c), self.grid().y.at(r)]
+    }
+
+    /// Returns true if the four corners of a cell have heights and slopes.
+    fn is_cell(&self, r: usize, c: usize) -> bool {
+        let corner = |r, c| self.values.iter().all(|v| v[[r, c]].is_finite());
+        corner(r, c) && corner(r, c + 1) && corner(r + 1, c) && corner(r + 1, c + 1)
+    }
+
+    /// Height at a place, mm; NaN where there is none.
+    pub(crate) fn jet(&self, [x, y]: [Jet; 2]) -> Jet {
+        let Grid { x: of_x, y: of_y } = self.grid();
+        let (s, t) = (pixels(of_x, x.value), pixels(of_y, y.value));
+        let nearest = |at: f64, axis: &Axis| {
+            // Between two pixels either is the nearest one.
+            let low = (at - 0.5 - ON_THE_EDGE).ceil();
+            let high = (at + 0.5 + ON_THE_EDGE).floor();
+            [low, high].map(|i| (i >= 0.0 && i < axis.len() as f64).then_some(i as usize))
+        };
+        let (columns, rows) = (nearest(s, of_x), nearest(t, of_y));
+        let valid = |r: usize, c: usize| !self.map.height_nm()[[r, c]].is_nan();
+        let near = rows.iter().flatten().any(|r| columns.iter().flatten().any(|c| valid(*r, *c)));
+        let cell = |at: f64, axis: &Axis| {
+            let last = axis.len() - 2;
+            let i = (at.max(0.0) as usize).min(last);
+            // On a node, the cell before it will do as well.
+            let before = (at - i as f64) < ON_THE_EDGE && i > 0;
+            [Some(i), before.then(|| i - 1)]
+        };
+        let (of_s, of_t) = (cell(s, of_x), cell(t, of_y));
+        let cells =
+            of_t.iter().flatten().flat_map(|r| of_s.iter().flatten().map(move |c| (*r, *c)));
+        let found = cells.into_iter().find(|(r, c)| self.is_cell(*r, *c));
+        let Some((r, c)) = found.filter(|_| near) else { return Jet::constant(f64::NAN) };
+        let (of_x, of_y) =
+            (basis(s - c as f64, of_x.step_mm()), basis(t - r as f64, of_y.step_mm()));
+        // Derivatives of these orders by x and y.
+        let orders = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)];
+        let mut sums = [0.0; 6];
+        for (j, down) in [0, 1, 0, 1].into_iter().enumerate() {
+            for (i, right) in [0, 1, 0, 1].into_iter().enumerate() {
+                // The first two of the basis are of heights, the others of slopes.
+                let which = usize::from(i > 1) + 2 * usize::from(j > 1);
+                let value = self.values[which][[r + down, c + right]];
+                for (sum, (by_x, by_y)) in sums.iter_mut().zip(orders) {
+                    *sum += of_x[by_x][i] * of_y[by_y][j] * value;
+                }
+            }
+        }
+        Jet::composed(sums, [x, y])
+    }
+}
+
+/// Coordinate in pixels from the first one.
+fn pixels(axis: &Axis, mm: f64) -> f64 {
+    (mm - axis.start_mm()) / axis.step_mm()
+}
+
+/// Cubic Hermite basis at f in [0, 1], of the heights at both ends, then of the slopes per pixel; and its first and second
+/// derivatives by a coordinate in mm, for pixels of this size, mm.
+fn basis(f: f64, pixel_mm: f64) -> [[f64; 4]; 3] {
+    let (end, start) = (f * f * (3.0 - 2.0 * f), f * f * (f - 1.0));
+    let (first, second) = (1.0 / pixel_mm, 1.0 / (pixel_mm * pixel_mm));
+    let rise = 6.0 * f * (1.0 - f);
+    [
+        [1.0 - end, end, start - f * (f - 1.0), start],
+        [-rise, rise, 1.0 + f * (3.0 * f - 4.0), f * (3.0 * f - 2.0)].map(|v| first * v),
+        [12.0 * f - 6.0, 6.0 - 12.0 * f, 6.0 * f - 4.0, 6.0 * f - 2.0].map(|v| second * v),
+    ]
+}
+
+/// Gives invalid pixels beside valid ones the mean of the quadratic continuations along x and y that exist.
+fn continue_by_one(z: &mut Array2<f64>) {
+    let given = z.clone();
+    let (ny, nx) = given.dim();
+    let at = |r: isize, c: isize| {
+        let inside = r >= 0 && c >= 0 && (r as usize) < ny && (c as usize) < nx;
+        if inside { given[[r as usize, c as usize]] } else { f64::NAN }
+    };
+    for ((r, c), v) in z.indexed_iter_mut().filter(|(_, v)| v.is_nan()) {
+        let (r, c) = (r as isize, c as isize);
+        let along = |dr: isize, dc: isize| {
+            let [a, b, d] = [1, 2, 3].map(|k| at(r + k * dr, c + k * dc));
+            3.0 * a - 3.0 * b + d
+        };
+        let all = [along(0, 1), along(0, -1), along(1, 0), along(-1, 0)];
+        let found: Vec<f64> = all.into_iter().filter(|v| !v.is_nan()).collect();
+        if !found.is_empty() {
+            *v = found.iter().sum::<f64>() / found.len() as f64;
+        }
+    }
+}
+
+/// Replaces heights along a line by their slopes, run by run; NaN where a run has one pixel.
+fn slopes(mut line: ArrayViewMut1<f64>) {
+    let n = line.len();
+    let mut start = 0;
+    while start < n {
+        let end = (start..n).find(|i| line[*i].is_nan()).unwrap_or(n);
+        if end > start {
+            let z: Vec<f64> = (start..end).map(|i| line[i]).collect();
+            for (i, m) in of_run(&z).into_iter().enumerate() {
+                line[start + i] = m;
+            }
+        }
+        start = end + 1;
+    }
+}
+
+/// Slopes of a run of heights, per pixel.
+fn of_run(z: &[f64]) -> Vec<f64> {
+    let n = z.len();
+    match n {
+        1 => return vec![f64::NAN],
+        2 => return vec![z[1] - z[0]; 2],
+        3 => {
+            let ends =
+                [-1.5 * z[0] + 2.0 * z[1] - 0.5 * z[2], 0.5 * z[0] - 2.0 * z[1] + 1.5 * z[2]];
+            return vec![ends[0], 0.5 * (z[2] - z[0]), ends[1]];
+        }
+        _ => {}
+    }
+    // (1) between the ends (2), by elimination from the first to the last.
+    let mut above = vec![0.0; n];
+    let mut m = vec![0.0; n];
+    above[0] = 2.0;
+    m[0] = 0.5 * (-5.0 * z[0] + 4.0 * z[1] + z[2]);
+    for i in 1..n {
+        let (low, middle, high, right) = if i < n - 1 {
+            (1.0, 4.0, 1.0, 3.0 * (z[i + 1] - z[i - 1]))
+        } else {
+            (2.0, 1.0, 0.0, 0.5 * (5.0 * z[i] - 4.0 * z[i - 1] - z[i - 2]))
+        };
+        let pivot = middle - low * above[i - 1];
+        above[i] = high / pivot;
+        m[i] = (right - low * m[i - 1]) / pivot;
+    }
+    for i in (0..n - 1).rev() {
+        m[i] -= above[i] * m[i + 1];
+    }
+    m
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Form;
+
+    fn grid() -> Grid {
+        Grid { x: Axis::new(-10.0, 0.5, 41).unwrap(), y: Axis::new(-6.0, 0.4, 31).unwrap() }
+    }
+
+    fn map(mm: impl Fn(f64, f64) -> f64, valid: impl Fn(f64, f64) -> bool) -> Surface {
+        let grid = grid();
+        let height = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            let (x, y) = (grid.x.at(c), grid.y.at(r));
+            if valid(x, y) { 1e6 * mm(x, y) } else { f64::NAN }
+        });
+        Surface::new(grid, height).unwrap()
+    }
+
+    #[test]
+    fn a_cubic_in_both_coordinates_is_exact() {
+        let z = |x: f64, y: f64| {
+            0.01 * x.powi(3) - 0.02 * x * x * y + 0.003 * (x * y).powi(3) * 1e-3 + y
+        };
+        let form = Form::sampled(&map(z, |_, _| true)).unwrap();
+        for p in [[0.13, 0.21], [-9.9, 5.7], [9.99, -5.99], [3.0, 2.0]] {
+            let at = form.at(p).unwrap();
+            assert!((at.sag_mm() - z(p[0], p[1])).abs() < 1e-12, "{p:?}");
+            let [x, y] = p;
+            let slope = 0.03 * x * x - 0.04 * x * y + 9e-6 * x * x * y.powi(3);
+            assert!((at.gradient()[0] - slope).abs() < 1e-11, "{p:?}");
+            let second = 0.06 * x - 0.04 * y + 1.8e-5 * x * y.powi(3);
+            assert!((at.hessian()[0] - second).abs() < 1e-10, "{p:?}");
+        }
+        assert!(form.at([10.3, 0.0]).is_none());
+    }
+
+    #[test]
+    fn a_sphere_on_a_disc_with_a_hole_has_its_slopes_up_to_the_edge() {
+        let radius = 40.0_f64;
+        let z = |x: f64, y: f64| radius - (radius * radius - x * x - y * y).sqrt();
+        let inside = |x: f64, y: f64| {
+            let r = x.hypot(y);
+            r <= 5.6 && (x - 1.0).hypot(y) > 0.9
+        };
+        let form = Form::sampled(&map(z, inside)).unwrap();
+        let sphere = Form::sphere(radius, [0.0; 2]).unwrap();
+        let grid = grid();
+        let mut pixels = 0;
+        for (r, c) in (0..grid.y.len()).flat_map(|r| (0..grid.x.len()).map(move |c| (r, c))) {
+            let p = [grid.x.at(c), grid.y.at(r)];
+            match (form.at(p), inside(p[0], p[1])) {
+                (Some(found), true) => {
+                    pixels += 1;
+                    let want = sphere.at(p).unwrap();
+                    // Fourth derivative 3 / R^3 = 5e-5 times h^3 / 24 = 5e-3, and the continuation at the edge.
+                    for k in 0..2 {
+                        let error = (found.gradient()[k] - want.gradient()[k]).abs();
+                        assert!(error < 5e-5, "{p:?}: {error:e}");
+                    }
+                }
+                (None, false) => {}
+                (found, valid) => panic!("{p:?}: {found:?} for a pixel whose validity is {valid}"),
+            }
+        }
+        assert!(pixels > 400, "{pixels}");
+    }
+
+    #[test]
+    fn a_map_of_scattered_pixels_is_refused() {
+        let lonely = map(
+            |_, _| 0.0,
+            |x, y| (x.round() as i64 + y.round() as i64) % 9 == 0 && x == x.round(),
+        );
+        if let Err(e) = Sampled::new(&lonely) {
+            assert!(e.to_string().contains("no 2 x 2 valid pixels"), "{e}");
+        }
+    }
+}

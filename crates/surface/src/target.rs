@@ -1,0 +1,670 @@
+//! The form that a part is to have: a map less this form, as given or fitted; and maps whose heights or lateral axes
+//! follow the surface.
+//!
+//! ```text
+//! minimise  sum (z - c0 - bx x - by y - f(x, y; a))^2     over the valid pixels, low <= a <= high         (1)
+//! (J' J + l diag(J' J)) step = J' r                       r = z - model, J = its derivatives by a         (2)
+//! h_z = h_n / n_z                                         height along z from that along the normal       (3)
+//! ```
+//!
+//! (1) is solved by the Levenberg-Marquardt method (2), from the QR factors of the scaled J (D. W. Marquardt, J. SIAM 11
+//! (1963) 431). A radius and the distances p and q move along their inverses, along which f is nearly linear. A parameter
+//! at one of its bounds stays there while the step would take it beyond.
+//!
+//! (3) holds to first order in the height: nanometres against radii of millimetres and more. A map whose lateral axes
+//! follow the surface is interpolated at the coordinates that [`planish_form::Development`] gives to every pixel.
+//!
+//! | symbol | variable | unit |
+//! |---|---|---|
+//! | z, r | `height_nm` | nm |
+//! | c0, bx, by | `piston_nm`, `tilt_urad` | nm, urad |
+//! | a | `parameters` | as named |
+
+use nalgebra::{DMatrix, DVector};
+use ndarray::Array2;
+use planish_form::{Development, Fit, Form, FormFile, file::FitWord};
+use planish_types::{Invalid, Surface};
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// Number of nm in a mm.
+const NM_PER_MM: f64 = 1e6;
+
+/// Rows of J that are factorised at once. Larger: more memory. Smaller: more time.
+const ROWS: usize = 4096;
+
+/// Largest number of steps, accepted or not. Larger: more time on a fit that does not end. Smaller: a fit may stop before
+/// its minimum. Measured: a few steps where the start is good, 20 from a radius that is off by half.
+const MAX_STEPS: usize = 200;
+
+/// Length of a step by the scaled Jacobian, relative to the heights, below which a fit ends. Larger: it stops before its
+/// minimum. Smaller: rounding keeps it going.
+const LAST_STEP: f64 = 1e-13;
+
+/// First damping l of (2), and the factor by which it changes. Larger: shorter first steps. Smaller: more refusals.
+const DAMPING: (f64, f64) = (1e-4, 10.0);
+
+/// Smallest diagonal of R of the scaled Jacobian at which its columns count as independent. Larger: refuses what is
+/// determined. Smaller: accepts parameters that rounding decides.
+const INDEPENDENT: f64 = 1e-9;
+
+/// Form that a part is to have, as a form file states it.
+#[derive(Clone, Debug)]
+pub struct Target {
+    /// The file, with the freedom of its parameters.
+    pub file: FormFile,
+    /// The map of a form of the kind `map`.
+    pub map: Option<Surface>,
+}
+
+/// The form that was subtracted.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TargetReport {
+    /// Convention of the heights.
+    pub convention: &'static str,
+    /// The form with its fitted numbers.
+    pub form: FormFile,
+    /// Height at x = y = 0 that was subtracted with it, nm.
+    pub piston_nm: f64,
+    /// Slopes along [x, y] that were subtracted with it, urad.
+    pub tilt_urad: [f64; 2],
+    /// The parameters that were fitted.
+    pub parameters: Vec<ParameterReport>,
+    /// Population RMS of the map less the form, mean removed, nm.
+    pub rms_nm: f64,
+    /// Steps of the fit.
+    pub steps: usize,
+}
+
+/// A fitted parameter.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ParameterReport {
+    /// Name, with its unit.
+    pub name: String,
+    /// Value in the file.
+    pub given: f64,
+    /// Fitted value.
+    pub value: f64,
+    /// Standard error under the assumption that the rest is white noise.
+    pub standard_error: f64,
+    /// Smallest and largest value, if it is bounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bounds: Option<[f64; 2]>,
+    /// True if the fit ended at a bound.
+    pub at_bound: bool,
+}
+
+/// A parameter on its way.
+#[derive(Clone, Debug)]
+struct Parameter {
+    name: String,
+    bounds: Option<[f64; 2]>,
+    /// True if it moves along its inverse.
+    inverse: bool,
+    /// Step of its differences, in the coordinate along which it moves.
+    step: f64,
+}
+
+impl Parameter {
+    fn coordinate(&self, value: f64) -> f64 {
+        if self.inverse { 1.0 / value } else { value }
+    }
+
+    /// Bounds of the coordinate.
+    fn ends(&self) -> [f64; 2] {
+        let Some(bounds) = self.bounds else { return [f64::NEG_INFINITY, f64::INFINITY] };
+        let [a, b] = bounds.map(|v| self.coordinate(v));
+        [a.min(b), a.max(b)]
+    }
+}
+
+/// The valid pixels of a map.
+struct Points {
+    at_mm: Vec<[f64; 2]>,
+    height_nm: Vec<f64>,
+    index: Vec<(usize, usize)>,
+    middle_mm: [f64; 2],
+    half_mm: f64,
+}
+
+impl Points {
+    fn of(surface: &Surface) -> Self {
+        let grid = surface.grid();
+        let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
+        let (mut at_mm, mut height_nm, mut index) = (Vec::new(), Vec::new(), Vec::new());
+        for ((r, c), z) in valid {
+            at_mm.push([grid.x.at(c), grid.y.at(r)]);
+            height_nm.push(*z);
+            index.push((r, c));
+        }
+        let ends = |k: usize| {
+            let all = at_mm.iter().map(|p: &[f64; 2]| p[k]);
+            all.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| [a.min(v), b.max(v)])
+        };
+        let [x, y] = [ends(0), ends(1)];
+        let middle_mm = [0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1])];
+        let half_mm = 0.5 * (x[1] - x[0]).hypot(y[1] - y[0]);
+        Self { at_mm, height_nm, index, middle_mm, half_mm }
+    }
+}
+
+/// The model (1) at its current parameters.
+struct Model<'a> {
+    target: &'a Target,
+    file: FormFile,
+    parameters: Vec<Parameter>,
+    tilted: bool,
+}
+
+impl Model<'_> {
+    /// Number of unknowns: piston, tilts, parameters.
+    fn unknowns(&self) -> usize {
+        1 + 2 * usize::from(self.tilted) + self.parameters.len()
+    }
+
+    /// Coordinates of the parameters.
+    fn coordinates(&self) -> Vec<f64> {
+        let mut file = self.file.clone();
+        let value = |p: &Parameter| p.coordinate(*file.parameter_mut(&p.name).expect("checked"));
+        self.parameters.iter().map(value).collect()
+    }
+
+    fn file_at(&self, coordinates: &[f64]) -> FormFile {
+        let mut file = self.file.clone();
+        for (p, v) in self.parameters.iter().zip(coordinates) {
+            *file.parameter_mut(&p.name).expect("checked") = p.coordinate(*v);
+        }
+        file
+    }
+
+    /// Height of the form at the points, nm; `None` where it does not exist at all of them.
+    fn heights(&self, coordinates: &[f64], points: &Points) -> Option<Vec<f64>> {
+        let file = FormFile { fit: None, ..self.file_at(coordinates) };
+        let form = Form::new(&file, self.target.map.as_ref()).ok()?;
+        let sags: Option<Vec<f64>> = points.at_mm.par_iter().map(|p| form.sag_mm(*p)).collect();
+        sags.map(|sags| sags.into_iter().map(|mm| NM_PER_MM * mm).collect())
+    }
+
+    /// Columns of J that do not depend on the form: 1, and x and y over the half size.
+    fn rigid(&self, p: [f64; 2], points: &Points) -> Vec<f64> {
+        let scaled = |k: usize| (p[k] - points.middle_mm[k]) / points.half_mm;
+        if self.tilted { vec![1.0, scaled(0), scaled(1)] } else { vec![1.0] }
+    }
+
+    /// R of the QR factors of [J, r], J with columns of length 1, and the lengths; `None` if the form does not exist.
+    fn factors(
+        &self,
+        coordinates: &[f64],
+        left: &[f64],
+        points: &Points,
+    ) -> Option<(DMatrix<f64>, Vec<f64>)> {
+        let mut columns = Vec::new();
+        for (k, p) in self.parameters.iter().enumerate() {
+            let at = |by: f64| {
+                let mut moved = coordinates.to_vec();
+                moved[k] += by;
+                self.heights(&moved, points)
+            };
+            let (above, below) = (at(p.step), at(-p.step));
+            // Where the form ends within a step, the difference is of one side.
+            let here = || self.heights(coordinates, points);
+            let (above, below, width) = match (above, below) {
+                (Some(a), Some(b)) => (a, b, 2.0 * p.step),
+                (Some(a), None) => (a, here()?, p.step),
+                (None, Some(b)) => (here()?, b, p.step),
+                (None, None) => return None,
+            };
+            columns
+                .push(above.iter().zip(&below).map(|(a, b)| (a - b) / width).collect::<Vec<_>>());
+        }
+        let n = self.unknowns();
+        let mut squares = vec![0.0; n];
+        let row = |i: usize| {
+            let rigid = self.rigid(points.at_mm[i], points);
+            rigid.into_iter().chain(columns.iter().map(move |c| c[i]))
+        };
+        for i in 0..left.len() {
+            squares.iter_mut().zip(row(i)).for_each(|(s, v)| *s += v * v);
+        }
+        let scale: Vec<f64> = squares.iter().map(|s| s.sqrt()).collect();
+        if scale.iter().any(|s| !(s.is_finite() && *s > 0.0)) {
+            return None;
+        }
+        let mut r = DMatrix::<f64>::zeros(0, n + 1);
+        for start in (0..left.len()).step_by(ROWS) {
+            let rows = ROWS.min(left.len() - start);
+            let mut block = DMatrix::zeros(r.nrows() + rows, n + 1);
+            block.rows_mut(0, r.nrows()).copy_from(&r);
+            for i in 0..rows {
+                let at = r.nrows() + i;
+                for (k, v) in row(start + i).enumerate() {
+                    block[(at, k)] = v / scale[k];
+                }
+                block[(at, n)] = left[start + i];
+            }
+            r = block.qr().r();
+        }
+        Some((r, scale))
+    }
+}
+
+/// `surface` less the target, fitted where its file says so, and always less a piston; less a tilt unless the file holds
+/// it. Refuses a form that does not exist at a valid pixel, and parameters that the pixels do not tell apart.
+pub fn without_target(
+    surface: &Surface,
+    target: &Target,
+) -> Result<(Surface, TargetReport), Invalid> {
+    let points = Points::of(surface);
+    let model = model(target, &points)?;
+    let mut coordinates = model.coordinates();
+    let Some(form) = model.heights(&coordinates, &points) else {
+        return Err(absent(target, surface, &points));
+    };
+    let n = model.unknowns();
+    if points.at_mm.len() <= n {
+        let problem = format!("has {} valid pixels for {n} unknowns", points.at_mm.len());
+        return Err(Invalid::whole("target", problem, "give a larger map, or hold parameters"));
+    }
+    let first = n - model.parameters.len();
+    let mut rigid = vec![0.0; first];
+    let left_of = |form: &[f64], rigid: &[f64]| -> Vec<f64> {
+        let at = |i: usize| {
+            let columns = model.rigid(points.at_mm[i], &points);
+            let sum: f64 = columns.iter().zip(rigid).map(|(c, b)| c * b).sum();
+            points.height_nm[i] - form[i] - sum
+        };
+        (0..points.at_mm.len()).map(at).collect()
+    };
+    let norm = |left: &[f64]| left.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let mut left = left_of(&form, &rigid);
+    let size = norm(&form).max(norm(&points.height_nm));
+    let undetermined = || {
+        let names: Vec<&str> = model.parameters.iter().map(|p| p.name.as_str()).collect();
+        let problem =
+            format!("the valid pixels do not tell {} and the tilt apart", names.join(", "));
+        Invalid::whole("target", problem, "hold one of them in `fit` of the form file")
+    };
+    let mut factors = model.factors(&coordinates, &left, &points).ok_or_else(undetermined)?;
+    let (mut damping, mut steps) = (0.0, 0);
+    while steps < MAX_STEPS {
+        steps += 1;
+        let (step, length) = damped_step(&model, &coordinates, &factors, damping);
+        let next: Vec<f64> = (0..coordinates.len())
+            .map(|k| {
+                let [low, high] = model.parameters[k].ends();
+                (coordinates[k] + step[first + k]).clamp(low, high)
+            })
+            .collect();
+        let moved: Vec<f64> = rigid.iter().zip(&step).map(|(b, s)| b + s).collect();
+        let then = model.heights(&next, &points).map(|form| left_of(&form, &moved));
+        let ends = length <= LAST_STEP * size;
+        match then {
+            Some(then) if norm(&then) < norm(&left) => {
+                (coordinates, rigid, left) = (next, moved, then);
+                damping = if damping > DAMPING.0 { damping / DAMPING.1 } else { 0.0 };
+                factors = model.factors(&coordinates, &left, &points).ok_or_else(undetermined)?;
+            }
+            _ if ends || damping > 1e12 => break,
+            _ => damping = if damping == 0.0 { DAMPING.0 } else { damping * DAMPING.1 },
+        }
+        if ends {
+            break;
+        }
+    }
+    let r = factors.0.view((0, 0), (n, n)).into_owned();
+    if (0..n).any(|k| r[(k, k)].abs() < INDEPENDENT) {
+        return Err(undetermined());
+    }
+    report(surface, &model, &points, (coordinates, rigid, left), (&r, &factors.1), steps)
+}
+
+/// The model of a target, at the values of its file.
+fn model<'a>(target: &'a Target, points: &Points) -> Result<Model<'a>, Invalid> {
+    target.file.check()?;
+    let mut file = target.file.clone();
+    let fit = file.fit.take().unwrap_or_default();
+    let tilted = fit.get("tilt") != Some(&Fit::Word(FitWord::Held));
+    let half = points.half_mm;
+    let mut parameters = Vec::new();
+    for name in file.parameter_names() {
+        let bounds = match fit.get(&name) {
+            None | Some(Fit::Word(FitWord::Held)) => continue,
+            Some(Fit::Word(FitWord::Free)) => None,
+            Some(Fit::Between(bounds)) => Some(*bounds),
+        };
+        let value = *file.parameter_mut(&name).expect("a name of the list");
+        let inverse = matches!(name.as_str(), "radius_mm" | "p_mm" | "q_mm");
+        let step = match name.as_str() {
+            _ if inverse => 1e-4 / value.abs(),
+            "conic_constant" => 1e-2,
+            "theta_mrad" => 1e-4 * value,
+            "rotation_deg" => 0.05,
+            _ if name.starts_with("zernike") => 100.0,
+            _ => match name.strip_prefix("even_term_").and_then(|n| n.parse::<i32>().ok()) {
+                // 1 um at the edge of the part.
+                Some(power) => 1e-3 / half.powi(power),
+                None => 1e-3 * half,
+            },
+        };
+        parameters.push(Parameter { name, bounds, inverse, step });
+    }
+    Ok(Model { target, file, parameters, tilted })
+}
+
+/// A form that does not exist on all of the part.
+fn absent(target: &Target, surface: &Surface, points: &Points) -> Invalid {
+    let file = FormFile { fit: None, ..target.file.clone() };
+    let form = match Form::new(&file, target.map.as_ref()) {
+        Ok(form) => form,
+        Err(e) => return e,
+    };
+    let lacks = |i: &usize| form.sag_mm(points.at_mm[*i]).is_none();
+    let i = (0..points.at_mm.len()).find(lacks).unwrap_or_default();
+    let ([x, y], (r, c)) = (points.at_mm[i], points.index[i]);
+    let problem = format!(
+        "does not exist at ({x:.4}, {y:.4}) mm, where the map has {} nm",
+        surface.height_nm()[[r, c]]
+    );
+    let remedy = "check the radius and the vertex of the form, or give a smaller clear aperture";
+    Invalid::at("target", (r, c), problem, remedy)
+}
+
+/// A step of all unknowns, in their own units, and its length by the scaled Jacobian.
+fn damped_step(
+    model: &Model<'_>,
+    coordinates: &[f64],
+    (r, scale): &(DMatrix<f64>, Vec<f64>),
+    damping: f64,
+) -> (Vec<f64>, f64) {
+    let n = scale.len();
+    let first = n - coordinates.len();
+    let (matrix, right) = (r.view((0, 0), (n, n)), r.view((0, n), (n, 1)));
+    let gradient = matrix.tr_mul(&right);
+    let rests = |k: usize| {
+        k >= first && {
+            let [low, high] = model.parameters[k - first].ends();
+            let at = coordinates[k - first];
+            at <= low && gradient[k] < 0.0 || at >= high && gradient[k] > 0.0
+        }
+    };
+    let moving: Vec<usize> = (0..n).filter(|k| !rests(*k)).collect();
+    let m = moving.len();
+    // [R; sqrt(l) I] step = [Q' r; 0]
+    let stacked = DMatrix::from_fn(n + m, m, |i, k| match i.checked_sub(n) {
+        None => matrix[(i, moving[k])],
+        Some(row) => f64::from(u8::from(row == k)) * damping.sqrt(),
+    });
+    let mut target = DVector::zeros(n + m);
+    target.rows_mut(0, n).copy_from(&right.column(0));
+    let qr = stacked.qr();
+    qr.q_tr_mul(&mut target);
+    let head = target.rows(0, m).into_owned();
+    let solved = qr.r().solve_upper_triangular(&head).unwrap_or_else(|| DVector::zeros(m));
+    let mut step = vec![0.0; n];
+    moving.iter().zip(&solved).for_each(|(k, v)| step[*k] = v / scale[*k]);
+    (step, solved.norm())
+}
+
+/// The map less the model, and its report.
+fn report(
+    surface: &Surface,
+    model: &Model<'_>,
+    points: &Points,
+    (coordinates, rigid, left): (Vec<f64>, Vec<f64>, Vec<f64>),
+    (r, scale): (&DMatrix<f64>, &[f64]),
+    steps: usize,
+) -> Result<(Surface, TargetReport), Invalid> {
+    let mut map = Array2::from_elem(surface.height_nm().dim(), f64::NAN);
+    for (place, v) in points.index.iter().zip(&left) {
+        map[*place] = *v;
+    }
+    let rest = Surface::new(*surface.grid(), map)?;
+    let n = scale.len();
+    let first = n - coordinates.len();
+    let spare = (left.len() - n) as f64;
+    let deviation = (left.iter().map(|v| v * v).sum::<f64>() / spare).sqrt();
+    let inverse = r.clone().try_inverse();
+    let mut form = model.file_at(&coordinates);
+    let mut given = model.file.clone();
+    let parameters = model.parameters.iter().enumerate().map(|(k, p)| {
+        let value = p.coordinate(coordinates[k]);
+        let of_coordinate = inverse.as_ref().map_or(f64::INFINITY, |inverse| {
+            inverse.row(first + k).norm() * deviation / scale[first + k]
+        });
+        // The derivative of 1 / c is 1 / c^2.
+        let by_coordinate = if p.inverse { value * value } else { 1.0 };
+        let [low, high] = p.ends();
+        ParameterReport {
+            name: p.name.clone(),
+            given: *given.parameter_mut(&p.name).expect("checked"),
+            value,
+            standard_error: of_coordinate * by_coordinate,
+            bounds: p.bounds,
+            at_bound: coordinates[k] <= low || coordinates[k] >= high,
+        }
+    });
+    let parameters = parameters.collect();
+    form.fit = None;
+    let slopes = |k: usize| rigid.get(1 + k).map_or(0.0, |b| b / points.half_mm);
+    // nm/mm is urad.
+    let tilt_urad = [slopes(0), slopes(1)];
+    let at_middle = tilt_urad[0] * points.middle_mm[0] + tilt_urad[1] * points.middle_mm[1];
+    let report = TargetReport {
+        convention: "height along z less form, tilt and piston, nm; the lateral axes are projected along z",
+        form,
+        piston_nm: rigid[0] - at_middle,
+        tilt_urad,
+        parameters,
+        rms_nm: rest.statistics().rms,
+        steps,
+    };
+    Ok((rest, report))
+}
+
+/// Direction of the heights of a map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "kebab-case")]
+pub enum Heights {
+    /// Along z, as all of Planish takes them.
+    #[default]
+    Z,
+    /// Along the normal of the form.
+    Normal,
+}
+
+/// Lateral axes of a map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "kebab-case")]
+pub enum Lateral {
+    /// Projected along z, as all of Planish takes them.
+    #[default]
+    Projected,
+    /// Along the surface, from the middle of the valid pixels.
+    Surface,
+}
+
+/// A map with heights along z and projected lateral axes, from one that counts them along a form. Refuses a form that
+/// does not exist at a pixel of the result.
+pub fn converted(
+    map: &Surface,
+    form: &Form,
+    heights: Heights,
+    lateral: Lateral,
+) -> Result<Surface, Invalid> {
+    let grid = *map.grid();
+    let mut height_nm = map.height_nm().clone();
+    if lateral == Lateral::Surface {
+        let points = Points::of(map);
+        let on = Development::new(form, points.middle_mm, 2.0 * points.half_mm)?;
+        let measured = Form::sampled(map)?;
+        let (ny, nx) = grid.shape();
+        let at = |i: usize| {
+            let uv = on.along([grid.x.at(i % nx), grid.y.at(i / nx)]);
+            measured.sag_mm(uv).map_or(f64::NAN, |mm| NM_PER_MM * mm)
+        };
+        let values: Vec<f64> = (0..ny * nx).into_par_iter().map(at).collect();
+        height_nm = Array2::from_shape_vec((ny, nx), values).expect("one value per pixel");
+    }
+    for ((r, c), z) in height_nm.indexed_iter_mut().filter(|(_, z)| !z.is_nan()) {
+        let (x, y) = (grid.x.at(c), grid.y.at(r));
+        let Some(place) = form.at([x, y]) else {
+            let problem =
+                format!("does not exist at ({x:.4}, {y:.4}) mm, where the map has {z} nm");
+            let remedy = "give the form of the whole part, or a smaller clear aperture";
+            return Err(Invalid::at("form", (r, c), problem, remedy));
+        };
+        if heights == Heights::Normal {
+            // h_z = h_n / n_z
+            *z /= place.cosine();
+        }
+    }
+    Surface::new(grid, height_nm)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_types::{Axis, Grid};
+
+    fn target(json: &str) -> Target {
+        Target { file: serde_json::from_str(json).unwrap(), map: None }
+    }
+
+    fn grid() -> Grid {
+        Grid { x: Axis::new(-20.0, 0.8, 51).unwrap(), y: Axis::new(-15.0, 0.75, 41).unwrap() }
+    }
+
+    /// The heights of a form, with a tilt, a piston and a hole, and `error` nm.
+    fn measured(json: &str, error: impl Fn(f64, f64) -> f64) -> Surface {
+        let form = Form::new(&target(json).file, None).unwrap();
+        let grid = grid();
+        let height = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            let (x, y) = (grid.x.at(c), grid.y.at(r));
+            let hole = (x - 4.0).hypot(y + 2.0) < 2.0;
+            let nm = 1e6 * form.sag_mm([x, y]).unwrap() + 300.0 * x - 20.0 * y + 5000.0;
+            if hole { f64::NAN } else { nm + error(x, y) }
+        });
+        Surface::new(grid, height).unwrap()
+    }
+
+    #[test]
+    fn a_planted_form_is_found_from_a_bad_start() {
+        let none = |_: f64, _: f64| 0.0;
+        for (truth, start, tolerance) in [
+            (
+                r#"{"kind": "sphere", "radius_mm": 500}"#,
+                r#"{"kind": "sphere", "radius_mm": 900, "fit": {"radius_mm": "free"}}"#,
+                1e-9,
+            ),
+            (
+                r#"{"kind": "asphere", "radius_mm": -80, "conic_constant": -0.6, "even_terms": [2e-7]}"#,
+                r#"{"kind": "asphere", "radius_mm": -95, "conic_constant": 0, "even_terms": [0],
+                    "fit": {"radius_mm": "free", "conic_constant": [-2, 1], "even_term_4": "free"}}"#,
+                1e-5,
+            ),
+            (
+                r#"{"kind": "elliptic-cylinder", "p_mm": 3000, "q_mm": 200, "theta_mrad": 20}"#,
+                r#"{"kind": "elliptic-cylinder", "p_mm": 3000, "q_mm": 260, "theta_mrad": 23,
+                    "fit": {"q_mm": "free", "theta_mrad": "free"}}"#,
+                1e-6,
+            ),
+            (
+                r#"{"kind": "hyperbolic-cylinder", "p_mm": 900, "q_mm": -300, "theta_mrad": 30}"#,
+                r#"{"kind": "hyperbolic-cylinder", "p_mm": 900, "q_mm": -250, "theta_mrad": 30,
+                    "fit": {"q_mm": "free"}}"#,
+                1e-8,
+            ),
+        ] {
+            let (rest, report) = without_target(&measured(truth, none), &target(start)).unwrap();
+            // Heights of 1e6 nm carry roundings of 1e-10 each; the fit of a dozen steps adds two digits.
+            assert!(rest.statistics().rms < 1e-6, "{start}: {report:?}");
+            let mut want = target(truth).file;
+            for p in &report.parameters {
+                let want = *want.parameter_mut(&p.name).unwrap();
+                assert!((p.value / want - 1.0).abs() < tolerance, "{} {}: {want}", p.name, p.value);
+            }
+            assert!((report.tilt_urad[0] - 300.0).abs() < 1e-3, "{report:?}");
+        }
+    }
+
+    #[test]
+    fn held_parameters_stay_and_bounds_hold() {
+        let truth = measured(r#"{"kind": "sphere", "radius_mm": 500}"#, |_, _| 0.0);
+        let given = target(r#"{"kind": "sphere", "radius_mm": 500}"#);
+        let (rest, report) = without_target(&truth, &given).unwrap();
+        assert!(rest.statistics().rms < 1e-7 && report.parameters.is_empty(), "{report:?}");
+        let bounded =
+            target(r#"{"kind": "sphere", "radius_mm": 600, "fit": {"radius_mm": [550, 700]}}"#);
+        let (_, report) = without_target(&truth, &bounded).unwrap();
+        let radius = &report.parameters[0];
+        assert!((radius.value - 550.0).abs() < 1e-9 && radius.at_bound, "{radius:?}");
+        // A tilt that is held is left in the map.
+        let held = target(r#"{"kind": "sphere", "radius_mm": 500, "fit": {"tilt": "held"}}"#);
+        let (rest, _) = without_target(&truth, &held).unwrap();
+        let plane = (300.0_f64.powi(2) * 140.0 + 400.0 * 77.0).sqrt();
+        assert!((rest.statistics().rms / plane - 1.0).abs() < 0.1, "{}", rest.statistics().rms);
+    }
+
+    #[test]
+    fn zernike_terms_are_fitted_by_their_names() {
+        let circle = r#""centre_mm": [0, 0], "radius_mm": 25"#;
+        for (numbering, astigmatism) in [("noll", "6"), ("fringe", "5"), ("ansi", "5")] {
+            let norm = if numbering == "fringe" { 1.0 } else { 6.0_f64.sqrt() };
+            let flat =
+                measured(r#"{"kind": "plane"}"#, |x, y| norm * 40.0 * (x * x - y * y) / 625.0);
+            let start = format!(
+                r#"{{"kind": "plane", "zernike": {{"numbering": "{numbering}", {circle}, "terms_nm": {{"{astigmatism}": 0}}}},
+                    "fit": {{"zernike_{astigmatism}_nm": "free"}}}}"#
+            );
+            let (rest, report) = without_target(&flat, &target(&start)).unwrap();
+            assert!(rest.statistics().rms < 1e-8, "{report:?}");
+            assert!((report.parameters[0].value - 40.0).abs() < 1e-9, "{report:?}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_fitted_is_refused() {
+        let flat = measured(r#"{"kind": "plane"}"#, |_, _| 0.0);
+        let steep = without_target(&flat, &target(r#"{"kind": "sphere", "radius_mm": 15}"#));
+        let message = steep.unwrap_err().to_string();
+        assert!(
+            message.contains("target[0, 0]: does not exist at (-20.0000, -15.0000) mm"),
+            "{message}"
+        );
+        // On a plane the vertex of a sphere that is nearly one is a tilt.
+        let shifted = target(
+            r#"{"kind": "sphere", "radius_mm": 1e9, "vertex_mm": [0, 0], "fit": {"vertex_x_mm": "free"}}"#,
+        );
+        let message = without_target(&flat, &shifted).unwrap_err().to_string();
+        assert!(message.contains("do not tell vertex_x_mm and the tilt apart"), "{message}");
+    }
+
+    #[test]
+    fn heights_along_the_normal_and_arcs_are_converted_exactly() {
+        let form = Form::sphere(40.0, [0.0; 2]).unwrap();
+        let grid = grid();
+        // 100 nm along the normal everywhere: 100 / cos(slope) along z.
+        let map = Surface::new(grid, Array2::from_elem(grid.shape(), 100.0)).unwrap();
+        let along_z = converted(&map, &form, Heights::Normal, Lateral::Projected).unwrap();
+        for ((r, c), z) in along_z.height_nm().indexed_iter() {
+            let sine = grid.x.at(c).hypot(grid.y.at(r)) / 40.0;
+            assert!((z * (1.0 - sine * sine).sqrt() - 100.0).abs() < 1e-10);
+        }
+        // A height that is linear in the arc length along x, on a cylinder.
+        let file: FormFile =
+            serde_json::from_str(r#"{"kind": "cylinder", "radius_mm": 40}"#).unwrap();
+        let cylinder = Form::new(&file, None).unwrap();
+        let map = Array2::from_shape_fn(grid.shape(), |(_, c)| 3.0 * grid.x.at(c));
+        let map = Surface::new(grid, map).unwrap();
+        let flat = converted(&map, &cylinder, Heights::Z, Lateral::Surface).unwrap();
+        for ((_, c), z) in flat.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan()) {
+            let arc = 40.0 * (grid.x.at(c) / 40.0).asin();
+            assert!((z - 3.0 * arc).abs() < 1e-8, "{z}");
+        }
+        // The arc of 20 mm is 20.94 mm: two columns at either end have no measurement.
+        let valid = flat.height_nm().row(20).iter().filter(|z| !z.is_nan()).count();
+        assert!((46..=49).contains(&valid), "{valid}");
+    }
+}

@@ -1,0 +1,329 @@
+//! Paths whose pitch and step count along the surface of a curved part.
+//!
+//! A path is made in the coordinates (u, v) along the surface ([`planish_form::Development`]), over the clear aperture in
+//! these coordinates, and then projected along z, point by point:
+//!
+//! ```text
+//! aperture in (u, v)     the pixel (u, v) is valid where its place (x, y) lies in a valid pixel
+//! path of the part       (x, y) = projection of the path in (u, v)
+//! ```
+//!
+//! On a cylinder all lengths are kept. On a form with curvature in both directions [`AlongReport::stretches`] says by how
+//! much a length along the surface differs from the same length in (u, v).
+
+use ndarray::Array2;
+use planish_form::{Development, Form};
+use planish_types::{Axis, Grid, Invalid, Surface, ToolPath};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::statistics::{PathStatistics, statistics};
+
+/// Ratio of two lengths above which a warning says so. Larger: users are not told of wider lines. Smaller: warnings for
+/// parts where nothing can be seen.
+const NOTEWORTHY: f64 = 1.05;
+
+/// Largest number of pixels at which the stretches are computed; they change slowly over a part. Larger: more time.
+/// Smaller: the largest is missed.
+const MOST_PLACES: usize = 400;
+
+/// The surface of a part, along which a path is made.
+#[derive(Clone, Debug)]
+pub struct OnForm {
+    form: Form,
+    middle_mm: [f64; 2],
+    size_mm: f64,
+}
+
+/// A path along a surface, in numbers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct AlongReport {
+    /// Numbers about the path along the surface.
+    pub along_surface: PathStatistics,
+    /// Smallest and largest ratio of a length along the surface to the same length in the coordinates in which the path
+    /// was made, over the valid pixels.
+    pub stretches: [f64; 2],
+    /// Largest ratio of a length along the surface to its projection, over the valid pixels.
+    pub largest_over_projection: f64,
+}
+
+impl AlongReport {
+    /// A sentence for each ratio above 5 %.
+    pub fn warnings(&self) -> Vec<String> {
+        let [low, high] = self.stretches;
+        let mut warnings = Vec::new();
+        let percent = |ratio: f64| 100.0 * (ratio - 1.0);
+        if self.largest_over_projection > NOTEWORTHY {
+            warnings.push(format!(
+                "lengths along the surface are up to {:.1} % longer than their projections; pitch and step count along the \
+                 surface, and lie closer in projection by as much",
+                percent(self.largest_over_projection)
+            ));
+        }
+        if high.max(1.0 / low) > NOTEWORTHY {
+            warnings.push(format!(
+                "a part that is curved in both directions cannot be unrolled: pitch and step along the surface are between \
+                 {low:.3} and {high:.3} of the given ones; a spiral keeps its pitch on a part that is round"
+            ));
+        }
+        warnings
+    }
+}
+
+impl OnForm {
+    /// The form of a part whose valid pixels are those of `surface`. Refuses a form that does not exist at one of them, or
+    /// in their middle.
+    pub fn new(form: Form, surface: &Surface) -> Result<Self, Invalid> {
+        let grid = surface.grid();
+        let lacks = |((r, c), z): &((usize, usize), &f64)| {
+            !z.is_nan() && form.at([grid.x.at(*c), grid.y.at(*r)]).is_none()
+        };
+        let mut lacking = surface.height_nm().indexed_iter().filter(lacks);
+        if let Some(((r, c), _)) = lacking.next() {
+            let (x, y, more) = (grid.x.at(c), grid.y.at(r), lacking.count());
+            let problem = format!(
+                "is invalid or absent at ({x:.4}, {y:.4}) mm, where the map of the part has a valid pixel (and at {more} \
+                 more)"
+            );
+            let remedy = "fill the form by `planish-surface prepare --fill`, give a formula in a form file, or make these \
+                          pixels of the map of the part invalid";
+            return Err(Invalid::at("form", (r, c), problem, remedy));
+        }
+        let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
+        let none = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
+        let [x, y] = valid.fold(none, |[x, y], ((r, c), _)| {
+            let wider = |[low, high]: [f64; 2], v: f64| [low.min(v), high.max(v)];
+            [wider(x, grid.x.at(c)), wider(y, grid.y.at(r))]
+        });
+        let middle_mm = [0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1])];
+        let on = Self { form, middle_mm, size_mm: (x[1] - x[0]).hypot(y[1] - y[0]) };
+        on.development()?;
+        Ok(on)
+    }
+
+    fn development(&self) -> Result<Development<'_>, Invalid> {
+        Development::new(&self.form, self.middle_mm, self.size_mm)
+    }
+
+    /// Largest ratio of a length along the surface to its projection over the valid pixels, `1 / cos(slope)`; pixels
+    /// without a form do not count.
+    pub fn largest_over_projection(&self, surface: &Surface) -> f64 {
+        let cosine = |p: &[f64; 2]| self.form.at(*p).map_or(1.0, |place| place.cosine());
+        1.0 / valid_mm(surface).iter().map(cosine).fold(1.0, f64::min)
+    }
+
+    /// A sentence on a path in projection over a part with this form, if lengths differ by more than 5 %.
+    pub fn warning_of_projection(&self, surface: &Surface) -> Option<String> {
+        let ratio = self.largest_over_projection(surface);
+        (ratio > NOTEWORTHY).then(|| {
+            format!(
+                "lengths along the surface are up to {:.1} % longer than their projections, in which pitch and step count \
+                 here; give `form`, and they count along the surface",
+                100.0 * (ratio - 1.0)
+            )
+        })
+    }
+
+    /// The map in the coordinates along the surface, on pixels of the same pitch.
+    pub fn developed(&self, surface: &Surface) -> Result<Surface, Invalid> {
+        let on = self.development()?;
+        let grid = surface.grid();
+        let (z, border) = (surface.height_nm(), border_mm(surface));
+        let corners: Vec<[f64; 2]> = border.par_iter().map(|p| on.along(*p)).collect();
+        let axis = |k: usize, like: &Axis| {
+            let ends =
+                corners.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], uv| {
+                    [low.min(uv[k]), high.max(uv[k])]
+                });
+            // The pixels of the map, continued to both sides as far as the part reaches.
+            let before = ((ends[0] - like.start_mm()) / like.step_mm() - 0.5).floor();
+            let after = ((ends[1] - like.start_mm()) / like.step_mm() + 0.5).ceil();
+            Axis::new(
+                like.at(0) + before * like.step_mm(),
+                like.step_mm(),
+                (after - before) as usize + 1,
+            )
+        };
+        let wide = Grid { x: axis(0, &grid.x)?, y: axis(1, &grid.y)? };
+        let (ny, nx) = wide.shape();
+        let pixel = |axis: &Axis, mm: f64| {
+            let i = ((mm - axis.start_mm()) / axis.step_mm()).round();
+            (i >= 0.0 && i < axis.len() as f64).then_some(i as usize)
+        };
+        let at = |i: usize| {
+            let [x, y] = on.projected([wide.x.at(i % nx), wide.y.at(i / nx)]);
+            match (pixel(&grid.y, y), pixel(&grid.x, x)) {
+                (Some(r), Some(c)) => z[[r, c]],
+                _ => f64::NAN,
+            }
+        };
+        let heights: Vec<f64> = (0..ny * nx).into_par_iter().map(at).collect();
+        let heights = Array2::from_shape_vec((ny, nx), heights).expect("one height per pixel");
+        Surface::new(wide, heights)
+    }
+
+    /// A path in the coordinates along the surface, projected along z.
+    pub fn projected(&self, path: &ToolPath) -> Result<ToolPath, Invalid> {
+        let on = self.development()?;
+        self.moved(path, |uv| on.projected(uv))
+    }
+
+    /// A path of the part in the coordinates along the surface: the inverse of [`Self::projected`].
+    pub fn unrolled(&self, path: &ToolPath) -> Result<ToolPath, Invalid> {
+        let on = self.development()?;
+        self.moved(path, |p| on.along(p))
+    }
+
+    fn moved(
+        &self,
+        path: &ToolPath,
+        to: impl Fn([f64; 2]) -> [f64; 2] + Sync,
+    ) -> Result<ToolPath, Invalid> {
+        let all = |points: &[[f64; 2]]| points.par_iter().map(|p| to(*p)).collect();
+        let (points, dwell_points) = (all(path.point_mm()), all(path.dwell_point_mm()));
+        ToolPath::new(points, dwell_points, path.tool_on().to_vec(), path.pass_idx().to_vec())
+    }
+
+    /// Numbers of a path in the coordinates along the surface, over the map `surface` of the part, which is `developed` in
+    /// these coordinates.
+    pub fn report(
+        &self,
+        path: &ToolPath,
+        surface: &Surface,
+        developed: &Surface,
+    ) -> Result<AlongReport, Invalid> {
+        let on = self.development()?;
+        let valid = valid_mm(surface);
+        let taken = valid.len().min(MOST_PLACES);
+        let stretches: Vec<[f64; 2]> = (0..taken)
+            .into_par_iter()
+            .filter_map(|k| on.stretches(on.along(valid[k * valid.len() / taken])))
+            .collect();
+        let both = |[low, high]: [f64; 2], v: &[f64; 2]| [low.min(v[0]), high.max(v[1])];
+        Ok(AlongReport {
+            along_surface: statistics(path, developed),
+            stretches: stretches.iter().fold([1.0; 2], both),
+            largest_over_projection: self.largest_over_projection(surface),
+        })
+    }
+}
+
+/// Centres of the valid pixels, mm.
+fn valid_mm(surface: &Surface) -> Vec<[f64; 2]> {
+    let grid = surface.grid();
+    let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
+    valid.map(|((r, c), _)| [grid.x.at(c), grid.y.at(r)]).collect()
+}
+
+/// Centres of the first and the last valid pixel of every row and column, mm.
+fn border_mm(surface: &Surface) -> Vec<[f64; 2]> {
+    let (z, grid) = (surface.height_nm(), surface.grid());
+    let mut border = Vec::new();
+    for (r, row) in z.outer_iter().enumerate() {
+        let mut valid = (0..row.len()).filter(|c| !row[*c].is_nan());
+        let ends = [valid.next(), valid.next_back()];
+        border.extend(ends.into_iter().flatten().map(|c| [grid.x.at(c), grid.y.at(r)]));
+    }
+    for (c, column) in z.columns().into_iter().enumerate() {
+        let mut valid = (0..column.len()).filter(|r| !column[*r].is_nan());
+        let ends = [valid.next(), valid.next_back()];
+        border.extend(ends.into_iter().flatten().map(|r| [grid.x.at(c), grid.y.at(r)]));
+    }
+    border
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{RasterSettings, SpiralSettings, raster, spiral};
+
+    fn disk(radius_mm: f64) -> Surface {
+        let axis = Axis::new(-25.0, 0.5, 101).unwrap();
+        let grid = Grid { x: axis, y: axis };
+        let map = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            if axis.at(c).hypot(axis.at(r)) <= radius_mm { 0.0 } else { f64::NAN }
+        });
+        Surface::new(grid, map).unwrap()
+    }
+
+    fn cylinder(json: &str) -> Form {
+        Form::new(&serde_json::from_str(json).unwrap(), None).unwrap()
+    }
+
+    /// The report on a path of a part.
+    fn reported(on: &OnForm, path: &ToolPath, part: &Surface) -> AlongReport {
+        on.report(path, part, &on.developed(part).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn lines_on_a_cylinder_are_one_pitch_apart_along_its_arc() {
+        // Curved along y: the lines along x lie at equal arcs 30 asin(y / 30).
+        let form = cylinder(r#"{"kind": "cylinder", "radius_mm": 30, "rotation_deg": 90}"#);
+        let part = disk(24.0);
+        let on = OnForm::new(form, &part).unwrap();
+        let flat =
+            raster(&on.developed(&part).unwrap(), &RasterSettings::new(1.0, 0.5, 0.0)).unwrap();
+        let path = on.projected(&flat).unwrap();
+        let mut arcs: Vec<f64> = (0..path.len())
+            .filter(|i| path.displacement_mm(*i)[1].abs() < 1e-9)
+            .map(|i| 30.0 * (path.dwell_point_mm()[i][1] / 30.0).asin())
+            .collect();
+        arcs.sort_by(f64::total_cmp);
+        arcs.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
+        assert!(arcs.len() > 50, "{}", arcs.len());
+        for pair in arcs.windows(2) {
+            assert!((pair[1] - pair[0] - 1.0).abs() < 1e-9, "{pair:?}");
+        }
+        let report = reported(&on, &flat, &part);
+        assert!(report.stretches.iter().all(|s| (s - 1.0).abs() < 1e-6), "{:?}", report.stretches);
+        // 1 / cos at 24 mm of 30 mm is 1 / 0.6.
+        assert!((report.largest_over_projection - 1.0 / 0.6).abs() < 1e-9);
+        assert_eq!(report.warnings().len(), 1);
+        // The length along the surface is that of the chords in (u, v).
+        assert!((report.along_surface.length_mm - statistics(&flat, &part).length_mm).abs() < 1e-9);
+        let back = on.unrolled(&path).unwrap();
+        for (a, b) in back.point_mm().iter().zip(flat.point_mm()) {
+            assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 1e-9);
+        }
+    }
+
+    #[test]
+    fn turns_of_a_spiral_on_a_sphere_are_one_pitch_apart_along_its_arc() {
+        let on = OnForm::new(Form::sphere(40.0, [0.0; 2]).unwrap(), &disk(20.0)).unwrap();
+        let part = disk(20.0);
+        let settings = SpiralSettings { pitch_mm: 1.0, step_mm: 0.5, overscan_mm: 0.0 };
+        let flat = spiral(&on.developed(&part).unwrap(), &settings).unwrap();
+        let path = on.projected(&flat).unwrap();
+        let mut turns = 0.0;
+        let mut first = None;
+        for pair in path.point_mm().windows(2) {
+            let [a, b] = [pair[0], pair[1]];
+            turns += (a[0] * b[1] - a[1] * b[0]).atan2(a[0] * b[0] + a[1] * b[1])
+                / std::f64::consts::TAU;
+            let arc = 40.0 * (b[0].hypot(b[1]) / 40.0).asin();
+            let offset = *first.get_or_insert(arc - turns);
+            assert!((arc - turns - offset).abs() < 1e-9, "{arc} {turns}");
+        }
+        // 30 degrees of slope at the edge: b / sin b = 1.047, and 1 / cos b = 1.155.
+        let report = reported(&on, &flat, &part);
+        let angle = 30_f64.to_radians();
+        assert!((report.stretches[0] - angle.sin() / angle).abs() < 1e-4, "{:?}", report.stretches);
+        assert!((report.largest_over_projection - 1.0 / angle.cos()).abs() < 1e-9);
+        assert!(on.warning_of_projection(&part).unwrap().contains("up to 15.5 % longer"));
+    }
+
+    #[test]
+    fn on_a_plane_nothing_changes() {
+        let part = disk(20.0);
+        let plane = cylinder(r#"{"kind": "plane"}"#);
+        let on = OnForm::new(plane, &part).unwrap();
+        let path = raster(&part, &RasterSettings::new(1.0, 0.5, 2.0)).unwrap();
+        let there = on.unrolled(&path).unwrap();
+        for (a, b) in there.point_mm().iter().zip(path.point_mm()) {
+            // Roundings of coordinates of 20 mm.
+            assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 1e-13, "{a:?} {b:?}");
+        }
+        assert!(on.warning_of_projection(&part).is_none());
+        assert!(reported(&on, &there, &part).warnings().is_empty());
+    }
+}
