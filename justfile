@@ -8,7 +8,7 @@ start := quote(justfile_directory() / "pipelines/start.sh")
 
 # just run raster pitch_mm=0.5 fixture=coupon, or of one's own: just run raster surface=DIR tif=DIR machine=FILE out=DIR
 #
-# Run a pipeline: bspline, compare-dwell, maze, multi-pitch, random-adaptive, raster, spiral, trig-spline
+# Run a pipeline: bspline, compare-dwell, line, maze, multi-pitch, random-adaptive, raster, spiral, trig-spline
 [group('1 plans')]
 [no-cd]
 [no-exit-message]
@@ -154,11 +154,11 @@ test-schedulers-long cases="5051" seed="1" first="0":
     PLANISH_CASES={{ quote(cases) }} PLANISH_SEED={{ quote(seed) }} PLANISH_FIRST={{ quote(first) }} \
         cargo test --release --locked --workspace --test schedulers -- --show-output
 
-# Read files of h5py, scipy, astropy and prysm to the last bit (makes its own virtual environment)
+# Read files of h5py, scipy, astropy, prysm and gwyfile to the last bit (makes its own virtual environment)
 [group('4 slower tests')]
 test-interop: build
     @test -d target/interop || python3 -m venv target/interop
-    @target/interop/bin/pip install --quiet numpy==2.4.6 scipy==1.17.1 h5py==3.16.0 astropy==8.0.2 prysm==0.21.1
+    @target/interop/bin/pip install --quiet numpy==2.4.6 scipy==1.17.1 h5py==3.16.0 astropy==8.0.2 prysm==0.21.1 gwyfile==0.3.0
     target/interop/bin/python crates/import/tests/interop.py target/release/planish-import target/interop/files
 
 # One wheel with every program, the pipelines and the Python module, in target/wheel (python/; for machines like this one)
@@ -417,6 +417,11 @@ surface-pictures: build
     surface tif --tif $tool --rotate-deg 30 --out $at/turned
     surface tif --tif $tool --centre centroid --pixel-mm 1.5 --out $at/coarse
     surface draw --tif $tool --tif $at/turned --tif $at/coarse --section-y-mm 0 --out docs/surface/tif.svg
+
+# Print the table of docs/lines.md: five mirror lines with and without a weight of slopes, judged by NumPy alone
+[group('5 pages and tables')]
+line-table out="out/lines": build python
+    @target/python/bin/python pipelines/line-table.py {{ quote(out) }}
 
 # Print the tables of docs/paths.md and docs/schedulers.md: every path on the reference mirror (PLANISH_REFERENCE)
 [group('5 pages and tables')]

@@ -22,7 +22,7 @@ const LONGEST_MESSAGE: usize = 1500;
 pub type Reader = (&'static str, fn(&[u8]));
 
 /// Every reader.
-pub const READERS: [Reader; 27] = [
+pub const READERS: [Reader; 28] = [
     ("metropro", |bytes| map(Format::Metropro, bytes)),
     ("datx", |bytes| map(Format::Datx, bytes)),
     ("xyz", |bytes| map(Format::Xyz, bytes)),
@@ -33,6 +33,7 @@ pub const READERS: [Reader; 27] = [
     ("npy", |bytes| map(Format::Npy, bytes)),
     ("sdf", |bytes| map(Format::Sdf, bytes)),
     ("gsf", |bytes| map(Format::Gsf, bytes)),
+    ("gwy", |bytes| map(Format::Gwy, bytes)),
     ("sur", |bytes| map(Format::Sur, bytes)),
     ("codev", |bytes| map(Format::CodevInt, bytes)),
     ("grid-sag", |bytes| map(Format::GridSag, bytes)),

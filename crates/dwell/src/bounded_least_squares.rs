@@ -7,6 +7,7 @@
 //!   + 1/2 beta D A^2 sum_k p m_k ((r_k - r_{k-1}) / m_k)^2,     r_k = t_k / a_k            (1)
 //!   + lambda sum_i w_i sum_j t_j
 //!   + 1/2 t' Q t
+//!   + 1/2 (z - c - B t)' S (z - c - B t)
 //! ```
 //!
 //! `w` are the weights of the pixels (0 where the map is invalid). `D` is the largest diagonal element of `B' W B`,
@@ -17,16 +18,18 @@
 //! `alpha` decides the dwell times that the map does not decide (outside the clear aperture). `beta` keeps neighbours
 //! alike, so that a machine can execute them. `lambda` is the weight of a second in half a mean square. Q, if a
 //! program has one, is any symmetric positive semidefinite matrix, of which only products are needed: the scatter
-//! that a process adds.
+//! that a process adds. S, if it is asked for, weighs the slope of the residual ([`crate::residual_slope`]).
 //!
 //! A plane may be free in place of the piston. A Huber loss may replace the square; it counts residuals above `k`
 //! linearly, for maps with pits. The free functions are implicit: with functions `f` orthonormal under the weights
 //! and `U = B' W f`,
 //!
 //! ```text
-//! H = B' W B - U U' + L + Q,     L the matrix of the terms with alpha and beta             (2)
+//! H = B' W B - U U' + L + Q + B' P' S P B,     L the matrix of the terms with alpha and beta (2)
 //! g = B' W (z - its component in f) + alpha D A lo_j / a_j
 //! ```
+//!
+//! P takes the component in f away. With S and a free plane, the plane is the one that (1) has without S.
 //!
 //! **Weights that mean the same at every pitch and pixel.** The two sums of squares are integrals over the part,
 //! `alpha D A int (r - lo)^2` and `beta D A^2 int (dr/ds)^2`. D grows with the number of pixels as the first term
@@ -34,7 +37,7 @@
 //! size of the TIF, a small tool on a small part has the same minimum. If lines and points are so far apart that the
 //! TIF has less than 36 of them, neighbours have the weights of 36: a machine executes a motion from point to point.
 //!
-//! H is never made. Steps come from a cheap surrogate H~ of it without Q (`surrogate`), and each is corrected by the
+//! H is never made. Steps come from a cheap surrogate H~ of it without Q and S (`surrogate`), and each is corrected by the
 //! gradient of (1) itself, which also certifies the result. H~ has cells of pixels and the primal-dual active set
 //! method, with a skyline Cholesky factorisation. For many points it has the FFT and conjugate gradients with a
 //! spline lattice, after easier problems. If the lattice would be too large, it has projected gradient steps. B is
@@ -80,8 +83,12 @@ use crate::{
     DwellError,
     bounds::{self, pixel_weights},
     columns::Place,
+    residual_slope::ResidualSlope,
 };
-pub use crate::{bounds::Bound, objective::Free};
+pub use crate::{
+    bounds::{Bound, noise_of_deviations},
+    objective::Free,
+};
 use prepared::BoundedProblem;
 pub use report::{Algorithm, BoundedSolution, Report};
 pub use settings::{Product, Program, Settings};
@@ -169,6 +176,7 @@ pub fn solve_columns(
             return Err(Invalid::whole(name, format!("is {value}"), "give a number > 0").into());
         }
     }
+    settings.residual_slope.iter().try_for_each(ResidualSlope::check)?;
     let Program { places, lo, hi, guess, .. } = program;
     let guess_len = guess.as_ref().map_or(path.len(), Vec::len);
     let lengths =

@@ -55,7 +55,8 @@ pub fn upper(path: &ToolPath, max_dwell: Option<Bound>) -> Result<Vec<f64>, Inva
 /// weak tools are refused.
 const LONGEST_FLOOR_S: f64 = 1e7;
 
-/// The given weights, zero on invalid pixels.
+/// The given weights, zero on invalid pixels. Without them the weights follow from the standard deviations of the
+/// map, if it has any ([`weights_of_deviations`]), and are 1 otherwise.
 pub fn pixel_weights(
     desired: &Surface,
     weight: Option<&Array2<f64>>,
@@ -75,6 +76,79 @@ pub fn pixel_weights(
         if w.iter().all(|v| *v == 0.0) {
             return Err(Invalid::whole("weight", "is 0 on every valid pixel", "give a weight > 0"));
         }
+    } else if let Some(weights) = weights_of_deviations(desired) {
+        w *= &weights;
     }
     Ok(w)
+}
+
+/// Weights of the pixels (ny, nx) from the standard deviations s of their heights; `None` for a map without
+/// deviations.
+///
+/// ```text
+/// w = 2 m^2 / (m^2 + s^2),    m^2 = mean of s^2 over the valid pixels with a known s
+/// ```
+///
+/// The best weight of a height with a *known* deviation is proportional to 1 / s^2. The s of a few measurements
+/// scatters, so that some pixels have a tiny s by chance; they would decide the plan. The variance is therefore the
+/// mean of that of the pixel and that of the map. A weight is at most 2, and 1 for a pixel with s = m. A pixel of an
+/// unknown deviation has s = m. The shrinkage of variances towards their mean is that of G. K. Smyth, Stat. Appl.
+/// Genet. Mol. Biol. 3 (2004) 3, with as many degrees of freedom for the map as for the pixel.
+pub fn weights_of_deviations(desired: &Surface) -> Option<Array2<f64>> {
+    let (deviation, mean_nm) = (desired.deviation_nm()?, desired.noise_rms_nm()?);
+    if mean_nm == 0.0 {
+        return None;
+    }
+    let mean = mean_nm * mean_nm;
+    let of = |s: &f64| if s.is_nan() { 1.0 } else { 2.0 * mean / (mean + s * s) };
+    Some(deviation.map(of))
+}
+
+/// RMS of the standard deviations of the map under the weights of its pixels, nm: the noise level that a residual can
+/// reach. `None` for a map without deviations, or with deviations of 0.
+///
+/// ```text
+/// sqrt(sum w s^2 / sum w)     over the valid pixels with a known s
+/// ```
+pub fn noise_of_deviations(
+    desired: &Surface,
+    weight: Option<&Array2<f64>>,
+) -> Result<Option<f64>, Invalid> {
+    let Some(deviation) = desired.deviation_nm() else { return Ok(None) };
+    let weight = pixel_weights(desired, weight)?;
+    let known = weight.iter().zip(deviation).filter(|(_, s)| !s.is_nan());
+    let (squares, sum) = known.fold((0.0, 0.0), |(q, t), (w, s)| (q + w * s * s, t + w));
+    Ok((squares > 0.0).then(|| (squares / sum).sqrt()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+    use planish_types::{Axis, Grid};
+
+    #[test]
+    fn deviations_become_weights_unless_weights_are_given() {
+        let axis = Axis::new(0.0, 1.0, 2).unwrap();
+        let map = array![[1.0, 2.0], [3.0, f64::NAN]];
+        let plain = Surface::new(Grid { x: axis, y: axis }, map).unwrap();
+        assert_eq!(pixel_weights(&plain, None).unwrap(), array![[1.0, 1.0], [1.0, 0.0]]);
+        // m^2 = (1 + 7) / 2 = 4: weights 8 / 5 and 8 / 11, and 1 where the deviation is unknown.
+        let root = 7.0_f64.sqrt();
+        let measured = plain.clone().with_deviation(array![[1.0, root], [f64::NAN, 1.0]]).unwrap();
+        let w = pixel_weights(&measured, None).unwrap();
+        let want = array![[1.6, 8.0 / 11.0], [1.0, 0.0]];
+        assert!(w.iter().zip(&want).all(|(w, v)| (w - v).abs() < 1e-14), "{w}");
+        // (1.6 * 1 + 8/11 * 7) / (1.6 + 8/11)
+        let noise = noise_of_deviations(&measured, None).unwrap().unwrap();
+        let want = (1.6 + 56.0 / 11.0) / (1.6 + 8.0 / 11.0);
+        assert!((noise * noise - want).abs() < 1e-13, "{noise}");
+        let given = array![[1.0, 0.0], [2.0, 5.0]];
+        assert_eq!(noise_of_deviations(&measured, Some(&given)).unwrap(), Some(1.0));
+        let w = pixel_weights(&measured, Some(&given)).unwrap();
+        assert_eq!(w, array![[1.0, 0.0], [2.0, 0.0]]);
+        // Deviations of 0 say nothing.
+        let exact = plain.with_deviation(Array2::zeros((2, 2))).unwrap();
+        assert_eq!(pixel_weights(&exact, None).unwrap(), array![[1.0, 1.0], [1.0, 0.0]]);
+    }
 }

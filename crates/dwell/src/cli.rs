@@ -74,7 +74,8 @@ struct Given {
     mirror: MirrorArgs,
     #[command(flatten)]
     path: PathArgs,
-    /// Weight of every pixel [.npy file (ny, nx), >= 0]; without it valid pixels count 1
+    /// Weight of every pixel [.npy file (ny, nx), >= 0] [default: from the standard deviations of the map, or 1 if it
+    /// has none]
     #[arg(long, value_name = "FILE")]
     weight: Option<PathBuf>,
     /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment

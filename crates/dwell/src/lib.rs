@@ -33,6 +33,7 @@ pub mod non_negative_least_squares;
 mod objective;
 pub mod problem;
 pub mod residual;
+pub mod residual_slope;
 pub mod rifta;
 mod surrogate;
 pub mod tikhonov_lsqr;

@@ -138,6 +138,17 @@ impl Basis {
         });
     }
 
+    /// Takes W f times the sum of the map times f out of the map, for every function: the adjoint of
+    /// [`Self::project`].
+    pub fn project_adjoint(&self, weight: &Array2<f64>, map: &mut Array2<f64>) {
+        let coefficients = self.coefficients(&Array2::ones(weight.dim()), map);
+        for (k, f) in coefficients.iter().zip(&self.functions) {
+            for ((r, c), m) in map.indexed_iter_mut() {
+                *m -= weight[[r, c]] * k * self.at(f, r, c);
+            }
+        }
+    }
+
     /// `U = B' W f` for every function, `adjoint` being B'.
     pub fn columns(
         &self,

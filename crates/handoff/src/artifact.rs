@@ -521,7 +521,8 @@ fn default_array(
     def: &ArrayDef,
     sizes: &BTreeMap<&'static str, (usize, &'static str)>,
 ) -> ArrayData<'static> {
-    let shape: Vec<usize> = def.shape.iter().map(|s| sizes.get(s).map_or(0, |(n, _)| *n)).collect();
+    let size = |s: &&'static str| sizes.get(s).filter(|_| def.default.is_some());
+    let shape: Vec<usize> = def.shape.iter().map(|s| size(s).map_or(0, |(n, _)| *n)).collect();
     let value = def.default.unwrap_or(0);
     match def.dtype {
         Dtype::F64 => ArrayData::F64(ArrayD::from_elem(shape, f64::from(value)).into()),

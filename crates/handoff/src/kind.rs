@@ -145,7 +145,7 @@ const Y: ArrayDef = array("y_mm", Dtype::F64, &["ny"], &["y"], "mm", "Pixel cent
 /// Kind of a height map: measured surface error, or desired removal.
 pub const SURFACE: Kind = Kind {
     name: "surface",
-    version: 1,
+    version: 2,
     doc: "A height map: a measured surface error, or the desired removal.",
     frame: MAP_FRAME,
     arrays: &[
@@ -159,6 +159,17 @@ pub const SURFACE: Kind = Kind {
         )),
         X,
         Y,
+        may_be_absent(
+            or_nan(array(
+                "deviation_nm",
+                Dtype::F64,
+                &["ny", "nx"],
+                &["y", "x"],
+                "nm",
+                "Standard deviation of the height, from repeated measurements; NaN = unknown.",
+            )),
+            2,
+        ),
     ],
     files: &[FORM_FILE],
 };

@@ -59,11 +59,16 @@ impl Artifact for Surface {
     const KIND: &'static Kind = &kind::SURFACE;
 
     fn to_arrays(&self) -> Vec<ArrayData<'_>> {
-        vec![map_array(self.height_nm()), axis_array(&self.grid().x), axis_array(&self.grid().y)]
+        let (map, grid) = (map_array(self.height_nm()), self.grid());
+        let mut arrays = vec![map, axis_array(&grid.x), axis_array(&grid.y)];
+        arrays.extend(self.deviation_nm().map(map_array));
+        arrays
     }
 
     fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
-        Self::new(take_grid(&mut arrays)?, take_map(&mut arrays, "height_nm"))
+        let surface = Self::new(take_grid(&mut arrays)?, take_map(&mut arrays, "height_nm"))?;
+        let deviation = take_map(&mut arrays, "deviation_nm");
+        if deviation.is_empty() { Ok(surface) } else { surface.with_deviation(deviation) }
     }
 }
 

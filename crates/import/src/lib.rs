@@ -17,6 +17,7 @@
 //! | [`npy`] | `.npy` of any real number type | NumPy enhancement proposal 1 |
 //! | [`csv`] | a matrix of numbers as text | - |
 //! | [`gsf`] | Gwyddion Simple Field | Gwyddion user guide |
+//! | [`gwy`] | Gwyddion `.gwy` | Gwyddion user guide |
 //! | [`sur`] | Digital Surf `.sur` | Digital Surf's description, see there |
 //! | [`codev`] | CODE V `.int` | CODE V reference manual |
 //! | [`grid_sag`] | Zemax OpticStudio grid sag | OpticStudio help |
@@ -41,6 +42,7 @@ pub mod fits;
 pub mod four_sight;
 pub mod grid_sag;
 pub mod gsf;
+pub mod gwy;
 pub mod hdf5;
 pub mod matlab;
 pub mod metropro;
@@ -97,6 +99,8 @@ pub enum Format {
     Sdf,
     /// Gwyddion Simple Field.
     Gsf,
+    /// Gwyddion's own format.
+    Gwy,
     /// Digital Surf `.sur`.
     Sur,
     /// CODE V interferogram file on a grid.
@@ -142,6 +146,8 @@ impl Format {
             Some(Self::Sdf)
         } else if starts(gsf::MAGIC) {
             Some(Self::Gsf)
+        } else if starts(gwy::MAGIC) {
+            Some(Self::Gwy)
         } else if starts(sur::MAGIC) || starts(sur::COMPRESSED) {
             Some(Self::Sur)
         } else if starts(opd::MAGIC) {
@@ -177,7 +183,13 @@ pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invali
     }
     let several = matches!(
         format,
-        Format::Mat5 | Format::Hdf5 | Format::Datx | Format::Fits | Format::Opd | Format::FourSight
+        Format::Mat5
+            | Format::Hdf5
+            | Format::Datx
+            | Format::Fits
+            | Format::Gwy
+            | Format::Opd
+            | Format::FourSight
     );
     if let (Some(name), Format::Datx) = (&pick.mask, format) {
         let remedy = "a datx file marks its invalid pixels itself; leave it out";
@@ -186,7 +198,8 @@ pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invali
     if let Some(name) = [&pick.dataset, &pick.x, &pick.y, &pick.mask].into_iter().flatten().next()
         && !several
     {
-        let remedy = "only datx, mat5, hdf5, fits, opd and 4sight files have names; leave it out";
+        let remedy =
+            "only datx, mat5, hdf5, fits, gwy, opd and 4sight files have names; leave it out";
         return Err(Invalid::whole("dataset", format!("\"{name}\" was asked for"), remedy));
     }
     match format {
@@ -200,6 +213,7 @@ pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invali
         Format::Npy => npy::read(bytes),
         Format::Sdf => sdf::read(bytes),
         Format::Gsf => gsf::read(bytes),
+        Format::Gwy => gwy::read(bytes, pick),
         Format::Sur => sur::read(bytes),
         Format::CodevInt => codev::read(bytes),
         Format::GridSag => grid_sag::read(bytes),

@@ -1,7 +1,8 @@
 //! MATLAB `.mat`, version 5 (also 6 and 7): named matrices, column by column, compressed or not.
 //!
-//! Only real numeric matrices are read; cells, structures and text are passed over. Of compressed
-//! variables that are not asked for only the header is inflated. The customary
+//! Only real numeric matrices are read; cells, arrays of structures and text are passed over. A field of a structure has
+//! the name `structure.field`, also in structures within structures. Of compressed variables that are not asked for only
+//! the header is inflated, of compressed structures everything. The customary
 //! names `X Y Z` and `Xtif Ytif Ztif` are found by themselves. A matrix has neither unit nor pitch.
 
 use std::{borrow::Cow, io::Read};
@@ -33,6 +34,13 @@ const COMPRESSED: u32 = 15;
 /// names of 63 characters.
 const LONGEST_HEADER: usize = 4096;
 
+/// Class of an array that is a structure (MAT-File Format, table 1-3).
+const STRUCTURE: u32 = 2;
+
+/// Largest depth of structures within structures. Larger: more time and stack on a hostile file. Smaller: nested
+/// structures are passed over.
+const MOST_LEVELS: usize = 8;
+
 /// A variable: the contents of its header, and the place of its numbers.
 struct Variable<'a> {
     name: String,
@@ -45,6 +53,8 @@ struct Variable<'a> {
     /// Place of its numbers in the element as inflated, and their length, bytes.
     at: usize,
     len: usize,
+    /// True for a field of a structure, after which other ones may follow in the element.
+    is_field: bool,
 }
 
 /// Reads the matrix that `pick` names; without a name a customary one, or the only one there is.
@@ -125,22 +135,107 @@ fn variables<'a>(b: &Bytes<'a>) -> Result<Vec<Variable<'a>>, Invalid> {
         if count > MOST_ARRAYS {
             return Err(too_many(NAME, MOST_ARRAYS, "variables", "save only the map"));
         }
-        let variable = match element.kind {
-            MATRIX => matrix(element.data, element.data.len(), element, b.big_endian)?,
+        match element.kind {
+            MATRIX => {
+                let whole = Content { element, big_endian: b.big_endian };
+                whole.matrices(element.data, element.data.len(), 0, &[], &mut found)?;
+            }
             COMPRESSED => {
-                let head = inflate(element.data, LONGEST_HEADER)?;
+                let mut head = inflate(element.data, LONGEST_HEADER)?;
                 let inner = Bytes { all: &head, ..*b };
                 let (kind, size) = (inner.u32(0)?, inner.u32(4)? as usize);
                 if kind != MATRIX {
                     continue;
                 }
-                matrix(inner.slice(8, head.len() - 8)?, size, element, b.big_endian)?
+                if class_of(&Bytes { all: inner.slice(8, head.len() - 8)?, ..*b })? == STRUCTURE {
+                    check_elements("structure", &[size as u64 / 8])?;
+                    head = inflate(element.data, 8 + size)?;
+                }
+                let whole = Content { element, big_endian: b.big_endian };
+                whole.matrices(&head[8..], size, 0, &[], &mut found)?;
             }
-            _ => None,
-        };
-        found.extend(variable);
+            _ => {}
+        }
+        if found.len() > MOST_ARRAYS {
+            return Err(too_many(NAME, MOST_ARRAYS, "variables", "save only the map"));
+        }
     }
     Ok(found)
+}
+
+/// The class of the matrix whose content begins here; 0 where the content has no flags.
+fn class_of(b: &Bytes) -> Result<u32, Invalid> {
+    let flags = element(b, 0)?;
+    Ok(Bytes { all: flags.data, ..*b }.u32(0)? & 0xff)
+}
+
+/// The top element in which matrices are looked for.
+#[derive(Clone, Copy)]
+struct Content<'a> {
+    element: Element<'a>,
+    big_endian: bool,
+}
+
+impl<'a> Content<'a> {
+    /// Appends the numeric matrix whose content is `head`, of `size` bytes in all, `at` bytes from the content of the top
+    /// element; of a structure, its fields. `path` are the names of the structures around it, and of the field.
+    fn matrices(
+        self,
+        head: &[u8],
+        size: usize,
+        at: usize,
+        path: &[String],
+        found: &mut Vec<Variable<'a>>,
+    ) -> Result<(), Invalid> {
+        let b = Bytes { all: head, name: NAME, big_endian: self.big_endian };
+        if head.is_empty() {
+            return Ok(());
+        }
+        if class_of(&b)? != STRUCTURE {
+            if let Some(mut variable) = matrix(head, size, self.element, self.big_endian)? {
+                variable.at += at;
+                variable.is_field = !path.is_empty();
+                if !path.is_empty() {
+                    variable.name = path.join(".");
+                }
+                found.push(variable);
+            }
+            return Ok(());
+        }
+        let dimensions = element(&b, element(&b, 0)?.next)?;
+        let sizes = Bytes { all: dimensions.data, ..b };
+        let is_single = dimensions.data.len() == 8 && sizes.i32(0)? == 1 && sizes.i32(4)? == 1;
+        if !is_single || path.len() >= MOST_LEVELS {
+            return Ok(());
+        }
+        let name = element(&b, dimensions.next)?;
+        let length = element(&b, name.next)?;
+        let length_of_names = Bytes { all: length.data, ..b }.u32(0)? as usize;
+        let names = element(&b, length.next)?;
+        if length_of_names == 0 {
+            return Ok(());
+        }
+        let own = match path {
+            [] => vec![String::from_utf8_lossy(name.data).into_owned()],
+            path => path.to_vec(),
+        };
+        let mut next = names.next;
+        for field in names.data.chunks(length_of_names) {
+            let end = field.iter().position(|c| *c == 0).unwrap_or(field.len());
+            let mut path = own.clone();
+            path.push(String::from_utf8_lossy(&field[..end]).into_owned());
+            let Tag { kind, size, at: begin, next: after } = tag(&b, next)?;
+            let content = b.slice(begin, size)?;
+            next = after;
+            if kind == MATRIX {
+                self.matrices(content, size, at + begin, &path, found)?;
+            }
+            if found.len() > MOST_ARRAYS {
+                return Err(too_many(NAME, MOST_ARRAYS, "variables", "save only the map"));
+            }
+        }
+        Ok(())
+    }
 }
 
 impl Variable<'_> {
@@ -155,7 +250,7 @@ impl Variable<'_> {
         let start = 8 + self.at;
         let most = (start + self.len).next_multiple_of(8);
         let mut all = inflate(self.element.data, most + 1)?;
-        if all.len() > most {
+        if all.len() > most && !self.is_field {
             let problem = format!("grows beyond the {most} bytes of \"{}\"", self.name);
             return Err(broken(problem));
         }
@@ -264,6 +359,7 @@ fn matrix<'a>(
         element: whole,
         at,
         len,
+        is_field: false,
     }))
 }
 

@@ -30,6 +30,7 @@ pub mod clock;
 pub mod columns;
 pub mod datasets;
 pub mod following;
+pub mod moment;
 pub mod motion;
 pub mod table;
 

@@ -3,8 +3,7 @@
 use crate::text;
 
 /// First bytes of formats that are not read, with their name and what helps.
-const OTHERS: [(&[u8], &str, &str); 12] = [
-    (b"GWYP", "a Gwyddion file (.gwy)", "save the channel as Gwyddion Simple Field (.gsf)"),
+const OTHERS: [(&[u8], &str, &str); 11] = [
     (b"CDF\x01", "a netCDF classic file", "convert it: nccopy -k nc4 IN OUT.h5"),
     (b"CDF\x02", "a netCDF classic file", "convert it: nccopy -k nc4 IN OUT.h5"),
     (b"\x0e\x03\x13\x01", "an HDF4 file", "convert it: h4toh5 IN OUT"),

@@ -259,6 +259,8 @@ fn files_that_state_everything_need_no_flag() {
     for (file, tolerance_nm, invalid_pixels, format) in [
         // 32-bit floats of 65e-9 m.
         ("map.gsf", 65.0 * 6e-8, 12, "gsf"),
+        // 64-bit floats, in m; the mask of the channel marks the invalid pixels.
+        ("map.gwy", 1e-12, 12, "gwy"),
         // Ten digits of a millimetre.
         ("grid-sag.dat", 65.0 * 5e-10, 12, "grid-sag"),
         // 64-bit floats, in m.
@@ -277,6 +279,45 @@ fn files_that_state_everything_need_no_flag() {
         assert!(said.contains("in the file, Angstrom was asked for"), "{said}");
         let said = refused(file, &["--pixel-mm", "0.4"]);
         assert!(said.contains("0.5") && said.contains("0.4"), "{said}");
+    }
+}
+
+/// A container with three channels. The first row is the top: the marked corner of channel 0 is the first pixel of the
+/// file, which has the smallest x and the largest y.
+#[test]
+fn a_channel_of_a_gwyddion_file_is_chosen_by_its_number() {
+    let said = refused("two.gwy", &[]);
+    assert!(said.contains("holds 3 channels: 0 (Height), 3, 4 (Phase)"), "{said}");
+    let corners = |channel: &str| {
+        let (map, ..) = read("two.gwy", &["--dataset", channel]);
+        let z = map.height_nm();
+        assert_eq!(map.grid().x.step_mm(), 0.5);
+        [z[[19, 0]], z[[19, 29]], z[[0, 0]], z[[0, 29]]].map(|v| v.round())
+    };
+    assert_eq!(corners("0"), [7.0, 0.0, 0.0, 0.0]);
+    assert_eq!(corners("3"), [0.0, 3.0, 0.0, 0.0]);
+    let said = refused("two.gwy", &["--dataset", "4"]);
+    assert!(said.contains("si_unit_z: is \"V\""), "{said}");
+    let said = refused("two.gwy", &["--dataset", "7"]);
+    assert!(said.contains("\"7\" is no channel of the file; it holds: 0 (Height)"), "{said}");
+    let said = refused("two.gwy", &["--mask", "0"]);
+    assert!(said.contains("mask: \"0\" was asked for"), "{said}");
+    let (_, _, warned) = read("map.gwy", &[]);
+    assert!(warned.contains("marks 12 pixel(s), which are read as invalid"), "{warned}");
+}
+
+/// MATLAB structures, compressed or not, and within each other: a field has the name `structure.field`.
+#[test]
+fn a_field_of_a_structure_is_read_by_its_name() {
+    let names = ["--dataset", "mirror.Z", "--x", "mirror.about.X", "--y", "mirror.about.Y"];
+    let flags = [&names[..], &["--unit", "nm", "--coordinate-unit", "mm"]].concat();
+    for file in ["struct.mat", "struct-plain.mat"] {
+        let (map, ..) = read(file, &flags);
+        is_truth(&map, 0.0, 12);
+        has_rms(&map, 3.4794);
+        let said = refused(file, &["--dataset", "mirror.W", "--unit", "nm", "--pixel-mm", "0.5"]);
+        assert!(said.contains("has no numeric matrix \"mirror.W\""), "{said}");
+        assert!(said.contains("mirror.Z, mirror.about.X"), "{said}");
     }
 }
 
@@ -361,9 +402,16 @@ fn what_a_reader_does_not_know_is_refused() {
             *bytes = text.replacen(from, to, 1).into_bytes();
         }
     };
+    let bytes = |from: &'static str, to: &'static str| {
+        move |bytes: &mut Vec<u8>| {
+            let found = bytes.windows(from.len()).position(|w| w == from.as_bytes()).unwrap();
+            bytes[found..found + to.len()].copy_from_slice(to.as_bytes());
+        }
+    };
     let cut = |bytes: &mut Vec<u8>| bytes.truncate(bytes.len() - 27);
     for (file, format) in [
         ("map.gsf", "gsf"),
+        ("map.gwy", "gwy"),
         ("map.sur", "sur"),
         ("map.int", "codev-int"),
         ("grid-sag.dat", "grid-sag"),
@@ -393,6 +441,11 @@ fn what_a_reader_does_not_know_is_refused() {
     assert!(
         said("map.x3p", "x3p", &at(400, b"\xff\xff\xff")).contains("is broken in \"main.xml\"")
     );
+    assert!(said("map.gwy", "gwy", &at(0, b"GWYO")).contains("does not start with \"GWYP\""));
+    assert!(said("map.gwy", "gwy", &at(4, b"X")).contains("not a GwyContainer"));
+    assert!(said("map.gwy", "gwy", &|b: &mut Vec<u8>| b.extend([0; 3])).contains("3 bytes after"));
+    assert!(said("map.gwy", "gwy", &bytes("xres\0i\x1e", "xres\0i\x1d")).contains("600 heights"));
+    assert!(said("map.gwy", "gwy", &bytes("xres\0i\x1e", "xres\0z\x1e")).contains("type 7A"));
     assert!(said("map.gsf", "gsf", &|b: &mut Vec<u8>| b.extend([0; 3])).contains("3 bytes after"));
     assert!(
         said("grid-sag.dat", "grid-sag", &text("0.5 0.5 0 0 0", "0.5 0.5 7 0 0"))
@@ -446,8 +499,7 @@ fn special_points_of_digital_surf_and_bits_of_opd_are_invalid() {
 fn a_format_that_is_not_known_is_described() {
     let tmp = tempfile::tempdir().unwrap();
     for (bytes, expected) in [
-        (&b"GWYP..."[..], "a Gwyddion file (.gwy); save the channel as Gwyddion Simple Field"),
-        (b"\x89PNG\r\n\x1a\n", "a PNG picture; export the heights"),
+        (&b"\x89PNG\r\n\x1a\n"[..], "a PNG picture; export the heights"),
         (b"1 2 3\n4 5 6\n", "lines of 3 numbers; give --format xyz for lines x y z, or csv"),
         (b"1 2 3 4\n4 5 6 7\n", "4 numbers in its first line; give --format csv"),
         (b"height map\n1 2\n", "text that begins \"height map\"; give --format csv"),

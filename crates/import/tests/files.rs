@@ -168,6 +168,7 @@ fn seeds() -> Vec<(Format, Vec<u8>)> {
         (Format::Hdf5, include_bytes!("data/map.h5").to_vec()),
         (Format::Datx, include_bytes!("data/map.datx").to_vec()),
         (Format::Gsf, include_bytes!("data/cases/map.gsf").to_vec()),
+        (Format::Gwy, include_bytes!("data/cases/map.gwy").to_vec()),
         (Format::Sur, include_bytes!("data/cases/map.sur").to_vec()),
         (Format::CodevInt, include_bytes!("data/cases/map.int").to_vec()),
         (Format::GridSag, include_bytes!("data/cases/grid-sag.dat").to_vec()),

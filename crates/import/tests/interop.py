@@ -3,7 +3,7 @@
     python interop.py PLANISH_IMPORT DIR      writes the files into DIR, reads them, compares
     python interop.py --seeds DIR             writes map.h5 and map.datx, the seeds of tests/files.rs
 
-Needs numpy, scipy, h5py, astropy, prysm: `just test-interop` makes a virtual environment with them.
+Needs numpy, scipy, h5py, astropy, prysm, gwyfile: `just test-interop` makes a virtual environment with them.
 """
 
 import json
@@ -12,6 +12,7 @@ import struct
 import subprocess
 import sys
 
+import gwyfile
 import h5py
 import numpy as np
 from astropy.io import fits
@@ -220,6 +221,20 @@ def compare(program, folder):
         for axis, step in ((1, 2e-4), (2, 5e-4)):
             hdu.header[f"CDELT{axis}"], hdu.header[f"CUNIT{axis}"] = step, "m"
         return hdu
+
+    # Structures of MATLAB, within each other.
+    for name, compressed in (("struct.mat", True), ("struct-plain.mat", False)):
+        fields = {"heights": holed, "axes": {"x": x, "y": y}, "note": "text"}
+        scipy.savemat(folder / name, {"mirror": fields, "other": 1.0}, do_compression=compressed)
+        flags = "--dataset mirror.heights --x mirror.axes.x --y mirror.axes.y --unit m --coordinate-unit m"
+        check.same(name, holed * 1e9, flags, pitch=[0.2, 0.5])
+
+    # A channel whose mask marks its holes, as Gwyddion leaves them.
+    field = gwyfile.objects.GwyDataField(np.nan_to_num(holed), xreal=53 * 2e-4, yreal=37 * 5e-4, si_unit_xy="m", si_unit_z="m")
+    marked = gwyfile.objects.GwyDataField(np.isnan(holed).astype(float), xreal=53 * 2e-4, yreal=37 * 5e-4)
+    channels = gwyfile.objects.GwyContainer({"/0/data": field, "/0/data/title": "Height", "/0/mask": marked})
+    channels.tofile(str(folder / "channel.gwy"))
+    check.same("channel.gwy", (holed * 1e9)[::-1], pitch=[0.2, 0.5])
 
     header(fits.PrimaryHDU(holed * 1e9), "nm").writeto(folder / "f8.fits", overwrite=True)
     check.same("f8.fits", holed * 1e9, pitch=[0.2, 0.5])

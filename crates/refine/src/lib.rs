@@ -159,7 +159,7 @@ pub struct Iterate {
     /// times ([`error_budget`]); `None` without a process.
     pub expected_rms_nm: Option<f64>,
     /// Objective of the loop, sqrt(rms^2 + 2 lambda T), nm. The noise replaces an RMS below it, and with a
-    /// process the expected square replaces rms^2.
+    /// process the expected square replaces rms^2. A weight of the slope of the residual adds its square.
     pub merit_nm: f64,
     /// Total time of the motion, s.
     pub total_time_s: f64,
@@ -350,11 +350,13 @@ fn rounds(
                 (less_bias(predicted.removal.residual(), q)?.statistics().rms, q.variance_nm2(&h))
             }
         };
+        let residual = predicted.removal.residual();
+        let slope_nm2 = solver.residual_slope.map_or(0.0, |slope| slope.mean_square_nm2(residual));
         let iterate = Iterate {
             rms_nm,
             detilted_nm,
             expected_rms_nm: sources.map(|_| (mean_nm.powi(2) + variance_nm2).sqrt()),
-            merit_nm: (mean_nm.max(known).powi(2) + variance_nm2 + price).sqrt(),
+            merit_nm: (mean_nm.max(known).powi(2) + variance_nm2 + slope_nm2 + price).sqrt(),
             total_time_s,
             stretched: motion.stretched.len(),
             limits_respected: verdict.limits_respected,
@@ -472,5 +474,9 @@ fn less_bias(map: &Surface, quadratic: &Quadratic<'_>) -> Result<Surface, Invali
         None => return Ok(map.clone()),
         Some(bias) => map.height_nm() - bias,
     };
-    Surface::new(*map.grid(), height)
+    let less = Surface::new(*map.grid(), height)?;
+    match map.deviation_nm() {
+        None => Ok(less),
+        Some(deviation) => less.with_deviation(deviation.clone()),
+    }
 }

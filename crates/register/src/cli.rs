@@ -2,13 +2,17 @@
 
 mod apply;
 mod fit;
+mod join;
 mod maps;
+mod mean;
 mod place;
 
+use std::path::PathBuf;
+
 use clap::Subcommand;
-use planish_handoff::{Failure, Status};
-use planish_register::fit::Estimate;
-use planish_types::text::significant;
+use planish_handoff::{Failure, Inputs, Status, with_flags};
+use planish_register::{fit::Estimate, series::RefusedMap};
+use planish_types::{Surface, text::significant};
 
 #[derive(Debug, Subcommand)]
 pub enum Method {
@@ -20,6 +24,10 @@ pub enum Method {
     Apply(apply::ApplyArgs),
     /// Fit the transform from a map to a later map of the same part, from the features that both have
     Maps(maps::MapsArgs),
+    /// Take the mean of repeated measurements, with the standard deviation of every pixel
+    Mean(mean::MeanArgs),
+    /// Join overlapping sub-aperture maps; pistons and tilts by least squares on the overlaps
+    Join(join::JoinArgs),
 }
 
 impl Method {
@@ -29,6 +37,8 @@ impl Method {
             Self::Place(arguments) => arguments.run(),
             Self::Apply(arguments) => arguments.run(),
             Self::Maps(arguments) => arguments.run(),
+            Self::Mean(arguments) => arguments.run(),
+            Self::Join(arguments) => arguments.run(),
         }
     }
 }
@@ -37,4 +47,21 @@ impl Method {
 fn with_error(estimate: Estimate, digits: usize) -> String {
     let error = significant(estimate.standard_error, 2);
     format!("{:.digits$} (standard error {error})", estimate.value)
+}
+
+/// The maps in these directories.
+fn read_maps(inputs: &mut Inputs, paths: &[PathBuf]) -> Result<Vec<Surface>, Failure> {
+    paths.iter().map(|dir| Ok(inputs.read("maps", dir)?)).collect()
+}
+
+/// A refusal of one map, with its directory, and a further remedy.
+fn about_map(paths: &[PathBuf], refused: &RefusedMap, remedy: &str) -> Failure {
+    // What is wrong with a setting is not about a map.
+    const SETTINGS: [&str; 4] =
+        ["free_order", "most_shift_mm", "most_rotation_deg", "shorter_than_mm"];
+    let reason = with_flags(&refused.reason.to_string());
+    if SETTINGS.contains(&refused.reason.array) {
+        return Failure::new(reason);
+    }
+    Failure::new(format!("{}: {reason}{remedy}", paths[refused.index].display()))
 }

@@ -5,6 +5,9 @@
 //! before it, the transform comes from the features that both maps have ([`maps`]). A tool path is then
 //! transformed to the machine ([`planish_types::Transform`]); the map is never resampled.
 //!
+//! Several maps of one part become one: the mean of repeated measurements ([`series`]), or the whole of
+//! overlapping sub-apertures ([`join`]).
+//!
 //! | symbol | variable | unit |
 //! |---|---|---|
 //! | p | `map_mm` | mm |
@@ -17,5 +20,10 @@
 
 mod chi_square;
 pub mod fiducials;
+mod field;
 pub mod fit;
+pub mod join;
+mod low_order;
 pub mod maps;
+mod resampled;
+pub mod series;

@@ -45,7 +45,6 @@
 //! that was found, and the same at many wrong places. The derivative of noise correlates at no place,
 //! however large the noise is. Features that repeat correlate at wrong places too.
 
-mod field;
 mod search;
 
 use nalgebra::{DMatrix, DVector};
@@ -55,8 +54,10 @@ use planish_types::{Invalid, Surface, Transform, progress, text::significant};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::fit::Estimate;
-use field::Field;
+use crate::{
+    field::{self, Field},
+    fit::Estimate,
+};
 
 /// Settings of the registration of maps.
 #[derive(Clone, Copy, Debug, Serialize)]

@@ -6,9 +6,10 @@ use std::{
     process::{Command, Output},
 };
 
+use ndarray::Array2;
 use planish_handoff::artifact;
 use planish_testkit::program::{text, write};
-use planish_types::{ToolPath, Trajectory, Transform};
+use planish_types::{Axis, Grid, Surface, ToolPath, Trajectory, Transform};
 
 fn run(dir: &Path, arguments: &str) -> Output {
     Command::new(env!("CARGO_BIN_EXE_planish-register"))
@@ -111,4 +112,52 @@ fn what_is_mirrored_or_does_not_fit_is_said() {
     assert!(
         refused(dir, "apply --transform motion --trajectory motion").contains("needs a transform")
     );
+}
+
+fn surface(start: [f64; 2], of: impl Fn([f64; 2]) -> f64) -> Surface {
+    let axis = |start: f64, n: usize| Axis::new(start, 0.2, n).unwrap();
+    let g = Grid { x: axis(start[0], 40), y: axis(start[1], 30) };
+    let z = Array2::from_shape_fn(g.shape(), |(r, c)| of([g.x.at(c), g.y.at(r)]));
+    Surface::new(g, z).unwrap()
+}
+
+#[test]
+fn measurements_in_series_become_one_map() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    let wave = |p: [f64; 2]| (1.3 * p[0]).sin() + p[1];
+    write(dir, "a", &surface([0.0; 2], wave));
+    write(dir, "b", &surface([0.0; 2], |p| wave(p) + 3.0 * p[0]));
+    write(dir, "c", &surface([4.0, 1.0], |p| wave(p) - 5.0));
+    write(dir, "far", &surface([40.0, 1.0], wave));
+
+    let said = done(dir, "mean a b --still --out mean");
+    assert!(said.contains("mean of 2 maps, 1200 pixels"), "{said}");
+    let loaded = artifact::read::<Surface>(&dir.join("mean")).unwrap();
+    // Rounding of heights of 30 nm.
+    assert!(loaded.value.deviation_nm().unwrap().iter().all(|s| *s < 1e-12));
+    let manifest = loaded.manifest.unwrap();
+    assert_eq!(manifest.version, 2);
+    assert_eq!(manifest.outcome["series"]["maps"], 2);
+    // A map without deviations is what it was.
+    let plain = artifact::read::<Surface>(&dir.join("a")).unwrap();
+    assert!(plain.value.deviation_nm().is_none() && plain.manifest.unwrap().version == 1);
+
+    let said = done(dir, "join a c --out whole");
+    assert!(
+        said.contains("2 maps joined to 60 x 35 pixels, 1900 valid, 500 in overlaps"),
+        "{said}"
+    );
+
+    let said = refused(dir, "mean a far --still");
+    assert!(said.contains("far: map: has 0 valid pixel(s) in common with the first map"), "{said}");
+    let said = refused(dir, "mean a b");
+    assert!(said.contains("b: ") && said.contains("or --still if the part lay still"), "{said}");
+    let said = refused(dir, "mean a");
+    assert!(said.contains("a: series: has 1 map(s); give 2 to"), "{said}");
+    let said = refused(dir, "mean a b --still --free-order 9");
+    assert!(said.contains("error: free_order: is 9; give 0 to 8"), "{said}");
+    let said = refused(dir, "join a far c");
+    assert!(said.contains("far: mosaic: has at most 0 pixel(s) in common"), "{said}");
+    assert!(said.contains("--least-overlap"), "{said}");
 }

@@ -1,7 +1,9 @@
 //! The subcommands, one file each, and arguments that several of them share.
 
 mod draw;
+mod line;
 mod prepare;
+mod profile;
 mod psd;
 mod spec;
 mod statistics;
@@ -23,6 +25,9 @@ pub enum Method {
     /// Make the desired removal: crop to the clear aperture, mask outliers, level; on request fill holes
     /// and extend beyond the aperture
     Prepare(Box<prepare::PrepareArgs>),
+    /// Make the desired removal of a strip from a profile (slopes or heights along a line), and integrate the tool
+    /// across it
+    Line(Box<line::LineArgs>),
     /// Print RMS, PV and robust PV of a map, or of a residual, as JSON
     Statistics(statistics::StatisticsArgs),
     /// Compute power spectral densities of a map, or of a residual, and the RMS in bands
@@ -53,6 +58,7 @@ impl Method {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::Prepare(arguments) => arguments.run(),
+            Self::Line(arguments) => arguments.run(),
             Self::Statistics(arguments) => arguments.run(),
             Self::Psd(arguments) => arguments.run(),
             Self::Spec(arguments) => arguments.run(),

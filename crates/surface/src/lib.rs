@@ -9,6 +9,7 @@
 //! * [`statistics`], [`psd`]: numbers that describe a map.
 //! * [`quality`]: quantities that specify a mirror, of a map or of a [`profile`]; [`shape`]: the best
 //!   shape; [`specification`]: limits on all of these quantities.
+//! * [`mod@line`]: the desired removal of a profile, and the tool that is integrated across it.
 //! * [`tif`], [`tif_fit`]: preparation of a tool influence function, and its description by a formula.
 //! * [`draw`]: pictures of maps and spectra.
 
@@ -18,6 +19,7 @@ pub mod draw;
 pub mod extension;
 mod figure;
 pub mod fill;
+pub mod line;
 pub mod low_order;
 mod median;
 pub mod outliers;

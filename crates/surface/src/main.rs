@@ -15,6 +15,7 @@ const EXAMPLES: &str = "Examples:\n\
     \x20 planish-surface psd --surface mirror --band-per-mm 0.1 1 --out out/psd\n\
     \x20 planish-surface spec --surface mirror --base-mm 1 --specification limits.json --out out/spec\n\
     \x20 planish-surface spec --profile ltp.csv --value-unit urad --subtract cylinder-x --out out/ltp\n\
+    \x20 planish-surface line --profile ltp.csv --value-unit urad --positive hill --tif spot --strip-width-mm 10 --out out/line\n\
     \x20 planish-surface tif --tif spot --centre centroid --fit-formula gaussian --out out/tif";
 
 /// Prepare measured maps and tools, and describe them

@@ -190,6 +190,18 @@ pub fn prepare_to(
         let (map, report) = progress::part(parts - 1, parts, || extend(&surface, settings))?;
         (surface, extended) = (map, Some(report));
     }
+    // The steps move heights and fill gaps: a pixel keeps its deviation, and one without a measurement has none.
+    let margin = extended.as_ref().map_or((0, 0), |e| e.margin_px);
+    let deviation = cropped.deviation_nm().map(|deviation| {
+        let mut known = deviation.clone();
+        known.zip_mut_with(masked.height_nm(), |s, z| {
+            if z.is_nan() {
+                *s = f64::NAN;
+            }
+        });
+        known
+    });
+    let surface = with_deviation(surface, deviation, margin)?;
     let report = PrepareReport {
         before: map_statistics(measured),
         in_aperture: map_statistics(&cropped),
@@ -230,7 +242,23 @@ fn crop(
     let part = s![rows.0..=rows.1, columns.0..=columns.1];
     let (map, inside) = (map.slice(part).to_owned(), mask.slice(part).to_owned());
     let grid = Grid { x: grid.x.crop(columns.0, columns.1)?, y: grid.y.crop(rows.0, rows.1)? };
-    Ok((Surface::new(grid, map)?, inside))
+    let cropped = Surface::new(grid, map)?;
+    let deviation = measured.deviation_nm().map(|d| d.slice(part).to_owned());
+    Ok((with_deviation(cropped, deviation, (0, 0))?, inside))
+}
+
+/// The map with these standard deviations, which begin at the row and column `at` of it; beyond them they are
+/// unknown.
+fn with_deviation(
+    map: Surface,
+    deviation_nm: Option<Array2<f64>>,
+    at: (usize, usize),
+) -> Result<Surface, PrepareError> {
+    let Some(deviation) = deviation_nm else { return Ok(map) };
+    let mut all = Array2::from_elem(map.height_nm().dim(), f64::NAN);
+    let (ny, nx) = deviation.dim();
+    all.slice_mut(s![at.0..at.0 + ny, at.1..at.1 + nx]).assign(&deviation);
+    Ok(map.with_deviation(all)?)
 }
 
 /// First and last true; an aperture has one.
@@ -333,6 +361,35 @@ mod tests {
 
     fn settings(aperture: Option<ClearAperture>, level: Level) -> PrepareSettings {
         PrepareSettings { aperture, outliers: None, level, fill: false, extension: None }
+    }
+
+    #[test]
+    fn a_pixel_keeps_its_deviation_through_every_step() {
+        let mut map = rough(3);
+        map[[20, 30]] = f64::NAN;
+        let at = |r: usize, c: usize| (100 * r + c) as f64;
+        let deviation = Array2::from_shape_fn(map.dim(), |(r, c)| at(r, c));
+        let surface = Surface::new(grid(), map).unwrap().with_deviation(deviation).unwrap();
+        let whole = PrepareSettings {
+            fill: true,
+            extension: Some(ExtensionSettings {
+                margin_mm: 0.5,
+                method: crate::extension::Method::Nearest,
+            }),
+            ..settings(disc(), Level::Plane)
+        };
+        let done = prepare(&surface, &whole).unwrap().surface;
+        let found = done.deviation_nm().unwrap();
+        let mut known = 0;
+        for ((r, c), s) in found.indexed_iter().filter(|(_, s)| !s.is_nan()) {
+            let (x, y) = (done.grid().x.at(c), done.grid().y.at(r));
+            let [column, row] = [(x + 3.0) / 0.1, (y - 10.0) / 0.2].map(|v| v.round() as usize);
+            assert_eq!(*s, at(row, column));
+            assert!((x - 0.2).hypot(y - 14.0) <= 2.0 + 1e-9 && (row, column) != (20, 30));
+            known += 1;
+        }
+        let inside = prepare(&surface, &settings(disc(), Level::None)).unwrap();
+        assert_eq!(known, inside.report.after.valid_pixels);
     }
 
     fn disc() -> Option<ClearAperture> {

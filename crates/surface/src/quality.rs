@@ -45,6 +45,7 @@ pub(crate) use strehl::strehl;
 pub use strehl::{Light, StrehlReport};
 
 use spectrum::Spectra;
+pub(crate) use spectrum::at_even_steps;
 
 /// Difference of the base length from the one asked for, relative, above which the report has a note.
 /// Larger: does not notice slopes over another base. Smaller: notes for usual maps.

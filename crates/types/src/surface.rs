@@ -12,13 +12,48 @@ use crate::{Axis, Grid, Invalid};
 pub struct Surface {
     grid: Grid,
     height_nm: Array2<f64>,
+    deviation_nm: Option<Array2<f64>>,
 }
 
 impl Surface {
     /// Checks the shape against the grid, refuses infinities and a map without a valid pixel.
     pub fn new(grid: Grid, height_nm: Array2<f64>) -> Result<Self, Invalid> {
         check_map("height_nm", &grid, &height_nm)?;
-        Ok(Self { grid, height_nm })
+        Ok(Self { grid, height_nm, deviation_nm: None })
+    }
+
+    /// The map with the standard deviation of every height (ny, nx), nm; NaN = unknown. The deviation is that of the
+    /// stored height: of a mean, it is that of the mean.
+    pub fn with_deviation(self, deviation_nm: Array2<f64>) -> Result<Self, Invalid> {
+        let name = "deviation_nm";
+        if deviation_nm.dim() != self.height_nm.dim() {
+            let problem = format!(
+                "has shape {:?}, but height_nm has {:?}",
+                deviation_nm.dim(),
+                self.height_nm.dim()
+            );
+            return Err(Invalid::whole(name, problem, "give one deviation per pixel"));
+        }
+        let wrong = |v: f64| !(v.is_nan() || (0.0..=LARGEST_NM).contains(&v));
+        if let Some((index, v)) = deviation_nm.indexed_iter().find(|(_, v)| wrong(**v)) {
+            let remedy = "give nm, from 0 to 1e12, and mark an unknown deviation by NaN";
+            return Err(Invalid::at(name, index, format!("is {v:?}"), remedy));
+        }
+        Ok(Self { deviation_nm: Some(deviation_nm), ..self })
+    }
+
+    /// Standard deviation of every height (ny, nx), nm; NaN = unknown; `None` for a map without deviations.
+    pub fn deviation_nm(&self) -> Option<&Array2<f64>> {
+        self.deviation_nm.as_ref()
+    }
+
+    /// RMS of the known standard deviations of the valid pixels, nm: the noise level of the map.
+    pub fn noise_rms_nm(&self) -> Option<f64> {
+        let deviation = self.deviation_nm.as_ref()?;
+        let known =
+            self.height_nm.iter().zip(deviation).filter(|(z, s)| !z.is_nan() && !s.is_nan());
+        let (sum, count) = known.fold((0.0, 0.0), |(sum, n), (_, s)| (sum + s * s, n + 1.0));
+        (count > 0.0).then(|| (sum / count).sqrt())
     }
 
     /// Pixel centres.
@@ -36,7 +71,7 @@ impl Surface {
     /// stands when it removes there.
     pub fn seen_by_tool(&self, off_centre_mm: [f64; 2]) -> Result<Self, Invalid> {
         let grid = self.grid.moved(off_centre_mm.map(|mm| -mm))?;
-        Self::new(grid, self.height_nm.clone())
+        Ok(Self { grid, ..self.clone() })
     }
 
     /// RMS (mean removed), PV, ... of the valid pixels.
@@ -187,6 +222,23 @@ mod tests {
         assert_eq!(r.residual().height_nm()[[0, 0]], 3.0);
         assert_eq!(r.residual().height_nm()[[0, 2]], -1.0);
         assert!(r.residual().height_nm()[[0, 1]].is_nan());
+    }
+
+    #[test]
+    fn a_deviation_is_checked_and_its_rms_is_the_noise_level() {
+        let surface = Surface::new(grid(), array![[5.0, f64::NAN, 1.0], [2.0, 2.0, 2.0]]).unwrap();
+        assert!(surface.deviation_nm().is_none() && surface.noise_rms_nm().is_none());
+        let with = |m: Array2<f64>| surface.clone().with_deviation(m);
+        // The deviation of an invalid pixel and an unknown one do not count: sqrt((9 + 16 + 0 + 0) / 4).
+        let known = with(array![[3.0, 99.0, 4.0], [0.0, f64::NAN, 0.0]]).unwrap();
+        assert_eq!(known.noise_rms_nm(), Some(2.5));
+        let moved = known.seen_by_tool([1.0, 0.0]).unwrap();
+        assert_eq!(moved.grid().x.start_mm(), -1.0);
+        assert_eq!(moved.noise_rms_nm(), Some(2.5));
+        let message = with(array![[3.0, 1.0, 4.0], [0.0, -0.5, 0.0]]).unwrap_err().to_string();
+        assert!(message.contains("deviation_nm[1, 1]: is -0.5"), "{message}");
+        let message = with(Array2::zeros((3, 2))).unwrap_err().to_string();
+        assert!(message.contains("(3, 2)") && message.contains("(2, 3)"), "{message}");
     }
 
     #[test]

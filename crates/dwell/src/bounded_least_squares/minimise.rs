@@ -16,6 +16,7 @@ use super::{
 use crate::{
     DwellError,
     objective::{Basis, Penalty},
+    residual_slope::SlopeTerm,
     surrogate::{Penalised, Surrogate, Unbounded},
 };
 
@@ -173,6 +174,8 @@ impl BoundedProblem<'_> {
         let grid = *self.desired.grid();
         let mut basis = Basis::new(&grid, &self.weight, settings.free);
         let mut weight = self.weight.clone();
+        let slope_term =
+            settings.residual_slope.map(|slope| SlopeTerm::new(&slope, &grid, &self.weight));
         let mut t = self.start.clone();
         let mut removal_nm = if t.iter().all(|t| *t == 0.0) {
             Array2::zeros(self.z.dim())
@@ -202,6 +205,7 @@ impl BoundedProblem<'_> {
                 basis: &basis,
                 weight: &weight,
                 quadratic: self.quadratic,
+                slope: slope_term.as_ref(),
             };
             let (objective, q) = weighted.at(self, &t, &removal_nm);
             let natural_residual = bounded::natural_residual(&t, &q, &diagonal, self.lo, &self.hi);

@@ -6,6 +6,7 @@ use crate::{
     bounds::Bound,
     model::columns::{Columns, Place},
     objective::{Free, PenaltyWeights},
+    residual_slope::ResidualSlope,
 };
 
 /// Settings of the solver.
@@ -30,6 +31,9 @@ pub struct Settings {
     /// RMS of the noise of the map, nm: beta is raised until the residual is no smaller; with a Huber loss pixels
     /// beyond its threshold do not count there.
     pub noise_rms_nm: Option<f64>,
+    /// Weight of the slope of the residual beside its height; none when absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub residual_slope: Option<ResidualSlope>,
     /// Dwell points up to which the surrogate of H is factorised.
     pub max_factorised_points: usize,
     /// Natural residual that is enough, s.
@@ -54,6 +58,7 @@ impl Default for Settings {
             free: Free::Piston,
             huber_nm: None,
             noise_rms_nm: None,
+            residual_slope: None,
             max_factorised_points: 6000,
             tolerance_s: 1e-6,
             // RMS within 5e-5 of the least.

@@ -4,7 +4,10 @@ use ndarray::{Array2, Zip};
 use planish_numerics::linear::skyline::dot;
 
 use super::{certificate::gap, prepared::BoundedProblem, settings::Product};
-use crate::objective::{Basis, Penalty, weighted_product};
+use crate::{
+    objective::{Basis, Penalty, weighted_product},
+    residual_slope::SlopeTerm,
+};
 
 /// Determinant of the products of two directions, as a fraction of that of orthogonal ones, up to which they count as
 /// parallel. Larger: useful second directions are dropped. Smaller: rounding decides the step.
@@ -17,6 +20,8 @@ pub struct Weighted<'a> {
     pub weight: &'a Array2<f64>,
     /// Q.
     pub quadratic: Option<Product<'a>>,
+    /// S.
+    pub slope: Option<&'a SlopeTerm>,
 }
 
 impl Weighted<'_> {
@@ -30,8 +35,18 @@ impl Weighted<'_> {
         // r = z - B t without its free part,  q = -B' W r + penalty
         let mut r = Zip::from(&problem.z).and(removal_nm).par_map_collect(|z, m| z - m);
         self.basis.project(self.weight, &mut r);
-        let squares = weighted_product(self.weight, &r, &r);
+        let mut squares = weighted_product(self.weight, &r, &r);
+        // B' P' S r, which adds to B' W r
+        let sloped = self.slope.map(|slope| {
+            let mut product = slope.product(&r);
+            squares += (&product * &r).sum();
+            self.basis.project_adjoint(self.weight, &mut product);
+            product
+        });
         Zip::from(&mut r).and(self.weight).par_for_each(|r, w| *r *= -w);
+        if let Some(product) = sloped {
+            r -= &product;
+        }
         let mut q = problem.b.adjoint(&r);
         self.penalty.add_gradient(t, &mut q);
         let mut value = 0.5 * squares + self.penalty.value(t);
@@ -56,7 +71,17 @@ impl Weighted<'_> {
             curved.iter_mut().zip(product(p.0)).for_each(|(c, more)| *c += more);
         }
         let free = |nm: &Array2<f64>| self.basis.coefficients(self.weight, nm);
-        weighted_product(self.weight, d.1, p.1) - dot(&free(d.1), &free(p.1)) + dot(&curved, d.0)
+        // d' B' P' S P B p
+        let sloped = self.slope.map_or(0.0, |slope| {
+            let [d, p] = [d.1, p.1].map(|nm| {
+                let mut left = nm.clone();
+                self.basis.project(self.weight, &mut left);
+                left
+            });
+            (&d * &slope.product(&p)).sum()
+        });
+        let height = weighted_product(self.weight, d.1, p.1) - dot(&free(d.1), &free(p.1));
+        height + sloped + dot(&curved, d.0)
     }
 
     /// Minimum of `q'e + e'He / 2` over `e = a d + b p`, as [a, b]:

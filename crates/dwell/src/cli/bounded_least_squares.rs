@@ -7,13 +7,14 @@ use planish_dwell::{
     bounded_least_squares::{self, Bound, Free, Program, Settings},
     columns::Columns,
     problem::rms_before,
+    residual_slope::ResidualSlope,
 };
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status,
     flags::{FloorArgs, MirrorArgs, OutputArgs, PathArgs},
     say, task,
 };
-use planish_types::{DwellTime, plausible};
+use planish_types::{DwellTime, Surface, plausible};
 use serde_json::json;
 
 use super::status;
@@ -24,7 +25,8 @@ pub struct BoundedLeastSquares {
     mirror: MirrorArgs,
     #[command(flatten)]
     path: PathArgs,
-    /// Weight of every pixel [.npy file (ny, nx), >= 0]; without it valid pixels count 1
+    /// Weight of every pixel [.npy file (ny, nx), >= 0] [default: from the standard deviations of the map, or 1 if it
+    /// has none]
     #[arg(long, value_name = "FILE")]
     weight: Option<PathBuf>,
     #[command(flatten)]
@@ -51,7 +53,7 @@ pub struct BoundedLeastSquares {
     #[arg(long, value_name = "K")]
     huber_nm: Option<f64>,
     /// RMS of the noise of the map, nm: the smoothness is raised until the residual reaches it, without the
-    /// pixels beyond `--huber-nm`
+    /// pixels beyond `--huber-nm` [default: the RMS of the standard deviations of the map, if it has them]
     #[arg(long, value_name = "S")]
     noise_rms_nm: Option<f64>,
     /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment
@@ -64,12 +66,40 @@ pub struct BoundedLeastSquares {
     #[arg(long, value_name = "B", default_value_t = Settings::default().slope_weight)]
     slope_weight: f64,
     #[command(flatten)]
+    residual_slope: ResidualSlopeArgs,
+    #[command(flatten)]
     output: OutputArgs,
+}
+
+/// Weight of the slope of the residual.
+#[derive(Args)]
+struct ResidualSlopeArgs {
+    /// Weight of the mean square slope of the residual beside its mean square, mm^2: a wave of length L counts
+    /// 1 + W (2 pi / L)^2 times [default: heights alone]
+    #[arg(long, value_name = "W")]
+    residual_slope_weight_mm2: Option<f64>,
+    /// Base length of the slopes of the residual, mm [default: one step of the map]
+    #[arg(long, value_name = "B", requires = "residual_slope_weight_mm2")]
+    residual_slope_base_mm: Option<f64>,
+}
+
+impl ResidualSlopeArgs {
+    fn of(&self, surface: &Surface) -> Option<ResidualSlope> {
+        let step_mm = surface.grid().x.step_mm();
+        let base_mm = self.residual_slope_base_mm.unwrap_or(step_mm);
+        self.residual_slope_weight_mm2.map(|weight_mm2| ResidualSlope { weight_mm2, base_mm })
+    }
 }
 
 impl BoundedLeastSquares {
     pub fn run(&self) -> Result<Status, Failure> {
         let defaults = Settings::default();
+        let mut inputs = Inputs::new();
+        let (surface, tif) = self.mirror.read(&mut inputs)?;
+        let path = self.path.read(&mut inputs)?;
+        let weight =
+            self.weight.as_ref().map(|file| inputs.read_map("weight", file)).transpose()?;
+        let of_map = bounded_least_squares::noise_of_deviations(&surface, weight.as_ref());
         let settings = Settings {
             columns: self.columns,
             min_dwell: self.floor.bound(Bound::Seconds, Bound::SecondsPerMm)?,
@@ -82,14 +112,10 @@ impl BoundedLeastSquares {
             time_weight_nm2_per_s: self.time_weight_nm2_per_s,
             free: self.free,
             huber_nm: self.huber_nm,
-            noise_rms_nm: self.noise_rms_nm,
+            noise_rms_nm: self.noise_rms_nm.or(of_map.map_err(Failure::with_flags)?),
+            residual_slope: self.residual_slope.of(&surface),
             ..defaults
         };
-        let mut inputs = Inputs::new();
-        let (surface, tif) = self.mirror.read(&mut inputs)?;
-        let path = self.path.read(&mut inputs)?;
-        let weight =
-            self.weight.as_ref().map(|file| inputs.read_map("weight", file)).transpose()?;
         let least: Option<DwellTime> =
             self.min_dwell.as_ref().map(|dir| inputs.read("min-dwell", dir)).transpose()?;
         let most: Option<DwellTime> =

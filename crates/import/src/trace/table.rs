@@ -8,8 +8,9 @@
 use planish_types::{Invalid, budget};
 
 use super::{
-    LogFormat, NAME,
-    columns::{Column, Columns, Named, places, short, stated_unit, unit_named},
+    LogFormat, NAME, TimeUnit,
+    columns::{Column, Columns, Named, Role, places, short, stated_unit, unit_named},
+    moment,
 };
 use crate::{
     budget::{BYTES_PER_SAMPLE, MOST_SAMPLES, too_many},
@@ -84,8 +85,9 @@ impl Separator {
 fn is_row(line: &str) -> bool {
     let (mut numbers, mut others) = (0, 0);
     Separator::of(line).fields(line, |_, field| {
-        numbers += usize::from(field.parse::<f64>().is_ok());
-        others += usize::from(!field.is_empty() && field.parse::<f64>().is_err());
+        let is_number = field.parse::<f64>().is_ok() || moment::seconds(field).is_some();
+        numbers += usize::from(is_number);
+        others += usize::from(!field.is_empty() && !is_number);
         others == 0
     });
     numbers > 0 && others == 0
@@ -118,7 +120,18 @@ pub fn read(format: LogFormat, bytes: &[u8], asked: &Columns) -> Result<Vec<Colu
     let count = separator.count(head[first]);
     let mut places = places(format, names.as_deref(), count, asked)?;
     places.sort_by_key(|place| place.index);
-    let wanted: Vec<usize> = places.iter().map(|place| place.index).collect();
+    // The first row says whether the times are numbers or moments.
+    let mut are_moments = vec![false; count];
+    separator.fields(head[first], |i, field| {
+        are_moments[i] = field.parse::<f64>().is_err() && moment::seconds(field).is_some();
+        i + 1 < count
+    });
+    let wanted: Vec<Wanted> = (places.iter())
+        .map(|place| Wanted {
+            index: place.index,
+            is_moment: place.role == Role::Time && are_moments[place.index],
+        })
+        .collect();
 
     let most = most_samples();
     let mut values: Vec<Vec<f64>> = vec![Vec::new(); wanted.len()];
@@ -162,6 +175,7 @@ pub fn read(format: LogFormat, bytes: &[u8], asked: &Columns) -> Result<Vec<Colu
             _ => None,
         };
         let time_unit = match unit {
+            _ if place.role == Role::Time && are_moments[place.index] => Some(TimeUnit::S),
             Some(Named::Time(unit)) => Some(unit),
             _ => None,
         };
@@ -183,21 +197,33 @@ enum Row {
     Ended,
 }
 
+/// A column that is read.
+struct Wanted {
+    /// Column, counted from 0.
+    index: usize,
+    /// True for moments of ISO 8601, false for numbers.
+    is_moment: bool,
+}
+
 /// Appends the fields `wanted` (ascending) of a line, counted from 1.
 fn row(
     line: &str,
     number: usize,
     separator: Separator,
-    wanted: &[usize],
+    wanted: &[Wanted],
     values: &mut [Vec<f64>],
 ) -> Result<Row, Invalid> {
     let (mut next, mut empty, mut bad) = (0, false, None);
     separator.fields(line, |i, field| {
-        if i != wanted[next] {
+        if i != wanted[next].index {
             return true;
         }
-        match field.parse::<f64>() {
-            Ok(v) if v.is_finite() => values[next].push(v),
+        let value = match wanted[next].is_moment {
+            true => moment::seconds(field),
+            false => field.parse::<f64>().ok(),
+        };
+        match value {
+            Some(v) if v.is_finite() => values[next].push(v),
             _ if field.is_empty() => {
                 empty = true;
                 return false;
@@ -211,10 +237,12 @@ fn row(
         next < wanted.len()
     });
     if let Some((i, field)) = bad {
+        let is_moment = wanted.iter().any(|w| w.index == i && w.is_moment);
         let problem = format!(
-            "has {} in line {number}, field {}, where a number should be",
+            "has {} in line {number}, field {}, where a {} should be",
             short(field),
-            i + 1
+            i + 1,
+            if is_moment { "time of ISO 8601" } else { "number" }
         );
         let remedy = "write finite numbers with a decimal point; cut the log where it is damaged";
         return Err(Invalid::whole(NAME, problem, remedy));
@@ -228,7 +256,7 @@ fn row(
         let found = separator.count(line);
         let problem = format!(
             "has {found} fields in line {number}, {} are needed",
-            wanted[wanted.len() - 1] + 1
+            wanted[wanted.len() - 1].index + 1
         );
         return Err(Invalid::whole(NAME, problem, "was it cut off? delete that line"));
     }
@@ -282,6 +310,19 @@ mod tests {
         assert!(said(&format!("{head}3\n")).contains("has 1 fields in line 3, 2 are needed"));
         assert!(said("nothing\nhere\n").contains("no row of numbers"));
         assert!(said("1,2\n3,4\n").contains("2 columns without names"));
+    }
+
+    #[test]
+    fn times_may_be_moments_and_then_are_seconds() {
+        let text = "time,x_mm,y_mm\n2026-03-01T23:59:59.5Z,1,2\n2026-03-02T00:00:01Z,3,4\n";
+        let read = |text: &str| read(LogFormat::Csv, text.as_bytes(), &Columns::default());
+        let found = read(text).unwrap();
+        let time = column(&found, Role::Time);
+        assert_eq!((time.values[1] - time.values[0], time.time_unit), (1.5, Some(TimeUnit::S)));
+        let said = read(&text.replace("2026-03-02T00:00:01Z", "7.5")).unwrap_err().to_string();
+        assert!(said.contains("\"7.5\" in line 3, field 1, where a time of ISO 8601"), "{said}");
+        let said = read(&text.replace("Z,3", "Z,2026-03-02T00:00:01Z")).unwrap_err().to_string();
+        assert!(said.contains("line 3, field 2, where a number should be"), "{said}");
     }
 
     #[test]

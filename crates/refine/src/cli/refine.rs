@@ -3,7 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use planish_dwell::bounded_least_squares::Bound;
+use planish_dwell::{
+    bounded_least_squares::{Bound, noise_of_deviations},
+    residual_slope::ResidualSlope,
+};
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status,
     flags::{self, FloorArgs, MachineArgs, MirrorArgs, OutputArgs, PathArgs},
@@ -49,9 +52,17 @@ pub struct Refine {
     /// the run
     #[arg(long, visible_alias = "time-weight", value_name = "L", default_value_t = 0.0)]
     time_weight_nm2_per_s: f64,
-    /// RMS of the noise of the map, nm; the smoothness is raised until the residual reaches it
+    /// RMS of the noise of the map, nm; the smoothness is raised until the residual reaches it [default: the RMS of the
+    /// standard deviations of the map, if it has them]
     #[arg(long, value_name = "S")]
     noise_rms_nm: Option<f64>,
+    /// Weight of the mean square slope of the residual beside its mean square, mm^2: a wave of length L counts
+    /// 1 + W (2 pi / L)^2 times [default: heights alone]
+    #[arg(long, value_name = "W")]
+    residual_slope_weight_mm2: Option<f64>,
+    /// Base length of the slopes of the residual, mm [default: one step of the map]
+    #[arg(long, value_name = "B", requires = "residual_slope_weight_mm2")]
+    residual_slope_base_mm: Option<f64>,
     /// Scheduler that makes the motion
     #[arg(long, value_enum, default_value = "pvt")]
     scheduler: SchedulerKind,
@@ -90,7 +101,6 @@ impl Refine {
         let mut settings = Settings::default();
         settings.max_rounds = self.max_rounds.unwrap_or(settings.max_rounds);
         settings.dwell.time_weight_nm2_per_s = self.time_weight_nm2_per_s;
-        settings.dwell.noise_rms_nm = self.noise_rms_nm;
         settings.dwell.min_dwell = self.floor.bound(Bound::Seconds, Bound::SecondsPerMm)?;
         settings.dwell.tikhonov = self.tikhonov;
         settings.dwell.slope_weight = self.slope_weight;
@@ -101,6 +111,11 @@ impl Refine {
         let mut inputs = Inputs::new();
         let (surface, tif) = self.mirror.read(&mut inputs)?;
         let path = self.path.read(&mut inputs)?;
+        let of_map = noise_of_deviations(&surface, None).map_err(Failure::with_flags)?;
+        settings.dwell.noise_rms_nm = self.noise_rms_nm.or(of_map);
+        let base_mm = self.residual_slope_base_mm.unwrap_or(surface.grid().x.step_mm());
+        settings.dwell.residual_slope =
+            self.residual_slope_weight_mm2.map(|weight_mm2| ResidualSlope { weight_mm2, base_mm });
         let machine = self.machine.read(&mut inputs)?;
         settings.scheduler = match self.scheduler {
             SchedulerKind::ConstantAcceleration => Scheduler::ConstantAcceleration,

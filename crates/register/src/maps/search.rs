@@ -2,7 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::{Pose, field::Field};
+use super::Pose;
+use crate::field::Field;
 
 /// Largest number of pixels of the later map that are compared: those with the steepest slopes, which
 /// determine the place best. Larger: more time. Smaller: the correlation of a place is less certain.

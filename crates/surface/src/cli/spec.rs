@@ -1,6 +1,6 @@
 //! `planish-surface spec`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{ArgAction, Args};
 use ndarray::Array1;
@@ -9,7 +9,6 @@ use planish_handoff::{
     Begin, Failure, Inputs, Output, Status, flags::OutputArgs, kind, npy::ArrayData, say, task,
 };
 use planish_surface::{
-    profile::{LengthUnit, Profile, ProfileSettings, ValueUnit, rows_of_text},
     quality::{Light, Quality, QualityArrays, QualitySettings, Subject, quality},
     shape::{EllipseParameter, EllipseSettings, Shape},
     specification::{Specification, SpecificationReport, Verdict},
@@ -17,9 +16,7 @@ use planish_surface::{
 use planish_types::{Invalid, Removal, text::significant};
 use serde_json::json;
 
-/// Largest file of a profile, bytes; a larger one is refused. Larger: more memory for a file that is no
-/// profile. Smaller: refuses long profiles. Chosen: room for some million lines.
-const LARGEST_PROFILE_BYTES: u64 = 1 << 28;
+use super::profile::ProfileArgs;
 
 /// Grazing angle of normal incidence, mrad (a right angle).
 const NORMAL_MRAD: f64 = 1e3 * std::f64::consts::FRAC_PI_2;
@@ -28,18 +25,8 @@ const NORMAL_MRAD: f64 = 1e3 * std::f64::consts::FRAC_PI_2;
 pub struct SpecArgs {
     #[command(flatten)]
     source: SourceArgs,
-    /// Columns of the profile's positions and of its values, from 1
-    #[arg(long, num_args = 2, value_names = ["POSITION", "VALUE"], default_values_t = [1, 2], requires = "profile")]
-    profile_columns: Vec<usize>,
-    /// Unit of the profile's positions
-    #[arg(long, value_enum, default_value = "mm", requires = "profile")]
-    position_unit: LengthUnit,
-    /// Unit of the profile's values: of a length for heights, of an angle for slopes
-    #[arg(long, value_enum, requires = "profile")]
-    value_unit: Option<ValueUnit>,
-    /// Lines of the profile before its numbers [default: all that have none in both columns]
-    #[arg(long, value_name = "N", requires = "profile")]
-    header_lines: Option<usize>,
+    #[command(flatten)]
+    columns: ProfileArgs,
     /// Shape to subtract before anything is measured
     #[arg(long, value_enum, default_value_t = Shape::Plane)]
     subtract: Shape,
@@ -106,7 +93,7 @@ impl SpecArgs {
             None => None,
         };
         let settings = self.settings(specification.as_ref().map(|(_, s)| s))?;
-        let profile = self.source.profile.as_ref().map(|_| self.profile_settings());
+        let profile = self.source.profile.as_ref().map(|_| self.columns.settings());
         let task = task!(
             "spec",
             &json!({
@@ -161,51 +148,9 @@ impl SpecArgs {
                 let removal: Removal = inputs.read("removal", dir)?;
                 Ok(Subject::Map(removal.residual().clone()))
             }
-            (.., Some(file)) => Ok(Subject::Profile(self.profile(inputs, file)?)),
+            (.., Some(file)) => Ok(Subject::Profile(self.columns.read(inputs, file)?)),
             _ => Err(Failure::new("--surface: is missing; give it, --removal or --profile")),
         }
-    }
-
-    fn profile(&self, inputs: &mut Inputs, file: &Path) -> Result<Profile, Failure> {
-        let settings = self.profile_settings()?;
-        let rows = match file.extension().is_some_and(|e| e.eq_ignore_ascii_case("npy")) {
-            true => {
-                let table = inputs.read_map("profile", file)?;
-                let [position, value] = settings.columns;
-                if position.max(value) > table.ncols() {
-                    let message = format!(
-                        "{}: has {} column(s), not {}; give the right --profile-columns (an array of shape \
-                         (positions, columns))",
-                        file.display(),
-                        table.ncols(),
-                        position.max(value)
-                    );
-                    return Err(Failure::new(message));
-                }
-                table.outer_iter().map(|row| [row[position - 1], row[value - 1]]).collect()
-            }
-            false => {
-                let bytes = inputs.read_bytes("profile", file, LARGEST_PROFILE_BYTES)?;
-                rows_of_text(&bytes, &settings).map_err(Failure::with_flags)?
-            }
-        };
-        Profile::from_rows(&rows, &settings).map_err(Failure::with_flags)
-    }
-
-    fn profile_settings(&self) -> Result<ProfileSettings, Failure> {
-        let columns = [self.profile_columns[0], self.profile_columns[1]];
-        if columns.contains(&0) || columns[0] == columns[1] {
-            let [position, value] = columns;
-            let message = format!("--profile-columns: are {position} and {value}");
-            return Err(Failure::new(format!("{message}; give two different ones, from 1")));
-        }
-        let Some(value_unit) = self.value_unit else {
-            return Err(Failure::new(
-                "--value-unit: is missing; say what the profile's values are in",
-            ));
-        };
-        let Self { position_unit, header_lines, .. } = *self;
-        Ok(ProfileSettings { columns, position_unit, value_unit, header_lines })
     }
 
     fn settings(&self, specification: Option<&Specification>) -> Result<QualitySettings, Failure> {

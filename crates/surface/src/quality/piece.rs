@@ -63,7 +63,7 @@ pub(crate) struct Piece {
     /// (ny), mm; of a profile 0.
     y_mm: Vec<f64>,
     /// (ny, nx), nm.
-    pub(super) height_nm: Array2<f64>,
+    pub(crate) height_nm: Array2<f64>,
     /// Measured slopes of a profile after the shape (nx), nrad.
     measured_slope_nrad: Option<Vec<f64>>,
     /// The map, for its spectra.
@@ -274,8 +274,11 @@ impl Piece {
             return None;
         }
         let step_mm = (at[n - 1] - at[0]) / (n - 1) as f64;
-        let turned =
-            if self.is_profile() { at_even_steps(at, turned.as_slice()?, step_mm) } else { turned };
+        let turned = if self.is_profile() {
+            at_even_steps(at, turned.as_slice()?, step_mm, at.len())
+        } else {
+            turned
+        };
         autocorrelation_length(turned.view()).map(|lag| lag * step_mm)
     }
 }

@@ -182,7 +182,7 @@ fn density_of_profile(
 ) -> Result<(Vec<f64>, Vec<f64>), Invalid> {
     let n = x_mm.len();
     let step_mm = (x_mm[n - 1] - x_mm[0]) / (n - 1) as f64;
-    let values = at_even_steps(x_mm, values, step_mm);
+    let values = at_even_steps(x_mm, values, step_mm, x_mm.len());
     let (origin, (_, length)) = largest_rectangle(&values.mapv(|v| !v.is_nan()));
     if length < MIN_SAMPLES {
         let problem = format!("the longest run of valid positions has {length}");
@@ -196,10 +196,10 @@ fn density_of_profile(
     Ok(along_rows(run.view(), step_mm, &hann(length)))
 }
 
-/// `values` at `x` as one row at even steps, linear between valid neighbours.
-pub(super) fn at_even_steps(x: &[f64], values: &[f64], step: f64) -> Array2<f64> {
+/// `values` at `x` as one row of `count` even steps from the first, linear between valid neighbours.
+pub(crate) fn at_even_steps(x: &[f64], values: &[f64], step: f64, count: usize) -> Array2<f64> {
     let n = x.len();
-    Array2::from_shape_fn((1, n), |(_, c)| {
+    Array2::from_shape_fn((1, count), |(_, c)| {
         let at = x[0] + c as f64 * step;
         let i = x.partition_point(|v| *v <= at).clamp(1, n - 1);
         let part = ((at - x[i - 1]) / (x[i] - x[i - 1])).clamp(0.0, 1.0);

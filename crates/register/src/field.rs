@@ -5,7 +5,7 @@ use planish_numerics::keys;
 use planish_types::{Grid, Invalid, Surface};
 
 /// A map that gives heights and gradients at any point whose sixteen surrounding pixels are valid.
-pub(super) struct Field {
+pub(crate) struct Field {
     map: Surface,
 }
 
@@ -109,7 +109,7 @@ fn slopes(f: f64) -> [f64; 4] {
 
 /// Map minus its Gaussian mean. The Gaussian filter passes one half of the amplitude at this wavelength
 /// (ISO 16610-21): `exp(-2 pi^2 s^2 / L^2) = 1/2`, s = 0.1874 L. Invalid pixels have no weight.
-pub(super) fn shorter_than(map: &Surface, wavelength_mm: f64) -> Result<Surface, Invalid> {
+pub(crate) fn shorter_than(map: &Surface, wavelength_mm: f64) -> Result<Surface, Invalid> {
     let grid = map.grid();
     let sigma_mm = wavelength_mm * (0.5 * std::f64::consts::LN_2).sqrt() / std::f64::consts::PI;
     let sigma = [grid.y.step_mm(), grid.x.step_mm()].map(|step| sigma_mm / step);

@@ -1,0 +1,287 @@
+//! Gwyddion `.gwy`: channels as nested objects, little-endian.
+//!
+//! ```text
+//! file       = "GWYP" object                       the object is a GwyContainer
+//! object     = name NUL, u32 size, components      size in bytes of the components
+//! component  = name NUL, type, value
+//! type       = b bool, c char, i int32, q int64, d double, s string NUL, o object; a capital is an array, whose value
+//!              is a u32 count and so many values
+//! ```
+//!
+//! The component `/N/data` of the container is the map of channel N, a GwyDataField: `xres` and `yres` pixels, `xreal`
+//! and `yreal` its size in `si_unit_xy`, `data` the heights in `si_unit_z`, row by row. The first row is the top. The
+//! units are those of the SI without a prefix. A field `/N/mask` is not 0 at marked pixels; Gwyddion itself marks
+//! pixels without data so, and they are read as invalid with a warning. Source: Gwyddion user guide, "Gwyddion file
+//! format" (GWY), sections "The container", "Data fields" and "Byte order".
+
+use ndarray::Array2;
+use planish_types::Invalid;
+use serde_json::json;
+
+use crate::{
+    Format, Unit,
+    budget::{MOST_ARRAYS, MOST_TEXT_BYTES, check_size, too_many},
+    bytes::{Bytes, Number},
+    reading::{FirstRow, Pick, Reading},
+};
+
+const NAME: &str = "GWY file";
+pub(crate) const MAGIC: &[u8] = b"GWYP";
+
+/// Reads the channel whose number `pick` names, or the only one.
+pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
+    if !bytes.starts_with(MAGIC) {
+        return Err(broken("does not start with \"GWYP\"".into()));
+    }
+    for (name, given) in [("x", &pick.x), ("y", &pick.y), ("mask", &pick.mask)] {
+        if let Some(given) = given {
+            let remedy = "a channel has its coordinates and its mask itself; leave it out";
+            return Err(Invalid::whole(name, format!("\"{given}\" was asked for"), remedy));
+        }
+    }
+    let b = Bytes { all: bytes, name: NAME, big_endian: false };
+    let (container, end) = object(&b, MAGIC.len())?;
+    if container.name != "GwyContainer" {
+        return Err(broken(format!("holds a \"{}\", not a GwyContainer", short(&container.name))));
+    }
+    if end != bytes.len() {
+        return Err(broken(format!("has {} bytes after its container", bytes.len() - end)));
+    }
+    let all = container.components()?;
+    let channel = |name: &str| {
+        let number = name.strip_prefix('/')?.strip_suffix("/data")?;
+        number.bytes().all(|c| c.is_ascii_digit()).then(|| number.to_string())
+    };
+    let channels: Vec<String> = (all.iter())
+        .filter(|c| matches!(c.value, Value::Object(_)))
+        .filter_map(|c| channel(&c.name))
+        .collect();
+    let title = |number: &str| {
+        let name = format!("/{number}/data/title");
+        let found = all.iter().find(|c| c.name == name).map(|c| &c.value);
+        if let Some(Value::Text(text)) = found { short(text) } else { String::new() }
+    };
+    let listed = || {
+        let one = |n: &String| match title(n) {
+            t if t.is_empty() => n.clone(),
+            t => format!("{n} ({t})"),
+        };
+        channels.iter().take(20).map(one).collect::<Vec<_>>().join(", ")
+    };
+    let number = match (&pick.dataset, &channels[..]) {
+        (_, []) => return Err(broken("holds no channel".into())),
+        (Some(wanted), _) if channels.contains(wanted) => wanted.clone(),
+        (Some(wanted), _) => {
+            let problem = format!("\"{}\" is no channel of the file", short(wanted));
+            return Err(Invalid::whole("dataset", problem, format!("it holds: {}", listed())));
+        }
+        (None, [one]) => one.clone(),
+        (None, many) => {
+            let problem = format!("holds {} channels: {}", many.len(), listed());
+            return Err(Invalid::whole(NAME, problem, "choose one by its number with `dataset`"));
+        }
+    };
+    let field = |part: &str| -> Result<Option<Field>, Invalid> {
+        let name = format!("/{number}/{part}");
+        match all.iter().find(|c| c.name == name).map(|c| &c.value) {
+            Some(Value::Object(object)) => Field::new(object).map(Some),
+            _ => Ok(None),
+        }
+    };
+    let data = field("data")?.expect("the channel was found");
+    let (rows, columns) = data.values.dim();
+    let mut reading = Reading::new(Format::Gwy, data.values, FirstRow::Top);
+    reading.unit = data.unit_z.as_deref().map(|u| Unit::stated("si_unit_z", u)).transpose()?;
+    if let (Some([x, y]), Some(name)) = (data.real, &data.unit_xy) {
+        let mm = Unit::stated("si_unit_xy", name)?.mm()?;
+        reading.pixel_mm = Some([x * mm / columns as f64, y * mm / rows as f64]);
+    }
+    if data.offset != [0.0; 2] {
+        let say = format!("the offset {:?} of the field in its scanner is not used", data.offset);
+        reading.warnings.push(say);
+    }
+    if let Some(mask) = field("mask")? {
+        let marked = mask.values.iter().filter(|m| **m != 0.0).count();
+        reading.apply_mask(&format!("/{number}/mask"), &mask.values)?;
+        reading.warnings.push(format!(
+            "the mask of the channel marks {marked} pixel(s), which are read as invalid; remove the mask in Gwyddion to \
+             keep them"
+        ));
+    }
+    reading.stated = json!({ "channel": number, "title": title(&number) });
+    Ok(reading)
+}
+
+/// A GwyDataField.
+struct Field {
+    values: Array2<f64>,
+    /// Size along x and y, in `unit_xy`.
+    real: Option<[f64; 2]>,
+    offset: [f64; 2],
+    unit_xy: Option<String>,
+    unit_z: Option<String>,
+}
+
+impl Field {
+    fn new(object: &Object) -> Result<Self, Invalid> {
+        if object.name != "GwyDataField" {
+            return Err(broken(format!("has a \"{}\" as a channel", short(&object.name))));
+        }
+        let components = object.components()?;
+        let find = |name: &str| components.iter().find(|c| c.name == name).map(|c| &c.value);
+        let size = |name: &str| match find(name) {
+            Some(Value::Int(n)) => {
+                usize::try_from(*n).map_err(|_| broken(format!("has {name} = {n}")))
+            }
+            _ => Err(broken(format!("has no {name} in a channel"))),
+        };
+        let (columns, rows) = (size("xres")?, size("yres")?);
+        let count = check_size("GWY channel", rows, columns)?;
+        let Some(Value::Doubles(raw)) = find("data") else {
+            return Err(broken("has no data in a channel".into()));
+        };
+        if raw.len() != 8 * count {
+            let there = raw.len() / 8;
+            return Err(broken(format!("has {there} heights for {rows} x {columns} pixels")));
+        }
+        let values = Number::F64.decode(raw, count, false)?;
+        let values = Array2::from_shape_vec((rows, columns), values).expect("one value per pixel");
+        let number = |name: &str| match find(name) {
+            Some(Value::Double(v)) if v.is_finite() => Ok(Some(*v)),
+            Some(Value::Double(v)) => Err(broken(format!("has {name} = {v}"))),
+            _ => Ok(None),
+        };
+        let unit = |name: &str| -> Result<Option<String>, Invalid> {
+            let Some(Value::Object(object)) = find(name) else { return Ok(None) };
+            let components = object.components()?;
+            let text = components.iter().find(|c| c.name == "unitstr").map(|c| &c.value);
+            // An empty unit is none.
+            Ok(match text {
+                Some(Value::Text(text)) if !text.is_empty() => Some(text.clone()),
+                _ => None,
+            })
+        };
+        Ok(Self {
+            values,
+            real: number("xreal")?.zip(number("yreal")?).map(|(x, y)| [x, y]),
+            offset: [number("xoff")?.unwrap_or(0.0), number("yoff")?.unwrap_or(0.0)],
+            unit_xy: unit("si_unit_xy")?,
+            unit_z: unit("si_unit_z")?,
+        })
+    }
+}
+
+/// A serialised object: its name and the bytes of its components.
+struct Object<'a> {
+    name: String,
+    bytes: Bytes<'a>,
+}
+
+struct Component<'a> {
+    name: String,
+    value: Value<'a>,
+}
+
+/// A value that the reader uses; any other one is passed over.
+enum Value<'a> {
+    Int(i32),
+    Double(f64),
+    Text(String),
+    Doubles(&'a [u8]),
+    Object(Object<'a>),
+    Other,
+}
+
+impl<'a> Object<'a> {
+    fn components(&self) -> Result<Vec<Component<'a>>, Invalid> {
+        let b = &self.bytes;
+        let (mut at, mut found) = (0, Vec::new());
+        while at < b.all.len() {
+            if found.len() >= MOST_ARRAYS {
+                return Err(too_many(NAME, MOST_ARRAYS, "components", "save the channel alone"));
+            }
+            let (name, after) = string(b, at)?;
+            let kind = b.slice(after, 1)?[0];
+            let (value, next) = value(b, kind, after + 1)?;
+            (at, _) = (next, found.push(Component { name, value }));
+        }
+        Ok(found)
+    }
+}
+
+/// The object at a place, and the place after it.
+fn object<'a>(b: &Bytes<'a>, at: usize) -> Result<(Object<'a>, usize), Invalid> {
+    let (name, after) = string(b, at)?;
+    let size = b.u32(after)? as usize;
+    let all = b.slice(after + 4, size)?;
+    Ok((Object { name, bytes: Bytes { all, ..*b } }, after + 4 + size))
+}
+
+/// Text up to its NUL, and the place after that.
+fn string(b: &Bytes, at: usize) -> Result<(String, usize), Invalid> {
+    let rest = b.slice(at, b.all.len().saturating_sub(at))?;
+    let end = rest.iter().take(MOST_TEXT_BYTES).position(|c| *c == 0);
+    let end = end.ok_or_else(|| broken(format!("is truncated in a text at byte {at}")))?;
+    Ok((String::from_utf8_lossy(&rest[..end]).into_owned(), at + end + 1))
+}
+
+/// The value of a component of a type, and the place after it.
+fn value<'a>(b: &Bytes<'a>, kind: u8, at: usize) -> Result<(Value<'a>, usize), Invalid> {
+    let bytes_each = |kind: u8| match kind {
+        b'b' | b'c' => Some(1),
+        b'i' => Some(4),
+        b'q' | b'd' => Some(8),
+        _ => None,
+    };
+    let unknown = || broken(format!("has a component of type {kind:02X} at byte {at}"));
+    if kind.is_ascii_lowercase() {
+        return Ok(match kind {
+            b'i' => (Value::Int(b.i32(at)?), at + 4),
+            b'd' => (Value::Double(b.f64(at)?), at + 8),
+            b's' => {
+                let (text, next) = string(b, at)?;
+                (Value::Text(text), next)
+            }
+            b'o' => {
+                let (object, next) = object(b, at)?;
+                (Value::Object(object), next)
+            }
+            kind => {
+                let size = bytes_each(kind).ok_or_else(unknown)?;
+                b.slice(at, size)?;
+                (Value::Other, at + size)
+            }
+        });
+    }
+    let count = b.u32(at)? as usize;
+    let mut next = at + 4;
+    let single = kind.to_ascii_lowercase();
+    if let Some(size) = bytes_each(single) {
+        let len = count.checked_mul(size).ok_or_else(unknown)?;
+        let raw = b.slice(next, len)?;
+        let value = if kind == b'D' { Value::Doubles(raw) } else { Value::Other };
+        return Ok((value, next + len));
+    }
+    if count > MOST_ARRAYS {
+        return Err(too_many(NAME, MOST_ARRAYS, "elements in a list", "save the channel alone"));
+    }
+    for _ in 0..count {
+        next = match kind {
+            b'S' => string(b, next)?.1,
+            b'O' => object(b, next)?.1,
+            _ => return Err(unknown()),
+        };
+    }
+    match kind {
+        b'S' | b'O' => Ok((Value::Other, next)),
+        _ => Err(unknown()),
+    }
+}
+
+fn broken(problem: String) -> Invalid {
+    Invalid::whole(NAME, problem, "save it again in Gwyddion")
+}
+
+fn short(text: &str) -> String {
+    text.chars().filter(|c| !c.is_control()).take(80).collect()
+}

@@ -1,0 +1,322 @@
+//! Overlapping sub-aperture maps joined to one map.
+//!
+//! Every map z_k has its own piston and tilt, because the part or the instrument moved between the measurements. The
+//! coordinates of the maps say where they lie. With c(x) the set of the maps that cover the pixel x, n(x) their number,
+//! and f = (1, u, v) the terms, the terms p_k of the maps minimise
+//!
+//! ```text
+//! sum over x with n(x) >= 2,  sum over k in c(x)   (z_k(x) - p_k f(x) - m(x))^2                     (1)
+//! m(x) = sum over k in c(x) of (z_k(x) - p_k f(x)) / n(x)
+//! ```
+//!
+//! A common plane of all maps changes nothing in (1), so the first map has p_0 = 0. Without m, the normal equations are
+//!
+//! ```text
+//! N[k, l] = sum over x of ([k = l] - 1 / n) f f',    r[k] = sum over x of f (z_k - mean of the z at x)  (2)
+//! ```
+//!
+//! m is the joined map. The misfit is the root of the mean of (1) over its degrees of freedom: the number of terms in
+//! (1) less the number of pixels and of free coefficients. It is the noise of one map if the maps are right, and
+//! larger by distortion, drift, or a wrong place. (1) is the joint fit of all overlaps of M. Otsubo, K. Okada, J.
+//! Tsujiuchi, Opt. Eng. 33 (1994) 608.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | z_k | `maps` | (ny_k, nx_k) | nm |
+//! | p_k | `terms` | (1) or (3) per map | nm |
+//! | m | `joined` | (ny, nx) | nm |
+
+use nalgebra::{DMatrix, DVector};
+use ndarray::Array2;
+use planish_types::{Axis, Grid, Invalid, Surface};
+use serde::Serialize;
+
+use crate::{
+    low_order::{LEAST_EIGENVALUE, LowOrder},
+    resampled::Resampled,
+    series::RefusedMap,
+};
+
+/// Terms by which a sub-aperture map may differ from its neighbours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum Difference {
+    /// A constant.
+    Piston,
+    /// A plane.
+    Plane,
+}
+
+/// Settings of the joining.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct JoinSettings {
+    /// Terms by which two maps may differ.
+    pub differ_by: Difference,
+    /// Smallest number of common pixels at which two maps overlap.
+    pub least_overlap: usize,
+}
+
+impl Default for JoinSettings {
+    fn default() -> Self {
+        // A plane has three coefficients; the mean of 100 pixels has a tenth of the noise of one.
+        Self { differ_by: Difference::Plane, least_overlap: 100 }
+    }
+}
+
+/// A joined map.
+#[derive(Clone, Debug)]
+pub struct Joined {
+    /// The map, on a grid with the pitch of the first map that contains all maps.
+    pub joined: Surface,
+    /// Numbers of the joining.
+    pub report: JoinReport,
+}
+
+/// Numbers of a joining.
+#[derive(Clone, Debug, Serialize)]
+pub struct JoinReport {
+    /// Root of the mean of the squares (1) over their degrees of freedom, nm.
+    pub misfit_nm: f64,
+    /// Number of pixels that at least two maps cover.
+    pub overlap_pixels: usize,
+    /// Number of valid pixels of the joined map.
+    pub pixels: usize,
+    /// Pistons and tilts that were subtracted, one per map.
+    pub terms: Vec<Terms>,
+    /// Every pair of maps that overlap.
+    pub overlaps: Vec<Overlap>,
+}
+
+/// Piston and tilt that were subtracted from a map, on the joined map.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Terms {
+    /// Height in the middle of the joined map, nm.
+    pub piston_nm: f64,
+    /// Slope along [x, y], nm/mm.
+    pub tilt_nm_per_mm: [f64; 2],
+    /// True if the map was interpolated.
+    pub interpolated: bool,
+}
+
+/// Common pixels of two maps.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Overlap {
+    /// Numbers of the maps, from 1.
+    pub maps: [usize; 2],
+    /// Number of common pixels.
+    pub pixels: usize,
+    /// RMS of the difference of the maps after the subtraction, nm.
+    pub rms_nm: f64,
+}
+
+/// Largest number of maps. Larger: the normal equations of all terms take longer, with the cube. Smaller: large mosaics
+/// are refused.
+pub const MOST_MAPS: usize = 400;
+
+/// Largest number of pixels of the joined map times the number of maps. Larger: more memory (8 bytes each). Smaller:
+/// refuses large mosaics. Chosen: 2 GB.
+const MOST_STACKED_PIXELS: usize = 1 << 28;
+
+/// Joins maps whose coordinates are those of the part.
+pub fn join(maps: &[Surface], settings: &JoinSettings) -> Result<Joined, RefusedMap> {
+    let refused = |index: usize| move |reason: Invalid| RefusedMap { index, reason };
+    if !(2..=MOST_MAPS).contains(&maps.len()) {
+        let problem = format!("has {} map(s)", maps.len());
+        let remedy = format!("give 2 to {MOST_MAPS} maps that overlap");
+        return Err(refused(0)(Invalid::whole("mosaic", problem, remedy)));
+    }
+    let grid = whole(maps)?;
+    let pieces: Vec<Array2<f64>> = maps.iter().map(|map| on(map, &grid)).collect();
+    let order = match settings.differ_by {
+        Difference::Piston => 0,
+        Difference::Plane => 1,
+    };
+    let low_order = LowOrder::new(&grid, order).map_err(refused(0))?;
+    let counts = common_pixels(&pieces);
+    refuse_islands(&counts, settings.least_overlap)?;
+    let coefficients = solve(&pieces, &low_order)?;
+
+    let levelled: Vec<Array2<f64>> =
+        pieces.iter().zip(&coefficients).map(|(z, p)| z - low_order.sum(p)).collect();
+    let mut squares = 0.0;
+    let (mut overlap_pixels, mut summands) = (0_usize, 0_usize);
+    let height = Array2::from_shape_fn(grid.shape(), |at| {
+        let known = || levelled.iter().map(|z| z[at]).filter(|z| !z.is_nan());
+        let n = known().count();
+        let mean = known().sum::<f64>() / n as f64;
+        if n >= 2 {
+            (overlap_pixels, summands) = (overlap_pixels + 1, summands + n);
+            squares += known().map(|z| (z - mean).powi(2)).sum::<f64>();
+        }
+        if n == 0 { f64::NAN } else { mean }
+    });
+    let free = overlap_pixels + (maps.len() - 1) * low_order.len();
+    let degrees = summands.saturating_sub(free).max(1) as f64;
+    let half = grid.size_mm().map(|size| 0.5 * size);
+    let terms = coefficients.iter().zip(maps).map(|(p, map)| Terms {
+        piston_nm: p[0],
+        // The terms are 1, P_1(v), P_1(u).
+        tilt_nm_per_mm: [
+            p.get(2).map_or(0.0, |b| b / half[0]),
+            p.get(1).map_or(0.0, |c| c / half[1]),
+        ],
+        interpolated: !Resampled::new(map, &grid).is_exact(),
+    });
+    let report = JoinReport {
+        misfit_nm: (squares / degrees).sqrt(),
+        overlap_pixels,
+        pixels: height.iter().filter(|z| !z.is_nan()).count(),
+        terms: terms.collect(),
+        overlaps: overlaps(&levelled, &counts),
+    };
+    let joined = Surface::new(grid, height).map_err(refused(0))?;
+    Ok(Joined { joined, report })
+}
+
+/// The smallest grid with the pixels of the first map that contains all maps.
+fn whole(maps: &[Surface]) -> Result<Grid, RefusedMap> {
+    let first = maps[0].grid();
+    let covered = |of: fn(&Grid) -> &Axis| {
+        let axis = of(first);
+        let (start, step) = (axis.start_mm(), axis.step_mm());
+        // A pixel that is missed by rounding is no pixel more.
+        let index = |mm: f64| (mm - start) / step;
+        let low = maps.iter().map(|m| index(of(m.grid()).start_mm())).fold(0.0, f64::min);
+        let high = maps.iter().map(|m| index(of(m.grid()).end_mm())).fold(0.0, f64::max);
+        let (low, high) = ((low + 1e-6).floor(), (high - 1e-6).ceil());
+        (start + low * step, step, high - low + 1.0)
+    };
+    let (x, y) = (covered(|g| &g.x), covered(|g| &g.y));
+    let pixels = x.2 * y.2 * maps.len() as f64;
+    if pixels > MOST_STACKED_PIXELS as f64 {
+        let grid = |m: &Surface| {
+            let g = m.grid();
+            g.x.start_mm().abs().max(g.x.end_mm().abs()).max(g.y.start_mm().abs()).max(g.y.end_mm())
+        };
+        let far = (0..maps.len()).max_by(|a, b| grid(&maps[*a]).total_cmp(&grid(&maps[*b])));
+        let problem = format!("needs a joined map of {} x {} pixels", x.2, y.2);
+        let remedy = "check the place and the pitch of the maps (planish-import surface)";
+        let reason = Invalid::whole("mosaic", problem, remedy);
+        return Err(RefusedMap { index: far.unwrap_or(0), reason });
+    }
+    let axis = |(start, step, len): (f64, f64, f64)| Axis::new(start, step, len as usize);
+    let grid = axis(x).and_then(|x| Ok(Grid { x, y: axis(y)? }));
+    grid.map_err(|reason| RefusedMap { index: 0, reason })
+}
+
+/// A map on the pixels of the joined map (ny, nx), nm; NaN where it is not valid.
+fn on(map: &Surface, grid: &Grid) -> Array2<f64> {
+    let source = Resampled::new(map, grid);
+    Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        source.at_pixel((r, c), [grid.x.at(c), grid.y.at(r)]).unwrap_or(f64::NAN)
+    })
+}
+
+/// Number of common pixels of every pair of maps.
+fn common_pixels(pieces: &[Array2<f64>]) -> Vec<Vec<usize>> {
+    let mut counts = vec![vec![0; pieces.len()]; pieces.len()];
+    let (ny, nx) = pieces[0].dim();
+    let mut there = Vec::new();
+    for at in (0..ny).flat_map(|r| (0..nx).map(move |c| (r, c))) {
+        there.clear();
+        there.extend((0..pieces.len()).filter(|k| !pieces[*k][at].is_nan()));
+        for &k in &there {
+            there.iter().for_each(|&l| counts[k][l] += 1);
+        }
+    }
+    counts
+}
+
+/// Refuses maps that no chain of overlaps connects with the first one.
+fn refuse_islands(counts: &[Vec<usize>], least: usize) -> Result<(), RefusedMap> {
+    let mut reached = vec![false; counts.len()];
+    let mut next = vec![0];
+    while let Some(k) = next.pop() {
+        if !std::mem::replace(&mut reached[k], true) {
+            next.extend((0..counts.len()).filter(|l| counts[k][*l] >= least && *l != k));
+        }
+    }
+    let Some(index) = reached.iter().position(|r| !r) else { return Ok(()) };
+    let most = (0..counts.len()).filter(|k| reached[*k]).map(|k| counts[index][k]).max();
+    let problem = format!(
+        "has at most {} pixel(s) in common with a map that is connected to the first one, {least} are needed",
+        most.unwrap_or(0)
+    );
+    let remedy = "check its place (x_mm and y_mm), give the maps between them, or a lower \
+                  `least_overlap`";
+    Err(RefusedMap { index, reason: Invalid::whole("mosaic", problem, remedy) })
+}
+
+/// (2): coefficients of every map; those of the first one are 0.
+fn solve(pieces: &[Array2<f64>], low_order: &LowOrder) -> Result<Vec<Vec<f64>>, RefusedMap> {
+    let (terms, maps) = (low_order.len(), pieces.len());
+    let size = terms * maps;
+    let (mut normal, mut right) = (DMatrix::<f64>::zeros(size, size), DVector::<f64>::zeros(size));
+    let mut f = vec![0.0; terms];
+    let (ny, nx) = pieces[0].dim();
+    let mut there = Vec::new();
+    for at in (0..ny).flat_map(|r| (0..nx).map(move |c| (r, c))) {
+        there.clear();
+        there.extend((0..maps).filter(|k| !pieces[*k][at].is_nan()));
+        if there.len() < 2 {
+            continue;
+        }
+        let share = 1.0 / there.len() as f64;
+        let mean = there.iter().map(|k| pieces[*k][at]).sum::<f64>() * share;
+        low_order.at(at, &mut f);
+        for &k in &there {
+            for i in 0..terms {
+                right[k * terms + i] += f[i] * (pieces[k][at] - mean);
+                for &l in &there {
+                    let weight = f64::from(u8::from(k == l)) - share;
+                    for j in 0..terms {
+                        normal[(k * terms + i, l * terms + j)] += weight * f[i] * f[j];
+                    }
+                }
+            }
+        }
+    }
+    // p_0 = 0
+    let normal = normal.view((terms, terms), (size - terms, size - terms)).into_owned();
+    let right = right.rows(terms, size - terms).into_owned();
+    // Unit diagonal: the size of an overlap does not decide whether it determines a plane.
+    let scale = normal.diagonal().map(|d| if d > 0.0 { d.sqrt().recip() } else { 0.0 });
+    let scaled = DMatrix::from_fn(normal.nrows(), normal.ncols(), |i, j| {
+        scale[i] * normal[(i, j)] * scale[j]
+    });
+    let eigen = scaled.clone().symmetric_eigen();
+    let least = eigen.eigenvalues.imin();
+    if eigen.eigenvalues[least] <= LEAST_EIGENVALUE {
+        // The map whose terms the overlaps determine least.
+        let vector = eigen.eigenvectors.column(least);
+        let index = vector.iamax() / terms + 1;
+        let problem =
+            "overlaps with its neighbours in too few rows or columns to determine its tilt";
+        let remedy = "give maps with a wider overlap, or maps that differ by pistons alone \
+                      (`differ_by` piston)";
+        return Err(RefusedMap { index, reason: Invalid::whole("mosaic", problem, remedy) });
+    }
+    let solved = scaled.cholesky().map(|c| c.solve(&right.component_mul(&scale)));
+    let solved = solved.expect("its eigenvalues are positive").component_mul(&scale);
+    let mut coefficients = vec![vec![0.0; terms]];
+    coefficients
+        .extend((0..maps - 1).map(|k| solved.rows(k * terms, terms).iter().copied().collect()));
+    Ok(coefficients)
+}
+
+/// Every pair of maps with common pixels, and the difference that is left.
+fn overlaps(levelled: &[Array2<f64>], counts: &[Vec<usize>]) -> Vec<Overlap> {
+    let mut found = Vec::new();
+    for k in 0..levelled.len() {
+        for l in k + 1..levelled.len() {
+            if counts[k][l] > 0 {
+                let differences = levelled[k].iter().zip(&levelled[l]).map(|(a, b)| a - b);
+                let squares: f64 = differences.filter(|d| !d.is_nan()).map(|d| d * d).sum();
+                let rms_nm = (squares / counts[k][l] as f64).sqrt();
+                found.push(Overlap { maps: [k + 1, l + 1], pixels: counts[k][l], rms_nm });
+            }
+        }
+    }
+    found
+}

@@ -1,0 +1,94 @@
+//! Products of Legendre polynomials on the rectangle of a grid, and their fit to a map.
+
+use nalgebra::{DMatrix, DVector};
+use ndarray::Array2;
+use planish_numerics::orthogonal::legendre;
+use planish_types::{Axis, Grid, Invalid};
+
+/// Highest total order. Larger: the terms fit features of the part. Smaller: less of a drift is fitted.
+pub(crate) const MOST_ORDER: usize = 8;
+
+/// Smallest eigenvalue of the normal matrix over its trace, below which the pixels do not determine the terms. Larger:
+/// refuses narrow overlaps. Smaller: rounding decides a term.
+pub(crate) const LEAST_EIGENVALUE: f64 = 1e-9;
+
+/// Values of the terms on the pixels of a grid.
+pub(crate) struct LowOrder {
+    /// P_i(u) of every column (order + 1 each).
+    along_x: Vec<Vec<f64>>,
+    /// P_j(v) of every row (order + 1 each).
+    along_y: Vec<Vec<f64>>,
+    order: usize,
+}
+
+impl LowOrder {
+    /// Terms up to the total order `order` on the rectangle of `grid`.
+    pub fn new(grid: &Grid, order: usize) -> Result<Self, Invalid> {
+        if order > MOST_ORDER {
+            let remedy = format!("give 0 to {MOST_ORDER}");
+            return Err(Invalid::whole("free_order", format!("is {order}"), remedy));
+        }
+        let along = |axis: &Axis| -> Vec<Vec<f64>> {
+            let of = |i: usize| {
+                let mut values = vec![0.0; order + 1];
+                legendre(2.0 * i as f64 / (axis.len() - 1) as f64 - 1.0, &mut values);
+                values
+            };
+            (0..axis.len()).map(of).collect()
+        };
+        Ok(Self { along_x: along(&grid.x), along_y: along(&grid.y), order })
+    }
+
+    /// Number of terms.
+    pub fn len(&self) -> usize {
+        (self.order + 1) * (self.order + 2) / 2
+    }
+
+    /// P_i(u) P_j(v) of total order i + j at a pixel, in `out` (terms).
+    pub fn at(&self, (row, column): (usize, usize), out: &mut [f64]) {
+        let (x, y) = (&self.along_x[column], &self.along_y[row]);
+        let mut k = 0;
+        for i in 0..=self.order {
+            for j in 0..=self.order - i {
+                out[k] = x[i] * y[j];
+                k += 1;
+            }
+        }
+    }
+
+    /// Sum of the terms with these coefficients on every pixel (ny, nx).
+    pub fn sum(&self, coefficients: &[f64]) -> Array2<f64> {
+        let mut terms = vec![0.0; self.len()];
+        Array2::from_shape_fn((self.along_y.len(), self.along_x.len()), |at| {
+            self.at(at, &mut terms);
+            terms.iter().zip(coefficients).map(|(t, c)| t * c).sum()
+        })
+    }
+
+    /// Least-squares fit of the terms to the valid pixels of a map, on every pixel (ny, nx).
+    pub fn fit(&self, map: &Array2<f64>) -> Result<Array2<f64>, Invalid> {
+        let n = self.len();
+        let (mut normal, mut right) = (DMatrix::<f64>::zeros(n, n), DVector::<f64>::zeros(n));
+        let (mut terms, mut pixels) = (vec![0.0; n], 0_usize);
+        for (at, z) in map.indexed_iter().filter(|(_, z)| !z.is_nan()) {
+            self.at(at, &mut terms);
+            pixels += 1;
+            for i in 0..n {
+                right[i] += terms[i] * z;
+                for j in 0..n {
+                    normal[(i, j)] += terms[i] * terms[j];
+                }
+            }
+        }
+        let trace = normal.trace();
+        let least = normal.clone().symmetric_eigenvalues().min();
+        let solved = normal.cholesky().filter(|_| least > LEAST_EIGENVALUE * trace);
+        let solved = solved.ok_or_else(|| {
+            let problem = format!(
+                "has {pixels} valid pixel(s) in common with the first map, which do not determine {n} term(s)"
+            );
+            Invalid::whole("map", problem, "give maps of the same area, or a lower `free_order`")
+        })?;
+        Ok(self.sum(solved.solve(&right).as_slice()))
+    }
+}

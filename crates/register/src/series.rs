@@ -1,0 +1,193 @@
+//! Mean of repeated measurements of one part, with the standard deviation of every pixel.
+//!
+//! Map k is z_k. Between two measurements the part is mounted again. It is then shifted, turned, and tilted against
+//! the instrument. [`crate::maps`] finds the shift and the rotation on the first map, unless the caller says that the
+//! part lay still. A polynomial of low order is the difference of the mountings, and of drifts of the instrument.
+//! With T_k the transform from the first map to map k, and q_k the least-squares fit of z_k(T_k x) - z_0(x),
+//!
+//! ```text
+//! y_k(x) = z_k(T_k x) - q_k(x)
+//! mean   m(x) = sum_k y_k(x) / n(x)
+//! spread s(x) = sqrt(sum_k (y_k(x) - m(x))^2 / (n(x) - 1))      of one measurement
+//!        u(x) = s(x) / sqrt(n(x))                               of the mean
+//! ```
+//!
+//! n(x) is the number of maps that are valid at x; a pixel with n < 2 is invalid in the result. Between its pixels, a map
+//! is Keys' cubic convolution, which smooths its noise: by up to a factor of 0.64 in the middle of four pixels. A map that
+//! lies on the pixels of the first one is not interpolated.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | z_k | `maps` | (ny, nx) each | nm |
+//! | q_k | coefficients of Legendre products | - | nm |
+//! | m, u | heights and deviations of `mean` | (ny, nx) | nm |
+
+use ndarray::Array2;
+use planish_types::{Invalid, Surface, progress};
+use serde::Serialize;
+
+use crate::{
+    fit::Estimate,
+    low_order::LowOrder,
+    maps::{MapSettings, register},
+    resampled::Resampled,
+};
+
+/// Settings of the mean.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct SeriesSettings {
+    /// Settings of the registration on the first map; `None` if the part lay still.
+    pub registration: Option<MapSettings>,
+    /// Highest total order of the Legendre terms by which two measurements differ: 0 is the piston, 1 the plane.
+    pub free_order: usize,
+}
+
+/// Mean of a series.
+#[derive(Clone, Debug)]
+pub struct Series {
+    /// Mean on the pixels of the first map, with the standard deviation of the mean of every pixel.
+    pub mean: Surface,
+    /// Numbers of the series.
+    pub report: SeriesReport,
+}
+
+/// Numbers of a series.
+#[derive(Clone, Debug, Serialize)]
+pub struct SeriesReport {
+    /// Number of maps.
+    pub maps: usize,
+    /// Pooled standard deviation of one measurement, nm: the root of the mean of s^2 over the pixels, weighted by
+    /// n - 1.
+    pub single_deviation_nm: f64,
+    /// RMS of the standard deviation of the mean, nm.
+    pub mean_deviation_nm: f64,
+    /// Number of valid pixels of the mean.
+    pub pixels: usize,
+    /// Place of every map after the first one.
+    pub members: Vec<Member>,
+}
+
+/// Place of a map on the first one, and its distance from the mean.
+#[derive(Clone, Debug, Serialize)]
+pub struct Member {
+    /// Shift along x, mm; `None` if the part lay still.
+    pub shift_x_mm: Option<Estimate>,
+    /// Shift along y, mm; `None` if the part lay still.
+    pub shift_y_mm: Option<Estimate>,
+    /// Rotation, x towards y, degree; `None` if the part lay still.
+    pub rotation_deg: Option<Estimate>,
+    /// True if the map was interpolated.
+    pub interpolated: bool,
+    /// RMS of the difference from the first map without its low-order terms, nm.
+    pub difference_rms_nm: f64,
+    /// Number of valid pixels in common with the first map.
+    pub pixels: usize,
+}
+
+/// Largest number of maps. Larger: more memory, one map each. Smaller: long series are refused. Chosen: the standard
+/// deviation is then known to 2 %.
+pub const MOST_MAPS: usize = 1000;
+
+/// Refusal of one map of several: its index, from 0, and the reason.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("map {}: {reason}", index + 1)]
+pub struct RefusedMap {
+    /// Index of the map, from 0.
+    pub index: usize,
+    /// Reason.
+    pub reason: Invalid,
+}
+
+/// Takes the mean of a series of maps.
+pub fn mean(maps: &[Surface], settings: &SeriesSettings) -> Result<Series, RefusedMap> {
+    let refused = |index: usize| move |reason: Invalid| RefusedMap { index, reason };
+    if !(2..=MOST_MAPS).contains(&maps.len()) {
+        let problem = format!("has {} map(s)", maps.len());
+        let remedy = format!("give 2 to {MOST_MAPS} measurements of the same part");
+        return Err(refused(0)(Invalid::whole("series", problem, remedy)));
+    }
+    let first = &maps[0];
+    let grid = first.grid();
+    let low_order = LowOrder::new(grid, settings.free_order).map_err(refused(0))?;
+    let mut members = Vec::new();
+    let mut levelled = vec![first.height_nm().clone()];
+    for (k, map) in maps.iter().enumerate().skip(1) {
+        let found = match &settings.registration {
+            None => None,
+            Some(how) => Some(
+                progress::part(k - 1, maps.len() - 1, || register(first, map, how))
+                    .map_err(refused(k))?,
+            ),
+        };
+        let source = Resampled::new(map, grid);
+        let height = |(r, c): (usize, usize)| {
+            let p = [grid.x.at(c), grid.y.at(r)];
+            match &found {
+                Some(found) => source.at(found.transform.point(p)),
+                None => source.at_pixel((r, c), p),
+            }
+        };
+        let there = Array2::from_shape_fn(grid.shape(), |at| height(at).unwrap_or(f64::NAN));
+        let difference = &there - first.height_nm();
+        let fitted = low_order.fit(&difference).map_err(refused(k))?;
+        let rest = &difference - &fitted;
+        let known: Vec<f64> = rest.iter().copied().filter(|v| !v.is_nan()).collect();
+        let squares: f64 = known.iter().map(|v| v * v).sum();
+        let of = |estimate: fn(&crate::maps::MapReport) -> Estimate| {
+            found.as_ref().map(|found| estimate(&found.report))
+        };
+        members.push(Member {
+            shift_x_mm: of(|r| r.shift_x_mm),
+            shift_y_mm: of(|r| r.shift_y_mm),
+            rotation_deg: of(|r| r.rotation_deg),
+            interpolated: found.is_some() || !source.is_exact(),
+            difference_rms_nm: (squares / known.len() as f64).sqrt(),
+            pixels: known.len(),
+        });
+        levelled.push(there - fitted);
+    }
+    let moments = Array2::from_shape_fn(grid.shape(), |at| Moments::of(&levelled, at));
+    let valid: Vec<&Moments> = moments.iter().filter(|m| m.count >= 2.0).collect();
+    if valid.is_empty() {
+        let problem = "has no pixel that two maps have in common";
+        return Err(refused(0)(Invalid::whole("series", problem, "give maps of the same part")));
+    }
+    let degrees: f64 = valid.iter().map(|m| m.count - 1.0).sum();
+    let squares: f64 = valid.iter().map(|m| m.squares).sum();
+    let of_mean: f64 = valid.iter().map(|m| m.deviation().powi(2)).sum();
+    let report = SeriesReport {
+        maps: maps.len(),
+        single_deviation_nm: (squares / degrees).sqrt(),
+        mean_deviation_nm: (of_mean / valid.len() as f64).sqrt(),
+        pixels: valid.len(),
+        members,
+    };
+    let value =
+        |of: fn(&Moments) -> f64| moments.map(|m| if m.count >= 2.0 { of(m) } else { f64::NAN });
+    let mean = Surface::new(*grid, value(|m| m.mean))
+        .and_then(|mean| mean.with_deviation(value(Moments::deviation)))
+        .map_err(refused(0))?;
+    Ok(Series { mean, report })
+}
+
+/// Number, mean, and squares about the mean of the valid heights of a pixel.
+struct Moments {
+    count: f64,
+    mean: f64,
+    squares: f64,
+}
+
+impl Moments {
+    fn of(maps: &[Array2<f64>], at: (usize, usize)) -> Self {
+        let heights = || maps.iter().map(|map| map[at]).filter(|z| !z.is_nan());
+        let count = heights().count() as f64;
+        let mean = heights().sum::<f64>() / count;
+        let squares = heights().map(|z| (z - mean).powi(2)).sum();
+        Self { count, mean, squares }
+    }
+
+    /// u, nm.
+    fn deviation(&self) -> f64 {
+        (self.squares / (self.count - 1.0) / self.count).sqrt()
+    }
+}
