@@ -330,7 +330,8 @@ fn a_tool_along_the_normal_of_a_sphere_leaves_no_more_than_on_a_flat_part() {
     let foot = Footprint::new(&tif, &places, Direction::Normal).unwrap();
     let wanted = LowRankSettings { error: 1e-4, max_rank: 20 };
     let rectangle = [[-4.0, -4.0], [24.0, 16.0]];
-    let found = low_rank(&foot.offsets(), (rectangle, None), &|p| foot.at(p), &|_| true, &wanted).unwrap();
+    let found =
+        low_rank(&foot.offsets(), (rectangle, None), &|p| foot.at(p), &|_| true, &wanted).unwrap();
     assert!(found.report.negative().is_none(), "{:?}", found.report);
     let normal = Tif::varying(found.tool).unwrap();
     let on = OnForm::new(form, &desired).unwrap();

@@ -73,8 +73,8 @@ pub fn inset(surface: &Surface, inset_mm: f64) -> Result<Surface, Invalid> {
     for ((r, c), _) in z.indexed_iter().filter(|((r, c), v)| !v.is_nan() && is_border(*r, *c)) {
         for i in r.saturating_sub(cells[1])..(r + cells[1] + 1).min(ny) {
             for k in c.saturating_sub(cells[0])..(c + cells[0] + 1).min(nx) {
-                let distance_mm = (i.abs_diff(r) as f64 * pixel_mm[1])
-                    .hypot(k.abs_diff(c) as f64 * pixel_mm[0]);
+                let distance_mm =
+                    (i.abs_diff(r) as f64 * pixel_mm[1]).hypot(k.abs_diff(c) as f64 * pixel_mm[0]);
                 if distance_mm < reach_mm {
                     left[[i, k]] = f64::NAN;
                 }
@@ -83,7 +83,11 @@ pub fn inset(surface: &Surface, inset_mm: f64) -> Result<Surface, Invalid> {
     }
     if left.iter().all(|v| v.is_nan()) {
         let problem = format!("is -{inset_mm} mm, which leaves nothing of the aperture");
-        return Err(Invalid::whole("overscan_mm", problem, "give a smaller distance from the edge"));
+        return Err(Invalid::whole(
+            "overscan_mm",
+            problem,
+            "give a smaller distance from the edge",
+        ));
     }
     Surface::new(*grid, left)
 }
@@ -207,7 +211,7 @@ mod tests {
             };
             let grid = Grid { x: axis(x), y: axis(y) };
             let radius = |(r, c): (usize, usize)| grid.x.at(c).hypot(grid.y.at(r));
-            let disk = ndarray::Array2::from_shape_fn(grid.shape(), |at| {
+            let disk = Array2::from_shape_fn(grid.shape(), |at| {
                 if radius(at) <= 10.0 { 1.0 } else { f64::NAN }
             });
             let left = inset(&Surface::new(grid, disk).unwrap(), 3.0).unwrap();
@@ -224,14 +228,13 @@ mod tests {
     fn an_inset_that_leaves_nothing_is_refused() {
         let axis = |n| Axis::new(0.0, 1.0, n).unwrap();
         let grid = Grid { x: axis(9), y: axis(5) };
-        let surface = Surface::new(grid, ndarray::Array2::zeros(grid.shape())).unwrap();
+        let surface = Surface::new(grid, Array2::zeros(grid.shape())).unwrap();
         // The part is 5 mm high: at 2.5 mm its middle row is left but for two pixels at each end, beyond it nothing.
         let left = inset(&surface, 2.5).unwrap();
         assert_eq!(left.height_nm().iter().filter(|v| !v.is_nan()).count(), 5);
         assert!(inset(&surface, 2.6).is_err());
         assert!(inset(&surface, f64::INFINITY).is_err());
     }
-
 
     /// Rates in `half` mm around 0, in samples of 0.25 mm.
     fn tif(half: f64, rate: impl Fn(f64, f64) -> f64) -> Tif {
