@@ -382,7 +382,7 @@ fn bad_input_ends_with_2_a_message_and_no_output() {
         ("--pitch-mm 1", "--tif"),
         ("--pitch-mm 0 --overscan-mm 1", "pitch_mm: is 0"),
         ("--pitch-mm NaN --overscan-mm 1", "pitch_mm: is NaN"),
-        ("--pitch-mm 1 --overscan-mm -1", "overscan_mm: is -1"),
+        ("--pitch-mm 1 --overscan-mm -100", "which leaves nothing of the aperture"),
         ("--pitch-mm 1 --overscan-mm 1 --step-mm 0", "step_mm: is 0"),
         ("--pitch-mm 1 --overscan-mm 1 --contrast 1.5", "contrast: is 1.5"),
         ("--pitch-mm 1 --overscan-mm 1 --rounding-passes 9", "rounding_passes: is 9"),
