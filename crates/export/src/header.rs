@@ -32,8 +32,8 @@ impl About {
         lines.extend(self.preamble.iter().cloned());
         if let (Some(segments), Some(s)) = (self.buffer_segments, self.buffer_lasts_s) {
             lines.push(format!(
-                "buffer of the controller: {segments} segments, which last {} s at least; the host has to send the next segments \
-                     within this time",
+                "buffer of the controller: {segments} segments, which last {} s at least; the host has to send the \
+                 next segments within this time",
                 decimal(s, 6)
             ));
         }

@@ -733,8 +733,8 @@ pub const CAMPAIGN: Kind = Kind {
     name: "campaign",
     version: 1,
     doc: "A campaign on the virtual machine, run by run. It has the residual with learning, without it, and with a known \
-          tool, the learnt values beside the hidden truth, and the decision after every run. The numbers are in the outcome of the \
-          manifest.",
+          tool, the learnt values beside the hidden truth, and the decision after every run. The numbers are in the \
+          outcome of the manifest.",
     frame: MAP_FRAME,
     arrays: &[],
     files: &["campaign.html", "campaign.svg"],

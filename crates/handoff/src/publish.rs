@@ -14,8 +14,8 @@
 //! During steps 3 and 4 the process holds advisory locks on all parent directories, so that the
 //! outputs of two runs do not mix. A process that ends there leaves its journal. The next reader or
 //! writer finishes the renames under the same locks, so a reader sees all of a run or nothing of
-//! it. Where one of them fails, it undoes the others. A process that ends earlier leaves siblings without a journal; their lock is free, so the
-//! next run removes them. On SIGINT and SIGTERM a process removes its own siblings. On a file
+//! it. Where one of them fails, it undoes the others. A process that ends earlier leaves siblings without a
+//! journal; their lock is free, so the next run removes them. On SIGINT and SIGTERM a process removes its own siblings. On a file
 //! system without advisory locks (some network file systems), all of this holds, except for the
 //! order of two runs into one place.
 

@@ -6,12 +6,13 @@ mod support;
 use std::{fs, path::Path};
 
 use planish_handoff::{
-    Artifact, artifact,
+    Artifact, Tool, artifact,
     kind::{self, Kind, MANIFEST},
 };
 use planish_types::{DwellTime, Removal, Surface, Tif, ToolPath, Trajectory};
 use support::{
-    doubles, longs, npy, removal, save_f8, surface, tif, tool_path, trajectory, write, write_bare,
+    doubles, longs, npy, removal, save_f8, surface, tif, tool_path, trajectory, varying, write,
+    write_bare,
 };
 use tempfile::TempDir;
 
@@ -35,6 +36,28 @@ fn says(message: &str, parts: &[&str]) {
 }
 
 #[test]
+fn a_tool_that_is_none_is_refused_with_file_and_index() {
+    let dir = tmp();
+    let tool = |name: &str, shape: &str, values: &[f64]| {
+        write_bare(dir.path(), &Tool(varying(true)));
+        save_f8(dir.path(), name, shape, values);
+        refusal::<Tool>(dir.path())
+    };
+    let rows = "(2, 3)";
+    // Not uniform, and a turn with its end.
+    says(
+        &tool("azimuth_deg", "(3,)", &[10.0, 135.0, 250.0]),
+        &["azimuth_deg", "1", "is 135", "one turn"],
+    );
+    says(&tool("azimuth_deg", "(3,)", &[0.0, 180.0, 360.0]), &["azimuth_deg", "1", "is 180"]);
+    // Factors that turn removal into its opposite: at the third azimuth, where no place of the grid lies, and at a place.
+    let opposite = [1.0, 0.75, -1.5, 0.0, 0.0, 0.0];
+    says(&tool("azimuth_weight", rows, &opposite), &["azimuth_weight", "[2]", "check kernels"]);
+    let weights = [1.0, 1.0, 1.0, 1.0, 1.0, -1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5];
+    says(&tool("weight", "(2, 2, 3)", &weights), &["weight", "[1, 2]", "check kernels"]);
+}
+
+#[test]
 fn every_noun_comes_back_bit_for_bit() {
     let dir = tmp();
     let at = |name: &str| dir.path().join(name);
@@ -47,6 +70,16 @@ fn every_noun_comes_back_bit_for_bit() {
     write(&at("tif"), &tif());
     let back: Tif = artifact::read(&at("tif")).unwrap().value;
     assert_eq!((back.grid(), back.rate_nm_per_s()), (tif().grid(), tif().rate_nm_per_s()));
+
+    for factors in [false, true] {
+        let dir = at(&format!("tool-{factors}"));
+        write(&dir, &Tool(varying(factors)));
+        let back = artifact::read::<Tool>(&dir).unwrap().value.0.numbers();
+        let sent = varying(factors).numbers();
+        assert_eq!((back.offsets, back.positions), (sent.offsets, sent.positions));
+        assert_eq!((back.kernels, back.weights), (sent.kernels, sent.weights));
+        assert_eq!((back.azimuth, back.pixels, back.time), (sent.azimuth, sent.pixels, sent.time));
+    }
 
     write(&at("tool_path"), &tool_path());
     assert_eq!(artifact::read::<ToolPath>(&at("tool_path")).unwrap().value, tool_path());

@@ -170,7 +170,7 @@ impl Tif {
         let variation = Variation::new(kernels, &weights, positions, azimuth, pixels, time)?;
         let places = variation.sampled_places();
         let mut mean = Array2::zeros(offsets.shape());
-        for place in &places {
+        for (i, place) in places.iter().enumerate() {
             let mut rate = Array2::zeros(offsets.shape());
             for (k, component) in variation.components().iter().enumerate() {
                 rate.scaled_add(variation.weight(k, *place), component.kernel().rate_nm_per_s());
@@ -184,7 +184,12 @@ impl Tif {
                     "makes a tool at x = {x} mm, y = {y} mm with rates from {low} to {high} nm/s"
                 );
                 let remedy = "removal is positive: check kernels and weights, or use more kernels";
-                return Err(Invalid::whole("weight", problem, remedy));
+                // The places of the grid come first, then one for each azimuth.
+                let [rows, columns] = [positions.y.len(), positions.x.len()];
+                return Err(match i.checked_sub(rows * columns) {
+                    None => Invalid::at("weight", (i / columns, i % columns), problem, remedy),
+                    Some(azimuth) => Invalid::at("azimuth_weight", azimuth, problem, remedy),
+                });
             }
             mean.scaled_add(1.0 / places.len() as f64, &rate);
         }

@@ -5,7 +5,10 @@ use std::{fs, path::Path};
 
 use ndarray::{Array2, array};
 use planish_handoff::{Artifact, flags::OutputArgs};
-use planish_types::{Axis, Grid, Removal, Surface, Tif, ToolPath, Trajectory};
+use planish_types::{
+    Axis, AzimuthWeights, Grid, PixelFactor, Removal, Surface, Tif, TimeFactor, ToolPath,
+    Trajectory, VaryingTif,
+};
 
 /// 2 rows, 3 columns, exact in binary.
 pub fn grid() -> Grid {
@@ -19,6 +22,23 @@ pub fn surface() -> Surface {
 
 pub fn tif() -> Tif {
     Tif::new(grid(), array![[1.0, 2.0, 0.5], [0.0, -0.01, 3.0]]).unwrap()
+}
+
+/// Two kernels that turn, with factors of the pixels and of the time or without them.
+pub fn varying(factors: bool) -> Tif {
+    let azimuth_deg = vec![10.0, 130.0, 250.0];
+    let rows = vec![vec![1.0, 1.5, 0.75], vec![0.0, 0.25, -0.25]];
+    Tif::varying(VaryingTif {
+        offsets: grid(),
+        kernels: vec![tif().rate_nm_per_s().clone(), array![[0.5, 0.0, 0.25], [0.0, 0.25, -0.5]]],
+        positions: grid(),
+        weights: vec![Array2::ones((2, 3)), Array2::from_elem((2, 3), 0.5)],
+        azimuth: Some(AzimuthWeights::new([0.25, -3.0], azimuth_deg, rows).unwrap()),
+        pixels: factors
+            .then(|| PixelFactor { grid: grid(), factor: Array2::from_elem((2, 3), 1.25) }),
+        time: factors.then(|| TimeFactor { time_s: vec![0.0, 9.0], factor: vec![1.0, 0.5] }),
+    })
+    .unwrap()
 }
 
 pub fn tool_path() -> ToolPath {

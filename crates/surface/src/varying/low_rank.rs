@@ -172,7 +172,9 @@ impl Lattice {
     fn place(&self, i: usize) -> [f64; 2] {
         match self {
             Self::Places(Grid { x, y }) => [x.at(i % x.len()), y.at(i / x.len())],
-            Self::Azimuths { .. } => self.around(i as f64),
+            Self::Azimuths { middle_mm, radius_mm, count } => {
+                around(*middle_mm, *radius_mm, i as f64 / *count as f64)
+            }
         }
     }
 
@@ -184,18 +186,18 @@ impl Lattice {
                 let row = |r: usize| (0..x.len() - 1).map(move |c| [between(x, c), between(y, r)]);
                 (0..y.len() - 1).flat_map(row).collect()
             }
-            Self::Azimuths { count, .. } => {
-                (0..*count).map(|i| self.around(i as f64 + 0.5)).collect()
+            Self::Azimuths { middle_mm, radius_mm, count } => {
+                let turns = |i: usize| (i as f64 + 0.5) / *count as f64;
+                (0..*count).map(|i| around(*middle_mm, *radius_mm, turns(i))).collect()
             }
         }
     }
+}
 
-    /// The place this many steps of the azimuth from positive x.
-    fn around(&self, steps: f64) -> [f64; 2] {
-        let Self::Azimuths { middle_mm, radius_mm, count } = self else { return [f64::NAN; 2] };
-        let (sine, cosine) = (std::f64::consts::TAU * steps / *count as f64).sin_cos();
-        [middle_mm[0] + radius_mm * cosine, middle_mm[1] + radius_mm * sine]
-    }
+/// The place at a distance from a middle, at an azimuth from positive x in turns.
+fn around(middle_mm: [f64; 2], radius_mm: f64, turns: f64) -> [f64; 2] {
+    let (sine, cosine) = (std::f64::consts::TAU * turns).sin_cos();
+    [middle_mm[0] + radius_mm * cosine, middle_mm[1] + radius_mm * sine]
 }
 
 /// Kernels and weights of the tool `of` on `offsets` that depends on the azimuth of its place about `middle_mm` only, and
