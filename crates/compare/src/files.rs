@@ -16,7 +16,7 @@ use planish_compare::{
     places::Division,
     plan::Plan,
     reach::Reach,
-    report::{Frames, Rounds, Run, RunMethod},
+    report::{Frames, Rounds, Run, RunMethod, tool},
     specification::{Around, Judged},
     summary::{LeftOut, Method, Summary, Told, VerdictOutcome, WallTimes},
 };
@@ -141,7 +141,8 @@ pub fn read_run(
     .with(&desired.value, reach.as_ref().map(|(reach, _)| reach), around);
     summary.error_budget = process;
     let path = path.map(|p| p.value);
-    Ok(Run { name, summary, desired: desired.value, measured, path, methods, provenance })
+    let tool = tif.as_ref().and_then(|tif| tool::picture(tif, &desired.value));
+    Ok(Run { name, summary, desired: desired.value, measured, path, tool, methods, provenance })
 }
 
 /// Names and files of the runs on the command line.

@@ -14,6 +14,7 @@ pub mod pack;
 mod page;
 pub mod sparkline;
 pub mod spectrum;
+pub mod tool;
 mod view;
 
 pub use page::page;

@@ -8,7 +8,7 @@ use planish_dwell::{
     },
     columns::{Columns, patches},
 };
-use planish_types::{Axis, End, Grid, Surface, Tif, ToolPath};
+use planish_types::{Axis, End, Grid, Surface, Tif, ToolPath, VaryingTif};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -44,10 +44,30 @@ fn path(over: f64) -> ToolPath {
     ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
 }
 
-/// B t.
+/// Two kernels: the bell, and the bell times the offset along x. Their weights change over the part.
+fn varying() -> Tif {
+    let bell = tif();
+    let offsets = *bell.grid();
+    let tilted = Array2::from_shape_fn(offsets.shape(), |(_, c)| offsets.x.at(c) / 3.25);
+    let kernels = vec![bell.rate_nm_per_s().clone(), bell.rate_nm_per_s() * &tilted];
+    let positions =
+        Grid { x: Axis::new(-1.0, 12.0, 2).unwrap(), y: Axis::new(-1.0, 9.0, 2).unwrap() };
+    let weight = |a: [f64; 4]| Array2::from_shape_vec((2, 2), a.to_vec()).unwrap();
+    let weights = vec![weight([0.8, 1.1, 1.2, 0.9]), weight([-0.5, 0.5, 0.2, -0.3])];
+    let (azimuth, pixels, time) = (None, None, None);
+    Tif::varying(VaryingTif { offsets, kernels, positions, weights, azimuth, pixels, time })
+        .unwrap()
+}
+
+/// B t of the bell.
 fn removal(path: &ToolPath, columns: Columns, t: &[f64]) -> Array2<f64> {
+    removal_of(&tif(), path, columns, t)
+}
+
+/// B t.
+fn removal_of(tif: &Tif, path: &ToolPath, columns: Columns, t: &[f64]) -> Array2<f64> {
     let mut out = Array2::zeros(grid().shape());
-    for (p, t) in patches(&columns.places(path, &tif()), &tif(), &grid()).iter().zip(t) {
+    for (p, t) in patches(&columns.places(path, tif), tif, &grid()).iter().zip(t) {
         let ((r, c), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
         out.slice_mut(s![r..r + ny, c..c + nx]).scaled_add(*t, &p.rate_nm_per_s);
     }
@@ -90,12 +110,15 @@ fn apart(a: &BoundedSolution, b: &BoundedSolution) -> f64 {
 
 #[test]
 fn the_removal_of_a_planted_dwell_is_recovered() {
-    for columns in [Columns::Point, Columns::Segment] {
+    for (columns, tif) in [Columns::Point, Columns::Segment]
+        .into_iter()
+        .flat_map(|columns| [tif(), varying()].map(|tif| (columns, tif)))
+    {
         let path = path(0.0);
         let planted = random(path.len(), 0.5, 2.0, 1);
-        let desired = surface(removal(&path, columns, &planted));
+        let desired = surface(removal_of(&tif, &path, columns, &planted));
         let exact = Settings { columns, tikhonov: 1e-12, slope_weight: 0.0, ..settings() };
-        let found = run(&desired, &path, &exact);
+        let found = solve(&desired, &tif, &path, None, &exact).unwrap();
         // What is left is the regularisation: some 1e-11 of the largest column energy.
         assert!(found.report.model_rms_nm < 1e-5, "{:?}", found.report);
         assert!(found.report.kkt_residual_s < 1e-8, "{:?}", found.report);

@@ -63,15 +63,16 @@ fn tool() -> Array2<f64> {
 }
 
 /// Runs to its end, or to [`LIMIT`].
-fn run(dir: &Path, arguments: &[&str]) -> Output {
+fn run(dir: &Path, arguments: &[String]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_planish-surface"));
     run_within(command.current_dir(dir).args(arguments), LIMIT)
 }
 
 /// Keys of the outcome that may be null, because there is nothing to report: steps that were not asked for,
 /// the width of a TIF that does not fall to half of its peak, radii and ellipses of shapes that have none,
-/// slopes over a base that does not fit along y, and correlations that do not fall.
-const ABSENT: [&str; 19] = [
+/// slopes over a base that does not fit along y, correlations that do not fall, and kernels of a tool that has
+/// only a factor of the pixels.
+const ABSENT: [&str; 20] = [
     ".outcome.shape.radius_m",
     ".outcome.shape.ellipse",
     ".outcome.slope_y",
@@ -91,6 +92,7 @@ const ABSENT: [&str; 19] = [
     ".outcome.before.fwhm_mm[]",
     ".outcome.after.fwhm_mm[]",
     ".outcome.fit",
+    ".outcome.report",
 ];
 
 /// Collects the places where a JSON value is null, because a number that JSON does not have becomes null.
@@ -105,10 +107,10 @@ fn nulls(value: &Value, at: String, found: &mut BTreeSet<String>) {
 
 /// Runs a command into `out`. Returns what is wrong with its end, if anything, the nulls of its manifest,
 /// and whether it ran.
-fn judged(dir: &Path, arguments: &[&str], out: &str) -> (Option<String>, BTreeSet<String>, bool) {
+fn judged(dir: &Path, arguments: &[String], out: &str) -> (Option<String>, BTreeSet<String>, bool) {
     let _ = fs::remove_dir_all(dir.join(out));
     let _ = fs::remove_file(dir.join(out));
-    let output = run(dir, &[arguments, &["--out", out]].concat());
+    let output = run(dir, &[arguments, &["--out".into(), out.into()]].concat());
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     let errors = said.lines().filter(|l| l.starts_with("error: ")).count();
     let mut found = BTreeSet::new();
@@ -135,7 +137,7 @@ fn judged(dir: &Path, arguments: &[&str], out: &str) -> (Option<String>, BTreeSe
 }
 
 /// A subcommand, its flags with a `?` where a hostile number goes, and a number that is usual there.
-const FLAGS: [(&str, &str, &str); 42] = [
+const FLAGS: [(&str, &str, &str); 59] = [
     ("spec", "--base-mm ?", "1"),
     ("spec", "--band-per-mm ? 0.3", "0.1"),
     ("spec", "--band-per-mm 0.1 ?", "0.3"),
@@ -186,7 +188,34 @@ const FLAGS: [(&str, &str, &str); 42] = [
     ("prepare", "--extend nearest --extend-mm 2 --memory-gib ?", "1"),
     ("draw", "--section-y-mm ?", "0"),
     ("draw", "--memory-gib ?", "1"),
+    ("tool-rate", "--by incidence --sphere-radius-mm ? --exponent -1.7", "100"),
+    ("tool-rate", "--by incidence --sphere-radius-mm 100 --exponent ?", "-1.7"),
+    ("tool-rate", "--by x --table rates.txt --error ?", "0.01"),
+    ("tool-rate", "--by x --table rates.txt --max-rank ?", "3"),
+    ("tool-rate", "--by radius --table rates.txt --spacing-mm ?", "2"),
+    ("tool-rate", "--by edge-distance --table rates.txt --beyond-mm ?", "2"),
+    ("tool-rate", "--by y --table rates.txt --memory-gib ?", "1"),
+    ("tool-spots", "--by x --spot ?=tool --spot 40=tool", "-40"),
+    ("tool-spots", "--by incidence --sphere-radius-mm ? --spot 0=tool --spot 60=tool", "100"),
+    ("tool-edge", "--error 0.3 --pad-radius-mm ?", "3"),
+    ("tool-edge", "--error 0.3 --pad-radius-mm 3 --spacing-mm ?", "2"),
+    ("tool-edge", "--error 0.3 --pad-radius-mm 3 --max-rank ?", "20"),
+    ("tool-turned", "--error ?", "0.1"),
+    ("tool-turned", "--max-rank ?", "5"),
+    ("tool-footprint", "--direction normal --sphere-radius-mm ?", "100"),
+    ("tool-footprint", "--direction fixed --sphere-radius-mm 100 --exponent ?", "1.5"),
+    ("tool-footprint", "--direction fixed --sphere-radius-mm 100 --source-distance-mm ?", "500"),
 ];
+
+/// Input flags of a subcommand.
+fn inputs(method: &str) -> &'static [&'static str] {
+    match method {
+        "tif" => &["--tif", "tool"],
+        "tool-spots" => &["--surface", "map"],
+        _ if method.starts_with("tool-") => &["--tif", "tool", "--surface", "map"],
+        _ => &["--surface", "map"],
+    }
+}
 
 #[test]
 fn absurd_numbers_end_with_a_result_or_a_message() {
@@ -194,12 +223,13 @@ fn absurd_numbers_end_with_a_result_or_a_message() {
     let dir = tmp.path();
     put(&dir.join("map"), "height_nm", usual(), 1.0);
     put(&dir.join("tool"), "rate_nm_per_s", tool(), 1.0);
+    fs::write(dir.join("rates.txt"), "-30 1\n0 1.2\n30 0.9\n").unwrap();
     let mut failures = Vec::new();
     for (method, flags, usual) in FLAGS {
-        let input = if method == "tif" { ["--tif", "tool"] } else { ["--surface", "map"] };
-        let with = |number: &'static str| -> Vec<&str> {
-            let flags = flags.split(' ').map(|f| if f == "?" { number } else { f });
-            [method].into_iter().chain(input).chain(flags).collect()
+        let with = |number: &str| -> Vec<String> {
+            let flags = flags.split(' ').map(|f| f.replace('?', number));
+            let input = inputs(method).iter().map(|s| (*s).to_owned());
+            [method.to_owned()].into_iter().chain(input).chain(flags).collect()
         };
         let (wrong, found, ran) = judged(dir, &with(usual), "out");
         assert!(
@@ -298,6 +328,7 @@ fn maps_that_are_hardly_maps_end_with_a_result_or_a_message() {
                 let input = if is_tif { format!("{name}-tool") } else { (*name).into() };
                 let flag = if is_tif { "--tif" } else { "--surface" };
                 let arguments = [&call[..1], &[flag, input.as_str()], &call[1..]].concat();
+                let arguments: Vec<String> = arguments.into_iter().map(String::from).collect();
                 let (wrong, found, ran) = judged(dir, &arguments, "out");
                 (done, refused) = (done + usize::from(ran), refused + usize::from(!ran));
                 if let Some(wrong) = wrong {

@@ -368,7 +368,7 @@ fn arrays_are_y_x() {
     assert_eq!(part().shape(), (30, 40));
     assert!(Surface::new(part(), Array2::zeros((40, 30))).is_err());
     let maps = kind::ALL.iter().flat_map(|k| k.arrays).filter(|a| a.shape == ["ny", "nx"]);
-    assert_eq!(maps.map(|a| assert_eq!(a.axes, ["y", "x"], "{}", a.name)).count(), 10);
+    assert_eq!(maps.map(|a| assert_eq!(a.axes, ["y", "x"], "{}", a.name)).count(), 11);
     let at = [part().x.at(33), part().y.at(4)];
     let removal = removal(&standing(at, 1.0), &gaussian(), &flat(part()));
     assert_eq!(peak(removal.removal_nm()), (4, 33));

@@ -144,9 +144,10 @@ pub const PAPER_PX: f64 = 952.0;
 /// The figures of a report: names and SVG; only those that have something to show.
 pub fn figures(views: &[View], layout: &Layout) -> Vec<(&'static str, String)> {
     type Figure = fn(&[View], &Layout) -> Option<String>;
-    let figures: [(&str, Figure); 8] = [
+    let figures: [(&str, Figure); 9] = [
         ("overview", overview),
         ("maps", maps),
+        ("tool", |views, _| views.iter().find_map(|view| view.tool.clone())),
         ("path", path),
         ("motion", motion),
         ("dwell", dwell),

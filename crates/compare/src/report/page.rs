@@ -54,10 +54,24 @@ pub fn page(views: &[View], summaries: &Value) -> String {
         &[
             ("policy", &policy()),
             ("title", &escaped(&names.join(", "))),
+            ("tool", &tools(views)),
             ("css", CSS),
             ("js", JS),
             ("data", &in_script(&data)),
         ],
+    )
+}
+
+/// The section of the tools that vary; empty where there is none.
+fn tools(views: &[View]) -> String {
+    let pictures: String = views.iter().filter_map(|view| view.tool.as_deref()).collect();
+    if pictures.is_empty() {
+        return pictures;
+    }
+    format!(
+        "<section id=\"tool\"><h2>Tool</h2>\n<p class=\"note\">The tool is not the same everywhere. Left: the volume that \
+         it removes per second at a place of the part, over its mean. Right: its footprint at the nine numbered places, \
+         without factors of pixels and time.</p>\n{pictures}</section>\n"
     )
 }
 

@@ -50,6 +50,8 @@ pub struct Run {
     pub measured: Option<Surface>,
     /// Path, where the run has one.
     pub path: Option<ToolPath>,
+    /// Picture of the tool as SVG, where it varies.
+    pub tool: Option<String>,
     /// Results of the methods.
     pub methods: Vec<RunMethod>,
     /// Manifests of the artifacts that the methods share: role and manifest.
@@ -107,6 +109,7 @@ pub struct View {
     pub(super) desired: ScreenMap,
     pub(super) measured: Option<ScreenMap>,
     pub(super) before: (Histogram, Option<Spectrum>),
+    pub(super) tool: Option<String>,
     pub(super) methods: Vec<MethodView>,
     pub(super) provenance: Vec<(String, Value)>,
 }
@@ -201,6 +204,7 @@ fn view(run: Run, allotment: &Allotment) -> View {
         desired: on_screen(&run.desired, every),
         measured: run.measured.map(|s| on_screen(&s, block_side(s.grid(), allotment.pixels))),
         before: analysed(&run.desired),
+        tool: run.tool,
         methods,
         provenance: run.provenance,
     }

@@ -238,7 +238,7 @@ mod tests {
     use crate::model::columns::{self, Columns};
     use ndarray::s;
     use planish_testkit::maps::largest_magnitude;
-    use planish_types::{Axis, ToolPath};
+    use planish_types::{Axis, PixelFactor, ToolPath, VaryingTif};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
@@ -404,16 +404,55 @@ mod tests {
         }
     }
 
+    /// Three kernels, with weights that change over the part and a factor of every pixel.
+    fn varying(constant: &Tif, map: &Grid) -> Tif {
+        let offsets = *constant.grid();
+        let kernel = |by: fn([f64; 2]) -> f64| {
+            let of = |(r, c): (usize, usize)| by([offsets.x.at(c), offsets.y.at(r)]);
+            constant.rate_nm_per_s() * &Array2::from_shape_fn(offsets.shape(), of)
+        };
+        let positions =
+            Grid { x: Axis::new(-3.0, 6.0, 3).unwrap(), y: Axis::new(-3.0, 5.0, 3).unwrap() };
+        let weight = |by: fn(f64, f64) -> f64| {
+            Array2::from_shape_fn(positions.shape(), |(r, c)| by(r as f64, c as f64))
+        };
+        let rows = 0..map.shape().0 * map.shape().1;
+        let factor = rows.map(|i| 1.0 + 0.2 * (i as f64).sin()).collect();
+        let tool = VaryingTif {
+            offsets,
+            kernels: vec![kernel(|_| 1.0), kernel(|[x, _]| x), kernel(|[x, y]| x * y)],
+            positions,
+            weights: vec![
+                weight(|r, c| 1.0 + 0.1 * r - 0.05 * c),
+                weight(|r, c| 0.1 * r * c - 0.2),
+                weight(|r, _| 0.1 * r),
+            ],
+            azimuth: None,
+            pixels: Some(PixelFactor {
+                grid: *map,
+                factor: Array2::from_shape_vec(map.shape(), factor).unwrap(),
+            }),
+            time: None,
+        };
+        Tif::varying(tool).unwrap()
+    }
+
     #[test]
     fn the_adjoint_is_the_adjoint() {
-        let (path, tif, map) = case(0.3);
-        let places = [Columns::Segment.places(&path, &tif), places(&map)].concat();
-        let operator = FftOperator::new(&places, &tif, &map);
-        let t: Vec<f64> = (0..places.len()).map(|j| (0.7 * j as f64).cos()).collect();
-        let m = Array2::from_shape_fn(map.shape(), |(r, c)| ((r * 3 + c) as f64).sin());
-        let left = (&operator.apply(&t) * &m).sum();
-        let right: f64 = operator.adjoint(&m).iter().zip(&t).map(|(b, t)| b * t).sum();
-        let size = operator.apply(&t).mapv(|v| v * v).sum().sqrt() * m.mapv(|v| v * v).sum().sqrt();
-        assert!((left - right).abs() <= 1e-12 * size, "{left} {right}");
+        let (path, constant, map) = case(0.3);
+        for tif in [varying(&constant, &map), constant] {
+            let places = [Columns::Segment.places(&path, &tif), places(&map)].concat();
+            let operator = FftOperator::new(&places, &tif, &map);
+            let t: Vec<f64> = (0..places.len()).map(|j| (0.7 * j as f64).cos()).collect();
+            let m = Array2::from_shape_fn(map.shape(), |(r, c)| ((r * 3 + c) as f64).sin());
+            let removal = operator.apply(&t);
+            // Sums of at most 2600 terms, of the kernels together.
+            let error = largest(&(&removal - &by_columns(&places, &tif, &map, &t)));
+            assert!(error < 1e-12 * largest(&removal), "{error}");
+            let left = (&removal * &m).sum();
+            let right: f64 = operator.adjoint(&m).iter().zip(&t).map(|(b, t)| b * t).sum();
+            let size = removal.mapv(|v| v * v).sum().sqrt() * m.mapv(|v| v * v).sum().sqrt();
+            assert!((left - right).abs() <= 1e-12 * size, "{left} {right}");
+        }
     }
 }

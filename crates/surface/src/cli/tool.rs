@@ -317,7 +317,7 @@ pub struct SpotsArgs {
     #[command(flatten)]
     form: FormArgs,
     /// Spot that was measured at this value of the parameter [tif artifact]; give it once for each spot
-    #[arg(long, value_name = "VALUE=DIR", required = true)]
+    #[arg(long, value_name = "VALUE=DIR", required = true, allow_hyphen_values = true)]
     spot: Vec<String>,
     #[command(flatten)]
     make: MakeArgs,

@@ -207,13 +207,14 @@ impl<'a> Overhang<'a> {
         pad_radius_mm: f64,
     ) -> Result<Self, Invalid> {
         tif.same_everywhere("a pad that hangs over the edge")?;
-        if !(pad_radius_mm.is_finite() && pad_radius_mm > 0.0) {
-            let problem = format!("is {pad_radius_mm}");
-            return Err(Invalid::whole(
-                "pad_radius_mm",
-                problem,
-                "give the radius of the pad in mm",
-            ));
+        let Grid { x, y } = tif.grid();
+        let sample_mm = x.step_mm().min(y.step_mm());
+        if !(pad_radius_mm.is_finite() && pad_radius_mm >= sample_mm) {
+            let problem = format!(
+                "is {pad_radius_mm}, where the samples of the TIF are {sample_mm} mm apart"
+            );
+            let remedy = "give the radius of the pad in mm, not less than this distance";
+            return Err(Invalid::whole("pad_radius_mm", problem, remedy));
         }
         let at = |k: usize| (2.0 * (k as f64 + 0.5) / POINTS_OF_PAD as f64 - 1.0) * pad_radius_mm;
         let all = (0..POINTS_OF_PAD).flat_map(|r| (0..POINTS_OF_PAD).map(move |c| [at(c), at(r)]));

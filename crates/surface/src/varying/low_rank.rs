@@ -115,6 +115,11 @@ pub struct LowRankReport {
 }
 
 impl LowRankReport {
+    /// Returns true where the wanted error is reached, or missed by the rank, which more samples do not mend.
+    fn more_samples_do_not_help(&self) -> bool {
+        self.error <= self.wanted_error || self.rank_error > self.wanted_error
+    }
+
     /// Returns the sentence that says what is not reached; none if the error is below the wanted one.
     pub fn negative(&self) -> Option<String> {
         (self.error > self.wanted_error).then(|| {
@@ -212,12 +217,14 @@ pub fn low_rank_by_azimuth(
     let mut count = FIRST_AZIMUTHS;
     loop {
         let lattice = Lattice::Azimuths { middle_mm, radius_mm, count };
-        let found = at(offsets, lattice, (of, &|_| true), settings);
         let is_last = 2 * count > MOST_AZIMUTHS;
-        match found {
-            Err(_) if !is_last => {}
-            Ok(found) if !is_last && found.report.error > settings.error => {}
-            found => return found,
+        let found = match at(offsets, lattice, (of, &|_| true), settings) {
+            // Few azimuths may say too little of the tool.
+            Err(_) if !is_last => None,
+            found => Some(found?),
+        };
+        if let Some(found) = found.filter(|f| is_last || f.report.more_samples_do_not_help()) {
+            return Ok(found);
         }
         count *= 2;
     }
@@ -234,7 +241,6 @@ pub fn low_rank(
     settings: &LowRankSettings,
 ) -> Result<LowRank, Invalid> {
     settings.check()?;
-    let error = settings.error;
     if let Some(mm) = spacing_mm.filter(|mm| !(mm.is_finite() && *mm > 0.0)) {
         return Err(Invalid::whole("spacing_mm", format!("is {mm}"), "give a distance in mm"));
     }
@@ -261,9 +267,7 @@ pub fn low_rank(
             }
             found => found?,
         };
-        // Halving the distance does not mend the rank.
-        let of_rank = found.report.rank_error > error;
-        if is_last || of_rank || found.report.error <= error {
+        if is_last || found.report.more_samples_do_not_help() {
             return Ok(found);
         }
         spacing *= 0.5;
