@@ -42,6 +42,8 @@ def main():
         for command in about["commands"]:
             if command["name"]:
                 print(f"\n### {about['program']} {command['name']}\n\n{heading(command['about'])}")
+                if command["baseline"]:
+                    print("\nA baseline, to compare with the literature; a report never recommends its plan.")
             flags = [flag for flag in command["flags"] if flag["name"] not in ("help", "version")]
             if not flags:
                 continue

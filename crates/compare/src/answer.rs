@@ -48,7 +48,7 @@ impl Answer {
                 (sentence(summary, name, method), why(summary, name, method))
             }
             None => {
-                problems.push("no plan of this run keeps the limits of the machine".into());
+                problems.push(summary.why_no_plan().into());
                 ("Nothing here is to be run.".into(), why_none(summary))
             }
         };

@@ -6,6 +6,7 @@
 //! | dwell-optimal | the same is proven of the dwell times; a scheduler made the motion from them |
 //! | converged | the method ended by itself; nothing proves how near the optimum it is |
 //! | unconverged | it stagnated, reached a limit, or was solved for something else |
+//! | baseline | made by a stage that exists to compare with the literature: never recommended |
 //! | without-motion | dwell times without a motion: nothing that runs |
 //! | unknown | no manifest says |
 
@@ -15,6 +16,18 @@ use serde_json::Value;
 
 /// Name of the scheduler that applies the dwell times at the dwell points, without a motion between them.
 pub const WITHOUT_MOTION: &str = "position";
+
+/// Stages that exist to compare with the literature, by program and method: the files of the folders `baselines`. Their
+/// plans are shown, and never recommended.
+pub const BASELINES: [(&str, &str); 7] = [
+    ("planish-schedule", "average-velocity"),
+    ("planish-schedule", "position"),
+    ("planish-schedule", "pvt-as-published"),
+    ("planish-dwell", "bcls"),
+    ("planish-dwell", "feed-law"),
+    ("planish-dwell", "non-negative-least-squares"),
+    ("planish-dwell", "truncated-svd"),
+];
 
 /// Largest gap, over the objective, that is the rounding of its sum. Larger: a small gap is called optimal to
 /// rounding. Smaller: a gap that is rounding is printed. Chosen: some thousand times the rounding of one number.
@@ -35,6 +48,8 @@ pub enum State {
     Converged,
     /// Did not end by itself.
     Unconverged,
+    /// Made by a stage that exists to compare with the literature.
+    Baseline,
     /// Dwell times without a motion: not a plan.
     WithoutMotion,
     /// No manifest states an end.
@@ -70,6 +85,11 @@ impl Plan {
             let text = "the dwell times at the dwell points without a motion between them: not a plan; no machine \
                         can run it, and a plan may leave less";
             return Self::new(State::WithoutMotion, "no motion", text);
+        }
+        if let Some(method) = [trajectory, dwell].into_iter().flatten().find_map(baseline) {
+            let text =
+                format!("{method} is there to compare with, and its plan is not recommended");
+            return Self::new(State::Baseline, "baseline", text);
         }
         match trajectory.and_then(|manifest| manifest["tool"].as_str()) {
             Some("planish-refine" | "planish-joint" | "planish-bspline-feed") => {
@@ -210,6 +230,12 @@ impl Plan {
     }
 }
 
+/// The method of a stage, by its manifest, if it is a baseline.
+fn baseline(manifest: &Value) -> Option<&str> {
+    let made_by = (manifest["tool"].as_str()?, manifest["method"].as_str()?);
+    BASELINES.contains(&made_by).then_some(made_by.1)
+}
+
 /// Returns true if a trajectory was made from dwell times, by its manifest.
 fn follows_dwell_times(trajectory: &Value) -> bool {
     let names = |list: &str, key: &str| {
@@ -344,6 +370,13 @@ mod tests {
         // A trajectory of one's own, beside dwell times that are optimal.
         let own = Plan::of("pvt", None, Some(&certified), &[]);
         assert_eq!((own.state, own.word.as_str()), (State::Unknown, "not known"));
+        // A motion of a baseline, and one of dwell times of a baseline.
+        let made = |tool: &str, method: &str| json!({ "tool": tool, "method": method, "inputs": [{ "role": "dwell" }] });
+        let published = made("planish-schedule", "pvt-as-published");
+        let of_motion = Plan::of("mine", Some(&published), Some(&certified), &[]);
+        let law = made("planish-dwell", "feed-law");
+        let of_dwell = Plan::of("pvt", Some(&scheduled()), Some(&law), &[]);
+        assert_eq!([of_motion.state, of_dwell.state], [State::Baseline; 2]);
         let other = Plan::of("pvt", Some(&scheduled()), Some(&certified), &["tool-path"]);
         assert_eq!(other.state, State::Unconverged);
         assert!(other.text.contains("another tool path"), "{other:?}");

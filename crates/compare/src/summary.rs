@@ -257,9 +257,10 @@ impl Method {
         self.after_servo_rms_nm.unwrap_or(self.rms_nm)
     }
 
-    /// Returns true if the report may recommend it: a motion that keeps the limits.
+    /// Returns true if the report may recommend it: a motion that keeps the limits, and no baseline.
     pub fn is_candidate(&self) -> bool {
-        self.limits_respected && self.plan.state != State::WithoutMotion
+        let shown_only = matches!(self.plan.state, State::WithoutMotion | State::Baseline);
+        self.limits_respected && !shown_only
     }
 
     fn candidate(&self) -> Candidate {
@@ -450,6 +451,18 @@ impl Summary {
         Ok(())
     }
 
+    /// Reason for which a run whose plans are all refused has none to recommend.
+    pub fn why_no_plan(&self) -> &'static str {
+        let kept =
+            |(_, m): &(String, Method)| m.limits_respected && m.plan.state == State::Baseline;
+        match self.methods.iter().any(kept) {
+            true => {
+                "only baselines keep the limits of the machine, and a baseline is not recommended"
+            }
+            false => "no method keeps the limits of the machine",
+        }
+    }
+
     /// Reasons why the run has no plan to recommend without reserve; empty when it has one.
     pub fn reserves(&self) -> Vec<String> {
         let mut found = Vec::new();
@@ -458,7 +471,7 @@ impl Summary {
         }
         let best = self.methods.iter().find(|(name, _)| self.best.as_ref() == Some(name));
         match best {
-            None => found.push("no method keeps the limits of the machine".into()),
+            None => found.push(self.why_no_plan().into()),
             Some((name, m)) if m.plan.state == State::Unconverged => {
                 found.push(format!("{name} is the best, but not optimal: {}", m.plan.text));
             }
@@ -716,6 +729,13 @@ mod tests {
         still.plan = state(State::WithoutMotion);
         let summary = summary_of(vec![("position".into(), still), ("pvt".into(), with(0.3, true))]);
         assert_eq!(summary.best.as_deref(), Some("pvt"));
+        let mut baseline = with(0.1, true);
+        baseline.plan = state(State::Baseline);
+        let rows = [("pvt-as-published".into(), baseline.clone()), ("pvt".into(), with(0.3, true))];
+        assert_eq!(summary_of(rows.to_vec()).best.as_deref(), Some("pvt"));
+        let alone = summary_of(vec![("pvt-as-published".into(), baseline)]);
+        assert_eq!(alone.best, None);
+        assert!(alone.reserves()[0].contains("only baselines keep the limits"));
         let mut stagnated = with(0.1, true);
         stagnated.plan = state(State::Unconverged);
         let summary = summary_of(vec![("pvt".into(), stagnated)]);

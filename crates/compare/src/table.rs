@@ -1,6 +1,8 @@
 //! The summary of one or several runs as plain aligned tables: the results, and how the motions
 //! execute their plans.
 
+use std::collections::BTreeSet;
+
 use planish_types::text::{fixed, significant, visible};
 
 use crate::{
@@ -70,7 +72,8 @@ fn render(runs: &[(&str, &Summary)]) -> String {
     if runs.iter().any(|(_, summary)| summary.best.is_some()) {
         text += "* recommended: within 5 % of the smallest RMS of those that keep the limits, and its time is worth it\n";
     } else {
-        text += "no method keeps the limits of the machine\n";
+        let why: BTreeSet<&str> = runs.iter().map(|(_, summary)| summary.why_no_plan()).collect();
+        text += &why.into_iter().map(|why| format!("{why}\n")).collect::<String>();
     }
     if let Some(reach) = runs.iter().find_map(|(_, summary)| summary.reach) {
         text += &format!(

@@ -205,7 +205,7 @@ fn where_no_plan_keeps_the_limits_the_answer_is_that_nothing_is_to_be_run() {
             &json!("pvt exceeds the limits of the machine.")
         )
     );
-    assert_eq!(answer["problems"], json!(["no plan of this run keeps the limits of the machine"]));
+    assert_eq!(answer["problems"], json!(["no method keeps the limits of the machine"]));
 }
 
 /// Width, height and red, green and blue of every pixel.

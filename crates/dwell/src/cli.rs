@@ -29,17 +29,21 @@ use planish_types::{DwellTime, End, Surface, Tif, ToolPath, plausible};
 use serde::Serialize;
 use serde_json::json;
 
+/// Solvers. The hidden ones are baselines; the help lists them under a heading of their own.
 #[derive(Subcommand)]
 pub enum Solver {
     /// Smallest RMS residual with a free piston and bounds on every dwell time
     BoundedLeastSquares(bounded_least_squares::BoundedLeastSquares),
     /// Least squares with bounds from the feed and acceleration limits of a machine
+    #[command(hide = true)]
     Bcls(bcls::Bcls),
     /// Least squares with a lower bound only, one component at a time (Lawson and Hanson); slow
+    #[command(hide = true)]
     NonNegativeLeastSquares(non_negative_least_squares::NonNegativeLeastSquares),
     /// Damped least squares without bounds; damping given, by discrepancy, or by L-curve
     TikhonovLsqr(tikhonov_lsqr::TikhonovLsqr),
     /// Least squares in the space of the large singular values, without bounds
+    #[command(hide = true)]
     TruncatedSvd(truncated_svd::TruncatedSvd),
     /// Positive multiplicative steps with total-variation smoothing
     LucyRichardson(lucy_richardson::LucyRichardson),
@@ -48,6 +52,7 @@ pub enum Solver {
     /// Adjoint image of the extended map, refined by its residual
     Udo(udo::Udo),
     /// Feed law of rasters of one or several pitches: dwell time from the area of every segment, without a solver
+    #[command(hide = true)]
     FeedLaw(feed_law::FeedLaw),
 }
 

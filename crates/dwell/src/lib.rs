@@ -10,26 +10,24 @@
 //! | solver | what it does |
 //! |---|---|
 //! | [`bounded_least_squares`] | least RMS of the residual, with bounds on every dwell time |
-//! | [`mod@bcls`] | the same, with bounds from the feed and acceleration limits of a machine |
-//! | [`non_negative_least_squares`] | the same with a floor only, one component at a time |
+//! | [`baselines::bcls`] | the same, with bounds from the feed and acceleration limits of a machine |
+//! | [`baselines::non_negative_least_squares`] | the same with a floor only, one component at a time |
 //! | [`tikhonov_lsqr`] | least RMS plus the length of the dwell times, without bounds |
-//! | [`truncated_svd`] | least RMS in the space of the large singular values, without bounds |
+//! | [`baselines::truncated_svd`] | least RMS in the space of the large singular values, without bounds |
 //! | [`lucy_richardson`] | largest Poisson likelihood by positive steps, total variation |
 //! | [`mod@rifta`] | inverse filter with an optimised cap of its gain |
 //! | [`mod@udo`] | adjoint image of the extended map, refined by its residual |
-//! | [`feed_law`] | nothing is solved for: the feed law of rasters of one or several pitches |
+//! | [`baselines::feed_law`] | nothing is solved for: the feed law of rasters of one or several pitches |
 
-pub mod bcls;
+pub mod baselines;
 pub mod bounded_least_squares;
 mod bounds;
 mod coarse;
 mod continuation;
 mod dwell_map;
 mod extension;
-pub mod feed_law;
 pub mod lucy_richardson;
 mod model;
-pub mod non_negative_least_squares;
 mod objective;
 pub mod problem;
 pub mod residual;
@@ -37,7 +35,6 @@ pub mod residual_slope;
 pub mod rifta;
 mod surrogate;
 pub mod tikhonov_lsqr;
-pub mod truncated_svd;
 pub mod udo;
 
 pub use model::columns;

@@ -5,9 +5,10 @@
 //! counted as skipped.
 
 use planish_dwell::{
+    baselines::non_negative_least_squares,
     bounded_least_squares::Bound,
     columns::{Columns, patches},
-    lucy_richardson, non_negative_least_squares,
+    lucy_richardson,
     problem::Problem,
     udo::{self, Floor},
 };

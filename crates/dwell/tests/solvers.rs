@@ -3,13 +3,13 @@
 
 use ndarray::{Array2, s};
 use planish_dwell::{
-    DwellError, bcls,
+    DwellError,
+    baselines::{bcls, non_negative_least_squares, truncated_svd},
     bounded_least_squares::{self, Bound},
     columns::{Columns, patches},
     lucy_richardson::{self, Unknowns},
-    non_negative_least_squares,
     problem::{Outcome, Problem},
-    rifta, tikhonov_lsqr, truncated_svd,
+    rifta, tikhonov_lsqr,
     udo::{self, Floor},
 };
 use planish_testkit::maps::largest_magnitude;

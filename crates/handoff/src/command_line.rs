@@ -116,10 +116,31 @@ pub fn with_flags(message: &str) -> String {
     text + rest
 }
 
-/// Examples of the program, and [`ALSO`].
+/// Baselines under a heading of their own, the examples of the program, and [`ALSO`].
 fn after_help<C: CommandFactory>() -> String {
-    let examples = C::command().get_after_help().map(ToString::to_string);
-    examples.into_iter().chain([ALSO.to_string()]).collect::<Vec<_>>().join("\n\n")
+    let command = C::command();
+    let examples = command.get_after_help().map(ToString::to_string);
+    let paragraphs = baselines(&command).into_iter().chain(examples);
+    paragraphs.chain([ALSO.to_string()]).collect::<Vec<_>>().join("\n\n")
+}
+
+/// The subcommands that exist to compare with the literature, as a list with a heading; none where a program has none.
+/// They are the hidden ones, so that the list of the other subcommands is without them.
+fn baselines(command: &clap::Command) -> Option<String> {
+    let names: Vec<&clap::Command> =
+        command.get_subcommands().filter(|c| c.is_hide_set()).collect();
+    let widest = names.iter().map(|c| c.get_name().len()).max()?;
+    let line = |c: &&clap::Command| {
+        let about = c.get_about().map(ToString::to_string).unwrap_or_default();
+        format!("\n  {:widest$}  {about}", c.get_name())
+    };
+    let lines: String = names.iter().map(line).collect();
+    Some(format!("Baselines, to compare with the literature:{lines}"))
+}
+
+/// Definition of the program in which no subcommand is hidden.
+fn whole<C: CommandFactory>() -> clap::Command {
+    command::<C>().mut_subcommands(|c| c.hide(false))
 }
 
 /// Text that `arguments` ask to print; `None` if they are those of a stage.
@@ -134,13 +155,13 @@ fn generated<C: CommandFactory>(arguments: &[OsString]) -> Option<Result<Vec<u8>
                 let given = value.unwrap_or_default();
                 return Some(Err(format!("--completions is '{given}'; give {names}")));
             };
-            let mut command = command::<C>();
+            let mut command = whole::<C>();
             let name = command.get_name().to_string();
             let mut bytes = Vec::new();
             clap_complete::generate(shell, &mut command, name, &mut bytes);
             Some(Ok(bytes))
         }
-        "--man" => Some(man_page(command::<C>())),
+        "--man" => Some(man_page(whole::<C>())),
         "--describe" => Some(Ok(format!("{:#}\n", describe::program(command::<C>())).into_bytes())),
         _ => None,
     }

@@ -3,7 +3,7 @@
 //!
 //! ```json
 //! { "program": "planish-verify", "version": "0.1.0", "about": "...",
-//!   "commands": [ { "name": "", "about": "...", "flags": [
+//!   "commands": [ { "name": "", "about": "...", "baseline": false, "flags": [
 //!     { "name": "machine", "help": "...", "value": "FILE", "values": [1, 1], "required": true, "repeats": false,
 //!       "positional": false, "default": null, "choices": [] } ] } ] }
 //! ```
@@ -37,7 +37,12 @@ pub(crate) fn program(mut command: Command) -> Value {
 
 fn one(name: &str, command: &Command) -> Value {
     let flags = command.get_arguments().filter(|a| !is_help(a)).map(flag);
-    json!({ "name": name, "about": about(command), "flags": flags.collect::<Vec<_>>() })
+    json!({
+        "name": name,
+        "about": about(command),
+        "baseline": command.is_hide_set(),
+        "flags": flags.collect::<Vec<_>>(),
+    })
 }
 
 fn about(command: &Command) -> String {

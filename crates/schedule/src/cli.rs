@@ -23,11 +23,13 @@ use planish_types::{DwellDensity, DwellTime, Limits, ToolPath, Trajectory};
 use serde::Serialize;
 use serde_json::{Value, json};
 
+/// Commands. The hidden ones are baselines; the help lists them under a heading of their own.
 #[derive(Subcommand)]
 pub enum Command {
     /// Cubic segments through the control points at the dwell times, within the limits (PVT)
     Pvt(pvt::Pvt),
     /// PVT by the least squares of its publication; reports their defects, and stretches nothing
+    #[command(hide = true)]
     PvtAsPublished(pvt_as_published::PvtAsPublished),
     /// One constant acceleration, then constant velocity, per segment; no look-ahead
     ///
@@ -40,9 +42,11 @@ pub enum Command {
     StopAtCorners(stop_at_corners::StopAtCorners),
     /// Dwell-time density as a trigonometric spline along the path, raised until the limits are kept
     TrigSpline(trig_spline::TrigSpline),
-    /// Constant velocity per segment, as a dwell solver assumes; its velocity steps (a baseline, not executable)
+    /// Constant velocity per segment, as a dwell solver assumes; its velocity steps, which no machine can execute
+    #[command(hide = true)]
     AverageVelocity(average_velocity::AverageVelocity),
-    /// Rest at the dwell points, with jumps between them (a baseline, not executable)
+    /// Rest at the dwell points, with jumps between them, which no machine can execute
+    #[command(hide = true)]
     Position(position::Position),
     /// Reference positions at every tick of a controller, from a feed artifact or its NC program
     ///

@@ -6,24 +6,22 @@
 //! | scheduler | motion |
 //! |---|---|
 //! | [`pvt`] | cubic Hermite segments through the control points at the dwell times |
-//! | [`pvt_as_published`] | the same by the least squares of its source; reports their defects |
+//! | [`baselines::pvt_as_published`] | the same by the least squares of its source; reports their defects |
 //! | [`constant_acceleration`] | one constant acceleration, then constant velocity, per segment |
 //! | [`stop_at_corners`] | the same along the path, at rest in corners, within all limits |
 //! | [`trig_spline`] | dwell-time density as a half-period trigonometric spline of arc length |
-//! | [`average_velocity`] | constant velocity per segment (a baseline: its velocity steps) |
-//! | [`position`] | stands at the dwell points; jumps between them (a baseline, no motion) |
+//! | [`baselines::average_velocity`] | constant velocity per segment (a baseline: its velocity steps) |
+//! | [`baselines::position`] | stands at the dwell points; jumps between them (a baseline, no motion) |
 //!
 //! [`claim`] measures every motion against the limits of the machine. [`interpolator`] turns the
 //! dwell-time density of `trig_spline` into reference positions, tick by tick.
 
-pub mod average_velocity;
+pub mod baselines;
 pub mod claim;
 pub mod constant_acceleration;
 mod hermite;
 pub mod interpolator;
-pub mod position;
 pub mod pvt;
-pub mod pvt_as_published;
 mod shortest_cubic;
 pub mod stop_at_corners;
 pub mod trig_spline;

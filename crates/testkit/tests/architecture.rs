@@ -8,6 +8,7 @@ use std::{
 };
 
 use cargo_metadata::{DependencyKind, MetadataCommand, Package, TargetKind};
+use planish_compare::plan::BASELINES;
 use planish_testkit::workspace;
 
 /// A folder under `crates/`, and the folders that it may name.
@@ -581,6 +582,23 @@ fn nothing_is_unfinished_and_no_test_is_switched_off() {
         }
     }
     no_complaints(&complaints);
+}
+
+/// The folders `baselines` and the list by which a report knows their plans.
+#[test]
+fn a_report_knows_every_baseline() {
+    let mut found = BTreeSet::new();
+    for folder in ["dwell", "schedule"] {
+        let modules = fs::read_to_string(directory_of(folder).join("src/baselines.rs")).unwrap();
+        for line in modules.lines() {
+            if let Some(name) = line.strip_prefix("pub mod ") {
+                let method = name.trim_end_matches(';').replace('_', "-");
+                found.insert((format!("planish-{folder}"), method));
+            }
+        }
+    }
+    let known = BASELINES.map(|(program, method)| (program.to_string(), method.to_string()));
+    assert_eq!(found, BTreeSet::from(known));
 }
 
 // ---------------------------------------------------------------------------------------------

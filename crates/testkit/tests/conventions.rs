@@ -10,7 +10,7 @@ use ndarray::Array2;
 use planish_dwell::bounded_least_squares::{self, Bound};
 use planish_handoff::kind;
 use planish_numerics::statistics;
-use planish_schedule::{position, pvt};
+use planish_schedule::{baselines::position, pvt};
 use planish_simulate::simulate;
 use planish_testkit::{ion_beam, machine, workspace};
 use planish_types::{

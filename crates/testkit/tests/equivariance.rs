@@ -7,7 +7,7 @@ use std::fs;
 use ndarray::{Array2, Axis as Dimension, s};
 use planish_dwell::bounded_least_squares::{self, Bound};
 use planish_fixture::{Recipe, make};
-use planish_schedule::{constant_acceleration, position, pvt, trig_spline};
+use planish_schedule::{baselines::position, constant_acceleration, pvt, trig_spline};
 use planish_simulate::simulate;
 use planish_testkit::{
     ion_beam,

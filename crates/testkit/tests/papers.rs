@@ -1,7 +1,8 @@
 //! Claims of the sources of the methods, on small cases; `just reproduce` computes them in full.
 
 use planish_dwell::{
-    bcls, bounded_least_squares::Bound, columns::Columns, lucy_richardson, problem::Problem,
+    baselines::bcls, bounded_least_squares::Bound, columns::Columns, lucy_richardson,
+    problem::Problem,
 };
 use planish_fixture::{Fixture, Recipe, make};
 use planish_schedule::{stop_at_corners, trig_spline};

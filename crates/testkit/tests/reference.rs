@@ -11,8 +11,8 @@ use planish_dwell::{
     columns::{Columns, patches},
 };
 use planish_schedule::{
-    constant_acceleration, position, pvt, pvt_as_published, pvt_as_published::RestCondition,
-    trig_spline,
+    baselines::{position, pvt_as_published, pvt_as_published::RestCondition},
+    constant_acceleration, pvt, trig_spline,
 };
 use planish_simulate::{direct, simulate};
 use planish_testkit::{

@@ -9,13 +9,12 @@
 use std::sync::Mutex;
 
 use planish_schedule::{
-    average_velocity,
+    baselines::{average_velocity, position, pvt_as_published},
     claim::Claim,
     constant_acceleration,
     interpolator::{self, Interpolator},
-    position,
     pvt::{self, Mode},
-    pvt_as_published, stop_at_corners,
+    stop_at_corners,
     trig_spline::{self, Repair},
 };
 use planish_testkit::{case_generator, ion_beam, machine};

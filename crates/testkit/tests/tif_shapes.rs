@@ -6,7 +6,7 @@ use planish_dwell::{
     bounded_least_squares::{Settings as DwellSettings, solve},
     columns::Columns,
 };
-use planish_schedule::position;
+use planish_schedule::baselines::position;
 use planish_simulate::{Settings, simulate};
 use planish_types::{Axis, Grid, Surface, Tif, ToolPath};
 

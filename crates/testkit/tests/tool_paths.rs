@@ -4,7 +4,7 @@
 use std::{f64::consts::PI, fs};
 
 use ndarray::Array2;
-use planish_dwell::{bounded_least_squares::Bound, feed_law};
+use planish_dwell::{baselines::feed_law, bounded_least_squares::Bound};
 use planish_fixture::{Recipe, make};
 use planish_simulate::{Settings, simulate};
 use planish_testkit::workspace;

@@ -3,12 +3,12 @@
 
 use ndarray::{Array2, Zip};
 use planish_dwell::{
-    bcls,
+    baselines::{bcls, feed_law, non_negative_least_squares as nnls, truncated_svd},
     bounded_least_squares::{self as squares, Bound},
     columns::Columns,
-    feed_law, lucy_richardson, non_negative_least_squares as nnls,
+    lucy_richardson,
     problem::Problem,
-    rifta, tikhonov_lsqr, truncated_svd, udo,
+    rifta, tikhonov_lsqr, udo,
 };
 use planish_fixture::{Recipe, make};
 use planish_form::Form;

@@ -69,8 +69,8 @@ struct RegionArgs {
     /// Distance of neighbouring lines, mm
     #[arg(long, value_name = "P", allow_negative_numbers = true)]
     pitch_mm: f64,
-    /// Distance that the path goes beyond the aperture, mm; below 0, it stays that far inside of the edge, for pads that
-    /// may hang over only in part [default: half the size of the square around the centroid of the TIF that holds all but
+    /// Distance that the path goes beyond the aperture, mm. Below 0 it stays that far inside of the edge, for pads that
+    /// may hang over in part. [default: half the size of the square around the centroid of the TIF that holds all but
     /// 0.05 % of its volume]
     #[arg(long, value_name = "O", allow_negative_numbers = true)]
     overscan_mm: Option<f64>,
@@ -121,7 +121,7 @@ struct Region {
     doubts: Vec<String>,
 }
 
-/// What a method is asked for.
+/// Settings of a method as the manifest has them.
 #[derive(Serialize)]
 struct Asked<'a, S> {
     #[serde(skip_serializing_if = "Option::is_none")]

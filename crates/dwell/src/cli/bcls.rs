@@ -1,7 +1,7 @@
 //! `planish-dwell bcls`.
 
 use clap::Args;
-use planish_dwell::{bcls, problem::rms_before};
+use planish_dwell::{baselines::bcls, problem::rms_before};
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, flags::MachineArgs, say, task,
 };

@@ -52,8 +52,8 @@ pub struct BoundedLeastSquares {
     /// Residual above which a pixel counts linearly instead of squared, nm; for maps with pits
     #[arg(long, value_name = "K")]
     huber_nm: Option<f64>,
-    /// RMS of the noise of the map, nm: the smoothness is raised until the residual reaches it, without the
-    /// pixels beyond `--huber-nm` [default: the RMS of the standard deviations of the map, if it has them]
+    /// RMS of the noise of the map, nm. The smoothness is raised until the residual reaches it, without the
+    /// pixels beyond `--huber-nm`. [default: the RMS of the standard deviations of the map, if it has them]
     #[arg(long, value_name = "S")]
     noise_rms_nm: Option<f64>,
     /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment

@@ -1,7 +1,7 @@
 //! `planish-dwell feed-law`.
 
 use clap::Args;
-use planish_dwell::feed_law;
+use planish_dwell::baselines::feed_law;
 use planish_handoff::{Failure, Status, flags::FloorArgs};
 
 use super::{Ended, Given, solve};

@@ -1,7 +1,7 @@
 //! `planish-dwell non-negative-least-squares`.
 
 use clap::Args;
-use planish_dwell::non_negative_least_squares;
+use planish_dwell::baselines::non_negative_least_squares;
 use planish_handoff::{Failure, Status, flags::FloorArgs};
 
 use super::{Ended, Given, solve};

@@ -1,7 +1,7 @@
 //! `planish-dwell truncated-svd`.
 
 use clap::Args;
-use planish_dwell::truncated_svd;
+use planish_dwell::baselines::truncated_svd;
 use planish_handoff::{Failure, Status, flags::FloorArgs};
 
 use super::{Ended, Given, solve};

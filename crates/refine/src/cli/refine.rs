@@ -52,7 +52,7 @@ pub struct Refine {
     /// the run
     #[arg(long, visible_alias = "time-weight", value_name = "L", default_value_t = 0.0)]
     time_weight_nm2_per_s: f64,
-    /// RMS of the noise of the map, nm; the smoothness is raised until the residual reaches it [default: the RMS of the
+    /// RMS of the noise of the map, nm. The smoothness is raised until the residual reaches it. [default: the RMS of the
     /// standard deviations of the map, if it has them]
     #[arg(long, value_name = "S")]
     noise_rms_nm: Option<f64>,

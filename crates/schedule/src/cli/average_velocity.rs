@@ -2,7 +2,8 @@
 
 use clap::Args;
 use planish_schedule::{
-    ScheduleError, average_velocity,
+    ScheduleError,
+    baselines::average_velocity,
     claim::{Claim, JUMPS},
 };
 use planish_types::{DwellTime, Limits, ToolPath};

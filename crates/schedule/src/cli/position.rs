@@ -3,8 +3,8 @@
 use clap::Args;
 use planish_schedule::{
     ScheduleError,
+    baselines::position,
     claim::{Claim, JUMPS},
-    position,
 };
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;

@@ -1,7 +1,7 @@
 //! `planish-schedule pvt-as-published`.
 
 use clap::Args;
-use planish_schedule::{ScheduleError, pvt_as_published};
+use planish_schedule::{ScheduleError, baselines::pvt_as_published};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 

@@ -4,7 +4,7 @@
 use planish_dwell::bounded_least_squares::{self, Bound};
 use planish_fixture::Fixture;
 use planish_joint::{Settings, plan};
-use planish_schedule::{pvt, pvt::Mode, pvt_as_published};
+use planish_schedule::{baselines::pvt_as_published, pvt, pvt::Mode};
 use planish_simulate::{
     Settings::Gridded, deviation::Deviation, error_budget::Scalar, motion::Motion, simulate,
 };

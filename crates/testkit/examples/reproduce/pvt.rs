@@ -9,7 +9,10 @@ use planish_dwell::{
 };
 use planish_numerics::statistics::{fit_plane, subtract_plane};
 use planish_refine as refine;
-use planish_schedule::{constant_acceleration, position, pvt, pvt_as_published};
+use planish_schedule::{
+    baselines::{position, pvt_as_published},
+    constant_acceleration, pvt,
+};
 use planish_simulate::{Settings, simulate};
 use planish_surface::tif_fit;
 use planish_testkit::{ion_beam, mirror::mirror};

@@ -4,11 +4,13 @@ use std::f64::consts::PI;
 
 use ndarray::Array2;
 use planish_dwell::{
-    bcls, bounded_least_squares::Bound, columns::Columns, lucy_richardson, problem::Problem,
+    baselines::bcls, bounded_least_squares::Bound, columns::Columns, lucy_richardson,
+    problem::Problem,
 };
 use planish_numerics::statistics::{fit_plane, subtract_plane};
 use planish_schedule::{
-    average_velocity, constant_acceleration,
+    baselines::average_velocity,
+    constant_acceleration,
     interpolator::{Interpolator, Reference, records},
     stop_at_corners,
     trig_spline::{self, Piece, Schedule},

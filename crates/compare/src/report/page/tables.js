@@ -42,7 +42,7 @@ function fillSummary() {
   table.append(element("thead"), element("tbody"));
   table.tHead.append(head);
   const numbers = ENTRIES.map((e) => e.run.summary.methods[e.method.name]).map((m) => ({ ...m, ...m.execution }));
-  const kept = numbers.map((m) => m.limits_respected && m.plan.state !== "without-motion");
+  const kept = numbers.map((m) => m.limits_respected && !["without-motion", "baseline"].includes(m.plan.state));
   const rated = kept.some(Boolean) ? kept : kept.map(() => true);
   // Where the acceleration steps, the jerk has no bound: what is inside the segments compares with nothing.
   const smooth = numbers.map((m) => m.max_acceleration_step_mm_per_s2.every((a) => +a.toFixed(1) === 0));
