@@ -68,6 +68,7 @@
 //! | `report` | what is told of the result |
 
 mod certificate;
+mod descent;
 mod discrepancy;
 mod minimise;
 mod prepared;

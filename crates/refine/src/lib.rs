@@ -303,169 +303,323 @@ fn rounds(
     settings: &Settings,
     sources: Option<&Sources>,
 ) -> Result<Refined, RefineError> {
-    let mut solver = settings.dwell;
-    let (floor_s, hi) = dwell_solver::bounds(path, &solver)?;
-    let mut lo = start.least_s.unwrap_or(floor_s);
-    let mut lo_of_best = lo.clone();
-    let last_smoothness = solver.slope_weight;
-    solver.slope_weight = last_smoothness.max(settings.first_smoothness);
-    let parts = settings.max_rounds.max(1);
-    let mut t = match start.dwell {
-        Some(dwell) => dwell,
-        None => {
-            work::part(0, parts, || dwell_solver::solve(desired, tif, path, None, &solver))?.dwell
-        }
-    };
-    let simulation = Plan::new(tif, desired.grid(), Simulation::Gridded)?;
-    // A residual below the noise is no gain. The RMS of the noise over m pixels scatters by 1 / sqrt(2 m).
-    let pixels = desired.height_nm().iter().filter(|z| !z.is_nan()).count() as f64;
-    let known = solver.noise_rms_nm.map_or(0.0, |s| s * (1.0 + 3.0 / (2.0 * pixels).sqrt()));
-    let mut iterates: Vec<Iterate> = Vec::new();
-    let mut best: Option<(usize, Trajectory, Option<Quadratic<'_>>)> = None;
-    let (mut proposed_s, mut step_fraction, mut tries) = (Vec::new(), 1.0, 0);
-    let mut without_progress = 0;
-    // RMS that t^ predicts, and lower bounds from the times that the machine needed at every try of it.
-    let (mut promised_nm, mut tried_lo) = (f64::INFINITY, lo.clone());
-    // True if a correction has been given up for a smoother one since the best round.
-    let mut is_smoother = false;
-    let has_noise = solver.noise_rms_nm.is_some();
+    let given = Given { desired, tif, path, limits, settings, sources };
+    let (mut state, mut t) = Rounds::start(given, start)?;
     let mut end = End::RoundLimit;
     for round in 0..=settings.max_rounds {
         // P = schedule(t), h, e
-        let motion = schedule(path, &t, limits, settings.scheduler)?;
+        let executed = state.execute(&t)?;
+        let is_better = state.keep(round, executed)?;
+        match state.next(is_better) {
+            Next::End => {
+                end = End::NoImprovement;
+                break;
+            }
+            _ if round == settings.max_rounds => break,
+            Next::HalveStep => state.step_fraction *= 0.5,
+            Next::Correct { is_given_up, is_smoother } => {
+                state.adapt(round, is_given_up, is_smoother);
+                state.correct(round)?;
+            }
+        }
+        t = state.proposal()?;
+    }
+    state.result(end)
+}
+
+/// What the loop works on.
+#[derive(Clone, Copy)]
+struct Given<'a> {
+    desired: &'a Surface,
+    tif: &'a Tif,
+    path: &'a ToolPath,
+    limits: &'a Limits,
+    settings: &'a Settings,
+    sources: Option<&'a Sources>,
+}
+
+/// Motion of some dwell times and its judgement.
+struct Executed<'a> {
+    iterate: Iterate,
+    motion: Motion,
+    quadratic: Option<Quadratic<'a>>,
+}
+
+/// The best round so far.
+struct Best<'a> {
+    round: usize,
+    trajectory: Trajectory,
+    quadratic: Option<Quadratic<'a>>,
+}
+
+/// What follows a round.
+enum Next {
+    /// The loop ends.
+    End,
+    /// The same correction with half of its step.
+    HalveStep,
+    /// A new correction from the best round.
+    Correct {
+        /// True if the correction before is given up.
+        is_given_up: bool,
+        /// True if it was too large, so that the next one is smoother.
+        is_smoother: bool,
+    },
+}
+
+/// State of the loop between two rounds.
+struct Rounds<'a> {
+    given: Given<'a>,
+    simulation: Plan<'a>,
+    /// Valid pixels.
+    pixels: f64,
+    /// RMS below which a residual is noise, nm.
+    known_nm: f64,
+    has_noise: bool,
+    last_smoothness: f64,
+    /// Settings of the next correction.
+    solver: dwell_solver::Settings,
+    /// Bounds of the dwell times, s; the lower ones rise to what the machine needs.
+    lo: Vec<f64>,
+    hi: Vec<f64>,
+    lo_of_best: Vec<f64>,
+    iterates: Vec<Iterate>,
+    best: Option<Best<'a>>,
+    /// Dwell times that the correction proposes, t^, s, and how far the next round goes there.
+    proposed_s: Vec<f64>,
+    step_fraction: f64,
+    /// Rounds with this correction.
+    tries: usize,
+    /// RMS that t^ predicts, nm, and lower bounds from the times that the machine needed at every try of it, s.
+    promised_nm: f64,
+    tried_lo: Vec<f64>,
+    without_progress: usize,
+    /// True if a correction has been given up for a smoother one since the best round.
+    is_smoother: bool,
+}
+
+impl<'a> Rounds<'a> {
+    /// The state before the first round, and its dwell times.
+    fn start(given: Given<'a>, start: Start) -> Result<(Self, DwellTime), RefineError> {
+        let Given { desired, tif, path, settings, .. } = given;
+        let mut solver = settings.dwell;
+        let (floor_s, hi) = dwell_solver::bounds(path, &solver)?;
+        let lo = start.least_s.unwrap_or(floor_s);
+        let last_smoothness = solver.slope_weight;
+        solver.slope_weight = last_smoothness.max(settings.first_smoothness);
+        let parts = settings.max_rounds.max(1);
+        let solve = || dwell_solver::solve(desired, tif, path, None, &solver);
+        let t = match start.dwell {
+            Some(dwell) => dwell,
+            None => work::part(0, parts, solve)?.dwell,
+        };
+        let pixels = desired.height_nm().iter().filter(|z| !z.is_nan()).count() as f64;
+        // A residual below the noise is no gain. The RMS of the noise over m pixels scatters by 1 / sqrt(2 m).
+        let noise_rms_nm = |s: f64| s * (1.0 + 3.0 / (2.0 * pixels).sqrt());
+        let state = Self {
+            given,
+            simulation: Plan::new(tif, desired.grid(), Simulation::Gridded)?,
+            pixels,
+            known_nm: solver.noise_rms_nm.map_or(0.0, noise_rms_nm),
+            has_noise: solver.noise_rms_nm.is_some(),
+            last_smoothness,
+            solver,
+            lo_of_best: lo.clone(),
+            tried_lo: lo.clone(),
+            lo,
+            hi,
+            iterates: Vec::new(),
+            best: None,
+            proposed_s: Vec::new(),
+            step_fraction: 1.0,
+            tries: 0,
+            promised_nm: f64::INFINITY,
+            without_progress: 0,
+            is_smoother: false,
+        };
+        Ok((state, t))
+    }
+
+    /// Makes the motion of dwell times, and simulates and judges it.
+    fn execute(&self, t: &DwellTime) -> Result<Executed<'a>, RefineError> {
+        let Given { desired, path, limits, settings, sources, .. } = self.given;
+        let motion = schedule(path, t, limits, settings.scheduler)?;
         let mut h = t.dwell_s().to_vec();
         for (segment, took) in &motion.stretched {
             h[*segment] = *took;
         }
-        let predicted = simulation.predict(&motion.trajectory, desired)?;
+        let predicted = self.simulation.predict(&motion.trajectory, desired)?;
         let verdict = verify(&motion.trajectory, limits, &VerifySettings::default())?;
-        let Rms { rms_nm, detilted_nm } = Rms::of(predicted.removal.residual());
+        let residual = predicted.removal.residual();
+        let Rms { rms_nm, detilted_nm } = Rms::of(residual);
         let total_time_s = motion.trajectory.total_time_s();
-        let price = 2.0 * solver.time_weight_nm2_per_s * total_time_s;
+        let price = 2.0 * self.solver.time_weight_nm2_per_s * total_time_s;
         // E |e|^2 = |P (e - m)|^2 + h'Q h
         let quadratic = sources.map(|s| s.of(&motion.trajectory, path.len())).transpose()?;
         let (mean_nm, variance_nm2) = match &quadratic {
             None => (rms_nm, 0.0),
-            Some(q) => {
-                (less_bias(predicted.removal.residual(), q)?.statistics().rms, q.variance_nm2(&h))
-            }
+            Some(q) => (less_bias(residual, q)?.statistics().rms, q.variance_nm2(&h)),
         };
-        let residual = predicted.removal.residual();
-        let slope_nm2 = solver.residual_slope.map_or(0.0, |slope| slope.mean_square_nm2(residual));
+        let slope = self.solver.residual_slope;
+        let slope_nm2 = slope.map_or(0.0, |slope| slope.mean_square_nm2(residual));
+        let mean_nm2 = mean_nm.max(self.known_nm).powi(2);
         let iterate = Iterate {
             rms_nm,
             detilted_nm,
             expected_rms_nm: sources.map(|_| (mean_nm.powi(2) + variance_nm2).sqrt()),
-            merit_nm: (mean_nm.max(known).powi(2) + variance_nm2 + slope_nm2 + price).sqrt(),
+            merit_nm: (mean_nm2 + variance_nm2 + slope_nm2 + price).sqrt(),
             total_time_s,
             stretched: motion.stretched.len(),
             limits_respected: verdict.limits_respected,
             dwell_s: h,
         };
+        Ok(Executed { iterate, motion, quadratic })
+    }
 
-        // Keep the best plan; a plan that exceeds the limits ranks below all that keep them.
-        let before = best.as_ref().map(|(b, ..)| &iterates[*b]);
+    /// Keeps the round if it is the best one, and returns true then. A plan that exceeds the limits ranks below all that
+    /// keep them.
+    fn keep(&mut self, round: usize, executed: Executed<'a>) -> Result<bool, RefineError> {
+        let Executed { iterate, motion: Motion { trajectory, stretched }, quadratic } = executed;
+        let before = self.best.as_ref().map(|b| &self.iterates[b.round]);
         let rank = |i: &Iterate| (!i.limits_respected, i.merit_nm);
-        let better = before.is_none_or(|b| rank(&iterate) < rank(b));
-        let progress = before.is_none_or(|b| {
-            iterate.merit_nm < (1.0 - settings.least_improvement) * b.merit_nm
+        let is_better = before.is_none_or(|b| rank(&iterate) < rank(b));
+        let least_improvement = self.given.settings.least_improvement;
+        let is_progress = before.is_none_or(|b| {
+            iterate.merit_nm < (1.0 - least_improvement) * b.merit_nm
                 || iterate.limits_respected && !b.limits_respected
         });
-        iterates.push(iterate);
+        let rms_nm = iterate.rms_nm;
+        self.iterates.push(iterate);
         work::round_ended();
-        tries += 1;
-        let at_last = solver.slope_weight <= last_smoothness || has_noise;
-        if better {
-            is_smoother = false;
-            best = Some((round, motion.trajectory, quadratic));
-            // The machine's need becomes a lower bound.
-            for &(j, needed_s) in &motion.stretched {
-                if needed_s > hi[j] {
-                    return Err(RefineError::BoundBelowNeed {
-                        segment: j,
-                        length_mm: path.segment_length_mm(j),
-                        needed_s,
-                        bound_s: hi[j],
-                    });
-                }
-                lo[j] = lo[j].max(needed_s);
-            }
-            lo_of_best.clone_from(&lo);
-            let is_unkept = promised_nm < (1.0 - UNKEPT_PROMISE) * rms_nm;
-            without_progress = match progress {
+        self.tries += 1;
+        if is_better {
+            self.is_smoother = false;
+            self.best = Some(Best { round, trajectory, quadratic });
+            self.raise_bounds(&stretched)?;
+            let is_unkept = self.promised_nm < (1.0 - UNKEPT_PROMISE) * rms_nm;
+            self.without_progress = match is_progress {
                 true => 0,
-                false if step_fraction < 1.0 || is_unkept => without_progress + 1,
+                false if self.step_fraction < 1.0 || is_unkept => self.without_progress + 1,
                 false => PATIENCE,
             };
         }
-        for &(j, took) in &motion.stretched {
-            tried_lo[j] = tried_lo[j].max(took.min(hi[j]));
+        for &(j, took) in &stretched {
+            self.tried_lo[j] = self.tried_lo[j].max(took.min(self.hi[j]));
         }
-        let spent = !better && 0.5 * step_fraction < LEAST_STEP_FRACTION;
-        let best_nm = best.as_ref().map_or(f64::INFINITY, |(b, ..)| iterates[*b].rms_nm);
-        let asked_too_much = promised_nm < LARGE_PROMISE * best_nm;
-        let gets_smoother = spent && asked_too_much && !is_smoother && !has_noise;
-        if at_last && !gets_smoother && (spent || without_progress >= PATIENCE) {
-            end = End::NoImprovement;
-            break;
-        }
-        if round == settings.max_rounds {
-            break;
-        }
-
-        let (b, trajectory, quadratic) =
-            best.as_ref().expect("the first round is the best one so far");
-        let best_s = &iterates[*b].dwell_s;
-        if better || spent {
-            // After a step that succeeded at the first try, the next one may be longer and rougher. The same
-            // holds after a correction that is given up, unless it was too large.
-            if tries == 1 || spent {
-                step_fraction = f64::min(2.0 * step_fraction, 1.0);
-                if gets_smoother {
-                    is_smoother = true;
-                    lo.clone_from(&tried_lo);
-                    solver.slope_weight *= MORE_SMOOTHNESS;
-                } else if round > 0 && !at_last {
-                    solver.slope_weight =
-                        (LESS_SMOOTHNESS * solver.slope_weight).max(last_smoothness);
-                    // The effect of the new smoothness is not known yet.
-                    without_progress = 0;
-                }
-            }
-            // B of the motion; t^ = bounded least squares.
-            let places = columns::executed(trajectory, path.len(), tif);
-            let (lo, hi, guess) = (lo.clone(), hi.clone(), Some(best_s.clone()));
-            let target = quadratic.as_ref().map(|q| less_bias(desired, q)).transpose()?;
-            // Sums over the pixels in the solver, means here.
-            let product = |t: &[f64]| -> Vec<f64> {
-                let product = quadratic.as_ref().map(|q| q.product(t)).unwrap_or_default();
-                product.into_iter().map(|v| pixels * v).collect()
-            };
-            let quadratic = quadratic.as_ref().map(|_| &product as Product<'_>);
-            let program = Program { places: &places, lo, hi, guess, quadratic };
-            let target = target.as_ref().unwrap_or(desired);
-            let solution = work::part(round, parts, || {
-                dwell_solver::solve_columns(target, tif, path, None, &solver, &program)
-            })?;
-            if solver.noise_rms_nm.take().is_some() {
-                solver.slope_weight = solution.report.slope_weight;
-            }
-            promised_nm = solution.report.model_rms_nm;
-            tried_lo.clone_from(&program.lo);
-            proposed_s = solution.dwell.dwell_s().to_vec();
-            tries = 0;
-        } else {
-            step_fraction *= 0.5;
-        }
-        // t = t* + s (t^ - t*)
-        let step = best_s.iter().zip(&proposed_s).map(|(t, to)| t + step_fraction * (to - t));
-        t = DwellTime::new(step.collect())?;
+        Ok(is_better)
     }
-    let (best, trajectory, _) = best.expect("the first round is the best one so far");
-    let dwell = DwellTime::new(iterates[best].dwell_s.clone())?;
-    let is_at_bound = |(j, t): &(usize, &f64)| **t <= lo_of_best[*j] || **t >= hi[*j];
-    let at_bound = dwell.dwell_s().iter().enumerate().filter(is_at_bound).count();
-    Ok(Refined { dwell, trajectory, best, iterates, end, at_bound, least_s: lo_of_best })
+
+    /// Makes the times that the machine needed lower bounds.
+    fn raise_bounds(&mut self, stretched: &[(usize, f64)]) -> Result<(), RefineError> {
+        for &(segment, needed_s) in stretched {
+            let bound_s = self.hi[segment];
+            if needed_s > bound_s {
+                let length_mm = self.given.path.segment_length_mm(segment);
+                return Err(RefineError::BoundBelowNeed { segment, length_mm, needed_s, bound_s });
+            }
+            self.lo[segment] = self.lo[segment].max(needed_s);
+        }
+        self.lo_of_best.clone_from(&self.lo);
+        Ok(())
+    }
+
+    /// True where the corrections have their last smoothness.
+    fn is_at_last(&self) -> bool {
+        self.solver.slope_weight <= self.last_smoothness || self.has_noise
+    }
+
+    /// What follows a round that is the best one so far, or is not.
+    fn next(&self, is_better: bool) -> Next {
+        let is_spent = !is_better && 0.5 * self.step_fraction < LEAST_STEP_FRACTION;
+        let best_nm = self.best.as_ref().map_or(f64::INFINITY, |b| self.iterates[b.round].rms_nm);
+        let asked_too_much = self.promised_nm < LARGE_PROMISE * best_nm;
+        let gets_smoother = is_spent && asked_too_much && !self.is_smoother && !self.has_noise;
+        let is_over = is_spent || self.without_progress >= PATIENCE;
+        if self.is_at_last() && !gets_smoother && is_over {
+            return Next::End;
+        }
+        match is_better || is_spent {
+            true => Next::Correct { is_given_up: is_spent, is_smoother: gets_smoother },
+            false => Next::HalveStep,
+        }
+    }
+
+    /// Chooses the length of the next step and its smoothness. After a step that succeeded at the first try, the next one
+    /// may be longer and rougher. The same holds after a correction that is given up, unless it was too large.
+    fn adapt(&mut self, round: usize, is_given_up: bool, is_smoother: bool) {
+        if self.tries != 1 && !is_given_up {
+            return;
+        }
+        self.step_fraction = f64::min(2.0 * self.step_fraction, 1.0);
+        if is_smoother {
+            self.is_smoother = true;
+            self.lo.clone_from(&self.tried_lo);
+            self.solver.slope_weight *= MORE_SMOOTHNESS;
+        } else if round > 0 && !self.is_at_last() {
+            let less = LESS_SMOOTHNESS * self.solver.slope_weight;
+            self.solver.slope_weight = less.max(self.last_smoothness);
+            // The effect of the new smoothness is not known yet.
+            self.without_progress = 0;
+        }
+    }
+
+    fn best(&self) -> &Best<'a> {
+        self.best.as_ref().expect("the first round is the best one so far")
+    }
+
+    /// Finds t^ by bounded least squares with the columns B of the best motion.
+    fn correct(&mut self, round: usize) -> Result<(), RefineError> {
+        let Given { desired, tif, path, settings, .. } = self.given;
+        let Best { round: best, trajectory, quadratic } = self.best();
+        let places = columns::executed(trajectory, path.len(), tif);
+        let guess = Some(self.iterates[*best].dwell_s.clone());
+        let (lo, hi) = (self.lo.clone(), self.hi.clone());
+        let target = quadratic.as_ref().map(|q| less_bias(desired, q)).transpose()?;
+        // Sums over the pixels in the solver, means here.
+        let product = |t: &[f64]| -> Vec<f64> {
+            let product = quadratic.as_ref().map(|q| q.product(t)).unwrap_or_default();
+            product.into_iter().map(|v| self.pixels * v).collect()
+        };
+        let quadratic = quadratic.as_ref().map(|_| &product as Product<'_>);
+        let program = Program { places: &places, lo, hi, guess, quadratic };
+        let target = target.as_ref().unwrap_or(desired);
+        let solution = work::part(round, settings.max_rounds.max(1), || {
+            dwell_solver::solve_columns(target, tif, path, None, &self.solver, &program)
+        })?;
+        let lo = program.lo;
+        if self.solver.noise_rms_nm.take().is_some() {
+            self.solver.slope_weight = solution.report.slope_weight;
+        }
+        self.promised_nm = solution.report.model_rms_nm;
+        self.tried_lo = lo;
+        self.proposed_s = solution.dwell.dwell_s().to_vec();
+        self.tries = 0;
+        Ok(())
+    }
+
+    /// The dwell times of the next round, t = t* + s (t^ - t*).
+    fn proposal(&self) -> Result<DwellTime, Invalid> {
+        let best_s = &self.iterates[self.best().round].dwell_s;
+        let step = best_s.iter().zip(&self.proposed_s);
+        DwellTime::new(step.map(|(t, to)| t + self.step_fraction * (to - t)).collect())
+    }
+
+    fn result(self, end: End) -> Result<Refined, RefineError> {
+        let Self { best, iterates, lo_of_best, hi, .. } = self;
+        let best = best.expect("the first round is the best one so far");
+        let dwell = DwellTime::new(iterates[best.round].dwell_s.clone())?;
+        let is_at_bound = |(j, t): &(usize, &f64)| **t <= lo_of_best[*j] || **t >= hi[*j];
+        let at_bound = dwell.dwell_s().iter().enumerate().filter(is_at_bound).count();
+        Ok(Refined {
+            dwell,
+            trajectory: best.trajectory,
+            best: best.round,
+            iterates,
+            end,
+            at_bound,
+            least_s: lo_of_best,
+        })
+    }
 }
 
 /// Map minus m, the additional removal by the fixed errors of a process, nm.

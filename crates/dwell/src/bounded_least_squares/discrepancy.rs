@@ -14,9 +14,7 @@ use ndarray::{Array2, Zip};
 use planish_numerics::quadrature::gauss_legendre;
 
 use super::{
-    minimise::{Iterate, huber_weights},
-    prepared::BoundedProblem,
-    report::BoundedSolution,
+    minimise::Iterate, prepared::BoundedProblem, report::BoundedSolution, weighted::huber_weights,
 };
 use crate::{DwellError, objective::Basis};
 

@@ -121,3 +121,9 @@ pub fn scaled(map: &Array2<f64>, factor: f64) -> Array2<f64> {
 pub fn add_scaled(sum: &mut Array2<f64>, factor: f64, map: &Array2<f64>) {
     Zip::from(sum).and(map).par_for_each(|s, v| *s += factor * v);
 }
+
+/// Weights with which the gradient of the weighted squares is that of the Huber loss: `w min(k / |r|, 1)`,
+/// for the residual r without its free part.
+pub fn huber_weights(weight: &Array2<f64>, r: &Array2<f64>, k: f64) -> Array2<f64> {
+    Zip::from(weight).and(r).map_collect(|w, r| w * (k / r.abs()).min(1.0))
+}

@@ -166,6 +166,19 @@ enum Lattice {
 }
 
 impl Lattice {
+    /// Number and distance of the samples, for the report.
+    fn samples(&self) -> Samples {
+        match self {
+            Self::Places(Grid { x, y }) => Samples::Places {
+                places: [x.len(), y.len()],
+                spacing_mm: [x.step_mm(), y.step_mm()],
+            },
+            Self::Azimuths { count, .. } => {
+                Samples::Azimuths { azimuths: *count, spacing_deg: 360.0 / *count as f64 }
+            }
+        }
+    }
+
     fn len(&self) -> usize {
         match self {
             Self::Places(grid) => grid.x.len() * grid.y.len(),
@@ -281,98 +294,149 @@ fn at(
     (of, counts): (&LocalTool<'_>, &Used<'_>),
     settings: &LowRankSettings,
 ) -> Result<LowRank, Invalid> {
-    let LowRankSettings { error, max_rank } = *settings;
-    let place = |i: usize| lattice.place(i);
     let count = lattice.len();
-    let used: Vec<usize> = (0..count).into_par_iter().filter(|i| counts(place(*i))).collect();
+    let used: Vec<usize> =
+        (0..count).into_par_iter().filter(|i| counts(lattice.place(*i))).collect();
     if used.is_empty() {
         let remedy = "give a map with valid pixels in the coordinates of the part";
         return Err(Invalid::whole("surface", "has no place at which the tool is used", remedy));
     }
-    let training = used.len().min(MOST_TRAINING);
-    // Evenly spread, by the golden ratio where not all are taken.
-    let chosen = |k: usize| match training == used.len() {
-        true => used[k],
-        false => used[((k as f64 * GOLDEN).fract() * used.len() as f64) as usize],
-    };
-    let samples: Vec<Array2<f64>> =
-        (0..training).into_par_iter().map(|k| of(place(chosen(k)))).collect();
-    let dot = |a: &Array2<f64>, b: &Array2<f64>| Zip::from(a).and(b).fold(0.0, |s, a, b| s + a * b);
-    let rows: Vec<Vec<f64>> = (0..training)
-        .into_par_iter()
-        .map(|i| (0..=i).map(|j| dot(&samples[i], &samples[j])).collect())
-        .collect();
-    let products = DMatrix::from_fn(training, training, |i, j| rows[i.max(j)][i.min(j)]);
-    let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(products);
-    let mut order: Vec<usize> = (0..training).collect();
-    order.sort_by(|a, b| eigenvalues[*b].total_cmp(&eigenvalues[*a]));
-    let total: f64 = eigenvalues.iter().map(|l| l.max(0.0)).sum();
-    let mut left = total;
-    let mut rank = 0;
-    while rank < max_rank.min(training)
-        && left > (PART_OF_RANK * error).powi(2) * total
-        && eigenvalues[order[rank]] > f64::EPSILON * total
-    {
-        left -= eigenvalues[order[rank]];
-        rank += 1;
+    let basis = Basis::new(offsets, &lattice, &used, of, settings);
+    let found: Vec<Projected> =
+        (0..count).into_par_iter().map(|i| basis.project(&of(lattice.place(i)))).collect();
+    let tool = basis.tool(offsets, lattice, &found)?;
+    let report = report(&basis, lattice, (&used, &found), (of, counts), &tool, settings)?;
+    Ok(LowRank { tool, report })
+}
+
+fn dot(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
+    Zip::from(a).and(b).fold(0.0, |s, a, b| s + a * b)
+}
+
+/// A sample of the tool by its products with the kernels, and its square.
+struct Projected {
+    products: Vec<f64>,
+    square: f64,
+}
+
+impl Projected {
+    /// `|K|^2 - sum_k a_k^2`: what the kernels miss of the sample.
+    fn missed(&self) -> f64 {
+        (self.square - self.products.iter().map(|a| a * a).sum::<f64>()).max(0.0)
     }
-    let scale = (total / training as f64).sqrt();
-    let kernel = |k: usize| -> Array2<f64> {
-        let column = eigenvectors.column(order[k]);
-        let mut kernel = Array2::zeros(offsets.shape());
-        for (sample, v) in samples.iter().zip(column.iter()) {
-            kernel.scaled_add(v / eigenvalues[order[k]].sqrt(), sample);
+}
+
+/// The kernels (1), orthonormal, and the root mean square of the samples that they are made of, nm/s.
+struct Basis {
+    kernels: Vec<Array2<f64>>,
+    scale: f64,
+}
+
+impl Basis {
+    /// The kernels of the samples at places that are used: as few as the wanted error allows.
+    fn new(
+        offsets: &Grid,
+        lattice: &Lattice,
+        used: &[usize],
+        of: &LocalTool<'_>,
+        settings: &LowRankSettings,
+    ) -> Self {
+        let LowRankSettings { error, max_rank } = *settings;
+        let training = used.len().min(MOST_TRAINING);
+        // Evenly spread, by the golden ratio where not all are taken.
+        let chosen = |k: usize| match training == used.len() {
+            true => used[k],
+            false => used[((k as f64 * GOLDEN).fract() * used.len() as f64) as usize],
+        };
+        let samples: Vec<Array2<f64>> =
+            (0..training).into_par_iter().map(|k| of(lattice.place(chosen(k)))).collect();
+        let rows: Vec<Vec<f64>> = (0..training)
+            .into_par_iter()
+            .map(|i| (0..=i).map(|j| dot(&samples[i], &samples[j])).collect())
+            .collect();
+        let products = DMatrix::from_fn(training, training, |i, j| rows[i.max(j)][i.min(j)]);
+        let SymmetricEigen { eigenvalues, eigenvectors } = SymmetricEigen::new(products);
+        let mut order: Vec<usize> = (0..training).collect();
+        order.sort_by(|a, b| eigenvalues[*b].total_cmp(&eigenvalues[*a]));
+        let total: f64 = eigenvalues.iter().map(|l| l.max(0.0)).sum();
+        let mut left = total;
+        let mut rank = 0;
+        while rank < max_rank.min(training)
+            && left > (PART_OF_RANK * error).powi(2) * total
+            && eigenvalues[order[rank]] > f64::EPSILON * total
+        {
+            left -= eigenvalues[order[rank]];
+            rank += 1;
         }
-        // A sign that does not depend on the eigenvectors' own: the larger part of a kernel is positive.
-        if kernel.sum() < 0.0 { -kernel } else { kernel }
-    };
-    let kernels: Vec<Array2<f64>> = (0..rank).into_par_iter().map(kernel).collect();
-    let of_place = |p: [f64; 2]| -> (Vec<f64>, f64) {
-        let sample = of(p);
-        let square = dot(&sample, &sample);
-        (kernels.iter().map(|kernel| dot(kernel, &sample)).collect(), square)
-    };
-    let found: Vec<(Vec<f64>, f64)> =
-        (0..count).into_par_iter().map(|i| of_place(place(i))).collect();
-    let missed =
-        |(a, square): &(Vec<f64>, f64)| (square - a.iter().map(|a| a * a).sum::<f64>()).max(0.0);
+        let kernel = |k: usize| -> Array2<f64> {
+            let column = eigenvectors.column(order[k]);
+            let mut kernel = Array2::zeros(offsets.shape());
+            for (sample, v) in samples.iter().zip(column.iter()) {
+                kernel.scaled_add(v / eigenvalues[order[k]].sqrt(), sample);
+            }
+            // A sign that does not depend on the eigenvectors' own: the larger part of a kernel is positive.
+            if kernel.sum() < 0.0 { -kernel } else { kernel }
+        };
+        let kernels = (0..rank).into_par_iter().map(kernel).collect();
+        Self { kernels, scale: (total / training as f64).sqrt() }
+    }
+
+    /// (2) for a sample of the tool.
+    fn project(&self, sample: &Array2<f64>) -> Projected {
+        let products = self.kernels.iter().map(|kernel| dot(kernel, sample)).collect();
+        Projected { products, square: dot(sample, sample) }
+    }
+
+    /// The tool of these kernels with the weights that were found on a lattice.
+    fn tool(
+        &self,
+        offsets: &Grid,
+        lattice: Lattice,
+        found: &[Projected],
+    ) -> Result<VaryingTif, Invalid> {
+        let rank = self.kernels.len();
+        let weight = |k: usize, i: usize| found[i].products[k] / self.scale;
+        let (positions, weights, azimuth) = match lattice {
+            Lattice::Places(positions) => {
+                let (ny, nx) = positions.shape();
+                let map = |k| Array2::from_shape_fn((ny, nx), |(r, c)| weight(k, r * nx + c));
+                (positions, (0..rank).map(map).collect(), None)
+            }
+            Lattice::Azimuths { middle_mm, radius_mm, count } => {
+                let around = |i: usize| Axis::new(middle_mm[i] - radius_mm, 2.0 * radius_mm, 2);
+                let positions = Grid { x: around(0)?, y: around(1)? };
+                let degrees = (0..count).map(|i| 360.0 * i as f64 / count as f64).collect();
+                let rows = (0..rank).map(|k| (0..count).map(|i| weight(k, i)).collect()).collect();
+                let azimuth = AzimuthWeights::new(middle_mm, degrees, rows)?;
+                (positions, vec![Array2::ones(positions.shape()); rank], Some(azimuth))
+            }
+        };
+        Ok(VaryingTif {
+            offsets: *offsets,
+            kernels: self.kernels.iter().map(|kernel| kernel * self.scale).collect(),
+            positions,
+            weights,
+            azimuth,
+            pixels: None,
+            time: None,
+        })
+    }
+}
+
+/// Exactness of a tool of kernels and weights, at the samples of the weights and in the middles between them.
+fn report(
+    basis: &Basis,
+    lattice: Lattice,
+    (used, found): (&[usize], &[Projected]),
+    (of, counts): (&LocalTool<'_>, &Used<'_>),
+    tool: &VaryingTif,
+    settings: &LowRankSettings,
+) -> Result<LowRankReport, Invalid> {
+    let rank = basis.kernels.len();
     let of_used = || used.iter().map(|i| &found[*i]);
-    let squares: f64 = of_used().map(|(_, square)| square).sum::<f64>() / used.len() as f64;
-    let of_rank: f64 = of_used().map(missed).sum::<f64>() / used.len() as f64;
-    let largest_of_rank = of_used().map(missed).fold(0.0, f64::max);
-    let kernels_nm_per_s = kernels.iter().map(|kernel| kernel * scale).collect();
-    let weight = |k: usize, i: usize| found[i].0[k] / scale;
-    let tool = match lattice {
-        Lattice::Places(positions) => {
-            let (ny, nx) = positions.shape();
-            let map = |k| Array2::from_shape_fn((ny, nx), |(r, c)| weight(k, r * nx + c));
-            VaryingTif {
-                offsets: *offsets,
-                kernels: kernels_nm_per_s,
-                positions,
-                weights: (0..rank).map(map).collect(),
-                azimuth: None,
-                pixels: None,
-                time: None,
-            }
-        }
-        Lattice::Azimuths { middle_mm, radius_mm, .. } => {
-            let around = |i: usize| Axis::new(middle_mm[i] - radius_mm, 2.0 * radius_mm, 2);
-            let positions = Grid { x: around(0)?, y: around(1)? };
-            let degrees = (0..count).map(|i| 360.0 * i as f64 / count as f64).collect();
-            let rows = (0..rank).map(|k| (0..count).map(|i| weight(k, i)).collect()).collect();
-            VaryingTif {
-                offsets: *offsets,
-                kernels: kernels_nm_per_s,
-                positions,
-                weights: vec![Array2::ones(positions.shape()); rank],
-                azimuth: Some(AzimuthWeights::new(middle_mm, degrees, rows)?),
-                pixels: None,
-                time: None,
-            }
-        }
-    };
-    // |K - sum_k a phi_k|^2 = |K|^2 - 2 a . (phi . K) + |a|^2 with the interpolated a.
+    let squares: f64 = of_used().map(|p| p.square).sum::<f64>() / used.len() as f64;
+    let of_rank: f64 = of_used().map(Projected::missed).sum::<f64>() / used.len() as f64;
+    let largest_of_rank = of_used().map(Projected::missed).fold(0.0, f64::max);
     let inside: Vec<[f64; 2]> = lattice.middles().into_par_iter().filter(|p| counts(*p)).collect();
     let middles = inside.len().min(MOST_MIDDLES);
     let tif = Tif::varying(tool.clone())?;
@@ -380,36 +444,27 @@ fn at(
     let interpolated = |p: [f64; 2]| -> Vec<f64> {
         (0..rank).map(|k| tif.variation().map_or(1.0, |v| v.weight(k, p))).collect()
     };
-    let errors: Vec<(f64, [f64; 2])> = (0..middles)
-        .into_par_iter()
-        .map(|k| {
-            let p = inside[k * inside.len() / middles];
-            let (exact, square) = of_place(p);
-            let a: Vec<f64> = interpolated(p).iter().map(|a| a * scale).collect();
-            let of_terms = exact.iter().zip(&a).map(|(e, a)| a * a - 2.0 * a * e).sum::<f64>();
-            ((square + of_terms).max(0.0), p)
-        })
-        .collect();
+    // |K - sum_k a phi_k|^2 = |K|^2 - 2 a . (phi . K) + |a|^2 with the interpolated a.
+    let error_at = |k: usize| -> (f64, [f64; 2]) {
+        let p = inside[k * inside.len() / middles];
+        let Projected { products, square } = basis.project(&of(p));
+        let a: Vec<f64> = interpolated(p).iter().map(|a| a * basis.scale).collect();
+        let of_terms = products.iter().zip(&a).map(|(e, a)| a * a - 2.0 * a * e).sum::<f64>();
+        ((square + of_terms).max(0.0), p)
+    };
+    let errors: Vec<(f64, [f64; 2])> = (0..middles).into_par_iter().map(error_at).collect();
     let of_middles = errors.iter().map(|e| e.0).sum::<f64>() / middles.max(1) as f64;
-    let worst = errors.iter().fold((0.0, place(0)), |a, b| if b.0 > a.0 { *b } else { a });
+    let first = (0.0, lattice.place(0));
+    let worst = errors.iter().fold(first, |a, b| if b.0 > a.0 { *b } else { a });
     let relative = |square: f64| (square / squares).sqrt();
-    let report = LowRankReport {
+    Ok(LowRankReport {
         rank,
-        samples: match lattice {
-            Lattice::Places(Grid { x, y }) => Samples::Places {
-                places: [x.len(), y.len()],
-                spacing_mm: [x.step_mm(), y.step_mm()],
-            },
-            Lattice::Azimuths { count, .. } => {
-                Samples::Azimuths { azimuths: count, spacing_deg: 360.0 / count as f64 }
-            }
-        },
+        samples: lattice.samples(),
         rank_error: relative(of_rank),
         largest_rank_error: relative(largest_of_rank),
         error: relative(of_middles).max(relative(of_rank)),
         largest_error: relative(worst.0.max(largest_of_rank)),
         largest_error_at_mm: worst.1,
-        wanted_error: error,
-    };
-    Ok(LowRank { tool, report })
+        wanted_error: settings.error,
+    })
 }

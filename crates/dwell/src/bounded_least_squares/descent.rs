@@ -1,0 +1,427 @@
+//! The states of the descent of [`super::minimise`]. One step goes through all of them:
+//!
+//! ```text
+//! reweigh --> look --> target --> advance --> reweigh ...
+//!               |         |
+//!               +---------+--> an end
+//! ```
+//!
+//! | state | transition |
+//! |---|---|
+//! | reweigh | with a Huber loss the pixels get the weights of their own residual |
+//! | look | the exact objective, its gradient q and the gap at t; is this an end? |
+//! | target | dwell times with a smaller objective, by H~ or without bounds; or an end |
+//! | advance | the exact minimum on the way there |
+
+use ndarray::Array2;
+use planish_numerics::{
+    linear::skyline::dot,
+    qp::bounded::{self, GradientSettings},
+};
+use planish_types::{End, Grid, progress};
+
+use super::{
+    prepared::BoundedProblem,
+    settings::Settings,
+    weighted::{Weighted, add_scaled, huber_weights, scaled},
+};
+use crate::{
+    DwellError,
+    objective::{Basis, Penalty},
+    residual_slope::SlopeTerm,
+    surrogate::{Penalised, Surrogate, Unbounded},
+};
+
+/// Usual number of corrections of a problem, for the estimate of the remaining time only. Larger: the progress starts
+/// slower and ends with a jump. Smaller: it waits before its end.
+const USUAL_CORRECTIONS: f64 = 6.0;
+/// Largest fraction of the progress that is reported before the end, for the estimate of the remaining time only.
+const BEFORE_LAST: f64 = 0.9;
+
+/// Fraction of the natural residual above which a step is slow: it leaves more than this. Larger: fewer steps count
+/// as slow. Smaller: the surrogate gets smaller cells earlier, and costs more.
+const SLOW_RESIDUAL_FRACTION: f64 = 0.5;
+
+/// Number of slow steps in a row after which the factorised surrogate gets smaller cells. Larger: more slow steps.
+/// Smaller: one slow step causes a new factorisation.
+const SLOW_STEPS_BEFORE_SHARPENING: usize = 2;
+
+/// Relative change of the mean square of the residual over 50 steps below which the gradient method ends; the RMS
+/// changes by half of it. The corrections of its result end if one changes the mean square by less. Larger: earlier
+/// end, larger residual. Smaller: more steps.
+const STAGNATION: f64 = 2e-4;
+
+/// Fraction of the natural residual that a step of the two-level method may leave. Larger: more corrections by the
+/// exact gradient. Smaller: more products with H~ per step.
+const RESIDUAL_FRACTION_TWO_LEVEL: f64 = 0.1;
+
+/// Fraction of the natural residual that gradient steps may leave. It is smaller than that of the two-level method
+/// because gradient steps are more expensive to restart.
+const RESIDUAL_FRACTION_GRADIENT: f64 = 0.01;
+
+/// Largest number of rounds that continue without bounds before the surrogate finds other sets. Larger: more rounds
+/// with a set of free dwell times that may be wrong. Smaller: more searches for sets.
+const MAX_ROUNDS_WITHOUT_BOUNDS: usize = 3;
+
+/// Decrease of (1) that a step promises, as a fraction of (1), up to which it is rounding and the steps end. Larger:
+/// an earlier end. Smaller: steps that only rounding decides.
+const STEP_ROUNDING: f64 = 1e-15;
+
+/// Length of the best step, over the whole step, above which the whole step is taken. Only a whole step puts the
+/// components that the surrogate has at their bounds on these bounds. Larger: more steps that stop short of the
+/// bounds. Smaller: whole steps that lower (1) less, or raise it.
+const WHOLE_STEP_FROM: f64 = 0.6;
+
+/// Distance of a dwell time from its bound, as a fraction of the dwell time, up to which the difference is rounding.
+/// Larger: free dwell times count as being at a bound. Smaller: rounding makes bound ones free.
+const BOUND_ROUNDING: f64 = 1e-13;
+
+/// The objective (1) but for the columns: its penalty, and the weights that the pixels have now.
+pub struct Terms {
+    penalty: Penalty,
+    basis: Basis,
+    weight: Array2<f64>,
+    slope: Option<SlopeTerm>,
+}
+
+impl Terms {
+    fn weighted<'a>(&'a self, problem: &BoundedProblem<'a>) -> Weighted<'a> {
+        Weighted {
+            penalty: &self.penalty,
+            basis: &self.basis,
+            weight: &self.weight,
+            quadratic: problem.quadratic,
+            slope: self.slope.as_ref(),
+        }
+    }
+}
+
+/// A step of the dwell times with the removal that it adds.
+type Step = (Vec<f64>, Array2<f64>);
+
+/// The descent, between two of its states.
+pub struct Descent<'s> {
+    settings: &'s Settings,
+    grid: Grid,
+    terms: Terms,
+    /// Diagonal of H.
+    diagonal: Vec<f64>,
+    /// Dwell times, s.
+    pub t: Vec<f64>,
+    /// B t.
+    pub removal_nm: Array2<f64>,
+    /// Sets of free dwell times that were solved for with H~, or products with it.
+    pub iterations: usize,
+    /// Steps of H~.
+    pub corrections: usize,
+    /// Slow steps in a row, and the natural residual before the last one.
+    slow: (usize, f64),
+    first_gap: Option<f64>,
+    /// Largest lower bound of (1).
+    bound: f64,
+    /// End at which the steps changed too little.
+    settled: Option<End>,
+    /// The step before, p.
+    before: Option<Step>,
+    /// Where the next step goes on without bounds, and the rounds that have done so.
+    unbounded: Option<Unbounded>,
+    rounds_without_bounds: usize,
+    /// The factorised H~ with the penalty.
+    penalised: Option<Penalised>,
+}
+
+/// What the exact objective says of the dwell times.
+pub struct Look {
+    objective: f64,
+    gradient: Vec<f64>,
+    /// Largest move that the gradient still asks of a dwell time, s.
+    pub natural_residual: f64,
+    /// Gap over the objective.
+    pub relative_gap: Option<f64>,
+    /// True if no dwell time would still move by more than the tolerance.
+    is_still: bool,
+    /// Reason for which the descent ends here.
+    pub end: Option<End>,
+}
+
+/// Where a step goes.
+pub enum Target {
+    /// Dwell times with a smaller objective; with the mask of the free ones where they were found without bounds.
+    To(Vec<f64>, Option<Vec<bool>>),
+    /// There are none.
+    End(End),
+}
+
+impl<'s> Descent<'s> {
+    /// The start of the descent of a problem.
+    pub fn new(problem: &BoundedProblem<'_>, settings: &'s Settings) -> Self {
+        let weights = settings.penalty_weights();
+        let penalty = Penalty::new(problem.path, problem.lo, &problem.scale, &weights);
+        let own = penalty.diagonal();
+        let of = |j: usize| if problem.reached[j] { problem.diagonal[j] + own[j] } else { 0.0 };
+        let diagonal = (0..own.len()).map(of).collect();
+        let grid = *problem.desired.grid();
+        let weight = &problem.weight;
+        let terms = Terms {
+            penalty,
+            basis: Basis::new(&grid, weight, settings.free),
+            weight: weight.clone(),
+            slope: settings.residual_slope.map(|slope| SlopeTerm::new(&slope, &grid, weight)),
+        };
+        let t = problem.start.clone();
+        let removal_nm = if t.iter().all(|t| *t == 0.0) {
+            Array2::zeros(problem.z.dim())
+        } else {
+            problem.b.apply(&t)
+        };
+        Self {
+            settings,
+            grid,
+            terms,
+            diagonal,
+            t,
+            removal_nm,
+            iterations: 0,
+            corrections: 0,
+            slow: (0, f64::INFINITY),
+            first_gap: None,
+            bound: f64::NEG_INFINITY,
+            settled: None,
+            before: None,
+            unbounded: None,
+            rounds_without_bounds: 0,
+            penalised: None,
+        }
+    }
+
+    /// Gives the pixels the weights of their own residual, with a Huber loss and from the second step on.
+    pub fn reweigh(&mut self, problem: &BoundedProblem<'_>) {
+        let Some(k) = self.settings.huber_nm.filter(|_| self.corrections > 0) else { return };
+        // That of before is one of other weights.
+        self.bound = f64::NEG_INFINITY;
+        let mut r = &problem.z - &self.removal_nm;
+        self.terms.basis.project(&self.terms.weight, &mut r);
+        self.terms.weight = huber_weights(&problem.weight, &r, k);
+        self.terms.basis = Basis::new(&self.grid, &self.terms.weight, self.settings.free);
+    }
+
+    /// Looks at the exact objective, and decides whether the descent ends here.
+    pub fn look(&mut self, problem: &BoundedProblem<'_>, max_corrections: usize) -> Look {
+        let settings = self.settings;
+        let weighted = self.terms.weighted(problem);
+        let (objective, gradient) = weighted.at(problem, &self.t, &self.removal_nm);
+        let (lo, hi) = (problem.lo, &problem.hi);
+        let natural_residual =
+            bounded::natural_residual(&self.t, &gradient, &self.diagonal, lo, hi);
+        let relative_gap = problem.gap(&self.terms.penalty, &self.t, &gradient).map(|gap| {
+            self.bound = self.bound.max(objective - gap);
+            (objective - self.bound).max(0.0) / objective.max(f64::MIN_POSITIVE)
+        });
+        self.tell_progress(relative_gap);
+        // Where there is a gap it decides, and how far a dwell time would still move where no step falls any more.
+        let is_still = natural_residual <= settings.tolerance_s;
+        let proven = relative_gap.map_or(is_still, |gap| gap <= settings.relative_gap);
+        let end = match self.settled {
+            _ if proven => Some(End::Optimal),
+            Some(_) if is_still => Some(End::Optimal),
+            None if self.corrections >= max_corrections => Some(End::IterationLimit),
+            settled => settled,
+        };
+        Look { objective, gradient, natural_residual, relative_gap, is_still, end }
+    }
+
+    fn tell_progress(&mut self, relative_gap: Option<f64>) {
+        let usual = (self.corrections as f64 / USUAL_CORRECTIONS).min(BEFORE_LAST);
+        let proven = relative_gap.map_or(0.0, |gap| {
+            let first = *self.first_gap.get_or_insert(gap);
+            progress::of_convergence(first, gap, self.settings.relative_gap)
+        });
+        progress::done(usual.max(proven));
+    }
+
+    /// Finds dwell times with a smaller objective: by what is found without bounds, or by H~.
+    pub fn target(
+        &mut self,
+        problem: &mut BoundedProblem<'_>,
+        look: &Look,
+    ) -> Result<Target, DwellError> {
+        self.sharpen_where_slow(problem, look);
+        let found = match self.without_bounds(problem, look) {
+            Some(found) => found,
+            None => self.by_surrogate(problem, look)?,
+        };
+        let Target::To(to, _) = &found else { return Ok(found) };
+        if -slope(&look.gradient, &self.t, to) <= STEP_ROUNDING * look.objective {
+            return Ok(Target::End(if look.is_still { End::Optimal } else { End::Stagnated }));
+        }
+        Ok(found)
+    }
+
+    /// Gives the factorised surrogate smaller cells after slow steps.
+    fn sharpen_where_slow(&mut self, problem: &mut BoundedProblem<'_>, look: &Look) {
+        let (count, before) = self.slow;
+        let is_slow = look.natural_residual > SLOW_RESIDUAL_FRACTION * before;
+        self.slow = (if is_slow { count + 1 } else { 0 }, look.natural_residual);
+        let factorised = matches!(problem.surrogate, Surrogate::Ordered(_));
+        if self.slow.0 >= SLOW_STEPS_BEFORE_SHARPENING && factorised {
+            self.slow.0 = 0;
+            problem.sharpen(&self.terms.penalty);
+            self.penalised = None;
+        }
+    }
+
+    /// What is found without bounds, where the surrogate has left dwell times to go on from.
+    fn without_bounds(&mut self, problem: &mut BoundedProblem<'_>, look: &Look) -> Option<Target> {
+        let from = self.unbounded.take()?;
+        let most = self.settings.max_iterations.saturating_sub(self.iterations);
+        let wanted = (self.settings.relative_gap, most);
+        let weighted = self.terms.weighted(problem);
+        let found = problem.without_bounds(&weighted, from, look.objective, wanted);
+        self.iterations += found.products;
+        self.bound = self.bound.max(found.bound);
+        let found = found.end?;
+        let to = bounded::clip(&found.t, problem.lo, &problem.hi);
+        let falls = -slope(&look.gradient, &self.t, &to) > STEP_ROUNDING * look.objective;
+        falls.then_some(Target::To(to, Some(found.free)))
+    }
+
+    /// The minimum of H~; where H~ is singular, that of H~ on smaller cells.
+    fn by_surrogate(
+        &mut self,
+        problem: &mut BoundedProblem<'_>,
+        look: &Look,
+    ) -> Result<Target, DwellError> {
+        let penalty = &self.terms.penalty;
+        loop {
+            match &mut problem.surrogate {
+                Surrogate::Ordered(h) => {
+                    let h = self.penalised.get_or_insert_with(|| h.penalised(penalty));
+                    let found = h.minimum(&self.t, &look.gradient, problem.lo, &problem.hi);
+                    if let Some((to, count)) = found {
+                        self.iterations += count;
+                        return Ok(Target::To(to, None));
+                    }
+                    if !(problem.sharpen(penalty) || problem.without_factors(penalty)?) {
+                        let tikhonov = self.settings.tikhonov;
+                        return Err(DwellError::Singular { tikhonov });
+                    }
+                    self.penalised = None;
+                }
+                Surrogate::Convolved(h) => {
+                    let steps = self.gradient_settings(problem.splines_mm, look);
+                    let bounds = (problem.lo, problem.hi.as_slice());
+                    let (t, q, reached) = (&self.t, &look.gradient, &problem.reached);
+                    let found = h.minimum(penalty, t, q, reached, bounds, &steps);
+                    self.iterations += found.iterations;
+                    // With a Huber loss the next q has other weights.
+                    self.unbounded = found.unbounded.filter(|_| self.settings.huber_nm.is_none());
+                    return Ok(match self.iterations >= self.settings.max_iterations {
+                        true => Target::End(End::IterationLimit),
+                        false => Target::To(found.t, None),
+                    });
+                }
+            }
+        }
+    }
+
+    /// How far the gradient steps, or the two-level method where there are splines, go for the minimum of H~.
+    fn gradient_settings(&self, splines_mm: Option<f64>, look: &Look) -> GradientSettings {
+        GradientSettings {
+            tolerance: match splines_mm {
+                None => (RESIDUAL_FRACTION_GRADIENT * look.natural_residual)
+                    .max(0.5 * self.settings.tolerance_s),
+                Some(_) => RESIDUAL_FRACTION_TWO_LEVEL * look.natural_residual,
+            },
+            max_iterations: self.settings.max_iterations.saturating_sub(self.iterations),
+            stagnation: STAGNATION,
+            offset: look.objective,
+        }
+    }
+
+    /// Goes to the exact minimum on the way to the target, and notes whether that has changed enough.
+    pub fn advance(
+        &mut self,
+        problem: &BoundedProblem<'_>,
+        look: &Look,
+        (to, free): (Vec<f64>, Option<Vec<bool>>),
+    ) {
+        let (fall, (step, step_nm)) = self.best_step(problem, look, &to);
+        let by_gradient =
+            matches!(problem.surrogate, Surrogate::Convolved(_)) && problem.splines_mm.is_none();
+        // The exact step of a descent direction falls but for rounding.
+        let enough = if by_gradient { STAGNATION * look.objective } else { 0.0 };
+        if fall <= enough && free.is_none() {
+            self.settled = Some(End::Stagnated);
+        }
+        if fall <= 0.0 {
+            return;
+        }
+        let (lo, hi) = (problem.lo, &problem.hi);
+        for (j, t) in self.t.iter_mut().enumerate() {
+            *t = snapped(*t + step[j], lo[j], hi[j]);
+        }
+        add_scaled(&mut self.removal_nm, 1.0, &step_nm);
+        // Where it was without bounds it may be so again, with those dwell times at their bounds that were beyond them.
+        match free.filter(|_| self.rounds_without_bounds < MAX_ROUNDS_WITHOUT_BOUNDS) {
+            Some(mut free) => {
+                let t = &self.t;
+                (0..t.len()).for_each(|j| free[j] &= lo[j] < t[j] && t[j] < hi[j]);
+                self.unbounded = Some(Unbounded { t: t.clone(), free });
+                self.rounds_without_bounds += 1;
+            }
+            None => self.rounds_without_bounds = 0,
+        }
+        // What goes on without bounds does not need it.
+        self.before = self.unbounded.is_none().then_some((step, step_nm));
+        self.corrections += 1;
+    }
+
+    /// The better one of the step to the target and of a step in the plane of that and the step before, with the fall
+    /// of the objective.
+    fn best_step(&self, problem: &BoundedProblem<'_>, look: &Look, to: &[f64]) -> (f64, Step) {
+        let (t, q) = (&self.t, &look.gradient);
+        let weighted = self.terms.weighted(problem);
+        let slope = slope(q, t, to);
+        let d: Vec<f64> = to.iter().zip(t).map(|(to, t)| to - t).collect();
+        let d_nm = problem.b.apply(&d);
+        let curvature = weighted.curvature(&d, &d_nm);
+        // The whole step lands on the bounds: nearly whole is made whole.
+        let s = -slope / curvature;
+        let s = if s > WHOLE_STEP_FROM { 1.0 } else { s };
+        let fall = -s * slope - 0.5 * s * s * curvature;
+        let own = |d: &[f64]| -> Step { (d.iter().map(|d| s * d).collect(), scaled(&d_nm, s)) };
+        let Some((p, p_nm)) = &self.before else { return (fall, own(&d)) };
+        let [a, b] = weighted.plane_minimum(q, (&d, &d_nm, curvature), (p, p_nm));
+        let wanted: Vec<f64> = d.iter().zip(p).map(|(d, p)| a * d + b * p).collect();
+        // B e = a B d + b B p + B (what was clipped: few columns)
+        let clipped = |j: usize| match t[j] + wanted[j] {
+            to if to < problem.lo[j] => problem.lo[j] - t[j],
+            to if to > problem.hi[j] => problem.hi[j] - t[j],
+            _ => wanted[j],
+        };
+        let e: Vec<f64> = (0..t.len()).map(clipped).collect();
+        let left_out: Vec<f64> = e.iter().zip(&wanted).map(|(e, w)| e - w).collect();
+        let mut e_nm = scaled(&d_nm, a);
+        add_scaled(&mut e_nm, b, p_nm);
+        if left_out.iter().any(|w| *w != 0.0) {
+            add_scaled(&mut e_nm, 1.0, &problem.b.apply(&left_out));
+        }
+        let other = -dot(q, &e) - 0.5 * weighted.curvature(&e, &e_nm);
+        if other > fall { (other, (e, e_nm)) } else { (fall, own(&d)) }
+    }
+}
+
+/// Slope of the objective along the step d = to - t of the dwell times: `q'd`, with its gradient q.
+fn slope(q: &[f64], t: &[f64], to: &[f64]) -> f64 {
+    q.iter().zip(to.iter().zip(t)).map(|(q, (to, t))| q * (to - t)).sum()
+}
+
+/// `t` within its bounds, and on them where it differs by rounding.
+fn snapped(t: f64, lo: f64, hi: f64) -> f64 {
+    let rounding = BOUND_ROUNDING * t.abs().max(lo.abs());
+    match t {
+        t if t <= lo + rounding => lo,
+        t if t >= hi - rounding => hi,
+        t => t,
+    }
+}
