@@ -367,6 +367,9 @@ mod tests {
         assert_eq!(found.limits().axes()[1].max_jerk_mm_per_s3(), Some(1000.0));
         assert_eq!((found.axes().len(), found.travel_mm()), (2, &[None; 2]));
         assert_eq!(*found.kinematics(), Kinematics::Spindle { has_z: false, pivot_mm: None });
+        // However the part lies on the spindle, the limits are along x and y of the part.
+        let turned = machine(r, c, &format!(r#"{more}, "part_rotation_deg": 30"#)).unwrap();
+        assert!(turned.part_to_axes().is_some() && turned.limits_on_part() == *turned.limits());
     }
 
     #[test]

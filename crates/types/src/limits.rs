@@ -7,10 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{
-    ControllerFile, Invalid,
-    kinematics::{KinematicsFile, MachineFileRotaryAxis},
-};
+use crate::{ControllerFile, Invalid, KinematicsFile, MachineFileRotaryAxis};
 
 /// Names of the axes, in their order.
 pub(crate) const AXES: [&str; 2] = ["x", "y"];

@@ -131,7 +131,11 @@ impl Machine {
 
     /// Limits along x and y of the part that the axes can follow in every direction at once.
     pub fn limits_on_part(&self) -> Limits {
-        let Some(transform) = &self.part_to_axes else { return self.limits.clone() };
+        // Those of a spindle machine are along x and y of the part as stated.
+        let is_spindle = matches!(self.kinematics, Kinematics::Spindle { .. });
+        let Some(transform) = self.part_to_axes.as_ref().filter(|_| !is_spindle) else {
+            return self.limits.clone();
+        };
         let axes = self.limits.axes();
         let boxed = |limit: fn(&AxisLimits) -> Option<f64>| {
             largest_box(transform.matrix(), axes.each_ref().map(limit))
