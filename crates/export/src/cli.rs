@@ -18,7 +18,7 @@ use planish_handoff::{
     flags::{AxesArgs, OutputFileArgs, TrajectoryArgs},
     pair, say, warn,
 };
-use planish_types::TransformNumbers;
+use planish_types::{Kinematics, TransformNumbers};
 
 #[derive(Debug, Subcommand)]
 pub enum Method {
@@ -76,6 +76,15 @@ impl CommonArgs {
         let version = env!("CARGO_PKG_VERSION");
         let mut inputs = Inputs::new();
         let on_axes = self.trajectory.read_on_axes(&self.machine, &mut inputs)?;
+        if *on_axes.machine.kinematics() != Kinematics::Xy {
+            let names: Vec<&str> = on_axes.machine.axes().iter().map(|a| a.name).collect();
+            return Err(Failure::new(format!(
+                "{}: has the axes {}, and a program is for x and y; give a machine with x and y alone, or use the motion \
+                 of planish-axes motion",
+                self.machine.machine.machine.display(),
+                names.join(", ")
+            )));
+        }
         let program_file = self.output.begin(&inputs)?;
         let about_file = OutputFile::begin("--out", &about, *force, &inputs)?;
         refuse_foreign_about(&about)?;

@@ -76,10 +76,15 @@ pub fn formats_markdown() -> String {
 }
 
 /// Keys of a machine file, with their units; those of an axis stand under `axes`.
-const MACHINE_KEYS: [(&str, &str, &str); 21] = [
+const MACHINE_KEYS: [(&str, &str, &str); 32] = [
     ("name", "-", "Name of the machine."),
-    ("axes", "-", "Exactly two objects with the keys below, x first, then y."),
-    ("axes[].name", "-", "`x` or `y`."),
+    (
+        "axes",
+        "-",
+        "Objects with the keys below for the linear axes: x, then y. Other `kinematics` have other axes \
+         ([table](axes.md#the-kinematics)).",
+    ),
+    ("axes[].name", "-", "`x` or `y`; `z` or `r` where the kinematics have them."),
     ("axes[].max_velocity_mm_per_s", "mm/s", "Largest velocity; > 0."),
     ("axes[].max_acceleration_mm_per_s2", "mm/s^2", "Largest acceleration; > 0."),
     (
@@ -97,6 +102,47 @@ const MACHINE_KEYS: [(&str, &str, &str); 21] = [
         "-",
         "`+x`, `-x`, `+y` or `-y`: where the tool goes over the turned part when the axis counts up. Left out: the \
          axis x along `+x`, y along `+y`.",
+    ),
+    (
+        "rotary_axes",
+        "-",
+        "Objects with the keys below for the rotary axes of the kinematics: `a` and `b`, or `c` (and `b`). Left out: \
+         none.",
+    ),
+    ("rotary_axes[].name", "-", "`a`, `b` or `c`."),
+    ("rotary_axes[].max_velocity_deg_per_s", "deg/s", "Largest velocity; > 0."),
+    ("rotary_axes[].max_acceleration_deg_per_s2", "deg/s^2", "Largest acceleration; > 0."),
+    (
+        "rotary_axes[].max_jerk_deg_per_s3",
+        "deg/s^3",
+        "Largest jerk; > 0; when left out, `time_to_full_acceleration_s` decides.",
+    ),
+    (
+        "rotary_axes[].travel_deg",
+        "degrees",
+        "Smallest and largest position that the axis reads; left out where nobody limits it.",
+    ),
+    (
+        "kinematics.kind",
+        "-",
+        "`xy`, `xyz`, `xyz-tilts` or `spindle` ([axes](axes.md)); `xy` when `kinematics` is left out.",
+    ),
+    (
+        "kinematics.pivot_mm",
+        "mm",
+        "Distance from the contact point to the pivot of the tilts, along the tool; negative below the surface. Of \
+         `xyz-tilts`, and of a `spindle` with the axis b.",
+    ),
+    (
+        "kinematics.tilts",
+        "-",
+        "`[\"a\", \"b\"]` or `[\"b\", \"a\"]`: the first tilt carries the second; of `xyz-tilts`.",
+    ),
+    (
+        "kinematics.contact",
+        "-",
+        "Object with `max_velocity_mm_per_s`, `max_acceleration_mm_per_s2` and, if any, `max_jerk_mm_per_s3`: limits of \
+         the contact point along x and y of the part, which plans keep; of `spindle`.",
     ),
     (
         "time_to_full_acceleration_s",
@@ -119,6 +165,11 @@ const MACHINE_KEYS: [(&str, &str, &str); 21] = [
         "part_origin_mm",
         "mm",
         "What the axes [x, y] read where the tool is over the origin of the part; [0, 0] when left out.",
+    ),
+    (
+        "part_origin_z_mm",
+        "mm",
+        "What the axis z reads where the tool, without tilt, touches the height 0 of the part; 0 when left out.",
     ),
     (
         "controller",
@@ -169,7 +220,8 @@ the sign and the direction of `along`, and o is `part_origin_mm`. An axis that c
 way: give the opposite sign.
 
 Plans stay in the coordinates of the part, within the largest box of limits there that the axes can follow in every
-direction. `planish-verify` judges the motion of the axes, and `planish-export` writes it. If fiducials say how the part
+direction. On a machine with other kinematics than `xy` that box is of x and y alone, or of `kinematics.contact`;
+`planish-axes` makes the motion of all axes ([axes](axes.md)). `planish-verify` judges the motion of the axes, and `planish-export` writes it. If fiducials say how the part
 lies ([from run to run](campaign.md)), `planish-register apply` takes the motion to the axes. These keys are then not
 applied again.
 ";

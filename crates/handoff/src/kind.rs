@@ -481,6 +481,44 @@ pub const TRAJECTORY: Kind = Kind {
     files: &[],
 };
 
+/// Kind of a motion of all axes of a machine.
+pub const AXES: Kind = Kind {
+    name: "axes",
+    version: 1,
+    doc: "A motion of all n axes of a machine: k cubic polynomials per axis in segment-local time, as those of a \
+          trajectory. The outcome of the manifest names the axes, in the order of the machine file: the linear axes, then \
+          the rotary ones. It states the distance of the executed contact point from the plan.",
+    frame: "positions of the axes of a machine, as they read",
+    arrays: &[
+        array(
+            "break_time_s",
+            Dtype::F64,
+            &["k+1"],
+            &["break"],
+            "s",
+            "Start of every segment, and the end of the last.",
+        ),
+        array(
+            "coefficient",
+            Dtype::F64,
+            &["k", "n", "4"],
+            &["segment", "axis", "order"],
+            "mm/s^order, deg/s^order",
+            "Ascending coefficients c0..c3; in mm for a linear axis and in degrees for a rotary one.",
+        ),
+        array("tool_on", Dtype::U8, &["k"], &["segment"], "1", "0 where the tool removes nothing."),
+        array(
+            "dwell_index",
+            Dtype::I64,
+            &["k"],
+            &["segment"],
+            "1",
+            "Dwell point that the segment serves; -1 when none.",
+        ),
+    ],
+    files: &[],
+};
+
 /// Kind of the position of a part on a machine.
 pub const TRANSFORM: Kind = Kind {
     name: "transform",
@@ -809,7 +847,7 @@ pub const SWEEP: Kind = Kind {
 };
 
 /// All kinds, in the order of the pipeline.
-pub const ALL: [&Kind; 21] = [
+pub const ALL: [&Kind; 22] = [
     &SURFACE,
     &TIF,
     &TOOL,
@@ -817,6 +855,7 @@ pub const ALL: [&Kind; 21] = [
     &DWELL,
     &DWELL_DENSITY,
     &TRAJECTORY,
+    &AXES,
     &TRANSFORM,
     &REMOVAL,
     &FRAMES,

@@ -2,9 +2,9 @@
 
 use ndarray::{Array1, Array2, Array3, ArrayD, Axis as NdAxis, Ix1, Ix2, Ix3};
 use planish_types::{
-    Axis, AzimuthWeights, DensityNodes, DwellDensity, DwellTime, Grid, Invalid, PixelFactor,
-    Removal, RemovalMaps, Surface, Tif, TimeFactor, ToolPath, Trajectory, Transform, VaryingTif,
-    dwell_index_from_stored, stored_dwell_index,
+    AxesMotion, Axis, AzimuthWeights, DensityNodes, DwellDensity, DwellTime, Grid, Invalid,
+    PixelFactor, Removal, RemovalMaps, Surface, Tif, TimeFactor, ToolPath, Trajectory, Transform,
+    VaryingTif, dwell_index_from_stored, stored_dwell_index,
 };
 
 use crate::{
@@ -105,7 +105,8 @@ impl Artifact for Tool {
             axis_array(&positions.x),
             axis_array(&positions.y),
         ];
-        // Arrays may be absent at the end only. One time, and pixels with the factor 1, say that there is no such factor.
+        // Arrays may be absent at the end only. One time, and pixels with the factor 1, say that there is no such
+        // factor.
         if time.is_some() || pixels.is_some() || azimuth.is_some() {
             let none = TimeFactor { time_s: vec![0.0], factor: vec![1.0] };
             let TimeFactor { time_s, factor } = time.unwrap_or(none);
@@ -257,6 +258,34 @@ impl Artifact for Trajectory {
             dwell_index_from_stored(&take_vec(arrays.take_i64("dwell_index")))?,
         )?
         .with_rate_factor(take_vec(arrays.take_f64("rate_factor")))
+    }
+}
+
+impl Artifact for AxesMotion {
+    const KIND: &'static Kind = &kind::AXES;
+
+    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
+        let shape = (self.len(), self.axes(), 4);
+        let c = Array3::from_shape_fn(shape, |(i, a, o)| self.segment(i)[a][o]);
+        let index: Vec<i64> = self.dwell_index().iter().copied().map(stored_dwell_index).collect();
+        vec![
+            floats(self.break_time_s()),
+            ArrayData::F64(c.into_dyn().into()),
+            flags(self.tool_on()),
+            integers(&index),
+        ]
+    }
+
+    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
+        let c = arrays.take_f64("coefficient");
+        let [k, n] = [c.shape()[0], c.shape()[1]];
+        let cubic = |(i, a): (usize, usize)| [0, 1, 2, 3].map(|o| c[[i, a, o]]);
+        Self::new(
+            take_vec(arrays.take_f64("break_time_s")),
+            (0..k).flat_map(|i| (0..n).map(move |a| (i, a))).map(cubic).collect(),
+            arrays.take_bool("tool_on"),
+            dwell_index_from_stored(&take_vec(arrays.take_i64("dwell_index")))?,
+        )
     }
 }
 

@@ -16,12 +16,14 @@ type Room = (&'static str, &'static [&'static str]);
 
 /// Crates of layers 0 to 2, the stages that see others, crates that run several stages, and the tests that
 /// see all.
-const ROOMS: [Room; 13] = [
+const ROOMS: [Room; 15] = [
     ("numerics", &[]),
     ("types", &["numerics"]),
     ("draw", &["types"]),
     ("form", &["types"]),
     ("handoff", &["types", "form"]),
+    ("kinematics", &["types", "form"]),
+    ("axes", &["numerics", "types", "form", "kinematics", "handoff"]),
     (
         "refine",
         &[
@@ -63,12 +65,14 @@ const STAGES: [&str; 12] = [
 ];
 const STAGE_MAY_NAME: [&str; 5] = ["numerics", "types", "draw", "form", "handoff"];
 
-const ALL: [&str; 24] = [
+const ALL: [&str; 26] = [
     "numerics",
     "types",
     "draw",
     "form",
     "handoff",
+    "kinematics",
+    "axes",
     "fixture",
     "import",
     "surface",
@@ -471,7 +475,9 @@ fn libraries_have_no_files_no_shell_and_no_clock() {
 #[test]
 fn the_messages_of_stage_libraries_name_settings_and_no_flags() {
     let mut complaints = Vec::new();
-    for folder in STAGES.iter().chain(&["refine", "joint", "tolerance", "reconcile", "campaign"]) {
+    for folder in
+        STAGES.iter().chain(&["axes", "refine", "joint", "tolerance", "reconcile", "campaign"])
+    {
         for file in module_tree(&directory_of(folder).join("src/lib.rs")) {
             let source = fs::read_to_string(&file).unwrap();
             for flag in flags(&source) {
@@ -549,7 +555,7 @@ fn every_crate_has_name_licence_description_and_the_lints() {
         let name = format!("planish-{folder}");
         assert_eq!(package.name.as_str(), name);
         let program = STAGES.contains(&folder.as_str())
-            || ["refine", "joint", "tolerance", "reconcile", "campaign", "run", "sweep"]
+            || ["axes", "refine", "joint", "tolerance", "reconcile", "campaign", "run", "sweep"]
                 .contains(&folder.as_str());
         let binaries: Vec<&str> = package
             .targets

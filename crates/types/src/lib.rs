@@ -12,13 +12,15 @@
 //! | [`DwellTime`] | seconds per dwell point | (n) |
 //! | [`DwellDensity`] | dwell-time density in s/mm at nodes along the path | (m) |
 //! | [`Limits`] | limits of the machine's axes | - |
-//! | [`Machine`] | a machine: limits, travel, and how a part lies on it | - |
+//! | [`Machine`] | a machine: limits, travel, kinematics, and how a part lies on it | - |
 //! | [`ControllerModel`] | grids of times, positions and velocities of a controller, and its motion between two nodes | - |
 //! | [`Trajectory`] | piecewise cubic motion in segment-local time | (k, 2, 4) |
+//! | [`AxesMotion`] | piecewise cubic motion of all axes of a machine | (k, n, 4) |
 //! | [`Transform`] | position of a part on a machine, with its covariance | (2, 2), (6, 6) |
 //! | [`Removal`] | predicted removal and residual in nm | (ny, nx) |
 
 mod aperture;
+mod axes_motion;
 pub mod budget;
 mod controller;
 pub mod doubts;
@@ -26,6 +28,7 @@ mod dwell_density;
 mod dwell_time;
 mod end;
 mod grid;
+mod kinematics;
 mod limits;
 mod machine;
 pub mod plausible;
@@ -39,11 +42,15 @@ mod transform;
 mod variation;
 
 pub use aperture::ClearAperture;
+pub use axes_motion::AxesMotion;
 pub use controller::{ControllerFile, ControllerKind, ControllerModel, Interpolation};
 pub use dwell_density::{DensityNodes, DwellDensity};
 pub use dwell_time::DwellTime;
 pub use end::End;
 pub use grid::{Axis, Grid, is_plausible_mm};
+pub use kinematics::{
+    ContactLimits, Kinematics, KinematicsFile, MachineAxis, MachineFileRotaryAxis, Tilt,
+};
 pub use limits::{
     AxisLimits, DEFAULT_TIME_TO_FULL_ACCELERATION_S, Limits, MachineFile, MachineFileAxis,
 };

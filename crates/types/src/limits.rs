@@ -7,7 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{ControllerFile, Invalid};
+use crate::{ControllerFile, Invalid, KinematicsFile, MachineFileRotaryAxis};
 
 /// Names of the axes, in their order.
 pub(crate) const AXES: [&str; 2] = ["x", "y"];
@@ -56,8 +56,14 @@ pub struct AxisLimits {
 pub struct MachineFile {
     /// Name of the machine.
     pub name: String,
-    /// The axes, x first, then y.
+    /// The linear axes: x, then y; what `kinematics` asks for if it is stated.
     pub axes: Vec<MachineFileAxis>,
+    /// The rotary axes that `kinematics` asks for.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub rotary_axes: Vec<MachineFileRotaryAxis>,
+    /// Kinematics of a machine with other axes than x and y.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub kinematics: Option<KinematicsFile>,
     /// Time from rest to the full acceleration, s: the jerk limit of an axis that states none is its acceleration limit
     /// over this time. 0: such an axis has no jerk limit. Absent: the same, but a pipeline takes
     /// [`DEFAULT_TIME_TO_FULL_ACCELERATION_S`].
@@ -69,6 +75,9 @@ pub struct MachineFile {
     /// Readings of the axes at the origin of the part, mm; [0, 0] if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part_origin_mm: Option<[f64; 2]>,
+    /// Reading of the axis z where the tool, without tilt, touches the height 0 of the part, mm; 0 if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub part_origin_z_mm: Option<f64>,
     /// Angle of the part on the machine, from x towards y, degrees; 0 if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part_rotation_deg: Option<f64>,
@@ -81,7 +90,7 @@ pub struct MachineFile {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename = "AxisLimits")]
 pub struct MachineFileAxis {
-    /// "x" or "y".
+    /// "x" or "y"; "z" or "r" where `kinematics` has them.
     pub name: String,
     /// Largest velocity, mm/s.
     pub max_velocity_mm_per_s: f64,
@@ -102,23 +111,16 @@ pub struct MachineFileAxis {
 impl MachineFile {
     /// Names of the axes of which the file states neither a jerk limit nor that there is none.
     pub fn axes_without_word_on_jerk(&self) -> Vec<&str> {
-        let silent = |a: &&MachineFileAxis| {
-            a.max_jerk_mm_per_s3.is_none() && self.time_to_full_acceleration_s.is_none()
-        };
-        self.axes.iter().filter(silent).map(|a| a.name.as_str()).collect()
+        if self.time_to_full_acceleration_s.is_some() {
+            return Vec::new();
+        }
+        let linear = self.axes.iter().filter(|a| a.max_jerk_mm_per_s3.is_none());
+        let rotary = self.rotary_axes.iter().filter(|a| a.max_jerk_deg_per_s3.is_none());
+        linear.map(|a| a.name.as_str()).chain(rotary.map(|a| a.name.as_str())).collect()
     }
 
-    /// The limits of the axes; checks what the JSON types do not: two axes named x and y, every limit positive
-    /// and of a plausible size.
-    pub fn checked(self) -> Result<Limits, Invalid> {
-        let names: Vec<&str> = self.axes.iter().map(|a| a.name.as_str()).collect();
-        if names != AXES {
-            return Err(Invalid::whole(
-                "axes",
-                format!("are {names:?}"),
-                "give exactly two axes named \"x\" and \"y\", in this order",
-            ));
-        }
+    /// Time from rest to the full acceleration, s, of a plausible size; 0 for no limit on jerk.
+    pub(crate) fn checked_time_to_full_acceleration_s(&self) -> Result<f64, Invalid> {
         let [shortest, longest] = TIMES_TO_FULL_ACCELERATION_S;
         let time_s = self.time_to_full_acceleration_s.unwrap_or_default();
         if time_s != 0.0 && !(shortest..=longest).contains(&time_s) {
@@ -128,7 +130,31 @@ impl MachineFile {
                 format!("give seconds, from {shortest:e} to {longest}, or 0 for no limit on jerk"),
             ));
         }
-        let axes = [self.axes[0].checked(0, time_s)?, self.axes[1].checked(1, time_s)?];
+        Ok(time_s)
+    }
+
+    /// The limits along x and y; checks what the JSON types do not: the axes that the kinematics ask for (x and y
+    /// without them), every limit positive and of a plausible size.
+    pub fn checked(self) -> Result<Limits, Invalid> {
+        self.check_names()?;
+        let time_s = self.checked_time_to_full_acceleration_s()?;
+        let axis = |i: usize| -> Result<AxisLimits, Invalid> {
+            // A machine without the axes x and y states the limits of the contact point.
+            let checked = match &self.kinematics {
+                Some(KinematicsFile::Spindle { contact, .. }) => {
+                    contact.stated().checked(time_s)?
+                }
+                _ => self.axes[i].stated(i).checked(time_s)?,
+            };
+            let [max_velocity_mm_per_s, max_acceleration_mm_per_s2] = checked.0;
+            Ok(AxisLimits {
+                name: AXES[i],
+                max_velocity_mm_per_s,
+                max_acceleration_mm_per_s2,
+                max_jerk_mm_per_s3: checked.1,
+            })
+        };
+        let axes = [axis(0)?, axis(1)?];
         if !(0.0..=LARGEST_MIN_SEGMENT_S).contains(&self.min_segment_s) {
             return Err(Invalid::whole(
                 "min_segment_s",
@@ -141,40 +167,62 @@ impl MachineFile {
 }
 
 impl MachineFileAxis {
-    /// The limits of axis `index`, whose jerk limit follows from the time to full acceleration where it states none.
-    fn checked(&self, index: usize, time_s: f64) -> Result<AxisLimits, Invalid> {
-        let largest = LARGEST_VELOCITY_MM_PER_S;
+    /// The limits of the axis `index` of the list `axes`, as stated.
+    pub(crate) fn stated(&self, index: usize) -> StatedLimits {
+        StatedLimits {
+            list: "axes",
+            index: Some(index),
+            unit: "mm",
+            velocity: self.max_velocity_mm_per_s,
+            acceleration: self.max_acceleration_mm_per_s2,
+            jerk: self.max_jerk_mm_per_s3,
+        }
+    }
+}
+
+/// Limits of an axis, not checked yet.
+pub(crate) struct StatedLimits {
+    /// Key of the machine file that holds them.
+    pub(crate) list: &'static str,
+    /// Index in that list, if it is a list.
+    pub(crate) index: Option<usize>,
+    /// "mm" or "deg".
+    pub(crate) unit: &'static str,
+    pub(crate) velocity: f64,
+    pub(crate) acceleration: f64,
+    pub(crate) jerk: Option<f64>,
+}
+
+impl StatedLimits {
+    /// Velocity and acceleration, and the jerk limit, which follows from the time to full acceleration where none is
+    /// stated.
+    pub(crate) fn checked(&self, time_s: f64) -> Result<([f64; 2], Option<f64>), Invalid> {
+        let (largest, unit) = (LARGEST_VELOCITY_MM_PER_S, self.unit);
         let limits = [
-            ("max_velocity_mm_per_s", Some(self.max_velocity_mm_per_s), largest, "mm/s"),
-            (
-                "max_acceleration_mm_per_s2",
-                Some(self.max_acceleration_mm_per_s2),
-                1e3 * largest,
-                "mm/s^2",
-            ),
-            ("max_jerk_mm_per_s3", self.max_jerk_mm_per_s3, 1e6 * largest, "mm/s^3"),
+            ("velocity", "", Some(self.velocity), largest),
+            ("acceleration", "2", Some(self.acceleration), 1e3 * largest),
+            ("jerk", "3", self.jerk, 1e6 * largest),
         ];
-        for (name, value, most, unit) in limits {
+        for (name, power, value, most) in limits {
             let Some(v) = value else { continue };
-            let problem = format!("{name} is {v:?}");
+            let problem = format!("max_{name}_{unit}_per_s{power} is {v:?}");
+            let refused = |remedy: String| match self.index {
+                Some(index) => Invalid::at(self.list, index, problem.clone(), remedy),
+                None => Invalid::whole(self.list, problem.clone(), remedy),
+            };
             if !(v.is_finite() && v > 0.0) {
-                return Err(Invalid::at("axes", index, problem, "a limit is positive and finite"));
+                return Err(refused("a limit is positive and finite".into()));
             }
             if !(LEAST_LIMIT..=most).contains(&v) {
-                let remedy = format!("give {unit}, from {LEAST_LIMIT:e} to {most:e}");
-                return Err(Invalid::at("axes", index, problem, remedy));
+                let over = if power.is_empty() { "s".into() } else { format!("s^{power}") };
+                return Err(refused(format!(
+                    "give {unit}/{over}, from {LEAST_LIMIT:e} to {most:e}"
+                )));
             }
         }
-        Ok(AxisLimits {
-            name: AXES[index],
-            max_velocity_mm_per_s: self.max_velocity_mm_per_s,
-            max_acceleration_mm_per_s2: self.max_acceleration_mm_per_s2,
-            max_jerk_mm_per_s3: self.max_jerk_mm_per_s3.or_else(|| {
-                (time_s > 0.0).then(|| {
-                    (self.max_acceleration_mm_per_s2 / time_s).clamp(LEAST_LIMIT, 1e6 * largest)
-                })
-            }),
-        })
+        let of_time =
+            (time_s > 0.0).then(|| (self.acceleration / time_s).clamp(LEAST_LIMIT, 1e6 * largest));
+        Ok(([self.velocity, self.acceleration], self.jerk.or(of_time)))
     }
 }
 

@@ -27,8 +27,8 @@
 //! which is the limit of each axis itself for axes along x and y.
 
 use crate::{
-    AxisLimits, ControllerKind, ControllerModel, Invalid, Limits, MachineFile, Transform,
-    is_plausible_mm, limits::AXES,
+    AxisLimits, ControllerKind, ControllerModel, Invalid, Kinematics, Limits, MachineAxis,
+    MachineFile, Transform, is_plausible_mm, kinematics::checked_axes, limits::AXES,
 };
 
 /// A machine: limits of its axes, their travel, and how a part lies on it.
@@ -36,6 +36,9 @@ use crate::{
 pub struct Machine {
     limits: Limits,
     travel_mm: [Option<[f64; 2]>; 2],
+    axes: Vec<MachineAxis>,
+    kinematics: Kinematics,
+    part_origin_z_mm: f64,
     part_to_axes: Option<Transform>,
     controller: Option<ControllerModel>,
 }
@@ -43,7 +46,15 @@ pub struct Machine {
 /// A machine whose axes read the coordinates of the part and have no limit of travel.
 impl From<Limits> for Machine {
     fn from(limits: Limits) -> Self {
-        Self { limits, travel_mm: [None; 2], part_to_axes: None, controller: None }
+        Self {
+            axes: limits.axes().iter().map(|a| MachineAxis::linear(a, None)).collect(),
+            limits,
+            travel_mm: [None; 2],
+            kinematics: Kinematics::Xy,
+            part_origin_z_mm: 0.0,
+            part_to_axes: None,
+            controller: None,
+        }
     }
 }
 
@@ -51,21 +62,24 @@ impl Machine {
     /// Checks the content of a machine file.
     pub fn new(file: MachineFile) -> Result<Self, Invalid> {
         let limits = file.clone().checked()?;
-        let mut travel_mm = [None; 2];
-        for (i, axis) in file.axes.iter().enumerate() {
-            if let Some(travel) = axis.travel_mm {
-                let [low, high] = travel;
-                if !(travel.iter().all(|v| is_plausible_mm(*v)) && low < high) {
-                    let problem = format!("travel_mm is [{low}, {high}]");
-                    let remedy = "give the smallest and the largest position in mm, in this order";
-                    return Err(Invalid::at("axes", i, problem, remedy));
-                }
-                travel_mm[i] = Some(travel);
-            }
+        let axes = checked_axes(&file)?;
+        let kinematics = Kinematics::of(&file)?;
+        // A machine without the axes x and y has no travel along them.
+        let travel_mm =
+            AXES.map(|name| axes.iter().find(|a| a.name == name).and_then(|a| a.travel));
+        let part_origin_z_mm = file.part_origin_z_mm.unwrap_or_default();
+        if !is_plausible_mm(part_origin_z_mm) {
+            let remedy = "give what z reads where the tool touches the height 0 of the part, in mm";
+            let problem = format!("is {part_origin_z_mm}");
+            return Err(Invalid::whole("part_origin_z_mm", problem, remedy));
+        }
+        if file.part_origin_z_mm.is_some() && !axes.iter().any(|a| a.name == "z") {
+            let remedy = "leave it out, or add the axis z and a `kinematics` that has it";
+            return Err(Invalid::whole("part_origin_z_mm", "is given without an axis z", remedy));
         }
         let part_to_axes = part_to_axes(&file)?;
         let controller = file.controller.as_ref().map(|c| c.checked()).transpose()?;
-        Ok(Self { limits, travel_mm, part_to_axes, controller })
+        Ok(Self { limits, travel_mm, axes, kinematics, part_origin_z_mm, part_to_axes, controller })
     }
 
     /// The controller as the machine file states it, if it states one.
@@ -84,9 +98,24 @@ impl Machine {
         self.limits.name()
     }
 
-    /// Limits of the axes.
+    /// Limits of the axes x and y. A spindle machine has no such axes: limits of the contact point, as stated.
     pub fn limits(&self) -> &Limits {
         &self.limits
+    }
+
+    /// All axes in their order, the linear ones first.
+    pub fn axes(&self) -> &[MachineAxis] {
+        &self.axes
+    }
+
+    /// Kinematics: which axes move the tool over the part, and how.
+    pub fn kinematics(&self) -> &Kinematics {
+        &self.kinematics
+    }
+
+    /// Reading of the axis z where the tool, without tilt, touches the height 0 of the part, mm.
+    pub fn part_origin_z_mm(&self) -> f64 {
+        self.part_origin_z_mm
     }
 
     /// Smallest and largest position of the axes x and y, mm; `None` if the travel has no limit.
@@ -102,7 +131,11 @@ impl Machine {
 
     /// Limits along x and y of the part that the axes can follow in every direction at once.
     pub fn limits_on_part(&self) -> Limits {
-        let Some(transform) = &self.part_to_axes else { return self.limits.clone() };
+        // Those of a spindle machine are along x and y of the part as stated.
+        let is_spindle = matches!(self.kinematics, Kinematics::Spindle { .. });
+        let Some(transform) = self.part_to_axes.as_ref().filter(|_| !is_spindle) else {
+            return self.limits.clone();
+        };
         let axes = self.limits.axes();
         let boxed = |limit: fn(&AxisLimits) -> Option<f64>| {
             largest_box(transform.matrix(), axes.each_ref().map(limit))
@@ -128,7 +161,9 @@ fn part_to_axes(file: &MachineFile) -> Result<Option<Transform>, Invalid> {
         let problem = format!("is {turn_deg}");
         return Err(Invalid::whole("part_rotation_deg", problem, "give degrees from -360 to 360"));
     }
-    let directions = [0, 1].map(|i| direction(i, file.axes[i].along.as_deref()));
+    // Axes other than x and y go along no direction of the part's plane.
+    let stated = |i: usize| file.axes.get(i).filter(|axis| axis.name == AXES[i]);
+    let directions = [0, 1].map(|i| direction(i, stated(i).and_then(|axis| axis.along.as_deref())));
     let [x, y] = directions;
     let (x, y) = (x?, y?);
     if x.0 == y.0 {

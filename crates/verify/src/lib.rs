@@ -19,10 +19,13 @@
 //! J (T1 + T2) / 2                        T1, T2 = times of the segments beside the node                (1)
 //! ```
 //!
-//! which a motion within the limit may do from the middle of one segment to the middle of the next. Cubics through nodes
-//! of a motion within the limit step by at most 8/27 J (T1 + T2) and have a jerk of at most J inside (Peano kernels of
-//! the cubic Hermite interpolant); the rest of (1) is for the rounding of the nodes to the grids of the controller. A
-//! program of straight lines leaves it to its controller how it joins them, so that its jerk is not judged.
+//! which a motion within the limit may do from the middle of one segment to the middle of the next. Cubics through
+//! nodes of a motion within the limit step by at most 8/27 J (T1 + T2) and have a jerk of at most J inside (Peano
+//! kernels of the cubic Hermite interpolant); the rest of (1) is for the rounding of the nodes to the grids of the
+//! controller. A program of straight lines leaves it to its controller how it joins them, so that its jerk is not
+//! judged.
+//!
+//! A motion of all axes of a machine ([`verify_axes`]) is such a program: a controller runs it as cubics between nodes.
 //!
 //! Source: the extreme value theorem; for cubics in Hermite form de Boor, *A Practical Guide to
 //! Splines*, chapter IV. The judge shares no code with the schedulers that it judges.
@@ -37,11 +40,14 @@ mod tally;
 mod verdict;
 
 use planish_numerics::polynomial::{derivative, evaluate, range};
-use planish_types::{Invalid, Limits, Machine, Segment, Trajectory};
+use planish_types::{AxesMotion, Invalid, Limits, Machine, MachineAxis, Trajectory};
 use serde::Serialize;
 
 use tally::{Bound, Tally};
-pub use verdict::{AxisVerdict, Check, Excursions, Place, Verdict};
+use verdict::Span;
+pub use verdict::{
+    AxesVerdict, AxisVerdict, Check, Excursions, MachineAxisVerdict, Place, Verdict,
+};
 
 /// Excess over a limit that is taken for rounding, relative to the limit.
 ///
@@ -71,7 +77,7 @@ const ACCELERATION_STEP_ALLOWANCE: f64 = 1e-6;
 /// and far below any motion that changes the removal.
 const EXCURSION_NOISE_MM: f64 = 1e-9;
 
-/// Smallest distance outside the travel that counts, mm. Smaller: rounding counts, also that of the
+/// Smallest distance outside the travel that counts, mm or deg. Smaller: rounding counts, also that of the
 /// rotation from the part to the axes. Larger: small excursions are missed. Chosen as
 /// [`EXCURSION_NOISE_MM`].
 const TRAVEL_NOISE_MM: f64 = 1e-9;
@@ -80,10 +86,16 @@ const TRAVEL_NOISE_MM: f64 = 1e-9;
 /// Larger: slow reversals are missed. Chosen: far above the rounding of a velocity.
 const REVERSAL_NOISE_MM_PER_S: f64 = 1e-6;
 
-/// Largest magnitude of a coefficient or a time, in mm/s^order or s. [`verify`] refuses larger
+/// Largest magnitude of a coefficient or a time, in mm/s^order, deg/s^order or s. [`verify`] refuses larger
 /// ones. Derived: squares and cubes of numbers up to 1e60 are finite, so no comparison meets an
 /// infinity. No length in mm and no time in s comes near it.
 const LARGEST_NUMBER: f64 = 1e60;
+
+const REMEDY_OF_NUMBERS: &str = "numbers beyond 1e60 are not mm and s; check the units";
+
+/// Units of position, velocity, acceleration and jerk, of a linear and of a rotary axis.
+const UNITS_MM: [&str; 4] = ["mm", "mm/s", "mm/s^2", "mm/s^3"];
+const UNITS_DEG: [&str; 4] = ["deg", "deg/s", "deg/s^2", "deg/s^3"];
 
 /// Law by which a controller runs from node to node of its program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -147,23 +159,19 @@ fn judge(
 ) -> Result<Verdict, Invalid> {
     check_settings(settings)?;
     check_magnitudes(trajectory)?;
-    let mut axes = [0, 1].map(|axis| AxisTally::new(limits, travel_mm[axis], settings, axis));
-    let mut duration = Tally::new(
-        "segment duration",
-        "s",
-        (limits.min_segment_s() > 0.0).then_some(Bound::AtLeast(limits.min_segment_s())),
-    );
-
+    let mut axes = [0, 1].map(|axis| {
+        let axis = MachineAxis::linear(&limits.axes()[axis], travel_mm[axis]);
+        AxisTally::new(&axis, settings)
+    });
+    let mut duration = durations(limits);
     for (i, segment) in trajectory.segments().enumerate() {
-        // The duration is the difference of two rounded break times.
-        let rounding_s = 2.0 * f64::EPSILON * (segment.start_s.abs() + segment.duration_s);
-        let place = Place::new(i, &segment, 0.0, segment.duration_s);
-        duration.add(place, place, rounding_s);
+        let span = Span::of(&segment);
+        add_duration(&mut duration, i, &span);
         for (axis, tally) in axes.iter_mut().enumerate() {
-            tally.add_segment(i, &segment, &segment.coefficient_mm[axis]);
+            tally.add_segment(i, &span, &segment.coefficient_mm[axis]);
         }
     }
-    let last = trajectory.segment(trajectory.len() - 1);
+    let last = Span::of(&trajectory.segment(trajectory.len() - 1));
     for tally in &mut axes {
         tally.add_stop(trajectory.len(), &last);
     }
@@ -172,13 +180,70 @@ fn judge(
     Ok(Verdict::new(trajectory, [x, y], duration.finish()))
 }
 
+/// Judges a motion of all axes of `machine` against their limits and travels. The motion is a program of cubics, whose
+/// acceleration may step at a break by (1).
+///
+/// Refuses the same inputs as [`verify`], and a motion with another number of axes.
+pub fn verify_axes(
+    motion: &AxesMotion,
+    machine: &Machine,
+    settings: &VerifySettings,
+) -> Result<AxesVerdict, Invalid> {
+    let settings = VerifySettings { program: Some(Program::Cubics), ..*settings };
+    check_settings(&settings)?;
+    let axes = machine.axes();
+    if motion.axes() != axes.len() {
+        let names: Vec<&str> = axes.iter().map(|a| a.name).collect();
+        let problem =
+            format!("has {} axes, and the machine has {}", motion.axes(), names.join(", "));
+        let remedy = "give the machine file that the motion was made for";
+        return Err(Invalid::whole("coefficient", problem, remedy));
+    }
+    check_times(motion.break_time_s())?;
+    let mut tallies: Vec<AxisTally> =
+        axes.iter().map(|axis| AxisTally::new(axis, &settings)).collect();
+    let mut duration = durations(machine.limits());
+    for i in 0..motion.len() {
+        let cubics = motion.segment(i);
+        if cubics.iter().flatten().any(|c| c.abs() > LARGEST_NUMBER) {
+            let problem = format!("is {cubics:?}");
+            return Err(Invalid::at("coefficient", i, problem, REMEDY_OF_NUMBERS));
+        }
+        let span = Span::of_axes(motion, i);
+        add_duration(&mut duration, i, &span);
+        for (tally, c) in tallies.iter_mut().zip(cubics) {
+            tally.add_segment(i, &span, c);
+        }
+    }
+    let last = Span::of_axes(motion, motion.len() - 1);
+    for tally in &mut tallies {
+        tally.add_stop(motion.len(), &last);
+    }
+    let verdicts = tallies.into_iter().zip(axes);
+    let verdicts = verdicts.map(|(tally, axis)| tally.finish_for(axis.unit())).collect();
+    Ok(AxesVerdict::new(motion, verdicts, duration.finish()))
+}
+
+/// Tally of the durations of segments.
+fn durations(limits: &Limits) -> Tally {
+    let least_s = limits.min_segment_s();
+    Tally::new("segment duration", "s", (least_s > 0.0).then_some(Bound::AtLeast(least_s)))
+}
+
+fn add_duration(duration: &mut Tally, i: usize, span: &Span) {
+    // The duration is the difference of two rounded break times.
+    let rounding_s = 2.0 * f64::EPSILON * (span.start_s.abs() + span.duration_s);
+    let place = Place::new(i, span, 0.0, span.duration_s);
+    duration.add(place, place, rounding_s);
+}
+
 /// Position, velocity and acceleration at an instant.
 type State = [f64; 3];
 
 /// Tallies of one axis.
 struct AxisTally {
     name: &'static str,
-    travel_mm: Option<[f64; 2]>,
+    travel: Option<[f64; 2]>,
     /// Tallies of position, velocity, acceleration, jerk.
     ranges: [Tally; 4],
     /// Tallies of the steps in position, velocity, acceleration.
@@ -192,17 +257,11 @@ struct AxisTally {
 }
 
 impl AxisTally {
-    fn new(
-        limits: &Limits,
-        travel_mm: Option<[f64; 2]>,
-        settings: &VerifySettings,
-        axis: usize,
-    ) -> Self {
-        let limit = &limits.axes()[axis];
-        let (v, a) = (limit.max_velocity_mm_per_s(), limit.max_acceleration_mm_per_s2());
+    fn new(axis: &MachineAxis, settings: &VerifySettings) -> Self {
+        let (v, a) = (axis.max_velocity, axis.max_acceleration);
         let velocity_step = settings.velocity_step_mm_per_s + VELOCITY_STEP_ALLOWANCE * v;
         // Without a limit on jerk any step in acceleration is allowed.
-        let acceleration_step = limit.max_jerk_mm_per_s3().map(|_| ACCELERATION_STEP_ALLOWANCE * a);
+        let acceleration_step = axis.max_jerk.map(|_| ACCELERATION_STEP_ALLOWANCE * a);
         let within = |limit: f64| Some(Bound::Within(limit));
         let step = |tolerance: f64| Some(Bound::StepWithin(tolerance));
         let acceleration_bound = |tolerance: f64| match settings.program {
@@ -210,33 +269,30 @@ impl AxisTally {
             Some(Program::Cubics) => Some(Bound::StepOfProgram(tolerance)),
             Some(Program::Lines) => None,
         };
-        let name = limit.name();
+        let (name, travel) = (axis.name, axis.travel);
+        let units = if axis.is_rotary { UNITS_DEG } else { UNITS_MM };
         Self {
             ranges: [
-                Tally::new(format!("{name} position"), "mm", travel_mm.map(Bound::Between)),
-                Tally::new(format!("{name} velocity"), "mm/s", within(v)),
-                Tally::new(format!("{name} acceleration"), "mm/s^2", within(a)),
-                Tally::new(
-                    format!("{name} jerk"),
-                    "mm/s^3",
-                    limit.max_jerk_mm_per_s3().and_then(within),
-                ),
+                Tally::new(format!("{name} position"), units[0], travel.map(Bound::Between)),
+                Tally::new(format!("{name} velocity"), units[1], within(v)),
+                Tally::new(format!("{name} acceleration"), units[2], within(a)),
+                Tally::new(format!("{name} jerk"), units[3], axis.max_jerk.and_then(within)),
             ],
             steps: [
-                Tally::new(format!("{name} position"), "mm", step(settings.position_step_mm)),
-                Tally::new(format!("{name} velocity"), "mm/s", step(velocity_step)),
+                Tally::new(format!("{name} position"), units[0], step(settings.position_step_mm)),
+                Tally::new(format!("{name} velocity"), units[1], step(velocity_step)),
                 Tally::new(
                     format!("{name} acceleration"),
-                    "mm/s^2",
+                    units[2],
                     acceleration_step.and_then(acceleration_bound),
                 ),
             ],
             step_per_s: match settings.program {
-                Some(Program::Cubics) => 0.5 * limit.max_jerk_mm_per_s3().unwrap_or_default(),
+                Some(Program::Cubics) => 0.5 * axis.max_jerk.unwrap_or_default(),
                 _ => 0.0,
             },
             name,
-            travel_mm,
+            travel,
             overshoot: Excursions::new(EXCURSION_NOISE_MM),
             reversal: Excursions::new(REVERSAL_NOISE_MM_PER_S),
             before: None,
@@ -245,7 +301,7 @@ impl AxisTally {
 
     /// Adds segment `i` with the coefficients `c` of this axis, and the steps at the break where it
     /// starts.
-    fn add_segment(&mut self, i: usize, segment: &Segment<'_>, c: &[f64; 4]) {
+    fn add_segment(&mut self, i: usize, segment: &Span, c: &[f64; 4]) {
         let h = segment.duration_s;
         // p, v = p', a = p'', j = p'''
         let v = derivative(c);
@@ -277,8 +333,8 @@ impl AxisTally {
         self.reversal.add(Place::new(i, segment, slower, v.max.min(-v.min)));
     }
 
-    /// The steps at the break at `place`, from the state before it to the state `after` it, in which the motion stays in
-    /// a segment of `after_s`.
+    /// The steps at the break at `place`, from the state before it to the state `after` it, in which the motion stays
+    /// in a segment of `after_s`.
     fn add_steps(&mut self, after: State, after_s: f64, place: Place) {
         // Before the first break the machine stands where the motion starts.
         let (before, before_s) = self.before.unwrap_or(([after[0], 0.0, 0.0], 0.0));
@@ -291,7 +347,7 @@ impl AxisTally {
 
     /// Adds the steps at the last break, number `index`: after it the machine stands where the
     /// motion ends.
-    fn add_stop(&mut self, index: usize, last: &Segment<'_>) {
+    fn add_stop(&mut self, index: usize, last: &Span) {
         let position = self.before.map_or(0.0, |(before, _)| before[0]);
         self.add_steps([position, 0.0, 0.0], 0.0, Place::new(index, last, last.duration_s, 0.0));
     }
@@ -303,7 +359,7 @@ impl AxisTally {
             self.steps.map(Tally::finish);
         AxisVerdict {
             name: self.name.into(),
-            travel_mm: self.travel_mm,
+            travel_mm: self.travel,
             position_mm,
             velocity_mm_per_s,
             acceleration_mm_per_s2,
@@ -313,6 +369,24 @@ impl AxisTally {
             acceleration_step_mm_per_s2,
             overshoot_mm: self.overshoot,
             reversal_mm_per_s: self.reversal,
+        }
+    }
+
+    /// The verdict on an axis whose positions have the unit `unit`.
+    fn finish_for(self, unit: &'static str) -> MachineAxisVerdict {
+        let [position, velocity, acceleration, jerk] = self.ranges.map(Tally::finish);
+        let [position_step, velocity_step, acceleration_step] = self.steps.map(Tally::finish);
+        MachineAxisVerdict {
+            name: self.name.into(),
+            unit,
+            travel: self.travel,
+            position,
+            velocity,
+            acceleration,
+            jerk,
+            position_step,
+            velocity_step,
+            acceleration_step,
         }
     }
 }
@@ -330,17 +404,22 @@ fn check_settings(settings: &VerifySettings) -> Result<(), Invalid> {
     Ok(())
 }
 
-fn check_magnitudes(trajectory: &Trajectory) -> Result<(), Invalid> {
-    let remedy = "numbers beyond 1e60 are not mm and s; check the units";
-    let times = trajectory.break_time_s();
-    if let Some(i) = times.iter().position(|t| t.abs() > LARGEST_NUMBER) {
-        return Err(Invalid::at("break_time_s", i, format!("is {} s", times[i]), remedy));
+fn check_times(times: &[f64]) -> Result<(), Invalid> {
+    match times.iter().position(|t| t.abs() > LARGEST_NUMBER) {
+        None => Ok(()),
+        Some(i) => {
+            Err(Invalid::at("break_time_s", i, format!("is {} s", times[i]), REMEDY_OF_NUMBERS))
+        }
     }
+}
+
+fn check_magnitudes(trajectory: &Trajectory) -> Result<(), Invalid> {
+    check_times(trajectory.break_time_s())?;
     let coefficients = trajectory.coefficient_mm();
     let too_large = |axes: &[[f64; 4]; 2]| axes.iter().flatten().any(|c| c.abs() > LARGEST_NUMBER);
     if let Some(i) = coefficients.iter().position(too_large) {
         let problem = format!("is {:?}", coefficients[i]);
-        return Err(Invalid::at("coefficient_mm", i, problem, remedy));
+        return Err(Invalid::at("coefficient_mm", i, problem, REMEDY_OF_NUMBERS));
     }
     Ok(())
 }

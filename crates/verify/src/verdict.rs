@@ -1,9 +1,29 @@
 //! The verdict: numbers for programs, one sentence for people.
 
-use planish_types::{Segment, Trajectory, stored_dwell_index};
+use planish_types::{AxesMotion, Segment, Trajectory, stored_dwell_index};
 use serde::{Serialize, Serializer};
 
 use crate::LIMIT_ALLOWANCE;
+
+/// A segment without its polynomials.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Span {
+    pub(crate) start_s: f64,
+    pub(crate) duration_s: f64,
+    pub(crate) dwell_index: Option<usize>,
+}
+
+impl Span {
+    pub(crate) fn of(segment: &Segment<'_>) -> Self {
+        let Segment { start_s, duration_s, dwell_index, .. } = *segment;
+        Self { start_s, duration_s, dwell_index }
+    }
+
+    pub(crate) fn of_axes(motion: &AxesMotion, i: usize) -> Self {
+        let (start_s, dwell_index) = (motion.break_time_s()[i], motion.dwell_index()[i]);
+        Self { start_s, duration_s: motion.duration_s(i), dwell_index }
+    }
+}
 
 /// A value and the place where it occurs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -21,8 +41,8 @@ pub struct Place {
 
 impl Place {
     /// `value` at the local time `u_s` of segment `index`.
-    pub(crate) fn new(index: usize, segment: &Segment<'_>, u_s: f64, value: f64) -> Self {
-        Self { index, dwell_index: segment.dwell_index, time_s: segment.start_s + u_s, value }
+    pub(crate) fn new(index: usize, span: &Span, u_s: f64, value: f64) -> Self {
+        Self { index, dwell_index: span.dwell_index, time_s: span.start_s + u_s, value }
     }
 }
 
@@ -201,11 +221,103 @@ impl Verdict {
     /// The gravest violation in a sentence, with the number of further ones; `None` if the motion
     /// keeps every limit.
     pub fn reason(&self) -> Option<String> {
-        let first = self.violations.first()?;
-        Some(match self.violations.len() - 1 {
-            0 => first.clone(),
-            1 => format!("{first}; 1 more limit is exceeded"),
-            more => format!("{first}; {more} more limits are exceeded"),
-        })
+        reason(&self.violations)
+    }
+}
+
+fn reason(violations: &[String]) -> Option<String> {
+    let first = violations.first()?;
+    Some(match violations.len() - 1 {
+        0 => first.clone(),
+        1 => format!("{first}; 1 more limit is exceeded"),
+        more => format!("{first}; {more} more limits are exceeded"),
+    })
+}
+
+/// Everything about one axis of a machine. Values have the unit of the axis, over powers of s.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MachineAxisVerdict {
+    /// Name of the axis.
+    pub name: String,
+    /// Unit of its positions, mm or deg.
+    pub unit: &'static str,
+    /// Smallest and largest position within the travel of the axis. Absent if no travel is stated.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub travel: Option<[f64; 2]>,
+    /// Range of the position.
+    pub position: Check,
+    /// Range of the velocity.
+    pub velocity: Check,
+    /// Range of the acceleration inside the segments.
+    pub acceleration: Check,
+    /// Range of the jerk inside the segments.
+    pub jerk: Check,
+    /// Steps in position at the breaks.
+    pub position_step: Check,
+    /// Steps in velocity at the breaks, start and end included.
+    pub velocity_step: Check,
+    /// Steps in acceleration at the breaks, start and end included.
+    pub acceleration_step: Check,
+}
+
+impl MachineAxisVerdict {
+    /// Checks that can fail, the gravest first.
+    fn checks(&self) -> [&Check; 7] {
+        [
+            &self.position,
+            &self.position_step,
+            &self.velocity_step,
+            &self.velocity,
+            &self.acceleration,
+            &self.jerk,
+            &self.acceleration_step,
+        ]
+    }
+}
+
+/// The verdict on a motion of all axes of a machine.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct AxesVerdict {
+    /// True if the motion keeps every limit.
+    pub limits_respected: bool,
+    /// One sentence per exceeded limit, the gravest first.
+    pub violations: Vec<String>,
+    /// Duration of the motion, s.
+    pub total_time_s: f64,
+    /// Number of segments.
+    pub segment_count: usize,
+    /// Excess over a limit that is taken for rounding, relative to the limit.
+    pub limit_allowance: f64,
+    /// Durations of the segments, s.
+    pub segment_duration_s: Check,
+    /// Verdicts on the axes, in the order of the machine.
+    pub axes: Vec<MachineAxisVerdict>,
+}
+
+impl AxesVerdict {
+    pub(crate) fn new(
+        motion: &AxesMotion,
+        axes: Vec<MachineAxisVerdict>,
+        segment_duration_s: Check,
+    ) -> Self {
+        let checks: Vec<[&Check; 7]> = axes.iter().map(MachineAxisVerdict::checks).collect();
+        let by_kind = (0..7).flat_map(|kind| checks.iter().map(move |of_axis| of_axis[kind]));
+        let violations: Vec<String> =
+            by_kind.chain([&segment_duration_s]).filter_map(|c| c.complaint.clone()).collect();
+        Self {
+            limits_respected: violations.is_empty(),
+            violations,
+            total_time_s: motion.total_time_s(),
+            segment_count: motion.len(),
+            limit_allowance: LIMIT_ALLOWANCE,
+            segment_duration_s,
+            axes,
+        }
+    }
+
+    /// The gravest violation in a sentence, with the number of further ones; `None` if the motion
+    /// keeps every limit.
+    pub fn reason(&self) -> Option<String> {
+        reason(&self.violations)
     }
 }

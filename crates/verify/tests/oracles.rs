@@ -479,3 +479,78 @@ fn the_program_of_a_motion_within_the_jerk_limit_keeps_it_and_steps_by_less_than
         beyond.violations
     );
 }
+
+/// A machine with the axes x, y, z, a and b, a limit on jerk, and a travel of b.
+fn five_axes() -> planish_types::Machine {
+    let linear = ["x", "y", "z"].map(|name| {
+        serde_json::json!({"name": name, "max_velocity_mm_per_s": 10, "max_acceleration_mm_per_s2": 20})
+    });
+    let rotary = ["a", "b"].map(|name| {
+        serde_json::json!({"name": name, "max_velocity_deg_per_s": 5, "max_acceleration_deg_per_s2": 8,
+            "max_jerk_deg_per_s3": 30, "travel_deg": [-20, 20]})
+    });
+    let kinematics = serde_json::json!({"kind": "xyz-tilts", "pivot_mm": 0, "tilts": ["a", "b"]});
+    let file = serde_json::json!({"name": "m", "axes": linear, "rotary_axes": rotary, "kinematics": kinematics});
+    planish_types::Machine::new(serde_json::from_value(file).unwrap()).unwrap()
+}
+
+#[test]
+fn a_motion_of_all_axes_is_judged_by_the_limits_of_each() {
+    use planish_types::AxesMotion;
+    // b turns by 4 degrees in 2 s as one cubic: v = 3 in the middle, a = +-6 at the ends, jerk -6; the acceleration
+    // steps from 0 by 6, which a jerk of 30 may do in 0.2 s, and half the first segment is 1 s.
+    let b =
+        |start: f64, way: f64, h: f64| [start, 0.0, 3.0 * way / (h * h), -2.0 * way / (h * h * h)];
+    let motion = |c: [f64; 4], h: f64| {
+        let mut all = vec![[0.0; 4]; 5];
+        all[4] = c;
+        AxesMotion::new(vec![0.0, h], all, vec![true], vec![None]).unwrap()
+    };
+    let judged = |c: [f64; 4], h: f64| {
+        let judged =
+            planish_verify::verify_axes(&motion(c, h), &five_axes(), &VerifySettings::default());
+        judged.unwrap()
+    };
+    let kept = judged(b(0.0, 4.0, 2.0), 2.0);
+    assert!(kept.limits_respected, "{:?}", kept.violations);
+    let axis = &kept.axes[4];
+    assert_eq!((axis.name.as_str(), axis.unit, axis.travel), ("b", "deg", Some([-20.0, 20.0])));
+    near(axis.velocity.magnitude(), 3.0, ROUNDING);
+    near(axis.acceleration.magnitude(), 6.0, ROUNDING);
+    near(axis.jerk.magnitude(), 6.0, ROUNDING);
+    near(axis.acceleration_step.magnitude(), 6.0, ROUNDING);
+
+    // Each of its own: 7 degrees (v = 5.25), 17 degrees beyond the travel, 1 s (a = 24, jerk 48, step 24 of 15).
+    for (c, h, words) in [
+        (b(0.0, 7.0, 2.0), 2.0, &["b velocity reaches 5.25"][..]),
+        (b(17.0, 4.0, 2.0), 2.0, &["b position reaches 21.000000 deg"]),
+        (
+            b(0.0, 4.0, 1.0),
+            1.0,
+            &[
+                "b velocity",
+                "b acceleration reaches",
+                "b jerk reaches",
+                "b acceleration of the program",
+            ],
+        ),
+        ([0.0, 1.0, 0.0, 0.0], 2.0, &["b velocity steps by 1 deg/s"]),
+    ] {
+        let verdict = judged(c, h);
+        assert!(!verdict.limits_respected);
+        for words in words {
+            assert!(
+                verdict.violations.iter().any(|v| v.contains(words)),
+                "{:?} {words}",
+                verdict.violations
+            );
+        }
+    }
+    let two = AxesMotion::new(vec![0.0, 1.0], vec![[0.0; 4]; 2], vec![true], vec![None]).unwrap();
+    let refused = planish_verify::verify_axes(&two, &five_axes(), &VerifySettings::default());
+    let message = refused.unwrap_err().to_string();
+    assert!(
+        message.contains("coefficient: has 2 axes, and the machine has x, y, z, a, b"),
+        "{message}"
+    );
+}

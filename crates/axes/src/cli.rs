@@ -1,0 +1,38 @@
+//! Subcommands, one file each.
+
+mod contact;
+mod motion;
+
+use std::path::PathBuf;
+
+use clap::Subcommand;
+use planish_form::{Form, FormFile};
+use planish_handoff::{Failure, Inputs, Status};
+
+#[derive(Subcommand)]
+pub enum Command {
+    /// Motion of all axes while the contact point follows a plan
+    ///
+    /// Every axis runs cubics between nodes at which its position and velocity are exact. Where an axis would exceed a
+    /// limit, the motion is slowed down there, and the program says how much longer the tool removes.
+    Motion(motion::Motion),
+    /// Contact point that a motion of the axes executes, for planish-simulate
+    Contact(contact::Contact),
+}
+
+impl Command {
+    pub fn run(&self) -> Result<Status, Failure> {
+        match self {
+            Self::Motion(arguments) => arguments.run(),
+            Self::Contact(arguments) => arguments.run(),
+        }
+    }
+}
+
+/// The form of `--form`; a plane without it.
+fn read_form(form: Option<&PathBuf>, inputs: &mut Inputs) -> Result<Form, Failure> {
+    Ok(match form {
+        Some(path) => inputs.read_form("form", path)?.form,
+        None => Form::new(&FormFile::plane(), None)?,
+    })
+}

@@ -1,0 +1,254 @@
+//! Motion of all axes from a motion of the contact point.
+
+use planish_form::Form;
+use planish_kinematics::AxisMap;
+use planish_numerics::polynomial::evaluate;
+use planish_types::{AxesMotion, Invalid, Kinematics, Machine, Trajectory};
+use serde::Serialize;
+
+use crate::{
+    MotionSettings,
+    piece::{INNER_POINTS, Piece, Pieces, distance_mm, planned_part, stretched_s},
+    slow::{Excess, slow},
+};
+
+/// Largest number of times that pieces are halved because the stretch of time bends them. Larger: memory for 2^n pieces.
+/// Smaller: long segments that are slowed down strongly are refused. Chosen: the distance falls by 16 with each.
+const MOST_ROUNDS: usize = 10;
+
+/// Report on a motion of the axes.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MotionReport {
+    /// Names of the axes, in the order of the arrays.
+    pub axes: Vec<&'static str>,
+    /// Unit of each axis, mm or deg.
+    pub units: Vec<&'static str>,
+    /// Number of segments.
+    pub segment_count: usize,
+    /// Largest distance of the executed contact point from the path, um, at 7 points in every segment.
+    pub contact_deviation_um: f64,
+    /// Time of this distance in the motion of the axes, s.
+    pub contact_deviation_time_s: f64,
+    /// Largest distance of the tip of the tool from the surface, along the tool, um, at the same points.
+    pub gap_um: f64,
+    /// Largest angle between tool and normal at the ends of the segments, degrees.
+    pub off_normal_deg: f64,
+    /// Duration of the motion of the contact point as it was given, s.
+    pub planned_time_s: f64,
+    /// Duration of the motion of the axes, s.
+    pub total_time_s: f64,
+    /// Part of the difference that segments with the tool on have, s: the tool removes that much longer.
+    pub added_tool_on_time_s: f64,
+    /// Largest factor by which time was stretched, and where; absent if every limit was kept.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub slowed: Option<SlowedReport>,
+    /// Work of a spindle near its centre; absent for other kinematics.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub spindle: Option<SpindleReport>,
+}
+
+/// Limit that decides on the slowest place of a motion.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SlowedReport {
+    /// Axis that would exceed its limit most.
+    pub axis: &'static str,
+    /// Quantity that would exceed its limit.
+    pub quantity: &'static str,
+    /// Ratio of its value to the limit.
+    pub ratio: f64,
+    /// Time of this place in the motion as it was given, s.
+    pub time_s: f64,
+    /// Largest factor by which time is stretched anywhere.
+    pub largest_stretch: f64,
+}
+
+/// Work of a spindle near its centre.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SpindleReport {
+    /// Smallest distance of the contact point from the centre, mm, at the ends of the segments.
+    pub least_radius_mm: f64,
+    /// Radius below which the axis c cannot turn as fast as the motion asks, mm; 0 if it can everywhere.
+    pub c_limit_radius_mm: f64,
+    /// Time that was added below this radius, s.
+    pub added_time_within_s: f64,
+}
+
+/// Motion of the axes of `machine` while the contact point follows `trajectory` over the part `form`.
+///
+/// Refuses a tolerance that is not plausible, and a motion that the axes cannot follow within it. Slows the motion down
+/// where an axis would exceed a limit; a step of the velocity in the motion itself stays.
+pub fn motion(
+    trajectory: &Trajectory,
+    machine: &Machine,
+    form: &Form,
+    settings: &MotionSettings,
+) -> Result<(AxesMotion, MotionReport), Invalid> {
+    settings.check()?;
+    trajectory.check_rate_is_constant()?;
+    let map = AxisMap::new(machine, form)?;
+    let axes = machine.axes();
+    let given = Pieces {
+        map: &map,
+        trajectory,
+        turning: axes.iter().position(|a| a.name == "c"),
+        tolerance_mm: 1e-3 * settings.contact_tolerance_um,
+        min_segment_s: machine.limits().min_segment_s(),
+    };
+    let (pieces, stretch, worst) = slowed(&given, machine)?;
+    let executed = executed(&pieces, &stretch, machine, trajectory)?;
+
+    let largest_stretch = stretch.iter().fold(1.0, |a: f64, b| a.max(*b));
+    let slowest = worst.map(|(worst, time_s)| SlowedReport {
+        axis: axes[worst.axis].name,
+        quantity: worst.quantity,
+        ratio: worst.ratio,
+        time_s,
+        largest_stretch,
+    });
+    let away = farthest(&map, &pieces, &stretch, &executed, trajectory);
+    let point = |piece: &Piece| trajectory.segment(piece.segment).position_mm(piece.from_s);
+    let off_normal = pieces.iter().filter_map(|piece| map.off_normal_deg(point(piece)));
+    let added = |of: &dyn Fn(usize) -> bool| -> f64 {
+        let of_piece = |k: usize| executed.duration_s(k) - pieces[k].duration_s();
+        (0..pieces.len()).filter(|k| of(*k)).map(of_piece).sum()
+    };
+    let report = MotionReport {
+        axes: axes.iter().map(|a| a.name).collect(),
+        units: axes.iter().map(|a| a.unit()).collect(),
+        segment_count: executed.len(),
+        contact_deviation_um: 1e3 * away.distance_mm,
+        contact_deviation_time_s: away.time_s,
+        gap_um: 1e3 * away.gap_mm,
+        off_normal_deg: off_normal.fold(0.0, f64::max),
+        planned_time_s: trajectory.total_time_s(),
+        total_time_s: executed.total_time_s(),
+        added_tool_on_time_s: match slowest {
+            Some(_) => added(&|k| executed.tool_on()[k]),
+            None => 0.0,
+        },
+        slowed: slowest,
+        spindle: given.turning.map(|c| {
+            let radius = |k: usize| map.radius_mm(point(&pieces[k]));
+            let limit = axes[c].max_velocity;
+            let too_fast = |k: &usize| pieces[*k].start[c][1].abs() > limit;
+            let c_limit_radius_mm =
+                (0..pieces.len()).filter(too_fast).map(radius).fold(0.0, f64::max);
+            SpindleReport {
+                least_radius_mm: (0..pieces.len()).map(radius).fold(f64::INFINITY, f64::min),
+                c_limit_radius_mm,
+                added_time_within_s: match c_limit_radius_mm > 0.0 {
+                    true => added(&|k| radius(k) <= c_limit_radius_mm),
+                    false => 0.0,
+                },
+            }
+        }),
+    };
+    Ok((executed, report))
+}
+
+/// Pieces, stretch at their ends, and the worst excess of the motion as given with its time, s.
+type SlowedPieces = (Vec<Piece>, Vec<f64>, Option<(Excess, f64)>);
+
+/// Slows the pieces down to the limits, and halves those that leave the path by it, until neither is needed.
+fn slowed(given: &Pieces<'_>, machine: &Machine) -> Result<SlowedPieces, Invalid> {
+    let mut pieces = given.all()?;
+    let mut first = None;
+    for round in 0..=MOST_ROUNDS {
+        let slowed = slow(&pieces, machine.axes());
+        if round == 0 {
+            first = slowed.worst.map(|worst| {
+                let piece: &Piece = &pieces[worst.piece];
+                (worst, given.trajectory.break_time_s()[piece.segment] + piece.from_s)
+            });
+        }
+        let stretch: Vec<f64> = slowed.stretch.iter().map(|w| w * slowed.whole).collect();
+        match given.finer(&pieces, &stretch)? {
+            Some(finer) if round < MOST_ROUNDS => pieces = finer,
+            Some(_) => break,
+            None => return Ok((pieces, stretch, first)),
+        }
+    }
+    let problem =
+        "needs time that is stretched too unevenly for the tolerance of the contact point";
+    let remedy = "give a larger `contact_tolerance_um`, or a motion that keeps more distance from the limits";
+    Err(Invalid::whole("trajectory", problem, remedy))
+}
+
+/// The cubics of the pieces, with the stretch at their ends.
+fn executed(
+    pieces: &[Piece],
+    stretch: &[f64],
+    machine: &Machine,
+    trajectory: &Trajectory,
+) -> Result<AxesMotion, Invalid> {
+    let is_stretched = stretch.iter().any(|w| *w != 1.0);
+    let mut break_time_s = vec![trajectory.break_time_s()[0]];
+    let mut coefficient = Vec::new();
+    // Two axes that read an affine map of the part run the cubics of the motion itself.
+    let is_same = !is_stretched && *machine.kinematics() == Kinematics::Xy;
+    let same = match machine.part_to_axes() {
+        _ if !is_same => None,
+        Some(there) => Some(there.trajectory(trajectory)?),
+        None => Some(trajectory.clone()),
+    };
+    for (k, piece) in pieces.iter().enumerate() {
+        let ends = [stretch[k], stretch[k + 1]];
+        let h = stretched_s(piece, ends);
+        match &same {
+            Some(motion) => coefficient.extend(motion.coefficient_mm()[piece.segment]),
+            None => coefficient.extend(piece.cubics(h, ends)),
+        }
+        break_time_s.push(match is_stretched {
+            true => break_time_s[k] + h,
+            false if pieces.get(k + 1).is_none_or(|next| next.segment > piece.segment) => {
+                trajectory.break_time_s()[piece.segment + 1]
+            }
+            false => trajectory.break_time_s()[piece.segment] + piece.to_s,
+        });
+    }
+    let of = |piece: &Piece| piece.segment;
+    AxesMotion::new(
+        break_time_s,
+        coefficient,
+        pieces.iter().map(|p| trajectory.tool_on()[of(p)]).collect(),
+        pieces.iter().map(|p| trajectory.dwell_index()[of(p)]).collect(),
+    )
+}
+
+/// Largest distances of an executed motion.
+struct Farthest {
+    distance_mm: f64,
+    time_s: f64,
+    gap_mm: f64,
+}
+
+/// Largest distance of the executed contact point from the path, at points in every segment.
+fn farthest(
+    map: &AxisMap,
+    pieces: &[Piece],
+    stretch: &[f64],
+    executed: &AxesMotion,
+    trajectory: &Trajectory,
+) -> Farthest {
+    let mut found = Farthest { distance_mm: 0.0, time_s: executed.break_time_s()[0], gap_mm: 0.0 };
+    for (k, piece) in pieces.iter().enumerate() {
+        let c = &trajectory.coefficient_mm()[piece.segment];
+        let h = executed.duration_s(k);
+        for j in 1..=INNER_POINTS {
+            let part = j as f64 / (INNER_POINTS + 1) as f64;
+            let q: Vec<f64> = executed.segment(k).iter().map(|c| evaluate(c, part * h)).collect();
+            let Some(contact) = map.contact(&q) else {
+                found = Farthest { distance_mm: f64::INFINITY, ..found };
+                continue;
+            };
+            let f = planned_part(part, [stretch[k], stretch[k + 1]]);
+            let distance = distance_mm(c, piece, f, contact.point_mm);
+            if distance > found.distance_mm {
+                found.distance_mm = distance;
+                found.time_s = executed.break_time_s()[k] + part * h;
+            }
+            found.gap_mm = found.gap_mm.max(contact.gap_mm.abs());
+        }
+    }
+    found
+}

@@ -1,0 +1,340 @@
+//! Positions of the axes of a machine while its tool touches a point of a part, and the contact point of given
+//! positions.
+//!
+//! ```text
+//! X = (M p + o, f(p))     contact point on the machine: part_to_axes (M, o) and the form f
+//! n = (M n_xy, n_z)       unit normal there, out of the material
+//!
+//! xy          x, y = X_x, X_y
+//! xyz         x, y = X_x, X_y;  z = z0 + X_z
+//! xyz-tilts   (x, y, z) = X + L n + (0, 0, z0 - L),  n = R (0, 0, 1)                                  (1)
+//!             a carries b: R = Rx(a) Ry(b),  b = atan2(n_x, hypot(n_y, n_z)),  a = atan2(-n_y, n_z)   (2)
+//!             b carries a: R = Ry(b) Rx(a),  a = atan2(-n_y, hypot(n_x, n_z)),  b = atan2(n_x, n_z)   (3)
+//! spindle     c = atan2(X_y, X_x),  r = hypot(X_x, X_y);  z = z0 + X_z                                (4)
+//!             with a tilt: b = atan2(n_r, n_z),  (r, z) += L (sin b, cos b - 1),  n_r = n . X_xy / r   (5)
+//! ```
+//!
+//! The tool stands along n, out of the material; its pivot is the distance L from the contact point. Without tilt the
+//! linear axes read the contact point. In (5) the tool stays in the plane of the radius and z, so that it follows the
+//! part of the normal in this plane. [`AxisMap::off_normal_deg`] is the angle between tool and normal.
+//!
+//! A point of the machine goes back to the part along the tool: the contact point is where the axis of the tool meets
+//! the surface, and the gap is the distance from there to the tip of the tool.
+//!
+//! | symbol | meaning | unit |
+//! |---|---|---|
+//! | p | contact point in the plane of the part | mm |
+//! | L | `pivot_mm` | mm |
+//! | z0 | `part_origin_z_mm` | mm |
+//! | a, b, c | rotary axes | deg |
+
+mod series;
+
+use planish_form::Form;
+use planish_types::{Invalid, Kinematics, Machine, Tilt, Transform};
+
+pub use series::Series;
+
+/// Step of the difference that gives the third derivatives of the form, mm.
+///
+/// Larger: truncation, the square of the step over 6 times the fifth derivatives (3e-16 /mm^2 for a sphere of 100 mm).
+/// Smaller: rounding of the second derivatives over the step (1e-18/mm over it). Derived: both are below 1e-14 /mm^2,
+/// which is nothing beside the second derivative of any tilt.
+const STEP_MM: f64 = 1e-3;
+
+/// Distance from the centre of the spindle below which the direction of the motion decides on c, mm. Larger: the path's
+/// own azimuth is lost. Smaller: rounding of the coordinates decides. Chosen: far below any count.
+const CENTRE_MM: f64 = 1e-9;
+
+/// Change of the position along the tool at which the contact point has converged, mm. Larger: contact points are less
+/// exact. Smaller: rounding of coordinates of 1 m keeps the steps going.
+const CONVERGED_MM: f64 = 1e-12;
+
+/// Largest number of Newton steps from the tip of the tool to the surface. Larger: no effect, they converge
+/// quadratically. Smaller: tools far from the surface are given up.
+const NEWTON_STEPS: usize = 30;
+
+/// Map from a contact point to the positions of the axes, and back.
+#[derive(Clone, Debug)]
+pub struct AxisMap {
+    form: Form,
+    kinematics: Kinematics,
+    origin_z_mm: f64,
+    to_axes: Option<(Transform, Transform)>,
+    axes: usize,
+}
+
+/// Contact of the tool with the part.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Contact {
+    /// Contact point [x, y] in the plane of the part, mm.
+    pub point_mm: [f64; 2],
+    /// Distance from the surface to the tip of the tool, along the tool, mm; 0 for kinematics without an axis z.
+    pub gap_mm: f64,
+}
+
+impl AxisMap {
+    /// The map of a machine and a part.
+    pub fn new(machine: &Machine, form: &Form) -> Result<Self, Invalid> {
+        let to_axes = match machine.part_to_axes() {
+            Some(there) => Some((there.clone(), there.inverse()?)),
+            None => None,
+        };
+        Ok(Self {
+            form: form.clone(),
+            kinematics: machine.kinematics().clone(),
+            origin_z_mm: machine.part_origin_z_mm(),
+            to_axes,
+            axes: machine.axes().len(),
+        })
+    }
+
+    /// Number of axes.
+    pub fn axes(&self) -> usize {
+        self.axes
+    }
+
+    /// Positions of the axes, mm and deg, with their derivatives by the parameter of the contact point `p`, mm. `None`
+    /// where the form does not exist. The axis c of a spindle is between -180 and 180 deg.
+    ///
+    /// In the centre of a spindle the point is taken to move away from it.
+    pub fn positions(&self, p: [Series; 2]) -> Option<Vec<Series>> {
+        let [x, y] = self.on_machine(p);
+        let origin_z = Series::constant(self.origin_z_mm);
+        let needs_form = |normal| self.surface(p, normal);
+        Some(match &self.kinematics {
+            Kinematics::Xy => vec![x, y],
+            Kinematics::Xyz => vec![x, y, needs_form(false)?.0 + origin_z],
+            Kinematics::Tilts { pivot_mm, tilts } => {
+                let (z, [nx, ny, nz]) = needs_form(true)?;
+                let (a, b) = match tilts[0] {
+                    Tilt::A => (Series::angle([nz, -ny]), Series::angle([hypot(ny, nz), nx])),
+                    Tilt::B => (Series::angle([hypot(nx, nz), -ny]), Series::angle([nz, nx])),
+                };
+                let along = |v: Series, n: Series| v + n.times(*pivot_mm);
+                let lowered = origin_z - Series::constant(*pivot_mm);
+                vec![along(x, nx), along(y, ny), along(z, nz) + lowered, degrees(a), degrees(b)]
+            }
+            Kinematics::Spindle { has_z, pivot_mm } => {
+                let (r, c, [ux, uy]) = polar(x, y);
+                match pivot_mm {
+                    Some(pivot) => {
+                        let (z, [nx, ny, nz]) = needs_form(true)?;
+                        let nr = nx * ux + ny * uy;
+                        let length = hypot(nr, nz);
+                        let along = |v: Series, n: Series| v + (n / length).times(*pivot);
+                        let lowered = origin_z - Series::constant(*pivot);
+                        let b = Series::angle([nz, nr]);
+                        vec![along(r, nr), along(z, nz) + lowered, degrees(c), degrees(b)]
+                    }
+                    None if *has_z => vec![r, needs_form(false)?.0 + origin_z, degrees(c)],
+                    None => vec![r, degrees(c)],
+                }
+            }
+        })
+    }
+
+    /// Position, first and second derivative by the arc length in the plane of the part, of every axis; in mm and deg,
+    /// and over mm and mm^2. The path goes through `point_mm` along the unit vector `tangent`, with this curvature
+    /// (positive to the left). `None` where the form does not exist.
+    pub fn along(
+        &self,
+        point_mm: [f64; 2],
+        tangent: [f64; 2],
+        curvature_per_mm: f64,
+    ) -> Option<Vec<[f64; 3]>> {
+        let left = [-tangent[1], tangent[0]];
+        let p = [0, 1].map(|k| Series {
+            value: point_mm[k],
+            first: tangent[k],
+            second: curvature_per_mm * left[k],
+        });
+        let axes = self.positions(p)?;
+        Some(axes.iter().map(|q| [q.value, q.first, q.second]).collect())
+    }
+
+    /// Contact of the tool where the axes are at `positions`, mm and deg. `None` where the axis of the tool meets no
+    /// surface.
+    pub fn contact(&self, positions: &[f64]) -> Option<Contact> {
+        let q = positions;
+        let vertical = [0.0, 0.0, 1.0];
+        let (tip, tool) = match &self.kinematics {
+            Kinematics::Xy => {
+                return Some(Contact { point_mm: self.on_part([q[0], q[1]]), gap_mm: 0.0 });
+            }
+            Kinematics::Xyz => ([q[0], q[1], q[2] - self.origin_z_mm], vertical),
+            Kinematics::Tilts { pivot_mm, tilts } => {
+                let ([sa, ca], [sb, cb]) = (sine_cosine(q[3]), sine_cosine(q[4]));
+                let tool = match tilts[0] {
+                    Tilt::A => [sb, -sa * cb, ca * cb],
+                    Tilt::B => [ca * sb, -sa, ca * cb],
+                };
+                let pivot = [q[0], q[1], q[2] - self.origin_z_mm + pivot_mm];
+                ([0, 1, 2].map(|k| pivot[k] - pivot_mm * tool[k]), tool)
+            }
+            Kinematics::Spindle { has_z, pivot_mm } => {
+                let [s, c] = sine_cosine(q[if *has_z { 2 } else { 1 }]);
+                if !has_z {
+                    return Some(Contact {
+                        point_mm: self.on_part([q[0] * c, q[0] * s]),
+                        gap_mm: 0.0,
+                    });
+                }
+                let (pivot, [sb, cb]) = match pivot_mm {
+                    Some(pivot) => (*pivot, sine_cosine(q[3])),
+                    None => (0.0, [0.0, 1.0]),
+                };
+                let (r, z) = (q[0] - pivot * sb, q[1] - self.origin_z_mm + pivot * (1.0 - cb));
+                ([r * c, r * s, z], [sb * c, sb * s, cb])
+            }
+        };
+        // h(l) = z of tip + l tool, minus the form below it;  h' = tool_z - grad f . tool_xy
+        let direction = self.direction_on_part([tool[0], tool[1]]);
+        let mut l = 0.0;
+        for _ in 0..NEWTON_STEPS {
+            let point_mm = self.on_part([tip[0] + l * tool[0], tip[1] + l * tool[1]]);
+            let place = self.form.at(point_mm)?;
+            let [fx, fy] = place.gradient();
+            let slope = tool[2] - fx * direction[0] - fy * direction[1];
+            let step = (tip[2] + l * tool[2] - place.sag_mm()) / slope;
+            if step.abs() <= CONVERGED_MM * (1.0 + tip[2].abs()) {
+                return Some(Contact { point_mm, gap_mm: -l });
+            }
+            l -= step;
+        }
+        None
+    }
+
+    /// Angle between the tool and the normal of the part at [x, y], mm, in degrees. `None` where the form does not
+    /// exist.
+    pub fn off_normal_deg(&self, point_mm: [f64; 2]) -> Option<f64> {
+        let at = point_mm.map(Series::constant);
+        match &self.kinematics {
+            Kinematics::Tilts { .. } => Some(0.0),
+            Kinematics::Spindle { pivot_mm: Some(_), .. } => {
+                let (_, [nx, ny, _]) = self.surface(at, true)?;
+                let [x, y] = self.on_machine(at).map(|v| v.value);
+                let r = x.hypot(y);
+                // In the centre every plane through z is that of the radius.
+                let across = if r < CENTRE_MM { 0.0 } else { (ny.value * x - nx.value * y) / r };
+                Some(across.abs().asin().to_degrees())
+            }
+            _ => self.form.at(point_mm).map(|place| place.slope_deg()),
+        }
+    }
+
+    /// Distance of a contact point from the axis of the spindle, mm.
+    pub fn radius_mm(&self, point_mm: [f64; 2]) -> f64 {
+        let [x, y] = self.on_machine(point_mm.map(Series::constant));
+        x.value.hypot(y.value)
+    }
+
+    /// Height of the form, and its unit normal in the directions of the machine (zero unless asked for).
+    fn surface(&self, p: [Series; 2], normal: bool) -> Option<(Series, [Series; 3])> {
+        let at = p.map(|v| v.value);
+        let place = self.form.at(at)?;
+        let (gradient, [xx, xy, yy]) = (place.gradient(), place.hessian());
+        let (v, w) = (p.map(|s| s.first), p.map(|s| s.second));
+        let of =
+            |[xx, xy, yy]: [f64; 3], v: [f64; 2]| [xx * v[0] + xy * v[1], xy * v[0] + yy * v[1]];
+        let bent = of([xx, xy, yy], v);
+        // f' = grad f . p',  f'' = grad f . p'' + p' H p'
+        let f = Series {
+            value: place.sag_mm(),
+            first: gradient[0] * v[0] + gradient[1] * v[1],
+            second: gradient[0] * w[0] + gradient[1] * w[1] + bent[0] * v[0] + bent[1] * v[1],
+        };
+        if !normal {
+            return Some((f, [Series::default(); 3]));
+        }
+        // (grad f)' = H p',  (grad f)'' = H p'' + H' p'
+        let change = of(self.hessian_change(at, v)?, v);
+        let turned = of([xx, xy, yy], w);
+        let slope = [0, 1].map(|k| Series {
+            value: gradient[k],
+            first: bent[k],
+            second: turned[k] + change[k],
+        });
+        let one = Series::constant(1.0);
+        let nz = one / (one + slope[0] * slope[0] + slope[1] * slope[1]).sqrt();
+        let [nx, ny] = slope.map(|s| -(s * nz));
+        let [nx, ny] = match &self.to_axes {
+            None => [nx, ny],
+            Some((there, _)) => there.matrix().map(|row| nx.times(row[0]) + ny.times(row[1])),
+        };
+        Some((f, [nx, ny, nz]))
+    }
+
+    /// Derivative of the second derivatives of the form by the parameter of a point that moves with the velocity `v`: a
+    /// difference over [`STEP_MM`] on both sides, or on one where the form ends.
+    fn hessian_change(&self, at: [f64; 2], v: [f64; 2]) -> Option<[f64; 3]> {
+        let speed = v[0].hypot(v[1]);
+        if speed == 0.0 {
+            return Some([0.0; 3]);
+        }
+        let beside = |d: f64| {
+            let place = self.form.at([0, 1].map(|k| at[k] + d * v[k] / speed))?;
+            Some((d, place.hessian()))
+        };
+        let (ahead, behind) = (beside(STEP_MM), beside(-STEP_MM));
+        let (d0, h0) = behind.or_else(|| beside(0.0))?;
+        let (d1, h1) = ahead.or_else(|| beside(0.0))?;
+        if d0 == d1 {
+            return Some([0.0; 3]);
+        }
+        Some([0, 1, 2].map(|k| (h1[k] - h0[k]) / (d1 - d0) * speed))
+    }
+
+    fn on_machine(&self, p: [Series; 2]) -> [Series; 2] {
+        let Some((there, _)) = &self.to_axes else { return p };
+        let [x, y] = there.point(p.map(|s| s.value));
+        let [dx, dy] = there.direction(p.map(|s| s.first));
+        let [ddx, ddy] = there.direction(p.map(|s| s.second));
+        [Series { value: x, first: dx, second: ddx }, Series { value: y, first: dy, second: ddy }]
+    }
+
+    fn on_part(&self, q: [f64; 2]) -> [f64; 2] {
+        self.to_axes.as_ref().map_or(q, |(_, back)| back.point(q))
+    }
+
+    fn direction_on_part(&self, v: [f64; 2]) -> [f64; 2] {
+        self.to_axes.as_ref().map_or(v, |(_, back)| back.direction(v))
+    }
+}
+
+/// Radius, azimuth in rad and unit vector along the radius.
+fn polar(x: Series, y: Series) -> (Series, Series, [Series; 2]) {
+    if x.value.hypot(y.value) >= CENTRE_MM {
+        let r = hypot(x, y);
+        return (r, Series::angle([x, y]), [x / r, y / r]);
+    }
+    // p = v t + w t^2 / 2: the azimuth is that of v + w t / 2, and the radius is |v t + w t^2 / 2|.
+    let speed = x.first.hypot(y.first);
+    if speed == 0.0 {
+        let one = Series::constant(1.0);
+        return (Series::default(), Series::default(), [one, Series::default()]);
+    }
+    let [vx, vy] = [x.first / speed, y.first / speed];
+    let across = vx * y.second - vy * x.second;
+    let azimuth = Series { value: vy.atan2(vx), first: 0.5 * across / speed, second: 0.0 };
+    let r = Series { value: 0.0, first: speed, second: vx * x.second + vy * y.second };
+    let turned = azimuth.first;
+    let unit = [
+        Series { value: vx, first: -turned * vy, second: 0.0 },
+        Series { value: vy, first: turned * vx, second: 0.0 },
+    ];
+    (r, azimuth, unit)
+}
+
+fn hypot(x: Series, y: Series) -> Series {
+    (x * x + y * y).sqrt()
+}
+
+fn degrees(angle: Series) -> Series {
+    angle.times(1_f64.to_degrees())
+}
+
+fn sine_cosine(angle_deg: f64) -> [f64; 2] {
+    let (sine, cosine) = angle_deg.to_radians().sin_cos();
+    [sine, cosine]
+}
