@@ -327,7 +327,7 @@ fn rounds(
     state.result(end)
 }
 
-/// What the loop works on.
+/// The inputs of the loop.
 #[derive(Clone, Copy)]
 struct Given<'a> {
     desired: &'a Surface,
@@ -352,7 +352,7 @@ struct Best<'a> {
     quadratic: Option<Quadratic<'a>>,
 }
 
-/// What follows a round.
+/// The transition after a round.
 enum Next {
     /// The loop ends.
     End,
@@ -528,7 +528,7 @@ impl<'a> Rounds<'a> {
         self.solver.slope_weight <= self.last_smoothness || self.has_noise
     }
 
-    /// What follows a round that is the best one so far, or is not.
+    /// Chooses the transition after a round that is the best one so far, or is not.
     fn next(&self, is_better: bool) -> Next {
         let is_spent = !is_better && 0.5 * self.step_fraction < LEAST_STEP_FRACTION;
         let best_nm = self.best.as_ref().map_or(f64::INFINITY, |b| self.iterates[b.round].rms_nm);

@@ -69,9 +69,8 @@ struct RegionArgs {
     /// Distance of neighbouring lines, mm
     #[arg(long, value_name = "P", allow_negative_numbers = true)]
     pitch_mm: f64,
-    /// Distance that the path goes beyond the aperture, mm. Below 0 it stays that far inside of the edge, for pads that
-    /// may hang over in part. [default: half the size of the square around the centroid of the TIF that holds all but
-    /// 0.05 % of its volume]
+    /// Distance that the path goes beyond the aperture, mm. Below 0 it stays that far inside of the edge. [default: half the
+    /// side of the square about the centroid of the TIF with all but 0.05 % of its volume]
     #[arg(long, value_name = "O", allow_negative_numbers = true)]
     overscan_mm: Option<f64>,
     /// Machine and its limits, for a warning if the path leaves the travel of its axes [JSON]

@@ -130,7 +130,7 @@ pub struct Descent<'s> {
     penalised: Option<Penalised>,
 }
 
-/// What the exact objective says of the dwell times.
+/// The exact objective and its gradient at the dwell times, and what follows from them.
 pub struct Look {
     objective: f64,
     gradient: Vec<f64>,
@@ -144,7 +144,7 @@ pub struct Look {
     pub end: Option<End>,
 }
 
-/// Where a step goes.
+/// The end of a step, or of the descent.
 pub enum Target {
     /// Dwell times with a smaller objective; with the mask of the free ones where they were found without bounds.
     To(Vec<f64>, Option<Vec<bool>>),
@@ -270,7 +270,7 @@ impl<'s> Descent<'s> {
         }
     }
 
-    /// What is found without bounds, where the surrogate has left dwell times to go on from.
+    /// Looks without bounds, where the surrogate has left dwell times to go on from.
     fn without_bounds(&mut self, problem: &mut BoundedProblem<'_>, look: &Look) -> Option<Target> {
         let from = self.unbounded.take()?;
         let most = self.settings.max_iterations.saturating_sub(self.iterations);
@@ -324,7 +324,7 @@ impl<'s> Descent<'s> {
         }
     }
 
-    /// How far the gradient steps, or the two-level method where there are splines, go for the minimum of H~.
+    /// Returns how far the gradient steps, or the two-level method where there are splines, go for the minimum of H~.
     fn gradient_settings(&self, splines_mm: Option<f64>, look: &Look) -> GradientSettings {
         GradientSettings {
             tolerance: match splines_mm {

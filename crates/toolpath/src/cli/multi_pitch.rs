@@ -35,8 +35,8 @@ pub struct MultiPitchArgs {
     /// Longest segment, mm
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     step_mm: f64,
-    /// Distance that the path goes beyond the aperture, mm [default: half the size of the square around the centroid
-    /// of the TIF that holds all but 0.05 % of its volume]
+    /// Distance that the path goes beyond the aperture, mm [default: half the side of the square about the centroid of the
+    /// TIF with all but 0.05 % of its volume]
     #[arg(long, value_name = "O", allow_negative_numbers = true)]
     overscan_mm: Option<f64>,
     /// Machine and its limits, for a warning if the path leaves the travel of its axes [JSON]
