@@ -2,6 +2,11 @@
 
     import numpy as np, planish
 
+    plan = planish.plan((height, x, y), (rate, dx, dy), "machine.json", "raster", pitch_mm=2)
+    plan.residual_nm, plan.plot(), plan.report(), plan.program("galil")
+
+Or stage by stage:
+
     planish.save("mirror", height_nm=height, x_mm=x, y_mm=y)
     planish.save("tool", rate_nm_per_s=rate, x_mm=dx, y_mm=dy)
     path = planish.toolpath.raster(surface="mirror", tif="tool", pitch_mm=1, step_mm=1, out="path")
@@ -28,7 +33,7 @@ import tempfile
 
 import numpy as np
 
-__all__ = ["Artifact", "PlanishError", "load", "programs", "save"]
+__all__ = ["Artifact", "Plan", "PlanishError", "load", "plan", "programs", "save", "save_map"]
 
 # Warnings about arrays without a manifest that were printed: every program that reads them gives the same one.
 _SAID = set()
@@ -271,3 +276,6 @@ def __getattr__(name):
     found = _Program(program)
     globals()[name] = found
     return found
+
+
+from ._plan import Plan, plan, save_map  # noqa: E402 - it uses what stands above

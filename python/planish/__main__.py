@@ -1,24 +1,16 @@
 """`planish run PIPELINE NAME=VALUE...`: the pipelines of the repository, without a clone of it."""
 
-import os
-import pathlib
 import subprocess
 import sys
-import sysconfig
 
 from . import PlanishError, programs
+from ._plan import pipeline, share
 
 USAGE = """planish run PIPELINE [NAME=VALUE...]   run a pipeline: planish run raster surface=mirror tif=tool machine=m.json
 planish show PIPELINE                  its settings, with their defaults and units
 planish list                           pipelines, fixture mirrors, machines, planish.m and a notebook, that are here
 planish-STAGE --help                   one stage at a time; from Python: import planish
 """
-
-
-def share():
-    """The folder with pipelines/ and fixtures/: in the wheel, or the clone."""
-    here = pathlib.Path(__file__).resolve().parent
-    return here / "share" if (here / "share").is_dir() else here.parents[1]
 
 
 def main():
@@ -44,14 +36,10 @@ def main():
         print(f"error: {goal} what? Give a pipeline: planish {goal} raster (planish list names them)", file=sys.stderr)
         return 2
     try:
-        folder = programs()
+        command, environment = pipeline(*arguments)
     except PlanishError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    # `just` is beside this Python, whether or not its environment is active.
-    path = os.pathsep.join([str(folder), sysconfig.get_path("scripts"), os.environ.get("PATH", "")])
-    environment = {**os.environ, "PATH": path, "PLANISH_PROGRAMS": str(folder)}
-    command = ["sh", str(share() / "pipelines/start.sh"), *arguments]
     return subprocess.run(command, env=environment).returncode
 
 

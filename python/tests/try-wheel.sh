@@ -18,7 +18,11 @@ python3 -m venv environment
 environment/bin/pip install --quiet "$wheels"/planish-*.whl
 echo "installed in $(($(date +%s) - begun)) s"
 env -i HOME="$PWD" PATH=/usr/bin:/bin environment/bin/python "$here/try_wheel.py"
+# Plans from arrays, with what they may need beside the wheel
+environment/bin/pip install --quiet xarray h5py matplotlib
+mkdir plan
+(cd plan && env -i HOME="$PWD" PATH=/usr/bin:/bin ../environment/bin/python "$here/try_plan.py")
 # The notebook, with what it needs beside the wheel
-environment/bin/pip install --quiet nbclient ipykernel matplotlib
+environment/bin/pip install --quiet nbclient ipykernel
 env -i HOME="$PWD" PATH=/usr/bin:/bin environment/bin/python "$here/try_notebook.py" "$here/../../docs/notebook.ipynb" \
     notebook.ipynb

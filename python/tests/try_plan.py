@@ -1,0 +1,118 @@
+"""`planish.plan` from arrays to a program, and maps as files of other programs.
+
+    environment/bin/python try_plan.py         in an empty directory; ends with 0 when all of it is as it should be
+
+Needs xarray, h5py and matplotlib in the environment.
+"""
+
+import gc
+import sys
+import time
+import warnings
+
+import matplotlib
+import numpy as np
+import planish
+import xarray
+
+from mirror import MACHINE, arrays, check
+
+matplotlib.use("Agg")
+SETTINGS = {"path": "raster", "pitch_mm": 4, "step_mm": 4, "plan_joint": False}
+
+
+def from_arrays_to_a_program():
+    surface, tool = (tuple(of.values()) for of in arrays())
+    stages = []
+    begun = time.monotonic()
+    plan = planish.plan(surface, tool, MACHINE, progress=stages.append, **SETTINGS)
+    program = plan.program("galil")
+    print(f"from arrays to a program: {time.monotonic() - begun:.0f} s, {len(stages)} stages")
+    assert stages[-1].endswith("planish-run verdict"), stages
+    assert plan.negative is None and plan.method == "pvt+refined" and "pvt" in plan.methods, plan.methods
+    assert "pvt+refined runs on machine" in repr(plan)
+    # The residual is what the heights leave without the removal, pixel by pixel; and its RMS is that of the report.
+    assert np.array_equal(plan.residual_nm, plan.height_nm - plan.removal_nm)
+    assert np.isclose(plan.residual_nm.std(), plan.rms_nm, rtol=1e-12)
+    assert np.isclose(plan.trajectory["break_time_s"][-1], plan.time_s, rtol=1e-12)
+    assert len(plan.dwell_s) == len(plan.tool_path["dwell_point_mm"])
+    # The program is that of the stage by itself.
+    planish.export.galil(trajectory=plan.trajectory, machine=plan.path / "machine/machine.json", out="by-itself.galil")
+    assert program.read_text() == open("by-itself.galil").read()
+    check(plan.trajectory.path, [str(program)])
+    assert "<html" in plan.report().read_text("utf-8")
+    assert [axes.get_title() for axes in plan.plot().axes[:2]][1].startswith("Predicted residual")
+    folder = plan.path
+    residual = plan.residual_nm
+    del plan
+    gc.collect()
+    assert not folder.exists(), "the temporary directory outlives its plan"
+    return residual
+
+
+def xarray_in_and_out(residual):
+    height, x, y = arrays()[0].values()
+    rate, dx, dy = arrays()[1].values()
+    # Its dimensions in the other order: a map is told by their names.
+    surface = xarray.DataArray(height.T, dims=("x", "y"), coords={"x": x, "y": y}, name="height_nm", attrs={"units": "nm"})
+    tool = xarray.DataArray(rate, dims=("dy", "dx"), coords={"dx": dx, "dy": dy})
+    plan = planish.plan(surface, tool, MACHINE, out="kept", export="galil", **SETTINGS)
+    found = plan.residual_nm
+    assert found.dims == ("y", "x") and found.attrs["units"] == "nm" and found.x.attrs["units"] == "mm"
+    # With a program, the report recommends what the controller will run; the plan below it is the same as before.
+    assert plan.method == "pvt+refined+galil"
+    before = planish.load("kept/run/methods/pvt+refined/removal")["residual_nm"]
+    assert np.array_equal(before, residual)
+    assert plan.program("galil", out="again.galil").read_text() == (plan.path / "program.galil").read_text()
+    for wrong in (surface.assign_attrs(units="um"), surface.assign_coords(x=("x", x, {"units": "m"}))):
+        refused(lambda: planish.plan(wrong, tool, MACHINE), ValueError, "is in '")
+    return found
+
+
+def maps_as_files(residual):
+    values = np.array(residual)
+    values[3, 5] = np.nan
+    surface = (values, residual.x.values, residual.y.values)
+    for name in ("residual.fits", "residual.h5"):
+        planish.save_map(name, surface)
+        back = planish.import_.surface(name, out=f"back-{name}")
+        assert np.array_equal(back["height_nm"], values, equal_nan=True), name
+        # A FITS header has a first coordinate and a step; the last coordinate is 75 mm.
+        for axis, of in (("x_mm", surface[1]), ("y_mm", surface[2])):
+            assert np.abs(back[axis] - of).max() <= 75 * 2**-50, name
+        refused(lambda: planish.save_map(name, surface), FileExistsError, "is there")
+    planish.save_map("other.h5", residual)
+    refused(lambda: planish.save_map("residual.tif", surface), ValueError, "give .h5, .hdf5 or .fits")
+    uneven = (values, surface[1] ** 3, surface[2])
+    refused(lambda: planish.save_map("uneven.fits", uneven), ValueError, "uniform lattice")
+
+
+def messages_of_the_programs():
+    surface, tool = (tuple(of.values()) for of in arrays())
+    for call, error, said in (
+        (lambda: planish.plan(surface, tool, MACHINE, "zigzag"), planish.PlanishError, "no pipeline 'zigzag'"),
+        (lambda: planish.plan(surface, tool, MACHINE, "raster", pich_mm=2), planish.PlanishError, "no setting 'pich_mm'"),
+        (lambda: planish.plan(surface, tool, MACHINE, "raster", pitch_mm=-2), planish.PlanishError, "pitch"),
+        (lambda: planish.plan(surface[::-1], tool, MACHINE), ValueError, "there are"),
+        (lambda: planish.plan((surface[0].T, *surface[1:]), tool, MACHINE), ValueError, "transpose the map"),
+        (lambda: planish.plan(surface[0], tool, MACHINE), TypeError, "as (map, x, y)"),
+        (lambda: planish.plan(surface, tool, {"axes": []}), planish.PlanishError, "machine.json"),
+    ):
+        refused(call, error, said)
+
+
+def refused(call, error, said):
+    try:
+        call()
+    except error as e:
+        assert said in str(e), f"{said!r} is not in: {e}"
+    else:
+        raise AssertionError(f"{said}: was not refused")
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore", UserWarning)
+    messages_of_the_programs()
+    maps_as_files(xarray_in_and_out(from_arrays_to_a_program()))
+    print("plans from arrays are as they should be")
+    sys.exit(0)
