@@ -270,6 +270,11 @@ prose *words:
         harper-py==0.2.0 || echo "harper-py cannot be installed here"
     @target/prose/bin/python docs/prose/check.py --harper "$@"
 
+# Check licences, sources and known vulnerabilities of all crates (deny.toml; needs cargo-deny and the network)
+[group('3 development')]
+deny:
+    cargo deny --locked check --hide-inclusion-graph
+
 # Everything that must pass before a change lands
 [group('3 development')]
 ci: test checks
