@@ -8,6 +8,7 @@ what a function writes against those of the command line, the program read back 
 
 import hashlib
 import json
+import os
 import pathlib
 import subprocess
 import sys
@@ -120,10 +121,22 @@ def the_first_mirror():
     assert not (pathlib.Path(planish.__file__).parent / "share/out").exists()
 
 
+def the_doctor_checks_a_plan():
+    doctor = [sys.executable, "-m", "planish", "doctor"]
+    ran = subprocess.run(doctor, capture_output=True, text=True)
+    assert ran.returncode == 0 and " nm RMS become " in ran.stdout, ran.stdout + ran.stderr
+    ran = subprocess.run(doctor, capture_output=True, text=True, env={**os.environ, "PLANISH_PROGRAMS": "/nowhere"})
+    assert ran.returncode == 1 and "system" in ran.stdout and "set PLANISH_PROGRAMS" in ran.stderr, ran.stdout + ran.stderr
+    ran = subprocess.run([planish.programs() / "planish-run", "--version"], capture_output=True, text=True)
+    version = subprocess.run([*doctor[:-1], "--version"], capture_output=True, text=True).stdout
+    assert version.split()[1] == ran.stdout.split()[1], version
+
+
 if __name__ == "__main__":
     mirror()
     functions_write_what_the_command_line_writes()
     messages_say_what_to_do()
+    the_doctor_checks_a_plan()
     the_first_mirror()
     print("the wheel is as it should be")
     sys.exit(0)
