@@ -51,7 +51,7 @@ pub fn contact(
     if motion.axes() != map.axes() {
         let problem = format!("has {} axes, and the machine has {}", motion.axes(), map.axes());
         let remedy = "give the machine file that the motion was made for";
-        return Err(Invalid::whole("coefficient", problem, remedy));
+        return Err(Invalid::whole("coefficient_mm_or_deg", problem, remedy));
     }
     let mut break_time_s = vec![motion.break_time_s()[0]];
     let (mut coefficient, mut tool_on, mut dwell_index) = (Vec::new(), Vec::new(), Vec::new());
@@ -62,7 +62,7 @@ pub fn contact(
             let at_s = motion.break_time_s()[i] + u;
             let problem = format!("puts the tool where it meets no surface, at {at_s:.6} s");
             let remedy = "give the form that the motion was made for, with its overscan";
-            Invalid::at("coefficient", i, problem, remedy)
+            Invalid::at("coefficient_mm_or_deg", i, problem, remedy)
         };
         let state = |u: f64| state(&map, cubics, u).ok_or_else(|| missing(u));
         let h = motion.duration_s(i);
@@ -100,7 +100,7 @@ pub fn contact(
         let problem =
             format!("moves the contact point {:.4} um away from cubics", 1e3 * deviation_mm);
         let remedy = "give a motion of planish-axes, whose axes do not jump";
-        return Err(Invalid::whole("coefficient", problem, remedy));
+        return Err(Invalid::whole("coefficient_mm_or_deg", problem, remedy));
     }
     let trajectory = Trajectory::new(break_time_s, coefficient, tool_on, dwell_index)?;
     let report = ContactReport {
@@ -129,6 +129,6 @@ fn state(map: &AxisMap, cubics: &[[f64; 4]], u: f64) -> Option<State> {
         let moved: Vec<f64> = q.iter().zip(&v).map(|(q, v)| q + d * v).collect();
         map.contact(&moved)
     };
-    let (ahead, behind) = (beside(d)?.point_mm, beside(-d)?.point_mm);
-    Some([p, [0, 1].map(|k| (ahead[k] - behind[k]) / (2.0 * d))])
+    let (ahead, back) = (beside(d)?.point_mm, beside(-d)?.point_mm);
+    Some([p, [0, 1].map(|k| (ahead[k] - back[k]) / (2.0 * d))])
 }

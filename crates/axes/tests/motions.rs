@@ -397,5 +397,8 @@ fn what_cannot_be_made_is_refused() {
     let (axes, _) = motion(&plan, &machine, &plane(), &settings()).unwrap();
     let other = fixture("ion-beam", |_| {});
     let message = contact(&axes, &other, &plane()).unwrap_err().to_string();
-    assert!(message.contains("coefficient: has 5 axes, and the machine has 2"), "{message}");
+    assert!(
+        message.contains("coefficient_mm_or_deg: has 5 axes, and the machine has 2"),
+        "{message}"
+    );
 }

@@ -220,10 +220,13 @@ the sign and the direction of `along`, and o is `part_origin_mm`. An axis that c
 way: give the opposite sign.
 
 Plans stay in the coordinates of the part, within the largest box of limits there that the axes can follow in every
-direction. On a machine with other kinematics than `xy` that box is of x and y alone, or of `kinematics.contact`;
-`planish-axes` makes the motion of all axes ([axes](axes.md)). `planish-verify` judges the motion of the axes, and `planish-export` writes it. If fiducials say how the part
+direction. `planish-verify` judges the motion of the axes, and `planish-export` writes it. If fiducials say how the part
 lies ([from run to run](campaign.md)), `planish-register apply` takes the motion to the axes. These keys are then not
 applied again.
+
+On a machine with other kinematics than `xy` that box is of x and y alone, or of `kinematics.contact`. `planish-axes`
+makes the motion of all axes ([axes](axes.md)), and `planish-verify --axes` judges it. `planish-export` refuses such a
+machine.
 ";
 
 /// Keys of an error budget, with unit and meaning.

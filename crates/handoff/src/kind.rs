@@ -499,7 +499,7 @@ pub const AXES: Kind = Kind {
             "Start of every segment, and the end of the last.",
         ),
         array(
-            "coefficient",
+            "coefficient_mm_or_deg",
             Dtype::F64,
             &["k", "n", "4"],
             &["segment", "axis", "order"],

@@ -277,7 +277,7 @@ impl Artifact for AxesMotion {
     }
 
     fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
-        let c = arrays.take_f64("coefficient");
+        let c = arrays.take_f64("coefficient_mm_or_deg");
         let [k, n] = [c.shape()[0], c.shape()[1]];
         let cubic = |(i, a): (usize, usize)| [0, 1, 2, 3].map(|o| c[[i, a, o]]);
         Self::new(

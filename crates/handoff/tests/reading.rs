@@ -422,7 +422,7 @@ fn every_kind_has_unique_names_and_known_shapes() {
             assert!(arrays[..i].iter().all(|b| b.name != a.name), "{name}");
             assert_eq!(a.shape.len(), a.axes.len(), "{name}/{}", a.name);
             // The unit is in the name wherever there is one.
-            let plain = a.unit == "1" || a.name.starts_with("coefficient");
+            let plain = a.unit == "1" || a.name.starts_with("coefficient_mm");
             let unit = a.unit.replace("1/", "per_").replace('/', "_per_");
             let unit = unit.replace('^', "").replace(' ', "_");
             assert!(plain || a.name.ends_with(&format!("_{unit}")), "{name}/{}", a.name);

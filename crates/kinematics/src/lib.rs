@@ -276,8 +276,8 @@ impl AxisMap {
             let place = self.form.at([0, 1].map(|k| at[k] + d * v[k] / speed))?;
             Some((d, place.hessian()))
         };
-        let (ahead, behind) = (beside(STEP_MM), beside(-STEP_MM));
-        let (d0, h0) = behind.or_else(|| beside(0.0))?;
+        let (ahead, back) = (beside(STEP_MM), beside(-STEP_MM));
+        let (d0, h0) = back.or_else(|| beside(0.0))?;
         let (d1, h1) = ahead.or_else(|| beside(0.0))?;
         if d0 == d1 {
             return Some([0.0; 3]);

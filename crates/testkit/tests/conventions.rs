@@ -283,6 +283,8 @@ fn units_are_in_the_names() {
         let unit = match array.unit {
             // Coefficients of four orders share one name.
             "mm/s^order" => "mm".to_string(),
+            // Linear and rotary axes share an array.
+            "mm/s^order, deg/s^order" => "mm_or_deg".to_string(),
             // 1/mm is per_mm, nm^2 mm is nm2_mm.
             unit => {
                 unit.replace("1/", "per_").replace('/', "_per_").replace('^', "").replace(' ', "_")
@@ -305,8 +307,9 @@ fn lengths_are_mm_heights_nm_times_s() {
     let mut units: BTreeSet<&str> =
         kind::ALL.iter().flat_map(|k| k.arrays).map(|a| a.unit).collect();
     let spectral = ["1/mm", "nm^2 mm", "nm^2 mm^2", "nrad^2 mm", "nrad^2 mm^2"];
-    let plain = ["mm", "mm^2", "nm", "nrad", "nm/s", "s", "s/mm", "mm/s^order", "1", "deg"];
-    for known in plain.into_iter().chain(spectral) {
+    let plain = ["mm", "mm^2", "nm", "nrad", "nm/s", "s", "s/mm", "1", "deg"];
+    let of_motions = ["mm/s^order", "mm/s^order, deg/s^order"];
+    for known in plain.into_iter().chain(of_motions).chain(spectral) {
         assert!(units.remove(known), "no array in {known}");
     }
     assert!(units.is_empty(), "{units:?}");

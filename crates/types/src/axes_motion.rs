@@ -21,8 +21,8 @@ pub struct AxesMotion {
 impl AxesMotion {
     /// Checks lengths, finiteness, and that break times ascend strictly.
     ///
-    /// `break_time_s` (k+1); `coefficient` (k n) with the n axes of a segment one after the other, ascending orders;
-    /// `tool_on` (k); `dwell_index` (k).
+    /// `break_time_s` (k+1); `coefficient_mm_or_deg` (k n) with the n axes of a segment one after the other, ascending
+    /// orders; `tool_on` (k); `dwell_index` (k).
     pub fn new(
         break_time_s: Vec<f64>,
         coefficient: Vec<[f64; 4]>,
@@ -37,7 +37,7 @@ impl AxesMotion {
         if axes == 0 || axes > MOST_AXES || axes * k != coefficient.len() {
             let problem = format!("has {} polynomials for {k} segments", coefficient.len());
             let remedy = format!("give one per segment and axis, for 1 to {MOST_AXES} axes");
-            return Err(Invalid::whole("coefficient", problem, remedy));
+            return Err(Invalid::whole("coefficient_mm_or_deg", problem, remedy));
         }
         for (name, len, expected) in
             [("break_time_s", break_time_s.len(), k + 1), ("dwell_index", dwell_index.len(), k)]
@@ -59,7 +59,7 @@ impl AxesMotion {
         if let Some(i) = coefficient.iter().position(|c| c.iter().any(|v| !v.is_finite())) {
             let problem = format!("is {:?}", coefficient[i]);
             let index = (i / axes, i % axes);
-            return Err(Invalid::at("coefficient", index, problem, "give finite values"));
+            return Err(Invalid::at("coefficient_mm_or_deg", index, problem, "give finite values"));
         }
         Ok(Self { break_time_s, coefficient, tool_on, dwell_index })
     }

@@ -197,7 +197,7 @@ pub fn verify_axes(
         let problem =
             format!("has {} axes, and the machine has {}", motion.axes(), names.join(", "));
         let remedy = "give the machine file that the motion was made for";
-        return Err(Invalid::whole("coefficient", problem, remedy));
+        return Err(Invalid::whole("coefficient_mm_or_deg", problem, remedy));
     }
     check_times(motion.break_time_s())?;
     let mut tallies: Vec<AxisTally> =
@@ -207,7 +207,7 @@ pub fn verify_axes(
         let cubics = motion.segment(i);
         if cubics.iter().flatten().any(|c| c.abs() > LARGEST_NUMBER) {
             let problem = format!("is {cubics:?}");
-            return Err(Invalid::at("coefficient", i, problem, REMEDY_OF_NUMBERS));
+            return Err(Invalid::at("coefficient_mm_or_deg", i, problem, REMEDY_OF_NUMBERS));
         }
         let span = Span::of_axes(motion, i);
         add_duration(&mut duration, i, &span);

@@ -550,7 +550,7 @@ fn a_motion_of_all_axes_is_judged_by_the_limits_of_each() {
     let refused = planish_verify::verify_axes(&two, &five_axes(), &VerifySettings::default());
     let message = refused.unwrap_err().to_string();
     assert!(
-        message.contains("coefficient: has 2 axes, and the machine has x, y, z, a, b"),
+        message.contains("coefficient_mm_or_deg: has 2 axes, and the machine has x, y, z, a, b"),
         "{message}"
     );
 }
