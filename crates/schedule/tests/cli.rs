@@ -60,15 +60,17 @@ fn scheduled(dir: &Path, scheduler: &str, more: &[&str]) -> (Trajectory, Value) 
     (loaded.value, manifest.outcome)
 }
 
-/// The subcommands that make a motion, as `--help` lists them. The others write a single file, which has no
+/// The subcommands that make a motion, baselines too, as `--help` lists them. The others write a single file, which has no
 /// manifest.
 fn schedulers() -> Vec<String> {
     let output =
         Command::new(env!("CARGO_BIN_EXE_planish-schedule")).arg("--help").output().unwrap();
     let help = text(&output.stdout);
-    let list = help.split("Commands:\n").nth(1).unwrap().split("\n\n").next().unwrap();
+    let list = |heading: &str| help.split(heading).nth(1).unwrap().split("\n\n").next().unwrap();
+    let lists = [list("Commands:\n"), list("Baselines, to compare with the literature:\n")];
     // A name is indented by two, the rest of its description by more.
-    let lines = list.lines().filter_map(|line| line.strip_prefix("  "));
+    let lines = lists.iter().flat_map(|list| list.lines());
+    let lines = lines.filter_map(|line| line.strip_prefix("  "));
     let names =
         lines.filter(|line| !line.starts_with(' ')).map(|line| line.split(' ').next().unwrap());
     let names = names.filter(|name| !["interpolate", "program", "help"].contains(name));

@@ -370,6 +370,27 @@ fn a_tool_along_the_normal_of_a_sphere_leaves_no_more_than_on_a_flat_part() {
     assert!(left <= 1.1 * on_flat_part, "{left} {on_flat_part}");
 }
 
+/// A disk on a steep sphere: the corners of the grid of weights are beside the part, where the sphere is steeper still.
+#[test]
+fn places_beside_the_part_do_not_make_a_tool_that_adds_material() {
+    let text = std::fs::read_to_string(workspace().join("fixtures/disk-100.json")).unwrap();
+    let recipe: Recipe = serde_json::from_str(&text).unwrap();
+    let made = make(&recipe).unwrap();
+    let form = Form::sphere(-100.0, [0.0, 0.0]).unwrap();
+    let places = Places::new(&made.surface).with_form(form).unwrap();
+    let foot = Footprint::new(&made.tif, &places, Direction::Normal).unwrap();
+    let wanted = LowRankSettings { error: 3e-3, max_rank: 64 };
+    // As the program asks for it: half the size of the tool beyond the part.
+    let beyond_mm = made.tif.grid().x.end_mm();
+    let edge = |p: [f64; 2]| places.parameter(Parameter::EdgeDistance, p).unwrap();
+    let counts = |p: [f64; 2]| edge(p) >= -beyond_mm;
+    let far = places.radius_mm() + beyond_mm;
+    let rectangle = [[-far, -far], [far, far]];
+    let of = |p: [f64; 2]| foot.at(p);
+    let found = low_rank(&foot.offsets(), (rectangle, None), &of, &counts, &wanted).unwrap();
+    assert!(found.report.negative().is_none(), "{:?}", found.report);
+}
+
 #[test]
 fn causes_have_their_closed_forms() {
     let axis = |n: usize| Axis::new(-0.25 * (n / 2) as f64, 0.25, n).unwrap();

@@ -15,6 +15,8 @@
 //! A tool that only turns with the azimuth of its place is sampled at azimuths of one turn instead of places of a grid.
 //! It is then as exact at the axis as far from it.
 
+use std::collections::BTreeSet;
+
 use nalgebra::{DMatrix, SymmetricEigen};
 use ndarray::{Array2, Zip};
 use planish_types::{Axis, AzimuthWeights, Grid, Invalid, Tif, VaryingTif};
@@ -179,6 +181,20 @@ impl Lattice {
         }
     }
 
+    /// The places of which some are used, and their neighbours: the interpolation between used places needs their
+    /// weights too, and kernels that do not know the tool there make one that adds material.
+    fn with_neighbours(&self, used: &[usize]) -> Vec<usize> {
+        let Self::Places(Grid { x, y }) = self else { return used.to_vec() };
+        let nx = x.len();
+        let is_used: BTreeSet<usize> = used.iter().copied().collect();
+        let about = |k: usize, n: usize| k.saturating_sub(1)..(k + 2).min(n);
+        let is_near = |i: &usize| {
+            let mut rows = about(i / nx, y.len());
+            rows.any(|r| about(i % nx, nx).any(|c| is_used.contains(&(r * nx + c))))
+        };
+        (0..self.len()).filter(is_near).collect()
+    }
+
     fn len(&self) -> usize {
         match self {
             Self::Places(grid) => grid.x.len() * grid.y.len(),
@@ -301,7 +317,7 @@ fn at(
         let remedy = "give a map with valid pixels in the coordinates of the part";
         return Err(Invalid::whole("surface", "has no place at which the tool is used", remedy));
     }
-    let basis = Basis::new(offsets, &lattice, &used, of, settings);
+    let basis = Basis::new(offsets, &lattice, &lattice.with_neighbours(&used), of, settings);
     let found: Vec<Projected> =
         (0..count).into_par_iter().map(|i| basis.project(&of(lattice.place(i)))).collect();
     let tool = basis.tool(offsets, lattice, &found)?;
@@ -333,20 +349,20 @@ struct Basis {
 }
 
 impl Basis {
-    /// The kernels of the samples at places that are used: as few as the wanted error allows.
+    /// The kernels of the samples at `taken` places: as few as the wanted error allows.
     fn new(
         offsets: &Grid,
         lattice: &Lattice,
-        used: &[usize],
+        taken: &[usize],
         of: &LocalTool<'_>,
         settings: &LowRankSettings,
     ) -> Self {
         let LowRankSettings { error, max_rank } = *settings;
-        let training = used.len().min(MOST_TRAINING);
+        let training = taken.len().min(MOST_TRAINING);
         // Evenly spread, by the golden ratio where not all are taken.
-        let chosen = |k: usize| match training == used.len() {
-            true => used[k],
-            false => used[((k as f64 * GOLDEN).fract() * used.len() as f64) as usize],
+        let chosen = |k: usize| match training == taken.len() {
+            true => taken[k],
+            false => taken[((k as f64 * GOLDEN).fract() * taken.len() as f64) as usize],
         };
         let samples: Vec<Array2<f64>> =
             (0..training).into_par_iter().map(|k| of(lattice.place(chosen(k)))).collect();
