@@ -34,15 +34,15 @@ use serde_json::json;
 pub enum Solver {
     /// Smallest RMS residual with a free piston and bounds on every dwell time
     BoundedLeastSquares(bounded_least_squares::BoundedLeastSquares),
-    /// Least squares with bounds from the feed and acceleration limits of a machine
+    /// Least squares with bounds from the limits of a machine
     #[command(hide = true)]
     Bcls(bcls::Bcls),
-    /// Least squares with a lower bound only, one component at a time (Lawson and Hanson); slow
+    /// Least squares with a lower bound only (Lawson and Hanson); slow
     #[command(hide = true)]
     NonNegativeLeastSquares(non_negative_least_squares::NonNegativeLeastSquares),
     /// Damped least squares without bounds; damping given, by discrepancy, or by L-curve
     TikhonovLsqr(tikhonov_lsqr::TikhonovLsqr),
-    /// Least squares in the space of the large singular values, without bounds
+    /// Least squares in the space of the large singular values
     #[command(hide = true)]
     TruncatedSvd(truncated_svd::TruncatedSvd),
     /// Positive multiplicative steps with total-variation smoothing
@@ -51,7 +51,7 @@ pub enum Solver {
     Rifta(rifta::Rifta),
     /// Adjoint image of the extended map, refined by its residual
     Udo(udo::Udo),
-    /// Feed law of rasters of one or several pitches: dwell time from the area of every segment, without a solver
+    /// Feed law of rasters: the area of every segment decides, without a solver
     #[command(hide = true)]
     FeedLaw(feed_law::FeedLaw),
 }

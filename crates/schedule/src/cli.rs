@@ -28,7 +28,7 @@ use serde_json::{Value, json};
 pub enum Command {
     /// Cubic segments through the control points at the dwell times, within the limits (PVT)
     Pvt(pvt::Pvt),
-    /// PVT by the least squares of its publication; reports their defects, and stretches nothing
+    /// PVT by the least squares of its publication; stretches nothing
     #[command(hide = true)]
     PvtAsPublished(pvt_as_published::PvtAsPublished),
     /// One constant acceleration, then constant velocity, per segment; no look-ahead
@@ -42,10 +42,10 @@ pub enum Command {
     StopAtCorners(stop_at_corners::StopAtCorners),
     /// Dwell-time density as a trigonometric spline along the path, raised until the limits are kept
     TrigSpline(trig_spline::TrigSpline),
-    /// Constant velocity per segment, as a dwell solver assumes; its velocity steps, which no machine can execute
+    /// Constant velocity per segment; no machine can execute its velocity steps
     #[command(hide = true)]
     AverageVelocity(average_velocity::AverageVelocity),
-    /// Rest at the dwell points, with jumps between them, which no machine can execute
+    /// Rest at the dwell points; no machine can execute the jumps between them
     #[command(hide = true)]
     Position(position::Position),
     /// Reference positions at every tick of a controller, from a feed artifact or its NC program

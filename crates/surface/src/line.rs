@@ -320,7 +320,7 @@ mod tests {
         let profile = Profile::new(x, Values::HeightNm(height)).unwrap();
         let flat = LineSettings { subtract: Shape::Piston, pixel_mm: Some(0.4), ..settings() };
         let made = line(&profile, &flat).unwrap();
-        assert!(made.report.interpolated && made.report.notes.len() >= 1);
+        assert!(made.report.interpolated && !made.report.notes.is_empty());
         let z = made.surface.height_nm();
         assert_eq!(z.ncols(), 251);
         // A straight line stays one: 0.5 nm/mm.

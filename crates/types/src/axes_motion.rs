@@ -136,7 +136,8 @@ mod tests {
         };
         assert!(said(&[0.0], &[], 0).contains("tool_on: is empty"));
         assert!(
-            said(&[0.0, 1.0], &c[..3], 2).contains("coefficient: has 3 polynomials for 2 segments")
+            said(&[0.0, 1.0], &c[..3], 2)
+                .contains("coefficient_mm_or_deg: has 3 polynomials for 2 segments")
         );
         assert!(said(&[0.0, 1.0], &c, 2).contains("break_time_s: has 2 elements"));
         assert!(said(&[0.0, 1.0, 1.0], &c, 2).contains("break_time_s[2]: is 1 after 1"));
