@@ -51,7 +51,7 @@ pub enum Solver {
     Rifta(rifta::Rifta),
     /// Adjoint image of the extended map, refined by its residual
     Udo(udo::Udo),
-    /// Feed law of rasters: the area of every segment decides, without a solver
+    /// Feed law of rasters: the area of every segment decides; no solver
     #[command(hide = true)]
     FeedLaw(feed_law::FeedLaw),
 }

@@ -143,6 +143,8 @@ mod tests {
         assert!(said(&[0.0, 1.0, 1.0], &c, 2).contains("break_time_s[2]: is 1 after 1"));
         let mut bad = c;
         bad[3][1] = f64::NAN;
-        assert!(said(&[0.0, 1.0, 2.0], &bad, 2).contains("coefficient[1, 1]: is [0.0, NaN"));
+        assert!(
+            said(&[0.0, 1.0, 2.0], &bad, 2).contains("coefficient_mm_or_deg[1, 1]: is [0.0, NaN")
+        );
     }
 }
