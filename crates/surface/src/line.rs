@@ -15,7 +15,7 @@
 //! samples.
 //!
 //! The integral is that of Keys' interpolant of the samples, by Gauss's rule with two nodes between neighbouring
-//! samples, which is exact for its cubics. Slopes are integrated by trapezoids: s[i] are those of the profile, and
+//! samples, which is exact for its cubics. Slopes are integrated by trapezoids: `s[i]` are those of the profile, and
 //! `h[i] = h[i-1] + (s[i-1] + s[i]) (x[i] - x[i-1]) / 2`.
 //!
 //! | symbol | variable | shape | unit |
