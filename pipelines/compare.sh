@@ -53,23 +53,22 @@ report() {
 }
 
 if [ "$fixture" = all ]; then
-    count=0
+    mirrors=
     for file in "$root"/fixtures/*.json; do
         mirror=$(basename "$file" .json)
-        case " $skip " in *" $mirror "*) continue ;; esac
-        for path in $paths; do
-            run "$path" "$mirror" "$out/$mirror-$path" "$@"
-            count=$((count + 1))
-        done
+        case " $skip " in *" $mirror "*) ;; *) mirrors="$mirrors $mirror" ;; esac
     done
-    if [ "$count" -eq 0 ]; then
+    if [ -z "$mirrors" ]; then
         echo "error: skip leaves out every mirror of fixtures/" >&2
         exit 2
     fi
+    for mirror in $mirrors; do
+        for path in $paths; do
+            run "$path" "$mirror" "$out/$mirror-$path" "$@"
+        done
+    done
     set --
-    for file in "$root"/fixtures/*.json; do
-        mirror=$(basename "$file" .json)
-        case " $skip " in *" $mirror "*) continue ;; esac
+    for mirror in $mirrors; do
         for path in $paths; do
             set -- "$@" "$out/$mirror-$path"
         done

@@ -13,6 +13,8 @@ use planish_numerics::polynomial::{derivative, evaluate};
 use planish_types::{AxesMotion, Invalid, Machine, Trajectory};
 use serde::Serialize;
 
+use crate::piece::{State, cubic};
+
 /// Largest distance of the cubics from the executed contact point, mm. Larger: the prediction is less exact. Smaller:
 /// more segments. Chosen: 1e-3 um, a thousandth of the tolerance of a motion.
 const TOLERANCE_MM: f64 = 1e-6;
@@ -35,9 +37,6 @@ pub struct ContactReport {
     /// Duration of the motion, s.
     pub total_time_s: f64,
 }
-
-/// Position and velocity of the contact point.
-type State = [[f64; 2]; 2];
 
 /// The executed contact point of `motion`, within 1e-3 um.
 ///
@@ -69,12 +68,7 @@ pub fn contact(
         let mut open = vec![([0.0, h], [state(0.0)?, state(h)?], 0)];
         while let Some(([from, to], [start, end], halves)) = open.pop() {
             let length = to - from;
-            let c = [0, 1].map(|k| {
-                let (v0, v1) = (start[1][k], end[1][k]);
-                let mean = (end[0][k] - start[0][k]) / length;
-                let (square, cube) = (3.0 * mean - 2.0 * v0 - v1, -2.0 * mean + v0 + v1);
-                [start[0][k], v0, square / length, cube / (length * length)]
-            });
+            let c = [0, 1].map(|k| cubic(start[k], end[k], length));
             let mut away: f64 = 0.0;
             for part in [0.25, 0.5, 0.75] {
                 let u = part * length;
@@ -116,13 +110,14 @@ fn point(map: &AxisMap, cubics: &[[f64; 4]], u: f64) -> Option<[f64; 2]> {
     Some(map.contact(&q)?.point_mm)
 }
 
-fn state(map: &AxisMap, cubics: &[[f64; 4]], u: f64) -> Option<State> {
+/// Position and velocity of the contact point along x and y.
+fn state(map: &AxisMap, cubics: &[[f64; 4]], u: f64) -> Option<[State; 2]> {
     let q: Vec<f64> = cubics.iter().map(|c| evaluate(c, u)).collect();
     let v: Vec<f64> = cubics.iter().map(|c| evaluate(&derivative(c), u)).collect();
     let p = map.contact(&q)?.point_mm;
     let fastest = v.iter().fold(0.0, |a: f64, b| a.max(b.abs()));
     if fastest == 0.0 {
-        return Some([p, [0.0; 2]]);
+        return Some(p.map(|at| [at, 0.0]));
     }
     let d = WAY / fastest;
     let beside = |d: f64| {
@@ -130,5 +125,5 @@ fn state(map: &AxisMap, cubics: &[[f64; 4]], u: f64) -> Option<State> {
         map.contact(&moved)
     };
     let (ahead, back) = (beside(d)?.point_mm, beside(-d)?.point_mm);
-    Some([p, [0, 1].map(|k| (ahead[k] - back[k]) / (2.0 * d))])
+    Some([0, 1].map(|k| [p[k], (ahead[k] - back[k]) / (2.0 * d)]))
 }

@@ -57,11 +57,15 @@ impl Piece {
     /// The cubics (1) of the axes over `h` seconds, with the velocities at the ends divided by `slower`.
     pub(crate) fn cubics(&self, h: f64, slower: [f64; 2]) -> impl Iterator<Item = [f64; 4]> {
         self.start.iter().zip(&self.end).map(move |(start, end)| {
-            let (v0, v1) = (start[1] / slower[0], end[1] / slower[1]);
-            let mean = (end[0] - start[0]) / h;
-            [start[0], v0, (3.0 * mean - 2.0 * v0 - v1) / h, (-2.0 * mean + v0 + v1) / (h * h)]
+            cubic([start[0], start[1] / slower[0]], [end[0], end[1] / slower[1]], h)
         })
     }
+}
+
+/// The cubic (1) between two states, `h` seconds apart.
+pub(crate) fn cubic([q0, v0]: State, [q1, v1]: State, h: f64) -> [f64; 4] {
+    let mean = (q1 - q0) / h;
+    [q0, v0, (3.0 * mean - 2.0 * v0 - v1) / h, (-2.0 * mean + v0 + v1) / (h * h)]
 }
 
 /// Contact point of the motion with its derivatives, at the local time `u` of a segment.

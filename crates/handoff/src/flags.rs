@@ -140,18 +140,7 @@ impl TrajectoryArgs {
     ) -> Result<OnAxes, HandoffError> {
         let (motion, manifest): (Trajectory, _) =
             inputs.read_with_manifest("trajectory", &self.trajectory)?;
-        let other = machine.other_machine;
-        let machine = inputs.read_machine(&machine.machine.machine)?;
-        if let Some(problem) = inputs.made_for_another_machine(manifest.as_ref()) {
-            if !other {
-                let problem = format!(
-                    "{problem}; give the machine file that it was planned with, plan again, or give --other-machine if \
-                     you mean another one"
-                );
-                return Err(HandoffError::new(&self.trajectory, problem));
-            }
-            warn(format!("{}: {problem}", self.trajectory.display()));
-        }
+        let machine = machine.read(&self.trajectory, manifest.as_ref(), inputs)?;
         let was_there = manifest.as_ref().is_some_and(|m| m.frame == MACHINE_FRAME);
         let part_to_axes = machine.part_to_axes().filter(|_| !was_there).cloned();
         let motion = match &part_to_axes {
@@ -211,6 +200,31 @@ pub struct AxesArgs {
     /// Accept a motion that was made for another machine file
     #[arg(long)]
     pub other_machine: bool,
+}
+
+impl AxesArgs {
+    /// Reads the machine whose axes run the motion at `path` with the manifest `made`.
+    ///
+    /// Refuses a motion that was made for another machine, unless `--other-machine` accepts it.
+    pub fn read(
+        &self,
+        path: &Path,
+        made: Option<&Manifest>,
+        inputs: &mut Inputs,
+    ) -> Result<Machine, HandoffError> {
+        let machine = inputs.read_machine(&self.machine.machine)?;
+        if let Some(problem) = inputs.made_for_another_machine(made) {
+            if !self.other_machine {
+                let problem = format!(
+                    "{problem}; give the machine file that it was planned with, plan again, or give --other-machine if \
+                     you mean another one"
+                );
+                return Err(HandoffError::new(path, problem));
+            }
+            warn(format!("{}: {problem}", path.display()));
+        }
+        Ok(machine)
+    }
 }
 
 impl MachineArgs {

@@ -5,7 +5,7 @@
 
 use ndarray::Array2;
 use planish_draw::{Bands, Frame, Scale as AxisScale, Svg, cells, colour, frame::range};
-use planish_types::{Axis, Grid};
+use planish_types::Grid;
 
 /// Height of the texts, pixels of the picture. Larger: texts overlap. Smaller: they are hard to read.
 const FONT_PX: f64 = 16.0;
@@ -40,11 +40,7 @@ pub enum Scale {
 
 /// A picture of `map` (ny, nx) on `grid`, with a title.
 pub fn svg(grid: &Grid, map: &Array2<f64>, scale: Scale, title: &str) -> String {
-    let edges = |axis: &Axis| {
-        let half = 0.5 * axis.step_mm();
-        [axis.start_mm() - half, axis.end_mm() + half]
-    };
-    let (x, y) = (edges(&grid.x), edges(&grid.y));
+    let (x, y) = (grid.x.edges_mm(), grid.y.edges_mm());
     let (width_mm, height_mm) = (x[1] - x[0], y[1] - y[0]);
     let px_per_mm = SIZE_PX / width_mm.max(height_mm);
     let size = [width_mm * px_per_mm, height_mm * px_per_mm];
@@ -71,6 +67,8 @@ pub fn svg(grid: &Grid, map: &Array2<f64>, scale: Scale, title: &str) -> String 
 
 #[cfg(test)]
 mod tests {
+    use planish_types::Axis;
+
     use super::*;
     use ndarray::array;
 

@@ -70,7 +70,7 @@ pub fn maps_svg(panels: &[Panel], settings: &MapsSettings) -> Result<String, Inv
     let y_mm =
         settings.section_y_mm.unwrap_or(0.5 * (first.grid.y.start_mm() + first.grid.y.end_mm()));
     let common = range(panels.iter().flat_map(|p| p.map.iter().copied()));
-    let x_mm = range(panels.iter().flat_map(|p| edges(&p.grid.x)));
+    let x_mm = range(panels.iter().flat_map(|p| p.grid.x.edges_mm()));
     // Flat maps stand one below the other, others in two columns.
     let tallest = panels.iter().map(|p| ratio(&p.grid)).fold(0.0, f64::max);
     let columns = if tallest > 0.45 && panels.len() > 1 { 2 } else { 1 };
@@ -141,11 +141,6 @@ fn with_rim([low, high]: [f64; 2]) -> [f64; 2] {
     [low - rim, high + rim]
 }
 
-/// Outer edges of the first and the last pixel.
-fn edges(axis: &Axis) -> [f64; 2] {
-    [axis.start_mm() - 0.5 * axis.step_mm(), axis.end_mm() + 0.5 * axis.step_mm()]
-}
-
 /// Ratio of height to width of a drawing: that of the map, but limited, because the drawing of a narrow
 /// strip would have no height, or more than a page of it.
 fn ratio(grid: &Grid) -> f64 {
@@ -161,7 +156,7 @@ fn map(
     settings: &MapsSettings,
     section_y_mm: f64,
 ) {
-    let scales = [Scale::linear(edges(&panel.grid.x)), Scale::linear(edges(&panel.grid.y))];
+    let scales = [&panel.grid.x, &panel.grid.y].map(|axis| Scale::linear(axis.edges_mm()));
     let frame = Frame::new(corner, [WIDTH, WIDTH * ratio(&panel.grid)], MARGIN, scales);
     let bands = Bands::new(&colour::VIRIDIS, BANDS, heights);
     cells::draw(svg, &frame, panel.map.view(), &bands, MAX_CELLS);
@@ -181,7 +176,7 @@ fn map(
 /// The row of the map nearest to `y_mm`: x and height, NaN where it is invalid; `None` beyond the
 /// map.
 fn section(panel: &Panel, y_mm: f64) -> Option<Vec<[f64; 2]>> {
-    let [low, high] = edges(&panel.grid.y);
+    let [low, high] = panel.grid.y.edges_mm();
     if !(low..=high).contains(&y_mm) {
         return None;
     }

@@ -124,6 +124,12 @@ impl Axis {
         self.at(self.len - 1)
     }
 
+    /// Outer edges of the first and the last pixel, mm.
+    pub fn edges_mm(&self) -> [f64; 2] {
+        let half = 0.5 * self.step_mm;
+        [self.start_mm() - half, self.end_mm() + half]
+    }
+
     /// Distance between neighbours, mm.
     pub fn step_mm(&self) -> f64 {
         self.step_mm

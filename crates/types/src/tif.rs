@@ -171,10 +171,7 @@ impl Tif {
         let places = variation.sampled_places();
         let mut mean = Array2::zeros(offsets.shape());
         for (i, place) in places.iter().enumerate() {
-            let mut rate = Array2::zeros(offsets.shape());
-            for (k, component) in variation.components().iter().enumerate() {
-                rate.scaled_add(variation.weight(k, *place), component.kernel().rate_nm_per_s());
-            }
+            let rate = variation.rate_at(*place);
             let peak = rate.iter().copied().fold(f64::NEG_INFINITY, f64::max);
             let lowest = rate.iter().copied().fold(f64::INFINITY, f64::min);
             if peak < SMALLEST_PEAK || lowest < -NEGATIVE_OF_PLACE * peak {

@@ -260,6 +260,16 @@ impl Variation {
         self.azimuth.as_ref().map_or(weight, |azimuth| weight * azimuth.at(component, tool_mm))
     }
 
+    /// `sum_k a_k phi_k` for a tool at a place of the part: its samples on the offsets of the kernels, nm/s, without the
+    /// factors of pixels and time.
+    pub fn rate_at(&self, tool_mm: [f64; 2]) -> Array2<f64> {
+        let mut rate = Array2::zeros(self.components[0].kernel.rate_nm_per_s().dim());
+        for (k, component) in self.components.iter().enumerate() {
+            rate.scaled_add(self.weight(k, tool_mm), component.kernel.rate_nm_per_s());
+        }
+        rate
+    }
+
     /// `g` on the pixels of a map, (ny, nx); none if it is 1. Pixels beyond the samples have the factor of the nearest
     /// one.
     pub fn factor_on(&self, map: &Grid) -> Option<Cow<'_, Array2<f64>>> {

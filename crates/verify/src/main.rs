@@ -79,15 +79,7 @@ fn main() -> ExitCode {
 fn judge_axes(cli: &Cli, axes: &Path) -> Result<Status, Failure> {
     let mut inputs = Inputs::new();
     let (motion, manifest): (AxesMotion, _) = inputs.read_with_manifest("axes", axes)?;
-    let machine = inputs.read_machine(&cli.machine.machine.machine)?;
-    if let Some(problem) = inputs.made_for_another_machine(manifest.as_ref()) {
-        let problem = format!("{}: {problem}", axes.display());
-        if !cli.machine.other_machine {
-            let remedy = "give the machine file that it was made for, or --other-machine if you mean another one";
-            return Err(Failure::new(format!("{problem}; {remedy}")));
-        }
-        warn(problem);
-    }
+    let machine = cli.machine.read(axes, manifest.as_ref(), &mut inputs)?;
     let settings = VerifySettings {
         position_step_mm: cli.position_step_mm,
         velocity_step_mm_per_s: cli.velocity_step_mm_per_s,

@@ -44,7 +44,7 @@ pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
     let variation = tif.variation()?;
     let mut svg = Svg::new(FONT_PX);
     let grid = surface.grid();
-    let sides = [side_mm(&grid.x), side_mm(&grid.y)];
+    let sides = [&grid.x, &grid.y].map(side_mm);
     let shape = (sides[1] / sides[0]).clamp(0.15, 2.0);
     let middles =
         |axis: &Axis| PLACES.map(|f| axis.start_mm() + f * (axis.end_mm() - axis.start_mm()));
@@ -52,7 +52,7 @@ pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
     let places: Vec<[f64; 2]> = rows.iter().rev().flat_map(|y| columns.map(|x| [x, *y])).collect();
 
     let map = rate_over_mean(variation, surface);
-    let scales = [ends(&grid.x), ends(&grid.y)].map(Scale::linear);
+    let scales = [grid.x.edges_mm(), grid.y.edges_mm()].map(Scale::linear);
     let frame = Frame::new([0.0, 0.0], [MAP_PX, MAP_PX * shape], MARGIN_PX, scales);
     let bands = Bands::new(&BLUE_TO_BROWN, BANDS, range(map.iter().copied()));
     planish_draw::cells::draw(&mut svg, &frame, map.view(), &bands, MOST_CELLS);
@@ -65,13 +65,13 @@ pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
     }
 
     let left = MARGIN_PX[0] + MAP_PX + MARGIN_PX[2];
-    let footprints: Vec<Array2<f64>> = places.iter().map(|p| footprint(variation, *p)).collect();
+    let footprints: Vec<Array2<f64>> = places.iter().map(|p| variation.rate_at(*p)).collect();
     let offsets = variation.components()[0].kernel().grid();
     let bands = Bands::new(&VIRIDIS_FOR_LINES, BANDS, range(footprints.iter().flatten().copied()));
-    let lengths = [side_mm(&offsets.x), side_mm(&offsets.y)];
+    let lengths = [&offsets.x, &offsets.y].map(side_mm);
     let longest = lengths[0].max(lengths[1]);
     let size = lengths.map(|mm| FOOTPRINT_PX * mm / longest);
-    let scales = [ends(&offsets.x), ends(&offsets.y)].map(Scale::linear);
+    let scales = [offsets.x.edges_mm(), offsets.y.edges_mm()].map(Scale::linear);
     let step = FOOTPRINT_PX + GAP_PX;
     let mut last = None;
     for (k, footprint) in footprints.iter().enumerate() {
@@ -139,20 +139,6 @@ fn rate_over_mean(variation: &Variation, surface: &Surface) -> Array2<f64> {
     let valid = || map.iter().filter(|v| !v.is_nan());
     let mean = valid().sum::<f64>() / valid().count().max(1) as f64;
     map / mean
-}
-
-/// The footprint of a tool at a place, nm/s, without the factors of pixels and time.
-fn footprint(variation: &Variation, place: [f64; 2]) -> Array2<f64> {
-    let mut sum = Array2::zeros(variation.components()[0].kernel().grid().shape());
-    for (k, component) in variation.components().iter().enumerate() {
-        sum.scaled_add(variation.weight(k, place), component.kernel().rate_nm_per_s());
-    }
-    sum
-}
-
-/// Outer edges of the first and the last pixel, mm.
-fn ends(axis: &Axis) -> [f64; 2] {
-    [axis.start_mm() - 0.5 * axis.step_mm(), axis.end_mm() + 0.5 * axis.step_mm()]
 }
 
 /// Length between the outer edges, mm.

@@ -77,7 +77,7 @@ const WHOLE_STEP_FROM: f64 = 0.6;
 const BOUND_ROUNDING: f64 = 1e-13;
 
 /// The objective (1) but for the columns: its penalty, and the weights that the pixels have now.
-pub struct Terms {
+struct Terms {
     penalty: Penalty,
     basis: Basis,
     weight: Array2<f64>,

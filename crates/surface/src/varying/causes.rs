@@ -8,13 +8,7 @@ use super::{low_rank::LocalTool, place::Places};
 
 /// Samples of a tool at a place, nm/s, on its own offsets.
 pub fn tool_at(tif: &Tif, tool_mm: [f64; 2]) -> Array2<f64> {
-    let Some(variation) = tif.variation() else { return tif.rate_nm_per_s().clone() };
-    let mut rate = Array2::zeros(tif.rate_nm_per_s().dim());
-    for (k, component) in variation.components().iter().enumerate() {
-        let weight = variation.weight(k, tool_mm);
-        rate.scaled_add(weight, component.kernel().rate_nm_per_s());
-    }
-    rate
+    tif.variation().map_or_else(|| tif.rate_nm_per_s().clone(), |v| v.rate_at(tool_mm))
 }
 
 /// Factor of the rate by a parameter of the place.
