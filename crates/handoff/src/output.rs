@@ -10,7 +10,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use planish_types::progress;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -22,6 +22,7 @@ use crate::{
     flags::OutputArgs,
     inputs::{Inputs, LARGEST_JSON_BYTES, is_same, is_within},
     kind::{Kind, MANIFEST},
+    message::complain,
     npy::ArrayData,
     place::{obstacle, parent_of, plain, refuse_foreign_files},
     publish::{self, Staged},
@@ -35,6 +36,10 @@ const PROGRESS_PERIOD: Duration = Duration::from_millis(250);
 /// Number of steps of the progress bar. Larger: no visible change. Smaller: the bar moves in jumps,
 /// and the remaining time is estimated later.
 const PROGRESS_STEPS: u64 = 1000;
+
+/// Time after which a run tells how long its rest may take, when no terminal shows the bar; it tells so again
+/// whenever this time has doubled. Larger: a long run is silent for longer. Smaller: short runs tell it, too.
+const FIRST_TOLD_AFTER: Duration = Duration::from_secs(20);
 
 /// Work of a run: the program, its method, and every setting with its resolved value. Together with
 /// the hashes of the inputs, it decides whether an output is up to date.
@@ -397,16 +402,26 @@ impl Drop for Writer {
 }
 
 /// Starts the progress display on a terminal: the name of the work and its elapsed time. As soon as
-/// the work reports a fraction, it adds a bar and the remaining time. In a pipe it shows nothing.
+/// the work reports a fraction, it adds a bar and the remaining time. In a pipe it prints the remaining
+/// time of a long run on a few lines ([`FIRST_TOLD_AFTER`]).
 fn shown_progress(message: String) -> ProgressBar {
     let style = |template| ProgressStyle::with_template(template).expect("a valid template");
     let bar = ProgressBar::hidden();
     bar.set_style(style("{spinner} {msg} {elapsed}"));
-    bar.set_message(message);
+    bar.set_message(message.clone());
     bar.set_draw_target(ProgressDrawTarget::stderr());
     bar.enable_steady_tick(PROGRESS_PERIOD);
     let of_work = bar.clone();
+    let told_in_lines = Mutex::new(Lines { started: Instant::now(), next: FIRST_TOLD_AFTER });
     progress::watch(move |fraction| {
+        if of_work.is_hidden() {
+            let mut lines = told_in_lines.lock().unwrap_or_else(PoisonError::into_inner);
+            let after = lines.started.elapsed();
+            if let Some(line) = lines.at(after, fraction) {
+                complain(&format!("{message}: {line}"));
+            }
+            return;
+        }
         let steps = (fraction * PROGRESS_STEPS as f64) as u64;
         if steps == 0 {
             return; // nothing to judge by how long the rest will take
@@ -418,6 +433,40 @@ fn shown_progress(message: String) -> ProgressBar {
         of_work.set_position(steps);
     });
     bar
+}
+
+/// State of the lines that tell the remaining time of a long run.
+#[derive(Debug)]
+struct Lines {
+    started: Instant,
+    /// Time since the start at which the next line is due.
+    next: Duration,
+}
+
+impl Lines {
+    /// Line that is due `after` the start, when the given fraction of the work is done. The rest takes
+    ///
+    /// ```text
+    /// after (1 - fraction) / fraction
+    /// ```
+    ///
+    /// if the work goes on as fast as before. `None` when no line is due, or when the rest cannot be told
+    /// because less than one step of the bar is done.
+    fn at(&mut self, after: Duration, fraction: f64) -> Option<String> {
+        if after < self.next || fraction * (PROGRESS_STEPS as f64) < 1.0 || fraction >= 1.0 {
+            return None;
+        }
+        while self.next <= after {
+            self.next *= 2;
+        }
+        let rest = after.mul_f64((1.0 - fraction) / fraction);
+        Some(format!(
+            "{} so far, {:.0} % done; if it goes on like this, about {} are left",
+            HumanDuration(after),
+            100.0 * fraction,
+            HumanDuration(rest)
+        ))
+    }
 }
 
 /// Collects the time of every round that ends from now on, s.
@@ -579,5 +628,25 @@ fn status_of(manifest: &Manifest) -> Status {
     match text("status") {
         "negative" => Status::Negative(text("reason").into()),
         _ => Status::Done,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_tell_the_rest_at_doubled_times() {
+        let mut lines = Lines { started: Instant::now(), next: Duration::from_secs(20) };
+        let mut at = |seconds, fraction| lines.at(Duration::from_secs(seconds), fraction);
+        assert_eq!(at(19, 0.5), None);
+        assert_eq!(at(20, 1e-4), None); // too little is done
+        let line = at(30, 0.25).unwrap();
+        assert!(line.contains("25 % done"), "{line}");
+        assert!(line.ends_with("about 2 minutes are left"), "{line}"); // 30 s 0.75 / 0.25 = 90 s, rounded
+        assert_eq!(at(39, 0.3), None);
+        assert!(at(170, 0.5).is_some());
+        assert_eq!(at(319, 0.9), None); // the next one is due at 320 s
+        assert_eq!(at(321, 1.0), None); // nothing is left
     }
 }
