@@ -127,7 +127,7 @@ show pipeline:
 build:
     @cargo build --quiet --release --locked --workspace --bins
 
-# Make every fixture mirror under out/fixtures: coupon, coupon-mixture, coupon-noise, coupon-ring, disk-100, disk-100-1641, edge-pad, flat-92x16, multi-cylinder, sphere-beam, spindle-spot, square-200
+# Make every fixture mirror under out/fixtures: coupon, coupon-mixture, coupon-noise, coupon-ring, disk-100, disk-100-1641, disk-20, edge-pad, flat-92x16, multi-cylinder, sphere-beam, spindle-spot, square-200
 [group('1 plans')]
 fixtures: build
     @for recipe in fixtures/*.json; do \

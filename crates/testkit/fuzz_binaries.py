@@ -49,7 +49,7 @@ RECIPE = {
     "name": "tiny",
     "doc": "Small enough that every stage runs in milliseconds.",
     "seed": 7,
-    "pixels": [17, 13],
+    "pixels": [21, 16],
     "width_mm": 8.0,
     "aperture": "rectangle",
     "legendre": [{"order": [2, 0], "amplitude_nm": 13.0}, {"order": [1, 1], "amplitude_nm": -4.0}],

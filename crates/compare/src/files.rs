@@ -13,20 +13,24 @@ use planish_compare::{
     diff::Elements,
     dwell::{Row, Solver},
     error_budget::{ErrorBudget, ProcessArrays},
+    on_axes::{MotionOutcome, OnAxes},
     places::Division,
     plan::Plan,
     reach::Reach,
-    report::{Frames, Rounds, Run, RunMethod, tool},
+    report::{Frames, Rounds, Run, RunMethod, on_axes, tool},
     specification::{Around, Judged},
     summary::{LeftOut, Method, Summary, Told, VerdictOutcome, WallTimes},
 };
+use planish_form::Form;
 use planish_handoff::{
     Arrays, Artifact, Failure, Inputs,
     artifact::Manifest,
     kind::{self, Dtype, Kind, MANIFEST},
     npy::{self, ArrayData},
 };
-use planish_types::{Axis, DwellTime, Grid, Invalid, Removal, Surface, ToolPath, Trajectory};
+use planish_types::{
+    AxesMotion, Axis, DwellTime, Grid, Invalid, Removal, Surface, ToolPath, Trajectory,
+};
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::Value;
@@ -63,6 +67,10 @@ pub fn read_run(
         let digest = inputs.digest(&tif_role).unwrap_or_default().to_string();
         Some((Reach::new(&desired.value, tif)?, digest))
     });
+    let form = match names.form {
+        Some(path) => Some(inputs.read_form(&format!("{role}/form"), path)?.form),
+        None => None,
+    };
     let division = Division::new(&desired.value, tif.as_ref());
     let mut judge = Judge { inputs, role: &role, specification: None, remarks: vec![] };
     let around = Around {
@@ -111,6 +119,7 @@ pub fn read_run(
             .map_or(vec![], |dwell| chain::solved_for_another(&records, dwell)),
         reach: reach.as_ref(),
         division: &division,
+        form: form.as_ref(),
     };
     let (mut valid, mut left_out) = (Vec::new(), Vec::new());
     for ((found, chain), judged) in read.into_iter().zip(chains).zip(judged) {
@@ -156,6 +165,8 @@ pub struct Names<'a> {
     pub measured: Option<&'a Path>,
     /// The tool [tif artifact].
     pub tif: Option<&'a Path>,
+    /// Form of the part.
+    pub form: Option<&'a Path>,
     /// True if the methods have a prediction after the servo of the error budget.
     pub after_servo: bool,
 }
@@ -303,6 +314,7 @@ struct Found {
     frames: Option<Frames>,
     rounds: Option<Rounds>,
     after_servo_rms_nm: Option<f64>,
+    on_axes: Option<FoundOnAxes>,
     wall: WallTimes,
     records: MethodRecords,
     provenance: Provenance,
@@ -334,6 +346,7 @@ fn read_method(
         true => read_after_servo(inputs, role, &dir, &removal.recorded)?,
         false => None,
     };
+    let on_axes = read_on_axes(inputs, role, &dir, &trajectory.recorded)?;
     let mut wall = |name: &str| -> Result<Option<f64>, Failure> {
         let path = dir.join(format!("{name}-wall.json"));
         if !path.exists() {
@@ -365,6 +378,7 @@ fn read_method(
         frames: frames.map(|f| f.value.0),
         rounds: rounds.map(|r| Rounds { best, ..r.value.0 }),
         after_servo_rms_nm,
+        on_axes,
         wall,
         records,
         provenance,
@@ -410,6 +424,73 @@ fn read_after_servo(
     }
 }
 
+/// A motion of all axes that runs the plan of a method.
+struct FoundOnAxes {
+    outcome: MotionOutcome,
+    motion: AxesMotion,
+    /// Outcome of its verdict.
+    verdict: Value,
+    removal: Removal,
+}
+
+/// The motion of all axes in `dir`, with its verdict and what it leaves; `None` where there is none. Refuses one of another
+/// plan than the `trajectory`, and a verdict or a prediction of another motion.
+fn read_on_axes(
+    inputs: &mut Inputs,
+    role: &str,
+    dir: &Path,
+    trajectory: &Recorded,
+) -> Result<Option<FoundOnAxes>, Failure> {
+    let place = dir.join(ON_AXES);
+    if !place.exists() {
+        return Ok(None);
+    }
+    let role = format!("{role}/{ON_AXES}");
+    let again = |what: String| {
+        Failure::new(format!(
+            "{}: {what}; run planish-axes motion and what follows again",
+            place.display()
+        ))
+    };
+    let mut provenance = Provenance::default();
+    let motion: Known<AxesMotion> = read_artifact(inputs, &role, &place, "axes", &mut provenance)?;
+    let executed: Known<Trajectory> =
+        read_artifact(inputs, &role, &place, "trajectory", &mut provenance)?;
+    let removal: Known<Removal> = read_artifact(inputs, &role, &place, "removal", &mut provenance)?;
+    let manifest =
+        inputs.read_manifest(&format!("{role}/verdict"), &place.join("verdict"), &kind::VERDICT)?;
+    let made_from = |record: Option<&Record>, role: &str| {
+        let inputs = record.map(|r| r.inputs.as_slice()).unwrap_or_default();
+        inputs.iter().find(|(r, _)| r == role).map(|(_, digest)| digest.clone())
+    };
+    let verdict_record = record_of(&manifest);
+    let parts = [
+        ("axes", motion.recorded.record.as_ref(), "trajectory", &trajectory.digest),
+        ("verdict", Some(&verdict_record), "axes", &motion.recorded.digest),
+        ("trajectory", executed.recorded.record.as_ref(), "axes", &motion.recorded.digest),
+        ("removal", removal.recorded.record.as_ref(), "trajectory", &executed.recorded.digest),
+    ];
+    for (name, record, from, digest) in parts {
+        if made_from(record, from).as_ref() != Some(digest) {
+            return Err(again(format!(
+                "{name} was made from another {from} than that which is there"
+            )));
+        }
+    }
+    let outcome = manifest_of(&provenance, "axes").map_or(&Value::Null, |m| &m["outcome"]);
+    let outcome =
+        MotionOutcome::from_json(outcome, motion.value.axes()).map_err(|e| again(e.to_string()))?;
+    Ok(Some(FoundOnAxes {
+        outcome,
+        motion: motion.value,
+        verdict: manifest.outcome,
+        removal: removal.value,
+    }))
+}
+
+/// Directory of a method with the motion of all axes of the machine.
+const ON_AXES: &str = "on-axes";
+
 /// Directory of a method with the prediction after the servo of the process.
 const AFTER_SERVO: &str = "removal-after-servo";
 
@@ -422,6 +503,7 @@ struct Shared<'a> {
     /// Waves that the tool reaches, and the BLAKE3 of the tool.
     reach: Option<&'a (Reach, String)>,
     division: &'a Division,
+    form: Option<&'a Form>,
 }
 
 impl Shared<'_> {
@@ -452,6 +534,14 @@ impl Shared<'_> {
         let reach = self.reach.filter(|(_, digest)| same(digest));
         let short_wave_rms_nm =
             reach.map(|(reach, _)| reach.short_wave_rms_nm(found.removal.residual()));
+        let part = self.form.map(|form| (form, self.desired));
+        let (on_axes, picture) = match &found.on_axes {
+            Some(o) => (
+                Some(OnAxes::new(&o.outcome, &o.motion, &o.verdict, &o.removal, self.form)),
+                Some(on_axes::picture(&o.outcome, &o.motion, &o.verdict, part)),
+            ),
+            None => (None, None),
+        };
         let numbers = Method::new(
             self.desired,
             self.division,
@@ -466,6 +556,7 @@ impl Shared<'_> {
                 short_wave_rms_nm,
                 specification,
                 after_servo_rms_nm: found.after_servo_rms_nm,
+                on_axes,
                 remarks,
             },
         )
@@ -478,6 +569,7 @@ impl Shared<'_> {
             dwell,
             frames: found.frames,
             rounds: found.rounds,
+            on_axes: picture,
             provenance: found.provenance,
         };
         Ok((numbers, method))

@@ -5,6 +5,7 @@
 //! * [`table`]: the same numbers as tables, methods side by side.
 //! * [`dwell`]: dwell solvers side by side.
 //! * [`execution`]: error of the dwell times, overshoot, jerk.
+//! * [`on_axes`]: what a plan leaves when all axes of a machine run it.
 //! * [`report`]: a page to look at, and its figures.
 //! * [`typeset`]: a figure as PDF or PNG.
 //! * [`chain`]: check that the artifacts of a run belong together.
@@ -23,6 +24,7 @@ pub mod diff;
 pub mod dwell;
 pub mod error_budget;
 pub mod execution;
+pub mod on_axes;
 pub mod places;
 pub mod plan;
 pub mod reach;

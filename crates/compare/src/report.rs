@@ -10,6 +10,7 @@
 pub mod figure;
 pub mod map;
 pub mod motion;
+pub mod on_axes;
 pub mod pack;
 mod page;
 pub mod sparkline;

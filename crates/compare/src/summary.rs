@@ -25,6 +25,7 @@ use crate::{
     chain::Standing,
     error_budget::ErrorBudget,
     execution::Execution,
+    on_axes::OnAxes,
     places::{Division, DivisionReport, Places, ZoneRms},
     plan::{PROGRAM, Plan, State, WITHOUT_MOTION},
     reach::{Reach, ReachReport},
@@ -178,6 +179,9 @@ pub struct Method {
     pub plan: Plan,
     /// Verdict on the residual by a specification; `null` where none was asked.
     pub specification: Option<Judged>,
+    /// What the plan leaves when all axes of the machine run it; absent where the run has no such motion.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub on_axes: Option<OnAxes>,
     /// Further remarks.
     pub remarks: Vec<String>,
 }
@@ -247,27 +251,34 @@ pub struct Told {
     pub specification: Option<Judged>,
     /// RMS of its residual after the servo of the process, nm, where the process has one.
     pub after_servo_rms_nm: Option<f64>,
+    /// What it leaves when all axes of the machine run it, where that was asked.
+    pub on_axes: Option<OnAxes>,
     /// Further remarks on the method.
     pub remarks: Vec<String>,
 }
 
 impl Method {
-    /// RMS that the plans are compared by, nm: after the servo of the process, where it has one.
+    /// RMS that the plans are compared by, nm: after the servo of the process, where it has one; otherwise on all axes of the
+    /// machine, where they run it.
     pub fn compared_rms_nm(&self) -> f64 {
-        self.after_servo_rms_nm.unwrap_or(self.rms_nm)
+        let on_axes = || self.on_axes.as_ref().map_or(self.rms_nm, |o| o.rms_nm);
+        self.after_servo_rms_nm.unwrap_or_else(on_axes)
     }
 
-    /// Returns true if the report may recommend it: a motion that keeps the limits, and no baseline.
+    /// Returns true if the report may recommend it: a motion that keeps the limits, of all axes where they run it, and no
+    /// baseline.
     pub fn is_candidate(&self) -> bool {
         let shown_only = matches!(self.plan.state, State::WithoutMotion | State::Baseline);
-        self.limits_respected && !shown_only
+        self.limits_respected
+            && !shown_only
+            && self.on_axes.as_ref().is_none_or(|o| o.limits_respected)
     }
 
     fn candidate(&self) -> Candidate {
         let judged = self.specification.as_ref();
         Candidate {
             rms_nm: self.compared_rms_nm(),
-            total_time_s: self.total_time_s,
+            total_time_s: self.on_axes.as_ref().map_or(self.total_time_s, |o| o.total_time_s),
             keeps_specification: judged.is_none_or(|judged| judged.passed),
         }
     }
@@ -290,6 +301,7 @@ impl Method {
             short_wave_rms_nm,
             specification,
             after_servo_rms_nm,
+            on_axes,
             mut remarks,
         } = told;
         check_same_surface(desired, removal)?;
@@ -339,6 +351,7 @@ impl Method {
             places: division.places(residual, trajectory),
             plan,
             specification,
+            on_axes,
             remarks,
         })
     }
@@ -581,6 +594,7 @@ mod tests {
             short_wave_rms_nm: None,
             specification: None,
             after_servo_rms_nm: None,
+            on_axes: None,
             remarks: vec![],
         }
     }

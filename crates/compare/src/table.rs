@@ -328,6 +328,7 @@ mod tests {
             places: Default::default(),
             plan: Plan { state: State::Certified, word: "certified".into(), text: "near".into() },
             specification: None,
+            on_axes: None,
             remarks: vec![],
         }
     }

@@ -9,9 +9,11 @@ use std::{
 use ndarray::{Array2, ArrayD, array};
 use ndarray_npy::write_npy;
 use planish_draw::colour::{BLUE_TO_BROWN, rgb_at};
-use planish_handoff::{Inputs, Output, Status, Task, flags::OutputArgs, kind, save};
+use planish_handoff::{
+    Artifact, Inputs, Output, Status, Task, flags::OutputArgs, kind, npy::ArrayData, save,
+};
 use planish_testkit::program::text;
-use planish_types::{Axis, DwellTime, Grid, Removal, Surface, Trajectory};
+use planish_types::{AxesMotion, Axis, DwellTime, Grid, Removal, Surface, Trajectory};
 use serde_json::{Value, json};
 
 fn compare(dir: &Path, arguments: &[&str]) -> process::Output {
@@ -227,6 +229,102 @@ fn files(dir: &Path) -> Vec<(String, Vec<u8>)> {
         .collect();
     found.sort();
     found
+}
+
+/// A motion of two axes that runs the plan in `method`, its verdict, the executed contact point and what that leaves.
+fn put_on_axes(method: &Path, trajectory: &str, kept: bool) {
+    let on_axes = method.join("on-axes");
+    let made = |name: &str,
+                from: &[(&str, &str)],
+                outcome: Value,
+                kind: &'static kind::Kind,
+                arrays: &[ArrayData]| {
+        let mut inputs = Inputs::new();
+        for (role, dir) in from {
+            let dir = method.join(dir);
+            match *role {
+                "trajectory" => drop(inputs.read::<Trajectory>(role, &dir).unwrap()),
+                _ => drop(inputs.read::<AxesMotion>(role, &dir).unwrap()),
+            }
+        }
+        let args = OutputArgs { out: on_axes.join(name), force: true, wall_time: None };
+        let task = Task::new("test", "0", "test", &outcome);
+        let begin = Output::directory(&args, kind).begin(&task, &inputs).unwrap();
+        begin.writer().unwrap().write_arrays(kind, arrays, &[], outcome, &Status::Done).unwrap();
+    };
+    let still = [7.0, 0.0, 0.0, 0.0];
+    let motion =
+        AxesMotion::new(vec![0.0, 61.0], vec![[0.0; 4], still], vec![true], vec![None]).unwrap();
+    let named = json!({ "axes": ["x", "b"], "units": ["mm", "deg"], "contact_deviation_um": 1.5, "gap_um": 0.25,
+        "added_tool_on_time_s": 1.0 });
+    made("axes", &[("trajectory", trajectory)], named, &kind::AXES, &motion.to_arrays());
+    let verdict = json!({ "limits_respected": kept, "axes": [] });
+    made("verdict", &[("axes", "on-axes/axes")], verdict, &kind::VERDICT, &[]);
+    let executed =
+        Trajectory::new(vec![0.0, 61.0], vec![[[0.0; 4]; 2]], vec![true], vec![Some(0)]).unwrap();
+    made(
+        "trajectory",
+        &[("axes", "on-axes/axes")],
+        json!({}),
+        &kind::TRAJECTORY,
+        &executed.to_arrays(),
+    );
+    let removal_nm = desired().height_nm().mapv(|z| if z.is_nan() { 0.0 } else { 0.5 * z });
+    let removal = Removal::new(&desired(), removal_nm).unwrap();
+    made(
+        "removal",
+        &[("trajectory", "on-axes/trajectory")],
+        json!({}),
+        &kind::REMOVAL,
+        &removal.to_arrays(),
+    );
+}
+
+#[test]
+fn a_plan_on_all_axes_is_judged_as_the_axes_run_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("raster");
+    prepare(&run, &[("joint", 0.9, true), ("pvt", 0.75, true)]);
+    put_on_axes(&run.join("methods/joint"), "trajectory", true);
+    let report = |out: &str| compare(dir.path(), &["report", "raster", "--out", out, "--force"]);
+    let first = report("report");
+    assert_eq!(first.status.code(), Some(0), "{}", text(&first.stderr));
+    let said = text(&first.stdout);
+    let rms_nm = (19.2_f64 / 5.0).sqrt();
+    // Half of the surface is left on the axes, where a tenth is left in the plane; pvt leaves a quarter.
+    assert!(
+        said.contains(&format!("joint on the axes x, b: {:.4} nm RMS in 61.00 s", 0.5 * rms_nm)),
+        "{said}"
+    );
+    assert!(said.contains("with the tool on for 1 s longer than planned"), "{said}");
+    let found = summary(&dir.path().join("report"));
+    assert_eq!(found["best"], "pvt", "{found}");
+    assert!(
+        fs::read_to_string(dir.path().join("report/report.html"))
+            .unwrap()
+            .contains("All axes of the machine")
+    );
+    // The picture is a file of the report, so the same command may replace the report.
+    assert!(dir.path().join("report/axes.svg").exists());
+    prepare(&run, &[("pvt", 0.8, true)]);
+    let again = report("report");
+    assert_eq!(again.status.code(), Some(0), "{}", text(&again.stderr));
+    // A motion of the axes that was made from another plan says nothing about this one.
+    put_on_axes(&run.join("methods/joint"), "../pvt/trajectory", true);
+    let other = report("other");
+    assert_eq!(other.status.code(), Some(2));
+    assert!(
+        text(&other.stderr).contains("made from another trajectory"),
+        "{}",
+        text(&other.stderr)
+    );
+    // Limits of the axes that are not kept rule a plan out.
+    put_on_axes(&run.join("methods/joint"), "trajectory", false);
+    prepare(&run, &[("joint", 1.0, true), ("pvt", 0.1, false)]);
+    put_on_axes(&run.join("methods/joint"), "trajectory", false);
+    let none = report("none");
+    assert_eq!(none.status.code(), Some(1), "{}", text(&none.stderr));
+    assert!(text(&none.stdout).contains("limits of the axes NOT kept"));
 }
 
 #[test]

@@ -339,6 +339,9 @@ impl Writer {
     ) -> Result<(), HandoffError> {
         let at = self.directories.iter().position(|(d, _)| d.kind.name == kind.name);
         let at = at.unwrap_or_else(|| panic!("no {} is to be written", kind.name));
+        for (name, _) in beside {
+            assert!(kind.files.contains(name), "{name} is no file of a {}", kind.name);
+        }
         let (directory, was_there) = &self.directories[at];
         let staged = Staged::directory(&directory.path, kind, self.force || *was_there)?;
         let dir = staged.path();

@@ -75,8 +75,14 @@ impl Figures {
             "figures",
             json!({ "runs": names, "format": format.extension(), "dpi": dpi, "method": method })
         );
-        let called =
-            Names { pipeline: None, fixture: "", measured: None, tif: None, after_servo: false };
+        let called = Names {
+            pipeline: None,
+            fixture: "",
+            measured: None,
+            tif: None,
+            form: None,
+            after_servo: false,
+        };
         let read = runs.iter().enumerate();
         let read = read.map(|(i, dir)| {
             let run = files::read_run(&mut inputs, i, dir, &called)?;

@@ -40,6 +40,10 @@ pub struct Report {
     /// Tool influence function, for the part of the residual at wavelengths shorter than it corrects [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: Option<PathBuf>,
+    /// Form of the part: a form file [JSON], or its height along z [surface artifact]; drawn beside the motion of all axes,
+    /// with the residual along its normal
+    #[arg(long, value_name = "PATH")]
+    form: Option<PathBuf>,
     /// Row of a program that was read back, such as joint+galil. The report recommends it in the place of its plan [of
     /// one run only; default: the report chooses among all rows]
     #[arg(long, value_name = "ROW")]
@@ -70,6 +74,7 @@ impl Report {
             mirror: fixture,
             measured,
             tif,
+            form,
             program_row: program,
             after_servo,
             plots,
@@ -87,6 +92,7 @@ impl Report {
             fixture,
             measured: measured.as_deref().filter(|_| runs.len() == 1),
             tif: tif.as_deref(),
+            form: form.as_deref(),
             after_servo: *after_servo,
         };
         if measured.is_some() && runs.len() > 1 {
@@ -140,6 +146,11 @@ impl Report {
         let judged = specification_table(&runs);
         if !judged.is_empty() {
             say(judged);
+        }
+        for (name, method) in summaries.iter().flat_map(|s| &s.methods) {
+            if let Some(told) = &method.on_axes {
+                say(visible(&told.sentence(name)));
+            }
         }
         for process in summaries.iter().filter_map(|s| s.error_budget.as_ref()) {
             say(visible(&process.sentence));

@@ -144,10 +144,11 @@ pub const PAPER_PX: f64 = 952.0;
 /// The figures of a report: names and SVG; only those that have something to show.
 pub fn figures(views: &[View], layout: &Layout) -> Vec<(&'static str, String)> {
     type Figure = fn(&[View], &Layout) -> Option<String>;
-    let figures: [(&str, Figure); 9] = [
+    let figures: [(&str, Figure); 10] = [
         ("overview", overview),
         ("maps", maps),
         ("tool", |views, _| views.iter().find_map(|view| view.tool.clone())),
+        ("axes", axes),
         ("path", path),
         ("motion", motion),
         ("dwell", dwell),
@@ -191,6 +192,15 @@ fn maps(views: &[View], layout: &Layout) -> Option<String> {
         frame.title(&mut sheet.svg, title);
     }
     Some(sheet.finish())
+}
+
+/// The motion of all axes: that of the recommended plan if it has one, or else of the first plan that has.
+fn axes(views: &[View], _: &Layout) -> Option<String> {
+    let recommended =
+        |(view, m): &(&View, &MethodView)| view.summary.best.as_ref() == Some(&m.name);
+    let with_axes = || methods(views).filter(|(_, m)| m.on_axes.is_some());
+    let (_, m) = with_axes().find(recommended).or_else(|| with_axes().next())?;
+    m.on_axes.clone()
 }
 
 fn path(views: &[View], layout: &Layout) -> Option<String> {

@@ -54,7 +54,7 @@ pub fn page(views: &[View], summaries: &Value) -> String {
         &[
             ("policy", &policy()),
             ("title", &escaped(&names.join(", "))),
-            ("tool", &tools(views)),
+            ("tool", &(tools(views) + &axes(views))),
             ("css", CSS),
             ("js", JS),
             ("data", &in_script(&data)),
@@ -72,6 +72,31 @@ fn tools(views: &[View]) -> String {
         "<section id=\"tool\"><h2>Tool</h2>\n<p class=\"note\">The tool is not the same everywhere. Left: the volume that \
          it removes per second at a place of the part, over its mean. Right: its footprint at the nine numbered places, \
          without factors of pixels and time.</p>\n{pictures}</section>\n"
+    )
+}
+
+/// The section of the motions of all axes of a machine; empty where no run has one.
+fn axes(views: &[View]) -> String {
+    let mut parts = String::new();
+    for view in views {
+        for m in &view.methods {
+            let told = view.summary.methods.iter().find(|(name, _)| *name == m.name);
+            let told = told.and_then(|(_, numbers)| numbers.on_axes.as_ref());
+            if let (Some(picture), Some(told)) = (&m.on_axes, told) {
+                parts += &format!(
+                    "<p>{}</p>\n<div class=\"scroll\">{picture}</div>\n",
+                    escaped(&told.sentence(&m.name))
+                );
+            }
+        }
+    }
+    if parts.is_empty() {
+        return parts;
+    }
+    format!(
+        "<section id=\"axes\"><h2>All axes of the machine</h2>\n<p class=\"note\">Position, velocity, acceleration and \
+         jerk of every axis over the time. Dashed: a limit, where the motion comes near it. A limit far away is named \
+         above the panel.</p>\n{parts}</section>\n"
     )
 }
 

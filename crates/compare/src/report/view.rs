@@ -75,6 +75,8 @@ pub struct RunMethod {
     pub frames: Option<Frames>,
     /// Rounds of the refinement, where there was one.
     pub rounds: Option<Rounds>,
+    /// Picture of the motion of all axes as SVG, where there is one.
+    pub on_axes: Option<String>,
     /// Manifests of its artifacts: role and manifest.
     pub provenance: Vec<(String, Value)>,
 }
@@ -127,6 +129,7 @@ pub(super) struct MethodView {
     pub(super) dwell: Option<Dwell>,
     pub(super) frames: Option<FrameView>,
     pub(super) rounds: Option<Rounds>,
+    pub(super) on_axes: Option<String>,
     pub(super) provenance: Vec<(String, Value)>,
 }
 
@@ -195,6 +198,7 @@ fn view(run: Run, allotment: &Allotment) -> View {
         name: m.name,
         verdict: m.verdict,
         rounds: m.rounds,
+        on_axes: m.on_axes,
         provenance: m.provenance,
     });
     let methods = methods.collect();

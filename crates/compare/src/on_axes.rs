@@ -1,0 +1,140 @@
+//! What a plan leaves when all axes of a machine run it.
+
+use planish_form::Form;
+use planish_types::{AxesMotion, Invalid, Removal, Surface, text::significant};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+/// Outcome of `planish-axes motion` that the report repeats.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct MotionOutcome {
+    /// Names of the axes.
+    pub axes: Vec<String>,
+    /// Unit of each axis, mm or deg.
+    pub units: Vec<String>,
+    contact_deviation_um: f64,
+    gap_um: f64,
+    added_tool_on_time_s: f64,
+}
+
+impl MotionOutcome {
+    /// The outcome in the manifest of a motion of `axes` axes. Refuses one that names another number of them.
+    pub fn from_json(outcome: &Value, axes: usize) -> Result<Self, Invalid> {
+        let unreadable =
+            |problem: String| Invalid::whole("outcome", problem, "run planish-axes motion again");
+        let read: Self =
+            serde_json::from_value(outcome.clone()).map_err(|e| unreadable(e.to_string()))?;
+        if read.axes.len() != axes || read.units.len() != axes {
+            return Err(unreadable(format!("names {} axes of {axes}", read.axes.len())));
+        }
+        Ok(read)
+    }
+}
+
+/// What a plan leaves when all axes of the machine run it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct OnAxes {
+    /// Names of the axes.
+    pub axes: Vec<String>,
+    /// RMS of the residual along z, mean removed, nm.
+    pub rms_nm: f64,
+    /// RMS of the residual along the normal of the form, mean along z removed, nm; `null` where the form is not known.
+    pub rms_along_normal_nm: Option<f64>,
+    /// Duration of the motion, s.
+    pub total_time_s: f64,
+    /// Time for which the tool removes longer than planned, because an axis is slower, s.
+    pub added_tool_on_time_s: f64,
+    /// Largest distance of the executed contact point from the path, um.
+    pub contact_deviation_um: f64,
+    /// Largest distance of the tip of the tool from the surface, along the tool, um.
+    pub gap_um: f64,
+    /// True if the verdict found the limits of all axes kept.
+    pub limits_respected: bool,
+}
+
+impl OnAxes {
+    /// Numbers of a motion: its outcome and duration, its verdict, what it removes, and the form of the part.
+    pub fn new(
+        outcome: &MotionOutcome,
+        motion: &AxesMotion,
+        verdict: &Value,
+        removal: &Removal,
+        form: Option<&Form>,
+    ) -> Self {
+        let residual = removal.residual();
+        Self {
+            axes: outcome.axes.clone(),
+            rms_nm: residual.statistics().rms,
+            rms_along_normal_nm: form.map(|form| rms_along_normal_nm(residual, form)),
+            total_time_s: motion.total_time_s(),
+            added_tool_on_time_s: outcome.added_tool_on_time_s,
+            contact_deviation_um: outcome.contact_deviation_um,
+            gap_um: outcome.gap_um,
+            limits_respected: verdict["limits_respected"] == true,
+        }
+    }
+
+    /// One sentence of the plan `name` on the axes of the machine.
+    pub fn sentence(&self, name: &str) -> String {
+        let longer = match self.added_tool_on_time_s > 0.0 {
+            true => format!(
+                ", with the tool on for {} s longer than planned",
+                significant(self.added_tool_on_time_s, 3)
+            ),
+            false => String::new(),
+        };
+        let normal = match self.rms_along_normal_nm {
+            Some(rms_nm) => format!(" ({rms_nm:.4} nm along the normal)"),
+            None => String::new(),
+        };
+        format!(
+            "{name} on the axes {}: {:.4} nm RMS{normal} in {:.2} s{longer}; contact point within {} um of the path, tip of \
+             the tool within {} um of the surface; limits of the axes {}",
+            self.axes.join(", "),
+            self.rms_nm,
+            self.total_time_s,
+            significant(self.contact_deviation_um, 3),
+            significant(self.gap_um, 3),
+            if self.limits_respected { "kept" } else { "NOT kept" }
+        )
+    }
+}
+
+/// RMS of the residual along the normal, nm; pixels beside the form are left out:
+///
+/// ```text
+/// RMS of (h - mean of h) cos(slope angle)
+/// ```
+///
+/// A piston along z is free, as everywhere. It is removed before, because along the normal it is a bowl.
+fn rms_along_normal_nm(residual: &Surface, form: &Form) -> f64 {
+    let grid = residual.grid();
+    let on_form: Vec<(f64, f64)> = residual
+        .height_nm()
+        .indexed_iter()
+        .filter(|(_, height)| !height.is_nan())
+        .filter_map(|((r, c), height)| {
+            Some((*height, form.at([grid.x.at(c), grid.y.at(r)])?.cosine()))
+        })
+        .collect();
+    let count = on_form.len().max(1) as f64;
+    let mean = on_form.iter().map(|(h, _)| h).sum::<f64>() / count;
+    (on_form.iter().map(|(h, cosine)| ((h - mean) * cosine).powi(2)).sum::<f64>() / count).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_residual_along_the_normal_is_shorter_by_the_cosine() {
+        // Four pixels at the same distance r from the vertex of a sphere of the radius R = r / 0.6: the cosine is 0.8.
+        let axis = planish_types::Axis::new(-3.0, 6.0, 2).unwrap();
+        let grid = planish_types::Grid { x: axis, y: axis };
+        let heights = ndarray::array![[8.0, 6.0], [6.0, 8.0]];
+        let surface = Surface::new(grid, heights).unwrap();
+        let form = Form::sphere(3.0 * 2.0_f64.sqrt() / 0.6, [0.0, 0.0]).unwrap();
+        let rms_nm = rms_along_normal_nm(&surface, &form);
+        assert!((rms_nm - 0.8).abs() < 1e-12, "{rms_nm}"); // rounding of a few operations
+    }
+}
