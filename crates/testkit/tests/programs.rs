@@ -512,7 +512,7 @@ fn reference_positions_go_through_lifts() {
     let mut found = Vec::new();
     for record in linked_records(&density, &made.trajectory).unwrap() {
         // Through the text, as a controller gets it.
-        let read = Record::parse(&record.to_line(1)).unwrap().unwrap();
+        let read = Record::parse(&record.to_line(1, 0.0)).unwrap().unwrap();
         positions.push(&read, |r| found.push(r)).unwrap();
     }
     let total_s = made.trajectory.total_time_s();
