@@ -68,7 +68,13 @@ pub struct CommonArgs {
     count_mm: Option<Vec<f64>>,
     /// Size of a count of the rotary axes, degrees: one number, or one for each axis [default: that of the machine's
     /// controller, else 0.0001]
-    #[arg(long, value_name = "C", value_delimiter = ',', allow_hyphen_values = true, requires = "axes")]
+    #[arg(
+        long,
+        value_name = "C",
+        value_delimiter = ',',
+        allow_hyphen_values = true,
+        requires = "axes"
+    )]
     count_deg: Option<Vec<f64>>,
     /// Longest segment, s [default: that of the controller]
     #[arg(long, value_name = "T", allow_negative_numbers = true)]

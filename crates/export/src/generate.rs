@@ -290,9 +290,7 @@ impl<'a, const N: usize> Generator<'a, N> {
             return Err(Invalid::whole("path_deviation_mm", problem, "give a length in mm"));
         }
         let rounding_s = match model.interpolation {
-            Interpolation::Hermite => {
-                least_for_rounding_s(plan).min(LONGEST_LEAST_S)
-            }
+            Interpolation::Hermite => least_for_rounding_s(plan).min(LONGEST_LEAST_S),
             // The deviation from the plan's path decides on the length of lines.
             Interpolation::Linear => 0.0,
         };
@@ -613,8 +611,7 @@ impl<'a, const N: usize> Generator<'a, N> {
                 }
             }
             let worth_mm = WORTH * self.settings.path_deviation_mm;
-            let off_mm =
-                motion.bound_mm(piece.start_s, piece.time_s, &piece.coefficient, worth_mm);
+            let off_mm = motion.bound_mm(piece.start_s, piece.time_s, &piece.coefficient, worth_mm);
             faults.deviation_mm = faults.deviation_mm.max(off_mm);
             let too_far = off_mm / self.settings.path_deviation_mm;
             // What lies between two switches is not cut below two of the shortest segments.
@@ -651,8 +648,7 @@ pub(crate) fn acceleration_steps<const N: usize>(
     };
     let mut steps = Vec::new();
     for node in 0..=pieces.len() {
-        let (before, after) =
-            (node.checked_sub(1).and_then(|k| pieces.get(k)), pieces.get(node));
+        let (before, after) = (node.checked_sub(1).and_then(|k| pieces.get(k)), pieces.get(node));
         let time_s = before.map_or(0.0, |p| p.time_s) + after.map_or(0.0, |p| p.time_s);
         for (axis, limits) in axes.iter().enumerate() {
             let Some(jerk) = limits.max_jerk else { continue };

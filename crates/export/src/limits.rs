@@ -83,7 +83,8 @@ pub struct Peak {
 pub(crate) fn check_plan<const N: usize>(plan: &Plan<N>) -> Result<(), Invalid> {
     check_magnitudes(plan)?;
     check_travel(plan)?;
-    let mut worst = Worst { found: None, remedy: if plan.may_step { REMEDY_OF_AXES } else { REMEDY } };
+    let mut worst =
+        Worst { found: None, remedy: if plan.may_step { REMEDY_OF_AXES } else { REMEDY } };
     for (axis, limits) in plan.axes.iter().enumerate() {
         // [position, velocity, acceleration] before a break, and the duration before; at rest before the first.
         let mut before: Option<([f64; 3], f64)> = None;

@@ -109,8 +109,10 @@ pub(crate) fn write<const N: usize>(
     let (q, mut about) = job.nodes(Abilities { most_ticks: most as i64, tool, approach })?;
     about.feedrate_time_unit_s = Some(unit_s);
     let lengths = if job.turns() { "mm or deg" } else { "mm" };
-    let units =
-        format!("{lengths}, {lengths} per {unit_s} s with Isx90 = {}, ms", decimal(unit_s * 1e3, 6));
+    let units = format!(
+        "{lengths}, {lengths} per {unit_s} s with Isx90 = {}, ms",
+        decimal(unit_s * 1e3, 6)
+    );
     // A velocity per millisecond needs three more.
     let more = (-unit_s.log10()).ceil().clamp(0.0, 9.0) as usize;
     let mut text = about.header(&COMMENT, &units);

@@ -124,9 +124,7 @@ impl<const N: usize> Inwards<N> {
             let Some([low, high]) = self.travel[axis] else { continue };
             let length = (INWARDS_OVER_MM / self.lever[axis]).min(0.25 * (high - low));
             // Outwards is +1 at the upper end, -1 at the lower one.
-            for (e, end, out) in
-                [(self.by[axis][0], low, -1.0), (self.by[axis][1], high, 1.0)]
-            {
+            for (e, end, out) in [(self.by[axis][0], low, -1.0), (self.by[axis][1], high, 1.0)] {
                 let d = out * (state.position[axis] - end) + length;
                 if e > 0.0 && d > 0.0 {
                     let slope = 1.0 - 2.0 * e * d / (length * length);

@@ -111,15 +111,8 @@ impl Layout {
 }
 
 /// Names of the axes that a machine may have, with their units.
-const AXES: [(&str, &str); 7] = [
-    ("x", "mm"),
-    ("y", "mm"),
-    ("z", "mm"),
-    ("r", "mm"),
-    ("a", "deg"),
-    ("b", "deg"),
-    ("c", "deg"),
-];
+const AXES: [(&str, &str); 7] =
+    [("x", "mm"), ("y", "mm"), ("z", "mm"), ("r", "mm"), ("a", "deg"), ("b", "deg"), ("c", "deg")];
 
 impl Configuration {
     /// The axes; refuses unknown ones, one twice, and numbers that are not finite.
@@ -134,10 +127,13 @@ impl Configuration {
         }
         for (i, axis) in self.axes.iter().enumerate() {
             let is_known = AXES.contains(&(axis.name.as_str(), axis.unit.as_str()));
-            let is_new = self.axes[..i].iter().all(|other| other.name != axis.name);
+            // A radius has the letter of x.
+            let place = |name: &str| if name == "r" { "x".to_string() } else { name.to_string() };
+            let is_new = self.axes[..i].iter().all(|other| place(&other.name) != place(&axis.name));
             if !(is_known && is_new && axis.start.is_finite() && axis.count.is_finite()) {
                 let problem = format!("is {axis:?}");
-                let remedy = "give x, y, z, r in mm or a, b, c in deg, each once, with finite numbers";
+                let remedy =
+                    "give x or r, y, z in mm or a, b, c in deg, each once, with finite numbers";
                 return Err(Invalid::at("axes", i, problem, remedy));
             }
         }
@@ -378,6 +374,99 @@ mod tests {
         let csv = "# a comment\nt_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n\
                    0,1,0,-2,0,1\n0.1,2,0,-2,0,1\n0.3,2,0,-2,0,1\n";
         is_the_move(&read(Controller::Csv, csv), false);
+    }
+
+    /// Axes r, z and c.
+    fn of_a_spindle() -> Configuration {
+        let axis = |name: &str, unit: &str, start: f64, count: f64| ProgramAxis {
+            name: name.into(),
+            unit: unit.into(),
+            start,
+            count,
+        };
+        Configuration {
+            start_mm: None,
+            count_mm: None,
+            axes: vec![
+                axis("r", "mm", 1.0, 0.001),
+                axis("z", "mm", -2.0, 0.001),
+                axis("c", "deg", 10.0, 0.01),
+            ],
+            ..configuration()
+        }
+    }
+
+    #[test]
+    fn three_axes_make_the_same_move_in_every_language() {
+        let galil =
+            "PVA=1000,0,100\nPVB=0,0,100\nPVC=500,0,100\nBTABC\nPVA=0,0,0\nPVB=0,0,0\nPVC=0,0,0\n";
+        let csv = "t_s,r_mm,vr_mm_per_s,z_mm,vz_mm_per_s,c_deg,vc_deg_per_s,tool_on\n\
+                   0,1,0,-2,0,10,0,1\n0.1,2,0,-2,0,15,0,0\n";
+        for (controller, text, part) in [
+            (Controller::Galil, galil, 10.0 / 64.0),
+            (Controller::Xps, "0.1, 1, 0, 0, 0, 5, 0\n", 10.0 / 64.0),
+            (Controller::Pmac, "ABS\nPVT100\nX2:0 Z-2:0 C15:0\n", 10.0 / 64.0),
+            (
+                Controller::Pmac,
+                "ABS\nRAPID\nX1 Z-2 C10\nDWELL0\nPVT100\nX2:0 Z-2:0 C15:0\n",
+                10.0 / 64.0,
+            ),
+            (Controller::Csv, csv, 10.0 / 64.0),
+            (Controller::Gcode, "G0 X1 Z-2 C10\nG93\nG1 X2 C15 F600\nM2\n", 0.25),
+        ] {
+            let motion = read_axes(controller, text.as_bytes(), &of_a_spindle()).unwrap();
+            // A quarter of the time of a move of 1 mm and 5 degrees.
+            let found = motion.position(0, 0.025);
+            let expected = [1.0 + part, -2.0, 10.0 + 5.0 * part];
+            let away = found.iter().zip(expected).map(|(p, q)| (p - q).abs()).fold(0.0, f64::max);
+            assert!(found.len() == 3 && away < 1e-12, "{controller:?}: {found:?}");
+        }
+    }
+
+    /// Two lines of 1 s: r by 1 mm and 3 mm, c by 90 degrees and none. P bounds the corner of r alone.
+    #[test]
+    fn joined_lines_of_rotary_axes_are_bounded_along_the_linear_ones() {
+        let text = |p: &str| format!("G64 P{p}\nG0 X0 Z0 C0\nG93\nG1 X1 C90 F60\nG1 X4 F60\nM2\n");
+        let pieces = |p: &str| {
+            read_axes(Controller::Gcode, text(p).as_bytes(), &of_a_spindle()).unwrap().len()
+        };
+        // The largest change of the velocity of r is 3 mm/s: 3/8 mm over 1 s.
+        assert_eq!((pieces("0.375"), pieces("0.374")), (6, 2));
+    }
+
+    #[test]
+    fn bad_programs_of_all_axes_are_refused() {
+        let said = |controller, text: &str, configuration: &Configuration| {
+            read_axes(controller, text.as_bytes(), configuration).unwrap_err().to_string()
+        };
+        let spindle = of_a_spindle();
+        for (controller, text, expected) in [
+            (
+                Controller::Gcode,
+                "G0 X0 Z0 C0\nG94\nG1 C9 F60\nM2\n",
+                "a feed means nothing for rotary axes",
+            ),
+            (
+                Controller::Gcode,
+                "G0 X0 Z0\nG93\nG1 X1 F60\nM2\n",
+                "comes before G0 X Z C sets the start",
+            ),
+            (Controller::Gcode, "G0 X0 Z0 C0\nG93\nG1 Y1 F60\nM2\n", "has the word Y1"),
+            (Controller::Galil, "PVD=1,0,100\n", "not PVA=, PVB=, PVC=, or BTABC"),
+            (Controller::Xps, "0.1, 1, 0, 0, 0\n", "has 5 fields, not dt, dr, vr, dz, vz, dc, vc"),
+            (Controller::Pmac, "ABS\nRAPID\nX1 Z1\nPVT9\nX1:0\n", "without all axes"),
+            (Controller::Csv, "t_s,x_mm\n", "is not the header t_s,r_mm,vr_mm_per_s,z_mm"),
+        ] {
+            let said = said(controller, text, &spindle);
+            assert!(said.contains(expected), "{text:?}: {said}");
+        }
+        let mut twice = of_a_spindle();
+        twice.axes[1].name = "x".into();
+        assert!(said(Controller::Xps, "", &twice).contains("axes[1]: is ProgramAxis"));
+        let beside = Configuration { start_mm: Some([0.0; 2]), ..of_a_spindle() };
+        assert!(said(Controller::Xps, "", &beside).contains("beside numbers of x and y"));
+        let plane = read(Controller::Xps, b"", &spindle).unwrap_err().to_string();
+        assert!(plane.contains("read a motion of all axes"), "{plane}");
     }
 
     /// Two lines of 1 s, 1 mm and 3 mm: parabolas of 1 s around the three nodes, 1, 2 and -3 mm/s^2, from rest to rest.

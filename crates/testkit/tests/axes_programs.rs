@@ -77,7 +77,8 @@ impl Plan {
         let gridded = planish_simulate::Settings::Gridded;
         let removal = simulate(&executed, &self.tif, &self.surface, gridded).unwrap().removal;
         let left = removal.residual().height_nm().iter().copied().filter(|v| v.is_finite());
-        let (n, sum, squares) = left.fold((0.0, 0.0, 0.0), |(n, s, q), v| (n + 1.0, s + v, q + v * v));
+        let (n, sum, squares) =
+            left.fold((0.0, 0.0, 0.0), |(n, s, q), v| (n + 1.0, s + v, q + v * v));
         (squares / n - (sum / n) * (sum / n)).sqrt()
     }
 
@@ -144,16 +145,20 @@ fn programs_of_five_axes_and_of_a_spindle_keep_the_limits_and_the_residual() {
 fn a_program_says_its_axes_and_their_units() {
     let plan = Plan::new(true);
     let (text, about) = plan.program(&Controller::Csv, &Common::default());
-    let columns = "t_s,r_mm,vr_mm_per_s,z_mm,vz_mm_per_s,c_deg,vc_deg_per_s,b_deg,vb_deg_per_s,tool_on";
+    let columns =
+        "t_s,r_mm,vr_mm_per_s,z_mm,vz_mm_per_s,c_deg,vc_deg_per_s,b_deg,vb_deg_per_s,tool_on";
     assert!(text.contains(columns), "{text:.2000}");
-    assert!(text.contains("# kinematics: spindle, pivot 80 mm from the contact point, axes r in mm, z in mm"));
+    assert!(text.contains(
+        "# kinematics: spindle, pivot 80 mm from the contact point, axes r in mm, z in mm"
+    ));
     assert!(text.contains("counts on beyond a turn: the controller must not roll it over"));
     assert!(text.contains("its origin where the axes read x -10 mm, y -6 mm"), "{text:.2000}");
     assert_eq!(about.start_mm, None);
     let axes: Vec<(&str, &str)> = about.axes.iter().map(|a| (a.name, a.unit)).collect();
     assert_eq!(axes, [("r", "mm"), ("z", "mm"), ("c", "deg"), ("b", "deg")]);
     // Every line of G-code has the four words, and a radius is X.
-    let (text, _) = plan.program(&Controller::Gcode(gcode::Settings::default()), &Common::default());
+    let (text, _) =
+        plan.program(&Controller::Gcode(gcode::Settings::default()), &Common::default());
     let lines: Vec<&str> = text.lines().filter(|l| l.starts_with("G1 ")).collect();
     let has = |line: &str| [" X", " Z", " C", " B", " F"].iter().all(|word| line.contains(word));
     assert!(lines.len() > 100 && lines.iter().all(|line| has(line)));
@@ -179,7 +184,10 @@ fn what_no_program_of_all_axes_can_do_is_refused() {
     assert!(said.contains("count_deg: is 0.01 (0.013963 mm at the lever of the axis)"), "{said}");
     let three = Counts { mm: None, deg: Some(vec![1e-4; 3]) };
     let said = refused(&Controller::Csv, &Common { counts: three, ..Common::default() });
-    assert!(said.contains("count_deg: has 3 numbers; give one for each of the axes a, b"), "{said}");
+    assert!(
+        said.contains("count_deg: has 3 numbers; give one for each of the axes a, b"),
+        "{said}"
+    );
     // The motion of another machine.
     let spindle = machine("spindle", |_| {});
     let common = Common::default();
@@ -191,8 +199,7 @@ fn what_no_program_of_all_axes_can_do_is_refused() {
     let weak = machine("bonnet-five-axis", |file| {
         file["rotary_axes"][1]["max_acceleration_deg_per_s2"] = json!(1);
     });
-    let made =
-        program_of_axes(&plan.motion, &weak, &plan.form, &Controller::Csv, &common, &origin);
+    let made = program_of_axes(&plan.motion, &weak, &plan.form, &Controller::Csv, &common, &origin);
     let said = made.unwrap_err().to_string();
     assert!(said.contains("deg/s") && said.contains("planish-axes motion"), "{said}");
     // A trajectory of x and y does not move this machine.

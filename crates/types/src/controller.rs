@@ -366,7 +366,11 @@ mod tests {
     fn what_the_file_leaves_out_is_the_default() {
         use ControllerKind::*;
         for kind in [Galil, Xps, Pmac, Gcode, Csv] {
-            assert_eq!(ControllerFile::new(kind).checked(&x_y()).unwrap(), kind.model(), "{kind:?}");
+            assert_eq!(
+                ControllerFile::new(kind).checked(&x_y()).unwrap(),
+                kind.model(),
+                "{kind:?}"
+            );
         }
         let file = ControllerFile {
             count_mm: Some(vec![0.001, 0.002]),
@@ -375,7 +379,10 @@ mod tests {
         };
         let model = file.checked(&x_y()).unwrap();
         // A Galil takes whole counts per second, and no segment is shorter than the clock.
-        assert_eq!(model.grids(&x_y()).iter().map(|g| g.velocity).collect::<Vec<_>>(), [0.001, 0.002]);
+        assert_eq!(
+            model.grids(&x_y()).iter().map(|g| g.velocity).collect::<Vec<_>>(),
+            [0.001, 0.002]
+        );
         assert_eq!(model.min_segment_s, 0.004);
     }
 
@@ -388,7 +395,8 @@ mod tests {
         assert_eq!(slower.grids(&x_y()), [AxisGrid { count: 1e-3, velocity: 1e-3 }; 2]);
         let said = model.with(Some(0.0), &Counts::default(), &x_y()).unwrap_err().to_string();
         assert!(said.contains("tick_s: is 0"), "{said}");
-        let said = model.with(None, &given(&[1e-4, f64::NAN], &[]), &x_y()).unwrap_err().to_string();
+        let said =
+            model.with(None, &given(&[1e-4, f64::NAN], &[]), &x_y()).unwrap_err().to_string();
         assert!(said.contains("count_mm: is NaN"), "{said}");
     }
 

@@ -106,7 +106,9 @@ fn judge_axes(cli: &Cli, axes: &Path) -> Result<Status, Failure> {
         if verdict.limits_respected { "kept" } else { "exceeded" },
         cli.output.out.display()
     ));
-    if settings.program == Some(Program::Lines) && machine.axes().iter().any(|a| a.max_jerk.is_some()) {
+    if settings.program == Some(Program::Lines)
+        && machine.axes().iter().any(|a| a.max_jerk.is_some())
+    {
         say(JERK_OF_LINES);
     }
     Ok(status)

@@ -77,8 +77,7 @@ impl ProgramArgs {
             })
         };
         let (segments, total_time_s) = if is_of_all_axes {
-            let motion =
-                program::read_axes(controller, &bytes, &configuration).map_err(refused)?;
+            let motion = program::read_axes(controller, &bytes, &configuration).map_err(refused)?;
             let (segments, total_time_s) = (motion.len(), motion.total_time_s());
             let mut outcome = outcome(segments, total_time_s, motion.tool_on());
             let of = |text: fn(&ProgramAxis) -> &String| -> Vec<&String> {
