@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Tables of docs/controller-programs.md: plans as programs of every controller, read back and judged.
 
-programs-table.py [--out DIR] [--rows NAME,...] [--machine FILE] [--grids]
+programs-table.py [--out DIR] [--rows NAME,...] [--machine FILE] [--grids | --axes]
 
-Without --grids: the rows of ROWS, every plan, every controller. With --grids: clocks and counts. DIR is
-out/programs/MACHINE by default.
+Without --grids: the rows of ROWS, every plan, every controller. With --grids: clocks and counts. With --axes: the rows
+of AXES_ROWS, motions of all axes. DIR is out/programs/MACHINE by default.
 Plans that are in DIR already are not made again. Every number is of the program as planish-import reads it:
 planish-simulate predicts its residual, planish-verify judges its limits.
 """
@@ -43,6 +43,14 @@ GRID_ROWS = {
     "flat-92x16 raster": ("flat-92x16", RASTER, [], ["pvt", "joint"]),
     "reference raster": (None, RASTER, [], ["pvt", "joint"]),
     "reference maze": (None, MAZE, [], ["pvt", "joint"]),
+}
+# Name: fixture, path, machine, keys of the machine file that are set, form of the part. The slope of the sphere is 10
+# degrees at the ends of the coupon of 20 mm.
+SPHERE = {"kind": "sphere", "radius_mm": -57.6, "vertex_mm": [10, 6]}
+AXES_ROWS = {
+    "coupon raster on five axes": ("coupon", ["raster", "--pitch-mm=0.8", "--step-mm=0.8"], "bonnet-five-axis", {}, SPHERE),
+    "coupon spiral on a spindle": ("coupon", ["spiral", "--pitch-mm=0.8", "--step-mm=0.8"], "spindle",
+                               {"part_origin_mm": [-10, -6]}, SPHERE),
 }
 TICKS_S = [0.0005, 0.001, 0.002, 0.004]
 COUNTS_MM = [0.0001, 0.001]
@@ -128,6 +136,53 @@ def judge(to, plan, controller, flags):
     }, f"{rms:.4f} nm in {about['total_time_s'] - about['added_time_s']:.2f} s"
 
 
+def table_of_axes(out, names):
+    """The table of motions of all axes: every row, every controller."""
+    show(["plan", "controller", "segments", "residual", "time", "contact um", "largest use of a limit", "kept"])
+    show(["---"] * 8)
+    for name in names:
+        fixture, path, machine, keys, form = AXES_ROWS[name]
+        to = out / name.replace(" ", "-")
+        to.mkdir(parents=True, exist_ok=True)
+        stated = json.loads((ROOT / f"fixtures/machines/{machine}.json").read_text())
+        (to / "machine.json").write_text(json.dumps({**stated, **keys}))
+        (to / "form.json").write_text(json.dumps(form))
+        run("planish-fixture", ROOT / f"fixtures/{fixture}.json", "--out", to / "fixture", "--force")
+        surface, tif = to / "fixture/surface", to / "fixture/tif"
+        (to / "part.json").write_text(json.dumps([str(surface), str(tif)]))
+        run("planish-toolpath", *path, "--surface", surface, "--tif", tif, "--out", to / "path", "--force")
+        along = ["--tool-path", to / "path"]
+        run("planish-dwell", "bounded-least-squares", "--surface", surface, "--tif", tif, *along, "--out", to / "dwell",
+            "--force", allowed=(0, 1))
+        on, over = ["--machine", to / "machine.json"], ["--form", to / "form.json"]
+        run("planish-schedule", "pvt", *along, "--dwell", to / "dwell", *on, "--out", to / "pvt", "--force",
+            allowed=(0, 1))
+        run("planish-axes", "motion", "--trajectory", to / "pvt", *on, *over, "--out", to / "axes", "--force")
+
+        def left(axes):
+            run("planish-axes", "contact", "--axes", axes, *on, *over, "--out", to / "contact", "--force")
+            return residual(to, to / "contact", "removal")
+
+        rms = left(to / "axes")
+        for controller in CONTROLLERS:
+            program, back = to / f"program-{controller}", to / f"back-{controller}"
+            run("planish-export", controller, "--axes", to / "axes", *on, *over, "--out", program, "--force")
+            about = json.loads(pathlib.Path(f"{program}.json").read_text())
+            run("planish-import", "program", program, "--controller", controller, "--about", f"{program}.json", "--out",
+                back, "--force")
+            kept = run("planish-verify", "--axes", back, *on, "--out", to / "verdict", "--force",
+                       allowed=(0, 1)).returncode == 0
+            planned_s = about["total_time_s"] - about["added_time_s"]
+            line = {
+                "rms": left(back) / rms,
+                "time": about["total_time_s"] / planned_s,
+                "deviation_um": 1e3 * about["contact_deviation_mm"],
+                "used": {p["quantity"]: p["value"] / p["limit"] for p in about["limits"]["largest"]},
+                "kept": kept,
+            }
+            show([f"{name}: {rms:.4f} nm in {planned_s:.2f} s", controller, str(about["segments"]), *cells(line)])
+
+
 def cells(line):
     rms = "tool stays on" if line["rms"] is None else f"{line['rms']:.4f}"
     used = max(line["used"].values()) if line["used"] else 0.0
@@ -146,10 +201,13 @@ def main():
     ask.add_argument("--out", type=pathlib.Path)
     ask.add_argument("--rows", default="")
     ask.add_argument("--grids", action="store_true")
+    ask.add_argument("--axes", action="store_true")
     ask.add_argument("--machine", type=pathlib.Path, default=MACHINE)
     given = ask.parse_args()
     MACHINE = given.machine.resolve()
     out = given.out or ROOT / "out/programs" / MACHINE.stem
+    if given.axes:
+        return table_of_axes(given.out or ROOT / "out/programs/axes", given.rows.split(",") if given.rows else AXES_ROWS)
     rows = GRID_ROWS if given.grids else ROWS
     names = given.rows.split(",") if given.rows else list(rows)
     if given.grids:

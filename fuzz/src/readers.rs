@@ -6,7 +6,7 @@
 use planish_handoff::{Manifest, kind::Dtype, npy};
 use planish_import::{
     Format, Origin, Pick, Settings, Unit,
-    program::{self, Configuration, Controller},
+    program::{self, Configuration, Controller, ProgramAxis},
     read, surface, tif,
     trace::{self, LogFormat, PositionUnit, TimeUnit, TraceSettings, following, motion::Between},
 };
@@ -109,6 +109,22 @@ fn motion(controller: Controller, bytes: &[u8]) {
         ..Configuration::default()
     };
     match program::read(controller, bytes, &configuration) {
+        Ok(motion) => assert!(motion.total_time_s().is_finite()),
+        Err(error) => readable(&error.to_string()),
+    }
+    let axis = |name: &str, unit: &str| ProgramAxis {
+        name: name.into(),
+        unit: unit.into(),
+        start: 0.0,
+        count: 1e-3,
+    };
+    let of_axes = Configuration {
+        start_mm: None,
+        count_mm: None,
+        axes: vec![axis("r", "mm"), axis("z", "mm"), axis("c", "deg")],
+        ..configuration
+    };
+    match program::read_axes(controller, bytes, &of_axes) {
         Ok(motion) => assert!(motion.total_time_s().is_finite()),
         Err(error) => readable(&error.to_string()),
     }

@@ -1,5 +1,6 @@
 //! A table of the motion for controllers that are not known here: one row per end of a segment,
-//! `t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on`. Between two rows the motion is the cubic through
+//! `t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on`, with two columns for every further axis, `a_deg,va_deg_per_s` for one
+//! that turns. Between two rows the motion is the cubic through
 //! their positions and velocities; `tool_on` counts from its row to the next. The last row has 0: whoever
 //! switches at every row has the tool off at the end.
 
@@ -14,7 +15,7 @@ const DIGITS: usize = 9;
 /// No controller, so no limit: what an editor shows without folding.
 const COMMENT: Comment = Comment { open: "# ", close: "", line: 120 };
 
-pub(crate) fn write(job: &Job) -> Result<(String, About), Invalid> {
+pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
     job.tick()?;
     let (q, about) = job.nodes(Abilities {
         most_ticks: i64::MAX >> 10,
@@ -26,19 +27,19 @@ pub(crate) fn write(job: &Job) -> Result<(String, About), Invalid> {
         },
         approach: Approach::Before("go to the first row, tool off: the table does not say how"),
     })?;
-    let mut text = about.header(&COMMENT, "s, mm, mm/s");
-    text += "t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n";
+    let units = if job.turns() { "s, mm, mm/s, deg, deg/s" } else { "s, mm, mm/s" };
+    let mut text = about.header(&COMMENT, units);
+    let columns = job.plan.axes.iter().map(|axis| {
+        let (name, unit) = (axis.name, axis.unit());
+        format!("{name}_{unit},v{name}_{unit}_per_s,")
+    });
+    text += &format!("t_s,{}tool_on\n", columns.collect::<String>());
     for k in 0..=about.segments {
-        let (p, v) = (q.position_mm(k), q.velocity_mm_per_s[k]);
-        text += &format!(
-            "{},{},{},{},{},{}\n",
-            decimal(q.time_s(k), DIGITS),
-            decimal(p[0], DIGITS),
-            decimal(v[0], DIGITS),
-            decimal(p[1], DIGITS),
-            decimal(v[1], DIGITS),
-            u8::from(k < about.segments && q.tool_on[k])
-        );
+        text += &decimal(q.time_s(k), DIGITS);
+        for (p, v) in q.position(k).into_iter().zip(q.velocity[k]) {
+            text += &format!(",{},{}", decimal(p, DIGITS), decimal(v, DIGITS));
+        }
+        text += &format!(",{}\n", u8::from(k < about.segments && q.tool_on[k]));
     }
     Ok((text, about))
 }

@@ -1,5 +1,6 @@
 //! Galil DMC, PVT mode: two lines per segment, `PVA=dP,V,T` and `PVB=dP,V,T`, with the distance in
-//! counts, the velocity at the end in counts/s and the time in samples. A is x, B is y.
+//! counts, the velocity at the end in counts/s and the time in samples. A is x, B is y. A program of all axes has a line
+//! for every axis, A for the first axis of the machine file, B for the second and so on.
 //!
 //! Limits of the controller: |dP| <= 44 000 000 counts, |V| <= 22 000 000 counts/s, T from 1 to 2048
 //! samples and for fast hosts a multiple of two, 255 segments of buffer. `BTAB` begins the motion; it
@@ -18,7 +19,7 @@
 //! Source: Galil DMC-40x0 command reference (PV, BT, TM, SB, CB, ST, AB) and user manual, chapter 6
 //! (PVT mode: 1024 samples per second), appendix (program size: lines of 80 characters).
 
-use planish_types::Invalid;
+use planish_types::{Invalid, MachineAxis};
 
 use crate::{Abilities, About, Approach, Job, Tool, header::Comment, positive};
 
@@ -44,7 +45,10 @@ const COMMENT: Comment = Comment { open: "' ", close: "", line: 80 };
 /// Number of segments of the buffer of an axis, a fact of the controller. The line that ends the motion takes one.
 const BUFFER: usize = 255;
 
-pub(crate) fn write(job: &Job) -> Result<(String, About), Invalid> {
+/// Letters of the axes, in their order.
+const LETTERS: [&str; 5] = ["A", "B", "C", "D", "E"];
+
+pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
     let sample_s = positive("sample_s", job.grids.tick_s / SAMPLES_PER_TICK as f64)?;
     let units = sample_s / SAMPLE_UNIT_S;
     // A little less or more is the rounding of a number that was typed.
@@ -53,7 +57,6 @@ pub(crate) fn write(job: &Job) -> Result<(String, About), Invalid> {
             format!("is {sample_s}, TM goes from 31.25 (1/32768 s) to 20000 (0.01953125 s)");
         return Err(Invalid::whole("sample_s", problem, "give 0.0009765625 for TM 1000"));
     }
-    let count = job.grids.count_mm;
     let (q, mut about) = job.nodes(Abilities {
         most_ticks: MOST_SAMPLES / SAMPLES_PER_TICK,
         tool: Tool::LeftToTheHost(
@@ -78,30 +81,41 @@ pub(crate) fn write(job: &Job) -> Result<(String, About), Invalid> {
         let windows = (0..=n - BUFFER).map(|k| q.time_s(k + BUFFER) - q.time_s(k));
         about.buffer_lasts_s = Some(windows.fold(f64::INFINITY, f64::min));
     }
-    let units = format!(
-        "A = x in counts of {} mm, B = y in counts of {} mm, counts/s, samples of {sample_s} s, TM {}",
-        count[0],
-        count[1],
-        sample_s * TM_PER_S
-    );
+    let count = q.count;
+    let of_axis = |(axis, letter): (&MachineAxis, &str), count: f64| {
+        format!("{letter} = {} in counts of {count} {}, ", axis.name, axis.unit())
+    };
+    let axes = job.plan.axes.iter().zip(LETTERS);
+    let axes: String = axes.zip(count).map(|(axis, count)| of_axis(axis, count)).collect();
+    let units = format!("{axes}counts/s, samples of {sample_s} s, TM {}", sample_s * TM_PER_S);
     let mut text = about.header(&COMMENT, &units);
-    let [a, b] = q.counts[0];
-    text += &format!("' start: A {a}, B {b} counts\nPVA=0,0,-1\nPVB=0,0,-1\n");
+    let starts = LETTERS.iter().zip(q.counts[0]).map(|(letter, c)| format!("{letter} {c}"));
+    text += &format!("' start: {} counts\n", starts.collect::<Vec<_>>().join(", "));
+    let of_all = |numbers: &str| {
+        let line = |letter: &&str| format!("PV{letter}={numbers}\n");
+        LETTERS[..N].iter().map(line).collect::<String>()
+    };
+    text += &of_all("0,0,-1");
     for k in 0..n {
         let (distance, t) = (q.distance(k), q.duration(k) * SAMPLES_PER_TICK);
-        for (axis, name) in ["PVA", "PVB"].into_iter().enumerate() {
-            let (p, v) = (distance[axis], (q.velocity_mm_per_s[k + 1][axis] / count[axis]).round());
+        for (axis, letter) in LETTERS[..N].iter().enumerate() {
+            let name = format!("PV{letter}");
+            let (p, v) = (distance[axis], (q.velocity[k + 1][axis] / count[axis]).round());
             if p.abs() > MOST_DISTANCE || v.abs() > MOST_VELOCITY {
                 let problem =
                     format!("{name}={p},{v},{t} is beyond 44000000 counts, 22000000 counts/s");
-                return Err(Invalid::at("segment", k, problem, "give a larger `count_mm`"));
+                let remedy = match job.plan.axes[axis].is_rotary {
+                    true => "give a larger `count_deg`",
+                    false => "give a larger `count_mm`",
+                };
+                return Err(Invalid::at("segment", k, problem, remedy));
             }
             text += &format!("{name}={p},{v:.0},{t}\n").replace(",-0,", ",0,");
         }
         if k + 1 == BUFFER.min(n) {
-            text += "BTAB\n";
+            text += &format!("BT{}\n", LETTERS[..N].concat());
         }
     }
-    text += "PVA=0,0,0\nPVB=0,0,0\n";
+    text += &of_all("0,0,0");
     Ok((text, about))
 }

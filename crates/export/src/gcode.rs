@@ -5,6 +5,10 @@
 //! G94:  F = 60 length / dt     (mm/min)
 //! ```
 //!
+//! A program of all axes has the words X Y Z A B C, the rotary ones in degrees; a radius is X. Its lines are straight in
+//! the space of the axes. A feed of axes in mm and degrees means nothing, so such a program is one of inverse time. The
+//! tolerance of G64 bounds the linear axes only.
+//!
 //! Inverse time (G93) is what removal wants: it depends on the time, not on the speed. A line of no
 //! length would silently lose its time there, so standing is written as `G4 P`. Between two lines the
 //! motion is straight and its speed is constant; a smaller `max_step_s` follows a schedule that is neither.
@@ -75,7 +79,10 @@ impl Default for Settings {
     }
 }
 
-pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), Invalid> {
+pub(crate) fn write<const N: usize>(
+    job: &Job<N>,
+    settings: &Settings,
+) -> Result<(String, About), Invalid> {
     let tick_s = job.tick()?;
     let tolerance = settings.path_tolerance_mm.unwrap_or(job.common.path_deviation_mm);
     let is_length = tolerance == 0.0 || tolerance >= LEAST_TOLERANCE_MM;
@@ -83,6 +90,10 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
         let problem = format!("is {tolerance}, and G64 P0 would allow any deviation");
         let remedy = "give a length of at least 1e-6 mm, or 0 for an exact path";
         return Err(Invalid::whole("path_tolerance_mm", problem, remedy));
+    }
+    if job.turns() && settings.feed == Feed::PerMinute {
+        let problem = "is per-minute, and a feed of axes in mm and degrees means nothing";
+        return Err(Invalid::whole("f_word", problem, "give inverse-time"));
     }
     let switched = job.grids.switches_tool;
     let (q, about) = job.nodes(Abilities {
@@ -104,7 +115,8 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
         Feed::InverseTime => ("G93", "lines per minute"),
         Feed::PerMinute => ("G94", "mm per minute"),
     };
-    let mut text = about.header(&COMMENT, &format!("mm, F in {unit}, G4 P in s"));
+    let lengths = if job.turns() { "mm and deg" } else { "mm" };
+    let mut text = about.header(&COMMENT, &format!("{lengths}, F in {unit}, G4 P in s"));
     let output = |words: &'static str| if switched { words } else { "" };
     text += output("M65 P0\n");
     text += "G21 G90 G17 G40 G49 G94\n";
@@ -113,11 +125,10 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
         // Q0: lines of one feed that are nearly straight are not merged.
         p => format!("G64 P{} Q0\n", decimal(p, DIGITS)),
     };
-    let [x, y] = about.start_mm;
-    text += &format!("G0 X{} Y{}\n{mode}\n", decimal(x, DIGITS), decimal(y, DIGITS));
+    text += &format!("G0 {}\n{mode}\n", job.words(q.position(0), DIGITS));
     let mut on = false;
     for k in 0..about.segments {
-        let stands = q.distance(k) == [0, 0];
+        let stands = q.distance(k) == [0; N];
         if q.tool_on[k] != on {
             on = q.tool_on[k];
             text += output(match (on, stands) {
@@ -127,11 +138,10 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
                 (false, true) => "M65 P0\n",
             });
         }
-        let (from, to) = (q.position_mm(k), q.position_mm(k + 1));
+        let (from, to) = (q.position(k), q.position(k + 1));
         let seconds = q.duration(k) as f64 * tick_s;
-        let [x, y] = to.map(|v| decimal(v, DIGITS));
         // As the interpreter will read them.
-        let length = (to[0] - from[0]).hypot(to[1] - from[1]);
+        let length = (1..N).fold((to[0] - from[0]).abs(), |sum, a| sum.hypot(to[a] - from[a]));
         if stands {
             text += &format!("G4 P{}\n", decimal(seconds, DIGITS));
             continue;
@@ -142,7 +152,7 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
             // F = 60 length / dt
             Feed::PerMinute => 60.0 * length / seconds,
         };
-        text += &format!("G1 X{x} Y{y} F{}\n", significant(feed));
+        text += &format!("G1 {} F{}\n", job.words(to, DIGITS), significant(feed));
     }
     text += output("M65 P0\n");
     text += "G94 F60\nM2\n";

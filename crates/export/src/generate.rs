@@ -17,14 +17,17 @@
 //!
 //! So the executed motion of joined lines begins half a line before the first node and ends half a line after the last.
 
-use planish_numerics::polynomial::{derivative, range};
+use std::array::from_fn;
+
+use planish_numerics::polynomial::{derivative, evaluate, range};
 use planish_types::{
-    ControllerModel, Interpolation, Invalid, Limits, Machine, Trajectory, budget::affordable,
+    AxisGrid, ControllerModel, Interpolation, Invalid, MachineAxis, budget::affordable,
 };
 
 use crate::{
     nodes::{self, Choice},
-    slowed::{Cells, Inwards, Slowed},
+    plan::Plan,
+    slowed::{Cells, Inwards, Slowed, at, at_plan},
     velocities::{Axis, hermite},
 };
 
@@ -32,9 +35,9 @@ use crate::{
 /// be wrong.
 const LARGEST_EXACT_INTEGER: f64 = 9_007_199_254_740_992.0;
 
-/// Least size of a count, mm. Larger: fine encoders are refused. Smaller: positions that nine decimals do not tell
-/// apart. Derived: programs have nine decimals.
-const SMALLEST_COUNT_MM: f64 = 1e-9;
+/// Least size of a count, mm or deg. Larger: fine encoders are refused. Smaller: positions that nine decimals do not
+/// tell apart. Derived: programs have nine decimals.
+const SMALLEST_COUNT: f64 = 1e-9;
 
 /// Memory of a segment, bytes, for the check of the memory budget. Larger: programs are refused that fit. Smaller:
 /// the memory may run out. Derived: nodes as floats and as counts, programs, and two lines of text of up to 60 bytes.
@@ -65,12 +68,15 @@ const CHOSEN_DEVIATION: f64 = 0.6;
 /// plans are refused. Chosen: a plan that needs more is not one for this controller.
 const MOST_FACTOR: f64 = 64.0;
 
+/// Number of points of every cubic at which the contact point is compared with the plan's.
+const CONTACT_POINTS: usize = 7;
+
 /// Part of the path deviation below which its bound is not made tighter.
 const WORTH: f64 = 0.3;
 
 /// Settings of the generator.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Settings {
+pub(crate) struct Settings {
     /// Grids and law of the controller.
     pub controller: ControllerModel,
     /// Ticks of a segment, most.
@@ -83,31 +89,33 @@ pub struct Settings {
 
 /// Nodes on the grids of a controller.
 #[derive(Clone, Debug)]
-pub struct Nodes {
-    /// Count of (x, y), mm.
-    pub count_mm: [f64; 2],
+pub(crate) struct Nodes<const N: usize> {
+    /// Count of every axis, mm or deg.
+    pub count: [f64; N],
     /// Tick, s.
     pub tick_s: f64,
     /// Ticks since the start (n+1).
     pub ticks: Vec<i64>,
-    /// Absolute position of (x, y) in counts (n+1).
-    pub counts: Vec<[i64; 2]>,
-    /// Velocity [x, y] (n+1), mm/s, a multiple of its unit; zero for lines.
-    pub velocity_mm_per_s: Vec<[f64; 2]>,
+    /// Absolute position of every axis in counts (n+1).
+    pub counts: Vec<[i64; N]>,
+    /// Velocity of every axis (n+1), mm/s or deg/s, a multiple of its resolution; zero for lines.
+    pub velocity: Vec<[f64; N]>,
     /// True where the tool removes (n).
     pub tool_on: Vec<bool>,
     /// Law between two nodes.
     pub interpolation: Interpolation,
     /// Largest distance of the executed path from the plan's, mm.
     pub deviation_mm: f64,
+    /// Largest distance of the executed contact point from the plan's, mm; `None` if the plan does not know it.
+    pub contact_mm: Option<f64>,
     /// Time that the program takes longer than the plan, s.
     pub added_s: f64,
 }
 
-impl Nodes {
-    /// Position [x, y] of node `k`, mm.
-    pub fn position_mm(&self, k: usize) -> [f64; 2] {
-        [0, 1].map(|a| self.counts[k][a] as f64 * self.count_mm[a])
+impl<const N: usize> Nodes<N> {
+    /// Position of every axis at node `k`, mm or deg.
+    pub fn position(&self, k: usize) -> [f64; N] {
+        from_fn(|a| self.counts[k][a] as f64 * self.count[a])
     }
 
     /// Time of node `k` since the start, s.
@@ -116,8 +124,8 @@ impl Nodes {
     }
 
     /// Distance of segment `k` in counts.
-    pub fn distance(&self, k: usize) -> [i64; 2] {
-        [0, 1].map(|a| self.counts[k + 1][a] - self.counts[k][a])
+    pub fn distance(&self, k: usize) -> [i64; N] {
+        from_fn(|a| self.counts[k + 1][a] - self.counts[k][a])
     }
 
     /// Ticks of segment `k`.
@@ -130,25 +138,9 @@ impl Nodes {
         self.tool_on.len()
     }
 
-    /// The motion that the controller executes, from the time 0.
-    pub fn motion(&self) -> Trajectory {
-        let pieces = self.pieces();
-        let mut times = vec![0.0];
-        let start_s = pieces[0].start_s;
-        times.extend(pieces.iter().map(|p| p.start_s + p.time_s - start_s));
-        let n = pieces.len();
-        Trajectory::new(
-            times,
-            pieces.iter().map(|p| p.coefficient_mm).collect(),
-            pieces.iter().map(|p| self.tool_on[p.segment]).collect(),
-            vec![None; n],
-        )
-        .expect("nodes are on ascending ticks")
-    }
-
     /// Makes one of the lines without length that follow each other, each a dwell.
     fn stand_at_once(&mut self, most_ticks: i64) {
-        let stands = |k: usize| self.distance(k) == [0, 0];
+        let stands = |k: usize| self.distance(k) == [0; N];
         let mut kept = vec![0];
         for k in 1..self.segments() {
             let last: usize = kept[kept.len() - 1];
@@ -164,37 +156,38 @@ impl Nodes {
         kept.push(self.ticks.len() - 1);
         self.ticks = kept.iter().map(|k| self.ticks[*k]).collect();
         self.counts = kept.iter().map(|k| self.counts[*k]).collect();
-        self.velocity_mm_per_s = kept.iter().map(|k| self.velocity_mm_per_s[*k]).collect();
+        self.velocity = kept.iter().map(|k| self.velocity[*k]).collect();
     }
 
     /// The cubics that the controller runs.
-    pub(crate) fn pieces(&self) -> Vec<Piece> {
+    pub(crate) fn pieces(&self) -> Vec<Piece<N>> {
         match self.interpolation {
             Interpolation::Hermite => (0..self.segments()).map(|k| self.cubic(k)).collect(),
             Interpolation::Linear => self.joined(),
         }
     }
 
-    fn cubic(&self, k: usize) -> Piece {
+    fn cubic(&self, k: usize) -> Piece<N> {
         let (start_s, time_s) = (self.time_s(k), self.duration(k) as f64 * self.tick_s);
-        let from = self.position_mm(k);
-        let coefficient_mm = [0, 1].map(|a| {
-            let distance = self.distance(k)[a] as f64 * self.count_mm[a];
-            let v = [self.velocity_mm_per_s[k][a], self.velocity_mm_per_s[k + 1][a]];
+        let from = self.position(k);
+        let coefficient = from_fn(|a| {
+            let distance = self.distance(k)[a] as f64 * self.count[a];
+            let v = [self.velocity[k][a], self.velocity[k + 1][a]];
             let mut c = hermite(distance, v, time_s);
             c[0] = from[a];
             c
         });
-        Piece { segment: k, start_s, time_s, coefficient_mm }
+        Piece { segment: k, start_s, time_s, coefficient }
     }
 
     /// Lines and the parabolas between them.
-    fn joined(&self) -> Vec<Piece> {
+    fn joined(&self) -> Vec<Piece<N>> {
         let n = self.segments();
         let time = |k: usize| self.duration(k) as f64 * self.tick_s;
-        let mean =
-            |k: usize| [0, 1].map(|a| self.distance(k)[a] as f64 * self.count_mm[a] / time(k));
-        let at_rest = [0.0; 2];
+        let mean = |k: usize| -> [f64; N] {
+            from_fn(|a| self.distance(k)[a] as f64 * self.count[a] / time(k))
+        };
+        let at_rest = [0.0; N];
         let mut pieces = Vec::with_capacity(2 * n + 1);
         for k in 0..=n {
             let before = if k > 0 { Some((mean(k - 1), time(k - 1))) } else { None };
@@ -205,12 +198,12 @@ impl Nodes {
                 (None, None) => continue,
             };
             let (m, next) = (before.map_or(at_rest, |b| b.0), after.map_or(at_rest, |a| a.0));
-            let (node, at_s) = (self.position_mm(k), self.time_s(k));
+            let (node, at_s) = (self.position(k), self.time_s(k));
             let half = 0.5 * shorter;
             // Half of it belongs to the segment before, half to the one after: the tool switches at the node.
-            let a = [0, 1].map(|i| (next[i] - m[i]) / shorter);
-            let first = [0, 1].map(|i| [node[i] - half * m[i], m[i], 0.5 * a[i], 0.0]);
-            let middle = [0, 1].map(|i| {
+            let a: [f64; N] = from_fn(|i| (next[i] - m[i]) / shorter);
+            let first = from_fn(|i| [node[i] - half * m[i], m[i], 0.5 * a[i], 0.0]);
+            let middle = from_fn(|i| {
                 let v = m[i] + a[i] * half;
                 [node[i] - half * m[i] + half * (m[i] + 0.5 * a[i] * half), v, 0.5 * a[i], 0.0]
             });
@@ -218,22 +211,22 @@ impl Nodes {
                 segment: k.saturating_sub(1),
                 start_s: at_s - half,
                 time_s: half,
-                coefficient_mm: first,
+                coefficient: first,
             });
             pieces.push(Piece {
                 segment: k.min(n - 1),
                 start_s: at_s,
                 time_s: half,
-                coefficient_mm: middle,
+                coefficient: middle,
             });
             // The straight rest of the line until the next parabola.
             if let Some((m, t)) = after {
                 let following = if k + 1 < n { time(k + 1).min(t) } else { t };
                 let rest_s = t - half - 0.5 * following;
                 if rest_s > 1e-12 {
-                    let c = [0, 1].map(|i| [node[i] + half * m[i], m[i], 0.0, 0.0]);
+                    let c = from_fn(|i| [node[i] + half * m[i], m[i], 0.0, 0.0]);
                     let start_s = at_s + half;
-                    pieces.push(Piece { segment: k, start_s, time_s: rest_s, coefficient_mm: c });
+                    pieces.push(Piece { segment: k, start_s, time_s: rest_s, coefficient: c });
                 }
             }
         }
@@ -243,76 +236,67 @@ impl Nodes {
 
 /// A cubic of the executed motion.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Piece {
+pub(crate) struct Piece<const N: usize> {
     /// Segment of the program to which it belongs.
     pub segment: usize,
     /// Time since the first node, s.
     pub start_s: f64,
     pub time_s: f64,
-    pub coefficient_mm: [[f64; 4]; 2],
+    pub coefficient: [[f64; 4]; N],
 }
 
-/// The nodes of `plan`, in the coordinates of the axes, on `machine`.
+/// The nodes of `plan`.
 ///
 /// The plan is continuous, keeps the limits of the machine and rests at both ends ([`crate::limits::check_plan`]).
-pub fn generate(
-    plan: &Trajectory,
-    machine: &Machine,
+pub(crate) fn generate<const N: usize>(
+    plan: &Plan<N>,
     settings: &Settings,
-) -> Result<Nodes, Invalid> {
-    Generator::new(plan, machine, settings)?.run()
+) -> Result<Nodes<N>, Invalid> {
+    Generator::new(plan, settings)?.run()
 }
 
-struct Generator<'a> {
-    plan: &'a Trajectory,
-    machine: &'a Machine,
+struct Generator<'a, const N: usize> {
+    plan: &'a Plan<'a, N>,
     settings: &'a Settings,
     least_ticks: i64,
-    inwards: Inwards,
+    inwards: Inwards<N>,
     /// Times of the plan at which the tool switches, s.
     switches_s: Vec<f64>,
 }
 
 /// Faults of a program, which the next round mends.
-#[derive(Default)]
-struct Faults {
+struct Faults<const N: usize> {
     /// Segment and the factor by which its time has to grow.
     slow: Vec<(usize, f64)>,
     /// Segments that leave the path, and can be shorter.
     long: Vec<usize>,
-    /// Largest excess of the travel below and above, mm, along (x, y).
-    beyond_mm: [[f64; 2]; 2],
+    /// Largest excess of the travel below and above, mm or deg, along every axis.
+    beyond: [[f64; 2]; N],
     deviation_mm: f64,
 }
 
-impl Faults {
+impl<const N: usize> Faults<N> {
     fn is_none(&self) -> bool {
-        self.slow.is_empty() && self.long.is_empty() && self.beyond_mm == [[0.0; 2]; 2]
+        self.slow.is_empty() && self.long.is_empty() && self.beyond == [[0.0; 2]; N]
     }
 }
 
-impl<'a> Generator<'a> {
-    fn new(
-        plan: &'a Trajectory,
-        machine: &'a Machine,
-        settings: &'a Settings,
-    ) -> Result<Self, Invalid> {
+impl<'a, const N: usize> Generator<'a, N> {
+    fn new(plan: &'a Plan<'a, N>, settings: &'a Settings) -> Result<Self, Invalid> {
         let model = &settings.controller;
-        check_counts(plan, model.count_mm)?;
+        check_counts(plan)?;
         if !(settings.path_deviation_mm.is_finite() && settings.path_deviation_mm > 0.0) {
             let problem = format!("is {}", settings.path_deviation_mm);
             return Err(Invalid::whole("path_deviation_mm", problem, "give a length in mm"));
         }
         let rounding_s = match model.interpolation {
-            Interpolation::Hermite => {
-                least_for_rounding_s(model, machine.limits()).min(LONGEST_LEAST_S)
-            }
+            Interpolation::Hermite => least_for_rounding_s(plan).min(LONGEST_LEAST_S),
             // The deviation from the plan's path decides on the length of lines.
             Interpolation::Linear => 0.0,
         };
         let least_s = model
             .min_segment_s
-            .max(machine.limits().min_segment_s())
+            .max(plan.machine.limits().min_segment_s())
             .max(rounding_s.min(settings.most_ticks as f64 * model.tick_s));
         // A hair less is the rounding of a number that was typed.
         let least_ticks = ((least_s / model.tick_s) * (1.0 - 1e-9)).ceil().max(1.0);
@@ -325,33 +309,38 @@ impl<'a> Generator<'a> {
             return Err(Invalid::whole("min_segment_s", problem, remedy));
         }
         let half = 0.5 * settings.path_deviation_mm;
-        if let Some(axis) = (0..2).find(|a| model.count_mm[*a] > half) {
+        if let Some(axis) = (0..N).find(|a| plan.lever[*a] * plan.grids[*a].count > half) {
+            let (count, lever) = (plan.grids[axis].count, plan.lever[axis]);
+            let at_lever = match plan.axes[axis].is_rotary {
+                true => format!(" ({:.6} mm at the lever of the axis)", lever * count),
+                false => String::new(),
+            };
             let problem = format!(
-                "is {}, more than half the path deviation of {} mm",
-                model.count_mm[axis], settings.path_deviation_mm
+                "is {count}{at_lever}, more than half the path deviation of {} mm",
+                settings.path_deviation_mm
             );
-            return Err(Invalid::whole(
-                "count_mm",
-                problem,
-                "give a smaller count or a larger `path_deviation_mm`",
-            ));
+            let remedy = "give a smaller count or a larger `path_deviation_mm`";
+            return Err(Invalid::whole(name_of_count(&plan.axes[axis]), problem, remedy));
         }
-        let on = plan.tool_on();
-        let start_s = plan.break_time_s()[0];
+        let on = plan.tool_on;
+        let start_s = plan.break_time_s[0];
         let switches = (1..plan.len()).filter(|k| settings.follows_tool && on[*k] != on[*k - 1]);
         Ok(Self {
             plan,
-            machine,
             settings,
             least_ticks: least_ticks as i64,
-            inwards: Inwards { travel_mm: *machine.travel_mm(), by_mm: [[0.0; 2]; 2] },
-            switches_s: switches.map(|k| plan.break_time_s()[k] - start_s).collect(),
+            inwards: Inwards {
+                travel: from_fn(|a| plan.axes[a].travel),
+                by: [[0.0; 2]; N],
+                lever: plan.lever,
+            },
+            switches_s: switches.map(|k| plan.break_time_s[k] - start_s).collect(),
         })
     }
 
-    fn run(mut self) -> Result<Nodes, Invalid> {
-        let (limits, controller) = (self.machine.limits(), &self.settings.controller);
-        let mut cells = Cells::new(self.plan, limits, self.settings.follows_tool, controller);
+    fn run(mut self) -> Result<Nodes<N>, Invalid> {
+        let controller = &self.settings.controller;
+        let mut cells = Cells::new(self.plan, self.settings.follows_tool, controller);
         let mut last = (0, 1.0_f64);
         let mut deviation_mm = 0.0;
         for _ in 0..MOST_ROUNDS {
@@ -361,15 +350,15 @@ impl<'a> Generator<'a> {
             nodes.deviation_mm = faults.deviation_mm;
             deviation_mm = faults.deviation_mm;
             if faults.is_none() {
+                nodes.contact_mm = self.contact_mm(&motion, &nodes)?;
                 return Ok(nodes);
             }
             // The others move the nodes, and with them how far the motion goes between two of them.
             let is_settled = faults.slow.is_empty() && faults.long.is_empty();
-            for axis in (0..2).filter(|_| is_settled) {
+            for axis in (0..N).filter(|_| is_settled) {
                 // Half a count more, because a node is a whole count.
-                let count = self.settings.controller.count_mm[axis];
-                for (by, beyond) in self.inwards.by_mm[axis].iter_mut().zip(faults.beyond_mm[axis])
-                {
+                let count = self.plan.grids[axis].count;
+                for (by, beyond) in self.inwards.by[axis].iter_mut().zip(faults.beyond[axis]) {
                     if beyond > 0.0 {
                         *by += beyond + 0.5 * count;
                     }
@@ -403,12 +392,12 @@ impl<'a> Generator<'a> {
             (
                 format!(
                     "still asks for {:.2} times what the machine can do, or leaves the path by more than {} mm \
-                     (largest now: {:.4} mm), on a clock of {} s with counts of {} mm",
+                     (largest now: {:.4} mm), on a clock of {} s with counts of {}",
                     excess * excess,
                     self.settings.path_deviation_mm,
                     deviation_mm,
                     self.settings.controller.tick_s,
-                    self.settings.controller.count_mm[0].max(self.settings.controller.count_mm[1])
+                    self.largest_counts()
                 ),
                 "give a smaller tick or count, or a larger `path_deviation_mm`",
             )
@@ -422,12 +411,12 @@ impl<'a> Generator<'a> {
     }
 
     /// A program on the clock of `motion`, not proven yet.
-    fn nodes(&self, motion: &Slowed, cells: &Cells) -> Result<Nodes, Invalid> {
+    fn nodes(&self, motion: &Slowed<N>, cells: &Cells) -> Result<Nodes<N>, Invalid> {
         let model = &self.settings.controller;
         let choice = Choice {
-            limits: self.machine.limits(),
-            count_mm: model.count_mm,
-            velocity_mm_per_s: model.velocity_mm_per_s,
+            axes: self.plan.axes,
+            grids: self.plan.grids,
+            lever: self.plan.lever,
             tick_s: model.tick_s,
             ticks: [self.least_ticks, self.settings.most_ticks],
             deviation_mm: CHOSEN_DEVIATION * self.settings.path_deviation_mm,
@@ -461,11 +450,14 @@ impl<'a> Generator<'a> {
         let states: Vec<_> = ticks.iter().map(|t| motion.at(*t as f64 * model.tick_s)).collect();
         let mut counts = Vec::with_capacity(n + 1);
         for (k, state) in states.iter().enumerate() {
-            counts
-                .push([self.count(k, 0, state.position_mm)?, self.count(k, 1, state.position_mm)?]);
+            let mut of_node = [0; N];
+            for (axis, count) in of_node.iter_mut().enumerate() {
+                *count = self.count(k, axis, state.position[axis])?;
+            }
+            counts.push(of_node);
         }
         let mut on = Vec::with_capacity(n);
-        let mut state = self.plan.tool_on()[0];
+        let mut state = self.plan.tool_on[0];
         let mut next = 0;
         for tick in &ticks[..n] {
             while next < self.switches_s.len() && fixed[next] <= *tick {
@@ -475,14 +467,15 @@ impl<'a> Generator<'a> {
             on.push(state || !self.settings.follows_tool);
         }
         let mut nodes = Nodes {
-            count_mm: model.count_mm,
+            count: self.plan.grids.map(|grid| grid.count),
             tick_s: model.tick_s,
             ticks,
             counts,
-            velocity_mm_per_s: states.iter().map(|s| s.velocity).collect(),
+            velocity: states.iter().map(|s| s.velocity).collect(),
             tool_on: on,
             interpolation: model.interpolation,
             deviation_mm: 0.0,
+            contact_mm: None,
             added_s: 0.0,
         };
         if model.interpolation == Interpolation::Linear {
@@ -490,83 +483,135 @@ impl<'a> Generator<'a> {
         }
         let n = nodes.segments();
         nodes.added_s = nodes.time_s(n) - self.plan.total_time_s();
-        nodes.velocity_mm_per_s[0] = [0.0; 2];
-        nodes.velocity_mm_per_s[n] = [0.0; 2];
+        nodes.velocity[0] = [0.0; N];
+        nodes.velocity[n] = [0.0; N];
         Ok(nodes)
     }
 
     /// A position in counts, within the travel.
-    fn count(&self, k: usize, axis: usize, position_mm: [f64; 2]) -> Result<i64, Invalid> {
-        let count = self.settings.controller.count_mm[axis];
-        let counts = position_mm[axis] / count;
+    fn count(&self, k: usize, axis: usize, position: f64) -> Result<i64, Invalid> {
+        let count = self.plan.grids[axis].count;
+        let counts = position / count;
         if counts.is_nan() || counts.abs() >= LARGEST_EXACT_INTEGER {
             let remedy = "give a larger count";
             return Err(Invalid::at("node", k, format!("is at {counts:e} counts"), remedy));
         }
         let mut counts = counts.round();
-        if let Some(travel) = self.machine.travel_mm()[axis] {
+        if let Some(travel) = self.plan.axes[axis].travel {
             // A hair is the rounding of the division.
-            let [low, high] = travel.map(|mm| mm / count);
+            let [low, high] = travel.map(|end| end / count);
             counts = counts.min((high + 1e-7).floor()).max((low - 1e-7).ceil());
         }
         Ok(counts as i64)
     }
 
+    /// Largest count in mm, and in degrees if an axis turns.
+    fn largest_counts(&self) -> String {
+        let of = |rotary: bool| {
+            let counts = self.plan.grids.iter().zip(self.plan.axes);
+            counts.filter(|(_, a)| a.is_rotary == rotary).map(|(g, _)| g.count).reduce(f64::max)
+        };
+        let text = |(count, unit): (Option<f64>, &str)| count.map(|c| format!("{c} {unit}"));
+        let all = [(of(false), "mm"), (of(true), "deg")];
+        all.into_iter().filter_map(text).collect::<Vec<_>>().join(" and ")
+    }
+
+    /// Largest distance of the executed contact point from that of the plan where it is nearest, mm, at points of every
+    /// cubic.
+    fn contact_mm(&self, motion: &Slowed<N>, nodes: &Nodes<N>) -> Result<Option<f64>, Invalid> {
+        let Some(contact) = self.plan.contact else { return Ok(None) };
+        let mut largest: f64 = 0.0;
+        for piece in nodes.pieces() {
+            for j in 0..=CONTACT_POINTS {
+                let u = piece.time_s * j as f64 / CONTACT_POINTS as f64;
+                let here = at(&piece.coefficient, u);
+                let plan_s = motion.nearest_plan_s(piece.start_s + u, here);
+                let there = at_plan(self.plan, plan_s).position;
+                let (Some(p), Some(q)) = (contact(&here), contact(&there)) else {
+                    let problem = format!(
+                        "puts the tool where it meets no surface, at {:.6} s",
+                        piece.start_s + u
+                    );
+                    let remedy = "give the `form` that the motion was made for, with its overscan";
+                    return Err(Invalid::at("segment", piece.segment, problem, remedy));
+                };
+                largest = largest.max((p[0] - q[0]).hypot(p[1] - q[1]));
+            }
+        }
+        Ok(Some(largest))
+    }
+
+    /// Finds the velocities of all axes, and where they exceed a limit.
+    fn solve(&self, nodes: &mut Nodes<N>, excess: &mut [f64]) {
+        let n = nodes.segments();
+        let time_s: Vec<f64> = (0..n).map(|k| nodes.duration(k) as f64 * nodes.tick_s).collect();
+        let mut rests = vec![false; n + 1];
+        (rests[0], rests[n]) = (true, true);
+        for (a, limits) in self.plan.axes.iter().enumerate() {
+            let along = |k: usize| nodes.distance(k)[a] as f64 * nodes.count[a];
+            let distance: Vec<f64> = (0..n).map(along).collect();
+            let planned: Vec<f64> = nodes.velocity.iter().map(|v| v[a]).collect();
+            let axis = Axis {
+                distance: &distance,
+                time_s: &time_s,
+                planned: &planned,
+                limits,
+                unit: self.plan.grids[a].velocity,
+                rests: &rests,
+            };
+            let (velocity, over) = axis.velocities();
+            for (node, v) in nodes.velocity.iter_mut().zip(velocity) {
+                node[a] = v;
+            }
+            excess.iter_mut().zip(over).for_each(|(e, o)| *e = e.max(o));
+        }
+    }
+
     /// Solves for the velocities, and says where the program is not good enough.
-    fn finish(&self, motion: &Slowed, nodes: &mut Nodes) -> Faults {
+    fn finish(&self, motion: &Slowed<N>, nodes: &mut Nodes<N>) -> Faults<N> {
         let n = nodes.segments();
         let mut excess = vec![1.0_f64; n];
-        if nodes.interpolation == Interpolation::Hermite {
-            let time_s: Vec<f64> =
-                (0..n).map(|k| nodes.duration(k) as f64 * nodes.tick_s).collect();
-            let mut rests = vec![false; n + 1];
-            (rests[0], rests[n]) = (true, true);
-            for (a, limits) in self.machine.limits().axes().iter().enumerate() {
-                let along = |k: usize| nodes.distance(k)[a] as f64 * nodes.count_mm[a];
-                let distance_mm: Vec<f64> = (0..n).map(along).collect();
-                let planned: Vec<f64> = nodes.velocity_mm_per_s.iter().map(|v| v[a]).collect();
-                let unit = self.settings.controller.velocity_mm_per_s[a];
-                let axis = Axis {
-                    distance_mm: &distance_mm,
-                    time_s: &time_s,
-                    planned: &planned,
-                    limits,
-                    unit,
-                    rests: &rests,
-                };
-                let (velocity, over) = axis.velocities();
-                for (node, v) in nodes.velocity_mm_per_s.iter_mut().zip(velocity) {
-                    node[a] = v;
-                }
-                excess.iter_mut().zip(over).for_each(|(e, o)| *e = e.max(o));
-            }
-        } else {
-            nodes.velocity_mm_per_s.fill([0.0; 2]);
+        match nodes.interpolation {
+            Interpolation::Hermite => self.solve(nodes, &mut excess),
+            Interpolation::Linear => nodes.velocity.fill([0.0; N]),
         }
-        let mut faults = Faults::default();
+        let mut faults =
+            Faults { slow: vec![], long: vec![], beyond: [[0.0; 2]; N], deviation_mm: 0.0 };
         let most = 1.0 + LIMIT_ROUNDING;
-        for piece in nodes.pieces() {
+        let pieces = nodes.pieces();
+        if self.plan.may_step && nodes.interpolation == Interpolation::Hermite {
+            for step in acceleration_steps(&pieces, self.plan.axes) {
+                // Time that is longer by a factor f makes the step smaller by f^2, and what is allowed larger by f.
+                let over = (step.value / step.allowed).cbrt();
+                for i in [step.node.saturating_sub(1), step.node.min(n - 1)] {
+                    if over > most {
+                        excess[i] = excess[i].max(over);
+                    }
+                }
+            }
+        }
+        for piece in pieces {
             let i = piece.segment;
-            let over = use_of_limits(&piece, self.machine.limits(), nodes.interpolation);
+            let over = use_of_limits(&piece, self.plan.axes, nodes.interpolation);
             if over > most {
                 excess[i] = excess[i].max(over);
             }
-            for (axis, travel) in self.machine.travel_mm().iter().enumerate() {
-                let Some([low, high]) = *travel else { continue };
-                let r = range(&piece.coefficient_mm[axis], piece.time_s);
-                for (side, mm) in [low - r.min, r.max - high].into_iter().enumerate() {
-                    let is_far = mm > FAR_BEYOND * self.settings.path_deviation_mm;
+            for (axis, limits) in self.plan.axes.iter().enumerate() {
+                let Some([low, high]) = limits.travel else { continue };
+                let r = range(&piece.coefficient[axis], piece.time_s);
+                for (side, over) in [low - r.min, r.max - high].into_iter().enumerate() {
+                    let is_far =
+                        self.plan.lever[axis] * over > FAR_BEYOND * self.settings.path_deviation_mm;
                     if is_far && nodes.duration(i) > self.least_ticks {
                         faults.long.push(i);
-                    } else if mm > TRAVEL_ROUNDING_MM {
-                        let beyond = &mut faults.beyond_mm[axis][side];
-                        *beyond = beyond.max(mm);
+                    } else if over > TRAVEL_ROUNDING {
+                        let beyond = &mut faults.beyond[axis][side];
+                        *beyond = beyond.max(over);
                     }
                 }
             }
             let worth_mm = WORTH * self.settings.path_deviation_mm;
-            let off_mm =
-                motion.bound_mm(piece.start_s, piece.time_s, &piece.coefficient_mm, worth_mm);
+            let off_mm = motion.bound_mm(piece.start_s, piece.time_s, &piece.coefficient, worth_mm);
             faults.deviation_mm = faults.deviation_mm.max(off_mm);
             let too_far = off_mm / self.settings.path_deviation_mm;
             // What lies between two switches is not cut below two of the shortest segments.
@@ -584,19 +629,51 @@ impl<'a> Generator<'a> {
     }
 }
 
+/// Step of the acceleration of an axis at a node.
+pub(crate) struct AccelerationStep {
+    pub node: usize,
+    pub axis: usize,
+    pub value: f64,
+    /// J (T1 + T2) / 2 with the durations beside the node; at rest before and after the motion.
+    pub allowed: f64,
+}
+
+/// Steps of the acceleration of cubics, of the axes with a limit on jerk.
+pub(crate) fn acceleration_steps<const N: usize>(
+    pieces: &[Piece<N>],
+    axes: &[MachineAxis; N],
+) -> Vec<AccelerationStep> {
+    let second = |piece: &Piece<N>, axis: usize, u: f64| {
+        evaluate(&derivative(&derivative(&piece.coefficient[axis])), u)
+    };
+    let mut steps = Vec::new();
+    for node in 0..=pieces.len() {
+        let (before, after) = (node.checked_sub(1).and_then(|k| pieces.get(k)), pieces.get(node));
+        let time_s = before.map_or(0.0, |p| p.time_s) + after.map_or(0.0, |p| p.time_s);
+        for (axis, limits) in axes.iter().enumerate() {
+            let Some(jerk) = limits.max_jerk else { continue };
+            let end = before.map_or(0.0, |p| second(p, axis, p.time_s));
+            let start = after.map_or(0.0, |p| second(p, axis, 0.0));
+            let (value, allowed) = ((start - end).abs(), 0.5 * jerk * time_s);
+            steps.push(AccelerationStep { node, axis, value, allowed });
+        }
+    }
+    steps
+}
+
 /// Time of a segment in which the rounding of its positions uses [`ROUNDING`] of the acceleration limit or the jerk limit:
 ///
 /// ```text
 /// 6 c / T^2 + 3 q / T = r A,   12 c / T^3 + 6 q / T^2 = r J
 /// ```
-fn least_for_rounding_s(model: &ControllerModel, limits: &Limits) -> f64 {
+fn least_for_rounding_s<const N: usize>(plan: &Plan<N>) -> f64 {
     let mut least_s = 0.0_f64;
-    for (axis, limits) in limits.axes().iter().enumerate() {
-        let (count, unit) = (model.count_mm[axis], model.velocity_mm_per_s[axis]);
-        let a = ROUNDING * limits.max_acceleration_mm_per_s2();
+    for (grid, limits) in plan.grids.iter().zip(plan.axes) {
+        let AxisGrid { count, velocity: unit } = *grid;
+        let a = ROUNDING * limits.max_acceleration;
         // The larger of two terms, doubled, is at least their sum.
         least_s = least_s.max((6.0 * count / a).sqrt()).max(3.0 * unit / a);
-        if let Some(jerk) = limits.max_jerk_mm_per_s3() {
+        if let Some(jerk) = limits.max_jerk {
             let j = ROUNDING * jerk;
             least_s = least_s.max((12.0 * count / j).cbrt()).max((6.0 * unit / j).sqrt());
         }
@@ -613,23 +690,27 @@ const ROUNDING: f64 = 0.1;
 /// have less to round. Smaller: rounding may use more of the limits. Chosen.
 const LONGEST_LEAST_S: f64 = 0.05;
 
-/// Largest excess of the travel that is rounding of a coordinate, mm. Larger: axes may leave their travel by it.
+/// Largest excess of the travel that is rounding of a coordinate, mm or deg. Larger: axes may leave their travel by it.
 /// Smaller: rounding is mended in further rounds. Chosen far below a count.
-const TRAVEL_ROUNDING_MM: f64 = 1e-9;
+const TRAVEL_ROUNDING: f64 = 1e-9;
 
 /// The largest use of a limit by a cubic, as the factor by which its time has to grow; at most 1 where all are kept.
-fn use_of_limits(piece: &Piece, limits: &Limits, interpolation: Interpolation) -> f64 {
+fn use_of_limits<const N: usize>(
+    piece: &Piece<N>,
+    axes: &[MachineAxis; N],
+    interpolation: Interpolation,
+) -> f64 {
     let mut most = 0.0_f64;
-    for (c, limits) in piece.coefficient_mm.iter().zip(limits.axes()) {
+    for (c, limits) in piece.coefficient.iter().zip(axes) {
         let v = derivative(c);
         let a = derivative(&v);
         let peak = |c: &[f64; 4]| range(c, piece.time_s).peak().0;
         most = most
-            .max(peak(&v) / limits.max_velocity_mm_per_s())
-            .max((peak(&a) / limits.max_acceleration_mm_per_s2()).sqrt());
+            .max(peak(&v) / limits.max_velocity)
+            .max((peak(&a) / limits.max_acceleration).sqrt());
         // The acceleration of joined lines has steps, as that of every parabola between lines.
         if interpolation == Interpolation::Hermite
-            && let Some(jerk) = limits.max_jerk_mm_per_s3()
+            && let Some(jerk) = limits.max_jerk
         {
             most = most.max((derivative(&a)[0].abs() / jerk).cbrt());
         }
@@ -638,25 +719,26 @@ fn use_of_limits(piece: &Piece, limits: &Limits, interpolation: Interpolation) -
 }
 
 /// Refuses counts that no program can hold, or that are no encoder's for this motion.
-fn check_counts(plan: &Trajectory, count_mm: [f64; 2]) -> Result<(), Invalid> {
-    let remedy = "give the size of an encoder count in mm";
-    let extent = |axis: usize| {
-        let reached = plan.segments().map(|s| range(&s.coefficient_mm[axis], s.duration_s));
-        let [low, high] = reached
-            .fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], r| [l.min(r.min), h.max(r.max)]);
-        high - low
-    };
-    let extent_mm = extent(0).max(extent(1));
-    for c in count_mm {
-        crate::positive("count_mm", c)?;
-        if c < SMALLEST_COUNT_MM {
-            let problem = format!("is {c}, a program has nine decimals of a mm");
-            return Err(Invalid::whole("count_mm", problem, remedy));
+fn check_counts<const N: usize>(plan: &Plan<N>) -> Result<(), Invalid> {
+    let extents_mm = (0..N).map(|a| plan.lever[a] * plan.extent(a));
+    let extent_mm = extents_mm.fold(f64::NEG_INFINITY, f64::max);
+    for ((grid, limits), lever) in plan.grids.iter().zip(plan.axes).zip(plan.lever) {
+        let (name, unit, c) = (name_of_count(limits), limits.unit(), grid.count);
+        let remedy = format!("give the size of an encoder count in {unit}");
+        crate::positive(name, c)?;
+        if c < SMALLEST_COUNT {
+            let problem = format!("is {c}, a program has nine decimals of a {unit}");
+            return Err(Invalid::whole(name, problem, remedy));
         }
-        if c > extent_mm && extent_mm > 0.0 {
+        if lever * c > extent_mm && extent_mm > 0.0 {
             let problem = format!("is {c}, the whole motion goes {extent_mm} mm");
-            return Err(Invalid::whole("count_mm", problem, remedy));
+            return Err(Invalid::whole(name, problem, remedy));
         }
     }
     Ok(())
+}
+
+/// Setting that states the count of an axis.
+fn name_of_count(axis: &MachineAxis) -> &'static str {
+    if axis.is_rotary { "count_deg" } else { "count_mm" }
 }

@@ -20,12 +20,13 @@ impl About {
     /// Names and paths are a user's: what is not a printable ASCII character, and what ends a comment or a
     /// command somewhere (brackets, semicolon, the line continuation ` of a Galil), becomes `_`.
     pub(crate) fn header(&self, comment: &Comment, units: &str) -> String {
-        let [x, y] = self.start_mm;
+        let starts = self.starts().into_iter();
+        let starts = starts.map(|(name, unit, p)| format!("{name} {} {unit}", decimal(p, 9)));
         let mut lines = vec![
             format!("{} for {}, written by {}", self.controller, self.machine, self.made_by),
             format!("made from: {}", self.made_from),
             format!("units: {units}"),
-            format!("start: x {} mm, y {} mm", decimal(x, 9), decimal(y, 9)),
+            format!("start: {}", starts.collect::<Vec<_>>().join(", ")),
             format!("{} segments, total time {} s", self.segments, decimal(self.total_time_s, 9)),
             format!("tool: {}", self.tool),
         ];

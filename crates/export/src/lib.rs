@@ -1,12 +1,12 @@
-//! A trajectory as the program of a motion controller.
+//! A motion as the program of a motion controller: a trajectory for the axes x and y, or a motion of all axes.
 //!
-//! Every program goes the same way:
+//! Every program goes the same way, for any number of axes:
 //!
-//! 1. [`limits::check_plan`]: a motion that does not keep the limits of the machine is refused, and one that
+//! 1. `limits::check_plan`: a motion that does not keep the limits of the machine is refused, and one that
 //!    leaves the travel of its axes.
-//! 2. [`mod@generate`]: nodes on the clock and in the counts of the controller. The motion between them keeps the limits
+//! 2. `generate`: nodes on the clock and in the counts of the controller. The motion between them keeps the limits
 //!    of the machine and a stated distance from the path of the plan.
-//! 3. [`limits::prove`]: the motion that the controller executes keeps the limits on the whole of every segment.
+//! 3. `limits::prove`: the motion that the controller executes keeps the limits on the whole of every segment.
 //! 4. one module per controller: its limits, its text, how it switches the tool.
 //!
 //! | module | program | cubic between two lines | switches the tool |
@@ -22,24 +22,31 @@
 mod csv;
 mod galil;
 pub mod gcode;
-pub mod generate;
+mod generate;
 mod header;
-pub mod limits;
+mod limits;
 mod nodes;
+mod plan;
 pub mod pmac;
 mod preamble;
 mod slowed;
 mod velocities;
 mod xps;
 
+use std::array::from_fn;
+
+use planish_form::Form;
+use planish_kinematics::AxisMap;
 use planish_types::{
-    ControllerKind, ControllerModel, Invalid, Machine, Trajectory, TransformNumbers,
+    AxesMotion, ControllerKind, ControllerModel, Counts, Invalid, Kinematics, Machine, MachineAxis,
+    Trajectory, TransformNumbers,
 };
 use serde::Serialize;
 
+pub use crate::limits::{Peak, Proof};
 use crate::{
     generate::{Nodes, generate},
-    limits::Proof,
+    plan::{Contact, Plan},
 };
 
 /// Controller with its settings.
@@ -72,10 +79,10 @@ impl Controller {
 }
 
 /// Settings of every program.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Common {
-    /// Size of a count of (x, y), mm. Absent: that of the machine's controller.
-    pub count_mm: Option<[f64; 2]>,
+    /// Sizes of the counts. Absent: those of the machine's controller.
+    pub counts: Counts,
     /// Clock, s. Absent: that of the machine's controller.
     pub tick_s: Option<f64>,
     /// Longest segment, s. Absent: what the controller allows.
@@ -94,7 +101,7 @@ pub const PATH_DEVIATION_MM: f64 = 0.005;
 impl Default for Common {
     fn default() -> Self {
         Self {
-            count_mm: None,
+            counts: Counts::default(),
             tick_s: None,
             max_step_s: None,
             path_deviation_mm: PATH_DEVIATION_MM,
@@ -143,10 +150,15 @@ pub struct About {
     /// True if the motion was in the coordinates of the machine before the export.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub was_on_axes: bool,
-    /// Position of the axes (x, y) before the program, mm.
-    pub start_mm: [f64; 2],
-    /// Size of a count of (x, y), mm.
-    pub count_mm: [f64; 2],
+    /// Position of the axes (x, y) before the program, mm. Absent in a program of all axes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start_mm: Option<[f64; 2]>,
+    /// Size of a count of (x, y), mm. Absent in a program of all axes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub count_mm: Option<[f64; 2]>,
+    /// The axes of a program of all axes; empty in a program for x and y.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub axes: Vec<AboutAxis>,
     /// Sample time, s, where the program counts samples.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sample_s: Option<f64>,
@@ -169,8 +181,12 @@ pub struct About {
     /// The least time that a full buffer lasts, s: the host must add lines faster than that.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub buffer_lasts_s: Option<f64>,
-    /// Largest distance of the executed path from the plan's, mm.
+    /// Largest distance of the executed path from the plan's, mm. A rotary axis counts with its lever.
     pub path_deviation_mm: f64,
+    /// Largest distance of the executed contact point from that of the motion of the axes, mm, at eight points of every
+    /// segment. Absent in a program for x and y.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub contact_deviation_mm: Option<f64>,
     /// Time that the program takes longer than the plan, s.
     pub added_time_s: f64,
     /// Proof for the motion that the controller executes.
@@ -181,11 +197,38 @@ pub struct About {
     pub program_blake3: String,
 }
 
+/// An axis of a program of all axes.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct AboutAxis {
+    /// Name in the machine file.
+    pub name: &'static str,
+    /// Unit of the numbers, mm or deg.
+    pub unit: &'static str,
+    /// Position before the program.
+    pub start: f64,
+    /// Size of a count.
+    pub count: f64,
+    /// Lowest and highest position on the whole motion.
+    pub reach: [f64; 2],
+}
+
+impl About {
+    /// Position of every axis before the program, with its name and its unit.
+    fn starts(&self) -> Vec<(&'static str, &'static str, f64)> {
+        match self.start_mm {
+            Some([x, y]) => vec![("x", "mm", x), ("y", "mm", y)],
+            None => self.axes.iter().map(|a| (a.name, a.unit, a.start)).collect(),
+        }
+    }
+}
+
 /// Largest time that a program may add without a warning, over the time of the plan. Larger: slower programs without
 /// a warning. Smaller: warnings for what rounding adds. Chosen: a plan that needs more was made for other limits.
 const WARNED_ADDED: f64 = 0.03;
 
 /// Writes the program of `trajectory`, in the coordinates of the axes, for `controller` on `machine`.
+///
+/// Refuses a machine with other axes than x and y: [`program_of_axes`] writes its programs.
 pub fn program(
     trajectory: &Trajectory,
     machine: &Machine,
@@ -193,6 +236,96 @@ pub fn program(
     common: &Common,
     origin: &Origin,
 ) -> Result<Program, Invalid> {
+    let axes = <&[MachineAxis; 2]>::try_from(machine.axes());
+    let (Ok(axes), Kinematics::Xy) = (axes, machine.kinematics()) else {
+        let problem = "has other axes than x and y, and a trajectory moves x and y";
+        let remedy = "give `axes` with the motion that planish-axes motion makes";
+        return Err(Invalid::whole("machine", problem, remedy));
+    };
+    let grids = grids(machine, controller, common)?;
+    trajectory.check_rate_is_constant()?;
+    let plan = Plan {
+        break_time_s: trajectory.break_time_s(),
+        coefficient: trajectory.coefficient_mm(),
+        tool_on: trajectory.tool_on(),
+        machine,
+        axes,
+        grids: of_axes(&grids.grids(axes)),
+        lever: [1.0; 2],
+        may_step: false,
+        contact: None,
+    };
+    write(&Job { plan: &plan, common, origin, grids }, controller)
+}
+
+/// Writes the program of a motion of all axes of `machine` over the part `form` for `controller`.
+///
+/// The acceleration of the motion may step at its nodes as far as a limit on jerk allows it between the middles of two
+/// segments. Refuses a motion with another number of axes.
+pub fn program_of_axes(
+    motion: &AxesMotion,
+    machine: &Machine,
+    form: &Form,
+    controller: &Controller,
+    common: &Common,
+    origin: &Origin,
+) -> Result<Program, Invalid> {
+    let map = AxisMap::new(machine, form)?;
+    let contact = |positions: &[f64]| map.contact(positions).map(|c| c.point_mm);
+    let all = AllAxes { motion, machine, contact: &contact, common, origin };
+    match machine.axes().len() {
+        2 => all.program::<2>(controller),
+        3 => all.program::<3>(controller),
+        4 => all.program::<4>(controller),
+        _ => all.program::<5>(controller),
+    }
+}
+
+/// Inputs of a program of all axes.
+struct AllAxes<'a> {
+    motion: &'a AxesMotion,
+    machine: &'a Machine,
+    contact: &'a Contact<'a>,
+    common: &'a Common,
+    origin: &'a Origin,
+}
+
+impl AllAxes<'_> {
+    fn program<const N: usize>(&self, controller: &Controller) -> Result<Program, Invalid> {
+        let (motion, machine) = (self.motion, self.machine);
+        let coefficient = plan::by_segment::<N>(motion)?;
+        let axes = <&[MachineAxis; N]>::try_from(machine.axes()).map_err(|_| {
+            let problem = format!("has {} axes", machine.axes().len());
+            Invalid::whole("machine", problem, "give a machine of up to 5 axes")
+        })?;
+        let grids = grids(machine, controller, self.common)?;
+        let plan = Plan {
+            break_time_s: motion.break_time_s(),
+            coefficient: &coefficient,
+            tool_on: motion.tool_on(),
+            machine,
+            axes,
+            grids: of_axes(&grids.grids(axes)),
+            lever: of_axes(&plan::levers(machine, motion)),
+            may_step: true,
+            contact: Some(self.contact),
+        };
+        let job = Job { plan: &plan, common: self.common, origin: self.origin, grids };
+        write(&job, controller)
+    }
+}
+
+/// The list with a number for every axis as an array.
+fn of_axes<T: Copy, const N: usize>(list: &[T]) -> [T; N] {
+    from_fn(|axis| list[axis])
+}
+
+/// The grids of the controller, with the settings.
+fn grids(
+    machine: &Machine,
+    controller: &Controller,
+    common: &Common,
+) -> Result<ControllerModel, Invalid> {
     if let Some(step) = common.max_step_s.filter(|s| !(s.is_finite() && *s > 0.0)) {
         return Err(Invalid::whole(
             "max_step_s",
@@ -200,23 +333,25 @@ pub fn program(
             "give a positive time in s",
         ));
     }
-    let grids = machine.controller_for(controller.kind()).with(common.tick_s, common.count_mm)?;
-    let job = Job { trajectory, machine, common, origin, grids };
+    let model = machine.controller_for(controller.kind());
+    model.with(common.tick_s, &common.counts, machine.axes())
+}
+
+fn write<const N: usize>(job: &Job<N>, controller: &Controller) -> Result<Program, Invalid> {
     let (text, mut about) = match controller {
-        Controller::Galil => galil::write(&job),
-        Controller::Xps => xps::write(&job),
-        Controller::Pmac(settings) => pmac::write(&job, settings),
-        Controller::Gcode(settings) => gcode::write(&job, settings),
-        Controller::Csv => csv::write(&job),
+        Controller::Galil => galil::write(job),
+        Controller::Xps => xps::write(job),
+        Controller::Pmac(settings) => pmac::write(job, settings),
+        Controller::Gcode(settings) => gcode::write(job, settings),
+        Controller::Csv => csv::write(job),
     }?;
     about.program_blake3 = blake3::hash(text.as_bytes()).to_hex().to_string();
     Ok(Program { text, about })
 }
 
 /// Inputs of the modules of the controllers.
-struct Job<'a> {
-    trajectory: &'a Trajectory,
-    machine: &'a Machine,
+struct Job<'a, const N: usize> {
+    plan: &'a Plan<'a, N>,
     common: &'a Common,
     origin: &'a Origin,
     grids: ControllerModel,
@@ -244,18 +379,17 @@ enum Tool {
     LeftToTheHost(&'static str),
 }
 
-impl Job<'_> {
+impl<const N: usize> Job<'_, N> {
     /// The nodes of the program, within the abilities of the controller.
-    fn nodes(&self, can: Abilities) -> Result<(Nodes, About), Invalid> {
-        limits::check_plan(self.trajectory, self.machine)?;
-        self.trajectory.check_rate_is_constant()?;
+    fn nodes(&self, can: Abilities) -> Result<(Nodes<N>, About), Invalid> {
+        limits::check_plan(self.plan)?;
         let name = self.grids.kind.name();
         let mut warnings = Vec::new();
         let follows_tool = matches!(can.tool, Tool::Switched(_));
         let tool = match can.tool {
             Tool::Switched(how) => how,
             Tool::LeftToTheHost(who) => {
-                if self.trajectory.tool_on().iter().any(|on| !on) {
+                if self.plan.tool_on.iter().any(|on| !on) {
                     if !self.common.always_on {
                         let problem =
                             format!("is 0 somewhere; a {name} program cannot switch the tool");
@@ -288,15 +422,15 @@ impl Job<'_> {
             path_deviation_mm: self.common.path_deviation_mm,
             follows_tool,
         };
-        let nodes = generate(self.trajectory, self.machine, &settings)?;
+        let nodes = generate(self.plan, &settings)?;
         let n = nodes.segments();
         if let Some(most) = self.grids.max_segments.filter(|most| n > *most) {
             let problem = format!("has {n} segments, the controller takes {most}");
             let remedy = "give a larger `path_deviation_mm`, or plan fewer lines in one run";
             return Err(Invalid::whole("program", problem, remedy));
         }
-        let proof = limits::prove(&nodes, self.machine)?;
-        let plan_s = self.trajectory.total_time_s();
+        let (proof, reach) = limits::prove(&nodes, self.plan)?;
+        let plan_s = self.plan.total_time_s();
         if nodes.added_s > WARNED_ADDED * plan_s {
             warnings.push(format!(
                 "the program takes {:.3} s, {:.1} % longer than the plan: the plan asks for more than this controller \
@@ -307,16 +441,17 @@ impl Job<'_> {
         }
         let about = About {
             controller: name,
-            machine: self.machine.name().into(),
+            machine: self.plan.machine.name().into(),
             made_from: self.origin.made_from.clone(),
             made_by: self.origin.made_by.clone(),
             part_to_axes: self.origin.part_to_axes,
             was_on_axes: self.origin.was_on_axes,
-            start_mm: nodes.position_mm(0),
-            count_mm: self.grids.count_mm,
+            start_mm: self.of_x_and_y(nodes.position(0)),
+            count_mm: self.of_x_and_y(nodes.count),
+            axes: self.about_axes(&nodes, &reach),
             sample_s: None,
             tool,
-            preamble: preamble::sentences(self.machine, self.origin, &proof, &can.approach),
+            preamble: preamble::sentences(self.plan, self.origin, (&proof, &reach), &can.approach),
             feedrate_time_unit_s: None,
             tick_s,
             segments: n,
@@ -324,12 +459,52 @@ impl Job<'_> {
             buffer_segments: None,
             buffer_lasts_s: None,
             path_deviation_mm: nodes.deviation_mm,
+            contact_deviation_mm: nodes.contact_mm,
             added_time_s: nodes.added_s,
             limits: proof,
             warnings,
             program_blake3: String::new(),
         };
         Ok((nodes, about))
+    }
+
+    /// The axes for the file beside a program of all axes.
+    fn about_axes(&self, nodes: &Nodes<N>, reach: &[[f64; 2]; N]) -> Vec<AboutAxis> {
+        if !self.is_of_all_axes() {
+            return Vec::new();
+        }
+        let start = nodes.position(0);
+        let axes = self.plan.axes.iter().enumerate();
+        axes.map(|(i, axis)| AboutAxis {
+            name: axis.name,
+            unit: axis.unit(),
+            start: start[i],
+            count: nodes.count[i],
+            reach: reach[i],
+        })
+        .collect()
+    }
+
+    /// The numbers of x and y in a program for these two.
+    fn of_x_and_y(&self, numbers: [f64; N]) -> Option<[f64; 2]> {
+        <[f64; 2]>::try_from(&numbers[..]).ok().filter(|_| !self.is_of_all_axes())
+    }
+
+    /// True if the motion was one of all axes.
+    fn is_of_all_axes(&self) -> bool {
+        self.plan.contact.is_some()
+    }
+
+    /// True if an axis turns.
+    fn turns(&self) -> bool {
+        self.plan.axes.iter().any(|axis| axis.is_rotary)
+    }
+
+    /// Words of a program for positions: the letter of every axis and its number.
+    fn words(&self, position: [f64; N], digits: usize) -> String {
+        let axes = self.plan.axes.iter().zip(position);
+        let words = axes.map(|(axis, p)| format!("{}{}", letter(axis), decimal(p, digits)));
+        words.collect::<Vec<_>>().join(" ")
     }
 
     /// The tick, where a text with nine decimals of a second can hold it.
@@ -341,6 +516,18 @@ impl Job<'_> {
             return Err(Invalid::whole("tick_s", problem, "give a larger tick"));
         }
         Ok(tick_s)
+    }
+}
+
+/// Letter of an axis in a PMAC or G-code program. A radius is X: neither language has an axis R.
+fn letter(axis: &MachineAxis) -> &'static str {
+    match axis.name {
+        "x" | "r" => "X",
+        "y" => "Y",
+        "z" => "Z",
+        "a" => "A",
+        "b" => "B",
+        _ => "C",
     }
 }
 

@@ -9,28 +9,37 @@
 //!    the rounded times, or the joined lines. It keeps every limit and the travel of the axes.
 
 use planish_numerics::polynomial::{derivative, evaluate, range};
-use planish_types::{AxisLimits, Interpolation, Invalid, Machine, Trajectory};
+use planish_types::{Interpolation, Invalid, MachineAxis};
 use serde::Serialize;
 
-use crate::generate::Nodes;
+use crate::{
+    generate::{AccelerationStep, Nodes, acceleration_steps},
+    plan::Plan,
+};
 
 /// Fraction of a limit that is rounding of the plan's own numbers. Larger: plans may exceed a limit by it. Smaller:
 /// plans at their limits are refused. Chosen: a schedule that uses a limit fully reaches it to some 1e-10, and no
 /// drive resolves 1e-9 of its limit.
 const LIMIT_ROUNDING: f64 = 1e-9;
 
-/// Largest steps in position, mm, and in velocity, mm/s, that are rounding; 1e-9 of the largest velocity is added to
+/// Largest steps in position, mm or deg, and in velocity, mm/s or deg/s, that are rounding; 1e-9 of the largest velocity is added to
 /// the second. Larger: plans with real steps are accepted. Smaller: schedules are refused. Chosen: the accuracy to
 /// which a schedule is fitted by cubics.
-pub(crate) const STEP_MM: f64 = 1e-6;
-const STEP_MM_PER_S: f64 = 1e-6;
+const STEP: f64 = 1e-6;
+const STEP_PER_S: f64 = 1e-6;
 
-/// Largest excess of the travel that is rounding of a coordinate, mm. Larger: axes may leave their travel by it.
+/// Largest excess of the travel that is rounding of a coordinate, mm or deg. Larger: axes may leave their travel by it.
 /// Smaller: programs at the end of the travel are refused. Chosen far below a count.
-const TRAVEL_MM: f64 = 1e-9;
+const TRAVEL: f64 = 1e-9;
 
-const REMEDY_OF_TRAVEL: &str =
-    "move the part (part_origin_mm of the machine), or plan with a smaller overscan";
+fn remedy_of_travel<const N: usize>(plan: &Plan<N>) -> &'static str {
+    match plan.may_step {
+        true => {
+            "move the part (part_origin_mm, part_origin_z_mm of the machine), or plan with a smaller overscan"
+        }
+        false => "move the part (part_origin_mm of the machine), or plan with a smaller overscan",
+    }
+}
 
 /// Largest step in the acceleration that is rounding, over the largest acceleration. Larger: real steps are accepted
 /// on machines with a limit on jerk. Smaller: smooth plans are refused. Chosen.
@@ -49,8 +58,10 @@ pub struct Proof {
     pub not_proven: &'static str,
     /// The largest values that the program asks for, with their limits.
     pub largest: Vec<Peak>,
-    /// Lowest and highest position of (x, y) on the whole motion, mm.
-    pub reach_mm: [[f64; 2]; 2],
+    /// Lowest and highest position of (x, y) on the whole motion, mm; empty in a program of all axes, whose list of axes
+    /// has it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub reach_mm: Vec<[f64; 2]>,
 }
 
 /// The largest magnitude of a quantity.
@@ -68,71 +79,81 @@ pub struct Peak {
     pub segment: usize,
 }
 
-/// Refuses a plan that does not keep the limits of `machine` or leaves its travel; names the worst place.
-pub fn check_plan(trajectory: &Trajectory, machine: &Machine) -> Result<(), Invalid> {
-    check_magnitudes(trajectory)?;
-    check_travel(trajectory, machine)?;
-    let machine = machine.limits();
-    let mut worst = Worst::default();
-    for (axis, limits) in machine.axes().iter().enumerate() {
-        // [position, velocity, acceleration] before a break; at rest before the first.
-        let mut before: Option<[f64; 3]> = None;
-        for (i, segment) in trajectory.segments().enumerate() {
-            let orders = derivatives(&segment.coefficient_mm[axis]);
+/// Refuses a plan that does not keep the limits of the machine or leaves its travel; names the worst place.
+pub(crate) fn check_plan<const N: usize>(plan: &Plan<N>) -> Result<(), Invalid> {
+    check_magnitudes(plan)?;
+    check_travel(plan)?;
+    let mut worst =
+        Worst { found: None, remedy: if plan.may_step { REMEDY_OF_AXES } else { REMEDY } };
+    for (axis, limits) in plan.axes.iter().enumerate() {
+        // [position, velocity, acceleration] before a break, and the duration before; at rest before the first.
+        let mut before: Option<([f64; 3], f64)> = None;
+        for (i, segment) in plan.segments().enumerate() {
+            let orders = derivatives(&segment.coefficient[axis]);
             let state = |u: f64| [0, 1, 2].map(|order| evaluate(&orders[order], u));
             let start = state(0.0);
-            worst.steps(i, before.unwrap_or([start[0], 0.0, 0.0]), start, limits);
+            let (from, before_s) = before.unwrap_or(([start[0], 0.0, 0.0], 0.0));
+            let beside_s = plan.may_step.then_some(before_s + segment.duration_s);
+            worst.steps(i, from, start, limits, beside_s);
             for (name, unit, limit, c) in limited(limits, &orders) {
                 let (value, at_s) = range(c, segment.duration_s).peak();
-                worst.most(i, (limits.name(), name, unit), value, at_s, limit);
+                worst.most(i, (limits.name, name, unit), value, at_s, limit);
             }
-            before = Some(state(segment.duration_s));
+            before = Some((state(segment.duration_s), segment.duration_s));
         }
-        let end = before.unwrap_or_default();
-        worst.steps(trajectory.len(), end, [end[0], 0.0, 0.0], limits);
+        let (end, before_s) = before.unwrap_or_default();
+        let beside_s = plan.may_step.then_some(before_s);
+        worst.steps(plan.len(), end, [end[0], 0.0, 0.0], limits, beside_s);
     }
-    worst.verdict(machine.name())
+    worst.verdict(plan.machine.name())
 }
 
 /// Refuses a motion that goes where the axes cannot.
-fn check_travel(trajectory: &Trajectory, machine: &Machine) -> Result<(), Invalid> {
-    for (axis, travel) in machine.travel_mm().iter().enumerate() {
-        let Some([low, high]) = *travel else { continue };
-        let reached = trajectory.segments().enumerate().map(|(i, segment)| {
-            let r = range(&segment.coefficient_mm[axis], segment.duration_s);
+fn check_travel<const N: usize>(plan: &Plan<N>) -> Result<(), Invalid> {
+    for (axis, limits) in plan.axes.iter().enumerate() {
+        let Some([low, high]) = limits.travel else { continue };
+        let reached = plan.segments().enumerate().map(|(i, segment)| {
+            let r = range(&segment.coefficient[axis], segment.duration_s);
             let (below, above) = (low - r.min, r.max - high);
             if below > above { (i, below, r.min) } else { (i, above, r.max) }
         });
         let farthest = reached.max_by(|a, b| a.1.total_cmp(&b.1));
-        if let Some((i, beyond, position)) = farthest.filter(|f| exceeds(f.1, STEP_MM)) {
-            let name = machine.limits().axes()[axis].name();
+        if let Some((i, beyond, position)) = farthest.filter(|f| exceeds(f.1, STEP)) {
+            let (name, unit) = (limits.name, limits.unit());
             let problem = format!(
-                "{name} reaches {position:.4} mm, {beyond:.4} mm beyond its travel from {low} to {high} mm"
+                "{name} reaches {position:.4} {unit}, {beyond:.4} {unit} beyond its travel from {low} to {high} {unit}"
             );
-            return Err(Invalid::at("segment", i, problem, REMEDY_OF_TRAVEL));
+            return Err(Invalid::at("segment", i, problem, remedy_of_travel(plan)));
         }
     }
     Ok(())
 }
 
-/// Proves the limits and the travel of `machine` for the motion that the controller executes.
-pub fn prove(nodes: &Nodes, machine: &Machine) -> Result<Proof, Invalid> {
-    let mut peaks = Peaks::default();
-    let limits = machine.limits();
-    let least_s = limits.min_segment_s();
+/// A proof, and the lowest and highest position of every axis on the whole motion.
+type Proven<const N: usize> = (Proof, [[f64; 2]; N]);
+
+/// Proves the limits and the travel of the axes for the motion that the controller executes.
+pub(crate) fn prove<const N: usize>(
+    nodes: &Nodes<N>,
+    plan: &Plan<N>,
+) -> Result<Proven<N>, Invalid> {
+    // The last slot is that of the duration.
+    let mut peaks = Peaks(vec![None; 3 * N + 1]);
+    let least_s = plan.machine.limits().min_segment_s();
     if least_s > 0.0 {
         for k in 0..nodes.segments() {
-            let what = What { slot: DURATION, axis: "shortest", name: "duration", unit: "s" };
+            let what = What { slot: 3 * N, axis: "shortest", name: "duration", unit: "s" };
             let time_s = nodes.duration(k) as f64 * nodes.tick_s;
             peaks.take(k, &what, time_s, least_s, least_s / time_s)?;
         }
     }
-    let mut reach_mm = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
-    for piece in nodes.pieces() {
-        for (axis, limits) in limits.axes().iter().enumerate() {
-            let orders = derivatives(&piece.coefficient_mm[axis]);
+    let mut reach = [[f64::INFINITY, f64::NEG_INFINITY]; N];
+    let pieces = nodes.pieces();
+    for piece in &pieces {
+        for (axis, limits) in plan.axes.iter().enumerate() {
+            let orders = derivatives(&piece.coefficient[axis]);
             let r = range(&orders[0], piece.time_s);
-            let [low, high] = &mut reach_mm[axis];
+            let [low, high] = &mut reach[axis];
             (*low, *high) = (low.min(r.min), high.max(r.max));
             for (order, (name, unit, limit, c)) in limited(limits, &orders).enumerate() {
                 // The acceleration of joined lines has steps.
@@ -140,24 +161,45 @@ pub fn prove(nodes: &Nodes, machine: &Machine) -> Result<Proof, Invalid> {
                     break;
                 }
                 let value = range(c, piece.time_s).peak().0;
-                let what = What { slot: 3 * axis + order, axis: limits.name(), name, unit };
+                let what = What { slot: 3 * axis + order, axis: limits.name, name, unit };
                 peaks.take(piece.segment, &what, value, limit, value / limit)?;
             }
         }
     }
-    for (axis, travel) in machine.travel_mm().iter().enumerate() {
-        let Some([from, to]) = *travel else { continue };
-        let [low, high] = reach_mm[axis];
+    for (limits, [low, high]) in plan.axes.iter().zip(reach) {
+        let Some([from, to]) = limits.travel else { continue };
         let beyond = (from - low).max(high - to);
-        if exceeds(beyond, TRAVEL_MM) {
-            let name = limits.axes()[axis].name();
+        if exceeds(beyond, TRAVEL) {
+            let (name, unit) = (limits.name, limits.unit());
             let problem = format!(
-                "{name} goes from {low:.6} to {high:.6} mm, {beyond:.6} mm beyond its travel from {from} to {to} mm"
+                "{name} goes from {low:.6} to {high:.6} {unit}, {beyond:.6} {unit} beyond its travel from {from} to {to} \
+                 {unit}"
             );
-            return Err(Invalid::whole("program", problem, REMEDY_OF_TRAVEL));
+            return Err(Invalid::whole("program", problem, remedy_of_travel(plan)));
+        }
+    }
+    if plan.may_step && nodes.interpolation == Interpolation::Hermite {
+        let beyond = |s: &AccelerationStep| exceeds(s.value, s.allowed * (1.0 + LIMIT_ROUNDING));
+        if let Some(step) = acceleration_steps(&pieces, plan.axes).into_iter().find(beyond) {
+            let limits = &plan.axes[step.axis];
+            let problem = format!(
+                "{} steps by {:.6} {unit}/s^2 in its acceleration, where the jerk limit allows {:.6} {unit}/s^2",
+                limits.name,
+                step.value,
+                step.allowed,
+                unit = limits.unit()
+            );
+            return Err(Invalid::at("node", step.node, problem, REMEDY_OF_ROUNDING));
         }
     }
     let (proven, not_proven) = match nodes.interpolation {
+        Interpolation::Hermite if plan.may_step => (
+            "position and velocity are continuous, at rest at start and end; position within the travel, velocity, \
+             acceleration, jerk (where the machine limits it) and the least duration hold on the whole of every \
+             segment; a step of the acceleration is at most what the jerk limit allows between the middles of two \
+             segments",
+            "the servo loop; the move to the start",
+        ),
         Interpolation::Hermite => (
             "position and velocity are continuous, at rest at start and end; position within the travel, velocity, \
              acceleration, jerk (where the machine limits it) and the least duration hold on the whole of every segment",
@@ -171,7 +213,9 @@ pub fn prove(nodes: &Nodes, machine: &Machine) -> Result<Proof, Invalid> {
              move to the start",
         ),
     };
-    Ok(Proof { proven, not_proven, largest: peaks.0.into_iter().flatten().collect(), reach_mm })
+    let reach_mm = if plan.may_step { vec![] } else { reach.to_vec() };
+    let largest = peaks.0.into_iter().flatten().collect();
+    Ok((Proof { proven, not_proven, largest, reach_mm }, reach))
 }
 
 /// p, p', p'', p'''.
@@ -185,17 +229,26 @@ type Limited<'a> = (&'static str, &'static str, f64, &'a [f64; 4]);
 
 /// Quantities that have a limit: name, unit, limit, polynomial; velocity, acceleration, jerk in this order.
 fn limited<'a>(
-    limits: &AxisLimits,
+    limits: &MachineAxis,
     orders: &'a [[f64; 4]; 4],
 ) -> impl Iterator<Item = Limited<'a>> {
     let [_, v, a, j] = orders;
-    let jerk = limits.max_jerk_mm_per_s3().map(|limit| ("jerk", "mm/s^3", limit, j));
+    let units = units(limits);
+    let jerk = limits.max_jerk.map(|limit| ("jerk", units[3], limit, j));
     [
-        ("velocity", "mm/s", limits.max_velocity_mm_per_s(), v),
-        ("acceleration", "mm/s^2", limits.max_acceleration_mm_per_s2(), a),
+        ("velocity", units[1], limits.max_velocity, v),
+        ("acceleration", units[2], limits.max_acceleration, a),
     ]
     .into_iter()
     .chain(jerk)
+}
+
+/// Units of position, velocity, acceleration and jerk of an axis.
+fn units(axis: &MachineAxis) -> [&'static str; 4] {
+    match axis.is_rotary {
+        true => ["deg", "deg/s", "deg/s^2", "deg/s^3"],
+        false => ["mm", "mm/s", "mm/s^2", "mm/s^3"],
+    }
 }
 
 /// Returns true if `value` is beyond `limit`, or is not a number.
@@ -203,8 +256,8 @@ fn exceeds(value: f64, limit: f64) -> bool {
     value > limit || value.is_nan()
 }
 
-fn velocity_step(limits: &AxisLimits) -> f64 {
-    STEP_MM_PER_S + LIMIT_ROUNDING * limits.max_velocity_mm_per_s()
+fn velocity_step(limits: &MachineAxis) -> f64 {
+    STEP_PER_S + LIMIT_ROUNDING * limits.max_velocity
 }
 
 /// A quantity that has a limit.
@@ -215,12 +268,10 @@ struct What<'a> {
     unit: &'static str,
 }
 
-/// Slot of the duration, after velocity, acceleration and jerk of two axes.
-const DURATION: usize = 6;
+/// The largest value of every quantity (velocity, acceleration, jerk of every axis), and the shortest duration.
+struct Peaks(Vec<Option<Peak>>);
 
-/// The largest value of every quantity, the shortest duration.
-#[derive(Default)]
-struct Peaks([Option<Peak>; DURATION + 1]);
+const REMEDY_OF_ROUNDING: &str = "give a smaller count or tick, or plan with lower limits";
 
 impl Peaks {
     /// `value` of segment `segment` uses the part `used` of `limit`.
@@ -239,13 +290,13 @@ impl Peaks {
                 "{} is {value:.6} {unit} in the program, the limit is {limit} {unit}",
                 quantity()
             );
-            let remedy = "give a smaller count or tick, or plan with lower limits";
-            return Err(Invalid::at("segment", segment, problem, remedy));
+            return Err(Invalid::at("segment", segment, problem, REMEDY_OF_ROUNDING));
         }
+        let is_duration = what.slot + 1 == self.0.len();
         let slot = &mut self.0[what.slot];
-        let beyond = slot.as_ref().is_none_or(|old| match what.slot {
-            DURATION => value < old.value,
-            _ => value > old.value,
+        let beyond = slot.as_ref().is_none_or(|old| match is_duration {
+            true => value < old.value,
+            false => value > old.value,
         });
         if beyond {
             *slot = Some(Peak { quantity: quantity(), unit, value, limit, segment });
@@ -255,16 +306,20 @@ impl Peaks {
 }
 
 /// The worst place of a plan: how far beyond, and what to say of it.
-#[derive(Default)]
-struct Worst(Option<(f64, Invalid)>);
+struct Worst {
+    found: Option<(f64, Invalid)>,
+    remedy: &'static str,
+}
 
 const REMEDY: &str = "schedule for this machine with planish-schedule pvt or stop-at-corners, \
                       and see planish-verify";
+const REMEDY_OF_AXES: &str = "make the motion for this machine with planish-axes motion, from a plan that rests at both \
+                              ends, and see planish-verify --axes";
 
 impl Worst {
     fn add(&mut self, ratio: f64, make: impl FnOnce() -> Invalid) {
-        if self.0.as_ref().is_none_or(|(worst, _)| exceeds(ratio, *worst)) {
-            self.0 = Some((ratio, make()));
+        if self.found.as_ref().is_none_or(|(worst, _)| exceeds(ratio, *worst)) {
+            self.found = Some((ratio, make()));
         }
     }
 
@@ -276,42 +331,53 @@ impl Worst {
         at_s: f64,
         limit: f64,
     ) {
+        let remedy = self.remedy;
         if exceeds(value, limit * (1.0 + LIMIT_ROUNDING)) {
             self.add(value / limit, || {
                 let problem = format!(
                     "{axis} {name} reaches {value:.6} {unit} after {at_s:.6} s, the limit is {limit} {unit}"
                 );
-                Invalid::at("segment", i, problem, REMEDY)
+                Invalid::at("segment", i, problem, remedy)
             });
         }
     }
 
-    /// The steps into segment `i` (one beyond the last: into rest).
-    fn steps(&mut self, i: usize, before: [f64; 3], after: [f64; 3], limits: &AxisLimits) {
-        let acceleration = limits
-            .max_jerk_mm_per_s3()
-            .map_or(f64::INFINITY, |_| ACCELERATION_STEP * limits.max_acceleration_mm_per_s2());
+    /// The steps into segment `i` (one beyond the last: into rest). `beside_s` is the duration of both segments if the
+    /// acceleration may step.
+    fn steps(
+        &mut self,
+        i: usize,
+        before: [f64; 3],
+        after: [f64; 3],
+        limits: &MachineAxis,
+        beside_s: Option<f64>,
+    ) {
+        let remedy = self.remedy;
+        let acceleration = limits.max_jerk.map_or(f64::INFINITY, |jerk| {
+            ACCELERATION_STEP * limits.max_acceleration + 0.5 * jerk * beside_s.unwrap_or(0.0)
+        });
+        let units = units(limits);
         for (name, unit, order, allowed) in [
-            ("position", "mm", 0, STEP_MM),
-            ("velocity", "mm/s", 1, velocity_step(limits)),
-            ("acceleration", "mm/s^2", 2, acceleration),
+            ("position", units[0], 0, STEP),
+            ("velocity", units[1], 1, velocity_step(limits)),
+            ("acceleration", units[2], 2, acceleration),
         ] {
             let step = after[order] - before[order];
             if exceeds(step.abs(), allowed) {
                 self.add(f64::INFINITY, || {
-                    let axis = limits.name();
+                    let axis = limits.name;
                     let problem = format!(
                         "begins with a step of {step:.6} {unit} in the {name} of {axis}, where \
                          {allowed:.1e} {unit} is rounding (the machine rests before and after the motion)"
                     );
-                    Invalid::at("segment", i, problem, REMEDY)
+                    Invalid::at("segment", i, problem, remedy)
                 });
             }
         }
     }
 
     fn verdict(self, machine: &str) -> Result<(), Invalid> {
-        match self.0 {
+        match self.found {
             None => Ok(()),
             Some((_, mut invalid)) => {
                 let machine: String = machine.escape_debug().collect();
@@ -322,15 +388,15 @@ impl Worst {
     }
 }
 
-fn check_magnitudes(trajectory: &Trajectory) -> Result<(), Invalid> {
+fn check_magnitudes<const N: usize>(plan: &Plan<N>) -> Result<(), Invalid> {
     let large = |v: &f64| v.abs() > LARGEST_NUMBER;
     let remedy = "numbers beyond 1e60 are not mm and s; check the units";
-    if let Some(i) = trajectory.break_time_s().iter().position(large) {
+    if let Some(i) = plan.break_time_s.iter().position(large) {
         return Err(Invalid::at("break_time_s", i, "is beyond 1e60 s", remedy));
     }
-    let coefficients = trajectory.coefficient_mm();
-    if let Some(i) = coefficients.iter().position(|c| c.iter().flatten().any(large)) {
-        return Err(Invalid::at("coefficient_mm", i, "is beyond 1e60", remedy));
+    if let Some(i) = plan.coefficient.iter().position(|c| c.iter().flatten().any(large)) {
+        let name = if plan.may_step { "coefficient_mm_or_deg" } else { "coefficient_mm" };
+        return Err(Invalid::at(name, i, "is beyond 1e60", remedy));
     }
     Ok(())
 }

@@ -10,9 +10,12 @@ use clap::Parser;
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-export galil --trajectory out/trajectory --machine machine.json --out run.dmc";
+    \x20 planish-export galil --trajectory out/trajectory --machine machine.json --out run.dmc\n\
+    \x20 planish-export pmac --axes out/axes --form sphere.json --machine five-axis.json --out run.pmc";
 
-/// A trajectory as the program of a motion controller
+/// A motion as the program of a motion controller
+///
+/// --trajectory is a motion of the axes x and y. --axes is a motion of all axes, which planish-axes motion makes.
 ///
 /// The limits of the machine hold on the whole motion, or nothing is written. FILE.json beside the
 /// program says what it is.

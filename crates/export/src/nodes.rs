@@ -10,10 +10,13 @@
 //! with the count c and the unit q of a velocity. Where no segment does, the one that comes nearest is taken, and the
 //! generator slows the plan down there.
 
-use planish_numerics::polynomial::derivative;
-use planish_types::{AxisLimits, Interpolation, Limits};
+use std::array::from_fn;
+
+use planish_numerics::polynomial::{derivative, evaluate};
+use planish_types::{AxisGrid, Interpolation, MachineAxis};
 
 use crate::{
+    plan::length_mm,
     slowed::{Cells, Slowed, State},
     velocities::hermite,
 };
@@ -40,10 +43,11 @@ const GROWTH: f64 = 1.4;
 const CHANGE_OF_LINES: f64 = 0.04;
 
 /// Settings and limits for the choice of nodes.
-pub(crate) struct Choice<'a> {
-    pub limits: &'a Limits,
-    pub count_mm: [f64; 2],
-    pub velocity_mm_per_s: [f64; 2],
+pub(crate) struct Choice<'a, const N: usize> {
+    pub axes: &'a [MachineAxis; N],
+    pub grids: [AxisGrid; N],
+    /// Levers of the axes, mm per unit.
+    pub lever: [f64; N],
     pub tick_s: f64,
     /// Ticks of a segment, least and most.
     pub ticks: [i64; 2],
@@ -54,7 +58,12 @@ pub(crate) struct Choice<'a> {
 
 /// Ticks of the nodes, from 0 to the last of `fixed`, through all of `fixed` (ascending, at least the shortest
 /// segment apart).
-pub(crate) fn choose(motion: &Slowed, cells: &Cells, fixed: &[i64], choice: &Choice) -> Vec<i64> {
+pub(crate) fn choose<const N: usize>(
+    motion: &Slowed<N>,
+    cells: &Cells,
+    fixed: &[i64],
+    choice: &Choice<N>,
+) -> Vec<i64> {
     let mut ticks = vec![0];
     let caps = (choice.interpolation == Interpolation::Linear).then(|| Caps::new(motion, choice));
     for stop in fixed {
@@ -73,7 +82,7 @@ pub(crate) fn choose(motion: &Slowed, cells: &Cells, fixed: &[i64], choice: &Cho
     ticks
 }
 
-impl Choice<'_> {
+impl<const N: usize> Choice<'_, N> {
     /// `n` ticks, or what is near it and leaves either nothing or a whole segment until the next fixed node.
     fn landing(&self, n: i64, rest: i64) -> i64 {
         let [least, most] = self.ticks;
@@ -89,7 +98,7 @@ impl Choice<'_> {
     }
 
     /// The longest segment of a cubic from the tick `at`, at most `rest` ticks.
-    fn longest(&self, motion: &Slowed, cells: &Cells, at: i64, rest: i64) -> i64 {
+    fn longest(&self, motion: &Slowed<N>, cells: &Cells, at: i64, rest: i64) -> i64 {
         let [least, most] = self.ticks;
         let most = most.min(rest);
         let from = motion.at(at as f64 * self.tick_s);
@@ -145,32 +154,31 @@ impl Choice<'_> {
 
     /// Largest deviation or use of a limit by the cubic from `at` over `n` ticks, over its allowance; at most 1 where
     /// it is good.
-    fn misfit(&self, motion: &Slowed, from: &State, at: i64, n: i64) -> f64 {
+    fn misfit(&self, motion: &Slowed<N>, from: &State<N>, at: i64, n: i64) -> f64 {
         let (start_s, t) = (at as f64 * self.tick_s, n as f64 * self.tick_s);
         let end_s = start_s + t;
         let to = motion.at(end_s);
-        let c = [0, 1].map(|a| {
+        let c: [[f64; 4]; N] = from_fn(|a| {
             let v = [from.velocity[a], to.velocity[a]];
-            hermite(to.position_mm[a] - from.position_mm[a], v, t)
+            hermite(to.position[a] - from.position[a], v, t)
         });
-        let limited = |axis: usize, limits: &AxisLimits| {
+        let limited = |axis: usize, limits: &MachineAxis| {
             let second = derivative(&derivative(&c[axis]));
             let largest = second[0].abs().max((second[0] + second[1] * t).abs());
-            let (count, unit) = (self.count_mm[axis], self.velocity_mm_per_s[axis]);
+            let AxisGrid { count, velocity: unit } = self.grids[axis];
             let room = 6.0 * count / (t * t) + 3.0 * unit / t;
-            let mut use_of = (largest + room) / limits.max_acceleration_mm_per_s2();
-            if let Some(jerk) = limits.max_jerk_mm_per_s3() {
+            let mut use_of = (largest + room) / limits.max_acceleration;
+            if let Some(jerk) = limits.max_jerk {
                 let room = 12.0 * count / (t * t * t) + 6.0 * unit / (t * t);
                 use_of = use_of.max((second[1].abs() + room) / jerk);
             }
             use_of
         };
-        let axes = self.limits.axes();
-        let mut misfit = limited(0, &axes[0]).max(limited(1, &axes[1]));
+        let used = self.axes.iter().enumerate().map(|(axis, limits)| limited(axis, limits));
+        let mut misfit = used.fold(0.0, f64::max);
         let mut compare = |time_s: f64| {
             let u = time_s - start_s;
-            let position = [0, 1]
-                .map(|a| from.position_mm[a] + planish_numerics::polynomial::evaluate(&c[a], u));
+            let position = from_fn(|a| from.position[a] + evaluate(&c[a], u));
             let [from_path, at_once] = motion.distance_mm(time_s, position);
             misfit = misfit
                 .max(from_path / self.deviation_mm)
@@ -195,14 +203,14 @@ struct Caps {
 }
 
 impl Caps {
-    fn new(motion: &Slowed, choice: &Choice) -> Self {
+    fn new<const N: usize>(motion: &Slowed<N>, choice: &Choice<N>) -> Self {
         let [least, most] = choice.ticks;
         let step = least;
         let m = (motion.total_s() / (step as f64 * choice.tick_s)).ceil() as usize + 2;
         let cap = |k: usize| {
             let time_s = k as f64 * step as f64 * choice.tick_s;
             let a = motion.at(time_s).acceleration;
-            let longest_s = (8.0 * choice.deviation_mm / a[0].hypot(a[1])).sqrt();
+            let longest_s = (8.0 * choice.deviation_mm / length_mm(&choice.lever, a)).sqrt();
             (longest_s / choice.tick_s).clamp(least as f64, most as f64)
         };
         let mut ticks: Vec<f64> = (0..m).map(cap).collect();

@@ -1,5 +1,6 @@
 //! PMAC, PVT mode: `PVT<t>` in ms, then `X<p>:<v> Y<p>:<v>` with the absolute position in mm and the
-//! velocity at the end in mm per feedrate time unit (Isx90).
+//! velocity at the end in mm per feedrate time unit (Isx90). Further axes are Z, A, B and C, the rotary ones in degrees;
+//! a radius is X.
 //!
 //! A segment takes up to 4095.9998 ms (Turbo PMAC, I42 = 0) in steps of the tick: 1 ms on a PMAC, down
 //! to 1/4 us on a Turbo PMAC. Absolute positions do not drift whatever the controller rounds.
@@ -25,7 +26,7 @@
 use planish_types::Invalid;
 use serde::Serialize;
 
-use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment, positive};
+use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment, letter, positive};
 
 /// Longest segment, s. A fact of the controller: longer ones are refused.
 const LONGEST_S: f64 = 4.095_999_8;
@@ -57,7 +58,10 @@ impl Default for Settings {
     }
 }
 
-pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), Invalid> {
+pub(crate) fn write<const N: usize>(
+    job: &Job<N>,
+    settings: &Settings,
+) -> Result<(String, About), Invalid> {
     let tick_s = job.tick()?;
     let unit_s = positive("feedrate_time_unit_s", settings.feedrate_time_unit_s)?;
     let most = (LONGEST_S / tick_s).floor();
@@ -104,7 +108,11 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
     };
     let (q, mut about) = job.nodes(Abilities { most_ticks: most as i64, tool, approach })?;
     about.feedrate_time_unit_s = Some(unit_s);
-    let units = format!("mm, mm per {unit_s} s with Isx90 = {}, ms", decimal(unit_s * 1e3, 6));
+    let lengths = if job.turns() { "mm or deg" } else { "mm" };
+    let units = format!(
+        "{lengths}, {lengths} per {unit_s} s with Isx90 = {}, ms",
+        decimal(unit_s * 1e3, 6)
+    );
     // A velocity per millisecond needs three more.
     let more = (-unit_s.log10()).ceil().clamp(0.0, 9.0) as usize;
     let mut text = about.header(&COMMENT, &units);
@@ -115,8 +123,7 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
     text += &switch(false, "=");
     text += "ABS\n";
     if settings.tool_output.is_some() {
-        let [x, y] = about.start_mm.map(|v| decimal(v, DIGITS));
-        text += &format!("RAPID\nX{x} Y{y}\nDWELL0\n");
+        text += &format!("RAPID\n{}\nDWELL0\n", job.words(q.position(0), DIGITS));
     }
     let mut on = false;
     for k in 0..about.segments {
@@ -124,14 +131,15 @@ pub(crate) fn write(job: &Job, settings: &Settings) -> Result<(String, About), I
             on = q.tool_on[k];
             text += &switch(on, "==");
         }
-        let ([x, y], v) = (q.position_mm(k + 1), q.velocity_mm_per_s[k + 1].map(|v| v * unit_s));
+        let states = q.position(k + 1).into_iter().zip(q.velocity[k + 1]);
+        let words = job.plan.axes.iter().zip(states).map(|(axis, (p, v))| {
+            let v = decimal(v * unit_s, DIGITS + more);
+            format!("{}{}:{v}", letter(axis), decimal(p, DIGITS))
+        });
         text += &format!(
-            "PVT{}\nX{}:{} Y{}:{}\n",
+            "PVT{}\n{}\n",
             decimal(q.duration(k) as f64 * tick_s * 1e3, 6),
-            decimal(x, DIGITS),
-            decimal(v[0], DIGITS + more),
-            decimal(y, DIGITS),
-            decimal(v[1], DIGITS + more)
+            words.collect::<Vec<_>>().join(" ")
         );
     }
     if settings.tool_output.is_some() {

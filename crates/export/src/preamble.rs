@@ -3,44 +3,49 @@
 //! How a part lies on the axes, how far the axes go, how fast, how they come to the start, and what nobody but the
 //! operator can see to. Numbers are those of the rounded motion, which the controller executes.
 
-use planish_types::{Machine, Transform};
+use planish_types::{Kinematics, Machine, Tilt, Transform};
 
-use crate::{Approach, Origin, decimal, limits::Proof};
+use crate::{Approach, Origin, decimal, limits::Proof, plan::Plan};
 
 /// Number of decimals of a position in mm, for people. Larger: numbers that are slow to read. Smaller: positions that
 /// are too coarse to check. Chosen.
 const DIGITS: usize = 4;
 
 /// One sentence per line of a header, without the brackets and semicolons that end a comment somewhere.
-pub(crate) fn sentences(
-    machine: &Machine,
+pub(crate) fn sentences<const N: usize>(
+    plan: &Plan<N>,
     origin: &Origin,
-    proof: &Proof,
+    (proof, reach): (&Proof, &[[f64; 2]; N]),
     approach: &Approach,
 ) -> Vec<String> {
-    let axes = machine.limits().axes();
+    let machine = plan.machine;
     let mut lines = Vec::new();
-    if origin.was_on_axes {
+    if plan.contact.is_some() {
+        lines.extend(kinematics(machine));
+    } else if origin.was_on_axes {
         lines.push(
             "part: where the transform says that planish-register applied, not where the machine file says".into(),
         );
     } else if let Some(transform) = machine.part_to_axes() {
         lines.push(place(transform));
     }
-    for (axis, limits) in axes.iter().enumerate() {
-        let [low, high] = proof.reach_mm[axis];
-        let travel = match machine.travel_mm()[axis] {
-            Some([from, to]) => format!("its travel is {from} to {to} mm"),
+    for (axis, [low, high]) in plan.axes.iter().zip(*reach) {
+        let (name, unit) = (axis.name, axis.unit());
+        let travel = match axis.travel {
+            Some([from, to]) => format!("its travel is {from} to {to} {unit}"),
+            None if name == "c" => {
+                "which counts on beyond a turn: the controller must not roll it over".into()
+            }
             None => "the machine file states no travel".into(),
         };
-        let name = limits.name();
         lines.push(format!(
-            "reach: {name} from {} to {} mm, {travel}",
+            "reach: {name} from {} to {} {unit}, {travel}",
             decimal(low, DIGITS),
             decimal(high, DIGITS)
         ));
     }
-    let fastest = proof.largest.iter().filter(|p| p.unit == "mm/s" || p.unit == "mm/s^2");
+    let is_shown = |unit: &str| unit.ends_with("/s") || unit.ends_with("/s^2");
+    let fastest = proof.largest.iter().filter(|p| is_shown(p.unit));
     let fastest: Vec<String> = fastest
         .map(|p| format!("{} {:.4} of {} {}", p.quantity, p.value, p.limit, p.unit))
         .collect();
@@ -60,6 +65,36 @@ pub(crate) fn sentences(
             .into(),
     );
     lines.push("the first time: run it with the tool off, and compare reach and total time".into());
+    lines
+}
+
+/// Sentences on the axes of a machine, and on the position of the part on them.
+fn kinematics(machine: &Machine) -> Vec<String> {
+    let pivot = |mm: f64| format!("pivot {} mm from the contact point", decimal(mm, DIGITS));
+    let (kind, tilts) = match machine.kinematics() {
+        Kinematics::Xy => ("xy", None),
+        Kinematics::Xyz => ("xyz", None),
+        Kinematics::Tilts { pivot_mm, tilts } => {
+            let carries = if tilts[0] == Tilt::A { "a carries b" } else { "b carries a" };
+            ("xyz-tilts", Some(format!("{carries}, {}", pivot(*pivot_mm))))
+        }
+        Kinematics::Spindle { pivot_mm, .. } => ("spindle", pivot_mm.map(pivot)),
+    };
+    let names = machine.axes().iter().map(|a| format!("{} in {}", a.name, a.unit()));
+    let tilts = tilts.map_or(String::new(), |t| format!(", {t}"));
+    let names = names.collect::<Vec<_>>().join(", ");
+    let mut lines = vec![format!("kinematics: {kind}{tilts}, axes {names}")];
+    let is_spindle = matches!(machine.kinematics(), Kinematics::Spindle { .. });
+    let stands = if is_spindle { "from the centre of the spindle" } else { "on the machine" };
+    if let Some(transform) = machine.part_to_axes() {
+        lines.push(format!("{} {stands}", place(transform)));
+    }
+    if machine.axes().iter().any(|a| a.name == "z") {
+        lines.push(format!(
+            "part: z reads {} mm where the tool, without tilt, touches the height 0 of the part",
+            decimal(machine.part_origin_z_mm(), DIGITS)
+        ));
+    }
     lines
 }
 

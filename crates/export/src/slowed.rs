@@ -36,8 +36,12 @@
 //! | s, t | `plan_s`, `time_s` | s |
 //! | k | `factor` | - |
 
+use std::array::from_fn;
+
 use planish_numerics::polynomial::{derivative, evaluate, range, shifted};
-use planish_types::{ControllerModel, Interpolation, Limits, Trajectory};
+use planish_types::{ControllerModel, Interpolation};
+
+use crate::plan::{Plan, length_mm};
 
 /// Fraction of the velocity limit that stays unused. Larger: slower programs. Smaller: more rounds. Chosen: rounding
 /// of positions adds 1.5 counts per segment time.
@@ -82,12 +86,12 @@ const MOST_CELLS: f64 = 2e6;
 /// program stays slow for longer. Chosen.
 const STEEPEST_PER_S: f64 = 2.0;
 
-/// Position, velocity and acceleration of [x, y] at an instant.
+/// Position, velocity and acceleration of the axes at an instant.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct State {
-    pub position_mm: [f64; 2],
-    pub velocity: [f64; 2],
-    pub acceleration: [f64; 2],
+pub(crate) struct State<const N: usize> {
+    pub position: [f64; N],
+    pub velocity: [f64; N],
+    pub acceleration: [f64; N],
 }
 
 /// The path moved inwards near the ends of the travel, where the motion between two nodes goes beyond it:
@@ -95,36 +99,37 @@ pub(crate) struct State {
 /// ```text
 /// p - e (d / L)^2      d = p - (end - L) > 0
 /// ```
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Inwards {
-    pub travel_mm: [Option<[f64; 2]>; 2],
-    /// e at the lower and at the upper end of (x, y), mm.
-    pub by_mm: [[f64; 2]; 2],
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Inwards<const N: usize> {
+    pub travel: [Option<[f64; 2]>; N],
+    /// e at the lower and at the upper end of every axis, mm or deg.
+    pub by: [[f64; 2]; N],
+    /// Levers of the axes, mm per unit.
+    pub lever: [f64; N],
 }
 
 /// L, mm: length over which the path is moved inwards. Larger: more of the path is moved. Smaller: more acceleration.
 /// Chosen: the tool reaches the end at a low speed, so a change of micrometres over this adds little acceleration.
 const INWARDS_OVER_MM: f64 = 0.5;
 
-impl Inwards {
+impl<const N: usize> Inwards<N> {
     /// The largest e, mm.
     pub fn most_mm(&self) -> f64 {
-        self.by_mm.iter().flatten().copied().fold(0.0, f64::max)
+        let of = |a: usize| self.lever[a] * self.by[a][0].max(self.by[a][1]);
+        (0..N).map(of).fold(0.0, f64::max)
     }
 
-    fn apply(&self, state: &mut State) {
-        for axis in 0..2 {
-            let Some([low, high]) = self.travel_mm[axis] else { continue };
-            let length = INWARDS_OVER_MM.min(0.25 * (high - low));
+    fn apply(&self, state: &mut State<N>) {
+        for axis in 0..N {
+            let Some([low, high]) = self.travel[axis] else { continue };
+            let length = (INWARDS_OVER_MM / self.lever[axis]).min(0.25 * (high - low));
             // Outwards is +1 at the upper end, -1 at the lower one.
-            for (e, end, out) in
-                [(self.by_mm[axis][0], low, -1.0), (self.by_mm[axis][1], high, 1.0)]
-            {
-                let d = out * (state.position_mm[axis] - end) + length;
+            for (e, end, out) in [(self.by[axis][0], low, -1.0), (self.by[axis][1], high, 1.0)] {
+                let d = out * (state.position[axis] - end) + length;
                 if e > 0.0 && d > 0.0 {
                     let slope = 1.0 - 2.0 * e * d / (length * length);
                     let v = state.velocity[axis];
-                    state.position_mm[axis] -= out * e * (d / length).powi(2);
+                    state.position[axis] -= out * e * (d / length).powi(2);
                     state.velocity[axis] = v * slope;
                     state.acceleration[axis] = state.acceleration[axis] * slope
                         - out * 2.0 * e * v * v / (length * length);
@@ -135,9 +140,9 @@ impl Inwards {
 }
 
 /// A plan and its slower clock.
-pub(crate) struct Slowed<'a> {
-    plan: &'a Trajectory,
-    inwards: Inwards,
+pub(crate) struct Slowed<'a, const N: usize> {
+    plan: &'a Plan<'a, N>,
+    inwards: Inwards<N>,
     cell_s: f64,
     /// k at the borders of the cells (m+1).
     factor: Vec<f64>,
@@ -165,10 +170,9 @@ pub(crate) struct Cells {
 }
 
 impl Cells {
-    /// The cells of `plan` on a machine with `limits` and this controller; the tool is on where the plan says so, or always.
-    pub fn new(
-        plan: &Trajectory,
-        limits: &Limits,
+    /// The cells of `plan` for this controller; the tool is on where the plan says so, or always.
+    pub fn new<const N: usize>(
+        plan: &Plan<N>,
         follows_tool: bool,
         controller: &ControllerModel,
     ) -> Self {
@@ -190,7 +194,7 @@ impl Cells {
             longest_s: vec![f64::INFINITY; m],
             delay_s: (SMALLEST_DELAY_S / tick_s).ceil().max(1.0) * tick_s,
         };
-        let start_s = plan.break_time_s()[0];
+        let start_s = plan.break_time_s[0];
         for segment in plan.segments() {
             let from_s = segment.start_s - start_s;
             let first = cells.of(from_s);
@@ -199,34 +203,34 @@ impl Cells {
                 cells.on[i] &= segment.tool_on || !follows_tool;
                 let begin = (i as f64 * cell_s - from_s).max(0.0).min(segment.duration_s);
                 let end = ((i + 1) as f64 * cell_s - from_s).clamp(begin, segment.duration_s);
-                for (axis, limit) in limits.axes().iter().enumerate() {
-                    let c = shifted(&segment.coefficient_mm[axis], begin);
+                for (axis, limit) in plan.axes.iter().enumerate() {
+                    let c = shifted(&segment.coefficient[axis], begin);
                     let v = derivative(&c);
                     let a = derivative(&v);
                     let peak = |c: &[f64; 4]| range(c, end - begin).peak().0;
                     let (speed, acceleration) = (peak(&v), peak(&a));
-                    let most_a = limit.max_acceleration_mm_per_s2();
+                    let most_a = limit.max_acceleration;
                     let need = &mut cells.need[i];
-                    let most_v = (1.0 - VELOCITY_MARGIN) * limit.max_velocity_mm_per_s();
+                    let most_v = (1.0 - VELOCITY_MARGIN) * limit.max_velocity;
                     *need = need.max(speed / most_v);
                     *need = need.max((acceleration / ((1.0 - margin) * most_a)).sqrt());
-                    if let Some(jerk) = limit.max_jerk_mm_per_s3() {
+                    if let Some(jerk) = limit.max_jerk {
                         let used = derivative(&a)[0].abs() / ((1.0 - JERK_MARGIN) * jerk);
                         *need = need.max(used.cbrt());
                     }
                     let unused = (1.0 - margin) * most_a - acceleration;
                     // Under a limit on the jerk a change of k' is a change of the acceleration that takes time.
-                    let part = if limit.max_jerk_mm_per_s3().is_some() { 0.0 } else { UNUSED };
+                    let part = if limit.max_jerk.is_some() { 0.0 } else { UNUSED };
                     let for_clock = (FOR_CLOCK * most_a).max(part * unused);
                     let steepest = for_clock / speed.max(1e-9 * most_v);
                     cells.steepest[i] = cells.steepest[i].min(steepest);
                 }
             }
         }
-        let (mut arc_mm, mut before) = (0.0, at_plan(plan, 0.0).position_mm);
+        let (mut arc_mm, mut before) = (0.0, at_plan(plan, 0.0).position);
         for i in 0..=m {
-            let here = at_plan(plan, (i as f64 * cell_s).min(total_s)).position_mm;
-            arc_mm += (here[0] - before[0]).hypot(here[1] - before[1]);
+            let here = at_plan(plan, (i as f64 * cell_s).min(total_s)).position;
+            arc_mm += plan.length_mm(minus(here, before));
             before = here;
             cells.arc_mm.push(arc_mm);
         }
@@ -370,9 +374,9 @@ impl Cells {
     }
 }
 
-impl<'a> Slowed<'a> {
+impl<'a, const N: usize> Slowed<'a, N> {
     /// The plan on the clock that `cells` ask for.
-    pub fn new(plan: &'a Trajectory, cells: &Cells, inwards: Inwards) -> Self {
+    pub fn new(plan: &'a Plan<'a, N>, cells: &Cells, inwards: Inwards<N>) -> Self {
         let factor = cells.factor();
         let mut time_s = Vec::with_capacity(factor.len());
         let (mut sum, mut lost) = (0.0, 0.0);
@@ -420,57 +424,61 @@ impl<'a> Slowed<'a> {
     }
 
     /// The motion at a time of the program; at rest beyond its end.
-    pub fn at(&self, time_s: f64) -> State {
+    pub fn at(&self, time_s: f64) -> State<N> {
         let (plan_s, k, slope) = self.plan_time(time_s);
         let mut state = at_plan(self.plan, plan_s);
-        for axis in 0..2 {
+        for axis in 0..N {
             let v = state.velocity[axis];
             state.velocity[axis] = v / k;
             state.acceleration[axis] = state.acceleration[axis] / (k * k) - v * slope / (k * k * k);
         }
         self.inwards.apply(&mut state);
         if time_s <= 0.0 || time_s >= self.total_s() {
-            state.velocity = [0.0; 2];
+            state.velocity = [0.0; N];
         }
         state
     }
 
     /// The breaks of the plan within a stretch of the program, as times of the program.
     pub fn breaks_within(&self, from_s: f64, to_s: f64) -> impl Iterator<Item = f64> + '_ {
-        let start_s = self.plan.break_time_s()[0];
+        let start_s = self.plan.break_time_s[0];
         let [low, high] = [from_s, to_s].map(|t| start_s + self.plan_time(t).0);
-        let breaks = self.plan.break_time_s();
+        let breaks = self.plan.break_time_s;
         let first = breaks.partition_point(|b| *b <= low);
         let end = breaks.partition_point(|b| *b < high).max(first);
         breaks[first..end].iter().map(move |b| self.program_time(b - start_s))
     }
 
-    /// Shortest distance of `position_mm` from the path near the program's time, mm: the plan is asked a little
-    /// earlier or later, where its velocity says that it is nearer.
-    pub fn distance_mm(&self, time_s: f64, position_mm: [f64; 2]) -> [f64; 2] {
+    /// Shortest distance of `position` from the path near the program's time, mm, and the distance at this time: the plan
+    /// is asked a little earlier or later, where its velocity says that it is nearer.
+    pub fn distance_mm(&self, time_s: f64, position: [f64; N]) -> [f64; 2] {
         let here = self.at(time_s);
-        let off = |s: &State| [0, 1].map(|a| position_mm[a] - s.position_mm[a]);
-        let length = |e: [f64; 2]| e[0].hypot(e[1]);
-        let e = off(&here);
-        let v = here.velocity;
-        let (speed2, along) = (v[0] * v[0] + v[1] * v[1], e[0] * v[0] + e[1] * v[1]);
-        let at_once = length(e);
-        let shift_s = along / speed2;
-        if !(shift_s.is_finite() && shift_s.abs() < SHIFT_S) {
-            return [at_once, at_once];
+        let off = |s: &State<N>| self.plan.length_mm(minus(position, s.position));
+        let at_once = off(&here);
+        match self.shift_s(&here, position) {
+            Some(shift_s) => [at_once.min(off(&self.at(time_s + shift_s))), at_once],
+            None => [at_once, at_once],
         }
-        [at_once.min(length(off(&self.at(time_s + shift_s)))), at_once]
+    }
+
+    /// Time after which the state `here` comes nearest to `position` at its velocity, s; `None` where it stands or is far.
+    fn shift_s(&self, here: &State<N>, position: [f64; N]) -> Option<f64> {
+        let (e, v, l) = (minus(position, here.position), here.velocity, self.plan.lever);
+        let along: f64 = (0..N).map(|a| l[a] * e[a] * (l[a] * v[a])).sum();
+        let speed2: f64 = (0..N).map(|a| l[a] * v[a] * (l[a] * v[a])).sum();
+        let shift_s = along / speed2;
+        (shift_s.is_finite() && shift_s.abs() < SHIFT_S).then_some(shift_s)
     }
 }
 
-impl Slowed<'_> {
+impl<const N: usize> Slowed<'_, N> {
     /// Upper bound of the distance of the cubic `c`, from `start_s` over `time_s` of the program, from the path of the plan,
     /// mm.
     ///
     /// Any map u -> s of its time to the plan's gives one: the largest |c(u) - P(s(u))|. Piecewise linear maps, which meet the
     /// nearest point at their ends, leave a cubic per axis between two breaks of the plan. Its exact extremes along
     /// the line between the ends and across it are the bound. A stretch is halved until the bound is near what is reached.
-    pub fn bound_mm(&self, start_s: f64, time_s: f64, c: &[[f64; 4]; 2], worth_mm: f64) -> f64 {
+    pub fn bound_mm(&self, start_s: f64, time_s: f64, c: &[[f64; 4]; N], worth_mm: f64) -> f64 {
         let ends = [0.0, time_s].map(|u| (u, self.nearest_plan_s(start_s + u, at(c, u))));
         self.bound_between(start_s, c, ends, worth_mm, MOST_HALVINGS)
     }
@@ -478,7 +486,7 @@ impl Slowed<'_> {
     fn bound_between(
         &self,
         start_s: f64,
-        c: &[[f64; 4]; 2],
+        c: &[[f64; 4]; N],
         [from, to]: [(f64, f64); 2],
         worth_mm: f64,
         halvings: usize,
@@ -490,8 +498,8 @@ impl Slowed<'_> {
         let u = 0.5 * (from.0 + to.0);
         let middle = (u, self.nearest_plan_s(start_s + u, at(c, u)));
         let reached = [from, middle, to].into_iter().fold(0.0_f64, |most, (u, s)| {
-            let (p, q) = (at(c, u), at_plan(self.plan, s).position_mm);
-            most.max((p[0] - q[0]).hypot(p[1] - q[1]))
+            let (p, q) = (at(c, u), at_plan(self.plan, s).position);
+            most.max(self.plan.length_mm(minus(p, q)))
         });
         if bound <= TIGHT * reached {
             return bound;
@@ -500,35 +508,31 @@ impl Slowed<'_> {
         half([from, middle]).max(half([middle, to]))
     }
 
-    /// Time of the plan at which it is nearest to `position_mm`, near a time of the program, s.
-    fn nearest_plan_s(&self, time_s: f64, position_mm: [f64; 2]) -> f64 {
+    /// Time of the plan at which it is nearest to `position`, near a time of the program, s.
+    pub fn nearest_plan_s(&self, time_s: f64, position: [f64; N]) -> f64 {
         let plan_s = self.plan_time(time_s.max(0.0)).0;
         let here = at_plan(self.plan, plan_s);
-        let v = here.velocity;
-        let along: f64 = (0..2).map(|a| (position_mm[a] - here.position_mm[a]) * v[a]).sum();
-        let shift_s = along / (v[0] * v[0] + v[1] * v[1]);
-        if !(shift_s.is_finite() && shift_s.abs() < SHIFT_S) {
-            return plan_s;
-        }
-        let off = |p: [f64; 2]| (position_mm[0] - p[0]).hypot(position_mm[1] - p[1]);
+        let Some(shift_s) = self.shift_s(&here, position) else { return plan_s };
+        let off = |p: [f64; N]| self.plan.length_mm(minus(position, p));
         let shifted_s = (plan_s + shift_s).clamp(0.0, self.plan.total_time_s());
-        match off(at_plan(self.plan, shifted_s).position_mm) < off(here.position_mm) {
+        match off(at_plan(self.plan, shifted_s).position) < off(here.position) {
             true => shifted_s,
             false => plan_s,
         }
     }
 
     /// Largest |c(u) - P(s(u))| with s linear between two pairs (u, s), by the extremes along and across.
-    fn bound_of_linear(&self, c: &[[f64; 4]; 2], from: (f64, f64), to: (f64, f64)) -> f64 {
-        let plan_start_s = self.plan.break_time_s()[0];
+    fn bound_of_linear(&self, c: &[[f64; 4]; N], from: (f64, f64), to: (f64, f64)) -> f64 {
+        let plan_start_s = self.plan.break_time_s[0];
+        let lever = &self.plan.lever;
         let rate = (to.1 - from.1).max(0.0) / (to.0 - from.0);
         let (p, q) = (at(c, from.0), at(c, to.0));
-        let length = (q[0] - p[0]).hypot(q[1] - p[1]);
-        let [x, y] = match length > 0.0 {
-            true => [0, 1].map(|a| (q[a] - p[a]) / length),
-            false => [1.0, 0.0],
+        let length = length_mm(lever, minus(q, p));
+        let direction: [f64; N] = match length > 0.0 {
+            true => from_fn(|a| lever[a] * (q[a] - p[a]) / length),
+            false => from_fn(|a| f64::from(u8::from(a == 0))),
         };
-        let breaks = self.plan.break_time_s();
+        let breaks = self.plan.break_time_s;
         let mut most = 0.0_f64;
         let (mut u, mut time_s) = (from.0, plan_start_s + from.1);
         let mut i = breaks.partition_point(|b| *b <= time_s).clamp(1, self.plan.len()) - 1;
@@ -538,20 +542,18 @@ impl Slowed<'_> {
             // The rest of this segment, or of the stretch.
             let is_last = rate * (to.0 - u) <= rest_s || i + 1 == self.plan.len();
             let du = if is_last { to.0 - u } else { rest_s / rate };
-            let off = [0, 1].map(|a| {
+            let off: [[f64; 4]; N] = from_fn(|a| {
                 let local_s = (time_s - segment.start_s).clamp(0.0, segment.duration_s);
-                let plan = shifted(&segment.coefficient_mm[a], local_s);
+                let plan = shifted(&segment.coefficient[a], local_s);
                 let own = shifted(&c[a], u);
                 let mut scale = 1.0;
                 [0, 1, 2, 3].map(|k| {
                     let d = own[k] - scale * plan[k];
                     scale *= rate;
-                    d
+                    lever[a] * d
                 })
             });
-            let turned = |x: f64, y: f64| [0, 1, 2, 3].map(|k| x * off[0][k] + y * off[1][k]);
-            let peak = |c: [f64; 4]| range(&c, du.max(0.0)).peak().0;
-            most = most.max(peak(turned(x, y)).hypot(peak(turned(-y, x))));
+            most = most.max(largest_of(&off, &direction, du.max(0.0)));
             if is_last {
                 return most;
             }
@@ -562,7 +564,29 @@ impl Slowed<'_> {
     }
 }
 
-fn at(c: &[[f64; 4]; 2], u: f64) -> [f64; 2] {
+/// Upper bound of the length of a vector of cubics, by the extremes along a direction and across it.
+fn largest_of<const N: usize>(off: &[[f64; 4]; N], direction: &[f64; N], time_s: f64) -> f64 {
+    let peak = |c: [f64; 4]| range(&c, time_s).peak().0;
+    let part = |w: [f64; N]| {
+        [0, 1, 2, 3].map(|k| (1..N).fold(w[0] * off[0][k], |sum, a| sum + w[a] * off[a][k]))
+    };
+    let along = part(*direction);
+    if N == 2 {
+        // One direction is across.
+        return peak(along).hypot(peak(part(from_fn(|a| [-direction[1], direction[0]][a]))));
+    }
+    (0..N).fold(peak(along), |sum, a| {
+        let across = [0, 1, 2, 3].map(|k| off[a][k] - direction[a] * along[k]);
+        sum.hypot(peak(across))
+    })
+}
+
+fn minus<const N: usize>(p: [f64; N], q: [f64; N]) -> [f64; N] {
+    from_fn(|a| p[a] - q[a])
+}
+
+/// Positions of cubics.
+pub(crate) fn at<const N: usize>(c: &[[f64; 4]; N], u: f64) -> [f64; N] {
     c.each_ref().map(|c| evaluate(c, u))
 }
 
@@ -576,20 +600,16 @@ const TIGHT: f64 = 1.05;
 const SHIFT_S: f64 = 0.01;
 
 /// State of the plan at a time since its start.
-pub(crate) fn at_plan(plan: &Trajectory, plan_s: f64) -> State {
-    let time_s = plan.break_time_s()[0] + plan_s;
-    let i = plan.break_time_s().partition_point(|b| *b <= time_s).clamp(1, plan.len()) - 1;
+pub(crate) fn at_plan<const N: usize>(plan: &Plan<N>, plan_s: f64) -> State<N> {
+    let time_s = plan.break_time_s[0] + plan_s;
+    let i = plan.break_time_s.partition_point(|b| *b <= time_s).clamp(1, plan.len()) - 1;
     let segment = plan.segment(i);
     let u = (time_s - segment.start_s).clamp(0.0, segment.duration_s);
-    let [p, v, a] = {
-        let c = segment.coefficient_mm;
-        let first = c.each_ref().map(derivative);
-        let second = first.each_ref().map(derivative);
-        [
-            c.each_ref().map(|c| evaluate(c, u)),
-            first.each_ref().map(|c| evaluate(c, u)),
-            second.each_ref().map(|c| evaluate(c, u)),
-        ]
-    };
-    State { position_mm: p, velocity: v, acceleration: a }
+    let first = segment.coefficient.each_ref().map(derivative);
+    let second = first.each_ref().map(derivative);
+    State {
+        position: at(segment.coefficient, u),
+        velocity: at(&first, u),
+        acceleration: at(&second, u),
+    }
 }

@@ -16,7 +16,7 @@ use planish_numerics::{
     polynomial::{derivative, range},
     qp::chain,
 };
-use planish_types::AxisLimits;
+use planish_types::MachineAxis;
 
 /// Fraction of a limit that is left to the tolerance of the interior point method. Larger: slower programs. Smaller:
 /// a limit may be exceeded by that tolerance. Chosen.
@@ -32,14 +32,14 @@ const MOST_PROGRAMS: usize = 12;
 
 /// An axis between fixed nodes.
 pub(crate) struct Axis<'a> {
-    /// Distance of every segment (n), mm.
-    pub distance_mm: &'a [f64],
+    /// Distance of every segment (n), mm or deg; the other numbers have the same unit.
+    pub distance: &'a [f64],
     /// Time of every segment (n), s.
     pub time_s: &'a [f64],
-    /// Velocity of the plan at every node (n+1), mm/s; zero at both ends.
+    /// Velocity of the plan at every node (n+1); zero at both ends.
     pub planned: &'a [f64],
-    pub limits: &'a AxisLimits,
-    /// Unit of a velocity, mm/s.
+    pub limits: &'a MachineAxis,
+    /// Resolution of a velocity.
     pub unit: f64,
     /// Nodes at which the axis rests (n+1).
     pub rests: &'a [bool],
@@ -83,20 +83,20 @@ impl Axis<'_> {
     /// Use of the limits by segment `k`; 1 where they are kept.
     fn excess(&self, k: usize, v: [f64; 2]) -> f64 {
         let t = self.time_s[k];
-        let c = hermite(self.distance_mm[k], v, t);
+        let c = hermite(self.distance[k], v, t);
         let first = derivative(&c);
         let second = derivative(&first);
         let limits = self.limits;
-        let speed = range(&first, t).peak().0 / limits.max_velocity_mm_per_s();
-        let acceleration = range(&second, t).peak().0 / limits.max_acceleration_mm_per_s2();
-        let jerk = limits.max_jerk_mm_per_s3().map_or(0.0, |j| second[1].abs() / j);
+        let speed = range(&first, t).peak().0 / limits.max_velocity;
+        let acceleration = range(&second, t).peak().0 / limits.max_acceleration;
+        let jerk = limits.max_jerk.map_or(0.0, |j| second[1].abs() / j);
         speed.max(acceleration.sqrt()).max(jerk.cbrt()).max(1.0)
     }
 
     /// The quadratic program; none where it has no solution.
     fn program(&self, elastic: bool) -> Option<Vec<f64>> {
         let (n, t) = (self.time_s.len(), self.time_s);
-        let most_v = (1.0 - MARGIN) * self.limits.max_velocity_mm_per_s() - self.unit;
+        let most_v = (1.0 - MARGIN) * self.limits.max_velocity - self.unit;
         // Where the largest velocity of a segment is bounded, beside its ends, in units of its time.
         let mut within: Vec<Vec<f64>> = vec![Vec::new(); n];
         for _ in 0..MOST_PROGRAMS {
@@ -123,7 +123,7 @@ impl Axis<'_> {
                 false => Vec::new(),
                 true => {
                     let stiffest = diagonal.iter().copied().fold(0.0, f64::max);
-                    let fastest = self.limits.max_velocity_mm_per_s();
+                    let fastest = self.limits.max_velocity;
                     let mean_s = t.iter().sum::<f64>() / n as f64;
                     let unit = PRICE * stiffest * fastest * fastest / mean_s;
                     t.iter().map(|t| unit * t).collect()
@@ -137,7 +137,7 @@ impl Axis<'_> {
             }
             let mut complete = true;
             for (k, within) in within.iter_mut().enumerate() {
-                let first = derivative(&hermite(self.distance_mm[k], [v[k], v[k + 1]], t[k]));
+                let first = derivative(&hermite(self.distance[k], [v[k], v[k + 1]], t[k]));
                 let (peak, at_s) = range(&first, t[k]).peak();
                 let u = at_s / t[k];
                 let is_new = within.iter().all(|known| (known - u).abs() > 1e-6);
@@ -155,19 +155,19 @@ impl Axis<'_> {
 
     /// Rows of segment `k`.
     fn rows(&self, k: usize, within: &[f64], most_v: f64, rows: &mut chain::Rows) {
-        let (t, m, q) = (self.time_s[k], self.distance_mm[k] / self.time_s[k], self.unit);
+        let (t, m, q) = (self.time_s[k], self.distance[k] / self.time_s[k], self.unit);
         let limits = self.limits;
         let mut both = |row: [f64; 2], constant: f64, slack: f64, bound: f64| {
             rows.add(row, slack, bound - constant);
             rows.add(row.map(|v| -v), slack, bound + constant);
         };
-        let a = (1.0 - MARGIN) * limits.max_acceleration_mm_per_s2() * t - 3.0 * q;
-        let slack = limits.max_acceleration_mm_per_s2() * t;
+        let a = (1.0 - MARGIN) * limits.max_acceleration * t - 3.0 * q;
+        let slack = limits.max_acceleration * t;
         both([-4.0, -2.0], 6.0 * m, slack, a);
         both([2.0, 4.0], -6.0 * m, slack, a);
         both([1.0, 0.0], 0.0, most_v, most_v);
         both([0.0, 1.0], 0.0, most_v, most_v);
-        if let Some(jerk) = limits.max_jerk_mm_per_s3() {
+        if let Some(jerk) = limits.max_jerk {
             let j = (1.0 - MARGIN) * jerk * t * t - 6.0 * q;
             both([6.0, 6.0], -12.0 * m, jerk * t * t, j);
         }

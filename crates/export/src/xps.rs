@@ -1,5 +1,5 @@
-//! Newport XPS, PVT trajectory file: one line `dt, dx, vx, dy, vy` per element, distances relative,
-//! velocities at the end, in mm and s. The file has no header, so what it is made from is in the file
+//! Newport XPS, PVT trajectory file: one line `dt, dx, vx, dy, vy` per element, with two columns for every further
+//! positioner of the group, distances relative, velocities at the end, in mm (or degrees) and s. The file has no header, so what it is made from is in the file
 //! beside it only.
 //!
 //! The controller refuses an element without time and a last velocity that is not zero. It does not
@@ -21,7 +21,7 @@ use crate::{Abilities, About, Approach, Job, Tool, decimal};
 /// rounding that the controller may notice. Chosen: counts below 1e-9 mm and clocks below 1e-9 s are refused.
 const DIGITS: usize = 9;
 
-pub(crate) fn write(job: &Job) -> Result<(String, About), Invalid> {
+pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
     let tick_s = job.tick()?;
     let (q, about) = job.nodes(Abilities {
         most_ticks: i64::MAX >> 10,
@@ -39,10 +39,10 @@ pub(crate) fn write(job: &Job) -> Result<(String, About), Invalid> {
     let mut text = String::new();
     for k in 0..n {
         let distance = q.distance(k);
-        let velocity = q.velocity_mm_per_s[k + 1];
+        let velocity = q.velocity[k + 1];
         text += &decimal(q.duration(k) as f64 * tick_s, DIGITS);
-        for axis in 0..2 {
-            let d = distance[axis] as f64 * job.grids.count_mm[axis];
+        for axis in 0..N {
+            let d = distance[axis] as f64 * q.count[axis];
             text += &format!(", {}, {}", decimal(d, DIGITS), decimal(velocity[axis], DIGITS));
         }
         text.push('\n');

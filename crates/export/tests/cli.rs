@@ -296,3 +296,74 @@ fn names_and_paths_stay_within_a_comment() {
         fs::remove_dir_all(bench.path("p")).unwrap();
     }
 }
+
+/// A machine that turns its part, and a motion of its axes r and c: 1 mm and 90 degrees in 2 s, from rest to rest.
+#[test]
+fn a_motion_of_all_axes_has_its_own_flag() {
+    let bench = Bench::simple();
+    let machine = json!({
+        "name": "turning",
+        "axes": [{ "name": "r", "max_velocity_mm_per_s": 10, "max_acceleration_mm_per_s2": 100, "travel_mm": [0, 50] }],
+        "rotary_axes": [{ "name": "c", "max_velocity_deg_per_s": 100, "max_acceleration_deg_per_s2": 500 }],
+        "kinematics": { "kind": "spindle",
+            "contact": { "max_velocity_mm_per_s": 10, "max_acceleration_mm_per_s2": 100 } },
+        "controller": { "kind": "csv", "count_mm": [0.001], "count_deg": [0.002] },
+    });
+    fs::write(bench.path("m.json"), machine.to_string()).unwrap();
+    let put = |name: &str, array: ArrayData| {
+        fs::create_dir_all(bench.path("axes")).unwrap();
+        fs::write(bench.path("axes").join(name), array.to_npy()).unwrap();
+    };
+    // p + d (3 u^2 / T^2 - 2 u^3 / T^3) with T = 2 s
+    let from_rest = |p: f64, d: f64| [p, 0.0, 0.75 * d, -0.25 * d];
+    let cubics = [from_rest(5.0, 1.0), from_rest(0.0, 90.0)];
+    let c = Array3::from_shape_fn((1, 2, 4), |(_, a, o)| cubics[a][o]);
+    put("break_time_s.npy", ArrayData::F64(Array1::from(vec![0.0, 2.0]).into_dyn().into()));
+    put("coefficient_mm_or_deg.npy", ArrayData::F64(c.into_dyn().into()));
+    put("dwell_index.npy", ArrayData::I64(Array1::from(vec![0]).into_dyn().into()));
+    put("tool_on.npy", ArrayData::U8(Array1::from(vec![1]).into_dyn().into()));
+
+    let run = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_planish-export"))
+            .current_dir(bench.path(""))
+            .args(["csv", "--machine", "m.json", "--out", "p/a.csv", "--force"])
+            .args(arguments)
+            .output()
+            .unwrap();
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    for (arguments, expected) in [
+        (
+            &["--trajectory", "t"][..],
+            "has the axes r, c, and --trajectory moves x and y; give --axes",
+        ),
+        (&["--trajectory", "t", "--axes", "axes"], "cannot be used with"),
+        (&[], "--trajectory <DIR>"),
+        (&["--trajectory", "t", "--form", "f.json"], "--axes <DIR>"),
+        (
+            &["--axes", "axes", "--count-mm", "1e-4,1e-4"],
+            "--count-mm: has 2 numbers; give one for each of the axes r",
+        ),
+    ] {
+        let (code, said) = run(arguments);
+        assert!(code == Some(2) && said.contains(expected), "{arguments:?}: {said}");
+        assert!(!bench.path("p").exists(), "{arguments:?}");
+    }
+    let (code, said) = run(&["--axes", "axes"]);
+    assert_eq!(code, Some(0), "{said}");
+    let about: Value =
+        serde_json::from_slice(&fs::read(bench.path("p/a.csv.json")).unwrap()).unwrap();
+    assert_eq!(about.get("start_mm"), None);
+    let axis = |i: usize| {
+        [&about["axes"][i]["name"], &about["axes"][i]["unit"], &about["axes"][i]["count"]]
+    };
+    assert_eq!(axis(0), [&json!("r"), &json!("mm"), &json!(0.001)]);
+    assert_eq!(axis(1), [&json!("c"), &json!("deg"), &json!(0.002)]);
+    assert_eq!(about["axes"][1]["reach"], json!([0.0, 90.0]));
+    let text = fs::read_to_string(bench.path("p/a.csv")).unwrap();
+    assert!(
+        text.contains("\nt_s,r_mm,vr_mm_per_s,c_deg,vc_deg_per_s,tool_on\n0,5,0,0,0,1\n"),
+        "{text}"
+    );
+    assert!(text.contains("# kinematics: spindle, axes r in mm, c in deg"), "{text}");
+}

@@ -1,7 +1,7 @@
 //! The limits of the machine on the motion that a program asks for.
 
 use planish_export::{About, Common, Controller, Origin, gcode, pmac, program};
-use planish_types::{Limits, Machine, MachineFile, MachineFileAxis, Trajectory};
+use planish_types::{Counts, Limits, Machine, MachineFile, MachineFileAxis, Trajectory};
 
 fn machine(v: f64, a: f64, j: Option<f64>) -> Limits {
     let axis = |name: &str| MachineFileAxis {
@@ -44,7 +44,7 @@ fn export(
     count: f64,
     tick_s: Option<f64>,
 ) -> Result<About, String> {
-    let common = Common { count_mm: Some([count; 2]), tick_s, ..Common::default() };
+    let common = Common { counts: Counts::linear(count), tick_s, ..Common::default() };
     let origin = Origin { made_from: "a test".into(), made_by: "hand".into(), ..Origin::default() };
     let made = program(plan, &machine.clone().into(), controller, &common, &origin)
         .map_err(|e| e.to_string())?;

@@ -3,7 +3,7 @@
 //! `planish-import`.
 
 use planish_export::{Common, Controller, Origin, gcode, pmac, program};
-use planish_types::{Limits, MachineFile, MachineFileAxis, Trajectory};
+use planish_types::{Counts, Limits, MachineFile, MachineFileAxis, Trajectory};
 
 fn machine() -> Limits {
     let axis = |name: &str| MachineFileAxis {
@@ -47,7 +47,7 @@ fn write(
 }
 
 fn common() -> Common {
-    Common { count_mm: Some([1e-4; 2]), ..Common::default() }
+    Common { counts: Counts::linear(1e-4), ..Common::default() }
 }
 
 #[test]
@@ -137,7 +137,7 @@ fn what_a_controller_cannot_do_is_refused() {
         );
     }
     // 50 mm/s of 1e-6 mm are 50 000 000 counts/s.
-    let fine = Common { count_mm: Some([1e-6; 2]), ..common() };
+    let fine = Common { counts: Counts::linear(1e-6), ..common() };
     let rest = [[0.0, 0.0, 50.0, 0.0], [0.0; 4]];
     let stop = [[50.0, 100.0, -50.0, 0.0], [0.0; 4]];
     let fast = line(vec![rest, stop], 1.0);
@@ -145,7 +145,7 @@ fn what_a_controller_cannot_do_is_refused() {
     let over =
         line(vec![[[0.0, 0.0, 75.0, 0.0], [0.0; 4]], [[75.0, 150.0, -75.0, 0.0], [0.0; 4]]], 1.0);
     assert!(refused(&over, &gcode, &common()).contains("x velocity reaches 150.000000 mm/s"));
-    let zero = Common { count_mm: Some([0.0; 2]), ..common() };
+    let zero = Common { counts: Counts::linear(0.0), ..common() };
     assert!(refused(&motion([true; 2]), &gcode, &zero).contains("count_mm: is 0"));
     // 1e-10 mm would be written as G64 P0: any deviation.
     let settings = gcode::Settings { path_tolerance_mm: Some(1e-10), ..Default::default() };

@@ -76,7 +76,7 @@ pub fn formats_markdown() -> String {
 }
 
 /// Keys of a machine file, with their units; those of an axis stand under `axes`.
-const MACHINE_KEYS: [(&str, &str, &str); 32] = [
+const MACHINE_KEYS: [(&str, &str, &str); 34] = [
     ("name", "-", "Name of the machine."),
     (
         "axes",
@@ -182,9 +182,11 @@ const MACHINE_KEYS: [(&str, &str, &str); 32] = [
     (
         "controller.count_mm",
         "mm",
-        "Count of the axes [x, y]: positions of nodes are multiples of it.",
+        "Counts of the linear axes, one for each: positions of nodes are multiples of it.",
     ),
-    ("controller.velocity_mm_per_s", "mm/s", "Resolution of a velocity."),
+    ("controller.count_deg", "degrees", "Counts of the rotary axes, one for each."),
+    ("controller.velocity_mm_per_s", "mm/s", "Resolution of a velocity of the linear axes."),
+    ("controller.velocity_deg_per_s", "deg/s", "Resolution of a velocity of the rotary axes."),
     ("controller.min_segment_s", "s", "Shortest segment of a program."),
     (
         "controller.max_segments",

@@ -12,7 +12,7 @@
 //! | [`csv`] | `t, x, vx, y, vy, tool on` | cubic (Hermite) |
 //!
 //! [`Configuration`] states what a program does not say: the place of the axes before it, and the size of a
-//! count.
+//! count. Without a list of axes a program moves x and y.
 
 pub mod csv;
 pub mod galil;
@@ -20,7 +20,7 @@ pub mod gcode;
 pub mod pmac;
 pub mod xps;
 
-use planish_types::{Invalid, Trajectory, TransformNumbers};
+use planish_types::{AxesMotion, Invalid, Trajectory, TransformNumbers};
 use serde::{Deserialize, Serialize};
 
 /// Controller that a program is for.
@@ -48,6 +48,9 @@ pub struct Configuration {
     pub start_mm: Option<[f64; 2]>,
     /// Size of a count of (x, y), mm.
     pub count_mm: Option<[f64; 2]>,
+    /// Axes of a program of all axes, in their order. Empty: x and y.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub axes: Vec<ProgramAxis>,
     /// Sample time, s.
     pub sample_s: Option<f64>,
     /// Unit of time of a PMAC's velocities, s.
@@ -65,12 +68,93 @@ pub struct Configuration {
     pub program_blake3: Option<String>,
 }
 
+/// An axis of a program of all axes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ProgramAxis {
+    /// Name of the axis: x, y, z, r, a, b or c.
+    pub name: String,
+    /// Unit of its positions, mm or deg.
+    pub unit: String,
+    /// Position before the program, in the unit.
+    pub start: f64,
+    /// Size of a count, in the unit.
+    pub count: f64,
+}
+
+/// Axes that a program moves.
+struct Layout {
+    /// Names, in their order.
+    names: Vec<String>,
+    /// Units, mm or deg.
+    units: Vec<String>,
+    start: Option<Vec<f64>>,
+    count: Option<Vec<f64>>,
+}
+
+impl Layout {
+    fn len(&self) -> usize {
+        self.names.len()
+    }
+
+    /// Letter of every axis in a PMAC or G-code program. A radius is X.
+    fn letters(&self) -> Vec<char> {
+        let letter = |name: &String| match name.as_str() {
+            "r" => 'X',
+            name => name.chars().next().unwrap_or('?').to_ascii_uppercase(),
+        };
+        self.names.iter().map(letter).collect()
+    }
+
+    fn turns(&self) -> bool {
+        self.units.iter().any(|unit| unit == "deg")
+    }
+}
+
+/// Names of the axes that a machine may have, with their units.
+const AXES: [(&str, &str); 7] =
+    [("x", "mm"), ("y", "mm"), ("z", "mm"), ("r", "mm"), ("a", "deg"), ("b", "deg"), ("c", "deg")];
+
 impl Configuration {
+    /// The axes; refuses unknown ones, one twice, and numbers that are not finite.
+    fn layout(&self) -> Result<Layout, Invalid> {
+        if self.axes.is_empty() {
+            return Ok(Layout {
+                names: vec!["x".into(), "y".into()],
+                units: vec!["mm".into(), "mm".into()],
+                start: self.start_mm.map(|v| v.to_vec()),
+                count: self.count_mm.map(|v| v.to_vec()),
+            });
+        }
+        for (i, axis) in self.axes.iter().enumerate() {
+            let is_known = AXES.contains(&(axis.name.as_str(), axis.unit.as_str()));
+            // A radius has the letter of x.
+            let place = |name: &str| if name == "r" { "x".to_string() } else { name.to_string() };
+            let is_new = self.axes[..i].iter().all(|other| place(&other.name) != place(&axis.name));
+            if !(is_known && is_new && axis.start.is_finite() && axis.count.is_finite()) {
+                let problem = format!("is {axis:?}");
+                let remedy =
+                    "give x or r, y, z in mm or a, b, c in deg, each once, with finite numbers";
+                return Err(Invalid::at("axes", i, problem, remedy));
+            }
+        }
+        if self.start_mm.is_some() || self.count_mm.is_some() {
+            let remedy = "leave out `start_mm` and `count_mm`: the list of axes has these numbers";
+            return Err(Invalid::whole("axes", "are given beside numbers of x and y", remedy));
+        }
+        Ok(Layout {
+            names: self.axes.iter().map(|a| a.name.clone()).collect(),
+            units: self.axes.iter().map(|a| a.unit.clone()).collect(),
+            start: Some(self.axes.iter().map(|a| a.start).collect()),
+            count: Some(self.axes.iter().map(|a| a.count).collect()),
+        })
+    }
+
     /// This configuration, with absent settings taken from `about`, the file beside the program.
     pub fn completed_by(self, about: Self) -> Self {
         Self {
             start_mm: self.start_mm.or(about.start_mm),
             count_mm: self.count_mm.or(about.count_mm),
+            axes: if self.axes.is_empty() { about.axes } else { self.axes },
             sample_s: self.sample_s.or(about.sample_s),
             feedrate_time_unit_s: self.feedrate_time_unit_s.or(about.feedrate_time_unit_s),
             part_to_axes: self.part_to_axes.or(about.part_to_axes),
@@ -80,25 +164,59 @@ impl Configuration {
     }
 }
 
-/// Reads a program of `controller` as the motion that it makes. The motion is in the coordinates of the
+/// Reads a program of `controller` as the motion of x and y that it makes. The motion is in the coordinates of the
 /// part if the configuration has the transform from the part to the axes.
+///
+/// Refuses a program of other axes: [`read_axes`] reads it.
 pub fn read(
     controller: Controller,
     bytes: &[u8],
     configuration: &Configuration,
 ) -> Result<Trajectory, Invalid> {
-    belongs(bytes, configuration)?;
-    let text = crate::text::text("program", bytes)?;
-    let of_axes = match controller {
-        Controller::Galil => galil::read(text, configuration),
-        Controller::Xps => xps::read(text, configuration),
-        Controller::Pmac => pmac::read(text, configuration),
-        Controller::Gcode => gcode::read(text),
-        Controller::Csv => csv::read(text),
-    }?;
+    if !configuration.axes.is_empty() {
+        let problem = "are given, and a trajectory moves x and y";
+        return Err(Invalid::whole("axes", problem, "read a motion of all axes"));
+    }
+    let motion = of_axes(controller, bytes, configuration)?;
+    let pair = |i: usize| {
+        let c = motion.segment(i);
+        [c[0], c[1]]
+    };
+    let of_axes = Trajectory::new(
+        motion.break_time_s().to_vec(),
+        (0..motion.len()).map(pair).collect(),
+        motion.tool_on().to_vec(),
+        motion.dwell_index().to_vec(),
+    )?;
     match &configuration.part_to_axes {
         Some(numbers) => numbers.checked()?.inverse()?.trajectory(&of_axes),
         None => Ok(of_axes),
+    }
+}
+
+/// Reads a program of `controller` as the motion of all axes that it makes. The configuration has the list of axes.
+pub fn read_axes(
+    controller: Controller,
+    bytes: &[u8],
+    configuration: &Configuration,
+) -> Result<AxesMotion, Invalid> {
+    of_axes(controller, bytes, configuration)
+}
+
+fn of_axes(
+    controller: Controller,
+    bytes: &[u8],
+    configuration: &Configuration,
+) -> Result<AxesMotion, Invalid> {
+    belongs(bytes, configuration)?;
+    let text = crate::text::text("program", bytes)?;
+    let layout = configuration.layout()?;
+    match controller {
+        Controller::Galil => galil::read(text, configuration, &layout),
+        Controller::Xps => xps::read(text, &layout),
+        Controller::Pmac => pmac::read(text, configuration, &layout),
+        Controller::Gcode => gcode::read(text, &layout),
+        Controller::Csv => csv::read(text, &layout),
     }
 }
 
@@ -119,12 +237,12 @@ fn belongs(bytes: &[u8], configuration: &Configuration) -> Result<(), Invalid> {
     Err(Invalid::whole("program_blake3", problem, remedy))
 }
 
-/// A state that a program names: time since its start (s), position (mm), velocity (mm/s).
-#[derive(Clone, Copy, Debug)]
+/// A state that a program names: time since its start (s), positions (mm, deg) and velocities of the axes.
+#[derive(Clone, Debug)]
 struct Knot {
     time_s: f64,
-    position_mm: [f64; 2],
-    velocity_mm_per_s: [f64; 2],
+    position: Vec<f64>,
+    velocity: Vec<f64>,
     /// True if the tool removes until the next knot.
     tool_on: bool,
 }
@@ -144,21 +262,22 @@ fn hermite(p: [f64; 2], v: [f64; 2], time_s: f64) -> [f64; 4] {
     ]
 }
 
-fn through(knots: &[Knot]) -> Result<Trajectory, Invalid> {
+fn through(knots: &[Knot]) -> Result<AxesMotion, Invalid> {
     if knots.len() < 2 {
         return Err(Invalid::whole("program", "moves nothing", "give a program with motion"));
     }
-    let segments = knots.windows(2).map(|k| {
+    let mut cubics = Vec::with_capacity(knots.len() * knots[0].position.len());
+    for k in knots.windows(2) {
         let time_s = k[1].time_s - k[0].time_s;
-        [0, 1].map(|a| {
-            let p = [k[0].position_mm[a], k[1].position_mm[a]];
-            hermite(p, [k[0].velocity_mm_per_s[a], k[1].velocity_mm_per_s[a]], time_s)
-        })
-    });
+        for a in 0..k[0].position.len() {
+            let p = [k[0].position[a], k[1].position[a]];
+            cubics.push(hermite(p, [k[0].velocity[a], k[1].velocity[a]], time_s));
+        }
+    }
     let n = knots.len() - 1;
-    Trajectory::new(
+    AxesMotion::new(
         knots.iter().map(|k| k.time_s).collect(),
-        segments.collect(),
+        cubics,
         knots[..n].iter().map(|k| k.tool_on).collect(),
         vec![None; n],
     )
@@ -176,7 +295,7 @@ fn finite(line: usize, text: &str) -> Result<f64, Invalid> {
     })
 }
 
-fn needed<T: Copy>(name: &'static str, value: Option<T>) -> Result<T, Invalid> {
+fn needed<T>(name: &'static str, value: Option<T>) -> Result<T, Invalid> {
     value.ok_or_else(|| {
         let remedy = format!("give `{name}`, or `about` with the file beside the program");
         Invalid::whole(name, "is not in such a program", remedy)
@@ -257,6 +376,99 @@ mod tests {
         is_the_move(&read(Controller::Csv, csv), false);
     }
 
+    /// Axes r, z and c.
+    fn of_a_spindle() -> Configuration {
+        let axis = |name: &str, unit: &str, start: f64, count: f64| ProgramAxis {
+            name: name.into(),
+            unit: unit.into(),
+            start,
+            count,
+        };
+        Configuration {
+            start_mm: None,
+            count_mm: None,
+            axes: vec![
+                axis("r", "mm", 1.0, 0.001),
+                axis("z", "mm", -2.0, 0.001),
+                axis("c", "deg", 10.0, 0.01),
+            ],
+            ..configuration()
+        }
+    }
+
+    #[test]
+    fn three_axes_make_the_same_move_in_every_language() {
+        let galil =
+            "PVA=1000,0,100\nPVB=0,0,100\nPVC=500,0,100\nBTABC\nPVA=0,0,0\nPVB=0,0,0\nPVC=0,0,0\n";
+        let csv = "t_s,r_mm,vr_mm_per_s,z_mm,vz_mm_per_s,c_deg,vc_deg_per_s,tool_on\n\
+                   0,1,0,-2,0,10,0,1\n0.1,2,0,-2,0,15,0,0\n";
+        for (controller, text, part) in [
+            (Controller::Galil, galil, 10.0 / 64.0),
+            (Controller::Xps, "0.1, 1, 0, 0, 0, 5, 0\n", 10.0 / 64.0),
+            (Controller::Pmac, "ABS\nPVT100\nX2:0 Z-2:0 C15:0\n", 10.0 / 64.0),
+            (
+                Controller::Pmac,
+                "ABS\nRAPID\nX1 Z-2 C10\nDWELL0\nPVT100\nX2:0 Z-2:0 C15:0\n",
+                10.0 / 64.0,
+            ),
+            (Controller::Csv, csv, 10.0 / 64.0),
+            (Controller::Gcode, "G0 X1 Z-2 C10\nG93\nG1 X2 C15 F600\nM2\n", 0.25),
+        ] {
+            let motion = read_axes(controller, text.as_bytes(), &of_a_spindle()).unwrap();
+            // A quarter of the time of a move of 1 mm and 5 degrees.
+            let found = motion.position(0, 0.025);
+            let expected = [1.0 + part, -2.0, 10.0 + 5.0 * part];
+            let away = found.iter().zip(expected).map(|(p, q)| (p - q).abs()).fold(0.0, f64::max);
+            assert!(found.len() == 3 && away < 1e-12, "{controller:?}: {found:?}");
+        }
+    }
+
+    /// Two lines of 1 s: r by 1 mm and 3 mm, c by 90 degrees and none. P bounds the corner of r alone.
+    #[test]
+    fn joined_lines_of_rotary_axes_are_bounded_along_the_linear_ones() {
+        let text = |p: &str| format!("G64 P{p}\nG0 X0 Z0 C0\nG93\nG1 X1 C90 F60\nG1 X4 F60\nM2\n");
+        let pieces = |p: &str| {
+            read_axes(Controller::Gcode, text(p).as_bytes(), &of_a_spindle()).unwrap().len()
+        };
+        // The largest change of the velocity of r is 3 mm/s: 3/8 mm over 1 s.
+        assert_eq!((pieces("0.375"), pieces("0.374")), (6, 2));
+    }
+
+    #[test]
+    fn bad_programs_of_all_axes_are_refused() {
+        let said = |controller, text: &str, configuration: &Configuration| {
+            read_axes(controller, text.as_bytes(), configuration).unwrap_err().to_string()
+        };
+        let spindle = of_a_spindle();
+        for (controller, text, expected) in [
+            (
+                Controller::Gcode,
+                "G0 X0 Z0 C0\nG94\nG1 C9 F60\nM2\n",
+                "a feed means nothing for rotary axes",
+            ),
+            (
+                Controller::Gcode,
+                "G0 X0 Z0\nG93\nG1 X1 F60\nM2\n",
+                "comes before G0 X Z C sets the start",
+            ),
+            (Controller::Gcode, "G0 X0 Z0 C0\nG93\nG1 Y1 F60\nM2\n", "has the word Y1"),
+            (Controller::Galil, "PVD=1,0,100\n", "not PVA=, PVB=, PVC=, or BTABC"),
+            (Controller::Xps, "0.1, 1, 0, 0, 0\n", "has 5 fields, not dt, dr, vr, dz, vz, dc, vc"),
+            (Controller::Pmac, "ABS\nRAPID\nX1 Z1\nPVT9\nX1:0\n", "without all axes"),
+            (Controller::Csv, "t_s,x_mm\n", "is not the header t_s,r_mm,vr_mm_per_s,z_mm"),
+        ] {
+            let said = said(controller, text, &spindle);
+            assert!(said.contains(expected), "{text:?}: {said}");
+        }
+        let mut twice = of_a_spindle();
+        twice.axes[1].name = "x".into();
+        assert!(said(Controller::Xps, "", &twice).contains("axes[1]: is ProgramAxis"));
+        let beside = Configuration { start_mm: Some([0.0; 2]), ..of_a_spindle() };
+        assert!(said(Controller::Xps, "", &beside).contains("beside numbers of x and y"));
+        let plane = read(Controller::Xps, b"", &spindle).unwrap_err().to_string();
+        assert!(plane.contains("read a motion of all axes"), "{plane}");
+    }
+
     /// Two lines of 1 s, 1 mm and 3 mm: parabolas of 1 s around the three nodes, 1, 2 and -3 mm/s^2, from rest to rest.
     #[test]
     fn joined_lines_are_parabolas_at_continuous_velocity() {
@@ -316,11 +528,11 @@ mod tests {
             (Pmac, "X1:0\n", "before PVT"),
             (Pmac, "PVT0\nX1:0\n", "line[1]: lasts 0 ms"),
             (Pmac, "PVT10\nX1:0\nRAPID\nX1 Y1\n", "line[3]: goes elsewhere by RAPID"),
-            (Pmac, "RAPID\nX1\nPVT10\nX1:0\n", "line[2]: goes to the start without both axes"),
+            (Pmac, "RAPID\nX1\nPVT10\nX1:0\n", "line[2]: goes to the start without all axes"),
             (
                 Pmac,
                 "INC\nRAPID\nX1 Y1\nPVT10\nX1:0\n",
-                "line[3]: goes to the start without both axes",
+                "line[3]: goes to the start without all axes",
             ),
             (Pmac, "PVT10\nZ1:0\n", "line[2]: has \"Z"),
             (Gcode, "G93\nG1 X1\n", "line[2]: has no F"),

@@ -24,6 +24,9 @@
 //! N00002 X3 Y2.5 Z0 I3 J2 P0.12 Q0.12 R1 S2              blend: corner I, J
 //! ```
 //!
+//! Z is the height of the part at the end of the record, 0 without a form. The records state lengths, densities and
+//! velocities in the plane of the part, and this interpolator reads no Z.
+//!
 //! Run-up, lifts and brake are cubics in time, from where the tool is, at its velocity, to a point with a velocity
 //! (mm/s) after a time (s). [`linked_records`] takes them from the trajectory of the schedule:
 //!
@@ -215,21 +218,31 @@ impl Block {
 }
 
 impl Record {
-    /// The line of a program, without a line break; numbers keep every digit.
-    pub fn to_line(&self, number: usize) -> String {
+    /// Where it ends [x, y], mm.
+    pub fn end_mm(&self) -> [f64; 2] {
+        match self {
+            Self::Start { point_mm, .. } => *point_mm,
+            Self::Block(block) => block.end_mm,
+            Self::Cubic(cubic) => cubic.end_mm,
+        }
+    }
+
+    /// The line of a program, without a line break, where the part has the height `z_mm` at the end; numbers keep every
+    /// digit.
+    pub fn to_line(&self, number: usize, z_mm: f64) -> String {
         match self {
             Self::Start { point_mm: [x, y], arc_length_mm } => {
-                format!("N{number:05} X{x} Y{y} Z0 S{arc_length_mm}")
+                format!("N{number:05} X{x} Y{y} Z{z_mm} S{arc_length_mm}")
             }
             Self::Block(b) => {
                 let ([x, y], [p, q], [r, s]) = (b.end_mm, b.density_s_per_mm, b.arc_length_mm);
                 let corner = b.corner_mm.map_or(String::new(), |[i, j]| format!(" I{i} J{j}"));
-                format!("N{number:05} X{x} Y{y} Z0{corner} P{p} Q{q} R{r} S{s}")
+                format!("N{number:05} X{x} Y{y} Z{z_mm}{corner} P{p} Q{q} R{r} S{s}")
             }
             Self::Cubic(c) => {
                 let ([x, y], [u, v], t) = (c.end_mm, c.velocity_mm_per_s, c.duration_s);
                 let tool = u8::from(c.tool_on);
-                format!("N{number:05} X{x} Y{y} Z0 U{u} V{v} T{t} K{tool}")
+                format!("N{number:05} X{x} Y{y} Z{z_mm} U{u} V{v} T{t} K{tool}")
             }
         }
     }
@@ -550,20 +563,20 @@ mod tests {
         let records: Vec<Record> = records(&density()).collect();
         assert_eq!(records.len(), 7);
         for (i, record) in records.iter().enumerate() {
-            assert_eq!(Record::parse(&record.to_line(i)).unwrap(), Some(*record));
+            assert_eq!(Record::parse(&record.to_line(i, 0.0)).unwrap(), Some(*record));
         }
-        assert_eq!(records[0].to_line(0), "N00000 X0 Y0 Z0 S0");
-        assert_eq!(records[1].to_line(1), "N00001 X1 Y0 Z0 P0.1 Q0.1 R0 S1");
-        assert_eq!(records[3].to_line(3), "N00003 X2 Y0.1 Z0 I2 J0 P0.3 Q0.3 R1.9 S2.1");
+        assert_eq!(records[0].to_line(0, 0.0), "N00000 X0 Y0 Z0 S0");
+        assert_eq!(records[1].to_line(1, 0.0), "N00001 X1 Y0 Z0 P0.1 Q0.1 R0 S1");
+        assert_eq!(records[3].to_line(3, 0.0), "N00003 X2 Y0.1 Z0 I2 J0 P0.3 Q0.3 R1.9 S2.1");
         let third = Record::Start { point_mm: [1.0 / 3.0, -2e-7], arc_length_mm: 1e6 / 7.0 };
-        assert_eq!(Record::parse(&third.to_line(2)).unwrap(), Some(third));
+        assert_eq!(Record::parse(&third.to_line(2, -1.25)).unwrap(), Some(third));
         let cubic = Cubic {
             end_mm: [1.0 / 3.0, -2.0],
             velocity_mm_per_s: [-1.5, 0.0],
             duration_s: 0.75,
             tool_on: false,
         };
-        let line = Record::Cubic(cubic).to_line(3);
+        let line = Record::Cubic(cubic).to_line(3, 0.0);
         assert_eq!(line, "N00003 X0.3333333333333333 Y-2 Z0 U-1.5 V0 T0.75 K0");
         assert_eq!(Record::parse(&line).unwrap(), Some(Record::Cubic(cubic)));
         assert_eq!(Record::parse("  ").unwrap(), None);

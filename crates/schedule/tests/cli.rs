@@ -674,6 +674,22 @@ fn a_feed_becomes_a_program_and_positions() {
     ok(&["interpolate", "--dwell-density", "dwell_density", "--cycle-s", "0.01", "--out", "b.csv"]);
     let read = |name: &str| fs::read(tmp.path().join(name)).unwrap();
     assert_eq!(read("a.csv"), read("b.csv"));
+    // On a sphere of R = 1000 mm the only difference is Z, the height of the part.
+    fs::write(tmp.path().join("form.json"), r#"{"kind": "sphere", "radius_mm": 1000}"#).unwrap();
+    let form = ["--form", "form.json", "--out", "curved.nc"];
+    ok(&[&["program", "--dwell-density", "dwell_density"][..], &form[..]].concat());
+    let (flat, curved) = (text(&read("part.nc")), text(&read("curved.nc")));
+    let number = |line: &str, letter: char| {
+        let word = line.split_whitespace().find(|w| w.starts_with(letter)).unwrap();
+        word[1..].parse::<f64>().unwrap()
+    };
+    for (flat, curved) in flat.lines().zip(curved.lines()).filter(|(l, _)| l.starts_with('N')) {
+        let [x, y, z] = ['X', 'Y', 'Z'].map(|letter| number(curved, letter));
+        // R - sqrt(R^2 - x^2 - y^2), which cancels to the rounding of R, 1e-13 mm.
+        let sag_mm = 1000.0 - (1e6 - x * x - y * y).sqrt();
+        assert!((z - sag_mm).abs() < 1e-12, "{curved}");
+        assert_eq!(curved.replace(&format!("Z{z}"), "Z0"), flat);
+    }
     ok(&["interpolate", "--dwell-density", "dwell_density", "--cycle-s", "0.01", "--out", "a.npy"]);
     let table: Array2<f64> = ndarray_npy::read_npy(tmp.path().join("a.npy")).unwrap();
     // 1.7 s in ticks of 0.01 s; the first and the last one are the ends.

@@ -63,7 +63,7 @@ const STAGES: [&str; 12] = [
     "compare",
     "register",
 ];
-const STAGE_MAY_NAME: [&str; 5] = ["numerics", "types", "draw", "form", "handoff"];
+const STAGE_MAY_NAME: [&str; 6] = ["numerics", "types", "draw", "form", "kinematics", "handoff"];
 
 const ALL: [&str; 26] = [
     "numerics",

@@ -17,7 +17,7 @@ use planish_toolpath::{
     multi_pitch, multi_pitch::Links, raster, spiral,
 };
 use planish_types::{
-    Axis, DwellTime, Grid, Machine, MachineFile, MachineFileAxis, Surface, Tif, ToolPath,
+    Axis, Counts, DwellTime, Grid, Machine, MachineFile, MachineFileAxis, Surface, Tif, ToolPath,
     Trajectory,
 };
 use planish_verify::{VerifySettings, verify_on_axes};
@@ -148,7 +148,7 @@ fn every_program_keeps_the_limits_and_the_path() {
         for target in targets() {
             let name = format!("case {case}, count {count_mm}, {:?}", target.controller);
             let common = Common {
-                count_mm: Some([count_mm, 2.0 * count_mm]),
+                counts: Counts { mm: Some(vec![count_mm, 2.0 * count_mm]), deg: None },
                 tick_s: target.tick_s,
                 always_on: true,
                 ..Common::default()
@@ -372,7 +372,7 @@ fn programs_of_random_problems_keep_the_limits() {
             // Samples of a Galil are whole parts of a second of their own.
             let is_galil = matches!(controller, Controller::Galil);
             let mut common = Common {
-                count_mm: Some([count_mm; 2]),
+                counts: Counts::linear(count_mm),
                 tick_s: tick_s.filter(|_| !is_galil),
                 always_on: true,
                 ..Common::default()
@@ -389,7 +389,7 @@ fn programs_of_random_problems_keep_the_limits() {
                     common.tick_s = None;
                 }
                 if said.contains("count") {
-                    common.count_mm = Some([1e-5; 2]);
+                    common.counts.mm = Some(vec![1e-5]);
                 }
                 println!("{name}: {said}");
                 made = program(&plan, &machine, &controller, &common, &origin);
@@ -512,7 +512,7 @@ fn reference_positions_go_through_lifts() {
     let mut found = Vec::new();
     for record in linked_records(&density, &made.trajectory).unwrap() {
         // Through the text, as a controller gets it.
-        let read = Record::parse(&record.to_line(1)).unwrap().unwrap();
+        let read = Record::parse(&record.to_line(1, 0.0)).unwrap().unwrap();
         positions.push(&read, |r| found.push(r)).unwrap();
     }
     let total_s = made.trajectory.total_time_s();

@@ -13,11 +13,16 @@
 //! | `gcode` | 1 us | 1 ms | none | linear | yes | LinuxCNC user manual, G93, G1, M62; `[EMCMOT]SERVO_PERIOD` of 1 ms |
 //! | `csv` | 1 us | 1 us | 1e-9 mm/s | Hermite | yes | our own table |
 //!
-//! The default count is that of an encoder, 0.1 um: no manual states it.
+//! The default count is that of an encoder, 0.1 um or 1e-4 degrees: no manual states it. For a rotary axis, read 1e-9 mm/s
+//! as 1e-9 deg/s.
 
 use serde::{Deserialize, Serialize};
 
-use crate::Invalid;
+use crate::{Invalid, MachineAxis};
+
+/// Largest numbers of linear and of rotary axes that kinematics have.
+const MOST_LINEAR: usize = 3;
+const MOST_ROTARY: usize = 2;
 
 /// Kind of controller; it decides the format of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -54,12 +59,18 @@ pub struct ControllerFile {
     /// Clock: node times are multiples of it, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tick_s: Option<f64>,
-    /// Count of the axes [x, y]: node positions are multiples of it, mm.
+    /// Counts of the linear axes, in their order: node positions are multiples of them, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub count_mm: Option<[f64; 2]>,
-    /// Resolution of a velocity, mm/s.
+    pub count_mm: Option<Vec<f64>>,
+    /// Counts of the rotary axes, in their order, degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub count_deg: Option<Vec<f64>>,
+    /// Resolution of a velocity of the linear axes, mm/s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub velocity_mm_per_s: Option<f64>,
+    /// Resolution of a velocity of the rotary axes, deg/s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub velocity_deg_per_s: Option<f64>,
     /// Shortest segment, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub min_segment_s: Option<f64>,
@@ -74,6 +85,15 @@ pub struct ControllerFile {
     pub switches_tool: Option<bool>,
 }
 
+/// Grid of one axis of a controller.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct AxisGrid {
+    /// Count: node positions are multiples of it, mm or deg.
+    pub count: f64,
+    /// Resolution of a velocity, mm/s or deg/s.
+    pub velocity: f64,
+}
+
 /// A controller: every number positive and finite.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ControllerModel {
@@ -81,10 +101,10 @@ pub struct ControllerModel {
     pub kind: ControllerKind,
     /// Clock, s.
     pub tick_s: f64,
-    /// Count of the axes [x, y], mm.
-    pub count_mm: [f64; 2],
-    /// Resolution of the velocity of the axes [x, y], mm/s.
-    pub velocity_mm_per_s: [f64; 2],
+    /// Grids of the linear axes, in their order.
+    pub linear: [AxisGrid; MOST_LINEAR],
+    /// Grids of the rotary axes, in their order.
+    pub rotary: [AxisGrid; MOST_ROTARY],
     /// Shortest segment, s.
     pub min_segment_s: f64,
     /// Largest number of segments of a program; `None` if there is no limit.
@@ -100,9 +120,13 @@ pub struct ControllerModel {
 /// linear encoder of a figuring machine.
 const COUNT_MM: f64 = 1e-4;
 
-/// Default resolution of a velocity in a program that writes decimals, mm/s: the last of nine
+/// Default count of a rotary encoder, degrees. Larger and smaller: as [`COUNT_MM`]. Chosen: at 80 mm from the axis it
+/// is 0.14 um.
+const COUNT_DEG: f64 = 1e-4;
+
+/// Default resolution of a velocity in a program that writes decimals, mm/s or deg/s: the last of nine
 /// decimals. Larger: velocities in a program are rounded more.
-const LAST_DECIMAL_MM_PER_S: f64 = 1e-9;
+const LAST_DECIMAL_PER_S: f64 = 1e-9;
 
 /// Default clock and shortest segment of a Galil, s: two samples at TM 1000. Larger: the program
 /// follows the plan less closely. Smaller: the controller refuses the program (DMC-40x0 command
@@ -123,48 +147,113 @@ impl ControllerKind {
 
     /// The controller with every default of the table.
     pub fn model(self) -> ControllerModel {
-        // Clock, shortest segment, velocity (none: a count per second), law, tool.
-        let (tick_s, min_segment_s, velocity, interpolation, switches_tool) = match self {
-            Self::Galil => (TWO_SAMPLES_S, TWO_SAMPLES_S, COUNT_MM, Interpolation::Hermite, false),
-            Self::Xps => (1e-4, 1e-4, LAST_DECIMAL_MM_PER_S, Interpolation::Hermite, false),
-            Self::Pmac => (1e-3, 1e-3, LAST_DECIMAL_MM_PER_S, Interpolation::Hermite, false),
-            Self::Gcode => (1e-6, 1e-3, LAST_DECIMAL_MM_PER_S, Interpolation::Linear, true),
-            Self::Csv => (1e-6, 1e-6, LAST_DECIMAL_MM_PER_S, Interpolation::Hermite, true),
+        // Clock, shortest segment, law, tool.
+        let (tick_s, min_segment_s, interpolation, switches_tool) = match self {
+            Self::Galil => (TWO_SAMPLES_S, TWO_SAMPLES_S, Interpolation::Hermite, false),
+            Self::Xps => (1e-4, 1e-4, Interpolation::Hermite, false),
+            Self::Pmac => (1e-3, 1e-3, Interpolation::Hermite, false),
+            Self::Gcode => (1e-6, 1e-3, Interpolation::Linear, true),
+            Self::Csv => (1e-6, 1e-6, Interpolation::Hermite, true),
         };
         ControllerModel {
             kind: self,
             tick_s,
-            count_mm: [COUNT_MM; 2],
-            velocity_mm_per_s: [velocity; 2],
+            linear: [self.grid(COUNT_MM); MOST_LINEAR],
+            rotary: [self.grid(COUNT_DEG); MOST_ROTARY],
             min_segment_s,
             max_segments: None,
             interpolation,
             switches_tool,
         }
     }
+
+    /// The grid with this count and the default resolution of the velocity.
+    fn grid(self, count: f64) -> AxisGrid {
+        let velocity = if self == Self::Galil { count } else { LAST_DECIMAL_PER_S };
+        AxisGrid { count, velocity }
+    }
+}
+
+/// Counts as a user gives them: one for all axes of a list, or one for each.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Counts {
+    /// Counts of the linear axes, mm; `None` for those of the controller.
+    pub mm: Option<Vec<f64>>,
+    /// Counts of the rotary axes, degrees; `None` for those of the controller.
+    pub deg: Option<Vec<f64>>,
+}
+
+impl Counts {
+    /// The same count for all linear axes, mm.
+    pub fn linear(count_mm: f64) -> Self {
+        Self { mm: Some(vec![count_mm]), deg: None }
+    }
 }
 
 impl ControllerModel {
-    /// The controller with another clock or other counts, if they are given. Refuses numbers that
-    /// are not positive.
-    pub fn with(self, tick_s: Option<f64>, count_mm: Option<[f64; 2]>) -> Result<Self, Invalid> {
-        let number = |name: &'static str, v: f64| match v.is_finite() && v > 0.0 {
-            true => Ok(v),
-            false => Err(Invalid::whole(name, format!("is {v}"), "give a positive number")),
-        };
+    /// The controller with another clock or other counts, if they are given, for a machine with these axes. Refuses
+    /// numbers that are not positive, and counts of other axes.
+    pub fn with(
+        self,
+        tick_s: Option<f64>,
+        counts: &Counts,
+        axes: &[MachineAxis],
+    ) -> Result<Self, Invalid> {
         let mut model = self;
         if let Some(tick_s) = tick_s {
-            model.tick_s = number("tick_s", tick_s)?;
+            if !(tick_s.is_finite() && tick_s > 0.0) {
+                let problem = format!("is {tick_s}");
+                return Err(Invalid::whole("tick_s", problem, "give a positive number"));
+            }
+            model.tick_s = tick_s;
             model.min_segment_s = model.min_segment_s.max(tick_s);
         }
-        if let Some(count_mm) = count_mm {
-            count_mm.iter().try_for_each(|c| number("count_mm", *c).map(drop))?;
-            model.count_mm = count_mm;
-            if model.kind == ControllerKind::Galil {
-                model.velocity_mm_per_s = count_mm;
+        let kind = model.kind;
+        let replace = |grids: &mut [AxisGrid], name, given: &Option<Vec<f64>>, rotary| {
+            let Some(given) = given else { return Ok(()) };
+            let names = names(axes, rotary);
+            let all = vec![given.first().copied().unwrap_or_default(); names.len()];
+            let given = if given.len() == 1 { &all } else { given };
+            check_counts(name, given, &names)?;
+            for (grid, count) in grids.iter_mut().zip(given) {
+                let velocity = if kind == ControllerKind::Galil { *count } else { grid.velocity };
+                *grid = AxisGrid { count: *count, velocity };
             }
-        }
+            Ok(())
+        };
+        replace(&mut model.linear, "count_mm", &counts.mm, false)?;
+        replace(&mut model.rotary, "count_deg", &counts.deg, true)?;
         Ok(model)
+    }
+
+    /// Grids of these axes of a machine, in their order.
+    pub fn grids(&self, axes: &[MachineAxis]) -> Vec<AxisGrid> {
+        let (mut linear, mut rotary) = (self.linear.iter(), self.rotary.iter());
+        axes.iter()
+            .map_while(|axis| if axis.is_rotary { rotary.next() } else { linear.next() })
+            .copied()
+            .collect()
+    }
+}
+
+/// Names of the linear or of the rotary axes.
+fn names(axes: &[MachineAxis], rotary: bool) -> Vec<&'static str> {
+    axes.iter().filter(|a| a.is_rotary == rotary).map(|a| a.name).collect()
+}
+
+/// Refuses counts that are not positive, and another number of counts than there are axes.
+fn check_counts(name: &'static str, counts: &[f64], axes: &[&str]) -> Result<(), Invalid> {
+    if counts.len() != axes.len() {
+        let problem = format!("has {} numbers", counts.len());
+        let remedy = match axes {
+            [] => "leave it out: the machine has no such axes".into(),
+            axes => format!("give one for each of the axes {}", axes.join(", ")),
+        };
+        return Err(Invalid::whole(name, problem, remedy));
+    }
+    match counts.iter().find(|c| !(c.is_finite() && **c > 0.0)) {
+        Some(c) => Err(Invalid::whole(name, format!("is {c}"), "give a positive number")),
+        None => Ok(()),
     }
 }
 
@@ -175,7 +264,9 @@ impl ControllerFile {
             kind,
             tick_s: None,
             count_mm: None,
+            count_deg: None,
             velocity_mm_per_s: None,
+            velocity_deg_per_s: None,
             min_segment_s: None,
             max_segments: None,
             interpolation: None,
@@ -183,9 +274,9 @@ impl ControllerFile {
         }
     }
 
-    /// The checked controller, with the defaults of its kind. Refuses settings that no controller
-    /// of the kind supports.
-    pub fn checked(&self) -> Result<ControllerModel, Invalid> {
+    /// The checked controller of a machine with these axes, with the defaults of its kind. Refuses settings that no
+    /// controller of the kind supports.
+    pub fn checked(&self, axes: &[MachineAxis]) -> Result<ControllerModel, Invalid> {
         let default = self.kind.model();
         let number = |name: &'static str, given: Option<f64>, default: f64| match given {
             Some(v) if !(v.is_finite() && v > 0.0) => {
@@ -195,18 +286,23 @@ impl ControllerFile {
             _ => Ok(given.unwrap_or(default)),
         };
         let tick_s = number("controller.tick_s", self.tick_s, default.tick_s)?;
-        let count = |axis: usize| {
-            let given = self.count_mm.map(|c| c[axis]);
-            number("controller.count_mm", given, default.count_mm[axis])
+        let mut model = default;
+        let fill = |grids: &mut [AxisGrid], name, given: &Option<Vec<f64>>, rotary| {
+            let Some(given) = given else { return Ok(()) };
+            check_counts(name, given, &names(axes, rotary))?;
+            grids.iter_mut().zip(given).for_each(|(grid, count)| *grid = self.kind.grid(*count));
+            Ok(())
         };
-        let count_mm = [count(0)?, count(1)?];
-        let least_velocity = |axis: usize| {
-            let default = match self.kind {
-                ControllerKind::Galil => count_mm[axis],
-                _ => default.velocity_mm_per_s[axis],
-            };
-            number("controller.velocity_mm_per_s", self.velocity_mm_per_s, default)
-        };
+        fill(&mut model.linear, "controller.count_mm", &self.count_mm, false)?;
+        fill(&mut model.rotary, "controller.count_deg", &self.count_deg, true)?;
+        for (grids, name, given) in [
+            (&mut model.linear[..], "controller.velocity_mm_per_s", self.velocity_mm_per_s),
+            (&mut model.rotary[..], "controller.velocity_deg_per_s", self.velocity_deg_per_s),
+        ] {
+            for grid in grids {
+                grid.velocity = number(name, given, grid.velocity)?;
+            }
+        }
         // The default segment is no shorter than the clock.
         let shortest = default.min_segment_s.max(tick_s);
         let min_segment_s = number("controller.min_segment_s", self.min_segment_s, shortest)?;
@@ -227,12 +323,11 @@ impl ControllerFile {
         Ok(ControllerModel {
             kind: self.kind,
             tick_s,
-            count_mm,
-            velocity_mm_per_s: [least_velocity(0)?, least_velocity(1)?],
             min_segment_s,
             max_segments: self.max_segments,
             interpolation,
             switches_tool,
+            ..model
         })
     }
 }
@@ -240,44 +335,97 @@ impl ControllerFile {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{MachineFile, MachineFileAxis};
+
+    /// The axes x and y.
+    fn x_y() -> Vec<MachineAxis> {
+        let axis = |name: &str| MachineFileAxis {
+            name: name.into(),
+            max_velocity_mm_per_s: 1.0,
+            max_acceleration_mm_per_s2: 1.0,
+            ..MachineFileAxis::default()
+        };
+        let axes = vec![axis("x"), axis("y")];
+        let file = MachineFile { name: "m".into(), axes, ..MachineFile::default() };
+        crate::Machine::new(file).unwrap().axes().to_vec()
+    }
+
+    /// The axes x, y, and a that turns.
+    fn x_y_a() -> Vec<MachineAxis> {
+        let mut axes = x_y();
+        axes.push(MachineAxis { name: "a", is_rotary: true, ..axes[0].clone() });
+        axes
+    }
+
+    fn given(mm: &[f64], deg: &[f64]) -> Counts {
+        let some = |counts: &[f64]| (!counts.is_empty()).then(|| counts.to_vec());
+        Counts { mm: some(mm), deg: some(deg) }
+    }
 
     #[test]
     fn what_the_file_leaves_out_is_the_default() {
         use ControllerKind::*;
         for kind in [Galil, Xps, Pmac, Gcode, Csv] {
-            assert_eq!(ControllerFile::new(kind).checked().unwrap(), kind.model(), "{kind:?}");
+            assert_eq!(
+                ControllerFile::new(kind).checked(&x_y()).unwrap(),
+                kind.model(),
+                "{kind:?}"
+            );
         }
         let file = ControllerFile {
-            count_mm: Some([0.001, 0.002]),
+            count_mm: Some(vec![0.001, 0.002]),
             tick_s: Some(0.004),
             ..ControllerFile::new(Galil)
         };
-        let model = file.checked().unwrap();
+        let model = file.checked(&x_y()).unwrap();
         // A Galil takes whole counts per second, and no segment is shorter than the clock.
-        assert_eq!((model.velocity_mm_per_s, model.min_segment_s), ([0.001, 0.002], 0.004));
+        assert_eq!(
+            model.grids(&x_y()).iter().map(|g| g.velocity).collect::<Vec<_>>(),
+            [0.001, 0.002]
+        );
+        assert_eq!(model.min_segment_s, 0.004);
     }
 
     #[test]
     fn another_clock_lengthens_the_shortest_segment() {
         let model = ControllerKind::Galil.model();
-        assert_eq!(model.with(None, None).unwrap(), model);
-        let slower = model.with(Some(0.004), Some([1e-3; 2])).unwrap();
+        assert_eq!(model.with(None, &Counts::default(), &x_y()).unwrap(), model);
+        let slower = model.with(Some(0.004), &given(&[1e-3], &[]), &x_y()).unwrap();
         assert_eq!((slower.tick_s, slower.min_segment_s), (0.004, 0.004));
-        assert_eq!((slower.count_mm, slower.velocity_mm_per_s), ([1e-3; 2], [1e-3; 2]));
-        let said = model.with(Some(0.0), None).unwrap_err().to_string();
+        assert_eq!(slower.grids(&x_y()), [AxisGrid { count: 1e-3, velocity: 1e-3 }; 2]);
+        let said = model.with(Some(0.0), &Counts::default(), &x_y()).unwrap_err().to_string();
         assert!(said.contains("tick_s: is 0"), "{said}");
-        let said = model.with(None, Some([1e-4, f64::NAN])).unwrap_err().to_string();
+        let said =
+            model.with(None, &given(&[1e-4, f64::NAN], &[]), &x_y()).unwrap_err().to_string();
         assert!(said.contains("count_mm: is NaN"), "{said}");
     }
 
     #[test]
+    fn every_axis_has_its_own_count() {
+        let csv = ControllerKind::Csv.model();
+        let model = csv.with(None, &given(&[1e-3, 2e-3], &[5e-4]), &x_y_a()).unwrap();
+        let counts: Vec<f64> = model.grids(&x_y_a()).iter().map(|g| g.count).collect();
+        assert_eq!(counts, [1e-3, 2e-3, 5e-4]);
+        let file = ControllerFile {
+            count_deg: Some(vec![2e-4]),
+            ..ControllerFile::new(ControllerKind::Galil)
+        };
+        let grid = file.checked(&x_y_a()).unwrap().grids(&x_y_a())[2];
+        assert_eq!(grid, AxisGrid { count: 2e-4, velocity: 2e-4 });
+        let said = file.checked(&x_y()).unwrap_err().to_string();
+        assert!(said.contains("count_deg: has 1 numbers; leave it out"), "{said}");
+        let said = csv.with(None, &given(&[1e-3; 3], &[]), &x_y()).unwrap_err().to_string();
+        assert!(said.contains("count_mm: has 3 numbers; give one for each of the axes x, y"));
+    }
+
+    #[test]
     fn what_no_controller_does_is_refused() {
-        let said = |file: ControllerFile| file.checked().unwrap_err().to_string();
+        let said = |file: ControllerFile| file.checked(&x_y()).unwrap_err().to_string();
         let csv = || ControllerFile::new(ControllerKind::Csv);
         for v in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             let tick = ControllerFile { tick_s: Some(v), ..csv() };
             assert!(said(tick).contains("controller.tick_s: is"), "{v}");
-            let count = ControllerFile { count_mm: Some([1e-4, v]), ..csv() };
+            let count = ControllerFile { count_mm: Some(vec![1e-4, v]), ..csv() };
             assert!(said(count).contains("controller.count_mm: is"), "{v}");
         }
         let none = ControllerFile { max_segments: Some(0), ..csv() };
@@ -287,7 +435,7 @@ mod tests {
         let linear = ControllerFile { interpolation: straight, ..galil.clone() };
         assert!(said(linear).contains("controller.interpolation"));
         let gcode = ControllerFile::new(ControllerKind::Gcode);
-        assert!(ControllerFile { interpolation: straight, ..gcode }.checked().is_ok());
+        assert!(ControllerFile { interpolation: straight, ..gcode }.checked(&x_y()).is_ok());
         let switches = ControllerFile { switches_tool: Some(true), ..galil };
         assert!(said(switches).contains("controller.switches_tool"));
     }

@@ -43,7 +43,9 @@ mod variation;
 
 pub use aperture::ClearAperture;
 pub use axes_motion::AxesMotion;
-pub use controller::{ControllerFile, ControllerKind, ControllerModel, Interpolation};
+pub use controller::{
+    AxisGrid, ControllerFile, ControllerKind, ControllerModel, Counts, Interpolation,
+};
 pub use dwell_density::{DensityNodes, DwellDensity};
 pub use dwell_time::DwellTime;
 pub use end::End;

@@ -78,7 +78,7 @@ impl Machine {
             return Err(Invalid::whole("part_origin_z_mm", "is given without an axis z", remedy));
         }
         let part_to_axes = part_to_axes(&file)?;
-        let controller = file.controller.as_ref().map(|c| c.checked()).transpose()?;
+        let controller = file.controller.as_ref().map(|c| c.checked(&axes)).transpose()?;
         Ok(Self { limits, travel_mm, axes, kinematics, part_origin_z_mm, part_to_axes, controller })
     }
 
@@ -398,11 +398,12 @@ mod tests {
     #[test]
     fn a_machine_states_its_controller_or_has_the_defaults() {
         let stated = ControllerFile {
-            count_mm: Some([1e-3; 2]),
+            count_mm: Some(vec![1e-3; 2]),
             ..ControllerFile::new(ControllerKind::Galil)
         };
         let machine = Machine::new(MachineFile { controller: Some(stated), ..file() }).unwrap();
-        assert_eq!(machine.controller_for(ControllerKind::Galil).count_mm, [1e-3; 2]);
+        let grids = machine.controller_for(ControllerKind::Galil).grids(machine.axes());
+        assert!(grids.iter().all(|grid| grid.count == 1e-3), "{grids:?}");
         assert_eq!(machine.controller_for(ControllerKind::Xps), ControllerKind::Xps.model());
         let wrong =
             ControllerFile { tick_s: Some(0.0), ..ControllerFile::new(ControllerKind::Csv) };

@@ -180,8 +180,8 @@ fn judge(
     Ok(Verdict::new(trajectory, [x, y], duration.finish()))
 }
 
-/// Judges a motion of all axes of `machine` against their limits and travels. The motion is a program of cubics, whose
-/// acceleration may step at a break by (1).
+/// Judges a motion of all axes of `machine` against their limits and travels. The motion is a program: of cubics, whose
+/// acceleration may step at a break by (1), unless the settings say that it is one of lines.
 ///
 /// Refuses the same inputs as [`verify`], and a motion with another number of axes.
 pub fn verify_axes(
@@ -189,7 +189,8 @@ pub fn verify_axes(
     machine: &Machine,
     settings: &VerifySettings,
 ) -> Result<AxesVerdict, Invalid> {
-    let settings = VerifySettings { program: Some(Program::Cubics), ..*settings };
+    let program = settings.program.unwrap_or(Program::Cubics);
+    let settings = VerifySettings { program: Some(program), ..*settings };
     check_settings(&settings)?;
     let axes = machine.axes();
     if motion.axes() != axes.len() {

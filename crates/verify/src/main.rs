@@ -40,7 +40,8 @@ fn program_of(manifest: &Manifest) -> Option<Program> {
 /// node by the jerk limit times the time between the middles of the two segments. The jerk of a program of straight
 /// lines (gcode) is not judged.
 ///
-/// A motion of all axes (--axes) is judged by the same law of a program.
+/// A motion of all axes (--axes) is judged by the law of such a program: of cubics, or of lines if planish-import program
+/// read it from gcode.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
@@ -83,7 +84,7 @@ fn judge_axes(cli: &Cli, axes: &Path) -> Result<Status, Failure> {
     let settings = VerifySettings {
         position_step_mm: cli.position_step_mm,
         velocity_step_mm_per_s: cli.velocity_step_mm_per_s,
-        program: Some(Program::Cubics),
+        program: Some(manifest.as_ref().and_then(program_of).unwrap_or(Program::Cubics)),
     };
     let task = task!("verify-axes", settings);
     let mut output = match Output::directory(&cli.output, &kind::VERDICT).begin(&task, &inputs)? {
@@ -105,8 +106,17 @@ fn judge_axes(cli: &Cli, axes: &Path) -> Result<Status, Failure> {
         if verdict.limits_respected { "kept" } else { "exceeded" },
         cli.output.out.display()
     ));
+    if settings.program == Some(Program::Lines)
+        && machine.axes().iter().any(|a| a.max_jerk.is_some())
+    {
+        say(JERK_OF_LINES);
+    }
     Ok(status)
 }
+
+/// Said of a program of lines for axes with a limit on jerk.
+const JERK_OF_LINES: &str = "the jerk limit is not judged: how the controller joins the straight lines of the program \
+                             decides on the jerk";
 
 /// Judges a motion in the plane.
 fn judge_trajectory(cli: &Cli, trajectory: PathBuf) -> Result<Status, Failure> {
@@ -159,10 +169,7 @@ fn judge_trajectory(cli: &Cli, trajectory: PathBuf) -> Result<Status, Failure> {
             "a controller joins its cubics with steps of the acceleration: here up to {x:.1}, {y:.1} mm/s^2 (x, y), \
              and the jerk limit bounds each by the time between the middles of two segments"
         )),
-        Some(Program::Lines) => say(
-            "the jerk limit is not judged: how the controller joins the straight lines of the program decides on the \
-             jerk",
-        ),
+        Some(Program::Lines) => say(JERK_OF_LINES),
     }
     Ok(status)
 }

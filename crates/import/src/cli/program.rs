@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use clap::Args;
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, kind::MACHINE_FRAME, pair,
-    say, task,
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, kind, kind::MACHINE_FRAME,
+    pair, say, task,
 };
-use planish_import::program::{self, Configuration, Controller};
-use planish_types::Trajectory;
+use planish_import::program::{self, Configuration, Controller, ProgramAxis};
+use planish_types::{Invalid, Trajectory};
 use serde_json::json;
 
 use super::{about, foreign};
@@ -62,26 +62,43 @@ impl ProgramArgs {
         let resolved = json!({ "controller": controller, "configuration": configuration });
         let task = task!("program", resolved);
         let bytes = foreign(&mut inputs, "file", &self.file)?;
-        let mut output =
-            match Output::directory(&self.output, Trajectory::KIND).begin(&task, &inputs)? {
-                Begin::Unchanged(status) => return Ok(status),
-                Begin::Run(output) => output,
+        let is_of_all_axes = !configuration.axes.is_empty();
+        let kind = if is_of_all_axes { &kind::AXES } else { Trajectory::KIND };
+        let mut output = match Output::directory(&self.output, kind).begin(&task, &inputs)? {
+            Begin::Unchanged(status) => return Ok(status),
+            Begin::Run(output) => output,
+        };
+        let refused = |e: Invalid| about(&self.file, &e);
+        let outcome = |segments: usize, total_time_s: f64, tool_on: &[bool]| {
+            json!({
+                "segments": segments,
+                "total_time_s": total_time_s,
+                "always_on": tool_on.iter().all(|on| *on),
+            })
+        };
+        let (segments, total_time_s) = if is_of_all_axes {
+            let motion = program::read_axes(controller, &bytes, &configuration).map_err(refused)?;
+            let (segments, total_time_s) = (motion.len(), motion.total_time_s());
+            let mut outcome = outcome(segments, total_time_s, motion.tool_on());
+            let of = |text: fn(&ProgramAxis) -> &String| -> Vec<&String> {
+                configuration.axes.iter().map(text).collect()
             };
-        let motion =
-            program::read(controller, &bytes, &configuration).map_err(|e| about(&self.file, &e))?;
-        let outcome = json!({
-            "segments": motion.len(),
-            "total_time_s": motion.total_time_s(),
-            "always_on": motion.tool_on().iter().all(|on| *on),
-        });
-        if configuration.was_on_axes {
-            output.set_frame(MACHINE_FRAME);
-        }
-        output.write(&motion, outcome, &Status::Done)?;
+            outcome["axes"] = json!(of(|a| &a.name));
+            outcome["units"] = json!(of(|a| &a.unit));
+            output.write(&motion, outcome, &Status::Done)?;
+            (segments, total_time_s)
+        } else {
+            let motion = program::read(controller, &bytes, &configuration).map_err(refused)?;
+            let (segments, total_time_s) = (motion.len(), motion.total_time_s());
+            if configuration.was_on_axes {
+                output.set_frame(MACHINE_FRAME);
+            }
+            let outcome = outcome(segments, total_time_s, motion.tool_on());
+            output.write(&motion, outcome, &Status::Done)?;
+            (segments, total_time_s)
+        };
         say(format!(
-            "planish-import: {} segments, {:.4} s -> {}",
-            motion.len(),
-            motion.total_time_s(),
+            "planish-import: {segments} segments, {total_time_s:.4} s -> {}",
             self.output.out.display()
         ));
         Ok(Status::Done)

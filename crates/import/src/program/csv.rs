@@ -1,14 +1,15 @@
-//! A table of the motion: `t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on`, one row per knot; `tool_on`
-//! counts from its row to the next. Lines that start with `#` are comments.
+//! A table of the motion: `t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on`, one row per knot, with two columns for every
+//! further axis; `tool_on` counts from its row to the next. Lines that start with `#` are comments.
 
-use planish_types::{Invalid, Trajectory};
+use planish_types::{AxesMotion, Invalid};
 
-use super::{Knot, finite, through, wrong};
-
-const HEADER: &str = "t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on";
+use super::{Knot, Layout, finite, through, wrong};
 
 /// The motion of a table.
-pub fn read(text: &str) -> Result<Trajectory, Invalid> {
+pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
+    let columns = layout.names.iter().zip(&layout.units);
+    let columns = columns.map(|(name, unit)| format!("{name}_{unit},v{name}_{unit}_per_s,"));
+    let expected = format!("t_s,{}tool_on", columns.collect::<String>());
     let mut knots = Vec::new();
     let mut header = false;
     for (i, line) in text.lines().enumerate() {
@@ -17,24 +18,25 @@ pub fn read(text: &str) -> Result<Trajectory, Invalid> {
             continue;
         }
         if !header {
-            if line != HEADER {
-                return Err(wrong(i + 1, format!("is not the header {HEADER}")));
+            if line != expected {
+                return Err(wrong(i + 1, format!("is not the header {expected}")));
             }
             header = true;
             continue;
         }
         let fields = line.split(',').map(|f| finite(i + 1, f));
         let fields: Vec<f64> = fields.collect::<Result<_, _>>()?;
-        let [time_s, x, vx, y, vy, on] = fields[..] else {
-            return Err(wrong(i + 1, format!("has {} fields, not {HEADER}", fields.len())));
-        };
+        if fields.len() != 2 * layout.len() + 2 {
+            return Err(wrong(i + 1, format!("has {} fields, not {expected}", fields.len())));
+        }
+        let (states, on) = (&fields[1..fields.len() - 1], fields[fields.len() - 1]);
         if on != 0.0 && on != 1.0 {
             return Err(wrong(i + 1, format!("has {on} for tool_on, not 0 or 1")));
         }
         knots.push(Knot {
-            time_s,
-            position_mm: [x, y],
-            velocity_mm_per_s: [vx, vy],
+            time_s: fields[0],
+            position: states.iter().copied().step_by(2).collect(),
+            velocity: states.iter().copied().skip(1).step_by(2).collect(),
             tool_on: on != 0.0,
         });
     }

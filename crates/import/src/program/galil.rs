@@ -1,15 +1,19 @@
 //! Galil DMC-3xxxx, 4xxxx, 5xxxx, PVT mode: `PVA=dP,V,T` and `PVB=dP,V,T` add a segment each, with
 //! a distance in counts, the velocity at its end in counts/s and a time of 1 to 2048 samples;
-//! T = -1 clears the buffer, `0,0,0` ends the motion, `BT` begins it. A is x, B is y.
+//! T = -1 clears the buffer, `0,0,0` ends the motion, `BT` begins it. A is x, B is y; in a program of all axes the
+//! letters follow the list of axes.
 //!
 //! Errors are refused that would change the motion without a trace: clearing the buffer after the first
 //! segment, a segment after the end, and a missing end or beginning (a program that was cut off).
 //!
 //! Source: Galil DMC-40x0 command reference, PV and BT.
 
-use planish_types::{Invalid, Trajectory};
+use planish_types::{AxesMotion, Invalid};
 
-use super::{Configuration, Knot, needed, positive, through, wrong};
+use super::{Configuration, Knot, Layout, needed, positive, through, wrong};
+
+/// Letters of the axes.
+const LETTERS: &str = "ABCDEFGH";
 
 /// Largest time of a segment, samples (Galil DMC-40x0 command reference, PV).
 const MOST_SAMPLES: i64 = 2048;
@@ -26,22 +30,28 @@ enum Command {
     Clear(usize),
     /// The end of the motion of an axis.
     End(usize),
-    /// Begin the motion of both axes.
+    /// Begin the motion of all axes.
     Begin,
 }
 
 /// The motion of a program.
-pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Invalid> {
+pub(super) fn read(
+    text: &str,
+    configuration: &Configuration,
+    layout: &Layout,
+) -> Result<AxesMotion, Invalid> {
+    let n = layout.len();
+    let letters = LETTERS.get(..n).unwrap_or(LETTERS);
     // Distance, velocity, samples of every segment.
-    let mut axes: [Vec<[i64; 3]>; 2] = [Vec::new(), Vec::new()];
-    let (mut ended, mut begun) = ([false; 2], false);
+    let mut axes: Vec<Vec<[i64; 3]>> = vec![Vec::new(); n];
+    let (mut ended, mut begun) = (vec![false; n], false);
     for (i, line) in text.lines().enumerate() {
         let line = line.trim();
         if line.starts_with('\'') || line.starts_with("REM") || line.starts_with("NO ") {
             continue;
         }
         for command in line.split(';').map(str::trim).filter(|c| !c.is_empty()) {
-            match parse(i + 1, command)? {
+            match parse(i + 1, command, letters)? {
                 Command::Segment(axis, _) | Command::Clear(axis) | Command::End(axis)
                     if ended[axis] =>
                 {
@@ -58,53 +68,65 @@ pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Inv
             }
         }
     }
-    let [a, b] = &axes;
-    if a.len() != b.len() {
-        let problem = format!("has {} segment(s) of A, {} of B", a.len(), b.len());
-        return Err(Invalid::whole("program", problem, "give both axes the same segments"));
-    }
-    if !(begun && ended == [true; 2]) {
+    let of = |k: usize| &letters[k..=k];
+    if let Some(k) = (1..n).find(|k| axes[*k].len() != axes[0].len()) {
         let problem =
-            if begun { "does not end with PVA=0,0,0 and PVB=0,0,0" } else { "has no BTAB" };
+            format!("has {} segment(s) of A, {} of {}", axes[0].len(), axes[k].len(), of(k));
+        return Err(Invalid::whole("program", problem, "give all axes the same segments"));
+    }
+    if !(begun && ended.iter().all(|e| *e)) {
+        let problem = if begun {
+            let ends: Vec<String> = (0..n).map(|k| format!("PV{}=0,0,0", of(k))).collect();
+            format!("does not end with {}", ends.join(" and "))
+        } else {
+            format!("has no BT{letters}")
+        };
         return Err(Invalid::whole("program", problem, "it was cut off: write the program again"));
     }
-    let count_mm = needed("count_mm", configuration.count_mm)?;
+    let count = needed("count_mm", layout.count.clone())?;
     let sample_s = positive("sample_s", needed("sample_s", configuration.sample_s)?)?;
-    let start_mm = needed("start_mm", configuration.start_mm)?;
-    for c in count_mm {
-        positive("count_mm", c)?;
+    let start = needed("start_mm", layout.start.clone())?;
+    for c in &count {
+        positive("count_mm", *c)?;
     }
-    let state = |samples: i64, counts: [i64; 2], velocity: [i64; 2]| Knot {
+    let state = |samples: i64, counts: &[i64], velocity: &[i64]| Knot {
         time_s: samples as f64 * sample_s,
-        position_mm: [0, 1].map(|k| start_mm[k] + counts[k] as f64 * count_mm[k]),
-        velocity_mm_per_s: [0, 1].map(|k| velocity[k] as f64 * count_mm[k]),
+        position: (0..n).map(|k| start[k] + counts[k] as f64 * count[k]).collect(),
+        velocity: (0..n).map(|k| velocity[k] as f64 * count[k]).collect(),
         tool_on: true,
     };
     // Counts and samples add up without rounding.
-    let (mut samples, mut counts) = (0i64, [0i64; 2]);
-    let mut knots = vec![state(0, counts, [0, 0])];
-    for (i, (a, b)) in a.iter().zip(b).enumerate() {
-        if a[2] != b[2] {
-            let problem = format!("takes {} samples for A, {} for B", a[2], b[2]);
-            return Err(Invalid::at("segment", i, problem, "give both axes the same time"));
+    let (mut samples, mut counts) = (0i64, vec![0i64; n]);
+    let mut knots = vec![state(0, &counts, &counts)];
+    for i in 0..axes[0].len() {
+        let first = axes[0][i];
+        if let Some(k) = (1..n).find(|k| axes[*k][i][2] != first[2]) {
+            let problem =
+                format!("takes {} samples for A, {} for {}", first[2], axes[k][i][2], of(k));
+            return Err(Invalid::at("segment", i, problem, "give all axes the same time"));
         }
         // Both are bounded by the length of the text: 1e9 lines of 44e6 counts stay below 2^63.
-        samples += a[2];
-        counts = [counts[0] + a[0], counts[1] + b[0]];
-        knots.push(state(samples, counts, [a[1], b[1]]));
+        samples += first[2];
+        counts.iter_mut().zip(&axes).for_each(|(sum, axis)| *sum += axis[i][0]);
+        let velocity: Vec<i64> = axes.iter().map(|axis| axis[i][1]).collect();
+        knots.push(state(samples, &counts, &velocity));
     }
     through(&knots)
 }
 
-fn parse(line: usize, command: &str) -> Result<Command, Invalid> {
-    if command == "BTAB" {
+fn parse(line: usize, command: &str, letters: &str) -> Result<Command, Invalid> {
+    if command.strip_prefix("BT") == Some(letters) {
         return Ok(Command::Begin);
     }
     let short = || command.chars().take(20).collect::<String>();
-    let unknown = || wrong(line, format!("has {:?}, not PVA=, PVB= or BTAB", short()));
-    let (axis, rest) = match (command.strip_prefix("PVA="), command.strip_prefix("PVB=")) {
-        (Some(rest), _) => (0, rest),
-        (_, Some(rest)) => (1, rest),
+    let unknown = || {
+        let segments: String = letters.chars().map(|l| format!("PV{l}=, ")).collect();
+        wrong(line, format!("has {:?}, not {segments}or BT{letters}", short()))
+    };
+    let named = command.strip_prefix("PV").and_then(|rest| rest.split_once('='));
+    let axis_of = |(letter, rest)| Some((letters.find(letter)?, letter, rest));
+    let (axis, rest) = match named.and_then(axis_of) {
+        Some((axis, letter, rest)) if letter.len() == 1 => (axis, rest),
         _ => return Err(unknown()),
     };
     let numbers = rest.split(',').map(|f| {

@@ -1,15 +1,17 @@
-//! G-code as LinuxCNC runs it, the part that a plan in x and y needs:
+//! G-code as LinuxCNC runs it, the part that a plan needs:
 //!
 //! | word | meaning |
 //! |---|---|
 //! | G0 | to the start; later only where the axes stand already |
-//! | G1 X Y F | straight at constant speed; G93: in 60/F s, F in every line; G94: at F mm/min |
+//! | G1 X Y (Z A B C) F | straight at constant speed; G93: in 60/F s, F in every line; G94: at F mm/min |
 //! | G64 P | lines are joined: near a node the motion is the parabola over half of the shorter line on both sides |
 //! | G4 P | stand for P seconds |
 //! | M62 P0, M63 P0 | tool on, tool off with the next motion (G0, G1; a G4 is none) |
 //! | M64 P0, M65 P0 | tool on, tool off at once, after the motion before |
 //! | G17 G21 G40 G49 G54 G61 G64 G90 | accepted: plane, mm, no compensation, path mode, absolute |
 //! | M2, M30, or a second % | end; a program without one was cut off |
+//!
+//! A feed means nothing for rotary axes, so that lines of them run in inverse time. P bounds the linear axes only.
 //!
 //! Joined lines run at continuous velocity, from rest to rest: half a line before the first node begins the motion. With
 //! a_k = (m_k - m_{k-1}) / b_k, b_k = min(T_{k-1}, T_k) and the mean velocity m of a line, the joined motion stays within
@@ -31,13 +33,13 @@
 //! Source: LinuxCNC documentation: G-codes, M-codes (M62 - M65 Digital Output Control), G-code Overview
 //! (Format of a line, Numbers, Comments, modal groups).
 
-use planish_types::{Invalid, Trajectory};
+use planish_types::{AxesMotion, Invalid};
 
-use super::{finite, wrong};
+use super::{Layout, finite, wrong};
 
 /// The motion of a program.
-pub fn read(text: &str) -> Result<Trajectory, Invalid> {
-    let mut machine = Machine::default();
+pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
+    let mut machine = Machine::new(layout);
     let (mut percent, mut begun, mut ended) = (false, false, false);
     for (i, line) in text.lines().enumerate() {
         let plain = line.trim();
@@ -66,8 +68,10 @@ pub fn read(text: &str) -> Result<Trajectory, Invalid> {
     machine.motion()
 }
 
-struct Machine {
-    position: [Option<f64>; 2],
+struct Machine<'a> {
+    layout: &'a Layout,
+    letters: Vec<char>,
+    position: Vec<Option<f64>>,
     inverse_time: bool,
     feed: Option<f64>,
     /// 0 or 1 of G0, G1.
@@ -80,14 +84,17 @@ struct Machine {
     /// P of G64, mm; zero for lines that are not joined.
     tolerance_mm: f64,
     times: Vec<f64>,
-    segments: Vec<[[f64; 4]; 2]>,
+    /// Position at the start and velocity of every axis, of every line.
+    segments: Vec<Vec<[f64; 2]>>,
     tool: Vec<bool>,
 }
 
-impl Default for Machine {
-    fn default() -> Self {
+impl<'a> Machine<'a> {
+    fn new(layout: &'a Layout) -> Self {
         Self {
-            position: [None; 2],
+            layout,
+            letters: layout.letters(),
+            position: vec![None; layout.len()],
             inverse_time: false,
             feed: None,
             motion: 0,
@@ -100,13 +107,11 @@ impl Default for Machine {
             tool: Vec::new(),
         }
     }
-}
 
-impl Machine {
     /// Runs a line; returns true if the program ends with it.
     fn line(&mut self, number: usize, line: &str) -> Result<bool, Invalid> {
         let words = words(number, line)?;
-        check_words(number, &words)?;
+        check_words(number, &words, &self.letters)?;
         let value = |letter: char| words.iter().find(|w| w.0 == letter).map(|w| w.1);
         let (mut dwell, mut end, mut output) = (false, false, None);
         for (letter, v) in &words {
@@ -159,9 +164,10 @@ impl Machine {
             let seconds = value('P').filter(|p| *p > 0.0);
             let seconds = seconds.ok_or_else(|| wrong(number, "has G4 without P > 0"))?;
             let here = self.here(number)?;
-            self.push(number, here, here, seconds)?;
-        } else if value('X').is_some() || value('Y').is_some() {
-            let target = [value('X').or(self.position[0]), value('Y').or(self.position[1])];
+            self.push(number, &here, &here, seconds)?;
+        } else if self.letters.iter().any(|letter| value(*letter).is_some()) {
+            let axes = self.letters.iter().zip(&self.position);
+            let target = axes.map(|(letter, here)| value(*letter).or(*here)).collect();
             self.go(number, target, value('F'))?;
         }
         Ok(end)
@@ -170,7 +176,7 @@ impl Machine {
     fn go(
         &mut self,
         number: usize,
-        target: [Option<f64>; 2],
+        target: Vec<Option<f64>>,
         feed: Option<f64>,
     ) -> Result<(), Invalid> {
         if self.motion == 0 {
@@ -188,77 +194,88 @@ impl Machine {
         }
         let feed = self.feed.ok_or_else(|| wrong(number, "has no F before it"))?;
         let here = self.here(number)?;
-        let [Some(x), Some(y)] = target else {
-            return Err(wrong(number, "moves one axis, the other one is nowhere"));
-        };
-        let length = (x - here[0]).hypot(y - here[1]);
+        if !self.inverse_time && self.layout.turns() {
+            return Err(wrong(number, "moves by G94, and a feed means nothing for rotary axes"));
+        }
+        let to: Option<Vec<f64>> = target.into_iter().collect();
+        let to = to.ok_or_else(|| wrong(number, "moves an axis while another one is nowhere"))?;
+        let away = to.iter().zip(&here).map(|(p, q)| p - q);
+        let length = away.fold(0.0, f64::hypot);
         if length == 0.0 {
             return Err(wrong(number, "has no length: the interpreter drops it and its time"));
         }
         // G93: 60 / F seconds; G94: length at F mm/min
         let seconds = if self.inverse_time { 60.0 / feed } else { 60.0 * length / feed };
         self.tool_on = self.queued.take().unwrap_or(self.tool_on);
-        self.push(number, here, [x, y], seconds)
+        self.push(number, &here, &to, seconds)
     }
 
     /// The motion of all lines.
-    fn motion(self) -> Result<Trajectory, Invalid> {
-        let n = self.segments.len();
+    fn motion(self) -> Result<AxesMotion, Invalid> {
+        let (n, axes) = (self.segments.len(), self.layout.len());
         let time_s: Vec<f64> = self.times.windows(2).map(|t| t[1] - t[0]).collect();
-        let velocity: Vec<[f64; 2]> = self.segments.iter().map(|c| [c[0][1], c[1][1]]).collect();
-        // At the node between the lines k - 1 and k: b, and the change of the velocity. At rest before and
-        // after.
+        // At the node between the lines k - 1 and k: b, and the velocities before and after. At rest before and after
+        // the motion.
         let span = |k: usize| match k {
             0 => time_s[0],
             k if k == n => time_s[n - 1],
             k => time_s[k - 1].min(time_s[k]),
         };
-        let v = |k: Option<usize>| k.and_then(|k| velocity.get(k)).copied().unwrap_or_default();
-        let around = |k: usize| [v(k.checked_sub(1)), v(Some(k))];
+        let velocity = |k: Option<usize>, a: usize| {
+            k.and_then(|k| self.segments.get(k)).map_or(0.0, |line| line[a][1])
+        };
+        let around = |k: usize, a: usize| [velocity(k.checked_sub(1), a), velocity(Some(k), a)];
+        let linear: Vec<usize> = (0..axes).filter(|a| self.layout.units[*a] == "mm").collect();
         let reach = |k: usize| {
-            let [before, after] = around(k);
-            (after[0] - before[0]).hypot(after[1] - before[1]) * span(k) / 8.0
+            let changes = linear.iter().map(|a| {
+                let [before, after] = around(k, *a);
+                after - before
+            });
+            changes.fold(0.0, f64::hypot) * span(k) / 8.0
         };
         // Nine decimals of P, and of the positions.
         let is_joined = self.tolerance_mm > 0.0
             && (0..=n).all(|k| reach(k) <= self.tolerance_mm * (1.0 + 1e-6) + 1e-9);
         if !is_joined {
-            return Trajectory::new(self.times, self.segments, self.tool, vec![None; n]);
+            let lines = self.segments.iter().flatten().map(|[p, v]| [*p, *v, 0.0, 0.0]).collect();
+            return AxesMotion::new(self.times, lines, self.tool, vec![None; n]);
         }
         let (mut times, mut pieces, mut tool) = (Vec::new(), Vec::new(), Vec::new());
         let begin_s = self.times[0] - 0.5 * span(0);
         for k in 0..=n {
-            let [before, after] = around(k);
             let (b, node_s) = (span(k), self.times[k]);
-            let node = match k {
-                0 => [self.segments[0][0][0], self.segments[0][1][0]],
-                _ => {
-                    let (c, t) = (&self.segments[k - 1], time_s[k - 1]);
-                    [c[0][0] + c[0][1] * t, c[1][0] + c[1][1] * t]
-                }
+            let node = |a: usize| match k {
+                0 => self.segments[0][a][0],
+                _ => self.segments[k - 1][a][0] + self.segments[k - 1][a][1] * time_s[k - 1],
             };
             // From the node - m b/2, over b: velocity before + (after - before) t / b.
-            let first = [0, 1].map(|a| {
-                [node[a] - 0.5 * b * before[a], before[a], 0.5 * (after[a] - before[a]) / b, 0.0]
-            });
-            let second = first.map(|c| {
+            let first: Vec<[f64; 4]> = (0..axes)
+                .map(|a| {
+                    let [before, after] = around(k, a);
+                    [node(a) - 0.5 * b * before, before, 0.5 * (after - before) / b, 0.0]
+                })
+                .collect();
+            let second = first.iter().map(|c| {
                 let u = 0.5 * b;
                 [c[0] + u * (c[1] + u * c[2]), c[1] + 2.0 * u * c[2], c[2], 0.0]
             });
             times.extend([node_s - 0.5 * b - begin_s, node_s - begin_s]);
-            pieces.extend([first, second]);
+            pieces.extend(first.iter().copied().chain(second));
             tool.extend([self.tool[k.saturating_sub(1)], self.tool[k.min(n - 1)]]);
             let straight_s = if k < n { time_s[k] - 0.5 * (b + span(k + 1)) } else { 0.0 };
             // A shorter time is rounding of equal times.
             if straight_s > 1e-9 * b {
                 times.push(node_s + 0.5 * b - begin_s);
-                pieces.push([0, 1].map(|a| [node[a] + 0.5 * b * after[a], after[a], 0.0, 0.0]));
+                pieces.extend((0..axes).map(|a| {
+                    let [_, after] = around(k, a);
+                    [node(a) + 0.5 * b * after, after, 0.0, 0.0]
+                }));
                 tool.push(self.tool[k]);
             }
         }
         times.push(self.times[n] + 0.5 * span(n) - begin_s);
-        let n = pieces.len();
-        Trajectory::new(times, pieces, tool, vec![None; n])
+        let n = tool.len();
+        AxesMotion::new(times, pieces, tool, vec![None; n])
     }
 
     /// Refuses a program that leaves the tool on.
@@ -273,18 +290,19 @@ impl Machine {
         Err(Invalid::whole("program", problem, "end it with M65 P0"))
     }
 
-    fn here(&self, number: usize) -> Result<[f64; 2], Invalid> {
-        match self.position {
-            [Some(x), Some(y)] => Ok([x, y]),
-            _ => Err(wrong(number, "comes before G0 X Y sets the start")),
-        }
+    fn here(&self, number: usize) -> Result<Vec<f64>, Invalid> {
+        let here: Option<Vec<f64>> = self.position.iter().copied().collect();
+        here.ok_or_else(|| {
+            let axes: Vec<String> = self.letters.iter().map(char::to_string).collect();
+            wrong(number, format!("comes before G0 {} sets the start", axes.join(" ")))
+        })
     }
 
     fn push(
         &mut self,
         number: usize,
-        from: [f64; 2],
-        to: [f64; 2],
+        from: &[f64],
+        to: &[f64],
         seconds: f64,
     ) -> Result<(), Invalid> {
         let end = self.times[self.times.len() - 1] + seconds;
@@ -292,9 +310,10 @@ impl Machine {
             return Err(wrong(number, format!("lasts {seconds} s")));
         }
         self.times.push(end);
-        self.segments.push([0, 1].map(|a| [from[a], (to[a] - from[a]) / seconds, 0.0, 0.0]));
+        let axes = from.iter().zip(to);
+        self.segments.push(axes.map(|(p, q)| [*p, (q - p) / seconds]).collect());
         self.tool.push(self.tool_on);
-        self.position = to.map(Some);
+        self.position = to.iter().copied().map(Some).collect();
         Ok(())
     }
 }
@@ -307,7 +326,7 @@ fn code(v: f64) -> Option<i64> {
 }
 
 /// Refuses words that are not understood, that contradict each other, or that nothing uses.
-fn check_words(number: usize, words: &[(char, f64)]) -> Result<(), Invalid> {
+fn check_words(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<(), Invalid> {
     let has = |letter: char, codes: &[i64]| {
         words.iter().any(|w| w.0 == letter && code(w.1).is_some_and(|c| codes.contains(&c)))
     };
@@ -340,7 +359,7 @@ fn check_words(number: usize, words: &[(char, f64)]) -> Result<(), Invalid> {
                 }
                 groups.push(group);
             }
-            'X' | 'Y' | 'F' | 'P' | 'Q' => {
+            _ if axes.contains(letter) || "FPQ".contains(*letter) => {
                 if words[..i].iter().any(|w| w.0 == *letter) {
                     return Err(wrong(number, format!("has the word {letter} twice")));
                 }
@@ -354,7 +373,7 @@ fn check_words(number: usize, words: &[(char, f64)]) -> Result<(), Invalid> {
     let output = has('M', &[620, 630, 640, 650]);
     let blending = has('G', &[640]);
     let given = |letter: char| words.iter().any(|w| w.0 == letter);
-    if dwell && (output || blending || given('X') || given('Y')) {
+    if dwell && (output || blending || axes.iter().any(|letter| given(*letter))) {
         return Err(wrong(number, "has G4 with words that belong to something else"));
     }
     if given('P') && (output && blending || !(dwell || output || blending)) {

@@ -10,23 +10,27 @@
 //! Source: Turbo PMAC software reference, program commands PVT, RAPID, {axis}{data}:{data}, M{data}==, M{data}=,
 //! DWELL; Turbo PMAC user manual, Synchronous M-Variable Assignment.
 
-use planish_types::{Invalid, Trajectory};
+use planish_types::{AxesMotion, Invalid};
 
-use super::{Configuration, Knot, finite, needed, positive, through, wrong};
+use super::{Configuration, Knot, Layout, finite, needed, positive, through, wrong};
 
 /// The motion of a program.
-pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Invalid> {
+pub(super) fn read(
+    text: &str,
+    configuration: &Configuration,
+    layout: &Layout,
+) -> Result<AxesMotion, Invalid> {
+    let (n, letters) = (layout.len(), layout.letters());
     let goes_there = text.lines().any(|line| code(line) == "RAPID");
-    let start_mm = match goes_there {
+    let position = match goes_there {
         // The place of the axes before the program does not matter.
-        true => configuration.start_mm.unwrap_or_default(),
-        false => needed("start_mm", configuration.start_mm)?,
+        true => layout.start.clone().unwrap_or_else(|| vec![0.0; n]),
+        false => needed("start_mm", layout.start.clone())?,
     };
     let unit_s = needed("feedrate_time_unit_s", configuration.feedrate_time_unit_s)?;
     let unit_s = positive("feedrate_time_unit_s", unit_s)?;
-    let mut last =
-        Knot { time_s: 0.0, position_mm: start_mm, velocity_mm_per_s: [0.0; 2], tool_on: true };
-    let mut knots = vec![last];
+    let mut last = Knot { time_s: 0.0, position, velocity: vec![0.0; n], tool_on: true };
+    let mut knots = vec![last.clone()];
     let (mut segment_ms, mut absolute, mut total_ms) = (None, true, 0.0);
     let mut rapid = false;
     let mut output = Output::default();
@@ -38,9 +42,9 @@ pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Inv
             "INC" => absolute = false,
             "RAPID" if segment_ms.is_none() => rapid = true,
             "RAPID" => return Err(wrong(i + 1, "goes elsewhere by RAPID among the segments")),
-            _ if rapid && segment_ms.is_none() && line.starts_with(['X', 'Y']) => {
-                last.position_mm = rapid_to(i + 1, line, absolute)?;
-                knots = vec![last];
+            _ if rapid && segment_ms.is_none() && line.starts_with(&letters[..]) => {
+                last.position = rapid_to(i + 1, line, absolute, &letters)?;
+                knots = vec![last.clone()];
             }
             _ if line.starts_with("PVT") => {
                 let ms = constant(i + 1, &line[3..])?;
@@ -51,7 +55,7 @@ pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Inv
             }
             _ if line.starts_with("DWELL") => {
                 let ms = constant(i + 1, &line[5..])?;
-                if ms < 0.0 || last.velocity_mm_per_s != [0.0; 2] {
+                if ms < 0.0 || last.velocity.iter().any(|v| *v != 0.0) {
                     return Err(wrong(i + 1, format!("dwells for {ms} ms, or while it moves")));
                 }
                 output.execute();
@@ -59,7 +63,7 @@ pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Inv
                     knots.last_mut().expect("one knot").tool_on = output.on;
                     total_ms += ms;
                     last.time_s = total_ms / 1e3;
-                    knots.push(last);
+                    knots.push(last.clone());
                 }
             }
             _ if line.starts_with('M') => output.assign(i + 1, line, knots.len() > 1)?,
@@ -70,30 +74,26 @@ pub fn read(text: &str, configuration: &Configuration) -> Result<Trajectory, Inv
                 // Milliseconds add up; dividing every one of them would round every one.
                 total_ms += ms;
                 last.time_s = total_ms / 1e3;
-                last.velocity_mm_per_s = [0.0; 2];
+                last.velocity.fill(0.0);
                 output.execute();
                 knots.last_mut().expect("one knot").tool_on = output.on;
-                let mut seen = [false; 2];
+                let mut seen = vec![false; n];
                 for word in line.split_whitespace() {
-                    let axis = match word.as_bytes()[0] {
-                        b'X' => 0,
-                        b'Y' => 1,
-                        _ => {
-                            return Err(wrong(
-                                i + 1,
-                                format!("has \"{}\", not X or Y", &short(word)),
-                            ));
-                        }
+                    let letter = word.chars().next().unwrap_or_default();
+                    let Some(axis) = letters.iter().position(|l| *l == letter) else {
+                        let known: Vec<String> = letters.iter().map(char::to_string).collect();
+                        let known = known.join(" or ");
+                        return Err(wrong(i + 1, format!("has \"{}\", not {known}", short(word))));
                     };
                     if std::mem::replace(&mut seen[axis], true) {
                         return Err(wrong(i + 1, format!("has {} twice", &word[..1])));
                     }
                     let (p, v) = word[1..].split_once(':').unwrap_or((&word[1..], "0"));
                     let (p, v) = (finite(i + 1, p)?, finite(i + 1, v)?);
-                    last.position_mm[axis] = if absolute { p } else { last.position_mm[axis] + p };
-                    last.velocity_mm_per_s[axis] = v / unit_s;
+                    last.position[axis] = if absolute { p } else { last.position[axis] + p };
+                    last.velocity[axis] = v / unit_s;
                 }
-                knots.push(last);
+                knots.push(last.clone());
             }
         }
     }
@@ -106,16 +106,24 @@ fn code(line: &str) -> &str {
     line.split(';').next().unwrap_or_default().trim()
 }
 
-/// Target of a rapid move: both axes, absolute, so that the place of the axes before it does not matter.
-fn rapid_to(line: usize, text: &str, absolute: bool) -> Result<[f64; 2], Invalid> {
+/// Target of a rapid move: all axes, absolute, so that the place of the axes before it does not matter.
+fn rapid_to(
+    line: usize,
+    text: &str,
+    absolute: bool,
+    letters: &[char],
+) -> Result<Vec<f64>, Invalid> {
     let whole =
-        "goes to the start without both axes, or by a distance: the motion would start anywhere";
+        "goes to the start without all axes, or by a distance: the motion would start anywhere";
     let words: Vec<&str> = text.split_whitespace().collect();
-    let [x, y] = words[..] else { return Err(wrong(line, whole)) };
-    match (x.strip_prefix('X'), y.strip_prefix('Y')) {
-        (Some(x), Some(y)) if absolute => Ok([finite(line, x)?, finite(line, y)?]),
-        _ => Err(wrong(line, whole)),
+    if words.len() != letters.len() || !absolute {
+        return Err(wrong(line, whole));
     }
+    let to = words.iter().zip(letters).map(|(word, letter)| match word.strip_prefix(*letter) {
+        Some(number) => finite(line, number),
+        None => Err(wrong(line, whole)),
+    });
+    to.collect()
 }
 
 /// The M-variable that switches the tool.

@@ -19,6 +19,10 @@ pub struct Program {
     /// program [trajectory artifact]
     #[arg(long, value_name = "DIR")]
     trajectory: Option<PathBuf>,
+    /// Form of the part, whose height is Z: a form file [JSON], or its height along z [surface artifact]; Z is 0
+    /// without it
+    #[arg(long, value_name = "PATH")]
+    form: Option<PathBuf>,
     #[command(flatten)]
     output: OutputFileArgs,
 }
@@ -34,19 +38,38 @@ impl Program {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let records = read_records(&mut inputs, &self.dwell_density, self.trajectory.as_deref())?;
+        let heights_mm = self.heights_mm(&records, &mut inputs)?;
         let output = self.output.begin(&inputs)?;
         let mut count = 0;
         output.write_by(|file| {
             let mut to = BufWriter::new(file);
             to.write_all(PROGRAM_HEAD.as_bytes())?;
-            for (number, record) in records.iter().enumerate() {
-                writeln!(to, "{}", record.to_line(number))?;
+            for (number, (record, z_mm)) in records.iter().zip(&heights_mm).enumerate() {
+                writeln!(to, "{}", record.to_line(number, *z_mm))?;
                 count += 1;
             }
             Ok(to.flush()?)
         })?;
         say(format!("program: {count} records -> {}", self.output.out.display()));
         Ok(Status::Done)
+    }
+
+    /// Height of the part at the end of every record, mm.
+    fn heights_mm(&self, records: &[Record], inputs: &mut Inputs) -> Result<Vec<f64>, Failure> {
+        let Some(path) = &self.form else { return Ok(vec![0.0; records.len()]) };
+        let form = inputs.read_form("form", path)?.form;
+        let height = |(number, record): (usize, &Record)| {
+            let [x, y] = record.end_mm();
+            // Never the other zero.
+            form.sag_mm([x, y]).map(|z| z + 0.0).ok_or_else(|| {
+                Failure::new(format!(
+                    "{}: does not exist at {x:.4}, {y:.4} mm, where record {number} of the program ends; give a form that \
+                     covers the whole path, with its overscan",
+                    path.display()
+                ))
+            })
+        };
+        records.iter().enumerate().map(height).collect()
     }
 }
 
