@@ -9,6 +9,7 @@
 //! |---|---|
 //! | [`curve`] | the smooth curve along a path: lines and clothoids |
 //! | [`mesh`] | nodes of the density: their removal, and the motion between them |
+//! | [`axes`] | axes beyond x and y: their limits, and the judge of their motion |
 //! | [`limits`] | limits of the machine on that motion |
 //! | [`merit`] | the objective: residual and price of time |
 //! | [`interior_point`] | the solver: the least objective under the limits |
@@ -20,6 +21,7 @@
 //! | `settings` | settings of the plan |
 //! | [`mod@plan`] | all of it, judged as it will be executed |
 
+pub mod axes;
 pub mod certificate;
 pub mod curve;
 pub mod interior_point;
@@ -33,8 +35,9 @@ mod problem;
 mod refinement;
 mod settings;
 
+pub use axes::{FurtherAxes, FurtherLimits};
 pub use merit::Price;
-pub use plan::{Plan, Report, plan};
+pub use plan::{Plan, Report, plan, plan_with_further_axes};
 pub use settings::Settings;
 
 use planish_dwell::DwellError;

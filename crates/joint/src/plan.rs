@@ -19,10 +19,11 @@ use serde::Serialize;
 
 use crate::{
     JointError,
+    axes::{self, AxisReport, Further, FurtherAxes},
     curve::{self, Curve, Rounding, Smooth},
     jerk::Average,
     mesh::Mesh,
-    problem::{Asked, Found, LITTLE_WORK, Meshes, Solved, solve},
+    problem::{Asked, Found, HOPELESS, LITTLE_WORK, Meshes, Solved, solve},
     settings::Settings,
 };
 
@@ -112,6 +113,13 @@ pub struct Report {
     pub average: Option<Averaged>,
     /// Number of rounds of the solver. In all but the first one the limits of some spans are tightened.
     pub rounds: usize,
+    /// Use of the limits of every axis; empty if the machine has no axes beyond x and y.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub axes: Vec<AxisReport>,
+    /// Factor on all times of the motion, because the rounds left an excess over a limit of a further axis; absent if they
+    /// left none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub slowed_by: Option<f64>,
 }
 
 /// Spacing of the nodes, if the solver would take too long with the default.
@@ -178,7 +186,7 @@ const SAME_RATE: f64 = 1e-4;
 /// other times.
 const MAX_ROUNDS_OF_TIMES: usize = 6;
 
-/// Finds density and motion along `path` for the desired removal.
+/// Finds density and motion along `path` for the desired removal, on a machine with the axes x and y.
 pub fn plan(
     desired: &Surface,
     tif: &Tif,
@@ -186,10 +194,35 @@ pub fn plan(
     limits: &Limits,
     settings: &Settings,
 ) -> Result<Plan, JointError> {
+    planned(desired, tif, path, (limits, None), settings)
+}
+
+/// Finds density and motion along `path` as [`plan`] does, on a machine with axes beyond x and y.
+pub fn plan_with_further_axes(
+    desired: &Surface,
+    tif: &Tif,
+    path: &ToolPath,
+    (limits, further): (&Limits, &dyn FurtherAxes),
+    settings: &Settings,
+) -> Result<Plan, JointError> {
+    planned(desired, tif, path, (limits, Some(further)), settings)
+}
+
+fn planned(
+    desired: &Surface,
+    tif: &Tif,
+    path: &ToolPath,
+    (limits, further): (&Limits, Option<&dyn FurtherAxes>),
+    settings: &Settings,
+) -> Result<Plan, JointError> {
     settings.check()?;
     let tif_width_mm = tif.width_mm();
     let (rounding, spacing_mm) = scales(tif_width_mm, settings)?;
-    let average = Average::new(limits, JERK_DEVIATION_OVER_TIF_WIDTH * tif_width_mm);
+    let deviation_mm = JERK_DEVIATION_OVER_TIF_WIDTH * tif_width_mm;
+    let further_limits = further.map_or(&[][..], FurtherAxes::limits);
+    let average = Average::new(limits, further_limits, deviation_mm);
+    let further = further.map(|axes| Further::new(axes, average)).transpose()?;
+    let further = further.as_ref();
     let Smooth { curves, moved_mm } = curve::curves(path, &rounding);
     if curves.is_empty() {
         let remedy = "give a path that moves, or schedule rests with `planish-schedule position`";
@@ -208,6 +241,9 @@ pub fn plan(
             (mesh, (taken_mm > spacing_mm).then_some(widened))
         }
     };
+    if let Some(further) = further {
+        check_further(further, &curves, &mesh, limits)?;
+    }
     // No node is added if the first nodes are already as many as can be afforded.
     let refinements = if widened.is_some() { 0 } else { settings.refinements };
     let most_work = settings.node_spacing_mm.map_or(MOST_WORK, |_| f64::INFINITY);
@@ -233,7 +269,10 @@ pub fn plan(
             }
         };
         let (curves, limits, executed) = (&curves, &slower, &executed);
-        let asked = Asked { desired, tif, path, curves, limits, rates: &rates, executed };
+        let asked = {
+            let rates = &rates;
+            Asked { desired, tif, path, curves, limits, further, rates, executed }
+        };
         let solved = solve(&asked, &meshes, settings)?;
         rounds_of_times += 1;
         // Where the rate depends on the time of the run, the next plan has the rates at the times of this one.
@@ -245,13 +284,25 @@ pub fn plan(
         rates = next;
     };
     let Found { solution, motion, refused, model_rms_nm, price, iterations, rounds } = found;
-    let (trajectory, refused) = match averaged(&motion.trajectory)? {
+    let (mut trajectory, mut refused) = match averaged(&motion.trajectory)? {
         None => (motion.trajectory, refused),
         Some(trajectory) => {
             let verdict = verify(&trajectory, limits, &VerifySettings::default())?;
             (trajectory, verdict.reason())
         }
     };
+    let mut slowed_by = None;
+    if let Some(further) = further {
+        let factor = further.slower_by(&trajectory);
+        if factor * factor > HOPELESS {
+            refused = refused.or(further.reason(&trajectory));
+        } else if factor > 1.0 {
+            trajectory = axes::slowed(&trajectory, factor)?;
+            refused = verify(&trajectory, limits, &VerifySettings::default())?.reason();
+            slowed_by = Some(factor);
+        }
+    }
+    let of_axes = further.map(|further| axes::report(&trajectory, limits, further));
     let of_run = match constant {
         Cow::Borrowed(_) => None,
         Cow::Owned(_) => Some(Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?),
@@ -283,8 +334,53 @@ pub fn plan(
             deviation_mm: a.deviation_mm,
         }),
         rounds,
+        axes: of_axes.unwrap_or_default(),
+        slowed_by,
     };
     Ok(Plan { dwell, trajectory, removal, refused, report })
+}
+
+/// Largest ratio of a density that a further axis asks for to the largest that x and y ask for. Larger: a plan that
+/// stands still near the centre of a spindle. Smaller: paths that pass near it are refused. Chosen: a tool that takes
+/// ten thousand times as long over a place removes far too much there.
+const MOST_SLOWED: f64 = 1e4;
+
+/// Number of places on every span at which [`check_further`] looks. Larger: more time. Smaller: places without a
+/// position are found by the judge of the motion instead. Chosen.
+const CHECKED_PLACES: usize = 8;
+
+/// Refuses a path on which a further axis has no position, or allows nearly no feedrate.
+fn check_further(
+    further: &Further<'_>,
+    curves: &[Curve],
+    mesh: &Mesh,
+    limits: &Limits,
+) -> Result<(), Invalid> {
+    let slowest = limits.max_velocity_mm_per_s().into_iter().fold(f64::INFINITY, f64::min);
+    for span in &mesh.spans {
+        for k in 0..=CHECKED_PLACES {
+            let s_mm = span.from_mm + span.length_mm() * k as f64 / CHECKED_PLACES as f64;
+            let there = curves[span.curve].at(s_mm);
+            let [x, y] = there.point_mm;
+            let Some(scaled) = further.scaled(&there) else {
+                let problem = format!(
+                    "passes ({x:.4}, {y:.4}) mm, where an axis of the machine has no position or no derivative"
+                );
+                return Err(Invalid::whole("point_mm", problem, "let the path keep away from there"));
+            };
+            for (axis, name) in scaled.iter().zip(further.names()) {
+                let allowed = 1.0 / axis.need_s_per_mm;
+                if allowed * MOST_SLOWED < slowest {
+                    let problem = format!(
+                        "passes ({x:.4}, {y:.4}) mm, where the velocity of the axis {name} allows {allowed:.2e} mm/s"
+                    );
+                    let remedy = "let the path keep away from there, or let this axis turn faster";
+                    return Err(Invalid::whole("point_mm", problem, remedy));
+                }
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Limits on the rounding of corners, and the spacing of the nodes (mm), for the width of the TIF.

@@ -16,6 +16,7 @@ use std::ops::Range;
 use planish_types::{Limits, ToolPath};
 
 use crate::{
+    axes::Further,
     curve::Curve,
     interior_point::{Approach, Start},
     limits::{Rows, constant_acceleration},
@@ -53,6 +54,7 @@ pub struct Given<'a> {
     pub curves: &'a [Curve],
     pub path: &'a ToolPath,
     pub limits: &'a Limits,
+    pub further: Option<&'a Further<'a>>,
     /// A density of the usual size, s/mm.
     pub reference_s_per_mm: f64,
     pub min_dwell_s_per_mm: f64,
@@ -61,7 +63,11 @@ pub struct Given<'a> {
 impl Given<'_> {
     /// The limits on the densities of a mesh.
     pub fn rows<'m>(&self, mesh: &'m Mesh) -> Rows<'m> {
-        Rows::new(self.curves, mesh, self.limits, self.reference_s_per_mm)
+        let rows = Rows::new(self.curves, mesh, self.limits, self.reference_s_per_mm);
+        match self.further {
+            None => rows,
+            Some(further) => rows.with_further(self.curves, further),
+        }
     }
 
     /// Least density of every node, s/mm.
@@ -217,6 +223,7 @@ mod tests {
             curves: &curves,
             path: &path,
             limits: &limits,
+            further: None,
             reference_s_per_mm: 0.1,
             min_dwell_s_per_mm: 0.0,
         };
