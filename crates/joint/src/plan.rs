@@ -19,7 +19,7 @@ use serde::Serialize;
 
 use crate::{
     JointError,
-    axes::{self, AxisReport, Further, FurtherAxes},
+    axes::{self, AxisReport, Further, FurtherAxes, Scaled},
     curve::{self, Curve, Rounding, Smooth},
     jerk::Average,
     mesh::Mesh,
@@ -345,11 +345,16 @@ fn planned(
 /// ten thousand times as long over a place removes far too much there.
 const MOST_SLOWED: f64 = 1e4;
 
-/// Number of places on every span at which [`check_further`] looks. Larger: more time. Smaller: places without a
-/// position are found by the judge of the motion instead. Chosen.
-const CHECKED_PLACES: usize = 8;
+/// Number of parts of every span between whose ends [`check_further`] looks. Larger: more time. Smaller: paths are
+/// refused that the rows of [`crate::limits`] could resolve. Chosen: that of their halvings.
+const CHECKED_PARTS: usize = 32;
 
-/// Refuses a path on which a further axis has no position, or allows nearly no feedrate.
+/// Change of a derivative between two such places that its second derivatives there do not show, over the derivative.
+/// Larger: the plan may miss a limit there. Smaller: steep axes are refused. Chosen: where an axis is resolved it is some
+/// percent, and 2 where the tool passes the centre of a spindle.
+const MOST_UNSHOWN: f64 = 0.5;
+
+/// Refuses a path on which a further axis has no position, allows nearly no feedrate, or turns between two places.
 fn check_further(
     further: &Further<'_>,
     curves: &[Curve],
@@ -357,9 +362,12 @@ fn check_further(
     limits: &Limits,
 ) -> Result<(), Invalid> {
     let slowest = limits.max_velocity_mm_per_s().into_iter().fold(f64::INFINITY, f64::min);
+    let most_mm_per_s2 = limits.max_acceleration_mm_per_s2().into_iter().fold(0.0, f64::max);
     for span in &mesh.spans {
-        for k in 0..=CHECKED_PLACES {
-            let s_mm = span.from_mm + span.length_mm() * k as f64 / CHECKED_PLACES as f64;
+        let mut before: Option<Vec<Scaled>> = None;
+        let part_mm = span.length_mm() / CHECKED_PARTS as f64;
+        for k in 0..=CHECKED_PARTS {
+            let s_mm = span.from_mm + part_mm * k as f64;
             let there = curves[span.curve].at(s_mm);
             let [x, y] = there.point_mm;
             let Some(scaled) = further.scaled(&there) else {
@@ -378,6 +386,19 @@ fn check_further(
                     return Err(Invalid::whole("point_mm", problem, remedy));
                 }
             }
+            for ((a, b), name) in before.iter().flatten().zip(&scaled).zip(further.names()) {
+                let shown = 0.5 * part_mm * (a.across + b.across);
+                let unshown = (b.along - a.along - shown).abs();
+                let derivative = a.along.abs().max(b.along.abs());
+                if unshown > MOST_UNSHOWN * derivative && unshown * most_mm_per_s2 > 1.0 {
+                    let problem = format!(
+                        "passes ({x:.4}, {y:.4}) mm, where the axis {name} turns within {part_mm:.1e} mm"
+                    );
+                    let remedy = "let the path keep away from there";
+                    return Err(Invalid::whole("point_mm", problem, remedy));
+                }
+            }
+            before = Some(scaled);
         }
     }
     Ok(())

@@ -164,7 +164,11 @@ impl Given<'_> {
         for (from, towards) in from.into_iter().zip(towards) {
             let to = of_finer.next();
             match (towards, to) {
-                (None, Some(to)) => z[to].copy_from_slice(&at.duals[0][from]),
+                (None, Some(to)) if to.len() == from.len() => {
+                    z[to].copy_from_slice(&at.duals[0][from]);
+                }
+                // Other floors at its nodes imply other rows of further axes.
+                (None, Some(_)) => {}
                 _ => drop(of_finer.next()),
             }
         }
