@@ -240,7 +240,8 @@ impl<'a> Further<'a> {
                     for k in 1..intervals {
                         let [a, b, c] = [k - 1, k, k + 1].map(acceleration);
                         // Of the parabola through three accelerations, at its ends and in its middle
-                        let [from, to] = [-1.5 * a + 2.0 * b - 0.5 * c, 0.5 * a - 2.0 * b + 1.5 * c];
+                        let [from, to] =
+                            [-1.5 * a + 2.0 * b - 0.5 * c, 0.5 * a - 2.0 * b + 1.5 * c];
                         let here = from.abs().max(to.abs()).max((0.5 * (c - a)).abs());
                         used[2] = used[2].max(here * scale);
                     }
@@ -281,14 +282,18 @@ impl<'a> Further<'a> {
         all
     }
 
-    /// Factor by which accelerations on every span of a planned motion are too large for the further axes; at most 1 where
-    /// they keep their limits. It is that of the motion after averaging, on every span that takes part in it.
-    pub fn excess(&self, motion: &Motion, spans: usize) -> Result<Vec<f64>, Invalid> {
-        let of_piece = |used: &Vec<Used>| used.iter().map(as_acceleration).fold(0.0, f64::max);
-        let mut of_spans = vec![0.0f64; spans];
+    /// Factor by which accelerations of every axis on every span of a planned motion are too large (spans, axes); at most 1
+    /// where it keeps its limits. It is that of the motion after averaging, on every span that takes part in it.
+    pub fn excess(&self, motion: &Motion, spans: usize) -> Result<Vec<Vec<f64>>, Invalid> {
+        let mut of_spans = vec![vec![0.0f64; self.axes.limits().len()]; spans];
+        let mut raise = |span: usize, used: &[Used]| {
+            for (most, used) in of_spans[span].iter_mut().zip(used) {
+                *most = most.max(as_acceleration(used));
+            }
+        };
         let Some(average) = self.average else {
             for (used, span) in self.used(&motion.trajectory).iter().zip(&motion.span) {
-                of_spans[*span] = of_spans[*span].max(of_piece(used));
+                raise(*span, used);
             }
             return Ok(of_spans);
         };
@@ -296,14 +301,13 @@ impl<'a> Further<'a> {
         let breaks = motion.trajectory.break_time_s();
         // The average begins earlier by its window, and takes part of as much to both sides.
         for (used, times) in self.used(&averaged).iter().zip(averaged.break_time_s().windows(2)) {
-            let of_piece = of_piece(used);
             let (from_s, to_s) = (times[0] - 2.0 * average.window_s, times[1]);
             let first = breaks.partition_point(|b| *b < from_s).max(1) - 1;
             for (k, span) in motion.span.iter().enumerate().skip(first) {
                 if breaks[k] > to_s {
                     break;
                 }
-                of_spans[*span] = of_spans[*span].max(of_piece);
+                raise(*span, used);
             }
         }
         Ok(of_spans)
@@ -354,7 +358,7 @@ fn as_acceleration(used: &Used) -> f64 {
 /// Position, velocity and acceleration at the local time `u_s` of a piece, in mm and s.
 fn motion_at(segment: &Segment<'_>, u_s: f64) -> [[f64; 2]; 3] {
     let mut c = *segment.coefficient_mm;
-   [0; 3].map(|_| {
+    [0; 3].map(|_| {
         let at = c.each_ref().map(|c| evaluate(c, u_s));
         c = c.each_ref().map(derivative);
         at
@@ -382,7 +386,7 @@ pub fn slowed(trajectory: &Trajectory, factor: f64) -> Result<Trajectory, Invali
 /// Use of the limits of an axis by the motion of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AxisReport {
-    /// Name of the axis.
+    /// Name of the axis; `contact x` and `contact y` for the contact point along x and y of the part.
     pub name: String,
     /// Largest velocity over its limit.
     pub velocity_over_limit: f64,
@@ -391,9 +395,10 @@ pub struct AxisReport {
     /// Largest jerk over its limit; absent for x and y, and where there is no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jerk_over_limit: Option<f64>,
-    /// Fraction of the time in which the velocity is above nine tenths of its limit.
+    /// Fraction of the time in which the velocity is above nine tenths of its limit, of the motion before averaging.
     pub time_near_velocity_limit: f64,
-    /// Fraction of the time in which the acceleration is above nine tenths of its limit.
+    /// Fraction of the time in which the acceleration is above nine tenths of what the plan may use of its limit, of the
+    /// motion before averaging: all of the limit, or the fraction that a limit on jerk leaves.
     pub time_near_acceleration_limit: f64,
     /// Box of the places with a velocity near the limit, mm: least x and y, largest x and y.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -403,9 +408,15 @@ pub struct AxisReport {
     pub near_acceleration_limit_mm: Option<[[f64; 2]; 2]>,
 }
 
-/// Report on x, y and the further axes.
-pub fn report(trajectory: &Trajectory, limits: &Limits, further: &Further<'_>) -> Vec<AxisReport> {
-    let own = limits.axes().iter().map(|axis| (axis.name().to_owned(), None));
+/// Report on x, y and the further axes: the largest use of limits by the motion `executed`, and the time near limits of
+/// the motion `planned` before any average.
+pub fn report(
+    executed: &Trajectory,
+    planned: &Trajectory,
+    limits: &Limits,
+    further: &Further<'_>,
+) -> Vec<AxisReport> {
+    let own = limits.axes().iter().map(|axis| (format!("contact {}", axis.name()), None));
     let others = further.axes.limits().iter().map(|a| (a.name.clone(), a.max_jerk_per_s3));
     let mut reports: Vec<AxisReport> = own
         .chain(others)
@@ -420,26 +431,44 @@ pub fn report(trajectory: &Trajectory, limits: &Limits, further: &Further<'_>) -
             near_acceleration_limit_mm: None,
         })
         .collect();
-    let total_s = trajectory.total_time_s();
+    for segment in executed.segments() {
+        for (c, (report, axis)) in
+            segment.coefficient_mm.iter().zip(reports.iter_mut().zip(limits.axes()))
+        {
+            let rate = derivative(c);
+            let peak = |c: &[f64; 4]| range(c, segment.duration_s).peak().0.abs();
+            let velocity = peak(&rate) / axis.max_velocity_mm_per_s();
+            let acceleration = peak(&derivative(&rate)) / axis.max_acceleration_mm_per_s2();
+            report.velocity_over_limit = report.velocity_over_limit.max(velocity);
+            report.acceleration_over_limit = report.acceleration_over_limit.max(acceleration);
+        }
+    }
+    for used in further.used(executed) {
+        for (report, [velocity, acceleration, jerk]) in reports[2..].iter_mut().zip(used) {
+            report.velocity_over_limit = report.velocity_over_limit.max(velocity);
+            report.acceleration_over_limit = report.acceleration_over_limit.max(acceleration);
+            report.jerk_over_limit = report.jerk_over_limit.map(|j| j.max(jerk));
+        }
+    }
+    near_limits(&mut reports, planned, limits, further);
+    reports
+}
+
+/// Adds the times and places near limits.
+fn near_limits(
+    reports: &mut [AxisReport],
+    planned: &Trajectory,
+    limits: &Limits,
+    further: &Further<'_>,
+) {
     let over = |v: [f64; 2], a: [f64; 2]| {
         [0, 1].map(|i| {
             let axis = &limits.axes()[i];
             [v[i] / axis.max_velocity_mm_per_s(), a[i] / axis.max_acceleration_mm_per_s2()]
         })
     };
-    for segment in trajectory.segments() {
-        for (c, (report, axis)) in
-            segment.coefficient_mm.iter().zip(reports.iter_mut().zip(limits.axes()))
-        {
-            let rate = derivative(c);
-            let peak = |c: &[f64; 4]| range(c, segment.duration_s).peak().0.abs();
-            let [velocity, acceleration] = [
-                peak(&rate) / axis.max_velocity_mm_per_s(),
-                peak(&derivative(&rate)) / axis.max_acceleration_mm_per_s2(),
-            ];
-            report.velocity_over_limit = report.velocity_over_limit.max(velocity);
-            report.acceleration_over_limit = report.acceleration_over_limit.max(acceleration);
-        }
+    let total_s = planned.total_time_s();
+    for segment in planned.segments() {
         let fraction = segment.duration_s / (REPORTED_TIMES as f64 * total_s);
         for k in 0..REPORTED_TIMES {
             let u = segment.duration_s * (k as f64 + 0.5) / REPORTED_TIMES as f64;
@@ -452,21 +481,24 @@ pub fn report(trajectory: &Trajectory, limits: &Limits, further: &Further<'_>) -
                     report.time_near_velocity_limit += fraction;
                     widen(&mut report.near_velocity_limit_mm, p);
                 }
-                if acceleration.abs() > NEAR {
+                if acceleration.abs() > NEAR * further.fraction() {
                     report.time_near_acceleration_limit += fraction;
                     widen(&mut report.near_acceleration_limit_mm, p);
                 }
             }
         }
     }
-    for used in further.used(trajectory) {
-        for (report, [velocity, acceleration, jerk]) in reports[2..].iter_mut().zip(used) {
-            report.velocity_over_limit = report.velocity_over_limit.max(velocity);
-            report.acceleration_over_limit = report.acceleration_over_limit.max(acceleration);
-            report.jerk_over_limit = report.jerk_over_limit.map(|j| j.max(jerk));
-        }
+}
+
+impl AxisReport {
+    /// Fractions of the time in which the velocity and the acceleration are near what the plan may use of their limits,
+    /// each with its quantity.
+    pub fn near(&self) -> [(&'static str, f64); 2] {
+        [
+            ("velocity", self.time_near_velocity_limit),
+            ("acceleration", self.time_near_acceleration_limit),
+        ]
     }
-    reports
 }
 
 fn widen(of: &mut Option<[[f64; 2]; 2]>, p: [f64; 2]) {

@@ -322,7 +322,8 @@ mod tests {
     #[test]
     fn a_machine_without_a_limit_needs_no_average_and_a_low_one_takes_less_of_the_acceleration() {
         assert_eq!(Average::new(&machine(None), &[], 0.1), None);
-        let [low, high] = [1e3, 1e9].map(|jerk| Average::new(&machine(Some(jerk)), &[], 0.1).unwrap());
+        let [low, high] =
+            [1e3, 1e9].map(|jerk| Average::new(&machine(Some(jerk)), &[], 0.1).unwrap());
         assert!(low.fraction < 0.2 && high.fraction == 1.0, "{low:?} {high:?}");
         // w = 2 f A / J on the slower axis.
         assert!((low.window_s / (2.0 * low.fraction * 800.0 / 1e3) - 1.0).abs() < 1e-6);

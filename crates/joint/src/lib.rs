@@ -10,6 +10,7 @@
 //! | [`curve`] | the smooth curve along a path: lines and clothoids |
 //! | [`mesh`] | nodes of the density: their removal, and the motion between them |
 //! | [`axes`] | axes beyond x and y: their limits, and the judge of their motion |
+//! | `machine_axes` | these axes from the kinematics of a machine and the form of the part |
 //! | [`limits`] | limits of the machine on that motion |
 //! | [`merit`] | the objective: residual and price of time |
 //! | [`interior_point`] | the solver: the least objective under the limits |
@@ -27,6 +28,7 @@ pub mod curve;
 pub mod interior_point;
 pub mod jerk;
 pub mod limits;
+mod machine_axes;
 pub mod merit;
 pub mod mesh;
 pub mod motion;
@@ -36,6 +38,7 @@ mod refinement;
 mod settings;
 
 pub use axes::{FurtherAxes, FurtherLimits};
+pub use machine_axes::MachineAxes;
 pub use merit::Price;
 pub use plan::{Plan, Report, plan, plan_with_further_axes};
 pub use settings::Settings;

@@ -89,8 +89,8 @@ const DIFFERENCE: f64 = 1e-4;
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Row {
     span: usize,
-    /// False for x and y.
-    further: bool,
+    /// Index of the further axis; `None` for x and y.
+    further: Option<usize>,
     on: On,
 }
 
@@ -331,18 +331,30 @@ impl<'a> Rows<'a> {
         worth
     }
 
-    /// Multiplies the use of the limits in the rows of every span by `use_of_limit` where that is above 1, so that
-    /// the next solution uses less: in the rows of x and y, or in those of further axes.
-    pub fn tighten(&mut self, use_of_limit: &[f64], further: bool) {
-        for row in self.rows.iter_mut().filter(|row| row.further == further) {
-            let factor = use_of_limit[row.span].max(1.0);
-            match &mut row.on {
-                On::Line { along, .. } => *along *= factor,
-                On::Place { across, along, .. } => {
-                    *across *= factor;
-                    *along *= factor;
-                }
-                On::Ratio { .. } => {}
+    /// Multiplies the use of the limits in the rows of x and y of every span by `use_of_limit` (spans) where that is above
+    /// 1, so that the next solution uses less.
+    pub fn tighten(&mut self, use_of_limit: &[f64]) {
+        for row in self.rows.iter_mut().filter(|row| row.further.is_none()) {
+            row.on.tighten(use_of_limit[row.span]);
+        }
+    }
+
+    /// Multiplies the use of the limits in the rows of further axes by `use_of_limit` (spans, axes) where that is above 1.
+    ///
+    /// A span may have no row of an axis, because other limits imply its velocity and acceleration, but not its jerk. Its
+    /// rows of x and y are then tightened, and with `all` those of all axes.
+    pub fn tighten_further(&mut self, use_of_limit: &[Vec<f64>], all: bool) {
+        for (span, rows) in self.of_spans().into_iter().enumerate() {
+            let rows = &mut self.rows[rows];
+            for (axis, factor) in use_of_limit[span].iter().enumerate().filter(|(_, f)| **f > 1.0) {
+                let has_own = rows.iter().any(|row| row.further == Some(axis));
+                let is_meant = |row: &&mut Row| {
+                    all || match has_own {
+                        true => row.further == Some(axis),
+                        false => row.further.is_none(),
+                    }
+                };
+                rows.iter_mut().filter(is_meant).for_each(|row| row.on.tighten(*factor));
             }
         }
     }
@@ -372,7 +384,7 @@ pub fn constant_acceleration(a: f64, b: f64) -> f64 {
 impl Row {
     /// A row of x or y.
     fn of(span: usize, on: On) -> Self {
-        Self { span, further: false, on }
+        Self { span, further: None, on }
     }
 
     /// Returns true if two rows limit the motion at the same place or time.
@@ -387,6 +399,19 @@ impl Row {
 }
 
 impl On {
+    /// Multiplies the use of the limit by a factor where that is above 1.
+    fn tighten(&mut self, factor: f64) {
+        let factor = factor.max(1.0);
+        match self {
+            Self::Line { along, .. } => *along *= factor,
+            Self::Place { across, along, .. } => {
+                *across *= factor;
+                *along *= factor;
+            }
+            Self::Ratio { .. } => {}
+        }
+    }
+
     /// The motion that the row limits; for a ratio of densities any.
     fn motion(&self, span: &Span, densities: [Option<f64>; 2]) -> Kinematics {
         match *self {
@@ -547,7 +572,8 @@ impl Most<'_> {
         let axes = at.iter().map(|place| place.axes.len()).min().unwrap_or(0);
         let length_mm = at[4].s_mm - at[0].s_mm;
         // The slowest feedrate that some axis asks for all over the part
-        let slowest = |i: usize| at.iter().map(|p| p.axes[i].need_s_per_mm).fold(f64::INFINITY, f64::min);
+        let slowest =
+            |i: usize| at.iter().map(|p| p.axes[i].need_s_per_mm).fold(f64::INFINITY, f64::min);
         let feed = (0..axes).map(|i| 1.0 / slowest(i)).fold(self.feed_mm_per_s, f64::min);
         let of_axis = |i: usize| {
             let need = at.map(|place| place.axes[i].need_s_per_mm);
@@ -555,7 +581,8 @@ impl Most<'_> {
             let across = at.map(|place| place.axes[i].across);
             let largest = |v: [f64; 5]| v.into_iter().fold(0.0, |m: f64, v| m.max(v.abs()));
             let change = |v: [f64; 5]| (v[4] - v[0]).abs();
-            let (f, g, acceleration) = (largest(along), largest(across), self.acceleration_mm_per_s2);
+            let (f, g, acceleration) =
+                (largest(along), largest(across), self.acceleration_mm_per_s2);
             let velocity = if largest(need) * self.feed_mm_per_s <= 1.0 {
                 0.0
             } else {
@@ -584,26 +611,28 @@ impl Most<'_> {
     /// The rows of a place that the other limits do not imply.
     fn rows(&self, span: usize, place: &Place) -> Vec<Row> {
         let s_mm = place.s_mm;
-        let row = |across: f64, along: f64| Row {
+        let row = |axis: usize, across: f64, along: f64| Row {
             span,
-            further: true,
+            further: Some(axis),
             on: On::Place { s_mm, across, along },
         };
         let (feed, acceleration) = (self.feed_mm_per_s, self.acceleration_mm_per_s2);
         let [start, end] = self.span.nodes;
-        let at_node = s_mm == 0.0 && start.is_some()
-            || s_mm == self.span.length_mm() && end.is_some();
+        let at_node =
+            s_mm == 0.0 && start.is_some() || s_mm == self.span.length_mm() && end.is_some();
         let mut rows = Vec::new();
-        for (axis, [of_velocity, of_acceleration]) in place.axes.iter().zip(&place.margins) {
+        for (i, (axis, [of_velocity, of_acceleration])) in
+            place.axes.iter().zip(&place.margins).enumerate()
+        {
             let need = axis.need_s_per_mm / (1.0 - of_velocity);
             if need * feed > 1.0 && !at_node {
-                rows.push(row(need * need, 0.0));
+                rows.push(row(i, need * need, 0.0));
             }
             let [across, along] = [axis.across, axis.along].map(|v| v / (1.0 - of_acceleration));
             for sign in [1.0, -1.0] {
                 let bend = (sign * across).max(0.0) * feed * feed;
                 if bend + along.abs() * acceleration > 1.0 {
-                    rows.push(row(sign * across, sign * along));
+                    rows.push(row(i, sign * across, sign * along));
                 }
             }
         }
@@ -798,10 +827,8 @@ mod tests {
                 rows.slacks(d).iter().all(|c| *c > 0.0)
                     && d.iter().zip(rows.least_density()).all(|(d, least)| d >= least)
             };
-            let density = (0..2000)
-                .map(|k| rough(1e-2 * 1.005f64.powi(k)))
-                .find(keeps)
-                .expect("slow enough");
+            let density =
+                (0..2000).map(|k| rough(1e-2 * 1.005f64.powi(k))).find(keeps).expect("slow enough");
             for (i, row) in rows.constraints(&density).iter().enumerate() {
                 for (node, by) in row.nodes.iter().zip(row.by) {
                     let Some(node) = *node else { continue };

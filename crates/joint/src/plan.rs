@@ -66,6 +66,14 @@ const CLOSEST_SPACING_OVER_TIF_WIDTH: f64 = 0.15;
 /// follows the removal of the TIF. Smaller: plans of large parts that take minutes. Chosen.
 const WIDEST_SPACING_OVER_TIF_WIDTH: f64 = 1.5;
 
+/// Least fraction of the time near a limit that is named. Larger: limits of short bends are left out. Smaller: single
+/// places are named. Chosen.
+const LEAST_NAMED: f64 = 5e-4;
+
+/// Largest number of limits that are named. Larger: a longer sentence. Smaller: limits that matter are left out. Chosen;
+/// the manifest has all of them.
+const MOST_NAMED: usize = 4;
+
 /// Report of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
@@ -155,6 +163,22 @@ pub struct Plan {
     pub refused: Option<String>,
     /// Report of the plan.
     pub report: Report,
+}
+
+impl Report {
+    /// Limits that the plan is near for some of the time, in words, those of most of the time first.
+    pub fn near_limits(&self) -> String {
+        let of_axis = |axis: &AxisReport| {
+            axis.near().map(|(quantity, part)| (part, format!("{quantity} of {}", axis.name)))
+        };
+        let mut all: Vec<(f64, String)> = self.axes.iter().flat_map(of_axis).collect();
+        all.retain(|(part, _)| *part >= LEAST_NAMED);
+        all.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let in_words =
+            |(part, name): &(f64, String)| format!("{name} {:.1} % of the time", 100.0 * part);
+        let named: Vec<String> = all.iter().take(MOST_NAMED).map(in_words).collect();
+        if named.is_empty() { "none".into() } else { named.join(", ") }
+    }
 }
 
 impl Plan {
@@ -285,7 +309,7 @@ fn planned(
     };
     let Found { solution, motion, refused, model_rms_nm, price, iterations, rounds } = found;
     let (mut trajectory, mut refused) = match averaged(&motion.trajectory)? {
-        None => (motion.trajectory, refused),
+        None => (motion.trajectory.clone(), refused),
         Some(trajectory) => {
             let verdict = verify(&trajectory, limits, &VerifySettings::default())?;
             (trajectory, verdict.reason())
@@ -302,7 +326,8 @@ fn planned(
             slowed_by = Some(factor);
         }
     }
-    let of_axes = further.map(|further| axes::report(&trajectory, limits, further));
+    let of_axes =
+        further.map(|further| axes::report(&trajectory, &motion.trajectory, limits, further));
     let of_run = match constant {
         Cow::Borrowed(_) => None,
         Cow::Owned(_) => Some(Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?),
@@ -374,7 +399,9 @@ fn check_further(
                 let problem = format!(
                     "passes ({x:.4}, {y:.4}) mm, where an axis of the machine has no position or no derivative"
                 );
-                return Err(Invalid::whole("point_mm", problem, "let the path keep away from there"));
+                let remedy =
+                    "let the path keep away from there, or give a form that covers all of it";
+                return Err(Invalid::whole("point_mm", problem, remedy));
             };
             for (axis, name) in scaled.iter().zip(further.names()) {
                 let allowed = 1.0 / axis.need_s_per_mm;

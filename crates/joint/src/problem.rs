@@ -63,6 +63,10 @@ pub const HOPELESS: f64 = 30.0;
 /// Smaller: more rounds. Chosen.
 const TIGHTENED_FURTHER: f64 = 1.002;
 
+/// Round from which on an excess of a further axis tightens all rows of its span, not only its own. Larger: more rounds
+/// where the rows of other axes decide. Smaller: plans that are slower than needed. Chosen.
+const TIGHTEN_ALL_FROM: usize = 4;
+
 /// Largest ratio of the multiplications of a factorisation on the last mesh to those on the first one. Larger: more
 /// nodes, a smaller residual and more time. Smaller: the opposite. Chosen.
 const MOST_GROWTH: f64 = 5.0;
@@ -319,15 +323,16 @@ impl<'a> Posed<'a> {
         let Asked { path, curves, limits, further, executed, .. } = *asked;
         let mesh = self.mesh;
         let stop = Stop { relative_gap: settings.relative_gap, max_iterations };
-        let motion =
-            |density: &[f64]| motion::motion(curves, mesh, path, limits, further, density);
+        let motion = |density: &[f64]| motion::motion(curves, mesh, path, limits, further, density);
         let executed = |density: &[f64]| executed(&motion(density)?.trajectory);
         // Of the further axes, on every span
         let excess_of = |motion: &Motion| match further {
-            None => Ok(vec![0.0; mesh.spans.len()]),
+            None => Ok(Vec::new()),
             Some(further) => further.excess(motion, mesh.spans.len()),
         };
         let largest = |used: &[f64]| used.iter().copied().fold(1.0, f64::max);
+        let largest_of_all =
+            |used: &[Vec<f64>]| used.iter().map(|used| largest(used)).fold(1.0, f64::max);
         let mut merit = self.merit(&start.density, settings).of_motion(&executed);
         let (diagonal, below) = merit.chain();
         let (mut iterations, mut rounds) = (0, 0);
@@ -340,7 +345,7 @@ impl<'a> Posed<'a> {
             let planned = motion(&solution.density)?;
             let verdict = verify(&planned.trajectory, limits, &VerifySettings::default())?;
             let of_axes = excess_of(&planned)?;
-            let further_excess = largest(&of_axes);
+            let further_excess = largest_of_all(&of_axes);
             let used = planned.use_of_acceleration(mesh.spans.len(), limits);
             let excess = if verdict.limits_respected { 1.0 } else { largest(&used) };
             let hopeless = further_excess > HOPELESS;
@@ -351,9 +356,12 @@ impl<'a> Posed<'a> {
                 used.iter().map(|u| if *u > 1.0 { u * TIGHTENED_FURTHER } else { 1.0 }).collect()
             };
             if excess > 1.0 {
-                rows.tighten(&tighter(&used), false);
+                rows.tighten(&tighter(&used));
             }
-            rows.tighten(&tighter(&of_axes), true);
+            if further_excess > 1.0 {
+                let tighter: Vec<Vec<f64>> = of_axes.iter().map(|used| tighter(used)).collect();
+                rows.tighten_further(&tighter, rounds >= TIGHTEN_ALL_FROM);
+            }
             // If times are longer by a factor, accelerations are smaller by its square.
             let excess = excess.max(further_excess);
             let factor = ABOVE_LIMITS * (excess * TIGHTENED_FURTHER).sqrt();
@@ -372,7 +380,7 @@ impl<'a> Posed<'a> {
                 iterations += next.iterations;
                 let moved = motion(&next.density)?;
                 let verdict = verify(&moved.trajectory, limits, &VerifySettings::default())?;
-                if !verdict.limits_respected || largest(&excess_of(&moved)?) > 1.0 {
+                if !verdict.limits_respected || largest_of_all(&excess_of(&moved)?) > 1.0 {
                     break;
                 }
                 let after = merit.of_execution_nm2(&next.density)?;

@@ -79,8 +79,7 @@ fn spindle(limits: [FurtherLimits; 2]) -> Analytic {
             [(1.0 - x * x / r2) / r, -x * y / (r2 * r), (1.0 - y * y / r2) / r],
         );
         let turn = 2.0 * x * y / (r2 * r2);
-        let angle =
-            Jet(y.atan2(x), [-y / r2, x / r2], [turn, (y * y - x * x) / (r2 * r2), -turn]);
+        let angle = Jet(y.atan2(x), [-y / r2, x / r2], [turn, (y * y - x * x) / (r2 * r2), -turn]);
         Some(vec![radius, angle])
     };
     Analytic { limits: limits.into(), of: Box::new(of) }
@@ -88,7 +87,12 @@ fn spindle(limits: [FurtherLimits; 2]) -> Analytic {
 
 /// The judge of this test: differences of q(p(t)) at equal times, which are means of derivatives. Largest velocity,
 /// acceleration and jerk over their limits, of every axis.
-fn differences(motion: &Trajectory, axes: &Analytic, step_s: f64, turns: &[usize]) -> Vec<[f64; 3]> {
+fn differences(
+    motion: &Trajectory,
+    axes: &Analytic,
+    step_s: f64,
+    turns: &[usize],
+) -> Vec<[f64; 3]> {
     let breaks = motion.break_time_s();
     let count = (motion.total_time_s() / step_s) as usize;
     let mut segment = 0;
