@@ -231,6 +231,7 @@ impl<'a> Further<'a> {
                     bulge = bulge.max((secant - mean).abs());
                 }
                 for k in 1..intervals {
+                    used[0] = used[0].max(peak([k - 1, k, k + 1].map(velocity)));
                     let [a, b, c] = [k - 1, k, k + 1].map(acceleration);
                     used[1] = used[1].max(peak([a, b, c]));
                     bulge = bulge.max((0.125 * (a - 2.0 * b + c)).abs());

@@ -252,19 +252,7 @@ fn planned(
         let remedy = "give a path that moves, or schedule rests with `planish-schedule position`";
         return Err(Invalid::whole("point_mm", "has no segment with a length", remedy).into());
     }
-    let (mesh, widened) = match settings.node_spacing_mm {
-        Some(_) => (Mesh::new(&curves, path, spacing_mm)?, None),
-        None => {
-            let [closest_mm, widest_mm] =
-                [CLOSEST_SPACING_OVER_TIF_WIDTH, WIDEST_SPACING_OVER_TIF_WIDTH]
-                    .map(|w| w * tif_width_mm);
-            let (mesh, taken_mm) =
-                affordable(&curves, path, tif, [spacing_mm, widest_mm], MOST_WORK)?;
-            let mesh = closer(&curves, path, tif, (mesh, taken_mm), closest_mm)?;
-            let widened = Widened { from_mm: spacing_mm, to_mm: taken_mm };
-            (mesh, (taken_mm > spacing_mm).then_some(widened))
-        }
-    };
+    let (mesh, widened) = first_mesh(&curves, path, tif, spacing_mm, settings)?;
     if let Some(further) = further {
         check_further(further, &curves, &mesh, limits)?;
     }
@@ -317,14 +305,7 @@ fn planned(
     };
     let mut slowed_by = None;
     if let Some(further) = further {
-        let factor = further.slower_by(&trajectory);
-        if factor * factor > HOPELESS {
-            refused = refused.or(further.reason(&trajectory));
-        } else if factor > 1.0 {
-            trajectory = axes::slowed(&trajectory, factor)?;
-            refused = verify(&trajectory, limits, &VerifySettings::default())?.reason();
-            slowed_by = Some(factor);
-        }
+        (trajectory, refused, slowed_by) = within_axes(trajectory, refused, limits, further)?;
     }
     let of_axes =
         further.map(|further| axes::report(&trajectory, &motion.trajectory, limits, further));
@@ -363,6 +344,46 @@ fn planned(
         slowed_by,
     };
     Ok(Plan { dwell, trajectory, removal, refused, report })
+}
+
+/// A motion that keeps the limits of the further axes: as it is, or with all times longer. With the reason why the judge
+/// refuses it, and the factor on all times.
+fn within_axes(
+    trajectory: Trajectory,
+    refused: Option<String>,
+    limits: &Limits,
+    further: &Further<'_>,
+) -> Result<(Trajectory, Option<String>, Option<f64>), Invalid> {
+    let factor = further.slower_by(&trajectory);
+    if factor * factor > HOPELESS {
+        let refused = refused.or(further.reason(&trajectory));
+        return Ok((trajectory, refused, None));
+    }
+    if factor == 1.0 {
+        return Ok((trajectory, refused, None));
+    }
+    let trajectory = axes::slowed(&trajectory, factor)?;
+    let refused = verify(&trajectory, limits, &VerifySettings::default())?.reason();
+    Ok((trajectory, refused, Some(factor)))
+}
+
+/// Mesh of equal distances, and its spacing if that is wider than `spacing_mm` to save work.
+fn first_mesh(
+    curves: &[Curve],
+    path: &ToolPath,
+    tif: &Tif,
+    spacing_mm: f64,
+    settings: &Settings,
+) -> Result<(Mesh, Option<Widened>), Invalid> {
+    if settings.node_spacing_mm.is_some() {
+        return Ok((Mesh::new(curves, path, spacing_mm)?, None));
+    }
+    let [closest_mm, widest_mm] =
+        [CLOSEST_SPACING_OVER_TIF_WIDTH, WIDEST_SPACING_OVER_TIF_WIDTH].map(|w| w * tif.width_mm());
+    let (mesh, taken_mm) = affordable(curves, path, tif, [spacing_mm, widest_mm], MOST_WORK)?;
+    let mesh = closer(curves, path, tif, (mesh, taken_mm), closest_mm)?;
+    let widened = Widened { from_mm: spacing_mm, to_mm: taken_mm };
+    Ok((mesh, (taken_mm > spacing_mm).then_some(widened)))
 }
 
 /// Largest ratio of a density that a further axis asks for to the largest that x and y ask for. Larger: a plan that
