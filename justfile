@@ -221,6 +221,11 @@ test-gcode: build
 programs-table *flags: build
     @python3 pipelines/programs-table.py {{ flags }}
 
+# Joint plans with and without rows for all axes, as motions of these axes: the tables of docs/axes.md (--planning: time of planning)
+[group('5 pages and tables')]
+axes-table *flags: build
+    @python3 pipelines/axes-table.py {{ flags }}
+
 # Surface and TIF of the mirror in PLANISH_REFERENCE, as artifacts without manifests
 [private]
 reference-mirror out:

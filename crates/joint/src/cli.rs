@@ -1,13 +1,18 @@
 //! The command line.
 
+use std::path::PathBuf;
+
 use clap::Args;
 use planish_dwell::residual::Free;
+use planish_form::{Form, FormFile};
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status,
     flags::{MachineArgs, MirrorArgs, OutputArgs, PathArgs},
     say, task, with_flags,
 };
-use planish_joint::{Price, Settings, plan};
+use planish_joint::{
+    FurtherAxes, MachineAxes, Plan, Price, Report, Settings, plan, plan_with_further_axes,
+};
 use planish_types::{
     DwellTime, Trajectory,
     plausible::{self, Rms},
@@ -22,6 +27,10 @@ pub struct Joint {
     path: PathArgs,
     #[command(flatten)]
     machine: MachineArgs,
+    /// Form of the part: a form file [JSON], or its height along z [surface artifact]; a plane without it. It acts on the
+    /// plan for a machine with more axes than x and y
+    #[arg(long, value_name = "PATH")]
+    form: Option<PathBuf>,
     /// Smallest dwell time per length (1 / largest feedrate), s/mm
     #[arg(long, value_name = "T", default_value_t = Settings::default().min_dwell_s_per_mm)]
     min_dwell_s_per_mm: f64,
@@ -77,9 +86,8 @@ struct PriceArgs {
 }
 
 impl Joint {
-    /// Computes the plan, writes it and returns the verdict.
-    pub fn run(&self) -> Result<Status, Failure> {
-        let settings = Settings {
+    fn settings(&self) -> Settings {
+        Settings {
             min_dwell_s_per_mm: self.min_dwell_s_per_mm,
             price: match (self.price.time_weight_nm2_per_s, self.price.time_elasticity) {
                 (Some(price), _) => Price::Nm2PerS(price),
@@ -95,11 +103,21 @@ impl Joint {
             refinements: self.refinements,
             relative_gap: self.relative_gap,
             max_iterations: self.max_iterations,
-        };
+        }
+    }
+
+    /// Computes the plan, writes it and returns the verdict.
+    pub fn run(&self) -> Result<Status, Failure> {
+        let settings = self.settings();
         let mut inputs = Inputs::new();
         let (surface, tif) = self.mirror.read(&mut inputs)?;
         let path = self.path.read(&mut inputs)?;
-        let machine = self.machine.read(&mut inputs)?;
+        let machine = inputs.read_machine(&self.machine.machine)?;
+        let form = match &self.form {
+            Some(path) => inputs.read_form("form", path)?.form,
+            None => Form::new(&FormFile::plane(), None)?,
+        };
+        let further = MachineAxes::new(&machine, &form)?;
         let task = task!("joint", settings);
         let parts = [("dwell", DwellTime::KIND), ("trajectory", Trajectory::KIND)];
         let mut output = match Output::directories(&self.output, parts).begin(&task, &inputs)? {
@@ -108,7 +126,15 @@ impl Joint {
         };
 
         plausible::check_path(&surface, &tif, &path)?;
-        let plan = plan(&surface, &tif, &path, &machine, &settings).map_err(Failure::with_flags)?;
+        let limits = machine.limits_on_part();
+        let plan = match &further {
+            None => plan(&surface, &tif, &path, &limits, &settings),
+            Some(axes) => {
+                let machine = (&limits, axes as &dyn FurtherAxes);
+                plan_with_further_axes(&surface, &tif, &path, machine, &settings)
+            }
+        };
+        let plan = plan.map_err(Failure::with_flags)?;
 
         let r = &plan.report;
         let rms = Rms::of(plan.removal.residual());
@@ -125,6 +151,17 @@ impl Joint {
         });
         output.write(&plan.dwell, outcome.clone(), &status)?;
         output.write(&plan.trajectory, outcome, &status)?;
+        self.say(&plan, rms.rms_nm);
+        if self.form.is_some() && further.is_none() {
+            say(
+                "joint: the machine has the axes x and y alone, so that the form does not act on the plan",
+            );
+        }
+        Ok(status)
+    }
+
+    fn say(&self, plan: &Plan, rms_nm: f64) {
+        let r = &plan.report;
         if let Some(widened) = r.widened {
             say(format!(
                 "joint: nodes {:.3} mm apart in the place of {:.3}, because the solver would take minutes with as many; \
@@ -139,8 +176,8 @@ impl Joint {
             r.end,
             r.iterations,
             r.relative_gap,
-            rms.rms_nm,
-            total_time_s,
+            rms_nm,
+            plan.trajectory.total_time_s(),
             r.price_nm2_per_s,
             r.nodes,
             r.points_moved_mm,
@@ -148,6 +185,24 @@ impl Joint {
             r.corner_deviation_mm,
             self.output.out.display()
         ));
-        Ok(status)
+        say_of_axes(r);
+    }
+}
+
+fn say_of_axes(r: &Report) {
+    if r.axes.is_empty() {
+        return;
+    }
+    let names: Vec<&str> = r.axes.iter().map(|axis| axis.name.as_str()).collect();
+    say(format!(
+        "joint: planned with the axes {}; above nine tenths of what the plan may use of a limit: {}",
+        names.join(", "),
+        r.near_limits()
+    ));
+    if let Some(factor) = r.slowed_by {
+        say(format!(
+            "joint: after {} rounds an axis still exceeded a limit, so that all times are longer by a factor {factor:.6}",
+            r.rounds
+        ));
     }
 }

@@ -25,6 +25,8 @@ use planish_numerics::polynomial;
 use planish_types::{Invalid, Limits, MachineFile, Trajectory, TrajectoryBuilder, budget};
 use rayon::prelude::*;
 
+use crate::axes::FurtherLimits;
+
 /// Number of intervals h in the window w. Larger: a smaller deviation (4), and more cubic pieces. Smaller: fewer
 /// pieces, a larger deviation. Chosen: (4) is then a quarter above its least value.
 const INTERVALS: usize = 4;
@@ -58,8 +60,9 @@ pub struct Average {
 
 impl Average {
     /// The average for the limits on jerk of a machine, with (4) at most `deviation_mm`; `None` if the machine does
-    /// not limit jerk.
-    pub fn new(limits: &Limits, deviation_mm: f64) -> Option<Self> {
+    /// not limit jerk. (3) does not hold for further axes, which are no linear functions of x and y: the rounds of the
+    /// plan keep their limits.
+    pub fn new(limits: &Limits, further: &[FurtherLimits], deviation_mm: f64) -> Option<Self> {
         // (4) holds for every axis; the distance is that of both together.
         let [a, b] = limits.max_acceleration_mm_per_s2();
         let most = a.hypot(b);
@@ -67,7 +70,11 @@ impl Average {
             axis.max_jerk_mm_per_s3().map(|jerk| 2.0 * axis.max_acceleration_mm_per_s2() / jerk)
         };
         // Of all of A: w = 2 A / J on the slower axis.
-        let window_s = limits.axes().iter().filter_map(over_jerk).reduce(f64::max)?;
+        let of_further = |axis: &FurtherLimits| {
+            axis.max_jerk_per_s3.map(|jerk| 2.0 * axis.max_acceleration_per_s2 / jerk)
+        };
+        let own = limits.axes().iter().filter_map(over_jerk);
+        let window_s = own.chain(further.iter().filter_map(of_further)).reduce(f64::max)?;
         let intervals = INTERVALS as f64;
         let of_window = 1.0 / 24.0 + 1.0 / (6.0 * intervals * intervals);
         let least_s = (LEAST_DEVIATION * deviation_mm / (most * of_window)).sqrt();
@@ -255,7 +262,7 @@ mod tests {
     fn the_average_keeps_every_limit_and_is_as_near_as_it_says() {
         for jerk in [2e4, 1e5, 1e6] {
             let limits = machine(Some(jerk));
-            let average = Average::new(&limits, 0.05).unwrap();
+            let average = Average::new(&limits, &[], 0.05).unwrap();
             assert!(average.deviation_mm <= 0.05 * (1.0 + 1e-12), "{average:?}");
             let motion = full_speed(&average.limits(&limits).unwrap());
             assert!(
@@ -293,7 +300,7 @@ mod tests {
     #[test]
     fn segments_of_the_path_keep_their_times() {
         let limits = machine(Some(1e5));
-        let average = Average::new(&limits, 0.05).unwrap();
+        let average = Average::new(&limits, &[], 0.05).unwrap();
         let motion = full_speed(&limits);
         let smooth = average.of(&motion).unwrap();
         let of = |t: &Trajectory| t.served_s(3, |_| true).unwrap();
@@ -314,8 +321,9 @@ mod tests {
 
     #[test]
     fn a_machine_without_a_limit_needs_no_average_and_a_low_one_takes_less_of_the_acceleration() {
-        assert_eq!(Average::new(&machine(None), 0.1), None);
-        let [low, high] = [1e3, 1e9].map(|jerk| Average::new(&machine(Some(jerk)), 0.1).unwrap());
+        assert_eq!(Average::new(&machine(None), &[], 0.1), None);
+        let [low, high] =
+            [1e3, 1e9].map(|jerk| Average::new(&machine(Some(jerk)), &[], 0.1).unwrap());
         assert!(low.fraction < 0.2 && high.fraction == 1.0, "{low:?} {high:?}");
         // w = 2 f A / J on the slower axis.
         assert!((low.window_s / (2.0 * low.fraction * 800.0 / 1e3) - 1.0).abs() < 1e-6);

@@ -9,6 +9,8 @@
 //! |---|---|
 //! | [`curve`] | the smooth curve along a path: lines and clothoids |
 //! | [`mesh`] | nodes of the density: their removal, and the motion between them |
+//! | [`axes`] | axes beyond x and y: their limits, and the judge of their motion |
+//! | `machine_axes` | these axes from the kinematics of a machine and the form of the part |
 //! | [`limits`] | limits of the machine on that motion |
 //! | [`merit`] | the objective: residual and price of time |
 //! | [`interior_point`] | the solver: the least objective under the limits |
@@ -20,11 +22,13 @@
 //! | `settings` | settings of the plan |
 //! | [`mod@plan`] | all of it, judged as it will be executed |
 
+pub mod axes;
 pub mod certificate;
 pub mod curve;
 pub mod interior_point;
 pub mod jerk;
 pub mod limits;
+mod machine_axes;
 pub mod merit;
 pub mod mesh;
 pub mod motion;
@@ -33,8 +37,10 @@ mod problem;
 mod refinement;
 mod settings;
 
+pub use axes::{FurtherAxes, FurtherLimits};
+pub use machine_axes::MachineAxes;
 pub use merit::Price;
-pub use plan::{Plan, Report, plan};
+pub use plan::{Plan, Report, plan, plan_with_further_axes};
 pub use settings::Settings;
 
 use planish_dwell::DwellError;

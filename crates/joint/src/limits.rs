@@ -12,6 +12,18 @@
 //! every 0.1 rad, towards the bend. Margins allow for the motion between these places, and a judge checks the motion
 //! in the end. (4) keeps the cubic of a span monotone: its feedrates at both ends are at most three times its mean
 //! feedrate if r is at most 5 (F. N. Fritsch and R. E. Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
+//!
+//! Axes beyond x and y ([`crate::axes`]) have the same rows, also on lines, because their q'' does not vanish there. With
+//! f = q' / A and g = q'' / A, their acceleration over the limit is `g s'^2 + f s''`. The excess of a product of two
+//! functions over the line between its values at two places is
+//!
+//! ```text
+//! <= |change of one| |change of the other| / 4 + what either differs from its own line, times the other   (5)
+//! ```
+//!
+//! Places of these rows are so close that (5) is at most [`MOST_BETWEEN`], with the largest s' and s'' that the other
+//! limits allow. Every row leaves free what (5) is beside its place. Where a velocity could be exceeded between two nodes,
+//! (2) is a row too: `c = 1 - (q' / V)^2 s'^2`. Rows that the other limits imply are left out.
 
 use std::ops::Range;
 
@@ -19,7 +31,8 @@ use planish_types::Limits;
 use rayon::prelude::*;
 
 use crate::{
-    curve::Curve,
+    axes::{Further, Scaled},
+    curve::{Curve, Piece},
     mesh::{Kinematics, Mesh, Span},
 };
 
@@ -51,6 +64,14 @@ const ALONG_CURVE_MARGIN: f64 = 4e-3;
 /// a limit exceeded by rounding. Derived: half of what the judge allows.
 const ROUNDING_MARGIN: f64 = 5e-10;
 
+/// Largest excess (5) over a limit between two places of a further axis. Larger: fewer rows, with larger margins.
+/// Smaller: more rows. Chosen: half of [`CURVED_MARGIN`].
+const MOST_BETWEEN: f64 = 1e-2;
+
+/// Largest number of halvings of a span, or of a step on a clothoid, until (5) is small enough. Larger: more rows where
+/// an axis turns sharply. Smaller: larger margins there. Chosen: 32 parts of a span are closer than any TIF resolves.
+const MAX_HALVINGS: usize = 5;
+
 /// r of (4): largest ratio of the densities of two neighbouring nodes. Larger: the tool nearly stands in the middle
 /// of a span. Smaller: densities that follow the desired removal less closely. Chosen below 5, up to which the cubic
 /// of a span is monotone.
@@ -68,6 +89,8 @@ const DIFFERENCE: f64 = 1e-4;
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Row {
     span: usize,
+    /// Index of the further axis; `None` for x and y.
+    further: Option<usize>,
     on: On,
 }
 
@@ -75,7 +98,8 @@ struct Row {
 enum On {
     /// Along the curve, at this fraction of the time: `c = 1 - along s''`, s^2/mm.
     Line { tau: f64, along: f64 },
-    /// A clothoid, at this length from the start of the span: `c = 1 - across s'^2 - along s''`.
+    /// A clothoid, or a place of a further axis, at this length from the start of the span:
+    /// `c = 1 - across s'^2 - along s''`.
     Place { s_mm: f64, across: f64, along: f64 },
     /// (4): `c = by D`, mm/s.
     Ratio { by: [f64; 2] },
@@ -128,7 +152,7 @@ impl<'a> Rows<'a> {
                 for (axis, bend) in bend.into_iter().enumerate().filter(|(_, bend)| *bend != 0.0) {
                     let scale = bend.signum() / (most[axis] * (1.0 - CURVED_MARGIN));
                     let (across, along) = (scale * bend, scale * [tx, ty][axis]);
-                    rows.push(Row { span: i, on: On::Place { s_mm, across, along } });
+                    rows.push(Row::of(i, On::Place { s_mm, across, along }));
                 }
             }
             let margin = if curved { ALONG_CURVE_MARGIN } else { ROUNDING_MARGIN };
@@ -137,14 +161,65 @@ impl<'a> Rows<'a> {
             // At rest the acceleration is constant.
             for tau in if inner { &[0.0, 1.0][..] } else { &[0.0] } {
                 let on = |along: f64| On::Line { tau: *tau, along };
-                rows.extend([along, -along].map(|along| Row { span: i, on: on(along) }));
+                rows.extend([along, -along].map(|along| Row::of(i, on(along))));
             }
             if inner {
                 let (r, one) = (MAX_RATIO / reference_s_per_mm, -1.0 / reference_s_per_mm);
-                rows.extend([[r, one], [one, r]].map(|by| Row { span: i, on: On::Ratio { by } }));
+                rows.extend([[r, one], [one, r]].map(|by| Row::of(i, On::Ratio { by })));
             }
         }
         Self { mesh, rows, least_density }
+    }
+
+    /// These rows of x and y, with those of further axes.
+    pub fn with_further(mut self, curves: &[Curve], further: &Further<'_>) -> Self {
+        let (mesh, of_spans) = (self.mesh, self.of_spans());
+        let spans = &mesh.spans;
+        let places: Vec<Vec<Place>> = (0..spans.len())
+            .into_par_iter()
+            .map(|i| self.most(i, of_spans[i].clone()).places(&curves[spans[i].curve], further))
+            .collect();
+        for (span, places) in spans.iter().zip(&places) {
+            for (node, place) in span.nodes.iter().zip([places.first(), places.last()]) {
+                let (Some(j), Some(place)) = (node, place) else { continue };
+                for (axis, [margin, _]) in place.axes.iter().zip(&place.margins) {
+                    let needed = axis.need_s_per_mm / (1.0 - margin);
+                    self.least_density[*j] = self.least_density[*j].max(needed);
+                }
+            }
+        }
+        let mut rows = Vec::with_capacity(self.rows.len());
+        for (i, places) in places.iter().enumerate() {
+            let own = of_spans[i].clone();
+            let most = self.most(i, own.clone());
+            let from = rows.len();
+            rows.extend_from_slice(&self.rows[own]);
+            rows.extend(places.iter().flat_map(|place| most.rows(i, place)));
+            // Rows at one place are evaluated together.
+            let place = |row: &Row| match row.on {
+                On::Place { s_mm, .. } => s_mm,
+                On::Line { .. } | On::Ratio { .. } => f64::INFINITY,
+            };
+            rows[from..].sort_by(|a, b| place(a).total_cmp(&place(b)));
+        }
+        self.rows = rows;
+        self
+    }
+
+    /// The largest feedrate and acceleration along the curve that the other limits allow on a span with these rows.
+    fn most(&self, span: usize, rows: Range<usize>) -> Most<'a> {
+        let span = &self.mesh.spans[span];
+        // s' is largest at a node, because its cubic is not concave; s'' is linear in time.
+        let feeds = span.nodes.iter().flatten().map(|j| 1.0 / self.least_density[*j]);
+        let accelerations = self.rows[rows].iter().filter_map(|row| match row.on {
+            On::Line { along, .. } => Some(1.0 / along.abs()),
+            On::Place { .. } | On::Ratio { .. } => None,
+        });
+        Most {
+            span,
+            feed_mm_per_s: feeds.fold(0.0, f64::max),
+            acceleration_mm_per_s2: accelerations.fold(f64::INFINITY, f64::min),
+        }
     }
 
     /// Number of rows.
@@ -256,18 +331,30 @@ impl<'a> Rows<'a> {
         worth
     }
 
-    /// Multiplies the use of the limits in the rows of every span by `use_of_limit` where that is above 1, so that
-    /// the next solution uses less.
+    /// Multiplies the use of the limits in the rows of x and y of every span by `use_of_limit` (spans) where that is above
+    /// 1, so that the next solution uses less.
     pub fn tighten(&mut self, use_of_limit: &[f64]) {
-        for row in &mut self.rows {
-            let factor = use_of_limit[row.span].max(1.0);
-            match &mut row.on {
-                On::Line { along, .. } => *along *= factor,
-                On::Place { across, along, .. } => {
-                    *across *= factor;
-                    *along *= factor;
-                }
-                On::Ratio { .. } => {}
+        for row in self.rows.iter_mut().filter(|row| row.further.is_none()) {
+            row.on.tighten(use_of_limit[row.span]);
+        }
+    }
+
+    /// Multiplies the use of the limits in the rows of further axes by `use_of_limit` (spans, axes) where that is above 1.
+    ///
+    /// A span may have no row of an axis, because other limits imply its velocity and acceleration, but not its jerk. Its
+    /// rows of x and y are then tightened, and with `all` those of all axes.
+    pub fn tighten_further(&mut self, use_of_limit: &[Vec<f64>], all: bool) {
+        for (span, rows) in self.of_spans().into_iter().enumerate() {
+            let rows = &mut self.rows[rows];
+            for (axis, factor) in use_of_limit[span].iter().enumerate().filter(|(_, f)| **f > 1.0) {
+                let has_own = rows.iter().any(|row| row.further == Some(axis));
+                let is_meant = |row: &&mut Row| {
+                    all || match has_own {
+                        true => row.further == Some(axis),
+                        false => row.further.is_none(),
+                    }
+                };
+                rows.iter_mut().filter(is_meant).for_each(|row| row.on.tighten(*factor));
             }
         }
     }
@@ -295,6 +382,11 @@ pub fn constant_acceleration(a: f64, b: f64) -> f64 {
 }
 
 impl Row {
+    /// A row of x or y.
+    fn of(span: usize, on: On) -> Self {
+        Self { span, further: None, on }
+    }
+
     /// Returns true if two rows limit the motion at the same place or time.
     fn are_at_one_place(&self, other: &Self) -> bool {
         let same = match (self.on, other.on) {
@@ -307,6 +399,19 @@ impl Row {
 }
 
 impl On {
+    /// Multiplies the use of the limit by a factor where that is above 1.
+    fn tighten(&mut self, factor: f64) {
+        let factor = factor.max(1.0);
+        match self {
+            Self::Line { along, .. } => *along *= factor,
+            Self::Place { across, along, .. } => {
+                *across *= factor;
+                *along *= factor;
+            }
+            Self::Ratio { .. } => {}
+        }
+    }
+
     /// The motion that the row limits; for a ratio of densities any.
     fn motion(&self, span: &Span, densities: [Option<f64>; 2]) -> Kinematics {
         match *self {
@@ -357,15 +462,17 @@ struct Sample {
     curvature_per_mm: f64,
 }
 
+/// Number of steps of a clothoid between places of (1) for x and y.
+fn steps_of(piece: &Piece) -> usize {
+    ((piece.turn_rad() / TURN_PER_STEP_RAD).ceil() as usize).max(LEAST_STEPS)
+}
+
 fn samples(curve: &Curve, span: &Span) -> Vec<Sample> {
     let mut found = Vec::new();
     let first = curve.pieces().partition_point(|p| p.to_mm() <= span.from_mm);
     for piece in curve.pieces()[first..].iter().take_while(|p| p.from_mm < span.to_mm) {
         let (from, to) = (piece.from_mm.max(span.from_mm), piece.to_mm().min(span.to_mm));
-        let steps = match piece.is_straight() {
-            true => 1,
-            false => ((piece.turn_rad() / TURN_PER_STEP_RAD).ceil() as usize).max(LEAST_STEPS),
-        };
+        let steps = if piece.is_straight() { 1 } else { steps_of(piece) };
         for k in 0..=steps {
             let s = piece.from_mm + piece.length_mm * k as f64 / steps as f64;
             // Where a node stands within the piece, the part on this side of it has its end there.
@@ -378,10 +485,173 @@ fn samples(curve: &Curve, span: &Span) -> Vec<Sample> {
     found
 }
 
+/// A place on a span at which further axes are limited.
+struct Place {
+    /// Length from the start of the span, mm.
+    s_mm: f64,
+    /// Empty where an axis has no position: there the judge refuses the motion.
+    axes: Vec<Scaled>,
+    /// What is left free of the limits of every axis, of velocity and of acceleration.
+    margins: Vec<[f64; 2]>,
+}
+
+/// Bounds on the motion on a span.
+struct Most<'a> {
+    span: &'a Span,
+    feed_mm_per_s: f64,
+    acceleration_mm_per_s2: f64,
+}
+
+impl Most<'_> {
+    /// Places between which (5) is small.
+    fn places(&self, curve: &Curve, further: &Further<'_>) -> Vec<Place> {
+        let span = self.span;
+        let at = |s_mm: f64| {
+            let axes = further.scaled(&curve.at(span.from_mm + s_mm)).unwrap_or_default();
+            let margins = vec![[ROUNDING_MARGIN; 2]; axes.len()];
+            Place { s_mm, axes, margins }
+        };
+        let mut found = Vec::new();
+        let mut start = at(0.0);
+        for (to_mm, curved) in self.steps(curve) {
+            // From the last place on: the ends of the parts that are still to be made.
+            let mut ends = vec![(at(to_mm), 0)];
+            while let Some((mut end, halvings)) = ends.pop() {
+                let length_mm = end.s_mm - start.s_mm;
+                let inside = [0.25, 0.5, 0.75].map(|f| at(start.s_mm + f * length_mm));
+                let [a, b, c] = &inside;
+                let between = self.between([&start, a, b, c, &end]);
+                let most = between.iter().flatten().copied().fold(0.0, f64::max);
+                if most > MOST_BETWEEN && halvings < MAX_HALVINGS {
+                    let [_, middle, _] = inside;
+                    ends.extend([(end, halvings + 1), (middle, halvings + 1)]);
+                    continue;
+                }
+                let least = if curved { [TURNED_MARGIN, CURVED_MARGIN] } else { [0.0; 2] };
+                for place in [&mut start, &mut end] {
+                    for (margins, between) in place.margins.iter_mut().zip(&between) {
+                        for k in 0..2 {
+                            let needed = between[k].min(CURVED_MARGIN).max(least[k]);
+                            margins[k] = margins[k].max(needed);
+                        }
+                    }
+                }
+                found.push(std::mem::replace(&mut start, end));
+            }
+        }
+        found.push(start);
+        found
+    }
+
+    /// Ends of the parts that have places of their own whatever the axes do, as lengths from the start of the span, mm,
+    /// each with true for a part of a clothoid: steps on clothoids, and all of the lines between them.
+    fn steps(&self, curve: &Curve) -> Vec<(f64, bool)> {
+        let (from_mm, to_mm) = (self.span.from_mm, self.span.to_mm);
+        let mut steps: Vec<(f64, bool)> = Vec::new();
+        let first = curve.pieces().partition_point(|p| p.to_mm() <= from_mm);
+        for piece in curve.pieces()[first..].iter().take_while(|p| p.from_mm < to_mm) {
+            let curved = !piece.is_straight();
+            // The halvings find the largest acceleration before a bend, for which clothoids have more steps above.
+            let parts = (piece.turn_rad() / TURN_PER_STEP_RAD).ceil().max(1.0) as usize;
+            for k in 1..=parts {
+                let s = piece.from_mm + piece.length_mm * k as f64 / parts as f64;
+                let s = s.clamp(from_mm, to_mm) - from_mm;
+                let last = steps.last().copied();
+                if !curved && last.is_some_and(|(_, curved)| !curved) {
+                    steps.pop();
+                } else if last.is_some_and(|(before, _)| s <= before) || s <= 0.0 {
+                    continue;
+                }
+                steps.push((s, curved));
+            }
+        }
+        steps
+    }
+
+    /// (5) of velocity and acceleration of every axis, over its limit, from the values at five equidistant places.
+    fn between(&self, at: [&Place; 5]) -> Vec<[f64; 2]> {
+        let axes = at.iter().map(|place| place.axes.len()).min().unwrap_or(0);
+        let length_mm = at[4].s_mm - at[0].s_mm;
+        // The slowest feedrate that some axis asks for all over the part
+        let slowest =
+            |i: usize| at.iter().map(|p| p.axes[i].need_s_per_mm).fold(f64::INFINITY, f64::min);
+        let feed = (0..axes).map(|i| 1.0 / slowest(i)).fold(self.feed_mm_per_s, f64::min);
+        let of_axis = |i: usize| {
+            let need = at.map(|place| place.axes[i].need_s_per_mm);
+            let along = at.map(|place| place.axes[i].along);
+            let across = at.map(|place| place.axes[i].across);
+            let largest = |v: [f64; 5]| v.into_iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+            let change = |v: [f64; 5]| (v[4] - v[0]).abs();
+            let (f, g, acceleration) =
+                (largest(along), largest(across), self.acceleration_mm_per_s2);
+            let velocity = if largest(need) * self.feed_mm_per_s <= 1.0 {
+                0.0
+            } else {
+                let faster = (2.0 * acceleration * length_mm).sqrt().min(feed);
+                0.25 * change(need) * faster + off_line(need) * feed
+            };
+            // An axis whose second derivative is not that of its first one has a step that no place shows.
+            let [a, b, c, d, e] = across;
+            let mean = (7.0 * (a + e) + 32.0 * (b + d) + 12.0 * c) / 90.0;
+            let step = (along[4] - along[0] - length_mm * mean).abs() * acceleration;
+            if g * feed * feed + f * acceleration <= 1.0 {
+                return [velocity, step];
+            }
+            // Squares of feedrates and accelerations, as far as this axis itself allows
+            let squared = ((1.0 + f * acceleration) / g).min(feed * feed);
+            let acceleration = ((1.0 + g * squared) / f).min(acceleration);
+            let share = length_mm / self.span.length_mm();
+            let products = change(along) * 2.0 * acceleration * share
+                + change(across) * (2.0 * acceleration * length_mm).min(squared);
+            let own = off_line(across) * squared + off_line(along) * acceleration;
+            [velocity, 0.25 * products + own + step]
+        };
+        (0..axes).map(of_axis).collect()
+    }
+
+    /// The rows of a place that the other limits do not imply.
+    fn rows(&self, span: usize, place: &Place) -> Vec<Row> {
+        let s_mm = place.s_mm;
+        let row = |axis: usize, across: f64, along: f64| Row {
+            span,
+            further: Some(axis),
+            on: On::Place { s_mm, across, along },
+        };
+        let (feed, acceleration) = (self.feed_mm_per_s, self.acceleration_mm_per_s2);
+        let [start, end] = self.span.nodes;
+        let at_node =
+            s_mm == 0.0 && start.is_some() || s_mm == self.span.length_mm() && end.is_some();
+        let mut rows = Vec::new();
+        for (i, (axis, [of_velocity, of_acceleration])) in
+            place.axes.iter().zip(&place.margins).enumerate()
+        {
+            let need = axis.need_s_per_mm / (1.0 - of_velocity);
+            if need * feed > 1.0 && !at_node {
+                rows.push(row(i, need * need, 0.0));
+            }
+            let [across, along] = [axis.across, axis.along].map(|v| v / (1.0 - of_acceleration));
+            for sign in [1.0, -1.0] {
+                let bend = (sign * across).max(0.0) * feed * feed;
+                if bend + along.abs() * acceleration > 1.0 {
+                    rows.push(row(i, sign * across, sign * along));
+                }
+            }
+        }
+        rows
+    }
+}
+
+/// Largest difference of five equidistant values from the line between the first and the last one.
+fn off_line(v: [f64; 5]) -> f64 {
+    let of = |k: usize| (v[k] - v[0] - (v[4] - v[0]) * k as f64 / 4.0).abs();
+    of(1).max(of(2)).max(of(3))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::{
+        axes::{FurtherAxes, FurtherLimits},
         curve::{Rounding, curves},
         motion::motion,
     };
@@ -444,7 +714,7 @@ mod tests {
             assert!(a >= 0.0 && c >= 0.0 && b * b <= a * c * (1.0 + 1e-9) + 1e-12);
         }
         // The largest use of the limits that the rows know is that of the motion.
-        let motion = motion(&curves, &mesh, &path, &limits, &density).unwrap();
+        let motion = motion(&curves, &mesh, &path, &limits, None, &density).unwrap();
         let used = motion.use_of_acceleration(mesh.spans.len(), &limits);
         for (span, used) in used.iter().enumerate() {
             let of_span = rows
@@ -500,6 +770,87 @@ mod tests {
         // A uniform feedrate uses no more of the limits between two nodes than at them.
         let uniform = rows.worth_of_halving(&vec![0.1; mesh.nodes], &z);
         assert!(uniform.iter().all(|w| w.abs() < 1e-12), "{uniform:?}");
+    }
+
+    /// z on a sphere of 8 mm about (3, 2), and the angle about a point half a millimetre beside the path.
+    struct Steep([FurtherLimits; 2]);
+
+    impl FurtherAxes for Steep {
+        fn limits(&self) -> &[FurtherLimits] {
+            &self.0
+        }
+
+        fn along(
+            &self,
+            [x, y]: [f64; 2],
+            [tx, ty]: [f64; 2],
+            curvature: f64,
+        ) -> Option<Vec<[f64; 3]>> {
+            let (u, v) = (x - 3.0, y - 2.0);
+            let w = (64.0 - u * u - v * v).sqrt();
+            let (out, across) = (u * tx + v * ty, v * tx - u * ty);
+            let z = [-w, out / w, (1.0 + curvature * across) / w + out * out / w.powi(3)];
+            let (u, v) = (x - 2.0, y - 0.5);
+            let r2 = u * u + v * v;
+            let (out, around) = (u * tx + v * ty, u * ty - v * tx);
+            let turn = [v.atan2(u), around / r2, (curvature * out - 2.0 * out * around / r2) / r2];
+            Some(vec![z, turn])
+        }
+    }
+
+    #[test]
+    fn densities_that_keep_the_rows_of_further_axes_move_them_within_their_limits() {
+        let (path, limits) = (path(), machine());
+        let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 }).curves;
+        let mesh = Mesh::new(&curves, &path, 0.8).unwrap();
+        // Limits of z and of the angle that decide on velocity, on acceleration, and of which the rows of x and y imply all
+        for (z, angle, decide) in [
+            ([4.0, 1e6], [10.0, 1e6], true),
+            ([1e6, 60.0], [1e6, 200.0], true),
+            ([1e6, 1e8], [1e6, 1e8], false),
+        ] {
+            let of = |name: &str, [velocity, acceleration]: [f64; 2]| FurtherLimits {
+                name: name.into(),
+                max_velocity_per_s: velocity,
+                max_acceleration_per_s2: acceleration,
+                max_jerk_per_s3: None,
+            };
+            let axes = Steep([of("z", z), of("c", angle)]);
+            let further = Further::new(&axes, None).unwrap();
+            let own = Rows::new(&curves, &mesh, &limits, 0.1);
+            let before = own.rows.clone();
+            let rows = own.with_further(&curves, &further);
+            assert_eq!(rows.rows == before, !decide);
+            let rough = |level: f64| -> Vec<f64> {
+                (0..mesh.nodes).map(|j| level * (1.0 + 0.3 * (2.1 * j as f64).sin())).collect()
+            };
+            let keeps = |d: &Vec<f64>| {
+                rows.slacks(d).iter().all(|c| *c > 0.0)
+                    && d.iter().zip(rows.least_density()).all(|(d, least)| d >= least)
+            };
+            let density =
+                (0..2000).map(|k| rough(1e-2 * 1.005f64.powi(k))).find(keeps).expect("slow enough");
+            for (i, row) in rows.constraints(&density).iter().enumerate() {
+                for (node, by) in row.nodes.iter().zip(row.by) {
+                    let Some(node) = *node else { continue };
+                    let slack = |h: f64| {
+                        let mut moved = density.clone();
+                        moved[node] += h;
+                        rows.slacks(&moved)[i]
+                    };
+                    // Central differences as above
+                    let difference = (slack(1e-6) - slack(-1e-6)) / 2e-6;
+                    assert!((difference - by).abs() < 1e-5 * by.abs().max(1.0), "{i}");
+                }
+            }
+            let motion = motion(&curves, &mesh, &path, &limits, Some(&further), &density).unwrap();
+            let excess = further.excess(&motion, mesh.spans.len()).unwrap();
+            let most = excess.into_iter().flatten().fold(0.0, f64::max);
+            println!("{most} by {} of {} rows", rows.len() - before.len(), rows.len());
+            assert!(most <= 1.0, "{most}");
+            // The densities go up and down, so that the span that decides is not at its worst.
+            assert!(most > 0.8 || !decide, "{most}");
+        }
     }
 
     #[test]

@@ -3,13 +3,14 @@
 //! Along the curve the motion of a span is one cubic s(u) ([`crate::mesh`]). On a line that is the motion itself.
 //! On a clothoid each axis is the cubic with the positions and velocities of q(s(u)) at both ends of a piece. Pieces
 //! are halved until the acceleration at their ends is that of q(s(u)) within 2e-3 of the limit. So the cubic keeps
-//! every limit that q(s(u)) keeps with a margin.
+//! every limit that q(s(u)) keeps with a margin. The same holds for the accelerations of further axes.
 
 use planish_numerics::polynomial;
 use planish_types::{Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
 use rayon::prelude::*;
 
 use crate::{
+    axes::Further,
     curve::{Curve, Piece},
     mesh::{Mesh, Span},
 };
@@ -48,11 +49,12 @@ pub fn motion(
     mesh: &Mesh,
     path: &ToolPath,
     limits: &Limits,
+    further: Option<&Further<'_>>,
     density: &[f64],
 ) -> Result<Motion, Invalid> {
     let most = limits.axes().each_ref().map(|a| a.max_acceleration_mm_per_s2());
     let of_span = |span: &Span| {
-        let on_span = OnSpan { span, densities: span.densities(density) };
+        let on_span = OnSpan { span, densities: span.densities(density), further };
         on_span.cubics(&curves[span.curve], span.duration_s(density), most)
     };
     let pieces: Vec<Vec<Timed>> = mesh.spans.par_iter().map(of_span).collect();
@@ -90,6 +92,7 @@ impl Motion {
 struct OnSpan<'a> {
     span: &'a Span,
     densities: [Option<f64>; 2],
+    further: Option<&'a Further<'a>>,
 }
 
 /// A piece of the motion.
@@ -186,7 +189,14 @@ impl OnSpan<'_> {
             [a * tx - across * ty, a * ty + across * tx]
         });
         let mut acceleration_error = 0.0f64;
-        for (u, exact) in [0.0, h].into_iter().zip(exact) {
+        let ends = [(from, start), (to, end)];
+        for ((u, exact), (along, there)) in [0.0, h].into_iter().zip(exact).zip(ends) {
+            if let Some(further) = self.further {
+                let found = coefficient_mm.map(|c| 2.0 * c[2] + 6.0 * c[3] * u);
+                let velocity = there.tangent.map(|t| t * along.feed_mm_per_s);
+                let error = further.acceleration_error(there.point_mm, velocity, [found, exact]);
+                acceleration_error = acceleration_error.max(error);
+            }
             for ((c, exact), most) in coefficient_mm.iter().zip(exact).zip(most) {
                 let error = (2.0 * c[2] + 6.0 * c[3] * u - exact).abs();
                 acceleration_error = acceleration_error.max(error / most);

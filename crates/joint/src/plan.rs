@@ -19,10 +19,11 @@ use serde::Serialize;
 
 use crate::{
     JointError,
+    axes::{self, AxisReport, Further, FurtherAxes, Scaled},
     curve::{self, Curve, Rounding, Smooth},
     jerk::Average,
     mesh::Mesh,
-    problem::{Asked, Found, LITTLE_WORK, Meshes, Solved, solve},
+    problem::{Asked, Found, HOPELESS, LITTLE_WORK, Meshes, Solved, solve},
     settings::Settings,
 };
 
@@ -64,6 +65,14 @@ const CLOSEST_SPACING_OVER_TIF_WIDTH: f64 = 0.15;
 /// Largest spacing over the width of the TIF to which nodes move apart to save work. Larger: a density that no longer
 /// follows the removal of the TIF. Smaller: plans of large parts that take minutes. Chosen.
 const WIDEST_SPACING_OVER_TIF_WIDTH: f64 = 1.5;
+
+/// Least fraction of the time near a limit that is named. Larger: limits of short bends are left out. Smaller: single
+/// places are named. Chosen.
+const LEAST_NAMED: f64 = 5e-4;
+
+/// Largest number of limits that are named. Larger: a longer sentence. Smaller: limits that matter are left out. Chosen;
+/// the manifest has all of them.
+const MOST_NAMED: usize = 4;
 
 /// Report of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -112,6 +121,13 @@ pub struct Report {
     pub average: Option<Averaged>,
     /// Number of rounds of the solver. In all but the first one the limits of some spans are tightened.
     pub rounds: usize,
+    /// Use of the limits of every axis; empty if the machine has no axes beyond x and y.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub axes: Vec<AxisReport>,
+    /// Factor on all times of the motion, because the rounds left an excess over a limit of a further axis; absent if they
+    /// left none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub slowed_by: Option<f64>,
 }
 
 /// Spacing of the nodes, if the solver would take too long with the default.
@@ -149,6 +165,22 @@ pub struct Plan {
     pub report: Report,
 }
 
+impl Report {
+    /// Limits that the plan is near for some of the time, in words, those of most of the time first.
+    pub fn near_limits(&self) -> String {
+        let of_axis = |axis: &AxisReport| {
+            axis.near().map(|(quantity, part)| (part, format!("{quantity} of {}", axis.name)))
+        };
+        let mut all: Vec<(f64, String)> = self.axes.iter().flat_map(of_axis).collect();
+        all.retain(|(part, _)| *part >= LEAST_NAMED);
+        all.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let in_words =
+            |(part, name): &(f64, String)| format!("{name} {:.1} % of the time", 100.0 * part);
+        let named: Vec<String> = all.iter().take(MOST_NAMED).map(in_words).collect();
+        if named.is_empty() { "none".into() } else { named.join(", ") }
+    }
+}
+
 impl Plan {
     /// Reason why the plan should not be run as it is; `None` if there is none.
     pub fn negative(&self, desired: &Surface) -> Option<String> {
@@ -178,7 +210,7 @@ const SAME_RATE: f64 = 1e-4;
 /// other times.
 const MAX_ROUNDS_OF_TIMES: usize = 6;
 
-/// Finds density and motion along `path` for the desired removal.
+/// Finds density and motion along `path` for the desired removal, on a machine with the axes x and y.
 pub fn plan(
     desired: &Surface,
     tif: &Tif,
@@ -186,28 +218,44 @@ pub fn plan(
     limits: &Limits,
     settings: &Settings,
 ) -> Result<Plan, JointError> {
+    planned(desired, tif, path, (limits, None), settings)
+}
+
+/// Finds density and motion along `path` as [`plan`] does, on a machine with axes beyond x and y.
+pub fn plan_with_further_axes(
+    desired: &Surface,
+    tif: &Tif,
+    path: &ToolPath,
+    (limits, further): (&Limits, &dyn FurtherAxes),
+    settings: &Settings,
+) -> Result<Plan, JointError> {
+    planned(desired, tif, path, (limits, Some(further)), settings)
+}
+
+fn planned(
+    desired: &Surface,
+    tif: &Tif,
+    path: &ToolPath,
+    (limits, further): (&Limits, Option<&dyn FurtherAxes>),
+    settings: &Settings,
+) -> Result<Plan, JointError> {
     settings.check()?;
     let tif_width_mm = tif.width_mm();
     let (rounding, spacing_mm) = scales(tif_width_mm, settings)?;
-    let average = Average::new(limits, JERK_DEVIATION_OVER_TIF_WIDTH * tif_width_mm);
+    let deviation_mm = JERK_DEVIATION_OVER_TIF_WIDTH * tif_width_mm;
+    let further_limits = further.map_or(&[][..], FurtherAxes::limits);
+    let average = Average::new(limits, further_limits, deviation_mm);
+    let further = further.map(|axes| Further::new(axes, average)).transpose()?;
+    let further = further.as_ref();
     let Smooth { curves, moved_mm } = curve::curves(path, &rounding);
     if curves.is_empty() {
         let remedy = "give a path that moves, or schedule rests with `planish-schedule position`";
         return Err(Invalid::whole("point_mm", "has no segment with a length", remedy).into());
     }
-    let (mesh, widened) = match settings.node_spacing_mm {
-        Some(_) => (Mesh::new(&curves, path, spacing_mm)?, None),
-        None => {
-            let [closest_mm, widest_mm] =
-                [CLOSEST_SPACING_OVER_TIF_WIDTH, WIDEST_SPACING_OVER_TIF_WIDTH]
-                    .map(|w| w * tif_width_mm);
-            let (mesh, taken_mm) =
-                affordable(&curves, path, tif, [spacing_mm, widest_mm], MOST_WORK)?;
-            let mesh = closer(&curves, path, tif, (mesh, taken_mm), closest_mm)?;
-            let widened = Widened { from_mm: spacing_mm, to_mm: taken_mm };
-            (mesh, (taken_mm > spacing_mm).then_some(widened))
-        }
-    };
+    let (mesh, widened) = first_mesh(&curves, path, tif, spacing_mm, settings)?;
+    if let Some(further) = further {
+        check_further(further, &curves, &mesh, limits)?;
+    }
     // No node is added if the first nodes are already as many as can be afforded.
     let refinements = if widened.is_some() { 0 } else { settings.refinements };
     let most_work = settings.node_spacing_mm.map_or(MOST_WORK, |_| f64::INFINITY);
@@ -233,7 +281,10 @@ pub fn plan(
             }
         };
         let (curves, limits, executed) = (&curves, &slower, &executed);
-        let asked = Asked { desired, tif, path, curves, limits, rates: &rates, executed };
+        let asked = {
+            let rates = &rates;
+            Asked { desired, tif, path, curves, limits, further, rates, executed }
+        };
         let solved = solve(&asked, &meshes, settings)?;
         rounds_of_times += 1;
         // Where the rate depends on the time of the run, the next plan has the rates at the times of this one.
@@ -245,13 +296,19 @@ pub fn plan(
         rates = next;
     };
     let Found { solution, motion, refused, model_rms_nm, price, iterations, rounds } = found;
-    let (trajectory, refused) = match averaged(&motion.trajectory)? {
-        None => (motion.trajectory, refused),
+    let (mut trajectory, mut refused) = match averaged(&motion.trajectory)? {
+        None => (motion.trajectory.clone(), refused),
         Some(trajectory) => {
             let verdict = verify(&trajectory, limits, &VerifySettings::default())?;
             (trajectory, verdict.reason())
         }
     };
+    let mut slowed_by = None;
+    if let Some(further) = further {
+        (trajectory, refused, slowed_by) = within_axes(trajectory, refused, limits, further)?;
+    }
+    let of_axes =
+        further.map(|further| axes::report(&trajectory, &motion.trajectory, limits, further));
     let of_run = match constant {
         Cow::Borrowed(_) => None,
         Cow::Owned(_) => Some(Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?),
@@ -283,8 +340,116 @@ pub fn plan(
             deviation_mm: a.deviation_mm,
         }),
         rounds,
+        axes: of_axes.unwrap_or_default(),
+        slowed_by,
     };
     Ok(Plan { dwell, trajectory, removal, refused, report })
+}
+
+/// A motion that keeps the limits of the further axes: as it is, or with all times longer. With the reason why the judge
+/// refuses it, and the factor on all times.
+fn within_axes(
+    trajectory: Trajectory,
+    refused: Option<String>,
+    limits: &Limits,
+    further: &Further<'_>,
+) -> Result<(Trajectory, Option<String>, Option<f64>), Invalid> {
+    let factor = further.slower_by(&trajectory);
+    if factor * factor > HOPELESS {
+        let refused = refused.or(further.reason(&trajectory));
+        return Ok((trajectory, refused, None));
+    }
+    if factor == 1.0 {
+        return Ok((trajectory, refused, None));
+    }
+    let trajectory = axes::slowed(&trajectory, factor)?;
+    let refused = verify(&trajectory, limits, &VerifySettings::default())?.reason();
+    Ok((trajectory, refused, Some(factor)))
+}
+
+/// Mesh of equal distances, and its spacing if that is wider than `spacing_mm` to save work.
+fn first_mesh(
+    curves: &[Curve],
+    path: &ToolPath,
+    tif: &Tif,
+    spacing_mm: f64,
+    settings: &Settings,
+) -> Result<(Mesh, Option<Widened>), Invalid> {
+    if settings.node_spacing_mm.is_some() {
+        return Ok((Mesh::new(curves, path, spacing_mm)?, None));
+    }
+    let [closest_mm, widest_mm] =
+        [CLOSEST_SPACING_OVER_TIF_WIDTH, WIDEST_SPACING_OVER_TIF_WIDTH].map(|w| w * tif.width_mm());
+    let (mesh, taken_mm) = affordable(curves, path, tif, [spacing_mm, widest_mm], MOST_WORK)?;
+    let mesh = closer(curves, path, tif, (mesh, taken_mm), closest_mm)?;
+    let widened = Widened { from_mm: spacing_mm, to_mm: taken_mm };
+    Ok((mesh, (taken_mm > spacing_mm).then_some(widened)))
+}
+
+/// Largest ratio of a density that a further axis asks for to the largest that x and y ask for. Larger: a plan that
+/// stands still near the centre of a spindle. Smaller: paths that pass near it are refused. Chosen: a tool that takes
+/// ten thousand times as long over a place removes far too much there.
+const MOST_SLOWED: f64 = 1e4;
+
+/// Number of parts of every span between whose ends [`check_further`] looks. Larger: more time. Smaller: paths are
+/// refused that the rows of [`crate::limits`] could resolve. Chosen: that of their halvings.
+const CHECKED_PARTS: usize = 32;
+
+/// Change of a derivative between two such places that its second derivatives there do not show, over the derivative.
+/// Larger: the plan may miss a limit there. Smaller: steep axes are refused. Chosen: where an axis is resolved it is some
+/// percent, and 2 where the tool passes the centre of a spindle.
+const MOST_UNSHOWN: f64 = 0.5;
+
+/// Refuses a path on which a further axis has no position, allows nearly no feedrate, or turns between two places.
+fn check_further(
+    further: &Further<'_>,
+    curves: &[Curve],
+    mesh: &Mesh,
+    limits: &Limits,
+) -> Result<(), Invalid> {
+    let slowest = limits.max_velocity_mm_per_s().into_iter().fold(f64::INFINITY, f64::min);
+    let most_mm_per_s2 = limits.max_acceleration_mm_per_s2().into_iter().fold(0.0, f64::max);
+    for span in &mesh.spans {
+        let mut before: Option<Vec<Scaled>> = None;
+        let part_mm = span.length_mm() / CHECKED_PARTS as f64;
+        for k in 0..=CHECKED_PARTS {
+            let s_mm = span.from_mm + part_mm * k as f64;
+            let there = curves[span.curve].at(s_mm);
+            let [x, y] = there.point_mm;
+            let Some(scaled) = further.scaled(&there) else {
+                let problem = format!(
+                    "passes ({x:.4}, {y:.4}) mm, where an axis of the machine has no position or no derivative"
+                );
+                let remedy =
+                    "let the path keep away from there, or give a form that covers all of it";
+                return Err(Invalid::whole("point_mm", problem, remedy));
+            };
+            for (axis, name) in scaled.iter().zip(further.names()) {
+                let allowed = 1.0 / axis.need_s_per_mm;
+                if allowed * MOST_SLOWED < slowest {
+                    let problem = format!(
+                        "passes ({x:.4}, {y:.4}) mm, where the velocity of the axis {name} allows {allowed:.2e} mm/s"
+                    );
+                    let remedy = "let the path keep away from there, or let this axis turn faster";
+                    return Err(Invalid::whole("point_mm", problem, remedy));
+                }
+            }
+            for ((a, b), name) in before.iter().flatten().zip(&scaled).zip(further.names()) {
+                let shown = 0.5 * part_mm * (a.across + b.across);
+                let unshown = (b.along - a.along - shown).abs();
+                let derivative = a.along.abs().max(b.along.abs());
+                if unshown > MOST_UNSHOWN * derivative && unshown * most_mm_per_s2 > 1.0 {
+                    let problem = format!(
+                        "passes ({x:.4}, {y:.4}) mm, where the axis {name} turns within {part_mm:.1e} mm"
+                    );
+                    let remedy = "let the path keep away from there";
+                    return Err(Invalid::whole("point_mm", problem, remedy));
+                }
+            }
+            before = Some(scaled);
+        }
+    }
+    Ok(())
 }
 
 /// Limits on the rounding of corners, and the spacing of the nodes (mm), for the width of the TIF.

@@ -17,6 +17,7 @@ use planish_verify::{VerifySettings, verify};
 
 use crate::{
     JointError,
+    axes::Further,
     curve::Curve,
     interior_point::{self, Approach, NEAR_THE_MINIMUM, Program, Solution, Start, Stop},
     limits::Rows,
@@ -53,9 +54,18 @@ const LAST_GAIN: f64 = 0.25;
 /// short step would. Smaller: more simulations. Chosen.
 const LEAST_PART: f64 = 0.05;
 
+/// Use of the limits of a further axis above which no round tightens them: the path passes a place where the axis
+/// steps, or where it has no position. Larger: rounds that gain nothing. Smaller: plans are refused that could still be
+/// mended. Chosen: rows of an axis that moves smoothly are exceeded by some percent.
+pub const HOPELESS: f64 = 30.0;
+
 /// Factor on the measured use of a limit when the rows are tightened. Larger: spans that use less than the limit.
 /// Smaller: more rounds. Chosen.
 const TIGHTENED_FURTHER: f64 = 1.002;
+
+/// Round from which on an excess of a further axis tightens all rows of its span, not only its own. Larger: more rounds
+/// where the rows of other axes decide. Smaller: plans that are slower than needed. Chosen.
+const TIGHTEN_ALL_FROM: usize = 4;
 
 /// Largest ratio of the multiplications of a factorisation on the last mesh to those on the first one. Larger: more
 /// nodes, a smaller residual and more time. Smaller: the opposite. Chosen.
@@ -86,6 +96,7 @@ pub struct Asked<'a> {
     pub path: &'a ToolPath,
     pub curves: &'a [Curve],
     pub limits: &'a Limits,
+    pub further: Option<&'a Further<'a>>,
     /// Factor of the rate in every segment of the path: that of the time at which the tool is there.
     pub rates: &'a [f64],
     /// Removal of the machine for a planned motion, nm: a map like `desired`.
@@ -148,7 +159,7 @@ fn solve_on_cells(
 ) -> Result<Solved, JointError> {
     let Meshes { first, refinements, most_work } = meshes;
     let (mut mesh, refinements) = (first.clone(), *refinements);
-    let Asked { tif, path, curves, limits, .. } = *asked;
+    let Asked { tif, path, curves, limits, further, .. } = *asked;
     let level_s_per_mm = level_s_per_mm(asked, &mesh, settings)?;
     // If nothing is to be removed, the reference is the density at the largest feedrate.
     let fastest = limits.axes().iter().map(|a| a.max_velocity_mm_per_s()).fold(0.0, f64::max);
@@ -156,6 +167,7 @@ fn solve_on_cells(
         curves,
         path,
         limits,
+        further,
         reference_s_per_mm: level_s_per_mm.max(1.0 / fastest),
         min_dwell_s_per_mm: settings.min_dwell_s_per_mm,
     };
@@ -308,39 +320,57 @@ impl<'a> Posed<'a> {
         max_iterations: usize,
         settings: &Settings,
     ) -> Result<Found, JointError> {
-        let Asked { path, curves, limits, executed, .. } = *asked;
+        let Asked { path, curves, limits, further, executed, .. } = *asked;
         let mesh = self.mesh;
         let stop = Stop { relative_gap: settings.relative_gap, max_iterations };
-        let executed = |density: &[f64]| {
-            executed(&motion::motion(curves, mesh, path, limits, density)?.trajectory)
+        let motion = |density: &[f64]| motion::motion(curves, mesh, path, limits, further, density);
+        let executed = |density: &[f64]| executed(&motion(density)?.trajectory);
+        // Of the further axes, on every span
+        let excess_of = |motion: &Motion| match further {
+            None => Ok(Vec::new()),
+            Some(further) => further.excess(motion, mesh.spans.len()),
         };
+        let largest = |used: &[f64]| used.iter().copied().fold(1.0, f64::max);
+        let largest_of_all =
+            |used: &[Vec<f64>]| used.iter().map(|used| largest(used)).fold(1.0, f64::max);
         let mut merit = self.merit(&start.density, settings).of_motion(&executed);
         let (diagonal, below) = merit.chain();
         let (mut iterations, mut rounds) = (0, 0);
-        let (solution, motion, refused) = loop {
+        let (solution, planned, refused, kept) = loop {
             rounds += 1;
             let program = self.program((&diagonal, &below), &rows);
             let solution = interior_point::solve(&program, start, &stop, &mut merit)?
                 .ok_or(JointError::Singular { tikhonov: settings.tikhonov })?;
             iterations += solution.iterations;
-            let motion = motion::motion(curves, mesh, path, limits, &solution.density)?;
-            let verdict = verify(&motion.trajectory, limits, &VerifySettings::default())?;
-            let used = motion.use_of_acceleration(mesh.spans.len(), limits);
-            let excess = used.iter().copied().fold(1.0, f64::max);
-            if verdict.limits_respected || excess <= 1.0 || rounds == MAX_ROUNDS {
-                break (solution, motion, verdict.reason());
+            let planned = motion(&solution.density)?;
+            let verdict = verify(&planned.trajectory, limits, &VerifySettings::default())?;
+            let of_axes = excess_of(&planned)?;
+            let further_excess = largest_of_all(&of_axes);
+            let used = planned.use_of_acceleration(mesh.spans.len(), limits);
+            let excess = if verdict.limits_respected { 1.0 } else { largest(&used) };
+            let hopeless = further_excess > HOPELESS;
+            if excess.max(further_excess) <= 1.0 || rounds == MAX_ROUNDS || hopeless {
+                break (solution, planned, verdict.reason(), further_excess <= 1.0);
             }
-            let tighter: Vec<f64> =
-                used.iter().map(|u| if *u > 1.0 { u * TIGHTENED_FURTHER } else { 1.0 }).collect();
-            rows.tighten(&tighter);
+            let tighter = |used: &[f64]| -> Vec<f64> {
+                used.iter().map(|u| if *u > 1.0 { u * TIGHTENED_FURTHER } else { 1.0 }).collect()
+            };
+            if excess > 1.0 {
+                rows.tighten(&tighter(&used));
+            }
+            if further_excess > 1.0 {
+                let tighter: Vec<Vec<f64>> = of_axes.iter().map(|used| tighter(used)).collect();
+                rows.tighten_further(&tighter, rounds >= TIGHTEN_ALL_FROM);
+            }
             // If times are longer by a factor, accelerations are smaller by its square.
+            let excess = excess.max(further_excess);
             let factor = ABOVE_LIMITS * (excess * TIGHTENED_FURTHER).sqrt();
             let density = solution.density.iter().map(|d| d * factor).collect();
             start = Start { density, duals: Some(solution.duals) };
         };
-        let (mut solution, mut motion, mut refused) = (solution, motion, refused);
+        let (mut solution, mut planned, mut refused) = (solution, planned, refused);
         let program = self.program((&diagonal, &below), &rows);
-        if solution.end == End::Optimal && refused.is_none() {
+        if solution.end == End::Optimal && refused.is_none() && kept {
             for _ in 0..MAX_DESCENTS {
                 let left = max_iterations.saturating_sub(iterations);
                 let before = merit.of_execution_nm2(&solution.density)?;
@@ -348,13 +378,13 @@ impl<'a> Posed<'a> {
                     break;
                 };
                 iterations += next.iterations;
-                let moved = motion::motion(curves, mesh, path, limits, &next.density)?;
-                if !verify(&moved.trajectory, limits, &VerifySettings::default())?.limits_respected
-                {
+                let moved = motion(&next.density)?;
+                let verdict = verify(&moved.trajectory, limits, &VerifySettings::default())?;
+                if !verdict.limits_respected || largest_of_all(&excess_of(&moved)?) > 1.0 {
                     break;
                 }
                 let after = merit.of_execution_nm2(&next.density)?;
-                (solution, motion, refused) = (next, moved, None);
+                (solution, planned, refused) = (next, moved, None);
                 if before - after < LAST_GAIN * stop.relative_gap * before {
                     break;
                 }
@@ -364,6 +394,7 @@ impl<'a> Posed<'a> {
         merit.keep_motion_of(&solution.density)?;
         let model_rms_nm = (2.0 * merit.half_mean_square_nm2(&solution.density)).sqrt();
         let price = merit.price;
+        let motion = planned;
         Ok(Found { solution, motion, refused, model_rms_nm, price, iterations, rounds })
     }
 
@@ -567,7 +598,8 @@ mod tests {
         /// The residual without its mean, over the root of the number of pixels.
         fn residual(&self, density: &[f64]) -> Vec<f64> {
             let Problem { path, limits, desired, .. } = self.problem;
-            let motion = motion::motion(self.curves, self.mesh, path, limits, density).unwrap();
+            let motion =
+                motion::motion(self.curves, self.mesh, path, limits, None, density).unwrap();
             let removal = self.simulation.removal_nm(&motion.trajectory).unwrap().0;
             let left: Vec<f64> = (desired.height_nm() - &removal).into_iter().collect();
             let mean = left.iter().sum::<f64>() / left.len() as f64;
@@ -720,18 +752,18 @@ mod tests {
         let executed = |planned: &Trajectory| Ok(simulation.removal_nm(planned)?.0);
         let rates = vec![1.0; path.len()];
         let rates = &rates;
-        let asked =
-            Asked { desired, tif, path, curves: &curves, limits, rates, executed: &executed };
+        let (curves, executed) = (&curves, &executed);
+        let asked = Asked { desired, tif, path, curves, limits, further: None, rates, executed };
         let settings = Settings { price: Price::Nm2PerS(*price), ..Settings::default() };
         let meshes = Meshes { first: mesh, refinements: 0, most_work: f64::INFINITY };
         let Solved { mesh, found, .. } = solve(&asked, &meshes, &settings).unwrap();
-        let rows = Rows::new(&curves, &mesh, limits, 0.1);
+        let rows = Rows::new(curves, &mesh, limits, 0.1);
         let residual = Residual::new(desired, tif, &mesh.points_mm, None, Free::Piston).unwrap();
         let normal = residual.normal(&mesh.columns(), None).unwrap();
         let strongest = normal.matrix.diagonal().into_iter().fold(0.0, f64::max);
         let other = Executed {
             problem: &problem,
-            curves: &curves,
+            curves,
             mesh: &mesh,
             simulation: &simulation,
             lengths_mm: mesh.lengths_mm(),

@@ -16,6 +16,7 @@ use std::ops::Range;
 use planish_types::{Limits, ToolPath};
 
 use crate::{
+    axes::Further,
     curve::Curve,
     interior_point::{Approach, Start},
     limits::{Rows, constant_acceleration},
@@ -53,6 +54,7 @@ pub struct Given<'a> {
     pub curves: &'a [Curve],
     pub path: &'a ToolPath,
     pub limits: &'a Limits,
+    pub further: Option<&'a Further<'a>>,
     /// A density of the usual size, s/mm.
     pub reference_s_per_mm: f64,
     pub min_dwell_s_per_mm: f64,
@@ -61,7 +63,11 @@ pub struct Given<'a> {
 impl Given<'_> {
     /// The limits on the densities of a mesh.
     pub fn rows<'m>(&self, mesh: &'m Mesh) -> Rows<'m> {
-        Rows::new(self.curves, mesh, self.limits, self.reference_s_per_mm)
+        let rows = Rows::new(self.curves, mesh, self.limits, self.reference_s_per_mm);
+        match self.further {
+            None => rows,
+            Some(further) => rows.with_further(self.curves, further),
+        }
     }
 
     /// Least density of every node, s/mm.
@@ -158,7 +164,11 @@ impl Given<'_> {
         for (from, towards) in from.into_iter().zip(towards) {
             let to = of_finer.next();
             match (towards, to) {
-                (None, Some(to)) => z[to].copy_from_slice(&at.duals[0][from]),
+                (None, Some(to)) if to.len() == from.len() => {
+                    z[to].copy_from_slice(&at.duals[0][from]);
+                }
+                // Other floors at its nodes imply other rows of further axes.
+                (None, Some(_)) => {}
                 _ => drop(of_finer.next()),
             }
         }
@@ -217,6 +227,7 @@ mod tests {
             curves: &curves,
             path: &path,
             limits: &limits,
+            further: None,
             reference_s_per_mm: 0.1,
             min_dwell_s_per_mm: 0.0,
         };

@@ -98,6 +98,69 @@ fn a_plan_is_written_with_its_certificate_and_keeps_the_limits() {
     }
 }
 
+/// A machine with the tilts a and b, whose pivot is far above the part.
+fn five_axes() -> Value {
+    let mut machine = machine(None, 400.0);
+    let z = json!({"name": "z", "max_velocity_mm_per_s": 40, "max_acceleration_mm_per_s2": 300});
+    machine["axes"].as_array_mut().unwrap().push(z);
+    let tilt = |name: &str| {
+        json!({
+            "name": name,
+            "max_velocity_deg_per_s": 60,
+            "max_acceleration_deg_per_s2": 300,
+        })
+    };
+    machine["rotary_axes"] = json!([tilt("a"), tilt("b")]);
+    machine["kinematics"] = json!({"kind": "xyz-tilts", "pivot_mm": 30, "tilts": ["b", "a"]});
+    machine
+}
+
+#[test]
+fn a_machine_with_more_axes_is_planned_within_their_limits_on_its_form() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path());
+    let flat = "--time-weight-nm2-per-s=0.01";
+    let time_s = |out: &str| {
+        let text = fs::read_to_string(tmp.path().join(out).join("trajectory/manifest.json"));
+        let manifest: Value = serde_json::from_str(&text.unwrap()).unwrap();
+        (manifest["outcome"]["total_time_s"].as_f64().unwrap(), manifest)
+    };
+    let form = r#"{"kind": "sphere", "radius_mm": -20, "vertex_mm": [3, 1]}"#;
+    fs::write(tmp.path().join("sphere.json"), form).unwrap();
+
+    // x and y alone: the form does not act, and the program says so.
+    let output = run(tmp.path(), "2", &["--out=two", flat, "--form=sphere.json"]);
+    assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(text.contains("the form does not act on the plan"), "{text}");
+    let (two_s, manifest) = time_s("two");
+    assert_eq!(manifest["outcome"]["report"].get("axes"), None);
+
+    fs::write(tmp.path().join("machine.json"), five_axes().to_string()).unwrap();
+    let output = run(tmp.path(), "2", &["--out=five", flat, "--form=sphere.json"]);
+    assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(text.contains("planned with the axes contact x, contact y, x, y, z, a, b"), "{text}");
+    let (five_s, manifest) = time_s("five");
+    let axes = manifest["outcome"]["report"]["axes"].as_array().unwrap();
+    assert_eq!(axes.len(), 7);
+    for axis in axes {
+        for key in ["velocity_over_limit", "acceleration_over_limit"] {
+            // The allowance of the judge for rounding
+            assert!(axis[key].as_f64().unwrap() <= 1.0 + 1e-6, "{axis}");
+        }
+    }
+    // With the pivot at 30 mm over a radius of 20 mm, x and y move 2.5 times as far as the contact point.
+    assert!(five_s > 1.05 * two_s, "{five_s} {two_s}");
+
+    // The sphere ends within the path.
+    fs::write(tmp.path().join("small.json"), form.replace("-20", "-4")).unwrap();
+    let output = run(tmp.path(), "2", &["--out=small", flat, "--form=small.json"]);
+    assert_eq!(output.status.code(), Some(2), "{}", said(&output));
+    assert!(said(&output).contains("give a form that covers all of it"), "{}", said(&output));
+    assert!(!tmp.path().join("small").exists());
+}
+
 #[test]
 fn too_few_steps_are_a_negative_verdict() {
     let tmp = tempfile::tempdir().unwrap();

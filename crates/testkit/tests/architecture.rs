@@ -39,7 +39,10 @@ const ROOMS: [Room; 15] = [
             "tolerance",
         ],
     ),
-    ("joint", &["numerics", "types", "handoff", "dwell", "simulate", "verify"]),
+    (
+        "joint",
+        &["numerics", "types", "form", "kinematics", "handoff", "dwell", "simulate", "verify"],
+    ),
     ("tolerance", &["numerics", "types", "handoff", "dwell", "simulate"]),
     ("reconcile", &["numerics", "types", "draw", "handoff", "simulate"]),
     ("campaign", &["types", "draw", "handoff", "simulate"]),

@@ -1,0 +1,508 @@
+//! Axes beyond x and y: z, tilts, a spindle.
+//!
+//! The position of such an axis is a function q of the place on the part. [`FurtherAxes`] gives it along a curve in the
+//! plane, with its derivatives by arc length. For a motion p(t) of speed v, acceleration w along the curve and curvature
+//! kappa:
+//!
+//! ```text
+//! v = |p'|,   w = p' . p'' / v,   kappa = (p' x p'') / v^3
+//! velocity q' v,   acceleration q'' v^2 + q' w                                                   (1)
+//! ```
+//!
+//! (1) is judged on the motion itself, cubic piece by cubic piece, at times so dense that the acceleration between them
+//! is known. The jerk is the derivative by time of the accelerations at these times.
+//!
+//! | symbol | meaning | unit |
+//! |---|---|---|
+//! | q | position of an axis | that of the axis |
+//! | q', q'' | its derivatives by arc length | unit/mm, unit/mm^2 |
+
+use planish_numerics::polynomial::{derivative, evaluate, range};
+use planish_types::{Invalid, Limits, Segment, Trajectory, TrajectoryBuilder};
+use planish_verify::LIMIT_ALLOWANCE;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::{curve::Station, jerk::Average, motion::Motion};
+
+/// Least and largest number of intervals of a cubic piece between the times at which it is judged. Larger: more time
+/// for a judgement. Smaller: a short excess may be missed, or a steep one is not resolved. Chosen; they are doubled from
+/// the first to the second one until [`MAX_BULGE`] is met.
+const JUDGED_INTERVALS: [usize; 2] = [4, 64];
+
+/// Largest difference of an acceleration between two judged times from the line between them, over the limit. Larger:
+/// the judge may miss this much. Smaller: more times. Chosen below the margins of [`crate::limits`].
+const MAX_BULGE: f64 = 1e-3;
+
+/// Allowance for rounding of a jerk, relative to its limit. Larger: real excesses pass. Smaller: rounding of
+/// accelerations, divided by the time between them, fails. Chosen: no drive resolves it.
+const JERK_ALLOWANCE: f64 = 1e-6;
+
+/// Largest step of an acceleration from one cubic piece to the next that is taken for rounding, over the limit. Larger:
+/// real steps pass a limit on jerk. Smaller: rounding fails. Chosen as in `planish-verify`.
+const ACCELERATION_STEP_ALLOWANCE: f64 = 1e-6;
+
+/// Use of a limit from which on an axis counts as near it. Larger: a shorter time near limits. Smaller: a longer one.
+/// Chosen below the margins that the plan leaves, which are some percent.
+const NEAR: f64 = 0.9;
+
+/// Number of equal times into which the report parts a cubic piece. Larger: more exact fractions of time. Smaller: less
+/// exact ones. Chosen.
+const REPORTED_TIMES: usize = 8;
+
+/// Limits of a further axis in its own unit, all on magnitudes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FurtherLimits {
+    /// Name of the axis.
+    pub name: String,
+    /// Largest velocity, unit/s.
+    pub max_velocity_per_s: f64,
+    /// Largest acceleration, unit/s^2.
+    pub max_acceleration_per_s2: f64,
+    /// Largest jerk, unit/s^3; absent when the machine does not limit it.
+    pub max_jerk_per_s3: Option<f64>,
+}
+
+/// Axes of a machine beyond x and y, which follow from the place of the tool on the part.
+pub trait FurtherAxes: Sync {
+    /// Their limits, in their order.
+    fn limits(&self) -> &[FurtherLimits];
+
+    /// Position of every axis with its first and second derivative by arc length, in the unit of the axis and mm.
+    ///
+    /// The curve goes through `point_mm` in the direction of the unit vector `tangent`, with a curvature that is positive
+    /// to the left. An axis may depend on the point only, so that derivatives by x and y exist. Only the derivatives are
+    /// used; an angle may jump by a full turn. `None` where an axis has no position or no derivative.
+    fn along(
+        &self,
+        point_mm: [f64; 2],
+        tangent: [f64; 2],
+        curvature_per_mm: f64,
+    ) -> Option<Vec<[f64; 3]>>;
+}
+
+/// Further axes of a plan, with the acceleration that it may use before averaging.
+#[derive(Clone, Copy)]
+pub struct Further<'a> {
+    axes: &'a dyn FurtherAxes,
+    average: Option<Average>,
+}
+
+/// A further axis at a place of a curve, over its limits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Scaled {
+    /// |q'| / V: least density, s/mm.
+    pub need_s_per_mm: f64,
+    /// q' / A, s^2/mm.
+    pub along: f64,
+    /// q'' / A, s^2/mm^2.
+    pub across: f64,
+}
+
+/// Largest use of the limits of an axis: of velocity, acceleration and jerk, 1 being all of it.
+pub type Used = [f64; 3];
+
+/// A cubic piece as the judge finds it.
+struct Judged {
+    used: Vec<Used>,
+    /// Acceleration over the limit at both ends, of every axis.
+    ends: [Vec<f64>; 2],
+}
+
+impl<'a> Further<'a> {
+    /// The axes of a plan whose motion is averaged like this; their limits are checked.
+    pub fn new(axes: &'a dyn FurtherAxes, average: Option<Average>) -> Result<Self, Invalid> {
+        for (i, axis) in axes.limits().iter().enumerate() {
+            let limits = [
+                ("max_velocity_per_s", Some(axis.max_velocity_per_s)),
+                ("max_acceleration_per_s2", Some(axis.max_acceleration_per_s2)),
+                ("max_jerk_per_s3", axis.max_jerk_per_s3),
+            ];
+            for (name, value) in limits {
+                if let Some(v) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
+                    let problem = format!("{name} of the axis {} is {v:?}", axis.name);
+                    return Err(Invalid::at(
+                        "further axes",
+                        i,
+                        problem,
+                        "a limit is positive and finite",
+                    ));
+                }
+            }
+        }
+        Ok(Self { axes, average })
+    }
+
+    fn fraction(&self) -> f64 {
+        self.average.map_or(1.0, |a| a.fraction)
+    }
+
+    /// Position and derivatives at a place, if all are finite.
+    fn at(&self, there: &Station) -> Option<Vec<[f64; 3]>> {
+        let Station { point_mm, tangent, curvature_per_mm } = *there;
+        let all = self.axes.along(point_mm, tangent, curvature_per_mm)?;
+        let finite = all.len() == self.axes.limits().len()
+            && all.iter().flatten().all(|value| value.is_finite());
+        finite.then_some(all)
+    }
+
+    /// Every axis at a place of the curve, over the limits that the plan keeps before averaging.
+    pub fn scaled(&self, there: &Station) -> Option<Vec<Scaled>> {
+        let of = |([_, first, second], axis): ([f64; 3], &FurtherLimits)| {
+            let most = axis.max_acceleration_per_s2 * self.fraction();
+            Scaled {
+                need_s_per_mm: first.abs() / axis.max_velocity_per_s,
+                along: first / most,
+                across: second / most,
+            }
+        };
+        Some(self.at(there)?.into_iter().zip(self.axes.limits()).map(of).collect())
+    }
+
+    /// (1) over the limits: velocity and acceleration of every axis.
+    fn of_motion(&self, p: [f64; 2], v: [f64; 2], a: [f64; 2]) -> Option<Vec<[f64; 2]>> {
+        let speed = v[0].hypot(v[1]);
+        let curvature_per_mm = (v[0] * a[1] - v[1] * a[0]) / speed.powi(3);
+        let over = |(values, axis): ([f64; 2], &FurtherLimits)| {
+            [values[0] / axis.max_velocity_per_s, values[1] / axis.max_acceleration_per_s2]
+        };
+        let at = |direction: [f64; 2], size: f64, curvature_per_mm: f64| {
+            let tangent = direction.map(|d| d / size);
+            self.at(&Station { point_mm: p, tangent, curvature_per_mm })
+        };
+        let values: Vec<[f64; 2]> = if curvature_per_mm.is_finite() {
+            let along = (v[0] * a[0] + v[1] * a[1]) / speed;
+            let of = |[_, first, second]: [f64; 3]| {
+                [first * speed, second * speed * speed + first * along]
+            };
+            at(v, speed, curvature_per_mm)?.into_iter().map(of).collect()
+        } else {
+            // At rest the acceleration alone moves the axes, in its own direction.
+            let size = a[0].hypot(a[1]);
+            let (direction, of_size) = if size > 0.0 { (a, size) } else { ([1.0, 0.0], 1.0) };
+            let of = |[_, first, _]: [f64; 3]| [0.0, first * size];
+            at(direction, of_size, 0.0)?.into_iter().map(of).collect()
+        };
+        Some(values.into_iter().zip(self.axes.limits()).map(over).collect())
+    }
+
+    /// Largest difference of an acceleration of the axes between two accelerations of the same motion, over the limit; 0
+    /// where an axis has none.
+    pub fn acceleration_error(&self, p: [f64; 2], v: [f64; 2], a: [[f64; 2]; 2]) -> f64 {
+        let [Some(first), Some(second)] = a.map(|a| self.of_motion(p, v, a)) else { return 0.0 };
+        first.iter().zip(second).map(|(a, b)| (a[1] - b[1]).abs()).fold(0.0, f64::max)
+    }
+
+    /// (1) at equal times of a cubic piece, (times, axes).
+    fn sampled(&self, segment: &Segment<'_>, intervals: usize) -> Option<Vec<Vec<[f64; 2]>>> {
+        let at = |k: usize| {
+            let u = segment.duration_s * k as f64 / intervals as f64;
+            let [p, v, a] = motion_at(segment, u);
+            self.of_motion(p, v, a)
+        };
+        (0..=intervals).map(at).collect()
+    }
+
+    /// Largest use of the limits on a cubic piece; `None` where an axis has no position or no derivative.
+    fn judged(&self, segment: &Segment<'_>) -> Option<Judged> {
+        let limits = self.axes.limits();
+        let [mut intervals, most] = JUDGED_INTERVALS;
+        loop {
+            let samples = self.sampled(segment, intervals)?;
+            let h = segment.duration_s / intervals as f64;
+            let mut used = vec![[0.0f64; 3]; limits.len()];
+            let mut bulge = 0.0f64;
+            for (i, (axis, used)) in limits.iter().zip(&mut used).enumerate() {
+                let velocity = |k: usize| samples[k][i][0];
+                let acceleration = |k: usize| samples[k][i][1];
+                let over = axis.max_velocity_per_s / axis.max_acceleration_per_s2;
+                for k in 0..=intervals {
+                    used[0] = used[0].max(velocity(k).abs());
+                    used[1] = used[1].max(acceleration(k).abs());
+                }
+                for k in 0..intervals {
+                    // The mean value theorem: somewhere between the two times the acceleration is this, also where the
+                    // velocity steps.
+                    let secant = (velocity(k + 1) - velocity(k)) * over / h;
+                    let mean = 0.5 * (acceleration(k) + acceleration(k + 1));
+                    if (secant - mean).abs() > MAX_BULGE {
+                        used[1] = used[1].max(secant.abs());
+                    }
+                    bulge = bulge.max((secant - mean).abs());
+                }
+                for k in 1..intervals {
+                    used[0] = used[0].max(peak([k - 1, k, k + 1].map(velocity)));
+                    let [a, b, c] = [k - 1, k, k + 1].map(acceleration);
+                    used[1] = used[1].max(peak([a, b, c]));
+                    bulge = bulge.max((0.125 * (a - 2.0 * b + c)).abs());
+                }
+                if let Some(jerk) = axis.max_jerk_per_s3 {
+                    let scale = axis.max_acceleration_per_s2 / (jerk * h);
+                    for k in 1..intervals {
+                        let [a, b, c] = [k - 1, k, k + 1].map(acceleration);
+                        // Of the parabola through three accelerations, at its ends and in its middle
+                        let [from, to] =
+                            [-1.5 * a + 2.0 * b - 0.5 * c, 0.5 * a - 2.0 * b + 1.5 * c];
+                        let here = from.abs().max(to.abs()).max((0.5 * (c - a)).abs());
+                        used[2] = used[2].max(here * scale);
+                    }
+                }
+            }
+            if bulge <= MAX_BULGE || intervals >= most {
+                let ends = [0, intervals].map(|k| samples[k].iter().map(|axis| axis[1]).collect());
+                return Some(Judged { used, ends });
+            }
+            intervals *= 2;
+        }
+    }
+
+    /// Largest use of the limits of every axis on every cubic piece (pieces, axes); all of them infinite where an axis
+    /// has no position or no derivative.
+    pub fn used(&self, trajectory: &Trajectory) -> Vec<Vec<Used>> {
+        let limits = self.axes.limits();
+        let judged: Vec<Option<Judged>> = (0..trajectory.len())
+            .into_par_iter()
+            .map(|i| self.judged(&trajectory.segment(i)))
+            .collect();
+        let mut before = vec![0.0; limits.len()];
+        let mut all = Vec::with_capacity(judged.len());
+        for judged in judged {
+            let Some(Judged { mut used, ends: [start, end] }) = judged else {
+                all.push(vec![[f64::INFINITY; 3]; limits.len()]);
+                continue;
+            };
+            for (i, axis) in limits.iter().enumerate() {
+                let step = (start[i] - before[i]).abs();
+                if axis.max_jerk_per_s3.is_some() && step > ACCELERATION_STEP_ALLOWANCE {
+                    used[i][2] = f64::INFINITY;
+                }
+            }
+            before = end;
+            all.push(used);
+        }
+        all
+    }
+
+    /// Factor by which accelerations of every axis on every span of a planned motion are too large (spans, axes); at most 1
+    /// where it keeps its limits. It is that of the motion after averaging, on every span that takes part in it.
+    pub fn excess(&self, motion: &Motion, spans: usize) -> Result<Vec<Vec<f64>>, Invalid> {
+        let mut of_spans = vec![vec![0.0f64; self.axes.limits().len()]; spans];
+        let mut raise = |span: usize, used: &[Used]| {
+            for (most, used) in of_spans[span].iter_mut().zip(used) {
+                *most = most.max(as_acceleration(used));
+            }
+        };
+        let Some(average) = self.average else {
+            for (used, span) in self.used(&motion.trajectory).iter().zip(&motion.span) {
+                raise(*span, used);
+            }
+            return Ok(of_spans);
+        };
+        let averaged = average.of(&motion.trajectory)?;
+        let breaks = motion.trajectory.break_time_s();
+        // The average begins earlier by its window, and takes part of as much to both sides.
+        for (used, times) in self.used(&averaged).iter().zip(averaged.break_time_s().windows(2)) {
+            let (from_s, to_s) = (times[0] - 2.0 * average.window_s, times[1]);
+            let first = breaks.partition_point(|b| *b < from_s).max(1) - 1;
+            for (k, span) in motion.span.iter().enumerate().skip(first) {
+                if breaks[k] > to_s {
+                    break;
+                }
+                raise(*span, used);
+            }
+        }
+        Ok(of_spans)
+    }
+
+    /// The least factor on all times with which a motion keeps the limits of the further axes; 1 if it keeps them.
+    pub fn slower_by(&self, trajectory: &Trajectory) -> f64 {
+        let of = |used: &Used| {
+            let [velocity, acceleration, jerk] = without_rounding(used);
+            velocity.max(acceleration.sqrt()).max(jerk.cbrt())
+        };
+        self.used(trajectory).iter().flatten().map(of).fold(1.0, f64::max)
+    }
+
+    /// Names of the axes.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.axes.limits().iter().map(|axis| axis.name.as_str())
+    }
+
+    /// The largest excess over a limit on a motion, and the remedy, in words.
+    pub fn reason(&self, trajectory: &Trajectory) -> Option<String> {
+        let used = self.used(trajectory);
+        let pieces = used.iter().zip(trajectory.segments());
+        let all = pieces.flat_map(|(used, segment)| {
+            let axes = self.names().zip(used);
+            axes.map(move |(name, used)| (name, as_acceleration(used), segment.position_mm(0.0)))
+        });
+        let (name, excess, [x, y]) = all.max_by(|a, b| a.1.total_cmp(&b.1))?;
+        Some(format!(
+            "the axis {name} exceeds a limit {excess:.1e} times near ({x:.4}, {y:.4}) mm; let the path keep away from there"
+        ))
+    }
+}
+
+/// The use of the limits less what is rounding.
+fn without_rounding([velocity, acceleration, jerk]: &Used) -> Used {
+    let [velocity, acceleration] = [velocity, acceleration].map(|u| u / (1.0 + LIMIT_ALLOWANCE));
+    [velocity, acceleration, jerk / (1.0 + JERK_ALLOWANCE)]
+}
+
+/// Largest use of a limit, as a factor on accelerations: with all times longer by a factor, a velocity is lower by this
+/// factor and an acceleration by its square.
+fn as_acceleration(used: &Used) -> f64 {
+    let [velocity, acceleration, jerk] = without_rounding(used);
+    velocity.powi(2).max(acceleration).max(jerk)
+}
+
+/// Position, velocity and acceleration at the local time `u_s` of a piece, in mm and s.
+fn motion_at(segment: &Segment<'_>, u_s: f64) -> [[f64; 2]; 3] {
+    let mut c = *segment.coefficient_mm;
+    [0; 3].map(|_| {
+        let at = c.each_ref().map(|c| evaluate(c, u_s));
+        c = c.each_ref().map(derivative);
+        at
+    })
+}
+
+/// Largest magnitude of the parabola through three equidistant values, if it is in between; 0 otherwise.
+fn peak([a, b, c]: [f64; 3]) -> f64 {
+    let (slope, bend) = (0.5 * (c - a), a - 2.0 * b + c);
+    if slope.abs() < bend.abs() { (b - 0.5 * slope * slope / bend).abs() } else { 0.0 }
+}
+
+/// The motion with all times longer by a factor.
+pub fn slowed(trajectory: &Trajectory, factor: f64) -> Result<Trajectory, Invalid> {
+    let mut builder = TrajectoryBuilder::default();
+    for segment in trajectory.segments() {
+        let c = segment.coefficient_mm.map(|[a, b, c, d]| {
+            [a, b / factor, c / (factor * factor), d / (factor * factor * factor)]
+        });
+        builder.push(segment.duration_s * factor, c, segment.tool_on, segment.dwell_index);
+    }
+    builder.build()
+}
+
+/// Use of the limits of an axis by the motion of a plan.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct AxisReport {
+    /// Name of the axis; `contact x` and `contact y` for the contact point along x and y of the part.
+    pub name: String,
+    /// Largest velocity over its limit.
+    pub velocity_over_limit: f64,
+    /// Largest acceleration over its limit.
+    pub acceleration_over_limit: f64,
+    /// Largest jerk over its limit; absent for x and y, and where there is no limit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub jerk_over_limit: Option<f64>,
+    /// Fraction of the time in which the velocity is above nine tenths of its limit, of the motion before averaging.
+    pub time_near_velocity_limit: f64,
+    /// Fraction of the time in which the acceleration is above nine tenths of what the plan may use of its limit, of the
+    /// motion before averaging: all of the limit, or the fraction that a limit on jerk leaves.
+    pub time_near_acceleration_limit: f64,
+    /// Box of the places with a velocity near the limit, mm: least x and y, largest x and y.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub near_velocity_limit_mm: Option<[[f64; 2]; 2]>,
+    /// Box of the places with an acceleration near the limit, mm: least x and y, largest x and y.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub near_acceleration_limit_mm: Option<[[f64; 2]; 2]>,
+}
+
+/// Report on x, y and the further axes: the largest use of limits by the motion `executed`, and the time near limits of
+/// the motion `planned` before any average.
+pub fn report(
+    executed: &Trajectory,
+    planned: &Trajectory,
+    limits: &Limits,
+    further: &Further<'_>,
+) -> Vec<AxisReport> {
+    let own = limits.axes().iter().map(|axis| (format!("contact {}", axis.name()), None));
+    let others = further.axes.limits().iter().map(|a| (a.name.clone(), a.max_jerk_per_s3));
+    let mut reports: Vec<AxisReport> = own
+        .chain(others)
+        .map(|(name, jerk)| AxisReport {
+            name,
+            velocity_over_limit: 0.0,
+            acceleration_over_limit: 0.0,
+            jerk_over_limit: jerk.map(|_| 0.0),
+            time_near_velocity_limit: 0.0,
+            time_near_acceleration_limit: 0.0,
+            near_velocity_limit_mm: None,
+            near_acceleration_limit_mm: None,
+        })
+        .collect();
+    for segment in executed.segments() {
+        for (c, (report, axis)) in
+            segment.coefficient_mm.iter().zip(reports.iter_mut().zip(limits.axes()))
+        {
+            let rate = derivative(c);
+            let peak = |c: &[f64; 4]| range(c, segment.duration_s).peak().0.abs();
+            let velocity = peak(&rate) / axis.max_velocity_mm_per_s();
+            let acceleration = peak(&derivative(&rate)) / axis.max_acceleration_mm_per_s2();
+            report.velocity_over_limit = report.velocity_over_limit.max(velocity);
+            report.acceleration_over_limit = report.acceleration_over_limit.max(acceleration);
+        }
+    }
+    for used in further.used(executed) {
+        for (report, [velocity, acceleration, jerk]) in reports[2..].iter_mut().zip(used) {
+            report.velocity_over_limit = report.velocity_over_limit.max(velocity);
+            report.acceleration_over_limit = report.acceleration_over_limit.max(acceleration);
+            report.jerk_over_limit = report.jerk_over_limit.map(|j| j.max(jerk));
+        }
+    }
+    near_limits(&mut reports, planned, limits, further);
+    reports
+}
+
+/// Adds the times and places near limits.
+fn near_limits(
+    reports: &mut [AxisReport],
+    planned: &Trajectory,
+    limits: &Limits,
+    further: &Further<'_>,
+) {
+    let over = |v: [f64; 2], a: [f64; 2]| {
+        [0, 1].map(|i| {
+            let axis = &limits.axes()[i];
+            [v[i] / axis.max_velocity_mm_per_s(), a[i] / axis.max_acceleration_mm_per_s2()]
+        })
+    };
+    let total_s = planned.total_time_s();
+    for segment in planned.segments() {
+        let fraction = segment.duration_s / (REPORTED_TIMES as f64 * total_s);
+        for k in 0..REPORTED_TIMES {
+            let u = segment.duration_s * (k as f64 + 0.5) / REPORTED_TIMES as f64;
+            let [p, v, a] = motion_at(&segment, u);
+            let Some(others) = further.of_motion(p, v, a) else { continue };
+            for (report, [velocity, acceleration]) in
+                reports.iter_mut().zip(over(v, a).into_iter().chain(others))
+            {
+                if velocity.abs() > NEAR {
+                    report.time_near_velocity_limit += fraction;
+                    widen(&mut report.near_velocity_limit_mm, p);
+                }
+                if acceleration.abs() > NEAR * further.fraction() {
+                    report.time_near_acceleration_limit += fraction;
+                    widen(&mut report.near_acceleration_limit_mm, p);
+                }
+            }
+        }
+    }
+}
+
+impl AxisReport {
+    /// Fractions of the time in which the velocity and the acceleration are near what the plan may use of their limits,
+    /// each with its quantity.
+    pub fn near(&self) -> [(&'static str, f64); 2] {
+        [
+            ("velocity", self.time_near_velocity_limit),
+            ("acceleration", self.time_near_acceleration_limit),
+        ]
+    }
+}
+
+fn widen(of: &mut Option<[[f64; 2]; 2]>, p: [f64; 2]) {
+    let [low, high] = of.unwrap_or([p, p]);
+    *of = Some([[0, 1].map(|i| low[i].min(p[i])), [0, 1].map(|i| high[i].max(p[i]))]);
+}
