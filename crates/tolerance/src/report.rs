@@ -69,7 +69,7 @@ pub struct First {
     pub without_it_95_percent_nm: f64,
 }
 
-/// What the mean tool decides in the budget of a tool that varies.
+/// Sentence on what the mean tool decides in the budget of a tool that varies.
 pub const MEAN_TOOL: &str = "the tool varies over the part: every error acts on it as it is at its place, and the mean \
                              tool decides which wavelengths are reached";
 
