@@ -73,6 +73,7 @@ mod output;
 mod place;
 mod publish;
 mod shell;
+mod together;
 pub mod words;
 
 pub use allocator::Allocator;
@@ -83,6 +84,7 @@ pub use nouns::Tool;
 pub use output::{Begin, Output, OutputFile, Task, Writer, save};
 pub use publish::is_temporary;
 pub use shell::{Failure, Status, program, say, warn};
+pub use together::together;
 
 /// A file or directory that cannot be used. The message states the file, the place, the value and
 /// the remedy.
