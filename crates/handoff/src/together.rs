@@ -10,8 +10,11 @@ use crate::message::complain;
 /// Name of the program that runs, if it was chosen from several.
 static CHOSEN: OnceLock<&'static str> = OnceLock::new();
 
+/// The `main` of a program.
+pub type Main = fn() -> ExitCode;
+
 /// Runs the program that the first argument names, with the arguments after it.
-pub fn together(programs: &[(&'static str, fn() -> ExitCode)]) -> ExitCode {
+pub fn together(programs: &[(&'static str, Main)]) -> ExitCode {
     let first = std::env::args_os().nth(1).unwrap_or_default();
     let Some((name, main)) = programs.iter().find(|(name, _)| first == *name) else {
         let names: Vec<_> = programs.iter().map(|(name, _)| *name).collect();
