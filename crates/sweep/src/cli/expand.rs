@@ -15,7 +15,7 @@ use planish_sweep::{
 };
 use serde_json::{Value, json};
 
-use crate::files::{VERSION, write_json};
+use super::super::files::{VERSION, write_json};
 
 /// Largest size of a sweep's file, bytes: about a thousand blocks. Larger files are refused. Larger: other files
 /// given by mistake are read. Smaller: long sweeps are refused.
@@ -331,7 +331,7 @@ impl Grounds<'_> {
 
 /// Hash of the names and bytes of what stands there.
 fn content(path: &Path) -> Result<String, Failure> {
-    let unreadable = |e: std::io::Error| crate::files::unreadable(path, &e);
+    let unreadable = |e: std::io::Error| super::super::files::unreadable(path, &e);
     let mut hasher = blake3::Hasher::new();
     let mut files = vec![path.to_path_buf()];
     if path.is_dir() {

@@ -22,7 +22,7 @@ use planish_types::Surface;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::{
+use super::super::{
     files::{read_row, read_sweep, row_path, unreadable, write_json},
     runner::{End, Stages, each, processor_s_of_stages},
 };
