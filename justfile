@@ -161,17 +161,37 @@ test-interop: build
     @target/interop/bin/pip install --quiet numpy==2.4.6 scipy==1.17.1 h5py==3.16.0 astropy==8.0.2 prysm==0.21.1 gwyfile==0.3.0
     target/interop/bin/python crates/import/tests/interop.py target/release/planish-import target/interop/files
 
-# One wheel with every program, the pipelines and the Python module, in target/wheel (python/; for machines like this one)
+# A wheel for machines like this one, in target/wheel: every program in one file, the pipelines and the Python module
 [group('2 programs')]
-wheel:
-    @python/build_programs.sh target/wheel/build
-    @python3 python/notices.py > target/wheel/THIRD-PARTY-NOTICES.txt
+wheel: (wheel-tools "hatchling==1.27.0")
+    python/build_programs.sh target/wheel/build
+    @python/pack.sh target/wheel/build/release/planish_programs
+
+# The tags are those of Linux with the C library 2.17 (2014) or later; auditwheel checks them. It makes a wheel for each of
+# x86_64 and aarch64 whose standard library rustup has, and says what is missing
+#
+# The wheels for an index, in target/wheel: every program in one file for Linux from 2014 on (cargo-zigbuild)
+[group('2 programs')]
+wheels: (wheel-tools "hatchling==1.27.0" "cargo-zigbuild==0.24.1" "ziglang==0.17.1" "auditwheel==6.8.2")
+    #!/bin/sh
+    set -eu
+    export PATH="$PWD/target/wheel-python/bin:$PATH"
+    for machine in x86_64 aarch64; do
+        target=$machine-unknown-linux-gnu
+        if [ ! -d "$(rustc --print sysroot)/lib/rustlib/$target/lib" ]; then
+            echo "no wheel for $machine: its standard library is not here; rustup target add $target" >&2
+            continue
+        fi
+        echo "$machine: building"
+        python/build_programs.sh target/wheel/build $target.2.17
+        python/pack.sh target/wheel/build/$target/release/planish_programs $machine
+    done
+
+[private]
+wheel-tools *packages:
     @test -d target/wheel-python || python3 -m venv target/wheel-python
+    @target/wheel-python/bin/python -m pip install --quiet {{ packages }}
     @rm -f target/wheel/planish-*.whl
-    target/wheel-python/bin/python -m pip wheel --quiet --no-deps --wheel-dir target/wheel ./python
-    @du -ch target/wheel/build/release/planish-* --exclude='*.d' | tail -n 1 | sed 's/total/programs with their symbols/'
-    @du -ch target/wheel/programs/planish-* | tail -n 1 | sed 's/total/programs without/'
-    @du -h target/wheel/planish-*.whl
 
 # Install the wheel in a fresh environment without a Rust toolchain, and plan a mirror made with NumPy, from arrays to programs
 [group('4 slower tests')]
@@ -275,6 +295,8 @@ prose *words:
         harper-py==0.2.0 || echo "harper-py cannot be installed here"
     @target/prose/bin/python docs/prose/check.py --harper "$@"
 
+# `just checks` checks the licences and sources alone
+#
 # Check licences, sources and known vulnerabilities of all crates (deny.toml; needs cargo-deny and the network)
 [group('3 development')]
 deny:
@@ -303,7 +325,8 @@ ci-long:
 [group('3 development')]
 checks:
     cargo fmt --all --check
-    cargo clippy --release --locked --workspace --all-targets -- -D warnings
+    cargo clippy --release --locked --workspace --all-targets --features planish-programs/together -- -D warnings
+    python3 python/licences.py
     RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps --quiet
     just docs
     just reproduce

@@ -1,7 +1,7 @@
-"""Licences of everything that is compiled into the programs: notices.py > THIRD-PARTY-NOTICES.txt
+"""Licences of everything that is compiled into the programs: notices.py [TARGET] > THIRD-PARTY-NOTICES.txt
 
-Reads what Cargo knows of the locked crates for this machine, and the licence files that each of them has. Crates that
-only tests or build scripts need are left out; so are those of this repository.
+Reads what Cargo knows of the locked crates for TARGET (without one: for this machine), and the licence files that each of
+them has. Crates that only tests or build scripts need are left out; so are those of this repository.
 """
 
 import json
@@ -15,21 +15,24 @@ LICENCE_FILE = re.compile(r"^(licen[cs]e|copying|copyright|notice|unlicense)", r
 RULE = "=" * 100
 
 
-def packages():
-    """The crates of the programs, by name and version."""
-    host = re.search(r"^host: (.*)$", subprocess.check_output(["rustc", "-vV"], text=True), re.MULTILINE)[1]
-    command = ["cargo", "metadata", "--locked", "--format-version", "1", "--filter-platform", host]
+def resolved(target=None):
+    """The crates in the programs with the identifiers of those that each names, those of this repository among them."""
+    if target is None:
+        target = re.search(r"^host: (.*)$", subprocess.check_output(["rustc", "-vV"], text=True), re.MULTILINE)[1]
+    command = ["cargo", "metadata", "--locked", "--format-version", "1", "--filter-platform", target]
     metadata = json.loads(subprocess.check_output(command, cwd=ROOT))
     nodes = {node["id"]: node for node in metadata["resolve"]["nodes"]}
-    wanted, seen = list(metadata["workspace_members"]), set()
+    by_id = {package["id"]: package for package in metadata["packages"]}
+    # The crate that has all programs
+    wanted, found = [key for key, package in by_id.items() if package["name"] == "planish-programs"], {}
     while wanted:
         crate = wanted.pop()
-        if crate not in seen:
-            seen.add(crate)
+        if crate not in found:
             # A dependency without a kind is one of the library or the program.
-            wanted += [d["pkg"] for d in nodes[crate]["deps"] if any(k["kind"] is None for k in d["dep_kinds"])]
-    found = [p for p in metadata["packages"] if p["id"] in seen and p["source"]]
-    return sorted(found, key=lambda p: (p["name"], p["version"]))
+            uses = [d["pkg"] for d in nodes[crate]["deps"] if any(k["kind"] is None for k in d["dep_kinds"])]
+            found[crate] = by_id[crate], sorted(uses)
+            wanted += uses
+    return dict(sorted(found.items(), key=lambda item: (item[1][0]["name"], item[1][0]["version"])))
 
 
 def texts(package):
@@ -46,7 +49,7 @@ def main():
     print("The programs of Planish contain code of the Rust standard library (MIT OR Apache-2.0,")
     print("https://github.com/rust-lang/rust) and of these crates, each under the licence named with it.")
     first_with = {}
-    for package in packages():
+    for package in [p for p, _ in resolved(*sys.argv[1:]).values() if p["source"]]:
         name = f"{package['name']} {package['version']}"
         licence = package["license"] or f"see {package['license_file']}"
         print(f"\n{RULE}\n{name}\nLicence: {licence}")

@@ -1,35 +1,50 @@
-"""What goes into the wheel beside the Python module: the programs without their symbols, and the pipelines as data.
+"""What goes into the wheel beside the Python module: the programs, and the pipelines as data.
 
-Called by hatchling (`just wheel`), after build_programs.sh and notices.py. The programs become scripts of the environment;
-pipelines, fixtures and machines stand in `planish/share`, where `planish run` reads them. The licence and those of the
-crates stand beside the metadata.
+Called by hatchling (`just wheel`, `just wheels`), after build_programs.sh, notices.py and sbom.py. One file holds all
+programs (python/programs), and a script per name calls it: what the programs share is there once. Both become scripts of
+the environment. Pipelines, fixtures and machines stand in `planish/share`, where `planish run` reads them. The licence,
+those of the crates, and the bill of materials stand beside the metadata.
+
+PLANISH_PROGRAMS_FILE names the file with all programs, and PLANISH_WHEEL_TAG the systems that it runs on.
 """
 
 import os
 import pathlib
-import subprocess
+import re
 import sysconfig
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
-PROGRAMS = ROOT / "target/wheel/build/release"
-NOTICES = ROOT / "target/wheel/THIRD-PARTY-NOTICES.txt"
-# For the checks of the programs, and nobody's plan.
-LEFT_OUT = {"planish-fuzz"}
+WHEEL = ROOT / "target/wheel"
+ALL = "planish_programs"
+# A symbolic link to a script is followed to the script, beside which the file with all programs is.
+CALL = """#!/bin/sh
+case $0 in */*) file=$0 ;; *) file=./$0 ;; esac
+[ ! -L "$file" ] || file=$(readlink -f "$file")
+exec "${file%/*}/ALL" NAME "$@"
+"""
+
+
+def names():
+    """Names of all programs: those of the crates with a `main.rs`."""
+    manifests = [main.parents[1] / "Cargo.toml" for main in sorted(ROOT.glob("crates/*/src/main.rs"))]
+    return [re.search(r'^name = "(.*)"', manifest.read_text("utf-8"), re.MULTILINE)[1] for manifest in manifests]
 
 
 class Programs(BuildHookInterface):
     def initialize(self, version, build_data):
-        stripped = ROOT / "target/wheel/programs"
-        stripped.mkdir(parents=True, exist_ok=True)
-        programs = [p for p in sorted(PROGRAMS.glob("planish-*")) if not p.suffix and p.name not in LEFT_OUT]
-        if not programs:
-            raise SystemExit(f"{PROGRAMS}: there are no programs; run just wheel")
-        for program in programs:
-            subprocess.run(["strip", "-o", stripped / program.name, program], check=True)
-            self.refuse_paths(stripped / program.name)
-            build_data["shared_scripts"][str(stripped / program.name)] = program.name
+        program = pathlib.Path(os.environ.get("PLANISH_PROGRAMS_FILE") or WHEEL / "build/release" / ALL)
+        if not program.is_file():
+            raise SystemExit(f"{program}: there are no programs; run just wheel")
+        self.refuse_paths(program)
+        build_data["shared_scripts"][str(program)] = ALL
+        scripts = WHEEL / "scripts"
+        scripts.mkdir(parents=True, exist_ok=True)
+        for name in names():
+            (scripts / name).write_text(CALL.replace("ALL", ALL).replace("NAME", name), "utf-8")
+            (scripts / name).chmod(0o755)
+            build_data["shared_scripts"][str(scripts / name)] = name
         for folder, pattern in (
             ("pipelines", "*.just"),
             ("pipelines", "start.sh"),
@@ -43,12 +58,14 @@ class Programs(BuildHookInterface):
                 build_data["force_include"][str(file)] = f"planish/share/{folder}/{file.name}"
         for file in (ROOT / "python/matlab/planish.m", ROOT / "docs/notebook.ipynb"):
             build_data["force_include"][str(file)] = f"planish/share/{file.name}"
-        licences = f"{self.metadata.name}-{self.metadata.version}.dist-info/licenses"
-        for file in (ROOT / "LICENSE", NOTICES):
-            build_data["force_include"][str(file)] = f"{licences}/{file.name}"
+        about = f"{self.metadata.name}-{self.metadata.version}.dist-info"
+        for file in (ROOT / "LICENSE", WHEEL / "THIRD-PARTY-NOTICES.txt"):
+            build_data["force_include"][str(file)] = f"{about}/licenses/{file.name}"
+        build_data["force_include"][str(WHEEL / "planish.cdx.json")] = f"{about}/sboms/planish.cdx.json"
         build_data["pure_python"] = False
-        # Of the C library that it was linked with: this wheel is for machines like this one.
-        build_data["tag"] = f"py3-none-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+        # Without a tag, of the C library that it was linked with: this wheel is for machines like this one.
+        tag = os.environ.get("PLANISH_WHEEL_TAG") or re.sub(r"[-.]", "_", sysconfig.get_platform())
+        build_data["tag"] = f"py3-none-{tag}"
 
     def refuse_paths(self, program):
         """Refuses a program that names the folders that it was built in."""

@@ -1,6 +1,6 @@
 #!/bin/sh
-# Installs the wheel in WHEELS as a new user would, and tries it: try-wheel.sh WHEELS OUT. The environment is made in OUT,
-# which this script made or which is absent; the PATH has no Rust toolchain and no clone.
+# Installs the wheel for this machine that is in WHEELS as a new user would, and tries it: try-wheel.sh WHEELS OUT. The
+# environment is made in OUT, which this script made or which is absent; the PATH has no Rust toolchain and no clone.
 set -eu
 wheels=$(cd "$1" && pwd -P)
 here=$(cd "$(dirname "$0")" && pwd -P)
@@ -15,7 +15,7 @@ mkdir -p "$out"
 cd "$out"
 begun=$(date +%s)
 python3 -m venv environment
-environment/bin/pip install --quiet "$wheels"/planish-*.whl
+environment/bin/pip install --quiet "$wheels"/planish-*"$(uname -m)".whl
 echo "installed in $(($(date +%s) - begun)) s"
 env -i HOME="$PWD" PATH=/usr/bin:/bin environment/bin/python "$here/try_wheel.py"
 # Plans from arrays, with what they may need beside the wheel

@@ -7,6 +7,7 @@ what a function writes against those of the command line, the program read back 
 """
 
 import hashlib
+import importlib.metadata
 import json
 import os
 import pathlib
@@ -68,6 +69,34 @@ def functions_write_what_the_command_line_writes():
         out = f"spectrum/{np.size(bands)}-{type(bands).__name__}"
         psd = planish.surface.psd(surface="mirror", band_per_mm=bands, out=out)
         assert np.array_equal([b["band_per_mm"] for b in psd.outcome["bands"]], np.reshape(bands, (-1, 2)))
+
+
+def every_program_has_its_own_name():
+    folder = planish.programs()
+    for file in sorted(folder.glob("planish-*")):
+        said = subprocess.run([file, "--version"], capture_output=True, text=True, check=True).stdout.split()
+        assert said[0] == file.name, said
+        usage = subprocess.run([file, "--help"], capture_output=True, text=True, check=True).stdout
+        assert f"Usage: {file.name} " in usage and f"\n  {file.name} " in usage, usage
+    manifest = planish.load("made/path").manifest
+    assert manifest["tool"] == "planish-toolpath" and manifest["command"].startswith("planish-toolpath raster "), manifest
+    # By a symbolic link, as a user may put one into a folder of his PATH
+    pathlib.Path("link").symlink_to(folder / "planish-run")
+    subprocess.run(["./link", "--version"], capture_output=True, check=True)
+    ran = subprocess.run([folder / "planish_programs", "planish-polish"], capture_output=True, text=True)
+    assert ran.returncode == 2 and "'planish-polish', which is no program; give one of planish-" in ran.stderr, ran.stderr
+
+
+def what_is_compiled_in_is_listed():
+    about = importlib.metadata.distribution("planish")
+    texts = {file.name: file.read_text() for file in about.files if file.parent.name in ("licenses", "sboms")}
+    bill = json.loads(texts.pop("planish.cdx.json"))
+    assert bill["bomFormat"] == "CycloneDX" and len(bill["components"]) > 100
+    assert sorted(texts) == ["LICENSE", "THIRD-PARTY-NOTICES.txt"]
+    # The crates of others have both their licence and their place in the bill.
+    for crate in bill["components"]:
+        if "purl" in crate:
+            assert f"\n{crate['name']} {crate['version']}\n" in texts["THIRD-PARTY-NOTICES.txt"], crate
 
 
 def messages_say_what_to_do():
@@ -135,6 +164,8 @@ def the_doctor_checks_a_plan():
 if __name__ == "__main__":
     mirror()
     functions_write_what_the_command_line_writes()
+    every_program_has_its_own_name()
+    what_is_compiled_in_is_listed()
     messages_say_what_to_do()
     the_doctor_checks_a_plan()
     the_first_mirror()

@@ -7,6 +7,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
+#[cfg(not(feature = "together"))]
 #[global_allocator]
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
@@ -25,6 +26,6 @@ struct Cli {
     command: cli::Command,
 }
 
-fn main() -> ExitCode {
+pub(crate) fn main() -> ExitCode {
     planish_handoff::program(|cli: &Cli| cli.command.run())
 }

@@ -9,13 +9,14 @@ use std::{
 };
 
 use ndarray::{ArrayD, Dimension};
-use planish_types::Invalid;
+use planish_types::{Invalid, Tif};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::{
     HandoffError,
     kind::{self, ArrayDef, Dtype, Kind, MANIFEST},
+    nouns::Tool,
     npy::{self, ArrayData},
     place::{is_absent, parent_of},
     publish,
@@ -206,12 +207,43 @@ pub struct Loaded<T> {
 
 /// Reads the artifact in `dir`; checks kind, version, dtypes, shapes, finiteness and hashes.
 pub fn read<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
+    read_whole(dir, || {
+        check_directory(dir, T::KIND)?;
+        read_arrays(dir, manifest_text(dir)?.as_deref())
+    })
+}
+
+/// Reads a tool as [`read`] does, and returns its kind: a TIF, or one that varies over the part. The manifest says which
+/// it is; without one, a directory with weights holds a tool that varies.
+pub(crate) fn read_tool(dir: &Path) -> Result<(&'static Kind, Loaded<Tif>), HandoffError> {
+    read_whole(dir, || {
+        check_directory(dir, Tif::KIND)?;
+        let text = manifest_text(dir)?;
+        let head = text.as_ref().and_then(|t| serde_json::from_str::<ManifestHead>(t).ok());
+        let varies = match head {
+            Some(head) => head.kind == Tool::KIND.name,
+            None => dir.join("weight.npy").exists(),
+        };
+        if !varies {
+            return Ok((Tif::KIND, read_arrays(dir, text.as_deref())?));
+        }
+        let Loaded { value: Tool(value), digest, manifest, warning } =
+            read_arrays(dir, text.as_deref())?;
+        Ok((Tool::KIND, Loaded { value, digest, manifest, warning }))
+    })
+}
+
+/// Reads a directory by `read_once`, again where another run replaces it meanwhile.
+fn read_whole<T>(
+    dir: &Path,
+    read_once: impl Fn() -> Result<T, HandoffError>,
+) -> Result<T, HandoffError> {
     publish::finish_interrupted(&parent_of(dir));
     loop {
         // If another run replaces the directory meanwhile, the reader gets a mixture of the old and
         // the new one. The hashes reveal that, and the directory is read again.
         let before = identity(dir);
-        let result = read_once(dir);
+        let result = read_once();
         if result.is_ok() || identity(dir) == before {
             return result;
         }
@@ -230,9 +262,10 @@ fn identity(dir: &Path) -> Option<impl PartialEq + use<>> {
     metadata.created().ok()
 }
 
-fn read_once<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
-    check_directory(dir, T::KIND)?;
-    let manifest = read_manifest(dir, T::KIND)?;
+/// Reads the arrays in `dir`, whose manifest has this text.
+fn read_arrays<T: Artifact>(dir: &Path, text: Option<&str>) -> Result<Loaded<T>, HandoffError> {
+    let manifest = text.map(|text| checked_manifest(dir, T::KIND, text)).transpose()?;
+    let manifest = manifest.map(|(manifest, _)| manifest);
     let mut arrays = Arrays::default();
     let mut sizes = BTreeMap::new();
     let (mut defaulted, mut absent) = (Vec::new(), Vec::new());
@@ -303,13 +336,6 @@ fn check_directory(dir: &Path, kind: &Kind) -> Result<(), HandoffError> {
     Err(HandoffError::new(dir, format!("{problem}; {remedy}")))
 }
 
-/// Kind that the manifest in `dir` states; `None` without a manifest that can be read.
-pub(crate) fn kind_of(dir: &Path) -> Option<String> {
-    publish::finish_interrupted(&parent_of(dir));
-    let text = read_text(&dir.join(MANIFEST), LARGEST_MANIFEST_BYTES).ok()?;
-    serde_json::from_str::<ManifestHead>(&text).ok().map(|head| head.kind)
-}
-
 /// Manifest in `dir`, checked against `kind`; `None` if there is none.
 pub fn read_manifest(dir: &Path, kind: &Kind) -> Result<Option<Manifest>, HandoffError> {
     Ok(read_sealed_manifest(dir, kind)?.map(|(manifest, _)| manifest))
@@ -321,11 +347,21 @@ pub(crate) fn read_sealed_manifest(
     dir: &Path,
     kind: &Kind,
 ) -> Result<Option<(Manifest, Seal)>, HandoffError> {
+    manifest_text(dir)?.map(|text| checked_manifest(dir, kind, &text)).transpose()
+}
+
+/// Text of the manifest in `dir`; `None` if there is none.
+fn manifest_text(dir: &Path) -> Result<Option<String>, HandoffError> {
     let path = dir.join(MANIFEST);
     if is_absent(&path) {
         return Ok(None);
     }
-    let text = read_text(&path, LARGEST_MANIFEST_BYTES)?;
+    read_text(&path, LARGEST_MANIFEST_BYTES).map(Some)
+}
+
+/// Manifest with this text, checked against `kind`, and the state of its seal.
+fn checked_manifest(dir: &Path, kind: &Kind, text: &str) -> Result<(Manifest, Seal), HandoffError> {
+    let path = dir.join(MANIFEST);
     let damaged = |what: String| {
         HandoffError::new(
             &path,
@@ -334,7 +370,7 @@ pub(crate) fn read_sealed_manifest(
     };
     let unreadable = |e: serde_json::Error| damaged(format!("is not a manifest ({e})"));
     // Kind and version are checked first, because everything else may differ in a newer manifest.
-    let head: ManifestHead = serde_json::from_str(&text).map_err(unreadable)?;
+    let head: ManifestHead = serde_json::from_str(text).map_err(unreadable)?;
     if head.kind == kind::FORMER_DWELL_DENSITY {
         let problem = "holds a feed, as an older Planish called a dwell_density; make it again, by \
                        `planish-schedule trig-spline --dwell-density-out` or `planish-bspline-feed`";
@@ -355,11 +391,11 @@ pub(crate) fn read_sealed_manifest(
             ),
         ));
     }
-    let seal = seal_of(&text);
+    let seal = seal_of(text);
     if seal == Seal::Broken {
         return Err(damaged("was changed after it was written".into()));
     }
-    Ok(Some((serde_json::from_str(&text).map_err(unreadable)?, seal)))
+    Ok((serde_json::from_str(text).map_err(unreadable)?, seal))
 }
 
 /// Text of a regular file of at most `most` bytes. Pipes and devices are refused, because they may

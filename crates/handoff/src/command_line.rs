@@ -14,7 +14,7 @@ use planish_types::budget;
 use crate::{
     describe,
     message::{complain, shortened},
-    words,
+    together, words,
 };
 
 /// Id and name of the flag that every program has.
@@ -27,7 +27,7 @@ const ALSO: &str = "Also: --completions bash|zsh|fish|elvish|powershell prints a
 /// Parses the command line. For `--completions`, `--man`, `--describe`, `--help` and wrong usage,
 /// it prints a text and ends the program.
 pub(crate) fn parse<C: Parser>() -> C {
-    let arguments: Vec<OsString> = std::env::args_os().collect();
+    let arguments = together::command_line();
     if let Some(text) = generated::<C>(&arguments[1..]) {
         match text {
             Ok(bytes) => {
@@ -73,12 +73,17 @@ fn command<C: CommandFactory>() -> clap::Command {
             "Memory that the program may take, GiB: it refuses what needs more [default: {}]",
             budget::DEFAULT_MEMORY_GIB
         ));
-    C::command().arg(memory).after_help(after_help::<C>())
+    let command = C::command().arg(memory).after_help(after_help::<C>());
+    match together::chosen() {
+        Some(name) => command.name(name),
+        None => command,
+    }
 }
 
 /// Command line that started this process, quoted for a shell, with the plain name of the program.
 pub(crate) fn as_typed(tool: &str) -> String {
-    let arguments = std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned());
+    let arguments = together::command_line();
+    let arguments = arguments.iter().skip(1).map(|a| a.to_string_lossy().into_owned());
     words::join(std::iter::once(tool.to_string()).chain(arguments))
 }
 

@@ -13,9 +13,8 @@ use planish_types::{Invalid, Machine, MachineFile, Surface, Tif};
 
 use crate::{
     HandoffError,
-    artifact::{self, Ancestor, Artifact, InputRecord, Manifest, Seal},
+    artifact::{self, Ancestor, Artifact, InputRecord, Loaded, Manifest, Seal},
     kind::{Dtype, Kind, MANIFEST},
-    nouns::Tool,
     npy::{self, ArrayData},
     place::parent_of,
     publish,
@@ -81,23 +80,30 @@ impl Inputs {
         role: &str,
         dir: &Path,
     ) -> Result<(T, Option<Manifest>), HandoffError> {
-        let loaded = artifact::read::<T>(dir)?;
+        Ok(self.recorded(role, dir, T::KIND, artifact::read::<T>(dir)?))
+    }
+
+    /// Records an artifact that was read, and returns its value and its manifest.
+    fn recorded<T>(
+        &mut self,
+        role: &str,
+        dir: &Path,
+        kind: &Kind,
+        loaded: Loaded<T>,
+    ) -> (T, Option<Manifest>) {
         if let Some(warning) = &loaded.warning {
             warn(warning);
         }
         self.lineage.extend(loaded.manifest.iter().flat_map(|m| m.lineage.clone()));
-        self.record(role, dir, T::KIND.name, loaded.digest);
-        Ok((loaded.value, loaded.manifest))
+        self.record(role, dir, kind.name, loaded.digest);
+        (loaded.value, loaded.manifest)
     }
 
     /// Reads a tool: a TIF, or one that varies over the part. The manifest says which it is; without one, a directory
     /// with weights holds a tool that varies.
     pub fn read_tool(&mut self, role: &str, dir: &Path) -> Result<Tif, HandoffError> {
-        let varies = match artifact::kind_of(dir) {
-            Some(kind) => kind == Tool::KIND.name,
-            None => dir.join("weight.npy").exists(),
-        };
-        if varies { Ok(self.read::<Tool>(role, dir)?.0) } else { self.read(role, dir) }
+        let (kind, loaded) = artifact::read_tool(dir)?;
+        Ok(self.recorded(role, dir, kind, loaded).0)
     }
 
     /// BLAKE3 of the content of the input that was read for this role.

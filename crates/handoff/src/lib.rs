@@ -14,6 +14,7 @@
 //! * [`Output`], [`OutputFile`]: the outputs of a command; skipped if they are up to date.
 //! * `publish`: makes the outputs of a run visible, whole and together, safe against power failures.
 //! * [`program`]: the body of every `main`; messages and exit codes.
+//! * [`together`](fn@together): one of several programs in one file, by the first argument.
 //! * [`words`]: several words in one text, as a shell reads them.
 //!
 //! The `main.rs` of a program that doubles every dwell time:
@@ -73,6 +74,7 @@ mod output;
 mod place;
 mod publish;
 mod shell;
+mod together;
 pub mod words;
 
 pub use allocator::Allocator;
@@ -83,6 +85,7 @@ pub use nouns::Tool;
 pub use output::{Begin, Output, OutputFile, Task, Writer, save};
 pub use publish::is_temporary;
 pub use shell::{Failure, Status, program, say, warn};
+pub use together::{Main, together};
 
 /// A file or directory that cannot be used. The message states the file, the place, the value and
 /// the remedy.

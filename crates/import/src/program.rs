@@ -210,6 +210,7 @@ fn of_axes(
 ) -> Result<AxesMotion, Invalid> {
     belongs(bytes, configuration)?;
     let text = crate::text::text("program", bytes)?;
+    let text = text.as_ref();
     let layout = configuration.layout()?;
     match controller {
         Controller::Galil => galil::read(text, configuration, &layout),

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use ndarray::Array2;
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status,
+    Artifact, Begin, Failure, Inputs, Output, Status, Tool,
     flags::{OutputArgs, TrajectoryArgs},
     kind,
     npy::ArrayData,
@@ -28,7 +28,7 @@ pub struct Reconcile {
     after: PathBuf,
     #[command(flatten)]
     trajectory: TrajectoryArgs,
-    /// Tool influence function of the plan [tif artifact]
+    /// Tool influence function of the plan [tif artifact, or tool artifact if it varies over the part]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
     /// Error budget of the process: the errors that were expected before the run [JSON]
@@ -53,7 +53,8 @@ pub struct Reconcile {
     /// Transform from part to machine that was applied to the plan of this run [transform artifact]
     #[arg(long, value_name = "DIR")]
     transform: Option<PathBuf>,
-    /// TIF with the rate and the shape that were learnt, written in addition [tif artifact]
+    /// TIF with the rate and the shape that were learnt, written in addition [tif artifact, or tool artifact if the tool
+    /// varies over the part]
     #[arg(long, value_name = "DIR")]
     corrected_tif: Option<PathBuf>,
     /// Transform that takes the next plan to the machine, so that the tool acts where it is planned, written in
@@ -77,7 +78,8 @@ impl Reconcile {
         };
         let mut inputs = Inputs::new();
         let (trajectory, manifest) = self.trajectory.read_on_part(&mut inputs)?;
-        let tif: Tif = inputs.read("tif", &self.tif)?;
+        let tif = inputs.read_tool("tif", &self.tif)?;
+        let tool_kind = if tif.variation().is_some() { Tool::KIND } else { Tif::KIND };
         inputs.warn_unrelated("trajectory", manifest.as_ref(), "tif");
         let before: Surface = inputs.read("before", &self.before)?;
         let after: Surface = inputs.read("after", &self.after)?;
@@ -88,7 +90,7 @@ impl Reconcile {
         };
         let mut output = Output::directory(&self.output, &kind::RECONCILIATION);
         if let Some(dir) = &self.corrected_tif {
-            output = output.and_directory("--corrected-tif", dir, Tif::KIND);
+            output = output.and_directory("--corrected-tif", dir, tool_kind);
         }
         if let Some(dir) = &self.corrected_transform {
             output = output.and_directory("--corrected-transform", dir, Transform::KIND);
@@ -141,7 +143,10 @@ impl Reconcile {
                 "vrr_nm_mm2_per_s": found.tif.vrr_nm_mm2_per_s(),
                 "width_mm": found.tif.width_mm(),
             });
-            output.write(&found.tif, learnt, &status)?;
+            match found.tif.variation() {
+                Some(_) => output.write(&Tool(found.tif.clone()), learnt, &status)?,
+                None => output.write(&found.tif, learnt, &status)?,
+            }
         }
         if self.corrected_transform.is_some() {
             output.write(&found.transform, serde_json::json!({}), &status)?;

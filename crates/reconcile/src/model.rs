@@ -137,7 +137,7 @@ impl<'a> Model<'a> {
             }
         }
         let shaped = run.tif(tif)?;
-        let rate = shaped.as_ref().unwrap_or(tif).rate_nm_per_s() * factor;
-        Tif::new(*tif.grid(), rate)
+        let shaped = shaped.as_ref().unwrap_or(tif);
+        shaped.with_kernels(|kernel| Ok((*tif.grid(), kernel.rate_nm_per_s() * factor)))
     }
 }

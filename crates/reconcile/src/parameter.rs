@@ -1,7 +1,10 @@
 //! Parameters of machine and tool that a run teaches.
 
-use planish_simulate::error_budget::{Effect, ErrorBudget, Kind, ProcessError, Scalar};
-use planish_types::Invalid;
+use planish_simulate::{
+    deviation::has_one_ellipse,
+    error_budget::{Effect, ErrorBudget, Kind, ProcessError, Scalar},
+};
+use planish_types::{Invalid, Tif};
 use serde::Serialize;
 
 /// A number that machine and tool have; the meaning and the sign are those of the error of the same name in a
@@ -80,6 +83,12 @@ impl Parameter {
             Self::TifDiagonalEllipticity => Scalar::TifDiagonalEllipticity,
             Self::RateDrift => Scalar::RateDrift,
         })
+    }
+
+    /// Returns true if a tool has the parameter: an ellipticity along axes of the part is none of a spot that turns.
+    pub fn is_of(self, tif: &Tif) -> bool {
+        let is_ellipse = matches!(self, Self::TifEllipticity | Self::TifDiagonalEllipticity);
+        !is_ellipse || has_one_ellipse(tif)
     }
 
     /// Usual scale of the parameter without knowledge of the machine: a standard error beyond it says less than

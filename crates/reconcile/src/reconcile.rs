@@ -3,6 +3,7 @@
 use nalgebra::Matrix2;
 use ndarray::Array2;
 use planish_simulate::{
+    deviation::TURNS,
     error_budget::{ErrorBudget, ErrorBudgetFile},
     runs::Runs,
     tool::smooth,
@@ -105,7 +106,7 @@ impl<'a> Comparison<'a> {
 
 /// Result of a reconciliation: the parameters and the corrections.
 pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Reconciled, Invalid> {
-    let (parameters, terms) = settings.chosen()?;
+    let (parameters, terms) = settings.chosen(|p| p.is_of(comparison.tif))?;
     let data = comparison.data(parameters.len() + terms.len())?;
     let moved = comparison.moved_tif(settings)?;
     let runs = Runs::new(comparison.trajectory, comparison.tif, &moved, data.grid)?;
@@ -219,6 +220,9 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
             .into_iter()
             .map(|p| {
                 let mut estimate = estimate(&found, p, scale(p), &refusals);
+                if !p.is_of(comparison.tif) {
+                    estimate.held_because = Some(format!("held at the plan: the tool {TURNS}"));
+                }
                 if let Some(i) = found.parameters.iter().position(|q| *q == p) {
                     let factor = p.unit().1;
                     // No plan corrects a drift.

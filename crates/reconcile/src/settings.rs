@@ -1,5 +1,6 @@
 //! Settings of a reconciliation: free parameters and terms.
 
+use planish_simulate::deviation::TURNS;
 use planish_types::Invalid;
 use serde::Serialize;
 
@@ -27,13 +28,21 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// The free parameters and terms of the metrology.
-    pub fn chosen(&self) -> Result<(Vec<Parameter>, Vec<Term>), Invalid> {
+    /// The free parameters and terms of the metrology, for a tool that has the parameters `has`.
+    pub fn chosen(
+        &self,
+        has: impl Fn(Parameter) -> bool,
+    ) -> Result<(Vec<Parameter>, Vec<Term>), Invalid> {
         let free = parameter::parse("free", &self.free)?;
         let hold = parameter::parse("hold", &self.hold)?;
         if let Some((i, name)) = hold.iter().enumerate().find(|(_, n)| free.contains(n)) {
             let remedy = "a parameter is free or held; leave one out";
             return Err(Invalid::at("hold", i, format!("is {name:?}, which is free"), remedy));
+        }
+        let absent = |name: &String| Parameter::named(name).is_some_and(|p| !has(p));
+        if let Some(i) = free.iter().position(absent) {
+            let problem = format!("is {:?}, and the tool {TURNS}", free[i]);
+            return Err(Invalid::at("free", i, problem, "leave it out"));
         }
         if let Some(orders) = self.metrology_order
             && let Some(axis) = orders.iter().position(|n| *n > LARGEST_ORDER)
@@ -47,7 +56,8 @@ impl Settings {
         let parameters_named = free.iter().any(|n| Parameter::named(n).is_some());
         let parameters = parameter::ALL
             .into_iter()
-            .filter(|p| (!parameters_named || named(p.name(), &free)) && !named(p.name(), &hold));
+            .filter(|p| (!parameters_named || named(p.name(), &free)) && !named(p.name(), &hold))
+            .filter(|p| has(*p));
         let terms = metrology::terms(self.metrology_order);
         let terms = terms.into_iter().filter(|t| !named(&t.name(), &hold)).collect();
         Ok((parameters.collect(), terms))

@@ -7,6 +7,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use planish_handoff::Failure;
 
+#[cfg(not(feature = "together"))]
 #[global_allocator]
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
@@ -27,7 +28,7 @@ struct Cli {
     refine: Option<cli::Refine>,
 }
 
-fn main() -> ExitCode {
+pub(crate) fn main() -> ExitCode {
     planish_handoff::program(|cli: &Cli| match (&cli.command, &cli.refine) {
         (Some(command), _) => command.run(),
         (None, Some(arguments)) => arguments.run(),

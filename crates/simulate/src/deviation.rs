@@ -47,6 +47,29 @@ pub struct Deviation {
     pub map_nm: Option<Array2<f64>>,
 }
 
+/// The reason for which a tool has no ellipticity along axes of the part.
+pub const TURNS: &str = "turns with the azimuth, and its ellipticity turns with it, which kernels along fixed axes do not follow";
+
+/// Returns true if an ellipticity along fixed axes of the part is one of the tool: its spot does not turn with the azimuth.
+pub fn has_one_ellipse(tif: &Tif) -> bool {
+    tif.variation().is_none_or(|v| v.azimuth_weights().is_none())
+}
+
+/// Refuses ellipticities in the budget of a tool that has none along axes of the part.
+pub fn check_ellipses(process: &ErrorBudget, tif: &Tif) -> Result<(), Invalid> {
+    for (i, error) in process.errors.iter().enumerate() {
+        let is_ellipse = matches!(
+            error.effect,
+            Effect::Scalar(Scalar::TifEllipticity | Scalar::TifDiagonalEllipticity)
+        );
+        if is_ellipse && error.size != 0.0 && !has_one_ellipse(tif) {
+            let problem = format!("is a {}, and the tool {TURNS}", error.stated.kind.name());
+            return Err(Invalid::at("errors", i, problem, "leave it out, or give a size of 0"));
+        }
+    }
+    Ok(())
+}
+
 /// Errors that act throughout a run: fractions, mm and rad.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 #[allow(missing_docs)] // what each is stands at the kinds of a process
@@ -109,10 +132,25 @@ impl Deviation {
     }
 
     /// The TIF that runs, where it is another one.
+    ///
+    /// A tool that varies over the part is wider, longer or rotated in the plane of the part, about the centroid of the
+    /// mean tool:
+    ///
+    /// ```text
+    /// K'(p + c + u; p) = K(p + c + S^-1 u; p) / det S = sum_k a_k(p) phi_k(c + S^-1 u) / det S
+    /// ```
+    ///
+    /// so that every kernel changes in the same way, its volume is kept, and so is that of the tool at every place. The
+    /// axes of a spot that turns with the azimuth turn with it. A width and a rotation act alike along all of them; an
+    /// ellipticity does not, and is refused ([`has_one_ellipse`]).
     pub fn tif(&self, tif: &Tif) -> Result<Option<Tif>, Invalid> {
         let shape = [self.tif_width, self.tif_ellipticity, self.tif_diagonal_ellipticity];
         if shape == [0.0; 3] && self.tif_rotation_rad == 0.0 {
             return Ok(None);
+        }
+        if [shape[1], shape[2]] != [0.0; 2] && !has_one_ellipse(tif) {
+            let remedy = "leave tif_ellipticity and tif_diagonal_ellipticity out";
+            return Err(Invalid::whole("tif", TURNS, remedy));
         }
         // T'(c + u) = T(c + S^-1 u) about the centroid c, so that the tool stays where it removes; S is a rotation after
         // the stretch

@@ -1,7 +1,7 @@
 //! The motion in pieces that are short enough to have one place and one rate.
 
 use planish_numerics::polynomial::{derivative, evaluate, shifted};
-use planish_types::{Invalid, Segment, Trajectory, budget};
+use planish_types::{Invalid, Segment, Tif, Trajectory, Variation, budget};
 
 /// Smallest number of parts of equal time into which the run is divided; the rate is constant in each. The error of a
 /// linear drift is at most 1/2000 of its size, and its mean is exact. Larger: more pieces, and more time. Smaller: a
@@ -19,7 +19,8 @@ pub struct Piece {
     pub coefficient_mm: [[f64; 4]; 2],
     /// True if the tool removes.
     pub tool_on: bool,
-    /// Removal rate of the tool relative to its TIF, from a log with the beam current; else 1.
+    /// Removal rate of the tool relative to its TIF: from a log with the beam current, times the factor of the time of a
+    /// tool that has one; else 1.
     pub rate_factor: f64,
     /// Index of the stay it belongs to.
     pub stay: usize,
@@ -36,6 +37,8 @@ pub struct Motion {
     pub point_of_stay: Vec<Option<usize>>,
     /// Duration of the whole, s.
     pub total_s: f64,
+    /// Time of the run at which the motion starts, s: the first break of the trajectory.
+    pub first_s: f64,
 }
 
 impl Motion {
@@ -78,7 +81,19 @@ impl Motion {
                 });
             }
         }
-        Ok(Self { pieces, stay_s, point_of_stay, total_s })
+        Ok(Self { pieces, stay_s, point_of_stay, total_s, first_s })
+    }
+
+    /// The motion with the rate of a tool whose rate depends on the time of the run: every piece has the mean of the factor
+    /// over its planned time. An error that stretches a piece thus leaves the rate at its planned time.
+    pub fn with_rate_of(mut self, tif: &Tif) -> Self {
+        if let Some(time) = tif.variation().and_then(Variation::time_factor) {
+            for p in &mut self.pieces {
+                let from_s = self.first_s + p.start_s;
+                p.rate_factor *= time.mean(from_s, from_s + p.duration_s);
+            }
+        }
+        self
     }
 
     /// Largest speed at the ends and in the middle of the pieces, mm/s.

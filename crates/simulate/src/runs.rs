@@ -8,18 +8,25 @@
 //! TIF and the step where its samples end belong to its measurement, and a displacement must not move them over the
 //! pixels. Where the TIF of the plan is moved as it is, R(run) is S(run).
 //!
+//! A tool that varies over the part does so in the coordinates of the part: a displaced tool has the weights of the place
+//! where it is, and the factor of a pixel stays with the pixel. A factor of the time belongs to the times of the plan; R
+//! has it as it is, and S its mean over every piece of the motion.
+//!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | R | `executed` | (ny, nx) | nm |
 //! | S(no error) | `unchanged` | (ny, nx) | nm |
+
+use std::borrow::Cow;
 
 use ndarray::Array2;
 use planish_types::{Grid, Invalid, Tif, Trajectory, text::significant};
 
 use crate::{
     Plan, Settings,
-    deviation::Deviation,
+    deviation::{Deviation, check_ellipses},
     error_budget::{Effect, ErrorBudget, Noise, Scalar},
+    gridded,
     motion::Motion,
 };
 
@@ -33,9 +40,10 @@ const LONGEST_OVER_WIDTH: f64 = 0.5;
 
 /// A plan on the pixels of a map, ready for runs with errors.
 pub struct Runs<'a> {
-    tif: &'a Tif,
+    /// The TIF that errors move, without its factor of the time, which the motion has.
+    tif: Cow<'a, Tif>,
     grid: Grid,
-    plan: Plan<'a>,
+    plan: gridded::Plan,
     /// Its motion in pieces.
     pub motion: Motion,
     /// R (ny, nx), nm.
@@ -52,23 +60,24 @@ impl<'a> Runs<'a> {
         trajectory: &Trajectory,
         tif: &Tif,
         moved: &'a Tif,
-        grid: &'a Grid,
+        grid: &Grid,
     ) -> Result<Self, Invalid> {
         let width_mm = tif.width_mm();
-        let motion = Motion::new(trajectory, LONGEST_OVER_WIDTH * width_mm)?;
+        let motion = Motion::new(trajectory, LONGEST_OVER_WIDTH * width_mm)?.with_rate_of(moved);
+        let moved = moved.without_time();
         let executed = Plan::new(tif, grid, Settings::Gridded)?.removal_nm(trajectory)?.0;
-        let plan = Plan::new(moved, grid, Settings::Gridded)?;
+        let plan = gridded::Plan::new(&moved, grid)?;
         let as_planned = Deviation::default().trajectory(&motion, grid)?;
-        let unchanged = plan.removal_nm(&as_planned)?.0;
+        let unchanged = plan.removal_nm(&as_planned).0;
         Ok(Self { tif: moved, grid: *grid, plan, motion, executed, unchanged, width_mm })
     }
 
     /// S(run) (ny, nx), nm.
     pub fn moved_nm(&self, run: &Deviation) -> Result<Array2<f64>, Invalid> {
         let trajectory = run.trajectory(&self.motion, &self.grid)?;
-        Ok(match run.tif(self.tif)? {
-            Some(tif) => Plan::new(&tif, &self.grid, Settings::Gridded)?.removal_nm(&trajectory)?.0,
-            None => self.plan.removal_nm(&trajectory)?.0,
+        Ok(match run.tif(&self.tif)? {
+            Some(tif) => gridded::Plan::new(&tif, &self.grid)?.removal_nm(&trajectory).0,
+            None => self.plan.removal_nm(&trajectory).0,
         })
     }
 
@@ -99,8 +108,10 @@ impl<'a> Runs<'a> {
         }
     }
 
-    /// Refuses displacements that are no errors, and fixed sizes of which the first order has no meaning.
+    /// Refuses displacements that are no errors, fixed sizes of which the first order has no meaning, and ellipticities of a
+    /// spot that turns.
     pub fn check_sizes(&self, process: &ErrorBudget) -> Result<(), Invalid> {
+        check_ellipses(process, &self.tif)?;
         let [x, y] = self.tif.grid().size_mm();
         let largest = LARGEST_DISPLACEMENT * x.max(y);
         for (i, error) in process.errors.iter().enumerate() {

@@ -10,7 +10,7 @@ use std::borrow::Cow;
 use nalgebra::{SMatrix, SVector};
 use ndarray::Array2;
 use planish_numerics::keys;
-use planish_types::{Axis, Grid, Invalid, Tif, budget};
+use planish_types::{Axis, Component, Grid, Invalid, Tif, Variation, budget};
 use rayon::prelude::*;
 
 use crate::lattice::Subdivision;
@@ -47,11 +47,14 @@ const BYTES_PER_SAMPLE: usize = 4 * size_of::<f64>();
 /// Smaller: rounding counts as part of the tool.
 const NOTHING: f64 = 1e-9;
 
-/// The TIF smoothed, and led to zero at its border, at the same volumetric removal rate.
+/// The TIF smoothed, and led to zero at its border, at the same volumetric removal rate. Of a tool that varies, the same
+/// linear operation acts on every kernel, and so on the tool at every place.
 pub fn smooth(tif: &Tif, width_mm: f64) -> Result<Tif, Invalid> {
     let extent = tif.grid().size_mm();
     let over_mm = (FADED * width_mm).min(MOST_FADED * extent[0].min(extent[1]));
-    let smooth = |kernel: &Tif| smoothed(kernel, width_mm) * fade(kernel, over_mm);
+    let inside = inside(tif);
+    let fade = fade(tif, &inside, over_mm);
+    let smooth = |kernel: &Tif| smoothed(kernel, &inside, width_mm) * &fade;
     let volume = tif.rate_nm_per_s().sum() / smooth(tif).sum();
     tif.with_kernels(|kernel| Ok((*tif.grid(), smooth(kernel) * volume)))
 }
@@ -122,31 +125,63 @@ fn on_pixels(tif: &Tif, map: &Grid) -> Result<Option<(Tif, f64)>, Invalid> {
     Ok(None)
 }
 
-/// Largest difference of `sampled` from `tif` in the middle of its cells, over the peak.
+/// Largest difference of `sampled` from `tif` in the middle of its cells, over the peak. Of a tool that varies, a bound
+/// for every place: the sum over the kernels of the difference times the largest weight.
 fn largest_difference(tif: &Tif, sampled: &Tif) -> f64 {
+    let (Some(of), Some(other)) = (tif.variation(), sampled.variation()) else {
+        return largest_difference_nm_per_s(tif, sampled) / tif.peak_nm_per_s();
+    };
+    let part = |(k, (a, b)): (usize, (&Component, &Component))| {
+        largest_weight(of, k) * largest_difference_nm_per_s(a.kernel(), b.kernel())
+    };
+    let each = of.components().iter().zip(other.components()).enumerate();
+    each.map(part).sum::<f64>() / tif.peak_nm_per_s()
+}
+
+/// Largest magnitude of the samples of the weight of a kernel.
+fn largest_weight(variation: &Variation, kernel: usize) -> f64 {
+    let largest =
+        |values: &mut dyn Iterator<Item = f64>| values.fold(0.0_f64, |m, v| m.max(v.abs()));
+    let of_place = largest(&mut variation.weight_samples(kernel).iter().copied());
+    let azimuth = variation.azimuth_weights().map(|a| a.weights()[kernel].iter().copied());
+    of_place * azimuth.map_or(1.0, |mut weights| largest(&mut weights))
+}
+
+/// Largest difference of two kernels in the middle of the cells of the second, nm/s.
+fn largest_difference_nm_per_s(kernel: &Tif, sampled: &Tif) -> f64 {
     let Grid { x, y } = sampled.grid();
     let rows = (0..y.len() - 1).into_par_iter().map(|r| {
         let at = y.at(r) + 0.5 * y.step_mm();
         (0..x.len() - 1)
             .map(|c| {
                 let along = x.at(c) + 0.5 * x.step_mm();
-                (tif.rate_at(along, at) - sampled.rate_at(along, at)).abs()
+                (kernel.rate_at(along, at) - sampled.rate_at(along, at)).abs()
             })
             .fold(0.0, f64::max)
     });
-    rows.reduce(|| 0.0, f64::max) / tif.peak_nm_per_s()
+    rows.reduce(|| 0.0, f64::max)
 }
 
-/// Smooths a TIF: every sample in it gets the value of the quadratic through those around it.
-fn smoothed(tif: &Tif, width_mm: f64) -> Array2<f64> {
-    let rate = tif.rate_nm_per_s();
-    let (ny, nx) = rate.dim();
-    let step = [tif.grid().x.step_mm(), tif.grid().y.step_mm()];
-    let radius_mm = (SMOOTHED * width_mm).min(MOST_SAMPLES * step[0].min(step[1]));
+/// Samples that are part of the tool: those of the mean tool, or of any kernel, above [`NOTHING`].
+fn inside(tif: &Tif) -> Array2<bool> {
     let least = NOTHING * tif.peak_nm_per_s();
+    let mut inside = tif.rate_nm_per_s().mapv(|v| v.abs() > least);
+    for component in tif.variation().map_or(&[][..], Variation::components) {
+        let samples = component.kernel().rate_nm_per_s();
+        inside.zip_mut_with(samples, |inside, v| *inside |= v.abs() > least);
+    }
+    inside
+}
+
+/// Smooths a kernel: every sample inside of the tool gets the value of the quadratic through those around it.
+fn smoothed(kernel: &Tif, inside: &Array2<bool>, width_mm: f64) -> Array2<f64> {
+    let rate = kernel.rate_nm_per_s();
+    let (ny, nx) = rate.dim();
+    let step = [kernel.grid().x.step_mm(), kernel.grid().y.step_mm()];
+    let radius_mm = (SMOOTHED * width_mm).min(MOST_SAMPLES * step[0].min(step[1]));
     let [reach_x, reach_y] = step.map(|s| (radius_mm / s) as usize);
     let at = |r: usize, c: usize| {
-        if rate[[r, c]].abs() <= least {
+        if !inside[[r, c]] {
             return rate[[r, c]];
         }
         let (mut normal, mut right) = (SMatrix::<f64, 6, 6>::zeros(), SVector::<f64, 6>::zeros());
@@ -155,7 +190,7 @@ fn smoothed(tif: &Tif, width_mm: f64) -> Array2<f64> {
             for j in c.saturating_sub(reach_x)..(c + reach_x + 1).min(nx) {
                 let x = (j as f64 - c as f64) * step[0] / radius_mm;
                 let y = (i as f64 - r as f64) * step[1] / radius_mm;
-                if x * x + y * y <= 1.0 && rate[[i, j]].abs() > least {
+                if x * x + y * y <= 1.0 && inside[[i, j]] {
                     let row = SVector::from([1.0, x, y, x * x, x * y, y * y]);
                     normal += row * row.transpose();
                     right += row * rate[[i, j]];
@@ -173,14 +208,13 @@ fn smoothed(tif: &Tif, width_mm: f64) -> Array2<f64> {
 
 /// Weight of every sample: 1 in the TIF, 0 just outside, and smooth between over `over_mm`. It is 1 everywhere if the
 /// TIF falls to zero within its samples: that is the edge of the tool and not of a measurement.
-fn fade(tif: &Tif, over_mm: f64) -> Array2<f64> {
+fn fade(tif: &Tif, inside: &Array2<bool>, over_mm: f64) -> Array2<f64> {
     let rate = tif.rate_nm_per_s();
     let (ny, nx) = rate.dim();
     let step = [tif.grid().x.step_mm(), tif.grid().y.step_mm()];
-    let least = NOTHING * tif.peak_nm_per_s();
     let inside = |r: isize, c: isize| {
         let known = r >= 0 && c >= 0 && (r as usize) < ny && (c as usize) < nx;
-        known && rate[[r as usize, c as usize]].abs() > least
+        known && inside[[r as usize, c as usize]]
     };
     // Places just outside: those beside a sample inside.
     let mut outside = Vec::new();

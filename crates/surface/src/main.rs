@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
+#[cfg(not(feature = "together"))]
 #[global_allocator]
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
@@ -26,6 +27,6 @@ struct Cli {
     method: cli::Method,
 }
 
-fn main() -> ExitCode {
+pub(crate) fn main() -> ExitCode {
     planish_handoff::program(|cli: &Cli| cli.method.run())
 }

@@ -73,6 +73,8 @@ mod tests {
         Ground {
             surface: "s".into(),
             tools: vec![("".into(), "t".into()), ("narrow".into(), "n".into())],
+            varying: vec![],
+            own_varying: None,
             machine: "m".into(),
             process: None,
         }

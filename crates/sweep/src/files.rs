@@ -39,8 +39,9 @@ pub fn read_sweep(dir: &Path) -> Result<Sweep, Failure> {
         )));
     }
     let tools = |plan: &Plan| {
-        let named = plan.get("tool").map(ToString::to_string).unwrap_or_default();
-        sweep.tools.iter().any(|(name, _)| *name == named)
+        let of_ground = |text: &str| sweep.ground.varying.iter().any(|(known, _)| known == text);
+        sweep.tools.iter().any(|(name, _)| *name == plan.tool())
+            && plan.varying().is_none_or(of_ground)
     };
     if let Some(plan) = sweep.plans().find(|plan| !tools(plan)) {
         let problem = format!("the tool of {} is not in it; expand the sweep again", plan.id);

@@ -8,6 +8,7 @@
 //! * [`batch`]: which plans a job runs, and what it needs.
 //! * [`row`]: what came of a plan.
 //! * [`search`]: plans between those of the front.
+//! * [`varying`]: commands of tools that vary over the part.
 //!
 //! The binary reads the files, runs the stages, and is called by `workflow/Snakefile`.
 
@@ -19,3 +20,4 @@ pub mod plan;
 pub mod row;
 pub mod search;
 pub mod setting;
+pub mod varying;

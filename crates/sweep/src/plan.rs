@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 use crate::{
     description::Constraints,
     setting::{Given, METHODS, PATHS, SETTINGS, Setting},
+    varying,
 };
 
 /// A sweep that is ready to run: its plans, and where what they are made of stands. All paths are relative to the
@@ -62,6 +63,12 @@ pub struct Ground {
     pub surface: String,
     /// Hashes of the tools, by name; the mirror's own has an empty name.
     pub tools: Vec<(String, String)>,
+    /// Hashes of the commands of tools that vary, with the files that they read, by the text of the setting.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub varying: Vec<(String, String)>,
+    /// Command of the plans that do not have the setting: that of the fixture, if it has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub own_varying: Option<String>,
     /// Hash of the machine.
     pub machine: String,
     /// Hash of the process, if there is one.
@@ -114,6 +121,22 @@ impl Plan {
     pub fn number(&self, key: &str) -> Option<f64> {
         match self.get(key) {
             Some(Given::Number(number)) => Some(*number),
+            _ => None,
+        }
+    }
+
+    /// Name of its tool; that of the mirror's own is empty.
+    pub fn tool(&self) -> &str {
+        match self.get("tool") {
+            Some(Given::Word(name)) => name,
+            _ => "",
+        }
+    }
+
+    /// The command that makes its tool of its TIF, if it has one.
+    pub fn varying(&self) -> Option<&str> {
+        match self.get("varying") {
+            Some(Given::Word(text)) if text != varying::NONE => Some(text),
             _ => None,
         }
     }
@@ -218,14 +241,34 @@ impl Sweep {
         self.rounds.iter().flat_map(|round| &round.plans)
     }
 
-    /// Path of the tool of a plan.
-    pub fn tif(&self, plan: &Plan) -> &str {
-        let name = match plan.get("tool") {
-            Some(Given::Word(name)) => name.as_str(),
-            _ => "",
-        };
+    /// Path of the TIF of a plan, which is the same everywhere, or a tool that varies by itself.
+    pub fn given_tif(&self, plan: &Plan) -> &str {
+        let name = plan.tool();
         let found = self.tools.iter().find(|(known, _)| known == name);
         &found.expect("a plan names a tool of its sweep").1
+    }
+
+    /// Path of the tool of a plan: that which its command makes of its TIF, or its TIF.
+    pub fn tif(&self, plan: &Plan) -> String {
+        let varied = varied_tool(plan.tool(), plan.varying(), &self.ground);
+        varied.unwrap_or_else(|| self.given_tif(plan).into())
+    }
+
+    /// Adds the stages that make the tools of these plans that vary, each once; `words` are those of the commands, by the
+    /// text of the setting.
+    pub fn add_varying(&mut self, plans: &[Plan], words: &[(String, Vec<String>)]) {
+        let mut made: Vec<String> = Vec::new();
+        for plan in plans {
+            let out = self.tif(plan);
+            let of = words.iter().find(|(text, _)| Some(text.as_str()) == plan.varying());
+            let Some((_, words)) = of.filter(|_| !made.contains(&out)) else { continue };
+            let mut arguments = words.clone();
+            arguments.extend(["--tif".into(), self.given_tif(plan).into()]);
+            arguments.extend(["--surface".into(), self.surface.clone()]);
+            arguments.extend(["--out".into(), out.clone(), "--force".into()]);
+            self.mirror_steps.push(Step::new("planish-surface", arguments));
+            made.push(out);
+        }
     }
 
     /// Stages that make the tool path of a plan.
@@ -236,10 +279,10 @@ impl Sweep {
         };
         let mut arguments = vec![plan.path.clone()];
         arguments.extend(["--surface".into(), self.surface.clone()]);
-        arguments.extend(["--tif".into(), self.tif(plan).into()]);
+        arguments.extend(["--tif".into(), self.tif(plan)]);
         for (setting, given) in plan.of_path() {
             match (setting.key, given) {
-                ("tool" | "passes", _) => {}
+                ("tool" | "varying" | "passes", _) => {}
                 ("scan", Given::Number(degrees)) => {
                     arguments.push(format!("--angle-deg={degrees}"))
                 }
@@ -303,6 +346,7 @@ impl Sweep {
         }
         own.extend(["--out".into(), at.clone(), "--force".into()]);
         let tif = self.tif(plan);
+        let tif = tif.as_str();
         let (removal, verdict) = (format!("{at}/removal"), format!("{at}/verdict"));
         let (surface, machine) = (self.surface.as_str(), self.machine.as_str());
         let over = ["--trajectory", &trajectory, "--tif", tif, "--surface", surface];
@@ -329,7 +373,8 @@ impl Sweep {
         let out = format!("{dir}/report");
         let called =
             [dir.as_str(), "--pipeline", &plan.id, "--mirror", &self.mirror, "--plots", "never"];
-        let own = ["--tif", self.tif(plan), "--out", &out, "--force"];
+        let tif = self.tif(plan);
+        let own = ["--tif", tif.as_str(), "--out", &out, "--force"];
         Step::new("planish-compare", ["report"].iter().chain(&called).chain(&own).copied())
     }
 
@@ -345,7 +390,8 @@ impl Sweep {
         words.extend(self.again.iter().filter(concerns).cloned());
         for (key, given) in &plan.settings {
             match key.as_str() {
-                "tool" => words.push(format!("tif={}", self.tif(plan))),
+                "tool" => words.push(format!("tif={}", self.given_tif(plan))),
+                "varying" if plan.varying().is_none() => {}
                 key => words.push(format!("{key}={given}")),
             }
         }
@@ -360,8 +406,8 @@ impl Sweep {
 
     fn mirror_and_path(&self, plan: &Plan) -> Vec<String> {
         let tool_path = self.tool_path(plan);
-        let flags =
-            ["--surface", &self.surface, "--tif", self.tif(plan), "--tool-path", &tool_path];
+        let tif = self.tif(plan);
+        let flags = ["--surface", &self.surface, "--tif", &tif, "--tool-path", &tool_path];
         flags.map(String::from).to_vec()
     }
 }
@@ -388,15 +434,17 @@ impl Plan {
 
 /// A plan with these settings, and its names.
 pub fn plan(path: &str, method: &str, given: Vec<(String, Given)>, ground: &Ground) -> Plan {
-    let settings = with_defaults(path, given);
+    let settings = with_defaults(path, given, ground);
     let part = |of_paths: bool| -> Vec<&(String, Given)> {
         let belongs =
             |key: &str| SETTINGS.iter().any(|s| s.key == key && s.is_of_paths() == of_paths);
         settings.iter().filter(|(key, _)| belongs(key)).collect()
     };
-    let tool = settings.iter().find(|(key, _)| key == "tool").map(|(_, given)| given.to_string());
-    let tool = tool.unwrap_or_default();
-    let tif = ground.tools.iter().find(|(name, _)| *name == tool).map(|(_, hash)| hash);
+    let word = |key: &str| settings.iter().find(|(k, _)| k == key).map(|(_, g)| g.to_string());
+    let tool = word("tool").unwrap_or_default();
+    let text = word("varying").filter(|text| text != varying::NONE);
+    let tif = ground.tools.iter().find(|(name, _)| *name == tool).map(|(_, hash)| hash.clone());
+    let tif = varied_tool(&tool, text.as_deref(), ground).or(tif);
     let path_id = name(path, &json!(["path", path, ground.surface, tif, part(true)]));
     let floor: Vec<_> = settings.iter().filter(|(key, _)| key.starts_with("min_dwell_s")).collect();
     // Without one it is that of the machine.
@@ -408,9 +456,28 @@ pub fn plan(path: &str, method: &str, given: Vec<(String, Given)>, ground: &Grou
     Plan { id, path_id, dwell_id, path: path.into(), method: method.into(), settings }
 }
 
+/// Directory of the tool that a command makes of a TIF, in the directory of the sweep; none without a command.
+fn varied_tool(tool: &str, text: Option<&str>, ground: &Ground) -> Option<String> {
+    let hash_of = |list: &[(String, String)], name: &str| {
+        list.iter().find(|(known, _)| known == name).map(|(_, hash)| hash.clone())
+    };
+    let command = hash_of(&ground.varying, text?)?;
+    let tif = hash_of(&ground.tools, tool);
+    Some(format!("tool/{}", hash(&json!(["tool", tif, ground.surface, command]))))
+}
+
 /// Adds the defaults of `just run` for settings that a stage needs and that are not given.
-fn with_defaults(path: &str, mut settings: Vec<(String, Given)>) -> Vec<(String, Given)> {
+fn with_defaults(
+    path: &str,
+    mut settings: Vec<(String, Given)>,
+    ground: &Ground,
+) -> Vec<(String, Given)> {
     let has = |settings: &[(String, Given)], key: &str| settings.iter().any(|(k, _)| k == key);
+    // A tool that is given by name is what it is, as in `just run tif=DIR`.
+    let is_own = !has(&settings, "varying") && !has(&settings, "tool");
+    if let Some(text) = ground.own_varying.as_ref().filter(|_| is_own) {
+        settings.push(("varying".into(), Given::Word(text.clone())));
+    }
     if !has(&settings, "pitch_mm") {
         let pitch_mm = if path == "spiral" { 1.3 } else { 1.0 };
         settings.push(("pitch_mm".into(), Given::Number(pitch_mm)));
@@ -455,6 +522,8 @@ mod tests {
             ground: Ground {
                 surface: "s".into(),
                 tools: named("t", "n"),
+                varying: vec![("tool-edge --pad-radius-mm 10".into(), "e".into())],
+                own_varying: None,
                 machine: "i".into(),
                 process: process.map(String::from),
             },
@@ -539,5 +608,40 @@ mod tests {
             again,
             "raster surface=a/b tif=/tools/narrow pitch_mm=1 step_mm=1 plan_joint=yes refine=no"
         );
+    }
+
+    #[test]
+    fn a_tool_that_varies_is_made_once_and_is_that_of_all_stages_of_its_plans() {
+        let mut sweep = sweep(Some("p.json"));
+        let command = "tool-edge --pad-radius-mm 10";
+        let varying = |text: &str| ("varying", Given::Word(text.into()));
+        let [constant, plain, edge] = [
+            given(&sweep, "pvt+refined", &[]),
+            given(&sweep, "pvt+refined", &[varying("none")]),
+            given(&sweep, "pvt+refined", &[varying(command)]),
+        ];
+        assert_eq!(
+            [sweep.tif(&constant), sweep.tif(&plain)],
+            ["mirror/m/tif"; 2].map(String::from)
+        );
+        let tool = sweep.tif(&edge);
+        assert!(tool.starts_with("tool/") && edge.path_id != plain.path_id, "{tool}");
+        let words = vec![(command.to_string(), command.split(' ').map(String::from).collect())];
+        sweep.add_varying(&[constant, plain.clone(), edge.clone(), edge.clone()], &words);
+        let [step] = &sweep.mirror_steps[..] else { panic!("{:?}", sweep.mirror_steps) };
+        let expected = format!(
+            "planish-surface {command} --tif mirror/m/tif --surface surface/s --out {tool} --force"
+        );
+        assert_eq!(line(step), expected);
+        let mut steps = sweep.path_steps(&edge);
+        steps.extend(sweep.dwell_step(&edge));
+        steps.extend(sweep.plan_steps(&edge));
+        let with_tool = steps.iter().filter(|s| line(s).contains(&format!(" --tif {tool} ")));
+        // All but the judge of the limits have a tool.
+        assert_eq!(with_tool.count(), steps.len() - 1);
+        let again = sweep.again(&edge);
+        assert!(again.contains(&format!("varying={command}")), "{again:?}");
+        assert!(!sweep.again(&plain).iter().any(|word| word.starts_with("varying")));
+        assert_eq!(sweep.check(), Ok(()));
     }
 }

@@ -4,7 +4,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::node::{Complaint, Node, Value};
+use crate::{
+    node::{Complaint, Node, Value},
+    varying,
+};
 
 /// Families of tool paths.
 pub const PATHS: [&str; 4] = ["raster", "maze", "random-adaptive", "spiral"];
@@ -38,6 +41,8 @@ enum Kind {
     Direction,
     /// The name of a tool of the sweep.
     Tool,
+    /// A subcommand of `planish-surface` that makes a tool that varies, with its flags; or the word for none.
+    Varying,
 }
 
 /// Paths or methods that have a setting.
@@ -72,8 +77,9 @@ impl std::fmt::Display for Given {
 const LARGEST_WHOLE: f64 = 9_007_199_254_740_992.0;
 
 /// Every setting, in the order of a table.
-pub const SETTINGS: [Setting; 18] = [
+pub const SETTINGS: [Setting; 19] = [
     path("tool", Kind::Tool, &PATHS),
+    path("varying", Kind::Varying, &PATHS),
     path("pitch_mm", Kind::Positive, &PATHS),
     path("step_mm", Kind::Positive, &PATHS),
     path("overscan_mm", Kind::NotNegative, &PATHS),
@@ -194,6 +200,13 @@ impl Setting {
                 };
                 one_of(node, &names).map_or_else(missing, Ok)
             }
+            Kind::Varying => match &node.value {
+                Value::Text(text) => match varying::check(text) {
+                    Ok(()) => Ok(Given::Word(text.clone())),
+                    Err(wanted) => refused(wanted),
+                },
+                _ => refused(varying::wanted()),
+            },
         }
     }
 }
@@ -336,6 +349,9 @@ mod tests {
         let prices = "{from: 1e-4, to: 1e-2, count: 3, spacing: logarithmic}";
         assert_eq!(values("time_weight_nm2_per_s", prices).unwrap(), ["0.0001", "0.001", "0.01"]);
         assert_eq!(values("tool", "narrow").unwrap(), ["narrow"]);
+        let beams = "[none, tool-rate --by incidence --exponent=-1.7]";
+        let [none, beam] = ["none", "tool-rate --by incidence --exponent=-1.7"];
+        assert_eq!(values("varying", beams).unwrap(), [none, beam]);
     }
 
     #[test]
@@ -357,6 +373,13 @@ mod tests {
             ("contrast", "2", "contrast is 2; give a number from 0 to 1"),
             ("turn", "round", "turn is 'round'; give square, semicircle, lift"),
             ("tool", "wide", "tool is 'wide'; give narrow"),
+            ("varying", "1", "varying is 1; give none, or the words of planish-surface tool-rate,"),
+            ("varying", "prepare", "varying is 'prepare'; give none, or the words of"),
+            (
+                "varying",
+                "tool-edge --out elsewhere",
+                "give it without --out: the sweep gives --tif, --surface, --out and --force",
+            ),
             ("pitch_mm", "{from: 2, to: 1, step: 0.1}", "is empty: it goes from 2 to 1"),
             ("pitch_mm", "{from: 1, to: 2, step: 0}", "has no length; give step above 0"),
             ("pitch_mm", "{from: 1, to: 2}", "has no length"),

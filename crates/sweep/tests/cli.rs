@@ -165,6 +165,52 @@ fn jobs_make_the_same_bytes_however_the_plans_are_shared_out() {
     assert!(said.contains("has no row; make the plans of round 1 first"), "{said}");
 }
 
+/// A tool that varies is made with the mirror, once for each command, and its table begins in the folder of the file. The
+/// command beside the recipe of a fixture is that of the plans without the setting.
+#[test]
+fn a_tool_that_varies_is_made_with_the_mirror() {
+    let dir = tempfile::tempdir().unwrap();
+    fs::write(dir.path().join("rate.txt"), "0 1\n100 0.7\n").unwrap();
+    let command = "tool-rate --by radius --table rate.txt --error 1e-2";
+    let with = SWEEP.replacen("pitch_mm: 2", &format!("varying: [none, {command}]"), 1);
+    let file = written(dir.path(), &with);
+    let out = dir.path().join("out").to_str().unwrap().to_string();
+    let expand = || ended(0, &["expand", file.to_str().unwrap(), "--out", &out]);
+    let sweep = || -> Value {
+        serde_json::from_slice(&fs::read(Path::new(&out).join("sweep.json")).unwrap()).unwrap()
+    };
+    expand();
+    let first = sweep();
+    let steps = first["mirror_steps"].as_array().unwrap();
+    let tool = steps.last().unwrap()["arguments"].as_array().unwrap();
+    assert_eq!((steps.len(), &tool[0]), (3, &"tool-rate".into()), "{steps:?}");
+    let table = dir.path().canonicalize().unwrap().join("rate.txt");
+    assert!(tool.contains(&table.to_str().unwrap().into()), "{tool:?}");
+    ended(0, &["run", &out, "--layer", "mirror"]);
+    let at = tool[tool.iter().position(|word| word == "--out").unwrap() + 1].as_str().unwrap();
+    assert!(Path::new(&out).join(at).join("weight.npy").exists(), "{at}");
+    // Another table is another tool, and other plans.
+    fs::write(dir.path().join("rate.txt"), "0 1\n100 0.6\n").unwrap();
+    expand();
+    let id = |sweep: &Value, k: usize| sweep["rounds"][0]["plans"][k]["id"].clone();
+    let second = sweep();
+    // Two prices for each of the two tools.
+    assert!((0..2).all(|k| id(&first, k) == id(&second, k)));
+    assert!((2..4).all(|k| id(&first, k) != id(&second, k)));
+
+    let beam = with.replace("FIXTURE", "FIXTURE_BEAM").replace(&format!("[none, {command}]"), "none");
+    let fixture = workspace().join("fixtures/sphere-beam.json");
+    let file = written(dir.path(), &beam.replace("FIXTURE_BEAM", fixture.to_str().unwrap()));
+    ended(0, &["expand", file.to_str().unwrap(), "--out", &out]);
+    let plans = sweep()["rounds"][0]["plans"].clone();
+    let of = |plan: &Value| {
+        let settings = plan["settings"].as_array().unwrap();
+        settings.iter().find(|s| s[0] == "varying").unwrap()[1].as_str().unwrap().to_string()
+    };
+    assert_eq!(of(&plans[0]), "none");
+    assert!(of(plans.as_array().unwrap().last().unwrap()).starts_with("tool-rate --by incidence"));
+}
+
 #[test]
 fn a_mistake_is_named_with_its_file_and_line_and_nothing_is_written() {
     let dir = tempfile::tempdir().unwrap();

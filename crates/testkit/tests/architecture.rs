@@ -540,6 +540,19 @@ fn every_source_file_belongs_to_the_library_or_the_binary() {
 }
 
 #[test]
+fn the_program_of_the_wheel_has_every_other() {
+    let main = workspace().join("python/programs/src/main.rs");
+    let text = fs::read_to_string(main).unwrap();
+    for folder in packages().keys() {
+        if directory_of(folder).join("src/main.rs").exists() {
+            let module = folder.replace('-', "_");
+            let line = format!("(\"planish-{folder}\", {module}::main)");
+            assert!(text.contains(&line), "python/programs/src/main.rs: add {line}");
+        }
+    }
+}
+
+#[test]
 fn every_binary_has_completions_a_manual_page_examples_and_a_memory_budget() {
     for folder in packages().keys() {
         let main = directory_of(folder).join("src/main.rs");

@@ -6,9 +6,10 @@ use crate::{
     distribution::{Errors, Span},
     draws::{Model, quantile},
     error_budget::{ErrorBudget, Noise},
+    field::Tool,
     noise::{Columns, Response},
     reach::Reach,
-    report::{First, LEVELS, Line, Pair, Quantiles, Tolerance},
+    report::{First, LEVELS, Line, MEAN_TOOL, Pair, Quantiles, Tolerance},
     settings::Settings,
     tool::{Moved, moved},
     work::Work,
@@ -58,7 +59,7 @@ pub fn tolerance(
         false => Some(Columns::new(
             work.motion(),
             &work.inner,
-            &moved,
+            &Tool::new(&moved, &work.inner),
             reach.on_cells(&work.inner),
             span.basis.clone(),
             displaced,
@@ -120,6 +121,7 @@ pub fn tolerance(
         deviation_nm: work.deviation_map(&linear, &responses),
         coverage: work.coverage.clone(),
         tif_resampling_error: resampling_error,
+        mean_tool: tif.variation().map(|_| MEAN_TOOL),
     })
 }
 

@@ -163,5 +163,6 @@ fn table(found: &planish_tolerance::Tolerance, free: Free) -> String {
             significant(100.0 * found.tif_resampling_error, 2)
         ));
     }
+    lines.extend(found.mean_tool.map(String::from));
     lines.join("\n")
 }

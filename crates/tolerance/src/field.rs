@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use planish_numerics::{polynomial::evaluate, quadrature::gauss_legendre};
-use planish_types::{Axis, Tif};
+use planish_types::{Axis, Tif, Variation};
 
 use crate::{inner::Inner, motion::Piece};
 
@@ -57,16 +57,91 @@ impl Field {
     }
 }
 
-/// dR/dx at a fixed place for a tool that moves along x.
-pub fn slope_x(tif: &Tif, x: f64, y: f64) -> f64 {
-    let h = 0.5 * tif.grid().x.step_mm();
-    (tif.rate_at(x - h, y) - tif.rate_at(x + h, y)) / (2.0 * h)
+/// The TIF that errors move, on the cells of a map, without its factor of the time, which the motion has.
+pub struct Tool {
+    /// The TIF.
+    pub tif: Tif,
+    /// Mean factor of the pixels of every cell, if the tool has one.
+    factor: Option<Vec<f64>>,
 }
 
-/// dR/dy at a fixed place for a tool that moves along y.
-pub fn slope_y(tif: &Tif, x: f64, y: f64) -> f64 {
-    let h = 0.5 * tif.grid().y.step_mm();
-    (tif.rate_at(x, y - h) - tif.rate_at(x, y + h)) / (2.0 * h)
+impl Tool {
+    /// The tool on the cells of `inner`.
+    pub fn new(tif: &Tif, inner: &Inner) -> Self {
+        let tif = tif.without_time().into_owned();
+        let factor = tif.variation().and_then(|v| v.factor_on(&inner.grid));
+        let factor = factor.map(|g| inner.to_cells(&inner.masked(g.into_owned())));
+        Self { tif, factor }
+    }
+
+    /// Weights of the kernels of a tool at a place; none of a tool that is the same everywhere.
+    pub fn weights(&self, place_mm: [f64; 2]) -> Vec<f64> {
+        let of = |v: &Variation| {
+            (0..v.components().len()).map(|k| v.weight(k, place_mm)).collect::<Vec<f64>>()
+        };
+        self.tif.variation().map(of).unwrap_or_default()
+    }
+
+    /// Factor of the pixels of a cell.
+    pub fn factor(&self, cell: usize) -> f64 {
+        self.factor.as_ref().map_or(1.0, |factor| factor[cell])
+    }
+
+    /// Rate of a tool with these weights at an offset, nm/s, without the factor of the pixels.
+    fn rate(&self, weights: &[f64], x: f64, y: f64) -> f64 {
+        let Some(v) = self.tif.variation() else { return self.tif.rate_at(x, y) };
+        let each = v.components().iter().zip(weights);
+        each.map(|(component, a)| a * component.kernel().rate_at(x, y)).sum()
+    }
+}
+
+/// The rate of a tool, or its change with the place of the tool.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Change {
+    /// The rate, nm/s.
+    AsItIs,
+    /// The derivative of the rate at a fixed pixel by the place of the tool along the axis 0 (x) or 1 (y), nm/s/mm.
+    Along(usize),
+}
+
+/// A tool at one place.
+struct Placed<'a> {
+    tool: &'a Tool,
+    place_mm: [f64; 2],
+    change: Change,
+    /// Half a sample of the TIF along the axis of the change, mm.
+    half_mm: f64,
+    /// Weights at the place; of a change, half a sample before and after it.
+    weights: [Vec<f64>; 2],
+}
+
+impl<'a> Placed<'a> {
+    fn new(tool: &'a Tool, place_mm: [f64; 2], change: Change) -> Self {
+        let Change::Along(axis) = change else {
+            let weights = [tool.weights(place_mm), Vec::new()];
+            return Self { tool, place_mm, change, half_mm: 0.0, weights };
+        };
+        let steps = [tool.tif.grid().x.step_mm(), tool.tif.grid().y.step_mm()];
+        let half_mm = 0.5 * steps[axis];
+        let weights = [-half_mm, half_mm].map(|by| {
+            let mut moved = place_mm;
+            moved[axis] += by;
+            tool.weights(moved)
+        });
+        Self { tool, place_mm, change, half_mm, weights }
+    }
+
+    /// At a point of the part.
+    fn at(&self, x: f64, y: f64) -> f64 {
+        let Self { tool, half_mm: h, weights: [before, after], .. } = self;
+        let (x, y) = (x - self.place_mm[0], y - self.place_mm[1]);
+        let difference = match self.change {
+            Change::AsItIs => return tool.rate(before, x, y),
+            Change::Along(0) => tool.rate(after, x - h, y) - tool.rate(before, x + h, y),
+            Change::Along(_) => tool.rate(after, x, y - h) - tool.rate(before, x, y + h),
+        };
+        difference / (2.0 * h)
+    }
 }
 
 /// Cells that a resting tool reaches, at most.
@@ -105,18 +180,18 @@ pub fn reached(
     (along(1), along(0))
 }
 
-/// The integral of `of` over a piece, on the cells it reaches.
-pub fn field(piece: &Piece, inner: &Inner, tif: &Tif, of: fn(&Tif, f64, f64) -> f64) -> Field {
+/// The integral of a tool, or of its change, over a piece, on the cells it reaches.
+pub fn field(piece: &Piece, inner: &Inner, tool: &Tool, change: Change) -> Field {
     if !piece.tool_on {
         return Field::default();
     }
     let points = gauss_legendre::<POINTS>().map(|(node, weight)| {
         let u = node * piece.duration_s;
         let place = [0, 1].map(|a| evaluate(&piece.coefficient_mm[a], u));
-        (place, weight * piece.duration_s)
+        (Placed::new(tool, place, change), weight * piece.duration_s * piece.rate_factor)
     });
     let cells = &inner.cells;
-    let (rows, columns) = reached(points.iter().map(|(p, _)| *p), inner, tif);
+    let (rows, columns) = reached(points.iter().map(|(p, _)| p.place_mm), inner, &tool.tif);
     let mut field = Field::on(rows, columns);
     let width = field.columns.len();
     if width == 0 {
@@ -126,7 +201,8 @@ pub fn field(piece: &Piece, inner: &Inner, tif: &Tif, of: fn(&Tif, f64, f64) -> 
         let first = (field.rows.start + r) * cells.shape.1 + field.columns.start;
         for (c, v) in line.iter_mut().enumerate().filter(|(c, _)| cells.weight[first + c] > 0.0) {
             let [x, y] = cells.centre_mm[first + c];
-            *v = points.iter().map(|([px, py], t)| t * of(tif, x - px, y - py)).sum();
+            let sum: f64 = points.iter().map(|(placed, t)| t * placed.at(x, y)).sum();
+            *v = tool.factor(first + c) * sum;
         }
     }
     field

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
+#[cfg(not(feature = "together"))]
 #[global_allocator]
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
@@ -23,6 +24,6 @@ struct Cli {
     tolerance: cli::Tolerance,
 }
 
-fn main() -> ExitCode {
+pub(crate) fn main() -> ExitCode {
     planish_handoff::program(|cli: &Cli| cli.tolerance.run())
 }

@@ -25,13 +25,13 @@
 use std::ops::Range;
 
 use nalgebra::DMatrix;
-use planish_types::{Invalid, Tif, budget};
+use planish_types::{Invalid, budget};
 use rayon::prelude::*;
 
 use crate::{
     deviation::Deviation,
     error_budget::Noise,
-    field::{Field, cells_of_tif, field, slope_x, slope_y},
+    field::{Change, Field, Tool, cells_of_tif, field},
     inner::Inner,
     motion::{Motion, Piece},
     reach::CosinesOnCells,
@@ -130,13 +130,13 @@ impl<'a> Columns<'a> {
     pub fn new(
         motion: &'a Motion,
         inner: &'a Inner,
-        tif: &Tif,
+        tool: &Tool,
         cosines: CosinesOnCells,
         basis: Vec<Vec<f64>>,
         displaced: bool,
     ) -> Result<Self, Invalid> {
         let kinds = if displaced { 3.0 } else { 1.0 };
-        let cells = cells_of_tif(inner, tif);
+        let cells = cells_of_tif(inner, &tool.tif);
         let functionals = inner.cells.free.len() + basis.len() + cosines.pairs.len();
         let each = 2.0 * kinds * cells as f64 + 2.0 * kinds * functionals as f64;
         let remedy = "give a motion of fewer segments, or crop and bin the map and the TIF";
@@ -155,10 +155,10 @@ impl<'a> Columns<'a> {
                 functionals.cosines_of(&whole, inner)
             })
             .collect();
-        let fields = |of: fn(&Tif, f64, f64) -> f64| -> Vec<Field> {
-            motion.pieces.par_iter().map(|p| field(p, inner, tif, of)).collect()
+        let fields = |change: Change| -> Vec<Field> {
+            motion.pieces.par_iter().map(|p| field(p, inner, tool, change)).collect()
         };
-        let piece = fields(Tif::rate_at);
+        let piece = fields(Change::AsItIs);
         let stays = |of_piece: &[Field]| -> Vec<Field> {
             let mut first = 0;
             let mut stays = Vec::with_capacity(motion.stay_s.len());
@@ -173,7 +173,7 @@ impl<'a> Columns<'a> {
         };
         let stay = stays(&piece);
         let displaced = match displaced {
-            true => [stays(&fields(slope_x)), stays(&fields(slope_y))],
+            true => [0, 1].map(|axis| stays(&fields(Change::Along(axis)))),
             false => Default::default(),
         };
         Ok(Self { motion, inner, piece, stay, displaced, functionals })

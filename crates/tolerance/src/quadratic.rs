@@ -16,6 +16,9 @@
 //! motion. Each term is a sum of squares, so Q is positive semidefinite. Q is never made: a product with it takes a
 //! pass over the columns.
 //!
+//! A tool that varies over the part, sum_k a_k(p) phi_k, acts in the same ways at every place: each way of every kernel has
+//! the weight of the kernel there, and a displacement changes the weights as well.
+//!
 //! Q is that of one motion. The motion gives the places and times of the tool, and the times at which the rate has
 //! drifted. m is the change of the removal by the `fixed` errors of the process, simulated: they are known, and a
 //! plan can compensate for them.
@@ -41,9 +44,9 @@ use planish_types::{Grid, Invalid, Surface, Tif, Trajectory, budget};
 use rayon::prelude::*;
 
 use crate::{
-    deviation::Deviation,
+    deviation::{Deviation, check_ellipses, has_one_ellipse},
     error_budget::{Distribution, Effect, ErrorBudget, Noise, Scalar},
-    field::{Field, cells_of_tif, field, reached},
+    field::{Change, Field, Tool, cells_of_tif, field, reached},
     inner::Inner,
     lines::STEP,
     motion::{Motion, Piece},
@@ -70,7 +73,10 @@ const POINTS: usize = 2;
 /// The errors of a process that matter to the dwell times, on one mirror.
 pub struct Sources {
     inner: Inner,
-    tif: Tif,
+    /// The TIF that errors move.
+    moved: Tif,
+    /// The same on the cells, without its factor of the time.
+    tool: Tool,
     width_mm: f64,
     kernels: Kernels,
     /// Errors of one number each, and their variances.
@@ -95,12 +101,16 @@ impl Sources {
         process: &ErrorBudget,
         free: Free,
     ) -> Result<Self, Invalid> {
+        check_ellipses(process, tif)?;
         let width = tif.width_mm();
         let moved = smooth(tif, width)?;
+        let inner = Inner::new(desired, free, width);
+        let tool = Tool::new(&moved, &inner);
         let mut sources = Self {
-            inner: Inner::new(desired, free, width),
-            kernels: Kernels::new(&moved)?,
-            tif: moved,
+            kernels: Kernels::new(&tool.tif)?,
+            inner,
+            moved,
+            tool,
             width_mm: width,
             scalars: Vec::new(),
             place_mm2: 0.0,
@@ -151,12 +161,12 @@ impl Sources {
 
     /// m and Q of a motion that serves `points` dwell points.
     pub fn of(&self, trajectory: &Trajectory, points: usize) -> Result<Quadratic<'_>, Invalid> {
-        let motion = Motion::new(trajectory, 0.5 * self.width_mm)?;
+        let motion = Motion::new(trajectory, 0.5 * self.width_mm)?.with_rate_of(&self.moved);
         let bias_nm = self.fixed.as_ref().map(|fixed| self.change(fixed, &motion)).transpose()?;
         let pieces = if self.rates.is_empty() { 0 } else { motion.pieces.len() };
         let fields = (points * self.combined().len() + pieces) as f64;
         let remedy = "give fewer errors, or crop and bin the map and the TIF";
-        let cells = cells_of_tif(&self.inner, &self.tif);
+        let cells = cells_of_tif(&self.inner, &self.tool.tif);
         budget::affordable("errors", fields * cells as f64, 8, remedy)?;
 
         let mut of_point: Vec<Vec<usize>> = vec![Vec::new(); points];
@@ -184,7 +194,7 @@ impl Sources {
         };
         let carried = |(j, i): (usize, usize)| {
             let piece = &motion.pieces[i];
-            let field = field(piece, &self.inner, &self.tif, Tif::rate_at);
+            let field = field(piece, &self.inner, &self.tool, Change::AsItIs);
             let free = self.inner.cells.free.iter().map(|q| self.dot(q, &field)).collect();
             let (start_s, duration_s) = (piece.start_s, piece.duration_s);
             Carried { point: j, part: 1.0 / served_s[j], start_s, duration_s, field, free }
@@ -217,8 +227,9 @@ impl Sources {
     fn change(&self, run: &Deviation, motion: &Motion) -> Result<Array2<f64>, Invalid> {
         let grid = &self.inner.grid;
         let removal = |run: &Deviation| -> Result<Array2<f64>, Invalid> {
-            let other = run.tif(&self.tif)?;
-            let plan = Plan::new(other.as_ref().unwrap_or(&self.tif), grid, Simulation::Gridded)?;
+            let other = run.tif(&self.tool.tif)?;
+            let tif = other.as_ref().unwrap_or(&self.tool.tif);
+            let plan = Plan::new(tif, grid, Simulation::Gridded)?;
             Ok(plan.removal_nm(&run.trajectory(motion, grid)?)?.0)
         };
         Ok(removal(run)? - removal(&Deviation::default())?)
@@ -236,7 +247,7 @@ impl Sources {
                 let u = node * piece.duration_s;
                 let place = [0, 1].map(|a| evaluate(&piece.coefficient_mm[a], u));
                 let from_middle = [place[0] - middle[0], place[1] - middle[1]];
-                let part = weight * piece.duration_s / served_s;
+                let part = weight * piece.duration_s * piece.rate_factor / served_s;
                 let acts: Vec<[f64; KERNELS]> = errors
                     .iter()
                     .zip(rates)
@@ -245,11 +256,12 @@ impl Sources {
                         of(from_middle, rate[*i]).map(|c| c * part)
                     })
                     .collect();
-                points.push((place, acts));
+                points.push((self.kernels.placed(&self.tool, place), acts));
             }
         }
         let cells = &self.inner.cells;
-        let (rows, columns) = reached(points.iter().map(|(p, _)| *p), &self.inner, &self.tif);
+        let (rows, columns) =
+            reached(points.iter().map(|(p, _)| p.place_mm), &self.inner, &self.tool.tif);
         if points.is_empty() || rows.is_empty() || columns.is_empty() || errors.is_empty() {
             return Column::default();
         }
@@ -262,11 +274,12 @@ impl Sources {
                     continue;
                 }
                 let [x, y] = cells.centre_mm[cell];
-                for ([px, py], acts) in &points {
-                    let Some(kernel) = self.kernels.at(x - px, y - py) else { continue };
+                let factor = self.tool.factor(cell);
+                for (placed, acts) in &points {
+                    let Some(kernel) = self.kernels.at(placed, x, y) else { continue };
                     for (k, act) in acts.iter().enumerate() {
                         let sum: f64 = act.iter().zip(&kernel).map(|(a, v)| a * v).sum();
-                        value[k * size + r * columns.len() + c] += sum;
+                        value[k * size + r * columns.len() + c] += factor * sum;
                     }
                 }
             }
@@ -347,70 +360,122 @@ fn combination(effect: Scalar) -> Option<Combination> {
     })
 }
 
-/// The TIF and its derivatives on its samples, with a ring of zeros around them; Keys' convolution between.
+/// The changes of a kernel on its samples, with a ring of zeros around them.
+type Samples = Vec<[f64; KERNELS]>;
+
+/// The TIF, or every kernel of one that varies, and its derivatives on its samples; Keys' convolution between.
 struct Kernels {
     grid: Grid,
-    value: Vec<[f64; KERNELS]>,
+    samples: Vec<Samples>,
+}
+
+/// A place of the tool, with the weight of every kernel there and its derivatives along x and y, 1/mm.
+struct Placed {
+    place_mm: [f64; 2],
+    weights: Vec<[f64; 3]>,
 }
 
 impl Kernels {
+    /// Makes the changes of a tool whose rate does not depend on the time.
     fn new(tif: &Tif) -> Result<Self, Invalid> {
-        let grid = *tif.grid();
-        let (ny, nx) = grid.shape();
-        let half = [grid.x.step_mm(), grid.y.step_mm()].map(|step| 0.5 * step);
-        let derivative = |effect: Scalar| -> Result<Array2<f64>, Invalid> {
+        let changed = |effect: Scalar| -> Result<[Tif; 2], Invalid> {
             let side = |step: f64| {
                 let mut run = Deviation::default();
                 run.add(effect, step);
-                Ok(run
-                    .tif(tif)?
-                    .map_or_else(|| tif.rate_nm_per_s().clone(), |t| t.rate_nm_per_s().clone()))
+                Ok(run.tif(tif)?.unwrap_or_else(|| tif.clone()))
             };
-            Ok((side(STEP)? - side(-STEP)?) / (2.0 * STEP))
+            Ok([side(STEP)?, side(-STEP)?])
         };
-        let wider = derivative(Scalar::TifWidth)?;
-        let elliptical = derivative(Scalar::TifEllipticity)?;
-        let rotated = derivative(Scalar::TifRotation)?;
-        let diagonal = derivative(Scalar::TifDiagonalEllipticity)?;
-        let mut value = vec![[0.0; KERNELS]; (ny + 2) * (nx + 2)];
-        for r in 0..ny {
-            for c in 0..nx {
-                let (x, y) = (grid.x.at(c), grid.y.at(r));
-                // The tool moves, the place stays: the derivative is by minus the offset.
-                let along_x = tif.rate_at(x - half[0], y) - tif.rate_at(x + half[0], y);
-                let along_y = tif.rate_at(x, y - half[1]) - tif.rate_at(x, y + half[1]);
-                let at = &mut value[(r + 1) * (nx + 2) + c + 1];
-                at[AS_IT_IS] = tif.rate_nm_per_s()[[r, c]];
-                at[ALONG_X] = along_x / (2.0 * half[0]);
-                at[ALONG_Y] = along_y / (2.0 * half[1]);
-                at[WIDER] = wider[[r, c]];
-                at[ELLIPTICAL] = elliptical[[r, c]];
-                at[ROTATED] = rotated[[r, c]];
-                at[DIAGONAL] = diagonal[[r, c]];
-            }
+        let mut shapes =
+            vec![(WIDER, changed(Scalar::TifWidth)?), (ROTATED, changed(Scalar::TifRotation)?)];
+        if has_one_ellipse(tif) {
+            shapes.push((ELLIPTICAL, changed(Scalar::TifEllipticity)?));
+            shapes.push((DIAGONAL, changed(Scalar::TifDiagonalEllipticity)?));
         }
-        Ok(Self { grid, value })
+        let count = tif.variation().map_or(1, |v| v.components().len());
+        let samples = (0..count).map(|k| samples_of(k, tif, &shapes)).collect();
+        Ok(Self { grid: *tif.grid(), samples })
     }
 
-    /// All of them at the offset (place - tool), mm; none beyond the samples.
-    fn at(&self, x_mm: f64, y_mm: f64) -> Option<[f64; KERNELS]> {
+    /// The tool at a place.
+    fn placed(&self, tool: &Tool, place_mm: [f64; 2]) -> Placed {
+        let half = [self.grid.x.step_mm(), self.grid.y.step_mm()].map(|step| 0.5 * step);
+        let moved = |axis: usize, by_mm: f64| {
+            let mut place = place_mm;
+            place[axis] += by_mm;
+            tool.weights(place)
+        };
+        let slopes = [0, 1].map(|axis| -> Vec<f64> {
+            let (before, after) = (moved(axis, -half[axis]), moved(axis, half[axis]));
+            after.iter().zip(before).map(|(a, b)| (a - b) / (2.0 * half[axis])).collect()
+        });
+        let weights = tool.weights(place_mm).into_iter().enumerate();
+        let weights = weights.map(|(k, a)| [a, slopes[0][k], slopes[1][k]]).collect();
+        Placed { place_mm, weights }
+    }
+
+    /// All of them at a point of the part; none beyond the samples.
+    fn at(&self, placed: &Placed, x_mm: f64, y_mm: f64) -> Option<[f64; KERNELS]> {
         let (x, y) = (&self.grid.x, &self.grid.y);
         let node = |s: f64, n: usize| {
             let (i, f) = keys::split(s);
             (0..n as isize - 1).contains(&i).then(|| (i as usize, keys::weights(f)))
         };
-        let (column, wx) = node((x_mm - x.start_mm()) / x.step_mm(), x.len())?;
-        let (row, wy) = node((y_mm - y.start_mm()) / y.step_mm(), y.len())?;
-        let mut sum = [0.0; KERNELS];
-        for (r, wy) in wy.iter().enumerate() {
-            let first = (row + r) * (x.len() + 2) + column;
-            for (sample, wx) in self.value[first..first + 4].iter().zip(&wx) {
-                let w = wx * wy;
-                sum.iter_mut().zip(sample).for_each(|(s, v)| *s += w * v);
+        let [dx, dy] = [x_mm - placed.place_mm[0], y_mm - placed.place_mm[1]];
+        let (column, wx) = node((dx - x.start_mm()) / x.step_mm(), x.len())?;
+        let (row, wy) = node((dy - y.start_mm()) / y.step_mm(), y.len())?;
+        let of = |samples: &Samples| {
+            let mut sum = [0.0; KERNELS];
+            for (r, wy) in wy.iter().enumerate() {
+                let first = (row + r) * (x.len() + 2) + column;
+                for (sample, wx) in samples[first..first + 4].iter().zip(&wx) {
+                    let w = wx * wy;
+                    sum.iter_mut().zip(sample).for_each(|(s, v)| *s += w * v);
+                }
             }
+            sum
+        };
+        if placed.weights.is_empty() {
+            return Some(of(&self.samples[0]));
+        }
+        let mut sum = [0.0; KERNELS];
+        for (samples, [a, along_x, along_y]) in self.samples.iter().zip(&placed.weights) {
+            let kernel = of(samples);
+            sum.iter_mut().zip(&kernel).for_each(|(s, v)| *s += a * v);
+            sum[ALONG_X] += along_x * kernel[AS_IT_IS];
+            sum[ALONG_Y] += along_y * kernel[AS_IT_IS];
         }
         Some(sum)
     }
+}
+
+/// The changes of kernel `k` of a tool; `shapes` are those of the tool by a step up and down.
+fn samples_of(k: usize, tif: &Tif, shapes: &[(usize, [Tif; 2])]) -> Samples {
+    fn kernel(tif: &Tif, k: usize) -> &Tif {
+        tif.variation().map_or(tif, |v| v.components()[k].kernel())
+    }
+    let own = kernel(tif, k);
+    let grid = *tif.grid();
+    let (ny, nx) = grid.shape();
+    let half = [grid.x.step_mm(), grid.y.step_mm()].map(|step| 0.5 * step);
+    let mut samples = vec![[0.0; KERNELS]; (ny + 2) * (nx + 2)];
+    for r in 0..ny {
+        for c in 0..nx {
+            let (x, y) = (grid.x.at(c), grid.y.at(r));
+            // The tool moves, the place stays: the derivative is by minus the offset.
+            let along_x = own.rate_at(x - half[0], y) - own.rate_at(x + half[0], y);
+            let along_y = own.rate_at(x, y - half[1]) - own.rate_at(x, y + half[1]);
+            let at = &mut samples[(r + 1) * (nx + 2) + c + 1];
+            at[AS_IT_IS] = own.rate_nm_per_s()[[r, c]];
+            at[ALONG_X] = along_x / (2.0 * half[0]);
+            at[ALONG_Y] = along_y / (2.0 * half[1]);
+            for (index, changed) in shapes {
+                let [up, down] = changed.each_ref().map(|t| kernel(t, k).rate_nm_per_s()[[r, c]]);
+                at[*index] = (up - down) / (2.0 * STEP);
+            }
+        }
+    }
+    samples
 }
 
 /// c_kj of a dwell point j for every error k, on a box of the cells: error by error, row by row.

@@ -69,6 +69,10 @@ pub struct First {
     pub without_it_95_percent_nm: f64,
 }
 
+/// Sentence on what the mean tool decides in the budget of a tool that varies.
+pub const MEAN_TOOL: &str = "the tool varies over the part: every error acts on it as it is at its place, and the mean \
+                             tool decides which wavelengths are reached";
+
 /// Effect of the process on the residual.
 #[derive(Clone, Debug, Serialize)]
 pub struct Tolerance {
@@ -104,4 +108,7 @@ pub struct Tolerance {
     /// Largest error of the TIF that errors move, over its peak, where it was sampled anew on the pixels of the map;
     /// else 0.
     pub tif_resampling_error: f64,
+    /// The sentence on what the mean tool decides, for a tool that varies over the part.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mean_tool: Option<&'static str>,
 }

@@ -38,9 +38,8 @@ impl<'a> Work<'a> {
         free: Free,
         width: f64,
     ) -> Result<Self, Invalid> {
-        // The removal of a piece by itself, from which the noise follows, has the rate of the TIF.
+        // A log with the rate of its beam is one run, and a budget is of a plan.
         trajectory.check_rate_is_constant()?;
-        tif.same_everywhere("planish-tolerance")?;
         let inner = Inner::new(desired, free, width);
         let runs = Runs::new(trajectory, tif, moved, desired.grid())?;
         let nominal = inner.judged(desired.height_nm() - &runs.executed);

@@ -14,6 +14,7 @@ use planish_handoff::{
 use planish_types::{AxesMotion, Kinematics, TransformNumbers};
 use planish_verify::{Program, VerifySettings, verify_axes, verify_on_axes};
 
+#[cfg(not(feature = "together"))]
 #[global_allocator]
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
@@ -68,7 +69,7 @@ struct Cli {
     output: OutputArgs,
 }
 
-fn main() -> ExitCode {
+pub(crate) fn main() -> ExitCode {
     planish_handoff::program(|cli: &Cli| match (&cli.axes, &cli.trajectory) {
         (Some(axes), _) => judge_axes(cli, axes),
         (None, Some(trajectory)) => judge_trajectory(cli, trajectory.clone()),

@@ -6,7 +6,7 @@ use clap::Args;
 use planish_compare::diff::{beyond, difference};
 use planish_handoff::{Failure, Status, say};
 
-use crate::files;
+use super::super::files;
 
 #[derive(Args)]
 pub struct Diff {

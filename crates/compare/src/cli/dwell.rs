@@ -8,7 +8,7 @@ use planish_handoff::{Failure, Inputs, Output, Status, flags::OutputArgs, kind, 
 use planish_types::text::visible;
 use serde_json::json;
 
-use crate::files;
+use super::super::files;
 
 #[derive(Args)]
 pub struct Dwell {

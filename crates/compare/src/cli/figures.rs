@@ -16,7 +16,7 @@ use planish_types::text::visible;
 use rayon::prelude::*;
 use serde_json::json;
 
-use crate::files::{self, Names};
+use super::super::files::{self, Names};
 
 #[derive(Args)]
 pub struct Figures {

@@ -20,7 +20,7 @@ use planish_handoff::{Failure, Inputs, Output, Status, flags::OutputArgs, kind, 
 use planish_types::{progress, text::visible};
 use serde_json::json;
 
-use crate::files::{self, Names};
+use super::super::files::{self, Names};
 
 #[derive(Args)]
 pub struct Report {

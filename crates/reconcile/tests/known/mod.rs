@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
 /// Places along each piece at which the direct sum puts its time (Gauss's rule of two points on each half).
-const NODES: [f64; 4] = [0.105_662_433, 0.394_337_567, 0.605_662_433, 0.894_337_567];
+pub const NODES: [f64; 4] = [0.105_662_433, 0.394_337_567, 0.605_662_433, 0.894_337_567];
 
 /// Part and tool of a kind of case.
 #[derive(Clone, Copy, Debug)]
@@ -36,7 +36,7 @@ const KINDS: [Kind; 3] = [
 const LEAST_RATE: f64 = 8e-6;
 
 /// Radius of the tool in the direct sum, in sigmas: beyond it a tool has less than 1e-7 of its peak.
-const REACH_SIGMA: f64 = 6.5;
+pub const REACH_SIGMA: f64 = 6.5;
 
 /// Rounds of the multiplicative planner.
 const ROUNDS: usize = 25;
@@ -106,13 +106,13 @@ pub struct Case {
 }
 
 /// Waves of amplitude, nm, wave vector, 1/mm, and phase, on a base.
-struct Figure {
+pub struct Figure {
     base_nm: f64,
     waves: Vec<[f64; 4]>,
 }
 
 impl Figure {
-    fn new(rng: &mut ChaCha8Rng, sigma_mm: f64, amplitude_nm: f64) -> Self {
+    pub fn new(rng: &mut ChaCha8Rng, sigma_mm: f64, amplitude_nm: f64) -> Self {
         let wave = |_| {
             // Periods of 4 to 16 sigma: the tool reaches them.
             let k = 2.0 * std::f64::consts::PI / (sigma_mm * rng.random_range(6.0..20.0));
@@ -129,13 +129,13 @@ impl Figure {
         self.base_nm + self.waves.iter().map(wave).sum::<f64>()
     }
 
-    fn map(&self, grid: &Grid) -> Array2<f64> {
+    pub fn map(&self, grid: &Grid) -> Array2<f64> {
         Array2::from_shape_fn(grid.shape(), |(r, c)| self.at(grid.x.at(c), grid.y.at(r)))
     }
 }
 
 /// A normal number from two uniform ones (Box and Muller).
-fn normal(rng: &mut ChaCha8Rng) -> f64 {
+pub fn normal(rng: &mut ChaCha8Rng) -> f64 {
     let (u, v): (f64, f64) = (rng.random_range(1e-12..1.0), rng.random_range(0.0..1.0));
     (-2.0 * u.ln()).sqrt() * (2.0 * std::f64::consts::PI * v).cos()
 }
@@ -266,12 +266,12 @@ impl Case {
     }
 }
 
-fn middle(grid: &Grid) -> [f64; 2] {
+pub fn middle(grid: &Grid) -> [f64; 2] {
     [&grid.x, &grid.y].map(|a| 0.5 * (a.start_mm() + a.end_mm()))
 }
 
 /// Corners of a raster along x or along y, to and fro or always in one order, with pieces as long as the pitch.
-fn path_over(grid: &Grid, pitch: f64, beyond: f64, kind: u64) -> Vec<[f64; 2]> {
+pub fn path_over(grid: &Grid, pitch: f64, beyond: f64, kind: u64) -> Vec<[f64; 2]> {
     let [x, y] = [&grid.x, &grid.y].map(|a| (a.start_mm() - beyond, a.end_mm() + beyond));
     let count = |(from, to): (f64, f64)| ((to - from) / pitch).ceil() as usize + 1;
     let (along, across) = if kind.is_multiple_of(2) { (x, y) } else { (y, x) };
@@ -292,7 +292,7 @@ fn path_over(grid: &Grid, pitch: f64, beyond: f64, kind: u64) -> Vec<[f64; 2]> {
 }
 
 /// Time of every piece, s: multiplicative rounds from an even dwell, with the tool that the planner believes in.
-fn planned(
+pub fn planned(
     grid: &Grid,
     path: &[[f64; 2]],
     wanted: &Array2<f64>,
@@ -328,7 +328,7 @@ fn planned(
     seconds
 }
 
-fn motion(path: &[[f64; 2]], seconds: &[f64]) -> Trajectory {
+pub fn motion(path: &[[f64; 2]], seconds: &[f64]) -> Trajectory {
     let mut motion = TrajectoryBuilder::default();
     for (k, h) in seconds.iter().enumerate() {
         let line = |a: usize| [path[k][a], (path[k + 1][a] - path[k][a]) / h, 0.0, 0.0];

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use planish_handoff::{Failure, Status, say};
 
-use crate::files::{again, read_sweep};
+use super::super::files::{again, read_sweep};
 
 #[derive(Args)]
 pub struct Again {

@@ -11,10 +11,11 @@ use planish_sweep::{
     description::{Description, Mirror, read},
     expand::expand,
     plan::{Ground, Round, Step, Sweep, hash},
+    varying,
 };
 use serde_json::{Value, json};
 
-use crate::files::{VERSION, write_json};
+use super::super::files::{VERSION, write_json};
 
 /// Largest size of a sweep's file, bytes: about a thousand blocks. Larger files are refused. Larger: other files
 /// given by mistake are read. Smaller: long sweeps are refused.
@@ -48,7 +49,9 @@ impl Expand {
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let mut grounds = Grounds { folder, out: &self.out, inputs, copies: vec![] };
         let mut sweep = grounds.sweep(&name, &description)?;
+        let commands = grounds.varying(&description, &mut sweep)?;
         let plans = expand(&description.blocks, &sweep.ground).map_err(refused)?;
+        sweep.add_varying(&plans, &commands);
         let paths: std::collections::BTreeSet<_> = plans.iter().map(|p| &p.path_id).collect();
         let counts = format!("{} plans on {} tool paths", plans.len(), paths.len());
         sweep.rounds = vec![Round::new(plans)];
@@ -156,6 +159,8 @@ impl Grounds<'_> {
         let ground = Ground {
             surface: surface_hash,
             tools: tool_hashes,
+            varying: vec![],
+            own_varying: None,
             machine: machine_hash,
             process: process_hash,
         };
@@ -176,6 +181,59 @@ impl Grounds<'_> {
         })
     }
 
+    /// The words of every command of a tool that varies, by the text of the setting. Their hashes, with those of the files
+    /// that they read, go to the ground of the plans, and the command of a fixture that has one is that of all plans
+    /// without the setting.
+    fn varying(
+        &mut self,
+        d: &Description,
+        sweep: &mut Sweep,
+    ) -> Result<Vec<(String, Vec<String>)>, Failure> {
+        let mut texts: Vec<String> = Vec::new();
+        if let Mirror::Fixture(recipe) = &d.mirror
+            && let Some(text) = self.command_of_fixture(recipe)?
+        {
+            sweep.ground.own_varying = Some(text.clone());
+            texts.push(text);
+        }
+        let given = d.blocks.iter().flat_map(|block| &block.settings);
+        for value in given.filter(|(key, _)| key == "varying").flat_map(|(_, values)| values) {
+            let text = value.to_string();
+            if text != varying::NONE && !texts.contains(&text) {
+                texts.push(text);
+            }
+        }
+        let mut commands = Vec::new();
+        for text in texts {
+            let words =
+                words::split(&text).map_err(|e| Failure::new(format!("varying: {text}: {e}")))?;
+            let mut hashes = Vec::new();
+            let placed = varying::with_places(words, |path| -> Result<String, Failure> {
+                let at = self.existing("varying", path)?;
+                hashes.push(content(&at)?);
+                self::text(&at)
+            })?;
+            let digest = hash(&json!(["varying", text, hashes]));
+            sweep.ground.varying.push((text.clone(), digest));
+            commands.push((text, placed));
+        }
+        Ok(commands)
+    }
+
+    /// The command beside the recipe of a fixture, if there is one.
+    fn command_of_fixture(&mut self, recipe: &str) -> Result<Option<String>, Failure> {
+        let path = self.folder.join(recipe).with_extension("tool");
+        if !path.exists() {
+            return Ok(None);
+        }
+        let named = |problem: String| Failure::new(format!("{}: {problem}", path.display()));
+        let bytes = self.inputs.read_bytes("fixture-tool", &path, LARGEST_FILE_BYTES)?;
+        let text = String::from_utf8(bytes).map_err(|_| named("is not UTF-8".into()))?;
+        let text = text.trim().to_string();
+        varying::check(&text).map_err(|wanted| named(format!("is '{text}'; give {wanted}")))?;
+        Ok(Some(text))
+    }
+
     /// Adds the steps that make map and tool, and returns the names by which `just run` calls them.
     fn mirror(&mut self, d: &Description) -> Result<Made, Failure> {
         match &d.mirror {
@@ -190,8 +248,9 @@ impl Grounds<'_> {
                 let plain = self.plain(recipe);
                 let (map, tif) = (format!("{own}/surface"), format!("{own}/tif"));
                 let is_known = plain == Path::new("fixtures").join(format!("{name}.json"));
-                // Another tool is given with the map.
-                let again = if is_known && d.tools.is_empty() {
+                // Another tool is given with the map; and a map of one's own has no command that is not given.
+                let has_command = self.folder.join(recipe).with_extension("tool").exists();
+                let again = if is_known && d.tools.is_empty() && !has_command {
                     vec![format!("fixture={name}")]
                 } else {
                     let at = |dir: &str| self.out.join(dir).display().to_string();
@@ -272,7 +331,7 @@ impl Grounds<'_> {
 
 /// Hash of the names and bytes of what stands there.
 fn content(path: &Path) -> Result<String, Failure> {
-    let unreadable = |e: std::io::Error| crate::files::unreadable(path, &e);
+    let unreadable = |e: std::io::Error| super::super::files::unreadable(path, &e);
     let mut hasher = blake3::Hasher::new();
     let mut files = vec![path.to_path_buf()];
     if path.is_dir() {

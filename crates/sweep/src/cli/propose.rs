@@ -9,7 +9,7 @@ use planish_sweep::{
     search::{Made, in_words, moved, proposals},
 };
 
-use crate::files::{read_row, read_sweep, write_json};
+use super::super::files::{read_row, read_sweep, write_json};
 
 #[derive(Args)]
 pub struct Propose {

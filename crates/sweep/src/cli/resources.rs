@@ -6,8 +6,8 @@ use clap::Args;
 use planish_handoff::{Failure, Status, say};
 use planish_sweep::batch::resources;
 
+use super::super::files::read_sweep;
 use super::run::{Job, read_size};
-use crate::files::read_sweep;
 
 #[derive(Args)]
 pub struct Resources {

@@ -7,7 +7,7 @@ use planish_handoff::{Failure, Status, say};
 use planish_sweep::row::Row;
 use serde_json::{Map, Value, json};
 
-use crate::files::{again, read_row, read_sweep, write_json};
+use super::super::files::{again, read_row, read_sweep, write_json};
 
 #[derive(Args)]
 pub struct Table {

@@ -1,0 +1,70 @@
+//! Tools that vary over the part: the commands of the setting `varying`, which the sweep makes with its mirror.
+
+/// Subcommands of `planish-surface` that make a tool that varies from a TIF and a map.
+pub const COMMANDS: [&str; 4] = ["tool-rate", "tool-footprint", "tool-edge", "tool-turned"];
+
+/// The word for a tool that is the same everywhere.
+pub const NONE: &str = "none";
+
+/// Flags that the sweep gives itself.
+const OWN_FLAGS: [&str; 6] = ["--tif", "--surface", "--out", "--force", "--picture", "--wall-time"];
+
+/// Flags whose value is the path of a file or directory.
+const PATH_FLAGS: [&str; 2] = ["--form", "--table"];
+
+/// The values that the setting may have.
+pub fn wanted() -> String {
+    format!("{NONE}, or the words of planish-surface {}, with their flags", COMMANDS.join(", "))
+}
+
+/// Refuses a text that is no command of the setting, with the values that it may have.
+pub fn check(text: &str) -> Result<(), String> {
+    if text == NONE {
+        return Ok(());
+    }
+    let mut words = text.split_whitespace();
+    if !words.next().is_some_and(|word| COMMANDS.contains(&word)) {
+        return Err(wanted());
+    }
+    let own =
+        |word: &&str| OWN_FLAGS.contains(&word.split_once('=').map_or(*word, |(flag, _)| flag));
+    match words.find(own) {
+        None => Ok(()),
+        Some(flag) => {
+            Err(format!("it without {flag}: the sweep gives --tif, --surface, --out and --force"))
+        }
+    }
+}
+
+/// The words of a command, with every path replaced by what `place` makes of it.
+pub fn with_places<E>(
+    words: Vec<String>,
+    mut place: impl FnMut(&str) -> Result<String, E>,
+) -> Result<Vec<String>, E> {
+    let mut is_path = false;
+    let each = words.into_iter().map(|word| {
+        let joined = word.split_once('=').filter(|(flag, _)| PATH_FLAGS.contains(flag));
+        let replaced = match (is_path, joined) {
+            (true, _) => place(&word)?,
+            (false, Some((flag, path))) => format!("{flag}={}", place(path)?),
+            (false, None) => word.clone(),
+        };
+        is_path = PATH_FLAGS.contains(&word.as_str());
+        Ok(replaced)
+    });
+    each.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_are_replaced_wherever_they_stand() {
+        let words = "tool-rate --by radius --table a/b --form=c --exponent=-1".split(' ');
+        let words = words.map(String::from).collect();
+        let found = with_places(words, |path| Ok::<_, ()>(format!("/root/{path}"))).unwrap();
+        let expected = "tool-rate --by radius --table /root/a/b --form=/root/c --exponent=-1";
+        assert_eq!(found.join(" "), expected);
+    }
+}
