@@ -36,7 +36,9 @@ fn parameters(text: &str) -> Option<(usize, Vec<&str>)> {
 }
 
 pub(crate) fn is_codev(text: &str) -> bool {
-    parameters(text).is_some_and(|(_, words)| words.iter().any(|w| ["SSZ", "WVL"].iter().any(|key| w.eq_ignore_ascii_case(key))))
+    parameters(text).is_some_and(|(_, words)| {
+        words.iter().any(|w| ["SSZ", "WVL"].iter().any(|key| w.eq_ignore_ascii_case(key)))
+    })
 }
 
 /// Reads a grid.

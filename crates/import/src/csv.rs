@@ -178,7 +178,9 @@ impl Gaps {
         match self.first {
             Some((before, line)) if self.count + 1 < rows => Err(Invalid::whole(
                 NAME,
-                format!("has {before} rows, then blank lines or comments, then more rows in line {line}"),
+                format!(
+                    "has {before} rows, then blank lines or comments, then more rows in line {line}"
+                ),
                 "give a file for each matrix, or delete the lines between the rows",
             )),
             _ => Ok(()),
@@ -210,7 +212,9 @@ fn refuse_other_tables(values: &Array2<f64>) -> Result<(), Invalid> {
         (false, true) => "column goes",
         (true, true) => "line and the first column go",
     };
-    let problem = format!("has coordinates or numbers of pixels beside its heights: the first {which} in equal steps");
+    let problem = format!(
+        "has coordinates or numbers of pixels beside its heights: the first {which} in equal steps"
+    );
     let remedy = "give the coordinates x and y both, with an empty first field, or delete them; if they are heights, save \
                   them as .npy";
     Err(Invalid::whole(NAME, problem, remedy))

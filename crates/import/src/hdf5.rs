@@ -213,7 +213,8 @@ fn named(file: &Hdf5File, name: &str) -> Arrays {
     let customary = CUSTOMARY.iter().flatten().map(|name| name.to_string());
     let names: HashSet<String> = customary.chain(beside).chain([name.to_string()]).collect();
     let shape = |name: &str| file.dataset(name).ok().map(|set| without_leading_ones(set.shape()));
-    let numbers = names.into_iter().filter_map(|name| Some((name.clone(), shape(&name)?))).collect();
+    let numbers =
+        names.into_iter().filter_map(|name| Some((name.clone(), shape(&name)?))).collect();
     Arrays { numbers, marks: Vec::new() }
 }
 
@@ -399,7 +400,8 @@ fn is_big_endian(datatype: &Datatype) -> bool {
 }
 
 /// Names of attributes for a stored value that marks an invalid pixel, beside those of netCDF.
-const NO_DATA: [&str; 6] = ["nodata", "no_data", "NoData", "NODATA", "nodata_value", "NODATA_value"];
+const NO_DATA: [&str; 6] =
+    ["nodata", "no_data", "NoData", "NODATA", "nodata_value", "NODATA_value"];
 
 /// The attributes of an array, with how many values each has.
 pub(crate) struct Attributes<'a> {
@@ -536,7 +538,9 @@ fn mark_fill(set: &Dataset, reading: &mut Reading) {
     let Some(fill) = fill.filter(|fill| *fill != 0.0 && !fill.is_nan()) else { return };
     let count = reading.invalidate(fill);
     if count > 0 {
-        let say = format!("{count} pixel(s) have the fill value {fill} of the dataset, and are read as invalid");
+        let say = format!(
+            "{count} pixel(s) have the fill value {fill} of the dataset, and are read as invalid"
+        );
         reading.warnings.push(say);
     }
 }
@@ -558,7 +562,11 @@ const READ: [&str; 8] = [
 ];
 
 /// The warning for attributes of the dataset, its group and the file that speak of units or pitches and are not used.
-fn unused_attributes(file: &Hdf5File, set: &Dataset, name: &str) -> Result<Option<String>, Invalid> {
+fn unused_attributes(
+    file: &Hdf5File,
+    set: &Dataset,
+    name: &str,
+) -> Result<Option<String>, Invalid> {
     let is_telling = |attribute: &String| {
         let lower = attribute.to_lowercase();
         !attribute.starts_with('_') && TELLING.iter().any(|word| lower.contains(word))
@@ -579,7 +587,8 @@ fn unused_attributes(file: &Hdf5File, set: &Dataset, name: &str) -> Result<Optio
         let all = names(group.map_err(broken)?.raw_attributes().map_err(broken)?);
         found.extend(all.into_iter().map(|name| format!("{name} of {path}")));
     }
-    let shown = found.iter().map(|name| name.chars().filter(|c| !c.is_control()).take(60).collect());
+    let shown =
+        found.iter().map(|name| name.chars().filter(|c| !c.is_control()).take(60).collect());
     let listed = shown.collect::<Vec<String>>().join(", ");
     Ok((!found.is_empty()).then(|| format!("attributes that are not used: {listed}")))
 }
@@ -601,7 +610,9 @@ fn scales(file: &Hdf5File, set: &Dataset) -> Result<Option<[String; 2]>, Invalid
         arrays.numbers.iter().filter(|a| a.1.len() == 1).map(|a| &a.0).collect();
     let scale = |axis: usize| -> Result<Option<String>, Invalid> {
         // The first scale of an axis: a reference to an object is its address.
-        let Ok(bytes) = set.resolve_vlen_reference_bytes(references[axis], 8) else { return Ok(None) };
+        let Ok(bytes) = set.resolve_vlen_reference_bytes(references[axis], 8) else {
+            return Ok(None);
+        };
         let Some(address) = bytes.first_chunk::<8>().map(|b| u64::from_le_bytes(*b)) else {
             return Ok(None);
         };

@@ -78,11 +78,10 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         Invalid::whole(NAME, problem, "save their real part, or choose another with `dataset`")
     };
     let named = |v: &Variable| (v.name.clone(), vec![v.rows as u64, v.columns as u64]);
-    let of = |is_wanted: fn(&&Variable) -> bool| variables.iter().filter(is_wanted).map(named).collect();
-    let arrays = Arrays {
-        numbers: of(|v| !v.is_complex && !v.is_logical),
-        marks: of(|v| v.is_logical),
-    };
+    let of =
+        |is_wanted: fn(&&Variable) -> bool| variables.iter().filter(is_wanted).map(named).collect();
+    let arrays =
+        Arrays { numbers: of(|v| !v.is_complex && !v.is_logical), marks: of(|v| v.is_logical) };
     let pick = choose(&arrays, pick, NAME).map_err(|e| {
         let first = variables.iter().find(|v| v.is_complex).filter(|_| arrays.numbers.is_empty());
         first.map_or(e, complex)

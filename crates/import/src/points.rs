@@ -360,7 +360,8 @@ fn on_grid(
         let Gridded { values, x_mm, y_mm, warnings } = grid(&points, pixel_mm)?;
         let mut reading = Reading::new(Format::Xyz, values, FirstRow::SmallestY);
         let of_file = |mm_all: Vec<f64>| mm_all.into_iter().map(|v| v / mm).collect();
-        reading.coordinates = Some(Coordinates { x: of_file(x_mm), y: of_file(y_mm), unit: stated });
+        reading.coordinates =
+            Some(Coordinates { x: of_file(x_mm), y: of_file(y_mm), unit: stated });
         reading.warnings = warnings;
         reading.stated = json!({ "points": points.len(), "grid_mm": pixel_mm });
         return Ok(reading);

@@ -17,13 +17,29 @@ const OTHERS: [(&[u8], &str, &str); 24] = [
     (b"MM\0+", "a TIFF picture", "export the heights as numbers, such as .csv or .npy"),
     (b"%PDF", "a PDF document", "export the heights, not the report"),
     (b"\xd0\xcf\x11\xe0", "a document of Office or LabVIEW", "export the table as .csv"),
-    (b"PK\x03\x04", "a ZIP archive such as .xlsx, .npz or .plux", "export the sheet as .csv, one array as .npy, the map as .x3p or .sur"),
+    (
+        b"PK\x03\x04",
+        "a ZIP archive such as .xlsx, .npz or .plux",
+        "export the sheet as .csv, one array as .npy, the map as .x3p or .sur",
+    ),
     (b"AliconaImaging", "a map of Alicona (.al3d)", "export it as .sdf, .x3p or .sur"),
     (b"Binary TrueMap", "a map of TrueMap (.tmd)", "export it as .sdf, .x3p or .sur"),
-    (b"VK4_", "a map of Keyence", "export it as .csv, without the lines above the numbers, or as .sdf"),
-    (b"DSAA", "a grid of Surfer", "delete the 5 lines above the numbers, and give `format` csv, `unit` and `pixel_mm`"),
+    (
+        b"VK4_",
+        "a map of Keyence",
+        "export it as .csv, without the lines above the numbers, or as .sdf",
+    ),
+    (
+        b"DSAA",
+        "a grid of Surfer",
+        "delete the 5 lines above the numbers, and give `format` csv, `unit` and `pixel_mm`",
+    ),
     (b"DSBB", "a grid of Surfer", "save it as text"),
-    (b"ncols", "an ESRI grid", "start the lines above the numbers with #, and give `format` csv, `unit`, `pixel_mm`, `no_data` and `first_row` top"),
+    (
+        b"ncols",
+        "an ESRI grid",
+        "start the lines above the numbers with #, and give `format` csv, `unit`, `pixel_mm`, `no_data` and `first_row` top",
+    ),
     (b"ply\n", "a PLY file of points", "delete the lines up to end_header, and give `format` xyz"),
     (b"{", "JSON", "save the array as .csv or .npy"),
     (b"<?xml", "XML", "export the heights as numbers, such as .csv or .npy"),
@@ -45,8 +61,10 @@ fn looks(bytes: &[u8]) -> (String, String) {
         return ((*name).into(), (*remedy).into());
     }
     // Types of MATLAB 4: 1000 x byte order + 10 x number + kind, then rows, columns and a flag for complex numbers.
-    let word = |at: usize| bytes.get(at..at + 4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
-    if let [Some(kind), Some(1..=0xFFFFFF), Some(1..=0xFFFFFF), Some(0 | 1), Some(1..=64)] = [0, 4, 8, 12, 16].map(word)
+    let word =
+        |at: usize| bytes.get(at..at + 4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+    if let [Some(kind), Some(1..=0xFFFFFF), Some(1..=0xFFFFFF), Some(0 | 1), Some(1..=64)] =
+        [0, 4, 8, 12, 16].map(word)
         && kind <= 52
         && kind % 10 <= 2
     {

@@ -5,6 +5,10 @@
 //! given map contradicts the run. A reading that multiplies the noise is compared at equal noise. Maps of no known
 //! mistake are found by their size: the fit explains less than half of what the plan missed, the rest is at least a
 //! quarter of the measured removal, and it is no noise from pixel to pixel.
+//!
+//! What no tool reaches stays on the part, so the map after contains it with the factor 1, whatever the run did otherwise.
+//! This factor is the slope of the map after on what the fit predicts of it ([`slope_on_predicted`]). A map with a turned
+//! sign has -1, one of half the heights 0.5, and one of another part or position 0.
 
 use ndarray::{Array2, s};
 use planish_types::text::significant;
@@ -25,6 +29,23 @@ const EXPLAINED: f64 = 0.01;
 const OF_MISSED: f64 = 0.5;
 const OF_REMOVAL: f64 = 0.25;
 const OF_NOISE: f64 = 3.0;
+
+/// Range of the slope of the map after on the predicted one that is taken for 1. Wider: mistakes of a factor near 1 pass.
+/// Narrower: errors that the model does not know, and that resemble the residual, are taken for a mistake. Chosen between
+/// 1 and the factors of the usual mistakes, 0, 1/2 and 2.
+const SLOPES: [f64; 2] = [0.7, 1.4];
+
+/// Standard errors by which the slope must be beyond this range. Larger: mistakes pass on noisy maps. Smaller: right maps
+/// are refused by chance. Chosen.
+const SLOPE_ERRORS: f64 = 4.0;
+
+/// Number of blocks along an axis whose errors count as independent. Larger: long waves of the errors are underestimated.
+/// Smaller: a worse estimate of the standard error. Chosen.
+const BLOCKS: usize = 8;
+
+/// Least part of the mean square of the predicted map that is no noise. Larger: fewer maps are judged. Smaller: the
+/// correction for noise is a guess. Chosen.
+const LEAST_SIGNAL: f64 = 0.2;
 
 /// Returns the sentence that says so if the fit explains nothing. `start` is the model at the plan, `rest` what the fit
 /// leaves.
@@ -77,12 +98,92 @@ pub fn explains_nothing(
             best.0
         ));
     }
+    let piston = [Array2::ones(after.dim())];
+    let maps: Vec<Array2<f64>> =
+        piston.into_iter().chain(terms.iter().map(|t| t.map(data.grid))).collect();
+    let slope = slope_on_predicted(before, &after, rest, &data.valid, &maps);
+    if let Some([plain, corrected]) = slope {
+        let [low, high] = SLOPES;
+        let is_less = [plain, corrected].iter().all(|(s, e)| s + SLOPE_ERRORS * e < low);
+        let is_more = [plain, corrected].iter().all(|(s, e)| s - SLOPE_ERRORS * e > high);
+        if is_less || is_more {
+            let (slope, error) = corrected;
+            return Some(format!(
+                "the map after is {} +- {} times the map that the fit predicts, where 1 is expected: check its sign, its \
+                 unit, its orientation, and that it is of this run",
+                significant(slope, 2),
+                significant(error, 1)
+            ));
+        }
+    }
     let is_large = left_nm > OF_MISSED * missed
         && left_nm > OF_REMOVAL * fitted.measured_removal_rms_nm
         && left_nm > OF_NOISE * pixel_noise_nm(rest, &data.valid);
     is_large.then(|| {
         format!("{said}: check that both maps, the motion and the tool are those of one run")
     })
+}
+
+/// Range of the slope of the map after, a, on the map p that the fit predicts of it, with the standard error of both ends;
+/// both maps without the terms of the metrology, which the fit takes from the map after. `None` where p is hardly more than
+/// noise.
+///
+/// ```text
+/// p = a + rest,   slope = <p, a> / (<p, p> - N sigma^2)
+/// error^2 = sum over blocks of <p, a - slope p>^2 / (<p, p> - N sigma^2)^2
+/// ```
+///
+/// N sigma^2 is the noise of the map before, which p contains and a does not. It lies between 0 and the noise from pixel to
+/// pixel of the map before or of the rest, whichever is less.
+fn slope_on_predicted(
+    before: &Array2<f64>,
+    after: &Array2<f64>,
+    rest: &Array2<f64>,
+    valid: &Array2<f64>,
+    terms: &[Array2<f64>],
+) -> Option<[(f64, f64); 2]> {
+    let is_valid = valid.mapv(|v| if v > 0.5 { 1.0 } else { 0.0 });
+    let after = without(terms, &after.mapv(|v| if v.is_nan() { 0.0 } else { v }), &is_valid);
+    let predicted = without(terms, &(&after + rest), &is_valid);
+    let (squares, count) = ((&predicted * &predicted).sum(), is_valid.sum());
+    let noise_nm = pixel_noise_nm(before, valid).min(pixel_noise_nm(rest, valid));
+    let signal = squares - noise_nm.powi(2) * count;
+    if signal < LEAST_SIGNAL * squares || count < (BLOCKS * BLOCKS) as f64 {
+        return None;
+    }
+    let plain = (&predicted * &after).sum() / squares;
+    let (ny, nx) = after.dim();
+    let mut blocks = vec![0.0; BLOCKS * BLOCKS];
+    for ((r, c), p) in predicted.indexed_iter() {
+        blocks[r * BLOCKS / ny * BLOCKS + c * BLOCKS / nx] += p * (after[[r, c]] - plain * p);
+    }
+    let error = blocks.iter().map(|b| b * b).sum::<f64>().sqrt();
+    let at = |denominator: f64| (plain * squares / denominator, error / denominator);
+    Some([at(squares), at(signal)])
+}
+
+/// The map without its least-squares part in the `columns`, over the valid pixels; 0 elsewhere.
+fn without(columns: &[Array2<f64>], map: &Array2<f64>, valid: &Array2<f64>) -> Array2<f64> {
+    let mut left = map * valid;
+    let mut basis: Vec<Array2<f64>> = Vec::new();
+    for column in columns {
+        let mut column = column * valid;
+        let given = (&column * &column).sum().sqrt();
+        for other in &basis {
+            let along = (&column * other).sum();
+            column.scaled_add(-along, other);
+        }
+        let norm = (&column * &column).sum().sqrt();
+        // Rounding of a column that the ones before it span, as on a single row.
+        if norm <= 1e-9 * given {
+            continue;
+        }
+        column /= norm;
+        let along = (&left * &column).sum();
+        left.scaled_add(-along, &column);
+        basis.push(column);
+    }
+    left
 }
 
 /// Standard deviation of white noise that has the second differences of `map` along x, nm.
