@@ -103,7 +103,7 @@ def show(*cells):
 def table(to, names):
     part = fixture(to, "coupon", tif={"peak_nm_per_s": 50.0, "half_size_mm": 3.5, "shape": {"gaussian": {"sigma_mm": 1.0}}})
     middle_mm = [10.0, 6.0]
-    show("machine", "edge slope", "path", "without rows: nm", "s", "s of the axes", "with rows: nm", "s", "s of the axes",
+    show("machine", "edge slope", "path", "x and y alone: nm", "s", "s of the axes", "all axes: nm", "s", "s of the axes",
          "added", "near a limit for most of the time")
     show(*["---"] * 11)
     failed = False
@@ -144,7 +144,7 @@ def planning(to):
         times.append(planned(plan, part, to / "turns", of_plan, over))
         report = outcome(plan / "trajectory")
         print(f"{name}: {times[-1]:.2f} s of user time, {report['report']['nodes']} nodes, {report['end']}, "
-              f"{report['report']['rounds']} rounds, {report['rms_nm']:.4f} nm in {report['total_time_s']:.2f} s")
+              f"{report['report']['rounds']} rounds, {report['rms_nm']:.4f} nm in {report['total_time_s']:.2f} s", flush=True)
     points = len((to / "turns/point_mm.npy").read_bytes()) // 16
     print(f"{points} points: five axes over two: {times[1] / times[0]:.2f}")
 
