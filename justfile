@@ -241,7 +241,7 @@ test-gcode: build
 programs-table *flags: build
     @python3 pipelines/programs-table.py {{ flags }}
 
-# Joint plans with and without rows for all axes, as motions of these axes: the tables of docs/axes.md (--planning: time of planning)
+# Joint plans with and without rows for all axes, as motions of these axes: the table of docs/axes.md
 [group('5 pages and tables')]
 axes-table *flags: build
     @python3 pipelines/axes-table.py {{ flags }}

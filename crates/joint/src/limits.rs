@@ -491,7 +491,7 @@ struct Place {
     s_mm: f64,
     /// Empty where an axis has no position: there the judge refuses the motion.
     axes: Vec<Scaled>,
-    /// What is left free of the limits of every axis, of velocity and of acceleration.
+    /// Fractions of the limits of every axis that are left free, of velocity and of acceleration.
     margins: Vec<[f64; 2]>,
 }
 
@@ -651,7 +651,6 @@ fn off_line(v: [f64; 5]) -> f64 {
 mod tests {
     use super::*;
     use crate::{
-        axes::{FurtherAxes, FurtherLimits},
         curve::{Rounding, curves},
         motion::motion,
     };
@@ -770,87 +769,6 @@ mod tests {
         // A uniform feedrate uses no more of the limits between two nodes than at them.
         let uniform = rows.worth_of_halving(&vec![0.1; mesh.nodes], &z);
         assert!(uniform.iter().all(|w| w.abs() < 1e-12), "{uniform:?}");
-    }
-
-    /// z on a sphere of 8 mm about (3, 2), and the angle about a point half a millimetre beside the path.
-    struct Steep([FurtherLimits; 2]);
-
-    impl FurtherAxes for Steep {
-        fn limits(&self) -> &[FurtherLimits] {
-            &self.0
-        }
-
-        fn along(
-            &self,
-            [x, y]: [f64; 2],
-            [tx, ty]: [f64; 2],
-            curvature: f64,
-        ) -> Option<Vec<[f64; 3]>> {
-            let (u, v) = (x - 3.0, y - 2.0);
-            let w = (64.0 - u * u - v * v).sqrt();
-            let (out, across) = (u * tx + v * ty, v * tx - u * ty);
-            let z = [-w, out / w, (1.0 + curvature * across) / w + out * out / w.powi(3)];
-            let (u, v) = (x - 2.0, y - 0.5);
-            let r2 = u * u + v * v;
-            let (out, around) = (u * tx + v * ty, u * ty - v * tx);
-            let turn = [v.atan2(u), around / r2, (curvature * out - 2.0 * out * around / r2) / r2];
-            Some(vec![z, turn])
-        }
-    }
-
-    #[test]
-    fn densities_that_keep_the_rows_of_further_axes_move_them_within_their_limits() {
-        let (path, limits) = (path(), machine());
-        let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 }).curves;
-        let mesh = Mesh::new(&curves, &path, 0.8).unwrap();
-        // Limits of z and of the angle that decide on velocity, on acceleration, and of which the rows of x and y imply all
-        for (z, angle, decide) in [
-            ([4.0, 1e6], [10.0, 1e6], true),
-            ([1e6, 60.0], [1e6, 200.0], true),
-            ([1e6, 1e8], [1e6, 1e8], false),
-        ] {
-            let of = |name: &str, [velocity, acceleration]: [f64; 2]| FurtherLimits {
-                name: name.into(),
-                max_velocity_per_s: velocity,
-                max_acceleration_per_s2: acceleration,
-                max_jerk_per_s3: None,
-            };
-            let axes = Steep([of("z", z), of("c", angle)]);
-            let further = Further::new(&axes, None).unwrap();
-            let own = Rows::new(&curves, &mesh, &limits, 0.1);
-            let before = own.rows.clone();
-            let rows = own.with_further(&curves, &further);
-            assert_eq!(rows.rows == before, !decide);
-            let rough = |level: f64| -> Vec<f64> {
-                (0..mesh.nodes).map(|j| level * (1.0 + 0.3 * (2.1 * j as f64).sin())).collect()
-            };
-            let keeps = |d: &Vec<f64>| {
-                rows.slacks(d).iter().all(|c| *c > 0.0)
-                    && d.iter().zip(rows.least_density()).all(|(d, least)| d >= least)
-            };
-            let density =
-                (0..2000).map(|k| rough(1e-2 * 1.005f64.powi(k))).find(keeps).expect("slow enough");
-            for (i, row) in rows.constraints(&density).iter().enumerate() {
-                for (node, by) in row.nodes.iter().zip(row.by) {
-                    let Some(node) = *node else { continue };
-                    let slack = |h: f64| {
-                        let mut moved = density.clone();
-                        moved[node] += h;
-                        rows.slacks(&moved)[i]
-                    };
-                    // Central differences as above
-                    let difference = (slack(1e-6) - slack(-1e-6)) / 2e-6;
-                    assert!((difference - by).abs() < 1e-5 * by.abs().max(1.0), "{i}");
-                }
-            }
-            let motion = motion(&curves, &mesh, &path, &limits, Some(&further), &density).unwrap();
-            let excess = further.excess(&motion, mesh.spans.len()).unwrap();
-            let most = excess.into_iter().flatten().fold(0.0, f64::max);
-            println!("{most} by {} of {} rows", rows.len() - before.len(), rows.len());
-            assert!(most <= 1.0, "{most}");
-            // The densities go up and down, so that the span that decides is not at its worst.
-            assert!(most > 0.8 || !decide, "{most}");
-        }
     }
 
     #[test]
