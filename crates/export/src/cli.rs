@@ -170,9 +170,9 @@ impl CommonArgs {
 
 /// Motion for a program.
 enum Given {
-    /// Of x and y, in the coordinates of the axes, and its directory.
+    /// Motion of x and y, in the coordinates of the axes, and its directory.
     Trajectory(PathBuf, Box<OnAxes>),
-    /// Of all axes.
+    /// Motion of all axes.
     Axes(Box<GivenAxes>),
 }
 
