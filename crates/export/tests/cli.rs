@@ -342,7 +342,7 @@ fn a_motion_of_all_axes_has_its_own_flag() {
         (&["--trajectory", "t", "--form", "f.json"], "--axes <DIR>"),
         (
             &["--axes", "axes", "--count-mm", "1e-4,1e-4"],
-            "--count-mm: has 2 numbers; give one for each of the axes r",
+            "count_mm: has 2 numbers; give one for each of the axes r",
         ),
     ] {
         let (code, said) = run(arguments);
