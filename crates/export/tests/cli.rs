@@ -339,7 +339,7 @@ fn a_motion_of_all_axes_has_its_own_flag() {
         ),
         (&["--trajectory", "t", "--axes", "axes"], "cannot be used with"),
         (&[], "--trajectory <DIR>"),
-        (&["--trajectory", "t", "--form", "f.json"], "--axes <DIR>"),
+        (&["--trajectory", "t", "--form", "f.json"], "cannot be used with"),
         (
             &["--axes", "axes", "--count-mm", "1e-4,1e-4"],
             "count_mm: has 2 numbers; give one for each of the axes r",
