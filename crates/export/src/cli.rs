@@ -58,7 +58,7 @@ pub struct CommonArgs {
     #[arg(long, value_name = "DIR")]
     axes: Option<PathBuf>,
     /// Form of the part of --axes: a form file [JSON], or its height along z [surface artifact]; a plane without it
-    #[arg(long, value_name = "PATH", requires = "axes")]
+    #[arg(long, value_name = "PATH", conflicts_with = "trajectory")]
     form: Option<PathBuf>,
     #[command(flatten)]
     machine: AxesArgs,
@@ -73,7 +73,7 @@ pub struct CommonArgs {
         value_name = "C",
         value_delimiter = ',',
         allow_hyphen_values = true,
-        requires = "axes"
+        conflicts_with = "trajectory"
     )]
     count_deg: Option<Vec<f64>>,
     /// Longest segment, s [default: that of the controller]
@@ -170,9 +170,9 @@ impl CommonArgs {
 
 /// Motion for a program.
 enum Given {
-    /// Of x and y, in the coordinates of the axes, and its directory.
+    /// Motion of x and y, in the coordinates of the axes, and its directory.
     Trajectory(PathBuf, Box<OnAxes>),
-    /// Of all axes.
+    /// Motion of all axes.
     Axes(Box<GivenAxes>),
 }
 

@@ -384,26 +384,9 @@ impl<const N: usize> Job<'_, N> {
     fn nodes(&self, can: Abilities) -> Result<(Nodes<N>, About), Invalid> {
         limits::check_plan(self.plan)?;
         let name = self.grids.kind.name();
-        let mut warnings = Vec::new();
         let follows_tool = matches!(can.tool, Tool::Switched(_));
-        let tool = match can.tool {
-            Tool::Switched(how) => how,
-            Tool::LeftToTheHost(who) => {
-                if self.plan.tool_on.iter().any(|on| !on) {
-                    if !self.common.always_on {
-                        let problem =
-                            format!("is 0 somewhere; a {name} program cannot switch the tool");
-                        let remedy = "give `always_on` (the tool then removes there too), or use gcode, csv, \
-                                      or pmac with `tool_output`";
-                        return Err(Invalid::whole("tool_on", problem, remedy));
-                    }
-                    warnings.push(
-                        "the tool is on where the plan has it off: simulate the program".into(),
-                    );
-                }
-                who.into()
-            }
-        };
+        let (tool, warning) = self.tool(can.tool)?;
+        let mut warnings: Vec<String> = warning.into_iter().collect();
         let tick_s = self.grids.tick_s;
         // Fewer than one are a step that no segment is as short as; the generator refuses it.
         let most_ticks = match self.common.max_step_s {
@@ -466,6 +449,27 @@ impl<const N: usize> Job<'_, N> {
             program_blake3: String::new(),
         };
         Ok((nodes, about))
+    }
+
+    /// Sentence on the switching of the tool, and a warning if the tool stays on. Refuses a motion that lifts the tool if
+    /// the program cannot switch it, unless the tool may stay on.
+    fn tool(&self, tool: Tool) -> Result<(String, Option<String>), Invalid> {
+        let who = match tool {
+            Tool::Switched(how) => return Ok((how, None)),
+            Tool::LeftToTheHost(who) => who.to_string(),
+        };
+        if self.plan.tool_on.iter().all(|on| *on) {
+            return Ok((who, None));
+        }
+        if !self.common.always_on {
+            let name = self.grids.kind.name();
+            let problem = format!("is 0 somewhere; a {name} program cannot switch the tool");
+            let remedy = "give `always_on` (the tool then removes there too), or use gcode, csv, or pmac with \
+                          `tool_output`";
+            return Err(Invalid::whole("tool_on", problem, remedy));
+        }
+        let warning = "the tool is on where the plan has it off: simulate the program";
+        Ok((who, Some(warning.into())))
     }
 
     /// The axes for the file beside a program of all axes.

@@ -13,7 +13,7 @@ use planish_types::{Interpolation, Invalid, MachineAxis};
 use serde::Serialize;
 
 use crate::{
-    generate::{AccelerationStep, Nodes, acceleration_steps},
+    generate::{AccelerationStep, Nodes, Piece, acceleration_steps},
     plan::Plan,
 };
 
@@ -166,31 +166,9 @@ pub(crate) fn prove<const N: usize>(
             }
         }
     }
-    for (limits, [low, high]) in plan.axes.iter().zip(reach) {
-        let Some([from, to]) = limits.travel else { continue };
-        let beyond = (from - low).max(high - to);
-        if exceeds(beyond, TRAVEL) {
-            let (name, unit) = (limits.name, limits.unit());
-            let problem = format!(
-                "{name} goes from {low:.6} to {high:.6} {unit}, {beyond:.6} {unit} beyond its travel from {from} to {to} \
-                 {unit}"
-            );
-            return Err(Invalid::whole("program", problem, remedy_of_travel(plan)));
-        }
-    }
+    check_reach(plan, &reach)?;
     if plan.may_step && nodes.interpolation == Interpolation::Hermite {
-        let beyond = |s: &AccelerationStep| exceeds(s.value, s.allowed * (1.0 + LIMIT_ROUNDING));
-        if let Some(step) = acceleration_steps(&pieces, plan.axes).into_iter().find(beyond) {
-            let limits = &plan.axes[step.axis];
-            let problem = format!(
-                "{} steps by {:.6} {unit}/s^2 in its acceleration, where the jerk limit allows {:.6} {unit}/s^2",
-                limits.name,
-                step.value,
-                step.allowed,
-                unit = limits.unit()
-            );
-            return Err(Invalid::at("node", step.node, problem, REMEDY_OF_ROUNDING));
-        }
+        check_acceleration_steps(plan, &pieces)?;
     }
     let (proven, not_proven) = match nodes.interpolation {
         Interpolation::Hermite if plan.may_step => (
@@ -216,6 +194,43 @@ pub(crate) fn prove<const N: usize>(
     let reach_mm = if plan.may_step { vec![] } else { reach.to_vec() };
     let largest = peaks.0.into_iter().flatten().collect();
     Ok((Proof { proven, not_proven, largest, reach_mm }, reach))
+}
+
+/// Refuses a program that goes where the axes cannot.
+fn check_reach<const N: usize>(plan: &Plan<N>, reach: &[[f64; 2]; N]) -> Result<(), Invalid> {
+    for (limits, [low, high]) in plan.axes.iter().zip(*reach) {
+        let Some([from, to]) = limits.travel else { continue };
+        let beyond = (from - low).max(high - to);
+        if exceeds(beyond, TRAVEL) {
+            let (name, unit) = (limits.name, limits.unit());
+            let problem = format!(
+                "{name} goes from {low:.6} to {high:.6} {unit}, {beyond:.6} {unit} beyond its travel from {from} to {to} \
+                 {unit}"
+            );
+            return Err(Invalid::whole("program", problem, remedy_of_travel(plan)));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses steps of the acceleration beyond what a limit on jerk allows.
+fn check_acceleration_steps<const N: usize>(
+    plan: &Plan<N>,
+    pieces: &[Piece<N>],
+) -> Result<(), Invalid> {
+    let beyond = |s: &AccelerationStep| exceeds(s.value, s.allowed * (1.0 + LIMIT_ROUNDING));
+    if let Some(step) = acceleration_steps(pieces, plan.axes).into_iter().find(beyond) {
+        let limits = &plan.axes[step.axis];
+        let problem = format!(
+            "{} steps by {:.6} {unit}/s^2 in its acceleration, where the jerk limit allows {:.6} {unit}/s^2",
+            limits.name,
+            step.value,
+            step.allowed,
+            unit = limits.unit()
+        );
+        return Err(Invalid::at("node", step.node, problem, REMEDY_OF_ROUNDING));
+    }
+    Ok(())
 }
 
 /// p, p', p'', p'''.

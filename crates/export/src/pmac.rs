@@ -58,10 +58,8 @@ impl Default for Settings {
     }
 }
 
-pub(crate) fn write<const N: usize>(
-    job: &Job<N>,
-    settings: &Settings,
-) -> Result<(String, About), Invalid> {
+/// Tick and unit of time of the velocities, s, and most ticks of a segment. Refuses settings that no PMAC has.
+fn checked<const N: usize>(job: &Job<N>, settings: &Settings) -> Result<[f64; 3], Invalid> {
     let tick_s = job.tick()?;
     let unit_s = positive("feedrate_time_unit_s", settings.feedrate_time_unit_s)?;
     let most = (LONGEST_S / tick_s).floor();
@@ -87,6 +85,14 @@ pub(crate) fn write<const N: usize>(
             "is not given, and the machine file says that the controller switches the tool";
         return Err(Invalid::whole("tool_output", problem, "give the M-variable of the output"));
     }
+    Ok([tick_s, unit_s, most])
+}
+
+pub(crate) fn write<const N: usize>(
+    job: &Job<N>,
+    settings: &Settings,
+) -> Result<(String, About), Invalid> {
+    let [tick_s, unit_s, most] = checked(job, settings)?;
     let tool = match settings.tool_output {
         None => Tool::LeftToTheHost(
             "this program does not switch it, --tool-output names an M-variable that does: the host \

@@ -77,28 +77,40 @@ pub(super) fn read(
                 last.velocity.fill(0.0);
                 output.execute();
                 knots.last_mut().expect("one knot").tool_on = output.on;
-                let mut seen = vec![false; n];
-                for word in line.split_whitespace() {
-                    let letter = word.chars().next().unwrap_or_default();
-                    let Some(axis) = letters.iter().position(|l| *l == letter) else {
-                        let known: Vec<String> = letters.iter().map(char::to_string).collect();
-                        let known = known.join(" or ");
-                        return Err(wrong(i + 1, format!("has \"{}\", not {known}", short(word))));
-                    };
-                    if std::mem::replace(&mut seen[axis], true) {
-                        return Err(wrong(i + 1, format!("has {} twice", &word[..1])));
-                    }
-                    let (p, v) = word[1..].split_once(':').unwrap_or((&word[1..], "0"));
-                    let (p, v) = (finite(i + 1, p)?, finite(i + 1, v)?);
-                    last.position[axis] = if absolute { p } else { last.position[axis] + p };
-                    last.velocity[axis] = v / unit_s;
-                }
+                go(i + 1, line, (absolute, unit_s), &letters, &mut last)?;
                 knots.push(last.clone());
             }
         }
     }
     output.end()?;
     through(&knots)
+}
+
+/// Takes the axes to the words of a move, with the velocities at its end.
+fn go(
+    line: usize,
+    text: &str,
+    (absolute, unit_s): (bool, f64),
+    letters: &[char],
+    last: &mut Knot,
+) -> Result<(), Invalid> {
+    let mut seen = vec![false; letters.len()];
+    for word in text.split_whitespace() {
+        let letter = word.chars().next().unwrap_or_default();
+        let Some(axis) = letters.iter().position(|l| *l == letter) else {
+            let known: Vec<String> = letters.iter().map(char::to_string).collect();
+            let known = known.join(" or ");
+            return Err(wrong(line, format!("has \"{}\", not {known}", short(word))));
+        };
+        if std::mem::replace(&mut seen[axis], true) {
+            return Err(wrong(line, format!("has {} twice", &word[..1])));
+        }
+        let (p, v) = word[1..].split_once(':').unwrap_or((&word[1..], "0"));
+        let (p, v) = (finite(line, p)?, finite(line, v)?);
+        last.position[axis] = if absolute { p } else { last.position[axis] + p };
+        last.velocity[axis] = v / unit_s;
+    }
+    Ok(())
 }
 
 /// A line without its comment.
