@@ -198,7 +198,8 @@ fn a_tool_that_varies_is_made_with_the_mirror() {
     assert!((0..2).all(|k| id(&first, k) == id(&second, k)));
     assert!((2..4).all(|k| id(&first, k) != id(&second, k)));
 
-    let beam = with.replace("FIXTURE", "FIXTURE_BEAM").replace(&format!("[none, {command}]"), "none");
+    let beam =
+        with.replace("FIXTURE", "FIXTURE_BEAM").replace(&format!("[none, {command}]"), "none");
     let fixture = workspace().join("fixtures/sphere-beam.json");
     let file = written(dir.path(), &beam.replace("FIXTURE_BEAM", fixture.to_str().unwrap()));
     ended(0, &["expand", file.to_str().unwrap(), "--out", &out]);
