@@ -48,7 +48,8 @@ pub struct Deviation {
 }
 
 /// The reason for which a tool has no ellipticity along axes of the part.
-pub const TURNS: &str = "turns with the azimuth, and its ellipticity turns with it, which kernels along fixed axes do not follow";
+pub const TURNS: &str = "turns with the azimuth, and its ellipticity turns with it, which kernels along fixed axes do \
+                         not follow";
 
 /// Returns true if an ellipticity along fixed axes of the part is one of the tool: its spot does not turn with the azimuth.
 pub fn has_one_ellipse(tif: &Tif) -> bool {

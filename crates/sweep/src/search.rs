@@ -92,6 +92,8 @@ mod tests {
         Ground {
             surface: "s".into(),
             tools: vec![("".into(), "t".into())],
+            varying: vec![],
+            own_varying: None,
             machine: "m".into(),
             process: None,
         }

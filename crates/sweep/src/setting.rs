@@ -359,7 +359,11 @@ mod tests {
         for (key, text, said) in [
             ("pitch_um", "800", "line 2: no setting 'pitch_um'; write pitch_mm, in that unit"),
             ("min_dwell_ms", "1", "write min_dwell_s or min_dwell_s_per_mm, in that unit"),
-            ("ptich_mm", "1", "no setting 'ptich_mm'; there are path, method, tool, pitch_mm"),
+            (
+                "ptich_mm",
+                "1",
+                "no setting 'ptich_mm'; there are path, method, tool, varying, pitch_mm",
+            ),
             (
                 "pitch_mm",
                 "1 mm",

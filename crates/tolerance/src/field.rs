@@ -131,7 +131,7 @@ impl<'a> Placed<'a> {
         Self { tool, place_mm, change, half_mm, weights }
     }
 
-    /// At a point of the part.
+    /// Value at a point of the part.
     fn at(&self, x: f64, y: f64) -> f64 {
         let Self { tool, half_mm: h, weights: [before, after], .. } = self;
         let (x, y) = (x - self.place_mm[0], y - self.place_mm[1]);
