@@ -36,7 +36,9 @@ fn parameters(text: &str) -> Option<(usize, Vec<&str>)> {
 }
 
 pub(crate) fn is_codev(text: &str) -> bool {
-    parameters(text).is_some_and(|(_, words)| words.iter().any(|w| w.eq_ignore_ascii_case("SSZ")))
+    parameters(text).is_some_and(|(_, words)| {
+        words.iter().any(|w| ["SSZ", "WVL"].iter().any(|key| w.eq_ignore_ascii_case(key)))
+    })
 }
 
 /// Reads a grid.
@@ -44,6 +46,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let refuse = |problem: String, remedy: &str| Invalid::whole(NAME, problem, remedy);
     let again = "write it again as a grid (GRD) of a surface (SUR)";
     let text = text::text(NAME, bytes)?;
+    let text = text.as_ref();
     let (line, words) =
         parameters(text).ok_or_else(|| refuse("has no line GRD after its title".into(), again))?;
     let kind = words[0].to_ascii_uppercase();

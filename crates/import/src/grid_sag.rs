@@ -49,6 +49,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         )
     };
     let text = text::text(NAME, bytes)?;
+    let text = text.as_ref();
     let mut lines = text.lines().enumerate().filter(|(_, line)| !is_comment(line));
     let (i, first) = lines.next().ok_or_else(|| bad("holds no numbers".into()))?;
     let mut head = [0.0; 7];

@@ -13,7 +13,8 @@
 //! height (m) = raw W S O / R
 //! ```
 //!
-//! Other text: three numbers per line, in any order of the pixels, on a uniform grid; a pixel that
+//! Other text: a line of names may come first, such as `x (mm), y (mm), z (nm)`, whose units count. Then three numbers
+//! per line, in any order of the pixels, on a uniform grid; a pixel that
 //! no line names is invalid. Points that lie on no grid are gridded where `grid_mm` asks for it
 //! (`crate::scattered`).
 
@@ -42,6 +43,7 @@ const UNIFORMITY: f64 = 0.01;
 /// Reads a Zygo file or lines of `x y z`.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
+    let text = text.as_ref();
     if pick.grid_mm.is_some() && text.starts_with("Zygo ") {
         let problem = "was given, but the file has its pixels on a grid";
         return Err(Invalid::whole("grid_mm", problem, "leave it out"));
@@ -245,12 +247,59 @@ fn next(line: &str) -> (&str, &str) {
     line.trim_start().split_once(char::is_whitespace).unwrap_or((line.trim_start(), ""))
 }
 
+/// Units and warnings of lines `x y z`.
+#[derive(Default)]
+struct Names {
+    /// Unit of x and y.
+    coordinate_unit: Option<Unit>,
+    /// Unit of z.
+    unit: Option<Unit>,
+    warnings: Vec<String>,
+}
+
+impl Names {
+    /// The names of the columns in a line above the points, such as `x (mm),y (mm),z (nm)` or `x_mm y_mm z_um`.
+    fn of(line: &str, number: usize) -> Result<Self, Invalid> {
+        let names: Vec<String> = text::fields(line).map(str::to_lowercase).collect();
+        let letters: Vec<char> =
+            names.iter().filter_map(|name| name.chars().find(|c| c.is_alphabetic())).collect();
+        let short: String = line.chars().filter(|c| !c.is_control()).take(60).collect();
+        match letters[..] {
+            ['x', 'y', _, ..] => {}
+            [a, b, ..] if "xyz".contains(a) && "xyz".contains(b) => {
+                let problem = format!("names its columns \"{short}\" in line {number}");
+                return Err(Invalid::whole(NAME, problem, "give the columns in the order x y z"));
+            }
+            _ => {}
+        }
+        let unit = |name: Option<&String>| {
+            let name = name?.trim_end_matches([')', ']']);
+            let last = name.rsplit(['(', '[', '_', ' ', '/']).next().unwrap_or_default();
+            Unit::stated("unit", last).ok()
+        };
+        let [x, y, z] = [0, 1, 2].map(|k| unit(names.get(k)));
+        if x != y {
+            let problem = format!("has x in {x:?} and y in {y:?} in line {number}");
+            return Err(Invalid::whole(NAME, problem, "give both the same unit"));
+        }
+        let say = format!("line {number} has the names of the columns: \"{short}\"");
+        Ok(Self { coordinate_unit: x, unit: z, warnings: vec![say] })
+    }
+}
+
 fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
+    let with_points = text::with_points(NAME, text)?;
+    let text = with_points.as_deref().unwrap_or(text);
+    let mut names = Names::default();
     let mut points: Vec<[f64; 3]> = Vec::new();
     let most = most_of(BYTES_PER_POINT);
     for (i, line) in text.lines().enumerate() {
         let trimmed = line.trim();
-        if trimmed.is_empty() || trimmed.starts_with('#') {
+        if trimmed.is_empty() || text::is_comment(trimmed) {
+            continue;
+        }
+        if points.is_empty() && names.warnings.is_empty() && text::is_names(trimmed) {
+            names = Names::of(trimmed, i + 1)?;
             continue;
         }
         if points.len() >= most {
@@ -284,8 +333,23 @@ fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
         }
         points.push(point);
     }
+    if with_points.is_some() {
+        names.warnings.push(text::DECIMAL_COMMAS.into());
+    }
+    let mut reading = on_grid(points, pick, names.coordinate_unit)?;
+    reading.unit = names.unit;
+    reading.warnings.extend(names.warnings);
+    Ok(reading)
+}
+
+/// The map of points on their own grid, or on the one that is asked for.
+fn on_grid(
+    mut points: Vec<[f64; 3]>,
+    pick: &Pick,
+    stated: Option<Unit>,
+) -> Result<Reading, Invalid> {
     if let Some(pixel_mm) = pick.grid_mm {
-        let Some(unit) = pick.coordinate_unit else {
+        let Some(unit) = pick.coordinate_unit.or(stated) else {
             let remedy = "give `coordinate_unit`";
             return Err(Invalid::whole("coordinate_unit", "is not in the file", remedy));
         };
@@ -296,7 +360,8 @@ fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
         let Gridded { values, x_mm, y_mm, warnings } = grid(&points, pixel_mm)?;
         let mut reading = Reading::new(Format::Xyz, values, FirstRow::SmallestY);
         let of_file = |mm_all: Vec<f64>| mm_all.into_iter().map(|v| v / mm).collect();
-        reading.coordinates = Some(Coordinates { x: of_file(x_mm), y: of_file(y_mm), unit: None });
+        reading.coordinates =
+            Some(Coordinates { x: of_file(x_mm), y: of_file(y_mm), unit: stated });
         reading.warnings = warnings;
         reading.stated = json!({ "points": points.len(), "grid_mm": pixel_mm });
         return Ok(reading);
@@ -324,7 +389,7 @@ fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
         values[at] = point[2];
     }
     let mut reading = Reading::new(Format::Xyz, values, FirstRow::SmallestY);
-    reading.coordinates = Some(Coordinates { x: x.all(), y: y.all(), unit: None });
+    reading.coordinates = Some(Coordinates { x: x.all(), y: y.all(), unit: stated });
     Ok(reading)
 }
 

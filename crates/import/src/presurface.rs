@@ -40,6 +40,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         Invalid::whole(NAME, problem, "write nx ny, the y, then x and its heights, line by line")
     };
     let text = text::text(NAME, bytes)?;
+    let text = text.as_ref();
     let words = text.lines().enumerate().flat_map(|(i, line)| {
         line.split_whitespace().enumerate().map(move |(k, word)| (i + 1, k + 1, word))
     });

@@ -89,6 +89,7 @@ pub fn read(
 ) -> Result<Trajectory, Invalid> {
     belongs(bytes, configuration)?;
     let text = crate::text::text("program", bytes)?;
+    let text = text.as_ref();
     let of_axes = match controller {
         Controller::Galil => galil::read(text, configuration),
         Controller::Xps => xps::read(text, configuration),

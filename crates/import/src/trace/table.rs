@@ -113,6 +113,7 @@ fn above(lines: &[&str]) -> Result<(usize, Option<Vec<String>>), Invalid> {
 /// Reads the columns that are asked for, or known by their names.
 pub fn read(format: LogFormat, bytes: &[u8], asked: &Columns) -> Result<Vec<Column>, Invalid> {
     let text = text::text(NAME, bytes)?;
+    let text = text.as_ref();
     let mut head: Vec<&str> = Vec::new();
     head.extend(text.lines().take(MOST_LINES_ABOVE + 1));
     let (first, names) = above(&head)?;
