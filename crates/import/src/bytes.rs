@@ -74,6 +74,7 @@ pub(crate) enum Number {
     U32,
     I64,
     U64,
+    F16,
     F32,
     F64,
 }
@@ -83,7 +84,7 @@ impl Number {
     pub fn size(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
+            Self::I16 | Self::U16 | Self::F16 => 2,
             Self::I32 | Self::U32 | Self::F32 => 4,
             Self::I64 | Self::U64 | Self::F64 => 8,
         }
@@ -120,6 +121,7 @@ impl Number {
             Self::U32 => each(bytes, count, big_endian, |a| f64::from(u32::from_ne_bytes(a))),
             Self::I64 => each(bytes, count, big_endian, |a| exact(i64::from_ne_bytes(a))),
             Self::U64 => each(bytes, count, big_endian, |a| exact(u64::from_ne_bytes(a))),
+            Self::F16 => each(bytes, count, big_endian, |a| half(u16::from_ne_bytes(a))),
             Self::F32 => each(bytes, count, big_endian, |a| f64::from(f32::from_ne_bytes(a))),
             Self::F64 => each(bytes, count, big_endian, f64::from_ne_bytes),
         };
@@ -128,6 +130,18 @@ impl Number {
         }
         Ok(values)
     }
+}
+
+/// The number that the bits of a 16-bit float (IEEE 754 binary16) mean.
+fn half(bits: u16) -> f64 {
+    let (exponent, fraction) = (i32::from(bits >> 10) & 31, f64::from(bits & 1023));
+    let magnitude = match exponent {
+        0 => fraction * 2f64.powi(-24),
+        31 if fraction == 0.0 => f64::INFINITY,
+        31 => f64::NAN,
+        _ => (1024.0 + fraction) * 2f64.powi(exponent - 25),
+    };
+    if bits >> 15 == 1 { -magnitude } else { magnitude }
 }
 
 /// A 64-bit integer as a float; infinite where no float is equal to it.
@@ -146,5 +160,28 @@ pub(crate) fn refuse_rounded<'a>(values: impl IntoIterator<Item = &'a f64>) -> R
             let remedy = "subtract the mean, or save it as floats";
             Err(Invalid::at("stored value", i, problem, remedy))
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn halves_by_hand() {
+        // Sign, exponent, fraction: 1.5; -2; 65504, the largest; 2^-24, the smallest; 2^-14, the smallest normal one.
+        let cases = [
+            (0x3E00, 1.5),
+            (0xC000, -2.0),
+            (0x7BFF, 65504.0),
+            (1, 2f64.powi(-24)),
+            (0x0400, 2f64.powi(-14)),
+            (0x7C00, f64::INFINITY),
+        ];
+        for (bits, value) in cases {
+            assert_eq!(half(bits), value);
+        }
+        assert!(half(0x7E00).is_nan());
+        assert_eq!(Number::F16.decode(&[0x3E, 0, 0xC0, 0], 2, true).unwrap(), [1.5, -2.0]);
     }
 }

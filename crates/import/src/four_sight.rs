@@ -15,8 +15,9 @@ use serde_json::json;
 
 use crate::{
     Format, Unit,
+    arrays::leaf,
     budget::MOST_ARRAYS,
-    hdf5::{MOST_VALUES, attribute_numbers, broken, is_single, leaf, matrix, open},
+    hdf5::{MOST_VALUES, attribute_numbers, broken, is_single, matrix, open},
     reading::{FirstRow, Pick, Reading},
 };
 

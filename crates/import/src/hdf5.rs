@@ -31,6 +31,7 @@ use serde_json::json;
 
 use crate::{
     Format, Unit,
+    arrays::{Arrays, BESIDE, CUSTOMARY, TURNED, along, choose, is_turned, leaf, prefix},
     budget::{
         BYTES_PER_PIXEL, MOST_ARRAYS, MOST_PIXELS, MOST_READS, MOST_TEXT_BYTES, check_elements,
         check_size, most_of, too_many,
@@ -41,9 +42,6 @@ use crate::{
 
 const NAME: &str = "HDF5 file";
 const SIGNATURE: &[u8] = b"\x89HDF\r\n\x1a\n";
-
-/// Names that optics groups use for a map and for a TIF, with their coordinates.
-const CUSTOMARY: [[&str; 3]; 2] = [["Z", "X", "Y"], ["Ztif", "Xtif", "Ytif"]];
 
 /// Depth of groups within groups to which datasets are listed. Larger: more time on a hostile file.
 /// Smaller: a dataset in a deeper group has to be named by its path.
@@ -140,28 +138,41 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         Some(name) => (named(&file, name), None),
         None => matrices(&file)?,
     };
+    let is_asked = pick.x.is_some();
     let mut pick = choose(&arrays, pick, NAME).map_err(|e| match complex {
-        Some(name) if arrays.is_empty() => holds_complex(&name),
+        Some(name) if arrays.numbers.is_empty() => holds_complex(&name),
         _ => e,
     })?;
 
     let name = pick.dataset.clone().unwrap_or_default();
     let name = name.as_str();
     let set = file.dataset(name).map_err(broken)?;
-    let values = matrix(&set, transposed)?;
-    let (rows, columns) = values.dim();
-    check_size("dataset", rows, columns)?;
-    // Coordinates of a netCDF file: vectors called x and y beside the map, of its size.
-    if pick.x.is_none() {
-        let group = name.rsplit_once('/').map_or(String::new(), |split| format!("{}/", split.0));
-        let has = |path: &str, len: usize| {
-            file.dataset(path).is_ok_and(|set| set.shape() == [len as u64] && set.name() != name)
-        };
-        let (x, y) = (format!("{group}x"), format!("{group}y"));
-        if has(&x, columns) && has(&y, rows) {
-            (pick.x, pick.y) = (Some(x), Some(y));
-        }
+    let mut transposed = transposed;
+    if let (false, Some([of_rows, of_columns])) = (is_asked, scales(&file, &set)?) {
+        // xarray and netCDF name the axes of an array; its rows need not be y.
+        let starts = |name: &str, letter: char| leaf(name).to_lowercase().starts_with(letter);
+        transposed = starts(&of_rows, 'x') && starts(&of_columns, 'y');
+        let swapped = if transposed { (of_rows, of_columns) } else { (of_columns, of_rows) };
+        (pick.x, pick.y) = (Some(swapped.0), Some(swapped.1));
     }
+    let mut values = matrix(&set, transposed)?;
+    check_size("dataset", values.nrows(), values.ncols())?;
+    let sets = match (&pick.x, &pick.y) {
+        (Some(x), Some(y)) => {
+            Some((file.dataset(x).map_err(broken)?, file.dataset(y).map_err(broken)?))
+        }
+        _ => None,
+    };
+    let mut is_ndgrid = false;
+    if let Some((x, y)) = &sets {
+        let (x, y) = (matrix(x, transposed)?, matrix(y, transposed)?);
+        is_ndgrid = is_turned(&x, &y, values.dim());
+    }
+    if is_ndgrid {
+        transposed = !transposed;
+        values = values.reversed_axes().as_standard_layout().into_owned();
+    }
+    let (rows, columns) = values.dim();
     let mut reading = Reading::new(Format::Hdf5, values, FirstRow::SmallestY);
     reading.single = is_single(&set);
     let (unit, unit_name) = unit(&set)?;
@@ -169,12 +180,16 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let convention = Convention::of(&set)?;
     (reading.factor, reading.offset) = (convention.scale, convention.offset);
     convention.mark(&mut reading);
+    mark_fill(&set, &mut reading);
+    reading.warnings.extend(unused_attributes(&file, &set, name)?);
     if let Some(name) = &pick.mask {
         let mask = matrix(&file.dataset(name).map_err(broken)?, transposed)?;
         reading.apply_mask(name, &mask)?;
     }
-    if let (Some(x), Some(y)) = (&pick.x, &pick.y) {
-        let (x_set, y_set) = (file.dataset(x).map_err(broken)?, file.dataset(y).map_err(broken)?);
+    if is_ndgrid {
+        reading.warnings.push(TURNED.into());
+    }
+    if let Some((x_set, y_set)) = sets {
         let ((x_unit, _), (y_unit, _)) = (self::unit(&x_set)?, self::unit(&y_set)?);
         if x_unit != y_unit {
             let problem = format!("has x in {x_unit:?} and y in {y_unit:?}");
@@ -202,109 +217,30 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         "scale_factor": convention.scale,
         "add_offset": convention.offset,
         "invalid_values": convention.invalid,
-        "matlab_7_3": transposed,
+        "transposed": transposed,
     });
     Ok(reading)
 }
 
-/// The names to read out of `arrays` (names with shapes): those asked for, else customary ones that are there, else the only map.
-pub(crate) fn choose(
-    arrays: &[(String, Vec<u64>)],
-    pick: &Pick,
-    file: &'static str,
-) -> Result<Pick, Invalid> {
-    if pick.x.is_some() != pick.y.is_some() {
-        return Err(Invalid::whole(file, "one of `x` and `y` was given", "give both or none"));
-    }
-    let has = |name: &str| arrays.iter().any(|(n, _)| n == name);
-    let is_map = |shape: &[u64]| shape.len() == 2 && shape.iter().all(|n| *n > 1);
-    let maps: Vec<&str> =
-        arrays.iter().filter(|(_, shape)| is_map(shape)).map(|(name, _)| name.as_str()).collect();
-    let mut chosen = pick.clone();
-    let is_mask = |name: &str| leaf(name).to_lowercase().contains("mask");
-    let customary = CUSTOMARY[usize::from(pick.is_tif)];
-    if chosen.dataset.is_none() {
-        chosen.dataset = match (has(customary[0]), &maps[..]) {
-            (true, _) => Some(customary[0].to_string()),
-            (false, [only]) => Some(only.to_string()),
-            (false, []) => {
-                let remedy = "give a file with an array of two axes";
-                return Err(Invalid::whole(file, "holds no matrix of real numbers", remedy));
-            }
-            (false, several)
-                if pick.mask.is_some() && {
-                    let mask = pick.mask.as_deref();
-                    several.len() == 2 && several.iter().any(|name| Some(*name) == mask)
-                } =>
-            {
-                several
-                    .iter()
-                    .find(|name| Some(**name) != pick.mask.as_deref())
-                    .map(|n| n.to_string())
-            }
-            (false, several) => {
-                let listed: Vec<&str> = several.iter().copied().take(20).collect();
-                let problem = format!("holds several matrices: {}", listed.join(", "));
-                return Err(Invalid::whole(file, problem, "choose one with `dataset`"));
-            }
-        };
-    }
-    if let (None, None, Some(map)) = (&pick.mask, &pick.dataset, &chosen.dataset) {
-        let shape = |name: &str| arrays.iter().find(|a| a.0 == name).map(|a| &a.1);
-        let beside = |name: &&&str| **name != map && is_mask(name) && shape(name) == shape(map);
-        if let Some(mask) = maps.iter().find(beside) {
-            let problem = format!("holds \"{mask}\", an array of the size of \"{map}\"");
-            let remedy = format!(
-                "give `mask` {mask} where it is not 0 at invalid pixels, or `dataset` {map} to leave it out"
-            );
-            return Err(Invalid::whole(file, problem, remedy));
-        }
-    }
-    let [z, x, y] = customary;
-    if chosen.x.is_none() && chosen.dataset.as_deref() == Some(z) && has(x) && has(y) {
-        (chosen.x, chosen.y) = (Some(x.to_string()), Some(y.to_string()));
-    }
-    Ok(chosen)
+/// The array that was asked for, and the coordinates beside it, with their shapes.
+fn named(file: &Hdf5File, name: &str) -> Arrays {
+    let own = prefix(name);
+    let beside = BESIDE.iter().chain([&["Xtif", "Ytif"]]).flatten();
+    let beside = beside.map(|coordinate| format!("{own}{coordinate}"));
+    let customary = CUSTOMARY.iter().flatten().map(|name| name.to_string());
+    let names: HashSet<String> = customary.chain(beside).chain([name.to_string()]).collect();
+    let shape = |name: &str| file.dataset(name).ok().map(|set| without_leading_ones(set.shape()));
+    let numbers =
+        names.into_iter().filter_map(|name| Some((name.clone(), shape(&name)?))).collect();
+    Arrays { numbers, marks: Vec::new() }
 }
 
-/// The coordinates of an axis from a vector, or from a matrix that varies along one axis only.
-pub(crate) fn along(
-    name: &'static str,
-    values: &Array2<f64>,
-    len: usize,
-    columns: bool,
-) -> Result<Vec<f64>, Invalid> {
-    let (r, c) = values.dim();
-    if r == 1 || c == 1 {
-        return Ok(values.iter().copied().collect());
-    }
-    let line: Vec<f64> = if columns { values.row(0).to_vec() } else { values.column(0).to_vec() };
-    let spread = line.iter().fold(0.0_f64, |m, v| m.max((v - line[0]).abs()));
-    let same = values.indexed_iter().all(|((i, j), v)| {
-        let expected = line[if columns { j } else { i }];
-        // Rounding of a coordinate that was computed twice.
-        (v - expected).abs() <= 1e-9 * spread || (v.is_nan() && expected.is_nan())
-    });
-    if line.len() != len || !same {
-        let problem = format!("of shape ({r}, {c}) is not a grid of {len} coordinates");
-        return Err(Invalid::whole(name, problem, "give a vector, or what meshgrid makes"));
-    }
-    Ok(line)
-}
-
-/// The array that was asked for, and the customary coordinates beside it, with their shapes.
-fn named(file: &Hdf5File, name: &str) -> Vec<(String, Vec<u64>)> {
-    let names = CUSTOMARY.iter().flatten().copied().chain([name]).collect::<HashSet<_>>();
-    let shape = |name: &str| file.dataset(name).ok().map(|set| set.shape().to_vec());
-    names.into_iter().filter_map(|name| Some((name.to_string(), shape(name)?))).collect()
-}
-
-/// Paths and shapes of all datasets of real numbers with at most two axes, and the path of one of
-/// complex numbers.
-type Listed = (Vec<(String, Vec<u64>)>, Option<String>);
+/// Paths and shapes of all datasets of real numbers or truth values with at most two axes beside axes of one pixel, and
+/// the path of one of complex numbers.
+type Listed = (Arrays, Option<String>);
 
 fn matrices(file: &Hdf5File) -> Result<Listed, Invalid> {
-    let mut found = (Vec::new(), None);
+    let mut found = Listed::default();
     let root = file.root_group().map_err(broken)?;
     list(&root, "", 0, &mut HashSet::new(), &mut 0, &mut found)?;
     Ok(found)
@@ -332,12 +268,14 @@ fn list(
     for set in sets {
         let numeric =
             matches!(set.dtype(), Datatype::FloatingPoint { .. } | Datatype::FixedPoint { .. });
-        let shape = set.shape().to_vec();
+        let shape = without_leading_ones(set.shape());
         let at = format!("{path}{}", leaf(set.name()));
         if is_complex(set.dtype()) {
             found.1 = Some(at);
+        } else if shape.len() <= 2 && is_truth(&set)? {
+            found.0.marks.push((at, shape));
         } else if numeric && shape.len() <= 2 {
-            found.0.push((at, shape));
+            found.0.numbers.push((at, shape));
         }
     }
     if depth < DEEPEST {
@@ -347,6 +285,25 @@ fn list(
         }
     }
     Ok(())
+}
+
+/// A shape without axes of one pixel before the last two.
+fn without_leading_ones(shape: &[u64]) -> Vec<u64> {
+    let ones = shape.iter().take(shape.len().saturating_sub(2)).take_while(|n| **n == 1).count();
+    shape[ones..].to_vec()
+}
+
+/// True for truth values, as h5py and MATLAB write them.
+fn is_truth(set: &Dataset) -> Result<bool, Invalid> {
+    match set.dtype() {
+        Datatype::Enum { base, .. } => Ok(matches!(**base, Datatype::FixedPoint { size: 1, .. })),
+        Datatype::FixedPoint { size: 1, .. } => {
+            let class = Attributes::of(set)?.get("MATLAB_class")?;
+            let words = class.map(|class| class.read_strings().map_err(broken)).transpose()?;
+            Ok(words.is_some_and(|words| words.iter().any(|word| word == "logical")))
+        }
+        _ => Ok(false),
+    }
 }
 
 /// A complex number as h5py and MATLAB write it: a pair of real ones.
@@ -359,10 +316,6 @@ fn is_complex(datatype: &Datatype) -> bool {
 fn holds_complex(name: &str) -> Invalid {
     let problem = format!("\"{name}\" holds complex numbers");
     Invalid::whole("dataset", problem, "save their real part, or choose another with `dataset`")
-}
-
-pub(crate) fn leaf(name: &str) -> &str {
-    name.rsplit('/').next().unwrap_or(name)
 }
 
 /// A dataset as a matrix; a vector becomes one row.
@@ -385,6 +338,10 @@ pub(crate) fn matrix(set: &Dataset, transposed: bool) -> Result<Array2<f64>, Inv
     let array = match array.ndim() {
         1 => array.insert_axis(ndarray::Axis(0)),
         2 => array,
+        n if n > 2 && array.shape()[..n - 2].iter().all(|n| *n == 1) => {
+            let shape = [array.shape()[n - 2], array.shape()[n - 1]];
+            array.into_shape_with_order(&shape[..]).expect("as many numbers")
+        }
         n => {
             let problem = format!("\"{}\" has {n} axes", set.name());
             return Err(Invalid::whole("dataset", problem, "give one with two axes"));
@@ -400,6 +357,16 @@ fn numbers(set: &Dataset) -> Result<ArrayD<f64>, Invalid> {
         value: impl Fn(&T) -> f64,
     ) -> Result<ArrayD<f64>, Error> {
         set.read_array::<T>().map(|a| a.map(value))
+    }
+    if let Some(number) = packed(set)? {
+        let (raw, big_endian) = (set.read_raw_bytes().map_err(broken)?, is_big_endian(set.dtype()));
+        let shape: Vec<usize> = set.shape().iter().map(|n| *n as usize).collect();
+        let count = check_elements("dataset", set.shape())?;
+        let values = number.decode(&raw, count, big_endian)?;
+        return ArrayD::from_shape_vec(shape, values).map_err(|_| {
+            let problem = format!("\"{}\" does not hold the numbers that it claims", set.name());
+            Invalid::whole("dataset", problem, "write it again")
+        });
     }
     let values = match set.dtype() {
         Datatype::FloatingPoint { size: 8, .. } => set.read_array::<f64>(),
@@ -424,6 +391,34 @@ fn numbers(set: &Dataset) -> Result<ArrayD<f64>, Invalid> {
     }
     Ok(values)
 }
+
+/// The type of a dataset that is decoded here: 16-bit floats, and truth values in one byte.
+fn packed(set: &Dataset) -> Result<Option<Number>, Invalid> {
+    match set.dtype() {
+        Datatype::FloatingPoint { size: 2, .. } => {
+            // Byte 13 of the type: bits of the exponent. Other floats of 16 bits have 8.
+            let raw = set.raw_datatype().map_err(broken)?;
+            Ok((raw.get(13) == Some(&5)).then_some(Number::F16))
+        }
+        Datatype::Enum { base, .. } => {
+            Ok(matches!(**base, Datatype::FixedPoint { size: 1, .. }).then_some(Number::U8))
+        }
+        _ => Ok(None),
+    }
+}
+
+fn is_big_endian(datatype: &Datatype) -> bool {
+    match datatype {
+        Datatype::FloatingPoint { byte_order, .. } | Datatype::FixedPoint { byte_order, .. } => {
+            matches!(byte_order, ByteOrder::BigEndian)
+        }
+        _ => false,
+    }
+}
+
+/// Names of attributes for a stored value that marks an invalid pixel, beside those of netCDF.
+const NO_DATA: [&str; 6] =
+    ["nodata", "no_data", "NoData", "NODATA", "nodata_value", "NODATA_value"];
 
 /// The attributes of an array, with how many values each has.
 pub(crate) struct Attributes<'a> {
@@ -498,6 +493,9 @@ impl Convention {
         }
         let mut invalid = numbers("_FillValue")?;
         invalid.extend(numbers("missing_value")?);
+        for name in NO_DATA {
+            invalid.extend(numbers(name)?);
+        }
         invalid.retain(|v| !v.is_nan());
         let (least, most) = match numbers("valid_range")?[..] {
             [] => (one("valid_min")?, one("valid_max")?),
@@ -524,7 +522,12 @@ impl Convention {
 
 /// The numbers of an attribute, of any type of real numbers; `None` for what is none.
 pub(crate) fn attribute_numbers(attribute: &Attribute) -> Option<Vec<f64>> {
-    let number = match attribute.datatype {
+    numbers_of(&attribute.datatype, &attribute.raw_data)
+}
+
+/// The numbers of a type in bytes; `None` where it is no type of real numbers.
+fn numbers_of(datatype: &Datatype, bytes: &[u8]) -> Option<Vec<f64>> {
+    let number = match *datatype {
         Datatype::FloatingPoint { size: 4, .. } => Number::F32,
         Datatype::FloatingPoint { size: 8, .. } => Number::F64,
         Datatype::FixedPoint { size, signed, .. } => match (size, signed) {
@@ -540,14 +543,110 @@ pub(crate) fn attribute_numbers(attribute: &Attribute) -> Option<Vec<f64>> {
         },
         _ => return None,
     };
-    let big_endian = match &attribute.datatype {
-        Datatype::FloatingPoint { byte_order, .. } | Datatype::FixedPoint { byte_order, .. } => {
-            matches!(byte_order, ByteOrder::BigEndian)
-        }
-        _ => false,
+    let count = bytes.len() / number.size();
+    number.decode(bytes, count, is_big_endian(datatype)).ok()
+}
+
+/// Makes the pixels invalid that have the fill value of the dataset, which is that of pixels nobody wrote. 0, the fill
+/// value that a file has if its writer names none, marks nothing.
+fn mark_fill(set: &Dataset, reading: &mut Reading) {
+    let stored = set.fill_value().and_then(|fill| fill.value.as_deref());
+    let fill = stored.and_then(|bytes| numbers_of(set.dtype(), bytes)?.first().copied());
+    let Some(fill) = fill.filter(|fill| *fill != 0.0 && !fill.is_nan()) else { return };
+    let count = reading.invalidate(fill);
+    if count > 0 {
+        let say = format!(
+            "{count} pixel(s) have the fill value {fill} of the dataset, and are read as invalid"
+        );
+        reading.warnings.push(say);
+    }
+}
+
+/// Parts of the names of attributes that could change how heights or pixels are read.
+const TELLING: [&str; 9] =
+    ["unit", "pixel", "pitch", "spacing", "resolution", "scale", "offset", "wavelength", "missing"];
+
+/// Attributes that are read, and those of HDF5 and netCDF themselves.
+const READ: [&str; 8] = [
+    "unit",
+    "units",
+    "Unit",
+    "Units",
+    "scale_factor",
+    "add_offset",
+    "missing_value",
+    "DIMENSION_SCALE",
+];
+
+/// The warning for attributes of the dataset, its group and the file that speak of units or pitches and are not used.
+fn unused_attributes(
+    file: &Hdf5File,
+    set: &Dataset,
+    name: &str,
+) -> Result<Option<String>, Invalid> {
+    let is_telling = |attribute: &String| {
+        let lower = attribute.to_lowercase();
+        !attribute.starts_with('_') && TELLING.iter().any(|word| lower.contains(word))
     };
-    let count = attribute.raw_data.len() / number.size();
-    number.decode(&attribute.raw_data, count, big_endian).ok()
+    let names = |raw: Vec<hdf5_reader::RawAttribute>| -> Vec<String> {
+        raw.iter().map(|a| a.name().to_string()).filter(is_telling).take(20).collect()
+    };
+    let own = names(set.raw_attributes().map_err(broken)?);
+    let mut found: Vec<String> =
+        own.into_iter().filter(|name| !READ.contains(&name.as_str())).collect();
+    let mut groups = vec!["/"];
+    let path = prefix(name).trim_end_matches('/');
+    if !path.is_empty() {
+        groups.push(path);
+    }
+    for path in groups {
+        let group = if path == "/" { file.root_group() } else { file.group(path) };
+        let all = names(group.map_err(broken)?.raw_attributes().map_err(broken)?);
+        found.extend(all.into_iter().map(|name| format!("{name} of {path}")));
+    }
+    let shown =
+        found.iter().map(|name| name.chars().filter(|c| !c.is_control()).take(60).collect());
+    let listed = shown.collect::<Vec<String>>().join(", ");
+    Ok((!found.is_empty()).then(|| format!("attributes that are not used: {listed}")))
+}
+
+/// The paths of the dimension scales of the rows and the columns of a dataset, where both have one with coordinates.
+fn scales(file: &Hdf5File, set: &Dataset) -> Result<Option<[String; 2]>, Invalid> {
+    let Some(list) = Attributes::of(set)?.get("DIMENSION_LIST")? else { return Ok(None) };
+    let size = set.vlen_reference_size();
+    let references: Vec<&[u8]> = list.raw_data.chunks_exact(size).collect();
+    let (axes, true) = (set.shape().len(), references.len() == set.shape().len()) else {
+        return Ok(None);
+    };
+    // Of a file that is too large to be listed the coordinates can be named.
+    let Ok((arrays, _)) = matrices(file) else { return Ok(None) };
+    let vectors: Vec<Dataset> = (arrays.numbers.iter().filter(|a| a.1.len() == 1))
+        .filter_map(|a| file.dataset(&a.0).ok())
+        .collect();
+    let paths: Vec<&String> =
+        arrays.numbers.iter().filter(|a| a.1.len() == 1).map(|a| &a.0).collect();
+    let scale = |axis: usize| -> Result<Option<String>, Invalid> {
+        // The first scale of an axis: a reference to an object is its address.
+        let Ok(bytes) = set.resolve_vlen_reference_bytes(references[axis], 8) else {
+            return Ok(None);
+        };
+        let Some(address) = bytes.first_chunk::<8>().map(|b| u64::from_le_bytes(*b)) else {
+            return Ok(None);
+        };
+        let Some(at) = vectors.iter().position(|vector| vector.address() == address) else {
+            return Ok(None);
+        };
+        let name = Attributes::of(&vectors[at])?.get("NAME")?;
+        let words = name.map(|name| name.read_strings().map_err(broken)).transpose()?;
+        let is_empty = words.is_some_and(|words| {
+            words.iter().any(|word| word.starts_with("This is a netCDF dimension but not"))
+        });
+        Ok((!is_empty).then(|| paths[at].clone()))
+    };
+    if axes < 2 || vectors.len() != paths.len() {
+        return Ok(None);
+    }
+    Ok(scale(axes - 2)?.zip(scale(axes - 1)?).map(|(rows, columns)| [rows, columns]))
 }
 
 fn unit(set: &Dataset) -> Result<(Option<Unit>, Option<String>), Invalid> {

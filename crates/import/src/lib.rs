@@ -32,6 +32,7 @@
 //! Limits on the memory and work for one file are in `budget`. Only this crate and `planish-export` convert
 //! units.
 
+mod arrays;
 mod budget;
 mod bytes;
 pub mod codev;
@@ -142,7 +143,7 @@ impl Format {
             Some(Self::Mat5)
         } else if starts(b"Zygo XYZ Data File") || starts(b"Zygo ASCII Data File") {
             Some(Self::Xyz)
-        } else if starts(b"aISO-1.0") || starts(b"bISO-1.0") {
+        } else if sdf::is_sdf(bytes) {
             Some(Self::Sdf)
         } else if starts(gsf::MAGIC) {
             Some(Self::Gsf)
@@ -152,10 +153,11 @@ impl Format {
             Some(Self::Sur)
         } else if starts(opd::MAGIC) {
             Some(Self::Opd)
-        } else if starts(zip::MAGIC) {
+        } else if starts(zip::MAGIC) && x3p::is_x3p(bytes) {
             Some(Self::X3p)
         } else {
             let text = text::text("text", bytes).ok()?;
+            let text = text.as_ref();
             match () {
                 () if codev::is_codev(text) => Some(Self::CodevInt),
                 () if grid_sag::is_grid_sag(text) => Some(Self::GridSag),

@@ -14,9 +14,9 @@ use serde_json::json;
 
 use crate::{
     Format,
+    arrays::{Arrays, TURNED, along, choose, is_turned},
     budget::{MOST_ARRAYS, check_elements, check_size, too_many},
     bytes::{Bytes, Number},
-    hdf5::{along, choose},
     reading::{Coordinates, FirstRow, Pick, Reading},
 };
 
@@ -47,6 +47,8 @@ struct Variable<'a> {
     rows: usize,
     columns: usize,
     is_complex: bool,
+    /// True for truth values.
+    is_logical: bool,
     number: Number,
     /// The element that holds it, inflated or to be inflated.
     element: Element<'a>,
@@ -75,13 +77,13 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         let problem = format!("holds complex numbers in \"{}\"", v.name);
         Invalid::whole(NAME, problem, "save their real part, or choose another with `dataset`")
     };
-    let shapes: Vec<(String, Vec<u64>)> = variables
-        .iter()
-        .filter(|v| !v.is_complex)
-        .map(|v| (v.name.clone(), vec![v.rows as u64, v.columns as u64]))
-        .collect();
-    let pick = choose(&shapes, pick, NAME).map_err(|e| {
-        let first = variables.iter().find(|v| v.is_complex).filter(|_| shapes.is_empty());
+    let named = |v: &Variable| (v.name.clone(), vec![v.rows as u64, v.columns as u64]);
+    let of =
+        |is_wanted: fn(&&Variable) -> bool| variables.iter().filter(is_wanted).map(named).collect();
+    let arrays =
+        Arrays { numbers: of(|v| !v.is_complex && !v.is_logical), marks: of(|v| v.is_logical) };
+    let pick = choose(&arrays, pick, NAME).map_err(|e| {
+        let first = variables.iter().find(|v| v.is_complex).filter(|_| arrays.numbers.is_empty());
         first.map_or(e, complex)
     })?;
     let get = |name: &str| -> Result<Array2<f64>, Invalid> {
@@ -101,18 +103,31 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         Ok(matrix.as_standard_layout().into_owned())
     };
     let name = pick.dataset.as_deref().unwrap_or_default();
-    let values = get(name)?;
+    let mut values = get(name)?;
+    check_size("matrix", values.nrows(), values.ncols())?;
+    let coordinates = match (&pick.x, &pick.y) {
+        (Some(x), Some(y)) => Some((get(x)?, get(y)?)),
+        _ => None,
+    };
+    let is_turned = coordinates.as_ref().is_some_and(|(x, y)| is_turned(x, y, values.dim()));
+    let turned = |values: Array2<f64>| match is_turned {
+        true => values.reversed_axes().as_standard_layout().into_owned(),
+        false => values,
+    };
+    values = turned(values);
     let (rows, columns) = values.dim();
-    check_size("matrix", rows, columns)?;
     let mut reading = Reading::new(Format::Mat5, values, FirstRow::SmallestY);
     reading.single = find(name).is_some_and(|v| v.number == Number::F32);
     if let Some(mask) = &pick.mask {
-        reading.apply_mask(mask, &get(mask)?)?;
+        reading.apply_mask(mask, &turned(get(mask)?))?;
     }
-    if let (Some(x), Some(y)) = (&pick.x, &pick.y) {
+    if is_turned {
+        reading.warnings.push(TURNED.into());
+    }
+    if let Some((x, y)) = coordinates {
         reading.coordinates = Some(Coordinates {
-            x: along("x", &get(x)?, columns, true)?,
-            y: along("y", &get(y)?, rows, false)?,
+            x: along("x", &turned(x), columns, true)?,
+            y: along("y", &turned(y), rows, false)?,
             unit: None,
         });
     }
@@ -312,6 +327,7 @@ fn matrix<'a>(
     let flags = element(&b, 0)?;
     let word = Bytes { all: flags.data, ..b }.u32(0)?;
     let (class, is_complex) = (word & 0xff, word & 0x800 != 0);
+    let is_logical = word & 0x200 != 0;
     // Classes 6 .. 15: double, single, int8 .. uint64.
     if !(6..=15).contains(&class) {
         return Ok(None);
@@ -355,6 +371,7 @@ fn matrix<'a>(
         rows,
         columns,
         is_complex,
+        is_logical,
         number,
         element: whole,
         at,

@@ -46,9 +46,13 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     })?;
     let fortran = after(&header, "'fortran_order':").is_some_and(|t| t.starts_with("True"));
     let shape = shape(&header).ok_or_else(|| bad("has no readable shape".into()))?;
-    let [rows, columns] = shape[..] else {
+    // Axes of one pixel before the map say nothing.
+    let start_of_map = shape.len().saturating_sub(2);
+    let (leading, map) = shape.split_at(start_of_map);
+    let ([rows, columns], true) = (map, leading.iter().all(|n| *n == 1)) else {
         return Err(bad(format!("has shape {shape:?}, not two axes")));
     };
+    let (rows, columns) = (*rows, *columns);
 
     let count = check_size(NAME, rows, columns)?;
     let data = b.slice(start + length, count * number.size())?;
@@ -92,6 +96,7 @@ fn dtype(descriptor: &str) -> Option<(Number, bool)> {
         "u4" => Number::U32,
         "i8" => Number::I64,
         "u8" => Number::U64,
+        "f2" => Number::F16,
         "f4" => Number::F32,
         "f8" => Number::F64,
         _ => return None,

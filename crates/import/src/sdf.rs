@@ -1,7 +1,9 @@
-//! Surface data files of ISO 25178-71: `aISO-1.0` in text, `bISO-1.0` in little-endian bytes.
+//! Surface data files of ISO 25178-71: `aISO-1.0` in text, `bISO-1.0` in little-endian bytes; the same with `BCR`, as
+//! the older EUNA 15178 has it, and `ISO-2.0`, in which the numbers of points and profiles in bytes have 32 bits.
 //!
 //! `height (m) = raw Zscale`, pitch Xscale and Yscale in m. In text `BAD` marks an invalid pixel; in
-//! bytes the least value of a signed integer, the largest of an unsigned one, or NaN. The first row
+//! bytes, and in text of integers, the least value of a signed integer or a float, the largest of an unsigned integer,
+//! or NaN. The first row
 //! of the file is the smallest y.
 
 use ndarray::Array2;
@@ -18,18 +20,63 @@ use crate::{
 
 const NAME: &str = "SDF file";
 
-/// Bytes of a binary header.
+/// Bytes of a binary header whose sizes have 16 bits.
 const HEADER: usize = 81;
+
+/// The first bytes of text and of bytes.
+const TEXT: [&[u8]; 3] = [b"aISO-1.0", b"aISO-2.0", b"aBCR-1.0"];
+const BYTES: [&[u8]; 3] = [b"bISO-1.0", WIDE, b"bBCR-1.0"];
+/// The first bytes of a file whose sizes have 32 bits.
+const WIDE: &[u8] = b"bISO-2.0";
+
+/// True where the first bytes are those of such a file, in text perhaps after blanks.
+pub(crate) fn is_sdf(bytes: &[u8]) -> bool {
+    is_text(bytes) || BYTES.iter().any(|magic| bytes.starts_with(magic))
+}
+
+fn is_text(bytes: &[u8]) -> bool {
+    let text = bytes.trim_ascii_start();
+    TEXT.iter().any(|magic| text.starts_with(magic))
+}
 
 /// Reads a map.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
-    if bytes.starts_with(b"aISO-1.0") {
+    if is_text(bytes) {
         ascii(bytes)
-    } else if bytes.starts_with(b"bISO-1.0") {
+    } else if is_sdf(bytes) {
         binary(bytes)
     } else {
-        let problem = "does not start with aISO-1.0 or bISO-1.0";
+        let problem = "does not start with aISO or bISO 1.0 or 2.0, aBCR-1.0 or bBCR-1.0";
         Err(Invalid::whole(NAME, problem, "give an SDF file, or the right `format`"))
+    }
+}
+
+/// The type of numbers that a header names.
+fn number(kind: u8) -> Result<Number, Invalid> {
+    match kind {
+        0 => Ok(Number::U8),
+        1 => Ok(Number::U16),
+        2 => Ok(Number::U32),
+        3 => Ok(Number::F32),
+        4 => Ok(Number::I8),
+        5 => Ok(Number::I16),
+        6 => Ok(Number::I32),
+        7 => Ok(Number::F64),
+        other => Err(Invalid::whole(NAME, format!("has data type {other}"), "export it again")),
+    }
+}
+
+/// The stored value that marks an invalid pixel.
+fn marker(number: Number) -> f64 {
+    match number {
+        Number::U8 => f64::from(u8::MAX),
+        Number::U16 => f64::from(u16::MAX),
+        Number::U32 => f64::from(u32::MAX),
+        Number::I8 => f64::from(i8::MIN),
+        Number::I16 => f64::from(i16::MIN),
+        Number::I32 => f64::from(i32::MIN),
+        Number::F32 => f64::from(f32::MIN),
+        _ => f64::MIN,
     }
 }
 
@@ -60,6 +107,7 @@ fn finish(
 
 fn ascii(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
+    let text = text.as_ref();
     let mut lines = text.lines().enumerate();
     let mut fields = Vec::new();
     for (_, line) in lines.by_ref() {
@@ -109,6 +157,10 @@ fn ascii(bytes: &[u8]) -> Result<Reading, Invalid> {
         let problem = format!("is truncated: {} of {count} pixels", values.len());
         return Err(Invalid::whole(NAME, problem, "export it again"));
     }
+    if let Ok(kind @ 0.0..=7.0) = get("datatype") {
+        let invalid = marker(number(kind as u8)?);
+        values.iter_mut().filter(|v| **v == invalid).for_each(|v| *v = f64::NAN);
+    }
     let checks = [get("compression")?, get("checktype").unwrap_or(0.0)];
     finish(values, [columns, rows], scales, checks)
 }
@@ -116,34 +168,18 @@ fn ascii(bytes: &[u8]) -> Result<Reading, Invalid> {
 fn binary(bytes: &[u8]) -> Result<Reading, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: false };
     // 8 version, 10 manufacturer, 12 + 12 dates, sizes, scales, compression, types.
-    let (columns, rows) = (usize::from(b.u16(42)?), usize::from(b.u16(44)?));
-    let scales = [b.f64(46)?, b.f64(54)?, b.f64(62)?];
-    let [compression, kind, check] = [78, 79, 80].map(|at| b.slice(at, 1).map(|s| s[0]));
-    let number = match kind? {
-        0 => Number::U8,
-        1 => Number::U16,
-        2 => Number::U32,
-        3 => Number::F32,
-        4 => Number::I8,
-        5 => Number::I16,
-        6 => Number::I32,
-        7 => Number::F64,
-        other => {
-            return Err(Invalid::whole(NAME, format!("has data type {other}"), "export it again"));
-        }
+    let (columns, rows, more) = match bytes.starts_with(WIDE) {
+        true => (b.u32(42)? as usize, b.u32(46)? as usize, 4),
+        false => (usize::from(b.u16(42)?), usize::from(b.u16(44)?), 0),
     };
+    let scales = [b.f64(46 + more)?, b.f64(54 + more)?, b.f64(62 + more)?];
+    let [compression, kind, check] =
+        [78, 79, 80].map(|at| at + more).map(|at| b.slice(at, 1).map(|s| s[0]));
+    let number = number(kind?)?;
     let count = check_size("SDF map", rows, columns)?;
-    let raw = b.slice(HEADER, count * number.size())?;
+    let raw = b.slice(HEADER + more, count * number.size())?;
     let mut values = number.decode(raw, count, false)?;
-    let invalid = match number {
-        Number::U8 => f64::from(u8::MAX),
-        Number::U16 => f64::from(u16::MAX),
-        Number::U32 => f64::from(u32::MAX),
-        Number::I8 => f64::from(i8::MIN),
-        Number::I16 => f64::from(i16::MIN),
-        Number::I32 => f64::from(i32::MIN),
-        _ => f64::NAN,
-    };
+    let invalid = marker(number);
     values.iter_mut().filter(|v| **v == invalid).for_each(|v| *v = f64::NAN);
     let checks = [f64::from(compression?), f64::from(check?)];
     let mut reading = finish(values, [columns, rows], scales, checks)?;

@@ -35,6 +35,11 @@ const NAME: &str = "x3p file";
 /// Largest `main.xml`, bytes: a list of heights in text is larger, and is refused.
 const MOST_XML: usize = 4 * MOST_TEXT_BYTES;
 
+/// True for a ZIP archive with a `main.xml`, or one that is too broken to tell.
+pub(crate) fn is_x3p(bytes: &[u8]) -> bool {
+    Archive::open(bytes, NAME).map_or(true, |archive| archive.has("main.xml"))
+}
+
 /// Reads a map.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let refuse = |problem: String, remedy: &str| Invalid::whole(NAME, problem, remedy);

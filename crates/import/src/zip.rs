@@ -69,6 +69,11 @@ impl<'a> Archive<'a> {
         Ok(Self { b, members })
     }
 
+    /// True where the archive has a member of this name.
+    pub fn has(&self, name: &str) -> bool {
+        self.members.iter().any(|member| member.name == name)
+    }
+
     /// The content of a member of at most `most` bytes.
     pub fn member(&self, name: &str, most: usize) -> Result<Vec<u8>, Invalid> {
         let refuse = |problem: String| Invalid::whole(self.b.name, problem, "export it again");

@@ -1,0 +1,175 @@
+//! The choice of a map, its coordinates and its mask among the named arrays of a file.
+
+use ndarray::Array2;
+use planish_types::Invalid;
+
+use crate::reading::Pick;
+
+/// Names that optics groups use for a map and for a TIF, with their coordinates.
+pub(crate) const CUSTOMARY: [[&str; 3]; 2] = [["Z", "X", "Y"], ["Ztif", "Xtif", "Ytif"]];
+
+/// Names of coordinates beside a map of any name.
+pub(crate) const BESIDE: [[&str; 2]; 2] = [["X", "Y"], ["x", "y"]];
+
+/// Words in the name of an array that says which pixels are valid.
+const MARKS: [&str; 5] = ["mask", "valid", "bad", "flag", "quality"];
+
+/// A name and a shape.
+pub(crate) type Named = (String, Vec<u64>);
+
+/// The arrays of a file.
+#[derive(Debug, Default)]
+pub(crate) struct Arrays {
+    /// Arrays of real numbers.
+    pub numbers: Vec<Named>,
+    /// Arrays of truth values, which are no heights.
+    pub marks: Vec<Named>,
+}
+
+/// The name of an array without its groups.
+pub(crate) fn leaf(name: &str) -> &str {
+    name.rsplit('/').next().unwrap_or(name)
+}
+
+/// The groups or structures of an array, with the sign after them.
+pub(crate) fn prefix(name: &str) -> &str {
+    &name[..name.rfind(['/', '.']).map_or(0, |at| at + 1)]
+}
+
+/// The names to read out of `arrays`: those asked for, else customary ones that are there, else the only map, with the
+/// coordinates beside it.
+pub(crate) fn choose(arrays: &Arrays, pick: &Pick, file: &'static str) -> Result<Pick, Invalid> {
+    if pick.x.is_some() != pick.y.is_some() {
+        return Err(Invalid::whole(file, "one of `x` and `y` was given", "give both or none"));
+    }
+    let mut chosen = pick.clone();
+    if chosen.dataset.is_none() {
+        chosen.dataset = Some(only_map(arrays, pick, file)?);
+    }
+    let map = chosen.dataset.clone().unwrap_or_default();
+    if pick.mask.is_none() && pick.dataset.is_none() {
+        refuse_marks(arrays, &map, file)?;
+    }
+    if chosen.x.is_none() {
+        let coordinates = coordinates(arrays, &map, pick.is_tif);
+        (chosen.x, chosen.y) = coordinates.map_or((None, None), |[x, y]| (Some(x), Some(y)));
+    }
+    Ok(chosen)
+}
+
+/// The name of the map that nobody names.
+fn only_map(arrays: &Arrays, pick: &Pick, file: &'static str) -> Result<String, Invalid> {
+    let is_map = |shape: &[u64]| shape.len() == 2 && shape.iter().all(|n| *n > 1);
+    let maps: Vec<&str> =
+        arrays.numbers.iter().filter(|a| is_map(&a.1)).map(|a| a.0.as_str()).collect();
+    let customary = CUSTOMARY[usize::from(pick.is_tif)][0];
+    if arrays.numbers.iter().any(|a| a.0 == customary) {
+        return Ok(customary.into());
+    }
+    let in_groups: Vec<&&str> =
+        maps.iter().filter(|name| name[prefix(name).len()..] == *customary).collect();
+    if let [only] = in_groups[..] {
+        return Ok((*only).into());
+    }
+    let not_mask = maps.iter().find(|name| pick.mask.as_deref() != Some(**name));
+    match (&maps[..], not_mask) {
+        ([only], _) => Ok((*only).into()),
+        ([], _) => {
+            let remedy = "give a file with an array of two axes";
+            Err(Invalid::whole(file, "holds no matrix of real numbers", remedy))
+        }
+        ([a, b], Some(map)) if [Some(*a), Some(*b)].contains(&pick.mask.as_deref()) => {
+            Ok((*map).into())
+        }
+        (several, _) => {
+            let listed: Vec<&str> = several.iter().copied().take(20).collect();
+            let problem = format!("holds several matrices: {}", listed.join(", "));
+            Err(Invalid::whole(file, problem, "choose one with `dataset`"))
+        }
+    }
+}
+
+/// Refuses a map beside which lies an array of its size that may say which pixels are valid.
+fn refuse_marks(arrays: &Arrays, map: &str, file: &'static str) -> Result<(), Invalid> {
+    let Some((_, shape)) = arrays.numbers.iter().find(|a| a.0 == map) else { return Ok(()) };
+    let is_named = |name: &str| {
+        let own = leaf(name).to_lowercase();
+        own == "dq" || MARKS.iter().any(|word| own.contains(word))
+    };
+    let named = arrays.numbers.iter().filter(|a| is_named(&a.0) && a.0 != map);
+    let Some((mask, _)) = arrays.marks.iter().chain(named).find(|a| a.1 == *shape) else {
+        return Ok(());
+    };
+    let problem = format!("holds \"{mask}\", an array of the size of \"{map}\"");
+    let remedy = format!(
+        "give `mask` {mask} where it is not 0 at invalid pixels, or `dataset` {map} to leave it out; invert it first \
+         where it is not 0 at valid ones"
+    );
+    Err(Invalid::whole(file, problem, remedy))
+}
+
+/// The names of the coordinates x and y beside a map: customary ones beside a customary map; beside another one, vectors or
+/// matrices of its size.
+fn coordinates(arrays: &Arrays, map: &str, is_tif: bool) -> Option<[String; 2]> {
+    let shape = |name: &str| arrays.numbers.iter().find(|a| a.0 == name).map(|a| &a.1);
+    let customary = CUSTOMARY[usize::from(is_tif)];
+    let [_, x, y] = customary;
+    if map == customary[0] && shape(x).is_some() && shape(y).is_some() {
+        return Some([x.into(), y.into()]);
+    }
+    let of_map = shape(map)?;
+    let count = |shape: &[u64]| shape.iter().try_fold(1u64, |n, s| n.checked_mul(*s));
+    let fits = |names: &[String; 2]| {
+        let (Some(x), Some(y)) = (shape(&names[0]), shape(&names[1])) else { return false };
+        let mut counts = [count(x), count(y)];
+        let mut sizes = [of_map.first().copied(), of_map.last().copied()];
+        counts.sort_unstable();
+        sizes.sort_unstable();
+        (x == of_map && y == of_map) || counts == sizes
+    };
+    let own = prefix(map);
+    let pairs = [[x, y]].into_iter().chain(BESIDE);
+    pairs.map(|pair| pair.map(|name| format!("{own}{name}"))).find(fits)
+}
+
+/// The coordinates of an axis from a vector, or from a matrix that varies along one axis only.
+pub(crate) fn along(
+    name: &'static str,
+    values: &Array2<f64>,
+    len: usize,
+    columns: bool,
+) -> Result<Vec<f64>, Invalid> {
+    let (r, c) = values.dim();
+    if r == 1 || c == 1 {
+        return Ok(values.iter().copied().collect());
+    }
+    let line: Vec<f64> = if columns { values.row(0).to_vec() } else { values.column(0).to_vec() };
+    let spread = line.iter().fold(0.0_f64, |m, v| m.max((v - line[0]).abs()));
+    let same = values.indexed_iter().all(|((i, j), v)| {
+        let expected = line[if columns { j } else { i }];
+        // Rounding of a coordinate that was computed twice.
+        (v - expected).abs() <= 1e-9 * spread || (v.is_nan() && expected.is_nan())
+    });
+    if line.len() != len || !same {
+        let problem = format!("of shape ({r}, {c}) is not a grid of {len} coordinates");
+        return Err(Invalid::whole(name, problem, "give a vector, or what meshgrid makes"));
+    }
+    Ok(line)
+}
+
+/// True where x goes along the rows of a map and y along its columns, as `ndgrid` makes them: the map has to be transposed.
+pub(crate) fn is_turned(x: &Array2<f64>, y: &Array2<f64>, size: (usize, usize)) -> bool {
+    let (rows, columns) = size;
+    let is_vector = |a: &Array2<f64>| a.nrows() == 1 || a.ncols() == 1;
+    if is_vector(x) && is_vector(y) {
+        return rows != columns && x.len() == rows && y.len() == columns;
+    }
+    let goes_along_rows = |a: &Array2<f64>| {
+        a.rows().into_iter().all(|row| row.iter().all(|v| *v == row[0]))
+            && a[[0, 0]] != a[[rows - 1, 0]]
+    };
+    x.dim() == size && y.dim() == size && goes_along_rows(x) && !goes_along_rows(y)
+}
+
+/// The warning where [`is_turned`] transposed a map.
+pub(crate) const TURNED: &str = "x goes along the rows of the file: the map was transposed";
