@@ -156,3 +156,20 @@ pub(crate) fn along(
     }
     Ok(line)
 }
+
+/// True where x goes along the rows of a map and y along its columns, as `ndgrid` makes them: the map has to be transposed.
+pub(crate) fn is_turned(x: &Array2<f64>, y: &Array2<f64>, size: (usize, usize)) -> bool {
+    let (rows, columns) = size;
+    let is_vector = |a: &Array2<f64>| a.nrows() == 1 || a.ncols() == 1;
+    if is_vector(x) && is_vector(y) {
+        return rows != columns && x.len() == rows && y.len() == columns;
+    }
+    let goes_along_rows = |a: &Array2<f64>| {
+        a.rows().into_iter().all(|row| row.iter().all(|v| *v == row[0]))
+            && a[[0, 0]] != a[[rows - 1, 0]]
+    };
+    x.dim() == size && y.dim() == size && goes_along_rows(x) && !goes_along_rows(y)
+}
+
+/// The warning where [`is_turned`] transposed a map.
+pub(crate) const TURNED: &str = "x goes along the rows of the file: the map was transposed";

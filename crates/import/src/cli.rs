@@ -51,7 +51,7 @@ struct FileArgs {
     /// File format [default: by the content; for text of numbers by the ending .csv or .xyz]
     #[arg(long, value_enum)]
     format: Option<Format>,
-    /// Array to read: variable of a .mat, path in HDF5 or datx, number of the HDU in FITS
+    /// Array to read: variable of a .mat, path in HDF5 or datx, number or name of the HDU in FITS
     /// [default: Z (Ztif for rates), or the only one]
     #[arg(long, value_name = "NAME")]
     dataset: Option<String>,

@@ -1,7 +1,8 @@
 //! A matrix of numbers as text: one line per row, fields separated by comma, semicolon, tab or
 //! white space, with a decimal point, or with a decimal comma where that is certain. Lines that start with `#` or `%`
 //! are comments; an empty field, `nan`, `bad`, `#N/A` or another word for no data is an invalid pixel. A
-//! separator at the end of a line closes it if all lines end so; otherwise an empty field follows it.
+//! separator at the end of a line closes it if all lines end so and no field is empty; otherwise an empty field follows
+//! it.
 //!
 //! What a file says of itself is obeyed:
 //!
@@ -96,8 +97,9 @@ fn table(text: &str) -> Result<Table, Invalid> {
     let most = most_of(BYTES_PER_PIXEL);
     let mut header = Header::default();
     let mut corner_is_empty = false;
-    // True while all lines end with a separator.
+    // True while all lines end with a separator, and while no field before it is empty.
     let mut are_closed = true;
+    let mut are_full = true;
     let mut gaps = Gaps::default();
     for (i, line) in text.lines().enumerate() {
         // A tab may be a separator: a line of tabs is a row of invalid pixels.
@@ -113,6 +115,7 @@ fn table(text: &str) -> Result<Table, Invalid> {
         let before = values.len();
         let is_closed = text::is_closed(line);
         are_closed &= is_closed;
+        let (mut empty, mut ends_empty) = (0usize, false);
         for (k, field) in text::fields(line).chain(is_closed.then_some("")).enumerate() {
             if values.len() >= most {
                 check_room(NAME, values.len(), BYTES_PER_PIXEL)?;
@@ -120,6 +123,8 @@ fn table(text: &str) -> Result<Table, Invalid> {
             let is_corner = rows == 0 && k == 0;
             let is_word = field.parse::<f64>().is_err();
             corner_is_empty |= is_corner && is_word;
+            ends_empty = field.is_empty();
+            empty += usize::from(ends_empty && !is_corner);
             values.push(match text::number(NAME, field, i + 1, k + 1) {
                 // Such as y\\x; it stays a mistake where no axes follow.
                 Err(error) if is_corner => {
@@ -129,6 +134,7 @@ fn table(text: &str) -> Result<Table, Invalid> {
                 value => value?,
             });
         }
+        are_full &= empty == usize::from(ends_empty);
         let found = values.len() - before;
         if rows > 0 && found != columns {
             let problem = format!("has {found} fields in line {}, {columns} before", i + 1);
@@ -142,7 +148,7 @@ fn table(text: &str) -> Result<Table, Invalid> {
     }
     gaps.check(rows)?;
     let values = Array2::from_shape_vec((rows, columns), values).expect("every row has its fields");
-    let columns = columns - usize::from(are_closed);
+    let columns = columns - usize::from(are_closed && are_full);
     let values = values.slice_move(s![.., ..columns]);
     if columns == 1 {
         let problem = "holds one column of numbers, no matrix";

@@ -35,20 +35,19 @@ const CARD: usize = 80;
 /// equal steps by as much.
 const MOST_SLANT: f64 = 1e-4;
 
-/// Reads the image of the HDU whose number (0, the primary, first) is `pick.dataset`, else the first.
+/// Reads the image of the HDU whose number (0, the primary, first) or EXTNAME is `pick.dataset`, else the first.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
-    let number = |name: &str| {
-        name.parse::<usize>().map_err(|_| {
-            let remedy = "give the number of the HDU, 0 for the primary one";
-            Invalid::whole(NAME, format!("has no dataset \"{name}\""), remedy)
-        })
-    };
     if pick.x.is_some() || pick.y.is_some() {
         let remedy = "FITS has its coordinates in the header; leave out `x` and `y`";
         return Err(Invalid::whole(NAME, "has no arrays of coordinates", remedy));
     }
-    let wanted = pick.dataset.as_deref().map(number).transpose()?;
-    let wanted_mask = pick.mask.as_deref().map(number).transpose()?;
+    let is_called = |wanted: Option<&str>, hdu: usize, name: &str| {
+        wanted.is_some_and(|wanted| match wanted.parse::<usize>() {
+            Ok(number) => number == hdu,
+            Err(_) => wanted.eq_ignore_ascii_case(name),
+        })
+    };
+    let (wanted, wanted_mask) = (pick.dataset.as_deref(), pick.mask.as_deref());
     let b = Bytes { all: bytes, name: NAME, big_endian: true };
     if !bytes.starts_with(b"SIMPLE  =") {
         let problem = "does not start with SIMPLE";
@@ -56,6 +55,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     }
     let mut images = Vec::new();
     let (mut at, mut index) = (0, 0);
+    let mut is_compressed = false;
     // What follows the last unit is no concern of a reader.
     while index == 0 || bytes.get(at..).is_some_and(|rest| rest.starts_with(b"XTENSION")) {
         let (header, data_at) = header(&b, at)?;
@@ -63,8 +63,9 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         at = data_at + blocks(header.data_bytes(&sizes)?);
         let image = index == 0 || header.text("XTENSION").as_deref() == Some("IMAGE");
         let has_map = sizes.len() >= 2 && sizes[2..].iter().all(|n| *n == 1);
+        is_compressed |= header.raw("ZIMAGE").is_some();
+        let name = header.text("EXTNAME").unwrap_or_default();
         if image && has_map {
-            let name = header.text("EXTNAME").unwrap_or_default();
             images.push(Image {
                 hdu: index,
                 header,
@@ -72,7 +73,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
                 size: [sizes[1], sizes[0]],
                 name,
             });
-        } else if [wanted, wanted_mask].contains(&Some(index)) {
+        } else if [wanted, wanted_mask].iter().any(|wanted| is_called(*wanted, index, &name)) {
             let problem = format!("has in HDU {index} no image with two axes (NAXISn {sizes:?})");
             return Err(Invalid::whole(NAME, problem, "give another number"));
         }
@@ -83,11 +84,11 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         }
     }
     let is_mask = |image: &Image| match wanted_mask {
-        Some(hdu) => image.hdu == hdu,
+        Some(_) => is_called(wanted_mask, image.hdu, &image.name),
         None => image.name.eq_ignore_ascii_case("MASK"),
     };
     let found = match wanted {
-        Some(hdu) => images.iter().find(|image| image.hdu == hdu),
+        Some(_) => images.iter().find(|image| is_called(wanted, image.hdu, &image.name)),
         None => {
             let maps: Vec<&Image> = images.iter().filter(|image| !is_mask(image)).collect();
             if maps.len() > 1 {
@@ -101,9 +102,12 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         }
     };
     let Some(image) = found else {
-        let remedy = "give a file with a map, or another `dataset`";
+        let remedy = match is_compressed {
+            true => "an image is compressed: unpack it with funpack",
+            false => "give a file with a map, or another `dataset`",
+        };
         let problem = match wanted {
-            Some(hdu) => format!("has no HDU {hdu}, only {index}"),
+            Some(hdu) => format!("has no HDU \"{hdu}\", only {index}"),
             None => format!("has no image with two axes in {index} HDU(s)"),
         };
         return Err(Invalid::whole(NAME, problem, remedy));
@@ -112,7 +116,8 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let masks: Vec<&Image> = images.iter().filter(|m| is_mask(m) && m.hdu != image.hdu).collect();
     if let (Some(hdu), []) = (wanted_mask, &masks[..]) {
         let problem = format!("has no HDU {hdu} beside the map");
-        return Err(Invalid::whole("mask", problem, "give the number of another image"));
+        let remedy = "give the number or the name of another image";
+        return Err(Invalid::whole("mask", problem, remedy));
     }
     for mask in masks {
         let values = numbers(&b, mask)?;

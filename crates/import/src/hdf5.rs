@@ -31,7 +31,7 @@ use serde_json::json;
 
 use crate::{
     Format, Unit,
-    arrays::{Arrays, BESIDE, CUSTOMARY, along, choose, leaf, prefix},
+    arrays::{Arrays, BESIDE, CUSTOMARY, TURNED, along, choose, is_turned, leaf, prefix},
     budget::{
         BYTES_PER_PIXEL, MOST_ARRAYS, MOST_PIXELS, MOST_READS, MOST_TEXT_BYTES, check_elements,
         check_size, most_of, too_many,
@@ -155,9 +155,24 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         let swapped = if transposed { (of_rows, of_columns) } else { (of_columns, of_rows) };
         (pick.x, pick.y) = (Some(swapped.0), Some(swapped.1));
     }
-    let values = matrix(&set, transposed)?;
+    let mut values = matrix(&set, transposed)?;
+    check_size("dataset", values.nrows(), values.ncols())?;
+    let sets = match (&pick.x, &pick.y) {
+        (Some(x), Some(y)) => {
+            Some((file.dataset(x).map_err(broken)?, file.dataset(y).map_err(broken)?))
+        }
+        _ => None,
+    };
+    let mut is_ndgrid = false;
+    if let Some((x, y)) = &sets {
+        let (x, y) = (matrix(x, transposed)?, matrix(y, transposed)?);
+        is_ndgrid = is_turned(&x, &y, values.dim());
+    }
+    if is_ndgrid {
+        transposed = !transposed;
+        values = values.reversed_axes().as_standard_layout().into_owned();
+    }
     let (rows, columns) = values.dim();
-    check_size("dataset", rows, columns)?;
     let mut reading = Reading::new(Format::Hdf5, values, FirstRow::SmallestY);
     reading.single = is_single(&set);
     let (unit, unit_name) = unit(&set)?;
@@ -171,8 +186,10 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         let mask = matrix(&file.dataset(name).map_err(broken)?, transposed)?;
         reading.apply_mask(name, &mask)?;
     }
-    if let (Some(x), Some(y)) = (&pick.x, &pick.y) {
-        let (x_set, y_set) = (file.dataset(x).map_err(broken)?, file.dataset(y).map_err(broken)?);
+    if is_ndgrid {
+        reading.warnings.push(TURNED.into());
+    }
+    if let Some((x_set, y_set)) = sets {
         let ((x_unit, _), (y_unit, _)) = (self::unit(&x_set)?, self::unit(&y_set)?);
         if x_unit != y_unit {
             let problem = format!("has x in {x_unit:?} and y in {y_unit:?}");
@@ -321,7 +338,7 @@ pub(crate) fn matrix(set: &Dataset, transposed: bool) -> Result<Array2<f64>, Inv
     let array = match array.ndim() {
         1 => array.insert_axis(ndarray::Axis(0)),
         2 => array,
-        n if array.shape()[..n - 2].iter().all(|n| *n == 1) => {
+        n if n > 2 && array.shape()[..n - 2].iter().all(|n| *n == 1) => {
             let shape = [array.shape()[n - 2], array.shape()[n - 1]];
             array.into_shape_with_order(&shape[..]).expect("as many numbers")
         }

@@ -14,7 +14,7 @@ use serde_json::json;
 
 use crate::{
     Format,
-    arrays::{Arrays, along, choose},
+    arrays::{Arrays, TURNED, along, choose, is_turned},
     budget::{MOST_ARRAYS, check_elements, check_size, too_many},
     bytes::{Bytes, Number},
     reading::{Coordinates, FirstRow, Pick, Reading},
@@ -103,18 +103,31 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         Ok(matrix.as_standard_layout().into_owned())
     };
     let name = pick.dataset.as_deref().unwrap_or_default();
-    let values = get(name)?;
+    let mut values = get(name)?;
+    check_size("matrix", values.nrows(), values.ncols())?;
+    let coordinates = match (&pick.x, &pick.y) {
+        (Some(x), Some(y)) => Some((get(x)?, get(y)?)),
+        _ => None,
+    };
+    let is_turned = coordinates.as_ref().is_some_and(|(x, y)| is_turned(x, y, values.dim()));
+    let turned = |values: Array2<f64>| match is_turned {
+        true => values.reversed_axes().as_standard_layout().into_owned(),
+        false => values,
+    };
+    values = turned(values);
     let (rows, columns) = values.dim();
-    check_size("matrix", rows, columns)?;
     let mut reading = Reading::new(Format::Mat5, values, FirstRow::SmallestY);
     reading.single = find(name).is_some_and(|v| v.number == Number::F32);
     if let Some(mask) = &pick.mask {
-        reading.apply_mask(mask, &get(mask)?)?;
+        reading.apply_mask(mask, &turned(get(mask)?))?;
     }
-    if let (Some(x), Some(y)) = (&pick.x, &pick.y) {
+    if is_turned {
+        reading.warnings.push(TURNED.into());
+    }
+    if let Some((x, y)) = coordinates {
         reading.coordinates = Some(Coordinates {
-            x: along("x", &get(x)?, columns, true)?,
-            y: along("y", &get(y)?, rows, false)?,
+            x: along("x", &turned(x), columns, true)?,
+            y: along("y", &turned(y), rows, false)?,
             unit: None,
         });
     }

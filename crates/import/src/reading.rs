@@ -435,6 +435,7 @@ fn map(
     {
         warnings.push(format!("no pixel has the value {no_data}: `no_data` has no effect"));
     }
+    warnings.extend(unnamed_marker(&reading.values));
     // height (nm) = (offset + factor x stored value) x nm_per_unit
     reading.values.mapv_inplace(|v| match offset == 0.0 {
         true => v * nm_per_value,
@@ -465,6 +466,30 @@ fn map(
         warnings,
     };
     Ok((grid, values, statement))
+}
+
+/// Distance of an extreme stored value from all other ones, relative to their range, from which on it is doubted as a mark
+/// of invalid pixels. Larger: markers near the heights pass. Smaller: deep scratches are doubted.
+const FAR: f64 = 3.0;
+
+/// The warning for two pixels or more with exactly the least or the largest value, if it lies far from all others.
+fn unnamed_marker(values: &Array2<f64>) -> Option<String> {
+    let finite = || values.iter().copied().filter(|v| v.is_finite());
+    let [least, most] =
+        [finite().fold(f64::INFINITY, f64::min), finite().fold(f64::NEG_INFINITY, f64::max)];
+    [least, most].into_iter().find_map(|extreme| {
+        let others = || finite().filter(|v| *v != extreme);
+        let (low, high) =
+            (others().fold(f64::INFINITY, f64::min), others().fold(f64::NEG_INFINITY, f64::max));
+        let away = (low - extreme).max(extreme - high);
+        let count = finite().filter(|v| *v == extreme).count();
+        (count >= 2 && high > low && away > FAR * (high - low)).then(|| {
+            format!(
+                "{count} pixels have the stored value {extreme}, and all others lie between {low} and {high}: give \
+                 `no_data` {extreme} where it marks invalid pixels"
+            )
+        })
+    })
 }
 
 fn unit(
@@ -951,6 +976,20 @@ mod tests {
         assert_eq!(surface.height_nm() / 1e3, array![[6.0, 5.0, 4.0], [3.0, 2.0, 1.0]]);
         assert_eq!(surface.grid().y.start_mm(), 6000.0);
         assert_eq!((statement.first_row, statement.pitch_from), (FirstRow::Top, "file"));
+    }
+
+    #[test]
+    fn a_value_far_from_all_others_is_doubted() {
+        let mut values = Array2::from_shape_fn((4, 5), |(r, c)| (r * 5 + c) as f64);
+        assert_eq!(unnamed_marker(&values), None);
+        // The others go from 1 to 18: three ranges are 51.
+        (values[[0, 0]], values[[3, 4]]) = (-51.0, -51.0);
+        assert!(unnamed_marker(&values).unwrap().contains("2 pixels have the stored value -51"));
+        (values[[0, 0]], values[[3, 4]]) = (-50.0, -50.0);
+        assert_eq!(unnamed_marker(&values), None);
+        // One pixel is a spike.
+        (values[[0, 0]], values[[3, 4]]) = (1e9, 2.0);
+        assert_eq!(unnamed_marker(&values), None);
     }
 
     #[test]

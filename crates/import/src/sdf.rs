@@ -1,5 +1,5 @@
 //! Surface data files of ISO 25178-71: `aISO-1.0` in text, `bISO-1.0` in little-endian bytes; the same with `BCR`, as
-//! the older EUNA 15178 has it.
+//! the older EUNA 15178 has it, and `ISO-2.0`, in which the numbers of points and profiles in bytes have 32 bits.
 //!
 //! `height (m) = raw Zscale`, pitch Xscale and Yscale in m. In text `BAD` marks an invalid pixel; in
 //! bytes, and in text of integers, the least value of a signed integer or a float, the largest of an unsigned integer,
@@ -20,12 +20,14 @@ use crate::{
 
 const NAME: &str = "SDF file";
 
-/// Bytes of a binary header.
+/// Bytes of a binary header whose sizes have 16 bits.
 const HEADER: usize = 81;
 
 /// The first bytes of text and of bytes.
-const TEXT: [&[u8]; 2] = [b"aISO-1.0", b"aBCR-1.0"];
-const BYTES: [&[u8]; 2] = [b"bISO-1.0", b"bBCR-1.0"];
+const TEXT: [&[u8]; 3] = [b"aISO-1.0", b"aISO-2.0", b"aBCR-1.0"];
+const BYTES: [&[u8]; 3] = [b"bISO-1.0", WIDE, b"bBCR-1.0"];
+/// The first bytes of a file whose sizes have 32 bits.
+const WIDE: &[u8] = b"bISO-2.0";
 
 /// True where the first bytes are those of such a file, in text perhaps after blanks.
 pub(crate) fn is_sdf(bytes: &[u8]) -> bool {
@@ -44,7 +46,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     } else if is_sdf(bytes) {
         binary(bytes)
     } else {
-        let problem = "does not start with aISO-1.0, bISO-1.0, aBCR-1.0 or bBCR-1.0";
+        let problem = "does not start with aISO or bISO 1.0 or 2.0, aBCR-1.0 or bBCR-1.0";
         Err(Invalid::whole(NAME, problem, "give an SDF file, or the right `format`"))
     }
 }
@@ -166,12 +168,16 @@ fn ascii(bytes: &[u8]) -> Result<Reading, Invalid> {
 fn binary(bytes: &[u8]) -> Result<Reading, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: false };
     // 8 version, 10 manufacturer, 12 + 12 dates, sizes, scales, compression, types.
-    let (columns, rows) = (usize::from(b.u16(42)?), usize::from(b.u16(44)?));
-    let scales = [b.f64(46)?, b.f64(54)?, b.f64(62)?];
-    let [compression, kind, check] = [78, 79, 80].map(|at| b.slice(at, 1).map(|s| s[0]));
+    let (columns, rows, more) = match bytes.starts_with(WIDE) {
+        true => (b.u32(42)? as usize, b.u32(46)? as usize, 4),
+        false => (usize::from(b.u16(42)?), usize::from(b.u16(44)?), 0),
+    };
+    let scales = [b.f64(46 + more)?, b.f64(54 + more)?, b.f64(62 + more)?];
+    let [compression, kind, check] =
+        [78, 79, 80].map(|at| at + more).map(|at| b.slice(at, 1).map(|s| s[0]));
     let number = number(kind?)?;
     let count = check_size("SDF map", rows, columns)?;
-    let raw = b.slice(HEADER, count * number.size())?;
+    let raw = b.slice(HEADER + more, count * number.size())?;
     let mut values = number.decode(raw, count, false)?;
     let invalid = marker(number);
     values.iter_mut().filter(|v| **v == invalid).for_each(|v| *v = f64::NAN);

@@ -80,7 +80,11 @@ fn looks(bytes: &[u8]) -> (String, String) {
         return match (are_numbers, fields.len()) {
             (true, 3) => (
                 "text with lines of 3 numbers".into(),
-                "give `format` xyz for lines x y z, or csv for a matrix of 3 columns".into(),
+                "give `format` xyz for lines x y z; save a matrix of 3 columns as .npy".into(),
+            ),
+            (true, 2) => (
+                "text with lines of 2 numbers".into(),
+                "planish-surface line reads a profile; save a matrix of 2 columns as .npy".into(),
             ),
             (true, n) if n > 1 => (
                 format!("text with {n} numbers in its first line"),

@@ -84,7 +84,8 @@ fn a_marker_is_compared_as_the_file_stores_it() {
         assert!(warned.is_empty(), "{warned}");
         let (_, _, warned) = read(file, &[flags, &["--no-data", "-999.8"]].concat());
         let expected = "no pixel has the value -999.8: --no-data has no effect";
-        assert!(warned.contains(expected) && warned.lines().count() == 1, "{warned}");
+        assert!(warned.contains(expected) && warned.lines().count() == 2, "{warned}");
+        assert!(warned.contains("158 pixels have the stored value -999.9"), "{warned}");
     }
 }
 
@@ -140,7 +141,7 @@ fn axes_in_a_table_are_no_heights() {
     let said = refused("axes.csv", &["--unit", "nm", "--pixel-mm", "0.5"]);
     assert!(said.contains("coordinates with the steps 0.5 and 0.5"), "{said}");
     assert!(said.contains("give --coordinate-unit"), "{said}");
-    // Axes with a number in the corner, and lines x y z, are read as heights with a warning.
+    // Axes with a number in the corner, and lines x y z, are no heights.
     let tmp = tempfile::tempdir().unwrap();
     let put = |name: &str, text: &str| {
         let path = tmp.path().join(name);
@@ -149,14 +150,14 @@ fn axes_in_a_table_are_no_heights() {
     };
     let nm = ["--unit", "nm", "--pixel-mm", "1"];
     let text = fs::read_to_string(Path::new(CASES).join("axes.csv")).unwrap();
-    let (_, _, warned) = read(&put("a.csv", &format!("0{text}")), &nm);
-    assert!(warned.contains("read as heights"), "{warned}");
+    let said = refused(&put("a.csv", &format!("0{text}")), &nm);
+    assert!(said.contains("the first line and the first column go in equal steps"), "{said}");
     let (map, _, _) =
         read(&put("b.csv", &format!("y\\x{text}")), &["--unit", "nm", "--coordinate-unit", "mm"]);
     is_truth(&map, 5e-5, 0);
     let lines: String = (0..12).map(|i| format!("{},{},{i}\n", i % 4, i / 4)).collect();
-    let (_, _, warned) = read(&put("c.csv", &lines), &nm);
-    assert!(warned.contains("--format xyz"), "{warned}");
+    let said = refused(&put("c.csv", &lines), &nm);
+    assert!(said.contains("12 lines of 3 numbers") && said.contains("--format xyz"), "{said}");
     // A word in the corner of a table without axes stays a mistake.
     let said = refused(&put("d.csv", "a,2,3\n4,5,6\n"), &nm);
     assert!(said.contains("\"a\" in line 1, field 1"), "{said}");
@@ -500,7 +501,7 @@ fn a_format_that_is_not_known_is_described() {
     let tmp = tempfile::tempdir().unwrap();
     for (bytes, expected) in [
         (&b"\x89PNG\r\n\x1a\n"[..], "a PNG picture; export the heights"),
-        (b"1 2 3\n4 5 6\n", "lines of 3 numbers; give --format xyz for lines x y z, or csv"),
+        (b"1 2 3\n4 5 6\n", "lines of 3 numbers; give --format xyz for lines x y z; save"),
         (b"1 2 3 4\n4 5 6 7\n", "4 numbers in its first line; give --format csv"),
         (b"height map\n1 2\n", "text that begins \"height map\"; give --format csv"),
         (b"\x01\x02\xff\x00", "binary data that begins 01 02 FF 00; export it"),
@@ -511,4 +512,188 @@ fn a_format_that_is_not_known_is_described() {
         assert!(said.contains(expected), "{said}");
         assert!(said.contains("Formats: metropro, datx,") && said.contains("x3p, opd,"), "{said}");
     }
+}
+
+/// Writes a file into a directory of its own, and returns both.
+fn put(name: &str, bytes: &[u8]) -> (tempfile::TempDir, String) {
+    let tmp = tempfile::tempdir().unwrap();
+    let path = tmp.path().join(name);
+    fs::write(&path, bytes).unwrap();
+    let path = path.to_str().unwrap().to_string();
+    (tmp, path)
+}
+
+/// The map as text with a line per row, of four decimals; `word` is what stands for an invalid pixel.
+fn table(separator: &str, word: &str) -> String {
+    let field = |v: &f64| if v.is_nan() { word.to_string() } else { format!("{v:.4}") };
+    let line = |row: ndarray::ArrayView1<f64>| {
+        row.iter().map(field).collect::<Vec<_>>().join(separator) + "\n"
+    };
+    truth().rows().into_iter().map(line).collect()
+}
+
+/// Half a unit of the last of four decimals, nm.
+const FOUR_DECIMALS_NM: f64 = 5.1e-5;
+
+#[test]
+fn tables_of_other_programs_have_no_pixel_less() {
+    let flags = ["--unit", "nm", "--pixel-mm", "0.5"];
+    let utf16: Vec<u8> = [0xFEFF]
+        .into_iter()
+        .chain(table("\t", "").encode_utf16())
+        .flat_map(u16::to_le_bytes)
+        .collect();
+    let quoted =
+        table("\",\"", "").lines().map(|line| format!("\"{line}\"\r\n")).collect::<String>();
+    let files = [
+        // The first row begins with the word of a spreadsheet, which is no comment.
+        ("a.csv", table("\t", "#N/A").into_bytes()),
+        ("b.csv", table(",", "").into_bytes()),
+        ("c.csv", table(",", "***").into_bytes()),
+        ("d.csv", table(" ", "--").into_bytes()),
+        ("e.csv", table(",", "1.#QNAN").into_bytes()),
+        ("f.csv", table(";", "-nan(ind)").replace('.', ",").into_bytes()),
+        ("g.csv", table(" ", "nan").replace('.', ",").into_bytes()),
+        ("h.csv", utf16),
+        ("i.csv", quoted.into_bytes()),
+        ("j.csv", [b"# Pr\xFCfling, \xB5\n", table(",", "NaN").as_bytes()].concat()),
+        ("k.csv", table(",", "BAD").replace('\n', ",\r\n").into_bytes()),
+    ];
+    for (name, bytes) in files {
+        let (_tmp, path) = put(name, &bytes);
+        let (map, _, _) = read(&path, &flags);
+        is_truth(&map, FOUR_DECIMALS_NM, 12);
+    }
+    // Invalid pixels at the ends of lines, and a line of nothing else, are pixels.
+    for separator in [",", "\t"] {
+        let mut rows: Vec<Vec<&str>> =
+            vec![vec!["1.5", "2.5", "4.5", ""], vec![""; 4], vec!["3", "", "1", "2"]];
+        rows.push(vec!["", "5", "", "7"]);
+        let text = rows.iter().map(|row| row.join(separator) + "\n").collect::<String>();
+        let (_tmp, path) = put("a.csv", text.as_bytes());
+        let (map, _, _) = read(&path, &flags);
+        assert_eq!((map.height_nm().dim(), invalid(&map)), ((4, 4), 8));
+        assert_eq!(map.height_nm()[[3, 3]], 7.0);
+    }
+}
+
+#[test]
+fn tables_that_are_no_map_are_refused() {
+    let flags = ["--unit", "nm", "--pixel-mm", "0.5"];
+    let heights = table(",", "50");
+    let said = |text: &str| {
+        let (_tmp, path) = put("a.csv", text.as_bytes());
+        refused(&path, &flags)
+    };
+    let numbers = (0..30).map(|i| i.to_string()).collect::<Vec<_>>().join(",");
+    assert!(said(&format!("{numbers}\n{heights}")).contains("the first line goes in equal steps"));
+    let rows = heights.lines().enumerate().map(|(i, line)| format!("{i},{line}\n"));
+    assert!(said(&rows.collect::<String>()).contains("the first column goes in equal steps"));
+    let blocks = format!("# name: X\n{heights}\n# name: Z\n{heights}");
+    assert!(
+        said(&blocks).contains("has 20 rows, then blank lines or comments"),
+        "{}",
+        said(&blocks)
+    );
+    let profile = (0..20).map(|i| format!("{i},{}\n", i * i)).collect::<String>();
+    assert!(said(&profile).contains("20 lines of 2 numbers, which are a profile"));
+    assert!(said("1,500;2,250\n3,125;4,000\n").contains("decimal commas, or marks of thousands"));
+    // A blank line after every row separates nothing.
+    let (_tmp, path) = put("a.csv", heights.replace('\n', "\n\n").as_bytes());
+    assert_eq!(read(&path, &flags).0.height_nm().dim(), (20, 30));
+}
+
+#[test]
+fn words_above_the_numbers_are_obeyed_or_quoted() {
+    let text = format!("# Pixel size (um): 500\n# Z unit: nm\n{}", table(",", "nan"));
+    let (_tmp, path) = put("a.csv", text.as_bytes());
+    is_truth(&read(&path, &[]).0, FOUR_DECIMALS_NM, 12);
+    assert!(refused(&path, &["--unit", "um"]).contains("is Nm in the file, Um was asked for"));
+    assert!(refused(&path, &["--pixel-mm", "1"]).contains("0.5 x 0.5 mm in the file"));
+    let text = format!("# heights in um\n# scale unit: 3\n{}", table(",", "nan"));
+    let (_tmp, path) = put("a.csv", text.as_bytes());
+    let (_, _, warned) = read(&path, &["--unit", "nm", "--pixel-mm", "0.5"]);
+    let right =
+        "comments that are not used: \"heights in um\" (line 1), \"scale unit: 3\" (line 2)";
+    assert!(warned.contains(right), "{warned}");
+
+    let point = |((row, column), v): ((usize, usize), &f64)| {
+        format!("{};{};{v:.4}\n", column as f64 * 0.5, row as f64 * 0.5)
+    };
+    let points = truth().indexed_iter().map(point).collect::<String>();
+    let (_tmp, path) = put("a.xyz", format!("x (mm);y (mm);z [nm]\n{points}").as_bytes());
+    is_truth(&read(&path, &[]).0, FOUR_DECIMALS_NM, 12);
+    assert!(refused(&path, &["--unit", "um"]).contains("is Nm in the file, Um was asked for"));
+    let (_tmp, path) = put("a.xyz", format!("y_mm;x_mm;z_nm\n{points}").as_bytes());
+    assert!(refused(&path, &[]).contains("give the columns in the order x y z"));
+    // A value far from all others is doubted.
+    let (_tmp, path) = put("a.csv", table(",", "-9999").as_bytes());
+    let (_, _, warned) = read(&path, &["--unit", "nm", "--pixel-mm", "0.5"]);
+    assert!(warned.contains("12 pixels have the stored value -9999"), "{warned}");
+    assert!(warned.contains("give --no-data -9999"), "{warned}");
+}
+
+#[test]
+fn what_hdf5_and_matlab_say_beside_the_numbers_is_obeyed() {
+    let pitch = ["--pixel-mm", "0.5"];
+    // 32-bit floats of 65 nm.
+    let single = 65.0 * 6e-8;
+    let said = refused("truth-values.h5", &pitch);
+    assert!(said.contains("holds \"hidden\"") && said.contains("--mask hidden"), "{said}");
+    let (map, _, _) = read("truth-values.h5", &[&pitch[..], &["--mask", "hidden"]].concat());
+    is_truth(&map, single, 12);
+    // Dimension scales state that the rows are x.
+    is_truth(&read("turned.h5", &[]).0, single, 12);
+    assert!(refused("turned.h5", &["--pixel-mm", "1"]).contains("has coordinates with the steps"));
+    let (map, _, warned) = read("half.h5", &pitch);
+    // Half a step of a 16-bit float below 128 nm: 2^6 / 2^11.
+    is_truth(&map, 2f64.powi(-5), 12);
+    assert!(warned.contains("attributes that are not used: pixel_size_mm of /"), "{warned}");
+    let (map, _, warned) = read("fill-value.h5", &pitch);
+    is_truth(&map, single, 12);
+    assert!(warned.contains("12 pixel(s) have the fill value -9999"), "{warned}");
+
+    let flags = ["--unit", "nm", "--pixel-mm", "0.5"];
+    let said = refused("logical.mat", &flags);
+    assert!(said.contains("holds \"valid\"") && said.contains("--dataset Z"), "{said}");
+    let (map, _, warned) = read("ndgrid.mat", &["--unit", "nm", "--coordinate-unit", "mm"]);
+    is_truth(&map, single, 12);
+    assert!(warned.contains("the map was transposed"), "{warned}");
+}
+
+/// A surface data file with 64-bit floats.
+#[test]
+fn surface_data_files_mark_by_the_least_float() {
+    for magic in ["bISO-1.0", "bBCR-1.0", "bISO-2.0"] {
+        let mut bytes = format!("{magic}{:<10}{}", "hand", "010120260000".repeat(2)).into_bytes();
+        for size in [30u32, 20] {
+            let most = if magic.ends_with("2.0") { 4 } else { 2 };
+            bytes.extend(&size.to_le_bytes()[..most]);
+        }
+        for scale in [0.5e-3_f64, 0.5e-3, 1e-9, -1.0] {
+            bytes.extend(scale.to_le_bytes());
+        }
+        bytes.extend([0, 7, 0]);
+        for v in &truth() {
+            bytes.extend(if v.is_nan() { f64::MIN } else { *v }.to_le_bytes());
+        }
+        let (_tmp, path) = put("a.sdf", &bytes);
+        // 1e-9 m and 1e9 nm round.
+        is_truth(&read(&path, &[]).0, 1e-12 * 65.0, 12);
+    }
+}
+
+#[test]
+fn an_image_of_fits_has_a_name() {
+    let mut bytes = fs::read(Path::new(CASES).join("mask.fits")).unwrap();
+    let end = bytes.windows(80).rposition(|card| card.starts_with(b"END  ")).unwrap();
+    bytes[end..end + 160]
+        .copy_from_slice(format!("{:<80}{:<80}", "EXTNAME = 'DQ'", "END").as_bytes());
+    let (_tmp, path) = put("a.fits", &bytes);
+    let flags = ["--pixel-mm", "0.5", "--dataset", "0"];
+    let (map, _, _) = read(&path, &[&flags[..], &["--mask", "dq"]].concat());
+    assert_eq!(invalid(&map), 158);
+    assert!(refused(&path, &[&flags[..], &["--mask", "other"]].concat()).contains("no HDU other"));
+    let said = refused(&path, &["--pixel-mm", "0.5", "--dataset", "SCI"]);
+    assert!(said.contains("has no HDU \"SCI\", only 2"), "{said}");
 }

@@ -205,7 +205,8 @@ impl Profile {
     }
 }
 
-/// [position, value] of every line of a text, in the units of the file.
+/// [position, value] of every line of a text, in the units of the file. A unit that ends the name of a column, in the line
+/// above the numbers, must be that of the settings.
 pub fn rows_of_text(bytes: &[u8], settings: &ProfileSettings) -> Result<Vec<[f64; 2]>, Invalid> {
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
     let text = match std::str::from_utf8(bytes) {
@@ -216,16 +217,28 @@ pub fn rows_of_text(bytes: &[u8], settings: &ProfileSettings) -> Result<Vec<[f64
         }
     };
     let mut rows = Vec::new();
+    // The line above the numbers, with its number.
+    let mut above: Option<(usize, &str)> = None;
     let skipped = settings.header_lines.unwrap_or(0);
     for (i, line) in text.lines().enumerate().skip(skipped) {
         let line = line.trim();
         if line.is_empty() || line.starts_with(['#', '%', '!', '"', '\'']) {
+            above = if line.is_empty() { above } else { Some((i + 1, line)) };
             continue;
         }
         match row_of_line(line, settings.columns) {
-            Ok(row) => rows.push(row),
+            Ok(row) => {
+                if let (true, None, Some((number, names))) =
+                    (rows.is_empty(), settings.header_lines, above)
+                {
+                    check_names(names, number, fields(line).len(), settings)?;
+                }
+                rows.push(row);
+            }
             // The header.
-            Err(_) if rows.is_empty() && settings.header_lines.is_none() => {}
+            Err(_) if rows.is_empty() && settings.header_lines.is_none() => {
+                above = Some((i + 1, line));
+            }
             Err(problem) => {
                 let remedy = "write numbers with a decimal point; give the right `profile_columns` \
                               and `header_lines`";
@@ -237,18 +250,67 @@ pub fn rows_of_text(bytes: &[u8], settings: &ProfileSettings) -> Result<Vec<[f64
     if rows.is_empty() {
         let [position, value] = settings.columns;
         let problem = format!("has no line with numbers in the columns {position} and {value}");
-        return Err(Invalid::whole("profile", problem, "give the right `profile_columns`"));
+        let remedy = "give the right `profile_columns`, and write numbers without quotes and with a decimal point";
+        return Err(Invalid::whole("profile", problem, remedy));
     }
     Ok(rows)
 }
 
-/// The two numbers of a line, or what is wrong with it.
-fn row_of_line(line: &str, columns: [usize; 2]) -> Result<[f64; 2], String> {
-    // By comma, semicolon or tab where there is one, else by white space.
-    let fields: Vec<&str> = match [';', '\t', ','].into_iter().find(|c| line.contains(*c)) {
+/// The fields of a line: by comma, semicolon or tab where there is one, else by white space.
+fn fields(line: &str) -> Vec<&str> {
+    match [';', '\t', ','].into_iter().find(|c| line.contains(*c)) {
         Some(separator) => line.split(separator).map(str::trim).collect(),
         None => line.split_whitespace().collect(),
-    };
+    }
+}
+
+/// Units by the names that end those of columns.
+const UNITS: [&str; 9] = ["nm", "um", "mm", "m", "nrad", "urad", "mrad", "rad", "arcsec"];
+
+/// The unit at the end of the name of a column, after a bracket, `_` or `/`, or a word of its own: `x_mm`, `height [nm]`.
+fn unit_of_name(name: &str) -> Option<&'static str> {
+    let plain = name.trim_matches(['"', '\'', ' ']).replace(['\u{b5}', '\u{3bc}'], "u");
+    let plain = plain.trim_end_matches([')', ']', ' ']);
+    let at = plain.rfind(['(', '[', '_', '/', ' '])?;
+    UNITS.into_iter().find(|unit| *unit == &plain[at + 1..])
+}
+
+/// Refuses names of columns, in line `number` above the numbers, whose units are not those of the settings. A line with
+/// more or fewer words than the numbers have columns names nothing.
+fn check_names(
+    line: &str,
+    number: usize,
+    columns: usize,
+    settings: &ProfileSettings,
+) -> Result<(), Invalid> {
+    let names = fields(line.trim_start_matches(['#', '%', '!', ' ']));
+    if names.len() != columns {
+        return Ok(());
+    }
+    let [position, value] = settings.columns;
+    let asked = [
+        ("position_unit", position, format!("{:?}", settings.position_unit)),
+        ("value_unit", value, format!("{:?}", settings.value_unit)),
+    ];
+    for (setting, column, asked) in asked {
+        let Some(name) = names.get(column - 1) else { continue };
+        let asked = asked.to_lowercase();
+        if let Some(stated) = unit_of_name(name).filter(|stated| *stated != asked) {
+            let short: String = name.chars().filter(|c| !c.is_control()).take(40).collect();
+            let problem =
+                format!("is {asked}, but line {number} names column {column} \"{short}\"");
+            let remedy = format!(
+                "give `{setting}` {stated}, or `header_lines` {number} where the name is wrong"
+            );
+            return Err(Invalid::whole(setting, problem, remedy));
+        }
+    }
+    Ok(())
+}
+
+/// The two numbers of a line, or what is wrong with it.
+fn row_of_line(line: &str, columns: [usize; 2]) -> Result<[f64; 2], String> {
+    let fields = fields(line);
     let number = |column: usize| {
         let field = fields
             .get(column - 1)
@@ -293,6 +355,25 @@ mod tests {
         }
         let nan = rows_of_text(b"0 1\n1 NaN\n2 bad", &settings([1, 2], None)).unwrap();
         assert!(nan[1][1].is_nan() && nan[2][1].is_nan());
+    }
+
+    #[test]
+    fn the_units_of_names_are_those_of_the_settings() {
+        let said = |text: &str, header| {
+            let rows = rows_of_text(text.as_bytes(), &settings([1, 2], header));
+            rows.err().map(|e| e.to_string()).unwrap_or_default()
+        };
+        // The settings are mm and urad.
+        for names in
+            ["x_mm,slope_urad", "# x [mm],slope (\u{b5}rad)", "x,y", "a b", "\"x (mm)\",\"s\""]
+        {
+            assert_eq!(said(&format!("{names}\n0,1\n1,2\n"), None), "", "{names}");
+        }
+        let said_of_x = said("title, of 3 m\nx_m,slope\n0,1\n", None);
+        assert!(said_of_x.contains("line 2 names column 1 \"x_m\""), "{said_of_x}");
+        assert!(said_of_x.contains("give `position_unit` m"), "{said_of_x}");
+        assert!(said("x;height (nm)\n0;1\n", None).contains("give `value_unit` nm"));
+        assert_eq!(said("x;height (nm)\n0;1\n", Some(1)), "");
     }
 
     #[test]
