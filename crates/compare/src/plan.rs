@@ -154,7 +154,14 @@ impl Plan {
         let proven = gap.map(|gap| match gap > ROUNDING {
             true => {
                 let gap = significant(gap, 2);
-                format!("proven within {gap} of the least objective, relative to it")
+                let local = match manifest["tool"].as_str() {
+                    // The limits on a motion are not convex: its certificate is that of the convex problem around it.
+                    Some("planish-joint" | "planish-bspline-feed") => {
+                        " with the limits linearised at this plan, so it is a local optimum"
+                    }
+                    _ => "",
+                };
+                format!("proven within {gap} of the least objective, relative to it{local}")
             }
             false => "proven optimal to rounding".into(),
         });

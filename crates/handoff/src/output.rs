@@ -7,6 +7,7 @@ use std::{
     io::ErrorKind,
     path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
+    thread,
     time::{Duration, Instant},
 };
 
@@ -417,16 +418,11 @@ fn shown_progress(message: String) -> ProgressBar {
     bar.set_draw_target(ProgressDrawTarget::stderr());
     bar.enable_steady_tick(PROGRESS_PERIOD);
     let of_work = bar.clone();
-    let told_in_lines = Mutex::new(Lines { started: Instant::now(), next: FIRST_TOLD_AFTER });
+    if bar.is_hidden() {
+        tell_in_lines(message, &bar);
+        return bar;
+    }
     progress::watch(move |fraction| {
-        if of_work.is_hidden() {
-            let mut lines = told_in_lines.lock().unwrap_or_else(PoisonError::into_inner);
-            let after = lines.started.elapsed();
-            if let Some(line) = lines.at(after, fraction) {
-                complain(&format!("{message}: {line}"));
-            }
-            return;
-        }
         let steps = (fraction * PROGRESS_STEPS as f64) as u64;
         if steps == 0 {
             return; // nothing to judge by how long the rest will take
@@ -440,38 +436,47 @@ fn shown_progress(message: String) -> ProgressBar {
     bar
 }
 
-/// State of the lines that tell the remaining time of a long run.
-#[derive(Debug)]
-struct Lines {
-    started: Instant,
-    /// Time since the start at which the next line is due.
-    next: Duration,
+/// Prints the remaining time of a long run, from a thread of its own, until the bar is finished.
+fn tell_in_lines(message: String, bar: &ProgressBar) {
+    let done = Arc::new(Mutex::new(0.0));
+    let told = done.clone();
+    progress::watch(move |fraction| {
+        *told.lock().unwrap_or_else(PoisonError::into_inner) = fraction;
+    });
+    let bar = bar.downgrade();
+    thread::spawn(move || {
+        let mut due = FIRST_TOLD_AFTER;
+        let mut slept = Duration::ZERO;
+        loop {
+            thread::sleep(due - slept);
+            slept = due;
+            if bar.upgrade().is_none_or(|bar| bar.is_finished()) {
+                return;
+            }
+            let fraction = *done.lock().unwrap_or_else(PoisonError::into_inner);
+            complain(&format!("{message}: {}", line_after(due, fraction)));
+            due *= 2;
+        }
+    });
 }
 
-impl Lines {
-    /// Line that is due `after` the start, when the given fraction of the work is done. The rest takes
-    ///
-    /// ```text
-    /// after (1 - fraction) / fraction
-    /// ```
-    ///
-    /// if the work goes on as fast as before. `None` when no line is due, or when the rest cannot be told
-    /// because less than one step of the bar is done.
-    fn at(&mut self, after: Duration, fraction: f64) -> Option<String> {
-        if after < self.next || fraction * (PROGRESS_STEPS as f64) < 1.0 || fraction >= 1.0 {
-            return None;
-        }
-        while self.next <= after {
-            self.next *= 2;
-        }
-        let rest = after.mul_f64((1.0 - fraction) / fraction);
-        Some(format!(
-            "{} so far, {:.0} % done; if it goes on like this, about {} are left",
-            HumanDuration(after),
-            100.0 * fraction,
-            HumanDuration(rest)
-        ))
+/// Line on a run that has worked for the time `after`, when the given fraction of the work is done. The rest takes
+///
+/// ```text
+/// after (1 - fraction) / fraction
+/// ```
+///
+/// if the work goes on as fast as before. It cannot be told when less than one step of the bar is done.
+fn line_after(after: Duration, fraction: f64) -> String {
+    let so_far = HumanDuration(after);
+    if fraction * (PROGRESS_STEPS as f64) < 1.0 {
+        return format!("{so_far} so far; its steps do not show yet how long it will take");
     }
+    let rest = HumanDuration(after.mul_f64((1.0 - fraction.min(1.0)) / fraction));
+    format!(
+        "{so_far} so far, {:.0} % done; if it goes on like this, about {rest} are left",
+        100.0 * fraction
+    )
 }
 
 /// Collects the time of every round that ends from now on, s.
@@ -641,17 +646,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_tell_the_rest_at_doubled_times() {
-        let mut lines = Lines { started: Instant::now(), next: Duration::from_secs(20) };
-        let mut at = |seconds, fraction| lines.at(Duration::from_secs(seconds), fraction);
-        assert_eq!(at(19, 0.5), None);
-        assert_eq!(at(20, 1e-4), None); // too little is done
-        let line = at(30, 0.25).unwrap();
+    fn lines_tell_the_rest() {
+        let at = |seconds, fraction| line_after(Duration::from_secs(seconds), fraction);
+        assert!(at(20, 1e-4).ends_with("its steps do not show yet how long it will take"));
+        let line = at(40, 0.25);
         assert!(line.contains("25 % done"), "{line}");
-        assert!(line.ends_with("about 2 minutes are left"), "{line}"); // 30 s 0.75 / 0.25 = 90 s, rounded
-        assert_eq!(at(39, 0.3), None);
-        assert!(at(170, 0.5).is_some());
-        assert_eq!(at(319, 0.9), None); // the next one is due at 320 s
-        assert_eq!(at(321, 1.0), None); // nothing is left
+        assert!(line.ends_with("about 2 minutes are left"), "{line}"); // 40 s 0.75 / 0.25 = 120 s
+        assert!(at(640, 1.0).ends_with("about 0 seconds are left"));
     }
 }

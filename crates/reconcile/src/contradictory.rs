@@ -126,7 +126,7 @@ pub fn explains_nothing(
 
 /// Range of the slope of the map after, a, on the map p that the fit predicts of it, with the standard error of both ends;
 /// both maps without the terms of the metrology, which the fit takes from the map after. `None` where p is hardly more than
-/// noise.
+/// noise, unless the slope is below 0, which no noise does.
 ///
 /// ```text
 /// p = a + rest,   slope = <p, a> / (<p, p> - N sigma^2)
@@ -148,7 +148,7 @@ fn slope_on_predicted(
     let (squares, count) = ((&predicted * &predicted).sum(), is_valid.sum());
     let noise_nm = pixel_noise_nm(before, valid).min(pixel_noise_nm(rest, valid));
     let signal = squares - noise_nm.powi(2) * count;
-    if signal < LEAST_SIGNAL * squares || count < (BLOCKS * BLOCKS) as f64 {
+    if count < (BLOCKS * BLOCKS) as f64 {
         return None;
     }
     let plain = (&predicted * &after).sum() / squares;
@@ -159,7 +159,11 @@ fn slope_on_predicted(
     }
     let error = blocks.iter().map(|b| b * b).sum::<f64>().sqrt();
     let at = |denominator: f64| (plain * squares / denominator, error / denominator);
-    Some([at(squares), at(signal)])
+    if signal >= LEAST_SIGNAL * squares {
+        return Some([at(squares), at(signal)]);
+    }
+    let is_turned = at(squares).0 + SLOPE_ERRORS * at(squares).1 < 0.0;
+    is_turned.then(|| [at(squares); 2])
 }
 
 /// The map without its least-squares part in the `columns`, over the valid pixels; 0 elsewhere.
