@@ -49,7 +49,7 @@ struct Plan {
 impl Plan {
     /// A raster on the five-axis machine, or a spiral on the spindle machine with the coupon in its centre.
     fn new(is_spindle: bool) -> Self {
-        let Fixture { surface, tif } = fixture();
+        let Fixture { surface, tif, .. } = fixture();
         let path = match is_spindle {
             false => raster(&surface, &RasterSettings::new(0.8, 0.8, 3.0)).unwrap(),
             true => {
