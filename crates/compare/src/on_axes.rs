@@ -1,4 +1,4 @@
-//! What a plan leaves when all axes of a machine run it.
+//! Residual that a plan leaves when all axes of a machine run it.
 
 use planish_form::Form;
 use planish_types::{AxesMotion, Invalid, Removal, Surface, text::significant};
@@ -31,7 +31,7 @@ impl MotionOutcome {
     }
 }
 
-/// What a plan leaves when all axes of the machine run it.
+/// Residual, time and limits of a plan when all axes of the machine run it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OnAxes {
     /// Names of the axes.

@@ -179,7 +179,7 @@ pub struct Method {
     pub plan: Plan,
     /// Verdict on the residual by a specification; `null` where none was asked.
     pub specification: Option<Judged>,
-    /// What the plan leaves when all axes of the machine run it; absent where the run has no such motion.
+    /// Result of the plan when all axes of the machine run it; absent where the run has no such motion.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub on_axes: Option<OnAxes>,
     /// Further remarks.
@@ -251,7 +251,7 @@ pub struct Told {
     pub specification: Option<Judged>,
     /// RMS of its residual after the servo of the process, nm, where the process has one.
     pub after_servo_rms_nm: Option<f64>,
-    /// What it leaves when all axes of the machine run it, where that was asked.
+    /// Result when all axes of the machine run it, where that was asked.
     pub on_axes: Option<OnAxes>,
     /// Further remarks on the method.
     pub remarks: Vec<String>,

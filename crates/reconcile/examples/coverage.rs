@@ -56,7 +56,7 @@ fn study(words: &[String]) -> Result<(), Box<dyn std::error::Error>> {
     };
 
     let settings = Settings::default();
-    let (parameters, terms) = settings.chosen()?;
+    let (parameters, terms) = settings.chosen(|_| true)?;
     let first = Comparison {
         before: &before,
         after: &before,

@@ -152,7 +152,7 @@ fn intervals_of_two_standard_errors_hold_in_95_percent_of_the_cases() {
     let (before, trajectory, tif, grid) =
         (before(), planned(), gaussian(1.0, 1.0, 1.0, 0.0), grid());
     let runs = Runs::new(&trajectory, &tif, &tif, &grid).unwrap();
-    let (parameters, terms) = Settings::default().chosen().unwrap();
+    let (parameters, terms) = Settings::default().chosen(|_| true).unwrap();
     let model = Model::new(&runs, &tif, parameters, Parameter::usual_scale);
     let start = Start::new(&model).unwrap();
     let (mut within, mut of, mut squares) = (0.0, 0.0, 0.0);
