@@ -21,7 +21,7 @@
 //! <= |change of one| |change of the other| / 4 + what either differs from its own line, times the other   (5)
 //! ```
 //!
-//! Places of these rows are so close that (5) is at most [`MOST_BETWEEN`], with the largest s' and s'' that the other
+//! Places of these rows are so close that (5) is at most `MOST_BETWEEN`, with the largest s' and s'' that the other
 //! limits allow. Every row leaves free what (5) is beside its place. Where a velocity could be exceeded between two nodes,
 //! (2) is a row too: `c = 1 - (q' / V)^2 s'^2`. Rows that the other limits imply are left out.
 
