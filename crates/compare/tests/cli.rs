@@ -140,7 +140,7 @@ fn a_report_writes_the_summary_and_prints_the_table() {
     assert_eq!(summary(&dir.path().join("report")), found);
 
     // A changed method is another report.
-    prepare(&run, &[("pvt", 0.8, true)]);
+    prepare(&run, &[("joint", 0.9, true), ("pvt", 0.8, true)]);
     let refused = compare(dir.path(), &report);
     assert_eq!(refused.status.code(), Some(2));
     assert!(text(&refused.stderr).contains("--force"));
@@ -250,7 +250,10 @@ fn put_on_axes(method: &Path, trajectory: &str, kept: bool) {
         let args = OutputArgs { out: on_axes.join(name), force: true, wall_time: None };
         let task = Task::new("test", "0", "test", &outcome);
         let begin = Output::directory(&args, kind).begin(&task, &inputs).unwrap();
-        begin.writer().unwrap().write_arrays(kind, arrays, &[], outcome, &Status::Done).unwrap();
+        // Without a writer, the same artifact is there already.
+        if let Some(mut writer) = begin.writer() {
+            writer.write_arrays(kind, arrays, &[], outcome, &Status::Done).unwrap();
+        }
     };
     let still = [7.0, 0.0, 0.0, 0.0];
     let motion =
@@ -306,7 +309,7 @@ fn a_plan_on_all_axes_is_judged_as_the_axes_run_it() {
     );
     // The picture is a file of the report, so the same command may replace the report.
     assert!(dir.path().join("report/axes.svg").exists());
-    prepare(&run, &[("pvt", 0.8, true)]);
+    prepare(&run, &[("joint", 0.9, true), ("pvt", 0.8, true)]);
     let again = report("report");
     assert_eq!(again.status.code(), Some(0), "{}", text(&again.stderr));
     // A motion of the axes that was made from another plan says nothing about this one.
@@ -320,7 +323,7 @@ fn a_plan_on_all_axes_is_judged_as_the_axes_run_it() {
     );
     // Limits of the axes that are not kept rule a plan out.
     put_on_axes(&run.join("methods/joint"), "trajectory", false);
-    prepare(&run, &[("joint", 1.0, true), ("pvt", 0.1, false)]);
+    prepare(&run, &[("joint", 0.8, true), ("pvt", 0.1, false)]);
     put_on_axes(&run.join("methods/joint"), "trajectory", false);
     let none = report("none");
     assert_eq!(none.status.code(), Some(1), "{}", text(&none.stderr));

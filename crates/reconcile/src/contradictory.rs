@@ -204,3 +204,65 @@ fn pixel_noise_nm(map: &Array2<f64>, valid: &Array2<f64>) -> f64 {
     }
     (sum / count.max(1.0)).sqrt()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use planish_testkit::case_generator;
+    use rand::RngExt;
+
+    const SIZE: usize = 64;
+
+    /// White noise of about this RMS, nm.
+    fn noise(stream: u64, rms_nm: f64) -> Array2<f64> {
+        let mut random = case_generator(77, stream, 0);
+        // The sum of twelve uniform numbers has the variance 1.
+        let mut normal = || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
+        Array2::from_shape_fn((SIZE, SIZE), |_| rms_nm * normal())
+    }
+
+    /// Waves of 6 to 12 pixels, 0.5 nm RMS each along its axis: what a tool cannot reach.
+    fn residual() -> Array2<f64> {
+        Array2::from_shape_fn((SIZE, SIZE), |(r, c)| {
+            0.7 * ((0.9 * c as f64).sin() + (0.6 * r as f64 + 0.2 * c as f64).cos())
+        })
+    }
+
+    /// The residual r stays on the part. The map after is f (r + noise), so the rest is p - f (r + noise) with the predicted
+    /// map p = r + noise of the map before.
+    #[test]
+    fn the_slope_is_the_factor_of_the_map_after() {
+        let (r, ones) = (residual(), Array2::ones((SIZE, SIZE)));
+        let (noise_before, noise_after) = (noise(1, 0.3), noise(2, 0.5));
+        let smooth = Array2::from_shape_fn((SIZE, SIZE), |(y, x)| 1e-3 * (x * x + y * x) as f64);
+        let (before, predicted) = (&smooth + &noise_before, &r + &noise_before);
+        for factor in [1.0, -1.0, 0.5, 2.0, 10.0] {
+            let after = factor * (&r + &noise_after);
+            let rest = &predicted - &after;
+            let [plain, corrected] =
+                slope_on_predicted(&before, &after, &rest, &ones, &[ones.clone()]).unwrap();
+            // The noise of the map before lowers the plain slope by the ratio of the mean squares, 0.49 / (0.49 + 0.09).
+            let lowered = 0.49 / 0.58;
+            for ((slope, error), expected) in [(plain, factor * lowered), (corrected, factor)] {
+                // Four standard errors, and 3 % for the estimate of the noise from 4000 second differences.
+                let allowed = 4.0 * error + 0.03 * factor.abs();
+                assert!((slope - expected).abs() < allowed, "{factor}: {slope} +- {error}");
+            }
+        }
+        // A map of another part has the slope 0.
+        let other = noise(3, 0.7);
+        let [_, (slope, error)] =
+            slope_on_predicted(&before, &other, &(&predicted - &other), &ones, &[ones.clone()])
+                .unwrap();
+        assert!(slope.abs() < 4.0 * error, "{slope} +- {error}");
+        assert!(slope + SLOPE_ERRORS * error < SLOPES[0]);
+        // Where the predicted map is noise, only a turned sign is said.
+        let little = 0.2 * &r;
+        let p = &little + &noise_before;
+        let slope = |after: Array2<f64>| {
+            slope_on_predicted(&before, &after, &(&p - &after), &ones, &[ones.clone()])
+        };
+        assert_eq!(slope(&little + &noise_after), None);
+        assert!(slope(-(&little + &noise_after)).is_some());
+    }
+}
