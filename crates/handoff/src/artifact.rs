@@ -9,14 +9,13 @@ use std::{
 };
 
 use ndarray::{ArrayD, Dimension};
-use planish_types::{Invalid, Tif};
+use planish_types::Invalid;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::{
     HandoffError,
     kind::{self, ArrayDef, Dtype, Kind, MANIFEST},
-    nouns::Tool,
     npy::{self, ArrayData},
     place::{is_absent, parent_of},
     publish,
@@ -213,28 +212,8 @@ pub fn read<T: Artifact>(dir: &Path) -> Result<Loaded<T>, HandoffError> {
     })
 }
 
-/// Reads a tool as [`read`] does, and returns its kind: a TIF, or one that varies over the part. The manifest says which
-/// it is; without one, a directory with weights holds a tool that varies.
-pub(crate) fn read_tool(dir: &Path) -> Result<(&'static Kind, Loaded<Tif>), HandoffError> {
-    read_whole(dir, || {
-        check_directory(dir, Tif::KIND)?;
-        let text = manifest_text(dir)?;
-        let head = text.as_ref().and_then(|t| serde_json::from_str::<ManifestHead>(t).ok());
-        let varies = match head {
-            Some(head) => head.kind == Tool::KIND.name,
-            None => dir.join("weight.npy").exists(),
-        };
-        if !varies {
-            return Ok((Tif::KIND, read_arrays(dir, text.as_deref())?));
-        }
-        let Loaded { value: Tool(value), digest, manifest, warning } =
-            read_arrays(dir, text.as_deref())?;
-        Ok((Tool::KIND, Loaded { value, digest, manifest, warning }))
-    })
-}
-
 /// Reads a directory by `read_once`, again where another run replaces it meanwhile.
-fn read_whole<T>(
+pub(crate) fn read_whole<T>(
     dir: &Path,
     read_once: impl Fn() -> Result<T, HandoffError>,
 ) -> Result<T, HandoffError> {
@@ -263,7 +242,10 @@ fn identity(dir: &Path) -> Option<impl PartialEq + use<>> {
 }
 
 /// Reads the arrays in `dir`, whose manifest has this text.
-fn read_arrays<T: Artifact>(dir: &Path, text: Option<&str>) -> Result<Loaded<T>, HandoffError> {
+pub(crate) fn read_arrays<T: Artifact>(
+    dir: &Path,
+    text: Option<&str>,
+) -> Result<Loaded<T>, HandoffError> {
     let manifest = text.map(|text| checked_manifest(dir, T::KIND, text)).transpose()?;
     let manifest = manifest.map(|(manifest, _)| manifest);
     let mut arrays = Arrays::default();
@@ -325,7 +307,7 @@ fn read_arrays<T: Artifact>(dir: &Path, text: Option<&str>) -> Result<Loaded<T>,
 }
 
 /// Refuses a path that is not a directory.
-fn check_directory(dir: &Path, kind: &Kind) -> Result<(), HandoffError> {
+pub(crate) fn check_directory(dir: &Path, kind: &Kind) -> Result<(), HandoffError> {
     let problem = match fs::metadata(dir) {
         Ok(m) if m.is_dir() => return Ok(()),
         Ok(_) => "is not a directory".into(),
@@ -351,7 +333,7 @@ pub(crate) fn read_sealed_manifest(
 }
 
 /// Text of the manifest in `dir`; `None` if there is none.
-fn manifest_text(dir: &Path) -> Result<Option<String>, HandoffError> {
+pub(crate) fn manifest_text(dir: &Path) -> Result<Option<String>, HandoffError> {
     let path = dir.join(MANIFEST);
     if is_absent(&path) {
         return Ok(None);
@@ -424,8 +406,8 @@ pub(crate) fn read_file(path: &Path, most: u64) -> Result<Vec<u8>, HandoffError>
 
 /// Keys that every version of a manifest has.
 #[derive(Deserialize)]
-struct ManifestHead {
-    kind: String,
+pub(crate) struct ManifestHead {
+    pub kind: String,
     version: u32,
 }
 

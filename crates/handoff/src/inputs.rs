@@ -15,6 +15,7 @@ use crate::{
     HandoffError,
     artifact::{self, Ancestor, Artifact, InputRecord, Loaded, Manifest, Seal},
     kind::{Dtype, Kind, MANIFEST},
+    nouns,
     npy::{self, ArrayData},
     place::parent_of,
     publish,
@@ -102,7 +103,7 @@ impl Inputs {
     /// Reads a tool: a TIF, or one that varies over the part. The manifest says which it is; without one, a directory
     /// with weights holds a tool that varies.
     pub fn read_tool(&mut self, role: &str, dir: &Path) -> Result<Tif, HandoffError> {
-        let (kind, loaded) = artifact::read_tool(dir)?;
+        let (kind, loaded) = nouns::read_tool(dir)?;
         Ok(self.recorded(role, dir, kind, loaded).0)
     }
 

@@ -1,5 +1,7 @@
 //! Conversion of the types of `planish_types` to arrays and back.
 
+use std::path::Path;
+
 use ndarray::{Array1, Array2, Array3, ArrayD, Axis as NdAxis, Ix1, Ix2, Ix3};
 use planish_types::{
     AxesMotion, Axis, AzimuthWeights, DensityNodes, DwellDensity, DwellTime, Grid, Invalid,
@@ -8,7 +10,8 @@ use planish_types::{
 };
 
 use crate::{
-    artifact::{Arrays, Artifact},
+    HandoffError,
+    artifact::{self, Arrays, Artifact, Loaded, ManifestHead},
     kind::{self, Kind},
     npy::ArrayData,
 };
@@ -170,6 +173,26 @@ fn stacked<'a>(maps: &[Array2<f64>]) -> ArrayData<'a> {
     let views: Vec<_> = maps.iter().map(|map| map.view()).collect();
     let stack = ndarray::stack(NdAxis(0), &views).expect("maps of one shape");
     ArrayData::F64(stack.into_dyn().into())
+}
+
+/// Reads a tool as [`artifact::read`] does, and returns its kind: a TIF, or one that varies over the part. The manifest
+/// says which it is; without one, a directory with weights holds a tool that varies.
+pub(crate) fn read_tool(dir: &Path) -> Result<(&'static Kind, Loaded<Tif>), HandoffError> {
+    artifact::read_whole(dir, || {
+        artifact::check_directory(dir, Tif::KIND)?;
+        let text = artifact::manifest_text(dir)?;
+        let head = text.as_ref().and_then(|t| serde_json::from_str::<ManifestHead>(t).ok());
+        let varies = match head {
+            Some(head) => head.kind == Tool::KIND.name,
+            None => dir.join("weight.npy").exists(),
+        };
+        if !varies {
+            return Ok((Tif::KIND, artifact::read_arrays(dir, text.as_deref())?));
+        }
+        let Loaded { value: Tool(value), digest, manifest, warning } =
+            artifact::read_arrays(dir, text.as_deref())?;
+        Ok((Tool::KIND, Loaded { value, digest, manifest, warning }))
+    })
 }
 
 impl Artifact for ToolPath {

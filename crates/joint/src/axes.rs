@@ -23,7 +23,11 @@ use planish_verify::LIMIT_ALLOWANCE;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::{curve::Station, jerk::Average, motion::Motion};
+use crate::{
+    curve::Station,
+    further::{FurtherAxes, FurtherLimits},
+    jerk::Average,
+};
 
 /// Least and largest number of intervals of a cubic piece between the times at which it is judged. Larger: more time
 /// for a judgement. Smaller: a short excess may be missed, or a steep one is not resolved. Chosen; they are doubled from
@@ -44,42 +48,11 @@ const ACCELERATION_STEP_ALLOWANCE: f64 = 1e-6;
 
 /// Use of a limit from which on an axis counts as near it. Larger: a shorter time near limits. Smaller: a longer one.
 /// Chosen below the margins that the plan leaves, which are some percent.
-const NEAR: f64 = 0.9;
+const NEAR_A_LIMIT: f64 = 0.9;
 
 /// Number of equal times into which the report parts a cubic piece. Larger: more exact fractions of time. Smaller: less
 /// exact ones. Chosen.
 const REPORTED_TIMES: usize = 8;
-
-/// Limits of a further axis in its own unit, all on magnitudes.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FurtherLimits {
-    /// Name of the axis.
-    pub name: String,
-    /// Largest velocity, unit/s.
-    pub max_velocity_per_s: f64,
-    /// Largest acceleration, unit/s^2.
-    pub max_acceleration_per_s2: f64,
-    /// Largest jerk, unit/s^3; absent when the machine does not limit it.
-    pub max_jerk_per_s3: Option<f64>,
-}
-
-/// Axes of a machine beyond x and y, which follow from the place of the tool on the part.
-pub trait FurtherAxes: Sync {
-    /// Their limits, in their order.
-    fn limits(&self) -> &[FurtherLimits];
-
-    /// Position of every axis with its first and second derivative by arc length, in the unit of the axis and mm.
-    ///
-    /// The curve goes through `point_mm` in the direction of the unit vector `tangent`, with a curvature that is positive
-    /// to the left. An axis may depend on the point only, so that derivatives by x and y exist. Only the derivatives are
-    /// used; an angle may jump by a full turn. `None` where an axis has no position or no derivative.
-    fn along(
-        &self,
-        point_mm: [f64; 2],
-        tangent: [f64; 2],
-        curvature_per_mm: f64,
-    ) -> Option<Vec<[f64; 3]>>;
-}
 
 /// Further axes of a plan, with the acceleration that it may use before averaging.
 #[derive(Clone, Copy)]
@@ -284,8 +257,14 @@ impl<'a> Further<'a> {
     }
 
     /// Factor by which accelerations of every axis on every span of a planned motion are too large (spans, axes); at most 1
-    /// where it keeps its limits. It is that of the motion after averaging, on every span that takes part in it.
-    pub fn excess(&self, motion: &Motion, spans: usize) -> Result<Vec<Vec<f64>>, Invalid> {
+    /// where it keeps its limits. It is that of the motion after averaging, on every span that takes part in it. `span` has
+    /// the span of every segment of the `planned` motion, of `spans` in all.
+    pub fn excess(
+        &self,
+        planned: &Trajectory,
+        span: &[usize],
+        spans: usize,
+    ) -> Result<Vec<Vec<f64>>, Invalid> {
         let mut of_spans = vec![vec![0.0f64; self.axes.limits().len()]; spans];
         let mut raise = |span: usize, used: &[Used]| {
             for (most, used) in of_spans[span].iter_mut().zip(used) {
@@ -293,18 +272,18 @@ impl<'a> Further<'a> {
             }
         };
         let Some(average) = self.average else {
-            for (used, span) in self.used(&motion.trajectory).iter().zip(&motion.span) {
+            for (used, span) in self.used(planned).iter().zip(span) {
                 raise(*span, used);
             }
             return Ok(of_spans);
         };
-        let averaged = average.of(&motion.trajectory)?;
-        let breaks = motion.trajectory.break_time_s();
+        let averaged = average.of(planned)?;
+        let breaks = planned.break_time_s();
         // The average begins earlier by its window, and takes part of as much to both sides.
         for (used, times) in self.used(&averaged).iter().zip(averaged.break_time_s().windows(2)) {
             let (from_s, to_s) = (times[0] - 2.0 * average.window_s, times[1]);
             let first = breaks.partition_point(|b| *b < from_s).max(1) - 1;
-            for (k, span) in motion.span.iter().enumerate().skip(first) {
+            for (k, span) in span.iter().enumerate().skip(first) {
                 if breaks[k] > to_s {
                     break;
                 }
@@ -478,11 +457,11 @@ fn near_limits(
             for (report, [velocity, acceleration]) in
                 reports.iter_mut().zip(over(v, a).into_iter().chain(others))
             {
-                if velocity.abs() > NEAR {
+                if velocity.abs() > NEAR_A_LIMIT {
                     report.time_near_velocity_limit += fraction;
                     widen(&mut report.near_velocity_limit_mm, p);
                 }
-                if acceleration.abs() > NEAR * further.fraction() {
+                if acceleration.abs() > NEAR_A_LIMIT * further.fraction() {
                     report.time_near_acceleration_limit += fraction;
                     widen(&mut report.near_acceleration_limit_mm, p);
                 }

@@ -25,7 +25,7 @@ use planish_numerics::polynomial;
 use planish_types::{Invalid, Limits, MachineFile, Trajectory, TrajectoryBuilder, budget};
 use rayon::prelude::*;
 
-use crate::axes::FurtherLimits;
+use crate::further::FurtherLimits;
 
 /// Number of intervals h in the window w. Larger: a smaller deviation (4), and more cubic pieces. Smaller: fewer
 /// pieces, a larger deviation. Chosen: (4) is then a quarter above its least value.

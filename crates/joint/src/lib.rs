@@ -9,7 +9,8 @@
 //! |---|---|
 //! | [`curve`] | the smooth curve along a path: lines and clothoids |
 //! | [`mesh`] | nodes of the density: their removal, and the motion between them |
-//! | [`axes`] | axes beyond x and y: their limits, and the judge of their motion |
+//! | [`further`] | axes beyond x and y: their limits and positions |
+//! | [`axes`] | the judge of their motion |
 //! | `machine_axes` | these axes from the kinematics of a machine and the form of the part |
 //! | [`limits`] | limits of the machine on that motion |
 //! | [`merit`] | the objective: residual and price of time |
@@ -25,6 +26,7 @@
 pub mod axes;
 pub mod certificate;
 pub mod curve;
+pub mod further;
 pub mod interior_point;
 pub mod jerk;
 pub mod limits;
@@ -37,7 +39,7 @@ mod problem;
 mod refinement;
 mod settings;
 
-pub use axes::{FurtherAxes, FurtherLimits};
+pub use further::{FurtherAxes, FurtherLimits};
 pub use machine_axes::MachineAxes;
 pub use merit::Price;
 pub use plan::{Plan, Report, plan, plan_with_further_axes};

@@ -19,8 +19,9 @@ use serde::Serialize;
 
 use crate::{
     JointError,
-    axes::{self, AxisReport, Further, FurtherAxes, Scaled},
+    axes::{self, AxisReport, Further, Scaled},
     curve::{self, Curve, Rounding, Smooth},
+    further::FurtherAxes,
     jerk::Average,
     mesh::Mesh,
     problem::{Asked, Found, HOPELESS, LITTLE_WORK, Meshes, Solved, solve},

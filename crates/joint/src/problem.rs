@@ -328,7 +328,7 @@ impl<'a> Posed<'a> {
         // Of the further axes, on every span
         let excess_of = |motion: &Motion| match further {
             None => Ok(Vec::new()),
-            Some(further) => further.excess(motion, mesh.spans.len()),
+            Some(further) => further.excess(&motion.trajectory, &motion.span, mesh.spans.len()),
         };
         let largest = |used: &[f64]| used.iter().copied().fold(1.0, f64::max);
         let largest_of_all =
