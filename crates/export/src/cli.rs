@@ -54,7 +54,7 @@ pub struct CommonArgs {
     /// Motion of the axes x and y [trajectory artifact]
     #[arg(long, value_name = "DIR", required_unless_present = "axes", conflicts_with = "axes")]
     trajectory: Option<PathBuf>,
-    /// Motion of all axes, for a machine with more or other axes than x and y [axes artifact]
+    /// Motion of all axes [axes artifact]
     #[arg(long, value_name = "DIR")]
     axes: Option<PathBuf>,
     /// Form of the part of --axes: a form file [JSON], or its height along z [surface artifact]; a plane without it
