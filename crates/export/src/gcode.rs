@@ -40,9 +40,10 @@ use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment};
 /// controller may notice. Chosen: counts below 1e-9 mm and clocks below 1e-9 s are refused.
 const DIGITS: usize = 9;
 
-/// Number of significant digits of F. Larger: longer lines. Smaller: times that are off. Derived: nine keep a segment
-/// of 100 s to 1e-7 s.
-const FEED_DIGITS: i32 = 9;
+/// Number of significant digits of F. Larger: longer lines. Smaller: times that are off, and with them the accelerations at
+/// nodes. Derived: nine let an acceleration at its limit exceed it by 2e-9, which `planish-verify` does not allow; thirteen
+/// are four orders more exact.
+const FEED_DIGITS: i32 = 13;
 
 /// Form of a comment. `rs274` takes lines of up to 252 characters, whatever the documentation says ("Command too
 /// long" at 253).

@@ -1,0 +1,32 @@
+//! Axes of a machine beyond x and y, as a plan is given them: limits, and positions by the place of the tool.
+
+/// Limits of a further axis in its own unit, all on magnitudes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FurtherLimits {
+    /// Name of the axis.
+    pub name: String,
+    /// Largest velocity, unit/s.
+    pub max_velocity_per_s: f64,
+    /// Largest acceleration, unit/s^2.
+    pub max_acceleration_per_s2: f64,
+    /// Largest jerk, unit/s^3; absent when the machine does not limit it.
+    pub max_jerk_per_s3: Option<f64>,
+}
+
+/// Axes of a machine beyond x and y, which follow from the place of the tool on the part.
+pub trait FurtherAxes: Sync {
+    /// Their limits, in their order.
+    fn limits(&self) -> &[FurtherLimits];
+
+    /// Position of every axis with its first and second derivative by arc length, in the unit of the axis and mm.
+    ///
+    /// The curve goes through `point_mm` in the direction of the unit vector `tangent`, with a curvature that is positive
+    /// to the left. An axis may depend on the point only, so that derivatives by x and y exist. Only the derivatives are
+    /// used; an angle may jump by a full turn. `None` where an axis has no position or no derivative.
+    fn along(
+        &self,
+        point_mm: [f64; 2],
+        tangent: [f64; 2],
+        curvature_per_mm: f64,
+    ) -> Option<Vec<[f64; 3]>>;
+}
