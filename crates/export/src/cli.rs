@@ -62,7 +62,7 @@ pub struct CommonArgs {
     form: Option<PathBuf>,
     #[command(flatten)]
     machine: AxesArgs,
-    /// Size of a count of the linear axes, mm: one number, or one for each axis as in X,Y [default: that of the
+    /// Size of a count, mm, of the linear axes: one number, or one for each axis as in X,Y [default: that of the
     /// machine's controller, else 0.0001]
     #[arg(long, value_name = "C", value_delimiter = ',', allow_hyphen_values = true)]
     count_mm: Option<Vec<f64>>,
