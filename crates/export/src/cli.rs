@@ -57,7 +57,7 @@ pub struct CommonArgs {
     /// Motion of all axes [axes artifact]
     #[arg(long, value_name = "DIR")]
     axes: Option<PathBuf>,
-    /// Form of the part of --axes: a form file [JSON], or its height along z [surface artifact]; a plane without it
+    /// Form of the part: a form file [JSON], or its height along z [surface artifact]; a plane without it
     #[arg(long, value_name = "PATH", conflicts_with = "trajectory")]
     form: Option<PathBuf>,
     #[command(flatten)]

@@ -19,8 +19,8 @@ pub struct Program {
     /// program [trajectory artifact]
     #[arg(long, value_name = "DIR")]
     trajectory: Option<PathBuf>,
-    /// Form of the part, whose height is Z: a form file [JSON], or its height along z [surface artifact]; Z is 0
-    /// without it
+    /// Form of the part: a form file [JSON], or its height along z [surface artifact]; its height is Z, which is 0 without
+    /// it
     #[arg(long, value_name = "PATH")]
     form: Option<PathBuf>,
     #[command(flatten)]
