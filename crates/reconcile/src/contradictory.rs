@@ -240,7 +240,8 @@ mod tests {
             let after = factor * (&r + &noise_after);
             let rest = &predicted - &after;
             let [plain, corrected] =
-                slope_on_predicted(&before, &after, &rest, &ones, &[ones.clone()]).unwrap();
+                slope_on_predicted(&before, &after, &rest, &ones, std::slice::from_ref(&ones))
+                    .unwrap();
             // The noise of the map before lowers the plain slope by the ratio of the mean squares, 0.49 / (0.49 + 0.09).
             let lowered = 0.49 / 0.58;
             for ((slope, error), expected) in [(plain, factor * lowered), (corrected, factor)] {
@@ -251,16 +252,21 @@ mod tests {
         }
         // A map of another part has the slope 0.
         let other = noise(3, 0.7);
-        let [_, (slope, error)] =
-            slope_on_predicted(&before, &other, &(&predicted - &other), &ones, &[ones.clone()])
-                .unwrap();
+        let [_, (slope, error)] = slope_on_predicted(
+            &before,
+            &other,
+            &(&predicted - &other),
+            &ones,
+            std::slice::from_ref(&ones),
+        )
+        .unwrap();
         assert!(slope.abs() < 4.0 * error, "{slope} +- {error}");
         assert!(slope + SLOPE_ERRORS * error < SLOPES[0]);
         // Where the predicted map is noise, only a turned sign is said.
         let little = 0.2 * &r;
         let p = &little + &noise_before;
         let slope = |after: Array2<f64>| {
-            slope_on_predicted(&before, &after, &(&p - &after), &ones, &[ones.clone()])
+            slope_on_predicted(&before, &after, &(&p - &after), &ones, std::slice::from_ref(&ones))
         };
         assert_eq!(slope(&little + &noise_after), None);
         assert!(slope(-(&little + &noise_after)).is_some());
