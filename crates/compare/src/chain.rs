@@ -30,7 +30,8 @@ pub struct Record {
 }
 
 impl Record {
-    fn input(&self, role: &str) -> Option<&str> {
+    /// BLAKE3 of the input with this role.
+    pub fn input(&self, role: &str) -> Option<&str> {
         self.inputs.iter().find(|(r, _)| r == role).map(|(_, digest)| digest.as_str())
     }
 }

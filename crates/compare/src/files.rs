@@ -201,15 +201,13 @@ impl Judge<'_> {
             return Ok(None);
         };
         let record = record_of(&manifest);
-        let input =
-            |role: &str| record.inputs.iter().find(|(r, _)| r == role).map(|(_, d)| d.as_str());
-        if of.is_some_and(|(role, digest)| input(role) != Some(digest)) {
+        if of.is_some_and(|(role, digest)| record.input(role) != Some(digest)) {
             let remark =
                 format!("{name}: its specification was judged on another map; judge it again");
             self.remarks.push(remark);
             return Ok(None);
         }
-        let by = input("specification").unwrap_or_default().to_string();
+        let by = record.input("specification").unwrap_or_default().to_string();
         if *self.specification.get_or_insert_with(|| by.clone()) != by {
             let remark = format!("{name}: it was judged by another specification; judge it again");
             self.remarks.push(remark);
@@ -235,8 +233,7 @@ fn read_process(
     let (file, manifest): (ToleranceFile, _) =
         inputs.read_with_manifest(&format!("{role}/tolerance"), &dir)?;
     let of = manifest.as_ref().map(record_of).and_then(|record| {
-        let motion = record.inputs.iter().find(|(role, _)| role == "trajectory")?.1.clone();
-        records.iter().position(|r| r.trajectory.digest == motion)
+        records.iter().position(|r| record.input("trajectory") == Some(&r.trajectory.digest))
     });
     let (Some(manifest), Some(method)) = (manifest, of) else {
         let remark = "tolerance: it is of a motion that no method of the run has now; run planish-tolerance again";
@@ -402,12 +399,9 @@ fn read_after_servo(
         return Err(Failure::new(format!("{}: {problem}", place.display())));
     };
     let record = record_of(&manifest);
-    let input = |record: &Record, role: &str| {
-        record.inputs.iter().find(|(r, _)| r == role).map(|(_, digest)| digest.clone())
-    };
     for role in ["trajectory", "surface", "tif"] {
-        let of = removal.record.as_ref().and_then(|record| input(record, role));
-        if of.is_some() && of != input(&record, role) {
+        let of = removal.record.as_ref().and_then(|of| of.input(role));
+        if of.is_some() && of != record.input(role) {
             return Err(Failure::new(format!(
                 "{}: is of another {role} than removal; run planish-simulate --servo-of again",
                 place.display()
@@ -459,10 +453,6 @@ fn read_on_axes(
     let removal: Known<Removal> = read_artifact(inputs, &role, &place, "removal", &mut provenance)?;
     let manifest =
         inputs.read_manifest(&format!("{role}/verdict"), &place.join("verdict"), &kind::VERDICT)?;
-    let made_from = |record: Option<&Record>, role: &str| {
-        let inputs = record.map(|r| r.inputs.as_slice()).unwrap_or_default();
-        inputs.iter().find(|(r, _)| r == role).map(|(_, digest)| digest.clone())
-    };
     let verdict_record = record_of(&manifest);
     let parts = [
         ("axes", motion.recorded.record.as_ref(), "trajectory", &trajectory.digest),
@@ -471,7 +461,7 @@ fn read_on_axes(
         ("removal", removal.recorded.record.as_ref(), "trajectory", &executed.recorded.digest),
     ];
     for (name, record, from, digest) in parts {
-        if made_from(record, from).as_ref() != Some(digest) {
+        if record.and_then(|record| record.input(from)) != Some(digest) {
             return Err(again(format!(
                 "{name} was made from another {from} than that which is there"
             )));
@@ -529,8 +519,8 @@ impl Shared<'_> {
         let outcome = VerdictOutcome::from_json(&found.verdict).map_err(of_dir)?;
         // A prediction with another tool is not told by this one.
         let tool = found.records.removal.record.as_ref();
-        let tool = tool.and_then(|r| r.inputs.iter().find(|(role, _)| role == "tif"));
-        let same = |digest: &String| tool.is_none_or(|(_, of)| of == digest);
+        let tool = tool.and_then(|record| record.input("tif"));
+        let same = |digest: &String| tool.is_none_or(|of| of == digest);
         let reach = self.reach.filter(|(_, digest)| same(digest));
         let short_wave_rms_nm =
             reach.map(|(reach, _)| reach.short_wave_rms_nm(found.removal.residual()));

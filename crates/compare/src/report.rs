@@ -13,6 +13,7 @@ pub mod motion;
 pub mod on_axes;
 pub mod pack;
 mod page;
+mod part;
 pub mod sparkline;
 pub mod spectrum;
 pub mod tool;

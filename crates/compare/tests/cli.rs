@@ -140,7 +140,7 @@ fn a_report_writes_the_summary_and_prints_the_table() {
     assert_eq!(summary(&dir.path().join("report")), found);
 
     // A changed method is another report.
-    prepare(&run, &[("joint", 0.9, true), ("pvt", 0.8, true)]);
+    prepare(&run, &[("pvt", 0.8, true)]);
     let refused = compare(dir.path(), &report);
     assert_eq!(refused.status.code(), Some(2));
     assert!(text(&refused.stderr).contains("--force"));

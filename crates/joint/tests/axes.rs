@@ -1,14 +1,14 @@
 //! Axes beyond x and y: the plan keeps their limits, and the motion without them is the same where they never bind.
 
+mod example;
+
 use std::f64::consts::TAU;
 
-use ndarray::Array2;
+use example::{at_price, hill, merit, through, tif, two_axes};
 use planish_joint::{
-    FurtherAxes, FurtherLimits, JointError, Plan, Price, Settings, plan, plan_with_further_axes,
+    FurtherAxes, FurtherLimits, JointError, Plan, Settings, plan, plan_with_further_axes,
 };
-use planish_types::{
-    Axis, End, Grid, Limits, MachineFile, MachineFileAxis, Surface, Tif, ToolPath, Trajectory,
-};
+use planish_types::{Axis, End, Grid, Limits, Surface, ToolPath, Trajectory};
 use planish_verify::{VerifySettings, verify};
 
 /// An axis as a function of the place: its value, gradient, and second derivatives by xx, xy and yy.
@@ -137,46 +137,14 @@ fn differences(
     (0..axes.limits.len()).map(of_axis).collect()
 }
 
-fn machine(velocity: [f64; 2], acceleration: [f64; 2], jerk: Option<f64>) -> Limits {
-    let axis = |i: usize| MachineFileAxis {
-        name: ["x", "y"][i].into(),
-        max_velocity_mm_per_s: velocity[i],
-        max_acceleration_mm_per_s2: acceleration[i],
-        max_jerk_mm_per_s3: jerk,
-        ..MachineFileAxis::default()
-    };
-    MachineFile { name: "test".into(), axes: vec![axis(0), axis(1)], ..MachineFile::default() }
-        .checked()
-        .unwrap()
-}
-
 fn stage() -> Limits {
-    machine([100.0, 60.0], [1000.0, 600.0], None)
-}
-
-fn tif() -> Tif {
-    let a = Axis::new(-3.0, 0.25, 25).unwrap();
-    let g = Grid { x: a, y: a };
-    let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        20.0 * (-(g.x.at(c).powi(2) + g.y.at(r).powi(2)) / 2.0).exp()
-    });
-    Tif::new(g, rate).unwrap()
+    two_axes([100.0, 60.0], [1000.0, 600.0], None)
 }
 
 /// 14 x 14 mm about the origin.
 fn desired() -> Surface {
     let a = Axis::new(-7.0, 0.25, 57).unwrap();
-    let g = Grid { x: a, y: a };
-    let height = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let (x, y) = (g.x.at(c), g.y.at(r));
-        40.0 + 15.0 * (-(x * x + 2.0 * y * y) / 9.0).exp() + 4.0 * (0.9 * x + 0.5 * y).sin()
-    });
-    Surface::new(g, height).unwrap()
-}
-
-fn through(points: Vec<[f64; 2]>) -> ToolPath {
-    let n = points.len() - 1;
-    ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
+    hill(Grid { x: a, y: a }, [0.0, 0.0])
 }
 
 /// Lines 1 mm apart, half a millimetre beside the origin.
@@ -204,19 +172,15 @@ fn spiral(from_mm: f64) -> ToolPath {
     }
 }
 
+/// What a second is worth, nm^2/s.
+const PRICE: f64 = 1e-3;
+
 fn settings() -> Settings {
-    let node_spacing_mm = Some(0.6);
-    Settings { price: Price::Nm2PerS(1e-3), node_spacing_mm, ..Settings::default() }
+    at_price(PRICE)
 }
 
 fn on(axes: &Analytic, path: &ToolPath, limits: &Limits) -> Result<Plan, JointError> {
     plan_with_further_axes(&desired(), &tif(), path, (limits, axes), &settings())
-}
-
-/// Objective of the plan, from the executed motion, without the pull to the floor.
-fn merit(plan: &Plan) -> f64 {
-    let rms = plan.removal.residual().statistics().rms;
-    0.5 * rms * rms + 1e-3 * plan.trajectory.total_time_s()
 }
 
 /// A plan that keeps every limit by both judges, and a further axis that is used.
@@ -267,7 +231,7 @@ fn a_sphere_keeps_the_limits_of_z_and_tilts() {
         let used = differences(&free.trajectory, &axes, 1e-3, &[]);
         assert!(used.iter().flatten().any(|u| *u > 1.2), "{used:?}");
         let plan = kept(&axes, &raster(), &stage(), &[]);
-        assert!(merit(&plan) > merit(&free));
+        assert!(merit(&plan, PRICE) > merit(&free, PRICE));
     }
 }
 
@@ -293,7 +257,7 @@ fn limits_on_jerk_of_further_axes_are_kept() {
     kept(&sphere(20.0, limits), &raster(), &stage(), &[]);
     let of_spindle =
         [limits_of("r", 50.0, 500.0, None), limits_of("c", 2.0 * TAU, 60.0, Some(1e3))];
-    kept(&spindle(of_spindle), &spiral(0.4), &machine([100.0; 2], [1e3; 2], Some(2e4)), &[1]);
+    kept(&spindle(of_spindle), &spiral(0.4), &two_axes([100.0; 2], [1e3; 2], Some(2e4)), &[1]);
 }
 
 #[test]
@@ -315,11 +279,11 @@ fn a_copy_of_x_with_half_its_limits_is_a_machine_with_half_the_limits_of_x() {
         of: Box::new(|p: [f64; 2]| Some(vec![Jet(p[0], [1.0, 0.0], [0.0; 3])])),
     };
     for path in [raster(), spiral(0.4)] {
-        let half = machine([50.0, 60.0], [500.0, 600.0], None);
+        let half = two_axes([50.0, 60.0], [500.0, 600.0], None);
         let own = plan(&desired(), &tif(), &path, &half, &settings()).unwrap();
         let with = on(&copy, &path, &stage()).unwrap();
         let whole = plan(&desired(), &tif(), &path, &stage(), &settings()).unwrap();
-        let [own, with, whole] = [own, with, whole].map(|plan| merit(&plan));
+        let [own, with, whole] = [own, with, whole].map(|plan| merit(&plan, PRICE));
         println!("{own} {with} {whole}");
         // The rows of a further axis leave up to 1 % of a limit free, where those of x on lines leave nothing.
         assert!((with / own - 1.0).abs() < 1e-2, "{own} {with}");

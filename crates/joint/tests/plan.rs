@@ -1,48 +1,22 @@
 //! A small mirror along every kind of path: the plan is what the judges find, and a freer problem is never worse.
 
+mod example;
+
+use example::{at_price, hill, merit, through, tif, two_axes};
 use ndarray::Array2;
 use planish_joint::{Plan, Price, Settings, plan};
 use planish_simulate::{Settings as Simulation, simulate};
-use planish_types::{
-    Axis, End, Grid, Limits, MachineFile, MachineFileAxis, Surface, Tif, ToolPath,
-};
+use planish_types::{Axis, End, Grid, Limits, Surface, Tif, ToolPath};
 use planish_verify::{VerifySettings, verify};
 
+/// A machine whose y axis has 0.6 of the velocity and acceleration of x.
 fn machine(velocity: f64, acceleration: f64, jerk: Option<f64>) -> Limits {
-    let axis = |name: &str, factor: f64| MachineFileAxis {
-        name: name.into(),
-        max_velocity_mm_per_s: factor * velocity,
-        max_acceleration_mm_per_s2: factor * acceleration,
-        max_jerk_mm_per_s3: jerk,
-        ..MachineFileAxis::default()
-    };
-    let axes = vec![axis("x", 1.0), axis("y", 0.6)];
-    MachineFile { name: "test".into(), axes, min_segment_s: 0.0, ..MachineFile::default() }
-        .checked()
-        .unwrap()
-}
-
-fn tif() -> Tif {
-    let a = Axis::new(-3.0, 0.25, 25).unwrap();
-    let g = Grid { x: a, y: a };
-    let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        20.0 * (-(g.x.at(c).powi(2) + g.y.at(r).powi(2)) / 2.0).exp()
-    });
-    Tif::new(g, rate).unwrap()
+    two_axes([velocity, 0.6 * velocity], [acceleration, 0.6 * acceleration], jerk)
 }
 
 fn desired() -> Surface {
     let g = Grid { x: Axis::new(0.0, 0.25, 57).unwrap(), y: Axis::new(0.0, 0.25, 41).unwrap() };
-    let height = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let (x, y) = (g.x.at(c) - 6.0, g.y.at(r) - 5.0);
-        40.0 + 15.0 * (-(x * x + 2.0 * y * y) / 9.0).exp() + 4.0 * (0.9 * x + 0.5 * y).sin()
-    });
-    Surface::new(g, height).unwrap()
-}
-
-fn through(points: Vec<[f64; 2]>) -> ToolPath {
-    let n = points.len() - 1;
-    ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
+    hill(g, [6.0, 5.0])
 }
 
 fn raster() -> ToolPath {
@@ -93,21 +67,8 @@ fn one_way() -> ToolPath {
     ToolPath::through(points, on, vec![0; n]).unwrap()
 }
 
-/// Settings with nodes as far apart as on a large part. The closer ones of a plan with little work test nothing more
-/// here.
-fn at_price(price: f64) -> Settings {
-    let node_spacing_mm = Some(0.6);
-    Settings { price: Price::Nm2PerS(price), node_spacing_mm, ..Settings::default() }
-}
-
 fn run(path: &ToolPath, limits: &Limits, settings: &Settings) -> Plan {
     plan(&desired(), &tif(), path, limits, settings).unwrap()
-}
-
-/// Objective of the plan, from the executed motion, without the pull to the floor.
-fn merit(plan: &Plan, price: f64) -> f64 {
-    let rms = plan.removal.residual().statistics().rms;
-    0.5 * rms * rms + price * plan.trajectory.total_time_s()
 }
 
 #[test]

@@ -25,7 +25,7 @@ use serde_json::Value;
 const EXCEPTIONS: [(&str, &str); 15] = [
     ("just run bspline", "two minutes"),
     ("just programs-table", "half an hour"),
-    ("just programs-table --grids --rows \"coupon raster\"", "minutes"),
+    ("just programs-table --grids", "minutes"),
     ("just sweep sweeps/small.yaml refine_front=yes", "a minute"),
     (
         "just sweep sweeps/reference.yaml profile=slurm \

@@ -2,20 +2,11 @@
 
 mod example;
 
-use example::{desired, process, raster, tif};
+use example::{desired, error, process, raster, tif, with};
 use planish_simulate::{Settings as Simulation, simulate};
 use planish_tolerance::{Free, Settings, quadratic::Sources, tolerance};
 use planish_types::{Removal, Surface, Trajectory, TrajectoryBuilder};
 use serde_json::{Value, json};
-
-fn error(kind: &str, size: f64, unit: &str, distribution: &str) -> Value {
-    json!({ "kind": kind, "size": size, "unit": unit, "distribution": distribution, "note": "" })
-}
-
-fn with(mut error: Value, setting: &str, value: f64) -> Value {
-    error[setting] = json!(value);
-    error
-}
 
 /// One of every kind that the dwell times decide.
 fn decided() -> Vec<Value> {

@@ -3,7 +3,7 @@
 
 mod example;
 
-use example::{desired, process, raster};
+use example::{assert_line_is_mean_over_runs, desired, error, noises, process, raster, rms, with};
 use ndarray::Array2;
 use planish_simulate::{Settings as Simulation, simulate};
 use planish_tolerance::{Free, Settings, Tolerance, quadratic::Sources, tolerance};
@@ -83,15 +83,6 @@ fn tool() -> Tif {
     beam(SAME, 1.0, Some(wear(0.0)))
 }
 
-fn error(kind: &str, size: f64, unit: &str, distribution: &str) -> Value {
-    json!({ "kind": kind, "size": size, "unit": unit, "distribution": distribution, "note": "" })
-}
-
-fn with(mut error: Value, setting: &str, value: f64) -> Value {
-    error[setting] = json!(value);
-    error
-}
-
 fn settings(simulated_runs: usize) -> Settings {
     Settings { draws: 1000, simulated_runs, ..Settings::default() }
 }
@@ -104,15 +95,6 @@ fn of(motion: &Trajectory, tif: &Tif, errors: Value, settings: &Settings) -> Tol
 fn removal(motion: &Trajectory, tif: &Tif) -> Array2<f64> {
     let found = simulate(motion, tif, &desired(), Simulation::Gridded).unwrap();
     found.removal.removal_nm().clone()
-}
-
-/// RMS over the valid pixels, the mean removed.
-fn rms(difference: Array2<f64>) -> f64 {
-    let valid = desired().height_nm().mapv(|z| !z.is_nan());
-    let values: Vec<f64> =
-        difference.iter().zip(&valid).filter(|(_, v)| **v).map(|(d, _)| *d).collect();
-    let mean = values.iter().sum::<f64>() / values.len() as f64;
-    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
 }
 
 /// The motion with every point where `place` says; the directions of the motion along x and y are its last arguments.
@@ -197,27 +179,15 @@ fn every_error_adds_the_difference_of_two_simulations() {
 /// The mean square over drawn runs, each simulated, is that of the line; every kind of noise.
 #[test]
 fn the_line_of_a_noise_is_the_mean_over_simulated_runs() {
-    for noise in [
-        with(error("rate_noise", 2.0, "%", "normal"), "correlation_s", 3.0),
-        error("position_noise", 50.0, "um", "normal"),
-        error("timing_jitter", 10.0, "ms", "normal"),
-        error("timing_tick", 20.0, "ms", "uniform"),
-    ] {
+    for noise in noises() {
         let runs = 100;
         let found = of(&raster(), &tool(), json!([noise]), &settings(runs));
         let line = &found.errors[0];
         // A run of the noise alone, and its first order on the cells of the map. The second order of a displacement by 50 um
         // is some per cent of the first (5.5 % seen), because 50 um are some per cent of the width of the tool.
         assert!(line.departs_by_rms_nm < 0.08 * line.adds_rms_nm, "{line:?}");
-        let squares: Vec<f64> = found.runs.iter().map(|r| r.simulated_rms_nm.powi(2)).collect();
-        let mean = squares.iter().sum::<f64>() / runs as f64;
-        let added = mean - found.nominal_rms_nm.powi(2);
-        let spread = squares.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / runs as f64;
-        // Four standard errors of the mean, and 3 % for the first order and the cells.
-        let bound = 4.0 * (spread / runs as f64).sqrt() + 0.03 * line.adds_rms_nm.powi(2);
-        let error = (added - line.adds_rms_nm.powi(2)).abs();
-        println!("{:<16} {added:.6} {:.6} nm^2", line.kind, line.adds_rms_nm.powi(2));
-        assert!(error < bound, "{}: {added} {}", line.kind, line.adds_rms_nm.powi(2));
+        assert_eq!(found.runs.len(), runs);
+        assert_line_is_mean_over_runs(&found);
     }
 }
 

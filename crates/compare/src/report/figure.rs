@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::{
     map::ScreenMap,
-    motion::{Dwell, Envelope, Line, QUANTITIES},
+    motion::{Dwell, Line, QUANTITIES},
     pack::base64,
     spectrum::{BAND_PERIOD_MM, Spectrum},
     view::{MethodView, View},
@@ -331,7 +331,7 @@ fn motion(views: &[View], layout: &Layout) -> Option<String> {
             let mut notes = vec![];
             for (axis, envelope) in envelopes.iter().enumerate() {
                 let mut d = String::new();
-                for (x, low, high) in columns(ends, envelope, time[1]) {
+                for (x, low, high) in envelope.over_columns(ends, COLUMNS) {
                     let [px, bottom] = frame.at([x, low]);
                     let top = frame.at([x, high])[1];
                     put(&mut d, format_args!("M{px:.1} {bottom:.1}V{:.1}", top.min(bottom - 0.7)));
@@ -635,21 +635,6 @@ fn quantile(values: &[f64], fraction: f64) -> f64 {
         .unwrap_or(1.0)
 }
 
-/// Ranges over equal lengths of time: (middle, smallest, largest).
-fn columns(ends: &[f64], e: &Envelope, total_s: f64) -> Vec<(f64, f64, f64)> {
-    let mut found = vec![(f64::INFINITY, f64::NEG_INFINITY); COLUMNS];
-    let column = |t: f64| ((t / total_s * COLUMNS as f64) as usize).min(COLUMNS - 1);
-    let mut start = 0.0;
-    for (i, end) in ends.iter().enumerate() {
-        for c in column(start)..=column(*end) {
-            found[c] = (found[c].0.min(e.low[i]), found[c].1.max(e.high[i]));
-        }
-        start = *end;
-    }
-    let middle = |c: usize| total_s * (c as f64 + 0.5) / COLUMNS as f64;
-    found.iter().enumerate().map(|(c, (l, h))| (middle(c), *l, *h)).collect()
-}
-
 /// The map in colours, row 0 at the bottom; invalid pixels are clear.
 fn png_of(map: &ScreenMap, scale: f64) -> Vec<u8> {
     let [nx, ny] = map.size;
@@ -675,19 +660,6 @@ fn png_of(map: &ScreenMap, scale: f64) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn columns_keep_every_peak() {
-        let ends: Vec<f64> = (1..=5000).map(f64::from).collect();
-        let mut e = Envelope { low: vec![0.0; 5000], high: vec![1.0; 5000] };
-        e.high[3333] = 9.0;
-        e.low[7] = -4.0;
-        let found = columns(&ends, &e, 5000.0);
-        assert_eq!(found.len(), COLUMNS);
-        assert_eq!(range(found.iter().flat_map(|c| [c.1, c.2])), [-4.0, 9.0]);
-        let one = columns(&[2.0], &Envelope { low: vec![1.0], high: vec![3.0] }, 2.0);
-        assert!(one.iter().all(|c| (c.1, c.2) == (1.0, 3.0)));
-    }
 
     #[test]
     fn a_mm_is_as_long_along_both_axes() {

@@ -72,6 +72,25 @@ pub struct Envelope {
     pub high: Vec<f64>,
 }
 
+impl Envelope {
+    /// Ranges over `count` equal lengths of time, of pieces with these ends (s from the start of the motion): middle of the
+    /// time, smallest and largest value of all pieces that reach into it.
+    pub fn over_columns(&self, end_s: &[f64], count: usize) -> Vec<(f64, f64, f64)> {
+        let total_s = end_s.last().copied().unwrap_or(0.0);
+        let mut found = vec![(f64::INFINITY, f64::NEG_INFINITY); count];
+        let column = |t: f64| ((t / total_s * count as f64) as usize).min(count - 1);
+        let mut start = 0.0;
+        for (i, end) in end_s.iter().enumerate() {
+            for (low, high) in &mut found[column(start)..=column(*end)] {
+                (*low, *high) = (low.min(self.low[i]), high.max(self.high[i]));
+            }
+            start = *end;
+        }
+        let middle = |c: usize| total_s * (c as f64 + 0.5) / count as f64;
+        found.iter().enumerate().map(|(c, (low, high))| (middle(c), *low, *high)).collect()
+    }
+}
+
 /// Keys of the quantities of [`Ranges::envelope`] in a verdict, and their names on the page.
 pub const QUANTITIES: [(&str, &str); 3] = [
     ("velocity_mm_per_s", "velocity"),
@@ -194,6 +213,20 @@ mod tests {
             assert_eq!(velocity[1].low[0], -1.0);
             assert_eq!((acceleration[0].high[0], jerk[0].high[0]), (2.0, 0.0));
         }
+    }
+
+    #[test]
+    fn columns_keep_every_peak() {
+        let end_s: Vec<f64> = (1..=5000).map(f64::from).collect();
+        let mut e = Envelope { low: vec![0.0; 5000], high: vec![1.0; 5000] };
+        e.high[3333] = 9.0;
+        e.low[7] = -4.0;
+        let found = e.over_columns(&end_s, 900);
+        assert_eq!(found.len(), 900);
+        let ends = planish_draw::frame::range(found.iter().flat_map(|c| [c.1, c.2]));
+        assert_eq!(ends, [-4.0, 9.0]);
+        let one = Envelope { low: vec![1.0], high: vec![3.0] }.over_columns(&[2.0], 900);
+        assert!(one.iter().all(|c| (c.1, c.2) == (1.0, 3.0)));
     }
 
     #[test]

@@ -1,8 +1,7 @@
 //! Picture of the motion of all axes of a machine: every axis against its limits, and the form of the part.
 
-use ndarray::Array2;
 use planish_draw::{
-    Bands, Frame, Scale, Svg,
+    Frame, Scale, Svg,
     colour::{LINES, VIRIDIS_FOR_LINES},
     frame::range,
     svg::put,
@@ -12,10 +11,11 @@ use planish_numerics::polynomial;
 use planish_types::{AxesMotion, Surface, text::significant};
 use serde_json::Value;
 
+use super::{
+    motion::Envelope,
+    part::{self, FONT_PX, Look, RIGHT_BOTTOM_PX},
+};
 use crate::on_axes::MotionOutcome;
-
-/// Height of the texts, px of the picture.
-const FONT_PX: f64 = 14.0;
 
 /// Width and height of a panel, px. Larger: the four panels of an axis are wider than a page. Smaller: peaks of a long run
 /// fall together.
@@ -32,21 +32,10 @@ const COLUMNS: usize = 230;
 /// line. Smaller: limits that the motion comes near are not drawn.
 const FAR: f64 = 4.0;
 
-/// Largest number of cells of the map of the form along an axis. Larger: finer details and a larger page. Smaller: a
-/// coarser picture.
-const MOST_CELLS: usize = 60;
-
-/// Number of colours of the map of the form. Larger: smoother colours and a larger page. Smaller: visible steps.
-const BANDS: usize = 32;
-
-/// Keys of the checks of an axis in a verdict, from the position to the jerk, and their names and units over the unit of
-/// the axis.
-const QUANTITIES: [(&str, &str, &str); 4] = [
-    ("position", "position", ""),
-    ("velocity", "velocity", "/s"),
-    ("acceleration", "acceleration", "/s²"),
-    ("jerk", "jerk", "/s³"),
-];
+/// Names of the quantities of an axis, which are the keys of their checks in a verdict, and their units over the unit of the
+/// axis.
+const QUANTITIES: [(&str, &str); 4] =
+    [("position", ""), ("velocity", "/s"), ("acceleration", "/s²"), ("jerk", "/s³")];
 
 /// The picture, as SVG: position, velocity, acceleration and jerk of every axis over the time, with their limits in the
 /// verdict; below, the form of the part where it is known.
@@ -60,7 +49,7 @@ pub fn picture(
     let [left, top, right, bottom] = MARGIN_PX;
     let cell = [PANEL_PX[0] + left + right, PANEL_PX[1] + top + bottom];
     for (axis, (name, unit)) in outcome.axes.iter().zip(&outcome.units).enumerate() {
-        for (order, (_, quantity, per)) in QUANTITIES.iter().enumerate() {
+        for (order, (quantity, per)) in QUANTITIES.iter().enumerate() {
             let corner = [order as f64 * cell[0], axis as f64 * cell[1]];
             let titles = [format!("{name}, {quantity}"), format!("{unit}{per}")];
             let bounds = bounds(verdict, axis, order);
@@ -69,34 +58,28 @@ pub fn picture(
     }
     let mut height = outcome.axes.len() as f64 * cell[1];
     if let Some((form, surface)) = part {
-        height += form_map(&mut svg, [0.0, height], form, surface);
+        let heights = part::cells(surface, |place, _| form.sag_mm(place).unwrap_or(f64::NAN));
+        let look = Look { colours: &VIRIDIS_FOR_LINES, unit: "mm", title: "height of the form" };
+        let frame = part::draw(&mut svg, ([0.0, height], [left, top]), surface, &heights, &look);
+        height = frame.bottom() + RIGHT_BOTTOM_PX[1];
     }
     svg.finish([QUANTITIES.len() as f64 * cell[0], height])
 }
 
-/// Ranges of a quantity of an axis over equal times: (middle of the time, s; smallest and largest value).
-type Columns = Vec<(f64, f64, f64)>;
-
-/// Ranges of the derivative of this order of an axis: exact for every cubic piece, and those of a column are of all pieces
-/// that reach into its time.
-fn envelope(motion: &AxesMotion, axis: usize, order: usize) -> Columns {
-    let (start_s, total_s) = (motion.break_time_s()[0], motion.total_time_s());
-    let column =
-        |time_s: f64| (((time_s - start_s) / total_s * COLUMNS as f64) as usize).min(COLUMNS - 1);
-    let mut found = vec![(f64::INFINITY, f64::NEG_INFINITY); COLUMNS];
-    for i in 0..motion.len() {
+/// Ranges of the derivative of this order of an axis over [`COLUMNS`] equal lengths of time: (middle of the time, s; smallest
+/// and largest value). Exact for every cubic piece.
+fn envelope(motion: &AxesMotion, axis: usize, order: usize) -> Vec<(f64, f64, f64)> {
+    let of = |i: usize| {
         let mut cubic = motion.segment(i)[axis];
         for _ in 0..order {
             cubic = polynomial::derivative(&cubic);
         }
-        let reached = polynomial::range(&cubic, motion.duration_s(i));
-        let [first, last] = [0, 1].map(|k| column(motion.break_time_s()[i + k]));
-        for (low, high) in &mut found[first..=last] {
-            (*low, *high) = (low.min(reached.min), high.max(reached.max));
-        }
-    }
-    let middle = |k: usize| total_s * (k as f64 + 0.5) / COLUMNS as f64;
-    found.iter().enumerate().map(|(k, (low, high))| (middle(k), *low, *high)).collect()
+        polynomial::range(&cubic, motion.duration_s(i))
+    };
+    let (low, high) = (0..motion.len()).map(of).map(|reached| (reached.min, reached.max)).unzip();
+    let breaks = motion.break_time_s();
+    let end_s: Vec<f64> = breaks[1..].iter().map(|t| t - breaks[0]).collect();
+    Envelope { low, high }.over_columns(&end_s, COLUMNS)
 }
 
 /// Limits of a quantity of an axis in a verdict: the travel of the position, and plus and minus the limit of the others.
@@ -117,7 +100,7 @@ fn panel(
     svg: &mut Svg,
     corner: [f64; 2],
     [title, unit]: [String; 2],
-    columns: &Columns,
+    columns: &[(f64, f64, f64)],
     bounds: &[f64],
     is_position: bool,
 ) {
@@ -151,33 +134,6 @@ fn panel(
         _ => String::new(),
     };
     frame.title(svg, &format!("{title}{note}"));
-}
-
-/// Draws the height of the form on the valid pixels of the part; returns the height of the drawing, px.
-fn form_map(svg: &mut Svg, corner: [f64; 2], form: &Form, surface: &Surface) -> f64 {
-    let grid = surface.grid();
-    let every = grid.x.len().max(grid.y.len()).div_ceil(MOST_CELLS);
-    let shape = (grid.y.len().div_ceil(every), grid.x.len().div_ceil(every));
-    let heights = Array2::from_shape_fn(shape, |(r, c)| {
-        let pixel = [
-            (r * every + every / 2).min(grid.y.len() - 1),
-            (c * every + every / 2).min(grid.x.len() - 1),
-        ];
-        let valid = !surface.height_nm()[pixel].is_nan();
-        let height = form.sag_mm([grid.x.at(pixel[1]), grid.y.at(pixel[0])]);
-        height.filter(|_| valid).unwrap_or(f64::NAN)
-    });
-    let sides = [&grid.x, &grid.y].map(|a| a.len() as f64 * a.step_mm());
-    let size = [380.0, 380.0 * (sides[1] / sides[0]).clamp(0.15, 2.0)];
-    let margin = [MARGIN_PX[0], MARGIN_PX[1], 96.0, 56.0];
-    let scales = [grid.x.edges_mm(), grid.y.edges_mm()].map(Scale::linear);
-    let frame = Frame::new(corner, size, margin, scales);
-    let bands = Bands::new(&VIRIDIS_FOR_LINES, BANDS, range(heights.iter().copied()));
-    planish_draw::cells::draw(svg, &frame, heights.view(), &bands, MOST_CELLS);
-    frame.axes(svg, ["x (mm)", "y (mm)"]);
-    frame.colour_bar(svg, &bands, "mm");
-    frame.title(svg, "height of the form");
-    size[1] + margin[1] + margin[3]
 }
 
 #[cfg(test)]

@@ -8,17 +8,12 @@ use planish_draw::{
     frame::range,
     svg::MIDDLE,
 };
-use planish_types::{Axis, Grid, Surface, Tif, Variation, text::significant};
+use planish_types::{Axis, Surface, Tif, Variation, text::significant};
 
-/// Height of the texts, px of the picture.
-const FONT_PX: f64 = 14.0;
-
-/// Width of the map of the rate, px. Larger: the picture does not fit beside the nine footprints. Smaller: the numbers of
-/// the places overlap.
-const MAP_PX: f64 = 380.0;
+use super::part::{self, BANDS, FONT_PX, Look, MAP_PX, MOST_CELLS, RIGHT_BOTTOM_PX, side_mm};
 
 /// Left, top, right and bottom of a plot with axes, px. Larger: empty space. Smaller: numbers are cut off.
-const MARGIN_PX: [f64; 4] = [70.0, 34.0, 96.0, 56.0];
+const MARGIN_PX: [f64; 4] = [70.0, 34.0, RIGHT_BOTTOM_PX[0], RIGHT_BOTTOM_PX[1]];
 
 /// Side of a footprint, px. Larger: the picture is wider than a page. Smaller: its shape cannot be seen.
 const FOOTPRINT_PX: f64 = 120.0;
@@ -29,13 +24,6 @@ const GAP_PX: f64 = 26.0;
 /// Height of the plot of the rate over the time, px. Larger: a longer picture. Smaller: a flat line.
 const TIME_PX: f64 = 150.0;
 
-/// Largest number of cells of the map and of a footprint along an axis. Larger: finer details and a larger file. Smaller:
-/// a coarser picture.
-const MOST_CELLS: usize = 60;
-
-/// Number of colours. Larger: smoother colours and a larger file. Smaller: visible steps.
-const BANDS: usize = 32;
-
 /// Places of the footprints along an axis, as fractions of the side of the map. On a disk all nine are on the part.
 const PLACES: [f64; 3] = [1.0 / 6.0, 0.5, 5.0 / 6.0];
 
@@ -44,21 +32,20 @@ pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
     let variation = tif.variation()?;
     let mut svg = Svg::new(FONT_PX);
     let grid = surface.grid();
-    let sides = [&grid.x, &grid.y].map(side_mm);
-    let shape = (sides[1] / sides[0]).clamp(0.15, 2.0);
     let middles =
         |axis: &Axis| PLACES.map(|f| axis.start_mm() + f * (axis.end_mm() - axis.start_mm()));
     let (columns, rows) = (middles(&grid.x), middles(&grid.y));
     let places: Vec<[f64; 2]> = rows.iter().rev().flat_map(|y| columns.map(|x| [x, *y])).collect();
 
     let map = rate_over_mean(variation, surface);
-    let scales = [grid.x.edges_mm(), grid.y.edges_mm()].map(Scale::linear);
-    let frame = Frame::new([0.0, 0.0], [MAP_PX, MAP_PX * shape], MARGIN_PX, scales);
-    let bands = Bands::new(&BLUE_TO_BROWN, BANDS, range(map.iter().copied()));
-    planish_draw::cells::draw(&mut svg, &frame, map.view(), &bands, MOST_CELLS);
-    frame.axes(&mut svg, ["x (mm)", "y (mm)"]);
-    frame.colour_bar(&mut svg, &bands, "rate over its mean");
-    frame.title(&mut svg, "volume rate of the tool at a place");
+    let look = Look {
+        colours: &BLUE_TO_BROWN,
+        unit: "rate over its mean",
+        title: "volume rate of the tool at a place",
+    };
+    let corners = ([0.0, 0.0], [MARGIN_PX[0], MARGIN_PX[1]]);
+    let frame = part::draw(&mut svg, corners, surface, &map, &look);
+    let map_bottom = frame.bottom();
     for (k, place) in places.iter().enumerate() {
         let [x, y] = frame.at(*place);
         svg.text([x, y + 0.36 * FONT_PX], MIDDLE, &(k + 1).to_string());
@@ -97,7 +84,7 @@ pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
         svg.text([left, frame.bottom() + FONT_PX + 4.0], "", &words);
     }
     let width = left + 3.0 * step + MARGIN_PX[2];
-    let mut height = (MARGIN_PX[1] + MAP_PX * shape + MARGIN_PX[3]).max(nine_px + FONT_PX);
+    let mut height = (map_bottom + MARGIN_PX[3]).max(nine_px + FONT_PX);
     if let Some(time) = variation.time_factor() {
         let points: Vec<[f64; 2]> =
             time.time_s.iter().zip(&time.factor).map(|(t, c)| [*t, *c]).collect();
@@ -119,29 +106,15 @@ pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
 /// Volume that the tool removes per second at the places of a coarse grid over the valid pixels, times the factor of the
 /// pixel there, over the mean of all. NaN beside the part.
 fn rate_over_mean(variation: &Variation, surface: &Surface) -> Array2<f64> {
-    let Grid { x, y } = surface.grid();
-    let every = x.len().max(y.len()).div_ceil(MOST_CELLS);
     let factor = variation.factor_on(surface.grid());
     let volume: Vec<f64> =
         variation.components().iter().map(|c| c.kernel().rate_nm_per_s().sum()).collect();
-    let shape = (y.len().div_ceil(every), x.len().div_ceil(every));
-    let of = |(r, c): (usize, usize)| {
-        // The middle pixel of the cell.
-        let at = |k: usize, axis: &Axis| (k * every + every / 2).min(axis.len() - 1);
-        let (r, c) = (at(r, y), at(c, x));
-        let place = [x.at(c), y.at(r)];
+    let map = part::cells(surface, |place, pixel| {
         let rate: f64 =
             volume.iter().enumerate().map(|(k, v)| v * variation.weight(k, place)).sum();
-        let valid = if surface.height_nm()[[r, c]].is_nan() { f64::NAN } else { 1.0 };
-        valid * rate * factor.as_ref().map_or(1.0, |f| f[[r, c]])
-    };
-    let map = Array2::from_shape_fn(shape, of);
+        rate * factor.as_ref().map_or(1.0, |f| f[pixel])
+    });
     let valid = || map.iter().filter(|v| !v.is_nan());
     let mean = valid().sum::<f64>() / valid().count().max(1) as f64;
     map / mean
-}
-
-/// Length between the outer edges, mm.
-fn side_mm(axis: &Axis) -> f64 {
-    axis.len() as f64 * axis.step_mm()
 }

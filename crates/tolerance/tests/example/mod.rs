@@ -1,9 +1,12 @@
 //! A small plan: a raster of twelve lines, each in pieces of its own feed, over a map with a round corner.
 
 use ndarray::Array2;
-use planish_tolerance::error_budget::{ErrorBudget, ErrorBudgetFile};
+use planish_tolerance::{
+    Tolerance,
+    error_budget::{ErrorBudget, ErrorBudgetFile},
+};
 use planish_types::{Axis, Grid, Surface, Tif, Trajectory, TrajectoryBuilder};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 /// 20 x 12 mm in pixels of 0.25 mm.
 pub fn desired() -> Surface {
@@ -60,4 +63,53 @@ pub fn raster() -> Trajectory {
 pub fn process(file: &Value) -> Result<ErrorBudget, String> {
     let file: ErrorBudgetFile = serde_json::from_value(file.clone()).map_err(|e| e.to_string())?;
     file.checked().map_err(|e| e.to_string())
+}
+
+/// One error of a process.
+#[allow(dead_code)] // the tests of the program write the file
+pub fn error(kind: &str, size: f64, unit: &str, distribution: &str) -> Value {
+    json!({ "kind": kind, "size": size, "unit": unit, "distribution": distribution, "note": "" })
+}
+
+/// The error with a setting of its kind.
+#[allow(dead_code)] // the tests of the program write the file
+pub fn with(mut error: Value, setting: &str, value: f64) -> Value {
+    error[setting] = if setting == "degree" { json!(value as usize) } else { json!(value) };
+    error
+}
+
+/// RMS over the valid pixels of [`desired`], the mean removed.
+#[allow(dead_code)] // for the tests that simulate an error themselves
+pub fn rms(difference: Array2<f64>) -> f64 {
+    let valid = desired().height_nm().mapv(|z| !z.is_nan());
+    let values: Vec<f64> =
+        difference.iter().zip(&valid).filter(|(_, v)| **v).map(|(d, _)| *d).collect();
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+/// One of every kind of noise, each large enough to be seen in a hundred runs.
+#[allow(dead_code)] // for the tests of noise
+pub fn noises() -> [Value; 4] {
+    [
+        with(error("rate_noise", 2.0, "%", "normal"), "correlation_s", 3.0),
+        error("position_noise", 50.0, "um", "normal"),
+        error("timing_jitter", 10.0, "ms", "normal"),
+        error("timing_tick", 20.0, "ms", "uniform"),
+    ]
+}
+
+/// Asserts that the mean square over the simulated runs of one noise is that of its line.
+#[allow(dead_code)] // for the tests of noise
+pub fn assert_line_is_mean_over_runs(found: &Tolerance) {
+    let (line, runs) = (&found.errors[0], found.runs.len() as f64);
+    let squares: Vec<f64> = found.runs.iter().map(|r| r.simulated_rms_nm.powi(2)).collect();
+    let mean = squares.iter().sum::<f64>() / runs;
+    let added = mean - found.nominal_rms_nm.powi(2);
+    let spread = (squares.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / runs).sqrt();
+    // Four standard errors of the mean, and 3 % for the first order and the cells.
+    let bound = 4.0 * spread / runs.sqrt() + 0.03 * line.adds_rms_nm.powi(2);
+    let error = (added - line.adds_rms_nm.powi(2)).abs();
+    println!("{:<16} {added:.6} {:.6} nm^2", line.kind, line.adds_rms_nm.powi(2));
+    assert!(error < bound, "{}: {added} {}", line.kind, line.adds_rms_nm.powi(2));
 }
