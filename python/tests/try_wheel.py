@@ -104,7 +104,7 @@ def messages_say_what_to_do():
         (lambda: planish.toolpath.raster(surface="mirror", pich_mm=1), TypeError, "no argument 'pich_mm'; there are surface"),
         (lambda: planish.load("nowhere"), planish.PlanishError, "nowhere: is no directory"),
         (lambda: planish.save("made", x_mm=[1.0]), FileExistsError, "made: holds something else"),
-        (lambda: planish.polish, AttributeError, "no program 'polish'; there are bspline_feed"),
+        (lambda: planish.polish, AttributeError, "no program 'polish'; there are axes, bspline_feed"),
         (lambda: planish.toolpath.zigzag, AttributeError, "no command 'zigzag'; there are"),
         (
             lambda: planish.toolpath.raster(surface="mirror", tif="tool", pitch_mm=-1, step_mm=1, out="no"),
@@ -119,6 +119,7 @@ def messages_say_what_to_do():
         else:
             raise AssertionError(f"{said}: was not refused")
     assert "Distance between neighbouring lines, mm" in planish.toolpath.raster.__doc__
+    assert {"plan", "toolpath", "import_"} <= set(dir(planish))
 
 
 def the_first_mirror():
