@@ -193,10 +193,19 @@ wheel-tools *packages:
     @target/wheel-python/bin/python -m pip install --quiet {{ packages }}
     @rm -f target/wheel/planish-*.whl
 
+# just test-wheel wheels: those for an index
+#
 # Install the wheel in a fresh environment without a Rust toolchain, and plan a mirror made with NumPy, from arrays to programs
 [group('4 slower tests')]
-test-wheel: wheel
+test-wheel which="wheel":
+    just {{ which }}
     python/tests/try-wheel.sh target/wheel out/wheel
+
+# The wheel of `just wheels` in Debian 11 of 2021, which debootstrap makes (root)
+[group('4 slower tests')]
+test-wheel-old:
+    @which debootstrap > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends debootstrap)
+    python/tests/try-old-system.sh target/wheel out/old-system
 
 # Run docs/notebook.ipynb in the environment of the wheel, and write its pictures into it
 [group('5 pages and tables')]
