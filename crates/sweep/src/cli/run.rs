@@ -426,7 +426,7 @@ impl Work<'_> {
             [("surface", &self.sweep.surface), ("tool_path", &self.sweep.tool_path(plan))]
         {
             let link = self.dir.join(plan.dir()).join(name);
-            match system::symbolic_link(Path::new("../..").join(target), &link) {
+            match system::symbolic_link(&Path::new("../..").join(target), &link) {
                 Err(e) if e.kind() != std::io::ErrorKind::AlreadyExists => {
                     return Err(Failure::new(format!(
                         "{}: cannot make a link: {e}",
