@@ -36,4 +36,4 @@ env -i HOME="$PWD" PATH=/usr/bin:/bin ../environment/bin/planish doctor
 env -i HOME="$PWD" PATH=/usr/bin:/bin ../environment/bin/python ../try_wheel.py
 END
 # The mount ends with its namespace.
-unshare --mount sh -c 'mount -t proc proc system/proc && exec chroot system sh /try/run.sh'
+unshare --mount sh -c 'mount -t proc proc system/proc && exec chroot system env -i HOME=/root PATH=/usr/bin:/bin sh /try/run.sh'
