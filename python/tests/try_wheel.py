@@ -186,6 +186,8 @@ def the_doctor_checks_a_plan():
     ran = subprocess.run([planish.programs() / "planish-run", "--version"], capture_output=True, text=True)
     version = subprocess.run([*doctor[:-1], "--version"], capture_output=True, text=True).stdout
     assert version.split()[1] == ran.stdout.split()[1], version
+    ran = subprocess.run([*doctor[:-1], "polish"], capture_output=True, text=True)
+    assert ran.returncode == 2 and ran.stderr.count("\n") == 1 and "give run, show" in ran.stderr, ran.stderr
 
 
 if __name__ == "__main__":
