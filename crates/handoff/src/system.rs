@@ -39,9 +39,11 @@ pub fn end_with_parent() {
     }
 }
 
-/// Runs `command` in place of this process, so that signals reach it and its exit code is that of the run. All processes
-/// that it starts inherit the open `lock`: it is free when the last of them has ended, and not before. Elsewhere than on
-/// Unix this process waits with the lock, and ends with the exit code. Returns only if the command cannot be run.
+/// Runs `command` in place of this process, so that signals reach it and its exit code is that of the run.
+///
+/// All processes that it starts inherit the open `lock`: it is free when the last of them has ended, and not before.
+/// Elsewhere than on Unix this process waits with the lock, and ends with the exit code. Returns only if the command
+/// cannot be run.
 pub fn become_command(command: Command, lock: File) -> io::Error {
     system::become_command(command, lock)
 }
