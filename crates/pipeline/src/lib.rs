@@ -1,0 +1,17 @@
+//! Definition of a pipeline: its settings, and its stages as commands. `pipelines/shared.yaml` explains the files.
+//!
+//! * [`node`]: YAML with the line of every value.
+//! * [`kind`]: types of settings, which check a value.
+//! * [`phrase`]: words with names in braces, and conditions.
+//! * [`definition`]: reads and checks the two files of a pipeline.
+//! * [`scope`]: what every name stands for.
+//! * [`walk`]: the steps of a stage, one by one.
+//!
+//! Nothing here runs a command or evaluates a text: a step is a program and its arguments.
+
+pub mod definition;
+pub mod kind;
+pub mod node;
+pub mod phrase;
+pub mod scope;
+pub mod walk;
