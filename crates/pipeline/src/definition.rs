@@ -28,6 +28,20 @@ pub const FACTS: [&str; 9] = [
 /// Name of the fact that follows from the value `name`: the mirror as the name of a directory.
 pub const DIRECTORY_NAME: &str = "directory_name";
 
+/// The file that all pipelines share, and those of the pipelines, as they were when the program was built.
+const FILES: [(&str, &str); 10] = [
+    (SHARED, include_str!("../../../pipelines/shared.yaml")),
+    ("bspline", include_str!("../../../pipelines/bspline.yaml")),
+    ("compare-dwell", include_str!("../../../pipelines/compare-dwell.yaml")),
+    ("line", include_str!("../../../pipelines/line.yaml")),
+    ("maze", include_str!("../../../pipelines/maze.yaml")),
+    ("multi-pitch", include_str!("../../../pipelines/multi-pitch.yaml")),
+    ("random-adaptive", include_str!("../../../pipelines/random-adaptive.yaml")),
+    ("raster", include_str!("../../../pipelines/raster.yaml")),
+    ("spiral", include_str!("../../../pipelines/spiral.yaml")),
+    ("trig-spline", include_str!("../../../pipelines/trig-spline.yaml")),
+];
+
 /// Stages that a pipeline needs.
 const NEEDED: [&str; 1] = ["run"];
 
@@ -94,6 +108,45 @@ impl Definition {
         let definition = Self::joined(name, shared, own).map_err(|e| named(name, e))?;
         definition.check().map_err(|e| format!("pipelines/{name}.yaml: {e}"))?;
         Ok(definition)
+    }
+
+    /// The definition of a pipeline as it was when the program was built; `None` if there is none of this name.
+    pub fn built_in(name: &str) -> Option<Self> {
+        let text =
+            |name: &str| FILES.iter().find(|(known, _)| *known == name).map(|(_, text)| *text);
+        let own = text(name).filter(|_| name != SHARED)?;
+        Some(Self::read(name, text(SHARED)?, own).expect("a test reads every file"))
+    }
+
+    /// Settings on which the commands of a stage depend, also through values and other stages, but not through the names
+    /// in `cut`.
+    pub fn settings_of(&self, stage: &str, cut: &[&str]) -> BTreeSet<String> {
+        let mut seen: BTreeSet<String> = cut.iter().map(|name| name.to_string()).collect();
+        let mut names = Vec::new();
+        let mut stages = vec![stage.to_string()];
+        let mut entered = BTreeSet::new();
+        while let Some(stage) = stages.pop().filter(|stage| entered.insert(stage.clone())) {
+            for line in self.stage(&stage).unwrap_or_default() {
+                names.extend(names_of(line).unwrap_or_default());
+                if let Ok(action) = Action::read(&line.text) {
+                    stages.extend(action.stages().map(String::from));
+                }
+            }
+        }
+        let mut found = BTreeSet::new();
+        while let Some(name) = names.pop() {
+            if !seen.insert(name.clone()) {
+                continue;
+            }
+            let setting = self.setting(&name).map(|setting| &setting.default[..]);
+            for line in setting.or(self.value(&name)).unwrap_or_default() {
+                names.extend(names_of(line).unwrap_or_default());
+            }
+            if setting.is_some() {
+                found.insert(name);
+            }
+        }
+        found
     }
 
     /// The content of both files, in which the own one goes before the shared one.
@@ -372,6 +425,21 @@ mod tests {
         assert_eq!(found.setting("a").unwrap().default[0].text, "y");
         assert_eq!(found.stage("one").unwrap()[0].text, "planish-c {c}");
         assert_eq!(found.stage("two").unwrap()[0].text, "planish-b {method}");
+    }
+
+    #[test]
+    fn every_pipeline_is_read_and_knows_the_settings_of_its_stages() {
+        for (name, _) in FILES.iter().filter(|(name, _)| *name != SHARED) {
+            let own = FILES.iter().find(|(known, _)| known == name).unwrap().1;
+            Definition::read(name, FILES[0].1, own).unwrap_or_else(|e| panic!("{e}"));
+        }
+        let raster = Definition::built_in("raster").unwrap();
+        let cut = ["map", "tool", "limits", "one_pass", "tool_path", "form"];
+        let names =
+            |stage: &str| raster.settings_of(stage, &cut).into_iter().collect::<Vec<_>>().join(" ");
+        assert_eq!(names("path"), "overscan_mm pitch_mm scan step_mm turn variant");
+        assert_eq!(names("there-and-back"), "passes");
+        assert_eq!(Definition::built_in("shared"), None);
     }
 
     #[test]

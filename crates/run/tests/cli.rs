@@ -3,7 +3,6 @@
 
 use std::{
     fs,
-    io::Write,
     path::Path,
     process::{Command, Output, Stdio},
     thread,
@@ -148,8 +147,6 @@ fn mistakes_are_found_before_anything_is_written() {
     refused(&run(here, "out", &[], &["true"]), &["no mirror"]);
     let absent = ["--surface", "nowhere", "--tif", "tool"];
     refused(&run(here, "out", &absent, &["true"]), &["surface nowhere: cannot read"]);
-    let flags = [&FIXTURE[..], &["--flags", "prepare=--name 'x"]].concat();
-    refused(&run(here, "out", &flags, &["true"]), &["prepare=--name 'x", "byte 7 is not closed"]);
     fs::write(here.join("machine.json"), r#"{"name": "bench", "axes": []}"#).unwrap();
     refused(&run(here, "out", &FIXTURE, &["true"]), &["machine.json"]);
     fs::remove_file(here.join("machine.json")).unwrap();
@@ -283,28 +280,6 @@ fn kill(signal: &str, process: u32) {
 }
 
 #[test]
-fn words_are_those_of_a_shell_and_nothing_is_evaluated() {
-    let text = "--unit m 'a b' \"it's\" $(touch PWNED) * #x";
-    let dir = bench();
-    let output = Command::new(PROGRAM).current_dir(dir.path()).args(["words", "--", text]).output();
-    let line = String::from_utf8(output.unwrap().stdout).unwrap();
-    assert_eq!(line, "--unit m 'a b' 'it'\\''s' '$(touch' 'PWNED)' '*' '#x'\n");
-    // A shell reads the line back as these words.
-    let mut shell =
-        Command::new("sh").stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
-    let script = format!("printf '<%s>' {line}");
-    shell.stdin.take().unwrap().write_all(script.as_bytes()).unwrap();
-    let read = String::from_utf8(shell.wait_with_output().unwrap().stdout).unwrap();
-    assert_eq!(read, "<--unit><m><a b><it's><$(touch><PWNED)><*><#x>");
-    for text in ["", "--help", "--completions", "-h"] {
-        let output = Command::new(PROGRAM).args(["words", "--", text]).output().unwrap();
-        assert_eq!(String::from_utf8(output.stdout).unwrap(), format!("{text}\n"));
-    }
-    let output = Command::new(PROGRAM).args(["words", "--", "a 'b"]).output().unwrap();
-    refused(&output, &["a 'b", "byte 2 is not closed"]);
-}
-
-#[test]
 fn the_verdict_is_that_on_the_plan_and_on_what_it_is_made_of() {
     let dir = tempfile::tempdir().unwrap();
     let artifact = |path: &str, outcome: serde_json::Value| {
@@ -433,14 +408,8 @@ fn the_program_is_named_with_its_plan_and_the_plan_that_is_recommended() {
             json!({"answer": {"method": method, "why": "It is the least."}, "best": method});
         fs::write(dir.path().join("run/report/summary.json"), summary.to_string()).unwrap();
     };
-    let named = || {
-        let flags = ["best", "--run", "run", "--otherwise", "pvt+refined"];
-        let ended = Command::new(PROGRAM).current_dir(dir.path()).args(flags).output().unwrap();
-        String::from_utf8(ended.stdout).unwrap()
-    };
     for best in ["pvt", "pvt+galil"] {
         summary(json!(best));
-        assert_eq!(named(), "pvt\n");
         let (code, text) = said("pvt");
         let expected = "the one that the report recommends: It is the least.";
         assert!(code == Some(0) && text.contains(expected), "{text}");
@@ -449,9 +418,6 @@ fn the_program_is_named_with_its_plan_and_the_plan_that_is_recommended() {
     summary(json!("joint"));
     let (code, text) = said("pvt");
     assert!(code == Some(0) && text.contains("give program_of=joint"), "{text}");
-    summary(json!("pvt+refined"));
-    assert_eq!(named(), "pvt+refined\n");
     summary(json!(null));
-    assert_eq!(named(), "pvt+refined\n");
     assert!(said("pvt").1.contains("recommends no plan of this run: It is the least."));
 }

@@ -48,7 +48,7 @@ fn combinations(
 ) -> Result<Vec<Vec<(String, Given)>>, String> {
     let mut combinations = vec![vec![]];
     for (key, values) in &block.settings {
-        let setting = SETTINGS.iter().find(|setting| setting.key == key);
+        let setting = SETTINGS.iter().find(|setting| setting.key == *key);
         if !setting.is_some_and(|setting| setting.concerns(path, method)) {
             continue;
         }

@@ -271,7 +271,7 @@ fn a_mistake_names_what_there_is() {
     }
     let dir = tempfile::tempdir().unwrap();
     let pipelines: Vec<_> =
-        stems("pipelines", "just").into_iter().filter(|p| p != "stages").collect();
+        stems("pipelines", "yaml").into_iter().filter(|p| p != "shared").collect();
     let fixtures: Vec<_> = stems("fixtures", "json").into_iter().collect();
     let text = ended_with(&run(dir.path(), &["run", "rastr"]), 2);
     assert!(text.contains("no pipeline 'rastr'") && text.contains(&pipelines.join(" ")), "{text}");
