@@ -4,7 +4,7 @@
 //! * [`kind`]: types of settings, which check a value.
 //! * [`phrase`]: words with names in braces, and conditions.
 //! * [`definition`]: reads and checks the two files of a pipeline.
-//! * [`scope`]: what every name stands for.
+//! * [`scope`]: words that a name stands for.
 //! * [`walk`]: the steps of a stage, one by one.
 //!
 //! Nothing here runs a command or evaluates a text: a step is a program and its arguments.

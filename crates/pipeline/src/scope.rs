@@ -1,4 +1,4 @@
-//! What every name of a definition stands for: settings as they were given, their defaults, values and facts.
+//! Words that a name of a definition stands for: settings as they were given, their defaults, values and facts.
 
 use std::collections::BTreeMap;
 

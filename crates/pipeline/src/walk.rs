@@ -20,7 +20,7 @@ pub struct Command {
     pub is_quiet: bool,
 }
 
-/// What a run does next.
+/// Next action of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
     /// A command.

@@ -391,7 +391,7 @@ fn scope(path: &str, settings: &[(String, Given)]) -> Result<Scope<'static>, Str
     Scope::new(definition, &settings)
 }
 
-/// What the settings of these stages are in a plan, given or not.
+/// Values of the settings of these stages in a plan, given or not.
 fn resolved(path: &str, settings: &[(String, Given)], stages: &[&str]) -> Vec<(String, String)> {
     let (Some(definition), Ok(scope)) = (pipeline(path), scope(path, settings)) else {
         return vec![];
@@ -516,7 +516,7 @@ mod tests {
             [
                 format!(
                     "planish-toolpath raster --surface surface/s --tif mirror/m/tif --pitch-mm=1 --step-mm=1 \
-                     --angle-deg=30 --out {at}/one-pass --force"
+                     --machine inputs/i/machine.json --angle-deg=30 --out {at}/one-pass --force"
                 ),
                 format!(
                     "planish-toolpath passes --tool-path {at}/one-pass --passes=2 --return --out {at}/path --force"
@@ -555,11 +555,57 @@ mod tests {
         assert!(refined[0].contains(floor), "{}", refined[0]);
         assert!(!refined[0].contains("weight"), "{}", refined[0]);
         assert!(
-            refined[1].contains(&format!(" --time-weight-nm2-per-s=0.0001{floor}")),
+            refined[1].contains(&format!("{floor}--time-weight-nm2-per-s=0.0001 ")),
             "{}",
             refined[1]
         );
         assert!(refined[1].contains(" --error-budget=p.json "), "{}", refined[1]);
+    }
+
+    #[test]
+    fn every_setting_of_every_path_and_method_reaches_a_stage() {
+        let sweep = sweep(None);
+        for path in PATHS {
+            for method in METHODS {
+                for setting in SETTINGS.iter().filter(|s| s.concerns(path, method)) {
+                    let values = [
+                        "2",
+                        "y",
+                        "wilson",
+                        "tour",
+                        "lift",
+                        "off",
+                        "smooth",
+                        "--line-order bi-step",
+                    ];
+                    let fits = values.into_iter().find(|value| setting.fits(value));
+                    let Some(value) =
+                        fits.filter(|_| setting.key != "tool" && setting.key != "varying")
+                    else {
+                        continue;
+                    };
+                    let given = |value: &str| match value.parse() {
+                        Ok(number) => Given::Number(number),
+                        Err(_) => Given::Word(value.into()),
+                    };
+                    let of = |settings: Vec<(String, Given)>| {
+                        let plan = plan(path, method, settings, &sweep.ground);
+                        let steps =
+                            sweep.path_steps(&plan).into_iter().chain(sweep.dwell_step(&plan));
+                        let steps: Vec<String> =
+                            steps.chain(sweep.plan_steps(&plan)).map(|s| line(&s)).collect();
+                        (
+                            plan.id.clone(),
+                            steps.join("\n").replace(&plan.path_id, "P").replace(&plan.id, "I"),
+                        )
+                    };
+                    let (plain, varied) =
+                        (of(vec![]), of(vec![(setting.key.clone(), given(value))]));
+                    assert_ne!(plain.0, varied.0, "{path} {method} {}={value}", setting.key);
+                    assert_ne!(plain.1, varied.1, "{path} {method} {}={value}", setting.key);
+                }
+            }
+        }
     }
 
     #[test]

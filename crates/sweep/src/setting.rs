@@ -179,6 +179,11 @@ impl Setting {
         matches!(self.of, Of::Paths(_))
     }
 
+    /// Returns true if the text is a value of the setting.
+    pub fn fits(&self, value: &str) -> bool {
+        self.kind.check(value).is_ok()
+    }
+
     /// Returns true if the setting is a count or a seed, between which no other values lie.
     pub fn is_whole(&self) -> bool {
         matches!(self.kind, Kind::Whole { .. })

@@ -67,6 +67,13 @@ impl Campaign {
     }
 }
 
+/// The number of runs of a campaign.
+fn number_of_runs(text: &str) -> Result<u32, Failure> {
+    let number = text.parse().ok().filter(|n| (1..=99).contains(n));
+    let number = number.filter(|_| !text.starts_with(['0', '+']));
+    number.ok_or_else(|| Failure::new(format!("runs is '{text}'; give 1 to 99")))
+}
+
 /// Runs a campaign; its last table goes where `said` says.
 pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
     let place = Place::find()?;
@@ -78,10 +85,7 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
     if given.get("export").is_some() {
         return Err(Failure::new("a campaign writes no programs; leave export out"));
     }
-    let runs = setting(&mut given, "runs", "3");
-    let runs: u32 = (runs.parse().ok())
-        .filter(|n| (1..=99).contains(n) && !runs.starts_with(['0', '+']))
-        .ok_or_else(|| Failure::new(format!("runs is '{runs}'; give 1 to 99")))?;
+    let runs = number_of_runs(&setting(&mut given, "runs", "3"))?;
     let definition = place.definition_of_plans(&setting(&mut given, "pipeline", "raster"))?;
     let (surface, tif) = (given.take_path("surface"), given.take_path("tif"));
     if let Some(map) = [&surface, &tif].into_iter().flatten().find(|map| Path::new(map).is_file()) {
@@ -229,7 +233,7 @@ impl Course<'_> {
         Ok(tool)
     }
 
-    /// What the next plan is expected to leave, and whether it is worth its time.
+    /// Computes what the next plan is expected to leave, and decides whether it is worth its time.
     fn decide(&mut self, at: &str, run: &str, tool: &str, knowledge: &str) -> Result<(), Failure> {
         let (motion, map) = (self.motion(run), format!("{run}/surface"));
         let (tolerance, decision) = (format!("{at}/tolerance"), format!("{at}/decision"));

@@ -25,11 +25,11 @@ const ATTEMPTED: &str = "dwell";
 /// File with what an attempt says, in its directory.
 const MESSAGE: &str = "message.txt";
 
-/// Where the commands of a run say what they do.
+/// Destination of the messages of a run.
 pub enum Said {
-    /// To the user.
+    /// The user's terminal.
     Shown,
-    /// To this file, which is shown if a command fails.
+    /// This file, which is shown if a command fails.
     Kept(File),
 }
 

@@ -96,15 +96,13 @@ impl NextRun {
             .map_err(|e| Failure::new(format!("reconcile={reconcile}: {e}")))?;
         let least_gain_percent = given.take("least_gain_percent").unwrap_or("5".into());
         let out = given.take_path("out").unwrap_or_else(|| {
-            let name =
-                std::path::absolute(&last.after).map(|path| name_of(&path)).unwrap_or_default();
-            format!("{}out/next-run/{}", place.home(), directory_name(&name))
+            let after = std::path::absolute(&last.after).unwrap_or_default();
+            format!("{}out/next-run/{}", place.home(), directory_name(&name_of(&after)))
         });
         let settings = [plain(&definition), given.settings.clone()].concat();
         let machine =
             place.settings(&definition, &settings)?.text("machine").map_err(Failure::new)?;
-        let name =
-            Path::new(&machine).file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let name = Path::new(&machine).file_name().unwrap_or_default().to_string_lossy();
         let limits = format!("{out}/machine/{name}");
         let claim = Claim {
             out: out.clone().into(),
@@ -112,92 +110,105 @@ impl NextRun {
             fixture: None,
             surface: Some(last.after.clone().into()),
             tif: Some(last.tif.clone().into()),
-            machine: machine.into(),
+            machine: machine.clone().into(),
         };
         let (_lock, assumed) = claim.take(&words::join(std::env::args()))?;
         assumed.into_iter().for_each(warn);
-        let programs = Programs::new(&place, Said::Shown)?;
-        let go_on = |program: &str, flags: &[&str]| match programs.run(&command(program, flags))? {
-            0 | 1 => Ok::<(), Failure>(()),
-            // Its message is printed.
-            _ => std::process::exit(2),
+        let next = Next {
+            programs: Programs::new(&place, Said::Shown)?,
+            is_specified: given.get("specification").is_some_and(|file| !file.is_empty()),
+            out,
+            limits,
+            least_gain_percent,
         };
-        let at = |part: &str| format!("{out}/{part}");
-        let [tif, transform, learnt, commanded] =
-            ["tif", "transform", "error_budget.json", "commanded"].map(at);
-        let (tolerance, run) = (at("tolerance"), at("plan"));
-
-        // Where the part lay, if nobody measured it: as the machine file says
-        let lay = match &last.transform {
-            Some(transform) => transform.clone(),
-            None => {
-                go_on(
-                    "planish-register",
-                    &["place", "--machine", &limits, "--out", &at("place"), "--force"],
-                )?;
-                at("place")
-            }
-        };
-        let mut flags: Vec<&str> = reconcile.iter().map(String::as_str).collect();
-        flags.extend([
-            "--before",
-            &last.before,
-            "--after",
-            &last.after,
-            "--trajectory",
-            &last.trajectory,
-        ]);
-        flags.extend(["--tif", &last.tif]);
-        flags.extend(last.error_budget.iter().flat_map(|file| ["--error-budget", file]));
-        let reconciliation = at("reconciliation");
-        flags.extend(["--transform", &lay, "--out", &reconciliation, "--corrected-tif", &tif]);
-        flags.extend([
-            "--corrected-transform",
-            &transform,
-            "--learnt-error-budget",
-            &learnt,
-            "--force",
-        ]);
-        go_on("planish-reconcile", &flags)?;
-
+        next.reconcile(&last, &reconcile)?;
         // The next plan, whose pages and tables are its own
-        let own = [format!("surface={}", last.after), format!("tif={tif}"), format!("out={run}")];
+        let own = [
+            format!("surface={}", last.after),
+            format!("tif={}", next.at("tif")),
+            format!("out={}", next.at("plan")),
+        ];
         let plan = Silent::new(&place)?.pipeline(&definition, &[&settings[..], &own].concat())?;
         let planned = plan.scope.text("planned").map_err(Failure::new)?;
+        next.decide(&planned)?;
+        let method = format!("plan/methods/{planned}");
+        let verdict = ["verdict", "--run", &next.out, "--plan", "plan", "--plan", &method];
+        end(next.programs.run(&command("planish-run", &verdict))?)
+    }
+}
+
+/// The next run, as far as it is known.
+struct Next {
+    programs: Programs,
+    out: String,
+    /// Machine file of the stages.
+    limits: String,
+    least_gain_percent: String,
+    is_specified: bool,
+}
+
+impl Next {
+    /// A path in the directory of the run.
+    fn at(&self, part: &str) -> String {
+        format!("{}/{part}", self.out)
+    }
+
+    /// Runs a command; a negative verdict is a result, and everything else is the end, whose message is printed.
+    fn go_on(&self, program: &str, flags: &[&str]) -> Result<(), Failure> {
+        match self.programs.run(&command(program, flags))? {
+            0 | 1 => Ok(()),
+            _ => std::process::exit(2),
+        }
+    }
+
+    /// Estimates what the last run taught.
+    fn reconcile(&self, last: &Last, more: &[String]) -> Result<(), Failure> {
+        let place = self.at("place");
+        // Where the part lay, if nobody measured it: as the machine file says
+        let lay = match &last.transform {
+            Some(transform) => transform,
+            None => {
+                let flags = ["place", "--machine", &self.limits, "--out", &place, "--force"];
+                self.go_on("planish-register", &flags)?;
+                &place
+            }
+        };
+        let [reconciliation, tif, transform, learnt] =
+            ["reconciliation", "tif", "transform", "error_budget.json"].map(|part| self.at(part));
+        let mut flags: Vec<&str> = more.iter().map(String::as_str).collect();
+        flags.extend(["--before", &last.before, "--after", &last.after]);
+        flags.extend(["--trajectory", &last.trajectory, "--tif", &last.tif]);
+        flags.extend(last.error_budget.iter().flat_map(|file| ["--error-budget", file]));
+        flags.extend(["--transform", lay, "--out", &reconciliation, "--corrected-tif", &tif]);
+        flags.extend(["--corrected-transform", &transform, "--learnt-error-budget", &learnt]);
+        flags.push("--force");
+        self.go_on("planish-reconcile", &flags)
+    }
+
+    /// The commanded motion of the plan, the verdict on it, and whether to run again.
+    fn decide(&self, planned: &str) -> Result<(), Failure> {
+        let [run, tif, transform, learnt, commanded] =
+            ["plan", "tif", "transform", "error_budget.json", "commanded"].map(|p| self.at(p));
+        let [verdict, tolerance, decision] =
+            ["verdict", "tolerance", "decision"].map(|part| self.at(part));
         let (motion, map) =
             (format!("{run}/methods/{planned}/trajectory"), format!("{run}/surface"));
-        let over =
-            ["--transform", &transform, "--trajectory", &motion, "--out", &commanded, "--force"];
-        go_on("planish-register", &[&["apply"], &over[..]].concat())?;
-        let verdict = at("verdict");
-        go_on(
-            "planish-verify",
-            &["--trajectory", &commanded, "--machine", &limits, "--out", &verdict, "--force"],
-        )?;
-        let over =
-            ["--trajectory", &motion, "--tif", &tif, "--surface", &map, "--error-budget", &learnt];
-        go_on("planish-tolerance", &[&over[..], &["--out", &tolerance, "--force"]].concat())?;
-        let is_specified = given.get("specification").is_some_and(|file| !file.is_empty());
-        let judged = if is_specified { specified(&run, &planned) } else { vec![] };
-        let (least, decision) =
-            (format!("--least-gain-percent={least_gain_percent}"), at("decision"));
-        let mut flags = vec![
-            "decide",
-            "--surface",
-            &map,
-            "--trajectory",
-            &motion,
-            "--tolerance",
-            &tolerance,
-            &least,
-        ];
+        let to = ["--trajectory", &motion, "--out", &commanded, "--force"];
+        self.go_on("planish-register", &[&["apply", "--transform", &transform], &to[..]].concat())?;
+        let of = ["--trajectory", &commanded, "--machine", &self.limits];
+        self.go_on("planish-verify", &[&of[..], &["--out", &verdict, "--force"]].concat())?;
+        let over = ["--trajectory", &motion, "--tif", &tif, "--surface", &map];
+        let own = ["--error-budget", &learnt, "--out", &tolerance, "--force"];
+        self.go_on("planish-tolerance", &[&over[..], &own[..]].concat())?;
+        let judged = if self.is_specified { specified(&run, planned) } else { vec![] };
+        let least = format!("--least-gain-percent={}", self.least_gain_percent);
+        let mut flags = vec!["decide", "--surface", &map, "--trajectory", &motion];
+        flags.extend(["--tolerance", &tolerance, &least]);
         flags.extend(judged.iter().map(String::as_str));
         flags.extend(["--out", &decision, "--force"]);
         say("");
-        go_on("planish-campaign", &flags)?;
+        self.go_on("planish-campaign", &flags)?;
         say(format!("the plan: {run}/report/report.html\nits motion on the machine: {commanded}"));
-        let method = format!("plan/methods/{planned}");
-        let verdict = ["verdict", "--run", &out, "--plan", "plan", "--plan", &method];
-        end(programs.run(&command("planish-run", &verdict))?)
+        Ok(())
     }
 }

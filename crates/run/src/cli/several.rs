@@ -1,5 +1,5 @@
-//! What the commands that make several runs have in common: settings of their own among those of the pipelines, commands
-//! that are not stages of a pipeline, and runs in silence.
+//! Parts that the commands for several runs share: settings of their own beside those of the pipelines, commands that are
+//! no stages of a pipeline, and runs in silence.
 
 use std::{
     fs::File,
