@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use planish_pipeline::node::{Complaint, Key, Node, Value, parse};
 
-use crate::setting::{EXCLUSIVE, Given, METHODS, Of, PATHS, Setting, one_of};
+use crate::setting::{EXCLUSIVE, Given, METHODS, Of, PATHS, Setting, default, one_of};
 
 /// A sweep as its file describes it; paths are as they stand there.
 #[derive(Clone, Debug, PartialEq)]
@@ -106,7 +106,7 @@ fn mirror_of(node: &Node) -> Result<(Mirror, String), Complaint> {
     let (surface, tif) = (table.text("surface")?, table.text("tif")?);
     let (surface_settings, tif_settings) =
         (table.text("surface_settings")?, table.text("tif_settings")?);
-    let prepare = table.text("prepare")?.unwrap_or_else(|| "--level piston".into());
+    let prepare = table.text("prepare")?.unwrap_or_else(|| default("prepare"));
     table.finish()?;
     let mirror = match (fixture, surface, tif) {
         (Some(recipe), None, None) => Mirror::Fixture(recipe),
@@ -114,7 +114,7 @@ fn mirror_of(node: &Node) -> Result<(Mirror, String), Complaint> {
             surface,
             tif,
             surface_settings: surface_settings.unwrap_or_default(),
-            tif_settings: tif_settings.unwrap_or_else(|| "--rate".into()),
+            tif_settings: tif_settings.unwrap_or_else(|| default("tif_settings")),
         },
         _ => {
             let problem =

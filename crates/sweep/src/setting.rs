@@ -8,6 +8,7 @@ use planish_pipeline::{
     definition::Definition,
     kind::Kind,
     node::{Complaint, Node, Value},
+    scope::Scope,
 };
 use serde::{Deserialize, Serialize};
 
@@ -70,6 +71,12 @@ pub enum Of {
 /// The pipeline of a family of paths.
 pub fn pipeline(path: &str) -> Option<&'static Definition> {
     PIPELINES.iter().find(|definition| definition.name == path)
+}
+
+/// Default of a setting that all pipelines share.
+pub fn default(name: &str) -> String {
+    let scope = Scope::new::<&str>(&PIPELINES[0], &[]).expect("no settings");
+    scope.text(name).expect("a setting that all pipelines share")
 }
 
 /// Stages that make the plan of a method, but for its path.
