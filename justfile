@@ -29,7 +29,7 @@ compare-dwell fixture="coupon" *settings: build
 [no-cd]
 [no-exit-message]
 [positional-arguments]
-compare fixture="flat-92x16" *settings: build
+compare *words: build
     @{{ planish_run }} compare "$@"
 
 # just tolerance raster maze fixture=coupon error_budget=fixtures/error-budgets/mrf.json; just tolerance reference: single errors

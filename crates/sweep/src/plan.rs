@@ -393,14 +393,9 @@ fn scope(path: &str, settings: &[(String, Given)]) -> Result<Scope<'static>, Str
 
 /// Values of the settings of these stages in a plan, given or not.
 fn resolved(path: &str, settings: &[(String, Given)], stages: &[&str]) -> Vec<(String, String)> {
-    let (Some(definition), Ok(scope)) = (pipeline(path), scope(path, settings)) else {
-        return vec![];
-    };
-    let value = |name: String| {
-        let text = scope.text(&name).unwrap_or_default();
-        (name, text)
-    };
-    settings_of(definition, stages).into_iter().map(value).collect()
+    let Ok(scope) = scope(path, settings) else { return vec![] };
+    let value = |name: &str| (name.to_string(), scope.text(name).unwrap_or_default());
+    settings_of(path, stages).into_iter().map(value).collect()
 }
 
 /// A plan with these settings, and its names.

@@ -84,9 +84,18 @@ pub fn stages(method: &str) -> &'static [&'static str] {
     if method == "joint" { &["joint"] } else { &["dwell", "refined"] }
 }
 
-/// Settings of a pipeline on which these stages depend.
-pub fn settings_of(definition: &Definition, stages: &[&str]) -> BTreeSet<String> {
-    stages.iter().flat_map(|stage| definition.settings_of(stage, &OWN)).collect()
+/// Path, stage, and the settings on which the stage depends. A sweep asks for them for every plan.
+static SETTINGS_OF_STAGES: LazyLock<Vec<(&str, &str, BTreeSet<String>)>> = LazyLock::new(|| {
+    let stages = ["paths", "dwell", "refined", "joint"];
+    let pairs = PIPELINES.iter().flat_map(|p| stages.map(|stage| (p, stage)));
+    pairs.map(|(p, stage)| (p.name.as_str(), stage, p.settings_of(stage, &OWN))).collect()
+});
+
+/// Settings of a path on which these stages depend, in the order of their names.
+pub fn settings_of(path: &str, stages: &[&str]) -> BTreeSet<&'static str> {
+    let known = SETTINGS_OF_STAGES.iter();
+    let known = known.filter(|(p, stage, _)| *p == path && stages.contains(stage));
+    known.flat_map(|(.., settings)| settings).map(String::as_str).collect()
 }
 
 fn settings() -> Vec<Setting> {
@@ -97,21 +106,20 @@ fn settings() -> Vec<Setting> {
     };
     let mut found: Vec<Setting> = TOOLS.iter().map(tool).collect();
     for definition in PIPELINES.iter() {
-        let of_path = settings_of(definition, &["paths"]);
-        for setting in definition.settings.iter().filter(|setting| of_path.contains(&setting.name))
-        {
-            let has = |path: &&'static str| {
-                pipeline(path).is_some_and(|p| settings_of(p, &["paths"]).contains(&setting.name))
-            };
-            let paths = PATHS.into_iter().filter(|path| has(path)).collect();
-            add(&mut found, &setting.name, &setting.kind, Of::Paths(paths));
+        for setting in &definition.settings {
+            let has =
+                |path: &&'static str| settings_of(path, &["paths"]).contains(setting.name.as_str());
+            let paths: Vec<_> = PATHS.into_iter().filter(has).collect();
+            if paths.contains(&definition.name.as_str()) {
+                add(&mut found, &setting.name, &setting.kind, Of::Paths(paths));
+            }
         }
     }
-    let raster = &PIPELINES[0];
-    for setting in &raster.settings {
-        let has =
-            |method: &&'static str| settings_of(raster, stages(method)).contains(&setting.name);
-        let methods: Vec<_> = METHODS.into_iter().filter(|method| has(method)).collect();
+    for setting in &PIPELINES[0].settings {
+        let has = |method: &&'static str| {
+            settings_of(PATHS[0], stages(method)).contains(setting.name.as_str())
+        };
+        let methods: Vec<_> = METHODS.into_iter().filter(has).collect();
         if !methods.is_empty() {
             add(&mut found, &setting.name, &setting.kind, Of::Methods(methods));
         }

@@ -12,23 +12,32 @@ use super::{
     several::{Given, command, no_flag},
 };
 
+/// Fixture of the first of these pipelines.
+fn default_fixture(place: &Place) -> Result<String, Failure> {
+    let definition = place.definition(PATHS[0])?;
+    place.settings::<&str>(&definition, &[])?.text("fixture").map_err(Failure::new)
+}
+
 /// Pipelines whose paths are compared.
 const PATHS: [&str; 3] = ["raster", "maze", "random-adaptive"];
 
 #[derive(Args)]
 pub struct Compare {
-    /// Name of a fixture, or `all` for every one
-    fixture: String,
-    /// Settings of the pipelines; skip="NAME NAME" leaves mirrors of `all` out
-    #[arg(value_name = "NAME=VALUE", trailing_var_arg = true, allow_hyphen_values = true)]
-    settings: Vec<String>,
+    /// Name of a fixture (that of the pipeline raster without one), or `all` for every one; and settings of the pipelines,
+    /// of which skip="NAME NAME" leaves mirrors of `all` out
+    #[arg(value_name = "WORD", trailing_var_arg = true, allow_hyphen_values = true)]
+    words: Vec<String>,
 }
 
 impl Compare {
     pub fn run(&self) -> Result<Status, Failure> {
         let place = Place::find()?;
-        let fixture = self.fixture.as_str();
-        let mut given = Given::new(&self.settings);
+        let mut given = Given::new(&self.words);
+        let fixture = match given.words.is_empty() {
+            true => default_fixture(&place)?,
+            false => given.words.remove(0),
+        };
+        let fixture = fixture.as_str();
         let skip = given.take("skip").unwrap_or_default();
         let out = given
             .take_path("out")
