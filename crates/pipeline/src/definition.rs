@@ -3,10 +3,10 @@
 use std::collections::BTreeSet;
 
 use crate::{
+    action::Action,
     kind::Kind,
     node::{Complaint, Node, Value, parse},
     phrase::{Line, Test, is_name, names},
-    walk::Action,
 };
 
 /// Name of the file that all pipelines share, without its ending.
