@@ -4,7 +4,7 @@
 default:
     @just --list
 
-planish_run := quote(justfile_directory() / "target/release/planish-run")
+planish_run := "PLANISH_SHARE=" + quote(justfile_directory()) + " " + quote(justfile_directory() / "target/release/planish-run")
 
 # just run raster pitch_mm=0.5 fixture=coupon, or of one's own: just run raster surface=DIR tif=DIR machine=FILE out=DIR
 #

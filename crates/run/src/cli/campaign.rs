@@ -31,8 +31,8 @@ use super::{
 #[derive(Args)]
 pub struct Campaign {
     /// Name of a fixture (coupon without one), and settings: runs, seed, error_budget, least_gain_percent, pipeline,
-    /// reconcile, and those of the pipeline; a measured mirror is surface=DIR tif=DIR, two artifacts, and its map is taken
-    /// for the mirror itself
+    /// reconcile, and those of the pipeline. The map of a measured mirror (surface=DIR tif=DIR, two artifacts) is taken for
+    /// the mirror itself
     #[arg(value_name = "WORD", trailing_var_arg = true, allow_hyphen_values = true)]
     words: Vec<String>,
 }
