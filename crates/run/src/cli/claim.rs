@@ -8,7 +8,7 @@ use std::{
     time::Duration,
 };
 
-use planish_handoff::{Failure, Inputs, OutputFile, is_temporary};
+use planish_handoff::{Failure, Inputs, OutputFile, is_temporary, system};
 use planish_run::owner::{Mirror, Owner};
 use planish_types::{DEFAULT_TIME_TO_FULL_ACCELERATION_S, MachineFile};
 
@@ -59,7 +59,7 @@ impl Claim {
         }
         refuse_overlap(out, "machine", machine)?;
         let lock = take(out, &owner, command)?;
-        inherited(&lock)?;
+        system::let_inherit(&lock)?;
         fs::create_dir_all(out.join(MACHINE))
             .map_err(|e| Failure::new(format!("{}: cannot write in it: {e}", out.display())))?;
         OutputFile::begin("out", &copy, true, &Inputs::new())?.write(&machine_text)?;
@@ -81,14 +81,6 @@ impl Claim {
             }
         }
     }
-}
-
-/// Lets every process that this one starts inherit the lock: the directory is free when the last of them has ended, and
-/// not before, even if some are killed.
-fn inherited(lock: &File) -> Result<(), Failure> {
-    #[cfg(unix)]
-    rustix::io::fcntl_setfd(lock, rustix::io::FdFlags::empty())?;
-    Ok(())
 }
 
 /// The machine file as the stages of the run get it, in `copy`: as it is, or, where it says nothing of jerk, with the time

@@ -1,9 +1,9 @@
 //! `planish-run start`: a command as the only owner of the directory of a run.
 
-use std::path::PathBuf;
+use std::{path::PathBuf, process};
 
 use clap::Args;
-use planish_handoff::{Failure, Status, warn, words};
+use planish_handoff::{Failure, Status, system, warn, words};
 
 use super::claim::Claim;
 
@@ -44,26 +44,9 @@ impl Start {
         };
         let (lock, assumed) = claim.take(&words::join(&self.command))?;
         assumed.into_iter().for_each(warn);
-        Err(become_command(&self.command, lock))
-    }
-}
-
-/// Runs the command in place of this process, so that signals reach it and its exit code is that of the
-/// run. Returns only if the command cannot be run.
-#[cfg(unix)]
-fn become_command(command: &[String], _lock: std::fs::File) -> Failure {
-    use std::os::unix::process::CommandExt;
-    let error = std::process::Command::new(&command[0]).args(&command[1..]).exec();
-    Failure::new(format!("cannot run {}: {error}", command[0]))
-}
-
-/// Runs the command on systems on which no process can replace another: this process waits with the lock.
-#[cfg(not(unix))]
-fn become_command(command: &[String], lock: std::fs::File) -> Failure {
-    let status = std::process::Command::new(&command[0]).args(&command[1..]).status();
-    drop(lock);
-    match status {
-        Ok(status) => std::process::exit(status.code().unwrap_or(2)),
-        Err(error) => Failure::new(format!("cannot run {}: {error}", command[0])),
+        let mut process = process::Command::new(&self.command[0]);
+        process.args(&self.command[1..]);
+        let error = system::become_command(process, lock);
+        Err(Failure::new(format!("cannot run {}: {error}", self.command[0])))
     }
 }
