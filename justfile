@@ -4,7 +4,7 @@
 default:
     @just --list
 
-start := quote(justfile_directory() / "pipelines/start.sh")
+planish_run := "PLANISH_SHARE=" + quote(justfile_directory()) + " " + quote(justfile_directory() / "target/release/planish-run")
 
 # just run raster pitch_mm=0.5 fixture=coupon, or of one's own: just run raster surface=DIR tif=DIR machine=FILE out=DIR
 #
@@ -14,7 +14,7 @@ start := quote(justfile_directory() / "pipelines/start.sh")
 [no-exit-message]
 [positional-arguments]
 run pipeline *settings: build
-    @{{ start }} run "$@"
+    @{{ planish_run }} run "$@"
 
 # Every dwell solver on one mirror: just compare-dwell coupon-ring pitch_mm=0.5
 [group('1 plans')]
@@ -22,15 +22,15 @@ run pipeline *settings: build
 [no-exit-message]
 [positional-arguments]
 compare-dwell fixture="coupon" *settings: build
-    @fixture=$1 && shift && {{ start }} run compare-dwell "fixture=$fixture" "$@"
+    @fixture=$1 && shift && {{ planish_run }} run compare-dwell "fixture=$fixture" "$@"
 
 # Every scheduler on the same path and dwell times, along three paths: just compare coupon
 [group('1 plans')]
 [no-cd]
 [no-exit-message]
 [positional-arguments]
-compare fixture="flat-92x16" *settings: build
-    @{{ quote(justfile_directory() / "pipelines/compare.sh") }} "$@"
+compare *words: build
+    @{{ planish_run }} compare "$@"
 
 # just tolerance raster maze fixture=coupon error_budget=fixtures/error-budgets/mrf.json; just tolerance reference: single errors
 # on the mirror in PLANISH_REFERENCE (docs/tolerance.md)
@@ -41,7 +41,7 @@ compare fixture="flat-92x16" *settings: build
 [no-exit-message]
 [positional-arguments]
 tolerance *words: build
-    @{{ quote(justfile_directory() / "pipelines/tolerance.sh") }} "$@"
+    @{{ planish_run }} tolerance "$@"
 
 # Beside the same without learning and with a tool that is known: just campaign coupon runs=3 seed=7
 # error_budget=fixtures/error-budgets/hidden.json (docs/campaign.md)
@@ -52,7 +52,7 @@ tolerance *words: build
 [no-exit-message]
 [positional-arguments]
 campaign *words: build
-    @{{ quote(justfile_directory() / "pipelines/campaign.sh") }} "$@"
+    @{{ planish_run }} campaign "$@"
 
 # Each campaign is in out/campaign-spread/MIRROR/SEED, or in OUT/SEED
 #
@@ -62,7 +62,7 @@ campaign *words: build
 [no-exit-message]
 [positional-arguments]
 campaign-spread *words: build
-    @{{ quote(justfile_directory() / "pipelines/campaign-spread.sh") }} "$@"
+    @{{ planish_run }} campaign-spread "$@"
 
 # just next-run before=DIR after=DIR trajectory=DIR tif=DIR [machine=FILE error_budget=FILE transform=DIR specification=FILE
 # out=DIR] (docs/campaign.md)
@@ -73,7 +73,7 @@ campaign-spread *words: build
 [no-exit-message]
 [positional-arguments]
 next-run *words: build
-    @{{ quote(justfile_directory() / "pipelines/next-run.sh") }} "$@"
+    @{{ planish_run }} next-run "$@"
 
 # profile=slurm on a cluster, refine_front=yes for plans between those of the front, out=DIR. Makes its own virtual
 # environment (docs/sweeps.md)
@@ -119,8 +119,8 @@ learn-coverage runs="500": build
 # The settings of a pipeline as a table, with their defaults and units: just show raster
 [group('1 plans')]
 [positional-arguments]
-show pipeline:
-    @{{ start }} show "$@"
+show pipeline: build
+    @{{ planish_run }} show "$@"
 
 # Build every program, in target/release
 [group('2 programs')]
@@ -518,15 +518,15 @@ method-pictures: build python
     at=out/method-pictures
     mkdir -p $at docs/methods
     made() { "$@" > $at/log 2>&1 || [ $? -eq 1 ] || { cat $at/log; exit 2; }; }
-    made pipelines/start.sh run raster fixture=coupon frames=0 out=$at/raster
-    made pipelines/start.sh compare maze fixture=coupon frames=0 machine=fixtures/machines/ion-beam-slow.json out=$at/maze
-    made pipelines/start.sh run compare-dwell fixture=coupon out=$at/dwell
+    made target/release/planish-run run raster fixture=coupon frames=0 out=$at/raster
+    made target/release/planish-run stage maze compare fixture=coupon frames=0 machine=fixtures/machines/ion-beam-slow.json out=$at/maze
+    made target/release/planish-run run compare-dwell fixture=coupon out=$at/dwell
     mirror="--surface $at/raster/surface --tif $at/raster/fixture/tif"
     made target/release/planish-tolerance $mirror --trajectory $at/raster/methods/pvt+refined/trajectory \
         --error-budget fixtures/error-budgets/ion-beam.json --out $at/tolerance --force
     made target/release/planish-refine pareto $mirror --tool-path $at/raster/tool_path --min-dwell-s-per-mm 0.02 \
         --machine fixtures/machines/ion-beam-no-jerk-limit.json --out $at/pareto --force
-    made pipelines/campaign.sh coupon runs=3 seed=7 out=$at/campaign
+    made target/release/planish-run campaign coupon runs=3 seed=7 out=$at/campaign
     target/python/bin/python docs/methods/draw.py $at docs/methods
     cp $at/pareto/pareto.svg $at/campaign/report/campaign.svg docs/methods
 

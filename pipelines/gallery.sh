@@ -5,12 +5,12 @@ cd "$(dirname "$0")/.."
 pictures=docs/gallery
 mkdir -p $pictures out/gallery
 
-# made GOAL RUN PIPELINE [NAME=VALUE...]. Exit code 1, a negative verdict, is a result.
+# made STAGE RUN PIPELINE [NAME=VALUE...]. Exit code 1, a negative verdict, is a result.
 made() {
-    goal=$1 name=$2
-    shift 2
-    pipelines/start.sh "$goal" "$@" fixture=coupon frames=0 "out=out/gallery/$name" > "out/gallery/$name.log" 2>&1 ||
-        [ $? -eq 1 ]
+    stage=$1 name=$2 pipeline=$3
+    shift 3
+    target/release/planish-run stage "$pipeline" "$stage" "$@" fixture=coupon frames=0 "out=out/gallery/$name" \
+        > "out/gallery/$name.log" 2>&1 || [ $? -eq 1 ]
 }
 
 # draw RUN METHOD NAME: before, path and after of a method of a run, to docs/gallery/NAME.png

@@ -75,7 +75,7 @@ def slope_rms(height, x):
 
 def plan(line, weight, out):
     command = [
-        ROOT / "pipelines/start.sh",
+        ROOT / "target/release/planish-run",
         "run",
         "line",
         f"fixture=lines/line-{line}",

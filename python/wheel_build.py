@@ -46,10 +46,9 @@ class Programs(BuildHookInterface):
             (scripts / name).chmod(0o755)
             build_data["shared_scripts"][str(scripts / name)] = name
         for folder, pattern in (
-            ("pipelines", "*.just"),
-            ("pipelines", "start.sh"),
-            ("pipelines", "show.awk"),
+            ("pipelines", "*.yaml"),
             ("fixtures", "*.json"),
+            ("fixtures", "*.tool"),
             ("fixtures/machines", "*.json"),
             ("fixtures/error-budgets", "*.json"),
             ("fixtures/specifications", "*.json"),

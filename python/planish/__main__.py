@@ -19,7 +19,6 @@ planish-STAGE --help                   one stage at a time; from Python: import 
 def doctor():
     """Prints what is here, and plans a tiny mirror: 0 if all of it works, else 1 with the remedies."""
     import platform
-    import shutil
     import tempfile
 
     import numpy as np
@@ -36,12 +35,10 @@ def doctor():
     except PlanishError as error:
         row("programs", "missing")
         remedies.append(str(error))
-    for tool, remedy in (("sh", "pipelines and planish.plan need a shell"), ("just", "pip install rust-just")):
-        place = pipeline()[1]["PATH"] if not remedies else None
-        found = shutil.which(tool, path=place)
-        row(tool, found or "missing")
-        if found is None:
-            remedies.append(f"{tool} is missing: {remedy}")
+    found = sorted(p.stem for p in (share() / "pipelines").glob("*.yaml") if p.stem != "shared")
+    row("pipelines", f"{len(found)} in {share() / 'pipelines'}")
+    if not found:
+        remedies.append(f"{share() / 'pipelines'} holds no pipelines: pip install the wheel again")
     if not remedies:
         at = np.arange(-6.0, 6.5, 0.5)
         bump = np.exp(-(at[None, :] ** 2 + at[:, None] ** 2) / 8)
@@ -86,8 +83,8 @@ def main():
         print(f"error: {error}", file=sys.stderr)
         return 2
     if goal == "list":
-        for folder, ending in (("pipelines", ".just"), ("fixtures", ".json"), ("fixtures/machines", ".json")):
-            found = [p for p in sorted((share() / folder).glob(f"*{ending}")) if p.stem != "stages"]
+        for folder, ending in (("pipelines", ".yaml"), ("fixtures", ".json"), ("fixtures/machines", ".json")):
+            found = [p for p in sorted((share() / folder).glob(f"*{ending}")) if p.stem != "shared"]
             # A pipeline takes the name of a fixture, and the path of a machine.
             own_line = folder.endswith("machines")
             print(f"{folder}:" + "".join(f"\n  {p}" if own_line else f" {p.stem}" for p in found))

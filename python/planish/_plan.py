@@ -9,7 +9,6 @@ import re
 import signal
 import subprocess
 import sys
-import sysconfig
 import tempfile
 import threading
 import typing
@@ -43,10 +42,8 @@ def share() -> pathlib.Path:
 def pipeline(*arguments: str) -> tuple[list[str], dict[str, str]]:
     """Command and environment of `planish run` and `planish show`."""
     folder = programs()
-    # `just` is beside this Python, whether or not its environment is active.
-    path = os.pathsep.join([str(folder), sysconfig.get_path("scripts"), os.environ.get("PATH", "")])
-    environment = {**os.environ, "PATH": path, "PLANISH_PROGRAMS": str(folder)}
-    return ["sh", str(share() / "pipelines/start.sh"), *arguments], environment
+    environment = {**os.environ, "PLANISH_PROGRAMS": str(folder), "PLANISH_SHARE": str(share())}
+    return [str(folder / "planish-run"), *arguments], environment
 
 
 def plan(

@@ -48,6 +48,12 @@ pub fn become_command(command: Command, lock: File) -> io::Error {
     system::become_command(command, lock)
 }
 
+/// Lets every process that this one starts inherit the open `lock`: it is free when the last of them has ended, and not
+/// before, even if some are killed. Elsewhere than on Unix this process alone has it.
+pub fn let_inherit(lock: &File) -> io::Result<()> {
+    system::let_inherit(lock)
+}
+
 /// Makes a symbolic link at `link` to `target`. A system without them makes none, which is no error.
 pub fn symbolic_link(target: &Path, link: &Path) -> io::Result<()> {
     system::symbolic_link(target, link)
@@ -102,10 +108,14 @@ mod system {
     }
 
     pub(super) fn become_command(mut command: Command, lock: File) -> io::Error {
-        match rustix::io::fcntl_setfd(&lock, rustix::io::FdFlags::empty()) {
+        match let_inherit(&lock) {
             Ok(()) => command.exec(),
-            Err(error) => error.into(),
+            Err(error) => error,
         }
+    }
+
+    pub(super) fn let_inherit(lock: &File) -> io::Result<()> {
+        Ok(rustix::io::fcntl_setfd(lock, rustix::io::FdFlags::empty())?)
     }
 
     pub(super) fn symbolic_link(target: &Path, link: &Path) -> io::Result<()> {
@@ -148,6 +158,10 @@ mod system {
             }
             Err(error) => error,
         }
+    }
+
+    pub(super) fn let_inherit(_: &File) -> io::Result<()> {
+        Ok(())
     }
 
     pub(super) fn symbolic_link(_: &Path, _: &Path) -> io::Result<()> {

@@ -1,16 +1,57 @@
-//! Subcommands, one file each.
+//! Subcommands, one file each, and what they share.
 
-mod best;
+mod campaign;
+mod claim;
+mod compare;
+mod execute;
+mod next_run;
+mod place;
 mod program;
+mod run;
+mod several;
+mod spread;
 mod start;
+mod tolerance;
 mod verdict;
-mod words;
 
 use clap::Subcommand;
 use planish_handoff::{Failure, Status};
 
 #[derive(Subcommand)]
 pub enum Command {
+    /// Run a pipeline: print every command, then run it, in a directory that the run has for itself
+    ///
+    /// The settings, the machine file and the mirror are checked first, so that a mistake in them is not found after the
+    /// long stages. Then the output directory is locked until the run and all of its stages have ended, however they end.
+    /// The file run.json in it names the pipeline and the mirror. A directory of others is refused with exit code 2.
+    ///
+    /// The exit code is 1 if the recommended plan has a negative verdict. The pipelines are in the folder pipelines/ of
+    /// the clone, or of PLANISH_SHARE.
+    Run(run::Run),
+    /// Run one stage of a pipeline, with its settings, in the directory of the run
+    Stage(run::Stage),
+    /// Print the settings of a pipeline as a table, with their defaults and units
+    Show(run::Show),
+    /// Run every scheduler on the same path and dwell times, along three paths, and compare the plans
+    ///
+    /// Each path is a run of its own in out/compare/FIXTURE/PATH, or in OUT/PATH with out=OUT. The report beside them
+    /// holds all three.
+    Compare(compare::Compare),
+    /// Print the effect of the errors of a process on the plans of several pipelines, the best first
+    ///
+    /// Each plan is a run of its own in out/tolerance/MIRROR/PIPELINE, or in OUT/PIPELINE with out=OUT.
+    Tolerance(tolerance::Tolerance),
+    /// Run a campaign on the virtual machine: plan, run, measure, reconcile, plan again
+    ///
+    /// The campaign runs with learning, without it, and on a machine whose errors are known. Everything goes to
+    /// out/campaign/MIRROR, or to OUT with out=OUT (docs/campaign.md).
+    Campaign(campaign::Campaign),
+    /// Run campaigns with several seeds, and print how their results scatter
+    CampaignSpread(spread::CampaignSpread),
+    /// Plan the next run from the maps before and after the last one, and decide whether it is worth its time
+    ///
+    /// Everything goes to out/next-run/MAP, or to OUT with out=OUT (docs/campaign.md).
+    NextRun(next_run::NextRun),
     /// Run a command while the directory of a run is locked for it; the command replaces this program
     ///
     /// The program checks the machine file and the mirror first, so that a mistake in them is not found
@@ -19,11 +60,6 @@ pub enum Command {
     /// refuses the directory of another pipeline or of another mirror, or one with other content, with exit
     /// code 2.
     Start(start::Start),
-    /// Print the words of a text, quoted for a shell; they are split like a shell does it, but nothing is
-    /// evaluated
-    Words(words::Words),
-    /// Print the name of the plan that the report of a run recommends
-    Best(best::Best),
     /// Print the plan that the program of a run executes, and whether the report recommends that plan
     Program(program::Program),
     /// Print the stages of a run that gave a negative verdict; exit code 1 if there are any
@@ -33,9 +69,15 @@ pub enum Command {
 impl Command {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
+            Self::Run(arguments) => arguments.run(),
+            Self::Stage(arguments) => arguments.run(),
+            Self::Show(arguments) => arguments.run(),
+            Self::Compare(arguments) => arguments.run(),
+            Self::Tolerance(arguments) => arguments.run(),
+            Self::Campaign(arguments) => arguments.run(),
+            Self::CampaignSpread(arguments) => arguments.run(),
+            Self::NextRun(arguments) => arguments.run(),
             Self::Start(arguments) => arguments.run(),
-            Self::Words(arguments) => arguments.run(),
-            Self::Best(arguments) => arguments.run(),
             Self::Program(arguments) => arguments.run(),
             Self::Verdict(arguments) => arguments.run(),
         }

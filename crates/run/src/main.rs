@@ -1,4 +1,4 @@
-//! `planish-run`: lock, owner and verdict of a run of several stages.
+//! `planish-run`: pipelines, and the directory, lock and verdict of a run.
 
 mod cli;
 
@@ -11,12 +11,13 @@ use clap::Parser;
 static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
 
 const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-run run raster fixture=coupon pitch_mm=2 export=galil\n\
+    \x20 planish-run stage raster path fixture=coupon pitch_mm=2\n\
+    \x20 planish-run show raster\n\
     \x20 planish-run start --out out/mine --pipeline mine --surface mirror --tif tool --machine machine.json -- sh my-stages.sh\n\
-    \x20 planish-run words \"--unit m --variable 'my map'\"\n\
     \x20 planish-run verdict --run out/mine --plan methods/pvt";
 
-/// Start a run of several stages as the only owner of its directory; name at its end the stages that gave a
-/// negative verdict
+/// Run pipelines, each as the only owner of its directory, and name the stages that gave a negative verdict
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
 struct Cli {

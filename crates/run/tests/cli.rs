@@ -3,7 +3,6 @@
 
 use std::{
     fs,
-    io::Write,
     path::Path,
     process::{Command, Output, Stdio},
     thread,
@@ -148,8 +147,6 @@ fn mistakes_are_found_before_anything_is_written() {
     refused(&run(here, "out", &[], &["true"]), &["no mirror"]);
     let absent = ["--surface", "nowhere", "--tif", "tool"];
     refused(&run(here, "out", &absent, &["true"]), &["surface nowhere: cannot read"]);
-    let flags = [&FIXTURE[..], &["--flags", "prepare=--name 'x"]].concat();
-    refused(&run(here, "out", &flags, &["true"]), &["prepare=--name 'x", "byte 7 is not closed"]);
     fs::write(here.join("machine.json"), r#"{"name": "bench", "axes": []}"#).unwrap();
     refused(&run(here, "out", &FIXTURE, &["true"]), &["machine.json"]);
     fs::remove_file(here.join("machine.json")).unwrap();
@@ -283,28 +280,6 @@ fn kill(signal: &str, process: u32) {
 }
 
 #[test]
-fn words_are_those_of_a_shell_and_nothing_is_evaluated() {
-    let text = "--unit m 'a b' \"it's\" $(touch PWNED) * #x";
-    let dir = bench();
-    let output = Command::new(PROGRAM).current_dir(dir.path()).args(["words", "--", text]).output();
-    let line = String::from_utf8(output.unwrap().stdout).unwrap();
-    assert_eq!(line, "--unit m 'a b' 'it'\\''s' '$(touch' 'PWNED)' '*' '#x'\n");
-    // A shell reads the line back as these words.
-    let mut shell =
-        Command::new("sh").stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
-    let script = format!("printf '<%s>' {line}");
-    shell.stdin.take().unwrap().write_all(script.as_bytes()).unwrap();
-    let read = String::from_utf8(shell.wait_with_output().unwrap().stdout).unwrap();
-    assert_eq!(read, "<--unit><m><a b><it's><$(touch><PWNED)><*><#x>");
-    for text in ["", "--help", "--completions", "-h"] {
-        let output = Command::new(PROGRAM).args(["words", "--", text]).output().unwrap();
-        assert_eq!(String::from_utf8(output.stdout).unwrap(), format!("{text}\n"));
-    }
-    let output = Command::new(PROGRAM).args(["words", "--", "a 'b"]).output().unwrap();
-    refused(&output, &["a 'b", "byte 2 is not closed"]);
-}
-
-#[test]
 fn the_verdict_is_that_on_the_plan_and_on_what_it_is_made_of() {
     let dir = tempfile::tempdir().unwrap();
     let artifact = |path: &str, outcome: serde_json::Value| {
@@ -433,14 +408,8 @@ fn the_program_is_named_with_its_plan_and_the_plan_that_is_recommended() {
             json!({"answer": {"method": method, "why": "It is the least."}, "best": method});
         fs::write(dir.path().join("run/report/summary.json"), summary.to_string()).unwrap();
     };
-    let named = || {
-        let flags = ["best", "--run", "run", "--otherwise", "pvt+refined"];
-        let ended = Command::new(PROGRAM).current_dir(dir.path()).args(flags).output().unwrap();
-        String::from_utf8(ended.stdout).unwrap()
-    };
     for best in ["pvt", "pvt+galil"] {
         summary(json!(best));
-        assert_eq!(named(), "pvt\n");
         let (code, text) = said("pvt");
         let expected = "the one that the report recommends: It is the least.";
         assert!(code == Some(0) && text.contains(expected), "{text}");
@@ -449,9 +418,148 @@ fn the_program_is_named_with_its_plan_and_the_plan_that_is_recommended() {
     summary(json!("joint"));
     let (code, text) = said("pvt");
     assert!(code == Some(0) && text.contains("give program_of=joint"), "{text}");
-    summary(json!("pvt+refined"));
-    assert_eq!(named(), "pvt+refined\n");
     summary(json!(null));
-    assert_eq!(named(), "pvt+refined\n");
     assert!(said("pvt").1.contains("recommends no plan of this run: It is the least."));
+}
+
+/// Programs that write their arguments to the file `log`, a line each, and end with the code that `codes/PROGRAM` holds.
+fn recorders(dir: &Path) -> std::path::PathBuf {
+    use std::os::unix::fs::PermissionsExt;
+    let programs = dir.join("programs");
+    fs::create_dir(&programs).unwrap();
+    for name in [
+        "fixture", "surface", "toolpath", "dwell", "schedule", "simulate", "verify", "compare",
+        "run",
+    ] {
+        let script = "#!/bin/sh\nname=${0##*/}\nprintf '%s' \"$name\" >> log\nprintf '<%s>' \"$@\" >> log\necho >> log\n\
+                      [ ! -f \"codes/$name\" ] || exit \"$(cat \"codes/$name\")\"\n";
+        let file = programs.join(format!("planish-{name}"));
+        fs::write(&file, script).unwrap();
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o755)).unwrap();
+    }
+    fs::create_dir(dir.join("codes")).unwrap();
+    programs
+}
+
+/// `planish-run` with the pipelines of this repository and recording programs, and what these were called with.
+fn recorded(dir: &Path, arguments: &[&str]) -> (Output, Vec<String>) {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
+    let mut command = Command::new(PROGRAM);
+    command.current_dir(dir).args(arguments);
+    command.env("PLANISH_SHARE", root).env("PLANISH_PROGRAMS", dir.join("programs"));
+    let ended = command.output().unwrap();
+    let log = fs::read_to_string(dir.join("log")).unwrap_or_default();
+    let _ = fs::remove_file(dir.join("log"));
+    (ended, log.lines().map(String::from).collect())
+}
+
+/// The quickest pipeline: no closed loop, no joint plan, no pictures.
+const QUICK: [&str; 6] =
+    ["run", "raster", "machine=machine.json", "refine=no", "plan_joint=no", "frames=0"];
+
+#[test]
+fn every_command_is_printed_as_it_runs_and_a_setting_is_one_argument() {
+    let dir = bench();
+    recorders(dir.path());
+    let hostile = "it's; $(touch PWNED) `touch PWNED` {{ x }} *";
+    fs::rename(dir.path().join("mirror"), dir.path().join(hostile)).unwrap();
+    let settings = [format!("surface={hostile}"), "tif=tool".into(), format!("out={hostile}.out")];
+    let settings: Vec<&str> = settings.iter().map(String::as_str).collect();
+    let (ended, log) = recorded(dir.path(), &[&QUICK[..], &settings].concat());
+    let text = message(&ended);
+    assert_eq!(ended.status.code(), Some(0), "{text}");
+    let first = format!(
+        "planish-surface<prepare><--surface><{hostile}><--level><none><--out><{hostile}.out/import/surface><--force>"
+    );
+    assert_eq!(log[0], first);
+    // What is printed runs again in a shell, with the same arguments.
+    let printed: Vec<&str> = text.lines().filter(|line| line.starts_with("planish-")).collect();
+    assert_eq!(printed.len(), log.len(), "{text}");
+    let path =
+        format!("{}:{}", dir.path().join("programs").display(), std::env::var("PATH").unwrap());
+    for (line, called) in printed.iter().zip(&log) {
+        let copied = Command::new("sh")
+            .args(["-c", line])
+            .current_dir(dir.path())
+            .env("PATH", &path)
+            .status();
+        assert!(copied.unwrap().success(), "{line}");
+        assert_eq!(
+            fs::read_to_string(dir.path().join("log")).unwrap().trim_end(),
+            called,
+            "{line}"
+        );
+        fs::remove_file(dir.path().join("log")).unwrap();
+    }
+    assert!(!dir.path().join("PWNED").exists());
+}
+
+#[test]
+fn a_negative_verdict_lets_a_run_go_on_and_a_refusal_ends_it() {
+    let dir = bench();
+    recorders(dir.path());
+    let settings = [&QUICK[..], &["fixture=coupon", "out=o"]].concat();
+    let (ended, whole) = recorded(dir.path(), &settings);
+    assert_eq!(ended.status.code(), Some(0), "{}", message(&ended));
+    for (program, own, code, commands) in [
+        ("planish-verify", "1", 0, whole.len()),
+        ("planish-toolpath", "1", 1, 3),
+        ("planish-dwell", "2", 2, 4),
+        ("planish-simulate", "7", 2, 6),
+        ("planish-run", "1", 1, whole.len()),
+    ] {
+        fs::write(dir.path().join("codes").join(program), own).unwrap();
+        let (ended, log) = recorded(dir.path(), &settings);
+        assert_eq!((ended.status.code(), log.len()), (Some(code), commands), "{program}: {log:?}");
+        fs::remove_file(dir.path().join("codes").join(program)).unwrap();
+    }
+    // One stage, with the same settings.
+    let stage = [
+        "stage",
+        "raster",
+        "path",
+        "machine=machine.json",
+        "fixture=coupon",
+        "out=o",
+        "pitch_mm=2",
+    ];
+    let (ended, log) = recorded(dir.path(), &stage);
+    assert_eq!(ended.status.code(), Some(0), "{}", message(&ended));
+    assert!(
+        log.len() == 1 && log[0].contains("<raster>") && log[0].contains("<--pitch-mm=2>"),
+        "{log:?}"
+    );
+}
+
+#[test]
+fn a_wrong_setting_is_named_with_the_remedy_and_nothing_runs() {
+    let dir = bench();
+    recorders(dir.path());
+    for (arguments, said) in [
+        (&["run", "rastr"][..], "no pipeline 'rastr'; there are: bspline compare-dwell line maze"),
+        (&["run", "raster", "pitch=1"], "raster has no setting 'pitch'; there are: error_budget"),
+        (&["run", "raster", "--dry-run"], "'--dry-run' is not a setting; write NAME=VALUE"),
+        (&["run", "raster", "pitch_mm=-1"], "pitch_mm is '-1'; give a number above 0"),
+        (&["run", "raster", "passes=0"], "passes is '0'; give a whole number from 1 to 99"),
+        (
+            &["run", "raster", "export=x"],
+            "export is 'x'; give galil, xps, pmac, gcode or csv, or nothing",
+        ),
+        (&["run", "raster", "prepare=--a 'b"], "prepare=--a 'b: the quotation mark ' at byte 4"),
+        (&["run", "bspline", "refine=yes"], "the pipeline bspline corrects no dwell times"),
+        (&["run", "raster", "program_of=pvt"], "give a controller too (export=galil)"),
+        (&["run", "raster", "machine=none.json"], "none.json: cannot read"),
+        (
+            &["stage", "raster", "pth", "machine=machine.json"],
+            "raster has no stage 'pth'; there are:",
+        ),
+        (&["campaign", "runs=0"], "runs is '0'; give 1 to 99"),
+        (&["next-run", "before=none"], "before none is not there"),
+        (&["compare", "coupon", "skip=x"], "leave it out for one mirror"),
+        (&["tolerance", "foo"], "'foo' is no pipeline and no setting"),
+    ] {
+        let (ended, log) = recorded(dir.path(), arguments);
+        refused(&ended, &[said]);
+        assert!(log.is_empty() && !dir.path().join("out").exists(), "{arguments:?}");
+    }
 }

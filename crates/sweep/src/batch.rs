@@ -65,7 +65,7 @@ const BYTES_AT_LEAST: f64 = 400.0 * 1048576.0;
 
 /// Estimated seconds of a plan on one core.
 pub fn estimated_s(plan: &Plan, size: &Size) -> f64 {
-    let pitch_mm = plan.number("pitch_mm").unwrap_or(1.0);
+    let pitch_mm = plan.number("pitch_mm").or(plan.number("min_pitch_mm")).unwrap_or(1.0);
     let step_mm = plan.number("step_mm").unwrap_or(pitch_mm);
     let passes = plan.number("passes").unwrap_or(1.0);
     let Size { area_mm2, tool_width_mm, .. } = *size;

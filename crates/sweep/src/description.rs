@@ -2,10 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{
-    node::{Complaint, Key, Node, Value, parse},
-    setting::{EXCLUSIVE, Given, METHODS, Of, PATHS, Setting, one_of},
-};
+use planish_pipeline::node::{Complaint, Key, Node, Value, parse};
+
+use crate::setting::{EXCLUSIVE, Given, METHODS, Of, PATHS, Setting, default, one_of};
 
 /// A sweep as its file describes it; paths are as they stand there.
 #[derive(Clone, Debug, PartialEq)]
@@ -107,7 +106,7 @@ fn mirror_of(node: &Node) -> Result<(Mirror, String), Complaint> {
     let (surface, tif) = (table.text("surface")?, table.text("tif")?);
     let (surface_settings, tif_settings) =
         (table.text("surface_settings")?, table.text("tif_settings")?);
-    let prepare = table.text("prepare")?.unwrap_or_else(|| "--level piston".into());
+    let prepare = table.text("prepare")?.unwrap_or_else(|| default("prepare"));
     table.finish()?;
     let mirror = match (fixture, surface, tif) {
         (Some(recipe), None, None) => Mirror::Fixture(recipe),
@@ -115,7 +114,7 @@ fn mirror_of(node: &Node) -> Result<(Mirror, String), Complaint> {
             surface,
             tif,
             surface_settings: surface_settings.unwrap_or_default(),
-            tif_settings: tif_settings.unwrap_or_else(|| "--rate".into()),
+            tif_settings: tif_settings.unwrap_or_else(|| default("tif_settings")),
         },
         _ => {
             let problem =
@@ -162,7 +161,7 @@ fn block_of(node: &Node, tools: &[String]) -> Result<Block, Complaint> {
         let setting = Setting::named(&key.text, key.line)?;
         let used = paths.iter().any(|p| methods.iter().any(|m| setting.concerns(p, m)));
         if !used {
-            let (whose, here) = match setting.of {
+            let (whose, here) = match &setting.of {
                 Of::Paths(of) => (of, &paths),
                 Of::Methods(of) => (of, &methods),
             };
@@ -201,7 +200,7 @@ fn block_of(node: &Node, tools: &[String]) -> Result<Block, Complaint> {
     {
         return Err(Complaint::new(line, "has too many combinations; give shorter lists"));
     }
-    let settings = settings.into_iter().map(|(s, values, _)| (s.key.into(), values)).collect();
+    let settings = settings.into_iter().map(|(s, values, _)| (s.key.clone(), values)).collect();
     Ok(Block { paths, methods, settings })
 }
 

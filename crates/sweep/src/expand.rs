@@ -48,7 +48,7 @@ fn combinations(
 ) -> Result<Vec<Vec<(String, Given)>>, String> {
     let mut combinations = vec![vec![]];
     for (key, values) in &block.settings {
-        let setting = SETTINGS.iter().find(|setting| setting.key == key);
+        let setting = SETTINGS.iter().find(|setting| setting.key == *key);
         if !setting.is_some_and(|setting| setting.concerns(path, method)) {
             continue;
         }
@@ -134,8 +134,8 @@ mod tests {
         assert!(changed(Ground { surface: "other".into(), ..ground() }, 1.0, 0.0));
         assert!(changed(Ground { tools: vec![("".into(), "o".into())], ..ground() }, 1.0, 0.0));
         assert!(changed(ground(), 1.5, 0.0));
-        // The path knows neither machine nor process nor price.
-        assert!(!changed(Ground { machine: "other".into(), ..ground() }, 1.0, 0.0));
+        // The path is judged by the travel of the machine, and knows neither process nor price.
+        assert!(changed(Ground { machine: "other".into(), ..ground() }, 1.0, 0.0));
         assert!(!changed(Ground { process: Some("p".into()), ..ground() }, 1.0, 0.0));
         assert!(!changed(ground(), 1.0, 1e-4));
         // What is given as it would be taken anyway is the same plan.

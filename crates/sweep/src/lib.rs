@@ -1,6 +1,5 @@
 //! Many plans of one mirror: the file of a sweep becomes plans, which run in batches and share what they can.
 //!
-//! * [`node`]: YAML with the line of every value.
 //! * [`setting`]: what can be varied: names, units, bounds.
 //! * [`description`]: what the file of a sweep says.
 //! * [`expand`]: every combination of its settings.
@@ -15,7 +14,7 @@
 pub mod batch;
 pub mod description;
 pub mod expand;
-pub mod node;
+
 pub mod plan;
 pub mod row;
 pub mod search;

@@ -3,12 +3,16 @@
 //! The name of every result holds the hash of all its inputs. So results that several plans share are made once, and
 //! an existing result is never out of date.
 
+use planish_pipeline::{
+    scope::Scope,
+    walk::{Command, Walk},
+};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::{
     description::Constraints,
-    setting::{Given, METHODS, PATHS, SETTINGS, Setting},
+    setting::{Given, METHODS, PATHS, SETTINGS, pipeline, settings_of, stages},
     varying,
 };
 
@@ -171,9 +175,6 @@ pub fn hash(content: &Value) -> String {
     blake3::hash(versioned.to_string().as_bytes()).to_hex()[..12].to_string()
 }
 
-/// Settings that bound the dwell times from below.
-const FLOORS: [&str; 2] = ["min_dwell_s", "min_dwell_s_per_mm"];
-
 /// Programs that make a mirror.
 const MIRROR_PROGRAMS: [&str; 3] = ["planish-fixture", "planish-import", "planish-surface"];
 
@@ -223,6 +224,7 @@ impl Sweep {
             let (path, method) = (given.path.as_str(), given.method.as_str());
             PATHS.contains(&path)
                 && METHODS.contains(&method)
+                && scope(path, &given.settings).is_ok()
                 && *given == plan(path, method, given.settings.clone(), &self.ground)
         };
         match self.plans().find(|plan| !named(plan)) {
@@ -273,32 +275,38 @@ impl Sweep {
 
     /// Stages that make the tool path of a plan.
     pub fn path_steps(&self, plan: &Plan) -> Vec<Step> {
-        let once = match plan.is_repeated() {
+        self.steps(plan, "paths")
+    }
+
+    /// The commands of a stage of the pipeline of a plan, where what it hands on stands in the sweep.
+    fn steps(&self, plan: &Plan, stage: &str) -> Vec<Step> {
+        let mut scope =
+            scope(&plan.path, &plan.settings).expect("the settings of a plan were checked");
+        let one_pass = match plan.is_repeated() {
             true => format!("paths/{}/one-pass", plan.path_id),
-            false => format!("paths/{}/path", plan.path_id),
+            false => self.tool_path(plan),
         };
-        let mut arguments = vec![plan.path.clone()];
-        arguments.extend(["--surface".into(), self.surface.clone()]);
-        arguments.extend(["--tif".into(), self.tif(plan)]);
-        for (setting, given) in plan.of_path() {
-            match (setting.key, given) {
-                ("tool" | "varying" | "passes", _) => {}
-                ("scan", Given::Number(degrees)) => {
-                    arguments.push(format!("--angle-deg={degrees}"))
-                }
-                (_, given) => arguments.push(setting.flag(given)),
-            }
+        let places = [
+            ("map", self.surface.clone()),
+            ("tool", self.tif(plan)),
+            ("limits", self.machine.clone()),
+            ("tool_path", self.tool_path(plan)),
+            ("one_pass", one_pass),
+            ("dwell", format!("dwell/{}", plan.dwell_id.as_deref().unwrap_or_default())),
+            ("methods", format!("{}/methods", plan.dir())),
+            ("out", plan.dir()),
+            ("exported", plan.method.clone()),
+        ];
+        for (name, word) in places {
+            scope.set(name, vec![word]);
         }
-        arguments.extend(["--out".into(), once.clone(), "--force".into()]);
-        let mut steps = vec![Step::new("planish-toolpath", arguments)];
-        if let (true, Some(passes)) = (plan.is_repeated(), plan.number("passes")) {
-            let out = self.tool_path(plan);
-            let passes = format!("--passes={passes}");
-            let arguments =
-                ["passes", "--tool-path", &once, &passes, "--return", "--out", &out, "--force"];
-            steps.push(Step::new("planish-toolpath", arguments));
-        }
-        steps
+        scope.set("error_budget", self.process.iter().cloned().collect());
+        let commands =
+            Walk::commands(scope, stage).expect("a test expands the stages of every path");
+        // The residual after the servo is for the reports of runs.
+        let is_of_servo =
+            |command: &Command| command.arguments.iter().any(|a| a.starts_with("--servo-of="));
+        commands.into_iter().filter(|command| !is_of_servo(command)).map(Step::of).collect()
     }
 
     /// The tool path of a plan.
@@ -308,61 +316,15 @@ impl Sweep {
 
     /// The stage that makes the first dwell times of a plan, where there is one.
     pub fn dwell_step(&self, plan: &Plan) -> Option<Step> {
-        let out = format!("dwell/{}", plan.dwell_id.as_ref()?);
-        let mut arguments = vec!["bounded-least-squares".to_string()];
-        arguments.extend(self.mirror_and_path(plan));
-        arguments.extend(self.floor(plan));
-        arguments.extend(["--out".into(), out, "--force".into()]);
-        Some(Step::new("planish-dwell", arguments))
-    }
-
-    /// The least dwell times of a plan: those of its settings, else what the velocity of the machine needs.
-    fn floor(&self, plan: &Plan) -> Vec<String> {
-        let given: Vec<String> = plan.flags(&FLOORS).collect();
-        match given.is_empty() {
-            true => vec![format!("--min-dwell-of-machine={}", self.machine)],
-            false => given,
-        }
+        plan.dwell_id.as_ref()?;
+        self.steps(plan, "dwell").pop()
     }
 
     /// Stages of the plan itself.
     pub fn plan_steps(&self, plan: &Plan) -> Vec<Step> {
-        let at = plan.method_dir();
-        let trajectory = format!("{at}/trajectory");
-        let mut own = self.mirror_and_path(plan);
-        own.extend(["--machine".into(), self.machine.clone()]);
-        let program = match &plan.dwell_id {
-            Some(id) => {
-                own.extend(["--dwell".into(), format!("dwell/{id}")]);
-                own.extend(self.process.iter().map(|process| format!("--error-budget={process}")));
-                "planish-refine"
-            }
-            None => "planish-joint",
-        };
-        let of_method = plan.of_method();
-        own.extend(of_method.map(|(setting, given)| setting.flag(given)));
-        if plan.dwell_id.is_some() && plan.flags(&FLOORS).next().is_none() {
-            own.extend(self.floor(plan));
-        }
-        own.extend(["--out".into(), at.clone(), "--force".into()]);
-        let tif = self.tif(plan);
-        let tif = tif.as_str();
-        let (removal, verdict) = (format!("{at}/removal"), format!("{at}/verdict"));
-        let (surface, machine) = (self.surface.as_str(), self.machine.as_str());
-        let over = ["--trajectory", &trajectory, "--tif", tif, "--surface", surface];
-        let mut steps = vec![
-            Step::new(program, own),
-            Step::new("planish-simulate", [&over[..], &["--out", &removal, "--force"]].concat()),
-            Step::new(
-                "planish-verify",
-                ["--trajectory", &trajectory, "--machine", machine, "--out", &verdict, "--force"],
-            ),
-        ];
-        if let Some(process) = &self.process {
-            let (process, out) =
-                (format!("--error-budget={process}"), format!("{}/tolerance", plan.dir()));
-            let own = [process.as_str(), "--out", &out, "--force"];
-            steps.push(Step::new("planish-tolerance", [&over[..], &own[..]].concat()));
+        let mut steps = self.steps(plan, if plan.dwell_id.is_some() { "refined" } else { "joint" });
+        if self.process.is_some() {
+            steps.extend(self.steps(plan, "tolerance"));
         }
         steps
     }
@@ -403,55 +365,53 @@ impl Sweep {
         words.extend(method.map(String::from));
         words
     }
+}
 
-    fn mirror_and_path(&self, plan: &Plan) -> Vec<String> {
-        let tool_path = self.tool_path(plan);
-        let tif = self.tif(plan);
-        let flags = ["--surface", &self.surface, "--tif", &tif, "--tool-path", &tool_path];
-        flags.map(String::from).to_vec()
+impl Step {
+    /// The step of a command, whose time nobody measures: the same plan gives the same bytes.
+    fn of(command: Command) -> Self {
+        let mut arguments = Vec::new();
+        let mut words = command.arguments.into_iter();
+        while let Some(word) = words.next() {
+            match word.as_str() {
+                "--wall-time" => drop(words.next()),
+                _ => arguments.push(word),
+            }
+        }
+        Self { program: command.program, arguments }
     }
 }
 
-impl Plan {
-    fn of_path(&self) -> impl Iterator<Item = (&'static Setting, &Given)> {
-        self.known().filter(|(setting, _)| setting.is_of_paths())
-    }
+/// The pipeline of a path with the settings of a plan.
+fn scope(path: &str, settings: &[(String, Given)]) -> Result<Scope<'static>, String> {
+    let definition = pipeline(path).ok_or_else(|| format!("there is no path '{path}'"))?;
+    let is_tool = |key: &str| matches!(key, "tool" | "varying");
+    let settings = settings.iter().filter(|(key, _)| !is_tool(key));
+    let settings: Vec<String> = settings.map(|(key, given)| format!("{key}={given}")).collect();
+    Scope::new(definition, &settings)
+}
 
-    fn of_method(&self) -> impl Iterator<Item = (&'static Setting, &Given)> {
-        self.known().filter(|(setting, _)| !setting.is_of_paths())
-    }
-
-    fn known(&self) -> impl Iterator<Item = (&'static Setting, &Given)> {
-        let known = |key: &str| SETTINGS.iter().find(|setting| setting.key == key);
-        self.settings.iter().filter_map(move |(key, given)| Some((known(key)?, given)))
-    }
-
-    fn flags<'a>(&'a self, keys: &'a [&str]) -> impl Iterator<Item = String> + 'a {
-        let chosen = self.known().filter(|(setting, _)| keys.contains(&setting.key));
-        chosen.map(|(setting, given)| setting.flag(given))
-    }
+/// Values of the settings of these stages in a plan, given or not.
+fn resolved(path: &str, settings: &[(String, Given)], stages: &[&str]) -> Vec<(String, String)> {
+    let Ok(scope) = scope(path, settings) else { return vec![] };
+    let value = |name: &str| (name.to_string(), scope.text(name).unwrap_or_default());
+    settings_of(path, stages).into_iter().map(value).collect()
 }
 
 /// A plan with these settings, and its names.
 pub fn plan(path: &str, method: &str, given: Vec<(String, Given)>, ground: &Ground) -> Plan {
     let settings = with_defaults(path, given, ground);
-    let part = |of_paths: bool| -> Vec<&(String, Given)> {
-        let belongs =
-            |key: &str| SETTINGS.iter().any(|s| s.key == key && s.is_of_paths() == of_paths);
-        settings.iter().filter(|(key, _)| belongs(key)).collect()
-    };
     let word = |key: &str| settings.iter().find(|(k, _)| k == key).map(|(_, g)| g.to_string());
     let tool = word("tool").unwrap_or_default();
     let text = word("varying").filter(|text| text != varying::NONE);
     let tif = ground.tools.iter().find(|(name, _)| *name == tool).map(|(_, hash)| hash.clone());
     let tif = varied_tool(&tool, text.as_deref(), ground).or(tif);
-    let path_id = name(path, &json!(["path", path, ground.surface, tif, part(true)]));
-    let floor: Vec<_> = settings.iter().filter(|(key, _)| key.starts_with("min_dwell_s")).collect();
-    // Without one it is that of the machine.
-    let of_machine = floor.is_empty().then_some(&ground.machine);
-    let dwell_id = (method == "pvt+refined")
-        .then(|| name(path, &json!(["dwell", path_id, floor, of_machine])));
-    let whole = json!(["plan", path_id, method, ground.machine, ground.process, part(false)]);
+    let of = |stages: &[&str]| resolved(path, &settings, stages);
+    let of_path = json!(["path", path, ground.surface, tif, ground.machine, of(&["paths"])]);
+    let path_id = name(path, &of_path);
+    let dwell_id =
+        (method == "pvt+refined").then(|| name(path, &json!(["dwell", path_id, of(&["dwell"])])));
+    let whole = json!(["plan", path_id, method, ground.process, of(stages(method))]);
     let id = name(&format!("{path}-{method}"), &whole);
     Plan { id, path_id, dwell_id, path: path.into(), method: method.into(), settings }
 }
@@ -478,15 +438,14 @@ fn with_defaults(
     if let Some(text) = ground.own_varying.as_ref().filter(|_| is_own) {
         settings.push(("varying".into(), Given::Word(text.clone())));
     }
-    if !has(&settings, "pitch_mm") {
-        let pitch_mm = if path == "spiral" { 1.3 } else { 1.0 };
-        settings.push(("pitch_mm".into(), Given::Number(pitch_mm)));
-    }
-    if !has(&settings, "step_mm") {
-        let pitch =
-            settings.iter().find(|(key, _)| key == "pitch_mm").map(|(_, given)| given.clone());
-        let step = if path == "raster" { None } else { pitch };
-        settings.push(("step_mm".into(), step.unwrap_or(Given::Number(1.0))));
+    // Those that people compare plans by are stated.
+    if let (Some(definition), Ok(scope)) = (pipeline(path), scope(path, &settings)) {
+        for key in ["pitch_mm", "step_mm"] {
+            let lacks = definition.setting(key).is_some() && !has(&settings, key);
+            if let Some(Ok(number)) = lacks.then(|| scope.text(key).unwrap_or_default().parse()) {
+                settings.push((key.into(), Given::Number(number)));
+            }
+        }
     }
     settings.sort_by_key(|(key, _)| SETTINGS.iter().position(|s| s.key == *key));
     settings
@@ -552,7 +511,7 @@ mod tests {
             [
                 format!(
                     "planish-toolpath raster --surface surface/s --tif mirror/m/tif --pitch-mm=1 --step-mm=1 \
-                     --angle-deg=30 --out {at}/one-pass --force"
+                     --machine inputs/i/machine.json --angle-deg=30 --out {at}/one-pass --force"
                 ),
                 format!(
                     "planish-toolpath passes --tool-path {at}/one-pass --passes=2 --return --out {at}/path --force"
@@ -591,11 +550,57 @@ mod tests {
         assert!(refined[0].contains(floor), "{}", refined[0]);
         assert!(!refined[0].contains("weight"), "{}", refined[0]);
         assert!(
-            refined[1].contains(&format!(" --time-weight-nm2-per-s=0.0001{floor}")),
+            refined[1].contains(&format!("{floor}--time-weight-nm2-per-s=0.0001 ")),
             "{}",
             refined[1]
         );
         assert!(refined[1].contains(" --error-budget=p.json "), "{}", refined[1]);
+    }
+
+    #[test]
+    fn every_setting_of_every_path_and_method_reaches_a_stage() {
+        let sweep = sweep(None);
+        for path in PATHS {
+            for method in METHODS {
+                for setting in SETTINGS.iter().filter(|s| s.concerns(path, method)) {
+                    let values = [
+                        "2",
+                        "y",
+                        "wilson",
+                        "tour",
+                        "lift",
+                        "off",
+                        "smooth",
+                        "--line-order bi-step",
+                    ];
+                    let fits = values.into_iter().find(|value| setting.fits(value));
+                    let Some(value) =
+                        fits.filter(|_| setting.key != "tool" && setting.key != "varying")
+                    else {
+                        continue;
+                    };
+                    let given = |value: &str| match value.parse() {
+                        Ok(number) => Given::Number(number),
+                        Err(_) => Given::Word(value.into()),
+                    };
+                    let of = |settings: Vec<(String, Given)>| {
+                        let plan = plan(path, method, settings, &sweep.ground);
+                        let steps =
+                            sweep.path_steps(&plan).into_iter().chain(sweep.dwell_step(&plan));
+                        let steps: Vec<String> =
+                            steps.chain(sweep.plan_steps(&plan)).map(|s| line(&s)).collect();
+                        (
+                            plan.id.clone(),
+                            steps.join("\n").replace(&plan.path_id, "P").replace(&plan.id, "I"),
+                        )
+                    };
+                    let (plain, varied) =
+                        (of(vec![]), of(vec![(setting.key.clone(), given(value))]));
+                    assert_ne!(plain.0, varied.0, "{path} {method} {}={value}", setting.key);
+                    assert_ne!(plain.1, varied.1, "{path} {method} {}={value}", setting.key);
+                }
+            }
+        }
     }
 
     #[test]

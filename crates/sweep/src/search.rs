@@ -53,7 +53,7 @@ pub fn moved(points: &[[f64; 2]], before: usize) -> f64 {
 /// `own` with its numbers half way to those of the other; seeds and passes are no quantities between which others lie.
 fn half_way(own: &Plan, other: &Plan, ground: &Ground) -> Plan {
     let settings = own.settings.iter().map(|(key, given)| {
-        let is_whole = matches!(key.as_str(), "seed" | "passes");
+        let is_whole = SETTINGS.iter().any(|setting| setting.key == *key && setting.is_whole());
         let given = match (given, other.get(key)) {
             (Given::Number(a), Some(Given::Number(b))) if !is_whole => Given::Number(mean(*a, *b)),
             _ => given.clone(),

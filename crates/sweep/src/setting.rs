@@ -1,57 +1,136 @@
-//! The settings that a sweep can vary: their names, units, bounds, and whose they are.
+//! The settings that a sweep can vary: those of the pipelines on which its stages depend, and whose they are.
 //!
 //! They are called as in the pipelines, with the unit at the end of the name.
 
+use std::{collections::BTreeSet, sync::LazyLock};
+
+use planish_pipeline::{
+    definition::Definition,
+    kind::Kind,
+    node::{Complaint, Node, Value},
+    scope::Scope,
+};
 use serde::{Deserialize, Serialize};
 
-use crate::{
-    node::{Complaint, Node, Value},
-    varying,
-};
+use crate::varying;
 
-/// Families of tool paths.
-pub const PATHS: [&str; 4] = ["raster", "maze", "random-adaptive", "spiral"];
+/// Families of tool paths: pipelines of these names.
+pub const PATHS: [&str; 5] = ["raster", "maze", "random-adaptive", "spiral", "multi-pitch"];
 
 /// Methods that make dwell times and motion of a path.
 pub const METHODS: [&str; 2] = ["joint", "pvt+refined"];
+
+/// Names that the sweep gives itself: places of what stages hand on, and what all of its plans share.
+pub const OWN: [&str; 14] = [
+    "map",
+    "tool",
+    "limits",
+    "tool_path",
+    "one_pass",
+    "dwell",
+    "methods",
+    "out",
+    "form",
+    "error_budget",
+    "specification",
+    "noise_nm",
+    "measured_after",
+    "exported",
+];
+
+/// Settings that name a tool, which no stage of a pipeline has by these names.
+const TOOLS: [&str; 2] = ["tool", "varying"];
+
+/// The pipelines of [`PATHS`].
+static PIPELINES: LazyLock<Vec<Definition>> = LazyLock::new(|| {
+    PATHS.iter().map(|name| Definition::built_in(name).expect("a pipeline")).collect()
+});
+
+/// Every setting, in the order of a table.
+pub static SETTINGS: LazyLock<Vec<Setting>> = LazyLock::new(settings);
 
 /// A setting that can be varied.
 #[derive(Debug)]
 pub struct Setting {
     /// Name of the setting, which ends with its unit.
-    pub key: &'static str,
+    pub key: String,
     kind: Kind,
     /// Owner of a setting.
     pub of: Of,
 }
 
-#[derive(Debug)]
-enum Kind {
-    /// A number above 0.
-    Positive,
-    /// A number of at least 0.
-    NotNegative,
-    /// A number from 0 to 1.
-    Fraction,
-    /// A whole number between these.
-    Whole(f64, f64),
-    /// One of these words.
-    Word(&'static [&'static str]),
-    /// x, y, or degrees from x towards y.
-    Direction,
-    /// The name of a tool of the sweep.
-    Tool,
-    /// A subcommand of `planish-surface` that makes a tool that varies, with its flags; or the word for none.
-    Varying,
-}
-
 /// Paths or methods that have a setting.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Of {
     /// Setting of these paths.
-    Paths(&'static [&'static str]),
+    Paths(Vec<&'static str>),
     /// Setting of these methods.
-    Methods(&'static [&'static str]),
+    Methods(Vec<&'static str>),
+}
+
+/// The pipeline of a family of paths.
+pub fn pipeline(path: &str) -> Option<&'static Definition> {
+    PIPELINES.iter().find(|definition| definition.name == path)
+}
+
+/// Default of a setting that all pipelines share.
+pub fn default(name: &str) -> String {
+    let scope = Scope::new::<&str>(&PIPELINES[0], &[]).expect("no settings");
+    scope.text(name).expect("a setting that all pipelines share")
+}
+
+/// Stages that make the plan of a method, but for its path.
+pub fn stages(method: &str) -> &'static [&'static str] {
+    if method == "joint" { &["joint"] } else { &["dwell", "refined"] }
+}
+
+/// Path, stage, and the settings on which the stage depends. A sweep asks for them for every plan.
+static SETTINGS_OF_STAGES: LazyLock<Vec<(&str, &str, BTreeSet<String>)>> = LazyLock::new(|| {
+    let stages = ["paths", "dwell", "refined", "joint"];
+    let pairs = PIPELINES.iter().flat_map(|p| stages.map(|stage| (p, stage)));
+    pairs.map(|(p, stage)| (p.name.as_str(), stage, p.settings_of(stage, &OWN))).collect()
+});
+
+/// Settings of a path on which these stages depend, in the order of their names.
+pub fn settings_of(path: &str, stages: &[&str]) -> BTreeSet<&'static str> {
+    let known = SETTINGS_OF_STAGES.iter();
+    let known = known.filter(|(p, stage, _)| *p == path && stages.contains(stage));
+    known.flat_map(|(.., settings)| settings).map(String::as_str).collect()
+}
+
+fn settings() -> Vec<Setting> {
+    let tool = |key: &&str| Setting {
+        key: key.to_string(),
+        kind: Kind::Word,
+        of: Of::Paths(PATHS.to_vec()),
+    };
+    let mut found: Vec<Setting> = TOOLS.iter().map(tool).collect();
+    for definition in PIPELINES.iter() {
+        for setting in &definition.settings {
+            let has =
+                |path: &&'static str| settings_of(path, &["paths"]).contains(setting.name.as_str());
+            let paths: Vec<_> = PATHS.into_iter().filter(has).collect();
+            if paths.contains(&definition.name.as_str()) {
+                add(&mut found, &setting.name, &setting.kind, Of::Paths(paths));
+            }
+        }
+    }
+    for setting in &PIPELINES[0].settings {
+        let has = |method: &&'static str| {
+            settings_of(PATHS[0], stages(method)).contains(setting.name.as_str())
+        };
+        let methods: Vec<_> = METHODS.into_iter().filter(has).collect();
+        if !methods.is_empty() {
+            add(&mut found, &setting.name, &setting.kind, Of::Methods(methods));
+        }
+    }
+    found
+}
+
+fn add(settings: &mut Vec<Setting>, key: &str, kind: &Kind, of: Of) {
+    if !settings.iter().any(|setting| setting.key == key) {
+        settings.push(Setting { key: key.into(), kind: kind.clone(), of });
+    }
 }
 
 /// The value of a setting in a plan.
@@ -76,40 +155,9 @@ impl std::fmt::Display for Given {
 /// Largest whole number that a number of YAML keeps exactly: 2^53. A larger one would be rounded.
 const LARGEST_WHOLE: f64 = 9_007_199_254_740_992.0;
 
-/// Every setting, in the order of a table.
-pub const SETTINGS: [Setting; 19] = [
-    path("tool", Kind::Tool, &PATHS),
-    path("varying", Kind::Varying, &PATHS),
-    path("pitch_mm", Kind::Positive, &PATHS),
-    path("step_mm", Kind::Positive, &PATHS),
-    path("overscan_mm", Kind::NotNegative, &PATHS),
-    path("scan", Kind::Direction, &["raster"]),
-    path("turn", Kind::Word(&["square", "semicircle", "lift"]), &["raster"]),
-    path("seed", Kind::Whole(0.0, LARGEST_WHOLE), &["maze", "random-adaptive"]),
-    path("tree", Kind::Word(&["depth-first", "wilson"]), &["maze"]),
-    path("corner_radius_mm", Kind::NotNegative, &["maze"]),
-    path("contrast", Kind::Fraction, &["random-adaptive"]),
-    path("construction", Kind::Word(&["mesh-tree", "tour"]), &["random-adaptive"]),
-    path("passes", Kind::Whole(1.0, 99.0), &PATHS),
-    method("min_dwell_s", Kind::NotNegative, &["pvt+refined"]),
-    method("min_dwell_s_per_mm", Kind::NotNegative, &METHODS),
-    method("mode", Kind::Word(&["auto", "monotone", "smooth"]), &["pvt+refined"]),
-    method("time_elasticity", Kind::Positive, &["joint"]),
-    method("time_weight_nm2_per_s", Kind::NotNegative, &METHODS),
-    method("node_spacing_mm", Kind::Positive, &["joint"]),
-];
-
 /// Settings of which a plan has one at most.
 pub const EXCLUSIVE: [[&str; 2]; 2] =
     [["min_dwell_s", "min_dwell_s_per_mm"], ["time_elasticity", "time_weight_nm2_per_s"]];
-
-const fn path(key: &'static str, kind: Kind, of: &'static [&'static str]) -> Setting {
-    Setting { key, kind, of: Of::Paths(of) }
-}
-
-const fn method(key: &'static str, kind: Kind, of: &'static [&'static str]) -> Setting {
-    Setting { key, kind, of: Of::Methods(of) }
-}
 
 impl Setting {
     /// The setting of this name; a complaint with the remedy where there is none.
@@ -118,11 +166,14 @@ impl Setting {
             return Ok(found);
         }
         let stem = stem(key);
-        let alike: Vec<&str> =
-            SETTINGS.iter().map(|s| s.key).filter(|known| self::stem(known) == stem).collect();
+        let alike: Vec<&str> = SETTINGS
+            .iter()
+            .map(|s| s.key.as_str())
+            .filter(|known| self::stem(known) == stem)
+            .collect();
         let problem = match alike.is_empty() {
             true => {
-                let known: Vec<&str> = SETTINGS.iter().map(|s| s.key).collect();
+                let known: Vec<&str> = SETTINGS.iter().map(|s| s.key.as_str()).collect();
                 format!("no setting '{key}'; there are path, method, {}", known.join(", "))
             }
             false => format!("no setting '{key}'; write {}, in that unit", alike.join(" or ")),
@@ -130,14 +181,9 @@ impl Setting {
         Err(Complaint::new(line, problem))
     }
 
-    /// The flag by which a stage takes a value: that of the same name.
-    pub fn flag(&self, given: &Given) -> String {
-        format!("--{}={given}", self.key.replace('_', "-"))
-    }
-
     /// Returns true if a plan with this path and method has this setting.
     pub fn concerns(&self, path: &str, method: &str) -> bool {
-        match self.of {
+        match &self.of {
             Of::Paths(paths) => paths.contains(&path),
             Of::Methods(methods) => methods.contains(&method),
         }
@@ -146,6 +192,16 @@ impl Setting {
     /// Returns true if the tool path depends on the setting.
     pub fn is_of_paths(&self) -> bool {
         matches!(self.of, Of::Paths(_))
+    }
+
+    /// Returns true if the text is a value of the setting.
+    pub fn fits(&self, value: &str) -> bool {
+        self.kind.check(value).is_ok()
+    }
+
+    /// Returns true if the setting is a count or a seed, between which no other values lie.
+    pub fn is_whole(&self) -> bool {
+        matches!(self.kind, Kind::Whole { .. })
     }
 
     /// The values of the setting that stand in a node: one, a list, or a range.
@@ -157,7 +213,7 @@ impl Setting {
             }
             Value::List(items) => items.clone(),
             Value::Map(entries) => {
-                let numbers = range(self.key, node.line, entries)?;
+                let numbers = range(&self.key, node.line, entries)?;
                 numbers.map(|x| Node { line: node.line, value: Value::Number(x) }).collect()
             }
             _ => vec![node.clone()],
@@ -170,42 +226,57 @@ impl Setting {
             let problem = format!("{} is {}; give {wanted}", self.key, node.value);
             Err(Complaint::new(node.line, problem))
         };
-        let within = |lower: bool, wanted: &str| match &node.value {
-            Value::Number(x) if lower => Ok(Given::Number(*x)),
-            Value::Text(text) if text.trim_start().starts_with(|c: char| c.is_ascii_digit()) => {
-                refused(format!("{wanted} without a unit: the unit is that of the name"))
-            }
-            _ => refused(wanted.into()),
+        let text = match &node.value {
+            Value::Text(text) => Some(text),
+            _ => None,
         };
-        let number = if let Value::Number(x) = node.value { x } else { f64::NAN };
-        match &self.kind {
-            Kind::Positive => within(number > 0.0, "a number above 0"),
-            Kind::NotNegative => within(number >= 0.0, "a number of 0 or more"),
-            Kind::Fraction => within((0.0..=1.0).contains(&number), "a number from 0 to 1"),
-            Kind::Whole(least, most) => within(
-                (*least..=*most).contains(&number) && number.fract() == 0.0,
-                &format!("a whole number from {least} to {most}"),
-            ),
-            Kind::Direction => match &node.value {
-                Value::Text(word) if word == "x" || word == "y" => Ok(Given::Word(word.clone())),
-                Value::Number(degrees) => Ok(Given::Number(*degrees)),
-                _ => refused("x, y, or degrees from x towards y".into()),
-            },
-            Kind::Word(words) => one_of(node, words).map_or_else(|| refused(words.join(", ")), Ok),
-            Kind::Tool => {
+        match (self.key.as_str(), &self.kind) {
+            ("tool", _) => {
                 let names: Vec<&str> = tools.iter().map(String::as_str).collect();
-                let missing = || match names.is_empty() {
-                    true => refused("tools: NAME: DIR in the file, too".into()),
-                    false => refused(names.join(", ")),
-                };
-                one_of(node, &names).map_or_else(missing, Ok)
+                match (one_of(node, &names), names.is_empty()) {
+                    (Some(name), _) => Ok(name),
+                    (None, true) => refused("tools: NAME: DIR in the file, too".into()),
+                    (None, false) => refused(names.join(", ")),
+                }
             }
-            Kind::Varying => match &node.value {
-                Value::Text(text) => match varying::check(text) {
-                    Ok(()) => Ok(Given::Word(text.clone())),
-                    Err(wanted) => refused(wanted),
+            ("varying", _) => match text.map(|text| (text, varying::check(text))) {
+                Some((text, Ok(()))) => Ok(Given::Word(text.clone())),
+                Some((_, Err(wanted))) => refused(wanted),
+                None => refused(varying::wanted()),
+            },
+            (_, Kind::Number { .. } | Kind::Whole { .. }) => match &node.value {
+                Value::Number(x)
+                    if x.abs() <= LARGEST_WHOLE && self.kind.check(&x.to_string()).is_ok() =>
+                {
+                    Ok(Given::Number(*x))
+                }
+                Value::Text(text)
+                    if text.trim_start().starts_with(|c: char| c.is_ascii_digit()) =>
+                {
+                    refused(format!(
+                        "{} without a unit: the unit is that of the name",
+                        self.kind.wanted()
+                    ))
+                }
+                _ => refused(self.kind.wanted()),
+            },
+            (_, Kind::OneOf { number: true, .. }) if matches!(node.value, Value::Number(_)) => {
+                match node.value {
+                    Value::Number(x) => Ok(Given::Number(x)),
+                    _ => refused(self.kind.wanted()),
+                }
+            }
+            (_, kind) => match text {
+                Some(text) if kind.check(text).is_ok() && varying::own_flag(text).is_none() => {
+                    Ok(Given::Word(text.clone()))
+                }
+                Some(text) => match varying::own_flag(text) {
+                    Some(flag) => {
+                        refused(format!("it without {flag}, which the sweep gives itself"))
+                    }
+                    None => refused(kind.wanted()),
                 },
-                _ => refused(varying::wanted()),
+                None => refused(kind.wanted()),
             },
         }
     }
@@ -247,7 +318,7 @@ const MOST_OF_A_RANGE: f64 = 10_000.0;
 fn range(
     key: &str,
     line: u64,
-    entries: &[(crate::node::Key, Node)],
+    entries: &[(planish_pipeline::node::Key, Node)],
 ) -> Result<impl Iterator<Item = f64>, Complaint> {
     let [mut from, mut to, mut step, mut count] = [None; 4];
     let mut logarithmic = false;
@@ -327,7 +398,7 @@ fn rounded(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::node::parse;
+    use planish_pipeline::node::parse;
 
     fn values(key: &str, text: &str) -> Result<Vec<String>, String> {
         let Value::Map(top) = parse(&format!("\n{key}: {text}\n")).unwrap().value else {
@@ -375,7 +446,7 @@ mod tests {
             ("pitch_mm", "[]", "pitch_mm is an empty list; give a value"),
             ("passes", "1.5", "passes is 1.5; give a whole number from 1 to 99"),
             ("contrast", "2", "contrast is 2; give a number from 0 to 1"),
-            ("turn", "round", "turn is 'round'; give square, semicircle, lift"),
+            ("turn", "round", "turn is 'round'; give square, semicircle or lift"),
             ("tool", "wide", "tool is 'wide'; give narrow"),
             ("varying", "1", "varying is 1; give none, or the words of planish-surface tool-rate,"),
             ("varying", "prepare", "varying is 'prepare'; give none, or the words of"),

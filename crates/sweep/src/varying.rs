@@ -26,14 +26,19 @@ pub fn check(text: &str) -> Result<(), String> {
     if !words.next().is_some_and(|word| COMMANDS.contains(&word)) {
         return Err(wanted());
     }
-    let own =
-        |word: &&str| OWN_FLAGS.contains(&word.split_once('=').map_or(*word, |(flag, _)| flag));
-    match words.find(own) {
+    match own_flag(text) {
         None => Ok(()),
         Some(flag) => {
             Err(format!("it without {flag}: the sweep gives --tif, --surface, --out and --force"))
         }
     }
+}
+
+/// Flag in a text that the sweep gives itself.
+pub fn own_flag(text: &str) -> Option<&str> {
+    let flags =
+        text.split_whitespace().map(|word| word.split_once('=').map_or(word, |(flag, _)| flag));
+    flags.into_iter().find(|flag| OWN_FLAGS.contains(flag))
 }
 
 /// The words of a command, with every path replaced by what `place` makes of it.

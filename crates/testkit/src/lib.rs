@@ -20,6 +20,10 @@ pub mod skipped;
 
 use std::path::{Path, PathBuf};
 
+use planish_pipeline::{
+    definition::{Definition, SHARED},
+    scope::Scope,
+};
 use planish_types::{Limits, MachineFile, MachineFileAxis};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -30,19 +34,16 @@ pub fn workspace() -> PathBuf {
     crates.and_then(Path::parent).expect("this crate is in crates/").to_path_buf()
 }
 
-/// Default of a setting of a pipeline, from `pipelines/PIPELINE.just` or from `stages.just`.
+/// Default of a setting of a pipeline.
 pub fn pipeline_setting(pipeline: &str, name: &str) -> String {
-    let value = |file: &&str| {
-        let file = workspace().join("pipelines").join(format!("{file}.just"));
-        let text = std::fs::read_to_string(file).expect("a pipeline");
-        text.lines()
-            .find_map(|line| Some(line.strip_prefix(name)?.strip_prefix(" := ")?.to_owned()))
+    let text = |file: &str| {
+        let file = workspace().join("pipelines").join(format!("{file}.yaml"));
+        std::fs::read_to_string(file).expect("a pipeline")
     };
-    let value = [pipeline, "stages"].iter().find_map(value).expect("a setting of the pipeline");
-    match value.strip_prefix('"').and_then(|text| text.strip_suffix('"')) {
-        Some(text) => text.to_owned(),
-        None => pipeline_setting(pipeline, &value),
-    }
+    let definition =
+        Definition::read(pipeline, &text(SHARED), &text(pipeline)).expect("a definition");
+    let scope = Scope::new::<&str>(&definition, &[]).expect("no settings");
+    scope.text(name).expect("a setting of the pipeline")
 }
 
 /// Numbers in 0..1 from a seed, by Knuth's linear congruence. A golden value of a test belongs to them, so

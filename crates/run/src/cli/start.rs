@@ -1,32 +1,11 @@
-//! `planish-run start`: one run, one directory, one owner.
+//! `planish-run start`: a command as the only owner of the directory of a run.
 
-use std::{
-    fs::{self, File, OpenOptions, TryLockError},
-    io::{ErrorKind, Read, Seek, Write},
-    path::{Path, PathBuf},
-    process, thread,
-    time::Duration,
-};
+use std::{path::PathBuf, process};
 
 use clap::Args;
-use planish_handoff::{Failure, Inputs, OutputFile, Status, is_temporary, system, warn, words};
-use planish_run::owner::{Mirror, Owner};
-use planish_types::{DEFAULT_TIME_TO_FULL_ACCELERATION_S, MachineFile};
+use planish_handoff::{Failure, Status, system, warn, words};
 
-/// Name of the file that says who owns the directory.
-const OWNER: &str = "run.json";
-/// Directory of the machine that the stages of the run plan for: a copy of the machine file under its own name, with a
-/// limit on jerk where that states none.
-const MACHINE: &str = "machine";
-/// Locked while a run has the directory; says which process that is. It stays when the run is over:
-/// to remove it would let two runs lock two files of the same name.
-const LOCK: &str = "run.lock";
-
-/// Number of times that a run reads the name of the process that has locked the directory: with [`BETWEEN_READS`] a
-/// second in all, for a slow disk. Larger: the message comes later. Smaller: it names no process if the disk is slow.
-const READS_OF_HOLDER: usize = 20;
-/// Time between two such reads. Larger: the message comes later. Smaller: more reads are needed for a slow disk.
-const BETWEEN_READS: Duration = Duration::from_millis(50);
+use super::claim::Claim;
 
 #[derive(Args)]
 pub struct Start {
@@ -48,10 +27,6 @@ pub struct Start {
     /// Machine and its limits [JSON]
     #[arg(long, value_name = "FILE")]
     machine: PathBuf,
-    /// Setting that holds several flags, as NAME=FLAGS; can be given again. The program refuses an unclosed
-    /// quotation mark in it before anything runs
-    #[arg(long, value_name = "NAME=FLAGS")]
-    flags: Vec<String>,
     /// Command to run, with its arguments
     #[arg(last = true, required = true, value_name = "COMMAND")]
     command: Vec<String>,
@@ -59,249 +34,19 @@ pub struct Start {
 
 impl Start {
     pub fn run(&self) -> Result<Status, Failure> {
-        start(self)
+        let claim = Claim {
+            out: self.out.clone(),
+            pipeline: self.pipeline.clone(),
+            fixture: self.fixture.clone(),
+            surface: self.surface.clone(),
+            tif: self.tif.clone(),
+            machine: self.machine.clone(),
+        };
+        let (lock, assumed) = claim.take(&words::join(&self.command))?;
+        assumed.into_iter().for_each(warn);
+        let mut process = process::Command::new(&self.command[0]);
+        process.args(&self.command[1..]);
+        let error = system::become_command(process, lock);
+        Err(Failure::new(format!("cannot run {}: {error}", self.command[0])))
     }
-}
-
-/// Checks the inputs, locks the directory and becomes the command.
-fn start(arguments: &Start) -> Result<Status, Failure> {
-    let Start { out, machine, command, .. } = arguments;
-    for flags in &arguments.flags {
-        let (name, text) = flags.split_once('=').unwrap_or(("", flags));
-        words::split(text).map_err(|e| Failure::new(format!("{name}={text}: {e}")))?;
-    }
-    // The reader is that of the stages.
-    Inputs::new().read_machine(machine)?;
-    let copy = out.join(MACHINE).join(machine.file_name().unwrap_or_default());
-    let (machine_text, assumed) = with_limit_on_jerk(machine, &copy)?;
-    let owner = Owner { pipeline: arguments.pipeline.clone(), mirror: mirror(arguments)? };
-    for (input, path) in [("surface", &arguments.surface), ("tif", &arguments.tif)] {
-        path.as_ref().map_or(Ok(()), |path| refuse_overlap(out, input, path))?;
-    }
-    refuse_overlap(out, "machine", machine)?;
-
-    let lock = take(out, &owner, command)?;
-    fs::create_dir_all(out.join(MACHINE))
-        .map_err(|e| Failure::new(format!("{}: cannot write in it: {e}", out.display())))?;
-    OutputFile::begin("out", &copy, true, &Inputs::new())?.write(&machine_text)?;
-    if let Some(assumed) = assumed {
-        warn(assumed);
-    }
-    Err(become_command(command, lock))
-}
-
-/// The machine file as the stages of the run get it, in `copy`: as it is, or, where it says nothing of jerk, with the time
-/// to full acceleration that is assumed, and a warning that says so.
-fn with_limit_on_jerk(machine: &Path, copy: &Path) -> Result<(Vec<u8>, Option<String>), Failure> {
-    let failed = |e: &dyn std::fmt::Display| {
-        Failure::new(format!("{}: cannot be read: {e}", machine.display()))
-    };
-    let text = fs::read(machine).map_err(|e| failed(&e))?;
-    let file: MachineFile = serde_json::from_slice(&text).map_err(|e| failed(&e))?;
-    let silent = file.axes_without_word_on_jerk();
-    if silent.is_empty() {
-        return Ok((text, None));
-    }
-    let time_s = DEFAULT_TIME_TO_FULL_ACCELERATION_S;
-    let warning = format!(
-        "{} states no jerk limit of {}, so this run assumes {time_s} s from rest to full acceleration and plans for {}; \
-         state \"time_to_full_acceleration_s\" in the machine file, where 0 means no jerk limit",
-        machine.display(),
-        silent.join(" and "),
-        copy.display()
-    );
-    let file = MachineFile { time_to_full_acceleration_s: Some(time_s), ..file };
-    let text = format!("{}\n", serde_json::to_string_pretty(&file)?);
-    Ok((text.into_bytes(), Some(warning)))
-}
-
-/// The mirror, which is there.
-fn mirror(arguments: &Start) -> Result<Mirror, Failure> {
-    match (&arguments.fixture, &arguments.surface, &arguments.tif) {
-        (Some(recipe), ..) => fixture(recipe).map(Mirror::Fixture),
-        (None, Some(surface), Some(tif)) => Ok(Mirror::Measured {
-            surface: existing("surface", surface)?,
-            tif: existing("tif", tif)?,
-        }),
-        (None, Some(_), None) => Err(Failure::new("surface is given without tif; give both")),
-        (None, None, Some(_)) => Err(Failure::new("tif is given without surface; give both")),
-        (None, None, None) => Err(Failure::new("no mirror; give surface and tif, or a fixture")),
-    }
-}
-
-/// Name of the recipe; refuses a recipe that does not exist.
-fn fixture(recipe: &Path) -> Result<String, Failure> {
-    let name = |path: &Path| Some(path.file_stem()?.to_string_lossy().into_owned());
-    if let (true, Some(name)) = (recipe.is_file(), name(recipe)) {
-        return Ok(name);
-    }
-    let siblings = recipe.parent().and_then(|dir| fs::read_dir(dir).ok()).into_iter().flatten();
-    let siblings = siblings.filter_map(|entry| Some(entry.ok()?.path()));
-    let mut names: Vec<String> = siblings
-        .filter(|path| path.extension().is_some_and(|e| e == "json"))
-        .filter_map(|path| name(&path))
-        .collect();
-    names.sort();
-    let there = match names.is_empty() {
-        true => "there are none beside it".into(),
-        false => format!("there are: {}", names.join(", ")),
-    };
-    let name = name(recipe).unwrap_or_default();
-    Err(Failure::new(format!("no fixture '{name}' ({}); {there}", recipe.display())))
-}
-
-/// Absolute path of an existing input, without links.
-fn existing(role: &str, path: &Path) -> Result<String, Failure> {
-    let here = path.canonicalize().map_err(|e| {
-        Failure::new(format!(
-            "{role} {}: cannot read: {e}; give a directory or a file",
-            path.display()
-        ))
-    })?;
-    here.into_os_string().into_string().map_err(|path| {
-        Failure::new(format!("{role} {}: is not UTF-8; give another name", path.display()))
-    })
-}
-
-/// Refuses an output that is, contains or lies inside an input.
-fn refuse_overlap(out: &Path, role: &str, input: &Path) -> Result<(), Failure> {
-    let (o, i) = (resolved(out), resolved(input));
-    let how = match () {
-        () if o == i => "is",
-        () if i.starts_with(&o) => "contains",
-        () if o.starts_with(&i) => "lies inside",
-        () => return Ok(()),
-    };
-    Err(Failure::new(format!(
-        "out {} {how} the {role} {}; give another out, a new directory",
-        out.display(),
-        input.display()
-    )))
-}
-
-/// Absolute path, without links as far as it exists.
-fn resolved(path: &Path) -> PathBuf {
-    let path = std::path::absolute(path).unwrap_or_else(|_| path.into());
-    for there in path.ancestors() {
-        if let (Ok(real), Ok(rest)) = (there.canonicalize(), path.strip_prefix(there)) {
-            return if rest.as_os_str().is_empty() { real } else { real.join(rest) };
-        }
-    }
-    path
-}
-
-/// Locks the directory and returns the lock. A directory without an owner becomes that of `owner`.
-fn take(out: &Path, owner: &Owner, command: &[String]) -> Result<File, Failure> {
-    let failed = |doing: &str, e: std::io::Error| {
-        Failure::new(format!("{}: cannot {doing}: {e}; give another out", out.display()))
-    };
-    let path = out.join(LOCK);
-    // Nothing is written into a directory of another owner. If there is a lock file, even a new one,
-    // another run may be about to write the owner: that is checked below, under the lock.
-    if !path.exists()
-        && let Err(refusal) = owned(out, owner)
-        && !path.exists()
-    {
-        return Err(refusal);
-    }
-    fs::create_dir_all(out).map_err(|e| failed("create", e))?;
-    let options =
-        OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
-    let mut lock = options.map_err(|e| failed("write in it", e))?;
-    match lock.try_lock() {
-        Ok(()) => {}
-        Err(TryLockError::WouldBlock) => {
-            let holder = holder(&mut lock);
-            return Err(Failure::new(format!(
-                "{} is in use by {holder}; wait until it has ended, or give another out",
-                out.display()
-            )));
-        }
-        Err(TryLockError::Error(e)) => return Err(failed("lock it", e)),
-    }
-    if !owned(out, owner)? {
-        write_owner(out, owner)?;
-    }
-    // The command takes over this process with its number.
-    let holder = format!("process {} ({})\n", process::id(), words::join(command));
-    lock.set_len(0)
-        .and_then(|()| lock.write_all(holder.as_bytes()))
-        .map_err(|e| failed("write in it", e))?;
-    Ok(lock)
-}
-
-/// Description of the process that holds a lock. That process writes it a moment after it has taken the
-/// lock, when `run.json` is on the disk.
-fn holder(lock: &mut File) -> String {
-    for _ in 0..READS_OF_HOLDER {
-        let mut holder = String::new();
-        if lock.rewind().and_then(|()| lock.read_to_string(&mut holder)).is_ok()
-            && !holder.is_empty()
-        {
-            return holder.trim().into();
-        }
-        thread::sleep(BETWEEN_READS);
-    }
-    "another run".into()
-}
-
-/// Returns true if the directory belongs to `owner`, false if it has no owner, and an error if it belongs
-/// to another one.
-fn owned(out: &Path, owner: &Owner) -> Result<bool, Failure> {
-    let refused = |problem: String| Err(Failure::new(format!("{} {problem}", out.display())));
-    let text = match fs::read(out.join(OWNER)) {
-        Ok(text) => text,
-        Err(e) if e.kind() == ErrorKind::NotFound => {
-            return match foreign(out) {
-                Ok(None) => Ok(false),
-                Ok(Some(name)) => refused(format!(
-                    "holds {name} and no {OWNER}: it is not the directory of a run; give another out, a \
-                     new directory"
-                )),
-                Err(e) => refused(format!("cannot be read ({e}); give another out")),
-            };
-        }
-        Err(e) => return refused(format!("cannot be read ({e}); give another out")),
-    };
-    match serde_json::from_slice::<Owner>(&text) {
-        Ok(found) if found == *owner => Ok(true),
-        Ok(found) => refused(format!(
-            "belongs to another run ({}; this is {}); give another out, or remove it",
-            found.describe(),
-            owner.describe()
-        )),
-        Err(e) => {
-            refused(format!("holds a {OWNER} that no run has written ({e}); give another out"))
-        }
-    }
-}
-
-/// First file, by name, that is neither the lock nor a temporary file; `None` if there is no directory.
-fn foreign(out: &Path) -> std::io::Result<Option<String>> {
-    let entries = match fs::read_dir(out) {
-        Ok(entries) => entries,
-        // A link may lead nowhere. Whatever else is there by now, another run has just created.
-        Err(e) if e.kind() == ErrorKind::NotFound && !out.is_symlink() => return Ok(None),
-        Err(e) => return Err(e),
-    };
-    let names = entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()));
-    let mut names = names.collect::<std::io::Result<Vec<_>>>()?;
-    names.retain(|name| name != LOCK && !is_temporary(name));
-    Ok(names.into_iter().min())
-}
-
-/// Writes `run.json`. The lock is held, so no other run writes it.
-fn write_owner(out: &Path, owner: &Owner) -> Result<(), Failure> {
-    let text = format!("{}\n", serde_json::to_string_pretty(owner)?);
-    let file = OutputFile::begin("out", &out.join(OWNER), false, &Inputs::new())?;
-    Ok(file.write(text.as_bytes())?)
-}
-
-/// Runs the command in place of this process. All processes that it starts inherit the open lock: the directory is free
-/// when the last of them has ended, even if some are killed. Returns only if the command cannot be run.
-fn become_command(command: &[String], lock: File) -> Failure {
-    let mut process = process::Command::new(&command[0]);
-    process.args(&command[1..]);
-    let error = system::become_command(process, lock);
-    Failure::new(format!("cannot run {}: {error}", command[0]))
 }

@@ -11,6 +11,7 @@ use planish_sweep::{
     description::{Description, Mirror, read},
     expand::expand,
     plan::{Ground, Round, Step, Sweep, hash},
+    setting::default,
     varying,
 };
 use serde_json::{Value, json};
@@ -150,7 +151,7 @@ impl Grounds<'_> {
             tool_hashes.push((name.clone(), content(&at)?));
             tools.push((name.clone(), text(&at)?));
         }
-        if d.prepare != "--level piston" {
+        if d.prepare != default("prepare") {
             again.push(format!("prepare={}", d.prepare));
         }
         again.push(format!("machine={}", self.plain(&d.machine).display()));

@@ -81,7 +81,7 @@ pub fn parse(text: &str) -> Result<Node, Complaint> {
         let said = error.without_snippet().to_string();
         let said = said.split(" at line ").next().unwrap_or(&said).to_string();
         let said = said.split(", set DuplicateKeyPolicy").next().unwrap_or(&said).to_string();
-        Complaint::new(line, format!("{said}; this is no YAML that a sweep can be read from"))
+        Complaint::new(line, format!("{said}; write keys and values as YAML"))
     })
 }
 

@@ -1,0 +1,198 @@
+//! Words with names in braces, and conditions: the two little languages of a definition.
+
+/// A line of a definition: its text, and the condition under which it counts.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Line {
+    /// Text before ` when `.
+    pub text: String,
+    /// Terms that all have to hold.
+    pub condition: Vec<Term>,
+}
+
+/// Part of a condition: a name, and what is asked of its value.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Term {
+    /// Name of a setting, a value or a fact.
+    pub name: String,
+    /// Test of its value.
+    pub test: Test,
+}
+
+/// Test of a value.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Test {
+    /// `NAME`: it is not empty.
+    Given,
+    /// `not NAME`: it is empty.
+    Absent,
+    /// `NAME is A or B`: it is one of these words.
+    Is(Vec<String>),
+    /// `NAME is not A`: it is not this word.
+    IsNot(String),
+    /// `NAME in LIST`: it is one of the words of another name.
+    In(String),
+}
+
+/// Returns true if `text` can be a name in braces.
+pub fn is_name(text: &str) -> bool {
+    !text.is_empty()
+        && text.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_')
+}
+
+impl Line {
+    /// Reads a line.
+    pub fn read(line: &str) -> Result<Self, String> {
+        let Some((text, condition)) = line.rsplit_once(" when ") else {
+            return Ok(Self { text: line.trim().into(), condition: vec![] });
+        };
+        let condition = condition.split(" and ").map(Term::read).collect::<Result<_, _>>()?;
+        Ok(Self { text: text.trim().into(), condition })
+    }
+}
+
+impl Term {
+    fn read(text: &str) -> Result<Self, String> {
+        let words: Vec<&str> = text.split_whitespace().collect();
+        let (name, test) = match &words[..] {
+            [name] => (name, Test::Given),
+            ["not", name] => (name, Test::Absent),
+            [name, "is", "not", word] => (name, Test::IsNot(word.to_string())),
+            [name, "in", list] => (name, Test::In(list.to_string())),
+            [name, "is", choices @ ..]
+                if choices.iter().skip(1).step_by(2).all(|w| *w == "or")
+                    && choices.len() % 2 == 1 =>
+            {
+                (name, Test::Is(choices.iter().step_by(2).map(|w| w.to_string()).collect()))
+            }
+            _ => (&"", Test::Given),
+        };
+        match is_name(name) {
+            true => Ok(Self { name: name.to_string(), test }),
+            false => Err(format!(
+                "'{text}' is no condition; write NAME, not NAME, NAME is A, NAME is A or B, NAME is not A, or NAME in LIST"
+            )),
+        }
+    }
+}
+
+/// Part of a word.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Piece {
+    /// Characters as they are.
+    Text(String),
+    /// The value of a name.
+    Name(String),
+}
+
+/// Words that stand or fall together.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Group {
+    /// True if the words are left out when a name in them is empty.
+    pub optional: bool,
+    /// The words, each of its pieces.
+    pub words: Vec<Vec<Piece>>,
+}
+
+/// The words of a text, which blanks separate; those in brackets are optional together.
+pub fn groups(text: &str) -> Result<Vec<Group>, String> {
+    let mut groups = Vec::new();
+    let mut open: Option<Group> = None;
+    for word in text.split_whitespace() {
+        let (begins, word) = word.strip_prefix('[').map_or((false, word), |rest| (true, rest));
+        let (ends, word) = word.strip_suffix(']').map_or((false, word), |rest| (true, rest));
+        if begins && open.is_some() || ends && !begins && open.is_none() {
+            return Err(format!("a bracket at '{word}' has no partner"));
+        }
+        if begins {
+            open = Some(Group { optional: true, words: vec![] });
+        }
+        match open.as_mut() {
+            Some(group) => group.words.push(pieces(word)?),
+            None => groups.push(Group { optional: false, words: vec![pieces(word)?] }),
+        }
+        if ends {
+            groups.extend(open.take());
+        }
+    }
+    match open {
+        Some(_) => Err(format!("a bracket in '{text}' is not closed")),
+        None => Ok(groups),
+    }
+}
+
+/// The pieces of a word.
+fn pieces(word: &str) -> Result<Vec<Piece>, String> {
+    let mut pieces = Vec::new();
+    let mut rest = word;
+    while let Some((before, after)) = rest.split_once('{') {
+        let (name, after) =
+            after.split_once('}').ok_or_else(|| format!("a brace in '{word}' is not closed"))?;
+        if !is_name(name) {
+            return Err(format!("'{{{name}}}' in '{word}' is no name in braces"));
+        }
+        if !before.is_empty() {
+            pieces.push(Piece::Text(before.into()));
+        }
+        pieces.push(Piece::Name(name.into()));
+        rest = after;
+    }
+    if !rest.is_empty() || pieces.is_empty() {
+        pieces.push(Piece::Text(rest.into()));
+    }
+    Ok(pieces)
+}
+
+/// Names in the words of a text.
+pub fn names(text: &str) -> Result<Vec<String>, String> {
+    let pieces = groups(text)?.into_iter().flat_map(|group| group.words).flatten();
+    let name = |piece| match piece {
+        Piece::Name(name) => Some(name),
+        Piece::Text(_) => None,
+    };
+    Ok(pieces.filter_map(name).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn conditions_are_read_and_others_are_refused() {
+        let line =
+            Line::read("x y when a and not b and c is d or e and f is not g and h in i").unwrap();
+        let tests: Vec<_> = line.condition.into_iter().map(|t| (t.name, t.test)).collect();
+        let words = |list: &[&str]| list.iter().map(|w| w.to_string()).collect::<Vec<_>>();
+        assert_eq!(line.text, "x y");
+        assert_eq!(
+            tests,
+            [
+                ("a".to_string(), Test::Given),
+                ("b".into(), Test::Absent),
+                ("c".into(), Test::Is(words(&["d", "e"]))),
+                ("f".into(), Test::IsNot("g".into())),
+                ("h".into(), Test::In("i".into())),
+            ]
+        );
+        for bad in
+            ["x when", "x when a b", "x when a is", "x when a is b c", "x when A", "x when a or b"]
+        {
+            assert!(
+                Line::read(bad).is_err() || Line::read(bad).unwrap().condition.is_empty(),
+                "{bad}"
+            );
+        }
+    }
+
+    #[test]
+    fn brackets_and_braces_have_partners() {
+        let found = groups("a [--b={c} d] {e}/f").unwrap();
+        assert_eq!(
+            found.iter().map(|g| (g.optional, g.words.len())).collect::<Vec<_>>(),
+            [(false, 1), (true, 2), (false, 1)]
+        );
+        assert_eq!(names("a [--b={c} d] {e}/f").unwrap(), ["c", "e"]);
+        for bad in ["[a", "a]", "[a [b]]", "{a", "{A}", "{a b}"] {
+            assert!(groups(bad).is_err(), "{bad}");
+        }
+    }
+}

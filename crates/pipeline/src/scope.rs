@@ -1,0 +1,240 @@
+//! Words that a name of a definition stands for: settings as they were given, their defaults, values and facts.
+
+use std::collections::BTreeMap;
+
+use planish_handoff::words;
+
+use crate::{
+    definition::Definition,
+    kind::Kind,
+    phrase::{Line, Piece, Term, Test, groups},
+};
+
+/// Names with their words.
+pub type Words = BTreeMap<String, Vec<String>>;
+
+/// A pipeline with its settings.
+#[derive(Clone, Debug)]
+pub struct Scope<'a> {
+    /// Definition of the pipeline.
+    pub definition: &'a Definition,
+    given: BTreeMap<String, String>,
+    fixed: Words,
+}
+
+impl<'a> Scope<'a> {
+    /// A pipeline with settings as a user gives them, `NAME=VALUE`; of several values the last one counts.
+    pub fn new<S: AsRef<str>>(definition: &'a Definition, settings: &[S]) -> Result<Self, String> {
+        let name = &definition.name;
+        let mut given = BTreeMap::new();
+        for setting in settings.iter().map(AsRef::as_ref) {
+            let (key, value) = setting.split_once('=').ok_or_else(|| {
+                format!(
+                    "'{setting}' is not a setting; write NAME=VALUE (just show {name} lists them)"
+                )
+            })?;
+            let Some(known) = definition.settings.iter().find(|s| s.name == key) else {
+                let mut all: Vec<&str> =
+                    definition.settings.iter().map(|s| s.name.as_str()).collect();
+                all.sort_unstable();
+                return Err(format!("{name} has no setting '{key}'; there are: {}", all.join(" ")));
+            };
+            let value = match known.kind {
+                // A path that begins with a hyphen is not a flag.
+                Kind::Path if value.starts_with('-') => format!("./{value}"),
+                _ => value.to_string(),
+            };
+            given.insert(key.to_string(), value);
+        }
+        for (key, value) in &given {
+            let Some(setting) = definition.setting(key) else { continue };
+            let may_be_empty = setting.default.is_empty()
+                || matches!(setting.kind, Kind::Flags | Kind::Path | Kind::Word);
+            if value.is_empty() && may_be_empty {
+                continue;
+            }
+            setting.kind.check(value).map_err(|wanted| match setting.kind {
+                Kind::Flags => format!("{key}={value}: {wanted}"),
+                _ => {
+                    let nothing = if setting.default.is_empty() { ", or nothing" } else { "" };
+                    format!("{key} is '{value}'; give {wanted}{nothing}")
+                }
+            })?;
+        }
+        let fixed = BTreeMap::from([("pipeline".into(), vec![name.clone()])]);
+        Ok(Self { definition, given, fixed })
+    }
+
+    /// States a fact, or what a name stands for from now on.
+    pub fn set(&mut self, name: &str, words: Vec<String>) {
+        self.fixed.insert(name.into(), words);
+    }
+
+    /// Returns true if the user gave the setting.
+    pub fn is_given(&self, name: &str) -> bool {
+        self.given.contains_key(name)
+    }
+
+    /// Refuses settings that do not go together.
+    pub fn check(&self) -> Result<(), String> {
+        let none = Words::new();
+        for line in &self.definition.refuse {
+            if self.holds(&line.condition, &none)? {
+                return Err(self.expand(&line.text, &none)?.join(" "));
+            }
+        }
+        Ok(())
+    }
+
+    /// The words that a name stands for; `local` are those of the stages that are running.
+    pub fn words(&self, name: &str, local: &Words) -> Result<Vec<String>, String> {
+        if let Some(words) = local.get(name).or_else(|| self.fixed.get(name)) {
+            return Ok(words.clone());
+        }
+        if let Some(setting) = self.definition.setting(name) {
+            return match (self.given.get(name), &setting.kind) {
+                (None, _) => self.first(&setting.default, local),
+                (Some(text), Kind::Flags) => {
+                    words::split(text).map_err(|e| format!("{name}={text}: {e}"))
+                }
+                (Some(text), _) if text.is_empty() => Ok(vec![]),
+                (Some(text), _) => Ok(vec![text.clone()]),
+            };
+        }
+        let value = self.definition.value(name);
+        let unknown = || format!("'{name}' is not known yet in {}", self.definition.name);
+        self.first(value.ok_or_else(unknown)?, local)
+    }
+
+    /// The text that a name stands for: its words, separated by blanks.
+    pub fn text(&self, name: &str) -> Result<String, String> {
+        Ok(self.words(name, &Words::new())?.join(" "))
+    }
+
+    /// The words of the first line whose condition holds; none if there is no such line.
+    fn first(&self, lines: &[Line], local: &Words) -> Result<Vec<String>, String> {
+        for line in lines {
+            if self.holds(&line.condition, local)? {
+                return self.expand(&line.text, local);
+            }
+        }
+        Ok(vec![])
+    }
+
+    /// Returns true if all terms of a condition hold.
+    pub fn holds(&self, condition: &[Term], local: &Words) -> Result<bool, String> {
+        for Term { name, test } in condition {
+            let words = self.words(name, local)?;
+            let is = |word: &String| words.len() == 1 && words[0] == *word;
+            let holds = match test {
+                Test::Given => !words.is_empty(),
+                Test::Absent => words.is_empty(),
+                Test::Is(choices) => choices.iter().any(is),
+                Test::IsNot(word) => !is(word),
+                Test::In(list) => {
+                    let list = self.words(list, local)?;
+                    words.len() == 1
+                        && list
+                            .iter()
+                            .flat_map(|text| text.split_whitespace())
+                            .any(|word| word == words[0])
+                }
+            };
+            if !holds {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// The words of a text, with what its names stand for. A name alone is all of its words; within a longer word it
+    /// has to be one.
+    pub fn expand(&self, text: &str, local: &Words) -> Result<Vec<String>, String> {
+        let mut expanded = Vec::new();
+        for group in groups(text)? {
+            let mut words = Vec::new();
+            let mut lacks = false;
+            for pieces in &group.words {
+                if let [Piece::Name(name)] = &pieces[..] {
+                    let found = self.words(name, local)?;
+                    lacks |= found.is_empty();
+                    words.extend(found);
+                    continue;
+                }
+                let mut word = String::new();
+                for piece in pieces {
+                    match piece {
+                        Piece::Text(text) => word.push_str(text),
+                        Piece::Name(name) => {
+                            let found = self.words(name, local)?;
+                            lacks |= found.is_empty();
+                            word.push_str(&found.join(" "));
+                        }
+                    }
+                }
+                words.push(word);
+            }
+            if !(group.optional && lacks) {
+                expanded.extend(words);
+            }
+        }
+        Ok(expanded)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SHARED: &str = "
+settings:
+  a: {type: number above 0, default: '1', help: A}
+  b: {type: path, help: B}
+  f: {type: flags, help: F}
+  w: {type: 'one of x, y', help: W}
+refuse: ['b={b} needs w when b and not w']
+values:
+  v: ['{f} when f', '--a={a}']
+stages:
+  run: ['planish-x {v} [--b {b}]']
+";
+
+    fn expand(settings: &[&str], text: &str) -> Result<Vec<String>, String> {
+        let definition = Definition::read("p", SHARED, "title: T").unwrap();
+        let scope = Scope::new(&definition, settings)?;
+        scope.check()?;
+        scope.expand(text, &Words::new())
+    }
+
+    #[test]
+    fn a_setting_is_one_word_whatever_it_holds() {
+        let hostile = "$(touch x) 'a' \"b\" {{ c }} {v}\n[d] when e";
+        let b = format!("b={hostile}");
+        let found = expand(&["w=x", &b], "p {b} --b={b} [--c {b}]").unwrap();
+        assert_eq!(found, ["p", hostile, &format!("--b={hostile}"), "--c", hostile]);
+        assert_eq!(expand(&["w=x", "b=-x"], "{b}").unwrap(), ["./-x"]);
+    }
+
+    #[test]
+    fn flags_are_words_and_what_is_empty_is_left_out() {
+        assert_eq!(expand(&["f=--x 'a b' $(y)"], "{v} [--b {b}]").unwrap(), ["--x", "a b", "$(y)"]);
+        assert_eq!(expand(&["a=2", "f="], "{v}").unwrap(), ["--a=2"]);
+        assert_eq!(expand(&["a=2", "a=3"], "{v}").unwrap(), ["--a=3"]);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_the_remedy() {
+        for (settings, said) in [
+            (&["a=-1"][..], "a is '-1'; give a number above 0"),
+            (&["a="], "a is ''; give a number above 0"),
+            (&["w=z"], "w is 'z'; give x or y, or nothing"),
+            (&["f=--x 'y"], "f=--x 'y: the quotation mark"),
+            (&["z=1"], "p has no setting 'z'; there are: a b f w"),
+            (&["--x"], "'--x' is not a setting; write NAME=VALUE"),
+            (&["b=q"], "b=q needs w"),
+        ] {
+            let message = expand(settings, "x").unwrap_err();
+            assert!(message.starts_with(said), "{message}");
+        }
+    }
+}

@@ -1,0 +1,389 @@
+//! `planish-run campaign`: a campaign on the virtual machine, with learning, without it, and on a machine that is known.
+//!
+//! | directory | content |
+//! |---|---|
+//! | `measured` | map before the first run |
+//! | `first` | first plan, which all chains run |
+//! | `learning/K` | run K and what it taught: measured, truth, reconciliation, tif, transform, error_budget.json, the next plan, tolerance, decision; from the second run on the motion that is commanded |
+//! | `without/K` | run K without learning: measured, truth, the next plan |
+//! | `known/K` | the same on a machine whose tool and place are those of the plan |
+//! | `alike` | another mirror like the first, and its first run in each chain, after all that was learnt |
+//! | `report` | table as a page |
+
+use std::{
+    io::{IsTerminal, stderr},
+    path::Path,
+    time::Instant,
+};
+
+use clap::Args;
+use planish_handoff::{Failure, Status, warn, words};
+use planish_pipeline::definition::Definition;
+
+use super::{
+    claim::Claim,
+    execute::{Programs, Said},
+    place::{Place, directory_name, name_of},
+    run::end,
+    several::{Given, Silent, command, plain},
+};
+
+#[derive(Args)]
+pub struct Campaign {
+    /// Name of a fixture (coupon without one), and settings: runs, seed, error_budget, least_gain_percent, pipeline,
+    /// reconcile, and those of the pipeline. The map of a measured mirror (surface=DIR tif=DIR, two artifacts) is taken for
+    /// the mirror itself
+    #[arg(value_name = "WORD", trailing_var_arg = true, allow_hyphen_values = true)]
+    words: Vec<String>,
+}
+
+/// A campaign that runs.
+struct Course<'a> {
+    silent: Silent<'a>,
+    definition: &'a Definition,
+    /// Settings of every plan.
+    settings: Vec<String>,
+    out: String,
+    /// The true mirror and tool.
+    surface: String,
+    tif: String,
+    /// Errors of the virtual machine.
+    error_budget: String,
+    seed: String,
+    runs: u32,
+    least_gain_percent: String,
+    reconcile: Vec<String>,
+    is_specified: bool,
+    /// Method of a plan that is executed, once there is one.
+    planned: String,
+    begun: Instant,
+    made: u32,
+}
+
+impl Campaign {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let code = campaign(&self.words, Said::Shown)?;
+        end(code)
+    }
+}
+
+/// The number of runs of a campaign.
+fn number_of_runs(text: &str) -> Result<u32, Failure> {
+    let number = text.parse().ok().filter(|n| (1..=99).contains(n));
+    let number = number.filter(|_| !text.starts_with(['0', '+']));
+    number.ok_or_else(|| Failure::new(format!("runs is '{text}'; give 1 to 99")))
+}
+
+/// Runs a campaign; its last table goes where `said` says.
+pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
+    let place = Place::find()?;
+    let mut given = Given::new(words);
+    let setting =
+        |given: &mut Given, name: &str, default: &str| given.take(name).unwrap_or(default.into());
+    let fixture = given.take("fixture");
+    let fixture = given.words.last().cloned().or(fixture).unwrap_or("coupon".into());
+    if given.get("export").is_some() {
+        return Err(Failure::new("a campaign writes no programs; leave export out"));
+    }
+    let runs = number_of_runs(&setting(&mut given, "runs", "3"))?;
+    let definition = place.definition_of_plans(&setting(&mut given, "pipeline", "raster"))?;
+    let (surface, tif) = (given.take_path("surface"), given.take_path("tif"));
+    if let Some(map) = [&surface, &tif].into_iter().flatten().find(|map| Path::new(map).is_file()) {
+        return Err(Failure::new(format!(
+            "{map} is a file; read it with planish-import, and give the directory"
+        )));
+    }
+    let reconcile = setting(&mut given, "reconcile", "");
+    let reconcile = words::split(&reconcile)
+        .map_err(|e| Failure::new(format!("reconcile={reconcile}: {e}")))?;
+    let error_budget = given
+        .take_path("error_budget")
+        .unwrap_or_else(|| format!("{}fixtures/error-budgets/hidden.json", place.repository()));
+    let seed = setting(&mut given, "seed", "1");
+    let least_gain_percent = setting(&mut given, "least_gain_percent", "5");
+    let is_own = surface.is_some() || tif.is_some();
+    let name = match &surface {
+        Some(map) => name_of(&std::path::absolute(map)?),
+        None => fixture.clone(),
+    };
+    let out = given
+        .take_path("out")
+        .unwrap_or_else(|| format!("{}out/campaign/{}", place.home(), directory_name(&name)));
+    if !Path::new(&error_budget).is_file() {
+        return Err(Failure::new(format!(
+            "error_budget {error_budget} is no file; give the errors of the virtual machine (docs/tolerance.md)"
+        )));
+    }
+    let settings = [plain(&definition), given.settings.clone()].concat();
+    let machine = place.settings(&definition, &settings)?.text("machine").map_err(Failure::new)?;
+    let recipe = format!("{}fixtures/{fixture}.json", place.repository());
+    let claim = Claim {
+        out: out.clone().into(),
+        pipeline: "campaign".into(),
+        fixture: (!is_own).then(|| recipe.clone().into()),
+        surface: surface.clone().map(Into::into),
+        tif: tif.clone().map(Into::into),
+        machine: machine.into(),
+    };
+    let (_lock, assumed) = claim.take(&words::join(std::env::args()))?;
+    assumed.into_iter().for_each(warn);
+    let mut course = Course {
+        silent: Silent::new(&place)?,
+        definition: &definition,
+        is_specified: given.get("specification").is_some_and(|file| !file.is_empty()),
+        settings,
+        surface: surface.unwrap_or_else(|| format!("{out}/fixture/surface")),
+        tif: tif.unwrap_or_else(|| format!("{out}/fixture/tif")),
+        out,
+        error_budget,
+        seed,
+        runs,
+        least_gain_percent,
+        reconcile,
+        planned: String::new(),
+        begun: Instant::now(),
+        made: 0,
+    };
+    if !is_own {
+        let to = format!("{}/fixture", course.out);
+        course.quiet("planish-fixture", &[&recipe, "--out", &to, "--force"])?;
+    }
+    course.run()?;
+    let report = course.report(&name);
+    Programs::new(&place, said)?.run(&report)
+}
+
+impl Course<'_> {
+    /// All chains, and the mirror that is like the first one.
+    fn run(&mut self) -> Result<(), Failure> {
+        let measured = format!("{}/measured", self.out);
+        self.measure(&measured, None)?;
+        let first = format!("{}/first", self.out);
+        let tif = self.tif.clone();
+        self.plan(&first, &measured, &tif)?;
+        for (chain, flags) in [("without", &[][..]), ("known", &["--known"])] {
+            self.without_learning(chain, flags)?;
+        }
+        let learnt_tif = self.learning()?;
+        self.alike(&learnt_tif)
+    }
+
+    /// A chain whose plans know nothing of the runs before.
+    fn without_learning(&mut self, chain: &str, flags: &[&str]) -> Result<(), Failure> {
+        let mut map = format!("{}/measured", self.out);
+        let mut run = format!("{}/first", self.out);
+        let tif = self.tif.clone();
+        for k in 1..=self.runs {
+            let at = format!("{}/{chain}/{k}", self.out);
+            self.machine_runs(&at, k, &map, &self.motion(&run), flags)?;
+            map = format!("{at}/measured");
+            run = format!("{at}/plan");
+            if k < self.runs {
+                self.plan(&run, &map, &tif)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The chain that learns: the tool as it is known after the last run.
+    fn learning(&mut self) -> Result<String, Failure> {
+        let mut map = format!("{}/measured", self.out);
+        let mut run = format!("{}/first", self.out);
+        let mut tool = self.tif.clone();
+        let mut knowledge = self.error_budget.clone();
+        let mut place: Option<String> = None;
+        for k in 1..=self.runs {
+            let at = format!("{}/learning/{k}", self.out);
+            let motion = self.motion(&run);
+            let mut commanded = motion.clone();
+            // The plan goes to where the part lies by what was learnt so far.
+            if let Some(place) = &place {
+                commanded = format!("{at}/commanded");
+                self.command_motion(place, &motion, &commanded)?;
+            }
+            self.machine_runs(&at, k, &map, &commanded, &[])?;
+            let [measured, reconciliation, tif, transform, learnt] =
+                ["measured", "reconciliation", "tif", "transform", "error_budget.json"]
+                    .map(|part| format!("{at}/{part}"));
+            let mut flags = [
+                &["--before", &map, "--after", &measured][..],
+                &["--trajectory", &motion, "--tif", &tool],
+                &["--error-budget", &knowledge],
+            ]
+            .concat();
+            if let Some(place) = &place {
+                flags.extend(["--transform", place]);
+            }
+            flags.extend([
+                "--out",
+                &reconciliation,
+                "--corrected-tif",
+                &tif,
+                "--corrected-transform",
+                &transform,
+            ]);
+            flags.extend(["--learnt-error-budget", &learnt, "--force"]);
+            let words: Vec<&str> = self.reconcile.iter().map(String::as_str).chain(flags).collect();
+            self.silent.command(&command("planish-reconcile", &words))?;
+            (map, run, tool, knowledge, place) =
+                (measured, format!("{at}/plan"), tif, learnt, Some(transform));
+            self.plan(&run, &map, &tool)?;
+            self.decide(&at, &run, &tool, &knowledge)?;
+        }
+        Ok(tool)
+    }
+
+    /// Computes what the next plan is expected to leave, and decides whether it is worth its time.
+    fn decide(&mut self, at: &str, run: &str, tool: &str, knowledge: &str) -> Result<(), Failure> {
+        let (motion, map) = (self.motion(run), format!("{run}/surface"));
+        let (tolerance, decision) = (format!("{at}/tolerance"), format!("{at}/decision"));
+        let over = [
+            "--trajectory",
+            &motion,
+            "--tif",
+            tool,
+            "--surface",
+            &map,
+            "--error-budget",
+            knowledge,
+        ];
+        self.quiet("planish-tolerance", &[&over[..], &["--out", &tolerance, "--force"]].concat())?;
+        let judged = match self.is_specified {
+            true => specified(run, &self.planned),
+            false => vec![],
+        };
+        let least = format!("--least-gain-percent={}", self.least_gain_percent);
+        let mut flags = vec![
+            "decide",
+            "--surface",
+            &map,
+            "--trajectory",
+            &motion,
+            "--tolerance",
+            &tolerance,
+            &least,
+        ];
+        flags.extend(judged.iter().map(String::as_str));
+        flags.extend(["--out", &decision, "--force"]);
+        self.quiet("planish-campaign", &flags)
+    }
+
+    /// Another mirror like the first one, in each chain.
+    fn alike(&mut self, tool: &str) -> Result<(), Failure> {
+        let (k, runs) = (self.runs + 1, self.runs);
+        let at = format!("{}/alike", self.out);
+        let (measured, first, last) =
+            (format!("{at}/measured"), format!("{at}/first"), format!("{at}/plan-after-{runs}"));
+        let tif = self.tif.clone();
+        self.measure(&measured, Some(k))?;
+        self.plan(&first, &measured, &tif)?;
+        let motion = self.motion(&first);
+        self.machine_runs(&format!("{at}/without"), k, &measured, &motion, &[])?;
+        self.machine_runs(&format!("{at}/known"), k, &measured, &motion, &["--known"])?;
+        self.plan(&last, &measured, tool)?;
+        let commanded = format!("{at}/commanded");
+        self.command_motion(
+            &format!("{}/learning/{runs}/transform", self.out),
+            &self.motion(&last),
+            &commanded,
+        )?;
+        self.machine_runs(&format!("{at}/learning"), k, &measured, &commanded, &[])
+    }
+
+    /// Motion of the plan in a run.
+    fn motion(&self, run: &str) -> String {
+        format!("{run}/methods/{}/trajectory", self.planned)
+    }
+
+    /// The map as it is measured before the run of this number.
+    fn measure(&mut self, to: &str, run_number: Option<u32>) -> Result<(), Failure> {
+        let seed = format!("--seed={}", self.seed);
+        let number = run_number.map(|k| format!("--run-number={k}"));
+        let mut flags = vec![
+            "measure",
+            "--surface",
+            &self.surface,
+            "--error-budget",
+            &self.error_budget,
+            &seed,
+        ];
+        flags.extend(number.as_deref());
+        flags.extend(["--out", to, "--force"]);
+        self.silent.command(&command("planish-campaign", &flags)).map(|_| ())
+    }
+
+    /// The motion of a plan where the part lies.
+    fn command_motion(&mut self, transform: &str, motion: &str, to: &str) -> Result<(), Failure> {
+        let flags =
+            ["apply", "--transform", transform, "--trajectory", motion, "--out", to, "--force"];
+        self.quiet("planish-register", &flags)
+    }
+
+    /// The run of this number on the virtual machine, which has the true tool.
+    fn machine_runs(
+        &mut self,
+        at: &str,
+        k: u32,
+        map: &str,
+        motion: &str,
+        more: &[&str],
+    ) -> Result<(), Failure> {
+        let (seed, number) = (format!("--seed={}", self.seed), format!("--run-number={k}"));
+        let (measured, truth) = (format!("{at}/measured"), format!("{at}/truth"));
+        let flags = [
+            &["--trajectory", motion, "--tif", &self.tif, "--surface", map][..],
+            &["--error-budget", &self.error_budget, &seed, &number],
+            more,
+            &["--measured-out", &measured, "--out", &truth, "--force"],
+        ];
+        self.silent.command(&command("planish-simulate", &flags.concat())).map(|_| ())
+    }
+
+    /// Plans for a map and a tool. Nearly all the time of a campaign is spent here: a terminal is told how many plans are
+    /// made, and how long the others will take.
+    fn plan(&mut self, at: &str, map: &str, tool: &str) -> Result<(), Failure> {
+        let own = [format!("surface={map}"), format!("tif={tool}"), format!("out={at}")];
+        let settings = [&self.settings[..], &own].concat();
+        let ended = self.silent.pipeline(self.definition, &settings)?;
+        self.planned = ended.scope.text("planned").map_err(Failure::new)?;
+        self.made += 1;
+        let plans = 3 * self.runs + 1;
+        let took_s = self.begun.elapsed().as_secs_f64();
+        if stderr().is_terminal() {
+            let left_s = took_s * f64::from(plans.saturating_sub(self.made)) / f64::from(self.made);
+            eprintln!(
+                "plan {} of {plans} after {took_s:.0} s, about {left_s:.0} s left",
+                self.made
+            );
+        }
+        Ok(())
+    }
+
+    fn quiet(&mut self, program: &str, flags: &[&str]) -> Result<(), Failure> {
+        self.silent.command(&command(program, flags)).map(|_| ())
+    }
+
+    /// The command that makes the page of the campaign.
+    fn report(&self, name: &str) -> planish_pipeline::walk::Command {
+        let (runs, mirror) = (format!("--runs={}", self.runs), format!("--mirror={name}"));
+        let out = format!("{}/report", self.out);
+        let flags = [
+            "report",
+            &self.out,
+            "--surface",
+            &self.surface,
+            &runs,
+            &mirror,
+            "--out",
+            &out,
+            "--force",
+        ];
+        command("planish-campaign", &flags)
+    }
+}
+
+/// Flags for the verdicts of a specification: on the map before the next run, and on what its plan leaves.
+pub fn specified(run: &str, planned: &str) -> Vec<String> {
+    let at = |part: &str| format!("{run}/specified/{part}/specification");
+    vec!["--specified-now".into(), at("before"), "--specified-next".into(), at(planned)]
+}

@@ -1,0 +1,101 @@
+//! `planish-run compare`: every scheduler along three paths, on one mirror or on all of them.
+
+use std::path::Path;
+
+use clap::Args;
+use planish_handoff::{Failure, Status};
+
+use super::{
+    execute::{Programs, Said, run},
+    place::{Place, directory_name},
+    run::end,
+    several::{Given, command, no_flag},
+};
+
+/// Fixture of the first of these pipelines.
+fn default_fixture(place: &Place) -> Result<String, Failure> {
+    let definition = place.definition(PATHS[0])?;
+    place.settings::<&str>(&definition, &[])?.text("fixture").map_err(Failure::new)
+}
+
+/// Pipelines whose paths are compared.
+const PATHS: [&str; 3] = ["raster", "maze", "random-adaptive"];
+
+#[derive(Args)]
+pub struct Compare {
+    /// Name of a fixture (that of the pipeline raster without one), or `all` for every one; and settings of the pipelines,
+    /// of which skip="NAME NAME" leaves mirrors of `all` out
+    #[arg(value_name = "WORD", trailing_var_arg = true, allow_hyphen_values = true)]
+    words: Vec<String>,
+}
+
+impl Compare {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let place = Place::find()?;
+        let mut given = Given::new(&self.words);
+        let fixture = match given.words.is_empty() {
+            true => default_fixture(&place)?,
+            false => given.words.remove(0),
+        };
+        let fixture = fixture.as_str();
+        let skip = given.take("skip").unwrap_or_default();
+        let out = given
+            .take_path("out")
+            .unwrap_or_else(|| format!("{}out/compare/{}", place.home(), directory_name(fixture)));
+        let tif = given.get("tif").map(|path| no_flag(&path)).unwrap_or_default();
+        let settings = [given.settings, given.words].concat();
+        let is_all = fixture == "all";
+        if !is_all && !skip.is_empty() {
+            return Err(Failure::new(
+                "skip leaves out mirrors of `all`; leave it out for one mirror",
+            ));
+        }
+        let mirrors = match is_all {
+            false => vec![fixture.to_string()],
+            true => place.fixtures(),
+        };
+        let left_out = |mirror: &String| skip.split_whitespace().any(|name| name == mirror);
+        let mirrors: Vec<String> = mirrors.into_iter().filter(|m| !left_out(m)).collect();
+        if mirrors.is_empty() {
+            return Err(Failure::new("skip leaves out every mirror of fixtures/"));
+        }
+        let mut runs = Vec::new();
+        let mut code = 0;
+        for mirror in &mirrors {
+            for path in PATHS {
+                let at =
+                    if is_all { format!("{out}/{mirror}-{path}") } else { format!("{out}/{path}") };
+                let own = [
+                    vec![format!("fixture={mirror}")],
+                    settings.clone(),
+                    vec![format!("out={at}")],
+                ];
+                let definition = place.definition(path)?;
+                let scope = place.scope(&definition, &own.concat())?;
+                match run(&place, scope, "compare", Said::Shown)?.code {
+                    ended @ 0..=1 => code |= ended,
+                    ended => return end(ended),
+                }
+                runs.push(at);
+            }
+        }
+        let mut flags = [vec!["report".to_string()], runs].concat();
+        match is_all {
+            true => flags.extend(["--pipeline".into(), "compare".into()]),
+            // The tool is the same along every path: that of the fixture, or the user's as it is or as it was imported.
+            false => {
+                let tif = match () {
+                    () if tif.is_empty() => format!("{out}/raster/fixture/tif"),
+                    () if Path::new(&tif).is_file() => format!("{out}/raster/import/tif"),
+                    () => tif,
+                };
+                flags.extend([format!("--mirror={fixture}"), "--tif".into(), tif]);
+            }
+        }
+        flags.extend(["--out".into(), format!("{out}/report"), "--force".into()]);
+        match Programs::new(&place, Said::Shown)?.run(&command("planish-compare", &flags))? {
+            0 => end(code),
+            ended => end(ended),
+        }
+    }
+}

@@ -1,0 +1,272 @@
+//! Execution of the steps of a stage: every command is printed before it runs, and one place decides on exit codes.
+
+use std::{
+    env, ffi,
+    fs::{self, File},
+    io::{self, Write},
+    path::{Path, PathBuf},
+    process::{Command as Process, ExitStatus, Stdio},
+};
+
+use planish_handoff::{Failure, say, words};
+use planish_pipeline::{
+    scope::Scope,
+    walk::{Command, Step, Walk},
+};
+
+use super::{
+    claim::Claim,
+    place::Place,
+    program::{Answer, plan_of},
+};
+
+/// Artifact that an attempt makes in its directory.
+const ATTEMPTED: &str = "dwell";
+/// File with what an attempt says, in its directory.
+const MESSAGE: &str = "message.txt";
+
+/// Destination of the messages of a run.
+pub enum Said {
+    /// The user's terminal.
+    Shown,
+    /// This file, which is shown if a command fails.
+    Kept(File),
+}
+
+/// Exit code of a run, 0, 1 or 2, and what its names stand for at its end. The reason for a code above 0 was printed.
+pub struct Ended<'a> {
+    /// Exit code.
+    pub code: u8,
+    /// Names.
+    pub scope: Scope<'a>,
+}
+
+/// Programs of Planish, and where they say what they do.
+pub struct Programs {
+    path: ffi::OsString,
+    said: Said,
+}
+
+impl Programs {
+    /// The programs of this place.
+    pub fn new(place: &Place, said: Said) -> Result<Self, Failure> {
+        let rest = env::var_os("PATH").unwrap_or_default();
+        let folders = [place.programs.clone()].into_iter().chain(env::split_paths(&rest));
+        let path = env::join_paths(folders).map_err(|e| {
+            Failure::new(format!("{}: cannot be in the PATH: {e}", place.programs.display()))
+        })?;
+        Ok(Self { path, said })
+    }
+
+    /// Prints a command and runs it: its exit code, or 2 if a signal ended it.
+    pub fn run(&self, command: &Command) -> Result<u8, Failure> {
+        self.print(&command.line());
+        let mut process = self.process(command);
+        match &self.said {
+            Said::Shown if command.is_quiet => drop(process.stdout(Stdio::null())),
+            Said::Shown => {}
+            Said::Kept(file) => drop(process.stdout(file.try_clone()?).stderr(file.try_clone()?)),
+        }
+        Ok(code(self.ended(command, process.status())?))
+    }
+
+    /// Runs a command whose messages go to a file.
+    fn attempt(&self, command: &Command, message: &Path) -> Result<u8, Failure> {
+        self.print(&format!("{} 2> {}", command.line(), words::quote(&message.to_string_lossy())));
+        let mut process = self.process(command);
+        process.stderr(File::create(message)?);
+        if let Said::Kept(file) = &self.said {
+            process.stdout(file.try_clone()?);
+        }
+        Ok(code(self.ended(command, process.status())?))
+    }
+
+    /// Runs a command in silence: what it said, if it failed.
+    fn refusal(&self, command: &Command) -> Result<Option<String>, Failure> {
+        self.print(&command.line());
+        let output = self.ended(command, self.process(command).stdin(Stdio::null()).output())?;
+        let said = String::from_utf8_lossy(&output.stderr).trim().to_string();
+        Ok((!output.status.success()).then_some(said))
+    }
+
+    fn process(&self, command: &Command) -> Process {
+        let mut process = Process::new(&command.program);
+        process.args(&command.arguments).env("PATH", &self.path);
+        process
+    }
+
+    fn ended<T>(&self, command: &Command, ended: io::Result<T>) -> Result<T, Failure> {
+        ended.map_err(|e| {
+            Failure::new(format!(
+                "cannot run {}: {e}; build the programs with just build",
+                command.program
+            ))
+        })
+    }
+
+    /// Prints a line on standard error; a closed pipe is not an error.
+    fn print(&self, line: &str) {
+        let _ = match &self.said {
+            Said::Shown => writeln!(io::stderr(), "{line}"),
+            Said::Kept(file) => writeln!(&*file, "{line}"),
+        };
+    }
+
+    fn say(&self, line: &str) {
+        match &self.said {
+            Said::Shown => say(line),
+            Said::Kept(_) => self.print(line),
+        }
+    }
+}
+
+/// Exit code of a process; 2 if a signal ended it.
+fn code(status: ExitStatus) -> u8 {
+    status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(2)
+}
+
+/// Runs a stage of a pipeline as the only owner of its directory.
+pub fn run<'a>(
+    place: &Place,
+    scope: Scope<'a>,
+    stage: &str,
+    said: Said,
+) -> Result<Ended<'a>, Failure> {
+    let text = |name: &str| scope.text(name).map_err(Failure::new);
+    let path = |name: &str| {
+        Ok::<_, Failure>(Some(text(name)?).filter(|t| !t.is_empty()).map(PathBuf::from))
+    };
+    let is_own = text("own")? == "yes";
+    let claim = Claim {
+        out: text("out")?.into(),
+        pipeline: text("pipeline")?,
+        fixture: path("recipe")?.filter(|_| !is_own),
+        surface: path("surface")?.filter(|_| is_own),
+        tif: path("tif")?.filter(|_| is_own),
+        machine: text("machine")?.into(),
+    };
+    let programs = Programs::new(place, said)?;
+    let mut walk = Walk::new(scope, stage).map_err(Failure::new)?;
+    let (_lock, assumed) = claim.take(&words::join(env::args()))?;
+    assumed.iter().for_each(|text| programs.print(&format!("warning: {text}")));
+    let mut last = 0;
+    while let Some(step) = walk.step().map_err(Failure::new)? {
+        last = match step {
+            Step::Run(command) => match (programs.run(&command)?, command.may_be_negative) {
+                (0, _) | (1, true) => 0,
+                (1, false) => 1,
+                _ => 2,
+            },
+            Step::Attempt(dir, command) => attempt(&programs, &mut walk, &dir, &command)?,
+            Step::LeaveOut(dir) => {
+                fs::create_dir_all(&dir)?;
+                fs::write(Path::new(&dir).join(MESSAGE), "error: left out by skip=\n")?;
+                forget(&Path::new(&dir).join(ATTEMPTED))?;
+                walk.leave();
+                0
+            }
+            Step::Say(line) => {
+                programs.say(&line);
+                0
+            }
+            Step::Copy(from, to) => {
+                copy(&programs, Path::new(&from), Path::new(&to))?;
+                0
+            }
+            Step::Choose { to, otherwise, tried_by } => {
+                let plan = choose(&programs, &walk.scope, &to, otherwise, tried_by.as_deref())?;
+                walk.scope.set(&to, vec![plan]);
+                0
+            }
+        };
+        if last != 0 {
+            break;
+        }
+    }
+    Ok(Ended { code: last, scope: walk.scope })
+}
+
+/// Runs a command that may refuse: its message then stands in the place of what it makes.
+fn attempt(
+    programs: &Programs,
+    walk: &mut Walk,
+    dir: &str,
+    command: &Command,
+) -> Result<u8, Failure> {
+    let dir = Path::new(dir);
+    fs::create_dir_all(dir)?;
+    match programs.attempt(command, &dir.join(MESSAGE))? {
+        0 | 1 => Ok(0),
+        2 => {
+            forget(&dir.join(ATTEMPTED))?;
+            walk.leave();
+            Ok(0)
+        }
+        _ => Ok(2),
+    }
+}
+
+/// Name of the plan that the report of the run recommends, if there is one and a trial of its commands does not refuse it.
+fn choose(
+    programs: &Programs,
+    scope: &Scope,
+    to: &str,
+    otherwise: String,
+    tried_by: Option<&str>,
+) -> Result<String, Failure> {
+    let out = scope.text("out").map_err(Failure::new)?;
+    let Some(best) = Answer::read(Path::new(&out))?.method else { return Ok(otherwise) };
+    let best = plan_of(&best).to_string();
+    let Some(stage) = tried_by.filter(|_| best != otherwise) else { return Ok(best) };
+    let mut trial = scope.clone();
+    trial.set(to, vec![best.clone()]);
+    for command in Walk::commands(trial, stage).map_err(Failure::new)? {
+        if let Some(refused) = programs.refusal(&command)? {
+            let export = scope.text("export").map_err(Failure::new)?;
+            let refused = refused.trim_start_matches("error: ");
+            programs.print(&format!(
+                "the plan marked as the best, {best}, is none for {export}: {refused}"
+            ));
+            return Ok(otherwise);
+        }
+    }
+    Ok(best)
+}
+
+/// Copies the files of an artifact in place of those of an earlier one.
+fn copy(programs: &Programs, from: &Path, to: &Path) -> Result<(), Failure> {
+    programs.print(&format!(
+        "cp {}/*.* {}",
+        words::quote(&from.to_string_lossy()),
+        words::quote(&to.to_string_lossy())
+    ));
+    let unreadable = |e: io::Error| {
+        Failure::new(format!(
+            "path {}: cannot be copied: {e}; give the directory of a tool path",
+            from.display()
+        ))
+    };
+    let entries =
+        fs::read_dir(from).and_then(Iterator::collect::<io::Result<Vec<_>>>).map_err(unreadable)?;
+    forget(to)?;
+    fs::create_dir_all(to)?;
+    for entry in
+        entries.iter().map(fs::DirEntry::path).filter(|p| p.is_file() && p.extension().is_some())
+    {
+        fs::copy(&entry, to.join(entry.file_name().unwrap_or_default())).map_err(unreadable)?;
+    }
+    Ok(())
+}
+
+/// Removes an artifact of an earlier run: its manifest and its arrays, and the directory if nothing else is in it.
+fn forget(artifact: &Path) -> Result<(), Failure> {
+    let Ok(entries) = fs::read_dir(artifact) else { return Ok(()) };
+    for path in entries.flatten().map(|entry| entry.path()) {
+        let is_array = path.extension().is_some_and(|e| e == "npy");
+        if is_array || path.file_name().is_some_and(|name| name == "manifest.json") {
+            fs::remove_file(path)?;
+        }
+    }
+    let _ = fs::remove_dir(artifact);
+    Ok(())
+}

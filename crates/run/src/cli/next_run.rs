@@ -1,0 +1,214 @@
+//! `planish-run next-run`: from the maps before and after a run to the next one.
+//!
+//! | directory | content |
+//! |---|---|
+//! | `reconciliation` | what the run taught |
+//! | `tif`, `transform`, `error_budget.json` | tool, place and errors of the next run |
+//! | `plan` | next plan, in the coordinates of the part |
+//! | `commanded`, `verdict` | its motion in those of the machine, and the verdict on it |
+//! | `tolerance` | what the plan is expected to leave |
+//! | `decision` | run again, or stop |
+
+use std::path::Path;
+
+use clap::Args;
+use planish_handoff::{Failure, Status, say, warn, words};
+
+use super::{
+    campaign::specified,
+    claim::Claim,
+    execute::{Programs, Said},
+    place::{Place, directory_name, name_of},
+    run::end,
+    several::{Given, Silent, command, is_directory, plain},
+};
+
+/// Remedy for a setting that is not given.
+const NEEDED: &str = "give before=DIR after=DIR trajectory=DIR tif=DIR";
+
+#[derive(Args)]
+pub struct NextRun {
+    /// Settings: before=DIR, after=DIR, trajectory=DIR and tif=DIR (the maps, the motion in the coordinates of the part,
+    /// the tool), transform=DIR, error_budget=FILE, machine=FILE, pipeline, least_gain_percent, reconcile, and those of the
+    /// pipeline
+    #[arg(value_name = "NAME=VALUE", trailing_var_arg = true, allow_hyphen_values = true)]
+    settings: Vec<String>,
+}
+
+/// Inputs of the last run.
+struct Last {
+    before: String,
+    after: String,
+    trajectory: String,
+    tif: String,
+    transform: Option<String>,
+    error_budget: Option<String>,
+}
+
+impl Last {
+    /// The inputs, which are there.
+    fn take(given: &mut Given) -> Result<Self, Failure> {
+        if let Some(word) = given.words.first() {
+            return Err(Failure::new(format!("'{word}' is no setting; {NEEDED}")));
+        }
+        for name in ["surface", "fixture"] {
+            if given.get(name).is_some() {
+                return Err(Failure::new(format!(
+                    "the map of the next plan is after=DIR; leave {name} out"
+                )));
+            }
+        }
+        if given.get("export").is_some() {
+            return Err(Failure::new(
+                "the program is that of the commanded motion; leave export out, and give planish-export OUT/commanded",
+            ));
+        }
+        let mut needed = |name: &str| {
+            let lacking = || Failure::new(format!("{name} is not given; {NEEDED}"));
+            let path = given.take_path(name).ok_or_else(lacking)?;
+            is_directory(name, &path).map(|()| path)
+        };
+        let [before, after, trajectory, tif] =
+            [needed("before")?, needed("after")?, needed("trajectory")?, needed("tif")?];
+        let transform = given.take_path("transform");
+        if let Some(transform) = &transform {
+            is_directory("transform", transform)?;
+        }
+        let error_budget = given.take_path("error_budget");
+        if let Some(file) = error_budget.as_ref().filter(|file| !Path::new(file).is_file()) {
+            return Err(Failure::new(format!(
+                "error_budget {file} is no file; give the errors that are known beforehand"
+            )));
+        }
+        Ok(Self { before, after, trajectory, tif, transform, error_budget })
+    }
+}
+
+impl NextRun {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let place = Place::find()?;
+        let mut given = Given::new(&self.settings);
+        let last = Last::take(&mut given)?;
+        let definition =
+            place.definition_of_plans(&given.take("pipeline").unwrap_or("raster".into()))?;
+        let reconcile = given.take("reconcile").unwrap_or_default();
+        let reconcile = words::split(&reconcile)
+            .map_err(|e| Failure::new(format!("reconcile={reconcile}: {e}")))?;
+        let least_gain_percent = given.take("least_gain_percent").unwrap_or("5".into());
+        let out = given.take_path("out").unwrap_or_else(|| {
+            let after = std::path::absolute(&last.after).unwrap_or_default();
+            format!("{}out/next-run/{}", place.home(), directory_name(&name_of(&after)))
+        });
+        let settings = [plain(&definition), given.settings.clone()].concat();
+        let machine =
+            place.settings(&definition, &settings)?.text("machine").map_err(Failure::new)?;
+        let name = Path::new(&machine).file_name().unwrap_or_default().to_string_lossy();
+        let limits = format!("{out}/machine/{name}");
+        let claim = Claim {
+            out: out.clone().into(),
+            pipeline: "next-run".into(),
+            fixture: None,
+            surface: Some(last.after.clone().into()),
+            tif: Some(last.tif.clone().into()),
+            machine: machine.clone().into(),
+        };
+        let (_lock, assumed) = claim.take(&words::join(std::env::args()))?;
+        assumed.into_iter().for_each(warn);
+        let next = Next {
+            programs: Programs::new(&place, Said::Shown)?,
+            is_specified: given.get("specification").is_some_and(|file| !file.is_empty()),
+            out,
+            limits,
+            least_gain_percent,
+        };
+        next.reconcile(&last, &reconcile)?;
+        // The next plan, whose pages and tables are its own
+        let own = [
+            format!("surface={}", last.after),
+            format!("tif={}", next.at("tif")),
+            format!("out={}", next.at("plan")),
+        ];
+        let plan = Silent::new(&place)?.pipeline(&definition, &[&settings[..], &own].concat())?;
+        let planned = plan.scope.text("planned").map_err(Failure::new)?;
+        next.decide(&planned)?;
+        let method = format!("plan/methods/{planned}");
+        let verdict = ["verdict", "--run", &next.out, "--plan", "plan", "--plan", &method];
+        end(next.programs.run(&command("planish-run", &verdict))?)
+    }
+}
+
+/// The next run, as far as it is known.
+struct Next {
+    programs: Programs,
+    out: String,
+    /// Machine file of the stages.
+    limits: String,
+    least_gain_percent: String,
+    is_specified: bool,
+}
+
+impl Next {
+    /// A path in the directory of the run.
+    fn at(&self, part: &str) -> String {
+        format!("{}/{part}", self.out)
+    }
+
+    /// Runs a command; a negative verdict is a result, and everything else is the end, whose message is printed.
+    fn go_on(&self, program: &str, flags: &[&str]) -> Result<(), Failure> {
+        match self.programs.run(&command(program, flags))? {
+            0 | 1 => Ok(()),
+            _ => std::process::exit(2),
+        }
+    }
+
+    /// Estimates what the last run taught.
+    fn reconcile(&self, last: &Last, more: &[String]) -> Result<(), Failure> {
+        let place = self.at("place");
+        // Where the part lay, if nobody measured it: as the machine file says
+        let lay = match &last.transform {
+            Some(transform) => transform,
+            None => {
+                let flags = ["place", "--machine", &self.limits, "--out", &place, "--force"];
+                self.go_on("planish-register", &flags)?;
+                &place
+            }
+        };
+        let [reconciliation, tif, transform, learnt] =
+            ["reconciliation", "tif", "transform", "error_budget.json"].map(|part| self.at(part));
+        let mut flags: Vec<&str> = more.iter().map(String::as_str).collect();
+        flags.extend(["--before", &last.before, "--after", &last.after]);
+        flags.extend(["--trajectory", &last.trajectory, "--tif", &last.tif]);
+        flags.extend(last.error_budget.iter().flat_map(|file| ["--error-budget", file]));
+        flags.extend(["--transform", lay, "--out", &reconciliation, "--corrected-tif", &tif]);
+        flags.extend(["--corrected-transform", &transform, "--learnt-error-budget", &learnt]);
+        flags.push("--force");
+        self.go_on("planish-reconcile", &flags)
+    }
+
+    /// The commanded motion of the plan, the verdict on it, and whether to run again.
+    fn decide(&self, planned: &str) -> Result<(), Failure> {
+        let [run, tif, transform, learnt, commanded] =
+            ["plan", "tif", "transform", "error_budget.json", "commanded"].map(|p| self.at(p));
+        let [verdict, tolerance, decision] =
+            ["verdict", "tolerance", "decision"].map(|part| self.at(part));
+        let (motion, map) =
+            (format!("{run}/methods/{planned}/trajectory"), format!("{run}/surface"));
+        let to = ["--trajectory", &motion, "--out", &commanded, "--force"];
+        self.go_on("planish-register", &[&["apply", "--transform", &transform], &to[..]].concat())?;
+        let of = ["--trajectory", &commanded, "--machine", &self.limits];
+        self.go_on("planish-verify", &[&of[..], &["--out", &verdict, "--force"]].concat())?;
+        let over = ["--trajectory", &motion, "--tif", &tif, "--surface", &map];
+        let own = ["--error-budget", &learnt, "--out", &tolerance, "--force"];
+        self.go_on("planish-tolerance", &[&over[..], &own[..]].concat())?;
+        let judged = if self.is_specified { specified(&run, planned) } else { vec![] };
+        let least = format!("--least-gain-percent={}", self.least_gain_percent);
+        let mut flags = vec!["decide", "--surface", &map, "--trajectory", &motion];
+        flags.extend(["--tolerance", &tolerance, &least]);
+        flags.extend(judged.iter().map(String::as_str));
+        flags.extend(["--out", &decision, "--force"]);
+        say("");
+        self.go_on("planish-campaign", &flags)?;
+        say(format!("the plan: {run}/report/report.html\nits motion on the machine: {commanded}"));
+        Ok(())
+    }
+}

@@ -1,0 +1,231 @@
+//! Place of Planish: where its pipelines, fixtures and programs are, and where the user stands.
+
+use std::{
+    env, fs,
+    path::{Component, Path, PathBuf},
+};
+
+use planish_handoff::{Failure, Inputs, words};
+use planish_pipeline::{
+    definition::{DIRECTORY_NAME, Definition, SHARED},
+    scope::Scope,
+};
+use planish_types::Kinematics;
+
+/// Pipelines of which no plan is executed, so that no several runs are made of them.
+const NO_PLANS: [&str; 1] = ["compare-dwell"];
+
+/// Folders of Planish.
+pub struct Place {
+    /// Folder with `pipelines/` and `fixtures/`.
+    root: PathBuf,
+    /// Folder of the programs.
+    pub programs: PathBuf,
+    /// Folder in which the user stands.
+    here: PathBuf,
+    /// True if the programs are installed: a run then goes to where the user stands, not to the clone.
+    is_installed: bool,
+}
+
+impl Place {
+    /// Finds the folders. PLANISH_SHARE and PLANISH_PROGRAMS name them for an installed Planish. In a clone, the pipelines
+    /// are above the program, and the other programs are beside it.
+    pub fn find() -> Result<Self, Failure> {
+        let given =
+            |name: &str| env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+        let program = env::current_exe()?;
+        let beside = program.parent().unwrap_or(Path::new(".")).to_path_buf();
+        let above = || {
+            let has = |folder: &&Path| folder.join(format!("pipelines/{SHARED}.yaml")).is_file();
+            program.ancestors().find(has).map(Path::to_path_buf)
+        };
+        let root = given("PLANISH_SHARE").or_else(above).ok_or_else(|| {
+            Failure::new(format!(
+                "there is no pipelines/{SHARED}.yaml above {}; set PLANISH_SHARE to the folder with pipelines/ and \
+                 fixtures/",
+                program.display()
+            ))
+        })?;
+        let programs = given("PLANISH_PROGRAMS");
+        Ok(Self {
+            root: root.canonicalize().unwrap_or(root),
+            is_installed: programs.is_some(),
+            programs: programs.unwrap_or(beside),
+            here: env::current_dir()?,
+        })
+    }
+
+    /// Path of the folder of the pipelines, as it stands before a path in it; empty if the user stands there.
+    pub fn repository(&self) -> String {
+        match self.root == self.here {
+            true => String::new(),
+            false => format!("{}/", self.root.display()),
+        }
+    }
+
+    /// The same before the path of an output.
+    pub fn home(&self) -> String {
+        if self.is_installed { String::new() } else { self.repository() }
+    }
+
+    /// Names of the pipelines.
+    pub fn pipelines(&self) -> Vec<String> {
+        let mut names = self.names("pipelines", "yaml");
+        names.retain(|name| name != SHARED);
+        names
+    }
+
+    /// Names of the fixtures.
+    pub fn fixtures(&self) -> Vec<String> {
+        self.names("fixtures", "json")
+    }
+
+    fn names(&self, folder: &str, ending: &str) -> Vec<String> {
+        let entries = fs::read_dir(self.root.join(folder)).into_iter().flatten().flatten();
+        let files = entries
+            .map(|entry| entry.path())
+            .filter(|p| p.extension().is_some_and(|e| e == ending));
+        let mut names: Vec<String> =
+            files.filter_map(|p| Some(p.file_stem()?.to_string_lossy().into_owned())).collect();
+        names.sort();
+        names
+    }
+
+    /// The definition of a pipeline.
+    pub fn definition(&self, name: &str) -> Result<Definition, Failure> {
+        let all = self.pipelines();
+        if !all.iter().any(|known| known == name) {
+            return Err(Failure::new(format!(
+                "no pipeline '{name}'; there are: {}",
+                all.join(" ")
+            )));
+        }
+        let text = |name: &str| {
+            let path = self.root.join("pipelines").join(format!("{name}.yaml"));
+            fs::read_to_string(&path)
+                .map_err(|e| Failure::new(format!("{}: cannot read: {e}", path.display())))
+        };
+        Definition::read(name, &text(SHARED)?, &text(name)?).map_err(Failure::new)
+    }
+
+    /// The definition of a pipeline that plans a run.
+    pub fn definition_of_plans(&self, name: &str) -> Result<Definition, Failure> {
+        match self.pipelines().iter().any(|known| known == name) && !NO_PLANS.contains(&name) {
+            true => self.definition(name),
+            false => Err(Failure::new(format!(
+                "'{name}' is no pipeline that plans a run; give raster, maze, spiral"
+            ))),
+        }
+    }
+
+    /// The settings of a pipeline with the facts that need no file.
+    pub fn settings<'a, S: AsRef<str>>(
+        &self,
+        definition: &'a Definition,
+        settings: &[S],
+    ) -> Result<Scope<'a>, Failure> {
+        let mut scope = Scope::new(definition, settings).map_err(Failure::new)?;
+        let word = |text: String| if text.is_empty() { vec![] } else { vec![text] };
+        scope.set("repository", word(self.repository()));
+        scope.set("home", word(self.home()));
+        let surface = scope.text("surface").map_err(Failure::new)?;
+        scope.set("surface_name", word(name_of(&self.here.join(surface))));
+        let name = scope.text("name").map_err(Failure::new)?;
+        scope.set(DIRECTORY_NAME, vec![directory_name(&name)]);
+        Ok(scope)
+    }
+
+    /// The settings of a pipeline, which go together, with all facts.
+    pub fn scope<'a, S: AsRef<str>>(
+        &self,
+        definition: &'a Definition,
+        settings: &[S],
+    ) -> Result<Scope<'a>, Failure> {
+        let mut scope = self.settings(definition, settings)?;
+        scope.check().map_err(Failure::new)?;
+        let machine = PathBuf::from(scope.text("machine").map_err(Failure::new)?);
+        let kinematics = match Inputs::new().read_machine(&machine)?.kinematics() {
+            Kinematics::Xy => "xy",
+            Kinematics::Xyz => "xyz",
+            Kinematics::Tilts { .. } => "xyz-tilts",
+            Kinematics::Spindle { .. } => "spindle",
+        };
+        scope.set("kinematics", vec![kinematics.into()]);
+        let file = machine.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        scope.set("machine_name", vec![file]);
+        for (setting, fact) in [("surface", "surface_kind"), ("tif", "tif_kind")] {
+            let path = scope.text(setting).map_err(Failure::new)?;
+            scope.set(fact, vec![kind_of(&path).into()]);
+        }
+        let fixture = scope.text("fixture").map_err(Failure::new)?;
+        scope.set("fixture_tool", self.fixture_tool(&fixture)?);
+        Ok(scope)
+    }
+
+    /// Words of the command that makes the tool of a fixture of its TIF, if there is one.
+    fn fixture_tool(&self, fixture: &str) -> Result<Vec<String>, Failure> {
+        let path = self.root.join("fixtures").join(format!("{fixture}.tool"));
+        match fs::read_to_string(&path) {
+            Ok(text) => words::split(text.trim())
+                .map_err(|e| Failure::new(format!("{}: {e}", path.display()))),
+            Err(_) => Ok(vec![]),
+        }
+    }
+}
+
+/// Kind of an input: the directory of an artifact, of arrays alone, or a file.
+fn kind_of(path: &str) -> &'static str {
+    let dir = Path::new(path);
+    match () {
+        () if path.is_empty() => "none",
+        () if !dir.is_dir() => "file",
+        () if dir.join("manifest.json").exists() || dir.join("weight.npy").exists() => "artifact",
+        () => "bare",
+    }
+}
+
+/// Last name of a path, without links and steps upwards.
+pub fn name_of(path: &Path) -> String {
+    let mut parts = Vec::new();
+    for part in path.components() {
+        match part {
+            Component::ParentDir => drop(parts.pop()),
+            Component::Normal(name) => parts.push(name),
+            _ => {}
+        }
+    }
+    parts.last().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// A name as that of a directory: every character that is neither a letter, a digit nor one of `._+-` becomes `_`.
+pub fn directory_name(name: &str) -> String {
+    let plain = |c: char| if c.is_alphanumeric() || "._+-".contains(c) { c } else { '_' };
+    let plain: String = name.chars().map(plain).collect();
+    match plain.strip_prefix('.') {
+        _ if plain.chars().all(|c| c == '.') => "_".into(),
+        Some(rest) => format!("_{rest}"),
+        None => plain,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_name_becomes_that_of_a_directory() {
+        for (name, found) in [
+            ("coupon", "coupon"),
+            ("lines/a b", "lines_a_b"),
+            ("", "_"),
+            ("..", "_"),
+            (".a", "_a"),
+            ("Größe 面;$(x)", "Größe_面___x_"),
+        ] {
+            assert_eq!(directory_name(name), found);
+        }
+        for (path, name) in [("/a/b/", "b"), ("/a/../c", "c"), ("/a/b/.", "b"), ("/", "")] {
+            assert_eq!(name_of(Path::new(path)), name);
+        }
+    }
+}

@@ -1,0 +1,113 @@
+//! `planish-run run`, `stage` and `show`: a pipeline, one stage of it, and its settings.
+
+use std::process;
+
+use clap::Args;
+use planish_handoff::{Failure, Status, say};
+use planish_pipeline::kind::{Kind, unit};
+
+use super::{
+    execute::{Said, run},
+    place::Place,
+};
+
+#[derive(Args)]
+pub struct Run {
+    /// Name of the pipeline, such as raster
+    pipeline: String,
+    /// Settings of the pipeline
+    #[arg(value_name = "NAME=VALUE", trailing_var_arg = true, allow_hyphen_values = true)]
+    settings: Vec<String>,
+}
+
+#[derive(Args)]
+pub struct Stage {
+    /// Name of the pipeline, such as raster
+    pipeline: String,
+    /// Name of the stage, such as path or compare; the files in pipelines/ list them
+    stage: String,
+    /// Settings of the pipeline
+    #[arg(value_name = "NAME=VALUE", trailing_var_arg = true, allow_hyphen_values = true)]
+    settings: Vec<String>,
+}
+
+#[derive(Args)]
+pub struct Show {
+    /// Name of the pipeline, such as raster
+    pipeline: String,
+}
+
+impl Run {
+    pub fn run(&self) -> Result<Status, Failure> {
+        stage(&self.pipeline, "run", &self.settings)
+    }
+}
+
+impl Stage {
+    pub fn run(&self) -> Result<Status, Failure> {
+        stage(&self.pipeline, &self.stage, &self.settings)
+    }
+}
+
+fn stage(pipeline: &str, stage: &str, settings: &[String]) -> Result<Status, Failure> {
+    let place = Place::find()?;
+    let definition = place.definition(pipeline)?;
+    let scope = place.scope(&definition, settings)?;
+    let ended = run(&place, scope, stage, Said::Shown)?;
+    end(ended.code)
+}
+
+/// Ends with the exit code of a run, whose last program has said why.
+pub fn end(code: u8) -> Result<Status, Failure> {
+    match code {
+        0 => Ok(Status::Done),
+        code => process::exit(code.into()),
+    }
+}
+
+/// Width of the table of settings, characters. Larger: lines break on a narrow terminal. Smaller: more lines.
+const WIDTH: usize = 110;
+/// Column at which the help of a setting begins. Larger: less room for it. Smaller: it collides with the default.
+const INDENT: usize = 64;
+
+impl Show {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let place = Place::find()?;
+        let definition = place.definition(&self.pipeline)?;
+        let scope = place.settings::<&str>(&definition, &[])?;
+        say(format!("{}: {}\n", definition.name, definition.title));
+        say(format!("{:<22} {:<33} {:<7} what", "setting", "default", "unit"));
+        say(format!("{:<22} {:<33} {:<7} ----", "-------", "-------", "----"));
+        for setting in &definition.settings {
+            let default = scope.text(&setting.name).map_err(Failure::new)?;
+            let default = if default.is_empty() { "(empty)" } else { &default };
+            let head = format!("{:<22} {default:<33} {:<7}", setting.name, unit(&setting.name));
+            let values = match &setting.kind {
+                Kind::OneOf { .. } | Kind::Whole { .. } => format!(" ({})", setting.kind.wanted()),
+                _ => String::new(),
+            };
+            say(wrapped(head, &format!("{}{values}", setting.help)));
+        }
+        let name = &definition.name;
+        say(format!(
+            "\nGiven as NAME=VALUE: just run {name} NAME=VALUE... The commands of each stage: pipelines/{name}.yaml and \
+             shared.yaml."
+        ));
+        Ok(Status::Done)
+    }
+}
+
+/// A row of the table: the head, and the text in lines beside it.
+fn wrapped(head: String, text: &str) -> String {
+    let mut lines = vec![head];
+    for word in text.split_whitespace() {
+        let last = lines.last_mut().expect("the head is a line");
+        if last.chars().count() + 1 + word.chars().count() > WIDTH {
+            lines.push(format!("{:INDENT$} {word}", ""));
+        } else {
+            last.push(' ');
+            last.push_str(word);
+        }
+    }
+    lines.join("\n")
+}

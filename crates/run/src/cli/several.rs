@@ -1,0 +1,150 @@
+//! Parts that the commands for several runs share: settings of their own beside those of the pipelines, commands that are
+//! no stages of a pipeline, and runs in silence.
+
+use std::{
+    fs::File,
+    io::{self, Read, Seek},
+    path::Path,
+    sync::atomic::{AtomicUsize, Ordering},
+};
+
+use planish_handoff::Failure;
+use planish_pipeline::{definition::Definition, scope::Scope, walk::Command};
+
+use super::{
+    execute::{Ended, Programs, Said, run},
+    place::Place,
+};
+
+/// Words of a command line: settings, and words without a value.
+pub struct Given {
+    /// Settings that are for the pipelines, in their order.
+    pub settings: Vec<String>,
+    /// Words without a value.
+    pub words: Vec<String>,
+}
+
+impl Given {
+    /// The words of a command line.
+    pub fn new(words: &[String]) -> Self {
+        let (settings, words) = words.iter().cloned().partition(|word: &String| word.contains('='));
+        Self { settings, words }
+    }
+
+    /// The last value of a setting that is not for the pipelines, if it is given.
+    pub fn take(&mut self, name: &str) -> Option<String> {
+        let found = self.get(name);
+        self.settings.retain(|word| word.split_once('=').is_none_or(|(key, _)| key != name));
+        found
+    }
+
+    /// The last value of a setting.
+    pub fn get(&self, name: &str) -> Option<String> {
+        let values = self.settings.iter().rev().filter_map(|word| word.split_once('='));
+        values.filter(|(key, _)| *key == name).map(|(_, value)| value.to_string()).next()
+    }
+
+    /// The path of a setting that is not for the pipelines, if it is given and not empty.
+    pub fn take_path(&mut self, name: &str) -> Option<String> {
+        self.take(name).filter(|path| !path.is_empty()).map(|path| no_flag(&path))
+    }
+}
+
+/// A path that is no flag: one that begins with a hyphen gets its directory.
+pub fn no_flag(path: &str) -> String {
+    if path.starts_with('-') { format!("./{path}") } else { path.into() }
+}
+
+/// A command with arguments of which none is taken apart.
+pub fn command<S: AsRef<str>>(program: &str, arguments: &[S]) -> Command {
+    let arguments = arguments.iter().map(|word| word.as_ref().to_string()).collect();
+    Command { program: program.into(), arguments, may_be_negative: true, is_quiet: false }
+}
+
+/// Runs whose plans are made in silence: what they say is shown if one of them fails.
+pub struct Silent<'a> {
+    place: &'a Place,
+    log: File,
+}
+
+impl<'a> Silent<'a> {
+    /// Runs of this place.
+    pub fn new(place: &'a Place) -> Result<Self, Failure> {
+        Ok(Self { place, log: log()? })
+    }
+
+    /// Runs a command: exit code 0, or 1 for a negative verdict. With another one, what it said is the end of all.
+    pub fn command(&mut self, command: &Command) -> Result<u8, Failure> {
+        self.clear()?;
+        let code = Programs::new(self.place, Said::Kept(self.log.try_clone()?))?.run(command)?;
+        self.checked(code)
+    }
+
+    /// Runs a pipeline.
+    pub fn pipeline<'b>(
+        &mut self,
+        definition: &'b Definition,
+        settings: &[String],
+    ) -> Result<Ended<'b>, Failure> {
+        self.clear()?;
+        let scope: Scope<'b> = self.place.scope(definition, settings)?;
+        let ended = run(self.place, scope, "run", Said::Kept(self.log.try_clone()?))?;
+        self.checked(ended.code)?;
+        Ok(ended)
+    }
+
+    fn clear(&mut self) -> Result<(), Failure> {
+        self.log.set_len(0)?;
+        Ok(self.log.rewind()?)
+    }
+
+    fn checked(&mut self, code: u8) -> Result<u8, Failure> {
+        if code <= 1 {
+            return Ok(code);
+        }
+        let mut said = Vec::new();
+        self.log.rewind()?;
+        self.log.read_to_end(&mut said)?;
+        let _ = io::copy(&mut &said[..], &mut io::stderr());
+        std::process::exit(2)
+    }
+}
+
+/// Number of files that were made, so that each has its own name.
+static COUNT: AtomicUsize = AtomicUsize::new(0);
+
+/// A file without a name, which is gone when the program has ended.
+pub fn log() -> Result<File, Failure> {
+    let path = std::env::temp_dir().join(format!(
+        "planish-run-{}-{}",
+        std::process::id(),
+        COUNT.fetch_add(1, Ordering::Relaxed)
+    ));
+    let file = File::options().read(true).append(true).create_new(true).open(&path)?;
+    std::fs::remove_file(&path)?;
+    Ok(file)
+}
+
+/// Settings of a plan among several: no pictures, and no plan whose times allow for no errors.
+pub fn plain(definition: &Definition) -> Vec<String> {
+    let known = |name: &str| definition.settings.iter().any(|setting| setting.name == name);
+    let wanted = [("frames", "0"), ("plan_joint", "no")];
+    wanted
+        .iter()
+        .filter(|(name, _)| known(name))
+        .map(|(name, value)| format!("{name}={value}"))
+        .collect()
+}
+
+/// Refuses an input that is a file, or not there.
+pub fn is_directory(name: &str, path: &str) -> Result<(), Failure> {
+    match () {
+        () if Path::new(path).is_file() => Err(Failure::new(format!(
+            "{name} {path} is a file; read it with planish-import, and give the directory"
+        ))),
+        () if !Path::new(path).is_dir() => {
+            Err(Failure::new(format!("{name} {path} is not there; give a directory")))
+        }
+        () => Ok(()),
+    }
+}

@@ -1,0 +1,53 @@
+//! `planish-run campaign-spread`: campaigns with several seeds, and how their results scatter.
+
+use clap::Args;
+use planish_handoff::{Failure, Status};
+
+use super::{
+    campaign::campaign,
+    execute::{Programs, Said},
+    place::{Place, directory_name, name_of},
+    run::end,
+    several::{Given, command, log},
+};
+
+#[derive(Args)]
+pub struct CampaignSpread {
+    /// Name of a fixture (coupon without one), seeds=N (20 without it), and settings of `planish-run campaign`; each
+    /// campaign is in out/campaign-spread/MIRROR/SEED, or in OUT/SEED with out=OUT
+    #[arg(value_name = "WORD", trailing_var_arg = true, allow_hyphen_values = true)]
+    words: Vec<String>,
+}
+
+impl CampaignSpread {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let place = Place::find()?;
+        let mut given = Given::new(&self.words);
+        if given.get("seed").is_some() {
+            return Err(Failure::new(
+                "every campaign has a seed of its own; give seeds=N, how many",
+            ));
+        }
+        let seeds = given.take("seeds").unwrap_or("20".into());
+        let seeds: u32 = (seeds.parse().ok())
+            .filter(|n| (1..=999).contains(n) && !seeds.starts_with(['0', '+']))
+            .ok_or_else(|| Failure::new(format!("seeds is '{seeds}'; give 1 to 999")))?;
+        let surface = given.get("surface").map(|path| name_of(path.as_ref()));
+        let mirror = surface.or(given.words.last().cloned()).or(given.get("fixture"));
+        let out = given.take_path("out").unwrap_or_else(|| {
+            let mirror = mirror.unwrap_or("coupon".into());
+            format!("{}out/campaign-spread/{}", place.home(), directory_name(&mirror))
+        });
+        let mut reports = vec!["spread".to_string()];
+        for seed in 1..=seeds {
+            let own = [format!("seed={seed}"), format!("out={out}/{seed}")];
+            let words = [&given.words[..], &given.settings[..], &own].concat();
+            let code = campaign(&words, Said::Kept(log()?))?;
+            if code != 0 {
+                return end(code);
+            }
+            reports.push(format!("{out}/{seed}/report"));
+        }
+        end(Programs::new(&place, Said::Shown)?.run(&command("planish-campaign", &reports))?)
+    }
+}

@@ -1,0 +1,157 @@
+//! `planish-run tolerance`: effect of the errors of a process on the plans of several pipelines.
+
+use std::{
+    env, fs,
+    io::{Write, stdout},
+    path::{Path, PathBuf},
+};
+
+use clap::Args;
+use planish_handoff::{Failure, Status, kind::MANIFEST, say};
+use serde_json::Value;
+
+use super::{
+    execute::{Programs, Said},
+    place::{Place, name_of},
+    run::end,
+    several::{Given, Silent, command},
+};
+
+/// Word for the mirror in the folder that PLANISH_REFERENCE names.
+const REFERENCE: &str = "reference";
+
+#[derive(Args)]
+pub struct Tolerance {
+    /// Pipelines (raster and maze without any), their settings, and error_budget=FILE; `reference` is the mirror in
+    /// PLANISH_REFERENCE, with residuals without their planes and a process of single errors
+    #[arg(value_name = "WORD", trailing_var_arg = true, allow_hyphen_values = true)]
+    words: Vec<String>,
+}
+
+impl Tolerance {
+    pub fn run(&self) -> Result<Status, Failure> {
+        let place = Place::find()?;
+        let mut given = Given::new(&self.words);
+        let is_reference = given.words.iter().any(|word| word == REFERENCE);
+        let mut pipelines: Vec<&str> =
+            given.words.iter().map(String::as_str).filter(|word| *word != REFERENCE).collect();
+        let known = place.pipelines();
+        if let Some(word) = pipelines.iter().find(|word| !known.iter().any(|name| name == *word)) {
+            return Err(Failure::new(format!(
+                "'{word}' is no pipeline and no setting; give raster, maze, NAME=VALUE"
+            )));
+        }
+        if pipelines.is_empty() {
+            pipelines = vec!["raster", "maze"];
+        }
+        let pipelines: Vec<String> = pipelines.into_iter().map(String::from).collect();
+        let errors = if is_reference { "single-errors" } else { "ion-beam" };
+        let error_budget = given.take_path("error_budget").unwrap_or_else(|| {
+            format!("{}fixtures/error-budgets/{errors}.json", place.repository())
+        });
+        let out = given.take_path("out").unwrap_or_else(|| {
+            format!("{}out/tolerance/{}", place.home(), mirror(&given, is_reference))
+        });
+        if is_reference {
+            for (part, path) in reference(Path::new(&out))? {
+                given.settings.push(format!("{part}={}", path.display()));
+            }
+        }
+        let mut ranks = Vec::new();
+        for pipeline in &pipelines {
+            let definition = place.definition(pipeline)?;
+            let at = format!("{out}/{pipeline}");
+            let settings = [given.settings.clone(), vec![format!("out={at}")]].concat();
+            let scope = Silent::new(&place)?.pipeline(&definition, &settings)?.scope;
+            let text = |name: &str| scope.text(name).map_err(Failure::new);
+            let trajectory = format!("{}/{}/trajectory", text("methods")?, text("exported")?);
+            let own = format!("{at}/tolerance");
+            let free = if is_reference { "plane" } else { "piston" };
+            let (tif, map) = (text("constant_tool")?, text("map")?);
+            let flags = [
+                &["--trajectory", &trajectory, "--tif", &tif, "--surface", &map][..],
+                &["--error-budget", &error_budget, "--free", free, "--out", &own, "--force"],
+            ];
+            // The program goes on in this line.
+            let _ = write!(stdout(), "\n{pipeline}: ").and_then(|()| stdout().flush());
+            let code = Programs::new(&place, Said::Shown)?
+                .run(&command("planish-tolerance", &flags.concat()))?;
+            if code != 0 {
+                return end(code);
+            }
+            ranks.push((below_95_percent_nm(Path::new(&own))?, pipeline));
+        }
+        ranks.sort_by(|a, b| a.0.total_cmp(&b.0));
+        say("\n95 % of the runs are below");
+        for (below_nm, pipeline) in ranks {
+            say(format!("{below_nm:10.4} nm  {pipeline}"));
+        }
+        Ok(Status::Done)
+    }
+}
+
+/// Name of the mirror as that of a directory.
+fn mirror(given: &Given, is_reference: bool) -> String {
+    let name = match (
+        is_reference,
+        given.get("surface").filter(|path| !path.is_empty()),
+        given.get("fixture"),
+    ) {
+        (true, ..) => REFERENCE.into(),
+        (false, Some(surface), _) => name_of(&env::current_dir().unwrap_or_default().join(surface)),
+        (false, None, Some(fixture)) => fixture,
+        (false, None, None) => "default".into(),
+    };
+    if name.is_empty() || name.contains('/') || name.starts_with('.') {
+        "mirror".into()
+    } else {
+        name
+    }
+}
+
+/// Copies the reference mirror and its tool to `out` as arrays: the settings that name them, and their paths.
+fn reference(out: &Path) -> Result<[(&'static str, PathBuf); 2], Failure> {
+    let folder =
+        env::var_os("PLANISH_REFERENCE").filter(|folder| !folder.is_empty()).ok_or_else(|| {
+            Failure::new(
+                "PLANISH_REFERENCE does not name the folder of the reference mirror; set it",
+            )
+        })?;
+    let from = PathBuf::from(folder).join("nsls2-mirror");
+    let places = ["surface", "tif"].map(|part| (part, out.join("mirror").join(part)));
+    for (part, to) in &places {
+        fs::create_dir_all(to)?;
+        let (map, prefix, own) = match *part {
+            "surface" => ("height_nm", "", "height_nm"),
+            _ => ("tif_nm_per_s", "tif_", "rate_nm_per_s"),
+        };
+        let axes = ["x_mm", "y_mm"].map(|axis| (format!("{prefix}{axis}"), axis));
+        for (name, own) in axes.into_iter().chain([(map.to_string(), own)]) {
+            let file = from.join(format!("{name}.npy"));
+            fs::copy(&file, to.join(format!("{own}.npy")))
+                .map_err(|e| Failure::new(format!("{}: cannot be copied: {e}", file.display())))?;
+        }
+    }
+    Ok(places)
+}
+
+/// Residual RMS that 95 % of the runs stay below, nm, from the manifest of `planish-tolerance`.
+fn below_95_percent_nm(tolerance: &Path) -> Result<f64, Failure> {
+    fn find(value: &Value) -> Option<f64> {
+        match value {
+            Value::Object(entries) => entries
+                .get("below_95_percent_nm")
+                .and_then(Value::as_f64)
+                .or_else(|| entries.values().find_map(find)),
+            Value::Array(items) => items.iter().find_map(find),
+            _ => None,
+        }
+    }
+    let file = tolerance.join(MANIFEST);
+    let failed = |e: &dyn std::fmt::Display| {
+        Failure::new(format!("{}: cannot be read: {e}", file.display()))
+    };
+    let text = fs::read(&file).map_err(|e| failed(&e))?;
+    let manifest: Value = serde_json::from_slice(&text).map_err(|e| failed(&e))?;
+    find(&manifest).ok_or_else(|| failed(&"it has no below_95_percent_nm"))
+}
