@@ -39,6 +39,10 @@ const LEAST_RATE: f64 = 8e-6;
 /// Radius of the tool in the direct sum, in sigmas: beyond it a tool has less than 1e-7 of its peak.
 pub const REACH_SIGMA: f64 = 6.5;
 
+/// Standard deviation of the tool of the reference mirror, and half the side of its samples, mm.
+const SIGMA_MM: f64 = 1.7035;
+const HALF_MM: f64 = 5.0;
+
 /// Rounds of the multiplicative planner.
 const ROUNDS: usize = 25;
 
@@ -204,11 +208,12 @@ impl Case {
     }
 
     /// A run on the reference mirror, with its published raster and dwell times at even speed along each segment.
-    /// `mm` is half the side of the samples of the tool, which is a Gaussian without an end.
-    pub fn on_mirror(mirror: &Mirror, seed: u64, sigma_nm: f64, half_mm: f64) -> Self {
+    /// The tool is a Gaussian without an end, and its samples end at 1.3 % of its peak, as those of the published TIF do
+    /// at more.
+    pub fn on_mirror(mirror: &Mirror, seed: u64, sigma_nm: f64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(3_000_000 + seed);
         let grid = *mirror.desired.grid();
-        let tool = Tool { sigma_mm: 1.7035, pitch_mm: grid.x.step_mm(), flatter: false };
+        let tool = Tool { sigma_mm: SIGMA_MM, pitch_mm: grid.x.step_mm(), flatter: false };
         let truth = Truth::random(&mut rng, seed);
         let real = mirror.desired.height_nm();
         let noise = Array2::from_shape_simple_fn(grid.shape(), || sigma_nm * normal(&mut rng));
@@ -224,13 +229,19 @@ impl Case {
             tool,
             path,
             sigma_nm,
-            figure: Figure::new(&mut rng, tool.sigma_mm, 4.0),
+            figure: Figure::new(&mut rng, SIGMA_MM, 4.0),
             before: Surface::new(grid, real + &noise).unwrap(),
             after: Surface::new(grid, real - &removal + &after).unwrap(),
             noise,
             trajectory,
-            tif: tool.sampled_to(&Truth::default(), half_mm),
+            tif: tool.sampled_to(&Truth::default(), HALF_MM),
         }
+    }
+
+    /// The same run, of which the planner has samples of the tool out to so many sigmas only.
+    pub fn with_cut_tool(mut self, sigmas: f64) -> Self {
+        self.tif = self.tool.sampled_to(&Truth::default(), sigmas * self.tool.sigma_mm);
+        self
     }
 
     /// The map after the run on other pixels, with noise of its own.
