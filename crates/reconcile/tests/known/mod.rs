@@ -4,10 +4,12 @@
 
 use ndarray::Array2;
 use planish_reconcile::{Comparison, Reconciled, Settings, reconcile};
+use planish_simulate::error_budget::ErrorBudgetFile;
 use planish_testkit::mirror::Mirror;
 use planish_types::{Axis, Grid, Surface, Tif, Trajectory, TrajectoryBuilder};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use serde_json::json;
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
@@ -263,6 +265,36 @@ impl Case {
             trajectory: &self.trajectory,
             tif: &self.tif,
             error_budget: None,
+            transform: None,
+        };
+        reconcile(&comparison, &Settings::default()).unwrap()
+    }
+
+    /// The same with the sizes from which the errors of these machines are drawn as an error budget.
+    pub fn learn_with_budget(&self) -> Reconciled {
+        let sizes = [
+            ("rate_scale", 2.9, "%"),
+            ("offset_x", 60.0, "um"),
+            ("offset_y", 60.0, "um"),
+            ("rotation", 0.05, "deg"),
+            ("magnification", 0.07, "%"),
+            ("tif_width", 1.5, "%"),
+            ("tif_ellipticity", 1.5, "%"),
+            ("tif_diagonal_ellipticity", 1.5, "%"),
+            ("rate_drift", 1.4, "%"),
+        ];
+        let errors = sizes.map(|(kind, size, unit)| {
+            json!({ "kind": kind, "size": size, "unit": unit, "distribution": "normal", "note": "" })
+        });
+        let file: ErrorBudgetFile =
+            serde_json::from_value(json!({ "name": "known", "errors": errors })).unwrap();
+        let budget = file.checked().unwrap();
+        let comparison = Comparison {
+            before: &self.before,
+            after: &self.after,
+            trajectory: &self.trajectory,
+            tif: &self.tif,
+            error_budget: Some(&budget),
             transform: None,
         };
         reconcile(&comparison, &Settings::default()).unwrap()
