@@ -162,7 +162,7 @@ fn pixels_for_shift(
     outside.indexed_iter().filter_map(of).collect()
 }
 
-/// What the equations have of one pixel.
+/// Terms of the equations at one pixel.
 struct Row {
     pixel: [usize; 2],
     /// Coordinates from -1 to 1 over the map.

@@ -272,6 +272,7 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
         points: found.points,
         tried_orders: orders,
         tif_is_as_sampled: settings.tif_as_sampled || model.removal_from.is_some(),
+        tif_is_continued: !std::ptr::eq(tool, comparison.tif),
         resampled: (!are_same(data.grid, comparison.after.grid())).then_some(METHOD),
         explains_nothing: nothing.clone(),
     };

@@ -466,10 +466,10 @@ fn a_pipe_in_the_place_of_the_report_is_refused() {
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     let flags = ["program", "--run", "run", "--of", "pvt", "--controller", "galil"];
     let mut program = Command::new(PROGRAM);
-    program.current_dir(dir.path()).args(flags).stderr(std::process::Stdio::piped());
+    program.current_dir(dir.path()).args(flags).stderr(Stdio::piped());
     let mut child = program.spawn().unwrap();
     let ends = (0..200).find_map(|_| {
-        std::thread::sleep(std::time::Duration::from_millis(50));
+        thread::sleep(Duration::from_millis(50));
         child.try_wait().unwrap()
     });
     if ends.is_none() {
