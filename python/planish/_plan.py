@@ -26,6 +26,13 @@ _BARE = ": no manifest.json, read as bare arrays"
 # Length of a record of FITS, in bytes, and of a line of its header (FITS 4.0, 3.1 and 3.3.1).
 _FITS_RECORD, _FITS_LINE = 2880, 80
 
+if typing.TYPE_CHECKING:
+    import matplotlib.figure
+    import xarray
+
+    # The kind of array that the surface was given as
+    Map = typing.Union[np.ndarray, xarray.DataArray]
+
 
 def share() -> pathlib.Path:
     """The folder with pipelines/ and fixtures/: in the wheel, or the clone."""
@@ -71,7 +78,7 @@ def plan(
     `Plan.negative`.
     """
     temporary = tempfile.TemporaryDirectory(prefix="planish-") if out is None else None
-    base = pathlib.Path(temporary.name if temporary else out).resolve()
+    base = pathlib.Path(temporary.name if temporary is not None else out or "").resolve()
     base.mkdir(parents=True, exist_ok=True)
     given = {"surface": _given(surface, base / "mirror", "height_nm", "nm"), "tif": _given(tif, base / "tool", "rate_nm_per_s", "nm/s")}
     if isinstance(machine, typing.Mapping):
@@ -103,7 +110,9 @@ class Plan:
 
     negative: str | None = None
 
-    def __init__(self, path, like=None, temporary=None):
+    def __init__(
+        self, path: str | os.PathLike[str], like: typing.Any = None, temporary: tempfile.TemporaryDirectory[str] | None = None
+    ):
         self.path = pathlib.Path(path)
         self._like = like
         self._temporary = temporary
@@ -136,19 +145,29 @@ class Plan:
         return load(folder if folder.is_dir() else self.path / "dwell")["dwell_s"]
 
     @property
-    def height_nm(self):
+    def height_nm(self) -> Map:
         """The surface error that the plan removes, (ny, nx), as it was prepared."""
         return self._map(load(self.path / "surface"), "height_nm")
 
     @property
-    def removal_nm(self):
+    def removal_nm(self) -> Map:
         """The predicted removal of the motion, (ny, nx)."""
         return self._map(load(self._of("removal")), "removal_nm")
 
     @property
-    def residual_nm(self):
+    def residual_nm(self) -> Map:
         """The predicted residual of the motion, (ny, nx)."""
         return self._map(load(self._of("removal")), "residual_nm")
+
+    @property
+    def x_mm(self) -> np.ndarray:
+        """Coordinates of the columns of these maps."""
+        return load(self.path / "surface")["x_mm"]
+
+    @property
+    def y_mm(self) -> np.ndarray:
+        """Coordinates of the rows of these maps."""
+        return load(self.path / "surface")["y_mm"]
 
     @property
     def rms_nm(self) -> float:
@@ -187,7 +206,7 @@ class Plan:
             webbrowser.open(page.as_uri())
         return page
 
-    def plot(self):
+    def plot(self) -> matplotlib.figure.Figure:
         """A Matplotlib figure: the surface error with the tool path, and the predicted residual."""
         try:
             import matplotlib.pyplot as plt
@@ -204,7 +223,7 @@ class Plan:
         rows[0].plot(*self.tool_path["point_mm"].T, color="black", linewidth=0.4)
         return figure
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"<plan {self.path}: {self.summary['answer']['sentence'] or self.method}>"
 
     @property
@@ -230,14 +249,17 @@ class Plan:
 def save_map(file: str | os.PathLike[str], surface: typing.Any, name: str = "height_nm") -> pathlib.Path:
     """Writes a map in nm to an HDF5 file (.h5, .hdf5) or a FITS image (.fits), with its units and coordinates.
 
-    `surface` is (map, x, y) or an xarray.DataArray, as for `plan`, or an artifact, whose array is `name`. The file must not
-    exist. `planish-import surface` reads it back. HDF5 needs h5py.
+    `surface` is (map, x, y) or an xarray.DataArray, as for `plan`, or a plan or an artifact, whose map is `name`:
+    save_map("residual.fits", plan, "residual_nm"). The file must not exist. `planish-import surface` reads it back. HDF5
+    needs h5py.
     """
     file = pathlib.Path(file)
     if file.exists():
         raise FileExistsError(f"{file}: is there; give another file, or remove it")
     if isinstance(surface, Artifact):
         surface = (surface[name], surface["x_mm"], surface["y_mm"])
+    elif isinstance(surface, Plan):
+        surface = (np.asarray(getattr(surface, name)), surface.x_mm, surface.y_mm)
     values, x, y = _map_with_coordinates(surface, "nm")
     if file.suffix in (".h5", ".hdf5"):
         try:

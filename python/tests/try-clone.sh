@@ -32,7 +32,8 @@ begun=$(date +%s)
 just --justfile ../clone/justfile run raster surface=mirror tif=tool machine=machine.json pitch_mm=2 step_mm=2 \
     export=galil out=plan > run 2>&1 || { tail -n 20 run >&2; exit 1; }
 grep '^program: ' run
-../clone/target/release/planish-export gcode --trajectory plan/methods/pvt+refined/trajectory --machine machine.json \
-    --out program.ngc
-"$python" "$repository/python/tests/mirror.py" check plan/methods/pvt+refined/trajectory plan/program.galil program.ngc
+# The plan that the program is of
+motion=plan/methods/$(sed -n 's/^program: .* is of the plan \([^;]*\);.*/\1/p' run)/trajectory
+../clone/target/release/planish-export gcode --trajectory "$motion" --machine plan/machine/machine.json --out program.ngc
+"$python" "$repository/python/tests/mirror.py" check "$motion" plan/program.galil program.ngc
 echo "a mirror of one's own: from its arrays to both programs in $(($(date +%s) - begun)) s"

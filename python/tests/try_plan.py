@@ -1,4 +1,4 @@
-"""`planish.plan` from arrays to a program, and maps as files of other programs.
+"""The lines of README.md that go from arrays to a program; `planish.plan` beside them, and maps as files of other programs.
 
     environment/bin/python try_plan.py         in an empty directory; ends with 0 when all of it is as it should be
 
@@ -6,6 +6,7 @@ Needs xarray, h5py and matplotlib in the environment.
 """
 
 import gc
+import pathlib
 import sys
 import time
 import warnings
@@ -15,10 +16,25 @@ import numpy as np
 import planish
 import xarray
 
-from mirror import MACHINE, arrays, check
+from mirror import MACHINE, arrays, check, write
 
 matplotlib.use("Agg")
+README = pathlib.Path(__file__).resolve().parents[2] / "README.md"
+# Longest time of the lines of README.md, s. It takes 8 s of processor time, so a busy machine needs the margin.
+LONGEST_S = 30
 SETTINGS = {"path": "raster", "pitch_mm": 4, "step_mm": 4, "plan_joint": False}
+
+
+def the_lines_of_the_readme():
+    (lines,) = [block for block in README.read_text("utf-8").split("```")[1::2] if "planish.plan(" in block]
+    lines = lines.strip().splitlines()
+    assert len(lines) == 5, lines
+    write()
+    begun = time.monotonic()
+    exec("\n".join(lines), {})
+    took = time.monotonic() - begun
+    print(f"the five lines of README.md: {took:.0f} s, {pathlib.Path('mirror.dmc').stat().st_size} bytes of a Galil program")
+    assert took <= LONGEST_S, took
 
 
 def from_arrays_to_a_program():
@@ -82,6 +98,9 @@ def maps_as_files(residual):
             assert np.abs(back[axis] - of).max() <= 75 * 2**-50, name
         refused(lambda: planish.save_map(name, surface), FileExistsError, "is there")
     planish.save_map("other.h5", residual)
+    kept = planish.plan("mirror", "tool", "machine.json", out="kept-arrays", **SETTINGS)
+    planish.save_map("plan.fits", kept, "residual_nm")
+    assert np.array_equal(planish.import_.surface("plan.fits", out="back-plan")["height_nm"], kept.residual_nm)
     refused(lambda: planish.save_map("residual.tif", surface), ValueError, "give .h5, .hdf5 or .fits")
     uneven = (values, surface[1] ** 3, surface[2])
     refused(lambda: planish.save_map("uneven.fits", uneven), ValueError, "uniform lattice")
@@ -112,6 +131,7 @@ def refused(call, error, said):
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore", UserWarning)
+    the_lines_of_the_readme()
     messages_of_the_programs()
     maps_as_files(xarray_in_and_out(from_arrays_to_a_program()))
     print("plans from arrays are as they should be")

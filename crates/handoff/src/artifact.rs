@@ -19,6 +19,7 @@ use crate::{
     npy::{self, ArrayData},
     place::{is_absent, parent_of},
     publish,
+    system::directory_stamp,
 };
 
 /// Largest manifest that is read, bytes. Larger: a damaged file takes more memory and time.
@@ -221,24 +222,12 @@ pub(crate) fn read_whole<T>(
     loop {
         // If another run replaces the directory meanwhile, the reader gets a mixture of the old and
         // the new one. The hashes reveal that, and the directory is read again.
-        let before = identity(dir);
+        let before = directory_stamp(dir);
         let result = read_once();
-        if result.is_ok() || identity(dir) == before {
+        if result.is_ok() || directory_stamp(dir) == before {
             return result;
         }
     }
-}
-
-/// Identity of a directory, which changes when another directory replaces it.
-fn identity(dir: &Path) -> Option<impl PartialEq + use<>> {
-    let metadata = fs::metadata(dir).ok()?;
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::MetadataExt;
-        Some((metadata.ino(), metadata.ctime(), metadata.ctime_nsec()))
-    }
-    #[cfg(not(unix))]
-    metadata.created().ok()
 }
 
 /// Reads the arrays in `dir`, whose manifest has this text.

@@ -14,6 +14,7 @@
 //! * [`Output`], [`OutputFile`]: the outputs of a command; skipped if they are up to date.
 //! * `publish`: makes the outputs of a run visible, whole and together, safe against power failures.
 //! * [`program`]: the body of every `main`; messages and exit codes.
+//! * [`system`]: all that depends on the operating system.
 //! * [`together`](fn@together): one of several programs in one file, by the first argument.
 //! * [`words`]: several words in one text, as a shell reads them.
 //!
@@ -74,6 +75,7 @@ mod output;
 mod place;
 mod publish;
 mod shell;
+pub mod system;
 mod together;
 pub mod words;
 

@@ -34,9 +34,9 @@ use crate::{
     HandoffError,
     kind::Kind,
     place::{absolute, create_directories, parent_of, plain, refuse_foreign_files, sync_directory},
+    system::inode,
 };
 use rename::{is_exchange_unknown, put_in_place, put_in_place_by_plain_renames, take_back};
-use sibling::inode;
 
 pub(crate) use self::{
     journal::finish_interrupted,

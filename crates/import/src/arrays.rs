@@ -108,14 +108,16 @@ fn refuse_marks(arrays: &Arrays, map: &str, file: &'static str) -> Result<(), In
     Err(Invalid::whole(file, problem, remedy))
 }
 
-/// The names of the coordinates x and y beside a map: customary ones beside a customary map; beside another one, vectors or
-/// matrices of its size.
+/// The names of the coordinates x and y beside a map: its own ones beside a customary map; beside another one, vectors or
+/// matrices of its size that are not those of another customary map.
 fn coordinates(arrays: &Arrays, map: &str, is_tif: bool) -> Option<[String; 2]> {
     let shape = |name: &str| arrays.numbers.iter().find(|a| a.0 == name).map(|a| &a.1);
-    let customary = CUSTOMARY[usize::from(is_tif)];
-    let [_, x, y] = customary;
-    if map == customary[0] && shape(x).is_some() && shape(y).is_some() {
-        return Some([x.into(), y.into()]);
+    let (own, name) = (prefix(map), &map[prefix(map).len()..]);
+    let of_group = |[x, y]: [&str; 2]| [format!("{own}{x}"), format!("{own}{y}")];
+    let are_there = |names: &[String; 2]| names.iter().all(|name| shape(name).is_some());
+    let customary = CUSTOMARY.iter().find(|[z, ..]| name == *z);
+    if let Some(pair) = customary.map(|[_, x, y]| of_group([x, y])).filter(are_there) {
+        return Some(pair);
     }
     let of_map = shape(map)?;
     let count = |shape: &[u64]| shape.iter().try_fold(1u64, |n, s| n.checked_mul(*s));
@@ -127,9 +129,14 @@ fn coordinates(arrays: &Arrays, map: &str, is_tif: bool) -> Option<[String; 2]> 
         sizes.sort_unstable();
         (x == of_map && y == of_map) || counts == sizes
     };
-    let own = prefix(map);
-    let pairs = [[x, y]].into_iter().chain(BESIDE);
-    pairs.map(|pair| pair.map(|name| format!("{own}{name}"))).find(fits)
+    let of_another = |pair: &[&str; 2]| {
+        let owners = CUSTOMARY.iter().filter(|[_, x, y]| *pair == [*x, *y]);
+        customary.is_some()
+            && owners.into_iter().any(|[z, ..]| shape(&format!("{own}{z}")).is_some())
+    };
+    let [_, x, y] = CUSTOMARY[usize::from(is_tif)];
+    let pairs = [[x, y]].into_iter().chain(BESIDE).filter(|pair| !of_another(pair));
+    pairs.map(of_group).find(fits)
 }
 
 /// The coordinates of an axis from a vector, or from a matrix that varies along one axis only.
@@ -173,3 +180,28 @@ pub(crate) fn is_turned(x: &Array2<f64>, y: &Array2<f64>, size: (usize, usize)) 
 
 /// The warning where [`is_turned`] transposed a map.
 pub(crate) const TURNED: &str = "x goes along the rows of the file: the map was transposed";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_map_has_its_own_coordinates_and_not_those_of_another() {
+        let chosen = |names: &[&str], map: &str, is_tif: bool| {
+            let numbers = names.iter().map(|n| (n.to_string(), vec![5, 5])).collect();
+            let arrays = Arrays { numbers, marks: vec![] };
+            coordinates(&arrays, map, is_tif).map(|[x, y]| format!("{x} {y}"))
+        };
+        let both = ["Z", "X", "Y", "Ztif", "Xtif", "Ytif"];
+        for is_tif in [false, true] {
+            assert_eq!(chosen(&both, "Ztif", is_tif).unwrap(), "Xtif Ytif");
+            assert_eq!(chosen(&both, "Z", is_tif).unwrap(), "X Y");
+            // X and Y are those of Z; without Z they may be those of Ztif.
+            assert_eq!(chosen(&["Z", "X", "Y", "Ztif"], "Ztif", is_tif), None);
+            assert_eq!(chosen(&["X", "Y", "Ztif"], "Ztif", is_tif).unwrap(), "X Y");
+            let grouped = ["m.Z", "m.X", "m.Y", "m.Ztif", "m.Xtif", "m.Ytif", "X", "Y"];
+            assert_eq!(chosen(&grouped, "m.Ztif", is_tif).unwrap(), "m.Xtif m.Ytif");
+        }
+        assert_eq!(chosen(&["height", "x", "y"], "height", false).unwrap(), "x y");
+    }
+}

@@ -12,6 +12,10 @@
 //! other are one line; a corner takes at most half of its two lines. Where the path turns back on itself no smooth curve
 //! follows it: there the machine comes to rest, and the next curve begins.
 //!
+//! The points of a bent path, such as a spiral, are no corners. Where several vertices in a row turn little, the curve
+//! goes through them with the curvature of the path ([`crate::clothoid_spline`]). Corners there would have several times
+//! this curvature, and lines between them.
+//!
 //! | symbol | variable | unit |
 //! |---|---|---|
 //! | phi | `turn_rad` | rad |
@@ -19,10 +23,12 @@
 //! | b | `cut_mm` | mm |
 //! | e | `deviation_mm` | mm |
 
-use std::f64::consts::PI;
+use std::{collections::BTreeMap, f64::consts::PI};
 
 use planish_numerics::motion::clothoid;
 use planish_types::ToolPath;
+
+use crate::clothoid_spline::{Arc, End, angle_between, through};
 
 /// Largest turn of a corner, rad. At a sharper turn the path goes back on itself: the machine rests there and the
 /// next curve begins. Larger: corners with a very small radius, which the tool must pass slowly. Smaller: more rests.
@@ -59,6 +65,18 @@ const SMOOTHING_SWEEPS: usize = 200;
 /// Largest movement of a point in a sweep, over the bound on movements, at which smoothing ends. Larger: fewer sweeps
 /// and a little more bend. Smaller: more sweeps. Chosen: the bend does not depend on a thousandth of the bound.
 const SMOOTHED_FINALLY: f64 = 1e-3;
+
+/// Largest turn of a vertex that may be a sample of a bent path, rad. Larger: real corners of a polygon are rounded over all
+/// of their lines. Smaller: coarsely sampled bends keep their corners. Chosen: 18 samples of a circle.
+const BENT_TURN_RAD: f64 = PI / 9.0;
+
+/// Largest ratio of the lengths of neighbouring chords between samples of a bent path. Larger: lines beside short chords are
+/// bent. Smaller: unevenly sampled bends keep their corners. Chosen.
+const MOST_UNEVEN: f64 = 2.0;
+
+/// Least number of vertices in a row that are samples of a bent path. Larger: short bends keep their corners. Smaller:
+/// a line with two corners near each other counts as bent. Chosen.
+const LEAST_BENT_VERTICES: usize = 4;
 
 /// Largest distance between two places on a line that are taken for one, relative to the length of the line. Larger:
 /// short parts of segments are lost. Smaller: rounding becomes a part of its own. Chosen: some thousand times the
@@ -130,14 +148,39 @@ impl Piece {
         clothoid::heading(self.start.curvature_per_mm, self.sharpness_per_mm2, self.length_mm).abs()
     }
 
-    /// Integral of the square root of the curvature, which has one sign on a piece, mm^(1/2).
+    /// Curvature at its start and at its end, 1/mm.
+    fn curvatures_per_mm(&self) -> [f64; 2] {
+        let from = self.start.curvature_per_mm;
+        [from, from + self.sharpness_per_mm2 * self.length_mm]
+    }
+
+    /// Largest curvature, without its sign, 1/mm.
+    pub fn most_curvature_per_mm(&self) -> f64 {
+        let [from, to] = self.curvatures_per_mm();
+        from.abs().max(to.abs())
+    }
+
+    /// Change of its curvature over the largest one; 0 on a line.
+    pub fn change_of_curvature(&self) -> f64 {
+        let [from, to] = self.curvatures_per_mm();
+        let most = from.abs().max(to.abs());
+        if most > 0.0 { (to - from).abs() / most } else { 0.0 }
+    }
+
+    /// Integral of the square root of the curvature without its sign, mm^(1/2).
     fn bend(&self) -> f64 {
-        let from = self.start.curvature_per_mm.abs();
-        let to = (self.start.curvature_per_mm + self.sharpness_per_mm2 * self.length_mm).abs();
-        // (2/3) (b^3 - a^3) / (b^2 - a^2) of the square roots a and b, without its pole at a = b
-        let (a, b) = (from.sqrt(), to.sqrt());
-        let both = a + b;
-        if both > 0.0 { 2.0 / 3.0 * self.length_mm * (a * a + a * b + b * b) / both } else { 0.0 }
+        let [from, to] = self.curvatures_per_mm();
+        let (a, b) = (from.abs().sqrt(), to.abs().sqrt());
+        let mean = if from * to < 0.0 {
+            // Two ramps from 0
+            (a.powi(3) + b.powi(3)) / (a * a + b * b)
+        } else if a + b > 0.0 {
+            // (b^3 - a^3) / (b^2 - a^2), without its pole at a = b
+            (a * a + a * b + b * b) / (a + b)
+        } else {
+            0.0
+        };
+        2.0 / 3.0 * self.length_mm * mean
     }
 
     /// Arc length of its end from the start of the curve, mm.
@@ -162,10 +205,12 @@ pub struct Corner {
 }
 
 /// A smooth curve from rest to rest.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curve {
     pieces: Vec<Piece>,
     corners: Vec<Corner>,
+    /// Largest distance from the path where that is bent, mm.
+    bent_deviation_mm: f64,
 }
 
 impl Curve {
@@ -182,6 +227,16 @@ impl Curve {
     /// Arc length, mm.
     pub fn length_mm(&self) -> f64 {
         self.pieces.last().map_or(0.0, Piece::to_mm)
+    }
+
+    /// Largest distance from the path, mm.
+    pub fn deviation_mm(&self) -> f64 {
+        self.corners.iter().map(|c| c.deviation_mm).fold(self.bent_deviation_mm, f64::max)
+    }
+
+    /// Largest curvature, without its sign, 1/mm.
+    pub fn most_curvature_per_mm(&self) -> f64 {
+        self.pieces.iter().map(Piece::most_curvature_per_mm).fold(0.0, f64::max)
     }
 
     /// Integral of the square root of the curvature, mm^(1/2).
@@ -237,6 +292,17 @@ struct Chord {
 }
 
 impl Chord {
+    /// Point at a length along it, mm.
+    fn at(&self, s_mm: f64) -> [f64; 2] {
+        [0, 1].map(|k| self.from[k] + s_mm * self.tangent[k])
+    }
+
+    /// Distance of a point from the line through it, mm.
+    fn distance_mm(&self, point_mm: [f64; 2]) -> f64 {
+        let [dx, dy] = [0, 1].map(|k| point_mm[k] - self.from[k]);
+        (self.tangent[0] * dy - self.tangent[1] * dx).abs()
+    }
+
     /// The parts of its segments between two lengths along it: segment, from, to (mm).
     fn parts(&self, from_mm: f64, to_mm: f64) -> impl Iterator<Item = (usize, f64, f64)> {
         let starts = std::iter::once(0.0).chain(self.segments.iter().map(|(_, end)| *end));
@@ -262,7 +328,7 @@ fn chords(point_mm: &[[f64; 2]], tool_on: &[bool]) -> Vec<Chord> {
         }
         let tangent = [dx / length, dy / length];
         let in_line = |last: &&mut Chord| {
-            last.tool_on == tool_on && turn(last.tangent, tangent).abs() < NO_TURN_RAD
+            last.tool_on == tool_on && angle_between(last.tangent, tangent).abs() < NO_TURN_RAD
         };
         if let Some(last) = chords.last_mut().filter(in_line) {
             let along = [to[0] - last.from[0], to[1] - last.from[1]];
@@ -276,11 +342,6 @@ fn chords(point_mm: &[[f64; 2]], tool_on: &[bool]) -> Vec<Chord> {
         chords.push(Chord { segments, from, to, tangent, length_mm: length, tool_on });
     }
     chords
-}
-
-/// Angle from the first direction to the second, positive to the left, rad.
-fn turn([tx, ty]: [f64; 2], [nx, ny]: [f64; 2]) -> f64 {
-    (tx * ny - ty * nx).atan2(tx * nx + ty * ny)
 }
 
 /// Dimensions of the rounding of a corner, by (1) and (2).
@@ -390,7 +451,7 @@ fn runs(path: &ToolPath, at: &[usize], longest_mm: f64) -> Vec<Vec<usize>> {
     for w in at.windows(3) {
         let [a, b, c] = [w[0], w[1], w[2]].map(|i| path.point_mm()[i]);
         let (before, after) = ([b[0] - a[0], b[1] - a[1]], [c[0] - b[0], c[1] - b[1]]);
-        let rests = turn(before, after).abs() > SHARPEST_TURN_RAD;
+        let rests = angle_between(before, after).abs() > SHARPEST_TURN_RAD;
         let switched = path.tool_on()[w[1] - 1] != path.tool_on()[w[2] - 1];
         runs.last_mut().expect("begins with one").push(w[1]);
         let line = before[0].hypot(before[1]).max(after[0].hypot(after[1])) > longest_mm;
@@ -404,42 +465,212 @@ fn runs(path: &ToolPath, at: &[usize], longest_mm: f64) -> Vec<Vec<usize>> {
     runs
 }
 
+/// What follows a chord.
+#[derive(Clone, Copy)]
+enum Vertex {
+    /// The machine rests.
+    Rest,
+    /// A corner of this turn, positive to the left, rad.
+    Corner(f64),
+}
+
+/// The vertices after the chords.
+fn vertices(chords: &[Chord]) -> Vec<Vertex> {
+    let after = |w: &[Chord]| {
+        let turn = angle_between(w[0].tangent, w[1].tangent);
+        let rests = turn.abs() > SHARPEST_TURN_RAD;
+        if rests { Vertex::Rest } else { Vertex::Corner(turn) }
+    };
+    let last = chords.last().map(|_| Vertex::Rest);
+    chords.windows(2).map(after).chain(last).collect()
+}
+
+/// The rounding of the corner after a chord; `None` where there is no corner.
+fn blend(
+    chords: &[Chord],
+    vertices: &[Vertex],
+    i: usize,
+    rounding: &Rounding,
+) -> Option<(f64, Blend)> {
+    let Vertex::Corner(turn) = vertices[i] else { return None };
+    let room_mm = 0.5 * chords[i].length_mm.min(chords[i + 1].length_mm);
+    (turn.abs() >= NO_TURN_RAD).then(|| (turn, Blend::widest(turn.abs(), room_mm, rounding)))
+}
+
+/// A bent part of a path: the clothoids along its chords.
+struct Bent {
+    /// For each chord in order: part of its length, as fractions, and the clothoid along it.
+    arcs: Vec<(usize, [f64; 2], Arc)>,
+    /// Length of the last chord that it takes, mm.
+    taken_mm: f64,
+    deviation_mm: f64,
+}
+
+impl Bent {
+    /// The bent part whose first vertex is after the chord `first` and whose last one is after `last`. `None` where the
+    /// rounding allows no such deviation, or corners would be less curved.
+    fn new(
+        chords: &[Chord],
+        vertices: &[Vertex],
+        [first, last]: [usize; 2],
+        rounding: &Rounding,
+    ) -> Option<Self> {
+        let rests = |i: usize| matches!(vertices[i], Vertex::Rest);
+        let from_rest = (first == 0 || rests(first - 1)) && are_even(chords, first);
+        let to_rest = rests(last + 1) && are_even(chords, last);
+        // Half of what the next chord has, where that is left of the line
+        let of_line =
+            |line: usize, next: usize| 0.5 * chords[line].length_mm.min(chords[next].length_mm);
+        let (lead_mm, trail_mm) = (of_line(first, first + 1), of_line(last + 1, last));
+        let mut points: Vec<[f64; 2]> = Vec::with_capacity(last - first + 3);
+        let mut ends = [End::Rest; 2];
+        if from_rest {
+            points.push(chords[first].from);
+            points.push(chords[first].to);
+        } else {
+            points.push(chords[first].at(chords[first].length_mm - lead_mm));
+            ends[0] = End::Line(lead_mm / (lead_mm + chords[first + 1].length_mm));
+        }
+        points.extend(chords[first + 1..last].iter().map(|c| c.to));
+        if to_rest {
+            points.push(chords[last].to);
+            points.push(chords[last + 1].to);
+        } else {
+            points.push(chords[last + 1].at(trail_mm));
+            ends[1] = End::Line(trail_mm / (trail_mm + chords[last].length_mm));
+        }
+        let lines = [chords[first].tangent, chords[last + 1].tangent];
+        let arcs = through(&points, ends, lines)?.concat();
+        let mut parts: Vec<[f64; 2]> = vec![[0.0, 1.0]; last + 2 - first];
+        if !from_rest {
+            parts[0][0] = 1.0 - lead_mm / chords[first].length_mm;
+        }
+        let taken_mm = if to_rest { chords[last + 1].length_mm } else { trail_mm };
+        if !to_rest {
+            parts[last + 1 - first][1] = trail_mm / chords[last + 1].length_mm;
+        }
+        let along = (first..).zip(parts).zip(arcs).map(|((chord, part), arc)| (chord, part, arc));
+        let mut bent = Self { arcs: along.collect(), taken_mm, deviation_mm: 0.0 };
+        bent.deviation_mm = bent.deviation_mm(chords);
+        let corner = |i: usize| {
+            blend(chords, vertices, i, rounding).map(|(turn, b)| turn.abs() / b.half_length_mm)
+        };
+        let of_corners = (first..=last).filter_map(corner).fold(0.0, f64::max);
+        let curvatures = bent.arcs.iter().flat_map(|(_, _, arc)| arc.curvature_per_mm);
+        let most = curvatures.map(f64::abs).fold(0.0, f64::max);
+        (bent.deviation_mm <= rounding.deviation_mm && most < of_corners).then_some(bent)
+    }
+
+    /// Largest distance of ends and middles of the clothoids from their chords, mm.
+    fn deviation_mm(&self, chords: &[Chord]) -> f64 {
+        let of = |(chord, _, arc): &(usize, [f64; 2], Arc)| {
+            [0.5, 1.0].map(|f| chords[*chord].distance_mm(arc.point_mm(f * arc.length_mm)))
+        };
+        self.arcs.iter().flat_map(of).fold(0.0, f64::max)
+    }
+}
+
+/// The bent parts of a path, each with the chord after which it has its first vertex.
+fn bent_parts(chords: &[Chord], vertices: &[Vertex], rounding: &Rounding) -> BTreeMap<usize, Bent> {
+    let is_sample = |i: usize| {
+        let Vertex::Corner(turn) = vertices[i] else { return false };
+        // A circle through three points l apart that turns by phi there is l phi / 8 from the chord
+        let sagitta_mm = 0.125 * chords[i].length_mm.min(chords[i + 1].length_mm) * turn.abs();
+        (NO_TURN_RAD..=BENT_TURN_RAD).contains(&turn.abs()) && sagitta_mm <= rounding.deviation_mm
+    };
+    let mut found = BTreeMap::new();
+    let mut first = 0;
+    while first < chords.len() {
+        // The chord before the first vertex may be a long line.
+        let goes_on = |i: &usize| is_sample(*i) && (*i <= first + 1 || are_even(chords, *i - 1));
+        let count = (first..chords.len()).take_while(goes_on).count();
+        if count >= LEAST_BENT_VERTICES {
+            let last = first + count - 1;
+            if let Some(bent) = Bent::new(chords, vertices, [first, last], rounding) {
+                found.insert(first, bent);
+            }
+        }
+        // A run that ends between uneven chords is followed by one that begins there.
+        first += count.max(1);
+    }
+    found
+}
+
+/// True if a chord and the next one may be samples of the same bent path.
+fn are_even(chords: &[Chord], i: usize) -> bool {
+    let (a, b) = (chords[i].length_mm, chords[i + 1].length_mm);
+    a.max(b) <= MOST_UNEVEN * a.min(b)
+}
+
 fn curves_through(point_mm: &[[f64; 2]], tool_on: &[bool], rounding: &Rounding) -> Vec<Curve> {
     let chords = chords(point_mm, tool_on);
+    let vertices = vertices(&chords);
+    let bent = bent_parts(&chords, &vertices, rounding);
     let mut curves = Vec::new();
-    let mut curve = Curve { pieces: Vec::new(), corners: Vec::new() };
-    let mut cut_before_mm = 0.0;
-    for (i, chord) in chords.iter().enumerate() {
-        let next = chords.get(i + 1);
-        let turn = next.map(|next| turn(chord.tangent, next.tangent));
-        let blend = match (turn, next) {
-            (Some(turn), Some(next)) if (NO_TURN_RAD..=SHARPEST_TURN_RAD).contains(&turn.abs()) => {
-                let room_mm = 0.5 * chord.length_mm.min(next.length_mm);
-                Some((turn, next, Blend::widest(turn.abs(), room_mm, rounding)))
-            }
-            _ => None,
-        };
-        let cut_mm = blend.as_ref().map_or(0.0, |(_, _, b)| b.cut_mm);
-        let straight = chord.parts(cut_before_mm, chord.length_mm - cut_mm);
-        for (segment, from_mm, to_mm) in straight {
-            let [x, y] = chord.from;
-            let point_mm = [x + from_mm * chord.tangent[0], y + from_mm * chord.tangent[1]];
-            let start = Station { point_mm, tangent: chord.tangent, curvature_per_mm: 0.0 };
-            curve.push(start, 0.0, to_mm - from_mm, segment);
+    let mut curve = Curve::default();
+    // Length of the chord that the corner or the bent part before it takes, mm
+    let mut taken_mm = 0.0;
+    let mut i = 0;
+    while i < chords.len() {
+        while let Some(bent) = bent.get(&i) {
+            curve.line(&chords[i], [taken_mm, bent.arcs[0].1[0] * chords[i].length_mm]);
+            curve.follow(&chords, bent);
+            taken_mm = bent.taken_mm;
+            i = bent.arcs[bent.arcs.len() - 1].0;
         }
-        cut_before_mm = cut_mm;
-        if let Some((turn, next, blend)) = blend {
-            curve.round(chord, next, turn, &blend);
-        } else if turn.is_none_or(|turn| turn.abs() > SHARPEST_TURN_RAD) {
-            let empty = Curve { pieces: Vec::new(), corners: Vec::new() };
-            curves.push(std::mem::replace(&mut curve, empty));
+        let blend = blend(&chords, &vertices, i, rounding);
+        let cut_mm = blend.as_ref().map_or(0.0, |(_, b)| b.cut_mm);
+        curve.line(&chords[i], [taken_mm, chords[i].length_mm - cut_mm]);
+        taken_mm = cut_mm;
+        if let Some((turn, blend)) = blend {
+            curve.round(&chords[i], &chords[i + 1], turn, &blend);
+        } else if matches!(vertices[i], Vertex::Rest) {
+            curves.push(std::mem::take(&mut curve));
         }
+        i += 1;
     }
     curves.retain(|c| !c.pieces.is_empty());
     curves
 }
 
 impl Curve {
+    /// Adds the straight line between two lengths along a chord, mm.
+    fn line(&mut self, chord: &Chord, [from_mm, to_mm]: [f64; 2]) {
+        for (segment, from_mm, to_mm) in chord.parts(from_mm, to_mm) {
+            let start = Station {
+                point_mm: chord.at(from_mm),
+                tangent: chord.tangent,
+                curvature_per_mm: 0.0,
+            };
+            self.push(start, 0.0, to_mm - from_mm, segment);
+        }
+    }
+
+    /// Adds a bent part of the path. A fraction of a clothoid serves the segment at this fraction of its chord.
+    fn follow(&mut self, chords: &[Chord], bent: &Bent) {
+        for (chord, [from, to], arc) in &bent.arcs {
+            let chord = &chords[*chord];
+            let start = Station {
+                point_mm: arc.point_mm,
+                tangent: arc.tangent,
+                curvature_per_mm: arc.curvature_per_mm[0],
+            };
+            let whole = Piece {
+                start,
+                sharpness_per_mm2: arc.sharpness_per_mm2(),
+                from_mm: 0.0,
+                length_mm: arc.length_mm,
+                segment: 0,
+            };
+            let [first, last] = [from, to].map(|f| f * chord.length_mm);
+            for (segment, from_mm, to_mm) in chord.parts(first, last) {
+                let fractions = [from_mm, to_mm].map(|s| (s - first) / (last - first));
+                self.push_part(&whole, fractions, segment);
+            }
+        }
+        self.bent_deviation_mm = self.bent_deviation_mm.max(bent.deviation_mm);
+    }
+
     /// Adds the corner between two chords. Every part of it serves the segment of the path next to it: a fraction of
     /// a clothoid belongs to the same fraction of the part of the chord that the corner replaces.
     fn round(&mut self, chord: &Chord, next: &Chord, turn: f64, blend: &Blend) {
@@ -645,6 +876,71 @@ mod tests {
             .map(|i| [if (i / 2) % 2 == 0 { 0.0 } else { 40.0 }, f64::from((i + 1) / 2)])
             .collect();
         assert_eq!(curves(&path(&lines), &rounding).moved_mm, 0.0);
+    }
+
+    /// Points of a spiral of 1 mm per turn, `step_mm` apart, from a radius of 4 mm on.
+    fn spiral(step_mm: f64, points: usize) -> Vec<[f64; 2]> {
+        let mut angle = 8.0 * PI;
+        let next = |_| {
+            let r = angle / (2.0 * PI);
+            let point = [r * angle.cos(), r * angle.sin()];
+            angle += step_mm / r;
+            point
+        };
+        (0..points).map(next).collect()
+    }
+
+    #[test]
+    fn samples_of_a_bent_path_are_no_corners() {
+        let rounding = Rounding { deviation_mm: 0.1, radius_mm: 1.0 };
+        let points = spiral(0.8, 200);
+        let curve = rounded(&points, &rounding).remove(0);
+        assert!(curve.corners().is_empty());
+        // One clothoid per chord, through all points
+        assert_eq!(curve.pieces().len(), points.len() - 1);
+        for (piece, point) in curve.pieces().iter().zip(&points) {
+            assert_eq!(piece.at(0.0).point_mm, *point);
+        }
+        // 1 / r but for the pitch, (1 / (2 pi r))^2 = 2e-3, and the sampling, (0.8 / r)^2 / 12 = 3e-3. Corners of the
+        // radius 1 mm would have 1.
+        for (piece, point) in curve.pieces().iter().zip(&points) {
+            let curvature = piece.at(0.0).curvature_per_mm * point[0].hypot(point[1]);
+            assert!((curvature - 1.0).abs() < 8e-3, "{curvature}");
+        }
+        // The sagitta of the first chord, 0.8^2 / (8 r) = 0.02
+        assert!(curve.deviation_mm() > 0.015 && curve.deviation_mm() < 0.021);
+        // Where that is too much, the points stay corners.
+        let narrow = Rounding { deviation_mm: 0.01, radius_mm: 1.0 };
+        assert!(rounded(&points, &narrow)[0].corners().len() > 50);
+    }
+
+    #[test]
+    fn lines_and_corners_join_a_bent_part_in_position_and_heading_and_curvature() {
+        let arc = |k: i32| {
+            let angle = PI * (f64::from(k) / 12.0 - 0.5);
+            [10.0 + 2.0 * angle.cos(), 2.0 + 2.0 * angle.sin()]
+        };
+        let mut points = vec![[0.0, 0.0]];
+        points.extend((0..=12).map(arc));
+        points.extend([[0.0, 4.0], [0.0, 7.0]]);
+        let curve = rounded(&points, &Rounding { deviation_mm: 0.1, radius_mm: 0.5 }).remove(0);
+        assert_eq!(curve.corners().len(), 1, "the right angle after the bend");
+        for w in curve.pieces().windows(2) {
+            let (end, start) = (w[0].at(w[0].length_mm), w[1].at(0.0));
+            for k in 0..2 {
+                // Coordinates of some mm, rounded some tens of times
+                assert!((end.point_mm[k] - start.point_mm[k]).abs() < 1e-13);
+                assert!((end.tangent[k] - start.tangent[k]).abs() < 1e-13);
+            }
+            assert!((end.curvature_per_mm - start.curvature_per_mm).abs() < 1e-12);
+        }
+        // The arc has 0.5; the way in and out of it a little more.
+        let bent = curve.pieces().iter().filter(|p| p.at(0.0).point_mm[0] > 5.0);
+        let most = bent.map(Piece::most_curvature_per_mm).fold(0.0, f64::max);
+        assert!(most > 0.49 && most < 0.6, "{most}");
+        let mut served: Vec<usize> = curve.pieces().iter().map(|p| p.segment).collect();
+        served.dedup();
+        assert_eq!(served, (0..points.len() - 1).collect::<Vec<_>>());
     }
 
     #[test]

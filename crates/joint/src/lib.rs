@@ -25,6 +25,7 @@
 
 pub mod axes;
 pub mod certificate;
+mod clothoid_spline;
 pub mod curve;
 pub mod further;
 pub mod interior_point;

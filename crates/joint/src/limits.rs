@@ -45,6 +45,10 @@ const TURN_PER_STEP_RAD: f64 = 0.1;
 /// missed if the tool slows down into a bend, because it is before the bend. Chosen.
 const LEAST_STEPS: usize = 6;
 
+/// Change of the curvature of a clothoid over the largest one up to which its ends alone are places of (1). Larger: the
+/// acceleration between them exceeds that at the ends. Smaller: more rows along bent paths. Chosen.
+const LITTLE_CHANGE: f64 = 0.25;
+
 /// Fraction of the limit on acceleration that the rows of a clothoid leave free. It allows for the motion between the
 /// places of (1) and for the cubic pieces. Larger: slower corners. Smaller: more rounds with tightened rows, because
 /// the judge finds the limit exceeded. Chosen.
@@ -464,7 +468,8 @@ struct Sample {
 
 /// Number of steps of a clothoid between places of (1) for x and y.
 fn steps_of(piece: &Piece) -> usize {
-    ((piece.turn_rad() / TURN_PER_STEP_RAD).ceil() as usize).max(LEAST_STEPS)
+    let least = if piece.change_of_curvature() > LITTLE_CHANGE { LEAST_STEPS } else { 1 };
+    ((piece.turn_rad() / TURN_PER_STEP_RAD).ceil() as usize).max(least)
 }
 
 fn samples(curve: &Curve, span: &Span) -> Vec<Sample> {

@@ -321,8 +321,8 @@ fn planned(
         curves: curves.len(),
         points_moved_mm: moved_mm,
         corners: corners().count(),
-        corner_deviation_mm: corners().map(|c| c.deviation_mm).fold(0.0, f64::max),
-        least_radius_mm: corners().map(|c| c.radius_mm).reduce(f64::min),
+        corner_deviation_mm: curves.iter().map(Curve::deviation_mm).fold(0.0, f64::max),
+        least_radius_mm: least_radius_mm(&curves),
         length_mm: curves.iter().map(Curve::length_mm).sum(),
         nodes: mesh.nodes,
         nodes_of_meshes,
@@ -451,6 +451,12 @@ fn check_further(
         }
     }
     Ok(())
+}
+
+/// Least radius of curvature, mm; `None` where all is straight.
+fn least_radius_mm(curves: &[Curve]) -> Option<f64> {
+    let most = curves.iter().map(Curve::most_curvature_per_mm).fold(0.0, f64::max);
+    (most > 0.0).then(|| 1.0 / most)
 }
 
 /// Limits on the rounding of corners, and the spacing of the nodes (mm), for the width of the TIF.

@@ -48,7 +48,7 @@ impl Default for Settings {
             node_spacing_mm: None,
             refinements: 3,
             relative_gap: 1e-3,
-            max_iterations: 200,
+            max_iterations: 600,
         }
     }
 }

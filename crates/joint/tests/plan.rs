@@ -233,7 +233,14 @@ fn corners_between_nodes_far_apart_do_not_hold_the_method_up() {
     ];
     for (path, limits, spacing) in cases {
         let node_spacing_mm = Some(spacing);
-        let settings = Settings { node_spacing_mm, refinements: 0, ..Settings::default() };
+        // With more room the teeth would be smoothed to a bent path.
+        let corner_deviation_mm = Some(0.05);
+        let settings = Settings {
+            node_spacing_mm,
+            corner_deviation_mm,
+            refinements: 0,
+            ..Settings::default()
+        };
         let plan = run(&path, &limits, &settings);
         let r = &plan.report;
         assert_eq!(r.end, End::Optimal, "{spacing}: {:e} after {}", r.relative_gap, r.iterations);

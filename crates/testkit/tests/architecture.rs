@@ -606,6 +606,38 @@ fn nothing_is_unfinished_and_no_test_is_switched_off() {
     no_complaints(&complaints);
 }
 
+/// Words of code that asks for the operating system, or uses what one system alone has.
+const OF_ONE_SYSTEM: [&str; 8] = [
+    "cfg(unix)",
+    "cfg(windows)",
+    "cfg(target_os",
+    "cfg(not(unix",
+    "cfg(not(target_os",
+    "os::unix",
+    "os::windows",
+    "rustix",
+];
+
+#[test]
+fn one_module_depends_on_the_operating_system() {
+    let system = directory_of("handoff").join("src/system.rs");
+    assert!(!mentions(&fs::read_to_string(&system).unwrap(), &OF_ONE_SYSTEM).is_empty());
+    let mut complaints = Vec::new();
+    for folder in packages().keys() {
+        for file in sources_under(&directory_of(folder).join("src")) {
+            if file != system {
+                for word in mentions(&fs::read_to_string(&file).unwrap(), &OF_ONE_SYSTEM) {
+                    complaints.push(format!(
+                        "{}: {word} belongs in handoff/src/system.rs",
+                        file.display()
+                    ));
+                }
+            }
+        }
+    }
+    no_complaints(&complaints);
+}
+
 /// The folders `baselines` and the list by which a report knows their plans.
 #[test]
 fn a_report_knows_every_baseline() {

@@ -62,9 +62,14 @@ rate, dx, dy = made('tif/rate_nm_per_s'), made('tif/x_mm'), made('tif/y_mm')
 os.makedirs('mirror'), os.makedirs('tool')
 ";
 
-/// Largest difference of a printed number from the one that a command prints, in units of its last digit. The arrays are
-/// the same bytes on any number of threads, but another processor may round another way.
+/// Largest difference of a printed number from the one that a command prints, in units of its last digit. Larger: stale
+/// numbers pass. Smaller: numbers fail that another processor rounds another way.
 const LAST_DIGITS: f64 = 2.0;
+
+/// The same, relative to the number. The arrays are the same bytes on any number of threads, but another processor may
+/// round another way, and a solver that ends within 1e-3 of the least objective then ends elsewhere. Measured: the largest
+/// acceleration of the plan `joint` differs by 0.75 % between two processors.
+const OTHER_PROCESSOR: f64 = 1e-2;
 
 /// Beginning of the line above a block that a command prints.
 const PRINTED_BY: &str = "<!-- printed by: ";
@@ -114,12 +119,13 @@ fn words_and_numbers(line: &str) -> (String, Vec<String>) {
     (words.join(" "), numbers)
 }
 
-/// Returns true if two numbers differ by at most [`LAST_DIGITS`] of the one that is shown.
+/// Returns true if two numbers differ by at most [`LAST_DIGITS`] of the one that is shown, or [`OTHER_PROCESSOR`] of it.
 fn same_number(shown: &str, printed: &str) -> bool {
     let decimals = shown.split_once('.').map_or(0, |(_, fraction)| fraction.len());
     let [shown, printed] = [shown, printed].map(|text| text.parse::<f64>().unwrap());
     // A thousandth of a digit allows for the rounding of the two decimal fractions.
-    (shown - printed).abs() <= (LAST_DIGITS + 1e-3) * 10_f64.powi(-(decimals as i32))
+    let of_digits = (LAST_DIGITS + 1e-3) * 10_f64.powi(-(decimals as i32));
+    (shown - printed).abs() <= of_digits.max(OTHER_PROCESSOR * shown.abs())
 }
 
 /// Returns true if `printed` has the words of `shown`, and its numbers but for the last `varying`.

@@ -34,7 +34,7 @@ pub fn cells(surface: &Surface, of: impl Fn([f64; 2], [usize; 2]) -> f64) -> Arr
     })
 }
 
-/// Colours, unit and title of [`draw`], beside the values.
+/// Colours, unit beside their bar, and title above the map: what [`draw`] takes beside the values.
 pub struct Look<'a> {
     /// Colours from the smallest to the largest value.
     pub colours: &'a [&'a str],

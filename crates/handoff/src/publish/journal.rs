@@ -10,11 +10,12 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     rename::{put_in_place_anyhow, take_back},
-    sibling::{self, JOURNAL, identity, inode, temporaries},
+    sibling::{self, JOURNAL, temporaries},
 };
 use crate::{
     HandoffError,
     place::{absolute, parent_of, sync_directory},
+    system::{file_identity, inode},
 };
 
 /// Largest number of attempts to finish the journals in the directories of a run. Larger: more time
@@ -42,9 +43,9 @@ struct Rename {
 /// each other. On a file system without locks, nothing is locked.
 pub(super) fn hold(directories: &[PathBuf]) -> Vec<File> {
     let mut opened: Vec<File> = directories.iter().filter_map(|d| File::open(d).ok()).collect();
-    opened.sort_by_key(identity);
+    opened.sort_by_key(file_identity);
     // A directory under two names would wait for itself.
-    opened.dedup_by(|a, b| identity(a).is_some() && identity(a) == identity(b));
+    opened.dedup_by(|a, b| file_identity(a).is_some() && file_identity(a) == file_identity(b));
     opened.retain(|directory| directory.lock().is_ok());
     opened
 }

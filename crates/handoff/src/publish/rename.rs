@@ -6,21 +6,7 @@ use std::{
     path::Path,
 };
 
-/// Renames `from` to `to`. If `to` exists, both are exchanged in one step. Returns true if they
-/// were exchanged.
-#[cfg(target_os = "linux")]
-pub(super) fn put_in_place(from: &Path, to: &Path) -> io::Result<bool> {
-    use rustix::fs::{CWD, RenameFlags, renameat_with};
-    let exchange = fs::symlink_metadata(to).is_ok();
-    let flags = if exchange { RenameFlags::EXCHANGE } else { RenameFlags::NOREPLACE };
-    renameat_with(CWD, from, CWD, to, flags)?;
-    Ok(exchange)
-}
-
-#[cfg(not(target_os = "linux"))]
-pub(super) fn put_in_place(_: &Path, _: &Path) -> io::Result<bool> {
-    Err(ErrorKind::Unsupported.into())
-}
+pub(super) use crate::system::rename_or_exchange as put_in_place;
 
 /// Renames `from` to `to`, by plain renames where the file system cannot exchange two names. Only a journal may know the
 /// place between them. Returns true if both were exchanged.

@@ -7,7 +7,7 @@ use std::{
     sync::{Mutex, MutexGuard, PoisonError},
 };
 
-use crate::kind;
+use crate::{kind, system::is_at};
 
 /// Prefix of all temporary names.
 const PREFIX: &str = ".planish-";
@@ -123,41 +123,4 @@ pub(super) fn remove(sibling: &Path) {
         }
     }
     let _ = fs::remove_dir(sibling);
-}
-
-/// Returns true if the open `file` is the one at `path`.
-#[cfg(unix)]
-fn is_at(file: &File, path: &Path) -> bool {
-    use std::os::unix::fs::MetadataExt;
-    let opened = identity(file);
-    opened.is_some() && opened == fs::symlink_metadata(path).ok().map(|m| (m.dev(), m.ino()))
-}
-
-/// Identity of an open file or directory: device and inode.
-#[cfg(unix)]
-pub(super) fn identity(file: &File) -> Option<(u64, u64)> {
-    use std::os::unix::fs::MetadataExt;
-    file.metadata().ok().map(|m| (m.dev(), m.ino()))
-}
-
-#[cfg(not(unix))]
-pub(super) fn identity(_: &File) -> Option<(u64, u64)> {
-    None
-}
-
-#[cfg(not(unix))]
-fn is_at(_: &File, path: &Path) -> bool {
-    path.exists()
-}
-
-/// Inode of the file at `path`. It shows whether a rename is done.
-#[cfg(unix)]
-pub(super) fn inode(path: &Path) -> Option<u64> {
-    use std::os::unix::fs::MetadataExt;
-    fs::symlink_metadata(path).ok().map(|m| m.ino())
-}
-
-#[cfg(not(unix))]
-pub(super) fn inode(_: &Path) -> Option<u64> {
-    None
 }

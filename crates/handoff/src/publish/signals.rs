@@ -1,14 +1,17 @@
 //! Signal handler that ends a process and removes its siblings.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
-#[cfg(unix)]
-use std::{fs, thread, time::Duration};
+use std::{
+    fs,
+    sync::{Mutex, MutexGuard, PoisonError},
+    thread,
+    time::Duration,
+};
 
 use super::sibling;
+use crate::system::on_end_signals;
 
 /// Largest number of attempts to empty a directory into which another thread is writing, 1 ms
 /// apart. Larger: the end of the process can take longer. Smaller: a sibling can remain.
-#[cfg(unix)]
 const MOST_REMOVALS: usize = 100;
 
 /// Lock held while the outputs of a run become visible. A signal waits until all of them are.
@@ -26,32 +29,21 @@ pub(crate) fn wait_for_signal_under_way() {
 
 /// Installs the handler: SIGINT, SIGTERM and SIGHUP remove the siblings, and then end the process
 /// as usual.
-#[cfg(unix)]
 pub(crate) fn clean_up_on_signals() {
-    use signal_hook::{consts::signal, iterator::Signals, low_level::emulate_default_handler};
-    let Ok(mut signals) = Signals::new([signal::SIGINT, signal::SIGTERM, signal::SIGHUP]) else {
-        return;
-    };
-    thread::spawn(move || {
-        for signal in &mut signals {
-            let _appearing = appearing();
-            // The lock is held to the end, so that other threads stage nothing more and do not end
-            // the process.
-            let siblings = sibling::known();
-            for path in siblings.iter() {
-                // Other threads may still be creating files in the directory.
-                for _ in 0..MOST_REMOVALS {
-                    sibling::remove(path);
-                    if fs::symlink_metadata(path).is_err() {
-                        break;
-                    }
-                    thread::sleep(Duration::from_millis(1));
+    on_end_signals(|| {
+        let appearing = appearing();
+        let siblings = sibling::known();
+        for path in siblings.iter() {
+            // Other threads may still be creating files in the directory.
+            for _ in 0..MOST_REMOVALS {
+                sibling::remove(path);
+                if fs::symlink_metadata(path).is_err() {
+                    break;
                 }
+                thread::sleep(Duration::from_millis(1));
             }
-            let _ = emulate_default_handler(signal);
         }
+        // The locks are held to the end, so that other threads stage nothing more and do not end the process.
+        (appearing, siblings)
     });
 }
-
-#[cfg(not(unix))]
-pub(crate) fn clean_up_on_signals() {}

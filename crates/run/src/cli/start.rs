@@ -10,7 +10,7 @@ use std::{
 
 use clap::Args;
 use planish_handoff::{
-    Failure, Inputs, OutputFile, Status, is_temporary, read_regular, warn, words,
+    Failure, Inputs, OutputFile, Status, is_temporary, read_regular, system, warn, words,
 };
 use planish_run::owner::{Mirror, Owner};
 use planish_types::{DEFAULT_TIME_TO_FULL_ACCELERATION_S, MachineFile};
@@ -299,26 +299,11 @@ fn write_owner(out: &Path, owner: &Owner) -> Result<(), Failure> {
     Ok(file.write(text.as_bytes())?)
 }
 
-/// Runs the command in place of this process, so that signals reach it and its exit code is that of the
-/// run. All processes that it starts inherit the open lock: the directory is free when the last of them
-/// has ended, and not before, even if some are killed. Returns only if the command cannot be run.
-#[cfg(unix)]
+/// Runs the command in place of this process. All processes that it starts inherit the open lock: the directory is free
+/// when the last of them has ended, even if some are killed. Returns only if the command cannot be run.
 fn become_command(command: &[String], lock: File) -> Failure {
-    use std::os::unix::process::CommandExt;
-    let error = match rustix::io::fcntl_setfd(&lock, rustix::io::FdFlags::empty()) {
-        Ok(()) => process::Command::new(&command[0]).args(&command[1..]).exec(),
-        Err(error) => error.into(),
-    };
+    let mut process = process::Command::new(&command[0]);
+    process.args(&command[1..]);
+    let error = system::become_command(process, lock);
     Failure::new(format!("cannot run {}: {error}", command[0]))
-}
-
-/// Runs the command on systems on which no process can replace another: this process waits with the lock.
-#[cfg(not(unix))]
-fn become_command(command: &[String], lock: File) -> Failure {
-    let status = process::Command::new(&command[0]).args(&command[1..]).status();
-    drop(lock);
-    match status {
-        Ok(status) => process::exit(status.code().unwrap_or(2)),
-        Err(error) => Failure::new(format!("cannot run {}: {error}", command[0])),
-    }
 }

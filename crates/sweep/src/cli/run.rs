@@ -12,7 +12,9 @@ use std::{
 };
 
 use clap::{Args, ValueEnum};
-use planish_handoff::{Failure, Inputs, Manifest, Status, kind::MANIFEST, read_regular, say, warn};
+use planish_handoff::{
+    Failure, Inputs, Manifest, Status, kind::MANIFEST, read_regular, say, system, warn,
+};
 use planish_sweep::{
     batch::{Size, estimated_s, members},
     plan::{Plan, Round, Sweep},
@@ -135,7 +137,8 @@ impl Run {
             return Err(Failure::new("--at-once is 0; give the number of cores"));
         }
         if self.end_with_parent {
-            end_with_parent();
+            // A job whose workflow was killed ends with it, and leaves nothing half done.
+            system::end_with_parent();
         }
         let begun = Instant::now();
         let sweep = read_sweep(&self.dir)?;
@@ -186,16 +189,6 @@ pub fn read_size(sweep: &Sweep, dir: &Path) -> Result<Size, Failure> {
         Failure::new(format!("{}: {problem}", path.display()))
     })?;
     serde_json::from_slice(&bytes).map_err(|e| unreadable(&path, &e))
-}
-
-/// A job whose workflow was killed ends with it, and leaves nothing half done.
-fn end_with_parent() {
-    #[cfg(target_os = "linux")]
-    {
-        // Where the system does not know it, the job goes on to its end, which is no harm.
-        let _ =
-            rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM));
-    }
 }
 
 /// Waits until no other process runs the same job: one that was started anew while its first run goes on finds its
@@ -431,12 +424,11 @@ impl Work<'_> {
     /// The directory of a plan becomes that of a run, which reports and figures are made of: its map and its path are
     /// links to those that it shares.
     fn link(&self, plan: &Plan) -> Result<(), Failure> {
-        #[cfg(unix)]
         for (name, target) in
             [("surface", &self.sweep.surface), ("tool_path", &self.sweep.tool_path(plan))]
         {
             let link = self.dir.join(plan.dir()).join(name);
-            match std::os::unix::fs::symlink(Path::new("../..").join(target), &link) {
+            match system::symbolic_link(&Path::new("../..").join(target), &link) {
                 Err(e) if e.kind() != std::io::ErrorKind::AlreadyExists => {
                     return Err(Failure::new(format!(
                         "{}: cannot make a link: {e}",

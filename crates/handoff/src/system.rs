@@ -1,0 +1,156 @@
+//! Everything that depends on the operating system. No other module asks which system it runs on.
+//!
+//! The module `system` below has three parts: `unix`, `other`, and what Linux alone knows. A port begins here, and
+//! `docs/stability.md` says what each system lacks.
+
+use std::{
+    fs::{self, File},
+    io,
+    path::Path,
+    process::Command,
+};
+
+pub(crate) use system::{directory_stamp, file_identity, inode, is_at, on_end_signals};
+
+/// Exchanges `from` and `to` in one step, or renames `from` to `to` where nothing is there. Returns true if they were
+/// exchanged. The error is of the kind `Unsupported` or `InvalidInput` if the system or the file system cannot do it.
+#[cfg(target_os = "linux")]
+pub(crate) fn rename_or_exchange(from: &Path, to: &Path) -> io::Result<bool> {
+    use rustix::fs::{CWD, RenameFlags, renameat_with};
+    let exchange = fs::symlink_metadata(to).is_ok();
+    let flags = if exchange { RenameFlags::EXCHANGE } else { RenameFlags::NOREPLACE };
+    renameat_with(CWD, from, CWD, to, flags)?;
+    Ok(exchange)
+}
+
+/// See the one of Linux.
+#[cfg(not(target_os = "linux"))]
+pub(crate) fn rename_or_exchange(_: &Path, _: &Path) -> io::Result<bool> {
+    Err(io::ErrorKind::Unsupported.into())
+}
+
+/// Ends this process by SIGTERM when its parent ends. Elsewhere than on Linux, and where the system does not know it,
+/// the process goes on to its end, which is no harm.
+pub fn end_with_parent() {
+    #[cfg(target_os = "linux")]
+    {
+        use rustix::process::{Signal, set_parent_process_death_signal};
+        let _ = set_parent_process_death_signal(Some(Signal::TERM));
+    }
+}
+
+/// Runs `command` in place of this process, so that signals reach it and its exit code is that of the run.
+///
+/// All processes that it starts inherit the open `lock`: it is free when the last of them has ended, and not before.
+/// Elsewhere than on Unix this process waits with the lock, and ends with the exit code. Returns only if the command
+/// cannot be run.
+pub fn become_command(command: Command, lock: File) -> io::Error {
+    system::become_command(command, lock)
+}
+
+/// Makes a symbolic link at `link` to `target`. A system without them makes none, which is no error.
+pub fn symbolic_link(target: &Path, link: &Path) -> io::Result<()> {
+    system::symbolic_link(target, link)
+}
+
+#[cfg(unix)]
+mod system {
+    use super::*;
+    use std::{
+        os::unix::{
+            fs::{MetadataExt, symlink},
+            process::CommandExt,
+        },
+        thread,
+    };
+
+    /// Returns true if the open `file` is the one at `path`.
+    pub(crate) fn is_at(file: &File, path: &Path) -> bool {
+        let opened = file_identity(file);
+        opened.is_some() && opened == fs::symlink_metadata(path).ok().map(|m| (m.dev(), m.ino()))
+    }
+
+    /// Identity of an open file or directory: device and inode.
+    pub(crate) fn file_identity(file: &File) -> Option<(u64, u64)> {
+        file.metadata().ok().map(|m| (m.dev(), m.ino()))
+    }
+
+    /// Inode of the file at `path`. It shows whether a rename is done.
+    pub(crate) fn inode(path: &Path) -> Option<u64> {
+        fs::symlink_metadata(path).ok().map(|m| m.ino())
+    }
+
+    /// Identity of a directory, which changes when another directory replaces it.
+    pub(crate) fn directory_stamp(dir: &Path) -> Option<impl PartialEq + use<>> {
+        let metadata = fs::metadata(dir).ok()?;
+        Some((metadata.ino(), metadata.ctime(), metadata.ctime_nsec()))
+    }
+
+    /// Runs `before_the_end` on SIGINT, SIGTERM and SIGHUP, and then ends the process as usual.
+    pub(crate) fn on_end_signals<T>(before_the_end: impl Fn() -> T + Send + 'static) {
+        use signal_hook::{consts::signal, iterator::Signals, low_level::emulate_default_handler};
+        let Ok(mut signals) = Signals::new([signal::SIGINT, signal::SIGTERM, signal::SIGHUP])
+        else {
+            return;
+        };
+        thread::spawn(move || {
+            for signal in &mut signals {
+                let _held = before_the_end();
+                let _ = emulate_default_handler(signal);
+            }
+        });
+    }
+
+    pub(super) fn become_command(mut command: Command, lock: File) -> io::Error {
+        match rustix::io::fcntl_setfd(&lock, rustix::io::FdFlags::empty()) {
+            Ok(()) => command.exec(),
+            Err(error) => error.into(),
+        }
+    }
+
+    pub(super) fn symbolic_link(target: &Path, link: &Path) -> io::Result<()> {
+        symlink(target, link)
+    }
+}
+
+#[cfg(not(unix))]
+mod system {
+    use super::*;
+
+    /// Returns true if something is at `path`: whether it is the open `file` is unknown here.
+    pub(crate) fn is_at(_: &File, path: &Path) -> bool {
+        path.exists()
+    }
+
+    /// Identity of an open file or directory, which is unknown here.
+    pub(crate) fn file_identity(_: &File) -> Option<(u64, u64)> {
+        None
+    }
+
+    /// Inode of the file at `path`, which is unknown here.
+    pub(crate) fn inode(_: &Path) -> Option<u64> {
+        None
+    }
+
+    /// Time at which a directory was made, which changes when another directory replaces it.
+    pub(crate) fn directory_stamp(dir: &Path) -> Option<impl PartialEq + use<>> {
+        fs::metadata(dir).ok()?.created().ok()
+    }
+
+    /// Does nothing: unfinished files stay until the next run removes them.
+    pub(crate) fn on_end_signals<T>(_: impl Fn() -> T + Send + 'static) {}
+
+    pub(super) fn become_command(mut command: Command, lock: File) -> io::Error {
+        match command.status() {
+            Ok(status) => {
+                drop(lock);
+                std::process::exit(status.code().unwrap_or(2))
+            }
+            Err(error) => error,
+        }
+    }
+
+    pub(super) fn symbolic_link(_: &Path, _: &Path) -> io::Result<()> {
+        Ok(())
+    }
+}

@@ -1,0 +1,425 @@
+//! A smooth curve through points: one clothoid from each point to the next one, with continuous curvature.
+//!
+//! The headings at the points are the unknowns. With the angles phi_0 and phi_1 from the chord of length d to the headings
+//! at its two ends, a clothoid of length L whose turns are small has
+//!
+//! ```text
+//! kappa_0 L = -4 phi_0 - 2 phi_1,   kappa_1 L = 2 phi_0 + 4 phi_1                                        (1)
+//! ```
+//!
+//! The curvature is continuous where kappa_1 of a clothoid is kappa_0 of the next one. By (1) these are tridiagonal
+//! equations for the headings. [`Shape::joined`] finds the clothoids themselves: it shifts both angles in (1) by one
+//! number until the end is where it has to be. The turn phi_1 - phi_0 is exact for every shift.
+//!
+//! Where the curve leaves a straight line, its first heading is that of the line and its curvature begins with 0. Such
+//! an end has two clothoids, of the lengths f L and (1 - f) L. With the curvature k between them
+//!
+//! ```text
+//! kappa_1 L = (2 (1 + f) phi_0 + 2 (2 - f) phi_1) / (1 - f),   k L = 2 (phi_1 - phi_0) - (1 - f) kappa_1 L      (2)
+//! ```
+//!
+//! Where the curve begins or ends at rest, its outermost clothoid is a circular arc.
+//!
+//! Source: E. Bertolazzi and M. Frego, Math. Methods Appl. Sci. 41 (2018) 1723, for (1) with continuous curvature; (2)
+//! by the same conditions.
+
+use planish_numerics::{
+    linear::tridiagonal::{self, Row},
+    motion::clothoid,
+};
+
+/// Largest number of steps for the headings, and of shifts for a clothoid. Larger: more time for points that no spline
+/// of small turns goes through. Smaller: such splines are given up that need a step more. Chosen: each step leaves a
+/// fraction of the error, of the order of the square of the turn.
+const MOST_STEPS: usize = 60;
+
+/// Largest error of an angle at which the steps end, rad. Larger: steps of heading and curvature. Smaller: rounding
+/// keeps the steps going. Chosen: some tens of roundings.
+const ANGLE_TOLERANCE_RAD: f64 = 2e-15;
+
+/// Largest error of a curvature times the length of the longer clothoid beside it at which the steps end. Larger: steps
+/// of acceleration. Smaller: rounding keeps the steps going. Chosen: some hundred roundings.
+const BEND_TOLERANCE_RAD: f64 = 2e-13;
+
+/// How the curve begins or ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum End {
+    /// The machine rests at the outermost point.
+    Rest,
+    /// The curve leaves a straight line at the outermost point, with this fraction f of its first length up to the place
+    /// where the curvature has a kink.
+    Line(f64),
+}
+
+/// A clothoid of the curve.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Arc {
+    /// Start, mm.
+    pub point_mm: [f64; 2],
+    /// Unit vector along the curve at the start.
+    pub tangent: [f64; 2],
+    /// Curvature at both ends, positive to the left, 1/mm.
+    pub curvature_per_mm: [f64; 2],
+    /// Arc length, mm.
+    pub length_mm: f64,
+}
+
+impl Arc {
+    /// Change of curvature over length, 1/mm^2.
+    pub fn sharpness_per_mm2(&self) -> f64 {
+        (self.curvature_per_mm[1] - self.curvature_per_mm[0]) / self.length_mm
+    }
+
+    /// Point at an arc length from its start, mm.
+    pub fn point_mm(&self, s_mm: f64) -> [f64; 2] {
+        let step = clothoid::position(self.curvature_per_mm[0], self.sharpness_per_mm2(), s_mm);
+        plus(self.point_mm, turned(step, self.tangent))
+    }
+
+    /// Unit vector along the curve at its end.
+    fn last_tangent(&self) -> [f64; 2] {
+        let curvature = self.curvature_per_mm[0];
+        turned(
+            direction(clothoid::heading(curvature, self.sharpness_per_mm2(), self.length_mm)),
+            self.tangent,
+        )
+    }
+}
+
+/// What joins two points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Shape {
+    /// A clothoid.
+    One,
+    /// Two, of which the first one begins straight.
+    FromLine(f64),
+    /// Two, of which the last one ends straight.
+    ToLine(f64),
+}
+
+/// Curvatures of a shape times its length: at the start, in between where there are two clothoids, and at the end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Bends {
+    start: f64,
+    /// Fraction of the length of the kink, and the curvature there.
+    kink: Option<(f64, f64)>,
+    end: f64,
+}
+
+impl Bends {
+    /// The parts of a shape of length 1: fraction of the length, and both curvatures.
+    fn parts(&self) -> Vec<(f64, [f64; 2])> {
+        match self.kink {
+            None => vec![(1.0, [self.start, self.end])],
+            Some((f, k)) => vec![(f, [self.start, k]), (1.0 - f, [k, self.end])],
+        }
+    }
+
+    /// End of the shape of length 1 that begins at the origin along the first axis.
+    fn tip(&self) -> [f64; 2] {
+        let (mut tip, mut heading) = ([0.0; 2], 0.0);
+        for (length, [from, to]) in self.parts() {
+            let sharpness = (to - from) / length;
+            let step = clothoid::position(from, sharpness, length);
+            tip = plus(tip, turned(step, direction(heading)));
+            heading += clothoid::heading(from, sharpness, length);
+        }
+        tip
+    }
+}
+
+impl Shape {
+    /// (1) or (2): the factors of phi_0 and phi_1 in the curvatures at the start and at the end.
+    fn factors(&self) -> [[f64; 2]; 2] {
+        let of_line = |f: f64| [2.0 * (1.0 + f) / (1.0 - f), 2.0 * (2.0 - f) / (1.0 - f)];
+        match *self {
+            Self::One => [[-4.0, -2.0], [2.0, 4.0]],
+            Self::FromLine(f) => [[0.0, 0.0], of_line(f)],
+            Self::ToLine(f) => {
+                let [far, near] = of_line(f);
+                [[-near, -far], [0.0, 0.0]]
+            }
+        }
+    }
+
+    fn bends(&self, angles_rad: [f64; 2]) -> Bends {
+        let [start, end] = self.factors().map(|f| f[0] * angles_rad[0] + f[1] * angles_rad[1]);
+        let turn = angles_rad[1] - angles_rad[0];
+        let kink = match *self {
+            Self::One => None,
+            Self::FromLine(f) => Some((f, 2.0 * turn - (1.0 - f) * end)),
+            Self::ToLine(f) => Some((1.0 - f, 2.0 * turn - (1.0 - f) * start)),
+        };
+        Bends { start, kink, end }
+    }
+
+    /// Length, mm, and curvatures times the length of the shape over a chord, mm, whose ends have these headings,
+    /// counted from the chord; `None` where the turns are too large.
+    fn joined(&self, angles_rad: [f64; 2], chord_mm: f64) -> Option<(f64, Bends)> {
+        let mut shift = 0.0;
+        for _ in 0..MOST_STEPS {
+            let bends = self.bends(angles_rad.map(|a| a + shift));
+            let [x, y] = bends.tip();
+            let error = y.atan2(x) + angles_rad[0];
+            if error.abs() <= ANGLE_TOLERANCE_RAD {
+                return Some((chord_mm / x.hypot(y), bends));
+            }
+            shift += error;
+        }
+        None
+    }
+}
+
+/// A chord between two points.
+struct Chord {
+    length_mm: f64,
+    /// Unit vector from the first point to the second one.
+    along: [f64; 2],
+    shape: Shape,
+    /// Angle from this chord to the next one, rad; 0 for the last one.
+    turn_rad: f64,
+}
+
+/// A spline in the course of its solution.
+struct Spline {
+    chords: Vec<Chord>,
+    /// Angles from the chord after a point to the heading there, rad; at the last point from the chord before it.
+    angles_rad: Vec<f64>,
+    ends: [End; 2],
+}
+
+/// The clothoids from each of these points, mm, to the next one: one, or two beside a line. `lines` has unit vectors along
+/// the lines at the ends; they count where there is a line. `None` if the turns are too large.
+pub fn through(
+    points_mm: &[[f64; 2]],
+    ends: [End; 2],
+    lines: [[f64; 2]; 2],
+) -> Option<Vec<Vec<Arc>>> {
+    let mut spline = Spline::new(points_mm, ends, lines);
+    for _ in 0..MOST_STEPS {
+        let joined = spline.joined()?;
+        let step = spline.step(&joined);
+        let is_done = spline.is_continuous(&joined);
+        if is_done {
+            return Some(spline.arcs(points_mm, &joined));
+        }
+        spline.angles_rad.iter_mut().zip(step).for_each(|(angle, step)| *angle += step);
+    }
+    None
+}
+
+impl Spline {
+    fn new(points_mm: &[[f64; 2]], ends: [End; 2], lines: [[f64; 2]; 2]) -> Self {
+        let mut chords: Vec<Chord> = points_mm
+            .windows(2)
+            .map(|w| {
+                let [dx, dy] = [w[1][0] - w[0][0], w[1][1] - w[0][1]];
+                let length_mm = dx.hypot(dy);
+                let along = [dx / length_mm, dy / length_mm];
+                Chord { length_mm, along, shape: Shape::One, turn_rad: 0.0 }
+            })
+            .collect();
+        let n = chords.len();
+        for k in 1..n {
+            chords[k - 1].turn_rad = angle_between(chords[k - 1].along, chords[k].along);
+        }
+        // Halfway between the chords beside a point
+        let mut angles_rad: Vec<f64> = (1..n).map(|k| -0.5 * chords[k - 1].turn_rad).collect();
+        let [first, last] = ends;
+        angles_rad.insert(
+            0,
+            match first {
+                End::Rest => -0.5 * chords[0].turn_rad,
+                End::Line(f) => {
+                    chords[0].shape = Shape::FromLine(f);
+                    angle_between(chords[0].along, lines[0])
+                }
+            },
+        );
+        angles_rad.push(match last {
+            End::Rest => 0.5 * chords[n.max(2) - 2].turn_rad,
+            End::Line(f) => {
+                chords[n - 1].shape = Shape::ToLine(f);
+                angle_between(chords[n - 1].along, lines[1])
+            }
+        });
+        Self { chords, angles_rad, ends }
+    }
+
+    /// Lengths, mm, and curvatures times length of all shapes.
+    fn joined(&self) -> Option<Vec<(f64, Bends)>> {
+        let of = |(k, chord): (usize, &Chord)| {
+            let angles = [self.angles_rad[k], self.angles_rad[k + 1] + chord.turn_rad];
+            chord.shape.joined(angles, chord.length_mm)
+        };
+        self.chords.iter().enumerate().map(of).collect()
+    }
+
+    /// Excess of the curvature before an inner point over that after it, 1/mm.
+    fn kink_per_mm(joined: &[(f64, Bends)], point: usize) -> f64 {
+        let ((before_mm, before), (after_mm, after)) = (&joined[point - 1], &joined[point]);
+        before.end / before_mm - after.start / after_mm
+    }
+
+    /// Sum of the angles at the two ends of an outermost arc, rad; 0 for a circular arc.
+    fn asymmetry_rad(&self, chord: usize) -> f64 {
+        self.angles_rad[chord] + self.angles_rad[chord + 1] + self.chords[chord].turn_rad
+    }
+
+    fn is_continuous(&self, joined: &[(f64, Bends)]) -> bool {
+        let inner = (1..self.chords.len()).all(|k| {
+            let length_mm = joined[k - 1].0.max(joined[k].0);
+            Self::kink_per_mm(joined, k).abs() * length_mm <= BEND_TOLERANCE_RAD
+        });
+        let is_arc = |end: End, chord: usize| {
+            end != End::Rest || self.asymmetry_rad(chord).abs() <= BEND_TOLERANCE_RAD
+        };
+        inner && is_arc(self.ends[0], 0) && is_arc(self.ends[1], self.chords.len() - 1)
+    }
+
+    /// Changes of the angles by a step of Newton's method with the derivatives (1) and (2), rad.
+    fn step(&self, joined: &[(f64, Bends)]) -> Vec<f64> {
+        let n = self.chords.len();
+        let end = |end: End, elements: [f64; 3], chord: usize| match end {
+            End::Rest => Row { elements, right: -self.asymmetry_rad(chord) },
+            End::Line(_) => Row::held(0.0),
+        };
+        let row = |k: usize| {
+            if k == 0 {
+                return end(self.ends[0], [0.0, 1.0, 1.0], 0);
+            }
+            if k == n {
+                return end(self.ends[1], [1.0, 1.0, 0.0], n - 1);
+            }
+            let [_, before] =
+                self.chords[k - 1].shape.factors().map(|f| f.map(|v| v / joined[k - 1].0));
+            let [after, _] = self.chords[k].shape.factors().map(|f| f.map(|v| v / joined[k].0));
+            let elements = [before[0], before[1] - after[0], -after[1]];
+            Row { elements, right: -Self::kink_per_mm(joined, k) }
+        };
+        tridiagonal::solve(n + 1, row)
+    }
+
+    fn arcs(&self, points_mm: &[[f64; 2]], joined: &[(f64, Bends)]) -> Vec<Vec<Arc>> {
+        let of = |(k, (length_mm, bends)): (usize, &(f64, Bends))| {
+            let (mut point_mm, mut tangent) =
+                (points_mm[k], turned(direction(self.angles_rad[k]), self.chords[k].along));
+            let mut arcs = Vec::with_capacity(2);
+            for (part, curvatures) in bends.parts() {
+                let curvature_per_mm = curvatures.map(|c| c / length_mm);
+                let arc = Arc { point_mm, tangent, curvature_per_mm, length_mm: part * length_mm };
+                (point_mm, tangent) = (arc.point_mm(arc.length_mm), arc.last_tangent());
+                arcs.push(arc);
+            }
+            arcs
+        };
+        joined.iter().enumerate().map(of).collect()
+    }
+}
+
+fn plus(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+    [a[0] + b[0], a[1] + b[1]]
+}
+
+fn direction(angle_rad: f64) -> [f64; 2] {
+    let (sin, cos) = angle_rad.sin_cos();
+    [cos, sin]
+}
+
+/// A vector turned by the angle from the first axis to a unit vector.
+fn turned([x, y]: [f64; 2], [cos, sin]: [f64; 2]) -> [f64; 2] {
+    [cos * x - sin * y, sin * x + cos * y]
+}
+
+/// Angle from the first vector to the second one, positive to the left, rad.
+pub fn angle_between([ax, ay]: [f64; 2], [bx, by]: [f64; 2]) -> f64 {
+    (ax * by - ay * bx).atan2(ax * bx + ay * by)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Largest steps of position (mm), direction and curvature times length from arc to arc.
+    fn steps(arcs: &[Arc]) -> [f64; 3] {
+        let mut most = [0.0f64; 3];
+        for w in arcs.windows(2) {
+            let end = w[0].point_mm(w[0].length_mm);
+            let (t, u) = (w[0].last_tangent(), w[1].tangent);
+            let bend = (w[0].curvature_per_mm[1] - w[1].curvature_per_mm[0]) * w[0].length_mm;
+            let of = [
+                (end[0] - w[1].point_mm[0]).hypot(end[1] - w[1].point_mm[1]),
+                (t[0] - u[0]).hypot(t[1] - u[1]),
+                bend.abs(),
+            ];
+            most = [0, 1, 2].map(|k| most[k].max(of[k]));
+        }
+        most
+    }
+
+    #[test]
+    fn points_of_a_circle_give_the_circle() {
+        let (radius, part) = (5.0, 0.3);
+        let points: Vec<[f64; 2]> =
+            (0..9).map(|k| direction(part * f64::from(k)).map(|v| radius * v)).collect();
+        let arcs = through(&points, [End::Rest; 2], [[1.0, 0.0]; 2]).unwrap().concat();
+        assert_eq!(arcs.len(), 8);
+        for arc in arcs {
+            assert!((arc.length_mm - radius * part).abs() < 1e-13);
+            for curvature in arc.curvature_per_mm {
+                assert!((curvature * radius - 1.0).abs() < 1e-12, "{curvature}");
+            }
+        }
+    }
+
+    #[test]
+    fn position_heading_and_curvature_are_continuous() {
+        // A wave with unequal steps, from a line to a line and from rest to rest
+        let mut at = 0.0;
+        let points: Vec<[f64; 2]> = (0..30)
+            .map(|k| {
+                at += 0.3 + 0.1 * f64::from(k % 3);
+                [at, (0.5 * at).sin()]
+            })
+            .collect();
+        let lines =
+            [[1.0, 0.4], [1.0, -0.2]].map(|[x, y]: [f64; 2]| [x, y].map(|v| v / x.hypot(y)));
+        for ends in [[End::Rest; 2], [End::Line(0.4); 2], [End::Line(0.3), End::Rest]] {
+            let arcs = through(&points, ends, lines).unwrap().concat();
+            let [position, heading, bend] = steps(&arcs);
+            // Some tens of roundings of coordinates of 12 mm, and the tolerance of the steps
+            assert!(
+                position < 1e-13 && heading < 1e-13 && bend < 1e-12,
+                "{position} {heading} {bend}"
+            );
+            if ends[0] == End::Line(0.4) {
+                let (first, last) = (arcs[0], arcs[arcs.len() - 1]);
+                assert_eq!((first.curvature_per_mm[0], last.curvature_per_mm[1]), (0.0, 0.0));
+                for (a, b) in [(first.tangent, lines[0]), (last.last_tangent(), lines[1])] {
+                    assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 1e-13);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn points_of_a_smooth_curve_give_its_curvature_to_the_second_order() {
+        // An Archimedean spiral r = b angle, kappa = (2 + angle^2) / (b (1 + angle^2)^(3/2))
+        let b = 0.5;
+        let error = |n: usize| {
+            let angle = |k: usize| 20.0 + 10.0 * k as f64 / n as f64;
+            let points: Vec<[f64; 2]> =
+                (0..=n).map(|k| direction(angle(k)).map(|v| b * angle(k) * v)).collect();
+            let arcs = through(&points, [End::Rest; 2], [[1.0, 0.0]; 2]).unwrap().concat();
+            let of = |k: usize| {
+                let a = angle(k);
+                let kappa = (2.0 + a * a) / (b * (1.0 + a * a).powf(1.5));
+                (arcs[k].curvature_per_mm[0] / kappa - 1.0).abs()
+            };
+            (n / 4..3 * n / 4).map(of).fold(0.0, f64::max)
+        };
+        let (coarse, fine) = (error(80), error(160));
+        // 2 in the order: a quarter of the error at half the step, within a tenth
+        assert!(coarse < 2e-3 && (coarse / fine / 4.0 - 1.0).abs() < 0.1, "{coarse} {fine}");
+    }
+}
