@@ -185,9 +185,9 @@ OUTPUTS = ("--out", "--picture", "--measured-out", "--corrected-tif", "--correct
 # What flags take that count something.
 COUNTS = "0 1 2 3 7 20 100 10000 1000000 4294967295 18446744073709551615".split()
 
-# A flag that asks for so many whole simulations: 10 000 are half a minute of work that was asked for, and more are
-# refused.
-WORK = {"--simulated-runs": ("10000", "1000")}
+# Flags that ask for so many whole simulations or plans: 10 000 and 100 are half a minute of work that was asked for, and
+# more are refused.
+WORK = {"--simulated-runs": ("10000", "1000"), "--prices": ("100", "7")}
 
 
 def main():

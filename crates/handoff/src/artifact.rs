@@ -378,6 +378,14 @@ pub(crate) fn read_text(path: &Path, most: u64) -> Result<String, HandoffError> 
     })
 }
 
+/// Bytes of a regular file. A pipe or a device is refused, because it may never end.
+pub fn read_regular(path: &Path) -> std::io::Result<Vec<u8>> {
+    match fs::metadata(path)?.is_file() {
+        true => fs::read(path),
+        false => Err(std::io::Error::other("is not a file; give a regular file")),
+    }
+}
+
 /// Bytes of a regular file of at most `most` bytes.
 pub(crate) fn read_file(path: &Path, most: u64) -> Result<Vec<u8>, HandoffError> {
     let io = |e| HandoffError::io(path, "read", &e);

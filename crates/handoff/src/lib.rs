@@ -80,7 +80,7 @@ mod together;
 pub mod words;
 
 pub use allocator::Allocator;
-pub use artifact::{Arrays, Artifact, Manifest};
+pub use artifact::{Arrays, Artifact, Manifest, read_regular};
 pub use command_line::{pair, with_flags};
 pub use inputs::{GivenForm, Inputs, StatedForm};
 pub use nouns::Tool;

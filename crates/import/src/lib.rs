@@ -55,6 +55,7 @@ pub mod program;
 mod reading;
 mod scattered;
 pub mod sdf;
+mod shift;
 mod spot;
 pub mod sur;
 mod text;

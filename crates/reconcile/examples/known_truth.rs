@@ -5,6 +5,7 @@
 //! 0.05 and 0.5 nm of map noise. For each part and noise it prints in how many estimates the truth is within two standard
 //! errors, how many parameters are refused, and the residual of the next mirror over that with a known tool. Above the
 //! table it names every estimate that is further off, and every next mirror beyond 1.15 times the known tool.
+//! `known_truth CASES FIRST budget` gives the sizes from which the errors are drawn as an error budget.
 
 #[path = "../tests/known/mod.rs"]
 mod known;
@@ -36,12 +37,13 @@ fn main() -> ExitCode {
             return ExitCode::from(2);
         }
     };
+    let has_budget = env::args().nth(3).is_some_and(|word| word == "budget");
     let mut tallies: BTreeMap<(String, &str), Tally> = BTreeMap::new();
     let mut names: BTreeMap<String, [usize; 3]> = BTreeMap::new();
     for sigma_nm in [0.05, 0.5] {
         let learn = |seed| {
             let case = Case::new(seed, sigma_nm);
-            let found = case.learn();
+            let found = if has_budget { case.learn_with_budget() } else { case.learn() };
             (seed, case.kind, case.over_errors(&found), case.next_mirror_nm(&found))
         };
         let cases: Vec<_> = (first..first + count).into_par_iter().map(learn).collect();

@@ -47,7 +47,8 @@ pub struct Reconcile {
     #[arg(long, num_args = 2, value_names = ["M", "N"])]
     metrology_order: Option<Vec<usize>>,
     /// Use the TIF as it is sampled, with the noise and the border step of its measurement. By default the fit
-    /// also tries a TIF without them, and keeps the one with the smaller residual
+    /// also tries a TIF without them, and one with a tail beyond its samples, and keeps the one with the smallest
+    /// residual
     #[arg(long)]
     tif_as_sampled: bool,
     /// Transform from part to machine that was applied to the plan of this run [transform artifact]
@@ -185,6 +186,13 @@ fn table(found: &Reconciled) -> String {
             "the TIF is longer by {:.2} % (+- {:.2}) along {direction:.0} degrees (+- {error:.0})",
             e.ellipticity_percent, e.standard_error_percent
         ));
+    }
+    if outcome.tif_is_continued {
+        lines.push(
+            "the samples of the TIF end before the tool does: the maps fit better with a tail beyond them, and the corrected \
+             TIF has it"
+                .into(),
+        );
     }
     lines.push(String::new());
     lines.push("period, mm        measured   less plan's       rest nm RMS   transfer".into());

@@ -8,8 +8,13 @@
 //! w is 1 up to half of a radius L and falls to 0 at L as a cosine: far lags have noise and no signal. With the
 //! correlation length l(L), the radius of the disk whose area is the integral of C(h)/C(0) out to L, L is the first
 //! with `L >= 5 l(L)` (Madras and Sokal's automatic window, in two dimensions). A Gaussian correlation exp(-h^2 / 2 s^2)
-//! has l = sqrt(2) s, and what lies beyond the flat part, 3.5 s, is 0.2 % of it. The window goes no further than
-//! half of the longer side, or to where the fit itself would decide: see `LARGEST_LOST`.
+//! has l = sqrt(2) s, and what lies beyond the flat part, 3.5 s, is 0.2 % of it.
+//!
+//! Where the model misses something, the rest is white noise and a weak field of long waves. Its share of C(0) is small,
+//! its share of the integral is not. So L is only taken if the sum of C/C(0) out to any further lag is larger by no more
+//! than noise makes it, `5 S (2 sum 1/N(h))^1/2` over the lags beyond, S the sum up to L. Otherwise the search goes on
+//! from that lag. The window goes no further than half of the longer side, or to where the fit itself would decide: see
+//! `LARGEST_LOST`.
 //!
 //! A fit leaves nothing of the noise along its own fields, which is where its variance is asked for. With orthonormal
 //! fields u_k of the fit the rest of white noise of variance one has the covariance
@@ -42,6 +47,12 @@ use serde::Serialize;
 /// Smaller: a part of the correlation is cut off, and standard errors are too small. Chosen: a Gaussian correlation
 /// has 0.2 % of its integral beyond the flat part of this window.
 const WINDOW_OVER_LENGTH: f64 = 5.0;
+
+/// Standard errors, by noise alone, from which more of the correlation is clear beyond a window, and the least part of
+/// the sum that counts. Larger: a weak correlation over long lags is missed. Smaller: lags that have noise and no
+/// signal. Chosen: among thousands of lags noise reaches four of its standard errors now and then.
+const CLEAR: f64 = 5.0;
+const LEAST_MORE: f64 = 0.25;
 
 /// Largest fraction of the spectrum about zero frequency that the fit may have taken; the window is no larger than
 /// that allows. Larger: the spectrum is corrected by a factor that is uncertain. Smaller: windows that cut long
@@ -108,7 +119,8 @@ impl Covariance {
         // p sum(w) / N <= LARGEST_LOST, where sum(w) is the area of a disk of some 3/4 L
         let most = LARGEST_LOST * pixels * area / (terms.max(1) as f64 * PI * 0.5625);
         let largest = most.sqrt().min(0.5 * sides[0].max(sides[1]));
-        let (window_mm, window_is_cut) = window(&covariance, variance, area, largest, &lag_mm);
+        let (window_mm, window_is_cut) =
+            window(&covariance, variance, area, largest, &count, &lag_mm);
         let taper = |mm: f64| match mm / window_mm {
             part if part <= 0.5 => 1.0,
             part if part < 1.0 => 0.5 * (1.0 + (PI * (2.0 * part - 1.0)).cos()),
@@ -162,32 +174,49 @@ fn padded(map: &Array2<f64>, size: (usize, usize)) -> Array2<f64> {
     large
 }
 
-/// The first L with `L >= 5 l(L)`, and whether it is beyond the largest.
+/// The first L with `L >= 5 l(L)` beyond which the correlation adds nothing that is clear, and whether it is beyond the
+/// largest.
 fn window(
     covariance: &Array2<f64>,
     variance: f64,
     pixel_mm2: f64,
     largest_mm: f64,
+    pairs: &Array2<f64>,
     lag_mm: &impl Fn((usize, usize)) -> f64,
 ) -> (f64, bool) {
     // Two pixels, so that there is a taper
     let least_mm = 2.0 * pixel_mm2.sqrt();
     let largest_mm = largest_mm.max(least_mm);
-    let mut lags: Vec<(f64, f64)> = covariance
+    let mut lags: Vec<(f64, f64, f64)> = covariance
         .indexed_iter()
-        .map(|(at, c)| (lag_mm(at), *c))
-        .filter(|(lag, _)| *lag <= largest_mm)
+        .map(|(at, c)| (lag_mm(at), *c, pairs[at]))
+        .filter(|(lag, _, pairs)| *lag <= largest_mm && *pairs > 0.5)
         .collect();
     lags.sort_by(|a, b| a.0.total_cmp(&b.0));
     if variance <= 0.0 {
         return (least_mm, false);
     }
-    let mut sum = 0.0;
-    for (lag, c) in lags {
+    // Sums of C / C(0) and of 1 / N(h) up to every lag
+    let (mut sums, mut scatters) = (Vec::new(), Vec::new());
+    let (mut sum, mut scatter) = (0.0, 0.0);
+    for (_, c, pairs) in &lags {
         sum += c / variance;
-        let length = (sum.max(0.0) * pixel_mm2 / PI).sqrt();
-        if lag >= least_mm && lag >= WINDOW_OVER_LENGTH * length {
-            return (lag, false);
+        scatter += 1.0 / pairs;
+        sums.push(sum);
+        scatters.push(scatter);
+    }
+    let ends = |k: usize| {
+        let length = (sums[k].max(0.0) * pixel_mm2 / PI).sqrt();
+        lags[k].0 >= least_mm && lags[k].0 >= WINDOW_OVER_LENGTH * length
+    };
+    let mut from = 0;
+    while let Some(end) = (from..lags.len()).find(|k| ends(*k)) {
+        let known: f64 = f64::max(sums[end], 1.0);
+        let by_noise = |k: usize| known * (2.0 * (scatters[k] - scatters[end])).sqrt();
+        let least = |k: usize| (CLEAR * by_noise(k)).max(LEAST_MORE * known);
+        match (end..lags.len()).find(|k| sums[*k] - sums[end] > least(*k)) {
+            None => return (lags[end].0, false),
+            Some(k) => from = k,
         }
     }
     (largest_mm, true)
@@ -233,6 +262,22 @@ mod tests {
             // The window cuts a part of the triangles' corners, and 40 maps scatter by 3 %.
             assert!((mean / expected - 1.0).abs() < 0.12, "{side}: {mean} {expected}");
         }
+    }
+
+    /// An error of the model is a weak field of long waves under white noise. It has a twelfth of the variance, and nearly
+    /// all of that of a mean.
+    #[test]
+    fn a_weak_field_of_long_waves_under_white_noise_counts() {
+        let valid = Array2::ones(grid().shape());
+        let ratio = |seed| {
+            let rest = noise(seed, 1) + 0.3 * noise(2000 + seed, 12);
+            let noise = Covariance::of(&rest, &valid, &grid(), 0, &[]).noise;
+            noise.pixels as f64 / noise.effective_pixels
+        };
+        let mean = (0..40).map(ratio).sum::<f64>() / 40.0;
+        // (1 + 0.09 144) / 1.09 = 12.8 by the whole field. The window falls to 0 within it and keeps half, 7.3 measured. A
+        // window by the white noise alone keeps 1.
+        assert!((5.0..13.0).contains(&mean), "{mean}");
     }
 
     /// The variance of the product with a field, against that over many maps.

@@ -6,6 +6,7 @@ use planish_simulate::{
     deviation::TURNS,
     error_budget::{ErrorBudget, ErrorBudgetFile},
     runs::Runs,
+    tail,
     tool::smooth,
 };
 use planish_types::{Invalid, Surface, Tif, Trajectory, Transform};
@@ -114,11 +115,24 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
         true => None,
         false => Some(Runs::new(comparison.trajectory, comparison.tif, comparison.tif, data.grid)?),
     };
+    // The tool as it goes on beyond samples that end before it has ended.
+    let with_tail = match settings.tif_as_sampled {
+        true => None,
+        false => tail::continued(comparison.tif)?,
+    };
+    let smooth_tail = with_tail.as_ref().map(|t| smooth(t, t.width_mm())).transpose()?;
+    let tails = match (&with_tail, &smooth_tail) {
+        (Some(t), Some(smooth)) => {
+            let runs = |moved| Runs::new(comparison.trajectory, t, moved, data.grid);
+            Some((runs(smooth)?, runs(t)?, smooth))
+        }
+        _ => None,
+    };
     let scale =
         |p: Parameter| comparison.error_budget.map_or(p.usual_scale(), |file| p.scale_in(file));
     // (1), by Gauss and Newton; again with the usual scale of what contradicts the data
     let mut released: Vec<Parameter> = Vec::new();
-    let (mut found, model, start) = loop {
+    let (mut found, model, start, tool) = loop {
         let scale = |p| if released.contains(&p) { p.usual_scale() } else { scale(p) };
         let mut model = Model::new(&runs, &moved, parameters.clone(), scale);
         let start = Start::new(&model)?;
@@ -133,9 +147,19 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
                 (found, model) = (again, other);
             }
         }
+        let mut tool = comparison.tif;
+        if let (Some((smooth, as_sampled, moved)), Some(with_tail)) = (&tails, &with_tail) {
+            let mut other = Model::new(smooth, moved, parameters.clone(), scale);
+            other.removal_from = Some(as_sampled);
+            let from = Start::at(&other, found.values[..parameters.len()].to_vec())?;
+            let again = fit(&other, &terms, &data, &from)?;
+            if dot(&again.rest, &again.rest) < dot(&found.rest, &found.rest) {
+                (found, model, tool) = (again, other, with_tail);
+            }
+        }
         match contradicted(&found, &data, settings.metrology_order, scale) {
             Some(parameter) => released.push(parameter),
-            None => break (found, model, start),
+            None => break (found, model, start, tool),
         }
     };
 
@@ -248,6 +272,7 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
         points: found.points,
         tried_orders: orders,
         tif_is_as_sampled: settings.tif_as_sampled || model.removal_from.is_some(),
+        tif_is_continued: !std::ptr::eq(tool, comparison.tif),
         resampled: (!are_same(data.grid, comparison.after.grid())).then_some(METHOD),
         explains_nothing: nothing.clone(),
     };
@@ -268,7 +293,7 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
         predicted_nm: found.removal.clone(),
         metrology_nm: found.metrology.clone(),
         rest_nm: with_nan(&found.rest),
-        tif: Model::corrected_tif(comparison.tif, &known)?,
+        tif: Model::corrected_tif(tool, &known)?,
         transform: place(
             comparison.transform,
             &found,

@@ -84,6 +84,8 @@ pub struct Outcome {
     pub tried_orders: [usize; 2],
     /// True if the removal is that of the TIF as it is sampled; false if that of the smoothed TIF fits better.
     pub tif_is_as_sampled: bool,
+    /// True if the removal is that of the TIF with a tail beyond its samples, because that fits better.
+    pub tif_is_continued: bool,
     /// Method by which the map after was taken to the pixels of the map before, where they differ.
     pub resampled: Option<&'static str>,
     /// The sentence that the fit explains nothing, where it does not.

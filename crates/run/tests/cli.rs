@@ -562,4 +562,26 @@ fn a_wrong_setting_is_named_with_the_remedy_and_nothing_runs() {
         refused(&ended, &[said]);
         assert!(log.is_empty() && !dir.path().join("out").exists(), "{arguments:?}");
     }
+
+/// A pipe in the place of a file would be read for ever.
+#[cfg(unix)]
+#[test]
+fn a_pipe_in_the_place_of_the_report_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    fs::create_dir_all(dir.path().join("run/report")).unwrap();
+    let pipe = dir.path().join("run/report/summary.json");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let flags = ["program", "--run", "run", "--of", "pvt", "--controller", "galil"];
+    let mut program = Command::new(PROGRAM);
+    program.current_dir(dir.path()).args(flags).stderr(Stdio::piped());
+    let mut child = program.spawn().unwrap();
+    let ends = (0..200).find_map(|_| {
+        thread::sleep(Duration::from_millis(50));
+        child.try_wait().unwrap()
+    });
+    if ends.is_none() {
+        child.kill().unwrap();
+    }
+    let said = message(&child.wait_with_output().unwrap());
+    assert!(ends.is_some_and(|s| s.code() == Some(2)) && said.contains("is not a file"), "{said}");
 }

@@ -46,6 +46,7 @@ pub mod runs;
 pub mod sample;
 pub mod servo;
 mod spill;
+pub mod tail;
 mod tile;
 pub mod tool;
 pub mod virtual_machine;

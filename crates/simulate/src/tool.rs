@@ -163,7 +163,7 @@ fn largest_difference_nm_per_s(kernel: &Tif, sampled: &Tif) -> f64 {
 }
 
 /// Samples that are part of the tool: those of the mean tool, or of any kernel, above [`NOTHING`].
-fn inside(tif: &Tif) -> Array2<bool> {
+pub(crate) fn inside(tif: &Tif) -> Array2<bool> {
     let least = NOTHING * tif.peak_nm_per_s();
     let mut inside = tif.rate_nm_per_s().mapv(|v| v.abs() > least);
     for component in tif.variation().map_or(&[][..], Variation::components) {
@@ -174,7 +174,7 @@ fn inside(tif: &Tif) -> Array2<bool> {
 }
 
 /// Smooths a kernel: every sample inside of the tool gets the value of the quadratic through those around it.
-fn smoothed(kernel: &Tif, inside: &Array2<bool>, width_mm: f64) -> Array2<f64> {
+pub(crate) fn smoothed(kernel: &Tif, inside: &Array2<bool>, width_mm: f64) -> Array2<f64> {
     let rate = kernel.rate_nm_per_s();
     let (ny, nx) = rate.dim();
     let step = [kernel.grid().x.step_mm(), kernel.grid().y.step_mm()];
@@ -206,12 +206,10 @@ fn smoothed(kernel: &Tif, inside: &Array2<bool>, width_mm: f64) -> Array2<f64> {
     Array2::from_shape_fn((ny, nx), |(r, c)| rows[r][c])
 }
 
-/// Weight of every sample: 1 in the TIF, 0 just outside, and smooth between over `over_mm`. It is 1 everywhere if the
-/// TIF falls to zero within its samples: that is the edge of the tool and not of a measurement.
-fn fade(tif: &Tif, inside: &Array2<bool>, over_mm: f64) -> Array2<f64> {
+/// Places just outside of the tool, in samples (column, row), and true if the tool ends there by itself.
+fn end_of(tif: &Tif, inside: &Array2<bool>) -> (Vec<[f64; 2]>, bool) {
     let rate = tif.rate_nm_per_s();
     let (ny, nx) = rate.dim();
-    let step = [tif.grid().x.step_mm(), tif.grid().y.step_mm()];
     let inside = |r: isize, c: isize| {
         let known = r >= 0 && c >= 0 && (r as usize) < ny && (c as usize) < nx;
         known && inside[[r as usize, c as usize]]
@@ -239,7 +237,21 @@ fn fade(tif: &Tif, inside: &Array2<bool>, over_mm: f64) -> Array2<f64> {
         }
     }
     // It ends by itself: going on as it falls it would be zero within the next step.
-    if last <= fall {
+    (outside, last <= fall)
+}
+
+/// Returns true if the TIF falls to zero within its samples.
+pub(crate) fn ends_by_itself(tif: &Tif, inside: &Array2<bool>) -> bool {
+    end_of(tif, inside).1
+}
+
+/// Weight of every sample: 1 in the TIF, 0 just outside, and smooth between over `over_mm`. It is 1 everywhere if the
+/// TIF falls to zero within its samples: that is the edge of the tool and not of a measurement.
+fn fade(tif: &Tif, inside: &Array2<bool>, over_mm: f64) -> Array2<f64> {
+    let (ny, nx) = inside.dim();
+    let step = [tif.grid().x.step_mm(), tif.grid().y.step_mm()];
+    let (outside, ends_by_itself) = end_of(tif, inside);
+    if ends_by_itself {
         return Array2::ones((ny, nx));
     }
     let at = |r: usize, c: usize| {

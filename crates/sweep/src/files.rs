@@ -1,12 +1,11 @@
 //! The files of a sweep's directory.
 
 use std::{
-    fs,
     io::ErrorKind,
     path::{Path, PathBuf},
 };
 
-use planish_handoff::{Failure, Inputs, OutputFile, words};
+use planish_handoff::{Failure, Inputs, OutputFile, read_regular, words};
 use planish_sweep::{
     plan::{Plan, Sweep},
     row::Row,
@@ -24,7 +23,7 @@ pub fn read_sweep(dir: &Path) -> Result<Sweep, Failure> {
         return Err(Failure::new(format!("{}: {problem}", path.display())));
     }
     // 1e5 plans take more than an input of a stage may.
-    let bytes = fs::read(&path).map_err(|e| unreadable(&path, &e))?;
+    let bytes = read_regular(&path).map_err(|e| unreadable(&path, &e))?;
     let sweep: Sweep = serde_json::from_slice(&bytes).map_err(|e| unreadable(&path, &e))?;
     if sweep.version != VERSION {
         let (there, here) = (sweep.version, VERSION);
@@ -66,7 +65,7 @@ pub fn again(sweep: &Sweep, plan: &Plan) -> String {
 /// The row of a plan, where it is there.
 pub fn read_row(dir: &Path, id: &str) -> Result<Option<Row>, Failure> {
     let path = row_path(dir, id);
-    match fs::read(&path) {
+    match read_regular(&path) {
         Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
         Err(e) => Err(unreadable(&path, &e)),
         Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|e| unreadable(&path, &e)),
@@ -81,7 +80,7 @@ pub fn row_path(dir: &Path, id: &str) -> PathBuf {
 /// Writes a value as a JSON file, whole or not at all, in the place of one that stands there.
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Failure> {
     let text = format!("{}\n", serde_json::to_string_pretty(value)?);
-    if fs::read(path).is_ok_and(|there| there == text.as_bytes()) {
+    if read_regular(path).is_ok_and(|there| there == text.as_bytes()) {
         return Ok(()); // Snakemake goes by the time of a file.
     }
     let file = OutputFile::begin("--out", path, true, &Inputs::new())?;

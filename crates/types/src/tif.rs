@@ -44,9 +44,10 @@ const LEAST_DIFFERENCES: usize = 32;
 /// (derived).
 const SIGMA_PER_MEDIAN: f64 = 1.482_602_218_505_602;
 
-/// Distance of the samples in the differences along the border, samples. Smaller: noise that is
-/// correlated over one or two samples cancels. Larger: the slope of the spot enters the estimate.
-const BORDER_LAG: usize = 2;
+/// Distances of the samples in the differences along the border, samples. Smaller: correlated noise
+/// cancels in the differences. Larger: the slope of the spot enters the estimate. Chosen: noise of
+/// instruments is correlated over less than eight samples.
+const BORDER_LAGS: [usize; 3] = [2, 4, 8];
 
 /// Number of zero samples that a margin keeps. Smaller: the interpolation at its edge changes,
 /// because a ghost node is made of three samples. Larger: more memory and time, no change.
@@ -516,11 +517,11 @@ fn check_sign(name: &'static str, rate: &Array2<f64>, peak: f64) -> Result<(), I
     }
 }
 
-/// Standard deviation of the noise of the samples, nm/s: the larger of two estimates that are
+/// Standard deviation of the noise of the samples, nm/s: the largest of estimates that are
 /// insensitive to a smooth spot.
 ///
 /// ```text
-/// border     median |r_{k-2} - 2 r_k + r_{k+2}| / (0.6745 sqrt(6))        along the border
+/// border     median |r_{k-l} - 2 r_k + r_{k+l}| / (0.6745 sqrt(6))        along the border, l = 2, 4, 8
 /// whole      median |sum of [1 -2 1]' [1 -2 1] r| / (0.6745 sqrt(36))     over 3 x 3 samples that are not all 0
 /// ```
 ///
@@ -536,18 +537,22 @@ fn noise(rate: &Array2<f64>) -> f64 {
         SIGMA_PER_MEDIAN * *median / squares.sqrt()
     };
     let sides = [rate.row(0), rate.row(ny - 1), rate.column(0), rate.column(nx - 1)];
-    let along_border = sides.into_iter().flat_map(|side| {
-        let last = side.len().saturating_sub(2 * BORDER_LAG);
-        (0..last)
-            .map(move |k| (side[k] - 2.0 * side[k + BORDER_LAG] + side[k + 2 * BORDER_LAG]).abs())
-    });
+    let along_border = |lag: usize| {
+        let of = |side: &ArrayView1<'_, f64>| -> Vec<f64> {
+            let last = side.len().saturating_sub(2 * lag);
+            let difference = |k| side[k] - 2.0 * side[k + lag] + side[k + 2 * lag];
+            (0..last).map(|k: usize| difference(k).abs()).collect()
+        };
+        scale(sides.iter().flat_map(of).collect(), 6.0)
+    };
+    let border = BORDER_LAGS.into_iter().map(along_border).fold(0.0, f64::max);
     let over_squares = rate.windows((3.min(ny), 3.min(nx)));
     let whole = over_squares.into_iter().filter(|w| w.dim() == (3, 3)).filter_map(|w| {
         let stencil = [1.0, -2.0, 1.0];
         let value: f64 = w.indexed_iter().map(|((r, c), v)| stencil[r] * stencil[c] * v).sum();
         w.iter().any(|v| *v != 0.0).then_some(value.abs())
     });
-    scale(along_border.collect(), 6.0).max(scale(whole.collect(), 36.0))
+    scale(whole.collect(), 36.0).max(border)
 }
 
 #[cfg(test)]
@@ -638,8 +643,9 @@ mod tests {
     }
 
     /// A Gaussian of peak 1 with a full width at half maximum of 1 mm, on n x n samples of +-1.6
-    /// mm, plus normal noise. The noise is made of sums of twelve uniform numbers.
-    fn noisy_spot(n: usize, sigma: f64, seed: u64) -> (Grid, Array2<f64>) {
+    /// mm, plus normal noise. The noise is made of sums of twelve uniform numbers, averaged over
+    /// `block` x `block` samples.
+    fn noisy_spot(n: usize, sigma: f64, block: usize, seed: u64) -> (Grid, Array2<f64>) {
         let x = axis(1.6, n);
         let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
         let mut uniform = || {
@@ -649,8 +655,13 @@ mod tests {
             state ^= state >> 27;
             (state.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11) as f64 / (1_u64 << 53) as f64
         };
+        let size = n + block - 1;
+        let white = Array2::from_shape_simple_fn((size, size), || {
+            (0..12).map(|_| uniform()).sum::<f64>() - 6.0
+        });
         let rate = Array2::from_shape_fn((n, n), |(r, c)| {
-            let normal: f64 = (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+            // The mean of block^2 numbers, scaled to the variance of one.
+            let normal = white.slice(s![r..r + block, c..c + block]).sum() / block as f64;
             let square = x.at(r).powi(2) + x.at(c).powi(2);
             (-4.0 * std::f64::consts::LN_2 * square).exp() + sigma * normal
         });
@@ -662,11 +673,15 @@ mod tests {
         // pi / (4 ln 2) mm^2 of the whole Gaussian, less its part beyond 1.6 mm: erf(1.6 sqrt(4 ln
         // 2))^2 = 1 - 3.3e-4.
         let volume = std::f64::consts::PI / (4.0 * std::f64::consts::LN_2);
-        for sigma in [0.005, 0.01, 0.02] {
+        // White noise, and the correlated noise of instruments.
+        for (sigma, block) in
+            [0.005, 0.01, 0.02].into_iter().flat_map(|s| [1, 3, 5].map(|b| (s, b)))
+        {
             for n in [41, 61, 81] {
                 let vrr = |seed| {
-                    let (grid, rate) = noisy_spot(n, sigma, seed);
-                    let tif = Tif::new(grid, rate).unwrap_or_else(|e| panic!("{sigma} {n}: {e}"));
+                    let (grid, rate) = noisy_spot(n, sigma, block, seed);
+                    let tif =
+                        Tif::new(grid, rate).unwrap_or_else(|e| panic!("{sigma} {block} {n}: {e}"));
                     tif.vrr_nm_mm2_per_s() / volume - 1.0
                 };
                 let draws: Vec<f64> = (0..200).map(vrr).collect();
@@ -674,7 +689,10 @@ mod tests {
                 let scatter =
                     (draws.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / 199.0).sqrt();
                 // The mean of 200 draws scatters by 7 % of one.
-                assert!(mean.abs() < 0.3 * scatter + 3.3e-4, "{sigma} {n}: {mean} {scatter}");
+                assert!(
+                    mean.abs() < 0.3 * scatter + 3.3e-4,
+                    "{sigma} {block} {n}: {mean} {scatter}"
+                );
             }
         }
     }
@@ -683,7 +701,7 @@ mod tests {
     fn noise_after_a_taper_is_not_refused() {
         // A taper makes the border zero and leaves the noise of the inner samples.
         for seed in 0..200 {
-            let (grid, mut rate) = noisy_spot(61, 0.02, seed);
+            let (grid, mut rate) = noisy_spot(61, 0.02, 1, seed);
             for ((r, c), v) in rate.indexed_iter_mut() {
                 let edge =
                     (grid.x.at(c).abs().max(grid.y.at(r).abs()) / 1.6 - 0.85).max(0.0) / 0.15;
@@ -696,7 +714,7 @@ mod tests {
     #[test]
     fn a_wrong_sign_or_a_negative_lobe_is_refused_under_noise() {
         for (seed, sigma) in (0..60).zip([0.0, 0.005, 0.01, 0.02].into_iter().cycle()) {
-            let (grid, rate) = noisy_spot(61, sigma, seed);
+            let (grid, rate) = noisy_spot(61, sigma, 1, seed);
             let e = Tif::new(grid, -&rate).unwrap_err().to_string();
             assert!(e.contains("check the sign") || e.contains("no positive rate"), "{e}");
             // A lobe of 8 % of the peak and ten times the noise, where the spot is 1 % of its peak.

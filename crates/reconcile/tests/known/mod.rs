@@ -4,9 +4,12 @@
 
 use ndarray::Array2;
 use planish_reconcile::{Comparison, Reconciled, Settings, reconcile};
+use planish_simulate::error_budget::ErrorBudgetFile;
+use planish_testkit::mirror::Mirror;
 use planish_types::{Axis, Grid, Surface, Tif, Trajectory, TrajectoryBuilder};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use serde_json::json;
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
@@ -38,6 +41,10 @@ const LEAST_RATE: f64 = 8e-6;
 /// Radius of the tool in the direct sum, in sigmas: beyond it a tool has less than 1e-7 of its peak.
 pub const REACH_SIGMA: f64 = 6.5;
 
+/// Standard deviation of the tool of the reference mirror, and half the side of its samples, mm.
+const SIGMA_MM: f64 = 1.7035;
+const HALF_MM: f64 = 5.0;
+
 /// Rounds of the multiplicative planner.
 const ROUNDS: usize = 25;
 
@@ -52,6 +59,22 @@ pub struct Truth {
     pub ellipticity: f64,
     pub diagonal: f64,
     pub drift: f64,
+}
+
+impl Truth {
+    /// The errors of the machine of a seed: half of the machines have no magnification, and half no drift.
+    fn random(rng: &mut ChaCha8Rng, seed: u64) -> Self {
+        Self {
+            rate: rng.random_range(-0.05..0.05),
+            offset_mm: [0.06 * normal(rng), 0.06 * normal(rng)],
+            rotation_rad: 0.05 * DEGREE * normal(rng),
+            magnification: if seed.is_multiple_of(2) { 0.0 } else { 1e-3 * normal(rng) },
+            width: 0.015 * normal(rng),
+            ellipticity: 0.015 * normal(rng),
+            diagonal: 0.015 * normal(rng),
+            drift: if seed % 4 < 2 { 0.0 } else { 0.02 * normal(rng) },
+        }
+    }
 }
 
 /// A tool in closed form: a Gaussian, or one with a flatter top.
@@ -77,9 +100,14 @@ impl Tool {
     }
 
     fn sampled(&self, errors: &Truth) -> Tif {
-        // Out to 5.5 sigma, where the tool has ended; the pitch of the map, at which a simulation is fastest
+        // Out to 5.5 sigma, where the tool has ended
+        self.sampled_to(errors, 5.5 * self.sigma_mm)
+    }
+
+    /// The tool at the pitch of the map, at which a simulation is fastest, out to `half_mm` along x and y.
+    fn sampled_to(&self, errors: &Truth, half_mm: f64) -> Tif {
         let step = self.pitch_mm;
-        let n = (5.5 * self.sigma_mm / step).ceil() as usize;
+        let n = (half_mm / step).ceil() as usize;
         let axis = Axis::new(-(n as f64) * step, step, 2 * n + 1).unwrap();
         let rate = |(r, c): (usize, usize)| self.rate(axis.at(c), axis.at(r), errors);
         Tif::new(Grid { x: axis, y: axis }, Array2::from_shape_fn((2 * n + 1, 2 * n + 1), rate))
@@ -153,16 +181,7 @@ impl Case {
         let grid = Grid { x: axis(-3.0, kind.size_mm[0]), y: axis(2.0, kind.size_mm[1]) };
         let figure = Figure::new(&mut rng, tool.sigma_mm, 4.0);
         let path = path_over(&grid, 0.75 * tool.sigma_mm, 2.5 * tool.sigma_mm, seed / 3 % 4);
-        let truth = Truth {
-            rate: rng.random_range(-0.05..0.05),
-            offset_mm: [0.06 * normal(&mut rng), 0.06 * normal(&mut rng)],
-            rotation_rad: 0.05 * DEGREE * normal(&mut rng),
-            magnification: if seed.is_multiple_of(2) { 0.0 } else { 1e-3 * normal(&mut rng) },
-            width: 0.015 * normal(&mut rng),
-            ellipticity: 0.015 * normal(&mut rng),
-            diagonal: 0.015 * normal(&mut rng),
-            drift: if seed % 4 < 2 { 0.0 } else { 0.02 * normal(&mut rng) },
-        };
+        let truth = Truth::random(&mut rng, seed);
         let shape = grid.shape();
         let noise = Array2::from_shape_simple_fn(shape, || sigma_nm * normal(&mut rng));
         let after_noise = Array2::from_shape_simple_fn(shape, || sigma_nm * normal(&mut rng));
@@ -190,6 +209,43 @@ impl Case {
         }
     }
 
+    /// A run on the reference mirror, with its published raster and dwell times at even speed along each segment.
+    /// The tool is a Gaussian without an end, and its samples end at 1.3 % of its peak, as those of the published TIF do
+    /// at more.
+    pub fn on_mirror(mirror: &Mirror, seed: u64, sigma_nm: f64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(3_000_000 + seed);
+        let grid = *mirror.desired.grid();
+        let tool = Tool { sigma_mm: SIGMA_MM, pitch_mm: grid.x.step_mm(), flatter: false };
+        let truth = Truth::random(&mut rng, seed);
+        let real = mirror.desired.height_nm();
+        let noise = Array2::from_shape_simple_fn(grid.shape(), || sigma_nm * normal(&mut rng));
+        let after = Array2::from_shape_simple_fn(grid.shape(), || sigma_nm * normal(&mut rng));
+        let path = mirror.path("raster").point_mm().to_vec();
+        let trajectory = motion(&path, mirror.dwell("raster").dwell_s());
+        let removal = executed(&grid, &trajectory, &tool, &truth);
+        Self {
+            seed,
+            kind: "reference",
+            truth,
+            grid,
+            tool,
+            path,
+            sigma_nm,
+            figure: Figure::new(&mut rng, SIGMA_MM, 4.0),
+            before: Surface::new(grid, real + &noise).unwrap(),
+            after: Surface::new(grid, real - &removal + &after).unwrap(),
+            noise,
+            trajectory,
+            tif: tool.sampled_to(&Truth::default(), HALF_MM),
+        }
+    }
+
+    /// The same run, of which the planner has samples of the tool out to so many sigmas only.
+    pub fn with_cut_tool(mut self, sigmas: f64) -> Self {
+        self.tif = self.tool.sampled_to(&Truth::default(), sigmas * self.tool.sigma_mm);
+        self
+    }
+
     /// The map after the run on other pixels, with noise of its own.
     pub fn after_on(&self, grid: Grid) -> Surface {
         let removal = executed(&grid, &self.trajectory, &self.tool, &self.truth);
@@ -209,6 +265,36 @@ impl Case {
             trajectory: &self.trajectory,
             tif: &self.tif,
             error_budget: None,
+            transform: None,
+        };
+        reconcile(&comparison, &Settings::default()).unwrap()
+    }
+
+    /// The same with the sizes from which the errors of these machines are drawn as an error budget.
+    pub fn learn_with_budget(&self) -> Reconciled {
+        let sizes = [
+            ("rate_scale", 2.9, "%"),
+            ("offset_x", 60.0, "um"),
+            ("offset_y", 60.0, "um"),
+            ("rotation", 0.05, "deg"),
+            ("magnification", 0.07, "%"),
+            ("tif_width", 1.5, "%"),
+            ("tif_ellipticity", 1.5, "%"),
+            ("tif_diagonal_ellipticity", 1.5, "%"),
+            ("rate_drift", 1.4, "%"),
+        ];
+        let errors = sizes.map(|(kind, size, unit)| {
+            json!({ "kind": kind, "size": size, "unit": unit, "distribution": "normal", "note": "" })
+        });
+        let file: ErrorBudgetFile =
+            serde_json::from_value(json!({ "name": "known", "errors": errors })).unwrap();
+        let budget = file.checked().unwrap();
+        let comparison = Comparison {
+            before: &self.before,
+            after: &self.after,
+            trajectory: &self.trajectory,
+            tif: &self.tif,
+            error_budget: Some(&budget),
             transform: None,
         };
         reconcile(&comparison, &Settings::default()).unwrap()
@@ -354,10 +440,19 @@ fn executed(grid: &Grid, trajectory: &Trajectory, tool: &Tool, t: &Truth) -> Arr
                 middle[0] + cosine * d[0] - sine * d[1] + t.offset_mm[0],
                 middle[1] + sine * d[0] + cosine * d[1] + t.offset_mm[1],
             ];
-            for ((r, c), v) in removal.indexed_iter_mut() {
-                let (x, y) = (grid.x.at(c) - at[0], grid.y.at(r) - at[1]);
-                if x * x + y * y < REACH_SIGMA.powi(2) * tool.sigma_mm * tool.sigma_mm {
-                    *v += tool.rate(x, y, t) * 0.25 * h * drift;
+            let reach = REACH_SIGMA * tool.sigma_mm;
+            let near = |axis: &Axis, at: f64| {
+                let of = |mm: f64| {
+                    ((mm - axis.start_mm()) / axis.step_mm()).clamp(0.0, axis.len() as f64)
+                };
+                of(at - reach) as usize..of(at + reach).ceil() as usize
+            };
+            for r in near(&grid.y, at[1]) {
+                for c in near(&grid.x, at[0]) {
+                    let (x, y) = (grid.x.at(c) - at[0], grid.y.at(r) - at[1]);
+                    if x * x + y * y < reach * reach {
+                        removal[[r, c]] += tool.rate(x, y, t) * 0.25 * h * drift;
+                    }
                 }
             }
         }

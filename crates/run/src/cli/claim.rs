@@ -8,7 +8,7 @@ use std::{
     time::Duration,
 };
 
-use planish_handoff::{Failure, Inputs, OutputFile, is_temporary, system};
+use planish_handoff::{Failure, Inputs, OutputFile, is_temporary, read_regular, system};
 use planish_run::owner::{Mirror, Owner};
 use planish_types::{DEFAULT_TIME_TO_FULL_ACCELERATION_S, MachineFile};
 
@@ -89,7 +89,7 @@ fn with_limit_on_jerk(machine: &Path, copy: &Path) -> Result<(Vec<u8>, Option<St
     let failed = |e: &dyn std::fmt::Display| {
         Failure::new(format!("{}: cannot be read: {e}", machine.display()))
     };
-    let text = fs::read(machine).map_err(|e| failed(&e))?;
+    let text = read_regular(machine).map_err(|e| failed(&e))?;
     let file: MachineFile = serde_json::from_slice(&text).map_err(|e| failed(&e))?;
     let silent = file.axes_without_word_on_jerk();
     if silent.is_empty() {
@@ -228,7 +228,7 @@ fn holder(lock: &mut File) -> String {
 /// to another one.
 fn owned(out: &Path, owner: &Owner) -> Result<bool, Failure> {
     let refused = |problem: String| Err(Failure::new(format!("{} {problem}", out.display())));
-    let text = match fs::read(out.join(OWNER)) {
+    let text = match read_regular(&out.join(OWNER)) {
         Ok(text) => text,
         Err(e) if e.kind() == ErrorKind::NotFound => {
             return match foreign(out) {

@@ -1,12 +1,9 @@
 //! `planish-run program`: the plan that the program of a run executes, and the reason for that plan.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use clap::Args;
-use planish_handoff::{Failure, Status, say, warn};
+use planish_handoff::{Failure, Status, read_regular, say, warn};
 use serde::Deserialize;
 
 #[derive(Args)]
@@ -43,7 +40,7 @@ impl Answer {
         let about = |e: &dyn std::fmt::Display| {
             Failure::new(format!("{}: cannot be read: {e}; run the report first", path.display()))
         };
-        let text = fs::read(&path).map_err(|e| about(&e))?;
+        let text = read_regular(&path).map_err(|e| about(&e))?;
         let Summary { answer } = serde_json::from_slice(&text).map_err(|e| about(&e))?;
         Ok(answer)
     }

@@ -7,7 +7,7 @@ use std::{
 };
 
 use clap::Args;
-use planish_handoff::{Failure, Status, kind::MANIFEST, say};
+use planish_handoff::{Failure, Status, kind::MANIFEST, read_regular, say};
 use serde_json::Value;
 
 use super::{
@@ -151,7 +151,7 @@ fn below_95_percent_nm(tolerance: &Path) -> Result<f64, Failure> {
     let failed = |e: &dyn std::fmt::Display| {
         Failure::new(format!("{}: cannot be read: {e}", file.display()))
     };
-    let text = fs::read(&file).map_err(|e| failed(&e))?;
+    let text = read_regular(&file).map_err(|e| failed(&e))?;
     let manifest: Value = serde_json::from_slice(&text).map_err(|e| failed(&e))?;
     find(&manifest).ok_or_else(|| failed(&"it has no below_95_percent_nm"))
 }

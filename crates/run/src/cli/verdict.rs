@@ -8,7 +8,7 @@ use std::{
 };
 
 use clap::Args;
-use planish_handoff::{Failure, Manifest, Status, kind::MANIFEST, words};
+use planish_handoff::{Failure, Manifest, Status, kind::MANIFEST, read_regular, words};
 
 #[derive(Args)]
 pub struct Verdict {
@@ -167,7 +167,7 @@ fn manifest_in(dir: &Path) -> Result<Option<Manifest>, Failure> {
     let file = dir.join(MANIFEST);
     let unreadable =
         |e: &dyn std::fmt::Display| Failure::new(format!("{}: cannot read: {e}", file.display()));
-    match fs::read(&file) {
+    match read_regular(&file) {
         Ok(text) => serde_json::from_slice(&text).map(Some).map_err(|e| unreadable(&e)),
         Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
         Err(e) => Err(unreadable(&e)),

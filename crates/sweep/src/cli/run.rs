@@ -12,7 +12,9 @@ use std::{
 };
 
 use clap::{Args, ValueEnum};
-use planish_handoff::{Failure, Inputs, Manifest, Status, kind::MANIFEST, say, system, warn};
+use planish_handoff::{
+    Failure, Inputs, Manifest, Status, kind::MANIFEST, read_regular, say, system, warn,
+};
 use planish_sweep::{
     batch::{Size, estimated_s, members},
     plan::{Plan, Round, Sweep},
@@ -182,7 +184,7 @@ impl Run {
 /// The size of the mirror, which the job `mirror` has left.
 pub fn read_size(sweep: &Sweep, dir: &Path) -> Result<Size, Failure> {
     let path = dir.join(sweep.mirror_file());
-    let bytes = fs::read(&path).map_err(|e| {
+    let bytes = read_regular(&path).map_err(|e| {
         let problem = format!("cannot read: {e}; make the mirror first (--layer mirror)");
         Failure::new(format!("{}: {problem}", path.display()))
     })?;
@@ -361,7 +363,7 @@ impl Work<'_> {
     /// Makes a plan; its row, or how a stage was killed.
     fn plan(&self, plan: &Plan) -> Result<Result<Row, String>, Failure> {
         let problem = self.no_path(plan);
-        if let Ok(bytes) = fs::read(&problem) {
+        if let Ok(bytes) = read_regular(&problem) {
             let NoPath { message } =
                 serde_json::from_slice(&bytes).map_err(|e| unreadable(&problem, &e))?;
             return Ok(Ok(Row::failed(&plan.id, message)));
@@ -389,7 +391,7 @@ impl Work<'_> {
     fn numbers(&self, plan: &Plan) -> Result<Numbers, Failure> {
         let outcome = |dir: String| -> Result<(PathBuf, Value), Failure> {
             let path = self.dir.join(dir).join(MANIFEST);
-            let bytes = fs::read(&path).map_err(|e| unreadable(&path, &e))?;
+            let bytes = read_regular(&path).map_err(|e| unreadable(&path, &e))?;
             let manifest: Manifest =
                 serde_json::from_slice(&bytes).map_err(|e| unreadable(&path, &e))?;
             Ok((path, manifest.outcome))
