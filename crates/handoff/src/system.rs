@@ -1,6 +1,6 @@
 //! Everything that depends on the operating system. No other module asks which system it runs on.
 //!
-//! The module `system` below has three parts: `unix`, `other`, and what Linux alone knows. A port begins here, and
+//! The module `calls` below has three parts: `unix`, `other`, and what Linux alone knows. A port begins here, and
 //! `docs/stability.md` says what each system lacks.
 
 use std::{
@@ -10,7 +10,7 @@ use std::{
     process::Command,
 };
 
-pub(crate) use system::{directory_stamp, file_identity, inode, is_at, on_end_signals};
+pub(crate) use calls::{directory_stamp, file_identity, inode, is_at, on_end_signals};
 
 /// Exchanges `from` and `to` in one step, or renames `from` to `to` where nothing is there. Returns true if they were
 /// exchanged. The error is of the kind `Unsupported` or `InvalidInput` if the system or the file system cannot do it.
@@ -45,22 +45,22 @@ pub fn end_with_parent() {
 /// Elsewhere than on Unix this process waits with the lock, and ends with the exit code. Returns only if the command
 /// cannot be run.
 pub fn become_command(command: Command, lock: File) -> io::Error {
-    system::become_command(command, lock)
+    calls::become_command(command, lock)
 }
 
 /// Lets every process that this one starts inherit the open `lock`: it is free when the last of them has ended, and not
 /// before, even if some are killed. Elsewhere than on Unix this process alone has it.
 pub fn let_inherit(lock: &File) -> io::Result<()> {
-    system::let_inherit(lock)
+    calls::let_inherit(lock)
 }
 
 /// Makes a symbolic link at `link` to `target`. A system without them makes none, which is no error.
 pub fn symbolic_link(target: &Path, link: &Path) -> io::Result<()> {
-    system::symbolic_link(target, link)
+    calls::symbolic_link(target, link)
 }
 
 #[cfg(unix)]
-mod system {
+mod calls {
     use super::*;
     use std::{
         os::unix::{
@@ -124,7 +124,7 @@ mod system {
 }
 
 #[cfg(not(unix))]
-mod system {
+mod calls {
     use super::*;
 
     /// Returns true if something is at `path`: whether it is the open `file` is unknown here.

@@ -562,6 +562,7 @@ fn a_wrong_setting_is_named_with_the_remedy_and_nothing_runs() {
         refused(&ended, &[said]);
         assert!(log.is_empty() && !dir.path().join("out").exists(), "{arguments:?}");
     }
+}
 
 /// A pipe in the place of a file would be read for ever.
 #[cfg(unix)]
