@@ -41,7 +41,7 @@ const ANGLE_TOLERANCE_RAD: f64 = 2e-15;
 /// of acceleration. Smaller: rounding keeps the steps going. Chosen: some hundred roundings.
 const BEND_TOLERANCE_RAD: f64 = 2e-13;
 
-/// How the curve begins or ends.
+/// Beginning or end of the curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum End {
     /// The machine rests at the outermost point.
@@ -86,7 +86,7 @@ impl Arc {
     }
 }
 
-/// What joins two points.
+/// Kind of the curve between two points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Shape {
     /// A clothoid.

@@ -465,7 +465,7 @@ fn runs(path: &ToolPath, at: &[usize], longest_mm: f64) -> Vec<Vec<usize>> {
     runs
 }
 
-/// What follows a chord.
+/// Place between a chord and the next one.
 #[derive(Clone, Copy)]
 enum Vertex {
     /// The machine rests.
