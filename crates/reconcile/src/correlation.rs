@@ -10,8 +10,8 @@
 //! with `L >= 5 l(L)` (Madras and Sokal's automatic window, in two dimensions). A Gaussian correlation exp(-h^2 / 2 s^2)
 //! has l = sqrt(2) s, and what lies beyond the flat part, 3.5 s, is 0.2 % of it.
 //!
-//! Where the model misses something, the rest is white noise and a weak field of long waves. Its share of C(0) is small,
-//! its share of the integral is not. So L is only taken if the sum of C/C(0) out to any further lag is larger by no more
+//! Where the model misses something, the rest is white noise and a weak field of long waves. Its part of C(0) is small,
+//! its part of the integral is not. So L is only taken if the sum of C/C(0) out to any further lag is larger by no more
 //! than noise makes it, `5 S (2 sum 1/N(h))^1/2` over the lags beyond, S the sum up to L. Otherwise the search goes on
 //! from that lag. The window goes no further than half of the longer side, or to where the fit itself would decide: see
 //! `LARGEST_LOST`.

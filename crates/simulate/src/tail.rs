@@ -24,7 +24,7 @@ const END: f64 = 1e-5;
 
 /// Largest half size of the TIF with its tail, over that without. Larger: more samples of a tail that falls slowly.
 /// Smaller: such a tail ends with a step. Chosen.
-const LARGEST: f64 = 2.0;
+const LARGEST_OVER_HALF: f64 = 2.0;
 
 /// Largest volume of the tail over that of the samples. Larger: a baseline that is left in the TIF becomes a tail.
 /// Smaller: a spot that is cut close keeps its cut. Chosen.
@@ -68,7 +68,8 @@ pub fn continued(tif: &Tif) -> Result<Option<Tif>, Invalid> {
     let end = (nearest + two_s2 * (last / (END * peak)).ln()).sqrt();
     let with_more = |axis: &Axis| -> Result<(usize, Axis), Invalid> {
         let half = axis.start_mm().abs().max(axis.end_mm().abs());
-        let more = ((end.min(LARGEST * half) - half).max(0.0) / axis.step_mm()).ceil() as usize;
+        let more =
+            ((end.min(LARGEST_OVER_HALF * half) - half).max(0.0) / axis.step_mm()).ceil() as usize;
         let start = axis.start_mm() - more as f64 * axis.step_mm();
         Ok((more, Axis::new(start, axis.step_mm(), axis.len() + 2 * more)?))
     };
