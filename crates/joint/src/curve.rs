@@ -13,7 +13,7 @@
 //! follows it: there the machine comes to rest, and the next curve begins.
 //!
 //! The points of a bent path, such as a spiral, are no corners. Where several vertices in a row turn little, the curve
-//! goes through them with the curvature of the path ([`crate::clothoid_spline`]). Corners there would have several times
+//! goes through them with the curvature of the path (`clothoid_spline`). Corners there would have several times
 //! this curvature, and lines between them.
 //!
 //! | symbol | variable | unit |

@@ -396,7 +396,7 @@ fn full_run() -> Vec<Claim> {
             format!("{} mm", significant(error_mm, 2)),
             error_mm <= trig_spline::Settings::default().fit_tolerance_mm,
         )
-        .remark(format!("{ticks} positions; they are on the spline but for rounding, the motion is fitted to it within 1e-6 mm")),
+        .remark(format!("{:.3e} positions; they are on the spline but for rounding, the motion is fitted to it within 1e-6 mm", ticks as f64)),
     ]
 }
 
