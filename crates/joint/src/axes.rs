@@ -24,9 +24,9 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::{
-    curve::Station,
     further::{FurtherAxes, FurtherLimits},
     jerk::Average,
+    piece::Station,
 };
 
 /// Least and largest number of intervals of a cubic piece between the times at which it is judged. Larger: more time

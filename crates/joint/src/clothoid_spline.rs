@@ -28,6 +28,8 @@ use planish_numerics::{
     motion::clothoid,
 };
 
+use crate::piece::{Piece, Station};
+
 /// Largest number of steps for the headings, and of shifts for a clothoid. Larger: more time for points that no spline
 /// of small turns goes through. Smaller: such splines are given up that need a step more. Chosen: each step leaves a
 /// fraction of the error, of the order of the square of the turn.
@@ -49,41 +51,6 @@ pub enum End {
     /// The curve leaves a straight line at the outermost point, with this fraction f of its first length up to the place
     /// where the curvature has a kink.
     Line(f64),
-}
-
-/// A clothoid of the curve.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Arc {
-    /// Start, mm.
-    pub point_mm: [f64; 2],
-    /// Unit vector along the curve at the start.
-    pub tangent: [f64; 2],
-    /// Curvature at both ends, positive to the left, 1/mm.
-    pub curvature_per_mm: [f64; 2],
-    /// Arc length, mm.
-    pub length_mm: f64,
-}
-
-impl Arc {
-    /// Change of curvature over length, 1/mm^2.
-    pub fn sharpness_per_mm2(&self) -> f64 {
-        (self.curvature_per_mm[1] - self.curvature_per_mm[0]) / self.length_mm
-    }
-
-    /// Point at an arc length from its start, mm.
-    pub fn point_mm(&self, s_mm: f64) -> [f64; 2] {
-        let step = clothoid::position(self.curvature_per_mm[0], self.sharpness_per_mm2(), s_mm);
-        plus(self.point_mm, turned(step, self.tangent))
-    }
-
-    /// Unit vector along the curve at its end.
-    fn last_tangent(&self) -> [f64; 2] {
-        let curvature = self.curvature_per_mm[0];
-        turned(
-            direction(clothoid::heading(curvature, self.sharpness_per_mm2(), self.length_mm)),
-            self.tangent,
-        )
-    }
 }
 
 /// Kind of the curve between two points.
@@ -194,15 +161,14 @@ pub fn through(
     points_mm: &[[f64; 2]],
     ends: [End; 2],
     lines: [[f64; 2]; 2],
-) -> Option<Vec<Vec<Arc>>> {
+) -> Option<Vec<Vec<Piece>>> {
     let mut spline = Spline::new(points_mm, ends, lines);
     for _ in 0..MOST_STEPS {
         let joined = spline.joined()?;
-        let step = spline.step(&joined);
-        let is_done = spline.is_continuous(&joined);
-        if is_done {
+        if spline.is_continuous(&joined) {
             return Some(spline.arcs(points_mm, &joined));
         }
+        let step = spline.step(&joined);
         spline.angles_rad.iter_mut().zip(step).for_each(|(angle, step)| *angle += step);
     }
     None
@@ -300,15 +266,22 @@ impl Spline {
         tridiagonal::solve(n + 1, row)
     }
 
-    fn arcs(&self, points_mm: &[[f64; 2]], joined: &[(f64, Bends)]) -> Vec<Vec<Arc>> {
+    fn arcs(&self, points_mm: &[[f64; 2]], joined: &[(f64, Bends)]) -> Vec<Vec<Piece>> {
         let of = |(k, (length_mm, bends)): (usize, &(f64, Bends))| {
-            let (mut point_mm, mut tangent) =
-                (points_mm[k], turned(direction(self.angles_rad[k]), self.chords[k].along));
+            let tangent = turned(direction(self.angles_rad[k]), self.chords[k].along);
+            let mut there = Station { point_mm: points_mm[k], tangent, curvature_per_mm: 0.0 };
             let mut arcs = Vec::with_capacity(2);
             for (part, curvatures) in bends.parts() {
-                let curvature_per_mm = curvatures.map(|c| c / length_mm);
-                let arc = Arc { point_mm, tangent, curvature_per_mm, length_mm: part * length_mm };
-                (point_mm, tangent) = (arc.point_mm(arc.length_mm), arc.last_tangent());
+                let [curvature_per_mm, end_per_mm] = curvatures.map(|c| c / length_mm);
+                let length_mm = part * length_mm;
+                let arc = Piece {
+                    start: Station { curvature_per_mm, ..there },
+                    sharpness_per_mm2: (end_per_mm - curvature_per_mm) / length_mm,
+                    from_mm: 0.0,
+                    length_mm,
+                    segment: 0,
+                };
+                there = arc.at(length_mm);
                 arcs.push(arc);
             }
             arcs
@@ -341,14 +314,14 @@ mod tests {
     use super::*;
 
     /// Largest steps of position (mm), direction and curvature times length from arc to arc.
-    fn steps(arcs: &[Arc]) -> [f64; 3] {
+    fn steps(arcs: &[Piece]) -> [f64; 3] {
         let mut most = [0.0f64; 3];
         for w in arcs.windows(2) {
-            let end = w[0].point_mm(w[0].length_mm);
-            let (t, u) = (w[0].last_tangent(), w[1].tangent);
-            let bend = (w[0].curvature_per_mm[1] - w[1].curvature_per_mm[0]) * w[0].length_mm;
+            let (end, start) = (w[0].at(w[0].length_mm), w[1].start);
+            let (t, u) = (end.tangent, start.tangent);
+            let bend = (end.curvature_per_mm - start.curvature_per_mm) * w[0].length_mm;
             let of = [
-                (end[0] - w[1].point_mm[0]).hypot(end[1] - w[1].point_mm[1]),
+                (end.point_mm[0] - start.point_mm[0]).hypot(end.point_mm[1] - start.point_mm[1]),
                 (t[0] - u[0]).hypot(t[1] - u[1]),
                 bend.abs(),
             ];
@@ -366,7 +339,7 @@ mod tests {
         assert_eq!(arcs.len(), 8);
         for arc in arcs {
             assert!((arc.length_mm - radius * part).abs() < 1e-13);
-            for curvature in arc.curvature_per_mm {
+            for curvature in arc.curvatures_per_mm() {
                 assert!((curvature * radius - 1.0).abs() < 1e-12, "{curvature}");
             }
         }
@@ -394,8 +367,9 @@ mod tests {
             );
             if ends[0] == End::Line(0.4) {
                 let (first, last) = (arcs[0], arcs[arcs.len() - 1]);
-                assert_eq!((first.curvature_per_mm[0], last.curvature_per_mm[1]), (0.0, 0.0));
-                for (a, b) in [(first.tangent, lines[0]), (last.last_tangent(), lines[1])] {
+                let end = last.at(last.length_mm);
+                assert_eq!((first.start.curvature_per_mm, end.curvature_per_mm), (0.0, 0.0));
+                for (a, b) in [(first.start.tangent, lines[0]), (end.tangent, lines[1])] {
                     assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 1e-13);
                 }
             }
@@ -414,7 +388,7 @@ mod tests {
             let of = |k: usize| {
                 let a = angle(k);
                 let kappa = (2.0 + a * a) / (b * (1.0 + a * a).powf(1.5));
-                (arcs[k].curvature_per_mm[0] / kappa - 1.0).abs()
+                (arcs[k].start.curvature_per_mm / kappa - 1.0).abs()
             };
             (n / 4..3 * n / 4).map(of).fold(0.0, f64::max)
         };

@@ -28,7 +28,10 @@ use std::{collections::BTreeMap, f64::consts::PI};
 use planish_numerics::motion::clothoid;
 use planish_types::ToolPath;
 
-use crate::clothoid_spline::{Arc, End, angle_between, through};
+use crate::{
+    clothoid_spline::{End, angle_between, through},
+    piece::{Piece, Station},
+};
 
 /// Largest turn of a corner, rad. At a sharper turn the path goes back on itself: the machine rests there and the
 /// next curve begins. Larger: corners with a very small radius, which the tool must pass slowly. Smaller: more rests.
@@ -91,102 +94,6 @@ pub struct Rounding {
     /// Upper limit of the least radius of a corner, mm. Corners are not made wider, even if the deviation would allow
     /// it.
     pub radius_mm: f64,
-}
-
-/// Position, direction and curvature at a place on a curve.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Station {
-    /// Position, mm.
-    pub point_mm: [f64; 2],
-    /// Unit vector along the curve.
-    pub tangent: [f64; 2],
-    /// Curvature, positive to the left, 1/mm.
-    pub curvature_per_mm: f64,
-}
-
-/// A part of a curve whose curvature is linear in the arc length.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Piece {
-    start: Station,
-    /// Change of curvature over length, 1/mm^2.
-    sharpness_per_mm2: f64,
-    /// Arc length from the start of the curve, mm.
-    pub from_mm: f64,
-    /// Its own arc length, mm.
-    pub length_mm: f64,
-    /// Segment of the tool path that it follows.
-    pub segment: usize,
-}
-
-impl Piece {
-    /// The station at a length from the start of the piece, mm.
-    pub fn at(&self, s: f64) -> Station {
-        let Station { point_mm, tangent, curvature_per_mm } = self.start;
-        let [along, across] = clothoid::position(curvature_per_mm, self.sharpness_per_mm2, s);
-        let step =
-            [tangent[0] * along - tangent[1] * across, tangent[1] * along + tangent[0] * across];
-        let (tangent, curvature_per_mm) = self.direction(s);
-        let point_mm = [point_mm[0] + step[0], point_mm[1] + step[1]];
-        Station { point_mm, tangent, curvature_per_mm }
-    }
-
-    /// Unit vector along the curve, and curvature (1/mm), at a length from the start of the piece, mm.
-    pub fn direction(&self, s: f64) -> ([f64; 2], f64) {
-        let Station { tangent, curvature_per_mm: curvature, .. } = self.start;
-        let (sin, cos) = clothoid::heading(curvature, self.sharpness_per_mm2, s).sin_cos();
-        let turned = [tangent[0] * cos - tangent[1] * sin, tangent[1] * cos + tangent[0] * sin];
-        (turned, curvature + self.sharpness_per_mm2 * s)
-    }
-
-    /// Returns true if the piece is a straight line.
-    pub fn is_straight(&self) -> bool {
-        self.start.curvature_per_mm == 0.0 && self.sharpness_per_mm2 == 0.0
-    }
-
-    /// Largest change of the heading on it, rad.
-    pub fn turn_rad(&self) -> f64 {
-        clothoid::heading(self.start.curvature_per_mm, self.sharpness_per_mm2, self.length_mm).abs()
-    }
-
-    /// Curvature at its start and at its end, 1/mm.
-    fn curvatures_per_mm(&self) -> [f64; 2] {
-        let from = self.start.curvature_per_mm;
-        [from, from + self.sharpness_per_mm2 * self.length_mm]
-    }
-
-    /// Largest curvature, without its sign, 1/mm.
-    pub fn most_curvature_per_mm(&self) -> f64 {
-        let [from, to] = self.curvatures_per_mm();
-        from.abs().max(to.abs())
-    }
-
-    /// Change of its curvature over the largest one; 0 on a line.
-    pub fn change_of_curvature(&self) -> f64 {
-        let [from, to] = self.curvatures_per_mm();
-        let most = from.abs().max(to.abs());
-        if most > 0.0 { (to - from).abs() / most } else { 0.0 }
-    }
-
-    /// Integral of the square root of the curvature without its sign, mm^(1/2).
-    fn bend(&self) -> f64 {
-        let [from, to] = self.curvatures_per_mm();
-        let (a, b) = (from.abs().sqrt(), to.abs().sqrt());
-        let mean = if from * to < 0.0 {
-            // Two ramps from 0
-            (a.powi(3) + b.powi(3)) / (a * a + b * b)
-        } else if a + b > 0.0 {
-            // (b^3 - a^3) / (b^2 - a^2), without its pole at a = b
-            (a * a + a * b + b * b) / (a + b)
-        } else {
-            0.0
-        };
-        2.0 / 3.0 * self.length_mm * mean
-    }
-
-    /// Arc length of its end from the start of the curve, mm.
-    pub fn to_mm(&self) -> f64 {
-        self.from_mm + self.length_mm
-    }
 }
 
 /// A corner of a curve.
@@ -500,7 +407,7 @@ fn blend(
 /// A bent part of a path: the clothoids along its chords.
 struct Bent {
     /// For each chord in order: part of its length, as fractions, and the clothoid along it.
-    arcs: Vec<(usize, [f64; 2], Arc)>,
+    arcs: Vec<(usize, [f64; 2], Piece)>,
     /// Length of the last chord that it takes, mm.
     taken_mm: f64,
     deviation_mm: f64,
@@ -522,49 +429,48 @@ impl Bent {
         let of_line =
             |line: usize, next: usize| 0.5 * chords[line].length_mm.min(chords[next].length_mm);
         let (lead_mm, trail_mm) = (of_line(first, first + 1), of_line(last + 1, last));
-        let mut points: Vec<[f64; 2]> = Vec::with_capacity(last - first + 3);
-        let mut ends = [End::Rest; 2];
-        if from_rest {
-            points.push(chords[first].from);
-            points.push(chords[first].to);
-        } else {
-            points.push(chords[first].at(chords[first].length_mm - lead_mm));
-            ends[0] = End::Line(lead_mm / (lead_mm + chords[first + 1].length_mm));
-        }
-        points.extend(chords[first + 1..last].iter().map(|c| c.to));
-        if to_rest {
-            points.push(chords[last].to);
-            points.push(chords[last + 1].to);
-        } else {
-            points.push(chords[last + 1].at(trail_mm));
-            ends[1] = End::Line(trail_mm / (trail_mm + chords[last].length_mm));
-        }
-        let lines = [chords[first].tangent, chords[last + 1].tangent];
-        let arcs = through(&points, ends, lines)?.concat();
-        let mut parts: Vec<[f64; 2]> = vec![[0.0, 1.0]; last + 2 - first];
-        if !from_rest {
-            parts[0][0] = 1.0 - lead_mm / chords[first].length_mm;
-        }
-        let taken_mm = if to_rest { chords[last + 1].length_mm } else { trail_mm };
-        if !to_rest {
-            parts[last + 1 - first][1] = trail_mm / chords[last + 1].length_mm;
-        }
-        let along = (first..).zip(parts).zip(arcs).map(|((chord, part), arc)| (chord, part, arc));
+        let (before, after) = (&chords[first], &chords[last + 1]);
+        // Point, end, first vertex that is a point, and fraction of the chord at which the curve begins; and likewise ends
+        let (start, first_end, from, begin) = match from_rest {
+            true => (before.from, End::Rest, first, 0.0),
+            false => {
+                let end = End::Line(lead_mm / (lead_mm + chords[first + 1].length_mm));
+                let fraction = 1.0 - lead_mm / before.length_mm;
+                (before.at(before.length_mm - lead_mm), end, first + 1, fraction)
+            }
+        };
+        let (stop, last_end, to, taken_mm) = match to_rest {
+            true => (after.to, End::Rest, last, after.length_mm),
+            false => {
+                let end = End::Line(trail_mm / (trail_mm + chords[last].length_mm));
+                (after.at(trail_mm), end, last - 1, trail_mm)
+            }
+        };
+        let vertices_mm = chords[from..=to].iter().map(|c| c.to);
+        let points: Vec<[f64; 2]> =
+            std::iter::once(start).chain(vertices_mm).chain(std::iter::once(stop)).collect();
+        let arcs = through(&points, [first_end, last_end], [before.tangent, after.tangent])?;
+        let part = |chord: usize| {
+            let begins = if chord == first { begin } else { 0.0 };
+            let ends = if chord == last + 1 { taken_mm / after.length_mm } else { 1.0 };
+            [begins, ends]
+        };
+        let along = (first..).zip(arcs.concat()).map(|(chord, arc)| (chord, part(chord), arc));
         let mut bent = Self { arcs: along.collect(), taken_mm, deviation_mm: 0.0 };
         bent.deviation_mm = bent.deviation_mm(chords);
         let corner = |i: usize| {
             blend(chords, vertices, i, rounding).map(|(turn, b)| turn.abs() / b.half_length_mm)
         };
         let of_corners = (first..=last).filter_map(corner).fold(0.0, f64::max);
-        let curvatures = bent.arcs.iter().flat_map(|(_, _, arc)| arc.curvature_per_mm);
-        let most = curvatures.map(f64::abs).fold(0.0, f64::max);
+        let curvatures = bent.arcs.iter().map(|(_, _, arc)| arc.most_curvature_per_mm());
+        let most = curvatures.fold(0.0, f64::max);
         (bent.deviation_mm <= rounding.deviation_mm && most < of_corners).then_some(bent)
     }
 
     /// Largest distance of ends and middles of the clothoids from their chords, mm.
     fn deviation_mm(&self, chords: &[Chord]) -> f64 {
-        let of = |(chord, _, arc): &(usize, [f64; 2], Arc)| {
-            [0.5, 1.0].map(|f| chords[*chord].distance_mm(arc.point_mm(f * arc.length_mm)))
+        let of = |(chord, _, arc): &(usize, [f64; 2], Piece)| {
+            [0.5, 1.0].map(|f| chords[*chord].distance_mm(arc.at(f * arc.length_mm).point_mm))
         };
         self.arcs.iter().flat_map(of).fold(0.0, f64::max)
     }
@@ -650,22 +556,10 @@ impl Curve {
     fn follow(&mut self, chords: &[Chord], bent: &Bent) {
         for (chord, [from, to], arc) in &bent.arcs {
             let chord = &chords[*chord];
-            let start = Station {
-                point_mm: arc.point_mm,
-                tangent: arc.tangent,
-                curvature_per_mm: arc.curvature_per_mm[0],
-            };
-            let whole = Piece {
-                start,
-                sharpness_per_mm2: arc.sharpness_per_mm2(),
-                from_mm: 0.0,
-                length_mm: arc.length_mm,
-                segment: 0,
-            };
             let [first, last] = [from, to].map(|f| f * chord.length_mm);
             for (segment, from_mm, to_mm) in chord.parts(first, last) {
                 let fractions = [from_mm, to_mm].map(|s| (s - first) / (last - first));
-                self.push_part(&whole, fractions, segment);
+                self.push_part(arc, fractions, segment);
             }
         }
         self.bent_deviation_mm = self.bent_deviation_mm.max(bent.deviation_mm);

@@ -32,8 +32,9 @@ use rayon::prelude::*;
 
 use crate::{
     axes::{Further, Scaled},
-    curve::{Curve, Piece},
+    curve::Curve,
     mesh::{Kinematics, Mesh, Span},
+    piece::Piece,
 };
 
 /// Largest turn between two places of (1) on a clothoid, rad. Larger: fewer rows, and more acceleration between the

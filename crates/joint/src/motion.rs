@@ -11,8 +11,9 @@ use rayon::prelude::*;
 
 use crate::{
     axes::Further,
-    curve::{Curve, Piece},
+    curve::Curve,
     mesh::{Mesh, Span},
+    piece::Piece,
 };
 
 /// Largest difference of the acceleration at the ends of a cubic piece from that of q(s(u)), over the limit. Larger:

@@ -25,7 +25,7 @@ use super::{
     execute::{Programs, Said},
     place::{Place, directory_name, name_of},
     run::end,
-    several::{Given, Silent, command, plain},
+    several::{Given, Silent, command, count, plain},
 };
 
 #[derive(Args)]
@@ -67,13 +67,6 @@ impl Campaign {
     }
 }
 
-/// The number of runs of a campaign.
-fn number_of_runs(text: &str) -> Result<u32, Failure> {
-    let number = text.parse().ok().filter(|n| (1..=99).contains(n));
-    let number = number.filter(|_| !text.starts_with(['0', '+']));
-    number.ok_or_else(|| Failure::new(format!("runs is '{text}'; give 1 to 99")))
-}
-
 /// Runs a campaign; its last table goes where `said` says.
 pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
     let place = Place::find()?;
@@ -85,7 +78,7 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
     if given.get("export").is_some() {
         return Err(Failure::new("a campaign writes no programs; leave export out"));
     }
-    let runs = number_of_runs(&setting(&mut given, "runs", "3"))?;
+    let runs = count("runs", &setting(&mut given, "runs", "3"), 99)?;
     let definition = place.definition_of_plans(&setting(&mut given, "pipeline", "raster"))?;
     let (surface, tif) = (given.take_path("surface"), given.take_path("tif"));
     if let Some(map) = [&surface, &tif].into_iter().flatten().find(|map| Path::new(map).is_file()) {

@@ -136,6 +136,13 @@ pub fn plain(definition: &Definition) -> Vec<String> {
         .collect()
 }
 
+/// A whole number from 1 to `most`, without zeros or a sign before it.
+pub fn count(name: &str, text: &str, most: u32) -> Result<u32, Failure> {
+    let number = text.parse().ok().filter(|n| (1..=most).contains(n));
+    let number = number.filter(|_| !text.starts_with(['0', '+']));
+    number.ok_or_else(|| Failure::new(format!("{name} is '{text}'; give 1 to {most}")))
+}
+
 /// Refuses an input that is a file, or not there.
 pub fn is_directory(name: &str, path: &str) -> Result<(), Failure> {
     match () {

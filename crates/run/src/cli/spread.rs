@@ -8,7 +8,7 @@ use super::{
     execute::{Programs, Said},
     place::{Place, directory_name, name_of},
     run::end,
-    several::{Given, command, log},
+    several::{Given, command, count, log},
 };
 
 #[derive(Args)]
@@ -28,10 +28,7 @@ impl CampaignSpread {
                 "every campaign has a seed of its own; give seeds=N, how many",
             ));
         }
-        let seeds = given.take("seeds").unwrap_or("20".into());
-        let seeds: u32 = (seeds.parse().ok())
-            .filter(|n| (1..=999).contains(n) && !seeds.starts_with(['0', '+']))
-            .ok_or_else(|| Failure::new(format!("seeds is '{seeds}'; give 1 to 999")))?;
+        let seeds = count("seeds", &given.take("seeds").unwrap_or("20".into()), 999)?;
         let surface = given.get("surface").map(|path| name_of(path.as_ref()));
         let mirror = surface.or(given.words.last().cloned()).or(given.get("fixture"));
         let out = given.take_path("out").unwrap_or_else(|| {
