@@ -21,7 +21,7 @@
 //! | [`mod@motion`] | the cubic pieces in time |
 //! | [`jerk`] | the average of the motion in time, if the machine limits jerk |
 //! | `settings` | settings of the plan |
-//! | [`mod@plan`] | all of it, judged as it will be executed |
+//! | `plan` | all of it, judged as it will be executed |
 
 pub mod axes;
 pub mod certificate;
