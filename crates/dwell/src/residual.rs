@@ -47,9 +47,8 @@ use crate::{
 pub struct Residual<'a> {
     desired: &'a Surface,
     tif: Cow<'a, Tif>,
-    places_mm: &'a [[f64; 2]],
-    /// Factor of the rate at every place.
-    rates: Vec<f64>,
+    /// Places of the tool with the factor of the rate there.
+    places: Vec<Place>,
     /// Weights of the pixels; their sum is 1.
     weight: Array2<f64>,
     free: Free,
@@ -77,31 +76,30 @@ impl<'a> Residual<'a> {
         weight: Option<&Array2<f64>>,
         free: Free,
     ) -> Result<Self, DwellError> {
-        Self::with_rates(desired, tif, places_mm, vec![1.0; places_mm.len()], weight, free)
+        let places = places_mm.iter().map(|p| Place::new(*p, 1.0)).collect();
+        Self::at_places(desired, tif, places, weight, free)
     }
 
-    /// [`Self::new`] with a factor of the rate at every place (n): that of the time at which the tool is there.
-    pub fn with_rates(
+    /// [`Self::new`] of places with their directions; the fraction of a place is the factor of the rate there.
+    pub fn at_places(
         desired: &'a Surface,
         tif: &'a Tif,
-        places_mm: &'a [[f64; 2]],
-        rates: Vec<f64>,
+        places: Vec<Place>,
         weight: Option<&Array2<f64>>,
         free: Free,
     ) -> Result<Self, DwellError> {
         let tif = tif.without_zero_margins();
         let mut weight = pixel_weights(desired, weight)?;
         weight /= weight.sum();
-        let alone = |(p, rate): (&[f64; 2], &f64)| vec![Place { position_mm: *p, fraction: *rate }];
-        let places: Vec<Vec<Place>> = places_mm.iter().zip(&rates).map(alone).collect();
-        let operator = Operator::new(&places, &tif, desired.grid())?;
+        let columns: Vec<Vec<Place>> = places.iter().map(|place| vec![*place]).collect();
+        let operator = Operator::new(&columns, &tif, desired.grid())?;
         let largest = operator.adjoint(&weight).into_iter().fold(0.0, f64::max);
         if largest <= FFT_ROUNDING * tif.peak_nm_per_s() {
-            return Err(DwellError::OutOfReach { points: places_mm.len() });
+            return Err(DwellError::OutOfReach { points: places.len() });
         }
         let basis = Basis::new(desired.grid(), &weight, free);
         let cell_size = cell_size(&tif, desired.grid(), MAX_LOSS_FACTORISED);
-        Ok(Self { desired, tif, places_mm, rates, weight, free, basis, operator, cell_size })
+        Ok(Self { desired, tif, places, weight, free, basis, operator, cell_size })
     }
 
     /// Limits the side of the cells of the normal matrices, pixels.
@@ -158,9 +156,9 @@ impl<'a> Residual<'a> {
         columns: &[Vec<(usize, f64)>],
         known: Option<Known>,
     ) -> Result<Normal, Invalid> {
-        let place = |(index, time): &(usize, f64)| Place {
-            position_mm: self.places_mm[*index],
-            fraction: self.rates[*index] * time,
+        let place = |(index, time): &(usize, f64)| {
+            let place = self.places[*index];
+            Place { fraction: place.fraction * time, ..place }
         };
         let places: Vec<Vec<Place>> =
             columns.iter().map(|column| column.iter().map(place).collect()).collect();

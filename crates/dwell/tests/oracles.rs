@@ -54,9 +54,18 @@ fn varying() -> Tif {
         Grid { x: Axis::new(-1.0, 12.0, 2).unwrap(), y: Axis::new(-1.0, 9.0, 2).unwrap() };
     let weight = |a: [f64; 4]| Array2::from_shape_vec((2, 2), a.to_vec()).unwrap();
     let weights = vec![weight([0.8, 1.1, 1.2, 0.9]), weight([-0.5, 0.5, 0.2, -0.3])];
-    let (azimuth, pixels, time) = (None, None, None);
-    Tif::varying(VaryingTif { offsets, kernels, positions, weights, azimuth, pixels, time })
-        .unwrap()
+    let (azimuth, heading, pixels, time) = (None, None, None, None);
+    Tif::varying(VaryingTif {
+        offsets,
+        kernels,
+        positions,
+        weights,
+        azimuth,
+        heading,
+        pixels,
+        time,
+    })
+    .unwrap()
 }
 
 /// B t of the bell.

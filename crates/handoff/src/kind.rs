@@ -201,7 +201,7 @@ pub const TIF: Kind = Kind {
 /// Kind of a tool that is not the same everywhere.
 pub const TOOL: Kind = Kind {
     name: "tool",
-    version: 4,
+    version: 5,
     doc: "A tool influence function that varies over the part. The removal rate at the pixel x of a tool at p is a sum over \
           the kernels: weight of the kernel at p, times its rate at x - p. The factor of the pixel and the factor of the \
           time since the start of the motion multiply it. Every flag `--tif` takes it. Kernels, weights and the factor of the \
@@ -316,6 +316,28 @@ pub const TOOL: Kind = Kind {
                 "Point of the part about which the tool turns.",
             ),
             4,
+        ),
+        may_be_absent(
+            array(
+                "heading_weight",
+                Dtype::F64,
+                &["k", "nh"],
+                &["kernel", "heading"],
+                "1",
+                "Factor of the weight of every kernel by the direction of the motion, for tools that turn with it.",
+            ),
+            5,
+        ),
+        may_be_absent(
+            array(
+                "heading_deg",
+                Dtype::F64,
+                &["nh"],
+                &["heading"],
+                "deg",
+                "Directions of these factors from positive x towards positive y: uniform over one turn, without its end.",
+            ),
+            5,
         ),
     ],
     files: &[],

@@ -6,7 +6,7 @@ use ndarray::{Array1, Array2, Array3, ArrayD, Axis as NdAxis, Ix1, Ix2, Ix3};
 use planish_types::{
     AxesMotion, Axis, AzimuthWeights, DensityNodes, DwellDensity, DwellTime, Grid, Invalid,
     PixelFactor, Removal, RemovalMaps, Surface, Tif, TimeFactor, ToolPath, Trajectory, Transform,
-    VaryingTif, dwell_index_from_stored, stored_dwell_index,
+    TurnWeights, VaryingTif, dwell_index_from_stored, stored_dwell_index,
 };
 
 use crate::{
@@ -98,8 +98,9 @@ impl Artifact for Tool {
     const KIND: &'static Kind = &kind::TOOL;
 
     fn to_arrays(&self) -> Vec<ArrayData<'_>> {
-        let VaryingTif { offsets, kernels, positions, weights, azimuth, pixels, time } =
+        let VaryingTif { offsets, kernels, positions, weights, azimuth, heading, pixels, time } =
             self.0.numbers();
+        let turns = azimuth.is_some() || heading.is_some();
         let mut arrays = vec![
             stacked(&kernels),
             axis_array(&offsets.x),
@@ -108,25 +109,33 @@ impl Artifact for Tool {
             axis_array(&positions.x),
             axis_array(&positions.y),
         ];
-        // Arrays may be absent at the end only. One time, and pixels with the factor 1, say that there is no such
-        // factor.
-        if time.is_some() || pixels.is_some() || azimuth.is_some() {
+        // Arrays may be absent at the end only. One time, pixels with the factor 1, and one azimuth with the factor 1 say
+        // that there is no such factor.
+        if time.is_some() || pixels.is_some() || turns {
             let none = TimeFactor { time_s: vec![0.0], factor: vec![1.0] };
             let TimeFactor { time_s, factor } = time.unwrap_or(none);
             arrays.extend([floats(&time_s), floats(&factor)]);
         }
-        if pixels.is_some() || azimuth.is_some() {
+        if pixels.is_some() || turns {
             let none = || PixelFactor { grid: positions, factor: Array2::ones(positions.shape()) };
             let PixelFactor { grid, factor } = pixels.unwrap_or_else(none);
             let factor = ArrayData::F64(factor.into_dyn().into());
             arrays.extend([factor, axis_array(&grid.x), axis_array(&grid.y)]);
         }
-        if let Some(azimuth) = azimuth {
-            let rows = azimuth.weights();
+        let stacked = |turn: &TurnWeights| {
+            let rows = turn.weights();
             let weights = Array2::from_shape_fn((rows.len(), rows[0].len()), |(k, i)| rows[k][i]);
-            let weights = ArrayData::F64(weights.into_dyn().into());
-            arrays.extend([weights, floats(azimuth.azimuth_deg()), floats(&azimuth.middle_mm())]);
+            [ArrayData::F64(weights.into_dyn().into()), floats(turn.angle_deg())]
+        };
+        if let Some(azimuth) = &azimuth {
+            arrays.extend(stacked(azimuth.turn()));
+            arrays.push(floats(&azimuth.middle_mm()));
+        } else if heading.is_some() {
+            let ones = Array2::<f64>::ones((kernels.len(), 1));
+            arrays.extend([ArrayData::F64(ones.into_dyn().into()), floats(&[0.0])]);
+            arrays.push(floats(&[0.0, 0.0]));
         }
+        arrays.extend(heading.iter().flat_map(stacked));
         arrays
     }
 
@@ -153,17 +162,29 @@ impl Artifact for Tool {
                 Some(PixelFactor { grid, factor })
             }
         };
-        let rows = take_map(&mut arrays, "azimuth_weight");
-        let azimuth = match rows.is_empty() {
-            true => None,
-            false => {
-                let degrees = take_vec(arrays.take_f64("azimuth_deg"));
-                let middle = take_vec(arrays.take_f64("azimuth_middle_mm"));
-                let rows = rows.outer_iter().map(|row| row.to_vec()).collect();
-                Some(AzimuthWeights::new([middle[0], middle[1]], degrees, rows)?)
-            }
+        let mut turn = |weights, angles| -> (Vec<Vec<f64>>, Vec<f64>) {
+            let rows = take_map(&mut arrays, weights);
+            let rows = rows.outer_iter().map(|row| row.to_vec()).collect();
+            (rows, take_vec(arrays.take_f64(angles)))
         };
-        let given = VaryingTif { offsets, kernels, positions, weights, azimuth, pixels, time };
+        let (by_azimuth, by_heading) =
+            (turn("azimuth_weight", "azimuth_deg"), turn("heading_weight", "heading_deg"));
+        let middle = take_vec(arrays.take_f64("azimuth_middle_mm"));
+        let is_given = |rows: &[Vec<f64>]| {
+            rows.iter().any(|row| !row.is_empty()) && rows.iter().any(|row| *row != [1.0])
+        };
+        let azimuth = match by_azimuth {
+            (rows, angles) if is_given(&rows) => {
+                Some(AzimuthWeights::new([middle[0], middle[1]], angles, rows)?)
+            }
+            _ => None,
+        };
+        let heading = match by_heading {
+            (rows, angles) if is_given(&rows) => Some(TurnWeights::by_heading(angles, rows)?),
+            _ => None,
+        };
+        let given =
+            VaryingTif { offsets, kernels, positions, weights, azimuth, heading, pixels, time };
         Tif::varying(given).map(Self)
     }
 }

@@ -9,7 +9,7 @@ use planish_handoff::{
     Artifact, Tool, artifact,
     kind::{self, Kind, MANIFEST},
 };
-use planish_types::{DwellTime, Removal, Surface, Tif, ToolPath, Trajectory};
+use planish_types::{DwellTime, Removal, Surface, Tif, ToolPath, Trajectory, VaryingTif};
 use support::{
     doubles, longs, npy, removal, save_f8, surface, tif, tool_path, trajectory, varying, write,
     write_bare,
@@ -54,6 +54,11 @@ fn a_tool_that_is_none_is_refused_with_file_and_index() {
     // place.
     let opposite = [1.0, 0.75, -1.5, 0.0, 0.0, 0.0];
     says(&tool("azimuth_weight", rows, &opposite), &["azimuth_weight", "[2]", "check kernels"]);
+    says(
+        &tool("heading_weight", "(2, 2)", &[1.0, -1.0, 0.0, 0.0]),
+        &["weight", "[0, 1]", "heading 180 degrees", "check kernels"],
+    );
+    says(&tool("heading_deg", "(2,)", &[0.0, 90.0]), &["heading_deg", "1", "is 90", "one turn"]);
     let weights = [1.0, 1.0, 1.0, 1.0, 1.0, -1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5];
     says(&tool("weight", "(2, 2, 3)", &weights), &["weight", "[1, 2]", "check kernels"]);
 }
@@ -72,14 +77,19 @@ fn every_noun_comes_back_bit_for_bit() {
     let back: Tif = artifact::read(&at("tif")).unwrap().value;
     assert_eq!((back.grid(), back.rate_nm_per_s()), (tif().grid(), tif().rate_nm_per_s()));
 
-    for factors in [false, true] {
-        let dir = at(&format!("tool-{factors}"));
-        write(&dir, &Tool(varying(factors)));
+    // With all factors, with an azimuth alone, and with a heading alone.
+    let all = varying(true).numbers();
+    let steered = VaryingTif { azimuth: None, pixels: None, time: None, ..all.clone() };
+    let tools = [varying(false), varying(true), Tif::varying(steered).unwrap()];
+    for (k, tool) in tools.into_iter().enumerate() {
+        let dir = at(&format!("tool-{k}"));
+        let sent = tool.numbers();
+        write(&dir, &Tool(tool));
         let back = artifact::read::<Tool>(&dir).unwrap().value.0.numbers();
-        let sent = varying(factors).numbers();
         assert_eq!((back.offsets, back.positions), (sent.offsets, sent.positions));
         assert_eq!((back.kernels, back.weights), (sent.kernels, sent.weights));
-        assert_eq!((back.azimuth, back.pixels, back.time), (sent.azimuth, sent.pixels, sent.time));
+        assert_eq!((back.azimuth, back.heading), (sent.azimuth, sent.heading));
+        assert_eq!((back.pixels, back.time), (sent.pixels, sent.time));
     }
 
     write(&at("tool_path"), &tool_path());

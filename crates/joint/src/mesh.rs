@@ -18,7 +18,7 @@
 use planish_numerics::quadrature::gauss_legendre;
 use planish_types::{Axis, Invalid, Tif, ToolPath, budget};
 
-use crate::curve::Curve;
+use crate::{curve::Curve, piece::Station};
 
 /// Number of Gauss points of a span in (1). Larger: a removal nearer to the integral, with more time for every model
 /// of it. Smaller: the removal of the solver differs from that of the motion. Chosen.
@@ -245,6 +245,8 @@ pub struct Mesh {
     pub nodes: usize,
     /// Gauss points of the spans with the tool on, at which the tool acts, mm.
     pub points_mm: Vec<[f64; 2]>,
+    /// Directions of the curve at the points, rad from positive x towards positive y.
+    pub headings_rad: Vec<f64>,
     /// Segment of the path of every Gauss point.
     pub segments: Vec<usize>,
     points: Vec<Point>,
@@ -293,6 +295,7 @@ impl Mesh {
         }
         let rule = gauss_legendre::<GAUSS_POINTS>();
         let (mut points, mut points_mm, mut segments) = (Vec::new(), Vec::new(), Vec::new());
+        let mut headings_rad = Vec::new();
         for (i, span) in spans.iter().enumerate() {
             let (curve, l) = (&curves[span.curve], span.length_mm());
             for (u, omega) in rule {
@@ -306,11 +309,13 @@ impl Mesh {
                 if path.tool_on()[segment] {
                     segments.push(segment);
                     points.push(Point { weight, nodes: span.nodes, span: i, s_mm: f * l });
-                    points_mm.push(curve.at(s).point_mm);
+                    let Station { point_mm, tangent, .. } = curve.at(s);
+                    points_mm.push(point_mm);
+                    headings_rad.push(tangent[1].atan2(tangent[0]));
                 }
             }
         }
-        Self { spans, nodes, points_mm, segments, points }
+        Self { spans, nodes, points_mm, headings_rad, segments, points }
     }
 
     /// (1): the time at every Gauss point for the densities of the nodes, s.

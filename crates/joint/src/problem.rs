@@ -9,6 +9,7 @@
 use ndarray::Array2;
 use planish_dwell::{
     DwellError,
+    columns::Place,
     residual::{Known, Normal, Residual},
 };
 use planish_numerics::linear::skyline::dot;
@@ -458,9 +459,14 @@ fn residual<'a>(
     settings: &Settings,
 ) -> Result<Residual<'a>, JointError> {
     let Asked { desired, tif, path, rates, .. } = *asked;
-    let rates = mesh.segments.iter().map(|j| rates[*j]).collect();
-    let places = &mesh.points_mm;
-    Residual::with_rates(desired, tif, places, rates, None, settings.free).map_err(|e| match e {
+    let poses = mesh.points_mm.iter().zip(&mesh.headings_rad).zip(&mesh.segments);
+    let place = |((position_mm, heading_rad), segment): ((&[f64; 2], &f64), &usize)| Place {
+        position_mm: *position_mm,
+        heading_rad: *heading_rad,
+        fraction: rates[*segment],
+    };
+    let places = poses.map(place).collect();
+    Residual::at_places(desired, tif, places, None, settings.free).map_err(|e| match e {
         // The points of the mesh are nothing that was given.
         DwellError::OutOfReach { .. } => DwellError::OutOfReach { points: path.len() }.into(),
         e => e.into(),

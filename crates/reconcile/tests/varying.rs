@@ -104,8 +104,17 @@ fn tool(time: Option<TimeFactor>) -> Tif {
     let map = grid();
     let pixels = Some(PixelFactor { grid: map, factor: samples(&map, |x, y| of_pixel([x, y])) });
     let offsets = offsets();
-    Tif::varying(VaryingTif { offsets, kernels, positions, weights, azimuth: None, pixels, time })
-        .unwrap()
+    Tif::varying(VaryingTif {
+        offsets,
+        kernels,
+        positions,
+        weights,
+        azimuth: None,
+        heading: None,
+        pixels,
+        time,
+    })
+    .unwrap()
 }
 
 /// The direct sum over the displaced places, four per piece, with the rate of its time.
@@ -257,6 +266,7 @@ fn a_constant_tool_in_two_kernels_gives_the_numbers_of_one() {
         positions,
         weights: vec![Array2::ones((3, 3)), Array2::ones((3, 3))],
         azimuth: None,
+        heading: None,
         pixels: None,
         time: None,
     })
@@ -295,6 +305,7 @@ fn an_ellipticity_of_a_spot_that_turns_is_held_with_the_reason() {
         positions,
         weights: vec![Array2::ones((2, 2)); 3],
         azimuth: Some(azimuth),
+        heading: None,
         pixels: None,
         time: None,
     })

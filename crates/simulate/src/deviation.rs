@@ -56,8 +56,10 @@ pub fn has_one_ellipse(tif: &Tif) -> bool {
     tif.variation().is_none_or(|v| v.azimuth_weights().is_none())
 }
 
-/// Refuses ellipticities in the budget of a tool that has none along axes of the part.
-pub fn check_ellipses(process: &ErrorBudget, tif: &Tif) -> Result<(), Invalid> {
+/// Refuses a tool that turns with the direction of its motion, which errors change, and ellipticities in the budget of a
+/// tool that has none along axes of the part.
+pub fn check_tool(process: &ErrorBudget, tif: &Tif) -> Result<(), Invalid> {
+    tif.same_in_all_directions("a simulation with errors of the process")?;
     for (i, error) in process.errors.iter().enumerate() {
         let is_ellipse = matches!(
             error.effect,

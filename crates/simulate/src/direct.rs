@@ -9,7 +9,7 @@
 //! Order 2 in 1/m for a TIF that ends smoothly, order 1 where its samples end with a step.
 
 use ndarray::Array2;
-use planish_types::{Grid, Invalid, Tif, Trajectory, Variation, progress::Pieces};
+use planish_types::{Grid, Headings, Invalid, Pose, Tif, Trajectory, Variation, progress::Pieces};
 use rayon::prelude::*;
 
 use crate::{Numerics, Tell};
@@ -18,9 +18,9 @@ use crate::{Numerics, Tell};
 /// long motions need fewer steps per segment.
 const MAX_SAMPLES: usize = 100_000_000;
 
-/// The tool at `position_mm` for `time_s`, counted at the rate of its TIF.
+/// The tool in a pose for `time_s`, counted at the rate of its TIF.
 struct Sample {
-    position_mm: [f64; 2],
+    pose: Pose,
     time_s: f64,
 }
 
@@ -56,7 +56,7 @@ pub(crate) fn removal_told(
     removal_nm.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
         let y = grid.y.at(r);
         let reach = |s: &&Sample| {
-            let d = y - s.position_mm[1];
+            let d = y - s.pose.position_mm[1];
             d >= tif.grid().y.start_mm() - grid.y.step_mm()
                 && d <= tif.grid().y.end_mm() + grid.y.step_mm()
         };
@@ -89,8 +89,8 @@ fn at(samples: &[&Sample], tif: &Tif, x_mm: f64, y_mm: f64) -> f64 {
     samples
         .iter()
         .map(|s| {
-            let offset_mm = [x_mm - s.position_mm[0], y_mm - s.position_mm[1]];
-            s.time_s * tif.rate_of_tool_at(s.position_mm, offset_mm)
+            let [x, y] = s.pose.position_mm;
+            s.time_s * tif.rate_of_tool_at(s.pose, [x_mm - x, y_mm - y])
         })
         .sum()
 }
@@ -98,13 +98,14 @@ fn at(samples: &[&Sample], tif: &Tif, x_mm: f64, y_mm: f64) -> f64 {
 fn samples(trajectory: &Trajectory, tif: &Tif, steps: usize) -> Vec<Sample> {
     let time = tif.variation().and_then(Variation::time_factor);
     let mut samples = Vec::with_capacity(trajectory.len() * steps);
-    for segment in trajectory.segments().filter(|s| s.tool_on) {
+    let headings = Headings::new(trajectory);
+    for (k, segment) in trajectory.segments().enumerate().filter(|(_, s)| s.tool_on) {
         let time_s = segment.duration_s / steps as f64;
         samples.extend((0..steps).map(|q| {
             let u_s = (q as f64 + 0.5) * time_s;
             let factor = time.map_or(1.0, |time| time.at(segment.start_s + u_s));
             Sample {
-                position_mm: segment.position_mm(u_s),
+                pose: headings.pose(k, &segment, u_s),
                 time_s: segment.rate_factor * factor * time_s,
             }
         }));

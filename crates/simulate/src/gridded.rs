@@ -55,7 +55,9 @@ use planish_numerics::fft::{
     lane_convolution::{field_size, is_field_size},
     tiles::field_work,
 };
-use planish_types::{Component, Grid, Invalid, Tif, Trajectory, budget, progress::Pieces};
+use planish_types::{
+    Component, Grid, Headings, Invalid, Tif, Trajectory, budget, progress::Pieces,
+};
 use rayon::prelude::*;
 
 use crate::{
@@ -132,8 +134,10 @@ impl Plan {
     ) -> (Array2<f64>, Numerics) {
         let count = self.kernels.len() as f64;
         let variation = self.varying.as_ref().and_then(Tif::variation);
+        let headings = Headings::new(trajectory);
+        let headings = &headings;
         let of = |(k, kernel): (usize, &OfKernel)| {
-            let weight = variation.map(|variation| Weight { variation, kernel: k });
+            let weight = variation.map(|variation| Weight { variation, kernel: k, headings });
             let tell = |part: f64| tell((k as f64 + part) / count);
             kernel.removal_told(trajectory, weight.as_ref(), &tell)
         };

@@ -29,7 +29,7 @@
 use std::ops::Range;
 
 use planish_numerics::{keys, polynomial, quadrature::gauss_legendre};
-use planish_types::{Segment, Variation};
+use planish_types::{Headings, Segment, Variation};
 
 /// Error of the cuts, in cells. With a border of a nm/s of the TIF, a piece is 1e-11 of the time of a cell too long.
 /// Larger: a larger error at steep borders. Smaller: below the rounding of the cuts.
@@ -93,26 +93,30 @@ impl Reach {
     }
 }
 
-/// Rate of a tool that varies: the weight of one of its kernels, by place and time.
+/// Rate of a tool that varies: the weight of one of its kernels, by pose and time.
 #[derive(Clone, Copy)]
 pub struct Weight<'a> {
     /// The tool.
     pub variation: &'a Variation,
     /// Index of the kernel.
     pub kernel: usize,
+    /// Directions of the motion.
+    pub headings: &'a Headings,
 }
 
 impl Weight<'_> {
-    /// At a place of the part, and a time of the run.
-    fn at(&self, tool_mm: [f64; 2], time_s: f64) -> f64 {
+    /// At a local time of a segment, which has the index `index`.
+    fn at(&self, index: usize, segment: &Segment<'_>, u_s: f64) -> f64 {
+        let time_s = segment.start_s + u_s;
         let of_time = self.variation.time_factor().map_or(1.0, |time| time.at(time_s));
-        of_time * self.variation.weight(self.kernel, tool_mm)
+        of_time * self.variation.weight(self.kernel, self.headings.pose(index, segment, u_s))
     }
 
-    /// Mean over a time of the run at a place of the part.
-    fn mean(&self, tool_mm: [f64; 2], from_s: f64, to_s: f64) -> f64 {
+    /// Mean over a segment at rest, which has the index `index`.
+    fn at_rest(&self, index: usize, segment: &Segment<'_>) -> f64 {
+        let (from_s, to_s) = (segment.start_s, segment.start_s + segment.duration_s);
         let of_time = self.variation.time_factor().map_or(1.0, |time| time.mean(from_s, to_s));
-        of_time * self.variation.weight(self.kernel, tool_mm)
+        of_time * self.variation.weight(self.kernel, self.headings.pose(index, segment, 0.0))
     }
 }
 
@@ -151,11 +155,11 @@ impl Cutter {
         Reach { segment: index, range }
     }
 
-    /// Calls `each` with the pieces of `segment` in the window, in the order of time. With a weight, the seconds of the
-    /// pieces are those times the weight.
+    /// Calls `each` with the pieces of `segment`, which has the index `index`, in the window, in the order of time. With a
+    /// weight, the seconds of the pieces are those times the weight.
     pub fn pieces(
         &mut self,
-        segment: &Segment<'_>,
+        (index, segment): (usize, &Segment<'_>),
         window: &Window,
         weight: Option<&Weight<'_>>,
         mut each: impl FnMut(&Piece),
@@ -168,8 +172,7 @@ impl Cutter {
                 let offset = at.map(|(_, f)| f);
                 let mut seconds = segment.rate_factor * segment.duration_s;
                 if let Some(weight) = weight {
-                    let end_s = segment.start_s + segment.duration_s;
-                    seconds *= weight.mean(segment.position_mm(0.0), segment.start_s, end_s);
+                    seconds *= weight.at_rest(index, segment);
                 }
                 let [wx, wy] = offset.map(keys::weights);
                 each(&Piece { cell, offset, seconds: outer(wx, wy, seconds), points: 1 });
@@ -194,10 +197,7 @@ impl Cutter {
                 let piece = match weight {
                     None => self.rules.piece(cell, offset, &local, seconds),
                     Some(weight) => {
-                        let at = |u: f64| {
-                            let u_s = start + u * duration;
-                            weight.at(segment.position_mm(u_s), segment.start_s + u_s)
-                        };
+                        let at = |u: f64| weight.at(index, segment, start + u * duration);
                         self.rules.weighted_piece(cell, offset, &local, seconds, at)
                     }
                 };
@@ -466,7 +466,9 @@ mod tests {
     fn pieces(t: &Trajectory, cells: [Cells; 2], window: &Window) -> Vec<Piece> {
         let mut pieces = vec![];
         let mut cutter = Cutter::new(cells);
-        t.segments().for_each(|s| cutter.pieces(&s, window, None, |p| pieces.push(*p)));
+        for s in t.segments().enumerate() {
+            cutter.pieces((s.0, &s.1), window, None, |p| pieces.push(*p));
+        }
         pieces
     }
 

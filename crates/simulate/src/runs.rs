@@ -24,7 +24,7 @@ use planish_types::{Grid, Invalid, Tif, Trajectory, text::significant};
 
 use crate::{
     Plan, Settings,
-    deviation::{Deviation, check_ellipses},
+    deviation::{Deviation, check_tool},
     error_budget::{Effect, ErrorBudget, Noise, Scalar},
     gridded,
     motion::Motion,
@@ -111,7 +111,7 @@ impl<'a> Runs<'a> {
     /// Refuses displacements that are no errors, fixed sizes of which the first order has no meaning, and ellipticities of a
     /// spot that turns.
     pub fn check_sizes(&self, process: &ErrorBudget) -> Result<(), Invalid> {
-        check_ellipses(process, &self.tif)?;
+        check_tool(process, &self.tif)?;
         let [x, y] = self.tif.grid().size_mm();
         let largest = LARGEST_DISPLACEMENT * x.max(y);
         for (i, error) in process.errors.iter().enumerate() {

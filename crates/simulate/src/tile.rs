@@ -158,7 +158,8 @@ impl<'a> Tile<'a> {
         let x = self.window.low[0]..self.window.high[0];
         let (mut points, mut reached) = (0, false);
         for reach in segments.iter().filter(|r| r.is_in(0, &x)) {
-            cutter.pieces(&trajectory.segment(reach.segment), &self.window, weight, |piece| {
+            let segment = trajectory.segment(reach.segment);
+            cutter.pieces((reach.segment, &segment), &self.window, weight, |piece| {
                 reached = true;
                 points += if self.owns(piece.cell) { piece.points } else { 0 };
                 for part in 0..2 {

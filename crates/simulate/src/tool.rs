@@ -10,7 +10,9 @@ use std::borrow::Cow;
 use nalgebra::{SMatrix, SVector};
 use ndarray::Array2;
 use planish_numerics::keys;
-use planish_types::{Axis, Component, Grid, Invalid, Tif, Variation, budget};
+use planish_types::{
+    Axis, AzimuthWeights, Component, Grid, Invalid, Tif, TurnWeights, Variation, budget,
+};
 use rayon::prelude::*;
 
 use crate::lattice::Subdivision;
@@ -143,8 +145,10 @@ fn largest_weight(variation: &Variation, kernel: usize) -> f64 {
     let largest =
         |values: &mut dyn Iterator<Item = f64>| values.fold(0.0_f64, |m, v| m.max(v.abs()));
     let of_place = largest(&mut variation.weight_samples(kernel).iter().copied());
-    let azimuth = variation.azimuth_weights().map(|a| a.weights()[kernel].iter().copied());
-    of_place * azimuth.map_or(1.0, |mut weights| largest(&mut weights))
+    let turns =
+        [variation.azimuth_weights().map(AzimuthWeights::turn), variation.heading_weights()];
+    let of_turn = |turn: &TurnWeights| largest(&mut turn.weights()[kernel].iter().copied());
+    turns.into_iter().flatten().map(of_turn).product::<f64>() * of_place
 }
 
 /// Largest difference of two kernels in the middle of the cells of the second, nm/s.

@@ -9,7 +9,7 @@
 //! | rate by place, or by the incidence of a beam | [`RateLaw`] | 1 |
 //! | spots measured at several parameters | [`Spots`] | number of spots |
 //! | pad that hangs over the edge | [`Overhang`] | 1, or about 3 |
-//! | spot that turns with the azimuth | [`turned`] | 10 to 100 |
+//! | spot that turns with the azimuth, or with the motion | [`turned`] | 10 to 100 |
 //! | tool along the normal of a curved part, or of fixed direction | [`Footprint`] | 1 to 20 |
 //! | rate by time | [`planish_types::TimeFactor`] | 1 |
 //!
@@ -28,7 +28,7 @@ mod place;
 pub use causes::{Overhang, PressureLaw, RateLaw, Spots, tool_at, turned};
 pub use footprint::{Direction, Footprint};
 pub use low_rank::{
-    LocalTool, LowRank, LowRankReport, LowRankSettings, Samples, Used, low_rank,
-    low_rank_by_azimuth,
+    At, LocalTool, LowRank, LowRankReport, LowRankSettings, Samples, Used, low_rank,
+    low_rank_by_azimuth, low_rank_by_heading,
 };
 pub use place::{Parameter, Places};

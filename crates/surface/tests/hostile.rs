@@ -202,6 +202,7 @@ const FLAGS: [(&str, &str, &str); 59] = [
     ("tool-edge", "--error 0.3 --pad-radius-mm 3 --max-rank ?", "20"),
     ("tool-turned", "--error ?", "0.1"),
     ("tool-turned", "--max-rank ?", "5"),
+    ("tool-turned", "--follows heading --error ?", "0.1"),
     ("tool-footprint", "--direction normal --sphere-radius-mm ?", "100"),
     ("tool-footprint", "--direction fixed --sphere-radius-mm 100 --exponent ?", "1.5"),
     ("tool-footprint", "--direction fixed --sphere-radius-mm 100 --source-distance-mm ?", "500"),

@@ -14,15 +14,16 @@ use planish_fixture::{Recipe, make};
 use planish_form::Form;
 use planish_surface::varying::{
     Direction, Footprint, LowRankSettings, Overhang, Parameter, Places, PressureLaw, RateLaw,
-    Spots, low_rank, low_rank_by_azimuth, tool_at, turned,
+    Spots, low_rank, low_rank_by_azimuth, low_rank_by_heading, tool_at, turned,
 };
 use planish_testkit::{ion_beam, workspace};
 use planish_toolpath::{
     OnForm,
+    maze::{MazeSettings, Tree, maze},
     raster::{RasterSettings, raster},
 };
 use planish_types::{
-    Axis, Grid, PixelFactor, Surface, Tif, TimeFactor, ToolPath, Trajectory, VaryingTif,
+    Axis, Grid, PixelFactor, Pose, Surface, Tif, TimeFactor, ToolPath, Trajectory, VaryingTif,
 };
 
 fn coupon() -> (Surface, Tif, ToolPath) {
@@ -61,6 +62,17 @@ fn left_nm(
     half_mm: f64,
     k: impl Fn([f64; 2], [f64; 2], f64) -> f64 + Sync,
 ) -> f64 {
+    left_of_turning_nm(trajectory, desired, steps, half_mm, |p, u, t, _| k(p, u, t))
+}
+
+/// The same of a tool that is told the direction of its motion too, a unit vector.
+fn left_of_turning_nm(
+    trajectory: &Trajectory,
+    desired: &Surface,
+    steps: usize,
+    half_mm: f64,
+    k: impl Fn([f64; 2], [f64; 2], f64, [f64; 2]) -> f64 + Sync,
+) -> f64 {
     let grid = desired.grid();
     let mut left = desired.height_nm().clone();
     for s in trajectory.segments().filter(|s| s.tool_on) {
@@ -68,10 +80,13 @@ fn left_nm(
         for q in 0..steps {
             let u_s = (q as f64 + 0.5) * h;
             let (p, t) = (s.position_mm(u_s), s.start_s + u_s);
+            let [from, to] = [-0.25, 0.25].map(|part| s.position_mm(u_s + part * h));
+            let way = [to[0] - from[0], to[1] - from[1]];
+            let direction = way.map(|d| d / way[0].hypot(way[1]));
             for ((r, c), z) in left.indexed_iter_mut() {
                 let u = [grid.x.at(c) - p[0], grid.y.at(r) - p[1]];
                 if u[0].abs() <= half_mm && u[1].abs() <= half_mm {
-                    *z -= h * k(p, u, t);
+                    *z -= h * k(p, u, t, direction);
                 }
             }
         }
@@ -163,6 +178,7 @@ fn a_factor_of_the_pixels_is_known_at_all_sizes() {
         positions: grid,
         weights: vec![Array2::ones(grid.shape())],
         azimuth: None,
+        heading: None,
         pixels: Some(PixelFactor { grid, factor: factor.clone() }),
         time: None,
     };
@@ -269,6 +285,7 @@ fn a_rate_that_falls_in_a_known_way_costs_nothing() {
         positions: *desired.grid(),
         weights: vec![Array2::ones(desired.grid().shape())],
         azimuth: None,
+        heading: None,
         pixels: None,
         time: Some(law.clone()),
     };
@@ -292,6 +309,63 @@ fn a_rate_that_falls_in_a_known_way_costs_nothing() {
     }
 }
 
+/// A spot that is wide across its motion, with its peak behind, in nm/s at the offset u, in a motion along a direction.
+fn steered(u: [f64; 2], direction: [f64; 2]) -> f64 {
+    let along = u[0] * direction[0] + u[1] * direction[1] + 0.4;
+    let across = u[1] * direction[0] - u[0] * direction[1];
+    8.0 * (-0.5 * ((along / 0.8).powi(2) + (across / 1.2).powi(2))).exp()
+}
+
+#[test]
+fn a_spot_that_turns_with_the_motion_is_known_on_lines_there_and_back_and_on_a_maze() {
+    let (desired, _, raster) = coupon();
+    let step = Axis::new(-6.0, 0.25, 49).unwrap();
+    let offsets = Grid { x: step, y: step };
+    let along_x = |(r, c): (usize, usize)| steered([offsets.x.at(c), offsets.y.at(r)], [1.0, 0.0]);
+    let fixed = Tif::new(offsets, Array2::from_shape_fn(offsets.shape(), along_x)).unwrap();
+    let exact = LowRankSettings { error: 1e-3, max_rank: 40 };
+    let (offsets, of) = turned(&fixed, [0.0; 2]).unwrap();
+    let found = low_rank_by_heading(&offsets, *desired.grid(), &*of, &exact).unwrap();
+    assert!(found.report.negative().is_none(), "{:?}", found.report);
+    let turning = Tif::varying(found.tool).unwrap();
+    let settings_of_maze = MazeSettings {
+        pitch_mm: 1.0,
+        step_mm: 0.5,
+        overscan_mm: 3.0,
+        corner_radius_mm: 0.5,
+        tree: Tree::Wilson,
+        open: true,
+        seed: 3,
+    };
+    let maze = maze(&desired, &settings_of_maze).unwrap().path;
+    let judged = |t: &Trajectory, turns: bool| {
+        left_of_turning_nm(t, &desired, 8, 6.0, |_, u, _, direction| {
+            steered(u, if turns { direction } else { [1.0, 0.0] })
+        })
+    };
+    let dwell = |tif: &Tif, path: &ToolPath| {
+        let found = squares::solve(&desired, tif, path, None, &settings(6000)).unwrap();
+        at_uniform_feed(path, found.dwell.dwell_s())
+    };
+    let joint = |tif: &Tif, path: &ToolPath| joint(&desired, tif, path);
+    let refined = |tif: &Tif, path: &ToolPath| refined(&desired, tif, path);
+    type Plan<'a> = &'a dyn Fn(&Tif, &ToolPath) -> Trajectory;
+    let plans: [(&str, Plan<'_>); 3] =
+        [("bounded least squares", &dwell), ("joint plan", &joint), ("closed loop", &refined)];
+    for (name, path) in [("raster", &raster), ("maze", &maze)] {
+        for (plan, of) in plans {
+            let (constant, known) =
+                (judged(&of(&fixed, path), false), judged(&of(&turning, path), true));
+            let ignored = judged(&of(&fixed, path), true);
+            println!(
+                "{name}, {plan}: constant {constant:.4}, known {known:.4}, ignored {ignored:.4} nm"
+            );
+            assert!(known <= 1.2 * constant, "{name}, {plan}: {known} {constant}");
+            assert!(ignored > 3.0 * known, "{name}, {plan}: {ignored} {known}");
+        }
+    }
+}
+
 #[test]
 fn low_rank_is_the_tool_to_the_stated_error() {
     let (_, tif, _) = coupon();
@@ -307,7 +381,7 @@ fn low_rank_is_the_tool_to_the_stated_error() {
             ];
             for ((r, c), _) in tif.rate_nm_per_s().indexed_iter().step_by(17) {
                 let u = [offsets.x.at(c), offsets.y.at(r)];
-                let (exact, found) = (gaussian(p, u), varying.rate_of_tool_at(p, u));
+                let (exact, found) = (gaussian(p, u), varying.rate_of_tool_at(Pose::along_x(p), u));
                 squares += exact * exact;
                 missed += (exact - found).powi(2);
                 worst = (worst.0.max((exact - found).abs()), worst.1.max(exact));
@@ -484,7 +558,8 @@ fn causes_have_their_closed_forms() {
         let p = [radius_mm * azimuth.cos(), radius_mm * azimuth.sin()];
         let (mut squares, mut missed) = (0.0, 0.0);
         for ((r, c), v) in of(p).indexed_iter() {
-            let found = varying.rate_of_tool_at(p, [offsets.x.at(c), offsets.y.at(r)]);
+            let found =
+                varying.rate_of_tool_at(Pose::along_x(p), [offsets.x.at(c), offsets.y.at(r)]);
             squares += v * v;
             missed += (found - v).powi(2);
         }

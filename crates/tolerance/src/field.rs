@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use planish_numerics::{polynomial::evaluate, quadrature::gauss_legendre};
-use planish_types::{Axis, Tif, Variation};
+use planish_types::{Axis, Pose, Tif, Variation};
 
 use crate::{inner::Inner, motion::Piece};
 
@@ -77,7 +77,9 @@ impl Tool {
     /// Weights of the kernels of a tool at a place; none of a tool that is the same everywhere.
     pub fn weights(&self, place_mm: [f64; 2]) -> Vec<f64> {
         let of = |v: &Variation| {
-            (0..v.components().len()).map(|k| v.weight(k, place_mm)).collect::<Vec<f64>>()
+            // Tools that turn with their motion are refused: every heading is as good.
+            let pose = Pose::along_x(place_mm);
+            (0..v.components().len()).map(|k| v.weight(k, pose)).collect::<Vec<f64>>()
         };
         self.tif.variation().map(of).unwrap_or_default()
     }

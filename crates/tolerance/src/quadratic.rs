@@ -44,7 +44,7 @@ use planish_types::{Grid, Invalid, Surface, Tif, Trajectory, budget};
 use rayon::prelude::*;
 
 use crate::{
-    deviation::{Deviation, check_ellipses, has_one_ellipse},
+    deviation::{Deviation, check_tool, has_one_ellipse},
     error_budget::{Distribution, Effect, ErrorBudget, Noise, Scalar},
     field::{Change, Field, Tool, cells_of_tif, field, reached},
     inner::Inner,
@@ -101,7 +101,7 @@ impl Sources {
         process: &ErrorBudget,
         free: Free,
     ) -> Result<Self, Invalid> {
-        check_ellipses(process, tif)?;
+        check_tool(process, tif)?;
         let width = tif.width_mm();
         let moved = smooth(tif, width)?;
         let inner = Inner::new(desired, free, width);

@@ -72,8 +72,17 @@ fn beam(inverse: [[f64; 2]; 2], volume: f64, time: Option<TimeFactor>) -> Tif {
         (1.0 + a * a + b * b).powf(0.85)
     });
     let pixels = Some(PixelFactor { grid: map, factor });
-    Tif::varying(VaryingTif { offsets, kernels, positions, weights, azimuth: None, pixels, time })
-        .unwrap()
+    Tif::varying(VaryingTif {
+        offsets,
+        kernels,
+        positions,
+        weights,
+        azimuth: None,
+        heading: None,
+        pixels,
+        time,
+    })
+    .unwrap()
 }
 
 const SAME: [[f64; 2]; 2] = [[1.0, 0.0], [0.0, 1.0]];
@@ -236,6 +245,7 @@ fn an_ellipticity_of_a_spot_that_turns_is_refused() {
         positions,
         weights: vec![Array2::ones((2, 2)); 3],
         azimuth: Some(AzimuthWeights::new(MIDDLE_MM, degrees, rows).unwrap()),
+        heading: None,
         pixels: None,
         time: None,
     })
@@ -252,6 +262,13 @@ fn an_ellipticity_of_a_spot_that_turns_is_refused() {
         assert!(said.contains("errors[2]: is a tif_ellipticity"), "{said}");
         assert!(said.contains("turns with the azimuth"), "{said}");
     }
+    // Of a spot that turns with its motion errors change the direction too.
+    let VaryingTif { azimuth, .. } = turning.numbers();
+    let heading = azimuth.map(|a| a.turn().clone());
+    let steered = Tif::varying(VaryingTif { azimuth: None, heading, ..turning.numbers() }).unwrap();
+    let said = tolerance(&raster(), &steered, &desired(), &budget, &settings(0));
+    let said = said.err().unwrap().to_string();
+    assert!(said.contains("turns with the direction of the motion"), "{said}");
     let two = json!([errors[0], errors[1]]);
     let found = of(&raster(), &turning, two, &settings(0));
     assert!(found.errors.iter().all(|line| line.adds_rms_nm > 0.0), "{:?}", found.errors);

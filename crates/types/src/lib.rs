@@ -28,6 +28,7 @@ mod dwell_density;
 mod dwell_time;
 mod end;
 mod grid;
+mod heading;
 mod kinematics;
 mod limits;
 mod machine;
@@ -50,6 +51,7 @@ pub use dwell_density::{DensityNodes, DwellDensity};
 pub use dwell_time::DwellTime;
 pub use end::End;
 pub use grid::{Axis, Grid, is_plausible_mm};
+pub use heading::{Headings, headings_of_path_rad};
 pub use kinematics::{
     ContactLimits, Kinematics, KinematicsFile, MachineAxis, MachineFileRotaryAxis, Tilt,
 };
@@ -65,7 +67,9 @@ pub use trajectory::{
     stored_dwell_index,
 };
 pub use transform::{Transform, TransformNumbers};
-pub use variation::{AzimuthWeights, Component, PixelFactor, TimeFactor, Variation};
+pub use variation::{
+    AzimuthWeights, Component, PixelFactor, Pose, TimeFactor, TurnWeights, Variation,
+};
 
 /// A value that its type refuses.
 ///

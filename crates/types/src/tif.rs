@@ -6,8 +6,8 @@ use ndarray::{Array2, ArrayView1, Axis as NdAxis, s};
 use planish_numerics::keys;
 
 use crate::{
-    Axis, AzimuthWeights, Grid, Invalid, PixelFactor, Surface, TimeFactor, Variation,
-    text::significant,
+    Axis, AzimuthWeights, Grid, Invalid, PixelFactor, Pose, Surface, TimeFactor, TurnWeights,
+    Variation, text::significant,
 };
 
 /// Largest rate, nm/s. A larger rate is a mistake in the units.
@@ -84,6 +84,8 @@ pub struct VaryingTif {
     pub weights: Vec<Array2<f64>>,
     /// Factors of the weights by the azimuth of the tool, if there are any.
     pub azimuth: Option<AzimuthWeights>,
+    /// Factors of the weights by the heading of the tool, if there are any.
+    pub heading: Option<TurnWeights>,
     /// Factor of every pixel of the map, if there is one.
     pub pixels: Option<PixelFactor>,
     /// Factor of the time since the start of the run, if there is one.
@@ -135,7 +137,8 @@ impl Tif {
     /// A tool that varies, [`Variation`]. Checks shapes, finiteness, and at every sample of the weights that the tool
     /// removes material. One kernel with the weight 1 everywhere and no factor is a TIF like any other.
     pub fn varying(given: VaryingTif) -> Result<Self, Invalid> {
-        let VaryingTif { offsets, kernels, positions, weights, azimuth, pixels, time } = given;
+        let VaryingTif { offsets, kernels, positions, weights, azimuth, heading, pixels, time } =
+            given;
         if kernels.is_empty() || kernels.len() != weights.len() {
             let problem = format!("has {} kernels for {} weights", kernels.len(), weights.len());
             return Err(Invalid::whole("rate_nm_per_s", problem, "give one weight per kernel"));
@@ -158,7 +161,8 @@ impl Tif {
             }
         }
         let same = weights.len() == 1 && weights[0].iter().all(|w| *w == 1.0);
-        if same && azimuth.is_none() && pixels.is_none() && time.is_none() {
+        let turns = azimuth.is_some() || heading.is_some();
+        if same && !turns && pixels.is_none() && time.is_none() {
             return Self::new(offsets, kernels.into_iter().next().expect("there is one"));
         }
         let bare = |rate: Array2<f64>| Self {
@@ -168,25 +172,32 @@ impl Tif {
             variation: None,
         };
         let kernels = kernels.into_iter().map(bare).collect();
-        let variation = Variation::new(kernels, &weights, positions, azimuth, pixels, time)?;
-        let places = variation.sampled_places();
+        let variation =
+            Variation::new(kernels, &weights, positions, (azimuth, heading), pixels, time)?;
+        let places = variation.sampled();
+        let azimuths = variation.azimuth_weights().map_or(0, |a| a.turn().angle_deg().len());
         let mut mean = Array2::zeros(offsets.shape());
         for (i, place) in places.iter().enumerate() {
             let rate = variation.rate_at(*place);
             let peak = rate.iter().copied().fold(f64::NEG_INFINITY, f64::max);
             let lowest = rate.iter().copied().fold(f64::INFINITY, f64::min);
             if peak < SMALLEST_PEAK || lowest < -NEGATIVE_OF_PLACE * peak {
-                let [x, y, low, high] =
-                    [place[0], place[1], lowest, peak].map(|v| significant(v, 5));
+                let [x, y] = place.position_mm.map(|v| significant(v, 5));
+                let [low, high] = [lowest, peak].map(|v| significant(v, 5));
+                let turns = variation.heading_weights().map_or(String::new(), |_| {
+                    let degrees = significant(place.heading_rad.to_degrees(), 4);
+                    format!(" with the heading {degrees} degrees")
+                });
                 let problem = format!(
-                    "makes a tool at x = {x} mm, y = {y} mm with rates from {low} to {high} nm/s"
+                    "makes a tool at x = {x} mm, y = {y} mm{turns} with rates from {low} to {high} nm/s"
                 );
                 let remedy = "removal is positive: check kernels and weights, or use more kernels";
-                // The places of the grid come first, then one for each azimuth.
+                // The places of the grid come first, then one for each azimuth, then one for each heading.
                 let [rows, columns] = [positions.y.len(), positions.x.len()];
                 return Err(match i.checked_sub(rows * columns) {
                     None => Invalid::at("weight", (i / columns, i % columns), problem, remedy),
-                    Some(azimuth) => Invalid::at("azimuth_weight", azimuth, problem, remedy),
+                    Some(i) if i < azimuths => Invalid::at("azimuth_weight", i, problem, remedy),
+                    Some(i) => Invalid::at("heading_weight", i - azimuths, problem, remedy),
                 });
             }
             mean.scaled_add(1.0 / places.len() as f64, &rate);
@@ -215,6 +226,7 @@ impl Tif {
                 positions,
                 weights: vec![Array2::ones(positions.shape())],
                 azimuth: None,
+                heading: None,
                 pixels: None,
                 time: None,
             };
@@ -225,6 +237,7 @@ impl Tif {
             positions: *v.positions(),
             weights: (0..v.components().len()).map(|k| v.weight_samples(k)).collect(),
             azimuth: v.azimuth_weights().cloned(),
+            heading: v.heading_weights().cloned(),
             pixels: v.pixel_factor().cloned(),
             time: v.time_factor().cloned(),
         }
@@ -260,6 +273,19 @@ impl Tif {
         }
     }
 
+    /// Refuses a tool that turns with the direction of the motion; `method` is what does not know it, for the message.
+    pub fn same_in_all_directions(&self, method: &str) -> Result<(), Invalid> {
+        match self.variation().and_then(Variation::heading_weights) {
+            None => Ok(()),
+            Some(_) => Err(Invalid::whole(
+                "tif",
+                format!("turns with the direction of the motion, and {method} takes no such tool"),
+                "give a tool without heading_weight; planish-dwell bounded-least-squares, planish-refine, planish-joint \
+                 and planish-simulate take one",
+            )),
+        }
+    }
+
     /// The mean tool, the same everywhere.
     pub fn mean_tool(&self) -> Self {
         Self { variation: None, ..self.clone() }
@@ -276,11 +302,11 @@ impl Tif {
         }
     }
 
-    /// (1) of [`Variation`] without its factors: the rate in nm/s at the offset (pixel - tool) of a tool at a place.
-    pub fn rate_of_tool_at(&self, tool_mm: [f64; 2], [dx_mm, dy_mm]: [f64; 2]) -> f64 {
+    /// (1) of [`Variation`] without its factors: the rate in nm/s at the offset (pixel - tool) of a tool in a pose.
+    pub fn rate_of_tool_at(&self, tool: Pose, [dx_mm, dy_mm]: [f64; 2]) -> f64 {
         let Some(variation) = &self.variation else { return self.rate_at(dx_mm, dy_mm) };
         let each = variation.components().iter().enumerate();
-        each.map(|(k, c)| variation.weight(k, tool_mm) * c.kernel().rate_at(dx_mm, dy_mm)).sum()
+        each.map(|(k, c)| variation.weight(k, tool) * c.kernel().rate_at(dx_mm, dy_mm)).sum()
     }
 
     /// The tool with other samples: `of` makes those of the mean tool, and of every kernel, which may be negative.

@@ -1,13 +1,14 @@
 //! Variation of a tool influence function over the part, and in the course of a run.
 //!
 //! ```text
-//! K(x; p, t) = c(t) g(x) sum_k a_k(p) phi_k(x - p)                                        (1)
+//! K(x; p, t) = c(t) g(x) sum_k a_k(p) h_k(heading) phi_k(x - p)                           (1)
 //! ```
 //!
 //! K is the removal rate at the pixel x of a tool at p, at the time t of the run. The kernels `phi_k` are samples on one
 //! grid of offsets, and their weights `a_k` are samples on a coarse grid of tool positions. `g` is a factor of every
-//! pixel, for causes that act at the place of the removal. `c` is a factor of the time, for wear and warm-up. Without
-//! `g` and `c` both are 1. Everything that is linear in the dwell time stays linear.
+//! pixel, for causes that act at the place of the removal. `c` is a factor of the time, for wear and warm-up. `h_k` are
+//! periodic samples over the heading, which is the direction of the motion, for tools that turn with it. Without `g`, `c`
+//! and `h_k` these are 1. Everything that is linear in the dwell time stays linear.
 //!
 //! Between their samples, kernels, weights and the factor of the pixels are Keys' cubic convolution
 //! ([`planish_numerics::keys`]), and `c` is linear. Beyond the samples, a weight has the value of the nearest place of
@@ -45,16 +46,94 @@ pub struct PixelFactor {
     pub factor: Array2<f64>,
 }
 
-/// Largest distance of an azimuth from its place in a uniform turn, over the step. Larger: azimuths that are not uniform
+/// Largest distance of an angle from its place in a uniform turn, over the step. Larger: angles that are not uniform
 /// pass. Smaller: rounded ones do not.
 const OFF_TURN: f64 = 1e-6;
+
+/// Factors of the weights by an angle: periodic samples of one turn.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TurnWeights {
+    angle_deg: Vec<f64>,
+    weights: Vec<Vec<f64>>,
+}
+
+impl TurnWeights {
+    /// Factors (k, n), dimensionless, of the k kernels at n headings: directions of the motion, in degrees from positive x
+    /// towards positive y, uniform over one turn without its end.
+    pub fn by_heading(heading_deg: Vec<f64>, weights: Vec<Vec<f64>>) -> Result<Self, Invalid> {
+        Self::new(["heading_deg", "heading_weight"], heading_deg, weights)
+    }
+
+    /// Checks the angles and factors, which have these names.
+    fn new(
+        [of_angle, of_weight]: [&'static str; 2],
+        angle_deg: Vec<f64>,
+        weights: Vec<Vec<f64>>,
+    ) -> Result<Self, Invalid> {
+        let n = angle_deg.len();
+        let step = 360.0 / n as f64;
+        let off = |i: &usize| {
+            let uniform = angle_deg[0] + step * *i as f64;
+            (angle_deg[*i] - uniform).abs() > OFF_TURN * step || angle_deg[*i].is_nan()
+        };
+        let remedy = "give angles that are uniform over one turn, without its end: 0, 1, ... 359";
+        match (0..n).find(off) {
+            None if n == 0 => return Err(Invalid::whole(of_angle, "is empty", remedy)),
+            None => {}
+            Some(i) => {
+                let problem = format!("is {} of {n} angles", angle_deg[i]);
+                return Err(Invalid::at(of_angle, i, problem, remedy));
+            }
+        }
+        for (k, row) in weights.iter().enumerate() {
+            if row.len() != n {
+                let problem = format!("has {} factors for {n} angles", row.len());
+                return Err(Invalid::at(of_weight, k, problem, "give one for each angle"));
+            }
+            if let Some(i) = row.iter().position(|v| !v.is_finite()) {
+                let problem = format!("is {}", row[i]);
+                return Err(Invalid::at(of_weight, [k, i], problem, "give finite numbers"));
+            }
+        }
+        Ok(Self { angle_deg, weights })
+    }
+
+    /// Angles of the factors (n), degrees.
+    pub fn angle_deg(&self) -> &[f64] {
+        &self.angle_deg
+    }
+
+    /// Factors (k, n), dimensionless.
+    pub fn weights(&self) -> &[Vec<f64>] {
+        &self.weights
+    }
+
+    /// Factor of a kernel at an angle.
+    fn at(&self, kernel: usize, angle_rad: f64) -> f64 {
+        let row = &self.weights[kernel];
+        let n = row.len();
+        let turns = (angle_rad.to_degrees() - self.angle_deg[0]) / 360.0;
+        let (cell, f) = keys::split(turns * n as f64);
+        let node = |a: usize| (cell - 1 + a as isize).rem_euclid(n as isize) as usize;
+        keys::weights(f).iter().enumerate().map(|(a, w)| w * row[node(a)]).sum()
+    }
+
+    /// Refuses factors that are not those of so many kernels.
+    fn check_kernels(&self, name: &'static str, kernels: usize) -> Result<(), Invalid> {
+        let rows = self.weights.len();
+        if rows == kernels {
+            return Ok(());
+        }
+        let problem = format!("has {rows} rows for {kernels} kernels");
+        Err(Invalid::whole(name, problem, "give a row for each kernel"))
+    }
+}
 
 /// Factors of the weights by the azimuth of the tool: z of (2).
 #[derive(Clone, Debug, PartialEq)]
 pub struct AzimuthWeights {
     middle_mm: [f64; 2],
-    azimuth_deg: Vec<f64>,
-    weights: Vec<Vec<f64>>,
+    turn: TurnWeights,
 }
 
 impl AzimuthWeights {
@@ -69,32 +148,8 @@ impl AzimuthWeights {
             let problem = format!("is {}", middle_mm[i]);
             return Err(Invalid::at("azimuth_middle_mm", i, problem, "give a point of the part"));
         }
-        let n = azimuth_deg.len();
-        let step = 360.0 / n as f64;
-        let off = |i: &usize| {
-            let uniform = azimuth_deg[0] + step * *i as f64;
-            (azimuth_deg[*i] - uniform).abs() > OFF_TURN * step || azimuth_deg[*i].is_nan()
-        };
-        let remedy = "give azimuths that are uniform over one turn, without its end: 0, 1, ... 359";
-        match (0..n).find(off) {
-            None if n == 0 => return Err(Invalid::whole("azimuth_deg", "is empty", remedy)),
-            None => {}
-            Some(i) => {
-                let problem = format!("is {} of {n} azimuths", azimuth_deg[i]);
-                return Err(Invalid::at("azimuth_deg", i, problem, remedy));
-            }
-        }
-        for (k, row) in weights.iter().enumerate() {
-            if row.len() != n {
-                let problem = format!("has {} factors for {n} azimuths", row.len());
-                return Err(Invalid::at("azimuth_weight", k, problem, "give one for each azimuth"));
-            }
-            if let Some(i) = row.iter().position(|v| !v.is_finite()) {
-                let problem = format!("is {}", row[i]);
-                return Err(Invalid::at("azimuth_weight", [k, i], problem, "give finite numbers"));
-            }
-        }
-        Ok(Self { middle_mm, azimuth_deg, weights })
+        let turn = TurnWeights::new(["azimuth_deg", "azimuth_weight"], azimuth_deg, weights)?;
+        Ok(Self { middle_mm, turn })
     }
 
     /// Point about which the tool turns [x, y], mm.
@@ -102,30 +157,20 @@ impl AzimuthWeights {
         self.middle_mm
     }
 
-    /// Azimuths of the factors (n), degrees.
-    pub fn azimuth_deg(&self) -> &[f64] {
-        &self.azimuth_deg
-    }
-
-    /// Factors (k, n), dimensionless.
-    pub fn weights(&self) -> &[Vec<f64>] {
-        &self.weights
+    /// The factors by the azimuth.
+    pub fn turn(&self) -> &TurnWeights {
+        &self.turn
     }
 
     /// `z_k` of a kernel for a tool at a place of the part.
     fn at(&self, kernel: usize, tool_mm: [f64; 2]) -> f64 {
-        let row = &self.weights[kernel];
-        let n = row.len();
         let [dx, dy] = [0, 1].map(|i| tool_mm[i] - self.middle_mm[i]);
-        let turns = (dy.atan2(dx).to_degrees() - self.azimuth_deg[0]) / 360.0;
-        let (cell, f) = keys::split(turns * n as f64);
-        let node = |a: usize| (cell - 1 + a as isize).rem_euclid(n as isize) as usize;
-        keys::weights(f).iter().enumerate().map(|(a, w)| w * row[node(a)]).sum()
+        self.turn.at(kernel, dy.atan2(dx))
     }
 
     /// Places at a distance from the middle, one for each azimuth.
     fn places(&self, radius_mm: f64) -> impl Iterator<Item = [f64; 2]> {
-        self.azimuth_deg.iter().map(move |degrees| {
+        self.turn.angle_deg.iter().map(move |degrees| {
             let (sine, cosine) = degrees.to_radians().sin_cos();
             [self.middle_mm[0] + radius_mm * cosine, self.middle_mm[1] + radius_mm * sine]
         })
@@ -163,8 +208,25 @@ pub struct Variation {
     components: Vec<Component>,
     positions: Grid,
     azimuth: Option<AzimuthWeights>,
+    heading: Option<TurnWeights>,
     pixels: Option<PixelFactor>,
     time: Option<TimeFactor>,
+}
+
+/// Where the tool is, and the direction in which it goes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Place of the tool [x, y], mm.
+    pub position_mm: [f64; 2],
+    /// Direction of the motion, rad from positive x towards positive y.
+    pub heading_rad: f64,
+}
+
+impl Pose {
+    /// A tool at a place, in a motion along positive x: for tools that do not turn with their motion.
+    pub fn along_x(position_mm: [f64; 2]) -> Self {
+        Self { position_mm, heading_rad: 0.0 }
+    }
 }
 
 impl Variation {
@@ -173,15 +235,15 @@ impl Variation {
         kernels: Vec<Tif>,
         weights: &[Array2<f64>],
         positions: Grid,
-        azimuth: Option<AzimuthWeights>,
+        (azimuth, heading): (Option<AzimuthWeights>, Option<TurnWeights>),
         pixels: Option<PixelFactor>,
         time: Option<TimeFactor>,
     ) -> Result<Self, Invalid> {
-        if let Some(rows) =
-            azimuth.as_ref().map(|a| a.weights.len()).filter(|n| *n != kernels.len())
-        {
-            let problem = format!("has {rows} rows for {} kernels", kernels.len());
-            return Err(Invalid::whole("azimuth_weight", problem, "give a row for each kernel"));
+        if let Some(azimuth) = &azimuth {
+            azimuth.turn.check_kernels("azimuth_weight", kernels.len())?;
+        }
+        if let Some(heading) = &heading {
+            heading.check_kernels("heading_weight", kernels.len())?;
         }
         if let Some(PixelFactor { grid, factor }) = &pixels {
             if factor.dim() != grid.shape() {
@@ -211,7 +273,7 @@ impl Variation {
         let components = components
             .map(|(kernel, weight)| Component { kernel, weight: keys::with_ghosts(weight.view()) })
             .collect();
-        Ok(Self { components, positions, azimuth, pixels, time })
+        Ok(Self { components, positions, azimuth, heading, pixels, time })
     }
 
     /// The kernels with their weights.
@@ -235,13 +297,25 @@ impl Variation {
         self.azimuth.as_ref()
     }
 
-    /// Places of the tool at which samples decide the weights: those of the grid, and one for each azimuth.
-    pub(crate) fn sampled_places(&self) -> Vec<[f64; 2]> {
+    /// The factors by heading as they were given.
+    pub fn heading_weights(&self) -> Option<&TurnWeights> {
+        self.heading.as_ref()
+    }
+
+    /// Poses of the tool at which samples decide the weights: the places of the grid, one place for each azimuth, and the
+    /// middle of the grid at each heading. The places of the grid take the headings in turn.
+    pub(crate) fn sampled(&self) -> Vec<Pose> {
         let Grid { x, y } = &self.positions;
+        let turn: Vec<f64> = self.heading.iter().flat_map(|h| h.angle_deg.clone()).collect();
+        let heading = |i: usize| turn.get(i % turn.len().max(1)).map_or(0.0, |d| d.to_radians());
         let of_grid = (0..y.len()).flat_map(|r| (0..x.len()).map(move |c| [x.at(c), y.at(r)]));
+        let of_grid = of_grid.enumerate().map(|(i, p)| (p, heading(i)));
         let radius_mm = 0.25 * (x.end_mm() - x.start_mm() + y.end_mm() - y.start_mm());
         let around = self.azimuth.iter().flat_map(|azimuth| azimuth.places(radius_mm));
-        of_grid.chain(around).collect()
+        let middle = [x, y].map(|axis| 0.5 * (axis.start_mm() + axis.end_mm()));
+        let turning = (0..turn.len()).map(|i| (middle, heading(i)));
+        let all = of_grid.chain(around.map(|p| (p, heading(0)))).chain(turning);
+        all.map(|(position_mm, heading_rad)| Pose { position_mm, heading_rad }).collect()
     }
 
     /// The factor of the pixels as it was given.
@@ -254,18 +328,25 @@ impl Variation {
         self.time.as_ref()
     }
 
-    /// `a_k` of a component for a tool at a place of the part.
-    pub fn weight(&self, component: usize, tool_mm: [f64; 2]) -> f64 {
-        let weight = keys_at(&self.positions, &self.components[component].weight, tool_mm);
-        self.azimuth.as_ref().map_or(weight, |azimuth| weight * azimuth.at(component, tool_mm))
+    /// `a_k h_k` of a component for a tool in a pose.
+    pub fn weight(&self, component: usize, tool: Pose) -> f64 {
+        let Pose { position_mm, heading_rad } = tool;
+        let mut weight = keys_at(&self.positions, &self.components[component].weight, position_mm);
+        if let Some(azimuth) = &self.azimuth {
+            weight *= azimuth.at(component, position_mm);
+        }
+        if let Some(heading) = &self.heading {
+            weight *= heading.at(component, heading_rad);
+        }
+        weight
     }
 
-    /// `sum_k a_k phi_k` for a tool at a place of the part: its samples on the offsets of the kernels, nm/s, without the
-    /// factors of pixels and time.
-    pub fn rate_at(&self, tool_mm: [f64; 2]) -> Array2<f64> {
+    /// `sum_k a_k h_k phi_k` for a tool in a pose: its samples on the offsets of the kernels, nm/s, without the factors of
+    /// pixels and time.
+    pub fn rate_at(&self, tool: Pose) -> Array2<f64> {
         let mut rate = Array2::zeros(self.components[0].kernel.rate_nm_per_s().dim());
         for (k, component) in self.components.iter().enumerate() {
-            rate.scaled_add(self.weight(k, tool_mm), component.kernel.rate_nm_per_s());
+            rate.scaled_add(self.weight(k, tool), component.kernel.rate_nm_per_s());
         }
         rate
     }

@@ -8,7 +8,7 @@ use planish_draw::{
     frame::range,
     svg::MIDDLE,
 };
-use planish_types::{Axis, Surface, Tif, Variation, text::significant};
+use planish_types::{Axis, Pose, Surface, Tif, Variation, text::significant};
 
 use super::part::{self, BANDS, FONT_PX, Look, MAP_PX, MOST_CELLS, RIGHT_BOTTOM_PX, side_mm};
 
@@ -52,7 +52,8 @@ pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
     }
 
     let left = MARGIN_PX[0] + MAP_PX + MARGIN_PX[2];
-    let footprints: Vec<Array2<f64>> = places.iter().map(|p| variation.rate_at(*p)).collect();
+    let footprints: Vec<Array2<f64>> =
+        places.iter().map(|p| variation.rate_at(Pose::along_x(*p))).collect();
     let offsets = variation.components()[0].kernel().grid();
     let bands = Bands::new(&VIRIDIS_FOR_LINES, BANDS, range(footprints.iter().flatten().copied()));
     let lengths = [&offsets.x, &offsets.y].map(side_mm);
@@ -77,9 +78,10 @@ pub fn picture(tif: &Tif, surface: &Surface) -> Option<String> {
     let nine_px = MARGIN_PX[1] + 3.0 * step;
     if let Some(frame) = last {
         let words = format!(
-            "footprints, {} x {} mm",
+            "footprints, {} x {} mm{}",
             significant(lengths[0], 3),
-            significant(lengths[1], 3)
+            significant(lengths[1], 3),
+            if variation.heading_weights().is_some() { ", motion along x" } else { "" }
         );
         svg.text([left, frame.bottom() + FONT_PX + 4.0], "", &words);
     }
@@ -110,8 +112,11 @@ fn rate_over_mean(variation: &Variation, surface: &Surface) -> Array2<f64> {
     let volume: Vec<f64> =
         variation.components().iter().map(|c| c.kernel().rate_nm_per_s().sum()).collect();
     let map = part::cells(surface, |place, pixel| {
-        let rate: f64 =
-            volume.iter().enumerate().map(|(k, v)| v * variation.weight(k, place)).sum();
+        let rate: f64 = volume
+            .iter()
+            .enumerate()
+            .map(|(k, v)| v * variation.weight(k, Pose::along_x(place)))
+            .sum();
         rate * factor.as_ref().map_or(1.0, |f| f[pixel])
     });
     let valid = || map.iter().filter(|v| !v.is_nan());

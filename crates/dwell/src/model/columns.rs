@@ -17,7 +17,7 @@ use ndarray::{Array2, ArrayView2, Axis as NdAxis, Zip, s};
 use planish_numerics::{
     keys, linear::skyline::dot, quadrature::gauss_legendre, vectors::vectorised,
 };
-use planish_types::{Axis, Grid, Tif, ToolPath, Trajectory};
+use planish_types::{Axis, Grid, Headings, Pose, Tif, ToolPath, Trajectory, headings_of_path_rad};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -44,14 +44,21 @@ impl Columns {
 
     fn places_in_parts(self, path: &ToolPath, longest_mm: [f64; 2]) -> Vec<Vec<Place>> {
         let rule = gauss_legendre::<3>();
+        let headings_rad = headings_of_path_rad(path);
         let column = |j: usize| match self {
             _ if !path.tool_on()[j] => Vec::new(),
-            Self::Point => vec![Place { position_mm: path.dwell_point_mm()[j], fraction: 1.0 }],
+            Self::Point => vec![Place {
+                position_mm: path.dwell_point_mm()[j],
+                heading_rad: headings_rad[j],
+                fraction: 1.0,
+            }],
             Self::Segment => {
                 let (start, d) = (path.point_mm()[j], path.displacement_mm(j));
                 let at = |s: f64| [start[0] + s * d[0], start[1] + s * d[1]];
                 let parts = parts(d, longest_mm);
-                in_parts(&rule, parts, |s, fraction| Place { position_mm: at(s), fraction })
+                let heading_rad = headings_rad[j];
+                let place = |s, fraction| Place { position_mm: at(s), heading_rad, fraction };
+                in_parts(&rule, parts, place)
             }
         };
         (0..path.len()).map(column).collect()
@@ -100,8 +107,9 @@ fn in_parts(rule: &[(f64, f64)], parts: usize, place: impl Fn(f64, f64) -> Place
 pub fn executed(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<Vec<Place>> {
     let rule = gauss_legendre::<3>();
     let longest_mm = longest_part_mm(tif);
+    let headings = Headings::new(trajectory);
     let mut places = vec![Vec::new(); columns];
-    for segment in trajectory.segments().filter(|s| s.tool_on) {
+    for (k, segment) in trajectory.segments().enumerate().filter(|(_, s)| s.tool_on) {
         let Some(column) = segment.dwell_index.and_then(|j| places.get_mut(j)) else { continue };
         let at = |u: f64| segment.position_mm(u * segment.duration_s);
         // The way between four positions is that of a cubic piece but for a few percent.
@@ -110,9 +118,10 @@ pub fn executed(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<Vec<P
             [0, 1].map(|axis| (b[axis] - a[axis]).abs())
         });
         let total = [0, 1].map(|axis| way.iter().map(|d| d[axis]).sum());
-        column.extend(in_parts(&rule, parts(total, longest_mm), |u, w| Place {
-            position_mm: at(u),
-            fraction: w * segment.duration_s,
+        column.extend(in_parts(&rule, parts(total, longest_mm), |u, w| {
+            let Pose { position_mm, heading_rad } =
+                headings.pose(k, &segment, u * segment.duration_s);
+            Place { position_mm, heading_rad, fraction: w * segment.duration_s }
         }));
     }
     for (column, factor) in places.iter_mut().zip(time_factors(trajectory, columns, tif)) {
@@ -700,7 +709,7 @@ mod tests {
         let maps = [coarse, of_pitch(0.11, 0.09), of_pitch(0.11 * (1.0 + 2.5e-8), 0.09 + 1e-9)];
         let places = [[1.7, 1.3], [-1.0, 0.2], [3.9, 2.32], [0.0, 0.0], [99.0, 0.0]];
         for (map, p) in maps.iter().flat_map(|map| places.map(|p| (map, p))) {
-            let patch = patch(&[Place { position_mm: p, fraction: 1.0 }], &tif, map);
+            let patch = patch(&[Place::new(p, 1.0)], &tif, map);
             let mut full = Array2::zeros(map.shape());
             let (r, c) = patch.origin;
             let (ny, nx) = patch.rate_nm_per_s.dim();
@@ -793,7 +802,7 @@ mod tests {
     fn cells_summed_before_the_samples_are_those_of_the_pixels() {
         let (tif, coarse) = rough();
         // Pixels of another pitch than the TIF, of its pitch, and larger ones.
-        let place = |x: f64, y: f64, fraction: f64| Place { position_mm: [x, y], fraction };
+        let place = |x: f64, y: f64, fraction: f64| Place::new([x, y], fraction);
         let columns = [
             vec![place(1.7, 1.3, 0.4), place(1.9, 1.3, 0.3), place(2.0, 1.45, 0.3)],
             vec![place(-1.0, 0.2, 1.0)],

@@ -283,7 +283,7 @@ mod tests {
             .map(|j| {
                 let (kx, ky) = ((7 * j) % 173, (11 * j) % 139);
                 let p = [at(&map.x, kx) - 1.8, at(&map.y, ky) - 1.5];
-                vec![Place { position_mm: p, fraction: 1.0 }]
+                vec![Place::new(p, 1.0)]
             })
             .collect()
     }
@@ -360,7 +360,7 @@ mod tests {
             let (tif, map) = (Tif::new(own, rate).unwrap(), Grid { x: axis(3.0), y: axis(2.0) });
             let of = |k: usize| {
                 let at = [0.7 * (k as f64).sin(), 0.4 * (1.7 * k as f64).cos()];
-                let places = vec![vec![Place { position_mm: at, fraction: 1.0 }]];
+                let places = vec![vec![Place::new(at, 1.0)]];
                 let found = operator(&places, &tif, &map).apply(&[1.0]);
                 let exact = |(r, c)| bell(map.x.at(c) - at[0], map.y.at(r) - at[1]);
                 largest(&(found - Array2::from_shape_fn(map.shape(), exact)))
@@ -428,6 +428,7 @@ mod tests {
                 weight(|r, _| 0.1 * r),
             ],
             azimuth: None,
+            heading: None,
             pixels: Some(PixelFactor {
                 grid: *map,
                 factor: Array2::from_shape_vec(map.shape(), factor).unwrap(),

@@ -269,9 +269,9 @@ mod tests {
             .map(|_| {
                 let count = rng.random_range(0..4);
                 let fraction = 1.0 / f64::from(count.max(1));
-                let mut place = || Place {
-                    position_mm: [rng.random_range(x.clone()), rng.random_range(y.clone())],
-                    fraction,
+                let mut place = || {
+                    let at = [rng.random_range(x.clone()), rng.random_range(y.clone())];
+                    Place::new(at, fraction)
                 };
                 (0..count).map(|_| place()).collect()
             })

@@ -30,7 +30,7 @@ pub fn kernels<'a>(
 
 /// A place with its fraction times the weight of a kernel.
 pub fn weighted(variation: &Variation, kernel: usize, place: &Place) -> Place {
-    let weight = variation.weight(kernel, place.position_mm);
+    let weight = variation.weight(kernel, place.pose());
     Place { fraction: weight * place.fraction, ..*place }
 }
 
@@ -43,7 +43,7 @@ pub fn by_energy<'a>(places: &'a [Vec<Place>], tif: &Tif) -> Cow<'a, [Vec<Place>
         rates.iter().map(|a| rates.iter().map(|b| (*a * *b).sum()).collect()).collect();
     let of_mean: f64 = tif.rate_nm_per_s().iter().map(|r| r * r).sum();
     let of = |p: &Place| {
-        let a: Vec<f64> = (0..rates.len()).map(|k| v.weight(k, p.position_mm)).collect();
+        let a: Vec<f64> = (0..rates.len()).map(|k| v.weight(k, p.pose())).collect();
         let rows = a.iter().zip(&products);
         let energy: f64 = rows
             .map(|(a_k, row)| a_k * row.iter().zip(&a).map(|(g, a_l)| g * a_l).sum::<f64>())

@@ -233,7 +233,10 @@ fn in_two(places: &[Place], longest_mm: f64) -> Vec<Place> {
     // The larger eigenvalue of [xx xy; xy yy], and its direction.
     let angle = 0.5 * (2.0 * xy).atan2(xx - yy);
     let spread_mm = (0.5 * (xx + yy) + (0.25 * (xx - yy).powi(2) + xy * xy).sqrt()).sqrt();
+    // That of the place in the middle: columns are short beside the bends of a path.
+    let heading_rad = places[places.len() / 2].heading_rad;
     let at = |sign: f64| Place {
+        heading_rad,
         position_mm: [x + sign * spread_mm * angle.cos(), y + sign * spread_mm * angle.sin()],
         fraction: 0.5 * total,
     };
@@ -292,10 +295,7 @@ mod tests {
 
     #[test]
     fn two_places_keep_the_mean_and_the_spread_of_more() {
-        let along = |s: f64, fraction: f64| Place {
-            position_mm: [3.0 + 0.4 * s, -1.0 + 0.3 * s],
-            fraction,
-        };
+        let along = |s: f64, fraction: f64| Place::new([3.0 + 0.4 * s, -1.0 + 0.3 * s], fraction);
         // Gauss' rule of three on a line of 0.5 mm
         let g = 0.6_f64.sqrt();
         let three =
@@ -310,7 +310,7 @@ mod tests {
         assert_eq!(in_two(&three, 0.2), three);
         assert_eq!(in_two(&three[..2], 9.0), three[..2]);
         // Around a corner: the largest spread is across the bisector.
-        let at = |x: f64, y: f64| Place { position_mm: [x, y], fraction: 0.25 };
+        let at = |x: f64, y: f64| Place::new([x, y], 0.25);
         let corner = [at(-0.2, 0.0), at(-0.1, 0.0), at(0.0, 0.1), at(0.0, 0.2)];
         let [a, b] = in_two(&corner, 1.0).try_into().unwrap();
         let d = [0, 1].map(|k| b.position_mm[k] - a.position_mm[k]);
@@ -354,7 +354,7 @@ mod tests {
         let places: Vec<Vec<Place>> = (0..21 * 21)
             .map(|j| {
                 let at = |k: usize| 0.4 * k as f64 - 4.0;
-                vec![Place { position_mm: [at(j % 21), at(j / 21)], fraction: 1.0 }]
+                vec![Place::new([at(j % 21), at(j / 21)], 1.0)]
             })
             .collect();
         let reached = vec![true; places.len()];

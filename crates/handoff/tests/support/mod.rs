@@ -7,7 +7,7 @@ use ndarray::{Array2, array};
 use planish_handoff::{Artifact, flags::OutputArgs};
 use planish_types::{
     Axis, AzimuthWeights, Grid, PixelFactor, Removal, Surface, Tif, TimeFactor, ToolPath,
-    Trajectory, VaryingTif,
+    Trajectory, TurnWeights, VaryingTif,
 };
 
 /// 2 rows, 3 columns, exact in binary.
@@ -34,6 +34,10 @@ pub fn varying(factors: bool) -> Tif {
         positions: grid(),
         weights: vec![Array2::ones((2, 3)), Array2::from_elem((2, 3), 0.5)],
         azimuth: Some(AzimuthWeights::new([0.25, -3.0], azimuth_deg, rows).unwrap()),
+        heading: factors.then(|| {
+            let rows = vec![vec![1.0, 0.5], vec![0.5, 1.0]];
+            TurnWeights::by_heading(vec![0.0, 180.0], rows).unwrap()
+        }),
         pixels: factors
             .then(|| PixelFactor { grid: grid(), factor: Array2::from_elem((2, 3), 1.25) }),
         time: factors.then(|| TimeFactor { time_s: vec![0.0, 9.0], factor: vec![1.0, 0.5] }),

@@ -11,10 +11,10 @@ use planish_handoff::{
 };
 use planish_surface::varying::{
     Direction, Footprint, LocalTool, LowRank, LowRankReport, LowRankSettings, Overhang, Parameter,
-    Places, PressureLaw, RateLaw, Samples, Spots, Used, low_rank, low_rank_by_azimuth, tool_at,
-    turned,
+    Places, PressureLaw, RateLaw, Samples, Spots, Used, low_rank, low_rank_by_azimuth,
+    low_rank_by_heading, tool_at, turned,
 };
-use planish_types::{Grid, Invalid, PixelFactor, Surface, Tif, TimeFactor, VaryingTif};
+use planish_types::{Axis, Grid, Invalid, PixelFactor, Surface, Tif, TimeFactor, VaryingTif};
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::json;
@@ -136,6 +136,7 @@ impl MakeArgs {
         (surface, base): (&Surface, &Tif),
         (offsets, of, counts): (Grid, Box<LocalTool<'_>>, Box<Used<'_>>),
     ) -> Result<Status, Failure> {
+        base.same_in_all_directions("a second cause").map_err(Failure::with_flags)?;
         let shared = json!({
             "settings": settings, "low_rank": self.exact.settings(), "spacing_mm": self.spacing_mm,
             "beyond_mm": self.beyond_mm,
@@ -191,10 +192,13 @@ fn write(
             Samples::Azimuths { azimuths, spacing_deg } => {
                 format!("at {azimuths} azimuths {spacing_deg:.2} degrees apart")
             }
+            Samples::Headings { headings, spacing_deg } => {
+                format!("at {headings} headings {spacing_deg:.2} degrees apart")
+            }
         };
         format!(
-            ", {samples}; error {:.1e} of the tool, largest {:.1e} at ({:.2}, {:.2}) mm",
-            r.error, r.largest_error, r.largest_error_at_mm[0], r.largest_error_at_mm[1]
+            ", {samples}; error {:.1e} of the tool, largest {:.1e} at {}",
+            r.error, r.largest_error, r.largest_error_at
         )
     });
     let kernels = if rank == 1 { "1 kernel".to_string() } else { format!("{rank} kernels") };
@@ -385,14 +389,28 @@ impl EdgeArgs {
     }
 }
 
+/// What a spot turns with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "kebab-case")]
+enum FollowsArg {
+    /// The azimuth of the tool about the middle of the part, as on a spindle
+    Azimuth,
+    /// The direction of the motion, as a belt or a wheel that is steered along the path
+    Heading,
+}
+
 #[derive(Debug, Args)]
 pub struct TurnedArgs {
-    /// Tool influence function at the azimuth 0: beside the middle, towards positive x [tif artifact]
+    /// Tool influence function at the angle 0: beside the middle towards positive x, or in a motion along positive x [tif
+    /// artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
-    /// Map of the part; the spot turns about the middle of its valid pixels [surface artifact]
+    /// Map of the part; the azimuth is that about the middle of its valid pixels [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
+    /// What the spot turns with
+    #[arg(long, value_enum, default_value_t = FollowsArg::Azimuth)]
+    follows: FollowsArg,
     #[command(flatten)]
     exact: ExactArgs,
     #[command(flatten)]
@@ -405,18 +423,36 @@ impl TurnedArgs {
         let tif: Tif = inputs.read("tif", &self.tif)?;
         let surface: Surface = inputs.read("surface", &self.surface)?;
         let places = Places::new(&surface);
-        let (offsets, of) = turned(&tif, places.middle_mm()).map_err(Failure::with_flags)?;
-        let task = task!("tool-turned", &json!({ "low_rank": self.exact.settings() }));
+        let middle_mm = match self.follows {
+            FollowsArg::Azimuth => places.middle_mm(),
+            FollowsArg::Heading => [0.0; 2],
+        };
+        let (offsets, of) = turned(&tif, middle_mm).map_err(Failure::with_flags)?;
+        let settings = json!({ "low_rank": self.exact.settings(), "follows": self.follows });
+        let task = task!("tool-turned", &settings);
         let output = match Output::directory(&self.output, Tool::KIND).begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };
-        let around = (places.middle_mm(), places.radius_mm());
-        let LowRank { tool, report } =
-            low_rank_by_azimuth(&offsets, around, &*of, &self.exact.settings())
-                .map_err(Failure::with_flags)?;
+        let exact = self.exact.settings();
+        let made = match self.follows {
+            FollowsArg::Azimuth => {
+                let around = (middle_mm, places.radius_mm());
+                low_rank_by_azimuth(&offsets, around, &*of, &exact)
+            }
+            FollowsArg::Heading => corners(surface.grid())
+                .and_then(|positions| low_rank_by_heading(&offsets, positions, &*of, &exact)),
+        };
+        let LowRank { tool, report } = made.map_err(Failure::with_flags)?;
         write(output, Tif::varying(tool)?, Some(&report), &self.output.out)
     }
+}
+
+/// The grid of the corners of a map.
+fn corners(map: &Grid) -> Result<Grid, Invalid> {
+    let size_mm = |axis: &Axis| (axis.end_mm() - axis.start_mm()).max(axis.step_mm());
+    let ends = |axis: &Axis| Axis::new(axis.start_mm(), size_mm(axis), 2);
+    Ok(Grid { x: ends(&map.x)?, y: ends(&map.y)? })
 }
 
 /// Direction of a tool.

@@ -1,14 +1,15 @@
 //! The tools of [`crate::varying`] at every place.
 
 use ndarray::Array2;
-use planish_types::{Axis, Grid, Invalid, Tif};
+use planish_types::{Axis, Grid, Invalid, Pose, Tif};
 use serde::Serialize;
 
 use super::{low_rank::LocalTool, place::Places};
 
-/// Samples of a tool at a place, nm/s, on its own offsets.
+/// Samples of a tool at a place, nm/s, on its own offsets; of one that turns with its motion, along x.
 pub fn tool_at(tif: &Tif, tool_mm: [f64; 2]) -> Array2<f64> {
-    tif.variation().map_or_else(|| tif.rate_nm_per_s().clone(), |v| v.rate_at(tool_mm))
+    tif.variation()
+        .map_or_else(|| tif.rate_nm_per_s().clone(), |v| v.rate_at(Pose::along_x(tool_mm)))
 }
 
 /// Factor of the rate by a parameter of the place.

@@ -25,7 +25,7 @@
 
 use ndarray::Array2;
 use planish_form::Place;
-use planish_types::{Axis, Grid, Invalid, Tif};
+use planish_types::{Axis, Grid, Invalid, Pose, Tif};
 
 use super::{causes::RateLaw, place::Places};
 
@@ -134,11 +134,12 @@ impl<'a> Footprint<'a> {
                     n[0] * t1[1] - n[1] * t1[0],
                 ];
                 let [a, b] = [t1, t2].map(|t| (0..3).map(|k| d[k] * t[k]).sum::<f64>());
-                self.tif.rate_of_tool_at(tool_mm, [a, b]) / n_z
+                self.tif.rate_of_tool_at(Pose::along_x(tool_mm), [a, b]) / n_z
             }
             Direction::Fixed { rate_law, source_distance_mm: None } => {
                 let angle = n_z.acos().to_degrees();
-                self.tif.rate_of_tool_at(tool_mm, u) * rate_law.factor(angle) / rate_law.factor(0.0)
+                self.tif.rate_of_tool_at(Pose::along_x(tool_mm), u) * rate_law.factor(angle)
+                    / rate_law.factor(0.0)
             }
             Direction::Fixed { rate_law, source_distance_mm: Some(source) } => {
                 let depth = source - at.height_mm;
@@ -153,7 +154,8 @@ impl<'a> Footprint<'a> {
                 let cos_a = depth / ray;
                 let angle = |cosine: f64| rate_law.factor(cosine.min(1.0).acos().to_degrees());
                 let flux = scale * scale * cos_b / (n_z * cos_a);
-                let measured = self.tif.rate_of_tool_at(tool_mm, u.map(|v| v * scale));
+                let measured =
+                    self.tif.rate_of_tool_at(Pose::along_x(tool_mm), u.map(|v| v * scale));
                 measured * flux * angle(cos_b) / angle(cos_a)
             }
         }

@@ -12,14 +12,16 @@
 //! the weights are interpolated; what that leaves is measured in the middles of cells. The rank is the least, and the
 //! grid the coarsest of halved ones, whose errors stay below the wanted one.
 //!
-//! A tool that only turns with the azimuth of its place is sampled at azimuths of one turn instead of places of a grid.
-//! It is then as exact at the axis as far from it.
+//! A tool that only turns, with the azimuth of its place or with the direction of its motion, is sampled at angles of one
+//! turn instead of places of a grid. It is then as exact at the axis as far from it.
 
 use std::collections::BTreeSet;
 
 use nalgebra::{DMatrix, SymmetricEigen};
 use ndarray::{Array2, Zip};
-use planish_types::{Axis, AzimuthWeights, Grid, Invalid, Tif, VaryingTif};
+use planish_types::{
+    Axis, AzimuthWeights, Grid, Invalid, Pose, Tif, TurnWeights, VaryingTif, text::significant,
+};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -35,11 +37,11 @@ const MOST_PLACES: usize = 20_000;
 /// halvings.
 const FIRST_CELLS: f64 = 8.0;
 
-/// First number of azimuths of a tool that turns. Larger: more than smooth tools need. Smaller: more doublings.
-const FIRST_AZIMUTHS: usize = 32;
+/// First number of angles of a tool that turns. Larger: more than smooth tools need. Smaller: more doublings.
+const FIRST_ANGLES: usize = 32;
 
-/// Largest number of azimuths. Larger: tools with finer shapes, and more time. Smaller: such tools are less exact.
-const MOST_AZIMUTHS: usize = 1024;
+/// Largest number of angles. Larger: tools with finer shapes, and more time. Smaller: such tools are less exact.
+const MOST_ANGLES: usize = 1024;
 
 /// Largest number of middles of cells at which the interpolation is measured. Larger: more time. Smaller: a larger
 /// scatter of the measured error.
@@ -93,6 +95,13 @@ pub enum Samples {
         /// Their distance, degrees.
         spacing_deg: f64,
     },
+    /// Samples at directions of the motion.
+    Headings {
+        /// Headings of one turn.
+        headings: usize,
+        /// Their distance, degrees.
+        spacing_deg: f64,
+    },
 }
 
 /// Exactness of a tool of kernels and weights.
@@ -110,10 +119,31 @@ pub struct LowRankReport {
     pub error: f64,
     /// Largest of these errors, relative.
     pub largest_error: f64,
-    /// Place of the largest error [x, y], mm.
-    pub largest_error_at_mm: [f64; 2],
+    /// Where the largest error is.
+    pub largest_error_at: At,
     /// Wanted error.
     pub wanted_error: f64,
+}
+
+/// Place or direction of the motion.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum At {
+    /// Place [x, y], mm.
+    PlaceMm([f64; 2]),
+    /// Direction of the motion from positive x towards positive y, degrees.
+    HeadingDeg(f64),
+}
+
+impl std::fmt::Display for At {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::PlaceMm([x, y]) => write!(f, "x = {x:.3} mm, y = {y:.3} mm"),
+            Self::HeadingDeg(degrees) => {
+                write!(f, "the heading {} degrees", significant(*degrees, 4))
+            }
+        }
+    }
 }
 
 impl LowRankReport {
@@ -127,16 +157,14 @@ impl LowRankReport {
         (self.error > self.wanted_error).then(|| {
             format!(
                 "the kernels and weights miss the tool by {:.2e} of it (root mean square), more than the wanted {:.2e}; \
-                 the largest error, {:.2e}, is at x = {:.3} mm, y = {:.3} mm; give a larger `error`{}, or a larger \
-                 `max_rank`",
+                 the largest error, {:.2e}, is at {}; give a larger `error`{}, or a larger `max_rank`",
                 self.error,
                 self.wanted_error,
                 self.largest_error,
-                self.largest_error_at_mm[0],
-                self.largest_error_at_mm[1],
+                self.largest_error_at,
                 match self.samples {
                     Samples::Places { .. } => ", a smaller `spacing_mm`",
-                    Samples::Azimuths { .. } => "",
+                    Samples::Azimuths { .. } | Samples::Headings { .. } => "",
                 }
             )
         })
@@ -165,6 +193,8 @@ enum Lattice {
     Places(Grid),
     /// Samples at azimuths of one turn about a middle, at a distance from it.
     Azimuths { middle_mm: [f64; 2], radius_mm: f64, count: usize },
+    /// Samples at directions of the motion. In place of a place they have the unit vector of the direction.
+    Headings { positions: Grid, count: usize },
 }
 
 impl Lattice {
@@ -177,6 +207,9 @@ impl Lattice {
             },
             Self::Azimuths { count, .. } => {
                 Samples::Azimuths { azimuths: *count, spacing_deg: 360.0 / *count as f64 }
+            }
+            Self::Headings { count, .. } => {
+                Samples::Headings { headings: *count, spacing_deg: 360.0 / *count as f64 }
             }
         }
     }
@@ -198,7 +231,7 @@ impl Lattice {
     fn len(&self) -> usize {
         match self {
             Self::Places(grid) => grid.x.len() * grid.y.len(),
-            Self::Azimuths { count, .. } => *count,
+            Self::Azimuths { count, .. } | Self::Headings { count, .. } => *count,
         }
     }
 
@@ -209,6 +242,7 @@ impl Lattice {
             Self::Azimuths { middle_mm, radius_mm, count } => {
                 around(*middle_mm, *radius_mm, i as f64 / *count as f64)
             }
+            Self::Headings { count, .. } => around([0.0; 2], 1.0, i as f64 / *count as f64),
         }
     }
 
@@ -223,6 +257,33 @@ impl Lattice {
             Self::Azimuths { middle_mm, radius_mm, count } => {
                 let turns = |i: usize| (i as f64 + 0.5) / *count as f64;
                 (0..*count).map(|i| around(*middle_mm, *radius_mm, turns(i))).collect()
+            }
+            Self::Headings { count, .. } => {
+                let turns = |i: usize| (i as f64 + 0.5) / *count as f64;
+                (0..*count).map(|i| around([0.0; 2], 1.0, turns(i))).collect()
+            }
+        }
+    }
+
+    /// The pose of the tool for the place of a sample, or of a middle between two.
+    fn pose(&self, place: [f64; 2]) -> Pose {
+        match self {
+            Self::Places(_) | Self::Azimuths { .. } => {
+                Pose { position_mm: place, heading_rad: 0.0 }
+            }
+            Self::Headings { positions: Grid { x, y }, .. } => Pose {
+                position_mm: [x.start_mm(), y.start_mm()],
+                heading_rad: place[1].atan2(place[0]),
+            },
+        }
+    }
+
+    /// The same for the report.
+    fn named(&self, place: [f64; 2]) -> At {
+        match self {
+            Self::Places(_) | Self::Azimuths { .. } => At::PlaceMm(place),
+            Self::Headings { .. } => {
+                At::HeadingDeg(self.pose(place).heading_rad.to_degrees().rem_euclid(360.0))
             }
         }
     }
@@ -242,13 +303,39 @@ pub fn low_rank_by_azimuth(
     of: &LocalTool<'_>,
     settings: &LowRankSettings,
 ) -> Result<LowRank, Invalid> {
+    low_rank_of_turn(
+        offsets,
+        |count| Lattice::Azimuths { middle_mm, radius_mm, count },
+        of,
+        settings,
+    )
+}
+
+/// Kernels and weights of the tool `of` on `offsets` that depends on the direction of its motion only, which it gets as a
+/// unit vector [x, y]. The grid `positions` of the weights holds the places of the part.
+pub fn low_rank_by_heading(
+    offsets: &Grid,
+    positions: Grid,
+    of: &LocalTool<'_>,
+    settings: &LowRankSettings,
+) -> Result<LowRank, Invalid> {
+    low_rank_of_turn(offsets, |count| Lattice::Headings { positions, count }, of, settings)
+}
+
+/// Kernels and weights on the coarsest lattice of one turn that reaches the wanted error.
+fn low_rank_of_turn(
+    offsets: &Grid,
+    lattice_of: impl Fn(usize) -> Lattice,
+    of: &LocalTool<'_>,
+    settings: &LowRankSettings,
+) -> Result<LowRank, Invalid> {
     settings.check()?;
-    let mut count = FIRST_AZIMUTHS;
+    let mut count = FIRST_ANGLES;
     loop {
-        let lattice = Lattice::Azimuths { middle_mm, radius_mm, count };
-        let is_last = 2 * count > MOST_AZIMUTHS;
+        let lattice = lattice_of(count);
+        let is_last = 2 * count > MOST_ANGLES;
         let found = match at(offsets, lattice, (of, &|_| true), settings) {
-            // Few azimuths may say too little of the tool.
+            // Few angles may say too little of the tool.
             Err(_) if !is_last => None,
             found => Some(found?),
         };
@@ -412,19 +499,30 @@ impl Basis {
     ) -> Result<VaryingTif, Invalid> {
         let rank = self.kernels.len();
         let weight = |k: usize, i: usize| found[i].products[k] / self.scale;
-        let (positions, weights, azimuth) = match lattice {
+        let turn = |count: usize| -> (Vec<f64>, Vec<Vec<f64>>) {
+            let degrees = (0..count).map(|i| 360.0 * i as f64 / count as f64).collect();
+            let row = |k: usize| (0..count).map(|i| weight(k, i)).collect();
+            (degrees, (0..rank).map(row).collect())
+        };
+        let ones = |positions: &Grid| vec![Array2::ones(positions.shape()); rank];
+        let (mut azimuth, mut heading) = (None, None);
+        let (positions, weights) = match lattice {
             Lattice::Places(positions) => {
                 let (ny, nx) = positions.shape();
                 let map = |k| Array2::from_shape_fn((ny, nx), |(r, c)| weight(k, r * nx + c));
-                (positions, (0..rank).map(map).collect(), None)
+                (positions, (0..rank).map(map).collect())
             }
             Lattice::Azimuths { middle_mm, radius_mm, count } => {
                 let around = |i: usize| Axis::new(middle_mm[i] - radius_mm, 2.0 * radius_mm, 2);
                 let positions = Grid { x: around(0)?, y: around(1)? };
-                let degrees = (0..count).map(|i| 360.0 * i as f64 / count as f64).collect();
-                let rows = (0..rank).map(|k| (0..count).map(|i| weight(k, i)).collect()).collect();
-                let azimuth = AzimuthWeights::new(middle_mm, degrees, rows)?;
-                (positions, vec![Array2::ones(positions.shape()); rank], Some(azimuth))
+                let (degrees, rows) = turn(count);
+                azimuth = Some(AzimuthWeights::new(middle_mm, degrees, rows)?);
+                (positions, ones(&positions))
+            }
+            Lattice::Headings { positions, count } => {
+                let (degrees, rows) = turn(count);
+                heading = Some(TurnWeights::by_heading(degrees, rows)?);
+                (positions, ones(&positions))
             }
         };
         Ok(VaryingTif {
@@ -433,6 +531,7 @@ impl Basis {
             positions,
             weights,
             azimuth,
+            heading,
             pixels: None,
             time: None,
         })
@@ -458,7 +557,8 @@ fn report(
     let tif = Tif::varying(tool.clone())?;
     // A tool that turns out to be the same everywhere has no weights.
     let interpolated = |p: [f64; 2]| -> Vec<f64> {
-        (0..rank).map(|k| tif.variation().map_or(1.0, |v| v.weight(k, p))).collect()
+        let of_kernel = |k| tif.variation().map_or(1.0, |v| v.weight(k, lattice.pose(p)));
+        (0..rank).map(of_kernel).collect()
     };
     // |K - sum_k a phi_k|^2 = |K|^2 - 2 a . (phi . K) + |a|^2 with the interpolated a.
     let error_at = |k: usize| -> (f64, [f64; 2]) {
@@ -480,7 +580,7 @@ fn report(
         largest_rank_error: relative(largest_of_rank),
         error: relative(of_middles).max(relative(of_rank)),
         largest_error: relative(worst.0.max(largest_of_rank)),
-        largest_error_at_mm: worst.1,
+        largest_error_at: lattice.named(worst.1),
         wanted_error: settings.error,
     })
 }

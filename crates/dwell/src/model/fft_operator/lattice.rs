@@ -113,7 +113,7 @@ pub struct Placed {
 
 /// The tools of all columns that reach the map, in the order of the columns.
 pub fn placed(places: &[Vec<Place>], x: &Lattice, y: &Lattice) -> Vec<Placed> {
-    let of_place = |j: usize, Place { position_mm: p, fraction }: &Place| {
+    let of_place = |j: usize, Place { position_mm: p, fraction, .. }: &Place| {
         let ((cy, fy), (cx, fx)) = (y.place(p[1])?, x.place(p[0])?);
         let (cell, offset) = ([cy, cx], [fy, fx]);
         Some(Placed { cell, offset, fraction: *fraction, column: j as u32 })

@@ -1,0 +1,125 @@
+//! Directions of a motion, for tools that turn with it.
+//!
+//! A tool at rest keeps the direction in which it came, and before the first motion it has that in which it will go.
+
+use planish_numerics::polynomial;
+
+use crate::{Pose, Segment, ToolPath, Trajectory};
+
+/// Way up to which a tool counts as at rest, mm. Larger: short motions lose their direction. Smaller: rounding of the
+/// coordinates makes directions.
+const AT_REST_MM: f64 = 1e-6;
+
+/// Part of the duration of a segment before its end, or after its start, at which it has the direction of that end; at
+/// the end itself the tool may stand. Larger: a direction further back along bent motions. Smaller: rounding decides.
+const NEAR_END: f64 = 1e-3;
+
+/// Directions of a motion, rad from positive x towards positive y.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Headings {
+    /// Direction at the end of every segment, or of a tool that rests during it.
+    at_rest_rad: Vec<f64>,
+}
+
+impl Headings {
+    /// The directions of a trajectory.
+    pub fn new(trajectory: &Trajectory) -> Self {
+        let near = |s: &Segment<'_>, part: f64| direction_rad(s, part * s.duration_s);
+        let first = trajectory.segments().find(moves).and_then(|s| near(&s, NEAR_END));
+        let mut last_rad = first.unwrap_or(0.0);
+        let of = |s: Segment<'_>| {
+            if moves(&s) {
+                last_rad = near(&s, 1.0 - NEAR_END).unwrap_or(last_rad);
+            }
+            last_rad
+        };
+        Self { at_rest_rad: trajectory.segments().map(of).collect() }
+    }
+
+    /// Place and direction of the tool at the local time `u_s` of `segment`, which has the index `index`.
+    pub fn pose(&self, index: usize, segment: &Segment<'_>, u_s: f64) -> Pose {
+        let moving = moves(segment).then(|| direction_rad(segment, u_s)).flatten();
+        Pose {
+            position_mm: segment.position_mm(u_s),
+            heading_rad: moving.unwrap_or(self.at_rest_rad[index]),
+        }
+    }
+}
+
+/// Directions (n) of the segments of a path, rad.
+pub fn headings_of_path_rad(path: &ToolPath) -> Vec<f64> {
+    let moving = |d: &[f64; 2]| d[0].hypot(d[1]) > AT_REST_MM;
+    let along = |d: [f64; 2]| d[1].atan2(d[0]);
+    let mut last_rad =
+        (0..path.len()).map(|j| path.displacement_mm(j)).find(moving).map_or(0.0, along);
+    let of = |j: usize| {
+        let displacement = path.displacement_mm(j);
+        if moving(&displacement) {
+            last_rad = along(displacement);
+        }
+        last_rad
+    };
+    (0..path.len()).map(of).collect()
+}
+
+/// Returns true if the tool goes further than rounding during a segment.
+fn moves(segment: &Segment<'_>) -> bool {
+    let h = segment.duration_s;
+    let most = |c: &[f64; 4]| h * (c[1].abs() + h * (c[2].abs() + h * c[3].abs()));
+    segment.coefficient_mm.iter().any(|c| most(c) > AT_REST_MM)
+}
+
+/// Direction of the velocity at a local time, rad; none where it is 0.
+fn direction_rad(segment: &Segment<'_>, u_s: f64) -> Option<f64> {
+    let [vx, vy] = [0, 1].map(|axis| {
+        polynomial::evaluate(&polynomial::derivative(&segment.coefficient_mm[axis]), u_s)
+    });
+    (vx != 0.0 || vy != 0.0).then(|| vy.atan2(vx))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    use super::*;
+
+    #[test]
+    fn a_tool_at_rest_keeps_the_direction_in_which_it_came() {
+        // It rests, goes up to a stop, rests, and comes back to the left from rest.
+        let (rest, up) = ([[0.0; 4]; 2], [[0.0; 4], [0.0, 2.0, -1.0, 0.0]]);
+        let there = [[0.0; 4], [1.0, 0.0, 0.0, 0.0]];
+        let left = [[0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0]];
+        let breaks = vec![0.0, 1.0, 2.0, 3.0, 4.0];
+        let motion =
+            Trajectory::new(breaks, vec![rest, up, there, left], vec![true; 4], vec![None; 4]);
+        let motion = motion.unwrap();
+        let headings = Headings::new(&motion);
+        let at = |k: usize, u: f64| headings.pose(k, &motion.segment(k), u).heading_rad;
+        let expected = [FRAC_PI_2, FRAC_PI_2, FRAC_PI_2, PI];
+        for (k, expected) in expected.into_iter().enumerate() {
+            for u in [0.0, 0.3, 1.0] {
+                // At u = 0 of the last segment the tool stands, and its end decides.
+                assert!((at(k, u) - expected).abs() < 1e-12, "{k} {u}: {}", at(k, u));
+            }
+        }
+    }
+
+    #[test]
+    fn a_bent_motion_has_the_direction_of_its_velocity() {
+        // (u, u^2): the direction is atan(2 u).
+        let c = [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
+        let motion = Trajectory::new(vec![0.0, 2.0], vec![c], vec![true], vec![None]).unwrap();
+        let pose = Headings::new(&motion).pose(0, &motion.segment(0), 1.5);
+        assert_eq!(pose.position_mm, [1.5, 2.25]);
+        assert!((pose.heading_rad - 3.0_f64.atan()).abs() < 1e-15);
+    }
+
+    #[test]
+    fn segments_of_a_path_without_a_length_have_the_direction_before() {
+        let points = vec![[0.0, 0.0], [0.0, 0.0], [1.0, 1.0], [1.0, 1.0], [1.0, 0.0]];
+        let path = ToolPath::through(points, vec![true; 4], vec![0; 4]).unwrap();
+        let found = headings_of_path_rad(&path);
+        let expected = [0.25 * PI, 0.25 * PI, 0.25 * PI, -FRAC_PI_2];
+        assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-15), "{found:?}");
+    }
+}
