@@ -334,6 +334,7 @@ ci-long:
     just test-matlab
     just test-clone
     just test-schedulers-long
+    just test-tables
     PLANISH_FRONTS=20 cargo test --release --locked --workspace --test closed_loop never_takes_longer
     just fuzz 10000000
     just fuzz-binaries 100000
@@ -478,7 +479,12 @@ line-table out="out/lines": build python
 # Print the tables of docs/paths.md and docs/schedulers.md: every path on the reference mirror (PLANISH_REFERENCE)
 [group('5 pages and tables')]
 paths-table machine="fixtures/machines/ion-beam.json": build
-    @sh docs/paths/table.sh {{ quote(machine) }}
+    @python3 pipelines/paths-table.py {{ quote(machine) }}
+
+# Run the commands that print tables of the pages, and compare every row that a page shows: just test-tables line axes
+[group('4 slower tests')]
+test-tables *words: build python
+    @python3 docs/prose/tables.py {{ words }}
 
 # Write the outputs that README.md and docs/ show below `printed by` anew, from what their commands print
 [group('5 pages and tables')]

@@ -54,6 +54,8 @@ pub struct Setting {
     pub kind: Kind,
     /// Default: the first line whose condition holds; empty without one.
     pub default: Vec<Line>,
+    /// True if it has no default, here or among the shared settings: then nothing is a value of it.
+    pub may_be_empty: bool,
     /// Meaning.
     pub help: String,
 }
@@ -156,13 +158,16 @@ impl Definition {
         for (key, draft) in own.settings {
             let at = base.iter().position(|(known, _)| *known == key);
             let shared = at.map(|at| base.remove(at).1).unwrap_or_default();
+            let may_be_empty = at.is_some() && shared.default.is_none();
             let draft = Draft {
                 line: draft.line,
                 kind: draft.kind.or(shared.kind),
                 default: draft.default.or(shared.default),
                 help: draft.help.or(shared.help),
             };
-            settings.push(setting(key, draft)?);
+            let mut setting = setting(key, draft)?;
+            setting.may_be_empty |= may_be_empty;
+            settings.push(setting);
         }
         let mut without = Vec::new();
         for (key, draft) in base {
@@ -302,7 +307,8 @@ fn setting(name: String, draft: Draft) -> Result<Setting, Complaint> {
         |what: &str| Complaint::new(draft.line, format!("the setting {name} lacks `{what}`"));
     let kind = draft.kind.clone().ok_or_else(|| lacks("type"))?;
     let help = draft.help.clone().ok_or_else(|| lacks("help"))?;
-    Ok(Setting { kind, default: draft.default.unwrap_or_default(), help, name })
+    let default = draft.default.unwrap_or_default();
+    Ok(Setting { kind, may_be_empty: default.is_empty(), default, help, name })
 }
 
 /// Reads one file.

@@ -48,7 +48,7 @@ impl<'a> Scope<'a> {
         }
         for (key, value) in &given {
             let Some(setting) = definition.setting(key) else { continue };
-            let may_be_empty = setting.default.is_empty()
+            let may_be_empty = setting.may_be_empty
                 || matches!(setting.kind, Kind::Flags | Kind::Path | Kind::Word);
             if value.is_empty() && may_be_empty {
                 continue;
@@ -56,7 +56,7 @@ impl<'a> Scope<'a> {
             setting.kind.check(value).map_err(|wanted| match setting.kind {
                 Kind::Flags => format!("{key}={value}: {wanted}"),
                 _ => {
-                    let nothing = if setting.default.is_empty() { ", or nothing" } else { "" };
+                    let nothing = if setting.may_be_empty { ", or nothing" } else { "" };
                     format!("{key} is '{value}'; give {wanted}{nothing}")
                 }
             })?;
@@ -220,6 +220,16 @@ stages:
         assert_eq!(expand(&["f=--x 'a b' $(y)"], "{v} [--b {b}]").unwrap(), ["--x", "a b", "$(y)"]);
         assert_eq!(expand(&["a=2", "f="], "{v}").unwrap(), ["--a=2"]);
         assert_eq!(expand(&["a=2", "a=3"], "{v}").unwrap(), ["--a=3"]);
+    }
+
+    #[test]
+    fn a_default_of_one_pipeline_does_not_forbid_nothing() {
+        let own = "title: T\nsettings:\n  w: {default: x}\n  b: {default: y}";
+        let definition = Definition::read("p", SHARED, own).unwrap();
+        let scope = Scope::new(&definition, &["w=", "b="]).unwrap();
+        assert!(scope.expand("[--w {w}] [--b {b}]", &Words::new()).unwrap().is_empty());
+        let said = Scope::new(&definition, &["w=z"]).unwrap_err();
+        assert_eq!(said, "w is 'z'; give x or y, or nothing");
     }
 
     #[test]
