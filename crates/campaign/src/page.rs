@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use planish_draw::{Frame, Scale, Svg, colour::LINES, frame::range};
+use planish_draw::{Frame, Scale, Svg, colour::LINES, frame::range, page};
 use planish_types::text::{escaped, significant};
 
 use crate::summary::{Campaign, Chains, Learnt};
@@ -17,11 +17,8 @@ const MARGIN: [f64; 4] = [64.0, 34.0, 24.0, 50.0];
 /// Names of the chains on the page, in the order of [`Chains::each`].
 const CHAINS: [&str; 3] = ["with learning", "without", "known tool"];
 
-const STYLE: &str = "body{font:16px/1.45 system-ui,sans-serif;max-width:1000px;margin:0 auto;padding:0 16px 48px;\
-color:#1a1a1a;background:#fff}h1{font-size:1.5rem}h2{font-size:1.2rem;margin-top:32px;border-bottom:1px solid #c4c4c4}\
-table{border-collapse:collapse;font-variant-numeric:tabular-nums;font-size:.9rem}th,td{padding:3px 10px;\
-border-bottom:1px solid #c4c4c4;text-align:right}th:first-child,td:first-child,td.words{text-align:left}\
-.note{color:#5a5a5a;font-size:.875rem}.scroll{overflow-x:auto}svg{max-width:100%;height:auto}";
+/// The style that the page has beside the shared one.
+const STYLE: &str = "body { max-width: 1000px; }\n";
 
 /// The residual of every chain after every run, as SVG text.
 pub fn picture(campaign: &Campaign) -> String {
@@ -57,14 +54,7 @@ pub fn picture(campaign: &Campaign) -> String {
 /// The page as HTML.
 pub fn page(campaign: &Campaign) -> String {
     let mirror = escaped(&campaign.mirror);
-    let mut out = format!(
-        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">\n\
-         <title>Planish: campaign on {mirror}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n\
-         <h1>Campaign on {mirror}</h1>\n<p>{}</p>\n",
-        escaped(&answer(campaign))
-    );
+    let mut out = format!("<h1>Campaign on {mirror}</h1>\n<p>{}</p>\n", escaped(&answer(campaign)));
     out += "<h2>What every run left</h2>\n<div class=\"scroll\"><table>\n<tr><th>run</th>";
     for chain in CHAINS {
         let _ = write!(out, "<th>{chain}, nm RMS</th><th>time, min</th>");
@@ -72,7 +62,7 @@ pub fn page(campaign: &Campaign) -> String {
     out += "<th>with learning / known tool</th><th>without / known tool</th></tr>\n";
     let before = significant(campaign.before_rms_nm, 5);
     let each = format!("<td>{before}</td><td></td>").repeat(CHAINS.len());
-    let _ = writeln!(out, "<tr><td>before</td>{each}<td></td><td></td></tr>");
+    let _ = writeln!(out, "<tr><th>before</th>{each}<td></td><td></td></tr>");
     for run in &campaign.runs {
         row(&mut out, &run.number.to_string(), &run.left);
     }
@@ -89,7 +79,7 @@ pub fn page(campaign: &Campaign) -> String {
         let left = campaign.runs.get(k + 1).map(|next| format!("{:.4}", next.left.learning.rms_nm));
         let _ = writeln!(
             out,
-            "<tr><td>{}</td><td>{:.4}</td><td>{median:.4} ({low:.4} to {high:.4})</td><td>{}</td>\
+            "<tr><th>{}</th><td>{:.4}</td><td>{median:.4} ({low:.4} to {high:.4})</td><td>{}</td>\
              <td class=\"words\"><b>{}</b>: {}</td></tr>",
             run.number,
             run.measured_rms_nm,
@@ -109,7 +99,7 @@ pub fn page(campaign: &Campaign) -> String {
         let first = &campaign.runs[0].parameters[p];
         let truth = first.truth.map_or(String::new(), |t| significant(t, 4));
         let unit = escaped(&first.unit);
-        let _ = write!(out, "<tr><td>{}, {unit}</td><td>{truth}</td>", escaped(&first.name));
+        let _ = write!(out, "<tr><th>{}, {unit}</th><td>{truth}</td>", escaped(&first.name));
         for run in &campaign.runs {
             let Some(learnt) = run.parameters.get(p) else { continue };
             let why = learnt.refused.as_deref().map_or(String::new(), escaped);
@@ -119,13 +109,14 @@ pub fn page(campaign: &Campaign) -> String {
         out += "</tr>\n";
     }
     out += "</table></div>\n<p class=\"note\">A number in brackets is that of an earlier run: this run did not \
-            determine it better than it was known (the reason is shown where the mouse rests on it).</p>\n</body>\n</html>\n";
-    out
+            determine it better than it was known (the reason is shown where the mouse rests on it).</p>\n";
+    let title = format!("campaign on {}", campaign.mirror);
+    page::document(&title, page::WITHOUT_PROGRAM, &page::style(STYLE), &out)
 }
 
 /// A row of the table of residuals.
 fn row(out: &mut String, name: &str, chains: &Chains) {
-    let _ = write!(out, "<tr><td>{name}</td>");
+    let _ = write!(out, "<tr><th>{name}</th>");
     for left in chains.each() {
         let _ = write!(out, "<td>{:.4}</td><td>{:.1}</td>", left.rms_nm, left.total_time_s / 60.0);
     }

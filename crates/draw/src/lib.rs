@@ -1,4 +1,4 @@
-//! Elements that the pictures of all stages share, as SVG text.
+//! Elements that the pictures and pages of all stages share, as SVG and HTML text.
 //!
 //! A picture is one [`Svg`]. Its plots are [`Frame`]s: rectangles with an axis along x and one
 //! along y. A frame draws itself, its curves and its maps into the picture. The stage that draws a
@@ -11,10 +11,12 @@
 //! | [`cells`] | a map in rectangles of one colour |
 //! | [`colour`] | maps of colours, and colours of lines |
 //! | [`ticks`] | the round numbers of an axis |
+//! | [`page`] | the head and the style of a page |
 
 pub mod cells;
 pub mod colour;
 pub mod frame;
+pub mod page;
 pub mod svg;
 pub mod ticks;
 

@@ -1,6 +1,9 @@
 //! The page: one HTML file with its data, its style and its program.
 
-use planish_draw::colour::{BLUE_TO_BROWN, VIRIDIS_FOR_LINES};
+use planish_draw::{
+    colour::{BLUE_TO_BROWN, VIRIDIS_FOR_LINES},
+    page,
+};
 use planish_types::text::escaped;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
@@ -13,7 +16,7 @@ use super::{
 };
 use crate::answer::with_answer;
 
-/// Skeleton and style of the page.
+/// Skeleton of the page, and the style that it has of its own.
 const HTML: &str = include_str!("page.html");
 const CSS: &str = include_str!("page.css");
 /// The program of the page, one subject per file; a file uses the constants of those before it.
@@ -49,17 +52,18 @@ pub fn page(views: &[View], summaries: &Value) -> String {
         "band_period_mm": BAND_PERIOD_MM,
         "colours": { "height": BLUE_TO_BROWN, "speed": VIRIDIS_FOR_LINES },
     });
-    filled(
+    let title = names.join(", ");
+    let body = filled(
         HTML,
         &[
-            ("policy", &policy()),
-            ("title", &escaped(&names.join(", "))),
+            ("title", &escaped(&title)),
             ("tool", &(tools(views) + &axes(views))),
-            ("css", CSS),
             ("js", JS),
             ("data", &in_script(&data)),
         ],
-    )
+    );
+    let style = page::style(CSS);
+    page::document(&title, &policy(&style), &style, &body)
 }
 
 /// The section of the tools that vary; empty where there is none.
@@ -102,12 +106,12 @@ fn axes(views: &[View]) -> String {
 
 /// Content security policy of the page. The browser runs only the program and the style of this page, known by their
 /// hashes, whatever the names and manifests of a run contain.
-fn policy() -> String {
+fn policy(style: &str) -> String {
     let hash = |text: &str| format!("'sha256-{}'", base64(&Sha256::digest(text.as_bytes())));
     format!(
         "default-src 'none'; base-uri 'none'; form-action 'none'; img-src data: blob:; \
          style-src {}; script-src {}",
-        hash(CSS),
+        hash(style),
         hash(JS)
     )
 }

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use planish_draw::{
     colour,
     frame::{Frame, Scale, range},
+    page,
     svg::Svg,
 };
 use planish_types::text::{escaped, significant};
@@ -114,24 +115,14 @@ fn told(row: &Row, [time_s, rms_nm]: [f64; 2]) -> String {
     format!("{}: {} nm in {} s", row.in_words(), significant(rms_nm, 4), significant(time_s, 4))
 }
 
-/// The style of the page.
-const CSS: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:75rem;margin:1.5rem auto;padding:0 1rem}\
-    svg{max-width:100%;height:auto}table{border-collapse:collapse;font-variant-numeric:tabular-nums}\
-    td,th{padding:.15rem .6rem;border-bottom:1px solid #ddd;text-align:right}td.w,th.w{text-align:left}\
-    tr.best td{font-weight:bold}code{background:#eee;padding:.1rem .3rem;overflow-wrap:anywhere}\
-    .scroll{overflow-x:auto}\
-    @media(prefers-color-scheme:dark){body{background:#181818;color:#ddd}code{background:#333}svg{background:#fff}a{color:#8bf}}";
+/// The style that the page has beside the shared one: its first column has numbers.
+const STYLE: &str = "body { max-width: 75rem; }\nth:first-child { text-align: right; position: static; }\n\
+                     tr.best td { font-weight: bold; }\n";
 
 /// The page: the sentence, the pictures, the plans of the front, those that failed, and all others.
 pub fn page(table: &Table, to_table: &str) -> String {
-    let mut html = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
-         <meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\
-         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\">\
-         <title>{0}</title><style>{CSS}</style></head><body>\n<h1>Sweep {0}, {1}</h1>\n",
-        escaped(&table.name),
-        escaped(&table.mirror)
-    );
+    let title = format!("sweep {}, {}", table.name, table.mirror);
+    let mut html = format!("<h1>Sweep {}, {}</h1>\n", escaped(&table.name), escaped(&table.mirror));
     put(&mut html, format_args!("<p>{}</p>\n", with_command(table)));
     put(&mut html, format_args!("<p>{}</p>\n", escaped(&constraints(table))));
     for residual in [Residual::Nominal, Residual::Below95] {
@@ -160,8 +151,8 @@ pub fn page(table: &Table, to_table: &str) -> String {
         format_args!("<details><summary>{shown} of {} plans</summary>\n", table.plans.len()),
     );
     html += &rows(table, &(0..shown).collect::<Vec<_>>(), to_table);
-    html += "</details>\n<p>All plans with all their numbers are in <a href=\"table.csv\">table.csv</a>.</p>\n</body></html>\n";
-    html
+    html += "</details>\n<p>All plans with all their numbers are in <a href=\"table.csv\">table.csv</a>.</p>\n";
+    page::document(&title, page::WITHOUT_PROGRAM, &page::style(STYLE), &html)
 }
 
 /// The sentence, its command as code.
@@ -199,11 +190,11 @@ fn rows(table: &Table, indices: &[usize], to_table: &str) -> String {
     if table.has_process {
         html += "<th>95 % below, nm</th>";
     }
-    html += "<th class=\"w\">limits</th><th class=\"w\">path</th><th class=\"w\">method</th>";
+    html += "<th class=\"words\">limits</th><th class=\"words\">path</th><th class=\"words\">method</th>";
     for key in &varied {
         put(&mut html, format_args!("<th>{}</th>", escaped(key)));
     }
-    html += "<th class=\"w\">plan</th></tr>\n";
+    html += "<th class=\"words\">plan</th></tr>\n";
     let recommended = table.recommended();
     for &i in indices {
         let row = &table.plans[i];
@@ -218,7 +209,7 @@ fn rows(table: &Table, indices: &[usize], to_table: &str) -> String {
         put(
             &mut html,
             format_args!(
-                "<td class=\"w\">{limits}</td><td class=\"w\">{}</td><td class=\"w\">{}</td>",
+                "<td class=\"words\">{limits}</td><td class=\"words\">{}</td><td class=\"words\">{}</td>",
                 escaped(&row.path),
                 escaped(&row.method)
             ),
@@ -234,7 +225,7 @@ fn rows(table: &Table, indices: &[usize], to_table: &str) -> String {
             }
             None => name,
         };
-        put(&mut html, format_args!("<td class=\"w\">{cell}</td></tr>\n"));
+        put(&mut html, format_args!("<td class=\"words\">{cell}</td></tr>\n"));
     }
     html + "</table></div>\n"
 }
