@@ -116,7 +116,7 @@ fn told(row: &Row, [time_s, rms_nm]: [f64; 2]) -> String {
 }
 
 /// The style that the page has beside the shared one: its first column has numbers.
-const STYLE: &str = "body { max-width: 75rem; }\nth:first-child { text-align: right; position: static; }\n\
+const STYLE: &str = "body { max-width: 75rem; }\nth:first-child { text-align: right; position: static; font-weight: 700; }\n\
                      tr.best td { font-weight: bold; }\n";
 
 /// The page: the sentence, the pictures, the plans of the front, those that failed, and all others.
