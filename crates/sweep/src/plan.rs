@@ -387,16 +387,13 @@ impl Step {
 }
 
 /// The commands of a stage that makes the mirror, the same for all pipelines, where these names stand for these words.
-pub fn steps_of_mirror<const N: usize>(
-    stage: &str,
-    names: [(&str, Vec<String>); N],
-) -> impl Iterator<Item = Step> {
+pub fn steps_of_mirror<const N: usize>(stage: &str, names: [(&str, Vec<String>); N]) -> Vec<Step> {
     let mut scope = scope(PATHS[0], &[]).expect("a pipeline needs no setting");
     for (name, words) in names {
         scope.set(name, words);
     }
     let commands = Walk::commands(scope, stage).expect("a test expands the stages of the mirror");
-    commands.into_iter().map(Step::of)
+    commands.into_iter().map(Step::of).collect()
 }
 
 /// The pipeline of a path with the settings of a plan.
@@ -540,8 +537,8 @@ mod tests {
     #[test]
     fn the_mirror_is_made_by_the_stages_of_the_pipelines() {
         let word = |word: &str| vec![word.to_string()];
-        let line = |stage, names: [(&str, Vec<String>); 4]| {
-            let steps: Vec<String> = steps_of_mirror(stage, names).map(|s| line(&s)).collect();
+        let line = |stage: &str, names: [(&str, Vec<String>); 4]| {
+            let steps: Vec<String> = steps_of_mirror(stage, names).iter().map(line).collect();
             steps.join("\n")
         };
         let flags = || vec!["--unit".to_string(), "m".to_string()];

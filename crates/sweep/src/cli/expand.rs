@@ -243,7 +243,7 @@ impl Grounds<'_> {
                 let name = stem(Path::new(recipe));
                 let own = format!("mirror/{digest}");
                 let names = [("recipe", vec![file]), ("made", vec![own.clone()])];
-                let steps = steps_of_mirror("fixture", names).collect();
+                let steps = steps_of_mirror("fixture", names);
                 let plain = self.plain(recipe);
                 let (map, tif) = (format!("{own}/surface"), format!("{own}/tif"));
                 let is_known = plain == Path::new("fixtures").join(format!("{name}.json"));
