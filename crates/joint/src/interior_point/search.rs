@@ -150,7 +150,7 @@ impl Look {
     }
 }
 
-/// What follows a proof.
+/// The state that follows a proof.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Next {
     /// The search ends.
