@@ -401,10 +401,13 @@ test-pipelines: build
 test-commands: build python
     cargo test --release --locked --workspace --test commands_as_printed -- --nocapture
 
+# just same-bytes HEAD~3 --only spiral: only the runs that contain this text
+#
 # Run every pipeline on small fixtures, as it stands here and as it was at a revision, and compare every array to the last bit: just same-bytes HEAD~3
 [group('3 development')]
-same-bytes revision:
-    pipelines/same-bytes.sh {{ quote(revision) }}
+[positional-arguments]
+same-bytes revision *options:
+    @pipelines/same-bytes.py "$@"
 
 # Write the generated pages and pictures in docs/
 [group('5 pages and tables')]

@@ -43,6 +43,51 @@ pub fn name_of(run: &Path) -> String {
     whole.file_name().unwrap_or(run.as_os_str()).to_string_lossy().into_owned()
 }
 
+/// Reads the results of all methods of the run number `number`.
+fn read_methods(
+    inputs: &mut Inputs,
+    number: usize,
+    run: &Path,
+    after_servo: bool,
+) -> Result<Vec<Found>, Failure> {
+    let methods_dir = run.join("methods");
+    let schedulers = entries(&methods_dir)?.into_iter().filter(|name| {
+        // A stage that runs writes into a sibling whose name begins with a dot.
+        !name.starts_with('.') && methods_dir.join(name).is_dir()
+    });
+    let mut read = Vec::new();
+    for scheduler in schedulers {
+        let dir = methods_dir.join(&scheduler);
+        let role = format!("{number}/{scheduler}");
+        read.push(read_method(inputs, &role, &scheduler, dir, after_servo)?);
+    }
+    if read.is_empty() {
+        let message = "holds no method; schedule, simulate and verify at least one";
+        return Err(Failure::new(format!("{}: {message}", methods_dir.display())));
+    }
+    Ok(read)
+}
+
+/// A method whose artifacts belong together, with its verdict by the specification and the remarks on it.
+type Valid = (Found, Option<Judged>, Vec<String>);
+
+/// The methods whose artifacts belong together, and those that are left out.
+fn divided(
+    read: Vec<Found>,
+    chains: Vec<Chain>,
+    judged: Vec<Option<Judged>>,
+) -> (Vec<Valid>, Vec<LeftOut>) {
+    let (mut valid, mut left_out) = (Vec::new(), Vec::new());
+    for ((found, chain), judged) in read.into_iter().zip(chains).zip(judged) {
+        let Chain { standing, reasons, remarks } = chain;
+        match standing {
+            Standing::Valid => valid.push((found, judged, remarks)),
+            _ => left_out.push(LeftOut { name: found.name, standing, reasons }),
+        }
+    }
+    (valid, left_out)
+}
+
 /// Reads the run number `number` (its surface, and the results of each method), and sums it up.
 pub fn read_run(
     inputs: &mut Inputs,
@@ -57,20 +102,14 @@ pub fn read_run(
         read_optional_artifact(inputs, &role, run, "tool_path", &mut provenance)?;
     let plan: Option<Known<DwellTime>> =
         read_optional_artifact(inputs, &role, run, "dwell", &mut provenance)?;
-    let measured = match names.measured {
-        Some(dir) => Some(inputs.read("measured", dir)?),
-        None => None,
-    };
+    let measured = names.measured.map(|dir| inputs.read("measured", dir)).transpose()?;
     let tif_role = format!("{role}/tif");
     let tif = names.tif.map(|dir| inputs.read_tool(&tif_role, dir)).transpose()?;
-    let reach = tif.as_ref().and_then(|tif| {
-        let digest = inputs.digest(&tif_role).unwrap_or_default().to_string();
-        Some((Reach::new(&desired.value, tif)?, digest))
-    });
-    let form = match names.form {
-        Some(path) => Some(inputs.read_form(&format!("{role}/form"), path)?.form),
-        None => None,
-    };
+    let digest = inputs.digest(&tif_role).unwrap_or_default().to_string();
+    let reach = tif.as_ref().and_then(|tif| Some((Reach::new(&desired.value, tif)?, digest)));
+    let form_role = format!("{role}/form");
+    let form = names.form.map(|path| inputs.read_form(&form_role, path)).transpose()?;
+    let form = form.map(|read| read.form);
     let division = Division::new(&desired.value, tif.as_ref());
     let mut judge = Judge { inputs, role: &role, specification: None, remarks: vec![] };
     let around = Around {
@@ -84,27 +123,9 @@ pub fn read_run(
         dwell: plan.as_ref().map(|p| p.recorded.clone()),
     };
 
-    let methods_dir = run.join("methods");
-    let schedulers = entries(&methods_dir)?.into_iter().filter(|name| {
-        // A stage that runs writes into a sibling whose name begins with a dot.
-        !name.starts_with('.') && methods_dir.join(name).is_dir()
-    });
-    let mut read = Vec::new();
-    for scheduler in schedulers {
-        let dir = methods_dir.join(&scheduler);
-        let role = format!("{number}/{scheduler}");
-        read.push(read_method(inputs, &role, &scheduler, dir, names.after_servo)?);
-    }
-    if read.is_empty() {
-        let message = "holds no method; schedule, simulate and verify at least one";
-        return Err(Failure::new(format!("{}: {message}", methods_dir.display())));
-    }
+    let read = read_methods(inputs, number, run, names.after_servo)?;
     let mut judge = Judge { inputs, role: &role, specification, remarks: judge_remarks };
-    let mut judged = Vec::new();
-    for found in &read {
-        let removal = ("removal", found.records.removal.digest.as_str());
-        judged.push(judge.read(&found.name, run, Some(removal))?);
-    }
+    let judged = judge.read_all(&read, run)?;
     let judge_remarks = judge.remarks;
     let method_records: Vec<MethodRecords> = read.iter().map(|m| m.records.clone()).collect();
     let method_names: Vec<String> = read.iter().map(|m| m.name.clone()).collect();
@@ -121,14 +142,7 @@ pub fn read_run(
         division: &division,
         form: form.as_ref(),
     };
-    let (mut valid, mut left_out) = (Vec::new(), Vec::new());
-    for ((found, chain), judged) in read.into_iter().zip(chains).zip(judged) {
-        let Chain { standing, reasons, remarks } = chain;
-        match standing {
-            Standing::Valid => valid.push((found, judged, remarks)),
-            _ => left_out.push(LeftOut { name: found.name, standing, reasons }),
-        }
-    }
+    let (valid, left_out) = divided(read, chains, judged);
     let numbered = valid.into_par_iter().map(|(found, judged, remarks)| {
         let name = found.name.clone();
         let (number, method) = shared.method(found, judged, remarks)?;
@@ -182,6 +196,15 @@ struct Judge<'a> {
 }
 
 impl Judge<'_> {
+    /// The verdicts on the residuals of the methods.
+    fn read_all(&mut self, methods: &[Found], run: &Path) -> Result<Vec<Option<Judged>>, Failure> {
+        let of = |found: &Found| {
+            let removal = ("removal", found.records.removal.digest.as_str());
+            self.read(&found.name, run, Some(removal))
+        };
+        methods.iter().map(of).collect()
+    }
+
     /// The verdict in `run`/specified/`name`/specification on the artifact of this role and digest; `None`, perhaps
     /// with a remark, where there is none, or one on something else.
     fn read(

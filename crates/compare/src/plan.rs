@@ -150,21 +150,7 @@ impl Plan {
             Some(End::StepLimit) => "step limit",
             _ => otherwise,
         };
-        let gap = report["relative_gap"].as_f64().filter(|gap| gap.is_finite());
-        let proven = gap.map(|gap| match gap > ROUNDING {
-            true => {
-                let gap = significant(gap, 2);
-                let local = match manifest["tool"].as_str() {
-                    // The limits on a motion are not convex: its certificate is that of the convex problem around it.
-                    Some("planish-joint" | "planish-bspline-feed") => {
-                        " with the limits linearised at this plan, so it is a local optimum"
-                    }
-                    _ => "",
-                };
-                format!("proven within {gap} of the least objective, relative to it{local}")
-            }
-            false => "proven optimal to rounding".into(),
-        });
+        let proven = proven(manifest);
         if outcome["status"] == "negative" {
             let reason = outcome["reason"].as_str().unwrap_or("it ended with a negative verdict");
             return Self::new(State::Unconverged, word("not converged"), reason);
@@ -250,6 +236,25 @@ fn follows_dwell_times(trajectory: &Value) -> bool {
         entries.any(|entry| entry[key] == "dwell")
     };
     names("inputs", "role") || names("lineage", "kind")
+}
+
+/// Sentence on the proven gap of a stage, if it states one.
+fn proven(manifest: &Value) -> Option<String> {
+    let gap = manifest["outcome"]["report"]["relative_gap"].as_f64().filter(|gap| gap.is_finite());
+    gap.map(|gap| match gap > ROUNDING {
+        true => {
+            let gap = significant(gap, 2);
+            let local = match manifest["tool"].as_str() {
+                // The limits on a motion are not convex: its certificate is that of the convex problem around it.
+                Some("planish-joint" | "planish-bspline-feed") => {
+                    " with the limits linearised at this plan, so it is a local optimum"
+                }
+                _ => "",
+            };
+            format!("proven within {gap} of the least objective, relative to it{local}")
+        }
+        false => "proven optimal to rounding".into(),
+    })
 }
 
 #[cfg(test)]

@@ -389,6 +389,24 @@ fn curvature_2d(t: &[f64], active: &[bool], (ny, nx): (usize, usize), eps: f64) 
 /// changes the last digits of the result.
 const ELEMENTS_PER_TASK: usize = 1 << 13;
 
+/// Replaces t by the point of (3) from which the next step goes on: `x` is (2) of t, and `extrapolated` has x_k and g_k.
+fn extrapolate(t: &mut Vec<f64>, x: Vec<f64>, extrapolated: &mut Option<(Vec<f64>, Vec<f64>)>) {
+    // t becomes g, then the point to go on from.
+    t.par_iter_mut().with_min_len(ELEMENTS_PER_TASK).zip(&x).for_each(|(t, x)| *t = x - *t);
+    let a = extrapolated.as_ref().map_or(0.0, |(_, g)| {
+        let parts = || t.par_chunks(ELEMENTS_PER_TASK).zip(g.par_chunks(ELEMENTS_PER_TASK));
+        let own = sum(g.par_chunks(ELEMENTS_PER_TASK).map(|g| dot(g, g)));
+        let a = sum(parts().map(|(t, g)| dot(t, g))) / own;
+        if a.is_finite() { a.clamp(0.0, 1.0) } else { 0.0 }
+    });
+    let mut y = x.clone();
+    if let Some((before, _)) = &*extrapolated {
+        let parts = y.par_iter_mut().with_min_len(ELEMENTS_PER_TASK).zip(before);
+        parts.for_each(|(y, before)| *y = (*y + a * (*y - before)).max(0.0));
+    }
+    *extrapolated = Some((x, std::mem::replace(t, y)));
+}
+
 /// (2) until it settles.
 fn iterate(
     w: &Array2<f64>,
@@ -447,20 +465,7 @@ fn iterate(
             *x = next.min(MAX_TIME_OVER_MEAN * mean);
         });
         if settings.accelerated {
-            // t becomes g, then the point to go on from.
-            t.par_iter_mut().with_min_len(ELEMENTS_PER_TASK).zip(&x).for_each(|(t, x)| *t = x - *t);
-            let a = extrapolated.as_ref().map_or(0.0, |(_, g)| {
-                let parts = || t.par_chunks(ELEMENTS_PER_TASK).zip(g.par_chunks(ELEMENTS_PER_TASK));
-                let own = sum(g.par_chunks(ELEMENTS_PER_TASK).map(|g| dot(g, g)));
-                let a = sum(parts().map(|(t, g)| dot(t, g))) / own;
-                if a.is_finite() { a.clamp(0.0, 1.0) } else { 0.0 }
-            });
-            let mut y = x.clone();
-            if let Some((before, _)) = &extrapolated {
-                let parts = y.par_iter_mut().with_min_len(ELEMENTS_PER_TASK).zip(before);
-                parts.for_each(|(y, before)| *y = (*y + a * (*y - before)).max(0.0));
-            }
-            extrapolated = Some((x, std::mem::replace(&mut t, y)));
+            extrapolate(&mut t, x, &mut extrapolated);
         } else {
             t = x;
         }

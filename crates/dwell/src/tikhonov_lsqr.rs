@@ -113,16 +113,23 @@ const SEARCHED_FOR_NOISE: (f64, f64, usize) = (1e-3, 1e1, 33);
 /// residual meets the noise more closely, in more time.
 const PARTS_AT_THE_NOISE: usize = 8;
 
+impl Damping {
+    fn check(self) -> Result<(), DwellError> {
+        let positive = |v: f64| v > 0.0;
+        match self {
+            Damping::Relative(d) => check("damping", d, positive, "give a number > 0")?,
+            Damping::Discrepancy(noise) => {
+                check("noise_rms_nm", noise, positive, "give the noise of the map in nm, > 0")?;
+            }
+            Damping::LCurve => {}
+        }
+        Ok(())
+    }
+}
+
 /// Solves (1).
 pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
-    let positive = |v: f64| v > 0.0;
-    match settings.damping {
-        Damping::Relative(d) => check("damping", d, positive, "give a number > 0")?,
-        Damping::Discrepancy(noise) => {
-            check("noise_rms_nm", noise, positive, "give the noise of the map in nm, > 0")?;
-        }
-        Damping::LCurve => {}
-    }
+    settings.damping.check()?;
     let model = Model::new(problem)?;
     let largest =
         largest_singular_value(|t| model.weighted_adjoint(&model.weighted(t)), problem.path.len());

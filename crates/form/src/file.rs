@@ -212,6 +212,16 @@ impl FormFile {
                 _ => {}
             }
         }
+        self.check_numbers()?;
+        if imaging {
+            self.imaging()?;
+        }
+        self.check_zernike()?;
+        self.check_fit()
+    }
+
+    /// Refuses numbers that cannot be what they claim to be.
+    fn check_numbers(&self) -> Result<(), Invalid> {
         if let Some(radius) =
             self.radius_mm.filter(|r| !(*r != 0.0 && r.abs() <= LARGEST_RADIUS_MM))
         {
@@ -243,11 +253,7 @@ impl FormFile {
             let problem = format!("is {}", terms[i]);
             return Err(Invalid::at("even_terms", i, problem, "give finite numbers: A4, A6, ..."));
         }
-        if imaging {
-            self.imaging()?;
-        }
-        self.check_zernike()?;
-        self.check_fit()
+        Ok(())
     }
 
     fn check_zernike(&self) -> Result<(), Invalid> {

@@ -7,6 +7,7 @@
 //! * [`npy`]: one array from or to a `.npy` file.
 //! * [`artifact`]: a directory of arrays with its manifest: read, checked, hashed, written whole
 //!   or not at all.
+//! * [`Running`]: a process that this one starts, and that ends with it.
 //! * [`command_line`]: flags, and the completions and manual pages made from them.
 //! * `describe`: the flags as data, for functions of other languages.
 //! * [`flags`]: groups of flags that several programs share.
@@ -62,6 +63,7 @@
 
 mod allocator;
 pub mod artifact;
+mod children;
 pub mod command_line;
 mod describe;
 pub mod flags;
@@ -81,6 +83,7 @@ pub mod words;
 
 pub use allocator::Allocator;
 pub use artifact::{Arrays, Artifact, Manifest, read_regular};
+pub use children::Running;
 pub use command_line::{pair, with_flags};
 pub use inputs::{GivenForm, Inputs, StatedForm};
 pub use nouns::Tool;

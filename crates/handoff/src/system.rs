@@ -10,7 +10,17 @@ use std::{
     process::Command,
 };
 
-pub(crate) use calls::{directory_stamp, file_identity, inode, is_at, on_end_signals};
+pub(crate) use calls::{
+    directory_stamp, file_identity, has_ended, inode, is_at, on_end_signals, reap, send,
+    wait_for_end,
+};
+
+/// Signals that end a process.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum EndSignal {
+    Term,
+    Kill,
+}
 
 /// Exchanges `from` and `to` in one step, or renames `from` to `to` where nothing is there. Returns true if they were
 /// exchanged. The error is of the kind `Unsupported` or `InvalidInput` if the system or the file system cannot do it.
@@ -70,6 +80,8 @@ mod calls {
         thread,
     };
 
+    use rustix::process::{Pid, WaitId, WaitIdOptions, waitid};
+
     /// Returns true if the open `file` is the one at `path`.
     pub(crate) fn is_at(file: &File, path: &Path) -> bool {
         let opened = file_identity(file);
@@ -105,6 +117,49 @@ mod calls {
                 let _ = emulate_default_handler(signal);
             }
         });
+    }
+
+    /// Sends a signal to a child whose end nobody has waited for yet.
+    pub(crate) fn send(child: u32, signal: EndSignal) {
+        use rustix::process::{Signal, kill_process};
+        let signal = match signal {
+            EndSignal::Term => Signal::TERM,
+            EndSignal::Kill => Signal::KILL,
+        };
+        if let Some(child) = process(child) {
+            let _ = kill_process(child, signal);
+        }
+    }
+
+    /// Waits until a child has ended. Its number stays its own.
+    pub(crate) fn wait_for_end(child: u32) {
+        look_at(child, WaitIdOptions::NOWAIT);
+    }
+
+    /// Returns true if a child has ended. Its number stays its own.
+    pub(crate) fn has_ended(child: u32) -> bool {
+        look_at(child, WaitIdOptions::NOWAIT | WaitIdOptions::NOHANG)
+    }
+
+    /// Gives the number of a child that has ended back to the system.
+    pub(crate) fn reap(child: u32) {
+        look_at(child, WaitIdOptions::NOHANG);
+    }
+
+    /// Returns true if the child has ended, or is none.
+    fn look_at(child: u32, how: WaitIdOptions) -> bool {
+        let Some(child) = process(child) else { return true };
+        loop {
+            match waitid(WaitId::Pid(child), WaitIdOptions::EXITED | how) {
+                Ok(ended) => return ended.is_some(),
+                Err(rustix::io::Errno::INTR) => {}
+                Err(_) => return true,
+            }
+        }
+    }
+
+    fn process(number: u32) -> Option<Pid> {
+        i32::try_from(number).ok().and_then(Pid::from_raw)
     }
 
     pub(super) fn become_command(mut command: Command, lock: File) -> io::Error {
@@ -149,6 +204,20 @@ mod calls {
 
     /// Does nothing: unfinished files stay until the next run removes them.
     pub(crate) fn on_end_signals<T>(_: impl Fn() -> T + Send + 'static) {}
+
+    /// Does nothing: no signal ends a process here.
+    pub(crate) fn send(_: u32, _: EndSignal) {}
+
+    /// Does nothing: the wait that follows waits.
+    pub(crate) fn wait_for_end(_: u32) {}
+
+    /// Does nothing.
+    pub(crate) fn reap(_: u32) {}
+
+    /// Returns true: no process waits for the end of another one here.
+    pub(crate) fn has_ended(_: u32) -> bool {
+        true
+    }
 
     pub(super) fn become_command(mut command: Command, lock: File) -> io::Error {
         match command.status() {

@@ -35,30 +35,23 @@ const CARD: usize = 80;
 /// equal steps by as much.
 const MOST_SLANT: f64 = 1e-4;
 
-/// Reads the image of the HDU whose number (0, the primary, first) or EXTNAME is `pick.dataset`, else the first.
-pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
-    if pick.x.is_some() || pick.y.is_some() {
-        let remedy = "FITS has its coordinates in the header; leave out `x` and `y`";
-        return Err(Invalid::whole(NAME, "has no arrays of coordinates", remedy));
-    }
-    let is_called = |wanted: Option<&str>, hdu: usize, name: &str| {
-        wanted.is_some_and(|wanted| match wanted.parse::<usize>() {
-            Ok(number) => number == hdu,
-            Err(_) => wanted.eq_ignore_ascii_case(name),
-        })
-    };
-    let (wanted, wanted_mask) = (pick.dataset.as_deref(), pick.mask.as_deref());
-    let b = Bytes { all: bytes, name: NAME, big_endian: true };
-    if !bytes.starts_with(b"SIMPLE  =") {
-        let problem = "does not start with SIMPLE";
-        return Err(Invalid::whole(NAME, problem, "give a FITS file, or the right `format`"));
-    }
+/// Returns true if a number or an EXTNAME is that of an HDU.
+fn is_called(wanted: Option<&str>, hdu: usize, name: &str) -> bool {
+    wanted.is_some_and(|wanted| match wanted.parse::<usize>() {
+        Ok(number) => number == hdu,
+        Err(_) => wanted.eq_ignore_ascii_case(name),
+    })
+}
+
+/// The images with two axes, the number of all HDUs, and true if an image is compressed. None of the HDUs that are
+/// `asked` for may be anything else.
+fn images(b: &Bytes<'_>, asked: [Option<&str>; 2]) -> Result<(Vec<Image>, usize, bool), Invalid> {
     let mut images = Vec::new();
     let (mut at, mut index) = (0, 0);
     let mut is_compressed = false;
     // What follows the last unit is no concern of a reader.
-    while index == 0 || bytes.get(at..).is_some_and(|rest| rest.starts_with(b"XTENSION")) {
-        let (header, data_at) = header(&b, at)?;
+    while index == 0 || b.all.get(at..).is_some_and(|rest| rest.starts_with(b"XTENSION")) {
+        let (header, data_at) = header(b, at)?;
         let sizes = header.sizes()?;
         at = data_at + blocks(header.data_bytes(&sizes)?);
         let image = index == 0 || header.text("XTENSION").as_deref() == Some("IMAGE");
@@ -73,7 +66,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
                 size: [sizes[1], sizes[0]],
                 name,
             });
-        } else if [wanted, wanted_mask].iter().any(|wanted| is_called(*wanted, index, &name)) {
+        } else if asked.iter().any(|wanted| is_called(*wanted, index, &name)) {
             let problem = format!("has in HDU {index} no image with two axes (NAXISn {sizes:?})");
             return Err(Invalid::whole(NAME, problem, "give another number"));
         }
@@ -83,6 +76,22 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
             return Err(too_many(NAME, MOST_ARRAYS, "header and data units", remedy));
         }
     }
+    Ok((images, index, is_compressed))
+}
+
+/// Reads the image of the HDU whose number (0, the primary, first) or EXTNAME is `pick.dataset`, else the first.
+pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
+    if pick.x.is_some() || pick.y.is_some() {
+        let remedy = "FITS has its coordinates in the header; leave out `x` and `y`";
+        return Err(Invalid::whole(NAME, "has no arrays of coordinates", remedy));
+    }
+    let (wanted, wanted_mask) = (pick.dataset.as_deref(), pick.mask.as_deref());
+    let b = Bytes { all: bytes, name: NAME, big_endian: true };
+    if !bytes.starts_with(b"SIMPLE  =") {
+        let problem = "does not start with SIMPLE";
+        return Err(Invalid::whole(NAME, problem, "give a FITS file, or the right `format`"));
+    }
+    let (images, index, is_compressed) = images(&b, [wanted, wanted_mask])?;
     let is_mask = |image: &Image| match wanted_mask {
         Some(_) => is_called(wanted_mask, image.hdu, &image.name),
         None => image.name.eq_ignore_ascii_case("MASK"),

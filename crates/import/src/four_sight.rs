@@ -9,7 +9,7 @@
 //! them applies `wedge`; the vendor has no public description. Source: public readers of 4Sight files for FizCam and
 //! PhaseCam, which state the factor, the invalid value and the orientation.
 
-use hdf5_reader::{Attribute, group::Group};
+use hdf5_reader::{Attribute, Hdf5File, group::Group};
 use planish_types::Invalid;
 use serde_json::json;
 
@@ -31,6 +31,24 @@ pub(crate) fn is_four_sight(bytes: &[u8]) -> bool {
     open(bytes).is_ok_and(|file| file.dataset(DATA).is_ok())
 }
 
+/// Path of the map of the only measurement, or of the one that is asked for.
+fn path(file: &Hdf5File, pick: &Pick) -> Result<String, Invalid> {
+    let root = file.root_group().map_err(broken)?;
+    let (groups, _) = root.member_names().map_err(broken)?;
+    let named = groups.iter().take(MOST_ARRAYS).map(|name| leaf(name));
+    let measurements: Vec<&str> = named.filter(|name| name.starts_with("measurement")).collect();
+    match &pick.dataset {
+        Some(path) => Ok(path.trim_start_matches('/').to_string()),
+        None if measurements.len() > 1 => {
+            let listed = measurements.iter().take(20).copied().collect::<Vec<_>>().join(", ");
+            let problem = format!("holds {} measurements: {listed}", measurements.len());
+            let remedy = "choose one with `dataset`, such as measurement0/genraw/data";
+            Err(Invalid::whole(NAME, problem, remedy))
+        }
+        None => Ok(DATA.to_string()),
+    }
+}
+
 /// Reads the map of the only measurement, or the one that `pick.dataset` names.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let bad = |problem: String| Invalid::whole(NAME, problem, "export it again from 4Sight");
@@ -39,20 +57,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         return Err(Invalid::whole(NAME, "has its pitch and marks invalid pixels", remedy));
     }
     let file = open(bytes)?;
-    let root = file.root_group().map_err(broken)?;
-    let (groups, _) = root.member_names().map_err(broken)?;
-    let named = groups.iter().take(MOST_ARRAYS).map(|name| leaf(name));
-    let measurements: Vec<&str> = named.filter(|name| name.starts_with("measurement")).collect();
-    let path = match &pick.dataset {
-        Some(path) => path.trim_start_matches('/').to_string(),
-        None if measurements.len() > 1 => {
-            let listed = measurements.iter().take(20).copied().collect::<Vec<_>>().join(", ");
-            let problem = format!("holds {} measurements: {listed}", measurements.len());
-            let remedy = "choose one with `dataset`, such as measurement0/genraw/data";
-            return Err(Invalid::whole(NAME, problem, remedy));
-        }
-        None => DATA.to_string(),
-    };
+    let path = path(&file, pick)?;
     let set = file.dataset(&path).map_err(broken)?;
     let values = matrix(&set, false)?;
     let group_path = path.rsplit_once('/').map_or("", |split| split.0);

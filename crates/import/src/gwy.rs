@@ -28,17 +28,22 @@ use crate::{
 const NAME: &str = "GWY file";
 pub(crate) const MAGIC: &[u8] = b"GWYP";
 
-/// Reads the channel whose number `pick` names, or the only one.
-pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
-    if !bytes.starts_with(MAGIC) {
-        return Err(broken("does not start with \"GWYP\"".into()));
-    }
+fn refuse_arrays(pick: &Pick) -> Result<(), Invalid> {
     for (name, given) in [("x", &pick.x), ("y", &pick.y), ("mask", &pick.mask)] {
         if let Some(given) = given {
             let remedy = "a channel has its coordinates and its mask itself; leave it out";
             return Err(Invalid::whole(name, format!("\"{given}\" was asked for"), remedy));
         }
     }
+    Ok(())
+}
+
+/// Reads the channel whose number `pick` names, or the only one.
+pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
+    if !bytes.starts_with(MAGIC) {
+        return Err(broken("does not start with \"GWYP\"".into()));
+    }
+    refuse_arrays(pick)?;
     let b = Bytes { all: bytes, name: NAME, big_endian: false };
     let (container, end) = object(&b, MAGIC.len())?;
     if container.name != "GwyContainer" {

@@ -129,6 +129,32 @@ impl Storage for Metered {
     }
 }
 
+/// The coordinates of the columns and rows of a map.
+fn coordinates(
+    x_set: &Dataset,
+    y_set: &Dataset,
+    transposed: bool,
+    (rows, columns): (usize, usize),
+) -> Result<Coordinates, Invalid> {
+    let ((x_unit, _), (y_unit, _)) = (unit(x_set)?, unit(y_set)?);
+    if x_unit != y_unit {
+        let problem = format!("has x in {x_unit:?} and y in {y_unit:?}");
+        return Err(Invalid::whole(NAME, problem, "give both the same unit"));
+    }
+    let scaled = |set: &Dataset| -> Result<Array2<f64>, Invalid> {
+        let Convention { scale, offset, .. } = Convention::of(set)?;
+        Ok(matrix(set, transposed)?.mapv(|v| match (scale, offset) {
+            (1.0, 0.0) => v,
+            _ => offset + scale * v,
+        }))
+    };
+    Ok(Coordinates {
+        x: along("x", &scaled(x_set)?, columns, true)?,
+        y: along("y", &scaled(y_set)?, rows, false)?,
+        unit: x_unit,
+    })
+}
+
 /// Reads the dataset that `pick` names; without a name a customary one, or the only map there is.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let file = open(bytes)?;
@@ -190,23 +216,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         reading.warnings.push(TURNED.into());
     }
     if let Some((x_set, y_set)) = sets {
-        let ((x_unit, _), (y_unit, _)) = (self::unit(&x_set)?, self::unit(&y_set)?);
-        if x_unit != y_unit {
-            let problem = format!("has x in {x_unit:?} and y in {y_unit:?}");
-            return Err(Invalid::whole(NAME, problem, "give both the same unit"));
-        }
-        let scaled = |set: &Dataset| -> Result<Array2<f64>, Invalid> {
-            let Convention { scale, offset, .. } = Convention::of(set)?;
-            Ok(matrix(set, transposed)?.mapv(|v| match (scale, offset) {
-                (1.0, 0.0) => v,
-                _ => offset + scale * v,
-            }))
-        };
-        reading.coordinates = Some(Coordinates {
-            x: along("x", &scaled(&x_set)?, columns, true)?,
-            y: along("y", &scaled(&y_set)?, rows, false)?,
-            unit: x_unit,
-        });
+        reading.coordinates = Some(coordinates(&x_set, &y_set, transposed, (rows, columns))?);
     }
     reading.stated = json!({
         "dataset": name,

@@ -42,11 +42,22 @@ pub(crate) fn is_magic(bytes: &[u8]) -> bool {
     bytes.first_chunk().is_some_and(|b| HEADERS.iter().any(|h| h.0 == u32::from_be_bytes(*b)))
 }
 
+fn bad(problem: String) -> Invalid {
+    Invalid::whole(NAME, problem, "export it again from the instrument")
+}
+
+fn resolution(word: i16) -> Result<f64, Invalid> {
+    match word {
+        0 => Ok(4096.0),
+        1 => Ok(32768.0),
+        2 => Ok(131_072.0),
+        other => Err(bad(format!("has the phase resolution word {other}, not 0, 1 or 2"))),
+    }
+}
+
 /// Reads the phase.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: true };
-    let bad =
-        |problem: String| Invalid::whole(NAME, problem, "export it again from the instrument");
 
     let found = (b.u32(0)?, b.u16(4)?, b.u32(6)?);
     if !HEADERS.contains(&found) {
@@ -80,12 +91,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let wavelength_m = positive("wavelength in m", 168)?;
     let obliquity = positive("obliquity factor", 176)?;
     let resolution_word = b.i16(218)?;
-    let resolution = match resolution_word {
-        0 => 4096.0,
-        1 => 32768.0,
-        2 => 131_072.0,
-        other => return Err(bad(format!("has the phase resolution word {other}, not 0, 1 or 2"))),
-    };
+    let resolution = resolution(resolution_word)?;
     let sign_word = b.i16(232)?;
     let sign = if sign_word == 0 { 1.0 } else { -1.0 };
     let lateral_m = f64::from(b.f32(184)?);

@@ -39,8 +39,6 @@ struct Block {
 
 /// Reads the block of heights, or the one that `pick.dataset` names.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
-    let bad =
-        |problem: String| Invalid::whole(NAME, problem, "export it again from the instrument");
     let b = Bytes { all: bytes, name: NAME, big_endian: false };
     if !bytes.starts_with(MAGIC) {
         return Err(bad("does not start with a directory".into()));
@@ -49,39 +47,9 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         let remedy = "it has its pitch and marks invalid pixels; leave out `x`, `y` and `mask`";
         return Err(Invalid::whole(NAME, "has no arrays of coordinates, no mask", remedy));
     }
-    let entries = b.u32(2 + 18)? as usize / ENTRY;
-    if entries > MOST_ARRAYS {
-        return Err(too_many(NAME, MOST_ARRAYS, "blocks", "export only the map"));
-    }
-    let mut blocks = Vec::new();
-    let mut at = 2usize;
-    for i in 0..entries {
-        let entry = 2 + ENTRY * i;
-        let len = b.u32(entry + 18)? as usize;
-        blocks.push(Block { name: b.text(entry, 16)?, kind: b.u16(entry + 16)?, at, len });
-        at = at.saturating_add(len);
-    }
+    let blocks = blocks(&b)?;
     let find = |name: &str| blocks.iter().find(|block| block.name == name && block.len > 0);
-    let maps: Vec<&Block> = blocks
-        .iter()
-        .filter(|m| MAPS.contains(&m.name.as_str()) && m.kind == 3 && m.len > 6)
-        .collect();
-    let block = match (&pick.dataset, &maps[..]) {
-        (Some(name), _) => {
-            let listed: Vec<&str> = blocks.iter().take(40).map(|m| m.name.as_str()).collect();
-            let listed = format!("it holds: {}", listed.join(", "));
-            find(name)
-                .filter(|block| block.kind == 3)
-                .ok_or_else(|| Invalid::whole(NAME, format!("has no array \"{name}\""), listed))?
-        }
-        (None, [only]) => only,
-        (None, []) => return Err(bad("holds no heights (RAW_DATA, OPD or SAMPLE_DATA)".into())),
-        (None, several) => {
-            let listed: Vec<&str> = several.iter().take(20).map(|m| m.name.as_str()).collect();
-            let problem = format!("holds several maps: {}", listed.join(", "));
-            return Err(Invalid::whole(NAME, problem, "choose one with `dataset`"));
-        }
-    };
+    let block = chosen(&blocks, pick)?;
     let parameter = |name: &str| -> Result<Option<f64>, Invalid> {
         let Some(found) = find(name) else { return Ok(None) };
         let value = match found.kind {
@@ -143,4 +111,50 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         "wedge": wedge,
     });
     Ok(reading)
+}
+
+/// The blocks of the directory, with their places.
+fn blocks(b: &Bytes<'_>) -> Result<Vec<Block>, Invalid> {
+    let entries = b.u32(2 + 18)? as usize / ENTRY;
+    if entries > MOST_ARRAYS {
+        return Err(too_many(NAME, MOST_ARRAYS, "blocks", "export only the map"));
+    }
+    let mut blocks = Vec::new();
+    let mut at = 2usize;
+    for i in 0..entries {
+        let entry = 2 + ENTRY * i;
+        let len = b.u32(entry + 18)? as usize;
+        blocks.push(Block { name: b.text(entry, 16)?, kind: b.u16(entry + 16)?, at, len });
+        at = at.saturating_add(len);
+    }
+    Ok(blocks)
+}
+
+/// The block of heights, or the one that `pick.dataset` names.
+fn chosen<'a>(blocks: &'a [Block], pick: &Pick) -> Result<&'a Block, Invalid> {
+    let maps: Vec<&Block> = blocks
+        .iter()
+        .filter(|m| MAPS.contains(&m.name.as_str()) && m.kind == 3 && m.len > 6)
+        .collect();
+    match (&pick.dataset, &maps[..]) {
+        (Some(name), _) => {
+            let listed: Vec<&str> = blocks.iter().take(40).map(|m| m.name.as_str()).collect();
+            let listed = format!("it holds: {}", listed.join(", "));
+            let found = blocks.iter().find(|block| block.name == *name && block.len > 0);
+            found
+                .filter(|block| block.kind == 3)
+                .ok_or_else(|| Invalid::whole(NAME, format!("has no array \"{name}\""), listed))
+        }
+        (None, [only]) => Ok(only),
+        (None, []) => Err(bad("holds no heights (RAW_DATA, OPD or SAMPLE_DATA)".into())),
+        (None, several) => {
+            let listed: Vec<&str> = several.iter().take(20).map(|m| m.name.as_str()).collect();
+            let problem = format!("holds several maps: {}", listed.join(", "));
+            Err(Invalid::whole(NAME, problem, "choose one with `dataset`"))
+        }
+    }
+}
+
+fn bad(problem: String) -> Invalid {
+    Invalid::whole(NAME, problem, "export it again from the instrument")
 }

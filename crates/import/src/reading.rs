@@ -664,6 +664,42 @@ fn coordinate_unit(
     Ok(settings.coordinate_unit.or(stated))
 }
 
+/// Distance of pixel centres, mm, and where it is from: the user or the file, who must not contradict each other.
+fn pitch(
+    of_file: Option<[f64; 2]>,
+    settings: &Settings,
+    warnings: &mut Vec<String>,
+) -> Result<([f64; 2], &'static str), Invalid> {
+    let (pitch, pitch_from) = match (settings.pixel_mm, of_file) {
+        (None, None) => {
+            return Err(Invalid::whole(
+                "pixel_mm",
+                "is not in the file",
+                "give `pixel_mm`, the distance of pixel centres",
+            ));
+        }
+        (Some(asked), stated) => {
+            if let Some(s) = stated
+                && !(agree(s[0], asked[0]) && agree(s[1], asked[1]))
+            {
+                let text = |p: [f64; 2]| {
+                    format!("{} x {} mm", significant(p[0], 10), significant(p[1], 10))
+                };
+                contradicts("pixel_mm", text(s), text(asked), settings, warnings)?;
+            }
+            (asked, "asked for")
+        }
+        (None, Some(stated)) => (stated, "file"),
+    };
+    for pitch in pitch {
+        if !(pitch.is_finite() && pitch > 0.0) {
+            let remedy = "a pitch is positive; give `pixel_mm`";
+            return Err(Invalid::whole("pixel_mm", format!("is {pitch}"), remedy));
+        }
+    }
+    Ok((pitch, pitch_from))
+}
+
 /// [`place`] of a file without arrays of coordinates: with its [`Rule`], or with a pitch alone.
 fn place_by_pitch(
     reading: &Reading,
@@ -694,33 +730,7 @@ fn place_by_pitch(
         }
     }
     let of_file = rule.as_ref().map(|rule| rule.step.map(f64::abs)).or(reading.pixel_mm);
-    let (pitch, pitch_from) = match (settings.pixel_mm, of_file) {
-        (None, None) => {
-            return Err(Invalid::whole(
-                "pixel_mm",
-                "is not in the file",
-                "give `pixel_mm`, the distance of pixel centres",
-            ));
-        }
-        (Some(asked), stated) => {
-            if let Some(s) = stated
-                && !(agree(s[0], asked[0]) && agree(s[1], asked[1]))
-            {
-                let text = |p: [f64; 2]| {
-                    format!("{} x {} mm", significant(p[0], 10), significant(p[1], 10))
-                };
-                contradicts("pixel_mm", text(s), text(asked), settings, warnings)?;
-            }
-            (asked, "asked for")
-        }
-        (None, Some(stated)) => (stated, "file"),
-    };
-    for pitch in pitch {
-        if !(pitch.is_finite() && pitch > 0.0) {
-            let remedy = "a pitch is positive; give `pixel_mm`";
-            return Err(Invalid::whole("pixel_mm", format!("is {pitch}"), remedy));
-        }
-    }
+    let (pitch, pitch_from) = pitch(of_file, settings, warnings)?;
     let reference = rule.as_ref().and_then(|rule| rule.reference);
     if reference.is_some() && settings.first_row.is_some() {
         let problem = "was given, but the file says where its rows lie";

@@ -9,6 +9,7 @@ use ndarray::Array2;
 use planish_types::{Invalid, budget};
 use spade::{
     DelaunayTriangulation, HasPosition, Point2, PositionInTriangulation, Triangulation as _,
+    handles::FixedVertexHandle,
 };
 
 use crate::budget::check_size;
@@ -45,6 +46,54 @@ pub(crate) struct Gridded {
     pub warnings: Vec<String>,
 }
 
+fn length(a: Point2<f64>, b: Point2<f64>) -> f64 {
+    (a.x - b.x).hypot(a.y - b.y)
+}
+
+/// Height at a place, NaN in no triangle whose sides are at most `longest`, and a vertex near it, from which the search
+/// for the next place begins.
+fn interpolated(
+    mesh: &DelaunayTriangulation<Corner>,
+    at: Point2<f64>,
+    hint: Option<FixedVertexHandle>,
+    longest: f64,
+) -> (f64, Option<FixedVertexHandle>) {
+    let place = match hint {
+        Some(hint) => mesh.locate_with_hint(at, hint),
+        None => mesh.locate(at),
+    };
+    match place {
+        PositionInTriangulation::OnVertex(v) => (mesh.vertex(v).data().z, Some(v)),
+        PositionInTriangulation::OnEdge(e) => {
+            let [a, b] = mesh.directed_edge(e).vertices();
+            let (p, q) = (a.position(), b.position());
+            let side = length(p, q);
+            if side > longest {
+                return (f64::NAN, Some(a.fix()));
+            }
+            let t = length(p, at) / side;
+            (a.data().z + t * (b.data().z - a.data().z), Some(a.fix()))
+        }
+        PositionInTriangulation::OnFace(f) => {
+            let [a, b, c] = mesh.face(f).vertices();
+            let [p, q, s] = [a.position(), b.position(), c.position()];
+            if ![length(p, q), length(q, s), length(s, p)].iter().all(|l| *l <= longest) {
+                return (f64::NAN, Some(a.fix()));
+            }
+            // z = za + u (zb - za) + v (zc - za) with at - p = u (q - p) + v (s - p)
+            let (d, e) = ([q.x - p.x, q.y - p.y], [s.x - p.x, s.y - p.y]);
+            let w = [at.x - p.x, at.y - p.y];
+            let area = d[0] * e[1] - d[1] * e[0];
+            let u = (w[0] * e[1] - w[1] * e[0]) / area;
+            let v = (d[0] * w[1] - d[1] * w[0]) / area;
+            let z = a.data().z;
+            (z + u * (b.data().z - z) + v * (c.data().z - z), Some(a.fix()))
+        }
+        PositionInTriangulation::OutsideOfConvexHull(_)
+        | PositionInTriangulation::NoTriangulation => (f64::NAN, hint),
+    }
+}
+
 /// Grids `points` (x and y in mm, height) with a pitch along (x, y).
 pub(crate) fn grid(points: &[[f64; 3]], pixel_mm: [f64; 2]) -> Result<Gridded, Invalid> {
     if let Some(p) = pixel_mm.into_iter().find(|p| !(p.is_finite() && *p > 0.0)) {
@@ -78,7 +127,6 @@ pub(crate) fn grid(points: &[[f64; 3]], pixel_mm: [f64; 2]) -> Result<Gridded, I
         let remedy = "correct the coordinates or their unit";
         Invalid::whole("XYZ file", format!("has points that cannot be triangulated ({e})"), remedy)
     })?;
-    let length = |a: Point2<f64>, b: Point2<f64>| (a.x - b.x).hypot(a.y - b.y);
     let mut sides: Vec<f64> =
         mesh.undirected_edges().map(|edge| edge.positions()).map(|[a, b]| length(a, b)).collect();
     if mesh.num_inner_faces() == 0 {
@@ -94,43 +142,7 @@ pub(crate) fn grid(points: &[[f64; 3]], pixel_mm: [f64; 2]) -> Result<Gridded, I
     let mut hint = None;
     for ((r, c), value) in values.indexed_iter_mut() {
         let at = Point2::new(tidy(coordinate(0, x0, c)), tidy(coordinate(1, y0, r)));
-        let place = match hint {
-            Some(hint) => mesh.locate_with_hint(at, hint),
-            None => mesh.locate(at),
-        };
-        match place {
-            PositionInTriangulation::OnVertex(v) => {
-                *value = mesh.vertex(v).data().z;
-                hint = Some(v);
-            }
-            PositionInTriangulation::OnEdge(e) => {
-                let [a, b] = mesh.directed_edge(e).vertices();
-                let (p, q) = (a.position(), b.position());
-                let side = length(p, q);
-                hint = Some(a.fix());
-                if side <= longest {
-                    let t = length(p, at) / side;
-                    *value = a.data().z + t * (b.data().z - a.data().z);
-                }
-            }
-            PositionInTriangulation::OnFace(f) => {
-                let [a, b, c] = mesh.face(f).vertices();
-                hint = Some(a.fix());
-                let [p, q, s] = [a.position(), b.position(), c.position()];
-                if [length(p, q), length(q, s), length(s, p)].iter().all(|l| *l <= longest) {
-                    // z = za + u (zb - za) + v (zc - za) with at - p = u (q - p) + v (s - p)
-                    let (d, e) = ([q.x - p.x, q.y - p.y], [s.x - p.x, s.y - p.y]);
-                    let w = [at.x - p.x, at.y - p.y];
-                    let area = d[0] * e[1] - d[1] * e[0];
-                    let u = (w[0] * e[1] - w[1] * e[0]) / area;
-                    let v = (d[0] * w[1] - d[1] * w[0]) / area;
-                    let z = a.data().z;
-                    *value = z + u * (b.data().z - z) + v * (c.data().z - z);
-                }
-            }
-            PositionInTriangulation::OutsideOfConvexHull(_)
-            | PositionInTriangulation::NoTriangulation => {}
-        }
+        (*value, hint) = interpolated(&mesh, at, hint, longest);
     }
     let invalid = values.iter().filter(|v| v.is_nan()).count();
     let mut warnings = vec![format!(

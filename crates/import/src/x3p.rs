@@ -65,22 +65,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
             _ => Err(refuse(format!("has \"{text}\" in {path}"), "write a number there")),
         }
     };
-    let kind = text("Record1/FeatureType").unwrap_or_default();
-    if kind != "SUR" {
-        let problem = format!("holds the feature \"{kind}\", not a map (SUR)");
-        return Err(refuse(problem, "export the surface"));
-    }
-    if child(root, "Record1").and_then(|r| child(child(r, "Axes")?, "Rotation")).is_some() {
-        let remedy = "export it with the axes of the map";
-        return Err(refuse("has turned axes (Rotation)".into(), remedy));
-    }
-    for axis in ["CX", "CY"] {
-        let kind = text(&format!("Record1/Axes/{axis}/AxisType"));
-        if kind.as_deref() != Some("I") {
-            let problem = format!("has an axis {axis} of type {kind:?}, not of equal steps (I)");
-            return Err(refuse(problem, "export it on a uniform grid"));
-        }
-    }
+    refuse_other(root, text)?;
     let size = |name: &str| -> Result<usize, Invalid> {
         let path = format!("Record3/MatrixDimension/{name}");
         match number(&path)? {
@@ -118,15 +103,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     reading.single = number_type == Number::F32;
     if let Some(link) = text("Record3/DataLink/ValidPointsLink") {
         let bits = archive.member(&link, count.div_ceil(8))?;
-        if bits.len() != count.div_ceil(8) {
-            let problem = format!("has {} bytes of valid pixels for {count}", bits.len());
-            return Err(refuse(problem, again));
-        }
-        for (k, v) in reading.values.iter_mut().enumerate() {
-            if bits[k / 8] >> (k % 8) & 1 == 0 {
-                *v = f64::NAN;
-            }
-        }
+        mark_invalid(&mut reading, &bits)?;
     }
     reading.unit = Some(Unit::M);
     reading.factor = number("Record1/Axes/CZ/Increment")?.unwrap_or(1.0);
@@ -148,4 +125,40 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
 /// The first child of this name, in any namespace.
 fn child<'a>(node: Node<'a, 'a>, name: &str) -> Option<Node<'a, 'a>> {
     node.children().find(|child| child.tag_name().name() == name)
+}
+
+/// Refuses what is no map on a uniform grid along the axes of the part. `text` is that of a path of elements.
+fn refuse_other(root: Node<'_, '_>, text: impl Fn(&str) -> Option<String>) -> Result<(), Invalid> {
+    let kind = text("Record1/FeatureType").unwrap_or_default();
+    if kind != "SUR" {
+        let problem = format!("holds the feature \"{kind}\", not a map (SUR)");
+        return Err(Invalid::whole(NAME, problem, "export the surface"));
+    }
+    if child(root, "Record1").and_then(|r| child(child(r, "Axes")?, "Rotation")).is_some() {
+        let remedy = "export it with the axes of the map";
+        return Err(Invalid::whole(NAME, "has turned axes (Rotation)", remedy));
+    }
+    for axis in ["CX", "CY"] {
+        let kind = text(&format!("Record1/Axes/{axis}/AxisType"));
+        if kind.as_deref() != Some("I") {
+            let problem = format!("has an axis {axis} of type {kind:?}, not of equal steps (I)");
+            return Err(Invalid::whole(NAME, problem, "export it on a uniform grid"));
+        }
+    }
+    Ok(())
+}
+
+/// Marks the pixels whose bit is 0.
+fn mark_invalid(reading: &mut Reading, bits: &[u8]) -> Result<(), Invalid> {
+    let count = reading.values.len();
+    if bits.len() != count.div_ceil(8) {
+        let problem = format!("has {} bytes of valid pixels for {count}", bits.len());
+        return Err(Invalid::whole(NAME, problem, "export it again"));
+    }
+    for (k, v) in reading.values.iter_mut().enumerate() {
+        if bits[k / 8] >> (k % 8) & 1 == 0 {
+            *v = f64::NAN;
+        }
+    }
+    Ok(())
 }

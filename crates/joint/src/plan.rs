@@ -7,6 +7,7 @@
 
 use std::borrow::Cow;
 
+use ndarray::Array2;
 use planish_dwell::columns;
 use planish_simulate::{Plan as Simulation, Settings as SimulationSettings};
 use planish_types::{
@@ -233,6 +234,74 @@ pub fn plan_with_further_axes(
     planned(desired, tif, path, (limits, Some(further)), settings)
 }
 
+impl Averaged {
+    fn of(average: Average) -> Self {
+        Self {
+            window_s: average.window_s,
+            fraction_of_acceleration: average.fraction,
+            deviation_mm: average.deviation_mm,
+        }
+    }
+}
+
+/// The problem along smooth curves, without the rates of a tool that depend on the time of the run.
+struct Task<'a> {
+    desired: &'a Surface,
+    tif: &'a Tif,
+    path: &'a ToolPath,
+    curves: &'a [Curve],
+    limits: &'a Limits,
+    further: Option<&'a Further<'a>>,
+    average: Option<Average>,
+    simulation: &'a Simulation<'a>,
+}
+
+impl Task<'_> {
+    /// The average in time, if the machine limits jerk.
+    fn averaged(&self, planned: &Trajectory) -> Result<Option<Trajectory>, Invalid> {
+        self.average.map(|average| average.of(planned)).transpose()
+    }
+
+    /// Removal of a plan as it is executed, by these rates at the dwell points.
+    fn removal_nm(&self, planned: &Trajectory, rates: &[f64]) -> Result<Array2<f64>, Invalid> {
+        let averaged = self.averaged(planned)?;
+        let motion = averaged.as_ref().unwrap_or(planned);
+        match self.tif.variation().and_then(Variation::time_factor) {
+            None => Ok(self.simulation.removal_nm(motion)?.0),
+            Some(_) => {
+                let rate = |s: Segment<'_>| s.dwell_index.map_or(1.0, |j| rates[j]);
+                let rates = motion.segments().map(rate).collect();
+                Ok(self.simulation.removal_nm(&motion.clone().with_rate_factor(rates)?)?.0)
+            }
+        }
+    }
+
+    /// Solves the problem. Where the rate depends on the time of the run, it is solved again with the rates at the times
+    /// of the plan before, until these stay.
+    fn solved(&self, meshes: &Meshes, settings: &Settings) -> Result<Solved, JointError> {
+        let Self { desired, tif, path, curves, limits, further, .. } = *self;
+        let mut rates = vec![1.0; path.len()];
+        let mut rounds_of_times = 0;
+        loop {
+            // The rates of a plan are fixed, in its model as in its motion.
+            let executed = &|planned: &Trajectory| self.removal_nm(planned, &rates);
+            let asked = {
+                let rates = &rates;
+                Asked { desired, tif, path, curves, limits, further, rates, executed }
+            };
+            let solved = solve(&asked, meshes, settings)?;
+            rounds_of_times += 1;
+            let next = columns::time_factors(&solved.found.motion.trajectory, path.len(), tif);
+            let change =
+                next.iter().zip(&rates).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max);
+            if change <= SAME_RATE || rounds_of_times == MAX_ROUNDS_OF_TIMES {
+                return Ok(solved);
+            }
+            rates = next;
+        }
+    }
+}
+
 fn planned(
     desired: &Surface,
     tif: &Tif,
@@ -262,42 +331,15 @@ fn planned(
     let most_work = settings.node_spacing_mm.map_or(MOST_WORK, |_| f64::INFINITY);
     let constant = tif.without_time();
     let simulation = Simulation::new(&constant, desired.grid(), SimulationSettings::Gridded)?;
-    let averaged = |planned: &Trajectory| average.map(|average| average.of(planned)).transpose();
     let slower = average.map_or(Ok(limits.clone()), |a| a.limits(limits))?;
     let meshes = Meshes { first: mesh, refinements, most_work };
-    let mut rates = vec![1.0; path.len()];
-    let mut rounds_of_times = 0;
-    let Solved { mesh, nodes_of_meshes, found } = loop {
-        // The rates of a plan are fixed, in its model as in its motion.
-        let executed = |planned: &Trajectory| {
-            let averaged = averaged(planned)?;
-            let motion = averaged.as_ref().unwrap_or(planned);
-            match tif.variation().and_then(Variation::time_factor) {
-                None => Ok(simulation.removal_nm(motion)?.0),
-                Some(_) => {
-                    let rate = |s: Segment<'_>| s.dwell_index.map_or(1.0, |j| rates[j]);
-                    let rates = motion.segments().map(rate).collect();
-                    Ok(simulation.removal_nm(&motion.clone().with_rate_factor(rates)?)?.0)
-                }
-            }
-        };
-        let (curves, limits, executed) = (&curves, &slower, &executed);
-        let asked = {
-            let rates = &rates;
-            Asked { desired, tif, path, curves, limits, further, rates, executed }
-        };
-        let solved = solve(&asked, &meshes, settings)?;
-        rounds_of_times += 1;
-        // Where the rate depends on the time of the run, the next plan has the rates at the times of this one.
-        let next = columns::time_factors(&solved.found.motion.trajectory, path.len(), tif);
-        let change = next.iter().zip(&rates).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max);
-        if change <= SAME_RATE || rounds_of_times == MAX_ROUNDS_OF_TIMES {
-            break solved;
-        }
-        rates = next;
+    let task = {
+        let (curves, limits, simulation) = (&curves, &slower, &simulation);
+        Task { desired, tif, path, curves, limits, further, average, simulation }
     };
+    let Solved { mesh, nodes_of_meshes, found } = task.solved(&meshes, settings)?;
     let Found { solution, motion, refused, model_rms_nm, price, iterations, rounds } = found;
-    let (mut trajectory, mut refused) = match averaged(&motion.trajectory)? {
+    let (mut trajectory, mut refused) = match task.averaged(&motion.trajectory)? {
         None => (motion.trajectory.clone(), refused),
         Some(trajectory) => {
             let verdict = verify(&trajectory, limits, &VerifySettings::default())?;
@@ -305,22 +347,20 @@ fn planned(
         }
     };
     let mut slowed_by = None;
-    if let Some(further) = further {
-        (trajectory, refused, slowed_by) = within_axes(trajectory, refused, limits, further)?;
+    if let Some(axes) = further {
+        (trajectory, refused, slowed_by) = within_axes(trajectory, refused, limits, axes)?;
     }
     let of_axes =
         further.map(|further| axes::report(&trajectory, &motion.trajectory, limits, further));
-    let of_run = match constant {
-        Cow::Borrowed(_) => None,
-        Cow::Owned(_) => Some(Simulation::new(tif, desired.grid(), SimulationSettings::Gridded)?),
-    };
+    let is_other = matches!(constant, Cow::Owned(_));
+    let own = || Simulation::new(tif, desired.grid(), SimulationSettings::Gridded);
+    let of_run = is_other.then(own).transpose()?;
     let removal = of_run.as_ref().unwrap_or(&simulation).predict(&trajectory, desired)?.removal;
     let dwell = DwellTime::new(trajectory.served_s(path.len(), |_| true)?)?;
-    let corners = || curves.iter().flat_map(Curve::corners);
     let report = Report {
         curves: curves.len(),
         points_moved_mm: moved_mm,
-        corners: corners().count(),
+        corners: curves.iter().flat_map(Curve::corners).count(),
         corner_deviation_mm: curves.iter().map(Curve::deviation_mm).fold(0.0, f64::max),
         least_radius_mm: least_radius_mm(&curves),
         length_mm: curves.iter().map(Curve::length_mm).sum(),
@@ -335,11 +375,7 @@ fn planned(
         objective_nm2: solution.objective,
         model_rms_nm,
         fit_error_mm: motion.fit_error_mm,
-        average: average.map(|a| Averaged {
-            window_s: a.window_s,
-            fraction_of_acceleration: a.fraction,
-            deviation_mm: a.deviation_mm,
-        }),
+        average: average.map(Averaged::of),
         rounds,
         axes: of_axes.unwrap_or_default(),
         slowed_by,

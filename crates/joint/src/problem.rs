@@ -353,16 +353,8 @@ impl<'a> Posed<'a> {
             if excess.max(further_excess) <= 1.0 || rounds == MAX_ROUNDS || hopeless {
                 break (solution, planned, verdict.reason(), further_excess <= 1.0);
             }
-            let tighter = |used: &[f64]| -> Vec<f64> {
-                used.iter().map(|u| if *u > 1.0 { u * TIGHTENED_FURTHER } else { 1.0 }).collect()
-            };
-            if excess > 1.0 {
-                rows.tighten(&tighter(&used));
-            }
-            if further_excess > 1.0 {
-                let tighter: Vec<Vec<f64>> = of_axes.iter().map(|used| tighter(used)).collect();
-                rows.tighten_further(&tighter, rounds >= TIGHTEN_ALL_FROM);
-            }
+            let all = rounds >= TIGHTEN_ALL_FROM;
+            tighten(&mut rows, (excess, &used), (further_excess, &of_axes), all);
             // If times are longer by a factor, accelerations are smaller by its square.
             let excess = excess.max(further_excess);
             let factor = ABOVE_LIMITS * (excess * TIGHTENED_FURTHER).sqrt();
@@ -449,6 +441,26 @@ impl<'a> Posed<'a> {
         found.density.clone_from(&from.density);
         found.objective.push(before);
         Ok(Some(found))
+    }
+}
+
+/// Tightens the limits on the spans whose motion exceeds them: `used` is the part of them that it uses, and `excess` the
+/// largest. `all` tightens the further axes everywhere.
+fn tighten(
+    rows: &mut Rows<'_>,
+    (excess, used): (f64, &[f64]),
+    (further_excess, of_axes): (f64, &[Vec<f64>]),
+    all: bool,
+) {
+    let tighter = |used: &[f64]| -> Vec<f64> {
+        used.iter().map(|u| if *u > 1.0 { u * TIGHTENED_FURTHER } else { 1.0 }).collect()
+    };
+    if excess > 1.0 {
+        rows.tighten(&tighter(used));
+    }
+    if further_excess > 1.0 {
+        let tighter: Vec<Vec<f64>> = of_axes.iter().map(|used| tighter(used)).collect();
+        rows.tighten_further(&tighter, all);
     }
 }
 

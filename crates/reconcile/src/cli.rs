@@ -5,14 +5,14 @@ use std::path::PathBuf;
 use clap::Args;
 use ndarray::Array2;
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, Tool,
+    Artifact, Begin, Failure, Inputs, Output, Status, Tool, Writer,
     flags::{OutputArgs, TrajectoryArgs},
     kind,
     npy::ArrayData,
     say, task,
 };
 use planish_reconcile::{
-    Comparison, Reconciled, Settings, draw::picture, reconcile, report::Estimate,
+    Comparison, Reconciled, Settings, bands::Band, draw::picture, reconcile, report::Estimate,
 };
 use planish_simulate::error_budget::{ErrorBudget, ErrorBudgetFile};
 use planish_types::{Surface, Tif, Transform, plausible, text::significant};
@@ -138,6 +138,19 @@ impl Reconcile {
         let svg = picture(&found, before.grid()).into_bytes();
         let beside = [("reconcile.svg", svg)];
         output.write_arrays(&kind::RECONCILIATION, &arrays, &beside, outcome, &status)?;
+        self.write_corrected(&found, &mut output, &status)?;
+        say(table(&found));
+        say(format!("-> {}", self.output.out.display()));
+        Ok(status)
+    }
+
+    /// Writes the corrected artifacts that are asked for.
+    fn write_corrected(
+        &self,
+        found: &Reconciled,
+        output: &mut Writer,
+        status: &Status,
+    ) -> Result<(), Failure> {
         if self.corrected_tif.is_some() {
             let learnt = serde_json::json!({
                 "peak_nm_per_s": found.tif.peak_nm_per_s(),
@@ -145,20 +158,18 @@ impl Reconcile {
                 "width_mm": found.tif.width_mm(),
             });
             match found.tif.variation() {
-                Some(_) => output.write(&Tool(found.tif.clone()), learnt, &status)?,
-                None => output.write(&found.tif, learnt, &status)?,
+                Some(_) => output.write(&Tool(found.tif.clone()), learnt, status)?,
+                None => output.write(&found.tif, learnt, status)?,
             }
         }
         if self.corrected_transform.is_some() {
-            output.write(&found.transform, serde_json::json!({}), &status)?;
+            output.write(&found.transform, serde_json::json!({}), status)?;
         }
         if let Some(file) = &self.learnt_error_budget {
             let text = format!("{}\n", serde_json::to_string_pretty(&found.error_budget)?);
             output.write_file(file, text.as_bytes())?;
         }
-        say(table(&found));
-        say(format!("-> {}", self.output.out.display()));
-        Ok(status)
+        Ok(())
     }
 
     fn read_process(&self, inputs: &mut Inputs) -> Result<Option<ErrorBudget>, Failure> {
@@ -168,6 +179,19 @@ impl Reconcile {
             file.checked().map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
         Ok(Some(process))
     }
+}
+
+fn line_of_band(band: &Band) -> String {
+    let period = match band.period_mm {
+        [Some(short), None] => format!("over {short:.1}"),
+        [Some(short), Some(long)] => format!("{short:.1} to {long:.1}"),
+        _ => "all".into(),
+    };
+    let transfer = band.transfer.map_or("-".into(), |t| format!("{t:.3}"));
+    format!(
+        "{period:<16} {:>9.4} {:>13.4} {:>10.4} {transfer:>17}",
+        band.measured_rms_nm, band.measured_less_planned_rms_nm, band.rest_rms_nm
+    )
 }
 
 /// Table for a person.
@@ -196,18 +220,7 @@ fn table(found: &Reconciled) -> String {
     }
     lines.push(String::new());
     lines.push("period, mm        measured   less plan's       rest nm RMS   transfer".into());
-    for band in &outcome.bands {
-        let period = match band.period_mm {
-            [Some(short), None] => format!("over {short:.1}"),
-            [Some(short), Some(long)] => format!("{short:.1} to {long:.1}"),
-            _ => "all".into(),
-        };
-        let transfer = band.transfer.map_or("-".into(), |t| format!("{t:.3}"));
-        lines.push(format!(
-            "{period:<16} {:>9.4} {:>13.4} {:>10.4} {transfer:>17}",
-            band.measured_rms_nm, band.measured_less_planned_rms_nm, band.rest_rms_nm
-        ));
-    }
+    lines.extend(outcome.bands.iter().map(line_of_band));
     if let Some(method) = outcome.resampled {
         lines.push(format!(
             "the map after has other pixels: it is resampled on those of the map before by {method}"

@@ -60,26 +60,20 @@ const BLOCKS: usize = 8;
 /// correction for noise is a guess. Chosen.
 const LEAST_SIGNAL: f64 = 0.2;
 
-/// Returns the sentence that says so if the fit explains nothing. `start` is the model at the plan, `rest` what the fit
-/// leaves.
-pub fn explains_nothing(
+/// Other reading of the map after that leaves the least, and what it leaves, nm RMS.
+fn best_reading(
     before: &Array2<f64>,
+    after: &Array2<f64>,
     data: &Data<'_>,
     start: &Start,
     terms: &[Term],
-    rest: &Array2<f64>,
-    fitted: &Fitted,
-) -> Option<String> {
-    let with_nan = |v: f64, valid: &f64| if *valid > 0.5 { v } else { f64::NAN };
-    let mut after = before - &data.data;
-    after.zip_mut_with(&data.valid, |v, valid| *v = with_nan(*v, valid));
-    let left_nm = fitted.rest_rms_nm;
+) -> (&'static str, f64) {
     // A reading as before - factor * after, which has the noise (1 + factor^2) / 2 of the given one.
     let mirrored = |y: i32, x: i32| after.slice(s![..;y, ..;x]).to_owned();
     let readings: [(&str, Array2<f64>, f64); 6] = [
-        ("with its sign turned", -&after, 1.0),
-        ("with twice its heights", 2.0 * &after, 2.5_f64.sqrt()),
-        ("with half of its heights", 0.5 * &after, 0.625_f64.sqrt()),
+        ("with its sign turned", -after, 1.0),
+        ("with twice its heights", 2.0 * after, 2.5_f64.sqrt()),
+        ("with half of its heights", 0.5 * after, 0.625_f64.sqrt()),
         ("turned by 180 degrees", mirrored(-1, -1), 1.0),
         ("mirrored along x", mirrored(1, -1), 1.0),
         ("mirrored along y", mirrored(-1, 1), 1.0),
@@ -98,6 +92,24 @@ pub fn explains_nothing(
             best = (name, left);
         }
     }
+    best
+}
+
+/// Returns the sentence that says so if the fit explains nothing. `start` is the model at the plan, `rest` what the fit
+/// leaves.
+pub fn explains_nothing(
+    before: &Array2<f64>,
+    data: &Data<'_>,
+    start: &Start,
+    terms: &[Term],
+    rest: &Array2<f64>,
+    fitted: &Fitted,
+) -> Option<String> {
+    let with_nan = |v: f64, valid: &f64| if *valid > 0.5 { v } else { f64::NAN };
+    let mut after = before - &data.data;
+    after.zip_mut_with(&data.valid, |v, valid| *v = with_nan(*v, valid));
+    let left_nm = fitted.rest_rms_nm;
+    let best = best_reading(before, &after, data, start, terms);
     let missed = fitted.measured_less_planned_rms_nm;
     let said = format!(
         "the fit explains nothing: {} of the {} nm RMS that the plan missed are left",

@@ -332,6 +332,90 @@ fn inverted(matrix: &DMatrix<f64>) -> Inverted {
     Inverted { inverse, eigenvalues, is_dependent }
 }
 
+/// Values of all unknowns, the removal with them, and what it leaves.
+struct Point {
+    values: DVector<f64>,
+    removal: Array2<f64>,
+    rest: Array2<f64>,
+}
+
+/// Steps with the same derivatives.
+struct Steps {
+    /// Magnitude of the first one, for every parameter.
+    first: Vec<f64>,
+    first_was_small: bool,
+    /// True if none was taken.
+    is_stuck: bool,
+}
+
+/// Goes steps with the derivatives in `normal` while they lower the objective, shorter ones where one does not. `way` is
+/// that from the point before.
+fn steps(
+    at: &mut Point,
+    model: &Model<'_>,
+    normal: &Normal,
+    (variance, known): (f64, &[f64]),
+    way: Option<&DVector<f64>>,
+    rest_of: impl Fn(&Array2<f64>, &DVector<f64>) -> Array2<f64>,
+) -> Result<Steps, Invalid> {
+    let p = model.parameters.len();
+    let here = at.values.clone();
+    let inverse = normal.inverse();
+    let objective = |rest: &Array2<f64>, values: &DVector<f64>| {
+        dot(rest, rest) + known.iter().zip(values.iter()).map(|(k, v)| k * v * v).sum::<f64>()
+    };
+    let mut lambda = 0.0;
+    let (mut first, mut first_was_small, mut is_stuck) = (Vec::new(), false, false);
+    for k in 0..MOST_STEPS {
+        let mut step = normal.step(&at.rest, at.values.as_slice(), &inverse, lambda);
+        let error = |i: usize| {
+            let error = (variance * inverse[(i, i)].max(0.0)).sqrt() / normal.lengths[i];
+            error.max(f64::MIN_POSITIVE)
+        };
+        // The terms of the metrology are linear: they follow.
+        let small = (0..p).all(|i| {
+            step[i].abs() <= SMALL_STEP * error(i) || step[i].abs() <= NOTHING * model.scales[i]
+        });
+        if let (0, Some(way)) = (k, way) {
+            // In standard errors: q = step . way / |way|^2
+            let of = |a: &DVector<f64>| {
+                (0..a.len()).map(|i| a[i] * way[i] / error(i).powi(2)).sum::<f64>()
+            };
+            let q = (of(&step) / of(way).max(f64::MIN_POSITIVE)).clamp(-LARGEST_RETURN, 0.0);
+            step /= 1.0 - q;
+        }
+        first_was_small |= k == 0 && small;
+        if k == 0 {
+            first = (0..p).map(|i| step[i].abs()).collect();
+        }
+        let tried = &at.values + &step;
+        let possible = model.is_possible(&tried.as_slice()[..p]);
+        let after = match possible {
+            true => Some(model.removal_nm(&tried.as_slice()[..p])?),
+            false => None,
+        };
+        let better = after.map(|r| (rest_of(&r, &tried), r));
+        match better {
+            // A step below SMALL_STEP raises the square by less than this, whatever the derivatives err by.
+            Some((r, f))
+                if objective(&r, &tried)
+                    <= objective(&at.rest, &at.values) + SMALL_STEP.powi(2) * variance =>
+            {
+                *at = Point { values: tried, removal: f, rest: r };
+                lambda = if lambda > LAMBDA[0] { 0.1 * lambda } else { 0.0 };
+            }
+            // Derivatives of a point that is left: new ones rather than a shorter step
+            _ if k > 0 && lambda == 0.0 => break,
+            _ => lambda = (10.0 * lambda).max(LAMBDA[0]),
+        }
+        if small || lambda > LAMBDA[1] {
+            is_stuck = at.values == here;
+            break;
+        }
+    }
+    Ok(Steps { first, first_was_small, is_stuck })
+}
+
 /// Fits `model` and these terms to `data`, from `start`.
 pub fn fit(
     model: &Model<'_>,
@@ -346,85 +430,35 @@ pub fn fit(
     };
     let mut values = DVector::zeros(p + maps.len());
     values.rows_mut(0, p).copy_from_slice(&start.values);
-    let (mut removal, mut derivatives) = (start.removal.clone(), start.derivatives.clone());
+    let (removal, mut derivatives) = (start.removal.clone(), start.derivatives.clone());
     // The terms of the metrology first: a piston of the whole removal is no noise
-    let mut rest = rest_of(&removal, &values);
     let linear = Normal::new(&[], &maps, &data.valid, Vec::new());
-    let terms_alone = linear.step(&rest, &[], &linear.inverse(), 0.0);
-    values.rows_mut(p, maps.len()).copy_from(&terms_alone);
-    rest = rest_of(&removal, &values);
+    let alone = linear.step(&rest_of(&removal, &values), &[], &linear.inverse(), 0.0);
+    values.rows_mut(p, maps.len()).copy_from(&alone);
+    let rest = rest_of(&removal, &values);
+    let mut at = Point { values, removal, rest };
     // v, and k = v / s^2
     let weigh = |rest: &Array2<f64>| {
         let noise = Covariance::of(rest, &data.valid, data.grid, p + maps.len(), &[]).noise;
         let v = noise.rest_rms_nm.powi(2) * noise.pixels as f64 / noise.effective_pixels;
         (v, model.scales.iter().map(|s| v / (s * s)).collect::<Vec<f64>>())
     };
-    let (mut variance, mut known) = weigh(&rest);
+    let (mut variance, mut known) = weigh(&at.rest);
     let mut normal = Normal::new(&derivatives, &maps, &data.valid, known.clone());
     let (mut points, mut end) = (1, End::RoundLimit);
     let mut way: Option<DVector<f64>> = None;
-    let mut last = vec![0.0; p];
+    let mut last;
     loop {
         progress::done((points as f64 / USUAL_POINTS).min(BEFORE_LAST));
-        let here = values.clone();
-        let inverse = normal.inverse();
-        let objective = |rest: &Array2<f64>, values: &DVector<f64>| {
-            dot(rest, rest) + known.iter().zip(values.iter()).map(|(k, v)| k * v * v).sum::<f64>()
-        };
-        let (mut lambda, mut first_was_small, mut is_stuck) = (0.0, false, false);
-        for k in 0..MOST_STEPS {
-            let mut step = normal.step(&rest, values.as_slice(), &inverse, lambda);
-            let error = |i: usize| {
-                let error = (variance * inverse[(i, i)].max(0.0)).sqrt() / normal.lengths[i];
-                error.max(f64::MIN_POSITIVE)
-            };
-            // The terms of the metrology are linear: they follow.
-            let small = (0..p).all(|i| {
-                step[i].abs() <= SMALL_STEP * error(i) || step[i].abs() <= NOTHING * model.scales[i]
-            });
-            if let (0, Some(way)) = (k, &way) {
-                // In standard errors: q = step . way / |way|^2
-                let of = |a: &DVector<f64>| {
-                    (0..a.len()).map(|i| a[i] * way[i] / error(i).powi(2)).sum::<f64>()
-                };
-                let q = (of(&step) / of(way).max(f64::MIN_POSITIVE)).clamp(-LARGEST_RETURN, 0.0);
-                step /= 1.0 - q;
-            }
-            first_was_small |= k == 0 && small;
-            if k == 0 {
-                last = (0..p).map(|i| step[i].abs()).collect();
-            }
-            let tried = &values + &step;
-            let possible = model.is_possible(&tried.as_slice()[..p]);
-            let after = match possible {
-                true => Some(model.removal_nm(&tried.as_slice()[..p])?),
-                false => None,
-            };
-            let better = after.map(|r| (rest_of(&r, &tried), r));
-            match better {
-                // A step below SMALL_STEP raises the square by less than this, whatever the derivatives err by.
-                Some((r, f))
-                    if objective(&r, &tried)
-                        <= objective(&rest, &values) + SMALL_STEP.powi(2) * variance =>
-                {
-                    (values, rest, removal) = (tried, r, f);
-                    lambda = if lambda > LAMBDA[0] { 0.1 * lambda } else { 0.0 };
-                }
-                // Derivatives of a point that is left: new ones rather than a shorter step
-                _ if k > 0 && lambda == 0.0 => break,
-                _ => lambda = (10.0 * lambda).max(LAMBDA[0]),
-            }
-            if small || lambda > LAMBDA[1] {
-                is_stuck = values == here;
-                break;
-            }
-        }
-        if points > 1 && first_was_small {
+        let here = at.values.clone();
+        let steps = steps(&mut at, model, &normal, (variance, &known), way.as_ref(), rest_of)?;
+        last = steps.first;
+        if points > 1 && steps.first_was_small {
             end = End::Converged;
             break;
         }
         // Not even a step that is none lowers the square: new derivatives would be the same.
-        if points > 1 && is_stuck {
+        if points > 1 && steps.is_stuck {
             end = End::NoImprovement;
             break;
         }
@@ -432,12 +466,13 @@ pub fn fit(
             break;
         }
         points += 1;
-        way = Some(&values - &here);
-        (removal, derivatives) = model.linear(&values.as_slice()[..p])?;
-        rest = rest_of(&removal, &values);
-        (variance, known) = weigh(&rest);
+        way = Some(&at.values - &here);
+        (at.removal, derivatives) = model.linear(&at.values.as_slice()[..p])?;
+        at.rest = rest_of(&at.removal, &at.values);
+        (variance, known) = weigh(&at.rest);
         normal = Normal::new(&derivatives, &maps, &data.valid, known.clone());
     }
+    let Point { values, removal, rest } = at;
     let metrology = sum_of(&maps, &values.as_slice()[p..], data.data.dim());
     let noise = Covariance::of(&rest, &data.valid, data.grid, values.len(), &normal.orthonormal());
     let maps = (removal, metrology, rest);

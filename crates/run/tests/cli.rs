@@ -3,6 +3,7 @@
 
 use std::{
     fs,
+    os::unix::process::ExitStatusExt,
     path::Path,
     process::{Command, Output, Stdio},
     thread,
@@ -529,6 +530,38 @@ fn a_negative_verdict_lets_a_run_go_on_and_a_refusal_ends_it() {
         log.len() == 1 && log[0].contains("<raster>") && log[0].contains("<--pitch-mm=2>"),
         "{log:?}"
     );
+}
+
+#[test]
+fn a_signal_to_the_run_alone_ends_its_stage_and_frees_the_directory() {
+    for (signal, number) in [("TERM", 15), ("INT", 2), ("HUP", 1)] {
+        let dir = bench();
+        let programs = recorders(dir.path());
+        let settings = [&QUICK[..], &["fixture=coupon", "out=o"]].concat();
+        // A stage that would go on for ten minutes.
+        let stage = programs.join("planish-toolpath");
+        fs::write(&stage, "#!/bin/sh\necho $$ > stage.new\nmv stage.new stage\nexec sleep 600\n")
+            .unwrap();
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
+        let mut command = Command::new(PROGRAM);
+        command.current_dir(dir.path()).args(&settings);
+        command.env("PLANISH_SHARE", root).env("PLANISH_PROGRAMS", &programs);
+        let run = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        wait_for(&dir.path().join("stage"));
+        let of_stage = fs::read_to_string(dir.path().join("stage")).unwrap();
+        kill(signal, run.id());
+        let ended = run.wait_with_output().unwrap();
+        assert_eq!(ended.status.signal(), Some(number), "{signal}: {:?}", ended.status);
+        let alive =
+            Command::new("kill").args(["-0", of_stage.trim()]).stderr(Stdio::null()).status();
+        assert!(!alive.unwrap().success(), "{signal}: the stage goes on");
+        // No command of the stages that follow has run, and another run may have the directory.
+        let log = fs::read_to_string(dir.path().join("log")).unwrap();
+        assert!(!log.contains("planish-dwell"), "{log}");
+        let next = ["--fixture", "fixtures/coupon.json"];
+        let next = start(dir.path(), "o", &next, &["true"]).output().unwrap();
+        assert_eq!(next.status.code(), Some(0), "after {signal}: {}", message(&next));
+    }
 }
 
 #[test]

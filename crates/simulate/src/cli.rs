@@ -77,15 +77,7 @@ impl Simulate {
         };
         let mut inputs = Inputs::new();
         let (command, tif, surface) = self.trajectory.read_over(&self.mirror, &mut inputs)?;
-        let servos = match &self.servo_of {
-            None => Deviation::default(),
-            Some(path) => {
-                let file: ErrorBudgetFile = inputs.read_json("error-budget", path)?;
-                let process =
-                    file.checked().map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
-                Deviation::servos_of(&process)
-            }
-        };
+        let servos = self.servos(&mut inputs)?;
         let trajectory = match servos.servo_count() {
             0 => command,
             // A servo follows a cubic of any length.
@@ -142,6 +134,14 @@ impl Simulate {
             self.output.out.display()
         ));
         Ok(status)
+    }
+
+    fn servos(&self, inputs: &mut Inputs) -> Result<Deviation, Failure> {
+        let Some(path) = &self.servo_of else { return Ok(Deviation::default()) };
+        let file: ErrorBudgetFile = inputs.read_json("error-budget", path)?;
+        let process =
+            file.checked().map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
+        Ok(Deviation::servos_of(&process))
     }
 }
 

@@ -38,7 +38,7 @@ pub mod varying;
 pub use extension::{ExtensionSettings, extend};
 pub use low_order::{Family, LowOrderSettings, low_order};
 pub use outliers::{OutlierSettings, Outliers};
-pub use prepare::{Level, PrepareSettings, Prepared, prepare, prepare_to};
+pub use prepare::{Level, PrepareReport, PrepareSettings, Prepared, prepare, prepare_to};
 
 use planish_types::Invalid;
 

@@ -182,6 +182,23 @@ pub fn half_maximum_width_mm(tif: &Tif) -> f64 {
     2.0 * (count as f64 * tif.grid().pixel_mm2() / PI).sqrt()
 }
 
+impl OutlierReport {
+    /// Counts the pixels that are masked, of so many valid ones; refuses too many.
+    fn masked(&mut self, mask: &Array2<bool>, valid: usize) -> Result<(), PrepareError> {
+        self.masked_pixels = mask.iter().filter(|m| **m).count();
+        self.masked_fraction = self.masked_pixels as f64 / valid as f64;
+        if self.masked_fraction > MAX_MASKED_FRACTION {
+            return Err(PrepareError::TooManyMasked {
+                masked: self.masked_pixels,
+                valid,
+                percent: 100.0 * self.masked_fraction,
+                limit: 100.0 * MAX_MASKED_FRACTION,
+            });
+        }
+        Ok(())
+    }
+}
+
 /// Finds the outliers of `surface`; refuses to mask more than 2 % of its valid pixels.
 pub fn outliers(surface: &Surface, settings: &OutlierSettings) -> Result<Outliers, PrepareError> {
     settings.check()?;
@@ -251,17 +268,7 @@ pub fn outliers(surface: &Surface, settings: &OutlierSettings) -> Result<Outlier
     }
     mask.zip_mut_with(surface.height_nm(), |m, z| *m &= !z.is_nan());
 
-    let valid = surface.statistics().valid_count;
-    report.masked_pixels = mask.iter().filter(|m| **m).count();
-    report.masked_fraction = report.masked_pixels as f64 / valid as f64;
-    if report.masked_fraction > MAX_MASKED_FRACTION {
-        return Err(PrepareError::TooManyMasked {
-            masked: report.masked_pixels,
-            valid,
-            percent: 100.0 * report.masked_fraction,
-            limit: 100.0 * MAX_MASKED_FRACTION,
-        });
-    }
+    report.masked(&mask, surface.statistics().valid_count)?;
     Ok(Outliers { mask, report })
 }
 

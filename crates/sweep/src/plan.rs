@@ -264,11 +264,15 @@ impl Sweep {
             let out = self.tif(plan);
             let of = words.iter().find(|(text, _)| Some(text.as_str()) == plan.varying());
             let Some((_, words)) = of.filter(|_| !made.contains(&out)) else { continue };
-            let mut arguments = words.clone();
-            arguments.extend(["--tif".into(), self.given_tif(plan).into()]);
-            arguments.extend(["--surface".into(), self.surface.clone()]);
-            arguments.extend(["--out".into(), out.clone(), "--force".into()]);
-            self.mirror_steps.push(Step::new("planish-surface", arguments));
+            self.mirror_steps.extend(steps_of_mirror(
+                "vary",
+                [
+                    ("tool_command", words.clone()),
+                    ("constant_tool", vec![self.given_tif(plan).into()]),
+                    ("map", vec![self.surface.clone()]),
+                    ("tool", vec![out.clone()]),
+                ],
+            ));
             made.push(out);
         }
     }
@@ -368,18 +372,28 @@ impl Sweep {
 }
 
 impl Step {
-    /// The step of a command, whose time nobody measures: the same plan gives the same bytes.
+    /// The step of a command, whose time nobody measures and whose picture nobody sees: the same plan gives the same bytes.
     fn of(command: Command) -> Self {
         let mut arguments = Vec::new();
         let mut words = command.arguments.into_iter();
         while let Some(word) = words.next() {
             match word.as_str() {
-                "--wall-time" => drop(words.next()),
+                "--wall-time" | "--picture" => drop(words.next()),
                 _ => arguments.push(word),
             }
         }
         Self { program: command.program, arguments }
     }
+}
+
+/// The commands of a stage that makes the mirror, the same for all pipelines, where these names stand for these words.
+pub fn steps_of_mirror<const N: usize>(stage: &str, names: [(&str, Vec<String>); N]) -> Vec<Step> {
+    let mut scope = scope(PATHS[0], &[]).expect("a pipeline needs no setting");
+    for (name, words) in names {
+        scope.set(name, words);
+    }
+    let commands = Walk::commands(scope, stage).expect("a test expands the stages of the mirror");
+    commands.into_iter().map(Step::of).collect()
 }
 
 /// The pipeline of a path with the settings of a plan.
@@ -517,6 +531,43 @@ mod tests {
                     "planish-toolpath passes --tool-path {at}/one-pass --passes=2 --return --out {at}/path --force"
                 ),
             ]
+        );
+    }
+
+    #[test]
+    fn the_mirror_is_made_by_the_stages_of_the_pipelines() {
+        let word = |word: &str| vec![word.to_string()];
+        let line = |stage: &str, names: [(&str, Vec<String>); 4]| {
+            let steps: Vec<String> = steps_of_mirror(stage, names).iter().map(line).collect();
+            steps.join("\n")
+        };
+        let flags = || vec!["--unit".to_string(), "m".to_string()];
+        let none = |name| (name, Vec::new());
+        let [a, b] = ["a", "b"].map(none);
+        let fixture = [("recipe", word("r s.json")), ("made", word("mirror/m")), a, b];
+        assert_eq!(line("fixture", fixture), "planish-fixture r s.json --out mirror/m --force");
+        for kind in ["surface", "tif"] {
+            let (settings, out) = (format!("{kind}_settings"), format!("imported_{kind}"));
+            let names = [
+                (kind, word("/m/f")),
+                (settings.as_str(), flags()),
+                (out.as_str(), word("mirror/i")),
+                none("a"),
+            ];
+            assert_eq!(
+                line(&format!("import-{kind}"), names),
+                format!("planish-import {kind} /m/f --unit m --out mirror/i --force")
+            );
+        }
+        let prepare = [
+            ("measured", word("mirror/m/surface")),
+            ("prepare", vec!["--level".into(), "none".into()]),
+            ("map", word("surface/s")),
+            none("a"),
+        ];
+        assert_eq!(
+            line("prepare", prepare),
+            "planish-surface prepare --surface mirror/m/surface --level none --out surface/s --force"
         );
     }
 

@@ -13,7 +13,7 @@ use std::{
     time::SystemTime,
 };
 
-use planish_handoff::Failure;
+use planish_handoff::{Failure, Running};
 use planish_sweep::plan::Step;
 
 /// Ends of a stage.
@@ -53,24 +53,24 @@ impl Stages {
         programs.iter().filter_map(built).max()
     }
 
-    /// Runs a stage to its end, on one core.
+    /// Runs a stage to its end, on one core. It ends with this process.
     pub fn run(&self, step: &Step) -> Result<End, Failure> {
         let program = self.programs.join(&step.program);
         let cannot =
             |e: std::io::Error| Failure::new(format!("{}: cannot run: {e}", program.display()));
-        let mut child = Command::new(&program)
+        let mut command = Command::new(&program);
+        command
             .args(&step.arguments)
             .current_dir(&self.dir)
             // One plan per core: threads within a stage would wait for each other.
             .env("RAYON_NUM_THREADS", "1")
             .stdin(Stdio::null())
             .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .spawn()
-            .map_err(cannot)?;
+            .stderr(Stdio::piped());
+        let mut child = Running::start(&mut command).map_err(cannot)?;
         // Of all that it says the last line that is an end counts.
         let mut said = None;
-        if let Some(stderr) = child.stderr.take() {
+        if let Some(stderr) = child.stderr() {
             for line in BufReader::new(stderr).split(b'\n').map_while(Result::ok) {
                 let line = String::from_utf8_lossy(&line).into_owned();
                 if ["error: ", "verdict: ", "internal error: "]

@@ -30,10 +30,11 @@ fn statements() -> Vec<String> {
 }
 
 /// Tests that are about the text, not about statements of the page.
-const ABOUT_TEXT: [&str; 5] = [
+const ABOUT_TEXT: [&str; 6] = [
     "the_page_and_the_tests_say_the_same",
     "retired_words_stay_out",
     "constants_say_what_they_decide",
+    "functions_can_be_read",
     "lines_of_pages_can_be_read",
     "pages_that_are_named_exist",
 ];
@@ -158,6 +159,72 @@ fn constants_say_what_they_decide() {
                 found.push(format!("{name}:{}: {}", number + 1, line.trim()));
             }
         }
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+/// Largest number of lines of a function, from its signature to its end. Larger: functions that do several things.
+/// Smaller: parts that nothing but their caller can use.
+const FUNCTION: usize = 80;
+
+/// Longer functions, and the reason for which each stays whole.
+const LONG_FUNCTIONS: [(&str, &str, &str); 4] = [
+    (
+        "crates/numerics/src/qp/chain.rs",
+        "advance_and_eliminate",
+        "one pass over the links, for its speed",
+    ),
+    ("crates/numerics/src/qp/chain.rs", "solve", "its two halves run on two threads, by a macro"),
+    (
+        "crates/reconcile/src/reconcile.rs",
+        "reconcile",
+        "fit, judgement and report share most of their values",
+    ),
+    ("crates/testkit/src/hostile.rs", "inputs", "a table"),
+];
+
+/// The functions of a formatted source before its tests, each with the number of its lines.
+fn functions(source: &str) -> Vec<(String, usize)> {
+    let code: Vec<&str> = source.lines().take_while(|line| *line != "#[cfg(test)]").collect();
+    let mut found = Vec::new();
+    for (i, line) in code.iter().enumerate() {
+        let start = line.trim_start();
+        let words = || start.split(' ');
+        let Some(at) = words().position(|word| word == "fn") else { continue };
+        let before =
+            words().take(at).all(|w| w.starts_with("pub") || ["const", "unsafe"].contains(&w));
+        if !before || line.ends_with(['}', ';']) {
+            continue;
+        }
+        let name = words().nth(at + 1).unwrap_or_default();
+        let name = name.split(['(', '<']).next().unwrap_or_default();
+        let end = format!("{}}}", &line[..line.len() - start.len()]);
+        if let Some(lines) = code[i..].iter().position(|line| *line == end) {
+            found.push((name.to_string(), lines + 1));
+        }
+    }
+    found
+}
+
+#[test]
+fn functions_can_be_read() {
+    let example = "impl A {\n    pub fn f<T>(\n        t: T,\n    ) {\n        let a = b;\n    }\n}\nfn g() {}\n";
+    assert_eq!(functions(example), [("f".to_string(), 5)]);
+    let mut found = Vec::new();
+    let mut is_long = [false; LONG_FUNCTIONS.len()];
+    for (file, text) in texts() {
+        if !file.ends_with(".rs") || !file.starts_with("crates/") || !file.contains("/src/") {
+            continue;
+        }
+        for (name, lines) in functions(&text).into_iter().filter(|(_, lines)| *lines > FUNCTION) {
+            match LONG_FUNCTIONS.iter().position(|(f, n, _)| (*f, *n) == (&file, &name)) {
+                Some(listed) => is_long[listed] = true,
+                None => found.push(format!("{file}: {name} has {lines} lines; split it")),
+            }
+        }
+    }
+    for ((file, name, _), _) in LONG_FUNCTIONS.iter().zip(is_long).filter(|(_, long)| !long) {
+        found.push(format!("{file}: {name} is short; take it off the list"));
     }
     assert!(found.is_empty(), "{}", found.join("\n"));
 }

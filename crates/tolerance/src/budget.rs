@@ -34,6 +34,20 @@ const DRAWS_WITHOUT_ONE: usize = 10_000;
 /// Number of parts of the work that count alike in the estimate of the time: derivatives, second order, and runs.
 const PARTS: usize = 3;
 
+fn sorted(mut rms: Vec<f64>) -> Vec<f64> {
+    rms.sort_unstable_by(f64::total_cmp);
+    rms
+}
+
+fn quantiles(sorted_rms: &[f64]) -> Quantiles {
+    let at = |part: f64| quantile(sorted_rms, part);
+    Quantiles {
+        median_nm: at(0.5),
+        below_95_percent_nm: at(0.95),
+        interval_95_percent_nm: [at(0.025), at(0.975)],
+    }
+}
+
 /// Computes the errors that `process` adds to the residual of `trajectory` on `desired`.
 pub fn tolerance(
     trajectory: &Trajectory,
@@ -66,15 +80,13 @@ pub fn tolerance(
         )?),
     };
     let columns = columns.as_ref();
-    let response = |of: &Columns<'_>| -> Vec<(usize, f64, Response)> {
+    let responses: Vec<(usize, f64, Response)> = columns.map_or(Vec::new(), |of| {
         noises.iter().map(|(i, noise, size)| (*i, *size, of.response(*noise))).collect()
-    };
-    let responses = columns.map(response).unwrap_or_default();
+    });
 
     // What each adds alone
     let departures = progress::part(1, PARTS, || work.departures(&linear, columns, seed))?;
     let mut lines = work.lines(&linear, &responses, &reach, &departures);
-
     // What all add together
     let errors = Errors::new(&work, &linear, &responses, &span, columns, seed);
     let whole = errors.model(None);
@@ -90,18 +102,11 @@ pub fn tolerance(
     let least = if simulated { RUNS_OF_ALL } else { 0 };
     let count = settings.simulated_runs.max(least);
     let runs = progress::part(2, PARTS, || work.runs(count, &linear, columns, seed))?;
-    let rms = if simulated {
-        let mut rms: Vec<f64> = runs.iter().map(|r| r.simulated_rms_nm).collect();
-        rms.sort_unstable_by(f64::total_cmp);
-        rms
-    } else {
-        whole.sorted(settings.draws, seed)
+    let rms = match simulated {
+        true => sorted(runs.iter().map(|r| r.simulated_rms_nm).collect()),
+        false => whole.sorted(settings.draws, seed),
     };
-    let residual = Quantiles {
-        median_nm: quantile(&rms, 0.5),
-        below_95_percent_nm: quantile(&rms, 0.95),
-        interval_95_percent_nm: [quantile(&rms, 0.025), quantile(&rms, 0.975)],
-    };
+    let residual = quantiles(&rms);
     let [low, high] = residual.interval_95_percent_nm;
     let difference = |p: &Pair| (p.simulated_rms_nm / p.first_order_rms_nm - 1.0).abs();
     let differences = runs.iter().filter(|p| p.first_order_rms_nm > 0.0).map(difference);

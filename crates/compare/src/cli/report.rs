@@ -96,8 +96,8 @@ impl Report {
             after_servo: *after_servo,
         };
         if measured.is_some() && runs.len() > 1 {
-            let message =
-                format!("--measured is of one run, {} are given; leave it out", runs.len());
+            let given = runs.len();
+            let message = format!("--measured is of one run, {given} are given; leave it out");
             return Err(Failure::new(message));
         }
         let read = runs.iter().enumerate();
@@ -107,9 +107,8 @@ impl Report {
             (None, _) => {}
             (Some(row), [run]) => run.summary.recommend(row).map_err(Failure::new)?,
             (Some(_), _) => {
-                return Err(Failure::new(
-                    "--program-row is of one run; give one run, or leave it out",
-                ));
+                let message = "--program-row is of one run; give one run, or leave it out";
+                return Err(Failure::new(message));
             }
         }
         let summaries: Vec<Summary> = read.iter().map(|run| run.summary.clone()).collect();
@@ -138,35 +137,14 @@ impl Report {
                 .extend(drawn.iter().map(|(name, svg)| (name.as_str(), svg.clone().into_bytes())));
             writer.write_arrays(&kind::REPORT, &[], &beside, json!({}), &status)?;
         }
-        say(match &summaries[..] {
-            [one] => table(one),
-            _ => table_of_runs(&runs),
-        });
-        say(execution_table(&runs));
-        let judged = specification_table(&runs);
-        if !judged.is_empty() {
-            say(judged);
-        }
-        for (name, method) in summaries.iter().flat_map(|s| &s.methods) {
-            if let Some(told) = &method.on_axes {
-                say(visible(&told.sentence(name)));
-            }
-        }
-        for process in summaries.iter().filter_map(|s| s.error_budget.as_ref()) {
-            say(visible(&process.sentence));
-        }
+        tell(&summaries, &runs);
         if plotted {
             say(sparkline::plots(&views));
         }
         for name in ["summary.json", "report.html"] {
             say(visible(&output.out.join(name).to_string_lossy()));
         }
-        for (name, left) in runs.iter().flat_map(|(n, s)| s.left_out.iter().map(move |l| (n, l))) {
-            if left.standing == Standing::OutOfDate {
-                let warning = format!("warning: {name}/methods/{} is out of date", left.name);
-                warn(&format!("{warning}: {}", left.reasons.join("; ")));
-            }
-        }
+        warn_of_old(&runs);
         Ok(status)
     }
 }
@@ -174,4 +152,35 @@ impl Report {
 /// One line on standard error; a closed pipe is not an error.
 fn warn(message: &str) {
     let _ = writeln!(std::io::stderr(), "{}", visible(message));
+}
+
+/// Says the tables of the runs, and the sentences that go with them.
+fn tell(summaries: &[Summary], runs: &[(&str, &Summary)]) {
+    say(match summaries {
+        [one] => table(one),
+        _ => table_of_runs(runs),
+    });
+    say(execution_table(runs));
+    let judged = specification_table(runs);
+    if !judged.is_empty() {
+        say(judged);
+    }
+    for (name, method) in summaries.iter().flat_map(|s| &s.methods) {
+        if let Some(told) = &method.on_axes {
+            say(visible(&told.sentence(name)));
+        }
+    }
+    for process in summaries.iter().filter_map(|s| s.error_budget.as_ref()) {
+        say(visible(&process.sentence));
+    }
+}
+
+/// Warns of the methods that are out of date.
+fn warn_of_old(runs: &[(&str, &Summary)]) {
+    for (name, left) in runs.iter().flat_map(|(n, s)| s.left_out.iter().map(move |l| (n, l))) {
+        if left.standing == Standing::OutOfDate {
+            let warning = format!("warning: {name}/methods/{} is out of date", left.name);
+            warn(&format!("{warning}: {}", left.reasons.join("; ")));
+        }
+    }
 }

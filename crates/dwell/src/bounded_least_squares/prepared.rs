@@ -114,13 +114,7 @@ impl<'a> BoundedProblem<'a> {
         settings: &'a Settings,
     ) -> Result<Self, DwellError> {
         let (n, grid) = (path.len(), desired.grid());
-        let most = settings.max_factorised_points;
-        let says_too_little = tif.border_to_peak() > ABRUPT_BORDER_TO_PEAK
-            || surrogate::are_sparse(program.places, tif);
-        let factorised = n <= most
-            || n <= most.saturating_mul(MORE_FACTORISED)
-                && says_too_little
-                && surrogate::factorisation_work(program.places, tif) <= MOST_WORK;
+        let factorised = is_factorised(program.places, tif, settings.max_factorised_points);
         // H~ less U U' is positive definite where both are of the same columns.
         let b = Removal::new(program.places, tif, grid, factorised)?;
         let basis = Basis::new(grid, &weight, settings.free);
@@ -141,16 +135,10 @@ impl<'a> BoundedProblem<'a> {
         let reached: Vec<bool> =
             diagonal.iter().map(|d| *d > UNREACHED_FRACTION * largest).collect();
         // D decides the weights of (1): the element itself, not the estimate.
-        let strongest = {
-            let j = (0..n).max_by(|a, b| diagonal[*a].total_cmp(&diagonal[*b])).unwrap_or(0);
-            let p = Stored::new(&program.places[j..=j], tif, grid);
-            let u = basis.columns(&weight, |m| p.adjoint(m));
-            p.energy(&weight)[0] - u.iter().map(|u| u[0] * u[0]).sum::<f64>()
-        };
+        let strongest = strongest(&diagonal, program.places, (tif, grid), &basis, &weight);
         for j in (0..n).filter(|j| !reached[*j]) {
             diagonal[j] = 0.0;
         }
-
         let hi: Vec<f64> =
             (0..n).map(|j| if reached[j] { program.hi[j] } else { program.lo[j] }).collect();
         let first = program.guess.as_ref().unwrap_or(&program.lo);
@@ -286,4 +274,30 @@ fn convolved(
 ) -> Result<Surrogate, Invalid> {
     let h = Convolved::new(places, reached, tif, grid, weight, free, cells)?;
     Ok(Surrogate::Convolved(Box::new(h)))
+}
+
+/// Returns true if H~ is to be factorised, for this many dwell points and more where splines represent too little.
+fn is_factorised(places: &[Vec<Place>], tif: &Tif, most: usize) -> bool {
+    let n = places.len();
+    let says_too_little =
+        tif.border_to_peak() > ABRUPT_BORDER_TO_PEAK || surrogate::are_sparse(places, tif);
+    n <= most
+        || n <= most.saturating_mul(MORE_FACTORISED)
+            && says_too_little
+            && surrogate::factorisation_work(places, tif) <= MOST_WORK
+}
+
+/// Largest element of the diagonal of H: the element itself, not the estimate.
+fn strongest(
+    diagonal: &[f64],
+    places: &[Vec<Place>],
+    (tif, grid): (&Tif, &Grid),
+    basis: &Basis,
+    weight: &Array2<f64>,
+) -> f64 {
+    let order = |a: &usize, b: &usize| diagonal[*a].total_cmp(&diagonal[*b]);
+    let j = (0..diagonal.len()).max_by(order).unwrap_or(0);
+    let p = Stored::new(&places[j..=j], tif, grid);
+    let u = basis.columns(weight, |m| p.adjoint(m));
+    p.energy(weight)[0] - u.iter().map(|u| u[0] * u[0]).sum::<f64>()
 }

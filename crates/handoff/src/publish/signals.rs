@@ -1,4 +1,4 @@
-//! Signal handler that ends a process and removes its siblings.
+//! Signal handler that ends a process with its children and removes its siblings.
 
 use std::{
     fs,
@@ -8,7 +8,7 @@ use std::{
 };
 
 use super::sibling;
-use crate::system::on_end_signals;
+use crate::{children, system::on_end_signals};
 
 /// Largest number of attempts to empty a directory into which another thread is writing, 1 ms
 /// apart. Larger: the end of the process can take longer. Smaller: a sibling can remain.
@@ -27,10 +27,11 @@ pub(crate) fn wait_for_signal_under_way() {
     drop(sibling::known());
 }
 
-/// Installs the handler: SIGINT, SIGTERM and SIGHUP remove the siblings, and then end the process
-/// as usual.
+/// Installs the handler: SIGINT, SIGTERM and SIGHUP end the children, remove the siblings, and then end the process as
+/// usual.
 pub(crate) fn clean_up_on_signals() {
     on_end_signals(|| {
+        let children = children::end_all();
         let appearing = appearing();
         let siblings = sibling::known();
         for path in siblings.iter() {
@@ -44,6 +45,6 @@ pub(crate) fn clean_up_on_signals() {
             }
         }
         // The locks are held to the end, so that other threads stage nothing more and do not end the process.
-        (appearing, siblings)
+        (children, appearing, siblings)
     });
 }

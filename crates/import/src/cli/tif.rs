@@ -4,7 +4,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 use planish_handoff::{Artifact, Begin, Failure, Inputs, Status, pair, say, task};
-use planish_import::{Alignment, Baseline, Origin, Scale, SpotSettings, spot, surface, tif};
+use planish_import::{
+    Alignment, Baseline, Origin, Reading, Scale, Settings, SpotSettings, Statement, spot, surface,
+    tif,
+};
 use planish_types::Tif;
 use serde_json::{Value, json};
 
@@ -86,24 +89,7 @@ impl TifArgs {
             Begin::Run(output) => output,
         };
         let (made, statement, own) = match &spot_settings {
-            Some(spot_settings) => {
-                let (after, mut statement) =
-                    surface(reading, &settings).map_err(|e| about(&file.file, &e))?;
-                let before = match (before, &self.before) {
-                    (Some(reading), Some(path)) => {
-                        let (map, of_before) =
-                            surface(reading, &settings).map_err(|e| about(path, &e))?;
-                        let named = |w: String| format!("{}: {w}", path.display());
-                        statement.warnings.extend(of_before.warnings.into_iter().map(named));
-                        Some(map)
-                    }
-                    _ => None,
-                };
-                let made =
-                    spot(before.as_ref(), &after, spot_settings).map_err(Failure::with_flags)?;
-                let own = serde_json::to_value(&made)?;
-                (made.tif, statement, own)
-            }
+            Some(spot_settings) => self.of_spot(reading, before, &settings, spot_settings)?,
             None => {
                 settings.origin =
                     self.origin.unwrap_or_else(|| reading.usual_tif_origin(&settings));
@@ -137,5 +123,29 @@ impl TifArgs {
             file.output.out.display()
         ));
         Ok(Status::Done)
+    }
+
+    /// The TIF from the maps of a spot, what was read, and what the spot is.
+    fn of_spot(
+        &self,
+        after: Reading,
+        before: Option<Reading>,
+        settings: &Settings,
+        spot_settings: &SpotSettings,
+    ) -> Result<(Tif, Statement, Value), Failure> {
+        let (after, mut statement) =
+            surface(after, settings).map_err(|e| about(&self.file.file, &e))?;
+        let before = match (before, &self.before) {
+            (Some(reading), Some(path)) => {
+                let (map, of_before) = surface(reading, settings).map_err(|e| about(path, &e))?;
+                let named = |w: String| format!("{}: {w}", path.display());
+                statement.warnings.extend(of_before.warnings.into_iter().map(named));
+                Some(map)
+            }
+            _ => None,
+        };
+        let made = spot(before.as_ref(), &after, spot_settings).map_err(Failure::with_flags)?;
+        let own = serde_json::to_value(&made)?;
+        Ok((made.tif, statement, own))
     }
 }

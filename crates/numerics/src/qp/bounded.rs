@@ -300,6 +300,18 @@ pub struct ProductSolution {
     pub free: Vec<bool>,
 }
 
+/// Sets at the start: at a bound where the gradient q points beyond it.
+fn first_places(t: &[f64], q: &[f64], moves: &[bool], (lo, hi): (&[f64], &[f64])) -> Vec<Place> {
+    (0..t.len())
+        .map(|j| match t[j] {
+            _ if !moves[j] => Place::Low,
+            v if v <= lo[j] && q[j] >= 0.0 => Place::Low,
+            v if v >= hi[j] && q[j] <= 0.0 => Place::High,
+            _ => Place::Free,
+        })
+        .collect()
+}
+
 /// Method [`active_set`] for an H that can only be applied. Conjugate gradients solve for the free
 /// components, and `deflation(free)` accelerates them.
 ///
@@ -328,14 +340,7 @@ pub fn active_set_by_products<D: Deflation>(
     let h_t = apply(&t);
     let (mut q, mut best) = (gradient(&h_t), value(&t, &h_t));
     let mut residual = natural_residual(&t, &q, diagonal, lo, hi);
-    let mut wanted: Vec<Place> = (0..n)
-        .map(|j| match t[j] {
-            _ if !moves[j] => Place::Low,
-            v if v <= lo[j] && q[j] >= 0.0 => Place::Low,
-            v if v >= hi[j] && q[j] <= 0.0 => Place::High,
-            _ => Place::Free,
-        })
-        .collect();
+    let mut wanted = first_places(&t, &q, &moves, (lo, hi));
     let (mut products, mut end) = (0, End::IterationLimit);
     let (mut x, mut free) = (t.clone(), vec![false; n]);
     for _ in 0..settings.max_sets {

@@ -13,13 +13,13 @@ use planish_handoff::{
     kind, say, task, with_flags,
 };
 use planish_refine::{
-    Scheduler, Settings,
+    Refined, Scheduler, Settings,
     error_budget::{Price, refine_for},
     refine,
 };
 use planish_schedule::pvt;
 use planish_tolerance::error_budget::{ErrorBudget, ErrorBudgetFile};
-use planish_types::{DwellTime, Trajectory, plausible};
+use planish_types::{DwellTime, Limits, Surface, Trajectory, plausible};
 use serde::Serialize;
 use serde_json::json;
 
@@ -98,12 +98,6 @@ struct Resolved {
 
 impl Refine {
     pub fn run(&self) -> Result<Status, Failure> {
-        let mut settings = Settings::default();
-        settings.max_rounds = self.max_rounds.unwrap_or(settings.max_rounds);
-        settings.dwell.time_weight_nm2_per_s = self.time_weight_nm2_per_s;
-        settings.dwell.min_dwell = self.floor.bound(Bound::Seconds, Bound::SecondsPerMm)?;
-        settings.dwell.tikhonov = self.tikhonov;
-        settings.dwell.slope_weight = self.slope_weight;
         let method = match self.scheduler {
             SchedulerKind::Pvt => "pvt",
             SchedulerKind::ConstantAcceleration => "constant-acceleration",
@@ -111,16 +105,8 @@ impl Refine {
         let mut inputs = Inputs::new();
         let (surface, tif) = self.mirror.read(&mut inputs)?;
         let path = self.path.read(&mut inputs)?;
-        let of_map = noise_of_deviations(&surface, None).map_err(Failure::with_flags)?;
-        settings.dwell.noise_rms_nm = self.noise_rms_nm.or(of_map);
-        let base_mm = self.residual_slope_base_mm.unwrap_or(surface.grid().x.step_mm());
-        settings.dwell.residual_slope =
-            self.residual_slope_weight_mm2.map(|weight_mm2| ResidualSlope { weight_mm2, base_mm });
         let machine = self.machine.read(&mut inputs)?;
-        settings.scheduler = match self.scheduler {
-            SchedulerKind::ConstantAcceleration => Scheduler::ConstantAcceleration,
-            SchedulerKind::Pvt => Scheduler::Pvt(self.mode.on(&machine)),
-        };
+        let settings = self.settings(&surface, &machine)?;
         let process = self.error_budget.as_ref().map(|path| read_process(path, &mut inputs));
         let process = process.transpose()?;
         let resolved = Resolved { settings, stop_at_max_rounds: self.max_rounds.is_some() };
@@ -169,7 +155,36 @@ impl Refine {
         output.write(&refined.trajectory, outcome.clone(), &status)?;
         let arrays = iterations(refined.iterates.iter());
         output.write_arrays(&kind::ITERATIONS, &arrays, &[], outcome, &status)?;
-        for ((round, i), cost_s) in refined.iterates.iter().enumerate().zip(output.round_s()) {
+        self.tell(&refined, &settings, &output.round_s());
+        if let Some(price) = &price {
+            say(words(price));
+        }
+        Ok(status)
+    }
+
+    fn settings(&self, surface: &Surface, machine: &Limits) -> Result<Settings, Failure> {
+        let mut settings = Settings::default();
+        settings.max_rounds = self.max_rounds.unwrap_or(settings.max_rounds);
+        settings.dwell.time_weight_nm2_per_s = self.time_weight_nm2_per_s;
+        settings.dwell.min_dwell = self.floor.bound(Bound::Seconds, Bound::SecondsPerMm)?;
+        settings.dwell.tikhonov = self.tikhonov;
+        settings.dwell.slope_weight = self.slope_weight;
+        let of_map = noise_of_deviations(surface, None).map_err(Failure::with_flags)?;
+        settings.dwell.noise_rms_nm = self.noise_rms_nm.or(of_map);
+        let base_mm = self.residual_slope_base_mm.unwrap_or(surface.grid().x.step_mm());
+        settings.dwell.residual_slope =
+            self.residual_slope_weight_mm2.map(|weight_mm2| ResidualSlope { weight_mm2, base_mm });
+        settings.scheduler = match self.scheduler {
+            SchedulerKind::ConstantAcceleration => Scheduler::ConstantAcceleration,
+            SchedulerKind::Pvt => Scheduler::Pvt(self.mode.on(machine)),
+        };
+        Ok(settings)
+    }
+
+    /// Says what every round gave, and the end.
+    fn tell(&self, refined: &Refined, settings: &Settings, round_s: &[f64]) {
+        let best = &refined.iterates[refined.best];
+        for ((round, i), cost_s) in refined.iterates.iter().enumerate().zip(round_s) {
             say(format!(
                 "round {round}: {:.4} nm RMS executed in {:.2} s{}, {} segments stretched{}, computed in {cost_s:.2} s{}",
                 i.rms_nm,
@@ -192,17 +207,13 @@ impl Refine {
             refined.end,
             refined.iterates.len(),
             refined.at_bound,
-            path.len(),
+            refined.dwell.dwell_s().len(),
             before.rms_nm,
             before.total_time_s,
             best.rms_nm,
             best.total_time_s,
             self.output.out.display()
         ));
-        if let Some(price) = &price {
-            say(words(price));
-        }
-        Ok(status)
     }
 }
 

@@ -3,12 +3,12 @@
 use std::{
     env, ffi,
     fs::{self, File},
-    io::{self, Write},
+    io::{self, Read, Write},
     path::{Path, PathBuf},
     process::{Command as Process, ExitStatus, Stdio},
 };
 
-use planish_handoff::{Failure, say, words};
+use planish_handoff::{Failure, Running, say, words};
 use planish_pipeline::{
     scope::Scope,
     walk::{Command, Step, Walk},
@@ -67,7 +67,7 @@ impl Programs {
             Said::Shown => {}
             Said::Kept(file) => drop(process.stdout(file.try_clone()?).stderr(file.try_clone()?)),
         }
-        Ok(code(self.ended(command, process.status())?))
+        Ok(code(self.ended(command, ended(&mut process))?))
     }
 
     /// Runs a command whose messages go to a file.
@@ -78,15 +78,17 @@ impl Programs {
         if let Said::Kept(file) = &self.said {
             process.stdout(file.try_clone()?);
         }
-        Ok(code(self.ended(command, process.status())?))
+        Ok(code(self.ended(command, ended(&mut process))?))
     }
 
     /// Runs a command in silence: what it said, if it failed.
     fn refusal(&self, command: &Command) -> Result<Option<String>, Failure> {
         self.print(&command.line());
-        let output = self.ended(command, self.process(command).stdin(Stdio::null()).output())?;
-        let said = String::from_utf8_lossy(&output.stderr).trim().to_string();
-        Ok((!output.status.success()).then_some(said))
+        let mut process = self.process(command);
+        process.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+        let (status, said) = self.ended(command, heard(&mut process))?;
+        let said = String::from_utf8_lossy(&said).trim().to_string();
+        Ok((!status.success()).then_some(said))
     }
 
     fn process(&self, command: &Command) -> Process {
@@ -118,6 +120,21 @@ impl Programs {
             Said::Kept(_) => self.print(line),
         }
     }
+}
+
+/// Runs a process to its end. It ends with this one.
+fn ended(process: &mut Process) -> io::Result<ExitStatus> {
+    Running::start(process)?.wait()
+}
+
+/// Runs a process to its end, and returns what it said on standard error too. It ends with this one.
+fn heard(process: &mut Process) -> io::Result<(ExitStatus, Vec<u8>)> {
+    let mut running = Running::start(process)?;
+    let mut said = Vec::new();
+    if let Some(mut stderr) = running.stderr() {
+        stderr.read_to_end(&mut said)?;
+    }
+    Ok((running.wait()?, said))
 }
 
 /// Exit code of a process; 2 if a signal ended it.

@@ -8,7 +8,7 @@ use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, kind, say, task, warn,
 };
 use planish_surface::{
-    Family, Level, LowOrderSettings, OutlierSettings, PrepareError, PrepareSettings,
+    Family, Level, LowOrderSettings, OutlierSettings, PrepareError, PrepareReport, PrepareSettings,
     extension::{self, ExtensionSettings, gaussian_decay, gerchberg_papoulis, polynomial},
     outliers::half_maximum_width_mm,
     prepare_to,
@@ -257,43 +257,7 @@ impl PrepareArgs {
         let arrays = prepared.surface.to_arrays();
         let outcome = serde_json::to_value(report)?;
         output.write_arrays(Surface::KIND, &arrays, &beside, outcome, &Status::Done)?;
-        let (rows, columns) = report.after.shape;
-        let masked = report.outliers.as_ref().map_or(String::new(), |o| {
-            format!(", {} outlier(s) masked ({} px)", o.components, o.masked_pixels)
-        });
-        let filled = report.filled.as_ref().map_or(String::new(), |f| {
-            format!(", {} hole(s) filled ({} px)", f.holes, f.filled_pixels)
-        });
-        let extended = report.extended.as_ref().map_or(String::new(), |e| {
-            format!(
-                ", {} px extended ({:.2} .. {:.2} nm)",
-                e.extended_pixels, e.range_nm[0], e.range_nm[1]
-            )
-        });
-        if let Some(target) = &report.target {
-            let fitted = target.parameters.iter().map(|p| {
-                let bound = if p.at_bound { ", at its bound" } else { "" };
-                format!(", {} {} (given {}{bound})", p.name, significant(p.value, 9), p.given)
-            });
-            let [x, y] = target.tilt_urad;
-            say(format!(
-                "planish-surface: form subtracted, tilt {} and {} urad{}; it leaves {} nm RMS",
-                significant(x, 6),
-                significant(y, 6),
-                fitted.collect::<String>(),
-                significant(target.rms_nm, 5)
-            ));
-        }
-        say(format!(
-            "planish-surface: {columns} x {rows} px, {} valid, RMS {:.4} nm, PV {:.3} nm{masked}{filled}{extended}",
-            report.after.valid_pixels, report.after.rms_nm, report.after.pv_nm
-        ));
-        let notes = [
-            report.removed_low_order.as_ref().and_then(|r| r.note.as_ref()),
-            report.filled.as_ref().and_then(|r| r.note.as_ref()),
-        ];
-        notes.into_iter().flatten().for_each(|note| say(format!("planish-surface: note: {note}")));
-        report.doubts.iter().for_each(warn);
+        tell(report);
         Ok(Status::Done)
     }
 
@@ -424,4 +388,45 @@ impl ExtensionArgs {
         }
         Ok(())
     }
+}
+
+/// Says what was done to the map.
+fn tell(report: &PrepareReport) {
+    let (rows, columns) = report.after.shape;
+    let masked = report.outliers.as_ref().map_or(String::new(), |o| {
+        format!(", {} outlier(s) masked ({} px)", o.components, o.masked_pixels)
+    });
+    let filled = report.filled.as_ref().map_or(String::new(), |f| {
+        format!(", {} hole(s) filled ({} px)", f.holes, f.filled_pixels)
+    });
+    let extended = report.extended.as_ref().map_or(String::new(), |e| {
+        format!(
+            ", {} px extended ({:.2} .. {:.2} nm)",
+            e.extended_pixels, e.range_nm[0], e.range_nm[1]
+        )
+    });
+    if let Some(target) = &report.target {
+        let fitted = target.parameters.iter().map(|p| {
+            let bound = if p.at_bound { ", at its bound" } else { "" };
+            format!(", {} {} (given {}{bound})", p.name, significant(p.value, 9), p.given)
+        });
+        let [x, y] = target.tilt_urad;
+        say(format!(
+            "planish-surface: form subtracted, tilt {} and {} urad{}; it leaves {} nm RMS",
+            significant(x, 6),
+            significant(y, 6),
+            fitted.collect::<String>(),
+            significant(target.rms_nm, 5)
+        ));
+    }
+    say(format!(
+        "planish-surface: {columns} x {rows} px, {} valid, RMS {:.4} nm, PV {:.3} nm{masked}{filled}{extended}",
+        report.after.valid_pixels, report.after.rms_nm, report.after.pv_nm
+    ));
+    let notes = [
+        report.removed_low_order.as_ref().and_then(|r| r.note.as_ref()),
+        report.filled.as_ref().and_then(|r| r.note.as_ref()),
+    ];
+    notes.into_iter().flatten().for_each(|note| say(format!("planish-surface: note: {note}")));
+    report.doubts.iter().for_each(warn);
 }

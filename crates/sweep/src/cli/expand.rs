@@ -10,7 +10,7 @@ use planish_handoff::{Failure, Inputs, OutputFile, Status, say, words};
 use planish_sweep::{
     description::{Description, Mirror, read},
     expand::expand,
-    plan::{Ground, Round, Step, Sweep, hash},
+    plan::{Ground, Round, Step, Sweep, hash, steps_of_mirror},
     setting::default,
     varying,
 };
@@ -140,10 +140,10 @@ impl Grounds<'_> {
             .map_err(|e| Failure::new(format!("prepare: {}: {e}", d.prepare)))?;
         let surface_hash = hash(&json!(["surface", map_hash, prepare]));
         let surface = format!("surface/{surface_hash}");
-        let mut arguments = vec!["prepare".to_string(), "--surface".into(), map];
-        arguments.extend(prepare);
-        arguments.extend(["--out".into(), surface.clone(), "--force".into()]);
-        steps.push(Step::new("planish-surface", arguments));
+        steps.extend(steps_of_mirror(
+            "prepare",
+            [("measured", vec![map]), ("prepare", prepare), ("map", vec![surface.clone()])],
+        ));
         let mut tools = vec![(String::new(), tif)];
         let mut tool_hashes = vec![(String::new(), tif_hash)];
         for (name, dir) in &d.tools {
@@ -242,10 +242,8 @@ impl Grounds<'_> {
                 let (file, digest) = self.frozen("fixture", recipe)?;
                 let name = stem(Path::new(recipe));
                 let own = format!("mirror/{digest}");
-                let step = Step::new(
-                    "planish-fixture",
-                    [&file, "--out", &own, "--force"].map(str::to_string),
-                );
+                let names = [("recipe", vec![file]), ("made", vec![own.clone()])];
+                let steps = steps_of_mirror("fixture", names);
                 let plain = self.plain(recipe);
                 let (map, tif) = (format!("{own}/surface"), format!("{own}/tif"));
                 let is_known = plain == Path::new("fixtures").join(format!("{name}.json"));
@@ -258,7 +256,7 @@ impl Grounds<'_> {
                     vec![format!("surface={}", at(&map)), format!("tif={}", at(&tif))]
                 };
                 let (map, tool) = ((map, digest.clone()), (tif, digest));
-                Ok(Made { steps: vec![step], map, tool, name, again })
+                Ok(Made { steps, map, tool, name, again })
             }
             Mirror::Measured { surface, tif, surface_settings, tif_settings } => {
                 let (mut steps, mut made, mut again) = (Vec::new(), Vec::new(), Vec::new());
@@ -277,10 +275,14 @@ impl Grounds<'_> {
                     again.push(format!("{kind}_settings={settings}"));
                     let digest = hash(&json!([kind, content(&at)?, flags]));
                     let out = format!("mirror/{digest}");
-                    let mut arguments = vec![kind.to_string(), text(&at)?];
-                    arguments.extend(flags);
-                    arguments.extend(["--out".into(), out.clone(), "--force".into()]);
-                    steps.push(Step::new("planish-import", arguments));
+                    let (settings, imported) =
+                        (format!("{kind}_settings"), format!("imported_{kind}"));
+                    let names = [
+                        (kind, vec![text(&at)?]),
+                        (settings.as_str(), flags),
+                        (imported.as_str(), vec![out.clone()]),
+                    ];
+                    steps.extend(steps_of_mirror(&format!("import-{kind}"), names));
                     made.push((out, digest));
                 }
                 let [map, tool] = <[_; 2]>::try_from(made).expect("a map and a tool");

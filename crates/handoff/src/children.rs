@@ -1,0 +1,76 @@
+//! Processes that this one starts, and that end with it.
+//!
+//! If SIGINT, SIGTERM or SIGHUP ends this process, its children get SIGTERM first, and it waits for their end: whatever
+//! they have locked is then free. A child that goes on for [`PATIENCE`] is killed.
+
+use std::{
+    io,
+    process::{Child, ChildStderr, Command, ExitStatus},
+    sync::{Mutex, MutexGuard, PoisonError},
+    thread,
+    time::{Duration, Instant},
+};
+
+use crate::system::{self, EndSignal};
+
+/// Time that a child has to end after SIGTERM. Larger: a child that hangs delays the end of this process. Smaller: a
+/// child on a slow disk is killed while it removes its unfinished files. Chosen: a stage ends within milliseconds.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Time between two looks at a child that is ending. Larger: the end of this process comes later. Smaller: more looks.
+const BETWEEN_LOOKS: Duration = Duration::from_millis(2);
+
+/// Numbers of the processes that are running, or that have ended and whose numbers are still theirs.
+static RUNNING: Mutex<Vec<u32>> = Mutex::new(Vec::new());
+
+fn running() -> MutexGuard<'static, Vec<u32>> {
+    RUNNING.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A process that ends with this one.
+pub struct Running {
+    child: Child,
+}
+
+impl Running {
+    /// Starts a command. Not while a signal is ending this process.
+    pub fn start(command: &mut Command) -> io::Result<Self> {
+        let mut running = running();
+        let child = command.spawn()?;
+        running.push(child.id());
+        Ok(Self { child })
+    }
+
+    /// Its standard error, if that is piped and was not taken before.
+    pub fn stderr(&mut self) -> Option<ChildStderr> {
+        self.child.stderr.take()
+    }
+
+    /// Waits until it ends.
+    pub fn wait(mut self) -> io::Result<ExitStatus> {
+        // Its number stays its own until it is off the list, so that a signal reaches no other process.
+        system::wait_for_end(self.child.id());
+        let mut running = running();
+        let status = self.child.wait();
+        running.retain(|number| *number != self.child.id());
+        status
+    }
+}
+
+/// Ends all children, and waits for them. None starts, and none is taken for ended, while the guard is held.
+pub(crate) fn end_all() -> MutexGuard<'static, Vec<u32>> {
+    let running = running();
+    running.iter().for_each(|number| system::send(*number, EndSignal::Term));
+    let since = Instant::now();
+    for number in running.iter() {
+        while !system::has_ended(*number) && since.elapsed() < PATIENCE {
+            thread::sleep(BETWEEN_LOOKS);
+        }
+        if !system::has_ended(*number) {
+            system::send(*number, EndSignal::Kill);
+            system::wait_for_end(*number);
+        }
+        system::reap(*number);
+    }
+    running
+}

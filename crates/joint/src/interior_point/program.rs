@@ -1,0 +1,154 @@
+//! The program (1) of [`super`], its matrix, and how far an iterate may move.
+
+use planish_dwell::residual::Normal;
+use planish_numerics::{
+    linear::{skyline::Element, woodbury::Woodbury},
+    qp::bounded::Quadratic,
+};
+
+use crate::limits::{Constraint, Rows};
+
+/// Largest fraction of a slack or of a dual variable that one step may take away, dimensionless; below 1. Larger:
+/// longer steps, but the next ones are short at rows that are nearly active. Smaller: more steps. Chosen.
+const STEP_TO_BOUNDARY: f64 = 0.95;
+
+/// Factor on the length of a step until no row loses too much, dimensionless; below 1. Larger: a length nearer to the
+/// longest one, with more evaluations of the rows. Smaller: fewer evaluations, shorter steps. Chosen.
+const BACKTRACKING: f64 = 0.8;
+
+/// Least remainder of the matrix along the free functions ([`Woodbury::least_left`]), relative, at which a factor in
+/// single precision is used as it is. If less is left it is refined; if that fails, the factor is made in double
+/// precision. Larger: more refinements. Smaller: steps by a wrong inverse. Derived: a thousand times the rounding of
+/// the products.
+const LEFT_TO_SINGLE: f64 = 1e-4;
+
+/// The program (1).
+pub struct Program<'a> {
+    /// Curvature of f without its chain, in an order of its own.
+    pub normal: &'a Normal,
+    /// Curvature of f beside it: diagonal (n), and element (j, j - 1) for every j (n; the first unused).
+    pub chain: (&'a [f64], &'a [f64]),
+    /// lo (n).
+    pub lo: &'a [f64],
+    /// c.
+    pub rows: &'a Rows<'a>,
+}
+
+impl<'a> Program<'a> {
+    /// The inverse of the normal matrix with a chain added: its diagonal (n) and its elements (j, j - 1) (n). `None` if
+    /// that is singular to rounding.
+    pub(super) fn inverse(
+        &self,
+        row_of: &[usize],
+        (diagonal, below): (&[f64], &[f64]),
+    ) -> Option<Inverse<'a>> {
+        let mut added = Vec::with_capacity(2 * row_of.len());
+        for (j, row) in row_of.iter().enumerate() {
+            added.push(Element { row: *row, column: *row, value: diagonal[j] });
+            if j > 0 && below[j] != 0.0 {
+                let before = row_of[j - 1];
+                let (row, column) = (before.max(*row), before.min(*row));
+                added.push(Element { row, column, value: below[j] });
+            }
+        }
+        added.sort_unstable_by_key(|e| (e.row, e.column));
+        let Quadratic { k, u } = &self.normal.matrix;
+        let product = |x: &[f64]| {
+            let mut product = k.product(x);
+            for e in &added {
+                product[e.row] += e.value * x[e.column];
+                if e.column != e.row {
+                    product[e.column] += e.value * x[e.row];
+                }
+            }
+            product
+        };
+        let single = k
+            .factorise_in_single(&added)
+            .and_then(|factor| Woodbury::refined(factor, u, LEFT_TO_SINGLE, product));
+        let by_rows = match single {
+            Some(woodbury) => ByRows::Single(woodbury),
+            None => {
+                let mut k = k.clone();
+                added.iter().for_each(|e| k.add(e.row, e.column, e.value));
+                ByRows::Double(Woodbury::new(k.factorise()?, u)?)
+            }
+        };
+        Some(Inverse { order: &self.normal.order, by_rows })
+    }
+
+    /// The longest part of the step `length d` after which every row keeps more than a twentieth of its slack `c`,
+    /// and the densities where it ends.
+    pub(super) fn farthest(
+        &self,
+        density: &[f64],
+        d: &[f64],
+        c: &[f64],
+        mut length: f64,
+    ) -> (f64, Vec<f64>) {
+        loop {
+            let to = moved(density, d, length);
+            let after = self.rows.slacks(&to);
+            let keeps = |(after, before): (&f64, &f64)| *after >= (1.0 - STEP_TO_BOUNDARY) * before;
+            if after.iter().zip(c).all(keeps) || length < f64::EPSILON {
+                return (length, to);
+            }
+            length *= BACKTRACKING;
+        }
+    }
+}
+
+/// `D + length d`.
+pub(super) fn moved(density: &[f64], d: &[f64], length: f64) -> Vec<f64> {
+    density.iter().zip(d).map(|(u, d)| u + length * d).collect()
+}
+/// The inverse of a matrix over the nodes.
+pub(super) struct Inverse<'a> {
+    /// Node of every row.
+    order: &'a [usize],
+    by_rows: ByRows,
+}
+
+/// The inverse of a matrix over the rows, of a factor in single or in double precision.
+enum ByRows {
+    Single(Woodbury<f32>),
+    Double(Woodbury),
+}
+
+impl Inverse<'_> {
+    pub(super) fn solve(&self, rhs: &[f64]) -> Vec<f64> {
+        let mut b: Vec<f64> = self.order.iter().map(|j| rhs[*j]).collect();
+        match &self.by_rows {
+            ByRows::Single(woodbury) => woodbury.solve(&mut b),
+            ByRows::Double(woodbury) => woodbury.solve(&mut b),
+        }
+        let mut x = vec![0.0; rhs.len()];
+        self.order.iter().zip(b).for_each(|(j, b)| x[*j] = b);
+        x
+    }
+}
+
+/// J d.
+pub(super) fn along(rows: &[Constraint], d: &[f64]) -> Vec<f64> {
+    let of =
+        |row: &Constraint| (0..2).map(|k| row.nodes[k].map_or(0.0, |n| row.by[k] * d[n])).sum();
+    rows.iter().map(of).collect()
+}
+
+/// `out += J' v`.
+pub(super) fn add_adjoint(rows: &[Constraint], v: impl Fn(usize) -> f64, out: &mut [f64]) {
+    for (i, row) in rows.iter().enumerate() {
+        let v = v(i);
+        for k in 0..2 {
+            if let Some(n) = row.nodes[k] {
+                out[n] += row.by[k] * v;
+            }
+        }
+    }
+}
+
+/// The longest step, at most 1, after which no component of `v` is below a twentieth of itself.
+pub(super) fn longest(v: &[f64], d: &[f64]) -> f64 {
+    let of = |(v, d): (&f64, &f64)| if *d < 0.0 { -STEP_TO_BOUNDARY * v / d } else { 1.0 };
+    v.iter().zip(d).map(of).fold(1.0, f64::min)
+}
