@@ -41,6 +41,8 @@ pub struct Constraints {
     pub max_time_s: Option<f64>,
     /// True if the limits of the machine must be kept.
     pub keep_limits: bool,
+    /// True if the limits of the specification must be kept, where there is one.
+    pub keep_specification: bool,
 }
 
 /// A plan and its result.
@@ -68,7 +70,7 @@ pub struct Row {
 }
 
 /// The numbers of a plan.
-#[derive(Clone, Copy, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Numbers {
     /// Time of the run, s.
@@ -81,6 +83,57 @@ pub struct Numbers {
     pub below_95_percent_nm: Option<f64>,
     /// True if the limits of the machine are kept.
     pub limits_kept: bool,
+    /// Verdict of the specification, where there is one.
+    #[serde(default)]
+    pub specification: Option<Specified>,
+}
+
+/// Verdict of a specification on the residual of a plan.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Specified {
+    /// True if all limits are kept.
+    pub passed: bool,
+    /// The limits, in the order of the specification.
+    pub limits: Vec<Limited>,
+}
+
+/// A quantity with a limit.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Limited {
+    /// Quantity in words.
+    pub quantity: String,
+    /// Unit; empty if it has none.
+    pub unit: String,
+    /// Value of the plan.
+    pub value: Option<f64>,
+    /// True if the limit is kept.
+    pub passed: bool,
+}
+
+impl Limited {
+    /// Quantity and unit: the heading of its column.
+    fn heading(&self) -> String {
+        if self.unit.is_empty() {
+            return self.quantity.clone();
+        }
+        format!("{} ({})", self.quantity, self.unit)
+    }
+}
+
+impl Numbers {
+    /// Returns true if the plan keeps its specification, or has none.
+    fn keeps_specification(&self) -> bool {
+        self.specification.as_ref().is_none_or(|specification| specification.passed)
+    }
+
+    /// Words on the specification; empty without one.
+    fn specification_in_words(&self) -> String {
+        let Some(Specified { passed, limits }) = &self.specification else { return String::new() };
+        let missed = limits.iter().filter(|limit| !limit.passed).count();
+        if *passed { "kept".into() } else { format!("{missed} of {} missed", limits.len()) }
+    }
 }
 
 /// Kind of the residual.
@@ -106,8 +159,9 @@ impl Table {
     /// Time and residual of a plan that keeps the constraints.
     pub fn point(&self, row: &Row, residual: Residual) -> Option<[f64; 2]> {
         let numbers = row.numbers.as_ref()?;
-        let Constraints { max_time_s, keep_limits } = self.constraints;
+        let Constraints { max_time_s, keep_limits, keep_specification } = self.constraints;
         let keeps = (numbers.limits_kept || !keep_limits)
+            && (numbers.keeps_specification() || !keep_specification)
             && max_time_s.is_none_or(|most| numbers.total_time_s <= most);
         let nm = match residual {
             Residual::Nominal => Some(numbers.rms_nm),
@@ -136,10 +190,9 @@ impl Table {
             .iter()
             .filter_map(|row| {
                 let [total_time_s, rms_nm] = self.point(row, self.judged_by())?;
-                Some((
-                    row.id.as_str(),
-                    Candidate { rms_nm, total_time_s, keeps_specification: true },
-                ))
+                let keeps_specification = row.numbers.as_ref()?.keeps_specification();
+                let candidate = Candidate { rms_nm, total_time_s, keeps_specification };
+                Some((row.id.as_str(), candidate))
             })
             .collect();
         let name = recommended(&candidates)?;
@@ -182,7 +235,15 @@ impl Table {
         seen.into_keys().collect()
     }
 
-    /// All plans as comma-separated values, the settings and numbers under their names.
+    /// The limits of the specification with the values of the first plan that has some; none without a specification.
+    fn specified(&self) -> &[Limited] {
+        let numbers = self.plans.iter().filter_map(|row| row.numbers.as_ref());
+        let mut specified = numbers.filter_map(|numbers| numbers.specification.as_ref());
+        specified.next().map_or(&[], |specification| &specification.limits)
+    }
+
+    /// All plans as comma-separated values, the settings and numbers under their names. Every limit of a specification is
+    /// a column with the value of the plan.
     pub fn csv(&self) -> String {
         let keys: std::collections::BTreeSet<&str> =
             self.plans.iter().flat_map(|row| row.settings.keys().map(String::as_str)).collect();
@@ -190,8 +251,15 @@ impl Table {
         for key in &keys {
             out += &format!("{},", quoted(&text_cell(key)));
         }
-        out += "total_time_s,rms_nm,rms_detilted_nm,below_95_percent_nm,limits_kept,keeps_constraints,on_front,\
-                on_front_95_percent,recommended,status,message,again\n";
+        out += "total_time_s,rms_nm,rms_detilted_nm,below_95_percent_nm,limits_kept,";
+        let limits = self.specified();
+        if !limits.is_empty() {
+            out += "specification_kept,";
+        }
+        for limit in limits {
+            out += &format!("{},", quoted(&text_cell(&limit.heading())));
+        }
+        out += "keeps_constraints,on_front,on_front_95_percent,recommended,status,message,again\n";
         let fronts = [Residual::Nominal, Residual::Below95].map(|residual| self.front(residual));
         let recommended = self.recommended();
         for (i, row) in self.plans.iter().enumerate() {
@@ -215,6 +283,13 @@ impl Table {
                 .map(Option::unwrap_or_default),
             );
             cells.push(n.map(|n| n.limits_kept.to_string()).unwrap_or_default());
+            if !limits.is_empty() {
+                let specification = n.and_then(|n| n.specification.as_ref());
+                cells.push(specification.map(|s| s.passed.to_string()).unwrap_or_default());
+                let value = |k: usize| specification?.limits.get(k)?.value;
+                let shown = |k| value(k).map(|v| v.to_string()).unwrap_or_default();
+                cells.extend((0..limits.len()).map(shown));
+            }
             cells.push(self.point(row, Residual::Nominal).is_some().to_string());
             cells.extend(fronts.iter().map(|front| front.contains(&i).to_string()));
             cells.push((recommended == Some(i)).to_string());
@@ -231,7 +306,10 @@ impl Table {
     pub fn front_table(&self) -> String {
         let varied = self.varied();
         let mut lines = vec![vec!["time".to_string(), "residual".into(), "95 % below".into()]];
-        lines[0].extend(["limits".into(), "path".into(), "method".into()]);
+        let is_specified = !self.specified().is_empty();
+        lines[0].push("limits".into());
+        lines[0].extend(is_specified.then(|| "specification".to_string()));
+        lines[0].extend(["path".into(), "method".into()]);
         lines[0].extend(varied.iter().map(|key| key.to_string()));
         lines[0].push(String::new());
         lines.push(vec!["s".into(), "nm".into(), "nm".into()]);
@@ -242,6 +320,7 @@ impl Table {
             let mut cells = vec![significant(n.total_time_s, 4), significant(n.rms_nm, 4)];
             cells.push(n.below_95_percent_nm.map(|x| significant(x, 4)).unwrap_or_default());
             cells.push(if n.limits_kept { "kept" } else { "exceeded" }.into());
+            cells.extend(is_specified.then(|| n.specification_in_words()));
             cells.extend([row.path.clone(), row.method.clone()]);
             cells.extend(
                 varied.iter().map(|key| row.settings.get(*key).map(shown).unwrap_or_default()),
@@ -323,7 +402,7 @@ mod tests {
         let plans: Vec<Value> = plans.iter().enumerate().map(row).collect();
         serde_json::from_value(json!({
             "name": "s", "mirror": "m", "has_process": false,
-            "constraints": { "max_time_s": max_time_s, "keep_limits": true }, "plans": plans,
+            "constraints": { "max_time_s": max_time_s, "keep_limits": true, "keep_specification": true }, "plans": plans,
         }))
         .unwrap()
     }

@@ -7,7 +7,7 @@ use known::{Figure, NODES, REACH_SIGMA, middle, motion, normal, path_over, plann
 use ndarray::Array2;
 use planish_reconcile::{Comparison, Reconciled, Settings, reconcile};
 use planish_types::{
-    Axis, AzimuthWeights, Grid, PixelFactor, Surface, Tif, TimeFactor, Trajectory, VaryingTif,
+    Axis, AzimuthWeights, Grid, PixelFactor, Pose, Surface, Tif, TimeFactor, Trajectory, VaryingTif,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -232,13 +232,13 @@ fn the_corrected_tool_varies_as_the_one_that_ran() {
     let [center, edge] = [middle(&grid()), [15.0, 14.0]];
     let offsets = offsets();
     for place in [center, edge] {
-        let got = found.tif.variation().unwrap().rate_at(place);
+        let got = found.tif.variation().unwrap().rate_at(Pose::along_x(place));
         let expected = samples(&offsets, |x, y| (1.0 + t.rate) * rate([x, y], place, t.width));
         let largest =
             (&got - &expected).iter().fold(0.0_f64, |m, v| m.max(v.abs())) / PEAK_NM_PER_S;
         // The rate is learnt to 1e-3, the width to 2e-3, which is 0.7 of that of the peak in the flank: regression bound.
         assert!(largest < 8e-3, "{place:?}: {largest}");
-        let ignored = tool(None).variation().unwrap().rate_at(place);
+        let ignored = tool(None).variation().unwrap().rate_at(Pose::along_x(place));
         let ignored = (&ignored - &expected).iter().fold(0.0_f64, |m, v| m.max(v.abs()));
         assert!(largest < 0.5 * ignored / PEAK_NM_PER_S, "{place:?}: {largest} {ignored}");
     }

@@ -12,7 +12,7 @@ use planish_handoff::{
     artifact::{self, Manifest},
 };
 use planish_testkit::program::{text, write};
-use planish_types::{Axis, Grid, Surface, Tif};
+use planish_types::{Axis, Grid, Pose, Surface, Tif};
 
 /// Radius of the sphere, mm; its edge is 30 degrees steep.
 const RADIUS_MM: f64 = 36.0;
@@ -316,7 +316,7 @@ fn a_footprint_is_the_sum_in_three_dimensions() {
             let (mut written, mut direct, mut as_flat) = (0.0, 0.0, 0.0);
             for (p, time) in &places {
                 let u = [pixel[0] - p[0], pixel[1] - p[1]];
-                written += time * tool.rate_of_tool_at(*p, u);
+                written += time * tool.rate_of_tool_at(Pose::along_x(*p), u);
                 direct += time * in_space(*p, pixel);
                 as_flat += time * gaussian(u);
             }

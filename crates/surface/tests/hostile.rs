@@ -137,7 +137,7 @@ fn judged(dir: &Path, arguments: &[String], out: &str) -> (Option<String>, BTree
 }
 
 /// A subcommand, its flags with a `?` where a hostile number goes, and a number that is usual there.
-const FLAGS: [(&str, &str, &str); 59] = [
+const FLAGS: [(&str, &str, &str); 60] = [
     ("spec", "--base-mm ?", "1"),
     ("spec", "--band-per-mm ? 0.3", "0.1"),
     ("spec", "--band-per-mm 0.1 ?", "0.3"),

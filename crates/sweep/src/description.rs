@@ -19,6 +19,8 @@ pub struct Description {
     pub machine: String,
     /// File of the process, where the plans are judged by its errors, too.
     pub process: Option<String>,
+    /// File of the specification of the mirror, where the plans are judged by its limits, too.
+    pub specification: Option<String>,
     /// Constraints that a plan must keep to be recommended.
     pub constraints: Constraints,
     /// True if every plan gets its own report.
@@ -52,6 +54,13 @@ pub struct Constraints {
     pub max_time_s: Option<f64>,
     /// True if the limits of the machine must be kept.
     pub keep_limits: bool,
+    /// True if the limits of the specification must be kept, where there is one.
+    #[serde(default = "kept")]
+    pub keep_specification: bool,
+}
+
+fn kept() -> bool {
+    true
 }
 
 /// Settings that are varied together: every combination is a plan.
@@ -78,7 +87,9 @@ pub fn read(text: &str) -> Result<Description, Complaint> {
     let machine = text_of("machine", &top.required("machine", "machine: FILE")?)?;
     let process =
         top.take("error_budget").map(|node| text_of("error_budget", &node)).transpose()?;
-    let constraints = constraints_of(top.take("constraints"))?;
+    let specification =
+        top.take("specification").map(|node| text_of("specification", &node)).transpose()?;
+    let constraints = constraints_of(top.take("constraints"), specification.is_some())?;
     let reports = match top.take("reports") {
         None => true,
         Some(node) => words("reports", &node, &["every", "none"])? == ["every"],
@@ -95,7 +106,17 @@ pub fn read(text: &str) -> Result<Description, Complaint> {
     if blocks.is_empty() {
         return Err(Complaint::new(line, "plans is an empty list; give path and settings"));
     }
-    Ok(Description { mirror, prepare, tools, machine, process, constraints, reports, blocks })
+    Ok(Description {
+        mirror,
+        prepare,
+        tools,
+        machine,
+        process,
+        specification,
+        constraints,
+        reports,
+        blocks,
+    })
 }
 
 /// The mirror, and the flags that it is prepared with.
@@ -125,8 +146,9 @@ fn mirror_of(node: &Node) -> Result<(Mirror, String), Complaint> {
     Ok((mirror, prepare))
 }
 
-fn constraints_of(node: Option<Node>) -> Result<Constraints, Complaint> {
-    let mut constraints = Constraints { max_time_s: None, keep_limits: true };
+fn constraints_of(node: Option<Node>, is_specified: bool) -> Result<Constraints, Complaint> {
+    let mut constraints =
+        Constraints { max_time_s: None, keep_limits: true, keep_specification: true };
     let Some(node) = node else { return Ok(constraints) };
     let mut table = Table::of("constraints", &node)?;
     if let Some(node) = table.take("max_time_s") {
@@ -136,12 +158,21 @@ fn constraints_of(node: Option<Node>) -> Result<Constraints, Complaint> {
         };
         constraints.max_time_s = Some(time_s);
     }
-    if let Some(node) = table.take("keep_limits") {
-        let Value::Flag(keep) = node.value else {
-            let problem = format!("keep_limits is {}; give true or false", node.value);
+    for (key, keep) in [
+        ("keep_limits", &mut constraints.keep_limits),
+        ("keep_specification", &mut constraints.keep_specification),
+    ] {
+        let Some(node) = table.take(key) else { continue };
+        let Value::Flag(given) = node.value else {
+            let problem = format!("{key} is {}; give true or false", node.value);
             return Err(Complaint::new(node.line, problem));
         };
-        constraints.keep_limits = keep;
+        if key == "keep_specification" && !is_specified {
+            let problem =
+                "keep_specification is given without a specification; give specification: FILE";
+            return Err(Complaint::new(node.line, problem));
+        }
+        *keep = given;
     }
     table.finish()?;
     Ok(constraints)
@@ -303,7 +334,10 @@ plans:
         let sweep = read(WHOLE).unwrap();
         assert_eq!(sweep.mirror, Mirror::Fixture("coupon.json".into()));
         assert_eq!(sweep.prepare, "--level piston");
-        assert_eq!(sweep.constraints, Constraints { max_time_s: Some(600.0), keep_limits: true });
+        assert_eq!(
+            sweep.constraints,
+            Constraints { max_time_s: Some(600.0), keep_limits: true, keep_specification: true }
+        );
         let [block] = &sweep.blocks[..] else { panic!("one block") };
         assert_eq!((block.paths.len(), &block.methods[..]), (2, &["joint".to_string()][..]));
         assert_eq!(block.settings[1].1.len(), 3);

@@ -77,6 +77,7 @@ mod tests {
             own_varying: None,
             machine: "m".into(),
             process: None,
+            specification: None,
         }
     }
 

@@ -37,6 +37,9 @@ pub struct Sweep {
     pub machine: String,
     /// File of the process.
     pub process: Option<String>,
+    /// File of the specification.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub specification: Option<String>,
     /// True if every plan gets its own report.
     pub reports: bool,
     /// Constraints that a plan must keep to be on the front.
@@ -77,6 +80,9 @@ pub struct Ground {
     pub machine: String,
     /// Hash of the process, if there is one.
     pub process: Option<String>,
+    /// Hash of the specification, if there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub specification: Option<String>,
 }
 
 /// A run of a stage.
@@ -305,6 +311,7 @@ impl Sweep {
             scope.set(name, vec![word]);
         }
         scope.set("error_budget", self.process.iter().cloned().collect());
+        scope.set("specification", self.specification.iter().cloned().collect());
         let commands =
             Walk::commands(scope, stage).expect("a test expands the stages of every path");
         // The residual after the servo is for the reports of runs.
@@ -425,7 +432,9 @@ pub fn plan(path: &str, method: &str, given: Vec<(String, Given)>, ground: &Grou
     let path_id = name(path, &of_path);
     let dwell_id =
         (method == "pvt+refined").then(|| name(path, &json!(["dwell", path_id, of(&["dwell"])])));
-    let whole = json!(["plan", path_id, method, ground.process, of(stages(method))]);
+    let mut whole = vec![json!(["plan", path_id, method, ground.process, of(stages(method))])];
+    whole.extend(ground.specification.iter().map(|hash| json!(["specification", hash])));
+    let whole = if whole.len() == 1 { whole.remove(0) } else { json!(whole) };
     let id = name(&format!("{path}-{method}"), &whole);
     Plan { id, path_id, dwell_id, path: path.into(), method: method.into(), settings }
 }
@@ -489,7 +498,12 @@ mod tests {
             tools: named("mirror/m/tif", "/tools/narrow"),
             machine: "inputs/i/machine.json".into(),
             process: process.map(String::from),
-            constraints: Constraints { max_time_s: None, keep_limits: true },
+            specification: None,
+            constraints: Constraints {
+                max_time_s: None,
+                keep_limits: true,
+                keep_specification: true,
+            },
             reports: true,
             again: ["surface=a/b", "tif=a/t", "error_budget=p.json"].map(String::from).to_vec(),
             ground: Ground {
@@ -499,6 +513,7 @@ mod tests {
                 own_varying: None,
                 machine: "i".into(),
                 process: process.map(String::from),
+                specification: None,
             },
             rounds: vec![],
         }

@@ -31,7 +31,7 @@ pub enum RowStatus {
 }
 
 /// The numbers of a plan.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Numbers {
     /// Time of the run, s.
@@ -44,6 +44,31 @@ pub struct Numbers {
     pub below_95_percent_nm: Option<f64>,
     /// True if the limits of the machine are kept.
     pub limits_kept: bool,
+    /// Verdict of the specification, where there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub specification: Option<Specified>,
+}
+
+/// Verdict of a specification on the residual of a plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Specified {
+    /// True if all limits are kept.
+    pub passed: bool,
+    /// The limits, in the order of the specification.
+    pub limits: Vec<Limited>,
+}
+
+/// A quantity with a limit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Limited {
+    /// Quantity in words.
+    pub quantity: String,
+    /// Unit; empty if it has none.
+    pub unit: String,
+    /// Value of the plan.
+    pub value: Option<f64>,
+    /// True if the limit is kept.
+    pub passed: bool,
 }
 
 impl Row {
@@ -60,7 +85,9 @@ impl Row {
     /// The numbers, where the plan keeps the constraints.
     pub fn eligible(&self, constraints: &Constraints) -> Option<&Numbers> {
         self.numbers.as_ref().filter(|numbers| {
+            let keeps_specification = numbers.specification.as_ref().is_none_or(|s| s.passed);
             (numbers.limits_kept || !constraints.keep_limits)
+                && (keeps_specification || !constraints.keep_specification)
                 && constraints.max_time_s.is_none_or(|most| numbers.total_time_s <= most)
         })
     }

@@ -212,6 +212,53 @@ fn a_tool_that_varies_is_made_with_the_mirror() {
     assert!(of(plans.as_array().unwrap().last().unwrap()).starts_with("tool-rate --by incidence"));
 }
 
+/// The residual of every plan is judged by the specification; its limits are columns of the table, and a plan that misses
+/// one counts only where the sweep says so.
+#[test]
+fn a_specification_is_a_constraint_and_its_limits_are_columns() {
+    let dir = tempfile::tempdir().unwrap();
+    let limits = r#"{"name": "s", "limits": [
+        {"quantity": "height_rms", "at_most_nm": 1e6},
+        {"quantity": "height_rms", "shortest_period_mm": 1, "longest_period_mm": 5, "at_most_nm": 1e-6}]}"#;
+    fs::write(dir.path().join("limits.json"), limits).unwrap();
+    let blocks = SWEEP.split("  - path: maze").next().unwrap();
+    let with = |more: &str| {
+        let more = format!("specification: limits.json\n{more}plans:");
+        written(dir.path(), &blocks.replace("plans:", &more))
+    };
+    let out = dir.path().join("out").to_str().unwrap().to_string();
+    let judged = |more: &str| -> String {
+        let file = with(more);
+        ended(0, &["expand", file.to_str().unwrap(), "--out", &out]);
+        for layer in ["mirror", "paths", "plans"] {
+            ended(0, &["run", &out, "--layer", layer]);
+        }
+        ended(0, &["table", &out]);
+        let table = format!("{out}/table.json");
+        let mut compare = Command::new(binaries().join("planish-compare"));
+        let report = format!("{out}/report");
+        compare.args(["sweep", &table, "--out", &report, "--force"]);
+        let said = run_within(&mut compare, LIMIT);
+        format!("{}{}", text(&said.stdout), text(&said.stderr))
+    };
+    let said = judged("");
+    assert!(said.contains("None of the 2 plans keeps the constraints"), "{said}");
+    let sweep: Value =
+        serde_json::from_slice(&fs::read(Path::new(&out).join("sweep.json")).unwrap()).unwrap();
+    let plan = &sweep["rounds"][0]["plans"][0];
+    let verdict = &row(&out, plan)["numbers"]["specification"];
+    let passed = |k: usize| verdict["limits"][k]["passed"].as_bool().unwrap();
+    assert_eq!((passed(0), passed(1), &verdict["passed"]), (true, false, &false.into()));
+    let csv = fs::read_to_string(Path::new(&out).join("report/table.csv")).unwrap();
+    let band = verdict["limits"][1]["value"].as_f64().unwrap();
+    assert!(csv.lines().next().unwrap().contains("periods 1 to 5 mm after plane (nm)"), "{csv}");
+    assert!(csv.lines().nth(1).unwrap().contains(&format!(",{band},")), "{csv}");
+
+    let said = judged("constraints: {keep_specification: false}\n");
+    assert!(said.contains("Of the 2 plans, raster-joint-"), "{said}");
+    assert!(said.contains("1 of 2 missed") && said.contains("/limits.json pitch_mm=2"), "{said}");
+}
+
 #[test]
 fn a_mistake_is_named_with_its_file_and_line_and_nothing_is_written() {
     let dir = tempfile::tempdir().unwrap();
@@ -220,6 +267,11 @@ fn a_mistake_is_named_with_its_file_and_line_and_nothing_is_written() {
             "pitch_mm: 2",
             "pitch_um: 2000",
             "some.yaml: line 6: no setting 'pitch_um'; write pitch_mm, in that unit",
+        ),
+        (
+            "reports: none",
+            "constraints: {keep_specification: false}",
+            "line 3: keep_specification is given without a specification",
         ),
         ("raster", "zigzag", "some.yaml: line 5: path is 'zigzag'; give raster, maze"),
         (

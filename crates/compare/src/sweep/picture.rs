@@ -171,7 +171,9 @@ fn constraints(table: &Table) -> String {
         table.constraints.max_time_s.map(|s| format!("takes {} s at most", significant(s, 6)));
     let limits =
         table.constraints.keep_limits.then(|| "keeps the limits of the machine".to_string());
-    let kept: Vec<String> = limits.into_iter().chain(time).collect();
+    let is_specified = !table.specified().is_empty() && table.constraints.keep_specification;
+    let specification = is_specified.then(|| "keeps the specification".to_string());
+    let kept: Vec<String> = limits.into_iter().chain(specification).chain(time).collect();
     let failed = table.failed();
     let judged = match table.judged_by() {
         Residual::Nominal => "its residual without errors",
@@ -190,7 +192,15 @@ fn rows(table: &Table, indices: &[usize], to_table: &str) -> String {
     if table.has_process {
         html += "<th>95 % below, nm</th>";
     }
-    html += "<th class=\"words\">limits</th><th class=\"words\">path</th><th class=\"words\">method</th>";
+    html += "<th class=\"words\">limits</th>";
+    let limits = table.specified();
+    if !limits.is_empty() {
+        html += "<th class=\"words\">specification</th>";
+    }
+    for limit in limits {
+        put(&mut html, format_args!("<th class=\"words\">{}</th>", escaped(&limit.heading())));
+    }
+    html += "<th class=\"words\">path</th><th class=\"words\">method</th>";
     for key in &varied {
         put(&mut html, format_args!("<th>{}</th>", escaped(key)));
     }
@@ -205,11 +215,22 @@ fn rows(table: &Table, indices: &[usize], to_table: &str) -> String {
             let number = number.map(|x| significant(x, 4)).unwrap_or_default();
             put(&mut html, format_args!("<td>{number}</td>"));
         }
-        let limits = if n.limits_kept { "kept" } else { "exceeded" };
+        let kept = if n.limits_kept { "kept" } else { "exceeded" };
+        put(&mut html, format_args!("<td class=\"words\">{kept}</td>"));
+        if !limits.is_empty() {
+            let words = n.specification_in_words();
+            put(&mut html, format_args!("<td class=\"words\">{words}</td>"));
+        }
+        for k in 0..limits.len() {
+            let limit = n.specification.as_ref().and_then(|s| s.limits.get(k));
+            let value = limit.and_then(|l| l.value).map(|v| significant(v, 4)).unwrap_or_default();
+            let class = if limit.is_some_and(|l| !l.passed) { " class=\"bad\"" } else { "" };
+            put(&mut html, format_args!("<td{class}>{value}</td>"));
+        }
         put(
             &mut html,
             format_args!(
-                "<td class=\"words\">{limits}</td><td class=\"words\">{}</td><td class=\"words\">{}</td>",
+                "<td class=\"words\">{}</td><td class=\"words\">{}</td>",
                 escaped(&row.path),
                 escaped(&row.method)
             ),

@@ -129,6 +129,12 @@ impl Grounds<'_> {
         if let Some(file) = &d.process {
             Inputs::new().read_json::<Value>("process", &self.folder.join(file))?;
         }
+        let specification = d.specification.as_ref();
+        let specification =
+            specification.map(|file| self.frozen("specification", file)).transpose()?;
+        if let Some(file) = &d.specification {
+            Inputs::new().read_json::<Value>("specification", &self.folder.join(file))?;
+        }
         let Made {
             mut steps,
             map: (map, map_hash),
@@ -156,7 +162,10 @@ impl Grounds<'_> {
         }
         again.push(format!("machine={}", self.plain(&d.machine).display()));
         again.extend(d.process.iter().map(|p| format!("error_budget={}", self.plain(p).display())));
+        let plain_specification = d.specification.as_ref().map(|file| self.plain(file));
+        again.extend(plain_specification.map(|file| format!("specification={}", file.display())));
         let (process, process_hash) = process.unzip();
+        let (specification, specification_hash) = specification.unzip();
         let ground = Ground {
             surface: surface_hash,
             tools: tool_hashes,
@@ -164,6 +173,7 @@ impl Grounds<'_> {
             own_varying: None,
             machine: machine_hash,
             process: process_hash,
+            specification: specification_hash,
         };
         Ok(Sweep {
             version: VERSION,
@@ -174,6 +184,7 @@ impl Grounds<'_> {
             tools,
             machine,
             process,
+            specification,
             reports: d.reports,
             constraints: d.constraints,
             again,

@@ -294,6 +294,7 @@ impl Work<'_> {
             "planish-refine",
             "planish-simulate",
             "planish-verify",
+            "planish-surface",
             "planish-tolerance",
             "planish-compare",
         ]);
@@ -409,6 +410,15 @@ impl Work<'_> {
                 Some(number(&path, &tolerance["residual"]["below_95_percent_nm"])?)
             }
         };
+        let specification = match &self.sweep.specification {
+            None => None,
+            Some(_) => {
+                let dir = format!("{}/specified/{}/specification", plan.dir(), plan.method);
+                let (path, mut judged) = outcome(dir)?;
+                let verdict = judged["specification"].take();
+                Some(serde_json::from_value(verdict).map_err(|e| unreadable(&path, &e))?)
+            }
+        };
         let kept = verdict["limits_respected"].as_bool();
         Ok(Numbers {
             total_time_s: number(&removal_at, &removal["total_time_s"])?,
@@ -418,6 +428,7 @@ impl Work<'_> {
             limits_kept: kept.ok_or_else(|| {
                 unreadable(&verdict_at, &"it does not say whether limits are kept")
             })?,
+            specification,
         })
     }
 
