@@ -309,7 +309,7 @@ fn a_rate_that_falls_in_a_known_way_costs_nothing() {
     }
 }
 
-/// A spot that is wide across its motion, with its peak behind, in nm/s at the offset u, in a motion along a direction.
+/// A spot that is wide across its motion, whose peak trails the tool, in nm/s at the offset u, in a motion along a direction.
 fn steered(u: [f64; 2], direction: [f64; 2]) -> f64 {
     let along = u[0] * direction[0] + u[1] * direction[1] + 0.4;
     let across = u[1] * direction[0] - u[0] * direction[1];

@@ -389,7 +389,7 @@ impl EdgeArgs {
     }
 }
 
-/// What a spot turns with.
+/// The angle with which a spot turns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "kebab-case")]
 enum FollowsArg {
@@ -408,7 +408,7 @@ pub struct TurnedArgs {
     /// Map of the part; the azimuth is that about the middle of its valid pixels [surface artifact]
     #[arg(long, value_name = "DIR")]
     surface: PathBuf,
-    /// What the spot turns with
+    /// Angle with which the spot turns
     #[arg(long, value_enum, default_value_t = FollowsArg::Azimuth)]
     follows: FollowsArg,
     #[command(flatten)]

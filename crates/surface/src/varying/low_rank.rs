@@ -119,7 +119,7 @@ pub struct LowRankReport {
     pub error: f64,
     /// Largest of these errors, relative.
     pub largest_error: f64,
-    /// Where the largest error is.
+    /// Place or heading of the largest error.
     pub largest_error_at: At,
     /// Wanted error.
     pub wanted_error: f64,
