@@ -88,8 +88,11 @@ def compare(command, pages, folder):
             mine = [r for c, r in printed if c[:len(columns)] == columns]
             if not mine:
                 continue
-            shown_tables += 1
             of_command = [row for rows in mine for row in rows]
+            # Another command may print other rows below the same columns.
+            if not {row[0] for row in rows} & {row[0] for row in of_command}:
+                continue
+            shown_tables += 1
             for row in rows:
                 if any(same_row(row, other) for other in of_command):
                     agree += 1
