@@ -18,7 +18,7 @@ use crate::{
     determined::{Part, Refusal, all_moves, contradicted, refusal, shown, wider_orders},
     fit::{Data, Fit, Start, dot, fit},
     left::left,
-    metrology,
+    metrology::{self, Term},
     model::Model,
     parameter::{ALL, Parameter},
     place::place,
@@ -105,188 +105,279 @@ impl<'a> Comparison<'a> {
     }
 }
 
+/// A tool and the runs with it.
+#[derive(Clone, Copy)]
+struct Tool<'a> {
+    runs: &'a Runs<'a>,
+    tif: &'a Tif,
+}
+
+/// The tool in the ways in which a fit may take it.
+struct Tools<'a> {
+    /// The tool without its noise, which errors move.
+    smooth: Tool<'a>,
+    /// The tool as it was sampled, for the removal itself.
+    as_sampled: Option<&'a Runs<'a>>,
+    /// The tool as it goes on beyond samples that end before it has ended: without its noise, and as it is.
+    continued: Option<[Tool<'a>; 2]>,
+}
+
+/// A fit, and what it is of.
+struct Found<'a> {
+    fit: Fit,
+    model: Model<'a>,
+    start: Start,
+    /// The tool as it goes on beyond its samples, where that explains more of the data.
+    continued: Option<&'a Tif>,
+    /// Parameters that contradict what was known beforehand.
+    released: Vec<Parameter>,
+}
+
+impl<'a> Tools<'a> {
+    /// The fit of the tool that explains most of the data, with these scales of what is known beforehand.
+    fn best_fit(
+        &self,
+        parameters: &[Parameter],
+        (terms, data): (&[Term], &Data<'_>),
+        scale: impl Fn(Parameter) -> f64 + Copy,
+    ) -> Result<Found<'a>, Invalid> {
+        let Tool { runs, tif } = self.smooth;
+        let model = Model::new(runs, tif, parameters.to_vec(), scale);
+        let start = Start::new(&model)?;
+        let fit_of_plan = fit(&model, terms, data, &start)?;
+        let mut found =
+            Found { fit: fit_of_plan, model, start, continued: None, released: Vec::new() };
+        // The TIF as it is sampled has no error of smoothing, but moves its noise: the data decide.
+        let as_sampled = self.as_sampled.map(|removal| (self.smooth, removal, None));
+        let continued = self.continued.map(|[smooth, own]| (smooth, own.runs, Some(own.tif)));
+        for (Tool { runs, tif }, removal, continued) in as_sampled.into_iter().chain(continued) {
+            let mut model = Model::new(runs, tif, parameters.to_vec(), scale);
+            model.removal_from = Some(removal);
+            let from = Start::at(&model, found.fit.values[..parameters.len()].to_vec())?;
+            let again = fit(&model, terms, data, &from)?;
+            if dot(&again.rest, &again.rest) < dot(&found.fit.rest, &found.fit.rest) {
+                found = Found { fit: again, model, continued, ..found };
+            }
+        }
+        Ok(found)
+    }
+
+    /// (1), by Gauss and Newton; again with the usual scale of what contradicts the data.
+    fn fit(
+        &self,
+        parameters: &[Parameter],
+        of: (&[Term], &Data<'_>),
+        scale: impl Fn(Parameter) -> f64 + Copy,
+        metrology_order: Option<[usize; 2]>,
+    ) -> Result<Found<'a>, Invalid> {
+        let mut released: Vec<Parameter> = Vec::new();
+        loop {
+            let known = |p| if released.contains(&p) { p.usual_scale() } else { scale(p) };
+            let found = self.best_fit(parameters, of, known)?;
+            match contradicted(&found.fit, of.1, metrology_order, known) {
+                Some(parameter) => released.push(parameter),
+                None => return Ok(Found { released, ..found }),
+            }
+        }
+    }
+}
+
+/// What the data determine of a fit, and what the next plan has of it.
+struct Judged {
+    /// Reason for which a parameter is not determined.
+    refusals: Vec<Option<String>>,
+    /// Reason for which a parameter is held at the plan.
+    why_held: Vec<Option<String>>,
+    /// Corrections of the next plan.
+    corrections: Vec<f64>,
+    /// Values and standard errors; those of held parameters are as they were found with all free.
+    stated: Vec<[f64; 2]>,
+    /// Estimates with all parameters free.
+    with_all: Joint,
+    /// Sentence on a fit that explains nothing of the run.
+    nothing: Option<String>,
+}
+
+impl Found<'_> {
+    /// Judges the fit; parameters that only inflate the errors of others are held, in `self.fit` too.
+    fn judge(
+        &mut self,
+        comparison: &Comparison<'_>,
+        settings: &Settings,
+        (data, runs): (&Data<'_>, &Runs<'_>),
+        scale: impl Fn(Parameter) -> f64,
+    ) -> Result<Judged, Invalid> {
+        let Self { fit: found, model, start, released, .. } = self;
+        let count = found.parameters.len();
+        let moved_by = all_moves(found, data, settings.metrology_order);
+        let of = |i: usize| {
+            let parameter = found.parameters[i];
+            match released.contains(&parameter) {
+                true => Some(Refusal::of_the_model(contradiction(found, i, scale(parameter)))),
+                false => refusal(found, i, scale(parameter), &moved_by[i]),
+            }
+        };
+        let judged: Vec<Option<Refusal>> = (0..count).map(of).collect();
+        let part_of = |i: usize| judged[i].as_ref().map_or(Part::Corrected, |r| r.part);
+        let reason = |r: &Option<Refusal>| r.as_ref().map(|r| r.reason.clone());
+        let mut refusals: Vec<Option<String>> = judged.iter().map(reason).collect();
+        let fitted = fitted(found, data, runs);
+        let before = comparison.before.height_nm();
+        let nothing = explains_nothing(before, data, start, &found.terms, &found.rest, &fitted);
+        if nothing.is_some() {
+            refusals.fill(Some("the fit explains nothing of this run".into()));
+        }
+        let with_all = Joint::new(found);
+        let mut uncertain = Joint::new(found);
+        // What moves with the metrology is uncertain along the move of all parameters together.
+        let mut moves: Vec<usize> = judged.iter().flatten().filter_map(|r| r.moved).collect();
+        moves.sort_unstable();
+        moves.dedup();
+        for k in moves {
+            let along: Vec<f64> = moved_by.iter().map(|m| m[k].0.by).collect();
+            uncertain.widen(&along);
+        }
+        let determined: Vec<usize> =
+            (0..count).filter(|i| part_of(*i) == Part::Corrected).collect();
+        let spread = uncertain.spread(&determined, &model.scales);
+        let may_be_held = |i: usize| {
+            let p = found.parameters[i];
+            let is_asked_for = settings.free.iter().any(|name| name == p.name());
+            p != Parameter::RateScale && !is_asked_for && refusals[i].is_none()
+        };
+        let may: Vec<bool> = (0..count).map(may_be_held).collect();
+        let spreads: Vec<f64> = model.scales.iter().map(|s| spread * s).collect();
+        let (held, without) = hold(found, &may, &spreads);
+        let why = |i: usize| held.iter().find(|h| h.index == i).map(|h| h.reason.clone());
+        let why_held: Vec<Option<String>> = (0..count).map(why).collect();
+        let part = |i: usize| if why_held[i].is_some() { Part::AtPlan } else { part_of(i) };
+        let parts: Vec<Part> = (0..count).map(part).collect();
+        let corrections = match nothing {
+            Some(_) => vec![0.0; count],
+            None => applied(uncertain, &parts, &model.scales),
+        };
+        if !held.is_empty() {
+            let values = without.values.iter().copied().collect();
+            found.take(model, data, values, without.covariance)?;
+        }
+        let state = |i: usize| match why_held[i] {
+            Some(_) => [with_all.values[i], with_all.standard_error(i)],
+            None => [found.values[i], found.standard_error(i)],
+        };
+        let stated = (0..count).map(state).collect();
+        Ok(Judged { refusals, why_held, corrections, stated, with_all, nothing })
+    }
+}
+
+impl Judged {
+    /// The estimates of all parameters, free or not.
+    fn estimates(&self, found: &Fit, tif: &Tif, scale: impl Fn(Parameter) -> f64) -> Vec<Estimate> {
+        let of = |p: Parameter| {
+            let mut estimate = estimate(found, p, scale(p), &self.refusals);
+            if !p.is_of(tif) {
+                estimate.held_because = Some(format!("held at the plan: the tool {TURNS}"));
+            }
+            if let Some(i) = found.parameters.iter().position(|q| *q == p) {
+                let factor = p.unit().1;
+                // No plan corrects a drift.
+                let is_corrected = p != Parameter::RateDrift;
+                estimate.applied = if is_corrected { self.corrections[i] / factor } else { 0.0 };
+                estimate.held_because = self.why_held[i].clone();
+                if estimate.held_because.is_some() {
+                    estimate.value = Some(self.stated[i][0] / factor);
+                    estimate.standard_error = Some(self.stated[i][1] / factor);
+                }
+            }
+            estimate
+        };
+        ALL.into_iter().map(of).collect()
+    }
+}
+
+/// Removal of the run, measured and planned, and the rest of a fit.
+fn fitted(found: &Fit, data: &Data<'_>, runs: &Runs<'_>) -> Fitted {
+    let measured = &data.data - &found.metrology;
+    Fitted {
+        measured_removal_rms_nm: rms(&measured, &data.valid),
+        measured_less_planned_rms_nm: rms(&(&measured - &runs.executed), &data.valid),
+        rest_rms_nm: rms(&found.rest, &data.valid),
+    }
+}
+
 /// Result of a reconciliation: the parameters and the corrections.
 pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Reconciled, Invalid> {
     let (parameters, terms) = settings.chosen(|p| p.is_of(comparison.tif))?;
     let data = comparison.data(parameters.len() + terms.len())?;
     let moved = comparison.moved_tif(settings)?;
-    let runs = Runs::new(comparison.trajectory, comparison.tif, &moved, data.grid)?;
-    let as_sampled = match settings.tif_as_sampled {
-        true => None,
-        false => Some(Runs::new(comparison.trajectory, comparison.tif, comparison.tif, data.grid)?),
-    };
-    // The tool as it goes on beyond samples that end before it has ended.
-    let with_tail = match settings.tif_as_sampled {
-        true => None,
-        false => tail::continued(comparison.tif)?,
+    let runs_of = |tif, moved| Runs::new(comparison.trajectory, tif, moved, data.grid);
+    let runs = runs_of(comparison.tif, &moved)?;
+    let (as_sampled, with_tail) = match settings.tif_as_sampled {
+        true => (None, None),
+        false => (Some(runs_of(comparison.tif, comparison.tif)?), tail::continued(comparison.tif)?),
     };
     let smooth_tail = with_tail.as_ref().map(|t| smooth(t, t.width_mm())).transpose()?;
-    let tails = match (&with_tail, &smooth_tail) {
-        (Some(t), Some(smooth)) => {
-            let runs = |moved| Runs::new(comparison.trajectory, t, moved, data.grid);
-            Some((runs(smooth)?, runs(t)?, smooth))
-        }
-        _ => None,
+    let tails = with_tail.as_ref().zip(smooth_tail.as_ref());
+    let tails = tails.map(|(t, smooth)| Ok((runs_of(t, smooth)?, runs_of(t, t)?))).transpose()?;
+    let of_tail = smooth_tail.as_ref().zip(with_tail.as_ref());
+    let tools = Tools {
+        smooth: Tool { runs: &runs, tif: &moved },
+        as_sampled: as_sampled.as_ref(),
+        continued: tails.as_ref().zip(of_tail).map(|((of_smooth, own), (smooth, t))| {
+            [Tool { runs: of_smooth, tif: smooth }, Tool { runs: own, tif: t }]
+        }),
     };
     let scale =
         |p: Parameter| comparison.error_budget.map_or(p.usual_scale(), |file| p.scale_in(file));
-    // (1), by Gauss and Newton; again with the usual scale of what contradicts the data
-    let mut released: Vec<Parameter> = Vec::new();
-    let (mut found, model, start, tool) = loop {
-        let scale = |p| if released.contains(&p) { p.usual_scale() } else { scale(p) };
-        let mut model = Model::new(&runs, &moved, parameters.clone(), scale);
-        let start = Start::new(&model)?;
-        let mut found = fit(&model, &terms, &data, &start)?;
-        // The TIF as it is sampled has no error of smoothing, but moves its noise: the data decide.
-        if let Some(as_sampled) = &as_sampled {
-            let mut other = Model::new(&runs, &moved, parameters.clone(), scale);
-            other.removal_from = Some(as_sampled);
-            let from = Start::at(&other, found.values[..parameters.len()].to_vec())?;
-            let again = fit(&other, &terms, &data, &from)?;
-            if dot(&again.rest, &again.rest) < dot(&found.rest, &found.rest) {
-                (found, model) = (again, other);
-            }
-        }
-        let mut tool = comparison.tif;
-        if let (Some((smooth, as_sampled, moved)), Some(with_tail)) = (&tails, &with_tail) {
-            let mut other = Model::new(smooth, moved, parameters.clone(), scale);
-            other.removal_from = Some(as_sampled);
-            let from = Start::at(&other, found.values[..parameters.len()].to_vec())?;
-            let again = fit(&other, &terms, &data, &from)?;
-            if dot(&again.rest, &again.rest) < dot(&found.rest, &found.rest) {
-                (found, model, tool) = (again, other, with_tail);
-            }
-        }
-        match contradicted(&found, &data, settings.metrology_order, scale) {
-            Some(parameter) => released.push(parameter),
-            None => break (found, model, start, tool),
-        }
-    };
+    let mut found = tools.fit(&parameters, (&terms, &data), scale, settings.metrology_order)?;
+    let judged = found.judge(comparison, settings, (&data, &runs), scale)?;
+    result(comparison, settings, (&data, &runs), (&found, &judged), scale)
+}
 
-    // What of it the data determine
-    let orders = wider_orders(settings.metrology_order);
-    let moved_by = all_moves(&found, &data, settings.metrology_order);
-    let judged: Vec<Option<Refusal>> = (0..found.parameters.len())
-        .map(|i| {
-            let parameter = found.parameters[i];
-            match released.contains(&parameter) {
-                true => Some(Refusal::of_the_model(contradiction(&found, i, scale(parameter)))),
-                false => refusal(&found, i, scale(parameter), &moved_by[i]),
-            }
-        })
-        .collect();
-    let part_of = |i: usize| judged[i].as_ref().map_or(Part::Corrected, |r| r.part);
-    let mut refusals: Vec<Option<String>> =
-        judged.iter().map(|r| r.as_ref().map(|r| r.reason.clone())).collect();
-    let fitted = |found: &Fit| {
-        let measured = &data.data - &found.metrology;
-        Fitted {
-            measured_removal_rms_nm: rms(&measured, &data.valid),
-            measured_less_planned_rms_nm: rms(&(&measured - &runs.executed), &data.valid),
-            rest_rms_nm: rms(&found.rest, &data.valid),
-        }
-    };
-    let before = comparison.before.height_nm();
-    let nothing = explains_nothing(before, &data, &start, &terms, &found.rest, &fitted(&found));
-    if nothing.is_some() {
-        refusals.fill(Some("the fit explains nothing of this run".into()));
-    }
-    let count = found.parameters.len();
-    let with_all = Joint::new(&found);
-    let determined: Vec<usize> = (0..count).filter(|i| part_of(*i) == Part::Corrected).collect();
-    let mut uncertain = Joint::new(&found);
-    // What moves with the metrology is uncertain along the move of all parameters together.
-    let mut moves: Vec<usize> = judged.iter().flatten().filter_map(|r| r.moved).collect();
-    moves.sort_unstable();
-    moves.dedup();
-    for k in moves {
-        let along: Vec<f64> = moved_by.iter().map(|m| m[k].0.by).collect();
-        uncertain.widen(&along);
-    }
-    let spread = uncertain.spread(&determined, &model.scales);
-    let may: Vec<bool> = (0..count)
-        .map(|i| {
-            let p = found.parameters[i];
-            let is_asked_for = settings.free.iter().any(|name| name == p.name());
-            p != Parameter::RateScale && !is_asked_for && refusals[i].is_none()
-        })
-        .collect();
-    let spreads: Vec<f64> = model.scales.iter().map(|s| spread * s).collect();
-    let (held, without) = hold(&found, &may, &spreads);
-    let why_held: Vec<Option<String>> =
-        (0..count).map(|i| held.iter().find(|h| h.index == i).map(|h| h.reason.clone())).collect();
-    let parts: Vec<Part> =
-        (0..count).map(|i| if why_held[i].is_some() { Part::AtPlan } else { part_of(i) }).collect();
-    let corrections = match nothing {
-        Some(_) => vec![0.0; count],
-        None => applied(uncertain, &parts, &model.scales),
-    };
-    if !held.is_empty() {
-        let values = without.values.iter().copied().collect();
-        found.take(&model, &data, values, without.covariance)?;
-    }
-    // With the held ones as they were found with all free
-    let stated: Vec<[f64; 2]> = (0..count)
-        .map(|i| match why_held[i] {
-            Some(_) => [with_all.values[i], with_all.standard_error(i)],
-            None => [found.values[i], found.standard_error(i)],
-        })
-        .collect();
-    let known: Vec<(Parameter, f64)> =
-        found.parameters.iter().copied().zip(corrections.iter().copied()).collect();
-
+/// Numbers, maps, and what the next plan has of a fit that was judged.
+fn result(
+    comparison: &Comparison<'_>,
+    settings: &Settings,
+    (data, runs): (&Data<'_>, &Runs<'_>),
+    (fit_of_run, judged): (&Found<'_>, &Judged),
+    scale: impl Fn(Parameter) -> f64 + Copy,
+) -> Result<Reconciled, Invalid> {
+    let Found { fit: found, model, continued, released, .. } = fit_of_run;
+    let Judged { refusals, corrections, stated, with_all, nothing, .. } = judged;
+    let tool = continued.unwrap_or(comparison.tif);
     let refused: Vec<bool> = refusals.iter().map(Option::is_some).collect();
     let measured = &data.data - &found.metrology;
     let maps = Maps { measured: &measured, planned: &runs.executed, predicted: &found.removal };
-    let n = found.values.len();
     let outcome = Outcome {
-        parameters: ALL
-            .into_iter()
-            .map(|p| {
-                let mut estimate = estimate(&found, p, scale(p), &refusals);
-                if !p.is_of(comparison.tif) {
-                    estimate.held_because = Some(format!("held at the plan: the tool {TURNS}"));
-                }
-                if let Some(i) = found.parameters.iter().position(|q| *q == p) {
-                    let factor = p.unit().1;
-                    // No plan corrects a drift.
-                    let is_corrected = p != Parameter::RateDrift;
-                    estimate.applied = if is_corrected { corrections[i] / factor } else { 0.0 };
-                    estimate.held_because = why_held[i].clone();
-                    if estimate.held_because.is_some() {
-                        estimate.value = Some(stated[i][0] / factor);
-                        estimate.standard_error = Some(stated[i][1] / factor);
-                    }
-                }
-                estimate
-            })
-            .collect(),
-        metrology: metrology_estimates(&found, settings),
-        ellipse: ellipse(&found, &refusals),
+        parameters: judged.estimates(found, comparison.tif, scale),
+        metrology: metrology_estimates(found, settings),
+        ellipse: ellipse(found, refusals),
         correlation_of: found.names(),
         singular_values: found.singular_values.clone(),
         noise: found.noise.noise,
-        fitted: fitted(&found),
+        fitted: fitted(found, data, runs),
         bands: bands(&maps, &data.valid, data.grid, comparison.tif.width_mm()),
         end: found.end.to_string(),
         points: found.points,
-        tried_orders: orders,
+        tried_orders: wider_orders(settings.metrology_order),
         tif_is_as_sampled: settings.tif_as_sampled || model.removal_from.is_some(),
-        tif_is_continued: !std::ptr::eq(tool, comparison.tif),
+        tif_is_continued: continued.is_some(),
         resampled: (!are_same(data.grid, comparison.after.grid())).then_some(METHOD),
         explains_nothing: nothing.clone(),
     };
     let with_nan = |map: &Array2<f64>| {
         let mut map = map.clone();
-        map.zip_mut_with(&data.valid, |v, valid| {
-            if *valid == 0.0 {
-                *v = f64::NAN;
-            }
-        });
+        map.zip_mut_with(&data.valid, |v, valid| *v = if *valid == 0.0 { f64::NAN } else { *v });
         map
     };
+    let n = found.values.len();
+    let known: Vec<(Parameter, f64)> =
+        found.parameters.iter().copied().zip(corrections.iter().copied()).collect();
+    let transform = {
+        let (before, covariance) = (comparison.transform, &with_all.covariance);
+        place(before, found, covariance, corrections, &refused, scale, data.grid)?
+    };
     Ok(Reconciled {
-        drawback: nothing.or_else(|| drawback(settings, &found, &refusals, &released)),
+        drawback: nothing.clone().or_else(|| drawback(settings, found, refusals, released)),
         correlation: Array2::from_shape_fn((n, n), |(i, j)| found.correlation(i, j)),
         measured_nm: with_nan(&measured),
         planned_nm: runs.executed.clone(),
@@ -294,16 +385,8 @@ pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Rec
         metrology_nm: found.metrology.clone(),
         rest_nm: with_nan(&found.rest),
         tif: Model::corrected_tif(tool, &known)?,
-        transform: place(
-            comparison.transform,
-            &found,
-            &with_all.covariance,
-            &corrections,
-            &refused,
-            scale,
-            data.grid,
-        )?,
-        error_budget: left(comparison.error_budget, &found, &stated, &corrections, &refused, scale),
+        transform,
+        error_budget: left(comparison.error_budget, found, stated, corrections, &refused, scale),
         outcome,
     })
 }
@@ -337,7 +420,7 @@ fn estimate(fit: &Fit, parameter: Parameter, scale: f64, refusals: &[Option<Stri
 
 fn metrology_estimates(fit: &Fit, settings: &Settings) -> Vec<Estimate> {
     let all = metrology::terms(settings.metrology_order);
-    let one = |term: metrology::Term| {
+    let one = |term: Term| {
         let at = fit.terms.iter().position(|t| *t == term).map(|k| fit.parameters.len() + k);
         let inflation = at.map(|i| fit.inflation[i]).filter(|v| v.is_finite());
         let refused = at.filter(|_| inflation.is_none());
