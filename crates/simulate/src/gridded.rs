@@ -134,10 +134,11 @@ impl Plan {
     ) -> (Array2<f64>, Numerics) {
         let count = self.kernels.len() as f64;
         let variation = self.varying.as_ref().and_then(Tif::variation);
-        let headings = Headings::new(trajectory);
-        let headings = &headings;
+        let headings = variation.map(|_| Headings::new(trajectory));
         let of = |(k, kernel): (usize, &OfKernel)| {
-            let weight = variation.map(|variation| Weight { variation, kernel: k, headings });
+            let weight = variation.zip(headings.as_ref());
+            let weight =
+                weight.map(|(variation, headings)| Weight { variation, kernel: k, headings });
             let tell = |part: f64| tell((k as f64 + part) / count);
             kernel.removal_told(trajectory, weight.as_ref(), &tell)
         };
