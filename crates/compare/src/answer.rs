@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 
 use crate::{
     plan::State,
+    recommended::recommended,
     specification::Judged,
     summary::{Method, Summary},
 };
@@ -78,11 +79,56 @@ pub fn with_answer(summary: &Summary) -> Value {
     json!(Answered { answer: Answer::of(summary), summary })
 }
 
-/// `summary.json`: the run itself for one, `{"runs": [...]}` for several.
-pub fn to_json(summaries: &[Summary]) -> Value {
-    match summaries {
-        [one] => with_answer(one),
-        several => json!({ "runs": several.iter().map(with_answer).collect::<Vec<_>>() }),
+/// The plan to be run, of the recommended ones of several runs on one mirror.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Winner {
+    /// Name of the run.
+    pub run: String,
+    /// Name of its method.
+    pub method: String,
+    /// Residual and time in a sentence.
+    pub sentence: String,
+}
+
+/// The winner of several runs; none of a single one, where the maps before the runs differ, or where no run has a plan.
+/// The rule is that of [`crate::recommended`].
+pub fn winner(runs: &[(&str, &Summary)]) -> Option<Winner> {
+    let (_, first) = runs.first().filter(|_| runs.len() > 1)?;
+    let is_same = |s: &Summary| {
+        (s.initial.rms_nm, s.initial.pv_nm) == (first.initial.rms_nm, first.initial.pv_nm)
+    };
+    if !runs.iter().all(|(_, summary)| is_same(summary)) {
+        return None;
+    }
+    let best = |(run, summary): &(&str, &Summary)| {
+        let (method, of) =
+            summary.methods.iter().find(|(name, _)| Some(name) == summary.best.as_ref())?;
+        Some((run.to_string(), method.clone(), of.candidate()))
+    };
+    let best: Vec<_> = runs.iter().filter_map(best).collect();
+    let numbers: Vec<String> = (0..best.len()).map(|i| i.to_string()).collect();
+    let candidates: Vec<_> =
+        numbers.iter().zip(&best).map(|(i, (.., c))| (i.as_str(), *c)).collect();
+    let chosen = recommended(&candidates)?;
+    let at = numbers.iter().position(|number| number == chosen)?;
+    let (run, method, plan) = best.into_iter().nth(at)?;
+    let sentence = format!(
+        "Of the {} runs, {run} is to be run, by {method}: {} nm RMS in {}.",
+        runs.len(),
+        significant(plan.rms_nm, DIGITS),
+        duration(plan.total_time_s)
+    );
+    Some(Winner { run, method, sentence })
+}
+
+/// `summary.json`: the run itself for one; `{"winner": ..., "runs": [...]}` for several.
+pub fn to_json(runs: &[(&str, &Summary)]) -> Value {
+    match runs {
+        [(_, one)] => with_answer(one),
+        several => {
+            let each: Vec<Value> = several.iter().map(|(_, run)| with_answer(run)).collect();
+            json!({ "winner": winner(several), "runs": each })
+        }
     }
 }
 

@@ -274,7 +274,8 @@ impl Method {
             && self.on_axes.as_ref().is_none_or(|o| o.limits_respected)
     }
 
-    fn candidate(&self) -> Candidate {
+    /// What the choice of a plan takes of it.
+    pub(crate) fn candidate(&self) -> Candidate {
         let judged = self.specification.as_ref();
         Candidate {
             rms_nm: self.compared_rms_nm(),

@@ -6,6 +6,7 @@ use std::collections::BTreeSet;
 use planish_types::text::{fixed, significant, visible};
 
 use crate::{
+    answer::winner,
     chain::Standing,
     specification::{Around, Judged, JudgedLimit},
     summary::{Method, Summary},
@@ -74,6 +75,9 @@ fn render(runs: &[(&str, &Summary)]) -> String {
     } else {
         let why: BTreeSet<&str> = runs.iter().map(|(_, summary)| summary.why_no_plan()).collect();
         text += &why.into_iter().map(|why| format!("{why}\n")).collect::<String>();
+    }
+    if let Some(winner) = winner(runs) {
+        text += &format!("{}\n", visible(&winner.sentence));
     }
     if let Some(reach) = runs.iter().find_map(|(_, summary)| summary.reach) {
         text += &format!(

@@ -498,6 +498,15 @@ fn several_runs_share_one_table() {
     let table = text(&run.stdout);
     assert_eq!(row(&table, "raster  pvt")[2], "0.4899");
     assert_eq!(row(&table, "maze    mine").last().unwrap(), "*");
+    // One of them is to be run: it leaves least.
+    let winner = &found["winner"];
+    assert_eq!((&winner["run"], &winner["method"]), (&"raster".into(), &"pvt".into()));
+    let sentence = winner["sentence"].as_str().unwrap();
+    assert!(
+        sentence.starts_with("Of the 2 runs, raster is to be run, by pvt: 0.49 nm RMS in "),
+        "{sentence}"
+    );
+    assert!(table.contains(sentence), "{table}");
 }
 
 #[test]

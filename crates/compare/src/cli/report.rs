@@ -125,7 +125,7 @@ impl Report {
         let wanted = writer.is_some() || plotted;
         let views = progress::part(0, 3, || if wanted { views(read) } else { vec![] });
         if let Some(mut writer) = writer {
-            let summary = to_json(&summaries);
+            let summary = to_json(&runs);
             let mut bytes = serde_json::to_vec_pretty(&summary)?;
             bytes.push(b'\n');
             let page = progress::part(1, 3, || page(&views, &summary));

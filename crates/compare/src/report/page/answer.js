@@ -7,6 +7,8 @@ const isStill = (entry) => entry.run.summary.methods[entry.method.name].plan.sta
 const alarm = (entry) => (concerns(entry) && !isStill(entry) ? theme.bad : theme.soft);
 
 function fillAnswer() {
+  const winner = DATA.summary.winner;
+  if (winner) byId("answer").append(element("p", winner.sentence, { class: "sentence", id: "winner" }));
   for (const run of RUNS) {
     const { sentence, why, without_motion, problems } = run.summary.answer;
     const part = element("div", undefined, { class: "run" }), add = (name, text, look) => part.append(element(name, text, { class: look }));
