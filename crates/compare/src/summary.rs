@@ -274,7 +274,7 @@ impl Method {
             && self.on_axes.as_ref().is_none_or(|o| o.limits_respected)
     }
 
-    /// What the choice of a plan takes of it.
+    /// The numbers by which a plan is chosen.
     pub(crate) fn candidate(&self) -> Candidate {
         let judged = self.specification.as_ref();
         Candidate {

@@ -182,7 +182,7 @@ impl<'a> Tools<'a> {
     }
 }
 
-/// What the data determine of a fit, and what the next plan has of it.
+/// Parameters that the data determine, and their corrections in the next plan.
 struct Judged {
     /// Reason for which a parameter is not determined.
     refusals: Vec<Option<String>>,
