@@ -306,6 +306,7 @@ fn fitted(found: &Fit, data: &Data<'_>, runs: &Runs<'_>) -> Fitted {
 
 /// Result of a reconciliation: the parameters and the corrections.
 pub fn reconcile(comparison: &Comparison<'_>, settings: &Settings) -> Result<Reconciled, Invalid> {
+    comparison.tif.same_in_all_directions("planish-reconcile")?;
     let (parameters, terms) = settings.chosen(|p| p.is_of(comparison.tif))?;
     let data = comparison.data(parameters.len() + terms.len())?;
     let moved = comparison.moved_tif(settings)?;

@@ -346,4 +346,11 @@ fn an_ellipticity_of_a_spot_that_turns_is_held_with_the_reason() {
     };
     let refused = reconcile(&comparison, &settings).err().unwrap().to_string();
     assert!(refused.contains("free[0]") && refused.contains("turns with the azimuth"), "{refused}");
+    // A spot that turns with its motion is refused as a whole.
+    let VaryingTif { azimuth, .. } = tif.numbers();
+    let heading = azimuth.map(|a| a.turn().clone());
+    let steered = Tif::varying(VaryingTif { azimuth: None, heading, ..tif.numbers() }).unwrap();
+    let comparison = Comparison { tif: &steered, ..comparison };
+    let refused = reconcile(&comparison, &Settings::default()).err().unwrap().to_string();
+    assert!(refused.contains("turns with the direction of the motion"), "{refused}");
 }
