@@ -85,6 +85,8 @@ pub enum Standing {
     OutOfDate,
     /// Its verdict or its removal is of something else.
     NotValid,
+    /// Its stage refused to make it.
+    Refused,
 }
 
 /// Result of the check of a method.

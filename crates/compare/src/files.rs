@@ -49,15 +49,20 @@ fn read_methods(
     number: usize,
     run: &Path,
     after_servo: bool,
-) -> Result<Vec<Found>, Failure> {
+) -> Result<(Vec<Found>, Vec<LeftOut>), Failure> {
     let methods_dir = run.join("methods");
     let schedulers = entries(&methods_dir)?.into_iter().filter(|name| {
         // A stage that runs writes into a sibling whose name begins with a dot.
         !name.starts_with('.') && methods_dir.join(name).is_dir()
     });
-    let mut read = Vec::new();
+    let (mut read, mut refused) = (Vec::new(), Vec::new());
     for scheduler in schedulers {
         let dir = methods_dir.join(&scheduler);
+        if !dir.join("trajectory").exists() && dir.join(MESSAGE).is_file() {
+            let reasons = vec![message_in(&dir)?];
+            refused.push(LeftOut { name: scheduler, standing: Standing::Refused, reasons });
+            continue;
+        }
         let role = format!("{number}/{scheduler}");
         read.push(read_method(inputs, &role, &scheduler, dir, after_servo)?);
     }
@@ -65,7 +70,19 @@ fn read_methods(
         let message = "holds no method; schedule, simulate and verify at least one";
         return Err(Failure::new(format!("{}: {message}", methods_dir.display())));
     }
-    Ok(read)
+    Ok((read, refused))
+}
+
+/// File that a stage leaves in the place of what it refused to make.
+const MESSAGE: &str = "message.txt";
+
+/// The reason for which a stage refused to make something, from the file that it has left in a directory.
+fn message_in(dir: &Path) -> Result<String, Failure> {
+    let file = dir.join(MESSAGE);
+    let text = read_text(&file)
+        .map_err(|e| Failure::new(format!("{}: cannot read: {e}", file.display())))?;
+    let last = text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("no message");
+    Ok(last.trim_start_matches("error: ").to_string())
 }
 
 /// A method whose artifacts belong together, with its verdict by the specification and the remarks on it.
@@ -123,7 +140,7 @@ pub fn read_run(
         dwell: plan.as_ref().map(|p| p.recorded.clone()),
     };
 
-    let read = read_methods(inputs, number, run, names.after_servo)?;
+    let (read, refused) = read_methods(inputs, number, run, names.after_servo)?;
     let mut judge = Judge { inputs, role: &role, specification, remarks: judge_remarks };
     let judged = judge.read_all(&read, run)?;
     let judge_remarks = judge.remarks;
@@ -142,7 +159,8 @@ pub fn read_run(
         division: &division,
         form: form.as_ref(),
     };
-    let (valid, left_out) = divided(read, chains, judged);
+    let (valid, mut left_out) = divided(read, chains, judged);
+    left_out.extend(refused);
     let numbered = valid.into_par_iter().map(|(found, judged, remarks)| {
         let name = found.name.clone();
         let (number, method) = shared.method(found, judged, remarks)?;
@@ -693,12 +711,7 @@ fn read_solver(
     path: &ToolPath,
 ) -> Result<Row, Failure> {
     if !dir.join("dwell").exists() {
-        let file = dir.join("message.txt");
-        let text = read_text(&file).map_err(|e| {
-            Failure::new(format!("{}: cannot read: {e}; and there is no dwell/", file.display()))
-        })?;
-        let last = text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("no message");
-        return Ok(Row::Refused { refused: last.trim_start_matches("error: ").to_string() });
+        return Ok(Row::Refused { refused: message_in(dir)? });
     }
     let (dwell, manifest): (DwellTime, _) =
         inputs.read_with_manifest(&format!("{name}/dwell"), &dir.join("dwell"))?;

@@ -64,8 +64,13 @@ fn render(runs: &[(&str, &Summary)]) -> String {
             let mark = if summary.best.as_ref() == Some(scheduler) { "*" } else { "" };
             rows.push(prefix(name).into_iter().chain(cells(scheduler, method, mark)).collect());
         }
-        for left in summary.left_out.iter().filter(|l| l.standing == Standing::NotValid) {
-            rows.push(prefix(name).into_iter().chain(cells_not_valid(&left.name)).collect());
+        for left in &summary.left_out {
+            let word = match left.standing {
+                Standing::NotValid => "not valid",
+                Standing::Refused => "refused",
+                Standing::OutOfDate | Standing::Valid => continue,
+            };
+            rows.push(prefix(name).into_iter().chain(cells_left_out(&left.name, word)).collect());
         }
     }
     text += &align(&rows, if named { 2 } else { 1 });
@@ -113,7 +118,8 @@ fn notes(summary: &Summary) -> Vec<String> {
     for left in &summary.left_out {
         let standing = match left.standing {
             Standing::OutOfDate => "out of date, left out",
-            _ => "not valid",
+            Standing::Refused => "refused by its stage",
+            Standing::NotValid | Standing::Valid => "not valid",
         };
         notes.push(format!("{}: {standing}: {}", left.name, left.reasons.join("; ")));
     }
@@ -168,10 +174,10 @@ fn cells(scheduler: &str, m: &Method, mark: &str) -> [String; 15] {
 }
 
 /// A row without numbers: none is known to be of this method.
-fn cells_not_valid(scheduler: &str) -> [String; 15] {
+fn cells_left_out(scheduler: &str, word: &str) -> [String; 15] {
     std::array::from_fn(|column| match HEADINGS[column][1] {
         "method" => visible(scheduler).into_owned(),
-        "kept" => "not valid".into(),
+        "kept" => word.into(),
         "best" => String::new(),
         _ => "-".into(),
     })

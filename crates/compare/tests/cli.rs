@@ -509,6 +509,24 @@ fn several_runs_share_one_table() {
     assert!(table.contains(sentence), "{table}");
 }
 
+/// A stage that refused has left its message in the place of a plan.
+#[test]
+fn a_method_that_its_stage_refused_is_a_row_with_the_reason() {
+    let dir = tempfile::tempdir().unwrap();
+    prepare(&dir.path().join("run"), &[("pvt", 0.75, true)]);
+    let refused = dir.path().join("run/methods/published");
+    fs::create_dir(&refused).unwrap();
+    fs::write(refused.join("message.txt"), "warning: w\nerror: no convergence, use pvt\n").unwrap();
+    let run = compare(dir.path(), &["report", "run", "--out", "report"]);
+    // The plan that is recommended is as good as without it.
+    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    let table = text(&run.stdout);
+    assert!(row(&table, "published").contains(&"refused".to_string()), "{table}");
+    assert!(table.contains("published: refused by its stage: no convergence, use pvt"), "{table}");
+    let left = &summary(&dir.path().join("report"))["left_out"][0];
+    assert_eq!((&left["name"], &left["standing"]), (&"published".into(), &"refused".into()));
+}
+
 #[test]
 fn a_run_that_cannot_be_read_is_exit_2_and_writes_nothing() {
     let dir = tempfile::tempdir().unwrap();

@@ -20,7 +20,7 @@ use super::{
     program::{Answer, plan_of},
 };
 
-/// Artifact that an attempt makes in its directory.
+/// Artifact that a dwell solver makes in its directory, which is left out.
 const ATTEMPTED: &str = "dwell";
 /// File with what an attempt says, in its directory.
 const MESSAGE: &str = "message.txt";
@@ -215,7 +215,9 @@ fn attempt(
     match programs.attempt(command, &dir.join(MESSAGE))? {
         0 | 1 => Ok(0),
         2 => {
-            forget(&dir.join(ATTEMPTED))?;
+            // The result of an earlier attempt is not that of this one.
+            let out = command.arguments.iter().skip_while(|word| *word != "--out").nth(1);
+            out.map_or(Ok(()), |out| forget(Path::new(out)))?;
             walk.leave();
             Ok(0)
         }

@@ -77,8 +77,9 @@ function fillSummary() {
     const whose = (name) => (RUNS.length > 1 ? r.name + " / " + name : name);
     const note = (text, bad) => byId("notes").append(element("p", text, { class: bad ? "violation" : "note" }));
     for (const left of r.summary.left_out) {
-      const invalid = left.standing === "not-valid";
-      note(`${whose(left.name)}: ${invalid ? "not valid" : "out of date, left out"}: ${left.reasons.join("; ")}`, invalid && r.best === null);
+      const words = { "not-valid": "not valid", "out-of-date": "out of date, left out", "refused": "refused by its stage" };
+      const bad = left.standing !== "out-of-date" && r.best === null;
+      note(`${whose(left.name)}: ${words[left.standing]}: ${left.reasons.join("; ")}`, bad);
     }
     // Methods of which the same is said share a line.
     const said = new Map();
