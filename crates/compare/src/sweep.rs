@@ -42,7 +42,12 @@ pub struct Constraints {
     /// True if the limits of the machine must be kept.
     pub keep_limits: bool,
     /// True if the limits of the specification must be kept, where there is one.
+    #[serde(default = "kept")]
     pub keep_specification: bool,
+}
+
+fn kept() -> bool {
+    true
 }
 
 /// A plan and its result.

@@ -18,8 +18,8 @@ pub enum Action<'a> {
         /// True with a question mark.
         may_be_negative: bool,
     },
-    /// `leave-out DIR`
-    LeaveOut(&'a str),
+    /// `leave-out DIR REASON`
+    LeaveOut(&'a str, &'a str),
     /// `say TEXT`
     Say(&'a str),
     /// `copy FROM TO`
@@ -45,7 +45,7 @@ impl<'a> Action<'a> {
         let words: Vec<&str> = rest.split_whitespace().collect();
         match (verb, &words[..]) {
             ("say", [_, ..]) => Ok(Self::Say(rest)),
-            ("leave-out", [dir]) => Ok(Self::LeaveOut(dir)),
+            ("leave-out", [dir, _, ..]) => Ok(Self::LeaveOut(dir, rest[dir.len()..].trim())),
             ("copy", [from, to]) => Ok(Self::Copy(from, to)),
             ("choose", [to, "otherwise", otherwise]) => {
                 Ok(Self::Choose { to, otherwise, tried_by: None })

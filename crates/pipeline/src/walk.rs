@@ -29,7 +29,7 @@ pub enum Step {
     /// A command that may refuse. The message is then that of `message.txt` in this directory, and the stage ends.
     Attempt(String, Command),
     /// A stage that ends with a message in this directory, as if its command had refused.
-    LeaveOut(String),
+    LeaveOut(String, String),
     /// A line for the user.
     Say(String),
     /// Copies the files of one directory to another one.
@@ -74,7 +74,7 @@ impl<'a> Walk<'a> {
         while let Some(step) = walk.step()? {
             match step {
                 Step::Run(command) | Step::Attempt(_, command) => commands.push(command),
-                Step::Say(_) | Step::LeaveOut(_) | Step::Copy(..) => {}
+                Step::Say(_) | Step::LeaveOut(..) | Step::Copy(..) => {}
                 Step::Choose { to, otherwise, .. } => walk.scope.set(&to, vec![otherwise]),
             }
         }
@@ -136,7 +136,7 @@ impl<'a> Walk<'a> {
         let word = |text: &str| Ok::<_, String>(words(text)?.join(" "));
         Ok(match action {
             Action::Say(text) => Step::Say(word(text)?),
-            Action::LeaveOut(dir) => Step::LeaveOut(word(dir)?),
+            Action::LeaveOut(dir, reason) => Step::LeaveOut(word(dir)?, word(reason)?),
             Action::Copy(from, to) => Step::Copy(word(from)?, word(to)?),
             Action::Choose { to, otherwise, tried_by } => Step::Choose {
                 to: to.into(),
@@ -200,7 +200,7 @@ stages:
     - choose plan otherwise {pipeline} tried by try
     - planish-z {plan} ?
   one:
-    - leave-out {at} when label in a
+    - leave-out {at} not wanted when label in a
     - attempt {at} planish-x {flags} --out {at}
     - quietly planish-y {label}
   try: ['planish-try {plan}']
@@ -214,7 +214,7 @@ stages:
             if let Step::Choose { to, .. } = &step {
                 walk.scope.set(to, vec!["best".into()]);
             }
-            if leave && matches!(step, Step::Attempt(..) | Step::LeaveOut(_)) {
+            if leave && matches!(step, Step::Attempt(..) | Step::LeaveOut(..)) {
                 walk.leave();
             }
             steps.push(step);
@@ -251,7 +251,10 @@ stages:
     #[test]
     fn a_stage_that_is_left_does_no_more() {
         let found: Vec<String> = steps(&["a=x"], true).iter().map(line).collect();
-        assert_eq!(found[..2], ["LeaveOut(\"out/x\")", "out/y: planish-x --out out/y"]);
+        assert_eq!(
+            found[..2],
+            ["LeaveOut(\"out/x\", \"not wanted\")", "out/y: planish-x --out out/y"]
+        );
         assert_eq!(found[2], "Say(\"the end of p\")");
     }
 

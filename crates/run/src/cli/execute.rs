@@ -20,8 +20,8 @@ use super::{
     program::{Answer, plan_of},
 };
 
-/// Artifact that a dwell solver makes in its directory, which is left out.
-const ATTEMPTED: &str = "dwell";
+/// Artifacts without which a method or a dwell solver is left out of a comparison.
+const LEFT_OUT: [&str; 2] = ["dwell", "trajectory"];
 /// File with what an attempt says, in its directory.
 const MESSAGE: &str = "message.txt";
 
@@ -175,10 +175,12 @@ pub fn run<'a>(
                 _ => 2,
             },
             Step::Attempt(dir, command) => attempt(&programs, &mut walk, &dir, &command)?,
-            Step::LeaveOut(dir) => {
+            Step::LeaveOut(dir, reason) => {
                 fs::create_dir_all(&dir)?;
-                fs::write(Path::new(&dir).join(MESSAGE), "error: left out by skip=\n")?;
-                forget(&Path::new(&dir).join(ATTEMPTED))?;
+                fs::write(Path::new(&dir).join(MESSAGE), format!("error: {reason}\n"))?;
+                for made in LEFT_OUT {
+                    forget(&Path::new(&dir).join(made))?;
+                }
                 walk.leave();
                 0
             }
