@@ -173,6 +173,17 @@ impl Artifact for Tool {
         let is_given = |rows: &[Vec<f64>]| {
             rows.iter().any(|row| !row.is_empty()) && rows.iter().any(|row| *row != [1.0])
         };
+        let by_name = [("azimuth_weight", &by_azimuth), ("heading_weight", &by_heading)];
+        if let Some((name, _)) = by_name
+            .iter()
+            .find(|(_, (rows, angles))| !angles.is_empty() && rows.iter().all(|row| row.is_empty()))
+        {
+            return Err(Invalid::whole(name, "is missing beside its angles", "give both arrays"));
+        }
+        if is_given(&by_azimuth.0) && middle.len() != 2 {
+            let remedy = "give the point about which the tool turns [x, y]";
+            return Err(Invalid::whole("azimuth_middle_mm", "is missing", remedy));
+        }
         let azimuth = match by_azimuth {
             (rows, angles) if is_given(&rows) => {
                 Some(AzimuthWeights::new([middle[0], middle[1]], angles, rows)?)

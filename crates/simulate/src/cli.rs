@@ -78,6 +78,9 @@ impl Simulate {
         let mut inputs = Inputs::new();
         let (command, tif, surface) = self.trajectory.read_over(&self.mirror, &mut inputs)?;
         let servos = self.servos(&mut inputs)?;
+        if servos.servo_count() > 0 {
+            tif.same_in_all_directions("a servo").map_err(Failure::with_flags)?;
+        }
         let trajectory = match servos.servo_count() {
             0 => command,
             // A servo follows a cubic of any length.

@@ -1,6 +1,7 @@
 //! Directions of a motion, for tools that turn with it.
 //!
-//! A tool at rest keeps the direction in which it came, and before the first motion it has that in which it will go.
+//! A tool at rest keeps the direction in which it came, and before the first motion it has that in which it will go. A jump
+//! between two segments counts as a motion.
 
 use planish_numerics::polynomial;
 
@@ -25,15 +26,24 @@ impl Headings {
     /// The directions of a trajectory.
     pub fn new(trajectory: &Trajectory) -> Self {
         let near = |s: &Segment<'_>, part: f64| direction_rad(s, part * s.duration_s);
-        let first = trajectory.segments().find(moves).and_then(|s| near(&s, NEAR_END));
-        let mut last_rad = first.unwrap_or(0.0);
+        let mut end_mm: Option<[f64; 2]> = None;
+        // Direction of the first motion and of the last one, of the jump before a segment and of the segment itself.
         let of = |s: Segment<'_>| {
-            if moves(&s) {
-                last_rad = near(&s, 1.0 - NEAR_END).unwrap_or(last_rad);
-            }
-            last_rad
+            let start = s.position_mm(0.0);
+            let jump = end_mm.map_or([0.0; 2], |end| [start[0] - end[0], start[1] - end[1]]);
+            end_mm = Some(s.position_mm(s.duration_s));
+            let jumps = jump[0].hypot(jump[1]) > AT_REST_MM;
+            let of_jump = jumps.then(|| jump[1].atan2(jump[0]));
+            let own = |part| moves(&s).then(|| near(&s, part)).flatten();
+            (of_jump.or(own(NEAR_END)), own(1.0 - NEAR_END).or(of_jump))
         };
-        Self { at_rest_rad: trajectory.segments().map(of).collect() }
+        let ends: Vec<(Option<f64>, Option<f64>)> = trajectory.segments().map(of).collect();
+        let mut last_rad = ends.iter().find_map(|(first, _)| *first).unwrap_or(0.0);
+        let kept = ends.iter().map(|(_, last)| {
+            last_rad = last.unwrap_or(last_rad);
+            last_rad
+        });
+        Self { at_rest_rad: kept.collect() }
     }
 
     /// Place and direction of the tool at the local time `u_s` of `segment`, which has the index `index`.
@@ -102,6 +112,17 @@ mod tests {
                 assert!((at(k, u) - expected).abs() < 1e-12, "{k} {u}: {}", at(k, u));
             }
         }
+    }
+
+    #[test]
+    fn a_tool_that_jumps_has_the_direction_of_the_jump() {
+        let at = |x: f64, y: f64| [[x, 0.0, 0.0, 0.0], [y, 0.0, 0.0, 0.0]];
+        let places = vec![at(0.0, 0.0), at(0.0, 1.0), at(-1.0, 1.0)];
+        let breaks = vec![0.0, 1.0, 2.0, 3.0];
+        let motion = Trajectory::new(breaks, places, vec![true; 3], vec![None; 3]).unwrap();
+        let headings = Headings::new(&motion);
+        let found = [0, 1, 2].map(|k| headings.pose(k, &motion.segment(k), 0.5).heading_rad);
+        assert_eq!(found, [FRAC_PI_2, FRAC_PI_2, PI]);
     }
 
     #[test]

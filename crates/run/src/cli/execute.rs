@@ -25,6 +25,9 @@ const LEFT_OUT: [&str; 2] = ["dwell", "trajectory"];
 /// File with what an attempt says, in its directory.
 const MESSAGE: &str = "message.txt";
 
+/// Code of a process that a signal ended. No stage has it.
+const KILLED: u8 = 128;
+
 /// Destination of the messages of a run.
 pub enum Said {
     /// The user's terminal.
@@ -137,9 +140,9 @@ fn heard(process: &mut Process) -> io::Result<(ExitStatus, Vec<u8>)> {
     Ok((running.wait()?, said))
 }
 
-/// Exit code of a process; 2 if a signal ended it.
+/// Exit code of a process; [`KILLED`] if a signal ended it, which is no refusal.
 fn code(status: ExitStatus) -> u8 {
-    status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(2)
+    status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(KILLED)
 }
 
 /// Runs a stage of a pipeline as the only owner of its directory.
