@@ -5,7 +5,6 @@ dwell points (2678). Least dwell time 0.1 s, unrefined and refined, and motion a
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -32,14 +31,8 @@ def mirror(out):
     """The settings of a run on the mirror: its map and its TIF as artifacts without manifests."""
     if "PLANISH_REFERENCE" not in os.environ:
         sys.exit("PLANISH_REFERENCE: name the folder that holds nsls2-mirror/")
-    source = Path(os.environ["PLANISH_REFERENCE"]) / "nsls2-mirror"
-    for kind in ("map", "tif"):
-        (out / kind).mkdir(parents=True, exist_ok=True)
-    for name in ("height_nm", "x_mm", "y_mm"):
-        shutil.copy(source / f"{name}.npy", out / "map")
-    for name, to in (("tif_nm_per_s", "rate_nm_per_s"), ("tif_x_mm", "x_mm"), ("tif_y_mm", "y_mm")):
-        shutil.copy(source / f"{name}.npy", out / "tif" / f"{to}.npy")
-    return {"surface": out / "map", "tif": out / "tif", "overscan_mm": "5", "plan_joint": "yes"}
+    subprocess.run(["just", "reference-mirror", out], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+    return {"surface": out / "surface", "tif": out / "tif", "overscan_mm": "5", "plan_joint": "yes"}
 
 
 def run(pipeline, settings):

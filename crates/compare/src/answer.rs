@@ -101,17 +101,14 @@ pub fn winner(runs: &[(&str, &Summary)]) -> Option<Winner> {
         return None;
     }
     let best = |(run, summary): &(&str, &Summary)| {
-        let (method, of) =
+        let (method, plan) =
             summary.methods.iter().find(|(name, _)| Some(name) == summary.best.as_ref())?;
-        Some((run.to_string(), method.clone(), of.candidate()))
+        let plan = plan.candidate();
+        Some(((run.to_string(), method.clone(), plan), plan))
     };
     let best: Vec<_> = runs.iter().filter_map(best).collect();
-    let numbers: Vec<String> = (0..best.len()).map(|i| i.to_string()).collect();
-    let candidates: Vec<_> =
-        numbers.iter().zip(&best).map(|(i, (.., c))| (i.as_str(), *c)).collect();
-    let chosen = recommended(&candidates)?;
-    let at = numbers.iter().position(|number| number == chosen)?;
-    let (run, method, plan) = best.into_iter().nth(at)?;
+    let candidates: Vec<_> = best.iter().map(|(named, plan)| (named, *plan)).collect();
+    let (run, method, plan) = recommended(&candidates)?.clone();
     let sentence = format!(
         "Of the {} runs, {run} is to be run, by {method}: {} nm RMS in {}.",
         runs.len(),

@@ -37,13 +37,13 @@ impl Candidate {
     }
 }
 
-/// The name of the plan that is to be executed, the first of equals.
-pub fn recommended<'a>(candidates: &[(&'a str, Candidate)]) -> Option<&'a str> {
+/// The plan that is to be executed, the first of equals; a plan is what stands beside its candidate.
+pub fn recommended<T: Copy>(candidates: &[(T, Candidate)]) -> Option<T> {
     let some_keep = candidates.iter().any(|(_, c)| c.keeps_specification);
     let eligible = || candidates.iter().filter(|(_, c)| c.keeps_specification || !some_keep);
     let least_nm = eligible().map(|(_, c)| c.rms_nm).reduce(f64::min)?;
     eligible()
         .filter(|(_, c)| c.rms_nm <= (1.0 + NEGLIGIBLE_RMS) * least_nm)
         .min_by(|(_, a), (_, b)| a.cost().total_cmp(&b.cost()))
-        .map(|(name, _)| *name)
+        .map(|(plan, _)| *plan)
 }

@@ -190,18 +190,18 @@ impl Table {
 
     /// The index of the plan that is to be run: as the report of a run recommends.
     pub fn recommended(&self) -> Option<usize> {
-        let candidates: Vec<(&str, Candidate)> = self
+        let candidates: Vec<(usize, Candidate)> = self
             .plans
             .iter()
-            .filter_map(|row| {
+            .enumerate()
+            .filter_map(|(i, row)| {
                 let [total_time_s, rms_nm] = self.point(row, self.judged_by())?;
                 let keeps_specification = row.numbers.as_ref()?.keeps_specification();
                 let candidate = Candidate { rms_nm, total_time_s, keeps_specification };
-                Some((row.id.as_str(), candidate))
+                Some((i, candidate))
             })
             .collect();
-        let name = recommended(&candidates)?;
-        self.plans.iter().position(|row| row.id == name)
+        recommended(&candidates)
     }
 
     /// The plan that is to be run in one sentence, with the command that makes it again.

@@ -91,6 +91,9 @@ impl Artifact for Tif {
     }
 }
 
+/// Angles of a turn, degrees, and the factors of every kernel at them.
+type Turn = (Vec<f64>, Vec<Vec<f64>>);
+
 /// A TIF as an artifact of the kind `tool`: one that varies over the part.
 pub struct Tool(pub Tif);
 
@@ -162,38 +165,30 @@ impl Artifact for Tool {
                 Some(PixelFactor { grid, factor })
             }
         };
-        let mut turn = |weights, angles| -> (Vec<Vec<f64>>, Vec<f64>) {
-            let rows = take_map(&mut arrays, weights);
-            let rows = rows.outer_iter().map(|row| row.to_vec()).collect();
-            (rows, take_vec(arrays.take_f64(angles)))
-        };
-        let (by_azimuth, by_heading) =
-            (turn("azimuth_weight", "azimuth_deg"), turn("heading_weight", "heading_deg"));
         let middle = take_vec(arrays.take_f64("azimuth_middle_mm"));
-        let is_given = |rows: &[Vec<f64>]| {
-            rows.iter().any(|row| !row.is_empty()) && rows.iter().any(|row| *row != [1.0])
-        };
-        let by_name = [("azimuth_weight", &by_azimuth), ("heading_weight", &by_heading)];
-        if let Some((name, _)) = by_name
-            .iter()
-            .find(|(_, (rows, angles))| !angles.is_empty() && rows.iter().all(|row| row.is_empty()))
-        {
-            return Err(Invalid::whole(name, "is missing beside its angles", "give both arrays"));
-        }
-        if is_given(&by_azimuth.0) && middle.len() != 2 {
-            let remedy = "give the point about which the tool turns [x, y]";
-            return Err(Invalid::whole("azimuth_middle_mm", "is missing", remedy));
-        }
-        let azimuth = match by_azimuth {
-            (rows, angles) if is_given(&rows) => {
-                Some(AzimuthWeights::new([middle[0], middle[1]], angles, rows)?)
+        // The angles, and the factors of every kernel at them; none where they are absent, or one factor of 1.
+        let mut turn = |weights, angles| -> Result<Option<Turn>, Invalid> {
+            let rows = take_map(&mut arrays, weights);
+            let angle_deg = take_vec(arrays.take_f64(angles));
+            if rows.is_empty() && !angle_deg.is_empty() {
+                let problem = format!("is missing beside {angles}");
+                return Err(Invalid::whole(weights, problem, "give both arrays"));
             }
-            _ => None,
+            let is_one = rows.ncols() == 1 && rows.iter().all(|v| *v == 1.0);
+            let rows = rows.outer_iter().map(|row| row.to_vec()).collect::<Vec<_>>();
+            Ok((!is_one && rows.iter().any(|row| !row.is_empty())).then_some((angle_deg, rows)))
         };
-        let heading = match by_heading {
-            (rows, angles) if is_given(&rows) => Some(TurnWeights::by_heading(angles, rows)?),
-            _ => None,
+        let azimuth = match (turn("azimuth_weight", "azimuth_deg")?, &middle[..]) {
+            (None, _) => None,
+            (Some((angles, rows)), [x, y]) => Some(AzimuthWeights::new([*x, *y], angles, rows)?),
+            (Some(_), _) => {
+                let remedy = "give the point about which the tool turns [x, y]";
+                return Err(Invalid::whole("azimuth_middle_mm", "is missing", remedy));
+            }
         };
+        let heading = turn("heading_weight", "heading_deg")?;
+        let heading = heading.map(|(angles, rows)| TurnWeights::by_heading(angles, rows));
+        let heading = heading.transpose()?;
         let given =
             VaryingTif { offsets, kernels, positions, weights, azimuth, heading, pixels, time };
         Tif::varying(given).map(Self)

@@ -59,6 +59,13 @@ fn a_tool_that_is_none_is_refused_with_file_and_index() {
         &["weight", "[0, 1]", "heading 180 degrees", "check kernels"],
     );
     says(&tool("heading_deg", "(2,)", &[0.0, 90.0]), &["heading_deg", "1", "is 90", "one turn"]);
+    let without = |name: &str| {
+        write_bare(dir.path(), &Tool(varying(true)));
+        fs::remove_file(dir.path().join(format!("{name}.npy"))).unwrap();
+        refusal::<Tool>(dir.path())
+    };
+    says(&without("heading_weight"), &["heading_weight", "is missing beside heading_deg"]);
+    says(&without("azimuth_middle_mm"), &["azimuth_middle_mm", "is missing"]);
     let weights = [1.0, 1.0, 1.0, 1.0, 1.0, -1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5];
     says(&tool("weight", "(2, 2, 3)", &weights), &["weight", "[1, 2]", "check kernels"]);
 }

@@ -30,20 +30,13 @@ impl Headings {
         // Direction of the first motion and of the last one, of the jump before a segment and of the segment itself.
         let of = |s: Segment<'_>| {
             let start = s.position_mm(0.0);
-            let jump = end_mm.map_or([0.0; 2], |end| [start[0] - end[0], start[1] - end[1]]);
+            let of_jump = end_mm.and_then(|end| along_rad([start[0] - end[0], start[1] - end[1]]));
             end_mm = Some(s.position_mm(s.duration_s));
-            let jumps = jump[0].hypot(jump[1]) > AT_REST_MM;
-            let of_jump = jumps.then(|| jump[1].atan2(jump[0]));
             let own = |part| moves(&s).then(|| near(&s, part)).flatten();
             (of_jump.or(own(NEAR_END)), own(1.0 - NEAR_END).or(of_jump))
         };
-        let ends: Vec<(Option<f64>, Option<f64>)> = trajectory.segments().map(of).collect();
-        let mut last_rad = ends.iter().find_map(|(first, _)| *first).unwrap_or(0.0);
-        let kept = ends.iter().map(|(_, last)| {
-            last_rad = last.unwrap_or(last_rad);
-            last_rad
-        });
-        Self { at_rest_rad: kept.collect() }
+        let (first, last): (Vec<_>, Vec<_>) = trajectory.segments().map(of).unzip();
+        Self { at_rest_rad: kept(first.into_iter().flatten().next(), last) }
     }
 
     /// Place and direction of the tool at the local time `u_s` of `segment`, which has the index `index`.
@@ -58,18 +51,24 @@ impl Headings {
 
 /// Directions (n) of the segments of a path, rad.
 pub fn headings_of_path_rad(path: &ToolPath) -> Vec<f64> {
-    let moving = |d: &[f64; 2]| d[0].hypot(d[1]) > AT_REST_MM;
-    let along = |d: [f64; 2]| d[1].atan2(d[0]);
-    let mut last_rad =
-        (0..path.len()).map(|j| path.displacement_mm(j)).find(moving).map_or(0.0, along);
-    let of = |j: usize| {
-        let displacement = path.displacement_mm(j);
-        if moving(&displacement) {
-            last_rad = along(displacement);
-        }
+    let all: Vec<Option<f64>> =
+        (0..path.len()).map(|j| along_rad(path.displacement_mm(j))).collect();
+    kept(all.iter().copied().flatten().next(), all)
+}
+
+/// Direction of a way, rad; none of one that is rounding.
+fn along_rad([x, y]: [f64; 2]) -> Option<f64> {
+    (x.hypot(y) > AT_REST_MM).then(|| y.atan2(x))
+}
+
+/// The directions, each where there is none that before it; before the first one that of the first motion, or 0.
+fn kept(first: Option<f64>, directions: Vec<Option<f64>>) -> Vec<f64> {
+    let mut last_rad = first.unwrap_or(0.0);
+    let of = |direction: Option<f64>| {
+        last_rad = direction.unwrap_or(last_rad);
         last_rad
     };
-    (0..path.len()).map(of).collect()
+    directions.into_iter().map(of).collect()
 }
 
 /// Returns true if the tool goes further than rounding during a segment.

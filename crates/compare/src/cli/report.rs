@@ -137,7 +137,7 @@ impl Report {
                 .extend(drawn.iter().map(|(name, svg)| (name.as_str(), svg.clone().into_bytes())));
             writer.write_arrays(&kind::REPORT, &[], &beside, json!({}), &status)?;
         }
-        tell(&summaries, &runs);
+        tell(&runs);
         if plotted {
             say(sparkline::plots(&views));
         }
@@ -155,9 +155,9 @@ fn warn(message: &str) {
 }
 
 /// Says the tables of the runs, and the sentences that go with them.
-fn tell(summaries: &[Summary], runs: &[(&str, &Summary)]) {
-    say(match summaries {
-        [one] => table(one),
+fn tell(runs: &[(&str, &Summary)]) {
+    say(match runs {
+        [(_, one)] => table(one),
         _ => table_of_runs(runs),
     });
     say(execution_table(runs));
@@ -165,12 +165,12 @@ fn tell(summaries: &[Summary], runs: &[(&str, &Summary)]) {
     if !judged.is_empty() {
         say(judged);
     }
-    for (name, method) in summaries.iter().flat_map(|s| &s.methods) {
+    for (name, method) in runs.iter().flat_map(|(_, s)| &s.methods) {
         if let Some(told) = &method.on_axes {
             say(visible(&told.sentence(name)));
         }
     }
-    for process in summaries.iter().filter_map(|s| s.error_budget.as_ref()) {
+    for process in runs.iter().filter_map(|(_, s)| s.error_budget.as_ref()) {
         say(visible(&process.sentence));
     }
 }
