@@ -208,6 +208,7 @@ mod tests {
         need[20] = 3.0;
         for window_s in [0.1, 2.0, 5.0, 100.0] {
             let stretch = spread(&pieces, &need, window_s);
+            // Rounding of averages of some hundred pieces with factors of up to 3.
             assert!(
                 stretch[20] >= 3.0 - 1e-12 && stretch[21] >= 3.0 - 1e-12,
                 "{window_s}: {stretch:?}"

@@ -51,6 +51,7 @@ fn the_axes_of_a_sphere_and_their_contact_point_are_written() {
     let made = outcome(&dir.path().join("axes"));
     assert_eq!(made["axes"], json!(["x", "y", "z", "a", "b"]));
     assert_eq!(made["units"], json!(["mm", "mm", "mm", "deg", "deg"]));
+    // The default of --contact-tolerance-um.
     assert!(made["contact_deviation_um"].as_f64().unwrap() <= 2.0, "{made}");
     assert_eq!((&made["planned_time_s"], &made["total_time_s"]), (&json!(6.0), &json!(6.0)));
     assert_eq!(made.get("slowed"), None);
@@ -61,6 +62,7 @@ fn the_axes_of_a_sphere_and_their_contact_point_are_written() {
     assert_eq!(fine.status.code(), Some(0), "{}", text(&fine.stderr));
     let fine = outcome(&dir.path().join("fine"));
     assert!(fine["segment_count"].as_u64() > made["segment_count"].as_u64(), "{fine}");
+    // The tolerance that the command asks for.
     assert!(fine["contact_deviation_um"].as_f64().unwrap() <= 0.01, "{fine}");
 
     let run = axes(
@@ -70,6 +72,7 @@ fn the_axes_of_a_sphere_and_their_contact_point_are_written() {
     assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
     let executed = outcome(&dir.path().join("executed"));
     assert_eq!(executed["total_time_s"], 6.0);
+    // The executed contact point is found within 1e-3 um.
     assert!(executed["deviation_um"].as_f64().unwrap() <= 1e-3, "{executed}");
     assert!(text(&axes(dir.path(), MOTION).stdout).contains("unchanged"));
 }
@@ -90,6 +93,8 @@ fn a_slow_tilt_slows_the_motion_down_and_the_program_says_how_much() {
     let made = outcome(&dir.path().join("axes"));
     let number = |key: &str| made[key].as_f64().unwrap();
     let added = number("total_time_s") - number("planned_time_s");
+    // b turns by 34.9 degrees at 4 deg/s at most, in 8.7 s instead of 6. Sums of durations round: some hundred terms of
+    // up to 10 s.
     assert!(added > 1.0 && (number("added_tool_on_time_s") - added).abs() < 1e-9, "{made}");
     assert_eq!(made["slowed"]["axis"], "b");
 }
