@@ -293,11 +293,13 @@ mod tests {
         let d = decided(&known(2.0, 1.0));
         assert_eq!(d.verdict, Verdict::RunAgain);
         let near = |a: f64, b: f64| (a - b).abs() < 1e-12;
+        // Below: rounding of formulas of numbers up to 2.
         assert!(near(d.now_rms_nm, 2.0) && near(d.next.median_nm, 1.0));
         assert!(near(d.gain_median_nm, 1.0) && near(d.gain_of_95_percent_nm, 2.0 - 1.09));
         assert!(near(d.part_that_gains, 1.0) && near(d.gain_per_minute_nm, 0.5));
         // 1.05 is above three quarters of the runs, which is less than 95 %.
         let d = decided(&known(1.05, 1.0));
+        // Rounding, as above.
         assert!(near(d.part_that_gains, 0.75) && d.verdict == Verdict::Stop, "{d:?}");
         assert!(d.gain_of_95_percent_nm < 0.0);
         // 1.15 is above all of them: a gain of 0.15 in the half of them, 13 % of what is there.
@@ -318,6 +320,7 @@ mod tests {
         k.map_errors = vec![MapError { adds_rms_nm: a, unreached_rms_nm: a, is_white: true }];
         k.levels = vec![(0.0, rms.hypot(a)), (1.0, rms.hypot(a))];
         let d = decided(&k);
+        // Below: rounding of formulas of numbers up to 1.
         assert!((d.now_rms_nm - s).abs() < 1e-12 && d.gain_median_nm.abs() < 1e-12, "{d:?}");
         assert!((d.measured_next_median_nm - rms).abs() < 1e-12);
         assert_eq!(d.verdict, Verdict::Stop);
@@ -334,6 +337,7 @@ mod tests {
         // The plan removes all of the map.
         k.levels = vec![(0.0, a), (1.0, a)];
         let d = decided(&k);
+        // Rounding of a difference of squares.
         assert!((d.next.median_nm - a).abs() < 1e-12 && d.gain_median_nm < 0.0, "{d:?}");
         assert_eq!((d.verdict, d.part_that_gains), (Verdict::Stop, 0.0));
     }

@@ -274,6 +274,7 @@ mod tests {
         assert_eq!((of(0, 0), of(1, 0)), (None, Some(10.0)));
         // 1.1 x 0.95
         assert!((of(2, 0).unwrap() - 4.5).abs() < 1e-12);
+        // Rounding of a sum.
         assert!((of(2, 1).unwrap() - 0.11).abs() < 1e-12);
         let last = &campaign.runs[2].parameters[1];
         assert!(
@@ -291,6 +292,7 @@ mod tests {
         };
         // Longer along x, turned by 45 degrees, is longer along the diagonal.
         assert!((truth.of("tif_diagonal_ellipticity").unwrap() - 2.0).abs() < 1e-12);
+        // Rounding of the cosine of 90 degrees.
         assert!(truth.of("tif_ellipticity").unwrap().abs() < 1e-12);
         assert_eq!(truth.of("wobble"), None);
     }

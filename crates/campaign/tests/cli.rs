@@ -171,6 +171,7 @@ fn a_decision_and_a_page_say_what_the_artifacts_say() {
     let noise = &tolerance["errors"][1];
     let median = number(&tolerance["residual"]["median_nm"]).powi(2)
         - 2.0 * number(&noise["unreached_rms_nm"]).powi(2);
+    // The same numbers in another order: rounding, which a difference of squares enlarges.
     assert!((number(&decision["next"]["median_nm"]) - median.sqrt()).abs() < 1e-9, "{decision}");
     let other = "decide --surface made/surface --trajectory motion --tolerance tolerance --out no";
     write(dir, "other", &self::mirror());
@@ -193,6 +194,7 @@ fn a_decision_and_a_page_say_what_the_artifacts_say() {
     assert_eq!(campaign["outcome"]["runs"][0]["learning"]["rms_nm"], truth["outcome"]["rms_nm"]);
     let rate = &campaign["outcome"]["runs"][0]["parameters"][0];
     let hidden = number(&truth["outcome"]["hidden"]["truth"]["rate_scale"]);
+    // Rounding of a product.
     assert!((number(&rate["truth"]) - 100.0 * hidden).abs() < 1e-12, "{rate}");
     let words = said(&run(dir, "spread report"), 0);
     assert!(words.contains("1 campaigns of 1 runs"), "{words}");
