@@ -308,6 +308,7 @@ mod tests {
         assert_eq!(f.at([10.0, 100.0]), [460.0, 30.0]);
         // Four decades over 200 px.
         let [x, y] = f.at([5.0, 0.1]);
+        // Rounding of places of some hundred px.
         assert!((x - 260.0).abs() < 1e-12 && (y - 180.0).abs() < 1e-12);
     }
 
