@@ -220,6 +220,7 @@ mod tests {
             let (first, expected) = knots.basis(4.0 + f);
             assert_eq!(first, 4);
             let found = on_a_cell(f);
+            // Rounding of values up to 1.
             assert!((0..4).all(|k| (found[k] - expected[k]).abs() < 1e-15), "{f}: {found:?}");
         }
     }
@@ -229,6 +230,7 @@ mod tests {
         let knots = uneven();
         for k in 0..=60 {
             let s = 3.0 * f64::from(k) / 60.0;
+            // Below: rounding of values up to 1, and of derivatives, which divide by the distance of the knots.
             assert!((knots.basis(s).1.iter().sum::<f64>() - 1.0).abs() < 1e-15);
             assert!(knots.basis_derivative(s).1.iter().sum::<f64>().abs() < 1e-13);
         }
@@ -240,6 +242,7 @@ mod tests {
         let d = knots.greville();
         for k in 0..=60 {
             let s = 3.0 * f64::from(k) / 60.0;
+            // Below: rounding of values up to 4.5, and of derivatives, which divide by the distance of the knots.
             assert!((knots.value(&d, s) - s).abs() < 1e-14);
             assert!((knots.derivative(&d, s) - 1.0).abs() < 1e-13);
             assert!((knots.integral(&d).value(s) - 0.5 * s * s).abs() < 1e-14);

@@ -139,6 +139,7 @@ mod tests {
                 .fold(0.0, f64::max)
         };
         let order = (worst(0.2) / worst(0.1)).log2();
+        // The order is 3; at steps of 0.1 and 0.2 the next order takes a part of it.
         assert!(order > 2.8, "order {order}");
     }
 
@@ -147,6 +148,7 @@ mod tests {
         for k in 0..=20 {
             let f = f64::from(k) / 20.0;
             let (w, m) = (weights(f), weights(1.0 - f));
+            // Below: rounding of four weights up to 1.
             assert!((w.iter().sum::<f64>() - 1.0).abs() < 1e-15);
             for d in 0..4 {
                 assert!((w[d] - m[3 - d]).abs() < 1e-15);
@@ -159,6 +161,7 @@ mod tests {
         assert_eq!(split(2.0 + 1e-12), (2, 0.0));
         assert_eq!(split(2.0 - 1e-12), (2, 0.0));
         assert_eq!(split(-0.25).0, -1);
+        // Rounding.
         assert!((split(-0.25).1 - 0.75).abs() < 1e-15);
     }
 }

@@ -76,6 +76,7 @@ mod tests {
         let e = f64::exp;
         // The area of one point is a rectangle of 2 by 3. The second point adds 1 by 1.
         let corner = [e(2.0), e(3.0)];
+        // Below: rounding of exponentials and logarithms of numbers up to 3.
         assert!((dominated_area(&[[1.0, 1.0]], corner) - 6.0).abs() < 1e-12);
         let two = [[e(1.0), e(1.0)], [1.0, e(2.0)]];
         assert!((dominated_area(&two, corner) - (1.0 + 2.0)).abs() < 1e-12);

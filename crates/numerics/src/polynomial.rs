@@ -127,6 +127,7 @@ mod tests {
         let p = [1.0, -2.0, 0.5, 0.25];
         let q = shifted(&p, 1.75);
         for u in [0.0, 0.5, 3.0] {
+            // Rounding of terms of up to 30.
             assert!((evaluate(&q, u) - evaluate(&p, u + 1.75)).abs() < 1e-13);
         }
         assert_eq!(shifted(&[0.1, 0.3, -0.7, 1.1], 0.0), [0.1, 0.3, -0.7, 1.1]);
@@ -144,6 +145,7 @@ mod tests {
     fn quadratic_roots_do_not_cancel() {
         // Roots 1e-9 and 1e9.
         let roots: Vec<f64> = quadratic_roots(1.0, -(1e9 + 1e-9), 1.0, 1e10).collect();
+        // Rounding, relative to each root.
         assert!((roots[0] / 1e-9 - 1.0).abs() < 1e-14 && (roots[1] / 1e9 - 1.0).abs() < 1e-14);
         assert_eq!(quadratic_roots(1.0, -2.0, 1.0, 5.0).collect::<Vec<_>>(), [1.0]);
         assert_eq!(quadratic_roots(1.0, 0.0, 1.0, 5.0).count(), 0);

@@ -40,8 +40,10 @@ mod tests {
     #[test]
     fn exact_to_degree_2n_minus_1_and_not_beyond() {
         for degree in 0..=5 {
+            // Below: rounding of sums of three and of eight terms up to 1.
             assert!((integrate::<3>(degree) - 1.0 / f64::from(degree + 1)).abs() < 1e-15);
         }
+        // The first degree beyond: 6^4 / (7 * 720^2) = 3.6e-4.
         assert!((integrate::<3>(6) - 1.0 / 7.0).abs() > 1e-5);
         for degree in 0..=15 {
             assert!((integrate::<8>(degree) - 1.0 / f64::from(degree + 1)).abs() < 1e-14);

@@ -258,6 +258,7 @@ mod tests {
             let (f, s) = along_rows(z.view(), 0.1, &w_x);
             let weighted = z.indexed_iter().map(|((_, c), z)| (z * w_x[c]).powi(2));
             let mean = weighted.sum::<f64>() / ((nx * ny) as f64 * mean_square(&w_x));
+            // Sums of a few hundred terms, as above.
             assert!((s.iter().sum::<f64>() * f[1] / mean - 1.0).abs() < 1e-12);
         }
     }
@@ -276,6 +277,7 @@ mod tests {
         let ring = rings[2].unwrap();
         // Bins with 0 < |f| < 0.3: 20 (radius 2.4 bins); two of them hold 16.
         assert!((ring.density - 2.0 * 16.0 / 20.0).abs() < 1e-12, "{ring:?}");
+        // The square of the rounding of a sum of 64 terms.
         assert!(rings[0].unwrap().density < 1e-28);
     }
 
@@ -303,6 +305,7 @@ mod tests {
         let (x, y): (Vec<f64>, Vec<f64>) =
             ((0..9).map(f64::from).collect(), (0..8).map(f64::from).collect());
         let z = Array2::from_shape_fn((8, 9), |(r, c)| 3.0 * x[c] - y[r] + 7.0);
+        // Below: rounding of sums of 72 heights of some 30.
         assert!(without_plane(z.view(), &x, &y).iter().all(|z| z.abs() < 1e-12));
         assert!((without_mean(z.view()).sum()).abs() < 1e-12);
     }

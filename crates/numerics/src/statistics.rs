@@ -329,6 +329,7 @@ mod tests {
                 let mean = valid.iter().sum::<f64>() / valid.len() as f64;
                 let squares: f64 = valid.iter().map(|v| (v - mean).powi(2)).sum();
                 assert_eq!((s.valid_count, s.mean), (valid.len(), mean));
+                // Rounding of sums of up to 2e4 squares in another order.
                 assert!((s.rms.powi(2) * valid.len() as f64 - squares).abs() <= 1e-13 * squares);
                 assert_eq!(s.min, valid.iter().copied().fold(f64::INFINITY, f64::min));
                 assert_eq!(s.max, valid.iter().copied().fold(f64::NEG_INFINITY, f64::max));
@@ -373,6 +374,7 @@ mod tests {
             }
         }
         let p = fit_plane(map.view(), &x, &y).unwrap();
+        // Heights of 500 have rounding of 1e-13, over sides of 4 and 6.
         assert!((p.b - 0.03).abs() < 1e-12 && (p.c + 0.5).abs() < 1e-12, "{p:?}");
         // Heights of 300 carry rounding of about 1e-13; the fit may add one digit.
         assert!(detilted_rms(map.view(), &x, &y).unwrap() < 1e-11);

@@ -97,6 +97,7 @@ mod tests {
             a.iter_mut().zip(&b).for_each(|(a, b)| *a *= b);
             // One element at the end: a shift by one to the left.
             let back = lines.inverse(&a, &mut work);
+            // As above, of order 2.
             assert!((1..len).all(|k| (back[k - 1] - 2.0 * value(k)).abs() < 1e-14));
         }
     }

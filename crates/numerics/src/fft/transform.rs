@@ -69,6 +69,7 @@ mod tests {
             assert!((v.re - want).abs() < 1e-11 && v.im.abs() < 1e-11, "{k} {l} {v}");
         }
         let back = inverse(spectrum);
+        // Rounding of the sums above, divided by 180.
         assert!((&back - &z).iter().all(|e| e.abs() < 1e-13));
         assert_eq!([0, 7, 8, 14].map(|k| frequency(k, 15) * 15.0), [0.0, 7.0, -7.0, -1.0]);
         assert_eq!(frequency(6, 12), 0.5);

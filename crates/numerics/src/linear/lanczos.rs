@@ -235,6 +235,7 @@ mod tests {
         assert_eq!(found.rank, 10);
         // Rounding times the condition number 1.2e3 of the kept eigenvalues.
         assert!(error < 1e-10 * expected.norm(), "{error}");
+        // Below: rounding of the largest eigenvalue, of which the smallest is 0.7^18 = 1.6e-3.
         assert!((found.largest - 1.0).abs() < 1e-12);
         assert!((found.smallest / 0.7_f64.powi(18) - 1.0).abs() < 1e-9);
     }
@@ -245,6 +246,7 @@ mod tests {
             let expected = h.clone().symmetric_eigen().eigenvalues.max();
             let apply = |x: &[f64]| (h * DVector::from_row_slice(x)).as_slice().to_vec();
             let ratio = largest_eigenvalue(apply, h.nrows()) / expected;
+            // Rounding above, and the residual of the largest eigenvalue below: the result is a lower bound.
             assert!(ratio < 1.0 + 1e-12 && ratio > 1.0 - RESIDUAL_OF_LARGEST, "{what}: {ratio}");
         };
         // A narrow tool along n points, on a map whose mean is free and whose weights rise in one place.
@@ -267,6 +269,7 @@ mod tests {
         close(&(DMatrix::identity(n, n) * 0.86 + &wave * wave.transpose() * 0.14), "half wave");
         assert_eq!(largest_eigenvalue(|x| vec![0.0; x.len()], 5), 0.0);
         assert_eq!(largest_eigenvalue(|x| x.to_vec(), 0), 0.0);
+        // Rounding of a product.
         assert!((largest_eigenvalue(|x| vec![3.0 * x[0]], 1) - 3.0).abs() < 1e-15);
     }
 

@@ -715,6 +715,7 @@ mod tests {
         let (a, dense) = spd(150, 40);
         let x: Vec<f64> = (0..150_u32).map(|i| (0.3 * f64::from(i)).cos()).collect();
         let expected = dense.dot(&ndarray::aview1(&x));
+        // Below: rounding of sums of at most 81 terms of the order 1.
         assert!(a.product(&x).iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-13));
         let keep: Vec<usize> = (0..150).filter(|i| i % 3 != 1).collect();
         let part = a.principal(&keep);
@@ -726,6 +727,7 @@ mod tests {
             assert!(keep[..part.first(i)].iter().all(|l| dense[[k, *l]] == 0.0));
         }
         let full = Skyline::from_dense(&dense).product(&x);
+        // As above.
         assert!(full.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-13));
     }
 

@@ -186,6 +186,7 @@ mod tests {
         assert!((found.least_left() / left - 1.0).abs() < 1e-3, "{}", found.least_left());
         assert!(error(&found) < 1e-4, "{}", error(&found));
         let alone = Woodbury::new(single(), std::slice::from_ref(&u)).map(|alone| error(&alone));
+        // Rounding of 6e-8 alone is above the remainder of 1e-11; what comes out, if anything, has no digit of it.
         assert!(alone.is_none_or(|error| error > 1e-3), "{alone:?}");
     }
 

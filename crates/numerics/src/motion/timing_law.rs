@@ -124,6 +124,8 @@ mod tests {
     #[test]
     fn within_the_tolerance_of_the_inverse_everywhere() {
         let fit = fitted(1e-7);
+        // The tolerance that is asked for. A halving divides the error by 16: no fit is a thousand times finer than
+        // that.
         assert!(fit.largest_error <= 1e-7 && fit.largest_error > 1e-10);
         let mut begin = 0.0;
         for piece in &fit.pieces {
@@ -136,6 +138,7 @@ mod tests {
             }
             begin += piece.duration;
         }
+        // Rounding of a sum of some hundred durations.
         assert!((begin - 7.5).abs() < 1e-13);
         assert!(fit.pieces.iter().any(|p| p.end == 0.7), "breaks are kept");
     }
@@ -147,6 +150,7 @@ mod tests {
             fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &breaks, 1.0, NONE, NONE).largest_error
         };
         let order = (error(16) / error(32)).log2();
+        // The order is 4; at 16 pieces the next order takes a part of it.
         assert!(order > 3.8 && order < 4.2, "order {order}");
     }
 
@@ -162,12 +166,14 @@ mod tests {
         let coarse = pieces(NONE);
         assert_eq!(coarse.len(), 1);
         let expected = 0.5 * 0.8 * (4.0 - 3.0 * 0.8);
+        // Rounding of coefficients of the order 1.
         assert!((end_acceleration(&coarse[0]) - expected).abs() < 1e-14, "{coarse:?}");
         // Halved twice, the break at 1/4 is the end of a piece: each is the motion itself.
         let fine = pieces(0.5 + 1e-4);
         assert_eq!(fine.iter().map(|p| p.end).collect::<Vec<_>>(), [0.25, 0.5, 1.0]);
         let accelerations = fine.iter().map(end_acceleration);
         for (found, expected) in accelerations.zip([0.0, 0.5, 0.5]) {
+            // Rounding of the same, over pieces of a quarter.
             assert!((found - expected).abs() < 1e-13, "{found} {expected}");
         }
     }

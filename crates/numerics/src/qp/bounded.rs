@@ -705,6 +705,7 @@ mod tests {
         for h in forms(&h) {
             let s = active_set_alone(&h, &g, (&lo, &hi), &[0.0; 30], 50).unwrap();
             let q = gradient(&h, &g, &s.value);
+            // Rounding of H x: eigenvalues of up to 40 times x of up to |g| / 0.1 = 60.
             assert!(q.iter().all(|q| q.abs() < 1e-10), "{q:?}");
         }
     }

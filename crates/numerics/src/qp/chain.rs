@@ -885,11 +885,14 @@ mod tests {
         let rows = vec![Bound { link: 1, a: [1.0, 1.0], slack: 0.0, bound: 5.0 }];
         let wide = Case { program, rows };
         let x = wide.solve().unwrap();
+        // Below: the stop is at 1e-14 in scaled units, and r_d, which has the same error in x, is smaller than its
+        // bound here.
         assert!(x.iter().zip([0.0, 1.8, 1.8, 0.0]).all(|(x, e)| (x - e).abs() < 1e-11), "{x:?}");
         // With x1 + x2 <= 3 both lose the same.
         let mut tight = wide;
         tight.rows[0].bound = 3.0;
         let x = tight.solve().unwrap();
+        // As above.
         assert!((x[1] - 1.5).abs() < 1e-11 && (x[2] - 1.5).abs() < 1e-11, "{x:?}");
         // The multiplier of the row x1 + x2 - e <= 3 at the hard bound is 9 - 5 * 1.5 = 1.5. At a
         // higher price the row is hard. At a lower price it is exceeded, and 5 x = 9 - price.
@@ -897,6 +900,7 @@ mod tests {
             tight.rows[0].slack = 1.0;
             tight.program.price = vec![price; 3];
             let x = tight.solve().unwrap();
+            // As above; a price of the order 1 beside x.
             assert!((x[1] - expected).abs() < 1e-10, "{price}: {x:?}");
         }
     }
@@ -973,6 +977,7 @@ mod tests {
             let y = other.solve().unwrap();
             for i in 0..30 {
                 let error = (y[29 - i] - x[i]).abs() * program.diagonal[i].sqrt();
+                // As above: the root of the complementarity.
                 assert!(error < 1e-5, "{case} {i} {error}");
             }
         }
