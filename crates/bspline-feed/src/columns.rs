@@ -352,6 +352,7 @@ mod tests {
         for (i, j) in [(3, 3), (3, 7), (10, 8), (2, 22)] {
             let expected = (&on_map(i) * &on_map(j)).sum();
             let scale = columns[i].dot_column(&columns[i]);
+            // Rounding of a sum over some hundred pixels.
             assert!((columns[i].dot_column(&columns[j]) - expected).abs() < 1e-13 * scale);
             assert!((columns[i].dot(&on_map(j)) - expected).abs() < 1e-13 * scale);
         }

@@ -721,6 +721,7 @@ mod tests {
             // densities below 2/3 D_k, to which those that the tool hardly sees fall by and by: 1e-9 of the objective.
             let bound = found * (1.0 - state.gap.unwrap());
             assert!(bound <= least * (1.0 + 1e-7), "{seed}: {bound} {least}");
+            // The tolerance of the settings: the gap at which it ends.
             assert!(found <= least * (1.0 + 1e-5), "{seed}: {found} {least}");
         }
     }

@@ -125,10 +125,12 @@ mod tests {
         let passes = [pass(0.0, true), pass(0.7, false), pass(2.0, true)];
         let p = pitches_mm(&passes, &tif());
         for (p, expected) in p.iter().zip([0.7, 0.7, 1.3]) {
+            // Rounding of coordinates of 1 mm.
             assert!((p - expected).abs() < 1e-12);
         }
         // A Gaussian groove: 2 pi s^2 / (s sqrt(2 pi)) = s sqrt(2 pi).
         let alone = pitches_mm(&passes[..1], &tif())[0];
+        // Sums over samples of a Gaussian that has faded at the border. Regression bound: 3.8e-10 was seen.
         assert!(
             (alone / (0.5 * (2.0 * std::f64::consts::PI).sqrt()) - 1.0).abs() < 1e-6,
             "{alone}"
@@ -152,6 +154,7 @@ mod tests {
         for i in 0..n {
             let slope: f64 =
                 (0..n).map(|j| quadratic.p[[i, j]] * d[j]).sum::<f64>() - quadratic.q[i];
+            // Rounding of sums of ten terms of the order 1; the iteration has converged to that.
             assert!(slope.abs() < 1e-10, "{slope}");
         }
     }

@@ -64,6 +64,7 @@ fn writes_trajectory_and_feed_and_then_nothing() {
     let trajectory = artifact::read::<Trajectory>(&out.join("trajectory")).unwrap().value;
     let report = &manifest(tmp.path(), "trajectory")["outcome"]["report"];
     assert_eq!(report["links"]["turn_arounds"], 2);
+    // The default of --fit-tolerance-mm.
     assert!(report["fit"]["largest_error_mm"].as_f64().unwrap() <= 1e-6);
     assert!(report["acceleration_use"].as_f64().unwrap() <= 1.0);
     // The tool is off before the first and after the last pass, and every dwell point is served by
@@ -107,6 +108,7 @@ fn converged_is_proven_by_a_gap_and_knot_removal_proves_nothing() {
     let outcome = manifest(tmp.path(), "trajectory")["outcome"].clone();
     assert_eq!(outcome["end"], "converged");
     let gap = outcome["report"]["gap"].as_f64().unwrap();
+    // The default of --relative-gap.
     assert!((0.0..=1e-3).contains(&gap), "{gap}");
     let said = format!("lowers the objective by more than {:.2} %", 100.0 * gap);
     assert!(text(&output.stdout).contains(&said), "{}", text(&output.stdout));
@@ -130,7 +132,8 @@ fn a_limit_on_jerk_is_not_kept_and_the_verdict_says_so() {
     let jerk = &manifest(tmp.path(), "trajectory")["outcome"]["report"]["jerk"];
     // The motion starts with all of the acceleration of an axis.
     let step = jerk["largest_acceleration_step_mm_per_s2"].as_f64().unwrap();
-    assert!(step >= 0.99 * 200.0, "{jerk}");
+    // A link leaves 0.5e-6 of the limit free.
+    assert!(step >= (1.0 - 1e-6) * 200.0, "{jerk}");
 }
 
 #[test]
