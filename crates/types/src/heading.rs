@@ -131,6 +131,7 @@ mod tests {
         let motion = Trajectory::new(vec![0.0, 2.0], vec![c], vec![true], vec![None]).unwrap();
         let pose = Headings::new(&motion).pose(0, &motion.segment(0), 1.5);
         assert_eq!(pose.position_mm, [1.5, 2.25]);
+        // Rounding of an angle of the order 1.
         assert!((pose.heading_rad - 3.0_f64.atan()).abs() < 1e-15);
     }
 
@@ -140,6 +141,7 @@ mod tests {
         let path = ToolPath::through(points, vec![true; 4], vec![0; 4]).unwrap();
         let found = headings_of_path_rad(&path);
         let expected = [0.25 * PI, 0.25 * PI, 0.25 * PI, -FRAC_PI_2];
+        // Rounding of angles of the order 1.
         assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-15), "{found:?}");
     }
 }

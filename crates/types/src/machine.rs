@@ -321,6 +321,7 @@ mod tests {
         let machine = Machine::new(file).unwrap();
         let q = machine.part_to_axes().unwrap().point([2.0, 0.0]);
         let expected = [1.0 - 1.0, 2.0 + 3.0_f64.sqrt()];
+        // Rounding of coordinates of up to 4 mm.
         assert!((0..2).all(|i| (q[i] - expected[i]).abs() < 1e-15), "{q:?}");
         let mirrors = |x, y| Machine::new(along(x, y)).unwrap().part_to_axes().unwrap().mirrors();
         assert_eq!(
@@ -346,6 +347,7 @@ mod tests {
                 let (s, c) = f64::to_radians(angle_deg).sin_cos();
                 let used = [(c * wx + s * wy) / speeds[0], (s * wx + c * wy) / speeds[1]];
                 let most = used[0].max(used[1]);
+                // Rounding of sums of two products, relative to the limit.
                 assert!((most - 1.0).abs() < 1e-12, "{angle_deg} {speeds:?}: {most} of a limit");
                 // On the line of the nearer limit the product is c^2 / 4ab at its middle. No box
                 // has a larger product, and the box at the intersection has a smaller one.
@@ -353,6 +355,7 @@ mod tests {
                 let bound = middle(0).min(middle(1)) * (1.0 + 1e-12);
                 let is_corner = used.iter().all(|u| (u - 1.0).abs() < 1e-12);
                 assert!(wx > 0.0 && wy > 0.0 && wx * wy <= bound, "{angle_deg} {speeds:?}");
+                // Rounding, as above, of an area that is the product of two sums.
                 assert!(is_corner || wx * wy >= bound * (1.0 - 1e-11), "{angle_deg} {speeds:?}");
             }
         }
@@ -376,9 +379,11 @@ mod tests {
                 };
                 y(c, s, 100.0).min(y(s, c, 60.0))
             };
+            // Rounding.
             assert!(wy <= most(wx) * (1.0 + 1e-12), "{angle_deg}: {wx} {wy}");
             let tried = (0..=4000).map(|k| 0.05 * f64::from(k)).map(|x| x * most(x));
             let best = tried.fold(0.0, f64::max);
+            // A search with steps finds no more than the largest; beyond it is rounding.
             assert!(wx * wy >= best * (1.0 - 1e-9), "{angle_deg}: {wx} x {wy} is less than {best}");
         }
         // A limit of one axis alone limits both directions, where it has a part in both.
@@ -386,6 +391,7 @@ mod tests {
         one.axes[1].max_jerk_mm_per_s3 = None;
         let jerk =
             Machine::new(one).unwrap().limits_on_part().axes().map(|a| a.max_jerk_mm_per_s3());
+        // Below: rounding of 1e4.
         assert!((jerk[0].unwrap() - 5e3 / 0.75_f64.sqrt()).abs() < 1e-9, "{jerk:?}");
         assert!((jerk[1].unwrap() - 1e4).abs() < 1e-9, "{jerk:?}");
         let mut one = turned(90.0);

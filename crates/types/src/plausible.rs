@@ -321,6 +321,7 @@ mod tests {
         for mm in [1e-3, 1.0, 1e3] {
             for nm in [0.01, 1.0, 1e4] {
                 let least = least_time_s(&map(mm, nm), &tool(mm, 1.0, 0.0));
+                // Rounding of sums over the pixels, relative.
                 assert!(
                     (least / (nm * least_time_s(&map(1.0, 1.0), &tool(1.0, 1.0, 0.0))) - 1.0).abs()
                         < 1e-9

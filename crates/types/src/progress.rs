@@ -148,6 +148,7 @@ mod tests {
     #[test]
     fn a_geometric_fall_is_linear() {
         let half = of_convergence(1.0, 1e-2, 1e-4);
+        // Rounding of logarithms.
         assert!((half - 0.5).abs() < 1e-15, "{half}");
         assert_eq!(of_convergence(1.0, 2.0, 1e-4), 0.0);
         assert_eq!(of_convergence(1.0, 1e-9, 1e-4), 1.0);

@@ -265,6 +265,7 @@ mod tests {
             let valid = map.indexed_iter().filter(|(_, v)| !v.is_nan());
             let least = valid.map(|((r, c), _)| d2(r, c)).fold(f64::INFINITY, f64::min);
             let (r, c) = surface.nearest_valid(p);
+            // Rounding of squares of up to 150 mm^2.
             assert!((d2(r, c) - least).abs() < 1e-12, "{p:?}");
         }
     }

@@ -627,6 +627,7 @@ mod tests {
         let tif = Tif::new(Grid { x, y }, rate).unwrap();
         let part = tif.without_zero_margins();
         assert_eq!(part.rate_nm_per_s().dim(), (8, 11));
+        // Rounding of a coordinate.
         assert!((part.grid().y.start_mm() + 0.1).abs() < 1e-12);
         let mut largest = 0.0_f64;
         for k in 0..4000 {
@@ -648,6 +649,7 @@ mod tests {
         let rate = Array2::from_shape_fn((7, 9), |(r, c)| f(grid.x.at(c), grid.y.at(r)));
         let tif = Tif::new(grid, rate).unwrap();
         for (x, y) in [(0.1, 0.2), (-1.99, 1.45), (2.0, 1.5), (-2.0, -1.5), (1.93, -1.31)] {
+            // The interpolation is exact for these polynomials: rounding of 10 nm/s.
             assert!((tif.rate_at(x, y) - f(x, y)).abs() < 1e-12, "{x} {y}");
         }
         assert_eq!(tif.rate_at(2.0001, 0.0), 0.0);

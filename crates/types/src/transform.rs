@@ -239,6 +239,7 @@ mod tests {
         let t = quarter();
         assert_eq!(t.point([1.0, 2.0]), [10.0, 20.0]);
         assert_eq!(t.point([2.0, 2.0]), [10.0, 21.0]);
+        // Below: rounding of an angle and of a root of the order 1.
         assert!((t.angle_rad() - std::f64::consts::FRAC_PI_2).abs() < 1e-15 && t.scale() == 1.0);
         // Variance of a point: that of the image, and of the row of M times the distance.
         let e = t.standard_error_mm([4.0, 6.0]);
@@ -253,6 +254,7 @@ mod tests {
         let p = [3.0, -4.0];
         let q = t.point(p);
         let r = back.point(q);
+        // Rounding of coordinates of some 20 mm.
         assert!((r[0] - p[0]).abs() < 1e-13 && (r[1] - p[1]).abs() < 1e-13);
         // The covariance by differences: dp = -N dq at the same q.
         let [[a, b], [c, d]] = m;
@@ -263,6 +265,7 @@ mod tests {
         let e = back.standard_error_mm(q);
         for axis in 0..2 {
             let expected = (var * (n[axis][0].powi(2) + n[axis][1].powi(2))).sqrt();
+            // Rounding of a product.
             assert!((e[axis] - expected).abs() < 1e-12, "{} {expected}", e[axis]);
         }
     }
@@ -278,6 +281,7 @@ mod tests {
         for u in [0.0, 0.7, 2.0] {
             let (found, expected) =
                 (moved.segment(0).position_mm(u), t.point(motion.segment(0).position_mm(u)));
+            // Rounding of coordinates of some 20 mm.
             assert!(
                 (0..2).all(|a| (found[a] - expected[a]).abs() < 1e-13),
                 "{found:?} {expected:?}"
@@ -297,11 +301,13 @@ mod tests {
         let m = [[2.0 * cosine, 2.0 * sine], [2.0 * sine, -2.0 * cosine]];
         let t = Transform::new(m, [0.0; 2], [0.0; 2], [[0.0; 6]; 6]).unwrap();
         assert!(t.mirrors() && !quarter().mirrors());
+        // Rounding of degrees, and of a scale.
         assert!(
             (t.angle_rad().to_degrees() - 30.0).abs() < 1e-12 && (t.scale() - 2.0).abs() < 1e-15
         );
         let back = t.inverse().unwrap();
         let p = back.point(t.point([3.0, -4.0]));
+        // Rounding of coordinates of some 10 mm.
         assert!((p[0] - 3.0).abs() < 1e-14 && (p[1] + 4.0).abs() < 1e-14, "{p:?}");
     }
 
