@@ -272,9 +272,11 @@ mod tests {
         arcs.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
         assert!(arcs.len() > 50, "{}", arcs.len());
         for pair in arcs.windows(2) {
+            // Arcs on a cylinder keep 1e-10 mm (planish-form, development.rs).
             assert!((pair[1] - pair[0] - 1.0).abs() < 1e-9, "{pair:?}");
         }
         let report = reported(&on, &flat, &part);
+        // Differences over 1e-3 mm are exact to 1e-7.
         assert!(report.stretches.iter().all(|s| (s - 1.0).abs() < 1e-6), "{:?}", report.stretches);
         // 1 / cos at 24 mm of 30 mm is 1 / 0.6.
         assert!((report.largest_over_projection - 1.0 / 0.6).abs() < 1e-9);
@@ -283,6 +285,7 @@ mod tests {
         assert!((report.along_surface.length_mm - statistics(&flat, &part).length_mm).abs() < 1e-9);
         let back = on.unrolled(&path).unwrap();
         for (a, b) in back.point_mm().iter().zip(flat.point_mm()) {
+            // There and back: 1e-10 mm, twice.
             assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 1e-9);
         }
     }
@@ -302,12 +305,14 @@ mod tests {
                 / std::f64::consts::TAU;
             let arc = 40.0 * (b[0].hypot(b[1]) / 40.0).asin();
             let offset = *first.get_or_insert(arc - turns);
+            // Arcs on a sphere keep 1e-10 mm.
             assert!((arc - turns - offset).abs() < 1e-9, "{arc} {turns}");
         }
         // 30 degrees of slope at the edge: b / sin b = 1.047, and 1 / cos b = 1.155.
         let report = reported(&on, &flat, &part);
         let angle = 30_f64.to_radians();
         assert!((report.stretches[0] - angle.sin() / angle).abs() < 1e-4, "{:?}", report.stretches);
+        // Rounding of a cosine.
         assert!((report.largest_over_projection - 1.0 / angle.cos()).abs() < 1e-9);
         assert!(on.warning_of_projection(&part).unwrap().contains("up to 15.5 % longer"));
     }

@@ -709,6 +709,7 @@ mod tests {
         let circle = MazeSettings { corner_radius_mm: 0.5, step_mm: 0.01, ..settings(1.0, 0.0, 1) };
         let path = maze(&surface, &circle).unwrap().path;
         for p in path.point_mm() {
+            // Rounding of coordinates of up to 0.75 mm.
             assert!(((p[0] - 0.25).hypot(p[1] - 0.25) - 0.5).abs() < 1e-12, "{p:?}");
         }
         // Chords of 0.01 mm fall short of arcs by the third order: 1e-4 of pi / 24 / 0.25.

@@ -506,6 +506,7 @@ mod tests {
         for p in beyond {
             let x = if p[0] < 0.0 { -1.0 } else { 11.0 };
             let y = (p[1] + 1.0).rem_euclid(2.0) - 1.0;
+            // Rounding of coordinates of up to 12 mm.
             assert!(((p[0] - x).hypot(y) - 1.0).abs() < 1e-12, "{p:?}");
         }
         // Right first: the second line runs back.
@@ -625,6 +626,7 @@ mod tests {
             // H = 40 |sin a| + 20 |cos a| + 2 o
             let height = 40.0 * sin.abs() + 20.0 * cos.abs() + 4.0;
             assert_eq!(lines.len(), height as usize + 1, "{angle_deg}");
+            // Below: rounding of coordinates of up to 50 mm, and of degrees.
             assert!(lines.windows(2).all(|w| (w[1] - w[0] - 1.0).abs() < 1e-9));
             // A convex region: one stretch each; the first runs along the angle.
             assert_eq!(lifts(&path), lines.len() - 1);
@@ -669,6 +671,7 @@ mod tests {
             let path = raster(&map(41, ny, |_, _| true), &round).unwrap();
             // Turns of the radius of a pitch.
             let far = path.point_mm().iter().map(|p| p[0]).fold(0.0, f64::max);
+            // Rounding of 21 mm.
             assert!((far - 21.0).abs() < 1e-12, "{far}");
         }
     }
@@ -700,6 +703,7 @@ mod tests {
         // r = 1 below y = 10, 3 above (half of the rows each, but for one): p mean r / r.
         let two = relief(41, 40, |_, y| if y < 10.0 { 1.0 } else { 3.0 });
         let found = gaps(&two, &ranged([0.1, 10.0]));
+        // Below: rounding of positions of up to 21 mm, which are differences of sums over the rows.
         assert!((found[0] - 2.4).abs() < 1e-9, "{found:?}");
         assert!((found[found.len() - 1] - 0.8).abs() < 1e-9, "{found:?}");
         // At the edge of the bands there is one of mixed size.
@@ -717,6 +721,7 @@ mod tests {
         for surface in [&turned, &relief(41, 40, |_, _| 7.0), &relief(41, 40, |_, _| 0.0)] {
             let found = gaps(surface, &ranged([0.1, 10.0]));
             assert_eq!(found.len(), gaps(surface, &settings(1.2, 1.0, 1.0)).len());
+            // As above.
             assert!(found.iter().all(|g| (g - 1.2).abs() < 1e-9), "{found:?}");
         }
     }

@@ -532,6 +532,7 @@ mod tests {
             (-0.5 * (axis.at(c).powi(2) + axis.at(r).powi(2))).exp()
         });
         let limit = pitch_limit(&Tif::new(Grid { x: axis, y: axis }, rate).unwrap());
+        // Rounding of a sixth of 12 mm.
         assert!((limit.tif_size_sixth_mm - 2.0).abs() < 1e-12);
         // sigma = 1 mm to 1e-7 (the tail beyond 6 sigma): the ripple at this pitch, by its own sum.
         let p = limit.ripple_mm;
@@ -563,6 +564,7 @@ mod tests {
         assert_eq!((s.shortest_step_mm, s.median_step_mm), (0.0, 2.0));
         // Rounding of h.
         assert!((s.longest_step_mm - 4.0).abs() < 1e-12 && s.p99_step_mm == s.longest_step_mm);
+        // Below: rounding of angles in degrees.
         assert!(
             (s.mean_turn_deg - 105.0).abs() < 1e-9 && (s.largest_turn_deg - 180.0).abs() < 1e-9
         );
@@ -570,6 +572,7 @@ mod tests {
         // A lift has no turn.
         let lifted =
             ToolPath::through(points.to_vec(), vec![true, false, true, true, true], vec![0; 5]);
+        // As above.
         assert!(
             (statistics(&lifted.unwrap(), &surface(9, 9, 0.1)).mean_turn_deg - 180.0).abs() < 1e-9
         );

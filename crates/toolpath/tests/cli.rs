@@ -79,6 +79,7 @@ fn a_tool_that_removes_beside_itself_stands_beside_the_aperture() {
             assert!(is_moved, "{method}: {p:?} for {q:?}");
         }
         let number = |v: &serde_json::Value| v.as_f64().unwrap();
+        // Below: rounding of the centroid, as above.
         assert!((number(&manifest.settings["overscan_mm"]) - 3.0).abs() < 1e-9);
         let o = &manifest.outcome;
         assert!((number(&o["pitch_limit"]["tif_size_sixth_mm"]) - 1.0).abs() < 1e-9, "{o}");
@@ -107,6 +108,7 @@ fn the_overscan_defaults_to_half_the_tif_and_the_manifest_has_the_statistics() {
         // Rounding of coordinates up to 23 mm, summed over 458 segments.
         assert!((o[key].as_f64().unwrap() - value).abs() < 1e-11, "{key}: {o}");
     }
+    // Rounding of coordinates of up to 23 mm.
     assert!((o["coverage_mm"].as_f64().unwrap() - 0.5).abs() < 1e-12);
     // 21.5 x 10.5 pixels' area, with pixels of 0.5 mm, over 11 lines of 20 or 21 mm within them.
     assert!((o["effective_pitch_mm"].as_f64().unwrap() - 1.0).abs() < 0.05, "{o}");
@@ -158,6 +160,7 @@ fn every_variant_of_the_raster_is_told_by_its_flags() {
     assert_eq!(variant("right", "--angle-deg 90").0, variant("y", "--scan y").0);
     let (turned, manifest) = variant("turned", "--angle-deg -30");
     let d = turned.displacement_mm(0);
+    // Rounding of a slope.
     assert!((d[1] / d[0] + 1.0 / 3.0_f64.sqrt()).abs() < 1e-12, "{d:?}");
     assert_eq!(manifest.settings["scan"]["angle"]["angle_deg"], -30.0);
 
@@ -188,6 +191,7 @@ fn every_variant_of_the_raster_is_told_by_its_flags() {
     y.dedup();
     // Wide where little is removed, down to p / 2 where twice the mean is.
     let (first, last) = (y[1] - y[0], y[y.len() - 1] - y[y.len() - 2]);
+    // Rounding of lines of up to 13 mm.
     assert!(first < 2.0 + 1e-12 && first >= last && last > 0.5 - 1e-12, "{y:?}");
 }
 
@@ -521,12 +525,15 @@ fn pitch_and_step_count_along_the_surface_of_a_form() {
     arcs.sort_by(f64::total_cmp);
     arcs.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
     assert!(arcs.len() >= 23, "{arcs:?}");
+    // Arcs on a cylinder keep 1e-10 mm (planish-form, development.rs).
     assert!(arcs.windows(2).all(|pair| (pair[1] - pair[0] - 1.0).abs() < 1e-9), "{arcs:?}");
     let form = &manifest.outcome["form"];
     let longest = form["along_surface"]["longest_step_mm"].as_f64().unwrap();
+    // As above.
     assert!(longest <= 1.0 + 1e-9, "{longest}");
     // 1 / cos at 10 mm of 12 mm.
     let ratio = form["largest_over_projection"].as_f64().unwrap();
+    // Rounding of a cosine.
     assert!((ratio - 12.0 / 44_f64.sqrt()).abs() < 1e-9, "{ratio}");
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(said.contains("up to 80.9 % longer than their projections"), "{said}");
@@ -536,6 +543,7 @@ fn pitch_and_step_count_along_the_surface_of_a_form() {
     let found = call(dir, "inspect", &inspect);
     let found: serde_json::Value = serde_json::from_slice(&found.stdout).unwrap();
     let again = found["form"]["along_surface"]["length_mm"].as_f64().unwrap();
+    // Some 500 lengths of segments, each to 1e-10 mm twice.
     assert!((again - form["along_surface"]["length_mm"].as_f64().unwrap()).abs() < 1e-6);
 
     // A path in projection over a map with a form beside it: a warning with the remedy.
@@ -553,6 +561,7 @@ fn pitch_and_step_count_along_the_surface_of_a_form() {
         let output = call(dir, method, &[base, &more[..]].concat());
         assert_eq!(output.status.code(), Some(0), "{method}: {output:?}");
         let (_, manifest) = read(&dir.join(&out));
+        // Along a cylinder it is 1; a difference over 1e-3 mm is exact to 1e-7.
         assert!(manifest.outcome["form"]["stretches"][0].as_f64().unwrap() > 0.999_999, "{method}");
     }
     // A form that ends within the part.

@@ -89,9 +89,11 @@ fn the_pitches_of_the_paper_come_from_the_middles_of_its_bands() {
     let ours = class_pitches_mm(&bands, 50.6, [0.05, 0.8]);
     let over = |d: &[f64]| (1..4).map(|k| 50.6 / (d[k] * bands[k])).fold(0.0, f64::max);
     for (d, expected) in ours.iter().zip([0.8, 50.6 / 63.3, 50.6 / 190.0, 50.6 / 316.0]) {
+        // Below: rounding of quotients.
         assert!((d - expected).abs() < 1e-12, "{ours:?}");
     }
     assert!(over(&ours) <= 1.0 + 1e-12);
+    // 126.6 / 63.3.
     assert!((over(&found) - 2.0).abs() < 0.001, "{}", over(&found));
 }
 
@@ -105,6 +107,7 @@ fn a_constant_map_is_one_region_and_the_uniform_raster() {
         // d = VRR / (r v): the largest for no depth, 0.8 mm for 10 nm.
         let pitch_mm = if depth == 0.0 { 2.0 } else { 0.8 };
         assert_eq!((made.report.classes.len(), made.report.regions.len()), (1, 1));
+        // Rounding of a quotient.
         assert!((made.report.classes[0].pitch_mm - pitch_mm).abs() < 1e-12);
         assert!(made.region_idx.iter().all(|i| *i == 0));
         let uniform = RasterSettings::new(made.report.classes[0].pitch_mm, 1.0, 3.0);
@@ -132,8 +135,10 @@ fn a_ramp_has_a_class_after_the_other_none_too_fast() {
         assert_eq!(c.components, 1);
         // v = VRR / (d r), at most v_max from r_k upwards.
         let fastest = vrr / (c.pitch_mm * c.edge_nm[0].max(0.5 * classes[0].edge_nm[1]));
+        // The pitch is off by 2 %, as above, and the edges of the smoothed map by less.
         assert!(fastest <= wide.max_velocity_mm_per_s * 1.03, "{fastest}");
         assert!(k == 0 || c.too_fast_mm2 == 0.0, "{c:?}");
+        // Pixels of 0.5 mm at the two borders of 20 mm: 5 %.
         assert!((c.area_mm2 / (20.0 * 40.5) - 1.0).abs() < 0.05, "{c:?}");
     }
     assert_eq!(classes.len(), 5);
@@ -160,6 +165,7 @@ fn borders_have_neither_gaps_nor_double_lines() {
         // The smoothed step ends within 1e-6 of its heights.
         assert!((pitches[region] - pitch).abs() < 1e-6, "{pitches:?}");
         let length = line_length_mm(&made)[region];
+        // Rounding of a sum of 36 lengths.
         assert!((length - count * width).abs() < 1e-9, "{length}");
     }
     let ends = |pass: i64, pick: fn(f64, f64) -> f64, start: f64| {
@@ -228,6 +234,7 @@ fn the_tool_is_lifted_along_borders_or_on_every_link() {
     assert_eq!((outside, off), ([0, on[1]], [0, 0]));
     // The lines are the same, and so is where they are.
     let [a, b, c] = made.each_ref().map(|m| line_length_mm(m).iter().sum::<f64>());
+    // Rounding of a sum of some ten lengths.
     assert!((a / b - 1.0).abs() < 1e-12 && (a / c - 1.0).abs() < 1e-12, "{a} {b} {c}");
     assert!(made[1..].iter().all(|m| m.region_idx == made[0].region_idx));
 }
@@ -265,6 +272,7 @@ fn noise_leaves_no_small_region() {
     let least = MultiPitchSettings { min_area_mm2: Some(60.0), ..none };
     let made = multi_pitch(&surface, &tif, &least).unwrap();
     assert!(raw > 2 * made.report.regions.len(), "{raw} {}", made.report.regions.len());
+    // Below: rounding of areas, which are sums of pixels.
     assert!(made.report.regions.iter().all(|r| r.area_mm2 >= 60.0 * (1.0 - 1e-9)));
     let area: f64 = made.report.classes.iter().map(|c| c.area_mm2).sum();
     assert!((area - 161.0 * 121.0 * 0.25).abs() < 1e-6, "{area}");
