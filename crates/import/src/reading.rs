@@ -928,6 +928,8 @@ mod tests {
                             let u = if flip_x { -x } else { x };
                             let v = if flip_y { -y } else { y };
                             let rate = made.rate_at(cos * u - sin * v, sin * u + cos * v);
+                            // At a sample the interpolation gives the sample: rounding of the coordinates, times slopes
+                            // of some ten per mm.
                             assert!((rate - values[[r, c]]).abs() < 1e-9, "{settings:?} {x} {y}");
                         }
                     }

@@ -354,8 +354,10 @@ fn digital_surf_heights_are_relative() {
         // Offset by the writer so that -7.5 .. 7.5 nm fill the numbers; dz and the offset are 32-bit floats.
         assert!((found + 57.5 - right).abs() < 1e-4, "{found} {right}");
     }
+    // A 32-bit float.
     assert!((map.grid().x.step_mm() - 0.5).abs() < 1e-7);
     let offset = manifest.outcome["reading"]["stated"]["z_offset"].as_f64().unwrap();
+    // A 32-bit float of nm: 6e-8 of 0.0575, and that of its factor.
     assert!((offset - 0.0575).abs() < 1e-8, "{offset}");
 }
 
@@ -479,6 +481,7 @@ fn special_points_of_digital_surf_and_bits_of_opd_are_invalid() {
     assert!(map.height_nm()[[19, 0]].is_nan() && invalid(&map) == 1);
     // Absolute heights have the offset.
     let map = changed("map.sur", &|b| b[88] = 1);
+    // Offset and step are 32-bit floats, as above.
     assert!((map.height_nm()[[19, 29]] - 65.0).abs() < 1e-4, "{}", map.height_nm()[[19, 29]]);
     // Integers of waves / Mult: the map becomes 16-bit numbers k at (x, y) = (k / 20, k mod 20), the third one is invalid.
     let map = changed("map.opd", &|b| {
@@ -493,6 +496,7 @@ fn special_points_of_digital_surf_and_bits_of_opd_are_invalid() {
     });
     assert!(map.height_nm()[[2, 0]].is_nan() && invalid(&map) == 1);
     let step = map.height_nm()[[1, 0]];
+    // Rounding of a quotient.
     assert!((map.height_nm()[[0, 1]] / step - 20.0).abs() < 1e-9);
 }
 

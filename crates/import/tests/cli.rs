@@ -126,6 +126,7 @@ fn a_tif_from_rates_and_from_a_spot() {
     let tif = artifact::read::<Tif>(&dir.join("rate")).unwrap().value;
     // The middle is the origin.
     assert!((tif.grid().x.start_mm() + 3.0).abs() < 1e-12);
+    // Rounding.
     assert!((tif.peak_nm_per_s() - 8.0).abs() < 1e-12);
 
     save("after.npy", -spot(240.0, 0.5));

@@ -296,16 +296,20 @@ mod tests {
         assert_eq!((time_s[0], clock.gaps), (0.0, 1));
         // Stamps of 5e8 have 6e-8 ms.
         assert!((clock.drift.unwrap() - 3e-4).abs() < 1e-10, "{clock:?}");
+        // Stamps have 6e-11 s, as above.
         assert!((clock.drift_at_the_end_s.unwrap() - 3e-4 * 1.002).abs() < 1e-9);
         let gap = &clock.named_gaps[0];
         assert_eq!((gap.index, gap.missing), (400, 3));
+        // Stamps have 6e-11 s, as above.
         assert!((gap.lasts_s - 4.0012e-3).abs() < 1e-9);
         let warnings = clock.warnings();
         assert!(warnings[0].contains("after sample 400"), "{warnings:?}");
         assert!(warnings[1].contains("300 parts per million too slow for 1000 Hz"), "{warnings:?}");
         // Without a rate there is nothing to drift against.
         let (_, clock) = timing(Some(&stamps), 1000).clock().unwrap();
+        // Stamps of 6e-11 s over 1 s: 1e-7 Hz.
         assert!(clock.drift.is_none() && (clock.rate_hz - 1e3 / 1.0003).abs() < 1e-3);
+        // Stamps have 6e-11 s, as above.
         assert!(clock.scatter_s < 1e-9);
     }
 

@@ -489,6 +489,7 @@ mod tests {
             let on = tool_of_plan(&time_s, &plan, found.reference_begins_s);
             let seconds = on.iter().filter(|on| **on).count() as f64 * 1e-3;
             let whole = 20.0 + begin_s.min(0.0);
+            // Two samples.
             assert!((seconds - whole.min(21.999 - begin_s.max(0.0))).abs() < 2e-3, "{seconds}");
         }
     }

@@ -113,6 +113,7 @@ mod tests {
         let middle = |s: planish_types::Segment<'_>| {
             let u = 0.5 * s.duration_s;
             let [x, y] = s.position_mm(u);
+            // Rounding.
             assert!((x + y).abs() < 1e-12);
             (x - of(s.start_s + u)).abs()
         };
@@ -126,7 +127,9 @@ mod tests {
     #[test]
     fn a_parabola_is_exact_and_a_sine_of_third_order() {
         let parabola = |t: f64| 1.0 - 2.0 * t + 3.0 * t * t;
+        // Rounding of values up to 2 over short intervals.
         assert!(error(parabola, &uneven(20), Between::Cubic) < 1e-13);
+        // Between two samples it is a line: off by 3 / 4 in the middle.
         assert!(error(parabola, &[0.0, 1.0], Between::Cubic) > 0.5);
         let sine = |t: f64| (5.0 * t).sin();
         let ratio =
@@ -144,6 +147,7 @@ mod tests {
         assert_eq!(motion.len(), 6);
         for (i, s) in motion.segments().enumerate() {
             let end = s.position_mm(s.duration_s);
+            // Rounding of positions of the order 1.
             assert!((end[0] - p[i + 1][0]).abs() < 1e-14, "{i}");
             let middle = s.position_mm(0.5 * s.duration_s)[0];
             let t = s.start_s + 0.5 * s.duration_s;

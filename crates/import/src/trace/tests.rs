@@ -28,6 +28,7 @@ fn a_log_in_counts_with_its_current() {
     let motion = trace.motion(Between::Cubic).unwrap();
     assert_eq!(motion.rate_factor(), Some(&[0.75, 0.5, 0.25][..]));
     assert_eq!(motion.tool_on(), [false, true, true]);
+    // Rounding of 0.03 s.
     assert!((motion.total_time_s() - 0.03).abs() < 1e-15);
     let cut = TraceSettings { from_s: Some(0.005), until_s: Some(0.02), ..settings };
     let trace = read(LogFormat::Csv, LOG.as_bytes(), &cut).unwrap();
