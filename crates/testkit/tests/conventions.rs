@@ -421,6 +421,7 @@ fn dwell_density_is_s_per_mm() {
         bounded_least_squares::solve(&flat(part()), &gaussian(), &path, None, &settings).unwrap();
     for (found, length_mm) in solution.dwell.dwell_s().iter().zip([0.5, 1.5, 0.25]) {
         assert!(*found >= 0.2 * length_mm, "{found} s on {length_mm} mm");
+        // Rounding of a product.
         near(*found, 0.2 * length_mm, 1e-12);
     }
 }
@@ -545,6 +546,7 @@ fn residual_is_desired_minus_removal() {
 fn rms_is_the_population_rms_without_the_mean() {
     // Of 1, 2, 3, 4: mean 5/2, mean square of the rest (9/4 + 1/4 + 1/4 + 9/4) / 4 = 5/4.
     let s = statistics::statistics(ndarray::array![[1.0, 2.0], [3.0, 4.0]].view()).unwrap();
+    // One rounding of a root.
     near(s.rms, 1.25_f64.sqrt(), 1e-15);
 }
 
@@ -553,6 +555,7 @@ fn detilted_rms_is_without_the_best_plane() {
     let g = part();
     let plane = |(r, c): (usize, usize)| 3.0 + 0.5 * g.x.at(c) - 2.0 * g.y.at(r);
     let map = Surface::new(g, Array2::from_shape_fn(g.shape(), plane)).unwrap();
+    // Rounding of heights of 20 nm.
     near(map.detilted_rms_nm(), 0.0, 1e-12);
     assert!(map.statistics().rms > 1.0, "a tilt stays in the RMS");
 }
@@ -602,6 +605,7 @@ fn tif_is_cubic_between_its_samples() {
     let samples = Array2::from_shape_fn(g.shape(), |(r, c)| rate(g.x.at(c), g.y.at(r)));
     let tif = Tif::new(g, samples).unwrap();
     for (x, y) in [(0.1, 0.2), (-0.97, 0.99), (0.83, -0.6)] {
+        // Rounding of 10 nm/s.
         near(tif.rate_at(x, y), rate(x, y), 1e-13);
     }
 }

@@ -399,6 +399,7 @@ fn the_closed_loop_gains_and_its_trade_off_is_ordered() {
     }
     let outside = line.json("run/refined/removal/manifest.json");
     let [inside, outside] = [&rounds, &outside].map(|m| number(&m["outcome"]["rms_nm"]));
+    // The same removal: rounding, and the last bit of a number in JSON.
     assert!((inside - outside).abs() < 1e-12, "{inside} {outside}");
 
     let said = line.expect(
@@ -523,5 +524,6 @@ fn where_nothing_can_be_gained_the_loop_says_so() {
     assert!(said.contains("no-improvement after") && said.contains("at a bound"), "{said}");
     let [before, after] =
         ["run/pvt", "run/refined/trajectory"].map(|m| missed(&line, m, "run/fixture/surface"));
+    // The same plan, judged twice: rounding.
     assert!(before < 3.0 && (after - before).abs() < 1e-12, "{before} {after}");
 }

@@ -223,6 +223,7 @@ fn the_machine_file_and_planish_register_are_one_mechanism() {
     expect(dir, 0, "register apply --inverse --transform where --trajectory there --out again");
     let [planned, again] = ["mirrored-motion", "again"].map(|name| motion(dir, name));
     let [p, q] = [planned, again].map(|t| t.segment(7).position_mm(0.1));
+    // Rounding of coordinates of up to 100 mm, there and back.
     assert!((p[0] - q[0]).hypot(p[1] - q[1]) < 1e-13, "{p:?} {q:?}");
 }
 

@@ -38,7 +38,8 @@ fn what_makes_convex_cylinders_is_removed_in_the_valleys_and_not_on_the_crests()
         let third = cusp + (after - cusp) / 3.0;
         assert!(at(third) - at(after) < 0.5 * (at(cusp) - at(after)), "{cusp}");
     }
-    assert!(profile.iter().all(|v| *v > -1.0), "nothing is added anywhere");
+    // The least height is 0, and a mean over rows is none below.
+    assert!(profile.iter().all(|v| *v >= 0.0), "nothing is added anywhere");
 }
 
 #[test]

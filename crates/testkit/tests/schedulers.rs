@@ -1432,6 +1432,7 @@ fn equal_dwell_on_equal_spacing_gives_constant_feed() {
     // Constant acceleration from rest swings about the feed and keeps the mean.
     let t = case.constant_acceleration().unwrap().trajectory;
     let served: f64 = t.segments().filter(|s| s.dwell_index.is_some()).map(|s| s.duration_s).sum();
+    // Rounding of a sum of 80 durations, 10 s in all.
     assert!((served - 10.0).abs() < 1e-9, "{served}");
 }
 

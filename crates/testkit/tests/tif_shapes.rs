@@ -99,6 +99,7 @@ fn a_tool_that_is_mounted_off_centre_removes_beside_its_path() {
     };
     let (a, b) = (removal(&centred), removal(&off));
     for (r, c) in (0..31).flat_map(|r| (5..51).map(move |c| (r, c))) {
+        // The same convolution, displaced by five pixels: rounding of an FFT.
         assert!((b[[r, c]] - a[[r, c - 5]]).abs() < 1e-9, "{r} {c}");
     }
     // And its solver puts the path's times where they belong: nothing is lost.

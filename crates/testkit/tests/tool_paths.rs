@@ -75,6 +75,7 @@ fn the_ripple_of_a_raster_follows_its_closed_form_up_to_the_edge() {
         let all = removal_nm(&near, &tif, &part, |_| 1.0);
         let inside = |i: usize| (56..=184).contains(&i);
         let (pv, _) = spread(&all, |r, c| inside(r) && inside(c));
+        // As above.
         assert!((pv / (vrr / d) - expected).abs() < 1e-8, "{d} mm: {pv} {expected}");
         // On the edge, over two pitches: half of the lines, and a link on every other gap,
         // VRR / (2 d) + peak sigma sqrt(2 pi) / 2.
@@ -83,6 +84,7 @@ fn the_ripple_of_a_raster_follows_its_closed_form_up_to_the_edge() {
         let (_, last) = spread(&all, |r, c| c == 0 && r == 120 + pixels as usize);
         let mean = (edge * count + last) / (count + 1.0);
         let expected = 0.5 * vrr / d + 0.5 * peak * (2.0 * PI).sqrt();
+        // As above, relative.
         assert!((mean / expected - 1.0).abs() < 1e-8, "{d} mm: {mean} {expected}");
     }
 }

@@ -150,6 +150,7 @@ fn bounded_least_squares_know_the_tool_and_prove_it_at_all_sizes() {
     for most in [6000, 10] {
         let found = squares::solve(&desired, &varying, &path, None, &settings(most)).unwrap();
         let report = &found.report;
+        // The gap that the settings ask for.
         assert!(report.relative_gap.unwrap() <= 1e-4, "{most}: {:?}", report.relative_gap);
         let known = judged(found.dwell.dwell_s(), true);
         println!("constant {of_constant:.4} nm, known {known:.4} nm, ignored {ignoring:.4} nm");
@@ -197,6 +198,7 @@ fn a_factor_of_the_pixels_is_known_at_all_sizes() {
     for most in [6000, 10] {
         let found = squares::solve(&desired, &varying, &path, None, &settings(most)).unwrap();
         let gap = found.report.relative_gap.unwrap();
+        // The gap that the settings ask for.
         assert!(gap <= 1e-4, "{most}: {gap}");
         let known = of(found.dwell.dwell_s(), true);
         assert!(known <= 1.1 * of_constant, "{most}: {known} {of_constant}");
@@ -477,6 +479,7 @@ fn causes_have_their_closed_forms() {
     // Incidence on a sphere: sin = r / R.
     let places = Places::new(&surface).on_sphere(30.0).unwrap();
     let angle = places.parameter(Parameter::Incidence, [9.0, 12.0]).unwrap();
+    // Rounding of degrees.
     assert!((angle - 30.0).abs() < 1e-9, "{angle}");
     // The same from its sampled height, by splines: h^3 / 24 of a fourth derivative of 1e-3 at the edge is 1e-6 rad.
     let height = Array2::from_shape_fn(grid.shape(), |(r, c)| {
@@ -531,6 +534,7 @@ fn causes_have_their_closed_forms() {
     assert!((moment / (3.0 * area)).abs() < 0.03, "{moment} {area}");
     // On the part nothing changes.
     let inside = pad(PressureLaw::Linear).at([-8.0, 0.0]);
+    // Rounding of products of the samples.
     assert!(inside.iter().all(|r| (r - 2.0).abs() < 1e-9));
 
     // A spot that turns: at four quarter turns its samples, to rounding.
@@ -545,6 +549,7 @@ fn causes_have_their_closed_forms() {
         for ((r, c), v) in found.indexed_iter() {
             let (x, y) = (offsets.x.at(c), offsets.y.at(r));
             let [a, b] = [[x, y], [y, -x], [-x, -y], [-y, x]][k];
+            // Rounding of places at the samples.
             assert!((v - spot.rate_at(a, b)).abs() < 1e-12, "{k} {x} {y}");
         }
     }
@@ -574,6 +579,7 @@ fn causes_have_their_closed_forms() {
     for (parameter, factor) in [(-1.0, 1.0), (1.0, 1.5), (4.0, 3.0), (9.0, 3.0)] {
         let found = spots.at(parameter);
         Zip::from(&found).and(spot.rate_nm_per_s()).for_each(|a, b| {
+            // Rounding of a sum of two rates.
             assert!((a - factor * b).abs() < 1e-12);
         });
     }
