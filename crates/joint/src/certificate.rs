@@ -109,6 +109,7 @@ mod tests {
         // The steps end where the rest is a tenth; rounding through a condition number of 1e5.
         assert!(found >= exact * (1.0 - 1e-9) && found <= 1.11 * exact, "{found} {exact}");
         let poor = by_curvature(&r, ALPHA, f64::INFINITY, |x| of_spectrum(f, x), <[f64]>::to_vec);
+        // Rounding through a condition number of 1e5, as above.
         assert!(poor >= exact * (1.0 - 1e-9), "{poor} {exact}");
         assert!(poor <= 0.5 * dot(&r, &r) / ALPHA);
         // What cannot be of use is seen after a step or two, and is a bound all the same.

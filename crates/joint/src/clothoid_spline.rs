@@ -338,6 +338,7 @@ mod tests {
         let arcs = through(&points, [End::Rest; 2], [[1.0, 0.0]; 2]).unwrap().concat();
         assert_eq!(arcs.len(), 8);
         for arc in arcs {
+            // Below: some tens of roundings of a radius of 5 mm, and of its curvature.
             assert!((arc.length_mm - radius * part).abs() < 1e-13);
             for curvature in arc.curvatures_per_mm() {
                 assert!((curvature * radius - 1.0).abs() < 1e-12, "{curvature}");
@@ -370,6 +371,7 @@ mod tests {
                 let end = last.at(last.length_mm);
                 assert_eq!((first.start.curvature_per_mm, end.curvature_per_mm), (0.0, 0.0));
                 for (a, b) in [(first.start.tangent, lines[0]), (end.tangent, lines[1])] {
+                    // Some tens of roundings of unit vectors.
                     assert!((a[0] - b[0]).hypot(a[1] - b[1]) < 1e-13);
                 }
             }

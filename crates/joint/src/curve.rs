@@ -635,6 +635,7 @@ mod tests {
         let points = [[0.0, 0.0], [3.0, 0.0], [3.0, 2.0]];
         let twice = [[0.0, 0.0], [3.0, 0.0], [3.0 + 1e-12, 3e-319], [3.0, 2.0]];
         let length_mm = |points| rounded(points, &WIDE)[0].length_mm();
+        // The points are 1e-12 mm apart on 5 mm, and round.
         assert!((length_mm(&points) / length_mm(&twice) - 1.0).abs() < 1e-11);
         // All of a path, as bytes in the wrong order give it.
         let tiny: Vec<[f64; 2]> = (0..9).map(|i| [3e-319 * f64::from(i % 2), 9.5e-322]).collect();
@@ -662,6 +663,7 @@ mod tests {
             }
             let (first, last) = (curve.at(0.0), curve.at(curve.length_mm()));
             assert_eq!(first.point_mm, points[0]);
+            // Some tens of roundings, as above.
             assert!((last.point_mm[0] - 9.0).abs() + (last.point_mm[1] + 1.0).abs() < 1e-13);
         }
     }
@@ -678,6 +680,7 @@ mod tests {
         for turn in [0.1, 1.0, 0.5 * PI, 2.5, 2.9] {
             let (distance, radius, c) =
                 corner(turn, Rounding { deviation_mm: 0.1, radius_mm: 100.0 });
+            // Below: some tens of roundings of coordinates of 10 mm.
             assert!((distance - c.deviation_mm).abs() < 1e-13 && c.deviation_mm <= 0.1 + 1e-15);
             assert!((radius - c.radius_mm).abs() < 1e-12 * radius, "{turn}");
             let (distance, radius, _) =
@@ -694,6 +697,7 @@ mod tests {
         assert!((blend.cut_mm - 2.0).abs() < 1e-14);
         assert!((blend.half_length_mm - 2.0 / (c + s)).abs() < 2e-6);
         let deviation = blend.half_length_mm * s * 2f64.sqrt();
+        // As above.
         assert!((blend.deviation_mm - deviation).abs() < 2e-6);
     }
 
@@ -723,6 +727,7 @@ mod tests {
                 .abs()
                 < 1e-13
         );
+        // Below: some tens of roundings of coordinates of some mm, and of curvatures of some 1 / mm.
         assert!((fine.length_mm() - coarse.length_mm()).abs() < 1e-13);
         for k in 0..=200 {
             let s = coarse.length_mm() * f64::from(k) / 200.0;
@@ -748,16 +753,19 @@ mod tests {
         let rounding = Rounding { deviation_mm: 0.3, radius_mm: 5.0 };
         let Smooth { curves: smooth, moved_mm } = curves(&path(&rough), &rounding);
         let bound = SMOOTHED_FRACTION * rounding.deviation_mm;
+        // The bound itself: rounding.
         assert!(moved_mm > 0.03 && moved_mm <= bound * (1.0 + 1e-12), "{moved_mm}");
         let on = vec![true; rough.len() - 1];
         let as_it_is: f64 = curves_through(&rough, &on, &rounding).iter().map(Curve::bend).sum();
         let bend: f64 = smooth.iter().map(Curve::bend).sum();
         // Without its alternation the wave has a tenth of the curvature, a third of the square root.
         assert!(bend < 0.6 * as_it_is, "{bend} {as_it_is}");
+        // The bound itself: rounding.
         assert!(smooth[0].corners().iter().all(|c| c.deviation_mm <= 0.25 * 0.3 + 1e-15));
         let (first, last) = (smooth[0].at(0.0), smooth[0].at(smooth[0].length_mm()));
         assert_eq!(first.point_mm, rough[0]);
         let end = rough[rough.len() - 1];
+        // Some tens of roundings of coordinates of 30 mm.
         assert!((last.point_mm[0] - end[0]).hypot(last.point_mm[1] - end[1]) < 1e-12);
         // A point where the tool is switched stays, and lines with right angles stay lines.
         let mut on = on;

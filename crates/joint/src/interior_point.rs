@@ -262,6 +262,7 @@ mod tests {
             // of what the difference of the densities removes.
             let there = Progress { iteration: 0, complementarity: 0.0 };
             let (value, gradient) = objective(d);
+            // Rounding of sums over the pixels, by two orders of the same terms.
             assert!((solution.objective.last().unwrap() / value - 1.0).abs() < 1e-9);
             let (far, before) = (merit.evaluate(there, &density).0, objective(&density));
             let x: Vec<f64> = density.iter().zip(d).map(|(a, b)| a - b).collect();
@@ -271,6 +272,7 @@ mod tests {
             let product = merit.lower_curvature(&x);
             let largest = product.iter().fold(0.0f64, |m, v| m.max(v.abs()));
             for ((found, a), b) in product.iter().zip(&before.1).zip(&gradient) {
+                // Rounding, as above.
                 assert!((found - (a - b)).abs() < 1e-9 * largest, "{found} {}", a - b);
             }
             assert!(rows.slacks(d).iter().all(|c| *c > 0.0));
@@ -303,7 +305,9 @@ mod tests {
             let could_fall = -other.solution.obj_val;
             // What is left to gain is real, and within the certificate; clarabel's tolerance is 1e-8.
             assert!(could_fall > -1e-7 * value, "{could_fall} of {value}");
+            // The tolerance of clarabel, 1e-8 of the objective, beside a gap of up to 1e-3.
             assert!(could_fall <= solution.relative_gap * value * (1.0 + 1e-6));
+            // The gap at which it stops.
             assert!(solution.relative_gap <= 1e-3);
             // Rows decide: without them the objective would be lower.
             let active = constraints.iter().filter(|row| row.slack < 1e-3).count();

@@ -263,6 +263,7 @@ mod tests {
         for jerk in [2e4, 1e5, 1e6] {
             let limits = machine(Some(jerk));
             let average = Average::new(&limits, &[], 0.05).unwrap();
+            // The bound itself: rounding.
             assert!(average.deviation_mm <= 0.05 * (1.0 + 1e-12), "{average:?}");
             let motion = full_speed(&average.limits(&limits).unwrap());
             assert!(
@@ -274,6 +275,7 @@ mod tests {
             // At rest at both ends, where the motion was.
             let ends = [smooth.segment(0), smooth.segment(smooth.len() - 1)];
             let [first, last] = ends.map(|s| [0.0, s.duration_s].map(|u| s.position_mm(u)[0]));
+            // Rounding of a place of 3 mm; the last one is the end of a sum over the pieces.
             assert!((first[0] - 3.0).abs() < 1e-12 && (last[1] - 3.0).abs() < 1e-9);
             // Both times run from the same moment: the average begins earlier by so much.
             let before_s = 0.5 * (smooth.total_time_s() - motion.total_time_s());
@@ -305,6 +307,7 @@ mod tests {
         let smooth = average.of(&motion).unwrap();
         let of = |t: &Trajectory| t.served_s(3, |_| true).unwrap();
         let (planned, kept) = (of(&motion), of(&smooth));
+        // Below: rounding of sums of the durations of some hundred pieces.
         assert!((planned[1] - kept[1]).abs() < 1e-9, "{planned:?} {kept:?}");
         // What is before and after it belongs to the first and last one.
         assert!(kept[0] > planned[0] && kept[2] > planned[2]);
@@ -314,6 +317,7 @@ mod tests {
             let ([a, b], times) = (pair.0, pair.1) else { unreachable!() };
             let h = times[1] - times[0];
             for axis in 0..2 {
+                // Rounding of places of some mm.
                 assert!((polynomial::evaluate(&a[axis], h) - b[axis][0]).abs() < 1e-12);
             }
         }
@@ -324,9 +328,11 @@ mod tests {
         assert_eq!(Average::new(&machine(None), &[], 0.1), None);
         let [low, high] =
             [1e3, 1e9].map(|jerk| Average::new(&machine(Some(jerk)), &[], 0.1).unwrap());
+        // A low limit: of the acceleration it leaves less than a fifth, and the other one leaves all.
         assert!(low.fraction < 0.2 && high.fraction == 1.0, "{low:?} {high:?}");
         // w = 2 f A / J on the slower axis.
         assert!((low.window_s / (2.0 * low.fraction * 800.0 / 1e3) - 1.0).abs() < 1e-6);
+        // The bound itself: rounding.
         assert!((low.deviation_mm / 0.1 - 1.0).abs() < 1e-12);
     }
 }

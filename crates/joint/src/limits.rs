@@ -716,6 +716,7 @@ mod tests {
                 );
             }
             let [a, b, c] = row.bend;
+            // Rounding of a determinant.
             assert!(a >= 0.0 && c >= 0.0 && b * b <= a * c * (1.0 + 1e-9) + 1e-12);
         }
         // The largest use of the limits that the rows know is that of the motion.
@@ -769,11 +770,13 @@ mod tests {
                 let least = of_halves[halves[i].start + k].min(of_halves[halves[i + 1].start + k]);
                 expected += z[row] * (least - slacks[row]).max(0.0);
             }
+            // Rounding of sums of weights up to 7.
             assert!((worth[i] - expected).abs() < 1e-12, "{} {expected}", worth[i]);
             assert!(worth[i] > 0.0);
         }
         // A uniform feedrate uses no more of the limits between two nodes than at them.
         let uniform = rows.worth_of_halving(&vec![0.1; mesh.nodes], &z);
+        // Rounding, as above.
         assert!(uniform.iter().all(|w| w.abs() < 1e-12), "{uniform:?}");
     }
 
@@ -785,6 +788,7 @@ mod tests {
         let rows = Rows::new(&curves, &mesh, &limits, 0.1);
         let least = rows.least_uniform_density();
         let slack = |d: f64| rows.slacks(&vec![d; mesh.nodes]).into_iter().fold(1.0, f64::min);
+        // Rounding of 1.
         assert!(
             slack(least).abs() < 1e-12 && slack(1.01 * least) > 0.0 && slack(0.99 * least) < 0.0
         );
@@ -796,6 +800,7 @@ mod tests {
         assert_eq!(positive_part([-2.0, 0.0, -3.0]), [0.0, 0.0, 0.0]);
         // Eigenvalues 3 and -1, the first along (1, 1).
         let [a, b, c] = positive_part([1.0, 2.0, 1.0]);
+        // Below: rounding of numbers up to 3.
         assert!([a, b, c].iter().all(|v| (v - 1.5).abs() < 1e-15));
         let kept = [3.0, 1.0, 2.0];
         assert!(positive_part(kept).iter().zip(kept).all(|(a, b)| (a - b).abs() < 1e-15));

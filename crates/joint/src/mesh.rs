@@ -495,6 +495,7 @@ mod tests {
             let (of, time) = (span.densities(&d), span.duration_s(&d));
             let (start, end) = (span.at(0.0, of), span.at(1.0, of));
             assert_eq!(start.s_mm, 0.0);
+            // Below: rounding of lengths of 0.7 mm and of feeds of up to 8 mm/s.
             assert!((end.s_mm - 0.7).abs() < 1e-15);
             assert!((start.feed_mm_per_s - feeds[0]).abs() < 1e-14);
             assert!((end.feed_mm_per_s - feeds[1]).abs() < 1e-14);
@@ -506,6 +507,7 @@ mod tests {
                 assert!((feed - at.feed_mm_per_s).abs() < 1e-6 * at.feed_mm_per_s);
                 let a = (s(tau + h).feed_mm_per_s - s(tau - h).feed_mm_per_s) / (2.0 * h * time);
                 assert!((a - at.acceleration_mm_per_s2).abs() < 1e-6 * a.abs().max(1.0));
+                // Rounding of a fraction.
                 assert!((span.tau_at(at.s_mm, of) - tau).abs() < 1e-14);
                 for k in (0..2).filter(|k| span.nodes[*k].is_some()) {
                     let moved = |h: f64| {
@@ -569,6 +571,7 @@ mod tests {
             // Quadratic and linear: exact but for rounding.
             let error = ((plus.0 - minus.0) / 2e-3 - by[j]).abs();
             assert!(error < 1e-8 * by[j].abs().max(1.0), "{j}");
+            // Rounding of a total of some ten seconds over 2e-3.
             assert!(((plus.1 - minus.1) / 2e-3 - mesh.lengths_mm()[j]).abs() < 1e-10);
         }
         // The normal matrix is the curvature, but for the energy that the cells lose (0.5 %).

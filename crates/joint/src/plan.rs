@@ -578,6 +578,7 @@ mod tests {
             |most_work: f64| affordable(&curves, &path, &tif, [0.25, 0.8], most_work).unwrap();
         assert_eq!(taken(work(0.25)).1, 0.25);
         let (mesh, spacing_mm) = taken(work(0.25) / 8.0);
+        // An eighth of the work is twice the spacing, 0.5 mm, but for the nodes of the corners.
         assert!((0.4..0.75).contains(&spacing_mm), "{spacing_mm}");
         assert!(mesh.work(&tif) <= work(0.25) / 8.0);
         assert_eq!(taken(1.0).1, 0.8);

@@ -81,11 +81,13 @@ fn a_plan_is_written_with_its_certificate_and_keeps_the_limits() {
         verify(&trajectory, &file.checked().unwrap(), &VerifySettings::default()).unwrap();
     assert!(verdict.limits_respected, "{:?}", verdict.violations);
     let total = trajectory.total_time_s();
+    // Rounding of sums of some hundred times, relative.
     assert!((dwell.dwell_s().iter().sum::<f64>() - total).abs() < 1e-9 * total);
     let text = fs::read_to_string(tmp.path().join("out/trajectory/manifest.json")).unwrap();
     let manifest: Value = serde_json::from_str(&text).unwrap();
     assert_eq!(manifest["method"], "joint");
     assert_eq!(manifest["outcome"]["end"], "optimal");
+    // The default of --relative-gap.
     assert!(manifest["outcome"]["report"]["relative_gap"].as_f64().unwrap() <= 1e-3);
     // The same bytes on one thread
     let other = run(tmp.path(), "1", &["--out=other", "--time-weight-nm2-per-s=0.01"]);

@@ -95,6 +95,7 @@ fn the_plan_is_what_the_judges_find_along_every_path() {
         assert!(off < 1e-9 * desired().statistics().rms, "{name}: {rms}");
         let served: f64 = plan.dwell.dwell_s().iter().sum();
         let total = plan.trajectory.total_time_s();
+        // Rounding of sums of some hundred times, relative.
         assert!((served - total).abs() < 1e-9 * total, "{name}");
         assert!(plan.dwell.dwell_s().iter().all(|t| *t > 0.0), "{name}");
     }
@@ -140,6 +141,7 @@ fn turns_too_small_to_see_are_executed_without_a_step() {
     let plan = run(&through(points), &limits, &at_price(1e-3));
     assert_eq!(plan.refused, None);
     assert_eq!(plan.report.end, End::Optimal);
+    // The gap that the settings ask for by default.
     assert!(plan.report.relative_gap <= 1e-3, "{}", plan.report.relative_gap);
 }
 
@@ -173,6 +175,7 @@ fn a_limit_on_jerk_is_kept_and_a_higher_one_is_never_worse() {
         // What averaging displaces is part of what the solver lowered.
         let rms = plans[0].1.removal.residual().statistics().rms;
         let off = (rms - plans[0].1.report.model_rms_nm).abs();
+        // To the rounding of both removals.
         assert!(off < 1e-9 * desired().statistics().rms, "{off}");
     }
 }
