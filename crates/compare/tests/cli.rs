@@ -88,6 +88,7 @@ fn a_report_writes_the_summary_and_prints_the_table() {
     assert_eq!((&found["pipeline"], &found["fixture"]), (&json!("raster"), &json!("coupon")));
     // Heights 9, 5, 9, 5, 9: mean 7.4, squares 3 * 1.6^2 + 2 * 2.4^2 = 19.2, over 5.
     let rms = (19.2_f64 / 5.0).sqrt();
+    // Rounding, and the last bit that the parser of JSON may miss.
     let near = |v: &Value, expected: f64| (v.as_f64().unwrap() - expected).abs() < 1e-13;
     assert!(near(&found["initial"]["rms_nm"], rms), "{found}");
     assert_eq!(found["initial"]["pv_nm"], 4.0);
