@@ -138,6 +138,7 @@ fn judge(t: &Trajectory, points: &[[f64; 2]]) {
             assert!(v <= V_MAX[axis] && a <= A_MAX[axis], "segment {i}: {v} mm/s, {a} mm/s^2");
             before = [end[0], end[1]];
         }
+        // Rounding of velocities, as above.
         assert!(before[1].abs() < 1e-9, "ends at {} mm/s", before[1]);
     }
 }
@@ -155,6 +156,7 @@ fn pvt_is_the_clamped_spline_at_the_dwell_times() {
     for (axis, factor) in [(0, 1.0), (1, -2.0)] {
         for (i, v) in [0.0, 1.8, 1.8].iter().enumerate() {
             let found = t.coefficient_mm()[i][axis][1];
+            // Rounding of coefficients of the order 1.
             assert!((found - factor * v).abs() < 1e-13, "{i}: {found}");
         }
     }
@@ -227,6 +229,7 @@ fn what_the_machine_cannot_do_is_stretched_and_the_manifest_says_where_and_by_ho
             assert!((t.segment(i).duration_s - expected).abs() < 1e-14, "{mode} segment {i}");
             added += expected - dwell_s;
         }
+        // Below: rounding of times of a few s.
         assert!((number(&report["added_tool_on_s"]) - added).abs() < 1e-14);
         assert_eq!(number(&report["added_tool_off_s"]), 0.0);
         assert!((number(&outcome["total_time_s"]) - 2.1 - added).abs() < 1e-14);
@@ -296,6 +299,7 @@ fn constant_acceleration_is_its_closed_form() {
         (&[Some(0), Some(0), None][..], &[true, true, false][..])
     );
     let end = state(&t.coefficient_mm()[1][0], t.segment(1).duration_s);
+    // Rounding of 6 mm; that of 400 mm/s in v.
     assert!((end[0] - 6.0).abs() < 1e-13 && (end[1] - v).abs() < 1e-11, "{end:?}");
 
     // Too late: 10 mm from rest at full acceleration take sqrt(2 s / a).
@@ -304,12 +308,14 @@ fn constant_acceleration_is_its_closed_form() {
     let report = &outcome["report"];
     assert_eq!(report["late_segments"], 1);
     let late = (2.0_f64 * 10.0 / 2000.0).sqrt() - 0.05;
+    // Below: rounding of times below 1 s.
     assert!((number(&report["added_s"]) - late).abs() < 1e-14, "{report}");
 
     // Too fast: 60 mm in 0.25 s. 250 mm/s are reached after 0.125 s and 15.625 mm; the other 44.375 mm take 0.1775 s.
     prepare(tmp.path(), &[[0.0, 0.0], [-60.0, 0.0]], &[0.25]);
     let (t, outcome) = scheduled(tmp.path(), "constant-acceleration", &["--force"]);
     let added_s = number(&outcome["report"]["added_s"]);
+    // Rounding, as above.
     assert!((added_s - 0.0525).abs() < 1e-14, "{added_s}");
     assert_eq!(t.coefficient_mm()[1][0][1], -250.0);
     assert_eq!(outcome["claim"]["limits_respected"], true);
@@ -339,6 +345,7 @@ fn the_lifted_tool_is_off_and_its_stretch_counted_apart() {
     let (t, outcome) = scheduled(tmp.path(), "pvt", &[]);
     judge(&t, &STEP);
     assert_eq!(t.tool_on(), on);
+    // The lift takes 0.24 s at the limit of the velocity, of which 0.1 s are planned.
     assert!(number(&outcome["report"]["added_tool_off_s"]) > 0.14, "{outcome}");
 }
 
@@ -559,6 +566,7 @@ fn the_manifest_says_which_limits_are_kept() {
         assert!((state(c, 0.0)[2] - before).abs() < 1e-8, "{c:?} {before}");
         before = state(c, s.duration_s)[2];
     }
+    // Rounding of 2000 mm/s^2.
     assert!(before.abs() < 1e-8);
     let output = schedule(tmp.path(), "pvt", &["--force", "--mode=monotone"]);
     assert_eq!(output.status.code(), Some(1));
@@ -598,6 +606,7 @@ fn corners_cost_time_and_no_overshoot_when_it_stops_there() {
     let report = &outcome["report"];
     assert_eq!((&report["stops"], &report["late_segments"]), (&json!(2), &json!(1)));
     let late = 2.0 * (2.0_f64 / 1000.0).sqrt() - 0.08;
+    // Rounding of times below 1 s.
     assert!((number(&report["added_s"]) - late).abs() < 1e-14, "{report}");
     assert!(!leaves_the_path(&t, &points), "{t:?}");
     assert_eq!(outcome["claim"]["limits_respected"], true);
@@ -652,6 +661,7 @@ fn a_feed_becomes_a_program_and_positions() {
     prepare(tmp.path(), &points, &[0.5, 0.3, 0.4, 0.5]);
     let (t, outcome) =
         scheduled(tmp.path(), "trig-spline", &["--dwell-density-out", "dwell_density"]);
+    // The default of --fit-tolerance-mm.
     assert!(number(&outcome["report"]["fit_error_mm"]) <= 1e-6);
     let feed =
         artifact::read::<planish_types::DwellDensity>(&tmp.path().join("dwell_density")).unwrap();
@@ -708,6 +718,7 @@ fn a_feed_becomes_a_program_and_positions() {
     for row in table.outer_iter() {
         let at = t.break_time_s().partition_point(|b| *b <= row[0] + run_up_s).min(t.len()) - 1;
         let p = t.segment(at).position_mm(row[0] + run_up_s - t.break_time_s()[at]);
+        // The motion is fitted to 1e-6 mm: twice that.
         assert!((p[0] - row[1]).abs().max((p[1] - row[2]).abs()) < 2e-6, "{row} {p:?}");
     }
 
