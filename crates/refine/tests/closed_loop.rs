@@ -107,6 +107,7 @@ fn a_dearer_second_never_takes_longer_and_a_cheaper_one_never_leaves_more() {
                 let (price, best) = (p.time_weight_nm2_per_s, &p.best);
                 println!("{number} {price:.2e} {:.2} s {:.4} nm", best.total_time_s, best.rms_nm);
                 let merit = (best.rms_nm.powi(2) + 2.0 * price * best.total_time_s).sqrt();
+                // Rounding of a root of two terms.
                 assert!((best.merit_nm - merit).abs() < 1e-12 * merit);
             }
             for pair in points.windows(2) {
@@ -283,6 +284,7 @@ fn a_price_on_time_buys_time_and_its_curve_is_drawn() {
     let half = Array2::from_shape_fn(desired.grid().shape(), |(r, _)| f64::from(r < 20));
     let step = Surface::new(*desired.grid(), half).unwrap();
     let expected = 20.0 * 51.0 * 0.04 / tif.vrr_nm_mm2_per_s();
+    // Rounding of a sum over the pixels.
     assert!((trade_off::least_time_s(&step, &tif) - expected).abs() < 1e-12 * expected);
 }
 
