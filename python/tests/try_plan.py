@@ -49,6 +49,7 @@ def from_arrays_to_a_program():
     assert "pvt+refined runs on machine" in repr(plan)
     # The residual is what the heights leave without the removal, pixel by pixel; and its RMS is that of the report.
     assert np.array_equal(plan.residual_nm, plan.height_nm - plan.removal_nm)
+    # Below: rounding of sums over the pixels in another order, and the last bit of a number in JSON.
     assert np.isclose(plan.residual_nm.std(), plan.rms_nm, rtol=1e-12)
     assert np.isclose(plan.trajectory["break_time_s"][-1], plan.time_s, rtol=1e-12)
     assert len(plan.dwell_s) == len(plan.tool_path["dwell_point_mm"])
