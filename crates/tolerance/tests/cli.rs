@@ -82,6 +82,7 @@ fn the_table_and_the_artifact_say_the_same() {
         (numbers(&tmp.path().join("out/part.npy")), numbers(&tmp.path().join("out/rms_nm.npy")));
     assert!(part.is_sorted() && rms.is_sorted() && part[190] == 0.95);
     let stated = outcome["residual"]["below_95_percent_nm"].as_f64().unwrap();
+    // The same quantile: the parser of JSON may miss the last bit.
     assert!((rms[190] - stated).abs() < 1e-12, "{} {stated}", rms[190]);
     let deviation = numbers(&tmp.path().join("out/deviation_nm.npy"));
     for (v, z) in deviation.iter().zip(desired().height_nm()) {
