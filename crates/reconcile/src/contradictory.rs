@@ -320,6 +320,7 @@ mod tests {
             std::slice::from_ref(&ones),
         )
         .unwrap();
+        // Four standard errors, as above.
         assert!(slope.abs() < 4.0 * error, "{slope} +- {error}");
         assert!(slope + SLOPE_ERRORS * error < SLOPES[0]);
         // Where the predicted map is noise, only a turned sign is said.
