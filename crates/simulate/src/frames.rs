@@ -176,6 +176,7 @@ mod tests {
         let (surface, tif) = (desired(21, 9), tif());
         let f = frames(&motion(), &tif, &surface, Settings::Gridded, 5).unwrap();
         assert_eq!((f.time_s.len(), f.stride), (5, [1, 1]));
+        // Rounding of a time of 7 s.
         assert!((f.time_s[4] - 7.1).abs() < 1e-12);
         let plan = Plan::new(&tif, surface.grid(), Settings::Gridded).unwrap();
         let (whole, _) = plan.removal_nm(&motion()).unwrap();
@@ -207,6 +208,7 @@ mod tests {
         let (whole, _) = plan.removal_nm(&motion()).unwrap();
         for ((_, r, c), v) in f.removal_nm.indexed_iter() {
             let e = (v - whole[[2 * r, 2 * c]]).abs();
+            // The remainder of the quadrature, as above.
             assert!(e < 1e-6, "{e}");
         }
         assert_eq!(f.grid.x.at(7), surface.grid().x.at(14));
@@ -218,6 +220,7 @@ mod tests {
         let p = [1.0, -2.0, 0.5, 0.25];
         let q = shifted(&p, 1.75);
         for u in [0.0, 0.5, 3.0] {
+            // Rounding of terms of up to 30.
             assert!((evaluate(&q, u) - evaluate(&p, u + 1.75)).abs() < 1e-13);
         }
     }

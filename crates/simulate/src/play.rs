@@ -180,6 +180,7 @@ mod tests {
             let (cut, of) = with_play(&pieces, &origin, play);
             assert!(of.is_sorted() && of.len() == cut.len());
             let total: f64 = cut.iter().map(|p| p.duration_s).sum();
+            // Rounding of a sum of durations of 40 s.
             assert!((total - 40.0).abs() < 1e-12, "{total}");
             let (mirror, _) = with_play(&pieces, &origin, -play);
             for axis in 0..2 {
@@ -188,6 +189,7 @@ mod tests {
                     assert!((at(&cut, axis, t) - q).abs() < 2e-5, "{play} {axis} {t}");
                     let drive = at(&pieces, axis, t);
                     let image = drive - (at(&cut, axis, t) - drive);
+                    // Rounding of positions.
                     assert!((at(&mirror, axis, t) - image).abs() < 1e-12);
                 }
             }
@@ -210,7 +212,9 @@ mod tests {
         // x follows 0.01 mm later once the drive has gone so far: after 2 ms. One piece is cut, once.
         assert_eq!(cut.len(), 11);
         assert_eq!(cut[0].coefficient_mm[0], [0.0; 4]);
+        // Rounding of a root of a linear law.
         assert!((cut[0].duration_s - 0.002).abs() < 1e-12);
+        // Rounding of 20 mm.
         assert!((cut[5].coefficient_mm[0][0] - (20.0 - 0.01)).abs() < 1e-12);
     }
 }

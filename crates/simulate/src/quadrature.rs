@@ -483,6 +483,7 @@ mod tests {
         let pieces = pieces(&t, cells(0.5, 1.0), &ALL);
         // The time with x > 0.5 is 2 sqrt(1.5^2 - 0.5).
         let above: f64 = pieces.iter().filter(|p| p.cell[0] >= 0).map(seconds).sum();
+        // Below: cuts err by 1e-11 of a cell, and the tool crosses a cell in 0.4 s.
         assert!((above - 2.0 * (2.25_f64 - 0.5).sqrt()).abs() < 1e-11, "{above}");
         // Keys' weights reproduce x: its integral is 8 u^2 / 2 - u^3 / 3 at the end.
         let x = |p: &Piece| {
@@ -509,12 +510,14 @@ mod tests {
                 let t = trajectory(c, 2.0);
                 let found = pieces(&t, cells, &ALL);
                 let total: f64 = found.iter().map(seconds).sum();
+                // Rounding of a sum of some hundred durations.
                 assert!((total - 2.0).abs() < 1e-12, "{c:?}: {total}");
                 // Weights w_-1 and w_2 are never positive within a cell.
                 for p in &found {
                     let outer = (0..4).map(|b| p.seconds[b][0].max(p.seconds[b][3])).sum::<f64>();
                     assert!(outer <= 2.0 * seconds(p), "{p:?}");
                     let sums = (0..4).map(|a| (0..4).map(|b| p.seconds[b][a]).sum::<f64>());
+                    // Rounding of weights up to 1.
                     assert!(sums.zip([-1.0, 1.0, 1.0, -1.0]).all(|(s, sign)| s * sign > -1e-12));
                 }
             }
@@ -565,6 +568,7 @@ mod tests {
         let window = Window { low: [50, -1000], high: [120, 1000] };
         let time: f64 =
             pieces(&trajectory(c, 2.0), cells(0.0, 0.1), &window).iter().map(seconds).sum();
+        // Two cuts err by 1e-11 of a cell, in which the tool is for 0.01 s.
         assert!((time - 0.7).abs() < 1e-11, "{time}");
     }
 
