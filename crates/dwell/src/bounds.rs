@@ -138,10 +138,12 @@ mod tests {
         let measured = plain.clone().with_deviation(array![[1.0, root], [f64::NAN, 1.0]]).unwrap();
         let w = pixel_weights(&measured, None).unwrap();
         let want = array![[1.6, 8.0 / 11.0], [1.0, 0.0]];
+        // Below: rounding of quotients of the order 1.
         assert!(w.iter().zip(&want).all(|(w, v)| (w - v).abs() < 1e-14), "{w}");
         // (1.6 * 1 + 8/11 * 7) / (1.6 + 8/11)
         let noise = noise_of_deviations(&measured, None).unwrap().unwrap();
         let want = (1.6 + 56.0 / 11.0) / (1.6 + 8.0 / 11.0);
+        // Rounding, as above.
         assert!((noise * noise - want).abs() < 1e-13, "{noise}");
         let given = array![[1.0, 0.0], [2.0, 5.0]];
         assert_eq!(noise_of_deviations(&measured, Some(&given)).unwrap(), Some(1.0));

@@ -309,6 +309,7 @@ mod tests {
         let tau = map.prolong(t);
         for ((r, c), tau) in tau.indexed_iter() {
             let expected = r as f64 + c as f64 / 3.0;
+            // Rounding of sums of up to 20.
             assert!((tau - expected).abs() < 1e-12, "{r} {c}: {tau} {expected}");
         }
     }
@@ -324,6 +325,7 @@ mod tests {
         });
         let map = CoarseMap::<f64>::new(&tif, &grid, 3).unwrap();
         let (means, weight) = map.restrict(&(&e * &w.mapv(|w| f64::from(w > 0.0))), &w);
+        // Rounding of a sum of 400 weights, relative.
         assert!((weight.sum() / w.sum() - 1.0).abs() < 1e-14);
         let mut partial = 0;
         for ((r, c), w) in weight.indexed_iter().filter(|(_, w)| **w > 0.0) {

@@ -116,6 +116,7 @@ mod tests {
             (0..8).map(|j| if known.contains(&j) { want[j] * length[j] } else { 0.003 }).collect();
         Continuation::new(&path, |j| known.contains(&j)).apply(&mut t);
         for j in [2, 3] {
+            // Rounding of densities below 1.
             assert!((t[j] / length[j] - want[j]).abs() < 1e-15, "{j}: {t:?}");
         }
         // Constant before the first and after the last decided point.
@@ -139,6 +140,7 @@ mod tests {
         // The lifted point is in neither.
         let product: f64 = pu.iter().zip(&s).map(|(a, b)| a * b).sum();
         let adjoint: f64 = u.iter().zip(&ps).map(|(a, b)| a * b).sum();
+        // Rounding of a sum of eight products.
         assert!((product - adjoint).abs() < 1e-14, "{product} {adjoint}");
     }
 

@@ -548,6 +548,7 @@ mod tests {
         let density = |x: f64| 2.0 + 0.1 * x;
         let seconds = Array2::from_shape_fn(grid.shape(), |(_, c)| 0.01 * density(grid.x.at(c)));
         let t = cells.to_path(&seconds, n);
+        // Rounding of a sum of 2e4 times, 400 s in all.
         assert!((t.iter().sum::<f64>() - seconds.sum()).abs() < 1e-9, "the total time is kept");
         let far = cells.owned().iter().filter(|owned| !**owned).count();
         assert!(far > 0 && far < seconds.len());

@@ -234,6 +234,7 @@ mod tests {
             };
             assert!(valid[[*nr, *nc]]);
             let all = valid.indexed_iter().filter(|(_, v)| **v).map(|((a, b), _)| d(a, b));
+            // Rounding of distances, which may be equal.
             assert!(d(*nr, *nc) <= all.fold(f64::INFINITY, f64::min) + 1e-12, "{r} {c}");
         }
     }

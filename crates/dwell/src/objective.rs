@@ -429,6 +429,7 @@ mod tests {
             // is the slope times sinc(h pi / width).
             let x = 0.5 * TAU * step / width;
             let sinc = (x.sin() / x).powi(2) - 1.0;
+            // Rounding of a sum over the path: the rule is exact here.
             assert!(error(pitch, step, 2e-3, 0.0, far).abs() < 1e-12);
             // The differences end half a step before the ends of a line, where the slope is 0: O(h^3) of it.
             let differs = error(pitch, step, 0.0, 3e-4, rough) - sinc;
@@ -466,6 +467,7 @@ mod tests {
                 .collect();
             let passes = vec![0; on.len()];
             let twice = ToolPath::through(back, on, passes).unwrap();
+            // As above.
             assert!((found(&twice) / pitch - 0.5).abs() < 1e-4, "{}", found(&twice));
         }
     }

@@ -144,6 +144,7 @@ mod tests {
         let term = SlopeTerm::new(&ResidualSlope { weight_mm2: 2.0, base_mm: 1.0 }, &g, &weight);
         let (a, b) = (map(1), map(500));
         let (left, right) = ((&a * &term.product(&b)).sum(), (&b * &term.product(&a)).sum());
+        // Rounding of sums over 54 pixels.
         assert!((left - right).abs() < 1e-12 * left.abs().max(1.0), "{left} {right}");
         assert!((&a * &term.product(&a)).sum() > 0.0);
         // Constants have no slope, and neither has what is invalid.

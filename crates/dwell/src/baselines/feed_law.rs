@@ -364,6 +364,7 @@ mod tests {
             let several = ToolPath::through(points, vec![true; pass.len()], pass).unwrap();
             let (removed, report) = removal_nm(&flat, &several);
             assert_eq!(report.lines, 2 * places(1.0).len() + 1);
+            // Rounding of places of up to 40 mm.
             assert!(
                 report.pitch_mm.iter().all(|d| (d - 1.0).abs() < 1e-9),
                 "{:?}",
@@ -384,6 +385,7 @@ mod tests {
                 let path = raster(&places(pitch_mm), apart, angle);
                 let (removed, report) = removal_nm(&flat, &path);
                 assert_eq!((report.lines, report.too_fast), (places(pitch_mm).len(), 0));
+                // Rounding of places of up to 40 mm.
                 assert!(report.pitch_mm.iter().all(|d| (d / pitch_mm - 1.0).abs() < 1e-9));
                 // In the middle, farther than 7 mm from the ends of the lines: the mean is the depth, and the
                 // ripple of lines is 4 exp(-2 pi^2 / d^2) of it.
@@ -405,6 +407,7 @@ mod tests {
         // Neighbours at different distances: half the distance between them.
         let uneven = raster(&[0.0, 1.0, 3.0, 4.0], true, 0.0);
         let found = |path: &ToolPath| measured(&lines(path).unwrap().0).unwrap();
+        // Rounding of places of up to 40 mm.
         let near = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
         assert!(near(&found(&uneven), &[1.0, 1.5, 1.5, 1.0]));
         // Two regions, 0.3 mm from each other, the first with a part beyond the second: the lines at the borders
@@ -493,8 +496,10 @@ mod tests {
                 assert_eq!(*t, floor, "{i}");
                 at_floor += usize::from(!is_link);
             } else if (1.0..19.0).contains(&x) && 20.0 * x / vrr > floor {
+                // Rounding of a sum over the pixels of a square.
                 assert!((t / (20.0 * x / vrr) - 1.0).abs() < 1e-9, "{i}: {t}");
             } else if x > 20.5 {
+                // As above.
                 assert!((t / (400.0 / vrr) - 1.0).abs() < 1e-9, "{i}: {t}");
             }
         }
@@ -520,6 +525,7 @@ mod tests {
             let time_s = (depth_nm / vrr).max(floor);
             let is_line = |i: &usize| path.displacement_mm(*i)[1] == 0.0;
             for i in (0..path.len()).filter(is_line) {
+                // Rounding of a product.
                 assert!(
                     (found.dwell.dwell_s()[i] - time_s).abs() < 1e-12,
                     "{depth_nm} {floor} {i}"
@@ -541,6 +547,7 @@ mod tests {
         let alone = raster(&[3.0], true, 0.0);
         assert!(of(&alone, None).unwrap_err().contains("give `pitch_mm`"));
         let (times, _) = of(&alone, Some(0.5)).unwrap();
+        // Rounding of a product of 25 nm mm^2.
         assert!((times.dwell_s()[9] * tif().vrr_nm_mm2_per_s() - 25.0).abs() < 1e-9);
         for pitch_mm in [0.0, -1.0, f64::NAN] {
             assert!(of(&alone, Some(pitch_mm)).unwrap_err().contains("pitch_mm"));

@@ -716,6 +716,8 @@ mod tests {
             full.slice_mut(s![r..r + ny, c..c + nx]).assign(&patch.rate_nm_per_s);
             for ((r, c), v) in full.indexed_iter() {
                 let expected = tif.rate_at(map.x.at(c) - p[0], map.y.at(r) - p[1]);
+                // Rounding of coordinates; a pitch that is off by a few 1e-8 is taken as the same one and gives the
+                // same rate here.
                 assert!((v - expected).abs() < 1e-12, "{p:?} at {r} {c}: {v} {expected}");
             }
         }
@@ -736,6 +738,7 @@ mod tests {
             let expected =
                 (5.0 * at(q, r, c) + 8.0 * at(0.5, r, c) + 5.0 * at(1.0 - q, r, c)) / 18.0;
             let found = p.rate_nm_per_s[[r - p.origin.0, c - p.origin.1]];
+            // Rounding of a sum of three rates.
             assert!((found - expected).abs() < 1e-12, "{found} {expected}");
         }
     }
@@ -772,6 +775,7 @@ mod tests {
         let c = [[0.0, 4.0, 0.0, 0.0], [0.0; 4]];
         let t = Trajectory::new(vec![0.0, 3.0], vec![c], vec![true], vec![Some(0)]).unwrap();
         for (a, b) in executed(&t, 1, &tif)[0].iter().zip(&places[0]) {
+            // Below: rounding of fractions and of places of up to 12 mm.
             assert!((a.fraction - b.fraction).abs() < 1e-14);
             assert!((a.position_mm[0] - b.position_mm[0]).abs() < 1e-13);
         }
@@ -793,6 +797,7 @@ mod tests {
         let mean = |f: fn(f64) -> f64| -> f64 {
             places[0].iter().map(|p| p.fraction * f(p.position_mm[0])).sum()
         };
+        // Below: the rule is exact for these degrees; rounding of sums of three terms.
         assert!((mean(|_| 1.0) - 1.0).abs() < 1e-14);
         assert!((mean(|x| x * x) - 0.2).abs() < 1e-14);
         assert!(places[1].is_empty(), "lifted");

@@ -164,6 +164,7 @@ mod tests {
         };
         // The elements of the factor are as the cube of the side of a square.
         let at_100_mm = over_width(100.0).unwrap();
+        // Rounding of a cube root.
         assert!((at_100_mm / SPLINE_PITCH_OVER_TIF_WIDTH - 1.0).abs() < 1e-12);
         let wider = [300.0, 500.0].map(|size_mm| over_width(size_mm).unwrap());
         assert!(at_100_mm < wider[0] && wider[0] < wider[1], "{wider:?}");
