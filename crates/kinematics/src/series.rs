@@ -129,6 +129,7 @@ mod tests {
         let w = 1.0 + u * u;
         let expected = [u.atan(), du / w, (ddu * w - 2.0 * u * du * du) / (w * w)];
         for (found, expected) in [angle.value, angle.first, angle.second].iter().zip(expected) {
+            // Rounding of numbers of the order 1.
             assert!((found - expected).abs() < 1e-15, "{angle:?}");
         }
     }

@@ -125,6 +125,7 @@ fn derivatives_along_a_curve_are_those_of_differences() {
                 let d = 1e-2;
                 let (before, here, after) = (at(-d), at(0.0), at(d));
                 for (i, [value, first, second]) in found.iter().enumerate() {
+                    // The same formulas: rounding.
                     assert!((value - here[i]).abs() < 1e-12 * (1.0 + here[i].abs()), "axis {i}");
                     let (b, h, a) = (before[i], here[i], after[i]);
                     if (a - b).abs() > 180.0 {
@@ -203,7 +204,8 @@ fn a_pivot_in_the_centre_of_a_sphere_lets_the_linear_axes_stand_still() {
             }
             // The normal turns by 1 / R over the length of the surface, which is longer than that in the plane.
             let turns = found[3][1].hypot(found[4][1]);
-            assert!(turns > 0.999 * 120_f64.recip().to_degrees(), "the tilts move: {turns}");
+            // Longer but for the rounding of derivatives from differences.
+            assert!(turns > (1.0 - 1e-9) * 120_f64.recip().to_degrees(), "the tilts move: {turns}");
         }
     }
 }
@@ -217,9 +219,11 @@ fn along_a_cylinder_the_tilts_stand_still() {
         let tilt = found[4][0];
         assert!(tilt.abs() > 10.0, "{found:?}");
         for axis in &found[3..] {
+            // Below: rounding of angles, of which nothing changes.
             assert!(axis[1].abs() < 1e-13 && axis[2].abs() < 1e-13, "{found:?}");
         }
         let not_tilted = map.along([0.0, 8.0], [0.0, 1.0], 0.0).unwrap();
+        // Rounding of angles.
         assert!(not_tilted[3][0].abs() < 1e-12 && not_tilted[4][0].abs() < 1e-12);
     }
 }
@@ -240,6 +244,7 @@ fn a_spiral_at_constant_speed_turns_as_the_root_of_time() {
     // Whole turns and an eighth: the azimuth is 45 degrees, r grows by 2 pi e a turn.
     for turns in [20.125, 40.125, 80.125] {
         let (q, t) = at(turns);
+        // Rounding of degrees after up to 80 turns, and of a radius.
         assert!((q[1] - 45.0).abs() < 1e-10 && (q[0] - e * angle(turns)).abs() < 1e-12, "{q:?}");
         let root = (2.0 * speed * t / e).sqrt();
         assert!(
@@ -256,12 +261,14 @@ fn the_centre_of_a_spindle_takes_the_direction_of_the_motion() {
     // A circle of radius 4 through the centre: the azimuth turns by half the angle of the circle.
     let found = map.along([0.0, 0.0], [0.0, 1.0], -0.25).unwrap();
     assert_eq!(found[0][..2], [0.0, 1.0]);
+    // Below: rounding of degrees.
     assert!(
         (found[1][0] - 90.0).abs() < 1e-13 && (found[1][1] + 0.125_f64.to_degrees()).abs() < 1e-13
     );
     let s: f64 = 0.01;
     let beside = [4.0 - 4.0 * (s / 4.0).cos(), 4.0 * (s / 4.0).sin()];
     let q = values(&map.positions(resting(beside)).unwrap());
+    // The azimuth is linear along the circle. A place of 1e-16 mm at 0.01 mm from the axis is 1e-12 degrees.
     assert!((q[1] - found[1][0] - s * found[1][1]).abs() < 1e-10, "{q:?}");
 }
 
@@ -272,6 +279,7 @@ fn the_tool_is_off_the_normal_by_what_the_machine_cannot_tilt() {
         |machine: &Machine, p| AxisMap::new(machine, &sphere).unwrap().off_normal_deg(p).unwrap();
     let slope = 0.3_f64.asin().to_degrees();
     let xyz = machine(json!({"kind": "xyz"}), &XYZ, &[], json!({}));
+    // Below: rounding of degrees.
     assert!((at(&xyz, [18.0, 24.0]) - slope).abs() < 1e-12);
     assert_eq!(at(&tilts(50.0, ["a", "b"], json!({})), [18.0, 24.0]), 0.0);
     // Centred, the normal lies in the plane of the radius. With the centre at distance 10 beside it, at the same radius
@@ -279,5 +287,6 @@ fn the_tool_is_off_the_normal_by_what_the_machine_cannot_tilt() {
     assert!(at(&spindle(Some(50.0), &["r", "z"], json!({})), [18.0, 24.0]) < 1e-12);
     let beside = spindle(Some(50.0), &["r", "z"], json!({"part_origin_mm": [10.0, 0.0]}));
     let found = at(&beside, [-10.0, 24.0]);
+    // Rounding of degrees.
     assert!((found - 0.1_f64.asin().to_degrees()).abs() < 1e-12, "{found}");
 }
