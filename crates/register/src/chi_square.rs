@@ -42,8 +42,10 @@ mod tests {
             [(3.0, 7.815, 0.05), (5.0, 11.070, 0.05), (5.0, 4.351, 0.5), (5.0, 20.515, 0.001)]
         {
             let p = exceeded(sum, degrees);
+            // The error that the function states, for three degrees and more.
             assert!((p - probability).abs() < 0.005, "{degrees} {sum}: {p}");
         }
+        // The same for one degree.
         assert!((exceeded(3.841, 1.0) - 0.05).abs() < 0.02);
         assert!(exceeded(0.0, 4.0) > 0.99 && exceeded(1e9, 4.0) < 1e-12);
     }

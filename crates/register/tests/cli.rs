@@ -55,6 +55,7 @@ fn a_motion_goes_to_the_machine_and_back() {
     assert!(said.contains("4 fiducials, turned by 89.9") && said.contains("miss by"), "{said}");
     let loaded = artifact::read::<Transform>(&dir.join("t")).unwrap();
     let q = loaded.value.point([10.0, 20.0]);
+    // The fiducials are off by up to 1 um, and the fit by no more: twice that.
     assert!((q[0] - 280.0).abs() < 2e-3 && (q[1] - 50.0).abs() < 2e-3, "{q:?}");
     let manifest = loaded.manifest.unwrap();
     assert_eq!(manifest.outcome["registration"]["degrees_of_freedom"], 5);
@@ -66,6 +67,7 @@ fn a_motion_goes_to_the_machine_and_back() {
     assert!(manifest.frame.starts_with("machine coordinates"), "{}", manifest.frame);
     assert_eq!(manifest.settings["transform"]["matrix"][0][0], loaded.value.matrix()[0][0]);
     let p = there.value.segment(0).position_mm(0.0);
+    // Rounding of coordinates of 300 mm.
     assert!((0..2).all(|a| (p[a] - q[a]).abs() < 1e-12), "{p:?}");
     // Twice would be somewhere else.
     let twice = refused(dir, "apply --transform t --trajectory there");
@@ -75,6 +77,7 @@ fn a_motion_goes_to_the_machine_and_back() {
     let back = artifact::read::<Trajectory>(&dir.join("back")).unwrap();
     assert!(back.manifest.unwrap().frame.starts_with("part coordinates"));
     for (a, b) in back.value.coefficient_mm()[0].iter().zip(&motion().coefficient_mm()[0]) {
+        // Rounding of coordinates of 300 mm, there and back.
         assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-11), "{a:?} {b:?}");
     }
     let path = ToolPath::new(vec![[0.0; 2], [2.0, 0.0]], vec![[1.0, 0.0]], vec![true], vec![0]);

@@ -61,14 +61,17 @@ fn without_noise_every_model_is_exact() {
             let q = found.transform.point(p);
             let expected =
                 [0, 1].map(|r| [-12.5, 340.0][r] + matrix[r][0] * p[0] + matrix[r][1] * p[1]);
+            // Below: rounding of coordinates of up to 500 mm; of those of the corners; and of degrees.
             assert!(
                 (0..2).all(|a| (q[a] - expected[a]).abs() < 1e-11),
                 "{model:?}: {q:?} {expected:?}"
             );
         }
+        // As above, over the corners.
         assert!(found.report.rms_mm < 1e-12, "{model:?}");
     }
     let found = fit(&plain(&CORNERS, turned(31.0, 1.0)), Model::Rigid).unwrap();
+    // Rounding of degrees.
     assert!((found.report.angle_deg.value - 31.0).abs() < 1e-12);
 }
 
@@ -215,6 +218,7 @@ fn uncertainties_are_weights() {
     fiducials[3].machine_mm[0] += 0.1;
     let found = fit(&fiducials, Model::Rigid).unwrap();
     let left = found.report.residuals.iter().map(|r| r.residual_mm[0].abs()).collect::<Vec<_>>();
+    // The weight of the last is 1e-4 of the others': some 1e-5 of its 0.1 mm goes to them.
     assert!(left[..3].iter().all(|l| *l < 1e-4) && left[3] > 0.0999, "{left:?}");
 }
 
