@@ -359,6 +359,7 @@ fn a_spiral_covers_the_map() {
     let (path, manifest) = read(&tmp.path().join("out"));
     // Half the diagonal of 20 x 10 mm, and 3 mm.
     let end = path.point_mm()[path.len()];
+    // Rounding. Regression bound: no difference was seen.
     assert!(((end[0] - 10.0).hypot(end[1] - 5.0) - 125_f64.sqrt() - 3.0).abs() < 1e-9);
     assert_eq!(manifest.outcome["crossings"], 0);
     let flags = ["--surface", "surface", "--pitch-mm", "0", "--step-mm", "1"];

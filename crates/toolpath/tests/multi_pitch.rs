@@ -456,6 +456,7 @@ fn the_program_reports_classes_regions_and_feeds() {
     let classes = o["classes"].as_array().unwrap();
     // VRR / v = 15.7 nm mm; lower edges 6.7, 13.3 and 26.7 nm: 1.54 (clamped), 1.18, 0.59 mm.
     for (class, pitch) in classes.iter().zip([1.543, 1.178, 0.589]) {
+        // The smoothed map shifts the edges a little. Regression bound: 0.8 % was seen.
         assert!((class["pitch_mm"].as_f64().unwrap() / pitch - 1.0).abs() < 0.03, "{class}");
     }
     assert_eq!((classes.len(), o["regions"].as_array().unwrap().len()), (3, 3));
