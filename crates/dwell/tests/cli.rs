@@ -113,8 +113,10 @@ fn planted_dwell_times_come_back_and_the_manifest_has_the_report() {
     let report = &manifest["outcome"]["report"];
     assert_eq!(manifest["outcome"]["status"], "done");
     assert_eq!((&report["algorithm"], &report["end"]), (&json!("active-set"), &json!("optimal")));
+    // Rounding of heights of some ten nm, from the same solution.
     assert!(number(&report["model_rms_nm"]) < 1e-11, "{report}");
     let total: f64 = PLANTED_S.iter().sum();
+    // Eight times that of one.
     assert!((number(&report["total_time_s"]) - total).abs() < 1e-10);
     assert_eq!((&report["at_lower_bound"], &report["unreached_points"]), (&json!(0), &json!(0)));
     assert_eq!(manifest["settings"]["columns"], "point");
@@ -207,6 +209,7 @@ fn a_tif_larger_than_the_map_is_used_as_it_is() {
     let z = centred(Array2::from_shape_fn(g.shape(), |(r, c)| all[[r + 12, c + 16]]));
     let expected = (&b * &z).sum() / (&b * &b).sum();
     let found = dwell_s(tmp.path())[0];
+    // Rounding of sums over 63 pixels.
     assert!(expected > 0.01 && (found / expected - 1.0).abs() < 1e-12, "{found} {expected}");
 }
 

@@ -253,6 +253,7 @@ fn conditions_hold(seed: u64, pitch_mm: f64, max_factorised_points: usize) {
         .unwrap();
     let mut moved = t.to_vec();
     moved[j] += 1e-3;
+    // 1e-3 s on a point whose H_jj is at least a tenth of the largest.
     assert!(definition.natural_residual(&case, &moved, largest) > 1e-4, "{context}");
 }
 
