@@ -284,9 +284,12 @@ mod tests {
             let p = [rho * azimuth.cos(), rho * azimuth.sin()];
             let angle = (rho / 100.0).asin();
             let uv = on.along(p);
+            // Quadratures keep 1e-10 mm (PIECES).
             assert!((uv[0].hypot(uv[1]) - 100.0 * angle).abs() < 1e-9);
+            // Rounding of an angle of the order 1.
             assert!((uv[1].atan2(uv[0]) - azimuth).abs() < 1e-12);
             let back = on.projected(uv);
+            // Quadratures keep 1e-10 mm.
             assert!((0..2).all(|k| (back[k] - p[k]).abs() < 1e-9));
             let [low, high] = on.stretches(uv).unwrap();
             // Around the middle sin(b) / b; the difference over 1e-3 mm is exact to 1e-7.
@@ -311,6 +314,7 @@ mod tests {
         }
         let d = on.along([6.0, -8.0]);
         let length = sphere.length_mm([0.0; 2], [6.0, -8.0]).unwrap();
+        // Quadratures keep 1e-10 mm.
         assert!((d[0].hypot(d[1]) - length).abs() < 1e-9);
     }
 
@@ -320,6 +324,7 @@ mod tests {
         let on = Development::new(&sphere, [0.0; 2], 60.0).unwrap();
         for p in [[60.0, 0.0], [30.0, 45.0]] {
             let back = on.projected(on.along(p));
+            // Quadratures keep 1e-10 mm; there and back.
             assert!((0..2).all(|k| (back[k] - p[k]).abs() < 1e-9), "{back:?} {p:?}");
         }
         assert!(sphere.nearest([60.0, 0.0], [0.0; 2]).unwrap().slope_deg() > 89.0);

@@ -163,6 +163,7 @@ mod tests {
             let z = parabola.height_mm(x);
             // The path along the light (c, -s), and from the mirror to the image.
             let path = x * c - z * s + (x - q * c).hypot(z - q * s);
+            // Rounding of lengths of 300 mm.
             assert!((path - q).abs() < 1e-12, "{x}: {path}");
         }
         assert!(ImagingConic::parabola(300.0, 300.0, theta).is_err());
@@ -183,6 +184,7 @@ mod tests {
         let a = ImagingConic::ellipse(9e3, 400.0, 4e-3).unwrap();
         let b = ImagingConic::ellipse(400.0, 9e3, 4e-3).unwrap();
         for x in [-20.0, 13.0] {
+            // Rounding of heights, relative.
             assert!((a.height_mm(x) / b.height_mm(-x) - 1.0).abs() < 1e-14);
         }
     }

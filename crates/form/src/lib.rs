@@ -367,6 +367,7 @@ mod tests {
                     assert!((point[k] + radius * n[k] - centre[k]).abs() < 1e-11, "{p:?}");
                 }
                 for curvature in at.principal_curvatures_per_mm() {
+                    // Two equal curvatures are told apart by the root of a rounding: sqrt(1e-16).
                     assert!((curvature * radius - 1.0).abs() < 1e-7, "{p:?}: {curvature}");
                 }
             }
@@ -380,6 +381,7 @@ mod tests {
         let parabola = form(r#"{"kind": "paraboloid", "radius_mm": 100}"#);
         let at = parabola.at([30.0, 40.0]).unwrap();
         let w = 1.25_f64.sqrt();
+        // Below: rounding of 12.5 mm, of quotients, and of degrees.
         assert!((at.sag_mm() - 12.5).abs() < 1e-13);
         let [low, high] = at.principal_curvatures_per_mm();
         assert!(
@@ -397,6 +399,7 @@ mod tests {
         ] {
             let section = form(json);
             let Some(OffAxis::Normal { origin_mm, axes }) = section.off_axis else { panic!() };
+            // Below: rounding of coordinates of up to 400 mm, of curvatures below 0.01 / mm, and of a unit vector.
             assert!(section.at([0.0; 2]).unwrap().sag_mm().abs() < 1e-14);
             for p in [[0.0, 0.0], [10.0, -20.0], [-25.0, 3.0]] {
                 let at = section.at(p).unwrap();
@@ -405,14 +408,17 @@ mod tests {
                 });
                 let parent =
                     Place { jet: section.shape.jet(Jet::coordinates([point[0], point[1]])) };
+                // Rounding of coordinates of up to 400 mm.
                 assert!((parent.sag_mm() - point[2]).abs() < 1e-13);
                 // Curvatures and normal do not depend on the frame.
                 let (a, b) =
                     (at.principal_curvatures_per_mm(), parent.principal_curvatures_per_mm());
+                // Rounding of curvatures below 0.01 / mm.
                 assert!((0..2).all(|k| (a[k] - b[k]).abs() < 1e-14), "{a:?} {b:?}");
                 let n = at.normal();
                 for k in 0..3 {
                     let turned: f64 = (0..3).map(|i| n[i] * axes[i][k]).sum();
+                    // Rounding of a unit vector.
                     assert!((turned - parent.normal()[k]).abs() < 1e-14, "{p:?}");
                 }
             }
@@ -423,6 +429,7 @@ mod tests {
         );
         let sphere = Form::sphere(200.0, [0.0; 2]).unwrap();
         for p in [[5.0, 9.0], [-30.0, 40.0]] {
+            // Rounding of coordinates of 200 mm.
             assert!((section.sag_mm(p).unwrap() - sphere.sag_mm(p).unwrap()).abs() < 1e-12);
         }
     }
@@ -437,8 +444,10 @@ mod tests {
             let at =
                 cylinder.at([1.0 + along * c - across * s, 2.0 + along * s + across * c]).unwrap();
             let want = 50.0 - (2500.0 - along * along).sqrt();
+            // Rounding of 50 mm.
             assert!((at.sag_mm() - want).abs() < 1e-13);
             let [low, high] = at.principal_curvatures_per_mm();
+            // Rounding of a difference of curvatures of 0.02 / mm.
             assert!(low.abs() < 1e-9 && (high * 50.0 - 1.0).abs() < 1e-9, "{low} {high}");
         }
     }
@@ -452,6 +461,7 @@ mod tests {
         // 100 (2 rho^2 - 1) + 30 rho^2 cos 2 phi
         let (x, y) = (8.0 / 20.0, -6.0 / 20.0);
         let want = 100.0 * (2.0 * (x * x + y * y) - 1.0) + 30.0 * (x * x - y * y);
+        // Rounding of 100 nm.
         assert!((1e6 * form.sag_mm([13.0, -6.0]).unwrap() - want).abs() < 1e-12);
     }
 
