@@ -168,6 +168,7 @@ mod tests {
                 };
                 let valid = map.indexed_iter().filter(|(_, v)| !v.is_nan());
                 let want = valid.map(|(p, _)| to(p)).fold(f64::INFINITY, f64::min);
+                // Below: rounding of distances of up to 10 mm.
                 assert!((d - want).abs() < 1e-12, "{at:?}: {d}, {want}");
                 let place = found.place[at];
                 assert!(!map[place].is_nan() && (to(place) - want).abs() < 1e-12);
@@ -178,6 +179,7 @@ mod tests {
                 let to = |(r, c)| (0.2 * beyond(at.0, r)).hypot(0.3 * beyond(at.1, c));
                 let all = marked.indexed_iter().filter(|(_, marked)| **marked);
                 let want = all.map(|(p, _)| to(p)).fold(f64::INFINITY, f64::min);
+                // As above.
                 assert!((d - want).abs() < 1e-12, "{at:?}: {d}, {want}");
             }
         }

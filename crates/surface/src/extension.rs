@@ -193,6 +193,7 @@ mod tests {
             let settings = ExtensionSettings { margin_mm: 1.0, method };
             let (extended, report) = extend(&surface, &settings).unwrap();
             assert_eq!((report.margin_px, extended.height_nm().dim()), ((8, 10), (49, 61)));
+            // Below: rounding of coordinates.
             assert!((extended.grid().x.at(10) + 2.0).abs() < 1e-12);
             assert!((extended.grid().y.at(8) - 7.0).abs() < 1e-12);
             assert!(extended.height_nm().iter().all(|v| v.is_finite()), "{method:?}");
@@ -215,8 +216,10 @@ mod tests {
                 assert!(extended.height_nm()[[0, 0]].abs() < 1e-9);
                 // One pixel beside the rim: 5 exp(-0.1^2 / 0.32).
                 let z = extended.height_nm()[[12 + 16, 15 + 41]];
+                // Rounding of 5 nm.
                 assert!((z - 5.0 * (-0.01_f64 / 0.32).exp()).abs() < 1e-12, "{z}");
             } else {
+                // Rounding of 5 nm, of which fits and transforms lose some digits.
                 assert!(report.range_nm.iter().all(|v| (v - 5.0).abs() < 1e-10), "{method:?}");
             }
         }
@@ -261,6 +264,7 @@ mod tests {
             // Rounding of 300 nm, magnified by the extrapolation: T_5 T_4 beyond its data.
             assert!((z - want).abs() < 1e-7 * want.abs().max(100.0), "{r} {c}: {z} {want}");
         }
+        // Rounding of 300 nm in sums over some thousand pixels.
         assert!(report.own["misfit_rms_nm"].as_f64().unwrap() < 1e-9);
     }
 
@@ -289,6 +293,7 @@ mod tests {
         assert!(report.range_nm[0] >= s.min && report.range_nm[1] <= s.max);
         // The row through the middle: x = -2 and x = 2 continue.
         let row = e.height_nm().row(8 + 16);
+        // Rounding of 14 nm.
         assert!(row.iter().take(10).all(|z| (z + 14.0).abs() < 1e-12));
         assert!(row.iter().skip(51).all(|z| (z - 14.0).abs() < 1e-12));
     }

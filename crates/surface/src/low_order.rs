@@ -358,6 +358,7 @@ mod tests {
                 assert!((term.coefficient_nm - want).abs() < 1e-10, "{term:?}");
             }
             let rest = &found.shape_nm - surface.height_nm();
+            // Rounding of heights of some ten nm: the errors of the coefficients cancel on the pixels.
             assert!(rest.iter().all(|v| v.is_nan() || v.abs() < 1e-11));
             correlations.push(found.report.largest_correlation);
         }
@@ -375,6 +376,7 @@ mod tests {
         assert!(change.abs() > 5.0, "{change}");
         for report in [low, high] {
             assert!(report.note.as_ref().is_some_and(|n| n.contains("not orthogonal")));
+            // The area without the hole, 1 - (2 / 4)^2; the rim of a map of 81 pixels is known to 1 / 81.
             assert!((report.coverage - 0.75).abs() < 0.02, "{}", report.coverage);
         }
     }
@@ -398,6 +400,7 @@ mod tests {
         }
         let [a, b] = [Family::Legendre, Family::Chebyshev]
             .map(|f| low_order(&surface, &settings(f, 3)).unwrap().shape_nm);
+        // Both span the same polynomials: rounding, as above.
         assert!((&a - &b).iter().all(|v| v.is_nan() || v.abs() < 1e-12));
     }
 
@@ -412,12 +415,14 @@ mod tests {
         });
         let surface = Surface::new(g, map).unwrap();
         let found = low_order(&surface, &settings(Family::Legendre, 3)).unwrap().report;
+        // Rounding of sums over 2e3 pixels, of coefficients below 10.
         assert!((coefficient(&found, [2, 1]) - 7.0).abs() < 1e-12);
         // T_3 = (8 P_3 - 3 P_1) / 5
         assert!((coefficient(&found, [0, 3]) + 6.4).abs() < 1e-12);
         let found = low_order(&surface, &settings(Family::Chebyshev, 3)).unwrap().report;
         // P_2 = (3 T_2 + 1) / 4
         assert!((coefficient(&found, [2, 1]) - 5.25).abs() < 1e-12);
+        // As above.
         assert!((coefficient(&found, [0, 3]) + 4.0).abs() < 1e-12);
     }
 

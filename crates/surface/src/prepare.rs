@@ -385,6 +385,7 @@ mod tests {
             let (x, y) = (done.grid().x.at(c), done.grid().y.at(r));
             let [column, row] = [(x + 3.0) / 0.1, (y - 10.0) / 0.2].map(|v| v.round() as usize);
             assert_eq!(*s, at(row, column));
+            // Rounding of coordinates, as in the aperture.
             assert!((x - 0.2).hypot(y - 14.0) <= 2.0 + 1e-9 && (row, column) != (20, 30));
             known += 1;
         }
@@ -415,6 +416,7 @@ mod tests {
         // Heights of 300 nm carry rounding of 1e-13 each; the fit may add one digit.
         assert!(done.report.after.pv_nm < 1e-11, "{:?}", done.report);
         let RemovedPlane { constant_nm, slope_nm_per_mm: [b, c] } = done.report.removed_plane;
+        // Below: rounding of heights of 300 nm, and over 2 mm.
         assert!((b - 3.0).abs() < 1e-12 && (c + 20.0).abs() < 1e-12, "{b} {c}");
         assert!((constant_nm - 7.0).abs() < 1e-10, "{constant_nm}");
     }
@@ -435,6 +437,7 @@ mod tests {
         let once = prepare(&tilted(rough(2), 1.0, 2.0, 3.0), &settings).unwrap();
         let twice = prepare(&once.surface, &settings).unwrap();
         let difference = (once.surface.height_nm() - twice.surface.height_nm()).mapv(f64::abs);
+        // Below: rounding of heights of some ten nm.
         assert!(difference.iter().all(|d| *d < 1e-12));
         let (before, after) = (once.report.before, once.report.after);
         assert!((after.rms_nm - before.rms_detilted_nm).abs() < 1e-12);
@@ -460,11 +463,13 @@ mod tests {
         let g = *done.surface.grid();
         // x 0.2 +- 2 in steps of 0.1; y 14 +- 2 in steps of 0.2.
         assert_eq!(g.shape(), (21, 41));
+        // Rounding of coordinates.
         assert!((g.x.start_mm() + 1.8).abs() < 1e-12 && (g.y.start_mm() - 12.0).abs() < 1e-12);
         for ((r, c), z) in done.surface.height_nm().indexed_iter() {
             let (x, y) = (g.x.at(c), g.y.at(r));
             let inside = (x - 0.2).hypot(y - 14.0) <= 2.0 + 1e-9;
             assert_eq!(z.is_nan(), !inside, "{x} {y}");
+            // Rounding of heights of 1600 nm.
             assert!(z.is_nan() || (z - (x + 100.0 * y)).abs() < 1e-9);
         }
     }
@@ -496,6 +501,7 @@ mod tests {
         let settings = PrepareSettings { outliers, ..settings(None, Level::Piston) };
         let done = prepare(&surface, &settings).unwrap();
         assert_eq!(done.report.in_aperture.pv_nm, 20.0);
+        // Rounding of 5 nm.
         assert!(done.report.after.pv_nm < 1e-12);
         assert_eq!(done.report.after.valid_pixels, 61 * 41 - 49);
     }
@@ -508,6 +514,7 @@ mod tests {
         let done = prepare(&surface, &settings(disc(), Level::LowOrder(terms))).unwrap();
         assert_eq!(done.surface.statistics().min, 0.0);
         let again = low_order(&done.surface, &terms).unwrap().report;
+        // Rounding of heights of some ten nm, times the condition of the terms.
         assert!(again.pv_nm < 1e-11, "{}", again.pv_nm);
         let removed = done.report.removed_low_order.unwrap();
         assert_eq!((removed.terms.len(), removed.terms[1].order), (15, [1, 0]));

@@ -401,6 +401,7 @@ mod tests {
             (LengthUnit::M, 1e3),
         ] {
             let s = ProfileSettings { position_unit, ..settings([1, 2], None) };
+            // Rounding of positions, which are scaled.
             assert!((Profile::from_rows(&rows, &s).unwrap().step_mm() / step - 1.0).abs() < 1e-12);
         }
         for (value_unit, want) in [
@@ -414,6 +415,7 @@ mod tests {
         let profile = Profile::from_rows(&rows, &s).unwrap();
         // An arc second is 4.8481368 urad.
         let Values::SlopeNrad(v) = profile.values() else { panic!("{profile:?}") };
+        // The number has 8 digits.
         assert!((v[0] / 9696.2736 - 1.0).abs() < 1e-7, "{}", v[0]);
     }
 
@@ -432,6 +434,7 @@ mod tests {
         let mut uneven = up.clone();
         uneven[4] = 4.3;
         let [low, high] = profile(uneven).unwrap().uneven_steps_mm().unwrap();
+        // Rounding of positions of 4 mm.
         assert!((low - 0.7).abs() < 1e-12 && (high - 1.3).abs() < 1e-12);
         let mut unsorted = up.clone();
         unsorted[4] = 2.5;

@@ -269,12 +269,14 @@ mod tests {
             // Along y there is nothing but the same height everywhere: it is at f = 0.
             assert!(band.rms_y_nm < 1e-12 && other.rms_nm < 1e-12 && other.rms_x_nm < 1e-12);
             let strongest = strongest_per_mm(&found.frequency_x_per_mm, &found.psd_x_nm2_mm);
+            // The bins lie on multiples of 0.05 / mm: rounding.
             assert!((strongest - 1.0).abs() < 1e-12);
         }
         // Transposed, it is along y.
         let g = Grid { x: g.x, y: Axis::new(0.0, 0.1, 200).unwrap() };
         let found = psd(&map(g, |(r, _)| wave(r)), &settings(Window::Hann, vec![[0.8, 1.2]]));
         let band = found.unwrap().report.bands[0];
+        // Rounding, as above.
         assert!((band.rms_y_nm - 0.5_f64.sqrt()).abs() < 1e-12 && band.rms_x_nm < 1e-12);
     }
 
@@ -299,6 +301,7 @@ mod tests {
                 let report = &p.report;
                 // Sums of a few hundred terms.
                 assert!((report.spectral_rms_nm.powi(2) / both - 1.0).abs() < 1e-12);
+                // As above.
                 assert!((report.bands[0].rms_nm.powi(2) / both - 1.0).abs() < 1e-12);
                 assert!((report.bands[0].rms_x_nm.powi(2) / along_x - 1.0).abs() < 1e-12);
                 if window == Window::Rectangular {
@@ -319,6 +322,7 @@ mod tests {
                             .into_iter()
                             .map(|c| p.psd_2d_nm2_mm2.column(c.unwrap()).sum() * df_y)
                             .sum();
+                        // As above; where the sum is small, of 1e-3.
                         assert!((sum - p.psd_x_nm2_mm[k]).abs() < 1e-12 * sum.max(1e-3));
                     }
                 }
@@ -339,6 +343,7 @@ mod tests {
             // 65536 samples: the mean is known to 1 / 256; 1 % is 2.5 standard deviations, 2 with
             // the window's weights.
             let level = sigma * sigma;
+            // As above: 2 %.
             assert!((mean(&p.psd_radial_nm2_mm2) / (level * 0.1 * 0.15) - 1.0).abs() < 0.02);
             assert!((mean(&p.psd_x_nm2_mm) / (2.0 * level * 0.1) - 1.0).abs() < 0.02);
             assert!((mean(&p.psd_y_nm2_mm) / (2.0 * level * 0.15) - 1.0).abs() < 0.02);
@@ -360,6 +365,7 @@ mod tests {
             .collect();
         assert_eq!(at.len(), 2);
         for (found, want) in at.iter().zip([[-6.0, -4.0], [6.0, 4.0]]) {
+            // The bins lie on these frequencies: rounding.
             assert!((0..2).all(|k| (found[k] - want[k]).abs() < 1e-12), "{at:?}");
         }
         // |f| = hypot(0.3, 0.4167) = 0.5134; rings of 0.1042: the fifth.
@@ -372,6 +378,7 @@ mod tests {
         let surface = map(grid(100, 80), |(r, c)| 3.0 * c as f64 - r as f64);
         let band = vec![[1.0, 2.0]];
         let with = PsdSettings { detrend: Detrend::Plane, ..settings(Window::Hann, band.clone()) };
+        // Rounding of heights of 300 nm.
         assert!(psd(&surface, &with).unwrap().report.bands[0].rms_nm < 1e-10);
         let without = psd(&surface, &settings(Window::Rectangular, band)).unwrap();
         assert!(without.report.bands[0].rms_nm > 1.0);

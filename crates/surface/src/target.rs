@@ -594,16 +594,19 @@ mod tests {
         let truth = measured(r#"{"kind": "sphere", "radius_mm": 500}"#, |_, _| 0.0);
         let given = target(r#"{"kind": "sphere", "radius_mm": 500}"#);
         let (rest, report) = without_target(&truth, &given).unwrap();
+        // Heights of 1e6 nm, as above, with a plane alone to fit.
         assert!(rest.statistics().rms < 1e-7 && report.parameters.is_empty(), "{report:?}");
         let bounded =
             target(r#"{"kind": "sphere", "radius_mm": 600, "fit": {"radius_mm": [550, 700]}}"#);
         let (_, report) = without_target(&truth, &bounded).unwrap();
         let radius = &report.parameters[0];
+        // The bound itself: rounding.
         assert!((radius.value - 550.0).abs() < 1e-9 && radius.at_bound, "{radius:?}");
         // A tilt that is held is left in the map.
         let held = target(r#"{"kind": "sphere", "radius_mm": 500, "fit": {"tilt": "held"}}"#);
         let (rest, _) = without_target(&truth, &held).unwrap();
         let plane = (300.0_f64.powi(2) * 140.0 + 400.0 * 77.0).sqrt();
+        // A plane over the disk, whose edge pixels decide its moments.
         assert!((rest.statistics().rms / plane - 1.0).abs() < 0.1, "{}", rest.statistics().rms);
     }
 
@@ -619,6 +622,7 @@ mod tests {
                     "fit": {{"zernike_{astigmatism}_nm": "free"}}}}"#
             );
             let (rest, report) = without_target(&flat, &target(&start)).unwrap();
+            // Below: rounding of heights of some 100 nm, and of the sums of the fit.
             assert!(rest.statistics().rms < 1e-8, "{report:?}");
             assert!((report.parameters[0].value - 40.0).abs() < 1e-9, "{report:?}");
         }
@@ -650,6 +654,7 @@ mod tests {
         let along_z = converted(&map, &form, Heights::Normal, Lateral::Projected).unwrap();
         for ((r, c), z) in along_z.height_nm().indexed_iter() {
             let sine = grid.x.at(c).hypot(grid.y.at(r)) / 40.0;
+            // Rounding of 100 nm.
             assert!((z * (1.0 - sine * sine).sqrt() - 100.0).abs() < 1e-10);
         }
         // A height that is linear in the arc length along x, on a cylinder.
@@ -661,6 +666,8 @@ mod tests {
         let flat = converted(&map, &cylinder, Heights::Z, Lateral::Surface).unwrap();
         for ((_, c), z) in flat.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan()) {
             let arc = 40.0 * (grid.x.at(c) / 40.0).asin();
+            // Arcs are quadratures that keep 1e-10 mm, of a slope of 3 nm / mm; the map is interpolated between samples
+            // of a line.
             assert!((z - 3.0 * arc).abs() < 1e-8, "{z}");
         }
         // The arc of 20 mm is 20.94 mm: two columns at either end have no measurement.

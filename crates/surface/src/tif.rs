@@ -529,6 +529,7 @@ mod tests {
             let s = report.after;
             // 2 pi A sigma_x sigma_y; the sum over samples of a Gaussian is spectrally exact.
             let vrr = 2.0 * PI * 8.0 * 0.48;
+            // Below: rounding, and the tail beyond the samples, which end at 7 sigma: 1e-12 of the volume.
             assert!((s.vrr_nm_mm2_per_s / vrr - 1.0).abs() < 1e-9, "{s:?}");
             assert!((s.centroid_mm[0] - 0.3).abs() < 1e-9 && (s.centroid_mm[1] + 0.2).abs() < 1e-9);
             let fwhm = 8.0_f64.sqrt() * std::f64::consts::LN_2.sqrt();
@@ -552,6 +553,7 @@ mod tests {
                 assert!((x - 0.33).abs() < tolerance && (y + 0.21).abs() < tolerance, "{x} {y}");
                 // The same rate at the same place: r(p) was at p + centre.
                 let (a, b) = (moved.rate_at(0.5, 0.4), tif.rate_at(0.5 + x, 0.4 + y));
+                // Rounding of coordinates times slopes of 8 nm/s per mm.
                 assert!((a - b).abs() < 1e-10, "{a} {b}");
             }
         }
@@ -585,6 +587,7 @@ mod tests {
         let (tapered, report) = prepare_tif(&tif, &taper).unwrap();
         // The taper begins at 0.85 of the way to the border, 6.4 sigma from the spot: 1e-9 of its volume.
         let (before, after) = (report.before.vrr_nm_mm2_per_s, report.after.vrr_nm_mm2_per_s);
+        // The taper cuts 1e-9 of the volume, as above.
         assert!((after / before - 1.0).abs() < 1e-6, "{before} {after}");
         assert_eq!(tapered.rate_nm_per_s()[[20, 60]], 0.0);
         assert_eq!(tapered.rate_nm_per_s()[[40, 15]], 0.0);
@@ -603,10 +606,12 @@ mod tests {
             assert_eq!(once.rate_nm_per_s()[[c, 8 - r]].to_bits(), v.to_bits());
             let (x, y) = (tif.grid().x.at(c), tif.grid().y.at(r));
             let g = once.grid();
+            // Rounding of coordinates.
             assert!((g.x.at(8 - r) + y).abs() < 1e-12 && (g.y.at(c) - x).abs() < 1e-12);
         }
         // The spot at (0.8, 0.4) is now at (-0.4, 0.8).
         let [x, y] = tif_statistics(&once).centroid_mm;
+        // The spot is at (-0.4, 0.8), and the samples end beside it.
         assert!(x < -0.1 && y > 0.5, "{x} {y}");
         for (degrees, turns) in [(180.0, 2), (-90.0, 3), (450.0, 1), (360.0, 0), (-720.0, 0)] {
             let many = (0..turns).fold(tif.clone(), |t, _| turn(&t, 90.0));
@@ -629,6 +634,7 @@ mod tests {
             let (t, report) =
                 prepare_tif(&tif, &TifSettings { rotate_deg: 30.0, ..settings() }).unwrap();
             let after = report.after.vrr_nm_mm2_per_s;
+            // The volume is kept by a factor: rounding.
             assert!((after / report.before.vrr_nm_mm2_per_s - 1.0).abs() < 1e-12);
             assert!(report.volume_correction.abs() < 1e-2 && report.after.sample_at_centre);
             worst(&t, turned)
@@ -636,6 +642,7 @@ mod tests {
         let (coarse, fine) = (error(0.1), error(0.05));
         // Keys' interpolation is of the third order.
         let order = (coarse / fine).log2();
+        // The order is 3; at steps of 0.05 and 0.1 mm the next order takes a part of it.
         assert!(order > 2.7 && coarse < 0.02, "{coarse} {fine}: order {order}");
     }
 
@@ -649,6 +656,7 @@ mod tests {
                 let s = TifSettings { pixel_mm: Some(ratio * pitch), ..settings() };
                 let (t, report) = prepare_tif(&tif, &s).unwrap();
                 let before = report.before.vrr_nm_mm2_per_s;
+                // The volume is kept by a factor: rounding.
                 assert!((report.after.vrr_nm_mm2_per_s / before - 1.0).abs() < 1e-12);
                 assert!(report.after.sample_at_centre);
                 assert!(report.volume_correction.abs() < 1e-3, "{report:?}");
@@ -669,6 +677,7 @@ mod tests {
         let (same, _) = prepare_tif(&tif, &s).unwrap();
         assert_eq!(same.grid().shape(), tif.grid().shape());
         let difference = same.rate_nm_per_s() - tif.rate_nm_per_s();
+        // At a sample the interpolation gives the sample: rounding.
         assert!(difference.iter().all(|d| d.abs() < 1e-14));
     }
 
@@ -700,6 +709,7 @@ mod tests {
             let (t, report) = prepare_tif(&top_hat, &s).unwrap();
             assert!(t.rate_nm_per_s().iter().all(|v| *v >= 0.0), "{s:?}");
             let vrr = [report.before, report.after].map(|s| s.vrr_nm_mm2_per_s);
+            // The volume is kept by a factor: rounding.
             assert!((vrr[1] / vrr[0] - 1.0).abs() < 1e-12);
         }
     }
@@ -715,9 +725,11 @@ mod tests {
         let (clean, report) = prepare_tif(&pedestal, &s).unwrap();
         // The Gaussian itself is 8 exp(-8) = 0.003 on the middle of the border.
         assert!((report.subtracted_nm_per_s - 0.4).abs() < 2e-3, "{report:?}");
+        // exp(-8) is 3.4e-4 of the peak.
         assert!(clean.border_to_peak() < 1e-3 && report.note.is_none());
         let s = TifSettings { taper_fraction: Some(0.15), ..settings() };
         let (tapered, report) = prepare_tif(&pedestal, &s).unwrap();
+        // Rounding of the weight at its end.
         assert!(tapered.border_to_peak() < 1e-12 && report.note.is_none());
         // Within 85 % of the half size nothing changed.
         assert_eq!(tapered.rate_nm_per_s()[[20, 36]], pedestal.rate_nm_per_s()[[20, 36]]);

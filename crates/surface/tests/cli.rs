@@ -89,6 +89,7 @@ fn crop_mask_and_level_together() {
     assert!(surface.statistics().pv < 1e-12);
     assert_eq!(surface.statistics().valid_count, 61 * 41 - 36);
     let slope = &manifest.outcome["removed_plane"]["slope_nm_per_mm"];
+    // Rounding of a slope of 2 nm/mm, from JSON.
     assert!((slope[0].as_f64().unwrap() - 2.0).abs() < 1e-9, "{slope}");
     assert_eq!(manifest.outcome["outliers"]["core_pixels"], 36);
 
@@ -208,11 +209,14 @@ fn low_order_fill_and_extension_are_told_in_the_manifest() {
     let (surface, manifest) = read(&tmp.path().join("out"));
     // 0.95 mm are 10 px; nothing is invalid; the map is a plane, of which nothing is left.
     assert_eq!(surface.height_nm().dim(), (80, 100));
+    // Rounding of a coordinate.
     assert!((surface.grid().x.start_mm() + 5.0).abs() < 1e-9);
+    // Rounding of a plane, times the condition of the terms.
     assert!(surface.height_nm().iter().all(|v| v.abs() < 1e-9));
     let terms = manifest.outcome["removed_low_order"]["terms"].as_array().unwrap();
     // Half the width times the slope: 39.5 px * 0.2 nm.
     assert_eq!((terms.len(), terms[1]["order"][0].as_i64()), (6, Some(1)));
+    // Rounding of 7.9 nm, times the condition of the terms.
     assert!((terms[1]["coefficient_nm"].as_f64().unwrap() - 7.9).abs() < 1e-9);
     assert!(manifest.outcome["removed_low_order"]["convention"].as_str().unwrap().contains("P_i"));
     assert_eq!(manifest.settings["extension"]["method"], "nearest");
@@ -254,6 +258,7 @@ fn statistics_and_spectrum_of_a_wave() {
     let output = surface_command(tmp.path(), &["statistics", "--surface", "in"]);
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    // Rounding of a mean square.
     assert!((found["rms_nm"].as_f64().unwrap() - 2.0_f64.sqrt()).abs() < 1e-12);
     assert_eq!(found["pvr"]["family"], "legendre");
     let line =
@@ -269,10 +274,12 @@ fn statistics_and_spectrum_of_a_wave() {
     let out = tmp.path().join("out");
     let (f, s) = (array(&out, "frequency_x_per_mm"), array(&out, "psd_x_nm2_mm"));
     let strongest = s.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).unwrap().0;
+    // The bins lie on multiples of 1 / 8 mm: rounding.
     assert!((f[strongest] - 1.0).abs() < 1e-12);
     // The sum of the density is the mean square: 2 nm^2.
     assert!((s.sum() * f[1] - 2.0).abs() < 1e-12);
     let two = array(&out, "psd_2d_nm2_mm2").sum() * f[1] * array(&out, "frequency_y_per_mm")[1];
+    // As above.
     assert!((two - 2.0).abs() < 1e-12, "{two}");
     assert_eq!(manifest(&out)["settings"]["window"], "hann");
     assert!(fs::read_to_string(out.join("psd.svg")).unwrap().starts_with("<svg"));
@@ -294,6 +301,7 @@ fn a_tool_is_centred_turned_resampled_and_fitted() {
     assert_eq!(outcome["before"]["sample_at_centre"], false);
     assert_eq!(outcome["after"]["sample_at_centre"], true);
     let vrr = |when: &str| number(&outcome[when]["vrr_nm_mm2_per_s"]);
+    // The volume is kept by a factor: rounding.
     assert!((vrr("after") / vrr("before") - 1.0).abs() < 1e-12);
     // 2 pi 5 0.49; the samples end at 4.4 sigma.
     assert!((vrr("before") / 15.3938 - 1.0).abs() < 1e-4, "{outcome}");
@@ -470,6 +478,7 @@ fn a_specification_that_is_not_kept_ends_with_1_and_says_why() {
         (array("frequency_x_per_mm"), array("psd_x_nm2_mm"), array("slope_psd_x_nrad2_mm"));
     for i in 0..f.len() {
         let want = (2e3 * std::f64::consts::PI * f[i]).powi(2) * z[i];
+        // Rounding of products.
         assert!((s[i] - want).abs() <= 1e-12 * want, "{i}");
     }
     assert_eq!(array("position_mm").len(), 80);

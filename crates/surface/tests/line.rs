@@ -68,6 +68,7 @@ fn slopes_of_a_table_become_a_strip_and_its_tool() {
     let output = run(dir, &format!("{how} --positive hole --subtract piston --out hole"));
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     let hole = artifact::read::<Surface>(&dir.join("hole/surface")).unwrap().value;
+    // Rounding of 800 nm, as above.
     assert!((hole.height_nm()[[0, 40]] - 800.0).abs() < 1e-9);
     // The mean across a map is a profile, too.
     let again = "--surface line/surface --tif tif --pitch-mm 1 --out again";
