@@ -190,6 +190,7 @@ fn a_tif_larger_than_the_map_removes_what_is_in_reach() {
     let removal = simulate(tmp.path(), &[]);
     // As on the larger map.
     let error = largest(removal.removal_nm(), |r, _| trough(g.y.at(r)));
+    // As above, on the larger map.
     assert!(error < 4e-3, "{error}");
 }
 
@@ -427,6 +428,7 @@ fn a_hard_edge_between_coarse_samples_is_named() {
     let change = number(&between["residual_change"]);
     let named = text(&output.stderr).contains("warning: the TIF is sampled too coarsely");
     let error = number(&between["standard_error"]);
+    // The thresholds of the warning.
     assert_eq!(named, change.abs() > 0.01 && change.abs() > 2.0 * error, "{between}");
     assert!(number(&between["difference_rms_nm"]) > 0.0 && number(&between["pixels"]) >= 64.0);
 }

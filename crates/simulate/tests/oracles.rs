@@ -96,6 +96,7 @@ fn a_resting_tool_leaves_its_own_image_unflipped() {
         // Tool on a pixel: sample (j, i) with the offset (-1.3 + 0.1 i, -0.9 + 0.1 j).
         let (r, c) = (20 - 9 + j, 30 - 13 + i);
         let expected = 2.0 * tif.rate_nm_per_s()[[j, i]];
+        // Below: rounding of an FFT over removals of some 20 nm.
         assert!((removal[[r, c]] - expected).abs() < 1e-12, "{} {expected}", removal[[r, c]]);
     }
     assert!(removal[[10, 30]].abs() < 1e-12 && removal[[28, 30]].abs() < 1e-12);
@@ -121,6 +122,7 @@ fn exact_for_any_tif_whose_pitch_divides_that_of_the_map() {
         let (p, s) = positions();
         let (removal, numerics) = gridded::removal_nm(&resting(&p, &s), &tif, &g).unwrap();
         let error = largest(&removal, &by_definition(&p, &s, &tif, &g));
+        // Rounding of an FFT over removals of some ten nm, by sums of some hundred terms.
         assert!(error < 1e-11, "step {step:?}: {error} nm");
         assert_eq!(numerics.subdivision, parts.map(|n| n as usize));
         assert_eq!(numerics.tif_interpolation_error, 0.0);
@@ -308,10 +310,12 @@ fn the_direct_quadrature_converges_to_the_gridded_result() {
     // A TIF that ends smoothly: the midpoint rule has order 2.
     let [_, b, c] = errors(&gaussian(0.1));
     let order = (b / c).log2();
+    // The order is 2; at 16 and 32 steps the next order takes a part of it.
     assert!((1.9..2.1).contains(&order), "order {order}");
     // A TIF with a border: order 1, and still towards the gridded result.
     let [a, _, c] = errors(&rough_tif([0.1, 0.1]));
     let order = (a / c).log2() / 2.0;
+    // The phase of the steps against the border scatters the order about 1.
     assert!((0.6..1.7).contains(&order), "order {order}");
 }
 
@@ -321,6 +325,7 @@ fn a_lifted_tool_and_time_reversal() {
     let g = grid([0.0, 0.0], [0.1; 2], [40, 30]);
     let t = pass([-1.0, 0.4], [4.5, 2.7], 3.0);
     let back = pass([4.5, 2.7], [-1.0, 0.4], 3.0);
+    // Below: rounding of an FFT.
     assert!(largest(&gridded(&t, &tif, &g), &gridded(&back, &tif, &g)) < 1e-12);
     let lifted =
         Trajectory::new(vec![0.0, 3.0], t.coefficient_mm().to_vec(), vec![false], vec![None])
@@ -335,6 +340,7 @@ fn the_residual_is_desired_minus_removal() {
     let (tif, t) = (gaussian(0.1), pass([0.0, 1.0], [4.0, 1.0], 1.0));
     let p = simulate(&t, &tif, &desired, Settings::Gridded).unwrap();
     let sum = p.removal.removal_nm() + p.removal.residual().height_nm();
+    // Rounding of 7 nm.
     assert!(sum.iter().all(|v| (v - 7.0).abs() < 1e-14));
     assert!(p.removal.removal_nm()[[10, 20]] > 1.0);
     assert!(simulate(&t, &tif, &desired, Settings::Direct { steps: 0 }).is_err());
@@ -380,12 +386,14 @@ fn the_gridded_result_is_the_limit_of_the_direct_quadrature_in_all_directions() 
     let exact = gridded(&t, &tif, &g);
     let [a, b, c] = [16, 32, 64].map(|m| direct::removal_nm(&t, &tif, &g, m).unwrap().0);
     let order = (largest(&a, &exact) / largest(&b, &exact)).log2();
+    // The order is 2, as above.
     assert!((1.9..2.1).contains(&order), "order {order}");
     // Without its term of the order 2 the kinks of R'' are left, at most of the order 3.
     let limit = |coarse: &Array2<f64>, fine: &Array2<f64>| (4.0 * fine - coarse) / 3.0;
     let errors = [limit(&a, &b), limit(&b, &c)].map(|l| largest(&l, &exact));
     // The goal: 1e-3 nm.
     assert!(errors[1] < 5e-4, "{errors:?} nm");
+    // The order 3 is a factor of 8; half of it is asked for.
     assert!(errors[1] < errors[0] / 4.0, "{errors:?}");
     assert!(exact.iter().any(|v| *v > 1.0));
 }
@@ -510,6 +518,7 @@ fn a_rate_factor_is_time() {
     let whole = resting(&at, &[2.0, 1.0]);
     let slow = resting(&at, &[5.0, 1.0]).with_rate_factor(vec![0.4, 1.0]).unwrap();
     let e = largest_difference(&gridded(&whole, &tif, &g), &gridded(&slow, &tif, &g));
+    // Below: rounding of transforms of removals of some ten nm.
     assert!(e < 1e-10, "{e}");
     // In motion, with the border of the TIF: one half of the rate is one half of the removal.
     let run = pass([-2.0, -1.0], [2.0, 1.5], 3.0);

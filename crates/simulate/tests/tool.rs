@@ -114,6 +114,7 @@ fn errors_of_the_shape_of_a_spot_that_was_cut_are_nearly_those_of_the_whole_spot
 fn a_tif_that_is_sampled_anew_adds_the_same() {
     let fine = tif(grid(7.0, 0.07), gaussian);
     let anew = moved(&fine, map().grid(), false).unwrap();
+    // Rounding of coordinates.
     assert!((anew.tif.grid().x.step_mm() / 0.2 - 1.0).abs() < 1e-12);
     // Keys' convolution of a Gaussian of seven samples per sigma.
     assert!(
@@ -168,6 +169,7 @@ fn the_change_by_straight_lines_is_that_of_a_tif_with_straight_lines() {
     println!("{cubic} nm, {straight} nm: {change}, {found:?}");
     assert!((found.residual_change - change).abs() < 3.0 * found.standard_error + 1e-3);
     assert!(found.warning().is_some_and(|w| w.contains("smaller pitch")) == (change.abs() > 0.01));
+    // The threshold of the warning, here as the setup.
     assert!(change.abs() > 0.01);
     // Of a tool that is smooth over its samples nothing depends on it.
     let (_, smooth) = residual(&tif(grid(7.0, 0.1), gaussian));

@@ -94,8 +94,10 @@ fn a_rate_and_a_displacement_do_what_they_say() {
     let errors =
         [error("offset_x", 100.0, "um", "fixed"), error("tif_offset_y", -0.2, "mm", "fixed")];
     let moved = of(&errors, 3);
+    // As above.
     assert!(apart(moved.removal.removal_nm(), &removal(&raster([0.1, -0.2]))) < 1e-9);
     assert!(apart(moved.removal.removal_nm(), &removal(&raster([-0.1, 0.2]))) > 0.1);
+    // Rounding.
     assert!((moved.hidden.truth.offset_y_mm + 0.2).abs() < 1e-15);
 }
 
@@ -179,6 +181,7 @@ fn the_runs_of_one_machine_follow_each_other() {
     let true_before = |run: &Run| run.removal.residual().height_nm() + run.removal.removal_nm();
     // Sums of a few numbers of 30 nm, to rounding.
     assert!(apart(&true_before(&first), mirror.height_nm()) < 1e-12);
+    // As above.
     assert!(apart(&true_before(&second), first.removal.residual().height_nm()) < 1e-12);
     assert_eq!(first.hidden, second.hidden);
     // The rate fluctuates anew, and the errors of the three measurements are three.
@@ -188,6 +191,7 @@ fn the_runs_of_one_machine_follow_each_other() {
     assert!(apart(&wrong(&first), &wrong(&second)) > 0.5);
     // Another mirror before the second run has the error of its own measurement.
     let other = measure(&mirror, &errors, 11, 2).unwrap();
+    // As above.
     assert!(apart(&true_before(&ran(&other, 2, false)), mirror.height_nm()) < 1e-12);
     // A tool that is known has the noise of the run, and nothing of the rate.
     let known = ran(&measured, 1, true);
@@ -196,6 +200,7 @@ fn the_runs_of_one_machine_follow_each_other() {
     let plan = removal(&raster([0.0; 2]));
     // (rate + noise) R: the noise acts on the rate of the plan.
     let expected = first.removal.removal_nm() - &((rate - 1.0) * &plan);
+    // Sums of some thousand terms of 20 nm.
     assert!(apart(known.removal.removal_nm(), &expected) < 1e-9);
     let none = Settings { seed: 11, run: 0, known: false, tif_as_sampled: true };
     let said = run(&raster([0.0; 2]), &tif(), &mirror, &errors, &none).unwrap_err().to_string();
@@ -222,6 +227,7 @@ fn a_current_is_a_factor_of_every_rate() {
     let ran = |motion: &Trajectory| {
         run(motion, &tif(), &before(), &errors, &settings).unwrap().removal.removal_nm().clone()
     };
+    // Below: sums of some thousand terms of 20 nm.
     assert!(apart(&(2.0 * ran(&half)), &ran(&raster([0.0; 2]))) < 1e-9);
     assert!(apart(&ran(&half), &(0.52 * removal(&raster([0.1, 0.0])))) < 1e-9);
 }
@@ -270,6 +276,7 @@ fn a_diagonal_ellipticity_is_one_along_x_turned_by_45_degrees() {
     // It is longer from lower left to upper right.
     let at = |x: f64, y: f64| diagonal.rate_at(x, y);
     assert!(at(1.0, 1.0) > 1.1 * at(1.0, -1.0));
+    // The volume is kept by construction: rounding.
     assert!((diagonal.vrr_nm_mm2_per_s() / tif.vrr_nm_mm2_per_s() - 1.0).abs() < 1e-12);
 }
 
