@@ -105,6 +105,7 @@ fn the_next_plan_acts_where_it_should() {
         assert!(before_it > 0.1 && after_it < 1e-3, "{before_it} {after_it}");
         // The place is known to what the standard errors of the displacement say: noise-free maps leave some um.
         let e = found.transform.standard_error_mm([7.0, 7.0]);
+        // Regression bound: 2.6e-9 mm was seen.
         assert!(e.iter().all(|e| *e > 0.0 && *e < 0.01), "{e:?}");
     }
 }
@@ -163,6 +164,7 @@ fn what_was_learnt_takes_the_place_of_the_errors_that_were_believed() {
         all.iter().find(|e| e.name == p.name()).unwrap().standard_error.unwrap()
     };
     assert_eq!(left(Kind::RateScale), [error(Parameter::RateScale)]);
+    // Regression bound: 0.18 % was seen.
     assert!(error(Parameter::RateScale) < 0.5);
     // An offset of the TIF is the same as one of the tool.
     assert_eq!(left(Kind::OffsetX), [error(Parameter::OffsetX)]);
@@ -175,9 +177,11 @@ fn what_was_learnt_takes_the_place_of_the_errors_that_were_believed() {
     // It is a process: the next reconciliation takes it for what is known beforehand.
     let known = found.error_budget.clone().checked().unwrap();
     let scale = Parameter::RateScale.scale_in(&known);
+    // Below: the number goes through a file in percent: rounding.
     assert!((scale - 0.01 * error(Parameter::RateScale)).abs() < 1e-12 * scale);
     let diagonal = Parameter::TifDiagonalEllipticity.scale_in(&known);
     let expected = 0.01 * error(Parameter::TifDiagonalEllipticity);
+    // As above.
     assert!((diagonal - expected).abs() < 1e-12 * expected);
     // Without a process the noise of a map is what the fit leaves, over the root of two.
     let alone = learnt(&first.measured, &planned(), None, None).error_budget;
@@ -208,10 +212,14 @@ fn a_log_with_a_current_gives_the_hidden_rate() {
         "{:?}",
         found.outcome.parameters
     );
+    // As above. Regression bound: 1.4e-6 mm was seen.
     assert!((value(&found, Parameter::OffsetX) - 0.05).abs() < 5e-4);
+    // As above. Regression bound: 1.3e-4 nm was seen.
     assert!(found.outcome.fitted.rest_rms_nm < 0.02, "{:?}", found.outcome.fitted);
     let blind = learnt(&after, &planned(), None, None);
     let rate = blind.outcome.parameters[0].value;
+    // Regression bound: 7.5 % was seen.
     assert!(rate.is_none_or(|rate| (rate - 3.0).abs() > 1.0), "{rate:?}");
+    // Regression bound: 0.47 nm was seen.
     assert!(blind.outcome.fitted.rest_rms_nm > 0.3, "{:?}", blind.outcome.fitted);
 }

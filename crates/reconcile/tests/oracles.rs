@@ -96,11 +96,14 @@ fn what_was_planted_by_other_means_is_found() {
         assert!((got - expected).abs() < bound, "{}: {got} {expected}", parameter.name());
     }
     let ellipse = found.outcome.ellipse.unwrap();
+    // Regression bound: 0.12 degrees was seen.
     assert!((ellipse.direction_deg.unwrap() - 30.0).abs() < 1.0, "{ellipse:?}");
     // The corrected TIF is the one that ran.
     let largest = found.tif.rate_nm_per_s() - tif.rate_nm_per_s();
     let largest = largest.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+    // Regression bound: 5e-3 nm/s was seen.
     assert!(largest < 0.01 * 8.0, "{largest}");
+    // Regression bound: 8e-5 nm was seen.
     assert!(found.outcome.fitted.rest_rms_nm < 0.02, "{:?}", found.outcome.fitted);
 }
 
@@ -128,10 +131,12 @@ fn derivatives_are_those_of_the_removal() {
     let wide = |w: f64| removal(&trajectory, &gaussian(1.0, 1.0 + w, 1.0 + w, 0.0));
     let expected = (wide(0.02) - wide(-0.02)) / 0.04;
     let found = by_steps(Parameter::TifWidth, STEP);
+    // Regression bound: 0.5 % was seen.
     assert!(norm(&(&found - &expected)) < 0.05 * norm(&expected));
     for parameter in ALL.into_iter().filter(|p| *p != Parameter::RateScale) {
         let [whole, half] = [STEP, 0.5 * STEP].map(|step| by_steps(parameter, step));
         let error = norm(&(&whole - &half)) / norm(&whole);
+        // Regression bound: 1.2 % was seen.
         assert!(error < 0.02, "{}: {error}", parameter.name());
     }
 }
@@ -216,6 +221,7 @@ fn what_the_data_do_not_determine_is_refused_by_name_and_with_the_reason() {
     // Without the terms both are found, and nobody complains.
     let found = learnt(&measured, &Settings { free: wanted, ..Settings::default() });
     assert!(found.drawback.is_none(), "{:?}", found.outcome.parameters);
+    // Regression bound: 2e-3 % was seen.
     assert!((value(&found, Parameter::RateScale) - 3.0).abs() < 0.05);
     let held = found.outcome.parameters.iter().filter(|e| e.held).count();
     assert_eq!(held, 7);
@@ -260,6 +266,7 @@ fn what_is_known_beforehand_and_wrong_is_said_and_spoils_no_other_number() {
     // The others are what they are with a process that allows for it: without the rate the width took 5 % of it.
     let wide = learnt(&process(5.0));
     assert!(wide.drawback.is_none(), "{:?}", wide.drawback);
+    // Regression bound: 0.04 % was seen; the noise is 0.2 nm.
     assert!((value(&wide, Parameter::RateScale) - 5.0).abs() < 0.2);
     for (narrow, wide) in found.outcome.parameters.iter().zip(&wide.outcome.parameters) {
         if let (Some(a), Some(b), Some(error)) = (narrow.value, wide.value, wide.standard_error) {
@@ -312,6 +319,7 @@ fn pixels_that_are_invalid_in_one_of_the_maps_are_left_out() {
     for at in [[3, 7], [30, 50], [10, 20]] {
         assert!(found.rest_nm[at].is_nan() && found.measured_nm[at].is_nan());
     }
+    // Regression bound: 2e-3 % was seen.
     assert!((value(&found, Parameter::RateScale) - 2.0).abs() < 0.02);
 }
 
@@ -349,5 +357,6 @@ fn a_determined_sum_of_two_parameters_is_kept() {
     let found = two.mean(&[0, 1], &[1.0, 1.0], t);
     // Shrinking it by the square of its standard error over the spread of 0.14 is below 1e-3 of 0.2.
     assert!((found[0] + found[1] - 0.2).abs() < 2e-4, "{found:?}");
+    // Regression bound: 0.05 was seen of the difference of 0.6: it is shrunk.
     assert!((found[0] - found[1]).abs() < 0.3, "{found:?}");
 }

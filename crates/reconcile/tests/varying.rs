@@ -240,6 +240,7 @@ fn the_corrected_tool_varies_as_the_one_that_ran() {
         assert!(largest < 8e-3, "{place:?}: {largest}");
         let ignored = tool(None).variation().unwrap().rate_at(Pose::along_x(place));
         let ignored = (&ignored - &expected).iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+        // Regression bound: 0.49 was seen, which is close.
         assert!(largest < 0.5 * ignored / PEAK_NM_PER_S, "{place:?}: {largest} {ignored}");
     }
     let [plan, new] = [tool(None), found.tif.clone()].map(|t| t.numbers());
