@@ -6,11 +6,11 @@
 use planish_handoff::{Manifest, kind::Dtype, npy};
 use planish_import::{
     Format, Origin, Pick, Settings, Unit,
-    program::{self, Configuration, Controller, ProgramAxis},
+    program::{self, Configuration, ProgramAxis},
     read, surface, tif,
     trace::{self, LogFormat, PositionUnit, TimeUnit, TraceSettings, following, motion::Between},
 };
-use planish_types::{MachineFile, budget};
+use planish_types::{ControllerKind, MachineFile, budget};
 
 /// What a reader may take: an input of some kilobytes that needs more is a defect.
 pub const MEMORY_GIB: f64 = 1.0 / 16.0;
@@ -22,7 +22,7 @@ const LONGEST_MESSAGE: usize = 1500;
 pub type Reader = (&'static str, fn(&[u8]));
 
 /// Every reader.
-pub const READERS: [Reader; 28] = [
+pub const READERS: [Reader; 24] = [
     ("metropro", |bytes| map(Format::Metropro, bytes)),
     ("datx", |bytes| map(Format::Datx, bytes)),
     ("xyz", |bytes| map(Format::Xyz, bytes)),
@@ -42,11 +42,7 @@ pub const READERS: [Reader; 28] = [
     ("presurface", |bytes| map(Format::Presurface, bytes)),
     ("4sight", |bytes| map(Format::FourSight, bytes)),
     ("scattered", scattered),
-    ("galil", |bytes| motion(Controller::Galil, bytes)),
-    ("xps", |bytes| motion(Controller::Xps, bytes)),
-    ("pmac", |bytes| motion(Controller::Pmac, bytes)),
-    ("gcode", |bytes| motion(Controller::Gcode, bytes)),
-    ("motion-csv", |bytes| motion(Controller::Csv, bytes)),
+    ("program", programs),
     ("trace", log),
     ("artifact-npy", artifact_npy),
     ("manifest", manifest),
@@ -100,7 +96,12 @@ fn scattered(bytes: &[u8]) {
     }
 }
 
-fn motion(controller: Controller, bytes: &[u8]) {
+/// A program, by the reader of every controller: a user may name the wrong one.
+fn programs(bytes: &[u8]) {
+    ControllerKind::ALL.into_iter().for_each(|controller| motion(controller, bytes));
+}
+
+fn motion(controller: ControllerKind, bytes: &[u8]) {
     let configuration = Configuration {
         start_mm: Some([0.0; 2]),
         count_mm: Some([1e-3; 2]),

@@ -177,7 +177,7 @@ class Plan:
         return self.summary["methods"][self.method]["total_time_s"]
 
     def program(self, controller: str, out: str | os.PathLike[str] | None = None, **settings: typing.Any) -> pathlib.Path:
-        """Writes the plan as a program of `controller` (galil, xps, pmac, gcode, csv), and returns its path.
+        """Writes the plan as a program of `controller` (galil, gcode and others: `dir(planish.export)`), and returns its path.
 
         `settings` are those of `planish.export.galil` and its siblings. Without `out` the program lies beside the plan,
         and is removed with a temporary directory. A plan whose segments are too short for the controller raises
@@ -185,8 +185,8 @@ class Plan:
         """
         from . import export
 
-        if controller not in dir(export):
-            raise PlanishError(f"{controller!r} is no controller; give galil, xps, pmac, gcode or csv")
+        if controller not in export._commands:
+            raise PlanishError(f"{controller!r} is no controller; give one of {', '.join(export._commands)}")
         # The row of a program is not the plan but what the controller makes of it.
         method = self.method.rpartition("+")[0] if self.method.endswith(f"+{self._exported}") else self.method
         program = pathlib.Path(out) if out is not None else self.path.parent / f"program.{controller}"

@@ -1,19 +1,13 @@
-//! The subcommands, one file for each controller, and what they have in common.
-
-mod csv;
-mod galil;
-mod gcode;
-mod pmac;
-mod xps;
+//! The subcommands: one for each controller, with the flags of every program and those of its own.
 
 use std::{
     fs,
     path::{Path, PathBuf},
 };
 
-use clap::{Args, Subcommand};
+use clap::{ArgMatches, Args, Command, FromArgMatches, Subcommand, error::ErrorKind};
 use planish_export::{
-    Common, Controller, Origin, PATH_DEVIATION_MM, Program, program, program_of_axes,
+    Origin, PATH_DEVIATION_MM, Program, Settings, gcode, pmac, program, program_of_axes,
 };
 use planish_form::{Form, FormFile};
 use planish_handoff::{
@@ -21,36 +15,128 @@ use planish_handoff::{
     flags::{AxesArgs, OnAxes, OutputFileArgs, TrajectoryArgs},
     say, warn,
 };
-use planish_types::{AxesMotion, Counts, Kinematics, Machine, TransformNumbers};
+use planish_types::{AxesMotion, ControllerKind, Counts, Kinematics, Machine, TransformNumbers};
 
-#[derive(Debug, Subcommand)]
-pub enum Method {
-    /// Galil DMC, PVT mode: counts, counts/s, samples
-    Galil(galil::Galil),
-    /// Newport XPS, PVT trajectory file: dt, dx, vx, dy, vy, further axes
-    Xps(xps::Xps),
-    /// Delta Tau / Omron PMAC, PVT mode
-    Pmac(pmac::Pmac),
-    /// G-code for LinuxCNC and its relatives: straight lines, each in its time
-    Gcode(gcode::Gcode),
-    /// Table of the motion: t, x, vx, y, vy, further axes, tool on
-    Csv(csv::Csv),
+/// A program to write: a subcommand, which is the name of a [`ControllerKind`], and its flags.
+#[derive(Debug)]
+pub struct Export {
+    controller: ControllerKind,
+    /// Clock that is given, s.
+    tick_s: Option<f64>,
+    pmac: pmac::Settings,
+    gcode: gcode::Settings,
+    common: CommonArgs,
 }
 
-impl Method {
-    pub fn run(&self) -> Result<Status, Failure> {
-        match self {
-            Self::Galil(arguments) => arguments.run(),
-            Self::Xps(arguments) => arguments.run(),
-            Self::Pmac(arguments) => arguments.run(),
-            Self::Gcode(arguments) => arguments.run(),
-            Self::Csv(arguments) => arguments.run(),
-        }
-    }
+/// The clock of any controller but a Galil.
+#[derive(Debug, Args)]
+struct ClockArgs {
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    tick_s: Option<f64>,
 }
 
 #[derive(Debug, Args)]
-pub struct CommonArgs {
+struct GalilArgs {
+    /// Sample time of the controller, s; a segment has an even number of them [default: half the clock of the
+    /// machine's controller, else 1/1024, that of TM 1000]
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    sample_s: Option<f64>,
+}
+
+#[derive(Debug, Args)]
+struct PmacArgs {
+    /// Unit of time of the velocities of a PMAC, s: Isx90 / 1000
+    #[arg(long, value_name = "T", default_value_t = 1.0, allow_negative_numbers = true)]
+    feedrate_time_unit_s: f64,
+    /// M-variable that switches the tool, 1 for on [default: the program does not switch it]
+    #[arg(long, value_name = "M")]
+    tool_output: Option<u32>,
+}
+
+#[derive(Debug, Args)]
+struct GcodeArgs {
+    /// Convention of the F word: inverse time of each line (G93), or units per minute (G94)
+    #[arg(long, value_enum, default_value = "inverse-time")]
+    f_word: gcode::Feed,
+    /// Largest distance of the path from the corners between lines, mm (G64 P); 0 for an exact path (G61) [default: the
+    /// path deviation]
+    #[arg(long, value_name = "P", allow_negative_numbers = true)]
+    path_tolerance_mm: Option<f64>,
+}
+
+/// The flag of the clock, with the default of the controller in its help.
+fn with_clock(command: Command, kind: ControllerKind) -> Command {
+    ClockArgs::augment_args(command).mut_arg("tick_s", |flag| {
+        flag.help(format!(
+            "Clock, s: times are rounded to it [default: that of the machine's controller, else {:e}]",
+            kind.model().tick_s
+        ))
+    })
+}
+
+impl Subcommand for Export {
+    fn augment_subcommands(command: Command) -> Command {
+        command.subcommands(ControllerKind::ALL.map(|kind| {
+            let own = Command::new(kind.name());
+            let own = match kind {
+                ControllerKind::Galil => GalilArgs::augment_args(own),
+                ControllerKind::Pmac => PmacArgs::augment_args(with_clock(own, kind)),
+                ControllerKind::Gcode => GcodeArgs::augment_args(with_clock(own, kind)),
+                _ => with_clock(own, kind),
+            };
+            CommonArgs::augment_args(own).about(kind.about())
+        }))
+    }
+
+    fn augment_subcommands_for_update(command: Command) -> Command {
+        Self::augment_subcommands(command)
+    }
+
+    fn has_subcommand(name: &str) -> bool {
+        ControllerKind::named(name).is_some()
+    }
+}
+
+impl FromArgMatches for Export {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let chosen = matches.subcommand();
+        let chosen = chosen.and_then(|(name, own)| Some((ControllerKind::named(name)?, own)));
+        let Some((controller, own)) = chosen else {
+            return Err(clap::Error::new(ErrorKind::MissingSubcommand));
+        };
+        let mut export = Self {
+            controller,
+            tick_s: None,
+            pmac: pmac::Settings::default(),
+            gcode: gcode::Settings::default(),
+            common: CommonArgs::from_arg_matches(own)?,
+        };
+        if controller == ControllerKind::Galil {
+            let GalilArgs { sample_s } = GalilArgs::from_arg_matches(own)?;
+            export.tick_s = sample_s.map(|s| 2.0 * s);
+            return Ok(export);
+        }
+        export.tick_s = ClockArgs::from_arg_matches(own)?.tick_s;
+        if controller == ControllerKind::Pmac {
+            let PmacArgs { feedrate_time_unit_s, tool_output } = PmacArgs::from_arg_matches(own)?;
+            export.pmac = pmac::Settings { feedrate_time_unit_s, tool_output };
+        }
+        if controller == ControllerKind::Gcode {
+            let GcodeArgs { f_word, path_tolerance_mm } = GcodeArgs::from_arg_matches(own)?;
+            export.gcode = gcode::Settings { feed: f_word, path_tolerance_mm };
+        }
+        Ok(export)
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+/// The flags of every program.
+#[derive(Debug, Args)]
+struct CommonArgs {
     /// Motion of the axes x and y [trajectory artifact]
     #[arg(long, value_name = "DIR", required_unless_present = "axes", conflicts_with = "axes")]
     trajectory: Option<PathBuf>,
@@ -90,24 +176,27 @@ pub struct CommonArgs {
     output: OutputFileArgs,
 }
 
-impl CommonArgs {
+impl Export {
     /// Writes the program, and what is to be known of it beside it.
-    fn export(&self, controller: &Controller, tick_s: Option<f64>) -> Result<Status, Failure> {
-        let OutputFileArgs { out, force } = &self.output;
+    pub fn run(&self) -> Result<Status, Failure> {
+        let given = &self.common;
+        let OutputFileArgs { out, force } = &given.output;
         let about = PathBuf::from(format!("{}.json", out.display()));
         let mut inputs = Inputs::new();
-        let motion = self.read(&mut inputs)?;
-        let program_file = self.output.begin(&inputs)?;
+        let motion = given.read(&mut inputs)?;
+        let program_file = given.output.begin(&inputs)?;
         let about_file = OutputFile::begin("--out", &about, *force, &inputs)?;
         refuse_foreign_about(&about)?;
-        let common = Common {
-            counts: Counts { mm: self.count_mm.clone(), deg: self.count_deg.clone() },
-            tick_s,
-            max_step_s: self.max_step_s,
-            path_deviation_mm: self.path_deviation_mm,
-            always_on: self.always_on,
+        let settings = Settings {
+            counts: Counts { mm: given.count_mm.clone(), deg: given.count_deg.clone() },
+            tick_s: self.tick_s,
+            max_step_s: given.max_step_s,
+            path_deviation_mm: given.path_deviation_mm,
+            always_on: given.always_on,
+            pmac: self.pmac.clone(),
+            gcode: self.gcode.clone(),
         };
-        let made = motion.program(controller, &common, &inputs)?;
+        let made = motion.program(self.controller, &settings, &inputs)?;
         for warning in &made.about.warnings {
             warn(warning);
         }
@@ -129,7 +218,9 @@ impl CommonArgs {
         ));
         Ok(Status::Done)
     }
+}
 
+impl CommonArgs {
     /// Reads the motion that is given, its machine, and the form of the part.
     fn read(&self, inputs: &mut Inputs) -> Result<Given, Failure> {
         match (&self.axes, &self.trajectory) {
@@ -187,8 +278,8 @@ struct GivenAxes {
 impl Given {
     fn program(
         &self,
-        controller: &Controller,
-        common: &Common,
+        controller: ControllerKind,
+        settings: &Settings,
         inputs: &Inputs,
     ) -> Result<Program, Failure> {
         let origin = |role: &str, dir: &Path, manifest: Option<&Manifest>| {
@@ -207,12 +298,12 @@ impl Given {
                     was_on_axes: given.was_there,
                     ..origin("trajectory", dir, given.manifest.as_ref())
                 };
-                program(&given.motion, &given.machine, controller, common, &origin)
+                program(&given.motion, &given.machine, controller, settings, &origin)
             }
             Self::Axes(given) => {
                 let origin = origin("axes", &given.dir, given.manifest.as_ref());
                 let GivenAxes { motion, machine, form, .. } = given.as_ref();
-                program_of_axes(motion, machine, form, controller, common, &origin)
+                program_of_axes(motion, machine, form, controller, settings, &origin)
             }
         }
         .map_err(Failure::with_flags)

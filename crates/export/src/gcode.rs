@@ -32,7 +32,6 @@
 //! simulator (`crates/export/tests/interpreter.py`).
 
 use planish_types::Invalid;
-use serde::Serialize;
 
 use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment};
 
@@ -54,9 +53,8 @@ const COMMENT: Comment = Comment { open: "(", close: ")", line: 252 };
 const LEAST_TOLERANCE_MM: f64 = 1e-6;
 
 /// Convention of the F word.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
-#[serde(rename_all = "kebab-case")]
 pub enum Feed {
     /// G93: lines per minute.
     InverseTime,
@@ -65,7 +63,7 @@ pub enum Feed {
 }
 
 /// Settings of a G-code program.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     /// Convention of the F word.
     pub feed: Feed,
@@ -80,12 +78,10 @@ impl Default for Settings {
     }
 }
 
-pub(crate) fn write<const N: usize>(
-    job: &Job<N>,
-    settings: &Settings,
-) -> Result<(String, About), Invalid> {
+pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
+    let settings = &job.settings.gcode;
     let tick_s = job.tick()?;
-    let tolerance = settings.path_tolerance_mm.unwrap_or(job.common.path_deviation_mm);
+    let tolerance = settings.path_tolerance_mm.unwrap_or(job.settings.path_deviation_mm);
     let is_length = tolerance == 0.0 || tolerance >= LEAST_TOLERANCE_MM;
     if !(tolerance.is_finite() && is_length) {
         let problem = format!("is {tolerance}, and G64 P0 would allow any deviation");

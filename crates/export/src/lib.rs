@@ -49,38 +49,9 @@ use crate::{
     plan::{Contact, Plan},
 };
 
-/// Controller with its settings.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(tag = "controller", rename_all = "kebab-case")]
-pub enum Controller {
-    /// Galil DMC.
-    Galil,
-    /// Newport XPS.
-    Xps,
-    /// PMAC.
-    Pmac(pmac::Settings),
-    /// G-code.
-    Gcode(gcode::Settings),
-    /// Table.
-    Csv,
-}
-
-impl Controller {
-    /// The kind, by which a machine file states the grids of the controller.
-    pub fn kind(&self) -> ControllerKind {
-        match self {
-            Self::Galil => ControllerKind::Galil,
-            Self::Xps => ControllerKind::Xps,
-            Self::Pmac(_) => ControllerKind::Pmac,
-            Self::Gcode(_) => ControllerKind::Gcode,
-            Self::Csv => ControllerKind::Csv,
-        }
-    }
-}
-
-/// Settings of every program.
+/// Settings of a program.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Common {
+pub struct Settings {
     /// Sizes of the counts. Absent: those of the machine's controller.
     pub counts: Counts,
     /// Clock, s. Absent: that of the machine's controller.
@@ -92,13 +63,17 @@ pub struct Common {
     /// True if a motion that lifts the tool may go to a controller whose program cannot switch it; the tool then
     /// stays on.
     pub always_on: bool,
+    /// Further settings of a program for a PMAC; other programs do not read them.
+    pub pmac: pmac::Settings,
+    /// Further settings of a G-code program; other programs do not read them.
+    pub gcode: gcode::Settings,
 }
 
 /// Default of the largest distance of the program's path from the plan's, mm. Larger: fewer segments, and a removal
 /// that differs more. Smaller: more segments. Chosen: a hundredth of the pixels of a fine map.
 pub const PATH_DEVIATION_MM: f64 = 0.005;
 
-impl Default for Common {
+impl Default for Settings {
     fn default() -> Self {
         Self {
             counts: Counts::default(),
@@ -106,6 +81,8 @@ impl Default for Common {
             max_step_s: None,
             path_deviation_mm: PATH_DEVIATION_MM,
             always_on: false,
+            pmac: pmac::Settings::default(),
+            gcode: gcode::Settings::default(),
         }
     }
 }
@@ -232,8 +209,8 @@ const WARNED_ADDED: f64 = 0.03;
 pub fn program(
     trajectory: &Trajectory,
     machine: &Machine,
-    controller: &Controller,
-    common: &Common,
+    controller: ControllerKind,
+    settings: &Settings,
     origin: &Origin,
 ) -> Result<Program, Invalid> {
     let axes = <&[MachineAxis; 2]>::try_from(machine.axes());
@@ -242,7 +219,7 @@ pub fn program(
         let remedy = "give `axes` with the motion that planish-axes motion makes";
         return Err(Invalid::whole("machine", problem, remedy));
     };
-    let grids = grids(machine, controller, common)?;
+    let grids = grids(machine, controller, settings)?;
     trajectory.check_rate_is_constant()?;
     let plan = Plan {
         break_time_s: trajectory.break_time_s(),
@@ -255,7 +232,7 @@ pub fn program(
         may_step: false,
         contact: None,
     };
-    write(&Job { plan: &plan, common, origin, grids }, controller)
+    write(&Job { plan: &plan, settings, origin, grids }, controller)
 }
 
 /// Writes the program of a motion of all axes of `machine` over the part `form` for `controller`.
@@ -266,13 +243,13 @@ pub fn program_of_axes(
     motion: &AxesMotion,
     machine: &Machine,
     form: &Form,
-    controller: &Controller,
-    common: &Common,
+    controller: ControllerKind,
+    settings: &Settings,
     origin: &Origin,
 ) -> Result<Program, Invalid> {
     let map = AxisMap::new(machine, form)?;
     let contact = |positions: &[f64]| map.contact(positions).map(|c| c.point_mm);
-    let all = AllAxes { motion, machine, contact: &contact, common, origin };
+    let all = AllAxes { motion, machine, contact: &contact, settings, origin };
     match machine.axes().len() {
         2 => all.program::<2>(controller),
         3 => all.program::<3>(controller),
@@ -286,19 +263,19 @@ struct AllAxes<'a> {
     motion: &'a AxesMotion,
     machine: &'a Machine,
     contact: &'a Contact<'a>,
-    common: &'a Common,
+    settings: &'a Settings,
     origin: &'a Origin,
 }
 
 impl AllAxes<'_> {
-    fn program<const N: usize>(&self, controller: &Controller) -> Result<Program, Invalid> {
+    fn program<const N: usize>(&self, controller: ControllerKind) -> Result<Program, Invalid> {
         let (motion, machine) = (self.motion, self.machine);
         let coefficient = plan::by_segment::<N>(motion)?;
         let axes = <&[MachineAxis; N]>::try_from(machine.axes()).map_err(|_| {
             let problem = format!("has {} axes", machine.axes().len());
             Invalid::whole("machine", problem, "give a machine of up to 5 axes")
         })?;
-        let grids = grids(machine, controller, self.common)?;
+        let grids = grids(machine, controller, self.settings)?;
         let plan = Plan {
             break_time_s: motion.break_time_s(),
             coefficient: &coefficient,
@@ -310,7 +287,7 @@ impl AllAxes<'_> {
             may_step: true,
             contact: Some(self.contact),
         };
-        let job = Job { plan: &plan, common: self.common, origin: self.origin, grids };
+        let job = Job { plan: &plan, settings: self.settings, origin: self.origin, grids };
         write(&job, controller)
     }
 }
@@ -323,27 +300,27 @@ fn of_axes<T: Copy, const N: usize>(list: &[T]) -> [T; N] {
 /// The grids of the controller, with the settings.
 fn grids(
     machine: &Machine,
-    controller: &Controller,
-    common: &Common,
+    controller: ControllerKind,
+    settings: &Settings,
 ) -> Result<ControllerModel, Invalid> {
-    if let Some(step) = common.max_step_s.filter(|s| !(s.is_finite() && *s > 0.0)) {
+    if let Some(step) = settings.max_step_s.filter(|s| !(s.is_finite() && *s > 0.0)) {
         return Err(Invalid::whole(
             "max_step_s",
             format!("is {step}"),
             "give a positive time in s",
         ));
     }
-    let model = machine.controller_for(controller.kind());
-    model.with(common.tick_s, &common.counts, machine.axes())
+    let model = machine.controller_for(controller);
+    model.with(settings.tick_s, &settings.counts, machine.axes())
 }
 
-fn write<const N: usize>(job: &Job<N>, controller: &Controller) -> Result<Program, Invalid> {
+fn write<const N: usize>(job: &Job<N>, controller: ControllerKind) -> Result<Program, Invalid> {
     let (text, mut about) = match controller {
-        Controller::Galil => galil::write(job),
-        Controller::Xps => xps::write(job),
-        Controller::Pmac(settings) => pmac::write(job, settings),
-        Controller::Gcode(settings) => gcode::write(job, settings),
-        Controller::Csv => csv::write(job),
+        ControllerKind::Galil => galil::write(job),
+        ControllerKind::Xps => xps::write(job),
+        ControllerKind::Pmac => pmac::write(job),
+        ControllerKind::Gcode => gcode::write(job),
+        ControllerKind::Csv => csv::write(job),
     }?;
     about.program_blake3 = blake3::hash(text.as_bytes()).to_hex().to_string();
     Ok(Program { text, about })
@@ -352,7 +329,7 @@ fn write<const N: usize>(job: &Job<N>, controller: &Controller) -> Result<Progra
 /// Inputs of the modules of the controllers.
 struct Job<'a, const N: usize> {
     plan: &'a Plan<'a, N>,
-    common: &'a Common,
+    settings: &'a Settings,
     origin: &'a Origin,
     grids: ControllerModel,
 }
@@ -389,7 +366,7 @@ impl<const N: usize> Job<'_, N> {
         let mut warnings: Vec<String> = warning.into_iter().collect();
         let tick_s = self.grids.tick_s;
         // Fewer than one are a step that no segment is as short as; the generator refuses it.
-        let most_ticks = match self.common.max_step_s {
+        let most_ticks = match self.settings.max_step_s {
             Some(step_s) => (step_s / tick_s).floor().min(can.most_ticks as f64) as i64,
             None => can.most_ticks,
         };
@@ -402,7 +379,7 @@ impl<const N: usize> Job<'_, N> {
         let settings = generate::Settings {
             controller: self.grids,
             most_ticks,
-            path_deviation_mm: self.common.path_deviation_mm,
+            path_deviation_mm: self.settings.path_deviation_mm,
             follows_tool,
         };
         let nodes = generate(self.plan, &settings)?;
@@ -461,7 +438,7 @@ impl<const N: usize> Job<'_, N> {
         if self.plan.tool_on.iter().all(|on| *on) {
             return Ok((who, None));
         }
-        if !self.common.always_on {
+        if !self.settings.always_on {
             let name = self.grids.kind.name();
             let problem = format!("is 0 somewhere; a {name} program cannot switch the tool");
             let remedy = "give `always_on` (the tool then removes there too), or use gcode, csv, or pmac with \

@@ -24,9 +24,9 @@ const EXAMPLES: &str = "Examples:\n\
 #[command(version, after_help = EXAMPLES)]
 struct Cli {
     #[command(subcommand)]
-    controller: cli::Method,
+    export: cli::Export,
 }
 
 pub(crate) fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.controller.run())
+    planish_handoff::program(|cli: &Cli| cli.export.run())
 }

@@ -24,7 +24,6 @@
 //! of a terminal.
 
 use planish_types::Invalid;
-use serde::Serialize;
 
 use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment, letter, positive};
 
@@ -44,7 +43,7 @@ const COMMENT: Comment = Comment { open: "; ", close: "", line: 80 };
 const DIGITS: usize = 9;
 
 /// Settings of a motion program.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     /// Unit of time of the velocities, s: Isx90 in ms over 1000.
     pub feedrate_time_unit_s: f64,
@@ -88,10 +87,8 @@ fn checked<const N: usize>(job: &Job<N>, settings: &Settings) -> Result<[f64; 3]
     Ok([tick_s, unit_s, most])
 }
 
-pub(crate) fn write<const N: usize>(
-    job: &Job<N>,
-    settings: &Settings,
-) -> Result<(String, About), Invalid> {
+pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
+    let settings = &job.settings.pmac;
     let [tick_s, unit_s, most] = checked(job, settings)?;
     let tool = match settings.tool_output {
         None => Tool::LeftToTheHost(

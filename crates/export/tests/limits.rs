@@ -1,7 +1,9 @@
 //! The limits of the machine on the motion that a program asks for.
 
-use planish_export::{About, Common, Controller, Origin, gcode, pmac, program};
-use planish_types::{Counts, Limits, Machine, MachineFile, MachineFileAxis, Trajectory};
+use planish_export::{About, Origin, Settings, program};
+use planish_types::{
+    ControllerKind, Counts, Limits, Machine, MachineFile, MachineFileAxis, Trajectory,
+};
 
 fn machine(v: f64, a: f64, j: Option<f64>) -> Limits {
     let axis = |name: &str| MachineFileAxis {
@@ -27,26 +29,16 @@ fn rest_to_rest(d: f64, t: f64) -> Trajectory {
     Trajectory::new(vec![0.0, t], vec![c], vec![true], vec![Some(0)]).unwrap()
 }
 
-fn controllers() -> [Controller; 5] {
-    [
-        Controller::Galil,
-        Controller::Xps,
-        Controller::Pmac(pmac::Settings::default()),
-        Controller::Gcode(gcode::Settings::default()),
-        Controller::Csv,
-    ]
-}
-
 fn export(
     plan: &Trajectory,
     machine: &Limits,
-    controller: &Controller,
+    controller: ControllerKind,
     count: f64,
     tick_s: Option<f64>,
 ) -> Result<About, String> {
-    let common = Common { counts: Counts::linear(count), tick_s, ..Common::default() };
+    let settings = Settings { counts: Counts::linear(count), tick_s, ..Settings::default() };
     let origin = Origin { made_from: "a test".into(), made_by: "hand".into(), ..Origin::default() };
-    let made = program(plan, &machine.clone().into(), controller, &common, &origin)
+    let made = program(plan, &machine.clone().into(), controller, &settings, &origin)
         .map_err(|e| e.to_string())?;
     assert_eq!(made.about.program_blake3, blake3::hash(made.text.as_bytes()).to_hex().as_str());
     Ok(made.about)
@@ -57,11 +49,11 @@ fn export(
 fn a_limit_within_a_segment_is_found_for_every_controller() {
     // v = 15, a = 60 mm/s^2, j = 120 mm/s^3 (and a step of the acceleration at both ends).
     let plan = rest_to_rest(10.0, 1.0);
-    for controller in controllers() {
+    for controller in ControllerKind::ALL {
         let refused =
-            |v, a, j| export(&plan, &machine(v, a, j), &controller, 1e-4, None).unwrap_err();
+            |v, a, j| export(&plan, &machine(v, a, j), controller, 1e-4, None).unwrap_err();
         assert!(
-            export(&plan, &machine(15.0, 60.0, None), &controller, 1e-4, None).is_ok(),
+            export(&plan, &machine(15.0, 60.0, None), controller, 1e-4, None).is_ok(),
             "{controller:?}"
         );
         let said = refused(14.9, 60.0, None);
@@ -84,29 +76,29 @@ fn a_plan_at_its_limits_is_a_program_within_them() {
     let plan = rest_to_rest(1.0049, 0.125);
     // v = 12.0588, a = 385.88
     let machine = machine(12.06, 385.9, None);
-    for controller in controllers() {
+    for controller in ControllerKind::ALL {
         for (count, tick_s) in [(1e-4, None), (1e-3, None), (1e-4, Some(4e-3)), (1e-4, Some(5e-4))]
         {
-            let about = export(&plan, &machine, &controller, count, tick_s).unwrap();
+            let about = export(&plan, &machine, controller, count, tick_s).unwrap();
             let kept = about.limits.largest.iter().all(|p| p.value <= p.limit * (1.0 + 1e-9));
             assert!(kept && about.path_deviation_mm <= 0.005, "{controller:?}: {about:?}");
             // Two margins of 2 percent of the acceleration, counts of 1 um at 0.1 mm, and one tick.
             // Times of lines are not on a clock: a coarse one makes neighbours unequal, and their parabolas steep.
-            if matches!(controller, Controller::Gcode(_)) && tick_s.is_some() {
+            if controller == ControllerKind::Gcode && tick_s.is_some() {
                 continue;
             }
             // Lines have no velocities of their own, so that rounding their ends acts fully.
-            let part = if matches!(controller, Controller::Gcode(_)) { 0.5 } else { 0.06 };
+            let part = if controller == ControllerKind::Gcode { 0.5 } else { 0.06 };
             let most = part * 0.125 + tick_s.unwrap_or(2e-3);
             assert!(about.added_time_s >= -1e-9 && about.added_time_s <= most, "{about:?}");
         }
     }
     // A tick of 0.04 s has three segments for 0.125 s, which no motion at the limits fits.
-    let coarse = export(&plan, &machine, &Controller::Csv, 1e-4, Some(0.04)).unwrap();
+    let coarse = export(&plan, &machine, ControllerKind::Csv, 1e-4, Some(0.04)).unwrap();
     assert!(coarse.added_time_s > 0.03 * 0.125 && coarse.warnings.len() == 1, "{coarse:?}");
     assert!(coarse.warnings[0].contains("% longer than the plan"), "{:?}", coarse.warnings);
     // Half the deviation is the least that a count may be.
-    let said = export(&plan, &machine, &Controller::Csv, 4e-3, None).unwrap_err();
+    let said = export(&plan, &machine, ControllerKind::Csv, 4e-3, None).unwrap_err();
     assert!(said.contains("count_mm: is 0.004, more than half the path deviation"), "{said}");
     assert!(said.contains("larger `path_deviation_mm`"), "{said}");
 }
@@ -117,10 +109,11 @@ fn no_segment_is_shorter_than_the_machine_takes() {
     let machine = MachineFile { min_segment_s: 0.0195, ..(&machine(1e3, 1e6, None)).into() };
     let machine = machine.checked().unwrap();
     // Ten ticks, 0.01953 s.
-    let about = export(&plan, &machine, &Controller::Galil, 1e-4, None).unwrap();
+    let about = export(&plan, &machine, ControllerKind::Galil, 1e-4, None).unwrap();
     assert_eq!((about.segments, about.total_time_s), (1, 20.0 / 1024.0));
     // Two ticks of 0.0078 s are shorter: three.
-    let about = export(&plan, &machine, &Controller::Galil, 1e-4, Some(256.0 / 32768.0)).unwrap();
+    let about =
+        export(&plan, &machine, ControllerKind::Galil, 1e-4, Some(256.0 / 32768.0)).unwrap();
     assert_eq!((about.segments, about.total_time_s), (1, 3.0 * 256.0 / 32768.0));
 }
 
@@ -147,8 +140,8 @@ fn the_travel_holds_between_the_nodes_too() {
         let machine = Machine::new(file).unwrap();
         let origin =
             Origin { made_from: "a test".into(), made_by: "hand".into(), ..Origin::default() };
-        for controller in controllers() {
-            let made = program(&plan, &machine, &controller, &Common::default(), &origin).unwrap();
+        for controller in ControllerKind::ALL {
+            let made = program(&plan, &machine, controller, &Settings::default(), &origin).unwrap();
             let [low, high] = made.about.limits.reach_mm[0];
             assert!(low >= -5.0 - 1e-9 && high <= top + 1e-9, "{controller:?}: {low} to {high}");
             // Within the path deviation of where the plan turns, not of the ends of its segments.
@@ -166,10 +159,12 @@ fn the_travel_holds_between_the_nodes_too() {
 fn largest_values_are_those_of_the_program() {
     for (d, t) in [(3.0, 0.4), (-7.0, 1.3), (0.02, 0.05), (55.0, 4.0)] {
         let plan = rest_to_rest(d, t);
-        let about = export(&plan, &machine(1e4, 1e6, Some(1e12)), &controllers()[3], 1e-4, None);
+        let about =
+            export(&plan, &machine(1e4, 1e6, Some(1e12)), ControllerKind::Gcode, 1e-4, None);
         // A limit on jerk refuses the step of the acceleration.
         assert!(about.is_err());
-        let about = export(&plan, &machine(1e4, 1e6, None), &controllers()[4], 1e-4, None).unwrap();
+        let about =
+            export(&plan, &machine(1e4, 1e6, None), ControllerKind::Csv, 1e-4, None).unwrap();
         let value = |name: &str| {
             about.limits.largest.iter().find(|p| p.quantity == name).map(|p| p.value).unwrap()
         };

@@ -2,8 +2,8 @@
 //! both sides are seen: `crates/testkit/tests/programs.rs` reads them back with the reader of
 //! `planish-import`.
 
-use planish_export::{Common, Controller, Origin, gcode, pmac, program};
-use planish_types::{Counts, Limits, MachineFile, MachineFileAxis, Trajectory};
+use planish_export::{Origin, Settings, gcode, pmac, program};
+use planish_types::{ControllerKind, Counts, Limits, MachineFile, MachineFileAxis, Trajectory};
 
 fn machine() -> Limits {
     let axis = |name: &str| MachineFileAxis {
@@ -37,55 +37,58 @@ fn motion(tool_on: [bool; 2]) -> Trajectory {
 
 fn write(
     trajectory: &Trajectory,
-    controller: &Controller,
-    common: &Common,
+    controller: ControllerKind,
+    settings: &Settings,
 ) -> Result<String, String> {
     let origin = Origin { made_from: "a test".into(), made_by: "hand".into(), ..Origin::default() };
-    program(trajectory, &machine().into(), controller, common, &origin)
+    program(trajectory, &machine().into(), controller, settings, &origin)
         .map(|p| p.text)
         .map_err(|e| e.to_string())
 }
 
-fn common() -> Common {
-    Common { counts: Counts::linear(1e-4), ..Common::default() }
+fn settings() -> Settings {
+    Settings { counts: Counts::linear(1e-4), ..Settings::default() }
 }
 
 #[test]
 fn the_text_of_every_controller() {
     let motion = motion([true; 2]);
-    let body = |controller| {
-        let text = write(&motion, &controller, &common()).unwrap();
+    let body_with = |controller, settings: &Settings| {
+        let text = write(&motion, controller, settings).unwrap();
         let comment = |l: &&str| !["' ", "; ", "# ", "("].iter().any(|c| l.starts_with(c));
         text.lines().filter(comment).collect::<Vec<_>>().join("\n")
     };
+    let body = |controller| body_with(controller, &settings());
     // 10000.4 counts in 64 ticks; 3 s are more than 2048 samples: two parts.
     let expected = "PVA=0,0,-1\nPVB=0,0,-1\nPVA=10000,0,128\nPVB=0,0,128\nPVA=0,0,2048\nPVB=0,0,2048\n\
                     PVA=0,0,1024\nPVB=0,0,1024\nBTAB\nPVA=0,0,0\nPVB=0,0,0";
-    assert_eq!(body(Controller::Galil), expected);
+    assert_eq!(body(ControllerKind::Galil), expected);
     let expected = "0.125, 1, 0, 0, 0\n3, 0, 0, 0, 0";
-    assert_eq!(body(Controller::Xps), expected);
+    assert_eq!(body(ControllerKind::Xps), expected);
     let expected = "ABS\nPVT125\nX2:0 Y-2:0\nPVT3000\nX2:0 Y-2:0";
-    assert_eq!(body(Controller::Pmac(pmac::Settings::default())), expected);
-    let switched = pmac::Settings { tool_output: Some(7), ..pmac::Settings::default() };
+    assert_eq!(body(ControllerKind::Pmac), expected);
+    let pmac = pmac::Settings { tool_output: Some(7), ..pmac::Settings::default() };
+    let switched = Settings { pmac, ..settings() };
     let expected = "M7=0\nABS\nRAPID\nX1 Y-2\nDWELL0\nM7==1\nPVT125\nX2:0 Y-2:0\nPVT3000\nX2:0 Y-2:0\nM7==0\nDWELL0";
-    assert_eq!(body(Controller::Pmac(switched)), expected);
+    assert_eq!(body_with(ControllerKind::Pmac, &switched), expected);
     // Lines, then a dwell: the tool switches with the first, and at once after the last.
-    let gcode = body(Controller::Gcode(gcode::Settings::default()));
+    let gcode = body(ControllerKind::Gcode);
     let head = "M65 P0\nG21 G90 G17 G40 G49 G94\nG64 P0.005 Q0\nG0 X1 Y-2\nG93\nM62 P0\nG1 X";
     assert!(gcode.starts_with(head), "{gcode}");
     let end: Vec<&str> = gcode.lines().rev().take(5).collect();
     assert_eq!(end[..3], ["M2", "G94 F60", "M65 P0"]);
     assert!(end[3].starts_with("G4 P") && end[4].starts_with("G1 X2 Y-2 F"), "{end:?}");
-    let settings = gcode::Settings { feed: gcode::Feed::PerMinute, ..gcode::Settings::default() };
-    assert!(body(Controller::Gcode(settings)).contains("\nG94\nM62 P0\nG1 X"));
+    let gcode = gcode::Settings { feed: gcode::Feed::PerMinute, ..gcode::Settings::default() };
+    let per_minute = Settings { gcode, ..settings() };
+    assert!(body_with(ControllerKind::Gcode, &per_minute).contains("\nG94\nM62 P0\nG1 X"));
     let expected = "t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n0,1,0,-2,0,1\n0.125,2,0,-2,0,1\n\
                     3.125,2,0,-2,0,0";
-    assert_eq!(body(Controller::Csv), expected);
+    assert_eq!(body(ControllerKind::Csv), expected);
 }
 
 #[test]
 fn the_header_says_what_it_is() {
-    let text = write(&motion([true; 2]), &Controller::Galil, &common()).unwrap();
+    let text = write(&motion([true; 2]), ControllerKind::Galil, &settings()).unwrap();
     for part in [
         "' galil for bench _1_, written by hand",
         "' made from: a test",
@@ -101,14 +104,13 @@ fn the_header_says_what_it_is() {
 
 #[test]
 fn what_a_controller_cannot_do_is_refused() {
-    let galil = Controller::Galil;
-    let refused =
-        |t: &Trajectory, c: &Controller, common: &Common| write(t, c, common).unwrap_err();
+    let galil = ControllerKind::Galil;
+    let refused = |t: &Trajectory, c, settings: &Settings| write(t, c, settings).unwrap_err();
     let lifted = motion([true, false]);
-    assert!(refused(&lifted, &galil, &common()).contains("cannot switch the tool"));
-    let on = Common { always_on: true, ..common() };
-    assert!(write(&lifted, &galil, &on).unwrap().contains("' warning: the tool is on"));
-    let text = write(&lifted, &Controller::Gcode(Default::default()), &common()).unwrap();
+    assert!(refused(&lifted, galil, &settings()).contains("cannot switch the tool"));
+    let on = Settings { always_on: true, ..settings() };
+    assert!(write(&lifted, galil, &on).unwrap().contains("' warning: the tool is on"));
+    let text = write(&lifted, ControllerKind::Gcode, &settings()).unwrap();
     // G4 is no motion, so M63 would wait beyond it.
     assert!(text.contains("\nM65 P0\nG4 P3\n"), "{text}");
 
@@ -118,38 +120,40 @@ fn what_a_controller_cannot_do_is_refused() {
         Trajectory::new(times, c, vec![true; n], vec![Some(0); n]).unwrap()
     };
     let at = |x: f64, v: f64| [[x, v, 0.0, 0.0], [0.0; 4]];
-    let gcode = Controller::Gcode(Default::default());
+    let gcode = ControllerKind::Gcode;
     let moving = line(vec![at(0.0, 1.0)], 1.0);
     let step = line(vec![at(0.0, 0.0), at(0.0, 1.0)], 1.0);
     let jump = line(vec![at(0.0, 0.0), at(0.5, 0.0)], 1.0);
-    for controller in [&galil, &gcode, &Controller::Csv] {
-        let said = refused(&moving, controller, &common());
+    for controller in [galil, gcode, ControllerKind::Csv] {
+        let said = refused(&moving, controller, &settings());
         assert!(
             said.contains("segment[0]: begins with a step of 1.000000 mm/s in the velocity of x")
         );
         assert!(
-            refused(&step, controller, &common()).contains("segment[1]: begins with a step of 1.0")
+            refused(&step, controller, &settings())
+                .contains("segment[1]: begins with a step of 1.0")
         );
-        let said = refused(&jump, controller, &common());
+        let said = refused(&jump, controller, &settings());
         assert!(
             said.contains("segment[1]: begins with a step of 0.500000 mm in the position"),
             "{said}"
         );
     }
     // 50 mm/s of 1e-6 mm are 50 000 000 counts/s.
-    let fine = Common { counts: Counts::linear(1e-6), ..common() };
+    let fine = Settings { counts: Counts::linear(1e-6), ..settings() };
     let rest = [[0.0, 0.0, 50.0, 0.0], [0.0; 4]];
     let stop = [[50.0, 100.0, -50.0, 0.0], [0.0; 4]];
     let fast = line(vec![rest, stop], 1.0);
-    assert!(refused(&fast, &galil, &fine).contains("beyond 44000000 counts"));
+    assert!(refused(&fast, galil, &fine).contains("beyond 44000000 counts"));
     let over =
         line(vec![[[0.0, 0.0, 75.0, 0.0], [0.0; 4]], [[75.0, 150.0, -75.0, 0.0], [0.0; 4]]], 1.0);
-    assert!(refused(&over, &gcode, &common()).contains("x velocity reaches 150.000000 mm/s"));
-    let zero = Common { counts: Counts::linear(0.0), ..common() };
-    assert!(refused(&motion([true; 2]), &gcode, &zero).contains("count_mm: is 0"));
+    assert!(refused(&over, gcode, &settings()).contains("x velocity reaches 150.000000 mm/s"));
+    let zero = Settings { counts: Counts::linear(0.0), ..settings() };
+    assert!(refused(&motion([true; 2]), gcode, &zero).contains("count_mm: is 0"));
     // 1e-10 mm would be written as G64 P0: any deviation.
-    let settings = gcode::Settings { path_tolerance_mm: Some(1e-10), ..Default::default() };
-    let said = refused(&motion([true; 2]), &Controller::Gcode(settings), &common());
+    let gcode = gcode::Settings { path_tolerance_mm: Some(1e-10), ..Default::default() };
+    let tight = Settings { gcode, ..settings() };
+    let said = refused(&motion([true; 2]), ControllerKind::Gcode, &tight);
     assert!(said.contains("path_tolerance_mm: is 0.0000000001, and G64 P0"), "{said}");
 }
 
@@ -165,7 +169,7 @@ fn a_long_program_says_how_fast_its_buffer_runs_empty() {
     let motion =
         Trajectory::new(times, (0..n).map(there).collect(), vec![true; n], vec![Some(0); n])
             .unwrap();
-    let text = write(&motion, &Controller::Galil, &common()).unwrap();
+    let text = write(&motion, ControllerKind::Galil, &settings()).unwrap();
     assert!(text.contains("' buffer of the controller: 255 segments, which last "), "{text}");
     let before = text.split("\nBTAB").next().unwrap();
     // The line that clears the buffer, then 255 segments.

@@ -1,8 +1,8 @@
 //! State of the tool in every program that switches it: replayed by controllers written here from the manuals alone,
 //! which know nothing of the writers.
 
-use planish_export::{Common, Controller, Origin, gcode, pmac, program};
-use planish_types::{Limits, MachineFile, MachineFileAxis, Trajectory};
+use planish_export::{Origin, Settings, gcode, pmac, program};
+use planish_types::{ControllerKind, Limits, MachineFile, MachineFileAxis, Trajectory};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -102,10 +102,9 @@ fn motion(moves: &[bool], tool_on: &[bool]) -> Trajectory {
     Trajectory::new(times, coefficients, tool_on.to_vec(), vec![Some(0); n]).unwrap()
 }
 
-fn text(plan: &Trajectory, controller: Controller) -> String {
-    let common = Common::default();
+fn text(plan: &Trajectory, controller: ControllerKind, settings: &Settings) -> String {
     let origin = Origin { made_from: "a test".into(), made_by: "hand".into(), ..Origin::default() };
-    program(plan, &limits().into(), &controller, &common, &origin).unwrap().text
+    program(plan, &limits().into(), controller, settings, &origin).unwrap().text
 }
 
 /// The states in their order, each once: a segment of the plan is several lines, and several are one.
@@ -131,22 +130,24 @@ fn the_tool_is_on_exactly_where_the_plan_has_it_on() {
         let plan = motion(&moves, &on);
         let name = format!("case {case}: moves {moves:?}, on {on:?}");
         for feed in [gcode::Feed::InverseTime, gcode::Feed::PerMinute] {
-            let settings = gcode::Settings { feed, ..gcode::Settings::default() };
-            let events = linuxcnc(&text(&plan, Controller::Gcode(settings)));
+            let gcode = gcode::Settings { feed, ..gcode::Settings::default() };
+            let settings = Settings { gcode, ..Settings::default() };
+            let events = linuxcnc(&text(&plan, ControllerKind::Gcode, &settings));
             // Off on the way to the start, as planned in every segment, off at the end.
             let last = events.len() - 1;
             assert_eq!(events[0], ("G0".into(), false), "{name}");
             assert_eq!(states(&events[1..last]), changes(on.clone()), "{name}");
             assert_eq!(events[last], ("end".into(), false), "{name}");
         }
-        let settings = pmac::Settings { tool_output: Some(7), ..pmac::Settings::default() };
-        let events = pmac(&text(&plan, Controller::Pmac(settings)));
+        let output = pmac::Settings { tool_output: Some(7), ..pmac::Settings::default() };
+        let settings = Settings { pmac: output, ..Settings::default() };
+        let events = pmac(&text(&plan, ControllerKind::Pmac, &settings));
         // Off on the way to the start, and while the axes come to rest there.
         let last = events.len() - 2;
         assert_eq!(events[..2], [("move".into(), false), ("dwell".into(), false)], "{name}");
         assert_eq!(states(&events[2..last]), changes(on.clone()), "{name}");
         assert_eq!(events[last..], [("dwell".into(), false), ("end".into(), false)], "{name}");
-        let events = table(&text(&plan, Controller::Csv));
+        let events = table(&text(&plan, ControllerKind::Csv, &Settings::default()));
         let last = events.len() - 1;
         assert_eq!(states(&events[..last]), changes(on), "{name}");
         assert_eq!(events[last..], [("row".into(), false)], "{name}");

@@ -7,9 +7,14 @@
 
 use std::{borrow::Cow, ffi::OsString, io::Write, process::exit};
 
-use clap::{Arg, CommandFactory, Parser, ValueEnum, error::ErrorKind, value_parser};
+use clap::{
+    Arg, CommandFactory, Parser, ValueEnum,
+    builder::{PossibleValue, PossibleValuesParser, TypedValueParser},
+    error::ErrorKind,
+    value_parser,
+};
 use clap_complete::Shell;
-use planish_types::budget;
+use planish_types::{ControllerKind, budget};
 
 use crate::{
     describe,
@@ -95,6 +100,13 @@ pub fn pair(text: &str) -> Result<[f64; 2], String> {
         Ok([x, y]) => Ok([*x, *y]),
         _ => Err("give a number, or two as X,Y".into()),
     }
+}
+
+/// Parser of a flag for a controller, such as `galil`.
+pub fn controller() -> impl TypedValueParser<Value = ControllerKind> {
+    let names = ControllerKind::ALL.map(|kind| PossibleValue::new(kind.name()).help(kind.about()));
+    PossibleValuesParser::new(names)
+        .try_map(|name| ControllerKind::named(&name).ok_or("is no controller"))
 }
 
 /// Message of a library in the words of the command line. A setting that it names in backquotes,

@@ -1,5 +1,7 @@
 //! Generator of `docs/formats.md`, the page about the files of Planish.
 
+use planish_types::ControllerKind;
+
 use crate::kind::ALL;
 
 /// Largest width of a paragraph of the page, characters. Larger: lines exceed the 120 characters
@@ -63,7 +65,9 @@ pub fn formats_markdown() -> String {
         }
     }
     page += MACHINE_FILE;
+    let kinds = ControllerKind::ALL.map(|kind| format!("`{}`", kind.name())).join(", ");
     for (key, unit, doc) in MACHINE_KEYS {
+        let doc = doc.replace("KINDS", &kinds);
         page += &format!("| `{key}` | {unit} | {doc} |\n");
     }
     page += MACHINE_COORDINATES;
@@ -177,7 +181,7 @@ const MACHINE_KEYS: [(&str, &str, &str); 34] = [
         "Object with the keys below: the grids of the programs for this machine. Left out, or a key left out: the \
          defaults of the kind ([table](instruments.md#the-controller)).",
     ),
-    ("controller.kind", "-", "`galil`, `xps`, `pmac`, `gcode` or `csv`."),
+    ("controller.kind", "-", "One of KINDS."),
     ("controller.tick_s", "s", "Clock: times of nodes are multiples of it."),
     (
         "controller.count_mm",

@@ -84,7 +84,7 @@ pub mod words;
 pub use allocator::Allocator;
 pub use artifact::{Arrays, Artifact, Manifest, read_regular};
 pub use children::Running;
-pub use command_line::{pair, with_flags};
+pub use command_line::{controller, pair, with_flags};
 pub use inputs::{GivenForm, Inputs, StatedForm};
 pub use nouns::Tool;
 pub use output::{Begin, Output, OutputFile, Task, Writer, save};

@@ -20,25 +20,8 @@ pub mod gcode;
 pub mod pmac;
 pub mod xps;
 
-use planish_types::{AxesMotion, Invalid, Trajectory, TransformNumbers};
+use planish_types::{AxesMotion, ControllerKind, Invalid, Trajectory, TransformNumbers};
 use serde::{Deserialize, Serialize};
-
-/// Controller that a program is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
-#[serde(rename_all = "kebab-case")]
-pub enum Controller {
-    /// Galil DMC, PVT mode.
-    Galil,
-    /// Newport XPS, PVT trajectory file.
-    Xps,
-    /// Delta Tau / Omron PMAC, PVT mode.
-    Pmac,
-    /// G-code as LinuxCNC runs it.
-    Gcode,
-    /// Table of the motion.
-    Csv,
-}
 
 /// Settings of the controller. A setting that a program needs and that is absent is refused, with a message
 /// that asks for it.
@@ -169,7 +152,7 @@ impl Configuration {
 ///
 /// Refuses a program of other axes: [`read_axes`] reads it.
 pub fn read(
-    controller: Controller,
+    controller: ControllerKind,
     bytes: &[u8],
     configuration: &Configuration,
 ) -> Result<Trajectory, Invalid> {
@@ -196,7 +179,7 @@ pub fn read(
 
 /// Reads a program of `controller` as the motion of all axes that it makes. The configuration has the list of axes.
 pub fn read_axes(
-    controller: Controller,
+    controller: ControllerKind,
     bytes: &[u8],
     configuration: &Configuration,
 ) -> Result<AxesMotion, Invalid> {
@@ -204,7 +187,7 @@ pub fn read_axes(
 }
 
 fn of_axes(
-    controller: Controller,
+    controller: ControllerKind,
     bytes: &[u8],
     configuration: &Configuration,
 ) -> Result<AxesMotion, Invalid> {
@@ -213,11 +196,11 @@ fn of_axes(
     let text = text.as_ref();
     let layout = configuration.layout()?;
     match controller {
-        Controller::Galil => galil::read(text, configuration, &layout),
-        Controller::Xps => xps::read(text, &layout),
-        Controller::Pmac => pmac::read(text, configuration, &layout),
-        Controller::Gcode => gcode::read(text, &layout),
-        Controller::Csv => csv::read(text, &layout),
+        ControllerKind::Galil => galil::read(text, configuration, &layout),
+        ControllerKind::Xps => xps::read(text, &layout),
+        ControllerKind::Pmac => pmac::read(text, configuration, &layout),
+        ControllerKind::Gcode => gcode::read(text, &layout),
+        ControllerKind::Csv => csv::read(text, &layout),
     }
 }
 
@@ -325,7 +308,7 @@ mod tests {
         }
     }
 
-    fn message(controller: Controller, text: &str) -> String {
+    fn message(controller: ControllerKind, text: &str) -> String {
         read(controller, text.as_bytes(), &configuration()).unwrap_err().to_string()
     }
 
@@ -357,24 +340,27 @@ mod tests {
         let read = |c, text: &str| read(c, text.as_bytes(), &configuration()).unwrap();
         let galil = "' a comment\nPVA=0,0,-1;PVB=0,0,-1\nPVA=1000,0,100\nPVB=0,0,100\nBTAB\n\
                      PVA=0,0,200\nPVB=0,0,200\nPVA=0,0,0;PVB=0,0,0\n";
-        is_the_move(&read(Controller::Galil, galil), false);
-        is_the_move(&read(Controller::Xps, "0.1, 1, 0, 0, 0\n0.2, 0, 0, 0, 0\n"), false);
+        is_the_move(&read(ControllerKind::Galil, galil), false);
+        is_the_move(&read(ControllerKind::Xps, "0.1, 1, 0, 0, 0\n0.2, 0, 0, 0, 0\n"), false);
         let pmac = "; a comment\nABS\nPVT100\nX2:0 Y-2:0\nPVT200\nX2:0 Y-2:0\n";
-        is_the_move(&read(Controller::Pmac, pmac), false);
+        is_the_move(&read(ControllerKind::Pmac, pmac), false);
         let relative = "INC\nPVT100\nX1:0\nPVT200\nX0 Y0\n";
-        is_the_move(&read(Controller::Pmac, relative), false);
+        is_the_move(&read(ControllerKind::Pmac, relative), false);
         // By itself to the start, wherever the axes stand.
         let there = "ABS\nRAPID\nX1 Y-2\nDWELL0\nPVT100\nX2:0 Y-2:0\nPVT200\nX2:0 Y-2:0\n";
         let elsewhere = Configuration { start_mm: None, ..configuration() };
-        is_the_move(&super::read(Controller::Pmac, there.as_bytes(), &elsewhere).unwrap(), false);
+        is_the_move(
+            &super::read(ControllerKind::Pmac, there.as_bytes(), &elsewhere).unwrap(),
+            false,
+        );
         let inverse =
             "%\n(a comment) G21 G90\nG0 X1 Y-2\nG93\nG1 X2 F600 ; on\nG4 P0.2\nG94 F60\nM2\n";
-        is_the_move(&read(Controller::Gcode, inverse), true);
+        is_the_move(&read(ControllerKind::Gcode, inverse), true);
         let feed = "g0x1y-2\ng94g1x2f600\ng4p.2\nm2\n";
-        is_the_move(&read(Controller::Gcode, feed), true);
+        is_the_move(&read(ControllerKind::Gcode, feed), true);
         let csv = "# a comment\nt_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n\
                    0,1,0,-2,0,1\n0.1,2,0,-2,0,1\n0.3,2,0,-2,0,1\n";
-        is_the_move(&read(Controller::Csv, csv), false);
+        is_the_move(&read(ControllerKind::Csv, csv), false);
     }
 
     /// Axes r, z and c.
@@ -404,16 +390,16 @@ mod tests {
         let csv = "t_s,r_mm,vr_mm_per_s,z_mm,vz_mm_per_s,c_deg,vc_deg_per_s,tool_on\n\
                    0,1,0,-2,0,10,0,1\n0.1,2,0,-2,0,15,0,0\n";
         for (controller, text, part) in [
-            (Controller::Galil, galil, 10.0 / 64.0),
-            (Controller::Xps, "0.1, 1, 0, 0, 0, 5, 0\n", 10.0 / 64.0),
-            (Controller::Pmac, "ABS\nPVT100\nX2:0 Z-2:0 C15:0\n", 10.0 / 64.0),
+            (ControllerKind::Galil, galil, 10.0 / 64.0),
+            (ControllerKind::Xps, "0.1, 1, 0, 0, 0, 5, 0\n", 10.0 / 64.0),
+            (ControllerKind::Pmac, "ABS\nPVT100\nX2:0 Z-2:0 C15:0\n", 10.0 / 64.0),
             (
-                Controller::Pmac,
+                ControllerKind::Pmac,
                 "ABS\nRAPID\nX1 Z-2 C10\nDWELL0\nPVT100\nX2:0 Z-2:0 C15:0\n",
                 10.0 / 64.0,
             ),
-            (Controller::Csv, csv, 10.0 / 64.0),
-            (Controller::Gcode, "G0 X1 Z-2 C10\nG93\nG1 X2 C15 F600\nM2\n", 0.25),
+            (ControllerKind::Csv, csv, 10.0 / 64.0),
+            (ControllerKind::Gcode, "G0 X1 Z-2 C10\nG93\nG1 X2 C15 F600\nM2\n", 0.25),
         ] {
             let motion = read_axes(controller, text.as_bytes(), &of_a_spindle()).unwrap();
             // A quarter of the time of a move of 1 mm and 5 degrees.
@@ -429,7 +415,7 @@ mod tests {
     fn joined_lines_of_rotary_axes_are_bounded_along_the_linear_ones() {
         let text = |p: &str| format!("G64 P{p}\nG0 X0 Z0 C0\nG93\nG1 X1 C90 F60\nG1 X4 F60\nM2\n");
         let pieces = |p: &str| {
-            read_axes(Controller::Gcode, text(p).as_bytes(), &of_a_spindle()).unwrap().len()
+            read_axes(ControllerKind::Gcode, text(p).as_bytes(), &of_a_spindle()).unwrap().len()
         };
         // The largest change of the velocity of r is 3 mm/s: 3/8 mm over 1 s.
         assert_eq!((pieces("0.375"), pieces("0.374")), (6, 2));
@@ -443,30 +429,34 @@ mod tests {
         let spindle = of_a_spindle();
         for (controller, text, expected) in [
             (
-                Controller::Gcode,
+                ControllerKind::Gcode,
                 "G0 X0 Z0 C0\nG94\nG1 C9 F60\nM2\n",
                 "a feed means nothing for rotary axes",
             ),
             (
-                Controller::Gcode,
+                ControllerKind::Gcode,
                 "G0 X0 Z0\nG93\nG1 X1 F60\nM2\n",
                 "comes before G0 X Z C sets the start",
             ),
-            (Controller::Gcode, "G0 X0 Z0 C0\nG93\nG1 Y1 F60\nM2\n", "has the word Y1"),
-            (Controller::Galil, "PVD=1,0,100\n", "not PVA=, PVB=, PVC=, or BTABC"),
-            (Controller::Xps, "0.1, 1, 0, 0, 0\n", "has 5 fields, not dt, dr, vr, dz, vz, dc, vc"),
-            (Controller::Pmac, "ABS\nRAPID\nX1 Z1\nPVT9\nX1:0\n", "without all axes"),
-            (Controller::Csv, "t_s,x_mm\n", "is not the header t_s,r_mm,vr_mm_per_s,z_mm"),
+            (ControllerKind::Gcode, "G0 X0 Z0 C0\nG93\nG1 Y1 F60\nM2\n", "has the word Y1"),
+            (ControllerKind::Galil, "PVD=1,0,100\n", "not PVA=, PVB=, PVC=, or BTABC"),
+            (
+                ControllerKind::Xps,
+                "0.1, 1, 0, 0, 0\n",
+                "has 5 fields, not dt, dr, vr, dz, vz, dc, vc",
+            ),
+            (ControllerKind::Pmac, "ABS\nRAPID\nX1 Z1\nPVT9\nX1:0\n", "without all axes"),
+            (ControllerKind::Csv, "t_s,x_mm\n", "is not the header t_s,r_mm,vr_mm_per_s,z_mm"),
         ] {
             let said = said(controller, text, &spindle);
             assert!(said.contains(expected), "{text:?}: {said}");
         }
         let mut twice = of_a_spindle();
         twice.axes[1].name = "x".into();
-        assert!(said(Controller::Xps, "", &twice).contains("axes[1]: is ProgramAxis"));
+        assert!(said(ControllerKind::Xps, "", &twice).contains("axes[1]: is ProgramAxis"));
         let beside = Configuration { start_mm: Some([0.0; 2]), ..of_a_spindle() };
-        assert!(said(Controller::Xps, "", &beside).contains("beside numbers of x and y"));
-        let plane = read(Controller::Xps, b"", &spindle).unwrap_err().to_string();
+        assert!(said(ControllerKind::Xps, "", &beside).contains("beside numbers of x and y"));
+        let plane = read(ControllerKind::Xps, b"", &spindle).unwrap_err().to_string();
         assert!(plane.contains("read a motion of all axes"), "{plane}");
     }
 
@@ -475,7 +465,7 @@ mod tests {
     fn joined_lines_are_parabolas_at_continuous_velocity() {
         let text = |mode: &str| format!("{mode}\nG0 X0 Y0\nG93\nG1 X1 F60\nG1 X4 F60\nM2\n");
         let read = |mode: &str| {
-            read(Controller::Gcode, text(mode).as_bytes(), &Configuration::default()).unwrap()
+            read(ControllerKind::Gcode, text(mode).as_bytes(), &Configuration::default()).unwrap()
         };
         let joined = read("G64 P0.375 Q0");
         assert_eq!((joined.len(), joined.total_time_s()), (6, 3.0));
@@ -494,23 +484,25 @@ mod tests {
             assert_eq!((lines.len(), lines.total_time_s()), (2, 2.0), "{mode}");
         }
         let changed = "G64 P1\nG0 X0 Y0\nG93\nG1 X1 F60\nG61\nG1 X4 F60\nM2\n";
-        assert!(message(Controller::Gcode, changed).contains("line[5]: changes the path mode"));
+        assert!(message(ControllerKind::Gcode, changed).contains("line[5]: changes the path mode"));
     }
 
     #[test]
     fn the_tool_is_off_where_the_program_says_so() {
         let text = "G0 X0 Y0\nG93\nM62 P0\nG1 X1 F60\nM63 P0\nG1 X2 F60\nM2\n";
-        let program = read(Controller::Gcode, text.as_bytes(), &Configuration::default()).unwrap();
+        let program =
+            read(ControllerKind::Gcode, text.as_bytes(), &Configuration::default()).unwrap();
         assert_eq!(program.tool_on(), [true, false]);
         let text =
             "t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n0,1,0,2,0,0\n1,1,0,2,0,1\n2,1,0,2,0,1";
-        let program = read(Controller::Csv, text.as_bytes(), &Configuration::default()).unwrap();
+        let program =
+            read(ControllerKind::Csv, text.as_bytes(), &Configuration::default()).unwrap();
         assert_eq!(program.tool_on(), [false, true]);
     }
 
     #[test]
     fn bad_programs_are_refused_with_their_line() {
-        use Controller::*;
+        use ControllerKind::*;
         for (controller, text, expected) in [
             (Galil, "PVA=1,0,100\n", "1 segment(s) of A, 0 of B"),
             (
@@ -558,7 +550,7 @@ mod tests {
 
     #[test]
     fn what_would_change_the_motion_without_a_trace_is_an_error() {
-        use Controller::*;
+        use ControllerKind::*;
         // The line that is wrong is the third.
         let gcode = |line: &str| format!("G0 X0 Y0\nG94\n{line}\nM2\n");
         for (line, expected) in [
@@ -630,19 +622,21 @@ mod tests {
         let gcode = |body: &str| format!("M65 P0\nG0 X0 Y0\nG93\n{body}M65 P0\nM2\n");
         // G4 is no motion: M62 and M63 wait beyond it.
         let body = "M62 P0\nG4 P1\nG1 X1 F60\nM63 P0\nG4 P1\nG1 X2 F60\n";
-        assert_eq!(on(Controller::Gcode, &gcode(body)), [false, true, true, false]);
+        assert_eq!(on(ControllerKind::Gcode, &gcode(body)), [false, true, true, false]);
         let body = "M64 P0\nG4 P1\nG1 X1 F60\nM65 P0\nG4 P1\nG1 X2 F60\n";
-        assert_eq!(on(Controller::Gcode, &gcode(body)), [true, true, false, false]);
+        assert_eq!(on(ControllerKind::Gcode, &gcode(body)), [true, true, false, false]);
         let body = "PVT10\nX1:0\nM7==1\nX2:0\nX3:0\nM7==0\nX4:0\n";
-        assert_eq!(on(Controller::Pmac, &format!("M7=0\n{body}")), [false, true, true, false]);
+        assert_eq!(on(ControllerKind::Pmac, &format!("M7=0\n{body}")), [false, true, true, false]);
         let left_on = "G0 X0 Y0\nG93\nM62 P0\nG1 X1 F60\nM63 P0\nM2\n";
         assert!(
-            message(Controller::Gcode, left_on).contains("no motion follows: it never happens")
+            message(ControllerKind::Gcode, left_on).contains("no motion follows: it never happens")
         );
         let left_on = "G0 X0 Y0\nG93\nM62 P0\nG1 X1 F60\nM2\n";
-        assert!(message(Controller::Gcode, left_on).contains("ends with the tool on"));
+        assert!(message(ControllerKind::Gcode, left_on).contains("ends with the tool on"));
         let late = "G0 X0 Y0\nG93\nG1 X1 F60\nM62 P0\nG1 X2 F60\nM65 P0\nM2\n";
-        assert!(message(Controller::Gcode, late).contains("line[4]: switches the tool first here"));
+        assert!(
+            message(ControllerKind::Gcode, late).contains("line[4]: switches the tool first here")
+        );
         for (text, expected) in [
             ("M7==1\nPVT10\nX1:0\nM7==0\n", "ends with the tool on"),
             ("M7==1\nPVT10\nX1:0\nM7=0\n", "line[4]: assigns with = among moves"),
@@ -650,7 +644,7 @@ mod tests {
             ("PVT10\nX1:0\nM7==1\nX2:0\n", "line[3]: switches first here"),
             ("M7==2\n", "line[1]: has \"M7==2\""),
         ] {
-            let said = message(Controller::Pmac, text);
+            let said = message(ControllerKind::Pmac, text);
             assert!(said.contains(expected), "{text:?}: {said}");
         }
     }
@@ -662,8 +656,9 @@ mod tests {
             program_blake3: Some(blake3::hash(bytes).to_hex().to_string()),
             ..configuration()
         };
-        assert!(read(Controller::Xps, text, &of(text)).is_ok());
-        let said = read(Controller::Xps, text, &of(b"0.1, 2, 0, 0, 0\n")).unwrap_err().to_string();
+        assert!(read(ControllerKind::Xps, text, &of(text)).is_ok());
+        let said =
+            read(ControllerKind::Xps, text, &of(b"0.1, 2, 0, 0, 0\n")).unwrap_err().to_string();
         assert!(
             said.contains("program_blake3: is") && said.contains("that of the program is"),
             "{said}"

@@ -9,9 +9,10 @@ use flate2::{Compress, Compression, FlushCompress};
 use ndarray::{Array2, array};
 use planish_import::{
     FirstRow, Format, Pick, Rotation, Settings, Unit,
-    program::{self, Configuration, Controller},
+    program::{self, Configuration},
     read, surface,
 };
+use planish_types::ControllerKind;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -530,20 +531,20 @@ fn damaged_programs_are_read_or_refused() {
     };
     let seeds = [
         (
-            Controller::Galil,
+            ControllerKind::Galil,
             "' x\nPVA=0,0,-1\nPVA=100,5,100\nPVB=0,0,100\nBTAB\nPVA=0,0,0\nPVB=0,0,0\n",
         ),
-        (Controller::Xps, "0.1, 1, 0.5, 0, 0\n0.2, 0, 0, 0, 0\n"),
+        (ControllerKind::Xps, "0.1, 1, 0.5, 0, 0\n0.2, 0, 0, 0, 0\n"),
         (
-            Controller::Pmac,
+            ControllerKind::Pmac,
             "M7=0\nABS\nM7==1\nPVT100\nX2:0 Y-2:0\nINC\nPVT(200)\nX2 Y-2:0\nM7==0\nDWELL0\n",
         ),
         (
-            Controller::Gcode,
+            ControllerKind::Gcode,
             "(x) G21 G90\nG0 X1 Y-2\nG93\nM62 P0\nG1 X2 F600 ; y\nG4 P0.2\nM65 P0\nM2\n",
         ),
         (
-            Controller::Csv,
+            ControllerKind::Csv,
             "t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on\n0,1,0,-2,0,1\n0.1,2,0,-2,0,1\n",
         ),
     ];

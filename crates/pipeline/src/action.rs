@@ -13,7 +13,7 @@ pub enum Action<'a> {
         text: &'a str,
         /// True without standard output.
         is_quiet: bool,
-        /// Directory of an attempt.
+        /// Directory of an attempt; if it stands for nothing, the command may not refuse.
         attempt: Option<&'a str>,
         /// True with a question mark.
         may_be_negative: bool,

@@ -1,6 +1,7 @@
 //! Types of settings, which check a value before anything runs.
 
 use planish_handoff::words;
+use planish_types::ControllerKind;
 
 /// Type of a setting, as its definition writes it.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,7 +28,8 @@ pub enum Kind {
         /// Largest value.
         most: Option<u64>,
     },
-    /// `one of x, y, or a number`: one of these words, or a number if that is allowed.
+    /// `one of x, y, or a number`: one of these words, or a number if that is allowed. `controller`: one of the
+    /// controllers for which programs are written.
     OneOf {
         /// The words.
         words: Vec<String>,
@@ -63,6 +65,10 @@ impl Kind {
             return Some(Self::Number { least: least.parse().ok()?, closed: true, most });
         }
         match text {
+            "controller" => {
+                let words = ControllerKind::ALL.map(|kind| kind.name().into()).to_vec();
+                Some(Self::OneOf { words, number: false })
+            }
             "word" => Some(Self::Word),
             "path" => Some(Self::Path),
             "flags" => Some(Self::Flags),
@@ -168,6 +174,8 @@ mod tests {
         }
         assert_eq!(Kind::read("number"), None);
         assert_eq!(Kind::read("one of galil, xps, csv").unwrap().wanted(), "galil, xps or csv");
+        let controllers = "galil, xps, pmac, gcode or csv";
+        assert_eq!(Kind::read("controller").unwrap().wanted(), controllers);
     }
 
     #[test]

@@ -148,8 +148,8 @@ impl<'a> Walk<'a> {
                 let program = words.next().unwrap_or_default();
                 let command =
                     Command { program, arguments: words.collect(), may_be_negative, is_quiet };
-                match attempt {
-                    Some(dir) => Step::Attempt(word(dir)?, command),
+                match attempt.map(word).transpose()?.filter(|dir| !dir.is_empty()) {
+                    Some(dir) => Step::Attempt(dir, command),
                     None => Step::Run(command),
                 }
             }
@@ -192,10 +192,13 @@ settings:
 values:
   at: ['out/{label}']
   plan: [none]
+  may: []
 stages:
   run:
     - one label=x flags='--p {a} --q'
     - one label=y flags='' when a
+    - may label=z may='out/z'
+    - may label=z
     - say the end of {pipeline}
     - choose plan otherwise {pipeline} tried by try
     - planish-z {plan} ?
@@ -203,6 +206,7 @@ stages:
     - leave-out {at} not wanted when label in a
     - attempt {at} planish-x {flags} --out {at}
     - quietly planish-y {label}
+  may: ['attempt {may} planish-x {label}']
   try: ['planish-try {plan}']
 ";
 
@@ -241,6 +245,8 @@ stages:
                 "planish-y x > /dev/null",
                 "out/y: planish-x --out out/y",
                 "planish-y y > /dev/null",
+                "out/z: planish-x z",
+                "planish-x z",
                 "Say(\"the end of p\")",
                 choose,
                 "planish-z best"
@@ -255,7 +261,8 @@ stages:
             found[..2],
             ["LeaveOut(\"out/x\", \"not wanted\")", "out/y: planish-x --out out/y"]
         );
-        assert_eq!(found[2], "Say(\"the end of p\")");
+        assert_eq!(found[2..4], ["out/z: planish-x z", "planish-x z"]);
+        assert_eq!(found[4], "Say(\"the end of p\")");
     }
 
     #[test]

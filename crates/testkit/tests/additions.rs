@@ -73,18 +73,15 @@ fn every_reader_of_maps_is_fuzzed() {
 }
 
 #[test]
-fn every_controller_is_a_choice_of_the_pipelines_and_is_read_back() {
-    let source = text("crates/types/src/controller.rs");
-    let name = source.split("pub fn name(self)").nth(1).unwrap().split("    }\n\n").next().unwrap();
-    let names: Vec<String> = between(name, "=> \"", "\"").map(String::from).collect();
-    let shared = "pipelines/shared.yaml";
-    let page = text(shared);
-    let choices = between(&page, "type: one of ", "\n").find(|list| list.contains("galil"));
-    let choices: Vec<&str> = choices.unwrap().split(", ").collect();
-    let missing: Vec<_> = names.iter().filter(|name| !choices.contains(&name.as_str())).collect();
-    assert!(missing.is_empty(), "controller: add {missing:?} to the setting export in {shared}");
-    let variants: Vec<String> = between(name, "Self::", " ").map(String::from).collect();
-    all_in("controller", &variants, "crates/import/src/program.rs", |name| {
-        format!("Controller::{name} =>")
-    });
+fn every_controller_is_in_the_list_of_all_and_described() {
+    let file = "crates/types/src/controller.rs";
+    let source = text(file);
+    let words = source.split("fn words(self)").nth(1).unwrap().split("    }\n\n").next().unwrap();
+    let variants: Vec<String> = between(words, "Self::", " ").map(String::from).collect();
+    let all = between(&source, "pub const ALL", ";\n").next().unwrap();
+    let missing: Vec<_> =
+        variants.iter().filter(|name| !all.contains(&format!("Self::{name}"))).collect();
+    assert!(variants.len() > 3 && missing.is_empty(), "add {missing:?} to ALL in {file}");
+    let names: Vec<String> = between(words, "(\"", "\"").map(String::from).collect();
+    all_in("controller", &names, "docs/instruments.md", |name| format!("\n| `{name}` |"));
 }

@@ -46,7 +46,7 @@ const ROOMS: [Room; 16] = [
     ("tolerance", &["numerics", "types", "handoff", "dwell", "simulate"]),
     ("reconcile", &["numerics", "types", "draw", "handoff", "simulate"]),
     ("campaign", &["types", "draw", "handoff", "simulate"]),
-    ("pipeline", &["handoff"]),
+    ("pipeline", &["types", "handoff"]),
     ("run", &["types", "handoff", "pipeline"]),
     ("sweep", &["numerics", "types", "handoff", "pipeline"]),
     ("testkit", &ALL),

@@ -5,7 +5,7 @@
 use planish_axes::{MotionSettings, contact, motion};
 use planish_dwell::bounded_least_squares;
 use planish_export::{
-    About, Common, Controller, Origin, PATH_DEVIATION_MM, gcode, pmac, program, program_of_axes,
+    About, Origin, PATH_DEVIATION_MM, Settings, gcode, pmac, program, program_of_axes,
 };
 use planish_fixture::{Fixture, Recipe, make};
 use planish_form::{Form, FormFile};
@@ -14,7 +14,9 @@ use planish_schedule::pvt::{self, Mode};
 use planish_simulate::simulate;
 use planish_testkit::workspace;
 use planish_toolpath::{RasterSettings, SpiralSettings, raster, spiral};
-use planish_types::{AxesMotion, Counts, Machine, MachineFile, Surface, Tif, Trajectory};
+use planish_types::{
+    AxesMotion, ControllerKind, Counts, Machine, MachineFile, Surface, Tif, Trajectory,
+};
 use planish_verify::{Program, VerifySettings, verify_axes};
 use serde_json::{Value, json};
 
@@ -82,29 +84,17 @@ impl Plan {
         (squares / n - (sum / n) * (sum / n)).sqrt()
     }
 
-    fn program(&self, controller: &Controller, common: &Common) -> (String, About) {
+    fn program(&self, controller: ControllerKind, settings: &Settings) -> (String, About) {
         let origin = Origin { made_from: "a test".into(), ..Origin::default() };
         let (motion, machine) = (&self.motion, &self.machine);
-        let made = program_of_axes(motion, machine, &self.form, controller, common, &origin)
+        let made = program_of_axes(motion, machine, &self.form, controller, settings, &origin)
             .unwrap_or_else(|e| panic!("{controller:?}: {e}"));
         (made.text, made.about)
     }
 }
 
-fn controllers() -> [(Controller, reader::Controller); 5] {
-    let gcode = Controller::Gcode(gcode::Settings::default());
-    let pmac = Controller::Pmac(pmac::Settings { tool_output: Some(1), ..Default::default() });
-    [
-        (Controller::Galil, reader::Controller::Galil),
-        (Controller::Xps, reader::Controller::Xps),
-        (pmac, reader::Controller::Pmac),
-        (Controller::Csv, reader::Controller::Csv),
-        (gcode, reader::Controller::Gcode),
-    ]
-}
-
 /// The motion that a program makes, read with the file beside it, as a user reads it.
-fn read_back(controller: reader::Controller, text: &str, about: &About) -> AxesMotion {
+fn read_back(controller: ControllerKind, text: &str, about: &About) -> AxesMotion {
     let about = serde_json::to_string(about).unwrap();
     let configuration: Configuration = serde_json::from_str(&about).unwrap();
     reader::read_axes(controller, text.as_bytes(), &configuration)
@@ -116,12 +106,14 @@ fn programs_of_five_axes_and_of_a_spindle_keep_the_limits_and_the_residual() {
     for is_spindle in [false, true] {
         let plan = Plan::new(is_spindle);
         let planned_nm = plan.residual_nm(&plan.motion);
-        for (controller, language) in controllers() {
+        let pmac = pmac::Settings { tool_output: Some(1), ..Default::default() };
+        let settings = Settings { pmac, ..Settings::default() };
+        for controller in ControllerKind::ALL {
             let name = format!("{}, {controller:?}", plan.machine.name());
-            let (text, about) = plan.program(&controller, &Common::default());
-            let run = read_back(language, &text, &about);
-            let program = match language {
-                reader::Controller::Gcode => Program::Lines,
+            let (text, about) = plan.program(controller, &settings);
+            let run = read_back(controller, &text, &about);
+            let program = match controller {
+                ControllerKind::Gcode => Program::Lines,
                 _ => Program::Cubics,
             };
             let settings = VerifySettings { program: Some(program), ..VerifySettings::default() };
@@ -144,7 +136,7 @@ fn programs_of_five_axes_and_of_a_spindle_keep_the_limits_and_the_residual() {
 #[test]
 fn a_program_says_its_axes_and_their_units() {
     let plan = Plan::new(true);
-    let (text, about) = plan.program(&Controller::Csv, &Common::default());
+    let (text, about) = plan.program(ControllerKind::Csv, &Settings::default());
     let columns =
         "t_s,r_mm,vr_mm_per_s,z_mm,vz_mm_per_s,c_deg,vc_deg_per_s,b_deg,vb_deg_per_s,tool_on";
     assert!(text.contains(columns), "{text:.2000}");
@@ -157,12 +149,11 @@ fn a_program_says_its_axes_and_their_units() {
     let axes: Vec<(&str, &str)> = about.axes.iter().map(|a| (a.name, a.unit)).collect();
     assert_eq!(axes, [("r", "mm"), ("z", "mm"), ("c", "deg"), ("b", "deg")]);
     // Every line of G-code has the four words, and a radius is X.
-    let (text, _) =
-        plan.program(&Controller::Gcode(gcode::Settings::default()), &Common::default());
+    let (text, _) = plan.program(ControllerKind::Gcode, &Settings::default());
     let lines: Vec<&str> = text.lines().filter(|l| l.starts_with("G1 ")).collect();
     let has = |line: &str| [" X", " Z", " C", " B", " F"].iter().all(|word| line.contains(word));
     assert!(lines.len() > 100 && lines.iter().all(|line| has(line)));
-    let (text, _) = plan.program(&Controller::Galil, &Common::default());
+    let (text, _) = plan.program(ControllerKind::Galil, &Settings::default());
     // The header has lines of 80 characters.
     let header = text.replace("\n' ... ", " ");
     assert!(header.contains("C = c in counts of 0.0001 deg") && text.contains("\nBTABCD\n"));
@@ -172,41 +163,48 @@ fn a_program_says_its_axes_and_their_units() {
 fn what_no_program_of_all_axes_can_do_is_refused() {
     let plan = Plan::new(false);
     let origin = Origin::default();
-    let refused = |controller: &Controller, common: &Common| {
+    let refused = |controller: ControllerKind, settings: &Settings| {
         let (motion, machine) = (&plan.motion, &plan.machine);
-        let made = program_of_axes(motion, machine, &plan.form, controller, common, &origin);
+        let made = program_of_axes(motion, machine, &plan.form, controller, settings, &origin);
         made.unwrap_err().to_string()
     };
-    let feed = gcode::Settings { feed: gcode::Feed::PerMinute, path_tolerance_mm: None };
-    let said = refused(&Controller::Gcode(feed), &Common::default());
+    let gcode = gcode::Settings { feed: gcode::Feed::PerMinute, path_tolerance_mm: None };
+    let said = refused(ControllerKind::Gcode, &Settings { gcode, ..Settings::default() });
     assert!(said.contains("f_word: is per-minute") && said.contains("give inverse-time"), "{said}");
     // A count of 0.01 degrees is 14 um at the pivot of 80 mm.
     let coarse = Counts { mm: None, deg: Some(vec![0.01]) };
-    let said = refused(&Controller::Csv, &Common { counts: coarse, ..Common::default() });
+    let said = refused(ControllerKind::Csv, &Settings { counts: coarse, ..Settings::default() });
     assert!(said.contains("count_deg: is 0.01 (0.013963 mm at the lever of the axis)"), "{said}");
     let three = Counts { mm: None, deg: Some(vec![1e-4; 3]) };
-    let said = refused(&Controller::Csv, &Common { counts: three, ..Common::default() });
+    let said = refused(ControllerKind::Csv, &Settings { counts: three, ..Settings::default() });
     assert!(
         said.contains("count_deg: has 3 numbers; give one for each of the axes a, b"),
         "{said}"
     );
     // The motion of another machine.
     let spindle = machine("spindle", |_| {});
-    let common = Common::default();
-    let made =
-        program_of_axes(&plan.motion, &spindle, &plan.form, &Controller::Csv, &common, &origin);
+    let settings = Settings::default();
+    let made = program_of_axes(
+        &plan.motion,
+        &spindle,
+        &plan.form,
+        ControllerKind::Csv,
+        &settings,
+        &origin,
+    );
     let said = made.unwrap_err().to_string();
     assert!(said.contains("has 5 axes, and the machine has 4"), "{said}");
     // A machine with less acceleration than the motion uses.
     let weak = machine("bonnet-five-axis", |file| {
         file["rotary_axes"][1]["max_acceleration_deg_per_s2"] = json!(1);
     });
-    let made = program_of_axes(&plan.motion, &weak, &plan.form, &Controller::Csv, &common, &origin);
+    let made =
+        program_of_axes(&plan.motion, &weak, &plan.form, ControllerKind::Csv, &settings, &origin);
     let said = made.unwrap_err().to_string();
     assert!(said.contains("deg/s") && said.contains("planish-axes motion"), "{said}");
     // A trajectory of x and y does not move this machine.
     let rest = [[0.0; 4]; 2];
     let stands = Trajectory::new(vec![0.0, 1.0], vec![rest], vec![true], vec![None]).unwrap();
-    let made = program(&stands, &plan.machine, &Controller::Csv, &common, &origin);
+    let made = program(&stands, &plan.machine, ControllerKind::Csv, &settings, &origin);
     assert!(made.unwrap_err().to_string().contains("other axes than x and y"));
 }

@@ -4,7 +4,7 @@
 //! planned. The reference positions of `planish-schedule interpolate` are continuous.
 
 use ndarray::Array2;
-use planish_export::{Common, Controller, Origin, PATH_DEVIATION_MM, gcode, pmac, program};
+use planish_export::{Origin, PATH_DEVIATION_MM, Settings, pmac, program};
 use planish_import::program::{self as reader, Configuration};
 use planish_schedule::{
     interpolator::{Interpolator, Record, linked_records, records},
@@ -17,8 +17,8 @@ use planish_toolpath::{
     multi_pitch, multi_pitch::Links, raster, spiral,
 };
 use planish_types::{
-    Axis, Counts, DwellTime, Grid, Machine, MachineFile, MachineFileAxis, Surface, Tif, ToolPath,
-    Trajectory,
+    Axis, ControllerKind, Counts, DwellTime, Grid, Machine, MachineFile, MachineFileAxis, Surface,
+    Tif, ToolPath, Trajectory,
 };
 use planish_verify::{VerifySettings, verify_on_axes};
 use rand::RngExt;
@@ -26,25 +26,26 @@ use rand_chacha::ChaCha8Rng;
 
 /// A controller, and how it is read.
 struct Target {
-    controller: Controller,
-    reader: reader::Controller,
+    controller: ControllerKind,
+    pmac: pmac::Settings,
     tick_s: Option<f64>,
     /// True if the program switches the tool.
     switches: bool,
 }
 
 fn targets() -> Vec<Target> {
-    let target =
-        |controller, reader, tick_s, switches| Target { controller, reader, tick_s, switches };
-    let pmac =
-        |tool_output| Controller::Pmac(pmac::Settings { feedrate_time_unit_s: 0.001, tool_output });
+    use ControllerKind::*;
+    let target = |controller, tool_output, tick_s, switches| {
+        let pmac = pmac::Settings { feedrate_time_unit_s: 0.001, tool_output };
+        Target { controller, pmac, tick_s, switches }
+    };
     vec![
-        target(Controller::Galil, reader::Controller::Galil, None, false),
-        target(Controller::Galil, reader::Controller::Galil, Some(1.0 / 256.0), false),
-        target(Controller::Xps, reader::Controller::Xps, None, false),
-        target(pmac(Some(1)), reader::Controller::Pmac, Some(2.5e-7), true),
-        target(pmac(None), reader::Controller::Pmac, Some(1e-3), false),
-        target(Controller::Csv, reader::Controller::Csv, None, true),
+        target(Galil, None, None, false),
+        target(Galil, None, Some(1.0 / 256.0), false),
+        target(Xps, None, None, false),
+        target(Pmac, Some(1), Some(2.5e-7), true),
+        target(Pmac, None, Some(1e-3), false),
+        target(Csv, None, None, true),
     ]
 }
 
@@ -147,18 +148,19 @@ fn every_program_keeps_the_limits_and_the_path() {
         let machine = machine_of(&plan);
         for target in targets() {
             let name = format!("case {case}, count {count_mm}, {:?}", target.controller);
-            let common = Common {
+            let settings = Settings {
+                pmac: target.pmac.clone(),
                 counts: Counts { mm: Some(vec![count_mm, 2.0 * count_mm]), deg: None },
                 tick_s: target.tick_s,
                 always_on: true,
-                ..Common::default()
+                ..Settings::default()
             };
-            let made = program(&plan, &machine, &target.controller, &common, &origin)
+            let made = program(&plan, &machine, target.controller, &settings, &origin)
                 .unwrap_or_else(|e| panic!("{name}: {e}"));
             // Through the file beside it, as a user does.
             let about = serde_json::to_string(&made.about).unwrap();
             let configuration: Configuration = serde_json::from_str(&about).unwrap();
-            let run = reader::read(target.reader, made.text.as_bytes(), &configuration)
+            let run = reader::read(target.controller, made.text.as_bytes(), &configuration)
                 .unwrap_or_else(|e| panic!("{name}: {e}"));
             // Positions with nine decimals, and of an XPS sums of them: no jump, but a nanometre of the travel.
             let verdict = verify_on_axes(&run, &machine, &VerifySettings::default()).unwrap();
@@ -358,41 +360,35 @@ fn programs_of_random_problems_keep_the_limits() {
         let count_mm = [1e-4, 1e-3, 1e-5][random.random_range(0..3)];
         let tick_s = [None, Some(5e-4), Some(1e-3), Some(2e-3), Some(4e-3)];
         let tick_s = tick_s[random.random_range(0..5)];
-        let pmac =
-            Controller::Pmac(pmac::Settings { feedrate_time_unit_s: 1.0, tool_output: Some(1) });
-        for (controller, reader) in [
-            (Controller::Galil, reader::Controller::Galil),
-            (Controller::Xps, reader::Controller::Xps),
-            (pmac, reader::Controller::Pmac),
-            (Controller::Csv, reader::Controller::Csv),
-            (Controller::Gcode(gcode::Settings::default()), reader::Controller::Gcode),
-        ] {
+        let pmac = pmac::Settings { feedrate_time_unit_s: 1.0, tool_output: Some(1) };
+        for controller in ControllerKind::ALL {
             let name =
                 format!("case {case}, tick {tick_s:?} s, count {count_mm} mm, {controller:?}");
             // Samples of a Galil are whole parts of a second of their own.
-            let is_galil = matches!(controller, Controller::Galil);
-            let mut common = Common {
+            let is_galil = controller == ControllerKind::Galil;
+            let mut settings = Settings {
+                pmac: pmac.clone(),
                 counts: Counts::linear(count_mm),
                 tick_s: tick_s.filter(|_| !is_galil),
                 always_on: true,
-                ..Common::default()
+                ..Settings::default()
             };
-            let mut made = program(&plan, &machine, &controller, &common, &origin);
+            let mut made = program(&plan, &machine, controller, &settings, &origin);
             if let Err(e) = &made {
                 refused += 1;
                 let said = e.to_string();
                 // What the message says, once.
                 if said.contains("path_deviation_mm") {
-                    common.path_deviation_mm *= 4.0;
+                    settings.path_deviation_mm *= 4.0;
                 }
                 if said.contains("smaller tick") {
-                    common.tick_s = None;
+                    settings.tick_s = None;
                 }
                 if said.contains("count") {
-                    common.counts.mm = Some(vec![1e-5]);
+                    settings.counts.mm = Some(vec![1e-5]);
                 }
                 println!("{name}: {said}");
-                made = program(&plan, &machine, &controller, &common, &origin);
+                made = program(&plan, &machine, controller, &settings, &origin);
             }
             let made = match made {
                 Ok(made) => made,
@@ -404,7 +400,7 @@ fn programs_of_random_problems_keep_the_limits() {
             programs += 1;
             let about = serde_json::to_string(&made.about).unwrap();
             let configuration: Configuration = serde_json::from_str(&about).unwrap();
-            let run = match reader::read(reader, made.text.as_bytes(), &configuration) {
+            let run = match reader::read(controller, made.text.as_bytes(), &configuration) {
                 Ok(run) => run,
                 Err(e) => {
                     failures.push(format!("{name}: is not read: {e}"));
@@ -427,7 +423,7 @@ fn programs_of_random_problems_keep_the_limits() {
                     failures.push(format!("{name}: jerk {largest} of {most} mm/s^3"));
                 }
             }
-            if made.about.path_deviation_mm > common.path_deviation_mm {
+            if made.about.path_deviation_mm > settings.path_deviation_mm {
                 failures.push(format!("{name}: path {} mm", made.about.path_deviation_mm));
             }
             let ratio = run.total_time_s() / plan.total_time_s();
@@ -474,9 +470,10 @@ fn a_plan_at_its_limits_takes_little_longer_on_a_coarse_clock() {
     let plan = pvt::Settings { mode: Mode::Monotone, stretch: true };
     let plan = pvt::schedule(&path, &dwell, &limits, &plan).unwrap().trajectory;
     for target in targets() {
-        let common = Common { tick_s: target.tick_s, ..Common::default() };
+        let pmac = target.pmac.clone();
+        let settings = Settings { pmac, tick_s: target.tick_s, ..Settings::default() };
         let made =
-            program(&plan, &machine, &target.controller, &common, &Origin::default()).unwrap();
+            program(&plan, &machine, target.controller, &settings, &Origin::default()).unwrap();
         let ratio = made.about.total_time_s / plan.total_time_s();
         println!("{:?} {:?}: {ratio:.5}", target.controller, target.tick_s);
         // 1.015 is the most that was seen, by the Galil on its clock of 1/1024 s. A program may take 3 % longer.

@@ -134,15 +134,36 @@ const LAST_DECIMAL_PER_S: f64 = 1e-9;
 const TWO_SAMPLES_S: f64 = 2.0 / 1024.0;
 
 impl ControllerKind {
+    /// Every kind, in the order of help and messages. Command lines, pipelines and messages take their names from here.
+    pub const ALL: [Self; 5] = [Self::Galil, Self::Xps, Self::Pmac, Self::Gcode, Self::Csv];
+
     /// The name in files and on command lines.
     pub fn name(self) -> &'static str {
+        self.words().0
+    }
+
+    /// What the program is, as help says it.
+    pub fn about(self) -> &'static str {
+        self.words().1
+    }
+
+    fn words(self) -> (&'static str, &'static str) {
         match self {
-            Self::Galil => "galil",
-            Self::Xps => "xps",
-            Self::Pmac => "pmac",
-            Self::Gcode => "gcode",
-            Self::Csv => "csv",
+            Self::Galil => ("galil", "Galil DMC, PVT mode: counts, counts/s, samples"),
+            Self::Xps => {
+                ("xps", "Newport XPS, PVT trajectory file: dt, dx, vx, dy, vy, further axes")
+            }
+            Self::Pmac => ("pmac", "Delta Tau / Omron PMAC, PVT mode"),
+            Self::Gcode => {
+                ("gcode", "G-code for LinuxCNC and its relatives: straight lines, each in its time")
+            }
+            Self::Csv => ("csv", "Table of the motion: t, x, vx, y, vy, further axes, tool on"),
         }
+    }
+
+    /// The kind of this name; `None` if no kind has it.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
     }
 
     /// The controller with every default of the table.
@@ -365,7 +386,7 @@ mod tests {
     #[test]
     fn what_the_file_leaves_out_is_the_default() {
         use ControllerKind::*;
-        for kind in [Galil, Xps, Pmac, Gcode, Csv] {
+        for kind in ControllerKind::ALL {
             assert_eq!(
                 ControllerFile::new(kind).checked(&x_y()).unwrap(),
                 kind.model(),

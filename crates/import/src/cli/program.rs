@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use clap::Args;
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, kind, kind::MACHINE_FRAME,
-    pair, say, task,
+    Artifact, Begin, Failure, Inputs, Output, Status, controller, flags::OutputArgs, kind,
+    kind::MACHINE_FRAME, pair, say, task,
 };
-use planish_import::program::{self, Configuration, Controller, ProgramAxis};
-use planish_types::{Invalid, Trajectory};
+use planish_import::program::{self, Configuration, ProgramAxis};
+use planish_types::{ControllerKind, Invalid, Trajectory};
 use serde_json::json;
 
 use super::{about, foreign};
@@ -18,8 +18,8 @@ pub struct ProgramArgs {
     /// Program of a controller
     file: PathBuf,
     /// Controller of the program
-    #[arg(long, value_enum)]
-    controller: Controller,
+    #[arg(long, value_name = "NAME", value_parser = controller())]
+    controller: ControllerKind,
     /// File that planish-export wrote beside the program; the flags below take precedence over it
     #[arg(long, value_name = "FILE")]
     about: Option<PathBuf>,

@@ -181,10 +181,7 @@ pub fn run<'a>(
             Step::LeaveOut(dir, reason) => {
                 fs::create_dir_all(&dir)?;
                 fs::write(Path::new(&dir).join(MESSAGE), format!("error: {reason}\n"))?;
-                for made in LEFT_OUT {
-                    forget(&Path::new(&dir).join(made))?;
-                }
-                walk.leave();
+                leave_out(&mut walk, Path::new(&dir))?;
                 0
             }
             Step::Say(line) => {
@@ -219,15 +216,18 @@ fn attempt(
     fs::create_dir_all(dir)?;
     match programs.attempt(command, &dir.join(MESSAGE))? {
         0 | 1 => Ok(0),
-        2 => {
-            // The result of an earlier attempt is not that of this one.
-            let out = command.arguments.iter().skip_while(|word| *word != "--out").nth(1);
-            out.map_or(Ok(()), |out| forget(Path::new(out)))?;
-            walk.leave();
-            Ok(0)
-        }
+        2 => leave_out(walk, dir).map(|()| 0),
         _ => Ok(2),
     }
+}
+
+/// Ends the stage. The result of an earlier run in this directory is not that of this one.
+fn leave_out(walk: &mut Walk, dir: &Path) -> Result<(), Failure> {
+    for made in LEFT_OUT {
+        forget(&dir.join(made))?;
+    }
+    walk.leave();
+    Ok(())
 }
 
 /// Name of the plan that the report of the run recommends, if there is one and a trial of its commands does not refuse it.

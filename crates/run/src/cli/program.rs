@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use planish_handoff::{Failure, Status, read_regular, say, warn};
+use planish_handoff::{Failure, Status, controller, read_regular, say, warn};
+use planish_types::ControllerKind;
 use serde::Deserialize;
 
 #[derive(Args)]
@@ -15,8 +16,8 @@ pub struct Program {
     #[arg(long, value_name = "NAME")]
     of: String,
     /// Controller of the program
-    #[arg(long, value_name = "NAME")]
-    controller: String,
+    #[arg(long, value_name = "NAME", value_parser = controller())]
+    controller: ControllerKind,
 }
 
 /// Part of `report/summary.json` that is read.
@@ -46,13 +47,11 @@ impl Answer {
     }
 }
 
-/// Names of the controllers, as they stand in the name of a program that was read back: `pvt+galil`.
-const CONTROLLERS: [&str; 5] = ["galil", "xps", "pmac", "gcode", "csv"];
-
-/// Name of the plan from which the program `method` was written; the name of a plan itself is unchanged.
+/// Name of the plan from which the program `method` was written, such as `pvt+galil`; the name of a plan itself is
+/// unchanged.
 pub fn plan_of(method: &str) -> &str {
     match method.rsplit_once('+') {
-        Some((plan, controller)) if CONTROLLERS.contains(&controller) => plan,
+        Some((plan, controller)) if ControllerKind::named(controller).is_some() => plan,
         _ => method,
     }
 }
@@ -60,7 +59,7 @@ pub fn plan_of(method: &str) -> &str {
 impl Program {
     pub fn run(&self) -> Result<Status, Failure> {
         let answer = Answer::read(&self.run)?;
-        let Self { of, controller, .. } = self;
+        let (of, controller) = (&self.of, self.controller.name());
         let program = self.run.join(format!("program.{controller}"));
         let read_back = format!("{of}+{controller}");
         say(format!(
