@@ -82,32 +82,48 @@ pub fn with_answer(summary: &Summary) -> Value {
 /// The plan to be run, of the recommended ones of several runs on one mirror.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Winner {
-    /// Name of the run.
-    pub run: String,
+    /// Name of the run; `None` if the runs cannot be compared.
+    pub run: Option<String>,
     /// Name of its method.
-    pub method: String,
-    /// Residual and time in a sentence.
+    pub method: Option<String>,
+    /// Residual and time in a sentence, or the reason why the runs cannot be compared.
     pub sentence: String,
 }
 
-/// The winner of several runs; none of a single one, where the maps before the runs differ, or where no run has a plan.
-/// The rule is that of [`crate::recommended`].
+impl Winner {
+    fn none(why: &str) -> Self {
+        let sentence = format!("No run is named as the one to be run: {why}.");
+        Self { run: None, method: None, sentence }
+    }
+}
+
+/// The winner of several runs; `None` for a single one, or where no run has a plan. The rule is that of
+/// [`crate::recommended`]. Names no run where the maps before the runs differ, or where the plans are judged
+/// differently: by a specification, or after the servo.
 pub fn winner(runs: &[(&str, &Summary)]) -> Option<Winner> {
     let (_, first) = runs.first().filter(|_| runs.len() > 1)?;
     let is_same = |s: &Summary| {
         (s.initial.rms_nm, s.initial.pv_nm) == (first.initial.rms_nm, first.initial.pv_nm)
     };
     if !runs.iter().all(|(_, summary)| is_same(summary)) {
-        return None;
+        return Some(Winner::none("their maps before the run differ"));
     }
     let best = |(run, summary): &(&str, &Summary)| {
         let (method, plan) =
             summary.methods.iter().find(|(name, _)| Some(name) == summary.best.as_ref())?;
+        let judged = (plan.specification.is_some(), plan.after_servo_rms_nm.is_some());
         let plan = plan.candidate();
-        Some(((run.to_string(), method.clone(), plan), plan))
+        Some(((run.to_string(), method.clone(), plan), plan, judged))
     };
     let best: Vec<_> = runs.iter().filter_map(best).collect();
-    let candidates: Vec<_> = best.iter().map(|(named, plan)| (named, *plan)).collect();
+    let (.., first) = best.first()?;
+    if best.iter().any(|(.., judged)| judged.0 != first.0) {
+        return Some(Winner::none("some are judged by a specification, others are not"));
+    }
+    if best.iter().any(|(.., judged)| judged.1 != first.1) {
+        return Some(Winner::none("some are predicted after the servo, others are not"));
+    }
+    let candidates: Vec<_> = best.iter().map(|(named, plan, _)| (named, *plan)).collect();
     let (run, method, plan) = recommended(&candidates)?.clone();
     let sentence = format!(
         "Of the {} runs, {run} is to be run, by {method}: {} nm RMS in {}.",
@@ -115,7 +131,7 @@ pub fn winner(runs: &[(&str, &Summary)]) -> Option<Winner> {
         significant(plan.rms_nm, DIGITS),
         duration(plan.total_time_s)
     );
-    Some(Winner { run, method, sentence })
+    Some(Winner { run: Some(run), method: Some(method), sentence })
 }
 
 /// `summary.json`: the run itself for one; `{"winner": ..., "runs": [...]}` for several.

@@ -41,12 +41,15 @@ fn desired() -> Surface {
 
 /// A run whose methods remove `desired * fraction` and leave (1 - fraction) of the RMS.
 fn prepare(run: &Path, methods: &[(&str, f64, bool)]) {
-    save(&run.join("surface"), &desired()).unwrap();
+    prepare_of(&desired(), run, methods);
+}
+
+fn prepare_of(desired: &Surface, run: &Path, methods: &[(&str, f64, bool)]) {
+    save(&run.join("surface"), desired).unwrap();
     for (i, (name, fraction, kept)) in methods.iter().enumerate() {
         let dir = run.join("methods").join(name);
-        let removal_nm =
-            desired().height_nm().mapv(|z| if z.is_nan() { 0.0 } else { fraction * z });
-        let removal = Removal::new(&desired(), removal_nm).unwrap();
+        let removal_nm = desired.height_nm().mapv(|z| if z.is_nan() { 0.0 } else { fraction * z });
+        let removal = Removal::new(desired, removal_nm).unwrap();
         let end_s = 60.0 + i as f64;
         let trajectory =
             Trajectory::new(vec![0.0, end_s], vec![[[0.0; 4]; 2]], vec![true], vec![Some(0)])
@@ -508,6 +511,13 @@ fn several_runs_share_one_table() {
         "{sentence}"
     );
     assert!(table.contains(sentence), "{table}");
+    // Another map before the run: no residual of one run says anything about the other.
+    let double = Surface::new(desired().grid().clone(), 2.0 * desired().height_nm()).unwrap();
+    prepare_of(&double, &dir.path().join("other"), &[("pvt", 0.5, true)]);
+    let run = compare(dir.path(), &["report", "raster", "other", "--out", "report", "--force"]);
+    let found = summary(&dir.path().join("report"));
+    assert!(found["winner"]["run"].is_null(), "{}", text(&run.stderr));
+    assert!(text(&run.stdout).contains("No run is named as the one to be run: their maps"));
 }
 
 /// A stage that refused has left its message in the place of a plan.
