@@ -373,10 +373,12 @@ pareto fixture="flat-92x16" machine="fixtures/machines/ion-beam.json" min_dwell_
     target/release/planish-toolpath raster --surface "$at/surface" --tif "$at/tif" --pitch-mm 1 --step-mm 1 --out "$at/tool_path" --force
     target/release/planish-refine pareto --surface "$at/surface" --tif "$at/tif" --tool-path "$at/tool_path" --machine "$machine" --min-dwell-s-per-mm="$least" --out "$at/curve" --force
 
+# just refine-table schedulers: the table of every scheduler alone
+#
 # The tables of docs/refine.md; with PLANISH_REFERENCE set, also those of the reference mirror
 [group('5 pages and tables')]
-refine-table:
-    @cargo run --quiet --release --locked --example refined
+refine-table *names:
+    @cargo run --quiet --release --locked --example refined -- {{ names }}
 
 # Motion and times as one problem beside the closed loop; all (with PLANISH_REFERENCE set, also those of the reference
 # mirror), or some: just joint-table mirror slow jerk servo fixtures

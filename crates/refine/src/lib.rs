@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! repeat   P = schedule(t)                     the motion, within the limits
-//!          h = time of every segment in P      >= t where the machine needs more
+//!          h = time of every segment in P      t, where the scheduler did not change it
 //!          e = RMS of the residual of P        simulated: what will be executed
 //!          if e is the smallest so far:        t*, P* = h, P
 //!            lo_j = max(lo_j, h_j) where h_j > t_j   the machine's need becomes a lower bound
@@ -37,6 +37,10 @@
 //! the process add a quadratic t'Q t of the dwell times. The additional removal by its fixed errors is subtracted
 //! from the map.
 //!
+//! The scheduler is any [`Scheduler`] of `planish-schedule`. It states h: the time of every segment that is not its
+//! dwell time. A segment that takes less than its dwell time (`trig-spline` gives the time of a segment without length
+//! to its neighbours) has that time in h, and raises no bound.
+//!
 //! This crate calls `planish-simulate` and `planish-verify` as they are, so that its residual and its
 //! limits are those that both report of the trajectory that it writes.
 //!
@@ -56,7 +60,7 @@ use planish_dwell::{
     bounded_least_squares::{self as dwell_solver, Product, Program},
     columns,
 };
-use planish_schedule::{ScheduleError, constant_acceleration, pvt};
+use planish_schedule::{ScheduleError, Scheduled, Scheduler, pvt};
 use planish_simulate::{Plan, Settings as Simulation};
 use planish_tolerance::quadratic::{Quadratic, Sources};
 use planish_types::{
@@ -65,24 +69,14 @@ use planish_types::{
     progress as work,
 };
 use planish_verify::{VerifySettings, verify};
-use serde::Serialize;
-
-/// Scheduler that makes the motion.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Scheduler {
-    /// Cubic segments, stretched if the limits demand it.
-    Pvt(pvt::Mode),
-    /// One constant acceleration, then constant velocity, per segment. It has no look-ahead: an axis that
-    /// cannot brake in time goes too far, and a segment takes longer if a limit needs more time.
-    ConstantAcceleration,
-}
+use serde::{Serialize, Serializer};
 
 /// Settings of the closed loop.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Settings<'a> {
     /// Scheduler that makes the motion.
-    pub scheduler: Scheduler,
+    #[serde(serialize_with = "name_and_kind")]
+    pub scheduler: &'a dyn Scheduler,
     /// Settings of the dwell solver. The columns are those of the first plan, the smoothness is that of the
     /// last corrections.
     pub dwell: dwell_solver::Settings,
@@ -97,10 +91,18 @@ pub struct Settings {
     pub least_improvement: f64,
 }
 
-impl Default for Settings {
+/// Writes the name of a scheduler, with the kind of its motion if it has several.
+fn name_and_kind<S: Serializer>(scheduler: &&dyn Scheduler, to: S) -> Result<S::Ok, S::Error> {
+    match scheduler.kind() {
+        None => to.serialize_str(scheduler.name()),
+        Some(kind) => to.collect_map([(scheduler.name(), kind)]),
+    }
+}
+
+impl Default for Settings<'_> {
     fn default() -> Self {
         Self {
-            scheduler: Scheduler::Pvt(pvt::Mode::Monotone),
+            scheduler: &pvt::Settings { mode: pvt::Mode::Monotone, stretch: true },
             dwell: dwell_solver::Settings {
                 // The columns are those of the executed motion, so the smoothness need not make the dwell
                 // times executable. The pull to the lower bound saves machine time.
@@ -149,7 +151,7 @@ pub enum RefineError {
 /// One round.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Iterate {
-    /// Time of every segment of the path, s: the larger of its dwell time and its time in the motion.
+    /// Time of every segment of the path in the motion, s.
     pub dwell_s: Vec<f64>,
     /// RMS (mean removed) of the executed residual, nm.
     pub rms_nm: f64,
@@ -232,46 +234,6 @@ const LARGE_PROMISE: f64 = 0.9;
 /// Smaller: the next correction can be too large again.
 const MORE_SMOOTHNESS: f64 = 10.0;
 
-/// Motion, and the segments that it stretched.
-struct Motion {
-    trajectory: Trajectory,
-    /// Segments that took longer than their dwell time: index and time, s.
-    stretched: Vec<(usize, f64)>,
-}
-
-/// Motion P = schedule(t).
-fn schedule(
-    path: &ToolPath,
-    t: &DwellTime,
-    limits: &Limits,
-    scheduler: Scheduler,
-) -> Result<Motion, ScheduleError> {
-    match scheduler {
-        Scheduler::Pvt(mode) => {
-            let how = pvt::Settings { mode, stretch: true };
-            let motion = pvt::schedule(path, t, limits, &how)?;
-            let stretched =
-                motion.report.stretched.iter().map(|s| (s.segment, s.scheduled_s)).collect();
-            Ok(Motion { trajectory: motion.trajectory, stretched })
-        }
-        Scheduler::ConstantAcceleration => {
-            let trajectory = constant_acceleration::schedule(path, t, limits)?.trajectory;
-            let served_s = trajectory.served_s(path.len(), |_| true)?;
-            // Break times are sums: their differences round with the total.
-            let rounding = 1e-12 * trajectory.total_time_s();
-            let stretched = t
-                .dwell_s()
-                .iter()
-                .zip(&served_s)
-                .enumerate()
-                .filter(|(_, (asked, took))| **took > **asked + rounding)
-                .map(|(j, (_, took))| (j, *took))
-                .collect();
-            Ok(Motion { trajectory, stretched })
-        }
-    }
-}
-
 /// Refines the dwell times `first`, or those of the dwell solver, for `path` on a machine.
 pub fn refine(
     desired: &Surface,
@@ -334,14 +296,16 @@ struct Given<'a> {
     tif: &'a Tif,
     path: &'a ToolPath,
     limits: &'a Limits,
-    settings: &'a Settings,
+    settings: &'a Settings<'a>,
     sources: Option<&'a Sources>,
 }
 
 /// Motion of some dwell times and its judgement.
 struct Executed<'a> {
     iterate: Iterate,
-    motion: Motion,
+    trajectory: Trajectory,
+    /// Segments that took longer than their dwell time: index and time, s.
+    stretched: Vec<(usize, f64)>,
     quadratic: Option<Quadratic<'a>>,
 }
 
@@ -443,19 +407,21 @@ impl<'a> Rounds<'a> {
     /// Makes the motion of dwell times, and simulates and judges it.
     fn execute(&self, t: &DwellTime) -> Result<Executed<'a>, RefineError> {
         let Given { desired, path, limits, settings, sources, .. } = self.given;
-        let motion = schedule(path, t, limits, settings.scheduler)?;
+        let Scheduled { trajectory, mut changed } = settings.scheduler.schedule(path, t, limits)?;
         let mut h = t.dwell_s().to_vec();
-        for (segment, took) in &motion.stretched {
+        for (segment, took) in &changed {
             h[*segment] = *took;
         }
-        let predicted = self.simulation.predict(&motion.trajectory, desired)?;
-        let verdict = verify(&motion.trajectory, limits, &VerifySettings::default())?;
+        changed.retain(|(segment, took)| *took > t.dwell_s()[*segment]);
+        let stretched = changed;
+        let predicted = self.simulation.predict(&trajectory, desired)?;
+        let verdict = verify(&trajectory, limits, &VerifySettings::default())?;
         let residual = predicted.removal.residual();
         let Rms { rms_nm, detilted_nm } = Rms::of(residual);
-        let total_time_s = motion.trajectory.total_time_s();
+        let total_time_s = trajectory.total_time_s();
         let price = 2.0 * self.solver.time_weight_nm2_per_s * total_time_s;
         // E |e|^2 = |P (e - m)|^2 + h'Q h
-        let quadratic = sources.map(|s| s.of(&motion.trajectory, path.len())).transpose()?;
+        let quadratic = sources.map(|s| s.of(&trajectory, path.len())).transpose()?;
         let (mean_nm, variance_nm2) = match &quadratic {
             None => (rms_nm, 0.0),
             Some(q) => (less_bias(residual, q)?.statistics().rms, q.variance_nm2(&h)),
@@ -469,17 +435,17 @@ impl<'a> Rounds<'a> {
             expected_rms_nm: sources.map(|_| (mean_nm.powi(2) + variance_nm2).sqrt()),
             merit_nm: (mean_nm2 + variance_nm2 + slope_nm2 + price).sqrt(),
             total_time_s,
-            stretched: motion.stretched.len(),
+            stretched: stretched.len(),
             limits_respected: verdict.limits_respected,
             dwell_s: h,
         };
-        Ok(Executed { iterate, motion, quadratic })
+        Ok(Executed { iterate, trajectory, stretched, quadratic })
     }
 
     /// Keeps the round if it is the best one, and returns true then. A plan that exceeds the limits ranks below all that
     /// keep them.
     fn keep(&mut self, round: usize, executed: Executed<'a>) -> Result<bool, RefineError> {
-        let Executed { iterate, motion: Motion { trajectory, stretched }, quadratic } = executed;
+        let Executed { iterate, trajectory, stretched, quadratic } = executed;
         let before = self.best.as_ref().map(|b| &self.iterates[b.round]);
         let rank = |i: &Iterate| (!i.limits_respected, i.merit_nm);
         let is_better = before.is_none_or(|b| rank(&iterate) < rank(b));

@@ -2,6 +2,7 @@
 
 use std::{process::Command, time::Duration};
 
+use planish_schedule::selection::SCHEDULERS;
 use planish_testkit::{
     hostile::{COUNTS, FLOATS, every_value, inputs, survives},
     program::{run_within, text},
@@ -67,6 +68,40 @@ fn a_number_of_rounds_that_the_user_gives_is_an_end() {
     let manifest: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert_eq!((code, &manifest["outcome"]["end"]), (0, &"round-limit".into()), "{said}");
     assert_eq!(manifest["settings"]["scheduler"]["pvt"], "monotone");
+}
+
+#[test]
+fn every_scheduler_of_the_table_can_be_chosen_and_no_other() {
+    let tmp = tempfile::tempdir().unwrap();
+    inputs(tmp.path());
+    let all = arguments("surface", "tif", "tool_path");
+    let all: Vec<&str> = all.iter().map(String::as_str).collect();
+    let choose = |scheduler: &str, more: &[&str]| {
+        let scheduler = format!("--scheduler={scheduler}");
+        let given = [&all[..], &["--max-rounds=2", &scheduler], more].concat();
+        survives(BINARY, tmp.path(), &given, "out")
+    };
+    let settings_of = |part: &str| -> serde_json::Value {
+        let file = tmp.path().join("out").join(part).join("manifest.json");
+        serde_json::from_str(&std::fs::read_to_string(file).unwrap()).unwrap()
+    };
+    for named in &SCHEDULERS {
+        let (code, said) = choose(named.name, &[]);
+        assert_eq!(code, 0, "{}: {said}", named.name);
+        for part in ["dwell", "trajectory", "iterations"] {
+            assert_eq!(settings_of(part)["method"], named.name);
+        }
+    }
+    for repair in ["offset", "local"] {
+        let (code, said) = choose("trig-spline", &["--repair", repair]);
+        assert_eq!(code, 0, "{said}");
+        assert_eq!(settings_of("trajectory")["settings"]["scheduler"]["trig-spline"], repair);
+    }
+    for unknown in ["position", "pvt-as-published", "average-velocity", "PVT", ""] {
+        let (code, said) = choose(unknown, &[]);
+        let names_all = SCHEDULERS.iter().all(|named| said.contains(named.name));
+        assert!(code == 2 && names_all, "{unknown}: {code} {said}");
+    }
 }
 
 #[test]

@@ -51,7 +51,7 @@ fn raster() -> ToolPath {
     ToolPath::through(points, vec![true; n], vec![0; n]).unwrap()
 }
 
-fn settings() -> Settings {
+fn settings() -> Settings<'static> {
     let mut settings = Settings::default();
     settings.dwell.min_dwell = Bound::Seconds(0.02);
     settings

@@ -98,7 +98,7 @@ struct Made {
 }
 
 /// A subcommand that makes a motion.
-trait Scheduler {
+trait MotionCommand {
     /// Name of the method in the manifest: that of the subcommand.
     const METHOD: &'static str;
 
@@ -132,7 +132,7 @@ trait Scheduler {
     }
 }
 
-fn schedule<S: Scheduler>(scheduler: &S) -> Result<Status, Failure> {
+fn schedule<S: MotionCommand>(scheduler: &S) -> Result<Status, Failure> {
     let given = scheduler.given();
     let mut inputs = Inputs::new();
     let (path, dwell) = given.plan.read(&mut inputs)?;

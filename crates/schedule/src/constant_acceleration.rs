@@ -44,7 +44,7 @@ use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, Trajectory
 use serde::Serialize;
 
 use crate::{
-    ScheduleError, check_lengths,
+    ScheduleError, Scheduled, Scheduler, check_lengths,
     shortest_cubic::{CubicSegment, State, shortest_cubic},
 };
 
@@ -86,6 +86,25 @@ pub struct Schedule {
     pub trajectory: Trajectory,
     /// Times and positions that the motion does not keep.
     pub report: Report,
+}
+
+/// The scheduler, which has no settings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings;
+
+impl Scheduler for Settings {
+    fn name(&self) -> &'static str {
+        "constant-acceleration"
+    }
+
+    fn schedule(
+        &self,
+        path: &ToolPath,
+        dwell: &DwellTime,
+        limits: &Limits,
+    ) -> Result<Scheduled, ScheduleError> {
+        Ok(Scheduled::compared(schedule(path, dwell, limits)?.trajectory, dwell)?)
+    }
 }
 
 /// Motion of one axis in one segment.

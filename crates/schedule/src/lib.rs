@@ -13,8 +13,9 @@
 //! | [`baselines::average_velocity`] | constant velocity per segment (a baseline: its velocity steps) |
 //! | [`baselines::position`] | stands at the dwell points; jumps between them (a baseline, no motion) |
 //!
-//! [`claim`] measures every motion against the limits of the machine. [`interpolator`] turns the
-//! dwell-time density of `trig_spline` into reference positions, tick by tick.
+//! The closed loop (`planish-refine`) takes any [`Scheduler`]; [`selection`] has them by name. [`claim`] measures
+//! every motion against the limits of the machine. [`interpolator`] turns the dwell-time density of `trig_spline`
+//! into reference positions, tick by tick.
 
 pub mod baselines;
 pub mod claim;
@@ -22,11 +23,53 @@ pub mod constant_acceleration;
 mod hermite;
 pub mod interpolator;
 pub mod pvt;
+pub mod selection;
 mod shortest_cubic;
 pub mod stop_at_corners;
 pub mod trig_spline;
 
-use planish_types::{DwellTime, Invalid, NotConverged, ToolPath};
+use planish_types::{DwellTime, Invalid, Limits, NotConverged, ToolPath, Trajectory};
+
+/// A scheduler with its settings, as the closed loop takes it.
+pub trait Scheduler: std::fmt::Debug {
+    /// Name: that of its subcommand of `planish-schedule`.
+    fn name(&self) -> &'static str;
+
+    /// Kind of the motion, if the scheduler has several.
+    fn kind(&self) -> Option<&'static str> {
+        None
+    }
+
+    /// Makes the motion along `path` with the times `dwell` on a machine with these limits.
+    fn schedule(
+        &self,
+        path: &ToolPath,
+        dwell: &DwellTime,
+        limits: &Limits,
+    ) -> Result<Scheduled, ScheduleError>;
+}
+
+/// Motion, and the segments of the path whose time is not their dwell time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scheduled {
+    /// Motion.
+    pub trajectory: Trajectory,
+    /// Segments whose time in the motion is not their dwell time, in order: index, and time in the motion, s.
+    pub changed: Vec<(usize, f64)>,
+}
+
+impl Scheduled {
+    /// Compares the time of every segment in the motion with its dwell time.
+    pub fn compared(trajectory: Trajectory, dwell: &DwellTime) -> Result<Self, Invalid> {
+        let served_s = trajectory.served_s(dwell.dwell_s().len(), |_| true)?;
+        // Break times are sums: their differences round with the total.
+        let rounding_s = 1e-12 * trajectory.total_time_s();
+        let times = dwell.dwell_s().iter().zip(served_s).enumerate();
+        let differs = times.filter(|(_, (asked, took))| (took - **asked).abs() > rounding_s);
+        let changed = differs.map(|(segment, (_, took))| (segment, took)).collect();
+        Ok(Self { trajectory, changed })
+    }
+}
 
 /// Reasons for which a scheduler makes no motion.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -41,7 +41,7 @@ use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, Trajectory
 use serde::Serialize;
 
 use crate::{
-    ScheduleError, check_lengths,
+    ScheduleError, Scheduled, Scheduler, check_lengths,
     constant_acceleration::least_piece_s,
     shortest_cubic::{State, shortest_cubic},
 };
@@ -72,6 +72,25 @@ pub struct Schedule {
     pub trajectory: Trajectory,
     /// Stops, late segments and lifts.
     pub report: Report,
+}
+
+/// The scheduler, which has no settings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings;
+
+impl Scheduler for Settings {
+    fn name(&self) -> &'static str {
+        "stop-at-corners"
+    }
+
+    fn schedule(
+        &self,
+        path: &ToolPath,
+        dwell: &DwellTime,
+        limits: &Limits,
+    ) -> Result<Scheduled, ScheduleError> {
+        Ok(Scheduled::compared(schedule(path, dwell, limits)?.trajectory, dwell)?)
+    }
 }
 
 /// Largest step of the velocity at a node that the tool passes without a stop, mm/s: a tenth of the

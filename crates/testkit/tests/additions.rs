@@ -3,6 +3,7 @@
 
 use std::{fs, path::PathBuf};
 
+use planish_compare::plan::BASELINES;
 use planish_testkit::workspace;
 
 fn text(file: &str) -> String {
@@ -42,6 +43,10 @@ fn every_scheduler_is_tried_on_random_paths_and_described() {
     let names: Vec<String> = sources.iter().filter_map(method).collect();
     all_in("scheduler", &names, "crates/testkit/tests/schedulers.rs", |name| format!("(\"{name}"));
     all_in("scheduler", &names, "docs/schedulers.md", |name| format!("`{name}"));
+    let is_baseline = |name: &str| BASELINES.contains(&("planish-schedule", name));
+    let chosen: Vec<String> = names.into_iter().filter(|name| !is_baseline(name)).collect();
+    let table = "crates/schedule/src/selection.rs";
+    all_in("scheduler of the closed loop", &chosen, table, |name| format!("name: \"{name}\""));
 }
 
 #[test]

@@ -8,10 +8,10 @@ use planish_handoff::{
     kind, say, task,
 };
 use planish_refine::{
-    Scheduler, Settings,
+    Settings,
     trade_off::{self, Method},
 };
-use planish_schedule::pvt::ModeChoice;
+use planish_schedule::pvt::{self, ModeChoice};
 use planish_types::{End, plausible, progress};
 use serde_json::json;
 
@@ -54,7 +54,8 @@ impl Pareto {
         let (surface, tif) = self.mirror.read(&mut inputs)?;
         let path = self.path.read(&mut inputs)?;
         let machine = self.machine.read(&mut inputs)?;
-        settings.scheduler = Scheduler::Pvt(self.mode.on(&machine));
+        let scheduler = pvt::Settings { mode: self.mode.on(&machine), stretch: true };
+        settings.scheduler = &scheduler;
         let task = task!("pareto", json!({ "prices": self.prices, "refine": settings }));
         let mut output =
             match Output::directory(&self.output, &kind::ITERATIONS).begin(&task, &inputs)? {

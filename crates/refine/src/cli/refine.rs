@@ -2,7 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::{Args, ValueEnum};
+use clap::{
+    Args,
+    builder::{PossibleValue, PossibleValuesParser, TypedValueParser},
+};
 use planish_dwell::{
     bounded_least_squares::{Bound, noise_of_deviations},
     residual_slope::ResidualSlope,
@@ -13,13 +16,17 @@ use planish_handoff::{
     kind, say, task, with_flags,
 };
 use planish_refine::{
-    Refined, Scheduler, Settings,
+    Refined, Settings,
     error_budget::{Price, refine_for},
     refine,
 };
-use planish_schedule::pvt;
+use planish_schedule::{
+    Scheduler, pvt,
+    selection::{Choices, Named, SCHEDULERS, by_name},
+    trig_spline,
+};
 use planish_tolerance::error_budget::{ErrorBudget, ErrorBudgetFile};
-use planish_types::{DwellTime, Limits, Surface, Trajectory, plausible};
+use planish_types::{DwellTime, Surface, Trajectory, plausible};
 use serde::Serialize;
 use serde_json::json;
 
@@ -64,11 +71,14 @@ pub struct Refine {
     #[arg(long, value_name = "B", requires = "residual_slope_weight_mm2")]
     residual_slope_base_mm: Option<f64>,
     /// Scheduler that makes the motion
-    #[arg(long, value_enum, default_value = "pvt")]
-    scheduler: SchedulerKind,
+    #[arg(long, value_parser = scheduler_of_name(), default_value = SCHEDULERS[0].name)]
+    scheduler: &'static Named,
     /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "auto")]
     mode: pvt::ModeChoice,
+    /// Repair of the dwell-time densities that the machine cannot follow, by trig-spline
+    #[arg(long, value_enum, default_value = "offset")]
+    repair: trig_spline::Repair,
     /// Error budget of the process [JSON]; the expected square of the residual replaces the square
     #[arg(long, value_name = "FILE")]
     error_budget: Option<PathBuf>,
@@ -80,37 +90,34 @@ pub struct Refine {
     output: OutputArgs,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum SchedulerKind {
-    /// Cubic segments, stretched if the limits demand it
-    Pvt,
-    /// One constant acceleration, then constant velocity, per segment; no look-ahead
-    ConstantAcceleration,
+/// Parser of the names in the table of schedulers.
+fn scheduler_of_name() -> impl TypedValueParser<Value = &'static Named> {
+    let names = SCHEDULERS.iter().map(|named| PossibleValue::new(named.name).help(named.about));
+    PossibleValuesParser::new(names)
+        .map(|name| by_name(&name).expect("clap takes these names only"))
 }
 
 /// All settings, and true if the user gave the number of rounds.
 #[derive(Serialize)]
-struct Resolved {
+struct Resolved<'a> {
     #[serde(flatten)]
-    settings: Settings,
+    settings: Settings<'a>,
     stop_at_max_rounds: bool,
 }
 
 impl Refine {
     pub fn run(&self) -> Result<Status, Failure> {
-        let method = match self.scheduler {
-            SchedulerKind::Pvt => "pvt",
-            SchedulerKind::ConstantAcceleration => "constant-acceleration",
-        };
         let mut inputs = Inputs::new();
         let (surface, tif) = self.mirror.read(&mut inputs)?;
         let path = self.path.read(&mut inputs)?;
         let machine = self.machine.read(&mut inputs)?;
-        let settings = self.settings(&surface, &machine)?;
+        let choices = Choices { mode: self.mode, repair: self.repair };
+        let scheduler = self.scheduler.scheduler(&choices, &machine);
+        let settings = self.settings(&surface, &*scheduler)?;
         let process = self.error_budget.as_ref().map(|path| read_process(path, &mut inputs));
         let process = process.transpose()?;
         let resolved = Resolved { settings, stop_at_max_rounds: self.max_rounds.is_some() };
-        let task = task!(method, resolved);
+        let task = task!(self.scheduler.name, resolved);
         let first =
             self.dwell.as_ref().map(|dir| flags::read_dwell(dir, &mut inputs)).transpose()?;
         let parts = [
@@ -162,8 +169,12 @@ impl Refine {
         Ok(status)
     }
 
-    fn settings(&self, surface: &Surface, machine: &Limits) -> Result<Settings, Failure> {
-        let mut settings = Settings::default();
+    fn settings<'a>(
+        &self,
+        surface: &Surface,
+        scheduler: &'a dyn Scheduler,
+    ) -> Result<Settings<'a>, Failure> {
+        let mut settings = Settings { scheduler, ..Settings::default() };
         settings.max_rounds = self.max_rounds.unwrap_or(settings.max_rounds);
         settings.dwell.time_weight_nm2_per_s = self.time_weight_nm2_per_s;
         settings.dwell.min_dwell = self.floor.bound(Bound::Seconds, Bound::SecondsPerMm)?;
@@ -174,10 +185,6 @@ impl Refine {
         let base_mm = self.residual_slope_base_mm.unwrap_or(surface.grid().x.step_mm());
         settings.dwell.residual_slope =
             self.residual_slope_weight_mm2.map(|weight_mm2| ResidualSlope { weight_mm2, base_mm });
-        settings.scheduler = match self.scheduler {
-            SchedulerKind::ConstantAcceleration => Scheduler::ConstantAcceleration,
-            SchedulerKind::Pvt => Scheduler::Pvt(self.mode.on(machine)),
-        };
         Ok(settings)
     }
 
@@ -196,14 +203,11 @@ impl Refine {
             ));
         }
         let before = &refined.iterates[0];
-        let mode = match settings.scheduler {
-            Scheduler::Pvt(pvt::Mode::Smooth) => "pvt (smooth)",
-            Scheduler::Pvt(pvt::Mode::Monotone) => "pvt (monotone)",
-            Scheduler::ConstantAcceleration => "constant-acceleration",
-        };
+        let kind = settings.scheduler.kind().map_or(String::new(), |kind| format!(" ({kind})"));
         say(format!(
-            "{mode}: {} after {} rounds, {} of {} dwell times at a bound (the least that the floor or the machine allows): \
+            "{}{kind}: {} after {} rounds, {} of {} dwell times at a bound (the least that the floor or the machine allows): \
              {:.4} nm in {:.2} s before, {:.4} nm in {:.2} s after -> {}",
+            settings.scheduler.name(),
             refined.end,
             refined.iterates.len(),
             refined.at_bound,

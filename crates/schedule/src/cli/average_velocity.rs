@@ -9,7 +9,7 @@ use planish_schedule::{
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, NoSettings, Scheduler};
+use super::{Given, Made, MotionCommand, NoSettings};
 
 #[derive(Args)]
 pub struct AverageVelocity {
@@ -17,7 +17,7 @@ pub struct AverageVelocity {
     given: Given,
 }
 
-impl Scheduler for AverageVelocity {
+impl MotionCommand for AverageVelocity {
     const METHOD: &'static str = "average-velocity";
 
     type Settings = NoSettings;

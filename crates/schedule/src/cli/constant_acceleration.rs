@@ -5,7 +5,7 @@ use planish_schedule::{ScheduleError, constant_acceleration};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, NoSettings, Scheduler, micron};
+use super::{Given, Made, MotionCommand, NoSettings, micron};
 
 #[derive(Args)]
 pub struct ConstantAcceleration {
@@ -13,7 +13,7 @@ pub struct ConstantAcceleration {
     given: Given,
 }
 
-impl Scheduler for ConstantAcceleration {
+impl MotionCommand for ConstantAcceleration {
     const METHOD: &'static str = "constant-acceleration";
 
     type Settings = NoSettings;

@@ -9,7 +9,7 @@ use planish_schedule::{
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, NoSettings, Scheduler};
+use super::{Given, Made, MotionCommand, NoSettings};
 
 #[derive(Args)]
 pub struct Position {
@@ -17,7 +17,7 @@ pub struct Position {
     given: Given,
 }
 
-impl Scheduler for Position {
+impl MotionCommand for Position {
     const METHOD: &'static str = "position";
 
     type Settings = NoSettings;

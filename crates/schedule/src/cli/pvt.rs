@@ -5,7 +5,7 @@ use planish_schedule::{ScheduleError, claim::Claim, pvt};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, Scheduler};
+use super::{Given, Made, MotionCommand};
 
 #[derive(Args)]
 pub struct Pvt {
@@ -19,7 +19,7 @@ pub struct Pvt {
     no_stretch: bool,
 }
 
-impl Scheduler for Pvt {
+impl MotionCommand for Pvt {
     const METHOD: &'static str = "pvt";
 
     type Settings = pvt::Settings;

@@ -5,7 +5,7 @@ use planish_schedule::{ScheduleError, baselines::pvt_as_published};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, Scheduler, micron};
+use super::{Given, Made, MotionCommand, micron};
 
 #[derive(Args)]
 pub struct PvtAsPublished {
@@ -16,7 +16,7 @@ pub struct PvtAsPublished {
     rest_condition: pvt_as_published::RestCondition,
 }
 
-impl Scheduler for PvtAsPublished {
+impl MotionCommand for PvtAsPublished {
     const METHOD: &'static str = "pvt-as-published";
 
     type Settings = pvt_as_published::Settings;

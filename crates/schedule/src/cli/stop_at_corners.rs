@@ -5,7 +5,7 @@ use planish_schedule::{ScheduleError, stop_at_corners};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, NoSettings, Scheduler};
+use super::{Given, Made, MotionCommand, NoSettings};
 
 #[derive(Args)]
 pub struct StopAtCorners {
@@ -13,7 +13,7 @@ pub struct StopAtCorners {
     given: Given,
 }
 
-impl Scheduler for StopAtCorners {
+impl MotionCommand for StopAtCorners {
     const METHOD: &'static str = "stop-at-corners";
 
     type Settings = NoSettings;

@@ -7,7 +7,7 @@ use planish_schedule::{ScheduleError, trig_spline};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, Scheduler};
+use super::{Given, Made, MotionCommand};
 
 #[derive(Args)]
 pub struct TrigSpline {
@@ -27,7 +27,7 @@ pub struct TrigSpline {
     dwell_density_out: Option<PathBuf>,
 }
 
-impl Scheduler for TrigSpline {
+impl MotionCommand for TrigSpline {
     const METHOD: &'static str = "trig-spline";
 
     type Settings = trig_spline::Settings;

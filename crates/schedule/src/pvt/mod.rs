@@ -77,7 +77,7 @@ use self::{
     shortest::Search,
     timing::{Timing, parallel, too_short, worst},
 };
-use crate::{ScheduleError, check_lengths, hermite::coefficients};
+use crate::{ScheduleError, Scheduled, Scheduler, check_lengths, hermite::coefficients};
 
 /// Settings of PVT.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -113,6 +113,27 @@ pub struct Schedule {
     pub trajectory: Trajectory,
     /// Stretched segments and solvers.
     pub report: Report,
+}
+
+impl Scheduler for Settings {
+    fn name(&self) -> &'static str {
+        "pvt"
+    }
+
+    fn kind(&self) -> Option<&'static str> {
+        Some(self.mode.name())
+    }
+
+    fn schedule(
+        &self,
+        path: &ToolPath,
+        dwell: &DwellTime,
+        limits: &Limits,
+    ) -> Result<Scheduled, ScheduleError> {
+        let Schedule { trajectory, report } = schedule(path, dwell, limits, self)?;
+        let changed = report.stretched.iter().map(|s| (s.segment, s.scheduled_s)).collect();
+        Ok(Scheduled { trajectory, changed })
+    }
 }
 
 /// Schedules `path` with the times `dwell` within `limits`.

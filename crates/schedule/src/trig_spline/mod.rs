@@ -71,7 +71,7 @@ use self::{
     passes::{Pass, density_of, runs_with_tool_on},
     repair::{PROOF_ROUNDS, ease, repair, slow_at_corners},
 };
-use crate::{ScheduleError, check_lengths};
+use crate::{ScheduleError, Scheduled, Scheduler, check_lengths};
 
 /// Settings of the trigonometric spline.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -118,6 +118,25 @@ pub struct Schedule {
     pub density: Option<DwellDensity>,
     /// Changes of the densities, and errors of the motion.
     pub report: Report,
+}
+
+impl Scheduler for Settings {
+    fn name(&self) -> &'static str {
+        "trig-spline"
+    }
+
+    fn kind(&self) -> Option<&'static str> {
+        Some(self.repair.name())
+    }
+
+    fn schedule(
+        &self,
+        path: &ToolPath,
+        dwell: &DwellTime,
+        limits: &Limits,
+    ) -> Result<Scheduled, ScheduleError> {
+        Ok(Scheduled::compared(schedule(path, dwell, limits, self)?.trajectory, dwell)?)
+    }
 }
 
 /// Schedules `path` with the times `dwell` within `limits`.

@@ -6,14 +6,25 @@ use serde::Serialize;
 use super::{passes::Pass, report::Report};
 
 /// Repair of the densities that the machine cannot follow.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Repair {
     /// Add one offset to all densities.
+    #[default]
     Offset,
     /// Raise only the densities that need it.
     Local,
+}
+
+impl Repair {
+    /// Name in settings and messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Offset => "offset",
+            Self::Local => "local",
+        }
+    }
 }
 
 /// Number of rounds of the proof that even out single pieces. Densities that differ by a factor of 1e15

@@ -1,6 +1,6 @@
 //! The tables of docs/refine.md: the closed loop on the reference mirror (`PLANISH_REFERENCE`), with a
-//! tenth of the limits of the machine, and on the coupon with noise and with a ring-shaped tool. With the argument
-//! `joint`: those of docs/joint.md, motion and times as one problem beside the closed loop. With `modes`: the shapes of the
+//! tenth of the limits of the machine, and on the coupon with noise and with a ring-shaped tool, and every scheduler
+//! (`schedulers`: these tables alone). With the argument `joint`: those of docs/joint.md, motion and times as one problem beside the closed loop. With `modes`: the shapes of the
 //! PVT motion over fixtures and paths (docs/decisions/0071-pvt-mode-over-fixtures.md).
 
 mod joint;
@@ -9,8 +9,13 @@ mod smooth;
 
 use planish_dwell::bounded_least_squares::{self, Bound};
 use planish_fixture::Fixture;
-use planish_refine::{Refined, Scheduler, Settings, refine};
-use planish_schedule::pvt::Mode;
+use planish_refine::{Refined, Settings, refine};
+use planish_schedule::{
+    Scheduler,
+    pvt::{self, Mode, ModeChoice},
+    selection::{Choices, SCHEDULERS},
+    trig_spline::Repair,
+};
 use planish_simulate::{Settings::Gridded, simulate};
 use planish_testkit::{ion_beam, machine, mirror};
 use planish_toolpath::{Construction, Scan};
@@ -34,7 +39,12 @@ struct Case<'a> {
 impl Case<'_> {
     /// Refines the dwell times of the solver with its own settings, as a pipeline does.
     fn refined(&self, path: &ToolPath) -> Refined {
-        let mut settings = Settings { scheduler: Scheduler::Pvt(self.mode), ..Settings::default() };
+        self.refined_by(&pvt::Settings { mode: self.mode, stretch: true }, path)
+    }
+
+    /// The same with any scheduler.
+    fn refined_by(&self, scheduler: &dyn Scheduler, path: &ToolPath) -> Refined {
+        let mut settings = Settings { scheduler, ..Settings::default() };
         settings.dwell.min_dwell = self.floor;
         settings.dwell.noise_rms_nm = self.noise_rms_nm;
         let solver =
@@ -154,9 +164,9 @@ fn with_noise() {
                 let solver =
                     bounded_least_squares::Settings { min_dwell: bound, ..Default::default() };
                 let first = bounded_least_squares::solve(desired, tif, &path, None, &solver);
-                let how = planish_schedule::pvt::Settings { mode, stretch: true };
+                let how = pvt::Settings { mode, stretch: true };
                 let first = first.expect("a plan").dwell;
-                let first = planish_schedule::pvt::schedule(&path, &first, limits, &how);
+                let first = pvt::schedule(&path, &first, limits, &how);
                 let before = missed(&first.expect("a motion").trajectory);
                 let after = missed(&refined.trajectory);
                 assert!(after <= before, "{after} nm after, {before} nm before");
@@ -196,6 +206,46 @@ fn on_the_coupons() {
     }
 }
 
+/// Every scheduler of the closed loop along a raster and a maze, with the lower floor of the tables.
+fn with_every_scheduler() {
+    println!("\nEvery scheduler\n");
+    println!(
+        "| fixture, path | `--scheduler` | before, nm | after, nm | before, s | after, s | rounds |"
+    );
+    println!("|---|---|---|---|---|---|---|");
+    let choices = [Repair::Offset, Repair::Local]
+        .map(|repair| Choices { mode: ModeChoice::Monotone, repair });
+    let limits = &ion_beam();
+    for fixture_name in ["coupon", "flat-92x16"] {
+        let Fixture { surface, tif, .. } = fixture(fixture_name, true);
+        let (desired, mode, floor) = (&surface, Mode::Monotone, FLOORS[1].1);
+        let case = Case { desired, tif: &tif, limits, mode, floor, noise_rms_nm: None };
+        for (path_name, path) in
+            [("raster", lines(desired, &tif, 1.0, Scan::X)), ("maze", own_maze(desired))]
+        {
+            for named in &SCHEDULERS {
+                let mut all = Vec::from(choices.map(|choices| named.scheduler(&choices, limits)));
+                all.dedup_by_key(|scheduler| scheduler.kind());
+                for scheduler in all {
+                    let refined = case.refined_by(&*scheduler, &path);
+                    let (before, after) = (&refined.iterates[0], &refined.iterates[refined.best]);
+                    assert!(after.limits_respected, "{scheduler:?}");
+                    println!(
+                        "| {fixture_name}, {path_name} | {}{} | {:.4} | {:.4} | {:.1} | {:.1} | {} |",
+                        scheduler.name(),
+                        scheduler.kind().map_or(String::new(), |kind| format!(", {kind}")),
+                        before.rms_nm,
+                        after.rms_nm,
+                        before.total_time_s,
+                        after.total_time_s,
+                        refined.iterates.len(),
+                    );
+                }
+            }
+        }
+    }
+}
+
 fn main() {
     let words: Vec<String> = std::env::args().skip(1).collect();
     if let Some(("joint", names)) = words.split_first().map(|(first, rest)| (first.as_str(), rest))
@@ -205,9 +255,13 @@ fn main() {
     if words.first().is_some_and(|first| first == "modes") {
         return smooth::modes(&words[1..]);
     }
+    if words.first().is_some_and(|first| first == "schedulers") {
+        return with_every_scheduler();
+    }
     if let Some(reference) = mirror::mirror() {
         on_the_mirror(&reference);
     }
+    with_every_scheduler();
     on_the_coupons();
     with_noise();
 }
