@@ -102,6 +102,11 @@ fn every_scheduler_of_the_table_can_be_chosen_and_no_other() {
         let names_all = SCHEDULERS.iter().all(|named| said.contains(named.name));
         assert!(code == 2 && names_all, "{unknown}: {code} {said}");
     }
+    for (scheduler, flag) in [("pvt", "--repair=local"), ("stop-at-corners", "--mode=smooth")] {
+        let (code, said) = choose(scheduler, &[flag]);
+        let (flag, _) = flag.split_once('=').unwrap();
+        assert!(code == 2 && said.contains(&format!("leave {flag} out")), "{code} {said}");
+    }
 }
 
 #[test]

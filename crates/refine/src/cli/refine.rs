@@ -107,6 +107,7 @@ struct Resolved<'a> {
 
 impl Refine {
     pub fn run(&self) -> Result<Status, Failure> {
+        self.check_choices()?;
         let mut inputs = Inputs::new();
         let (surface, tif) = self.mirror.read(&mut inputs)?;
         let path = self.path.read(&mut inputs)?;
@@ -167,6 +168,21 @@ impl Refine {
             say(words(price));
         }
         Ok(status)
+    }
+
+    /// Refuses a setting of another scheduler.
+    fn check_choices(&self) -> Result<(), Failure> {
+        let own = [
+            ("--mode", "pvt", self.mode == pvt::ModeChoice::default()),
+            ("--repair", "trig-spline", self.repair == trig_spline::Repair::default()),
+        ];
+        let chosen = self.scheduler.name;
+        match own.into_iter().find(|(_, of, is_default)| !is_default && chosen != *of) {
+            Some((flag, of, _)) => Err(Failure::new(format!(
+                "{flag} is of the scheduler {of}, and --scheduler is {chosen}; leave {flag} out, or give --scheduler {of}"
+            ))),
+            None => Ok(()),
+        }
     }
 
     fn settings<'a>(
