@@ -173,7 +173,16 @@ impl Plan {
                 let text = "the last round that was allowed still improved it";
                 Self::new(State::Unconverged, word("not converged"), text)
             }
-            (Some(End::IterationLimit | End::StepLimit), _) => {
+            (
+                Some(
+                    End::IterationLimit
+                    | End::StepLimit
+                    | End::SweepLimit
+                    | End::LiftLimit
+                    | End::LinkLimit,
+                ),
+                _,
+            ) => {
                 let text = "the limit of its iterations was reached before it converged";
                 Self::new(State::Unconverged, word("not converged"), text)
             }
@@ -182,23 +191,12 @@ impl Plan {
                 Self::new(State::Converged, "converged", text)
             }
             (Some(End::Converged), _) => Self::ended_by_itself(),
-            // Ends that say nothing of an optimum, and what another program wrote.
-            (
-                Some(
-                    End::Settled
-                    | End::Threshold
-                    | End::Stopped
-                    | End::StepsDone
-                    | End::RoundsDone
-                    | End::AllPrices
-                    | End::Direct
-                    | End::SweepLimit
-                    | End::LiftLimit
-                    | End::LinkLimit,
-                )
-                | None,
-                Some(name),
-            ) => {
+            (Some(end), _) => {
+                let text = format!("{}, which proves nothing of an optimum", without_proof(end));
+                Self::new(State::Unknown, "no certificate", text)
+            }
+            // What another program wrote.
+            (None, Some(name)) => {
                 let text = format!("ended with `{name}`, of which nothing is known here");
                 Self::new(State::Unknown, "not known", text)
             }
@@ -220,6 +218,22 @@ impl Plan {
     fn ended_by_itself() -> Self {
         let text = "ended by itself; no certificate of optimality";
         Self::new(State::Converged, "converged", text)
+    }
+}
+
+/// An end that says nothing of an optimum, in words.
+fn without_proof(end: End) -> &'static str {
+    match end {
+        End::Settled => "its residual no longer changed",
+        End::Threshold => "its threshold was reached",
+        End::Stopped => "its next step would have made the residual larger",
+        End::StepsDone | End::RoundsDone => "it made the number of steps that was asked for",
+        End::AllPrices => "it made the plans of all prices",
+        End::Direct => "a formula gives it, without a search",
+        End::Optimal | End::Converged | End::NoImprovement => "it ended by itself",
+        End::Stagnated => "the objective changed no more",
+        End::IterationLimit | End::RoundLimit | End::StepLimit => "its limit was reached",
+        End::SweepLimit | End::LiftLimit | End::LinkLimit => "its limit was reached",
     }
 }
 
@@ -321,7 +335,9 @@ mod tests {
                 "would still move",
             ),
             (done(json!({ "end": "tired" })), State::Unknown, "not known", "`tired`"),
-            (done(json!({ "end": "settled" })), State::Unknown, "not known", "`settled`"),
+            (done(json!({ "end": "settled" })), State::Unknown, "no certificate", "no longer"),
+            (done(json!({ "end": "direct" })), State::Unknown, "no certificate", "a formula"),
+            (done(json!({ "end": "lift-limit" })), State::Unconverged, "not converged", "limit"),
         ] {
             let plan = Plan::of("pvt", Some(&scheduled()), Some(&manifest), &[]);
             assert_eq!((plan.state, plan.word.as_str()), (state, word), "{manifest}");

@@ -5,8 +5,7 @@ use ndarray::Array2;
 use planish_dwell::bounded_least_squares::{self as dwell_solver, Bound};
 use planish_refine::{RefineError, Refined, Settings, refine, trade_off};
 use planish_schedule::{
-    ScheduleError, Scheduled, Scheduler, constant_acceleration, pvt,
-    selection::{Choices, SCHEDULERS},
+    Choices, SCHEDULERS, ScheduleError, Scheduled, Scheduler, constant_acceleration, pvt,
     trig_spline::Repair,
 };
 use planish_simulate::simulate;

@@ -2,7 +2,7 @@
 
 use std::{process::Command, time::Duration};
 
-use planish_schedule::selection::SCHEDULERS;
+use planish_schedule::SCHEDULERS;
 use planish_testkit::{
     hostile::{COUNTS, FLOATS, every_value, inputs, survives},
     program::{run_within, text},

@@ -35,17 +35,18 @@ fn all_in(what: &str, names: &[String], file: &str, as_written: impl Fn(&str) ->
 }
 
 #[test]
-fn every_scheduler_is_tried_on_random_paths_and_described() {
+fn every_scheduler_is_compared_and_described() {
     let sources = files("crates/schedule/src/cli", "rs");
     let method = |(_, text): &(String, String)| {
         Some(between(text, "const METHOD: &'static str = \"", "\"").next()?.to_string())
     };
     let names: Vec<String> = sources.iter().filter_map(method).collect();
-    all_in("scheduler", &names, "crates/testkit/tests/schedulers.rs", |name| format!("(\"{name}"));
+    all_in("scheduler", &names, "pipelines/shared.yaml", |name| format!("method={name} "));
     all_in("scheduler", &names, "docs/schedulers.md", |name| format!("`{name}"));
     let is_baseline = |name: &str| BASELINES.contains(&("planish-schedule", name));
     let chosen: Vec<String> = names.into_iter().filter(|name| !is_baseline(name)).collect();
-    let table = "crates/schedule/src/selection.rs";
+    // Its row there also has it tried along random paths.
+    let table = "crates/schedule/src/lib.rs";
     all_in("scheduler of the closed loop", &chosen, table, |name| format!("name: \"{name}\""));
 }
 
@@ -57,6 +58,16 @@ fn every_tool_path_is_tried_with_absurd_flags() {
     };
     let names: Vec<String> = sources.iter().filter_map(method).collect();
     all_in("path", &names, "crates/toolpath/tests/hostile.rs", |name| format!("\"{name}\","));
+}
+
+#[test]
+fn every_dwell_solver_is_compared_and_described() {
+    let solvers = files("crates/dwell/src/cli", "rs").into_iter();
+    let names: Vec<String> = solvers.map(|(name, _)| name.replace('_', "-")).collect();
+    all_in("dwell solver", &names, "docs/dwell.md", |name| format!("`{name}"));
+    all_in("dwell solver", &names, "pipelines/compare-dwell.yaml", |name| {
+        format!("solver='{name} ")
+    });
 }
 
 #[test]

@@ -6,9 +6,10 @@
 //! populations, and a table of what came of them. It can be run in pieces: `PLANISH_COUNTS` names a
 //! file that keeps the counts of all pieces, and the table is then that of their sum.
 
-use std::sync::Mutex;
+use std::sync::{LazyLock, Mutex};
 
 use planish_schedule::{
+    Choices, Named, SCHEDULERS as TABLE, Scheduled,
     baselines::{average_velocity, position, pvt_as_published},
     claim::Claim,
     constant_acceleration,
@@ -108,11 +109,44 @@ struct Motion {
     one_by_one: bool,
 }
 
-/// A scheduler: its name, and a function that returns its motion or the reason of a refusal.
-type Scheduler = (&'static str, fn(&ToolPath, &DwellTime, &Limits) -> Result<Motion, String>);
+/// Motion of a scheduler, or the reason of a refusal.
+type Schedule = dyn Fn(&ToolPath, &DwellTime, &Limits) -> Result<Motion, String> + Send + Sync;
 
-/// The schedulers under test, by the names of the table.
-const SCHEDULERS: [Scheduler; 11] = [
+/// The schedulers under test, by name: those that report more than the times of their segments, and every other one
+/// in the table of `planish-schedule`.
+static SCHEDULERS: LazyLock<Vec<(&str, Box<Schedule>)>> = LazyLock::new(|| {
+    let mut all: Vec<(&str, Box<Schedule>)> = WITH_REPORTS
+        .into_iter()
+        .map(|(name, schedule)| (name, Box::new(schedule) as Box<Schedule>))
+        .collect();
+    for named in &TABLE {
+        let is_there =
+            |(name, _): &(&str, Box<Schedule>)| name.split(' ').next() == Some(named.name);
+        if !all.iter().any(is_there) {
+            all.push((named.name, Box::new(|p, d, l| named_motion(named, p, d, l))));
+        }
+    }
+    all
+});
+
+/// The motion of a scheduler of the table, with the added times that it states.
+fn named_motion(
+    named: &Named,
+    path: &ToolPath,
+    dwell: &DwellTime,
+    limits: &Limits,
+) -> Result<Motion, String> {
+    let scheduler = named.scheduler(&Choices::default(), limits);
+    let Scheduled { trajectory, changed } =
+        scheduler.schedule(path, dwell, limits).map_err(|e| e.to_string())?;
+    let added = |(i, took): &(usize, f64)| {
+        if path.tool_on()[*i] { (took - dwell.dwell_s()[*i]).max(0.0) } else { 0.0 }
+    };
+    let added_s = changed.iter().map(added).sum();
+    Ok(Motion { trajectory, stretched: added_s > 0.0, added_s, one_by_one: true })
+}
+
+const WITH_REPORTS: [(&str, fn(&ToolPath, &DwellTime, &Limits) -> Result<Motion, String>); 11] = [
     ("pvt smooth", |p, d, l| pvt_motion(p, d, l, Mode::Smooth)),
     ("pvt monotone", |p, d, l| pvt_motion(p, d, l, Mode::Monotone)),
     ("pvt smooth, jerk limited", |p, d, l| pvt_motion(p, d, l, Mode::Smooth)),
@@ -663,11 +697,11 @@ fn the_judge_agrees_with_every_claim() {
     let populations = all_populations();
     let (seed, numbers) = (number_from_env("PLANISH_SEED", 1), case_numbers());
     let mut counts = Counts::before(seed, &numbers);
-    let here = Mutex::new(vec![[Count::default(); SCHEDULERS.len()]; populations.len()]);
+    let here = Mutex::new(vec![vec![Count::default(); SCHEDULERS.len()]; populations.len()]);
     let failures = failing(&populations, |p, random, case| {
         let any_scale = p >= POPULATIONS.len();
         let mut broken = Vec::new();
-        for (k, (name, scheduler)) in SCHEDULERS.into_iter().enumerate() {
+        for (k, (name, scheduler)) in SCHEDULERS.iter().enumerate() {
             for path in [case.path(), lifted(case)] {
                 // A lift is a segment like any other for PVT, whose programs take most of the time.
                 if name.starts_with("pvt ") && path.tool_on().contains(&false) {
@@ -951,14 +985,14 @@ impl Counts {
         let columns = "made | refused | stretched | times too coarse | violations | \
                        largest use of a promised limit |";
         let mut text = format!("| scheduler | {columns}\n|---|---|---|---|---|---|---|\n");
-        for (scheduler, _) in SCHEDULERS {
+        for (scheduler, _) in SCHEDULERS.iter() {
             text += &format!("| {scheduler} | {}", cells(sum(Some(scheduler), None)));
         }
         text += &format!("| all | {}", cells(sum(None, None)));
         text +=
             &format!("\n| population | scheduler | {columns}\n|---|---|---|---|---|---|---|---|\n");
         for (population, _) in all_populations() {
-            for (scheduler, _) in SCHEDULERS {
+            for (scheduler, _) in SCHEDULERS.iter() {
                 let of = cells(sum(Some(scheduler), Some(population)));
                 text += &format!("| {population} | {scheduler} | {of}");
             }
@@ -1012,7 +1046,7 @@ fn the_path_speed_methods_run_backwards_too() {
         let mut back = case.clone();
         back.points.reverse();
         back.dwell_s.reverse();
-        for (name, scheduler) in SCHEDULERS {
+        for (name, scheduler) in SCHEDULERS.iter() {
             if !name.starts_with("trig-spline") && name != "average-velocity" {
                 continue;
             }
@@ -1054,7 +1088,7 @@ fn the_path_speed_methods_scale_with_the_dwell_times() {
             case.limits = machine([FREE; 2], [1e11; 2]);
             let mut slow = case.clone();
             slow.dwell_s.iter_mut().for_each(|t| *t *= k);
-            for (scheduler_name, scheduler) in SCHEDULERS {
+            for (scheduler_name, scheduler) in SCHEDULERS.iter() {
                 if !scheduler_name.starts_with("trig") && scheduler_name != "average-velocity" {
                     continue;
                 }
@@ -1423,7 +1457,7 @@ fn equal_dwell_on_equal_spacing_gives_constant_feed() {
     for mode in MODES {
         check(&case.pvt(mode).unwrap().trajectory, 32..48, 1e-11);
     }
-    for (name, scheduler) in SCHEDULERS {
+    for (name, scheduler) in SCHEDULERS.iter() {
         if name.starts_with("trig-spline") || name == "average-velocity" {
             let t = scheduler(&case.path(), &case.dwell(), &case.limits).unwrap().trajectory;
             check(&t, 1..t.len() - 1, 1e-9);

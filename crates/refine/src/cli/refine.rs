@@ -20,11 +20,7 @@ use planish_refine::{
     error_budget::{Price, refine_for},
     refine,
 };
-use planish_schedule::{
-    Scheduler, pvt,
-    selection::{Choices, Named, SCHEDULERS, by_name},
-    trig_spline,
-};
+use planish_schedule::{Choices, Named, SCHEDULERS, Scheduler, by_name, pvt, trig_spline};
 use planish_tolerance::error_budget::{ErrorBudget, ErrorBudgetFile};
 use planish_types::{DwellTime, Surface, Trajectory, plausible};
 use serde::Serialize;

@@ -11,9 +11,8 @@ use planish_dwell::bounded_least_squares::{self, Bound};
 use planish_fixture::Fixture;
 use planish_refine::{Refined, Settings, refine};
 use planish_schedule::{
-    Scheduler,
+    Choices, SCHEDULERS, Scheduler,
     pvt::{self, Mode, ModeChoice},
-    selection::{Choices, SCHEDULERS},
     trig_spline::Repair,
 };
 use planish_simulate::{Settings::Gridded, simulate};
