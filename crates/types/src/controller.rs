@@ -142,7 +142,7 @@ impl ControllerKind {
         self.words().0
     }
 
-    /// What the program is, as help says it.
+    /// Sentence of help: the program, and its units.
     pub fn about(self) -> &'static str {
         self.words().1
     }
