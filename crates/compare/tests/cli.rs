@@ -512,7 +512,7 @@ fn several_runs_share_one_table() {
     );
     assert!(table.contains(sentence), "{table}");
     // Another map before the run: no residual of one run says anything about the other.
-    let double = Surface::new(desired().grid().clone(), 2.0 * desired().height_nm()).unwrap();
+    let double = Surface::new(*desired().grid(), 2.0 * desired().height_nm()).unwrap();
     prepare_of(&double, &dir.path().join("other"), &[("pvt", 0.5, true)]);
     let run = compare(dir.path(), &["report", "raster", "other", "--out", "report", "--force"]);
     let found = summary(&dir.path().join("report"));

@@ -256,6 +256,36 @@ impl Carry {
     }
 }
 
+/// Elements of (2) in the nodes of a link: pivots, element beside them, and right-hand sides.
+struct Block {
+    pivot: [f64; 2],
+    off: f64,
+    right: [f64; 2],
+}
+
+impl Block {
+    /// Adds a row: D b b' to the matrix, and -D r_p a to the right-hand side. Without an excess b = a.
+    #[inline(always)]
+    fn add(&mut self, b: [f64; 2], a: [f64; 2], d: f64, primal: f64) {
+        self.pivot[0] += d * b[0] * b[0];
+        self.pivot[1] += d * b[1] * b[1];
+        self.off += d * b[0] * b[1];
+        self.right[0] -= a[0] * d * primal;
+        self.right[1] -= a[1] * d * primal;
+    }
+
+    /// Eliminates the node, and returns what it adds to the next one.
+    #[inline(always)]
+    fn eliminate(self, node: &mut Node) -> Carry {
+        let Self { pivot, off, right } = self;
+        node.inverse = 1.0 / pivot[0];
+        node.below = off * node.inverse;
+        node.dy = right[0] * node.inverse;
+        let (pivot, right) = (pivot[1] - node.below * off, right[1] - node.below * right[0]);
+        Carry { pivot, right, ..Carry::default() }
+    }
+}
+
 /// Residuals that decide whether the iteration ends.
 #[derive(Clone, Copy, Default)]
 struct Residual {
@@ -332,18 +362,12 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
         rows: impl Fn(usize, &mut Rows) + Sync,
     ) -> Result<Vec<f64>, Failure> {
         let (n, diagonal) = (w.len(), self.diagonal);
-        let middle = n / 2;
-        let half = |up| Half::<ELASTIC>::new(self.program, diagonal, up, &w, &rows);
-        let (mut low, mut high) = if n < MIN_LINKS_PER_THREAD {
-            (half(false), half(true))
-        } else {
-            rayon::join(|| half(false), || half(true))
-        };
+        let (mut low, mut high) = self.halves(&w, rows);
         if low.rows.infeasible || high.rows.infeasible {
             return Err(Failure::Infeasible);
         }
         let m = low.rows.row.len() + high.rows.row.len();
-        let linear = self.program.linear[middle];
+        let linear = self.program.linear[n / 2];
         /// Runs a method on both halves, by two threads if that is a gain.
         macro_rules! both {
             ($method:ident($($argument:expr),*)) => {
@@ -374,16 +398,12 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
             r.largest_multipliers = worse(r.largest_multipliers, c.multipliers.abs());
             r.mu /= m as f64;
             r.largest = worse(r.largest, r.mu);
-            if r.is_within(TOLERANCE) {
-                solved = true;
+            solved = r.is_within(TOLERANCE);
+            if solved {
                 break;
             }
             if r.is_within(EARLY_END_TOLERANCE) {
-                let values = accepted.get_or_insert_default();
-                values.clear();
-                values.extend(low.node.iter().map(|node| node.y));
-                values.push(y);
-                values.extend(high.node.iter().rev().map(|node| node.y));
+                accepted = Some(values(&low, y, &high));
             } else if accepted.is_some() || !r.largest.is_finite() {
                 break;
             }
@@ -394,11 +414,7 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
             let inverse = 1.0 / (diagonal + c.pivot);
             dy = (gradient + c.right) * inverse;
             let (a, b) = both!(predict(y, dy));
-            let reach = a.plus(b);
-            let a = (1.0 / reach.inverse).min(1.0);
-            // sum (s + a ds) (l + a dl) = sum s l (1 - a) + a^2 sum ds dl
-            let after = r.mu * (1.0 - a) - a * a * reach.product / m as f64;
-            let sigma = (after / r.mu).max(0.0).powi(3);
+            let sigma = centring(r.mu, a.plus(b), m);
             // Corrector. If mu did not fall, the second-order term can make the iteration cycle.
             // Then a step towards the centre without that term is taken.
             let (second, sigma) = if r.mu < 0.9 * lowest { (1.0, sigma) } else { (0.0, 0.3) };
@@ -411,16 +427,43 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
                 break;
             }
         }
-        if solved {
-            w[..middle].iter_mut().zip(&low.node).for_each(|(w, node)| *w *= node.y);
-            w[middle] *= y;
-            w[middle + 1..].iter_mut().rev().zip(&high.node).for_each(|(w, node)| *w *= node.y);
-        } else {
-            let accepted = accepted.ok_or(Failure::NotConverged)?;
-            w.iter_mut().zip(accepted).for_each(|(w, y)| *w *= y);
-        }
+        let last = || values(&low, y, &high);
+        let found = if solved { last() } else { accepted.ok_or(Failure::NotConverged)? };
+        w.iter_mut().zip(found).for_each(|(w, y)| *w *= y);
         Ok(w)
     }
+
+    /// The links of both ends of the chain to its middle.
+    fn halves(
+        &self,
+        w: &[f64],
+        rows: impl Fn(usize, &mut Rows) + Sync,
+    ) -> (Half<'_, ELASTIC>, Half<'_, ELASTIC>) {
+        let half = |up| Half::new(self.program, self.diagonal, up, w, &rows);
+        if w.len() < MIN_LINKS_PER_THREAD {
+            (half(false), half(true))
+        } else {
+            rayon::join(|| half(false), || half(true))
+        }
+    }
+}
+
+/// The nodes in order: those of the low half, the middle, those of the high half.
+fn values<const ELASTIC: bool>(low: &Half<ELASTIC>, middle: f64, high: &Half<ELASTIC>) -> Vec<f64> {
+    let nodes = low.node.iter().map(|node| node.y).chain([middle]);
+    nodes.chain(high.node.iter().rev().map(|node| node.y)).collect()
+}
+
+/// Centring parameter sigma of the corrector (Mehrotra), from the reach of the predictor and the number of rows m:
+///
+/// ```text
+/// a     = min(1, 1 / max(-ds/s, -dl/l))
+/// sigma = (sum (s + a ds) (l + a dl) / sum s l)^3,   the sum = sum s l (1 - a) + a^2 sum ds dl
+/// ```
+fn centring(mu: f64, reach: Reach, m: usize) -> f64 {
+    let a = (1.0 / reach.inverse).min(1.0);
+    let after = mu * (1.0 - a) - a * a * reach.product / m as f64;
+    (after / mu).max(0.0).powi(3)
 }
 
 /// Links from an end of the chain to its middle. Link k joins node k and node k + 1, counted from
@@ -550,8 +593,11 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
             // c - P y
             let gradient = linear - self.diagonal * y0 - beside * y1 + carry.gradient;
             let mut multipliers = [carry.multipliers, 0.0];
-            let mut right = [gradient + carry.right, 0.0];
-            let (mut pivot, mut off) = ([self.diagonal + carry.pivot, 0.0], beside);
+            let mut block = Block {
+                pivot: [self.diagonal + carry.pivot, 0.0],
+                off: beside,
+                right: [gradient + carry.right, 0.0],
+            };
             let rows = self.rows.of(k);
             let mut excess = Excess::default();
             if ELASTIC {
@@ -559,10 +605,8 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
                 excess.e += length * excess.de;
                 (excess.de, excess.mean, excess.inverse) = (0.0, [0.0; 2], 0.0);
             }
-            let (mut dual_e, mut square, mut right_e) = (0.0, 0.0, 0.0);
-            if ELASTIC && !rows.is_empty() {
-                (dual_e, right_e) = (self.price(k), -self.price(k));
-            }
+            let price = if ELASTIC && !rows.is_empty() { self.price(k) } else { 0.0 };
+            let (mut dual_e, mut square, mut right_e) = (price, 0.0, -price);
             for j in rows.clone() {
                 let (a, slack, bound) = self.row(j);
                 let (at, step) = (&mut self.at[j], &mut self.step[j]);
@@ -588,11 +632,7 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
                     // The loop below uses these values.
                     *step = Pair { s: primal, l: d };
                 } else {
-                    pivot[0] += d * a[0] * a[0];
-                    pivot[1] += d * a[1] * a[1];
-                    off += d * a[0] * a[1];
-                    right[0] -= a[0] * d * primal;
-                    right[1] -= a[1] * d * primal;
+                    block.add(a, a, d, primal);
                 }
             }
             if ELASTIC && !rows.is_empty() {
@@ -602,16 +642,11 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
                 for j in rows {
                     let (a, slack, _) = self.row(j);
                     let Pair { s: primal, l: d } = self.step[j];
-                    let b = [a[0] - slack * m[0], a[1] - slack * m[1]];
-                    pivot[0] += d * b[0] * b[0];
-                    pivot[1] += d * b[1] * b[1];
-                    off += d * b[0] * b[1];
-                    right[0] -= a[0] * d * primal;
-                    right[1] -= a[1] * d * primal;
+                    block.add([a[0] - slack * m[0], a[1] - slack * m[1]], a, d, primal);
                 }
                 // M_ye = -sum D a k, and M_ye / M_ee = -m
-                right[0] += m[0] * right_e;
-                right[1] += m[1] * right_e;
+                block.right[0] += m[0] * right_e;
+                block.right[1] += m[1] * right_e;
                 r.largest_dual = worse(r.largest_dual, dual_e.abs());
             }
             if ELASTIC {
@@ -619,16 +654,8 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
             }
             r.largest_dual = worse(r.largest_dual, (multipliers[0] - gradient).abs());
             r.largest_multipliers = worse(r.largest_multipliers, multipliers[0].abs());
-            let node = &mut self.node[k];
-            node.inverse = 1.0 / pivot[0];
-            node.below = off * node.inverse;
-            node.dy = right[0] * node.inverse;
-            carry = Carry {
-                pivot: pivot[1] - node.below * off,
-                right: right[1] - node.below * right[0],
-                gradient: -beside * y0,
-                multipliers: multipliers[1],
-            };
+            carry = block.eliminate(&mut self.node[k]);
+            (carry.gradient, carry.multipliers) = (-beside * y0, multipliers[1]);
         }
         (carry, r)
     }
