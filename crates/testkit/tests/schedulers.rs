@@ -146,7 +146,10 @@ fn named_motion(
     Ok(Motion { trajectory, stretched: added_s > 0.0, added_s, one_by_one: true })
 }
 
-const WITH_REPORTS: [(&str, fn(&ToolPath, &DwellTime, &Limits) -> Result<Motion, String>); 11] = [
+/// A scheduler by name, with what its own report says.
+type WithReport = (&'static str, fn(&ToolPath, &DwellTime, &Limits) -> Result<Motion, String>);
+
+const WITH_REPORTS: [WithReport; 11] = [
     ("pvt smooth", |p, d, l| pvt_motion(p, d, l, Mode::Smooth)),
     ("pvt monotone", |p, d, l| pvt_motion(p, d, l, Mode::Monotone)),
     ("pvt smooth, jerk limited", |p, d, l| pvt_motion(p, d, l, Mode::Smooth)),
@@ -701,13 +704,13 @@ fn the_judge_agrees_with_every_claim() {
     let failures = failing(&populations, |p, random, case| {
         let any_scale = p >= POPULATIONS.len();
         let mut broken = Vec::new();
-        for (k, (name, scheduler)) in SCHEDULERS.iter().enumerate() {
+        for (k, &(name, ref scheduler)) in SCHEDULERS.iter().enumerate() {
             for path in [case.path(), lifted(case)] {
                 // A lift is a segment like any other for PVT, whose programs take most of the time.
                 if name.starts_with("pvt ") && path.tool_on().contains(&false) {
                     continue;
                 }
-                let (count, problems) = judged(name, scheduler, &path, case, any_scale);
+                let (count, problems) = judged(name, scheduler.as_ref(), &path, case, any_scale);
                 broken.extend(problems.into_iter().map(|e| format!("{name}: {e}")));
                 if random {
                     // Sums and maxima: the same whatever the order.
@@ -737,7 +740,7 @@ fn the_judge_agrees_with_every_claim() {
 /// Runs a scheduler and judges its motion; returns the counts, and a sentence for every error.
 fn judged(
     name: &str,
-    scheduler: fn(&ToolPath, &DwellTime, &Limits) -> Result<Motion, String>,
+    scheduler: &Schedule,
     path: &ToolPath,
     case: &Case,
     any_scale: bool,
@@ -1046,7 +1049,7 @@ fn the_path_speed_methods_run_backwards_too() {
         let mut back = case.clone();
         back.points.reverse();
         back.dwell_s.reverse();
-        for (name, scheduler) in SCHEDULERS.iter() {
+        for &(name, ref scheduler) in SCHEDULERS.iter() {
             if !name.starts_with("trig-spline") && name != "average-velocity" {
                 continue;
             }
@@ -1088,7 +1091,7 @@ fn the_path_speed_methods_scale_with_the_dwell_times() {
             case.limits = machine([FREE; 2], [1e11; 2]);
             let mut slow = case.clone();
             slow.dwell_s.iter_mut().for_each(|t| *t *= k);
-            for (scheduler_name, scheduler) in SCHEDULERS.iter() {
+            for &(scheduler_name, ref scheduler) in SCHEDULERS.iter() {
                 if !scheduler_name.starts_with("trig") && scheduler_name != "average-velocity" {
                     continue;
                 }
@@ -1457,7 +1460,7 @@ fn equal_dwell_on_equal_spacing_gives_constant_feed() {
     for mode in MODES {
         check(&case.pvt(mode).unwrap().trajectory, 32..48, 1e-11);
     }
-    for (name, scheduler) in SCHEDULERS.iter() {
+    for &(name, ref scheduler) in SCHEDULERS.iter() {
         if name.starts_with("trig-spline") || name == "average-velocity" {
             let t = scheduler(&case.path(), &case.dwell(), &case.limits).unwrap().trajectory;
             check(&t, 1..t.len() - 1, 1e-9);
