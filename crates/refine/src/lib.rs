@@ -187,6 +187,8 @@ pub struct Refined {
     /// Number of dwell times of the best round at a bound: the upper bound, or the least that the floor or the machine
     /// allows.
     pub at_bound: usize,
+    /// Limits of the machine that the best round exceeds, in words; `None` if it keeps them.
+    pub exceeded: Option<String>,
     /// Lower bounds after the best round, s: the floor, or the time that the machine needed.
     pub least_s: Vec<f64>,
 }
@@ -196,8 +198,8 @@ impl Refined {
     /// reason if the user gave that number.
     pub fn negative(&self, desired: &Surface, rounds_asked_for: bool) -> Option<String> {
         let best = &self.iterates[self.best];
-        if !best.limits_respected {
-            Some("no round keeps the limits of the machine".into())
+        if let Some(exceeded) = &self.exceeded {
+            Some(format!("no round keeps the limits of the machine: in the best one {exceeded}"))
         } else if self.end == End::RoundLimit && !rounds_asked_for {
             Some(format!(
                 "not converged: {} rounds were done before they ceased to improve; the best plan is kept, \
@@ -571,12 +573,14 @@ impl<'a> Rounds<'a> {
     }
 
     fn result(self, end: End) -> Result<Refined, RefineError> {
-        let Self { best, iterates, lo_of_best, hi, .. } = self;
+        let Self { given, best, iterates, lo_of_best, hi, .. } = self;
         let best = best.expect("the first round is the best one so far");
         let dwell = DwellTime::new(iterates[best.round].dwell_s.clone())?;
         let is_at_bound = |(j, t): &(usize, &f64)| **t <= lo_of_best[*j] || **t >= hi[*j];
         let at_bound = dwell.dwell_s().iter().enumerate().filter(is_at_bound).count();
+        let verdict = verify(&best.trajectory, given.limits, &VerifySettings::default())?;
         Ok(Refined {
+            exceeded: verdict.reason(),
             dwell,
             trajectory: best.trajectory,
             best: best.round,

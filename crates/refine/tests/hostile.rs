@@ -107,6 +107,16 @@ fn every_scheduler_of_the_table_can_be_chosen_and_no_other() {
         let (flag, _) = flag.split_once('=').unwrap();
         assert!(code == 2 && said.contains(&format!("leave {flag} out")), "{code} {said}");
     }
+    // A limit that no step of the acceleration keeps.
+    let file = tmp.path().join("machine.json");
+    let mut machine: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(&file).unwrap()).unwrap();
+    for axis in machine["axes"].as_array_mut().unwrap() {
+        axis["max_jerk_mm_per_s3"] = 1e4.into();
+    }
+    std::fs::write(&file, machine.to_string()).unwrap();
+    let (code, said) = choose("stop-at-corners", &[]);
+    assert!(code == 1 && said.contains("in the best one x acceleration steps"), "{code} {said}");
 }
 
 #[test]
