@@ -111,14 +111,15 @@ pub fn winner(runs: &[(&str, &Summary)]) -> Option<Winner> {
     let best = |(run, summary): &(&str, &Summary)| {
         let (method, plan) =
             summary.methods.iter().find(|(name, _)| Some(name) == summary.best.as_ref())?;
-        let judged = (plan.specification.is_some(), plan.after_servo_rms_nm.is_some());
+        let specification = plan.specification.as_ref().map(|judged| judged.name.clone());
+        let judged = (specification, plan.after_servo_rms_nm.is_some());
         let plan = plan.candidate();
         Some(((run.to_string(), method.clone(), plan), plan, judged))
     };
     let best: Vec<_> = runs.iter().filter_map(best).collect();
     let (.., first) = best.first()?;
     if best.iter().any(|(.., judged)| judged.0 != first.0) {
-        return Some(Winner::none("some are judged by a specification, others are not"));
+        return Some(Winner::none("they are not judged by the same specification"));
     }
     if best.iter().any(|(.., judged)| judged.1 != first.1) {
         return Some(Winner::none("some are predicted after the servo, others are not"));

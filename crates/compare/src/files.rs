@@ -81,8 +81,10 @@ fn message_in(dir: &Path) -> Result<String, Failure> {
     let file = dir.join(MESSAGE);
     let text = read_text(&file)
         .map_err(|e| Failure::new(format!("{}: cannot read: {e}", file.display())))?;
-    let last = text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("no message");
-    Ok(last.trim_start_matches("error: ").to_string())
+    // What a command line does not take has a hint below its error.
+    let said = || text.lines().rev().filter(|l| !l.trim().is_empty());
+    let reason = said().find_map(|l| l.strip_prefix("error: ")).or(said().next());
+    Ok(reason.unwrap_or("no message").to_string())
 }
 
 /// A method whose artifacts belong together, with its verdict by the specification and the remarks on it.

@@ -80,7 +80,7 @@ fn every_pipeline_expands_to_its_commands() {
     let expected = format!("{mirror} toolpath:tool_path {feeds} {end}");
     assert_eq!(outline(&commands("bspline", "run", &[], "xy")), expected);
     let solvers = commands("compare-dwell", "run", &[], "xy");
-    assert_eq!(solvers.len(), 3 + 11 * 5 + 2, "{}", outline(&solvers));
+    assert_eq!(solvers.len(), 3 + 12 * 5 + 2, "{}", outline(&solvers));
 }
 
 #[test]

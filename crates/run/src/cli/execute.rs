@@ -214,11 +214,15 @@ fn attempt(
 ) -> Result<u8, Failure> {
     let dir = Path::new(dir);
     fs::create_dir_all(dir)?;
-    match programs.attempt(command, &dir.join(MESSAGE))? {
-        0 | 1 => Ok(0),
-        2 => leave_out(walk, dir).map(|()| 0),
-        _ => Ok(2),
+    let message = dir.join(MESSAGE);
+    let code = programs.attempt(command, &message)?;
+    if code == 2 {
+        return leave_out(walk, dir).map(|()| 0);
     }
+    // Warnings, the reason of a negative verdict, or of a program that broke.
+    let said = fs::read(&message)?;
+    String::from_utf8_lossy(&said).lines().for_each(|line| programs.print(line));
+    Ok(if code > 1 { 2 } else { 0 })
 }
 
 /// Ends the stage. The result of an earlier run in this directory is not that of this one.
