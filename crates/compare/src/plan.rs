@@ -155,6 +155,10 @@ impl Plan {
             let reason = outcome["reason"].as_str().unwrap_or("it ended with a negative verdict");
             return Self::new(State::Unconverged, word("not converged"), reason);
         }
+        if let Some(why) = end.and_then(without_proof) {
+            let text = format!("{why}, which proves nothing of an optimum");
+            return Self::new(State::Unknown, "no certificate", text);
+        }
         match (end, name) {
             (Some(End::Optimal), _) => match proven {
                 Some(proven) => Self::new(State::Certified, "certified", proven),
@@ -190,11 +194,7 @@ impl Plan {
                 let text = "corrected until no round improved it; no certificate of optimality";
                 Self::new(State::Converged, "converged", text)
             }
-            (Some(End::Converged), _) => Self::ended_by_itself(),
-            (Some(end), _) => {
-                let text = format!("{}, which proves nothing of an optimum", without_proof(end));
-                Self::new(State::Unknown, "no certificate", text)
-            }
+            (Some(_), _) => Self::ended_by_itself(),
             // What another program wrote.
             (None, Some(name)) => {
                 let text = format!("ended with `{name}`, of which nothing is known here");
@@ -221,19 +221,18 @@ impl Plan {
     }
 }
 
-/// An end that says nothing of an optimum, in words.
-fn without_proof(end: End) -> &'static str {
+/// An end that says nothing of an optimum, in words; `None` for one that does, or for a limit.
+fn without_proof(end: End) -> Option<&'static str> {
     match end {
-        End::Settled => "its residual no longer changed",
-        End::Threshold => "its threshold was reached",
-        End::Stopped => "its next step would have made the residual larger",
-        End::StepsDone | End::RoundsDone => "it made the number of steps that was asked for",
-        End::AllPrices => "it made the plans of all prices",
-        End::Direct => "a formula gives it, without a search",
-        End::Optimal | End::Converged | End::NoImprovement => "it ended by itself",
-        End::Stagnated => "the objective changed no more",
-        End::IterationLimit | End::RoundLimit | End::StepLimit => "its limit was reached",
-        End::SweepLimit | End::LiftLimit | End::LinkLimit => "its limit was reached",
+        End::Settled => Some("its residual no longer changed"),
+        End::Threshold => Some("its threshold was reached"),
+        End::Stopped => Some("its next step would have made the residual larger"),
+        End::StepsDone | End::RoundsDone => Some("it made the number of steps that was asked for"),
+        End::AllPrices => Some("it made the plans of all prices"),
+        End::Direct => Some("a formula gives it, without a search"),
+        End::Optimal | End::Converged | End::NoImprovement | End::Stagnated => None,
+        End::IterationLimit | End::RoundLimit | End::StepLimit => None,
+        End::SweepLimit | End::LiftLimit | End::LinkLimit => None,
     }
 }
 

@@ -306,6 +306,8 @@ struct Given<'a> {
 struct Executed<'a> {
     iterate: Iterate,
     trajectory: Trajectory,
+    /// Limits that it exceeds, in words.
+    exceeded: Option<String>,
     /// Segments that took longer than their dwell time: index and time, s.
     stretched: Vec<(usize, f64)>,
     quadratic: Option<Quadratic<'a>>,
@@ -315,6 +317,7 @@ struct Executed<'a> {
 struct Best<'a> {
     round: usize,
     trajectory: Trajectory,
+    exceeded: Option<String>,
     quadratic: Option<Quadratic<'a>>,
 }
 
@@ -441,13 +444,13 @@ impl<'a> Rounds<'a> {
             limits_respected: verdict.limits_respected,
             dwell_s: h,
         };
-        Ok(Executed { iterate, trajectory, stretched, quadratic })
+        Ok(Executed { iterate, trajectory, exceeded: verdict.reason(), stretched, quadratic })
     }
 
     /// Keeps the round if it is the best one, and returns true then. A plan that exceeds the limits ranks below all that
     /// keep them.
     fn keep(&mut self, round: usize, executed: Executed<'a>) -> Result<bool, RefineError> {
-        let Executed { iterate, trajectory, stretched, quadratic } = executed;
+        let Executed { iterate, trajectory, exceeded, stretched, quadratic } = executed;
         let before = self.best.as_ref().map(|b| &self.iterates[b.round]);
         let rank = |i: &Iterate| (!i.limits_respected, i.merit_nm);
         let is_better = before.is_none_or(|b| rank(&iterate) < rank(b));
@@ -462,7 +465,7 @@ impl<'a> Rounds<'a> {
         self.tries += 1;
         if is_better {
             self.is_smoother = false;
-            self.best = Some(Best { round, trajectory, quadratic });
+            self.best = Some(Best { round, trajectory, exceeded, quadratic });
             self.raise_bounds(&stretched)?;
             let is_unkept = self.promised_nm < (1.0 - UNKEPT_PROMISE) * rms_nm;
             self.without_progress = match is_progress {
@@ -538,7 +541,7 @@ impl<'a> Rounds<'a> {
     /// Finds t^ by bounded least squares with the columns B of the best motion.
     fn correct(&mut self, round: usize) -> Result<(), RefineError> {
         let Given { desired, tif, path, settings, .. } = self.given;
-        let Best { round: best, trajectory, quadratic } = self.best();
+        let Best { round: best, trajectory, quadratic, .. } = self.best();
         let places = columns::executed(trajectory, path.len(), tif);
         let guess = Some(self.iterates[*best].dwell_s.clone());
         let (lo, hi) = (self.lo.clone(), self.hi.clone());
@@ -573,14 +576,13 @@ impl<'a> Rounds<'a> {
     }
 
     fn result(self, end: End) -> Result<Refined, RefineError> {
-        let Self { given, best, iterates, lo_of_best, hi, .. } = self;
+        let Self { best, iterates, lo_of_best, hi, .. } = self;
         let best = best.expect("the first round is the best one so far");
         let dwell = DwellTime::new(iterates[best.round].dwell_s.clone())?;
         let is_at_bound = |(j, t): &(usize, &f64)| **t <= lo_of_best[*j] || **t >= hi[*j];
         let at_bound = dwell.dwell_s().iter().enumerate().filter(is_at_bound).count();
-        let verdict = verify(&best.trajectory, given.limits, &VerifySettings::default())?;
         Ok(Refined {
-            exceeded: verdict.reason(),
+            exceeded: best.exceeded,
             dwell,
             trajectory: best.trajectory,
             best: best.round,
