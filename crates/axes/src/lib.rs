@@ -11,6 +11,11 @@
 //! | [`motion`] | motion of the axes, with its report |
 //! | [`contact`] | executed contact point of a motion of the axes |
 
+// The command line names this library as any other program does.
+extern crate self as planish_axes;
+
+mod cli;
+pub mod command;
 mod contact;
 mod motion;
 mod piece;

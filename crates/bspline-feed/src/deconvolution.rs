@@ -50,7 +50,7 @@ const MAX_ELEMENTS: usize = 400_000_000;
 
 /// Methods to keep the acceleration limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Refinement {
     /// Convex-concave procedure.

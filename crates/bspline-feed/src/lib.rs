@@ -20,6 +20,11 @@
 //! | [`motion`] | the splines as one trajectory, passes joined by links |
 //! | [`mod@plan`] | all of it |
 
+// The command line names this library as any other program does.
+extern crate self as planish_bspline_feed;
+
+mod cli;
+pub mod command;
 pub mod columns;
 pub mod deconvolution;
 mod joint;

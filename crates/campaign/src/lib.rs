@@ -4,6 +4,11 @@
 //! * [`summary`]: residuals with learning, without learning and with a known tool, run by run, and the learnt
 //!   parameters beside the hidden truth; [`page`] shows it.
 
+// The command line names this library as any other program does.
+extern crate self as planish_campaign;
+
+mod cli;
+pub mod command;
 pub mod decision;
 pub mod page;
 pub mod summary;

@@ -1,29 +1,5 @@
-//! `planish-campaign`: several runs on one mirror.
+//! `planish-campaign`: starts `planish campaign`, the program beside it.
 
-mod cli;
-
-use std::process::ExitCode;
-
-use clap::Parser;
-
-#[cfg(not(feature = "together"))]
-#[global_allocator]
-static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
-
-const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-campaign measure --surface mirror --error-budget error_budget.json --seed 7 --out out/measured\n\
-    \x20 planish-campaign decide --surface out/plan/surface --trajectory out/plan/methods/joint/trajectory \\\n\
-    \x20     --tolerance out/tolerance --out out/decision\n\
-    \x20 planish-campaign report out/campaign/coupon --runs 3 --out out/campaign/coupon/report";
-
-/// Several runs on one mirror: measure, decide whether to run again, report
-#[derive(Parser)]
-#[command(version, after_help = EXAMPLES)]
-struct Cli {
-    #[command(subcommand)]
-    command: cli::Command,
-}
-
-pub(crate) fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.command.run())
+fn main() -> std::process::ExitCode {
+    planish_handoff::launch(env!("CARGO_PKG_NAME"))
 }

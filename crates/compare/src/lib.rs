@@ -18,6 +18,12 @@
 //! * [`sweep`]: the plans of a sweep, and the front of residual against time.
 //! * [`diff`]: difference of two arrays.
 
+// The command line names this library as any other program does.
+extern crate self as planish_compare;
+
+mod cli;
+mod files;
+pub mod command;
 pub mod answer;
 pub mod chain;
 pub mod diff;

@@ -19,6 +19,11 @@
 //! | [`mod@udo`] | adjoint image of the extended map, refined by its residual |
 //! | [`baselines::feed_law`] | nothing is solved for: the feed law of rasters of one or several pitches |
 
+// The command line names this library as any other program does.
+extern crate self as planish_dwell;
+
+mod cli;
+pub mod command;
 pub mod baselines;
 pub mod bounded_least_squares;
 mod bounds;

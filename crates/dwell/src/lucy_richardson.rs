@@ -61,7 +61,7 @@ use crate::{
 
 /// Unknowns of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Unknowns {
     /// The dwell times of the path.

@@ -1,27 +1,5 @@
-//! `planish-dwell`: dwell times for a desired removal along a tool path.
+//! `planish-dwell`: starts `planish dwell`, the program beside it.
 
-mod cli;
-
-use std::process::ExitCode;
-
-use clap::Parser;
-
-#[cfg(not(feature = "together"))]
-#[global_allocator]
-static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
-
-const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-dwell bounded-least-squares --surface out/surface --tif tool --tool-path out/tool_path --min-dwell-s 0.1 --out out/dwell\n\
-    \x20 planish-dwell lucy-richardson --surface out/surface --tif tool --tool-path out/tool_path --out out/dwell";
-
-/// Find the dwell times that remove what is desired
-#[derive(Parser)]
-#[command(version, after_help = EXAMPLES)]
-struct Cli {
-    #[command(subcommand)]
-    solver: cli::Solver,
-}
-
-pub(crate) fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.solver.run())
+fn main() -> std::process::ExitCode {
+    planish_handoff::launch(env!("CARGO_PKG_NAME"))
 }

@@ -38,7 +38,7 @@ use crate::{
 
 /// Methods to keep the dwell times above their floor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Floor {
     /// The removal by the floor is part of the model.

@@ -54,7 +54,7 @@ const LEAST_TOLERANCE_MM: f64 = 1e-6;
 
 /// Convention of the F word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 pub enum Feed {
     /// G93: lines per minute.
     InverseTime,

@@ -19,6 +19,11 @@
 //!
 //! Only this crate and `planish-import` convert units.
 
+// The command line names this library as any other program does.
+extern crate self as planish_export;
+
+mod cli;
+pub mod command;
 mod csv;
 mod galil;
 pub mod gcode;

@@ -19,21 +19,21 @@ use planish_types::{ControllerKind, budget};
 use crate::{
     describe,
     message::{complain, shortened},
-    together, words,
+    stage, words,
 };
 
 /// Id and name of the flag that every program has.
 const MEMORY: &str = "memory-gib";
 
 /// Last paragraph of every help page.
-const ALSO: &str = "Also: --completions bash|zsh|fish|elvish|powershell prints a completion script, \
+pub(crate) const ALSO: &str = "Also: --completions bash|zsh|fish|elvish|powershell prints a completion script, \
                     --man a manual page, --describe the flags as JSON.";
 
 /// Parses the command line. For `--completions`, `--man`, `--describe`, `--help` and wrong usage,
 /// it prints a text and ends the program.
 pub(crate) fn parse<C: Parser>() -> C {
-    let arguments = together::command_line();
-    if let Some(text) = generated::<C>(&arguments[1..]) {
+    let arguments = stage::arguments();
+    if let Some(text) = generated(command::<C>, &arguments[1..]) {
         match text {
             Ok(bytes) => {
                 // A closed pipe is not an error.
@@ -57,7 +57,7 @@ pub(crate) fn parse<C: Parser>() -> C {
 
 /// Ends the program with the requested help, or with a message about wrong usage. The message may
 /// contain a damaged value of any length.
-fn end(error: &clap::Error) -> ! {
+pub(crate) fn end(error: &clap::Error) -> ! {
     let text = error.render().to_string();
     if error.use_stderr() && matches!(shortened(&text), Cow::Owned(_)) {
         complain(text.trim_end());
@@ -78,16 +78,12 @@ fn command<C: CommandFactory>() -> clap::Command {
             "Memory that the program may take, GiB: it refuses what needs more [default: {}]",
             budget::DEFAULT_MEMORY_GIB
         ));
-    let command = C::command().arg(memory).after_help(after_help::<C>());
-    match together::chosen() {
-        Some(name) => command.name(name),
-        None => command,
-    }
+    C::command().arg(memory).after_help(after_help::<C>())
 }
 
 /// Command line that started this process, quoted for a shell, with the plain name of the program.
 pub(crate) fn as_typed(tool: &str) -> String {
-    let arguments = together::command_line();
+    let arguments = stage::arguments();
     let arguments = arguments.iter().skip(1).map(|a| a.to_string_lossy().into_owned());
     words::join(std::iter::once(tool.to_string()).chain(arguments))
 }
@@ -155,13 +151,13 @@ fn baselines(command: &clap::Command) -> Option<String> {
     Some(format!("Baselines, to compare with the literature:{lines}"))
 }
 
-/// Definition of the program in which no subcommand is hidden.
-fn whole<C: CommandFactory>() -> clap::Command {
-    command::<C>().mut_subcommands(|c| c.hide(false))
-}
-
-/// Text that `arguments` ask to print; `None` if they are those of a stage.
-fn generated<C: CommandFactory>(arguments: &[OsString]) -> Option<Result<Vec<u8>, String>> {
+/// Returns the text that `arguments` ask to print from the definition of a program; `None` if they are those of a stage.
+/// No subcommand is hidden in it.
+pub(crate) fn generated(
+    definition: impl Fn() -> clap::Command,
+    arguments: &[OsString],
+) -> Option<Result<Vec<u8>, String>> {
+    let whole = || definition().mut_subcommands(|c| c.hide(false));
     let first = arguments.first()?.to_str()?;
     let (flag, value) = first.split_once('=').map_or((first, None), |(f, v)| (f, Some(v)));
     let value = value.or_else(|| arguments.get(1)?.to_str());
@@ -172,14 +168,14 @@ fn generated<C: CommandFactory>(arguments: &[OsString]) -> Option<Result<Vec<u8>
                 let given = value.unwrap_or_default();
                 return Some(Err(format!("--completions is '{given}'; give {names}")));
             };
-            let mut command = whole::<C>();
+            let mut command = whole();
             let name = command.get_name().to_string();
             let mut bytes = Vec::new();
             clap_complete::generate(shell, &mut command, name, &mut bytes);
             Some(Ok(bytes))
         }
-        "--man" => Some(man_page(whole::<C>())),
-        "--describe" => Some(Ok(format!("{:#}\n", describe::program(command::<C>())).into_bytes())),
+        "--man" => Some(man_page(whole())),
+        "--describe" => Some(Ok(format!("{:#}\n", describe::program(definition())).into_bytes())),
         _ => None,
     }
 }
@@ -245,7 +241,7 @@ mod tests {
     fn ask(arguments: &[&str]) -> Option<Result<String, String>> {
         let arguments: Vec<OsString> = arguments.iter().map(OsString::from).collect();
         let text = |bytes| String::from_utf8(bytes).unwrap();
-        generated::<Cli>(&arguments).map(|result| result.map(text))
+        generated(command::<Cli>, &arguments).map(|result| result.map(text))
     }
 
     #[test]

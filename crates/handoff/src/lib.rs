@@ -15,8 +15,8 @@
 //! * [`Output`], [`OutputFile`]: the outputs of a command; skipped if they are up to date.
 //! * `publish`: makes the outputs of a run visible, whole and together, safe against power failures.
 //! * [`program`]: the body of every `main`; messages and exit codes.
+//! * [`Stage`]: a stage as a command of the one program `planish`, which [`start`] begins; [`launch`] is a stage program.
 //! * [`system`]: all that depends on the operating system.
-//! * [`together`](fn@together): one of several programs in one file, by the first argument.
 //! * [`words`]: several words in one text, as a shell reads them.
 //!
 //! The `main.rs` of a program that doubles every dwell time:
@@ -77,8 +77,8 @@ mod output;
 mod place;
 mod publish;
 mod shell;
+mod stage;
 pub mod system;
-mod together;
 pub mod words;
 
 pub use allocator::Allocator;
@@ -90,7 +90,7 @@ pub use nouns::Tool;
 pub use output::{Begin, Output, OutputFile, Task, Writer, save};
 pub use publish::is_temporary;
 pub use shell::{Failure, Status, program, say, warn};
-pub use together::{Main, together};
+pub use stage::{Stage, launch, start};
 
 /// A file or directory that cannot be used. The message states the file, the place, the value and
 /// the remedy.

@@ -28,7 +28,6 @@ use crate::{
     place::{obstacle, parent_of, plain, refuse_foreign_files},
     publish::{self, Staged},
     shell::{Failure, Status, say},
-    together,
 };
 
 /// Period at which the progress on a terminal is redrawn, and delay before it first appears.
@@ -63,7 +62,6 @@ impl Task {
         settings: impl Serialize,
     ) -> Self {
         let settings = serde_json::to_value(settings).expect("settings serialise to JSON");
-        let tool = together::chosen().unwrap_or(tool);
         Self { tool, tool_version, method: method.into(), settings }
     }
 }

@@ -32,6 +32,11 @@
 //! Limits on the memory and work for one file are in `budget`. Only this crate and `planish-export` convert
 //! units.
 
+// The command line names this library as any other program does.
+extern crate self as planish_import;
+
+mod cli;
+pub mod command;
 mod arrays;
 mod budget;
 mod bytes;
@@ -78,7 +83,7 @@ use planish_types::Invalid;
 
 /// A format that is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Format {
     /// MetroPro `.dat`.
@@ -116,11 +121,11 @@ pub enum Format {
     /// SHADOW presurface.
     Presurface,
     /// 4D Technology 4Sight.
-    #[cfg_attr(feature = "cli", value(name = "4sight"))]
+    #[value(name = "4sight")]
     #[serde(rename = "4sight")]
     FourSight,
     /// Directory of `.npy` files, with or without a manifest.
-    #[cfg_attr(feature = "cli", value(skip))]
+    #[value(skip)]
     Directory,
 }
 

@@ -17,7 +17,7 @@ use crate::Format;
 
 /// A unit of length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Unit {
     /// Metre.
@@ -94,13 +94,13 @@ impl Unit {
 
 /// Side of the map that the first row of a file is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum FirstRow {
     /// The largest y: the top of the picture.
     Top,
     /// The smallest y: the bottom of the picture.
-    #[cfg_attr(feature = "cli", value(name = "bottom"))]
+    #[value(name = "bottom")]
     SmallestY,
 }
 
@@ -249,7 +249,7 @@ impl Reading {
 
 /// Place of the coordinate 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Origin {
     /// The place that the file gives; without coordinates in the file, the first pixel.
@@ -262,23 +262,23 @@ pub enum Origin {
 
 /// Turn of the map, counter-clockwise with x to the right and y upwards.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 pub enum Rotation {
     /// 0 degrees.
     #[serde(rename = "0")]
-    #[cfg_attr(feature = "cli", value(name = "0"))]
+    #[value(name = "0")]
     None,
     /// 90 degrees: what was on the right comes to the top.
     #[serde(rename = "90")]
-    #[cfg_attr(feature = "cli", value(name = "90"))]
+    #[value(name = "90")]
     Quarter,
     /// 180 degrees.
     #[serde(rename = "180")]
-    #[cfg_attr(feature = "cli", value(name = "180"))]
+    #[value(name = "180")]
     Half,
     /// 270 degrees: what was on the right comes to the bottom.
     #[serde(rename = "270")]
-    #[cfg_attr(feature = "cli", value(name = "270"))]
+    #[value(name = "270")]
     ThreeQuarters,
 }
 

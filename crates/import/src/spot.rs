@@ -43,7 +43,7 @@ const CENTRE_ROUNDS: usize = 3;
 
 /// Motion of the part between the two measurements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Alignment {
     /// The part did not move.
@@ -54,7 +54,7 @@ pub enum Alignment {
 
 /// Function that is fitted outside the spot and subtracted from the removal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Baseline {
     /// Nothing.

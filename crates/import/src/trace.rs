@@ -48,7 +48,7 @@ const NAME: &str = "log";
 
 /// Controller or format that wrote a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum LogFormat {
     /// Text in columns, with or without their names.
@@ -76,7 +76,7 @@ impl LogFormat {
 
 /// A unit of the positions in a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum PositionUnit {
     /// Metre.
@@ -93,7 +93,7 @@ pub enum PositionUnit {
 
 /// A unit of the time stamps in a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum TimeUnit {
     /// Second.

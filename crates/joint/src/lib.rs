@@ -23,6 +23,11 @@
 //! | `settings` | settings of the plan |
 //! | `plan` | all of it, judged as it will be executed |
 
+// The command line names this library as any other program does.
+extern crate self as planish_joint;
+
+mod cli;
+pub mod command;
 pub mod axes;
 pub mod certificate;
 mod clothoid_spline;

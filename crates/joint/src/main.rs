@@ -1,29 +1,5 @@
-//! `planish-joint`: desired removal, TIF, tool path and machine become the motion along a smooth curve.
+//! `planish-joint`: starts `planish joint`, the program beside it.
 
-mod cli;
-
-use std::process::ExitCode;
-
-use clap::Parser;
-
-#[cfg(not(feature = "together"))]
-#[global_allocator]
-static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
-
-const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-joint --surface out/surface --tif tool --tool-path out/tool_path --machine machine.json --out out/feed";
-
-/// Find how fast to run along a path with rounded corners: the dwell-time density of least residual within the
-/// limits of the machine, and its motion
-///
-/// Writes DIR/dwell (the time of the motion on every segment) and DIR/trajectory.
-#[derive(Parser)]
-#[command(version, after_help = EXAMPLES)]
-struct Cli {
-    #[command(flatten)]
-    joint: cli::Joint,
-}
-
-pub(crate) fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.joint.run())
+fn main() -> std::process::ExitCode {
+    planish_handoff::launch(env!("CARGO_PKG_NAME"))
 }

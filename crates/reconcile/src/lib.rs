@@ -27,6 +27,11 @@
 //! | Q | `metrology::Term` | (ny, nx) | 1 |
 //! | c | | | nm |
 
+// The command line names this library as any other program does.
+extern crate self as planish_reconcile;
+
+mod cli;
+pub mod command;
 pub mod applied;
 pub mod bands;
 mod contradictory;

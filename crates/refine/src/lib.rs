@@ -51,6 +51,11 @@
 //! | e | `rms_nm` | - | nm |
 //! | t^, s | `proposed_s`, `step_fraction` | (n), - | s, 1 |
 
+// The command line names this library as any other program does.
+extern crate self as planish_refine;
+
+mod cli;
+pub mod command;
 pub mod error_budget;
 pub mod trade_off;
 

@@ -25,7 +25,7 @@ use crate::{chi_square::exceeded, fiducials::Fiducial};
 
 /// Parameters of the transform from map to machine that are fitted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
     /// Shift and rotation.

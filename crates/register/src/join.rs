@@ -39,7 +39,7 @@ use crate::{
 
 /// Terms by which a sub-aperture map may differ from its neighbours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Difference {
     /// A constant.

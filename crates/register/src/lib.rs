@@ -18,6 +18,11 @@
 //! transform, which in a plane is a regression of complex numbers; E. B. Wilson, M. M. Hilferty, Proc. Natl.
 //! Acad. Sci. 17 (1931) 684, for the probability of a sum of squares.
 
+// The command line names this library as any other program does.
+extern crate self as planish_register;
+
+mod cli;
+pub mod command;
 mod chi_square;
 pub mod fiducials;
 mod field;

@@ -1,30 +1,5 @@
-//! `planish-run`: pipelines, and the directory, lock and verdict of a run.
+//! `planish-run`: starts `planish run`, the program beside it.
 
-mod cli;
-
-use std::process::ExitCode;
-
-use clap::Parser;
-
-#[cfg(not(feature = "together"))]
-#[global_allocator]
-static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
-
-const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-run run raster fixture=coupon pitch_mm=2 export=galil\n\
-    \x20 planish-run stage raster path fixture=coupon pitch_mm=2\n\
-    \x20 planish-run show raster\n\
-    \x20 planish-run start --out out/mine --pipeline mine --surface mirror --tif tool --machine machine.json -- sh my-stages.sh\n\
-    \x20 planish-run verdict --run out/mine --plan methods/pvt";
-
-/// Run pipelines, each as the only owner of its directory, and name the stages that gave a negative verdict
-#[derive(Parser)]
-#[command(version, after_help = EXAMPLES)]
-struct Cli {
-    #[command(subcommand)]
-    command: cli::Command,
-}
-
-pub(crate) fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.command.run())
+fn main() -> std::process::ExitCode {
+    planish_handoff::launch(env!("CARGO_PKG_NAME"))
 }

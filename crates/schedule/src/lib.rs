@@ -17,6 +17,11 @@
 //! every motion against the limits of the machine. [`interpolator`] turns the dwell-time density of `trig_spline`
 //! into reference positions, tick by tick.
 
+// The command line names this library as any other program does.
+extern crate self as planish_schedule;
+
+mod cli;
+pub mod command;
 pub mod baselines;
 pub mod claim;
 pub mod constant_acceleration;

@@ -30,6 +30,11 @@
 //! | P | `trajectory` | (k, 2, 4) | mm |
 //! | removal | `removal_nm` | (ny, nx) | nm |
 
+// The command line names this library as any other program does.
+extern crate self as planish_simulate;
+
+mod cli;
+pub mod command;
 pub mod between;
 pub mod coverage;
 pub mod deviation;

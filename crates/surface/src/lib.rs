@@ -13,6 +13,11 @@
 //! * [`tif`], [`tif_fit`]: preparation of a tool influence function, and its description by a formula.
 //! * [`draw`]: pictures of maps and spectra.
 
+// The command line names this library as any other program does.
+extern crate self as planish_surface;
+
+mod cli;
+pub mod command;
 mod basis;
 mod distance;
 pub mod draw;

@@ -72,7 +72,7 @@ impl Across {
 
 /// Meaning of positive heights of a profile, and of slopes that are positive along its positions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Positive {
     /// Material above the target; slopes rise towards it.

@@ -54,7 +54,7 @@ pub struct LowOrderSettings {
 
 /// Family of polynomials.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Family {
     /// Zernike polynomials, for circular apertures.

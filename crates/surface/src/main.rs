@@ -1,32 +1,5 @@
-//! `planish-surface`: prepares measured maps and tools, and describes them.
+//! `planish-surface`: starts `planish surface`, the program beside it.
 
-mod cli;
-
-use std::process::ExitCode;
-
-use clap::Parser;
-
-#[cfg(not(feature = "together"))]
-#[global_allocator]
-static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
-
-const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-surface prepare --surface mirror --level plane --out out/surface\n\
-    \x20 planish-surface prepare --surface mirror --mask-outliers --feature-mm 4 --out out/surface\n\
-    \x20 planish-surface psd --surface mirror --band-per-mm 0.1 1 --out out/psd\n\
-    \x20 planish-surface spec --surface mirror --base-mm 1 --specification limits.json --out out/spec\n\
-    \x20 planish-surface spec --profile ltp.csv --value-unit urad --subtract cylinder-x --out out/ltp\n\
-    \x20 planish-surface line --profile ltp.csv --value-unit urad --positive hill --tif spot --strip-width-mm 10 --out out/line\n\
-    \x20 planish-surface tif --tif spot --centre centroid --fit-formula gaussian --out out/tif";
-
-/// Prepare measured maps and tools, and describe them
-#[derive(Debug, Parser)]
-#[command(version, after_help = EXAMPLES)]
-struct Cli {
-    #[command(subcommand)]
-    method: cli::Method,
-}
-
-pub(crate) fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.method.run())
+fn main() -> std::process::ExitCode {
+    planish_handoff::launch(env!("CARGO_PKG_NAME"))
 }

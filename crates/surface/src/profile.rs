@@ -32,7 +32,7 @@ const NO_DATA: [&str; 5] = ["nan", "bad", "no data", "nodata", "n/a"];
 
 /// Unit of a length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum LengthUnit {
     /// Nanometre.
@@ -58,7 +58,7 @@ impl LengthUnit {
 
 /// Unit of the values: of a length, which are heights, or of an angle, which are slopes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum ValueUnit {
     /// Heights in nm.

@@ -40,7 +40,7 @@ pub struct PsdSettings {
 
 /// Weight of the pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Window {
     /// `w[i] = (1 - cos(2 pi i / n)) / 2` (periodic).
@@ -51,7 +51,7 @@ pub enum Window {
 
 /// Function that is subtracted from the rectangle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Detrend {
     /// The mean.

@@ -55,7 +55,7 @@ const LAST_STEP: f64 = 1e-13;
 
 /// Shape that is fitted and subtracted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Shape {
     /// The mean.
@@ -88,7 +88,7 @@ impl Shape {
 
 /// A parameter of an ellipse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum EllipseParameter {
     /// Distance from source to pole.

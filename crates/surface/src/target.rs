@@ -463,7 +463,7 @@ fn report(
 
 /// Direction of the heights of a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Heights {
     /// Along z, as all of Planish takes them.
@@ -475,7 +475,7 @@ pub enum Heights {
 
 /// Lateral axes of a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Lateral {
     /// Projected along z, as all of Planish takes them.

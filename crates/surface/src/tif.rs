@@ -71,7 +71,7 @@ pub struct TifSettings {
 
 /// Point from which the offsets are counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Centre {
     /// The origin of the given TIF.

@@ -45,7 +45,7 @@ const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949_3;
 
 /// Formula to fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
     /// An elliptical Gaussian.

@@ -11,6 +11,13 @@
 //!
 //! The binary reads the files, runs the stages, and is called by `workflow/Snakefile`.
 
+// The command line names this library as any other program does.
+extern crate self as planish_sweep;
+
+mod cli;
+mod files;
+mod runner;
+pub mod command;
 pub mod batch;
 pub mod description;
 pub mod expand;

@@ -1,33 +1,5 @@
-//! `planish-sweep`: many plans of one mirror, in batches.
+//! `planish-sweep`: starts `planish sweep`, the program beside it.
 
-mod cli;
-mod files;
-mod runner;
-
-use std::process::ExitCode;
-
-use clap::Parser;
-
-#[cfg(not(feature = "together"))]
-#[global_allocator]
-static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
-
-const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-sweep expand sweeps/small.yaml --out out/sweeps/small\n\
-    \x20 planish-sweep run out/sweeps/small --layer plans --job 1 --jobs 4 --at-once 2\n\
-    \x20 planish-sweep propose out/sweeps/small\n\
-    \x20 planish-sweep again out/sweeps/small raster-joint-0123456789ab";
-
-/// Many plans of one mirror: what is in a sweep, and the stages that make it
-///
-/// `just sweep` calls it by way of Snakemake.
-#[derive(Parser)]
-#[command(version, after_help = EXAMPLES)]
-struct Cli {
-    #[command(subcommand)]
-    command: cli::Command,
-}
-
-pub(crate) fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.command.run())
+fn main() -> std::process::ExitCode {
+    planish_handoff::launch(env!("CARGO_PKG_NAME"))
 }

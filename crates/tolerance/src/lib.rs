@@ -25,6 +25,11 @@
 //! | eta_i | `sample::draw` | 1 |
 //! | n | `noise::Columns::change` | nm |
 
+// The command line names this library as any other program does.
+extern crate self as planish_tolerance;
+
+mod cli;
+pub mod command;
 mod budget;
 mod distribution;
 pub mod draws;

@@ -16,6 +16,11 @@
 //! For any path: [`mod@statistics`] (length, steps, turns, crossings, coverage, least time), [`PathReport`]
 //! (these, and what the user should know) and [`mod@draw`] (a picture).
 
+// The command line names this library as any other program does.
+extern crate self as planish_toolpath;
+
+mod cli;
+pub mod command;
 pub mod along;
 mod draft;
 pub mod draw;

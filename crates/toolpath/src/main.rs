@@ -1,28 +1,5 @@
-//! `planish-toolpath`: tool paths over a clear aperture.
+//! `planish-toolpath`: starts `planish toolpath`, the program beside it.
 
-mod cli;
-
-use std::process::ExitCode;
-
-use clap::Parser;
-
-#[cfg(not(feature = "together"))]
-#[global_allocator]
-static ALLOCATOR: planish_handoff::Allocator = planish_handoff::Allocator;
-
-const EXAMPLES: &str = "Examples:\n\
-    \x20 planish-toolpath raster --surface out/surface --tif tool --pitch-mm 1 --step-mm 1 --out out/tool_path\n\
-    \x20 planish-toolpath maze --surface out/surface --tif tool --pitch-mm 1 --step-mm 1 --seed 2 --out out/tool_path\n\
-    \x20 planish-toolpath draw --tool-path out/tool_path --surface out/surface --out path.svg";
-
-/// Tool paths over the clear aperture: the valid pixels of a map
-#[derive(Debug, Parser)]
-#[command(version, after_help = EXAMPLES)]
-struct Cli {
-    #[command(subcommand)]
-    method: cli::Method,
-}
-
-pub(crate) fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.method.run())
+fn main() -> std::process::ExitCode {
+    planish_handoff::launch(env!("CARGO_PKG_NAME"))
 }

@@ -96,7 +96,7 @@ pub struct RandomAdaptiveSettings {
 
 /// Methods to make and join the nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Construction {
     /// Around a random spanning tree of triangles.

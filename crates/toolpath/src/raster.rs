@@ -185,7 +185,7 @@ pub enum LineOrder {
 
 /// Turns between consecutive lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Turn {
     /// A straight step across; two corners of 90 degrees.

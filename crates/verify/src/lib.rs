@@ -36,6 +36,10 @@
 //! | h | `duration_s` | (k) | s |
 //! | v, a, j | [`AxisVerdict`] | per axis | mm/s, mm/s^2, mm/s^3 |
 
+// The command line names this library as any other program does.
+extern crate self as planish_verify;
+
+pub mod command;
 mod tally;
 mod verdict;
 

@@ -26,7 +26,7 @@ use crate::model::{ROWS_PER_TASK, varying};
 
 /// Columns of the removal model: motion of the tool during one dwell time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Columns {
     /// Standing at the dwell point.

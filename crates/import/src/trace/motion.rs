@@ -25,7 +25,7 @@ use serde::Serialize;
 
 /// Motion between two samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Between {
     /// The cubic with the velocities of the parabolas through three neighbours.

@@ -7,7 +7,7 @@ use super::{passes::Pass, report::Report};
 
 /// Repair of the densities that the machine cannot follow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Repair {
     /// Add one offset to all densities.

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 /// Parameter of a place on which a tool depends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[derive(clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Parameter {
     /// Coordinate x, mm.

@@ -1,0 +1,146 @@
+//! One program of many stages: `planish dwell ARGUMENTS...` is `planish-dwell ARGUMENTS...`.
+//!
+//! Each stage program, such as `planish-dwell`, is a small file that starts `planish` beside it ([`launch`]). So the
+//! code that stages share is compiled and linked once, and users still run, replace and time one stage at a time.
+
+use std::{
+    env,
+    ffi::{OsStr, OsString},
+    path::Path,
+    process::{Command, ExitCode},
+    sync::OnceLock,
+};
+
+use crate::{command_line, message::complain, say};
+
+/// Name of the program that has all stages.
+const PROGRAM: &str = "planish";
+
+/// A stage as a command of `planish`.
+#[derive(Clone, Copy)]
+pub struct Stage {
+    /// Name of the stage program, such as `planish-dwell`.
+    pub name: &'static str,
+    /// Runs the stage with the arguments of this process.
+    pub main: fn() -> ExitCode,
+    /// Returns the flags of the stage.
+    pub definition: fn() -> clap::Command,
+}
+
+impl Stage {
+    /// Returns the word after `planish` that names the stage, such as `dwell`.
+    pub fn word(&self) -> &'static str {
+        self.name.strip_prefix("planish-").unwrap_or(self.name)
+    }
+
+    /// Returns true if `word` is a subcommand of the stage.
+    fn has_subcommand(&self, word: &OsStr) -> bool {
+        (self.definition)().get_subcommands().any(|command| word == command.get_name())
+    }
+}
+
+/// The stage that runs pipelines. Its subcommands are commands of `planish`, too: `planish show raster`.
+const RUNNER: &str = "planish-run";
+
+/// Arguments of the stage that runs, after its name.
+static ARGUMENTS: OnceLock<Vec<OsString>> = OnceLock::new();
+
+/// Returns the command line of the stage that runs: its name as the user wrote it, then its arguments.
+pub(crate) fn arguments() -> Vec<OsString> {
+    ARGUMENTS.get().cloned().unwrap_or_else(|| env::args_os().collect())
+}
+
+/// Runs the stage that the name of this process or its first argument names, and returns its exit code.
+///
+/// A subcommand of `planish-run`, such as `show`, needs no `run` before it. Where it is also the name of a stage, such
+/// as `compare`, the word after it decides: a flag or a subcommand of the stage starts the stage.
+pub fn start(stages: &[Stage]) -> ExitCode {
+    let mut words: Vec<OsString> = env::args_os().collect();
+    let name = words.first().and_then(|path| Path::new(path).file_stem()).map(OsStr::to_os_string);
+    if let Some(stage) = stages.iter().find(|stage| name.as_deref() == Some(OsStr::new(stage.name))) {
+        return run(stage, words);
+    }
+    let first = words.get(1).cloned().unwrap_or_default();
+    let stage = stages.iter().find(|stage| first == stage.word() || first == stage.name);
+    let runner = stages.iter().find(|stage| stage.name == RUNNER && stage.has_subcommand(&first));
+    let stage_goes_first =
+        |stage: &Stage| stage.name != RUNNER && takes_next_word(stage, words.get(2).map(OsString::as_os_str));
+    match (stage, runner) {
+        (Some(stage), runner) if runner.is_none() || stage_goes_first(stage) => {
+            words.splice(..2, [OsString::from(format!("{PROGRAM} {}", stage.word()))]);
+            run(stage, words)
+        }
+        (_, Some(runner)) => {
+            words[0] = PROGRAM.into();
+            run(runner, words)
+        }
+        _ => overview(stages, &words),
+    }
+}
+
+/// Returns true if the word after the name of a stage is a flag or a subcommand of this stage, or is absent.
+fn takes_next_word(stage: &Stage, word: Option<&OsStr>) -> bool {
+    word.is_none_or(|word| word.as_encoded_bytes().starts_with(b"-") || stage.has_subcommand(word))
+}
+
+/// Runs a stage with this command line.
+fn run(stage: &Stage, words: Vec<OsString>) -> ExitCode {
+    ARGUMENTS.get_or_init(|| words);
+    (stage.main)()
+}
+
+/// Prints help, version, completions or the manual page of `planish` as a whole, or refuses an unknown command.
+fn overview(stages: &[Stage], words: &[OsString]) -> ExitCode {
+    let definition = || {
+        let mut command = clap::Command::new(PROGRAM)
+            .version(env!("CARGO_PKG_VERSION"))
+            .about("Plan the finishing of precision optics")
+            .long_about(
+                "Plan the finishing of precision optics: tool path, dwell times, motion, controller program, and the \
+                 predicted surface. `planish run raster` runs every stage; each stage is a command of its own",
+            )
+            .subcommand_required(true)
+            .arg_required_else_help(true)
+            .after_help(command_line::ALSO);
+        for stage in stages {
+            command = command.subcommand((stage.definition)().name(stage.word()));
+        }
+        for pipelines in stages.iter().filter(|stage| stage.name == RUNNER) {
+            let runner = (pipelines.definition)();
+            let is_free = |word: &str| stages.iter().all(|stage| stage.word() != word);
+            for own in runner.get_subcommands().filter(|own| is_free(own.get_name())) {
+                command = command.subcommand(own.clone());
+            }
+        }
+        command
+    };
+    match command_line::generated(definition, words.get(1..).unwrap_or_default()) {
+        Some(Ok(text)) => {
+            say(String::from_utf8_lossy(&text).trim_end());
+            ExitCode::SUCCESS
+        }
+        Some(Err(message)) => {
+            complain(&format!("error: {message}"));
+            ExitCode::from(2)
+        }
+        None => match definition().try_get_matches_from(words) {
+            Ok(_) => ExitCode::from(2),
+            Err(error) => command_line::end(&error),
+        },
+    }
+}
+
+/// Starts the stage `name` of `planish`, which lies beside this program, with the arguments of this process, and
+/// returns its exit code. The whole of a stage program.
+pub fn launch(name: &str) -> ExitCode {
+    let own = env::current_exe().unwrap_or_default();
+    let planish = own.with_file_name(format!("{PROGRAM}{}", env::consts::EXE_SUFFIX));
+    let mut command = Command::new(&planish);
+    command.args(env::args_os().skip(1));
+    let error = crate::system::become_program(&mut command, name);
+    complain(&format!(
+        "error: {}: cannot run: {error}; `cargo build --release` makes it beside {name}",
+        planish.display()
+    ));
+    ExitCode::from(2)
+}

@@ -1,0 +1,29 @@
+//! `planish-sweep`: many plans of one mirror, in batches.
+
+use std::process::ExitCode;
+
+use clap::{CommandFactory, Parser};
+
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-sweep expand sweeps/small.yaml --out out/sweeps/small\n\
+    \x20 planish-sweep run out/sweeps/small --layer plans --job 1 --jobs 4 --at-once 2\n\
+    \x20 planish-sweep propose out/sweeps/small\n\
+    \x20 planish-sweep again out/sweeps/small raster-joint-0123456789ab";
+
+/// Many plans of one mirror: what is in a sweep, and the stages that make it
+///
+/// `just sweep` calls it by way of Snakemake.
+#[derive(Parser)]
+#[command(version, after_help = EXAMPLES)]
+struct Cli {
+    #[command(subcommand)]
+    command: crate::cli::Command,
+}
+
+/// The command `planish sweep`.
+pub const COMMAND: planish_handoff::Stage =
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+
+fn main() -> ExitCode {
+    planish_handoff::program(|cli: &Cli| cli.command.run())
+}

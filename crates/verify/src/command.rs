@@ -1,0 +1,176 @@
+//! `planish-verify`: checks whether a trajectory keeps the limits of a machine.
+
+use std::{
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
+
+use clap::{CommandFactory, Parser};
+use planish_handoff::{
+    Begin, Failure, Inputs, Manifest, Output, Status,
+    flags::{AxesArgs, OutputArgs, TrajectoryArgs},
+    kind, say, task, warn,
+};
+use planish_types::{AxesMotion, Kinematics, TransformNumbers};
+use planish_verify::{Program, VerifySettings, verify_axes, verify_on_axes};
+
+const EXAMPLES: &str = "Examples:\n\
+    \x20 planish-verify --trajectory out/trajectory --machine machine.json --out out/verdict\n\
+    \x20 planish-verify --axes out/axes --machine five-axis.json --out out/verdict";
+
+/// Law by which a controller runs the motion of this manifest; `None` if the motion is no program that
+/// `planish-import program` read back.
+fn program_of(manifest: &Manifest) -> Option<Program> {
+    let is_program = manifest.tool == "planish-import" && manifest.method == "program";
+    is_program.then(|| match manifest.settings["controller"].as_str() {
+        Some("gcode") => Program::Lines,
+        _ => Program::Cubics,
+    })
+}
+
+/// Prove whether a trajectory keeps the limits of a machine; exit code 1 when it does not
+///
+/// The program judges the motion of the axes. If the machine file states how the part lies on them, the motion is
+/// transformed there. A limit on jerk allows no step of the acceleration.
+///
+/// A controller's program that planish-import program read is judged by another law. Its acceleration may step at a
+/// node by the jerk limit times the time between the middles of the two segments. The jerk of a program of straight
+/// lines (gcode) is not judged.
+///
+/// A motion of all axes (--axes) is judged by the law of such a program: of cubics, or of lines if planish-import program
+/// read it from gcode.
+#[derive(Parser)]
+#[command(version, after_help = EXAMPLES)]
+struct Cli {
+    /// Motion [trajectory artifact]
+    #[arg(long, value_name = "DIR", required_unless_present = "axes", conflicts_with = "axes")]
+    trajectory: Option<PathBuf>,
+    /// Motion of all axes [axes artifact]
+    #[arg(long, value_name = "DIR")]
+    axes: Option<PathBuf>,
+    #[command(flatten)]
+    machine: AxesArgs,
+    /// Largest step in position that is taken for rounding, mm; of a rotary axis in degrees
+    #[arg(long, value_name = "T", default_value_t = VerifySettings::default().position_step_mm)]
+    position_step_mm: f64,
+    /// Largest step in velocity that is taken for rounding, mm/s, of a rotary axis in deg/s; 1e-9 of
+    /// the largest velocity is added
+    #[arg(
+        long,
+        value_name = "T",
+        default_value_t = VerifySettings::default().velocity_step_mm_per_s
+    )]
+    velocity_step_mm_per_s: f64,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// The command `planish verify`.
+pub const COMMAND: planish_handoff::Stage =
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+
+fn main() -> ExitCode {
+    planish_handoff::program(|cli: &Cli| match (&cli.axes, &cli.trajectory) {
+        (Some(axes), _) => judge_axes(cli, axes),
+        (None, Some(trajectory)) => judge_trajectory(cli, trajectory.clone()),
+        (None, None) => Err(Failure::new("give --trajectory or --axes")),
+    })
+}
+
+/// Judges a motion of all axes.
+fn judge_axes(cli: &Cli, axes: &Path) -> Result<Status, Failure> {
+    let mut inputs = Inputs::new();
+    let (motion, manifest): (AxesMotion, _) = inputs.read_with_manifest("axes", axes)?;
+    let machine = cli.machine.read(axes, manifest.as_ref(), &mut inputs)?;
+    let settings = VerifySettings {
+        position_step_mm: cli.position_step_mm,
+        velocity_step_mm_per_s: cli.velocity_step_mm_per_s,
+        program: Some(manifest.as_ref().and_then(program_of).unwrap_or(Program::Cubics)),
+    };
+    let task = task!("verify-axes", settings);
+    let mut output = match Output::directory(&cli.output, &kind::VERDICT).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
+    let verdict = verify_axes(&motion, &machine, &settings)?;
+    let status = verdict.reason().map_or(Status::Done, Status::Negative);
+    output.write_arrays(&kind::VERDICT, &[], &[], serde_json::to_value(&verdict)?, &status)?;
+    let peaks = verdict.axes.iter().map(|axis| {
+        let (v, a) = (axis.velocity.magnitude(), axis.acceleration.magnitude());
+        format!("{} {v:.2} {u}/s, {a:.1} {u}/s^2", axis.name, u = axis.unit)
+    });
+    say(format!(
+        "{}: velocity and acceleration up to {} in {} segments, limits {} -> {}",
+        machine.name(),
+        peaks.collect::<Vec<_>>().join("; "),
+        verdict.segment_count,
+        if verdict.limits_respected { "kept" } else { "exceeded" },
+        cli.output.out.display()
+    ));
+    if settings.program == Some(Program::Lines)
+        && machine.axes().iter().any(|a| a.max_jerk.is_some())
+    {
+        say(JERK_OF_LINES);
+    }
+    Ok(status)
+}
+
+/// Said of a program of lines for axes with a limit on jerk.
+const JERK_OF_LINES: &str = "the jerk limit is not judged: how the controller joins the straight lines of the program \
+                             decides on the jerk";
+
+/// Judges a motion in the plane.
+fn judge_trajectory(cli: &Cli, trajectory: PathBuf) -> Result<Status, Failure> {
+    let mut inputs = Inputs::new();
+    let on_axes = TrajectoryArgs { trajectory }.read_on_axes(&cli.machine, &mut inputs)?;
+    let settings = VerifySettings {
+        position_step_mm: cli.position_step_mm,
+        velocity_step_mm_per_s: cli.velocity_step_mm_per_s,
+        program: on_axes.manifest.as_ref().and_then(program_of),
+    };
+    let machine = &on_axes.machine;
+    if *machine.kinematics() != Kinematics::Xy {
+        let names: Vec<&str> = machine.axes().iter().map(|a| a.name).collect();
+        warn(format!(
+            "{} has the axes {}; this verdict is on the contact point along x and y only. Make the motion of the axes by \
+             planish-axes motion, and judge it by --axes",
+            machine.name(),
+            names.join(", ")
+        ));
+    }
+    let task = task!("verify", settings);
+    let mut output = match Output::directory(&cli.output, &kind::VERDICT).begin(&task, &inputs)? {
+        Begin::Unchanged(status) => return Ok(status),
+        Begin::Run(output) => output,
+    };
+
+    let verdict = verify_on_axes(&on_axes.motion, machine, &settings)?;
+
+    let status = verdict.reason().map_or(Status::Done, Status::Negative);
+    let mut outcome = serde_json::to_value(&verdict)?;
+    if let Some(transform) = &on_axes.part_to_axes {
+        outcome["part_to_axes"] = serde_json::to_value(TransformNumbers::from(transform))?;
+    }
+    output.write_arrays(&kind::VERDICT, &[], &[], outcome, &status)?;
+    let [vx, vy] = verdict.max_velocity_mm_per_s;
+    let [ax, ay] = verdict.max_acceleration_mm_per_s2;
+    say(format!(
+        "{}: velocity up to {vx:.2}, {vy:.2} mm/s, acceleration up to {ax:.1}, {ay:.1} mm/s^2 \
+         (x, y) in {} segments, limits {} -> {}",
+        machine.name(),
+        verdict.segment_count,
+        if verdict.limits_respected { "kept" } else { "exceeded" },
+        cli.output.out.display()
+    ));
+    let limits_jerk = machine.limits().axes().iter().any(|a| a.max_jerk_mm_per_s3().is_some());
+    let [x, y] = verdict.max_acceleration_step_mm_per_s2;
+    match settings.program.filter(|_| limits_jerk) {
+        None => {}
+        Some(Program::Cubics) => say(format!(
+            "a controller joins its cubics with steps of the acceleration: here up to {x:.1}, {y:.1} mm/s^2 (x, y), \
+             and the jerk limit bounds each by the time between the middles of two segments"
+        )),
+        Some(Program::Lines) => say(JERK_OF_LINES),
+    }
+    Ok(status)
+}
