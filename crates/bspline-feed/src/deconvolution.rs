@@ -49,8 +49,7 @@ use crate::{
 const MAX_ELEMENTS: usize = 400_000_000;
 
 /// Methods to keep the acceleration limit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Refinement {
     /// Convex-concave procedure.

@@ -24,8 +24,8 @@
 extern crate self as planish_bspline_feed;
 
 mod cli;
-pub mod command;
 pub mod columns;
+pub mod command;
 pub mod deconvolution;
 mod joint;
 pub mod limited;

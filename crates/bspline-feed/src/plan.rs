@@ -31,8 +31,7 @@ use crate::{
 };
 
 /// Sources of the feed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
     /// The feed that leaves the smallest residual.
@@ -52,8 +51,7 @@ impl Method {
 }
 
 /// Treatment of the uniform part of the desired removal.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Piston {
     /// The uniform part does not count; the solver finds it along with the feed, slowly.

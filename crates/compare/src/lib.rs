@@ -21,15 +21,15 @@
 // The command line names this library as any other program does.
 extern crate self as planish_compare;
 
-mod cli;
-mod files;
-pub mod command;
 pub mod answer;
 pub mod chain;
+mod cli;
+pub mod command;
 pub mod diff;
 pub mod dwell;
 pub mod error_budget;
 pub mod execution;
+mod files;
 pub mod on_axes;
 pub mod places;
 pub mod plan;

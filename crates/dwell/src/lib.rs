@@ -22,12 +22,12 @@
 // The command line names this library as any other program does.
 extern crate self as planish_dwell;
 
-mod cli;
-pub mod command;
 pub mod baselines;
 pub mod bounded_least_squares;
 mod bounds;
+mod cli;
 mod coarse;
+pub mod command;
 mod continuation;
 mod dwell_map;
 mod extension;

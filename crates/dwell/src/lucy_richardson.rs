@@ -60,8 +60,7 @@ use crate::{
 };
 
 /// Unknowns of the solver.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Unknowns {
     /// The dwell times of the path.

@@ -27,8 +27,7 @@ pub fn median_length_mm(path: &ToolPath) -> Option<f64> {
 }
 
 /// Low-order terms of the map that need not be removed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Free {
     /// Piston: a constant.

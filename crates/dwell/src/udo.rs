@@ -37,8 +37,7 @@ use crate::{
 };
 
 /// Methods to keep the dwell times above their floor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Floor {
     /// The removal by the floor is part of the model.

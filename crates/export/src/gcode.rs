@@ -53,8 +53,7 @@ const COMMENT: Comment = Comment { open: "(", close: ")", line: 252 };
 const LEAST_TOLERANCE_MM: f64 = 1e-6;
 
 /// Convention of the F word.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Feed {
     /// G93: lines per minute.
     InverseTime,

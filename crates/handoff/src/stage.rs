@@ -57,14 +57,16 @@ pub(crate) fn arguments() -> Vec<OsString> {
 pub fn start(stages: &[Stage]) -> ExitCode {
     let mut words: Vec<OsString> = env::args_os().collect();
     let name = words.first().and_then(|path| Path::new(path).file_stem()).map(OsStr::to_os_string);
-    if let Some(stage) = stages.iter().find(|stage| name.as_deref() == Some(OsStr::new(stage.name))) {
+    if let Some(stage) = stages.iter().find(|stage| name.as_deref() == Some(OsStr::new(stage.name)))
+    {
         return run(stage, words);
     }
     let first = words.get(1).cloned().unwrap_or_default();
     let stage = stages.iter().find(|stage| first == stage.word() || first == stage.name);
     let runner = stages.iter().find(|stage| stage.name == RUNNER && stage.has_subcommand(&first));
-    let stage_goes_first =
-        |stage: &Stage| stage.name != RUNNER && takes_next_word(stage, words.get(2).map(OsString::as_os_str));
+    let stage_goes_first = |stage: &Stage| {
+        stage.name != RUNNER && takes_next_word(stage, words.get(2).map(OsString::as_os_str))
+    };
     match (stage, runner) {
         (Some(stage), runner) if runner.is_none() || stage_goes_first(stage) => {
             words.splice(..2, [OsString::from(format!("{PROGRAM} {}", stage.word()))]);

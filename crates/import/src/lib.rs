@@ -35,12 +35,12 @@
 // The command line names this library as any other program does.
 extern crate self as planish_import;
 
-mod cli;
-pub mod command;
 mod arrays;
 mod budget;
 mod bytes;
+mod cli;
 pub mod codev;
+pub mod command;
 pub mod csv;
 pub mod datx;
 mod draw;
@@ -82,8 +82,7 @@ pub use unknown::unknown;
 use planish_types::Invalid;
 
 /// A format that is read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Format {
     /// MetroPro `.dat`.

@@ -16,8 +16,7 @@ use serde_json::Value;
 use crate::Format;
 
 /// A unit of length.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Unit {
     /// Metre.
@@ -93,8 +92,7 @@ impl Unit {
 }
 
 /// Side of the map that the first row of a file is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum FirstRow {
     /// The largest y: the top of the picture.
@@ -248,8 +246,7 @@ impl Reading {
 }
 
 /// Place of the coordinate 0.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Origin {
     /// The place that the file gives; without coordinates in the file, the first pixel.
@@ -261,8 +258,7 @@ pub enum Origin {
 }
 
 /// Turn of the map, counter-clockwise with x to the right and y upwards.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 pub enum Rotation {
     /// 0 degrees.
     #[serde(rename = "0")]

@@ -42,8 +42,7 @@ const LEAST_CONTRAST: f64 = 5.0;
 const CENTRE_ROUNDS: usize = 3;
 
 /// Motion of the part between the two measurements.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Alignment {
     /// The part did not move.
@@ -53,8 +52,7 @@ pub enum Alignment {
 }
 
 /// Function that is fitted outside the spot and subtracted from the removal.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Baseline {
     /// Nothing.

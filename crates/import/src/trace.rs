@@ -47,8 +47,7 @@ use self::{
 const NAME: &str = "log";
 
 /// Controller or format that wrote a log.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum LogFormat {
     /// Text in columns, with or without their names.
@@ -75,8 +74,7 @@ impl LogFormat {
 }
 
 /// A unit of the positions in a log.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum PositionUnit {
     /// Metre.
@@ -92,8 +90,7 @@ pub enum PositionUnit {
 }
 
 /// A unit of the time stamps in a log.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum TimeUnit {
     /// Second.

@@ -26,11 +26,11 @@
 // The command line names this library as any other program does.
 extern crate self as planish_joint;
 
-mod cli;
-pub mod command;
 pub mod axes;
 pub mod certificate;
+mod cli;
 mod clothoid_spline;
+pub mod command;
 pub mod curve;
 pub mod further;
 pub mod interior_point;

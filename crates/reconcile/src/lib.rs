@@ -30,10 +30,10 @@
 // The command line names this library as any other program does.
 extern crate self as planish_reconcile;
 
-mod cli;
-pub mod command;
 pub mod applied;
 pub mod bands;
+mod cli;
+pub mod command;
 mod contradictory;
 pub mod correlation;
 pub mod determined;

@@ -24,8 +24,7 @@ use serde::Serialize;
 use crate::{chi_square::exceeded, fiducials::Fiducial};
 
 /// Parameters of the transform from map to machine that are fitted.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
     /// Shift and rotation.

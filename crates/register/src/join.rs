@@ -38,8 +38,7 @@ use crate::{
 };
 
 /// Terms by which a sub-aperture map may differ from its neighbours.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Difference {
     /// A constant.

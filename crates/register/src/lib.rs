@@ -21,9 +21,9 @@
 // The command line names this library as any other program does.
 extern crate self as planish_register;
 
+mod chi_square;
 mod cli;
 pub mod command;
-mod chi_square;
 pub mod fiducials;
 mod field;
 pub mod fit;

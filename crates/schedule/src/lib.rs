@@ -20,10 +20,10 @@
 // The command line names this library as any other program does.
 extern crate self as planish_schedule;
 
-mod cli;
-pub mod command;
 pub mod baselines;
 pub mod claim;
+mod cli;
+pub mod command;
 pub mod constant_acceleration;
 mod hermite;
 pub mod interpolator;

@@ -33,9 +33,9 @@
 // The command line names this library as any other program does.
 extern crate self as planish_simulate;
 
+pub mod between;
 mod cli;
 pub mod command;
-pub mod between;
 pub mod coverage;
 pub mod deviation;
 pub mod direct;

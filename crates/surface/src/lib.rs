@@ -16,9 +16,9 @@
 // The command line names this library as any other program does.
 extern crate self as planish_surface;
 
+mod basis;
 mod cli;
 pub mod command;
-mod basis;
 mod distance;
 pub mod draw;
 pub mod extension;

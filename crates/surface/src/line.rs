@@ -71,8 +71,7 @@ impl Across {
 }
 
 /// Meaning of positive heights of a profile, and of slopes that are positive along its positions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Positive {
     /// Material above the target; slopes rise towards it.

@@ -53,8 +53,7 @@ pub struct LowOrderSettings {
 }
 
 /// Family of polynomials.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Family {
     /// Zernike polynomials, for circular apertures.

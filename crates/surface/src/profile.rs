@@ -31,8 +31,7 @@ const LARGEST_PLAUSIBLE: [(&str, f64); 3] = [("position", 1e7), ("height", 1e12)
 const NO_DATA: [&str; 5] = ["nan", "bad", "no data", "nodata", "n/a"];
 
 /// Unit of a length.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum LengthUnit {
     /// Nanometre.
@@ -57,8 +56,7 @@ impl LengthUnit {
 }
 
 /// Unit of the values: of a length, which are heights, or of an angle, which are slopes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum ValueUnit {
     /// Heights in nm.

@@ -39,8 +39,7 @@ pub struct PsdSettings {
 }
 
 /// Weight of the pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Window {
     /// `w[i] = (1 - cos(2 pi i / n)) / 2` (periodic).
@@ -50,8 +49,7 @@ pub enum Window {
 }
 
 /// Function that is subtracted from the rectangle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Detrend {
     /// The mean.

@@ -54,8 +54,7 @@ const MAX_STEPS: usize = 400;
 const LAST_STEP: f64 = 1e-13;
 
 /// Shape that is fitted and subtracted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Shape {
     /// The mean.
@@ -87,8 +86,7 @@ impl Shape {
 }
 
 /// A parameter of an ellipse.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum EllipseParameter {
     /// Distance from source to pole.

@@ -462,8 +462,7 @@ fn report(
 }
 
 /// Direction of the heights of a map.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Heights {
     /// Along z, as all of Planish takes them.
@@ -474,8 +473,7 @@ pub enum Heights {
 }
 
 /// Lateral axes of a map.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Lateral {
     /// Projected along z, as all of Planish takes them.

@@ -70,8 +70,7 @@ pub struct TifSettings {
 }
 
 /// Point from which the offsets are counted.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Centre {
     /// The origin of the given TIF.

@@ -44,8 +44,7 @@ const DIFFERENCE: f64 = 1e-5;
 const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949_3;
 
 /// Formula to fit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Model {
     /// An elliptical Gaussian.

@@ -14,13 +14,13 @@
 // The command line names this library as any other program does.
 extern crate self as planish_sweep;
 
-mod cli;
-mod files;
-mod runner;
-pub mod command;
 pub mod batch;
+mod cli;
+pub mod command;
 pub mod description;
 pub mod expand;
+mod files;
+mod runner;
 
 pub mod plan;
 pub mod row;

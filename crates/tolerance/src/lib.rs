@@ -28,9 +28,9 @@
 // The command line names this library as any other program does.
 extern crate self as planish_tolerance;
 
+mod budget;
 mod cli;
 pub mod command;
-mod budget;
 mod distribution;
 pub mod draws;
 mod field;

@@ -19,9 +19,9 @@
 // The command line names this library as any other program does.
 extern crate self as planish_toolpath;
 
+pub mod along;
 mod cli;
 pub mod command;
-pub mod along;
 mod draft;
 pub mod draw;
 pub mod maze;

@@ -86,8 +86,7 @@ pub struct MultiPitchSettings {
 }
 
 /// Links from a line to the next one of its cell on which the tool stays on.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Links {
     /// All links: the tool stays on.

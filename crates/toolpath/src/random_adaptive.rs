@@ -95,8 +95,7 @@ pub struct RandomAdaptiveSettings {
 }
 
 /// Methods to make and join the nodes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Construction {
     /// Around a random spanning tree of triangles.

@@ -184,8 +184,7 @@ pub enum LineOrder {
 }
 
 /// Turns between consecutive lines.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Turn {
     /// A straight step across; two corners of 90 degrees.

@@ -25,8 +25,7 @@ pub use crate::model::place::Place;
 use crate::model::{ROWS_PER_TASK, varying};
 
 /// Columns of the removal model: motion of the tool during one dwell time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Columns {
     /// Standing at the dwell point.

@@ -24,8 +24,7 @@ use planish_types::{Invalid, Trajectory};
 use serde::Serialize;
 
 /// Motion between two samples.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Between {
     /// The cubic with the velocities of the parabolas through three neighbours.

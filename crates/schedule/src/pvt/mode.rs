@@ -16,8 +16,7 @@ pub enum Mode {
 }
 
 /// Choice of a [`Mode`], or of the default of the machine.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum ModeChoice {
     /// Monotone; smooth if the machine has a limit on jerk, which only smooth keeps.
     #[default]

@@ -6,8 +6,7 @@ use serde::Serialize;
 use super::{passes::Pass, report::Report};
 
 /// Repair of the densities that the machine cannot follow.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Repair {
     /// Add one offset to all densities.

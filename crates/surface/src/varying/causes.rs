@@ -146,8 +146,7 @@ impl Spots {
 }
 
 /// Law of the pressure under a pad that hangs over the edge, with the same force as on the part.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum PressureLaw {
     /// The same pressure on all of the covered area: the whole area over the covered one.

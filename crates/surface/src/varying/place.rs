@@ -6,8 +6,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 /// Parameter of a place on which a tool depends.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Parameter {
     /// Coordinate x, mm.

@@ -65,8 +65,7 @@ use crate::{
 };
 
 /// Node at which Eq. 16 sets the tool at rest, `v = a = 0`, besides the end.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[derive(clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum RestCondition {
     /// The start: node 0.
