@@ -125,7 +125,7 @@ show pipeline: build
 # Build every program, in target/release
 [group('2 programs')]
 build:
-    @cargo build --quiet --release --locked --workspace --bins
+    @cargo build $(test ! -x target/release/planish || echo --quiet) --release --locked --workspace --bins
 
 # Make every fixture mirror under out/fixtures: coupon, coupon-mixture, coupon-noise, coupon-ring, disk-100, disk-100-1641, disk-20, edge-pad, flat-92x16, multi-cylinder, sphere-beam, spindle-spot, square-200
 [group('1 plans')]
@@ -165,7 +165,7 @@ test-interop: build
 [group('2 programs')]
 wheel: (wheel-tools "hatchling==1.27.0")
     python/build_programs.sh target/wheel/build
-    @python/pack.sh target/wheel/build/release/planish_programs
+    @python/pack.sh target/wheel/build/release/planish
 
 # The tags are those of Linux with the C library 2.17 (2014) or later; auditwheel checks them. It makes a wheel for each of
 # x86_64 and aarch64 whose standard library rustup has, and says what is missing
@@ -184,7 +184,7 @@ wheels: (wheel-tools "hatchling==1.27.0" "cargo-zigbuild==0.24.1" "ziglang==0.17
         fi
         echo "$machine: building"
         python/build_programs.sh target/wheel/build $target.2.17
-        python/pack.sh target/wheel/build/$target/release/planish_programs $machine
+        python/pack.sh target/wheel/build/$target/release/planish $machine
     done
 
 [private]
@@ -343,7 +343,7 @@ ci-long:
 [group('3 development')]
 checks:
     cargo fmt --all --check
-    cargo clippy --release --locked --workspace --all-targets --features planish-programs/together -- -D warnings
+    cargo clippy --release --locked --workspace --all-targets -- -D warnings
     python3 python/licences.py
     if command -v cargo-deny > /dev/null; then cargo deny --locked --offline check licenses bans sources; fi
     if command -v npm > /dev/null; then just workflows; fi

@@ -1,8 +1,8 @@
 #!/bin/sh
 # The program of the wheel, which holds all others: build_programs.sh DIR [SYSTEM]. Cargo keeps its files below DIR.
-# Without SYSTEM it is for machines like this one: DIR/release/planish_programs. With one, such as
+# Without SYSTEM it is for machines like this one: DIR/release/planish. With one, such as
 # x86_64-unknown-linux-gnu.2.17, it is for that system from that version of its C library on:
-# DIR/x86_64-unknown-linux-gnu/release/planish_programs. cargo-zigbuild makes that one. The program names no folder of the
+# DIR/x86_64-unknown-linux-gnu/release/planish. cargo-zigbuild makes that one. The program names no folder of the
 # machine that builds it: messages about defects would otherwise hold the name of its user.
 set -eu
 root=$(cd "$(dirname "$0")/.." && pwd -P)
@@ -19,4 +19,4 @@ else
     set -- zigbuild --target "$2"
 fi
 cargo "$@" --quiet --release --locked --manifest-path "$root/Cargo.toml" --target-dir "$dir" \
-    --package planish-programs --features planish-programs/together
+    --package planish

@@ -24,7 +24,7 @@ def resolved(target=None):
     nodes = {node["id"]: node for node in metadata["resolve"]["nodes"]}
     by_id = {package["id"]: package for package in metadata["packages"]}
     # The crate that has all programs
-    wanted, found = [key for key, package in by_id.items() if package["name"] == "planish-programs"], {}
+    wanted, found = [key for key, package in by_id.items() if package["name"] == "planish"], {}
     while wanted:
         crate = wanted.pop()
         if crate not in found:

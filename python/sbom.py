@@ -38,7 +38,7 @@ def main():
     crates = resolved(*sys.argv[1:])
     # Identifiers of Cargo name the folder of a crate of this repository.
     refs = {key: f"{p['name']}@{p['version']}" for key, (p, _) in crates.items()}
-    (root,) = [key for key, (p, _) in crates.items() if p["name"] == "planish-programs"]
+    (root,) = [key for key, (p, _) in crates.items() if p["name"] == "planish"]
     components = [
         component(refs[key], p, sha256.get((p["name"], p["version"]))) for key, (p, _) in crates.items() if key != root
     ]

@@ -1,7 +1,7 @@
 """What goes into the wheel beside the Python module: the programs, and the pipelines as data.
 
 Called by hatchling (`just wheel`, `just wheels`), after build_programs.sh, notices.py and sbom.py. One file holds all
-programs (python/programs), and a script per name calls it: what the programs share is there once. Both become scripts of
+stages (crates/planish), and a script per name calls it: what the programs share is there once. Both become scripts of
 the environment. Pipelines, fixtures and machines stand in `planish/share`, where `planish run` reads them. The licence,
 those of the crates, and the bill of materials stand beside the metadata.
 
@@ -34,7 +34,7 @@ def names():
 
 class Programs(BuildHookInterface):
     def initialize(self, version, build_data):
-        program = pathlib.Path(os.environ.get("PLANISH_PROGRAMS_FILE") or WHEEL / "build/release" / ALL)
+        program = pathlib.Path(os.environ.get("PLANISH_PROGRAMS_FILE") or WHEEL / "build/release/planish")
         if not program.is_file():
             raise SystemExit(f"{program}: there are no programs; run just wheel")
         self.refuse_paths(program)

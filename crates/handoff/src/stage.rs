@@ -69,7 +69,9 @@ pub fn start(stages: &[Stage]) -> ExitCode {
     };
     match (stage, runner) {
         (Some(stage), runner) if runner.is_none() || stage_goes_first(stage) => {
-            words.splice(..2, [OsString::from(format!("{PROGRAM} {}", stage.word()))]);
+            let is_full_name = first == stage.name;
+            let name = if is_full_name { stage.name.into() } else { format!("{PROGRAM} {}", stage.word()) };
+            words.splice(..2, [OsString::from(name)]);
             run(stage, words)
         }
         (_, Some(runner)) => {

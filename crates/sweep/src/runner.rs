@@ -47,10 +47,11 @@ impl Stages {
         Ok(Self { programs, dir: dir.into() })
     }
 
-    /// Time at which the newest of these programs was built.
+    /// Returns the time at which the newest of these programs, or this one that they start, was built.
     pub fn newest(&self, programs: &[&str]) -> Option<SystemTime> {
-        let built = |name: &&str| fs::metadata(self.programs.join(name)).ok()?.modified().ok();
-        programs.iter().filter_map(built).max()
+        let built = |file: PathBuf| fs::metadata(file).ok()?.modified().ok();
+        let files = programs.iter().map(|name| self.programs.join(name));
+        files.chain(std::env::current_exe().ok()).filter_map(built).max()
     }
 
     /// Runs a stage to its end, on one core. It ends with this process.

@@ -16,7 +16,7 @@ type Room = (&'static str, &'static [&'static str]);
 
 /// Crates of layers 0 to 2, the stages that see others, crates that run several stages, and the tests that
 /// see all.
-const ROOMS: [Room; 16] = [
+const ROOMS: [Room; 17] = [
     ("numerics", &[]),
     ("types", &["numerics"]),
     ("draw", &["types"]),
@@ -49,6 +49,7 @@ const ROOMS: [Room; 16] = [
     ("pipeline", &["types", "handoff"]),
     ("run", &["types", "handoff", "pipeline"]),
     ("sweep", &["numerics", "types", "handoff", "pipeline"]),
+    ("planish", &ALL),
     ("testkit", &ALL),
 ];
 
@@ -198,8 +199,12 @@ fn closure(arrows: &[(String, String)]) -> BTreeSet<(String, String)> {
     }
 }
 
-/// The only attribute for the command line that a library may have: names of the values of a setting.
-const NAMES_OF_VALUES: &str = "#[cfg_attr(feature = \"cli\", derive(clap::ValueEnum))]";
+/// The only derive of the command line that a library may have: names of the values of a setting.
+const NAMES_OF_VALUES: &str = "clap::ValueEnum";
+
+/// Modules of the command line of a stage beside `command.rs`, `cli.rs` and `cli/`.
+const COMMAND_LINE_FILES: [&str; 3] =
+    ["compare/src/files.rs", "sweep/src/files.rs", "sweep/src/runner.rs"];
 
 /// Words of `words` that the code contains, without comments and unit tests.
 fn mentions(source: &str, words: &[&'static str]) -> Vec<&'static str> {
@@ -409,6 +414,21 @@ fn module_tree(root: &Path) -> BTreeSet<PathBuf> {
     files
 }
 
+/// Files of the library of a crate, without those of its command line.
+fn library_files(folder: &str) -> BTreeSet<PathBuf> {
+    let src = directory_of(folder).join("src");
+    let mut files = module_tree(&src.join("lib.rs"));
+    files.retain(|file| {
+        let own = file.strip_prefix(&src).unwrap();
+        let is_command_line = own.starts_with("cli")
+            || own == Path::new("cli.rs")
+            || own == Path::new("command.rs")
+            || COMMAND_LINE_FILES.iter().any(|known| file.ends_with(known));
+        !is_command_line
+    });
+    files
+}
+
 fn no_complaints(complaints: &[String]) {
     assert!(complaints.is_empty(), "{}", complaints.join("\n"));
 }
@@ -454,7 +474,7 @@ fn the_sources_name_only_declared_layers() {
             }
         }
     }
-    found.retain(|(from, _)| from != "testkit");
+    found.retain(|(from, _)| from != "testkit" && from != "planish");
     no_complaints(&forbidden_arrows(&found));
 }
 
@@ -465,7 +485,7 @@ fn libraries_have_no_files_no_shell_and_no_clock() {
         if ["handoff", "testkit"].contains(&folder.as_str()) {
             continue;
         }
-        let files = module_tree(&directory_of(folder).join("src/lib.rs"));
+        let files = library_files(folder);
         assert!(!files.is_empty());
         for file in files {
             let mut found = mentions(&fs::read_to_string(&file).unwrap(), &IMPURE);
@@ -485,7 +505,7 @@ fn the_messages_of_stage_libraries_name_settings_and_no_flags() {
     for folder in
         STAGES.iter().chain(&["axes", "refine", "joint", "tolerance", "reconcile", "campaign"])
     {
-        for file in module_tree(&directory_of(folder).join("src/lib.rs")) {
+        for file in library_files(folder) {
             let source = fs::read_to_string(&file).unwrap();
             for flag in flags(&source) {
                 let known = |(end, known): &(&str, &str)| file.ends_with(end) && flag == *known;
@@ -508,7 +528,7 @@ fn no_two_modules_of_a_library_name_each_other() {
             let words: Vec<_> = path.iter().map(|w| w.to_string_lossy().into_owned()).collect();
             words.into_iter().filter(|w| w != "lib" && w != "mod").collect::<Vec<_>>().join("::")
         };
-        let files = module_tree(&src.join("lib.rs"));
+        let files = library_files(folder);
         let all: BTreeSet<String> = files.iter().map(|file| name_of(file)).collect();
         let mut arrows = Vec::new();
         for file in &files {
@@ -544,27 +564,27 @@ fn every_source_file_belongs_to_the_library_or_the_binary() {
 }
 
 #[test]
-fn the_program_of_the_wheel_has_every_other() {
-    let main = workspace().join("python/programs/src/main.rs");
-    let text = fs::read_to_string(main).unwrap();
+fn the_one_program_has_every_stage() {
+    let text = fs::read_to_string(directory_of("planish").join("src/main.rs")).unwrap();
+    assert!(text.contains("static ALLOCATOR: Allocator"), "no memory budget");
     for folder in packages().keys() {
-        if directory_of(folder).join("src/main.rs").exists() {
-            let module = folder.replace('-', "_");
-            let line = format!("(\"planish-{folder}\", {module}::main)");
-            assert!(text.contains(&line), "python/programs/src/main.rs: add {line}");
+        if directory_of(folder).join("src/command.rs").exists() {
+            let line = format!("planish_{}::command::COMMAND", folder.replace('-', "_"));
+            assert!(text.contains(&line), "crates/planish/src/main.rs: add {line}");
         }
     }
 }
 
 #[test]
-fn every_binary_has_completions_a_manual_page_examples_and_a_memory_budget() {
+fn every_stage_has_completions_a_manual_page_examples_and_a_program() {
     for folder in packages().keys() {
-        let main = directory_of(folder).join("src/main.rs");
-        if main.exists() {
-            let text = fs::read_to_string(&main).unwrap();
+        let command = directory_of(folder).join("src/command.rs");
+        if command.exists() {
+            let text = fs::read_to_string(&command).unwrap();
             assert!(text.contains("planish_handoff::program"), "{folder}: run through handoff");
             assert!(text.contains("after_help = EXAMPLES"), "{folder}: no examples in --help");
-            assert!(text.contains("Allocator = planish_handoff"), "{folder}: no memory budget");
+            let main = fs::read_to_string(directory_of(folder).join("src/main.rs")).unwrap();
+            assert!(main.contains("planish_handoff::launch"), "{folder}: its program starts planish");
         }
     }
 }
@@ -572,11 +592,24 @@ fn every_binary_has_completions_a_manual_page_examples_and_a_memory_budget() {
 #[test]
 fn every_crate_has_name_licence_description_and_the_lints() {
     for (folder, package) in packages() {
-        let name = format!("planish-{folder}");
+        let name = match folder.as_str() {
+            "planish" => folder.clone(),
+            _ => format!("planish-{folder}"),
+        };
         assert_eq!(package.name.as_str(), name);
         let program = STAGES.contains(&folder.as_str())
-            || ["axes", "refine", "joint", "tolerance", "reconcile", "campaign", "run", "sweep"]
-                .contains(&folder.as_str());
+            || [
+                "axes",
+                "refine",
+                "joint",
+                "tolerance",
+                "reconcile",
+                "campaign",
+                "run",
+                "sweep",
+                "planish",
+            ]
+            .contains(&folder.as_str());
         let binaries: Vec<&str> = package
             .targets
             .iter()
