@@ -6,6 +6,7 @@
 use std::{
     env,
     ffi::{OsStr, OsString},
+    io,
     path::Path,
     process::{Command, ExitCode},
     sync::OnceLock,
@@ -70,7 +71,11 @@ pub fn start(stages: &[Stage]) -> ExitCode {
     match (stage, runner) {
         (Some(stage), runner) if runner.is_none() || stage_goes_first(stage) => {
             let is_full_name = first == stage.name;
-            let name = if is_full_name { stage.name.into() } else { format!("{PROGRAM} {}", stage.word()) };
+            let name = if is_full_name {
+                stage.name.into()
+            } else {
+                format!("{PROGRAM} {}", stage.word())
+            };
             words.splice(..2, [OsString::from(name)]);
             run(stage, words)
         }
@@ -139,12 +144,30 @@ fn overview(stages: &[Stage], words: &[OsString]) -> ExitCode {
 pub fn launch(name: &str) -> ExitCode {
     let own = env::current_exe().unwrap_or_default();
     let planish = own.with_file_name(format!("{PROGRAM}{}", env::consts::EXE_SUFFIX));
+    let is_run_by_cargo = env::var_os("CARGO_PKG_NAME").is_some_and(|package| package == name);
+    let made = if is_run_by_cargo { build_by_cargo(&own) } else { Ok(()) };
     let mut command = Command::new(&planish);
     command.args(env::args_os().skip(1));
-    let error = crate::system::become_program(&mut command, name);
+    let error =
+        made.map_or_else(|error| error, |()| crate::system::become_program(&mut command, name));
     complain(&format!(
         "error: {}: cannot run: {error}; `cargo build --release` makes it beside {name}",
         planish.display()
     ));
     ExitCode::from(2)
+}
+
+/// Builds `planish` beside `own`, in the same profile: `cargo run -p planish-dwell` builds only the package that it names.
+fn build_by_cargo(own: &Path) -> io::Result<()> {
+    let folder = own.parent().unwrap_or(Path::new("."));
+    let profile = match folder.file_name().and_then(OsStr::to_str) {
+        Some("debug") | None => "dev",
+        Some(profile) => profile,
+    };
+    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let status = Command::new(cargo)
+        .args(["build", "--quiet", "--package", PROGRAM, "--profile", profile, "--target-dir"])
+        .arg(folder.parent().unwrap_or(folder))
+        .status()?;
+    if status.success() { Ok(()) } else { Err(io::Error::other("cargo could not build it")) }
 }

@@ -584,7 +584,10 @@ fn every_stage_has_completions_a_manual_page_examples_and_a_program() {
             assert!(text.contains("planish_handoff::program"), "{folder}: run through handoff");
             assert!(text.contains("after_help = EXAMPLES"), "{folder}: no examples in --help");
             let main = fs::read_to_string(directory_of(folder).join("src/main.rs")).unwrap();
-            assert!(main.contains("planish_handoff::launch"), "{folder}: its program starts planish");
+            assert!(
+                main.contains("planish_handoff::launch"),
+                "{folder}: its program starts planish"
+            );
         }
     }
 }
