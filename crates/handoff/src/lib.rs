@@ -90,7 +90,7 @@ pub use nouns::Tool;
 pub use output::{Begin, Output, OutputFile, Task, Writer, save};
 pub use publish::is_temporary;
 pub use shell::{Failure, Status, program, say, warn};
-pub use stage::{Stage, launch, start};
+pub use stage::{Stage, launch, stage_command, start};
 
 /// A file or directory that cannot be used. The message states the file, the place, the value and
 /// the remedy.

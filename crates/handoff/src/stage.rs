@@ -7,7 +7,7 @@ use std::{
     env,
     ffi::{OsStr, OsString},
     io,
-    path::Path,
+    path::{Path, PathBuf},
     process::{Command, ExitCode},
     sync::OnceLock,
 };
@@ -155,6 +155,23 @@ pub fn launch(name: &str) -> ExitCode {
         planish.display()
     ));
     ExitCode::from(2)
+}
+
+/// Returns the command that runs the stage program `name`: the file of this name in the first of `folders` that has it,
+/// such as a script of the user, or else this program, if it is `planish`, with the name as its first argument.
+pub fn stage_command(name: &str, folders: impl IntoIterator<Item = PathBuf>) -> Command {
+    let file = format!("{name}{}", env::consts::EXE_SUFFIX);
+    if let Some(program) = folders.into_iter().map(|folder| folder.join(&file)).find(|f| f.is_file()) {
+        return Command::new(program);
+    }
+    match env::current_exe() {
+        Ok(own) if name.starts_with("planish-") && own.file_stem() == Some(OsStr::new(PROGRAM)) => {
+            let mut command = Command::new(own);
+            command.arg(name);
+            command
+        }
+        _ => Command::new(name),
+    }
 }
 
 /// Builds `planish` beside `own`, in the same profile: `cargo run -p planish-dwell` builds only the package that it names.

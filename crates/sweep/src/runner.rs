@@ -4,7 +4,7 @@ use std::{
     fs,
     io::{BufRead, BufReader},
     path::{Path, PathBuf},
-    process::{Command, Stdio},
+    process::Stdio,
     sync::{
         Mutex,
         atomic::{AtomicUsize, Ordering},
@@ -13,7 +13,7 @@ use std::{
     time::SystemTime,
 };
 
-use planish_handoff::{Failure, Running};
+use planish_handoff::{Failure, Running, stage_command};
 use planish_sweep::plan::Step;
 
 /// Ends of a stage.
@@ -59,7 +59,7 @@ impl Stages {
         let program = self.programs.join(&step.program);
         let cannot =
             |e: std::io::Error| Failure::new(format!("{}: cannot run: {e}", program.display()));
-        let mut command = Command::new(&program);
+        let mut command = stage_command(&step.program, [self.programs.clone()]);
         command
             .args(&step.arguments)
             .current_dir(&self.dir)

@@ -4,12 +4,12 @@
 //! its inputs. With exit code 2 it states the reason in one message and has written nothing. With 0 or 1 no
 //! outcome holds `null`, which is what JSON makes of NaN and infinity.
 
-use std::{fs, path::Path, process::Command, time::Duration};
+use std::{fs, path::Path, time::Duration};
 
 use ndarray::{Array1, ArrayD};
 use planish_handoff::npy::ArrayData;
 
-use crate::program::{run_within, save, save_array, text};
+use crate::program::{run_within, save, save_array, stage, text};
 
 /// Longest time for one run, s. Larger: the test finds an endless loop later. Smaller: it fails on a busy
 /// machine or in a build without optimisation. Chosen: far above the time of any of these small cases.
@@ -170,7 +170,7 @@ pub fn survives(binary: &str, dir: &Path, arguments: &[&str], out: &str) -> (i32
     let out = dir.join(out);
     let _ = fs::remove_dir_all(&out);
     let _ = fs::remove_file(&out);
-    let ended = run_within(Command::new(binary).current_dir(dir).args(arguments), TIME_LIMIT);
+    let ended = run_within(stage(binary).current_dir(dir).args(arguments), TIME_LIMIT);
     let (status, said) = (ended.status, text(&ended.stderr));
     let code =
         status.code().unwrap_or_else(|| panic!("{arguments:?} was killed: {status}: {said}"));

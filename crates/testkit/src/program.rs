@@ -1,7 +1,6 @@
 //! Helpers of the tests of a program: its inputs on disk, its run, its output.
 
 use std::{
-    ffi::OsString,
     fs,
     io::{Read, Seek},
     path::{Path, PathBuf},
@@ -16,28 +15,25 @@ use planish_handoff::{Artifact, npy::ArrayData};
 
 use crate::workspace;
 
-/// The folder of the programs, built once in the profile of the test that asks.
-pub fn binaries() -> &'static Path {
-    static BINARIES: OnceLock<PathBuf> = OnceLock::new();
-    BINARIES.get_or_init(|| {
-        // This program is target/<profile>/deps/NAME-<hash>.
-        let program = std::env::current_exe().unwrap();
-        let profile_dir = program.parent().and_then(Path::parent).unwrap().to_path_buf();
-        let profile = match profile_dir.file_name().unwrap().to_str().unwrap() {
-            "debug" => "dev",
-            profile => profile,
-        };
-        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| OsString::from("cargo"));
-        let output = Command::new(cargo)
-            .args(["build", "--quiet", "--locked", "--workspace", "--bins", "--profile", profile])
-            .arg("--target-dir")
-            .arg(profile_dir.parent().unwrap())
-            .current_dir(workspace())
-            .output()
-            .unwrap();
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        profile_dir
+/// Returns the program `planish` of the profile of this test. Cargo builds it for the tests of `crates/planish`, which
+/// are those that run programs.
+pub fn planish() -> &'static Path {
+    static PLANISH: OnceLock<PathBuf> = OnceLock::new();
+    PLANISH.get_or_init(|| {
+        // This test program is target/<profile>/deps/NAME-<hash>.
+        let test = std::env::current_exe().unwrap();
+        let profile = test.parent().and_then(Path::parent).unwrap();
+        let planish = profile.join(format!("planish{}", std::env::consts::EXE_SUFFIX));
+        assert!(planish.is_file(), "{} is not built", planish.display());
+        planish
     })
+}
+
+/// Returns the command of a stage, such as `planish-dwell`.
+pub fn stage(name: &str) -> Command {
+    let mut command = Command::new(planish());
+    command.arg(name);
+    command
 }
 
 /// Writes the artifact `name` in `dir`, without a history.

@@ -8,7 +8,7 @@ use std::{
     process::{Command as Process, ExitStatus, Stdio},
 };
 
-use planish_handoff::{Failure, Running, say, words};
+use planish_handoff::{Failure, Running, say, stage_command, words};
 use planish_pipeline::{
     scope::Scope,
     walk::{Command, Step, Walk},
@@ -95,7 +95,7 @@ impl Programs {
     }
 
     fn process(&self, command: &Command) -> Process {
-        let mut process = Process::new(&command.program);
+        let mut process = stage_command(&command.program, env::split_paths(&self.path));
         process.args(&command.arguments).env("PATH", &self.path);
         process
     }
