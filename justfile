@@ -152,7 +152,7 @@ test:
 [group('4 slower tests')]
 test-schedulers-long cases="5051" seed="1" first="0":
     PLANISH_CASES={{ quote(cases) }} PLANISH_SEED={{ quote(seed) }} PLANISH_FIRST={{ quote(first) }} \
-        cargo test --release --locked --workspace --test schedulers -- --show-output
+        cargo test --release --locked -p planish-testkit --test all schedulers:: -- --show-output
 
 # Read files of h5py, scipy, astropy, prysm and gwyfile to the last bit (makes its own virtual environment)
 [group('4 slower tests')]
@@ -335,7 +335,7 @@ ci-long:
     just test-clone
     just test-schedulers-long
     just test-tables
-    PLANISH_FRONTS=20 cargo test --release --locked --workspace --test closed_loop never_takes_longer
+    PLANISH_FRONTS=20 cargo test --release --locked -p planish-refine --test all never_takes_longer
     just fuzz 10000000
     just fuzz-binaries 100000
 

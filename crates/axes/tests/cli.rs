@@ -1,17 +1,13 @@
 //! The program from its flags to its files and exit codes.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Output};
 
 use planish_testkit::{program::text, workspace};
 use planish_types::Trajectory;
 use serde_json::{Value, json};
 
 fn axes(dir: &Path, arguments: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-axes"))
+    planish_testkit::program::stage("planish-axes")
         .current_dir(dir)
         .args(arguments.split_whitespace())
         .output()

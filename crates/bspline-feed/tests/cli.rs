@@ -1,10 +1,6 @@
 //! The binary from its flags to its files and exit codes.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Output};
 
 use ndarray::{Array1, Array2};
 use planish_handoff::artifact;
@@ -37,7 +33,7 @@ fn prepare(dir: &Path) {
 }
 
 fn run(dir: &Path, more: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-bspline-feed"))
+    planish_testkit::program::stage("planish-bspline-feed")
         .current_dir(dir)
         .env("RAYON_NUM_THREADS", "2")
         .args(["--surface=surface", "--tif=tif", "--tool-path=tool_path"])

@@ -2,7 +2,7 @@
 
 use planish_testkit::hostile::{COUNTS, FLOATS, every_value, inputs, survives};
 
-const BINARY: &str = env!("CARGO_BIN_EXE_planish-bspline-feed");
+const BINARY: &str = "planish-bspline-feed";
 
 fn arguments(surface: &str, tif: &str, path: &str) -> Vec<String> {
     let given =

@@ -1,10 +1,6 @@
 //! The binary from its flags to its files and exit codes.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Output};
 
 use ndarray::Array2;
 use planish_testkit::program::{text, write};
@@ -12,7 +8,7 @@ use planish_types::{Axis, Grid, Surface};
 use serde_json::{Value, json};
 
 fn run(dir: &Path, arguments: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-campaign"))
+    planish_testkit::program::stage("planish-campaign")
         .current_dir(dir)
         .args(arguments.split_whitespace())
         .output()
@@ -98,11 +94,8 @@ fn what_is_no_campaign_is_refused_and_nothing_is_written() {
 fn program(dir: &Path, command: &str) {
     let mut words = command.split_whitespace();
     let name = format!("planish-{}", words.next().unwrap());
-    let output = Command::new(planish_testkit::program::binaries().join(name))
-        .args(words)
-        .current_dir(dir)
-        .output()
-        .unwrap();
+    let output =
+        planish_testkit::program::stage(&name).args(words).current_dir(dir).output().unwrap();
     assert!(matches!(output.status.code(), Some(0 | 1)), "{command}: {}", text(&output.stderr));
 }
 

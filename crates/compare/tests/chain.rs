@@ -4,7 +4,7 @@
 use std::{
     fs,
     path::{Path, PathBuf},
-    process::{self, Command},
+    process,
 };
 
 use ndarray::{Array1, Array2, ArrayD};
@@ -17,7 +17,7 @@ use planish_types::{Axis, DwellTime, Grid, Removal, Surface, Tif, ToolPath, Traj
 use serde_json::{Value, json};
 
 fn compare(dir: &Path, arguments: &[&str]) -> process::Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-compare"))
+    planish_testkit::program::stage("planish-compare")
         .current_dir(dir)
         .args(arguments)
         .output()

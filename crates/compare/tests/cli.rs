@@ -17,7 +17,7 @@ use planish_types::{AxesMotion, Axis, DwellTime, Grid, Removal, Surface, Traject
 use serde_json::{Value, json};
 
 fn compare(dir: &Path, arguments: &[&str]) -> process::Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-compare"))
+    planish_testkit::program::stage("planish-compare")
         .current_dir(dir)
         .args(arguments)
         .output()

@@ -1,10 +1,6 @@
 //! The binary from its flags to its files and exit codes.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Output};
 
 use ndarray::Array2;
 use planish_handoff::{artifact, npy::ArrayData};
@@ -69,7 +65,7 @@ const INPUTS: [&str; 7] =
 const EXACT: [&str; 4] = ["--columns=point", "--tikhonov=0", "--slope-weight=0", "--out=dwell"];
 
 fn run_on(threads: &str, dir: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-dwell"))
+    planish_testkit::program::stage("planish-dwell")
         .current_dir(dir)
         .env("RAYON_NUM_THREADS", threads)
         .args(arguments)

@@ -1,10 +1,6 @@
 //! Every solver through the binary: files, exit codes, the same bytes on one and two threads.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Output};
 
 use ndarray::{Array2, array};
 use planish_handoff::{artifact, npy::ArrayData};
@@ -62,7 +58,7 @@ const SOLVERS: [&[&str]; 11] = [
 ];
 
 fn run(dir: &Path, threads: &str, solver: &[&str], surface: &str, tif: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-dwell"))
+    planish_testkit::program::stage("planish-dwell")
         .current_dir(dir)
         .env("RAYON_NUM_THREADS", threads)
         .args(solver)

@@ -2,7 +2,7 @@
 
 use planish_testkit::hostile::{COUNTS, FLOATS, every_value, inputs, survives};
 
-const BINARY: &str = env!("CARGO_BIN_EXE_planish-dwell");
+const BINARY: &str = "planish-dwell";
 
 /// A solver, its numeric flags and its counts.
 const CASES: [(&str, &[&str], &[&str]); 9] = [

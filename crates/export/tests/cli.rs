@@ -3,7 +3,6 @@
 use std::{
     fs,
     path::{Path, PathBuf},
-    process::Command,
 };
 
 use ndarray::{Array1, Array3};
@@ -83,7 +82,7 @@ impl Bench {
 
     fn run(&self, controller: &str, trajectory: &str, more: &[&str]) -> (Option<i32>, String) {
         let base = ["--trajectory", trajectory, "--machine", "m.json", "--out", "p/a.txt"];
-        let output = Command::new(env!("CARGO_BIN_EXE_planish-export"))
+        let output = planish_testkit::program::stage("planish-export")
             .current_dir(self.tmp.path())
             .arg(controller)
             .args(base)
@@ -324,7 +323,7 @@ fn a_motion_of_all_axes_has_its_own_flag() {
     put("tool_on.npy", ArrayData::U8(Array1::from(vec![1]).into_dyn().into()));
 
     let run = |arguments: &[&str]| {
-        let output = Command::new(env!("CARGO_BIN_EXE_planish-export"))
+        let output = planish_testkit::program::stage("planish-export")
             .current_dir(bench.path(""))
             .args(["csv", "--machine", "m.json", "--out", "p/a.csv", "--force"])
             .args(arguments)

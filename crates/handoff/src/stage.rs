@@ -161,7 +161,9 @@ pub fn launch(name: &str) -> ExitCode {
 /// such as a script of the user, or else this program, if it is `planish`, with the name as its first argument.
 pub fn stage_command(name: &str, folders: impl IntoIterator<Item = PathBuf>) -> Command {
     let file = format!("{name}{}", env::consts::EXE_SUFFIX);
-    if let Some(program) = folders.into_iter().map(|folder| folder.join(&file)).find(|f| f.is_file()) {
+    if let Some(program) =
+        folders.into_iter().map(|folder| folder.join(&file)).find(|f| f.is_file())
+    {
         return Command::new(program);
     }
     match env::current_exe() {

@@ -1,20 +1,16 @@
 //! One small file per case that a reader can get wrong, through the program: its command and its right value. All of
 //! them hold the map of `truth.npy`, but for the two Zygo files.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Output};
 
 use ndarray::Array2;
 use planish_handoff::artifact::{self, Manifest};
 use planish_types::Surface;
 
-const CASES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/cases");
+const CASES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../import/tests/data/cases");
 
 fn call(out: &Path, file: &str, flags: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-import"))
+    planish_testkit::program::stage("planish-import")
         .current_dir(CASES)
         .args([&["surface", file, "--force", "--out", out.to_str().unwrap()][..], flags].concat())
         .output()

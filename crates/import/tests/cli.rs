@@ -18,7 +18,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 fn call(dir: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-import"))
+    planish_testkit::program::stage("planish-import")
         .current_dir(dir)
         .args(arguments)
         .output()
@@ -296,7 +296,7 @@ fn what_a_header_claims_takes_no_memory() {
     let fits: String = cards.iter().map(|c| card(c)).collect();
     fs::write(dir.join("a.fits"), format!("{fits:<2880}")).unwrap();
     for name in ["a.dat", "a.npy", "a.fits"] {
-        let program = env!("CARGO_BIN_EXE_planish-import");
+        let program = format!("{} planish-import", planish_testkit::program::planish().display());
         let line = format!(
             "ulimit -v 1500000; exec {program} surface {name} --unit nm --pixel-mm 1 --out out"
         );

@@ -25,7 +25,8 @@ const ADDRESS_SPACE_KIB: usize = 1_500_000;
 fn run(dir: &Path, arguments: &[&str]) -> Output {
     let line = format!("ulimit -v {ADDRESS_SPACE_KIB}; exec \"$@\"");
     let mut command = Command::new("sh");
-    command.args(["-c", &line, "sh", env!("CARGO_BIN_EXE_planish-import")]).args(arguments);
+    command.args(["-c", &line, "sh"]).arg(planish_testkit::program::planish());
+    command.arg("planish-import").args(arguments);
     run_within(command.current_dir(dir), LIMIT)
 }
 

@@ -1,10 +1,6 @@
 //! The binary from its flags to its files and exit codes.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Output};
 
 use ndarray::Array2;
 use planish_handoff::{Artifact, artifact};
@@ -54,7 +50,7 @@ fn write<T: Artifact>(dir: &Path, name: &str, value: &T) {
 }
 
 fn run(dir: &Path, threads: &str, more: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-joint"))
+    planish_testkit::program::stage("planish-joint")
         .current_dir(dir)
         .env("RAYON_NUM_THREADS", threads)
         .args(["--surface=surface", "--tif=tif", "--tool-path=tool_path"])

@@ -29,7 +29,8 @@ fn a_stage_is_a_command_with_its_own_help() {
 fn the_commands_of_the_runner_need_no_run_before_them() {
     let settings = |words: &[&str]| {
         let root = planish_testkit::workspace();
-        let output = Command::new(planish()).args(words).env("PLANISH_SHARE", root).output().unwrap();
+        let output =
+            Command::new(planish()).args(words).env("PLANISH_SHARE", root).output().unwrap();
         assert_eq!(output.status.code(), Some(0), "{words:?}: {}", text(&output.stderr));
         text(&output.stdout)
     };

@@ -2,11 +2,7 @@
 
 mod example;
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Output};
 
 use example::{before, gaussian, grid, planned};
 use planish_simulate::{Settings, simulate};
@@ -26,7 +22,7 @@ fn prepare(dir: &Path) {
 }
 
 fn run_on(threads: &str, dir: &Path, more: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-reconcile"))
+    planish_testkit::program::stage("planish-reconcile")
         .current_dir(dir)
         .env("RAYON_NUM_THREADS", threads)
         .args(["--before", "before", "--trajectory", "trajectory", "--tif", "tif"])
@@ -132,7 +128,7 @@ fn the_rate_of_the_reference_plate_is_found_without_a_hold() {
     let Some(folder) = reference() else { return };
     let tmp = tempfile::tempdir().unwrap();
     let plate = folder.join("learn/plate");
-    let mut command = Command::new(env!("CARGO_BIN_EXE_planish-reconcile"));
+    let mut command = planish_testkit::program::stage("planish-reconcile");
     command.current_dir(tmp.path()).args(["--out", "out"]);
     for name in ["before", "after", "trajectory", "tif"] {
         command.arg(format!("--{name}")).arg(plate.join(name));

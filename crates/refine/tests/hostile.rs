@@ -1,6 +1,6 @@
 //! Tests of the binary with absurd flags, degenerate maps and tools, and mistaken units.
 
-use std::{process::Command, time::Duration};
+use std::time::Duration;
 
 use planish_schedule::SCHEDULERS;
 use planish_testkit::{
@@ -8,7 +8,7 @@ use planish_testkit::{
     program::{run_within, text},
 };
 
-const BINARY: &str = env!("CARGO_BIN_EXE_planish-refine");
+const BINARY: &str = "planish-refine";
 
 fn arguments(surface: &str, tif: &str, path: &str) -> Vec<String> {
     let given =
@@ -123,7 +123,7 @@ fn every_scheduler_of_the_table_can_be_chosen_and_no_other() {
 fn every_round_says_what_it_cost() {
     let tmp = tempfile::tempdir().unwrap();
     inputs(tmp.path());
-    let mut command = Command::new(BINARY);
+    let mut command = planish_testkit::program::stage(BINARY);
     command.current_dir(tmp.path()).args(arguments("surface", "tif", "tool_path"));
     let ended = run_within(command.arg("--max-rounds=1"), Duration::from_secs(100));
     let said = text(&ended.stdout);

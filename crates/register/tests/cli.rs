@@ -1,10 +1,6 @@
 //! The program from its flags to its files and exit codes.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Output};
 
 use ndarray::Array2;
 use planish_handoff::artifact;
@@ -12,7 +8,7 @@ use planish_testkit::program::{text, write};
 use planish_types::{Axis, Grid, Surface, ToolPath, Trajectory, Transform};
 
 fn run(dir: &Path, arguments: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-register"))
+    planish_testkit::program::stage("planish-register")
         .current_dir(dir)
         .args(arguments.split_whitespace())
         .output()

@@ -13,7 +13,7 @@ use std::{
 use serde_json::json;
 use tempfile::TempDir;
 
-const PROGRAM: &str = env!("CARGO_BIN_EXE_planish-run");
+const PROGRAM: &str = "planish-run";
 /// Number of races of two starts. Larger: a longer test. Smaller: a fault in the lock is found less often. Each
 /// race is two processes of a few milliseconds.
 const RACES: usize = 40;
@@ -43,7 +43,7 @@ const MEASURED: [&str; 4] = ["--surface", "mirror", "--tif", "tool"];
 
 /// `planish-run start` with this mirror, for `command`.
 fn start(dir: &Path, out: &str, mirror: &[&str], command: &[&str]) -> Command {
-    let mut start = Command::new(PROGRAM);
+    let mut start = planish_testkit::program::stage(PROGRAM);
     start
         .current_dir(dir)
         .args(["start", "--out", out, "--pipeline", "raster", "--machine", "machine.json"])
@@ -190,7 +190,7 @@ fn another_mirror_and_another_pipeline_are_refused() {
     refused(&ended, &["out belongs to another run", "elsewhere/mirror", "give another out"]);
     refused(&run(here, "out", &FIXTURE, &["touch", "ran"]), &["fixture coupon"]);
     let maze = [&MEASURED[..], &["--out", "out"]].concat();
-    let mut other = Command::new(PROGRAM);
+    let mut other = planish_testkit::program::stage(PROGRAM);
     other.current_dir(here).args(["start", "--pipeline", "maze", "--machine", "machine.json"]);
     let ended = other.args(maze).args(["--", "touch", "ran"]).output().unwrap();
     refused(&ended, &["pipeline raster", "pipeline maze"]);
@@ -294,7 +294,7 @@ fn the_verdict_is_that_on_the_plan_and_on_what_it_is_made_of() {
         fs::write(at.join("manifest.json"), manifest.to_string()).unwrap();
     };
     let verdict = |plans: &[&str]| {
-        let mut command = Command::new(PROGRAM);
+        let mut command = planish_testkit::program::stage(PROGRAM);
         command.current_dir(dir.path()).args(["verdict", "--run", "run"]);
         command.args(plans.iter().map(|plan| format!("--plan={plan}"))).output().unwrap()
     };
@@ -363,7 +363,7 @@ fn a_run_that_was_ended_between_its_stages_has_no_verdict() {
         }
     };
     let verdict = || {
-        let mut command = Command::new(PROGRAM);
+        let mut command = planish_testkit::program::stage(PROGRAM);
         command.current_dir(dir.path()).args(["verdict", "--run", "run", "--plan=methods/pvt"]);
         command.output().unwrap()
     };
@@ -397,7 +397,11 @@ fn the_program_is_named_with_its_plan_and_the_plan_that_is_recommended() {
     let dir = tempfile::tempdir().unwrap();
     let said = |of: &str| {
         let flags = ["program", "--run", "run", "--of", of, "--controller", "galil"];
-        let ended = Command::new(PROGRAM).current_dir(dir.path()).args(flags).output().unwrap();
+        let ended = planish_testkit::program::stage(PROGRAM)
+            .current_dir(dir.path())
+            .args(flags)
+            .output()
+            .unwrap();
         let text = [&ended.stdout[..], &ended.stderr[..]].concat();
         (ended.status.code(), String::from_utf8(text).unwrap())
     };
@@ -445,7 +449,7 @@ fn recorders(dir: &Path) -> std::path::PathBuf {
 /// `planish-run` with the pipelines of this repository and recording programs, and what these were called with.
 fn recorded(dir: &Path, arguments: &[&str]) -> (Output, Vec<String>) {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
-    let mut command = Command::new(PROGRAM);
+    let mut command = planish_testkit::program::stage(PROGRAM);
     command.current_dir(dir).args(arguments);
     command.env("PLANISH_SHARE", root).env("PLANISH_PROGRAMS", dir.join("programs"));
     let ended = command.output().unwrap();
@@ -543,7 +547,7 @@ fn a_signal_to_the_run_alone_ends_its_stage_and_frees_the_directory() {
         fs::write(&stage, "#!/bin/sh\necho $$ > stage.new\nmv stage.new stage\nexec sleep 600\n")
             .unwrap();
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
-        let mut command = Command::new(PROGRAM);
+        let mut command = planish_testkit::program::stage(PROGRAM);
         command.current_dir(dir.path()).args(&settings);
         command.env("PLANISH_SHARE", root).env("PLANISH_PROGRAMS", &programs);
         let run = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
@@ -606,7 +610,7 @@ fn a_pipe_in_the_place_of_the_report_is_refused() {
     let pipe = dir.path().join("run/report/summary.json");
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     let flags = ["program", "--run", "run", "--of", "pvt", "--controller", "galil"];
-    let mut program = Command::new(PROGRAM);
+    let mut program = planish_testkit::program::stage(PROGRAM);
     program.current_dir(dir.path()).args(flags).stderr(Stdio::piped());
     let mut child = program.spawn().unwrap();
     let ends = (0..200).find_map(|_| {

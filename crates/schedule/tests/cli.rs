@@ -1,12 +1,7 @@
 //! The binary from its flags to its files and exit codes. Motions are judged by formulas of this
 //! file, not by those of the schedulers.
 
-use std::{
-    collections::BTreeSet,
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{collections::BTreeSet, fs, path::Path, process::Output};
 
 use ndarray::{Array1, Array2};
 use planish_handoff::{artifact, npy::ArrayData};
@@ -38,7 +33,7 @@ fn prepare(dir: &Path, points: &[[f64; 2]], dwell_s: &[f64]) {
 }
 
 fn schedule(dir: &Path, scheduler: &str, more: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-schedule"))
+    planish_testkit::program::stage("planish-schedule")
         .current_dir(dir)
         .arg(scheduler)
         .args(["--tool-path", "tool_path", "--dwell", "dwell", "--machine", "machine.json"])
@@ -64,7 +59,7 @@ fn scheduled(dir: &Path, scheduler: &str, more: &[&str]) -> (Trajectory, Value) 
 /// manifest.
 fn schedulers() -> Vec<String> {
     let output =
-        Command::new(env!("CARGO_BIN_EXE_planish-schedule")).arg("--help").output().unwrap();
+        planish_testkit::program::stage("planish-schedule").arg("--help").output().unwrap();
     let help = text(&output.stdout);
     let list = |heading: &str| help.split(heading).nth(1).unwrap().split("\n\n").next().unwrap();
     let lists = [list("Commands:\n"), list("Baselines, to compare with the literature:\n")];
@@ -647,7 +642,7 @@ fn a_lift_is_a_link_of_the_path_speed_methods() {
 }
 
 fn planish(dir: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-schedule"))
+    planish_testkit::program::stage("planish-schedule")
         .current_dir(dir)
         .args(arguments)
         .output()

@@ -5,7 +5,7 @@ use std::{fs, path::Path};
 use planish_testkit::hostile::{FLOATS, every_value, inputs, npy, survives};
 use serde_json::{Value, json};
 
-const BINARY: &str = env!("CARGO_BIN_EXE_planish-schedule");
+const BINARY: &str = "planish-schedule";
 
 const SCHEDULERS: [&[&str]; 9] = [
     &["pvt", "--mode=smooth"],
@@ -182,7 +182,7 @@ fn a_limit_that_is_exceeded_is_a_negative_verdict() {
         let ideal = ["position", "average-velocity"].contains(&scheduler[0]);
         assert_eq!(said.contains("jumps, which no machine can do"), ideal, "{said}");
         // The same run again does nothing, and ends the same.
-        let again = std::process::Command::new(BINARY)
+        let again = planish_testkit::program::stage(BINARY)
             .current_dir(tmp.path())
             .args(&arguments)
             .output()

@@ -1,11 +1,6 @@
 //! The binary from its flags to its files and exit codes.
 
-use std::{
-    f64::consts::PI,
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{f64::consts::PI, fs, path::Path, process::Output};
 
 use ndarray::{Array1, Array2, Array3};
 use planish_handoff::{
@@ -66,7 +61,7 @@ fn prepare(dir: &Path) {
 }
 
 fn run_on(threads: &str, dir: &Path, more: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-simulate"))
+    planish_testkit::program::stage("planish-simulate")
         .current_dir(dir)
         .env("RAYON_NUM_THREADS", threads)
         .args(["--trajectory", "trajectory", "--tif", "tif", "--surface", "surface"])

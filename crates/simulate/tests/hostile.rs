@@ -4,7 +4,7 @@ use std::path::Path;
 
 use planish_testkit::hostile::{COUNTS, every_value, inputs, integers, npy, survives};
 
-const BINARY: &str = env!("CARGO_BIN_EXE_planish-simulate");
+const BINARY: &str = "planish-simulate";
 
 /// Ten lines at a constant velocity, without their turns, each for `line_s`; bare arrays.
 fn lines(dir: &Path, line_s: f64) {

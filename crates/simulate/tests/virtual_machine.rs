@@ -1,6 +1,6 @@
 //! The virtual machine: what is hidden does what its equation says, and is drawn as the process states.
 
-use std::{fs, path::Path, process::Command};
+use std::{fs, path::Path};
 
 use ndarray::Array2;
 use planish_simulate::{
@@ -285,7 +285,7 @@ fn program(threads: &str, dir: &Path, more: &[&str]) -> std::process::Output {
     let errors = [error("rate_scale", 2.0, "%", "normal"), error("map_noise", 0.1, "nm", "normal")];
     let file = json!({ "name": "test", "errors": errors });
     fs::write(dir.join("error_budget.json"), file.to_string()).unwrap();
-    Command::new(env!("CARGO_BIN_EXE_planish-simulate"))
+    planish_testkit::program::stage("planish-simulate")
         .current_dir(dir)
         .env("RAYON_NUM_THREADS", threads)
         .args(["--trajectory", "trajectory", "--tif", "tif", "--surface", "surface"])

@@ -1,10 +1,6 @@
 //! The binary from end to end.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Output};
 
 use ndarray::{Array1, Array2, ArrayD};
 use planish_handoff::{
@@ -26,7 +22,7 @@ fn write_surface(dir: &Path) {
 }
 
 fn run(dir: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-surface"))
+    planish_testkit::program::stage("planish-surface")
         .current_dir(dir)
         .arg("prepare")
         .args(arguments)
@@ -140,7 +136,7 @@ fn bad_input_ends_with_2_a_message_and_no_output() {
 
 /// Runs any subcommand.
 fn surface_command(dir: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-surface"))
+    planish_testkit::program::stage("planish-surface")
         .current_dir(dir)
         .args(arguments)
         .output()
@@ -424,7 +420,7 @@ fn strips_flat_maps_and_hostile_names_are_drawn() {
 }
 
 fn spec(dir: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-surface"))
+    planish_testkit::program::stage("planish-surface")
         .current_dir(dir)
         .arg("spec")
         .args(arguments)

@@ -1,10 +1,6 @@
 //! Forms of parts through the program: subtraction, incidence, and footprints against a sum in three dimensions.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Output};
 
 use ndarray::Array2;
 use planish_handoff::{
@@ -21,7 +17,7 @@ const RADIUS_MM: f64 = 36.0;
 const SIGMA_MM: [f64; 2] = [1.6, 1.1];
 
 fn run(dir: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_planish-surface"));
+    let mut command = planish_testkit::program::stage("planish-surface");
     command.current_dir(dir).args(arguments).output().unwrap()
 }
 

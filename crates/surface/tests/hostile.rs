@@ -2,13 +2,7 @@
 //! an exit code of the table and at most one message, never with an internal error. It must write nothing
 //! that is not a number.
 
-use std::{
-    collections::BTreeSet,
-    fs,
-    path::Path,
-    process::{Command, Output},
-    time::Duration,
-};
+use std::{collections::BTreeSet, fs, path::Path, process::Output, time::Duration};
 
 use ndarray::{Array1, Array2, ArrayD};
 use planish_testkit::program::{run_within, save};
@@ -64,7 +58,7 @@ fn tool() -> Array2<f64> {
 
 /// Runs to its end, or to [`LIMIT`].
 fn run(dir: &Path, arguments: &[String]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_planish-surface"));
+    let mut command = planish_testkit::program::stage("planish-surface");
     run_within(command.current_dir(dir).args(arguments), LIMIT)
 }
 

@@ -1,10 +1,6 @@
 //! `planish-surface line` from a file to its artifacts, and what it refuses.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Output};
 
 use ndarray::Array2;
 use planish_handoff::artifact;
@@ -12,7 +8,7 @@ use planish_testkit::program::{text, write};
 use planish_types::{Axis, Grid, Surface, Tif};
 
 fn run(dir: &Path, arguments: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-surface"))
+    planish_testkit::program::stage("planish-surface")
         .current_dir(dir)
         .arg("line")
         .args(arguments.split_whitespace())

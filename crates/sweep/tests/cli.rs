@@ -4,12 +4,12 @@ use std::{
     collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
-    process::{Command, Output},
+    process::Output,
     time::Duration,
 };
 
 use planish_testkit::{
-    program::{binaries, run_within, text},
+    program::{run_within, text},
     workspace,
 };
 use serde_json::Value;
@@ -35,7 +35,7 @@ plans:
 ";
 
 fn planish(arguments: &[&str]) -> Output {
-    run_within(Command::new(binaries().join("planish-sweep")).args(arguments), LIMIT)
+    run_within(planish_testkit::program::stage("planish-sweep").args(arguments), LIMIT)
 }
 
 #[track_caller]
@@ -235,7 +235,7 @@ fn a_specification_is_a_constraint_and_its_limits_are_columns() {
         }
         ended(0, &["table", &out]);
         let table = format!("{out}/table.json");
-        let mut compare = Command::new(binaries().join("planish-compare"));
+        let mut compare = planish_testkit::program::stage("planish-compare");
         let report = format!("{out}/report");
         compare.args(["sweep", &table, "--out", &report, "--force"]);
         let said = run_within(&mut compare, LIMIT);

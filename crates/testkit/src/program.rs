@@ -13,8 +13,6 @@ use std::{
 use ndarray::{Array, Dimension};
 use planish_handoff::{Artifact, npy::ArrayData};
 
-use crate::workspace;
-
 /// Returns the program `planish` of the profile of this test. Cargo builds it for the tests of `crates/planish`, which
 /// are those that run programs.
 pub fn planish() -> &'static Path {

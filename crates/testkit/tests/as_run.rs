@@ -7,7 +7,7 @@ use planish_handoff::artifact;
 use planish_schedule::pvt::{self, Mode};
 use planish_testkit::{
     case_generator, ion_beam, mirror,
-    program::{binaries, text, write},
+    program::{text, write},
 };
 use planish_types::{Axis, DwellTime, Grid, Removal, Surface, Tif, ToolPath, Trajectory};
 use rand::RngExt;
@@ -16,7 +16,7 @@ use rand::RngExt;
 /// here.
 fn run(dir: &Path, command: &str) -> String {
     let mut words = command.split_whitespace();
-    let program = binaries().join(format!("planish-{}", words.next().unwrap()));
+    let program = format!("planish-{}", words.next().unwrap());
     let output = Command::new(program).args(words).current_dir(dir).output().unwrap();
     let code = output.status.code();
     assert!(matches!(code, Some(0 | 1)), "planish-{command}: {}", text(&output.stderr));

@@ -3,16 +3,13 @@
 
 use std::{fs, path::Path, process::Command};
 
-use planish_testkit::{
-    program::{binaries, text},
-    workspace,
-};
+use planish_testkit::{program::text, workspace};
 use serde_json::Value;
 
 /// Runs `planish-<command>` in `dir`; no argument contains a space. A negative verdict is a result.
 fn run(dir: &Path, command: &str) {
     let mut words = command.split_whitespace();
-    let program = binaries().join(format!("planish-{}", words.next().unwrap()));
+    let program = format!("planish-{}", words.next().unwrap());
     let output = Command::new(program).args(words).current_dir(dir).output().unwrap();
     let code = output.status.code();
     assert!(matches!(code, Some(0 | 1)), "planish-{command}: {}", text(&output.stderr));

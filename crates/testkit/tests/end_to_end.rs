@@ -4,12 +4,12 @@ use std::{
     collections::{BTreeMap, BTreeSet},
     fs,
     path::{Path, PathBuf},
-    process::{Command, Output},
+    process::Output,
 };
 
 use ndarray::{ArrayD, array};
 use planish_handoff::npy::ArrayData;
-use planish_testkit::{program::binaries, workspace};
+use planish_testkit::workspace;
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -45,7 +45,7 @@ impl Line {
     /// Runs `planish-<command>`; no argument contains a space.
     fn run(&self, command: &str) -> Output {
         let mut words = command.split_whitespace();
-        Command::new(binaries().join(format!("planish-{}", words.next().unwrap())))
+        planish_testkit::program::stage(&format!("planish-{}", words.next().unwrap()))
             .args(words)
             .current_dir(self.dir.path())
             .env("RAYON_NUM_THREADS", self.threads.to_string())

@@ -4,10 +4,9 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     fs,
-    process::Command,
 };
 
-use planish_testkit::{program::binaries, workspace};
+use planish_testkit::workspace;
 use serde_json::Value;
 
 /// Heading of the table of shared flags in the glossary.
@@ -33,7 +32,7 @@ fn programs() -> BTreeSet<String> {
 fn flags() -> Vec<Flag> {
     let mut flags = Vec::new();
     for program in programs() {
-        let output = Command::new(binaries().join(&program)).arg("--describe").output().unwrap();
+        let output = planish_testkit::program::stage(&program).arg("--describe").output().unwrap();
         let described: Value = serde_json::from_slice(&output.stdout).unwrap();
         for command in described["commands"].as_array().unwrap() {
             let place = format!("{program} {}", command["name"].as_str().unwrap());

@@ -8,7 +8,7 @@ use std::{
 };
 
 use planish_handoff::artifact;
-use planish_testkit::program::{binaries, text, write};
+use planish_testkit::program::{text, write};
 use planish_types::{DwellTime, ToolPath, Trajectory};
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -16,7 +16,7 @@ use tempfile::TempDir;
 /// Runs `planish-<command>` in `dir`; no argument contains a space.
 fn run(dir: &Path, command: &str) -> Output {
     let mut words = command.split_whitespace();
-    let program = binaries().join(format!("planish-{}", words.next().unwrap()));
+    let program = format!("planish-{}", words.next().unwrap());
     Command::new(program).args(words).current_dir(dir).output().unwrap()
 }
 

@@ -1,5 +1,5 @@
 //! The published run of the reference mirror, reconciled with the published plan, where `PLANISH_REFERENCE` names its
-//! folder. `cargo test -p planish-testkit --test reconcile -- --nocapture` prints the numbers of docs/campaign.md.
+//! folder. `cargo test -p planish-testkit --test all reconcile:: -- --nocapture` prints the numbers of docs/campaign.md.
 
 use planish_reconcile::{Comparison, Reconciled, Settings, reconcile};
 use planish_schedule::pvt;

@@ -2,11 +2,7 @@
 
 mod example;
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Output};
 
 use example::{desired, raster, tif};
 use planish_handoff::{
@@ -27,7 +23,7 @@ fn prepare(dir: &Path) {
 
 fn run_on(threads: &str, dir: &Path, process: &Value, more: &[&str]) -> Output {
     fs::write(dir.join("error_budget.json"), process.to_string()).unwrap();
-    Command::new(env!("CARGO_BIN_EXE_planish-tolerance"))
+    planish_testkit::program::stage("planish-tolerance")
         .current_dir(dir)
         .env("RAYON_NUM_THREADS", threads)
         .args(["--trajectory", "trajectory", "--tif", "tif", "--surface", "surface"])

@@ -7,7 +7,7 @@ use planish_testkit::{
     workspace,
 };
 
-const BINARY: &str = env!("CARGO_BIN_EXE_planish-tolerance");
+const BINARY: &str = "planish-tolerance";
 
 /// Ten lines at a constant velocity, without their turns, each for `line_s`; bare arrays.
 fn lines(dir: &Path, name: &str, line_s: f64, scale: f64) {

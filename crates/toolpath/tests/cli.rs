@@ -1,11 +1,7 @@
 //! The binary from end to end, and the reference mirror where `PLANISH_REFERENCE` names the
 //! folder that holds it.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Output};
 
 use ndarray::{Array1, Array2};
 use planish_handoff::{
@@ -40,7 +36,7 @@ fn run(dir: &Path, arguments: &[&str]) -> Output {
 }
 
 fn call(dir: &Path, method: &str, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-toolpath"))
+    planish_testkit::program::stage("planish-toolpath")
         .current_dir(dir)
         .arg(method)
         .args(arguments)

@@ -2,7 +2,7 @@
 
 use planish_testkit::hostile::{COUNTS, FLOATS, every_value, inputs, survives};
 
-const BINARY: &str = env!("CARGO_BIN_EXE_planish-toolpath");
+const BINARY: &str = "planish-toolpath";
 const OUT: &str = "--out=out";
 
 /// A method, its numeric flags and its counts, and what it needs beside the flag under test.

@@ -1,10 +1,6 @@
 //! The multi-pitch raster: what is promised of it, over shapes, depths and settings.
 
-use std::{
-    collections::BTreeMap,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{collections::BTreeMap, path::Path, process::Output};
 
 use ndarray::{Array1, Array2};
 use planish_handoff::artifact;
@@ -427,7 +423,7 @@ fn write_inputs(dir: &Path) {
 
 fn call(dir: &Path, flags: &[&str]) -> Output {
     let common = ["multi-pitch", "--surface", "surface", "--tif", "tif", "--step-mm", "1"];
-    Command::new(env!("CARGO_BIN_EXE_planish-toolpath"))
+    planish_testkit::program::stage("planish-toolpath")
         .current_dir(dir)
         .args(common)
         .args(flags)

@@ -1,6 +1,6 @@
 //! The random-adaptive path: what is promised of it, over shapes, pitches and seeds.
 
-use std::{path::Path, process::Command};
+use std::path::Path;
 
 use ndarray::{Array1, Array2};
 use planish_handoff::artifact;
@@ -349,7 +349,7 @@ fn run(dir: &Path, arguments: &[&str]) -> (Option<i32>, String) {
     save(&surface, "height_nm", Array2::from_elem((21, 41), 1.0));
     save(&surface, "x_mm", axis(41));
     save(&surface, "y_mm", axis(21));
-    let output = Command::new(env!("CARGO_BIN_EXE_planish-toolpath"))
+    let output = planish_testkit::program::stage("planish-toolpath")
         .current_dir(dir)
         .args(["random-adaptive", "--surface", "surface", "--out", "out"])
         .args(arguments)

@@ -1,17 +1,13 @@
 //! The binary from its flags to its files and exit codes.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Output};
 
 use planish_testkit::program::text;
 use planish_types::Trajectory;
 use serde_json::{Value, json};
 
 fn verify(dir: &Path, more: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_planish-verify"))
+    planish_testkit::program::stage("planish-verify")
         .current_dir(dir)
         .args(["--trajectory", "trajectory", "--machine", "machine.json", "--out", "verdict"])
         .args(more)

@@ -1,0 +1,12 @@
+//! The integration tests of this library, as one program. `crates/planish/tests` has those that run programs.
+
+#[path = "hostile.rs"]
+mod hostile;
+#[path = "oracles.rs"]
+mod oracles;
+#[path = "random_problems.rs"]
+mod random_problems;
+#[path = "reference.rs"]
+mod reference;
+#[path = "solvers.rs"]
+mod solvers;

@@ -1,0 +1,69 @@
+//! The tests that run programs, of every stage, as one test program. The files stand beside the library of their stage.
+
+#[path = "../../axes/tests/cli.rs"]
+mod axes_cli;
+#[path = "../../bspline-feed/tests/cli.rs"]
+mod bspline_feed_cli;
+#[path = "../../campaign/tests/cli.rs"]
+mod campaign_cli;
+mod commands;
+#[path = "../../compare/tests/chain.rs"]
+mod compare_chain;
+#[path = "../../compare/tests/cli.rs"]
+mod compare_cli;
+#[path = "../../dwell/tests/cli.rs"]
+mod dwell_cli;
+#[path = "../../dwell/tests/cli_solvers.rs"]
+mod dwell_cli_solvers;
+#[path = "../../export/tests/cli.rs"]
+mod export_cli;
+#[path = "../../fixture/tests/cli.rs"]
+mod fixture_cli;
+#[path = "../../import/tests/cases.rs"]
+mod import_cases;
+#[path = "../../import/tests/cli.rs"]
+mod import_cli;
+#[path = "../../import/tests/hostile.rs"]
+mod import_hostile;
+#[path = "../../joint/tests/cli.rs"]
+mod joint_cli;
+#[path = "../../reconcile/tests/cli.rs"]
+mod reconcile_cli;
+#[path = "../../refine/tests/hostile.rs"]
+mod refine_hostile;
+#[path = "../../register/tests/cli.rs"]
+mod register_cli;
+#[path = "../../run/tests/cli.rs"]
+mod run_cli;
+#[path = "../../schedule/tests/cli.rs"]
+mod schedule_cli;
+#[path = "../../schedule/tests/hostile.rs"]
+mod schedule_hostile;
+#[path = "../../simulate/tests/cli.rs"]
+mod simulate_cli;
+#[path = "../../simulate/tests/virtual_machine.rs"]
+mod simulate_virtual_machine;
+#[path = "../../surface/tests/cli.rs"]
+mod surface_cli;
+#[path = "../../surface/tests/forms.rs"]
+mod surface_forms;
+#[path = "../../surface/tests/hostile.rs"]
+mod surface_hostile;
+#[path = "../../surface/tests/line.rs"]
+mod surface_line;
+#[path = "../../sweep/tests/cli.rs"]
+mod sweep_cli;
+#[path = "../../testkit/tests/end_to_end.rs"]
+mod testkit_end_to_end;
+#[path = "../../testkit/tests/flags.rs"]
+mod testkit_flags;
+#[path = "../../tolerance/tests/cli.rs"]
+mod tolerance_cli;
+#[path = "../../toolpath/tests/cli.rs"]
+mod toolpath_cli;
+#[path = "../../toolpath/tests/multi_pitch.rs"]
+mod toolpath_multi_pitch;
+#[path = "../../toolpath/tests/random_adaptive.rs"]
+mod toolpath_random_adaptive;
+#[path = "../../verify/tests/cli.rs"]
+mod verify_cli;

@@ -1,0 +1,6 @@
+//! The integration tests of this library, as one program. `crates/planish/tests` has those that run programs.
+
+#[path = "reference.rs"]
+mod reference;
+#[path = "specification.rs"]
+mod specification;
