@@ -4,6 +4,8 @@
 mod axes_cli;
 #[path = "../../bspline-feed/tests/cli.rs"]
 mod bspline_feed_cli;
+#[path = "../../bspline-feed/tests/hostile.rs"]
+mod bspline_feed_hostile;
 #[path = "../../campaign/tests/cli.rs"]
 mod campaign_cli;
 mod commands;
@@ -15,6 +17,8 @@ mod compare_cli;
 mod dwell_cli;
 #[path = "../../dwell/tests/cli_solvers.rs"]
 mod dwell_cli_solvers;
+#[path = "../../dwell/tests/hostile.rs"]
+mod dwell_hostile;
 #[path = "../../export/tests/cli.rs"]
 mod export_cli;
 #[path = "../../fixture/tests/cli.rs"]
@@ -41,6 +45,8 @@ mod schedule_cli;
 mod schedule_hostile;
 #[path = "../../simulate/tests/cli.rs"]
 mod simulate_cli;
+#[path = "../../simulate/tests/hostile.rs"]
+mod simulate_hostile;
 #[path = "../../simulate/tests/virtual_machine.rs"]
 mod simulate_virtual_machine;
 #[path = "../../surface/tests/cli.rs"]
@@ -53,14 +59,24 @@ mod surface_hostile;
 mod surface_line;
 #[path = "../../sweep/tests/cli.rs"]
 mod sweep_cli;
+#[path = "../../testkit/tests/as_run.rs"]
+mod testkit_as_run;
+#[path = "../../testkit/tests/campaign.rs"]
+mod testkit_campaign;
 #[path = "../../testkit/tests/end_to_end.rs"]
 mod testkit_end_to_end;
 #[path = "../../testkit/tests/flags.rs"]
 mod testkit_flags;
+#[path = "../../testkit/tests/machine.rs"]
+mod testkit_machine;
 #[path = "../../tolerance/tests/cli.rs"]
 mod tolerance_cli;
+#[path = "../../tolerance/tests/hostile.rs"]
+mod tolerance_hostile;
 #[path = "../../toolpath/tests/cli.rs"]
 mod toolpath_cli;
+#[path = "../../toolpath/tests/hostile.rs"]
+mod toolpath_hostile;
 #[path = "../../toolpath/tests/multi_pitch.rs"]
 mod toolpath_multi_pitch;
 #[path = "../../toolpath/tests/random_adaptive.rs"]

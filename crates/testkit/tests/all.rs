@@ -4,20 +4,14 @@
 mod additions;
 #[path = "architecture.rs"]
 mod architecture;
-#[path = "as_run.rs"]
-mod as_run;
 #[path = "axes_programs.rs"]
 mod axes_programs;
 #[path = "bspline_feed.rs"]
 mod bspline_feed;
-#[path = "campaign.rs"]
-mod campaign;
 #[path = "conventions.rs"]
 mod conventions;
 #[path = "equivariance.rs"]
 mod equivariance;
-#[path = "machine.rs"]
-mod machine;
 #[path = "papers.rs"]
 mod papers;
 #[path = "programs.rs"]

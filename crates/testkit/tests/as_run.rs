@@ -1,6 +1,6 @@
 //! A plan, the log of its run, and the residual as run beside the residual as planned: through the programs.
 
-use std::{fmt::Write, fs, path::Path, process::Command};
+use std::{fmt::Write, fs, path::Path};
 
 use ndarray::Array2;
 use planish_handoff::artifact;
@@ -17,7 +17,8 @@ use rand::RngExt;
 fn run(dir: &Path, command: &str) -> String {
     let mut words = command.split_whitespace();
     let program = format!("planish-{}", words.next().unwrap());
-    let output = Command::new(program).args(words).current_dir(dir).output().unwrap();
+    let output =
+        planish_testkit::program::stage(&program).args(words).current_dir(dir).output().unwrap();
     let code = output.status.code();
     assert!(matches!(code, Some(0 | 1)), "planish-{command}: {}", text(&output.stderr));
     text(&output.stdout)

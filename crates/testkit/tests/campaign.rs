@@ -1,7 +1,7 @@
 //! A campaign of two runs on the fixture coupon, through the programs, as `just campaign` runs them, with
 //! plans of few lines: parameters that are learnt from the first run improve the second.
 
-use std::{fs, path::Path, process::Command};
+use std::{fs, path::Path};
 
 use planish_testkit::{program::text, workspace};
 use serde_json::Value;
@@ -10,7 +10,8 @@ use serde_json::Value;
 fn run(dir: &Path, command: &str) {
     let mut words = command.split_whitespace();
     let program = format!("planish-{}", words.next().unwrap());
-    let output = Command::new(program).args(words).current_dir(dir).output().unwrap();
+    let output =
+        planish_testkit::program::stage(&program).args(words).current_dir(dir).output().unwrap();
     let code = output.status.code();
     assert!(matches!(code, Some(0 | 1)), "planish-{command}: {}", text(&output.stderr));
 }

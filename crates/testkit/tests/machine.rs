@@ -1,11 +1,7 @@
 //! A plan on machines whose axes are turned, exchanged, turned over and displaced: through the programs, from the path
 //! to the program of a controller and back.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Output};
 
 use planish_handoff::artifact;
 use planish_testkit::program::{text, write};
@@ -17,7 +13,7 @@ use tempfile::TempDir;
 fn run(dir: &Path, command: &str) -> Output {
     let mut words = command.split_whitespace();
     let program = format!("planish-{}", words.next().unwrap());
-    Command::new(program).args(words).current_dir(dir).output().unwrap()
+    planish_testkit::program::stage(&program).args(words).current_dir(dir).output().unwrap()
 }
 
 /// Runs, expects the exit code, and returns what it says to the user.

@@ -1,4 +1,0 @@
-//! The integration tests of this library, as one program. `crates/planish/tests` has those that run programs.
-
-#[path = "hostile.rs"]
-mod hostile;
