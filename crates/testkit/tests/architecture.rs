@@ -564,6 +564,35 @@ fn every_source_file_belongs_to_the_library_or_the_binary() {
 }
 
 #[test]
+fn every_test_file_is_a_module_of_a_test_program() {
+    let programs: String = packages()
+        .keys()
+        .filter_map(|folder| {
+            let text = fs::read_to_string(directory_of(folder).join("tests/all.rs")).ok()?;
+            Some(
+                text.replace("#[path = \"../../", "#[path = \"")
+                    .replace("#[path = \"", &format!("#[path = \"{folder}/")),
+            )
+        })
+        .collect();
+    let mut lost = Vec::new();
+    for folder in packages().keys() {
+        for entry in fs::read_dir(directory_of(folder).join("tests")).into_iter().flatten() {
+            let name = entry.unwrap().file_name().into_string().unwrap();
+            let own = format!("\"{folder}/{name}\"");
+            let by_processes = format!("\"planish/{folder}/tests/{name}\"");
+            let is_module = programs.contains(&own) || programs.contains(&by_processes);
+            let stands_alone = folder == "planish"
+                || ["all.rs", "pipelines.rs", "commands_as_printed.rs"].contains(&name.as_str());
+            if name.ends_with(".rs") && !is_module && !stands_alone {
+                lost.push(format!("crates/{folder}/tests/{name}: name it in a tests/all.rs"));
+            }
+        }
+    }
+    no_complaints(&lost);
+}
+
+#[test]
 fn the_one_program_has_every_stage() {
     let text = fs::read_to_string(directory_of("planish").join("src/main.rs")).unwrap();
     assert!(text.contains("static ALLOCATOR: Allocator"), "no memory budget");
