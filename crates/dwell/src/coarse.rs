@@ -20,7 +20,10 @@
 //! | G | `kernel` | coarse nodes of one square | nm/s |
 
 use ndarray::{Array2, ArrayView2};
-use planish_numerics::{fft::convolution::Convolution, vectors::Lanes};
+use planish_numerics::{
+    fft::{convolution::Convolution, plan::Planned},
+    vectors::Lanes,
+};
 use planish_types::{Grid, Invalid, Surface, Tif};
 use rayon::prelude::*;
 
@@ -68,7 +71,7 @@ pub(crate) fn automatic_size(tif: &Tif, desired: &Surface) -> usize {
 }
 
 /// (1) and (2); what is summed is summed in the precision of `T`.
-pub(crate) struct CoarseMap<T: Lanes> {
+pub(crate) struct CoarseMap<T: Lanes + Planned> {
     size: usize,
     /// Tool positions, all of them.
     nodes: Grid,
@@ -79,7 +82,7 @@ pub(crate) struct CoarseMap<T: Lanes> {
     convolution: Convolution<T>,
 }
 
-impl<T: Lanes> CoarseMap<T> {
+impl<T: Lanes + Planned> CoarseMap<T> {
     /// The lattice for maps on `grid` in squares of `size` x `size` pixels.
     pub fn new(tif: &Tif, grid: &Grid, size: usize) -> Result<Self, Invalid> {
         let (samples, nodes) = lattice(tif, grid)?;

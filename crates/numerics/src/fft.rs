@@ -3,6 +3,7 @@
 //! | module | subject |
 //! |---|---|
 //! | [`transform`] | a map of any size, for its spectrum |
+//! | [`plan`] | transforms of a map, planned for both precisions |
 //! | [`convolution`] | one real map at a time, convolved with one kernel |
 //! | [`tiles`] | one real map at a time, convolved with one kernel, tile by tile |
 //! | [`lane_convolution`] | two strips of a tile, as the real and imaginary parts of one field |
@@ -18,6 +19,7 @@ pub mod lane_convolution;
 pub mod lanes;
 pub mod line;
 pub mod line_convolution;
+pub mod plan;
 pub mod tiles;
 pub mod transform;
 

@@ -29,10 +29,15 @@ use std::sync::{Arc, OnceLock};
 
 use ndarray::{Array2, ArrayView2, s};
 use rayon::prelude::*;
-use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
-use rustfft::{Fft, FftPlanner};
+use realfft::{ComplexToReal, RealToComplex};
+use rustfft::Fft;
 
-use super::{Complex, smooth_size, tiles::Tiles};
+use super::{
+    Complex,
+    plan::{Planned, Plans},
+    smooth_size,
+    tiles::Tiles,
+};
 use crate::vectors::Lanes;
 
 /// Number of columns that a thread transforms at a time: four cache lines of every row. Larger: the
@@ -41,7 +46,7 @@ use crate::vectors::Lanes;
 const LINES: usize = 16;
 
 /// Convolution with one kernel for sources of one shape.
-pub struct Convolution<T: Lanes = f64> {
+pub struct Convolution<T: Lanes + Planned = f64> {
     source: (usize, usize),
     kernel: Array2<f64>,
     size: (usize, usize),
@@ -56,7 +61,7 @@ pub struct Convolution<T: Lanes = f64> {
     tiles: [OnceLock<Option<Tiles<T>>>; 2],
 }
 
-impl<T: Lanes> Convolution<T> {
+impl<T: Lanes + Planned> Convolution<T> {
     /// Plans transforms for sources of shape `source`, at least as large as the kernel on both
     /// axes.
     pub fn new(kernel: ArrayView2<f64>, source: (usize, usize)) -> Self {
@@ -66,16 +71,15 @@ impl<T: Lanes> Convolution<T> {
             "kernel exceeds the source"
         );
         let size = (smooth_size(source.0), smooth_size(source.1));
-        let mut real = RealFftPlanner::new();
-        let mut complex = FftPlanner::new();
+        let Plans { forward_x, inverse_x, forward_y, inverse_y } = T::plans(size);
         Self {
             source,
             kernel: kernel.to_owned(),
             size,
-            forward_x: real.plan_fft_forward(size.1),
-            inverse_x: real.plan_fft_inverse(size.1),
-            forward_y: complex.plan_fft_forward(size.0),
-            inverse_y: complex.plan_fft_inverse(size.0),
+            forward_x,
+            inverse_x,
+            forward_y,
+            inverse_y,
             spectrum: OnceLock::new(),
             tiles: Default::default(),
         }
