@@ -27,8 +27,8 @@ exec "${file%/*}/ALL" NAME "$@"
 
 
 def names():
-    """Names of all programs: those of the crates with a `main.rs`."""
-    manifests = [main.parents[1] / "Cargo.toml" for main in sorted(ROOT.glob("crates/*/src/main.rs"))]
+    """Names of all programs: those of the crates with a `command.rs`."""
+    manifests = [main.parents[1] / "Cargo.toml" for main in sorted(ROOT.glob("crates/*/src/command.rs"))]
     return [re.search(r'^name = "(.*)"', manifest.read_text("utf-8"), re.MULTILINE)[1] for manifest in manifests]
 
 

@@ -33,7 +33,7 @@ def main():
     print("```sh\nplanish-verify --help\n```\n")
     print("Every program also takes `--help`, `--version`, `--completions`, `--man` and `--describe`.")
     crates = pathlib.Path(__file__).resolve().parents[2] / "crates"
-    names = sorted(f"planish-{main.parents[1].name}" for main in crates.glob("*/src/main.rs"))
+    names = sorted(f"planish-{main.parents[1].name}" for main in crates.glob("*/src/command.rs"))
     programs = [pathlib.Path(sys.argv[1]) / name for name in names]
     for program in programs:
         described = subprocess.run([program, "--describe"], check=True, capture_output=True, text=True)

@@ -24,7 +24,7 @@ struct Flag {
 /// The programs of the workspace.
 fn programs() -> BTreeSet<String> {
     let crates = fs::read_dir(workspace().join("crates")).unwrap().map(|e| e.unwrap().path());
-    let programs = crates.filter(|path| path.join("src/main.rs").exists());
+    let programs = crates.filter(|path| path.join("src/command.rs").exists());
     programs.map(|p| format!("planish-{}", p.file_name().unwrap().to_str().unwrap())).collect()
 }
 
