@@ -239,6 +239,11 @@ test-faults kills="1000" races="200": build
     @which strace > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends strace)
     python3 crates/testkit/tests/faults.py target/release --kills {{ kills }} --races {{ races }}
 
+# Kill whole pipelines after every command and run them again: the same bytes? just test-killed --only raster,maze
+[group('4 slower tests')]
+test-killed *flags: build
+    python3 crates/testkit/tests/killed.py target/release {{ flags }}
+
 # Run G-code through the interpreter of LinuxCNC, where `rs274` is installed
 [group('4 slower tests')]
 test-gcode: build
@@ -328,6 +333,7 @@ ci: test checks
 ci-long:
     cargo test --locked --workspace # the dev profile, which finds overflows
     just test-faults 1000 200
+    just test-killed
     just test-sweep
     just test-slurm
     just test-wheel

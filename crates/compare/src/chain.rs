@@ -81,7 +81,7 @@ pub struct MethodRecords {
 pub enum Standing {
     /// It takes part.
     Valid,
-    /// It is a plan for something else than this run has now.
+    /// It is a plan for something else than this run has now, or a run was ended before all of it was made.
     OutOfDate,
     /// Its verdict or its removal is of something else.
     NotValid,

@@ -64,13 +64,50 @@ fn read_methods(
             continue;
         }
         let role = format!("{number}/{scheduler}");
-        read.push(read_method(inputs, &role, &scheduler, dir, after_servo)?);
+        let (found, stale) = match lacking(&dir, after_servo) {
+            Some(problem) => (None, vec![problem]),
+            None => {
+                let (found, stale) = read_method(inputs, &role, &scheduler, dir, after_servo)?;
+                (Some(found), stale)
+            }
+        };
+        match found.filter(|_| stale.is_empty()) {
+            Some(found) => read.push(found),
+            None => refused.push(LeftOut {
+                name: scheduler,
+                standing: Standing::OutOfDate,
+                reasons: stale,
+            }),
+        }
     }
     if read.is_empty() {
+        let left: Vec<String> =
+            refused.iter().map(|m| format!("{}: {}", m.name, m.reasons.join("; "))).collect();
+        let left = if left.is_empty() { left.concat() } else { format!(" ({})", left.join("; ")) };
         let message = "holds no method; schedule, simulate and verify at least one";
-        return Err(Failure::new(format!("{}: {message}", methods_dir.display())));
+        return Err(Failure::new(format!("{}: {message}{left}", methods_dir.display())));
     }
     Ok((read, refused))
+}
+
+/// Says which artifacts of the method in `dir` are not there, because a run was ended before it made them. `None` if
+/// all are.
+fn lacking(dir: &Path, after_servo: bool) -> Option<String> {
+    let mut needed = vec!["trajectory", "removal", "verdict"];
+    if after_servo {
+        needed.push(AFTER_SERVO);
+    }
+    let mut places: Vec<PathBuf> = needed.iter().map(PathBuf::from).collect();
+    if dir.join(ON_AXES).exists() {
+        places.extend(["axes", "trajectory", "removal", "verdict"].map(|part| Path::new(ON_AXES).join(part)));
+    }
+    let lacking: Vec<String> = places
+        .iter()
+        .filter(|place| !dir.join(place).exists())
+        .map(|place| place.display().to_string())
+        .collect();
+    (!lacking.is_empty())
+        .then(|| format!("it has no {}; run the stages again that make it", lacking.join(" and no ")))
 }
 
 /// File that a stage leaves in the place of what it refused to make.
@@ -360,14 +397,15 @@ struct Found {
     provenance: Provenance,
 }
 
-/// Reads the results of the method `name` in `dir`.
+/// Reads the results of the method `name` in `dir`, and the reasons for which they do not belong together.
 fn read_method(
     inputs: &mut Inputs,
     role: &str,
     name: &str,
     dir: PathBuf,
     after_servo: bool,
-) -> Result<Found, Failure> {
+) -> Result<(Found, Vec<String>), Failure> {
+    let mut stale = Vec::new();
     let mut provenance = Provenance::default();
     let trajectory: Known<Trajectory> =
         read_artifact(inputs, role, &dir, "trajectory", &mut provenance)?;
@@ -383,10 +421,10 @@ fn read_method(
     let rounds: Option<Known<RoundsFile>> =
         read_optional_artifact(inputs, role, &dir, "iterations", &mut provenance)?;
     let after_servo_rms_nm = match after_servo {
-        true => read_after_servo(inputs, role, &dir, &removal.recorded)?,
+        true => read_after_servo(inputs, role, &dir, &removal.recorded, &mut stale)?,
         false => None,
     };
-    let on_axes = read_on_axes(inputs, role, &dir, &trajectory.recorded)?;
+    let on_axes = read_on_axes(inputs, role, &dir, &trajectory.recorded, &mut stale)?;
     let mut wall = |name: &str| -> Result<Option<f64>, Failure> {
         let path = dir.join(format!("{name}-wall.json"));
         if !path.exists() {
@@ -408,7 +446,7 @@ fn read_method(
         frames: frames.as_ref().map(|f| f.recorded.clone()),
         iterations: rounds.as_ref().map(|r| r.recorded.clone()),
     };
-    Ok(Found {
+    let found = Found {
         name: name.into(),
         dir,
         trajectory: trajectory.value,
@@ -422,16 +460,18 @@ fn read_method(
         wall,
         records,
         provenance,
-    })
+    };
+    Ok((found, stale))
 }
 
-/// RMS that the motion in `dir` leaves after the servo of the process, nm; `None` where the process has no servo. Refuses a
-/// prediction of another motion, mirror or tool than that of the `removal` without a servo.
+/// RMS that the motion in `dir` leaves after the servo of the process, nm; `None` where the process has no servo. A
+/// prediction of another motion, mirror or tool than that of the `removal` without a servo is `stale`.
 fn read_after_servo(
     inputs: &mut Inputs,
     role: &str,
     dir: &Path,
     removal: &Recorded,
+    stale: &mut Vec<String>,
 ) -> Result<Option<f64>, Failure> {
     let place = dir.join(AFTER_SERVO);
     let role_of_file = format!("{role}/{AFTER_SERVO}");
@@ -445,10 +485,9 @@ fn read_after_servo(
     for role in ["trajectory", "surface", "tif"] {
         let of = removal.record.as_ref().and_then(|of| of.input(role));
         if of.is_some() && of != record.input(role) {
-            return Err(Failure::new(format!(
-                "{}: is of another {role} than removal; run planish-simulate --servo-of again",
-                place.display()
-            )));
+            stale.push(format!(
+                "{AFTER_SERVO} is of another {role} than removal; run planish-simulate --servo-of again"
+            ));
         }
     }
     match manifest.outcome["servos"].as_u64() {
@@ -470,13 +509,14 @@ struct FoundOnAxes {
     removal: Removal,
 }
 
-/// The motion of all axes in `dir`, with its verdict and what it leaves; `None` where there is none. Refuses one of another
-/// plan than the `trajectory`, and a verdict or a prediction of another motion.
+/// The motion of all axes in `dir`, with its verdict and what it leaves; `None` where there is none. One of another
+/// plan than the `trajectory` is `stale`, and so is a verdict or a prediction of another motion.
 fn read_on_axes(
     inputs: &mut Inputs,
     role: &str,
     dir: &Path,
     trajectory: &Recorded,
+    stale: &mut Vec<String>,
 ) -> Result<Option<FoundOnAxes>, Failure> {
     let place = dir.join(ON_AXES);
     if !place.exists() {
@@ -505,9 +545,10 @@ fn read_on_axes(
     ];
     for (name, record, from, digest) in parts {
         if record.and_then(|record| record.input(from)) != Some(digest) {
-            return Err(again(format!(
-                "{name} was made from another {from} than that which is there"
-            )));
+            stale.push(format!(
+                "{ON_AXES}/{name} was made from another {from} than that which is there; run planish-axes motion and \
+                 what follows again"
+            ));
         }
     }
     let outcome = manifest_of(&provenance, "axes").map_or(&Value::Null, |m| &m["outcome"]);

@@ -181,11 +181,15 @@ impl Export {
     pub fn run(&self) -> Result<Status, Failure> {
         let given = &self.common;
         let OutputFileArgs { out, force } = &given.output;
-        let about = PathBuf::from(format!("{}.json", out.display()));
+        let mut about = out.clone().into_os_string();
+        about.push(".json");
+        let about = PathBuf::from(about);
         let mut inputs = Inputs::new();
         let motion = given.read(&mut inputs)?;
         let program_file = given.output.begin(&inputs)?;
-        let about_file = OutputFile::begin("--out", &about, *force, &inputs)?;
+        // A run that was ended between its two files has left this one.
+        let is_alone = fs::symlink_metadata(out).is_err();
+        let about_file = OutputFile::begin("--out", &about, *force || is_alone, &inputs)?;
         refuse_foreign_about(&about)?;
         let settings = Settings {
             counts: Counts { mm: given.count_mm.clone(), deg: given.count_deg.clone() },
@@ -201,7 +205,7 @@ impl Export {
             warn(warning);
         }
         let about_text = format!("{}\n", serde_json::to_string_pretty(&made.about)?);
-        let files = [(program_file, made.text.as_bytes()), (about_file, about_text.as_bytes())];
+        let files = [(about_file, about_text.as_bytes()), (program_file, made.text.as_bytes())];
         OutputFile::write_together(files)?;
         let a = &made.about;
         let contact = a.contact_deviation_mm.map_or(String::new(), |mm| {

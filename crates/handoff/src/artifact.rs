@@ -17,8 +17,7 @@ use crate::{
     HandoffError,
     kind::{self, ArrayDef, Dtype, Kind, MANIFEST},
     npy::{self, ArrayData},
-    place::{is_absent, parent_of},
-    publish,
+    place::is_absent,
     system::directory_stamp,
 };
 
@@ -218,7 +217,6 @@ pub(crate) fn read_whole<T>(
     dir: &Path,
     read_once: impl Fn() -> Result<T, HandoffError>,
 ) -> Result<T, HandoffError> {
-    publish::finish_interrupted(&parent_of(dir));
     loop {
         // If another run replaces the directory meanwhile, the reader gets a mixture of the old and
         // the new one. The hashes reveal that, and the directory is read again.

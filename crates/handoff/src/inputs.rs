@@ -18,7 +18,6 @@ use crate::{
     nouns,
     npy::{self, ArrayData},
     place::parent_of,
-    publish,
     shell::warn,
 };
 
@@ -34,6 +33,8 @@ pub(crate) const LARGEST_JSON_BYTES: u64 = 1 << 24;
 #[derive(Debug)]
 pub struct Inputs {
     pub(crate) records: Vec<InputRecord>,
+    /// Paths of the records, as they were given: a name that is not UTF-8 has no text.
+    paths: Vec<PathBuf>,
     pub(crate) lineage: BTreeSet<Ancestor>,
     /// Start of the command. The wall time includes reading.
     pub(crate) started: Instant,
@@ -66,7 +67,12 @@ impl Default for Inputs {
 impl Inputs {
     /// Inputs of which none is read yet.
     pub fn new() -> Self {
-        Self { records: Vec::new(), lineage: BTreeSet::new(), started: Instant::now() }
+        Self {
+            records: Vec::new(),
+            paths: Vec::new(),
+            lineage: BTreeSet::new(),
+            started: Instant::now(),
+        }
     }
 
     /// Reads an input artifact given by the flag `--role`.
@@ -119,7 +125,6 @@ impl Inputs {
         dir: &Path,
         kind: &Kind,
     ) -> Result<Manifest, HandoffError> {
-        publish::finish_interrupted(&parent_of(dir));
         let (manifest, seal) = artifact::read_sealed_manifest(dir, kind)?.ok_or_else(|| {
             HandoffError::new(dir, format!("has no {MANIFEST}; give a {} directory", kind.name))
         })?;
@@ -230,6 +235,7 @@ impl Inputs {
     fn record(&mut self, role: &str, path: &Path, kind: &str, blake3: String) {
         let kind_or_role = if kind == "file" { role } else { kind };
         self.lineage.insert(Ancestor { kind: kind_or_role.into(), blake3: blake3.clone() });
+        self.paths.push(path.into());
         self.records.push(InputRecord {
             role: role.into(),
             path: path.display().to_string(),
@@ -304,9 +310,8 @@ impl Inputs {
 
     /// Refuses an output that is an input, contains one, or lies in one.
     pub(crate) fn refuse_overlap(&self, flag: &str, path: &Path) -> Result<(), HandoffError> {
-        for input in &self.records {
-            let at = Path::new(&input.path);
-            let how = match (is_within(path, at), is_within(at, path)) {
+        for (input, place) in self.records.iter().zip(&self.paths) {
+            let how = match (is_within(path, place), is_within(place, path)) {
                 (true, true) => "is",
                 (true, false) => "lies in",
                 (false, true) => "contains",

@@ -1,6 +1,6 @@
 //! Outputs of a command: directories with manifests, and single files.
 //!
-//! All outputs of one run appear together, whole, when the last of them has been written.
+//! All outputs of one run appear, whole, when the last of them has been written.
 
 use std::{
     fs::{self, File},
@@ -25,7 +25,7 @@ use crate::{
     kind::{Kind, MANIFEST},
     message::complain,
     npy::ArrayData,
-    place::{obstacle, parent_of, plain, refuse_foreign_files},
+    place::{obstacle, parent_of, plain, refuse_foreign_files, special_file},
     publish::{self, Staged},
     shell::{Failure, Status, say},
 };
@@ -176,9 +176,7 @@ impl Output {
     ) -> Result<Option<Status>, HandoffError> {
         let Directory { flag, path: dir, kind } = directory;
         inputs.refuse_overlap(flag, dir)?;
-        let parent = parent_of(dir);
-        publish::finish_interrupted(&parent);
-        publish::remove_abandoned(&parent);
+        publish::remove_abandoned(&parent_of(dir));
         if !output_exists(flag, dir)? {
             return Ok(None);
         }
@@ -286,7 +284,7 @@ fn key(task: &Task, inputs: &Inputs) -> String {
 }
 
 /// Writer of the outputs that an [`Output`] announced, each once. All of them appear when the last
-/// one is written.
+/// one is written, directories before files.
 #[derive(Debug)]
 pub struct Writer {
     /// Keys that all manifests of the run share.
@@ -382,6 +380,8 @@ impl Writer {
         if !(self.directories.is_empty() && self.files.is_empty()) {
             return Ok(()); // more is to come
         }
+        // A file says nothing of the run that made it. So it is the last: where it is, its artifact is the new one.
+        self.staged.sort_by_key(Staged::is_file);
         publish::publish(std::mem::take(&mut self.staged))?;
         // The bar is removed first, so that later messages are not mixed with it.
         self.progress.finish_and_clear();
@@ -554,6 +554,9 @@ fn check_file(flag: &str, path: &Path, force: bool, inputs: &Inputs) -> Result<(
         let problem = format!("cannot be made: {} is not a directory", above.display());
         return Err(HandoffError::new(path, format!("{problem}; choose another {flag}")));
     }
+    if let Some(problem) = special_file(path) {
+        return Err(HandoffError::new(path, format!("{problem}; choose another {flag}")));
+    }
     if fs::symlink_metadata(path).is_ok() && !force {
         let problem = format!("exists; give --force to replace it, or another {flag}");
         return Err(HandoffError::new(path, problem));
@@ -589,7 +592,8 @@ fn peak_memory_mb() -> Option<f64> {
 fn output_exists(flag: &str, dir: &Path) -> Result<bool, HandoffError> {
     let problem = match fs::metadata(dir) {
         Ok(m) if m.is_dir() => return Ok(true),
-        Ok(_) => "is a file".into(),
+        Ok(m) if m.is_file() => "is a file".into(),
+        Ok(_) => "is neither a file nor a directory".into(),
         Err(e) if e.kind() == ErrorKind::NotFound => {
             if fs::symlink_metadata(dir).is_ok() {
                 "is a link to nothing".into()

@@ -67,6 +67,18 @@ pub(crate) fn is_absent(path: &Path) -> bool {
     fs::symlink_metadata(path).is_err_and(|e| e.kind() == ErrorKind::NotFound)
 }
 
+/// Problem of a path at which something is that no file may replace: a pipe, a device, a socket, or a link that leads
+/// nowhere. `None` for a regular file, for a link to one, and where nothing is.
+pub(crate) fn special_file(path: &Path) -> Option<String> {
+    match fs::metadata(path) {
+        Ok(metadata) if metadata.is_file() => None,
+        Ok(_) => Some("is not a regular file, and nothing replaces it".into()),
+        Err(_) if is_absent(path) => None,
+        Err(e) if e.kind() == ErrorKind::NotFound => Some("is a link to nothing".into()),
+        Err(e) => Some(format!("cannot be written: {e}")),
+    }
+}
+
 /// Refuses a directory with a file that no artifact of `kind` has, because it would be lost.
 pub(crate) fn refuse_foreign_files(dir: &Path, kind: &Kind) -> Result<(), HandoffError> {
     let is_bare = is_absent(&dir.join(MANIFEST));
@@ -84,6 +96,10 @@ pub(crate) fn refuse_foreign_files(dir: &Path, kind: &Kind) -> Result<(), Handof
                     kind.name
                 ),
             ));
+        }
+        if let Some(problem) = special_file(&entry.path()) {
+            let remedy = "move it elsewhere, or choose another --out";
+            return Err(HandoffError::new(&entry.path(), format!("{problem}; {remedy}")));
         }
         if is_bare {
             return Err(HandoffError::new(

@@ -1,4 +1,4 @@
-//! Publication of the outputs of a run: whole, all of them together, and safe against power
+//! Publication of the outputs of a run: each whole, never a mixture of two runs, and safe against power
 //! failures.
 //!
 //! A kill, a full disk or a power failure may happen at any moment, and another run may write to
@@ -7,20 +7,20 @@
 //! 1. every directory and file is written as a sibling of its place, `.planish-PID-N.tmp`, which the
 //!    process holds by an advisory lock;
 //! 2. the contents, then the directories, are synchronised with the disk;
-//! 3. if several outputs appear together, a journal `.planish-PID-N.journal` lists their renames;
-//! 4. each output is renamed into its place, in exchange for the previous one, and its parent
-//!    directory is synchronised; then the journal is removed, and after it the previous outputs.
+//! 3. a single output is renamed into its place, in exchange for the previous one;
+//! 4. of several outputs, the previous ones are first renamed to siblings, and then the new ones to
+//!    their places.
+//!
+//! A process that ends within step 4 leaves some places empty. No place holds an output of another
+//! run than its neighbour, and the same command makes all of them. Nothing but the run itself ever renames
+//! its outputs: a reader reads, and does nothing else.
 //!
 //! During steps 3 and 4 the process holds advisory locks on all parent directories, so that the
-//! outputs of two runs do not mix. A process that ends there leaves its journal. The next reader or
-//! writer finishes the renames under the same locks, so a reader sees all of a run or nothing of
-//! it. Where one of them fails, it undoes the others. A process that ends earlier leaves siblings without a
-//! journal; their lock is free, so the next run removes them. On SIGINT and SIGTERM a process removes its own siblings. On a file
+//! outputs of two runs do not mix. A process that is killed leaves siblings whose lock is free, so the next
+//! run removes them. On SIGINT and SIGTERM a process removes its own siblings. On a file
 //! system without advisory locks (some network file systems), all of this holds, except for the
 //! order of two runs into one place.
 
-mod journal;
-mod rename;
 mod sibling;
 mod signals;
 
@@ -33,13 +33,14 @@ use std::{
 use crate::{
     HandoffError,
     kind::Kind,
-    place::{absolute, create_directories, parent_of, plain, refuse_foreign_files, sync_directory},
-    system::inode,
+    place::{
+        absolute, create_directories, is_absent, parent_of, plain, refuse_foreign_files,
+        special_file, sync_directory,
+    },
+    system::{file_identity, rename_or_exchange},
 };
-use rename::{is_exchange_unknown, put_in_place, put_in_place_by_plain_renames, take_back};
 
 pub(crate) use self::{
-    journal::finish_interrupted,
     sibling::{remove_abandoned, remove_all_siblings},
     signals::{clean_up_on_signals, wait_for_signal_under_way},
 };
@@ -62,6 +63,20 @@ pub(crate) struct Staged {
     what: What,
     /// Open and locked as long as this process may need the sibling.
     file: File,
+    /// Previous output, set aside as another sibling, with its lock.
+    previous: Option<(PathBuf, File)>,
+    /// State of the rename.
+    state: State,
+}
+
+/// State of the rename of a staged output into its place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum State {
+    Hidden,
+    /// Renamed to an empty place.
+    Renamed,
+    /// Exchanged with the previous output, which is now the sibling.
+    Exchanged,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -69,7 +84,7 @@ enum What {
     /// An artifact. It replaces only a directory with files of its kind, and only if `replace` is
     /// true.
     Directory { kind: &'static Kind, replace: bool },
-    /// A single file. It replaces an existing one only if `replace` is true.
+    /// A single file. It replaces an existing regular one only if `replace` is true.
     File { replace: bool },
 }
 
@@ -101,11 +116,15 @@ impl Staged {
         };
         let parent = parent_of(&place);
         create_directories(&parent).map_err(|e| HandoffError::io(&parent, "create", &e))?;
-        finish_interrupted(&parent);
         remove_abandoned(&parent);
         let (sibling, file) = sibling::create(&parent, create)
             .map_err(|e| HandoffError::io(&parent, "create a file there", &e))?;
-        Ok(Self { sibling, place, what, file })
+        Ok(Self { sibling, place, what, file, previous: None, state: State::Hidden })
+    }
+
+    /// Returns true for a single file, false for a directory.
+    pub(crate) fn is_file(&self) -> bool {
+        matches!(self.what, What::File { .. })
     }
 
     /// Path to write to.
@@ -125,10 +144,15 @@ impl Staged {
 
     /// Refuses a place that another program has taken since the run began.
     fn check_place(&self) -> Result<(), HandoffError> {
-        let taken = match (self.what, fs::symlink_metadata(&self.place).is_ok()) {
-            (_, false) | (What::File { replace: true }, _) => false,
-            (What::File { replace: false }, _) => true,
-            (What::Directory { kind, replace }, _) => {
+        let taken = match (self.what, is_absent(&self.place)) {
+            (_, true) => false,
+            (What::File { replace }, false) => {
+                if let Some(problem) = special_file(&self.place) {
+                    return Err(HandoffError::new(&self.place, format!("{problem}; give another name")));
+                }
+                !replace
+            }
+            (What::Directory { kind, replace }, false) => {
                 refuse_foreign_files(&self.place, kind)?;
                 let is_empty = fs::read_dir(&self.place).is_ok_and(|mut e| e.next().is_none());
                 !(replace || is_empty)
@@ -142,6 +166,68 @@ impl Staged {
             false => Ok(()),
         }
     }
+
+    /// Renames the previous output to another sibling, so that the place is empty.
+    fn set_aside(&mut self) -> Result<(), HandoffError> {
+        let failed = |e: io::Error| HandoffError::io(&self.place, "write", &e);
+        if is_absent(&self.place) {
+            return Ok(());
+        }
+        // The lock keeps other runs from taking it for abandoned.
+        let lock = File::open(&self.place).map_err(failed)?;
+        let _ = lock.try_lock();
+        let aside = self.sibling.with_extension("old.tmp");
+        fs::rename(&self.place, &aside).map_err(failed)?;
+        self.previous = Some((aside, lock));
+        Ok(())
+    }
+
+    /// Renames the output into its place, in exchange for what may be there.
+    fn appear(&mut self) -> Result<(), HandoffError> {
+        let mut failed = ErrorKind::AlreadyExists.into();
+        for _ in 0..MOST_ATTEMPTS_TO_APPEAR {
+            match rename_or_exchange(&self.sibling, &self.place) {
+                Ok(exchanged) => {
+                    self.state = if exchanged { State::Exchanged } else { State::Renamed };
+                    return Ok(());
+                }
+                // The file system knows plain renames alone, between which the place is empty.
+                Err(e) if matches!(e.kind(), ErrorKind::InvalidInput | ErrorKind::Unsupported) => {
+                    self.set_aside()?;
+                    fs::rename(&self.sibling, &self.place)
+                        .map_err(|e| HandoffError::io(&self.place, "write", &e))?;
+                    self.state = State::Renamed;
+                    return Ok(());
+                }
+                // Another run has just created or removed something there.
+                Err(e) if matches!(e.kind(), ErrorKind::AlreadyExists | ErrorKind::NotFound) => {
+                    self.check_place()?;
+                    failed = e;
+                    if is_absent(&self.sibling) {
+                        break;
+                    }
+                }
+                Err(e) => return Err(HandoffError::io(&self.place, "write", &e)),
+            }
+        }
+        Err(HandoffError::io(&self.place, "write", &failed))
+    }
+
+    /// Undoes the renames of this output. What another program has put into the place meanwhile stays there.
+    fn take_back(&mut self) {
+        let _ = match self.state {
+            State::Hidden => Ok(()),
+            State::Renamed => fs::rename(&self.place, &self.sibling),
+            State::Exchanged => rename_or_exchange(&self.sibling, &self.place).map(drop),
+        };
+        self.state = State::Hidden;
+        if let Some((aside, _)) = &self.previous
+            && is_absent(&self.place)
+            && fs::rename(aside, &self.place).is_ok()
+        {
+            self.previous = None;
+        }
+    }
 }
 
 impl Drop for Staged {
@@ -149,93 +235,79 @@ impl Drop for Staged {
         // The sibling is an output that was not published or, after an exchange, the previous one.
         sibling::remove(&self.sibling);
         sibling::forget(&self.sibling);
+        if let Some((aside, _)) = &self.previous {
+            sibling::remove(aside);
+        }
     }
 }
 
-/// Makes all staged outputs visible together.
-pub(crate) fn publish(staged: Vec<Staged>) -> Result<(), HandoffError> {
+/// Makes all staged outputs visible, in their order. If one of them cannot be, none is.
+pub(crate) fn publish(mut staged: Vec<Staged>) -> Result<(), HandoffError> {
     for s in &staged {
         s.file.sync_all().map_err(|e| HandoffError::io(&s.place, "write", &e))?;
     }
     let mut parents: Vec<PathBuf> = staged.iter().map(|s| absolute(&parent_of(&s.place))).collect();
     parents.sort();
     parents.dedup();
-    let _held = journal::hold_without_journals(&parents);
+    let _held = hold(&parents);
     // This check comes after the wait for the locks, because another run may have taken a place
     // meanwhile.
     staged.iter().try_for_each(Staged::check_place)?;
     let _appearing = signals::appearing();
-    let mut journals = match staged.len() {
-        0 | 1 => Vec::new(),
-        _ => write_journals(&staged, &parents)?,
-    };
-    let mut shown = Vec::new();
-    let mut renamed = Ok(());
-    for s in &staged {
-        let mut exchanged = None;
-        let mut attempts = 0;
-        while renamed.is_ok() && exchanged.is_none() {
-            match put_in_place(&s.sibling, &s.place) {
-                Ok(done) => exchanged = Some(done),
-                // Another run has just created or removed something there.
-                Err(e) if matches!(e.kind(), ErrorKind::AlreadyExists | ErrorKind::NotFound) => {
-                    attempts += 1;
-                    let again = attempts < MOST_ATTEMPTS_TO_APPEAR && inode(&s.sibling).is_some();
-                    renamed = s.check_place().and_then(|()| match again {
-                        false => Err(HandoffError::io(&s.place, "write", &e)),
-                        true => Ok(()),
-                    });
-                }
-                // Without an exchange, there is a moment in which only the journal knows the place.
-                Err(e) if is_exchange_unknown(&e) && journals.is_empty() => {
-                    match write_journals(&staged, &parents) {
-                        Ok(written) => journals = written,
-                        Err(e) => renamed = Err(e),
-                    }
-                }
-                Err(e) if is_exchange_unknown(&e) => {
-                    match put_in_place_by_plain_renames(&s.sibling, &s.place) {
-                        Ok(done) => exchanged = Some(done),
-                        Err(e) => renamed = Err(HandoffError::io(&s.place, "write", &e)),
-                    }
-                }
-                Err(e) => renamed = Err(HandoffError::io(&s.place, "write", &e)),
-            }
-        }
-        shown.extend(exchanged.map(|exchanged| (s, exchanged)));
+    let shown = show(&mut staged, &parents);
+    if shown.is_err() {
+        staged.iter_mut().rev().for_each(Staged::take_back);
+        let _ = synchronise(&parents);
     }
-    if renamed.is_err() {
-        // All or nothing: undo the renames that are done.
-        for (s, exchanged) in shown.into_iter().rev() {
-            let _ = take_back(&s.sibling, &s.place, exchanged);
-        }
-    }
-    for parent in &parents {
-        sync_directory(parent).map_err(|e| HandoffError::io(parent, "write", &e))?;
-    }
-    for journal in journals {
-        let _ = fs::remove_file(journal);
-    }
-    renamed
+    // The previous outputs are removed while the locks are held.
+    drop(staged);
+    shown
 }
 
-/// Writes the journals of the staged outputs, one in each parent directory.
-fn write_journals(staged: &[Staged], parents: &[PathBuf]) -> Result<Vec<PathBuf>, HandoffError> {
-    journal::write(staged.iter().map(|s| (&*s.sibling, &*s.place)), parents)
+/// Renames the outputs into their places. Of several, no new one is there before all previous ones are
+/// away, also after a power failure.
+fn show(staged: &mut [Staged], parents: &[PathBuf]) -> Result<(), HandoffError> {
+    if staged.len() > 1 {
+        staged.iter_mut().try_for_each(Staged::set_aside)?;
+        synchronise(parents)?;
+    }
+    staged.iter_mut().try_for_each(Staged::appear)?;
+    synchronise(parents)
+}
+
+fn synchronise(directories: &[PathBuf]) -> Result<(), HandoffError> {
+    for directory in directories {
+        sync_directory(directory).map_err(|e| HandoffError::io(directory, "write", &e))?;
+    }
+    Ok(())
+}
+
+/// Locks directories by advisory locks, always in the same order, so that no two processes wait for
+/// each other. On a file system without locks, nothing is locked.
+fn hold(directories: &[PathBuf]) -> Vec<File> {
+    let mut opened: Vec<File> = directories.iter().filter_map(|d| File::open(d).ok()).collect();
+    opened.sort_by_key(file_identity);
+    // A directory under two names would wait for itself.
+    opened.dedup_by(|a, b| file_identity(a).is_some() && file_identity(a) == file_identity(b));
+    opened.retain(|directory| directory.lock().is_ok());
+    opened
 }
 
 #[cfg(test)]
 mod tests {
     use std::time::Duration;
 
-    use super::{journal::hold, *};
+    use super::*;
 
     fn text(path: &Path) -> String {
         fs::read_to_string(path).unwrap_or_default()
     }
 
-    /// Two staged files that replace old ones. A `Staged` that is forgotten, with its lock
-    /// released, leaves the same files as a process that was killed.
+    fn texts(dir: &Path) -> [String; 2] {
+        ["a", "b"].map(|name| text(&dir.join(name)))
+    }
+
+    /// Two staged files that replace old ones.
     fn staged(dir: &Path) -> Vec<Staged> {
         for name in ["a", "b"] {
             fs::write(dir.join(name), "old").unwrap();
@@ -248,31 +320,38 @@ mod tests {
         vec![stage("a"), stage("b")]
     }
 
+    /// Forgets staged files and releases their locks. That leaves the same files as a process that was killed.
     fn leave(staged: Vec<Staged>) {
-        for s in staged {
+        for mut s in staged {
             s.file.unlock().unwrap();
+            if let Some((_, lock)) = s.previous.take() {
+                lock.unlock().unwrap();
+            }
             std::mem::forget(s);
         }
     }
 
+    /// A run that is killed after any of its renames.
     #[test]
-    fn a_run_that_ended_between_its_renames_is_finished_by_the_next() {
-        for renames_done in 0..=2 {
+    fn outputs_of_two_runs_never_stand_beside_each_other_and_the_next_run_is_whole() {
+        for renames_done in 0..=4 {
             let dir = tempfile::tempdir().unwrap();
-            let run = staged(dir.path());
-            write_journals(&run, &[dir.path().to_path_buf()]).unwrap();
-            for s in &run[..renames_done] {
-                put_in_place(&s.sibling, &s.place).unwrap();
+            let mut run = staged(dir.path());
+            for (i, s) in run.iter_mut().enumerate() {
+                if i < renames_done {
+                    s.set_aside().unwrap();
+                }
+            }
+            for (i, s) in run.iter_mut().enumerate() {
+                if i + 2 < renames_done {
+                    s.appear().unwrap();
+                }
             }
             leave(run);
-            // A writer without a journal of its own must not remove the siblings.
-            remove_abandoned(dir.path());
-            finish_interrupted(dir.path());
-            assert_eq!(
-                (text(&dir.path().join("a")), text(&dir.path().join("b"))),
-                ("new".into(), "new".into())
-            );
-            remove_abandoned(dir.path());
+            let left = texts(dir.path());
+            assert!(!(left.contains(&"old".into()) && left.contains(&"new".into())), "{left:?}");
+            publish(staged(dir.path())).unwrap();
+            assert_eq!(texts(dir.path()), ["new", "new"]);
             assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2, "{renames_done}");
         }
     }
@@ -286,11 +365,11 @@ mod tests {
         let other = hold(&[dir.path().to_path_buf()]);
         let publishing = std::thread::spawn(|| publish(run));
         std::thread::sleep(Duration::from_millis(100));
-        let meanwhile = ["a", "b"].map(|name| text(&dir.path().join(name)));
+        let meanwhile = texts(dir.path());
         drop(other);
         publishing.join().unwrap().unwrap();
         assert_eq!(meanwhile, ["old", "old"]);
-        assert_eq!(["a", "b"].map(|name| text(&dir.path().join(name))), ["new", "new"]);
+        assert_eq!(texts(dir.path()), ["new", "new"]);
     }
 
     /// A place that was free when the run was ready, and taken when its turn came.
@@ -308,103 +387,52 @@ mod tests {
         assert_eq!(text(&dir.path().join("c")), "mine");
     }
 
-    /// Earlier, a later reader finished the journal of the first run, and replaced the outputs of
-    /// the second run.
+    /// Earlier, every reader and writer carried out the renames that such a file listed.
     #[test]
-    fn a_run_that_ended_between_its_renames_is_finished_before_the_next_appears() {
+    fn a_file_beside_an_output_is_not_carried_out() {
         let dir = tempfile::tempdir().unwrap();
-        let first = staged(dir.path());
-        let mut second = staged(dir.path());
-        for s in &mut second {
-            s.write_all(b"er").unwrap();
-        }
-        write_journals(&first, &[dir.path().to_path_buf()]).unwrap();
-        leave(first);
-        publish(second).unwrap();
-        finish_interrupted(dir.path());
-        assert_eq!(["a", "b"].map(|name| text(&dir.path().join(name))), ["newer", "newer"]);
-        remove_abandoned(dir.path());
-        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
-    }
-
-    #[test]
-    fn what_is_no_journal_is_no_obstacle() {
-        let dir = tempfile::tempdir().unwrap();
-        fs::write(dir.path().join(".planish-1-0.journal"), "{").unwrap();
-        publish(staged(dir.path())).unwrap();
-        assert_eq!(["a", "b"].map(|name| text(&dir.path().join(name))), ["new", "new"]);
-        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
-    }
-
-    #[test]
-    fn a_run_that_ended_before_its_journal_never_was() {
-        let dir = tempfile::tempdir().unwrap();
-        leave(staged(dir.path()));
-        finish_interrupted(dir.path());
-        remove_abandoned(dir.path());
-        assert_eq!(
-            (text(&dir.path().join("a")), text(&dir.path().join("b"))),
-            ("old".into(), "old".into())
+        let at = |name: &str| dir.path().join(name);
+        fs::write(at("mine"), "mine").unwrap();
+        fs::write(at("payload"), "evil").unwrap();
+        let inode = std::os::unix::fs::MetadataExt::ino(&fs::metadata(at("payload")).unwrap());
+        let journal = format!(
+            r#"{{"renames": [{{"from": "{}", "to": "{}", "inode": {inode}}}]}}"#,
+            at("payload").display(),
+            at("mine").display()
         );
-        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
+        fs::write(at(".planish-1-0.journal"), &journal).unwrap();
+        publish(staged(dir.path())).unwrap();
+        assert_eq!([text(&at("mine")), text(&at("payload"))], ["mine", "evil"]);
+        assert_eq!(text(&at(".planish-1-0.journal")), journal);
     }
 
     #[test]
     fn siblings_of_a_living_run_are_left_alone() {
         let dir = tempfile::tempdir().unwrap();
-        let run = staged(dir.path());
+        let mut run = staged(dir.path());
+        run.iter_mut().try_for_each(Staged::set_aside).unwrap();
         remove_abandoned(dir.path());
-        publish(run).unwrap();
-        assert_eq!(
-            (text(&dir.path().join("a")), text(&dir.path().join("b"))),
-            ("new".into(), "new".into())
-        );
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 4);
+        run.iter_mut().try_for_each(Staged::appear).unwrap();
+        drop(run);
+        assert_eq!(texts(dir.path()), ["new", "new"]);
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
     }
 
-    /// Earlier, the undoing of a rename needed the exchange that the file system does not have.
     #[test]
-    fn a_rename_is_undone_where_names_cannot_be_exchanged() {
+    fn renames_are_undone_from_every_state() {
         let dir = tempfile::tempdir().unwrap();
         let mut run = staged(dir.path());
         run.push(Staged::file(&dir.path().join("c"), false).unwrap());
-        for s in &run {
-            let exchanged = put_in_place_by_plain_renames(&s.sibling, &s.place).unwrap();
-            assert_eq!(exchanged, !s.place.ends_with("c"));
-            take_back(&s.sibling, &s.place, exchanged).unwrap();
-        }
-        assert_eq!(["a", "b"].map(|name| text(&dir.path().join(name))), ["old", "old"]);
-        assert!(!run[2].place.exists() && run[2].sibling.exists());
-    }
-
-    /// Earlier, the journal was removed and left the first output of the run beside the old second one.
-    #[test]
-    fn a_journal_that_cannot_be_finished_is_undone() {
-        for renames_done in 0..=1 {
-            let dir = tempfile::tempdir().unwrap();
-            let run = staged(dir.path());
-            // The second place is in a directory that a file has replaced meanwhile.
-            fs::write(dir.path().join("d"), "mine").unwrap();
-            let places = [run[0].place.clone(), dir.path().join("d/b")];
-            let renames = run.iter().map(|s| &*s.sibling).zip(places.iter().map(|p| &**p));
-            journal::write(renames, &[dir.path().to_path_buf()]).unwrap();
-            for s in &run[..renames_done] {
-                put_in_place(&s.sibling, &s.place).unwrap();
-            }
-            leave(run);
-            finish_interrupted(dir.path());
-            assert_eq!(text(&dir.path().join("a")), "old");
-            remove_abandoned(dir.path());
-            assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 3, "{renames_done}");
-        }
-    }
-
-    #[test]
-    fn where_names_cannot_be_exchanged_three_renames_do_it() {
-        let dir = tempfile::tempdir().unwrap();
-        let run = staged(dir.path());
-        assert!(put_in_place_by_plain_renames(&run[0].sibling, &run[0].place).unwrap());
-        assert_eq!((text(&run[0].place), text(&run[0].sibling)), ("new".into(), "old".into()));
+        // a is exchanged, b is set aside and renamed, c is renamed to an empty place.
+        run[1].set_aside().unwrap();
+        run.iter_mut().try_for_each(Staged::appear).unwrap();
+        assert_eq!(texts(dir.path()), ["new", "new"]);
+        run.iter_mut().rev().for_each(Staged::take_back);
+        assert_eq!(texts(dir.path()), ["old", "old"]);
+        assert!(!run[2].place.exists());
+        drop(run);
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
     }
 
     #[test]
@@ -415,6 +443,13 @@ mod tests {
         // Another program takes the place after the run began.
         fs::write(dir.path().join("c"), "mine").unwrap();
         assert!(publish(run).unwrap_err().to_string().contains("c: exists"));
+        // And after the check of all places.
+        let mut run = staged(dir.path());
+        run.push(Staged::file(&dir.path().join("c"), false).unwrap());
+        let shown = show(&mut run, &[dir.path().to_path_buf()]);
+        assert!(shown.unwrap_err().to_string().contains("c: exists"));
+        run.iter_mut().rev().for_each(Staged::take_back);
+        drop(run);
         let left = ["a", "b", "c"].map(|name| text(&dir.path().join(name)));
         assert_eq!(left, ["old", "old", "mine"]);
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 3);

@@ -12,7 +12,7 @@ use clap::Parser;
 use crate::{
     command_line::{self, with_flags},
     message::{complain, without_commands},
-    publish,
+    publish, system,
 };
 
 /// Status of a stage that ran.
@@ -59,6 +59,7 @@ impl<E: std::error::Error> From<E> for Failure {
 pub fn program<Flags: Parser>(body: impl FnOnce(&Flags) -> Result<Status, Failure>) -> ExitCode {
     let flags = command_line::parse();
     publish::clean_up_on_signals();
+    system::fail_beyond_largest_file();
     panic::set_hook(Box::new(|info| {
         complain(&format!("internal error: {info}; this is a defect of Planish, please report it"));
     }));

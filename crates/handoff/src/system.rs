@@ -11,8 +11,8 @@ use std::{
 };
 
 pub(crate) use calls::{
-    directory_stamp, file_identity, has_ended, inode, is_at, on_end_signals, reap, send,
-    wait_for_end,
+    directory_stamp, fail_beyond_largest_file, file_identity, has_ended, is_at, on_end_signals,
+    reap, send, wait_for_end,
 };
 
 /// Signals that end a process.
@@ -99,11 +99,6 @@ mod calls {
         file.metadata().ok().map(|m| (m.dev(), m.ino()))
     }
 
-    /// Inode of the file at `path`. It shows whether a rename is done.
-    pub(crate) fn inode(path: &Path) -> Option<u64> {
-        fs::symlink_metadata(path).ok().map(|m| m.ino())
-    }
-
     /// Identity of a directory, which changes when another directory replaces it.
     pub(crate) fn directory_stamp(dir: &Path) -> Option<impl PartialEq + use<>> {
         let metadata = fs::metadata(dir).ok()?;
@@ -123,6 +118,13 @@ mod calls {
                 let _ = emulate_default_handler(signal);
             }
         });
+    }
+
+    /// Lets a write beyond the largest file size (`ulimit -f`) fail with an error, which has a message, in place of
+    /// SIGXFSZ, which ends the process without one. Programs that this one starts have the signal as it was.
+    pub(crate) fn fail_beyond_largest_file() {
+        use signal_hook::{consts::signal::SIGXFSZ, flag};
+        let _ = flag::register(SIGXFSZ, std::sync::Arc::default());
     }
 
     /// Sends a signal to a child whose end nobody has waited for yet.
@@ -202,11 +204,6 @@ mod calls {
         None
     }
 
-    /// Inode of the file at `path`, which is unknown here.
-    pub(crate) fn inode(_: &Path) -> Option<u64> {
-        None
-    }
-
     /// Time at which a directory was made, which changes when another directory replaces it.
     pub(crate) fn directory_stamp(dir: &Path) -> Option<impl PartialEq + use<>> {
         fs::metadata(dir).ok()?.created().ok()
@@ -214,6 +211,9 @@ mod calls {
 
     /// Does nothing: unfinished files stay until the next run removes them.
     pub(crate) fn on_end_signals<T>(_: impl Fn() -> T + Send + 'static) {}
+
+    /// Does nothing: no signal ends a process here.
+    pub(crate) fn fail_beyond_largest_file() {}
 
     /// Does nothing: no signal ends a process here.
     pub(crate) fn send(_: u32, _: EndSignal) {}

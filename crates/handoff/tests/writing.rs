@@ -553,6 +553,67 @@ fn an_output_that_cannot_be_is_refused_before_the_work() {
     assert_eq!(snapshot(dir.path()), before);
 }
 
+/// Earlier, `--force` replaced a pipe, as root a device, and a link that leads to itself.
+#[test]
+fn what_is_no_regular_file_is_never_replaced() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    assert!(Command::new("mkfifo").arg(at("pipe")).status().unwrap().success());
+    let _socket = std::os::unix::net::UnixListener::bind(at("socket")).unwrap();
+    symlink("/dev/null", at("device")).unwrap();
+    symlink("pipe", at("to-pipe")).unwrap();
+    symlink("loop", at("loop")).unwrap();
+    symlink("nowhere", at("lost")).unwrap();
+    fs::write(at("mine"), "old").unwrap();
+    symlink("mine", at("to-mine")).unwrap();
+    let kinds = |names: &[&str]| -> Vec<_> {
+        names.iter().map(|name| fs::symlink_metadata(at(name)).unwrap().file_type()).collect()
+    };
+    let special = ["pipe", "socket", "device", "to-pipe", "loop", "lost"];
+    let before = kinds(&special);
+    let inputs = Inputs::new();
+    for name in special {
+        let file = OutputFile::begin("--out", &at(name), true, &inputs);
+        let message = file.unwrap_err().to_string();
+        assert!(message.contains(name) && message.ends_with("; choose another --out"), "{message}");
+        let mut run = Run::new(dir.path()).force();
+        let output = Output::directory(&run.output, DwellTime::KIND);
+        let begun = output.and_file("--picture", &at(name)).begin(&run.task(), &inputs);
+        assert!(begun.unwrap_err().to_string().ends_with("; choose another --picture"));
+        run.output.wall_time = Some(at(name));
+        run.refused("give another --wall-time");
+        assert!(Run::new(dir.path()).out(at(name)).force().begin().is_err(), "{name}");
+    }
+    // In the place of an array, which would be read for ever
+    Run::new(dir.path()).run().unwrap();
+    fs::remove_file(at("out/dwell_s.npy")).unwrap();
+    fs::rename(at("pipe"), at("out/dwell_s.npy")).unwrap();
+    Run::new(dir.path()).force().refused("dwell_s.npy: is not a regular file");
+    fs::rename(at("out/dwell_s.npy"), at("pipe")).unwrap();
+    assert_eq!(kinds(&special), before);
+    // A link to a regular file stays a link.
+    OutputFile::begin("--out", &at("to-mine"), true, &inputs).unwrap().write(b"new").unwrap();
+    assert!(at("to-mine").is_symlink());
+    assert_eq!(fs::read(at("mine")).unwrap(), b"new");
+}
+
+/// Earlier, a journal could not hold such a name, and an input of such a name was not found again.
+#[test]
+fn names_that_are_not_utf_8_are_names() {
+    use std::os::unix::ffi::OsStrExt;
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path().join(std::ffi::OsStr::from_bytes(b"M\xfcller"));
+    fs::create_dir(&dir).unwrap();
+    let run = || Run::new(&dir);
+    let mut output = writer(run().begin_two());
+    output.write(&dwell(1.0), json!({}), &Status::Done).unwrap();
+    output.write(&support::trajectory(), json!({}), &Status::Done).unwrap();
+    assert_eq!(value_in(&dir.join("out/a")), 1.0);
+    run().out(dir.join("input")).force().refused("is the input --input");
+    run().out(dir.join("input/below")).refused("lies in the input --input");
+    assert_eq!(names(&dir), ["input", "out"]);
+}
+
 #[test]
 fn a_link_to_the_output_stays_a_link() {
     let dir = tempfile::tempdir().unwrap();

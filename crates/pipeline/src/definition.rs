@@ -225,6 +225,10 @@ impl Definition {
                 given.extend(action.gives());
             }
         }
+        let mut ending = BTreeSet::new();
+        for (stage, _) in &self.stages {
+            self.refuse_circle(stage, &mut Vec::new(), &mut ending)?;
+        }
         let known = |name: &str| {
             self.setting(name).is_some()
                 || self.value(name).is_some()
@@ -252,6 +256,33 @@ impl Definition {
         let mut all =
             self.values.iter().map(|(name, _)| name).chain(self.settings.iter().map(|s| &s.name));
         all.try_for_each(|name| self.settle(name, &mut Vec::new(), &mut settled))
+    }
+
+    /// Refuses a stage that runs itself, through others. Stages that are known to end are in `ending`.
+    fn refuse_circle(
+        &self,
+        stage: &str,
+        above: &mut Vec<String>,
+        ending: &mut BTreeSet<String>,
+    ) -> Result<(), String> {
+        if let Some(first) = above.iter().position(|known| known == stage) {
+            let circle = [&above[first..], &[stage.into()]].concat().join(" -> ");
+            return Err(format!(
+                "stage {stage}: it runs itself without end ({circle}); take one of these lines out"
+            ));
+        }
+        if ending.contains(stage) {
+            return Ok(());
+        }
+        above.push(stage.into());
+        for line in self.stage(stage).unwrap_or_default() {
+            for called in Action::read(&line.text)?.stages() {
+                self.refuse_circle(called, above, ending)?;
+            }
+        }
+        above.pop();
+        ending.insert(stage.into());
+        Ok(())
     }
 
     /// Refuses a name that is made of itself, through others.
@@ -461,6 +492,9 @@ mod tests {
             ("stages:\n  one: ['planish-a x when z']", "one: no setting or value 'z'"),
             ("stages:\n  one: ['rm -rf x']", "stage one: 'rm -rf x': "),
             ("values:\n  v: ['{w}']\n  w: ['{v}']", "is made of itself, by v, w"),
+            ("stages:\n  one: [one]", "stage one: it runs itself without end (one -> one); take"),
+            ("stages:\n  one: [two when b]\n  two: [run]", "(run -> one -> two -> run)"),
+            ("stages:\n  two: ['choose method otherwise x tried by run']", "(run -> two -> run)"),
             ("stages: [", "pipelines/p.yaml: line "),
         ] {
             let complaint = Definition::read("p", SHARED_TEXT, own).unwrap_err();

@@ -623,3 +623,93 @@ fn a_pipe_in_the_place_of_the_report_is_refused() {
     let said = message(&child.wait_with_output().unwrap());
     assert!(ends.is_some_and(|s| s.code() == Some(2)) && said.contains("is not a file"), "{said}");
 }
+
+/// Earlier, only the mirror and the machine were looked at, and compare-dwell deleted the tool path that it was given.
+#[test]
+fn no_setting_names_an_input_inside_of_the_output() {
+    let dir = bench();
+    recorders(dir.path());
+    let at = |name: &str| dir.path().join(name);
+    fs::create_dir_all(at("o/tool_path")).unwrap();
+    fs::write(at("o/run.json"), r#"{"pipeline":"compare-dwell","mirror":{"fixture":"coupon"}}"#).unwrap();
+    for file in ["point_mm.npy", "manifest.json", "x.json"] {
+        fs::write(at("o/tool_path").join(file), file).unwrap();
+    }
+    std::os::unix::fs::symlink("o/tool_path", at("link")).unwrap();
+    fs::create_dir(at("elsewhere/path")).unwrap();
+    std::os::unix::fs::symlink("../elsewhere/path", at("o/outside")).unwrap();
+    let quick = ["machine=machine.json", "fixture=coupon", "out=o"];
+    for (pipeline, setting) in [
+        ("compare-dwell", "path=o/tool_path"),
+        ("compare-dwell", "path=link"),
+        ("compare-dwell", "path=elsewhere/../o/./tool_path/"),
+        ("compare-dwell", "path=o/outside"),
+        ("compare-dwell", "path=o/none"),
+        ("compare-dwell", "machine=o/tool_path/x.json"),
+        ("compare-dwell", "prepare=--level plane --reference link/x.json"),
+        ("compare-dwell", "prepare=--reference=o/tool_path/x.json"),
+        ("raster", "specification=o/tool_path/x.json"),
+        ("raster", "error_budget=link/x.json"),
+        ("raster", "form=o/tool_path"),
+        ("raster", "varying=tool-rate --map 'o/tool_path'"),
+    ] {
+        let (ended, log) = recorded(dir.path(), &[&["run", pipeline], &quick[..], &[setting]].concat());
+        let said = message(&ended);
+        assert_eq!(ended.status.code(), Some(2), "{setting}: {said}");
+        assert!(log.is_empty(), "{setting}: {log:?}");
+        if setting != "machine=o/tool_path/x.json" {
+            assert!(said.contains("out o") && said.contains("give another out"), "{setting}: {said}");
+        }
+    }
+    for file in ["point_mm.npy", "manifest.json", "x.json"] {
+        assert_eq!(fs::read_to_string(at("o/tool_path").join(file)).unwrap(), file);
+    }
+    // A word of a flag that names nothing inside, and the time of a stage, which is an output
+    fs::create_dir(at("o/wall")).unwrap();
+    let prepare = "prepare=--level plane --wall-time o/wall";
+    let (ended, log) = recorded(dir.path(), &[&["run", "compare-dwell"], &quick[..], &[prepare]].concat());
+    assert!(!log.is_empty(), "{}", message(&ended));
+}
+
+/// The copy of a tool path never replaces its own original.
+#[test]
+fn a_path_that_the_output_leads_to_is_not_copied_onto_itself() {
+    let dir = bench();
+    recorders(dir.path());
+    fs::create_dir_all(dir.path().join("o")).unwrap();
+    fs::create_dir(dir.path().join("path")).unwrap();
+    fs::write(dir.path().join("path/point_mm.npy"), "mine").unwrap();
+    std::os::unix::fs::symlink("../path", dir.path().join("o/tool_path")).unwrap();
+    fs::write(dir.path().join("o/run.json"), r#"{"pipeline":"compare-dwell","mirror":{"fixture":"coupon"}}"#).unwrap();
+    let settings = ["run", "compare-dwell", "fixture=coupon", "machine=machine.json", "path=path", "out=o"];
+    let (ended, _) = recorded(dir.path(), &settings);
+    let said = message(&ended);
+    assert_eq!(ended.status.code(), Some(2), "{said}");
+    assert!(said.contains("path: is where the run copies it"), "{said}");
+    assert_eq!(fs::read_to_string(dir.path().join("path/point_mm.npy")).unwrap(), "mine");
+}
+
+#[test]
+fn a_link_or_a_pipe_is_not_written_in_the_directory_of_a_run() {
+    let dir = bench();
+    fs::write(dir.path().join("mine"), "mine").unwrap();
+    fs::create_dir(dir.path().join("o")).unwrap();
+    std::os::unix::fs::symlink("../mine", dir.path().join("o/run.lock")).unwrap();
+    refused(&run(dir.path(), "o", &FIXTURE, &["true"]), &["o/run.lock is not a regular file"]);
+    assert_eq!(fs::read_to_string(dir.path().join("mine")).unwrap(), "mine");
+}
+
+/// Earlier, such a run went on for ever.
+#[test]
+fn a_circle_of_stages_is_refused() {
+    let dir = bench();
+    let pipelines = dir.path().join("pipelines");
+    fs::create_dir(&pipelines).unwrap();
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
+    fs::copy(root.join("pipelines/shared.yaml"), pipelines.join("shared.yaml")).unwrap();
+    fs::write(pipelines.join("loop.yaml"), "title: T\nstages:\n  path: []\n  run: [path, end, run]\n").unwrap();
+    let mut command = Command::new(PROGRAM);
+    command.current_dir(dir.path()).env("PLANISH_SHARE", dir.path());
+    command.args(["run", "loop", "fixture=coupon", "machine=machine.json", "out=o"]);
+    refused(&command.output().unwrap(), &["loop.yaml: stage run: it runs itself without end (run -> run)"]);
+}

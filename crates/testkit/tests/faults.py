@@ -12,9 +12,10 @@ setting (the new one), and is disturbed:
 * killed in the same way on a file system of its own, of whose image a copy is taken at that moment: what
   a power failure leaves. The copy is mounted, and its file system recovers from its journal.
 
-Whatever happens, the directory must hold the old result or the new one, byte for byte, all artifacts of
-the run together after the next command has looked at them; the next run must end well and leave nothing
-temporary. Every violation is printed; the exit code is 1 when there is one.
+Whatever happens, the directory must hold the old result or the new one, byte for byte. Where a stage has several
+outputs, some may be missing after a kill, but no old one may stand beside a new one. A stage that reads them changes
+nothing. The next run must end well, make the result whole, and leave nothing temporary. Every violation is printed; the
+exit code is 1 when there is one.
 
 Needs Linux, Python 3 and strace; the power failures need root and a loop device, and are skipped with a
 message without them.
@@ -138,6 +139,23 @@ def tree(directory):
     return files
 
 
+def places(*trees):
+    """Outputs in these trees, each with its files: an artifact has a manifest, and other files stand alone."""
+    found = {}
+    for name in {name for tree in trees for name in tree}:
+        parent = name.rpartition("/")[0]
+        is_artifact = any(f"{parent}/manifest.json" in tree for tree in trees)
+        found.setdefault(parent if is_artifact else name, set()).add(name)
+    return found
+
+
+def is_whole_or_lacks(found, whole, every):
+    """Whether the files are those of one run, perhaps without some of its outputs."""
+    if any(found[name] != whole.get(name) for name in found):
+        return False
+    return all(not names & found.keys() or names & found.keys() == names & whole.keys() for names in every.values())
+
+
 def temporaries(directory):
     return [str(p.relative_to(directory)) for p in directory.rglob(".planish-*")]
 
@@ -212,17 +230,21 @@ class Faults:
         print(f"VIOLATION {self.violations[-1]}", flush=True)
 
     def judge(self, kind, stage, where, what, again=True):
-        """Old or new as a whole once a reader has looked at it, and the next run ends well."""
+        """Old or new, perhaps without some of several outputs; a reader changes nothing, and the next run ends well."""
         old, new = self.results[stage.name]
+        every = places(old, new)
+        found, hidden = tree(where / "out"), sorted(temporaries(where / "out"))
         if stage.reader:
             self.run(stage.reader, where)
-        found = tree(where / "out")
-        if found not in (old, new):
+            if (found, hidden) != (tree(where / "out"), sorted(temporaries(where / "out"))):
+                self.violation(kind, stage, f"{what}: {stage.reader[0]} changed what it read")
+        of_one_run = [is_whole_or_lacks(found, whole, every) for whole in (old, new)]
+        if found not in (old, new) and not (len(every) > 1 and any(of_one_run)):
             parts = {name: "old" if data == old.get(name) else "new" if data == new.get(name) else f"{len(data)} bytes"
                      for name, data in found.items()}
             self.violation(kind, stage, f"{what}: neither old nor new: {parts}")
             return
-        self.count(kind, stage, "old" if found == old else "new")
+        self.count(kind, stage, "old" if found == old else "new" if found == new else "part")
         if not again:
             return
         result = self.run(stage.commands[1], where)
@@ -379,14 +401,14 @@ class Faults:
         return True
 
     def table(self):
-        print(f"\n{'disturbance':12} {'stage':14} {'old':>5} {'new':>5} {'lost':>5}")
+        print(f"\n{'disturbance':12} {'stage':14} {'old':>5} {'new':>5} {'part':>5} {'lost':>5}")
         totals = {}
         for (kind, name), row in self.counts.items():
-            numbers = [row.get(key, 0) for key in ("old", "new", "LOST")]
-            totals[kind] = [a + b for a, b in zip(totals.get(kind, [0, 0, 0]), numbers)]
-            print(f"{kind:12} {name:14} {numbers[0]:5} {numbers[1]:5} {numbers[2]:5}")
+            numbers = [row.get(key, 0) for key in ("old", "new", "part", "LOST")]
+            totals[kind] = [a + b for a, b in zip(totals.get(kind, [0] * len(numbers)), numbers)]
+            print(f"{kind:12} {name:14} " + " ".join(f"{number:5}" for number in numbers))
         for kind, numbers in totals.items():
-            print(f"{kind:12} {'all':14} {numbers[0]:5} {numbers[1]:5} {numbers[2]:5}")
+            print(f"{kind:12} {'all':14} " + " ".join(f"{number:5}" for number in numbers))
 
 
 def main():

@@ -1,7 +1,7 @@
 //! Siblings: temporary files and directories next to the final place, held by advisory locks.
 
 use std::{
-    fs::{self, File, TryLockError},
+    fs::{self, DirEntry, File, TryLockError},
     io::{self, ErrorKind},
     path::{Path, PathBuf},
     sync::{Mutex, MutexGuard, PoisonError},
@@ -12,10 +12,8 @@ use crate::{kind, system::is_at};
 /// Prefix of all temporary names.
 const PREFIX: &str = ".planish-";
 
-/// Suffix of a sibling that is not visible yet, and of an incomplete journal.
+/// Suffix of all temporary names.
 const TEMPORARY: &str = ".tmp";
-/// Suffix of a journal.
-pub(super) const JOURNAL: &str = ".journal";
 
 /// Largest number of names that are tried for a sibling. Larger: a later message if no name can be
 /// taken, as in a current directory that has been removed. Smaller: a run fails beside many others.
@@ -83,29 +81,27 @@ pub(super) fn create(
 /// Returns true if this is the name of a temporary file of a run, either running or killed. The
 /// next run into the same directory removes the files of killed runs.
 pub fn is_temporary(name: &str) -> bool {
-    name.starts_with(PREFIX) && (name.ends_with(TEMPORARY) || name.ends_with(JOURNAL))
-}
-
-/// Temporary files in `parent` whose names end with `end`.
-pub(super) fn temporaries(parent: &Path, end: &str) -> Vec<PathBuf> {
-    let Ok(entries) = fs::read_dir(parent) else { return Vec::new() };
-    let names = entries.filter_map(|entry| entry.ok().map(|e| e.file_name()));
-    let ours = names
-        .filter(|name| name.to_str().is_some_and(|n| n.starts_with(PREFIX) && n.ends_with(end)));
-    ours.map(|name| parent.join(name)).collect()
+    name.starts_with(PREFIX) && name.ends_with(TEMPORARY)
 }
 
 /// Removes the siblings in `parent` whose process has ended, so that their lock is free.
 pub(crate) fn remove_abandoned(parent: &Path) {
-    for sibling in temporaries(parent, TEMPORARY) {
+    for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
+        if !entry.file_name().to_str().is_some_and(is_temporary) || is_special(&entry) {
+            continue;
+        }
+        let sibling = entry.path();
         let Ok(file) = File::open(&sibling) else { continue };
-        // A journal that its process left is finished first, by the next run, because it needs the
-        // siblings.
-        let gone = file.try_lock().is_ok() && is_at(&file, &sibling);
-        if gone && temporaries(parent, JOURNAL).is_empty() {
+        if file.try_lock().is_ok() && is_at(&file, &sibling) {
             remove(&sibling);
         }
     }
+}
+
+/// Returns true if the entry is neither a file nor a directory. No run makes such a sibling, and to open a pipe
+/// never ends.
+fn is_special(entry: &DirEntry) -> bool {
+    !entry.file_type().is_ok_and(|kind| kind.is_file() || kind.is_dir())
 }
 
 /// Removes a sibling. In a directory it removes only files that an artifact may hold. A file that

@@ -21,8 +21,8 @@ use planish_handoff::{Failure, Status, warn, words};
 use planish_pipeline::definition::Definition;
 
 use super::{
-    claim::Claim,
-    execute::{Programs, Said},
+    claim::{Claim, Named},
+    execute::{Programs, Said, as_typed},
     place::{Place, directory_name, name_of},
     run::end,
     several::{Given, Silent, command, count, plain},
@@ -108,7 +108,8 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
         )));
     }
     let settings = [plain(&definition), given.settings.clone()].concat();
-    let machine = place.settings(&definition, &settings)?.text("machine").map_err(Failure::new)?;
+    let scope = place.settings(&definition, &settings)?;
+    let machine = scope.text("machine").map_err(Failure::new)?;
     let recipe = format!("{}fixtures/{fixture}.json", place.repository());
     let claim = Claim {
         out: out.clone().into(),
@@ -117,8 +118,16 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
         surface: surface.clone().map(Into::into),
         tif: tif.clone().map(Into::into),
         machine: machine.into(),
+        named: [
+            Named::all(&scope)?,
+            Named::words("error_budget", std::slice::from_ref(&error_budget), true),
+            Named::words("reconcile", &reconcile, false),
+        ]
+        .into_iter()
+        .flatten()
+        .collect(),
     };
-    let (_lock, assumed) = claim.take(&words::join(std::env::args()))?;
+    let (_lock, assumed) = claim.take(&as_typed())?;
     assumed.into_iter().for_each(warn);
     let mut course = Course {
         silent: Silent::new(&place)?,

@@ -9,9 +9,16 @@ use std::{
 };
 
 use planish_handoff::{Failure, Inputs, OutputFile, is_temporary, read_regular, system};
+use planish_pipeline::{
+    definition::Setting,
+    kind::Kind,
+    scope::{Scope, Words},
+};
 use planish_run::owner::{Mirror, Owner};
 use planish_types::{DEFAULT_TIME_TO_FULL_ACCELERATION_S, MachineFile};
 
+/// Flag for the only output among the flags of a setting.
+const WALL_TIME: &str = "--wall-time";
 /// Name of the file that says who owns the directory.
 const OWNER: &str = "run.json";
 /// Directory of the machine that the stages of the run plan for: a copy of the machine file under its own name, with a
@@ -41,6 +48,18 @@ pub struct Claim {
     pub tif: Option<PathBuf>,
     /// Machine file.
     pub machine: PathBuf,
+    /// Further words of the settings that may name a file or a directory, each with its setting.
+    pub named: Vec<Named>,
+}
+
+/// Word of a setting that may name a file or a directory.
+pub struct Named {
+    /// Name of the setting.
+    pub setting: String,
+    /// Path.
+    pub path: PathBuf,
+    /// True if the setting is a path: the word names something even if nothing is there.
+    pub is_path: bool,
 }
 
 impl Claim {
@@ -58,6 +77,7 @@ impl Claim {
             path.as_ref().map_or(Ok(()), |path| refuse_overlap(out, input, path))?;
         }
         refuse_overlap(out, "machine", machine)?;
+        self.named.iter().try_for_each(|named| named.refuse_inside(out))?;
         let lock = take(out, &owner, command)?;
         system::let_inherit(&lock)?;
         fs::create_dir_all(out.join(MACHINE))
@@ -142,6 +162,72 @@ fn existing(role: &str, path: &Path) -> Result<String, Failure> {
     })
 }
 
+impl Named {
+    /// Words of the settings of a pipeline that may name an input: settings that are paths, and the words of those that
+    /// are flags.
+    pub fn all(scope: &Scope) -> Result<Vec<Self>, Failure> {
+        let mut named = Vec::new();
+        for Setting { name, kind, .. } in &scope.definition.settings {
+            let is_path = *kind == Kind::Path;
+            if name == "out" || !(is_path || *kind == Kind::Flags) {
+                continue;
+            }
+            let words = scope.words(name, &Words::new()).map_err(Failure::new)?;
+            named.extend(Self::words(name, &words, is_path));
+        }
+        Ok(named)
+    }
+
+    /// The words of one setting. A flag names the path after its `=`, and the time of a stage is an output.
+    pub fn words(setting: &str, words: &[String], is_path: bool) -> Vec<Self> {
+        let mut named = Vec::new();
+        let mut is_output = false;
+        for word in words {
+            let value = match word.split_once('=').filter(|_| !is_path) {
+                Some((flag, value)) if flag.starts_with('-') => {
+                    is_output = flag == WALL_TIME;
+                    value
+                }
+                _ => word.as_str(),
+            };
+            if !is_output && !value.is_empty() {
+                named.push(Self { setting: setting.into(), path: value.into(), is_path });
+            }
+            is_output = word == WALL_TIME;
+        }
+        named
+    }
+
+    /// Refuses a path inside of the output of the run, where a stage may replace it. A link there leads elsewhere, and
+    /// is replaced all the same.
+    fn refuse_inside(&self, out: &Path) -> Result<(), Failure> {
+        let Self { setting, path, is_path } = self;
+        if *is_path {
+            refuse_overlap(out, setting, path)?;
+        }
+        let out_resolved = resolved(out);
+        let is_inside = |path: &Path| path != out_resolved && path.starts_with(&out_resolved);
+        let is_there = fs::symlink_metadata(path).is_ok();
+        if (is_there || *is_path) && (is_inside(&resolved(path)) || is_inside(&place_of(path))) {
+            return Err(Failure::new(format!(
+                "{setting} names {}, which lies in out {}, where the run writes; copy it to another place, or give \
+                 another out",
+                path.display(),
+                out.display()
+            )));
+        }
+        Ok(())
+    }
+}
+
+/// Absolute path of a name: links above it are followed, and the name itself may be a link.
+fn place_of(path: &Path) -> PathBuf {
+    match (path.parent(), path.file_name()) {
+        (Some(parent), Some(name)) => resolved(parent).join(name),
+        _ => resolved(path),
+    }
+}
+
 /// Refuses an output that is, contains or lies inside an input.
 fn refuse_overlap(out: &Path, role: &str, input: &Path) -> Result<(), Failure> {
     let (o, i) = (resolved(out), resolved(input));
@@ -184,6 +270,7 @@ fn take(out: &Path, owner: &Owner, command: &str) -> Result<File, Failure> {
         return Err(refusal);
     }
     fs::create_dir_all(out).map_err(|e| failed("create", e))?;
+    refuse_special(&path)?;
     let options =
         OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
     let mut lock = options.map_err(|e| failed("write in it", e))?;
@@ -207,6 +294,17 @@ fn take(out: &Path, owner: &Owner, command: &str) -> Result<File, Failure> {
         .and_then(|()| lock.write_all(holder.as_bytes()))
         .map_err(|e| failed("write in it", e))?;
     Ok(lock)
+}
+
+/// Refuses a link, a pipe or a device in the place of a file that a run writes in its directory.
+pub fn refuse_special(path: &Path) -> Result<(), Failure> {
+    match fs::symlink_metadata(path) {
+        Ok(metadata) if !metadata.is_file() => Err(Failure::new(format!(
+            "{} is not a regular file, and the run writes one there; remove it, or give another out",
+            path.display()
+        ))),
+        _ => Ok(()),
+    }
 }
 
 /// Description of the process that holds a lock. That process writes it a moment after it has taken the

@@ -15,7 +15,7 @@ use planish_pipeline::{
 };
 
 use super::{
-    claim::Claim,
+    claim::{Claim, Named, refuse_special},
     place::Place,
     program::{Answer, plan_of},
 };
@@ -77,7 +77,10 @@ impl Programs {
     fn attempt(&self, command: &Command, message: &Path) -> Result<u8, Failure> {
         self.print(&format!("{} 2> {}", command.line(), words::quote(&message.to_string_lossy())));
         let mut process = self.process(command);
-        process.stderr(File::create(message)?);
+        refuse_special(message)?;
+        let file = File::create(message)
+            .map_err(|e| Failure::new(format!("{}: cannot write: {e}", message.display())))?;
+        process.stderr(file);
         if let Said::Kept(file) = &self.said {
             process.stdout(file.try_clone()?);
         }
@@ -164,10 +167,11 @@ pub fn run<'a>(
         surface: path("surface")?.filter(|_| is_own),
         tif: path("tif")?.filter(|_| is_own),
         machine: text("machine")?.into(),
+        named: Named::all(&scope)?,
     };
     let programs = Programs::new(place, said)?;
     let mut walk = Walk::new(scope, stage).map_err(Failure::new)?;
-    let (_lock, assumed) = claim.take(&words::join(env::args()))?;
+    let (_lock, assumed) = claim.take(&as_typed())?;
     assumed.iter().for_each(|text| programs.print(&format!("warning: {text}")));
     let mut last = 0;
     while let Some(step) = walk.step().map_err(Failure::new)? {
@@ -180,7 +184,10 @@ pub fn run<'a>(
             Step::Attempt(dir, command) => attempt(&programs, &mut walk, &dir, &command)?,
             Step::LeaveOut(dir, reason) => {
                 fs::create_dir_all(&dir)?;
-                fs::write(Path::new(&dir).join(MESSAGE), format!("error: {reason}\n"))?;
+                let message = Path::new(&dir).join(MESSAGE);
+                refuse_special(&message)?;
+                fs::write(&message, format!("error: {reason}\n"))
+                    .map_err(|e| Failure::new(format!("{}: cannot write: {e}", message.display())))?;
                 leave_out(&mut walk, Path::new(&dir))?;
                 0
             }
@@ -203,6 +210,11 @@ pub fn run<'a>(
         }
     }
     Ok(Ended { code: last, scope: walk.scope })
+}
+
+/// Command line of this process.
+pub fn as_typed() -> String {
+    words::join(env::args_os().map(|word| word.to_string_lossy().into_owned()))
 }
 
 /// Runs a command that may refuse: its message then stands in the place of what it makes.
@@ -274,6 +286,16 @@ fn copy(programs: &Programs, from: &Path, to: &Path) -> Result<(), Failure> {
             from.display()
         ))
     };
+    let (real_from, real_to) = (from.canonicalize(), to.canonicalize());
+    if let (Ok(real_from), Ok(real_to)) = (real_from, real_to)
+        && (real_from.starts_with(&real_to) || real_to.starts_with(&real_from))
+    {
+        return Err(Failure::new(format!(
+            "path {}: is where the run copies it, {}; give another out",
+            from.display(),
+            to.display()
+        )));
+    }
     let entries =
         fs::read_dir(from).and_then(Iterator::collect::<io::Result<Vec<_>>>).map_err(unreadable)?;
     forget(to)?;

@@ -16,8 +16,8 @@ use planish_handoff::{Failure, Status, say, warn, words};
 
 use super::{
     campaign::specified,
-    claim::Claim,
-    execute::{Programs, Said},
+    claim::{Claim, Named},
+    execute::{Programs, Said, as_typed},
     place::{Place, directory_name, name_of},
     run::end,
     several::{Given, Silent, command, is_directory, plain},
@@ -82,6 +82,22 @@ impl Last {
         }
         Ok(Self { before, after, trajectory, tif, transform, error_budget })
     }
+
+    /// Paths of the inputs, with their settings.
+    fn named(&self) -> Vec<Named> {
+        let Self { before, after, trajectory, tif, transform, error_budget } = self;
+        let all = [
+            ("before", Some(before)),
+            ("after", Some(after)),
+            ("trajectory", Some(trajectory)),
+            ("tif", Some(tif)),
+            ("transform", transform.as_ref()),
+            ("error_budget", error_budget.as_ref()),
+        ];
+        all.into_iter()
+            .flat_map(|(setting, path)| Named::words(setting, path.map_or(&[], std::slice::from_ref), true))
+            .collect()
+    }
 }
 
 impl NextRun {
@@ -100,8 +116,8 @@ impl NextRun {
             format!("{}out/next-run/{}", place.home(), directory_name(&name_of(&after)))
         });
         let settings = [plain(&definition), given.settings.clone()].concat();
-        let machine =
-            place.settings(&definition, &settings)?.text("machine").map_err(Failure::new)?;
+        let scope = place.settings(&definition, &settings)?;
+        let machine = scope.text("machine").map_err(Failure::new)?;
         let name = Path::new(&machine).file_name().unwrap_or_default().to_string_lossy();
         let limits = format!("{out}/machine/{name}");
         let claim = Claim {
@@ -111,8 +127,16 @@ impl NextRun {
             surface: Some(last.after.clone().into()),
             tif: Some(last.tif.clone().into()),
             machine: machine.clone().into(),
+            named: [
+                Named::all(&scope)?,
+                last.named(),
+                Named::words("reconcile", &reconcile, false),
+            ]
+            .into_iter()
+            .flatten()
+            .collect(),
         };
-        let (_lock, assumed) = claim.take(&words::join(std::env::args()))?;
+        let (_lock, assumed) = claim.take(&as_typed())?;
         assumed.into_iter().for_each(warn);
         let next = Next {
             programs: Programs::new(&place, Said::Shown)?,

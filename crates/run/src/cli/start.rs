@@ -41,6 +41,7 @@ impl Start {
             surface: self.surface.clone(),
             tif: self.tif.clone(),
             machine: self.machine.clone(),
+            named: vec![],
         };
         let (lock, assumed) = claim.take(&words::join(&self.command))?;
         assumed.into_iter().for_each(warn);
