@@ -361,7 +361,7 @@ fn what_cannot_be_planned_is_refused_by_name() {
     let message = refuse(&far, &limits, &settings).to_string();
     assert!(message.contains("the tool reaches no valid pixel"), "{message}");
     let bad = [
-        (Settings { tikhonov: 0.0, ..settings }, "tikhonov"),
+        (Settings { tikhonov: Some(0.0), ..settings }, "tikhonov"),
         (Settings { node_spacing_mm: Some(1e-9), ..settings }, "node_spacing_mm"),
         (Settings { refinements: 11, ..settings }, "refinements"),
         (Settings { corner_radius_mm: Some(f64::NAN), ..settings }, "corner_radius_mm"),

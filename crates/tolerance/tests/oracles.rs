@@ -75,8 +75,10 @@ fn twice_the_error_is_twice_its_line() {
     let (once, twice) = (of(every(0.5), &settings()), of(every(1.0), &settings()));
     // Play is hysteresis: twice the play is not twice of what it does where a turn is short.
     let each = once.errors.iter().zip(&twice.errors).filter(|(a, _)| a.kind != "backlash");
+    // The lines of errors that depart from their first order are simulated: twice the error is not twice that.
+    let each: Vec<_> = each.filter(|(a, b)| !a.simulated && !b.simulated).collect();
+    assert!(each.len() > 10, "{}", each.len());
     for (a, b) in each {
-        assert!(!a.simulated && !b.simulated, "{}", a.kind);
         assert!(a.adds_rms_nm > 0.0 || a.kind.contains("lag"), "{}", a.kind);
         // The size is scaled after all else: sums of squares and their roots round.
         let error = (b.adds_rms_nm - 2.0 * a.adds_rms_nm).abs();
