@@ -77,7 +77,7 @@ impl Baseline {
         let (plane, errors) = fitted_plane(&samples)?;
         let mut values: Vec<f64> = samples.iter().map(|s| s.rate).collect();
         values.sort_unstable_by(f64::total_cmp);
-        let low = values[values.len() / 10];
+        let low = values[values.len() / 50];
         let is_seen = |k: usize| plane[k].abs() > LEAST_SIGNIFICANCE * errors[k];
         let mut level = if is_seen(0) { plane[0] } else { 0.0 };
         // The fit of a tail of another shape may swing below the samples.
