@@ -362,6 +362,11 @@ impl<'a> Merit<'a> {
         (objective, self.price_is_found)
     }
 
+    /// Pull to the least densities in (1), nm^2.
+    pub fn pull_nm2(&self, density: &[f64]) -> f64 {
+        0.5 * self.alpha * density.iter().zip(self.lo).map(|(d, lo)| (d - lo).powi(2)).sum::<f64>()
+    }
+
     /// (1) and its gradient from those of half the mean square.
     fn priced(
         &self,
@@ -371,9 +376,8 @@ impl<'a> Merit<'a> {
     ) -> Objective {
         let total_s = dot(&self.lengths_mm, density);
         gradient.iter_mut().zip(&self.lengths_mm).for_each(|(g, l)| *g += self.price * l);
-        let mut penalty = 0.0;
+        let mut penalty = self.pull_nm2(density);
         for ((g, d), lo) in gradient.iter_mut().zip(density).zip(self.lo) {
-            penalty += 0.5 * self.alpha * (d - lo).powi(2);
             *g += self.alpha * (d - lo);
         }
         for [a, b] in &self.neighbours {

@@ -109,6 +109,12 @@ pub struct Report {
     /// This program has fixed tangents in the place of the limits, which are not convex, so it bounds no other
     /// motion.
     pub relative_gap: f64,
+    /// Sentence on the plans that this bound compares with.
+    pub gap_covers: &'static str,
+    /// Tikhonov weight of the pull to the least densities.
+    pub tikhonov: f64,
+    /// Part of the objective that this pull has.
+    pub pull_part: f64,
     /// Number of steps of the solver in all its rounds, without those that look for a start for an elasticity.
     pub iterations: usize,
     /// Objective of the last round at its start and after every step, nm^2. The last value and some before it are
@@ -131,6 +137,15 @@ pub struct Report {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub slowed_by: Option<f64>,
 }
+
+/// Plans that [`Report::relative_gap`] compares with.
+const COVERED: &str = "plans on this curve whose density is linear between these nodes, under the tangents of the limits; \
+                       not closer nodes, another curve, or another law of time between the nodes";
+
+/// The same for a machine that limits jerk.
+const COVERED_BEFORE_AVERAGE: &str = "plans on this curve whose density is linear between these nodes, under the tangents of \
+                                      the limits, and which keep the jerk by the same average in time; not closer nodes, \
+                                      another curve, another law of time between the nodes, or another way to keep the jerk";
 
 /// Spacing of the nodes, if the solver would take too long with the default.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -338,7 +353,8 @@ fn planned(
         Task { desired, tif, path, curves, limits, further, average, simulation }
     };
     let Solved { mesh, nodes_of_meshes, found } = task.solved(&meshes, settings)?;
-    let Found { solution, motion, refused, model_rms_nm, price, iterations, rounds } = found;
+    let Found { solution, motion, refused, model_rms_nm, price, tikhonov, pull_part, .. } = found;
+    let (iterations, rounds) = (found.iterations, found.rounds);
     let (mut trajectory, mut refused) = match task.averaged(&motion.trajectory)? {
         None => (motion.trajectory.clone(), refused),
         Some(trajectory) => {
@@ -371,6 +387,9 @@ fn planned(
         price_nm2_per_s: price,
         end: solution.end,
         relative_gap: solution.relative_gap,
+        gap_covers: if average.is_some() { COVERED_BEFORE_AVERAGE } else { COVERED },
+        tikhonov,
+        pull_part,
         iterations,
         objective_nm2: solution.objective,
         model_rms_nm,

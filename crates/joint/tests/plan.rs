@@ -350,6 +350,31 @@ fn the_price_follows_from_the_elasticity() {
 }
 
 #[test]
+fn the_pull_to_the_floor_costs_at_most_a_hundredth() {
+    // A layer of 400 nm: densities far above the floor of 0.
+    let deep = Surface::new(*desired().grid(), desired().height_nm() + 400.0).unwrap();
+    let limits = machine(60.0, 300.0, None);
+    let of = |path: &ToolPath, tikhonov: Option<f64>| {
+        let settings = Settings { tikhonov, ..Settings::default() };
+        let plan = plan(&deep, &tif(), path, &limits, &settings).unwrap();
+        assert_eq!((plan.report.end, &plan.refused), (End::Optimal, &None));
+        // The product that is stationary at a plan with the elasticity 0.5.
+        let rms = plan.removal.residual().statistics().rms;
+        (plan.report.pull_part, rms * rms * plan.trajectory.total_time_s().sqrt(), plan.report.tikhonov)
+    };
+    for (name, path) in [("raster", raster()), ("meander", meander())] {
+        let (fixed, ..) = of(&path, Some(1e-5));
+        let (part, product, tikhonov) = of(&path, None);
+        let (_, least, _) = of(&path, Some(1e-2 * tikhonov));
+        println!("{name}: pull {fixed:.2e} at 1e-5, {part:.2e} at {tikhonov:.1e}; {product:.5} and {least:.5}");
+        assert!(fixed > 0.02, "{name}: {fixed}");
+        assert!(part <= 0.01, "{name}: {part}");
+        // The pull of a hundredth, and twice the gap of 1e-3 at which a plan ends.
+        assert!(product < (1.0 + 0.01 + 2e-3) * least, "{name}: {product} {least}");
+    }
+}
+
+#[test]
 fn what_cannot_be_planned_is_refused_by_name() {
     let (limits, settings) = (machine(100.0, 2000.0, None), Settings::default());
     let refuse = |path: &ToolPath, limits: &Limits, settings: &Settings| {
@@ -361,7 +386,7 @@ fn what_cannot_be_planned_is_refused_by_name() {
     let message = refuse(&far, &limits, &settings).to_string();
     assert!(message.contains("the tool reaches no valid pixel"), "{message}");
     let bad = [
-        (Settings { tikhonov: 0.0, ..settings }, "tikhonov"),
+        (Settings { tikhonov: Some(0.0), ..settings }, "tikhonov"),
         (Settings { node_spacing_mm: Some(1e-9), ..settings }, "node_spacing_mm"),
         (Settings { refinements: 11, ..settings }, "refinements"),
         (Settings { corner_radius_mm: Some(f64::NAN), ..settings }, "corner_radius_mm"),
