@@ -40,6 +40,7 @@ mod tif;
 mod tool_path;
 mod trajectory;
 mod transform;
+pub mod units;
 mod variation;
 
 pub use aperture::ClearAperture;
