@@ -27,6 +27,7 @@ pub mod doubts;
 mod dwell_density;
 mod dwell_time;
 mod end;
+pub mod file_text;
 mod grid;
 mod heading;
 mod kinematics;

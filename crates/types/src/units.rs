@@ -16,6 +16,8 @@
 
 use std::fmt;
 
+use serde::{Serialize, Serializer};
+
 use crate::Invalid;
 
 /// Kind of quantity that a unit measures.
@@ -245,6 +247,12 @@ impl fmt::Display for Unit {
             Some((time, 1)) => write!(f, "/{}", time.symbol),
             Some((time, power)) => write!(f, "/{}^{power}", time.symbol),
         }
+    }
+}
+
+impl Serialize for Unit {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
     }
 }
 
