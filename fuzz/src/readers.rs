@@ -8,9 +8,9 @@ use planish_import::{
     Format, Origin, Pick, Settings, Unit,
     program::{self, Configuration, ProgramAxis},
     read, surface, tif,
-    trace::{self, LogFormat, PositionUnit, TimeUnit, TraceSettings, following, motion::Between},
+    trace::{self, LogFormat, TraceSettings, following, motion::Between},
 };
-use planish_types::{ControllerKind, MachineFile, budget};
+use planish_types::{ControllerKind, MachineFile, budget, units};
 
 /// What a reader may take: an input of some kilobytes that needs more is a defect.
 pub const MEMORY_GIB: f64 = 1.0 / 16.0;
@@ -145,8 +145,8 @@ fn log(bytes: &[u8]) {
             rate_hz: Some(1e3),
             most_gap_s: 1.0,
             nominal_current: Some(1.0),
-            unit: Some(PositionUnit::Mm),
-            time_unit: Some(TimeUnit::Ms),
+            unit: units::Unit::read("mm", &[]),
+            time_unit: units::Unit::read("ms", &[]),
             ..TraceSettings::default()
         };
         if format == LogFormat::Hdf5 {

@@ -63,7 +63,6 @@ pub mod sdf;
 mod shift;
 mod spot;
 pub mod sur;
-mod text;
 pub mod trace;
 mod unknown;
 pub mod x3p;
@@ -79,7 +78,7 @@ pub use spot::{Alignment, Baseline, Spot, SpotSettings, spot};
 
 pub use unknown::unknown;
 
-use planish_types::Invalid;
+use planish_types::{Invalid, file_text as text};
 
 /// A format that is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, clap::ValueEnum)]

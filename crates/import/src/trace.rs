@@ -11,6 +11,8 @@
 //! | [`table`] | text in columns: CSV, XPS gatherings, Aerotech and Galil logs |
 //! | [`datasets`] | HDF5 |
 //! | [`clock`] | time stamps or a rate: gaps, drift and scatter |
+//! | [`moment`], [`stamp`] | times that are moments, or numbers |
+//! | [`jumps`] | samples to which no axis moves |
 //! | [`motion`] | cubic or straight pieces between the samples |
 //! | [`following`] | following error of the log against its setpoint or a plan |
 //!
@@ -30,16 +32,23 @@ pub mod clock;
 pub mod columns;
 pub mod datasets;
 pub mod following;
+pub mod jumps;
 pub mod moment;
 pub mod motion;
+pub mod stamp;
 pub mod table;
 
-use planish_types::{Invalid, Trajectory, text::significant};
+use planish_numerics::polynomial;
+use planish_types::{
+    AxesMotion, Invalid, Trajectory,
+    text::significant,
+    units::{Quantity, Unit},
+};
 use serde::Serialize;
 
 use self::{
     clock::{Clock, Timing},
-    columns::{Column, Columns, Role},
+    columns::{Column, Columns, Log, Role},
     motion::Between,
 };
 
@@ -73,47 +82,19 @@ impl LogFormat {
     }
 }
 
-/// A unit of the positions in a log.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum PositionUnit {
-    /// Metre.
-    M,
-    /// Millimetre.
-    Mm,
-    /// Micrometre.
-    Um,
-    /// Nanometre.
-    Nm,
-    /// Counts of the encoder.
-    Count,
-}
-
-/// A unit of the time stamps in a log.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum TimeUnit {
-    /// Second.
-    S,
-    /// Millisecond.
-    Ms,
-    /// Microsecond.
-    Us,
-    /// Samples of the controller.
-    Samples,
-}
-
 /// Settings for reading a log: what the log does not state.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct TraceSettings {
     /// Columns of the quantities; those that are not given are found by the names in the file.
     pub columns: Columns,
-    /// Unit of the positions, where the log does not state it.
-    pub unit: Option<PositionUnit>,
+    /// Unit of the positions, where the log does not state it: of a length, or counts.
+    pub unit: Option<Unit>,
+    /// Unit of the positions of rotary axes, where the log does not state it: of an angle.
+    pub angle_unit: Option<Unit>,
     /// Size of a count of (x, y), mm.
     pub count_mm: Option<[f64; 2]>,
-    /// Unit of the time stamps, where the log does not state it.
-    pub time_unit: Option<TimeUnit>,
+    /// Unit of the time stamps, where the log does not state it: of a time, or samples.
+    pub time_unit: Option<Unit>,
     /// Sample time of the controller, s: of time stamps in samples.
     pub sample_s: Option<f64>,
     /// Samples per second that the log was to have, Hz.
@@ -130,13 +111,15 @@ pub struct TraceSettings {
     pub between: Between,
 }
 
-/// A log: samples of two axes in mm, in the order of time.
+/// A log: samples of x and y in mm, or of all axes of a machine, in the order of time.
 #[derive(Clone, Debug)]
 pub struct Trace {
     /// Time since the first sample of the log (n), s; ascending.
     pub time_s: Vec<f64>,
-    /// Measured positions of the axes (n), mm.
+    /// Measured positions of x and y (n), mm; empty where all axes of a machine are read.
     pub actual_mm: Vec<[f64; 2]>,
+    /// Measured positions of all axes of a machine, each (n), mm or degrees; empty where x and y are read.
+    pub axes: Vec<Vec<f64>>,
     /// Setpoints of the axes (n), mm.
     pub setpoint_mm: Option<Vec<[f64; 2]>>,
     /// True if the tool removed from a sample to the next (n).
@@ -155,9 +138,9 @@ pub struct TraceStatement {
     /// Controller or format that wrote the log.
     pub format: LogFormat,
     /// Column or dataset of every quantity that was read.
-    pub columns: Vec<(Role, String)>,
-    /// mm per stored value along x and y.
-    pub mm_per_value: [f64; 2],
+    pub columns: Vec<(String, String)>,
+    /// mm, or degrees, per stored value of every position, in the order of the columns.
+    pub mm_or_deg_per_value: Vec<f64>,
     /// Source of the unit of the positions: "the log" or "asked for".
     pub unit_from: &'static str,
     /// Warnings for the user.
@@ -186,34 +169,28 @@ const BEAM_ON: f64 = 0.5;
 /// Reads the bytes of a log.
 pub fn read(format: LogFormat, bytes: &[u8], settings: &TraceSettings) -> Result<Trace, Invalid> {
     check(settings)?;
-    let columns = match format {
+    let Log { mut columns, times, mut warnings } = match format {
         LogFormat::Hdf5 => datasets::read(bytes, &settings.columns)?,
         _ => table::read(format, bytes, &settings.columns)?,
     };
-    let samples = columns.iter().map(|c| c.values.len()).min().unwrap_or(0);
-    if samples < 2 {
-        let problem = format!("holds {samples} samples of position");
-        return Err(Invalid::whole(NAME, problem, "give a log of a motion"));
+    let scale = Scale::of(&columns, settings)?;
+    for (column, factor) in positions(&mut columns).zip(&scale.factors) {
+        column.values.iter_mut().for_each(|v| *v *= factor);
     }
+    let named = |column: &Column| (settings.columns.name(column.role), column.name.clone());
+    let names = columns.iter().map(named).collect();
+    let (time_s, clock) = on_one_clock(&mut columns, &times, settings, &mut warnings)?;
+    warnings.extend(clock.warnings());
     let find = |role: Role| columns.iter().find(|c| c.role == role);
-    let timing = Timing {
-        stamps: find(Role::Time),
-        samples,
-        unit: settings.time_unit,
-        sample_s: settings.sample_s,
-        rate_hz: settings.rate_hz,
-        most_gap_s: settings.most_gap_s,
-    };
-    let (time_s, clock) = timing.clock()?;
-    let (mm_per_value, unit_from) = scale(&columns, settings)?;
     let pair = |roles: [Role; 2]| -> Option<Vec<[f64; 2]>> {
         let [x, y] = [find(roles[0])?, find(roles[1])?];
-        let each = x.values.iter().zip(&y.values);
-        Some(each.map(|(x, y)| [x * mm_per_value[0], y * mm_per_value[1]]).collect())
+        Some(x.values.iter().zip(&y.values).map(|(x, y)| [*x, *y]).collect())
     };
-    let actual_mm = pair([Role::X, Role::Y]).expect("a log has both axes, or was refused");
-    let mut warnings = clock.warnings();
+    let axes =
+        (0..settings.columns.axes.len()).filter_map(|k| Some(find(Role::Axis(k))?.values.clone()));
     let trace = Trace {
+        actual_mm: pair([Role::X, Role::Y]).unwrap_or_default(),
+        axes: axes.collect(),
         setpoint_mm: pair([Role::SetpointX, Role::SetpointY]),
         tool_on: find(Role::ToolOn).map(switched).transpose()?,
         rate_factor: match find(Role::Current) {
@@ -221,18 +198,127 @@ pub fn read(format: LogFormat, bytes: &[u8], settings: &TraceSettings) -> Result
             None => None,
         },
         time_s,
-        actual_mm,
         clock,
         statement: TraceStatement {
             format,
-            columns: columns.iter().map(|c| (c.role, c.name.clone())).collect(),
-            mm_per_value,
-            unit_from,
+            columns: names,
+            mm_or_deg_per_value: scale.factors,
+            unit_from: scale.unit_from,
             warnings,
         },
     };
     trace.check_plausible()?;
-    trace.cropped(settings)
+    let mut trace = trace.cropped(settings)?;
+    let found: Vec<String> = trace.positions(settings).iter().filter_map(jumps::doubt).collect();
+    trace.statement.warnings.extend(found);
+    Ok(trace)
+}
+
+/// The columns of positions.
+fn positions(columns: &mut [Column]) -> impl Iterator<Item = &mut Column> {
+    columns.iter_mut().filter(|column| column.role.is_position())
+}
+
+/// Times of the samples, and their comparison with equal steps. A quantity with time stamps of its own is interpolated to the
+/// times of the log, and the log is cut to the times that all quantities have.
+fn on_one_clock(
+    columns: &mut Vec<Column>,
+    times: &[Column],
+    settings: &TraceSettings,
+    warnings: &mut Vec<String>,
+) -> Result<(Vec<f64>, Clock), Invalid> {
+    let on_log = || columns.iter().filter(|c| c.own_time.is_none());
+    let samples = on_log().map(|c| c.values.len()).min().unwrap_or(0);
+    if samples < 2 {
+        let problem = format!("holds {samples} samples of position");
+        return Err(Invalid::whole(NAME, problem, "give a log of a motion"));
+    }
+    let main = columns.iter().find(|c| c.role == Role::Time).cloned();
+    let timing = |stamps, samples, unit| Timing {
+        stamps,
+        samples,
+        unit,
+        sample_s: settings.sample_s,
+        rate_hz: settings.rate_hz,
+        most_gap_s: settings.most_gap_s,
+    };
+    let (mut time_s, clock) = timing(main.as_ref(), samples, settings.time_unit).clock()?;
+    let Some(main) = &main else { return Ok((time_s, clock)) };
+    let unit = settings.time_unit.or(main.unit);
+    let mut span_s = [time_s[0], time_s[samples - 1]];
+    let mut own: Vec<Vec<f64>> = Vec::with_capacity(times.len());
+    for stamps in times {
+        let timing = timing(Some(stamps), stamps.values.len(), stamps.unit.or(unit));
+        let unit_s = timing.unit_s(stamps)?;
+        let later_s = match (main.first_moment, stamps.first_moment) {
+            (Some(a), Some(b)) => {
+                let both = moment::times(&[a, b]).map_err(|_| {
+                    let problem = format!("is in {} no moment like those of the log", stamps.name);
+                    Invalid::whole("time", problem, "give `time_y`")
+                })?;
+                both.seconds[1]
+            }
+            _ => (stamps.first - main.first) * unit_s,
+        };
+        let on_log: Vec<f64> = timing.clock()?.0.iter().map(|t| t + later_s).collect();
+        span_s = [span_s[0].max(on_log[0]), span_s[1].min(on_log[on_log.len() - 1])];
+        own.push(on_log);
+    }
+    if own.is_empty() {
+        return Ok((time_s, clock));
+    }
+    // Rounding of sums of times.
+    let least_s = 1e-9 / clock.rate_hz;
+    let first = time_s.partition_point(|t| *t < span_s[0] - least_s);
+    let end = time_s.partition_point(|t| *t <= span_s[1] + least_s);
+    if first + 2 > end {
+        let problem = "has channels whose times have nothing in common";
+        return Err(Invalid::whole(NAME, problem, "give `time` and `time_y` of one recording"));
+    }
+    time_s.truncate(end);
+    time_s.drain(..first);
+    for column in columns.iter_mut() {
+        match column.own_time {
+            Some(k) => {
+                let held = column.role == Role::ToolOn;
+                column.values = resampled(&own[k], &column.values, &time_s, held);
+            }
+            None => {
+                column.values.truncate(end);
+                column.values.drain(..first);
+            }
+        }
+    }
+    let by_own: Vec<String> = (columns.iter())
+        .filter_map(|c| Some((settings.columns.name(c.role), &times[c.own_time?].name)))
+        .map(|(role, name)| format!("{role} by \"{name}\""))
+        .collect();
+    warnings.push(format!(
+        "channels have times of their own: {}; they are interpolated to the times of \"{}\", from {} to {} s, which all \
+         channels have",
+        by_own.join(", "),
+        main.name,
+        significant(time_s[0], 6),
+        significant(time_s[time_s.len() - 1], 6)
+    ));
+    Ok((time_s, clock))
+}
+
+/// Values at `at_s` (ascending) of samples at `time_s`: by cubics, or those of the last sample where they are `held`.
+fn resampled(time_s: &[f64], values: &[f64], at_s: &[f64], held: bool) -> Vec<f64> {
+    let n = time_s.len().min(values.len());
+    let pieces = motion::pieces(&time_s[..n], &values[..n], f64::INFINITY, Between::Cubic);
+    let at = |t: &f64| {
+        let i = time_s[..n].partition_point(|s| s <= t).saturating_sub(1);
+        // Rounding of times must not turn a switch back.
+        let i = if i + 1 < n && time_s[i + 1] - t < 1e-9 * (time_s[i + 1] - time_s[i]) {
+            i + 1
+        } else {
+            i
+        };
+        if held || i + 1 >= n { values[i] } else { polynomial::evaluate(&pieces[i], t - time_s[i]) }
+    };
+    at_s.iter().map(at).collect()
 }
 
 fn check(settings: &TraceSettings) -> Result<(), Invalid> {
@@ -243,6 +329,17 @@ fn check(settings: &TraceSettings) -> Result<(), Invalid> {
         ("nominal_current", settings.nominal_current),
         ("count_mm", settings.count_mm.map(|[x, y]| x.abs().min(y.abs()))),
     ];
+    let units: [(&'static str, Option<Unit>, [Quantity; 2], &str); 3] = [
+        ("unit", settings.unit, [Quantity::Length, Quantity::Counts], "of a length"),
+        ("angle_unit", settings.angle_unit, [Quantity::Angle; 2], "of an angle"),
+        ("time_unit", settings.time_unit, [Quantity::Time, Quantity::Samples], "of a time"),
+    ];
+    for (name, unit, wanted, of) in units {
+        if let Some(unit) = unit.filter(|unit| !wanted.contains(&unit.quantity())) {
+            let problem = format!("is {unit}");
+            return Err(Invalid::whole(name, problem, format!("give the unit {of}")));
+        }
+    }
     for (name, value) in positive {
         if let Some(v) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
             let name_of = format!("is {v}");
@@ -252,47 +349,68 @@ fn check(settings: &TraceSettings) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// mm per stored value along x and y, and the source of the unit.
-fn scale(
-    columns: &[Column],
-    settings: &TraceSettings,
-) -> Result<([f64; 2], &'static str), Invalid> {
-    let mut stated = None;
-    for column in columns.iter().filter(|c| c.role.is_position()) {
-        match (column.position_unit, stated) {
-            (Some(unit), Some((other, name))) if unit != other => {
-                let problem =
-                    format!("has \"{name}\" in {other:?} and \"{}\" in {unit:?}", column.name);
-                return Err(Invalid::whole(NAME, problem, "give all positions the same unit"));
-            }
-            (Some(unit), None) => stated = Some((unit, &column.name)),
-            _ => {}
+/// mm, or degrees, per stored value of the positions.
+struct Scale {
+    factors: Vec<f64>,
+    unit_from: &'static str,
+}
+
+impl Scale {
+    /// Units of the positions, by the log or by the settings, which must not contradict each other.
+    fn of(columns: &[Column], settings: &TraceSettings) -> Result<Self, Invalid> {
+        let mut scale = Self { factors: Vec::new(), unit_from: "the log" };
+        for column in columns.iter().filter(|c| c.role.is_position()) {
+            let is_rotary =
+                matches!(column.role, Role::Axis(k) if settings.columns.axes[k].is_rotary);
+            let (setting, given) = match is_rotary {
+                true => ("angle_unit", settings.angle_unit),
+                false => ("unit", settings.unit),
+            };
+            let unit = match (given, column.unit) {
+                (Some(given), Some(stated)) if given != stated => {
+                    let problem =
+                        format!("is {given}, but the log has \"{}\" in {stated}", column.name);
+                    let remedy = format!("leave `{setting}` out, or correct the log");
+                    return Err(Invalid::whole(setting, problem, remedy));
+                }
+                (Some(given), _) => {
+                    scale.unit_from = "asked for";
+                    given
+                }
+                (None, Some(stated)) => stated,
+                (None, None) => {
+                    let remedy = match is_rotary {
+                        true => "give `angle_unit`: deg, rad, mrad, urad, arcsec, arcmin",
+                        false => "give `unit`: m, mm, um, nm, in, mil, or count with `count_mm`",
+                    };
+                    let problem =
+                        format!("of the positions is not in the log, in \"{}\"", column.name);
+                    return Err(Invalid::whole(setting, problem, remedy));
+                }
+            };
+            scale.factors.push(match unit.quantity() {
+                Quantity::Counts => count(column.role, settings)?,
+                _ if is_rotary => unit.size(0).to_degrees(),
+                _ => unit.size(-3),
+            });
         }
+        Ok(scale)
     }
-    let (unit, from) = match (settings.unit, stated) {
-        (Some(given), Some((stated, name))) if given != stated => {
-            let problem = format!("is {given:?}, but the log has \"{name}\" in {stated:?}");
-            return Err(Invalid::whole("unit", problem, "leave `unit` out, or correct the log"));
-        }
-        (Some(given), _) => (given, "asked for"),
-        (None, Some((stated, _))) => (stated, "the log"),
-        (None, None) => {
-            let remedy = "give `unit`: m, mm, um, nm, or count with `count_mm`";
-            return Err(Invalid::whole("unit", "of the positions is not in the log", remedy));
-        }
-    };
-    let mm = match unit {
-        PositionUnit::M => 1e3,
-        PositionUnit::Mm => 1.0,
-        PositionUnit::Um => 1e-3,
-        PositionUnit::Nm => 1e-6,
-        PositionUnit::Count => {
-            let remedy = "give `count_mm`, negative where an axis counts backwards";
-            let absent = || Invalid::whole("count_mm", "is not in a log in counts", remedy);
-            return Ok((settings.count_mm.ok_or_else(absent)?, from));
+}
+
+/// mm per count of a position.
+fn count(role: Role, settings: &TraceSettings) -> Result<f64, Invalid> {
+    let axis = match role {
+        Role::X | Role::SetpointX => 0,
+        Role::Y | Role::SetpointY => 1,
+        _ => {
+            let remedy = "export the log in mm and degrees";
+            return Err(Invalid::whole("unit", "is counts in a log of all axes", remedy));
         }
     };
-    Ok(([mm; 2], from))
+    let remedy = "give `count_mm`, negative where an axis counts backwards";
+    let absent = || Invalid::whole("count_mm", "is not in a log in counts", remedy);
+    Ok(settings.count_mm.ok_or_else(absent)?[axis])
 }
 
 /// Switch of the tool, from numbers that are 0 or 1.
@@ -384,7 +502,38 @@ impl Trace {
                 return Err(Invalid::at("position", i, problem, "check `unit` and `count_mm`"));
             }
         }
+        for positions in &self.axes {
+            if let Some(i) = positions.iter().position(|v| !planish_types::is_plausible_mm(*v)) {
+                let problem = format!("is {} mm or degrees", positions[i]);
+                return Err(Invalid::at("position", i, problem, "check `unit` and `angle_unit`"));
+            }
+        }
         Ok(())
+    }
+
+    /// Returns the measured positions of each axis, with its name and unit.
+    fn positions(&self, settings: &TraceSettings) -> Vec<jumps::Axis<'_>> {
+        let axis = |name: &str, unit, positions| jumps::Axis {
+            name: name.to_string(),
+            unit,
+            time_s: &self.time_s,
+            positions,
+        };
+        if !self.axes.is_empty() {
+            let each = settings.columns.axes.iter().zip(&self.axes);
+            return each
+                .map(|(column, positions)| {
+                    let unit = if column.is_rotary { "deg" } else { "mm" };
+                    axis(&column.name, unit, positions.as_slice().into())
+                })
+                .collect();
+        }
+        [0, 1]
+            .map(|a| {
+                let positions: Vec<f64> = self.actual_mm.iter().map(|p| p[a]).collect();
+                axis(["x", "y"][a], "mm", positions.into())
+            })
+            .into()
     }
 
     /// The samples from `from_s` to `until_s`.
@@ -405,6 +554,7 @@ impl Trace {
         }
         keep(&mut self.time_s, first, end);
         keep(&mut self.actual_mm, first, end);
+        self.axes.iter_mut().for_each(|values| keep(values, first, end));
         if let Some(values) = &mut self.setpoint_mm {
             keep(values, first, end);
         }
@@ -451,6 +601,21 @@ impl Trace {
             Some(w) => motion.with_rate_factor(w.windows(2).map(|w| 0.5 * (w[0] + w[1])).collect()),
             None => Ok(motion),
         }
+    }
+
+    /// Motion of all axes of a machine; its time counts from the first sample.
+    pub fn axes_motion(&self, between: Between) -> Result<AxesMotion, Invalid> {
+        let gap_s = self.clock.longest_step_s();
+        let by_axis: Vec<Vec<[f64; 4]>> = (self.axes.iter())
+            .map(|positions| motion::pieces(&self.time_s, positions, gap_s, between))
+            .collect();
+        let k = self.time_s.len() - 1;
+        let coefficient = (0..k).flat_map(|i| by_axis.iter().map(move |axis| axis[i])).collect();
+        let tool_on = match &self.tool_on {
+            Some(on) => on[..k].to_vec(),
+            None => vec![true; k],
+        };
+        AxesMotion::new(self.time_s.clone(), coefficient, tool_on, vec![None; k])
     }
 
     /// Motion of the setpoint, if the log has it.

@@ -2,10 +2,13 @@
 //!
 //! A CSV file has one line per fiducial, and a header in any order of `map_x_mm, map_y_mm, machine_x_mm,
 //! machine_y_mm`. Optional columns are `name`, `uncertainty_mm` (standard deviation of the machine's
-//! coordinates, per axis) and `map_uncertainty_mm`. A JSON file is a list of objects with `map_mm: [x, y]`,
+//! coordinates, per axis) and `map_uncertainty_mm`. A name may have another unit of length, as `map_x (um)`. A JSON file is a list of objects with `map_mm: [x, y]`,
 //! `machine_mm: [x, y]` and the same optional keys. Lines of the CSV that begin with `#` are comments.
 
-use planish_types::{Invalid, is_plausible_mm};
+use planish_types::{
+    Invalid, file_text, is_plausible_mm,
+    units::{Header, Quantity},
+};
 use serde::{Deserialize, Serialize};
 
 /// Subject of the messages of this module.
@@ -36,8 +39,9 @@ pub struct Fiducial {
 }
 
 /// Reads fiducials from JSON, where the text begins with `[`, or CSV.
-pub fn read(text: &str) -> Result<Vec<Fiducial>, Invalid> {
-    let text = text.trim_start_matches('\u{feff}').trim_start();
+pub fn read(bytes: &[u8]) -> Result<Vec<Fiducial>, Invalid> {
+    let text = file_text::text(NAME, bytes)?;
+    let text = text.trim_start();
     let mut fiducials: Vec<Fiducial> = match text.starts_with('[') {
         true => serde_json::from_str(text).map_err(|e| {
             let remedy = "give a list of objects with map_mm, machine_mm and uncertainty_mm";
@@ -74,64 +78,124 @@ pub fn read(text: &str) -> Result<Vec<Fiducial>, Invalid> {
     Ok(fiducials)
 }
 
-/// Names of the columns of a CSV file.
-const COLUMNS: [&str; 7] = [
-    "name",
-    "map_x_mm",
-    "map_y_mm",
-    "machine_x_mm",
-    "machine_y_mm",
-    "uncertainty_mm",
-    "map_uncertainty_mm",
-];
+/// Names of the columns of a CSV file, but for the unit.
+const COLUMNS: [&str; 6] =
+    ["map_x", "map_y", "machine_x", "machine_y", "uncertainty", "map_uncertainty"];
+
+/// A column of a CSV file: its name, and mm in a unit of it.
+struct Column {
+    name: &'static str,
+    mm: f64,
+}
+
+/// Reads the name of a column; `None` for that of the fiducials' names.
+fn column(text: &str) -> Result<Option<Column>, Invalid> {
+    let shown: String = text.chars().filter(|c| !c.is_control()).take(40).collect();
+    let all: Vec<String> = COLUMNS.iter().map(|name| format!("{name}_mm")).collect();
+    let all = format!("give name, {}", all.join(", "));
+    if text.eq_ignore_ascii_case("name") {
+        return Ok(None);
+    }
+    let header =
+        Header::read(text, &[Quantity::Length]).map_err(|e| e.refused(NAME, all.clone()))?;
+    let plain = header.name.trim().to_lowercase().replace([' ', '-'], "_");
+    let Some(name) = COLUMNS.into_iter().find(|name| *name == plain) else {
+        let problem = format!("has the column \"{shown}\", unknown or twice");
+        return Err(Invalid::whole(NAME, problem, all));
+    };
+    match header.unit {
+        Some(unit) if unit.quantity() == Quantity::Length => {
+            Ok(Some(Column { name, mm: unit.size(-3) }))
+        }
+        Some(unit) => {
+            let problem = format!("has the column \"{shown}\" in {unit}, which is no length");
+            Err(Invalid::whole(NAME, problem, all))
+        }
+        None => {
+            let problem = format!("has the column \"{shown}\" without a unit");
+            Err(Invalid::whole(NAME, problem, format!("write {name}_mm, or another unit")))
+        }
+    }
+}
 
 fn csv(text: &str) -> Result<Vec<Fiducial>, Invalid> {
-    let lines = text.lines().enumerate().map(|(i, line)| (i + 1, line.trim()));
-    let mut lines = lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
-    let separator = |line: &str| if line.contains(';') { ';' } else { ',' };
-    let (_, header) = lines.next().ok_or_else(|| {
-        Invalid::whole(NAME, "is not in the file", format!("give a header: {}", COLUMNS.join(", ")))
-    })?;
-    let names: Vec<&str> = header.split(separator(header)).map(str::trim).collect();
-    let at = |name: &str| names.iter().position(|n| *n == name);
-    for (i, name) in names.iter().enumerate() {
-        if !COLUMNS.contains(name) || names[..i].contains(name) {
-            let shown: String = name.chars().filter(|c| !c.is_control()).take(40).collect();
-            let problem = format!("has the column \"{shown}\", unknown or twice");
-            return Err(Invalid::whole(NAME, problem, format!("give {}", COLUMNS.join(", "))));
+    let is_line = |(_, line): &(usize, &str)| !line.is_empty() && !line.starts_with('#');
+    let lines_of = |text: &'_ str| -> Vec<(usize, String)> {
+        let lines = text.lines().enumerate().map(|(i, line)| (i + 1, line.trim()));
+        lines.filter(is_line).map(|(i, line)| (i, line.to_string())).collect()
+    };
+    let mut lines = lines_of(text);
+    if lines.is_empty() {
+        let all = "give a header: map_x_mm, map_y_mm, machine_x_mm, machine_y_mm";
+        return Err(Invalid::whole(NAME, "is not in the file", all));
+    }
+    let (_, header) = lines.remove(0);
+    let names: Vec<&str> = file_text::fields(&header).collect();
+    let columns = names.iter().map(|name| column(name)).collect::<Result<Vec<_>, _>>()?;
+    let find = |name: &str| {
+        columns.iter().position(|c| c.as_ref().map_or(name == "name", |c| c.name == name))
+    };
+    for (i, column) in columns.iter().enumerate() {
+        let name = column.as_ref().map_or("name", |column| column.name);
+        if find(name) != Some(i) {
+            let problem = format!("has the column \"{}\", unknown or twice", names[i]);
+            return Err(Invalid::whole(NAME, problem, "give every column once"));
+        }
+    }
+    // Decimal commas are those of all lines together; a name may have a point.
+    let numbers: Vec<String> = lines.iter().map(|(_, line)| line.clone()).collect();
+    if header.contains([';', '\t'])
+        && let Some(converted) = file_text::with_points(NAME, &numbers.join("\n"))?
+    {
+        for ((_, line), converted) in lines.iter_mut().zip(converted.lines()) {
+            *line = converted.to_string();
         }
     }
     let mut fiducials = Vec::new();
-    for (number, line) in lines {
-        let fields: Vec<&str> = line.split(separator(header)).map(str::trim).collect();
+    for (number, line) in &lines {
+        let number = *number;
+        let fields = fields_of(line, names.len());
         if fields.len() != names.len() {
             let problem = format!("has {} fields, the header {}", fields.len(), names.len());
             return Err(Invalid::at("line", number, problem, "give every column a field"));
         }
         let optional = |name: &str| -> Result<Option<f64>, Invalid> {
-            let Some(field) = at(name).map(|i| fields[i]).filter(|f| !f.is_empty()) else {
+            let Some((i, column)) = find(name).and_then(|i| Some((i, columns[i].as_ref()?))) else {
                 return Ok(None);
             };
-            field.parse().map(Some).map_err(|_| {
-                let shown: String = field.chars().filter(|c| !c.is_control()).take(40).collect();
-                let problem = format!("has \"{shown}\" as {name}");
+            if fields[i].is_empty() {
+                return Ok(None);
+            }
+            fields[i].parse().map(|v: f64| Some(v * column.mm)).map_err(|_| {
+                let shown: String =
+                    fields[i].chars().filter(|c| !c.is_control()).take(40).collect();
+                let problem = format!("has \"{shown}\" as {}", names[i]);
                 Invalid::at("line", number, problem, "give a number with a decimal point")
             })
         };
         let needed = |name: &'static str| {
             optional(name)?.ok_or_else(|| {
-                Invalid::at("line", number, format!("has no {name}"), "give all coordinates")
+                Invalid::at("line", number, format!("has no {name}_mm"), "give all coordinates")
             })
         };
         fiducials.push(Fiducial {
-            name: at("name").map_or(String::new(), |i| fields[i].to_string()),
-            map_mm: [needed("map_x_mm")?, needed("map_y_mm")?],
-            machine_mm: [needed("machine_x_mm")?, needed("machine_y_mm")?],
-            uncertainty_mm: optional("uncertainty_mm")?,
-            map_uncertainty_mm: optional("map_uncertainty_mm")?,
+            name: find("name").map_or(String::new(), |i| fields[i].to_string()),
+            map_mm: [needed("map_x")?, needed("map_y")?],
+            machine_mm: [needed("machine_x")?, needed("machine_y")?],
+            uncertainty_mm: optional("uncertainty")?,
+            map_uncertainty_mm: optional("map_uncertainty")?,
         });
     }
     Ok(fiducials)
+}
+
+/// The fields of a line, of which the header has `count`: a separator at the end is that of an empty field where one is absent.
+fn fields_of(line: &str, count: usize) -> Vec<&str> {
+    let mut fields: Vec<&str> = file_text::fields(line).collect();
+    if fields.len() + 1 == count && file_text::is_closed(line) {
+        fields.push("");
+    }
+    fields
 }
 
 #[cfg(test)]
@@ -144,8 +208,18 @@ mod tests {
                    a,0,1,10,11,0.005\n,2,3,12,13,\n";
         let json = r#"[{"name": "a", "map_mm": [0, 1], "machine_mm": [10, 11], "uncertainty_mm": 0.005},
                        {"map_mm": [2, 3], "machine_mm": [12, 13]}]"#;
-        let found = read(csv).unwrap();
-        assert_eq!(found, read(json).unwrap());
+        let found = read(csv.as_bytes()).unwrap();
+        assert_eq!(found, read(json.as_bytes()).unwrap());
+        // The same in other dress: decimal commas, quotes, UTF-16, other units.
+        let commas = "name;map_x (mm);map_y (mm);machine_x (cm);machine_y_mm;uncertainty_um\n\
+                      a;0,0;1,0;1,0;11,0;5,0\n;2,0;3,0;1,2;13,0;\n";
+        let utf16: Vec<u8> =
+            [0xFEFF].into_iter().chain(commas.encode_utf16()).flat_map(u16::to_le_bytes).collect();
+        let quoted = "\"name\",\"map_x_mm\",\"map_y_mm\",\"machine_x_mm\",\"machine_y_mm\",\"uncertainty_mm\"\n\
+                      \"a\",\"0\",\"1\",\"10\",\"11\",\"0.005\"\n\"\",\"2\",\"3\",\"12\",\"13\",\"\"\n";
+        for bytes in [commas.as_bytes(), &utf16, quoted.as_bytes()] {
+            assert_eq!(read(bytes).unwrap(), found, "{}", String::from_utf8_lossy(bytes));
+        }
         assert_eq!((found[1].name.as_str(), found[1].uncertainty_mm), ("2", None));
     }
 
@@ -155,6 +229,9 @@ mod tests {
         for (text, expected) in [
             ("".to_string(), "is not in the file"),
             ("x,y\n1,2\n".into(), "the column \"x\""),
+            (head.replace("map_x_mm", "map_x"), "the column \"map_x\" without a unit"),
+            (head.replace("map_x_mm", "map_x (deg)"), "in deg, which is no length"),
+            (head.replace("map_x_mm", "map_x (furlong)"), "\"furlong\""),
             (format!("{head}1,2,3,4\n"), "line[2]: has 4 fields"),
             (format!("{head}1,2,,4,1\n"), "line[2]: has no machine_x_mm"),
             (format!("{head}1,2,a,4,1\n"), "line[2]: has \"a\" as machine_x_mm"),
@@ -162,7 +239,7 @@ mod tests {
             (format!("{head}1,2,inf,4,1\n"), "machine_mm[0]"),
             ("[{\"map_mm\": [1, 2]}]".into(), "cannot be read (missing field"),
         ] {
-            let said = read(&text).unwrap_err().to_string();
+            let said = read(text.as_bytes()).unwrap_err().to_string();
             assert!(said.contains(expected), "{text}: {said}");
         }
     }

@@ -1,8 +1,8 @@
 //! A profile: heights or slopes along a line, as a long-trace profiler or an autocollimator measures them.
 //!
 //! A file of a profile is a table of numbers, one line per position. The lines before the first one with a
-//! number in both columns are its header. Neither the columns nor the units are in such a file: the user
-//! states them, and the unit of the values decides whether they are heights or slopes.
+//! number in both columns are its header, and lines of text may follow the numbers. The user states the columns and the
+//! unit of the values, which decides whether they are heights or slopes. A unit in the file must be the same.
 //!
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
@@ -10,7 +10,10 @@
 //! | z | [`Values::HeightNm`] | (n), NaN = invalid | nm |
 //! | z' | [`Values::SlopeNrad`] | (n), NaN = invalid | nrad |
 
-use planish_types::Invalid;
+use planish_types::{
+    Invalid, file_text,
+    units::{Header, Quantity, Unit, UnknownUnit},
+};
 use serde::Serialize;
 
 /// Smallest number of positions with a value; fewer are refused. Larger: refuses short profiles. Smaller: a
@@ -27,67 +30,15 @@ const UNIFORMITY: f64 = 0.01;
 /// positions and heights as for maps, slopes of 1 rad.
 const LARGEST_PLAUSIBLE: [(&str, f64); 3] = [("position", 1e7), ("height", 1e12), ("slope", 1e9)];
 
-/// Words that instruments write for an absent value.
-const NO_DATA: [&str; 5] = ["nan", "bad", "no data", "nodata", "n/a"];
-
-/// Unit of a length.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum LengthUnit {
-    /// Nanometre.
-    Nm,
-    /// Micrometre.
-    Um,
-    /// Millimetre.
-    Mm,
-    /// Metre.
-    M,
-}
-
-impl LengthUnit {
-    fn mm(self) -> f64 {
-        match self {
-            Self::Nm => 1e-6,
-            Self::Um => 1e-3,
-            Self::Mm => 1.0,
-            Self::M => 1e3,
-        }
-    }
-}
-
-/// Unit of the values: of a length, which are heights, or of an angle, which are slopes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum ValueUnit {
-    /// Heights in nm.
-    Nm,
-    /// Heights in um.
-    Um,
-    /// Heights in mm.
-    Mm,
-    /// Heights in m.
-    M,
-    /// Slopes in nrad.
-    Nrad,
-    /// Slopes in urad.
-    Urad,
-    /// Slopes in mrad.
-    Mrad,
-    /// Slopes in rad.
-    Rad,
-    /// Slopes in seconds of arc.
-    Arcsec,
-}
-
 /// Columns and units of a profile in its file.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ProfileSettings {
     /// Column of the positions and column of the values, from 1.
     pub columns: [usize; 2],
-    /// Unit of the positions.
-    pub position_unit: LengthUnit,
-    /// Unit of the values.
-    pub value_unit: ValueUnit,
+    /// Unit of the positions; `None` for the one that the file states, and mm where it states none.
+    pub position_unit: Option<Unit>,
+    /// Unit of the values: of a length, which are heights, or of an angle, which are slopes.
+    pub value_unit: Unit,
     /// Lines before the numbers; `None` for all that have none in both columns.
     pub header_lines: Option<usize>,
 }
@@ -159,20 +110,26 @@ impl Profile {
     }
 
     /// Makes a profile from the rows [position, value] of a file, in its units.
-    pub fn from_rows(rows: &[[f64; 2]], settings: &ProfileSettings) -> Result<Self, Invalid> {
-        let position_mm = rows.iter().map(|r| settings.position_unit.mm() * r[0]).collect();
-        let times = |factor: f64| rows.iter().map(|r| factor * r[1]).collect::<Vec<f64>>();
-        let values = match settings.value_unit {
-            ValueUnit::Nm => Values::HeightNm(times(1.0)),
-            ValueUnit::Um => Values::HeightNm(times(1e3)),
-            ValueUnit::Mm => Values::HeightNm(times(1e6)),
-            ValueUnit::M => Values::HeightNm(times(1e9)),
-            ValueUnit::Nrad => Values::SlopeNrad(times(1.0)),
-            ValueUnit::Urad => Values::SlopeNrad(times(1e3)),
-            ValueUnit::Mrad => Values::SlopeNrad(times(1e6)),
-            ValueUnit::Rad => Values::SlopeNrad(times(1e9)),
-            ValueUnit::Arcsec => {
-                Values::SlopeNrad(times(1e9 * std::f64::consts::PI / (180.0 * 3600.0)))
+    pub fn from_rows(rows: &ProfileRows, settings: &ProfileSettings) -> Result<Self, Invalid> {
+        let unit = settings.position_unit.or(rows.position_unit);
+        let to_mm = match unit {
+            None => 1.0,
+            Some(unit) if unit.quantity() == Quantity::Length => unit.size(-3),
+            Some(unit) => {
+                let remedy = "give the unit of a length: m, mm, um, in";
+                return Err(Invalid::whole("position_unit", format!("is {unit}"), remedy));
+            }
+        };
+        let rows = &rows.rows;
+        let position_mm = rows.iter().map(|r| to_mm * r[0]).collect();
+        let scaled = || rows.iter().map(|r| settings.value_unit.size(-9) * r[1]).collect();
+        let values = match settings.value_unit.quantity() {
+            Quantity::Length => Values::HeightNm(scaled()),
+            Quantity::Angle => Values::SlopeNrad(scaled()),
+            _ => {
+                let problem = format!("is {}", settings.value_unit);
+                let remedy = "give the unit of a length for heights (nm, um), or of an angle for slopes (urad, arcsec)";
+                return Err(Invalid::whole("value_unit", problem, remedy));
             }
         };
         Self::new(position_mm, values)
@@ -203,112 +160,144 @@ impl Profile {
     }
 }
 
-/// [position, value] of every line of a text, in the units of the file. A unit that ends the name of a column, in the line
-/// above the numbers, must be that of the settings.
-pub fn rows_of_text(bytes: &[u8], settings: &ProfileSettings) -> Result<Vec<[f64; 2]>, Invalid> {
-    let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
-    let text = match std::str::from_utf8(bytes) {
-        Ok(text) if !text.contains('\0') => text,
-        _ => {
-            let remedy = "export it as a table of text, or save it with numpy.save as .npy";
-            return Err(Invalid::whole("profile", "is not text", remedy));
-        }
-    };
-    let mut rows = Vec::new();
-    // The line above the numbers, with its number.
-    let mut above: Option<(usize, &str)> = None;
+/// Rows of a profile's file, in the units of the file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ProfileRows {
+    /// [position, value] of every line.
+    pub rows: Vec<[f64; 2]>,
+    /// Unit of the positions, if the file states it.
+    pub position_unit: Option<Unit>,
+    /// Warnings for the user.
+    pub warnings: Vec<String>,
+}
+
+/// Reads [position, value] of every line of a text. A unit that the line above the numbers states must be that of the
+/// settings.
+pub fn rows_of_text(bytes: &[u8], settings: &ProfileSettings) -> Result<ProfileRows, Invalid> {
+    let text = file_text::text("profile", bytes).map_err(|e| Invalid {
+        remedy: "export it as a table of text, or save it with numpy.save as .npy".into(),
+        ..e
+    })?;
+    let columns = settings.columns;
     let skipped = settings.header_lines.unwrap_or(0);
-    for (i, line) in text.lines().enumerate().skip(skipped) {
-        let line = line.trim();
-        if line.is_empty() || line.starts_with(['#', '%', '!', '"', '\'']) {
-            above = if line.is_empty() { above } else { Some((i + 1, line)) };
+    let with_points = |line: &str| match file_text::with_points("profile", line) {
+        Ok(converted) => converted,
+        // Where all lines are looked at, marks of thousands are refused.
+        Err(_) => Some(line.replace(',', ".")),
+    };
+    let is_row = |line: &str| row_of_line(line, columns).is_ok();
+    let is_first = |(_, line): &(usize, &str)| {
+        is_row(line) || with_points(line).is_some_and(|line| is_row(&line))
+    };
+    let Some((first, line)) = text.lines().enumerate().skip(skipped).find(is_first) else {
+        let [position, value] = columns;
+        let problem = format!("has no line with numbers in the columns {position} and {value}");
+        let remedy = "give the right `profile_columns`, or save two columns of numbers";
+        return Err(Invalid::whole("profile", problem, remedy));
+    };
+    let mut found = ProfileRows { rows: Vec::new(), position_unit: None, warnings: Vec::new() };
+    if settings.header_lines.is_none() {
+        let above: Vec<&str> = text.lines().take(first).collect();
+        found.position_unit = check_header(&above, file_text::fields(line).count(), settings)?;
+    }
+    let start: usize = text.split_inclusive('\n').take(first).map(str::len).sum();
+    let body = &text[start..];
+    let converted = if is_row(line) { None } else { file_text::with_points("profile", body)? };
+    let body = converted.as_deref().unwrap_or(body);
+    if converted.is_some() {
+        found.warnings.push(file_text::DECIMAL_COMMAS.into());
+    }
+    let mut lines = body.lines().enumerate();
+    while let Some((i, line)) = lines.next() {
+        let trimmed = line.trim();
+        // A quote alone closes the numbers of an .slp2 file.
+        if trimmed.is_empty() || trimmed == "\"" || trimmed.starts_with(['#', '%', '!']) {
             continue;
         }
-        match row_of_line(line, settings.columns) {
-            Ok(row) => {
-                if let (true, None, Some((number, names))) =
-                    (rows.is_empty(), settings.header_lines, above)
-                {
-                    check_names(names, number, fields(line).len(), settings)?;
-                }
-                rows.push(row);
-            }
-            // The header.
-            Err(_) if rows.is_empty() && settings.header_lines.is_none() => {
-                above = Some((i + 1, line));
-            }
+        match row_of_line(line, columns) {
+            Ok(row) => found.rows.push(row),
             Err(problem) => {
-                let remedy = "write numbers with a decimal point; give the right `profile_columns` \
-                              and `header_lines`";
-                let problem = format!("{problem} in line {}", i + 1);
-                return Err(Invalid::whole("profile", problem, remedy));
+                let number = first + i + 1;
+                let begins_with_number =
+                    trimmed.starts_with(|c: char| c.is_ascii_digit() || c == '-');
+                if begins_with_number || lines.any(|(_, line)| is_row(line)) {
+                    let remedy = "write numbers with a decimal point; give the right `profile_columns` \
+                                  and `header_lines`";
+                    let problem = format!("{problem} in line {number}");
+                    return Err(Invalid::whole("profile", problem, remedy));
+                }
+                let short: String = trimmed.chars().filter(|c| !c.is_control()).take(40).collect();
+                found.warnings.push(format!(
+                    "the numbers end before line {number}, \"{short}\": it and what follows are not used"
+                ));
+                break;
             }
         }
     }
-    if rows.is_empty() {
-        let [position, value] = settings.columns;
-        let problem = format!("has no line with numbers in the columns {position} and {value}");
-        let remedy = "give the right `profile_columns`, and write numbers without quotes and with a decimal point";
-        return Err(Invalid::whole("profile", problem, remedy));
-    }
-    Ok(rows)
+    Ok(found)
 }
 
-/// The fields of a line: by comma, semicolon or tab where there is one, else by white space.
-fn fields(line: &str) -> Vec<&str> {
-    match [';', '\t', ','].into_iter().find(|c| line.contains(*c)) {
-        Some(separator) => line.split(separator).map(str::trim).collect(),
-        None => line.split_whitespace().collect(),
-    }
-}
-
-/// Units by the names that end those of columns.
-const UNITS: [&str; 9] = ["nm", "um", "mm", "m", "nrad", "urad", "mrad", "rad", "arcsec"];
-
-/// The unit at the end of the name of a column, after a bracket, `_` or `/`, or a word of its own: `x_mm`, `height [nm]`.
-fn unit_of_name(name: &str) -> Option<&'static str> {
-    let plain = name.trim_matches(['"', '\'', ' ']).replace(['\u{b5}', '\u{3bc}'], "u");
-    let plain = plain.trim_end_matches([')', ']', ' ']);
-    let at = plain.rfind(['(', '[', '_', '/', ' '])?;
-    UNITS.into_iter().find(|unit| *unit == &plain[at + 1..])
-}
-
-/// Refuses names of columns, in line `number` above the numbers, whose units are not those of the settings. A line with
-/// more or fewer words than the numbers have columns names nothing.
-fn check_names(
-    line: &str,
-    number: usize,
+/// Refuses a header whose units are not those of the settings: names of columns in the last line of text above the numbers,
+/// with as many words as the numbers have columns. Returns the unit of the positions that it states.
+fn check_header(
+    above: &[&str],
     columns: usize,
     settings: &ProfileSettings,
-) -> Result<(), Invalid> {
-    let names = fields(line.trim_start_matches(['#', '%', '!', ' ']));
+) -> Result<Option<Unit>, Invalid> {
+    let is_text = |(_, line): &(usize, &&str)| !line.trim().is_empty();
+    let Some((i, line)) = above.iter().enumerate().rfind(is_text) else { return Ok(None) };
+    let number = i + 1;
+    // The files of the long-trace profiler of the ESRF have slopes in mrad, which they do not state.
+    let milliradian = Unit::read("mrad", &[]);
+    if line.trim_start().starts_with("Slopes_") && Some(settings.value_unit) != milliradian {
+        let problem = format!(
+            "is {}, but line {number} begins the slopes of an .slp2 file, which are in mrad",
+            settings.value_unit
+        );
+        let remedy =
+            format!("give `value_unit` mrad, or `header_lines` {number} where they are not");
+        return Err(Invalid::whole("value_unit", problem, remedy));
+    }
+    let plain = line.trim_start_matches(['#', '%', '!', ' ']);
+    let names: Vec<&str> = file_text::fields(plain).collect();
     if names.len() != columns {
-        return Ok(());
+        return Ok(None);
     }
     let [position, value] = settings.columns;
+    let wanted = [Quantity::Length, Quantity::Angle];
+    let angle_first = [Quantity::Angle, Quantity::Length];
+    let value_wanted = match settings.value_unit.quantity() {
+        Quantity::Angle => angle_first,
+        _ => wanted,
+    };
     let asked = [
-        ("position_unit", position, format!("{:?}", settings.position_unit)),
-        ("value_unit", value, format!("{:?}", settings.value_unit)),
+        ("position_unit", position, settings.position_unit, &wanted[..1]),
+        ("value_unit", value, Some(settings.value_unit), &value_wanted[..]),
     ];
-    for (setting, column, asked) in asked {
+    let mut of_position = None;
+    for (setting, column, asked, wanted) in asked {
         let Some(name) = names.get(column - 1) else { continue };
-        let asked = asked.to_lowercase();
-        if let Some(stated) = unit_of_name(name).filter(|stated| *stated != asked) {
+        let otherwise = format!("`header_lines` {number} where the name is wrong");
+        let unknown =
+            |e: UnknownUnit| e.refused(setting, format!("correct the name, or give {otherwise}"));
+        let Some(stated) = Header::read(name, wanted).map_err(unknown)?.unit else { continue };
+        if let Some(asked) = asked.filter(|asked| *asked != stated) {
             let short: String = name.chars().filter(|c| !c.is_control()).take(40).collect();
             let problem =
                 format!("is {asked}, but line {number} names column {column} \"{short}\"");
-            let remedy = format!(
-                "give `{setting}` {stated}, or `header_lines` {number} where the name is wrong"
-            );
+            let remedy = format!("give `{setting}` {stated}, or {otherwise}");
             return Err(Invalid::whole(setting, problem, remedy));
         }
+        if setting == "position_unit" {
+            of_position = Some(stated);
+        }
     }
-    Ok(())
+    Ok(of_position)
 }
 
 /// The two numbers of a line, or what is wrong with it.
 fn row_of_line(line: &str, columns: [usize; 2]) -> Result<[f64; 2], String> {
-    let fields = fields(line);
+    let fields: Vec<&str> = file_text::fields(line.trim()).collect();
     let number = |column: usize| {
         let field = fields
             .get(column - 1)
@@ -317,27 +306,30 @@ fn row_of_line(line: &str, columns: [usize; 2]) -> Result<[f64; 2], String> {
         let plain = field.replace(['d', 'D'], "e");
         match plain.parse::<f64>() {
             Ok(v) => Ok(v),
-            Err(_) if NO_DATA.contains(&field.to_ascii_lowercase().as_str()) => Ok(f64::NAN),
+            Err(_) if !field.is_empty() && file_text::is_no_data(field) => Ok(f64::NAN),
             Err(_) => {
                 let short: String = field.chars().filter(|c| !c.is_control()).take(20).collect();
                 Err(format!("has \"{short}\" where a number should be"))
             }
         }
     };
-    Ok([number(columns[0])?, number(columns[1])?])
+    let [position, value] = [number(columns[0])?, number(columns[1])?];
+    if position.is_nan() {
+        return Err("has no position".into());
+    }
+    Ok([position, value])
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn unit(word: &str) -> Unit {
+        Unit::read(word, &[]).unwrap()
+    }
+
     fn settings(columns: [usize; 2], header_lines: Option<usize>) -> ProfileSettings {
-        ProfileSettings {
-            columns,
-            position_unit: LengthUnit::Mm,
-            value_unit: ValueUnit::Urad,
-            header_lines,
-        }
+        ProfileSettings { columns, position_unit: None, value_unit: unit("urad"), header_lines }
     }
 
     #[test]
@@ -349,9 +341,10 @@ mod tests {
             ("# comment\n1.5;7;0\n-0.002;8;1\r\n", [3, 1], None),
             ("20 7\n0\t1.5\n1\t-0.002", [1, 2], Some(1)),
         ] {
-            assert_eq!(rows_of_text(text.as_bytes(), &settings(columns, header)).unwrap(), want);
+            let found = rows_of_text(text.as_bytes(), &settings(columns, header)).unwrap();
+            assert_eq!(found.rows, want, "{text}");
         }
-        let nan = rows_of_text(b"0 1\n1 NaN\n2 bad", &settings([1, 2], None)).unwrap();
+        let nan = rows_of_text(b"0 1\n1 NaN\n2 bad", &settings([1, 2], None)).unwrap().rows;
         assert!(nan[1][1].is_nan() && nan[2][1].is_nan());
     }
 
@@ -361,15 +354,24 @@ mod tests {
             let rows = rows_of_text(text.as_bytes(), &settings([1, 2], header));
             rows.err().map(|e| e.to_string()).unwrap_or_default()
         };
-        // The settings are mm and urad.
+        // The settings are urad, and mm where the file does not state the unit of the positions.
         for names in
             ["x_mm,slope_urad", "# x [mm],slope (\u{b5}rad)", "x,y", "a b", "\"x (mm)\",\"s\""]
         {
             assert_eq!(said(&format!("{names}\n0,1\n1,2\n"), None), "", "{names}");
         }
-        let said_of_x = said("title, of 3 m\nx_m,slope\n0,1\n", None);
+        let metres =
+            rows_of_text(b"title, of 3 m\nx_m,slope\n0,1\n", &settings([1, 2], None)).unwrap();
+        assert_eq!(metres.position_unit, Some(unit("m")));
+        let mm = ProfileSettings { position_unit: Some(unit("mm")), ..settings([1, 2], None) };
+        let said_of_x =
+            rows_of_text(b"title, of 3 m\nx_m,slope\n0,1\n", &mm).unwrap_err().to_string();
         assert!(said_of_x.contains("line 2 names column 1 \"x_m\""), "{said_of_x}");
         assert!(said_of_x.contains("give `position_unit` m"), "{said_of_x}");
+        let unknown = said("x,slope (furlong)\n0,1\n", None);
+        assert!(unknown.contains("\"furlong\" in \"slope (furlong)\""), "{unknown}");
+        assert_eq!(said("x,slope (\")\n0,1\n", Some(1)), "");
+        assert!(said("x;slope (arcsec)\n0;1\n", None).contains("give `value_unit` arcsec"));
         assert!(said("x;height (nm)\n0;1\n", None).contains("give `value_unit` nm"));
         assert_eq!(said("x;height (nm)\n0;1\n", Some(1)), "");
     }
@@ -377,9 +379,9 @@ mod tests {
     #[test]
     fn what_is_no_table_is_refused_with_line_value_and_remedy() {
         for (text, columns, part) in [
-            ("0 1\n1 2\nend of file\n", [1, 2], "\"end\" where a number should be in line 3"),
+            ("0 1\nend of part\n1 2\n", [1, 2], "\"end\" where a number should be in line 2"),
             ("0 1\n1\n", [1, 2], "has 1 column(s), not 2, in line 2"),
-            ("0,5;1,2\n", [1, 2], "no line with numbers in the columns 1 and 2"),
+            ("1,500;1,250\n", [1, 2], "marks of thousands"),
             ("", [1, 2], "`profile_columns`"),
             ("a\0b", [1, 2], "is not text"),
         ] {
@@ -390,26 +392,46 @@ mod tests {
     }
 
     #[test]
+    fn encodings_commas_quotes_and_lines_after_the_numbers() {
+        let want = vec![[0.0, 1.5], [1.0, -2e-3], [2.0, 0.25]];
+        let table = "x (mm)\tslope (\u{b5}rad)\n0\t1.5\n1\t-2e-3\n2\t0.25\n";
+        let utf16: Vec<u8> =
+            [0xFEFF].into_iter().chain(table.encode_utf16()).flat_map(u16::to_le_bytes).collect();
+        let latin: Vec<u8> = table.chars().map(|c| u8::try_from(c).unwrap()).collect();
+        let quoted =
+            b"\"x (mm)\",\"slope (urad)\"\n\"0\",\"1.5\"\n\"1\",\"-2e-3\"\n\"2\",\"0.25\"\n";
+        let commas = b"x (mm);slope (urad)\n0,0;1,5\n1,0;-2,0e-3\n2,0;0,25\n";
+        for bytes in [&utf16[..], &latin, quoted, commas] {
+            assert_eq!(rows_of_text(bytes, &settings([1, 2], None)).unwrap().rows, want);
+        }
+        let slp2 = "[header]\nfocal_length = \"0.6\"\nSlopes_Xmin = \"\n0 1.5\n1 -2e-3\n2 0.25\n\"\n[end]\ngravity = \"no\"\n";
+        let said = rows_of_text(slp2.as_bytes(), &settings([1, 2], None)).unwrap_err().to_string();
+        assert!(
+            said.contains("line 3 begins the slopes of an .slp2 file, which are in mrad"),
+            "{said}"
+        );
+        let mrad = ProfileSettings { value_unit: unit("mrad"), ..settings([1, 2], None) };
+        let found = rows_of_text(slp2.as_bytes(), &mrad).unwrap();
+        assert_eq!(found.rows, want);
+        assert!(found.warnings[0].contains("end before line 8, \"[end]\""), "{:?}", found.warnings);
+    }
+
+    #[test]
     fn units_become_mm_nm_and_nrad() {
         let rows: Vec<[f64; 2]> = (0..8).map(|i| [f64::from(i), 2.0]).collect();
-        for (position_unit, step) in [
-            (LengthUnit::Nm, 1e-6),
-            (LengthUnit::Um, 1e-3),
-            (LengthUnit::Mm, 1.0),
-            (LengthUnit::M, 1e3),
-        ] {
-            let s = ProfileSettings { position_unit, ..settings([1, 2], None) };
+        let rows = ProfileRows { rows, position_unit: None, warnings: Vec::new() };
+        for (word, step) in [("nm", 1e-6), ("um", 1e-3), ("mm", 1.0), ("m", 1e3), ("in", 25.4)] {
+            let s = ProfileSettings { position_unit: Some(unit(word)), ..settings([1, 2], None) };
             // Rounding of positions, which are scaled.
             assert!((Profile::from_rows(&rows, &s).unwrap().step_mm() / step - 1.0).abs() < 1e-12);
         }
-        for (value_unit, want) in [
-            (ValueUnit::Um, Values::HeightNm(vec![2e3; 8])),
-            (ValueUnit::Mrad, Values::SlopeNrad(vec![2e6; 8])),
-        ] {
-            let s = ProfileSettings { value_unit, ..settings([1, 2], None) };
+        for (word, want) in
+            [("um", Values::HeightNm(vec![2e3; 8])), ("mrad", Values::SlopeNrad(vec![2e6; 8]))]
+        {
+            let s = ProfileSettings { value_unit: unit(word), ..settings([1, 2], None) };
             assert_eq!(*Profile::from_rows(&rows, &s).unwrap().values(), want);
         }
-        let s = ProfileSettings { value_unit: ValueUnit::Arcsec, ..settings([1, 2], None) };
+        let s = ProfileSettings { value_unit: unit("arcsec"), ..settings([1, 2], None) };
         let profile = Profile::from_rows(&rows, &s).unwrap();
         // An arc second is 4.8481368 urad.
         let Values::SlopeNrad(v) = profile.values() else { panic!("{profile:?}") };

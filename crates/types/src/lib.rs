@@ -28,6 +28,7 @@ pub mod doubts;
 mod dwell_density;
 mod dwell_time;
 mod end;
+pub mod file_text;
 mod grid;
 mod heading;
 mod kinematics;
@@ -42,6 +43,7 @@ mod tif;
 mod tool_path;
 mod trajectory;
 mod transform;
+pub mod units;
 mod variation;
 
 pub use aperture::ClearAperture;

@@ -4,16 +4,20 @@ use std::path::PathBuf;
 
 use clap::Args;
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, pair, say, task, warn,
-    with_flags,
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, kind, pair, say, task,
+    warn, with_flags,
 };
 use planish_import::trace::{
-    self, LogFormat, PositionUnit, TimeUnit, Trace, TraceSettings,
-    columns::Columns,
+    self, LogFormat, Trace, TraceSettings,
+    columns::{AxisColumn, Columns},
     following::{self, Extent, Following},
     motion::Between,
 };
-use planish_types::{Trajectory, text::significant};
+use planish_types::{
+    Machine, Trajectory,
+    text::significant,
+    units::{Quantity, Unit},
+};
 use serde_json::{Value, json};
 
 use super::{about, foreign};
@@ -29,6 +33,10 @@ pub struct TraceArgs {
     /// [default: the one that is called t or time]
     #[arg(long, value_name = "COLUMN")]
     time: Option<String>,
+    /// Column of the time stamps of y, where they are not those of x; the positions of y are interpolated to the times of
+    /// x [default: the nearest column of times to the left of y]
+    #[arg(long, value_name = "COLUMN", requires = "time")]
+    time_y: Option<String>,
     /// Name of the x coordinates in the file: the column of the positions [default: by its name]
     #[arg(long, value_name = "COLUMN")]
     x: Option<String>,
@@ -50,15 +58,19 @@ pub struct TraceArgs {
     /// Column that is 1 where the tool removes and 0 where it does not
     #[arg(long, value_name = "COLUMN")]
     tool_on: Option<String>,
-    /// Unit of the values in the file (positions), where it does not state it
-    #[arg(long, value_enum)]
-    unit: Option<PositionUnit>,
+    /// Unit of the values in the file (positions), where it does not state it: m, mm, um, nm, in, mil and so on, or count
+    #[arg(long, value_name = "UNIT", value_parser = length_unit)]
+    unit: Option<Unit>,
+    /// Unit of the positions of rotary axes, where the log does not state it: deg, rad, mrad, arcsec and so on
+    #[arg(long, value_name = "UNIT", value_parser = angle_unit, requires = "machine")]
+    angle_unit: Option<Unit>,
     /// Size of a count, mm: one number, or two for X,Y
     #[arg(long, value_name = "C", value_parser = pair, allow_hyphen_values = true)]
     count_mm: Option<[f64; 2]>,
-    /// Unit of the time stamps, where the log does not state it
-    #[arg(long, value_enum)]
-    time_unit: Option<TimeUnit>,
+    /// Unit of the time stamps, where the log does not state it: s, ms, us, ns, min, h, d (days of a spreadsheet), or
+    /// samples
+    #[arg(long, value_name = "UNIT", value_parser = time_unit)]
+    time_unit: Option<Unit>,
     /// Sample time of the controller, s, for time stamps in samples
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     sample_s: Option<f64>,
@@ -78,6 +90,13 @@ pub struct TraceArgs {
     /// Motion between two samples
     #[arg(long, value_enum, default_value = "cubic")]
     between: Between,
+    /// Machine of which the log holds all axes, by their names; writes their motion [axes artifact], of which planish-axes
+    /// contact makes that of the contact point [JSON]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["x", "y", "setpoint_x", "setpoint_y", "planned", "current"])]
+    machine: Option<PathBuf>,
+    /// Column of an axis of --machine, as NAME=COLUMN; may be repeated [default: by the name of the axis]
+    #[arg(long, value_name = "NAME=COLUMN", value_parser = axis_column, requires = "machine")]
+    axis: Vec<(String, String)>,
     /// Plan that was run, to compare with [trajectory artifact]
     #[arg(long, value_name = "DIR")]
     planned: Option<PathBuf>,
@@ -91,11 +110,59 @@ pub struct TraceArgs {
     output: OutputArgs,
 }
 
+fn length_unit(text: &str) -> Result<Unit, String> {
+    unit(text, &[Quantity::Length, Quantity::Counts], "a length, such as mm, um, in, or count")
+}
+
+fn angle_unit(text: &str) -> Result<Unit, String> {
+    unit(text, &[Quantity::Angle], "an angle, such as deg, rad, mrad or arcsec")
+}
+
+fn time_unit(text: &str) -> Result<Unit, String> {
+    unit(text, &[Quantity::Time, Quantity::Samples], "a time, such as s, ms, ns, min, or samples")
+}
+
+/// The unit of a flag: one of the quantities `wanted`, which a message calls `kind`.
+fn unit(text: &str, wanted: &[Quantity], kind: &str) -> Result<Unit, String> {
+    let unit = Unit::read(text, wanted).filter(|unit| wanted.contains(&unit.quantity()));
+    unit.ok_or_else(|| format!("is no unit of {kind}"))
+}
+
+fn axis_column(text: &str) -> Result<(String, String), String> {
+    let (name, column) =
+        text.split_once('=').ok_or("give NAME=COLUMN, such as z=\"Z pos (mm)\"")?;
+    Ok((name.trim().to_lowercase(), column.trim().to_string()))
+}
+
 impl TraceArgs {
-    fn settings(&self) -> TraceSettings {
-        TraceSettings {
+    fn settings(&self, machine: Option<&Machine>) -> Result<TraceSettings, Failure> {
+        let axes: Vec<AxisColumn> = machine.map_or_else(Vec::new, |machine| {
+            let of_flag = |name: &str| {
+                let given = self.axis.iter().find(|(axis, _)| axis == name);
+                given.map(|(_, column)| column.clone())
+            };
+            let axes = machine.axes().iter();
+            let columns = axes.map(|axis| AxisColumn {
+                name: axis.name.into(),
+                is_rotary: axis.is_rotary,
+                column: of_flag(axis.name),
+            });
+            columns.collect()
+        });
+        if let Some((name, _)) =
+            self.axis.iter().find(|(name, _)| axes.iter().all(|axis| axis.name != *name))
+        {
+            let names: Vec<&str> = axes.iter().map(|axis| axis.name.as_str()).collect();
+            let names = names.join(", ");
+            return Err(Failure::new(format!(
+                "--axis: the machine has no axis {name:?}, only {names}"
+            )));
+        }
+        Ok(TraceSettings {
             columns: Columns {
+                axes,
                 time: self.time.clone(),
+                time_y: self.time_y.clone(),
                 x: self.x.clone(),
                 y: self.y.clone(),
                 setpoint_x: self.setpoint_x.clone(),
@@ -104,6 +171,7 @@ impl TraceArgs {
                 tool_on: self.tool_on.clone(),
             },
             unit: self.unit,
+            angle_unit: self.angle_unit,
             count_mm: self.count_mm,
             time_unit: self.time_unit,
             sample_s: self.sample_s,
@@ -113,7 +181,7 @@ impl TraceArgs {
             from_s: self.from_s,
             until_s: self.until_s,
             between: self.between,
-        }
+        })
     }
 
     fn format(&self, bytes: &[u8]) -> Result<LogFormat, Failure> {
@@ -126,7 +194,11 @@ impl TraceArgs {
 
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
-        let settings = self.settings();
+        let machine = match &self.machine {
+            Some(file) => Some(inputs.read_machine(file)?),
+            None => None,
+        };
+        let settings = self.settings(machine.as_ref())?;
         let planned: Option<Trajectory> = match &self.planned {
             Some(dir) => Some(inputs.read("planned", dir)?),
             None => None,
@@ -140,7 +212,8 @@ impl TraceArgs {
             "tool_from_plan": self.tool_from_plan,
         });
         let task = task!("trace", resolved);
-        let output = Output::directory(&self.output, Trajectory::KIND);
+        let kind = if machine.is_some() { &kind::AXES } else { Trajectory::KIND };
+        let output = Output::directory(&self.output, kind);
         let mut output = match output.begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
@@ -148,6 +221,20 @@ impl TraceArgs {
         let failed = |e| about(&self.file, &e);
         let mut trace = trace::read(format, &bytes, &settings).map_err(failed)?;
         drop(bytes);
+        if let Some(machine) = &machine {
+            let motion = trace.axes_motion(self.between).map_err(failed)?;
+            let names: Vec<&str> = machine.axes().iter().map(|axis| axis.name).collect();
+            let outcome = json!({
+                "axes": names,
+                "segments": motion.len(),
+                "total_time_s": motion.total_time_s(),
+                "reading": trace.statement,
+                "clock": trace.clock,
+            });
+            output.write(&motion, outcome, &Status::Done)?;
+            self.report(&trace, motion.len(), motion.total_time_s());
+            return Ok(Status::Done);
+        }
         let beside_plan = match &planned {
             Some(plan) => Some(self.beside_plan(&mut trace, plan)?),
             None => None,
@@ -165,7 +252,12 @@ impl TraceArgs {
         }
         let status = drawback.map_or(Status::Done, Status::Negative);
         output.write(&motion, outcome, &status)?;
-        self.report(&trace, &motion);
+        self.report(&trace, motion.len(), motion.total_time_s());
+        let drift = beside_plan.as_ref().and_then(|following| following.drift);
+        drift
+            .and_then(|drift| drift.warning())
+            .iter()
+            .for_each(|warning| warn(with_flags(warning)));
         // A warning would only repeat the verdict.
         if let (Some(extent), Status::Done) = (&extent, &status) {
             extent.warnings().iter().for_each(|warning| warn(with_flags(warning)));
@@ -196,23 +288,22 @@ impl TraceArgs {
         Ok((following, extent))
     }
 
-    fn report(&self, trace: &Trace, motion: &Trajectory) {
+    fn report(&self, trace: &Trace, segments: usize, total_time_s: f64) {
         for warning in &trace.statement.warnings {
             warn(with_flags(warning));
         }
         let columns = trace.statement.columns.iter();
-        let columns: Vec<String> =
-            columns.map(|(role, name)| format!("{} {name:?}", role.setting())).collect();
+        let columns: Vec<String> = columns.map(|(role, name)| format!("{role} {name:?}")).collect();
         say(format!(
             "planish-import: {} samples over {:.4} s at {} Hz ({}); columns: {}; unit of the positions: {}",
             trace.time_s.len(),
-            motion.total_time_s(),
+            total_time_s,
             significant(trace.clock.rate_hz, 8),
             trace.clock.rate_from,
             columns.join(", "),
             trace.statement.unit_from
         ));
-        say(format!("planish-import: {} segments -> {}", motion.len(), self.output.out.display()));
+        say(format!("planish-import: {segments} segments -> {}", self.output.out.display()));
     }
 }
 

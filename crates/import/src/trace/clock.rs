@@ -1,6 +1,6 @@
 //! Times of the samples: stamps in the log, or a rate.
 //!
-//! Time stamps are checked against equal steps of h, the inverse of the rate, or the median step where no
+//! Time stamps are checked against equal steps of h, the inverse of the rate, or the usual step where no
 //! rate is given. With n_i = sum of round(dt/h), the number of steps up to sample i, and the least-squares
 //! line through the stamps over n_i h,
 //!
@@ -10,11 +10,19 @@
 //!
 //! d is the drift of the clock against the rate and e_i its scatter. A step of more than 1.5 h is a gap:
 //! samples were lost, and the motion there is not known.
+//!
+//! Stamps are rounded to their last digit, which may be coarse: 8.6 us for days of a spreadsheet with ten decimals. Where
+//! all e_i are within half of the last digit, the samples are equidistant as far as the log tells, and equal steps are taken
+//! in the place of the stamps. Their rate has as few digits as the stamps allow.
 
-use planish_types::{Invalid, text::significant};
+use planish_types::{
+    Invalid,
+    text::significant,
+    units::{Quantity, Unit},
+};
 use serde::Serialize;
 
-use super::{TimeUnit, columns::Column};
+use super::columns::Column;
 
 /// Step between two samples, in usual steps, above which there is a gap. Larger: a lost sample goes
 /// unnoticed. Smaller: the scatter of the stamps passes for gaps. Chosen: midway between one step and the
@@ -25,9 +33,24 @@ const GAP: f64 = 1.5;
 /// gaps to look at.
 const MOST_NAMED: usize = 10;
 
-/// Largest drift of the clock without a warning, relative. Larger: does not notice a wrong rate. Smaller:
-/// warns of usual clocks. Chosen: quartz oscillators are within 1e-4 of their frequency.
-const USUAL_DRIFT: f64 = 1e-4;
+/// Largest drift of a clock without a warning, relative. Larger: a drift goes unnoticed that moves the removal of a run of an
+/// hour by 36 ms or more of the path. Smaller: warns of the usual difference of two clocks.
+pub(super) const USUAL_DRIFT: f64 = 1e-5;
+
+/// Part of the last digit of the time stamps within which they count as rounded equal steps. Derived: rounding is within 0.5,
+/// and the numbers themselves are rounded to doubles.
+const ROUNDING: f64 = 0.51;
+
+/// Least last digit of the time stamps, relative to their step, from which on equal steps take their place. Larger: rounded
+/// stamps make accelerations that the machine did not have. Smaller: no gain, the rounding is below that of positions.
+const COARSE: f64 = 1e-6;
+
+/// Latest time since 1970 that a log may state, s: the year 2200. A later one is in another unit.
+const LATEST_S: f64 = 7.3e9;
+
+/// Least number of nanoseconds since 1970 that are taken for such, without a unit: the year 2000. As microseconds or longer
+/// they would be ages.
+const LEAST_UNIX_NS: f64 = 9.4e17;
 
 /// Largest RMS scatter of the stamps without a warning, relative to their step. Larger: does not notice
 /// stamps that make wrong velocities. Smaller: warns of usable stamps. At this value, independent scatter
@@ -41,7 +64,7 @@ pub struct Timing<'a> {
     /// Number of samples.
     pub samples: usize,
     /// Unit of the stamps, where it was given.
-    pub unit: Option<TimeUnit>,
+    pub unit: Option<Unit>,
     /// Sample time of the controller, s.
     pub sample_s: Option<f64>,
     /// Samples per second, Hz.
@@ -68,7 +91,7 @@ pub struct Gap {
 pub struct Clock {
     /// Samples per second, Hz.
     pub rate_hz: f64,
-    /// Source of the rate: "asked for" or "the median step of the time stamps".
+    /// Source of the rate: "asked for" or "the usual step of the time stamps".
     pub rate_from: &'static str,
     /// True if the times are stamps of the log; false if they are from the rate.
     pub stamps: bool,
@@ -87,6 +110,9 @@ pub struct Clock {
     pub drift_at_the_end_s: Option<f64>,
     /// RMS scatter of the stamps about equal steps, s.
     pub scatter_s: f64,
+    /// Last digit of the stamps, s, where they are equal steps that were rounded to it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rounded_to_s: Option<f64>,
 }
 
 impl Timing<'_> {
@@ -95,19 +121,33 @@ impl Timing<'_> {
         let Some(stamps) = self.stamps else { return self.by_rate() };
         let unit_s = self.unit_s(stamps)?;
         let first = stamps.values[0];
-        let time_s: Vec<f64> =
+        let mut time_s: Vec<f64> =
             stamps.values[..self.samples].iter().map(|t| (t - first) * unit_s).collect();
         if let Some(i) = (1..time_s.len()).find(|&i| time_s[i] <= time_s[i - 1]) {
-            let problem = format!("is {} after {}", stamps.values[i], stamps.values[i - 1]);
+            let [before, after] = [i - 1, i].map(|i| stamps.first + stamps.values[i]);
+            let problem = format!("is {after} after {before}");
             let remedy =
                 "time stamps ascend: drop repeated samples, or give `rate_hz` instead of `time`";
             return Err(Invalid::at("time", i, problem, remedy));
         }
         let (step_s, rate_from) = match self.rate_hz {
             Some(rate) => (1.0 / rate, "asked for"),
-            None => (median_step(&time_s), "the median step of the time stamps"),
+            None => (usual_step(&time_s), "the usual step of the time stamps"),
         };
-        let clock = self.compared(&time_s, step_s, rate_from)?;
+        let (mut clock, count) = self.compared(&time_s, step_s, rate_from)?;
+        let resolution_s = stamps.resolution * unit_s;
+        if resolution_s > COARSE * step_s
+            && let Some(rate_hz) = even_rate_hz(&count, &time_s, ROUNDING * resolution_s)
+        {
+            time_s.clear();
+            time_s.extend(count.iter().map(|n| n / rate_hz));
+            clock.rounded_to_s = Some(resolution_s);
+            if self.rate_hz.is_none() {
+                clock.rate_hz = rate_hz;
+            }
+        } else if self.rate_hz.is_none() {
+            clock.rate_hz = 1.0 / line(&count, &time_s).slope;
+        }
         Ok((time_s, clock))
     }
 
@@ -126,34 +166,51 @@ impl Timing<'_> {
             drift: None,
             drift_at_the_end_s: None,
             scatter_s: 0.0,
+            rounded_to_s: None,
         };
         Ok((time_s, clock))
     }
 
     /// Seconds in a unit of the stamps.
-    fn unit_s(&self, stamps: &Column) -> Result<f64, Invalid> {
-        let unit = match (self.unit, stamps.time_unit) {
+    pub(super) fn unit_s(&self, stamps: &Column) -> Result<f64, Invalid> {
+        let unit = match (self.unit, stamps.unit) {
             (Some(given), Some(stated)) if given != stated => {
                 let problem =
-                    format!("is {given:?}, but the log has \"{}\" in {stated:?}", stamps.name);
+                    format!("is {given}, but the log has \"{}\" in {stated}", stamps.name);
                 let remedy = "leave `time_unit` out, or correct the log";
                 return Err(Invalid::whole("time_unit", problem, remedy));
             }
             (given, stated) => given.or(stated),
         };
-        match unit {
-            Some(TimeUnit::S) => Ok(1.0),
-            Some(TimeUnit::Ms) => Ok(1e-3),
-            Some(TimeUnit::Us) => Ok(1e-6),
-            Some(TimeUnit::Samples) => self.sample_s.ok_or_else(|| {
+        let unit = match unit {
+            Some(unit) => unit,
+            // No other unit makes a time of so large a number.
+            None if stamps.first >= LEAST_UNIX_NS => Unit::read("ns", &[]).expect("a known unit"),
+            None => {
+                let problem =
+                    format!("of the time stamps is not in the log{}", epoch(stamps.first));
+                let remedy =
+                    "give `time_unit`: s, ms, us, ns, min, h, d (days), or samples with `sample_s`";
+                return Err(Invalid::whole("time_unit", problem, remedy));
+            }
+        };
+        if unit.quantity() == Quantity::Samples {
+            return self.sample_s.ok_or_else(|| {
                 let remedy = "give `sample_s`, the sample time of the controller";
                 Invalid::whole("sample_s", "is not in a log in samples", remedy)
-            }),
-            None => {
-                let remedy = "give `time_unit`: s, ms, us, or samples with `sample_s`";
-                Err(Invalid::whole("time_unit", "of the time stamps is not in the log", remedy))
-            }
+            });
         }
+        let unit_s = unit.size(0);
+        if stamps.first * unit_s > LATEST_S {
+            let problem = format!(
+                "is {unit}, and the first time stamp {}{}",
+                stamps.first,
+                epoch(stamps.first)
+            );
+            let remedy = "it would be later than the year 2200: give the right `time_unit`, or correct the name of the column";
+            return Err(Invalid::whole("time_unit", problem, remedy));
+        }
+        Ok(unit_s)
     }
 
     fn compared(
@@ -161,7 +218,7 @@ impl Timing<'_> {
         time_s: &[f64],
         step_s: f64,
         rate_from: &'static str,
-    ) -> Result<Clock, Invalid> {
+    ) -> Result<(Clock, Vec<f64>), Invalid> {
         let mut named: Vec<Gap> = Vec::new();
         let (mut gaps, mut gaps_last_s) = (0, 0.0);
         let mut count = vec![0.0; time_s.len()];
@@ -193,9 +250,9 @@ impl Timing<'_> {
             }
             named.truncate(MOST_NAMED);
         }
-        let (slope, scatter_s) = line(&count, time_s);
+        let Line { slope, scatter: scatter_s, .. } = line(&count, time_s);
         let drift = self.rate_hz.map(|_| slope / step_s - 1.0);
-        Ok(Clock {
+        let clock = Clock {
             rate_hz: 1.0 / step_s,
             rate_from,
             stamps: true,
@@ -205,7 +262,9 @@ impl Timing<'_> {
             drift,
             drift_at_the_end_s: drift.map(|d| d * count[count.len() - 1] * step_s),
             scatter_s,
-        })
+            rounded_to_s: None,
+        };
+        Ok((clock, count))
     }
 }
 
@@ -232,6 +291,7 @@ impl Clock {
         }
         if let (Some(drift), Some(end_s)) = (self.drift, self.drift_at_the_end_s)
             && drift.abs() > USUAL_DRIFT
+            && end_s.abs() > self.rounded_to_s.unwrap_or(0.0)
         {
             let how = if drift > 0.0 { "slow" } else { "fast" };
             warnings.push(format!(
@@ -241,34 +301,88 @@ impl Clock {
                 significant(end_s, 4)
             ));
         }
-        if self.scatter_s * self.rate_hz > USUAL_SCATTER {
-            warnings.push(format!(
+        if self.scatter_s * self.rate_hz <= USUAL_SCATTER {
+            return warnings;
+        }
+        warnings.push(match self.rounded_to_s {
+            Some(rounded_s) => format!(
+                "the time stamps are rounded to {} s, {} of their step: equal steps are within that, and are taken",
+                significant(rounded_s, 3),
+                significant(rounded_s * self.rate_hz, 2)
+            ),
+            None => format!(
                 "the time stamps scatter by {} s RMS, {} of their step: if the samples are equidistant, give \
                  their rate and no time stamps",
                 significant(self.scatter_s, 3),
                 significant(self.scatter_s * self.rate_hz, 2)
-            ));
-        }
+            ),
+        });
         warnings
     }
 }
 
-fn median_step(time_s: &[f64]) -> f64 {
-    let mut steps: Vec<f64> = time_s.windows(2).map(|t| t[1] - t[0]).collect();
-    let middle = steps.len() / 2;
-    *steps.select_nth_unstable_by(middle, f64::total_cmp).1
+/// Returns the probable unit of a number that is a time since 1970 or a day of a spreadsheet, for a message.
+fn epoch(first: f64) -> &'static str {
+    // From the year 1990 to 2100.
+    const SINCE_1970_S: std::ops::Range<f64> = 6.3e8..4.1e9;
+    let units = [
+        (1.0, " (in s since 1970 it is a date of these years)"),
+        (1e-3, " (in ms since 1970 it is a date of these years)"),
+        (1e-6, " (in us since 1970 it is a date of these years)"),
+        (1e-9, " (in ns since 1970 it is a date of these years)"),
+        // Days since the end of 1899.
+        (86_400.0, " (in days of a spreadsheet it is a date of these years)"),
+    ];
+    let is_likely = |(unit_s, _): &&(f64, &str)| {
+        let offset_s = if *unit_s == 86_400.0 { 25_569.0 * 86_400.0 } else { 0.0 };
+        SINCE_1970_S.contains(&(first * unit_s - offset_s))
+    };
+    units.iter().find(is_likely).map_or("", |unit| unit.1)
 }
 
-/// Slope of the least-squares line of y over x, and the RMS distance from it in y.
-fn line(x: &[f64], y: &[f64]) -> (f64, f64) {
+/// Returns the usual step between two stamps: the mean of those that are within half of the median of it. The median alone
+/// is one of the two lengths that rounded steps have.
+fn usual_step(time_s: &[f64]) -> f64 {
+    let mut steps: Vec<f64> = time_s.windows(2).map(|t| t[1] - t[0]).collect();
+    let middle = steps.len() / 2;
+    let median = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let usual = || steps.iter().filter(|step| (0.5 * median..=GAP * median).contains(*step));
+    usual().sum::<f64>() / usual().count() as f64
+}
+
+/// Returns the rate, Hz, of the fewest digits with which all stamps are within `within_s` of equal steps; `None` if they are
+/// not so for any rate.
+fn even_rate_hz(count: &[f64], time_s: &[f64], within_s: f64) -> Option<f64> {
+    let rate_hz = 1.0 / line(count, time_s).slope;
+    let is_near = |rate_hz: f64| {
+        let away = count.iter().zip(time_s).map(|(n, t)| t - n / rate_hz);
+        let (low, high) =
+            away.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), e| (l.min(e), h.max(e)));
+        high - low <= 2.0 * within_s
+    };
+    if !is_near(rate_hz) {
+        return None;
+    }
+    let digits = |n: usize| format!("{rate_hz:.*e}", n - 1).parse::<f64>().ok();
+    let short = (1..=8).filter_map(digits).find(|rate| *rate > 0.0 && is_near(*rate));
+    Some(short.unwrap_or(rate_hz))
+}
+
+/// A least-squares line of y over x.
+struct Line {
+    slope: f64,
+    /// RMS distance from it in y.
+    scatter: f64,
+}
+
+fn line(x: &[f64], y: &[f64]) -> Line {
     let n = x.len() as f64;
     let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
     let (mx, my) = (mean(x), mean(y));
     let each = || x.iter().zip(y).map(|(x, y)| (x - mx, y - my));
-    let (sxx, sxy) = each().fold((0.0, 0.0), |s, (x, y)| (s.0 + x * x, s.1 + x * y));
-    let slope = sxy / sxx;
-    let beside: f64 = each().map(|(x, y)| (y - slope * x).powi(2)).sum();
-    (slope, (beside / n).sqrt())
+    let slope = each().map(|(x, y)| x * y).sum::<f64>() / each().map(|(x, _)| x * x).sum::<f64>();
+    let scatter = (each().map(|(x, y)| (y - slope * x).powi(2)).sum::<f64>() / n).sqrt();
+    Line { slope, scatter }
 }
 
 #[cfg(test)]
@@ -277,12 +391,11 @@ mod tests {
     use crate::trace::columns::Role;
 
     fn column(values: Vec<f64>) -> Column {
-        let (position_unit, time_unit) = (None, None);
-        Column { role: Role::Time, name: "t".into(), position_unit, time_unit, values }
+        Column::of_values(Role::Time, "t".into(), None, values)
     }
 
     fn timing(stamps: Option<&Column>, samples: usize) -> Timing<'_> {
-        let (unit, sample_s, rate_hz) = (Some(TimeUnit::Ms), None, None);
+        let (unit, sample_s, rate_hz) = (Unit::read("ms", &[]), None, None);
         Timing { stamps, samples, unit, sample_s, rate_hz, most_gap_s: 0.1 }
     }
 
@@ -330,7 +443,7 @@ mod tests {
         let none = timing(None, 5).clock().unwrap_err().to_string();
         assert!(none.contains("rate_hz: is not in a log without time stamps"), "{none}");
         let stamps = column(vec![0.0, 1.0]);
-        let in_samples = Timing { unit: Some(TimeUnit::Samples), ..timing(Some(&stamps), 2) };
+        let in_samples = Timing { unit: Unit::read("samples", &[]), ..timing(Some(&stamps), 2) };
         assert!(in_samples.clock().unwrap_err().to_string().contains("`sample_s`"));
         let unknown = Timing { unit: None, ..timing(Some(&stamps), 2) };
         assert!(unknown.clock().unwrap_err().to_string().contains("`time_unit`"));
@@ -343,5 +456,46 @@ mod tests {
         // 0, 2, 4 ms in turn scatter by the root of 8/3 ms about their mean.
         assert!((clock.scatter_s - (8.0_f64 / 3.0).sqrt() * 1e-3).abs() < 1e-5, "{clock:?}");
         assert!(clock.warnings().iter().any(|w| w.contains("scatter")));
+    }
+
+    #[test]
+    fn rounded_stamps_are_equal_steps() {
+        // 400 Hz in whole ms: 0, 3, 5, 8 and so on.
+        let stamps = |rate: f64, last: f64| {
+            let values = (0..200).map(|i| (f64::from(i) / rate * 1e3 / last).round() * last);
+            Column { resolution: last, ..column(values.collect()) }
+        };
+        for (rate, last) in [(400.0, 1.0), (1000.0, 0.00864), (512.0, 0.1)] {
+            let stamps = stamps(rate, last);
+            let (time_s, clock) = timing(Some(&stamps), 200).clock().unwrap();
+            assert_eq!(clock.rate_hz, rate);
+            assert_eq!(clock.rounded_to_s, Some(last * 1e-3));
+            assert_eq!(time_s[199], 199.0 / rate);
+            assert_eq!(clock.gaps, 0);
+        }
+        // Stamps that scatter by more than their last digit are kept.
+        let scattered = Column { resolution: 1e-3, ..stamps(400.0, 1.0) };
+        let (time_s, clock) = timing(Some(&scattered), 200).clock().unwrap();
+        assert!(clock.rounded_to_s.is_none() && (time_s[1] - 3e-3).abs() < 1e-15, "{clock:?}");
+    }
+
+    #[test]
+    fn epochs_are_named_and_nanoseconds_taken() {
+        let said = |first: f64, unit: &str| {
+            let stamps = Column { first, ..column(vec![0.0, 1.0]) };
+            let timing = Timing { unit: Unit::read(unit, &[]), ..timing(Some(&stamps), 2) };
+            timing.clock().map(|(time_s, _)| time_s[1]).map_err(|e| e.to_string())
+        };
+        assert_eq!(said(1.76e18, ""), Ok(1e-9));
+        for (first, unit) in [(1.76e9, "s"), (1.76e12, "ms"), (1.76e15, "us"), (46_082.5, "days")] {
+            let asked = said(first, "").unwrap_err();
+            assert!(
+                asked.contains(&format!("in {unit} ")) && asked.contains("`time_unit`"),
+                "{asked}"
+            );
+        }
+        let wrong = said(1.76e12, "s").unwrap_err();
+        assert!(wrong.contains("in ms since 1970") && wrong.contains("the year 2200"), "{wrong}");
+        assert!(!said(5.0, "").unwrap_err().contains("1970"));
     }
 }

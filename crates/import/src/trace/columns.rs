@@ -3,10 +3,13 @@
 //! The user gives a column by its number, counted from 1, or by its name. Other columns are found by the
 //! words of the names in the file, if exactly one column has them; the user is told which.
 
-use planish_types::Invalid;
+use planish_types::{
+    Invalid,
+    units::{Header, Quantity, Unit},
+};
 use serde::Serialize;
 
-use super::{LogFormat, NAME, PositionUnit, TimeUnit};
+use super::{LogFormat, NAME, moment::Moment};
 
 /// A quantity of a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -14,6 +17,8 @@ use super::{LogFormat, NAME, PositionUnit, TimeUnit};
 pub enum Role {
     /// Time stamp.
     Time,
+    /// Time stamp of the positions of y, in a log whose channels have times of their own.
+    TimeY,
     /// Measured position of x.
     X,
     /// Measured position of y.
@@ -22,6 +27,8 @@ pub enum Role {
     SetpointX,
     /// Setpoint of y.
     SetpointY,
+    /// Measured position of this axis of [`Columns::axes`].
+    Axis(usize),
     /// Beam current.
     Current,
     /// Switch of the tool: 1 if it removes, 0 if not.
@@ -29,34 +36,50 @@ pub enum Role {
 }
 
 impl Role {
-    /// All quantities, in the order in which columns are assigned.
-    pub const ALL: [Self; 7] = [
-        Self::Time,
-        Self::X,
-        Self::Y,
-        Self::SetpointX,
-        Self::SetpointY,
-        Self::Current,
-        Self::ToolOn,
-    ];
-
-    /// Returns true if the quantity is a length.
+    /// Returns true if the quantity is a position.
     pub fn is_position(self) -> bool {
-        matches!(self, Self::X | Self::Y | Self::SetpointX | Self::SetpointY)
+        matches!(self, Self::X | Self::Y | Self::SetpointX | Self::SetpointY | Self::Axis(_))
+    }
+
+    /// Returns true if the quantity is a time.
+    pub fn is_time(self) -> bool {
+        matches!(self, Self::Time | Self::TimeY)
     }
 
     /// Name of the setting that gives the column of the quantity.
     pub fn setting(self) -> &'static str {
         match self {
             Self::Time => "time",
+            Self::TimeY => "time_y",
             Self::X => "x",
             Self::Y => "y",
             Self::SetpointX => "setpoint_x",
             Self::SetpointY => "setpoint_y",
+            Self::Axis(_) => "axis",
             Self::Current => "current",
             Self::ToolOn => "tool_on",
         }
     }
+
+    /// Quantities that the unit of a column of this role may measure.
+    fn wanted(self, columns: &Columns) -> &'static [Quantity] {
+        match self {
+            Self::Time | Self::TimeY => &[Quantity::Time, Quantity::Samples],
+            Self::Axis(k) if columns.axes[k].is_rotary => &[Quantity::Angle, Quantity::Counts],
+            _ => &[Quantity::Length, Quantity::Counts],
+        }
+    }
+}
+
+/// An axis of a machine in its log.
+#[derive(Clone, Debug, Serialize)]
+pub struct AxisColumn {
+    /// Name of the axis: x, y, z, r, a, b or c.
+    pub name: String,
+    /// True if the axis turns: its positions are in degrees.
+    pub is_rotary: bool,
+    /// Column of its positions; found by the name of the axis where it is absent.
+    pub column: Option<String>,
 }
 
 /// The columns that the user names: by number, counted from 1, or by name; in HDF5 the path of a dataset, with
@@ -65,6 +88,8 @@ impl Role {
 pub struct Columns {
     /// Time stamps.
     pub time: Option<String>,
+    /// Time stamps of y, where they are not those of x.
+    pub time_y: Option<String>,
     /// Measured position of x.
     pub x: Option<String>,
     /// Measured position of y.
@@ -77,21 +102,52 @@ pub struct Columns {
     pub current: Option<String>,
     /// Switch of the tool.
     pub tool_on: Option<String>,
+    /// All axes of a machine, in the place of x and y; empty for x and y.
+    pub axes: Vec<AxisColumn>,
 }
 
 impl Columns {
+    /// All quantities, in the order in which columns are assigned.
+    pub fn roles(&self) -> Vec<Role> {
+        let mut roles = vec![Role::Time, Role::TimeY];
+        match self.axes.len() {
+            0 => roles.extend([Role::X, Role::Y, Role::SetpointX, Role::SetpointY]),
+            axes => roles.extend((0..axes).map(Role::Axis)),
+        }
+        roles.extend([Role::Current, Role::ToolOn]);
+        roles
+    }
+
     /// Name or number that the user gave for a quantity.
     pub fn of(&self, role: Role) -> Option<&str> {
         let named = match role {
             Role::Time => &self.time,
+            Role::TimeY => &self.time_y,
             Role::X => &self.x,
             Role::Y => &self.y,
             Role::SetpointX => &self.setpoint_x,
             Role::SetpointY => &self.setpoint_y,
+            Role::Axis(k) => &self.axes[k].column,
             Role::Current => &self.current,
             Role::ToolOn => &self.tool_on,
         };
         named.as_deref()
+    }
+
+    /// Returns what a message calls the quantity: `x`, or the name of an axis.
+    pub fn name(&self, role: Role) -> String {
+        match role {
+            Role::Axis(k) => self.axes[k].name.clone(),
+            _ => role.setting().into(),
+        }
+    }
+
+    /// Returns what to give for a quantity without a column.
+    pub fn remedy(&self, role: Role) -> String {
+        match role {
+            Role::Axis(k) => format!("give `axis` {}=COLUMN", self.axes[k].name),
+            _ => format!("give `{}`", role.setting()),
+        }
     }
 }
 
@@ -102,12 +158,80 @@ pub struct Column {
     pub role: Role,
     /// Name of the column, or its number.
     pub name: String,
-    /// Unit that the log states for a position.
-    pub position_unit: Option<PositionUnit>,
-    /// Unit that the log states for a time.
-    pub time_unit: Option<TimeUnit>,
-    /// Values (n), finite.
+    /// Unit that the log states.
+    pub unit: Option<Unit>,
+    /// Values (n), finite; of time stamps the differences from the first one.
     pub values: Vec<f64>,
+    /// The first time stamp, where it is a number.
+    pub first: f64,
+    /// The first time stamp, where it is a moment.
+    pub first_moment: Option<Moment>,
+    /// Step of the last digit of the time stamps, in their unit; 0 for other quantities.
+    pub resolution: f64,
+    /// Column of other time stamps that belong to this quantity, in the list of [`Log::times`].
+    pub own_time: Option<usize>,
+}
+
+impl Column {
+    /// Makes a column of numbers without a time of its own.
+    pub fn of_values(role: Role, name: String, unit: Option<Unit>, values: Vec<f64>) -> Self {
+        Self {
+            role,
+            name,
+            unit,
+            values,
+            first: 0.0,
+            first_moment: None,
+            resolution: 0.0,
+            own_time: None,
+        }
+    }
+}
+
+/// Columns of a log, as they are stored.
+#[derive(Clone, Debug)]
+pub struct Log {
+    /// Columns of the quantities.
+    pub columns: Vec<Column>,
+    /// Columns of time stamps that belong to a part of the quantities.
+    pub times: Vec<Column>,
+    /// Warnings for the user.
+    pub warnings: Vec<String>,
+}
+
+/// Returns the unit that `text`, the name of a column or the word of a unit beside it, states for a quantity.
+///
+/// # Errors
+/// A word that claims to be a unit and is none, and a unit of another quantity.
+pub fn stated_unit(
+    role: Role,
+    columns: &Columns,
+    text: &str,
+    is_word: bool,
+) -> Result<Option<Unit>, Invalid> {
+    if !(role.is_position() || role.is_time()) {
+        return Ok(None);
+    }
+    let wanted = role.wanted(columns);
+    let remedy =
+        "correct the name of the column, or leave out its unit and give the unit by a flag";
+    let unit = if is_word {
+        Unit::read(text, wanted).map(Some).ok_or_else(|| planish_types::units::UnknownUnit {
+            text: text.into(),
+            word: text.into(),
+        })
+    } else {
+        Header::read(text, wanted).map(|header| header.unit)
+    };
+    let unit = unit.map_err(|unknown| unknown.refused(role.setting(), remedy))?;
+    match unit {
+        Some(unit) if !wanted.contains(&unit.quantity()) => {
+            let kind = if role.is_time() { "time" } else { "position" };
+            let problem = format!("is {}, in {unit}, which is no unit of a {kind}", short(text));
+            Err(Invalid::whole(role.setting(), problem, "give another column"))
+        }
+        unit => Ok(unit),
+    }
 }
 
 /// Column of a quantity in a table.
@@ -127,7 +251,7 @@ pub fn places(
     asked: &Columns,
 ) -> Result<Vec<Place>, Invalid> {
     let mut found = Vec::new();
-    for role in Role::ALL {
+    for role in asked.roles() {
         let index = match asked.of(role) {
             Some(name) => Some(named(role, name, names, count)?),
             None => customary(format, role, names, count, asked)?,
@@ -135,14 +259,15 @@ pub fn places(
         found.extend(index.map(|index| Place { role, index }));
     }
     let has = |role: Role| found.iter().any(|p| p.role == role);
-    for role in [Role::X, Role::Y] {
+    let needed = |role: &Role| matches!(role, Role::X | Role::Y | Role::Axis(_));
+    for role in asked.roles().into_iter().filter(needed) {
         if !has(role) {
             let problem = format!(
                 "has no column that is known as {}: {}",
-                role.setting(),
+                asked.name(role),
                 listed(names, count)
             );
-            let remedy = format!("give `{}`, a name or a number counted from 1", role.setting());
+            let remedy = format!("{}, a name or a number counted from 1", asked.remedy(role));
             return Err(Invalid::whole(NAME, problem, remedy));
         }
     }
@@ -151,8 +276,12 @@ pub fn places(
         return Err(Invalid::whole(NAME, problem, "give `setpoint_x` and `setpoint_y`"));
     }
     for (i, place) in found.iter().enumerate() {
-        if let Some(other) = found[..i].iter().find(|p| p.index == place.index) {
-            let problem = format!("is column {} as {} is", place.index + 1, other.role.setting());
+        // One column may be the time of both axes.
+        if let Some(other) = found[..i]
+            .iter()
+            .find(|p| p.index == place.index && !(p.role.is_time() && place.role.is_time()))
+        {
+            let problem = format!("is column {} as {} is", place.index + 1, asked.name(other.role));
             return Err(Invalid::whole(place.role.setting(), problem, "give another column"));
         }
     }
@@ -194,7 +323,9 @@ fn named(role: Role, name: &str, names: Option<&[String]>, count: usize) -> Resu
             Err(Invalid::whole(role.setting(), problem, "give a name or a number counted from 1"))
         }
         _ => {
-            let problem = format!("is {}, which several columns are called", short(name));
+            let numbers: Vec<String> = matching.iter().map(|i| format!("{}", i + 1)).collect();
+            let problem =
+                format!("is {}, which columns {} are called", short(name), numbers.join(" and "));
             Err(Invalid::whole(role.setting(), problem, "give the number of the column"))
         }
     }
@@ -208,16 +339,20 @@ fn customary(
     count: usize,
     asked: &Columns,
 ) -> Result<Option<usize>, Invalid> {
-    let nothing_asked = Role::ALL.iter().all(|role| asked.of(*role).is_none());
+    let nothing_asked = asked.roles().into_iter().all(|role| asked.of(role).is_none());
     let Some(names) = names else {
         // `setpoint;actual;` per axis
         let order = [Role::SetpointX, Role::X, Role::SetpointY, Role::Y];
         let in_order = format == LogFormat::Xps && nothing_asked && count == order.len();
         return Ok(order.iter().position(|r| *r == role).filter(|_| in_order));
     };
-    let known = |name: &&String| is_known_as(format, role, name);
-    let matching: Vec<usize> =
-        names.iter().enumerate().filter(|(_, name)| known(name)).map(|found| found.0).collect();
+    let axis = asked.axis(role);
+    let known = |name: &String| is_known_as(format, role, axis, name);
+    let mut matching: Vec<usize> = (0..names.len()).filter(|i| known(&names[*i])).collect();
+    // Several columns of times of the same name belong to channels, and the first is that of the log.
+    if role == Role::Time && matching.iter().all(|i| names[*i] == names[matching[0]]) {
+        matching.truncate(1);
+    }
     match matching[..] {
         [only] => Ok(Some(only)),
         [] if format == LogFormat::Xps => Ok(in_order_of_positioners(role, names)),
@@ -225,8 +360,19 @@ fn customary(
         _ => {
             let shown: Vec<String> = matching.iter().take(5).map(|i| short(&names[*i])).collect();
             let problem = format!("could be {}", shown.join(" or "));
-            let remedy = format!("give `{}`", role.setting());
-            Err(Invalid::whole(role.setting(), problem, remedy))
+            Err(Invalid::whole(role.setting(), problem, asked.remedy(role)))
+        }
+    }
+}
+
+impl Columns {
+    /// Returns the letter or the name of the axis whose position the quantity is; empty for other quantities.
+    fn axis(&self, role: Role) -> &str {
+        match role {
+            Role::X | Role::SetpointX => "x",
+            Role::Y | Role::SetpointY => "y",
+            Role::Axis(k) => &self.axes[k].name,
+            _ => "",
         }
     }
 }
@@ -234,10 +380,11 @@ fn customary(
 /// Words of a name in lower case, without a unit: `X Position Feedback (mm)` is x, position, feedback, and
 /// `Group1.X.SetpointPosition` is group1, x, setpoint, position.
 fn words(name: &str) -> Vec<String> {
-    let name = name.split(['(', '[']).next().unwrap_or_default();
+    let plain = Header::read(name, &[Quantity::Length, Quantity::Time, Quantity::Angle]);
+    let plain = plain.map_or_else(|unknown| unknown.text, |header| header.name);
     let mut words = vec![String::new()];
     let mut before = ' ';
-    for c in name.chars() {
+    for c in plain.split(['(', '[', '{']).next().unwrap_or_default().chars() {
         let new_word = c.is_uppercase() && before.is_lowercase();
         if !c.is_alphanumeric() || new_word {
             words.push(String::new());
@@ -248,20 +395,38 @@ fn words(name: &str) -> Vec<String> {
         before = c;
     }
     words.retain(|word| !word.is_empty());
-    if words.len() > 1 && unit_named(&words[words.len() - 1]).is_some() {
-        words.pop();
-    }
     words
 }
 
-/// Returns true if a column of this name holds the quantity.
-fn is_known_as(format: LogFormat, role: Role, name: &str) -> bool {
+/// Words for a time, in English, German and French.
+const TIMES: [&str; 8] =
+    ["t", "time", "timestamp", "stamp", "zeit", "zeitstempel", "temps", "uhrzeit"];
+
+/// Returns true if a column of this name holds times, alone or those of a channel.
+pub fn is_time(name: &str) -> bool {
+    let words = words(name);
+    words.iter().any(|word| TIMES.contains(&word.as_str())) || words == ["sample", "time"]
+}
+
+/// Returns the axes other than x and y of whose positions a table has columns, by their names.
+pub fn further_axes(format: LogFormat, names: &[String]) -> Vec<String> {
+    let axes = ["z", "a", "b", "c", "u", "v", "w", "r", "theta", "phi"];
+    let is_position = |axis: &&str| {
+        names.iter().any(|name| {
+            words(name).iter().any(|word| word == axis) && is_known_as(format, Role::X, axis, name)
+        })
+    };
+    axes.into_iter().filter(is_position).map(String::from).collect()
+}
+
+/// Returns true if a column of this name holds the quantity; `axis` is the axis of a position.
+fn is_known_as(format: LogFormat, role: Role, axis: &str, name: &str) -> bool {
     if format == LogFormat::Galil {
-        let galil = match role {
-            Role::X => "_TPA",
-            Role::Y => "_TPB",
-            Role::SetpointX => "_RPA",
-            Role::SetpointY => "_RPB",
+        let galil = match (role, axis) {
+            (Role::X, "x") => "_TPA",
+            (Role::Y, "y") => "_TPB",
+            (Role::SetpointX, _) => "_RPA",
+            (Role::SetpointY, _) => "_RPB",
             _ => "",
         };
         if name.trim().eq_ignore_ascii_case(galil) {
@@ -270,29 +435,57 @@ fn is_known_as(format: LogFormat, role: Role, name: &str) -> bool {
     }
     let words = words(name);
     let has = |any: &[&str]| words.iter().any(|word| any.contains(&word.as_str()));
-    let axis = match role {
-        Role::Time => return matches!(&words[..], [one] if one == "t" || one == "time"),
+    match role {
+        Role::Time => return matches!(&words[..], [one] if TIMES.contains(&one.as_str())),
+        Role::TimeY => return false,
         Role::ToolOn => return words == ["tool", "on"],
         Role::Current => {
             let beam = ["beam", "ion"];
             return words == ["current"] || (has(&["current"]) && has(&beam));
         }
-        Role::X | Role::SetpointX => "x",
-        Role::Y | Role::SetpointY => "y",
+        _ => {}
+    }
+    let other = [
+        "velocity",
+        "acceleration",
+        "error",
+        "speed",
+        "jerk",
+        "torque",
+        "v",
+        "a",
+        "vel",
+        "acc",
+        "force",
+    ];
+    let is_other = |word: &String| {
+        word != axis && (other.contains(&word.as_str()) || TIMES.contains(&word.as_str()))
     };
-    let other = ["velocity", "acceleration", "error", "speed", "jerk", "torque", "v", "a"];
-    if !has(&[axis]) || has(&other) {
+    if !has(&[axis]) || words.iter().any(is_other) {
         return false;
     }
-    let setpoint = has(&["setpoint", "command", "commanded", "cmd", "reference", "target"]);
+    let setpoint = has(&[
+        "setpoint",
+        "command",
+        "commanded",
+        "cmd",
+        "reference",
+        "target",
+        "set",
+        "soll",
+        "demand",
+    ]);
     let position = has(&["position", "pos"]);
     match role {
         Role::SetpointX | Role::SetpointY => setpoint,
         _ if setpoint => false,
         _ => {
             // CurrentPosition is where an axis is; a current alone is in amperes.
-            let actual = has(&["actual", "feedback", "fbk", "encoder", "measured"]);
-            words.len() == 1 || actual || (position && (words.len() == 2 || has(&["current"])))
+            let actual =
+                has(&["actual", "act", "feedback", "fbk", "encoder", "enc", "measured", "ist"]);
+            let is_last = words.last().is_some_and(|word| word == axis);
+            let is_known = words.len() == 2 || has(&["current"]) || is_last;
+            words.len() == 1 || actual || (position && is_known)
         }
     }
 }
@@ -309,40 +502,7 @@ fn in_order_of_positioners(role: Role, names: &[String]) -> Option<usize> {
     };
     let mut of: Vec<usize> = Vec::new();
     of.extend(names.iter().enumerate().filter(|(_, n)| n.trim().ends_with(ending)).map(|n| n.0));
-    (of.len() == 2).then(|| of[which])
-}
-
-/// The unit at the end of a name: `x_mm`, `Position (mm)`, `t [ms]`.
-pub fn stated_unit(name: &str) -> Option<&str> {
-    let name = name.trim();
-    let bracketed = name.strip_suffix([')', ']']).and_then(|n| n.rsplit(['(', '[']).next());
-    let unit = bracketed.or_else(|| name.rsplit_once('_').map(|n| n.1))?;
-    unit_named(unit).map(|_| unit)
-}
-
-/// A unit of length or time that a log names.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Named {
-    /// Unit of positions.
-    Position(PositionUnit),
-    /// Unit of times.
-    Time(TimeUnit),
-}
-
-/// The unit of this name.
-pub fn unit_named(name: &str) -> Option<Named> {
-    use Named::{Position, Time};
-    Some(match name.trim().to_lowercase().replace(['\u{b5}', '\u{3bc}'], "u").as_str() {
-        "m" => Position(PositionUnit::M),
-        "mm" => Position(PositionUnit::Mm),
-        "um" => Position(PositionUnit::Um),
-        "nm" => Position(PositionUnit::Nm),
-        "count" | "counts" | "cts" => Position(PositionUnit::Count),
-        "s" | "sec" => Time(TimeUnit::S),
-        "ms" | "msec" => Time(TimeUnit::Ms),
-        "us" | "usec" => Time(TimeUnit::Us),
-        _ => return None,
-    })
+    if of.len() == 2 { Some(of[which]) } else { None }
 }
 
 #[cfg(test)]
@@ -390,6 +550,22 @@ mod tests {
         let csv = ["t_s", "x_mm", "y_mm", "vx_mm_per_s", "beam_current_uA", "tool_on"];
         let expected = [(Time, 0), (X, 1), (Y, 2), (Current, 4), (ToolOn, 5)];
         assert_eq!(found(LogFormat::Csv, &csv), expected);
+        let twincat = ["Zeit [ms]", "ActPos_X", "ActPos_Y", "SetPos_X", "SetPos_Y", "Time"];
+        assert!(places(LogFormat::Csv, Some(&names(&twincat)), 6, &Columns::default()).is_err());
+        let german = &twincat[..5];
+        let expected = [(Time, 0), (X, 1), (Y, 2), (SetpointX, 3), (SetpointY, 4)];
+        assert_eq!(found(LogFormat::Csv, german), expected);
+        let ros = ["%time", "field.header.seq", "field.pose.position.x", "field.pose.position.y"];
+        assert_eq!(found(LogFormat::Csv, &ros), [(Time, 0), (X, 2), (Y, 3)]);
+        let five = ["t_s", "x_mm", "y_mm", "Z Position (mm)", "a_deg", "B Feedback (rad)"];
+        assert_eq!(found(LogFormat::Csv, &five), [(Time, 0), (X, 1), (Y, 2)]);
+        assert_eq!(further_axes(LogFormat::Csv, &names(&five)), ["z", "a", "b"]);
+        let axis =
+            |name: &str| AxisColumn { name: name.into(), is_rotary: name > "z", column: None };
+        let asked = Columns { axes: ["x", "b", "a"].map(axis).to_vec(), ..Columns::default() };
+        let of_axes = places(LogFormat::Csv, Some(&names(&five)), 6, &asked).unwrap();
+        let of_axes: Vec<_> = of_axes.iter().map(|p| (p.role, p.index)).collect();
+        assert_eq!(of_axes, [(Time, 0), (Axis(0), 1), (Axis(1), 5), (Axis(2), 4)]);
     }
 
     #[test]
@@ -415,10 +591,19 @@ mod tests {
 
     #[test]
     fn a_name_states_its_unit() {
-        let unit = |name: &str| stated_unit(name).and_then(unit_named);
-        assert_eq!(unit("x_mm"), Some(Named::Position(PositionUnit::Mm)));
-        assert_eq!(unit("Time [ms]"), Some(Named::Time(TimeUnit::Ms)));
-        assert_eq!(unit("X Position (\u{b5}m)"), Some(Named::Position(PositionUnit::Um)));
-        assert_eq!((unit("x"), unit("x_actual"), unit("X (mm/s)")), (None, None, None));
+        let none = Columns::default();
+        let stated = |role, name: &str| stated_unit(role, &none, name, false);
+        let unit = |role, name: &str| stated(role, name).unwrap().map(|unit| unit.to_string());
+        assert_eq!(unit(Role::X, "x_mm").as_deref(), Some("mm"));
+        assert_eq!(unit(Role::Time, "Time [ms]").as_deref(), Some("ms"));
+        assert_eq!(unit(Role::Time, "time_min").as_deref(), Some("min"));
+        assert_eq!(unit(Role::X, "X Position (\u{b5}m)").as_deref(), Some("um"));
+        assert_eq!(unit(Role::X, "x (micron)").as_deref(), Some("um"));
+        assert_eq!((unit(Role::X, "x"), unit(Role::X, "x_actual")), (None, None));
+        assert_eq!(unit(Role::Current, "current (furlong)"), None);
+        let said = stated(Role::X, "X (mm/s)").unwrap_err().to_string();
+        assert!(said.contains("in mm/s, which is no unit of a position"), "{said}");
+        let said = stated(Role::X, "x (furlong)").unwrap_err().to_string();
+        assert!(said.contains("\"furlong\" in \"x (furlong)\", which is no known unit"), "{said}");
     }
 }

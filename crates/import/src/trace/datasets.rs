@@ -7,31 +7,33 @@ use planish_types::Invalid;
 
 use super::{
     NAME,
-    columns::{Column, Columns, Named, Role, short, unit_named},
+    columns::{Column, Columns, Log, Role, short, stated_unit},
     table::most_samples,
 };
 use crate::{budget::too_many, hdf5};
 
 /// Reads the datasets that are asked for.
-pub fn read(bytes: &[u8], asked: &Columns) -> Result<Vec<Column>, Invalid> {
+pub fn read(bytes: &[u8], asked: &Columns) -> Result<Log, Invalid> {
     let file = hdf5::open(bytes)?;
     let transposed = bytes.starts_with(b"MATLAB 7.3");
     let mut columns: Vec<Column> = Vec::new();
-    for role in Role::ALL {
+    for role in asked.roles() {
         let Some(name) = asked.of(role) else {
-            if matches!(role, Role::X | Role::Y) {
-                let setting = role.setting();
-                let problem = format!("has no dataset that is known as {setting}");
+            if matches!(role, Role::X | Role::Y | Role::Axis(_)) {
+                let problem = format!("has no dataset that is known as {}", asked.name(role));
                 let remedy = format!(
-                    "give `{setting}`, the path of a dataset, or PATH:K for column K of one"
+                    "{}, the path of a dataset, or PATH:K for column K of one",
+                    asked.remedy(role)
                 );
                 return Err(Invalid::whole(NAME, problem, remedy));
             }
             continue;
         };
-        let column = column(&file, role, name, transposed)?;
+        let column = column(&file, role, name, transposed, asked)?;
+        // The times of y may be others than those of x, and so may be their number.
         if let Some(first) = columns.first()
             && first.values.len() != column.values.len()
+            && asked.time_y.is_none()
         {
             let problem = format!(
                 "{} has {} samples, {} has {}",
@@ -48,7 +50,12 @@ pub fn read(bytes: &[u8], asked: &Columns) -> Result<Vec<Column>, Invalid> {
         let problem = "was asked for the setpoint of one axis";
         return Err(Invalid::whole(NAME, problem, "give `setpoint_x` and `setpoint_y`"));
     }
-    Ok(columns)
+    let own = columns.iter().position(|column| column.role == Role::TimeY);
+    let times: Vec<Column> = own.map(|own| columns.remove(own)).into_iter().collect();
+    for column in columns.iter_mut().filter(|c| matches!(c.role, Role::Y | Role::SetpointY)) {
+        column.own_time = own.map(|_| 0);
+    }
+    Ok(Log { columns, times, warnings: Vec::new() })
 }
 
 fn column(
@@ -56,6 +63,7 @@ fn column(
     role: Role,
     name: &str,
     transposed: bool,
+    asked: &Columns,
 ) -> Result<Column, Invalid> {
     let (path, which) = match name.rsplit_once(':') {
         Some((path, number)) => (path, Some(number)),
@@ -79,19 +87,24 @@ fn column(
         let problem = format!("is {} in {}", values[i], short(name));
         return Err(Invalid::at(role.setting(), i, problem, "cut the log where it is damaged"));
     }
-    let unit = hdf5::unit_text(&set)?;
-    let named = unit.as_deref().and_then(unit_named);
+    let unit = match hdf5::unit_text(&set)? {
+        Some(word) => stated_unit(role, asked, &word, true)?,
+        None => stated_unit(role, asked, name, false)?,
+    };
+    if !role.is_time() {
+        return Ok(Column::of_values(role, name.to_string(), unit, values));
+    }
+    // A double is known to its last bit: times since 1970 are rounded.
+    let largest = values.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
+    let first = values.first().copied().unwrap_or(0.0);
     Ok(Column {
-        role,
-        name: name.to_string(),
-        position_unit: match named {
-            Some(Named::Position(unit)) => Some(unit),
-            _ => None,
-        },
-        time_unit: match named {
-            Some(Named::Time(unit)) => Some(unit),
-            _ => None,
-        },
-        values,
+        first,
+        resolution: largest * f64::EPSILON,
+        ..Column::of_values(
+            role,
+            name.to_string(),
+            unit,
+            values.iter().map(|v| v - first).collect(),
+        )
     })
 }

@@ -10,10 +10,19 @@
 //! by Gauss-Newton steps; it is positive if the axis comes late. A log has a clock of its own. So beside a
 //! plan the delay that both axes share is found first, by a search on a grid. The errors are those after
 //! this delay.
+//!
+//! Two clocks differ by some parts per million. With the time t_i' = t_i - d in the plan, the drift s of the log against the
+//! plan and a rest of the delay d0 are the least squares of
+//!
+//! ```text
+//! e_i = -r'(t_i') (d0 + s t_i'),    standard error of s from the rest of e as white noise
+//! ```
 
 use planish_numerics::polynomial;
 use planish_types::{Invalid, Trajectory, text::significant};
 use serde::Serialize;
+
+use super::clock::USUAL_DRIFT;
 
 /// Largest number of samples that enter the lag. Larger: more time. Smaller: a larger standard error of the
 /// lag.
@@ -89,6 +98,38 @@ pub struct AxisError {
     pub rms_without_lag_mm: Option<f64>,
 }
 
+/// Standard errors by which a drift must differ from 0. Larger: small drifts pass. Smaller: noise is named a drift.
+const DRIFT_SIGNIFICANT: f64 = 5.0;
+
+/// Drift of the clock of a log against the time of its plan.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Drift {
+    /// Relative drift; positive if the log takes longer than the plan.
+    pub drift: f64,
+    /// Standard error of the drift, under the assumption that the rest of the error is white noise.
+    pub standard_error: f64,
+    /// Drift at the end of the plan, s.
+    pub at_the_end_s: f64,
+}
+
+impl Drift {
+    /// Returns a sentence about a drift that is larger than its error and than that of usual clocks.
+    pub fn warning(&self) -> Option<String> {
+        let size = self.drift.abs();
+        if size <= USUAL_DRIFT || size <= DRIFT_SIGNIFICANT * self.standard_error {
+            return None;
+        }
+        Some(format!(
+            "the clock of the log runs {} parts per million (standard error {}) {} than the plan, {} s at its end: the \
+             following errors hold it; give the true `rate_hz` or `sample_s`, or record with the clock of the controller",
+            significant(1e6 * size, 3),
+            significant(1e6 * self.standard_error, 2),
+            if self.drift > 0.0 { "faster" } else { "slower" },
+            significant(self.at_the_end_s.abs(), 3)
+        ))
+    }
+}
+
 /// The following error of x and y.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Following {
@@ -96,6 +137,9 @@ pub struct Following {
     pub reference_begins_s: f64,
     /// x, then y.
     pub axes: [AxisError; 2],
+    /// Drift of the log against its plan; absent for a setpoint, which has the clock of the log.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub drift: Option<Drift>,
 }
 
 /// Positions and velocities of a motion at ascending times; at rest before it and after it.
@@ -238,7 +282,42 @@ impl Pair<'_> {
                 rms_without_lag_mm: found.map(|(_, s, m)| (s.square / m).sqrt()),
             }
         };
-        Following { reference_begins_s: begin_s - self.time_s[0], axes: [axis(0), axis(1)] }
+        Following {
+            reference_begins_s: begin_s - self.time_s[0],
+            axes: [axis(0), axis(1)],
+            drift: None,
+        }
+    }
+
+    /// Drift of the log against the reference, which begins at `begin_s`; `None` if it does not move enough to tell.
+    fn drift(&self, begin_s: f64) -> Option<Drift> {
+        let stride = self.stride(LAG_SAMPLES);
+        let total_s = self.reference.total_time_s();
+        let each = || {
+            let mut walk = Walk::of(self.reference);
+            (0..self.time_s.len()).step_by(stride).flat_map(move |i| {
+                let t = self.time_s[i] - begin_s;
+                let (r, v) = walk.state(t);
+                // Columns -r' and -r' t' of the least squares, and e.
+                [0, 1].map(|a| (-v[a], -v[a] * (t - 0.5 * total_s), self.actual_mm[i][a] - r[a]))
+            })
+        };
+        let mut sums = [0.0; 6];
+        for (p, q, e) in each() {
+            for (sum, product) in sums.iter_mut().zip([p * p, p * q, q * q, p * e, q * e, e * e]) {
+                *sum += product;
+            }
+        }
+        let [pp, pq, qq, pe, qe, ee] = sums;
+        let determinant = pp * qq - pq * pq;
+        if determinant <= 1e-12 * pp * qq {
+            return None;
+        }
+        let [d0, drift] = [(qq * pe - pq * qe) / determinant, (pp * qe - pq * pe) / determinant];
+        let count = 2.0 * self.time_s.len().div_ceil(stride) as f64;
+        let rest = (ee - d0 * pe - drift * qe).max(0.0) / (count - 2.0).max(1.0);
+        let standard_error = (rest * pp / determinant).sqrt();
+        Some(Drift { drift, standard_error, at_the_end_s: drift * total_s })
     }
 }
 
@@ -272,7 +351,7 @@ pub fn beside_plan(
     let best = (-steps..=steps).map(|k| (cost(k), k)).min_by(|a, b| a.0.total_cmp(&b.0));
     let (_, k) = best.expect("the grid has its middle");
     let begin_s = pair.common_delay_s(time_s[0] + k as f64 * SEARCH_STEP_S);
-    let following = pair.errors(begin_s);
+    let following = Following { drift: pair.drift(begin_s), ..pair.errors(begin_s) };
 
     check_same_motion(&following, plan)?;
     Ok(following)
@@ -526,5 +605,31 @@ mod tests {
         let setpoint = through(&time_s, &still, f64::INFINITY, Between::Cubic).unwrap();
         let found = beside_setpoint(&time_s, &still, &setpoint);
         assert!(found.axes[0].lag_ms.is_some() && found.axes[1].lag_ms.is_none());
+    }
+
+    /// A log whose clock runs 40 parts per million fast, as two quartz oscillators may differ.
+    #[test]
+    fn a_drift_against_the_plan_is_named() {
+        let plan = plan();
+        let log = |drift: f64, noise_mm: f64| {
+            let time_s: Vec<f64> = (0..20_000).map(|i| f64::from(i) * 1e-3).collect();
+            let noise = |i: usize| noise_mm * (i as f64 * 12.9898).sin();
+            let p: Vec<_> = (time_s.iter().enumerate())
+                .map(|(i, t)| at(t / (1.0 + drift)).map(|p| p + noise(i)))
+                .collect();
+            beside_plan(&time_s, &p, &plan, 1.0).unwrap().drift.unwrap()
+        };
+        for drift in [40e-6, -40e-6] {
+            let found = log(drift, 0.0);
+            // The delay is fitted first, and the drift is of first order.
+            assert!((found.drift / drift - 1.0).abs() < 0.01, "{found:?}");
+            let said = found.warning().unwrap();
+            let how = if drift > 0.0 { "faster" } else { "slower" };
+            assert!(said.contains("40 parts per million") && said.contains(how), "{said}");
+        }
+        // Regression bound: 1e-8 was allowed for cubics between samples of 1 ms.
+        assert!(log(0.0, 0.0).drift.abs() < 1e-7 && log(0.0, 0.0).warning().is_none());
+        // A micrometre of noise.
+        assert!(log(0.0, 1e-3).warning().is_none());
     }
 }

@@ -42,56 +42,71 @@ pub fn through(
     longest_step_s: f64,
     between: Between,
 ) -> Result<Trajectory, Invalid> {
+    let [x, y] = [0, 1].map(|a| {
+        let axis: Vec<f64> = position_mm.iter().map(|p| p[a]).collect();
+        pieces(time_s, &axis, longest_step_s, between)
+    });
+    let coefficient_mm: Vec<[[f64; 4]; 2]> = x.into_iter().zip(y).map(|(x, y)| [x, y]).collect();
+    let k = coefficient_mm.len();
+    Trajectory::new(time_s.to_vec(), coefficient_mm, vec![true; k], vec![None; k])
+}
+
+/// Returns the cubics (n-1) of one axis between its samples at `time_s` (n, ascending), straight where two are more than
+/// `longest_step_s` apart.
+pub fn pieces(
+    time_s: &[f64],
+    position: &[f64],
+    longest_step_s: f64,
+    between: Between,
+) -> Vec<[f64; 4]> {
     let n = time_s.len();
-    let mut coefficient_mm = Vec::with_capacity(n.saturating_sub(1));
+    let mut pieces = Vec::with_capacity(n.saturating_sub(1));
     let mut start = 0;
     while start + 1 < n {
         // Samples start ..= end follow each other without a gap.
         let gap = |i: &usize| time_s[*i + 1] - time_s[*i] > longest_step_s;
         let end = (start..n - 1).find(gap).unwrap_or(n - 1);
-        run(&time_s[start..=end], &position_mm[start..=end], between, &mut coefficient_mm);
+        run(&time_s[start..=end], &position[start..=end], between, &mut pieces);
         if end + 1 < n {
             let h = time_s[end + 1] - time_s[end];
-            let [p, q] = [position_mm[end], position_mm[end + 1]];
-            coefficient_mm.push([0, 1].map(|a| [p[a], (q[a] - p[a]) / h, 0.0, 0.0]));
+            pieces.push([position[end], (position[end + 1] - position[end]) / h, 0.0, 0.0]);
         }
         start = end + 1;
     }
-    let k = coefficient_mm.len();
-    Trajectory::new(time_s.to_vec(), coefficient_mm, vec![true; k], vec![None; k])
+    pieces
 }
 
 /// Appends the pieces between samples without a gap.
-fn run(time_s: &[f64], p: &[[f64; 2]], between: Between, pieces: &mut Vec<[[f64; 4]; 2]>) {
+fn run(time_s: &[f64], p: &[f64], between: Between, pieces: &mut Vec<[f64; 4]>) {
     let n = time_s.len();
     if n < 2 {
         return;
     }
     let h = |i: usize| time_s[i + 1] - time_s[i];
-    let slope = |i: usize, a: usize| (p[i + 1][a] - p[i][a]) / h(i);
-    let velocity = |i: usize, a: usize| match i {
-        _ if n == 2 => slope(0, a),
+    let slope = |i: usize| (p[i + 1] - p[i]) / h(i);
+    let velocity = |i: usize| match i {
+        _ if n == 2 => slope(0),
         // The parabola through the first three has the velocity 2 s_0 - v_1 at its beginning.
-        0 => 2.0 * slope(0, a) - inner(h(0), h(1), slope(0, a), slope(1, a)),
+        0 => 2.0 * slope(0) - inner(h(0), h(1), slope(0), slope(1)),
         i if i == n - 1 => {
-            2.0 * slope(n - 2, a) - inner(h(n - 3), h(n - 2), slope(n - 3, a), slope(n - 2, a))
+            2.0 * slope(n - 2) - inner(h(n - 3), h(n - 2), slope(n - 3), slope(n - 2))
         }
-        i => inner(h(i - 1), h(i), slope(i - 1, a), slope(i, a)),
+        i => inner(h(i - 1), h(i), slope(i - 1), slope(i)),
     };
-    let mut before = [0, 1].map(|a| velocity(0, a));
+    let mut before = velocity(0);
     for i in 0..n - 1 {
-        let after = [0, 1].map(|a| velocity(i + 1, a));
-        pieces.push([0, 1].map(|a| {
-            let (t, s) = (h(i), slope(i, a));
-            match between {
-                // p(u) = p0 + v0 u + (3 s - 2 v0 - v1)/T u^2 + (v0 + v1 - 2 s)/T^2 u^3
-                Between::Cubic => {
-                    let [v0, v1] = [before[a], after[a]];
-                    [p[i][a], v0, (3.0 * s - 2.0 * v0 - v1) / t, (v0 + v1 - 2.0 * s) / (t * t)]
-                }
-                Between::Linear => [p[i][a], s, 0.0, 0.0],
-            }
-        }));
+        let after = velocity(i + 1);
+        let (t, s) = (h(i), slope(i));
+        pieces.push(match between {
+            // p(u) = p0 + v0 u + (3 s - 2 v0 - v1)/T u^2 + (v0 + v1 - 2 s)/T^2 u^3
+            Between::Cubic => [
+                p[i],
+                before,
+                (3.0 * s - 2.0 * before - after) / t,
+                (before + after - 2.0 * s) / (t * t),
+            ],
+            Between::Linear => [p[i], s, 0.0, 0.0],
+        });
         before = after;
     }
 }

@@ -1,16 +1,33 @@
 //! Text in columns: one line per sample, fields separated by semicolon, tab, comma or white space.
 //!
-//! There may be lines above the samples that are no rows of numbers: comments and the names of the columns.
-//! The names are the last of these lines with as many fields as a sample has. Empty cells may stand at the
-//! end, if one array of a Galil is shorter than another. The log ends with the first sample that lacks a
-//! cell of a column that is read.
+//! The samples are the longest run of lines that have numbers or times in the same columns. Lines above them may hold the
+//! names of the columns and their units, in one line or in several as the TwinCAT Scope writes them:
+//!
+//! ```text
+//! Name            ActPos_X   ActPos_Y
+//! SampleTime[ms]  1          1
+//! Unit            mm         mm
+//!
+//! 0               0.0        0.0
+//! ```
+//!
+//! Empty cells may stand at the end, if one array of a Galil is shorter than another. The log ends with the first sample
+//! that lacks a cell of a column that is read. Lines of text may follow the samples.
+//!
+//! A channel may have times of its own: the nearest column of times to its left.
 
-use planish_types::{Invalid, budget};
+use std::borrow::Cow;
+
+use planish_types::{
+    Invalid, budget,
+    units::{Header, Quantity, Unit},
+};
 
 use super::{
-    LogFormat, NAME, TimeUnit,
-    columns::{Column, Columns, Named, Role, places, short, stated_unit, unit_named},
-    moment,
+    LogFormat, NAME,
+    columns::{Column, Columns, Log, Place, Role, is_time, places, short, stated_unit},
+    moment::{self, Moment},
+    stamp::Stamps,
 };
 use crate::{
     budget::{BYTES_PER_SAMPLE, MOST_SAMPLES, too_many},
@@ -20,6 +37,9 @@ use crate::{
 /// Largest number of lines above the samples. Larger: more time on text that is no log. Smaller: refuses
 /// logs with long headers.
 const MOST_LINES_ABOVE: usize = 200;
+
+/// Lines that are looked at to find the samples: those above them, and as many samples, which are the longest run then.
+const LINES_LOOKED_AT: usize = 2 * MOST_LINES_ABOVE + 1;
 
 /// Largest number of columns that are counted in a table. Larger: more time and memory for a hostile file.
 /// Smaller: columns further to the right are not found.
@@ -72,6 +92,10 @@ impl Separator {
 
     fn names(self, line: &str) -> Vec<String> {
         let line = line.trim().trim_start_matches(['#', '%', '!', '/']).trim();
+        // A separator between quotes belongs to the name.
+        if line.contains('"') && Self::of(line) == self {
+            return text::fields(line).take(MOST_COLUMNS).map(String::from).collect();
+        }
         let mut names = Vec::new();
         self.fields(line, |_, field| {
             names.push(field.trim_matches('"').to_string());
@@ -81,114 +105,554 @@ impl Separator {
     }
 }
 
-/// Returns true if a line is a row of numbers; cells may be empty, but not all of them.
-fn is_row(line: &str) -> bool {
-    let (mut numbers, mut others) = (0, 0);
-    Separator::of(line).fields(line, |_, field| {
-        let is_number = field.parse::<f64>().is_ok() || moment::seconds(field).is_some();
-        numbers += usize::from(is_number);
-        others += usize::from(!field.is_empty() && !is_number);
-        others == 0
-    });
-    numbers > 0 && others == 0
+/// Contents of a field.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Class {
+    Number,
+    Moment,
+    Empty,
+    Text,
 }
 
-/// Index of the first row, and the names of the columns above it.
-fn above(lines: &[&str]) -> Result<(usize, Option<Vec<String>>), Invalid> {
-    let looked_at = &lines[..lines.len().min(MOST_LINES_ABOVE)];
-    let text = looked_at.iter().rposition(|l| !l.trim().is_empty() && !is_row(l));
-    let first = text.map_or(0, |i| i + 1);
-    let first = (first..lines.len()).find(|i| !lines[*i].trim().is_empty());
-    let Some(first) = first.filter(|i| is_row(lines[*i])) else {
-        let problem = format!("has no row of numbers in its first {} lines", looked_at.len());
-        return Err(Invalid::whole(NAME, problem, "give text with a line per sample"));
+impl Class {
+    fn of(field: &str) -> Self {
+        if field.is_empty() {
+            Self::Empty
+        } else if field.parse::<f64>().is_ok() {
+            Self::Number
+        } else if Moment::read(field).is_some() {
+            Self::Moment
+        } else {
+            Self::Text
+        }
+    }
+
+    fn is_value(self) -> bool {
+        matches!(self, Self::Number | Self::Moment)
+    }
+}
+
+/// Returns the classes of the fields of a line, if two of them or more are numbers or moments: it may be a sample.
+fn classes(line: &str) -> Option<Vec<Class>> {
+    let mut classes = Vec::new();
+    Separator::of(line).fields(line, |_, field| {
+        classes.push(Class::of(field));
+        classes.len() < MOST_COLUMNS
+    });
+    if classes.iter().filter(|class| class.is_value()).count() < 2 { None } else { Some(classes) }
+}
+
+/// Returns true if a line with the classes `next` may follow one with the classes `first`: it has no more fields, and numbers,
+/// moments and texts in the same columns, or nothing.
+fn follows(first: &[Class], next: &[Class]) -> bool {
+    let is_same = |(a, b): (&Class, &Class)| a == b || *a == Class::Empty || *b == Class::Empty;
+    next.len() <= first.len() && first.iter().zip(next).all(is_same)
+}
+
+fn is_skipped(line: &str) -> bool {
+    line.trim().is_empty() || line.starts_with('#')
+}
+
+/// Returns the index of the first sample, and the classes of its fields.
+fn first_sample(lines: &[Cow<'_, str>]) -> Option<(usize, Vec<Class>)> {
+    let rows: Vec<Option<Vec<Class>>> = lines.iter().map(|line| classes(line)).collect();
+    // The longest run of samples, and the last of equal ones.
+    let mut longest: Option<(usize, usize)> = None;
+    let mut run: Option<(usize, usize)> = None;
+    for (i, row) in rows.iter().enumerate() {
+        run = match (row, run) {
+            (Some(row), Some((start, count)))
+                if rows[start].as_ref().is_some_and(|first| follows(first, row)) =>
+            {
+                Some((start, count + 1))
+            }
+            (Some(_), _) => Some((i, 1)),
+            (None, run) if is_skipped(&lines[i]) => run,
+            (None, _) => None,
+        };
+        if let Some((_, count)) = run
+            && longest.is_none_or(|(_, most)| count >= most)
+        {
+            longest = run;
+        }
+    }
+    let (start, _) = longest?;
+    let pattern = rows[start].clone()?;
+    // Samples above a damaged line are samples; one line of numbers above the names is none.
+    let is_sample = |i: &usize| {
+        rows[*i].as_ref().is_some_and(|row| row.len() == pattern.len() && follows(&pattern, row))
     };
-    let separator = Separator::of(lines[first]);
-    let count = separator.count(lines[first]);
-    let names = lines[..first].iter().rev().filter(|l| !l.trim().is_empty() && !is_row(l));
-    let names = names.map(|l| separator.names(l)).find(|names| names.len() == count);
-    Ok((first, names))
+    let above: Vec<usize> = (0..start).filter(is_sample).collect();
+    let is_text = |i: usize| rows[i].is_none() && !lines[i].chars().any(|c| c.is_ascii_digit());
+    let first = match above[..] {
+        [] => start,
+        [only] if (only..start).any(|i| !is_skipped(&lines[i]) && is_text(i)) => start,
+        [first, ..] => first,
+    };
+    Some((first, pattern))
+}
+
+/// Layout of a table.
+struct Layout {
+    /// Line of the first sample, counted from 0.
+    first: usize,
+    separator: Separator,
+    /// Classes of the fields of a sample.
+    classes: Vec<Class>,
+    names: Option<Vec<String>>,
+    /// Words of the units in a line of their own, by column.
+    units: Option<Vec<String>>,
+    /// Unit of the times in a line such as `SampleTime[ms]`, by column.
+    time_units: Vec<Option<Unit>>,
+    warnings: Vec<String>,
+}
+
+/// First words of a line of units.
+const UNIT_LINES: [&str; 6] = ["unit", "units", "einheit", "einheiten", "unité", "unités"];
+
+/// Returns true if `cells` are the units of the columns: words of units, empty cells, and the word `Unit`.
+fn are_units(cells: &[String]) -> bool {
+    let mark = |cell: &&String| {
+        let plain = cell.trim_end_matches(':').to_lowercase();
+        UNIT_LINES.contains(&plain.as_str())
+    };
+    let is_unit = |cell: &&String| Unit::read(cell, &[]).is_some();
+    let words = cells.iter().filter(|cell| !cell.is_empty() && !mark(cell));
+    let units = words.clone().filter(is_unit).count();
+    let is_marked = cells.first().is_some_and(|cell| mark(&cell));
+    units > 0 && (is_marked || (units == words.count() && units > 1))
+}
+
+/// Words of a line above the samples that states something about the numbers.
+const STATEMENTS: [&str; 9] =
+    ["unit", "einheit", "scale", "factor", "faktor", "offset", "rate", "frequency", "interval"];
+
+impl Layout {
+    fn of(lines: &[Cow<'_, str>]) -> Result<Self, Invalid> {
+        let looked_at = lines.len().min(MOST_LINES_ABOVE);
+        let found = first_sample(lines).filter(|(first, _)| *first <= MOST_LINES_ABOVE);
+        let Some((first, classes)) = found else {
+            let line = lines.iter().find(|line| !line.trim().is_empty());
+            let problem = format!(
+                "has no row of numbers in its first {looked_at} lines, the first of which is {}",
+                short(line.map_or("", |line| line))
+            );
+            let remedy = "give text with a line per sample: two numbers or more, separated by commas, semicolons, tabs or \
+                          blanks; or another `format`";
+            return Err(Invalid::whole(NAME, problem, remedy));
+        };
+        let separator = Separator::of(&lines[first]);
+        let count = separator.count(&lines[first]);
+        let is_header = |i: &usize| !lines[*i].trim().is_empty();
+        let mut layout = Self {
+            first,
+            separator,
+            classes,
+            names: None,
+            units: None,
+            time_units: vec![None; count],
+            warnings: Vec::new(),
+        };
+        let (mut best, mut used) = (None, Vec::new());
+        for i in (0..first).filter(is_header) {
+            let cells = separator.names(&lines[i]);
+            if cells.len() != count {
+                continue;
+            }
+            if are_units(&cells) {
+                layout.units = Some(cells);
+                used.push(i);
+                continue;
+            }
+            let mut states_time = false;
+            for (unit, cell) in layout.time_units.iter_mut().zip(&cells) {
+                let header = Header::read(cell, &[Quantity::Time]);
+                let stated = header.ok().filter(|h| is_time(&h.name)).and_then(|h| h.unit);
+                if let Some(stated) = stated.filter(|unit| unit.quantity() == Quantity::Time) {
+                    (*unit, states_time) = (Some(stated), true);
+                }
+            }
+            let numbers = cells.iter().filter(|cell| Class::of(cell).is_value()).count();
+            if states_time && numbers > 0 {
+                used.push(i);
+                continue;
+            }
+            // Names are the line with the fewest numbers; of equal ones that with most known names, then the last.
+            let known = cells.iter().filter(|cell| is_known(cell)).count();
+            let rank = (usize::MAX - numbers, known, i);
+            if classes_of(&cells) && best.as_ref().is_none_or(|(other, _)| rank > *other) {
+                best = Some((rank, cells));
+            }
+        }
+        if let Some(((.., i), names)) = best {
+            layout.names = Some(names);
+            used.push(i);
+        }
+        let states = |i: &usize| {
+            let line = lines[*i].to_lowercase();
+            let digits = |word: &&str| word.parse::<f64>().is_ok_and(|v| v != 0.0 && v != 1.0);
+            !used.contains(i)
+                && STATEMENTS.iter().any(|word| line.contains(word))
+                && line.split([' ', '\t', ';', ',', '=', ':']).any(|word| digits(&word))
+        };
+        let quoted: Vec<String> = (0..first)
+            .filter(is_header)
+            .filter(states)
+            .take(3)
+            .map(|i| format!("{} (line {})", short(&lines[i]), i + 1))
+            .collect();
+        if !quoted.is_empty() {
+            let quoted = quoted.join(", ");
+            layout.warnings.push(format!("lines above the samples that are not used: {quoted}"));
+        }
+        Ok(layout)
+    }
+
+    /// Returns the name of a column, or its number.
+    fn name_of(&self, index: usize) -> String {
+        match &self.names {
+            Some(names) => names[index].clone(),
+            None => format!("column {}", index + 1),
+        }
+    }
+
+    /// Returns the unit that the lines above the samples state for a column.
+    fn unit_of(&self, role: Role, index: usize, asked: &Columns) -> Result<Option<Unit>, Invalid> {
+        let of_name = match &self.names {
+            Some(names) => stated_unit(role, asked, &names[index], false)?,
+            None => None,
+        };
+        let word = self.units.as_ref().map(|units| units[index].as_str()).filter(|word| {
+            let plain = word.trim_end_matches(':').to_lowercase();
+            !plain.is_empty() && !UNIT_LINES.contains(&plain.as_str())
+        });
+        let of_word = match word {
+            Some(word) => stated_unit(role, asked, word, true)?,
+            None if role.is_time() => self.time_units[index],
+            None => None,
+        };
+        if let (Some(a), Some(b)) = (of_name, of_word)
+            && a != b
+        {
+            let problem = format!("is in {a} by its name, and in {b} by the line of units");
+            return Err(Invalid::whole(role.setting(), problem, "correct one of the two"));
+        }
+        Ok(of_name.or(of_word))
+    }
+}
+
+/// Returns true if a line of these cells may name columns: one of them at least is a word.
+fn classes_of(cells: &[String]) -> bool {
+    cells.iter().any(|cell| Class::of(cell) == Class::Text)
+}
+
+/// Returns true for the name of a time or of a position along x or y.
+fn is_known(name: &str) -> bool {
+    is_time(name) || {
+        let lower = name.to_lowercase();
+        lower.split(|c: char| !c.is_alphanumeric()).any(|word| word == "x" || word == "y")
+    }
+}
+
+/// Returns the head of a text, with points where its numbers have decimal commas, and whether they have.
+fn head_of(text: &str) -> (Vec<Cow<'_, str>>, bool) {
+    let lines = || text.lines().take(LINES_LOOKED_AT);
+    // Numbers beside marks of thousands are found here, and refused where all lines are looked at.
+    let with_points = |line: &str| match text::with_points(NAME, line) {
+        Ok(converted) => converted,
+        Err(_) => Some(line.replace(',', ".")),
+    };
+    let is_decimal = |line: &str| {
+        classes(line).is_none() && with_points(line).is_some_and(|line| classes(&line).is_some())
+    };
+    let has_commas = lines().any(is_decimal);
+    let head = lines().map(|line| match with_points(line).filter(|_| has_commas) {
+        Some(converted) => Cow::Owned(converted),
+        None => Cow::Borrowed(line),
+    });
+    (head.collect(), has_commas)
 }
 
 /// Reads the columns that are asked for, or known by their names.
-pub fn read(format: LogFormat, bytes: &[u8], asked: &Columns) -> Result<Vec<Column>, Invalid> {
+pub fn read(format: LogFormat, bytes: &[u8], asked: &Columns) -> Result<Log, Invalid> {
     let text = text::text(NAME, bytes)?;
-    let text = text.as_ref();
-    let mut head: Vec<&str> = Vec::new();
-    head.extend(text.lines().take(MOST_LINES_ABOVE + 1));
-    let (first, names) = above(&head)?;
-    let separator = Separator::of(head[first]);
-    let count = separator.count(head[first]);
-    let mut places = places(format, names.as_deref(), count, asked)?;
-    places.sort_by_key(|place| place.index);
-    // The first row says whether the times are numbers or moments.
-    let mut are_moments = vec![false; count];
-    separator.fields(head[first], |i, field| {
-        are_moments[i] = field.parse::<f64>().is_err() && moment::seconds(field).is_some();
-        i + 1 < count
-    });
-    let wanted: Vec<Wanted> = (places.iter())
-        .map(|place| Wanted {
-            index: place.index,
-            is_moment: place.role == Role::Time && are_moments[place.index],
-        })
-        .collect();
-
-    let most = most_samples();
-    let mut values: Vec<Vec<f64>> = vec![Vec::new(); wanted.len()];
-    let mut ended = None;
-    for (i, line) in text.lines().enumerate().skip(first) {
-        if line.trim().is_empty() || line.starts_with('#') {
-            continue;
-        }
-        match row(line, i + 1, separator, &wanted, &mut values)? {
-            Row::Whole => {
-                if let Some(empty) = ended {
-                    let problem =
-                        format!("has a sample in line {} after empty cells in line {empty}", i + 1);
-                    return Err(Invalid::whole(
-                        NAME,
-                        problem,
-                        "cut the log there, or fill the cells",
-                    ));
-                }
-                if values[0].len() > most {
-                    return Err(too_many(
-                        NAME,
-                        most,
-                        "samples",
-                        "cut it, or record at a lower rate",
-                    ));
-                }
-            }
-            Row::Ended => ended = ended.or(Some(i + 1)),
+    let (head, has_commas) = head_of(&text);
+    let mut layout = Layout::of(&head)?;
+    let mut warnings = std::mem::take(&mut layout.warnings);
+    let start: usize = text.split_inclusive('\n').take(layout.first).map(str::len).sum();
+    let mut body = Cow::Borrowed(&text[start..]);
+    if has_commas && let Some(converted) = text::with_points(NAME, &body)? {
+        body = Cow::Owned(converted);
+        warnings.push(text::DECIMAL_COMMAS.into());
+    }
+    let count = layout.classes.len().max(layout.time_units.len());
+    let places = places(format, layout.names.as_deref(), count, asked)?;
+    if let Some(names) = &layout.names
+        && asked.axes.is_empty()
+    {
+        let further = super::columns::further_axes(format, names);
+        if !further.is_empty() {
+            warnings.push(format!(
+                "the log has positions of {} too, which are not read: give `machine` for the motion of all axes",
+                further.join(", ")
+            ));
         }
     }
-    let name_of = |i: usize| match &names {
-        Some(names) => names[i].clone(),
-        None => format!("column {}", i + 1),
+    let channels = Channels::of(&places, &layout);
+    let mut wanted: Vec<Wanted> = Vec::new();
+    let all = places.iter().map(|place| (place.index, place.role.is_time()));
+    let all = all.chain(channels.columns().into_iter().map(|index| (index, true)));
+    for (index, is_time) in all {
+        if !wanted.iter().any(|w| w.index == index) {
+            let class = layout.classes.get(index).copied().unwrap_or(Class::Empty);
+            wanted.push(Wanted { index, values: Values::of(class, is_time) });
+        }
+    }
+    wanted.sort_by_key(|w| w.index);
+    if let Some(footer) = rows(&body, &layout, &mut wanted)? {
+        warnings.push(footer);
+    }
+    let column = |role: Role, index: usize| -> Result<Column, Invalid> {
+        let found = wanted.iter().find(|w| w.index == index).expect("all columns are wanted");
+        let unit = layout.unit_of(role, index, asked)?;
+        found.values.column(role, layout.name_of(index), unit)
     };
-    let columns = places.iter().zip(values).map(|(place, values)| {
-        let name = name_of(place.index);
-        let unit = stated_unit(&name).and_then(unit_named);
-        let position_unit = match unit {
-            Some(Named::Position(unit)) => Some(unit),
-            _ => None,
-        };
-        let time_unit = match unit {
-            _ if place.role == Role::Time && are_moments[place.index] => Some(TimeUnit::S),
-            Some(Named::Time(unit)) => Some(unit),
-            _ => None,
-        };
-        Column { role: place.role, name, position_unit, time_unit, values }
-    });
-    Ok(columns.collect())
+    let mut columns = Vec::with_capacity(places.len());
+    for place in places.iter().filter(|place| place.role != Role::TimeY) {
+        columns.push(column(place.role, place.index)?);
+    }
+    let mut times = Vec::new();
+    for index in channels.columns() {
+        times.push(column(Role::Time, index)?);
+    }
+    let mut log = Log { columns, times, warnings };
+    channels.assign(&mut log, &places, asked)?;
+    Ok(log)
 }
 
 /// Largest number of samples that may be read: at most [`MOST_SAMPLES`], and no more than fit into the
 /// memory of the process.
 pub(super) fn most_samples() -> usize {
     MOST_SAMPLES.min((budget::memory_bytes() / BYTES_PER_SAMPLE as u64) as usize)
+}
+
+/// Columns of times that belong to a part of the quantities.
+struct Channels {
+    /// Column of the times of each place; `None` for the times of the log.
+    own: Vec<Option<usize>>,
+    /// Columns without names on the left of a position, which may be its times.
+    suspects: Vec<(Role, usize)>,
+}
+
+impl Channels {
+    fn of(places: &[Place], layout: &Layout) -> Self {
+        let index_of = |role: Role| places.iter().find(|p| p.role == role).map(|p| p.index);
+        let is_used = |index: usize| places.iter().any(|p| p.index == index);
+        let mut channels = Self { own: vec![None; places.len()], suspects: Vec::new() };
+        let Some(main) = index_of(Role::Time) else { return channels };
+        if let Some(of_y) = index_of(Role::TimeY) {
+            let of_channel = |place: &Place| {
+                let is_y = matches!(place.role, Role::Y | Role::SetpointY) && of_y != main;
+                if is_y { Some(of_y) } else { None }
+            };
+            channels.own = places.iter().map(of_channel).collect();
+            return channels;
+        }
+        let Some(names) = &layout.names else {
+            let is_number = |i: usize| layout.classes.get(i) == Some(&Class::Number);
+            let suspect = |place: &Place| {
+                let left = place.index.checked_sub(1)?;
+                let is_free = left != main && !is_used(left) && is_number(left);
+                if place.role.is_position() && is_free { Some((place.role, left)) } else { None }
+            };
+            channels.suspects = places.iter().filter_map(suspect).collect();
+            return channels;
+        };
+        let is_own = |i: &usize| !is_used(*i) && (is_time(&names[*i]) || names[*i] == names[main]);
+        let times: Vec<usize> = (0..names.len()).filter(|i| *i == main || is_own(i)).collect();
+        let nearest = |place: &Place| times.iter().copied().rfind(|time| *time < place.index);
+        let positions = || places.iter().filter(|place| place.role.is_position());
+        // Where all positions have the same times, those are times of the log, and the given ones count.
+        let first = positions().next().and_then(nearest);
+        if positions().any(|place| nearest(place) != first) {
+            let own =
+                |place: &Place| nearest(place).filter(|t| *t != main && !place.role.is_time());
+            channels.own = places.iter().map(own).collect();
+        }
+        channels
+    }
+
+    /// Returns the columns to read beside those of the quantities, ascending.
+    fn columns(&self) -> Vec<usize> {
+        let suspects = self.suspects.iter().map(|suspect| suspect.1);
+        let mut columns: Vec<usize> = self.own.iter().flatten().copied().chain(suspects).collect();
+        columns.sort_unstable();
+        columns.dedup();
+        columns
+    }
+
+    /// Gives the quantities their own times. Refuses a column without a name that goes like the times of the log, a while
+    /// before or after them.
+    fn assign(&self, log: &mut Log, places: &[Place], asked: &Columns) -> Result<(), Invalid> {
+        let columns = self.columns();
+        for (place, own) in places.iter().zip(&self.own) {
+            let own = own.and_then(|own| columns.iter().position(|column| *column == own));
+            if let Some(column) = log.columns.iter_mut().find(|c| c.role == place.role) {
+                column.own_time = own;
+            }
+        }
+        if self.suspects.is_empty() {
+            return Ok(());
+        }
+        let main = log.columns.iter().find(|c| c.role == Role::Time);
+        let main = main.expect("a log without times has no channels");
+        for (role, index) in &self.suspects {
+            let at = columns.iter().position(|column| column == index).expect("it was read");
+            let other = &log.times[at];
+            let later = other.first - main.first;
+            let step = main.values.get(1).copied().unwrap_or(0.0);
+            let is_same = |(a, b): (&f64, &f64)| (a - b).abs() <= 1e-6 * step.abs();
+            if later != 0.0 && main.values.iter().zip(&other.values).all(is_same) {
+                let problem = format!(
+                    "{} goes like the times in {}, {later} later: it may be the time of {}",
+                    other.name,
+                    main.name,
+                    asked.name(*role)
+                );
+                let remedy = format!(
+                    "give `time_y` {} where it is, and `time_y` with the column of `time` where it is not",
+                    index + 1
+                );
+                return Err(Invalid::whole(NAME, problem, remedy));
+            }
+        }
+        log.times.clear();
+        Ok(())
+    }
+}
+
+/// Values of a column while it is read.
+enum Values {
+    Numbers(Vec<f64>),
+    Stamps(Stamps),
+    Moments(Vec<Moment>),
+}
+
+impl Values {
+    fn of(class: Class, is_time: bool) -> Self {
+        match (is_time, class) {
+            (true, Class::Moment) => Self::Moments(Vec::new()),
+            (true, _) => Self::Stamps(Stamps::default()),
+            (false, _) => Self::Numbers(Vec::new()),
+        }
+    }
+
+    /// Appends the value of a field; returns false if it has none.
+    fn push(&mut self, field: &str) -> bool {
+        match self {
+            Self::Numbers(values) => match field.parse::<f64>() {
+                Ok(v) if v.is_finite() => values.push(v),
+                _ => return false,
+            },
+            Self::Stamps(stamps) => return stamps.push(field),
+            Self::Moments(moments) => match Moment::read(field) {
+                Some(moment) => moments.push(moment),
+                None => return false,
+            },
+        }
+        true
+    }
+
+    fn pop(&mut self) {
+        match self {
+            Self::Numbers(values) => drop(values.pop()),
+            Self::Stamps(stamps) => stamps.pop(),
+            Self::Moments(moments) => drop(moments.pop()),
+        }
+    }
+
+    fn len(&self) -> usize {
+        match self {
+            Self::Numbers(values) => values.len(),
+            Self::Stamps(stamps) => stamps.differences.len(),
+            Self::Moments(moments) => moments.len(),
+        }
+    }
+
+    fn column(&self, role: Role, name: String, unit: Option<Unit>) -> Result<Column, Invalid> {
+        let column = match self {
+            Self::Numbers(values) => Column::of_values(role, name, unit, values.clone()),
+            Self::Stamps(stamps) => Column {
+                first: stamps.first,
+                resolution: stamps.resolution(),
+                ..Column::of_values(role, name, unit, stamps.differences.clone())
+            },
+            Self::Moments(moments) => {
+                let times = moment::times(moments).map_err(|i| {
+                    let problem = "is a moment without the date that the others have, or with one that is none in their order";
+                    Invalid::at(role.setting(), i, problem, "write all dates as 2026-03-01")
+                })?;
+                let seconds = Unit::read("s", &[]);
+                let mut column = Column::of_values(role, name, seconds, times.seconds);
+                column.resolution = times.resolution_s;
+                column.first_moment = moments.first().copied();
+                column
+            }
+        };
+        Ok(column)
+    }
+}
+
+/// A column that is read.
+struct Wanted {
+    /// Column, counted from 0.
+    index: usize,
+    values: Values,
+}
+
+/// Reads all samples into `wanted` (ascending). Returns a sentence about lines of text that follow them.
+fn rows(body: &str, layout: &Layout, wanted: &mut [Wanted]) -> Result<Option<String>, Invalid> {
+    let most = most_samples();
+    let mut ended = None;
+    let mut lines = body.lines().enumerate();
+    while let Some((i, line)) = lines.next() {
+        if is_skipped(line) {
+            continue;
+        }
+        let number = layout.first + i + 1;
+        match row(line, number, layout.separator, wanted) {
+            Ok(Row::Whole) => {
+                if let Some(empty) = ended {
+                    let problem =
+                        format!("has a sample in line {number} after empty cells in line {empty}");
+                    let remedy = "cut the log there, or fill the cells";
+                    return Err(Invalid::whole(NAME, problem, remedy));
+                }
+                if wanted[0].values.len() > most {
+                    let remedy = "cut it, or record at a lower rate";
+                    return Err(too_many(NAME, most, "samples", remedy));
+                }
+            }
+            Ok(Row::Ended) => ended = ended.or(Some(number)),
+            Err(error) => {
+                let mut begins_with_text = false;
+                layout.separator.fields(line, |_, field| {
+                    begins_with_text = Class::of(field) == Class::Text;
+                    false
+                });
+                // Text to the end of the file is no sample; a damaged line has samples after it, or begins with a number.
+                let is_sample = |line: &str| classes(line).is_some();
+                if !begins_with_text || is_sample(line) || lines.any(|(_, line)| is_sample(line)) {
+                    return Err(error);
+                }
+                return Ok(Some(format!(
+                    "the samples end before line {number}, {}: it and what follows are not used",
+                    short(line)
+                )));
+            }
+        }
+    }
+    Ok(None)
 }
 
 /// Result of reading a line.
@@ -198,58 +662,44 @@ enum Row {
     Ended,
 }
 
-/// A column that is read.
-struct Wanted {
-    /// Column, counted from 0.
-    index: usize,
-    /// True for moments of ISO 8601, false for numbers.
-    is_moment: bool,
-}
-
-/// Appends the fields `wanted` (ascending) of a line, counted from 1.
+/// Appends the fields of a line, counted from 1, to the columns of `wanted` (ascending).
 fn row(
     line: &str,
     number: usize,
     separator: Separator,
-    wanted: &[Wanted],
-    values: &mut [Vec<f64>],
+    wanted: &mut [Wanted],
 ) -> Result<Row, Invalid> {
     let (mut next, mut empty, mut bad) = (0, false, None);
     separator.fields(line, |i, field| {
         if i != wanted[next].index {
             return true;
         }
-        let value = match wanted[next].is_moment {
-            true => moment::seconds(field),
-            false => field.parse::<f64>().ok(),
-        };
-        match value {
-            Some(v) if v.is_finite() => values[next].push(v),
-            _ if field.is_empty() => {
-                empty = true;
-                return false;
-            }
-            _ => {
-                bad = Some((i, field));
-                return false;
-            }
+        if !wanted[next].values.push(field) {
+            empty = field.is_empty();
+            bad = if empty { None } else { Some((next, field)) };
+            return false;
         }
         next += 1;
         next < wanted.len()
     });
-    if let Some((i, field)) = bad {
-        let is_moment = wanted.iter().any(|w| w.index == i && w.is_moment);
+    if next == wanted.len() {
+        return Ok(Row::Whole);
+    }
+    for column in &mut wanted[..next] {
+        column.values.pop();
+    }
+    if let Some((which, field)) = bad {
+        let should = match wanted[which].values {
+            Values::Moments(_) => "time such as 2026-03-01T12:00:00.5 or 12:00:00.5",
+            _ => "number",
+        };
+        let column = wanted[which].index + 1;
         let problem = format!(
-            "has {} in line {number}, field {}, where a {} should be",
-            short(field),
-            i + 1,
-            if is_moment { "time of ISO 8601" } else { "number" }
+            "has {} in line {number}, field {column}, where a {should} should be",
+            short(field)
         );
         let remedy = "write finite numbers with a decimal point; cut the log where it is damaged";
         return Err(Invalid::whole(NAME, problem, remedy));
-    }
-    if next == wanted.len() {
-        return Ok(Row::Whole);
     }
     // A separator at the end may be that of an empty cell.
     let closed = matches!(separator, Separator::Character(c) if line.trim_end().ends_with(c));
@@ -261,19 +711,16 @@ fn row(
         );
         return Err(Invalid::whole(NAME, problem, "was it cut off? delete that line"));
     }
-    for column in &mut values[..next] {
-        column.pop();
-    }
     Ok(Row::Ended)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::trace::{PositionUnit, columns::Role};
+    use crate::trace::columns::Role;
 
-    fn column(columns: &[Column], role: Role) -> &Column {
-        columns.iter().find(|c| c.role == role).unwrap()
+    fn column(log: &Log, role: Role) -> &Column {
+        log.columns.iter().find(|c| c.role == role).unwrap()
     }
 
     #[test]
@@ -297,7 +744,7 @@ mod tests {
             assert_eq!(of(Role::SetpointY), [2.0, 4.0], "{text}");
         }
         let read = read(LogFormat::Aerotech, aerotech.as_bytes(), &Columns::default()).unwrap();
-        assert_eq!(column(&read, Role::X).position_unit, Some(PositionUnit::Mm));
+        assert_eq!(column(&read, Role::X).unit, Unit::read("mm", &[]));
     }
 
     #[test]
@@ -319,9 +766,9 @@ mod tests {
         let read = |text: &str| read(LogFormat::Csv, text.as_bytes(), &Columns::default());
         let found = read(text).unwrap();
         let time = column(&found, Role::Time);
-        assert_eq!((time.values[1] - time.values[0], time.time_unit), (1.5, Some(TimeUnit::S)));
+        assert_eq!((time.values[1] - time.values[0], time.unit), (1.5, Unit::read("s", &[])));
         let said = read(&text.replace("2026-03-02T00:00:01Z", "7.5")).unwrap_err().to_string();
-        assert!(said.contains("\"7.5\" in line 3, field 1, where a time of ISO 8601"), "{said}");
+        assert!(said.contains("\"7.5\" in line 3, field 1, where a time such as"), "{said}");
         let said = read(&text.replace("Z,3", "Z,2026-03-02T00:00:01Z")).unwrap_err().to_string();
         assert!(said.contains("line 3, field 2, where a number should be"), "{said}");
     }
@@ -333,5 +780,96 @@ mod tests {
         assert_eq!(column(&read, Role::X).values, [3.0, 6.0, 9.0]);
         assert_eq!(column(&read, Role::Y).values, [1.0, 4.0, 7.0]);
         assert_eq!(column(&read, Role::X).name, "column 3");
+    }
+
+    /// Header of a TwinCAT Scope: the line above the samples is none of names.
+    #[test]
+    fn names_and_units_may_have_lines_of_their_own() {
+        let head = "Name\tScope\nStart\t132959733843760000\tMontag\n\nName\tActPos_X\tActPos_Y\n\
+                    SampleTime[ms]\t1\t1\nUnit\tum\tmm\nUnit Offset\t0\t0\n\n";
+        let text = format!("{head}0\t0.5\t2\n1\t1.5\t3\nEOF\nTotal 7 s\n");
+        let asked = Columns { time: Some("Name".into()), ..Columns::default() };
+        let log = read(LogFormat::Csv, text.as_bytes(), &asked).unwrap();
+        let unit = |role| column(&log, role).unit.unwrap().to_string();
+        assert_eq!([Role::Time, Role::X, Role::Y].map(unit), ["ms", "um", "mm"]);
+        assert_eq!(column(&log, Role::X).values, [0.5, 1.5]);
+        assert_eq!(log.warnings.len(), 1);
+        assert!(log.warnings[0].contains("end before line 12, \"EOF\""), "{:?}", log.warnings);
+        let scaled = text.replace("Unit Offset\t0\t0", "Scale factor\t2\t1");
+        let log = read(LogFormat::Csv, scaled.as_bytes(), &asked).unwrap();
+        assert!(log.warnings[0].contains("not used: \"Scale factor"), "{:?}", log.warnings);
+        let said =
+            |text: &str| read(LogFormat::Csv, text.as_bytes(), &asked).unwrap_err().to_string();
+        let unknown = said(&text.replace("\tum\t", "\tfurlong\t"));
+        assert!(unknown.contains("x: is \"furlong\", which is no known unit"), "{unknown}");
+        // A damaged line has samples after it.
+        let damaged = said(&text.replace("EOF", "abc\tdef\tghi\n2\t2.5\t4"));
+        assert!(damaged.contains("\"abc\" in line 12, field 1"), "{damaged}");
+        // A short log with a long footer.
+        let log = read(
+            LogFormat::Csv,
+            b"x_mm,y_mm\n1,2\n3,4\n5,6\nend,of,file\nby,,me\n",
+            &Columns::default(),
+        );
+        assert_eq!(column(&log.unwrap(), Role::X).values, [1.0, 3.0, 5.0]);
+    }
+
+    #[test]
+    fn decimal_commas_quotes_and_encodings_of_logs() {
+        let x = |bytes: &[u8]| {
+            let log = read(LogFormat::Csv, bytes, &Columns::default()).unwrap();
+            (column(&log, Role::Time).values.clone(), column(&log, Role::X).values.clone())
+        };
+        let right = (vec![0.0, 0.5], vec![0.25, 1.75]);
+        let comma = "t (s);x (mm);y (mm)\n0,0;0,25;1\n0,5;1,75;2\n";
+        assert_eq!(x(comma.as_bytes()), right);
+        assert_eq!(x(comma.replace(';', "\t").as_bytes()), right);
+        assert_eq!(
+            x(b"\"t (s)\",\"x, mm\",\"y\"\n\"0.0\",\"0.25\",\"1\"\n\"0.5\",\"1.75\",\"2\"\n"),
+            right
+        );
+        let moments =
+            "Zeit;x_mm;y_mm\n01.03.2026 23:59:59,5;0,25;1\n02.03.2026 00:00:00,0;1,75;2\n";
+        assert_eq!(x(moments.as_bytes()), right);
+        let utf16: Vec<u8> =
+            [0xFEFF].into_iter().chain(comma.encode_utf16()).flat_map(u16::to_le_bytes).collect();
+        assert_eq!(x(&utf16), right);
+        let text =
+            read(LogFormat::Csv, b"x_mm;y_mm\n1,500;2,250\n2,500;3,250\n", &Columns::default());
+        assert!(text.unwrap_err().to_string().contains("marks of thousands"));
+        // A status is no number, and not read.
+        let log = read(LogFormat::Csv, b"x_mm,y_mm,state\n1,2,RUN\n3,4,RUN\n", &Columns::default());
+        assert_eq!(column(&log.unwrap(), Role::Y).values, [2.0, 4.0]);
+    }
+
+    #[test]
+    fn channels_have_times_of_their_own() {
+        let named = "Name\tActPos_X\tName\tActPos_Y\nSampleTime[ms]\t1\tSampleTime[ms]\t1\n\
+                     Unit\tmm\tUnit\tmm\n0\t0\t3\t7\n1\t1\t4\t8\n";
+        let asked = Columns { time: Some("1".into()), ..Columns::default() };
+        let log = read(LogFormat::Csv, named.as_bytes(), &asked).unwrap();
+        let y = column(&log, Role::Y);
+        assert_eq!((y.own_time, column(&log, Role::X).own_time), (Some(0), None));
+        assert_eq!(
+            (log.times[0].first, log.times[0].unit.unwrap().to_string()),
+            (3.0, "ms".into())
+        );
+        // Two clocks of the same channels: the given one counts.
+        let clocks = "PC time,time,x_mm,y_mm\n0,5,1,2\n1,6,3,4\n";
+        let asked = Columns { time: Some("PC time".into()), ..Columns::default() };
+        let log = read(LogFormat::Csv, clocks.as_bytes(), &asked).unwrap();
+        assert!(log.times.is_empty() && column(&log, Role::Y).own_time.is_none());
+        // Without names the program asks.
+        let text = "0 0 3 7\n1 1 4 8\n2 2 5 9\n";
+        let asked = |time_y: Option<&str>| {
+            let [time, x, y] = ["1", "2", "4"].map(|number| Some(number.to_string()));
+            let time_y = time_y.map(String::from);
+            let asked = Columns { time, x, y, time_y, ..Columns::default() };
+            read(LogFormat::Csv, text.as_bytes(), &asked)
+        };
+        let said = asked(None).unwrap_err().to_string();
+        assert!(said.contains("column 3 goes like the times in column 1, 3 later"), "{said}");
+        assert_eq!(asked(Some("3")).unwrap().times.len(), 1);
+        assert!(asked(Some("1")).unwrap().times.is_empty());
     }
 }

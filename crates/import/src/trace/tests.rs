@@ -14,7 +14,7 @@ const LOG: &str = "t_ms,x,y,setpoint x,setpoint y,current,tool on\n\
 #[test]
 fn a_log_in_counts_with_its_current() {
     let settings = TraceSettings {
-        unit: Some(PositionUnit::Count),
+        unit: Unit::read("count", &[]),
         count_mm: Some([1e-3, -2e-3]),
         nominal_current: Some(4.0),
         ..settings()
@@ -41,16 +41,15 @@ fn what_a_log_does_not_say_is_asked_for() {
     assert!(said(LOG, &log(None, Some(1.0))).contains("unit: of the positions is not in the log"));
     let counts = said(LOG, &log(Some(PositionUnit::Count), Some(1.0)));
     assert!(counts.contains("count_mm: is not in a log in counts"), "{counts}");
-    let current = said(LOG, &log(Some(PositionUnit::Mm), None));
+    let current = said(LOG, &log(Unit::read("mm", &[]), None));
     assert!(current.contains("nominal_current: is not in a log"), "{current}");
-    let negative = said(LOG, &log(Some(PositionUnit::Mm), Some(0.1)));
+    let negative = said(LOG, &log(Unit::read("mm", &[]), Some(0.1)));
     assert!(negative.contains("current[2]: is -0.01, with the nominal current 0.1"), "{negative}");
-    let contradicts = said("x_um,y_um\n1,2\n1,2\n", &log(Some(PositionUnit::Mm), None));
-    // The rate is asked for before the unit is looked at.
-    assert!(contradicts.contains("rate_hz: is not in a log"), "{contradicts}");
-    let rate = TraceSettings { rate_hz: Some(1e3), ..log(Some(PositionUnit::Mm), None) };
+    let without = said("x_mm,y_mm\n1,2\n1,2\n", &log(Unit::read("mm", &[]), None));
+    assert!(without.contains("rate_hz: is not in a log"), "{without}");
+    let rate = TraceSettings { rate_hz: Some(1e3), ..log(Unit::read("mm", &[]), None) };
     let contradicts = said("x_um,y_um\n1,2\n1,2\n", &rate);
-    assert!(contradicts.contains("unit: is Mm, but the log has \"x_um\" in Um"), "{contradicts}");
+    assert!(contradicts.contains("unit: is mm, but the log has \"x_um\" in um"), "{contradicts}");
     let far = said("x_m,y_m\n1,2\n3e6,2\n", &TraceSettings { unit: None, ..rate.clone() });
     assert!(far.contains("position[1]"), "{far}");
     let one = said("x_m,y_m\n1,2\n", &TraceSettings { unit: None, ..rate });

@@ -50,8 +50,7 @@ impl FitArgs {
         };
         let about =
             |e: &dyn std::error::Error| Failure::new(format!("{}: {e}", self.file.display()));
-        let text = String::from_utf8(bytes).map_err(|e| about(&e))?;
-        let fiducials = fiducials::read(&text).map_err(|e| about(&e))?;
+        let fiducials = fiducials::read(&bytes).map_err(|e| about(&e))?;
         let found = if mirrors { fit_mirrored } else { fit }(&fiducials, self.model);
         let found = found.map_err(|e| {
             Failure::new(planish_handoff::with_flags(&format!("{}: {e}", self.file.display())))

@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use clap::Args;
-use planish_handoff::{Failure, Inputs};
-use planish_surface::profile::{LengthUnit, Profile, ProfileSettings, ValueUnit, rows_of_text};
+use planish_handoff::{Failure, Inputs, warn};
+use planish_surface::profile::{Profile, ProfileRows, ProfileSettings, rows_of_text};
+use planish_types::units::{Quantity, Unit};
 
 /// Largest file of a profile, bytes; a larger one is refused. Larger: more memory for a file that is no
 /// profile. Smaller: refuses long profiles. Chosen: room for some million lines.
@@ -16,15 +17,27 @@ pub struct ProfileArgs {
     /// Columns of the profile's positions and of its values, from 1
     #[arg(long, num_args = 2, value_names = ["POSITION", "VALUE"], default_values_t = [1, 2], requires = "profile")]
     profile_columns: Vec<usize>,
-    /// Unit of the profile's positions
-    #[arg(long, value_enum, default_value = "mm", requires = "profile")]
-    position_unit: LengthUnit,
-    /// Unit of the profile's values: of a length for heights, of an angle for slopes
-    #[arg(long, value_enum, requires = "profile")]
-    value_unit: Option<ValueUnit>,
+    /// Unit of the profile's positions, such as mm or in [default: the one that the file states, or mm]
+    #[arg(long, value_name = "UNIT", value_parser = position_unit, requires = "profile")]
+    position_unit: Option<Unit>,
+    /// Unit of the profile's values: of a length for heights, such as nm, or of an angle for slopes, such as urad or arcsec
+    #[arg(long, value_name = "UNIT", value_parser = value_unit, requires = "profile")]
+    value_unit: Option<Unit>,
     /// Lines of the profile before its numbers [default: all that have none in both columns]
     #[arg(long, value_name = "N", requires = "profile")]
     header_lines: Option<usize>,
+}
+
+fn position_unit(text: &str) -> Result<Unit, String> {
+    let unit = Unit::read(text, &[Quantity::Length]);
+    let unit = unit.filter(|unit| unit.quantity() == Quantity::Length);
+    unit.ok_or_else(|| "is no unit of a length, such as mm or in".into())
+}
+
+fn value_unit(text: &str) -> Result<Unit, String> {
+    let wanted = [Quantity::Length, Quantity::Angle];
+    let unit = Unit::read(text, &wanted).filter(|unit| wanted.contains(&unit.quantity()));
+    unit.ok_or_else(|| "is no unit of a length or an angle, such as nm, um, urad or arcsec".into())
 }
 
 impl ProfileArgs {
@@ -45,13 +58,15 @@ impl ProfileArgs {
                     );
                     return Err(Failure::new(message));
                 }
-                table.outer_iter().map(|row| [row[position - 1], row[value - 1]]).collect()
+                let rows = table.outer_iter().map(|row| [row[position - 1], row[value - 1]]);
+                ProfileRows { rows: rows.collect(), position_unit: None, warnings: Vec::new() }
             }
             false => {
                 let bytes = inputs.read_bytes("profile", file, LARGEST_PROFILE_BYTES)?;
                 rows_of_text(&bytes, &settings).map_err(Failure::with_flags)?
             }
         };
+        rows.warnings.iter().for_each(warn);
         Profile::from_rows(&rows, &settings).map_err(Failure::with_flags)
     }
 

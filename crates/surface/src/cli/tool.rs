@@ -14,7 +14,9 @@ use planish_surface::varying::{
     Places, PressureLaw, RateLaw, Samples, Spots, Used, low_rank, ToolFrame,
     low_rank_by_azimuth, low_rank_by_heading, tool_at, turned,
 };
-use planish_types::{Axis, Grid, Invalid, PixelFactor, Surface, Tif, TimeFactor, VaryingTif};
+use planish_types::{
+    Axis, Grid, Invalid, PixelFactor, Surface, Tif, TimeFactor, VaryingTif, file_text,
+};
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::json;
@@ -604,16 +606,16 @@ impl TimeArgs {
 /// Rows of two numbers, separated by blanks, commas or semicolons; lines that begin with `#` are left out.
 fn read_table(inputs: &mut Inputs, role: &str, file: &Path) -> Result<Vec<[f64; 2]>, Failure> {
     let bytes = inputs.read_bytes(role, file, LARGEST_TABLE_BYTES)?;
-    let text = String::from_utf8_lossy(&bytes);
+    let about = |e: Invalid| Failure::new(format!("{}: {e}", file.display()));
+    let text = file_text::text("table", &bytes).map_err(about)?;
+    let with_points = file_text::with_points("table", &text).map_err(about)?;
     let mut rows = Vec::new();
-    for (i, line) in text.lines().enumerate() {
+    for (i, line) in with_points.as_deref().unwrap_or(&text).lines().enumerate() {
         let line = line.trim();
         if line.is_empty() || line.starts_with('#') {
             continue;
         }
-        let words = line.split(|c: char| c.is_whitespace() || c == ',' || c == ';');
-        let numbers: Vec<Option<f64>> = words
-            .filter(|word| !word.is_empty())
+        let numbers: Vec<Option<f64>> = file_text::fields(line)
             .map(|word| word.parse().ok().filter(|v: &f64| v.is_finite()))
             .collect();
         match numbers[..] {

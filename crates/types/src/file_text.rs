@@ -1,10 +1,10 @@
-//! Numbers read from text.
+//! Numbers read from the text of other programs: the one set of conveniences of all readers.
 //!
 //! Text is UTF-8, UTF-16 with its byte order mark, or Latin-1, in which older programs write `µm`.
 
 use std::borrow::Cow;
 
-use planish_types::Invalid;
+use crate::Invalid;
 
 /// Words that instruments and spreadsheets write for a pixel without a value.
 const NO_DATA: [&str; 30] = [
@@ -49,7 +49,7 @@ const CELLS: [&str; 8] =
 const LEAST_ASCII: f64 = 0.7;
 
 /// The text of a file; refuses what is not text.
-pub(crate) fn text<'a>(name: &'static str, bytes: &'a [u8]) -> Result<Cow<'a, str>, Invalid> {
+pub fn text<'a>(name: &'static str, bytes: &'a [u8]) -> Result<Cow<'a, str>, Invalid> {
     let refused =
         || Invalid::whole(name, "is not text", "give the right `format`, or export as text");
     for (mark, unit) in [([0xFF, 0xFE], u16::from_le_bytes as fn([u8; 2]) -> u16), {
@@ -75,7 +75,7 @@ pub(crate) fn text<'a>(name: &'static str, bytes: &'a [u8]) -> Result<Cow<'a, st
 }
 
 /// True for a line that starts with `#` or `%`, unless that is the first cell of a row of a spreadsheet, such as `#N/A`.
-pub(crate) fn is_comment(line: &str) -> bool {
+pub fn is_comment(line: &str) -> bool {
     let line = line.trim_start();
     let first = || fields(line).next().unwrap_or_default().to_ascii_lowercase();
     line.starts_with('%') || (line.starts_with('#') && !CELLS.contains(&first().as_str()))
@@ -87,14 +87,14 @@ fn separator(line: &str) -> Option<char> {
 }
 
 /// True if a separator that is no white space ends the line: nothing follows it.
-pub(crate) fn is_closed(line: &str) -> bool {
+pub fn is_closed(line: &str) -> bool {
     let line = line.trim_matches([' ', '\r']);
     separator(line).is_some_and(|c| line.ends_with(c))
 }
 
 /// The fields of a line: by comma, semicolon or tab where there is one, else by white space. A separator at the end of the
 /// line closes it. Quotes around a field are no part of it.
-pub(crate) fn fields<'a>(line: &'a str) -> Box<dyn Iterator<Item = &'a str> + 'a> {
+pub fn fields<'a>(line: &'a str) -> Box<dyn Iterator<Item = &'a str> + 'a> {
     fn plain(field: &str) -> &str {
         let field = field.trim();
         let inner = field.strip_prefix('"').and_then(|field| field.strip_suffix('"'));
@@ -118,52 +118,104 @@ pub(crate) fn fields<'a>(line: &'a str) -> Box<dyn Iterator<Item = &'a str> + 'a
 
 /// A text of numbers with decimal points in the place of decimal commas; `None` where it has none.
 ///
-/// A comma is a decimal comma if no line has a point, and every comma stands between two digits in a line that
-/// semicolons, tabs or blanks separate. Where three digits follow every one of them, they could separate thousands, and
-/// the text is refused.
-pub(crate) fn with_points(name: &'static str, text: &str) -> Result<Option<String>, Invalid> {
-    let mut commas = 0usize;
-    let mut thousands = true;
-    let is_line = |line: &&str| !line.trim().is_empty() && !is_comment(line);
-    for line in text.lines().filter(is_line) {
-        let b = line.trim().as_bytes();
-        let is_separated = b.iter().any(|c| matches!(c, b';' | b'\t' | b' '));
-        if b.contains(&b'.') || b.contains(&b'"') || !is_separated {
+/// A comma is a decimal comma if no line has a decimal point, and every comma stands between two digits: in a line that
+/// semicolons, tabs or blanks separate, or within quotes. Where three digits follow every one of them, they could separate
+/// thousands, and the text is refused.
+pub fn with_points(name: &'static str, text: &str) -> Result<Option<String>, Invalid> {
+    let mut commas = Commas::default();
+    let mut converted = String::with_capacity(text.len());
+    for line in text.lines() {
+        if line.trim().is_empty() || is_comment(line) {
+            converted.push_str(line);
+        } else if !commas.convert(line.trim_end(), &mut converted) {
             return Ok(None);
         }
-        for (i, _) in b.iter().enumerate().filter(|(_, c)| **c == b',') {
-            let is_digit = |at: usize| b.get(at).is_some_and(u8::is_ascii_digit);
-            if i == 0 || !is_digit(i - 1) || !is_digit(i + 1) {
-                return Ok(None);
-            }
-            commas += 1;
-            thousands &= is_digit(i + 2) && is_digit(i + 3) && !is_digit(i + 4);
-        }
+        converted.push('\n');
     }
-    if commas == 0 {
+    if commas.count == 0 {
         return Ok(None);
     }
-    if thousands {
+    if commas.are_thousands {
         let problem = "has commas before three digits each: decimal commas, or marks of thousands";
         return Err(Invalid::whole(name, problem, "write the numbers with a decimal point"));
     }
-    let line = |line: &str| match is_comment(line) {
-        true => line.to_string(),
-        false => line.replace(',', "."),
-    };
-    Ok(Some(text.lines().map(line).collect::<Vec<_>>().join("\n")))
+    converted.pop();
+    Ok(Some(converted))
+}
+
+/// Decimal commas of a text.
+struct Commas {
+    count: usize,
+    /// True if every one of them could separate thousands.
+    are_thousands: bool,
+}
+
+impl Default for Commas {
+    fn default() -> Self {
+        Self { count: 0, are_thousands: true }
+    }
+}
+
+impl Commas {
+    /// Appends `line` with points in the place of its decimal commas. Returns false if a comma or a point of the line
+    /// excludes that commas are decimal.
+    fn convert(&mut self, line: &str, converted: &mut String) -> bool {
+        let b = line.as_bytes();
+        let is_digit = |i: usize| b.get(i).is_some_and(u8::is_ascii_digit);
+        let is_separated = line.trim().contains([';', '\t', ' ']);
+        let mut is_quoted = false;
+        let mut copied = 0;
+        for (i, c) in b.iter().enumerate() {
+            match c {
+                b'"' => is_quoted = !is_quoted,
+                b'.' if (is_digit(i + 1) || (i > 0 && is_digit(i - 1))) && !is_in_date(b, i) => {
+                    return false;
+                }
+                b',' => {
+                    let is_between = i > 0 && is_digit(i - 1) && is_digit(i + 1);
+                    let is_separator =
+                        !is_quoted && (b.get(i + 1) == Some(&b'"') || (i > 0 && b[i - 1] == b'"'));
+                    if is_separator {
+                        continue;
+                    }
+                    if !is_between || !(is_quoted || is_separated) {
+                        return false;
+                    }
+                    self.count += 1;
+                    self.are_thousands &= separates_thousands(b, i);
+                    converted.push_str(&line[copied..i]);
+                    converted.push('.');
+                    copied = i + 1;
+                }
+                _ => {}
+            }
+        }
+        converted.push_str(&line[copied..]);
+        true
+    }
+}
+
+/// Returns true if the point at `i` is one of two in a date such as `1.3.2026`.
+fn is_in_date(b: &[u8], i: usize) -> bool {
+    let is_part = |c: &&u8| c.is_ascii_digit() || **c == b'.';
+    let before = b[..i].iter().rev().take_while(is_part).filter(|c| **c == b'.').count();
+    let after = b[i + 1..].iter().take_while(is_part).filter(|c| **c == b'.').count();
+    before + after == 1
+}
+
+/// Returns true if the comma at `i` could separate thousands: three digits follow it, and one to three that do not begin
+/// with 0 stand before it.
+fn separates_thousands(b: &[u8], i: usize) -> bool {
+    let after = b[i + 1..].iter().take_while(|c| c.is_ascii_digit()).count();
+    let before = b[..i].iter().rev().take_while(|c| c.is_ascii_digit()).count();
+    after == 3 && (1..=3).contains(&before) && b[i - before] != b'0'
 }
 
 /// The warning where [`with_points`] changed a text.
-pub(crate) const DECIMAL_COMMAS: &str = "the numbers have a decimal comma";
+pub const DECIMAL_COMMAS: &str = "the numbers have a decimal comma";
 
 /// A number, NaN for one of the words for no data; `line` counts from 1, `field` too.
-pub(crate) fn number(
-    name: &'static str,
-    field: &str,
-    line: usize,
-    column: usize,
-) -> Result<f64, Invalid> {
+pub fn number(name: &'static str, field: &str, line: usize, column: usize) -> Result<f64, Invalid> {
     if let Ok(v) = field.parse::<f64>() {
         return Ok(v);
     }
@@ -182,7 +234,7 @@ pub(crate) fn number(
 }
 
 /// True for a word that means no value, such as `BAD`, `#N/A` or `***`.
-pub(crate) fn is_no_data(field: &str) -> bool {
+pub fn is_no_data(field: &str) -> bool {
     let word = field.to_ascii_lowercase();
     NO_DATA.contains(&word.as_str())
         || CELLS.contains(&word.as_str())
@@ -190,7 +242,7 @@ pub(crate) fn is_no_data(field: &str) -> bool {
 }
 
 /// True where a line has no number, and a word that means no value is not all it has: a line of names.
-pub(crate) fn is_names(line: &str) -> bool {
+pub fn is_names(line: &str) -> bool {
     let is_word = |field: &str| field.parse::<f64>().is_err();
     fields(line).all(is_word) && !fields(line).all(is_no_data)
 }
@@ -228,7 +280,12 @@ mod tests {
         let of = |text: &str| with_points("file", text);
         assert_eq!(of("1,5;2\n3;-4,25e-3").unwrap().as_deref(), Some("1.5;2\n3;-4.25e-3"));
         assert_eq!(of("# a, b\n1,5 2,25\n").unwrap().as_deref(), Some("# a, b\n1.5 2.25"));
-        for other in ["1,5,2\n", "1, 2\n", "1.5;2,5\n", "1;2\n", "\"1,5\";\"2,5\"\n"] {
+        assert_eq!(of("\"1,5\";\"2,5\"\n").unwrap().as_deref(), Some("\"1.5\";\"2.5\""));
+        assert_eq!(of("\"1,5\",\"2,5\"\n").unwrap().as_deref(), Some("\"1.5\",\"2.5\""));
+        assert_eq!(of("1.3.2026;2,5\n").unwrap().as_deref(), Some("1.3.2026;2.5"));
+        // A number of thousands does not begin with 0.
+        assert_eq!(of("0,500;0,250\n").unwrap().as_deref(), Some("0.500;0.250"));
+        for other in ["1,5,2\n", "1, 2\n", "1.5;2,5\n", "1;2\n", "\"1,5\",2,5\n"] {
             assert_eq!(of(other).unwrap(), None, "{other}");
         }
         assert!(of("1,500;2,250\n").unwrap_err().to_string().contains("thousands"));
