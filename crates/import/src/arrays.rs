@@ -9,7 +9,16 @@ use crate::reading::Pick;
 pub(crate) const CUSTOMARY: [[&str; 3]; 2] = [["Z", "X", "Y"], ["Ztif", "Xtif", "Ytif"]];
 
 /// Names of coordinates beside a map of any name.
-pub(crate) const BESIDE: [[&str; 2]; 2] = [["X", "Y"], ["x", "y"]];
+pub(crate) const BESIDE: [[&str; 2]; 8] = [
+    ["X", "Y"],
+    ["x", "y"],
+    ["x_mm", "y_mm"],
+    ["X_mm", "Y_mm"],
+    ["x_um", "y_um"],
+    ["X_um", "Y_um"],
+    ["x_m", "y_m"],
+    ["X_m", "Y_m"],
+];
 
 /// Words in the name of an array that says which pixels are valid.
 const MARKS: [&str; 5] = ["mask", "valid", "bad", "flag", "quality"];

@@ -23,6 +23,8 @@
 //! | [`grid_sag`] | Zemax OpticStudio grid sag | OpticStudio help |
 //! | [`x3p`] | `.x3p` | ISO 25178-72 |
 //! | [`opd`] | Wyko and Veeco `.opd` | documentation of public readers |
+//! | [`srw`] | height map of SRW and Sirepo | SRW's srwlib.py |
+//! | [`wft`] | DFTFringe and OpenFringe `.wft` | files of DFTFringe |
 //! | [`presurface`] | SHADOW presurface | SHADOW's user guide |
 //! | [`four_sight`] | 4D Technology 4Sight `.h5` | public readers |
 //! | [`sdf`] | surface data file, text and binary | ISO 25178-71 |
@@ -33,6 +35,7 @@
 //! units.
 
 mod arrays;
+mod beside;
 mod budget;
 mod bytes;
 pub mod codev;
@@ -56,22 +59,27 @@ mod reading;
 mod scattered;
 pub mod sdf;
 mod shift;
+pub mod slopes;
 mod spot;
+pub mod srw;
 pub mod sur;
 mod text;
 pub mod trace;
+mod unit;
 mod unknown;
+pub mod wft;
 pub mod x3p;
 mod zip;
 
 pub use budget::{MOST_FILE_BYTES, MOST_PIXELS};
 pub use draw::{Scale, svg};
 pub use reading::{
-    Coordinates, FirstRow, Origin, Pick, Reading, Rotation, Rule, Settings, Statement, Unit,
+    Coordinates, FirstRow, Origin, Pick, Reading, Rotation, Rule, Settings, Statement, Window,
     surface, tif,
 };
 pub use spot::{Alignment, Baseline, Spot, SpotSettings, spot};
 
+pub use unit::Unit;
 pub use unknown::unknown;
 
 use planish_types::Invalid;
@@ -115,6 +123,10 @@ pub enum Format {
     Opd,
     /// SHADOW presurface.
     Presurface,
+    /// Height map of SRW and Sirepo.
+    Srw,
+    /// Wavefront of DFTFringe and OpenFringe.
+    Wft,
     /// 4D Technology 4Sight.
     #[cfg_attr(feature = "cli", value(name = "4sight"))]
     #[serde(rename = "4sight")]
@@ -162,17 +174,21 @@ impl Format {
             match () {
                 () if codev::is_codev(text) => Some(Self::CodevInt),
                 () if grid_sag::is_grid_sag(text) => Some(Self::GridSag),
+                () if wft::is_wft(text) => Some(Self::Wft),
                 () if presurface::is_presurface(text) => Some(Self::Presurface),
                 () => None,
             }
         }
     }
 
-    /// The format of a text of numbers from the ending of the file's name, in lower case.
-    pub fn of_ending(ending: &str) -> Option<Self> {
+    /// The format of a text of numbers from the ending of the file's name, in lower case, and from its first lines where
+    /// several formats have that ending.
+    pub fn of_ending(ending: &str, bytes: &[u8]) -> Option<Self> {
+        let is_srw = || text::text("text", bytes).is_ok_and(|text| srw::is_srw(&text));
         match ending {
             "csv" => Some(Self::Csv),
             "xyz" => Some(Self::Xyz),
+            "dat" | "txt" if is_srw() => Some(Self::Srw),
             _ => None,
         }
     }
@@ -183,6 +199,10 @@ pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invali
     if pick.grid_mm.is_some() && format != Format::Xyz {
         let problem = "was given, but only lines x y z are interpolated";
         return Err(Invalid::whole("grid_mm", problem, "leave it out, or give `format` xyz"));
+    }
+    if pick.columns.is_some() && format != Format::Xyz {
+        let problem = "was given, but only lines x y z have columns";
+        return Err(Invalid::whole("columns", problem, "leave it out, or give `format` xyz"));
     }
     let several = matches!(
         format,
@@ -223,6 +243,8 @@ pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invali
         Format::X3p => x3p::read(bytes),
         Format::Opd => opd::read(bytes, pick),
         Format::Presurface => presurface::read(bytes),
+        Format::Srw => srw::read(bytes),
+        Format::Wft => wft::read(bytes),
         Format::FourSight => four_sight::read(bytes, pick),
         Format::Directory => {
             let remedy = "give the directory that holds it";

@@ -128,6 +128,16 @@ pub fn spot(
         let problem = format!("has {}, the map after {}", of(b.grid()), of(grid));
         return Err(Invalid::whole("before", problem, "measure both maps alike, or crop them"));
     }
+    let is_moved = |a: &Axis, b: &Axis| (a.start_mm() - b.start_mm()).abs() > 0.5 * a.step_mm();
+    if let Some(b) = before.filter(|b| {
+        let moved = is_moved(&b.grid().x, &grid.x) || is_moved(&b.grid().y, &grid.y);
+        moved && settings.align == Alignment::None
+    }) {
+        let of = |g: &Grid| format!("({}, {}) mm", g.x.start_mm(), g.y.start_mm());
+        let problem = format!("begins at {}, the map after at {}", of(b.grid()), of(grid));
+        let remedy = "measure both with the same window, crop them, or give `align` shift";
+        return Err(Invalid::whole("before", problem, remedy));
+    }
     let removal = |shift_px: [f64; 2]| match before {
         None => after.height_nm().clone(),
         Some(before) => before.height_nm() - &shifted(after.height_nm(), shift_px).0,

@@ -3,7 +3,7 @@
 //! | element of `main.xml` | what is read |
 //! |---|---|
 //! | `Record1/FeatureType` | `SUR`: a map |
-//! | `Record1/Axes/CX`, `CY` | `AxisType` I (equal steps), `Increment` in m |
+//! | `Record1/Axes/CX`, `CY` | `AxisType` I (equal steps), `Increment` and `Offset` in m |
 //! | `Record1/Axes/CZ` | `DataType` I, L, F or D: i16, i32, f32 or f64; `Increment` and `Offset` in m |
 //! | `Record1/Axes/Rotation` | refused: the axes of the map are those of the part |
 //! | `Record3/MatrixDimension` | `SizeX`, `SizeY`, and `SizeZ` 1 |
@@ -26,7 +26,7 @@ use crate::{
     Format, Unit,
     budget::{MOST_TEXT_BYTES, check_size},
     bytes::Number,
-    reading::{FirstRow, Reading},
+    reading::{FirstRow, Reading, Window},
     zip::Archive,
 };
 
@@ -105,12 +105,16 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         let bits = archive.member(&link, count.div_ceil(8))?;
         mark_invalid(&mut reading, &bits)?;
     }
-    reading.unit = Some(Unit::M);
+    reading.unit = Some(Unit::named("m"));
     reading.factor = number("Record1/Axes/CZ/Increment")?.unwrap_or(1.0);
     reading.offset = number("Record1/Axes/CZ/Offset")?.unwrap_or(0.0);
     let pitch = |axis: &str| number(&format!("Record1/Axes/{axis}/Increment"));
     if let (Some(x), Some(y)) = (pitch("CX")?, pitch("CY")?) {
         reading.pixel_mm = Some([x * 1e3, y * 1e3]);
+    }
+    let offset = |axis: &str| number(&format!("Record1/Axes/{axis}/Offset"));
+    if let (Some(x), Some(y)) = (offset("CX")?, offset("CY")?) {
+        reading.window = Some(Window { first: [x * 1e3, y * 1e3], in_mm: true, frame_rows: None });
     }
     reading.stated = json!({
         "revision": text("Record1/Revision"),
