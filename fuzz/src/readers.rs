@@ -22,7 +22,7 @@ const LONGEST_MESSAGE: usize = 1500;
 pub type Reader = (&'static str, fn(&[u8]));
 
 /// Every reader.
-pub const READERS: [Reader; 26] = [
+pub const READERS: [Reader; 27] = [
     ("metropro", |bytes| map(Format::Metropro, bytes)),
     ("datx", |bytes| map(Format::Datx, bytes)),
     ("xyz", |bytes| map(Format::Xyz, bytes)),
@@ -39,6 +39,7 @@ pub const READERS: [Reader; 26] = [
     ("grid-sag", |bytes| map(Format::GridSag, bytes)),
     ("x3p", |bytes| map(Format::X3p, bytes)),
     ("opd", |bytes| map(Format::Opd, bytes)),
+    ("npz", |bytes| map(Format::Npz, bytes)),
     ("srw", |bytes| map(Format::Srw, bytes)),
     ("wft", |bytes| map(Format::Wft, bytes)),
     ("presurface", |bytes| map(Format::Presurface, bytes)),

@@ -56,7 +56,8 @@ const PITCHES: &[&str] = &[
     "pixsz", "grid spacing", "grid step", "sample spacing", "resolution", "increment", "pixelgröße", "pixelgrösse",
     "pixelabstand", "pixelweite", "auflösung", "taille de pixel", "taille du pixel", "taille des pixels", "pas",
     "pas de pixel", "tamaño de píxel", "tamaño del píxel", "tamaño de pixel", "paso", "dimensione pixel",
-    "dimensione del pixel", "passo", "像素尺寸", "像素大小", "像素间距", "画素サイズ", "ピクセルサイズ", "画素ピッチ",
+    "dimensione del pixel", "passo", "xy kalibrierung", "kalibrierung", "étalonnage xy", "calibración xy",
+    "calibrazione xy", "校正值", "校正", "校正値", "xyキャリブレーション", "キャリブレーション", "像素尺寸", "像素大小", "像素间距", "画素サイズ", "ピクセルサイズ", "画素ピッチ",
 ];
 
 /// Keys of the wavelength of the light.
@@ -178,8 +179,22 @@ impl Beside {
     /// A unit that is not understood, or a statement that contradicts another one.
     pub fn add_comment(&mut self, comment: &str, line: usize) -> Result<(), Invalid> {
         let place = format!("line {line}");
+        if let Some(nm) = wavelength_in(comment) {
+            self.wavelength_nm = Some(nm);
+        }
         let Some((key, value)) = key_and_value(comment) else {
-            if !self.add_columns(comment)? && names_a_unit(comment) {
+            // Such as "pixel size 0.5 mm".
+            let number = comment.find(|c: char| c.is_ascii_digit()).unwrap_or(0);
+            let (key, value) = comment.split_at(number);
+            if !key.trim().is_empty() && self.add(key.trim(), value, None, line)? {
+                return Ok(());
+            }
+            if self.add_columns(comment)? {
+                return Ok(());
+            }
+            if let Some(unit) = unit_after_in(comment) {
+                self.lone_unit = self.lone_unit.or(Some(unit));
+            } else if names_a_unit(comment) || claims_a_unit(comment) {
                 self.leave(comment, &place);
             }
             return Ok(());
@@ -192,9 +207,10 @@ impl Beside {
         if self.add(key, value, None, line)? {
             return Ok(());
         }
-        let is_columns = units_of_columns(comment)?;
-        if is_columns.iter().filter(|unit| unit.is_some()).count() >= 2 {
-            return self.take_columns(is_columns);
+        let columns = units_of_columns(comment)?;
+        let named = columns.iter().filter(|unit| unit.is_some()).count();
+        if named >= 2 || (named == 1 && Unit::spelled(value).is_some()) {
+            return self.take_columns(columns);
         }
         if is_telling(key) || leading_number(value).is_some_and(|q| Unit::spelled(q.rest).is_some()) {
             self.leave(comment, &place);
@@ -514,6 +530,31 @@ fn row_of(value: &str) -> Option<FirstRow> {
     }
 }
 
+/// Returns the wavelength, nm, in a text such as `z [waves @ 632.8 nm]`.
+fn wavelength_in(text: &str) -> Option<f64> {
+    let (_, after) = text.split_once('@')?;
+    let Quantity { value, rest } = leading_number(after)?;
+    let word: String = rest.chars().take_while(|c| c.is_alphabetic() || *c == 'µ').collect();
+    match Unit::spelled(&word) {
+        Some(unit) => Some(value * unit.mm().ok()? * 1e6),
+        None => wavelength_nm(value),
+    }
+}
+
+/// Returns the unit in a sentence such as `all lengths in m`, which does not say of which column.
+fn unit_after_in(text: &str) -> Option<Unit> {
+    let words: Vec<&str> = text.split_whitespace().map(|w| w.trim_matches([',', ';', '.', ')', '('])).collect();
+    let pairs = words.windows(2).filter(|pair| matches!(pair[0], "in" | "en" | "unit" | "units" | "Units" | "Unit"));
+    pairs.filter(|pair| pair[1] == "m" || pair[1].chars().count() > 1).find_map(|pair| Unit::spelled(pair[1]))
+}
+
+/// Returns true for a sentence that may state the unit of a column in a word that is none, such as `heights in furlong`.
+fn claims_a_unit(text: &str) -> bool {
+    let words: Vec<String> = text.split_whitespace().map(plain).collect();
+    let names = words.iter().any(|word| axes_of_name(word) != [false; 3]);
+    names && words.iter().any(|word| matches!(word.as_str(), "in" | "unit" | "units"))
+}
+
 /// Returns a wavelength without a unit in nm, where its size allows only one: light has between 0.1 and 20 um.
 fn wavelength_nm(value: f64) -> Option<f64> {
     [1.0, 1e3, 1e9].into_iter().map(|nm| value * nm).find(|nm| (100.0..20_000.0).contains(nm))
@@ -619,6 +660,7 @@ fn units_of_columns(text: &str) -> Result<[Option<Unit>; 3], Invalid> {
                 }
             }
             Piece::Bracket(word) => {
+                let word = word.split('@').next().unwrap_or_default().trim();
                 let unit = Unit::spelled(word);
                 let is_word = word.chars().any(char::is_alphabetic) && !word.contains(' ');
                 if unit.is_none() && is_word && named != [false; 3] && word.chars().count() < 12 {
@@ -679,6 +721,8 @@ mod tests {
             ("x (actual) y (actual) z (raw)", "- - -"),
             ("measured in Berlin", "- - -"),
             ("removal rate [nm/min]", "- - nm/min"),
+            ("x [mm] y [mm] z [waves @ 632.8 nm]", "mm mm waves"),
+            ("all lengths in m", "- - -"),
         ] {
             assert_eq!(columns(text), right, "{text}");
         }
@@ -729,6 +773,7 @@ mod tests {
             ("pixel size (mm): 0.5 x 0.25", Some([0.5, 0.25])),
             ("pixel size: 0.02 in", Some([0.508, 0.508])),
             ("XY Calibration: 500 um", Some([0.5, 0.5])),
+            ("pixel size 0.5 mm", Some([0.5, 0.5])),
             ("pixel size: 0.5", None),
             ("camera: 7 mm away", None),
         ] {
@@ -746,6 +791,10 @@ mod tests {
             // A product of two roundings.
             assert!((nm / 632.8 - 1.0).abs() < 1e-14, "{text}: {nm}");
         }
+        assert_eq!(read(&["z [waves @ 632.8 nm]"]).wavelength_nm, Some(632.8));
+        assert_eq!(read(&["all lengths in m"]).lone_unit, Some(Unit::named("m")));
+        assert_eq!(read(&["rate: nm/h"]).unit, Some(Unit::named("nm/h")));
+        assert!(read(&["heights are in furlong"]).warnings[0].contains("furlong"));
         assert_eq!(read(&["first row: top"]).first_row, FirstRow::Top);
         assert!(read(&["camera: 7 mm away"]).warnings[0].contains("camera: 7 mm away"));
     }

@@ -14,7 +14,7 @@
 //! | [`matlab`] | MATLAB `.mat`, version 5 | "MAT-File Format", The MathWorks |
 //! | [`hdf5`] | HDF5 by the path of a dataset, MATLAB `.mat` 7.3 | crate hdf5-reader |
 //! | [`fits`] | FITS images | FITS standard 4.0 |
-//! | [`npy`] | `.npy` of any real number type | NumPy enhancement proposal 1 |
+//! | [`npy`] | `.npy` of any real number type, and `.npz` | NumPy enhancement proposal 1 |
 //! | [`csv`] | a matrix of numbers as text | - |
 //! | [`gsf`] | Gwyddion Simple Field | Gwyddion user guide |
 //! | [`gwy`] | Gwyddion `.gwy` | Gwyddion user guide |
@@ -105,6 +105,8 @@ pub enum Format {
     Csv,
     /// NumPy array.
     Npy,
+    /// Archive of NumPy arrays.
+    Npz,
     /// Surface data file.
     Sdf,
     /// Gwyddion Simple Field.
@@ -166,6 +168,8 @@ impl Format {
             Some(Self::Sur)
         } else if starts(opd::MAGIC) {
             Some(Self::Opd)
+        } else if starts(zip::MAGIC) && npy::is_npz(bytes) {
+            Some(Self::Npz)
         } else if starts(zip::MAGIC) && x3p::is_x3p(bytes) {
             Some(Self::X3p)
         } else {
@@ -213,6 +217,7 @@ pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invali
             | Format::Gwy
             | Format::Opd
             | Format::FourSight
+            | Format::Npz
     );
     if let (Some(name), Format::Datx) = (&pick.mask, format) {
         let remedy = "a datx file marks its invalid pixels itself; leave it out";
@@ -222,7 +227,7 @@ pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invali
         && !several
     {
         let remedy =
-            "only datx, mat5, hdf5, fits, gwy, opd and 4sight files have names; leave it out";
+            "only datx, mat5, hdf5, npz, fits, gwy, opd and 4sight files have names; leave it out";
         return Err(Invalid::whole("dataset", format!("\"{name}\" was asked for"), remedy));
     }
     match format {
@@ -234,6 +239,7 @@ pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invali
         Format::Fits => fits::read(bytes, pick),
         Format::Csv => csv::read(bytes),
         Format::Npy => npy::read(bytes),
+        Format::Npz => npy::read_archive(bytes, pick),
         Format::Sdf => sdf::read(bytes),
         Format::Gsf => gsf::read(bytes),
         Format::Gwy => gwy::read(bytes, pick),

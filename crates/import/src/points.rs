@@ -322,6 +322,20 @@ impl Names {
 }
 
 
+impl Names {
+    /// Takes a second line, of the units of the columns, and returns true if it is one.
+    fn add_units(&mut self, line: &str) -> bool {
+        let words = text::fields(line).map(|word| word.trim_matches(['(', ')', '[', ']']));
+        let units: Vec<(&str, Option<Unit>)> = words.map(|word| (word, Unit::spelled(word))).collect();
+        let [x, y, z] = self.columns.unwrap_or([0, 1, 2]).map(|k| units.get(k).and_then(|unit| unit.1));
+        if x.is_none() || x != y || z.is_none() || self.unit.is_some() {
+            return false;
+        }
+        (self.coordinate_unit, self.unit) = (x, z);
+        true
+    }
+}
+
 /// Returns the places of the columns that the user names, by their names with or without the unit, or by numbers from 1.
 fn columns_of(
     requested: &[String; 3],
@@ -448,6 +462,9 @@ fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
         }
         if points.is_empty() && names.warnings.is_empty() && text::is_names(trimmed) {
             names = Names::read(trimmed, i + 1, pick.columns.as_ref())?;
+            continue;
+        }
+        if points.is_empty() && text::is_names(trimmed) && names.add_units(trimmed) {
             continue;
         }
         if points.len() >= most {

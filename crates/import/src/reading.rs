@@ -571,7 +571,10 @@ fn unit_of_user(
     match (reading.lone_unit, requested) {
         (None, None) => Err(Invalid::whole(
             "unit",
-            "is not in the file",
+            match warnings.iter().find(|warning| warning.starts_with("statements that")) {
+                Some(unused) => format!("is not in the file ({unused})"),
+                None => "is not in the file".into(),
+            },
             "give `unit` m, mm, um, nm, angstrom, in, mil or waves, or a rate such as nm/min",
         )),
         (Some(lone), None) => {

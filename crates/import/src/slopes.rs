@@ -298,8 +298,12 @@ fn judge_signs(
             text(residual),
             text(other)
         );
-        let remedy = "give `negate_y` where slopes along y count towards the top of the file, or `first_row`; `trust_signs` \
-                      takes them as they are";
+        let remedy = match settings.negate_y {
+            true => "leave out `negate_y`; `trust_signs` takes them as they are",
+            false => {
+                "give `negate_y` where slopes along y count down the rows, or `first_row`; `trust_signs` takes them as they are"
+            }
+        };
         return Err(Invalid::whole("slopes", problem, remedy));
     }
     if residual > MOST_RESIDUAL * size {

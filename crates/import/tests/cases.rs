@@ -725,7 +725,7 @@ fn is_second_truth(map: &Surface, tolerance_nm: f64) {
 }
 
 /// Writes a text and returns its path.
-fn put(dir: &Path, name: &str, text: &str) -> String {
+fn put_text(dir: &Path, name: &str, text: &str) -> String {
     let path = dir.join(name);
     fs::write(&path, text).unwrap();
     path.to_str().unwrap().to_string()
@@ -762,17 +762,17 @@ fn a_unit_in_the_names_of_columns_is_read_and_contradicts_a_flag() {
         ("z (pm)", 1e-3),
     ] {
         let text = format!("x (mm),y (mm),{name}\n{points}");
-        let (map, _, _) = read(&put(tmp.path(), "a.xyz", &text), &[]);
+        let (map, _, _) = read(&put_text(tmp.path(), "a.xyz", &text), &[]);
         // The factor and the height are rounded once each.
         assert!((map.height_nm()[[1, 1]] / (4.0 * nm) - 1.0).abs() < 1e-15, "{name}");
     }
-    let said = refused(&put(tmp.path(), "b.xyz", &format!("x (mm),y (mm),z (furlong)\n{points}")), &["--unit", "nm"]);
+    let said = refused(&put_text(tmp.path(), "b.xyz", &format!("x (mm),y (mm),z (furlong)\n{points}")), &["--unit", "nm"]);
     assert!(said.contains("\"furlong\"") && said.contains("no known unit"), "{said}");
-    let said = refused(&put(tmp.path(), "c.xyz", &format!("x (mm),y (mm),z (fringes)\n{points}")), &[]);
+    let said = refused(&put_text(tmp.path(), "c.xyz", &format!("x (mm),y (mm),z (fringes)\n{points}")), &[]);
     assert!(said.contains("fringes"), "{said}");
     // Numbers of pixels have a place too.
     let text = format!("x (px),y (px),z (nm)\n{}", points.replace("0,0,", "7,5,").replace("1,0,", "8,5,").replace("0,1,", "7,6,").replace("1,1,", "8,6,"));
-    let path = put(tmp.path(), "d.xyz", &text);
+    let path = put_text(tmp.path(), "d.xyz", &text);
     assert!(refused(&path, &[]).contains("give --pixel-mm"));
     let (map, _, _) = read(&path, &["--pixel-mm", "0.5"]);
     assert_eq!((map.grid().x.start_mm(), map.grid().y.start_mm()), (3.5, 2.5));
@@ -792,7 +792,7 @@ fn units_in_a_comment_of_points_are_read_and_contradict_a_flag() {
     assert!(said.contains("is m in the file, mm was asked for"), "{said}");
     // A unit of which nobody says what it is the unit of.
     let tmp = tempfile::tempdir().unwrap();
-    let path = put(tmp.path(), "a.xyz", "# heights and places\n# unit: um\n0 0 1\n1 0 2\n0 1 3\n1 1 4\n");
+    let path = put_text(tmp.path(), "a.xyz", "# heights and places\n# unit: um\n0 0 1\n1 0 2\n0 1 3\n1 1 4\n");
     let said = refused(&path, &["--unit", "nm", "--coordinate-unit", "mm"]);
     assert!(said.contains("is um in the file, nm was asked for"), "{said}");
 }
@@ -820,7 +820,7 @@ fn lines_of_text_above_a_matrix_are_read() {
     assert!(said.contains("0.5 x 0.5 mm in the file"), "{said}");
     let tmp = tempfile::tempdir().unwrap();
     let cut = fs::read_to_string(second("keyence.csv")).unwrap().replace("\"Vertical\",\"20\"", "\"Vertical\",\"21\"");
-    let (_, _, warned) = read(&put(tmp.path(), "a.csv", &cut), &[]);
+    let (_, _, warned) = read(&put_text(tmp.path(), "a.csv", &cut), &[]);
     assert!(warned.contains("states 21 rows, and has 20"), "{warned}");
 }
 
@@ -845,13 +845,13 @@ fn columns_of_points_are_known_by_name_or_number() {
     // Two columns of values: neither is chosen silently.
     let tmp = tempfile::tempdir().unwrap();
     let two = "Site,X(mm),Y(mm),Thickness(A),GOF\n1,0,0,10,1\n2,1,0,20,1\n3,0,1,30,1\n4,1,1,40,1\n";
-    let path = put(tmp.path(), "a.xyz", two);
+    let path = put_text(tmp.path(), "a.xyz", two);
     let said = refused(&path, &[]);
     assert!(said.contains("give --columns") && said.contains("GOF"), "{said}");
     let (map, _, _) = read(&path, &["--columns", "X,Y,Thickness"]);
     assert_eq!(map.height_nm()[[1, 1]], 4.0);
     // Without names.
-    let path = put(tmp.path(), "b.xyz", "1 0 0 10\n2 1 0 20\n3 0 1 30\n4 1 1 40\n");
+    let path = put_text(tmp.path(), "b.xyz", "1 0 0 10\n2 1 0 20\n3 0 1 30\n4 1 1 40\n");
     assert!(refused(&path, &["--unit", "nm"]).contains("give --columns"));
     let flags = ["--columns", "2,3,4", "--unit", "nm", "--coordinate-unit", "mm"];
     assert_eq!(read(&path, &flags).0.height_nm()[[1, 1]], 40.0);
@@ -872,10 +872,10 @@ fn rounded_coordinates_lie_on_a_grid() {
     let holed: String = (0..6).flat_map(|j| (0..5).filter(move |i| (*i, j) != (2, 3)).map(move |i| line(i, j, i as f64))).collect();
     let tmp = tempfile::tempdir().unwrap();
     let flags = ["--unit", "nm", "--coordinate-unit", "mm"];
-    let (map, _, _) = read(&put(tmp.path(), "a.xyz", &holed), &flags);
+    let (map, _, _) = read(&put_text(tmp.path(), "a.xyz", &holed), &flags);
     assert_eq!((map.height_nm().dim(), invalid(&map)), ((6, 5), 1));
     let scattered: String = (0..30).map(|i| line(i, i % 6, (i * i % 37) as f64 * 0.31)).collect();
-    assert!(refused(&put(tmp.path(), "b.xyz", &scattered), &flags).contains("give --grid-mm"));
+    assert!(refused(&put_text(tmp.path(), "b.xyz", &scattered), &flags).contains("give --grid-mm"));
 }
 
 #[test]
@@ -914,7 +914,7 @@ fn rates_keep_their_time() {
     }
     // A rate in um/h, stated on the command line alone.
     let text = fs::read_to_string(second("tif.csv")).unwrap().replace("# unit: nm/min\n", "");
-    let path = put(tmp.path(), "plain.csv", &text);
+    let path = put_text(tmp.path(), "plain.csv", &text);
     let (peak, _) = tif(&path, &["--rate", "--unit", "um/h"]).unwrap();
     assert!((peak / (120.0 / 3.6) - 1.0).abs() < 1e-4, "{peak}");
     assert!(tif(&path, &["--rate"]).unwrap_err().contains("nm/min"));
@@ -966,6 +966,18 @@ fn formats_of_neighbouring_programs_are_read() {
     assert_eq!(same.height_nm(), map.height_nm());
     let said = refused(&second("mirror_2d.dat"), &["--format", "csv", "--unit", "m", "--coordinate-unit", "m"]);
     assert!(said.contains("give --format srw"), "{said}");
+}
+
+#[test]
+fn numbers_and_texts_beside_an_array_are_read() {
+    let (map, manifest, _) = read(&second("map.npz"), &[]);
+    // The factor and the heights are rounded once each.
+    is_second_truth(&map, 1e-12);
+    assert_eq!(manifest.outcome["reading"]["format"], "npz");
+    let said = refused(&second("map.npz"), &["--unit", "nm"]);
+    assert!(said.contains("is um in the file, nm was asked for"), "{said}");
+    let said = refused(&second("map.npz"), &["--pixel-mm", "1"]);
+    assert!(said.contains("0.5 x 0.5 mm in the file, 1 x 1 mm was asked for"), "{said}");
 }
 
 #[test]

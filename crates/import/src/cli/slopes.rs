@@ -41,7 +41,8 @@ pub struct SlopesArgs {
     /// Place of the coordinate 0
     #[arg(long, value_enum, default_value = "file")]
     origin: Origin,
-    /// Coordinates of the pixel with the smallest x and y in the map that is written, mm
+    /// Coordinates of the pixel with the smallest x and y in the map that is written, mm, where the file does not state the
+    /// place of the map
     #[arg(long, value_name = "X,Y", value_parser = pair, allow_hyphen_values = true)]
     place_mm: Option<[f64; 2]>,
 }
@@ -70,7 +71,7 @@ impl SlopesArgs {
             Some(path) => map_bytes(&mut inputs, "file_y", path)?,
             None => bytes.clone(),
         };
-        let has_names = matches!(format, Format::Mat5 | Format::Hdf5 | Format::Fits | Format::Gwy);
+        let has_names = matches!(format, Format::Mat5 | Format::Hdf5 | Format::Npz | Format::Fits | Format::Gwy);
         if !has_names && self.file_y.is_none() {
             let problem = "holds one map; give the slopes along y with --file-y";
             return Err(Failure::new(format!("{}: {problem}", file.file.display())));
