@@ -92,8 +92,11 @@ fn map(format: Format, bytes: &[u8]) {
 
 /// Points that are gridded.
 fn scattered(bytes: &[u8]) {
-    let pick =
-        Pick { grid_mm: Some([0.5, 0.25]), coordinate_unit: Some(Unit::named("mm")), ..Pick::default() };
+    let pick = Pick {
+        grid_mm: Some([0.5, 0.25]),
+        coordinate_unit: Some(Unit::named("mm")),
+        ..Pick::default()
+    };
     if let Err(error) = read(Format::Xyz, bytes, &pick) {
         readable(&error.to_string());
     }

@@ -477,7 +477,9 @@ mod tests {
     /// `(sqrt(x^2 + (z - R_x)^2) - |R_x - R_y|)^2 + y^2 = R_y^2`, the equation of a torus about an axis along y.
     #[test]
     fn a_toroid_is_a_torus_with_its_radii() {
-        for [x_mm, y_mm] in [[300e3, 60.0], [400.0, 60.0], [-400.0, -60.0], [-400.0, 60.0], [80.0, 200.0]] {
+        for [x_mm, y_mm] in
+            [[300e3, 60.0], [400.0, 60.0], [-400.0, -60.0], [-400.0, 60.0], [80.0, 200.0]]
+        {
             let json = format!(
                 r#"{{"kind": "toroid", "radius_x_mm": {x_mm}, "radius_y_mm": {y_mm}, "vertex_mm": [1, -2]}}"#
             );

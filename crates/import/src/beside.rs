@@ -10,6 +10,7 @@
 use planish_types::Invalid;
 
 use crate::{
+    Format,
     reading::{FirstRow, Reading},
     text,
     unit::Unit,
@@ -18,84 +19,72 @@ use crate::{
 /// Most statements that a warning quotes.
 const MOST_QUOTED: usize = 5;
 
-/// Keys of the unit of the values.
-const UNITS: &[&str] = &[
-    "unit", "units", "value unit", "value units", "z unit", "z units", "zunit", "zunits", "unit z", "units z",
-    "unit of z", "units of z", "height unit", "height units", "data unit", "data units", "rate unit", "rate units",
-    "removal unit", "depth unit", "einheit", "einheiten", "werteinheit", "werteinheiten", "einheit der werte",
-    "einheiten der werte", "höheneinheit", "z einheit", "unité", "unités", "unité z", "unités z", "unité de valeur",
-    "unités de valeur", "unités des valeurs", "unidad", "unidades", "unidad z", "unidades z", "unidades de valor",
-    "unidades del valor", "unidades de los valores", "unità", "unità z", "unità del valore", "unità dei valori",
-    "unità di misura", "jednotky hodnot", "единицы значений", "единицы", "单位", "值单位", "数值单位", "值的单位",
-    "z单位", "z 单位", "高度单位", "単位", "値の単位", "高さ単位", "高さの単位", "z単位", "z 単位",
-];
+/// Keys of the unit of the values, separated by `|`, as in all lists below.
+const UNITS: &str = "\
+    unit|units|value unit|value units|z unit|z units|zunit|zunits|unit z|units z|unit of z|\
+    units of z|height unit|height units|data unit|data units|rate unit|rate units|removal unit|\
+    depth unit|einheit|einheiten|werteinheit|werteinheiten|einheit der werte|einheiten der werte|\
+    höheneinheit|z einheit|unité|unités|unité z|unités z|unité de valeur|unités de valeur|\
+    unités des valeurs|unidad|unidades|unidad z|unidades z|unidades de valor|unidades del valor|\
+    unidades de los valores|unità|unità z|unità del valore|unità dei valori|unità di misura|\
+    jednotky hodnot|единицы значений|единицы|单位|值单位|数值单位|值的单位|z单位|z 单位|高度单位|単位|値の単位|高さ単位|高さの単位|z単位|\
+    z 単位";
 
 /// Keys of the unit of both coordinates.
-const COORDINATE_UNITS: &[&str] = &[
-    "coordinate unit", "coordinate units", "coordinates unit", "lateral unit", "lateral units", "xy unit", "xy units",
-    "xyunits", "xyunit", "x unit", "y unit", "x units", "y units", "xunit", "yunit", "xunits", "yunits", "axis unit",
-    "axis units", "position unit", "position units", "xy einheit", "x einheit", "y einheit",
-];
+const COORDINATE_UNITS: &str = "\
+    coordinate unit|coordinate units|coordinates unit|lateral unit|lateral units|xy unit|xy units|\
+    xyunits|xyunit|x unit|y unit|x units|y units|xunit|yunit|xunits|yunits|axis unit|axis units|\
+    position unit|position units|xy einheit|x einheit|y einheit";
 
 /// Keys of the size along x.
-const WIDTHS: &[&str] = &[
-    "width", "breite", "largeur", "ancho", "anchura", "larghezza", "largura", "šířka", "ширина", "宽度", "宽", "寬度",
-    "幅", "x size", "size x", "xreal",
-];
+const WIDTHS: &str = "\
+    width|breite|largeur|ancho|anchura|larghezza|largura|šířka|ширина|宽度|宽|寬度|幅|x size|size x|xreal";
 
 /// Keys of the size along y.
-const HEIGHTS: &[&str] = &[
-    "height", "höhe", "hoehe", "hauteur", "alto", "altura", "altezza", "výška", "высота", "高度", "高", "高さ",
-    "y size", "size y", "yreal",
-];
+const HEIGHTS: &str = "\
+    height|höhe|hoehe|hauteur|alto|altura|altezza|výška|высота|高度|高|高さ|y size|size y|yreal";
 
 /// Keys of the distance of pixels.
-const PITCHES: &[&str] = &[
-    "pixel size", "pixelsize", "pixel pitch", "pixel spacing", "pixel", "pixels", "pitch", "lateral resolution",
-    "lateral res", "sampling", "spacing", "xy calibration", "calibration", "d", "step", "pix", "pixsize", "pixelsz",
-    "pixsz", "grid spacing", "grid step", "sample spacing", "resolution", "increment", "pixelgröße", "pixelgrösse",
-    "pixelabstand", "pixelweite", "auflösung", "taille de pixel", "taille du pixel", "taille des pixels", "pas",
-    "pas de pixel", "tamaño de píxel", "tamaño del píxel", "tamaño de pixel", "paso", "dimensione pixel",
-    "dimensione del pixel", "passo", "xy kalibrierung", "kalibrierung", "étalonnage xy", "calibración xy",
-    "calibrazione xy", "校正值", "校正", "校正値", "xyキャリブレーション", "キャリブレーション", "像素尺寸", "像素大小", "像素间距", "画素サイズ", "ピクセルサイズ", "画素ピッチ",
-];
+const PITCHES: &str = "\
+    pixel size|pixelsize|pixel pitch|pixel spacing|pixel|pixels|pitch|lateral resolution|\
+    lateral res|sampling|spacing|xy calibration|calibration|d|step|pix|pixsize|pixelsz|pixsz|\
+    grid spacing|grid step|sample spacing|resolution|increment|pixelgröße|pixelgrösse|pixelabstand|\
+    pixelweite|auflösung|taille de pixel|taille du pixel|taille des pixels|pas|pas de pixel|\
+    tamaño de píxel|tamaño del píxel|tamaño de pixel|paso|dimensione pixel|dimensione del pixel|\
+    passo|xy kalibrierung|kalibrierung|étalonnage xy|calibración xy|calibrazione xy|校正值|校正|校正値|\
+    xyキャリブレーション|キャリブレーション|像素尺寸|像素大小|像素间距|画素サイズ|ピクセルサイズ|画素ピッチ";
 
 /// Keys of the wavelength of the light.
-const WAVELENGTHS: &[&str] = &[
-    "wavelength", "wave length", "lambda", "wavelen", "wavelnth", "wl", "λ", "wellenlänge", "longueur d'onde",
-    "longitud de onda", "lunghezza d'onda", "длина волны", "波长", "波長",
-];
+const WAVELENGTHS: &str = "\
+    wavelength|wave length|lambda|wavelen|wavelnth|wl|λ|wellenlänge|longueur d'onde|\
+    longitud de onda|lunghezza d'onda|длина волны|波长|波長";
 
 /// Keys of the side of the map that the first row is.
-const ROWS: &[&str] = &[
-    "first row", "first line", "row order", "rows", "origin", "erste zeile", "première ligne", "primera fila",
-    "prima riga",
-];
+const ROWS: &str = "\
+    first row|first line|row order|rows|origin|erste zeile|première ligne|primera fila|prima riga";
 
 /// Keys whose value lists the columns.
-const COLUMNS: &[&str] = &["columns", "column", "fields", "data", "format", "spalten", "colonnes", "columnas", "colonne"];
+const COLUMNS: &str = "columns|column|fields|data|format|spalten|colonnes|columnas|colonne";
 
 /// Keys of the number of columns and of rows.
-const COUNTS: [&[&str]; 2] = [
-    &["horizontal", "x pixels", "xpixels", "nx", "xres", "ncols", "columns", "spalten"],
-    &["vertical", "y pixels", "ypixels", "ny", "yres", "nrows", "rows", "zeilen"],
+const COUNTS: [&str; 2] = [
+    "horizontal|x pixels|xpixels|nx|xres|ncols|columns|spalten",
+    "vertical|y pixels|ypixels|ny|yres|nrows|rows|zeilen",
 ];
 
 /// Parts of keys that could change how values or pixels are read.
-const TELLING: &[&str] = &[
-    "unit", "pixel", "pitch", "spacing", "resolution", "scale", "offset", "wavelength", "missing", "einheit", "unité",
-    "unidad", "unità", "单位", "単位", "calibration", "sampling",
-];
+const TELLING: &str = "\
+    unit|pixel|pitch|spacing|resolution|scale|offset|wavelength|missing|einheit|unité|unidad|unità|\
+    单位|単位|calibration|sampling";
 
 /// Names of the values of a map.
-const VALUE_NAMES: &[&str] = &[
-    "z", "h", "height", "heights", "höhe", "höhen", "hauteur", "hauteurs", "altura", "alturas", "altezza", "altezze",
-    "thickness", "dicke", "depth", "tiefe", "sag", "figure", "error", "surface", "value", "values", "werte", "rate",
-    "rates", "removal", "opd", "film", "高さ", "高度", "map", "intensity",
-];
+const VALUE_NAMES: &str = "\
+    z|h|height|heights|höhe|höhen|hauteur|hauteurs|altura|alturas|altezza|altezze|thickness|dicke|\
+    depth|tiefe|sag|figure|error|surface|value|values|werte|rate|rates|removal|opd|film|高さ|高度|map|\
+    intensity";
 
 /// Names of both coordinates.
-const COORDINATE_NAMES: &[&str] = &["xy", "lateral", "coordinates", "coordinate", "koordinaten", "coordonnées"];
+const COORDINATE_NAMES: &str = "xy|lateral|coordinates|coordinate|koordinaten|coordonnées";
 
 /// A variable or an attribute beside a map.
 #[derive(Debug)]
@@ -212,7 +201,8 @@ impl Beside {
         if named >= 2 || (named == 1 && Unit::spelled(value).is_some()) {
             return self.take_columns(columns);
         }
-        if is_telling(key) || leading_number(value).is_some_and(|q| Unit::spelled(q.rest).is_some()) {
+        if is_telling(key) || leading_number(value).is_some_and(|q| Unit::spelled(q.rest).is_some())
+        {
             self.leave(comment, &place);
         }
         Ok(())
@@ -286,7 +276,21 @@ impl Beside {
             self.first_row = Some(row);
             return Ok(true);
         }
-        let Some(Quantity { value: number, rest }) = leading_number(value) else { return Ok(false) };
+        match leading_number(value) {
+            Some(number) => self.add_number(key, number, unit, place),
+            None => Ok(false),
+        }
+    }
+
+    /// Reads a statement whose value begins with a number; as [`Self::add`].
+    fn add_number(
+        &mut self,
+        key: &str,
+        Quantity { value: number, rest }: Quantity,
+        unit: Option<&str>,
+        place: usize,
+    ) -> Result<bool, Invalid> {
+        let whole = plain(key);
         for (count, keys) in self.counts.iter_mut().zip(COUNTS) {
             if is_key(keys, &whole) && rest.is_empty() && number >= 1.0 && number.fract() == 0.0 {
                 *count = Some(number as usize);
@@ -295,9 +299,12 @@ impl Beside {
         }
         let (name, of_key) = Unit::of_name(key).unwrap_or_else(|_| (key.into(), None));
         let name = plain(&name);
-        let second = rest.trim_start_matches(|c: char| c.is_alphabetic() || c == 'µ' || c == 'μ').trim();
-        let second = second.strip_prefix(['x', 'X', '×', ',', ';', '*']).and_then(leading_number);
-        let word = rest.split(['x', 'X', '×', ',', ';', '*']).next().unwrap_or_default().trim();
+        // Such as "0.5 mm x 0.25 mm".
+        let marks = ['x', 'X', '×', ',', ';', '*'];
+        let (word, second) = match rest.split_once(marks) {
+            Some((word, second)) => (word.trim(), leading_number(second)),
+            None => (rest, None),
+        };
         let of_value = [unit.unwrap_or_default(), word, second.as_ref().map_or("", |q| q.rest)]
             .into_iter()
             .find_map(Unit::spelled);
@@ -416,8 +423,7 @@ impl Beside {
         }
     }
 
-    /// Gives the statements to a reading that has none of its own; `text` is true for a header of text, whose picture begins
-    /// at its top.
+    /// Gives the statements to a reading that has none of its own.
     ///
     /// # Errors
     /// A statement that contradicts the numbers or another statement.
@@ -425,7 +431,8 @@ impl Beside {
         let (rows, columns) = reading.values.dim();
         if let Some(unit) = self.unit {
             if let Some(own) = reading.unit.filter(|own| *own != unit && !reading.unit_by_custom) {
-                let problem = format!("is {own} in the file, {unit} in a statement beside the numbers");
+                let problem =
+                    format!("is {own} in the file, {unit} in a statement beside the numbers");
                 let remedy = "correct the one that is wrong, or give `unit` and `override_file`";
                 reading.unit_problem = Some(Invalid::whole("unit", problem, remedy));
             } else {
@@ -461,8 +468,8 @@ impl Beside {
             let pitch = |k: usize| of_size(k).or(self.pitch_mm[k]);
             if let (Some(x), Some(y)) = (pitch(0), pitch(1)) {
                 reading.pixel_mm = Some([x, y]);
-                // Programs that state the size write the picture from its top.
-                if size_mm.iter().all(Option::is_some) {
+                // Programs that write the size into a text write the picture from its top.
+                if reading.format == Format::Csv && size_mm.iter().all(Option::is_some) {
                     reading.first_row = FirstRow::Top;
                 }
             }
@@ -487,14 +494,15 @@ impl Beside {
     }
 }
 
-fn is_key(keys: &[&str], key: &str) -> bool {
-    keys.contains(&key)
+/// Returns true if `key` is one of the words that `|` separates in `keys`.
+fn is_key(keys: &str, key: &str) -> bool {
+    keys.split('|').any(|word| word == key)
 }
 
 /// Returns true if a key could change how values or pixels are read.
 pub(crate) fn is_telling(key: &str) -> bool {
     let key = plain(key);
-    TELLING.iter().any(|word| key.contains(word))
+    TELLING.split('|').any(|word| key.contains(word))
 }
 
 /// Returns which of the axes (x, y) the name of a pitch is about, such as `pixel size`, `x pixel size`, `dx` or `pixel y`.
@@ -520,7 +528,8 @@ fn axes_of_pitch(name: &str) -> Option<[bool; 2]> {
 fn row_of(value: &str) -> Option<FirstRow> {
     let value = value.to_lowercase();
     let has = |words: &[&str]| words.iter().any(|word| value.contains(word));
-    let top = has(&["top", "upper", "oben", "haut", "superior", "arriba", "largest y", "descending"]);
+    let top =
+        has(&["top", "upper", "oben", "haut", "superior", "arriba", "largest y", "descending"]);
     let bottom =
         has(&["bottom", "lower", "unten", "bas", "inferior", "abajo", "smallest y", "ascending"]);
     match (top, bottom) {
@@ -543,9 +552,14 @@ fn wavelength_in(text: &str) -> Option<f64> {
 
 /// Returns the unit in a sentence such as `all lengths in m`, which does not say of which column.
 fn unit_after_in(text: &str) -> Option<Unit> {
-    let words: Vec<&str> = text.split_whitespace().map(|w| w.trim_matches([',', ';', '.', ')', '('])).collect();
-    let pairs = words.windows(2).filter(|pair| matches!(pair[0], "in" | "en" | "unit" | "units" | "Units" | "Unit"));
-    pairs.filter(|pair| pair[1] == "m" || pair[1].chars().count() > 1).find_map(|pair| Unit::spelled(pair[1]))
+    let words: Vec<&str> =
+        text.split_whitespace().map(|w| w.trim_matches([',', ';', '.', ')', '('])).collect();
+    let pairs = words
+        .windows(2)
+        .filter(|pair| matches!(pair[0], "in" | "en" | "unit" | "units" | "Units" | "Unit"));
+    pairs
+        .filter(|pair| pair[1] == "m" || pair[1].chars().count() > 1)
+        .find_map(|pair| Unit::spelled(pair[1]))
 }
 
 /// Returns true for a sentence that may state the unit of a column in a word that is none, such as `heights in furlong`.
@@ -650,12 +664,15 @@ fn units_of_columns(text: &str) -> Result<[Option<Unit>; 3], Invalid> {
                         continue;
                     }
                     of_name
-                } else if !after_in && matches!(*word, "in" | "en" | "unit" | "units" | "Unit" | "Units") {
+                } else if !after_in
+                    && matches!(*word, "in" | "en" | "unit" | "units" | "Unit" | "Units")
+                {
                     after_in = true;
                     continue;
                 } else {
                     // A word of one letter, and "min", may be anything.
-                    let is_certain = word.chars().count() > 1 && !matches!(*word, "min" | "as" | "in");
+                    let is_certain =
+                        word.chars().count() > 1 && !matches!(*word, "min" | "as" | "in");
                     if after_in || is_certain { Unit::spelled(word) } else { None }
                 }
             }
@@ -686,7 +703,9 @@ fn units_of_columns(text: &str) -> Result<[Option<Unit>; 3], Invalid> {
 /// Returns true if a word of a text is a unit.
 fn names_a_unit(text: &str) -> bool {
     pieces(text).iter().any(|piece| match piece {
-        Piece::Word(word) => word.chars().count() > 1 && *word != "in" && Unit::spelled(word).is_some(),
+        Piece::Word(word) => {
+            word.chars().count() > 1 && *word != "in" && Unit::spelled(word).is_some()
+        }
         Piece::Bracket(word) => Unit::spelled(word).is_some(),
         Piece::Number => false,
     })
@@ -695,7 +714,6 @@ fn names_a_unit(text: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Format;
     use ndarray::Array2;
 
     fn columns(text: &str) -> String {
@@ -746,7 +764,12 @@ mod tests {
             [" Channel: Height", " Width: 15.0 mm", " Height: 10 mm", " Value units: nm"],
             [" Kanal: Höhe", " Breite: 15 mm", " Höhe: 10 mm", " Value units: nm"],
             [" Kanal: Höhe", " Breite: 15,0 mm", " Höhe: 10 mm", " Werteinheiten: nm"],
-            [" Canal : Hauteur", " Largeur\u{a0}: 1,5 cm", " Hauteur\u{a0}: 1 cm", " Unités de valeur : nm"],
+            [
+                " Canal : Hauteur",
+                " Largeur\u{a0}: 1,5 cm",
+                " Hauteur\u{a0}: 1 cm",
+                " Unités de valeur : nm",
+            ],
             [" Canal: Altura", " Ancho: 15 mm", " Alto: 10 mm", " Unidades de valor: nm"],
             [" Canale: Altezza", " Larghezza: 15 mm", " Altezza: 10 mm", " Unità del valore: nm"],
             [" 通道：高度", " 宽度：15 mm", " 高度：10 mm", " 值单位：nm"],
@@ -786,7 +809,12 @@ mod tests {
             assert!(same, "{comment}: {found:?}");
         }
         assert_eq!(read(&["dx_mm = 0.5", "dy_mm: 0.25"]).pixel_mm, Some([0.5, 0.25]));
-        for text in ["wavelength: 632.8 nm", "Wellenlänge = 0.6328 µm", "lambda: 632.8", "wavelength = 6.328e-7"] {
+        for text in [
+            "wavelength: 632.8 nm",
+            "Wellenlänge = 0.6328 µm",
+            "lambda: 632.8",
+            "wavelength = 6.328e-7",
+        ] {
             let nm = read(&[text]).wavelength_nm.unwrap_or_else(|| panic!("{text}"));
             // A product of two roundings.
             assert!((nm / 632.8 - 1.0).abs() < 1e-14, "{text}: {nm}");

@@ -193,8 +193,11 @@ impl FileArgs {
 /// Three names or numbers, with commas between them.
 fn columns(text: &str) -> Result<[String; 3], String> {
     let names: Vec<String> = text.split(',').map(|name| name.trim().to_string()).collect();
-    let all = <[String; 3]>::try_from(names).ok().filter(|names| names.iter().all(|n| !n.is_empty()));
-    all.ok_or_else(|| "give the columns of x, y and the values, such as 2,3,4 or x,y,height".to_string())
+    let all =
+        <[String; 3]>::try_from(names).ok().filter(|names| names.iter().all(|n| !n.is_empty()));
+    all.ok_or_else(|| {
+        "give the columns of x, y and the values, such as 2,3,4 or x,y,height".to_string()
+    })
 }
 
 /// A message of the library, with the file that it is about.
@@ -229,7 +232,8 @@ fn open(
             || pick.grid_mm.is_some()
             || pick.columns.is_some()
         {
-            let problem = "is a directory; leave out --dataset, --x, --y, --mask, --columns and --grid-mm";
+            let problem =
+                "is a directory; leave out --dataset, --x, --y, --mask, --columns and --grid-mm";
             return Err(Failure::new(format!("{}: {problem}", path.display())));
         }
         return Ok(match pick.is_tif {

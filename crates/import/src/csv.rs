@@ -124,7 +124,11 @@ fn header(text: &str) -> Result<(Comments, usize), Invalid> {
         }
         let fields: Vec<&str> = text::fields(line).collect();
         let next = lines.peek().map(|(_, next)| text::fields(next).count());
-        let is_word = |field: &&str| !text::is_numeric(field) && !text::is_no_data(field);
+        // Decimal commas may split a line of numbers at the wrong places.
+        let is_word = |field: &&str| {
+            let is_text = |word: &str| !text::is_numeric(word) && !text::is_no_data(word);
+            is_text(field) && field.split_whitespace().any(is_text)
+        };
         let is_corner = fields.len() > 2
             && !fields[1..].iter().any(|field| is_word(field))
             && next == Some(fields.len());
@@ -139,7 +143,9 @@ fn header(text: &str) -> Result<(Comments, usize), Invalid> {
             found.beside.add_comment(comment.trim_start().trim_start_matches(['#', '%']), k + 1)?;
         }
         found.is_keyence |= fields[0].eq_ignore_ascii_case("XY Calibration")
-            || fields.get(1).is_some_and(|model| model.starts_with("VK-") || model.starts_with("VR-"));
+            || fields
+                .get(1)
+                .is_some_and(|model| model.starts_with("VK-") || model.starts_with("VR-"));
         match beside::key_and_value(line) {
             Some(_) if fields.len() == 1 => found.beside.add_comment(line, i + 1)?,
             _ => found.beside.add_fields(&fields, i + 1)?,

@@ -57,7 +57,9 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let (unit, factor) = match unit_name.as_str() {
         "Fringes" => match (scale, obliquity, wavelength_m) {
             // z = raw S O W
-            (Some(s), Some(o), Some(w)) if s > 0.0 && o > 0.0 && w > 0.0 => (Unit::named("m"), s * o * w),
+            (Some(s), Some(o), Some(w)) if s > 0.0 && o > 0.0 && w > 0.0 => {
+                (Unit::named("m"), s * o * w)
+            }
             found => {
                 return Err(bad(format!(
                     "has fringes with scale factor, obliquity, wavelength {found:?}"
@@ -83,18 +85,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     reading.single = matches!(set.dtype(), Datatype::FloatingPoint { size: 4, .. });
     reading.scale_applied = scale.filter(|_| unit == Unit::named("m"));
     reading.wavelength_nm = wavelength_m.map(|w| w * 1e9);
-    let mut converters = Vec::new();
-    for name in ["X Converter", "Y Converter"] {
-        let Some((base, parameters)) = converter(&set, &attributes, name)? else { continue };
-        let metres = parameters.get(1).copied().unwrap_or(0.0);
-        if base == "Pixels" && metres > 0.0 && metres.is_finite() {
-            converters.push(metres * 1e3);
-        } else {
-            let warning = format!("{name} has {base} {parameters:?}: not used");
-            reading.warnings.push(warning);
-        }
-    }
-    reading.pixel_mm = <[f64; 2]>::try_from(converters).ok();
+    reading.pixel_mm = pitch_mm(&set, &attributes, &mut reading.warnings)?;
     let window = window(&attributes)?;
     if let Some([column, row, ..]) = window {
         let camera_rows = camera_rows(&file)?.filter(|n| *n >= row + *rows as f64);
@@ -186,6 +177,25 @@ fn number(attributes: &Attributes, name: &str) -> Result<Option<f64>, Invalid> {
             Err(Invalid::whole(NAME, problem, "export it again from the instrument"))
         }
     }
+}
+
+/// The pitch along (x, y), mm, by the converters of the axes.
+fn pitch_mm(
+    set: &Dataset,
+    attributes: &Attributes,
+    warnings: &mut Vec<String>,
+) -> Result<Option<[f64; 2]>, Invalid> {
+    let mut pitches = Vec::new();
+    for name in ["X Converter", "Y Converter"] {
+        let Some((base, parameters)) = converter(set, attributes, name)? else { continue };
+        let metres = parameters.get(1).copied().unwrap_or(0.0);
+        if base == "Pixels" && metres > 0.0 && metres.is_finite() {
+            pitches.push(metres * 1e3);
+        } else {
+            warnings.push(format!("{name} has {base} {parameters:?}: not used"));
+        }
+    }
+    Ok(<[f64; 2]>::try_from(pitches).ok())
 }
 
 /// The first column, the first row, the width and the height of the map in the camera, by the compound `Coordinates`.

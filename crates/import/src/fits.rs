@@ -203,8 +203,9 @@ struct Header(HashMap<String, String>, Vec<String>);
 
 /// Beginnings of keys that are read elsewhere or say nothing of the values.
 const READ: [&str; 24] = [
-    "SIMPLE", "BITPIX", "NAXIS", "EXTEND", "BSCALE", "BZERO", "BLANK", "BUNIT", "CDELT", "CRVAL", "CRPIX", "CUNIT", "CTYPE", "CD",
-    "PC", "CROTA", "XTENSION", "PCOUNT", "GCOUNT", "EXTNAME", "EXTVER", "DATE", "DATAM", "CHECKSUM",
+    "SIMPLE", "BITPIX", "NAXIS", "EXTEND", "BSCALE", "BZERO", "BLANK", "BUNIT", "CDELT", "CRVAL",
+    "CRPIX", "CUNIT", "CTYPE", "CD", "PC", "CROTA", "XTENSION", "PCOUNT", "GCOUNT", "EXTNAME",
+    "EXTVER", "DATE", "DATAM", "CHECKSUM",
 ];
 
 /// Most cards and comments that are read as statements. Larger: more time on long headers. Smaller: a statement behind a
@@ -270,14 +271,18 @@ impl Header {
         let mut beside = Beside::default();
         let mut cards: Vec<(&String, &String)> = self.0.iter().collect();
         cards.sort();
-        let others = cards.into_iter().filter(|(key, _)| !READ.iter().any(|start| key.starts_with(start)));
+        let others =
+            cards.into_iter().filter(|(key, _)| !READ.iter().any(|start| key.starts_with(start)));
         for (i, (key, card)) in others.take(MOST_STATEMENTS).enumerate() {
             let (value, comment) = match card.strip_prefix('\'') {
                 Some(text) => text.split_once('\'').unwrap_or((text, "")),
                 None => card.split_once('/').unwrap_or((card, "")),
             };
             let comment = comment.trim_start_matches([' ', '/']);
-            let unit = comment.strip_prefix('[').and_then(|rest| rest.split_once(']')).map(|(unit, _)| unit);
+            let unit = comment
+                .strip_prefix('[')
+                .and_then(|rest| rest.split_once(']'))
+                .map(|(unit, _)| unit);
             let is_used = beside.add(key, value.trim(), unit, 2 * i)?;
             let is_telling = beside::is_telling(key) || beside::is_telling(comment);
             if !is_used && is_telling && value.trim().parse::<f64>().is_ok_and(|v| v != 0.0) {

@@ -67,7 +67,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         reading.pixel_mm = Some([x * mm / columns as f64, y * mm / rows as f64]);
         if let (Some(x), Some(y)) = (number("XOffset")?, number("YOffset")?) {
             // The upper left corner of the field in the scanner, whose y goes down.
-            reading.window = Some(Window { first: [x * mm, y * mm], in_mm: true, frame_rows: None });
+            reading.window = Some(Window::at_mm([x * mm, y * mm]));
         }
     }
     reading.stated = json!({ "z_units": unit, "title": field("Title").map(|t| short(&t)) });

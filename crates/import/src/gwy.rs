@@ -103,8 +103,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         let mm = Unit::stated("si_unit_xy", name)?.mm()?;
         reading.pixel_mm = Some([x * mm / columns as f64, y * mm / rows as f64]);
         if let Some(offset) = data.offset {
-            let first = offset.map(|v| v * mm);
-            reading.window = Some(Window { first, in_mm: true, frame_rows: None });
+            reading.window = Some(Window::at_mm(offset.map(|v| v * mm)));
         }
     }
     if let Some(mask) = field("mask")? {

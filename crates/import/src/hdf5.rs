@@ -578,8 +578,25 @@ fn mark_fill(set: &Dataset, reading: &mut Reading) {
 
 /// Attributes that are read elsewhere, and those of HDF5, netCDF and MATLAB themselves.
 const READ: [&str; 20] = [
-    "unit", "units", "Unit", "Units", "scale_factor", "add_offset", "missing_value", "valid_range", "valid_min", "valid_max",
-    "DIMENSION_SCALE", "DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME", "nodata", "no_data", "NoData", "nodata_value",
+    "unit",
+    "units",
+    "Unit",
+    "Units",
+    "scale_factor",
+    "add_offset",
+    "missing_value",
+    "valid_range",
+    "valid_min",
+    "valid_max",
+    "DIMENSION_SCALE",
+    "DIMENSION_LIST",
+    "REFERENCE_LIST",
+    "CLASS",
+    "NAME",
+    "nodata",
+    "no_data",
+    "NoData",
+    "nodata_value",
     "no_data_value",
 ];
 
@@ -606,7 +623,9 @@ fn statements(file: &Hdf5File, set: &Dataset, name: &str) -> Result<Beside, Inva
         let count = a.message().dataspace.num_elements();
         !READ.contains(&a.name()) && !a.name().starts_with('_') && count.is_ok_and(|n| n <= 3)
     };
-    for raw in set.raw_attributes().map_err(broken)?.iter().filter(|a| is_small(a)).take(MOST_STATEMENTS) {
+    for raw in
+        set.raw_attributes().map_err(broken)?.iter().filter(|a| is_small(a)).take(MOST_STATEMENTS)
+    {
         if let Some(value) = set.attribute(raw.name()).ok().as_ref().and_then(value_of) {
             own.push(Variable { key: raw.name().into(), value, place: "attribute".into() });
         }
@@ -624,7 +643,9 @@ fn statements(file: &Hdf5File, set: &Dataset, name: &str) -> Result<Beside, Inva
             if !(is_unit(raw.name()) || is_small(raw)) || count.is_ok_and(|n| n > 3) {
                 continue;
             }
-            let Some(value) = group.attribute(raw.name()).ok().as_ref().and_then(value_of) else { continue };
+            let Some(value) = group.attribute(raw.name()).ok().as_ref().and_then(value_of) else {
+                continue;
+            };
             if is_unit(raw.name()) {
                 // Of the values, or of the coordinates.
                 beside.lone_unit = beside.lone_unit.or(Unit::spelled(&value));
@@ -636,7 +657,9 @@ fn statements(file: &Hdf5File, set: &Dataset, name: &str) -> Result<Beside, Inva
     }
     let group = if path.is_empty() { file.root_group() } else { file.group(path) };
     let (_, sets) = group.map_err(broken)?.members().map_err(broken)?;
-    for set in sets.iter().filter(|set| set.num_elements().is_ok_and(|n| n == 1)).take(MOST_STATEMENTS) {
+    for set in
+        sets.iter().filter(|set| set.num_elements().is_ok_and(|n| n == 1)).take(MOST_STATEMENTS)
+    {
         let value = match set.dtype() {
             Datatype::FloatingPoint { .. } | Datatype::FixedPoint { .. } => {
                 numbers(set)?.first().map(f64::to_string)

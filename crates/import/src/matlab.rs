@@ -15,12 +15,11 @@ use serde_json::json;
 
 use crate::{
     Format,
-    Unit,
-    arrays::{Arrays, TURNED, along, choose, is_turned, prefix},
+    arrays::{Arrays, TURNED, choose, is_turned, named_coordinates, prefix},
     beside::{Beside, Variable as Statement},
     budget::{MOST_ARRAYS, check_elements, check_size, too_many},
     bytes::{Bytes, Number},
-    reading::{Coordinates, FirstRow, Pick, Reading},
+    reading::{FirstRow, Pick, Reading},
 };
 
 const NAME: &str = "MAT file";
@@ -138,23 +137,23 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     }
     reading.state_unit_of_name(&name[prefix(name).len()..]);
     if let Some((x, y)) = coordinates {
-        let unit_of = |name: &Option<String>| {
-            let name = name.as_deref().unwrap_or_default();
-            Unit::of_name(&name[prefix(name).len()..]).ok().and_then(|(_, unit)| unit)
-        };
-        let unit = unit_of(&pick.x);
-        if unit != unit_of(&pick.y) {
-            let problem = format!("are {:?} and {:?} in two units", pick.x, pick.y);
-            return Err(Invalid::whole("coordinates", problem, "give both the same unit"));
-        }
-        reading.coordinates = Some(Coordinates {
-            x: along("x", &turned(x), columns, true)?,
-            y: along("y", &turned(y), rows, false)?,
-            unit,
-        });
+        let size = (rows, columns);
+        reading.coordinates = Some(named_coordinates(&pick, &turned(x), &turned(y), size)?);
     }
-    let mut statements = Vec::new();
-    for variable in texts.iter().chain(&variables).filter(|v| prefix(&v.name) == prefix(name) || prefix(&v.name).is_empty()) {
+    let beside = texts.iter().chain(&variables);
+    let beside = beside.filter(|v| [prefix(name), ""].contains(&prefix(&v.name)));
+    statements(beside, get)?.apply(&mut reading)?;
+    reading.stated = json!({ "dataset": name, "x": pick.x, "y": pick.y, "mask": pick.mask });
+    Ok(reading)
+}
+
+/// The statements of texts and of variables of one number; `get` reads a variable by its name.
+fn statements<'a>(
+    variables: impl Iterator<Item = &'a Variable<'a>>,
+    get: impl Fn(&str) -> Result<Array2<f64>, Invalid>,
+) -> Result<Beside, Invalid> {
+    let mut found = Vec::new();
+    for variable in variables {
         let value = match &variable.text {
             Some(text) => text.clone(),
             None if variable.rows * variable.columns == 1 && !variable.is_complex => {
@@ -163,13 +162,11 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
             None => continue,
         };
         let key = variable.name[prefix(&variable.name).len()..].to_string();
-        statements.push(Statement { key, value, place: "variable".into() });
+        found.push(Statement { key, value, place: "variable".into() });
     }
     let mut beside = Beside::default();
-    beside.add_variables(&statements)?;
-    beside.apply(&mut reading)?;
-    reading.stated = json!({ "dataset": name, "x": pick.x, "y": pick.y, "mask": pick.mask });
-    Ok(reading)
+    beside.add_variables(&found)?;
+    Ok(beside)
 }
 
 fn broken(problem: String) -> Invalid {

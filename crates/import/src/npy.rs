@@ -7,12 +7,12 @@ use ndarray::{Array2, ShapeBuilder};
 use planish_types::Invalid;
 
 use crate::{
-    Format, Unit,
-    arrays::{Arrays, TURNED, along, choose, is_turned, prefix},
+    Format,
+    arrays::{Arrays, TURNED, choose, is_turned, named_coordinates, prefix},
     beside::{Beside, Variable},
     budget::{BYTES_PER_PIXEL, MOST_ARRAYS, check_elements, check_size, most_of, too_many},
     bytes::{Bytes, Number},
-    reading::{Coordinates, FirstRow, Pick, Reading},
+    reading::{FirstRow, Pick, Reading},
     zip::Archive,
 };
 
@@ -49,7 +49,8 @@ impl Stored {
                 return Err(Invalid::whole(NAME, problem, "save a 2-D array of real numbers"));
             }
         };
-        let matrix = Array2::from_shape_vec((rows, columns).set_f(self.is_fortran), self.values.clone());
+        let matrix =
+            Array2::from_shape_vec((rows, columns).set_f(self.is_fortran), self.values.clone());
         Ok(matrix.expect("one value per element").as_standard_layout().into_owned())
     }
 }
@@ -140,30 +141,28 @@ pub fn read_archive(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     }
     reading.state_unit_of_name(&name[prefix(name).len()..]);
     if let Some((x, y)) = coordinates {
-        let unit_of = |name: &Option<String>| {
-            Unit::of_name(name.as_deref().unwrap_or_default()).ok().and_then(|(_, unit)| unit)
-        };
-        let unit = unit_of(&pick.x).filter(|unit| Some(*unit) == unit_of(&pick.y));
-        reading.coordinates = Some(Coordinates {
-            x: along("x", &upright(x), columns, true)?,
-            y: along("y", &upright(y), rows, false)?,
-            unit,
-        });
+        let size = (rows, columns);
+        reading.coordinates = Some(named_coordinates(&pick, &upright(x), &upright(y), size)?);
     }
-    let mut statements = Vec::new();
+    statements(&all)?.apply(&mut reading)?;
+    reading.stated =
+        serde_json::json!({ "dataset": name, "x": pick.x, "y": pick.y, "mask": pick.mask });
+    Ok(reading)
+}
+
+/// The statements of arrays of one to three numbers, and of texts.
+fn statements(all: &[(String, Stored)]) -> Result<Beside, Invalid> {
+    let mut found = Vec::new();
     for (key, array) in all.iter().filter(|(_, a)| a.shape.iter().product::<usize>() <= 3) {
         let value = match &array.text {
             Some(text) => text.clone(),
             None => array.values.iter().map(f64::to_string).collect::<Vec<_>>().join(" x "),
         };
-        statements.push(Variable { key: key.clone(), value, place: "array".into() });
+        found.push(Variable { key: key.clone(), value, place: "array".into() });
     }
     let mut beside = Beside::default();
-    beside.add_variables(&statements)?;
-    beside.apply(&mut reading)?;
-    reading.stated =
-        serde_json::json!({ "dataset": name, "x": pick.x, "y": pick.y, "mask": pick.mask });
-    Ok(reading)
+    beside.add_variables(&found)?;
+    Ok(beside)
 }
 
 /// Reads an array of any shape: real numbers, or one text.
@@ -193,12 +192,20 @@ fn stored(bytes: &[u8]) -> Result<Stored, Invalid> {
         return Err(bad(format!("has shape {shape:?}, not two axes")));
     }
     let shape = shape[leading..].to_vec();
-    if let (Some(text), true) =
-        (text_of(descriptor, b.slice(start + length, bytes.len().saturating_sub(start + length))?), shape.iter().all(|n| *n == 1))
-    {
+    if let (Some(text), true) = (
+        text_of(descriptor, b.slice(start + length, bytes.len().saturating_sub(start + length))?),
+        shape.iter().all(|n| *n == 1),
+    ) {
         let values = Vec::new();
         let descriptor = descriptor.to_string();
-        return Ok(Stored { shape, values, is_fortran, number: Number::U8, descriptor, text: Some(text) });
+        return Ok(Stored {
+            shape,
+            values,
+            is_fortran,
+            number: Number::U8,
+            descriptor,
+            text: Some(text),
+        });
     }
     let (number, big_endian) = dtype(descriptor).ok_or_else(|| match descriptor.get(1..2) {
         Some("c") => Invalid::whole(

@@ -280,7 +280,8 @@ struct Names {
 
 /// Names of columns that number the points.
 const NUMBERS: [&str; 16] = [
-    "point", "points", "no", "no.", "nr", "nr.", "number", "#", "index", "idx", "id", "site", "die", "punkt", "i", "n",
+    "point", "points", "no", "no.", "nr", "nr.", "number", "#", "index", "idx", "id", "site",
+    "die", "punkt", "i", "n",
 ];
 
 /// Returns the list of columns that a remedy quotes.
@@ -314,20 +315,24 @@ impl Names {
         }
         let mut warnings = vec![format!("line {number} has the names of the columns: \"{short}\"")];
         if fields.len() > 3 {
-            warnings.push(format!("of these are read as x, y and z: {}", listed(&columns.map(|k| fields[k]))));
+            warnings.push(format!(
+                "of these are read as x, y and z: {}",
+                listed(&columns.map(|k| fields[k]))
+            ));
         }
         let columns = (fields.len() > 3 || columns != [0, 1, 2]).then_some(columns);
         Ok(Self { coordinate_unit: x.or(y), unit: z, columns, warnings })
     }
 }
 
-
 impl Names {
     /// Takes a second line, of the units of the columns, and returns true if it is one.
     fn add_units(&mut self, line: &str) -> bool {
         let words = text::fields(line).map(|word| word.trim_matches(['(', ')', '[', ']']));
-        let units: Vec<(&str, Option<Unit>)> = words.map(|word| (word, Unit::spelled(word))).collect();
-        let [x, y, z] = self.columns.unwrap_or([0, 1, 2]).map(|k| units.get(k).and_then(|unit| unit.1));
+        let units: Vec<(&str, Option<Unit>)> =
+            words.map(|word| (word, Unit::spelled(word))).collect();
+        let [x, y, z] =
+            self.columns.unwrap_or([0, 1, 2]).map(|k| units.get(k).and_then(|unit| unit.1));
         if x.is_none() || x != y || z.is_none() || self.unit.is_some() {
             return false;
         }
@@ -352,7 +357,8 @@ fn columns_of(
         };
         *place = found.ok_or_else(|| {
             let problem = format!("\"{wanted}\" is no column of the file");
-            let remedy = format!("give three of these, or their numbers from 1: {}", listed(fields));
+            let remedy =
+                format!("give three of these, or their numbers from 1: {}", listed(fields));
             Invalid::whole("columns", problem, remedy)
         })?;
     }
@@ -367,7 +373,10 @@ fn usual_columns(
     short: &str,
 ) -> Result<[usize; 3], Invalid> {
     let remedy = || {
-        format!("give `columns` with the names or the numbers of x, y and the values, of: {}", listed(fields))
+        format!(
+            "give `columns` with the names or the numbers of x, y and the values, of: {}",
+            listed(fields)
+        )
     };
     let refuse = || {
         let problem = format!("names its columns \"{short}\" in line {number}");
@@ -382,7 +391,8 @@ fn usual_columns(
     let firsts: Vec<String> = (0..fields.len()).map(first).collect();
     let is_axis = |k: usize, axis: &str| {
         let word = firsts[k].as_str();
-        word == axis || (word.starts_with(axis) && word.len() > 1 && word[1..].starts_with("pos"))
+        word == axis
+            || (word.starts_with(axis) && word.len() > 1 && word[1..].starts_with("pos"))
             || word.strip_prefix(axis).is_some_and(|rest| rest.starts_with(['(', '[', '/']))
     };
     let xs: Vec<usize> = (0..fields.len()).filter(|k| is_axis(*k, "x")).collect();
@@ -390,7 +400,10 @@ fn usual_columns(
     match (&xs[..], &ys[..], fields.len()) {
         ([x], [y], count) if count >= 3 => {
             let is_other = |k: &usize| {
-                k != x && k != y && !NUMBERS.contains(&firsts[*k].as_str()) && !fields[*k].is_empty()
+                k != x
+                    && k != y
+                    && !NUMBERS.contains(&firsts[*k].as_str())
+                    && !fields[*k].is_empty()
             };
             let others: Vec<usize> = (0..count).filter(is_other).collect();
             match others[..] {
@@ -400,8 +413,10 @@ fn usual_columns(
             }
         }
         (_, _, 3) => {
-            let letters: Vec<char> =
-                fields.iter().filter_map(|name| name.to_lowercase().chars().find(|c| c.is_alphabetic())).collect();
+            let letters: Vec<char> = fields
+                .iter()
+                .filter_map(|name| name.to_lowercase().chars().find(|c| c.is_alphabetic()))
+                .collect();
             match letters[..] {
                 ['x', 'y', _, ..] => Ok([0, 1, 2]),
                 [a, b, ..] if "xyz".contains(a) && "xyz".contains(b) => refuse(),
@@ -419,7 +434,8 @@ fn numbered_columns(requested: &[String; 3], count: usize) -> Result<[usize; 3],
     for (place, wanted) in places.iter_mut().zip(requested) {
         let number = wanted.trim().parse::<usize>().ok();
         *place = number.and_then(|n| n.checked_sub(1)).filter(|k| *k < count).ok_or_else(|| {
-            let problem = format!("\"{wanted}\" is no column of a file without names, of {count} columns");
+            let problem =
+                format!("\"{wanted}\" is no column of a file without names, of {count} columns");
             Invalid::whole("columns", problem, "give the numbers of x, y and the values, from 1")
         })?;
     }
@@ -493,7 +509,11 @@ fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
     let stated = match (names.coordinate_unit, beside.coordinate_unit) {
         (Some(a), Some(b)) if a != b => {
             let problem = format!("is {a} in the names of the columns, {b} in a comment");
-            return Err(Invalid::whole("coordinate_unit", problem, "correct the one that is wrong"));
+            return Err(Invalid::whole(
+                "coordinate_unit",
+                problem,
+                "correct the one that is wrong",
+            ));
         }
         (a, b) => a.or(b),
     };
@@ -521,7 +541,9 @@ fn three_fields(line: &str, number: usize) -> Result<[&str; 3], Invalid> {
             let count = text::fields(line).count();
             let problem = format!("has {count} fields in line {number}, not x y z");
             let remedy = match count > 3 {
-                true => "give `columns` with the numbers of x, y and the values, such as 2,3,4, or `format` csv for a matrix",
+                true => {
+                    "give `columns` with the numbers of x, y and the values, such as 2,3,4, or `format` csv for a matrix"
+                }
                 false => "give three numbers per line, or `format` csv for a matrix",
             };
             Err(Invalid::whole(NAME, problem, remedy))
@@ -544,11 +566,7 @@ fn chosen_fields(line: &str, columns: [usize; 3], number: usize) -> Result<[&str
 }
 
 /// The map of points on their own grid, or on the one that is asked for.
-fn on_grid(
-    points: Vec<Line>,
-    pick: &Pick,
-    stated: Option<Unit>,
-) -> Result<Reading, Invalid> {
+fn on_grid(points: Vec<Line>, pick: &Pick, stated: Option<Unit>) -> Result<Reading, Invalid> {
     if let Some(pixel_mm) = pick.grid_mm {
         let Some(unit) = pick.coordinate_unit.or(stated) else {
             let remedy = "give `coordinate_unit`";

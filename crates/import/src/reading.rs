@@ -89,6 +89,11 @@ pub struct Window {
 }
 
 impl Window {
+    /// Returns the window whose first pixel is at this place, mm, in a frame of unknown size.
+    pub(crate) fn at_mm(first: [f64; 2]) -> Self {
+        Self { first, in_mm: true, frame_rows: None }
+    }
+
     /// Returns the coordinates of the smallest x and y of a map with `rows` rows, mm. The coordinate 0 is the first column
     /// of the frame, and its last row; where that is not known, its first row.
     fn start_mm(&self, pitch_mm: [f64; 2], rows: usize, first_row: FirstRow) -> [f64; 2] {
@@ -840,8 +845,7 @@ fn place_by_pitch(
     let mut view = reading.values.view();
     let first_row = settings.first_row.unwrap_or(reading.first_row);
     let window = reading.window.filter(|_| rule.is_none());
-    let start_mm =
-        window.map(|window| window.start_mm(pitch, reading.values.nrows(), first_row));
+    let start_mm = window.map(|window| window.start_mm(pitch, reading.values.nrows(), first_row));
     if first_row == FirstRow::Top {
         view.invert_axis(ndarray::Axis(0));
     }
@@ -960,7 +964,8 @@ fn set_origin(
             .enumerate()
             .any(|(k, axis)| (place[k] - at[k]).abs() > 1e-3 * axis.step_mm());
         if has_place && apart {
-            let text = |p: [f64; 2]| format!("{}, {} mm", significant(p[0], 8), significant(p[1], 8));
+            let text =
+                |p: [f64; 2]| format!("{}, {} mm", significant(p[0], 8), significant(p[1], 8));
             contradicts("place_mm", text(at), text(place), settings, warnings)?;
         }
         let moved = |axis: &Axis, start: f64| Axis::new(start, axis.step_mm(), axis.len());
@@ -1083,7 +1088,9 @@ mod tests {
         let plain = Settings::default();
         assert!(message(&|r| r.unit = None, &plain).contains("give `unit`"));
         assert!(message(&|r| r.pixel_mm = None, &plain).contains("give `pixel_mm`"));
-        assert!(message(&|r| r.unit = Some(Unit::named("waves")), &plain).contains("`wavelength_nm`"));
+        assert!(
+            message(&|r| r.unit = Some(Unit::named("waves")), &plain).contains("`wavelength_nm`")
+        );
         assert!(message(&|r| r.pixel_mm = Some([0.1, 0.0]), &plain).contains("pixel_mm: is 0"));
         let asked = Settings { unit: Some(Unit::named("nm")), ..plain.clone() };
         assert!(message(&|_| (), &asked).contains("um in the file, nm was asked for"));
@@ -1110,8 +1117,11 @@ mod tests {
     #[test]
     fn descending_coordinates_turn_the_map() {
         let mut reading = reading();
-        reading.coordinates =
-            Some(Coordinates { x: vec![2.0, 1.0, 0.0], y: vec![7.0, 6.0], unit: Some(Unit::named("m")) });
+        reading.coordinates = Some(Coordinates {
+            x: vec![2.0, 1.0, 0.0],
+            y: vec![7.0, 6.0],
+            unit: Some(Unit::named("m")),
+        });
         let (surface, statement) = surface(reading, &Settings::default()).unwrap();
         assert_eq!(surface.height_nm() / 1e3, array![[6.0, 5.0, 4.0], [3.0, 2.0, 1.0]]);
         assert_eq!(surface.grid().y.start_mm(), 6000.0);

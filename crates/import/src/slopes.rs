@@ -9,7 +9,8 @@
 //! (1) is the least squares of W. H. Southwell, "Wave-front estimation from wave-front slope measurements", J. Opt. Soc.
 //! Am. 70 (1980) 998, with a slope at every pixel. (2) is the integral of the cubic through four slopes in place of the
 //! trapezoid (G. Li, Y. Li, K. Liu, X. Ma, H. Wang, J. Opt. Soc. Am. A 30 (2013) 1448); at the ends of a run of valid pixels
-//! it is that of the cubic, parabola or line through the nearest ones. The error of the heights falls with h^4.
+//! it is that of the cubic, parabola or line through the nearest ones. The error of the heights falls with h^4, and at the
+//! edge of a mask, where runs of two and three pixels are, with h^3.
 //!
 //! The normal equations are the Laplacian of the pixels that are connected. Conjugate gradients solve them. Their
 //! preconditioner is the exact inverse of the Laplacian on the whole rectangle, by the Fourier transform of the map
@@ -101,7 +102,10 @@ impl std::str::FromStr for SlopeUnit {
             Some((a, b)) if [a, b].iter().all(|u| u.quantity() == Quantity::Length) => {
                 Ok(made(a.size(0) / b.size(0), false))
             }
-            _ => Err("give rad, mrad, urad, nrad, deg, arcsec, or a length over a length such as nm/mm".into()),
+            _ => Err(
+                "give rad, mrad, urad, nrad, deg, arcsec, or a length over a length such as nm/mm"
+                    .into(),
+            ),
         }
     }
 }
@@ -238,7 +242,11 @@ fn unit(
             (Err(_), _) => {
                 let short: String = word.chars().filter(|c| !c.is_control()).take(40).collect();
                 let problem = format!("is \"{short}\", which is no slope");
-                return Err(Invalid::whole("unit", problem, format!("{remedy}, and `override_file`")));
+                return Err(Invalid::whole(
+                    "unit",
+                    problem,
+                    format!("{remedy}, and `override_file`"),
+                ));
             }
         };
         if let Some(before) = stated.as_ref().filter(|b| b.size != unit.size) {
@@ -251,11 +259,13 @@ fn unit(
         (None, None) => Err(Invalid::whole("unit", "of the slopes is not in the file", remedy)),
         (Some(stated), Some(requested)) if stated.size != requested.size => {
             if !settings.map.override_file {
-                let problem = format!("is {} in the file, {} was asked for", stated.name, requested.name);
+                let problem =
+                    format!("is {} in the file, {} was asked for", stated.name, requested.name);
                 let remedy = "leave out `unit`, or give `override_file` where the file is wrong";
                 return Err(Invalid::whole("unit", problem, remedy));
             }
-            let text = format!("`unit` {} takes the place of {} in the file", requested.name, stated.name);
+            let text =
+                format!("`unit` {} takes the place of {} in the file", requested.name, stated.name);
             warnings.push(text);
             Ok(requested.clone())
         }
@@ -391,7 +401,8 @@ fn keep_largest_region(valid: &mut Array2<bool>) -> usize {
         region[start] = number;
         while let Some((r, c)) = next.pop() {
             sizes[number] += 1;
-            let neighbours = [(r.wrapping_sub(1), c), (r + 1, c), (r, c.wrapping_sub(1)), (r, c + 1)];
+            let neighbours =
+                [(r.wrapping_sub(1), c), (r + 1, c), (r, c.wrapping_sub(1)), (r, c + 1)];
             for at in neighbours {
                 if at.0 < rows && at.1 < columns && valid[at] && region[at] == 0 {
                     region[at] = number;
@@ -407,7 +418,12 @@ fn keep_largest_region(valid: &mut Array2<bool>) -> usize {
 }
 
 /// (2): the difference of the heights of every pixel and the next one along `axis`, nm; 0 where one of them is absent.
-fn differences(slope: &Array2<f64>, valid: &Array2<bool>, step_mm: f64, axis: usize) -> Array2<f64> {
+fn differences(
+    slope: &Array2<f64>,
+    valid: &Array2<bool>,
+    step_mm: f64,
+    axis: usize,
+) -> Array2<f64> {
     let mut all = Array2::zeros(slope.dim());
     let lines = slope.lanes(NdAxis(axis)).into_iter().zip(valid.lanes(NdAxis(axis)));
     for ((slope, valid), mut line) in lines.zip(all.lanes_mut(NdAxis(axis))) {
@@ -449,7 +465,8 @@ impl Laplacian {
     fn new(valid: Array2<bool>, pitch_mm: [f64; 2]) -> Self {
         let weight = pitch_mm.map(|h| 1.0 / (h * h));
         let (rows, columns) = valid.dim();
-        let of = |k: usize, n: usize| 2.0 - 2.0 * (std::f64::consts::PI * k as f64 / n as f64).cos();
+        let of =
+            |k: usize, n: usize| 2.0 - 2.0 * (std::f64::consts::PI * k as f64 / n as f64).cos();
         let inverse = Array2::from_shape_fn((2 * rows, 2 * columns), |(k, l)| {
             let eigenvalue = weight[1] * of(k, rows) + weight[0] * of(l, columns);
             if (k, l) == (0, 0) { 0.0 } else { 1.0 / eigenvalue }
@@ -512,7 +529,8 @@ impl Laplacian {
     /// Solves by preconditioned conjugate gradients; returns the number of steps too. The heights are known up to a
     /// constant.
     fn solve(&self, right: &Array2<f64>) -> (Array2<f64>, usize) {
-        let dot = |a: &Array2<f64>, b: &Array2<f64>| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let dot =
+            |a: &Array2<f64>, b: &Array2<f64>| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let mut z = Array2::zeros(right.dim());
         let mut residual = right.clone();
         let goal = TOLERANCE * dot(right, right).sqrt();
@@ -567,7 +585,10 @@ mod tests {
 
     fn grid(n: usize) -> Grid {
         let step = 12.0 / n as f64;
-        Grid { x: Axis::new(-6.0, step, n + 1).unwrap(), y: Axis::new(-4.0, 1.25 * step, n * 3 / 4 + 1).unwrap() }
+        Grid {
+            x: Axis::new(-6.0, step, n + 1).unwrap(),
+            y: Axis::new(-4.0, 1.25 * step, n * 3 / 4 + 1).unwrap(),
+        }
     }
 
     /// Slopes on a grid where `inside`, and the largest error of their integral, nm.
@@ -602,11 +623,10 @@ mod tests {
         };
         for inside in [whole as fn(f64, f64) -> bool, ring] {
             let errors: Vec<(f64, usize)> = [48, 96, 192].map(|n| error(n, inside)).to_vec();
-            for pair in errors.windows(2) {
-                let order = (pair[0].0 / pair[1].0).log2();
-                // Ends of runs that move with the pitch make the order of the ring uneven.
-                assert!(order > 3.3, "{errors:?}");
-            }
+            let order = (errors[0].0 / errors[2].0).log2() / 2.0;
+            // At the edge of a mask are runs of two pixels, whose trapezoids miss h^3 each.
+            let is_whole = inside(0.0, 0.5);
+            assert!(order > if is_whole { 3.8 } else { 3.0 }, "{order} {errors:?}");
             // Waves of 7 mm at 0.06 mm: (2 pi 0.06 / 7)^4 of 40 nm.
             assert!(errors[2].0 < 1e-3, "{errors:?}");
             // The number of steps does not grow with that of the pixels.
@@ -641,7 +661,8 @@ mod tests {
     fn the_sign_along_y_is_judged_and_islands_are_left_out() {
         let g = grid(48);
         let map = |k: usize, sign: f64| {
-            let values = Array2::from_shape_fn(g.shape(), |(r, c)| sign * field(g.x.at(c), g.y.at(r))[k]);
+            let values =
+                Array2::from_shape_fn(g.shape(), |(r, c)| sign * field(g.x.at(c), g.y.at(r))[k]);
             let mut reading = Reading::of_map(&g, &values);
             (reading.unit, reading.unit_word) = (None, Some("urad".into()));
             reading
@@ -656,7 +677,10 @@ mod tests {
         let (right, report) = slopes(map(1, 1.0), map(2, 1.0), &settings).unwrap();
         assert!(report.warnings.is_empty(), "{:?}", report.warnings);
         let message = slopes(map(1, 1.0), map(2, -1.0), &settings).unwrap_err().to_string();
-        assert!(message.contains("with the other sign along y") && message.contains("negate_y"), "{message}");
+        assert!(
+            message.contains("with the other sign along y") && message.contains("negate_y"),
+            "{message}"
+        );
         let negated = SlopeSettings { negate_y: true, ..settings.clone() };
         let (again, _) = slopes(map(1, 1.0), map(2, -1.0), &negated).unwrap();
         assert_eq!(again.height_nm(), right.height_nm());
@@ -669,7 +693,9 @@ mod tests {
         let given = SlopeSettings { unit: Some("mrad".parse().unwrap()), ..settings.clone() };
         let (scaled, _) = slopes(x, y, &given).unwrap();
         // Rounding of a factor.
-        assert!(scaled.height_nm().iter().zip(right.height_nm()).all(|(a, b)| (a - b).abs() < 1e-9));
+        assert!(
+            scaled.height_nm().iter().zip(right.height_nm()).all(|(a, b)| (a - b).abs() < 1e-9)
+        );
         let message = slopes(map(1, 1.0), map(2, 1.0), &given).unwrap_err().to_string();
         assert!(message.contains("is urad in the file, mrad was asked for"), "{message}");
         // An island of four pixels behind a wall.
@@ -683,9 +709,15 @@ mod tests {
 
     #[test]
     fn units_of_slopes() {
-        for (text, urad) in
-            [("urad", 1.0), ("µrad", 1.0), ("mrad", 1e3), ("arcsec", PI / 0.648), ("nm/mm", 1.0), ("um/mm", 1e3), ("1", 1e6)]
-        {
+        for (text, urad) in [
+            ("urad", 1.0),
+            ("µrad", 1.0),
+            ("mrad", 1e3),
+            ("arcsec", PI / 0.648),
+            ("nm/mm", 1.0),
+            ("um/mm", 1e3),
+            ("1", 1e6),
+        ] {
             let unit: SlopeUnit = text.parse().unwrap();
             // The tangent of 1 mrad is 3e-7 of it more; quotients of powers of ten.
             assert!((unit.urad(1e-3) / (1e-3 * urad) - 1.0).abs() < 1e-9, "{text}");

@@ -46,7 +46,11 @@ pub(crate) fn is_srw(text: &str) -> bool {
 /// Reads the map.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let bad = |problem: String| {
-        Invalid::whole(NAME, problem, "write 0 and the y, then a line of x and its heights for every x")
+        Invalid::whole(
+            NAME,
+            problem,
+            "write 0 and the y, then a line of x and its heights for every x",
+        )
     };
     let text = text::text(NAME, bytes)?;
     let most = most_of(BYTES_PER_PIXEL);
@@ -70,7 +74,8 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
             continue;
         }
         if row.len() != y.len() + 1 {
-            let problem = format!("has {} numbers in line {}, {} before", row.len(), i + 1, y.len() + 1);
+            let problem =
+                format!("has {} numbers in line {}, {} before", row.len(), i + 1, y.len() + 1);
             return Err(bad(problem));
         }
         x.push(row[0]);

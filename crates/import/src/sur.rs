@@ -105,7 +105,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let first = [pitch(466, 180)?, pitch(470, 196)?];
     // 0 is what programs write that know no place.
     if first != [0.0; 2] && first.iter().all(|v| v.is_finite()) {
-        reading.window = Some(Window { first, in_mm: true, frame_rows: None });
+        reading.window = Some(Window::at_mm(first));
     }
     if b.i16(288)? == 1 {
         let say = "the file says that a replica was measured: `negate` gives the surface it was taken from";

@@ -108,14 +108,8 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     reading.unit = Some(Unit::named("m"));
     reading.factor = number("Record1/Axes/CZ/Increment")?.unwrap_or(1.0);
     reading.offset = number("Record1/Axes/CZ/Offset")?.unwrap_or(0.0);
-    let pitch = |axis: &str| number(&format!("Record1/Axes/{axis}/Increment"));
-    if let (Some(x), Some(y)) = (pitch("CX")?, pitch("CY")?) {
-        reading.pixel_mm = Some([x * 1e3, y * 1e3]);
-    }
-    let offset = |axis: &str| number(&format!("Record1/Axes/{axis}/Offset"));
-    if let (Some(x), Some(y)) = (offset("CX")?, offset("CY")?) {
-        reading.window = Some(Window { first: [x * 1e3, y * 1e3], in_mm: true, frame_rows: None });
-    }
+    (reading.pixel_mm, reading.window) =
+        (pair("Increment", &number)?, pair("Offset", &number)?.map(Window::at_mm));
     reading.stated = json!({
         "revision": text("Record1/Revision"),
         "manufacturer": text("Record2/Instrument/Manufacturer"),
@@ -124,6 +118,15 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         "z_offset_m": reading.offset,
     });
     Ok(reading)
+}
+
+/// The element `name` of the axes (x, y), mm; `number` is that of a path of elements, m.
+fn pair(
+    name: &str,
+    number: impl Fn(&str) -> Result<Option<f64>, Invalid>,
+) -> Result<Option<[f64; 2]>, Invalid> {
+    let of = |axis: &str| number(&format!("Record1/Axes/{axis}/{name}"));
+    Ok(of("CX")?.zip(of("CY")?).map(|(x, y)| [x * 1e3, y * 1e3]))
 }
 
 /// The first child of this name, in any namespace.

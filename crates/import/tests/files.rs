@@ -181,7 +181,9 @@ fn seeds() -> Vec<(Format, Vec<u8>)> {
 }
 
 fn message(format: Format, bytes: &[u8]) -> String {
-    read(format, bytes, &Pick::default()).unwrap_err().to_string()
+    let made = read(format, bytes, &Pick::default())
+        .and_then(|reading| surface(reading, &Settings::default()));
+    made.err().expect("a refusal").to_string()
 }
 
 #[test]

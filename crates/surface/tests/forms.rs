@@ -392,6 +392,9 @@ fn a_toroid_is_subtracted_with_stated_and_with_fitted_radii() {
     let convex = artifact::read::<Surface>(&dir.join("convex")).unwrap().value;
     assert!(convex.statistics().rms > 1e5);
     fs::write(dir.join("toroid.json"), r#"{"kind": "toroid", "radius_x_mm": 3e5}"#).unwrap();
-    let said = refused(dir, &["prepare", "--surface", "map", "--target", "toroid.json", "--out", "refused"]);
+    let said = refused(
+        dir,
+        &["prepare", "--surface", "map", "--target", "toroid.json", "--out", "refused"],
+    );
     assert!(said.contains("radius_y_mm") && said.contains("missing"), "{said}");
 }

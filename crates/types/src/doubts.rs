@@ -202,10 +202,11 @@ pub fn of_travel(desired: &Surface, machine: &Machine) -> Option<String> {
         return None;
     }
     // The smallest mistaken unit that explains the size: cm, inches, metres in the place of millimetres.
-    let (factor, mistake) = [(10.0, "mm that were read as cm"), (25.4, "mm that were read as inches")]
-        .into_iter()
-        .find(|(factor, _)| *factor >= ratio)
-        .unwrap_or((1000.0, "um that were read as mm"));
+    let (factor, mistake) =
+        [(10.0, "mm that were read as cm"), (25.4, "mm that were read as inches")]
+            .into_iter()
+            .find(|(factor, _)| *factor >= ratio)
+            .unwrap_or((1000.0, "um that were read as mm"));
     let [long, short] = [1, 0].map(|k| significant(size_mm[k], 4));
     let [far, near] = [1, 0].map(|k| significant(travel_mm[k], 4));
     Some(format!(
@@ -378,7 +379,10 @@ mod tests {
     #[test]
     fn heights_in_nm_that_were_read_as_um_are_named() {
         // 10 nm RMS, a thousand times.
-        said(of_map(&map(|z, _| 1e3 * z)), &["nm RMS beside their best plane", "read as um", "--unit nm"]);
+        said(
+            of_map(&map(|z, _| 1e3 * z)),
+            &["nm RMS beside their best plane", "read as um", "--unit nm"],
+        );
     }
 
     #[test]

@@ -71,7 +71,10 @@ impl SlopesArgs {
             Some(path) => map_bytes(&mut inputs, "file_y", path)?,
             None => bytes.clone(),
         };
-        let has_names = matches!(format, Format::Mat5 | Format::Hdf5 | Format::Npz | Format::Fits | Format::Gwy);
+        let has_names = matches!(
+            format,
+            Format::Mat5 | Format::Hdf5 | Format::Npz | Format::Fits | Format::Gwy
+        );
         if !has_names && self.file_y.is_none() {
             let problem = "holds one map; give the slopes along y with --file-y";
             return Err(Failure::new(format!("{}: {problem}", file.file.display())));
