@@ -22,7 +22,7 @@ const LONGEST_MESSAGE: usize = 1500;
 pub type Reader = (&'static str, fn(&[u8]));
 
 /// Every reader.
-pub const READERS: [Reader; 24] = [
+pub const READERS: [Reader; 27] = [
     ("metropro", |bytes| map(Format::Metropro, bytes)),
     ("datx", |bytes| map(Format::Datx, bytes)),
     ("xyz", |bytes| map(Format::Xyz, bytes)),
@@ -39,6 +39,9 @@ pub const READERS: [Reader; 24] = [
     ("grid-sag", |bytes| map(Format::GridSag, bytes)),
     ("x3p", |bytes| map(Format::X3p, bytes)),
     ("opd", |bytes| map(Format::Opd, bytes)),
+    ("npz", |bytes| map(Format::Npz, bytes)),
+    ("srw", |bytes| map(Format::Srw, bytes)),
+    ("wft", |bytes| map(Format::Wft, bytes)),
     ("presurface", |bytes| map(Format::Presurface, bytes)),
     ("4sight", |bytes| map(Format::FourSight, bytes)),
     ("scattered", scattered),
@@ -65,13 +68,13 @@ fn map(format: Format, bytes: &[u8]) {
         };
         let settings = Settings {
             override_file: true,
-            unit: reading.unit.or(Some(Unit::Nm)),
+            unit: reading.unit.or(Some(Unit::named("nm"))),
             wavelength_nm: reading.wavelength_nm.or(Some(632.8)),
             pixel_mm: reading.coordinates.is_none().then_some([0.5, 0.25]),
             coordinate_unit: reading
                 .coordinates
                 .as_ref()
-                .map(|coordinates| coordinates.unit.unwrap_or(Unit::Mm)),
+                .map(|coordinates| coordinates.unit.unwrap_or(Unit::named("mm"))),
             origin: Origin::Centre,
             ..Settings::default()
         };
@@ -89,8 +92,11 @@ fn map(format: Format, bytes: &[u8]) {
 
 /// Points that are gridded.
 fn scattered(bytes: &[u8]) {
-    let pick =
-        Pick { grid_mm: Some([0.5, 0.25]), coordinate_unit: Some(Unit::Mm), ..Pick::default() };
+    let pick = Pick {
+        grid_mm: Some([0.5, 0.25]),
+        coordinate_unit: Some(Unit::named("mm")),
+        ..Pick::default()
+    };
     if let Err(error) = read(Format::Xyz, bytes, &pick) {
         readable(&error.to_string());
     }

@@ -26,6 +26,8 @@ pub enum FormKind {
     Asphere,
     /// A cylinder that is curved along its x, of `radius_mm`, with a conic constant and even terms on request.
     Cylinder,
+    /// A circle of `radius_y_mm` over y, turned about an axis along y at the distance `radius_x_mm`.
+    Toroid,
     /// A cylinder that images a source onto a point.
     EllipticCylinder,
     /// A cylinder that focuses or collimates: one of `p_mm` and `q_mm` is infinite and left out.
@@ -96,6 +98,12 @@ pub struct FormFile {
     /// Radius of curvature at the vertex, mm; positive where the part is concave.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub radius_mm: Option<f64>,
+    /// Radius of curvature of a toroid at its vertex along x, mm; positive where the part is concave.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub radius_x_mm: Option<f64>,
+    /// Radius of curvature of a toroid at its vertex along y, mm; positive where the part is concave.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub radius_y_mm: Option<f64>,
     /// Conic constant k; 0 is a sphere, -1 a parabola.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub conic_constant: Option<f64>,
@@ -140,6 +148,8 @@ impl FormFile {
         Self {
             kind: FormKind::Plane,
             radius_mm: None,
+            radius_x_mm: None,
+            radius_y_mm: None,
             conic_constant: None,
             even_terms: None,
             p_mm: None,
@@ -159,7 +169,7 @@ impl FormFile {
     pub fn check(&self) -> Result<(), Invalid> {
         use FormKind::{
             Asphere, Conic, Cylinder, EllipticCylinder, HyperbolicCylinder, Map, ParabolicCylinder,
-            Paraboloid, Plane, Sphere,
+            Paraboloid, Plane, Sphere, Toroid,
         };
         let kind = self.kind;
         let named = serde_name(kind);
@@ -169,8 +179,10 @@ impl FormFile {
         let needed = |needs: bool| if needs { Some(true) } else { None };
         let optional = |allowed: bool| if allowed { Some(false) } else { None };
         // Key, whether it is there, whether the kind needs it (true), may have it (false), or not (None).
-        let keys: [(&'static str, bool, Option<bool>); 9] = [
+        let keys: [(&'static str, bool, Option<bool>); 11] = [
             ("radius_mm", self.radius_mm.is_some(), needed(has_radius)),
+            ("radius_x_mm", self.radius_x_mm.is_some(), needed(kind == Toroid)),
+            ("radius_y_mm", self.radius_y_mm.is_some(), needed(kind == Toroid)),
             (
                 "conic_constant",
                 self.conic_constant.is_some(),
@@ -222,11 +234,17 @@ impl FormFile {
 
     /// Refuses numbers that cannot be what they claim to be.
     fn check_numbers(&self) -> Result<(), Invalid> {
-        if let Some(radius) =
-            self.radius_mm.filter(|r| !(*r != 0.0 && r.abs() <= LARGEST_RADIUS_MM))
-        {
-            let remedy = "give the radius of curvature in mm, not 0, at most 1e12";
-            return Err(Invalid::whole("radius_mm", format!("is {radius}"), remedy));
+        let radii = [
+            ("radius_mm", self.radius_mm),
+            ("radius_x_mm", self.radius_x_mm),
+            ("radius_y_mm", self.radius_y_mm),
+        ];
+        for (key, radius) in radii {
+            let Some(radius) = radius else { continue };
+            if radius == 0.0 || radius.is_nan() || radius.abs() > LARGEST_RADIUS_MM {
+                let remedy = "give the radius of curvature in mm, not 0, at most 1e12";
+                return Err(Invalid::whole(key, format!("is {radius}"), remedy));
+            }
         }
         let numbers = [
             ("conic_constant", self.conic_constant, 1e6),
@@ -326,6 +344,8 @@ impl FormFile {
     pub fn parameter_names(&self) -> Vec<String> {
         let words = [
             ("radius_mm", self.radius_mm.is_some()),
+            ("radius_x_mm", self.radius_x_mm.is_some()),
+            ("radius_y_mm", self.radius_y_mm.is_some()),
             ("conic_constant", self.conic_constant.is_some()),
             ("p_mm", self.p_mm.is_some()),
             ("q_mm", self.q_mm.is_some()),
@@ -347,6 +367,8 @@ impl FormFile {
     pub fn parameter_mut(&mut self, name: &str) -> Option<&mut f64> {
         match name {
             "radius_mm" => self.radius_mm.as_mut(),
+            "radius_x_mm" => self.radius_x_mm.as_mut(),
+            "radius_y_mm" => self.radius_y_mm.as_mut(),
             "conic_constant" => self.conic_constant.as_mut(),
             "p_mm" => self.p_mm.as_mut(),
             "q_mm" => self.q_mm.as_mut(),
@@ -379,6 +401,7 @@ fn serde_name(kind: FormKind) -> &'static str {
         FormKind::Paraboloid => "paraboloid",
         FormKind::Asphere => "asphere",
         FormKind::Cylinder => "cylinder",
+        FormKind::Toroid => "toroid",
         FormKind::EllipticCylinder => "elliptic-cylinder",
         FormKind::ParabolicCylinder => "parabolic-cylinder",
         FormKind::HyperbolicCylinder => "hyperbolic-cylinder",
@@ -404,6 +427,12 @@ mod tests {
             (r#"{"kind": "sphere", "radius_mm": 0}"#, "radius_mm: is 0"),
             (r#"{"kind": "sphere", "radius_mm": 9, "conic_constant": 1}"#, "has none"),
             (r#"{"kind": "sphere", "radius": 9}"#, "unknown field `radius`"),
+            (
+                r#"{"kind": "toroid", "radius_x_mm": 9}"#,
+                "radius_y_mm: is missing in a form of the kind toroid",
+            ),
+            (r#"{"kind": "toroid", "radius_x_mm": 9, "radius_y_mm": 0}"#, "radius_y_mm: is 0"),
+            (r#"{"kind": "toroid", "radius_mm": 9}"#, "radius_mm: is given"),
             (r#"{"kind": "plane", "off_axis_mm": [1, 2]}"#, "off_axis_mm: is given"),
             (
                 r#"{"kind": "elliptic-cylinder", "p_mm": 9, "q_mm": -1, "theta_mrad": 3}"#,

@@ -4,10 +4,12 @@
 //! sphere, conic, paraboloid     z = c r^2 / (1 + sqrt(1 - (1 + k) c^2 r^2)),   c = 1 / R             (1)
 //! asphere                       the same plus A4 r^4 + A6 r^6 + ...                                  (2)
 //! cylinder                      (1) or (2) with r = x
+//! toroid                        z = g + x^2 / (a + sqrt(a^2 - x^2) sign a),   a = R_x - g            (3)
 //! imaging cylinders             [`ImagingConic`]: ellipse, parabola, hyperbola from p, q and theta
 //! map                           bicubic, from splines along the runs of valid pixels ([`sampled`])
 //! ```
 //!
+//! g is (1) with r = y, R = R_y and k = 0: the toroid is this circle, turned about an axis along y at the height R_x.
 //! R is positive where the ends of the part are above its vertex (concave). The terms of (1) and (2) are those of ISO
 //! 10110-12. A form can lie off the axis of its parent, turned in the plane, and have Zernike terms ([`Numbering`]).
 //!
@@ -23,6 +25,7 @@
 //! | symbol | in the form file | unit |
 //! |---|---|---|
 //! | R | `radius_mm` | mm |
+//! | R_x, R_y | `radius_x_mm`, `radius_y_mm` | mm |
 //! | k | `conic_constant` | 1 |
 //! | A4, A6, ... | `even_terms` | mm^-3, mm^-5, ... |
 
@@ -78,6 +81,11 @@ enum Shape {
         terms: Vec<f64>,
         is_cylinder: bool,
     },
+    /// (3).
+    Toroid {
+        radius_x_mm: f64,
+        radius_y_mm: f64,
+    },
     Imaging(ImagingConic),
     Sampled(Box<Sampled>),
 }
@@ -98,6 +106,15 @@ impl Shape {
                     z = z + power.times(*term);
                 }
                 z
+            }
+            Self::Toroid { radius_x_mm, radius_y_mm } => {
+                let one = Jet::constant(1.0);
+                let c = 1.0 / radius_y_mm;
+                let g = (y * y).times(c) / (one + (one - (y * y).times(c * c)).sqrt());
+                // z = g + (x^2 / a) / (1 + sqrt(1 - (x / a)^2)),   a = R_x - g
+                let a = Jet::constant(*radius_x_mm) - g;
+                let ratio = x / a;
+                g + ratio * x / (one + (one - ratio * ratio).sqrt())
             }
             Self::Imaging(conic) => conic.jet(x),
             Self::Sampled(map) => map.jet([x, y]),
@@ -197,6 +214,10 @@ impl Form {
             | FormKind::HyperbolicCylinder
             | FormKind::ParabolicCylinder => Shape::Imaging(file.imaging()?),
             FormKind::Plane => Shape::Plane,
+            FormKind::Toroid => Shape::Toroid {
+                radius_x_mm: file.radius_x_mm.expect("checked: a toroid has both radii"),
+                radius_y_mm: file.radius_y_mm.expect("checked: a toroid has both radii"),
+            },
             kind => Shape::Even {
                 curvature_per_mm: 1.0 / file.radius_mm.expect("checked: the kind has a radius"),
                 conic_constant: match kind {
@@ -452,6 +473,31 @@ mod tests {
         }
     }
 
+    /// The distance of every point from the circle that the middles of the circles over y make is |R_y|:
+    /// `(sqrt(x^2 + (z - R_x)^2) - |R_x - R_y|)^2 + y^2 = R_y^2`, the equation of a torus about an axis along y.
+    #[test]
+    fn a_toroid_is_a_torus_with_its_radii() {
+        for [x_mm, y_mm] in
+            [[300e3, 60.0], [400.0, 60.0], [-400.0, -60.0], [-400.0, 60.0], [80.0, 200.0]]
+        {
+            let json = format!(
+                r#"{{"kind": "toroid", "radius_x_mm": {x_mm}, "radius_y_mm": {y_mm}, "vertex_mm": [1, -2]}}"#
+            );
+            let toroid = form(&json);
+            for [x, y] in [[0.0, 0.0], [30.0, 0.0], [0.0, -25.0], [-50.0, 20.0]] {
+                let z = toroid.sag_mm([1.0 + x, y - 2.0]).unwrap();
+                let about = x_mm - x_mm.signum() * x.hypot(z - x_mm) - y_mm;
+                // Rounding of 3e5 mm is 6e-11 mm; over 60 mm of the radius.
+                assert!((about.hypot(y) / y_mm.abs() - 1.0).abs() < 5e-12, "{json} {x} {y}");
+            }
+            let mut radii = toroid.at([1.0, -2.0]).unwrap().hessian().map(|c| 1.0 / c);
+            radii[1] = 0.0;
+            // Quotients of the radii.
+            assert!((radii[0] / x_mm - 1.0).abs() < 1e-14 && (radii[2] / y_mm - 1.0).abs() < 1e-14);
+            assert!(toroid.sag_mm([1.0, 300.0]).is_none());
+        }
+    }
+
     #[test]
     fn zernike_terms_add_their_height() {
         let form = form(
@@ -469,13 +515,14 @@ mod tests {
         /// The derivatives against differences: h^2 = 1e-6 times third derivatives below 1e-4, and rounding of 1e-13
         /// over h = 1e-3.
         #[test]
-        fn gradient_and_hessian_are_derivatives(x in -20.0..20.0_f64, y in -20.0..20.0_f64, kind in 0..6_usize) {
+        fn gradient_and_hessian_are_derivatives(x in -20.0..20.0_f64, y in -20.0..20.0_f64, kind in 0..7_usize) {
             let form = form([
                 r#"{"kind": "conic", "radius_mm": 120, "conic_constant": -2.1, "vertex_mm": [4, 1]}"#,
                 r#"{"kind": "asphere", "radius_mm": 90, "conic_constant": 0.5, "even_terms": [1e-7, 1e-11]}"#,
                 r#"{"kind": "elliptic-cylinder", "p_mm": 300, "q_mm": 150, "theta_mrad": 300, "rotation_deg": 20}"#,
                 r#"{"kind": "hyperbolic-cylinder", "p_mm": 300, "q_mm": -150, "theta_mrad": 300}"#,
                 r#"{"kind": "parabolic-cylinder", "q_mm": 150, "theta_mrad": 300}"#,
+                r#"{"kind": "toroid", "radius_x_mm": 150, "radius_y_mm": -90, "rotation_deg": 20}"#,
                 r#"{"kind": "conic", "radius_mm": 150, "conic_constant": -1.5, "off_axis_mm": [40, 10],
                     "height_along": "normal", "rotation_deg": -70}"#,
             ][kind]);

@@ -3,13 +3,25 @@
 use ndarray::Array2;
 use planish_types::Invalid;
 
-use crate::reading::Pick;
+use crate::{
+    Unit,
+    reading::{Coordinates, Pick},
+};
 
 /// Names that optics groups use for a map and for a TIF, with their coordinates.
 pub(crate) const CUSTOMARY: [[&str; 3]; 2] = [["Z", "X", "Y"], ["Ztif", "Xtif", "Ytif"]];
 
 /// Names of coordinates beside a map of any name.
-pub(crate) const BESIDE: [[&str; 2]; 2] = [["X", "Y"], ["x", "y"]];
+pub(crate) const BESIDE: [[&str; 2]; 8] = [
+    ["X", "Y"],
+    ["x", "y"],
+    ["x_mm", "y_mm"],
+    ["X_mm", "Y_mm"],
+    ["x_um", "y_um"],
+    ["X_um", "Y_um"],
+    ["x_m", "y_m"],
+    ["X_m", "Y_m"],
+];
 
 /// Words in the name of an array that says which pixels are valid.
 const MARKS: [&str; 5] = ["mask", "valid", "bad", "flag", "quality"];
@@ -162,6 +174,26 @@ pub(crate) fn along(
         return Err(Invalid::whole(name, problem, "give a vector, or what meshgrid makes"));
     }
     Ok(line)
+}
+
+/// The coordinates of the columns and rows of a map of `(rows, columns)` from arrays called as `pick` says, with the unit at
+/// the end of their names.
+pub(crate) fn named_coordinates(
+    pick: &Pick,
+    x: &Array2<f64>,
+    y: &Array2<f64>,
+    (rows, columns): (usize, usize),
+) -> Result<Coordinates, Invalid> {
+    let unit_of = |name: &Option<String>| {
+        let name = name.as_deref().unwrap_or_default();
+        Unit::of_name(&name[prefix(name).len()..]).ok().and_then(|(_, unit)| unit)
+    };
+    let unit = unit_of(&pick.x);
+    if unit != unit_of(&pick.y) {
+        let problem = format!("{:?} and {:?} are in two units", pick.x, pick.y);
+        return Err(Invalid::whole("coordinates", problem, "give both the same unit"));
+    }
+    Ok(Coordinates { x: along("x", x, columns, true)?, y: along("y", y, rows, false)?, unit })
 }
 
 /// True where x goes along the rows of a map and y along its columns, as `ndgrid` makes them: the map has to be transposed.

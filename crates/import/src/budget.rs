@@ -34,9 +34,9 @@ pub const MOST_PIXELS: usize = 1 << 25;
 pub(crate) const BYTES_PER_PIXEL: usize = 5 * 8;
 
 /// Memory that a line `x y z` needs until its pixel is written, bytes. Larger and smaller: as
-/// [`BYTES_PER_PIXEL`]. Derived: three numbers in a list that doubles as it grows, their coordinates in
-/// order, and the pixel.
-pub(crate) const BYTES_PER_POINT: usize = 3 * 3 * 8 + BYTES_PER_PIXEL;
+/// [`BYTES_PER_PIXEL`]. Derived: three numbers and two last digits in a list that doubles as it grows, the coordinates
+/// of an axis in order, and the pixel.
+pub(crate) const BYTES_PER_POINT: usize = 3 * 5 * 8 + 3 * 8 + BYTES_PER_PIXEL;
 
 /// Largest number of samples of a log; more are refused. Larger: more memory for one file. Smaller: refuses
 /// long logs. Chosen: nine hours at 1 kHz.

@@ -1,6 +1,7 @@
 //! The subcommands, one file each, and what those that read maps have in common.
 
 mod program;
+mod slopes;
 mod surface;
 mod tif;
 mod trace;
@@ -23,6 +24,8 @@ use planish_types::{Grid, Surface, Tif, text::significant};
 pub enum Method {
     /// A height map
     Surface(surface::SurfaceArgs),
+    /// A height map from two maps of slopes, along x and along y
+    Slopes(Box<slopes::SlopesArgs>),
     /// A tool influence function: a map of rates, of depth after a known time, or a spot before
     /// and after
     Tif(tif::TifArgs),
@@ -36,6 +39,7 @@ impl Method {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::Surface(arguments) => arguments.run(),
+            Self::Slopes(arguments) => arguments.run(),
             Self::Tif(arguments) => arguments.run(),
             Self::Program(arguments) => arguments.run(),
             Self::Trace(arguments) => arguments.run(),
@@ -65,8 +69,9 @@ struct FileArgs {
     /// called MASK]
     #[arg(long, value_name = "NAME")]
     mask: Option<String>,
-    /// Unit of the values in the file (heights), where it does not state it
-    #[arg(long, value_enum)]
+    /// Unit of the values in the file, where it does not state it: m, mm, um, nm, angstrom, in, mil or waves; of rates
+    /// also over a time, such as nm/min or um/h [default of the time: s]
+    #[arg(long, value_name = "UNIT")]
     unit: Option<Unit>,
     /// Wavelength of the light, nm, for heights in waves
     #[arg(long, value_name = "W", allow_negative_numbers = true)]
@@ -77,8 +82,11 @@ struct FileArgs {
     /// Pitch along x and y, mm, to which points x y z that lie on no grid are interpolated (linear in triangles)
     #[arg(long, value_name = "P", value_parser = pair, allow_hyphen_values = true)]
     grid_mm: Option<[f64; 2]>,
-    /// Unit of the coordinates in the file, where it does not state it
-    #[arg(long, value_enum)]
+    /// Columns of x, y and the values in lines of text, by name or by number from 1 [default: by their names, else 1,2,3]
+    #[arg(long, value_name = "X,Y,Z", value_parser = columns)]
+    columns: Option<[String; 3]>,
+    /// Unit of the coordinates in the file, where it does not state it: m, mm, um, in, or pixels with --pixel-mm
+    #[arg(long, value_name = "UNIT")]
     coordinate_unit: Option<Unit>,
     /// Take --unit, --wavelength-nm, --pixel-mm, --coordinate-unit and --surface-per-value in the place of what the file
     /// states, with a warning. Use it where the file is wrong
@@ -132,6 +140,7 @@ impl FileArgs {
             mask: self.mask.clone(),
             grid_mm: self.grid_mm,
             coordinate_unit: self.coordinate_unit,
+            columns: self.columns.clone(),
             is_tif,
         }
     }
@@ -152,6 +161,7 @@ impl FileArgs {
             flip_y: self.flip_y,
             rotation: self.rotate_deg,
             origin,
+            place_mm: None,
         }
     }
 
@@ -161,7 +171,7 @@ impl FileArgs {
         let path = &self.file;
         let Some(bytes) = bytes else { return Ok(Format::Directory) };
         let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-        let by_ending = || Format::of_ending(ending.as_deref()?);
+        let by_ending = || Format::of_ending(ending.as_deref()?, bytes);
         self.format.or_else(|| Format::of(bytes)).or_else(by_ending).ok_or_else(|| {
             let named = Format::value_variants().iter().filter_map(|f| f.to_possible_value());
             let formats: Vec<String> = named.map(|f| f.get_name().to_string()).collect();
@@ -178,6 +188,16 @@ impl FileArgs {
         let Some(path) = &self.picture else { return Ok(()) };
         Ok(output.write_file(path, picture().as_bytes())?)
     }
+}
+
+/// Three names or numbers, with commas between them.
+fn columns(text: &str) -> Result<[String; 3], String> {
+    let names: Vec<String> = text.split(',').map(|name| name.trim().to_string()).collect();
+    let all =
+        <[String; 3]>::try_from(names).ok().filter(|names| names.iter().all(|n| !n.is_empty()));
+    all.ok_or_else(|| {
+        "give the columns of x, y and the values, such as 2,3,4 or x,y,height".to_string()
+    })
 }
 
 /// A message of the library, with the file that it is about.
@@ -210,8 +230,10 @@ fn open(
     let Some(bytes) = bytes else {
         if [&pick.dataset, &pick.x, &pick.y, &pick.mask].iter().any(|name| name.is_some())
             || pick.grid_mm.is_some()
+            || pick.columns.is_some()
         {
-            let problem = "is a directory; leave out --dataset, --x, --y, --mask and --grid-mm";
+            let problem =
+                "is a directory; leave out --dataset, --x, --y, --mask, --columns and --grid-mm";
             return Err(Failure::new(format!("{}: {problem}", path.display())));
         }
         return Ok(match pick.is_tif {

@@ -96,7 +96,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let values = Array2::from_shape_vec((rows, columns), values).expect("one value per pixel");
     let mut reading = Reading::new(Format::CodevInt, values, FirstRow::Top);
     reading.invalidate(no_data);
-    (reading.unit, reading.factor) = (Some(Unit::Waves), 1.0 / scale);
+    (reading.unit, reading.factor) = (Some(Unit::named("waves")), 1.0 / scale);
     reading.wavelength_nm = Some(um * 1e3);
     if of("WFR") {
         let say = "the file holds a wavefront (WFR): `surface_per_value` 0.5 makes the surface of one reflection";

@@ -4,28 +4,31 @@
 //! separator at the end of a line closes it if all lines end so and no field is empty; otherwise an empty field follows
 //! it.
 //!
-//! What a file says of itself is obeyed:
+//! What a file says of itself is obeyed (`crate::beside`):
 //!
-//! * Comments `# Width: 15.0 mm`, `# Height: 10.0 mm` and `# Value units: m` as Gwyddion's export of text writes them, or
-//!   `# unit: nm`: the pitch is width over columns, and the first row of an export of Gwyddion is the top.
+//! * Comments `# Width: 15.0 mm`, `# Height: 10.0 mm` and `# Value units: m` as Gwyddion's export of text writes them in any
+//!   language, or `# unit: nm`: the pitch is width over columns, and the first row of an export of Gwyddion is the top.
 //! * Comments `# x-length = 1000`, `# x-unit = nm`, `# z-unit = nm`, `# Bit2nm = 0.5` as in ASCII files of SPIP.
 //! * Comments `# pixel size: 0.5 mm`, `# pitch (um) = 500`: the pitch along x and y.
+//! * Lines of text above the numbers, such as `"XY Calibration","500","um"` and `"Unit","nm"` of a Keyence microscope, whose
+//!   first row is the top.
 //! * A first line and a first column of coordinates: they ascend or descend in equal steps, and the corner is empty or a
 //!   word. The coordinates have no unit.
 //!
-//! A comment that speaks of a unit or a pitch and is not understood is a warning. Text that is no matrix of heights is
+//! A statement that speaks of a unit or a pitch and is not understood is a warning. Text that is no matrix of heights is
 //! refused: coordinates or row numbers beside heights, lines `x y z`, profiles, and several matrices one after the other.
 //!
-//! Source: the manuals of Gwyddion ("Export", text matrix) and SPIP ("ASCII file format").
+//! Source: the manuals of Gwyddion ("Export", text matrix) and SPIP ("ASCII file format"); files of a Keyence VK-X.
 
 use ndarray::{Array2, s};
 use planish_types::Invalid;
 
 use crate::{
-    Format, Unit,
-    budget::{BYTES_PER_PIXEL, check_room, check_size, most_of},
+    Format,
+    beside::{self, Beside},
+    budget::{BYTES_PER_PIXEL, MOST_HEADER_LINES, check_room, check_size, most_of, too_many},
     reading::{Coordinates, FirstRow, Reading},
-    text,
+    srw, text,
 };
 
 const NAME: &str = "CSV file";
@@ -40,22 +43,27 @@ const FEWEST: usize = 4;
 /// maps are read as heights. Smaller: heights in whole numbers are refused by chance.
 const CERTAIN: usize = 8;
 
-/// Most comments that a warning quotes.
-const MOST_QUOTED: usize = 5;
-
 /// Reads a matrix.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
-    let with_points = text::with_points(NAME, &text)?;
-    let Table { values, mut header, corner_is_empty } =
-        table(with_points.as_deref().unwrap_or(&text))?;
+    let (header, first) = header(&text)?;
+    let body = text::from_line(&text, first);
+    let with_points = text::with_points(NAME, body)?;
+    let Table { values, comments, corner, corner_is_empty } =
+        table(with_points.as_deref().unwrap_or(body), first, header)?;
     let (rows, columns) = values.dim();
     let x = values.slice(s![0, 1..]).to_vec();
     let y = values.slice(s![1.., 0]).to_vec();
     let are_axes = is_uniform(&x) && is_uniform(&y);
     let has_axes = corner_is_empty && are_axes;
-    if let Some(error) = header.corner.take().filter(|_| !has_axes) {
+    if let Some(error) = corner.filter(|_| !has_axes) {
         return Err(error);
+    }
+    if are_axes && !has_axes && srw::is_srw(body) {
+        let problem = "has 0 in its corner, between a first line and a first column of coordinates";
+        let remedy = "give `format` srw for a height map of SRW, with y along the first line; empty the corner where x goes \
+                      along it";
+        return Err(Invalid::whole(NAME, problem, remedy));
     }
     let mut reading = if has_axes {
         check_size(NAME, rows - 1, columns - 1)?;
@@ -80,39 +88,110 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     if with_points.is_some() {
         reading.warnings.push(text::DECIMAL_COMMAS.into());
     }
-    header.apply(&mut reading)?;
+    if comments.is_keyence {
+        reading.first_row = FirstRow::Top;
+    }
+    comments.beside.apply(&mut reading)?;
+    if !comments.lines.is_empty() {
+        reading.stated = serde_json::json!({ "header": comments.lines });
+    }
     Ok(reading)
+}
+
+/// Text beside the numbers.
+#[derive(Default)]
+struct Comments {
+    beside: Beside,
+    /// Lines of text above the numbers.
+    lines: Vec<String>,
+    is_keyence: bool,
+}
+
+/// Most lines of text above the numbers that the manifest keeps.
+const MOST_LINES: usize = 40;
+
+/// Returns the statements of the lines of text above the numbers, and how many lines these are. A line of text has a word
+/// in its first field. It belongs to the matrix if all other fields are numbers, and the next line has as many.
+fn header(text: &str) -> Result<(Comments, usize), Invalid> {
+    let mut found = Comments::default();
+    let mut first = 0;
+    let mut comments = Vec::new();
+    let mut lines = text.lines().enumerate().peekable();
+    while let Some((i, line)) = lines.next() {
+        if line.trim().is_empty() || text::is_comment(line) {
+            comments.push((i, line));
+            continue;
+        }
+        let fields: Vec<&str> = text::fields(line).collect();
+        let next = lines.peek().map(|(_, next)| text::fields(next).count());
+        // Decimal commas may split a line of numbers at the wrong places.
+        let is_word = |field: &&str| {
+            let is_text = |word: &str| !text::is_numeric(word) && !text::is_no_data(word);
+            is_text(field) && field.split_whitespace().any(is_text)
+        };
+        let is_corner = fields.len() > 2
+            && !fields[1..].iter().any(|field| is_word(field))
+            && next == Some(fields.len());
+        if !fields.first().is_some_and(is_word) || is_corner {
+            break;
+        }
+        if i >= MOST_HEADER_LINES {
+            let remedy = "give a matrix, one line per row";
+            return Err(too_many(NAME, MOST_HEADER_LINES, "lines of text", remedy));
+        }
+        for (k, comment) in comments.drain(..) {
+            found.beside.add_comment(comment.trim_start().trim_start_matches(['#', '%']), k + 1)?;
+        }
+        found.is_keyence |= fields[0].eq_ignore_ascii_case("XY Calibration")
+            || fields
+                .get(1)
+                .is_some_and(|model| model.starts_with("VK-") || model.starts_with("VR-"));
+        match beside::key_and_value(line) {
+            Some(_) if fields.len() == 1 => found.beside.add_comment(line, i + 1)?,
+            _ => found.beside.add_fields(&fields, i + 1)?,
+        }
+        if found.lines.len() < MOST_LINES {
+            let short = line.chars().filter(|c| !c.is_control()).take(120);
+            found.lines.push(short.collect());
+        }
+        first = i + 1;
+    }
+    Ok((found, first))
 }
 
 /// The numbers of a text, and what it says beside them.
 struct Table {
     values: Array2<f64>,
-    header: Header,
+    comments: Comments,
+    /// Reason to refuse the first field if it is a word.
+    corner: Option<Invalid>,
     corner_is_empty: bool,
 }
 
-fn table(text: &str) -> Result<Table, Invalid> {
+/// Reads the matrix of a text, which begins after `before` lines with the statements `comments`.
+fn table(text: &str, before: usize, mut comments: Comments) -> Result<Table, Invalid> {
     let mut values = Vec::new();
     let (mut rows, mut columns) = (0, 0);
     let most = most_of(BYTES_PER_PIXEL);
-    let mut header = Header::default();
+    let mut corner = None;
     let mut corner_is_empty = false;
     // True while all lines end with a separator, and while no field before it is empty.
     let mut are_closed = true;
     let mut are_full = true;
     let mut gaps = Gaps::default();
-    for (i, line) in text.lines().enumerate() {
+    for (i, line) in text.lines().enumerate().map(|(i, line)| (i + before, line)) {
         // A tab may be a separator: a line of tabs is a row of invalid pixels.
         let is_blank = line.trim_matches([' ', '\r']).is_empty();
         if is_blank || text::is_comment(line) {
             gaps.open(rows);
             if !is_blank {
-                header.add(line.trim_start().trim_start_matches(['#', '%']), i + 1)?;
+                let comment = line.trim_start().trim_start_matches(['#', '%']);
+                comments.beside.add_comment(comment, i + 1)?;
             }
             continue;
         }
         gaps.close(rows, i + 1);
-        let before = values.len();
+        let count = values.len();
         let is_closed = text::is_closed(line);
         are_closed &= is_closed;
         let (mut empty, mut ends_empty) = (0usize, false);
@@ -128,14 +207,14 @@ fn table(text: &str) -> Result<Table, Invalid> {
             values.push(match text::number(NAME, field, i + 1, k + 1) {
                 // Such as y\\x; it stays a mistake where no axes follow.
                 Err(error) if is_corner => {
-                    header.corner = Some(error);
+                    corner = Some(error);
                     f64::NAN
                 }
                 value => value?,
             });
         }
         are_full &= empty == usize::from(ends_empty);
-        let found = values.len() - before;
+        let found = values.len() - count;
         if rows > 0 && found != columns {
             let problem = format!("has {found} fields in line {}, {columns} before", i + 1);
             return Err(Invalid::whole(NAME, problem, "give every row as many numbers"));
@@ -155,7 +234,7 @@ fn table(text: &str) -> Result<Table, Invalid> {
         return Err(Invalid::whole(NAME, problem, "give a line per row of the map"));
     }
     check_size(NAME, rows, columns)?;
-    Ok(Table { values, header, corner_is_empty })
+    Ok(Table { values, comments, corner, corner_is_empty })
 }
 
 /// Places at which blank lines or comments stand between two rows.
@@ -232,145 +311,4 @@ fn is_uniform(values: &[f64]) -> bool {
     let step = (last - first) / (values.len() as f64 - 1.0);
     let is_step = |w: &[f64]| ((w[1] - w[0]) / step - 1.0).abs() <= UNIFORMITY;
     values.len() >= FEWEST && step.is_finite() && step != 0.0 && values.windows(2).all(is_step)
-}
-
-/// Statements in the comments of a file.
-#[derive(Default)]
-struct Header {
-    /// Reason to refuse the first field if it is a word.
-    corner: Option<Invalid>,
-    unit: Option<Unit>,
-    /// Sizes along (x, y), as Gwyddion writes them, with their unit.
-    size: [Option<(f64, Unit)>; 2],
-    /// Sizes along (x, y) and units as SPIP writes them.
-    length: [Option<f64>; 2],
-    length_unit: [Option<Unit>; 2],
-    nm_per_bit: Option<f64>,
-    /// Pitch along (x, y), mm.
-    pitch_mm: [Option<f64>; 2],
-    /// Comments that speak of a unit or a pitch and are not used.
-    unused: Vec<String>,
-}
-
-/// Words of a comment for the distance of pixels.
-const PITCH: [&str; 8] = [
-    "pixel size",
-    "pixel pitch",
-    "pixel spacing",
-    "pixel",
-    "pitch",
-    "lateral resolution",
-    "sampling",
-    "spacing",
-];
-
-impl Header {
-    fn add(&mut self, comment: &str, line: usize) -> Result<(), Invalid> {
-        let Some((key, value)) = comment.split_once([':', '=']) else {
-            let mut words = comment.split(|c: char| !c.is_alphanumeric());
-            if words.any(|word| word.len() > 1 && Unit::stated("unit", word).is_ok()) {
-                self.leave(comment, line);
-            }
-            return Ok(());
-        };
-        let (key, value) = (key.trim().to_lowercase(), value.trim());
-        let number = |text: &str| text::number(NAME, text, line, 2);
-        match key.as_str() {
-            "unit" | "units" | "value units" | "value unit" | "z-unit" | "z unit" | "z units"
-            | "height unit" | "height units" | "data unit" | "data units" => {
-                let unit = Unit::stated("unit", value)?;
-                if let Some(before) = self.unit.filter(|before| *before != unit) {
-                    let problem = format!("states the units {before:?} and {unit:?}");
-                    return Err(Invalid::whole(NAME, problem, "correct the comments"));
-                }
-                self.unit = Some(unit);
-            }
-            "width" | "height" => {
-                // Other comments may begin with these words.
-                let size_and_unit = value.split_once(char::is_whitespace);
-                if let Some((Ok(size), unit)) = size_and_unit.map(|(v, u)| (v.parse(), u)) {
-                    let unit = Unit::stated("coordinate_unit", unit)?;
-                    self.size[usize::from(key == "height")] = Some((size, unit));
-                }
-            }
-            "x-length" => self.length[0] = Some(number(value)?),
-            "y-length" => self.length[1] = Some(number(value)?),
-            "x-unit" => self.length_unit[0] = Some(Unit::stated("coordinate_unit", value)?),
-            "y-unit" => self.length_unit[1] = Some(Unit::stated("coordinate_unit", value)?),
-            "bit2nm" => self.nm_per_bit = Some(number(value)?),
-            _ if self.add_pitch(&key, value)? => {}
-            _ if ["unit", "pitch", "pixel size", "scale"].iter().any(|w| key.contains(w)) => {
-                self.leave(comment, line);
-            }
-            _ => {}
-        }
-        Ok(())
-    }
-
-    /// Keeps a comment that is not used, for the warning.
-    fn leave(&mut self, comment: &str, line: usize) {
-        if self.unused.len() < MOST_QUOTED {
-            let short = comment.trim().chars().filter(|c| !c.is_control()).take(60);
-            self.unused.push(format!("\"{}\" (line {line})", short.collect::<String>()));
-        }
-    }
-
-    /// True where a comment states a pitch with its unit, in the value or in brackets after the words, which is kept.
-    fn add_pitch(&mut self, key: &str, value: &str) -> Result<bool, Invalid> {
-        let (words, in_brackets) = key.split_once(['(', '[']).unwrap_or((key, ""));
-        let words = words.trim().replace(['_', '-'], " ");
-        let axis = [words.strip_prefix("x "), words.strip_prefix("y ")];
-        let name = axis[0].or(axis[1]).unwrap_or(&words);
-        if !PITCH.contains(&name) {
-            return Ok(false);
-        }
-        let at = value.find(|c: char| !"+-.0123456789eE".contains(c)).unwrap_or(value.len());
-        let in_value = value[at..].trim();
-        let unit = [in_value, in_brackets.trim_end_matches([')', ']'])]
-            .into_iter()
-            .find(|unit| !unit.is_empty())
-            .map(|unit| Unit::stated("coordinate_unit", unit));
-        let (Ok(pitch), Some(Ok(unit))) = (value[..at].parse::<f64>(), unit) else {
-            return Ok(false);
-        };
-        for (k, place) in self.pitch_mm.iter_mut().enumerate() {
-            if axis[1 - k].is_none() {
-                *place = Some(pitch * unit.mm()?);
-            }
-        }
-        Ok(true)
-    }
-
-    fn apply(self, reading: &mut Reading) -> Result<(), Invalid> {
-        let (rows, columns) = reading.values.dim();
-        reading.unit = self.unit;
-        if let Some(nm) = self.nm_per_bit {
-            // SPIP writes one or the other; both together could mean two things.
-            if nm != 1.0 && self.unit.is_some_and(|unit| unit != Unit::Nm) {
-                let problem = format!("states Bit2nm = {nm} and z-unit {:?}", self.unit);
-                return Err(Invalid::whole(NAME, problem, "delete the one that is wrong"));
-            }
-            reading.unit = self.unit.or(Some(Unit::Nm));
-            reading.factor = nm;
-        }
-        let spip = |k: usize| Some((self.length[k]?, self.length_unit[k].unwrap_or(Unit::Nm)));
-        let mut pitch = [None; 2];
-        for (k, pixels) in [columns, rows].into_iter().enumerate() {
-            if let Some((size, unit)) = self.size[k].or_else(|| spip(k)) {
-                pitch[k] = Some(size * unit.mm()? / pixels as f64);
-            }
-        }
-        if let ([Some(x), Some(y)], None) = (pitch, &reading.coordinates) {
-            reading.pixel_mm = Some([x, y]);
-            // Both programs write the picture from its top.
-            reading.first_row = FirstRow::Top;
-        } else if let ([Some(x), Some(y)], None) = (self.pitch_mm, &reading.coordinates) {
-            reading.pixel_mm = Some([x, y]);
-        }
-        if !self.unused.is_empty() {
-            let say = format!("comments that are not used: {}", self.unused.join(", "));
-            reading.warnings.push(say);
-        }
-        Ok(())
-    }
 }

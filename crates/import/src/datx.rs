@@ -7,7 +7,8 @@
 //! with the attributes of the dataset: interferometric scale factor S (0.5: reflected once),
 //! obliquity factor O, wavelength W in m. In NanoMeters or MicroMeters the height is stored as it
 //! is. Values at or beyond the attribute `No Data`, of either sign, are invalid pixels. The pitch is
-//! the second parameter of the `X Converter`, in m. The first row of the file is the top.
+//! the second parameter of the `X Converter`, in m. The first row of the file is the top. The attribute `Coordinates` has the
+//! first column and row of the map in the camera, whose rows are in `Camera Height:Value` of a group of `/Attributes`.
 
 use hdf5_reader::{Dataset, Datatype, Hdf5File};
 use planish_types::Invalid;
@@ -18,7 +19,7 @@ use crate::{
     budget::{MOST_ARRAYS, MOST_TEXT_BYTES, check_size, too_many},
     bytes::{Bytes, Number},
     hdf5::{Attributes, broken, matrix, open},
-    reading::{FirstRow, Pick, Reading},
+    reading::{FirstRow, Pick, Reading, Window},
 };
 
 const NAME: &str = "datx file";
@@ -56,15 +57,17 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let (unit, factor) = match unit_name.as_str() {
         "Fringes" => match (scale, obliquity, wavelength_m) {
             // z = raw S O W
-            (Some(s), Some(o), Some(w)) if s > 0.0 && o > 0.0 && w > 0.0 => (Unit::M, s * o * w),
+            (Some(s), Some(o), Some(w)) if s > 0.0 && o > 0.0 && w > 0.0 => {
+                (Unit::named("m"), s * o * w)
+            }
             found => {
                 return Err(bad(format!(
                     "has fringes with scale factor, obliquity, wavelength {found:?}"
                 )));
             }
         },
-        "NanoMeters" => (Unit::Nm, 1.0),
-        "MicroMeters" => (Unit::Um, 1.0),
+        "NanoMeters" => (Unit::named("nm"), 1.0),
+        "MicroMeters" => (Unit::named("um"), 1.0),
         other => {
             let other: String = other.chars().take(40).collect();
             let remedy = "only a surface in Fringes, NanoMeters or MicroMeters is read";
@@ -80,22 +83,18 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let mut reading = Reading::new(Format::Datx, values, FirstRow::Top);
     (reading.unit, reading.factor) = (Some(unit), factor);
     reading.single = matches!(set.dtype(), Datatype::FloatingPoint { size: 4, .. });
-    reading.scale_applied = scale.filter(|_| unit == Unit::M);
+    reading.scale_applied = scale.filter(|_| unit == Unit::named("m"));
     reading.wavelength_nm = wavelength_m.map(|w| w * 1e9);
-    let mut converters = Vec::new();
-    for name in ["X Converter", "Y Converter"] {
-        let Some((base, parameters)) = converter(&set, &attributes, name)? else { continue };
-        let metres = parameters.get(1).copied().unwrap_or(0.0);
-        if base == "Pixels" && metres > 0.0 && metres.is_finite() {
-            converters.push(metres * 1e3);
-        } else {
-            let warning = format!("{name} has {base} {parameters:?}: not used");
-            reading.warnings.push(warning);
-        }
+    reading.pixel_mm = pitch_mm(&set, &attributes, &mut reading.warnings)?;
+    let window = window(&attributes)?;
+    if let Some([column, row, ..]) = window {
+        let camera_rows = camera_rows(&file)?.filter(|n| *n >= row + *rows as f64);
+        let first = [column, row];
+        reading.window = Some(Window { first, in_mm: false, frame_rows: camera_rows });
     }
-    reading.pixel_mm = <[f64; 2]>::try_from(converters).ok();
     reading.stated = json!({
         "dataset": path,
+        "origin_pixel": window.map(|w| [w[0], w[1]]),
         "unit": unit_name,
         "interferometric_scale_factor": scale,
         "obliquity_factor": obliquity,
@@ -178,6 +177,60 @@ fn number(attributes: &Attributes, name: &str) -> Result<Option<f64>, Invalid> {
             Err(Invalid::whole(NAME, problem, "export it again from the instrument"))
         }
     }
+}
+
+/// The pitch along (x, y), mm, by the converters of the axes.
+fn pitch_mm(
+    set: &Dataset,
+    attributes: &Attributes,
+    warnings: &mut Vec<String>,
+) -> Result<Option<[f64; 2]>, Invalid> {
+    let mut pitches = Vec::new();
+    for name in ["X Converter", "Y Converter"] {
+        let Some((base, parameters)) = converter(set, attributes, name)? else { continue };
+        let metres = parameters.get(1).copied().unwrap_or(0.0);
+        if base == "Pixels" && metres > 0.0 && metres.is_finite() {
+            pitches.push(metres * 1e3);
+        } else {
+            warnings.push(format!("{name} has {base} {parameters:?}: not used"));
+        }
+    }
+    Ok(<[f64; 2]>::try_from(pitches).ok())
+}
+
+/// The first column, the first row, the width and the height of the map in the camera, by the compound `Coordinates`.
+fn window(attributes: &Attributes) -> Result<Option<[f64; 4]>, Invalid> {
+    let Some(attribute) = attributes.get("Coordinates")? else { return Ok(None) };
+    let Datatype::Compound { fields, .. } = &attribute.datatype else { return Ok(None) };
+    let mut window = [0.0; 4];
+    for (value, name) in window.iter_mut().zip(["ColumnStart", "RowStart", "Width", "Height"]) {
+        let Some(field) = fields.iter().find(|f| f.name == name) else { return Ok(None) };
+        let Datatype::FixedPoint { size: 4, .. } = field.datatype else { return Ok(None) };
+        let start = field.byte_offset as usize;
+        let bytes = start.checked_add(4).and_then(|end| attribute.raw_data.get(start..end));
+        let Some(bytes) = bytes.and_then(|b| b.first_chunk::<4>()) else { return Ok(None) };
+        *value = f64::from(i32::from_le_bytes(*bytes));
+    }
+    Ok(Some(window))
+}
+
+/// The rows of the camera, where a group of `/Attributes` states them.
+fn camera_rows(file: &Hdf5File) -> Result<Option<f64>, Invalid> {
+    let Ok(group) = file.group("/Attributes") else { return Ok(None) };
+    let (groups, _) = group.members().map_err(broken)?;
+    for group in groups.iter().take(MOST_ARRAYS) {
+        for attribute in group.raw_attributes().map_err(broken)? {
+            let count = attribute.message().dataspace.num_elements();
+            if attribute.name() == "Data Context.Data Attributes.Camera Height:Value"
+                && count.is_ok_and(|n| n == 1)
+            {
+                let attribute = group.attribute(attribute.name()).map_err(broken)?;
+                let values = attribute.read_1d::<f64>().map_err(broken)?;
+                return Ok(values.first().copied().filter(|n| n.is_finite()));
+            }
+        }
+    }
+    Ok(None)
 }
 
 /// Base unit and parameters of a compound {Category, BaseUnit, Parameters}.

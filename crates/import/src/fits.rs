@@ -18,6 +18,7 @@ use serde_json::json;
 
 use crate::{
     Format, Unit,
+    beside::{self, Beside},
     budget::{MOST_ARRAYS, MOST_HEADER_LINES, check_size, too_many},
     bytes::{Bytes, Number},
     reading::{FirstRow, Pick, Reading, Rule},
@@ -180,10 +181,12 @@ fn map(b: &Bytes, image: &Image) -> Result<Reading, Invalid> {
         (header.float("BZERO")?.unwrap_or(0.0), header.float("BSCALE")?.unwrap_or(1.0));
     (reading.offset, reading.factor) = (zero, scale);
     let unit_name = header.text("BUNIT").filter(|u| !u.is_empty());
-    let unit = unit_name.as_deref().map(|u| Unit::stated("BUNIT", u)).transpose()?;
-    reading.unit = unit;
+    if let Some(name) = &unit_name {
+        reading.state_unit("BUNIT", name);
+    }
     let [rows, columns] = image.size;
     reading.rule = header.rule([columns, rows], &mut reading.warnings)?;
+    header.statements()?.apply(&mut reading)?;
     reading.stated =
         json!({ "hdu": image.hdu, "bunit": unit_name, "bscale": scale, "bzero": zero });
     Ok(reading)
@@ -195,11 +198,22 @@ impl Number {
     }
 }
 
-/// The cards of a header; of those with one key the first.
-struct Header(HashMap<String, String>);
+/// The cards of a header; of those with one key the first; and the texts of COMMENT and HISTORY.
+struct Header(HashMap<String, String>, Vec<String>);
+
+/// Beginnings of keys that are read elsewhere or say nothing of the values.
+const READ: [&str; 24] = [
+    "SIMPLE", "BITPIX", "NAXIS", "EXTEND", "BSCALE", "BZERO", "BLANK", "BUNIT", "CDELT", "CRVAL",
+    "CRPIX", "CUNIT", "CTYPE", "CD", "PC", "CROTA", "XTENSION", "PCOUNT", "GCOUNT", "EXTNAME",
+    "EXTVER", "DATE", "DATAM", "CHECKSUM",
+];
+
+/// Most cards and comments that are read as statements. Larger: more time on long headers. Smaller: a statement behind a
+/// long history is not seen.
+const MOST_STATEMENTS: usize = 1000;
 
 fn header(b: &Bytes, start: usize) -> Result<(Header, usize), Invalid> {
-    let mut cards = HashMap::new();
+    let (mut cards, mut comments) = (HashMap::new(), Vec::new());
     let mut at = start;
     loop {
         let card = b.slice(at, CARD)?;
@@ -211,7 +225,10 @@ fn header(b: &Bytes, start: usize) -> Result<(Header, usize), Invalid> {
         let card = String::from_utf8_lossy(card).into_owned();
         let (key, rest) = card.split_at(8);
         if key.trim_end() == "END" {
-            return Ok((Header(cards), start + blocks(at - start)));
+            return Ok((Header(cards, comments), start + blocks(at - start)));
+        }
+        if matches!(key.trim_end(), "COMMENT" | "HISTORY") && comments.len() < MOST_STATEMENTS {
+            comments.push(rest.trim().to_string());
         }
         if let Some(value) = rest.strip_prefix("= ") {
             if cards.len() == MOST_HEADER_LINES {
@@ -247,6 +264,35 @@ impl Header {
             let problem = format!("has \"{value}\" in card {key}, where a number should be");
             Invalid::whole(NAME, problem, "write it again")
         })
+    }
+
+    /// Statements in cards beside those of the standard, such as `PIXSIZE = 0.5 / [mm] pixel size`, and in comments.
+    fn statements(&self) -> Result<Beside, Invalid> {
+        let mut beside = Beside::default();
+        let mut cards: Vec<(&String, &String)> = self.0.iter().collect();
+        cards.sort();
+        let others =
+            cards.into_iter().filter(|(key, _)| !READ.iter().any(|start| key.starts_with(start)));
+        for (i, (key, card)) in others.take(MOST_STATEMENTS).enumerate() {
+            let (value, comment) = match card.strip_prefix('\'') {
+                Some(text) => text.split_once('\'').unwrap_or((text, "")),
+                None => card.split_once('/').unwrap_or((card, "")),
+            };
+            let comment = comment.trim_start_matches([' ', '/']);
+            let unit = comment
+                .strip_prefix('[')
+                .and_then(|rest| rest.split_once(']'))
+                .map(|(unit, _)| unit);
+            let is_used = beside.add(key, value.trim(), unit, 2 * i)?;
+            let is_telling = beside::is_telling(key) || beside::is_telling(comment);
+            if !is_used && is_telling && value.trim().parse::<f64>().is_ok_and(|v| v != 0.0) {
+                beside.leave(&format!("{key} = {card}"), "card");
+            }
+        }
+        for (i, comment) in self.1.iter().enumerate() {
+            beside.add_comment(comment, i + 1)?;
+        }
+        Ok(beside)
     }
 
     fn whole(&self, key: &str) -> Result<usize, Invalid> {

@@ -82,7 +82,6 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     reading.values.mapv_inplace(|v| if v.abs() >= INVALID { f64::NAN } else { v });
     let unit = attribute_text(&group, "height_units")?;
     reading.unit = match unit.as_deref().map(str::trim) {
-        Some("wv") => Some(Unit::Waves),
         Some(name) => Some(Unit::stated("height_units", name)?),
         None => None,
     };

@@ -97,7 +97,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     }
     let values = Array2::from_shape_vec((rows, columns), values).expect("one value per pixel");
     let mut reading = Reading::new(Format::GridSag, values, FirstRow::Top);
-    (reading.unit, reading.factor) = (Some(Unit::Mm), mm);
+    (reading.unit, reading.factor) = (Some(Unit::named("mm")), mm);
     let axis = |len: usize, step: f64, middle: f64| -> Vec<f64> {
         let half = (len as f64 - 1.0) / 2.0;
         (0..len).map(|i| (middle + (i as f64 - half) * step) * mm).collect()
@@ -105,7 +105,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     reading.coordinates = Some(Coordinates {
         x: axis(columns, dx.abs(), x0),
         y: axis(rows, -dy.abs(), y0),
-        unit: Some(Unit::Mm),
+        unit: Some(Unit::named("mm")),
     });
     reading.stated = json!({ "unit_flag": flag, "decentre": [x0, y0] });
     Ok(reading)

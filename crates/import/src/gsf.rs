@@ -13,7 +13,7 @@ use crate::{
     Format, Unit,
     budget::{MOST_TEXT_BYTES, check_size},
     bytes::{Bytes, Number},
-    reading::{FirstRow, Reading},
+    reading::{FirstRow, Reading, Window},
 };
 
 const NAME: &str = "GSF file";
@@ -59,15 +59,16 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let mut reading = Reading::new(Format::Gsf, values, FirstRow::Top);
     reading.single = true;
     let unit = field("ZUnits");
-    reading.unit = unit.as_deref().map(|name| Unit::stated("ZUnits", name)).transpose()?;
+    if let Some(name) = &unit {
+        reading.state_unit("ZUnits", name);
+    }
     if let (Some(x), Some(y), Some(name)) = (number("XReal")?, number("YReal")?, field("XYUnits")) {
         let mm = Unit::stated("XYUnits", &name)?.mm()?;
         reading.pixel_mm = Some([x * mm / columns as f64, y * mm / rows as f64]);
-    }
-    let offset = [number("XOffset")?.unwrap_or(0.0), number("YOffset")?.unwrap_or(0.0)];
-    if offset != [0.0; 2] {
-        let say = format!("the offset {offset:?} of the field in its scanner is not used");
-        reading.warnings.push(say);
+        if let (Some(x), Some(y)) = (number("XOffset")?, number("YOffset")?) {
+            // The upper left corner of the field in the scanner, whose y goes down.
+            reading.window = Some(Window::at_mm([x * mm, y * mm]));
+        }
     }
     reading.stated = json!({ "z_units": unit, "title": field("Title").map(|t| short(&t)) });
     Ok(reading)

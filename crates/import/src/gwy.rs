@@ -22,7 +22,7 @@ use crate::{
     Format, Unit,
     budget::{MOST_ARRAYS, MOST_TEXT_BYTES, check_size, too_many},
     bytes::{Bytes, Number},
-    reading::{FirstRow, Pick, Reading},
+    reading::{FirstRow, Pick, Reading, Window},
 };
 
 const NAME: &str = "GWY file";
@@ -96,14 +96,15 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let data = field("data")?.expect("the channel was found");
     let (rows, columns) = data.values.dim();
     let mut reading = Reading::new(Format::Gwy, data.values, FirstRow::Top);
-    reading.unit = data.unit_z.as_deref().map(|u| Unit::stated("si_unit_z", u)).transpose()?;
+    if let Some(name) = &data.unit_z {
+        reading.state_unit("si_unit_z", name);
+    }
     if let (Some([x, y]), Some(name)) = (data.real, &data.unit_xy) {
         let mm = Unit::stated("si_unit_xy", name)?.mm()?;
         reading.pixel_mm = Some([x * mm / columns as f64, y * mm / rows as f64]);
-    }
-    if data.offset != [0.0; 2] {
-        let say = format!("the offset {:?} of the field in its scanner is not used", data.offset);
-        reading.warnings.push(say);
+        if let Some(offset) = data.offset {
+            reading.window = Some(Window::at_mm(offset.map(|v| v * mm)));
+        }
     }
     if let Some(mask) = field("mask")? {
         let marked = mask.values.iter().filter(|m| **m != 0.0).count();
@@ -122,7 +123,8 @@ struct Field {
     values: Array2<f64>,
     /// Size along x and y, in `unit_xy`.
     real: Option<[f64; 2]>,
-    offset: [f64; 2],
+    /// Upper left corner in the scanner, whose y goes down, in `unit_xy`.
+    offset: Option<[f64; 2]>,
     unit_xy: Option<String>,
     unit_z: Option<String>,
 }
@@ -169,7 +171,7 @@ impl Field {
         Ok(Self {
             values,
             real: number("xreal")?.zip(number("yreal")?).map(|(x, y)| [x, y]),
-            offset: [number("xoff")?.unwrap_or(0.0), number("yoff")?.unwrap_or(0.0)],
+            offset: number("xoff")?.zip(number("yoff")?).map(|(x, y)| [x, y]),
             unit_xy: unit("si_unit_xy")?,
             unit_z: unit("si_unit_z")?,
         })

@@ -32,6 +32,7 @@ use serde_json::json;
 use crate::{
     Format, Unit,
     arrays::{Arrays, BESIDE, CUSTOMARY, TURNED, along, choose, is_turned, leaf, prefix},
+    beside::{Beside, Variable},
     budget::{
         BYTES_PER_PIXEL, MOST_ARRAYS, MOST_PIXELS, MOST_READS, MOST_TEXT_BYTES, check_elements,
         check_size, most_of, too_many,
@@ -136,7 +137,7 @@ fn coordinates(
     transposed: bool,
     (rows, columns): (usize, usize),
 ) -> Result<Coordinates, Invalid> {
-    let ((x_unit, _), (y_unit, _)) = (unit(x_set)?, unit(y_set)?);
+    let (x_unit, y_unit) = (coordinate_unit(x_set)?, coordinate_unit(y_set)?);
     if x_unit != y_unit {
         let problem = format!("has x in {x_unit:?} and y in {y_unit:?}");
         return Err(Invalid::whole(NAME, problem, "give both the same unit"));
@@ -201,13 +202,15 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     let (rows, columns) = values.dim();
     let mut reading = Reading::new(Format::Hdf5, values, FirstRow::SmallestY);
     reading.single = is_single(&set);
-    let (unit, unit_name) = unit(&set)?;
-    reading.unit = unit;
+    let unit_name = unit_text(&set)?;
+    if let Some(name) = &unit_name {
+        reading.state_unit("unit", name);
+    }
+    reading.state_unit_of_name(leaf(name));
     let convention = Convention::of(&set)?;
     (reading.factor, reading.offset) = (convention.scale, convention.offset);
     convention.mark(&mut reading);
     mark_fill(&set, &mut reading);
-    reading.warnings.extend(unused_attributes(&file, &set, name)?);
     if let Some(name) = &pick.mask {
         let mask = matrix(&file.dataset(name).map_err(broken)?, transposed)?;
         reading.apply_mask(name, &mask)?;
@@ -218,6 +221,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     if let Some((x_set, y_set)) = sets {
         reading.coordinates = Some(coordinates(&x_set, &y_set, transposed, (rows, columns))?);
     }
+    statements(&file, &set, name)?.apply(&mut reading)?;
     reading.stated = json!({
         "dataset": name,
         "x": pick.x,
@@ -572,12 +576,8 @@ fn mark_fill(set: &Dataset, reading: &mut Reading) {
     }
 }
 
-/// Parts of the names of attributes that could change how heights or pixels are read.
-const TELLING: [&str; 9] =
-    ["unit", "pixel", "pitch", "spacing", "resolution", "scale", "offset", "wavelength", "missing"];
-
-/// Attributes that are read, and those of HDF5 and netCDF themselves.
-const READ: [&str; 8] = [
+/// Attributes that are read elsewhere, and those of HDF5, netCDF and MATLAB themselves.
+const READ: [&str; 20] = [
     "unit",
     "units",
     "Unit",
@@ -585,39 +585,94 @@ const READ: [&str; 8] = [
     "scale_factor",
     "add_offset",
     "missing_value",
+    "valid_range",
+    "valid_min",
+    "valid_max",
     "DIMENSION_SCALE",
+    "DIMENSION_LIST",
+    "REFERENCE_LIST",
+    "CLASS",
+    "NAME",
+    "nodata",
+    "no_data",
+    "NoData",
+    "nodata_value",
+    "no_data_value",
 ];
 
-/// The warning for attributes of the dataset, its group and the file that speak of units or pitches and are not used.
-fn unused_attributes(
-    file: &Hdf5File,
-    set: &Dataset,
-    name: &str,
-) -> Result<Option<String>, Invalid> {
-    let is_telling = |attribute: &String| {
-        let lower = attribute.to_lowercase();
-        !attribute.starts_with('_') && TELLING.iter().any(|word| lower.contains(word))
-    };
-    let names = |raw: Vec<hdf5_reader::RawAttribute>| -> Vec<String> {
-        raw.iter().map(|a| a.name().to_string()).filter(is_telling).take(20).collect()
-    };
-    let own = names(set.raw_attributes().map_err(broken)?);
-    let mut found: Vec<String> =
-        own.into_iter().filter(|name| !READ.contains(&name.as_str())).collect();
-    let mut groups = vec!["/"];
-    let path = prefix(name).trim_end_matches('/');
-    if !path.is_empty() {
-        groups.push(path);
+/// Largest number of attributes and of arrays of one number that are read as statements. Larger: more time on a hostile
+/// file. Smaller: statements in files with many attributes are not seen.
+const MOST_STATEMENTS: usize = 200;
+
+/// The numbers or the text of an attribute: `0.5`, `0.5 x 0.25`, `mm`; `None` of many numbers.
+fn value_of(attribute: &Attribute) -> Option<String> {
+    match attribute_numbers(attribute) {
+        Some(numbers) if numbers.len() <= 3 && !numbers.is_empty() => {
+            Some(numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(" x "))
+        }
+        Some(_) => None,
+        None => attribute.read_strings().ok()?.into_iter().next(),
     }
+}
+
+/// The statements beside a dataset: its attributes, those of its group and of the file, and arrays of one number or one
+/// text in its group.
+fn statements(file: &Hdf5File, set: &Dataset, name: &str) -> Result<Beside, Invalid> {
+    let (mut own, mut around) = (Vec::new(), Vec::new());
+    let is_small = |a: &hdf5_reader::RawAttribute| {
+        let count = a.message().dataspace.num_elements();
+        !READ.contains(&a.name()) && !a.name().starts_with('_') && count.is_ok_and(|n| n <= 3)
+    };
+    for raw in
+        set.raw_attributes().map_err(broken)?.iter().filter(|a| is_small(a)).take(MOST_STATEMENTS)
+    {
+        if let Some(value) = set.attribute(raw.name()).ok().as_ref().and_then(value_of) {
+            own.push(Variable { key: raw.name().into(), value, place: "attribute".into() });
+        }
+    }
+    let mut beside = Beside::default();
+    let path = prefix(name).trim_end_matches('/');
+    let groups = if path.is_empty() { vec!["/"] } else { vec!["/", path] };
     for path in groups {
         let group = if path == "/" { file.root_group() } else { file.group(path) };
-        let all = names(group.map_err(broken)?.raw_attributes().map_err(broken)?);
-        found.extend(all.into_iter().map(|name| format!("{name} of {path}")));
+        let group = group.map_err(broken)?;
+        let raw = group.raw_attributes().map_err(broken)?;
+        let is_unit = |name: &str| ["unit", "units", "Unit", "Units"].contains(&name);
+        for raw in raw.iter().take(MOST_STATEMENTS) {
+            let count = raw.message().dataspace.num_elements();
+            if !(is_unit(raw.name()) || is_small(raw)) || count.is_ok_and(|n| n > 3) {
+                continue;
+            }
+            let Some(value) = group.attribute(raw.name()).ok().as_ref().and_then(value_of) else {
+                continue;
+            };
+            if is_unit(raw.name()) {
+                // Of the values, or of the coordinates.
+                beside.lone_unit = beside.lone_unit.or(Unit::spelled(&value));
+            } else {
+                let place = format!("attribute of {path}");
+                around.push(Variable { key: raw.name().into(), value, place });
+            }
+        }
     }
-    let shown =
-        found.iter().map(|name| name.chars().filter(|c| !c.is_control()).take(60).collect());
-    let listed = shown.collect::<Vec<String>>().join(", ");
-    Ok((!found.is_empty()).then(|| format!("attributes that are not used: {listed}")))
+    let group = if path.is_empty() { file.root_group() } else { file.group(path) };
+    let (_, sets) = group.map_err(broken)?.members().map_err(broken)?;
+    for set in
+        sets.iter().filter(|set| set.num_elements().is_ok_and(|n| n == 1)).take(MOST_STATEMENTS)
+    {
+        let value = match set.dtype() {
+            Datatype::FloatingPoint { .. } | Datatype::FixedPoint { .. } => {
+                numbers(set)?.first().map(f64::to_string)
+            }
+            _ => set.read_strings().ok().and_then(|words| words.into_iter().next()),
+        };
+        if let Some(value) = value {
+            around.push(Variable { key: leaf(set.name()).into(), value, place: "array".into() });
+        }
+    }
+    own.extend(around);
+    beside.add_variables(&own)?;
+    Ok(beside)
 }
 
 /// The paths of the dimension scales of the rows and the columns of a dataset, where both have one with coordinates.
@@ -659,10 +714,11 @@ fn scales(file: &Hdf5File, set: &Dataset) -> Result<Option<[String; 2]>, Invalid
     Ok(scale(axes - 2)?.zip(scale(axes - 1)?).map(|(rows, columns)| [rows, columns]))
 }
 
-fn unit(set: &Dataset) -> Result<(Option<Unit>, Option<String>), Invalid> {
+/// The unit of coordinates, from their attribute, or else from their name.
+fn coordinate_unit(set: &Dataset) -> Result<Option<Unit>, Invalid> {
     match unit_text(set)? {
-        Some(name) => Ok((Some(Unit::stated("unit", &name)?), Some(name))),
-        None => Ok((None, None)),
+        Some(name) => Unit::stated("coordinate_unit", &name).map(Some),
+        None => Ok(Unit::of_name(leaf(set.name())).ok().and_then(|(_, unit)| unit)),
     }
 }
 

@@ -14,7 +14,7 @@
 //! | [`matlab`] | MATLAB `.mat`, version 5 | "MAT-File Format", The MathWorks |
 //! | [`hdf5`] | HDF5 by the path of a dataset, MATLAB `.mat` 7.3 | crate hdf5-reader |
 //! | [`fits`] | FITS images | FITS standard 4.0 |
-//! | [`npy`] | `.npy` of any real number type | NumPy enhancement proposal 1 |
+//! | [`npy`] | `.npy` of any real number type, and `.npz` | NumPy enhancement proposal 1 |
 //! | [`csv`] | a matrix of numbers as text | - |
 //! | [`gsf`] | Gwyddion Simple Field | Gwyddion user guide |
 //! | [`gwy`] | Gwyddion `.gwy` | Gwyddion user guide |
@@ -23,6 +23,8 @@
 //! | [`grid_sag`] | Zemax OpticStudio grid sag | OpticStudio help |
 //! | [`x3p`] | `.x3p` | ISO 25178-72 |
 //! | [`opd`] | Wyko and Veeco `.opd` | documentation of public readers |
+//! | [`srw`] | height map of SRW and Sirepo | SRW's srwlib.py |
+//! | [`wft`] | DFTFringe and OpenFringe `.wft` | files of DFTFringe |
 //! | [`presurface`] | SHADOW presurface | SHADOW's user guide |
 //! | [`four_sight`] | 4D Technology 4Sight `.h5` | public readers |
 //! | [`sdf`] | surface data file, text and binary | ISO 25178-71 |
@@ -36,6 +38,7 @@
 extern crate self as planish_import;
 
 mod arrays;
+mod beside;
 mod budget;
 mod bytes;
 mod cli;
@@ -61,21 +64,26 @@ mod reading;
 mod scattered;
 pub mod sdf;
 mod shift;
+pub mod slopes;
 mod spot;
+pub mod srw;
 pub mod sur;
 pub mod trace;
+mod unit;
 mod unknown;
+pub mod wft;
 pub mod x3p;
 mod zip;
 
 pub use budget::{MOST_FILE_BYTES, MOST_PIXELS};
 pub use draw::{Scale, svg};
 pub use reading::{
-    Coordinates, FirstRow, Origin, Pick, Reading, Rotation, Rule, Settings, Statement, Unit,
+    Coordinates, FirstRow, Origin, Pick, Reading, Rotation, Rule, Settings, Statement, Window,
     surface, tif,
 };
 pub use spot::{Alignment, Baseline, Spot, SpotSettings, spot};
 
+pub use unit::Unit;
 pub use unknown::unknown;
 
 use planish_types::{Invalid, file_text as text};
@@ -100,6 +108,8 @@ pub enum Format {
     Csv,
     /// NumPy array.
     Npy,
+    /// Archive of NumPy arrays.
+    Npz,
     /// Surface data file.
     Sdf,
     /// Gwyddion Simple Field.
@@ -118,6 +128,10 @@ pub enum Format {
     Opd,
     /// SHADOW presurface.
     Presurface,
+    /// Height map of SRW and Sirepo.
+    Srw,
+    /// Wavefront of DFTFringe and OpenFringe.
+    Wft,
     /// 4D Technology 4Sight.
     #[value(name = "4sight")]
     #[serde(rename = "4sight")]
@@ -157,6 +171,8 @@ impl Format {
             Some(Self::Sur)
         } else if starts(opd::MAGIC) {
             Some(Self::Opd)
+        } else if starts(zip::MAGIC) && npy::is_npz(bytes) {
+            Some(Self::Npz)
         } else if starts(zip::MAGIC) && x3p::is_x3p(bytes) {
             Some(Self::X3p)
         } else {
@@ -165,17 +181,21 @@ impl Format {
             match () {
                 () if codev::is_codev(text) => Some(Self::CodevInt),
                 () if grid_sag::is_grid_sag(text) => Some(Self::GridSag),
+                () if wft::is_wft(text) => Some(Self::Wft),
                 () if presurface::is_presurface(text) => Some(Self::Presurface),
                 () => None,
             }
         }
     }
 
-    /// The format of a text of numbers from the ending of the file's name, in lower case.
-    pub fn of_ending(ending: &str) -> Option<Self> {
+    /// The format of a text of numbers from the ending of the file's name, in lower case, and from its first lines where
+    /// several formats have that ending.
+    pub fn of_ending(ending: &str, bytes: &[u8]) -> Option<Self> {
+        let is_srw = || text::text("text", bytes).is_ok_and(|text| srw::is_srw(&text));
         match ending {
             "csv" => Some(Self::Csv),
             "xyz" => Some(Self::Xyz),
+            "dat" | "txt" if is_srw() => Some(Self::Srw),
             _ => None,
         }
     }
@@ -187,6 +207,10 @@ pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invali
         let problem = "was given, but only lines x y z are interpolated";
         return Err(Invalid::whole("grid_mm", problem, "leave it out, or give `format` xyz"));
     }
+    if pick.columns.is_some() && format != Format::Xyz {
+        let problem = "was given, but only lines x y z have columns";
+        return Err(Invalid::whole("columns", problem, "leave it out, or give `format` xyz"));
+    }
     let several = matches!(
         format,
         Format::Mat5
@@ -196,6 +220,7 @@ pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invali
             | Format::Gwy
             | Format::Opd
             | Format::FourSight
+            | Format::Npz
     );
     if let (Some(name), Format::Datx) = (&pick.mask, format) {
         let remedy = "a datx file marks its invalid pixels itself; leave it out";
@@ -205,7 +230,7 @@ pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invali
         && !several
     {
         let remedy =
-            "only datx, mat5, hdf5, fits, gwy, opd and 4sight files have names; leave it out";
+            "only datx, mat5, hdf5, npz, fits, gwy, opd and 4sight files have names; leave it out";
         return Err(Invalid::whole("dataset", format!("\"{name}\" was asked for"), remedy));
     }
     match format {
@@ -217,6 +242,7 @@ pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invali
         Format::Fits => fits::read(bytes, pick),
         Format::Csv => csv::read(bytes),
         Format::Npy => npy::read(bytes),
+        Format::Npz => npy::read_archive(bytes, pick),
         Format::Sdf => sdf::read(bytes),
         Format::Gsf => gsf::read(bytes),
         Format::Gwy => gwy::read(bytes, pick),
@@ -226,6 +252,8 @@ pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invali
         Format::X3p => x3p::read(bytes),
         Format::Opd => opd::read(bytes, pick),
         Format::Presurface => presurface::read(bytes),
+        Format::Srw => srw::read(bytes),
+        Format::Wft => wft::read(bytes),
         Format::FourSight => four_sight::read(bytes, pick),
         Format::Directory => {
             let remedy = "give the directory that holds it";

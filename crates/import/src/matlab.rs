@@ -3,7 +3,8 @@
 //! Only real numeric matrices are read; cells, arrays of structures and text are passed over. A field of a structure has
 //! the name `structure.field`, also in structures within structures. Of compressed variables that are not asked for only
 //! the header is inflated, of compressed structures everything. The customary
-//! names `X Y Z` and `Xtif Ytif Ztif` are found by themselves. A matrix has neither unit nor pitch.
+//! names `X Y Z` and `Xtif Ytif Ztif` are found by themselves. A matrix has neither unit nor pitch, but variables beside it
+//! may state them (`pixel_mm = 0.5`, `unit = 'nm/min'`), and its name may have its unit (`rate_nm_per_min`).
 
 use std::{borrow::Cow, io::Read};
 
@@ -14,10 +15,11 @@ use serde_json::json;
 
 use crate::{
     Format,
-    arrays::{Arrays, TURNED, along, choose, is_turned},
+    arrays::{Arrays, TURNED, choose, is_turned, named_coordinates, prefix},
+    beside::{Beside, Variable as Statement},
     budget::{MOST_ARRAYS, check_elements, check_size, too_many},
     bytes::{Bytes, Number},
-    reading::{Coordinates, FirstRow, Pick, Reading},
+    reading::{FirstRow, Pick, Reading},
 };
 
 const NAME: &str = "MAT file";
@@ -37,6 +39,12 @@ const LONGEST_HEADER: usize = 4096;
 /// Class of an array that is a structure (MAT-File Format, table 1-3).
 const STRUCTURE: u32 = 2;
 
+/// Class of an array that is text (MAT-File Format, table 1-3).
+const TEXT: u32 = 4;
+
+/// Longest text that is read, bytes. Larger: more time on files with long texts. Smaller: long statements are not seen.
+const LONGEST_TEXT: usize = 200;
+
 /// Largest depth of structures within structures. Larger: more time and stack on a hostile file. Smaller: nested
 /// structures are passed over.
 const MOST_LEVELS: usize = 8;
@@ -49,6 +57,8 @@ struct Variable<'a> {
     is_complex: bool,
     /// True for truth values.
     is_logical: bool,
+    /// Text, of an array of letters.
+    text: Option<String>,
     number: Number,
     /// The element that holds it, inflated or to be inflated.
     element: Element<'a>,
@@ -71,7 +81,8 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
         b"MI" => true,
         other => return Err(broken(format!("has the byte order mark {other:02X?}"))),
     };
-    let variables = variables(&b)?;
+    let (texts, variables): (Vec<_>, Vec<_>) =
+        variables(&b)?.into_iter().partition(|variable| variable.text.is_some());
     let find = |name: &str| variables.iter().find(|v| v.name == name);
     let complex = |v: &Variable| {
         let problem = format!("holds complex numbers in \"{}\"", v.name);
@@ -124,15 +135,38 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     if is_turned {
         reading.warnings.push(TURNED.into());
     }
+    reading.state_unit_of_name(&name[prefix(name).len()..]);
     if let Some((x, y)) = coordinates {
-        reading.coordinates = Some(Coordinates {
-            x: along("x", &turned(x), columns, true)?,
-            y: along("y", &turned(y), rows, false)?,
-            unit: None,
-        });
+        let size = (rows, columns);
+        reading.coordinates = Some(named_coordinates(&pick, &turned(x), &turned(y), size)?);
     }
+    let beside = texts.iter().chain(&variables);
+    let beside = beside.filter(|v| [prefix(name), ""].contains(&prefix(&v.name)));
+    statements(beside, get)?.apply(&mut reading)?;
     reading.stated = json!({ "dataset": name, "x": pick.x, "y": pick.y, "mask": pick.mask });
     Ok(reading)
+}
+
+/// The statements of texts and of variables of one number; `get` reads a variable by its name.
+fn statements<'a>(
+    variables: impl Iterator<Item = &'a Variable<'a>>,
+    get: impl Fn(&str) -> Result<Array2<f64>, Invalid>,
+) -> Result<Beside, Invalid> {
+    let mut found = Vec::new();
+    for variable in variables {
+        let value = match &variable.text {
+            Some(text) => text.clone(),
+            None if variable.rows * variable.columns == 1 && !variable.is_complex => {
+                get(&variable.name)?[[0, 0]].to_string()
+            }
+            None => continue,
+        };
+        let key = variable.name[prefix(&variable.name).len()..].to_string();
+        found.push(Statement { key, value, place: "variable".into() });
+    }
+    let mut beside = Beside::default();
+    beside.add_variables(&found)?;
+    Ok(beside)
 }
 
 fn broken(problem: String) -> Invalid {
@@ -328,8 +362,8 @@ fn matrix<'a>(
     let word = Bytes { all: flags.data, ..b }.u32(0)?;
     let (class, is_complex) = (word & 0xff, word & 0x800 != 0);
     let is_logical = word & 0x200 != 0;
-    // Classes 6 .. 15: double, single, int8 .. uint64.
-    if !(6..=15).contains(&class) {
+    // Classes 6 .. 15: double, single, int8 .. uint64; 4 is text.
+    if !(6..=15).contains(&class) && class != TEXT {
         return Ok(None);
     }
     let dimensions = element(&b, flags.next)?;
@@ -347,6 +381,22 @@ fn matrix<'a>(
         return Ok(None);
     }
     let values = tag(&b, name.next)?;
+    if class == TEXT {
+        let Some(text) = text_of(&b, &values) else { return Ok(None) };
+        return Ok(Some(Variable {
+            name: name_text,
+            rows,
+            columns,
+            is_complex,
+            is_logical,
+            text: Some(text),
+            number: Number::U8,
+            element: whole,
+            at: 0,
+            len: 0,
+            is_field: false,
+        }));
+    }
     let number = match values.kind {
         1 => Number::I8,
         2 => Number::U8,
@@ -372,12 +422,34 @@ fn matrix<'a>(
         columns,
         is_complex,
         is_logical,
+        text: None,
         number,
         element: whole,
         at,
         len,
         is_field: false,
     }))
+}
+
+/// The text of an array of letters in one line; `None` where it is too long, or not in these bytes.
+fn text_of(b: &Bytes, values: &Tag) -> Option<String> {
+    if values.size > LONGEST_TEXT {
+        return None;
+    }
+    let bytes = b.slice(values.at, values.size).ok()?;
+    match values.kind {
+        // Bytes, and UTF-8.
+        1 | 2 | 16 => Some(String::from_utf8_lossy(bytes).into_owned()),
+        // 16-bit numbers, and UTF-16.
+        4 | 17 => {
+            let pairs = bytes.chunks_exact(2).map(|pair| match b.big_endian {
+                true => u16::from_be_bytes([pair[0], pair[1]]),
+                false => u16::from_le_bytes([pair[0], pair[1]]),
+            });
+            Some(char::decode_utf16(pairs).map(|c| c.unwrap_or('?')).collect())
+        }
+        _ => None,
+    }
 }
 
 /// Inflates `compressed`, up to the first `most` bytes. The checksum is checked only if the data ends

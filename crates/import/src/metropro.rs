@@ -12,6 +12,8 @@
 //! | R | 4096, 32768, 131072 for the resolution word 0, 1, 2 | 218 | i16 |
 //! | sign | sign word | 232 | i16 |
 //! | - | lateral resolution, m; 0 = not calibrated | 184 | f32 |
+//! | - | first column and row of the phase in the camera | 64, 66 | i16 |
+//! | - | rows of the camera | 236 | i16 |
 //!
 //! All of these are big-endian. With S the height is that of the surface, not of the wavefront.
 //! Published readers disagree about R (one is off by a factor of 8) and about the sign word (half of
@@ -26,7 +28,7 @@ use crate::{
     Format, Unit,
     budget::check_size,
     bytes::{Bytes, Number},
-    reading::{FirstRow, Reading},
+    reading::{FirstRow, Reading, Window},
 };
 
 const NAME: &str = "MetroPro file";
@@ -105,7 +107,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     }
     let values = Array2::from_shape_vec((rows, columns), values).expect("one value per pixel");
     let mut reading = Reading::new(Format::Metropro, values, FirstRow::Top);
-    reading.unit = Some(Unit::M);
+    reading.unit = Some(Unit::named("m"));
     // z = raw W S O / R
     reading.factor = sign * (wavelength_m * scale * obliquity / resolution);
     reading.scale_applied = Some(scale);
@@ -113,6 +115,9 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     if lateral_m > 0.0 {
         reading.pixel_mm = Some([lateral_m * 1e3; 2]);
     }
+    let first = [f64::from(b.i16(64)?), f64::from(b.i16(66)?)];
+    let camera_rows = Some(f64::from(b.i16(236)?)).filter(|n| *n >= first[1] + rows as f64);
+    reading.window = Some(Window { first, in_mm: false, frame_rows: camera_rows });
     if sign_word != 0 {
         reading.warnings.push(format!("the sign word is {sign_word}: the heights are negated"));
     }

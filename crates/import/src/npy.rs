@@ -1,13 +1,19 @@
-//! NumPy's `.npy`: any real number type, either byte order, C or Fortran order, two axes.
+//! NumPy's `.npy`: any real number type, either byte order, C or Fortran order, two axes; and `.npz`, a ZIP archive of them.
+//!
+//! In a `.npz` the customary names `X Y Z` are found by themselves. Arrays of one number or one text beside the map may state
+//! its pitch and its unit (`pixel_mm`, `unit`), and its name may have its unit (`height_nm`).
 
 use ndarray::{Array2, ShapeBuilder};
 use planish_types::Invalid;
 
 use crate::{
     Format,
-    budget::check_size,
+    arrays::{Arrays, TURNED, choose, is_turned, named_coordinates, prefix},
+    beside::{Beside, Variable},
+    budget::{BYTES_PER_PIXEL, MOST_ARRAYS, check_elements, check_size, most_of, too_many},
     bytes::{Bytes, Number},
-    reading::{FirstRow, Reading},
+    reading::{FirstRow, Pick, Reading},
+    zip::Archive,
 };
 
 const NAME: &str = "npy file";
@@ -17,8 +23,150 @@ const NAME: &str = "npy file";
 /// belongs to a structured dtype.
 const LONGEST_HEADER: usize = 4096;
 
+/// Longest text in a `.npz` that is read, bytes. Larger: more time on hostile files. Smaller: long statements are not seen.
+const LONGEST_TEXT: usize = 800;
+
+/// An array of a file: its shape without leading axes of one pixel, its numbers in the order of the file, and its type.
+struct Stored {
+    shape: Vec<usize>,
+    values: Vec<f64>,
+    is_fortran: bool,
+    number: Number,
+    descriptor: String,
+    /// Text, of an array of one text.
+    text: Option<String>,
+}
+
+impl Stored {
+    /// The array as a matrix; a vector becomes one row.
+    fn matrix(&self) -> Result<Array2<f64>, Invalid> {
+        let (rows, columns) = match self.shape[..] {
+            [] => (1, 1),
+            [n] => (1, n),
+            [rows, columns] => (rows, columns),
+            _ => {
+                let problem = format!("has shape {:?}, not two axes", self.shape);
+                return Err(Invalid::whole(NAME, problem, "save a 2-D array of real numbers"));
+            }
+        };
+        let matrix =
+            Array2::from_shape_vec((rows, columns).set_f(self.is_fortran), self.values.clone());
+        Ok(matrix.expect("one value per element").as_standard_layout().into_owned())
+    }
+}
+
 /// Reads an array with two axes.
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
+    let stored = stored(bytes)?;
+    let [rows, columns] = stored.shape[..] else {
+        let problem = format!("has shape {:?}, not two axes", stored.shape);
+        let remedy = "save a 2-D array of real numbers with numpy.save";
+        return Err(Invalid::whole(NAME, problem, remedy));
+    };
+    check_size(NAME, rows, columns)?;
+    let mut reading = Reading::new(Format::Npy, stored.matrix()?, FirstRow::SmallestY);
+    reading.single = stored.number == Number::F32;
+    reading.stated =
+        serde_json::json!({ "dtype": stored.descriptor, "fortran_order": stored.is_fortran });
+    Ok(reading)
+}
+
+/// True for an archive of arrays.
+pub(crate) fn is_npz(bytes: &[u8]) -> bool {
+    let is_array = |archive: Archive| archive.names().any(|(name, _)| name.ends_with(".npy"));
+    Archive::open(bytes, NPZ).is_ok_and(is_array)
+}
+
+const NPZ: &str = "npz file";
+
+/// Reads the array that `pick` names from an archive; without a name a customary one, or the only map.
+pub fn read_archive(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
+    let archive = Archive::open(bytes, NPZ)?;
+    let most_bytes = 8 * most_of(BYTES_PER_PIXEL) + LONGEST_HEADER;
+    let (mut all, mut left) = (Vec::new(), most_bytes);
+    for (name, size) in archive.names() {
+        let Some(own) = name.strip_suffix(".npy") else { continue };
+        left = left.checked_sub(size).ok_or_else(|| {
+            Invalid::whole(NPZ, "holds more numbers than a map may have", "save the map alone")
+        })?;
+        if all.len() == MOST_ARRAYS {
+            return Err(too_many(NPZ, MOST_ARRAYS, "arrays", "save the map alone"));
+        }
+        // Arrays of other types are passed over.
+        if let Ok(array) = stored(&archive.member(name, most_bytes)?) {
+            all.push((own.to_string(), array));
+        }
+    }
+    let is_number = |array: &Stored| array.text.is_none() && array.shape.len() <= 2;
+    let is_truth = |array: &Stored| array.descriptor.ends_with("b1");
+    let of = |is_wanted: &dyn Fn(&Stored) -> bool| {
+        let some = all.iter().filter(|(_, array)| is_wanted(array));
+        some.map(|(name, a)| (name.clone(), a.shape.iter().map(|n| *n as u64).collect())).collect()
+    };
+    let arrays = Arrays {
+        numbers: of(&|a| is_number(a) && !is_truth(a)),
+        marks: of(&|a| is_number(a) && is_truth(a)),
+    };
+    let pick = choose(&arrays, pick, NPZ)?;
+    let get = |name: &str| -> Result<&Stored, Invalid> {
+        let found = all.iter().find(|(own, array)| own == name && is_number(array));
+        found.map(|(_, array)| array).ok_or_else(|| {
+            let names: Vec<&str> = all.iter().map(|(own, _)| own.as_str()).take(20).collect();
+            let problem = format!("has no array of numbers \"{name}\"");
+            Invalid::whole(NPZ, problem, format!("it holds: {}", names.join(", ")))
+        })
+    };
+    let name = pick.dataset.as_deref().unwrap_or_default();
+    let map = get(name)?;
+    let mut values = map.matrix()?;
+    check_size(NPZ, values.nrows(), values.ncols())?;
+    let coordinates = match (&pick.x, &pick.y) {
+        (Some(x), Some(y)) => Some((get(x)?.matrix()?, get(y)?.matrix()?)),
+        _ => None,
+    };
+    let turned = coordinates.as_ref().is_some_and(|(x, y)| is_turned(x, y, values.dim()));
+    let upright = |values: Array2<f64>| match turned {
+        true => values.reversed_axes().as_standard_layout().into_owned(),
+        false => values,
+    };
+    values = upright(values);
+    let (rows, columns) = values.dim();
+    let mut reading = Reading::new(Format::Npz, values, FirstRow::SmallestY);
+    reading.single = map.number == Number::F32;
+    if let Some(mask) = &pick.mask {
+        reading.apply_mask(mask, &upright(get(mask)?.matrix()?))?;
+    }
+    if turned {
+        reading.warnings.push(TURNED.into());
+    }
+    reading.state_unit_of_name(&name[prefix(name).len()..]);
+    if let Some((x, y)) = coordinates {
+        let size = (rows, columns);
+        reading.coordinates = Some(named_coordinates(&pick, &upright(x), &upright(y), size)?);
+    }
+    statements(&all)?.apply(&mut reading)?;
+    reading.stated =
+        serde_json::json!({ "dataset": name, "x": pick.x, "y": pick.y, "mask": pick.mask });
+    Ok(reading)
+}
+
+/// The statements of arrays of one to three numbers, and of texts.
+fn statements(all: &[(String, Stored)]) -> Result<Beside, Invalid> {
+    let mut found = Vec::new();
+    for (key, array) in all.iter().filter(|(_, a)| a.shape.iter().product::<usize>() <= 3) {
+        let value = match &array.text {
+            Some(text) => text.clone(),
+            None => array.values.iter().map(f64::to_string).collect::<Vec<_>>().join(" x "),
+        };
+        found.push(Variable { key: key.clone(), value, place: "array".into() });
+    }
+    let mut beside = Beside::default();
+    beside.add_variables(&found)?;
+    Ok(beside)
+}
+
+/// Reads an array of any shape: real numbers, or one text.
+fn stored(bytes: &[u8]) -> Result<Stored, Invalid> {
     let b = Bytes { all: bytes, name: NAME, big_endian: false };
     let bad = |problem: String| {
         Invalid::whole(NAME, problem, "save a 2-D array of real numbers with numpy.save")
@@ -36,6 +184,29 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     }
     let header = String::from_utf8_lossy(b.slice(start, length)?).into_owned();
     let descriptor = quoted(&header, "'descr':").ok_or_else(|| bad("has no plain dtype".into()))?;
+    let is_fortran = after(&header, "'fortran_order':").is_some_and(|t| t.starts_with("True"));
+    let shape = shape(&header).ok_or_else(|| bad("has no readable shape".into()))?;
+    // Axes of one pixel before the map say nothing.
+    let leading = shape.len().saturating_sub(2);
+    if shape[..leading].iter().any(|n| *n != 1) {
+        return Err(bad(format!("has shape {shape:?}, not two axes")));
+    }
+    let shape = shape[leading..].to_vec();
+    if let (Some(text), true) = (
+        text_of(descriptor, b.slice(start + length, bytes.len().saturating_sub(start + length))?),
+        shape.iter().all(|n| *n == 1),
+    ) {
+        let values = Vec::new();
+        let descriptor = descriptor.to_string();
+        return Ok(Stored {
+            shape,
+            values,
+            is_fortran,
+            number: Number::U8,
+            descriptor,
+            text: Some(text),
+        });
+    }
     let (number, big_endian) = dtype(descriptor).ok_or_else(|| match descriptor.get(1..2) {
         Some("c") => Invalid::whole(
             NAME,
@@ -44,17 +215,8 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         ),
         _ => bad(format!("holds elements of type \"{descriptor}\"")),
     })?;
-    let fortran = after(&header, "'fortran_order':").is_some_and(|t| t.starts_with("True"));
-    let shape = shape(&header).ok_or_else(|| bad("has no readable shape".into()))?;
-    // Axes of one pixel before the map say nothing.
-    let start_of_map = shape.len().saturating_sub(2);
-    let (leading, map) = shape.split_at(start_of_map);
-    let ([rows, columns], true) = (map, leading.iter().all(|n| *n == 1)) else {
-        return Err(bad(format!("has shape {shape:?}, not two axes")));
-    };
-    let (rows, columns) = (*rows, *columns);
-
-    let count = check_size(NAME, rows, columns)?;
+    let sizes: Vec<u64> = shape.iter().map(|n| *n as u64).collect();
+    let count = check_elements(NAME, &sizes)?;
     let data = b.slice(start + length, count * number.size())?;
     if bytes.len() != start + length + data.len() {
         return Err(bad(format!(
@@ -63,12 +225,27 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         )));
     }
     let values = number.decode(data, count, big_endian)?;
-    let values = Array2::from_shape_vec((rows, columns).set_f(fortran), values)
-        .expect("one value per element");
-    let mut reading = Reading::new(Format::Npy, values, FirstRow::SmallestY);
-    reading.single = number == Number::F32;
-    reading.stated = serde_json::json!({ "dtype": descriptor, "fortran_order": fortran });
-    Ok(reading)
+    let descriptor = descriptor.to_string();
+    Ok(Stored { shape, values, is_fortran, number, descriptor, text: None })
+}
+
+/// The text of an array of one text, `<U5` or `|S5`.
+fn text_of(descriptor: &str, data: &[u8]) -> Option<String> {
+    if data.len() > LONGEST_TEXT {
+        return None;
+    }
+    let letters: String = match (descriptor.get(..1)?, descriptor.get(1..2)?) {
+        (_, "S") => String::from_utf8_lossy(data).into_owned(),
+        (order, "U") => {
+            let word = |b: &[u8]| match order {
+                ">" => u32::from_be_bytes([b[0], b[1], b[2], b[3]]),
+                _ => u32::from_le_bytes([b[0], b[1], b[2], b[3]]),
+            };
+            data.chunks_exact(4).filter_map(|b| char::from_u32(word(b))).collect()
+        }
+        _ => return None,
+    };
+    Some(letters.trim_end_matches('\0').to_string())
 }
 
 fn after<'a>(header: &'a str, key: &str) -> Option<&'a str> {

@@ -84,7 +84,7 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     // The marker itself passed through a 32-bit float.
     reading.values.mapv_inplace(|v| if v >= invalid * (1.0 - 1e-6) { f64::NAN } else { v });
     reading.single = number == Number::F32;
-    reading.unit = Some(Unit::Waves);
+    reading.unit = Some(Unit::named("waves"));
     reading.wavelength_nm = parameter("Wavelength")?;
     let mult = parameter("Mult")?;
     if number == Number::I16 {

@@ -13,19 +13,24 @@
 //! height (m) = raw W S O / R
 //! ```
 //!
-//! Other text: a line of names may come first, such as `x (mm), y (mm), z (nm)`, whose units count. Then three numbers
+//! Other text: a line of names may come first, such as `x (mm), y (mm), z (nm)`, whose units count; so do comments such as
+//! `# x[mm] y[mm] z[um]` and `# mm mm nm` (`crate::beside`). Then three numbers
 //! per line, in any order of the pixels, on a uniform grid; a pixel that
-//! no line names is invalid. Points that lie on no grid are gridded where `grid_mm` asks for it
-//! (`crate::scattered`).
+//! no line names is invalid. Of more columns, those of x and y are known by their names, and that of the values if only one
+//! more is there beside numbers of points; `columns` names others. Points that lie on no grid are gridded where `grid_mm`
+//! asks for it (`crate::scattered`).
+//!
+//! Coordinates that were rounded lie on a grid if each is within [`ROUNDING`] of its last digit from its place.
 
 use ndarray::Array2;
-use planish_types::Invalid;
+use planish_types::{Invalid, text::significant};
 use serde_json::json;
 
 use crate::{
     Format, Unit,
+    beside::Beside,
     budget::{BYTES_PER_POINT, MOST_PIXELS, check_room, check_size, most_of},
-    reading::{Coordinates, FirstRow, Pick, Reading},
+    reading::{Coordinates, FirstRow, Pick, Reading, Window},
     scattered::{Gridded, grid},
     text,
 };
@@ -39,6 +44,15 @@ const INVALID: f64 = 2_147_483_640.0;
 /// is refused. Larger: accepts points that are scattered, and moves them to the grid. Smaller: refuses
 /// coordinates that were rounded.
 const UNIFORMITY: f64 = 0.01;
+
+/// Largest distance of a rounded coordinate from the uniform grid, in units of its last digit. Larger: accepts points that
+/// are scattered. Smaller: refuses rounded coordinates. Derived: half a unit by rounding, and as much again for the step,
+/// which is itself that of rounded numbers.
+const ROUNDING: f64 = 1.0;
+
+/// Largest unit of the last digit, relative to the step, of coordinates that are taken as rounded. Larger: whole numbers
+/// in any order lie on a grid. Smaller: refuses pitches of few digits.
+const MOST_ROUNDED: f64 = 0.4;
 
 /// Reads a Zygo file or lines of `x y z`.
 pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
@@ -102,7 +116,7 @@ fn zygo(text: &str, body: Body) -> Result<Reading, Invalid> {
 
     let frame = Frame { rows, columns, x0, y0 };
     let (values, unit, factor) = match body {
-        Body::Points => (frame.points(all)?, Unit::Um, 1.0),
+        Body::Points => (frame.points(all)?, Unit::named("um"), 1.0),
         Body::Phase => {
             let (obliquity, resolution) = (field(8, 5)?, field(11, 1)?);
             let resolution = match resolution {
@@ -118,7 +132,7 @@ fn zygo(text: &str, body: Body) -> Result<Reading, Invalid> {
             }
             // z = raw W S O / R
             let factor = wavelength_m * scale * obliquity / resolution;
-            (frame.phase(all)?, Unit::M, factor)
+            (frame.phase(all)?, Unit::named("m"), factor)
         }
     };
     let mut reading = Reading::new(Format::Xyz, values, FirstRow::Top);
@@ -130,6 +144,11 @@ fn zygo(text: &str, body: Body) -> Result<Reading, Invalid> {
     }
     if pitch_m > 0.0 {
         reading.pixel_mm = Some([pitch_m * 1e3; 2]);
+    }
+    if x0.is_finite() && y0.is_finite() {
+        // Line 9 begins with the size of the camera.
+        let camera_rows = field(9, 2).ok().filter(|n| *n >= y0 + rows as f64);
+        reading.window = Some(Window { first: [x0, y0], in_mm: false, frame_rows: camera_rows });
     }
     reading.stated = json!({
         "interferometric_scale_factor": scale,
@@ -247,116 +266,315 @@ fn next(line: &str) -> (&str, &str) {
     line.trim_start().split_once(char::is_whitespace).unwrap_or((line.trim_start(), ""))
 }
 
-/// Units and warnings of lines `x y z`.
+/// Names and units of the columns of lines `x y z`.
 #[derive(Default)]
 struct Names {
     /// Unit of x and y.
     coordinate_unit: Option<Unit>,
     /// Unit of z.
     unit: Option<Unit>,
+    /// Places of x, y and z among the fields, where these are more than three or in another order.
+    columns: Option<[usize; 3]>,
     warnings: Vec<String>,
 }
 
+/// Names of columns that number the points.
+const NUMBERS: [&str; 16] = [
+    "point", "points", "no", "no.", "nr", "nr.", "number", "#", "index", "idx", "id", "site",
+    "die", "punkt", "i", "n",
+];
+
+/// Returns the list of columns that a remedy quotes.
+fn listed(names: &[&str]) -> String {
+    let short = |name: &&str| name.chars().filter(|c| !c.is_control()).take(30).collect::<String>();
+    names.iter().take(12).map(short).collect::<Vec<_>>().join(", ")
+}
+
 impl Names {
-    /// The names of the columns in a line above the points, such as `x (mm),y (mm),z (nm)` or `x_mm y_mm z_um`.
-    fn of(line: &str, number: usize) -> Result<Self, Invalid> {
-        let names: Vec<String> = text::fields(line).map(str::to_lowercase).collect();
-        let letters: Vec<char> =
-            names.iter().filter_map(|name| name.chars().find(|c| c.is_alphabetic())).collect();
-        let short: String = line.chars().filter(|c| !c.is_control()).take(60).collect();
-        match letters[..] {
-            ['x', 'y', _, ..] => {}
-            [a, b, ..] if "xyz".contains(a) && "xyz".contains(b) => {
-                let problem = format!("names its columns \"{short}\" in line {number}");
-                return Err(Invalid::whole(NAME, problem, "give the columns in the order x y z"));
-            }
-            _ => {}
-        }
-        let unit = |name: Option<&String>| {
-            let name = name?.trim_end_matches([')', ']']);
-            let last = name.rsplit(['(', '[', '_', ' ', '/']).next().unwrap_or_default();
-            Unit::stated("unit", last).ok()
+    /// Reads the names of the columns in a line above the points, such as `x (mm),y (mm),z (nm)` or `x_mm y_mm z_um`.
+    fn read(line: &str, number: usize, requested: Option<&[String; 3]>) -> Result<Self, Invalid> {
+        // Where blanks separate the names, a bracket belongs to the word before it.
+        let joined = match line.contains([',', ';', '\t']) {
+            true => line.to_string(),
+            false => line.replace(" (", "(").replace(" [", "["),
         };
-        let [x, y, z] = [0, 1, 2].map(|k| unit(names.get(k)));
-        if x != y {
-            let problem = format!("has x in {x:?} and y in {y:?} in line {number}");
+        let fields: Vec<&str> = text::fields(&joined).collect();
+        let names = fields.iter().map(|field| Unit::of_name(field));
+        let names: Vec<(String, Option<Unit>)> = names.collect::<Result<_, _>>()?;
+        let short: String = line.chars().filter(|c| !c.is_control()).take(60).collect();
+        let columns = match requested {
+            Some(requested) => columns_of(requested, &fields, &names)?,
+            None => usual_columns(&fields, &names, number, &short)?,
+        };
+        let [x, y, z] = columns.map(|k| names.get(k).and_then(|name| name.1));
+        if let (Some(x), Some(y)) = (x, y)
+            && x != y
+        {
+            let problem = format!("has x in {x} and y in {y} in line {number}");
             return Err(Invalid::whole(NAME, problem, "give both the same unit"));
         }
-        let say = format!("line {number} has the names of the columns: \"{short}\"");
-        Ok(Self { coordinate_unit: x, unit: z, warnings: vec![say] })
+        let mut warnings = vec![format!("line {number} has the names of the columns: \"{short}\"")];
+        if fields.len() > 3 {
+            warnings.push(format!(
+                "of these are read as x, y and z: {}",
+                listed(&columns.map(|k| fields[k]))
+            ));
+        }
+        let columns = (fields.len() > 3 || columns != [0, 1, 2]).then_some(columns);
+        Ok(Self { coordinate_unit: x.or(y), unit: z, columns, warnings })
     }
+}
+
+impl Names {
+    /// Takes a second line, of the units of the columns, and returns true if it is one.
+    fn add_units(&mut self, line: &str) -> bool {
+        let words = text::fields(line).map(|word| word.trim_matches(['(', ')', '[', ']']));
+        let units: Vec<(&str, Option<Unit>)> =
+            words.map(|word| (word, Unit::spelled(word))).collect();
+        let [x, y, z] =
+            self.columns.unwrap_or([0, 1, 2]).map(|k| units.get(k).and_then(|unit| unit.1));
+        if x.is_none() || x != y || z.is_none() || self.unit.is_some() {
+            return false;
+        }
+        (self.coordinate_unit, self.unit) = (x, z);
+        true
+    }
+}
+
+/// Returns the places of the columns that the user names, by their names with or without the unit, or by numbers from 1.
+fn columns_of(
+    requested: &[String; 3],
+    fields: &[&str],
+    names: &[(String, Option<Unit>)],
+) -> Result<[usize; 3], Invalid> {
+    let mut places = [0; 3];
+    for (place, wanted) in places.iter_mut().zip(requested) {
+        let same = |name: &str| name.trim().eq_ignore_ascii_case(wanted.trim());
+        let by_name = || (0..fields.len()).find(|k| same(fields[*k]) || same(&names[*k].0));
+        let found = match wanted.trim().parse::<usize>() {
+            Ok(number) => number.checked_sub(1).filter(|k| *k < fields.len()),
+            Err(_) => by_name(),
+        };
+        *place = found.ok_or_else(|| {
+            let problem = format!("\"{wanted}\" is no column of the file");
+            let remedy =
+                format!("give three of these, or their numbers from 1: {}", listed(fields));
+            Invalid::whole("columns", problem, remedy)
+        })?;
+    }
+    Ok(places)
+}
+
+/// Returns the places of x, y and z by the names of the columns.
+fn usual_columns(
+    fields: &[&str],
+    names: &[(String, Option<Unit>)],
+    number: usize,
+    short: &str,
+) -> Result<[usize; 3], Invalid> {
+    let remedy = || {
+        format!(
+            "give `columns` with the names or the numbers of x, y and the values, of: {}",
+            listed(fields)
+        )
+    };
+    let refuse = || {
+        let problem = format!("names its columns \"{short}\" in line {number}");
+        Err(Invalid::whole(NAME, problem, remedy()))
+    };
+    // The first word of a name, and the letter it begins with.
+    let first = |k: usize| {
+        let name = names[k].0.to_lowercase();
+        let word = name.split([' ', '_', '-']).find(|word| !word.is_empty());
+        word.unwrap_or_default().to_string()
+    };
+    let firsts: Vec<String> = (0..fields.len()).map(first).collect();
+    let is_axis = |k: usize, axis: &str| {
+        let word = firsts[k].as_str();
+        word == axis
+            || (word.starts_with(axis) && word.len() > 1 && word[1..].starts_with("pos"))
+            || word.strip_prefix(axis).is_some_and(|rest| rest.starts_with(['(', '[', '/']))
+    };
+    let xs: Vec<usize> = (0..fields.len()).filter(|k| is_axis(*k, "x")).collect();
+    let ys: Vec<usize> = (0..fields.len()).filter(|k| is_axis(*k, "y")).collect();
+    match (&xs[..], &ys[..], fields.len()) {
+        ([x], [y], count) if count >= 3 => {
+            let is_other = |k: &usize| {
+                k != x
+                    && k != y
+                    && !NUMBERS.contains(&firsts[*k].as_str())
+                    && !fields[*k].is_empty()
+            };
+            let others: Vec<usize> = (0..count).filter(is_other).collect();
+            match others[..] {
+                [z] if count == 3 && [*x, *y, z] != [0, 1, 2] => refuse(),
+                [z] => Ok([*x, *y, z]),
+                _ => refuse(),
+            }
+        }
+        (_, _, 3) => {
+            let letters: Vec<char> = fields
+                .iter()
+                .filter_map(|name| name.to_lowercase().chars().find(|c| c.is_alphabetic()))
+                .collect();
+            match letters[..] {
+                ['x', 'y', _, ..] => Ok([0, 1, 2]),
+                [a, b, ..] if "xyz".contains(a) && "xyz".contains(b) => refuse(),
+                _ => Ok([0, 1, 2]),
+            }
+        }
+        (_, _, count) if count > 3 => refuse(),
+        _ => Ok([0, 1, 2]),
+    }
+}
+
+/// The numbers of the columns that the user gives, where no line of names comes first.
+fn numbered_columns(requested: &[String; 3], count: usize) -> Result<[usize; 3], Invalid> {
+    let mut places = [0; 3];
+    for (place, wanted) in places.iter_mut().zip(requested) {
+        let number = wanted.trim().parse::<usize>().ok();
+        *place = number.and_then(|n| n.checked_sub(1)).filter(|k| *k < count).ok_or_else(|| {
+            let problem =
+                format!("\"{wanted}\" is no column of a file without names, of {count} columns");
+            Invalid::whole("columns", problem, "give the numbers of x, y and the values, from 1")
+        })?;
+    }
+    Ok(places)
+}
+
+/// A number of one line, and the unit of its last digit.
+fn with_last_digit(field: &str, line: usize, column: usize) -> Result<(f64, f64), Invalid> {
+    let value = text::number(NAME, field, line, column)?;
+    let (mantissa, exponent) = field.split_once(['e', 'E']).unwrap_or((field, "0"));
+    let exponent: i32 = exponent.parse().unwrap_or(0);
+    let decimals = mantissa.split_once('.').map_or(0, |(_, digits)| digits.len().min(300) as i32);
+    // The last digit of a 0 says nothing of the others.
+    let digit = if value == 0.0 { 0.0 } else { 10f64.powi(exponent.saturating_sub(decimals)) };
+    Ok((value, digit))
+}
+
+/// A point, and the units of the last digits of its coordinates.
+struct Line {
+    at: [f64; 2],
+    digits: [f64; 2],
+    z: f64,
 }
 
 fn lines(text: &str, pick: &Pick) -> Result<Reading, Invalid> {
     let with_points = text::with_points(NAME, text)?;
     let text = with_points.as_deref().unwrap_or(text);
     let mut names = Names::default();
-    let mut points: Vec<[f64; 3]> = Vec::new();
+    let mut beside = Beside::default();
+    let mut points: Vec<Line> = Vec::new();
     let most = most_of(BYTES_PER_POINT);
     for (i, line) in text.lines().enumerate() {
         let trimmed = line.trim();
-        if trimmed.is_empty() || text::is_comment(trimmed) {
+        if trimmed.is_empty() {
+            continue;
+        }
+        if text::is_comment(trimmed) {
+            beside.add_comment(trimmed.trim_start_matches(['#', '%']), i + 1)?;
             continue;
         }
         if points.is_empty() && names.warnings.is_empty() && text::is_names(trimmed) {
-            names = Names::of(trimmed, i + 1)?;
+            names = Names::read(trimmed, i + 1, pick.columns.as_ref())?;
+            continue;
+        }
+        if points.is_empty() && text::is_names(trimmed) && names.add_units(trimmed) {
             continue;
         }
         if points.len() >= most {
             check_room(NAME, points.len(), BYTES_PER_POINT)?;
         }
-        let mut fields = text::fields(trimmed);
-        // "No Data" is two words.
-        let [x, y, z] = match [(); 5].map(|()| fields.next()) {
-            [Some(x), Some(y), Some(z), None, _] => [x, y, z],
-            [Some(x), Some(y), Some(no), Some(data), None]
-                if no.eq_ignore_ascii_case("no") && data.eq_ignore_ascii_case("data") =>
-            {
-                [x, y, "no data"]
-            }
-            _ => {
-                let count = text::fields(trimmed).count();
-                let problem = format!("has {count} fields in line {}, not x y z", i + 1);
-                let remedy = "give three numbers per line, or `format` csv for a matrix";
-                return Err(Invalid::whole(NAME, problem, remedy));
-            }
+        if let (Some(requested), None) = (&pick.columns, names.columns)
+            && names.warnings.is_empty()
+        {
+            names.columns = Some(numbered_columns(requested, text::fields(trimmed).count())?);
+        }
+        let [x, y, z] = match names.columns {
+            Some(columns) => chosen_fields(trimmed, columns, i + 1)?,
+            None => three_fields(trimmed, i + 1)?,
         };
-        let point = [
-            text::number(NAME, x, i + 1, 1)?,
-            text::number(NAME, y, i + 1, 2)?,
-            text::number(NAME, z, i + 1, 3)?,
-        ];
-        if !(point[0].is_finite() && point[1].is_finite()) {
-            let problem =
-                format!("has the coordinates {}, {} in line {}", point[0], point[1], i + 1);
+        let (x, y) = (with_last_digit(x, i + 1, 1)?, with_last_digit(y, i + 1, 2)?);
+        let z = text::number(NAME, z, i + 1, 3)?;
+        if !(x.0.is_finite() && y.0.is_finite()) {
+            let problem = format!("has the coordinates {}, {} in line {}", x.0, y.0, i + 1);
             return Err(Invalid::whole(NAME, problem, "leave out pixels without a place"));
         }
-        points.push(point);
+        points.push(Line { at: [x.0, y.0], digits: [x.1, y.1], z });
     }
     if with_points.is_some() {
         names.warnings.push(text::DECIMAL_COMMAS.into());
     }
-    let mut reading = on_grid(points, pick, names.coordinate_unit)?;
-    reading.unit = names.unit;
+    let stated = match (names.coordinate_unit, beside.coordinate_unit) {
+        (Some(a), Some(b)) if a != b => {
+            let problem = format!("is {a} in the names of the columns, {b} in a comment");
+            return Err(Invalid::whole(
+                "coordinate_unit",
+                problem,
+                "correct the one that is wrong",
+            ));
+        }
+        (a, b) => a.or(b),
+    };
+    if let Some(unit) = names.unit {
+        beside.state_unit(unit)?;
+    }
+    let mut reading = on_grid(points, pick, stated)?;
     reading.warnings.extend(names.warnings);
+    beside.apply(&mut reading)?;
     Ok(reading)
 }
 
+/// The three fields of a line.
+fn three_fields(line: &str, number: usize) -> Result<[&str; 3], Invalid> {
+    let mut fields = text::fields(line);
+    // "No Data" is two words.
+    match [(); 5].map(|()| fields.next()) {
+        [Some(x), Some(y), Some(z), None, _] => Ok([x, y, z]),
+        [Some(x), Some(y), Some(no), Some(data), None]
+            if no.eq_ignore_ascii_case("no") && data.eq_ignore_ascii_case("data") =>
+        {
+            Ok([x, y, "no data"])
+        }
+        _ => {
+            let count = text::fields(line).count();
+            let problem = format!("has {count} fields in line {number}, not x y z");
+            let remedy = match count > 3 {
+                true => {
+                    "give `columns` with the numbers of x, y and the values, such as 2,3,4, or `format` csv for a matrix"
+                }
+                false => "give three numbers per line, or `format` csv for a matrix",
+            };
+            Err(Invalid::whole(NAME, problem, remedy))
+        }
+    }
+}
+
+/// The fields of a line in these places.
+fn chosen_fields(line: &str, columns: [usize; 3], number: usize) -> Result<[&str; 3], Invalid> {
+    let fields: Vec<&str> = text::fields(line).collect();
+    let get = |k: usize| fields.get(k).copied();
+    match columns.map(get) {
+        [Some(x), Some(y), Some(z)] => Ok([x, y, z]),
+        _ => {
+            let problem = format!("has {} fields in line {number}", fields.len());
+            let needed = columns.iter().max().map_or(0, |k| k + 1);
+            Err(Invalid::whole(NAME, problem, format!("give at least {needed} in every line")))
+        }
+    }
+}
+
 /// The map of points on their own grid, or on the one that is asked for.
-fn on_grid(
-    mut points: Vec<[f64; 3]>,
-    pick: &Pick,
-    stated: Option<Unit>,
-) -> Result<Reading, Invalid> {
+fn on_grid(points: Vec<Line>, pick: &Pick, stated: Option<Unit>) -> Result<Reading, Invalid> {
     if let Some(pixel_mm) = pick.grid_mm {
         let Some(unit) = pick.coordinate_unit.or(stated) else {
             let remedy = "give `coordinate_unit`";
             return Err(Invalid::whole("coordinate_unit", "is not in the file", remedy));
         };
         let mm = unit.mm()?;
-        for point in &mut points {
-            (point[0], point[1]) = (point[0] * mm, point[1] * mm);
-        }
+        let points: Vec<[f64; 3]> =
+            points.iter().map(|p| [p.at[0] * mm, p.at[1] * mm, p.z]).collect();
         let Gridded { values, x_mm, y_mm, warnings } = grid(&points, pixel_mm)?;
         let mut reading = Reading::new(Format::Xyz, values, FirstRow::SmallestY);
         let of_file = |mm_all: Vec<f64>| mm_all.into_iter().map(|v| v / mm).collect();
@@ -366,8 +584,10 @@ fn on_grid(
         reading.stated = json!({ "points": points.len(), "grid_mm": pixel_mm });
         return Ok(reading);
     }
-    let x = uniform("x", points.iter().map(|p| p[0]).collect())?;
-    let y = uniform("y", points.iter().map(|p| p[1]).collect())?;
+    let axis = |name: &'static str, k: usize| {
+        uniform(name, points.iter().map(|p| (p.at[k], p.digits[k])).collect())
+    };
+    let (x, y) = (axis("x", 0)?, axis("y", 1)?);
     check_size(NAME, y.count, x.count)?;
     // A grid of which most pixels are absent is a mistake in the coordinates.
     if x.count * y.count > 100 * points.len() {
@@ -381,14 +601,24 @@ fn on_grid(
     let mut values = Array2::from_elem((y.count, x.count), f64::NAN);
     let mut seen = Array2::from_elem((y.count, x.count), false);
     for point in &points {
-        let at = [y.index(point[1]), x.index(point[0])];
+        let at = [y.index(point.at[1]), x.index(point.at[0])];
         if std::mem::replace(&mut seen[at], true) {
-            let problem = format!("names the pixel x {}, y {} twice", point[0], point[1]);
+            let problem = format!("names the pixel x {}, y {} twice", point.at[0], point.at[1]);
             return Err(Invalid::whole(NAME, problem, "give every pixel once"));
         }
-        values[at] = point[2];
+        values[at] = point.z;
     }
     let mut reading = Reading::new(Format::Xyz, values, FirstRow::SmallestY);
+    for (name, axis) in [("x", &x), ("y", &y)] {
+        if let Some([least, most]) = axis.rounded_steps {
+            reading.warnings.push(format!(
+                "the coordinates {name} are rounded: steps of {} to {} are read as a pitch of {}",
+                significant(least, 6),
+                significant(most, 6),
+                significant(axis.step, 6)
+            ));
+        }
+    }
     reading.coordinates = Some(Coordinates { x: x.all(), y: y.all(), unit: stated });
     Ok(reading)
 }
@@ -398,18 +628,22 @@ struct Found {
     start: f64,
     step: f64,
     count: usize,
+    /// Smallest and largest step from one coordinate to the next pixel, where rounding makes them differ.
+    rounded_steps: Option<[f64; 2]>,
 }
 
-/// The axis whose step is the least distance of the given coordinates; where that is none, the place
-/// where they jump.
-fn uniform(name: &'static str, mut values: Vec<f64>) -> Result<Found, Invalid> {
-    values.sort_by(f64::total_cmp);
+/// The axis whose step is the least distance of the given coordinates; where that is none, the one on which they lie to
+/// the units of their last digits (value, unit); else the place where they jump.
+fn uniform(name: &'static str, mut coordinates: Vec<(f64, f64)>) -> Result<Found, Invalid> {
+    coordinates.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let values: Vec<f64> = coordinates.iter().map(|c| c.0).collect();
     let (Some(start), Some(end)) = (values.first().copied(), values.last().copied()) else {
         return Err(Invalid::whole(NAME, "holds no points", "give lines x y z"));
     };
     // Coordinates of one column that were computed differently are equal to rounding.
     let apart = 1e-6 * (end - start) / (values.len() as f64).max(1.0);
-    values.dedup_by(|b, a| *b - *a <= apart);
+    coordinates.dedup_by(|b, a| b.0 - a.0 <= apart);
+    let values: Vec<f64> = coordinates.iter().map(|c| c.0).collect();
     let least = values.windows(2).map(|w| w[1] - w[0]).fold(f64::INFINITY, f64::min);
     if !(least.is_finite() && (end - start).is_finite()) {
         let problem = format!("has only the value {start}");
@@ -422,10 +656,47 @@ fn uniform(name: &'static str, mut values: Vec<f64>) -> Result<Found, Invalid> {
         let i = ((v - start) / step).round();
         (v - (start + i * step)).abs() <= UNIFORMITY * step
     };
-    if steps >= MOST_PIXELS as f64 || !values.iter().copied().all(on_grid) {
-        return Err(jump(name, &values));
+    if steps < MOST_PIXELS as f64 && values.iter().copied().all(on_grid) {
+        return Ok(Found { start, step, count: steps as usize + 1, rounded_steps: None });
     }
-    Ok(Found { start, step, count: steps as usize + 1 })
+    rounded(&coordinates).ok_or_else(|| jump(name, &values))
+}
+
+/// The axis of ascending coordinates (value, unit of its last digit) that were rounded; `None` where there is none.
+///
+/// The least-squares line through value against number of the pixel has the pitch. A pixel may be absent: the numbers
+/// follow from the median step.
+fn rounded(coordinates: &[(f64, f64)]) -> Option<Found> {
+    let mut steps: Vec<f64> = coordinates.windows(2).map(|w| w[1].0 - w[0].0).collect();
+    let all = steps.clone();
+    steps.sort_by(f64::total_cmp);
+    let usual = steps[steps.len() / 2];
+    let digit = coordinates.iter().map(|c| c.1).fold(0.0, f64::max);
+    if coordinates.len() < 3 || !(usual > 0.0 && digit <= MOST_ROUNDED * usual) {
+        return None;
+    }
+    let mut numbers = vec![0.0];
+    for step in &all {
+        // Distances from neighbour to neighbour: the errors of rounding do not add up.
+        numbers.push(numbers[numbers.len() - 1] + (step / usual).round().max(1.0));
+    }
+    let n = numbers.len() as f64;
+    let mean = [numbers.iter().sum::<f64>() / n, coordinates.iter().map(|c| c.0).sum::<f64>() / n];
+    let (mut product, mut square) = (0.0, 0.0);
+    for (number, (value, _)) in numbers.iter().zip(coordinates) {
+        product += (number - mean[0]) * (value - mean[1]);
+        square += (number - mean[0]).powi(2);
+    }
+    let step = product / square;
+    let start = mean[1] - step * mean[0];
+    let fits = |(number, (value, digit)): (&f64, &(f64, f64))| {
+        (value - (start + number * step)).abs() <= (ROUNDING * digit).max(UNIFORMITY * step)
+    };
+    let count = numbers[numbers.len() - 1];
+    let is_grid = count < MOST_PIXELS as f64 && numbers.iter().zip(coordinates).all(fits);
+    let of_one_pixel = || all.iter().copied().filter(|s| (s / usual).round() <= 1.0);
+    let ends = [of_one_pixel().fold(f64::INFINITY, f64::min), of_one_pixel().fold(0.0, f64::max)];
+    is_grid.then_some(Found { start, step, count: count as usize + 1, rounded_steps: Some(ends) })
 }
 
 /// The first of ascending coordinates whose distance is no multiple of the usual one.
@@ -448,6 +719,7 @@ fn jump(name: &'static str, values: &[f64]) -> Invalid {
 
 impl Found {
     fn index(&self, v: f64) -> usize {
+        // A float to an integer saturates: a rounded first coordinate may lie before the start.
         (((v - self.start) / self.step).round() as usize).min(self.count - 1)
     }
 
@@ -496,7 +768,7 @@ mod tests {
         assert!((reading.factor * 32768.0 - 320e-9).abs() < 1e-22);
         assert_eq!(reading.values.row(0), array![32768.0, -16384.0]);
         assert!(reading.values[[1, 0]].is_nan() && reading.values[[1, 1]] == 0.0);
-        assert_eq!((reading.unit, reading.unit_by_custom), (Some(Unit::M), false));
+        assert_eq!((reading.unit, reading.unit_by_custom), (Some(Unit::named("m")), false));
         let cut = format!("{text}32768 -16384\n#\n");
         assert!(
             read(cut.as_bytes(), &Pick::default())
@@ -514,7 +786,7 @@ mod tests {
         let reading = read(text.as_bytes(), &Pick::default()).unwrap();
         assert_eq!(reading.values.row(0), array![0.25, -0.5]);
         assert!(reading.values[[1, 0]].is_nan());
-        assert_eq!((reading.unit, reading.unit_by_custom), (Some(Unit::Um), true));
+        assert_eq!((reading.unit, reading.unit_by_custom), (Some(Unit::named("um")), true));
         // 1.5e-4 m; the product rounds.
         assert!((reading.pixel_mm.unwrap()[0] - 0.15).abs() < 1e-15);
         let cut = &text[..text.len() - 8];

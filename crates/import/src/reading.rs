@@ -13,83 +13,7 @@ use planish_types::{Axis, Grid, Invalid, Surface, Tif, text::significant};
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::Format;
-
-/// A unit of length.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum Unit {
-    /// Metre.
-    M,
-    /// Millimetre.
-    Mm,
-    /// Micrometre.
-    Um,
-    /// Nanometre.
-    Nm,
-    /// Angstrom.
-    Angstrom,
-    /// Wavelengths (heights only).
-    Waves,
-}
-
-impl Unit {
-    /// The unit that a file calls `name`; an unknown one is refused by its name.
-    pub fn stated(place: &'static str, name: &str) -> Result<Self, Invalid> {
-        let plain = name.trim().to_lowercase().replace(['\u{b5}', '\u{3bc}'], "u");
-        match plain.as_str() {
-            "m" | "meter" | "meters" | "metre" | "metres" => Ok(Self::M),
-            "mm" | "millimeter" | "millimeters" | "millimetre" | "millimetres" => Ok(Self::Mm),
-            "um" | "micron" | "microns" | "micrometer" | "micrometers" | "micrometre"
-            | "micrometres" => Ok(Self::Um),
-            "nm" | "nanometer" | "nanometers" | "nanometre" | "nanometres" => Ok(Self::Nm),
-            "angstrom" | "angstroms" => Ok(Self::Angstrom),
-            "wave" | "waves" => Ok(Self::Waves),
-            _ => Err(Invalid::whole(
-                place,
-                format!("is \"{}\"", name.chars().take(40).collect::<String>()),
-                "a map of lengths is needed: m, mm, um, nm, angstrom or waves",
-            )),
-        }
-    }
-
-    fn nm(self, wavelength_nm: Option<f64>) -> Result<f64, Invalid> {
-        match self {
-            Self::M => Ok(1e9),
-            Self::Mm => Ok(1e6),
-            Self::Um => Ok(1e3),
-            Self::Nm => Ok(1.0),
-            Self::Angstrom => Ok(0.1),
-            Self::Waves => match wavelength_nm {
-                Some(w) if w.is_finite() && w > 0.0 => Ok(w),
-                Some(w) => {
-                    Err(Invalid::whole("wavelength_nm", format!("is {w}"), "give a length in nm"))
-                }
-                None => Err(Invalid::whole(
-                    "wavelength_nm",
-                    "is not in the file, whose heights are in waves",
-                    "give `wavelength_nm`",
-                )),
-            },
-        }
-    }
-
-    /// mm in one unit of a lateral coordinate.
-    pub(crate) fn mm(self) -> Result<f64, Invalid> {
-        match self {
-            Self::M => Ok(1e3),
-            Self::Mm => Ok(1.0),
-            Self::Um => Ok(1e-3),
-            Self::Nm => Ok(1e-6),
-            Self::Angstrom => Ok(1e-7),
-            Self::Waves => Err(Invalid::whole(
-                "coordinate_unit",
-                "is waves",
-                "coordinates are in m, mm, um or nm",
-            )),
-        }
-    }
-}
+use crate::{Format, Unit};
 
 /// Side of the map that the first row of a file is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
@@ -118,6 +42,9 @@ pub struct Pick {
     pub grid_mm: Option<[f64; 2]>,
     /// Unit of the coordinates of scattered points.
     pub coordinate_unit: Option<Unit>,
+    /// Columns of x, y and the values in lines of text, by name or by number from 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub columns: Option<[String; 3]>,
     /// True if a TIF is wanted: its customary names are then tried if no name is given.
     pub is_tif: bool,
 }
@@ -148,6 +75,39 @@ pub struct Rule {
     pub reference: Option<[(f64, f64); 2]>,
 }
 
+/// Place of the first pixel of a file in a larger frame: the camera, or the field of a scanner. Rows count in the order of
+/// the file.
+#[derive(Clone, Copy, Debug)]
+pub struct Window {
+    /// Column and row of the first pixel, from those of the frame; in mm where `in_mm`.
+    pub first: [f64; 2],
+    /// True if `first` is in mm, false if it is in pixels.
+    pub in_mm: bool,
+    /// Rows of the frame, where the file states them.
+    pub frame_rows: Option<f64>,
+}
+
+impl Window {
+    /// Returns the window whose first pixel is at this place, mm, in a frame of unknown size.
+    pub(crate) fn at_mm(first: [f64; 2]) -> Self {
+        Self { first, in_mm: true, frame_rows: None }
+    }
+
+    /// Returns the coordinates of the smallest x and y of a map with `rows` rows, mm. The coordinate 0 is the first column
+    /// of the frame, and its last row; where that is not known, its first row.
+    fn start_mm(&self, pitch_mm: [f64; 2], rows: usize, first_row: FirstRow) -> [f64; 2] {
+        let [x, y] = [0, 1].map(|k| self.first[k] * if self.in_mm { 1.0 } else { pitch_mm[k] });
+        let last = (rows - 1) as f64 * pitch_mm[1];
+        let of_frame = self.frame_rows.map_or(0.0, |n| (n - 1.0) * pitch_mm[1]);
+        let y = match first_row {
+            FirstRow::Top => of_frame - y - last,
+            FirstRow::SmallestY => y,
+        };
+        // No negative zero.
+        [x + 0.0, y + 0.0]
+    }
+}
+
 /// Contents of a file.
 #[derive(Clone, Debug)]
 pub struct Reading {
@@ -161,6 +121,12 @@ pub struct Reading {
     pub unit: Option<Unit>,
     /// True if the unit is not in the file, but the one that writers of this format use.
     pub unit_by_custom: bool,
+    /// Reason to refuse what the file says of the unit, unless the user states it in the place of the file.
+    pub unit_problem: Option<Invalid>,
+    /// Name of the unit in the file, where it has one of its own.
+    pub unit_word: Option<String>,
+    /// A unit that the file states without saying of what: of the values, or of the coordinates.
+    pub lone_unit: Option<Unit>,
     /// Factor of the file: stored value to `unit`.
     pub factor: f64,
     /// Height of the stored value 0, in `unit`.
@@ -175,8 +141,12 @@ pub struct Reading {
     pub coordinates: Option<Coordinates>,
     /// The rule of the coordinates, where the file has that in their place.
     pub rule: Option<Rule>,
+    /// Place of the map in a larger frame, where the file states it.
+    pub window: Option<Window>,
     /// Side of the map that the first row is, by the format.
     pub first_row: FirstRow,
+    /// True if the file itself states that side.
+    pub first_row_stated: bool,
     /// Other statements of the file, for the manifest.
     pub stated: Value,
     /// Warnings for the user.
@@ -187,9 +157,9 @@ impl Reading {
     /// Reading of a directory of `.npy`: `map` (ny, nx) in nm or nm/s on `grid`.
     pub fn of_map(grid: &Grid, map: &Array2<f64>) -> Self {
         let mut reading = Self::new(Format::Directory, map.clone(), FirstRow::SmallestY);
-        reading.unit = Some(Unit::Nm);
+        reading.unit = Some(Unit::named("nm"));
         let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
-        reading.coordinates = Some(Coordinates { x, y, unit: Some(Unit::Mm) });
+        reading.coordinates = Some(Coordinates { x, y, unit: Some(Unit::named("mm")) });
         reading
     }
 
@@ -200,6 +170,9 @@ impl Reading {
             single: false,
             unit: None,
             unit_by_custom: false,
+            unit_problem: None,
+            unit_word: None,
+            lone_unit: None,
             factor: 1.0,
             offset: 0.0,
             scale_applied: None,
@@ -207,9 +180,40 @@ impl Reading {
             pixel_mm: None,
             coordinates: None,
             rule: None,
+            window: None,
             first_row,
+            first_row_stated: false,
             stated: Value::Null,
             warnings: Vec::new(),
+        }
+    }
+
+    /// Takes the unit that the file calls `name` in its field `place`. A word that is no unit is a refusal that the user
+    /// can override.
+    pub(crate) fn state_unit(&mut self, place: &'static str, name: &str) {
+        self.unit_word = Some(name.to_string());
+        match Unit::stated(place, name) {
+            Ok(unit) => self.unit = Some(unit),
+            Err(problem) => self.unit_problem = Some(problem),
+        }
+    }
+
+    /// Takes the unit at the end of the name of a variable, such as `height_nm` or `rate_nm_per_min`.
+    pub(crate) fn state_unit_of_name(&mut self, name: &str) {
+        let Ok((_, Some(unit))) = Unit::of_name(name) else { return };
+        if name.ends_with("_in") || name.ends_with("_A") || name.ends_with(" A") {
+            // It may be any word: an input, or the first of two maps.
+            let problem = format!("may be {unit} by the name \"{name}\"");
+            let remedy = "give `unit` to be sure";
+            if self.unit.is_none() {
+                self.unit_problem = Some(Invalid::whole("unit", problem, remedy));
+            }
+        } else if let Some(own) = self.unit.filter(|own| *own != unit) {
+            let problem = format!("is {own} in the file, and {unit} in the name \"{name}\"");
+            let remedy = "correct the one that is wrong, or give `unit` and `override_file`";
+            self.unit_problem = Some(Invalid::whole("unit", problem, remedy));
+        } else {
+            self.unit = Some(unit);
         }
     }
 
@@ -308,6 +312,9 @@ pub struct Settings {
     pub rotation: Rotation,
     /// Place of the coordinate 0.
     pub origin: Origin,
+    /// Coordinates of the pixel with the smallest x and y in the map that is written, mm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub place_mm: Option<[f64; 2]>,
 }
 
 impl Default for Settings {
@@ -326,6 +333,7 @@ impl Default for Settings {
             flip_y: false,
             rotation: Rotation::None,
             origin: Origin::File,
+            place_mm: None,
         }
     }
 }
@@ -380,23 +388,38 @@ impl Reading {
 
 /// The map of a reading, heights in nm.
 pub fn surface(reading: Reading, settings: &Settings) -> Result<(Surface, Statement), Invalid> {
-    let (grid, values, statement) = map(reading, settings)?;
+    let (grid, values, statement) = map(reading, settings, Values::Heights)?;
     Ok((Surface::new(grid, values)?, statement))
 }
 
-/// The map of a reading as a TIF that is complete: offsets from the tool centre, `unit` per second.
+/// The map of a reading as a TIF that is complete: offsets from the tool centre, `unit` per second unless it has a time.
 /// A spot that has to be cut out or divided by its time is a [`crate::spot`].
 pub fn tif(reading: Reading, settings: &Settings) -> Result<(Tif, Statement), Invalid> {
-    let (grid, values, statement) = map(reading, settings)?;
+    let (grid, values, statement) = map(reading, settings, Values::Rates)?;
     Ok((Tif::new(grid, values)?, statement))
+}
+
+/// Quantity of the values of a map.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Values {
+    /// Lengths.
+    Heights,
+    /// Lengths per time; per second where the unit has no time.
+    Rates,
 }
 
 fn map(
     mut reading: Reading,
     settings: &Settings,
+    kind: Values,
 ) -> Result<(Grid, Array2<f64>, Statement), Invalid> {
     let mut warnings = std::mem::take(&mut reading.warnings);
-    let (unit, unit_from) = unit(&reading, settings, &mut warnings)?;
+    let (unit, unit_from) = unit(&reading, settings, kind, &mut warnings)?;
+    if unit.is_rate() && kind == Values::Heights {
+        let remedy = "planish-import tif reads rates by `rate`; leave out `dwell_s`";
+        let problem = format!("of the values is {unit}, a removal rate, and heights are wanted");
+        return Err(Invalid::whole("unit", problem, remedy));
+    }
     let wavelength_nm = wavelength(&reading, unit, settings, &mut warnings)?;
     if !(settings.surface_per_value.is_finite() && settings.surface_per_value > 0.0) {
         let problem = format!("is {}", settings.surface_per_value);
@@ -443,7 +466,7 @@ fn map(
     if has_coordinates {
         grid = turned_about_0(&grid, settings)?;
     }
-    let grid = set_origin(grid, settings.origin)?;
+    let grid = set_origin(grid, settings, has_coordinates, &mut warnings)?;
     let statement = Statement {
         format: reading.format,
         unit,
@@ -491,26 +514,84 @@ fn unnamed_marker(values: &Array2<f64>) -> Option<String> {
 fn unit(
     reading: &Reading,
     settings: &Settings,
+    kind: Values,
     warnings: &mut Vec<String>,
 ) -> Result<(Unit, &'static str), Invalid> {
+    if let Some(problem) = &reading.unit_problem {
+        let is_settled = settings.override_file || problem.remedy == "give `unit` to be sure";
+        return match settings.unit.filter(|_| is_settled) {
+            None => Err(problem.clone()),
+            Some(requested) => {
+                let stated = format!("{}: {}", problem.array, problem.problem);
+                warnings.push(format!("`unit` {requested} counts; the file: {stated}"));
+                Ok((requested, "asked for"))
+            }
+        };
+    }
+    // Rates without a time are per second.
+    let is_same = |a: Unit, b: Unit| {
+        let sizes = [a, b].map(|unit| unit.nm(Some(1.0)).unwrap_or(f64::NAN));
+        a == b
+            || kind == Values::Rates
+                && a.is_waves() == b.is_waves()
+                && a.is_rate() != b.is_rate()
+                && agree(sizes[0], sizes[1])
+    };
     match (reading.unit, settings.unit) {
-        (None, None) => {
-            Err(Invalid::whole("unit", "is not in the file", "give `unit` m, mm, um, nm or waves"))
-        }
-        (None, Some(asked)) => Ok((asked, "asked for")),
+        (None, requested) => unit_of_user(reading, requested, settings, warnings),
         (Some(custom), None) if reading.unit_by_custom => {
             warnings.push(format!(
                 "the file does not state the unit of its heights; writers of this format use \
-                 {custom:?}; give `unit` to be sure"
+                 {custom}; give `unit` to be sure"
             ));
             Ok((custom, "custom of the format"))
         }
-        (Some(_), Some(asked)) if reading.unit_by_custom => Ok((asked, "asked for")),
-        (Some(stated), Some(asked)) if asked != stated => {
-            contradicts("unit", format!("{stated:?}"), format!("{asked:?}"), settings, warnings)?;
-            Ok((asked, "asked for"))
+        (Some(_), Some(requested)) if reading.unit_by_custom => Ok((requested, "asked for")),
+        (Some(stated), Some(requested)) if !is_same(requested, stated) => {
+            // The file states the length, the user its time.
+            let adds_time = kind == Values::Rates
+                && !stated.is_rate()
+                && requested.is_rate()
+                && requested.without_time() == stated;
+            if !adds_time {
+                let [a, b] = [stated, requested].map(|unit| unit.to_string());
+                contradicts("unit", a, b, settings, warnings)?;
+            }
+            Ok((requested, "asked for"))
         }
         (Some(stated), _) => Ok((stated, "file")),
+    }
+}
+
+/// [`unit`] of a file that states none for its values, but perhaps one of which it does not say what it is the unit of.
+fn unit_of_user(
+    reading: &Reading,
+    requested: Option<Unit>,
+    settings: &Settings,
+    warnings: &mut Vec<String>,
+) -> Result<(Unit, &'static str), Invalid> {
+    match (reading.lone_unit, requested) {
+        (None, None) => Err(Invalid::whole(
+            "unit",
+            match warnings.iter().find(|warning| warning.starts_with("statements that")) {
+                Some(unused) => format!("is not in the file ({unused})"),
+                None => "is not in the file".into(),
+            },
+            "give `unit` m, mm, um, nm, angstrom, in, mil or waves, or a rate such as nm/min",
+        )),
+        (Some(lone), None) => {
+            warnings.push(format!(
+                "the file states the unit {lone}, and not of what: it is taken for the values; give `unit` to be sure"
+            ));
+            Ok((lone, "file"))
+        }
+        (Some(lone), Some(requested))
+            if lone != requested && settings.coordinate_unit != Some(lone) =>
+        {
+            contradicts("unit", lone.to_string(), requested.to_string(), settings, warnings)?;
+            Ok((requested, "asked for"))
+        }
+        (_, Some(requested)) => Ok((requested, "asked for")),
     }
 }
 
@@ -541,7 +622,7 @@ fn wavelength(
 ) -> Result<Option<f64>, Invalid> {
     match (reading.wavelength_nm, settings.wavelength_nm) {
         (Some(a), Some(b)) if !agree(a, b) => {
-            if unit != Unit::Waves {
+            if !unit.is_waves() {
                 let [a, b] = [significant(a, 10), significant(b, 10)];
                 let problem = format!("is {a} in the file, {b} was asked for");
                 let remedy = "leave it out: the heights of this file are not in waves";
@@ -556,7 +637,7 @@ fn wavelength(
             )?;
             Ok(Some(b))
         }
-        (None, Some(_)) if unit != Unit::Waves => {
+        (None, Some(_)) if !unit.is_waves() => {
             warnings.push(format!("the heights are in {unit:?}: `wavelength_nm` has no effect"));
             Ok(None)
         }
@@ -584,11 +665,18 @@ fn place(
     settings: &Settings,
     warnings: &mut Vec<String>,
 ) -> Result<Placed, Invalid> {
-    let values = &reading.values;
-    let (rows, columns) = values.dim();
     let Some(coordinates) = &reading.coordinates else {
         return place_by_pitch(reading, settings, warnings);
     };
+    let unit = coordinate_unit(coordinates.unit, settings, warnings)?;
+    let in_pixels = unit.is_some_and(Unit::is_pixels);
+    if in_pixels && settings.pixel_mm.is_none() {
+        let remedy = "give `pixel_mm`, the distance of pixel centres";
+        return Err(Invalid::whole("coordinate_unit", "is pixels", remedy));
+    }
+    if in_pixels {
+        return place_by_coordinates(reading, coordinates, settings.pixel_mm.unwrap_or([1.0; 2]));
+    }
     if let (Some(asked), true) = (settings.pixel_mm, settings.override_file) {
         warnings
             .push(format!("`pixel_mm` {asked:?} takes the place of the coordinates in the file"));
@@ -604,18 +692,29 @@ fn place(
             step(&coordinates.x),
             step(&coordinates.y)
         );
-        let remedy = "leave it out; give `coordinate_unit` where the file does not state it";
+        let remedy = "leave it out; give `coordinate_unit` where the file does not state it (pixels, if they are \
+                      numbers of pixels, together with `pixel_mm`)";
         return Err(Invalid::whole("pixel_mm", problem, remedy));
     }
     if settings.first_row.is_some() {
         let problem = "was given, but the file has coordinates";
         return Err(Invalid::whole("first_row", problem, "leave it out; `flip_y` mirrors"));
     }
-    let unit = coordinate_unit(coordinates.unit, settings, warnings)?.ok_or_else(|| {
+    let unit = unit.ok_or_else(|| {
         Invalid::whole("coordinate_unit", "is not in the file", "give `coordinate_unit`")
     })?;
-    let to_mm = unit.mm()?;
-    let axis = |name: &'static str, given: &[f64], len: usize| {
+    place_by_coordinates(reading, coordinates, [unit.mm()?; 2])
+}
+
+/// [`place`] of a file with arrays of coordinates; `unit_mm` are their units along (x, y), mm.
+fn place_by_coordinates(
+    reading: &Reading,
+    coordinates: &Coordinates,
+    unit_mm: [f64; 2],
+) -> Result<Placed, Invalid> {
+    let values = &reading.values;
+    let (rows, columns) = values.dim();
+    let axis = |name: &'static str, given: &[f64], len: usize, to_mm: f64| {
         if given.len() != len {
             let problem = format!("has {} coordinates for {len} pixels", given.len());
             return Err(Invalid::whole(name, problem, "give one per pixel"));
@@ -627,8 +726,8 @@ fn place(
         }
         Axis::from_coordinates(name, &mm).map(|axis| (axis, descends))
     };
-    let (x, x_descends) = axis("x", &coordinates.x, columns)?;
-    let (y, y_descends) = axis("y", &coordinates.y, rows)?;
+    let (x, x_descends) = axis("x", &coordinates.x, columns, unit_mm[0])?;
+    let (y, y_descends) = axis("y", &coordinates.y, rows, unit_mm[1])?;
     let mut view = values.view();
     if x_descends {
         view.invert_axis(ndarray::Axis(1));
@@ -655,7 +754,7 @@ fn coordinate_unit(
     if let (Some(a), Some(b)) = (stated, settings.coordinate_unit)
         && a != b
     {
-        contradicts("coordinate_unit", format!("{a:?}"), format!("{b:?}"), settings, warnings)?;
+        contradicts("coordinate_unit", a.to_string(), b.to_string(), settings, warnings)?;
     }
     Ok(settings.coordinate_unit.or(stated))
 }
@@ -732,8 +831,18 @@ fn place_by_pitch(
         let problem = "was given, but the file says where its rows lie";
         return Err(Invalid::whole("first_row", problem, "leave it out; `flip_y` mirrors"));
     }
+    if let Some(requested) = settings.first_row
+        && reading.first_row_stated
+        && requested != reading.first_row
+    {
+        let word = |row| if row == FirstRow::Top { "top" } else { "bottom" };
+        let [a, b] = [reading.first_row, requested].map(|row| word(row).to_string());
+        contradicts("first_row", a, b, settings, warnings)?;
+    }
     let mut view = reading.values.view();
     let first_row = settings.first_row.unwrap_or(reading.first_row);
+    let window = reading.window.filter(|_| rule.is_none());
+    let start_mm = window.map(|window| window.start_mm(pitch, reading.values.nrows(), first_row));
     if first_row == FirstRow::Top {
         view.invert_axis(ndarray::Axis(0));
     }
@@ -746,7 +855,7 @@ fn place_by_pitch(
             view.invert_axis(ndarray::Axis(1 - k));
         }
         // coordinate of the first pixel of an ascending axis = coordinate - pitch (pixel - first pixel)
-        let start = reference.map_or(0.0, |of| {
+        let start = reference.map_or(start_mm.map_or(0.0, |start| start[k]), |of| {
             let (pixel, coordinate_mm) = of[k];
             let last = (len - 1) as f64;
             coordinate_mm - pitch[k] * if descends[k] { last - pixel } else { pixel }
@@ -759,7 +868,7 @@ fn place_by_pitch(
         values: view.to_owned(),
         first_row,
         pitch_from,
-        has_coordinates: reference.is_some(),
+        has_coordinates: reference.is_some() || window.is_some(),
     })
 }
 
@@ -774,7 +883,7 @@ fn in_mm(
         let Some(unit) = coordinate_unit(*stated, settings, warnings)? else { return Ok(None) };
         let to_mm = unit.mm()?;
         made.step[k] *= to_mm;
-        made.unit[k] = Some(Unit::Mm);
+        made.unit[k] = Some(Unit::named("mm"));
         if let Some(reference) = &mut made.reference {
             reference[k].1 *= to_mm;
         }
@@ -833,8 +942,33 @@ fn turned_about_0(grid: &Grid, settings: &Settings) -> Result<Grid, Invalid> {
     Ok(Grid { x: turned(&grid.x, along_x)?, y: turned(&grid.y, along_y)? })
 }
 
-fn set_origin(grid: Grid, origin: Origin) -> Result<Grid, Invalid> {
-    let start = |axis: &Axis| match origin {
+/// The grid with its coordinate 0, or its first pixel, where the user wants it; `has_place` is true if the file states
+/// its place.
+fn set_origin(
+    grid: Grid,
+    settings: &Settings,
+    has_place: bool,
+    warnings: &mut Vec<String>,
+) -> Result<Grid, Invalid> {
+    let at = [grid.x.start_mm(), grid.y.start_mm()];
+    if let Some(place) = settings.place_mm {
+        if settings.origin != Origin::File {
+            let problem = "was given beside `origin`";
+            return Err(Invalid::whole("place_mm", problem, "give one of them"));
+        }
+        let apart = [&grid.x, &grid.y]
+            .into_iter()
+            .enumerate()
+            .any(|(k, axis)| (place[k] - at[k]).abs() > 1e-3 * axis.step_mm());
+        if has_place && apart {
+            let text =
+                |p: [f64; 2]| format!("{}, {} mm", significant(p[0], 8), significant(p[1], 8));
+            contradicts("place_mm", text(at), text(place), settings, warnings)?;
+        }
+        let moved = |axis: &Axis, start: f64| Axis::new(start, axis.step_mm(), axis.len());
+        return Ok(Grid { x: moved(&grid.x, place[0])?, y: moved(&grid.y, place[1])? });
+    }
+    let start = |axis: &Axis| match settings.origin {
         Origin::File => axis.start_mm(),
         Origin::Corner => 0.0,
         Origin::Centre => -0.5 * (axis.len() - 1) as f64 * axis.step_mm(),
@@ -852,7 +986,7 @@ mod tests {
     fn reading() -> Reading {
         let values = array![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]];
         let mut reading = Reading::new(Format::Npy, values, FirstRow::SmallestY);
-        reading.unit = Some(Unit::Um);
+        reading.unit = Some(Unit::named("um"));
         reading.pixel_mm = Some([0.5, 0.25]);
         reading
     }
@@ -903,8 +1037,8 @@ mod tests {
         let reading = || {
             let mut reading = Reading::new(Format::Npy, values.clone(), FirstRow::SmallestY);
             let (x, y) = (vec![-1.0, 0.0, 1.0, 2.0], vec![0.0, 0.5, 1.0]);
-            reading.unit = Some(Unit::Nm);
-            reading.coordinates = Some(Coordinates { x, y, unit: Some(Unit::Mm) });
+            reading.unit = Some(Unit::named("nm"));
+            reading.coordinates = Some(Coordinates { x, y, unit: Some(Unit::named("mm")) });
             reading
         };
         for flip_x in [false, true] {
@@ -951,10 +1085,12 @@ mod tests {
         let plain = Settings::default();
         assert!(message(&|r| r.unit = None, &plain).contains("give `unit`"));
         assert!(message(&|r| r.pixel_mm = None, &plain).contains("give `pixel_mm`"));
-        assert!(message(&|r| r.unit = Some(Unit::Waves), &plain).contains("`wavelength_nm`"));
+        assert!(
+            message(&|r| r.unit = Some(Unit::named("waves")), &plain).contains("`wavelength_nm`")
+        );
         assert!(message(&|r| r.pixel_mm = Some([0.1, 0.0]), &plain).contains("pixel_mm: is 0"));
-        let asked = Settings { unit: Some(Unit::Nm), ..plain.clone() };
-        assert!(message(&|_| (), &asked).contains("Um in the file, Nm was asked for"));
+        let asked = Settings { unit: Some(Unit::named("nm")), ..plain.clone() };
+        assert!(message(&|_| (), &asked).contains("um in the file, nm was asked for"));
         let asked = Settings { pixel_mm: Some([0.5, 0.3]), ..plain.clone() };
         let said = message(&|_| (), &asked);
         assert!(said.contains("0.5 x 0.25 mm in the file, 0.5 x 0.3 mm was asked for"), "{said}");
@@ -970,7 +1106,7 @@ mod tests {
         let coordinates = Coordinates { x: vec![0.0, 1.0, 2.0], y: vec![1.0, 0.0], unit: None };
         let with = |r: &mut Reading| r.coordinates = Some(coordinates.clone());
         assert!(message(&with, &plain).contains("give `coordinate_unit`"));
-        let asked = Settings { coordinate_unit: Some(Unit::Waves), ..plain.clone() };
+        let asked = Settings { coordinate_unit: Some(Unit::named("waves")), ..plain.clone() };
         assert!(message(&with, &asked).contains("is waves"));
         assert!(Unit::stated("BUNIT", "furlong").unwrap_err().to_string().contains("furlong"));
     }
@@ -978,8 +1114,11 @@ mod tests {
     #[test]
     fn descending_coordinates_turn_the_map() {
         let mut reading = reading();
-        reading.coordinates =
-            Some(Coordinates { x: vec![2.0, 1.0, 0.0], y: vec![7.0, 6.0], unit: Some(Unit::M) });
+        reading.coordinates = Some(Coordinates {
+            x: vec![2.0, 1.0, 0.0],
+            y: vec![7.0, 6.0],
+            unit: Some(Unit::named("m")),
+        });
         let (surface, statement) = surface(reading, &Settings::default()).unwrap();
         assert_eq!(surface.height_nm() / 1e3, array![[6.0, 5.0, 4.0], [3.0, 2.0, 1.0]]);
         assert_eq!(surface.grid().y.start_mm(), 6000.0);

@@ -99,7 +99,7 @@ fn finish(
     if !(z.is_finite() && z != 0.0) {
         return Err(Invalid::whole(NAME, format!("has Zscale {z}"), "export it again"));
     }
-    (reading.unit, reading.factor) = (Some(Unit::M), z);
+    (reading.unit, reading.factor) = (Some(Unit::named("m")), z);
     reading.pixel_mm = Some([x * 1e3, y * 1e3]);
     reading.stated = json!({ "z_scale_m": z });
     Ok(reading)

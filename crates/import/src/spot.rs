@@ -126,6 +126,9 @@ pub fn spot(
         let problem = format!("has {}, the map after {}", of(b.grid()), of(grid));
         return Err(Invalid::whole("before", problem, "measure both maps alike, or crop them"));
     }
+    if let Some(before) = before.filter(|_| settings.align == Alignment::None) {
+        refuse_another_window(before.grid(), grid)?;
+    }
     let removal = |shift_px: [f64; 2]| match before {
         None => after.height_nm().clone(),
         Some(before) => before.height_nm() - &shifted(after.height_nm(), shift_px).0,
@@ -275,6 +278,18 @@ fn centroid(
         centre = about(centre, f64::NEG_INFINITY).filter(is_near).unwrap_or(centre);
     }
     Ok(centre)
+}
+
+/// Refuses maps of two windows of a camera, if nobody aligns them.
+fn refuse_another_window(before: &Grid, after: &Grid) -> Result<(), Invalid> {
+    let is_moved = |a: &Axis, b: &Axis| (a.start_mm() - b.start_mm()).abs() > 0.5 * a.step_mm();
+    if !is_moved(&before.x, &after.x) && !is_moved(&before.y, &after.y) {
+        return Ok(());
+    }
+    let start = |g: &Grid| format!("({}, {}) mm", g.x.start_mm(), g.y.start_mm());
+    let problem = format!("begins at {}, the map after at {}", start(before), start(after));
+    let remedy = "measure both with the same window, crop them, or give `align` shift";
+    Err(Invalid::whole("before", problem, remedy))
 }
 
 /// The square around the centre as a TIF, its depth, and the fraction that was clipped.

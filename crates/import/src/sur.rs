@@ -16,6 +16,7 @@
 //! | 180, 196, 212 | 16 bytes | units of dx, dy, dz |
 //! | 288, 290 | i16 | 1 for a replica, inversion |
 //! | 334, 336 | i16 | bytes of the comment and of the private zone |
+//! | 466, 470 | f32 | offsets of the first column and row, in the units of dx and dy |
 //! | 474 | f32 | offset of the heights |
 //!
 //! All of these are little-endian. Special points are raw values beyond the least or the largest: they are invalid. The
@@ -30,7 +31,7 @@ use crate::{
     Format, Unit,
     budget::check_size,
     bytes::{Bytes, Number},
-    reading::{FirstRow, Reading},
+    reading::{FirstRow, Reading, Window},
 };
 
 const NAME: &str = "SUR file";
@@ -80,16 +81,17 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         let (least, most) = (f64::from(b.i32(100)?), f64::from(b.i32(104)?));
         reading.values.mapv_inplace(|v| if v < least || v > most { f64::NAN } else { v });
     }
-    let unit = |at: usize| -> Result<Unit, Invalid> {
+    let word = |at: usize| -> Result<String, Invalid> {
         let raw = b.slice(at, 16)?;
         // Older writers use one byte per letter.
         let text = match std::str::from_utf8(raw) {
             Ok(text) => text.to_string(),
             Err(_) => raw.iter().map(|b| char::from(*b)).collect(),
         };
-        Unit::stated("unit", text.trim_matches(['\0', ' ']))
+        Ok(text.trim_matches(['\0', ' ']).to_string())
     };
-    reading.unit = Some(unit(212)?);
+    let unit = |at: usize| Unit::stated("coordinate_unit", &word(at)?);
+    reading.state_unit("unit", &word(212)?);
     reading.factor = f64::from(b.f32(128)?);
     let offset = f64::from(b.f32(474)?);
     let is_absolute = b.i16(88)? == 1;
@@ -100,6 +102,11 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         Ok(f64::from(b.f32(at)?) * unit(unit_at)?.mm()?)
     };
     reading.pixel_mm = Some([pitch(120, 180)?, pitch(124, 196)?]);
+    let first = [pitch(466, 180)?, pitch(470, 196)?];
+    // 0 is what programs write that know no place.
+    if first != [0.0; 2] && first.iter().all(|v| v.is_finite()) {
+        reading.window = Some(Window::at_mm(first));
+    }
     if b.i16(288)? == 1 {
         let say = "the file says that a replica was measured: `negate` gives the surface it was taken from";
         reading.warnings.push(say.into());

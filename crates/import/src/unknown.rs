@@ -19,8 +19,8 @@ const OTHERS: [(&[u8], &str, &str); 24] = [
     (b"\xd0\xcf\x11\xe0", "a document of Office or LabVIEW", "export the table as .csv"),
     (
         b"PK\x03\x04",
-        "a ZIP archive such as .xlsx, .npz or .plux",
-        "export the sheet as .csv, one array as .npy, the map as .x3p or .sur",
+        "a ZIP archive such as .xlsx or .plux",
+        "export the sheet as .csv, the map as .x3p or .sur",
     ),
     (b"AliconaImaging", "a map of Alicona (.al3d)", "export it as .sdf, .x3p or .sur"),
     (b"Binary TrueMap", "a map of TrueMap (.tmd)", "export it as .sdf, .x3p or .sur"),
@@ -88,7 +88,7 @@ fn looks(bytes: &[u8]) -> (String, String) {
             ),
             (true, n) if n > 1 => (
                 format!("text with {n} numbers in its first line"),
-                "give `format` csv for a matrix, with `unit` and `pixel_mm`".into(),
+                "give `format` csv for a matrix, with `unit` and `pixel_mm` where the file does not state them".into(),
             ),
             _ => (
                 format!("text that begins \"{short}\""),

@@ -3,7 +3,7 @@
 //! | element of `main.xml` | what is read |
 //! |---|---|
 //! | `Record1/FeatureType` | `SUR`: a map |
-//! | `Record1/Axes/CX`, `CY` | `AxisType` I (equal steps), `Increment` in m |
+//! | `Record1/Axes/CX`, `CY` | `AxisType` I (equal steps), `Increment` and `Offset` in m |
 //! | `Record1/Axes/CZ` | `DataType` I, L, F or D: i16, i32, f32 or f64; `Increment` and `Offset` in m |
 //! | `Record1/Axes/Rotation` | refused: the axes of the map are those of the part |
 //! | `Record3/MatrixDimension` | `SizeX`, `SizeY`, and `SizeZ` 1 |
@@ -26,7 +26,7 @@ use crate::{
     Format, Unit,
     budget::{MOST_TEXT_BYTES, check_size},
     bytes::Number,
-    reading::{FirstRow, Reading},
+    reading::{FirstRow, Reading, Window},
     zip::Archive,
 };
 
@@ -105,13 +105,11 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         let bits = archive.member(&link, count.div_ceil(8))?;
         mark_invalid(&mut reading, &bits)?;
     }
-    reading.unit = Some(Unit::M);
+    reading.unit = Some(Unit::named("m"));
     reading.factor = number("Record1/Axes/CZ/Increment")?.unwrap_or(1.0);
     reading.offset = number("Record1/Axes/CZ/Offset")?.unwrap_or(0.0);
-    let pitch = |axis: &str| number(&format!("Record1/Axes/{axis}/Increment"));
-    if let (Some(x), Some(y)) = (pitch("CX")?, pitch("CY")?) {
-        reading.pixel_mm = Some([x * 1e3, y * 1e3]);
-    }
+    (reading.pixel_mm, reading.window) =
+        (pair("Increment", &number)?, pair("Offset", &number)?.map(Window::at_mm));
     reading.stated = json!({
         "revision": text("Record1/Revision"),
         "manufacturer": text("Record2/Instrument/Manufacturer"),
@@ -120,6 +118,15 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
         "z_offset_m": reading.offset,
     });
     Ok(reading)
+}
+
+/// The element `name` of the axes (x, y), mm; `number` is that of a path of elements, m.
+fn pair(
+    name: &str,
+    number: impl Fn(&str) -> Result<Option<f64>, Invalid>,
+) -> Result<Option<[f64; 2]>, Invalid> {
+    let of = |axis: &str| number(&format!("Record1/Axes/{axis}/{name}"));
+    Ok(of("CX")?.zip(of("CY")?).map(|(x, y)| [x * 1e3, y * 1e3]))
 }
 
 /// The first child of this name, in any namespace.

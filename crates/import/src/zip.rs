@@ -74,6 +74,11 @@ impl<'a> Archive<'a> {
         self.members.iter().any(|member| member.name == name)
     }
 
+    /// The names of the members, and their sizes in bytes.
+    pub fn names(&self) -> impl Iterator<Item = (&str, usize)> {
+        self.members.iter().map(|member| (member.name.as_str(), member.size))
+    }
+
     /// The content of a member of at most `most` bytes.
     pub fn member(&self, name: &str, most: usize) -> Result<Vec<u8>, Invalid> {
         let refuse = |problem: String| Invalid::whole(self.b.name, problem, "export it again");

@@ -166,7 +166,7 @@ fn a_header_of_text_is_believed_before_a_flag() {
     is_truth(&map, 1e-5, 0);
     assert_eq!(manifest.outcome["reading"]["unit_from"], "file");
     let said = refused("gwyddion.csv", &["--unit", "nm"]);
-    assert!(said.contains("is M in the file, Nm was asked for"), "{said}");
+    assert!(said.contains("is m in the file, nm was asked for"), "{said}");
     let said = refused("gwyddion.csv", &["--pixel-mm", "0.1"]);
     assert!(said.contains("0.5 x 0.5 mm in the file, 0.1 x 0.1 mm was asked for"), "{said}");
     let (map, _, warned) = read("gwyddion.csv", &["--pixel-mm", "0.1", "--override-file"]);
@@ -210,7 +210,7 @@ fn pixels_are_counted_one_way_in_a_file() {
 fn a_flag_without_an_effect_says_so() {
     let flags = ["--unit", "nm", "--pixel-mm", "0.5", "--wavelength-nm", "632.8"];
     let (_, _, warned) = read("truth.npy", &flags);
-    assert!(warned.contains("in Nm: --wavelength-nm has no effect"), "{warned}");
+    assert!(warned.contains("in nm: --wavelength-nm has no effect"), "{warned}");
 }
 
 #[test]
@@ -273,7 +273,7 @@ fn files_that_state_everything_need_no_flag() {
         assert_eq!((&reading["format"], &reading["pitch_from"]), (&format.into(), &"file".into()));
         assert_eq!(reading["unit_from"], "file");
         let said = refused(file, &["--unit", "angstrom"]);
-        assert!(said.contains("in the file, Angstrom was asked for"), "{said}");
+        assert!(said.contains("in the file, angstrom was asked for"), "{said}");
         let said = refused(file, &["--pixel-mm", "0.4"]);
         assert!(said.contains("0.5") && said.contains("0.4"), "{said}");
     }
@@ -608,13 +608,14 @@ fn words_above_the_numbers_are_obeyed_or_quoted() {
     let text = format!("# Pixel size (um): 500\n# Z unit: nm\n{}", table(",", "nan"));
     let (_tmp, path) = put("a.csv", text.as_bytes());
     is_truth(&read(&path, &[]).0, FOUR_DECIMALS_NM, 12);
-    assert!(refused(&path, &["--unit", "um"]).contains("is Nm in the file, Um was asked for"));
+    assert!(refused(&path, &["--unit", "um"]).contains("is nm in the file, um was asked for"));
     assert!(refused(&path, &["--pixel-mm", "1"]).contains("0.5 x 0.5 mm in the file"));
     let text = format!("# heights in um\n# scale unit: 3\n{}", table(",", "nan"));
     let (_tmp, path) = put("a.csv", text.as_bytes());
-    let (_, _, warned) = read(&path, &["--unit", "nm", "--pixel-mm", "0.5"]);
-    let right =
-        "comments that are not used: \"heights in um\" (line 1), \"scale unit: 3\" (line 2)";
+    let said = refused(&path, &["--unit", "nm", "--pixel-mm", "0.5"]);
+    assert!(said.contains("is um in the file, nm was asked for"), "{said}");
+    let (_, _, warned) = read(&path, &["--unit", "um", "--pixel-mm", "0.5"]);
+    let right = "statements that are not used: \"scale unit: 3\" (line 2)";
     assert!(warned.contains(right), "{warned}");
 
     let point = |((row, column), v): ((usize, usize), &f64)| {
@@ -623,7 +624,7 @@ fn words_above_the_numbers_are_obeyed_or_quoted() {
     let points = truth().indexed_iter().map(point).collect::<String>();
     let (_tmp, path) = put("a.xyz", format!("x (mm);y (mm);z [nm]\n{points}").as_bytes());
     is_truth(&read(&path, &[]).0, FOUR_DECIMALS_NM, 12);
-    assert!(refused(&path, &["--unit", "um"]).contains("is Nm in the file, Um was asked for"));
+    assert!(refused(&path, &["--unit", "um"]).contains("is nm in the file, um was asked for"));
     let (_tmp, path) = put("a.xyz", format!("y_mm;x_mm;z_nm\n{points}").as_bytes());
     assert!(refused(&path, &[]).contains("give the columns in the order x y z"));
     // A value far from all others is doubted.
@@ -648,7 +649,10 @@ fn what_hdf5_and_matlab_say_beside_the_numbers_is_obeyed() {
     let (map, _, warned) = read("half.h5", &pitch);
     // Half a step of a 16-bit float below 128 nm: 2^6 / 2^11.
     is_truth(&map, 2f64.powi(-5), 12);
-    assert!(warned.contains("attributes that are not used: pixel_size_mm of /"), "{warned}");
+    assert!(warned.is_empty(), "{warned}");
+    // The file has its attribute pixel_size_mm.
+    is_truth(&read("half.h5", &[]).0, 2f64.powi(-5), 12);
+    assert!(refused("half.h5", &["--pixel-mm", "1"]).contains("0.5 x 0.5 mm in the file"));
     let (map, _, warned) = read("fill-value.h5", &pitch);
     is_truth(&map, single, 12);
     assert!(warned.contains("12 pixel(s) have the fill value -9999"), "{warned}");
@@ -696,4 +700,363 @@ fn an_image_of_fits_has_a_name() {
     assert!(refused(&path, &[&flags[..], &["--mask", "other"]].concat()).contains("no HDU other"));
     let said = refused(&path, &["--pixel-mm", "0.5", "--dataset", "SCI"]);
     assert!(said.contains("has no HDU \"SCI\", only 2"), "{said}");
+}
+
+/// The path of a case of the second round.
+fn second(file: &str) -> String {
+    Path::new(CASES).with_file_name("cases-2").join(file).to_str().unwrap().to_string()
+}
+
+/// The map of the cases of the second round, nm: row 0 is the smallest y.
+fn second_truth() -> Array2<f64> {
+    let bytes = fs::read(second("truth.npy")).unwrap();
+    planish_import::read(planish_import::Format::Npy, &bytes, &Default::default()).unwrap().values
+}
+
+/// The map of [`second_truth`] on pixels of 0.5 mm, every height within `tolerance_nm`.
+fn is_second_truth(map: &Surface, tolerance_nm: f64) {
+    let truth = second_truth();
+    assert_eq!(map.height_nm().dim(), truth.dim());
+    let g = map.grid();
+    assert!((g.x.step_mm() / 0.5 - 1.0).abs() < 1e-6 && (g.y.step_mm() / 0.5 - 1.0).abs() < 1e-6);
+    for ((at, found), right) in map.height_nm().indexed_iter().zip(&truth) {
+        assert!((found - right).abs() <= tolerance_nm, "pixel {at:?}: {found}, not {right}");
+    }
+}
+
+/// Writes a text and returns its path.
+fn put_text(dir: &Path, name: &str, text: &str) -> String {
+    let path = dir.join(name);
+    fs::write(&path, text).unwrap();
+    path.to_str().unwrap().to_string()
+}
+
+#[test]
+fn a_unit_in_the_names_of_columns_is_read_and_contradicts_a_flag() {
+    for (file, unit, flags) in [
+        ("angstrom.xyz", "angstrom", &[][..]),
+        ("mil.xyz", "mil", &[]),
+        ("wv.xyz", "waves", &["--wavelength-nm", "632.8"]),
+    ] {
+        let path = second(file);
+        let (map, manifest, _) = read(&path, flags);
+        // 9 digits of 61 nm, or 5 decimals of an angstrom.
+        is_second_truth(&map, 1e-6);
+        assert_eq!(manifest.outcome["reading"]["unit"], unit);
+        let said = refused(&path, &["--unit", "nm"]);
+        assert!(said.contains(&format!("is {unit} in the file, nm was asked for")), "{said}");
+        assert!(said.contains("--override-file"), "{said}");
+    }
+    assert!(refused(&second("wv.xyz"), &[]).contains("give --wavelength-nm"));
+    // Other words of the same kind, and words that nobody understands.
+    let tmp = tempfile::tempdir().unwrap();
+    let points = "0,0,1\n1,0,2\n0,1,3\n1,1,4\n";
+    for (name, nm) in [
+        ("z (inch)", 25.4e6),
+        ("z [\u{b5}m]", 1e3),
+        ("z (\u{3bc}m)", 1e3),
+        ("z_nm", 1.0),
+        ("z (\u{c5})", 0.1),
+        ("H\u{f6}he [micron]", 1e3),
+        ("z (thou)", 25.4e3),
+        ("z (pm)", 1e-3),
+    ] {
+        let text = format!("x (mm),y (mm),{name}\n{points}");
+        let (map, _, _) = read(&put_text(tmp.path(), "a.xyz", &text), &[]);
+        // The factor and the height are rounded once each.
+        assert!((map.height_nm()[[1, 1]] / (4.0 * nm) - 1.0).abs() < 1e-15, "{name}");
+    }
+    let said = refused(
+        &put_text(tmp.path(), "b.xyz", &format!("x (mm),y (mm),z (furlong)\n{points}")),
+        &["--unit", "nm"],
+    );
+    assert!(said.contains("\"furlong\"") && said.contains("no known unit"), "{said}");
+    let said = refused(
+        &put_text(tmp.path(), "c.xyz", &format!("x (mm),y (mm),z (fringes)\n{points}")),
+        &[],
+    );
+    assert!(said.contains("fringes"), "{said}");
+    // Numbers of pixels have a place too.
+    let text = format!(
+        "x (px),y (px),z (nm)\n{}",
+        points
+            .replace("0,0,", "7,5,")
+            .replace("1,0,", "8,5,")
+            .replace("0,1,", "7,6,")
+            .replace("1,1,", "8,6,")
+    );
+    let path = put_text(tmp.path(), "d.xyz", &text);
+    assert!(refused(&path, &[]).contains("give --pixel-mm"));
+    let (map, _, _) = read(&path, &["--pixel-mm", "0.5"]);
+    assert_eq!((map.grid().x.start_mm(), map.grid().y.start_mm()), (3.5, 2.5));
+}
+
+#[test]
+fn units_in_a_comment_of_points_are_read_and_contradict_a_flag() {
+    for (file, unit) in [("nom.xyz", "um"), ("three_words.xyz", "mm"), ("metres.xyz", "m")] {
+        let path = second(file);
+        let (map, _, _) = read(&path, &[]);
+        // 8 digits of 61 nm.
+        is_second_truth(&map, 1e-5);
+        let said = refused(&path, &["--unit", "nm"]);
+        assert!(said.contains(&format!("is {unit} in the file, nm was asked for")), "{said}");
+    }
+    let said = refused(&second("metres.xyz"), &["--coordinate-unit", "mm"]);
+    assert!(said.contains("is m in the file, mm was asked for"), "{said}");
+    // A unit of which nobody says what it is the unit of.
+    let tmp = tempfile::tempdir().unwrap();
+    let path = put_text(
+        tmp.path(),
+        "a.xyz",
+        "# heights and places\n# unit: um\n0 0 1\n1 0 2\n0 1 3\n1 1 4\n",
+    );
+    let said = refused(&path, &["--unit", "nm", "--coordinate-unit", "mm"]);
+    assert!(said.contains("is um in the file, nm was asked for"), "{said}");
+}
+
+#[test]
+fn a_text_export_is_read_in_other_languages() {
+    let path = second("gwyddion-german.txt");
+    let (map, manifest, _) = read(&path, &["--format", "csv"]);
+    // Half of the third decimal of a nm, and rounding of the difference.
+    is_second_truth(&map, 5.01e-4);
+    assert_eq!(manifest.outcome["reading"]["first_row"], "top");
+    let said = refused(&path, &["--format", "csv", "--pixel-mm", "1"]);
+    assert!(said.contains("0.5 x 0.5 mm in the file, 1 x 1 mm was asked for"), "{said}");
+}
+
+#[test]
+fn lines_of_text_above_a_matrix_are_read() {
+    let (map, manifest, _) = read(&second("keyence.csv"), &[]);
+    // Half of the fourth decimal of a nm, and rounding of the difference.
+    is_second_truth(&map, 5.01e-5);
+    assert_eq!(manifest.outcome["reading"]["first_row"], "top");
+    let said = refused(&second("keyence.csv"), &["--unit", "um"]);
+    assert!(said.contains("is nm in the file, um was asked for"), "{said}");
+    let said = refused(&second("keyence.csv"), &["--pixel-mm", "0.4"]);
+    assert!(said.contains("0.5 x 0.5 mm in the file"), "{said}");
+    let tmp = tempfile::tempdir().unwrap();
+    let cut = fs::read_to_string(second("keyence.csv"))
+        .unwrap()
+        .replace("\"Vertical\",\"20\"", "\"Vertical\",\"21\"");
+    let (_, _, warned) = read(&put_text(tmp.path(), "a.csv", &cut), &[]);
+    assert!(warned.contains("states 21 rows, and has 20"), "{warned}");
+}
+
+#[test]
+fn columns_of_points_are_known_by_name_or_number() {
+    let flags = ["--format", "xyz", "--grid-mm", "3"];
+    let (map, _, warned) = read(&second("wafer.csv"), &flags);
+    assert!(warned.contains("X(mm), Y(mm), Thickness(A)"), "{warned}");
+    assert_eq!(map.statistics().valid_count, 7453);
+    has_rms(&map, 2.7814);
+    let units = ["--unit", "angstrom", "--coordinate-unit", "mm"];
+    let (same, _, _) = read(&second("wafer.csv"), &[&flags[..], &units].concat());
+    assert_eq!(same.height_nm().dim(), map.height_nm().dim());
+    let said = refused(&second("wafer.csv"), &[&flags[..], &["--unit", "nm"]].concat());
+    assert!(said.contains("is angstrom in the file, nm was asked for"), "{said}");
+    for columns in ["2,3,4", "x,y,thickness", "X(mm),Y(mm),Thickness(A)"] {
+        let (chosen, _, _) =
+            read(&second("wafer.csv"), &[&flags[..], &["--columns", columns]].concat());
+        assert_eq!(chosen.statistics().rms, map.statistics().rms, "{columns}");
+    }
+    let said = refused(&second("wafer.csv"), &[&flags[..], &["--columns", "x,y,height"]].concat());
+    assert!(said.contains("\"height\" is no column") && said.contains("Thickness(A)"), "{said}");
+    // Two columns of values: neither is chosen silently.
+    let tmp = tempfile::tempdir().unwrap();
+    let two = "Site,X(mm),Y(mm),Thickness(A),GOF\n1,0,0,10,1\n2,1,0,20,1\n3,0,1,30,1\n4,1,1,40,1\n";
+    let path = put_text(tmp.path(), "a.xyz", two);
+    let said = refused(&path, &[]);
+    assert!(said.contains("give --columns") && said.contains("GOF"), "{said}");
+    let (map, _, _) = read(&path, &["--columns", "X,Y,Thickness"]);
+    assert_eq!(map.height_nm()[[1, 1]], 4.0);
+    // Without names.
+    let path = put_text(tmp.path(), "b.xyz", "1 0 0 10\n2 1 0 20\n3 0 1 30\n4 1 1 40\n");
+    assert!(refused(&path, &["--unit", "nm"]).contains("give --columns"));
+    let flags = ["--columns", "2,3,4", "--unit", "nm", "--coordinate-unit", "mm"];
+    assert_eq!(read(&path, &flags).0.height_nm()[[1, 1]], 40.0);
+}
+
+#[test]
+fn rounded_coordinates_lie_on_a_grid() {
+    let (map, _, warned) = read(&second("rounded.xyz"), &[]);
+    assert_eq!(map.height_nm().dim(), (20, 30));
+    has_rms(&map, 7.2594);
+    let g = map.grid();
+    assert!((g.x.step_mm() - 1.0).abs() < 1e-9, "{}", g.x.step_mm());
+    // Rounding of 20 coordinates to 0.01 mm: a standard error of 0.01 / sqrt(12) over sqrt(20^3 / 12) steps.
+    assert!((g.y.step_mm() - 0.2763).abs() < 5e-4, "{}", g.y.step_mm());
+    assert!(warned.contains("the coordinates y are rounded"), "{warned}");
+    // A pixel that is absent, and points that are scattered.
+    let line =
+        |i: usize, j: usize, x: f64| format!("{:.2} {:.2} {}\n", x, 0.2763 * j as f64, i + j);
+    let holed: String = (0..6)
+        .flat_map(|j| (0..5).filter(move |i| (*i, j) != (2, 3)).map(move |i| line(i, j, i as f64)))
+        .collect();
+    let tmp = tempfile::tempdir().unwrap();
+    let flags = ["--unit", "nm", "--coordinate-unit", "mm"];
+    let (map, _, _) = read(&put_text(tmp.path(), "a.xyz", &holed), &flags);
+    assert_eq!((map.height_nm().dim(), invalid(&map)), ((6, 5), 1));
+    let scattered: String =
+        (0..30).map(|i| line(i, i % 6, (i * i % 37) as f64 * 0.31 + (i as f64).sin())).collect();
+    assert!(refused(&put_text(tmp.path(), "b.xyz", &scattered), &flags).contains("give --grid-mm"));
+}
+
+#[test]
+fn rates_keep_their_time() {
+    let tmp = tempfile::tempdir().unwrap();
+    let tif = |file: &str, flags: &[&str]| -> Result<(f64, f64), String> {
+        let out = tmp.path().join("tif");
+        let output = Command::new(env!("CARGO_BIN_EXE_planish-import"))
+            .args([&["tif", file, "--force", "--out", out.to_str().unwrap()], flags].concat())
+            .output()
+            .unwrap();
+        match output.status.code() {
+            Some(0) => {
+                let tif = artifact::read::<planish_types::Tif>(&out).unwrap().value;
+                Ok((tif.peak_nm_per_s(), tif.vrr_nm_mm2_per_s()))
+            }
+            _ => Err(String::from_utf8_lossy(&output.stderr).into_owned()),
+        }
+    };
+    let is_right = |(peak, vrr): (f64, f64)| {
+        // 5 digits of the samples.
+        assert!(
+            (peak / 2.0 - 1.0).abs() < 1e-4 && (vrr / 40.6857 - 1.0).abs() < 1e-4,
+            "{peak} {vrr}"
+        );
+    };
+    let mat = ["--rate", "--dataset", "rate_nm_per_min", "--coordinate-unit", "mm"];
+    is_right(tif(&second("tif.mat"), &mat).unwrap());
+    is_right(tif(&second("tif.mat"), &[&mat[..], &["--unit", "nm/min"]].concat()).unwrap());
+    let said = tif(&second("tif.mat"), &[&mat[..], &["--unit", "nm"]].concat()).unwrap_err();
+    assert!(said.contains("is nm/min in the file, nm was asked for"), "{said}");
+    is_right(tif(&second("tif.csv"), &["--rate"]).unwrap());
+    is_right(tif(&second("tif.csv"), &["--rate", "--unit", "nm per minute"]).unwrap());
+    let said = tif(&second("tif.csv"), &["--rate", "--unit", "nm/s"]).unwrap_err();
+    assert!(said.contains("is nm/min in the file, nm/s was asked for"), "{said}");
+    for flags in [&["--rate"][..], &["--rate", "--unit", "nm"], &["--rate", "--unit", "nm/s"]] {
+        let (peak, vrr) = tif(&second("tif_nm_per_s.csv"), flags).unwrap();
+        assert!((peak - 120.0).abs() < 0.01 || (peak - 2.0).abs() < 1e-3, "{peak} {vrr}");
+    }
+    // A rate in um/h, stated on the command line alone.
+    let text = fs::read_to_string(second("tif.csv")).unwrap().replace("# unit: nm/min\n", "");
+    let path = put_text(tmp.path(), "plain.csv", &text);
+    let (peak, _) = tif(&path, &["--rate", "--unit", "um/h"]).unwrap();
+    assert!((peak / (120.0 / 3.6) - 1.0).abs() < 1e-4, "{peak}");
+    assert!(tif(&path, &["--rate"]).unwrap_err().contains("nm/min"));
+    // Rates are no heights, and no depths.
+    let said = refused(&second("tif.csv"), &[]);
+    assert!(
+        said.contains("is nm/min, a removal rate") && said.contains("planish-import tif"),
+        "{said}"
+    );
+    let depth = ["--dwell-s", "10", "--half-size-mm", "3"];
+    assert!(tif(&second("tif.csv"), &depth).unwrap_err().contains("a removal rate"));
+}
+
+#[test]
+fn windows_of_a_camera_keep_their_places() {
+    let maps: Vec<Surface> =
+        (0..3).map(|k| read(&second(&format!("sub{k}.datx")), &[]).0).collect();
+    for (map, place) in maps.iter().zip([0.0, 9.0, 18.0]) {
+        assert!((map.grid().x.start_mm() - maps[0].grid().x.start_mm() - place).abs() < 1e-9);
+        assert_eq!(map.grid().y, maps[0].grid().y);
+        // Row 100 is the first: 100.5 .. 115.5 rows below the upper edge of the camera.
+        assert_eq!((map.grid().y.start_mm(), map.grid().y.end_mm()), (-57.5, -50.0));
+    }
+    // A place that the file does not state, and one that contradicts it.
+    let flags = ["--unit", "nm", "--pixel-mm", "0.5", "--place-mm", "12,-3"];
+    let (map, _, _) = read(&second("truth.npy"), &flags);
+    assert_eq!((map.grid().x.start_mm(), map.grid().y.start_mm()), (12.0, -3.0));
+    let said = refused(&second("sub1.datx"), &["--place-mm", "12,-3"]);
+    assert!(said.contains("9, -57.5 mm in the file, 12, -3 mm was asked for"), "{said}");
+    let (map, _, _) = read(&second("sub1.datx"), &["--place-mm", "12,-3", "--override-file"]);
+    assert_eq!(map.grid().x.start_mm(), 12.0);
+}
+
+#[test]
+fn formats_of_neighbouring_programs_are_read() {
+    let (map, manifest, _) = read(&second("mirror.wft"), &[]);
+    assert_eq!(map.statistics().valid_count, 613);
+    has_rms(&map, 39.0896);
+    assert!((map.grid().x.step_mm() - 200.0 / 28.0).abs() < 1e-12);
+    // The middle of the mirror is the origin; the first row of the file is the bottom.
+    assert!(map.grid().x.at(16).abs() < 1e-12 && map.grid().y.at(16).abs() < 1e-12);
+    assert!((map.height_nm()[[2, 16]] + 0.35 * 0.5 * 632.8).abs() < 1e-9);
+    assert_eq!(manifest.outcome["reading"]["stated"]["radius_of_curvature_mm"], 1600.0);
+    let said = refused(&second("mirror.wft"), &["--surface-per-value", "0.5"]);
+    assert!(said.contains("is 0.5 in the file and applied"), "{said}");
+
+    let (map, _, warned) = read(&second("mirror_2d.dat"), &[]);
+    // 6 digits of 61 nm.
+    is_second_truth(&map, 1e-4);
+    assert!(warned.contains("x goes down the first column"), "{warned}");
+    let (same, _, _) = read(
+        &second("mirror_2d.dat"),
+        &["--format", "srw", "--unit", "m", "--coordinate-unit", "m"],
+    );
+    assert_eq!(same.height_nm(), map.height_nm());
+    let said = refused(
+        &second("mirror_2d.dat"),
+        &["--format", "csv", "--unit", "m", "--coordinate-unit", "m"],
+    );
+    assert!(said.contains("give --format srw"), "{said}");
+}
+
+#[test]
+fn numbers_and_texts_beside_an_array_are_read() {
+    let (map, manifest, _) = read(&second("map.npz"), &[]);
+    // The factor and the heights are rounded once each.
+    is_second_truth(&map, 1e-12);
+    assert_eq!(manifest.outcome["reading"]["format"], "npz");
+    let said = refused(&second("map.npz"), &["--unit", "nm"]);
+    assert!(said.contains("is um in the file, nm was asked for"), "{said}");
+    let said = refused(&second("map.npz"), &["--pixel-mm", "1"]);
+    assert!(said.contains("0.5 x 0.5 mm in the file, 1 x 1 mm was asked for"), "{said}");
+}
+
+#[test]
+fn slopes_become_heights() {
+    let tmp = tempfile::tempdir().unwrap();
+    let out = tmp.path().join("map");
+    let run = |flags: &[&str]| {
+        Command::new(env!("CARGO_BIN_EXE_planish-import"))
+            .args(
+                [
+                    &["slopes", &second("slopes.h5"), "--force", "--out", out.to_str().unwrap()],
+                    flags,
+                ]
+                .concat(),
+            )
+            .output()
+            .unwrap()
+    };
+    let output = run(&["--pixel-mm", "0.5"]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    let map = artifact::read::<Surface>(&out).unwrap().value;
+    // The slopes of this case are differences over two pixels, which lack (2 pi 0.5 / 12)^2 / 6 = 1 % of waves of 12 mm, and
+    // not slopes in points.
+    assert!((map.statistics().rms / 7.2594 - 1.0).abs() < 0.01, "{}", map.statistics().rms);
+    let difference = map.height_nm() - &second_truth();
+    let mean = difference.mean().unwrap();
+    assert!(difference.iter().all(|d| (d - mean).abs() < 0.2), "{difference}");
+    for (flags, part) in [
+        (&[][..], "give --pixel-mm"),
+        (&["--pixel-mm", "0.5", "--slope-unit", "mrad"], "is urad in the file, mrad was asked for"),
+        (&["--pixel-mm", "0.5", "--slope-y", "slope_x"], "contradict each other"),
+        (&["--pixel-mm", "0.5", "--negate-y"], "with the other sign along y"),
+        (&["--pixel-mm", "0.5", "--unit", "nm"], "give --slope-unit"),
+    ] {
+        let output = run(flags);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        if part == "contradict each other" {
+            // No sign of a map of other slopes is certainly right: a warning, or a refusal.
+            assert!(said.contains("belong to no surface"), "{said}");
+            continue;
+        }
+        assert_eq!(output.status.code(), Some(2), "{flags:?}: {said}");
+        assert!(said.contains(part), "{flags:?}: {said}");
+    }
 }

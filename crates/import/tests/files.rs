@@ -181,7 +181,9 @@ fn seeds() -> Vec<(Format, Vec<u8>)> {
 }
 
 fn message(format: Format, bytes: &[u8]) -> String {
-    read(format, bytes, &Pick::default()).unwrap_err().to_string()
+    let made = read(format, bytes, &Pick::default())
+        .and_then(|reading| surface(reading, &Settings::default()));
+    made.err().expect("a refusal").to_string()
 }
 
 #[test]
@@ -228,7 +230,7 @@ fn fits_scale_blank_unit_and_pitch() {
     let reading = read(Format::Fits, &fits_map(), &Pick::default()).unwrap();
     assert_eq!((reading.values.row(0), reading.offset, reading.factor), (raw().row(0), 10.0, 0.5));
     assert!(reading.values[[1, 2]].is_nan());
-    assert_eq!(reading.unit, Some(Unit::Um));
+    assert_eq!(reading.unit, Some(Unit::named("um")));
     // Steps alone: 0 is at the first pixel.
     let (map, statement) = surface(reading, &Settings::default()).unwrap();
     // Halves of these numbers are exact, in um: nm.
@@ -311,7 +313,7 @@ fn fits_pixels_lie_where_the_header_says() {
     let bare: Vec<&str> = without("CUNIT");
     let said = heights(&placed(&bare), &plain).unwrap_err();
     assert!(said.contains("give `coordinate_unit`, or `pixel_mm`"), "{said}");
-    let um = Settings { coordinate_unit: Some(Unit::Um), ..plain.clone() };
+    let um = Settings { coordinate_unit: Some(Unit::named("um")), ..plain.clone() };
     same(
         heights(&placed(&bare), &um).unwrap(),
         &expected(&|i| 0.01 + 5e-4 * (i - 2.0), &|j| -4.0 - 0.25 * (j - 2.5)),
@@ -341,8 +343,8 @@ fn fits_axes_that_are_no_coordinates_of_a_map_are_refused() {
     assert!(said("CTYPE1  = 'X----LOG'", &plain).contains("not linear"));
     let top = Settings { first_row: Some(FirstRow::Top), ..plain.clone() };
     assert!(said("CTYPE1  = 'X'", &top).contains("says where its rows lie"));
-    let um = Settings { coordinate_unit: Some(Unit::Um), ..plain.clone() };
-    assert!(said("CTYPE1  = 'X'", &um).contains("Mm in the file, Um was asked for"));
+    let um = Settings { coordinate_unit: Some(Unit::named("um")), ..plain.clone() };
+    assert!(said("CTYPE1  = 'X'", &um).contains("mm in the file, um was asked for"));
     let zero = placed(&["CDELT1  = 0.0", "CDELT2  = 1.0"]);
     assert!(heights(&zero, &plain).unwrap_err().contains("CDELT1 = 0"));
 }
@@ -363,7 +365,7 @@ fn sdf_in_text_and_bytes() {
     for b in [SDF.as_bytes().to_vec(), sdf_binary()] {
         let reading = read(Format::Sdf, &b, &Pick::default()).unwrap();
         assert_eq!(reading.values.row(0), raw().row(0));
-        assert_eq!((reading.unit, reading.factor), (Some(Unit::M), 1e-6));
+        assert_eq!((reading.unit, reading.factor), (Some(Unit::named("m")), 1e-6));
         assert_eq!(reading.pixel_mm, Some([1.0, 2.0]));
     }
 }
@@ -381,7 +383,7 @@ fn hdf5_and_datx_of_a_real_library() {
                 assert_eq!(reading.factor, 0.5 * 1.0 * 632.8e-9);
                 assert_eq!(reading.pixel_mm, Some([0.25, 0.25]));
             }
-            _ => assert_eq!(reading.unit, Some(Unit::Nm)),
+            _ => assert_eq!(reading.unit, Some(Unit::named("nm"))),
         }
     }
 }
@@ -492,8 +494,8 @@ fn executions() -> usize {
 fn damaged_files_are_read_or_refused() {
     let settings = Settings {
         override_file: true,
-        unit: Some(Unit::Nm),
-        coordinate_unit: Some(Unit::Mm),
+        unit: Some(Unit::named("nm")),
+        coordinate_unit: Some(Unit::named("mm")),
         pixel_mm: Some([1.0; 2]),
         ..Settings::default()
     };

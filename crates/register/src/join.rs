@@ -81,6 +81,8 @@ pub struct JoinReport {
     pub overlap_pixels: usize,
     /// Number of valid pixels of the joined map.
     pub pixels: usize,
+    /// True if all maps have their valid pixels in the same rectangle: they are averaged, not joined.
+    pub same_place: bool,
     /// Pistons and tilts that were subtracted, one per map.
     pub terms: Vec<Terms>,
     /// Every pair of maps that overlap.
@@ -166,6 +168,7 @@ pub fn join(maps: &[Surface], settings: &JoinSettings) -> Result<Joined, Refused
         misfit_nm: (squares / degrees).sqrt(),
         overlap_pixels,
         pixels: height.iter().filter(|z| !z.is_nan()).count(),
+        same_place: pieces.windows(2).all(|pair| extent(&pair[0]) == extent(&pair[1])),
         terms: terms.collect(),
         overlaps: overlaps(&levelled, &counts),
     };
@@ -209,6 +212,14 @@ fn on(map: &Surface, grid: &Grid) -> Array2<f64> {
     let source = Resampled::new(map, grid);
     Array2::from_shape_fn(grid.shape(), |(r, c)| {
         source.at_pixel((r, c), [grid.x.at(c), grid.y.at(r)]).unwrap_or(f64::NAN)
+    })
+}
+
+/// First and last row, first and last column with a valid pixel.
+fn extent(piece: &Array2<f64>) -> [usize; 4] {
+    let valid = piece.indexed_iter().filter(|(_, z)| !z.is_nan());
+    valid.fold([usize::MAX, 0, usize::MAX, 0], |[r0, r1, c0, c1], ((r, c), _)| {
+        [r0.min(r), r1.max(r), c0.min(c), c1.max(c)]
     })
 }
 

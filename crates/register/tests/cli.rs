@@ -160,3 +160,35 @@ fn measurements_in_series_become_one_map() {
     assert!(said.contains("far: mosaic: has at most 0 pixel(s) in common"), "{said}");
     assert!(said.contains("--least-overlap"), "{said}");
 }
+
+#[test]
+fn maps_at_one_place_are_averaged_and_not_joined() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    let piece = |place_mm: f64, start: usize| {
+        let grid =
+            Grid { x: Axis::new(place_mm, 0.5, 24).unwrap(), y: Axis::new(0.0, 0.5, 16).unwrap() };
+        let z = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            let x = (start + c) as f64;
+            8.0 * (0.3 * x).sin() + 5.0 * (0.4 * r as f64 + 0.1 * x).cos()
+        });
+        Surface::new(grid, z).unwrap()
+    };
+    for (k, start) in [0, 18].into_iter().enumerate() {
+        write(dir, &format!("placed{k}"), &piece(0.5 * start as f64, start));
+        write(dir, &format!("plain{k}"), &piece(0.0, start));
+    }
+    let output = run(dir, "join plain0 plain1 --out plain");
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert!(
+        said.contains("all maps lie at the same place") && said.contains("--place-mm"),
+        "{said}"
+    );
+    let output = run(dir, "join placed0 placed1 --out placed");
+    assert!(output.status.success() && text(&output.stderr).is_empty(), "{}", text(&output.stderr));
+    let joined = artifact::read::<Surface>(&dir.join("placed")).unwrap();
+    assert_eq!(joined.value.height_nm().dim(), (16, 42));
+    // The pieces are equal where they overlap: rounding of 13 nm.
+    assert!(joined.manifest.unwrap().outcome["join"]["misfit_nm"].as_f64().unwrap() < 1e-9);
+}

@@ -333,7 +333,8 @@ fn model<'a>(target: &'a Target, points: &Points) -> Result<Model<'a>, Invalid> 
             Some(Fit::Between(bounds)) => Some(*bounds),
         };
         let value = *file.parameter_mut(&name).expect("a name of the list");
-        let inverse = matches!(name.as_str(), "radius_mm" | "p_mm" | "q_mm");
+        let inverse =
+            matches!(name.as_str(), "radius_mm" | "radius_x_mm" | "radius_y_mm" | "p_mm" | "q_mm");
         let step = match name.as_str() {
             _ if inverse => 1e-4 / value.abs(),
             "conic_constant" => 1e-2,

@@ -442,3 +442,59 @@ fn a_rate_that_becomes_0_is_refused_at_once_where_the_tool_is_used_and_taken_bey
     let near = ["--table", "edge.txt", "--beyond-mm", "0.5", "--out", "near"];
     done(dir, &[&rate[..], &near[..]].concat());
 }
+
+#[test]
+fn a_toroid_is_subtracted_with_stated_and_with_fitted_radii() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    let axis = |half: f64, n: usize| Axis::new(-half, 2.0 * half / (n - 1) as f64, n).unwrap();
+    let grid = Grid { x: axis(50.0, 41), y: axis(8.0, 33) };
+    let [long, short] = [300e3, 60.0];
+    // The surface of a torus: a circle of 60 mm over y, whose middle runs on a circle of 300 m - 60 mm.
+    let torus_mm = |x: f64, y: f64| {
+        let across = (short * short - y * y).sqrt() + long - short;
+        long - (across * across - x * x).sqrt()
+    };
+    let error = |x: f64, y: f64| 8.0 * (0.5 * x).sin() * (1.3 * y).cos();
+    let map = |tilt: f64| {
+        let heights = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+            let (x, y) = (grid.x.at(c), grid.y.at(r));
+            1e6 * torus_mm(x, y) + tilt * x + error(x, y)
+        });
+        Surface::new(grid, heights).unwrap()
+    };
+    write(dir, "map", &map(3.0));
+    let heights = Array2::from_shape_fn(grid.shape(), |(r, c)| error(grid.x.at(c), grid.y.at(r)));
+    let expected = Surface::new(grid, heights).unwrap().detilted_rms_nm();
+    let stated = r#"{"kind": "toroid", "radius_x_mm": 3e5, "radius_y_mm": 60}"#;
+    let fitted = r#"{"kind": "toroid", "radius_x_mm": 2.8e5, "radius_y_mm": 61,
+                     "fit": {"radius_x_mm": [2e5, 4e5], "radius_y_mm": "free"}}"#;
+    for (name, file) in [("stated", stated), ("fitted", fitted)] {
+        fs::write(dir.join("toroid.json"), file).unwrap();
+        done(dir, &["prepare", "--surface", "map", "--target", "toroid.json", "--out", name]);
+        let loaded = artifact::read::<Surface>(&dir.join(name)).unwrap();
+        let rms = loaded.value.detilted_rms_nm();
+        // Heights of 1e6 nm from radii of 3e8 um carry 1e-4 nm; two radii take some of the waves of the error.
+        let tolerance = if name == "stated" { 1e-3 } else { 0.02 * expected };
+        assert!((rms - expected).abs() < tolerance, "{name}: {rms} {expected}");
+        if name == "fitted" {
+            let found = loaded.manifest.unwrap().outcome["target"]["parameters"].clone();
+            for (k, right) in [long, short].into_iter().enumerate() {
+                let value = found[k]["value"].as_f64().unwrap();
+                // 8 nm beside the sag of 4 um along x, and of 5e5 nm along y.
+                assert!((value / right - 1.0).abs() < [1e-3, 1e-5][k], "{found}");
+            }
+        }
+    }
+    // A convex toroid of the same magnitude is another part.
+    fs::write(dir.join("toroid.json"), stated.replace("60}", "-60}")).unwrap();
+    done(dir, &["prepare", "--surface", "map", "--target", "toroid.json", "--out", "convex"]);
+    let convex = artifact::read::<Surface>(&dir.join("convex")).unwrap().value;
+    assert!(convex.statistics().rms > 1e5);
+    fs::write(dir.join("toroid.json"), r#"{"kind": "toroid", "radius_x_mm": 3e5}"#).unwrap();
+    let said = refused(
+        dir,
+        &["prepare", "--surface", "map", "--target", "toroid.json", "--out", "refused"],
+    );
+    assert!(said.contains("radius_y_mm") && said.contains("missing"), "{said}");
+}

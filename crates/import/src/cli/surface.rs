@@ -1,7 +1,7 @@
 //! `planish-import surface`.
 
 use clap::Args;
-use planish_handoff::{Artifact, Begin, Failure, Inputs, Status, say, task};
+use planish_handoff::{Artifact, Begin, Failure, Inputs, Status, pair, say, task};
 use planish_import::{Origin, Scale, surface};
 use planish_types::Surface;
 use serde_json::json;
@@ -15,13 +15,18 @@ pub struct SurfaceArgs {
     /// Place of the coordinate 0
     #[arg(long, value_enum, default_value = "file")]
     origin: Origin,
+    /// Coordinates of the pixel with the smallest x and y in the map that is written, mm, where the file does not state the
+    /// place of the map
+    #[arg(long, value_name = "X,Y", value_parser = pair, allow_hyphen_values = true)]
+    place_mm: Option<[f64; 2]>,
 }
 
 impl SurfaceArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let file = &self.file;
         let mut inputs = Inputs::new();
-        let (pick, settings) = (file.pick(false), file.settings(self.origin));
+        let (pick, mut settings) = (file.pick(false), file.settings(self.origin));
+        settings.place_mm = self.place_mm;
         let bytes = map_bytes(&mut inputs, "file", &file.file)?;
         let format = file.format(bytes.as_deref())?;
         let task = task!("surface", json!({ "format": format, "pick": pick, "reading": settings }));

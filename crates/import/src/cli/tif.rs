@@ -17,7 +17,8 @@ use super::{FileArgs, about, draw, in_flags, map_bytes, open, report};
 pub struct TifArgs {
     #[command(flatten)]
     file: FileArgs,
-    /// The values are rates already: height unit per second, on the offsets from the tool centre
+    /// The values are rates already, on the offsets from the tool centre: per second, unless the file or --unit states
+    /// another time
     #[arg(long, required_unless_present = "dwell_s", conflicts_with_all = ["dwell_s", "before"])]
     rate: bool,
     /// Place of the coordinate 0, the centre of the tool, in a map of rates [default: the file's coordinates, else

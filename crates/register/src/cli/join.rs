@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task,
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task, warn,
 };
 use planish_register::join::{Difference, JoinSettings, join};
 use planish_types::{Surface, text::significant};
@@ -48,6 +48,12 @@ impl JoinArgs {
                 significant(overlap.rms_nm, 4),
                 overlap.pixels
             ));
+        }
+        if report.same_place {
+            warn(
+                "all maps lie at the same place, so that they are averaged and not joined: the files may state no place; give \
+                 each its own with planish-import surface --place-mm X,Y",
+            );
         }
         let (ny, nx) = found.joined.grid().shape();
         say(format!(

@@ -1,0 +1,829 @@
+//! Statements that a file makes beside its numbers: comments and lines of text, attributes, variables and cards.
+//!
+//! A statement is a key and a value, such as `# Value units: nm`, `"XY Calibration","500","um"` or `pixel_mm = 0.5`, or names
+//! with their units, such as `# x[mm] y[mm] z[um]` or `# mm mm nm`. [`Beside`] reads it, or keeps it for a warning. A
+//! statement of a unit that nobody understands is refused.
+//!
+//! Keys are known in English, German, French, Spanish, Italian, Czech, Russian, Chinese and Japanese, as Gwyddion writes
+//! them. The header of Gwyddion's text export is also known by its form: two sizes with their units, one below the other.
+
+use planish_types::Invalid;
+
+use crate::{
+    Format,
+    reading::{FirstRow, Reading},
+    text,
+    unit::Unit,
+};
+
+/// Most statements that a warning quotes.
+const MOST_QUOTED: usize = 5;
+
+/// Keys of the unit of the values, separated by `|`, as in all lists below.
+const UNITS: &str = "\
+    unit|units|value unit|value units|z unit|z units|zunit|zunits|unit z|units z|unit of z|\
+    units of z|height unit|height units|data unit|data units|rate unit|rate units|removal unit|\
+    depth unit|einheit|einheiten|werteinheit|werteinheiten|einheit der werte|einheiten der werte|\
+    höheneinheit|z einheit|unité|unités|unité z|unités z|unité de valeur|unités de valeur|\
+    unités des valeurs|unidad|unidades|unidad z|unidades z|unidades de valor|unidades del valor|\
+    unidades de los valores|unità|unità z|unità del valore|unità dei valori|unità di misura|\
+    jednotky hodnot|единицы значений|единицы|单位|值单位|数值单位|值的单位|z单位|z 单位|高度单位|単位|値の単位|高さ単位|高さの単位|z単位|\
+    z 単位";
+
+/// Keys of the unit of both coordinates.
+const COORDINATE_UNITS: &str = "\
+    coordinate unit|coordinate units|coordinates unit|lateral unit|lateral units|xy unit|xy units|\
+    xyunits|xyunit|x unit|y unit|x units|y units|xunit|yunit|xunits|yunits|axis unit|axis units|\
+    position unit|position units|xy einheit|x einheit|y einheit";
+
+/// Keys of the size along x.
+const WIDTHS: &str = "\
+    width|breite|largeur|ancho|anchura|larghezza|largura|šířka|ширина|宽度|宽|寬度|幅|x size|size x|xreal";
+
+/// Keys of the size along y.
+const HEIGHTS: &str = "\
+    height|höhe|hoehe|hauteur|alto|altura|altezza|výška|высота|高度|高|高さ|y size|size y|yreal";
+
+/// Keys of the distance of pixels.
+const PITCHES: &str = "\
+    pixel size|pixelsize|pixel pitch|pixel spacing|pixel|pixels|pitch|lateral resolution|\
+    lateral res|sampling|spacing|xy calibration|calibration|d|step|pix|pixsize|pixelsz|pixsz|\
+    grid spacing|grid step|sample spacing|resolution|increment|pixelgröße|pixelgrösse|pixelabstand|\
+    pixelweite|auflösung|taille de pixel|taille du pixel|taille des pixels|pas|pas de pixel|\
+    tamaño de píxel|tamaño del píxel|tamaño de pixel|paso|dimensione pixel|dimensione del pixel|\
+    passo|xy kalibrierung|kalibrierung|étalonnage xy|calibración xy|calibrazione xy|校正值|校正|校正値|\
+    xyキャリブレーション|キャリブレーション|像素尺寸|像素大小|像素间距|画素サイズ|ピクセルサイズ|画素ピッチ";
+
+/// Keys of the wavelength of the light.
+const WAVELENGTHS: &str = "\
+    wavelength|wave length|lambda|wavelen|wavelnth|wl|λ|wellenlänge|longueur d'onde|\
+    longitud de onda|lunghezza d'onda|длина волны|波长|波長";
+
+/// Keys of the side of the map that the first row is.
+const ROWS: &str = "\
+    first row|first line|row order|rows|origin|erste zeile|première ligne|primera fila|prima riga";
+
+/// Keys whose value lists the columns.
+const COLUMNS: &str = "columns|column|fields|data|format|spalten|colonnes|columnas|colonne";
+
+/// Keys of the number of columns and of rows.
+const COUNTS: [&str; 2] = [
+    "horizontal|x pixels|xpixels|nx|xres|ncols|columns|spalten",
+    "vertical|y pixels|ypixels|ny|yres|nrows|rows|zeilen",
+];
+
+/// Parts of keys that could change how values or pixels are read.
+const TELLING: &str = "\
+    unit|pixel|pitch|spacing|resolution|scale|offset|wavelength|missing|einheit|unité|unidad|unità|\
+    单位|単位|calibration|sampling";
+
+/// Names of the values of a map.
+const VALUE_NAMES: &str = "\
+    z|h|height|heights|höhe|höhen|hauteur|hauteurs|altura|alturas|altezza|altezze|thickness|dicke|\
+    depth|tiefe|sag|figure|error|surface|value|values|werte|rate|rates|removal|opd|film|高さ|高度|map|\
+    intensity";
+
+/// Names of both coordinates.
+const COORDINATE_NAMES: &str = "xy|lateral|coordinates|coordinate|koordinaten|coordonnées";
+
+/// A variable or an attribute beside a map.
+#[derive(Debug)]
+pub(crate) struct Variable {
+    pub key: String,
+    pub value: String,
+    /// Where it stands, for the user.
+    pub place: String,
+}
+
+/// Statements that were read.
+#[derive(Debug, Default)]
+pub(crate) struct Beside {
+    /// Unit of the values.
+    unit: Option<Unit>,
+    /// Name of the unit of the values, and the reason to refuse it.
+    unit_word: Option<String>,
+    unit_problem: Option<Invalid>,
+    /// A unit that may be that of the values or of the coordinates.
+    pub lone_unit: Option<Unit>,
+    /// Unit of the coordinates.
+    pub coordinate_unit: Option<Unit>,
+    /// Sizes along (x, y), mm.
+    size_mm: [Option<f64>; 2],
+    /// Pitch along (x, y), mm.
+    pitch_mm: [Option<f64>; 2],
+    /// Sizes along (x, y) whose unit is another statement, as SPIP writes them, and that unit.
+    length: [Option<f64>; 2],
+    length_unit: [Option<Unit>; 2],
+    nm_per_bit: Option<f64>,
+    wavelength_nm: Option<f64>,
+    first_row: Option<FirstRow>,
+    /// Numbers of columns and rows.
+    counts: [Option<usize>; 2],
+    /// A size with its unit under a key that is not known, and the line or place after it.
+    unknown_size: Option<(f64, usize)>,
+    /// Statements that are not used, as a warning quotes them.
+    unused: Vec<String>,
+}
+
+/// A number and what follows it.
+struct Quantity<'a> {
+    value: f64,
+    rest: &'a str,
+}
+
+/// Returns the number that a text begins with, a decimal comma in it or a point.
+fn leading_number(text: &str) -> Option<Quantity<'_>> {
+    let text = text.trim();
+    let end = text
+        .char_indices()
+        .find(|(i, c)| {
+            let is_exponent = matches!(c, 'e' | 'E')
+                && *i > 0
+                && text[i + 1..].starts_with(|n: char| n.is_ascii_digit() || n == '-' || n == '+');
+            !("+-.,0123456789".contains(*c) || is_exponent)
+        })
+        .map_or(text.len(), |(i, _)| i);
+    let number = text[..end].trim_end_matches(',');
+    let number = if number.contains('.') { number.into() } else { number.replacen(',', ".", 1) };
+    let value = number.parse::<f64>().ok().filter(|v| v.is_finite())?;
+    Some(Quantity { value, rest: text[end..].trim() })
+}
+
+/// Returns a key in lower case, with blanks for its marks.
+fn plain(key: &str) -> String {
+    let marks = ['_', '-', '.', '\u{a0}', '\u{202f}', '\t', '"'];
+    key.to_lowercase().replace(marks, " ").split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// Splits a statement at its colon or sign of equality.
+pub(crate) fn key_and_value(text: &str) -> Option<(&str, &str)> {
+    let (key, value) = text.split_once([':', '=', '：'])?;
+    Some((key.trim(), value.trim().trim_matches(['"', '\''])))
+}
+
+impl Beside {
+    /// Reads a comment without its mark; `line` counts from 1.
+    ///
+    /// # Errors
+    /// A unit that is not understood, or a statement that contradicts another one.
+    pub fn add_comment(&mut self, comment: &str, line: usize) -> Result<(), Invalid> {
+        let place = format!("line {line}");
+        if let Some(nm) = wavelength_in(comment) {
+            self.wavelength_nm = Some(nm);
+        }
+        let Some((key, value)) = key_and_value(comment) else {
+            // Such as "pixel size 0.5 mm".
+            let number = comment.find(|c: char| c.is_ascii_digit()).unwrap_or(0);
+            let (key, value) = comment.split_at(number);
+            if !key.trim().is_empty() && self.add(key.trim(), value, None, line)? {
+                return Ok(());
+            }
+            if self.add_columns(comment)? {
+                return Ok(());
+            }
+            if let Some(unit) = unit_after_in(comment) {
+                self.lone_unit = self.lone_unit.or(Some(unit));
+            } else if names_a_unit(comment) || claims_a_unit(comment) {
+                self.leave(comment, &place);
+            }
+            return Ok(());
+        };
+        let is_list = is_key(COLUMNS, &plain(key))
+            || (is_key(UNITS, &plain(key)) && Unit::spelled(value).is_none());
+        if is_list && self.add_columns(value)? {
+            return Ok(());
+        }
+        if self.add(key, value, None, line)? {
+            return Ok(());
+        }
+        let columns = units_of_columns(comment)?;
+        let named = columns.iter().filter(|unit| unit.is_some()).count();
+        if named >= 2 || (named == 1 && Unit::spelled(value).is_some()) {
+            return self.take_columns(columns);
+        }
+        if is_telling(key) || leading_number(value).is_some_and(|q| Unit::spelled(q.rest).is_some())
+        {
+            self.leave(comment, &place);
+        }
+        Ok(())
+    }
+
+    /// Reads a line of text above the numbers, which is split into `fields`.
+    ///
+    /// # Errors
+    /// As [`Self::add_comment`].
+    pub fn add_fields(&mut self, fields: &[&str], line: usize) -> Result<(), Invalid> {
+        let [key, value, more @ ..] = fields else {
+            return self.add_comment(fields.first().copied().unwrap_or_default(), line);
+        };
+        let key = key.trim_end_matches([':', '=', '：']).trim();
+        let unit = more.first().copied().filter(|unit| !unit.is_empty());
+        if self.add(key, value, unit, line)? {
+            return Ok(());
+        }
+        let all = fields.join(", ");
+        if !self.add_columns(&all)? && (is_telling(key) || names_a_unit(&all)) {
+            self.leave(&all, &format!("line {line}"));
+        }
+        Ok(())
+    }
+
+    /// Reads a statement of `key`, which may end with its unit, and returns true if it is used; `unit` stands apart, and
+    /// `place` is the number of the line, or counts the statements.
+    ///
+    /// # Errors
+    /// As [`Self::add_comment`].
+    pub fn add(
+        &mut self,
+        key: &str,
+        value: &str,
+        unit: Option<&str>,
+        place: usize,
+    ) -> Result<bool, Invalid> {
+        let whole = plain(key);
+        if is_key(UNITS, &whole) {
+            self.unit_word = Some(value.to_string());
+            match Unit::stated("unit", value) {
+                Ok(unit) => self.state_unit(unit)?,
+                Err(problem) => self.unit_problem = Some(problem),
+            }
+            return Ok(true);
+        }
+        if is_key(COORDINATE_UNITS, &whole) {
+            let stated = Unit::stated("coordinate_unit", value)?;
+            // SPIP's unit of one length; the unit of both where no length is stated.
+            self.length_unit[usize::from(whole.starts_with('y'))] = Some(stated);
+            if self.length == [None; 2] {
+                self.coordinate_unit = Some(stated);
+            }
+            return Ok(true);
+        }
+        match whole.as_str() {
+            "x length" | "y length" => {
+                let number = text::number("CSV file", value, place, 2)?;
+                self.length[usize::from(whole.starts_with('y'))] = Some(number);
+                return Ok(true);
+            }
+            "bit2nm" => {
+                self.nm_per_bit = Some(text::number("CSV file", value, place, 2)?);
+                return Ok(true);
+            }
+            _ => {}
+        }
+        if is_key(ROWS, &whole)
+            && let Some(row) = row_of(value)
+        {
+            self.first_row = Some(row);
+            return Ok(true);
+        }
+        match leading_number(value) {
+            Some(number) => self.add_number(key, number, unit, place),
+            None => Ok(false),
+        }
+    }
+
+    /// Reads a statement whose value begins with a number; as [`Self::add`].
+    fn add_number(
+        &mut self,
+        key: &str,
+        Quantity { value: number, rest }: Quantity,
+        unit: Option<&str>,
+        place: usize,
+    ) -> Result<bool, Invalid> {
+        let whole = plain(key);
+        for (count, keys) in self.counts.iter_mut().zip(COUNTS) {
+            if is_key(keys, &whole) && rest.is_empty() && number >= 1.0 && number.fract() == 0.0 {
+                *count = Some(number as usize);
+                return Ok(true);
+            }
+        }
+        let (name, of_key) = Unit::of_name(key).unwrap_or_else(|_| (key.into(), None));
+        let name = plain(&name);
+        // Such as "0.5 mm x 0.25 mm".
+        let marks = ['x', 'X', '×', ',', ';', '*'];
+        let (word, second) = match rest.split_once(marks) {
+            Some((word, second)) => (word.trim(), leading_number(second)),
+            None => (rest, None),
+        };
+        let of_value = [unit.unwrap_or_default(), word, second.as_ref().map_or("", |q| q.rest)]
+            .into_iter()
+            .find_map(Unit::spelled);
+        let unit = of_value.or(of_key).filter(|unit| unit.mm().is_ok());
+        if is_key(WAVELENGTHS, &name) {
+            let nm = match unit {
+                Some(unit) => number * unit.nm(None)?,
+                None => wavelength_nm(number).unwrap_or(f64::NAN),
+            };
+            self.wavelength_nm = Some(nm).filter(|nm| nm.is_finite() && *nm > 0.0);
+            return Ok(self.wavelength_nm.is_some());
+        }
+        let Some(unit) = unit else { return Ok(false) };
+        let mm = number * unit.mm()?;
+        for (size, keys) in self.size_mm.iter_mut().zip([WIDTHS, HEIGHTS]) {
+            if is_key(keys, &name) {
+                *size = Some(mm);
+                return Ok(true);
+            }
+        }
+        if let Some(axes) = axes_of_pitch(&name) {
+            let along_y = second.map_or(mm, |q| q.value * unit.mm().unwrap_or(f64::NAN));
+            for (k, value) in [mm, along_y].into_iter().enumerate() {
+                if axes[k] {
+                    self.pitch_mm[k] = Some(value);
+                }
+            }
+            return Ok(true);
+        }
+        // The sizes of Gwyddion's export in a language that the tables do not have.
+        match self.unknown_size.take() {
+            Some((width, before)) if before + 1 == place && self.size_mm == [None; 2] => {
+                self.size_mm = [Some(width), Some(mm)];
+                Ok(true)
+            }
+            _ => {
+                self.unknown_size = Some((mm, place));
+                Ok(false)
+            }
+        }
+    }
+
+    /// Reads variables or attributes, of which `pixel_size_unit` may be the unit of `pixel_size`.
+    ///
+    /// # Errors
+    /// As [`Self::add_comment`].
+    pub fn add_variables(&mut self, variables: &[Variable]) -> Result<(), Invalid> {
+        let plain_keys: Vec<String> = variables.iter().map(|v| plain(&v.key)).collect();
+        let companion = |key: &str| {
+            let names = [format!("{key} unit"), format!("{key} units")];
+            plain_keys.iter().position(|other| names.contains(other))
+        };
+        let companions: Vec<Option<usize>> = plain_keys.iter().map(|key| companion(key)).collect();
+        for (i, variable) in variables.iter().enumerate() {
+            if companions.contains(&Some(i)) {
+                continue;
+            }
+            let unit = companions[i].map(|k| variables[k].value.as_str());
+            // Variables have no order: no two are neighbours.
+            let is_used = self.add(&variable.key, &variable.value, unit, 2 * i)?;
+            if !is_used && is_telling(&variable.key) {
+                let short: String = variable.value.chars().take(30).collect();
+                self.leave(&format!("{} = {short}", variable.key), &variable.place);
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads the names of columns with their units, such as `x[mm] y[mm] z[um]`, `mm mm nm` or `x, y in mm, z in nm`, and
+    /// returns true if the text is one.
+    fn add_columns(&mut self, text: &str) -> Result<bool, Invalid> {
+        let units = units_of_columns(text)?;
+        if units == [None; 3] {
+            return Ok(false);
+        }
+        self.take_columns(units)?;
+        Ok(true)
+    }
+
+    fn take_columns(&mut self, [x, y, z]: [Option<Unit>; 3]) -> Result<(), Invalid> {
+        if let (Some(x), Some(y)) = (x, y)
+            && x != y
+        {
+            let problem = format!("is {x} of x and {y} of y");
+            let remedy = "give both coordinates the same unit";
+            return Err(Invalid::whole("coordinate_unit", problem, remedy));
+        }
+        if let Some(unit) = x.or(y) {
+            if let Some(before) = self.coordinate_unit.filter(|before| *before != unit) {
+                let problem = format!("is {before} and {unit} in the comments");
+                return Err(Invalid::whole("coordinate_unit", problem, "correct the comments"));
+            }
+            self.coordinate_unit = Some(unit);
+        }
+        z.map_or(Ok(()), |unit| self.state_unit(unit))
+    }
+
+    /// Takes a unit of the values.
+    ///
+    /// # Errors
+    /// Another one before.
+    pub fn state_unit(&mut self, unit: Unit) -> Result<(), Invalid> {
+        if let Some(before) = self.unit.filter(|before| *before != unit) {
+            let problem = format!("is {before} in one statement of the file, {unit} in another");
+            return Err(Invalid::whole("unit", problem, "correct the one that is wrong"));
+        }
+        self.unit = Some(unit);
+        Ok(())
+    }
+
+    /// Keeps a statement that is not used, for the warning.
+    pub fn leave(&mut self, statement: &str, place: &str) {
+        if self.unused.len() < MOST_QUOTED {
+            let short = statement.trim().chars().filter(|c| !c.is_control()).take(60);
+            self.unused.push(format!("\"{}\" ({place})", short.collect::<String>()));
+        }
+    }
+
+    /// Gives the statements to a reading that has none of its own.
+    ///
+    /// # Errors
+    /// A statement that contradicts the numbers or another statement.
+    pub fn apply(self, reading: &mut Reading) -> Result<(), Invalid> {
+        let (rows, columns) = reading.values.dim();
+        if let Some(unit) = self.unit {
+            if let Some(own) = reading.unit.filter(|own| *own != unit && !reading.unit_by_custom) {
+                let problem =
+                    format!("is {own} in the file, {unit} in a statement beside the numbers");
+                let remedy = "correct the one that is wrong, or give `unit` and `override_file`";
+                reading.unit_problem = Some(Invalid::whole("unit", problem, remedy));
+            } else {
+                (reading.unit, reading.unit_by_custom) = (Some(unit), false);
+            }
+        }
+        if reading.unit.is_none() && reading.unit_word.is_none() {
+            reading.unit_problem = reading.unit_problem.take().or(self.unit_problem);
+            reading.unit_word = self.unit_word;
+        }
+        reading.lone_unit = reading.lone_unit.or(self.lone_unit);
+        if let Some(nm) = self.nm_per_bit {
+            // SPIP writes one or the other; both together could mean two things.
+            let in_nm = Unit::named("nm");
+            if nm != 1.0 && self.unit.is_some_and(|unit| unit != in_nm) {
+                let problem = format!("states Bit2nm = {nm} and z-unit {:?}", self.unit);
+                return Err(Invalid::whole("CSV file", problem, "delete the one that is wrong"));
+            }
+            reading.unit = self.unit.or(Some(in_nm));
+            reading.factor = nm;
+        }
+        let mut size_mm = self.size_mm;
+        for k in 0..2 {
+            if let (None, Some(length)) = (size_mm[k], self.length[k]) {
+                size_mm[k] = Some(length * self.length_unit[k].unwrap_or(Unit::named("nm")).mm()?);
+            }
+        }
+        if let Some(coordinates) = &mut reading.coordinates {
+            coordinates.unit = coordinates.unit.or(self.coordinate_unit);
+        } else if reading.rule.is_none() && reading.pixel_mm.is_none() {
+            let counts = [columns, rows];
+            let of_size = |k: usize| size_mm[k].map(|mm| mm / counts[k] as f64);
+            let pitch = |k: usize| of_size(k).or(self.pitch_mm[k]);
+            if let (Some(x), Some(y)) = (pitch(0), pitch(1)) {
+                reading.pixel_mm = Some([x, y]);
+                // Programs that write the size into a text write the picture from its top.
+                if reading.format == Format::Csv && size_mm.iter().all(Option::is_some) {
+                    reading.first_row = FirstRow::Top;
+                }
+            }
+        }
+        if let Some(row) = self.first_row {
+            (reading.first_row, reading.first_row_stated) = (row, true);
+        }
+        reading.wavelength_nm = reading.wavelength_nm.or(self.wavelength_nm);
+        for (k, (stated, count)) in self.counts.into_iter().zip([columns, rows]).enumerate() {
+            if let Some(stated) = stated.filter(|stated| *stated != count) {
+                let what = ["columns", "rows"][k];
+                reading.warnings.push(format!(
+                    "the file states {stated} {what}, and has {count}: is it truncated, or cropped?"
+                ));
+            }
+        }
+        if !self.unused.is_empty() {
+            let say = format!("statements that are not used: {}", self.unused.join(", "));
+            reading.warnings.push(say);
+        }
+        Ok(())
+    }
+}
+
+/// Returns true if `key` is one of the words that `|` separates in `keys`.
+fn is_key(keys: &str, key: &str) -> bool {
+    keys.split('|').any(|word| word == key)
+}
+
+/// Returns true if a key could change how values or pixels are read.
+pub(crate) fn is_telling(key: &str) -> bool {
+    let key = plain(key);
+    TELLING.split('|').any(|word| key.contains(word))
+}
+
+/// Returns which of the axes (x, y) the name of a pitch is about, such as `pixel size`, `x pixel size`, `dx` or `pixel y`.
+fn axes_of_pitch(name: &str) -> Option<[bool; 2]> {
+    if is_key(PITCHES, name) && name != "d" {
+        return Some([true; 2]);
+    }
+    for (letter, axes) in [("x", [true, false]), ("y", [false, true])] {
+        let shorter = [
+            name.strip_prefix(&format!("{letter} ")),
+            name.strip_suffix(&format!(" {letter}")),
+            name.strip_prefix(letter),
+            name.strip_suffix(letter),
+        ];
+        if shorter.into_iter().flatten().any(|rest| is_key(PITCHES, rest.trim())) {
+            return Some(axes);
+        }
+    }
+    None
+}
+
+/// Returns the side that a text says the first row is.
+fn row_of(value: &str) -> Option<FirstRow> {
+    let value = value.to_lowercase();
+    let has = |words: &[&str]| words.iter().any(|word| value.contains(word));
+    let top =
+        has(&["top", "upper", "oben", "haut", "superior", "arriba", "largest y", "descending"]);
+    let bottom =
+        has(&["bottom", "lower", "unten", "bas", "inferior", "abajo", "smallest y", "ascending"]);
+    match (top, bottom) {
+        (true, false) => Some(FirstRow::Top),
+        (false, true) => Some(FirstRow::SmallestY),
+        _ => None,
+    }
+}
+
+/// Returns the wavelength, nm, in a text such as `z [waves @ 632.8 nm]`.
+fn wavelength_in(text: &str) -> Option<f64> {
+    let (_, after) = text.split_once('@')?;
+    let Quantity { value, rest } = leading_number(after)?;
+    let word: String = rest.chars().take_while(|c| c.is_alphabetic() || *c == 'µ').collect();
+    match Unit::spelled(&word) {
+        Some(unit) => Some(value * unit.mm().ok()? * 1e6),
+        None => wavelength_nm(value),
+    }
+}
+
+/// Returns the unit in a sentence such as `all lengths in m`, which does not say of which column.
+fn unit_after_in(text: &str) -> Option<Unit> {
+    let words: Vec<&str> =
+        text.split_whitespace().map(|w| w.trim_matches([',', ';', '.', ')', '('])).collect();
+    let pairs = words
+        .windows(2)
+        .filter(|pair| matches!(pair[0], "in" | "en" | "unit" | "units" | "Units" | "Unit"));
+    pairs
+        .filter(|pair| pair[1] == "m" || pair[1].chars().count() > 1)
+        .find_map(|pair| Unit::spelled(pair[1]))
+}
+
+/// Returns true for a sentence that may state the unit of a column in a word that is none, such as `heights in furlong`.
+fn claims_a_unit(text: &str) -> bool {
+    let words: Vec<String> = text.split_whitespace().map(plain).collect();
+    let names = words.iter().any(|word| axes_of_name(word) != [false; 3]);
+    names && words.iter().any(|word| matches!(word.as_str(), "in" | "unit" | "units"))
+}
+
+/// Returns a wavelength without a unit in nm, where its size allows only one: light has between 0.1 and 20 um.
+fn wavelength_nm(value: f64) -> Option<f64> {
+    [1.0, 1e3, 1e9].into_iter().map(|nm| value * nm).find(|nm| (100.0..20_000.0).contains(nm))
+}
+
+/// A piece of a line that names columns.
+#[derive(Debug, PartialEq)]
+enum Piece<'a> {
+    Word(&'a str),
+    Bracket(&'a str),
+    Number,
+}
+
+/// Returns the words, numbers and brackets of a text.
+fn pieces(text: &str) -> Vec<Piece<'_>> {
+    let mut found = Vec::new();
+    let mut rest = text;
+    while let Some(c) = rest.chars().next() {
+        let closing = match c {
+            '(' => Some(')'),
+            '[' => Some(']'),
+            '{' => Some('}'),
+            _ => None,
+        };
+        if let Some((inside, after)) = closing.and_then(|close| rest[1..].split_once(close)) {
+            found.push(Piece::Bracket(inside.trim()));
+            rest = after;
+            continue;
+        }
+        let is_mark = |c: char| c.is_whitespace() || "()[]{},;:=|\"：".contains(c);
+        let end = rest.find(is_mark).unwrap_or(rest.len());
+        if end == 0 {
+            rest = &rest[c.len_utf8()..];
+            continue;
+        }
+        let word = &rest[..end];
+        found.push(if word.parse::<f64>().is_ok() { Piece::Number } else { Piece::Word(word) });
+        rest = &rest[end..];
+    }
+    found
+}
+
+/// Returns which of x, y and z a word names.
+fn axes_of_name(word: &str) -> [bool; 3] {
+    let word = plain(word);
+    let of = |letter: &str| {
+        word == letter || word.strip_prefix(letter).is_some_and(|rest| rest.starts_with(' '))
+    };
+    if is_key(COORDINATE_NAMES, &word) {
+        return [true, true, false];
+    }
+    [of("x"), of("y"), is_key(VALUE_NAMES, &word)]
+}
+
+/// Returns the units that a text gives to the columns x, y and z; `None` where it gives none.
+///
+/// # Errors
+/// A word in brackets after the name of a column that is no unit.
+fn units_of_columns(text: &str) -> Result<[Option<Unit>; 3], Invalid> {
+    let pieces = pieces(text);
+    let mut units = [None; 3];
+    let words: Vec<Option<Unit>> = pieces
+        .iter()
+        .map(|piece| match piece {
+            Piece::Word(word) | Piece::Bracket(word) => Unit::spelled(word),
+            Piece::Number => None,
+        })
+        .collect();
+    if let [Some(x), Some(y), Some(z)] = words[..] {
+        return Ok([Some(x), Some(y), Some(z)]);
+    }
+    if let [Some(xy), Some(z)] = words[..] {
+        return Ok([Some(xy), Some(xy), Some(z)]);
+    }
+    let mut named = [false; 3];
+    let (mut after_number, mut after_in) = (false, false);
+    for piece in &pieces {
+        let unit = match piece {
+            Piece::Number => {
+                (after_number, after_in) = (true, false);
+                continue;
+            }
+            Piece::Word(word) => {
+                let (name, of_name) = match word.contains(['_', '/']) {
+                    true => Unit::of_name(word).unwrap_or_else(|_| ((*word).into(), None)),
+                    false => ((*word).into(), None),
+                };
+                let axes = axes_of_name(&name);
+                if axes != [false; 3] {
+                    named = [0, 1, 2].map(|k| named[k] || axes[k]);
+                    if of_name.is_none() {
+                        (after_number, after_in) = (false, false);
+                        continue;
+                    }
+                    of_name
+                } else if !after_in
+                    && matches!(*word, "in" | "en" | "unit" | "units" | "Unit" | "Units")
+                {
+                    after_in = true;
+                    continue;
+                } else {
+                    // A word of one letter, and "min", may be anything.
+                    let is_certain =
+                        word.chars().count() > 1 && !matches!(*word, "min" | "as" | "in");
+                    if after_in || is_certain { Unit::spelled(word) } else { None }
+                }
+            }
+            Piece::Bracket(word) => {
+                let word = word.split('@').next().unwrap_or_default().trim();
+                let unit = Unit::spelled(word);
+                let is_word = word.chars().any(char::is_alphabetic) && !word.contains(' ');
+                if unit.is_none() && is_word && named != [false; 3] && word.chars().count() < 12 {
+                    // The refusal of the table, unless the bracket is a remark such as (raw).
+                    Unit::of_name(&format!("z ({word})"))?;
+                }
+                unit
+            }
+        };
+        if let Some(unit) = unit.filter(|_| !after_number) {
+            for k in 0..3 {
+                if named[k] {
+                    units[k] = Some(unit);
+                }
+            }
+            named = [false; 3];
+        }
+        (after_number, after_in) = (false, false);
+    }
+    Ok(units)
+}
+
+/// Returns true if a word of a text is a unit.
+fn names_a_unit(text: &str) -> bool {
+    pieces(text).iter().any(|piece| match piece {
+        Piece::Word(word) => {
+            word.chars().count() > 1 && *word != "in" && Unit::spelled(word).is_some()
+        }
+        Piece::Bracket(word) => Unit::spelled(word).is_some(),
+        Piece::Number => false,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::Array2;
+
+    fn columns(text: &str) -> String {
+        let name = |unit: Option<Unit>| unit.map(|u| u.to_string()).unwrap_or_else(|| "-".into());
+        units_of_columns(text).unwrap().map(name).join(" ")
+    }
+
+    #[test]
+    fn names_of_columns_have_their_units() {
+        for (text, right) in [
+            (" x[mm] y[mm] z[um]", "mm mm um"),
+            (" mm mm mm", "mm mm mm"),
+            ("mm, nm", "mm mm nm"),
+            (" x position(m) y position(m) height(m)", "m m m"),
+            ("X (mm), Y (mm), Thickness (A)", "mm mm angstrom"),
+            ("x_mm y_mm z_nm", "mm mm nm"),
+            ("x, y in mm, z in nm", "mm mm nm"),
+            ("coordinates in mm, heights in µm", "mm mm um"),
+            ("x: mm, y: mm, z: waves", "mm mm waves"),
+            ("lateral mm; height nm", "mm mm nm"),
+            ("Höhe [µm]", "- - um"),
+            ("height map of mirror 7, 500 nm PV", "- - -"),
+            ("x (actual) y (actual) z (raw)", "- - -"),
+            ("measured in Berlin", "- - -"),
+            ("removal rate [nm/min]", "- - nm/min"),
+            ("x [mm] y [mm] z [waves @ 632.8 nm]", "mm mm waves"),
+            ("all lengths in m", "- - -"),
+        ] {
+            assert_eq!(columns(text), right, "{text}");
+        }
+        assert!(units_of_columns("x [mm] y [mm] z [furlong]").is_err());
+    }
+
+    fn read(comments: &[&str]) -> Reading {
+        let mut beside = Beside::default();
+        for (i, comment) in comments.iter().enumerate() {
+            beside.add_comment(comment, i + 1).unwrap_or_else(|e| panic!("{comment}: {e}"));
+        }
+        let values = Array2::zeros((20, 30));
+        let mut reading = Reading::new(Format::Csv, values, FirstRow::SmallestY);
+        beside.apply(&mut reading).unwrap();
+        reading
+    }
+
+    #[test]
+    fn the_header_of_gwyddion_is_read_in_every_language() {
+        for comments in [
+            [" Channel: Height", " Width: 15.0 mm", " Height: 10 mm", " Value units: nm"],
+            [" Kanal: Höhe", " Breite: 15 mm", " Höhe: 10 mm", " Value units: nm"],
+            [" Kanal: Höhe", " Breite: 15,0 mm", " Höhe: 10 mm", " Werteinheiten: nm"],
+            [
+                " Canal : Hauteur",
+                " Largeur\u{a0}: 1,5 cm",
+                " Hauteur\u{a0}: 1 cm",
+                " Unités de valeur : nm",
+            ],
+            [" Canal: Altura", " Ancho: 15 mm", " Alto: 10 mm", " Unidades de valor: nm"],
+            [" Canale: Altezza", " Larghezza: 15 mm", " Altezza: 10 mm", " Unità del valore: nm"],
+            [" 通道：高度", " 宽度：15 mm", " 高度：10 mm", " 值单位：nm"],
+            [" チャンネル: 高さ", " 幅: 15 mm", " 高さ: 10 mm", " 値の単位: nm"],
+            // A language that the tables do not have: by the form of the header.
+            [" Kanava: Korkeus", " Leveys: 15 mm", " Korkeus: 10 mm", " z units: nm"],
+        ] {
+            let reading = read(&comments);
+            // 15 mm over 30 pixels, 10 mm over 20: quotients of a product.
+            let [x, y] = reading.pixel_mm.unwrap_or_else(|| panic!("{comments:?}"));
+            assert!((x - 0.5).abs() < 1e-12 && (y - 0.5).abs() < 1e-12, "{comments:?}");
+            assert_eq!((reading.first_row, reading.unit), (FirstRow::Top, Some(Unit::named("nm"))));
+        }
+    }
+
+    #[test]
+    fn pitches_and_wavelengths_are_read_in_their_words() {
+        for (comment, right) in [
+            (" pixel size: 0.5 mm", Some([0.5, 0.5])),
+            (" pitch (um) = 500", Some([0.5, 0.5])),
+            ("pixel_mm = 0.5", Some([0.5, 0.5])),
+            ("Pixelgröße: 0,5 mm", Some([0.5, 0.5])),
+            ("pixel size = 0.5 mm x 0.25 mm", Some([0.5, 0.25])),
+            ("pixel size (mm): 0.5 x 0.25", Some([0.5, 0.25])),
+            ("pixel size: 0.02 in", Some([0.508, 0.508])),
+            ("XY Calibration: 500 um", Some([0.5, 0.5])),
+            ("pixel size 0.5 mm", Some([0.5, 0.5])),
+            ("pixel size: 0.5", None),
+            ("camera: 7 mm away", None),
+        ] {
+            let found = read(&[comment]).pixel_mm;
+            let same = match (found, right) {
+                (Some(a), Some(b)) => (0..2).all(|k| (a[k] - b[k]).abs() < 1e-12),
+                (None, None) => true,
+                _ => false,
+            };
+            assert!(same, "{comment}: {found:?}");
+        }
+        assert_eq!(read(&["dx_mm = 0.5", "dy_mm: 0.25"]).pixel_mm, Some([0.5, 0.25]));
+        for text in [
+            "wavelength: 632.8 nm",
+            "Wellenlänge = 0.6328 µm",
+            "lambda: 632.8",
+            "wavelength = 6.328e-7",
+        ] {
+            let nm = read(&[text]).wavelength_nm.unwrap_or_else(|| panic!("{text}"));
+            // A product of two roundings.
+            assert!((nm / 632.8 - 1.0).abs() < 1e-14, "{text}: {nm}");
+        }
+        assert_eq!(read(&["z [waves @ 632.8 nm]"]).wavelength_nm, Some(632.8));
+        assert_eq!(read(&["all lengths in m"]).lone_unit, Some(Unit::named("m")));
+        assert_eq!(read(&["rate: nm/h"]).unit, Some(Unit::named("nm/h")));
+        assert!(read(&["heights are in furlong"]).warnings[0].contains("furlong"));
+        assert_eq!(read(&["first row: top"]).first_row, FirstRow::Top);
+        assert!(read(&["camera: 7 mm away"]).warnings[0].contains("camera: 7 mm away"));
+    }
+}

@@ -1,0 +1,173 @@
+//! Units of heights, removal rates, slopes and coordinates, by the table of all readers ([`planish_types::units`]).
+
+use std::{fmt, str::FromStr};
+
+use planish_types::{
+    Invalid,
+    units::{self, Header, Quantity},
+};
+use serde::{Serialize, Serializer};
+
+/// Quantities that the values of a map may have.
+pub(crate) const VALUES: [Quantity; 4] =
+    [Quantity::Length, Quantity::LengthPerTime, Quantity::Waves, Quantity::WavesPerTime];
+
+/// Unit of the values of a map, or of its coordinates.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct Unit(units::Unit);
+
+impl fmt::Display for Unit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(&self.0, f)
+    }
+}
+
+impl fmt::Debug for Unit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(&self.0, f)
+    }
+}
+
+impl Serialize for Unit {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(&self.0)
+    }
+}
+
+impl FromStr for Unit {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        units::Unit::read(text, &VALUES).and_then(Self::checked).ok_or_else(|| {
+            "give m, mm, um, nm, angstrom, in, mil, waves or another unit of length, over a time for a rate \
+             (nm/s, nm/min, um/h), or pixels for coordinates"
+                .to_string()
+        })
+    }
+}
+
+impl Unit {
+    /// Returns the unit of a symbol that the table has.
+    ///
+    /// # Panics
+    /// If the table does not have it.
+    pub fn named(symbol: &'static str) -> Self {
+        Self(units::Unit::read(symbol, &VALUES).expect("the table has the symbol"))
+    }
+
+    /// Returns the unit, if values or coordinates of a map can have it.
+    fn checked(unit: units::Unit) -> Option<Self> {
+        let quantity = unit.quantity();
+        (VALUES.contains(&quantity) || quantity == Quantity::Pixels).then_some(Self(unit))
+    }
+
+    /// Returns the unit that `text` spells, if values or coordinates of a map can have it.
+    pub(crate) fn spelled(text: &str) -> Option<Self> {
+        units::Unit::read(text, &VALUES).and_then(Self::checked)
+    }
+
+    /// Returns the unit that a file calls `name` in its field `place`.
+    ///
+    /// # Errors
+    /// A word that is no unit of a map, by its name.
+    pub fn stated(place: &'static str, name: &str) -> Result<Self, Invalid> {
+        let unit = units::Unit::read(name, &VALUES);
+        if let Some(unit) = unit.and_then(Self::checked) {
+            return Ok(unit);
+        }
+        let remedy = match unit.map(|unit| unit.quantity()) {
+            Some(Quantity::Fringes) => {
+                "the height of a fringe depends on the interferometer: give `unit` waves, `surface_per_value` and \
+                 `override_file`"
+            }
+            Some(Quantity::Angle) => "slopes are read by planish-import slopes",
+            _ => {
+                "a map of lengths or rates is needed: m, mm, um, nm, angstrom, in, mil or waves, a rate over s, min or h; \
+                 where the word is wrong, give the unit and `override_file`"
+            }
+        };
+        let short: String = name.chars().filter(|c| !c.is_control()).take(40).collect();
+        Err(Invalid::whole(place, format!("is \"{short}\""), remedy))
+    }
+
+    /// Returns the name of a variable or column without its unit, and the unit.
+    ///
+    /// # Errors
+    /// A word in brackets, after a slash or after "in" that is no unit of a map.
+    pub(crate) fn of_name(text: &str) -> Result<(String, Option<Self>), Invalid> {
+        let remedy = "rename the column, or delete its unit and give `unit` and `coordinate_unit`";
+        let Header { name, unit } =
+            Header::read(text, &VALUES).map_err(|e| e.refused("unit", remedy))?;
+        match unit {
+            None => Ok((name, None)),
+            Some(unit) => match Self::checked(unit) {
+                Some(unit) => Ok((name, Some(unit))),
+                None => {
+                    let short: String = text.chars().filter(|c| !c.is_control()).take(40).collect();
+                    let problem = format!("is {unit} in \"{short}\", which is no unit of a map");
+                    Err(Invalid::whole("unit", problem, remedy))
+                }
+            },
+        }
+    }
+
+    /// Returns true for a length or waves over a time.
+    pub(crate) fn is_rate(self) -> bool {
+        self.0.per_s().is_some()
+    }
+
+    /// Returns the unit without its time.
+    pub(crate) fn without_time(self) -> Self {
+        Self(self.0.numerator())
+    }
+
+    /// Returns true for wavelengths of light, also over a time.
+    pub(crate) fn is_waves(self) -> bool {
+        self.0.numerator().quantity() == Quantity::Waves
+    }
+
+    /// Returns true for pixels.
+    pub(crate) fn is_pixels(self) -> bool {
+        self.0.quantity() == Quantity::Pixels
+    }
+
+    /// Returns one unit in nm, or a rate in nm/s.
+    ///
+    /// # Errors
+    /// Waves without a wavelength, and pixels.
+    pub(crate) fn nm(self, wavelength_nm: Option<f64>) -> Result<f64, Invalid> {
+        if self.is_pixels() {
+            let remedy = "heights are lengths: give `unit`";
+            return Err(Invalid::whole("unit", "of the heights is pixels", remedy));
+        }
+        if !self.is_waves() {
+            return Ok(self.0.size(-9));
+        }
+        match wavelength_nm {
+            Some(w) if w.is_finite() && w > 0.0 => Ok(w / self.0.per_s().unwrap_or(1.0)),
+            Some(w) => {
+                Err(Invalid::whole("wavelength_nm", format!("is {w}"), "give a length in nm"))
+            }
+            None => Err(Invalid::whole(
+                "wavelength_nm",
+                "is not in the file, whose heights are in waves",
+                "give `wavelength_nm`",
+            )),
+        }
+    }
+
+    /// Returns one unit of a lateral coordinate in mm.
+    ///
+    /// # Errors
+    /// A unit that is no length.
+    pub(crate) fn mm(self) -> Result<f64, Invalid> {
+        if self.0.quantity() == Quantity::Length {
+            return Ok(self.0.size(-3));
+        }
+        let remedy = match self.is_pixels() {
+            true => "give `pixel_mm`, the distance of pixel centres",
+            false => "coordinates are in m, mm, um, nm, in or another length, or in pixels",
+        };
+        Err(Invalid::whole("coordinate_unit", format!("is {self}"), remedy))
+    }
+}
