@@ -7,7 +7,7 @@
 //! with the exact positions q0, q0 + dq and velocities v0, v1 of the axis at both ends. A segment of the motion is
 //! halved until the contact point of (1) stays near that of the motion. The distance falls by 16 with each half.
 
-use planish_kinematics::{AxisMap, Series};
+use planish_kinematics::{AxisMap, CENTRE_MM, Series};
 use planish_numerics::polynomial::{derivative, evaluate};
 use planish_types::{Invalid, Segment, Trajectory};
 
@@ -90,6 +90,50 @@ pub(crate) fn stretched_s(piece: &Piece, ends: [f64; 2]) -> f64 {
 pub(crate) fn planned_part(part: f64, [w0, w1]: [f64; 2]) -> f64 {
     let area = 0.5 * part * (w0 + w1);
     2.0 * area / (w0 + (w0 * w0 + 2.0 * (w1 - w0) * area).sqrt())
+}
+
+/// Beginning of a motion from rest in the centre of a spindle.
+///
+/// ```text
+/// p(t) = a t^2 / 2 + j t^3 / 6     direction a, and the azimuth turns by (a x j) / (3 |a|^2) rad/s
+/// p(t) = j t^3 / 6                 direction j, and the azimuth does not turn
+/// ```
+///
+/// A term counts as rounding where it moves the point by less than [`CENTRE_MM`] in the time of its segment. The
+/// velocity of a computed motion at rest is rounding, and its direction says nothing.
+struct Start {
+    /// Unit vector in the plane of the part.
+    direction: [f64; 2],
+    turn_rad_per_s: f64,
+}
+
+impl Start {
+    /// The beginning at the local time `u` of a segment; backwards in time if `sign` is -1. `None` if the point has a
+    /// velocity, or stays in the centre.
+    fn new(segment: &Segment<'_>, u: f64, sign: f64) -> Option<Self> {
+        let h = segment.duration_s;
+        let orders = segment.coefficient_mm.each_ref().map(|c| {
+            let v = derivative(c);
+            let a = derivative(&v);
+            [sign * evaluate(&v, u), evaluate(&a, u), sign * evaluate(&derivative(&a), u)]
+        });
+        let [velocity, acceleration, jerk] = [0, 1, 2].map(|k| [orders[0][k], orders[1][k]]);
+        let length = |d: [f64; 2]| d[0].hypot(d[1]);
+        let unit = |d: [f64; 2]| d.map(|v| v / length(d));
+        if length(velocity) * h >= CENTRE_MM {
+            return None;
+        }
+        let [ax, ay] = acceleration;
+        if length(acceleration) * h * h / 2.0 >= CENTRE_MM {
+            let across = ax * jerk[1] - ay * jerk[0];
+            let turn_rad_per_s = across / (3.0 * (ax * ax + ay * ay));
+            return Some(Self { direction: unit(acceleration), turn_rad_per_s });
+        }
+        if length(jerk) * h * h * h / 6.0 >= CENTRE_MM {
+            return Some(Self { direction: unit(jerk), turn_rad_per_s: 0.0 });
+        }
+        None
+    }
 }
 
 /// Distance of a point from the path of a piece, from near its part `f`, mm: two Newton steps of (p - x) . p' = 0.
@@ -199,7 +243,7 @@ impl Pieces<'_> {
     }
 
     /// Position and velocity of the axes at a time of a segment. In the centre of a spindle, the point moves away from
-    /// there, or it arrives.
+    /// there, or it arrives. A point at rest in the centre has the direction in which it begins to move ([`Start`]).
     fn state(
         &self,
         i: usize,
@@ -209,7 +253,17 @@ impl Pieces<'_> {
     ) -> Result<Vec<State>, Invalid> {
         let sign = if arrives { -1.0 } else { 1.0 };
         // Backwards in time, a point that arrives moves away.
-        let p = moving(segment.coefficient_mm, u).map(|s| Series { first: sign * s.first, ..s });
+        let mut p =
+            moving(segment.coefficient_mm, u).map(|s| Series { first: sign * s.first, ..s });
+        let is_centre = self.turning.is_some()
+            && self.map.radius_mm([p[0].value, p[1].value]) < CENTRE_MM;
+        let start = if is_centre { Start::new(segment, u, sign) } else { None };
+        if let Some(start) = &start {
+            // Along this curve, as along the motion, the azimuth turns by half of second / first.
+            let [x, y] = start.direction;
+            let left = [-y, x].map(|v| 2.0 * start.turn_rad_per_s * v);
+            p = [0, 1].map(|k| Series { value: p[k].value, first: [x, y][k], second: left[k] });
+        }
         let axes = self.map.positions(p).ok_or_else(|| {
             let [x, y] = p.map(|s| s.value);
             let at_s = segment.start_s + u;
@@ -218,7 +272,9 @@ impl Pieces<'_> {
             let remedy = "give a form that covers the whole motion, with its overscan";
             Invalid::at("coefficient_mm", i, problem, remedy)
         })?;
-        Ok(axes.iter().map(|q| [q.value, sign * q.first]).collect())
+        let moves = |axis: usize| start.is_none() || Some(axis) == self.turning;
+        let velocity = |(axis, q): (usize, &Series)| if moves(axis) { sign * q.first } else { 0.0 };
+        Ok((axes.iter().enumerate()).map(|axis| [axis.1.value, velocity(axis)]).collect())
     }
 
     /// Adds whole turns of the spindle to the state `after` a node, and refuses a jump there, which the centre causes.

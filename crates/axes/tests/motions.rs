@@ -318,6 +318,77 @@ fn a_spindle_is_slowed_down_near_its_centre_and_says_what_that_costs() {
     );
 }
 
+/// `plan` with other derivatives at the start of its first cubic: velocity, and twice the acceleration.
+fn disturbed(plan: &Trajectory, velocity: [f64; 2], acceleration: [f64; 2]) -> Trajectory {
+    let mut c = plan.coefficient_mm().to_vec();
+    for k in 0..2 {
+        c[0][k][1] += velocity[k];
+        c[0][k][2] += acceleration[k];
+    }
+    let (on, index) = (plan.tool_on().to_vec(), plan.dwell_index().to_vec());
+    Trajectory::new(plan.break_time_s().to_vec(), c, on, index).unwrap()
+}
+
+/// A plan that rests in the centre of the spindle has no direction there: the first derivative that moves it gives one.
+/// Rounding of the derivatives before, of any direction, changes nothing.
+#[test]
+fn a_plan_that_starts_or_ends_in_the_centre_does_not_depend_on_rounding() {
+    let machine = fixture("spindle", |_| {});
+    // From rest, with an acceleration, or with a jerk alone, towards (2, -1); and an arc of a spiral r = 4 t^2 mm.
+    let straight = pass([0.0, 0.0], [20.0, -10.0], 3.0);
+    let slowly = Trajectory::new(
+        vec![0.0, 1.0, 3.0],
+        vec![
+            [[0.0, 0.0, 0.0, 2.0], [0.0, 0.0, 0.0, -1.0]],
+            // From 2 mm at 6 mm/s to rest at 10 mm.
+            [[2.0, 6.0, 0.0, -0.5], [-1.0, -3.0, 0.0, 0.25]],
+        ],
+        vec![true; 2],
+        vec![Some(0), Some(1)],
+    )
+    .unwrap();
+    let spiral = {
+        let point = |k: u32| {
+            let t = 0.05 * f64::from(k);
+            let (r, angle) = (4.0 * t * t, 0.5 + 1.2 * t);
+            [r * angle.cos(), r * angle.sin()]
+        };
+        let velocity = |k: u32| {
+            let t = 0.05 * f64::from(k);
+            let (r, angle, dr) = (4.0 * t * t, 0.5 + 1.2 * t, 8.0 * t);
+            let (s, c) = angle.sin_cos();
+            if k == 40 { [0.0; 2] } else { [dr * c - 1.2 * r * s, dr * s + 1.2 * r * c] }
+        };
+        let points: Vec<[f64; 2]> = (0..=40).map(point).collect();
+        let velocities: Vec<[f64; 2]> = (0..=40).map(velocity).collect();
+        through(&points, &velocities, 0.05)
+    };
+    for (plan, angle_rad) in [(straight, (-0.5_f64).atan()), (slowly, (-0.5_f64).atan()), (spiral, 0.5)] {
+        let (axes, report) = motion(&plan, &machine, &plane(), &settings()).unwrap();
+        assert!(exceeded(&axes, &machine).is_empty(), "{:?}", exceeded(&axes, &machine));
+        let c_deg = axes.position(0, 0.0)[2];
+        // The cubic through the first points of the spiral begins within 2 degrees of its direction.
+        assert!((c_deg - angle_rad.to_degrees()).abs() < 2.0, "{c_deg} {angle_rad}");
+        for k in 0..6 {
+            let (s, c) = f64::from(k).sin_cos();
+            let noisy = disturbed(&plan, [1e-16 * c, 1e-16 * s], [0.0; 2]);
+            let noisier = disturbed(&plan, [-1e-15 * s, 1e-15 * c], [1e-14 * c, 1e-14 * s]);
+            for plan in [noisy, noisier] {
+                let (_, other) = motion(&plan, &machine, &plane(), &settings()).unwrap();
+                let longer_s = other.total_time_s - report.total_time_s;
+                // The slowing ends within 1e-4 of a limit.
+                assert!(longer_s.abs() < 1e-4 * report.total_time_s, "{k}: {longer_s}");
+            }
+        }
+    }
+    let arriving = pass([20.0, -10.0], [0.0, 0.0], 3.0);
+    let (axes, _) = motion(&arriving, &machine, &plane(), &settings()).unwrap();
+    let last = axes.len() - 1;
+    let turned = axes.position(last, axes.duration_s(last))[2] - axes.position(0, 0.0)[2];
+    // A straight line to the centre: c rests. Rounding of coordinates over the last radius of the pieces.
+    assert!(turned.abs() < 1e-6, "{turned}");
+}
+
 #[test]
 fn the_largest_angle_to_the_normal_is_found_between_the_ends_of_segments() {
     // The centre of a sphere of 100 mm lies 10 mm beside that of the spindle, which tilts in the plane of the radius alone:

@@ -12,7 +12,7 @@ use planish_handoff::{
     flags::{MachineArgs, MirrorArgs, OutputArgs, PathArgs},
     say, task,
 };
-use planish_types::{DwellDensity, Trajectory};
+use planish_types::{DwellDensity, PathDistance, Trajectory};
 use serde_json::json;
 
 #[derive(Args)]
@@ -87,12 +87,18 @@ impl Feed {
 
         let r = &plan.report;
         let total_time_s = plan.trajectory.total_time_s();
+        let distance = PathDistance::new(&plan.trajectory, &path, None)?;
+        let excess = distance.excess().map(|excess| {
+            format!("{excess}; plan by planish-refine, whose scheduler pvt stays within it")
+        });
         let status = plan
             .drawback(&surface, &settings)
+            .or(excess)
             .map_or(Status::Done, |text| Status::Negative(planish_handoff::with_flags(&text)));
         let outcome = json!({
             "end": r.end,
             "total_time_s": total_time_s,
+            "path_distance": distance,
             "between_nodes": "cubic B-spline per pass, on the knots whose Greville abscissae the nodes are",
             "report": r,
         });
@@ -107,7 +113,7 @@ impl Feed {
         });
         say(format!(
             "{method}: {} passes, {} control values, {:.3} s{rms}{gap}; {:.1} % of the feed and {:.1} % of the \
-             acceleration limit used; {} turn-arounds and {} lifts as links of {:.3} s; {} steps -> {}",
+             acceleration limit used; {} turn-arounds and {} lifts as links of {:.3} s; {} steps; {distance} -> {}",
             r.passes,
             r.control_values,
             total_time_s,

@@ -217,6 +217,9 @@ impl VerdictOutcome {
         let mut found = Self::deserialize(outcome).map_err(|e| {
             Invalid::whole("verdict", format!("has no usable outcome ({e})"), "verify it again")
         })?;
+        if outcome["path_distance"]["within"] == false {
+            found.broken_limits.push("path");
+        }
         for (check, limit) in LIMIT_OF_CHECK {
             let exceeded = |axis: usize| outcome["axes"][axis][check]["exceeded"] == true;
             if (exceeded(0) || exceeded(1)) && !found.broken_limits.contains(&limit) {

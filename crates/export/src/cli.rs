@@ -1,5 +1,7 @@
 //! The subcommands: one for each controller, with the flags of every program and those of its own.
 
+mod near_path;
+
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -12,7 +14,7 @@ use planish_export::{
 use planish_form::{Form, FormFile};
 use planish_handoff::{
     Failure, Inputs, Manifest, OutputFile, Status,
-    flags::{AxesArgs, OnAxes, OutputFileArgs, TrajectoryArgs},
+    flags::{AxesArgs, NearPathArgs, OnAxes, OutputFileArgs, TrajectoryArgs},
     say, warn,
 };
 use planish_types::{AxesMotion, ControllerKind, Counts, Kinematics, Machine, TransformNumbers};
@@ -148,6 +150,8 @@ struct CommonArgs {
     form: Option<PathBuf>,
     #[command(flatten)]
     machine: AxesArgs,
+    #[command(flatten)]
+    near_path: NearPathArgs,
     /// Size of a count, mm, of the linear axes: one number, or one for each axis as in X,Y [default: that of the
     /// machine's controller, else 0.0001]
     #[arg(long, value_name = "C", value_delimiter = ',', allow_hyphen_values = true)]
@@ -186,6 +190,7 @@ impl Export {
         let about = PathBuf::from(about);
         let mut inputs = Inputs::new();
         let motion = given.read(&mut inputs)?;
+        let distance = near_path::checked(&given.near_path, &motion, &mut inputs)?;
         let program_file = given.output.begin(&inputs)?;
         // A run that was ended between its two files has left this one.
         let is_alone = fs::symlink_metadata(out).is_err();
@@ -204,7 +209,11 @@ impl Export {
         for warning in &made.about.warnings {
             warn(warning);
         }
-        let about_text = format!("{}\n", serde_json::to_string_pretty(&made.about)?);
+        let mut about_json = serde_json::to_value(&made.about)?;
+        if let Some(distance) = &distance {
+            about_json["path_distance"] = serde_json::to_value(distance)?;
+        }
+        let about_text = format!("{}\n", serde_json::to_string_pretty(&about_json)?);
         let files = [(about_file, about_text.as_bytes()), (program_file, made.text.as_bytes())];
         OutputFile::write_together(files)?;
         let a = &made.about;
@@ -220,6 +229,7 @@ impl Export {
             1e3 * a.path_deviation_mm,
             out.display()
         ));
+        near_path::tell(distance.as_ref());
         Ok(Status::Done)
     }
 }

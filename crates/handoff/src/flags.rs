@@ -9,10 +9,13 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use planish_types::{DwellTime, Limits, Machine, Surface, Tif, ToolPath, Trajectory, Transform};
+use planish_types::{
+    DwellTime, Invalid, Limits, Machine, PathDistance, Surface, Tif, ToolPath, Trajectory, Transform,
+};
 
 use crate::{
     Artifact, HandoffError, Inputs, Manifest, OutputFile, kind::MACHINE_FRAME, shell::warn,
+    with_flags,
 };
 
 /// Flags of the mirror: desired removal and tool.
@@ -232,6 +235,78 @@ impl MachineArgs {
     pub fn read(&self, inputs: &mut Inputs) -> Result<Limits, HandoffError> {
         Ok(inputs.read_machine(&self.machine)?.limits_on_part())
     }
+}
+
+/// Flag of the tolerance of a motion beside its path.
+#[derive(Clone, Copy, Debug, Args)]
+pub struct PathDistanceArgs {
+    /// Largest distance of the motion from the tool path with the tool on, mm [default: half the distance of the lines
+    /// of the path]
+    #[arg(long, value_name = "D", allow_negative_numbers = true)]
+    pub max_path_distance_mm: Option<f64>,
+}
+
+/// Flags of the distance of a motion from its path, for a judge.
+#[derive(Clone, Debug, Args)]
+pub struct NearPathArgs {
+    /// Tool path of the motion: its distance from there is judged [tool_path artifact]
+    #[arg(long, value_name = "DIR")]
+    pub tool_path: Option<PathBuf>,
+    #[command(flatten)]
+    distance: PathDistanceArgs,
+}
+
+impl NearPathArgs {
+    /// Returns the distance of a motion in the coordinates of the axes from the path. Without a path it is what the
+    /// maker of the motion states in its manifest; `None` if it states nothing.
+    ///
+    /// # Errors
+    ///
+    /// A path in other coordinates than the motion, or of another motion, and a tolerance that is no length.
+    pub fn measure(
+        &self,
+        motion: &OnAxes,
+        inputs: &mut Inputs,
+    ) -> Result<Option<PathDistance>, HandoffError> {
+        let stated = self.stated(motion.manifest.as_ref())?;
+        let Some(dir) = &self.tool_path else { return Ok(stated) };
+        let (path, manifest): (ToolPath, _) = inputs.read_with_manifest("tool-path", dir)?;
+        let refuse = |e: Invalid| HandoffError::new(dir, with_flags(&e.to_string()));
+        let is_there = manifest.is_some_and(|m| m.frame == MACHINE_FRAME);
+        if is_there != motion.was_there {
+            let [with, without] = ["the machine", "the part"];
+            let (own, other) = if is_there { (with, without) } else { (without, with) };
+            let problem = format!(
+                "is in the coordinates of {own}, and the motion in those of {other}; transform one of them by                  planish-register apply"
+            );
+            return Err(HandoffError::new(dir, problem));
+        }
+        let path = match &motion.part_to_axes {
+            Some(transform) => transform.tool_path(&path).map_err(refuse)?,
+            None => path,
+        };
+        let tolerance_mm = self.distance.max_path_distance_mm.or(stated.map(|s| s.tolerance_mm));
+        PathDistance::new(&motion.motion, &path, tolerance_mm).map(Some).map_err(refuse)
+    }
+
+    /// Returns the distance that the maker of a motion states in its manifest, judged by the tolerance of the flag if
+    /// there is one.
+    pub fn stated(&self, made: Option<&Manifest>) -> Result<Option<PathDistance>, HandoffError> {
+        let stated = made.and_then(path_distance_of);
+        let tolerance_mm = self.distance.max_path_distance_mm;
+        if let Some(mm) = tolerance_mm.filter(|mm| !(mm.is_finite() && *mm >= 0.0)) {
+            return Err(HandoffError::new(
+                Path::new("--max-path-distance-mm"),
+                format!("is {mm}; give the largest distance of the motion from its path, a finite number >= 0"),
+            ));
+        }
+        Ok(stated.map(|stated| stated.judged_by(tolerance_mm.unwrap_or(stated.tolerance_mm))))
+    }
+}
+
+/// Returns the distance of a motion from its path as its manifest states it.
+pub fn path_distance_of(made: &Manifest) -> Option<PathDistance> {
+    serde_json::from_value(made.outcome["path_distance"].clone()).ok()
 }
 
 /// Flags of the smallest dwell time.

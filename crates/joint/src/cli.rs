@@ -14,7 +14,7 @@ use planish_joint::{
     FurtherAxes, MachineAxes, Plan, Price, Report, Settings, plan, plan_with_further_axes,
 };
 use planish_types::{
-    DwellTime, Trajectory,
+    DwellTime, PathDistance, Trajectory,
     plausible::{self, Rms},
 };
 use serde_json::json;
@@ -140,7 +140,13 @@ impl Joint {
         let r = &plan.report;
         let rms = Rms::of(plan.removal.residual());
         let total_time_s = plan.trajectory.total_time_s();
-        let negative = plan.negative(&surface);
+        // The corners are rounded as the settings allow, which the tolerance of the motion includes.
+        let tolerance_mm = path.tolerance_mm(None)?.max(r.corner_deviation_mm);
+        let distance = PathDistance::new(&plan.trajectory, &path, Some(tolerance_mm))?;
+        let excess = distance.excess().map(|excess| {
+            format!("{excess}; a smaller `corner_deviation_mm` keeps the plan closer to its corners")
+        });
+        let negative = plan.negative(&surface).or(excess);
         let status = negative.map_or(Status::Done, |text| Status::Negative(with_flags(&text)));
         let outcome = json!({
             "end": r.end,
@@ -148,11 +154,13 @@ impl Joint {
             "rms_detilted_nm": rms.detilted_nm,
             "total_time_s": total_time_s,
             "limits_respected": plan.refused.is_none(),
+            "path_distance": distance,
             "report": r,
         });
         output.write(&plan.dwell, outcome.clone(), &status)?;
         output.write(&plan.trajectory, outcome, &status)?;
         self.say(&plan, rms.rms_nm);
+        say(format!("joint: the motion is {distance}"));
         if self.form.is_some() && further.is_none() {
             say(
                 "joint: the machine has the axes x and y alone, so that the form does not act on the plan",

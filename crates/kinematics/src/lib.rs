@@ -44,7 +44,7 @@ const STEP_MM: f64 = 1e-3;
 
 /// Distance from the centre of the spindle below which the direction of the motion decides on c, mm. Larger: the path's
 /// own azimuth is lost. Smaller: rounding of the coordinates decides. Chosen: far below any count.
-const CENTRE_MM: f64 = 1e-9;
+pub const CENTRE_MM: f64 = 1e-9;
 
 /// Change of the position along the tool at which the contact point has converged, mm. Larger: contact points are less
 /// exact. Smaller: rounding of coordinates of 1 m keeps the steps going.

@@ -5,6 +5,7 @@
 //!
 //! | module | contents |
 //! |---|---|
+//! | [`distance`] | largest distance of plane cubics from line segments |
 //! | [`fft`] | transforms and convolutions of lines and maps |
 //! | [`linear`] | symmetric systems (skyline Cholesky, Woodbury), tridiagonal ones, Krylov methods |
 //! | [`qp`] | quadratic programs: bounds, non-negativity, chains of neighbours |
@@ -16,6 +17,7 @@
 
 pub mod bspline;
 pub mod counting;
+pub mod distance;
 pub mod fft;
 pub mod keys;
 pub mod linear;

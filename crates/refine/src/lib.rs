@@ -107,7 +107,11 @@ fn name_and_kind<S: Serializer>(scheduler: &&dyn Scheduler, to: S) -> Result<S::
 impl Default for Settings<'_> {
     fn default() -> Self {
         Self {
-            scheduler: &pvt::Settings { mode: pvt::Mode::Monotone, stretch: true },
+            scheduler: &pvt::Settings {
+                mode: pvt::Mode::Monotone,
+                stretch: true,
+                max_path_distance_mm: None,
+            },
             dwell: dwell_solver::Settings {
                 // The columns are those of the executed motion, so the smoothness need not make the dwell
                 // times executable. The pull to the lower bound saves machine time.

@@ -127,11 +127,13 @@ fn a_dearer_second_never_takes_longer_and_a_cheaper_one_never_leaves_more() {
 const FROM_A_SMOOTH_PLAN: f64 = 2.31e-6;
 
 fn settings(mode: pvt::Mode) -> Settings<'static> {
-    let scheduler: &dyn Scheduler = match mode {
-        pvt::Mode::Smooth => &pvt::Settings { mode: pvt::Mode::Smooth, stretch: true },
-        pvt::Mode::Monotone => &pvt::Settings { mode: pvt::Mode::Monotone, stretch: true },
-    };
-    settings_of(scheduler)
+    const SMOOTH: pvt::Settings =
+        pvt::Settings { mode: pvt::Mode::Smooth, stretch: true, max_path_distance_mm: None };
+    const MONOTONE: pvt::Settings = pvt::Settings { mode: pvt::Mode::Monotone, ..SMOOTH };
+    settings_of(match mode {
+        pvt::Mode::Smooth => &SMOOTH,
+        pvt::Mode::Monotone => &MONOTONE,
+    })
 }
 
 fn settings_of(scheduler: &dyn Scheduler) -> Settings<'_> {
@@ -156,7 +158,7 @@ fn the_executed_residual_falls_and_the_promise_is_what_the_judges_find() {
         assert_eq!(p.unwrap().removal.residual().statistics().rms, rms[refined.best]);
         let v = verify(&refined.trajectory, &machine, &VerifySettings::default()).unwrap();
         assert!(v.limits_respected, "{:?}", v.violations);
-        let how = pvt::Settings { mode, stretch: false };
+        let how = pvt::Settings { stretch: false, ..pvt::Settings::of(mode) };
         let again = pvt::schedule(&path, &refined.dwell, &machine, &how).unwrap();
         assert_eq!(again.trajectory, refined.trajectory);
         assert!(refined.dwell.dwell_s().iter().all(|t| *t >= 0.05));
@@ -273,7 +275,7 @@ fn every_scheduler(limits: &Limits) -> Vec<Box<dyn Scheduler>> {
     let modes = [pvt::ModeChoice::Smooth, pvt::ModeChoice::Monotone];
     let choices = modes
         .into_iter()
-        .flat_map(|mode| [Repair::Offset, Repair::Local].map(|repair| Choices { mode, repair }));
+        .flat_map(|mode| [Repair::Offset, Repair::Local].map(|repair| Choices { mode, repair, ..Choices::default() }));
     let mut all: Vec<Box<dyn Scheduler>> = Vec::new();
     for choices in choices {
         for named in &SCHEDULERS {
@@ -361,7 +363,7 @@ impl Scheduler for Pause {
     ) -> Result<Scheduled, ScheduleError> {
         let mut dwell_s = dwell.dwell_s().to_vec();
         dwell_s[self.segment] = dwell_s[self.segment].max(self.least_s);
-        let inner = pvt::Settings { mode: pvt::Mode::Monotone, stretch: true };
+        let inner = pvt::Settings::of(pvt::Mode::Monotone);
         let motion = inner.schedule(path, &DwellTime::new(dwell_s)?, limits)?.trajectory;
         Ok(Scheduled::compared(motion, dwell)?)
     }

@@ -15,11 +15,11 @@ use std::path::Path;
 use clap::{Args, Subcommand};
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status,
-    flags::{MachineArgs, OutputArgs, PlanArgs},
-    say, task,
+    flags::{MachineArgs, OutputArgs, PathDistanceArgs, PlanArgs},
+    say, task, with_flags,
 };
 use planish_schedule::{ScheduleError, claim::Claim};
-use planish_types::{DwellDensity, DwellTime, Limits, ToolPath, Trajectory};
+use planish_types::{DwellDensity, DwellTime, Limits, PathDistance, ToolPath, Trajectory};
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -80,7 +80,17 @@ struct Given {
     #[command(flatten)]
     machine: MachineArgs,
     #[command(flatten)]
+    distance: PathDistanceArgs,
+    #[command(flatten)]
     output: OutputArgs,
+}
+
+/// Settings of a scheduler, with the tolerance by which its motion is judged.
+#[derive(Serialize)]
+struct Judged<'a, S> {
+    #[serde(flatten)]
+    settings: &'a S,
+    max_path_distance_mm: f64,
 }
 
 /// Settings of a scheduler that has none.
@@ -138,7 +148,9 @@ fn schedule<S: MotionCommand>(scheduler: &S) -> Result<Status, Failure> {
     let (path, dwell) = given.plan.read(&mut inputs)?;
     let machine = given.machine.read(&mut inputs)?;
     let settings = scheduler.settings(&machine);
-    let task = task!(S::METHOD, &settings);
+    let tolerance_mm =
+        path.tolerance_mm(given.distance.max_path_distance_mm).map_err(Failure::with_flags)?;
+    let task = task!(S::METHOD, Judged { settings: &settings, max_path_distance_mm: tolerance_mm });
     let mut output = Output::directory(&given.output, Trajectory::KIND);
     if let Some(dir) = scheduler.dwell_density() {
         output = output.and_directory("--dwell-density-out", dir, DwellDensity::KIND);
@@ -151,12 +163,18 @@ fn schedule<S: MotionCommand>(scheduler: &S) -> Result<Status, Failure> {
     let made = S::make(&path, &dwell, &machine, &settings)?;
     let claim = Claim::of(&made.trajectory, &machine);
     let total_time_s = made.trajectory.total_time_s();
+    let distance = PathDistance::new(&made.trajectory, &path, Some(tolerance_mm))?;
     let drawback = claim.drawback(total_time_s, S::advice(&settings, &claim).as_deref());
-    let status = drawback.map_or(Status::Done, Status::Negative);
+    let drawbacks: Vec<String> = drawback.into_iter().chain(distance.excess().map(nearer)).collect();
+    let status = match drawbacks.is_empty() {
+        true => Status::Done,
+        false => Status::Negative(drawbacks.join("; ")),
+    };
     let outcome = json!({
         "dwell_s": dwell.total_s(),
         "total_time_s": total_time_s,
         "claim": claim,
+        "path_distance": distance,
         "report": made.report,
     });
     if scheduler.dwell_density().is_some() {
@@ -167,7 +185,7 @@ fn schedule<S: MotionCommand>(scheduler: &S) -> Result<Status, Failure> {
     }
     output.write(&made.trajectory, outcome, &status)?;
     say(format!(
-        "{}{}: {} segments, {:.3} s (dwell {:.3} s){}{} -> {}",
+        "{}{}: {} segments, {:.3} s (dwell {:.3} s){}; {distance}{} -> {}",
         S::METHOD,
         S::kind(&settings).map_or(String::new(), |kind| format!(" ({kind})")),
         made.trajectory.len(),
@@ -178,6 +196,13 @@ fn schedule<S: MotionCommand>(scheduler: &S) -> Result<Status, Failure> {
         given.output.out.display()
     ));
     Ok(status)
+}
+
+/// Returns the excess over the tolerance of the path with its remedy.
+fn nearer(excess: String) -> String {
+    with_flags(&format!(
+        "{excess}. planish-schedule pvt stays within it; or give a larger tolerance that is harmless on this part"
+    ))
 }
 
 fn micron(mm: f64) -> f64 {

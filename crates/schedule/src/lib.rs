@@ -82,6 +82,8 @@ pub struct Choices {
     pub mode: pvt::ModeChoice,
     /// Repair of the densities of `trig-spline`.
     pub repair: trig_spline::Repair,
+    /// Largest distance of the motion of `pvt` from its path, mm; the usual tolerance of the path when absent.
+    pub max_path_distance_mm: Option<f64>,
 }
 
 /// A row of the table.
@@ -108,7 +110,10 @@ pub static SCHEDULERS: [Named; 4] = [
         name: "pvt",
         about: "Cubic segments, stretched if the limits demand it",
         make: |choices, limits| {
-            Box::new(pvt::Settings { mode: choices.mode.on(limits), stretch: true })
+            Box::new(pvt::Settings {
+                max_path_distance_mm: choices.max_path_distance_mm,
+                ..pvt::Settings::of(choices.mode.on(limits))
+            })
         },
     },
     Named {
@@ -215,7 +220,8 @@ mod tests {
             assert_eq!(by_name(named.name).map(|found| found.name), Some(named.name));
         }
         assert!(by_name("position").is_none());
-        let choices = Choices { mode: pvt::ModeChoice::Smooth, repair: trig_spline::Repair::Local };
+        let (mode, repair) = (pvt::ModeChoice::Smooth, trig_spline::Repair::Local);
+        let choices = Choices { mode, repair, ..Choices::default() };
         let kind = |name: &str| by_name(name).unwrap().scheduler(&choices, &limits).kind();
         assert_eq!((kind("pvt"), kind("trig-spline")), (Some("smooth"), Some("local")));
         assert_eq!(kind("stop-at-corners"), None);

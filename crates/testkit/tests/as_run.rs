@@ -76,7 +76,7 @@ fn as_run(desired: &Surface, tif: &Tif, path: &ToolPath, dwell: &DwellTime) -> [
         path,
         dwell,
         &ion_beam(),
-        &pvt::Settings { mode: Mode::Smooth, stretch: true },
+        &pvt::Settings::of(Mode::Smooth),
     )
     .unwrap();
     write(dir, "plan", &plan.trajectory);

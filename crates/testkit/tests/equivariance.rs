@@ -130,7 +130,7 @@ const SCHEDULERS: [(&str, Scheduler, f64); 5] = [
     (
         "pvt, smooth",
         |path, dwell| {
-            let settings = pvt::Settings { mode: pvt::Mode::Smooth, stretch: true };
+            let settings = pvt::Settings::of(pvt::Mode::Smooth);
             pvt::schedule(path, dwell, &ion_beam(), &settings).unwrap().trajectory
         },
         1e-6,
@@ -138,7 +138,7 @@ const SCHEDULERS: [(&str, Scheduler, f64); 5] = [
     (
         "pvt, monotone",
         |path, dwell| {
-            let settings = pvt::Settings { mode: pvt::Mode::Monotone, stretch: true };
+            let settings = pvt::Settings::of(pvt::Mode::Monotone);
             pvt::schedule(path, dwell, &ion_beam(), &settings).unwrap().trajectory
         },
         1e-6,

@@ -341,7 +341,7 @@ fn programs_of_random_problems_keep_the_limits() {
             MachineFile { name: "bench".into(), axes: axes.to_vec(), ..MachineFile::default() };
         let machine = Machine::new(file).unwrap();
         let mode = if has_jerk { Mode::Smooth } else { Mode::Monotone };
-        let settings = pvt::Settings { mode, stretch: true };
+        let settings = pvt::Settings::of(mode);
         let plan = match pvt::schedule(&path, &dwell, machine.limits(), &settings) {
             Ok(plan) => plan.trajectory,
             Err(e) => {
@@ -467,7 +467,7 @@ fn a_plan_at_its_limits_takes_little_longer_on_a_coarse_clock() {
     let dwell = DwellTime::new(times.collect()).unwrap();
     let limits = planish_testkit::ion_beam();
     let machine = Machine::new(MachineFile::from(&limits)).unwrap();
-    let plan = pvt::Settings { mode: Mode::Monotone, stretch: true };
+    let plan = pvt::Settings::of(Mode::Monotone);
     let plan = pvt::schedule(&path, &dwell, &limits, &plan).unwrap().trajectory;
     for target in targets() {
         let pmac = target.pmac.clone();

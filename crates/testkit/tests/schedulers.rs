@@ -28,6 +28,9 @@ use rayon::prelude::*;
 /// Velocity limit that no motion reaches, mm/s, for a machine without limits.
 const FREE: f64 = 1e9;
 
+/// Tolerance of the distance from the path that no motion reaches, mm.
+const ANYWHERE_MM: f64 = 1e12;
+
 /// Input of a scheduler.
 #[derive(Clone, Debug)]
 struct Case {
@@ -81,8 +84,12 @@ impl Case {
         file.checked().unwrap()
     }
 
+    /// The motion without a tolerance of its distance from the path.
     fn pvt(&self, mode: Mode) -> Result<pvt::Schedule, String> {
-        let settings = pvt::Settings { mode, stretch: true };
+        let settings = pvt::Settings {
+            max_path_distance_mm: Some(ANYWHERE_MM),
+            ..pvt::Settings::of(mode)
+        };
         pvt::schedule(&self.path(), &self.dwell(), &self.limits, &settings)
             .map_err(|e| e.to_string())
     }
@@ -194,7 +201,7 @@ fn unstretched(trajectory: Trajectory) -> Motion {
 }
 
 fn pvt_motion(p: &ToolPath, d: &DwellTime, l: &Limits, mode: Mode) -> Result<Motion, String> {
-    let settings = pvt::Settings { mode, stretch: true };
+    let settings = pvt::Settings::of(mode);
     let s = pvt::schedule(p, d, l, &settings).map_err(|e| e.to_string())?;
     let stretched = s.report.stretched.iter().any(|s| s.tool_on);
     Ok(Motion {

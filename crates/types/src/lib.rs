@@ -15,6 +15,7 @@
 //! | [`Machine`] | a machine: limits, travel, kinematics, and how a part lies on it | - |
 //! | [`ControllerModel`] | grids of times, positions and velocities of a controller, and its motion between two nodes | - |
 //! | [`Trajectory`] | piecewise cubic motion in segment-local time | (k, 2, 4) |
+//! | [`PathDistance`] | largest distance of a motion from its tool path in mm | - |
 //! | [`AxesMotion`] | piecewise cubic motion of all axes of a machine | (k, n, 4) |
 //! | [`Transform`] | position of a part on a machine, with its covariance | (2, 2), (6, 6) |
 //! | [`Removal`] | predicted removal and residual in nm | (ny, nx) |
@@ -34,6 +35,7 @@ mod heading;
 mod kinematics;
 mod limits;
 mod machine;
+mod path_distance;
 pub mod plausible;
 pub mod progress;
 mod regression;
@@ -63,6 +65,7 @@ pub use limits::{
     AxisLimits, DEFAULT_TIME_TO_FULL_ACCELERATION_S, Limits, MachineFile, MachineFileAxis,
 };
 pub use machine::Machine;
+pub use path_distance::PathDistance;
 pub use surface::{Removal, RemovalMaps, Surface};
 pub use tif::{Tif, VaryingTif};
 pub use tool_path::ToolPath;

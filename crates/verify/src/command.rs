@@ -8,8 +8,8 @@ use std::{
 use clap::{CommandFactory, Parser};
 use planish_handoff::{
     Begin, Failure, Inputs, Manifest, Output, Status,
-    flags::{AxesArgs, OutputArgs, TrajectoryArgs},
-    kind, say, task, warn,
+    flags::{AxesArgs, NearPathArgs, OutputArgs, TrajectoryArgs},
+    kind, say, task, warn, with_flags,
 };
 use planish_types::{AxesMotion, Kinematics, TransformNumbers};
 use planish_verify::{Program, VerifySettings, verify_axes, verify_on_axes};
@@ -37,6 +37,9 @@ fn program_of(manifest: &Manifest) -> Option<Program> {
 /// node by the jerk limit times the time between the middles of the two segments. The jerk of a program of straight
 /// lines (gcode) is not judged.
 ///
+/// With --tool-path, the motion may not leave its path by more than a tolerance while the tool is on. Without it, the
+/// verdict states the distance that the maker of the motion states.
+///
 /// A motion of all axes (--axes) is judged by the law of such a program: of cubics, or of lines if planish-import program
 /// read it from gcode.
 #[derive(Parser)]
@@ -50,6 +53,8 @@ struct Cli {
     axes: Option<PathBuf>,
     #[command(flatten)]
     machine: AxesArgs,
+    #[command(flatten)]
+    near_path: NearPathArgs,
     /// Largest step in position that is taken for rounding, mm; of a rotary axis in degrees
     #[arg(long, value_name = "T", default_value_t = VerifySettings::default().position_step_mm)]
     position_step_mm: f64,
@@ -115,6 +120,15 @@ fn judge_axes(cli: &Cli, axes: &Path) -> Result<Status, Failure> {
     Ok(status)
 }
 
+/// Settings of a verdict, with the tolerance of the distance from the path if it is known.
+#[derive(serde::Serialize)]
+struct Judged {
+    #[serde(flatten)]
+    settings: VerifySettings,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    max_path_distance_mm: Option<f64>,
+}
+
 /// Said of a program of lines for axes with a limit on jerk.
 const JERK_OF_LINES: &str = "the jerk limit is not judged: how the controller joins the straight lines of the program \
                              decides on the jerk";
@@ -138,15 +152,24 @@ fn judge_trajectory(cli: &Cli, trajectory: PathBuf) -> Result<Status, Failure> {
             names.join(", ")
         ));
     }
-    let task = task!("verify", settings);
+    let distance = cli.near_path.measure(&on_axes, &mut inputs)?;
+    let tolerance_mm = distance.map(|distance| distance.tolerance_mm);
+    let task = task!("verify", Judged { settings, max_path_distance_mm: tolerance_mm });
     let mut output = match Output::directory(&cli.output, &kind::VERDICT).begin(&task, &inputs)? {
         Begin::Unchanged(status) => return Ok(status),
         Begin::Run(output) => output,
     };
 
     let verdict = verify_on_axes(&on_axes.motion, machine, &settings)?;
+    let verdict = match distance {
+        Some(distance) => verdict.with_path_distance(distance),
+        None => verdict,
+    };
 
-    let status = verdict.reason().map_or(Status::Done, Status::Negative);
+    let status = match verdict.reason() {
+        Some(reason) => Status::Negative(with_flags(&reason)),
+        None => Status::Done,
+    };
     let mut outcome = serde_json::to_value(&verdict)?;
     if let Some(transform) = &on_axes.part_to_axes {
         outcome["part_to_axes"] = serde_json::to_value(TransformNumbers::from(transform))?;
@@ -162,6 +185,14 @@ fn judge_trajectory(cli: &Cli, trajectory: PathBuf) -> Result<Status, Failure> {
         if verdict.limits_respected { "kept" } else { "exceeded" },
         cli.output.out.display()
     ));
+    say(match &distance {
+        Some(distance) if cli.near_path.tool_path.is_none() => {
+            format!("the maker of the motion states: {distance}")
+        }
+        Some(distance) if distance.by_dwell_points => format!("the motion is {distance}"),
+        Some(distance) => format!("the motion is {distance}, by the nearest segment of the path"),
+        None => "how far the motion leaves its path is not judged: give --tool-path".to_string(),
+    });
     let limits_jerk = machine.limits().axes().iter().any(|a| a.max_jerk_mm_per_s3().is_some());
     let [x, y] = verdict.max_acceleration_step_mm_per_s2;
     match settings.program.filter(|_| limits_jerk) {

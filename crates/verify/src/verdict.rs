@@ -1,6 +1,6 @@
 //! The verdict: numbers for programs, one sentence for people.
 
-use planish_types::{AxesMotion, Segment, Trajectory, stored_dwell_index};
+use planish_types::{AxesMotion, PathDistance, Segment, Trajectory, stored_dwell_index};
 use serde::{Serialize, Serializer};
 
 use crate::LIMIT_ALLOWANCE;
@@ -183,9 +183,21 @@ pub struct Verdict {
     pub segment_duration_s: Check,
     /// Verdicts on the axes [x, y].
     pub axes: [AxisVerdict; 2],
+    /// Distance of the motion from its path; absent if the path is not known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub path_distance: Option<PathDistance>,
 }
 
 impl Verdict {
+    /// Returns the verdict with that on the distance from the path. Beyond its tolerance, the motion does not keep its
+    /// limits.
+    pub fn with_path_distance(mut self, distance: PathDistance) -> Self {
+        self.violations.extend(distance.excess());
+        self.limits_respected = self.violations.is_empty();
+        self.path_distance = Some(distance);
+        self
+    }
+
     pub(crate) fn new(
         trajectory: &Trajectory,
         axes: [AxisVerdict; 2],
@@ -215,6 +227,7 @@ impl Verdict {
             limit_allowance: LIMIT_ALLOWANCE,
             segment_duration_s,
             axes,
+            path_distance: None,
         }
     }
 

@@ -3,7 +3,7 @@
 use std::{fs, path::Path, process::Output};
 
 use planish_testkit::program::text;
-use planish_types::Trajectory;
+use planish_types::{ToolPath, Trajectory};
 use serde_json::{Value, json};
 
 fn verify(dir: &Path, more: &[&str]) -> Output {
@@ -79,6 +79,49 @@ fn an_exceeded_limit_is_exit_1_every_time_and_says_which() {
         (&json!("negative"), &json!(false))
     );
     assert_eq!(outcome["axes"][0]["velocity_mm_per_s"]["worst"][0]["dwell_index"], 0);
+}
+
+/// The motion goes along x; the path lies 2 mm beside it, with points 2.5 mm apart: half of that is the tolerance. On a
+/// machine that carries the part turned and shifted, the distance is the same.
+#[test]
+fn a_motion_beyond_the_tolerance_of_its_path_is_exit_1_on_any_machine() {
+    let dir = tempfile::tempdir().unwrap();
+    for turned in [false, true] {
+        prepare(dir.path(), 10.0);
+        if turned {
+            let file = dir.path().join("machine.json");
+            let mut machine: Value = serde_json::from_str(&fs::read_to_string(&file).unwrap()).unwrap();
+            machine["part_rotation_deg"] = json!(30);
+            machine["part_origin_mm"] = json!([100, -20]);
+            fs::write(file, machine.to_string()).unwrap();
+        }
+        for (y_mm, code) in [(2.0, 1), (1.0, 0)] {
+            let points = vec![[0.0, y_mm], [2.5, y_mm], [5.0, y_mm]];
+            let path = ToolPath::through(points, vec![true; 2], vec![0; 2]).unwrap();
+            let name = format!("path-{y_mm}");
+            let _ = fs::remove_dir_all(dir.path().join(&name));
+            planish_handoff::save(&dir.path().join(&name), &path).unwrap();
+            let run = verify(dir.path(), &["--tool-path", &name, "--force"]);
+            assert_eq!(run.status.code(), Some(code), "{run:?}");
+            let distance = outcome(dir.path())["path_distance"].clone();
+            let stated = distance["tool_on_mm"].as_f64().unwrap();
+            // The gap of the search.
+            assert!((stated - y_mm).abs() < 1e-6, "{distance}");
+            assert_eq!((&distance["tolerance_mm"], &distance["within"]), (&json!(1.25), &json!(code == 0)));
+            assert_eq!(outcome(dir.path())["limits_respected"], json!(code == 0));
+            if code == 1 {
+                let message = text(&run.stderr);
+                assert!(message.contains("leaves its path by 2.0000 mm, and the tolerance is 1.2500 mm (--max-path-distance-mm)"), "{message}");
+                // The remedy that it names.
+                let wider = ["--tool-path", &name, "--force", "--max-path-distance-mm", "2.1"];
+                assert_eq!(verify(dir.path(), &wider).status.code(), Some(0));
+            }
+        }
+    }
+    let run = verify(dir.path(), &["--force"]);
+    assert!(text(&run.stdout).contains("is not judged: give --tool-path"), "{run:?}");
+    let run = verify(dir.path(), &["--tool-path", "path-1", "--force", "--max-path-distance-mm=-1"]);
+    assert_eq!(run.status.code(), Some(2), "{run:?}");
 }
 
 #[test]

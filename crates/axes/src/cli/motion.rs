@@ -6,9 +6,11 @@ use clap::Args;
 use planish_axes::{MotionReport, MotionSettings, motion};
 use planish_handoff::{
     Begin, Failure, Inputs, Output, Status,
-    flags::{MachineArgs, OutputArgs, TrajectoryArgs},
+    flags::{MachineArgs, OutputArgs, TrajectoryArgs, path_distance_of},
     kind, say, task,
 };
+
+use planish_types::PathDistance;
 
 use super::read_form;
 
@@ -36,7 +38,7 @@ pub struct Motion {
 impl Motion {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
-        let (trajectory, _) = self.trajectory.read_on_part(&mut inputs)?;
+        let (trajectory, made_by) = self.trajectory.read_on_part(&mut inputs)?;
         let machine = inputs.read_machine(&self.machine.machine)?;
         let form = read_form(self.form.as_ref(), &mut inputs)?;
         let settings = MotionSettings { contact_tolerance_um: self.contact_tolerance_um };
@@ -47,7 +49,18 @@ impl Motion {
         };
         let (made, report) =
             motion(&trajectory, &machine, &form, &settings).map_err(Failure::with_flags)?;
-        output.write(&made, serde_json::to_value(&report)?, &Status::Done)?;
+        let mut outcome = serde_json::to_value(&report)?;
+        // The contact point leaves the path by what the plan does, and by what the axes add.
+        let added_mm = 1e-3 * report.contact_deviation_um;
+        if let Some(plan) = made_by.as_ref().and_then(path_distance_of) {
+            let distance = PathDistance {
+                tool_on_mm: plan.tool_on_mm + added_mm,
+                tool_off_mm: plan.tool_off_mm + added_mm,
+                ..plan
+            };
+            outcome["path_distance"] = serde_json::to_value(distance.judged_by(plan.tolerance_mm))?;
+        }
+        output.write(&made, outcome, &Status::Done)?;
         said(&report, machine.name(), &self.output);
         Ok(Status::Done)
     }

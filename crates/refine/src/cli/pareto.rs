@@ -54,7 +54,7 @@ impl Pareto {
         let (surface, tif) = self.mirror.read(&mut inputs)?;
         let path = self.path.read(&mut inputs)?;
         let machine = self.machine.read(&mut inputs)?;
-        let scheduler = pvt::Settings { mode: self.mode.on(&machine), stretch: true };
+        let scheduler = pvt::Settings::of(self.mode.on(&machine));
         settings.scheduler = &scheduler;
         let task = task!("pareto", json!({ "prices": self.prices, "refine": settings }));
         let mut output =

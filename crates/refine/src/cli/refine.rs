@@ -12,7 +12,7 @@ use planish_dwell::{
 };
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status,
-    flags::{self, FloorArgs, MachineArgs, MirrorArgs, OutputArgs, PathArgs},
+    flags::{self, FloorArgs, MachineArgs, MirrorArgs, OutputArgs, PathArgs, PathDistanceArgs},
     kind, say, task, with_flags,
 };
 use planish_refine::{
@@ -22,7 +22,7 @@ use planish_refine::{
 };
 use planish_schedule::{Choices, Named, SCHEDULERS, Scheduler, by_name, pvt, trig_spline};
 use planish_tolerance::error_budget::{ErrorBudget, ErrorBudgetFile};
-use planish_types::{DwellTime, Surface, Trajectory, plausible};
+use planish_types::{DwellTime, PathDistance, Surface, Trajectory, plausible};
 use serde::Serialize;
 use serde_json::json;
 
@@ -83,6 +83,8 @@ pub struct Refine {
     #[arg(long, value_name = "N")]
     max_rounds: Option<usize>,
     #[command(flatten)]
+    distance: PathDistanceArgs,
+    #[command(flatten)]
     output: OutputArgs,
 }
 
@@ -99,6 +101,7 @@ struct Resolved<'a> {
     #[serde(flatten)]
     settings: Settings<'a>,
     stop_at_max_rounds: bool,
+    max_path_distance_mm: f64,
 }
 
 impl Refine {
@@ -108,12 +111,22 @@ impl Refine {
         let (surface, tif) = self.mirror.read(&mut inputs)?;
         let path = self.path.read(&mut inputs)?;
         let machine = self.machine.read(&mut inputs)?;
-        let choices = Choices { mode: self.mode, repair: self.repair };
+        let tolerance_mm =
+            path.tolerance_mm(self.distance.max_path_distance_mm).map_err(Failure::with_flags)?;
+        let choices = Choices {
+            mode: self.mode,
+            repair: self.repair,
+            max_path_distance_mm: Some(tolerance_mm),
+        };
         let scheduler = self.scheduler.scheduler(&choices, &machine);
         let settings = self.settings(&surface, &*scheduler)?;
         let process = self.error_budget.as_ref().map(|path| read_process(path, &mut inputs));
         let process = process.transpose()?;
-        let resolved = Resolved { settings, stop_at_max_rounds: self.max_rounds.is_some() };
+        let resolved = Resolved {
+            settings,
+            stop_at_max_rounds: self.max_rounds.is_some(),
+            max_path_distance_mm: tolerance_mm,
+        };
         let task = task!(self.scheduler.name, resolved);
         let first =
             self.dwell.as_ref().map(|dir| flags::read_dwell(dir, &mut inputs)).transpose()?;
@@ -140,6 +153,7 @@ impl Refine {
         };
         let refined = refined.map_err(Failure::with_flags)?;
 
+        let distance = PathDistance::new(&refined.trajectory, &path, Some(tolerance_mm))?;
         let best = &refined.iterates[refined.best];
         let mut outcome = json!({
             "best_round": refined.best,
@@ -147,19 +161,26 @@ impl Refine {
             "at_bound": refined.at_bound,
             "rms_nm": best.rms_nm,
             "total_time_s": best.total_time_s,
+            "path_distance": distance,
         });
         if let Some(price) = &price {
             outcome["error_budget"] = json!(price);
         }
-        let status = match refined.negative(&surface, self.max_rounds.is_some()) {
-            None => Status::Done,
-            Some(reason) => Status::Negative(with_flags(&reason)),
+        let negative = refined.negative(&surface, self.max_rounds.is_some());
+        let excess = distance.excess().map(|excess| {
+            format!("{excess}; the scheduler pvt stays within it, or give a larger tolerance")
+        });
+        let reasons: Vec<String> = negative.into_iter().chain(excess).collect();
+        let status = match reasons.is_empty() {
+            true => Status::Done,
+            false => Status::Negative(with_flags(&reasons.join("; "))),
         };
         output.write(&refined.dwell, outcome.clone(), &status)?;
         output.write(&refined.trajectory, outcome.clone(), &status)?;
         let arrays = iterations(refined.iterates.iter());
         output.write_arrays(&kind::ITERATIONS, &arrays, &[], outcome, &status)?;
         self.tell(&refined, &settings, &output.round_s());
+        say(format!("the motion is {distance}"));
         if let Some(price) = &price {
             say(words(price));
         }

@@ -29,7 +29,11 @@ impl MotionCommand for Pvt {
     }
 
     fn settings(&self, machine: &Limits) -> pvt::Settings {
-        pvt::Settings { mode: self.mode.on(machine), stretch: !self.no_stretch }
+        pvt::Settings {
+            stretch: !self.no_stretch,
+            max_path_distance_mm: self.given.distance.max_path_distance_mm,
+            ..pvt::Settings::of(self.mode.on(machine))
+        }
     }
 
     fn kind(settings: &pvt::Settings) -> Option<&'static str> {
@@ -44,10 +48,11 @@ impl MotionCommand for Pvt {
     ) -> Result<Made, ScheduleError> {
         let s = pvt::schedule(path, dwell, machine, settings)?;
         let remark = format!(
-            "; {} segments stretched by {:.4} s with the tool on, {:.4} s lifted",
+            "; {} segments stretched by {:.4} s with the tool on, {:.4} s lifted; {} nodes held near the path",
             s.report.stretched.len(),
             s.report.added_tool_on_s,
-            s.report.added_tool_off_s
+            s.report.added_tool_off_s,
+            s.report.held_nodes
         );
         Ok(Made { trajectory: s.trajectory, density: None, report: json!(s.report), remark })
     }

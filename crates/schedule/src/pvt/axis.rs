@@ -58,6 +58,9 @@ const ELASTIC_ENERGY: f64 = 1e-4;
 #[derive(Debug)]
 pub(super) struct AxisProblem<'a> {
     pub(super) displacement_mm: Cow<'a, [f64]>,
+    /// Smallest and largest velocity of each node (N+1) near its path, mm/s; empty if nothing bounds them. Zero is
+    /// always a motion near the path, whether it is in the range or not.
+    pub(super) velocity_range: Cow<'a, [[f64; 2]]>,
     mode: Mode,
     pub(super) max_velocity: f64,
     pub(super) max_acceleration: f64,
@@ -156,6 +159,7 @@ impl AxisProblem<'_> {
     pub(super) fn new(displacement_mm: Vec<f64>, mode: Mode, limits: &AxisLimits) -> Self {
         Self {
             displacement_mm: Cow::Owned(displacement_mm),
+            velocity_range: Cow::Borrowed(&[]),
             mode,
             max_velocity: (1.0 - MARGIN) * limits.max_velocity_mm_per_s(),
             max_acceleration: (1.0 - MARGIN) * limits.max_acceleration_mm_per_s2(),
@@ -168,7 +172,30 @@ impl AxisProblem<'_> {
 
     /// Problem of the same axis along other segments.
     pub(super) fn along(&self, displacement_mm: Vec<f64>) -> AxisProblem<'static> {
-        AxisProblem { displacement_mm: Cow::Owned(displacement_mm), ..*self }
+        AxisProblem {
+            displacement_mm: Cow::Owned(displacement_mm),
+            velocity_range: Cow::Borrowed(&[]),
+            ..*self
+        }
+    }
+
+    /// Bounds the velocity of a node.
+    pub(super) fn bound_velocity(&mut self, node: usize, range: [f64; 2]) {
+        if self.velocity_range.is_empty() {
+            let free = [f64::NEG_INFINITY, f64::INFINITY];
+            self.velocity_range = Cow::Owned(vec![free; self.displacement_mm.len() + 1]);
+        }
+        self.velocity_range.to_mut()[node] = range;
+    }
+
+    /// Returns the bounds of the velocity of a node, mm/s, if it has any.
+    fn range_of(&self, node: usize) -> Option<[f64; 2]> {
+        self.velocity_range.get(node).copied().filter(|range| range[0] > f64::NEG_INFINITY)
+    }
+
+    fn is_within_ranges(&self, v: &[f64]) -> bool {
+        let ranges = self.velocity_range.iter().zip(v);
+        ranges.into_iter().all(|([low, high], v)| low <= v && v <= high)
     }
 
     /// Parts of the axis: one in *smooth*. In *monotone* the axis is cut at nodes at which the signs of the
@@ -194,7 +221,11 @@ impl AxisProblem<'_> {
         parts.par_iter_mut().filter(|part| part.solved.is_none()).for_each(|part| {
             let segments = part.segments.clone();
             let displacement_mm = Cow::Borrowed(&self.displacement_mm[segments.clone()]);
-            let problem = AxisProblem { displacement_mm, ..*self };
+            let velocity_range = match self.velocity_range.is_empty() {
+                true => Cow::Borrowed(&[][..]),
+                false => Cow::Borrowed(&self.velocity_range[segments.start..=segments.end]),
+            };
+            let problem = AxisProblem { displacement_mm, velocity_range, ..*self };
             part.solved = Some(problem.solve(&h[segments], price, &mut part.limited));
         });
     }
@@ -208,7 +239,9 @@ impl AxisProblem<'_> {
     ) -> Result<Solved, Exceeding> {
         let free = self.clamped_spline(h);
         let allowed = self.mode == Mode::Smooth || self.is_monotone(&free, h);
-        if allowed && parallel(h.len()).all(|i| self.excess_of(i, &free, h) <= 1.0) {
+        if allowed
+            && self.is_within_ranges(&free)
+            && parallel(h.len()).all(|i| self.excess_of(i, &free, h) <= 1.0) {
             return Ok(Solved { velocity: free, solver: Solver::Tridiagonal });
         }
         drop(free); // its memory is the program's
@@ -397,6 +430,10 @@ impl AxisProblem<'_> {
     /// Adds the rows of segment i: its signs, and the limits of the machine if `limited` has the segment.
     fn rows(&self, i: usize, h: &[f64], limited: &Limited, rows: &mut chain::Rows) {
         let dp = self.displacement_mm[i];
+        if let Some([low, high]) = self.range_of(i) {
+            rows.add([1.0, 0.0], 0.0, high);
+            rows.add([-1.0, 0.0], 0.0, -low);
+        }
         if self.mode == Mode::Monotone {
             // v_i >= 0 or v_i <= 0;  sign(dp) (v0 + v1) <= 3 |dp| / h
             match self.allowed_signs(i) {
@@ -433,7 +470,7 @@ impl AxisProblem<'_> {
         }
     }
 
-    /// Velocities that are fixed at zero are zero, and none has a forbidden sign by the solver's
+    /// Velocities that are fixed at zero are zero, and none has a forbidden sign, or leaves its range, by the solver's
     /// tolerance.
     fn exact_at_fixed_nodes(&self, mut v: Vec<f64>) -> Vec<f64> {
         for (i, v) in v.iter_mut().enumerate() {
@@ -442,6 +479,9 @@ impl AxisProblem<'_> {
                 if negative { f64::NEG_INFINITY } else { 0.0 },
                 if positive { f64::INFINITY } else { 0.0 },
             );
+            if let Some([low, high]) = self.range_of(i).filter(|_| negative || positive) {
+                *v = v.clamp(low, high);
+            }
         }
         v
     }
@@ -458,7 +498,15 @@ mod tests {
     fn problem(points: &[f64], mode: Mode, max_acceleration: f64) -> AxisProblem<'static> {
         let displacement_mm = points.windows(2).map(|w| w[1] - w[0]).collect();
         let max_jerk = f64::INFINITY;
-        AxisProblem { displacement_mm, mode, max_velocity: FREE, max_acceleration, max_jerk }
+        let velocity_range = Cow::Borrowed(&[][..]);
+        AxisProblem {
+            displacement_mm,
+            velocity_range,
+            mode,
+            max_velocity: FREE,
+            max_acceleration,
+            max_jerk,
+        }
     }
 
     fn velocities(points: &[f64], h: &[f64], mode: Mode, max_acceleration: f64) -> Vec<f64> {

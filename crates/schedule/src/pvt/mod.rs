@@ -58,8 +58,11 @@
 mod axis;
 mod jerk_limited;
 mod mode;
+mod near_path;
 mod shortest;
 mod timing;
+
+use std::borrow::Cow;
 
 use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, break_times};
 use rayon::prelude::*;
@@ -74,6 +77,7 @@ pub(crate) use timing::durations_s;
 
 use self::{
     axis::{AxisProblem, Part, Solved, excess_of_parts, joined, velocity_of_parts},
+    near_path::NearPath,
     shortest::Search,
     timing::{Timing, parallel, too_short, worst},
 };
@@ -86,6 +90,17 @@ pub struct Settings {
     pub mode: Mode,
     /// True: segments get more time if the limits need it. False: such dwell times are refused.
     pub stretch: bool,
+    /// Largest distance of the motion from its path, mm; the usual tolerance of the path
+    /// ([`ToolPath::tolerance_mm`]) when absent. Smaller: slower motions that stop at corners.
+    #[serde(skip)]
+    pub max_path_distance_mm: Option<f64>,
+}
+
+impl Settings {
+    /// The settings of a mode: segments may be stretched, and the path has its usual tolerance.
+    pub fn of(mode: Mode) -> Self {
+        Self { mode, stretch: true, max_path_distance_mm: None }
+    }
 }
 
 /// Stretched segments and solvers of a schedule.
@@ -99,6 +114,8 @@ pub struct Report {
     pub added_tool_off_s: f64,
     /// Segments without length and dwell time, left out.
     pub dropped: Vec<usize>,
+    /// Number of nodes whose velocity is held, because the motion would leave its path by more than the tolerance.
+    pub held_nodes: usize,
     /// Solver of (4) for [x, y], at the final times.
     pub solver: [Solver; 2],
     /// Sweeps of the search for the shortest times, or under a limit on jerk rounds of stretching; 0 where the
@@ -164,23 +181,27 @@ fn schedule_stretched(
     {
         return Err(error);
     }
-    let axes = [0, 1].map(|axis| {
-        let displacement = |k: usize| path.displacement_mm(timing.kept[k])[axis];
-        let displacement_mm = parallel(timing.kept.len()).map(displacement).collect();
+    let displacement_mm: Vec<[f64; 2]> =
+        timing.kept.iter().map(|segment| path.displacement_mm(*segment)).collect();
+    let mut axes = [0, 1].map(|axis| {
+        let displacement_mm = parallel(timing.kept.len()).map(|k| displacement_mm[k][axis]).collect();
         AxisProblem::new(displacement_mm, settings.mode, &limits.axes()[axis])
     });
+    let tolerance_mm = path.tolerance_mm(settings.max_path_distance_mm)?;
+    let near = NearPath::new(displacement_mm, tolerance_mm);
     if settings.mode == Mode::Smooth && axes.iter().any(|a| a.max_jerk.is_finite()) {
-        let (trajectory, rounds) =
-            jerk_limited::motion(path, dwell, limits, settings.stretch, &mut timing, &axes)?;
-        let report = Report::new(&timing, path, dwell, [Solver::Tridiagonal; 2], rounds);
+        let (trajectory, rounds, held_nodes) =
+            jerk_limited::motion(path, dwell, limits, settings.stretch, &mut timing, &axes, &near)?;
+        let solver = [Solver::Tridiagonal; 2];
+        let report = Report::new(&timing, path, dwell, solver, rounds, held_nodes);
         return Ok(Schedule { trajectory, report });
     }
 
     let mut parts = axes.each_ref().map(AxisProblem::parts);
     let (break_time_s, h) = differences(&timing.duration_s);
-    solve_parts(&axes, &h, &mut parts);
+    let held_nodes = solve_near_path(&mut axes, &near, &h, &mut parts);
     let Some(excess) = excess_of_parts(&parts, h.len()) else {
-        return joined_motion(path, dwell, &timing, &axes, parts, break_time_s, 0);
+        return joined_motion(path, dwell, &timing, &axes, parts, break_time_s, [0, held_nodes]);
     };
     if !settings.stretch {
         let (k, worst) = worst(&excess);
@@ -188,7 +209,7 @@ fn schedule_stretched(
     }
     let exceed: Vec<bool> = excess.iter().map(|e| *e > 1.0).collect();
     let before = parts.each_ref().map(|parts| velocity_of_parts(parts));
-    let found = Search::new(&axes, &timing.duration_s).run(&before, &exceed);
+    let found = Search::new(&axes, &near, &timing.duration_s).run(&before, &exceed);
     let changed: Vec<bool> =
         found.duration_s.iter().zip(&timing.duration_s).map(|(a, b)| a != b).collect();
     timing.duration_s = found.duration_s;
@@ -198,14 +219,67 @@ fn schedule_stretched(
             part.solved = None;
         }
     }
-    solve_parts(&axes, &h, &mut parts);
-    for (parts, velocity) in parts.iter_mut().zip(&found.velocity) {
-        for part in parts.iter_mut().filter(|part| matches!(part.solved, Some(Err(_)))) {
+    axes.iter_mut().for_each(|axis| axis.velocity_range = Cow::Borrowed(&[]));
+    let held_nodes = solve_near_path(&mut axes, &near, &h, &mut parts);
+    take_least_times(&mut parts, &found.velocity, |part| matches!(part.solved, Some(Err(_))));
+    // One axis by the program and the other one by the search may leave the path together.
+    let [x, y] = parts.each_ref().map(|parts| velocity_of_parts(parts));
+    if !near.far_segments([&x, &y], &h).is_empty() {
+        take_least_times(&mut parts, &found.velocity, |_| true);
+    }
+    joined_motion(path, dwell, &timing, &axes, parts, break_time_s, [found.sweeps, held_nodes])
+}
+
+/// Replaces the solution of the parts that are `chosen` by the velocities of the search for the shortest times.
+fn take_least_times(
+    parts: &mut [Vec<Part>; 2],
+    velocity: &[Vec<f64>; 2],
+    chosen: impl Fn(&Part) -> bool,
+) {
+    for (parts, velocity) in parts.iter_mut().zip(velocity) {
+        for part in parts.iter_mut().filter(|part| chosen(part)) {
             let velocity = velocity[part.segments.start..=part.segments.end].to_vec();
             part.solved = Some(Ok(Solved { velocity, solver: Solver::LeastTime }));
         }
     }
-    joined_motion(path, dwell, &timing, &axes, parts, break_time_s, found.sweeps)
+}
+
+/// Solves the parts of both axes whose durations have changed. Where the motion leaves its path by more than the
+/// tolerance, the velocities of the nodes beside it are bounded, and their parts are solved again. Returns the number of
+/// these nodes.
+fn solve_near_path(
+    axes: &mut [AxisProblem<'_>; 2],
+    near: &NearPath,
+    h: &[f64],
+    parts: &mut [Vec<Part>; 2],
+) -> usize {
+    let mut held = vec![false; h.len() + 1];
+    loop {
+        solve_parts(axes, h, parts);
+        let velocity = parts.each_ref().map(|parts| velocity_of_parts(parts));
+        let far = near.far_segments([&velocity[0], &velocity[1]], h);
+        let nodes = far.iter().flat_map(|i| [*i, i + 1]);
+        let mut more = false;
+        for node in nodes.filter(|node| *node > 0 && *node < h.len()) {
+            if std::mem::replace(&mut held[node], true) {
+                continue;
+            }
+            more = true;
+            let kept = near.held(node, [velocity[0][node], velocity[1][node]], h);
+            let range = near.velocity_range(node, kept, h);
+            for a in 0..2 {
+                axes[a].bound_velocity(node, range[a]);
+                let first = parts[a].partition_point(|part| part.segments.end < node);
+                let beside = parts[a][first..].iter_mut();
+                beside
+                    .take_while(|part| part.segments.start <= node)
+                    .for_each(|part| part.solved = None);
+            }
+        }
+        if !more {
+            return held.iter().filter(|held| **held).count();
+        }
+    }
 }
 
 /// Break times, and the durations as their difference, so that the segments join to rounding.
@@ -230,10 +304,10 @@ fn joined_motion(
     axes: &[AxisProblem<'_>; 2],
     parts: [Vec<Part>; 2],
     break_time_s: Vec<f64>,
-    rounds: usize,
+    [rounds, held_nodes]: [usize; 2],
 ) -> Result<Schedule, ScheduleError> {
     let [x, y] = parts.map(joined);
-    let report = Report::new(timing, path, dwell, [x.solver, y.solver], rounds);
+    let report = Report::new(timing, path, dwell, [x.solver, y.solver], rounds, held_nodes);
     let velocity = [x.velocity, y.velocity];
     let n = timing.kept.len();
     let segments = parallel(n).map(|k| {
@@ -261,6 +335,7 @@ impl Report {
         dwell: &DwellTime,
         solver: [Solver; 2],
         rounds: usize,
+        held_nodes: usize,
     ) -> Self {
         let stretched = timing.stretched(path, dwell);
         let added = |on: bool| {
@@ -271,6 +346,7 @@ impl Report {
             added_tool_on_s: added(true),
             added_tool_off_s: added(false),
             dropped: timing.dropped(path),
+            held_nodes,
             stretched,
             solver,
             rounds,
@@ -305,7 +381,7 @@ mod tests {
         let n = dwell_s.len();
         let path = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
         let limits = ion_beam();
-        let settings = Settings { mode: Mode::Monotone, stretch: true };
+        let settings = Settings::of(Mode::Monotone);
         let dwell = DwellTime::new(dwell_s).unwrap();
         let found = schedule(&path, &dwell, &limits, &settings).unwrap();
         // With segments slowed one by one, each by its excess, it was 7.7 s.
@@ -328,7 +404,7 @@ mod tests {
         let dwell_s = (0..900).map(|i| path.segment_length_mm(i) / 500.0 + 1e-4).collect();
         let dwell = DwellTime::new(dwell_s).unwrap();
         for mode in [Mode::Monotone, Mode::Smooth] {
-            let settings = Settings { mode, stretch: true };
+            let settings = Settings::of(mode);
             let found = schedule(&path, &dwell, &limits, &settings).unwrap();
             let total_s = found.trajectory.total_time_s();
             // Slowed one by one, each by its excess, they took six times as long.
@@ -362,7 +438,7 @@ mod tests {
             let stops_s: f64 = (0..n).map(|i| dwell_s[i].max(rest_to_rest_s(i))).sum();
             let dwell = DwellTime::new(dwell_s).unwrap();
             for mode in [Mode::Monotone, Mode::Smooth] {
-                let settings = Settings { mode, stretch: true };
+                let settings = Settings::of(mode);
                 let found = schedule(&path, &dwell, &limits, &settings).unwrap();
                 let total_s = found.trajectory.total_time_s();
                 // The search leaves 0.001 free for the program (`shortest::ROOM`).

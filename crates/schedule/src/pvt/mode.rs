@@ -21,7 +21,7 @@ pub enum ModeChoice {
     /// Monotone; smooth if the machine has a limit on jerk, which only smooth keeps.
     #[default]
     Auto,
-    /// Least acceleration energy; may overshoot corners; keeps a limit on jerk.
+    /// Least acceleration energy; may overshoot corners by up to the tolerance of the path; keeps a limit on jerk.
     Smooth,
     /// Least acceleration energy without reversal inside a segment; its acceleration steps.
     Monotone,

@@ -11,6 +11,7 @@
 //! v(u) <= V:              3 dp / h <= v0 + v1 + V + sqrt((V - v0) (V - v1))                (3)
 //! v(u) >= -V:             3 dp / h >= v0 + v1 - V - sqrt((V + v0) (V + v1))                (4)
 //! no reversal:            3 dp / h >= v0 + v1
+//! near the path:          p0 + v0 h / 3 and p0 + dp - v1 h / 3 within its tolerance, for both axes at once
 //! ```
 //!
 //! (3): a quadratic Bezier curve `V - v(u)` is never negative if its middle control value is at least minus the
@@ -36,7 +37,7 @@
 //! | dp | `displacement_mm` | (N) | mm |
 //! | v | `velocity` | (N+1) pairs | mm/s |
 
-use super::axis::AxisProblem;
+use super::{axis::AxisProblem, near_path::NearPath};
 
 /// Part of the time of a segment that the search leaves free, relative: it plans with limits that a segment could
 /// keep in (1 - ROOM) of its time. Larger: motions take longer. Smaller: the quadratic program that follows has no
@@ -115,6 +116,7 @@ struct Axis<'a> {
 #[derive(Debug)]
 pub(super) struct Search<'a> {
     axes: [Axis<'a>; 2],
+    near: &'a NearPath,
     /// Asked time of every segment, s.
     asked_s: &'a [f64],
     /// Least time of every segment, s: the asked time, but not below [`LEAST_ROUNDINGS`].
@@ -133,7 +135,11 @@ pub(super) struct Shortest {
 }
 
 impl<'a> Search<'a> {
-    pub(super) fn new(axes: &'a [AxisProblem<'a>; 2], asked_s: &'a [f64]) -> Self {
+    pub(super) fn new(
+        axes: &'a [AxisProblem<'a>; 2],
+        near: &'a NearPath,
+        asked_s: &'a [f64],
+    ) -> Self {
         let slower = 1.0 - ROOM;
         let axes = axes.each_ref().map(|problem| Axis {
             problem,
@@ -143,7 +149,7 @@ impl<'a> Search<'a> {
         });
         let rounding_s = f64::EPSILON * asked_s.iter().sum::<f64>();
         let least_s = asked_s.iter().map(|h| h.max(LEAST_ROUNDINGS * rounding_s)).collect();
-        Self { axes, asked_s, least_s }
+        Self { axes, near, asked_s, least_s }
     }
 
     /// Searches from a motion that keeps the limits at the asked times, except in the segments that `exceed`.
@@ -426,7 +432,8 @@ impl<'a> Search<'a> {
         (0..2).all(|a| velocity[a].abs() <= self.axes[a].velocity)
     }
 
-    /// Least time of segment `i`, s, not below `least_s`; infinite if no time keeps the limits.
+    /// Least time of segment `i`, s, not below `least_s`; infinite if no time keeps the limits, or the segment near its
+    /// path. In more time, a segment with the same velocities leaves its path by more.
     fn least_time(&self, i: usize, from: Velocity, to: Velocity) -> f64 {
         let mut h = self.least_s[i];
         loop {
@@ -436,9 +443,10 @@ impl<'a> Search<'a> {
             }
             let goes_on = h > before && h.is_finite();
             if !goes_on {
-                return h;
+                break;
             }
         }
+        if h.is_finite() && !self.near.hull_is_near(i, from, to, h) { f64::INFINITY } else { h }
     }
 }
 
@@ -527,6 +535,12 @@ mod tests {
         dp.map(|dp| AxisProblem::new(dp, mode, &limits.axes()[0]))
     }
 
+    /// A tolerance that no motion reaches.
+    fn anywhere(axes: &[AxisProblem; 2]) -> NearPath {
+        let [x, y] = axes.each_ref().map(|axis| axis.displacement_mm.iter());
+        NearPath::new(x.zip(y).map(|(x, y)| [*x, *y]).collect(), 1e9)
+    }
+
     #[test]
     fn the_least_time_is_the_least_at_which_every_limit_is_kept() {
         let mut random = numbers(3);
@@ -541,7 +555,8 @@ mod tests {
                 Mode::Monotone => 10.0 * random() * dp.signum(),
             });
             let axes = problems([vec![dp], vec![0.0]], mode, &limits);
-            let search = Search::new(&axes, &[1e-3]);
+            let near = anywhere(&axes);
+        let search = Search::new(&axes, &near, &[1e-3]);
             let axis = &search.axes[0];
             let slower = 1.0 - ROOM;
             let kept = |h: f64, beyond: f64| {
@@ -585,7 +600,7 @@ mod tests {
             let axes = problems([vec![0.1; 300], vec![0.0; 300]], mode, &limits);
             let asked = [0.01; 300];
             let rest = [vec![0.0; 301], vec![0.0; 301]];
-            let found = Search::new(&axes, &asked).run(&rest, &[true; 300]);
+            let found = Search::new(&axes, &anywhere(&axes), &asked).run(&rest, &[true; 300]);
             let total_s: f64 = found.duration_s.iter().sum();
             assert!(total_s > 3.1666, "{mode:?}: {total_s}");
             // The part that the search leaves to the program, and a first segment whose acceleration falls linearly.
@@ -604,7 +619,7 @@ mod tests {
         // 1.5 * 3 / 10 s for the velocity, sqrt(6 * 3 / 60) s for the acceleration.
         let limits = machine(10.0, 60.0, None);
         let axes = problems([vec![3.0], vec![0.0]], Mode::Monotone, &limits);
-        let found = Search::new(&axes, &[0.3]).run(&[vec![0.0; 2], vec![0.0; 2]], &[true]);
+        let found = Search::new(&axes, &anywhere(&axes), &[0.3]).run(&[vec![0.0; 2], vec![0.0; 2]], &[true]);
         let least_s = (18.0_f64 / 60.0).sqrt();
         let over = found.duration_s[0] / least_s;
         assert!(over > 1.0 && over < 1.0 + 2.0 * ROOM, "{over}");
@@ -616,7 +631,7 @@ mod tests {
         let limits = machine(10.0, 60.0, None);
         let axes = problems([vec![1e-3; 3000], vec![0.0; 3000]], Mode::Monotone, &limits);
         let rest = [vec![0.0; 3001], vec![0.0; 3001]];
-        let found = Search::new(&axes, &[1e-6; 3000]).run(&rest, &[true; 3000]);
+        let found = Search::new(&axes, &anywhere(&axes), &[1e-6; 3000]).run(&rest, &[true; 3000]);
         let total_s: f64 = found.duration_s.iter().sum();
         // Up for half of the way, and down: 2 sqrt(3 / 60) s.
         let least_s = 2.0 * (3.0_f64 / 60.0).sqrt();
@@ -635,7 +650,7 @@ mod tests {
         asked[1000] = 0.002;
         let exceed: Vec<bool> = (0..2000).map(|i| i == 1000).collect();
         let before = [velocity, vec![0.0; 2001]];
-        let found = Search::new(&axes, &asked).run(&before, &exceed);
+        let found = Search::new(&axes, &anywhere(&axes), &asked).run(&before, &exceed);
         let other = |i: &usize| found.duration_s[*i] != asked[*i];
         assert!((0..2000).filter(other).all(|i| i == 1000), "only what is too fast is slower");
         // 0.1 mm at no more than 10 mm/s, with the velocities of the others.
@@ -657,7 +672,8 @@ mod tests {
         let asked: Vec<f64> = dp.iter().map(|dp| dp / 9.0).collect();
         let axes = problems([dp, vec![0.0; 60]], Mode::Monotone, &limits);
         let exceed: Vec<bool> = (0..60).map(|i| i == 30).collect();
-        let search = Search::new(&axes, &asked);
+        let near = anywhere(&axes);
+        let search = Search::new(&axes, &near, &asked);
         let pairs: Vec<Velocity> = velocity.iter().map(|v| [*v, 0.0]).collect();
         let open: Vec<bool> = (0..=60).map(|node| (23..=37).contains(&node)).collect();
         assert!(search.along_the_path(&open, &pairs).is_none());

@@ -38,7 +38,7 @@ struct Case<'a> {
 impl Case<'_> {
     /// Refines the dwell times of the solver with its own settings, as a pipeline does.
     fn refined(&self, path: &ToolPath) -> Refined {
-        self.refined_by(&pvt::Settings { mode: self.mode, stretch: true }, path)
+        self.refined_by(&pvt::Settings::of(self.mode), path)
     }
 
     /// The same with any scheduler.
@@ -163,7 +163,7 @@ fn with_noise() {
                 let solver =
                     bounded_least_squares::Settings { min_dwell: bound, ..Default::default() };
                 let first = bounded_least_squares::solve(desired, tif, &path, None, &solver);
-                let how = pvt::Settings { mode, stretch: true };
+                let how = pvt::Settings::of(mode);
                 let first = first.expect("a plan").dwell;
                 let first = pvt::schedule(&path, &first, limits, &how);
                 let before = missed(&first.expect("a motion").trajectory);
@@ -213,7 +213,7 @@ fn with_every_scheduler() {
     );
     println!("|---|---|---|---|---|---|---|");
     let choices = [Repair::Offset, Repair::Local]
-        .map(|repair| Choices { mode: ModeChoice::Monotone, repair });
+        .map(|repair| Choices { mode: ModeChoice::Monotone, repair, ..Choices::default() });
     let limits = &ion_beam();
     for fixture_name in ["coupon", "flat-92x16"] {
         let Fixture { surface, tif, .. } = fixture(fixture_name, true);

@@ -1,0 +1,48 @@
+//! Distance of a plan from its path, which a program must not exceed while the tool is on.
+
+use planish_handoff::{
+    Failure, Inputs,
+    flags::NearPathArgs,
+    say, warn, with_flags,
+};
+use planish_types::PathDistance;
+
+use super::Given;
+
+/// Returns the distance of the plan from its path; `None` if neither a path nor the maker of the plan states it.
+///
+/// # Errors
+///
+/// A plan that leaves its path by more than the tolerance, and a path of another plan.
+pub(super) fn checked(
+    flags: &NearPathArgs,
+    motion: &Given,
+    inputs: &mut Inputs,
+) -> Result<Option<PathDistance>, Failure> {
+    let (dir, distance) = match motion {
+        Given::Trajectory(dir, on_axes) => (dir, flags.measure(on_axes, inputs)?),
+        Given::Axes(_) if flags.tool_path.is_some() => {
+            return Err(Failure::new(
+                "--tool-path: is for a motion of x and y; of --axes, planish-axes motion states the distance of the \
+                 contact point",
+            ));
+        }
+        Given::Axes(axes) => (&axes.dir, flags.stated(axes.manifest.as_ref())?),
+    };
+    match distance.and_then(|distance| distance.excess()) {
+        None => Ok(distance),
+        Some(excess) => Err(Failure::new(with_flags(&format!(
+            "{}: {excess}; plan by planish-schedule pvt, which stays within it, or give a larger tolerance that is \
+             harmless on this part",
+            dir.display()
+        )))),
+    }
+}
+
+/// Says how far the plan is from its path.
+pub(super) fn tell(distance: Option<&PathDistance>) {
+    match distance {
+        Some(distance) => say(format!("the plan is {distance}")),
+        None => warn("how far the plan leaves its path is not known: give --tool-path"),
+    }
+}
