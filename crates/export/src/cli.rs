@@ -7,7 +7,7 @@ use std::{
 
 use clap::{ArgMatches, Args, Command, FromArgMatches, Subcommand, error::ErrorKind};
 use planish_export::{
-    Origin, PATH_DEVIATION_MM, Program, Settings, gcode, pmac, program, program_of_axes,
+    Origin, PATH_DEVIATION_MM, Program, Settings, check, gcode, pmac, program, program_of_axes,
 };
 use planish_form::{Form, FormFile};
 use planish_handoff::{
@@ -182,20 +182,15 @@ impl Export {
         let given = &self.common;
         let OutputFileArgs { out, force } = &given.output;
         let about = PathBuf::from(format!("{}.json", out.display()));
+        let settings = self.settings();
+        // Before the motion, which may be large, or not there yet
+        let machine = Inputs::new().read_machine(&given.machine.machine.machine)?;
+        check(&machine, self.controller, &settings).map_err(Failure::with_flags)?;
         let mut inputs = Inputs::new();
         let motion = given.read(&mut inputs)?;
         let program_file = given.output.begin(&inputs)?;
         let about_file = OutputFile::begin("--out", &about, *force, &inputs)?;
         refuse_foreign_about(&about)?;
-        let settings = Settings {
-            counts: Counts { mm: given.count_mm.clone(), deg: given.count_deg.clone() },
-            tick_s: self.tick_s,
-            max_step_s: given.max_step_s,
-            path_deviation_mm: given.path_deviation_mm,
-            always_on: given.always_on,
-            pmac: self.pmac.clone(),
-            gcode: self.gcode.clone(),
-        };
         let made = motion.program(self.controller, &settings, &inputs)?;
         for warning in &made.about.warnings {
             warn(warning);
@@ -217,6 +212,21 @@ impl Export {
             out.display()
         ));
         Ok(Status::Done)
+    }
+}
+
+impl Export {
+    fn settings(&self) -> Settings {
+        let given = &self.common;
+        Settings {
+            counts: Counts { mm: given.count_mm.clone(), deg: given.count_deg.clone() },
+            tick_s: self.tick_s,
+            max_step_s: given.max_step_s,
+            path_deviation_mm: given.path_deviation_mm,
+            always_on: given.always_on,
+            pmac: self.pmac.clone(),
+            gcode: self.gcode.clone(),
+        }
     }
 }
 

@@ -25,7 +25,7 @@ use super::{
     execute::{Programs, Said},
     place::{Place, directory_name, name_of},
     run::end,
-    several::{Given, Silent, command, count, plain},
+    several::{Given, Silent, command, count, with_plain},
 };
 
 #[derive(Args)]
@@ -70,11 +70,10 @@ impl Campaign {
 /// Runs a campaign; its last table goes where `said` says.
 pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
     let place = Place::find()?;
-    let mut given = Given::new(words);
+    let mut given = Given::new(words)?;
     let setting =
         |given: &mut Given, name: &str, default: &str| given.take(name).unwrap_or(default.into());
-    let fixture = given.take("fixture");
-    let fixture = given.words.last().cloned().or(fixture).unwrap_or("coupon".into());
+    let fixture = given.take_fixture()?.unwrap_or("coupon".into());
     if given.get("export").is_some() {
         return Err(Failure::new("a campaign writes no programs; leave export out"));
     }
@@ -95,6 +94,8 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
     let seed = setting(&mut given, "seed", "1");
     let least_gain_percent = setting(&mut given, "least_gain_percent", "5");
     let is_own = surface.is_some() || tif.is_some();
+    let is_users =
+        is_own || ["form", "varying"].iter().any(|name| given.get(name).is_some_and(|v| !v.is_empty()));
     let name = match &surface {
         Some(map) => name_of(&std::path::absolute(map)?),
         None => fixture.clone(),
@@ -107,8 +108,9 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
             "error_budget {error_budget} is no file; give the errors of the virtual machine (docs/tolerance.md)"
         )));
     }
-    let settings = [plain(&definition), given.settings.clone()].concat();
+    let settings = with_plain(&definition, &given);
     let machine = place.settings(&definition, &settings)?.text("machine").map_err(Failure::new)?;
+    let assumed_machine = if is_users { given.assumed_machine(&machine)? } else { None };
     let recipe = format!("{}fixtures/{fixture}.json", place.repository());
     let claim = Claim {
         out: out.clone().into(),
@@ -119,7 +121,7 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
         machine: machine.into(),
     };
     let (_lock, assumed) = claim.take(&words::join(std::env::args()))?;
-    assumed.into_iter().for_each(warn);
+    assumed.iter().chain(&assumed_machine).for_each(warn);
     let mut course = Course {
         silent: Silent::new(&place)?,
         definition: &definition,
@@ -143,7 +145,9 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
     }
     course.run()?;
     let report = course.report(&name);
-    Programs::new(&place, said)?.run(&report)
+    let code = Programs::new(&place, said)?.run(&report)?;
+    assumed_machine.iter().for_each(warn);
+    Ok(code)
 }
 
 impl Course<'_> {

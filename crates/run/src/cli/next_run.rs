@@ -20,7 +20,7 @@ use super::{
     execute::{Programs, Said},
     place::{Place, directory_name, name_of},
     run::end,
-    several::{Given, Silent, command, is_directory, plain},
+    several::{Given, Silent, command, is_directory, with_plain},
 };
 
 /// Remedy for a setting that is not given.
@@ -87,7 +87,7 @@ impl Last {
 impl NextRun {
     pub fn run(&self) -> Result<Status, Failure> {
         let place = Place::find()?;
-        let mut given = Given::new(&self.settings);
+        let mut given = Given::new(&self.settings)?;
         let last = Last::take(&mut given)?;
         let definition =
             place.definition_of_plans(&given.take("pipeline").unwrap_or("raster".into()))?;
@@ -99,9 +99,10 @@ impl NextRun {
             let after = std::path::absolute(&last.after).unwrap_or_default();
             format!("{}out/next-run/{}", place.home(), directory_name(&name_of(&after)))
         });
-        let settings = [plain(&definition), given.settings.clone()].concat();
+        let settings = with_plain(&definition, &given);
         let machine =
             place.settings(&definition, &settings)?.text("machine").map_err(Failure::new)?;
+        let assumed_machine = given.assumed_machine(&machine)?;
         let name = Path::new(&machine).file_name().unwrap_or_default().to_string_lossy();
         let limits = format!("{out}/machine/{name}");
         let claim = Claim {
@@ -113,7 +114,7 @@ impl NextRun {
             machine: machine.clone().into(),
         };
         let (_lock, assumed) = claim.take(&words::join(std::env::args()))?;
-        assumed.into_iter().for_each(warn);
+        assumed.iter().chain(&assumed_machine).for_each(warn);
         let next = Next {
             programs: Programs::new(&place, Said::Shown)?,
             is_specified: given.get("specification").is_some_and(|file| !file.is_empty()),
@@ -133,7 +134,9 @@ impl NextRun {
         next.decide(&planned)?;
         let method = format!("plan/methods/{planned}");
         let verdict = ["verdict", "--run", &next.out, "--plan", "plan", "--plan", &method];
-        end(next.programs.run(&command("planish-run", &verdict))?)
+        let code = next.programs.run(&command("planish-run", &verdict))?;
+        assumed_machine.iter().for_each(warn);
+        end(code)
     }
 }
 
