@@ -15,7 +15,7 @@ use planish_compare::{
     error_budget::{ErrorBudget, ProcessArrays},
     on_axes::{MotionOutcome, OnAxes},
     places::Division,
-    plan::{Plan, follows_dwell_times},
+    plan::Plan,
     reach::Reach,
     report::{Frames, Rounds, Run, RunMethod, on_axes, tool},
     specification::{Around, Judged},
@@ -370,21 +370,23 @@ struct Found {
 }
 
 impl Found {
-    /// Returns the planned dwell times: those of the method, those of the run if its motion follows these, or, of a program
-    /// that was read back, those of its plan among `methods`. A motion without a manifest follows those of the run.
+    /// Returns the planned dwell times: those of the method, or else those of the run; of a program that was read back, those of
+    /// its plan among `methods`, if it is there. A feed along lines has no dwell times.
     fn dwell<'a>(
         &'a self,
         methods: &'a [Self],
         of_run: Option<&'a DwellTime>,
     ) -> Option<&'a DwellTime> {
         let manifest = manifest_of(&self.provenance, "trajectory");
-        if manifest.is_some_and(|manifest| manifest["tool"] == "planish-import") {
-            let (plan, _) = self.name.rsplit_once('+')?;
-            let plan = methods.iter().find(|found| found.name == plan)?;
-            return plan.dwell(&[], of_run);
+        match manifest.and_then(|manifest| manifest["tool"].as_str()) {
+            Some("planish-import") => {
+                let (plan, _) = self.name.rsplit_once('+')?;
+                let plan = methods.iter().find(|found| found.name == plan)?;
+                plan.dwell(&[], of_run)
+            }
+            Some("planish-bspline-feed") => None,
+            _ => self.own_plan.as_ref().or(of_run),
         }
-        let follows_run = manifest.is_none_or(follows_dwell_times);
-        self.own_plan.as_ref().or(of_run.filter(|_| follows_run))
     }
 }
 

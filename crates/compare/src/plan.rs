@@ -243,7 +243,7 @@ fn baseline(manifest: &Value) -> Option<&str> {
 }
 
 /// Returns true if a trajectory was made from dwell times, by its manifest.
-pub fn follows_dwell_times(trajectory: &Value) -> bool {
+fn follows_dwell_times(trajectory: &Value) -> bool {
     let names = |list: &str, key: &str| {
         let mut entries = trajectory[list].as_array().into_iter().flatten();
         entries.any(|entry| entry[key] == "dwell")

@@ -19,6 +19,7 @@ use std::{
 use clap::Args;
 use planish_handoff::{Failure, Status, warn, words};
 use planish_pipeline::definition::Definition;
+use planish_types::assumed_machine;
 
 use super::{
     claim::Claim,
@@ -110,7 +111,8 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
     }
     let settings = with_plain(&definition, &given);
     let machine = place.settings(&definition, &settings)?.text("machine").map_err(Failure::new)?;
-    let assumed_machine = if is_users { given.assumed_machine(&machine)? } else { None };
+    let assumed_name = if is_users { given.assumed_machine(&machine)? } else { None };
+    let assumed_machine = assumed_name.as_deref().map(assumed_machine);
     let recipe = format!("{}fixtures/{fixture}.json", place.repository());
     let claim = Claim {
         out: out.clone().into(),
@@ -144,7 +146,7 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
         course.quiet("planish-fixture", &[&recipe, "--out", &to, "--force"])?;
     }
     course.run()?;
-    let report = course.report(&name);
+    let report = course.report(&name, assumed_name.as_deref());
     let code = Programs::new(&place, said)?.run(&report)?;
     assumed_machine.iter().for_each(warn);
     Ok(code)
@@ -361,20 +363,13 @@ impl Course<'_> {
     }
 
     /// The command that makes the page of the campaign.
-    fn report(&self, name: &str) -> planish_pipeline::walk::Command {
+    fn report(&self, name: &str, assumed_machine: Option<&str>) -> planish_pipeline::walk::Command {
         let (runs, mirror) = (format!("--runs={}", self.runs), format!("--mirror={name}"));
         let out = format!("{}/report", self.out);
-        let flags = [
-            "report",
-            &self.out,
-            "--surface",
-            &self.surface,
-            &runs,
-            &mirror,
-            "--out",
-            &out,
-            "--force",
-        ];
+        let assumed = assumed_machine.map(|name| format!("--assumed-machine={name}"));
+        let mut flags = vec!["report", &self.out, "--surface", &self.surface, &runs, &mirror];
+        flags.extend(assumed.as_deref());
+        flags.extend(["--out", &out, "--force"]);
         command("planish-campaign", &flags)
     }
 }

@@ -13,6 +13,7 @@ use std::path::Path;
 
 use clap::Args;
 use planish_handoff::{Failure, Status, say, warn, words};
+use planish_types::assumed_machine;
 
 use super::{
     campaign::specified,
@@ -102,7 +103,7 @@ impl NextRun {
         let settings = with_plain(&definition, &given);
         let machine =
             place.settings(&definition, &settings)?.text("machine").map_err(Failure::new)?;
-        let assumed_machine = given.assumed_machine(&machine)?;
+        let assumed_machine = given.assumed_machine(&machine)?.map(|name| assumed_machine(&name));
         let name = Path::new(&machine).file_name().unwrap_or_default().to_string_lossy();
         let limits = format!("{out}/machine/{name}");
         let claim = Claim {

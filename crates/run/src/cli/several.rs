@@ -15,7 +15,6 @@ use planish_pipeline::{
     scope::{Origins, Scope, refuse_second},
     walk::Command,
 };
-use planish_types::assumed_machine;
 
 use super::{
     execute::{Ended, Programs, Said, run},
@@ -57,13 +56,12 @@ impl Given {
         }
     }
 
-    /// Returns the sentence on the machine file that is used for a part or a tool of the user; `None` if the user named it.
+    /// Returns the name of the machine that is used for a part or a tool of the user; `None` if the user named the machine.
     pub fn assumed_machine(&self, machine: &str) -> Result<Option<String>, Failure> {
         if self.get("machine").is_some() {
             return Ok(None);
         }
-        let machine = Inputs::new().read_machine(Path::new(machine))?;
-        Ok(Some(assumed_machine(machine.name())))
+        Ok(Some(Inputs::new().read_machine(Path::new(machine))?.name().into()))
     }
 
     /// The value of a setting that is not for the pipelines, if it is given.
