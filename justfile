@@ -127,7 +127,7 @@ show pipeline: build
 build:
     @cargo build $(test ! -x target/release/planish || echo --quiet) --release --locked --workspace --bins
 
-# Make every fixture mirror under out/fixtures: coupon, coupon-mixture, coupon-noise, coupon-ring, disk-100, disk-100-1641, disk-20, edge-pad, flat-92x16, multi-cylinder, sphere-beam, spindle-spot, square-200
+# Make every fixture mirror under out/fixtures: coupon, coupon-mixture, coupon-noise, coupon-ring, disk-100, disk-100-1641, disk-20, edge-pad, flat-92x16, multi-cylinder, sphere-beam, spindle-spot, square-200, square-60
 [group('1 plans')]
 fixtures: build
     @for recipe in fixtures/*.json; do \
@@ -254,6 +254,11 @@ test-gcode: build
 [group('5 pages and tables')]
 programs-table *flags: build
     @python3 pipelines/programs-table.py {{ flags }}
+
+# Times of every pipeline with its defaults and of every tutorial, wall and CPU (some names: just times-table raster maze)
+[group('5 pages and tables')]
+times-table *names: build
+    @python3 pipelines/times-table.py {{ names }}
 
 # Joint plans with and without rows for all axes, as motions of these axes: the table of docs/axes.md
 [group('5 pages and tables')]

@@ -25,8 +25,11 @@ case $sweep in -*) sweep=./$sweep ;; esac
 name=$(basename "$sweep")
 name=${name%.*}
 profile=local out= refine_front=no retry=no at_once= plans_per_job= most_jobs= flags=
+seen=' '
 for setting in "$@"; do
     value=${setting#*=}
+    case $seen in *" ${setting%%=*} "*) refuse "${setting%%=*} is given twice; give it once" ;; esac
+    seen="$seen${setting%%=*} "
     case $setting in
     profile=*) profile=$value ;;
     out=*) out=$value ;;

@@ -55,6 +55,9 @@ pub fn picture(campaign: &Campaign) -> String {
 pub fn page(campaign: &Campaign) -> String {
     let mirror = escaped(&campaign.mirror);
     let mut out = format!("<h1>Campaign on {mirror}</h1>\n<p>{}</p>\n", escaped(&answer(campaign)));
+    if let Some(sentence) = &campaign.assumed_machine {
+        out += &format!("<p><strong>{}</strong></p>\n", escaped(sentence));
+    }
     out += "<h2>What every run left</h2>\n<div class=\"scroll\"><table>\n<tr><th>run</th>";
     for chain in CHAINS {
         let _ = write!(out, "<th>{chain}, nm RMS</th><th>time, min</th>");

@@ -174,6 +174,9 @@ pub struct Campaign {
     pub runs: Vec<Run>,
     /// The first run on another mirror like it, after all of them.
     pub alike: Chains,
+    /// Sentence on the machine, if nobody named it; absent otherwise.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub assumed_machine: Option<String>,
 }
 
 impl Campaign {
@@ -200,7 +203,7 @@ impl Campaign {
                 expected_nm: record.expected_nm,
             });
         }
-        Self { mirror: mirror.into(), seed, before_rms_nm, runs, alike }
+        Self { mirror: mirror.into(), seed, before_rms_nm, runs, alike, assumed_machine: None }
     }
 }
 

@@ -186,13 +186,13 @@ fn why(summary: &Summary, name: &str, m: &Method) -> String {
         None => format!("{name}, because it is the only plan here that keeps the limits."),
         Some((next, other)) => {
             let plans = rivals.count() + 1;
-            let theirs = format!(
-                "{next} with {} nm in {}",
-                significant(other.compared_rms_nm(), DIGITS),
-                duration(other.total_time_s)
-            );
+            let (mine, rival) = (m.candidate(), other.candidate());
+            let [_, their_nm] = apart([mine.rms_nm, rival.rms_nm], significant);
+            let times = [mine.total_time_s, rival.total_time_s];
+            let [my_time, their_time] = apart(times, duration_of);
+            let theirs = format!("{next} with {their_nm} nm in {their_time}");
             let keeps = |m: &Method| m.specification.as_ref().is_some_and(|judged| judged.passed);
-            if m.compared_rms_nm() <= other.compared_rms_nm() {
+            if mine.rms_nm <= rival.rms_nm {
                 format!(
                     "{name}, because it leaves the least RMS of the {plans} plans that keep the limits; the next is \
                      {theirs}."
@@ -200,11 +200,10 @@ fn why(summary: &Summary, name: &str, m: &Method) -> String {
             } else if keeps(m) && !keeps(other) {
                 format!("{name}, because it keeps the specification, which {theirs} does not.")
             } else {
-                let more_percent = 100.0 * (m.compared_rms_nm() / other.compared_rms_nm() - 1.0);
+                let more_percent = 100.0 * (mine.rms_nm / rival.rms_nm - 1.0);
                 format!(
-                    "{name}, because it takes {} and leaves {} % more than the least RMS of the {plans} plans that keep \
-                     the limits, {theirs}.",
-                    duration(m.total_time_s),
+                    "{name}, because it takes {my_time} and leaves {} % more than the least RMS of the {plans} plans \
+                     that keep the limits, {theirs}.",
                     significant(more_percent, 2)
                 )
             }
@@ -274,14 +273,30 @@ fn failing(name: &str, judged: &Judged) -> String {
     format!("{name} does not keep the specification {}: {}", judged.name, said.join("; "))
 }
 
+/// Largest number of digits of two numbers that are compared. Larger: rounding of a sum looks like a difference. Smaller:
+/// numbers that differ look equal. Chosen below the rounding of a sum of segments.
+const MOST_DIGITS: usize = 9;
+
+/// Returns two numbers in words, with as many digits as tell them apart, from [`DIGITS`] to [`MOST_DIGITS`].
+fn apart([a, b]: [f64; 2], in_words: impl Fn(f64, usize) -> String) -> [String; 2] {
+    let digits = (DIGITS..MOST_DIGITS).find(|n| in_words(a, *n) != in_words(b, *n));
+    let digits = digits.unwrap_or(if a == b { DIGITS } else { MOST_DIGITS });
+    [in_words(a, digits), in_words(b, digits)]
+}
+
 /// A duration in the unit that people plan with, three digits.
 pub fn duration(time_s: f64) -> String {
+    duration_of(time_s, DIGITS)
+}
+
+/// A duration in the unit that people plan with.
+fn duration_of(time_s: f64, digits: usize) -> String {
     let (time, unit) = match time_s {
         t if t < MINUTES_FROM_S => (t, "s"),
         t if t < HOURS_FROM_S => (t / 60.0, "min"),
         t => (t / 3600.0, "h"),
     };
-    format!("{} {unit}", significant(time, DIGITS))
+    format!("{} {unit}", significant(time, digits))
 }
 
 #[cfg(test)]
@@ -292,6 +307,16 @@ mod tests {
     fn durations_are_told_in_what_people_plan_with() {
         let told = [0.25, 119.9, 120.0, 453.69, 7200.0, 36000.0].map(duration);
         assert_eq!(told, ["0.25 s", "120 s", "2 min", "7.56 min", "2 h", "10 h"]);
+    }
+
+    #[test]
+    fn two_numbers_have_the_digits_that_tell_them_apart() {
+        // 28 008 s and 28 011 s are both 7.78 h.
+        assert_eq!(apart([28008.0, 28011.0], duration_of), ["7.78 h", "7.781 h"]);
+        assert_eq!(apart([0.15104, 0.15101], significant), ["0.15104", "0.15101"]);
+        assert_eq!(apart([2.0, 3.0], significant), ["2", "3"]);
+        assert_eq!(apart([1.0 / 3.0, 1.0 / 3.0], significant), ["0.333", "0.333"]);
+        assert_eq!(apart([1.0, 1.0 + 1e-12], significant), ["1", "1"]);
     }
 
     #[test]

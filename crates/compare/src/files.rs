@@ -186,9 +186,14 @@ pub fn read_run(
     let method_records: Vec<MethodRecords> = read.iter().map(|m| m.records.clone()).collect();
     let method_names: Vec<String> = read.iter().map(|m| m.name.clone()).collect();
     let chains = chain::check(&records, &method_records);
+    let run_plan = plan.as_ref().map(|p| &p.value);
+    let planned: BTreeMap<String, DwellTime> = read
+        .iter()
+        .filter_map(|found| Some((found.name.clone(), found.dwell(&read, run_plan)?.clone())))
+        .collect();
     let shared = Shared {
         desired: &desired.value,
-        plan: plan.as_ref().map(|p| &p.value),
+        planned: &planned,
         plan_manifest: manifest_of(&provenance, "dwell"),
         plan_is_for_another: records
             .dwell
@@ -330,8 +335,12 @@ fn manifest_of<'a>(provenance: &'a Provenance, role: &str) -> Option<&'a Value> 
     provenance.iter().find(|(r, _)| r == role).map(|(_, manifest)| manifest)
 }
 
-/// Name of the machine that a method was judged by: that of its file.
+/// Name of the machine that a method was judged by: as the verdict states it, or that of its file.
 fn machine_of(provenance: &Provenance) -> Option<String> {
+    let verdict = manifest_of(provenance, "verdict")?;
+    if let Some(name) = verdict["outcome"]["machine"].as_str() {
+        return Some(name.into());
+    }
     let inputs = manifest_of(provenance, "verdict")?["inputs"].as_array()?;
     let machine = inputs.iter().find(|input| input["role"] == "machine")?;
     let path = Path::new(machine["path"].as_str()?);
@@ -395,6 +404,27 @@ struct Found {
     wall: WallTimes,
     records: MethodRecords,
     provenance: Provenance,
+}
+
+impl Found {
+    /// Returns the planned dwell times: those of the method, or else those of the run; of a program that was read back, those of
+    /// its plan among `methods`, if it is there. A feed along lines has no dwell times.
+    fn dwell<'a>(
+        &'a self,
+        methods: &'a [Self],
+        of_run: Option<&'a DwellTime>,
+    ) -> Option<&'a DwellTime> {
+        let manifest = manifest_of(&self.provenance, "trajectory");
+        match manifest.and_then(|manifest| manifest["tool"].as_str()) {
+            Some("planish-import") => {
+                let (plan, _) = self.name.rsplit_once('+')?;
+                let plan = methods.iter().find(|found| found.name == plan)?;
+                plan.dwell(&[], of_run)
+            }
+            Some("planish-bspline-feed") => None,
+            _ => self.own_plan.as_ref().or(of_run),
+        }
+    }
 }
 
 /// Reads the results of the method `name` in `dir`, and the reasons for which they do not belong together.
@@ -571,7 +601,8 @@ const AFTER_SERVO: &str = "removal-after-servo";
 /// Measures that the methods of a run share.
 struct Shared<'a> {
     desired: &'a Surface,
-    plan: Option<&'a DwellTime>,
+    /// Planned dwell times of the methods, where they are known.
+    planned: &'a BTreeMap<String, DwellTime>,
     plan_manifest: Option<&'a Value>,
     plan_is_for_another: Vec<&'static str>,
     /// Waves that the tool reaches, and the BLAKE3 of the tool.
@@ -599,7 +630,7 @@ impl Shared<'_> {
                 Plan::of(&found.name, trajectory, self.plan_manifest, &self.plan_is_for_another)
             }
         };
-        let dwell = found.own_plan.or_else(|| self.plan.cloned());
+        let dwell = self.planned.get(&found.name).cloned();
         let outcome = VerdictOutcome::from_json(&found.verdict).map_err(of_dir)?;
         // A prediction with another tool is not told by this one.
         let tool = found.records.removal.record.as_ref();

@@ -93,10 +93,20 @@ pub struct Summary {
     pub methods: Vec<(String, Method)>,
     /// Methods that take no part in the comparison.
     pub left_out: Vec<LeftOut>,
-    /// Sentences on shared artifacts that are out of date.
+    /// Sentences on shared artifacts that are out of date, and on a machine that nobody named.
     pub remarks: Vec<String>,
     /// The method that is recommended; `null` when there is none.
     pub best: Option<String>,
+}
+
+impl Summary {
+    /// Returns the names of the mirror and the pipeline; that of the run where the mirror has none.
+    pub fn part_and_pipeline(&self, run: &str) -> Vec<String> {
+        let part = if self.fixture.is_empty() { run } else { &self.fixture };
+        let mut names = vec![part.to_string(), self.pipeline.clone()];
+        names.dedup();
+        names
+    }
 }
 
 /// A method whose artifacts do not belong to this run.

@@ -619,7 +619,7 @@ def hostile(programs, run):
         browser.size(1280, 900)
         browser.open(work / "report/report.html")
         check("no program in a name has run", browser.js("window.hit === undefined"))
-        check("the names are shown as they are", name[:20] in browser.js("document.getElementById('names').textContent"))
+        check("the names are shown as they are", program[:20] in browser.js("document.getElementById('names').textContent"))
         check("so are the manifests", browser.js("document.getElementById('provenance').textContent").count(program) > 3)
         check("there is no other element", browser.js("document.querySelectorAll('img, svg, iframe').length") == 0)
         check_table(browser, work / "report")

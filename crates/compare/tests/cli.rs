@@ -13,7 +13,7 @@ use planish_handoff::{
     Artifact, Inputs, Output, Status, Task, flags::OutputArgs, kind, npy::ArrayData, save,
 };
 use planish_testkit::program::text;
-use planish_types::{AxesMotion, Axis, DwellTime, Grid, Removal, Surface, Trajectory};
+use planish_types::{AxesMotion, Axis, DwellTime, Grid, Removal, Surface, ToolPath, Trajectory};
 use serde_json::{Value, json};
 
 fn compare(dir: &Path, arguments: &[&str]) -> process::Output {
@@ -180,7 +180,7 @@ fn the_page_holds_the_summary_and_is_the_same_for_the_same_input() {
     assert_eq!(roles, ["trajectory", "removal", "verdict"]);
     // Nothing that only the other file system or another time would give.
     let page = fs::read_to_string(dir.path().join("one/report.html")).unwrap();
-    assert!(page.contains("<title>Planish: a&lt;b</title>"));
+    assert!(page.contains("<title>Planish: &lt;/script&gt;, a&lt;b</title>"));
     assert!(!page.contains("http:") && !page.contains("https:") && !page.contains("{{"));
     compare(dir.path(), &["report", "a<b", "--out", "two", "--mirror", "</script>"]);
     for file in
@@ -194,6 +194,50 @@ fn the_page_holds_the_summary_and_is_the_same_for_the_same_input() {
     for file in ["refinement.svg", "spectrum.svg"] {
         assert!(!dir.path().join("one").join(file).exists(), "{file}");
     }
+}
+
+#[test]
+fn the_dwell_times_of_a_program_are_those_of_its_plan_and_it_executes_none_that_are_known() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("out");
+    prepare(&run, &[("pvt", 0.75, true), ("pvt+refined", 0.8, true), ("pvt+refined+galil", 0.8, true)]);
+    let path = ToolPath::through(vec![[0.0, 0.0], [1.0, 0.0]], vec![true], vec![0]).unwrap();
+    save(&run.join("tool_path"), &path).unwrap();
+    let seconds = |s: f64| DwellTime::new(vec![s]).unwrap();
+    save(&run.join("dwell"), &seconds(188.6)).unwrap();
+    save(&run.join("methods/pvt+refined/dwell"), &seconds(161.2)).unwrap();
+    // The motion of the program as planish-import writes it: no segment names a point.
+    let motion = Trajectory::new(vec![0.0, 62.0], vec![[[0.0; 4]; 2]], vec![true], vec![None]);
+    let args = OutputArgs {
+        out: run.join("methods/pvt+refined+galil/trajectory"),
+        force: true,
+        wall_time: None,
+    };
+    let task = Task::new("planish-import", "0", "program", &json!({}));
+    let output = Output::directory(&args, Trajectory::KIND).begin(&task, &Inputs::new()).unwrap();
+    output.writer().unwrap().write(&motion.unwrap(), json!({}), &Status::Done).unwrap();
+    let report = ["report", "out", "--pipeline", "raster", "--mirror", "coupon", "--out", "report"];
+    let made = compare(dir.path(), &[&report[..], &["--assumed-machine", "ion-beam"]].concat());
+    assert_eq!(made.status.code(), Some(0), "{}", text(&made.stderr));
+    let data = page_data(&dir.path().join("report"));
+    let methods = data["runs"][0]["methods"].as_array().unwrap();
+    let dwell = |name: &str| &methods.iter().find(|m| m["name"] == name).unwrap()["dwell"];
+    // Little-endian single precision in base64, as the page has it.
+    assert_ne!(dwell("pvt")["planned_s"], dwell("pvt+refined")["planned_s"]);
+    assert_eq!(dwell("pvt+refined+galil")["planned_s"], dwell("pvt+refined")["planned_s"]);
+    let unknown = &dwell("pvt+refined+galil");
+    assert_eq!((&unknown["executed_s"], &unknown["total_error_s"]), (&Value::Null, &Value::Null));
+    assert!(dwell("pvt+refined")["executed_s"].is_string());
+    let figure = fs::read_to_string(dir.path().join("report/dwell.svg")).unwrap();
+    assert!(figure.contains("not known of a program: executed - planned, pvt+refined+galil"));
+    // The headline has the part and the pipeline, and not the directory.
+    let page = fs::read_to_string(dir.path().join("report/report.html")).unwrap();
+    assert!(page.contains("<title>Planish: coupon, raster</title>"));
+    // A machine that nobody named is a problem of the answer.
+    let problems = summary(&dir.path().join("report"))["answer"]["problems"].clone();
+    let problem = problems[0].as_str().unwrap();
+    assert!(problem.starts_with("no machine was named, so this is planned for ion-beam"), "{problem}");
+    assert!(text(&made.stdout).contains("no machine was named"), "{}", text(&made.stdout));
 }
 
 #[test]

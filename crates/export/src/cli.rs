@@ -9,7 +9,7 @@ use std::{
 
 use clap::{ArgMatches, Args, Command, FromArgMatches, Subcommand, error::ErrorKind};
 use planish_export::{
-    Origin, PATH_DEVIATION_MM, Program, Settings, gcode, pmac, program, program_of_axes,
+    Origin, PATH_DEVIATION_MM, Program, Settings, check, gcode, pmac, program, program_of_axes,
 };
 use planish_form::{Form, FormFile};
 use planish_handoff::{
@@ -188,6 +188,10 @@ impl Export {
         let mut about = out.clone().into_os_string();
         about.push(".json");
         let about = PathBuf::from(about);
+        let settings = self.settings();
+        // Before the motion, which may be large, or not there yet
+        let machine = Inputs::new().read_machine(&given.machine.machine.machine)?;
+        check(&machine, self.controller, &settings).map_err(Failure::with_flags)?;
         let mut inputs = Inputs::new();
         let motion = given.read(&mut inputs)?;
         let distance = near_path::checked(&given.near_path, &motion, &mut inputs)?;
@@ -196,15 +200,6 @@ impl Export {
         let is_alone = fs::symlink_metadata(out).is_err();
         let about_file = OutputFile::begin("--out", &about, *force || is_alone, &inputs)?;
         refuse_foreign_about(&about)?;
-        let settings = Settings {
-            counts: Counts { mm: given.count_mm.clone(), deg: given.count_deg.clone() },
-            tick_s: self.tick_s,
-            max_step_s: given.max_step_s,
-            path_deviation_mm: given.path_deviation_mm,
-            always_on: given.always_on,
-            pmac: self.pmac.clone(),
-            gcode: self.gcode.clone(),
-        };
         let made = motion.program(self.controller, &settings, &inputs)?;
         for warning in &made.about.warnings {
             warn(warning);
@@ -231,6 +226,21 @@ impl Export {
         ));
         near_path::tell(distance.as_ref());
         Ok(Status::Done)
+    }
+}
+
+impl Export {
+    fn settings(&self) -> Settings {
+        let given = &self.common;
+        Settings {
+            counts: Counts { mm: given.count_mm.clone(), deg: given.count_deg.clone() },
+            tick_s: self.tick_s,
+            max_step_s: given.max_step_s,
+            path_deviation_mm: given.path_deviation_mm,
+            always_on: given.always_on,
+            pmac: self.pmac.clone(),
+            gcode: self.gcode.clone(),
+        }
     }
 }
 

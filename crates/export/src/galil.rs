@@ -19,7 +19,7 @@
 //! Source: Galil DMC-40x0 command reference (PV, BT, TM, SB, CB, ST, AB) and user manual, chapter 6
 //! (PVT mode: 1024 samples per second), appendix (program size: lines of 80 characters).
 
-use planish_types::{Invalid, MachineAxis};
+use planish_types::{ControllerModel, Invalid, MachineAxis};
 
 use crate::{Abilities, About, Approach, Job, Tool, header::Comment, positive};
 
@@ -48,8 +48,9 @@ const BUFFER: usize = 255;
 /// Letters of the axes, in their order.
 const LETTERS: [&str; 5] = ["A", "B", "C", "D", "E"];
 
-pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
-    let sample_s = positive("sample_s", job.grids.tick_s / SAMPLES_PER_TICK as f64)?;
+/// Returns the sample time, s. Refuses one that no TM gives.
+pub(crate) fn sample_s(grids: &ControllerModel) -> Result<f64, Invalid> {
+    let sample_s = positive("sample_s", grids.tick_s / SAMPLES_PER_TICK as f64)?;
     let units = sample_s / SAMPLE_UNIT_S;
     // A little less or more is the rounding of a number that was typed.
     if !(1.0 - 1e-3..=MOST_SAMPLE_UNITS + 1e-3).contains(&units) {
@@ -57,6 +58,12 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
             format!("is {sample_s}, TM goes from 31.25 (1/32768 s) to 20000 (0.01953125 s)");
         return Err(Invalid::whole("sample_s", problem, "give 0.0009765625 for TM 1000"));
     }
+    Ok(sample_s)
+}
+
+pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
+    let sample_s = sample_s(&job.grids)?;
+    let units = sample_s / SAMPLE_UNIT_S;
     let (q, mut about) = job.nodes(Abilities {
         most_ticks: MOST_SAMPLES / SAMPLES_PER_TICK,
         tool: Tool::LeftToTheHost(

@@ -77,20 +77,28 @@ impl Default for Settings {
     }
 }
 
-pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
-    let settings = &job.settings.gcode;
-    let tick_s = job.tick()?;
-    let tolerance = settings.path_tolerance_mm.unwrap_or(job.settings.path_deviation_mm);
+/// Returns the largest distance of the path from the corners between lines, mm. Refuses one that means something else, and a
+/// feed for axes that turn (`turns`).
+pub(crate) fn tolerance_mm(all: &crate::Settings, turns: bool) -> Result<f64, Invalid> {
+    let settings = &all.gcode;
+    let tolerance = settings.path_tolerance_mm.unwrap_or(all.path_deviation_mm);
     let is_length = tolerance == 0.0 || tolerance >= LEAST_TOLERANCE_MM;
     if !(tolerance.is_finite() && is_length) {
         let problem = format!("is {tolerance}, and G64 P0 would allow any deviation");
         let remedy = "give a length of at least 1e-6 mm, or 0 for an exact path";
         return Err(Invalid::whole("path_tolerance_mm", problem, remedy));
     }
-    if job.turns() && settings.feed == Feed::PerMinute {
+    if turns && settings.feed == Feed::PerMinute {
         let problem = "is per-minute, and a feed of axes in mm and degrees means nothing";
         return Err(Invalid::whole("f_word", problem, "give inverse-time"));
     }
+    Ok(tolerance)
+}
+
+pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
+    let settings = &job.settings.gcode;
+    let tick_s = job.tick()?;
+    let tolerance = tolerance_mm(job.settings, job.turns())?;
     let switched = job.grids.switches_tool;
     let (q, about) = job.nodes(Abilities {
         most_ticks: i64::MAX >> 10,

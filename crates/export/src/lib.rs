@@ -263,6 +263,24 @@ pub fn program_of_axes(
     }
 }
 
+/// Checks all that does not depend on the motion: the clock, the counts and the further settings of a program, for
+/// `controller` on `machine`. [`program`] and [`program_of_axes`] refuse the same.
+pub fn check(
+    machine: &Machine,
+    controller: ControllerKind,
+    settings: &Settings,
+) -> Result<(), Invalid> {
+    let grids = grids(machine, controller, settings)?;
+    let turns = machine.axes().iter().any(|axis| axis.is_rotary);
+    positive("path_deviation_mm", settings.path_deviation_mm)?;
+    match controller {
+        ControllerKind::Galil => galil::sample_s(&grids).map(|_| ()),
+        ControllerKind::Pmac => pmac::checked(&grids, &settings.pmac).map(|_| ()),
+        ControllerKind::Gcode => gcode::tolerance_mm(settings, turns).map(|_| ()),
+        ControllerKind::Xps | ControllerKind::Csv => tick_s(&grids).map(|_| ()),
+    }
+}
+
 /// Inputs of a program of all axes.
 struct AllAxes<'a> {
     motion: &'a AxesMotion,
@@ -495,14 +513,19 @@ impl<const N: usize> Job<'_, N> {
 
     /// The tick, where a text with nine decimals of a second can hold it.
     fn tick(&self) -> Result<f64, Invalid> {
-        const SMALLEST_S: f64 = 1e-9;
-        let tick_s = positive("tick_s", self.grids.tick_s)?;
-        if tick_s < SMALLEST_S {
-            let problem = format!("is {tick_s}, a program has nine decimals of a second");
-            return Err(Invalid::whole("tick_s", problem, "give a larger tick"));
-        }
-        Ok(tick_s)
+        tick_s(&self.grids)
     }
+}
+
+/// Returns the tick, s, where a text with nine decimals of a second can hold it.
+fn tick_s(grids: &ControllerModel) -> Result<f64, Invalid> {
+    const SMALLEST_S: f64 = 1e-9;
+    let tick_s = positive("tick_s", grids.tick_s)?;
+    if tick_s < SMALLEST_S {
+        let problem = format!("is {tick_s}, a program has nine decimals of a second");
+        return Err(Invalid::whole("tick_s", problem, "give a larger tick"));
+    }
+    Ok(tick_s)
 }
 
 /// Letter of an axis in a PMAC or G-code program. A radius is X: neither language has an axis R.

@@ -23,9 +23,11 @@
 //! Assignment (with its note on the last move). Neither states a length of a line; 80 characters are those
 //! of a terminal.
 
-use planish_types::Invalid;
+use planish_types::{ControllerModel, Invalid};
 
-use crate::{Abilities, About, Approach, Job, Tool, decimal, header::Comment, letter, positive};
+use crate::{
+    Abilities, About, Approach, Job, Tool, decimal, header::Comment, letter, positive, tick_s,
+};
 
 /// Longest segment, s. A fact of the controller: longer ones are refused.
 const LONGEST_S: f64 = 4.095_999_8;
@@ -58,8 +60,8 @@ impl Default for Settings {
 }
 
 /// Tick and unit of time of the velocities, s, and most ticks of a segment. Refuses settings that no PMAC has.
-fn checked<const N: usize>(job: &Job<N>, settings: &Settings) -> Result<[f64; 3], Invalid> {
-    let tick_s = job.tick()?;
+pub(crate) fn checked(grids: &ControllerModel, settings: &Settings) -> Result<[f64; 3], Invalid> {
+    let tick_s = tick_s(grids)?;
     let unit_s = positive("feedrate_time_unit_s", settings.feedrate_time_unit_s)?;
     let most = (LONGEST_S / tick_s).floor();
     // A little less is the rounding of a number that was typed.
@@ -79,7 +81,7 @@ fn checked<const N: usize>(job: &Job<N>, settings: &Settings) -> Result<[f64; 3]
         let problem = format!("is {tick_s}, a segment takes {LONGEST_S} s at most");
         return Err(Invalid::whole("tick_s", problem, "give a smaller tick"));
     }
-    if job.grids.switches_tool && settings.tool_output.is_none() {
+    if grids.switches_tool && settings.tool_output.is_none() {
         let problem =
             "is not given, and the machine file says that the controller switches the tool";
         return Err(Invalid::whole("tool_output", problem, "give the M-variable of the output"));
@@ -89,7 +91,7 @@ fn checked<const N: usize>(job: &Job<N>, settings: &Settings) -> Result<[f64; 3]
 
 pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
     let settings = &job.settings.pmac;
-    let [tick_s, unit_s, most] = checked(job, settings)?;
+    let [tick_s, unit_s, most] = checked(&job.grids, settings)?;
     let tool = match settings.tool_output {
         None => Tool::LeftToTheHost(
             "this program does not switch it, --tool-output names an M-variable that does: the host \

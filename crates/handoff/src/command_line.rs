@@ -18,6 +18,7 @@ use planish_types::{ControllerKind, budget};
 
 use crate::{
     describe,
+    from_run::in_settings,
     message::{complain, shortened},
     stage, words,
 };
@@ -59,7 +60,8 @@ pub(crate) fn parse<C: Parser>() -> C {
 /// contain a damaged value of any length.
 pub(crate) fn end(error: &clap::Error) -> ! {
     let text = error.render().to_string();
-    if error.use_stderr() && matches!(shortened(&text), Cow::Owned(_)) {
+    let is_changed = matches!(shortened(&text), Cow::Owned(_)) || in_settings(&text) != text;
+    if error.use_stderr() && is_changed {
         complain(text.trim_end());
         exit(error.exit_code())
     }

@@ -14,6 +14,7 @@ use planish_types::{Invalid, Machine, MachineFile, Surface, Tif, doubts};
 use crate::{
     HandoffError,
     artifact::{self, Ancestor, Artifact, InputRecord, Loaded, Manifest, Seal},
+    from_run::before_reading,
     kind::{Dtype, Kind, MANIFEST},
     nouns,
     npy::{self, ArrayData},
@@ -87,6 +88,7 @@ impl Inputs {
         role: &str,
         dir: &Path,
     ) -> Result<(T, Option<Manifest>), HandoffError> {
+        before_reading(dir);
         Ok(self.recorded(role, dir, T::KIND, artifact::read::<T>(dir)?))
     }
 
@@ -109,6 +111,7 @@ impl Inputs {
     /// Reads a tool: a TIF, or one that varies over the part. The manifest says which it is; without one, a directory
     /// with weights holds a tool that varies.
     pub fn read_tool(&mut self, role: &str, dir: &Path) -> Result<Tif, HandoffError> {
+        before_reading(dir);
         let (kind, loaded) = nouns::read_tool(dir)?;
         Ok(self.recorded(role, dir, kind, loaded).0)
     }
@@ -135,6 +138,7 @@ impl Inputs {
         dir: &Path,
         kind: &Kind,
     ) -> Result<Manifest, HandoffError> {
+        before_reading(dir);
         let (manifest, seal) = artifact::read_sealed_manifest(dir, kind)?.ok_or_else(|| {
             HandoffError::new(dir, format!("has no {MANIFEST}; give a {} directory", kind.name))
         })?;
@@ -155,6 +159,7 @@ impl Inputs {
         role: &str,
         path: &Path,
     ) -> Result<T, HandoffError> {
+        before_reading(path);
         let bytes = artifact::read_file(path, LARGEST_JSON_BYTES)?;
         self.record(role, path, "file", blake3::hash(&bytes).to_string());
         serde_json::from_slice(&bytes).map_err(|e| HandoffError::new(path, format!("{e}")))
@@ -167,6 +172,7 @@ impl Inputs {
         path: &Path,
         most: u64,
     ) -> Result<Vec<u8>, HandoffError> {
+        before_reading(path);
         let bytes = artifact::read_file(path, most)?;
         self.record(role, path, "file", blake3::hash(&bytes).to_string());
         Ok(bytes)
@@ -174,6 +180,7 @@ impl Inputs {
 
     /// Records a file, given by the flag `--role`, that the command itself reads line by line.
     pub fn record_file(&mut self, role: &str, path: &Path) -> Result<(), HandoffError> {
+        before_reading(path);
         let io = |e| HandoffError::io(path, "read", &e);
         if !fs::metadata(path).map_err(io)?.is_file() {
             return Err(HandoffError::new(path, "is not a file; give a regular file"));
@@ -191,6 +198,7 @@ impl Inputs {
 
     /// Reads the form of a part given by the flag `--role`: a form file, or a directory with its height along z.
     pub fn read_form(&mut self, role: &str, path: &Path) -> Result<GivenForm, HandoffError> {
+        before_reading(path);
         let failure = |e: Invalid| HandoffError::new(path, e.to_string());
         if path.is_dir() {
             let map: Surface = self.read(role, path)?;
@@ -234,6 +242,7 @@ impl Inputs {
         path: &Path,
         dtype: Dtype,
     ) -> Result<ArrayData<'static>, HandoffError> {
+        before_reading(path);
         let loaded = npy::read(path, dtype)?;
         if let Some(note) = loaded.note {
             warn(format!("{}: {note}", path.display()));

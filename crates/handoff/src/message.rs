@@ -5,6 +5,8 @@ use std::{borrow::Cow, io::Write};
 
 use planish_types::text;
 
+use crate::from_run::in_settings;
+
 /// Largest length of a message, characters. It begins with the file and the problem and ends with
 /// the remedy; a longer message repeats a damaged value. Larger: such a value fills the screen.
 /// Smaller: a list of settings would be cut.
@@ -17,7 +19,8 @@ const KEPT_CHARACTERS: [usize; 2] = [1200, 800];
 
 /// Prints lines on standard error; a closed pipe is not an error.
 pub(crate) fn complain(message: &str) {
-    let _ = writeln!(std::io::stderr(), "{}", shortened(&without_commands(message)));
+    let message = without_commands(&in_settings(message));
+    let _ = writeln!(std::io::stderr(), "{}", shortened(&message));
 }
 
 /// Shortens a message to [`MOST_CHARACTERS`]. It replaces the middle of a longer one by the number

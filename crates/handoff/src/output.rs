@@ -21,6 +21,7 @@ use crate::{
     artifact::{self, Artifact, Manifest},
     command_line,
     flags::OutputArgs,
+    from_run::before_the_work,
     inputs::{Inputs, LARGEST_JSON_BYTES, is_same, is_within},
     kind::{Kind, MANIFEST},
     message::complain,
@@ -146,6 +147,7 @@ impl Output {
     /// Checks the outputs. Call it before the work, when all inputs and settings are known. It
     /// refuses an output that must not be replaced, and tells the user if there is nothing to do.
     pub fn begin(self, task: &Task, inputs: &Inputs) -> Result<Begin, HandoffError> {
+        before_the_work();
         self.check_wall_time(inputs)?;
         self.refuse_overlap_within()?;
         let key = key(task, inputs);
@@ -515,6 +517,7 @@ impl OutputFile {
         force: bool,
         inputs: &Inputs,
     ) -> Result<Self, HandoffError> {
+        before_the_work();
         check_file(flag, path, force, inputs)?;
         Ok(Self { path: plain(path), force })
     }

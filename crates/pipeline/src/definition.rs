@@ -13,7 +13,7 @@ use crate::{
 pub const SHARED: &str = "shared";
 
 /// Facts that the program finds and no definition states.
-pub const FACTS: [&str; 9] = [
+pub const FACTS: [&str; 10] = [
     "pipeline",
     "repository",
     "home",
@@ -21,6 +21,7 @@ pub const FACTS: [&str; 9] = [
     "tif_kind",
     "surface_name",
     "machine_name",
+    "machine_title",
     "kinematics",
     "fixture_tool",
 ];

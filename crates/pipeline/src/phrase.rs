@@ -31,6 +31,10 @@ pub enum Test {
     IsNot(String),
     /// `NAME in LIST`: it is one of the words of another name.
     In(String),
+    /// `NAME begins with A`: it is several words, or one, of which this is the first.
+    Begins(String),
+    /// `NAME by default`: it is a setting that the user did not give.
+    ByDefault,
 }
 
 /// Returns true if `text` can be a name in braces.
@@ -58,6 +62,8 @@ impl Term {
             ["not", name] => (name, Test::Absent),
             [name, "is", "not", word] => (name, Test::IsNot(word.to_string())),
             [name, "in", list] => (name, Test::In(list.to_string())),
+            [name, "begins", "with", word] => (name, Test::Begins(word.to_string())),
+            [name, "by", "default"] => (name, Test::ByDefault),
             [name, "is", choices @ ..]
                 if choices.iter().skip(1).step_by(2).all(|w| *w == "or")
                     && choices.len() % 2 == 1 =>
@@ -69,7 +75,8 @@ impl Term {
         match is_name(name) {
             true => Ok(Self { name: name.to_string(), test }),
             false => Err(format!(
-                "'{text}' is no condition; write NAME, not NAME, NAME is A, NAME is A or B, NAME is not A, or NAME in LIST"
+                "'{text}' is no condition; write NAME, not NAME, NAME is A, NAME is A or B, NAME is not A, NAME in LIST, \
+                 NAME begins with A, or NAME by default"
             )),
         }
     }
@@ -159,7 +166,8 @@ mod tests {
     #[test]
     fn conditions_are_read_and_others_are_refused() {
         let line =
-            Line::read("x y when a and not b and c is d or e and f is not g and h in i").unwrap();
+            Line::read("x y when a and not b and c is d or e and f is not g and h in i and j begins with k and l by default")
+                .unwrap();
         let tests: Vec<_> = line.condition.into_iter().map(|t| (t.name, t.test)).collect();
         let words = |list: &[&str]| list.iter().map(|w| w.to_string()).collect::<Vec<_>>();
         assert_eq!(line.text, "x y");
@@ -171,6 +179,8 @@ mod tests {
                 ("c".into(), Test::Is(words(&["d", "e"]))),
                 ("f".into(), Test::IsNot("g".into())),
                 ("h".into(), Test::In("i".into())),
+                ("j".into(), Test::Begins("k".into())),
+                ("l".into(), Test::ByDefault),
             ]
         );
         for bad in

@@ -13,6 +13,24 @@ use crate::{
 /// Names with their words.
 pub type Words = BTreeMap<String, Vec<String>>;
 
+/// Settings behind the flags of a command, so that its messages can name the setting that a user gives.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Origins {
+    /// Flags, each with what a user gives in its place: `pitch_mm` for `--pitch-mm`, or `prepare=--level` for a word of a
+    /// setting that holds flags. A flag that the pipeline itself writes stands for the setting of its name, or for itself.
+    pub of_flag: Vec<(String, String)>,
+    /// Setting that holds flags of the command: any other flag can be given there.
+    pub more_flags: Option<String>,
+}
+
+impl Origins {
+    /// Adds those of further words, which go before: `--surface {surface}` is the setting `surface`.
+    fn add(&mut self, other: Self) {
+        self.of_flag.splice(0..0, other.of_flag);
+        self.more_flags = other.more_flags.or(self.more_flags.take());
+    }
+}
+
 /// A pipeline with its settings.
 #[derive(Clone, Debug)]
 pub struct Scope<'a> {
@@ -22,8 +40,16 @@ pub struct Scope<'a> {
     fixed: Words,
 }
 
+/// Refuses the second value of a setting, of which the `first` one is there already.
+pub fn refuse_second(first: Option<String>, name: &str, second: &str) -> Result<(), String> {
+    match first {
+        None => Ok(()),
+        Some(first) => Err(format!("{name} is given twice, as '{first}' and as '{second}'; give it once")),
+    }
+}
+
 impl<'a> Scope<'a> {
-    /// A pipeline with settings as a user gives them, `NAME=VALUE`; of several values the last one counts.
+    /// A pipeline with settings as a user gives them, `NAME=VALUE`. Refuses a setting that is given twice.
     pub fn new<S: AsRef<str>>(definition: &'a Definition, settings: &[S]) -> Result<Self, String> {
         let name = &definition.name;
         let mut given = BTreeMap::new();
@@ -44,7 +70,7 @@ impl<'a> Scope<'a> {
                 Kind::Path if value.starts_with('-') => format!("./{value}"),
                 _ => value.to_string(),
             };
-            given.insert(key.to_string(), value);
+            refuse_second(given.insert(key.to_string(), value.clone()), key, &value)?;
         }
         for (key, value) in &given {
             let Some(setting) = definition.setting(key) else { continue };
@@ -113,12 +139,10 @@ impl<'a> Scope<'a> {
 
     /// The words of the first line whose condition holds; none if there is no such line.
     fn first(&self, lines: &[Line], local: &Words) -> Result<Vec<String>, String> {
-        for line in lines {
-            if self.holds(&line.condition, local)? {
-                return self.expand(&line.text, local);
-            }
+        match self.line_that_holds(lines, local)? {
+            Some(line) => self.expand(&line.text, local),
+            None => Ok(vec![]),
         }
-        Ok(vec![])
     }
 
     /// Returns true if all terms of a condition hold.
@@ -139,6 +163,8 @@ impl<'a> Scope<'a> {
                             .flat_map(|text| text.split_whitespace())
                             .any(|word| word == words[0])
                 }
+                Test::Begins(first) => words.first() == Some(first),
+                Test::ByDefault => !self.is_given(name),
             };
             if !holds {
                 return Ok(false);
@@ -180,6 +206,88 @@ impl<'a> Scope<'a> {
         }
         Ok(expanded)
     }
+
+    /// Returns the settings behind the flags in a text. `local` are the words of the names that stages were given, and
+    /// `local_origins` the settings behind these.
+    pub fn origins(
+        &self,
+        text: &str,
+        local: &Words,
+        local_origins: &BTreeMap<String, Origins>,
+    ) -> Result<Origins, String> {
+        let mut found = Origins::default();
+        let mut last_flag = None;
+        for pieces in groups(text)?.into_iter().flat_map(|group| group.words) {
+            let flag = match &pieces[0] {
+                Piece::Text(text) if text.starts_with("--") => text.split('=').next(),
+                _ => None,
+            };
+            let setting_alone = match &pieces[..] {
+                [Piece::Name(name)] | [Piece::Text(_), Piece::Name(name)] => Some(name),
+                _ => None,
+            };
+            match (flag, setting_alone) {
+                (Some(flag), name) => {
+                    let same = flag[2..].replace('-', "_");
+                    let is_setting = |name: &&str| self.definition.setting(name).is_some();
+                    let of = name.map(String::as_str).filter(is_setting);
+                    let own = self.definition.settings.iter().find(|s| s.name == same);
+                    let of = of.or(own.map(|s| s.name.as_str())).unwrap_or(flag);
+                    found.of_flag.push((flag.into(), of.into()));
+                }
+                (None, Some(name)) if self.definition.setting(name).is_some() => {
+                    found.add(self.origins_of_setting(name, last_flag, local)?);
+                }
+                (None, Some(name)) => {
+                    if let Some(known) = local_origins.get(name) {
+                        found.add(known.clone());
+                    } else if !local.contains_key(name) && !self.fixed.contains_key(name) {
+                        let lines = self.definition.value(name).unwrap_or_default();
+                        if let Some(line) = self.line_that_holds(lines, local)? {
+                            found.add(self.origins(&line.text, local, local_origins)?);
+                        }
+                    }
+                }
+                (None, None) => {}
+            }
+            let is_whole = |flag: &&str| pieces[..] == [Piece::Text(flag.to_string())];
+            last_flag = flag.filter(is_whole).map(String::from);
+        }
+        Ok(found)
+    }
+
+    /// Returns the settings behind the words of a setting, which stand after `last_flag`, if that is a flag.
+    fn origins_of_setting(
+        &self,
+        name: &str,
+        last_flag: Option<String>,
+        local: &Words,
+    ) -> Result<Origins, String> {
+        if !self.definition.setting(name).is_some_and(|setting| setting.kind == Kind::Flags) {
+            let of_flag = last_flag.map(|flag| (flag, name.to_string()));
+            return Ok(Origins { of_flag: of_flag.into_iter().collect(), more_flags: None });
+        }
+        let mut of_flag = Vec::new();
+        for word in self.words(name, local)?.iter().filter(|word| word.starts_with("--")) {
+            let flag = word.split('=').next().unwrap_or(word);
+            of_flag.push((flag.to_string(), format!("{name}={flag}")));
+        }
+        Ok(Origins { of_flag, more_flags: Some(name.into()) })
+    }
+
+    /// Returns the first line whose condition holds.
+    fn line_that_holds<'b>(
+        &self,
+        lines: &'b [Line],
+        local: &Words,
+    ) -> Result<Option<&'b Line>, String> {
+        for line in lines {
+            if self.holds(&line.condition, local)? {
+                return Ok(Some(line));
+            }
+        }
+        Ok(None)
+    }
 }
 
 #[cfg(test)]
@@ -219,7 +327,40 @@ stages:
     fn flags_are_words_and_what_is_empty_is_left_out() {
         assert_eq!(expand(&["f=--x 'a b' $(y)"], "{v} [--b {b}]").unwrap(), ["--x", "a b", "$(y)"]);
         assert_eq!(expand(&["a=2", "f="], "{v}").unwrap(), ["--a=2"]);
-        assert_eq!(expand(&["a=2", "a=3"], "{v}").unwrap(), ["--a=3"]);
+    }
+
+    #[test]
+    fn the_settings_behind_the_flags_of_a_command_are_known() {
+        let definition = Definition::read("p", SHARED, "title: T").unwrap();
+        let text = "planish-x --out d {v} --b {b} [--w={w}] {local} --level";
+        let origins = |settings: &[&str]| {
+            let scope = Scope::new(&definition, settings).unwrap();
+            let by_local = BTreeMap::from([(
+                "local".to_string(),
+                scope.origins("--of-a={a}", &Words::new(), &BTreeMap::new()).unwrap(),
+            )]);
+            let local = Words::from([("local".to_string(), vec!["--of-a=1".to_string()])]);
+            scope.origins(text, &local, &by_local).unwrap()
+        };
+        let of = |origins: &Origins, flag: &str| {
+            origins.of_flag.iter().find(|(known, _)| known == flag).map(|(_, text)| text.clone())
+        };
+        let found = origins(&["b=q", "w=x"]);
+        for (flag, text) in [
+            ("--a", "a"),
+            ("--b", "b"),
+            ("--w", "w"),
+            ("--of-a", "a"),
+            ("--out", "--out"),
+            ("--level", "--level"),
+        ] {
+            assert_eq!(of(&found, flag).as_deref(), Some(text), "{flag}");
+        }
+        assert_eq!(found.more_flags, None);
+        let found = origins(&["f=--x=1 'a b' --out e"]);
+        assert_eq!(of(&found, "--x").as_deref(), Some("f=--x"));
+        assert_eq!(of(&found, "--out").as_deref(), Some("f=--out"));
+        assert_eq!(found.more_flags.as_deref(), Some("f"));
     }
 
     #[test]
@@ -242,6 +383,8 @@ stages:
             (&["z=1"], "p has no setting 'z'; there are: a b f w"),
             (&["--x"], "'--x' is not a setting; write NAME=VALUE"),
             (&["b=q"], "b=q needs w"),
+            (&["a=2", "b=", "a=3"], "a is given twice, as '2' and as '3'; give it once"),
+            (&["a=2", "a=2"], "a is given twice, as '2' and as '2'; give it once"),
         ] {
             let message = expand(settings, "x").unwrap_err();
             assert!(message.starts_with(said), "{message}");

@@ -1,11 +1,13 @@
 //! The steps of a stage, one by one. A later step may depend on what an earlier one found, so they are not a list.
 
+use std::collections::BTreeMap;
+
 use planish_handoff::words;
 
 use crate::{
     action::Action,
     phrase::{Line, Term},
-    scope::{Scope, Words},
+    scope::{Origins, Scope, Words},
 };
 
 /// A program with its arguments.
@@ -19,6 +21,8 @@ pub struct Command {
     pub may_be_negative: bool,
     /// True if its standard output is not shown.
     pub is_quiet: bool,
+    /// Settings behind its flags.
+    pub origins: Origins,
 }
 
 /// Next action of a run.
@@ -47,12 +51,16 @@ pub enum Step {
 }
 
 /// A stage that runs: its lines that are left, and the values that it was given.
+#[derive(Clone)]
 struct Frame<'a> {
     lines: std::slice::Iter<'a, Line>,
     local: Words,
+    /// Settings behind the flags in these words.
+    origins: BTreeMap<String, Origins>,
 }
 
 /// The steps of a stage.
+#[derive(Clone)]
 pub struct Walk<'a> {
     /// Settings and values; a step may change them for those that follow.
     pub scope: Scope<'a>,
@@ -63,7 +71,7 @@ impl<'a> Walk<'a> {
     /// The steps of this stage.
     pub fn new(scope: Scope<'a>, stage: &str) -> Result<Self, String> {
         let mut walk = Self { scope, frames: vec![] };
-        walk.enter(stage, Words::new())?;
+        walk.enter(stage, Words::new(), BTreeMap::new())?;
         Ok(walk)
     }
 
@@ -93,12 +101,13 @@ impl<'a> Walk<'a> {
             }
             match Action::read(text)? {
                 Action::Stage(stage, values) => {
-                    let mut local = self.local().clone();
+                    let (mut local, mut origins) = (self.local().clone(), self.origins().clone());
                     for (name, value) in values {
                         let words = self.scope.expand(&value, self.local())?;
+                        origins.insert(name.clone(), self.origins_of(&value)?);
                         local.insert(name, words);
                     }
-                    self.enter(&stage, local)?;
+                    self.enter(&stage, local, origins)?;
                 }
                 action => return self.made(action).map(Some),
             }
@@ -111,19 +120,34 @@ impl<'a> Walk<'a> {
         self.frames.pop();
     }
 
-    fn enter(&mut self, stage: &str, local: Words) -> Result<(), String> {
+    fn enter(
+        &mut self,
+        stage: &str,
+        local: Words,
+        origins: BTreeMap<String, Origins>,
+    ) -> Result<(), String> {
         let definition = self.scope.definition;
         let lines = definition.stage(stage).ok_or_else(|| {
             let all: Vec<&str> = definition.stages.iter().map(|(name, _)| name.as_str()).collect();
             format!("{} has no stage '{stage}'; there are: {}", definition.name, all.join(" "))
         })?;
-        self.frames.push(Frame { lines: lines.iter(), local });
+        self.frames.push(Frame { lines: lines.iter(), local, origins });
         Ok(())
     }
 
     fn local(&self) -> &Words {
         const NONE: &Words = &Words::new();
         self.frames.last().map_or(NONE, |frame| &frame.local)
+    }
+
+    fn origins(&self) -> &BTreeMap<String, Origins> {
+        const NONE: &BTreeMap<String, Origins> = &BTreeMap::new();
+        self.frames.last().map_or(NONE, |frame| &frame.origins)
+    }
+
+    /// Returns the settings behind the flags in a text of the stage that runs.
+    fn origins_of(&self, text: &str) -> Result<Origins, String> {
+        self.scope.origins(text, self.local(), self.origins())
     }
 
     fn holds(&self, condition: &[Term]) -> Result<bool, String> {
@@ -146,8 +170,9 @@ impl<'a> Walk<'a> {
             Action::Command { text, is_quiet, attempt, may_be_negative } => {
                 let mut words = words(text)?.into_iter();
                 let program = words.next().unwrap_or_default();
-                let command =
-                    Command { program, arguments: words.collect(), may_be_negative, is_quiet };
+                let arguments = words.collect();
+                let origins = self.origins_of(text)?;
+                let command = Command { program, arguments, may_be_negative, is_quiet, origins };
                 match attempt.map(word).transpose()?.filter(|dir| !dir.is_empty()) {
                     Some(dir) => Step::Attempt(dir, command),
                     None => Step::Run(command),
@@ -274,6 +299,7 @@ stages:
             arguments,
             may_be_negative: false,
             is_quiet: false,
+            origins: Origins::default(),
         };
         assert_eq!(command.line(), r"planish-x --a=1 --b='x y' --c 'it'\''s' '--d=' '$(e)'");
     }

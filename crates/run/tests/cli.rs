@@ -427,16 +427,22 @@ fn the_program_is_named_with_its_plan_and_the_plan_that_is_recommended() {
     assert!(said("pvt").1.contains("recommends no plan of this run: It is the least."));
 }
 
-/// Programs that write their arguments to the file `log`, a line each, and end with the code that `codes/PROGRAM` holds.
+/// Programs that write their arguments to the file `log`, a line each, and end with the code that `codes/PROGRAM` holds. In
+/// a rehearsal they write them to the file `rehearsed`, say which flags are settings, and end with the code that
+/// `codes/PROGRAM.rehearsed` holds.
 fn recorders(dir: &Path) -> std::path::PathBuf {
     use std::os::unix::fs::PermissionsExt;
     let programs = dir.join("programs");
     fs::create_dir(&programs).unwrap();
     for name in [
         "fixture", "surface", "toolpath", "dwell", "schedule", "simulate", "verify", "compare",
-        "run",
+        "run", "export", "import",
     ] {
-        let script = "#!/bin/sh\nname=${0##*/}\nprintf '%s' \"$name\" >> log\nprintf '<%s>' \"$@\" >> log\necho >> log\n\
+        let script = "#!/bin/sh\nname=${0##*/}\n\
+                      if [ -n \"$PLANISH_REHEARSAL\" ]; then\n\
+                      echo \"$name $*\" >> rehearsed; echo \"$PLANISH_SETTINGS_OF_FLAGS\" >&2\n\
+                      [ ! -f \"codes/$name.rehearsed\" ] || exit \"$(cat \"codes/$name.rehearsed\")\"\n\
+                      exit 0; fi\nprintf '%s' \"$name\" >> log\nprintf '<%s>' \"$@\" >> log\necho >> log\n\
                       [ ! -f \"codes/$name\" ] || exit \"$(cat \"codes/$name\")\"\n";
         let file = programs.join(format!("planish-{name}"));
         fs::write(&file, script).unwrap();
@@ -544,7 +550,7 @@ fn a_signal_to_the_run_alone_ends_its_stage_and_frees_the_directory() {
         let settings = [&QUICK[..], &["fixture=coupon", "out=o"]].concat();
         // A stage that would go on for ten minutes.
         let stage = programs.join("planish-toolpath");
-        fs::write(&stage, "#!/bin/sh\necho $$ > stage.new\nmv stage.new stage\nexec sleep 600\n")
+        fs::write(&stage, "#!/bin/sh\n[ -z \"$PLANISH_REHEARSAL\" ] || exit 0\necho $$ > stage.new\nmv stage.new stage\nexec sleep 600\n")
             .unwrap();
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
         let mut command = planish_testkit::program::stage(PROGRAM);
@@ -594,11 +600,94 @@ fn a_wrong_setting_is_named_with_the_remedy_and_nothing_runs() {
         (&["next-run", "before=none"], "before none is not there"),
         (&["compare", "coupon", "skip=x"], "leave it out for one mirror"),
         (&["tolerance", "foo"], "'foo' is no pipeline and no setting"),
+        (&["run", "raster", "pitch_mm=2", "pitch_mm=3"], "pitch_mm is given twice, as '2' and as '3'"),
+        (&["stage", "raster", "path", "out=a", "out=a"], "out is given twice, as 'a' and as 'a'"),
+        (&["compare", "coupon", "pitch_mm=2", "pitch_mm=3"], "pitch_mm is given twice"),
+        (&["compare", "coupon", "disk"], "'disk' is one word too many beside 'coupon'"),
+        (&["compare", "coupon", "fixture=disk"], "'coupon' is one word too many beside 'disk'"),
+        (&["compare", "coupon", "export=galil"], "a comparison writes no programs"),
+        (&["tolerance", "raster", "out=a", "out=b"], "out is given twice, as 'a' and as 'b'"),
+        (&["campaign", "coupon", "seed=1", "seed=2"], "seed is given twice, as '1' and as '2'"),
+        (&["campaign", "coupon", "disk"], "'disk' is one word too many beside 'coupon'"),
+        (&["campaign-spread", "seeds=1", "seeds=2"], "seeds is given twice, as '1' and as '2'"),
+        (&["next-run", "tif=a", "tif=b"], "tif is given twice, as 'a' and as 'b'"),
     ] {
         let (ended, log) = recorded(dir.path(), arguments);
         refused(&ended, &[said]);
         assert!(log.is_empty() && !dir.path().join("out").exists(), "{arguments:?}");
     }
+}
+
+#[test]
+fn a_program_for_an_own_part_needs_a_machine_that_somebody_named() {
+    let dir = bench();
+    recorders(dir.path());
+    let own = ["surface=mirror", "tif=tool"];
+    let quick = ["refine=no", "plan_joint=no", "frames=0", "out=o"];
+    let remedy = "Give machine=FILE with the limits of your machine";
+    for pipeline in ["raster", "maze", "spiral", "multi-pitch", "random-adaptive", "bspline", "trig-spline"] {
+        let settings = [&["run", pipeline, "export=galil", "out=o"], &own[..]].concat();
+        let (ended, log) = recorded(dir.path(), &settings);
+        refused(&ended, &["export=galil writes a program for the machine", remedy]);
+        assert!(log.is_empty() && !dir.path().join("o").exists(), "{pipeline}");
+    }
+    let line = ["run", "line", "export=galil", "profile=mirror", "tif=tool", "out=o"];
+    refused(&recorded(dir.path(), &line).0, &[remedy]);
+    // A form or a tool of the user is his own part, too, on a mirror of the fixtures.
+    for own in ["form=machine.json", "varying=tool-time --table x"] {
+        let settings = ["run", "raster", "fixture=coupon", "export=galil", "out=o", own];
+        refused(&recorded(dir.path(), &settings).0, &[remedy]);
+    }
+    // Without a program, the run says which machine it took: at its start, in its last line, and in the report.
+    let settings = [&["run", "raster"], &own[..], &quick].concat();
+    let (ended, log) = recorded(dir.path(), &settings);
+    let text = message(&ended);
+    assert_eq!(ended.status.code(), Some(0), "{text}");
+    let warning = "warning: no machine was named, so this is planned for ion-beam, a machine of the fixtures";
+    let lines: Vec<&str> = text.lines().filter(|line| !line.starts_with("planish-")).collect();
+    assert!(lines[0].starts_with(warning) && lines[lines.len() - 1].starts_with(warning), "{text}");
+    let report = log.iter().find(|line| line.starts_with("planish-compare<report>")).unwrap();
+    assert!(report.contains("<--assumed-machine=ion-beam>"), "{report}");
+    // With a machine of the user, and on a mirror of the fixtures, nothing is said.
+    for named in [&["machine=machine.json"][..], &["fixture=coupon"]] {
+        let own = if named[0].starts_with("machine") { &own[..] } else { &[] };
+        let settings = [&["run", "raster"], named, own, &quick[..3], &["out=p", "export=csv"]].concat();
+        let (ended, log) = recorded(dir.path(), &settings);
+        assert!(!message(&ended).contains("no machine was named"), "{}", message(&ended));
+        assert!(log.iter().all(|line| !line.contains("assumed-machine")), "{log:?}");
+        fs::remove_dir_all(dir.path().join("p")).unwrap();
+    }
+}
+
+#[test]
+fn a_mistake_in_a_late_stage_is_found_before_the_run_and_names_the_setting() {
+    let dir = bench();
+    recorders(dir.path());
+    fs::write(dir.path().join("codes/planish-export.rehearsed"), "2").unwrap();
+    let own = ["fixture=coupon", "out=o", "export=galil", "export_settings=--always-on --count-mm=1"];
+    let (ended, log) = recorded(dir.path(), &[&QUICK[..], &own].concat());
+    let text = message(&ended);
+    assert_eq!(ended.status.code(), Some(2), "{text}");
+    // The stub says what it was told of its flags.
+    for line in [
+        "--always-on\texport_settings=--always-on",
+        "--count-mm\texport_settings=--count-mm",
+        "--machine\tmachine",
+        "--out\tout",
+        "\texport_settings",
+    ] {
+        assert!(text.lines().any(|found| found == line), "no {line:?} in {text}");
+    }
+    assert!(log.is_empty() && !dir.path().join("o").exists(), "{log:?}");
+    let rehearsed = fs::read_to_string(dir.path().join("rehearsed")).unwrap();
+    assert!(rehearsed.contains("planish-export galil") && rehearsed.contains("--machine machine.json"));
+    // One that passes is tried again when mirror, tool and tool path are there, and then the run begins.
+    fs::remove_file(dir.path().join("codes/planish-export.rehearsed")).unwrap();
+    fs::remove_file(dir.path().join("rehearsed")).unwrap();
+    let (ended, _) = recorded(dir.path(), &[&QUICK[..], &own].concat());
+    let rehearsed = fs::read_to_string(dir.path().join("rehearsed")).unwrap();
+    assert_eq!(rehearsed.matches("planish-export galil").count(), 2, "{rehearsed}");
+    assert!(message(&ended).contains("planish-dwell bounded-least-squares"));
 }
 
 /// A pipe in the place of a file would be read for ever.

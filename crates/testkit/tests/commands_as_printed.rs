@@ -47,6 +47,12 @@ const EXCEPTIONS: [(&str, &str); 15] = [
     ("PLANISH_REFERENCE=DIR just paths-table", "needs the reference mirror"),
 ];
 
+/// Page with the machine file that other pages name.
+const DESCRIBE_A_MACHINE: &str = "docs/how-to/describe-a-machine.md";
+
+/// Page whose blocks of Python are one script.
+const FIRST_MIRROR: &str = "docs/tutorials/first-mirror.md";
+
 /// Smallest ratio of the surface error to the executed residual of docs/replace_a_stage.py. Larger: the
 /// test may fail after a small change. Smaller: a worse example passes. Measured: 35 on this mirror, whose
 /// error is within reach of the tool but for a pit.
@@ -183,14 +189,16 @@ fn bare(command: &str) -> &str {
     command.split(" #").next().unwrap().trim()
 }
 
-/// README.md, then docs/*.md by name.
+/// README.md, then docs/*.md by name, then the tutorials.
 fn pages() -> Vec<(String, String)> {
     let mut names = vec!["README.md".to_string()];
-    let docs = fs::read_dir(workspace().join("docs")).unwrap();
-    let docs = docs.map(|entry| entry.unwrap().file_name().into_string().unwrap());
-    let mut docs: Vec<_> = docs.filter(|name| name.ends_with(".md")).collect();
-    docs.sort();
-    names.extend(docs.into_iter().map(|name| format!("docs/{name}")));
+    for folder in ["docs", "docs/tutorials"] {
+        let docs = fs::read_dir(workspace().join(folder)).unwrap();
+        let docs = docs.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+        let mut docs: Vec<_> = docs.filter(|name| name.ends_with(".md")).collect();
+        docs.sort();
+        names.extend(docs.into_iter().map(|name| format!("{folder}/{name}")));
+    }
     let read = |name: String| {
         let text = fs::read_to_string(workspace().join(&name)).unwrap();
         (name, text)
@@ -206,8 +214,8 @@ struct Clone {
 }
 
 impl Clone {
-    fn new() -> Self {
-        let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("commands");
+    fn new(name: &str) -> Self {
+        let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
         let _ = fs::remove_dir_all(&dir);
         fs::create_dir_all(dir.join("shims")).unwrap();
         for part in ["README.md", "justfile", "docs", "fixtures", "pipelines", "sweeps", "workflow"]
@@ -230,6 +238,13 @@ impl Clone {
             std::env::var("PATH").unwrap()
         );
         Self { dir, path }
+    }
+
+    /// Writes the machine file that the page on machines shows, which the other pages call `machine.json`.
+    fn write_machine(&self) {
+        let page = fs::read_to_string(workspace().join(DESCRIBE_A_MACHINE)).unwrap();
+        let machine = blocks(&page).into_iter().find(|block| block.mark == "json").unwrap();
+        fs::write(self.dir.join("machine.json"), machine.text).unwrap();
     }
 
     /// Runs `text` by `program`, which takes it from its last argument.
@@ -276,12 +291,11 @@ impl Clone {
 
 #[test]
 fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
-    let clone = Clone::new();
+    let clone = Clone::new("commands");
     clone.succeed("user files", &["bash", "-c"], "planish-fixture fixtures/coupon.json --out made");
     let user_files = workspace().join("crates/testkit/tests/user_files.py");
     clone.succeed("user files", &["python3", user_files.to_str().unwrap()], "made");
-    fs::copy(clone.dir.join("fixtures/machines/ion-beam.json"), clone.dir.join("machine.json"))
-        .unwrap();
+    clone.write_machine();
 
     let mut count = 0;
     let (mut stale, mut failures) = (Vec::new(), Vec::new());
@@ -305,6 +319,7 @@ fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
                         count += 1;
                     }
                 }
+                ("python", _) if name == FIRST_MIRROR => {}
                 ("python", _) => {
                     clone.succeed(&name, &["python3", "-c"], &format!("{ARRAYS}{}", block.text));
                 }
@@ -351,6 +366,20 @@ fn the_commands_of_readme_and_docs_run_as_they_are_printed() {
     let (before, after) = example.expect("a page has the example of an own stage");
     println!("docs/replace_a_stage.py: {before:.4} nm RMS become {after:.4} nm");
     assert!(after * EXAMPLE_IMPROVES < before, "{before} nm become {after} nm");
+}
+
+#[test]
+fn the_tutorial_of_the_first_mirror_runs_as_it_is_printed() {
+    let clone = Clone::new("first-mirror");
+    clone.write_machine();
+    let page = fs::read_to_string(workspace().join(FIRST_MIRROR)).unwrap();
+    let script: String =
+        blocks(&page).into_iter().filter(|block| block.mark == "python").map(|b| b.text).collect();
+    let module = format!("import sys; sys.path.insert(0, {:?})\n", workspace().join("python"));
+    let printed = clone.succeed(FIRST_MIRROR, &["python3", "-c"], &format!("{module}{script}"));
+    let line = printed.lines().find(|line| line.ends_with("nm RMS after")).unwrap();
+    println!("{FIRST_MIRROR}: {line}");
+    assert!(clone.dir.join("program.galil").is_file() && clone.dir.join("program.galil.json").is_file());
 }
 
 #[test]

@@ -91,3 +91,6 @@ np.savetxt(
     comments="",
     header="map_x_mm,map_y_mm,machine_x_mm,machine_y_mm,uncertainty_mm",
 )
+
+# A rate that falls by a tenth in the first 100 s, as docs/varying.md has it.
+Path("warm-up.txt").write_text("0 1\n100 0.9\n")

@@ -7,13 +7,14 @@ use ndarray::Array1;
 use planish_handoff::{
     Begin, Failure, Inputs, Output, Status,
     flags::{MirrorArgs, OutputArgs, TrajectoryArgs},
+    from_run::is_rehearsal,
     kind,
     npy::ArrayData,
     say, task, warn,
 };
 use planish_tolerance::{
     Free, Settings,
-    error_budget::{Distribution, ErrorBudgetFile},
+    error_budget::{Distribution, ErrorBudget, ErrorBudgetFile},
     tolerance,
 };
 use planish_types::{plausible, text::significant};
@@ -55,12 +56,12 @@ impl Tolerance {
             tif_as_sampled: self.tif_as_sampled,
             seed: self.seed,
         };
+        if is_rehearsal() {
+            self.rehearse()?;
+        }
         let mut inputs = Inputs::new();
         let (trajectory, tif, surface) = self.trajectory.read_over(&self.mirror, &mut inputs)?;
-        let file: ErrorBudgetFile = inputs.read_json("error-budget", &self.error_budget)?;
-        let process = file
-            .checked()
-            .map_err(|e| Failure::new(format!("{}: {e}", self.error_budget.display())))?;
+        let process = self.process(&mut inputs)?;
         let task = task!("tolerance", settings);
         let output = Output::directory(&self.output, &kind::TOLERANCE);
         let mut output = match output.begin(&task, &inputs)? {
@@ -95,6 +96,21 @@ impl Tolerance {
         say(table(&found, settings.free));
         say(format!("-> {}", self.output.out.display()));
         Ok(status)
+    }
+}
+
+impl Tolerance {
+    fn process(&self, inputs: &mut Inputs) -> Result<ErrorBudget, Failure> {
+        let file: ErrorBudgetFile = inputs.read_json("error-budget", &self.error_budget)?;
+        file.checked().map_err(|e| Failure::new(format!("{}: {e}", self.error_budget.display())))
+    }
+
+    /// Checks the error budget, and the tool if it is there, before a motion exists.
+    fn rehearse(&self) -> Result<(), Failure> {
+        self.process(&mut Inputs::new())?;
+        let tif = Inputs::new().read_tool("tif", &self.mirror.tif)?;
+        tif.same_in_all_directions("a simulation with errors of the process")
+            .map_err(Failure::with_flags)
     }
 }
 

@@ -64,7 +64,7 @@ pub use kinematics::{
 pub use limits::{
     AxisLimits, DEFAULT_TIME_TO_FULL_ACCELERATION_S, Limits, MachineFile, MachineFileAxis,
 };
-pub use machine::Machine;
+pub use machine::{Machine, assumed_machine};
 pub use path_distance::PathDistance;
 pub use surface::{Removal, RemovalMaps, Surface};
 pub use tif::{Tif, VaryingTif};

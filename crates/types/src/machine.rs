@@ -254,6 +254,14 @@ fn largest_box(m: &[[f64; 2]; 2], limits: [Option<f64>; 2]) -> [Option<f64>; 2] 
     best.map_or([None; 2], |w| w.map(Some))
 }
 
+/// Returns the sentence for a plan on the machine `name`, which is that of a pipeline and not one that the user named.
+pub fn assumed_machine(name: &str) -> String {
+    format!(
+        "no machine was named, so this is planned for {name}, a machine of the fixtures, with its limits; give machine=FILE \
+         with the limits of your own"
+    )
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -99,7 +99,9 @@ fn judge_axes(cli: &Cli, axes: &Path) -> Result<Status, Failure> {
     };
     let verdict = verify_axes(&motion, &machine, &settings)?;
     let status = verdict.reason().map_or(Status::Done, Status::Negative);
-    output.write_arrays(&kind::VERDICT, &[], &[], serde_json::to_value(&verdict)?, &status)?;
+    let mut outcome = serde_json::to_value(&verdict)?;
+    outcome["machine"] = machine.name().into();
+    output.write_arrays(&kind::VERDICT, &[], &[], outcome, &status)?;
     let peaks = verdict.axes.iter().map(|axis| {
         let (v, a) = (axis.velocity.magnitude(), axis.acceleration.magnitude());
         format!("{} {v:.2} {u}/s, {a:.1} {u}/s^2", axis.name, u = axis.unit)
@@ -171,6 +173,7 @@ fn judge_trajectory(cli: &Cli, trajectory: PathBuf) -> Result<Status, Failure> {
         None => Status::Done,
     };
     let mut outcome = serde_json::to_value(&verdict)?;
+    outcome["machine"] = machine.name().into();
     if let Some(transform) = &on_axes.part_to_axes {
         outcome["part_to_axes"] = serde_json::to_value(TransformNumbers::from(transform))?;
     }

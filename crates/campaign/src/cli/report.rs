@@ -32,6 +32,9 @@ pub struct Report {
     /// Name of the mirror
     #[arg(long, value_name = "NAME", default_value = "")]
     mirror: String,
+    /// Name of the machine, if nobody named one and it is that of the fixtures: the page says so
+    #[arg(long, value_name = "NAME")]
+    assumed_machine: Option<String>,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -52,7 +55,9 @@ impl Report {
         }
         let place = |chain: &str| Path::new("alike").join(chain);
         let alike = self.chains(&mut inputs, place, self.runs + 1, &mut hidden)?;
-        let settings = json!({ "mirror": self.mirror, "runs": self.runs });
+        let settings = json!({
+            "mirror": self.mirror, "runs": self.runs, "assumed_machine": self.assumed_machine,
+        });
         let output = Output::directory(&self.output, &kind::CAMPAIGN);
         let mut output = match output.begin(&task!("report", settings), &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
@@ -60,7 +65,9 @@ impl Report {
         };
         let (seed, truth) = hidden.unwrap_or_default();
         let before = mirror.statistics().rms;
-        let campaign = Campaign::new(&self.mirror, seed, before, &truth, records, alike);
+        let mut campaign = Campaign::new(&self.mirror, seed, before, &truth, records, alike);
+        campaign.assumed_machine =
+            self.assumed_machine.as_deref().map(planish_types::assumed_machine);
         let beside = [
             ("campaign.html", page(&campaign).into_bytes()),
             ("campaign.svg", picture(&campaign).into_bytes()),

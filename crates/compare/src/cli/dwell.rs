@@ -19,15 +19,20 @@ pub struct Dwell {
     /// Name of the mirror
     #[arg(long, value_name = "NAME", default_value = "")]
     mirror: String,
+    /// Name of the machine, if nobody named one and it is that of the fixtures: the summary says so
+    #[arg(long, value_name = "NAME")]
+    assumed_machine: Option<String>,
     #[command(flatten)]
     output: OutputArgs,
 }
 
 impl Dwell {
     pub fn run(&self) -> Result<Status, Failure> {
-        let Dwell { run, mirror: fixture, output } = self;
+        let Dwell { run, mirror: fixture, assumed_machine, output } = self;
+        let remarks: Vec<String> =
+            assumed_machine.iter().map(|name| planish_types::assumed_machine(name)).collect();
         let mut inputs = Inputs::new();
-        let task = task!("dwell", json!({ "fixture": fixture }));
+        let task = task!("dwell", json!({ "fixture": fixture, "remarks": remarks }));
         let (surface, rows) = files::read_solvers(&mut inputs, run)?;
         let writer = Output::directory(output, &kind::REPORT).begin(&task, &inputs)?.writer();
         let solvers: serde_json::Map<String, serde_json::Value> =
@@ -37,6 +42,7 @@ impl Dwell {
             "fixture": fixture,
             "initial": { "rms_nm": initial.rms, "pv_nm": initial.pv },
             "solvers": solvers,
+            "remarks": remarks,
         });
         let mut bytes = serde_json::to_vec_pretty(&summary)?;
         bytes.push(b'\n');
@@ -46,6 +52,7 @@ impl Dwell {
             writer.write_arrays(&kind::REPORT, &[], &beside, json!({}), &Status::Done)?;
         }
         say(dwell::table(fixture, &surface, &rows));
+        remarks.iter().for_each(say);
         say(visible(&output.out.join("summary.json").to_string_lossy()));
         Ok(Status::Done)
     }

@@ -52,6 +52,9 @@ pub struct Report {
     /// by planish-simulate --servo-of
     #[arg(long)]
     after_servo: bool,
+    /// Name of the machine, if nobody named one and it is that of the fixtures: the answer says so
+    #[arg(long, value_name = "NAME")]
+    assumed_machine: Option<String>,
     /// Small plots under the table; auto: where standard output is a terminal
     #[arg(long, value_enum, default_value = "auto")]
     plots: Plots,
@@ -77,6 +80,7 @@ impl Report {
             form,
             program_row: program,
             after_servo,
+            assumed_machine,
             plots,
             output,
         } = self;
@@ -85,7 +89,7 @@ impl Report {
         let task = task!(
             "report",
             json!({ "pipeline": pipeline, "fixture": fixture, "runs": names, "program": program,
-                "after_servo": after_servo })
+                "after_servo": after_servo, "assumed_machine": assumed_machine })
         );
         let called = Names {
             pipeline: pipeline.as_deref(),
@@ -110,6 +114,9 @@ impl Report {
                 let message = "--program-row is of one run; give one run, or leave it out";
                 return Err(Failure::new(message));
             }
+        }
+        for (run, name) in read.iter_mut().zip(assumed_machine.iter().cycle()) {
+            run.summary.remarks.push(planish_types::assumed_machine(name));
         }
         let summaries: Vec<Summary> = read.iter().map(|run| run.summary.clone()).collect();
         let runs: Vec<_> = names.iter().map(String::as_str).zip(&summaries).collect();

@@ -363,17 +363,14 @@ fn motion(views: &[View], layout: &Layout) -> Option<String> {
 
 fn dwell(views: &[View], layout: &Layout) -> Option<String> {
     let shape = shape_of(&methods(views).find_map(|(_, m)| m.dwell.as_ref())?.point_mm);
-    let errors = |d: &Dwell| -> Vec<f64> {
-        d.executed_s.iter().zip(&d.planned_s).map(|(e, p)| e - p).collect()
-    };
-    let departs = |d: &Dwell| errors(d).iter().any(|e| e.abs() > ROUNDING_S);
+    let departs = |d: &Dwell| dwell_errors_s(d).iter().any(|e| e.abs() > ROUNDING_S);
     // Without a difference to show, one panel of a method takes the whole width.
     let some_depart = methods(views).filter_map(|(_, m)| m.dwell.as_ref()).any(departs);
     let panels = if some_depart { &layout.dwell } else { &layout.path };
     let mut sheet = panels.sheet_of_shape(shape);
     for (view, m) in methods(views) {
         let Some(d) = &m.dwell else { continue };
-        let error = errors(d);
+        let error = dwell_errors_s(d);
         let gap = |p: &[[f64; 2]]| (p[1][0] - p[0][0]).hypot(p[1][1] - p[0][1]);
         let gap_mm = quantile(&d.point_mm.windows(2).map(gap).collect::<Vec<_>>(), 0.5);
         let top = or_one(quantile(&d.planned_s, 0.99));
@@ -385,6 +382,11 @@ fn dwell(views: &[View], layout: &Layout) -> Option<String> {
         ];
         for (values, bands, title) in shown.into_iter().take(if some_depart { 2 } else { 1 }) {
             let frame = sheet.panel(same_scale(&d.point_mm, shape));
+            if values.is_empty() {
+                frame.axes(&mut sheet.svg, ["x (mm)", "y (mm)"]);
+                frame.title(&mut sheet.svg, &format!("not known of a program: {title}, {of}"));
+                continue;
+            }
             // A square as large as its fraction of the picture, and no gap to the next one on the
             // path.
             let px_per_mm = frame.at([1.0, 0.0])[0] - frame.at([0.0, 0.0])[0];
@@ -402,7 +404,7 @@ fn dwell(views: &[View], layout: &Layout) -> Option<String> {
             }
             frame.axes(svg, ["x (mm)", "y (mm)"]);
             frame.colour_bar(svg, &bands, "s");
-            if !some_depart {
+            if !some_depart && d.executed_s.is_some() {
                 let s = significant(ROUNDING_S, 1);
                 note_below(svg, &frame, &format!("executed within {s} s of planned"));
             }
@@ -410,6 +412,12 @@ fn dwell(views: &[View], layout: &Layout) -> Option<String> {
         }
     }
     sheet.finish_if_any()
+}
+
+/// Returns executed minus planned time of every dwell point, s; empty where the executed times are not known.
+fn dwell_errors_s(d: &Dwell) -> Vec<f64> {
+    let executed_s = d.executed_s.as_deref().unwrap_or_default();
+    executed_s.iter().zip(&d.planned_s).map(|(e, p)| e - p).collect()
 }
 
 fn histograms(views: &[View], layout: &Layout) -> Option<String> {

@@ -146,12 +146,13 @@ pub struct Dwell {
     pub point_mm: Vec<[f64; 2]>,
     /// Planned, s.
     pub planned_s: Vec<f64>,
-    /// Executed: time of the segments that serve the point, s.
-    pub executed_s: Vec<f64>,
+    /// Executed: time of the segments that serve the point, s; `None` for a motion that names no points, such as that of a
+    /// program that was read back.
+    pub executed_s: Option<Vec<f64>>,
     /// Points of the plan per point here.
     pub every: usize,
-    /// Sum of |executed - planned| over all points of the plan, s.
-    pub total_error_s: f64,
+    /// Sum of |executed - planned| over all points of the plan, s; `None` as the executed times are.
+    pub total_error_s: Option<f64>,
 }
 
 /// Times of at most `most` dwell points; `None` where path, plan and motion do not belong together.
@@ -160,15 +161,18 @@ pub fn dwell(path: &ToolPath, plan: &DwellTime, t: &Trajectory, most: usize) -> 
     if plan.dwell_s().len() != n {
         return None;
     }
-    let executed_s = t.served_s(n, |_| true).ok()?;
+    let names_points = t.dwell_index().iter().any(Option::is_some);
+    let executed_s = if names_points { Some(t.served_s(n, |_| true).ok()?) } else { None };
     let every = n.div_ceil(most.max(1));
     let thin = |values: &[f64]| values.iter().step_by(every).copied().collect::<Vec<_>>();
-    let error = plan.dwell_s().iter().zip(&executed_s).map(|(p, e)| (e - p).abs());
+    let total_error_s = executed_s.as_ref().map(|executed_s| {
+        plan.dwell_s().iter().zip(executed_s).map(|(p, e)| (e - p).abs()).sum()
+    });
     Some(Dwell {
         point_mm: path.dwell_point_mm().iter().step_by(every).copied().collect(),
         planned_s: thin(plan.dwell_s()),
-        total_error_s: error.sum(),
-        executed_s: thin(&executed_s),
+        total_error_s,
+        executed_s: executed_s.as_deref().map(thin),
         every,
     })
 }
@@ -240,7 +244,10 @@ mod tests {
                 .unwrap()
         };
         let d = dwell(&path, &plan, &t([Some(0), Some(1), Some(0), None]), 10).unwrap();
-        assert_eq!((d.executed_s, d.total_error_s), (vec![2.0, 2.0], 0.5));
+        assert_eq!((d.executed_s, d.total_error_s), (Some(vec![2.0, 2.0]), Some(0.5)));
+        // A program that was read back names no points: its times are not known, and not 0.
+        let d = dwell(&path, &plan, &t([None; 4]), 10).unwrap();
+        assert_eq!((d.planned_s, d.executed_s, d.total_error_s), (vec![2.0, 2.5], None, None));
         assert_eq!(dwell(&path, &plan, &t([Some(0), Some(1), Some(2), Some(0)]), 10), None);
         let short = DwellTime::new(vec![2.0]).unwrap();
         assert_eq!(dwell(&path, &short, &t([Some(0); 4]), 10), None);

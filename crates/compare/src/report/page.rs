@@ -45,7 +45,10 @@ const JS: &str = concat!(
 
 /// The page: one file, the same for the same views.
 pub fn page(views: &[View], summaries: &Value) -> String {
-    let names: Vec<&str> = views.iter().map(|v| v.name.as_str()).collect();
+    let names: Vec<String> = match views {
+        [one] => one.summary.part_and_pipeline(&one.name),
+        several => several.iter().map(|v| v.name.clone()).collect(),
+    };
     let data = json!({
         "summary": summaries,
         "runs": views.iter().map(run_json).collect::<Vec<_>>(),
@@ -254,7 +257,7 @@ fn dwell_json(d: &Dwell) -> Value {
         "x_mm": axis(0),
         "y_mm": axis(1),
         "planned_s": floats(d.planned_s.iter().copied()),
-        "executed_s": floats(d.executed_s.iter().copied()),
+        "executed_s": d.executed_s.as_ref().map(|s| floats(s.iter().copied())),
         "total_error_s": d.total_error_s,
     })
 }

@@ -19,13 +19,14 @@ use std::{
 use clap::Args;
 use planish_handoff::{Failure, Status, warn, words};
 use planish_pipeline::definition::Definition;
+use planish_types::assumed_machine;
 
 use super::{
     claim::{Claim, Named},
     execute::{Programs, Said, as_typed},
     place::{Place, directory_name, name_of},
     run::end,
-    several::{Given, Silent, command, count, plain},
+    several::{Given, Silent, command, count, with_plain},
 };
 
 #[derive(Args)]
@@ -70,11 +71,10 @@ impl Campaign {
 /// Runs a campaign; its last table goes where `said` says.
 pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
     let place = Place::find()?;
-    let mut given = Given::new(words);
+    let mut given = Given::new(words)?;
     let setting =
         |given: &mut Given, name: &str, default: &str| given.take(name).unwrap_or(default.into());
-    let fixture = given.take("fixture");
-    let fixture = given.words.last().cloned().or(fixture).unwrap_or("coupon".into());
+    let fixture = given.take_fixture()?.unwrap_or("coupon".into());
     if given.get("export").is_some() {
         return Err(Failure::new("a campaign writes no programs; leave export out"));
     }
@@ -95,6 +95,8 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
     let seed = setting(&mut given, "seed", "1");
     let least_gain_percent = setting(&mut given, "least_gain_percent", "5");
     let is_own = surface.is_some() || tif.is_some();
+    let is_users =
+        is_own || ["form", "varying"].iter().any(|name| given.get(name).is_some_and(|v| !v.is_empty()));
     let name = match &surface {
         Some(map) => name_of(&std::path::absolute(map)?),
         None => fixture.clone(),
@@ -107,9 +109,11 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
             "error_budget {error_budget} is no file; give the errors of the virtual machine (docs/tolerance.md)"
         )));
     }
-    let settings = [plain(&definition), given.settings.clone()].concat();
+    let settings = with_plain(&definition, &given);
     let scope = place.settings(&definition, &settings)?;
     let machine = scope.text("machine").map_err(Failure::new)?;
+    let assumed_name = if is_users { given.assumed_machine(&machine)? } else { None };
+    let assumed_machine = assumed_name.as_deref().map(assumed_machine);
     let recipe = format!("{}fixtures/{fixture}.json", place.repository());
     let claim = Claim {
         out: out.clone().into(),
@@ -128,7 +132,7 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
         .collect(),
     };
     let (_lock, assumed) = claim.take(&as_typed())?;
-    assumed.into_iter().for_each(warn);
+    assumed.iter().chain(&assumed_machine).for_each(warn);
     let mut course = Course {
         silent: Silent::new(&place)?,
         definition: &definition,
@@ -151,8 +155,10 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
         course.quiet("planish-fixture", &[&recipe, "--out", &to, "--force"])?;
     }
     course.run()?;
-    let report = course.report(&name);
-    Programs::new(&place, said)?.run(&report)
+    let report = course.report(&name, assumed_name.as_deref());
+    let code = Programs::new(&place, said)?.run(&report)?;
+    assumed_machine.iter().for_each(warn);
+    Ok(code)
 }
 
 impl Course<'_> {
@@ -366,20 +372,13 @@ impl Course<'_> {
     }
 
     /// The command that makes the page of the campaign.
-    fn report(&self, name: &str) -> planish_pipeline::walk::Command {
+    fn report(&self, name: &str, assumed_machine: Option<&str>) -> planish_pipeline::walk::Command {
         let (runs, mirror) = (format!("--runs={}", self.runs), format!("--mirror={name}"));
         let out = format!("{}/report", self.out);
-        let flags = [
-            "report",
-            &self.out,
-            "--surface",
-            &self.surface,
-            &runs,
-            &mirror,
-            "--out",
-            &out,
-            "--force",
-        ];
+        let assumed = assumed_machine.map(|name| format!("--assumed-machine={name}"));
+        let mut flags = vec!["report", &self.out, "--surface", &self.surface, &runs, &mirror];
+        flags.extend(assumed.as_deref());
+        flags.extend(["--out", &out, "--force"]);
         command("planish-campaign", &flags)
     }
 }

@@ -3,10 +3,11 @@
 use std::path::Path;
 
 use clap::Args;
-use planish_handoff::{Failure, Status};
+use planish_handoff::{Failure, Status, warn};
+use planish_pipeline::scope::Words;
 
 use super::{
-    execute::{Programs, Said, run},
+    execute::{Programs, Said, assumed_machine, run},
     place::{Place, directory_name},
     run::end,
     several::{Given, command, no_flag},
@@ -32,10 +33,13 @@ pub struct Compare {
 impl Compare {
     pub fn run(&self) -> Result<Status, Failure> {
         let place = Place::find()?;
-        let mut given = Given::new(&self.words);
-        let fixture = match given.words.is_empty() {
-            true => default_fixture(&place)?,
-            false => given.words.remove(0),
+        let mut given = Given::new(&self.words)?;
+        if given.get("export").is_some() {
+            return Err(Failure::new("a comparison writes no programs; leave export out"));
+        }
+        let fixture = match given.take_fixture()? {
+            None => default_fixture(&place)?,
+            Some(fixture) => fixture,
         };
         let fixture = fixture.as_str();
         let skip = given.take("skip").unwrap_or_default();
@@ -43,7 +47,7 @@ impl Compare {
             .take_path("out")
             .unwrap_or_else(|| format!("{}out/compare/{}", place.home(), directory_name(fixture)));
         let tif = given.get("tif").map(|path| no_flag(&path)).unwrap_or_default();
-        let settings = [given.settings, given.words].concat();
+        let settings = given.settings;
         let is_all = fixture == "all";
         if !is_all && !skip.is_empty() {
             return Err(Failure::new(
@@ -61,6 +65,7 @@ impl Compare {
         }
         let mut runs = Vec::new();
         let mut code = 0;
+        let (mut assumed, mut assumed_text) = (Vec::new(), None);
         for mirror in &mirrors {
             for path in PATHS {
                 let at =
@@ -72,10 +77,13 @@ impl Compare {
                 ];
                 let definition = place.definition(path)?;
                 let scope = place.scope(&definition, &own.concat())?;
-                match run(&place, scope, "compare", Said::Shown)?.code {
-                    ended @ 0..=1 => code |= ended,
-                    ended => return end(ended),
+                let ended = run(&place, scope, "compare", Said::Shown)?;
+                match ended.code {
+                    one @ 0..=1 => code |= one,
+                    other => return end(other),
                 }
+                assumed_text = assumed_machine(&ended.scope)?;
+                assumed = ended.scope.words("assumed", &Words::new()).map_err(Failure::new)?;
                 runs.push(at);
             }
         }
@@ -92,10 +100,10 @@ impl Compare {
                 flags.extend([format!("--mirror={fixture}"), "--tif".into(), tif]);
             }
         }
+        flags.extend(assumed);
         flags.extend(["--out".into(), format!("{out}/report"), "--force".into()]);
-        match Programs::new(&place, Said::Shown)?.run(&command("planish-compare", &flags))? {
-            0 => end(code),
-            ended => end(ended),
-        }
+        let ended = Programs::new(&place, Said::Shown)?.run(&command("planish-compare", &flags))?;
+        assumed_text.iter().for_each(warn);
+        end(if ended == 0 { code } else { ended })
     }
 }

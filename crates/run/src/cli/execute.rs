@@ -1,18 +1,25 @@
 //! Execution of the steps of a stage: every command is printed before it runs, and one place decides on exit codes.
 
 use std::{
+    collections::BTreeMap,
     env, ffi,
     fs::{self, File},
     io::{self, Read, Write},
     path::{Path, PathBuf},
     process::{Command as Process, ExitStatus, Stdio},
+    time::Instant,
 };
 
-use planish_handoff::{Failure, Running, say, stage_command, words};
+use planish_handoff::{
+    Failure, Inputs, Running,
+    from_run::{REHEARSAL, SETTINGS_OF_FLAGS},
+    say, stage_command, words,
+};
 use planish_pipeline::{
-    scope::Scope,
+    scope::{Origins, Scope, Words},
     walk::{Command, Step, Walk},
 };
+use planish_types::{ControllerKind, ToolPath};
 
 use super::{
     claim::{Claim, Named, refuse_special},
@@ -27,6 +34,13 @@ const MESSAGE: &str = "message.txt";
 
 /// Code of a process that a signal ended. No stage has it.
 const KILLED: u8 = 128;
+
+/// Programs that make mirror, tool and tool path. Those that come after them may take hours.
+const SHORT: [&str; 4] = ["planish-fixture", "planish-import", "planish-surface", "planish-toolpath"];
+
+/// Programs that are not tried before the run: they read a whole run, or a large file that the first stage reads anyway.
+const NOT_REHEARSED: [&str; 4] =
+    ["planish-run", "planish-compare", "planish-fixture", "planish-import"];
 
 /// Destination of the messages of a run.
 pub enum Said {
@@ -97,9 +111,29 @@ impl Programs {
         Ok((!status.success()).then_some(said))
     }
 
+    /// Runs a command up to where its work begins. `run` is the directory of the run, and `made` the paths in it that are
+    /// there already. Returns what the command said if it refuses its flags or its inputs.
+    fn rehearsal(
+        &self,
+        command: &Command,
+        run: &str,
+        made: &[String],
+    ) -> Result<Option<String>, Failure> {
+        let mut process = self.process(command);
+        let paths = [&[run.to_string()], made].concat().join("\n");
+        process.env(REHEARSAL, paths).stdin(Stdio::null()).stdout(Stdio::null());
+        let (status, said) = self.ended(command, heard(process.stderr(Stdio::piped())))?;
+        let said = String::from_utf8_lossy(&said).trim().to_string();
+        Ok(if code(status) == 2 { Some(said) } else { None })
+    }
+
     fn process(&self, command: &Command) -> Process {
         let mut process = stage_command(&command.program, env::split_paths(&self.path));
         process.args(&command.arguments).env("PATH", &self.path);
+        let Origins { of_flag, more_flags } = &command.origins;
+        let more = more_flags.iter().map(|setting| format!("\t{setting}"));
+        let lines = of_flag.iter().map(|(flag, text)| format!("{flag}\t{text}")).chain(more);
+        process.env(SETTINGS_OF_FLAGS, lines.collect::<Vec<_>>().join("\n"));
         process
     }
 
@@ -170,11 +204,33 @@ pub fn run<'a>(
         named: Named::all(&scope)?,
     };
     let programs = Programs::new(place, said)?;
+    let assumed_machine = assumed_machine(&scope)?;
     let mut walk = Walk::new(scope, stage).map_err(Failure::new)?;
+    let mut rehearsed = Rehearsal::new(&walk.scope)?;
+    if !rehearsed.before_the_run(&programs, &walk)? {
+        return Ok(Ended { code: 2, scope: walk.scope });
+    }
     let (_lock, assumed) = claim.take(&as_typed())?;
-    assumed.iter().for_each(|text| programs.print(&format!("warning: {text}")));
+    for text in assumed.iter().chain(&assumed_machine) {
+        programs.print(&format!("warning: {text}"));
+    }
     let mut last = 0;
-    while let Some(step) = walk.step().map_err(Failure::new)? {
+    let mut took_s = BTreeMap::new();
+    loop {
+        let ahead = walk.clone();
+        let Some(step) = walk.step().map_err(Failure::new)? else { break };
+        if !rehearsed.before(&step, &programs, ahead)? {
+            last = 2;
+            break;
+        }
+        let program = match &step {
+            Step::Run(command) | Step::Attempt(_, command) => command.program.clone(),
+            _ => String::new(),
+        };
+        if let Some(estimate) = estimate_of_rounds(&program, &took_s) {
+            programs.print(&estimate);
+        }
+        let begun = Instant::now();
         last = match step {
             Step::Run(command) => match (programs.run(&command)?, command.may_be_negative) {
                 (0, _) | (1, true) => 0,
@@ -205,9 +261,13 @@ pub fn run<'a>(
                 0
             }
         };
+        took_s.insert(program, begun.elapsed().as_secs_f64());
         if last != 0 {
             break;
         }
+    }
+    if last < 2 && let Some(text) = assumed_machine {
+        programs.print(&format!("warning: {text}"));
     }
     Ok(Ended { code: last, scope: walk.scope })
 }
@@ -215,6 +275,150 @@ pub fn run<'a>(
 /// Command line of this process.
 pub fn as_typed() -> String {
     words::join(env::args_os().map(|word| word.to_string_lossy().into_owned()))
+}
+
+/// Numbers of rounds after which `planish-refine` ends: the usual least one, and its limit. Larger and smaller: longer and
+/// shorter estimates. Measured on the fixtures; the limit is that of the program.
+const ROUNDS: [f64; 2] = [10.0, 50.0];
+
+/// Least time of the closed loop that is told beforehand, s. Smaller: notes on runs that nobody waits for. Chosen.
+const TOLD_FROM_S: f64 = 60.0;
+
+/// Returns how long the closed loop will take, from the times of the programs that each of its rounds repeats, s; `None` for
+/// another program, and for a short loop.
+fn estimate_of_rounds(program: &str, took_s: &BTreeMap<String, f64>) -> Option<String> {
+    if program != "planish-refine" {
+        return None;
+    }
+    let repeated = ["planish-dwell", "planish-schedule", "planish-simulate"];
+    let round_s: f64 = repeated.iter().filter_map(|name| took_s.get(*name)).sum();
+    let [least_s, most_s] = ROUNDS.map(|rounds| rounds * round_s);
+    if least_s < TOLD_FROM_S {
+        return None;
+    }
+    Some(format!(
+        "note: the closed loop repeats dwell, schedule and simulate, which took {round_s:.0} s together, in {} to {} rounds: \
+         expect {:.0} to {:.0} minutes; refine=no leaves it out",
+        ROUNDS[0],
+        ROUNDS[1],
+        (least_s / 60.0).ceil(),
+        (most_s / 60.0).ceil()
+    ))
+}
+
+/// Returns the sentence on the machine of a pipeline that plans for a part or a tool of the user; `None` if the user named a
+/// machine.
+pub fn assumed_machine(scope: &Scope) -> Result<Option<String>, Failure> {
+    let text = |name: &str| scope.text(name).map_err(Failure::new);
+    let is_assumed = !scope.is_given("machine") && text("users")? == "yes";
+    let title = text("machine_title")?;
+    Ok(if is_assumed { Some(planish_types::assumed_machine(&title)) } else { None })
+}
+
+/// Trial of the commands to come, so that a mistake in a setting is found before the stages that take long: once before the
+/// run, and once when mirror, tool and tool path are there.
+struct Rehearsal {
+    /// Directory of the run.
+    out: String,
+    /// Paths that the run has made.
+    made: Vec<String>,
+    /// True when the second trial is over.
+    is_over: bool,
+}
+
+impl Rehearsal {
+    fn new(scope: &Scope) -> Result<Self, Failure> {
+        let out = scope.text("out").map_err(Failure::new)?;
+        Ok(Self { made: vec![format!("{out}/machine")], out, is_over: false })
+    }
+
+    /// Tries all commands when nothing is made. Returns false, and prints what is wrong, if one refuses.
+    fn before_the_run(&self, programs: &Programs, walk: &Walk) -> Result<bool, Failure> {
+        let mut ahead = walk.clone();
+        // The copy in the directory of the run is made later.
+        let machine = ahead.scope.words("machine", &Words::new()).map_err(Failure::new)?;
+        ahead.scope.set("limits", machine);
+        self.all(programs, ahead, &[])
+    }
+
+    /// Remembers what a step makes. Before the first long one, tries the commands `ahead`, which begin with it. Returns
+    /// false, and prints what is wrong, if one refuses.
+    fn before(
+        &mut self,
+        step: &Step,
+        programs: &Programs,
+        ahead: Walk,
+    ) -> Result<bool, Failure> {
+        let (Step::Run(command) | Step::Attempt(_, command)) = step else { return Ok(true) };
+        if self.is_over {
+            return Ok(true);
+        }
+        if SHORT.contains(&command.program.as_str()) {
+            let flag = command.arguments.iter().position(|word| word == "--out");
+            self.made.extend(flag.and_then(|at| command.arguments.get(at + 1)).cloned());
+            return Ok(true);
+        }
+        self.is_over = true;
+        if let Some(refusal) = cannot_switch_tool(&ahead)? {
+            programs.print(&format!("error: {refusal}"));
+            return Ok(false);
+        }
+        self.all(programs, ahead, &self.made)
+    }
+
+    /// Tries the commands of a walk that take flags from settings. One that a comparison may leave out is not tried.
+    fn all(&self, programs: &Programs, mut ahead: Walk, made: &[String]) -> Result<bool, Failure> {
+        while let Some(step) = ahead.step().map_err(Failure::new)? {
+            let command = match step {
+                Step::Run(command) => command,
+                Step::Choose { to, otherwise, .. } => {
+                    ahead.scope.set(&to, vec![otherwise]);
+                    continue;
+                }
+                _ => continue,
+            };
+            let Origins { of_flag, more_flags } = &command.origins;
+            let is_users = |(_, setting): &(String, String)| ahead.scope.is_given(setting);
+            let depends = more_flags.is_some() || of_flag.iter().any(is_users);
+            if !depends || NOT_REHEARSED.contains(&command.program.as_str()) {
+                continue;
+            }
+            if let Some(refusal) = programs.rehearsal(&command, &self.out, made)? {
+                programs.print(&refusal);
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+}
+
+/// Returns why the program of a run cannot follow its tool path: the path lifts the tool, and a program of this controller
+/// does not switch it. `None` if the run writes no program, or if it can.
+fn cannot_switch_tool(walk: &Walk) -> Result<Option<String>, Failure> {
+    let text = |name: &str| walk.scope.text(name).map_err(Failure::new);
+    let export = text("export")?;
+    let Some(kind) = ControllerKind::named(&export) else { return Ok(None) };
+    let machine = Inputs::new().read_machine(Path::new(&text("machine")?))?;
+    let words = walk.scope.words("export_settings", &Words::new()).map_err(Failure::new)?;
+    let gives = |flag: &str| words.iter().any(|word| word.split('=').next() == Some(flag));
+    if machine.controller_for(kind).switches_tool || gives("--always-on") || gives("--tool-output") {
+        return Ok(None);
+    }
+    let path = text("tool_path")?;
+    if !Path::new(&path).exists() {
+        return Ok(None);
+    }
+    let path: ToolPath = Inputs::new().read("tool-path", Path::new(&path))?;
+    let lifted = path.tool_on().iter().filter(|on| !**on).count();
+    if lifted == 0 {
+        return Ok(None);
+    }
+    Ok(Some(format!(
+        "export={export}: the tool path lifts the tool on {lifted} of its {} segments, and a {export} program cannot switch \
+         it. Give export_settings=--always-on (the tool then removes there too), export=csv, export=gcode, or export=pmac \
+         with export_settings=\"--tool-output M\"",
+        path.len()
+    )))
 }
 
 /// Runs a command that may refuse: its message then stands in the place of what it makes.
@@ -319,4 +523,22 @@ fn forget(artifact: &Path) -> Result<(), Failure> {
     }
     let _ = fs::remove_dir(artifact);
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_closed_loop_is_told_beforehand() {
+        let times = |dwell_s: f64| {
+            let times = [("planish-dwell", dwell_s), ("planish-schedule", 1.0), ("planish-simulate", 2.0)];
+            BTreeMap::from(times.map(|(name, s)| (name.to_string(), s)))
+        };
+        // 10 and 50 rounds of 93 s are 15.5 and 77.5 minutes.
+        let told = estimate_of_rounds("planish-refine", &times(90.0)).unwrap();
+        assert!(told.contains("93 s together") && told.contains("expect 16 to 78 minutes"), "{told}");
+        assert_eq!(estimate_of_rounds("planish-refine", &times(2.0)), None);
+        assert_eq!(estimate_of_rounds("planish-joint", &times(90.0)), None);
+    }
 }

@@ -13,6 +13,7 @@ use std::path::Path;
 
 use clap::Args;
 use planish_handoff::{Failure, Status, say, warn, words};
+use planish_types::assumed_machine;
 
 use super::{
     campaign::specified,
@@ -20,7 +21,7 @@ use super::{
     execute::{Programs, Said, as_typed},
     place::{Place, directory_name, name_of},
     run::end,
-    several::{Given, Silent, command, is_directory, plain},
+    several::{Given, Silent, command, is_directory, with_plain},
 };
 
 /// Remedy for a setting that is not given.
@@ -103,7 +104,7 @@ impl Last {
 impl NextRun {
     pub fn run(&self) -> Result<Status, Failure> {
         let place = Place::find()?;
-        let mut given = Given::new(&self.settings);
+        let mut given = Given::new(&self.settings)?;
         let last = Last::take(&mut given)?;
         let definition =
             place.definition_of_plans(&given.take("pipeline").unwrap_or("raster".into()))?;
@@ -115,9 +116,10 @@ impl NextRun {
             let after = std::path::absolute(&last.after).unwrap_or_default();
             format!("{}out/next-run/{}", place.home(), directory_name(&name_of(&after)))
         });
-        let settings = [plain(&definition), given.settings.clone()].concat();
+        let settings = with_plain(&definition, &given);
         let scope = place.settings(&definition, &settings)?;
         let machine = scope.text("machine").map_err(Failure::new)?;
+        let assumed_machine = given.assumed_machine(&machine)?.map(|name| assumed_machine(&name));
         let name = Path::new(&machine).file_name().unwrap_or_default().to_string_lossy();
         let limits = format!("{out}/machine/{name}");
         let claim = Claim {
@@ -137,7 +139,7 @@ impl NextRun {
             .collect(),
         };
         let (_lock, assumed) = claim.take(&as_typed())?;
-        assumed.into_iter().for_each(warn);
+        assumed.iter().chain(&assumed_machine).for_each(warn);
         let next = Next {
             programs: Programs::new(&place, Said::Shown)?,
             is_specified: given.get("specification").is_some_and(|file| !file.is_empty()),
@@ -157,7 +159,9 @@ impl NextRun {
         next.decide(&planned)?;
         let method = format!("plan/methods/{planned}");
         let verdict = ["verdict", "--run", &next.out, "--plan", "plan", "--plan", &method];
-        end(next.programs.run(&command("planish-run", &verdict))?)
+        let code = next.programs.run(&command("planish-run", &verdict))?;
+        assumed_machine.iter().for_each(warn);
+        end(code)
     }
 }
 

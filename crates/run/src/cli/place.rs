@@ -144,7 +144,9 @@ impl Place {
         let mut scope = self.settings(definition, settings)?;
         scope.check().map_err(Failure::new)?;
         let machine = PathBuf::from(scope.text("machine").map_err(Failure::new)?);
-        let kinematics = match Inputs::new().read_machine(&machine)?.kinematics() {
+        let read = Inputs::new().read_machine(&machine)?;
+        scope.set("machine_title", vec![read.name().into()]);
+        let kinematics = match read.kinematics() {
             Kinematics::Xy => "xy",
             Kinematics::Xyz => "xyz",
             Kinematics::Tilts { .. } => "xyz-tilts",

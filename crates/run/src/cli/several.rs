@@ -2,14 +2,19 @@
 //! no stages of a pipeline, and runs in silence.
 
 use std::{
+    collections::BTreeMap,
     fs::File,
     io::{self, Read, Seek},
     path::Path,
     sync::atomic::{AtomicUsize, Ordering},
 };
 
-use planish_handoff::Failure;
-use planish_pipeline::{definition::Definition, scope::Scope, walk::Command};
+use planish_handoff::{Failure, Inputs};
+use planish_pipeline::{
+    definition::Definition,
+    scope::{Origins, Scope, refuse_second},
+    walk::Command,
+};
 
 use super::{
     execute::{Ended, Programs, Said, run},
@@ -25,22 +30,50 @@ pub struct Given {
 }
 
 impl Given {
-    /// The words of a command line.
-    pub fn new(words: &[String]) -> Self {
-        let (settings, words) = words.iter().cloned().partition(|word: &String| word.contains('='));
-        Self { settings, words }
+    /// The words of a command line. Refuses a setting that is given twice.
+    pub fn new(words: &[String]) -> Result<Self, Failure> {
+        let (settings, words): (Vec<String>, _) =
+            words.iter().cloned().partition(|word: &String| word.contains('='));
+        let mut seen = BTreeMap::new();
+        for (name, value) in settings.iter().filter_map(|word| word.split_once('=')) {
+            let first = seen.insert(name, value).map(String::from);
+            refuse_second(first, name, value).map_err(Failure::new)?;
+        }
+        Ok(Self { settings, words })
     }
 
-    /// The last value of a setting that is not for the pipelines, if it is given.
+    /// Returns the fixture that is named by a word, or as `fixture=NAME`. Refuses two of them.
+    pub fn take_fixture(&mut self) -> Result<Option<String>, Failure> {
+        let given = self.take("fixture");
+        let named = given.iter().chain(&self.words).cloned().collect::<Vec<_>>();
+        self.words.clear();
+        match &named[..] {
+            [] => Ok(None),
+            [one] => Ok(Some(one.clone())),
+            [first, second, ..] => Err(Failure::new(format!(
+                "'{second}' is one word too many beside '{first}'; give one fixture, and settings as NAME=VALUE"
+            ))),
+        }
+    }
+
+    /// Returns the name of the machine that is used for a part or a tool of the user; `None` if the user named the machine.
+    pub fn assumed_machine(&self, machine: &str) -> Result<Option<String>, Failure> {
+        if self.get("machine").is_some() {
+            return Ok(None);
+        }
+        Ok(Some(Inputs::new().read_machine(Path::new(machine))?.name().into()))
+    }
+
+    /// The value of a setting that is not for the pipelines, if it is given.
     pub fn take(&mut self, name: &str) -> Option<String> {
         let found = self.get(name);
         self.settings.retain(|word| word.split_once('=').is_none_or(|(key, _)| key != name));
         found
     }
 
-    /// The last value of a setting.
+    /// The value of a setting.
     pub fn get(&self, name: &str) -> Option<String> {
-        let values = self.settings.iter().rev().filter_map(|word| word.split_once('='));
+        let values = self.settings.iter().filter_map(|word| word.split_once('='));
         values.filter(|(key, _)| *key == name).map(|(_, value)| value.to_string()).next()
     }
 
@@ -58,7 +91,8 @@ pub fn no_flag(path: &str) -> String {
 /// A command with arguments of which none is taken apart.
 pub fn command<S: AsRef<str>>(program: &str, arguments: &[S]) -> Command {
     let arguments = arguments.iter().map(|word| word.as_ref().to_string()).collect();
-    Command { program: program.into(), arguments, may_be_negative: true, is_quiet: false }
+    let (may_be_negative, is_quiet, origins) = (true, false, Origins::default());
+    Command { program: program.into(), arguments, may_be_negative, is_quiet, origins }
 }
 
 /// Runs whose plans are made in silence: what they say is shown if one of them fails.
@@ -125,15 +159,16 @@ pub fn log() -> Result<File, Failure> {
     Ok(file)
 }
 
-/// Settings of a plan among several: no pictures, and no plan whose times allow for no errors.
-pub fn plain(definition: &Definition) -> Vec<String> {
+/// Settings of a plan among several: without others by the user no pictures, and no plan whose times allow for no errors.
+pub fn with_plain(definition: &Definition, given: &Given) -> Vec<String> {
     let known = |name: &str| definition.settings.iter().any(|setting| setting.name == name);
-    let wanted = [("frames", "0"), ("plan_joint", "no")];
-    wanted
-        .iter()
-        .filter(|(name, _)| known(name))
-        .map(|(name, value)| format!("{name}={value}"))
-        .collect()
+    let mut settings = given.settings.clone();
+    for (name, value) in [("frames", "0"), ("plan_joint", "no")] {
+        if known(name) && given.get(name).is_none() {
+            settings.push(format!("{name}={value}"));
+        }
+    }
+    settings
 }
 
 /// A whole number from 1 to `most`, without zeros or a sign before it.

@@ -22,7 +22,7 @@ pub struct CampaignSpread {
 impl CampaignSpread {
     pub fn run(&self) -> Result<Status, Failure> {
         let place = Place::find()?;
-        let mut given = Given::new(&self.words);
+        let mut given = Given::new(&self.words)?;
         if given.get("seed").is_some() {
             return Err(Failure::new(
                 "every campaign has a seed of its own; give seeds=N, how many",
@@ -30,7 +30,8 @@ impl CampaignSpread {
         }
         let seeds = count("seeds", &given.take("seeds").unwrap_or("20".into()), 999)?;
         let surface = given.get("surface").map(|path| name_of(path.as_ref()));
-        let mirror = surface.or(given.words.last().cloned()).or(given.get("fixture"));
+        let fixture = given.take_fixture()?;
+        let mirror = surface.or(fixture.clone());
         let out = given.take_path("out").unwrap_or_else(|| {
             let mirror = mirror.unwrap_or("coupon".into());
             format!("{}out/campaign-spread/{}", place.home(), directory_name(&mirror))
@@ -38,7 +39,7 @@ impl CampaignSpread {
         let mut reports = vec!["spread".to_string()];
         for seed in 1..=seeds {
             let own = [format!("seed={seed}"), format!("out={out}/{seed}")];
-            let words = [&given.words[..], &given.settings[..], &own].concat();
+            let words = [fixture.as_slice(), &given.settings[..], &own].concat();
             let code = campaign(&words, Said::Kept(log()?))?;
             if code != 0 {
                 return end(code);

@@ -7,11 +7,11 @@ use std::{
 };
 
 use clap::Args;
-use planish_handoff::{Failure, Status, kind::MANIFEST, read_regular, say};
+use planish_handoff::{Failure, Status, kind::MANIFEST, read_regular, say, warn};
 use serde_json::Value;
 
 use super::{
-    execute::{Programs, Said},
+    execute::{Programs, Said, assumed_machine},
     place::{Place, name_of},
     run::end,
     several::{Given, Silent, command},
@@ -31,7 +31,7 @@ pub struct Tolerance {
 impl Tolerance {
     pub fn run(&self) -> Result<Status, Failure> {
         let place = Place::find()?;
-        let mut given = Given::new(&self.words);
+        let mut given = Given::new(&self.words)?;
         let is_reference = given.words.iter().any(|word| word == REFERENCE);
         let mut pipelines: Vec<&str> =
             given.words.iter().map(String::as_str).filter(|word| *word != REFERENCE).collect();
@@ -58,11 +58,13 @@ impl Tolerance {
             }
         }
         let mut ranks = Vec::new();
+        let mut assumed = None;
         for pipeline in &pipelines {
             let definition = place.definition(pipeline)?;
             let at = format!("{out}/{pipeline}");
             let settings = [given.settings.clone(), vec![format!("out={at}")]].concat();
             let scope = Silent::new(&place)?.pipeline(&definition, &settings)?.scope;
+            assumed = assumed_machine(&scope)?;
             let text = |name: &str| scope.text(name).map_err(Failure::new);
             let trajectory = format!("{}/{}/trajectory", text("methods")?, text("exported")?);
             let own = format!("{at}/tolerance");
@@ -86,6 +88,7 @@ impl Tolerance {
         for (below_nm, pipeline) in ranks {
             say(format!("{below_nm:10.4} nm  {pipeline}"));
         }
+        assumed.iter().for_each(warn);
         Ok(Status::Done)
     }
 }

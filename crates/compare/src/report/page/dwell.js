@@ -2,7 +2,7 @@
 
 function dwellContent(entry, kind) {
   const d = entry && entry.dwell();
-  if (!d) return null;
+  if (!d || !d[kind]) return null;
   const values = d[kind], error = kind === "error";
   const table = error ? HEIGHT_BINS : SPEED, n = table.length;
   const reach = error ? Math.max(1e-6, values.reduce((m, v) => Math.max(m, Math.abs(v)), 0)) : Math.max(1e-9, quantile(values, 0.99));
@@ -31,7 +31,8 @@ function dwellContent(entry, kind) {
     read() {
       if (!state.pointer) return `${d.x.length} points`;
       const i = nearest(d, state.pointer).index;
-      return `point ${i * entry.method.dwell.every}: planned ${number(d.planned[i], 5)} s, executed ${number(d.executed[i], 5)} s, difference ${number(d.error[i], 3)} s`;
+      const point = `point ${i * entry.method.dwell.every}: planned ${number(d.planned[i], 5)} s`;
+      return !d.executed ? point : `${point}, executed ${number(d.executed[i], 5)} s, difference ${number(d.error[i], 3)} s`;
     },
   };
 }

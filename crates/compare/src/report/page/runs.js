@@ -36,10 +36,10 @@ function entryOf(run, method) {
     dwell: once(() => {
       const d = method.dwell;
       if (!d) return null;
-      const planned = floats(d.planned_s), executed = floats(d.executed_s);
+      const planned = floats(d.planned_s), executed = d.executed_s && floats(d.executed_s);
       const x = unpack(d.x_mm), y = unpack(d.y_mm);
       const gap = quantile(x.slice(1).map((v, i) => Math.hypot(v - x[i], y[i + 1] - y[i])), 0.5);
-      return { x, y, gap, planned, executed, error: executed.map((v, i) => v - planned[i]) };
+      return { x, y, gap, planned, executed, error: executed && executed.map((v, i) => v - planned[i]) };
     }),
     frames: frames && { time: frames.time_s, values: once(() => unpack(frames.residual_nm)), frame: frames },
     total: doubles(method.ranges.end_s).at(-1),

@@ -17,7 +17,9 @@ function showMethod(a, b) {
     : "No frames for this method: planish-simulate --frames N writes them to methods/<method>/frames; the tool moves all the same.";
   const d = A().method.dwell;
   byId("dwell-section").hidden = !d;
-  if (d) byId("dwell-note").textContent = `Time at every dwell point as planned, and what the motion takes there instead; differences add up to ${number(d.total_error_s)} s.`;
+  if (d) byId("dwell-note").textContent = d.executed_s
+    ? `Time at every dwell point as planned, and what the motion takes there instead; differences add up to ${number(d.total_error_s)} s.`
+    : "Time at every dwell point, as the plan of this program has it. A program names no dwell points, so the times of its motion there are not known.";
   fillBands();
   fillPlaces();
   hintTables();

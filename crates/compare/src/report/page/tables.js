@@ -70,7 +70,8 @@ function fillSummary() {
   }
   byId("heading").textContent = RUNS.map((r) => {
     const s = r.summary;
-    const name = [r.name, s.pipeline, s.fixture].filter((n, i, all) => n && all.indexOf(n) === i).join(", ");
+    const words = RUNS.length > 1 || !s.fixture ? [r.name, s.pipeline, s.fixture] : [s.fixture, s.pipeline];
+    const name = words.filter((n, i, all) => n && all.indexOf(n) === i).join(", ");
     return `${name}: ${number(s.initial.rms_nm)} nm RMS, ${number(s.initial.pv_nm)} nm PV before`;
   }).join(". ") + ".";
   for (const r of RUNS) {

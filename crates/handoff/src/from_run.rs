@@ -1,0 +1,100 @@
+//! Environment variables in which `planish-run` tells a program that it starts how a user sees its flags.
+//!
+//! [`SETTINGS_OF_FLAGS`] has a line for each flag: the flag, a tab, and the setting that a user gives in its place. A line
+//! without a flag names the setting that takes all other flags of the program. Messages then name the settings.
+//!
+//! [`REHEARSAL`] makes the program end with exit code 0 where it would begin its work, or needs an input that is still to
+//! be made. Until then it checks its flags and the inputs that are there. The first line is the directory of the run; the
+//! other lines are the paths in it that are made already.
+
+use std::{borrow::Cow, env, path::Path, process::exit};
+
+use crate::inputs::is_within;
+
+/// Name of the variable with the settings behind the flags.
+pub const SETTINGS_OF_FLAGS: &str = "PLANISH_SETTINGS_OF_FLAGS";
+
+/// Name of the variable of a rehearsal.
+pub const REHEARSAL: &str = "PLANISH_REHEARSAL";
+
+/// Flags of every program, which no setting holds.
+const OF_EVERY_PROGRAM: [&str; 2] = ["--help", "--version"];
+
+/// Returns true if the program only checks its flags and the inputs that are there.
+pub fn is_rehearsal() -> bool {
+    env::var_os(REHEARSAL).is_some()
+}
+
+/// Ends a rehearsal with exit code 0 where the work of the program would begin.
+pub(crate) fn before_the_work() {
+    if is_rehearsal() {
+        exit(0)
+    }
+}
+
+/// Ends a rehearsal with exit code 0 if the input at `path` is still to be made.
+pub(crate) fn before_reading(path: &Path) {
+    let Ok(told) = env::var(REHEARSAL) else { return };
+    let mut lines = told.lines().map(Path::new);
+    let is_of_run = lines.next().is_some_and(|run| is_within(path, run));
+    if is_of_run && !lines.any(|made| is_within(path, made)) {
+        exit(0)
+    }
+}
+
+/// Returns a message in which settings stand for the flags, where [`SETTINGS_OF_FLAGS`] names them.
+pub(crate) fn in_settings(message: &str) -> Cow<'_, str> {
+    match env::var(SETTINGS_OF_FLAGS) {
+        Ok(settings) => Cow::Owned(with_settings(message, &settings)),
+        Err(_) => Cow::Borrowed(message),
+    }
+}
+
+fn with_settings(message: &str, settings: &str) -> String {
+    let mut text = String::new();
+    let mut rest = message;
+    while let Some((before, after)) = rest.split_once("--") {
+        text += before;
+        let is_name = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
+        let end = after.find(|c| !is_name(c)).unwrap_or(after.len());
+        let flag = format!("--{}", &after[..end]);
+        let begins = text.chars().next_back().is_none_or(|c| c.is_whitespace() || "'\"`(,".contains(c));
+        text += &match begins && end > 0 {
+            true => setting_of(&flag, settings).unwrap_or(flag),
+            false => flag,
+        };
+        rest = &after[end..];
+    }
+    text + rest
+}
+
+/// Returns what a user gives in the place of a flag; `None` if it is the flag of no setting.
+fn setting_of(flag: &str, settings: &str) -> Option<String> {
+    let lines = || settings.lines().filter_map(|line| line.split_once('\t'));
+    let named = lines().find(|(known, _)| *known == flag).map(|(_, setting)| setting.to_string());
+    let more = || lines().find(|(known, _)| known.is_empty());
+    let other = || more().filter(|_| !OF_EVERY_PROGRAM.contains(&flag));
+    named.or_else(|| other().map(|(_, setting)| format!("{setting}={flag}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_message_names_the_settings_behind_its_flags() {
+        let settings = "--always-on\texport_settings=--always-on\n--machine\tmachine\n--trajectory\t--trajectory\n\
+                        \texport_settings";
+        for (message, told) in [
+            ("--always-on: no", "export_settings=--always-on: no"),
+            ("give '--count-mm' (or --machine)", "give 'export_settings=--count-mm' (or machine)"),
+            ("export_settings=--always-on -- and a--b", "export_settings=--always-on -- and a--b"),
+            ("--trajectory, try --help", "--trajectory, try --help"),
+            ("é --machine=x é", "é machine=x é"),
+            ("", ""),
+        ] {
+            assert_eq!(with_settings(message, settings), told, "{message}");
+        }
+        assert_eq!(with_settings("--a and --b", "--a\ta"), "a and --b");
+    }
+}
