@@ -255,8 +255,8 @@ impl Pieces<'_> {
         // Backwards in time, a point that arrives moves away.
         let mut p =
             moving(segment.coefficient_mm, u).map(|s| Series { first: sign * s.first, ..s });
-        let is_centre = self.turning.is_some()
-            && self.map.radius_mm([p[0].value, p[1].value]) < CENTRE_MM;
+        let is_centre =
+            self.turning.is_some() && self.map.radius_mm([p[0].value, p[1].value]) < CENTRE_MM;
         let start = if is_centre { Start::new(segment, u, sign) } else { None };
         if let Some(start) = &start {
             // Along this curve, as along the motion, the azimuth turns by half of second / first.

@@ -363,7 +363,9 @@ fn a_plan_that_starts_or_ends_in_the_centre_does_not_depend_on_rounding() {
         let velocities: Vec<[f64; 2]> = (0..=40).map(velocity).collect();
         through(&points, &velocities, 0.05)
     };
-    for (plan, angle_rad) in [(straight, (-0.5_f64).atan()), (slowly, (-0.5_f64).atan()), (spiral, 0.5)] {
+    for (plan, angle_rad) in
+        [(straight, (-0.5_f64).atan()), (slowly, (-0.5_f64).atan()), (spiral, 0.5)]
+    {
         let (axes, report) = motion(&plan, &machine, &plane(), &settings()).unwrap();
         assert!(exceeded(&axes, &machine).is_empty(), "{:?}", exceeded(&axes, &machine));
         let c_deg = axes.position(0, 0.0)[2];
@@ -404,7 +406,8 @@ fn the_largest_angle_to_the_normal_is_found_between_the_ends_of_segments() {
     }
     // A tool along z is off by the slope: at the far end of a pass that no segment of its own ends at.
     let xyz = fixture("ion-beam-xyz", |_| {});
-    let (_, report) = motion(&pass([-20.0, 0.0], [30.0, 0.0], 6.0), &xyz, &sphere, &settings()).unwrap();
+    let (_, report) =
+        motion(&pass([-20.0, 0.0], [30.0, 0.0], 6.0), &xyz, &sphere, &settings()).unwrap();
     assert!((report.off_normal_deg - 0.3_f64.asin().to_degrees()).abs() < 1e-3, "{report:?}");
 }
 

@@ -10,7 +10,8 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use planish_types::{
-    DwellTime, Invalid, Limits, Machine, PathDistance, Surface, Tif, ToolPath, Trajectory, Transform,
+    DwellTime, Invalid, Limits, Machine, PathDistance, Surface, Tif, ToolPath, Trajectory,
+    Transform,
 };
 
 use crate::{
@@ -297,7 +298,9 @@ impl NearPathArgs {
         if let Some(mm) = tolerance_mm.filter(|mm| !(mm.is_finite() && *mm >= 0.0)) {
             return Err(HandoffError::new(
                 Path::new("--max-path-distance-mm"),
-                format!("is {mm}; give the largest distance of the motion from its path, a finite number >= 0"),
+                format!(
+                    "is {mm}; give the largest distance of the motion from its path, a finite number >= 0"
+                ),
             ));
         }
         Ok(stated.map(|stated| stated.judged_by(tolerance_mm.unwrap_or(stated.tolerance_mm))))

@@ -58,7 +58,8 @@ fn with_settings(message: &str, settings: &str) -> String {
         let is_name = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
         let end = after.find(|c| !is_name(c)).unwrap_or(after.len());
         let flag = format!("--{}", &after[..end]);
-        let begins = text.chars().next_back().is_none_or(|c| c.is_whitespace() || "'\"`(,".contains(c));
+        let begins =
+            text.chars().next_back().is_none_or(|c| c.is_whitespace() || "'\"`(,".contains(c));
         text += &match begins && end > 0 {
             true => setting_of(&flag, settings).unwrap_or(flag),
             false => flag,

@@ -360,13 +360,19 @@ fn the_pull_to_the_floor_costs_at_most_a_hundredth() {
         assert_eq!((plan.report.end, &plan.refused), (End::Optimal, &None));
         // The product that is stationary at a plan with the elasticity 0.5.
         let rms = plan.removal.residual().statistics().rms;
-        (plan.report.pull_part, rms * rms * plan.trajectory.total_time_s().sqrt(), plan.report.tikhonov)
+        (
+            plan.report.pull_part,
+            rms * rms * plan.trajectory.total_time_s().sqrt(),
+            plan.report.tikhonov,
+        )
     };
     for (name, path) in [("raster", raster()), ("meander", meander())] {
         let (fixed, ..) = of(&path, Some(1e-5));
         let (part, product, tikhonov) = of(&path, None);
         let (_, least, _) = of(&path, Some(1e-2 * tikhonov));
-        println!("{name}: pull {fixed:.2e} at 1e-5, {part:.2e} at {tikhonov:.1e}; {product:.5} and {least:.5}");
+        println!(
+            "{name}: pull {fixed:.2e} at 1e-5, {part:.2e} at {tikhonov:.1e}; {product:.5} and {least:.5}"
+        );
         assert!(fixed > 0.02, "{name}: {fixed}");
         assert!(part <= 0.01, "{name}: {part}");
         // The pull of a hundredth, and twice the gap of 1e-3 at which a plan ends.

@@ -600,7 +600,10 @@ fn a_wrong_setting_is_named_with_the_remedy_and_nothing_runs() {
         (&["next-run", "before=none"], "before none is not there"),
         (&["compare", "coupon", "skip=x"], "leave it out for one mirror"),
         (&["tolerance", "foo"], "'foo' is no pipeline and no setting"),
-        (&["run", "raster", "pitch_mm=2", "pitch_mm=3"], "pitch_mm is given twice, as '2' and as '3'"),
+        (
+            &["run", "raster", "pitch_mm=2", "pitch_mm=3"],
+            "pitch_mm is given twice, as '2' and as '3'",
+        ),
         (&["stage", "raster", "path", "out=a", "out=a"], "out is given twice, as 'a' and as 'a'"),
         (&["compare", "coupon", "pitch_mm=2", "pitch_mm=3"], "pitch_mm is given twice"),
         (&["compare", "coupon", "disk"], "'disk' is one word too many beside 'coupon'"),
@@ -625,7 +628,9 @@ fn a_program_for_an_own_part_needs_a_machine_that_somebody_named() {
     let own = ["surface=mirror", "tif=tool"];
     let quick = ["refine=no", "plan_joint=no", "frames=0", "out=o"];
     let remedy = "Give machine=FILE with the limits of your machine";
-    for pipeline in ["raster", "maze", "spiral", "multi-pitch", "random-adaptive", "bspline", "trig-spline"] {
+    for pipeline in
+        ["raster", "maze", "spiral", "multi-pitch", "random-adaptive", "bspline", "trig-spline"]
+    {
         let settings = [&["run", pipeline, "export=galil", "out=o"], &own[..]].concat();
         let (ended, log) = recorded(dir.path(), &settings);
         refused(&ended, &["export=galil writes a program for the machine", remedy]);
@@ -643,7 +648,8 @@ fn a_program_for_an_own_part_needs_a_machine_that_somebody_named() {
     let (ended, log) = recorded(dir.path(), &settings);
     let text = message(&ended);
     assert_eq!(ended.status.code(), Some(0), "{text}");
-    let warning = "warning: no machine was named, so this is planned for ion-beam, a machine of the fixtures";
+    let warning =
+        "warning: no machine was named, so this is planned for ion-beam, a machine of the fixtures";
     let lines: Vec<&str> = text.lines().filter(|line| !line.starts_with("planish-")).collect();
     assert!(lines[0].starts_with(warning) && lines[lines.len() - 1].starts_with(warning), "{text}");
     let report = log.iter().find(|line| line.starts_with("planish-compare<report>")).unwrap();
@@ -651,7 +657,8 @@ fn a_program_for_an_own_part_needs_a_machine_that_somebody_named() {
     // With a machine of the user, and on a mirror of the fixtures, nothing is said.
     for named in [&["machine=machine.json"][..], &["fixture=coupon"]] {
         let own = if named[0].starts_with("machine") { &own[..] } else { &[] };
-        let settings = [&["run", "raster"], named, own, &quick[..3], &["out=p", "export=csv"]].concat();
+        let settings =
+            [&["run", "raster"], named, own, &quick[..3], &["out=p", "export=csv"]].concat();
         let (ended, log) = recorded(dir.path(), &settings);
         assert!(!message(&ended).contains("no machine was named"), "{}", message(&ended));
         assert!(log.iter().all(|line| !line.contains("assumed-machine")), "{log:?}");
@@ -664,7 +671,8 @@ fn a_mistake_in_a_late_stage_is_found_before_the_run_and_names_the_setting() {
     let dir = bench();
     recorders(dir.path());
     fs::write(dir.path().join("codes/planish-export.rehearsed"), "2").unwrap();
-    let own = ["fixture=coupon", "out=o", "export=galil", "export_settings=--always-on --count-mm=1"];
+    let own =
+        ["fixture=coupon", "out=o", "export=galil", "export_settings=--always-on --count-mm=1"];
     let (ended, log) = recorded(dir.path(), &[&QUICK[..], &own].concat());
     let text = message(&ended);
     assert_eq!(ended.status.code(), Some(2), "{text}");
@@ -680,7 +688,9 @@ fn a_mistake_in_a_late_stage_is_found_before_the_run_and_names_the_setting() {
     }
     assert!(log.is_empty() && !dir.path().join("o").exists(), "{log:?}");
     let rehearsed = fs::read_to_string(dir.path().join("rehearsed")).unwrap();
-    assert!(rehearsed.contains("planish-export galil") && rehearsed.contains("--machine machine.json"));
+    assert!(
+        rehearsed.contains("planish-export galil") && rehearsed.contains("--machine machine.json")
+    );
     // One that passes is tried again when mirror, tool and tool path are there, and then the run begins.
     fs::remove_file(dir.path().join("codes/planish-export.rehearsed")).unwrap();
     fs::remove_file(dir.path().join("rehearsed")).unwrap();
@@ -720,7 +730,8 @@ fn no_setting_names_an_input_inside_of_the_output() {
     recorders(dir.path());
     let at = |name: &str| dir.path().join(name);
     fs::create_dir_all(at("o/tool_path")).unwrap();
-    fs::write(at("o/run.json"), r#"{"pipeline":"compare-dwell","mirror":{"fixture":"coupon"}}"#).unwrap();
+    fs::write(at("o/run.json"), r#"{"pipeline":"compare-dwell","mirror":{"fixture":"coupon"}}"#)
+        .unwrap();
     for file in ["point_mm.npy", "manifest.json", "x.json"] {
         fs::write(at("o/tool_path").join(file), file).unwrap();
     }
@@ -742,12 +753,16 @@ fn no_setting_names_an_input_inside_of_the_output() {
         ("raster", "form=o/tool_path"),
         ("raster", "varying=tool-rate --map 'o/tool_path'"),
     ] {
-        let (ended, log) = recorded(dir.path(), &[&["run", pipeline], &quick[..], &[setting]].concat());
+        let (ended, log) =
+            recorded(dir.path(), &[&["run", pipeline], &quick[..], &[setting]].concat());
         let said = message(&ended);
         assert_eq!(ended.status.code(), Some(2), "{setting}: {said}");
         assert!(log.is_empty(), "{setting}: {log:?}");
         if setting != "machine=o/tool_path/x.json" {
-            assert!(said.contains("out o") && said.contains("give another out"), "{setting}: {said}");
+            assert!(
+                said.contains("out o") && said.contains("give another out"),
+                "{setting}: {said}"
+            );
         }
     }
     for file in ["point_mm.npy", "manifest.json", "x.json"] {
@@ -756,7 +771,8 @@ fn no_setting_names_an_input_inside_of_the_output() {
     // A word of a flag that names nothing inside, and the time of a stage, which is an output
     fs::create_dir(at("o/wall")).unwrap();
     let prepare = "prepare=--level plane --wall-time o/wall";
-    let (ended, log) = recorded(dir.path(), &[&["run", "compare-dwell"], &quick[..], &[prepare]].concat());
+    let (ended, log) =
+        recorded(dir.path(), &[&["run", "compare-dwell"], &quick[..], &[prepare]].concat());
     assert!(!log.is_empty(), "{}", message(&ended));
 }
 
@@ -769,8 +785,13 @@ fn a_path_that_the_output_leads_to_is_not_copied_onto_itself() {
     fs::create_dir(dir.path().join("path")).unwrap();
     fs::write(dir.path().join("path/point_mm.npy"), "mine").unwrap();
     std::os::unix::fs::symlink("../path", dir.path().join("o/tool_path")).unwrap();
-    fs::write(dir.path().join("o/run.json"), r#"{"pipeline":"compare-dwell","mirror":{"fixture":"coupon"}}"#).unwrap();
-    let settings = ["run", "compare-dwell", "fixture=coupon", "machine=machine.json", "path=path", "out=o"];
+    fs::write(
+        dir.path().join("o/run.json"),
+        r#"{"pipeline":"compare-dwell","mirror":{"fixture":"coupon"}}"#,
+    )
+    .unwrap();
+    let settings =
+        ["run", "compare-dwell", "fixture=coupon", "machine=machine.json", "path=path", "out=o"];
     let (ended, _) = recorded(dir.path(), &settings);
     let said = message(&ended);
     assert_eq!(ended.status.code(), Some(2), "{said}");
@@ -796,9 +817,16 @@ fn a_circle_of_stages_is_refused() {
     fs::create_dir(&pipelines).unwrap();
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
     fs::copy(root.join("pipelines/shared.yaml"), pipelines.join("shared.yaml")).unwrap();
-    fs::write(pipelines.join("loop.yaml"), "title: T\nstages:\n  path: []\n  run: [path, end, run]\n").unwrap();
+    fs::write(
+        pipelines.join("loop.yaml"),
+        "title: T\nstages:\n  path: []\n  run: [path, end, run]\n",
+    )
+    .unwrap();
     let mut command = Command::new(PROGRAM);
     command.current_dir(dir.path()).env("PLANISH_SHARE", dir.path());
     command.args(["run", "loop", "fixture=coupon", "machine=machine.json", "out=o"]);
-    refused(&command.output().unwrap(), &["loop.yaml: stage run: it runs itself without end (run -> run)"]);
+    refused(
+        &command.output().unwrap(),
+        &["loop.yaml: stage run: it runs itself without end (run -> run)"],
+    );
 }

@@ -165,7 +165,8 @@ fn schedule<S: MotionCommand>(scheduler: &S) -> Result<Status, Failure> {
     let total_time_s = made.trajectory.total_time_s();
     let distance = PathDistance::new(&made.trajectory, &path, Some(tolerance_mm))?;
     let drawback = claim.drawback(total_time_s, S::advice(&settings, &claim).as_deref());
-    let drawbacks: Vec<String> = drawback.into_iter().chain(distance.excess().map(nearer)).collect();
+    let drawbacks: Vec<String> =
+        drawback.into_iter().chain(distance.excess().map(nearer)).collect();
     let status = match drawbacks.is_empty() {
         true => Status::Done,
         false => Status::Negative(drawbacks.join("; ")),

@@ -293,7 +293,8 @@ impl Kind {
 impl ErrorBudget {
     /// Returns the sentence on the state in which an axis with play begins, if the process has play.
     pub fn play_start(&self) -> Option<&'static str> {
-        let is_play = |e: &ProcessError| e.effect == Effect::Scalar(Scalar::Backlash) && e.size != 0.0;
+        let is_play =
+            |e: &ProcessError| e.effect == Effect::Scalar(Scalar::Backlash) && e.size != 0.0;
         self.errors.iter().any(is_play).then_some(play::START)
     }
 }

@@ -328,10 +328,14 @@ fn a_sharp_drop_that_turns_adds_what_its_deformed_samples_do_and_less_than_its_f
         });
         let volume = tif.vrr_nm_mm2_per_s() / deformed.vrr_nm_mm2_per_s();
         let expected = rms(removal(&deformed) * volume - &planned);
-        let process = process(&json!({ "name": "t", "errors": [error(kind, size, unit, "fixed")] }));
+        let process =
+            process(&json!({ "name": "t", "errors": [error(kind, size, unit, "fixed")] }));
         let found = tolerance(&raster(), &tif, &desired(), &process.unwrap(), &settings()).unwrap();
         let line = &found.errors[0];
-        println!("{kind}: {} nm, deformed samples {expected} nm, {}", line.adds_rms_nm, line.simulated);
+        println!(
+            "{kind}: {} nm, deformed samples {expected} nm, {}",
+            line.adds_rms_nm, line.simulated
+        );
         // The smoothed drop beside the drop itself, which has a kink at its point. Regression bound.
         assert!((line.adds_rms_nm / expected - 1.0).abs() < 0.02, "{kind}: {line:?} {expected}");
         assert!(line.simulated, "{kind}");

@@ -113,10 +113,8 @@ fn fitted_plane(samples: &[OuterSample]) -> Option<([f64; 3], [f64; 3])> {
         let rows: Vec<_> = samples.iter().map(|s| (s.plane, s.rate)).collect();
         return regression(&rows).map(|fit| (fit.parameters, fit.standard_errors));
     }
-    let rows: Vec<_> = samples
-        .iter()
-        .map(|s| ([s.plane[0], s.plane[1], s.plane[2], s.tail], s.rate))
-        .collect();
+    let rows: Vec<_> =
+        samples.iter().map(|s| ([s.plane[0], s.plane[1], s.plane[2], s.tail], s.rate)).collect();
     let Regression { parameters: [b, gx, gy, _], standard_errors: [of_b, of_gx, of_gy, _] } =
         regression(&rows)?;
     Some(([b, gx, gy], [of_b, of_gx, of_gy]))
@@ -154,7 +152,10 @@ fn outer(measured: &Array2<bool>) -> Option<Array2<bool>> {
                 && [(r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)].iter().all(|at| before[*at])
         });
     }
-    inner.iter().any(|is| *is).then(|| Array2::from_shape_fn((ny, nx), |at| measured[at] && !inner[at]))
+    inner
+        .iter()
+        .any(|is| *is)
+        .then(|| Array2::from_shape_fn((ny, nx), |at| measured[at] && !inner[at]))
 }
 
 /// Place and widths of the spot of a TIF.
@@ -223,9 +224,13 @@ mod tests {
         for (half, worst) in [(20.0, 1e-3), (7.0, 1e-3), (6.0, 4e-3), (4.8, 5e-3)] {
             for level in [0.045, -0.045] {
                 let found = Baseline::under(&tif(half, 41, |x, y| gaussian(x, y) + level)).unwrap();
-                let of_volume = 41.0 * 41.0 / tif(half, 41, |x, y| gaussian(x, y) + level).rate_nm_per_s().sum();
+                let of_volume = 41.0 * 41.0
+                    / tif(half, 41, |x, y| gaussian(x, y) + level).rate_nm_per_s().sum();
                 // Widths from the count of samples above half of the peak, seen: of the volume of a cut spot.
-                assert!((found.part_of_volume - level * of_volume).abs() < worst, "{half}: {found:?}");
+                assert!(
+                    (found.part_of_volume - level * of_volume).abs() < worst,
+                    "{half}: {found:?}"
+                );
                 assert!(found.tilted_part_of_volume < 1e-3, "{found:?}");
             }
             for spot in [gaussian, ellipse] {
@@ -235,7 +240,8 @@ mod tests {
         }
         // A tilt from -0.9 to 0.9 % of the peak holds no volume and moves 0.225 % x 1681 samples: half of what it has on
         // either side, in the mean over the field.
-        let found = Baseline::under(&tif(20.0, 41, |x, y| gaussian(x, y) + 0.045 * x / 20.0)).unwrap();
+        let found =
+            Baseline::under(&tif(20.0, 41, |x, y| gaussian(x, y) + 0.045 * x / 20.0)).unwrap();
         let moved = 0.5 * 0.045 * 1681.0 / (8.0 * std::f64::consts::PI * 5.0);
         assert!((found.tilted_part_of_volume / moved - 1.0).abs() < 0.01, "{found:?} {moved}");
         assert!(found.part_of_volume.abs() < 1e-3);

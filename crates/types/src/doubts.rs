@@ -123,7 +123,8 @@ pub fn of_tif(tif: &Tif) -> Option<String> {
         ));
     }
     let Baseline { part_of_volume, tilted_part_of_volume, .. } = baseline?;
-    if part_of_volume.abs() <= MOST_BASELINE_VOLUME && tilted_part_of_volume <= MOST_BASELINE_VOLUME {
+    if part_of_volume.abs() <= MOST_BASELINE_VOLUME && tilted_part_of_volume <= MOST_BASELINE_VOLUME
+    {
         return None;
     }
     let plane = tif.border_plane_nm_per_s();
@@ -411,7 +412,10 @@ mod tests {
         // 0.5 nm/s on 10 x 10 mm beside 2 pi sigma^2 10 nm/s: 50 / (50 + 141), and the lattice ends half a pitch later. The
         // width of the tail is that of the samples above half of the peak.
         let baseline = of_tif(&tool(5.0, |rate| rate + 0.5));
-        said(baseline, &["4.7 % of its peak", "is 27 % of its volume", "--subtract-border takes it off"]);
+        said(
+            baseline,
+            &["4.7 % of its peak", "is 27 % of its volume", "--subtract-border takes it off"],
+        );
         // 0.9 % of the peak of sigma 2 mm in a field of 41 mm: 75.6 of 201.3 nm mm^2/s.
         let wide = |add: &dyn Fn(f64, f64) -> f64| {
             let a = axis(-20.0, 20.0, 41);
@@ -421,10 +425,16 @@ mod tests {
             };
             of_tif(&Tif::new(Grid { x: a, y: a }, Array2::from_shape_fn((41, 41), of)).unwrap())
         };
-        said(wide(&|_, _| 0.045), &["0.89 % of its peak", "is 38 % of its volume", "leaves 125.66 of 201.31"]);
+        said(
+            wide(&|_, _| 0.045),
+            &["0.89 % of its peak", "is 38 % of its volume", "leaves 125.66 of 201.31"],
+        );
         said(wide(&|_, _| -0.045), &["takes off 151 % of its volume", "leaves 125.66 of 50.018"]);
         said(wide(&|x, _| 0.00225 * x), &["moves 30 % of its volume", "leaves 125.66 of 125.66"]);
-        said(wide(&|x, _| 0.00225 * (x + 20.0)), &["is 38 % of its volume", "leaves 125.66 of 201.31"]);
+        said(
+            wide(&|x, _| 0.00225 * (x + 20.0)),
+            &["is 38 % of its volume", "leaves 125.66 of 201.31"],
+        );
         assert_eq!(wide(&|_, _| 0.0), None);
         // exp(-1.317^2 / 2) = 0.42
         let cropped = of_tif(&tool(1.317 * 1.5, |rate| rate));

@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use ndarray::{Array2, Zip};
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, Tool, flags::OutputArgs, say, task,
-    warn, with_flags,
+    Artifact, Begin, Failure, Inputs, Output, Status, Tool, flags::OutputArgs, say, task, warn,
+    with_flags,
 };
 use planish_surface::varying::{
-    Carrier, Direction, Footprint, LocalTool, LowRank, LowRankReport, LowRankSettings, Overhang, Parameter,
-    Places, PressureLaw, RateLaw, Samples, Spots, Used, low_rank, ToolFrame,
+    Carrier, Direction, Footprint, LocalTool, LowRank, LowRankReport, LowRankSettings, Overhang,
+    Parameter, Places, PressureLaw, RateLaw, Samples, Spots, ToolFrame, Used, low_rank,
     low_rank_by_azimuth, low_rank_by_heading, tool_at, turned,
 };
 use planish_types::{

@@ -264,7 +264,9 @@ impl Lattice {
     /// A place [x, y], mm, in every cell between neighbouring samples, at parts of the cell that are spread evenly over the
     /// cells. In the middle of a cell the third-order error of Keys' interpolation vanishes.
     fn within_cells(&self) -> Vec<[f64; 2]> {
-        (0..self.cells()).map(|i| self.within_cell(i, SPREAD.map(|by| (i as f64 * by).fract()))).collect()
+        (0..self.cells())
+            .map(|i| self.within_cell(i, SPREAD.map(|by| (i as f64 * by).fract())))
+            .collect()
     }
 
     /// Number of cells between neighbouring samples.
