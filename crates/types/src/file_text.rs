@@ -212,7 +212,7 @@ fn separates_thousands(b: &[u8], i: usize) -> bool {
 }
 
 /// Returns the text without its first `lines` lines.
-pub(crate) fn from_line(text: &str, lines: usize) -> &str {
+pub fn from_line(text: &str, lines: usize) -> &str {
     match lines.checked_sub(1).and_then(|n| text.match_indices('\n').nth(n)) {
         Some((end, _)) => &text[end + 1..],
         None if lines == 0 => text,
@@ -221,7 +221,7 @@ pub(crate) fn from_line(text: &str, lines: usize) -> &str {
 }
 
 /// Returns true for a number with a decimal point or a decimal comma.
-pub(crate) fn is_numeric(field: &str) -> bool {
+pub fn is_numeric(field: &str) -> bool {
     field.parse::<f64>().is_ok() || field.replacen(',', ".", 1).parse::<f64>().is_ok()
 }
 
