@@ -5,7 +5,7 @@ use std::{fs, path::Path, process::Output};
 
 use ndarray::Array2;
 use planish_handoff::artifact::{self, Manifest};
-use planish_types::Surface;
+use planish_types::{Surface, Trajectory};
 
 const CASES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../import/tests/data/cases");
 
@@ -1059,4 +1059,318 @@ fn slopes_become_heights() {
         assert_eq!(output.status.code(), Some(2), "{flags:?}: {said}");
         assert!(said.contains(part), "{flags:?}: {said}");
     }
+}
+
+/// A log of x = 10 (1 - cos(pi t / 2)) mm, y = 3 t mm, 0.2 s at 1 kHz: a line per sample from its index, time, x and y.
+fn log_of(head: &str, line: impl Fn(i32, f64, f64, f64) -> String) -> String {
+    let lines = (0..=200).map(|i| {
+        let t = f64::from(i) * 1e-3;
+        let x = 10.0 * (1.0 - (std::f64::consts::FRAC_PI_2 * t).cos());
+        line(i, t, x, 3.0 * t) + "\n"
+    });
+    format!("{head}{}", lines.collect::<String>())
+}
+
+fn call_trace(
+    name: &str,
+    bytes: &[u8],
+    flags: &[&str],
+) -> (Output, Option<artifact::Loaded<Trajectory>>) {
+    let (tmp, path) = put(name, bytes);
+    let out = tmp.path().join("out");
+    let output = Command::new(env!("CARGO_BIN_EXE_planish-import"))
+        .args([&["trace", &path, "--out", out.to_str().unwrap()][..], flags].concat())
+        .output()
+        .unwrap();
+    let loaded = if out.exists() { artifact::read::<Trajectory>(&out).ok() } else { None };
+    (output, loaded)
+}
+
+/// The motion of a log, the clock of its manifest, and the warnings.
+fn trace(text: impl AsRef<[u8]>, flags: &[&str]) -> (Trajectory, f64, String) {
+    let (output, loaded) = call_trace("log.csv", text.as_ref(), flags);
+    let warned = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{flags:?}: {warned}");
+    let loaded = loaded.unwrap();
+    let rate_hz = loaded.manifest.unwrap().outcome["clock"]["rate_hz"].as_f64().unwrap();
+    (loaded.value, rate_hz, warned)
+}
+
+fn refused_trace(text: impl AsRef<[u8]>, flags: &[&str]) -> String {
+    let (output, loaded) = call_trace("log.csv", text.as_ref(), flags);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!((output.status.code(), loaded.is_none()), (Some(2), true), "{flags:?}: {said}");
+    assert!(said.starts_with("error: ") && said.lines().count() == 1, "{said}");
+    said
+}
+
+/// The motion of [`log_of`], its end within `within_mm`, and 1 kHz to 8 digits.
+fn is_the_log((motion, rate_hz, _): &(Trajectory, f64, String), within_mm: f64) {
+    // The rate is rounded to the fewest digits that the stamps allow, or fitted to stamps of 9 digits or more.
+    assert!((rate_hz / 1000.0 - 1.0).abs() < 1e-8, "{rate_hz}");
+    assert!((motion.total_time_s() - 0.2).abs() < 1e-9, "{}", motion.total_time_s());
+    let last = motion.segment(motion.len() - 1);
+    let end = last.position_mm(last.duration_s);
+    let right = [10.0 * (1.0 - (0.1 * std::f64::consts::PI).cos()), 0.6];
+    assert!((0..2).all(|a| (end[a] - right[a]).abs() < within_mm), "{end:?}");
+}
+
+/// Half of the sixth decimal of a position, mm.
+const SIXTH: f64 = 0.6e-6;
+
+#[test]
+fn units_of_logs_are_read_from_their_names_or_contradict_a_flag() {
+    let log = |head: &str, mm: f64, s: f64| {
+        log_of(head, move |_, t, x, y| format!("{:.12},{:.12},{:.12}", t / s, x / mm, y / mm))
+    };
+    for (head, mm, s, wrong) in [
+        ("t (s),x (micron),y (micron)\n", 1e-3, 1.0, ["--unit", "mm"]),
+        ("t (s),x (in),y (in)\n", 25.4, 1.0, ["--unit", "mm"]),
+        ("t [s],x [mil],y [mil]\n", 0.0254, 1.0, ["--unit", "um"]),
+        ("Zeit / min,x / Mikrometer,y / Mikrometer\n", 1e-3, 60.0, ["--time-unit", "s"]),
+        ("time_ns,x_mm,y_mm\n", 1.0, 1e-9, ["--time-unit", "us"]),
+        ("time (min),x_mm,y_mm\n", 1.0, 60.0, ["--time-unit", "s"]),
+        ("t (h),x {m},y {m}\n", 1e3, 3600.0, ["--unit", "mm"]),
+    ] {
+        is_the_log(&trace(log(head, mm, s), &[]), SIXTH);
+        let said = refused_trace(log(head, mm, s), &wrong);
+        assert!(
+            said.contains("but the log has") && said.contains(&format!("leave {}", wrong[0])),
+            "{said}"
+        );
+    }
+    // Each axis in its own unit.
+    let mixed =
+        log_of("t_s,x_um,y_in\n", |_, t, x, y| format!("{t:.3},{:.6},{:.9}", 1e3 * x, y / 25.4));
+    is_the_log(&trace(mixed, &[]), SIXTH);
+    let said = refused_trace(log("t_s,x (furlong),y (furlong)\n", 1.0, 1.0), &["--unit", "mm"]);
+    assert!(said.contains("\"furlong\" in \"x (furlong)\", which is no known unit"), "{said}");
+    let said = refused_trace(log("t_s,x (mm/s),y\n", 1.0, 1.0), &["--unit", "mm"]);
+    assert!(said.contains("in mm/s, which is no unit of a position"), "{said}");
+    // A flag takes every spelling of the table.
+    is_the_log(
+        &trace(log("t,x,y\n", 25.4, 60.0), &["--unit", "Inches", "--time-unit", "minutes"]),
+        SIXTH,
+    );
+}
+
+#[test]
+fn clocks_of_logs_are_days_dates_hours_and_epochs() {
+    let of_day = |t: f64| {
+        let ms = (86_399_900 + (1e3 * t).round() as i64) % 86_400_000;
+        let (h, m, s) = (ms / 3_600_000, ms / 60_000 % 60, ms / 1000 % 60);
+        format!("{h:02}:{m:02}:{s:02}.{:03}", ms % 1000)
+    };
+    let head = "time,x_mm,y_mm\n";
+    let with = |time: &dyn Fn(f64) -> String| {
+        log_of(head, |_, t, x, y| format!("{},{x:.6},{y:.6}", time(t)))
+    };
+    let logs = [
+        with(&of_day),
+        with(&|t| {
+            format!(
+                "3/1/2026 {}",
+                of_day(t).replace("23:59:", "12:00:").replace("00:00:", "12:01:")
+            )
+        }),
+        with(&|t| format!("1.3.2026 12:00:00.{:03}", (1e3 * t).round())),
+        with(&|t| format!("2026-03-01T12:00:00.{:06}+01:00", (1e6 * t).round())),
+    ];
+    for log in logs {
+        is_the_log(&trace(log, &[]), SIXTH);
+    }
+    // Ten decimals of a day are 8.64 us; 1 kHz is within them, and no other rate of few digits.
+    let days = log_of("time (days),x_mm,y_mm\n", |_, t, x, y| {
+        format!("46082.{:010},{x:.6},{y:.6}", 5_000_000_000 + (t / 8.64e-6).round() as i64)
+    });
+    is_the_log(&trace(days, &[]), SIXTH);
+    // ROS: nanoseconds since 1970, in metres. As doubles they would have steps of 256 ns.
+    let ros = log_of(
+        "%time,field.header.seq,field.pose.position.x,field.pose.position.y\n",
+        |i, _, x, y| {
+            format!(
+                "{},{i},{:.9},{:.9}",
+                1_760_000_000_123_456_789_i64 + i64::from(i) * 1_000_000,
+                x * 1e-3,
+                y * 1e-3
+            )
+        },
+    );
+    is_the_log(&trace(&ros, &["--unit", "m"]), SIXTH);
+    let said = refused_trace(ros.replace("%time", "t_ms"), &["--unit", "m"]);
+    assert!(
+        said.contains("in ns since 1970") && said.contains("give the right --time-unit"),
+        "{said}"
+    );
+    // Milliseconds since 1970 in whole numbers, at a rate that they do not resolve.
+    let ms = log_of("t_ms,x_mm,y_mm\n", |i, _, x, y| {
+        format!("{},{x:.6},{y:.6}", 1_772_366_400_000_i64 + i64::from(i * 5 / 2))
+    });
+    assert_eq!(trace(ms, &[]).1, 400.0);
+}
+
+/// 10 kHz and 10 mm/s: 0.1 ms is 420 steps of a double of 1.77e9 s.
+#[test]
+fn times_since_1970_make_no_accelerations() {
+    let log = |time: &dyn Fn(i32) -> String| -> String {
+        let lines = (0..400).map(|i| format!("{},{:.6},0\n", time(i), f64::from(i) * 1e-3));
+        "t_s,x_mm,y_mm\n".to_string() + &lines.collect::<String>()
+    };
+    let seconds = log(&|i| format!("17723664{:02}.{:06}", i / 200, (i % 200) * 5000 + 100));
+    assert!(seconds.contains("1772366401.0"));
+    for text in [
+        log(&|i| format!("1772366400.{:06}", 100 * i)),
+        log(&|i| format!("2026-03-01T12:00:00.{:06}Z", 100 * i)).replace("t_s", "time"),
+    ] {
+        let (motion, rate_hz, _) = trace(text, &[]);
+        assert_eq!(rate_hz, 10_000.0);
+        for segment in motion.segments() {
+            let [_, v, a, j] = segment.coefficient_mm[0];
+            // Positions of six decimals are exact here; the rest is rounding of 1e-13 mm over 1e-4 s and its square.
+            assert!((v - 10.0).abs() < 1e-8 && a.abs() < 1e-3 && j.abs() < 10.0, "{v} {a} {j}");
+        }
+    }
+    assert_eq!(trace(seconds, &[]).1, 200.0);
+}
+
+#[test]
+fn channels_with_times_of_their_own_are_brought_together() {
+    let log = |later: i32| -> String {
+        let lines = (0..=200).map(|i| {
+            let y = 0.03 * f64::from(i + later);
+            format!("{i}\t{:.6}\t{}\t{y:.6}\n", 0.03 * f64::from(i), i + later)
+        });
+        "Name\tActPos_X\tName\tActPos_Y\nSampleTime[ms]\t1\tSampleTime[ms]\t1\nUnit\tmm\tUnit\tmm\n\n".to_string()
+            + &lines.collect::<String>()
+    };
+    for later in [3, -3] {
+        let flags = ["--time", "1", "--x", "2", "--y", "4", "--time-unit", "ms", "--unit", "mm"];
+        let (motion, _, warned) = trace(log(later), &flags);
+        let at_s = 0.1;
+        let segment = motion.segments().filter(|s| s.start_s <= at_s).last().unwrap();
+        let [x, y] = segment.position_mm(at_s - segment.start_s);
+        // Six decimals.
+        assert!((x - 3.0).abs() < SIXTH && (y - 3.0).abs() < SIXTH, "{x} {y}");
+        assert_eq!(motion.len(), 197);
+        assert!(warned.contains("y by \"Name\"; they are interpolated"), "{warned}");
+    }
+    let bare = log(3).lines().skip(4).collect::<Vec<_>>().join("\n");
+    let said = refused_trace(
+        bare,
+        &["--time", "1", "--x", "2", "--y", "4", "--time-unit", "ms", "--unit", "mm"],
+    );
+    assert!(said.contains("column 3 goes like the times in column 1, 3 later"), "{said}");
+    assert!(said.contains("give --time-y 3"), "{said}");
+}
+
+#[test]
+fn text_of_logs_has_commas_encodings_and_footers() {
+    let plain = log_of("t (s);x (\u{b5}m);y (\u{b5}m)\n", |_, t, x, y| {
+        format!("{t:.3};{:.4};{:.4}", 1e3 * x, 1e3 * y)
+    });
+    let commas = plain.replace('.', ",");
+    let utf16: Vec<u8> =
+        [0xFEFF].into_iter().chain(commas.encode_utf16()).flat_map(u16::to_le_bytes).collect();
+    let latin: Vec<u8> = plain.chars().map(|c| u8::try_from(c).unwrap()).collect();
+    let quoted = plain.lines().map(|line| format!("\"{}\"\r\n", line.replace(';', "\",\"")));
+    let footer = plain.clone() + "EOF\n";
+    for bytes in [
+        commas.as_bytes(),
+        &utf16,
+        &latin,
+        quoted.collect::<String>().as_bytes(),
+        commas.replace(';', "\t").as_bytes(),
+        footer.as_bytes(),
+    ] {
+        is_the_log(&trace(bytes, &[]), SIXTH);
+    }
+    let damaged = plain.replacen("\n0.100;", "\nxx;", 1);
+    assert!(
+        refused_trace(damaged, &[])
+            .contains("\"xx\" in line 102, field 1, where a number should be")
+    );
+    let said = refused_trace("a title\nand no numbers\n", &[]);
+    assert!(
+        said.contains("the first of which is \"a title\"") && said.contains("--format"),
+        "{said}"
+    );
+}
+
+#[test]
+fn jumps_and_drifts_of_logs_are_named() {
+    let log = |jump_mm: f64, drift: f64| -> String {
+        let lines = (0..=4000).map(|i| {
+            let t = f64::from(i) * 1e-3;
+            let at = t / (1.0 + drift);
+            let x = 40.0 * (0.8 * at).sin() + if i >= 1500 { jump_mm } else { 0.0 };
+            format!("{t:.3},{x:.9},{:.9}\n", 2.0 * at)
+        });
+        "t_s,x_mm,y_mm\n".to_string() + &lines.collect::<String>()
+    };
+    let (plan, _, warned) = trace(log(0.0, 0.0), &[]);
+    assert!(warned.is_empty(), "{warned}");
+    let (_, _, warned) = trace(log(64.0, 0.0), &[]);
+    assert!(
+        warned.contains("x jumps by 64") && warned.contains("from sample 1499 to the next"),
+        "{warned}"
+    );
+    let tmp = tempfile::tempdir().unwrap();
+    let planned = tmp.path().join("plan");
+    planish_handoff::save(&planned, &plan).unwrap();
+    let flags = ["--planned", planned.to_str().unwrap()];
+    let (_, _, warned) = trace(log(0.0, 40e-6), &flags);
+    assert!(
+        warned.contains("runs 40 parts per million") && warned.contains("faster than the plan"),
+        "{warned}"
+    );
+    assert!(trace(log(0.0, 0.0), &flags).2.is_empty());
+}
+
+/// The log of five axes becomes their motion, in mm and degrees; without the machine its further axes are named.
+#[test]
+fn all_axes_of_a_machine_are_read_by_their_names() {
+    let text =
+        log_of("t (s),x (mm),y (mm),Z Position (um),a_rad,B Feedback (mrad)\n", |_, t, x, y| {
+            format!(
+                "{t:.3},{x:.9},{y:.9},{:.6},{:.12},{:.9}",
+                1e3 * y,
+                x.to_radians(),
+                1e3 * y.to_radians()
+            )
+        });
+    let (_, _, warned) = trace(&text, &[]);
+    assert!(
+        warned.contains("positions of z, a, b too, which are not read: give --machine"),
+        "{warned}"
+    );
+    let machine =
+        concat!(env!("CARGO_MANIFEST_DIR"), "/../../fixtures/machines/bonnet-five-axis.json");
+    let (tmp, path) = put("log.csv", text.as_bytes());
+    let out = tmp.path().join("out");
+    let call = |flags: &[&str]| {
+        Command::new(env!("CARGO_BIN_EXE_planish-import"))
+            .args(
+                [&["trace", &path, "--machine", machine, "--out", out.to_str().unwrap()], flags]
+                    .concat(),
+            )
+            .output()
+            .unwrap()
+    };
+    let output = call(&["--axis", "w=2"]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(said.contains("--axis: the machine has no axis \"w\""), "{said}");
+    let output = call(&[]);
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let loaded = artifact::read::<planish_types::AxesMotion>(&out).unwrap();
+    let axes = loaded.manifest.unwrap().outcome["axes"].clone();
+    let names: Vec<&str> =
+        axes.as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect();
+    let end = loaded.value.position(199, 1e-3);
+    let x = 10.0 * (1.0 - (0.1 * std::f64::consts::PI).cos());
+    for (name, position) in names.iter().zip(&end) {
+        let right = if matches!(*name, "x" | "a") { x } else { 0.6 };
+        // Nine decimals of mm and mrad; a mrad is 0.057 deg.
+        assert!((position - right).abs() < 1e-7, "{name}: {position}");
+    }
+    assert_eq!(names.len(), 5);
 }

@@ -178,7 +178,12 @@ pub fn prepare_to(
     let levelled = map_statistics(&surface);
     let MapStatistics { pv_nm, rms_nm, rms_detilted_nm, .. } = levelled;
     let of_removal = || doubts::of_removal(pv_nm, rms_nm, rms_detilted_nm);
-    let doubts = doubts::of_heights(&masked).or_else(of_removal).into_iter().collect();
+    let of_circle = || doubts::of_circle(measured, settings.aperture.as_ref()?);
+    let doubts = of_circle()
+        .or_else(|| doubts::of_mask(&masked))
+        .into_iter()
+        .chain(doubts::of_heights(&masked).or_else(of_removal))
+        .collect();
     let mut filled = None;
     if settings.fill {
         let inside = inside.unwrap_or_else(|| enclosed(&surface));

@@ -12,6 +12,7 @@ mod spiral;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
+use planish_form::FormKind;
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, Task, Writer, flags::OutputArgs, kind, say,
     warn, with_flags,
@@ -101,6 +102,18 @@ impl FormArgs {
     }
 }
 
+impl FormArgs {
+    /// Doubt about the vertex of a curved form.
+    fn doubt(&self, surface: &Surface) -> Result<Option<String>, Failure> {
+        let Some(path) = &self.form else { return Ok(None) };
+        let given = Inputs::new().read_form("form", path)?;
+        let is_flat = given
+            .file
+            .is_none_or(|stated| matches!(stated.file.kind, FormKind::Plane | FormKind::Map));
+        Ok(if is_flat { None } else { doubts::of_vertex(surface, given.form.vertex_mm()) })
+    }
+}
+
 /// Run of a method: the region of the path and its inputs.
 struct Region {
     inputs: Inputs,
@@ -142,7 +155,11 @@ impl Region {
         let mut doubts = Vec::new();
         if let Some(tif) = &tif {
             doubts.extend(doubts::of_tif(tif));
-            doubts.extend(doubts::of_rates(&surface, tif));
+            let of_sizes =
+                || doubts::of_pixels(&surface, tif).or_else(|| doubts::of_sizes(&surface, tif));
+            let of_rates =
+                || doubts::of_rates(&surface, tif).or_else(|| doubts::of_time(&surface, tif));
+            doubts.extend(of_sizes().or_else(of_rates));
         }
         let of_limits = |machine: &Machine| {
             doubts::of_limits(&surface, tif.as_ref()?, &machine.limits_on_part(), args.pitch_mm)
@@ -151,7 +168,10 @@ impl Region {
         if let Some(file) = &args.machine {
             let found = Inputs::new().read_machine(file)?;
             // Rates in doubt say nothing of the limits.
-            let doubt = if doubts.is_empty() { of_limits(&found) } else { None };
+            let of_axes = || {
+                doubts::of_rotary_axes(&found).or_else(|| of_limits(&found))
+            };
+            let doubt = if doubts.is_empty() { of_axes() } else { None };
             if doubt.is_some() || found.travel_mm().iter().any(Option::is_some) {
                 machine = Some(inputs.read_machine(file)?);
             }
@@ -160,6 +180,7 @@ impl Region {
         }
         // The form is of the part, not of the places of the tool.
         let on_form = args.form.read(&surface, &mut inputs)?;
+        doubts.extend(args.form.doubt(&surface)?);
         // The form beside the map, which `planish-surface prepare` wrote, matters to a path in projection.
         let beside = args.surface.join(kind::FORM_FILE);
         if on_form.is_none() && beside.exists() {

@@ -8,7 +8,9 @@
 use ndarray::Array2;
 use planish_numerics::statistics;
 
-use crate::{Limits, Machine, Surface, Tif, baseline::Baseline, text::significant};
+use crate::{
+    Axis, ClearAperture, Grid, Limits, Machine, Surface, Tif, baseline::Baseline, text::significant,
+};
 
 /// Fraction of the mean square of a map that is a plane, above which the plane is doubted as a tilt
 /// of the measurement. Larger: a tilt that triples the time causes no doubt. Smaller: more parts
@@ -52,8 +54,28 @@ const MOST_RANGES: f64 = 3.0;
 /// Below the first, the machine would never stand still. Above the second, a part takes days. A
 /// narrower interval doubts good plans, a wider one misses mistaken units. Chosen: the fixtures and
 /// the reference mirror are between 1.6 and 11 s; rates in nm/min are 60 times too fast, rates in
-/// um/s 1000 times too slow.
-const MEAN_DEPTH_S: [f64; 2] = [0.1, 300.0];
+/// um/min 17 times too slow, and heights in angstrom 10 times too high.
+const MEAN_DEPTH_S: [f64; 2] = [0.1, 60.0];
+/// Time in which a resting tool usually removes the mean depth, s: the one to which a mistake has to lead back. Chosen: the
+/// middle of the fixtures.
+const USUAL_MEAN_DEPTH_S: f64 = 4.0;
+
+/// Longest removal without a doubt, s: a day. Larger: mistaken units pass. Smaller: large parts are doubted.
+const LONGEST_S: f64 = 86_400.0;
+/// Usual time of a run, s, to which a mistake has to lead back.
+const USUAL_S: f64 = 3600.0;
+
+/// Largest distance of a number from a multiple of 15 degrees in radians, relative to it, at which it is doubted as one: four
+/// digits of it. Larger: other small angles are doubted. Smaller: rounded radians pass.
+const OF_A_RADIAN: f64 = 3e-4;
+
+/// Smallest ratio of an aperture's circle to the circle about the valid pixels, and largest, without a doubt. Outside, a
+/// radius was given for a diameter, or the reverse. Narrower: apertures within their part are doubted.
+const CIRCLE: [f64; 2] = [0.55, 1.7];
+
+/// Smallest part of the rectangle of a map that is a hole within valid corners, from which on the mask is doubted. Smaller:
+/// square parts with a hole are doubted. Larger: inverted masks pass.
+const HOLE: f64 = 0.3;
 
 /// Ratio of the time for the path at the largest velocity to the time of the removal, above which
 /// the limits are doubted. Larger: mistaken units pass. Smaller: slow machines are doubted. Chosen:
@@ -155,21 +177,228 @@ pub fn of_rates(desired: &Surface, tif: &Tif) -> Option<String> {
     let depth_nm = mean_depth_nm(desired);
     let at_one_place_s = depth_nm / tif.peak_nm_per_s();
     let [least, most] = MEAN_DEPTH_S;
-    let said = |units: &str| {
-        format!(
-            "the tool removes the mean depth of {} nm in {} s at one place (its peak is {} nm/s): {units}",
-            significant(depth_nm, 3),
-            significant(at_one_place_s, 2),
-            significant(tif.peak_nm_per_s(), 3)
-        )
-    };
-    if at_one_place_s > most {
-        return Some(said(
-            "rates in um/s that were read as nm/s, or heights in nm that were read as um? give nm/s and nm",
-        ));
+    if (least..=most).contains(&at_one_place_s) || at_one_place_s <= 0.0 {
+        return None;
     }
-    (at_one_place_s > 0.0 && at_one_place_s < least)
-        .then(|| said("rates in nm/min, or heights in um? give nm/s and nm"))
+    let (mistakes, remedy) = if at_one_place_s > most {
+        (&TOO_SLOW[..], "give nm and nm/s")
+    } else {
+        (&TOO_FAST[..], "give nm/s and nm; a depth is divided by the dwell time of its spot")
+    };
+    let mistake = Mistake::most_probable(mistakes, at_one_place_s, USUAL_MEAN_DEPTH_S);
+    Some(format!(
+        "the tool removes the mean depth of {} nm in {} s at one place (its peak is {} nm/s): {}? it would be {} s; {remedy}",
+        significant(depth_nm, 3),
+        significant(at_one_place_s, 2),
+        significant(tif.peak_nm_per_s(), 3),
+        mistake.what,
+        significant(at_one_place_s * mistake.factor, 2)
+    ))
+}
+
+/// A mistake that would explain a time that is unusual.
+struct Mistake {
+    what: &'static str,
+    /// Factor that the time has without the mistake.
+    factor: f64,
+}
+
+/// Mistakes that make a removal too slow.
+const TOO_SLOW: [Mistake; 3] = [
+    Mistake { what: "rates in um/s", factor: 1e-3 },
+    Mistake { what: "rates in um/min", factor: 0.06 },
+    Mistake { what: "heights in angstrom", factor: 0.1 },
+];
+/// Mistakes that make a removal too fast.
+const TOO_FAST: [Mistake; 2] = [
+    Mistake { what: "rates in nm/min, or a depth for a rate", factor: 60.0 },
+    Mistake { what: "heights in um", factor: 1e3 },
+];
+
+impl Mistake {
+    /// Returns the mistake without which `time_s` is nearest to `usual_s`, as a ratio.
+    fn most_probable(mistakes: &[Self], time_s: f64, usual_s: f64) -> &Self {
+        let away = |mistake: &Self| (time_s * mistake.factor / usual_s).ln().abs();
+        let nearest = mistakes.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
+        nearest.expect("there are some")
+    }
+}
+
+/// Doubt about a removal that takes more than a day, which no path or motion can shorten.
+pub fn of_time(desired: &Surface, tif: &Tif) -> Option<String> {
+    let area_mm2 = desired.statistics().valid_count as f64 * desired.grid().pixel_mm2();
+    let removal_s = mean_depth_nm(desired) * area_mm2 / tif.vrr_nm_mm2_per_s();
+    if removal_s <= LONGEST_S {
+        return None;
+    }
+    let mistake = Mistake::most_probable(&TOO_SLOW, removal_s, USUAL_S);
+    let [width, height] = desired.grid().size_mm();
+    Some(format!(
+        "the removal alone takes {} days: {}? it would be {} h; or a map in um for mm, whose {} x {} mm would be {} x {} mm",
+        significant(removal_s / 86_400.0, 3),
+        mistake.what,
+        significant(removal_s * mistake.factor / 3600.0, 2),
+        significant(width, 4),
+        significant(height, 4),
+        significant(1e-3 * width, 4),
+        significant(1e-3 * height, 4)
+    ))
+}
+
+/// Doubt about the coordinates of the map or the TIF, which look like indices of pixels: steps of exactly 1 from 0 or 1 on, or
+/// of exactly 1 about 0, where the other has other steps.
+pub fn of_pixels(desired: &Surface, tif: &Tif) -> Option<String> {
+    let [map, tool] = [desired.grid(), tif.grid()];
+    let pitch = |grid: &Grid| [grid.x.step_mm(), grid.y.step_mm()];
+    let from_index = |grid: &Grid| {
+        let starts = [grid.x.start_mm(), grid.y.start_mm()];
+        pitch(grid) == [1.0; 2] && (starts == [0.0; 2] || starts == [1.0; 2])
+    };
+    let about_0 = |grid: &Grid| {
+        let whole = [grid.x.start_mm(), grid.y.start_mm()].iter().all(|v| (2.0 * v).fract() == 0.0);
+        pitch(grid) == [1.0; 2] && whole
+    };
+    let (name, of, other) = if from_index(map) && pitch(tool) != [1.0; 2] {
+        ("map", map, pitch(tool)[0])
+    } else if about_0(tool) && pitch(map) != [1.0; 2] {
+        ("TIF", tool, pitch(map)[0])
+    } else {
+        return None;
+    };
+    let [width, height] = of.size_mm();
+    Some(format!(
+        "the pitch of the {name} is exactly 1 mm, and that of the other {} mm: coordinates in pixels? with the same pitch its \
+         {} x {} mm would be {} x {} mm; give mm",
+        significant(other, 4),
+        significant(width, 4),
+        significant(height, 4),
+        significant(other * width, 4),
+        significant(other * height, 4)
+    ))
+}
+
+/// Doubt about a TIF that is larger than the map along both axes.
+pub fn of_sizes(desired: &Surface, tif: &Tif) -> Option<String> {
+    let [map, tool] = [desired.grid().size_mm(), tif.grid().size_mm()];
+    if tool[0] <= map[0] || tool[1] <= map[1] {
+        return None;
+    }
+    Some(format!(
+        "the TIF of {} x {} mm is larger than the map of {} x {} mm: a map in inches? it would be {} x {} mm; or a TIF in \
+         another unit? give mm",
+        significant(tool[0], 4),
+        significant(tool[1], 4),
+        significant(map[0], 4),
+        significant(map[1], 4),
+        significant(25.4 * map[0], 4),
+        significant(25.4 * map[1], 4)
+    ))
+}
+
+/// Doubt about the vertex of a curved form, at (x, y) in mm on the part, that lies at a corner of the map.
+pub fn of_vertex(desired: &Surface, vertex_mm: [f64; 2]) -> Option<String> {
+    let grid = desired.grid();
+    let is_end = |axis: &Axis, v: f64| {
+        (v - axis.start_mm()).abs() <= axis.step_mm() || (v - axis.end_mm()).abs() <= axis.step_mm()
+    };
+    if !is_end(&grid.x, vertex_mm[0]) || !is_end(&grid.y, vertex_mm[1]) {
+        return None;
+    }
+    let [x, y] = [grid.x, grid.y].map(|axis| 0.5 * (axis.start_mm() + axis.end_mm()));
+    Some(format!(
+        "the vertex of the form lies at ({}, {}) mm, which is a corner of the map: the middle of the part is at ({}, {}) mm; \
+         give vertex_mm in the form file",
+        significant(vertex_mm[0], 4),
+        significant(vertex_mm[1], 4),
+        significant(x, 4),
+        significant(y, 4)
+    ))
+}
+
+/// Doubt about an angle in degrees that is a multiple of 15 degrees in radians; `name` is the setting.
+pub fn of_angle(name: &str, angle_deg: f64) -> Option<String> {
+    let in_degrees = angle_deg.to_degrees();
+    let nearest = 15.0 * (in_degrees / 15.0).round();
+    let is_radian = nearest != 0.0
+        && nearest.abs() <= 360.0
+        && (in_degrees / nearest - 1.0).abs() < OF_A_RADIAN;
+    if !is_radian {
+        return None;
+    }
+    let stated = significant(angle_deg, 5);
+    Some(format!("{name} is {stated} degrees: radians? it would be {nearest} degrees"))
+}
+
+/// Doubt about the rotary axes of a machine, whose travel looks like one in radians.
+pub fn of_rotary_axes(machine: &Machine) -> Option<String> {
+    machine.axes().iter().filter(|axis| axis.is_rotary).find_map(|axis| {
+        let of_end = |end: f64| of_angle(&format!("the travel of the axis {}", axis.name), end);
+        axis.travel?.into_iter().find_map(of_end)
+    })
+}
+
+/// Doubt about angles of incidence in degrees that end at less than a right angle in radians; `largest_deg` is the largest of
+/// `count`.
+pub fn of_incidences(largest_deg: f64, count: usize) -> Option<String> {
+    let is_small =
+        largest_deg > 0.0 && largest_deg <= std::f64::consts::FRAC_PI_2 * (1.0 + OF_A_RADIAN);
+    if !is_small || count < 3 {
+        return None;
+    }
+    Some(format!(
+        "the table of incidences ends at {} degrees: radians? it would be {} degrees",
+        significant(largest_deg, 4),
+        significant(largest_deg.to_degrees(), 3)
+    ))
+}
+
+/// Doubt about the circle of a clear aperture: a diameter for a radius, or a radius for a diameter.
+pub fn of_circle(measured: &Surface, aperture: &ClearAperture) -> Option<String> {
+    let ClearAperture::Circle { radius_mm, .. } = aperture else { return None };
+    let grid = measured.grid();
+    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+    for ((r, c), _) in measured.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan()) {
+        for (a, v) in [grid.x.at(c), grid.y.at(r)].into_iter().enumerate() {
+            (low[a], high[a]) = (low[a].min(v), high[a].max(v));
+        }
+    }
+    let half = [0, 1].map(|a| 0.5 * (high[a] - low[a]));
+    let [least, most] = CIRCLE;
+    let what = if *radius_mm > most * half[0].max(half[1]) {
+        "a diameter for a radius"
+    } else if *radius_mm < least * half[0].min(half[1]) {
+        "half of the radius, or a radius that was read as a diameter"
+    } else {
+        return None;
+    };
+    let other = if *radius_mm > half[0] { 0.5 * radius_mm } else { 2.0 * radius_mm };
+    Some(format!(
+        "the clear aperture has a radius of {} mm, and the valid pixels lie within {} x {} mm: {what}? {} mm would fit",
+        significant(*radius_mm, 4),
+        significant(2.0 * half[0], 4),
+        significant(2.0 * half[1], 4),
+        significant(other, 4)
+    ))
+}
+
+/// Doubt about the valid pixels: they have all corners and a large hole, as an inverted mask leaves them.
+pub fn of_mask(measured: &Surface) -> Option<String> {
+    let map = measured.height_nm();
+    let (rows, columns) = map.dim();
+    let corners = [(0, 0), (0, columns - 1), (rows - 1, 0), (rows - 1, columns - 1)];
+    let middle = (rows / 2, columns / 2);
+    if corners.iter().any(|at| map[*at].is_nan()) || !map[middle].is_nan() {
+        return None;
+    }
+    let hole = map.iter().filter(|z| z.is_nan()).count() as f64 / map.len() as f64;
+    if hole < HOLE {
+        return None;
+    }
+    Some(format!(
+        "the valid pixels are a frame about a hole of {:.0} % of the map: an inverted mask? then {:.0} % would be valid",
+        100.0 * hole,
+        100.0 * hole
+    ))
 }
 
 /// Doubt about the limits of the machine for lines of this pitch, mm. The path is about area /
@@ -202,18 +431,25 @@ pub fn of_travel(desired: &Surface, machine: &Machine) -> Option<String> {
     if ratio <= 1.0 {
         return None;
     }
-    // The smallest mistaken unit that explains the size: cm, inches, metres in the place of millimetres.
-    let (factor, mistake) =
-        [(10.0, "mm that were read as cm"), (25.4, "mm that were read as inches")]
-            .into_iter()
-            .find(|(factor, _)| *factor >= ratio)
-            .unwrap_or((1000.0, "um that were read as mm"));
     let [long, short] = [1, 0].map(|k| significant(size_mm[k], 4));
     let [far, near] = [1, 0].map(|k| significant(travel_mm[k], 4));
+    let mistake = if grid.x.step_mm() == 1.0 {
+        "coordinates in pixels?".to_string()
+    } else {
+        // The smallest mistaken unit that explains the size: cm, inches, metres in the place of millimetres.
+        let (factor, mistake) =
+            [(10.0, "mm that were read as cm"), (25.4, "mm that were read as inches")]
+                .into_iter()
+                .find(|(factor, _)| *factor >= ratio)
+                .unwrap_or((1000.0, "um that were read as mm"));
+        format!(
+            "a pitch in {mistake}, which would be {} mm?",
+            significant(grid.x.step_mm() / factor, 4)
+        )
+    };
     Some(format!(
-        "the map is {long} x {short} mm, larger than the travel of the machine of {far} x {near} mm: a pitch in {mistake}, \
-         which would be {} mm? correct the pitch of the map (surface_settings=\"--pixel-mm P\"), or crop it",
-        significant(grid.x.step_mm() / factor, 4)
+        "the map is {long} x {short} mm, larger than the travel of the machine of {far} x {near} mm: {mistake} correct the \
+         pitch of the map (surface_settings=\"--pixel-mm P\"), or crop it"
     ))
 }
 
@@ -283,7 +519,7 @@ fn spikes(map: &Array2<f64>, some: &[f64]) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Axis, Grid, MachineFile, MachineFileAxis};
+    use crate::{MachineFile, MachineFileAxis};
 
     fn axis(start: f64, end: f64, n: usize) -> Axis {
         Axis::new(start, (end - start) / (n - 1) as f64, n).unwrap()
@@ -439,8 +675,105 @@ mod tests {
         // exp(-1.317^2 / 2) = 0.42
         let cropped = of_tif(&tool(1.317 * 1.5, |rate| rate));
         said(cropped, &["ends at 42 % of its peak", "measure a wider field"]);
+        // Mean depth of about 10 nm over 10 nm/s.
         said(of_rates(&surface, &tool(5.0, |rate| 60.0 * rate)), &["600 nm/s", "nm/min"]);
         said(of_rates(&surface, &tool(5.0, |rate| 1e-3 * rate)), &["0.01 nm/s", "um/s"]);
+        // A tool that takes 4 s at one place, whose rates are in um/min.
+        let usual = mean_depth_nm(&surface) / 10.0 / USUAL_MEAN_DEPTH_S;
+        said(
+            of_rates(&surface, &tool(5.0, |rate| 0.06 * usual * rate)),
+            &["in 67 s at one place", "rates in um/min? it would be 4 s"],
+        );
+        said(
+            of_time(&map(|z, _| 1e7 * z), &tool(5.0, |rate| rate)),
+            &["days: rates in um/s? it would be"],
+        );
+        assert_eq!(of_time(&surface, &tool(5.0, |rate| rate)), None);
+    }
+
+    #[test]
+    fn coordinates_in_pixels_inches_and_beyond_the_travel_are_named() {
+        let surface = map(|z, _| z);
+        let grid = |start: f64, n: usize| Grid {
+            x: axis(start, start + n as f64 - 1.0, n),
+            y: axis(start, start + n as f64 - 1.0, n),
+        };
+        let pixels = Surface::new(grid(0.0, 60), Array2::from_elem((60, 60), 1.0)).unwrap();
+        let (fine, coarse) = (
+            tool(5.0, |rate| rate),
+            Tif::new(grid(-24.0, 49), Array2::from_elem((49, 49), 1.0)).unwrap(),
+        );
+        // Steps of 10 / 48 mm.
+        said(
+            of_pixels(&pixels, &fine),
+            &["the pitch of the map is exactly 1 mm", "59 x 59 mm would be 12.29 x 12.29 mm"],
+        );
+        said(
+            of_pixels(&surface, &coarse),
+            &["the pitch of the TIF is exactly 1 mm", "48 x 48 mm would be 24 x 24 mm"],
+        );
+        assert_eq!((of_pixels(&surface, &fine), of_pixels(&pixels, &coarse)), (None, None));
+        said(of_sizes(&surface, &coarse), &["a map in inches? it would be 1016 x 609.6 mm"]);
+        assert_eq!(of_sizes(&surface, &fine), None);
+        let machine = |travel: f64| {
+            let axis = |name: &str| MachineFileAxis {
+                name: name.into(),
+                max_velocity_mm_per_s: 10.0,
+                max_acceleration_mm_per_s2: 100.0,
+                travel_mm: Some([0.0, travel]),
+                ..MachineFileAxis::default()
+            };
+            let axes = ["x", "y"].map(axis).to_vec();
+            Machine::new(MachineFile { name: "m".into(), axes, ..MachineFile::default() }).unwrap()
+        };
+        said(
+            of_travel(&surface, &machine(30.0)),
+            &["the map is 40 x 24 mm, larger than the travel of the machine of 30 x 30 mm", "cm"],
+        );
+        said(of_travel(&pixels, &machine(30.0)), &["coordinates in pixels"]);
+        assert_eq!(of_travel(&surface, &machine(300.0)), None);
+        said(
+            of_vertex(&surface, [0.0; 2]),
+            &["at (0, 0) mm, which is a corner", "the middle of the part is at (20, 12) mm"],
+        );
+        assert_eq!(
+            (of_vertex(&surface, [20.0, 12.0]), of_vertex(&surface, [0.0, 12.0])),
+            (None, None)
+        );
+    }
+
+    #[test]
+    fn radians_are_named() {
+        said(
+            of_angle("the angle", 1.5708),
+            &["the angle is 1.5708 degrees: radians? it would be 90 degrees"],
+        );
+        said(of_angle("the angle", -0.5236), &["it would be -30 degrees"]);
+        for degrees in [0.0, 1.0, 1.5, 2.0, 0.5, 45.0, 90.0, 3.0] {
+            assert_eq!(of_angle("the angle", degrees), None, "{degrees}");
+        }
+        said(of_incidences(1.2, 7), &["ends at 1.2 degrees: radians? it would be 68.8 degrees"]);
+        assert_eq!((of_incidences(60.0, 7), of_incidences(1.2, 2)), (None, None));
+    }
+
+    #[test]
+    fn apertures_of_another_size_and_inverted_masks_are_named() {
+        let grid = Grid { x: axis(-10.0, 10.0, 41), y: axis(-10.0, 10.0, 41) };
+        let disk = |inverted: bool| {
+            let z = Array2::from_shape_fn((41, 41), |(r, c)| {
+                let inside = grid.x.at(c).hypot(grid.y.at(r)) <= 10.0;
+                if inside == inverted { f64::NAN } else { 1.0 }
+            });
+            Surface::new(grid, z).unwrap()
+        };
+        let circle = |radius_mm: f64| ClearAperture::Circle { centre_mm: [0.0; 2], radius_mm };
+        said(of_circle(&disk(false), &circle(20.0)), &["a diameter for a radius? 10 mm would fit"]);
+        said(of_circle(&disk(false), &circle(5.0)), &["radius of 5 mm", "10 mm would fit"]);
+        for radius in [9.0, 10.0, 11.0, 7.0] {
+            assert_eq!(of_circle(&disk(false), &circle(radius)), None);
+        }
+        said(of_mask(&disk(true)), &["an inverted mask? then 75 % would be valid"]);
+        assert_eq!((of_mask(&disk(false)), of_mask(&map(|z, _| z))), (None, None));
     }
 
     #[test]

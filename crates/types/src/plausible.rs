@@ -148,7 +148,7 @@ pub fn drawback(before: Rms, after: Rms, total_time_s: f64) -> Option<String> {
     if !flat && after.rms_nm > before.rms_nm && after.detilted_nm > before.detilted_nm {
         return Some(format!(
             "the plan makes the surface worse: {:.4e} nm RMS before, {:.4e} nm RMS after; are the \
-             heights in nm, and does the least dwell time remove less than there is?",
+             heights in nm, and does the least dwell time remove less than there is? in ms, it has to be given in s",
             before.rms_nm, after.rms_nm
         ));
     }

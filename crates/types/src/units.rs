@@ -547,7 +547,10 @@ fn last_words(text: &str, wanted: &[Quantity]) -> Option<Header> {
     for start in starts.iter().skip(starts.len().saturating_sub(MOST_WORDS)) {
         let (name, word) =
             (text[..start - 1].trim_end_matches(['_', ' ', '/', '-', ':']), &text[*start..]);
-        let Some(unit) = Unit::read(word, wanted) else { continue };
+        // "Zeit / min" is a time in minutes, no rate.
+        let Some(unit) = Unit::read(word, wanted).filter(|_| !word.starts_with('/')) else {
+            continue;
+        };
         if !name.is_empty() && is_unit_of(name, word, unit, wanted) {
             let name =
                 name.strip_suffix(" in").or_else(|| name.strip_suffix("_in")).unwrap_or(name);
@@ -734,6 +737,7 @@ mod tests {
             ("SampleTime[ms]", "SampleTime", "ms"),
             ("time (days)", "time", "d"),
             ("time_in_ms", "time", "ms"),
+            ("Zeit / min", "Zeit", "min"),
         ] {
             assert_eq!(read(text, &[Time]), (name.into(), unit.into()), "{text}");
         }

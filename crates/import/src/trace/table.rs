@@ -180,7 +180,12 @@ fn first_sample(lines: &[Cow<'_, str>]) -> Option<(usize, Vec<Class>)> {
     let pattern = rows[start].clone()?;
     // Samples above a damaged line are samples; one line of numbers above the names is none.
     let is_sample = |i: &usize| {
-        rows[*i].as_ref().is_some_and(|row| row.len() == pattern.len() && follows(&pattern, row))
+        rows[*i].as_ref().is_some_and(|row| {
+            let is_like = |(a, b): (&Class, &Class)| {
+                a == b || *a == Class::Empty || (a.is_value() && b.is_value())
+            };
+            row.len() == pattern.len() && row.iter().zip(&pattern).all(is_like)
+        })
     };
     let above: Vec<usize> = (0..start).filter(is_sample).collect();
     let is_text = |i: usize| rows[i].is_none() && !lines[i].chars().any(|c| c.is_ascii_digit());
@@ -189,7 +194,9 @@ fn first_sample(lines: &[Cow<'_, str>]) -> Option<(usize, Vec<Class>)> {
         [only] if (only..start).any(|i| !is_skipped(&lines[i]) && is_text(i)) => start,
         [first, ..] => first,
     };
-    Some((first, pattern))
+    let first_row = rows[first].as_ref()?;
+    let known = |(a, b): (&Class, &Class)| if *a == Class::Empty { *b } else { *a };
+    Some((first, first_row.iter().zip(&pattern).map(known).collect()))
 }
 
 /// Layout of a table.
@@ -362,9 +369,11 @@ fn head_of(text: &str) -> (Vec<Cow<'_, str>>, bool) {
         Ok(converted) => converted,
         Err(_) => Some(line.replace(',', ".")),
     };
-    let is_decimal = |line: &str| {
-        classes(line).is_none() && with_points(line).is_some_and(|line| classes(&line).is_some())
+    let values = |line: &str| {
+        classes(line).map_or(0, |row| row.iter().filter(|class| class.is_value()).count())
     };
+    let is_decimal =
+        |line: &str| with_points(line).is_some_and(|converted| values(&converted) > values(line));
     let has_commas = lines().any(is_decimal);
     let head = lines().map(|line| match with_points(line).filter(|_| has_commas) {
         Some(converted) => Cow::Owned(converted),
@@ -794,7 +803,7 @@ mod tests {
         assert_eq!([Role::Time, Role::X, Role::Y].map(unit), ["ms", "um", "mm"]);
         assert_eq!(column(&log, Role::X).values, [0.5, 1.5]);
         assert_eq!(log.warnings.len(), 1);
-        assert!(log.warnings[0].contains("end before line 12, \"EOF\""), "{:?}", log.warnings);
+        assert!(log.warnings[0].contains("end before line 11, \"EOF\""), "{:?}", log.warnings);
         let scaled = text.replace("Unit Offset\t0\t0", "Scale factor\t2\t1");
         let log = read(LogFormat::Csv, scaled.as_bytes(), &asked).unwrap();
         assert!(log.warnings[0].contains("not used: \"Scale factor"), "{:?}", log.warnings);
@@ -804,7 +813,7 @@ mod tests {
         assert!(unknown.contains("x: is \"furlong\", which is no known unit"), "{unknown}");
         // A damaged line has samples after it.
         let damaged = said(&text.replace("EOF", "abc\tdef\tghi\n2\t2.5\t4"));
-        assert!(damaged.contains("\"abc\" in line 12, field 1"), "{damaged}");
+        assert!(damaged.contains("\"abc\" in line 11, field 1"), "{damaged}");
         // A short log with a long footer.
         let log = read(
             LogFormat::Csv,

@@ -39,7 +39,7 @@ fn a_log_in_counts_with_its_current() {
 fn what_a_log_does_not_say_is_asked_for() {
     let log = |unit, nominal_current| TraceSettings { unit, nominal_current, ..settings() };
     assert!(said(LOG, &log(None, Some(1.0))).contains("unit: of the positions is not in the log"));
-    let counts = said(LOG, &log(Some(PositionUnit::Count), Some(1.0)));
+    let counts = said(LOG, &log(Unit::read("count", &[]), Some(1.0)));
     assert!(counts.contains("count_mm: is not in a log in counts"), "{counts}");
     let current = said(LOG, &log(Unit::read("mm", &[]), None));
     assert!(current.contains("nominal_current: is not in a log"), "{current}");

@@ -15,7 +15,7 @@ use planish_surface::varying::{
     low_rank_by_azimuth, low_rank_by_heading, tool_at, turned,
 };
 use planish_types::{
-    Axis, Grid, Invalid, PixelFactor, Surface, Tif, TimeFactor, VaryingTif, file_text,
+    Axis, Grid, Invalid, PixelFactor, Surface, Tif, TimeFactor, VaryingTif, doubts, file_text,
 };
 use rayon::prelude::*;
 use serde::Serialize;
@@ -276,7 +276,13 @@ impl RateArgs {
                 ));
             }
             (Some(exponent), _) => RateLaw::Cosine { exponent },
-            (None, Some(file)) => RateLaw::Table { pairs: read_table(&mut inputs, "table", file)? },
+            (None, Some(file)) => {
+                let pairs = read_table(&mut inputs, "table", file)?;
+                if self.by == Parameter::Incidence {
+                    doubt_incidences(&pairs);
+                }
+                RateLaw::Table { pairs }
+            }
             (None, None) => return Err(Failure::new("--table: is missing; give it or --exponent")),
         };
         law.check().map_err(Failure::with_flags)?;
@@ -526,7 +532,11 @@ impl FootprintArgs {
         };
         let rate_law = match (self.exponent, &self.table) {
             (Some(exponent), _) => RateLaw::Cosine { exponent },
-            (None, Some(file)) => RateLaw::Table { pairs: read_table(&mut inputs, "table", file)? },
+            (None, Some(file)) => {
+                let pairs = read_table(&mut inputs, "table", file)?;
+                doubt_incidences(&pairs);
+                RateLaw::Table { pairs }
+            }
             (None, None) => RateLaw::Cosine { exponent: 0.0 },
         };
         rate_law.check().map_err(Failure::with_flags)?;
@@ -601,6 +611,12 @@ impl TimeArgs {
         let tif = Tif::varying(given).map_err(Failure::with_flags)?;
         write(output, tif, None, &self.output.out)
     }
+}
+
+/// Warns of a table whose incidences may be in radians.
+fn doubt_incidences(pairs: &[[f64; 2]]) {
+    let largest_deg = pairs.iter().fold(0.0, |most: f64, pair| most.max(pair[0]));
+    doubts::of_incidences(largest_deg, pairs.len()).iter().for_each(warn);
 }
 
 /// Rows of two numbers, separated by blanks, commas or semicolons; lines that begin with `#` are left out.

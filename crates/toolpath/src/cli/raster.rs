@@ -3,6 +3,7 @@
 use clap::{Args, ValueEnum};
 use planish_handoff::{Begin, Failure, Status, task};
 use planish_toolpath::{LineOrder, RasterSettings, Scan, Turn, raster};
+use planish_types::doubts;
 use serde_json::json;
 
 use super::{Region, RegionArgs};
@@ -94,7 +95,8 @@ impl RasterArgs {
             Begin::Run(output) => output,
         };
         let path = raster(&on.surface, &settings)?;
-        let warnings = settings.warnings(&path);
+        let mut warnings = settings.warnings(&path);
+        warnings.extend(self.angle_deg.and_then(|angle| doubts::of_angle("`angle_deg`", angle)));
         on.write(&mut output, &path, settings.largest_pitch_mm(), json!({}), warnings)
     }
 }
