@@ -5,7 +5,7 @@ use planish_bspline_feed::{
     Settings,
     deconvolution::Refinement,
     plan,
-    plan::{Method, Piston},
+    plan::{Method, Piston, width_mm},
 };
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status,
@@ -14,6 +14,11 @@ use planish_handoff::{
 };
 use planish_types::{DwellDensity, PathDistance, Trajectory};
 use serde_json::json;
+
+/// Way by which turn-arounds may run out beyond the ends of the lines, in widths of the TIF: the usual overscan is half
+/// the size of the tool, which is more. Larger: turn-arounds leave the overscan. Smaller: lines that end fast are
+/// refused. The tolerance of the motion includes it.
+const RUN_OUT_OVER_TIF_WIDTH: f64 = 0.5;
 
 #[derive(Args)]
 pub struct Feed {
@@ -87,7 +92,9 @@ impl Feed {
 
         let r = &plan.report;
         let total_time_s = plan.trajectory.total_time_s();
-        let distance = PathDistance::new(&plan.trajectory, &path, None)?;
+        let run_out_mm = RUN_OUT_OVER_TIF_WIDTH * width_mm(&tif);
+        let tolerance_mm = path.tolerance_mm(None)?.max(run_out_mm);
+        let distance = PathDistance::new(&plan.trajectory, &path, Some(tolerance_mm))?;
         let excess = distance.excess().map(|excess| {
             format!("{excess}; plan by planish-refine, whose scheduler pvt stays within it")
         });

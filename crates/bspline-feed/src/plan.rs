@@ -447,7 +447,7 @@ fn deconvolution_settings(settings: &Settings) -> deconvolution::Settings {
 
 /// FWHM of the Gaussian with the second moment of the TIF: `sqrt(8 ln 2) sigma`,
 /// `sigma^2 = integral R r^2 / (2 integral R)`, about its centre of mass.
-fn width_mm(tif: &Tif) -> f64 {
+pub fn width_mm(tif: &Tif) -> f64 {
     let grid = tif.grid();
     let moment = |f: &dyn Fn(f64, f64) -> f64| {
         let sum = tif.rate_nm_per_s().indexed_iter();

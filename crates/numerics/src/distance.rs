@@ -140,8 +140,11 @@ mod tests {
                 let stated = largest(&cubic, 2.0, 0.0, |points, _| farthest(points));
                 let at = |k: usize| [0, 1].map(|a| evaluate(&cubic[a], 2e-4 * k as f64));
                 let sampled = (0..=10_000).map(|k| farthest(&[at(k)])).fold(0.0, f64::max);
-                // Samples miss the peak by the speed (30 at most) times half their distance.
-                assert!(stated >= sampled && stated < sampled + 3e-3, "{case}: {stated} {sampled}");
+                // Samples miss the peak by the speed (30 at most) times half their distance; rounding of numbers of 10.
+                assert!(
+                    stated >= sampled - 1e-12 && stated < sampled + 3e-3,
+                    "{case}: {stated} {sampled}"
+                );
             }
         }
     }

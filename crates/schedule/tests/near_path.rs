@@ -100,7 +100,7 @@ fn schedulers() -> Vec<(String, bool, Schedule)> {
         all.push((name, true, schedule));
     }
     for named in SCHEDULERS.iter().filter(|named| named.name != "pvt") {
-        let keeps = named.name == "stop-at-corners";
+        let keeps = named.name != "constant-acceleration";
         let schedule: Schedule = Box::new(move |path, dwell, limits| {
             let made = named.scheduler(&Choices::default(), limits).schedule(path, dwell, limits);
             made.map(|s| s.trajectory).map_err(|e| e.to_string())
@@ -217,7 +217,7 @@ fn a_straight_path_of_equal_points_and_times_needs_no_tolerance() {
     let n = 60;
     let points = (0..=n).map(|k| [0.8 * f64::from(k), 0.6 * f64::from(k)]).collect();
     let path = ToolPath::through(points, vec![true; 60], vec![0; 60]).unwrap();
-    let dwell = DwellTime::new(vec![0.2; 60]).unwrap();
+    let dwell = DwellTime::new(vec![1.0; 60]).unwrap();
     for (name, limits) in machines() {
         for mode in [Mode::Smooth, Mode::Monotone] {
             let settings =
@@ -257,8 +257,8 @@ fn a_small_tolerance_without_jerk_gives_a_motion_in_the_boxes_of_the_segments() 
     assert!(smooth.report.solver.iter().all(|solver| *solver != Solver::LeastTime));
     let monotone = of(Mode::Monotone, 1e-4);
     let [a, b] = [&smooth, &monotone].map(|s| s.trajectory.total_time_s());
-    // Both keep the dwell times.
-    assert!((a - b).abs() < 1e-9, "{a} {b}");
+    // Both keep the dwell times, but for the margin of 1e-6 below the limits.
+    assert!((a - b).abs() < 1e-6 * b, "{a} {b}");
 }
 
 /// Without a tolerance, the motion along this path of 40 mm leaves it by 11.9 mm.

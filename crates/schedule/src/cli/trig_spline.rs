@@ -16,7 +16,8 @@ pub struct TrigSpline {
     /// Repair of the dwell-time densities that the machine cannot follow
     #[arg(long, value_enum, default_value = "offset")]
     repair: trig_spline::Repair,
-    /// Largest distance of the motion from a corner of the path, mm; larger values let the tool pass corners faster
+    /// Largest distance of the motion from a corner of the path, mm, but at most the usual tolerance of the path; larger
+    /// values let the tool pass corners faster
     #[arg(long, value_name = "MM", default_value_t = trig_spline::Settings::default().corner_deviation_mm)]
     corner_deviation_mm: f64,
     /// Largest error of the position in the fit of the motion by cubics, mm

@@ -80,7 +80,7 @@ pub struct Settings {
     pub repair: Repair,
     /// Largest distance of the motion from a corner, mm; > 0. Larger: corners are passed faster, and the
     /// tool is farther from the path. Default 0.02 mm: a hundredth of the smallest tools, and enough to
-    /// turn by 90 degrees at 10 mm/s with 1000 mm/s^2.
+    /// turn by 90 degrees at 10 mm/s with 1000 mm/s^2. It is at most the usual tolerance of the path.
     pub corner_deviation_mm: f64,
     /// Largest error of the position in the fit by cubics, mm; > 0. Smaller: more cubics. Default 1e-6 mm.
     pub fit_tolerance_mm: f64,
@@ -120,6 +120,18 @@ pub struct Schedule {
     pub report: Report,
 }
 
+impl Settings {
+    /// The settings with corners that stay within the usual tolerance of the path.
+    fn near(&self, path: &ToolPath) -> Result<Self, Invalid> {
+        let tolerance_mm = path.tolerance_mm(None)?;
+        let corner_deviation_mm = match tolerance_mm > 0.0 {
+            true => self.corner_deviation_mm.min(tolerance_mm),
+            false => self.corner_deviation_mm,
+        };
+        Ok(Self { corner_deviation_mm, ..*self })
+    }
+}
+
 impl Scheduler for Settings {
     fn name(&self) -> &'static str {
         "trig-spline"
@@ -148,6 +160,7 @@ pub fn schedule(
 ) -> Result<Schedule, ScheduleError> {
     check_lengths(path, dwell)?;
     settings.check()?;
+    let settings = &settings.near(path)?;
     let mut report = Report::default();
     let mut passes: Vec<Pass> = runs_with_tool_on(path)
         .map(|run| Pass::new(path, dwell, limits, settings.corner_deviation_mm, run, &mut report))
