@@ -19,6 +19,9 @@ use crate::{
 /// Most statements that a warning quotes.
 const MOST_QUOTED: usize = 5;
 
+/// Longest part of a comment that is read, characters. Larger: more memory for a hostile file.
+const LONGEST: usize = 1000;
+
 /// Keys of the unit of the values, separated by `|`, as in all lists below.
 const UNITS: &str = "\
     unit|units|value unit|value units|z unit|z units|zunit|zunits|unit z|units z|unit of z|\
@@ -167,6 +170,8 @@ impl Beside {
     /// # Errors
     /// A unit that is not understood, or a statement that contradicts another one.
     pub fn add_comment(&mut self, comment: &str, line: usize) -> Result<(), Invalid> {
+        let end = comment.char_indices().nth(LONGEST).map_or(comment.len(), |(end, _)| end);
+        let comment = &comment[..end];
         let place = format!("line {line}");
         if let Some(nm) = wavelength_in(comment) {
             self.wavelength_nm = Some(nm);
@@ -201,8 +206,7 @@ impl Beside {
         if named >= 2 || (named == 1 && Unit::spelled(value).is_some()) {
             return self.take_columns(columns);
         }
-        if is_telling(key) || leading_number(value).is_some_and(|q| Unit::spelled(q.rest).is_some())
-        {
+        if is_telling(key) || is_length(value) {
             self.leave(comment, &place);
         }
         Ok(())
@@ -497,6 +501,12 @@ impl Beside {
 /// Returns true if `key` is one of the words that `|` separates in `keys`.
 fn is_key(keys: &str, key: &str) -> bool {
     keys.split('|').any(|word| word == key)
+}
+
+/// Returns true for a text that begins with a number and its unit.
+fn is_length(value: &str) -> bool {
+    let word = leading_number(value).and_then(|number| number.rest.split_whitespace().next());
+    word.is_some_and(|word| Unit::spelled(word).is_some())
 }
 
 /// Returns true if a key could change how values or pixels are read.
@@ -819,7 +829,9 @@ mod tests {
             // A product of two roundings.
             assert!((nm / 632.8 - 1.0).abs() < 1e-14, "{text}: {nm}");
         }
-        assert_eq!(read(&["z [waves @ 632.8 nm]"]).wavelength_nm, Some(632.8));
+        let nm = read(&["z [waves @ 632.8 nm]"]).wavelength_nm.unwrap();
+        // From nm to mm and back: two roundings.
+        assert!((nm / 632.8 - 1.0).abs() < 1e-14, "{nm}");
         assert_eq!(read(&["all lengths in m"]).lone_unit, Some(Unit::named("m")));
         assert_eq!(read(&["rate: nm/h"]).unit, Some(Unit::named("nm/h")));
         assert!(read(&["heights are in furlong"]).warnings[0].contains("furlong"));

@@ -107,6 +107,9 @@ struct Comments {
     is_keyence: bool,
 }
 
+/// Most fields of a line that are looked at to tell text from numbers. Larger: more memory for a long line.
+const MOST_FIELDS: usize = 1 << 16;
+
 /// Most lines of text above the numbers that the manifest keeps.
 const MOST_LINES: usize = 40;
 
@@ -119,11 +122,13 @@ fn header(text: &str) -> Result<(Comments, usize), Invalid> {
     let mut lines = text.lines().enumerate().peekable();
     while let Some((i, line)) = lines.next() {
         if line.trim().is_empty() || text::is_comment(line) {
-            comments.push((i, line));
+            if text::is_comment(line) && comments.len() < MOST_HEADER_LINES {
+                comments.push((i, line));
+            }
             continue;
         }
-        let fields: Vec<&str> = text::fields(line).collect();
-        let next = lines.peek().map(|(_, next)| text::fields(next).count());
+        let fields: Vec<&str> = text::fields(line).take(MOST_FIELDS).collect();
+        let next = lines.peek().map(|(_, next)| text::fields(next).take(MOST_FIELDS).count());
         // Decimal commas may split a line of numbers at the wrong places.
         let is_word = |field: &&str| {
             let is_text = |word: &str| !text::is_numeric(word) && !text::is_no_data(word);

@@ -278,6 +278,9 @@ struct Names {
     warnings: Vec<String>,
 }
 
+/// Most columns that are looked at. Larger: more memory for a long line.
+const MOST_COLUMNS: usize = 1000;
+
 /// Names of columns that number the points.
 const NUMBERS: [&str; 16] = [
     "point", "points", "no", "no.", "nr", "nr.", "number", "#", "index", "idx", "id", "site",
@@ -298,7 +301,7 @@ impl Names {
             true => line.to_string(),
             false => line.replace(" (", "(").replace(" [", "["),
         };
-        let fields: Vec<&str> = text::fields(&joined).collect();
+        let fields: Vec<&str> = text::fields(&joined).take(MOST_COLUMNS).collect();
         let names = fields.iter().map(|field| Unit::of_name(field));
         let names: Vec<(String, Option<Unit>)> = names.collect::<Result<_, _>>()?;
         let short: String = line.chars().filter(|c| !c.is_control()).take(60).collect();
@@ -328,7 +331,9 @@ impl Names {
 impl Names {
     /// Takes a second line, of the units of the columns, and returns true if it is one.
     fn add_units(&mut self, line: &str) -> bool {
-        let words = text::fields(line).map(|word| word.trim_matches(['(', ')', '[', ']']));
+        let words = text::fields(line)
+            .take(MOST_COLUMNS)
+            .map(|word| word.trim_matches(['(', ')', '[', ']']));
         let units: Vec<(&str, Option<Unit>)> =
             words.map(|word| (word, Unit::spelled(word))).collect();
         let [x, y, z] =
@@ -373,9 +378,10 @@ fn usual_columns(
     short: &str,
 ) -> Result<[usize; 3], Invalid> {
     let remedy = || {
+        let order = if fields.len() == 3 { "the columns in the order x y z, or " } else { "" };
+        let of = listed(fields);
         format!(
-            "give `columns` with the names or the numbers of x, y and the values, of: {}",
-            listed(fields)
+            "give {order}`columns` with the names or the numbers of x, y and the values, of: {of}"
         )
     };
     let refuse = || {
@@ -553,13 +559,13 @@ fn three_fields(line: &str, number: usize) -> Result<[&str; 3], Invalid> {
 
 /// The fields of a line in these places.
 fn chosen_fields(line: &str, columns: [usize; 3], number: usize) -> Result<[&str; 3], Invalid> {
-    let fields: Vec<&str> = text::fields(line).collect();
+    let needed = columns.iter().max().map_or(0, |k| k + 1);
+    let fields: Vec<&str> = text::fields(line).take(needed).collect();
     let get = |k: usize| fields.get(k).copied();
     match columns.map(get) {
         [Some(x), Some(y), Some(z)] => Ok([x, y, z]),
         _ => {
             let problem = format!("has {} fields in line {number}", fields.len());
-            let needed = columns.iter().max().map_or(0, |k| k + 1);
             Err(Invalid::whole(NAME, problem, format!("give at least {needed} in every line")))
         }
     }

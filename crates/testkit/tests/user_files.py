@@ -3,7 +3,7 @@
     python3 user_files.py FIXTURE_DIR
 
 makes them in the current directory out of a fixture's surface and tif: `mirror.datx`, `spot.mat`,
-`rates.mat`, `depth.datx`, `before.datx`, `after.datx`, the map `measured` with its `asphere.json`, and the lines of a profiler `scan.csv`, `scan.npy`. A reader goes by the content and not by the name:
+`rates.mat`, `depth.datx`, `before.datx`, `after.datx`, the map `measured` with its `asphere.json`, slopes in `slopes.mat`, `sx.npy` and `sy.npy`, and the lines of a profiler `scan.csv`, `scan.npy`. A reader goes by the content and not by the name:
 what is called .datx here is FITS, which takes four lines to write and states its units as datx does.
 """
 
@@ -70,6 +70,19 @@ def piece_nm(shift_mm):
 fits("depth.datx", spot_nm, 0.25)
 fits("before.datx", piece_nm(0), 0.25)
 fits("after.datx", piece_nm(0.025) - spot_nm, 0.25)
+
+# Slopes of a test piece along x and y, nm/mm = urad, in one file and in two.
+def slopes_urad():
+    x, y = axis_mm[None], axis_mm[:, None]
+    return (
+        20 / 3 * np.cos(x / 3 + y / 5) * np.cos(y / 2),
+        20 * (np.cos(x / 3 + y / 5) * np.cos(y / 2) / 5 - np.sin(x / 3 + y / 5) * np.sin(y / 2) / 2),
+    )
+
+
+mat("slopes.mat", slope_x=slopes_urad()[0], slope_y=slopes_urad()[1])
+for name, slope_urad in zip(("sx.npy", "sy.npy"), slopes_urad()):
+    np.save(name, slope_urad)
 
 # A line of a profiler: slopes of a cylinder of 2 km with a ripple, in urad over mm; and of an ellipse of p 30 m,
 # q 0.4 m, 3 mrad in its leading orders, in rad over m.
