@@ -907,7 +907,7 @@ fn rates_keep_their_time() {
     let tmp = tempfile::tempdir().unwrap();
     let tif = |file: &str, flags: &[&str]| -> Result<(f64, f64), String> {
         let out = tmp.path().join("tif");
-        let output = Command::new(env!("CARGO_BIN_EXE_planish-import"))
+        let output = planish_testkit::program::stage("planish-import")
             .args([&["tif", file, "--force", "--out", out.to_str().unwrap()], flags].concat())
             .output()
             .unwrap();
@@ -1021,7 +1021,7 @@ fn slopes_become_heights() {
     let tmp = tempfile::tempdir().unwrap();
     let out = tmp.path().join("map");
     let run = |flags: &[&str]| {
-        Command::new(env!("CARGO_BIN_EXE_planish-import"))
+        planish_testkit::program::stage("planish-import")
             .args(
                 [
                     &["slopes", &second("slopes.h5"), "--force", "--out", out.to_str().unwrap()],
@@ -1078,7 +1078,7 @@ fn call_trace(
 ) -> (Output, Option<artifact::Loaded<Trajectory>>) {
     let (tmp, path) = put(name, bytes);
     let out = tmp.path().join("out");
-    let output = Command::new(env!("CARGO_BIN_EXE_planish-import"))
+    let output = planish_testkit::program::stage("planish-import")
         .args([&["trace", &path, "--out", out.to_str().unwrap()][..], flags].concat())
         .output()
         .unwrap();
@@ -1348,7 +1348,7 @@ fn all_axes_of_a_machine_are_read_by_their_names() {
     let (tmp, path) = put("log.csv", text.as_bytes());
     let out = tmp.path().join("out");
     let call = |flags: &[&str]| {
-        Command::new(env!("CARGO_BIN_EXE_planish-import"))
+        planish_testkit::program::stage("planish-import")
             .args(
                 [&["trace", &path, "--machine", machine, "--out", out.to_str().unwrap()], flags]
                     .concat(),

@@ -822,7 +822,7 @@ fn a_circle_of_stages_is_refused() {
         "title: T\nstages:\n  path: []\n  run: [path, end, run]\n",
     )
     .unwrap();
-    let mut command = Command::new(PROGRAM);
+    let mut command = planish_testkit::program::stage(PROGRAM);
     command.current_dir(dir.path()).env("PLANISH_SHARE", dir.path());
     command.args(["run", "loop", "fixture=coupon", "machine=machine.json", "out=o"]);
     refused(
