@@ -478,7 +478,7 @@ mod tests {
     #[test]
     fn a_toroid_is_a_torus_with_its_radii() {
         for [x_mm, y_mm] in
-            [[300e3, 60.0], [400.0, 60.0], [-400.0, -60.0], [-400.0, 60.0], [80.0, 200.0]]
+            [[300e3_f64, 60.0], [400.0, 60.0], [-400.0, -60.0], [-400.0, 60.0], [80.0, 200.0]]
         {
             let json = format!(
                 r#"{{"kind": "toroid", "radius_x_mm": {x_mm}, "radius_y_mm": {y_mm}, "vertex_mm": [1, -2]}}"#

@@ -13,7 +13,11 @@ use planish_dwell::{
     problem::Problem,
 };
 use planish_fixture::{Fixture, Recipe, make};
-use planish_numerics::{fft::convolution::Convolution, linear::skyline::Skyline, vectors::Lanes};
+use planish_numerics::{
+    fft::{convolution::Convolution, plan::Planned},
+    linear::skyline::Skyline,
+    vectors::Lanes,
+};
 use planish_schedule::{
     pvt::{self, Mode},
     trig_spline,
@@ -169,7 +173,7 @@ fn simulate_resting(bencher: Bencher) {
 /// A map of dwell times on `side` x `side` pixels, convolved with the TIF of 107 x 107 px: one transform
 /// and its inverse. A removal without approximation takes at least this time.
 #[divan::bench(types = [f64, f32], args = [1641, 4096, 8192], sample_count = 3)]
-fn convolution<T: Lanes>(bencher: Bencher, side: usize) {
+fn convolution<T: Lanes + Planned>(bencher: Bencher, side: usize) {
     let rate = CASE.tif.rate_nm_per_s();
     let seconds = Array2::<f64>::ones((side + rate.nrows() - 1, side + rate.ncols() - 1));
     let plan = Convolution::<T>::new(rate.view(), seconds.dim());
