@@ -870,11 +870,14 @@ fn arrays_of(dir: &Path) -> Result<Vec<String>, Failure> {
 fn entries(dir: &Path) -> Result<Vec<String>, Failure> {
     let unreadable =
         |e: std::io::Error| Failure::new(format!("{}: cannot read: {e}", dir.display()));
-    let name = |entry: Result<fs::DirEntry, std::io::Error>| {
-        entry.map(|e| e.file_name().to_string_lossy().into_owned())
-    };
-    let names: Result<Vec<String>, _> = fs::read_dir(dir).map_err(unreadable)?.map(name).collect();
-    let mut names = names.map_err(unreadable)?;
+    let mut names = Vec::new();
+    for entry in fs::read_dir(dir).map_err(unreadable)? {
+        let name = entry.map_err(unreadable)?.file_name().into_string().map_err(|name| {
+            let path = dir.join(name);
+            Failure::new(format!("{}: the name is not UTF-8; give another one", path.display()))
+        })?;
+        names.push(name);
+    }
     names.sort();
     Ok(names)
 }

@@ -9,10 +9,14 @@ use planish_handoff::{
     flags::{OutputArgs, TrajectoryArgs},
     kind,
     npy::ArrayData,
-    say, task,
+    say, task, with_flags,
 };
 use planish_reconcile::{
-    Comparison, Reconciled, Settings, bands::Band, draw::picture, reconcile, report::Estimate,
+    Comparison, Reconciled, Settings,
+    bands::Band,
+    draw::picture,
+    reconcile,
+    report::{Estimate, Evidence},
 };
 use planish_simulate::error_budget::{ErrorBudget, ErrorBudgetFile};
 use planish_types::{Surface, Tif, Transform, plausible, text::significant};
@@ -51,6 +55,10 @@ pub struct Reconcile {
     /// residual
     #[arg(long)]
     tif_as_sampled: bool,
+    /// State that both maps were measured and read in the same way: one sign, unit and orientation. Give it if the plan
+    /// leaves less than the noise of the maps, so that they cannot show it. Maps that contradict it are still refused
+    #[arg(long)]
+    same_measurement: bool,
     /// Transform from part to machine that was applied to the plan of this run [transform artifact]
     #[arg(long, value_name = "DIR")]
     transform: Option<PathBuf>,
@@ -76,6 +84,7 @@ impl Reconcile {
             hold: self.hold.clone(),
             metrology_order: self.metrology_order.as_ref().map(|n| [n[0], n[1]]),
             tif_as_sampled: self.tif_as_sampled,
+            same_measurement: self.same_measurement,
         };
         let mut inputs = Inputs::new();
         let (trajectory, manifest) = self.trajectory.read_on_part(&mut inputs)?;
@@ -118,7 +127,8 @@ impl Reconcile {
             _ => Failure::with_flags(e),
         })?;
 
-        let status = found.drawback.clone().map_or(Status::Done, Status::Negative);
+        let drawback = found.drawback.as_deref().map(with_flags);
+        let status = drawback.map_or(Status::Done, Status::Negative);
         let outcome = serde_json::to_value(&found.outcome)?;
         fn map(m: &Array2<f64>) -> ArrayData<'_> {
             ArrayData::F64(m.view().into_dyn().into())
@@ -268,7 +278,32 @@ fn table(found: &Reconciled) -> String {
         noise.effective_pixels.round(),
         noise.pixels
     ));
+    lines.push(line_of_evidence(&outcome.evidence));
     lines.join("\n")
+}
+
+fn line_of_evidence(evidence: &Evidence) -> String {
+    let removal = match (evidence.removal_factor, evidence.removal_factor_standard_error) {
+        (Some(factor), Some(error)) => format!(
+            "the maps differ by {} +- {} times the planned removal; ",
+            significant(factor, 3),
+            significant(error, 1)
+        ),
+        _ => String::new(),
+    };
+    let scale = match evidence.scale {
+        Some([low, high]) => format!(
+            ", and the map after has {} to {} times the heights that are expected",
+            significant(low, 2),
+            significant(high, 2)
+        ),
+        None => String::new(),
+    };
+    format!(
+        "{removal}beside what the fit explains they have {} nm RMS in common ({} standard errors){scale}",
+        significant(evidence.common_rms_nm, 2),
+        significant(evidence.common_standard_errors, 2)
+    )
 }
 
 /// One unknown.

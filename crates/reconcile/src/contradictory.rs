@@ -1,246 +1,503 @@
-//! Maps after a run that are not those of the run.
+//! Evidence that the map after is that of the run: its sign, its scale, its orientation, its place, and its part.
 //!
-//! The given map is compared with other readings of it: with its sign turned, with twice or half of its heights, turned
-//! or mirrored. If one of them leaves less than half of what the given map leaves, the
-//! given map contradicts the run. A reading that multiplies the noise is compared at equal noise. Maps of no known
-//! mistake are found by their size: the fit explains less than half of what the plan missed, the rest is at least a
-//! quarter of the measured removal, and it is no noise from pixel to pixel.
+//! What no tool reaches stays on the part. It is in the map before, less the removal, and it is in the map after,
+//! whatever the run did otherwise. So their common part says whether the map after is of this run, and how it lies:
 //!
-//! What no tool reaches stays on the part, so the map after contains it with the factor 1, whatever the run did otherwise.
-//! This factor is the slope of the map after on what the fit predicts of it ([`slope_on_predicted`]). A map with a turned
-//! sign has -1, one of half the heights 0.5, and one of another part or position 0.
+//! ```text
+//! p = P (before - removal)      a = P after                          P takes off all that the fit can explain
+//! X(h) = sum_x p(x) a(x + h)    sigma^2 = sum_h N(h) C_p(h) C_a(h)   h = 0 is expected to be the largest
+//! ```
 //!
-//! Where all of the residual is noise, no slope tells the unit. Two maps of one instrument have about the same noise, so
-//! a ratio of their noises that is a power of ten is taken for a wrong unit.
+//! The noise of two maps is independent, so X has no part of it, and sigma is its scatter if the maps have nothing in
+//! common (Bartlett's formula; N(h), C(h): pairs of pixels that are h apart, and the covariance of a map). Another reading of the
+//! map after, with X_k in place of X, is less probable than the given one by the factor
+//!
+//! ```text
+//! exp(-X (X - X_k) / sigma^2)
+//! ```
+//!
+//! That holds for the map with its sign turned (X_k = -X), for another part (half of X^2, X_k = 0), for the
+//! map turned or mirrored, and for the map at another place (X(h)). Where a reading is not [`ODDS`] less probable, the
+//! maps do not tell, and nothing of the fit is applied, unless the user states that both maps were measured in the same way.
+//!
+//! The scale s of the map after lies within bounds that no noise passes (Frisch's bounds of two maps with errors), and where
+//! white noise can be told from the figure, the noise is taken off them:
+//!
+//! ```text
+//! X / <p, p>  <=  s  <=  <a, a> / X             X / (<p, p> - N n_p^2),   (<a, a> - N n_a^2) / X
+//! ```
+//!
+//! If they do not tell 1 from 1/2 and 2, equal noise of both maps does, because two maps of one instrument have about the
+//! same. How much of the planned removal is between the maps is a regression of before - after on it: 1 is expected, 0 is a map
+//! that was measured twice, and -1 is two maps that were exchanged.
+//!
+//! Maps of no known mistake are found by their size: the fit explains less than half of what the plan missed, the rest is
+//! at least a quarter of the measured removal, and it is no noise from pixel to pixel.
+//!
+//! | symbol | variable | shape | unit |
+//! |---|---|---|---|
+//! | p, a | `expected`, `after` | (ny, nx) | nm |
+//! | X, sigma | `common`, `scatter` | | nm^2 |
+//! | n_p, n_a | `noise_nm` | | nm |
+//!
+//! Sources: M. S. Bartlett, J. Roy. Stat. Soc. B 8 (1946) 27; R. Frisch, Statistical confluence analysis (1934).
 
 use ndarray::{Array2, s};
+use planish_numerics::fft::{smooth_size, transform};
 use planish_types::text::significant;
 
 use crate::{
-    fit::{Data, Start},
-    metrology::Term,
-    report::Fitted,
+    correlation::padded,
+    fit::{Data, Fit, Normal, dot},
+    report::{Evidence, Fitted},
 };
 
-/// Rest of another reading over the rest of the given one from which it is the right one. Noise alone gives 1.
-const PLAINLY: f64 = 0.5;
+/// Logarithm of the odds from which one reading is taken and another one is left. Larger: fewer maps are accepted.
+/// Smaller: a wrong map is accepted by chance. Chosen: 3000 to 1; a map of another part then needs four standard errors.
+const ODDS: f64 = 8.0;
 
-/// Rest over what the plan missed below which the fit explains the run, whatever other readings leave.
-const EXPLAINED: f64 = 0.01;
+/// Range of the scale that is taken for 1. Wider: mistakes of a factor near 1 pass. Narrower: errors that the model does
+/// not know, and that resemble the residual, are taken for a mistake. Chosen between 1 and the factors of the usual
+/// mistakes, 1/2 and 2.
+const SCALES: [f64; 2] = [0.7, 1.4];
+
+/// Standard errors by which a factor must be beyond a bound. Larger: mistakes pass on noisy maps. Smaller: right maps are
+/// refused by chance. Chosen.
+const ERRORS: f64 = 4.0;
+
+/// Range of the noise of the map after over that of the map before that is taken for one instrument. Wider: half and twice
+/// the heights pass. Narrower: right maps are refused. Derived: the noise of 1000 pixels is known to 4 %, and 1/2 and 2
+/// are far away.
+const SAME_NOISE: [f64; 2] = [0.75, 1.33];
+
+/// Range of the planned removal that lies between the maps. Wider: a map that was measured twice passes. Narrower: runs
+/// whose rate is off are refused. Chosen: half way to a map that was measured twice, and as much beyond 1.
+const REMOVALS: [f64; 2] = [0.5, 1.5];
+
+/// Least part of the mean square of a map that is no noise, where the noise is taken off. Larger: fewer scales are known.
+/// Smaller: the correction for noise is a guess. Chosen.
+const LEAST_SIGNAL: f64 = 0.2;
+
+/// Displacements that count as another place, over the width of the tool. Larger: displaced maps pass. Smaller: the
+/// flank of the correlation is taken for another place. Chosen: such a displacement changes what a run teaches by a part
+/// of it.
+const PLACE: f64 = 0.25;
+
+/// Least pairs of pixels of a displacement, over the pixels. Larger: fewer displacements are tried. Smaller: a few pixels
+/// decide. Chosen.
+const LEAST_PAIRS: f64 = 0.25;
+
+/// Pixels of one height, and their ratio to the pixels of the next frequent one, from which that height stands for no
+/// data. Larger: small holes pass. Smaller: maps in coarse steps are refused. Chosen: a map in steps has many heights
+/// about as often.
+const LEAST_EQUAL: [usize; 2] = [4, 10];
 
 /// Least rest over what the plan missed, over the measured removal, and over the noise from pixel to pixel.
 const OF_MISSED: f64 = 0.5;
 const OF_REMOVAL: f64 = 0.25;
 const OF_NOISE: f64 = 3.0;
 
-/// Range of the slope of the map after on the predicted one that is taken for 1. Wider: mistakes of a factor near 1 pass.
-/// Narrower: errors that the model does not know, and that resemble the residual, are taken for a mistake. Chosen between
-/// 1 and the factors of the usual mistakes, 0, 1/2 and 2.
-const SLOPES: [f64; 2] = [0.7, 1.4];
-
-/// Standard errors by which the slope must be beyond this range. Larger: mistakes pass on noisy maps. Smaller: right maps
-/// are refused by chance. Chosen.
-const SLOPE_ERRORS: f64 = 4.0;
-
-/// Largest distance of the logarithm of a ratio of noises from a whole number of decades. Larger: maps that are measured
-/// with ten times less averaging are refused by chance. Smaller: a wrong unit passes on small maps. Derived: the noise of
-/// 1000 pixels is known to 4 %, 0.02 of a decade.
-const NEAR_POWER: f64 = 0.05;
-
 /// Fourth differences over two pixels relative to those over one, from which a map has more figure than noise between its
 /// pixels. Larger: figures are taken for noise. Smaller: noise that is correlated over some pixels, with 1.5, is no noise.
 /// Chosen.
 const FIGURE: f64 = 3.0;
 
-/// Number of blocks along an axis whose errors count as independent. Larger: long waves of the errors are underestimated.
-/// Smaller: a worse estimate of the standard error. Chosen.
-const BLOCKS: usize = 8;
-
-/// Least part of the mean square of the predicted map that is no noise. Larger: fewer maps are judged. Smaller: the
-/// correction for noise is a guess. Chosen.
-const LEAST_SIGNAL: f64 = 0.2;
-
-/// Other reading of the map after that leaves the least, and what it leaves, nm RMS.
-fn best_reading(
-    before: &Array2<f64>,
-    after: &Array2<f64>,
-    data: &Data<'_>,
-    start: &Start,
-    terms: &[Term],
-) -> (&'static str, f64) {
-    // A reading as before - factor * after, which has the noise (1 + factor^2) / 2 of the given one.
-    let mirrored = |y: i32, x: i32| after.slice(s![..;y, ..;x]).to_owned();
-    let readings: [(&str, Array2<f64>, f64); 6] = [
-        ("with its sign turned", -after, 1.0),
-        ("with twice its heights", 2.0 * after, 2.5_f64.sqrt()),
-        ("with half of its heights", 0.5 * after, 0.625_f64.sqrt()),
-        ("turned by 180 degrees", mirrored(-1, -1), 1.0),
-        ("mirrored along x", mirrored(1, -1), 1.0),
-        ("mirrored along y", mirrored(-1, 1), 1.0),
-    ];
-    let mut best = ("", f64::INFINITY);
-    for (name, map, gain) in readings {
-        let mut other = before - &map;
-        let valid = other.mapv(|v| if v.is_nan() { 0.0 } else { 1.0 });
-        if valid.sum() < 0.5 * data.valid.sum() {
-            continue;
-        }
-        other.mapv_inplace(|v| if v.is_nan() { 0.0 } else { v });
-        let other = Data { grid: data.grid, data: other, valid };
-        let left = start.left_of(terms, &other) / gain;
-        if left < best.1 {
-            best = (name, left);
-        }
-    }
-    best
+/// The evidence, and the sentence against the map after, if there is one.
+pub struct Judgement {
+    /// The numbers.
+    pub evidence: Evidence,
+    /// Reason why nothing of the fit is applied.
+    pub against: Option<String>,
 }
 
-/// Returns the sentence that says so if the fit explains nothing. `start` is the model at the plan, `rest` what the fit
-/// leaves.
-pub fn explains_nothing(
+/// Remedy where the maps do not tell.
+const REMEDY: &str = "Give maps with less noise or with a mark that no tool reaches, or `same_measurement` if both maps were \
+                      measured and read in the same way";
+
+/// What both maps have in common beside the fit.
+struct Common {
+    /// p (ny, nx), nm; 0 where invalid.
+    expected: Array2<f64>,
+    /// a (ny, nx), nm; 0 where invalid.
+    after: Array2<f64>,
+    /// X, nm^2.
+    common: f64,
+    /// sigma, nm^2.
+    scatter: f64,
+    /// Valid pixels.
+    pixels: f64,
+}
+
+/// Another reading of the map after, and X_k.
+struct Reading {
+    name: String,
+    common: f64,
+}
+
+/// Other readings of the map after.
+struct Readings {
+    orientations: Vec<Reading>,
+    places: Vec<Reading>,
+}
+
+/// A scale of the map after, from both of its bounds.
+struct Scale {
+    bounds: [f64; 2],
+    /// Standard error of either.
+    error: f64,
+}
+
+/// Judges the map after by what the fit of the run leaves of it. `planned` is the removal of the plan (ny, nx), nm. With
+/// `same_measurement`, what the maps do not tell is no reason against them.
+pub fn judge(
     before: &Array2<f64>,
     data: &Data<'_>,
-    start: &Start,
-    terms: &[Term],
-    rest: &Array2<f64>,
+    planned: &Array2<f64>,
+    fit: &Fit,
     fitted: &Fitted,
-) -> Option<String> {
-    let with_nan = |v: f64, valid: &f64| if *valid > 0.5 { v } else { f64::NAN };
-    let mut after = before - &data.data;
-    after.zip_mut_with(&data.valid, |v, valid| *v = with_nan(*v, valid));
-    let left_nm = fitted.rest_rms_nm;
-    let best = best_reading(before, &after, data, start, terms);
-    let missed = fitted.measured_less_planned_rms_nm;
-    let said = format!(
-        "the fit explains nothing: {} of the {} nm RMS that the plan missed are left",
-        significant(left_nm, 3),
-        significant(missed, 3)
-    );
-    if left_nm > EXPLAINED * missed && best.1 < PLAINLY * left_nm {
+    tool_width_mm: f64,
+    same_measurement: bool,
+) -> Judgement {
+    let after = masked(&(before - &data.data), &data.valid);
+    let before = masked(before, &data.valid);
+    let terms: Vec<Array2<f64>> = fit.terms.iter().map(|t| t.map(data.grid)).collect();
+    let fields = Normal::new(&fit.columns[..fit.parameters.len()], &terms, &data.valid, Vec::new())
+        .orthonormal();
+    let expected = without(&fields, &(&before - &fit.removal), &data.valid);
+    let common = Common::new(expected, without(&fields, &after, &data.valid), &data.valid);
+    let readings = Readings::new(&common, &fields, &after, data, tool_width_mm);
+    let noise_nm = [&before, &after].map(|map| white_noise_nm(map, &data.valid));
+    let removal = removal_factor(data, planned, &terms, fit);
+    let scale = common.scale(noise_nm);
+    let evidence = Evidence {
+        removal_factor: removal.map(|(factor, _)| factor),
+        removal_factor_standard_error: removal.map(|(_, error)| error),
+        common_rms_nm: common.common.signum() * (common.common.abs() / common.pixels).sqrt(),
+        common_standard_errors: common.standard_errors(),
+        scale: scale.as_ref().map(|scale| scale.bounds),
+        noise_ratio: match noise_nm {
+            [Some(of_before), Some(of_after)] => Some(of_after / of_before),
+            _ => None,
+        },
+    };
+    let against = filled("before", &before, &data.valid)
+        .or_else(|| filled("after", &after, &data.valid))
+        .or_else(|| removal.and_then(against_removal))
+        .or_else(|| readings.clear(&common))
+        .or_else(|| scale.and_then(|scale| against_scale(&scale)))
+        .or_else(|| too_large(fitted, &fit.rest, &data.valid))
+        .or_else(|| untold(&evidence).or_else(|| readings.untold(&common)).filter(|_| !same_measurement));
+    Judgement { evidence, against }
+}
+
+/// Sentence that says what the maps do not tell of part, sign and scale. `None` if they tell all.
+fn untold(evidence: &Evidence) -> Option<String> {
+    if evidence.common_standard_errors.powi(2) < 2.0 * ODDS {
         return Some(format!(
-            "{said}, and only {} nm if the map after is read {}: check the map after",
-            significant(best.1, 3),
-            best.0
+            "the maps do not tell that the map after is of this run: beside what the fit explains they have {} nm RMS in \
+             common, {} standard errors, and 4 are needed. {REMEDY}",
+            significant(evidence.common_rms_nm, 2),
+            significant(evidence.common_standard_errors, 2)
         ));
     }
-    let piston = [Array2::ones(after.dim())];
-    let maps: Vec<Array2<f64>> =
-        piston.into_iter().chain(terms.iter().map(|t| t.map(data.grid))).collect();
-    let slope = slope_on_predicted(before, &after, rest, &data.valid, &maps);
-    if let Some([plain, corrected]) = slope {
-        let [low, high] = SLOPES;
-        let is_less = [plain, corrected].iter().all(|(s, e)| s + SLOPE_ERRORS * e < low);
-        let is_more = [plain, corrected].iter().all(|(s, e)| s - SLOPE_ERRORS * e > high);
-        if is_less || is_more {
-            let (slope, error) = corrected;
-            return Some(format!(
-                "the map after is {} +- {} times the map that the fit predicts, where 1 is expected: check its sign, its \
-                 unit, its orientation, and that it is of this run",
-                significant(slope, 2),
-                significant(error, 1)
-            ));
+    let [low, high] = evidence.scale?;
+    let is_known = SCALES[0] < low && high < SCALES[1];
+    let is_same = |ratio: f64| (SAME_NOISE[0]..SAME_NOISE[1]).contains(&ratio);
+    if is_known || evidence.noise_ratio.is_some_and(is_same) {
+        return None;
+    }
+    let noise = match evidence.noise_ratio {
+        Some(ratio) => format!("its noise is {} times that of the map before", significant(ratio, 2)),
+        None => "its noise is not told from its figure".into(),
+    };
+    Some(format!(
+        "the maps do not tell the scale of the map after: it is between {} and {}, and {noise}. Check its unit. {REMEDY}",
+        significant(low, 2),
+        significant(high, 2)
+    ))
+}
+
+/// Sentence on a map in which one height stands for pixels without data. `None` if none does.
+fn filled(name: &str, map: &Array2<f64>, valid: &Array2<f64>) -> Option<String> {
+    let pairs = map.iter().zip(valid).filter(|(_, valid)| **valid > 0.5);
+    let mut heights: Vec<f64> = pairs.map(|(height, _)| *height).collect();
+    heights.sort_unstable_by(f64::total_cmp);
+    let (mut first, mut second) = ((0, 0.0), 0);
+    for run in heights.chunk_by(|a, b| a == b) {
+        if run.len() > first.0 {
+            (second, first) = (first.0, (run.len(), run[0]));
+        } else {
+            second = second.max(run.len());
         }
     }
-    if let Some(ratio) = power_of_ten(before, &after, &data.valid) {
-        return Some(format!(
-            "the noise from pixel to pixel of the map after is {} times that of the map before, as if its heights were in \
-             another unit: check its unit",
-            significant(ratio, 3)
-        ));
-    }
-    let is_large = left_nm > OF_MISSED * missed
-        && left_nm > OF_REMOVAL * fitted.measured_removal_rms_nm
-        && left_nm > OF_NOISE * pixel_noise_nm(rest, &data.valid);
-    is_large.then(|| {
-        format!("{said}: check that both maps, the motion and the tool are those of one run")
+    let (count, height) = first;
+    let [least, ratio] = LEAST_EQUAL;
+    (count >= least && count >= ratio * second).then(|| {
+        format!(
+            "{count} pixels of the map {name} have exactly the height {height} nm, and no other height is so frequent: mark \
+             pixels without data by NaN"
+        )
     })
 }
 
-/// Range of the slope of the map after, a, on the map p that the fit predicts of it, with the standard error of both ends;
-/// both maps without the terms of the metrology, which the fit takes from the map after. `None` where p is hardly more than
-/// noise, unless the slope is below 0, which no noise does.
+/// Part of the planned removal in before - after, with its standard error. `None` if the plan removes no shape.
 ///
 /// ```text
-/// p = a + rest,   slope = <p, a> / (<p, p> - N sigma^2)
-/// error^2 = sum over blocks of <p, a - slope p>^2 / (<p, p> - N sigma^2)^2
+/// f = <d, R> / <R, R>,   error^2 = <R, C R> / <R, R>^2     R without the terms of the metrology, C of the noise
 /// ```
-///
-/// N sigma^2 is the noise of the map before, which p contains and a does not. It lies between 0 and the noise from pixel to
-/// pixel of the map before or of the rest, whichever is less.
-fn slope_on_predicted(
-    before: &Array2<f64>,
-    after: &Array2<f64>,
-    rest: &Array2<f64>,
-    valid: &Array2<f64>,
+fn removal_factor(
+    data: &Data<'_>,
+    planned: &Array2<f64>,
     terms: &[Array2<f64>],
-) -> Option<[(f64, f64); 2]> {
-    let is_valid = valid.mapv(|v| if v > 0.5 { 1.0 } else { 0.0 });
-    let after = without(terms, &after.mapv(|v| if v.is_nan() { 0.0 } else { v }), &is_valid);
-    let predicted = without(terms, &(&after + rest), &is_valid);
-    let (squares, count) = ((&predicted * &predicted).sum(), is_valid.sum());
-    let noise_nm = pixel_noise_nm(before, valid).min(pixel_noise_nm(rest, valid));
-    let signal = squares - noise_nm.powi(2) * count;
-    if count < (BLOCKS * BLOCKS) as f64 {
-        return None;
-    }
-    let plain = (&predicted * &after).sum() / squares;
-    let (ny, nx) = after.dim();
-    let mut blocks = vec![0.0; BLOCKS * BLOCKS];
-    for ((r, c), p) in predicted.indexed_iter() {
-        blocks[r * BLOCKS / ny * BLOCKS + c * BLOCKS / nx] += p * (after[[r, c]] - plain * p);
-    }
-    let error = blocks.iter().map(|b| b * b).sum::<f64>().sqrt();
-    let at = |denominator: f64| (plain * squares / denominator, error / denominator);
-    if signal >= LEAST_SIGNAL * squares {
-        return Some([at(squares), at(signal)]);
-    }
-    let is_turned = at(squares).0 + SLOPE_ERRORS * at(squares).1 < 0.0;
-    is_turned.then(|| [at(squares); 2])
+    fit: &Fit,
+) -> Option<(f64, f64)> {
+    let fields = Normal::new(&[], terms, &data.valid, Vec::new()).orthonormal();
+    let removal = without(&fields, planned, &data.valid);
+    let squares = dot(&removal, &removal);
+    let error = dot(&removal, &fit.noise.apply(&removal)).max(0.0).sqrt() / squares;
+    (squares > 0.0).then(|| (dot(&data.data, &removal) / squares, error))
 }
 
-/// The map without its least-squares part in the `columns`, over the valid pixels; 0 elsewhere.
-fn without(columns: &[Array2<f64>], map: &Array2<f64>, valid: &Array2<f64>) -> Array2<f64> {
-    let mut left = map * valid;
-    let mut basis: Vec<Array2<f64>> = Vec::new();
-    for column in columns {
-        let mut column = column * valid;
-        let given = (&column * &column).sum().sqrt();
-        for other in &basis {
-            let along = (&column * other).sum();
-            column.scaled_add(-along, other);
+/// Sentence on maps between which another part of the planned removal lies. `None` if it can be all of it.
+fn against_removal((factor, error): (f64, f64)) -> Option<String> {
+    let [low, high] = REMOVALS;
+    let is_beyond = factor + ERRORS * error < low || factor - ERRORS * error > high;
+    let said = format!(
+        "the maps differ by {} +- {} times the planned removal, where 1 is expected",
+        significant(factor, 2),
+        significant(error, 1)
+    );
+    let is_near = |value: f64| (factor - value).abs() < low;
+    match () {
+        () if is_beyond && is_near(-1.0) => Some(format!("{said}: the maps before and after are exchanged")),
+        () if is_beyond && is_near(0.0) => Some(format!("{said}: no run lies between them; check both maps")),
+        () if is_beyond => Some(format!("{said}: check the units of the maps and of the tool, and that all is of one run")),
+        // Its standard error hides the removal itself.
+        () if ERRORS * error > 1.0 => Some(format!("{said}: the noise hides whether a run lies between them")),
+        () => None,
+    }
+}
+
+/// Sentence on a scale that is not 1. `None` if it can be 1.
+fn against_scale(scale: &Scale) -> Option<String> {
+    let [low, high] = scale.bounds;
+    let is_beyond = high + ERRORS * scale.error < SCALES[0] || low - ERRORS * scale.error > SCALES[1];
+    is_beyond.then(|| {
+        format!(
+            "the map after has {} to {} times the heights that the plan leaves there, where 1 is expected: check its unit, and \
+             that it is of this run",
+            significant(low, 2),
+            significant(high, 2)
+        )
+    })
+}
+
+/// Sentence on a fit that leaves most of what the plan missed. `None` if it explains the run.
+fn too_large(fitted: &Fitted, rest: &Array2<f64>, valid: &Array2<f64>) -> Option<String> {
+    let (left_nm, missed_nm) = (fitted.rest_rms_nm, fitted.measured_less_planned_rms_nm);
+    let is_large = left_nm > OF_MISSED * missed_nm
+        && left_nm > OF_REMOVAL * fitted.measured_removal_rms_nm
+        && left_nm > OF_NOISE * noise_by_differences_nm(rest, valid, &SECOND, 1);
+    is_large.then(|| {
+        format!(
+            "the fit explains nothing: {} of the {} nm RMS that the plan missed are left: check that both maps, the motion \
+             and the tool are those of one run",
+            significant(left_nm, 3),
+            significant(missed_nm, 3)
+        )
+    })
+}
+
+impl Common {
+    fn new(expected: Array2<f64>, after: Array2<f64>, valid: &Array2<f64>) -> Self {
+        let [of_expected, of_after, pairs] = [(&expected, &expected), (&after, &after), (valid, valid)]
+            .map(|(one, other)| products(one, other));
+        let (ny, nx) = valid.dim();
+        let is_near = |(r, c): (usize, usize)| {
+            let [r, c] = [lag(r, pairs.nrows()), lag(c, pairs.ncols())];
+            2 * r.unsigned_abs() <= ny && 2 * c.unsigned_abs() <= nx
+        };
+        // N C_p C_a, where each C is a sum of products over N
+        let of_lag = |(at, n): ((usize, usize), &f64)| {
+            let is_counted = *n > 0.5 && is_near(at);
+            if is_counted { of_expected[at] * of_after[at] / n } else { 0.0 }
+        };
+        let variance: f64 = pairs.indexed_iter().map(of_lag).sum();
+        let least = dot(&expected, &expected) * dot(&after, &after) / valid.sum().max(1.0);
+        Self {
+            common: dot(&expected, &after),
+            // The sum scatters itself, and white noise alone has the least.
+            scatter: variance.max(least).sqrt(),
+            pixels: valid.sum().max(1.0),
+            expected,
+            after,
         }
-        let norm = (&column * &column).sum().sqrt();
-        // Rounding of a column that the ones before it span, as on a single row.
-        if norm <= 1e-9 * given {
-            continue;
+    }
+
+    fn standard_errors(&self) -> f64 {
+        if self.scatter > 0.0 { self.common / self.scatter } else { 0.0 }
+    }
+
+    /// Bounds of the scale; `None` where the maps have nothing in common.
+    fn scale(&self, noise_nm: [Option<f64>; 2]) -> Option<Scale> {
+        if self.standard_errors().powi(2) < 2.0 * ODDS || self.common <= 0.0 {
+            return None;
         }
-        column /= norm;
-        let along = (&left * &column).sum();
-        left.scaled_add(-along, &column);
-        basis.push(column);
+        let squares = [&self.expected, &self.after].map(|map| dot(map, map));
+        let signal = |k: usize| {
+            let left = squares[k] - noise_nm[k].unwrap_or(0.0).powi(2) * self.pixels;
+            if left >= LEAST_SIGNAL * squares[k] { left } else { squares[k] }
+        };
+        let ends = [self.common / signal(0), signal(1) / self.common];
+        let bounds = [ends[0].min(ends[1]), ends[0].max(ends[1])];
+        // What both maps have in common does not scatter.
+        let cosine = self.common / (squares[0] * squares[1]).sqrt();
+        let error = bounds[1] / self.standard_errors() * (1.0 - cosine.powi(2)).max(0.0).sqrt();
+        Some(Scale { bounds, error })
+    }
+
+    /// Other places of the map after, and X there.
+    fn other_places(&self, data: &Data<'_>, tool_width_mm: f64) -> Vec<Reading> {
+        let (all, pairs) = (products(&self.expected, &self.after), products(&data.valid, &data.valid));
+        let mut places = Vec::new();
+        for ((r, c), n) in pairs.indexed_iter() {
+            let [r_lag, c_lag] = [lag(r, pairs.nrows()), lag(c, pairs.ncols())];
+            let [x_mm, y_mm] =
+                [c_lag as f64 * data.grid.x.step_mm(), r_lag as f64 * data.grid.y.step_mm()];
+            if *n >= LEAST_PAIRS * self.pixels && x_mm.hypot(y_mm) > PLACE * tool_width_mm {
+                let name = format!(
+                    "displaced by {}, {} mm",
+                    significant(0.0 - x_mm, 3),
+                    significant(0.0 - y_mm, 3)
+                );
+                // Fewer pairs have a smaller X and a smaller scatter.
+                places.push(Reading { name, common: all[[r, c]] * (self.pixels / n).sqrt() });
+            }
+        }
+        places
+    }
+}
+
+impl Readings {
+    fn new(
+        common: &Common,
+        fields: &[Array2<f64>],
+        after: &Array2<f64>,
+        data: &Data<'_>,
+        tool_width_mm: f64,
+    ) -> Self {
+        let orientation = |(name, map): (&str, Array2<f64>)| {
+            let map = without(fields, &map, &data.valid);
+            Reading { name: name.into(), common: dot(&common.expected, &map) }
+        };
+        Self {
+            orientations: turned(after).into_iter().map(orientation).collect(),
+            places: common.other_places(data, tool_width_mm),
+        }
+    }
+
+    /// Sentence on the reading that the maps take for the right one. `None` if they take none of these.
+    fn clear(&self, given: &Common) -> Option<String> {
+        let said = "the part of the maps that the fit cannot explain";
+        if given.standard_errors() < -(2.0 * ODDS).sqrt() {
+            return Some(format!(
+                "{said} has opposite signs ({} standard errors): read the map after with its sign turned",
+                significant(given.standard_errors(), 3)
+            ));
+        }
+        // A reading has to be taken before another part, and before the given one. Of many places one is the best by
+        // chance: the logarithm of their number counts against each.
+        let is_clear = |reading: &&Reading, many: usize| {
+            let (errors, odds) = (reading.common / given.scatter, ODDS + (many as f64).ln());
+            errors > (2.0 * odds).sqrt() && errors * (errors - given.standard_errors()) > odds
+        };
+        let orientations = self.orientations.iter().filter(|reading| is_clear(reading, 1));
+        let places = self.places.iter().filter(|reading| is_clear(reading, self.places.len()));
+        let best = orientations.chain(places).max_by(|a, b| a.common.total_cmp(&b.common))?;
+        Some(format!(
+            "{said} is alike by {} standard errors if the map after is read {}, and by {} as it is: check the map after",
+            significant(best.common / given.scatter, 3),
+            best.name,
+            significant(given.standard_errors(), 3)
+        ))
+    }
+
+    /// Sentence on a reading that is as probable as the given one. `None` if there is none.
+    fn untold(&self, given: &Common) -> Option<String> {
+        let errors = given.standard_errors();
+        let odds = |reading: &Reading| errors * (errors - reading.common / given.scatter);
+        let orientation = self.orientations.iter().find(|reading| odds(reading) < ODDS);
+        // Before the data every place is as probable as any other one.
+        let places: f64 = self.places.iter().map(|reading| (-odds(reading)).exp()).sum();
+        let is_elsewhere = places > (-ODDS).exp() * self.places.len() as f64;
+        let best = self.places.iter().max_by(|a, b| a.common.total_cmp(&b.common));
+        let name = &orientation.or(best.filter(|_| is_elsewhere))?.name;
+        Some(format!(
+            "the maps do not tell whether the map after is as it is or {name}. {REMEDY}"
+        ))
+    }
+}
+
+/// Other orientations of a map.
+fn turned(map: &Array2<f64>) -> Vec<(&'static str, Array2<f64>)> {
+    let mirrored = |y: i32, x: i32| map.slice(s![..;y, ..;x]).to_owned();
+    let mut all = vec![
+        ("turned by 180 degrees", mirrored(-1, -1)),
+        ("mirrored along x", mirrored(1, -1)),
+        ("mirrored along y", mirrored(-1, 1)),
+    ];
+    if map.nrows() == map.ncols() {
+        all.extend([
+            ("with x and y exchanged", mirrored(1, 1).reversed_axes()),
+            ("turned by 90 degrees", mirrored(1, -1).reversed_axes()),
+            ("turned by -90 degrees", mirrored(-1, 1).reversed_axes()),
+            ("turned by 90 degrees and mirrored", mirrored(-1, -1).reversed_axes()),
+        ]);
+    }
+    all
+}
+
+/// Sums of the products of `one` with `other`, displaced by every lag (padded).
+fn products(one: &Array2<f64>, other: &Array2<f64>) -> Array2<f64> {
+    let (ny, nx) = one.dim();
+    let size = (smooth_size(2 * ny), smooth_size(2 * nx));
+    let mut product = transform::forward(padded(one, size).view()).mapv(|v| v.conj());
+    product *= &transform::forward(padded(other, size).view());
+    transform::inverse(product)
+}
+
+/// Lag of index `k` of a padded axis of length `n`.
+fn lag(k: usize, n: usize) -> isize {
+    if 2 * k < n { k as isize } else { k as isize - n as isize }
+}
+
+/// The map, 0 where it is invalid.
+fn masked(map: &Array2<f64>, valid: &Array2<f64>) -> Array2<f64> {
+    let mut map = map.clone();
+    map.zip_mut_with(valid, |v, valid| *v = if *valid > 0.5 { *v } else { 0.0 });
+    map
+}
+
+/// The map without its part in the orthonormal `fields`; 0 where it is invalid.
+fn without(fields: &[Array2<f64>], map: &Array2<f64>, valid: &Array2<f64>) -> Array2<f64> {
+    let mut left = masked(map, valid);
+    for field in fields {
+        let along = dot(field, &left);
+        left.scaled_add(-along, field);
     }
     left
 }
 
-/// Ratio of the noise of two maps of one instrument, after over before, if it is a power of ten. `None` if it is not, or
-/// if the fourth differences of a map are more of its figure than of its noise: over twice the distance, those of a
-/// figure are sixteen times as large, those of noise hardly larger.
-fn power_of_ten(before: &Array2<f64>, after: &Array2<f64>, valid: &Array2<f64>) -> Option<f64> {
-    let noise = |map: &Array2<f64>| {
-        let fourth = [1.0, -4.0, 6.0, -4.0, 1.0];
-        let [near, far] = [1, 2].map(|lag| noise_by_differences_nm(map, valid, &fourth, lag));
-        (near > 0.0 && far < FIGURE * near).then_some(near)
-    };
-    let ratio = noise(after)? / noise(before)?;
-    let decades = ratio.log10().round();
-    let is_power = decades != 0.0 && (ratio.log10() - decades).abs() < NEAR_POWER;
-    is_power.then_some(ratio)
+/// Standard deviation of the white noise of a map, nm. `None` if its fourth differences are more of its figure than of its
+/// noise: over twice the distance, those of a figure are sixteen times as large, those of noise hardly larger.
+fn white_noise_nm(map: &Array2<f64>, valid: &Array2<f64>) -> Option<f64> {
+    let fourth = [1.0, -4.0, 6.0, -4.0, 1.0];
+    let [near, far] = [1, 2].map(|lag| noise_by_differences_nm(map, valid, &fourth, lag));
+    (near > 0.0 && far < FIGURE * near).then_some(near)
 }
 
-/// Standard deviation of white noise that has the second differences of `map` along x, nm.
-fn pixel_noise_nm(map: &Array2<f64>, valid: &Array2<f64>) -> f64 {
-    noise_by_differences_nm(map, valid, &[1.0, -2.0, 1.0], 1)
-}
+/// Weights of second differences.
+const SECOND: [f64; 3] = [1.0, -2.0, 1.0];
 
 /// Standard deviation of white noise that has the differences of `map` along x with these weights, on pixels that are
 /// `lag` apart, nm.
@@ -269,6 +526,7 @@ fn noise_by_differences_nm(
 mod tests {
     use super::*;
     use planish_testkit::case_generator;
+    use planish_types::{Axis, Grid};
     use rand::RngExt;
 
     const SIZE: usize = 64;
@@ -281,55 +539,105 @@ mod tests {
         Array2::from_shape_fn((SIZE, SIZE), |_| rms_nm * normal())
     }
 
-    /// Waves of 6 to 12 pixels, 0.5 nm RMS each along its axis: what a tool cannot reach.
+    /// Noise that is correlated over some pixels, of 0.7 nm RMS: what a tool cannot reach.
     fn residual() -> Array2<f64> {
+        let fine = noise(9, 1.0);
+        let at = |r: usize, c: usize| fine[[r % SIZE, c % SIZE]];
         Array2::from_shape_fn((SIZE, SIZE), |(r, c)| {
-            0.7 * ((0.9 * c as f64).sin() + (0.6 * r as f64 + 0.2 * c as f64).cos())
+            0.35 * (at(r, c) + at(r + 1, c) + at(r, c + 1) + at(r + 1, c + 1))
         })
     }
 
-    /// The residual r stays on the part. The map after is f (r + noise), so the rest is p - f (r + noise) with the predicted
-    /// map p = r + noise of the map before.
+    fn of(after: &Array2<f64>, expected: &Array2<f64>) -> Common {
+        Common::new(expected.clone(), after.clone(), &Array2::ones((SIZE, SIZE)))
+    }
+
+    fn other_reading(after: &Array2<f64>, expected: &Array2<f64>) -> Option<String> {
+        let axis = Axis::new(0.0, 0.5, SIZE).unwrap();
+        let grid = Grid { x: axis, y: axis };
+        let data = Data { grid: &grid, data: Array2::zeros(grid.shape()), valid: Array2::ones(grid.shape()) };
+        let common = of(after, expected);
+        Readings::new(&common, &[], after, &data, 4.0).clear(&common)
+    }
+
+    /// Noise in both maps of another part is alike by one standard error.
     #[test]
-    fn the_slope_is_the_factor_of_the_map_after() {
-        let (r, ones) = (residual(), Array2::ones((SIZE, SIZE)));
-        let (noise_before, noise_after) = (noise(1, 0.3), noise(2, 0.5));
-        let smooth = Array2::from_shape_fn((SIZE, SIZE), |(y, x)| 1e-3 * (x * x + y * x) as f64);
-        let (before, predicted) = (&smooth + &noise_before, &r + &noise_before);
-        for factor in [1.0, -1.0, 0.5, 2.0, 10.0] {
-            let after = factor * (&r + &noise_after);
-            let rest = &predicted - &after;
-            let [plain, corrected] =
-                slope_on_predicted(&before, &after, &rest, &ones, std::slice::from_ref(&ones))
-                    .unwrap();
-            // The noise of the map before lowers the plain slope by the ratio of the mean squares, 0.49 / (0.49 + 0.09).
-            let lowered = 0.49 / 0.58;
-            for ((slope, error), expected) in [(plain, factor * lowered), (corrected, factor)] {
-                // Four standard errors, and 3 % for the estimate of the noise from 4000 second differences.
-                let allowed = 4.0 * error + 0.03 * factor.abs();
-                assert!((slope - expected).abs() < allowed, "{factor}: {slope} +- {error}");
-            }
+    fn maps_without_a_common_part_scatter_by_the_scatter() {
+        let (mut squares, maps) = (0.0, 200);
+        for k in 0..maps {
+            // Correlated noise: its variance is that of the four pixels that share a part.
+            let smooth = |map: Array2<f64>| {
+                Array2::from_shape_fn((SIZE, SIZE), |(r, c)| map[[r, c]] + map[[r, (c + 1) % SIZE]])
+            };
+            let [one, other] = [2 * k, 2 * k + 1].map(|stream| smooth(noise(stream, 0.5)));
+            squares += of(&one, &other).standard_errors().powi(2) / maps as f64;
         }
-        // A map of another part has the slope 0.
-        let other = noise(3, 0.7);
-        let [_, (slope, error)] = slope_on_predicted(
-            &before,
-            &other,
-            &(&predicted - &other),
-            &ones,
-            std::slice::from_ref(&ones),
-        )
-        .unwrap();
-        // Four standard errors, as above.
-        assert!(slope.abs() < 4.0 * error, "{slope} +- {error}");
-        assert!(slope + SLOPE_ERRORS * error < SLOPES[0]);
-        // Where the predicted map is noise, only a turned sign is said.
-        let little = 0.2 * &r;
-        let p = &little + &noise_before;
-        let slope = |after: Array2<f64>| {
-            slope_on_predicted(&before, &after, &(&p - &after), &ones, std::slice::from_ref(&ones))
-        };
-        assert_eq!(slope(&little + &noise_after), None);
-        assert!(slope(-(&little + &noise_after)).is_some());
+        // The mean of 200 squares scatters by sqrt(2 / 200) = 10 %: three of it.
+        assert!((squares - 1.0).abs() < 0.3, "{squares}");
+    }
+
+    /// The residual r stays on the part: p = r + noise before, a = f (r + noise after).
+    #[test]
+    fn the_scale_is_within_its_bounds() {
+        let (r, noises) = (residual(), [noise(1, 0.3), noise(2, 0.4)]);
+        for factor in [0.5, 1.0, 2.0] {
+            let after = factor * (&r + &noises[1]);
+            let common = of(&after, &(&r + &noises[0]));
+            let plain = common.scale([None; 2]).unwrap();
+            // 0.49 / (0.49 + 0.09) and (0.49 + 0.16) / 0.49, to three errors of the common part.
+            for (bound, expected) in plain.bounds.into_iter().zip([0.845 * factor, 1.327 * factor]) {
+                assert!((bound - expected).abs() < 3.0 * plain.error, "{factor}: {bound} {expected}");
+            }
+            let corrected = common.scale([Some(0.3), Some(0.4 * factor)]).unwrap();
+            for bound in corrected.bounds {
+                assert!((bound - factor).abs() < 3.0 * corrected.error, "{factor}: {bound}");
+            }
+            assert_eq!(against_scale(&corrected).is_some(), factor != 1.0, "{factor}");
+        }
+    }
+
+    #[test]
+    fn other_readings_are_named() {
+        let (r, n) = (residual(), noise(2, 0.5));
+        let (expected, after) = (&r + &noise(1, 0.5), &r + &n);
+        assert_eq!(other_reading(&after, &expected), None);
+        let moved = Array2::from_shape_fn((SIZE, SIZE), |(y, x)| after[[y, (x + SIZE - 4) % SIZE]]);
+        for (map, name) in [
+            (-&after, "with its sign turned"),
+            (after.slice(s![..;-1, ..;-1]).to_owned(), "turned by 180 degrees"),
+            (after.slice(s![.., ..;-1]).to_owned(), "mirrored along x"),
+            (after.slice(s![..;-1, ..]).to_owned(), "mirrored along y"),
+            (after.t().to_owned(), "with x and y exchanged"),
+            (moved, "displaced by -2, 0 mm"),
+        ] {
+            let said = other_reading(&map, &expected).unwrap_or_default();
+            assert!(said.contains(name), "{name}: {said}");
+        }
+        // A map of another part is alike by chance.
+        assert_eq!(other_reading(&noise(5, 0.8), &expected), None);
+        assert!(of(&noise(5, 0.8), &expected).standard_errors().abs() < 4.0);
+    }
+
+    #[test]
+    fn a_height_for_no_data_is_named_and_steps_are_not() {
+        let ones = Array2::ones((SIZE, SIZE));
+        let mut map = residual();
+        assert_eq!(filled("after", &map, &ones), None);
+        assert_eq!(filled("after", &map.mapv(|v| (5.0 * v).round() / 5.0), &ones), None);
+        map.slice_mut(s![3..5, 7..10]).fill(0.0);
+        assert!(filled("after", &map, &ones).unwrap().starts_with("6 pixels of the map after have"));
+    }
+
+    #[test]
+    fn the_removal_between_the_maps_names_exchanged_maps_and_none() {
+        for (factor, error, said) in [
+            (-1.0, 0.01, "exchanged"),
+            (0.0, 0.01, "no run lies between"),
+            (2.0, 0.01, "units"),
+            (0.5, 0.4, "hides"),
+        ] {
+            assert!(against_removal((factor, error)).unwrap().contains(said), "{factor}");
+        }
+        assert_eq!(against_removal((0.9, 0.1)), None);
     }
 }

@@ -167,7 +167,7 @@ impl Covariance {
 }
 
 /// A map with zeros beyond its last row and column.
-fn padded(map: &Array2<f64>, size: (usize, usize)) -> Array2<f64> {
+pub(crate) fn padded(map: &Array2<f64>, size: (usize, usize)) -> Array2<f64> {
     let (ny, nx) = map.dim();
     let mut large = Array2::zeros(size);
     large.slice_mut(s![..ny, ..nx]).assign(map);

@@ -125,19 +125,6 @@ impl Start {
         let (removal, derivatives) = model.linear(&values)?;
         Ok(Self { values, removal, derivatives })
     }
-
-    /// The RMS that the derivatives and `terms` leave of `data` by linear least squares, nm.
-    pub fn left_of(&self, terms: &[Term], data: &Data<'_>) -> f64 {
-        let maps: Vec<Array2<f64>> = terms.iter().map(|t| t.map(data.grid)).collect();
-        let normal = Normal::new(&self.derivatives, &maps, &data.valid, Vec::new());
-        let mut rest = (&data.data - &self.removal) * &data.valid;
-        let values = vec![0.0; normal.lengths.len()];
-        let step = normal.step(&rest, &values, &normal.inverse(), 0.0);
-        for (column, s) in normal.columns.iter().zip(step.iter()) {
-            rest.scaled_add(-s, column);
-        }
-        (dot(&rest, &rest) / data.valid.sum().max(1.0)).sqrt()
-    }
 }
 
 impl Fit {
@@ -247,7 +234,7 @@ impl Normal {
     }
 
     /// Orthonormal fields of the span of the columns.
-    fn orthonormal(&self) -> Vec<Array2<f64>> {
+    pub fn orthonormal(&self) -> Vec<Array2<f64>> {
         let Some(first) = self.columns.first() else { return Vec::new() };
         let eigen = SymmetricEigen::new(self.cosines.clone());
         let least = INDEPENDENT * eigen.eigenvalues.max();

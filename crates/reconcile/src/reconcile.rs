@@ -14,7 +14,7 @@ use planish_types::{Invalid, Surface, Tif, Trajectory, Transform};
 use crate::{
     applied::{Joint, applied, hold},
     bands::{Maps, bands},
-    contradictory::explains_nothing,
+    contradictory,
     determined::{Part, Refusal, all_moves, contradicted, refusal, shown, wider_orders},
     fit::{Data, Fit, Start, dot, fit},
     left::left,
@@ -22,7 +22,7 @@ use crate::{
     model::Model,
     parameter::{ALL, Parameter},
     place::place,
-    report::{Ellipse, Estimate, Fitted, Outcome},
+    report::{Ellipse, Estimate, Evidence, Fitted, Outcome},
     resample::{METHOD, are_same, resampled},
     settings::Settings,
 };
@@ -126,7 +126,6 @@ struct Tools<'a> {
 struct Found<'a> {
     fit: Fit,
     model: Model<'a>,
-    start: Start,
     /// The tool as it goes on beyond its samples, where that explains more of the data.
     continued: Option<&'a Tif>,
     /// Parameters that contradict what was known beforehand.
@@ -146,7 +145,7 @@ impl<'a> Tools<'a> {
         let start = Start::new(&model)?;
         let fit_of_plan = fit(&model, terms, data, &start)?;
         let mut found =
-            Found { fit: fit_of_plan, model, start, continued: None, released: Vec::new() };
+            Found { fit: fit_of_plan, model, continued: None, released: Vec::new() };
         // The TIF as it is sampled has no error of smoothing, but moves its noise: the data decide.
         let as_sampled = self.as_sampled.map(|removal| (self.smooth, removal, None));
         let continued = self.continued.map(|[smooth, own]| (smooth, own.runs, Some(own.tif)));
@@ -194,7 +193,9 @@ struct Judged {
     stated: Vec<[f64; 2]>,
     /// Estimates with all parameters free.
     with_all: Joint,
-    /// Sentence on a fit that explains nothing of the run.
+    /// Numbers on whether the map after is that of the run.
+    evidence: Evidence,
+    /// Sentence against the map after.
     nothing: Option<String>,
 }
 
@@ -207,7 +208,7 @@ impl Found<'_> {
         (data, runs): (&Data<'_>, &Runs<'_>),
         scale: impl Fn(Parameter) -> f64,
     ) -> Result<Judged, Invalid> {
-        let Self { fit: found, model, start, released, .. } = self;
+        let Self { fit: found, model, released, .. } = self;
         let count = found.parameters.len();
         let moved_by = all_moves(found, data, settings.metrology_order);
         let of = |i: usize| {
@@ -223,9 +224,19 @@ impl Found<'_> {
         let mut refusals: Vec<Option<String>> = judged.iter().map(reason).collect();
         let fitted = fitted(found, data, runs);
         let before = comparison.before.height_nm();
-        let nothing = explains_nothing(before, data, start, &found.terms, &found.rest, &fitted);
+        let width_mm = comparison.tif.width_mm();
+        let judgement = contradictory::judge(
+            before,
+            data,
+            &runs.executed,
+            found,
+            &fitted,
+            width_mm,
+            settings.same_measurement,
+        );
+        let nothing = judgement.against;
         if nothing.is_some() {
-            refusals.fill(Some("the fit explains nothing of this run".into()));
+            refusals.fill(Some("the maps do not show that they are of this run".into()));
         }
         let with_all = Joint::new(found);
         let mut uncertain = Joint::new(found);
@@ -265,7 +276,8 @@ impl Found<'_> {
             None => [found.values[i], found.standard_error(i)],
         };
         let stated = (0..count).map(state).collect();
-        Ok(Judged { refusals, why_held, corrections, stated, with_all, nothing })
+        let evidence = judgement.evidence;
+        Ok(Judged { refusals, why_held, corrections, stated, with_all, evidence, nothing })
     }
 }
 
@@ -343,7 +355,7 @@ fn result(
     scale: impl Fn(Parameter) -> f64 + Copy,
 ) -> Result<Reconciled, Invalid> {
     let Found { fit: found, model, continued, released, .. } = fit_of_run;
-    let Judged { refusals, corrections, stated, with_all, nothing, .. } = judged;
+    let Judged { refusals, corrections, stated, with_all, evidence, nothing, .. } = judged;
     let tool = continued.unwrap_or(comparison.tif);
     let refused: Vec<bool> = refusals.iter().map(Option::is_some).collect();
     let measured = &data.data - &found.metrology;
@@ -363,6 +375,7 @@ fn result(
         tif_is_as_sampled: settings.tif_as_sampled || model.removal_from.is_some(),
         tif_is_continued: continued.is_some(),
         resampled: (!are_same(data.grid, comparison.after.grid())).then_some(METHOD),
+        evidence: *evidence,
         explains_nothing: nothing.clone(),
     };
     let with_nan = |map: &Array2<f64>| {

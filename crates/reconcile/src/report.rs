@@ -57,6 +57,25 @@ pub struct Fitted {
     pub rest_rms_nm: f64,
 }
 
+/// Numbers on which the judgement of the map after rests.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Evidence {
+    /// Part of the planned removal that lies between the maps, 1 expected; `null` where the plan removes no shape.
+    pub removal_factor: Option<f64>,
+    /// Its standard error.
+    pub removal_factor_standard_error: Option<f64>,
+    /// RMS of the part of the maps that the fit cannot explain and both have, nm; negative if they have it with opposite
+    /// signs.
+    pub common_rms_nm: f64,
+    /// The common part over its standard error if the maps have nothing in common; 4 are needed.
+    pub common_standard_errors: f64,
+    /// Bounds of the scale of the map after; `null` where the maps have nothing in common.
+    pub scale: Option<[f64; 2]>,
+    /// Noise from pixel to pixel of the map after over that of the map before; `null` where it is not told from the
+    /// figure.
+    pub noise_ratio: Option<f64>,
+}
+
 /// All of it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Outcome {
@@ -88,6 +107,8 @@ pub struct Outcome {
     pub tif_is_continued: bool,
     /// Method by which the map after was taken to the pixels of the map before, where they differ.
     pub resampled: Option<&'static str>,
-    /// The sentence that the fit explains nothing, where it does not.
+    /// Numbers on whether the map after is that of the run.
+    pub evidence: Evidence,
+    /// The sentence against the map after, where there is one: nothing of the fit is then applied.
     pub explains_nothing: Option<String>,
 }

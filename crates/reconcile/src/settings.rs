@@ -25,6 +25,9 @@ pub struct Settings {
     pub metrology_order: Option<[usize; 2]>,
     /// True if errors move the TIF with the noise and the border of its measurement.
     pub tif_as_sampled: bool,
+    /// True if the user states that both maps were measured and read in the same way: with one sign, one unit and one
+    /// orientation of the part. What the maps do not tell of that is then no reason against them.
+    pub same_measurement: bool,
 }
 
 impl Settings {

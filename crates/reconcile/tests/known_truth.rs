@@ -46,15 +46,57 @@ fn maps_after_that_are_not_those_of_the_run_are_named() {
     let after = case.after.height_nm();
     for (map, reading) in [
         (-after, "with its sign turned"),
-        (0.5 * after, "with twice its heights"),
+        (0.5 * after, "times the heights"),
         (after.slice(s![..;-1, ..;-1]).to_owned(), "turned by 180 degrees"),
     ] {
-        let found = case.learn_from(&Surface::new(*case.after.grid(), map).unwrap());
+        let found = case.learn_by(&Surface::new(*case.after.grid(), map).unwrap(), false);
         let said = found.drawback.unwrap();
-        assert!(said.contains("the fit explains nothing") && said.contains(reading), "{said}");
+        assert!(said.contains(reading), "{said}");
         // Nothing of it goes into the next run.
         assert!(found.outcome.parameters.iter().all(|e| e.value.is_none() && e.applied == 0.0));
         assert_eq!(found.tif.rate_nm_per_s(), case.tif.rate_nm_per_s());
+    }
+}
+
+/// Every kind of wrong map, at a noise above and below what the plan leaves. What cannot be told is said, and nothing is
+/// applied.
+#[test]
+fn no_wrong_map_after_teaches_anything() {
+    for (seed, sigma_nm) in [(0, 0.5), (1, 0.5), (2, 0.5), (0, 0.05), (2, 0.05)] {
+        let case = Case::new(seed, sigma_nm);
+        let (after, before) = (case.after.height_nm(), case.before.height_nm());
+        let other = Case::new(seed + 12, sigma_nm);
+        assert_eq!(other.after.grid(), case.after.grid());
+        let moved = |x: usize, y: usize| {
+            Array2::from_shape_fn(after.dim(), |(r, c)| match (r.checked_sub(y), c.checked_sub(x)) {
+                (Some(r), Some(c)) => after[[r, c]],
+                _ => f64::NAN,
+            })
+        };
+        let mut holes = after.clone();
+        holes.slice_mut(s![10..14, 20..26]).fill(0.0);
+        let step_mm = case.after.grid().x.step_mm();
+        let two_mm = (2.0 / step_mm).round() as usize;
+        for (name, map) in [
+            ("another part", other.after.height_nm().clone()),
+            ("sign", -after),
+            ("twice", 2.0 * after),
+            ("half", 0.5 * after),
+            ("turned", after.slice(s![..;-1, ..;-1]).to_owned()),
+            ("mirrored along x", after.slice(s![.., ..;-1]).to_owned()),
+            ("mirrored along y", after.slice(s![..;-1, ..]).to_owned()),
+            ("2 mm along x", moved(two_mm, 0)),
+            ("2 mm along y", moved(0, two_mm)),
+            ("zeros", holes),
+            ("before again", before.clone()),
+            ("piston", before + 5.0),
+        ] {
+            let found = case.learn_by(&Surface::new(*case.after.grid(), map).unwrap(), false);
+            println!("{seed} {sigma_nm} {} {name}: {:?} {:?}", case.kind, found.drawback, found.outcome.evidence);
+            assert!(found.drawback.is_some(), "{seed} {sigma_nm} {} {name}", case.kind);
+            assert!(found.outcome.parameters.iter().all(|e| e.applied == 0.0), "{name}");
+            assert_eq!(found.tif.rate_nm_per_s(), case.tif.rate_nm_per_s());
+        }
     }
 }
 
@@ -77,7 +119,7 @@ fn a_map_after_in_another_unit_is_named() {
     for (seed, sigma_nm) in [(0, 0.5), (1, 0.05), (3, 0.05)] {
         let case = Case::new(seed, sigma_nm);
         let map = 10.0 * case.after.height_nm();
-        let found = case.learn_from(&Surface::new(*case.after.grid(), map).unwrap());
+        let found = case.learn_by(&Surface::new(*case.after.grid(), map).unwrap(), false);
         println!("{seed} {sigma_nm} {}: {:?}", case.kind, found.drawback);
         assert!(found.drawback.is_some(), "{seed} {sigma_nm} {}", case.kind);
         assert!(found.outcome.parameters.iter().all(|e| e.applied == 0.0));
@@ -106,6 +148,7 @@ fn right_maps_after_are_never_named() {
     for seed in 1..=6 {
         let case = Case::new(seed, 0.5);
         let found = case.learn_from(&case.after);
+        println!("{seed} {}: {:?}", case.kind, found.outcome.evidence);
         assert_eq!(found.outcome.explains_nothing, None, "{seed}");
     }
 }

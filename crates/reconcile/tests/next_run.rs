@@ -74,7 +74,9 @@ fn learnt(
         error_budget: process,
         transform,
     };
-    reconcile(&comparison, &Settings { tif_as_sampled: true, ..Settings::default() }).unwrap()
+    let settings =
+        Settings { tif_as_sampled: true, same_measurement: true, ..Settings::default() };
+    reconcile(&comparison, &settings).unwrap()
 }
 
 fn value(found: &Reconciled, parameter: Parameter) -> f64 {

@@ -45,7 +45,7 @@ fn learnt(after: &Surface, settings: &Settings) -> Reconciled {
         error_budget: None,
         transform: None,
     };
-    reconcile(&comparison, settings).unwrap()
+    reconcile(&comparison, &Settings { same_measurement: true, ..settings.clone() }).unwrap()
 }
 
 fn value(found: &Reconciled, parameter: Parameter) -> f64 {
@@ -252,7 +252,7 @@ fn what_is_known_beforehand_and_wrong_is_said_and_spoils_no_other_number() {
             error_budget: Some(process),
             transform: None,
         };
-        reconcile(&comparison, &Settings::default()).unwrap()
+        reconcile(&comparison, &Settings { same_measurement: true, ..Settings::default() }).unwrap()
     };
     let found = learnt(&process(0.1));
     let reason = refusal(&found, Parameter::RateScale).unwrap();

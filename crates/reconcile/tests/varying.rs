@@ -159,7 +159,7 @@ fn learn(
 ) -> Reconciled {
     let comparison =
         Comparison { before, after, trajectory, tif, error_budget: None, transform: None };
-    reconcile(&comparison, settings).unwrap()
+    reconcile(&comparison, &Settings { same_measurement: true, ..settings.clone() }).unwrap()
 }
 
 /// A run of a seed, of a rate that falls by a tenth where `wears`, and what is learnt of it.

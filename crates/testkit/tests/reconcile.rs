@@ -23,7 +23,8 @@ fn learnt(mirror: &Mirror, path: &str, settings: &Settings) -> Reconciled {
         error_budget: None,
         transform: None,
     };
-    let found = reconcile(&comparison, settings).unwrap();
+    let settings = Settings { same_measurement: true, ..settings.clone() };
+    let found = reconcile(&comparison, &settings).unwrap();
     println!("{path}, {settings:?}");
     for e in found.outcome.parameters.iter().filter(|e| !e.held) {
         let error = e.standard_error.map_or("-".into(), |v| significant(v, 3));

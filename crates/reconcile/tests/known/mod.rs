@@ -258,7 +258,12 @@ impl Case {
         self.learn_from(&self.after)
     }
 
+    /// Both maps are measured in the same way, which hardly any of these plans leaves a sign of.
     pub fn learn_from(&self, after: &Surface) -> Reconciled {
+        self.learn_by(after, true)
+    }
+
+    pub fn learn_by(&self, after: &Surface, same_measurement: bool) -> Reconciled {
         let comparison = Comparison {
             before: &self.before,
             after,
@@ -267,7 +272,7 @@ impl Case {
             error_budget: None,
             transform: None,
         };
-        reconcile(&comparison, &Settings::default()).unwrap()
+        reconcile(&comparison, &Settings { same_measurement, ..Settings::default() }).unwrap()
     }
 
     /// The same with the sizes from which the errors of these machines are drawn as an error budget.
@@ -297,7 +302,7 @@ impl Case {
             error_budget: Some(&budget),
             transform: None,
         };
-        reconcile(&comparison, &Settings::default()).unwrap()
+        reconcile(&comparison, &Settings { same_measurement: true, ..Settings::default() }).unwrap()
     }
 
     /// Error of every parameter over its standard error; `None` where it is not determined.

@@ -230,7 +230,8 @@ impl Course<'_> {
                 "--corrected-transform",
                 &transform,
             ]);
-            flags.extend(["--learnt-error-budget", &learnt, "--force"]);
+            // The virtual machine measures all maps in the same way.
+            flags.extend(["--learnt-error-budget", &learnt, "--same-measurement", "--force"]);
             let words: Vec<&str> = self.reconcile.iter().map(String::as_str).chain(flags).collect();
             self.silent.command(&command("planish-reconcile", &words))?;
             (map, run, tool, knowledge, place) =
