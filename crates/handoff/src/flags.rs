@@ -29,7 +29,7 @@ pub struct MirrorArgs {
 impl MirrorArgs {
     /// Reads both artifacts.
     pub fn read(&self, inputs: &mut Inputs) -> Result<(Surface, Tif), HandoffError> {
-        Ok((inputs.read("surface", &self.surface)?, inputs.read_tool("tif", &self.tif)?))
+        Ok((inputs.read("surface", &self.surface)?, inputs.read_tool_with_doubt("tif", &self.tif)?))
     }
 }
 
@@ -158,8 +158,8 @@ impl TrajectoryArgs {
         mirror: &MirrorArgs,
         inputs: &mut Inputs,
     ) -> Result<(Trajectory, Tif, Surface), HandoffError> {
-        let (tif, surface) =
-            (inputs.read_tool("tif", &mirror.tif)?, inputs.read("surface", &mirror.surface)?);
+        let tif = inputs.read_tool_with_doubt("tif", &mirror.tif)?;
+        let surface = inputs.read("surface", &mirror.surface)?;
         for other in ["tif", "surface"] {
             inputs.warn_unrelated("trajectory", manifest, other);
         }

@@ -9,7 +9,7 @@ use std::{
 
 use ndarray::{Array2, Ix2};
 use planish_form::{Form, FormFile, FormKind};
-use planish_types::{Invalid, Machine, MachineFile, Surface, Tif};
+use planish_types::{Invalid, Machine, MachineFile, Surface, Tif, doubts};
 
 use crate::{
     HandoffError,
@@ -105,6 +105,16 @@ impl Inputs {
     pub fn read_tool(&mut self, role: &str, dir: &Path) -> Result<Tif, HandoffError> {
         let (kind, loaded) = nouns::read_tool(dir)?;
         Ok(self.recorded(role, dir, kind, loaded).0)
+    }
+
+    /// Reads a tool, and warns of a doubt about its samples where no program has said it before: arrays without a manifest.
+    pub fn read_tool_with_doubt(&mut self, role: &str, dir: &Path) -> Result<Tif, HandoffError> {
+        let (kind, loaded) = nouns::read_tool(dir)?;
+        let (tif, manifest) = self.recorded(role, dir, kind, loaded);
+        if let (None, Some(doubt)) = (manifest, doubts::of_tif(&tif)) {
+            warn(format!("{}: {doubt}", dir.display()));
+        }
+        Ok(tif)
     }
 
     /// BLAKE3 of the content of the input that was read for this role.

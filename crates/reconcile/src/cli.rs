@@ -79,7 +79,7 @@ impl Reconcile {
         };
         let mut inputs = Inputs::new();
         let (trajectory, manifest) = self.trajectory.read_on_part(&mut inputs)?;
-        let tif = inputs.read_tool("tif", &self.tif)?;
+        let tif = inputs.read_tool_with_doubt("tif", &self.tif)?;
         let tool_kind = if tif.variation().is_some() { Tool::KIND } else { Tif::KIND };
         inputs.warn_unrelated("trajectory", manifest.as_ref(), "tif");
         let before: Surface = inputs.read("before", &self.before)?;

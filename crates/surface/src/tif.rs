@@ -2,7 +2,8 @@
 //!
 //! The steps, in this order, each only if it is asked for:
 //!
-//! 1. border: the mean of the border samples is subtracted; negative noise stays, so the volume has no bias;
+//! 1. border: the least-squares plane through the border samples is subtracted; negative noise stays, so the volume has no
+//!    bias;
 //! 2. centre: the offsets are counted from the centroid or from the peak. The samples stay where
 //!    they are, so nothing is interpolated; the axes may then have any offset;
 //! 3. rotation about the centre, counterclockwise: by multiples of 90 degrees exactly, else by
@@ -42,7 +43,7 @@ use std::f64::consts::PI;
 use nalgebra::{Matrix3, Vector3};
 use ndarray::{Array1, Array2};
 use planish_numerics::keys;
-use planish_types::{Axis, Grid, Invalid, Tif};
+use planish_types::{Axis, Grid, Invalid, Tif, doubts};
 use serde::Serialize;
 
 /// Largest number of samples along an axis of a new lattice; more are refused. Larger: more memory and time
@@ -56,7 +57,7 @@ const NOTEWORTHY_BORDER: f64 = 0.01;
 /// Settings of the preparation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct TifSettings {
-    /// Subtract the mean of the border samples; negative noise stays.
+    /// Subtract the least-squares plane through the border samples; negative noise stays.
     pub subtract_border: bool,
     /// Point from which the offsets are counted.
     pub centre: Centre,
@@ -90,12 +91,14 @@ pub struct TifReport {
     pub before: TifStatistics,
     /// The result.
     pub after: TifStatistics,
-    /// Mean of the border samples that was subtracted, nm/s.
+    /// Mean of the plane through the border samples that was subtracted, nm/s.
     pub subtracted_nm_per_s: f64,
     /// Place of the new centre in the given TIF [x, y], mm.
     pub centre_mm: [f64; 2],
     /// Factor - 1 by which the samples were scaled to keep the VRR in rotation and resampling.
     pub volume_correction: f64,
+    /// Probable mistakes in the result.
+    pub doubts: Vec<String>,
     /// Note for the user of the TIF; absent if there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub note: Option<String>,
@@ -134,9 +137,9 @@ pub fn prepare_tif(tif: &Tif, settings: &TifSettings) -> Result<(Tif, TifReport)
     let mut now = tif.clone();
     let mut subtracted_nm_per_s = 0.0;
     if settings.subtract_border {
-        subtracted_nm_per_s = border_mean(&now);
-        let rate = now.rate_nm_per_s().mapv(|v| v - subtracted_nm_per_s);
-        now = Tif::new(*now.grid(), rate)?;
+        let plane = now.border_plane_nm_per_s();
+        subtracted_nm_per_s = plane.sum() / plane.len() as f64;
+        now = Tif::new(*now.grid(), now.rate_nm_per_s() - &plane)?;
     }
     let centre_mm = match settings.centre {
         Centre::Given => [0.0; 2],
@@ -160,7 +163,8 @@ pub fn prepare_tif(tif: &Tif, settings: &TifSettings) -> Result<(Tif, TifReport)
         now = tapered(&now, fraction)?;
     }
     let after = tif_statistics(&now);
-    let note = (after.border_to_peak > NOTEWORTHY_BORDER).then(|| {
+    let doubts: Vec<String> = doubts::of_tif(&now).into_iter().collect();
+    let note = (doubts.is_empty() && after.border_to_peak > NOTEWORTHY_BORDER).then(|| {
         format!(
             "the TIF ends at {:.1} % of its peak: a raster prints that step onto the part; measure a \
              wider field, or use `subtract_border` or `taper_fraction`",
@@ -173,6 +177,7 @@ pub fn prepare_tif(tif: &Tif, settings: &TifSettings) -> Result<(Tif, TifReport)
         subtracted_nm_per_s,
         centre_mm,
         volume_correction: factor - 1.0,
+        doubts,
         note,
     };
     Ok((now, report))
@@ -249,16 +254,6 @@ fn width_at_half(line: &[f64], peak: usize) -> Option<f64> {
     };
     let right = from(&mut line[peak + 1..].iter().copied())?;
     Some(right + from(&mut line[..peak].iter().rev().copied())?)
-}
-
-fn border_mean(tif: &Tif) -> f64 {
-    let (ny, nx) = tif.grid().shape();
-    let border = tif
-        .rate_nm_per_s()
-        .indexed_iter()
-        .filter(|((r, c), _)| *r == 0 || *c == 0 || *r == ny - 1 || *c == nx - 1);
-    let (sum, count) = border.fold((0.0, 0.0), |(s, n), (_, v)| (s + v, n + 1.0));
-    sum / count
 }
 
 /// Vertex of the paraboloid through the largest sample and its neighbours.
@@ -720,13 +715,19 @@ mod tests {
         let grid = Grid { x: axis, y: axis };
         let pedestal = Tif::new(grid, bell(&grid, [0.0; 2], [0.5; 2]) + 0.4).unwrap();
         let plain = prepare_tif(&pedestal, &settings()).unwrap().1;
-        assert!(plain.note.as_ref().is_some_and(|n| n.contains("4.8 % of its peak")), "{plain:?}");
+        assert!(plain.doubts[0].contains("4.8 % of its peak") && plain.note.is_none(), "{plain:?}");
         let s = TifSettings { subtract_border: true, ..settings() };
         let (clean, report) = prepare_tif(&pedestal, &s).unwrap();
         // The Gaussian itself is 8 exp(-8) = 0.003 on the middle of the border.
         assert!((report.subtracted_nm_per_s - 0.4).abs() < 2e-3, "{report:?}");
         // exp(-8) is 3.4e-4 of the peak.
-        assert!(clean.border_to_peak() < 1e-3 && report.note.is_none());
+        assert!(clean.border_to_peak() < 1e-3 && report.note.is_none() && report.doubts.is_empty());
+        // A plane of any tilt comes off, but for the rounding of the Gaussian's own border.
+        let tilted = bell(&grid, [0.0; 2], [0.3; 2])
+            + Array2::from_shape_fn(grid.shape(), |(r, c)| 0.1 + 0.03 * axis.at(c) - 0.02 * axis.at(r));
+        let (flat, _) = prepare_tif(&Tif::new(grid, tilted).unwrap(), &s).unwrap();
+        // exp(-(2 / 0.3)^2 / 2) is 2e-10 of the peak.
+        assert!(worst(&flat, |x, y| 8.0 * (-0.5 * (x * x + y * y) / 0.09).exp()) < 1e-8);
         let s = TifSettings { taper_fraction: Some(0.15), ..settings() };
         let (tapered, report) = prepare_tif(&pedestal, &s).unwrap();
         // Rounding of the weight at its end.

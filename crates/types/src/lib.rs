@@ -21,6 +21,7 @@
 
 mod aperture;
 mod axes_motion;
+mod baseline;
 pub mod budget;
 mod controller;
 pub mod doubts;
@@ -34,6 +35,7 @@ mod limits;
 mod machine;
 pub mod plausible;
 pub mod progress;
+mod regression;
 mod surface;
 pub mod text;
 mod tif;

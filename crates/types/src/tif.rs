@@ -3,7 +3,7 @@
 use std::{borrow::Cow, sync::Arc};
 
 use ndarray::{Array2, ArrayView1, Axis as NdAxis, s};
-use planish_numerics::keys;
+use planish_numerics::{keys, statistics};
 
 use crate::{
     Axis, AzimuthWeights, Grid, Invalid, PixelFactor, Pose, Surface, TimeFactor, TurnWeights,
@@ -481,6 +481,22 @@ impl Tif {
             .indexed_iter()
             .filter(|((r, c), _)| *r == 0 || *c == 0 || *r == ny - 1 || *c == nx - 1);
         border.map(|(_, v)| v.abs()).fold(0.0, f64::max) / self.peak_nm_per_s()
+    }
+
+    /// Least-squares plane through the samples of the border, at every sample (my, mx), nm/s. It is level if the border is
+    /// one line of samples.
+    pub fn border_plane_nm_per_s(&self) -> Array2<f64> {
+        let (ny, nx) = self.grid.shape();
+        let border = Array2::from_shape_fn((ny, nx), |(r, c)| {
+            let is_border = r == 0 || c == 0 || r == ny - 1 || c == nx - 1;
+            if is_border { self.rate_nm_per_s[[r, c]] } else { f64::NAN }
+        });
+        let (x, y) = (self.grid.x.coordinates(), self.grid.y.coordinates());
+        let plane = statistics::fit_plane(border.view(), &x, &y);
+        let mean = statistics::statistics(border.view()).map_or(0.0, |s| s.mean);
+        Array2::from_shape_fn((ny, nx), |(r, c)| {
+            plane.map_or(mean, |p| p.a + p.b * x[c] + p.c * y[r])
+        })
     }
 
     /// `R(dx, dy)` in nm/s at the offset (pixel - tool) in mm.

@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use planish_handoff::{Artifact, Begin, Failure, Inputs, Status, pair, say, task};
+use planish_handoff::{Artifact, Begin, Failure, Inputs, Status, pair, say, task, warn};
 use planish_import::{
     Alignment, Baseline, Origin, Reading, Scale, Settings, SpotSettings, Statement, spot, surface,
     tif,
 };
-use planish_types::Tif;
+use planish_types::{Tif, doubts};
 use serde_json::{Value, json};
 
 use super::{FileArgs, about, draw, in_flags, map_bytes, open, report};
@@ -102,8 +102,10 @@ impl TifArgs {
         let picture =
             || draw(made.grid(), made.rate_nm_per_s(), Scale::RateNmPerS, &file.file, &statement);
         file.put_picture(&mut output, picture)?;
+        let doubts: Vec<String> = doubts::of_tif(&made).into_iter().collect();
         let outcome = json!({
             "reading": statement,
+            "doubts": doubts,
             "spot": own,
             "peak_nm_per_s": made.peak_nm_per_s(),
             "vrr_nm_mm2_per_s": made.vrr_nm_mm2_per_s(),
@@ -122,6 +124,7 @@ impl TifArgs {
             made.vrr_nm_mm2_per_s(),
             file.output.out.display()
         ));
+        doubts.iter().for_each(warn);
         Ok(Status::Done)
     }
 

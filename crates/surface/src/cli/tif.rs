@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task, with_flags,
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task, warn, with_flags,
 };
 use planish_surface::{
     tif::{Centre, TifSettings, prepare_tif, tif_statistics},
@@ -18,7 +18,7 @@ pub struct TifArgs {
     /// Tool influence function as it was measured [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
-    /// Subtract the mean of the border samples; negative noise stays, so the volume has no bias
+    /// Subtract the least-squares plane through the border samples; negative noise stays, so the volume has no bias
     #[arg(long)]
     subtract_border: bool,
     /// Point from which the offsets are counted; the samples stay as they are
@@ -93,6 +93,7 @@ impl TifArgs {
             s.centroid_mm[1],
             100.0 * s.border_to_peak
         ));
+        report.doubts.iter().for_each(warn);
         report.note.iter().for_each(|note| say(format!("planish-surface: note: {note}")));
         Ok(status)
     }

@@ -1,0 +1,280 @@
+//! Baseline of a TIF: the plane on which its spot stands, which is of the measurement and not of the tool.
+//!
+//! A baseline is low beside the peak, and acts on all samples. Its volume therefore counts, not its height: 0.9 % of the
+//! peak is 38 % of the volume in a field 10 standard deviations wide on either side. The outer samples decide:
+//!
+//! ```text
+//! R = b + g . u + T exp(-d^2 / 2) + noise        on the outer samples, by least squares                        (1)
+//! ```
+//!
+//! b and g are the baseline. The third term is the tail of a spot that the field cuts off, with d the offset from the spot
+//! over its width. Both follow from the samples above half of the peak, as for an elliptical Gaussian.
+
+use ndarray::Array2;
+
+use crate::{
+    Grid, Tif,
+    regression::{Regression, regression},
+};
+
+/// Part of the shorter side of the field, on every side of it, that is outer. Larger: more of a cropped spot is among the
+/// outer samples. Smaller: fewer samples, and larger standard errors.
+const OUTER: f64 = 0.1;
+
+/// Largest part of the samples that may lie above half of the peak. A spot that fills more has no outer samples without a
+/// tail, whose shape would be a guess. Derived: 4.36 sigma^2 for a Gaussian in a square field of 2.1 sigma on either side.
+const MOST_ABOVE_HALF: f64 = 0.25;
+
+/// Part of the samples of the border above which zeros are no measurement. Larger: a round field counts as a square one.
+/// Smaller: a floor of rectified noise, of which half is 0, counts as a field with holes.
+const MOST_ZEROS: f64 = 0.8;
+
+/// Size of the largest tail among the outer samples, over the peak, below which (1) has no third term. Larger: tails count
+/// as a baseline. Smaller: a term that rounding determines.
+const LEAST_TAIL: f64 = 1e-6;
+
+/// Smallest ratio of a part of the baseline to its standard error. Larger: baselines in much noise pass. Smaller: noise is
+/// called a baseline.
+const LEAST_SIGNIFICANCE: f64 = 4.0;
+
+/// Baseline of a TIF.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Baseline {
+    /// Mean rate of the baseline over the samples, nm/s; 0 if it does not differ from noise.
+    pub level_nm_per_s: f64,
+    /// Volume of this level over that of the TIF; negative if the baseline is.
+    pub part_of_volume: f64,
+    /// Volume that a tilt of the baseline moves from one side to the other, over that of the TIF; 0 if it does not differ
+    /// from noise.
+    pub tilted_part_of_volume: f64,
+}
+
+impl Baseline {
+    /// Returns the baseline of a TIF (of the mean tool, if it varies); `None` if the spot fills the field, or if too few
+    /// samples are outer.
+    pub fn under(tif: &Tif) -> Option<Self> {
+        let (grid, rate) = (tif.grid(), tif.rate_nm_per_s());
+        let peak = tif.peak_nm_per_s();
+        let measured = measured(rate);
+        let outer = outer(&measured)?;
+        let count = measured.iter().filter(|is| **is).count() as f64;
+        let above = rate.iter().filter(|v| **v >= 0.5 * peak).count() as f64;
+        if above > MOST_ABOVE_HALF * count {
+            return None;
+        }
+        let spot = Spot::above_half(grid, rate, peak);
+        let middle = [&grid.x, &grid.y].map(|a| 0.5 * (a.start_mm() + a.end_mm()));
+        let half = grid.size_mm().map(|size| 0.5 * size);
+        let mut samples = Vec::new();
+        for (place, _) in outer.indexed_iter().filter(|(_, is)| **is) {
+            let [x, y] = [grid.x.at(place.1), grid.y.at(place.0)];
+            samples.push(OuterSample {
+                plane: [1.0, (x - middle[0]) / half[0], (y - middle[1]) / half[1]],
+                tail: (-0.5 * spot.squared_offset([x, y])).exp(),
+                rate: rate[place] / peak,
+            });
+        }
+        let (plane, errors) = fitted_plane(&samples)?;
+        let mut values: Vec<f64> = samples.iter().map(|s| s.rate).collect();
+        values.sort_unstable_by(f64::total_cmp);
+        let low = values[values.len() / 50];
+        let is_seen = |k: usize| plane[k].abs() > LEAST_SIGNIFICANCE * errors[k];
+        let mut level = if is_seen(0) { plane[0] } else { 0.0 };
+        // The fit of a tail of another shape may swing below samples of which none is negative.
+        if level < 0.0 && low >= 0.0 {
+            level = 0.0;
+        }
+        // The mean of |g . u| over a rectangle is at most half of its largest value.
+        let tilt = [1, 2].map(|k| if is_seen(k) { 0.5 * plane[k].abs() } else { 0.0 });
+        let of_volume = count * peak / rate.sum();
+        Some(Self {
+            level_nm_per_s: level * peak,
+            part_of_volume: level * of_volume,
+            tilted_part_of_volume: (tilt[0] + tilt[1]) * of_volume,
+        })
+    }
+}
+
+/// A sample near the end of what was measured.
+struct OuterSample {
+    /// Factors of b and g in (1).
+    plane: [f64; 3],
+    /// Factor of T in (1).
+    tail: f64,
+    /// Rate over the peak.
+    rate: f64,
+}
+
+/// Returns b and g of (1) over the peak, g over half the field, and their standard errors; `None` if the samples do not
+/// determine them.
+fn fitted_plane(samples: &[OuterSample]) -> Option<([f64; 3], [f64; 3])> {
+    let largest_tail = samples.iter().map(|s| s.tail).fold(0.0, f64::max);
+    if largest_tail <= LEAST_TAIL {
+        let rows: Vec<_> = samples.iter().map(|s| (s.plane, s.rate)).collect();
+        return regression(&rows).map(|fit| (fit.parameters, fit.standard_errors));
+    }
+    let rows: Vec<_> = samples
+        .iter()
+        .map(|s| ([s.plane[0], s.plane[1], s.plane[2], s.tail], s.rate))
+        .collect();
+    let Regression { parameters: [b, gx, gy, _], standard_errors: [of_b, of_gx, of_gy, _] } =
+        regression(&rows)?;
+    Some(([b, gx, gy], [of_b, of_gx, of_gy]))
+}
+
+/// Returns the samples that were measured: all of them, or those that are not 0 if nearly all of the border is 0, as around
+/// a round field.
+fn measured(rate: &Array2<f64>) -> Array2<bool> {
+    let (ny, nx) = rate.dim();
+    let is_border = |(r, c): (usize, usize)| r == 0 || c == 0 || r + 1 == ny || c + 1 == nx;
+    let border = || rate.indexed_iter().filter(|(place, _)| is_border(*place));
+    let zeros = border().filter(|(_, v)| **v == 0.0).count() as f64;
+    let is_round = zeros > MOST_ZEROS * border().count() as f64;
+    rate.mapv(|v| !is_round || v != 0.0)
+}
+
+/// Returns the measured samples that lie near the end of what was measured; `None` if nothing else is left.
+fn outer(measured: &Array2<bool>) -> Option<Array2<bool>> {
+    let (ny, nx) = measured.dim();
+    let extent = |n: usize, has: &dyn Fn(usize) -> bool| {
+        let first = (0..n).find(|i| has(*i));
+        let last = (0..n).rev().find(|i| has(*i));
+        first.zip(last).map_or(0, |(first, last)| last - first + 1)
+    };
+    let rows = extent(ny, &|r| measured.row(r).iter().any(|is| *is));
+    let columns = extent(nx, &|c| measured.column(c).iter().any(|is| *is));
+    let width = ((OUTER * rows.min(columns) as f64).round() as usize).max(1);
+    let mut inner = measured.clone();
+    for _ in 0..width {
+        let before = inner.clone();
+        inner = Array2::from_shape_fn((ny, nx), |(r, c)| {
+            let is_edge = r == 0 || c == 0 || r + 1 == ny || c + 1 == nx;
+            !is_edge
+                && before[[r, c]]
+                && [(r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)].iter().all(|at| before[*at])
+        });
+    }
+    inner.iter().any(|is| *is).then(|| Array2::from_shape_fn((ny, nx), |at| measured[at] && !inner[at]))
+}
+
+/// Place and widths of the spot of a TIF.
+struct Spot {
+    centre_mm: [f64; 2],
+    /// Covariance of a Gaussian, [xx, xy, yy], mm^2.
+    covariance_mm2: [f64; 3],
+}
+
+impl Spot {
+    /// Returns the Gaussian with these samples above half of its peak. The ellipse in which it exceeds half of its peak has
+    /// the second moments `ln 2 / 2` times the covariance.
+    fn above_half(grid: &Grid, rate: &Array2<f64>, peak: f64) -> Self {
+        let above = || rate.indexed_iter().filter(|(_, v)| **v >= 0.5 * peak);
+        let mean = |of: &dyn Fn(f64, f64) -> f64| {
+            let (sum, count) = above().fold((0.0, 0.0), |(sum, n), ((r, c), _)| {
+                (sum + of(grid.x.at(c), grid.y.at(r)), n + 1.0)
+            });
+            sum / count
+        };
+        let [cx, cy] = [mean(&|x, _| x), mean(&|_, y| y)];
+        // A sample stands for its cell.
+        let [cell_x, cell_y] = [&grid.x, &grid.y].map(|a| a.step_mm().powi(2) / 12.0);
+        let moments = [
+            mean(&|x, _| (x - cx).powi(2)) + cell_x,
+            mean(&|x, y| (x - cx) * (y - cy)),
+            mean(&|_, y| (y - cy).powi(2)) + cell_y,
+        ];
+        let factor = 2.0 / std::f64::consts::LN_2;
+        Self { centre_mm: [cx, cy], covariance_mm2: moments.map(|m| factor * m) }
+    }
+
+    /// Returns d^2 of (1).
+    fn squared_offset(&self, point_mm: [f64; 2]) -> f64 {
+        let [x, y] = [0, 1].map(|k| point_mm[k] - self.centre_mm[k]);
+        let [xx, xy, yy] = self.covariance_mm2;
+        (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Axis;
+
+    /// Samples of 5 nm/s times a shape, out to `half` mm, and what is added to them.
+    fn tif(half_mm: f64, n: usize, rate: impl Fn(f64, f64) -> f64) -> Tif {
+        let a = Axis::new(-half_mm, 2.0 * half_mm / (n - 1) as f64, n).unwrap();
+        let of = |(r, c): (usize, usize)| rate(a.at(c), a.at(r));
+        Tif::new(Grid { x: a, y: a }, Array2::from_shape_fn((n, n), of)).unwrap()
+    }
+
+    /// A Gaussian of 2 and 1.2 mm, turned by 40 degrees.
+    fn ellipse(x: f64, y: f64) -> f64 {
+        let (sine, cosine) = 40.0_f64.to_radians().sin_cos();
+        let (u, v) = (cosine * x + sine * y, cosine * y - sine * x);
+        5.0 * (-0.5 * ((u / 2.0).powi(2) + (v / 1.2).powi(2))).exp()
+    }
+
+    fn gaussian(x: f64, y: f64) -> f64 {
+        5.0 * (-0.125 * (x * x + y * y)).exp()
+    }
+
+    #[test]
+    fn a_planted_plane_comes_back_under_spots_that_the_field_cuts_or_not() {
+        for (half, worst) in [(20.0, 1e-3), (7.0, 1e-3), (6.0, 4e-3), (4.8, 5e-3)] {
+            for level in [0.045, -0.045] {
+                let found = Baseline::under(&tif(half, 41, |x, y| gaussian(x, y) + level)).unwrap();
+                let of_volume = 41.0 * 41.0 / tif(half, 41, |x, y| gaussian(x, y) + level).rate_nm_per_s().sum();
+                // Widths from the count of samples above half of the peak, seen: of the volume of a cut spot.
+                assert!((found.part_of_volume - level * of_volume).abs() < worst, "{half}: {found:?}");
+                assert!(found.tilted_part_of_volume < 1e-3, "{found:?}");
+            }
+            for spot in [gaussian, ellipse] {
+                let found = Baseline::under(&tif(half, 41, spot)).unwrap();
+                assert!(found.part_of_volume.abs() < worst, "{half}: {found:?}");
+            }
+        }
+        // A tilt from -0.9 to 0.9 % of the peak holds no volume and moves 0.225 % x 1681 samples: half of what it has on
+        // either side, in the mean over the field.
+        let found = Baseline::under(&tif(20.0, 41, |x, y| gaussian(x, y) + 0.045 * x / 20.0)).unwrap();
+        let moved = 0.5 * 0.045 * 1681.0 / (8.0 * std::f64::consts::PI * 5.0);
+        assert!((found.tilted_part_of_volume / moved - 1.0).abs() < 0.01, "{found:?} {moved}");
+        assert!(found.part_of_volume.abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_round_field_and_a_floor_of_rectified_noise_have_a_baseline_and_noise_has_none() {
+        let round = |x: f64, y: f64| if x.hypot(y) < 19.0 { gaussian(x, y) + 0.045 } else { 0.0 };
+        let found = Baseline::under(&tif(20.0, 41, round)).unwrap();
+        assert!((found.level_nm_per_s / 0.045 - 1.0).abs() < 1e-3, "{found:?}");
+        // Noise of 1 % of the peak, by the sum of twelve uniform numbers.
+        let mut state = 1_u64;
+        let mut uniform = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (state >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        let noise: Vec<f64> =
+            (0..1681).map(|_| 0.05 * ((0..12).map(|_| uniform()).sum::<f64>() - 6.0)).collect();
+        let with = |of: &dyn Fn(f64) -> f64| {
+            let at = |mm: f64| (mm + 20.0).round() as usize;
+            tif(20.0, 41, |x, y| of(gaussian(x, y) + noise[41 * at(y) + at(x)]))
+        };
+        let plain = Baseline::under(&with(&|v| v)).unwrap();
+        assert_eq!(plain.level_nm_per_s, 0.0);
+        // The mean of the positive part of normal noise of 0.05 is 0.05 / sqrt(2 pi), to its standard error of 6 %.
+        let clipped = Baseline::under(&with(&|v| v.max(0.0))).unwrap();
+        assert!((clipped.level_nm_per_s / 0.01995 - 1.0).abs() < 0.2, "{clipped:?}");
+    }
+
+    #[test]
+    fn a_spot_that_fills_its_field_has_no_baseline_to_be_known() {
+        assert_eq!(Baseline::under(&tif(2.6, 41, gaussian)), None);
+        let pad = |x: f64, y: f64| if x.hypot(y) < 3.0 { 5.0 } else { 0.0 };
+        assert_eq!(Baseline::under(&tif(4.0, 41, pad)), None);
+        // A ring ends without a baseline, whatever the shape of its tail.
+        let ring = |x: f64, y: f64| {
+            let q = 0.25 * (x * x + y * y);
+            5.0 * q * (1.0 - q).exp()
+        };
+        assert_eq!(Baseline::under(&tif(6.0, 41, ring)).map_or(0.0, |b| b.level_nm_per_s), 0.0);
+    }
+}
