@@ -14,6 +14,8 @@
 use planish_types::Invalid;
 use serde::{Deserialize, Serialize};
 
+use crate::play;
+
 /// Kinds of errors of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -285,6 +287,14 @@ impl Kind {
     pub fn name(self) -> String {
         let value = serde_json::to_value(self).expect("a name serialises");
         value.as_str().expect("an enumeration without contents is a string").into()
+    }
+}
+
+impl ErrorBudget {
+    /// Returns the sentence on the state in which an axis with play begins, if the process has play.
+    pub fn play_start(&self) -> Option<&'static str> {
+        let is_play = |e: &ProcessError| e.effect == Effect::Scalar(Scalar::Backlash) && e.size != 0.0;
+        self.errors.iter().any(is_play).then_some(play::START)
     }
 }
 

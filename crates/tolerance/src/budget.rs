@@ -5,7 +5,7 @@ use planish_types::{Invalid, Surface, Tif, Trajectory, progress};
 use crate::{
     distribution::{Errors, Span},
     draws::{Model, quantile},
-    error_budget::{ErrorBudget, Noise},
+    error_budget::{Effect, ErrorBudget, Noise, Scalar},
     field::Tool,
     noise::{Columns, Response},
     reach::Reach,
@@ -22,6 +22,11 @@ pub const LARGEST_DEPARTURE: f64 = 0.1;
 /// Departure of an error from its first order, over the expected RMS, up to which the departure is ignored; it
 /// changes that RMS by at most 5e-5. Larger: less exact results. Smaller: more simulations.
 pub const SEEN: f64 = 0.01;
+
+/// Departure of an error of one number from its first order, over what it adds, above which its line is that of simulated
+/// runs, whether the departure is seen in the distribution or not. The first order of a sharp TIF that turns is up to twice
+/// its effect: an edge that moves by more than its width adds no more. Larger: less exact lines. Smaller: more simulations.
+pub const LARGEST_DEPARTURE_OF_LINE: f64 = 0.02;
 
 /// Number of simulated runs that give the distribution if the first order is not enough. Larger: more time. Smaller:
 /// larger standard errors of the quantiles.
@@ -96,8 +101,13 @@ pub fn tolerance(
             && line.departs_by_rms_nm > SEEN * expected_rms_nm
     };
     let simulated = lines.iter().any(departs);
-    for (i, line) in lines.iter_mut().enumerate().filter(|(_, l)| departs(l)) {
-        work.simulate_line(i, line, &reach, seed)?;
+    for (i, line) in lines.iter_mut().enumerate() {
+        // Play has no first order: its line is that of the two signs of the play.
+        let is_curved = matches!(process.errors[i].effect, Effect::Scalar(effect) if effect != Scalar::Backlash)
+            && line.departs_by_rms_nm > LARGEST_DEPARTURE_OF_LINE * line.adds_rms_nm;
+        if is_curved || departs(line) {
+            work.simulate_line(i, line, &reach, seed)?;
+        }
     }
     let least = if simulated { RUNS_OF_ALL } else { 0 };
     let count = settings.simulated_runs.max(least);
@@ -126,6 +136,7 @@ pub fn tolerance(
         deviation_nm: work.deviation_map(&linear, &responses),
         coverage: work.coverage.clone(),
         tif_resampling_error: resampling_error,
+        backlash_start: process.play_start(),
         mean_tool: tif.variation().map(|_| MEAN_TOOL),
     })
 }

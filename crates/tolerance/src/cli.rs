@@ -163,6 +163,7 @@ fn table(found: &planish_tolerance::Tolerance, free: Free) -> String {
             significant(100.0 * found.tif_resampling_error, 2)
         ));
     }
+    lines.extend(found.backlash_start.map(String::from));
     lines.extend(found.mean_tool.map(String::from));
     lines.join("\n")
 }

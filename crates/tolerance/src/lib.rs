@@ -15,8 +15,9 @@
 //!   [`draws`]).
 //!
 //! Whether the first order is enough is measured: every error is simulated once as it is, and a sample of runs
-//! with all of them. Where an error departs from its first order by more than [`LARGEST_DEPARTURE`], and not by
-//! less than [`SEEN`], runs are simulated in the place of both (`resimulation`).
+//! with all of them. Where an error of one number departs from its first order by more than
+//! [`LARGEST_DEPARTURE_OF_LINE`], its line is that of simulated runs. Where an error departs by more than
+//! [`LARGEST_DEPARTURE`], and not by less than [`SEEN`], so is the distribution (`resimulation`).
 //!
 //! | symbol | variable | unit |
 //! |---|---|---|
@@ -43,7 +44,7 @@ mod work;
 pub use planish_simulate::{deviation, error_budget, motion, sample, servo, tool};
 
 pub use crate::{
-    budget::{LARGEST_DEPARTURE, SEEN, tolerance},
+    budget::{LARGEST_DEPARTURE, LARGEST_DEPARTURE_OF_LINE, SEEN, tolerance},
     report::{First, LEVELS, Line, Pair, Quantiles, Tolerance},
     settings::{Free, Settings},
 };

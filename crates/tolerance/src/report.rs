@@ -108,6 +108,9 @@ pub struct Tolerance {
     /// Largest error of the TIF that errors move, over its peak, where it was sampled anew on the pixels of the map;
     /// else 0.
     pub tif_resampling_error: f64,
+    /// The sentence on the state in which an axis with play begins, if the budget has play.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub backlash_start: Option<&'static str>,
     /// The sentence on what the mean tool decides, for a tool that varies over the part.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mean_tool: Option<&'static str>,

@@ -88,13 +88,16 @@ impl VirtualRun {
         let seen = serde_json::json!({ "rms_nm": statistics.rms, "pv_nm": statistics.pv });
         writer.write(&run.measured, seen, &status)?;
         let remains = run.removal.residual().statistics();
-        let truth = serde_json::json!({
+        let mut truth = serde_json::json!({
             "rms_nm": remains.rms,
             "pv_nm": remains.pv,
             "total_time_s": trajectory.total_time_s(),
             "hidden": run.hidden,
             "coverage": coverage,
         });
+        if let Some(start) = errors.play_start() {
+            truth["backlash_start"] = start.into();
+        }
         writer.write(&run.removal, truth, &status)?;
         say(format!(
             "measured {:.4} nm RMS, {:.2} nm PV after run {} of {} with seed {} -> {}; the truth -> {}",
