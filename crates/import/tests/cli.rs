@@ -182,6 +182,59 @@ fn a_spot_with_noise_becomes_a_tif_without_bias() {
     assert!((clipped / plain - 1.0).abs() < 1e-12, "{clipped} {plain}");
 }
 
+/// Rates of 5 nm/s, sigma 2 mm, in a field of 41 mm, with a baseline; as CSV.
+fn rates(baseline: impl Fn(f64, f64) -> f64) -> String {
+    let mut text = String::from("# unit: nm\n# pixel size: 1 mm\n");
+    for r in -20..=20 {
+        let row = (-20..=20).map(|c| {
+            let (x, y) = (f64::from(c), f64::from(r));
+            format!("{:.4}", 5.0 * (-0.125 * (x * x + y * y)).exp() + baseline(x, y))
+        });
+        text.push_str(&row.collect::<Vec<_>>().join(","));
+        text.push('\n');
+    }
+    text
+}
+
+#[test]
+fn a_low_baseline_is_doubted_by_its_volume_and_the_remedy_is_named() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    type Baseline = fn(f64, f64) -> f64;
+    let cases: [(&str, Baseline, &str); 5] = [
+        ("level", |_, _| 0.045, "is 38 % of its volume"),
+        ("below", |_, _| -0.045, "takes off 151 % of its volume"),
+        ("tilted", |x, _| 0.00225 * x, "moves 30 % of its volume"),
+        ("round", |x, y| if x.hypot(y) < 19.0 { 0.045 } else { 0.0 }, "is 29 % of its volume"),
+        ("none", |_, _| 0.0, ""),
+    ];
+    for (name, baseline, expected) in cases {
+        fs::write(dir.join("tif.csv"), rates(baseline)).unwrap();
+        let (_, warned) = done(dir, &["tif", "tif.csv", "--rate", "--out", name]);
+        assert_eq!(
+            warned.contains("a baseline?") || warned.contains("a tilted baseline?"),
+            !expected.is_empty()
+        );
+        assert!(warned.contains(expected), "{name}: {warned}");
+        let manifest = artifact::read::<Tif>(&dir.join(name)).unwrap().manifest.unwrap();
+        let doubts = manifest.outcome["doubts"].as_array().unwrap().len();
+        assert_eq!(doubts, usize::from(!expected.is_empty()), "{name}");
+        if ["level", "below"].contains(&name) {
+            // 2 pi sigma^2 5 nm/s, which planish-surface tif --subtract-border gives.
+            assert!(
+                warned.contains("--subtract-border takes it off, and leaves 125.66 of"),
+                "{warned}"
+            );
+        }
+    }
+    // The depth of a spot after 10 s, of which nothing is subtracted.
+    fs::write(dir.join("depth.csv"), rates(|_, _| 0.045)).unwrap();
+    let spot =
+        ["tif", "depth.csv", "--dwell-s", "10", "--half-size-mm", "18", "--baseline", "none"];
+    let (_, warned) = done(dir, &[&spot[..], &["--out", "spot"]].concat());
+    assert!(warned.contains("a baseline?"), "{warned}");
+}
+
 #[test]
 fn a_program_becomes_a_motion() {
     let tmp = tempfile::tempdir().unwrap();

@@ -80,9 +80,9 @@ impl Baseline {
         let low = values[values.len() / 50];
         let is_seen = |k: usize| plane[k].abs() > LEAST_SIGNIFICANCE * errors[k];
         let mut level = if is_seen(0) { plane[0] } else { 0.0 };
-        // The fit of a tail of another shape may swing below the samples.
-        if level < 0.0 {
-            level = level.max(low.min(0.0));
+        // The fit of a tail of another shape may swing below samples of which none is negative.
+        if level < 0.0 && low >= 0.0 {
+            level = 0.0;
         }
         // The mean of |g . u| over a rectangle is at most half of its largest value.
         let tilt = [1, 2].map(|k| if is_seen(k) { 0.5 * plane[k].abs() } else { 0.0 });

@@ -665,7 +665,7 @@ mod tests {
             wide(&|_, _| 0.045),
             &["0.89 % of its peak", "is 38 % of its volume", "leaves 125.66 of 201.31"],
         );
-        said(wide(&|_, _| -0.045), &["takes off 151 % of its volume", "leaves 125.66 of 50.018"]);
+        said(wide(&|_, _| -0.045), &["takes off 151 % of its volume", "leaves 125.66 of 50.019"]);
         said(wide(&|x, _| 0.00225 * x), &["moves 30 % of its volume", "leaves 125.66 of 125.66"]);
         said(
             wide(&|x, _| 0.00225 * (x + 20.0)),
