@@ -200,7 +200,10 @@ fn the_page_holds_the_summary_and_is_the_same_for_the_same_input() {
 fn the_dwell_times_of_a_program_are_those_of_its_plan_and_it_executes_none_that_are_known() {
     let dir = tempfile::tempdir().unwrap();
     let run = dir.path().join("out");
-    prepare(&run, &[("pvt", 0.75, true), ("pvt+refined", 0.8, true), ("pvt+refined+galil", 0.8, true)]);
+    prepare(
+        &run,
+        &[("pvt", 0.75, true), ("pvt+refined", 0.8, true), ("pvt+refined+galil", 0.8, true)],
+    );
     let path = ToolPath::through(vec![[0.0, 0.0], [1.0, 0.0]], vec![true], vec![0]).unwrap();
     save(&run.join("tool_path"), &path).unwrap();
     let seconds = |s: f64| DwellTime::new(vec![s]).unwrap();
@@ -236,7 +239,10 @@ fn the_dwell_times_of_a_program_are_those_of_its_plan_and_it_executes_none_that_
     // A machine that nobody named is a problem of the answer.
     let problems = summary(&dir.path().join("report"))["answer"]["problems"].clone();
     let problem = problems[0].as_str().unwrap();
-    assert!(problem.starts_with("no machine was named, so this is planned for ion-beam"), "{problem}");
+    assert!(
+        problem.starts_with("no machine was named, so this is planned for ion-beam"),
+        "{problem}"
+    );
     assert!(text(&made.stdout).contains("no machine was named"), "{}", text(&made.stdout));
 }
 

@@ -20,6 +20,11 @@ pub const REHEARSAL: &str = "PLANISH_REHEARSAL";
 /// Flags of every program, which no setting holds.
 const OF_EVERY_PROGRAM: [&str; 2] = ["--help", "--version"];
 
+/// Returns true if `planish-run` started the program as a stage.
+pub(crate) fn is_stage() -> bool {
+    env::var_os(SETTINGS_OF_FLAGS).is_some()
+}
+
 /// Returns true if the program only checks its flags and the inputs that are there.
 pub fn is_rehearsal() -> bool {
     env::var_os(REHEARSAL).is_some()
@@ -58,7 +63,8 @@ fn with_settings(message: &str, settings: &str) -> String {
         let is_name = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
         let end = after.find(|c| !is_name(c)).unwrap_or(after.len());
         let flag = format!("--{}", &after[..end]);
-        let begins = text.chars().next_back().is_none_or(|c| c.is_whitespace() || "'\"`(,".contains(c));
+        let begins =
+            text.chars().next_back().is_none_or(|c| c.is_whitespace() || "'\"`(,".contains(c));
         text += &match begins && end > 0 {
             true => setting_of(&flag, settings).unwrap_or(flag),
             false => flag,

@@ -44,7 +44,9 @@ pub struct Scope<'a> {
 pub fn refuse_second(first: Option<String>, name: &str, second: &str) -> Result<(), String> {
     match first {
         None => Ok(()),
-        Some(first) => Err(format!("{name} is given twice, as '{first}' and as '{second}'; give it once")),
+        Some(first) => {
+            Err(format!("{name} is given twice, as '{first}' and as '{second}'; give it once"))
+        }
     }
 }
 

@@ -596,7 +596,10 @@ fn a_wrong_setting_is_named_with_the_remedy_and_nothing_runs() {
         (&["next-run", "before=none"], "before none is not there"),
         (&["compare", "coupon", "skip=x"], "leave it out for one mirror"),
         (&["tolerance", "foo"], "'foo' is no pipeline and no setting"),
-        (&["run", "raster", "pitch_mm=2", "pitch_mm=3"], "pitch_mm is given twice, as '2' and as '3'"),
+        (
+            &["run", "raster", "pitch_mm=2", "pitch_mm=3"],
+            "pitch_mm is given twice, as '2' and as '3'",
+        ),
         (&["stage", "raster", "path", "out=a", "out=a"], "out is given twice, as 'a' and as 'a'"),
         (&["compare", "coupon", "pitch_mm=2", "pitch_mm=3"], "pitch_mm is given twice"),
         (&["compare", "coupon", "disk"], "'disk' is one word too many beside 'coupon'"),
@@ -621,7 +624,9 @@ fn a_program_for_an_own_part_needs_a_machine_that_somebody_named() {
     let own = ["surface=mirror", "tif=tool"];
     let quick = ["refine=no", "plan_joint=no", "frames=0", "out=o"];
     let remedy = "Give machine=FILE with the limits of your machine";
-    for pipeline in ["raster", "maze", "spiral", "multi-pitch", "random-adaptive", "bspline", "trig-spline"] {
+    for pipeline in
+        ["raster", "maze", "spiral", "multi-pitch", "random-adaptive", "bspline", "trig-spline"]
+    {
         let settings = [&["run", pipeline, "export=galil", "out=o"], &own[..]].concat();
         let (ended, log) = recorded(dir.path(), &settings);
         refused(&ended, &["export=galil writes a program for the machine", remedy]);
@@ -639,7 +644,8 @@ fn a_program_for_an_own_part_needs_a_machine_that_somebody_named() {
     let (ended, log) = recorded(dir.path(), &settings);
     let text = message(&ended);
     assert_eq!(ended.status.code(), Some(0), "{text}");
-    let warning = "warning: no machine was named, so this is planned for ion-beam, a machine of the fixtures";
+    let warning =
+        "warning: no machine was named, so this is planned for ion-beam, a machine of the fixtures";
     let lines: Vec<&str> = text.lines().filter(|line| !line.starts_with("planish-")).collect();
     assert!(lines[0].starts_with(warning) && lines[lines.len() - 1].starts_with(warning), "{text}");
     let report = log.iter().find(|line| line.starts_with("planish-compare<report>")).unwrap();
@@ -647,7 +653,8 @@ fn a_program_for_an_own_part_needs_a_machine_that_somebody_named() {
     // With a machine of the user, and on a mirror of the fixtures, nothing is said.
     for named in [&["machine=machine.json"][..], &["fixture=coupon"]] {
         let own = if named[0].starts_with("machine") { &own[..] } else { &[] };
-        let settings = [&["run", "raster"], named, own, &quick[..3], &["out=p", "export=csv"]].concat();
+        let settings =
+            [&["run", "raster"], named, own, &quick[..3], &["out=p", "export=csv"]].concat();
         let (ended, log) = recorded(dir.path(), &settings);
         assert!(!message(&ended).contains("no machine was named"), "{}", message(&ended));
         assert!(log.iter().all(|line| !line.contains("assumed-machine")), "{log:?}");
@@ -660,7 +667,8 @@ fn a_mistake_in_a_late_stage_is_found_before_the_run_and_names_the_setting() {
     let dir = bench();
     recorders(dir.path());
     fs::write(dir.path().join("codes/planish-export.rehearsed"), "2").unwrap();
-    let own = ["fixture=coupon", "out=o", "export=galil", "export_settings=--always-on --count-mm=1"];
+    let own =
+        ["fixture=coupon", "out=o", "export=galil", "export_settings=--always-on --count-mm=1"];
     let (ended, log) = recorded(dir.path(), &[&QUICK[..], &own].concat());
     let text = message(&ended);
     assert_eq!(ended.status.code(), Some(2), "{text}");
@@ -676,7 +684,9 @@ fn a_mistake_in_a_late_stage_is_found_before_the_run_and_names_the_setting() {
     }
     assert!(log.is_empty() && !dir.path().join("o").exists(), "{log:?}");
     let rehearsed = fs::read_to_string(dir.path().join("rehearsed")).unwrap();
-    assert!(rehearsed.contains("planish-export galil") && rehearsed.contains("--machine machine.json"));
+    assert!(
+        rehearsed.contains("planish-export galil") && rehearsed.contains("--machine machine.json")
+    );
     // One that passes is tried again when mirror, tool and tool path are there, and then the run begins.
     fs::remove_file(dir.path().join("codes/planish-export.rehearsed")).unwrap();
     fs::remove_file(dir.path().join("rehearsed")).unwrap();

@@ -379,7 +379,9 @@ fn the_tutorial_of_the_first_mirror_runs_as_it_is_printed() {
     let printed = clone.succeed(FIRST_MIRROR, &["python3", "-c"], &format!("{module}{script}"));
     let line = printed.lines().find(|line| line.ends_with("nm RMS after")).unwrap();
     println!("{FIRST_MIRROR}: {line}");
-    assert!(clone.dir.join("program.galil").is_file() && clone.dir.join("program.galil.json").is_file());
+    assert!(
+        clone.dir.join("program.galil").is_file() && clone.dir.join("program.galil.json").is_file()
+    );
 }
 
 #[test]

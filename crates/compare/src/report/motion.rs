@@ -165,9 +165,9 @@ pub fn dwell(path: &ToolPath, plan: &DwellTime, t: &Trajectory, most: usize) -> 
     let executed_s = if names_points { Some(t.served_s(n, |_| true).ok()?) } else { None };
     let every = n.div_ceil(most.max(1));
     let thin = |values: &[f64]| values.iter().step_by(every).copied().collect::<Vec<_>>();
-    let total_error_s = executed_s.as_ref().map(|executed_s| {
-        plan.dwell_s().iter().zip(executed_s).map(|(p, e)| (e - p).abs()).sum()
-    });
+    let total_error_s = executed_s
+        .as_ref()
+        .map(|executed_s| plan.dwell_s().iter().zip(executed_s).map(|(p, e)| (e - p).abs()).sum());
     Some(Dwell {
         point_mm: path.dwell_point_mm().iter().step_by(every).copied().collect(),
         planned_s: thin(plan.dwell_s()),

@@ -95,8 +95,8 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
     let seed = setting(&mut given, "seed", "1");
     let least_gain_percent = setting(&mut given, "least_gain_percent", "5");
     let is_own = surface.is_some() || tif.is_some();
-    let is_users =
-        is_own || ["form", "varying"].iter().any(|name| given.get(name).is_some_and(|v| !v.is_empty()));
+    let is_users = is_own
+        || ["form", "varying"].iter().any(|name| given.get(name).is_some_and(|v| !v.is_empty()));
     let name = match &surface {
         Some(map) => name_of(&std::path::absolute(map)?),
         None => fixture.clone(),

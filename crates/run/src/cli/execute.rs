@@ -36,7 +36,8 @@ const MESSAGE: &str = "message.txt";
 const KILLED: u8 = 128;
 
 /// Programs that make mirror, tool and tool path. Those that come after them may take hours.
-const SHORT: [&str; 4] = ["planish-fixture", "planish-import", "planish-surface", "planish-toolpath"];
+const SHORT: [&str; 4] =
+    ["planish-fixture", "planish-import", "planish-surface", "planish-toolpath"];
 
 /// Programs that are not tried before the run: they read a whole run, or a large file that the first stage reads anyway.
 const NOT_REHEARSED: [&str; 4] =
@@ -259,7 +260,9 @@ pub fn run<'a>(
             break;
         }
     }
-    if last < 2 && let Some(text) = assumed_machine {
+    if last < 2
+        && let Some(text) = assumed_machine
+    {
         programs.print(&format!("warning: {text}"));
     }
     Ok(Ended { code: last, scope: walk.scope })
@@ -331,12 +334,7 @@ impl Rehearsal {
 
     /// Remembers what a step makes. Before the first long one, tries the commands `ahead`, which begin with it. Returns
     /// false, and prints what is wrong, if one refuses.
-    fn before(
-        &mut self,
-        step: &Step,
-        programs: &Programs,
-        ahead: Walk,
-    ) -> Result<bool, Failure> {
+    fn before(&mut self, step: &Step, programs: &Programs, ahead: Walk) -> Result<bool, Failure> {
         let (Step::Run(command) | Step::Attempt(_, command)) = step else { return Ok(true) };
         if self.is_over {
             return Ok(true);
@@ -389,7 +387,8 @@ fn cannot_switch_tool(walk: &Walk) -> Result<Option<String>, Failure> {
     let machine = Inputs::new().read_machine(Path::new(&text("machine")?))?;
     let words = walk.scope.words("export_settings", &Words::new()).map_err(Failure::new)?;
     let gives = |flag: &str| words.iter().any(|word| word.split('=').next() == Some(flag));
-    if machine.controller_for(kind).switches_tool || gives("--always-on") || gives("--tool-output") {
+    if machine.controller_for(kind).switches_tool || gives("--always-on") || gives("--tool-output")
+    {
         return Ok(None);
     }
     let path = text("tool_path")?;
@@ -510,12 +509,16 @@ mod tests {
     #[test]
     fn a_long_closed_loop_is_told_beforehand() {
         let times = |dwell_s: f64| {
-            let times = [("planish-dwell", dwell_s), ("planish-schedule", 1.0), ("planish-simulate", 2.0)];
+            let times =
+                [("planish-dwell", dwell_s), ("planish-schedule", 1.0), ("planish-simulate", 2.0)];
             BTreeMap::from(times.map(|(name, s)| (name.to_string(), s)))
         };
         // 10 and 50 rounds of 93 s are 15.5 and 77.5 minutes.
         let told = estimate_of_rounds("planish-refine", &times(90.0)).unwrap();
-        assert!(told.contains("93 s together") && told.contains("expect 16 to 78 minutes"), "{told}");
+        assert!(
+            told.contains("93 s together") && told.contains("expect 16 to 78 minutes"),
+            "{told}"
+        );
         assert_eq!(estimate_of_rounds("planish-refine", &times(2.0)), None);
         assert_eq!(estimate_of_rounds("planish-joint", &times(90.0)), None);
     }
