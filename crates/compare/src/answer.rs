@@ -8,7 +8,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::{
-    plan::State,
+    plan::{PROGRAM, State},
     recommended::recommended,
     specification::Judged,
     summary::{Method, Summary},
@@ -179,33 +179,20 @@ fn sentence(summary: &Summary, name: &str, m: &Method) -> String {
 }
 
 fn why(summary: &Summary, name: &str, m: &Method) -> String {
-    let rivals = summary.methods.iter().filter(|(other, m)| other != name && m.is_candidate());
-    let next =
-        rivals.clone().min_by(|(_, a), (_, b)| a.compared_rms_nm().total_cmp(&b.compared_rms_nm()));
-    let choice = match next {
-        None => format!("{name}, because it is the only plan here that keeps the limits."),
-        Some((next, other)) => {
-            let plans = rivals.count() + 1;
-            let (mine, rival) = (m.candidate(), other.candidate());
-            let [_, their_nm] = apart([mine.rms_nm, rival.rms_nm], significant);
-            let times = [mine.total_time_s, rival.total_time_s];
-            let [my_time, their_time] = apart(times, duration_of);
-            let theirs = format!("{next} with {their_nm} nm in {their_time}");
-            let keeps = |m: &Method| m.specification.as_ref().is_some_and(|judged| judged.passed);
-            if mine.rms_nm <= rival.rms_nm {
-                format!(
-                    "{name}, because it leaves the least RMS of the {plans} plans that keep the limits; the next is \
-                     {theirs}."
-                )
-            } else if keeps(m) && !keeps(other) {
-                format!("{name}, because it keeps the specification, which {theirs} does not.")
-            } else {
-                let more_percent = 100.0 * (mine.rms_nm / rival.rms_nm - 1.0);
-                format!(
-                    "{name}, because it takes {my_time} and leaves {} % more than the least RMS of the {plans} plans \
-                     that keep the limits, {theirs}.",
-                    significant(more_percent, 2)
-                )
+    let choice = match plan_of_program(summary, name, m) {
+        None => format!("{name}, because {}.", reason(summary, name, m, None)),
+        Some((base, plan)) => {
+            let others =
+                summary.methods.iter().filter(|(other, m)| other != name && m.is_candidate());
+            let others: Vec<_> = others.map(|(other, m)| (other, m.candidate())).collect();
+            match recommended(&others) {
+                Some(best) if best != base => format!(
+                    "{name}, because it is the program that was written, of {base}; without it the choice is {best}."
+                ),
+                _ => format!(
+                    "{name}, because it is the program of {base}, and {base} is chosen because {}.",
+                    reason(summary, base, plan, Some(name))
+                ),
             }
         }
     };
@@ -216,6 +203,49 @@ fn why(summary: &Summary, name: &str, m: &Method) -> String {
         m.plan.text,
         exceeding(summary)
     )
+}
+
+/// Returns the plan of which `name` is the program that was read back; `None` if it is no program, or its plan is not in the
+/// run.
+fn plan_of_program<'a>(
+    summary: &'a Summary,
+    name: &str,
+    m: &Method,
+) -> Option<(&'a String, &'a Method)> {
+    let (base, _) = name.rsplit_once('+').filter(|_| m.plan.word == PROGRAM)?;
+    let (base, plan) = summary.methods.iter().find(|(other, _)| other == base)?;
+    Some((base, plan)).filter(|(_, plan)| plan.is_candidate())
+}
+
+/// Returns the reason for the plan `name` in a clause; the row `program` is no rival of it.
+fn reason(summary: &Summary, name: &str, m: &Method, program: Option<&str>) -> String {
+    let is_rival = |other: &String| other != name && Some(other.as_str()) != program;
+    let rivals = summary.methods.iter().filter(|(other, m)| is_rival(other) && m.is_candidate());
+    let least = |a: &&(String, Method), b: &&(String, Method)| {
+        a.1.compared_rms_nm().total_cmp(&b.1.compared_rms_nm())
+    };
+    let Some((next, other)) = rivals.clone().min_by(least) else {
+        return "it is the only plan here that keeps the limits".into();
+    };
+    let plans = rivals.count() + 1;
+    let (mine, rival) = (m.candidate(), other.candidate());
+    let [_, their_nm] = apart([mine.rms_nm, rival.rms_nm], significant);
+    let [my_time, their_time] = apart([mine.total_time_s, rival.total_time_s], duration_of);
+    let theirs = format!("{next} with {their_nm} nm in {their_time}");
+    let keeps = |m: &Method| m.specification.as_ref().is_some_and(|judged| judged.passed);
+    if mine.rms_nm <= rival.rms_nm {
+        format!(
+            "it leaves the least RMS of the {plans} plans that keep the limits; the next is {theirs}"
+        )
+    } else if keeps(m) && !keeps(other) {
+        format!("it keeps the specification, which {theirs} does not")
+    } else {
+        let more_percent = 100.0 * (mine.rms_nm / rival.rms_nm - 1.0);
+        format!(
+            "it takes {my_time} and leaves {} % more than the least RMS of the {plans} plans that keep the limits, {theirs}",
+            significant(more_percent, 2)
+        )
+    }
 }
 
 /// Says that the plans are compared after the servo, where the process has one.

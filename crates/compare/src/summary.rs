@@ -816,6 +816,15 @@ mod tests {
         let mut summary = summary_of(rows.to_vec());
         summary.recommend("pvt+galil").unwrap();
         assert_eq!(summary.best.as_deref(), Some("pvt+galil"));
+        // The program takes no less time than its plan: the reason is that of the plan.
+        for (_, row) in summary.methods.iter_mut().filter(|(name, _)| name == "pvt+galil") {
+            row.plan.word = PROGRAM.into();
+            row.rms_nm *= 1.5;
+            row.total_time_s *= 1.0 + 1e-6;
+        }
+        let why = crate::answer::Answer::of(&summary).why;
+        let reason = "pvt+galil, because it is the program of pvt, and pvt is chosen because it is the only plan here";
+        assert!(why.starts_with(reason), "{why}");
         summary.recommend("pvt+csv").unwrap();
         assert_eq!(summary.best, None);
         let said = summary.recommend("joint+galil").unwrap_err();

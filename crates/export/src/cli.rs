@@ -17,7 +17,9 @@ use planish_handoff::{
     flags::{AxesArgs, NearPathArgs, OnAxes, OutputFileArgs, TrajectoryArgs},
     say, warn,
 };
-use planish_types::{AxesMotion, ControllerKind, Counts, Kinematics, Machine, TransformNumbers};
+use planish_types::{
+    AxesMotion, ControllerKind, Counts, Invalid, Kinematics, Machine, TransformNumbers,
+};
 
 /// A program to write: a subcommand, which is the name of a [`ControllerKind`], and its flags.
 #[derive(Debug)]
@@ -191,7 +193,11 @@ impl Export {
         let settings = self.settings();
         // Before the motion, which may be large, or not there yet
         let machine = Inputs::new().read_machine(&given.machine.machine.machine)?;
-        check(&machine, self.controller, &settings).map_err(Failure::with_flags)?;
+        let of_flag = |e: Invalid| {
+            let flag = format!("`{}`: {}; {}", e.array, e.problem, e.remedy);
+            Failure::new(planish_handoff::with_flags(&flag))
+        };
+        check(&machine, self.controller, &settings).map_err(of_flag)?;
         let mut inputs = Inputs::new();
         let motion = given.read(&mut inputs)?;
         let distance = near_path::checked(&given.near_path, &motion, &mut inputs)?;

@@ -17,8 +17,7 @@ use clap_complete::Shell;
 use planish_types::{ControllerKind, budget};
 
 use crate::{
-    describe,
-    from_run::in_settings,
+    describe, from_run,
     message::{complain, shortened},
     stage, words,
 };
@@ -59,8 +58,12 @@ pub(crate) fn parse<C: Parser>() -> C {
 /// Ends the program with the requested help, or with a message about wrong usage. The message may
 /// contain a damaged value of any length.
 pub(crate) fn end(error: &clap::Error) -> ! {
-    let text = error.render().to_string();
-    let is_changed = matches!(shortened(&text), Cow::Owned(_)) || in_settings(&text) != text;
+    let mut text = error.render().to_string();
+    if from_run::is_stage() {
+        // The usage is that of flags which the user of a pipeline does not see.
+        text.truncate(text.find("\n\nUsage:").unwrap_or(text.len()));
+    }
+    let is_changed = matches!(shortened(&text), Cow::Owned(_)) || from_run::is_stage();
     if error.use_stderr() && is_changed {
         complain(text.trim_end());
         exit(error.exit_code())

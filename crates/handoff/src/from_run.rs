@@ -20,6 +20,11 @@ pub const REHEARSAL: &str = "PLANISH_REHEARSAL";
 /// Flags of every program, which no setting holds.
 const OF_EVERY_PROGRAM: [&str; 2] = ["--help", "--version"];
 
+/// Returns true if `planish-run` started the program as a stage.
+pub(crate) fn is_stage() -> bool {
+    env::var_os(SETTINGS_OF_FLAGS).is_some()
+}
+
 /// Returns true if the program only checks its flags and the inputs that are there.
 pub fn is_rehearsal() -> bool {
     env::var_os(REHEARSAL).is_some()

@@ -21,6 +21,8 @@ pub struct Origins {
     pub of_flag: Vec<(String, String)>,
     /// Setting that holds flags of the command: any other flag can be given there.
     pub more_flags: Option<String>,
+    /// Settings that are whole words of the command, or the values of its flags.
+    pub settings: Vec<String>,
 }
 
 impl Origins {
@@ -28,6 +30,7 @@ impl Origins {
     fn add(&mut self, other: Self) {
         self.of_flag.splice(0..0, other.of_flag);
         self.more_flags = other.more_flags.or(self.more_flags.take());
+        self.settings.extend(other.settings);
     }
 }
 
@@ -233,6 +236,7 @@ impl<'a> Scope<'a> {
                     let same = flag[2..].replace('-', "_");
                     let is_setting = |name: &&str| self.definition.setting(name).is_some();
                     let of = name.map(String::as_str).filter(is_setting);
+                    found.settings.extend(of.map(String::from));
                     let own = self.definition.settings.iter().find(|s| s.name == same);
                     let of = of.or(own.map(|s| s.name.as_str())).unwrap_or(flag);
                     found.of_flag.push((flag.into(), of.into()));
@@ -266,15 +270,15 @@ impl<'a> Scope<'a> {
         local: &Words,
     ) -> Result<Origins, String> {
         if !self.definition.setting(name).is_some_and(|setting| setting.kind == Kind::Flags) {
-            let of_flag = last_flag.map(|flag| (flag, name.to_string()));
-            return Ok(Origins { of_flag: of_flag.into_iter().collect(), more_flags: None });
+            let of_flag = last_flag.map(|flag| (flag, name.to_string())).into_iter().collect();
+            return Ok(Origins { of_flag, more_flags: None, settings: vec![name.into()] });
         }
         let mut of_flag = Vec::new();
         for word in self.words(name, local)?.iter().filter(|word| word.starts_with("--")) {
             let flag = word.split('=').next().unwrap_or(word);
             of_flag.push((flag.to_string(), format!("{name}={flag}")));
         }
-        Ok(Origins { of_flag, more_flags: Some(name.into()) })
+        Ok(Origins { of_flag, more_flags: Some(name.into()), settings: vec![name.into()] })
     }
 
     /// Returns the first line whose condition holds.
@@ -358,7 +362,10 @@ stages:
         ] {
             assert_eq!(of(&found, flag).as_deref(), Some(text), "{flag}");
         }
-        assert_eq!(found.more_flags, None);
+        assert_eq!(
+            (found.more_flags, found.settings),
+            (None, ["a", "b", "w", "a"].map(String::from).to_vec())
+        );
         let found = origins(&["f=--x=1 'a b' --out e"]);
         assert_eq!(of(&found, "--x").as_deref(), Some("f=--x"));
         assert_eq!(of(&found, "--out").as_deref(), Some("f=--out"));

@@ -14,6 +14,7 @@ use planish_handoff::{
 };
 use planish_tolerance::{
     Free, Settings,
+    deviation::check_tool,
     error_budget::{Distribution, ErrorBudget, ErrorBudgetFile},
     tolerance,
 };
@@ -107,10 +108,9 @@ impl Tolerance {
 
     /// Checks the error budget, and the tool if it is there, before a motion exists.
     fn rehearse(&self) -> Result<(), Failure> {
-        self.process(&mut Inputs::new())?;
+        let process = self.process(&mut Inputs::new())?;
         let tif = Inputs::new().read_tool("tif", &self.mirror.tif)?;
-        tif.same_in_all_directions("a simulation with errors of the process")
-            .map_err(Failure::with_flags)
+        check_tool(&process, &tif).map_err(Failure::with_flags)
     }
 }
 

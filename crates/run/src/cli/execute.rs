@@ -131,7 +131,7 @@ impl Programs {
     fn process(&self, command: &Command) -> Process {
         let mut process = stage_command(&command.program, env::split_paths(&self.path));
         process.args(&command.arguments).env("PATH", &self.path);
-        let Origins { of_flag, more_flags } = &command.origins;
+        let Origins { of_flag, more_flags, .. } = &command.origins;
         let more = more_flags.iter().map(|setting| format!("\t{setting}"));
         let lines = of_flag.iter().map(|(flag, text)| format!("{flag}\t{text}")).chain(more);
         process.env(SETTINGS_OF_FLAGS, lines.collect::<Vec<_>>().join("\n"));
@@ -376,9 +376,9 @@ impl Rehearsal {
                 }
                 _ => continue,
             };
-            let Origins { of_flag, more_flags } = &command.origins;
-            let is_users = |(_, setting): &(String, String)| ahead.scope.is_given(setting);
-            let depends = more_flags.is_some() || of_flag.iter().any(is_users);
+            let Origins { more_flags, settings, .. } = &command.origins;
+            let depends =
+                more_flags.is_some() || settings.iter().any(|name| ahead.scope.is_given(name));
             if !depends || NOT_REHEARSED.contains(&command.program.as_str()) {
                 continue;
             }
