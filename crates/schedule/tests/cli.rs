@@ -90,10 +90,12 @@ fn every_subcommand_is_one_method_of_its_own() {
             manifest.settings.as_object().unwrap().keys().map(String::as_str).collect();
         settings.sort_unstable();
         let expected: &[&str] = match scheduler.as_str() {
-            "pvt" => &["mode", "stretch"],
-            "pvt-as-published" => &["rest_condition"],
-            "trig-spline" => &["corner_deviation_mm", "fit_tolerance_mm", "repair"],
-            _ => &[],
+            "pvt" => &["max_path_distance_mm", "mode", "stretch"],
+            "pvt-as-published" => &["max_path_distance_mm", "rest_condition"],
+            "trig-spline" => {
+                &["corner_deviation_mm", "fit_tolerance_mm", "max_path_distance_mm", "repair"]
+            }
+            _ => &["max_path_distance_mm"],
         };
         assert_eq!(settings, expected, "{scheduler}");
     }

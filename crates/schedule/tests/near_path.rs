@@ -68,7 +68,7 @@ fn from_segment_mm(p: [f64; 2], path: &ToolPath, i: usize) -> f64 {
     (p[0] - a[0] - part * d[0]).hypot(p[1] - a[1] - part * d[1])
 }
 
-/// Largest distance of the motion from the segments that it serves, with the tool on, at 200 times per segment, mm. A
+/// Largest distance of the motion from the segments that it serves, with the tool on, at 41 times per segment, mm. A
 /// segment that serves none lies between those that its neighbours serve.
 fn sampled_distance_mm(motion: &Trajectory, path: &ToolPath) -> f64 {
     let index = motion.dwell_index();
@@ -77,8 +77,8 @@ fn sampled_distance_mm(motion: &Trajectory, path: &ToolPath) -> f64 {
         let before = index[..=k].iter().rev().find_map(|i| *i);
         let after = index[k..].iter().find_map(|i| *i);
         let [from, to] = [before.or(after).unwrap(), after.or(before).unwrap()];
-        for k in 0..=200 {
-            let p = segment.position_mm(segment.duration_s * f64::from(k) / 200.0);
+        for k in 0..=40 {
+            let p = segment.position_mm(segment.duration_s * f64::from(k) / 40.0);
             let all = (from.min(to)..=from.max(to)).map(|i| from_segment_mm(p, path, i));
             largest_mm = largest_mm.max(all.fold(f64::INFINITY, f64::min));
         }
@@ -165,11 +165,11 @@ fn every_scheduler_states_its_distance_and_pvt_keeps_the_tolerance() {
                 };
                 let distance = PathDistance::new(&motion, &path, None).unwrap();
                 let sampled_mm = sampled_distance_mm(&motion, &path);
-                // The search states an upper bound, 1e-7 above. Samples miss the peak of a cubic of a segment by less
-                // than a thousandth of its size.
+                // The search states an upper bound, 1e-7 above. Samples at a distance d of the time miss the peak of a
+                // cubic by its second derivative times d^2 / 8: below 1 % of the peak.
                 let stated_mm = distance.tool_on_mm;
                 assert!(
-                    stated_mm >= sampled_mm - 1e-9 && stated_mm <= 1.001 * sampled_mm + 1e-6,
+                    stated_mm >= sampled_mm - 1e-9 && stated_mm <= 1.01 * sampled_mm + 1e-6,
                     "{machine}, {name}, {seed}: {stated_mm} stated, {sampled_mm} sampled"
                 );
                 assert!(!keeps || distance.within, "{machine}, {name}, {seed}: {distance}");
