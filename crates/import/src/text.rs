@@ -154,20 +154,6 @@ pub(crate) fn with_points(name: &'static str, text: &str) -> Result<Option<Strin
     Ok(Some(text.lines().map(line).collect::<Vec<_>>().join("\n")))
 }
 
-/// Returns the text without its first `lines` lines.
-pub(crate) fn from_line(text: &str, lines: usize) -> &str {
-    match lines.checked_sub(1).and_then(|n| text.match_indices('\n').nth(n)) {
-        Some((end, _)) => &text[end + 1..],
-        None if lines == 0 => text,
-        None => "",
-    }
-}
-
-/// Returns true for a number with a decimal point or a decimal comma.
-pub(crate) fn is_numeric(field: &str) -> bool {
-    field.parse::<f64>().is_ok() || field.replacen(',', ".", 1).parse::<f64>().is_ok()
-}
-
 /// The warning where [`with_points`] changed a text.
 pub(crate) const DECIMAL_COMMAS: &str = "the numbers have a decimal comma";
 

@@ -8,7 +8,7 @@
 use ndarray::Array2;
 use planish_numerics::statistics;
 
-use crate::{Limits, Machine, Surface, Tif, text::significant};
+use crate::{Limits, Surface, Tif, text::significant};
 
 /// Fraction of the mean square of a map that is a plane, above which the plane is doubted as a tilt
 /// of the measurement. Larger: a tilt that triples the time causes no doubt. Smaller: more parts
@@ -20,9 +20,9 @@ const MOST_PLANE: f64 = 0.9;
 /// about 0.1 nm RMS.
 const LEAST_PV_NM: f64 = 0.5;
 
-/// Largest RMS of a map without its best plane, nm, without a doubt. Larger: heights that are a thousand times too large
-/// pass. Smaller: parts that are still rough are doubted. Chosen: a mirror that is worth a dwell-time run has less than some
-/// hundred nm, and 2 um take the tools of the fixtures days.
+/// Largest RMS of a map without its best plane, nm, without a doubt. Larger: heights that are a
+/// thousand times too large pass. Smaller: parts that are still rough are doubted. Chosen: beyond
+/// the fixtures and the reference mirror, and below a thousand times their heights.
 const MOST_DETILTED_NM: f64 = 2000.0;
 
 /// Largest number of pixels that are searched for repeated heights and quantiles. Larger: more
@@ -163,9 +163,7 @@ pub fn of_rates(desired: &Surface, tif: &Tif) -> Option<String> {
         )
     };
     if at_one_place_s > most {
-        return Some(said(
-            "rates in um/s that were read as nm/s, or heights in nm that were read as um? give nm/s and nm",
-        ));
+        return Some(said("rates in um/s? give nm/s"));
     }
     (at_one_place_s > 0.0 && at_one_place_s < least)
         .then(|| said("rates in nm/min, or heights in um? give nm/s and nm"))
@@ -187,33 +185,6 @@ pub fn of_limits(desired: &Surface, tif: &Tif, limits: &Limits, pitch_mm: f64) -
             significant(removal_s, 3)
         )
     })
-}
-
-/// Doubt about the pitch of the map, from a part that is larger than the travel of the machine.
-pub fn of_travel(desired: &Surface, machine: &Machine) -> Option<String> {
-    let grid = desired.grid();
-    let [Some(x), Some(y)] = machine.travel_mm() else { return None };
-    let (mut travel_mm, mut size_mm) = ([x[1] - x[0], y[1] - y[0]], grid.size_mm());
-    // The part may lie turned by a quarter.
-    travel_mm.sort_unstable_by(f64::total_cmp);
-    size_mm.sort_unstable_by(f64::total_cmp);
-    let ratio = (size_mm[0] / travel_mm[0]).max(size_mm[1] / travel_mm[1]);
-    if ratio <= 1.0 {
-        return None;
-    }
-    // The smallest mistaken unit that explains the size: cm, inches, metres in the place of millimetres.
-    let (factor, mistake) =
-        [(10.0, "mm that were read as cm"), (25.4, "mm that were read as inches")]
-            .into_iter()
-            .find(|(factor, _)| *factor >= ratio)
-            .unwrap_or((1000.0, "um that were read as mm"));
-    let [long, short] = [1, 0].map(|k| significant(size_mm[k], 4));
-    let [far, near] = [1, 0].map(|k| significant(travel_mm[k], 4));
-    Some(format!(
-        "the map is {long} x {short} mm, larger than the travel of the machine of {far} x {near} mm: a pitch in {mistake}, \
-         which would be {} mm? correct the pitch of the map (surface_settings=\"--pixel-mm P\"), or crop it",
-        significant(grid.x.step_mm() / factor, 4)
-    ))
 }
 
 /// Mean depth of the desired removal, nm: the mean height above the lowest height but for
@@ -383,26 +354,6 @@ mod tests {
             of_map(&map(|z, _| 1e3 * z)),
             &["nm RMS beside their best plane", "read as um", "--unit nm"],
         );
-    }
-
-    #[test]
-    fn a_part_that_is_larger_than_the_travel_is_named() {
-        let machine = |x: f64, y: f64| {
-            let axis = |name: &str, half: f64| MachineFileAxis {
-                name: name.into(),
-                max_velocity_mm_per_s: 100.0,
-                max_acceleration_mm_per_s2: 1000.0,
-                travel_mm: Some([-half, half]),
-                ..MachineFileAxis::default()
-            };
-            let axes = vec![axis("x", 0.5 * x), axis("y", 0.5 * y)];
-            Machine::new(MachineFile { name: "m".into(), axes, ..MachineFile::default() }).unwrap()
-        };
-        // The map is 40 x 24 mm with a pitch of 0.5 mm; it may lie turned.
-        assert_eq!(of_travel(&map(|z, _| z), &machine(24.0, 40.0)), None);
-        let doubt = of_travel(&map(|z, _| z), &machine(39.0, 30.0));
-        said(doubt, &["40 x 24 mm", "39 x 30 mm", "read as cm", "0.05 mm"]);
-        said(of_travel(&map(|z, _| z), &machine(1.0, 1.0)), &["read as mm", "0.0005 mm"]);
     }
 
     #[test]
