@@ -47,7 +47,7 @@ const CERTAIN: usize = 8;
 pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     let text = text::text(NAME, bytes)?;
     let (header, first) = header(&text)?;
-    let body = text::from_line(&text, first);
+    let body = from_line(&text, first);
     let with_points = text::with_points(NAME, body)?;
     let Table { values, comments, corner, corner_is_empty } =
         table(with_points.as_deref().unwrap_or(body), first, header)?;
@@ -131,7 +131,7 @@ fn header(text: &str) -> Result<(Comments, usize), Invalid> {
         let next = lines.peek().map(|(_, next)| text::fields(next).take(MOST_FIELDS).count());
         // Decimal commas may split a line of numbers at the wrong places.
         let is_word = |field: &&str| {
-            let is_text = |word: &str| !text::is_numeric(word) && !text::is_no_data(word);
+            let is_text = |word: &str| !is_numeric(word) && !text::is_no_data(word);
             is_text(field) && field.split_whitespace().any(is_text)
         };
         let is_corner = fields.len() > 2
@@ -162,6 +162,20 @@ fn header(text: &str) -> Result<(Comments, usize), Invalid> {
         first = i + 1;
     }
     Ok((found, first))
+}
+
+/// Returns the text without its first `lines` lines.
+fn from_line(text: &str, lines: usize) -> &str {
+    match lines.checked_sub(1).and_then(|n| text.match_indices('\n').nth(n)) {
+        Some((end, _)) => &text[end + 1..],
+        None if lines == 0 => text,
+        None => "",
+    }
+}
+
+/// Returns true for a number with a decimal point or a decimal comma.
+fn is_numeric(field: &str) -> bool {
+    field.parse::<f64>().is_ok() || field.replacen(',', ".", 1).parse::<f64>().is_ok()
 }
 
 /// The numbers of a text, and what it says beside them.

@@ -200,7 +200,12 @@ impl Reading {
 
     /// Takes the unit at the end of the name of a variable, such as `height_nm` or `rate_nm_per_min`.
     pub(crate) fn state_unit_of_name(&mut self, name: &str) {
-        let Ok((_, Some(unit))) = Unit::of_name(name) else { return };
+        let mut words = name.rsplit('_');
+        let (time, length) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
+        // Such as tif_nm_s: a slash is no letter of a name.
+        let rate = Unit::spelled(&format!("{length}/{time}")).filter(|unit| unit.is_rate());
+        let of_name = || Unit::of_name(name).ok().and_then(|(_, unit)| unit);
+        let Some(unit) = rate.or_else(of_name) else { return };
         if name.ends_with("_in") || name.ends_with("_A") || name.ends_with(" A") {
             // It may be any word: an input, or the first of two maps.
             let problem = format!("may be {unit} by the name \"{name}\"");
@@ -1109,6 +1114,31 @@ mod tests {
         let asked = Settings { coordinate_unit: Some(Unit::named("waves")), ..plain.clone() };
         assert!(message(&with, &asked).contains("is waves"));
         assert!(Unit::stated("BUNIT", "furlong").unwrap_err().to_string().contains("furlong"));
+    }
+
+    #[test]
+    fn the_name_of_a_variable_has_its_unit() {
+        for (name, unit) in [
+            ("height_nm", "nm"),
+            ("rate_nm_per_min", "nm/min"),
+            ("tif_nm_s", "nm/s"),
+            ("TIF_nm_min", "nm/min"),
+            ("removal_um_h", "um/h"),
+            ("Z", "-"),
+            ("z_min", "-"),
+            ("depth_s", "-"),
+            ("map_in", "unclear"),
+            ("surface_A", "unclear"),
+        ] {
+            let mut reading = Reading::new(Format::Npy, Array2::zeros((2, 2)), FirstRow::SmallestY);
+            reading.state_unit_of_name(name);
+            let found = match (&reading.unit, &reading.unit_problem) {
+                (Some(unit), None) => unit.to_string(),
+                (None, None) => "-".into(),
+                _ => "unclear".into(),
+            };
+            assert_eq!(found, unit, "{name}");
+        }
     }
 
     #[test]
