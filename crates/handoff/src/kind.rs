@@ -510,7 +510,7 @@ pub const AXES: Kind = Kind {
     doc: "A motion of all n axes of a machine: k cubic polynomials per axis in segment-local time, as those of a \
           trajectory. The outcome of the manifest names the axes, in the order of the machine file: the linear axes, then \
           the rotary ones. That of planish-axes states the distance of the executed contact point from the plan. \
-          planish-import writes the kind from a program of all axes.",
+          planish-import writes the kind from a program or a log of all axes.",
     frame: "positions of the axes of a machine, as they read",
     arrays: &[
         array(

@@ -222,7 +222,7 @@ fn positions(columns: &mut [Column]) -> impl Iterator<Item = &mut Column> {
 /// Times of the samples, and their comparison with equal steps. A quantity with time stamps of its own is interpolated to the
 /// times of the log, and the log is cut to the times that all quantities have.
 fn on_one_clock(
-    columns: &mut Vec<Column>,
+    columns: &mut [Column],
     times: &[Column],
     settings: &TraceSettings,
     warnings: &mut Vec<String>,

@@ -174,6 +174,7 @@ impl Region {
                 machine = Some(inputs.read_machine(file)?);
             }
             doubts.extend(doubt);
+            doubts.extend(doubts::of_travel(&surface, &found));
         }
         // The form is of the part, not of the places of the tool.
         let on_form = args.form.read(&surface, &mut inputs)?;

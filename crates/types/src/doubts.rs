@@ -51,14 +51,19 @@ const EXTREMES: f64 = 2e-3;
 const MOST_RANGES: f64 = 3.0;
 
 /// Smallest and largest time in which the resting tool removes the mean depth, s, without a doubt.
-/// Below the first, the machine would never stand still. Above the second, a part takes days. A
+/// Below the first, the machine would never stand still. Above the second, a deep part takes long. A
 /// narrower interval doubts good plans, a wider one misses mistaken units. Chosen: the fixtures and
 /// the reference mirror are between 1.6 and 11 s; rates in nm/min are 60 times too fast, rates in
-/// um/min 17 times too slow, and heights in angstrom 10 times too high.
-const MEAN_DEPTH_S: [f64; 2] = [0.1, 60.0];
+/// um/min 17 times too slow. Heights in angstrom, 10 times too high, stay within the interval on a
+/// shallow part.
+const MEAN_DEPTH_S: [f64; 2] = [0.1, 20.0];
 /// Time in which a resting tool usually removes the mean depth, s: the one to which a mistake has to lead back. Chosen: the
 /// middle of the fixtures.
 const USUAL_MEAN_DEPTH_S: f64 = 4.0;
+
+/// Largest ratio of all least dwell times to the time of the removal without a doubt. Larger: floors in ms pass. Smaller: slow
+/// machines, whose floor is their largest velocity, are doubted. Chosen: four times [`MOST_TRAVEL`].
+const MOST_FLOOR: f64 = 20.0;
 
 /// Longest removal without a doubt, s: a day. Larger: mistaken units pass. Smaller: large parts are doubted.
 const LONGEST_S: f64 = 86_400.0;
@@ -226,8 +231,7 @@ impl Mistake {
 
 /// Doubt about a removal that takes more than a day, which no path or motion can shorten.
 pub fn of_time(desired: &Surface, tif: &Tif) -> Option<String> {
-    let area_mm2 = desired.statistics().valid_count as f64 * desired.grid().pixel_mm2();
-    let removal_s = mean_depth_nm(desired) * area_mm2 / tif.vrr_nm_mm2_per_s();
+    let removal_s = removal_s(desired, tif);
     if removal_s <= LONGEST_S {
         return None;
     }
@@ -242,6 +246,21 @@ pub fn of_time(desired: &Surface, tif: &Tif) -> Option<String> {
         significant(height, 4),
         significant(1e-3 * width, 4),
         significant(1e-3 * height, 4)
+    ))
+}
+
+/// Doubt about least dwell times that take `floor_s` together, far longer than the removal.
+pub fn of_floor(desired: &Surface, tif: &Tif, floor_s: f64) -> Option<String> {
+    let removal_s = removal_s(desired, tif);
+    if removal_s <= 0.0 || floor_s <= MOST_FLOOR * removal_s {
+        return None;
+    }
+    Some(format!(
+        "the least dwell times alone take {} s, and the removal {} s: a least dwell time in ms? together they would take {} s; \
+         give s",
+        significant(floor_s, 3),
+        significant(removal_s, 3),
+        significant(1e-3 * floor_s, 3)
     ))
 }
 
@@ -405,7 +424,7 @@ pub fn of_mask(measured: &Surface) -> Option<String> {
 /// pitch long.
 pub fn of_limits(desired: &Surface, tif: &Tif, limits: &Limits, pitch_mm: f64) -> Option<String> {
     let area_mm2 = desired.statistics().valid_count as f64 * desired.grid().pixel_mm2();
-    let removal_s = mean_depth_nm(desired) * area_mm2 / tif.vrr_nm_mm2_per_s();
+    let removal_s = removal_s(desired, tif);
     let fastest = limits.max_velocity_mm_per_s().into_iter().fold(0.0, f64::max);
     let travel_s = area_mm2 / pitch_mm / fastest;
     (removal_s > 0.0 && travel_s > MOST_TRAVEL * removal_s).then(|| {
@@ -451,6 +470,12 @@ pub fn of_travel(desired: &Surface, machine: &Machine) -> Option<String> {
         "the map is {long} x {short} mm, larger than the travel of the machine of {far} x {near} mm: {mistake} correct the \
          pitch of the map (surface_settings=\"--pixel-mm P\"), or crop it"
     ))
+}
+
+/// Time in which the tool removes the mean depth all over the map, s.
+fn removal_s(desired: &Surface, tif: &Tif) -> f64 {
+    let area_mm2 = desired.statistics().valid_count as f64 * desired.grid().pixel_mm2();
+    mean_depth_nm(desired) * area_mm2 / tif.vrr_nm_mm2_per_s()
 }
 
 /// Mean depth of the desired removal, nm: the mean height above the lowest height but for
@@ -689,6 +714,12 @@ mod tests {
             &["days: rates in um/s? it would be"],
         );
         assert_eq!(of_time(&surface, &tool(5.0, |rate| rate)), None);
+        let floor = of_floor(&surface, &tool(5.0, |rate| rate), 1e4);
+        said(
+            floor,
+            &["least dwell times alone take 10000 s", "in ms? together they would take 10 s"],
+        );
+        assert_eq!(of_floor(&surface, &tool(5.0, |rate| rate), 10.0), None);
     }
 
     #[test]

@@ -211,20 +211,6 @@ fn separates_thousands(b: &[u8], i: usize) -> bool {
     after == 3 && (1..=3).contains(&before) && b[i - before] != b'0'
 }
 
-/// Returns the text without its first `lines` lines.
-pub fn from_line(text: &str, lines: usize) -> &str {
-    match lines.checked_sub(1).and_then(|n| text.match_indices('\n').nth(n)) {
-        Some((end, _)) => &text[end + 1..],
-        None if lines == 0 => text,
-        None => "",
-    }
-}
-
-/// Returns true for a number with a decimal point or a decimal comma.
-pub fn is_numeric(field: &str) -> bool {
-    field.parse::<f64>().is_ok() || field.replacen(',', ".", 1).parse::<f64>().is_ok()
-}
-
 /// The warning where [`with_points`] changed a text.
 pub const DECIMAL_COMMAS: &str = "the numbers have a decimal comma";
 

@@ -12,9 +12,9 @@ use planish_dwell::{
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status,
     flags::{FloorArgs, MirrorArgs, OutputArgs, PathArgs},
-    say, task,
+    say, task, warn,
 };
-use planish_types::{DwellTime, Surface, plausible};
+use planish_types::{DwellTime, Surface, doubts, plausible};
 use serde_json::json;
 
 use super::status;
@@ -130,6 +130,7 @@ impl BoundedLeastSquares {
         plausible::check_path(&surface, &tif, &path)?;
         let (lo, hi) =
             bounded_least_squares::bounds(&path, &settings).map_err(Failure::with_flags)?;
+        doubts::of_floor(&surface, &tif, lo.iter().sum()).iter().for_each(warn);
         let program = Program {
             places: &settings.columns.places(&path, &tif),
             lo: least.map_or(lo, |least| least.dwell_s().to_vec()),

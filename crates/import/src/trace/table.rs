@@ -287,7 +287,7 @@ impl Layout {
             // Names are the line with the fewest numbers; of equal ones that with most known names, then the last.
             let known = cells.iter().filter(|cell| is_known(cell)).count();
             let rank = (usize::MAX - numbers, known, i);
-            if classes_of(&cells) && best.as_ref().is_none_or(|(other, _)| rank > *other) {
+            if has_word(&cells) && best.as_ref().is_none_or(|(other, _)| rank > *other) {
                 best = Some((rank, cells));
             }
         }
@@ -349,7 +349,7 @@ impl Layout {
 }
 
 /// Returns true if a line of these cells may name columns: one of them at least is a word.
-fn classes_of(cells: &[String]) -> bool {
+fn has_word(cells: &[String]) -> bool {
     cells.iter().any(|cell| Class::of(cell) == Class::Text)
 }
 
