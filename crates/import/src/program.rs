@@ -204,6 +204,15 @@ fn of_axes(
     }
 }
 
+/// Returns a doubt about a program that is read: a probable mistake that may be right.
+pub fn doubt(controller: ControllerKind, bytes: &[u8]) -> Option<String> {
+    let text = crate::text::text("program", bytes).ok()?;
+    match controller {
+        ControllerKind::Gcode => gcode::doubt_of_dwell(&text),
+        _ => None,
+    }
+}
+
 /// Refuses a configuration of another program. Its size of a count or its start would make another motion
 /// of this program.
 fn belongs(bytes: &[u8], configuration: &Configuration) -> Result<(), Invalid> {
@@ -267,9 +276,12 @@ fn through(knots: &[Knot]) -> Result<AxesMotion, Invalid> {
     )
 }
 
+/// Way out for a line that is not read.
+const REMEDY: &str = "correct the line, or leave it out if it moves nothing and switches nothing";
+
 /// An error in a line, counted from 1.
 fn wrong(line: usize, problem: impl Into<String>) -> Invalid {
-    Invalid::at("program line", line, problem, "write the program again")
+    Invalid::at("program line", line, problem, REMEDY)
 }
 
 fn finite(line: usize, text: &str) -> Result<f64, Invalid> {
@@ -487,6 +499,117 @@ mod tests {
         assert!(message(ControllerKind::Gcode, changed).contains("line[5]: changes the path mode"));
     }
 
+    /// Lines of 0.1 s and 0.1 mm that are joined: a run of them begins and ends half a line earlier and later. A dwell adds
+    /// its P, wherever it stands.
+    #[test]
+    fn a_dwell_takes_its_time_at_the_beginning_in_the_middle_and_at_the_end() {
+        let lines = ["G1 X0.1 F600\n", "G1 X0.2 F600\n", "G1 X0.3 F600\n"];
+        let total_s = |mode: &str, parts: &[&str]| {
+            let text = format!("{mode}\nG0 X0 Y0\nG93\n{}M2\n", parts.concat());
+            let motion =
+                read(ControllerKind::Gcode, text.as_bytes(), &Configuration::default()).unwrap();
+            let n = motion.len();
+            let last = motion.segment(n - 1);
+            assert!((last.position_mm(last.duration_s)[0] - 0.3).abs() < 1e-12, "{parts:?}");
+            motion.total_time_s()
+        };
+        let [a, b, c] = lines;
+        for (parts, runs, dwells_s) in [
+            (&[a, b, c][..], 1.0, 0.0),
+            (&["G4 P5\n", a, b, c], 1.0, 5.0),
+            (&[a, b, c, "G4 P3\n"], 1.0, 3.0),
+            (&["G4 P9.978\n", a, b, c, "G4 P9.978\n"], 1.0, 19.956),
+            (&[a, "G4 P2\n", b, c], 2.0, 2.0),
+            // Shorter than the lines beside it, twice in a row, and without time: the motion ends all the same.
+            (&[a, "G4 P0.01\n", b, "G4 P1\n", "G4 P0.5\n", c], 3.0, 1.51),
+            (&[a, b, "G4 P0\n", c], 2.0, 0.0),
+            // An output that switches at once ends the motion before it too.
+            (&["M64 P0\n", "G4 P1\n", a, "M65 P0\n", b, c], 2.0, 1.0),
+        ] {
+            // 1 mm/s changes over 0.1 s: 0.0125 mm from the corner.
+            let joined_s = total_s("G64 P0.0125", parts);
+            assert!((joined_s - (0.3 + 0.1 * runs + dwells_s)).abs() < 1e-12, "{parts:?}: {joined_s}");
+            let straight_s = total_s("G61", parts);
+            assert!((straight_s - (0.3 + dwells_s)).abs() < 1e-12, "{parts:?}: {straight_s}");
+        }
+        // At F 60 mm/min the same lines take the same time.
+        let feed = ["G94 F60\nG4 P5\n", "G1 X0.1\nG1 X0.2\nG1 X0.3\n", "G4 P3\n"];
+        assert!((total_s("G64 P0.0125", &feed) - 8.4).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_dwell_before_the_start_counts_with_the_tool_off() {
+        let program = |first: &str| format!("{first}G4 P2\nG0 X1 Y1\nG93\nM62 P0\nG1 X2 F60\nM65 P0\nM2\n");
+        let motion = read(ControllerKind::Gcode, program("M65 P0\n").as_bytes(), &configuration());
+        let motion = motion.unwrap();
+        assert_eq!((motion.total_time_s(), motion.tool_on()), (3.0, &[false, true][..]));
+        assert_eq!(motion.segment(0).position_mm(1.0), [1.0, 1.0]);
+        let on = message(ControllerKind::Gcode, &program(""));
+        assert!(on.contains("line[1]: comes before G0 X Y sets the start"), "{on}");
+        let ms = doubt(ControllerKind::Gcode, b"G0 X0 Y0\nG4 P500\nG4 P20\nM2\n").unwrap();
+        assert!(ms.contains("line 2 stands for 500 s") && ms.contains("write P0.5 for ms"), "{ms}");
+        assert_eq!(doubt(ControllerKind::Gcode, b"G4 P22.5\nG4 P150.5\n"), None);
+    }
+
+    /// Programs as people keep them: 1 mm in x in 0.1 s from rest to rest, then 0.2 s of standing.
+    #[test]
+    fn programs_of_others_are_read() {
+        use ControllerKind::*;
+        let pmac = "; a header\r\nclose\r\n&1\r\nDELETE GATHER\r\n#1->10000X ; counts of mm\r\nOPEN PROG 1 CLEAR\r\n\
+                    I190=1000 TA50 TS0 // ramps\r\n/* a comment\r\nover lines */ LINEAR ABS\r\nN10 F20 X1 Y-2\r\ndwell 0\r\n\
+                    N20 PVT(100) X2:0Y-2:0\r\n\r\npvt200\r\nx(2):0 y-2:0\r\nP100=3\r\nCLOSE\r\n&1 B1 R\r\n";
+        let bom = format!("\u{feff}{pmac}");
+        let galil = "#RUN\r\nREM a comment\r\nNO a comment\r\nTM 1000\r\nSH AB\r\nPVA = 1000, 0, 100 ; ' up\r\n\r\npvb=0,0,100\r\n\
+                     BT AB\r\nPVA=0,0,200;PVB=0,0,200\r\nPVA=0,0,0;PVB=0,0,0\r\nAM AB;MG \"done\"\r\nEN\r\n";
+        let gcode = "%\r\nO1000 (PART 7)\r\n\r\nN10 G21 G90 G17 G40 G49 G80 G54\r\nN20 T1 S1000 ; not used\r\nN30 g0 x1 y-2\r\n\
+                     N40 G93 (inverse time)\r\nN50 G1 X2 F600\r\nN60 G4 P0.2\r\nN70 M30\r\n%\r\n";
+        let xps = "0.1\t1\t0\t0\t0\r\n\r\n0.2 ; 0 ; 0 ; 0 ; 0\r\n";
+        let csv = "# a comment\r\nt_s; X_mm; vx_mm_per_s; y_mm; vy_mm_per_s; tool_on\r\n\r\n0; 1; 0; -2; 0; 1\r\n\
+                   0.1; 2; 0; -2; 0; 1\r\n0.3; 2; 0; -2; 0; 1\r\n";
+        for (controller, text) in
+            [(Pmac, pmac), (Pmac, &bom), (Galil, galil), (Gcode, gcode), (Xps, xps), (Csv, csv)]
+        {
+            let settings = match controller {
+                // Samples of TM 1000, and the unit of I190, are those of the file.
+                Galil => Configuration { sample_s: None, ..configuration() },
+                Pmac => Configuration { feedrate_time_unit_s: None, ..configuration() },
+                _ => configuration(),
+            };
+            let motion = read(controller, text.as_bytes(), &settings)
+                .unwrap_or_else(|e| panic!("{controller:?}: {e}"));
+            // TM counts 1.024 us.
+            let unit = if controller == Galil { 1.0 / 1.024 } else { 1.0 };
+            let times: Vec<f64> = motion.break_time_s().iter().map(|t| t / unit).collect();
+            let off = times.iter().zip([0.0, 0.1, 0.3]).map(|(t, s)| (t - s).abs());
+            assert!(times.len() == 3 && off.fold(0.0, f64::max) < 1e-12, "{controller:?}: {times:?}");
+            let ends = [0.0, 0.1 * unit].map(|u| motion.segment(0).position_mm(u));
+            let away = [ends[0][0] - 1.0, ends[1][0] - 2.0, ends[0][1] + 2.0, ends[1][1] + 2.0];
+            assert!(away.iter().all(|d| d.abs() < 1e-12), "{controller:?}: {ends:?}");
+        }
+        for (controller, text, cause, way_out) in [
+            (Pmac, "OPEN PROG 1 CLEAR\nPVT9\nX1:0\nCLOSE\nOPEN PLC 2\n", "line[5]: has \"OPEN\" after CLOSE", "first CLOSE"),
+            (Pmac, "OPEN PLC 1 CLEAR\n", "line[1]: has PLC 1, which is no motion program", "OPEN PROG to CLOSE"),
+            (Pmac, "OPEN PROG 1\nOPEN PROG 2\n", "opens a second program", "one program"),
+            (Pmac, "CMD\"#1J+\"\n", "line[1]: has CMD", "leave it out"),
+            (Pmac, "I42=1\n", "sets I42=1", "leave it out"),
+            (Pmac, "I190=60000\n", "a unit of 60 s, and 1 s are given", "feedrate_time_unit_s"),
+            (Pmac, "PVT(P1)\n", "line[1]: has \"P1\" where a number", "correct the line"),
+            (Pmac, "LINEAR\nF10\nX1\n", "line[3]: goes to the start without all axes", "correct the line"),
+            (Galil, "TM 500\nPVA=1,0,100\n", "sets samples of 0.00048828125 s (TM)", "sample_s"),
+            (Gcode, "G91 G1 X1 F60\n", "has G91", "G90"),
+            (Gcode, "G28\n", "has G28", "leave it out"),
+            (Gcode, "M3 S1000\n", "has M3", "M62 to M65 P0"),
+            (Gcode, "G2 X1 Y1 R1\n", "has G2, an arc", "short lines"),
+            (Gcode, "G0 X0 Y0\nG4 S1\n", "line[2]: has G4 without P", "seconds as G4 P"),
+            (Gcode, "G0 X0 Y0\nG93\nG1 X1 F60\n", "it was cut off", "end it with M2"),
+            (Xps, "dt, dx, vx, dy, vy\n0.1, 1, 0, 0, 0\n", "line[1]: has \"dt, dx", "take the line off"),
+            (Csv, "t,x,vx,y,vy,on\n", "is not the header", "these columns"),
+        ] {
+            let said = message(controller, text);
+            assert!(said.contains(cause) && said.contains(way_out), "{controller:?} {text:?}: {said}");
+        }
+    }
+
     #[test]
     fn the_tool_is_off_where_the_program_says_so() {
         let text = "G0 X0 Y0\nG93\nM62 P0\nG1 X1 F60\nM63 P0\nG1 X2 F60\nM2\n";
@@ -510,9 +633,9 @@ mod tests {
                 "PVA=1,0,100\nPVB=1,0,102\nBTAB\nPVA=0,0,0\nPVB=0,0,0\n",
                 "100 samples for A, 102 for B",
             ),
-            (Galil, "PVA=1,x,100\n", "line[1]: has \"x\""),
+            (Galil, "PVA=1,x,100\n", "line[1]: has \"X\""),
             (Galil, "PVA=1,0,0\nPVB=1,0,0\n", "0 samples"),
-            (Galil, "SHA\n", "line[1]: has \"SHA\""),
+            (Galil, "DP0,0\n", "line[1]: has \"DP0,0\""),
             (Galil, "PVA=1,0,9999\n", "9999 samples"),
             (Xps, "0.1, 1, 0, 0\n", "line[1]: has 4 fields"),
             (Xps, "0, 1, 0, 0, 0\n", "line[1]: lasts 0 s"),

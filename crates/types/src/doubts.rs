@@ -88,6 +88,19 @@ const HOLE: f64 = 0.3;
 /// times too small.
 const MOST_TRAVEL: f64 = 5.0;
 
+/// Least way, m, in which an axis reaches its largest velocity and stops, above which the limits are
+/// doubted. Larger: mistaken units pass. Smaller: fast, weak machines are doubted. Chosen: at most
+/// 0.2 m for the fixtures; velocities in mm/min or accelerations in g make it 3600 or 9800 times as
+/// long.
+const LEAST_WAY_M: f64 = 20.0;
+
+/// Velocity, mm/s, above which such a way is due to the velocity. Chosen: figuring machines stay
+/// below it.
+const LEAST_FAST_MM_PER_S: f64 = 2000.0;
+
+/// Acceleration of 1 g, mm/s^2.
+const STANDARD_GRAVITY_MM_PER_S2: f64 = 9806.65;
+
 /// Smallest part of the volume of a TIF that a baseline, or its tilt, may hold without a doubt. Larger: a run removes
 /// so much less of the long waves, unsaid. Smaller: good TIFs are doubted. Chosen: a Gaussian that the field cuts at 2.4
 /// standard deviations has 0.5 %.
@@ -423,6 +436,48 @@ pub fn of_mask(measured: &Surface) -> Option<String> {
 /// Doubt about the limits of the machine for lines of this pitch, mm. The path is about area /
 /// pitch long.
 pub fn of_limits(desired: &Surface, tif: &Tif, limits: &Limits, pitch_mm: f64) -> Option<String> {
+    of_units_of_limits(limits).or_else(|| of_slow_limits(desired, tif, limits, pitch_mm))
+}
+
+/// Doubt about the units of the limits, from the way in which an axis reaches its largest velocity
+/// and stops, v^2 / a.
+fn of_units_of_limits(limits: &Limits) -> Option<String> {
+    let velocities = limits.max_velocity_mm_per_s().into_iter();
+    let axes = velocities.zip(limits.max_acceleration_mm_per_s2());
+    let way_m = |(v, a): &(f64, f64)| 1e-3 * v * v / a;
+    let (v, a) = axes.max_by(|one, other| way_m(one).total_cmp(&way_m(other)))?;
+    let way = significant(way_m(&(v, a)), 2);
+    if way_m(&(v, a)) < LEAST_WAY_M {
+        return None;
+    }
+    if v > LEAST_FAST_MM_PER_S {
+        return Some(format!(
+            "an axis needs {way} m to reach its largest velocity of {} mm/s and to stop: velocities in mm/min? {} \
+             mm/min are {} mm/s",
+            significant(v, 4),
+            significant(v, 4),
+            significant(v / 60.0, 4)
+        ));
+    }
+    Some(format!(
+        "an axis needs {way} m to reach {} mm/s and to stop at its largest acceleration of {} mm/s^2: accelerations \
+         in g or m/s^2? {} g are {} mm/s^2, {} m/s^2 are {} mm/s^2",
+        significant(v, 4),
+        significant(a, 4),
+        significant(a, 4),
+        significant(STANDARD_GRAVITY_MM_PER_S2 * a, 4),
+        significant(a, 4),
+        significant(1e3 * a, 4)
+    ))
+}
+
+/// Doubt about limits that make the machine slower than the removal.
+fn of_slow_limits(
+    desired: &Surface,
+    tif: &Tif,
+    limits: &Limits,
+    pitch_mm: f64,
+) -> Option<String> {
     let area_mm2 = desired.statistics().valid_count as f64 * desired.grid().pixel_mm2();
     let removal_s = removal_s(desired, tif);
     let fastest = limits.max_velocity_mm_per_s().into_iter().fold(0.0, f64::max);
@@ -805,6 +860,19 @@ mod tests {
         }
         said(of_mask(&disk(true)), &["an inverted mask? then 75 % would be valid"]);
         assert_eq!((of_mask(&disk(false)), of_mask(&map(|z, _| z))), (None, None));
+    }
+
+    #[test]
+    fn limits_in_mm_per_minute_and_in_g_are_named() {
+        let of = |velocity: f64, acceleration: f64| {
+            let mut file: MachineFile = (&limits(velocity)).into();
+            file.axes.iter_mut().for_each(|axis| axis.max_acceleration_mm_per_s2 = acceleration);
+            of_limits(&map(|z, _| z), &tool(5.0, |rate| rate), &file.checked().unwrap(), 1.0)
+        };
+        // 250 mm/s are 15000 mm/min: 15000^2 / 2000 mm are 112 m.
+        said(of(15000.0, 2000.0), &["needs 110 m", "mm/min", "15000 mm/min are 250 mm/s"]);
+        said(of(250.0, 0.2), &["0.2 g are 1961 mm/s^2", "0.2 m/s^2 are 200 mm/s^2"]);
+        assert_eq!(of(1000.0, 100.0), None);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, controller, flags::OutputArgs, kind,
-    kind::MACHINE_FRAME, pair, say, task,
+    kind::MACHINE_FRAME, pair, say, task, warn,
 };
 use planish_import::program::{self, Configuration, ProgramAxis};
 use planish_types::{ControllerKind, Invalid, Trajectory};
@@ -69,6 +69,9 @@ impl ProgramArgs {
             Begin::Run(output) => output,
         };
         let refused = |e: Invalid| about(&self.file, &e);
+        if let Some(doubt) = program::doubt(controller, &bytes) {
+            warn(format!("{}: {doubt}", self.file.display()));
+        }
         let outcome = |segments: usize, total_time_s: f64, tool_on: &[bool]| {
             json!({
                 "segments": segments,

@@ -1,9 +1,11 @@
 //! A table of the motion: `t_s,x_mm,vx_mm_per_s,y_mm,vy_mm_per_s,tool_on`, one row per knot, with two columns for every
 //! further axis; `tool_on` counts from its row to the next. Lines that start with `#` are comments.
+//! Blanks around a field, quotes, and semicolons or tabs for commas are read.
 
 use planish_types::{AxesMotion, Invalid};
 
 use super::{Knot, Layout, finite, through, wrong};
+use crate::text::fields;
 
 /// The motion of a table.
 pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
@@ -18,13 +20,16 @@ pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
             continue;
         }
         if !header {
-            if line != expected {
-                return Err(wrong(i + 1, format!("is not the header {expected}")));
+            let names: Vec<String> = fields(line).map(str::to_lowercase).collect();
+            if names.join(",") != expected {
+                let remedy = "write these columns, in this order and these units";
+                let problem = format!("is not the header {expected}");
+                return Err(Invalid::at("program line", i + 1, problem, remedy));
             }
             header = true;
             continue;
         }
-        let fields = line.split(',').map(|f| finite(i + 1, f));
+        let fields = fields(line).map(|f| finite(i + 1, f));
         let fields: Vec<f64> = fields.collect::<Result<_, _>>()?;
         if fields.len() != 2 * layout.len() + 2 {
             return Err(wrong(i + 1, format!("has {} fields, not {expected}", fields.len())));

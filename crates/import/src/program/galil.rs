@@ -3,6 +3,10 @@
 //! T = -1 clears the buffer, `0,0,0` ends the motion, `BT` begins it. A is x, B is y; in a program of all axes the
 //! letters follow the list of axes.
 //!
+//! A file may have what a program of the controller has around the segments: labels (`#A`, `EN`), comments (`'`, `REM`, `NO`),
+//! lower case, blanks, messages and waits of the host (`MG`, `WT`, `AM`, `MC`), `SH`. `TM` states the sample time: n units
+//! of 1/1.024e6 s.
+//!
 //! Errors are refused that would change the motion without a trace: clearing the buffer after the first
 //! segment, a segment after the end, and a missing end or beginning (a program that was cut off).
 //!
@@ -10,7 +14,7 @@
 
 use planish_types::{AxesMotion, Invalid};
 
-use super::{Configuration, Knot, Layout, needed, positive, through, wrong};
+use super::{Configuration, Knot, Layout, finite, needed, positive, through, wrong};
 
 /// Letters of the axes.
 const LETTERS: &str = "ABCDEFGH";
@@ -21,6 +25,12 @@ const MOST_SAMPLES: i64 = 2048;
 const MOST_DISTANCE: i64 = 44_000_000;
 /// Largest velocity at the end of a segment, counts/s (Galil DMC-40x0 command reference, PV).
 const MOST_VELOCITY: i64 = 22_000_000;
+
+/// Commands that change no motion: end of a program, servo on, waits and messages of the host.
+const WITHOUT_MOTION: [&str; 6] = ["EN", "SH", "AM", "MC", "MG", "WT"];
+
+/// Units of TM in a second (DMC-40x0 command reference, TM).
+const TM_PER_S: f64 = 1.024e6;
 
 /// Command of a line.
 enum Command {
@@ -45,13 +55,26 @@ pub(super) fn read(
     // Distance, velocity, samples of every segment.
     let mut axes: Vec<Vec<[i64; 3]>> = vec![Vec::new(); n];
     let (mut ended, mut begun) = (vec![false; n], false);
+    let mut sample_s = configuration.sample_s;
     for (i, line) in text.lines().enumerate() {
-        let line = line.trim();
-        if line.starts_with('\'') || line.starts_with("REM") || line.starts_with("NO ") {
+        let line = line.trim().to_ascii_uppercase();
+        if line.starts_with("REM") {
             continue;
         }
         for command in line.split(';').map(str::trim).filter(|c| !c.is_empty()) {
-            match parse(i + 1, command, letters)? {
+            // The rest of the line is a comment.
+            if command.starts_with('\'') || command == "NO" || command.starts_with("NO ") {
+                break;
+            }
+            if command.starts_with('#') || command.get(..2).is_some_and(|c| WITHOUT_MOTION.contains(&c)) {
+                continue;
+            }
+            if let Some(units) = command.strip_prefix("TM") {
+                sample_s = Some(sample_of(i + 1, units, sample_s)?);
+                continue;
+            }
+            let command: String = command.split_whitespace().collect();
+            match parse(i + 1, &command, letters)? {
                 Command::Segment(axis, _) | Command::Clear(axis) | Command::End(axis)
                     if ended[axis] =>
                 {
@@ -81,10 +104,10 @@ pub(super) fn read(
         } else {
             format!("has no BT{letters}")
         };
-        return Err(Invalid::whole("program", problem, "it was cut off: write the program again"));
+        return Err(Invalid::whole("program", problem, "complete it if it was cut off"));
     }
     let count = needed("count_mm", layout.count.clone())?;
-    let sample_s = positive("sample_s", needed("sample_s", configuration.sample_s)?)?;
+    let sample_s = positive("sample_s", needed("sample_s", sample_s)?)?;
     let start = needed("start_mm", layout.start.clone())?;
     for c in &count {
         positive("count_mm", *c)?;
@@ -112,6 +135,20 @@ pub(super) fn read(
         knots.push(state(samples, &counts, &velocity));
     }
     through(&knots)
+}
+
+/// Returns the sample time that `TM` states, s; refuses another one than that of the settings.
+fn sample_of(line: usize, units: &str, sample_s: Option<f64>) -> Result<f64, Invalid> {
+    let stated_s = finite(line, units.trim_start_matches([' ', '=']))? / TM_PER_S;
+    // A little less or more is the rounding of a number that was typed.
+    match sample_s.filter(|s| (s - stated_s).abs() > 1e-3 * stated_s) {
+        Some(other) => {
+            let problem = format!("sets samples of {stated_s} s (TM), and {other} s are given");
+            let remedy = "give `sample_s` as the program has it, or leave it out";
+            Err(Invalid::at("program line", line, problem, remedy))
+        }
+        None => Ok(stated_s),
+    }
 }
 
 fn parse(line: usize, command: &str, letters: &str) -> Result<Command, Invalid> {

@@ -5,15 +5,17 @@
 //! | G0 | to the start; later only where the axes stand already |
 //! | G1 X Y (Z A B C) F | straight at constant speed; G93: in 60/F s, F in every line; G94: at F mm/min |
 //! | G64 P | lines are joined: near a node the motion is the parabola over half of the shorter line on both sides |
-//! | G4 P | stand for P seconds |
+//! | G4 P | stand for P seconds, after the motion before has ended |
 //! | M62 P0, M63 P0 | tool on, tool off with the next motion (G0, G1; a G4 is none) |
-//! | M64 P0, M65 P0 | tool on, tool off at once, after the motion before |
-//! | G17 G21 G40 G49 G54 G61 G64 G90 | accepted: plane, mm, no compensation, path mode, absolute |
+//! | M64 P0, M65 P0 | tool on, tool off at once, after the motion before has ended |
+//! | G17 G21 G40 G49 G54 G61 G64 G80 G90 G91.1 G97 G98 G99 | accepted: plane, mm, no compensation, path mode, absolute, no cycle |
+//! | O, S, T | accepted: number of the program, speed and tool that no M word uses |
 //! | M2, M30, or a second % | end; a program without one was cut off |
 //!
 //! A feed means nothing for rotary axes, so that lines of them run in inverse time. P bounds the linear axes only.
 //!
-//! Joined lines run at continuous velocity, from rest to rest: half a line before the first node begins the motion. With
+//! Joined lines run at continuous velocity, from rest to rest: half a line before the first node begins the motion, and half
+//! a line after the last one ends it. A dwell, and an output that switches at once, end a motion and begin another. With
 //! a_k = (m_k - m_{k-1}) / b_k, b_k = min(T_{k-1}, T_k) and the mean velocity m of a line, the joined motion stays within
 //! |m_k - m_{k-1}| b_k / 8 of the corner. Where that is more than P, or the path mode is G61 or G64 without P, the lines
 //! are read as they stand, with steps of the velocity. The times are nominal: a planner that joins lines otherwise, or
@@ -59,10 +61,10 @@ pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
     }
     if !ended {
         let problem = "does not end with M2, M30 or a second %: it was cut off";
-        return Err(Invalid::whole("program", problem, "write the program again"));
+        return Err(Invalid::whole("program", problem, "end it with M2 if it is whole"));
     }
     machine.end()?;
-    if machine.segments.is_empty() {
+    if machine.parts.iter().all(|part| part.seconds == 0.0) {
         return Err(Invalid::whole("program", "moves nothing", "give a program with motion"));
     }
     machine.motion()
@@ -83,10 +85,58 @@ struct Machine<'a> {
     switches: bool,
     /// P of G64, mm; zero for lines that are not joined.
     tolerance_mm: f64,
+    parts: Vec<Part>,
+    /// Dwells with the tool off before the start is set, s.
+    wait_s: f64,
+}
+
+/// A line of a program, or a stop of its motion.
+struct Part {
+    seconds: f64,
+    /// Position at the start and velocity of every axis.
+    states: Vec<[f64; 2]>,
+    tool_on: bool,
+    /// True for a dwell, and where an output switches at once: the motion before it ends first.
+    is_stop: bool,
+}
+
+/// Cubics one after the other.
+struct Pieces {
     times: Vec<f64>,
-    /// Position at the start and velocity of every axis, of every line.
-    segments: Vec<Vec<[f64; 2]>>,
-    tool: Vec<bool>,
+    cubics: Vec<[f64; 4]>,
+    tool_on: Vec<bool>,
+}
+
+impl Default for Pieces {
+    fn default() -> Self {
+        Self { times: vec![0.0], cubics: Vec::new(), tool_on: Vec::new() }
+    }
+}
+
+impl Pieces {
+    /// Adds the cubics of all axes over some time; nothing for no time.
+    fn push(&mut self, seconds: f64, cubics: impl Iterator<Item = [f64; 4]>, tool_on: bool) {
+        if seconds > 0.0 {
+            self.times.push(self.times[self.times.len() - 1] + seconds);
+            self.cubics.extend(cubics);
+            self.tool_on.push(tool_on);
+        }
+    }
+}
+
+/// Returns the time of the parabola around node `k` of joined lines, s: that of the shorter line beside it.
+fn parabola_s(run: &[Part], k: usize) -> f64 {
+    let beside = &run[k.saturating_sub(1)..(k + 1).min(run.len())];
+    beside.iter().map(|line| line.seconds).fold(f64::INFINITY, f64::min)
+}
+
+/// Returns the velocities before and after node `k` of joined lines, which begin and end at rest.
+fn around(run: &[Part], k: usize) -> (Vec<f64>, Vec<f64>) {
+    let velocities = |line: Option<&Part>| match line {
+        Some(line) => line.states.iter().map(|[_, v]| *v).collect(),
+        None => vec![0.0; run[0].states.len()],
+    };
+    (velocities(k.checked_sub(1).and_then(|k| run.get(k))), velocities(run.get(k)))
 }
 
 impl<'a> Machine<'a> {
@@ -102,9 +152,8 @@ impl<'a> Machine<'a> {
             queued: None,
             switches: false,
             tolerance_mm: 0.0,
-            times: vec![0.0],
-            segments: Vec::new(),
-            tool: Vec::new(),
+            parts: Vec::new(),
+            wait_s: 0.0,
         }
     }
 
@@ -122,7 +171,7 @@ impl<'a> Machine<'a> {
                 ('G', Some(930)) => self.inverse_time = true,
                 ('G', Some(940)) => self.inverse_time = false,
                 ('G', Some(mode @ (610 | 640))) => {
-                    if !self.segments.is_empty() {
+                    if !self.parts.is_empty() {
                         return Err(wrong(number, "changes the path mode within the motion"));
                     }
                     self.tolerance_mm = if mode == 640 { value('P').unwrap_or(0.0) } else { 0.0 };
@@ -139,7 +188,7 @@ impl<'a> Machine<'a> {
             if value('P') != Some(0.0) {
                 return Err(wrong(number, "switches another output than P0"));
             }
-            if !self.switches && !self.segments.is_empty() {
+            if !self.switches && !self.parts.is_empty() {
                 let problem = "switches the tool first here: whether it was on before is not known";
                 return Err(wrong(number, problem));
             }
@@ -152,6 +201,9 @@ impl<'a> Machine<'a> {
                 self.queued = Some(on);
             } else {
                 self.tool_on = on;
+                if !self.parts.is_empty() {
+                    self.stop(self.here(number)?, 0.0);
+                }
             }
         }
         if let Some(feed) = value('F') {
@@ -161,10 +213,17 @@ impl<'a> Machine<'a> {
             self.feed = Some(feed);
         }
         if dwell {
-            let seconds = value('P').filter(|p| *p > 0.0);
-            let seconds = seconds.ok_or_else(|| wrong(number, "has G4 without P > 0"))?;
-            let here = self.here(number)?;
-            self.push(number, &here, &here, seconds)?;
+            let seconds = value('P').filter(|p| *p >= 0.0);
+            let seconds = seconds.ok_or_else(|| {
+                let remedy = "write the seconds as G4 P: LinuxCNC knows no G4 with X, U or S";
+                Invalid::at("program line", number, "has G4 without P >= 0", remedy)
+            })?;
+            match self.here(number) {
+                Ok(here) => self.stop(here, seconds),
+                // Where the axes stand before the rapid to the start is not known.
+                Err(_) if !self.tool_on => self.wait_s += seconds,
+                Err(e) => return Err(e),
+            }
         } else if self.letters.iter().any(|letter| value(*letter).is_some()) {
             let axes = self.letters.iter().zip(&self.position);
             let target = axes.map(|(letter, here)| value(*letter).or(*here)).collect();
@@ -180,13 +239,20 @@ impl<'a> Machine<'a> {
         feed: Option<f64>,
     ) -> Result<(), Invalid> {
         if self.motion == 0 {
-            if !self.segments.is_empty() && target != self.position {
+            if !self.parts.is_empty() && target != self.position {
                 return Err(wrong(number, "has G0 within the motion: its time is not known"));
             }
             if target != self.position {
                 self.tool_on = self.queued.take().unwrap_or(self.tool_on);
             }
             self.position = target;
+            if self.wait_s > 0.0 && self.position.iter().all(Option::is_some) {
+                // With the tool off it does not matter where.
+                let is_on = std::mem::replace(&mut self.tool_on, false);
+                let wait_s = std::mem::take(&mut self.wait_s);
+                self.stop(self.here(number)?, wait_s);
+                self.tool_on = is_on;
+            }
             return Ok(());
         }
         if self.inverse_time && feed.is_none() {
@@ -210,72 +276,74 @@ impl<'a> Machine<'a> {
         self.push(number, &here, &to, seconds)
     }
 
-    /// The motion of all lines.
+    /// The motion of all lines and dwells.
     fn motion(self) -> Result<AxesMotion, Invalid> {
-        let (n, axes) = (self.segments.len(), self.layout.len());
-        let time_s: Vec<f64> = self.times.windows(2).map(|t| t[1] - t[0]).collect();
-        // At the node between the lines k - 1 and k: b, and the velocities before and after. At rest before and after
-        // the motion.
-        let span = |k: usize| match k {
-            0 => time_s[0],
-            k if k == n => time_s[n - 1],
-            k => time_s[k - 1].min(time_s[k]),
-        };
-        let velocity = |k: Option<usize>, a: usize| {
-            k.and_then(|k| self.segments.get(k)).map_or(0.0, |line| line[a][1])
-        };
-        let around = |k: usize, a: usize| [velocity(k.checked_sub(1), a), velocity(Some(k), a)];
-        let linear: Vec<usize> = (0..axes).filter(|a| self.layout.units[*a] == "mm").collect();
-        let reach = |k: usize| {
-            let changes = linear.iter().map(|a| {
-                let [before, after] = around(k, *a);
-                after - before
-            });
-            changes.fold(0.0, f64::hypot) * span(k) / 8.0
-        };
-        // Nine decimals of P, and of the positions.
+        let mut pieces = Pieces::default();
         let is_joined = self.tolerance_mm > 0.0
-            && (0..=n).all(|k| reach(k) <= self.tolerance_mm * (1.0 + 1e-6) + 1e-9);
-        if !is_joined {
-            let lines = self.segments.iter().flatten().map(|[p, v]| [*p, *v, 0.0, 0.0]).collect();
-            return AxesMotion::new(self.times, lines, self.tool, vec![None; n]);
+            && self.runs().all(|run| self.farthest_mm(run) <= self.tolerance_mm * (1.0 + 1e-6) + 1e-9);
+        let mut rest = &self.parts[..];
+        while let Some(part) = rest.first() {
+            let lines = rest.iter().position(|part| part.is_stop).unwrap_or(rest.len());
+            if is_joined && lines > 0 {
+                self.join(&rest[..lines], &mut pieces);
+                rest = &rest[lines..];
+                continue;
+            }
+            let straight = part.states.iter().map(|[p, v]| [*p, *v, 0.0, 0.0]);
+            pieces.push(part.seconds, straight, part.tool_on);
+            rest = &rest[1..];
         }
-        let (mut times, mut pieces, mut tool) = (Vec::new(), Vec::new(), Vec::new());
-        let begin_s = self.times[0] - 0.5 * span(0);
-        for k in 0..=n {
-            let (b, node_s) = (span(k), self.times[k]);
-            let node = |a: usize| match k {
-                0 => self.segments[0][a][0],
-                _ => self.segments[k - 1][a][0] + self.segments[k - 1][a][1] * time_s[k - 1],
+        let n = pieces.tool_on.len();
+        AxesMotion::new(pieces.times, pieces.cubics, pieces.tool_on, vec![None; n])
+    }
+
+    /// The lines that follow each other without a stop.
+    fn runs(&self) -> impl Iterator<Item = &[Part]> {
+        self.parts.split(|part| part.is_stop).filter(|run| !run.is_empty())
+    }
+
+    /// Returns the largest distance of joined lines from their corners along the linear axes, mm.
+    fn farthest_mm(&self, run: &[Part]) -> f64 {
+        let is_linear = |a: &usize| self.layout.units[*a] == "mm";
+        let from_corner = |k: usize| {
+            let (before, after) = around(run, k);
+            let changes = (0..self.layout.len()).filter(is_linear).map(|a| after[a] - before[a]);
+            changes.fold(0.0, f64::hypot) * parabola_s(run, k) / 8.0
+        };
+        (0..=run.len()).map(from_corner).fold(0.0, f64::max)
+    }
+
+    /// Adds the joined motion of lines, from rest to rest: half a line before the first node begins it.
+    fn join(&self, run: &[Part], pieces: &mut Pieces) {
+        let axes = self.layout.len();
+        for k in 0..=run.len() {
+            let b = parabola_s(run, k);
+            let (before, after) = around(run, k);
+            let node: Vec<f64> = match k {
+                0 => run[0].states.iter().map(|[p, _]| *p).collect(),
+                _ => run[k - 1].states.iter().map(|[p, v]| p + v * run[k - 1].seconds).collect(),
             };
             // From the node - m b/2, over b: velocity before + (after - before) t / b.
             let first: Vec<[f64; 4]> = (0..axes)
                 .map(|a| {
-                    let [before, after] = around(k, a);
-                    [node(a) - 0.5 * b * before, before, 0.5 * (after - before) / b, 0.0]
+                    let change = after[a] - before[a];
+                    [node[a] - 0.5 * b * before[a], before[a], 0.5 * change / b, 0.0]
                 })
                 .collect();
+            let half_s = 0.5 * b;
             let second = first.iter().map(|c| {
-                let u = 0.5 * b;
-                [c[0] + u * (c[1] + u * c[2]), c[1] + 2.0 * u * c[2], c[2], 0.0]
+                [c[0] + half_s * (c[1] + half_s * c[2]), c[1] + 2.0 * half_s * c[2], c[2], 0.0]
             });
-            times.extend([node_s - 0.5 * b - begin_s, node_s - begin_s]);
-            pieces.extend(first.iter().copied().chain(second));
-            tool.extend([self.tool[k.saturating_sub(1)], self.tool[k.min(n - 1)]]);
-            let straight_s = if k < n { time_s[k] - 0.5 * (b + span(k + 1)) } else { 0.0 };
+            pieces.push(half_s, first.iter().copied(), run[k.saturating_sub(1)].tool_on);
+            pieces.push(half_s, second, run[k.min(run.len() - 1)].tool_on);
+            let Some(line) = run.get(k) else { continue };
+            let straight_s = line.seconds - 0.5 * (b + parabola_s(run, k + 1));
             // A shorter time is rounding of equal times.
             if straight_s > 1e-9 * b {
-                times.push(node_s + 0.5 * b - begin_s);
-                pieces.extend((0..axes).map(|a| {
-                    let [_, after] = around(k, a);
-                    [node(a) + 0.5 * b * after, after, 0.0, 0.0]
-                }));
-                tool.push(self.tool[k]);
+                let rest = (0..axes).map(|a| [node[a] + half_s * after[a], after[a], 0.0, 0.0]);
+                pieces.push(straight_s, rest, line.tool_on);
             }
         }
-        times.push(self.times[n] + 0.5 * span(n) - begin_s);
-        let n = tool.len();
-        AxesMotion::new(times, pieces, tool, vec![None; n])
     }
 
     /// Refuses a program that leaves the tool on.
@@ -298,24 +366,41 @@ impl<'a> Machine<'a> {
         })
     }
 
-    fn push(
-        &mut self,
-        number: usize,
-        from: &[f64],
-        to: &[f64],
-        seconds: f64,
-    ) -> Result<(), Invalid> {
-        let end = self.times[self.times.len() - 1] + seconds;
-        if !end.is_finite() {
+    fn push(&mut self, number: usize, from: &[f64], to: &[f64], seconds: f64) -> Result<(), Invalid> {
+        if !seconds.is_finite() {
             return Err(wrong(number, format!("lasts {seconds} s")));
         }
-        self.times.push(end);
         let axes = from.iter().zip(to);
-        self.segments.push(axes.map(|(p, q)| [*p, (q - p) / seconds]).collect());
-        self.tool.push(self.tool_on);
+        let states = axes.map(|(p, q)| [*p, (q - p) / seconds]).collect();
+        self.parts.push(Part { seconds, states, tool_on: self.tool_on, is_stop: false });
         self.position = to.iter().copied().map(Some).collect();
         Ok(())
     }
+
+    /// Stands for `seconds`, once the motion before has ended.
+    fn stop(&mut self, here: Vec<f64>, seconds: f64) {
+        let states = here.iter().map(|p| [*p, 0.0]).collect();
+        self.parts.push(Part { seconds, states, tool_on: self.tool_on, is_stop: true });
+    }
+}
+
+/// Least whole number of seconds of a G4 that is doubted as one of milliseconds. Larger: short dwells in ms pass. Smaller:
+/// dwells in s are doubted.
+const LEAST_DOUBTED_S: f64 = 100.0;
+
+/// Returns a doubt about the unit of the longest dwell: other controllers count its P in ms.
+pub(super) fn doubt_of_dwell(text: &str) -> Option<String> {
+    let dwells = text.lines().enumerate().filter_map(|(i, line)| {
+        let words = words(i + 1, line).ok()?;
+        let is_dwell = words.iter().any(|w| w.0 == 'G' && code(w.1) == Some(40));
+        let seconds = words.iter().find(|w| w.0 == 'P')?.1;
+        (is_dwell && seconds >= LEAST_DOUBTED_S && seconds.fract() == 0.0).then_some((i + 1, seconds))
+    });
+    let (line, seconds) = dwells.max_by(|a, b| a.1.total_cmp(&b.1))?;
+    Some(format!(
+        "line {line} stands for {seconds} s: P of G4 in ms? LinuxCNC counts seconds, so write P{} for ms",
+        seconds / 1e3
+    ))
 }
 
 /// Ten times a code, because codes have at most one decimal. LinuxCNC accepts a code within 0.0001 of a
@@ -344,9 +429,31 @@ fn check_words(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<()
                     ('G', 490) => "tool length",
                     ('G', 540) => "coordinate system",
                     ('G', 610 | 640) => "path mode",
+                    ('G', 800 | 970 | 980 | 990) => "cycles and spindle mode",
+                    ('G', 911) => "distance mode of arcs",
                     ('G', 900) => "distance mode",
                     ('G', 930 | 940) => "feed mode",
                     ('G', 200) => return Err(wrong(number, "has G20: inches; write it in mm")),
+                    ('G', 20 | 30) => {
+                        let problem = format!("has G{v}, an arc");
+                        let remedy = "write it as short lines (G1)";
+                        return Err(Invalid::at("program line", number, problem, remedy));
+                    }
+                    ('G', 910) => {
+                        let problem = "has G91, which is not understood: distances, not positions";
+                        let remedy = "write the program with G90";
+                        return Err(Invalid::at("program line", number, problem, remedy));
+                    }
+                    ('G', 280 | 300 | 530) => {
+                        let problem = format!("has G{v}, which is not understood: the machine goes to a place of its own");
+                        let remedy = "leave it out: the motion begins with G0 to the start";
+                        return Err(Invalid::at("program line", number, problem, remedy));
+                    }
+                    ('M', 30 | 40 | 50 | 60 | 70 | 80 | 90) => {
+                        let problem = format!("has M{v}, which is not understood: spindle, tool change or coolant");
+                        let remedy = "leave it out if it is not the tool; the tool is M62 to M65 P0";
+                        return Err(Invalid::at("program line", number, problem, remedy));
+                    }
                     ('M', 20 | 300) => "end",
                     ('M', 620 | 630 | 640 | 650) => "output",
                     _ => return Err(not_understood()),
@@ -365,6 +472,9 @@ fn check_words(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<()
                 }
             }
             'N' if i == 0 && *v >= 0.0 => {}
+            // Speed and tool without their M words, and the number of the program, move nothing.
+            'S' | 'T' if *v >= 0.0 => {}
+            'O' if i == 0 && words.len() == 1 => {}
             'N' => return Err(wrong(number, "has N not at its beginning, or below zero")),
             _ => return Err(wrong(number, format!("has the word {letter}{v}"))),
         }

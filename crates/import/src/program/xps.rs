@@ -1,13 +1,14 @@
 //! Newport XPS, PVT trajectory: one line `dt, dx, vx, dy, vy` per element, with two fields for every
 //! further positioner of the group, distances relative,
 //! velocities at the end of the element, in mm and s. There is no header and there are no comments;
-//! the last velocity is zero.
+//! the last velocity is zero. Blanks, tabs and semicolons separate fields as commas do.
 //!
 //! Source: XPS user's manual, section on PVT trajectories.
 
 use planish_types::{AxesMotion, Invalid};
 
 use super::{Knot, Layout, finite, needed, through, wrong};
+use crate::text::fields;
 
 /// The motion of a program.
 pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
@@ -16,7 +17,12 @@ pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
     let mut last = Knot { time_s: 0.0, position, velocity: vec![0.0; n], tool_on: true };
     let mut knots = vec![last.clone()];
     for (i, line) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
-        let fields = line.split(',').map(|f| finite(i + 1, f));
+        if line.trim_start().starts_with(|c: char| c.is_alphabetic() || "#;%\"'/".contains(c)) {
+            let problem = format!("has {:?}: a header or a comment", line.trim().chars().take(20).collect::<String>());
+            let remedy = "take the line off: an XPS reads lines of numbers only";
+            return Err(Invalid::at("program line", i + 1, problem, remedy));
+        }
+        let fields = fields(line).map(|f| finite(i + 1, f));
         let fields: Vec<f64> = fields.collect::<Result<_, _>>()?;
         if fields.len() != 2 * n + 1 {
             let names: String = layout.names.iter().map(|a| format!(", d{a}, v{a}")).collect();
