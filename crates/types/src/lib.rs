@@ -37,6 +37,7 @@ pub mod progress;
 mod surface;
 pub mod text;
 mod tif;
+mod tif_lattice;
 mod tool_path;
 mod trajectory;
 mod transform;
@@ -61,6 +62,7 @@ pub use limits::{
 pub use machine::Machine;
 pub use surface::{Removal, RemovalMaps, Surface};
 pub use tif::{Tif, VaryingTif};
+pub use tif_lattice::{OnLattice, PARTS_TOLERANCE, TifLattice};
 pub use tool_path::ToolPath;
 pub use trajectory::{
     Segment, Trajectory, TrajectoryBuilder, break_times, dwell_index_from_stored,

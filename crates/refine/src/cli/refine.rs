@@ -13,7 +13,7 @@ use planish_dwell::{
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status,
     flags::{self, FloorArgs, MachineArgs, MirrorArgs, OutputArgs, PathArgs},
-    kind, say, task, with_flags,
+    kind, say, task, warn, with_flags,
 };
 use planish_refine::{
     Refined, Settings,
@@ -151,6 +151,9 @@ impl Refine {
         if let Some(price) = &price {
             outcome["error_budget"] = json!(price);
         }
+        if let Some(lattice) = refined.tif_lattice {
+            outcome["tif_lattice"] = json!(lattice);
+        }
         let status = match refined.negative(&surface, self.max_rounds.is_some()) {
             None => Status::Done,
             Some(reason) => Status::Negative(with_flags(&reason)),
@@ -160,6 +163,9 @@ impl Refine {
         let arrays = iterations(refined.iterates.iter());
         output.write_arrays(&kind::ITERATIONS, &arrays, &[], outcome, &status)?;
         self.tell(&refined, &settings, &output.round_s());
+        if let Some(warning) = refined.tif_lattice.and_then(|lattice| lattice.warning()) {
+            warn(warning);
+        }
         if let Some(price) = &price {
             say(words(price));
         }
