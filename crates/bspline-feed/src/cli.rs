@@ -10,7 +10,7 @@ use planish_bspline_feed::{
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status,
     flags::{MachineArgs, MirrorArgs, OutputArgs, PathArgs},
-    say, task,
+    say, task, warn,
 };
 use planish_types::{DwellDensity, PathDistance, Trajectory};
 use serde_json::json;
@@ -111,6 +111,9 @@ impl Feed {
         });
         output.write(&plan.density, outcome.clone(), &status)?;
         output.write(&plan.trajectory, outcome, &status)?;
+        if let Some(warning) = r.tif_lattice.and_then(|lattice| lattice.warning()) {
+            warn(warning);
+        }
         let rms = r
             .model_rms_nm
             .map_or(String::new(), |rms| format!(", {rms:.4} nm RMS in its own model"));

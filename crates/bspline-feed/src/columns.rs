@@ -160,14 +160,17 @@ pub fn elements(pass: &Pass, knots: &Knots, tif: &Tif, surface: &Surface) -> usi
 
 /// First and last pixel along x and y that a tool reaches that stays in a box.
 fn bounds(place: [(f64, f64); 2], tif: &Tif, surface: &Surface) -> Option<[(usize, usize); 2]> {
-    let axis = |(low, high): (f64, f64), map: &Axis, tif: &Axis| {
+    let axis = |(low, high): (f64, f64), map: &Axis, start_mm: f64, edge_mm: f64| {
         let at = |p: f64| (p - map.start_mm()) / map.step_mm();
-        let first = (at(low + tif.start_mm()) - keys::SNAP).ceil().max(0.0);
-        let last = (at(high + tif.end_mm()) + keys::SNAP).floor().min((map.len() - 1) as f64);
+        let first = (at(low + start_mm) - keys::SNAP).ceil().max(0.0);
+        let last = (at(high + edge_mm) + keys::SNAP).floor().min((map.len() - 1) as f64);
         (first <= last).then_some((first as usize, last as usize))
     };
-    let (map, tool) = (surface.grid(), tif.grid());
-    Some([axis(place[0], &map.x, &tool.x)?, axis(place[1], &map.y, &tool.y)?])
+    let (map, tool, [end_x, end_y]) = (surface.grid(), tif.grid(), tif.edge_mm());
+    Some([
+        axis(place[0], &map.x, tool.x.start_mm(), end_x)?,
+        axis(place[1], &map.y, tool.y.start_mm(), end_y)?,
+    ])
 }
 
 /// Zeros on the pixels that a tool reaches that stays in a box.
@@ -208,14 +211,17 @@ pub(crate) fn add_rate(
     tif: &Tif,
     surface: &Surface,
 ) {
-    let (map, tool) = (surface.grid(), tif.grid());
+    let map = surface.grid();
+    let node = |axis: usize, offset_mm: f64| {
+        tif.cell(axis, offset_mm).map(|(cell, f)| (cell, keys::weights(f)))
+    };
     let (ny, nx) = column.removal.dim();
     let (r0, c0) = column.origin;
-    let along_x: Vec<_> = (0..nx).map(|c| node(map.x.at(c0 + c) - p[0], &tool.x)).collect();
+    let along_x: Vec<_> = (0..nx).map(|c| node(0, map.x.at(c0 + c) - p[0])).collect();
     let ghosts = tif.with_ghosts();
     let mut line = vec![0.0; ghosts.ncols()];
     for r in 0..ny {
-        let Some((iy, wy)) = node(map.y.at(r0 + r) - p[1], &tool.y) else { continue };
+        let Some((iy, wy)) = node(1, map.y.at(r0 + r) - p[1]) else { continue };
         // Interpolate along y once per row, then along x.
         for (c, v) in line.iter_mut().enumerate() {
             *v = (0..4).map(|b| wy[b] * ghosts[[iy + b, c]]).sum();
@@ -227,18 +233,6 @@ pub(crate) fn add_rate(
                 *out += factor * (wx[0] * g[0] + wx[1] * g[1] + wx[2] * g[2] + wx[3] * g[3]);
             }
         }
-    }
-}
-
-/// The first of the four TIF nodes (with ghosts) around the offset `d`, and Keys' weights.
-fn node(d: f64, axis: &Axis) -> Option<(usize, [f64; 4])> {
-    let (i, f) = keys::split((d - axis.start_mm()) / axis.step_mm());
-    let last = axis.len() as isize - 1;
-    match i {
-        // The closed rectangle: the last node is inside, seen from the cell before it.
-        _ if i == last && f == 0.0 => Some((axis.len() - 2, keys::weights(1.0))),
-        _ if (0..last).contains(&i) => Some((i as usize, keys::weights(f))),
-        _ => None,
     }
 }
 

@@ -14,7 +14,8 @@
 use ndarray::Array2;
 use planish_numerics::{bspline::Knots, motion::timing_law};
 use planish_types::{
-    DensityNodes, DwellDensity, End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory, budget,
+    DensityNodes, DwellDensity, End, Invalid, Limits, OnLattice, PARTS_TOLERANCE, Surface, Tif,
+    TifLattice, ToolPath, Trajectory, budget,
     plausible::{self, Rms},
 };
 use rayon::prelude::*;
@@ -111,6 +112,9 @@ const COVERED: &str = "feeds on these knots, under the tangents of the accelerat
 /// Report of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
+    /// Lattice of the map on which the TIF was sampled anew; absent where the samples are its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tif_lattice: Option<TifLattice>,
     /// Straight passes.
     pub passes: usize,
     /// Control values of all passes.
@@ -265,6 +269,8 @@ pub fn plan(
     check(settings)?;
     tif.same_everywhere("planish-bspline-feed")?;
     plausible::check_path(surface, tif, path)?;
+    let OnLattice { tif, lattice } = tif.on_lattice_of(surface.grid(), PARTS_TOLERANCE)?;
+    let tif = &*tif;
     // `passes` and (1) of `vrr` take the removal to be at the position of the tool, so its centroid has the offset 0.
     let centred = tif.centred_on(surface)?;
     let (surface, tif) = centred.as_ref().map_or((surface, tif), |(surface, tif)| (surface, tif));
@@ -331,6 +337,7 @@ pub fn plan(
         }
     };
     let report = report(&passes, &knots, spacing, &solved, surface, limits);
+    let report = Report { tif_lattice: lattice.if_anew(), ..report };
     let density = density(&passes, &knots, &solved.d)?;
     Ok(Plan { density, trajectory: solved.motion.trajectory, report })
 }
@@ -599,6 +606,7 @@ fn report(
     let inner = |k: &Knots| k.breaks().len() - 2;
     let left = solved.state.as_ref().map_or(knots, |s| &s.kept);
     Report {
+        tif_lattice: None,
         passes: passes.len(),
         control_values: knots.iter().map(Knots::len).sum(),
         knot_spacing_mm: spacing,

@@ -78,7 +78,9 @@ mod unbounded;
 mod weighted;
 
 use ndarray::Array2;
-use planish_types::{Invalid, Surface, Tif, TimeFactor, ToolPath, Variation};
+use planish_types::{
+    DwellTime, Invalid, OnLattice, PARTS_TOLERANCE, Surface, Tif, TimeFactor, ToolPath, Variation,
+};
 
 use crate::{
     DwellError,
@@ -91,12 +93,16 @@ pub use crate::{
     objective::Free,
 };
 use prepared::BoundedProblem;
-pub use report::{Algorithm, BoundedSolution, Report};
+use report::SAME_TIME_FACTOR;
+pub use report::{Algorithm, BoundedSolution, RatesOfTime, Report};
 pub use settings::{Product, Program, Settings};
 
-/// Solves (1) for `desired` along `path`.
+/// Solves (1) for `desired` along `path`, within the bounds of the settings.
 ///
 /// `weight` (ny, nx) >= 0 weighs the pixels; without it every valid pixel counts 1.
+///
+/// # Errors
+/// Refuses what [`solve_within`] refuses, and bounds that are no times.
 pub fn solve(
     desired: &Surface,
     tif: &Tif,
@@ -104,53 +110,106 @@ pub fn solve(
     weight: Option<&Array2<f64>>,
     settings: &Settings,
 ) -> Result<BoundedSolution, DwellError> {
-    let (lo, hi) = bounds(path, settings)?;
-    let columns = settings.columns.places(path, tif);
-    let at = |places: &[Vec<Place>], guess: Option<Vec<f64>>| {
-        let (lo, hi) = (lo.clone(), hi.clone());
-        let program = Program { places, lo, hi, guess, quadratic: None };
-        solve_columns(desired, tif, path, weight, settings, &program)
-    };
-    let mut solution = at(&columns, None)?;
-    let Some(time) = tif.variation().and_then(Variation::time_factor) else { return Ok(solution) };
-    let mut before = vec![1.0; path.len()];
-    for _ in 0..MAX_ROUNDS_OF_TIMES {
-        let factors = time_factors(time, solution.dwell.dwell_s());
-        let change = factors.iter().zip(&before).map(|(a, b)| (a / b - 1.0).abs());
-        if change.fold(0.0, f64::max) <= SAME_TIME_FACTOR {
-            break;
-        }
-        let of = |(places, factor): (&Vec<Place>, &f64)| -> Vec<Place> {
-            places.iter().map(|p| Place { fraction: factor * p.fraction, ..*p }).collect()
-        };
-        let places: Vec<Vec<Place>> = columns.iter().zip(&factors).map(of).collect();
-        solution = at(&places, Some(solution.dwell.dwell_s().to_vec()))?;
-        before = factors;
-    }
-    Ok(solution)
+    solve_within(desired, tif, path, weight, settings, bounds(path, settings)?)
 }
 
-/// Largest number of times that a tool whose rate depends on the time of the run is solved for. The times of a round
-/// are those of the solution before, which converges by the relative change of the rate in each round. Larger: more
-/// time. Smaller: tools that wear fast are solved for with the rates of other times.
-const MAX_ROUNDS_OF_TIMES: usize = 8;
+/// Solves (1) for `desired` along `path`, within these bounds (n), s. A rate that depends on the time of the run is that
+/// of the times of the plan: the problem is solved in rounds, each with the rates at the times of the round before.
+///
+/// # Errors
+/// Refuses weights, settings and bounds that are not in their range, and a tool that does not reach the map.
+pub fn solve_within(
+    desired: &Surface,
+    tif: &Tif,
+    path: &ToolPath,
+    weight: Option<&Array2<f64>>,
+    settings: &Settings,
+    (lo, hi): (Vec<f64>, Vec<f64>),
+) -> Result<BoundedSolution, DwellError> {
+    let tif = &*tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?.tif;
+    let columns = settings.columns.places(path, tif);
+    let first = program(&columns, (&lo, &hi), None);
+    let solution = solve_columns(desired, tif, path, weight, settings, &first)?;
+    let Some(time) = tif.variation().and_then(Variation::time_factor) else { return Ok(solution) };
 
-/// Relative change of a rate from one round to the next up to which it is the same. Larger: dwell times for rates that
-/// are wrong by it. Smaller: more rounds.
-const SAME_TIME_FACTOR: f64 = 1e-5;
+    // What the dwell times remove, as times at the factor 1, changes little from round to round.
+    let mut effective_s = solution.dwell.dwell_s().to_vec();
+    let mut rounds = 1;
+    loop {
+        let guess = times_of_effective(time, &effective_s);
+        let factors = time_factors(time, &guess);
+        let pairs = columns.iter().zip(&factors);
+        let with_rates: Vec<Vec<Place>> = pairs.map(|(p, factor)| at_rate(p, *factor)).collect();
+        let program = program(&with_rates, (&lo, &hi), Some(guess));
+        let mut solution = solve_columns(desired, tif, path, weight, settings, &program)?;
+        rounds += 1;
+        let dwell_s = solution.dwell.dwell_s();
+        let rates = time_factors(time, dwell_s);
+        let change = rates.iter().zip(&factors).map(|(a, b)| (a / b - 1.0).abs());
+        let rate_error = change.fold(0.0, f64::max);
+        effective_s = dwell_s.iter().zip(&factors).map(|(t, factor)| t * factor).collect();
+        if rate_error <= SAME_TIME_FACTOR || rounds == MAX_ROUNDS_OF_TIMES {
+            // The times that remove just that at the rates of their own times.
+            let times = times_of_effective(time, &effective_s);
+            let within =
+                times.iter().zip(lo.iter().zip(&hi)).map(|(t, (lo, hi))| t.clamp(*lo, *hi));
+            solution.dwell = DwellTime::new(within.collect())?;
+            solution.report.total_time_s = solution.dwell.dwell_s().iter().sum();
+            solution.report.rates_of_time = Some(RatesOfTime { rounds, rate_error });
+            return Ok(solution);
+        }
+    }
+}
 
-/// Mean factor of the time over each of some dwell times (n), s, one after the other from the start of the run.
+/// Returns the program of these columns within bounds.
+fn program<'a>(
+    places: &'a [Vec<Place>],
+    (lo, hi): (&[f64], &[f64]),
+    guess: Option<Vec<f64>>,
+) -> Program<'a> {
+    Program { places, lo: lo.to_vec(), hi: hi.to_vec(), guess, quadratic: None }
+}
+
+/// Largest number of times that a tool whose rate depends on the time of the run is solved for. The first solution has
+/// the removal of the last one but for bounds and regularisation, so that few rounds are enough. Larger: more time.
+/// Smaller: more plans are refused.
+const MAX_ROUNDS_OF_TIMES: usize = 12;
+
+/// Returns the mean factor of the time over each of some dwell times (n), s, one after the other from the start of the
+/// run.
 fn time_factors(time: &TimeFactor, dwell_s: &[f64]) -> Vec<f64> {
     let mut start_s = 0.0;
-    let of = |t: &f64| {
-        let from = start_s;
+    let mut factors = Vec::with_capacity(dwell_s.len());
+    for t in dwell_s {
+        factors.push(time.mean(start_s, start_s + t));
         start_s += t;
-        time.mean(from, start_s)
-    };
-    dwell_s.iter().map(of).collect()
+    }
+    factors
 }
 
-/// [`solve`] with given columns and bounds in place of those of the settings.
+/// Returns the dwell times (n), s, one after the other from the start of the run, that remove as much as these times at
+/// the factor 1.
+fn times_of_effective(time: &TimeFactor, effective_s: &[f64]) -> Vec<f64> {
+    let mut start_s = 0.0;
+    let mut dwell_s = Vec::with_capacity(effective_s.len());
+    for effective_s in effective_s {
+        let t = time.duration_s(start_s, *effective_s);
+        dwell_s.push(t);
+        start_s += t;
+    }
+    dwell_s
+}
+
+/// Returns places at a rate with a factor.
+fn at_rate(places: &[Place], factor: f64) -> Vec<Place> {
+    places.iter().map(|p| Place { fraction: factor * p.fraction, ..*p }).collect()
+}
+
+/// Solves (1) with the columns and the bounds of a program. The fractions of its places hold the factors of a rate that
+/// depends on the time of the run.
+///
+/// # Errors
+/// Refuses what [`solve_within`] refuses.
 pub fn solve_columns(
     desired: &Surface,
     tif: &Tif,
@@ -159,7 +218,8 @@ pub fn solve_columns(
     settings: &Settings,
     program: &Program<'_>,
 ) -> Result<BoundedSolution, DwellError> {
-    let tif = &*tif.without_zero_margins();
+    let OnLattice { tif, lattice } = tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?;
+    let tif = &*tif;
     let weight = pixel_weights(desired, weight)?;
     let weights = [
         ("tikhonov", settings.tikhonov),
@@ -194,7 +254,9 @@ pub fn solve_columns(
     }
 
     let problem = BoundedProblem::new(desired, tif, path, program, weight, settings)?;
-    discrepancy::solve(problem)
+    let mut solution = discrepancy::solve(problem)?;
+    solution.report.tif_lattice = lattice.if_anew();
+    Ok(solution)
 }
 
 /// Lower and upper bound of every dwell point (n), s, by the settings.

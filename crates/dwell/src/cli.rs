@@ -23,9 +23,9 @@ use planish_dwell::{
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status,
     flags::{FloorArgs, MirrorArgs, OutputArgs, PathArgs},
-    say, task, with_flags,
+    say, task, warn, with_flags,
 };
-use planish_types::{DwellTime, End, Surface, Tif, ToolPath, plausible};
+use planish_types::{DwellTime, End, Surface, Tif, TifLattice, ToolPath, plausible};
 use serde::Serialize;
 use serde_json::json;
 
@@ -174,6 +174,7 @@ fn solve<S: Serialize, R: Serialize>(
     let status = status(negative.or_else(|| outcome.drawback(before)));
     let written = json!({ "end": end, "report": Reported { outcome, report } });
     output.write(dwell, written, &status)?;
+    warn_of(outcome.tif_lattice);
     let unreached = match outcome.unreached_pixels {
         0 => String::new(),
         n => format!("; {n} valid pixels out of reach"),
@@ -189,6 +190,13 @@ fn solve<S: Serialize, R: Serialize>(
         given.output.out.display()
     ));
     Ok(status)
+}
+
+/// Warns of a TIF that is too sharp for the lattice of the map.
+fn warn_of(lattice: Option<TifLattice>) {
+    if let Some(warning) = lattice.and_then(|lattice| lattice.warning()) {
+        warn(warning);
+    }
 }
 
 /// Negative for this reason of the library, where there is one.

@@ -22,10 +22,12 @@
 //! | B | `operator` | (pixels, n) | nm/s |
 //! | lo | `lo` | (n) | s |
 
+use std::borrow::Cow;
+
 use ndarray::{Array2, ArrayView2, Axis, Zip};
 use planish_numerics::statistics;
 use planish_types::{
-    DwellTime, Invalid, Surface, Tif, ToolPath,
+    DwellTime, Invalid, OnLattice, PARTS_TOLERANCE, Surface, Tif, TifLattice, ToolPath,
     plausible::{self, Rms},
 };
 use rayon::prelude::*;
@@ -107,6 +109,9 @@ pub struct Outcome {
     pub unreached_pixels: usize,
     /// Mean removal by the floor alone, nm.
     pub floor_removal_nm: f64,
+    /// Lattice of the map on which the TIF was sampled anew; left out where the samples are its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tif_lattice: Option<TifLattice>,
 }
 
 impl Outcome {
@@ -121,6 +126,9 @@ impl Outcome {
 /// A problem made ready: (1) and the operator.
 pub(crate) struct Model<'a> {
     pub problem: Problem<'a>,
+    /// The tool on the lattice of the map.
+    pub tif: Cow<'a, Tif>,
+    lattice: TifLattice,
     pub places: Vec<Vec<Place>>,
     pub operator: Operator,
     /// Zero on invalid pixels.
@@ -174,10 +182,11 @@ impl<'a> Model<'a> {
     ) -> Result<Self, DwellError> {
         let Problem { desired, tif, path, weight, columns, min_dwell } = *problem;
         tif.same_at_all_times("this solver")?;
+        let OnLattice { tif, lattice } = tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?;
         let weight = pixel_weights(desired, weight)?;
         let lo = bounds::lower(path, min_dwell)?;
-        let places = columns.places(path, tif);
-        let operator = Operator::new(&places, tif, desired.grid())?;
+        let places = columns.places(path, &tif);
+        let operator = Operator::new(&places, &tif, desired.grid())?;
         let sensitivity = adjoint(&operator, &weight);
         let largest = sensitivity.iter().copied().fold(0.0, f64::max);
         if largest <= FFT_ROUNDING * tif.peak_nm_per_s() {
@@ -186,6 +195,8 @@ impl<'a> Model<'a> {
         let floor_removal = lo.iter().any(|t| *t > 0.0).then(|| operator.apply(&lo));
         Ok(Self {
             problem: *problem,
+            tif,
+            lattice,
             places,
             operator,
             weight,
@@ -407,6 +418,7 @@ impl<'a> Model<'a> {
             unreached_points: (0..n).filter(|j| !self.reached(*j)).count(),
             unreached_pixels: self.unreached(&removal, &dwell_s),
             floor_removal_nm: self.floor_removal.as_ref().map_or(0.0, |f| self.mean(f)),
+            tif_lattice: self.lattice.if_anew(),
         };
         Ok(Solution { dwell: DwellTime::new(dwell_s)?, outcome, report })
     }

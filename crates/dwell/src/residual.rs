@@ -30,7 +30,7 @@ use std::borrow::Cow;
 
 use ndarray::{Array2, Zip};
 use planish_numerics::{linear::skyline::Skyline, qp::bounded::Quadratic};
-use planish_types::{Invalid, Surface, Tif, budget};
+use planish_types::{Invalid, PARTS_TOLERANCE, Surface, Tif, budget};
 use rayon::prelude::*;
 
 pub use crate::objective::Free;
@@ -88,7 +88,7 @@ impl<'a> Residual<'a> {
         weight: Option<&Array2<f64>>,
         free: Free,
     ) -> Result<Self, DwellError> {
-        let tif = tif.without_zero_margins();
+        let tif = tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?.tif;
         let mut weight = pixel_weights(desired, weight)?;
         weight /= weight.sum();
         let columns: Vec<Vec<Place>> = places.iter().map(|place| vec![*place]).collect();

@@ -3,9 +3,9 @@
 use std::{fs, path::Path, process::Output};
 
 use ndarray::Array2;
-use planish_handoff::{artifact, npy::ArrayData};
+use planish_handoff::{Tool, artifact, npy::ArrayData};
 use planish_testkit::program::{save_array, text, write};
-use planish_types::{Axis, DwellTime, Grid, Surface, Tif, ToolPath};
+use planish_types::{Axis, DwellTime, Grid, Surface, Tif, TimeFactor, ToolPath, VaryingTif};
 use serde_json::{Value, json};
 
 fn axis(start: f64, step: f64, n: usize) -> Axis {
@@ -124,6 +124,46 @@ fn planted_dwell_times_come_back_and_the_manifest_has_the_report() {
     let again = run(tmp.path(), &EXACT);
     done(&again);
     assert!(text(&again.stdout).contains("unchanged"));
+}
+
+/// A rate that halves in 6 s: each dwell time removes at the rates of its own time, which begins after all before it.
+#[test]
+fn planted_dwell_times_come_back_where_the_rate_halves_in_the_course_of_the_run() {
+    let tmp = tempfile::tempdir().unwrap();
+    prepare(tmp.path());
+    // The integral of c = 1 - t / 12 s from the start to the end of each.
+    let mut start_s = 0.0;
+    let effective_s = PLANTED_S.map(|t| {
+        let mean = 1.0 - (start_s + 0.5 * t) / 12.0;
+        start_s += t;
+        t * mean
+    });
+    let height = removal(&path(), &effective_s) + 20.0;
+    write(tmp.path(), "surface", &Surface::new(map_grid(), height).unwrap());
+    let time = TimeFactor { time_s: vec![0.0, 6.0], factor: vec![1.0, 0.5] };
+    let wears = Tif::varying(VaryingTif { time: Some(time), ..tif().numbers() }).unwrap();
+    fs::remove_dir_all(tmp.path().join("tif")).unwrap();
+    write(tmp.path(), "tif", &Tool(wears));
+    done(&run(tmp.path(), &EXACT));
+    let found = dwell_s(tmp.path());
+    for (t, planted) in found.iter().zip(PLANTED_S) {
+        // Rounding times the condition of H, as without a change of the rate, and of the sums of the times.
+        assert!((t - planted).abs() < 1e-10, "{found:?}");
+    }
+    let manifest = manifest(tmp.path());
+    let report = &manifest["outcome"]["report"];
+    assert!(number(&report["model_rms_nm"]) < 1e-10, "{report}");
+    assert!(number(&report["rates_of_time"]["rate_error"]) < 1e-5, "{report}");
+
+    // A solver that assumes a constant rate refuses the tool.
+    for solver in ["tikhonov-lsqr", "non-negative-least-squares", "lucy-richardson", "rifta", "udo"]
+    {
+        let inputs = [&[solver], &INPUTS[1..], &["--out=refused"]].concat();
+        let output = run_on("2", tmp.path(), &inputs);
+        let refused = output.status.code() == Some(2);
+        assert!(refused && text(&output.stderr).contains("tif"), "{solver}: {output:?}");
+        assert!(!tmp.path().join("refused").exists());
+    }
 }
 
 #[test]

@@ -6,7 +6,7 @@ use planish_dwell::{
     bounded_least_squares::{Algorithm, Free, Program, Settings, solve_columns},
     columns::{Columns, Patch, patches},
 };
-use planish_types::{Axis, End, Grid, Surface, Tif, ToolPath};
+use planish_types::{Axis, End, Grid, PARTS_TOLERANCE, Surface, Tif, ToolPath};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -201,6 +201,9 @@ impl Definition {
 fn conditions_hold(seed: u64, pitch_mm: f64, max_factorised_points: usize) {
     let mut case = case(seed, pitch_mm);
     case.settings.max_factorised_points = max_factorised_points;
+    // The solver has the tool on the lattice of the map.
+    let on_lattice = case.tif.on_lattice_of(case.desired.grid(), PARTS_TOLERANCE).unwrap();
+    case.tif = on_lattice.tif.into_owned();
     let places = Columns::Segment.places(&case.path, &case.tif);
     let program = Program {
         places: &places,

@@ -8,7 +8,7 @@ use planish_form::{Form, FormFile};
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status,
     flags::{MachineArgs, MirrorArgs, OutputArgs, PathArgs},
-    say, task, with_flags,
+    say, task, warn, with_flags,
 };
 use planish_joint::{
     FurtherAxes, MachineAxes, Plan, Price, Report, Settings, plan, plan_with_further_axes,
@@ -163,6 +163,9 @@ impl Joint {
         output.write(&plan.trajectory, outcome, &status)?;
         self.say(&plan, rms.rms_nm);
         say(format!("joint: the motion is {distance}"));
+        if let Some(warning) = r.tif_lattice.and_then(|lattice| lattice.warning()) {
+            warn(warning);
+        }
         if self.form.is_some() && further.is_none() {
             say(
                 "joint: the machine has the axes x and y alone, so that the form does not act on the plan",

@@ -11,8 +11,8 @@ use ndarray::Array2;
 use planish_dwell::columns;
 use planish_simulate::{Plan as Simulation, Settings as SimulationSettings};
 use planish_types::{
-    DwellTime, End, Invalid, Limits, Removal, Segment, Surface, Tif, ToolPath, Trajectory,
-    Variation,
+    DwellTime, End, Invalid, Limits, OnLattice, PARTS_TOLERANCE, Removal, Segment, Surface, Tif,
+    TifLattice, TimeFactor, ToolPath, Trajectory, Variation,
     plausible::{self, Rms},
 };
 use planish_verify::{VerifySettings, verify};
@@ -32,6 +32,11 @@ use crate::{
 /// Default spacing of the nodes over the width of the TIF. Larger: less work, and a residual at wavelengths that the
 /// TIF could remove. Smaller: more nodes, for densities that the removal hardly shows. Chosen.
 const SPACING_OVER_TIF_WIDTH: f64 = 0.6;
+
+/// Least width of a TIF for the spacing of the nodes, over its spread. A spot with steep flanks, such as a ring, is
+/// narrow by its slopes, and nodes by these are many more than its removal shows: half as many leave 0.1 % more of a
+/// ring with hard edges. Larger: a larger residual with such spots. Smaller: plans that take minutes. Chosen.
+const LEAST_WIDTH_OVER_SPREAD: f64 = 0.4;
 
 /// Default deviation of the curve at corners over the width of the TIF. Larger: faster corners, further from the
 /// path. Smaller: slower corners. Chosen so that a corner costs little time. It is no error of the removal, because
@@ -136,6 +141,21 @@ pub struct Report {
     /// left none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub slowed_by: Option<f64>,
+    /// Lattice of the map on which the TIF was sampled anew; absent where the samples are its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tif_lattice: Option<TifLattice>,
+    /// Rates at the times of the plan; absent unless the rate depends on the time of the run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rates_of_time: Option<RatesOfTime>,
+}
+
+/// Rates of a plan for a tool whose rate depends on the time of the run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct RatesOfTime {
+    /// Plans, each with the rates at the times of the one before.
+    pub rounds: usize,
+    /// Largest relative difference of a rate of the plan from that at its own times.
+    pub rate_error: f64,
 }
 
 /// Plans that [`Report::relative_gap`] compares with.
@@ -214,7 +234,14 @@ impl Plan {
         });
         let (before, after) = (Rms::of(desired), Rms::of(self.removal.residual()));
         let total_time_s = self.trajectory.total_time_s();
-        let refused = self.refused.clone().or(unfinished);
+        let other_rates = r.rates_of_time.filter(|rates| rates.rate_error > SAME_RATE).map(|rates| {
+            format!(
+                "not converged: after {} plans the rate at the times of the last one is up to {:.1e} off the one it is \
+                 planned with; give a tool whose rate changes less within the run",
+                rates.rounds, rates.rate_error
+            )
+        });
+        let refused = self.refused.clone().or(unfinished).or(other_rates);
         refused.or_else(|| plausible::drawback(before, after, total_time_s))
     }
 }
@@ -293,7 +320,11 @@ impl Task<'_> {
 
     /// Solves the problem. Where the rate depends on the time of the run, it is solved again with the rates at the times
     /// of the plan before, until these stay.
-    fn solved(&self, meshes: &Meshes, settings: &Settings) -> Result<Solved, JointError> {
+    fn solved(
+        &self,
+        meshes: &Meshes,
+        settings: &Settings,
+    ) -> Result<(Solved, Option<RatesOfTime>), JointError> {
         let Self { desired, tif, path, curves, limits, further, .. } = *self;
         let mut rates = vec![1.0; path.len()];
         let mut rounds_of_times = 0;
@@ -306,15 +337,41 @@ impl Task<'_> {
             };
             let solved = solve(&asked, meshes, settings)?;
             rounds_of_times += 1;
-            let next = columns::time_factors(&solved.found.motion.trajectory, path.len(), tif);
-            let change =
-                next.iter().zip(&rates).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max);
-            if change <= SAME_RATE || rounds_of_times == MAX_ROUNDS_OF_TIMES {
-                return Ok(solved);
+            let Some(time) = tif.variation().and_then(Variation::time_factor) else {
+                return Ok((solved, None));
+            };
+            let trajectory = &solved.found.motion.trajectory;
+            let own = columns::time_factors(trajectory, path.len(), tif);
+            let change = own.iter().zip(&rates).map(|(a, b)| (a / b - 1.0).abs());
+            let rate_error = change.fold(0.0, f64::max);
+            if rate_error <= SAME_RATE || rounds_of_times == MAX_ROUNDS_OF_TIMES {
+                return Ok((solved, Some(RatesOfTime { rounds: rounds_of_times, rate_error })));
             }
-            rates = next;
+            rates = rates_of_same_removal(time, trajectory, &rates);
         }
     }
+}
+
+/// Returns the rates in the segments of the path of a motion that removes in each as much as this one does at these rates,
+/// at the rates of its own times. What a plan removes changes less from round to round than its times.
+fn rates_of_same_removal(time: &TimeFactor, motion: &Trajectory, rates: &[f64]) -> Vec<f64> {
+    let mut sums = vec![(0.0, 0.0); rates.len()];
+    let mut now_s = motion.break_time_s()[0];
+    for segment in motion.segments() {
+        let Some(j) = segment.dwell_index.filter(|j| segment.tool_on && *j < rates.len()) else {
+            now_s += segment.duration_s;
+            continue;
+        };
+        let effective_s = rates[j] * segment.duration_s;
+        let duration_s = time.duration_s(now_s, effective_s);
+        sums[j].0 += effective_s;
+        sums[j].1 += duration_s;
+        now_s += duration_s;
+    }
+    let rate = |(effective_s, duration_s): (f64, f64)| {
+        if duration_s > 0.0 { effective_s / duration_s } else { 1.0 }
+    };
+    sums.into_iter().map(rate).collect()
 }
 
 fn planned(
@@ -325,8 +382,10 @@ fn planned(
     settings: &Settings,
 ) -> Result<Plan, JointError> {
     settings.check()?;
+    let OnLattice { tif, lattice } = tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?;
+    let tif = &*tif;
     let tif_width_mm = tif.width_mm();
-    let (rounding, spacing_mm) = scales(tif_width_mm, settings)?;
+    let (rounding, spacing_mm) = scales(tif_width_mm, tif.spread_mm(), settings)?;
     let deviation_mm = JERK_DEVIATION_OVER_TIF_WIDTH * tif_width_mm;
     let further_limits = further.map_or(&[][..], FurtherAxes::limits);
     let average = Average::new(limits, further_limits, deviation_mm);
@@ -352,7 +411,8 @@ fn planned(
         let (curves, limits, simulation) = (&curves, &slower, &simulation);
         Task { desired, tif, path, curves, limits, further, average, simulation }
     };
-    let Solved { mesh, nodes_of_meshes, found } = task.solved(&meshes, settings)?;
+    let (solved, rates_of_time) = task.solved(&meshes, settings)?;
+    let Solved { mesh, nodes_of_meshes, found } = solved;
     let Found { solution, motion, refused, model_rms_nm, price, tikhonov, pull_part, .. } = found;
     let (iterations, rounds) = (found.iterations, found.rounds);
     let (mut trajectory, mut refused) = match task.averaged(&motion.trajectory)? {
@@ -398,6 +458,8 @@ fn planned(
         rounds,
         axes: of_axes.unwrap_or_default(),
         slowed_by,
+        tif_lattice: lattice.if_anew(),
+        rates_of_time,
     };
     Ok(Plan { dwell, trajectory, removal, refused, report })
 }
@@ -514,10 +576,15 @@ fn least_radius_mm(curves: &[Curve]) -> Option<f64> {
     (most > 0.0).then(|| 1.0 / most)
 }
 
-/// Limits on the rounding of corners, and the spacing of the nodes (mm), for the width of the TIF.
-fn scales(tif_width_mm: f64, settings: &Settings) -> Result<(Rounding, f64), Invalid> {
+/// Limits on the rounding of corners, and the spacing of the nodes (mm), for the width and the spread of the TIF.
+fn scales(
+    tif_width_mm: f64,
+    tif_spread_mm: f64,
+    settings: &Settings,
+) -> Result<(Rounding, f64), Invalid> {
     let of = |given: Option<f64>, over_width: f64| given.unwrap_or(over_width * tif_width_mm);
-    let spacing_mm = of(settings.node_spacing_mm, SPACING_OVER_TIF_WIDTH);
+    let node_width_mm = tif_width_mm.max(LEAST_WIDTH_OVER_SPREAD * tif_spread_mm);
+    let spacing_mm = settings.node_spacing_mm.unwrap_or(SPACING_OVER_TIF_WIDTH * node_width_mm);
     if spacing_mm < LEAST_SPACING_OVER_TIF_WIDTH * tif_width_mm {
         let problem = format!("is {spacing_mm:?} mm, the TIF is {tif_width_mm:.6} mm wide");
         let remedy = "a tool does not see what is narrower than itself; give mm";

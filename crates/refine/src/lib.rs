@@ -69,7 +69,8 @@ use planish_schedule::{ScheduleError, Scheduled, Scheduler, pvt};
 use planish_simulate::{Plan, Settings as Simulation};
 use planish_tolerance::quadratic::{Quadratic, Sources};
 use planish_types::{
-    DwellTime, End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory,
+    DwellTime, End, Invalid, Limits, OnLattice, PARTS_TOLERANCE, Surface, Tif, TifLattice,
+    ToolPath, Trajectory,
     plausible::{self, Rms},
     progress as work,
 };
@@ -200,6 +201,8 @@ pub struct Refined {
     pub exceeded: Option<String>,
     /// Lower bounds after the best round, s: the floor, or the time that the machine needed.
     pub least_s: Vec<f64>,
+    /// Lattice of the map on which the TIF was sampled anew; `None` where the samples are its own.
+    pub tif_lattice: Option<TifLattice>,
 }
 
 impl Refined {
@@ -276,7 +279,8 @@ fn rounds(
     settings: &Settings,
     sources: Option<&Sources>,
 ) -> Result<Refined, RefineError> {
-    let given = Given { desired, tif, path, limits, settings, sources };
+    let OnLattice { tif, lattice } = tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?;
+    let given = Given { desired, tif: &tif, path, limits, settings, sources };
     let (mut state, mut t) = Rounds::start(given, start)?;
     let mut end = End::RoundLimit;
     for round in 0..=settings.max_rounds {
@@ -297,7 +301,7 @@ fn rounds(
         }
         t = state.proposal()?;
     }
-    state.result(end)
+    Ok(Refined { tif_lattice: lattice.if_anew(), ..state.result(end)? })
 }
 
 /// The inputs of the loop.
@@ -599,6 +603,7 @@ impl<'a> Rounds<'a> {
             end,
             at_bound,
             least_s: lo_of_best,
+            tif_lattice: None,
         })
     }
 }

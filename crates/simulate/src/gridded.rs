@@ -42,11 +42,9 @@
 //! # Other pixels
 //!
 //! A TIF whose pitch divides that of the map is on a lattice of its own samples, and nothing changes but that only
-//! some of the nodes are pixels. A TIF of any other pitch is first sampled anew, by its own interpolation, on another
-//! lattice. That lattice divides the pixels of the map and is at least twice as fine as the TIF's own. The edge of R
-//! then lies between two lattice points, which (2) takes into account. The error of that interpolation is measured;
-//! the lattice is refined until it is below [`TIF_TOLERANCE`] of the peak or the lattice too large, and what was
-//! reached is reported.
+//! some of the nodes are pixels. A TIF of any other pitch is first sampled anew on the lattice of the map
+//! ([`planish_types::TifLattice`]). The edge of R then lies between two lattice points, which (2) takes into account. The
+//! error of the new samples is reported.
 
 use std::{borrow::Cow, ops::Range, sync::Mutex};
 
@@ -56,25 +54,19 @@ use planish_numerics::fft::{
     tiles::field_work,
 };
 use planish_types::{
-    Component, Grid, Headings, Invalid, Tif, Trajectory, budget, progress::Pieces,
+    Component, Grid, Headings, Invalid, OnLattice, PARTS_TOLERANCE, Tif, TifLattice, Trajectory,
+    budget, progress::Pieces,
 };
 use rayon::prelude::*;
 
 use crate::{
     Numerics, Tell,
     kernel::Kernel,
-    lattice::{Lattice, Subdivision, has_border, interpolation_error, sample_anew},
+    lattice::{Lattice, has_border},
     quadrature::{Cutter, Reach, Weight},
     tile::{Tile, Workspace},
 };
 
-/// Largest wanted error of the TIF on a lattice that is not its own, over its peak: 1e-3 nm in a removal of 40 nm.
-/// Larger: a coarser lattice and a larger error. Smaller: a finer lattice, more time and memory.
-pub const TIF_TOLERANCE: f64 = 2.5e-5;
-
-/// Number of lattice points up to which the lattice is refined. Larger: more time and memory for the wanted error.
-/// Smaller: the error may stay above [`TIF_TOLERANCE`].
-const MAX_REFINED: usize = 1 << 25;
 /// Largest number of lattice points; more are refused. Larger: more memory. Smaller: large maps are refused.
 const MAX_LATTICE: usize = 1 << 28;
 
@@ -91,6 +83,8 @@ const BYTES_PER_SAMPLE: usize = 64;
 /// by (1) of [`planish_types::Variation`]; a constant tool has one kernel, and no weights.
 pub struct Plan {
     kernels: Vec<OfKernel>,
+    /// Lattice of the TIF on the map.
+    lattice: TifLattice,
     /// The tool, if it varies.
     varying: Option<Tif>,
     /// Factor of every pixel, if the tool has one.
@@ -100,7 +94,6 @@ pub struct Plan {
 /// The convolution with a kernel of the tool.
 struct OfKernel {
     kernel: Kernel,
-    tif_interpolation_error: f64,
     /// Pixels per strip along x and per band along y.
     pixels: [usize; 2],
     /// Buffers that no thread uses at the moment.
@@ -110,15 +103,16 @@ struct OfKernel {
 impl Plan {
     /// Plans the removal of `tif` on `grid`.
     pub fn new(tif: &Tif, grid: &Grid) -> Result<Self, Invalid> {
-        let tif = tif.without_zero_margins();
+        let OnLattice { tif, lattice } = tif.on_lattice_of(grid, PARTS_TOLERANCE)?;
+        let (peak, parts) = (tif.peak_nm_per_s(), lattice.parts);
         let Some(variation) = tif.variation() else {
-            let kernels = vec![OfKernel::new(&tif, tif.peak_nm_per_s(), grid)?];
-            return Ok(Self { kernels, varying: None, factor: None });
+            let kernels = vec![OfKernel::new(&tif, peak, grid, parts)?];
+            return Ok(Self { kernels, lattice, varying: None, factor: None });
         };
-        let kernel = |c: &Component| OfKernel::new(c.kernel(), tif.peak_nm_per_s(), grid);
+        let kernel = |c: &Component| OfKernel::new(c.kernel(), peak, grid, parts);
         let kernels = variation.components().iter().map(kernel).collect::<Result<_, _>>()?;
         let factor = variation.factor_on(grid).map(Cow::into_owned);
-        Ok(Self { kernels, varying: Some(tif.into_owned()), factor })
+        Ok(Self { kernels, lattice, varying: Some(tif.into_owned()), factor })
     }
 
     /// Removal (ny, nx) of `trajectory`, nm.
@@ -142,11 +136,12 @@ impl Plan {
             let tell = |part: f64| tell((k as f64 + part) / count);
             kernel.removal_told(trajectory, weight.as_ref(), &tell)
         };
-        let sum = self.kernels.iter().enumerate().map(of).reduce(|(a, of_a), (b, of_b)| {
-            let worse = of_a.tif_interpolation_error.max(of_b.tif_interpolation_error);
-            (a + b, Numerics { tif_interpolation_error: worse, ..of_a })
-        });
-        let (mut removal, numerics) = sum.expect("a tool has a kernel");
+        let sum =
+            self.kernels.iter().enumerate().map(of).reduce(|(a, points), (b, _)| (a + b, points));
+        let (mut removal, quadrature_points) = sum.expect("a tool has a kernel");
+        let TifLattice { parts, error, .. } = self.lattice;
+        let numerics =
+            Numerics { quadrature_points, subdivision: parts, tif_interpolation_error: error };
         if let Some(factor) = &self.factor {
             removal *= factor;
         }
@@ -155,44 +150,31 @@ impl Plan {
 }
 
 impl OfKernel {
-    /// Plans the removal of a kernel on `grid`, to an accuracy relative to a `peak`, nm/s.
-    fn new(tif: &Tif, peak: f64, grid: &Grid) -> Result<Self, Invalid> {
-        let own = [grid.x, grid.y].into_iter().zip([tif.grid().x, tif.grid().y]);
-        let subdivision: Vec<Subdivision> =
-            own.map(|(map, tif)| Subdivision::least(&map, &tif)).collect();
-        let mut refinement = 1;
-        let (x, y, samples, tif_interpolation_error) = loop {
-            let x = Lattice::new(&grid.x, &tif.grid().x, subdivision[0].refined(refinement));
-            let y = Lattice::new(&grid.y, &tif.grid().y, subdivision[1].refined(refinement));
-            let points = x.source_nodes().saturating_mul(y.source_nodes());
-            if points > MAX_LATTICE {
-                return Err(too_fine(tif, grid, &x, &y));
-            }
-            // The samples of the TIF on the lattice, and their transform.
-            let samples = x.samples() as f64 * y.samples() as f64;
-            let remedy = "check that the TIF and the map are both in mm, or crop and bin the TIF";
-            budget::affordable("rate_nm_per_s", samples, BYTES_PER_SAMPLE, remedy)?;
-            let samples = sample_anew(tif, &x, &y);
-            let error = interpolation_error(tif, peak, &x, &y, &samples);
-            if error <= TIF_TOLERANCE || points > MAX_REFINED / 4 {
-                break (x, y, samples, error);
-            }
-            refinement *= 2;
-        };
-        let spills = has_border(peak, &x, &y, &samples);
+    /// Plans the removal of a kernel of a tool of this peak, nm/s, on `grid`, with so many samples to a pixel.
+    fn new(tif: &Tif, peak: f64, grid: &Grid, parts: [usize; 2]) -> Result<Self, Invalid> {
+        let [x, y] = [0, 1].map(|axis| Lattice::new(grid, tif, parts[axis], axis));
+        if x.source_nodes().saturating_mul(y.source_nodes()) > MAX_LATTICE {
+            return Err(too_fine(tif, grid, &x, &y));
+        }
+        // The samples of the TIF on the lattice, and their transform.
+        let samples = x.samples() as f64 * y.samples() as f64;
+        let remedy = "check that the TIF and the map are both in mm, or crop and bin the TIF";
+        budget::affordable("rate_nm_per_s", samples, BYTES_PER_SAMPLE, remedy)?;
+        let samples = tif.with_ghosts();
+        let spills = has_border(peak, &x, &y, samples);
         let (pixels, size) = layout(&x, &y, spills);
         let kernel = Kernel::new(x, y, samples.view(), size, spills);
-        Ok(Self { kernel, tif_interpolation_error, pixels, idle: Mutex::default() })
+        Ok(Self { kernel, pixels, idle: Mutex::default() })
     }
 
-    /// Removal (ny, nx) of `trajectory`, nm, with the seconds times a weight, if there is one; tells `tell` the fraction
-    /// that is done.
+    /// Removal (ny, nx) of `trajectory`, nm, with the seconds times a weight, if there is one, and the number of quadrature
+    /// points; tells `tell` the fraction that is done.
     fn removal_told(
         &self,
         trajectory: &Trajectory,
         weight: Option<&Weight<'_>>,
         tell: Tell<'_>,
-    ) -> (Array2<f64>, Numerics) {
+    ) -> (Array2<f64>, usize) {
         let mut removal = Array2::zeros((self.kernel.y.pixels, self.kernel.x.pixels));
         let bands = self.bands();
         let reaching = self.reaching(&bands, trajectory);
@@ -226,12 +208,7 @@ impl OfKernel {
                 points
             })
             .sum();
-        let numerics = Numerics {
-            quadrature_points,
-            subdivision: [self.kernel.x.subdivision, self.kernel.y.subdivision],
-            tif_interpolation_error: self.tif_interpolation_error,
-        };
-        (removal, numerics)
+        (removal, quadrature_points)
     }
 
     /// Rows of the map, band by band.

@@ -1,62 +1,17 @@
-//! The lattice of nodes on which the map and the TIF are, and the TIF's samples there.
+//! The lattice of nodes on which the map and the TIF are.
 
 use std::ops::Range;
 
 use ndarray::Array2;
 use planish_numerics::keys;
-use planish_types::{Axis, Tif};
-use rayon::prelude::*;
+use planish_types::{Grid, Tif};
 
 use crate::quadrature::Cells;
-
-/// Largest accumulated difference between a TIF sample and its lattice point, in steps, at which the two lattices are
-/// the same. A shift of 1e-4 of a pixel moves the removal by 1e-4 of its change over a pixel. Larger: a larger error.
-/// Smaller: rounded pitches cost a finer lattice.
-const SAME_LATTICE: f64 = 1e-4;
-
-/// Lattice steps per pixel, and where the samples of the TIF on the lattice come from.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Subdivision {
-    /// The lattice is that of the TIF, with so many points to a pixel.
-    Own(usize),
-    /// The TIF is sampled anew.
-    Anew(usize),
-}
-
-impl Subdivision {
-    /// The coarsest at which the nodes are the TIF's samples, or twice as fine.
-    pub fn least(map: &Axis, tif: &Axis) -> Self {
-        let ratio = map.step_mm() / tif.step_mm();
-        let whole = ratio.round().max(1.0);
-        if (ratio / whole - 1.0).abs() * (tif.len() - 1) as f64 <= SAME_LATTICE {
-            Self::Own(whole as usize)
-        } else {
-            Self::Anew((2.0 * ratio).ceil().max(1.0) as usize)
-        }
-    }
-
-    /// Steps to a pixel.
-    pub fn steps(self) -> usize {
-        match self {
-            Self::Own(steps) | Self::Anew(steps) => steps,
-        }
-    }
-
-    /// Returns the subdivision with `times` as many points, if the TIF is sampled anew.
-    pub fn refined(self, times: usize) -> Self {
-        match self {
-            Self::Own(_) => self,
-            Self::Anew(subdivision) => Self::Anew(subdivision * times),
-        }
-    }
-}
 
 /// The lattice of one axis: pixel `i` of the map is node `i subdivision`, sample `j` of the TIF
 /// (on the lattice) has the offset `low + j step`.
 #[derive(Clone, Debug)]
 pub struct Lattice {
-    /// True if the samples of the TIF are the nodes.
-    own: bool,
     /// Lattice steps per pixel.
     pub subdivision: usize,
     /// Distance of the nodes, mm.
@@ -74,24 +29,19 @@ pub struct Lattice {
 }
 
 impl Lattice {
-    /// Makes the lattice for a map and a TIF along one axis.
-    pub fn new(map: &Axis, tif: &Axis, subdivision: Subdivision) -> Self {
-        let (own, subdivision) = match subdivision {
-            Subdivision::Own(subdivision) => (true, subdivision),
-            Subdivision::Anew(subdivision) => (false, subdivision),
-        };
-        let step_mm = map.step_mm() / subdivision as f64;
-        let edge =
-            if own { (tif.len() - 1) as f64 } else { (tif.end_mm() - tif.start_mm()) / step_mm };
+    /// Makes the lattice along x (0) or y (1) for a map and a TIF on its lattice with so many samples to a pixel.
+    pub fn new(map: &Grid, tif: &Tif, subdivision: usize, axis: usize) -> Self {
+        let (map, samples) = ([&map.x, &map.y][axis], [&tif.grid().x, &tif.grid().y][axis]);
+        let beyond = (tif.edge_mm()[axis] - samples.end_mm()) / samples.step_mm();
+        let edge = (samples.len() - 1) as f64 + beyond;
         let (whole, fraction) = keys::split(edge);
         let last = whole + if fraction > 0.0 { 2 } else { 1 };
         Self {
-            own,
             subdivision,
-            step_mm,
+            step_mm: map.step_mm() / subdivision as f64,
             pixels: map.len(),
             start_mm: map.start_mm(),
-            tif_start_mm: tif.start_mm(),
+            tif_start_mm: samples.start_mm(),
             edge,
             last,
         }
@@ -218,57 +168,6 @@ impl BorderNode {
     pub fn is_beyond(&self, kind: u8) -> bool {
         self.at_times == 0 || self.at_times & kind != 0
     }
-}
-
-/// Samples j = -1 ..= last of both axes; [j + 1] in the array. On the TIF's own lattice these are
-/// its samples with Keys' ghost nodes.
-pub fn sample_anew(tif: &Tif, x: &Lattice, y: &Lattice) -> Array2<f64> {
-    if x.own && y.own {
-        return tif.with_ghosts().clone();
-    }
-    let offset = |l: &Lattice, j: usize| l.tif_start_mm + (j as f64 - 1.0) * l.step_mm;
-    Array2::from_shape_fn(((y.last + 2) as usize, (x.last + 2) as usize), |(j, i)| {
-        continued(tif, offset(x, i), offset(y, j))
-    })
-}
-
-/// R, continued beyond its samples by the polynomials of its outermost cells.
-fn continued(tif: &Tif, dx_mm: f64, dy_mm: f64) -> f64 {
-    let cell = |axis: &Axis, d: f64| {
-        let s = (d - axis.start_mm()) / axis.step_mm();
-        let i = (s.floor().max(0.0) as usize).min(axis.len() - 2);
-        (i, keys::weights(s - i as f64))
-    };
-    let ((ix, wx), (iy, wy)) = (cell(&tif.grid().x, dx_mm), cell(&tif.grid().y, dy_mm));
-    let g = tif.with_ghosts();
-    (0..4).map(|b| wy[b] * (0..4).map(|a| wx[a] * g[[iy + b, ix + a]]).sum::<f64>()).sum()
-}
-
-/// Largest error of (1) against R in the middle of the lattice cells, relative to a `peak`, nm/s.
-pub fn interpolation_error(tif: &Tif, peak: f64, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> f64 {
-    if x.own && y.own {
-        return 0.0;
-    }
-    let middle = keys::weights(0.5);
-    let (cells_y, cells_x) = ((y.edge.floor() as usize).max(1), (x.edge.floor() as usize).max(1));
-    let worst = (0..cells_y)
-        .into_par_iter()
-        .map(|j| {
-            (0..cells_x)
-                .map(|i| {
-                    let k: f64 = (0..4)
-                        .map(|b| {
-                            middle[b] * (0..4).map(|a| middle[a] * g[[j + b, i + a]]).sum::<f64>()
-                        })
-                        .sum();
-                    let dx = x.tif_start_mm + (i as f64 + 0.5) * x.step_mm;
-                    let dy = y.tif_start_mm + (j as f64 + 0.5) * y.step_mm;
-                    (k - continued(tif, dx, dy)).abs()
-                })
-                .fold(0.0, f64::max)
-        })
-        .reduce(|| 0.0, f64::max);
-    worst / peak
 }
 
 /// Returns true if anything spills: some sample next to the border is not negligible.

@@ -9,13 +9,8 @@ use std::borrow::Cow;
 
 use nalgebra::{SMatrix, SVector};
 use ndarray::Array2;
-use planish_numerics::keys;
-use planish_types::{
-    Axis, AzimuthWeights, Component, Grid, Invalid, Tif, TurnWeights, Variation, budget,
-};
+use planish_types::{Grid, Invalid, OnLattice, Tif, Variation};
 use rayon::prelude::*;
-
-use crate::lattice::Subdivision;
 
 /// Radius over which a TIF is smoothed, in its widths. A quadratic is off by 1e-3 from a Gaussian there. Larger: the
 /// shape of the tool is smoothed away. Smaller: more noise remains.
@@ -38,12 +33,8 @@ const MOST_FADED: f64 = 0.2;
 
 /// Largest error of a TIF that is sampled anew on the pixels of the map, over its peak. It equals the error of Keys'
 /// convolution for a Gaussian whose standard deviation is two samples, and errors are a small part of the removal.
-/// Larger: less exact errors. Smaller: a finer lattice, or none.
+/// Larger: less exact errors. Smaller: a finer lattice, and more time for every run.
 const RESAMPLED: f64 = 2e-3;
-
-/// Memory of a sample of a TIF, bytes: its rate, with and without ghost nodes, and its source. Larger: TIFs that
-/// would fit are refused. Smaller: the memory may run out.
-const BYTES_PER_SAMPLE: usize = 4 * size_of::<f64>();
 
 /// Size of a sample, over the peak, up to which it is outside of the TIF. Larger: the rim of the tool is cut.
 /// Smaller: rounding counts as part of the tool.
@@ -76,94 +67,8 @@ pub fn moved<'a>(tif: &'a Tif, map: &Grid, as_sampled: bool) -> Result<Moved<'a>
         return Ok(Moved { tif: Cow::Borrowed(tif), resampling_error: 0.0 });
     }
     let smooth = smooth(tif, tif.width_mm())?;
-    let (tif, resampling_error) = on_pixels(&smooth, map)?.unwrap_or((smooth, 0.0));
-    Ok(Moved { tif: Cow::Owned(tif), resampling_error })
-}
-
-/// The TIF sampled anew on the pixels of a map, or on parts of them, and its error, to [`RESAMPLED`] of its peak: every
-/// run with a TIF of another pitch takes a lattice at least twice as fine as both. `None` where that does not do, or is
-/// not needed.
-fn on_pixels(tif: &Tif, map: &Grid) -> Result<Option<(Tif, f64)>, Invalid> {
-    let axes = [(&map.x, &tif.grid().x), (&map.y, &tif.grid().y)];
-    let least = axes.map(|(map, tif)| Subdivision::least(map, tif));
-    // Coarser than the runs would have it with the TIF as it is.
-    let is_coarser = |parts: usize| {
-        least.iter().any(|l| match l {
-            Subdivision::Own(steps) => parts < *steps,
-            Subdivision::Anew(steps) => parts <= *steps,
-        })
-    };
-    let mut tried = 1;
-    while is_coarser(tried) {
-        let axis = |map: &Axis, tif: &Axis, least: Subdivision| {
-            let step = map.step_mm() / tried.min(least.steps()) as f64;
-            let count = ((tif.end_mm() - tif.start_mm()) / step - keys::SNAP).ceil() + 1.0;
-            // As much beyond either end.
-            let start = 0.5 * (tif.start_mm() + tif.end_mm()) - 0.5 * step * (count - 1.0);
-            (start, step, count)
-        };
-        let [x, y] = [0, 1].map(|a| axis(axes[a].0, axes[a].1, least[a]));
-        let remedy = "check that the TIF and the map are both in mm, or crop and bin the TIF";
-        budget::affordable("rate_nm_per_s", x.2 * y.2, BYTES_PER_SAMPLE, remedy)?;
-        let whole = |(start, step, count): (f64, f64, f64)| Axis::new(start, step, count as usize);
-        // A tool that is narrow beside a pixel falls between the samples.
-        if let (Ok(x), Ok(y)) = (whole(x), whole(y)) {
-            let grid = Grid { x, y };
-            let anew = |kernel: &Tif| {
-                Array2::from_shape_fn(grid.shape(), |(r, c)| {
-                    kernel.rate_at(grid.x.at(c), grid.y.at(r))
-                })
-            };
-            let scale = tif.vrr_nm_mm2_per_s() / grid.pixel_mm2() / anew(tif).sum();
-            if let Ok(sampled) = tif.with_kernels(|kernel| Ok((grid, anew(kernel) * scale))) {
-                let error = largest_difference(tif, &sampled);
-                if error <= RESAMPLED {
-                    return Ok(Some((sampled, error)));
-                }
-            }
-        }
-        tried *= 2;
-    }
-    Ok(None)
-}
-
-/// Largest difference of `sampled` from `tif` in the middle of its cells, over the peak. Of a tool that varies, a bound
-/// for every place: the sum over the kernels of the difference times the largest weight.
-fn largest_difference(tif: &Tif, sampled: &Tif) -> f64 {
-    let (Some(of), Some(other)) = (tif.variation(), sampled.variation()) else {
-        return largest_difference_nm_per_s(tif, sampled) / tif.peak_nm_per_s();
-    };
-    let part = |(k, (a, b)): (usize, (&Component, &Component))| {
-        largest_weight(of, k) * largest_difference_nm_per_s(a.kernel(), b.kernel())
-    };
-    let each = of.components().iter().zip(other.components()).enumerate();
-    each.map(part).sum::<f64>() / tif.peak_nm_per_s()
-}
-
-/// Largest magnitude of the samples of the weight of a kernel.
-fn largest_weight(variation: &Variation, kernel: usize) -> f64 {
-    let largest =
-        |values: &mut dyn Iterator<Item = f64>| values.fold(0.0_f64, |m, v| m.max(v.abs()));
-    let of_place = largest(&mut variation.weight_samples(kernel).iter().copied());
-    let turns =
-        [variation.azimuth_weights().map(AzimuthWeights::turn), variation.heading_weights()];
-    let of_turn = |turn: &TurnWeights| largest(&mut turn.weights()[kernel].iter().copied());
-    turns.into_iter().flatten().map(of_turn).product::<f64>() * of_place
-}
-
-/// Largest difference of two kernels in the middle of the cells of the second, nm/s.
-fn largest_difference_nm_per_s(kernel: &Tif, sampled: &Tif) -> f64 {
-    let Grid { x, y } = sampled.grid();
-    let rows = (0..y.len() - 1).into_par_iter().map(|r| {
-        let at = y.at(r) + 0.5 * y.step_mm();
-        (0..x.len() - 1)
-            .map(|c| {
-                let along = x.at(c) + 0.5 * x.step_mm();
-                (kernel.rate_at(along, at) - sampled.rate_at(along, at)).abs()
-            })
-            .fold(0.0, f64::max)
-    });
-    rows.reduce(|| 0.0, f64::max)
+    let OnLattice { tif, lattice } = smooth.on_lattice_of(map, RESAMPLED)?;
+    Ok(Moved { tif: Cow::Owned(tif.into_owned()), resampling_error: lattice.error })
 }
 
 /// Samples that are part of the tool: those of the mean tool, or of any kernel, above [`NOTHING`].

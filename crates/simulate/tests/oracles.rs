@@ -4,7 +4,7 @@ use ndarray::Array2;
 use planish_numerics::statistics;
 use planish_simulate::{Plan, Settings, direct, frames::frames, gridded, simulate};
 use planish_testkit::maps::{largest_difference, largest_magnitude};
-use planish_types::{Axis, Grid, Surface, Tif, Trajectory};
+use planish_types::{Axis, Grid, PARTS_TOLERANCE, Surface, Tif, Trajectory};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -148,7 +148,7 @@ fn a_tif_on_other_pixels_is_accurate_to_what_is_reported_and_ends_where_it_ends(
         let error = largest(&removal, &expected);
         assert!(error <= bound, "{tif_step} on {map_step}: {error} nm above {bound} nm");
         // A spill of the border would be 1 nm/s.
-        assert!(numerics.tif_interpolation_error <= gridded::TIF_TOLERANCE, "{numerics:?}");
+        assert!(numerics.tif_interpolation_error <= PARTS_TOLERANCE, "{numerics:?}");
     }
 }
 

@@ -42,6 +42,7 @@ mod regression;
 mod surface;
 pub mod text;
 mod tif;
+mod tif_lattice;
 mod tool_path;
 mod trajectory;
 mod transform;
@@ -68,6 +69,7 @@ pub use machine::{Machine, assumed_machine};
 pub use path_distance::PathDistance;
 pub use surface::{Removal, RemovalMaps, Surface};
 pub use tif::{Tif, VaryingTif};
+pub use tif_lattice::{OnLattice, PARTS_TOLERANCE, TifLattice};
 pub use tool_path::ToolPath;
 pub use trajectory::{
     Segment, Trajectory, TrajectoryBuilder, break_times, dwell_index_from_stored,

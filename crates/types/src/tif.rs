@@ -6,8 +6,8 @@ use ndarray::{Array2, ArrayView1, Axis as NdAxis, s};
 use planish_numerics::{keys, statistics};
 
 use crate::{
-    Axis, AzimuthWeights, Grid, Invalid, PixelFactor, Pose, Surface, TimeFactor, TurnWeights,
-    Variation, text::significant,
+    Axis, AzimuthWeights, Grid, Invalid, PixelFactor, Pose, Surface, TifLattice, TimeFactor,
+    TurnWeights, Variation, text::significant,
 };
 
 /// Largest rate, nm/s. A larger rate is a mistake in the units.
@@ -66,8 +66,12 @@ const MARGIN: usize = 3;
 pub struct Tif {
     grid: Grid,
     rate_nm_per_s: Array2<f64>,
-    /// Samples with one ghost node on every side, (my+2, mx+2).
+    /// Samples with one ghost node on every side, (my+2, mx+2); one more where the edge is beyond the last sample.
     with_ghosts: Array2<f64>,
+    /// Upper edge [x, y], mm: the offset of the last sample, or up to a step more for samples on the lattice of a map.
+    edge_mm: [f64; 2],
+    /// Lattice of the map on which it was sampled anew.
+    lattice: Option<TifLattice>,
     variation: Option<Arc<Variation>>,
 }
 
@@ -121,8 +125,7 @@ impl Tif {
             ));
         }
         check_sign(NAME, &rate_nm_per_s, peak)?;
-        let with_ghosts = keys::with_ghosts(rate_nm_per_s.view());
-        let tif = Self { grid, rate_nm_per_s, with_ghosts, variation: None };
+        let tif = Self::unchecked(grid, rate_nm_per_s, ends_mm(&grid));
         let vrr = tif.vrr_nm_mm2_per_s();
         if vrr <= 0.0 {
             return Err(Invalid::whole(
@@ -165,12 +168,8 @@ impl Tif {
         if same && !turns && pixels.is_none() && time.is_none() {
             return Self::new(offsets, kernels.into_iter().next().expect("there is one"));
         }
-        let bare = |rate: Array2<f64>| Self {
-            grid: offsets,
-            with_ghosts: keys::with_ghosts(rate.view()),
-            rate_nm_per_s: rate,
-            variation: None,
-        };
+        let edge_mm = ends_mm(&offsets);
+        let bare = |rate| Self::unchecked(offsets, rate, edge_mm);
         let kernels = kernels.into_iter().map(bare).collect();
         let variation =
             Variation::new(kernels, &weights, positions, (azimuth, heading), pixels, time)?;
@@ -208,6 +207,21 @@ impl Tif {
     /// Variation of the tool over the part and in time; none if it is the same everywhere and at all times.
     pub fn variation(&self) -> Option<&Variation> {
         self.variation.as_deref()
+    }
+
+    /// Returns the lattice of the map on which the TIF was sampled anew; none of a TIF as it was measured.
+    pub(crate) fn lattice(&self) -> Option<&TifLattice> {
+        self.lattice.as_ref()
+    }
+
+    /// Returns this TIF as one that was sampled anew.
+    pub(crate) fn with_lattice(self, lattice: TifLattice) -> Self {
+        Self { lattice: Some(lattice), ..self }
+    }
+
+    /// Returns this TIF as the mean tool of a variation, if there is one.
+    pub(crate) fn with_variation(self, variation: Option<Variation>) -> Self {
+        Self { variation: variation.map(Arc::new), ..self }
     }
 
     /// The numbers from which [`Self::varying`] makes this tool; of one that does not vary, one kernel with the weight 1
@@ -314,13 +328,17 @@ impl Tif {
         &self,
         of: impl Fn(&Self) -> Result<(Grid, Array2<f64>), Invalid>,
     ) -> Result<Self, Invalid> {
+        // The same offsets have the same edge.
+        let edge_mm = |grid: &Grid| if *grid == self.grid { self.edge_mm } else { ends_mm(grid) };
         let (grid, rate) = of(&self.mean_tool())?;
-        let mean = Self::new(grid, rate)?;
+        // Samples that are given are exact.
+        let exact = |lattice| TifLattice { error: 0.0, volume_change: 0.0, ..lattice };
+        let lattice = self.lattice.filter(|_| grid == self.grid).map(exact);
+        let mean = Self { lattice, ..Self::new(grid, rate)?.with_edge(edge_mm(&grid)) };
         let Some(variation) = &self.variation else { return Ok(mean) };
         let kernel = |c: &crate::Component| -> Result<Self, Invalid> {
             let (grid, rate) = of(c.kernel())?;
-            let with_ghosts = keys::with_ghosts(rate.view());
-            Ok(Self { grid, rate_nm_per_s: rate, with_ghosts, variation: None })
+            Ok(Self::unchecked(grid, rate, edge_mm(&grid)))
         };
         let kernels = variation.components().iter().map(kernel).collect::<Result<Vec<_>, _>>()?;
         Ok(Self { variation: Some(Arc::new(variation.with_kernels(kernels))), ..mean })
@@ -343,16 +361,16 @@ impl Tif {
         };
         let (rows, columns) = (kept(0), kept(1));
         let shape = (rows.len(), columns.len());
-        if shape == rate.dim() {
+        if shape == rate.dim() || self.edge_mm != ends_mm(&self.grid) {
             return Cow::Borrowed(self);
         }
         let x = self.grid.x.crop(columns.start, columns.end - 1);
         let y = self.grid.y.crop(rows.start, rows.end - 1);
         let (Ok(x), Ok(y)) = (x, y) else { return Cow::Borrowed(self) };
         let cropped = |rate: &Array2<f64>, variation| {
-            let rate = rate.slice(s![rows.clone(), columns.clone()]).to_owned();
-            let with_ghosts = keys::with_ghosts(rate.view());
-            Self { grid: Grid { x, y }, rate_nm_per_s: rate, with_ghosts, variation }
+            let (grid, rate) = (Grid { x, y }, rate.slice(s![rows.clone(), columns.clone()]));
+            let lattice = self.lattice;
+            Self { variation, lattice, ..Self::unchecked(grid, rate.to_owned(), ends_mm(&grid)) }
         };
         let variation = self.variation().map(|v| {
             let kernels = kernels.iter().map(|c| cropped(&c.kernel().rate_nm_per_s, None));
@@ -371,7 +389,8 @@ impl Tif {
         &self.rate_nm_per_s
     }
 
-    /// Samples with Keys' ghost nodes, (my+2, mx+2), nm/s; node (r, c) is element [r+1, c+1].
+    /// Samples with Keys' ghost nodes, (my+2, mx+2), nm/s; node (r, c) is element [r+1, c+1]. Along an axis whose upper
+    /// edge is beyond the last sample there is one ghost node more.
     pub fn with_ghosts(&self) -> &Array2<f64> {
         &self.with_ghosts
     }
@@ -408,6 +427,22 @@ impl Tif {
     pub fn width_mm(&self) -> f64 {
         let [along_x, along_y] = self.slope_energy_per_mm2();
         (along_x + along_y).sqrt().recip()
+    }
+
+    /// Spread `<R^2 r^2> / <R^2>` to the power 1/2, mm, with the distance r from the centre of R^2. It is the standard
+    /// deviation of a Gaussian, as [`Self::width_mm`] is, and larger than that for a spot with steep flanks.
+    pub fn spread_mm(&self) -> f64 {
+        let Grid { x, y } = &self.grid;
+        let (mut energy, mut first, mut second) = (0.0, [0.0; 2], 0.0);
+        for ((r, c), rate) in self.rate_nm_per_s.indexed_iter() {
+            let (square, x, y) = (rate * rate, x.at(c), y.at(r));
+            energy += square;
+            first[0] += square * x;
+            first[1] += square * y;
+            second += square * (x * x + y * y);
+        }
+        let centre = first.map(|sum| sum / energy);
+        (second / energy - centre[0].powi(2) - centre[1].powi(2)).max(0.0).sqrt()
     }
 
     /// `<R_x^2> / <R^2>` and `<R_y^2> / <R^2>` from differences of the samples, 1/mm^2. Beyond its
@@ -456,7 +491,8 @@ impl Tif {
         let map = map.seen_by_tool(off_centre_mm)?;
         let by_mm = off_centre_mm.map(|mm| -mm);
         let moved = |tif: &Self| -> Result<Self, Invalid> {
-            Ok(Self { grid: tif.grid.moved(by_mm)?, variation: None, ..tif.clone() })
+            let edge_mm = [0, 1].map(|axis| tif.edge_mm[axis] + by_mm[axis]);
+            Ok(Self { grid: tif.grid.moved(by_mm)?, edge_mm, variation: None, ..tif.clone() })
         };
         let variation = self.variation().map(|v| -> Result<Arc<Variation>, Invalid> {
             let kernels = v.components().iter().map(|c| moved(c.kernel()));
@@ -501,19 +537,7 @@ impl Tif {
 
     /// `R(dx, dy)` in nm/s at the offset (pixel - tool) in mm.
     pub fn rate_at(&self, dx_mm: f64, dy_mm: f64) -> f64 {
-        let node = |axis: &Axis, d: f64| {
-            let (i, f) = keys::split((d - axis.start_mm()) / axis.step_mm());
-            let last = axis.len() as isize - 1;
-            match i {
-                // The rectangle is closed: the last node belongs to the cell before it.
-                _ if i == last && f == 0.0 => Some((axis.len() - 2, 1.0)),
-                _ if (0..last).contains(&i) => Some((i as usize, f)),
-                _ => None,
-            }
-        };
-        let (Some((ix, fx)), Some((iy, fy))) =
-            (node(&self.grid.x, dx_mm), node(&self.grid.y, dy_mm))
-        else {
+        let (Some((ix, fx)), Some((iy, fy))) = (self.cell(0, dx_mm), self.cell(1, dy_mm)) else {
             return 0.0;
         };
         let (wx, wy) = (keys::weights(fx), keys::weights(fy));
@@ -524,6 +548,70 @@ impl Tif {
             })
             .sum()
     }
+
+    /// Returns the cell of samples that holds an offset along x (0) or y (1), and the place in it, in steps; none where
+    /// the TIF is zero. The four nodes around the cell i are those from i on of [`Self::with_ghosts`].
+    pub fn cell(&self, axis: usize, offset_mm: f64) -> Option<(usize, f64)> {
+        let samples = [&self.grid.x, &self.grid.y][axis];
+        let last = samples.len() as isize - 1;
+        match keys::split((offset_mm - samples.start_mm()) / samples.step_mm()) {
+            // The rectangle is closed: the last node belongs to the cell before it.
+            (cell, 0.0) if cell == last => Some((samples.len() - 2, 1.0)),
+            (cell, f) if (0..last).contains(&cell) => Some((cell as usize, f)),
+            (cell, f) if cell == last && f <= self.beyond_steps(axis) + keys::SNAP => {
+                Some((cell as usize, f))
+            }
+            _ => None,
+        }
+    }
+
+    /// Upper edge [x, y], mm: the TIF is zero at larger offsets. It is the offset of the last sample, or up to a step
+    /// beyond it.
+    pub fn edge_mm(&self) -> [f64; 2] {
+        self.edge_mm
+    }
+
+    /// Returns the distance of the upper edge from the last sample along x (0) or y (1), steps; 0 up to less than 1.
+    fn beyond_steps(&self, axis: usize) -> f64 {
+        let samples = [&self.grid.x, &self.grid.y][axis];
+        (self.edge_mm[axis] - samples.end_mm()) / samples.step_mm()
+    }
+
+    /// Returns a TIF or a kernel of these samples, which ends at these offsets.
+    pub(crate) fn unchecked(grid: Grid, rate_nm_per_s: Array2<f64>, edge_mm: [f64; 2]) -> Self {
+        let with_ghosts = keys::with_ghosts(rate_nm_per_s.view());
+        Self {
+            grid,
+            rate_nm_per_s,
+            with_ghosts,
+            edge_mm: ends_mm(&grid),
+            lattice: None,
+            variation: None,
+        }
+        .with_edge(edge_mm)
+    }
+
+    /// Returns the same samples with an upper edge up to a step beyond the last one.
+    fn with_edge(mut self, edge_mm: [f64; 2]) -> Self {
+        self.edge_mm = edge_mm;
+        for axis in [0, 1] {
+            if self.beyond_steps(axis) <= keys::SNAP {
+                continue;
+            }
+            let lines = NdAxis(1 - axis);
+            let n = self.with_ghosts.len_of(lines);
+            let line = |back: usize| self.with_ghosts.index_axis(lines, n - back);
+            let next = &line(1) * 3.0 - &(&line(2) * 3.0) + line(3);
+            self.with_ghosts.push(lines, next.view()).expect("a line of the array");
+        }
+        self.with_ghosts = self.with_ghosts.as_standard_layout().into_owned();
+        self
+    }
+}
+
+/// Returns the offset of the last sample [x, y], mm.
+fn ends_mm(grid: &Grid) -> [f64; 2] {
+    [grid.x.end_mm(), grid.y.end_mm()]
 }
 
 /// Refuses rates below those that noise explains.

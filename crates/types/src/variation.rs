@@ -421,6 +421,24 @@ impl TimeFactor {
         }
         sum / (to_s - from_s)
     }
+
+    /// Returns the time from `from_s` on, s, in which a tool removes as much as in `effective_s` at the factor 1: exact, as
+    /// `c` is linear between its samples.
+    pub fn duration_s(&self, from_s: f64, effective_s: f64) -> f64 {
+        let (mut before, mut left) = (from_s, effective_s);
+        for end in self.time_s.iter().copied().filter(|t| *t > from_s) {
+            let (c, length) = (self.at(before), end - before);
+            let slope = (self.at(end) - c) / length;
+            let until_end = 0.5 * (c + self.at(end)) * length;
+            if left <= until_end {
+                // c u + slope u^2 / 2 = left
+                let root = (c * c + 2.0 * slope * left).max(0.0).sqrt();
+                return before + 2.0 * left / (c + root) - from_s;
+            }
+            (before, left) = (end, left - until_end);
+        }
+        before + left / self.at(before) - from_s
+    }
 }
 
 /// Keys' interpolation of samples with ghost nodes at a place, which counts as on the border of the grid beyond it.
@@ -438,4 +456,22 @@ fn keys_at(grid: &Grid, with_ghosts: &Array2<f64>, [x, y]: [f64; 2]) -> f64 {
     };
     let ((ix, wx), (iy, wy)) = (node(&grid.x, x), node(&grid.y, y));
     (0..4).map(|b| wy[b] * (0..4).map(|a| wx[a] * with_ghosts[[iy + b, ix + a]]).sum::<f64>()).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_duration_removes_what_it_is_for() {
+        let time = TimeFactor { time_s: vec![2.0, 5.0, 9.0], factor: vec![1.0, 0.4, 1.6] };
+        for from_s in [0.0, 1.7, 3.0, 8.9, 20.0] {
+            for effective_s in [0.0, 1e-6, 0.7, 2.5, 30.0] {
+                let t = time.duration_s(from_s, effective_s);
+                let removed = t * time.mean(from_s, from_s + t);
+                // Rounding of times up to 50 s.
+                assert!((removed - effective_s).abs() < 1e-12, "{from_s} {effective_s}: {removed}");
+            }
+        }
+    }
 }

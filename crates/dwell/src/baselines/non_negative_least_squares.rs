@@ -76,11 +76,11 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     check("tikhonov", settings.tikhonov, |a| a >= 0.0, "give a number >= 0")?;
     let model = Model::new(problem)?;
     let n = problem.path.len();
-    let mut h = normal_matrix(&model.places, problem.tif, problem.desired.grid(), &model.weight)?;
+    let mut h = normal_matrix(&model.places, &model.tif, problem.desired.grid(), &model.weight)?;
     let strongest = (0..n).map(|j| h[[j, j]]).fold(0.0, f64::max);
     let scale = PenaltyScale::new(
         problem.path,
-        problem.tif,
+        &model.tif,
         strongest,
         model.weight.sum(),
         &model.sensitivity,

@@ -85,7 +85,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     let fit = budget::memory_bytes() / (size_of::<f64>() * problem.path.len()) as u64;
     let max_steps = settings.max_iterations.min(usize::try_from(fit).unwrap_or(usize::MAX).max(1));
     let matrix = if problem.path.len() <= MAX_MATRIX_POINTS {
-        normal_matrix(&model.places, problem.tif, problem.desired.grid(), &model.weight).ok()
+        normal_matrix(&model.places, &model.tif, problem.desired.grid(), &model.weight).ok()
     } else {
         None
     };

@@ -5,7 +5,7 @@ use std::fmt;
 use ndarray::{Array2, Zip};
 use planish_numerics::statistics;
 use planish_types::{
-    DwellTime, End, Invalid,
+    DwellTime, End, Invalid, TifLattice,
     plausible::{self, Rms},
 };
 use serde::Serialize;
@@ -66,9 +66,41 @@ pub struct Report {
     pub model_rms_detilted_nm: f64,
     /// Sum of the dwell times, s.
     pub total_time_s: f64,
+    /// Lattice of the map on which the TIF was sampled anew; left out where the samples are its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tif_lattice: Option<TifLattice>,
+    /// Rates at the times of the plan; left out unless the rate depends on the time of the run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rates_of_time: Option<RatesOfTime>,
     /// Root of twice the mean of a robust loss, of the map and of the residual, nm; none without a robust loss.
     #[serde(skip)]
     pub robust_nm: Option<[f64; 2]>,
+}
+
+/// Relative difference of a rate in the model of the solver from that at the times of the plan up to which it is the
+/// same. Larger: dwell times for rates that are wrong by it. Smaller: more rounds.
+pub(super) const SAME_TIME_FACTOR: f64 = 1e-5;
+
+/// Rates of a plan for a tool whose rate depends on the time of the run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct RatesOfTime {
+    /// Problems that were solved, each with the rates at the times of the one before.
+    pub rounds: usize,
+    /// Largest relative difference of a rate in the model from that at the times of the plan.
+    pub rate_error: f64,
+}
+
+impl RatesOfTime {
+    /// Returns the reason of a negative verdict: rates that are not those of the plan's own times.
+    fn negative(&self) -> Option<String> {
+        let Self { rounds, rate_error } = *self;
+        (rate_error > SAME_TIME_FACTOR).then(|| {
+            format!(
+                "not converged: after {rounds} rounds the rate at the times of the plan is up to {rate_error:.1e} off \
+                 the one it is planned with; give a tool whose rate changes less within the run"
+            )
+        })
+    }
 }
 
 impl Report {
@@ -90,6 +122,9 @@ impl Report {
              `slope_weight`",
             self.iterations, self.kkt_residual_s
         );
+        if let Some(reason) = self.rates_of_time.and_then(|rates| rates.negative()) {
+            return Some(reason);
+        }
         match self.end {
             End::Optimal => plausible::drawback(before, after, self.total_time_s),
             End::Stagnated => {
@@ -159,6 +194,8 @@ impl BoundedProblem<'_> {
             model_rms_nm: rms,
             model_rms_detilted_nm: statistics::detilted_rms(residual.view(), &x, &y).unwrap_or(rms),
             total_time_s: t.iter().sum(),
+            tif_lattice: None,
+            rates_of_time: None,
             robust_nm: self.settings.huber_nm.map(|k| {
                 [self.desired.height_nm(), &residual].map(|z| huber_rms(z, &self.weight, k))
             }),

@@ -8,7 +8,7 @@ use planish_handoff::{
 use planish_types::{DwellTime, plausible};
 use serde_json::json;
 
-use super::{Given, Nouns, status};
+use super::{Given, Nouns, status, warn_of};
 
 #[derive(Args)]
 pub struct Bcls {
@@ -47,6 +47,7 @@ impl Bcls {
         let status = status(r.negative(rms_before(&desired, weight.as_ref())));
         let dwell = &found.solution.dwell;
         output.write(dwell, json!({ "end": r.end, "report": r, "bounds": bounds }), &status)?;
+        warn_of(r.tif_lattice);
         say(format!(
             "bcls: {} dwell times, {:.2} s, {:.4} nm RMS in its own model; {} {} after {} iterations; pitch \
              limit {:.4} mm, {} of the segments are shorter, feeds up to {:.2} mm/s; {} at the least dwell \

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use planish_dwell::{
-    bounded_least_squares::{self, Bound, Free, Program, Settings},
+    bounded_least_squares::{self, Bound, Free, Settings, solve_within},
     columns::Columns,
     problem::rms_before,
     residual_slope::ResidualSlope,
@@ -17,7 +17,7 @@ use planish_handoff::{
 use planish_types::{DwellTime, Surface, doubts, plausible};
 use serde_json::json;
 
-use super::status;
+use super::{status, warn_of};
 
 #[derive(Args)]
 pub struct BoundedLeastSquares {
@@ -131,26 +131,16 @@ impl BoundedLeastSquares {
         let (lo, hi) =
             bounded_least_squares::bounds(&path, &settings).map_err(Failure::with_flags)?;
         doubts::of_floor(&surface, &tif, lo.iter().sum()).iter().for_each(warn);
-        let program = Program {
-            places: &settings.columns.places(&path, &tif),
-            lo: least.map_or(lo, |least| least.dwell_s().to_vec()),
-            hi: most.map_or(hi, |most| most.dwell_s().to_vec()),
-            guess: None,
-            quadratic: None,
-        };
-        let solution = bounded_least_squares::solve_columns(
-            &surface,
-            &tif,
-            &path,
-            weight.as_ref(),
-            &settings,
-            &program,
-        )
-        .map_err(Failure::with_flags)?;
+        let lo = least.map_or(lo, |least| least.dwell_s().to_vec());
+        let hi = most.map_or(hi, |most| most.dwell_s().to_vec());
+        let weight = weight.as_ref();
+        let solution = solve_within(&surface, &tif, &path, weight, &settings, (lo, hi))
+            .map_err(Failure::with_flags)?;
 
         let r = &solution.report;
-        let status = status(r.negative(rms_before(&surface, weight.as_ref())));
+        let status = status(r.negative(rms_before(&surface, weight)));
         output.write(&solution.dwell, json!({ "end": r.end, "report": r }), &status)?;
+        warn_of(r.tif_lattice);
         say(format!(
             "bounded least squares: {} dwell times, {:.2} s, {:.4} nm RMS in its own model; {} {} after {} \
              iterations, KKT residual {:.1e} s; {} at the lower bound, {} out of reach -> {}",

@@ -174,11 +174,11 @@ fn nowhere() -> Patch {
 
 /// First and last pixel along x and y that any of the places reaches, if one does.
 fn reach(places: &[Place], tif: &Tif, grid: &Grid) -> Option<[(usize, usize); 2]> {
-    let along = |axis: usize, map: &Axis, tif: &Axis| {
-        let covered = places.iter().filter_map(|p| pixels(p.position_mm[axis], map, tif));
+    let along = |axis: usize| {
+        let covered = places.iter().filter_map(|p| pixels(p.position_mm[axis], grid, tif, axis));
         covered.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
     };
-    Some([along(0, &grid.x, &tif.grid().x)?, along(1, &grid.y, &tif.grid().y)?])
+    Some([along(0)?, along(1)?])
 }
 
 /// `sum_q w_q K(x_i; p_q)` on the pixels that any of the places reaches, without the factor of the pixels.
@@ -201,17 +201,18 @@ fn of_kernel(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
     let Some([x, y]) = reach(places, tif, grid) else { return nowhere() };
     let mut rate_nm_per_s = Array2::zeros((y.1 - y.0 + 1, x.1 - x.0 + 1));
     let samples = tif.with_ghosts();
-    let mut row = vec![0.0; samples.ncols()];
+    let mut row = Row::new(samples.ncols(), stride(&grid.x, &tif.grid().x));
     // Interpolate along y once for all places of the same y, then along x.
     for places in places.chunk_by(|a, b| a.position_mm[1] == b.position_mm[1]) {
         let along_x: Vec<Under> = places
             .iter()
-            .map(|p| Under::new(p.position_mm[0], &grid.x, &tif.grid().x, x, p.fraction))
+            .map(|p| Under::new(p.position_mm[0], grid, tif, 0, x, p.fraction))
             .collect();
-        let along_y = Under::new(places[0].position_mm[1], &grid.y, &tif.grid().y, y, 1.0);
+        let along_y = Under::new(places[0].position_mm[1], grid, tif, 1, y, 1.0);
         for (k, node) in along_y.node.iter().enumerate() {
             let w = [0, 1, 2, 3].map(|t| along_y.w[t][k]);
-            combine(&samples.slice(s![*node..node + 4, ..]), &w, &mut row);
+            combine(&samples.slice(s![*node..node + 4, ..]), &w, &mut row.samples);
+            row.sort_by_phase();
             let mut out = rate_nm_per_s.row_mut(along_y.pixel + k);
             let out = out.as_slice_mut().expect("in C order");
             along_x.iter().for_each(|under| under.add(&row, out));
@@ -229,11 +230,55 @@ fn combine(rows: &ArrayView2<f64>, w: &[f64; 4], out: &mut [f64]) {
     }
 }
 
-/// First and last pixel whose offset from `p` is within the samples of the TIF.
-fn pixels(p: f64, map: &Axis, tif: &Axis) -> Option<(usize, usize)> {
+/// A row of samples of a TIF, and the same samples by their phase in a pixel, so that the samples under neighbouring
+/// pixels are neighbours.
+struct Row {
+    samples: Vec<f64>,
+    by_phase: Vec<f64>,
+    /// Samples to a pixel.
+    stride: usize,
+    /// Samples of a phase.
+    of_phase: usize,
+}
+
+impl Row {
+    fn new(samples: usize, stride: usize) -> Self {
+        let of_phase = samples.div_ceil(stride);
+        let by_phase = if stride == 1 { Vec::new() } else { vec![0.0; of_phase * stride] };
+        Self { samples: vec![0.0; samples], by_phase, stride, of_phase }
+    }
+
+    fn sort_by_phase(&mut self) {
+        let Self { samples, by_phase, stride, of_phase } = self;
+        if *stride == 1 {
+            return;
+        }
+        for (phase, line) in by_phase.chunks_exact_mut(*of_phase).enumerate() {
+            let own = samples.iter().skip(phase).step_by(*stride);
+            line.iter_mut().zip(own).for_each(|(to, from)| *to = *from);
+        }
+    }
+
+    /// Returns the samples at the node and under the pixels after it, `count` in all.
+    fn under(&self, node: usize, count: usize) -> &[f64] {
+        match self.stride {
+            1 => &self.samples[node..node + count],
+            stride => &self.by_phase[node % stride * self.of_phase + node / stride..][..count],
+        }
+    }
+}
+
+/// Returns the samples of a TIF to a pixel, the nearest whole number.
+fn stride(map: &Axis, samples: &Axis) -> usize {
+    (map.step_mm() / samples.step_mm()).round().max(1.0) as usize
+}
+
+/// First and last pixel along x (0) or y (1) whose offset from `p` is within the edges of the TIF.
+fn pixels(p: f64, grid: &Grid, tif: &Tif, axis: usize) -> Option<(usize, usize)> {
+    let map = [&grid.x, &grid.y][axis];
     let at = |d: f64| (p + d - map.start_mm()) / map.step_mm();
-    let first = (at(tif.start_mm()) - keys::SNAP).ceil().max(0.0);
-    let last = (at(tif.end_mm()) + keys::SNAP).floor().min((map.len() - 1) as f64);
+    let first = (at([tif.grid().x, tif.grid().y][axis].start_mm()) - keys::SNAP).ceil().max(0.0);
+    let last = (at(tif.edge_mm()[axis]) + keys::SNAP).floor().min((map.len() - 1) as f64);
     (first <= last).then_some((first as usize, last as usize))
 }
 
@@ -245,7 +290,7 @@ struct Under {
     node: Vec<usize>,
     /// Keys' weights of every pixel: where the TIF and the map have not quite the same pitch, no two are the same.
     w: [Vec<f64>; 4],
-    /// Runs of neighbouring pixels at neighbouring nodes.
+    /// Runs of neighbouring pixels whose nodes are [`stride`] apart.
     runs: Vec<Range<usize>>,
 }
 
@@ -259,28 +304,28 @@ const SAME_OFFSET: f64 = 1e-11;
 const SHORTEST_RUN: usize = 8;
 
 impl Under {
-    /// The pixels in `range` under a tool at `p`; the weights are those of Keys times `fraction`.
-    fn new(p: f64, map: &Axis, tif: &Axis, range: (usize, usize), fraction: f64) -> Self {
+    /// The pixels in `range` along x (0) or y (1) under a tool at `p`; the weights are those of Keys times `fraction`.
+    fn new(
+        p: f64,
+        grid: &Grid,
+        tif: &Tif,
+        axis: usize,
+        range: (usize, usize),
+        fraction: f64,
+    ) -> Self {
+        let map = [&grid.x, &grid.y][axis];
+        let stride = stride(map, [&tif.grid().x, &tif.grid().y][axis]);
         let count = range.1 + 1 - range.0;
         let w = [(); 4].map(|()| Vec::with_capacity(count));
         let mut under = Self { pixel: 0, node: Vec::with_capacity(count), w, runs: Vec::new() };
         let (mut offset, mut w) = (f64::NAN, [0.0; 4]);
         for i in range.0..=range.1 {
-            let (node, mut f) = keys::split((map.at(i) - p - tif.start_mm()) / tif.step_mm());
-            let last = tif.len() as isize - 1;
-            let node = match node {
-                _ if node == last && f == 0.0 => {
-                    f = 1.0;
-                    tif.len() - 2
-                }
-                _ if (0..last).contains(&node) => node as usize,
-                _ => continue,
-            };
+            let Some((node, f)) = tif.cell(axis, map.at(i) - p) else { continue };
             let n = under.node.len();
             if n == 0 {
                 under.pixel = i - range.0;
             }
-            let follows = under.node.last().is_some_and(|before| before + 1 == node);
+            let follows = under.node.last().is_some_and(|before| before + stride == node);
             if !follows || (f - offset).abs() >= SAME_OFFSET {
                 (offset, w) = (f, keys::weights(f).map(|w| w * fraction));
             }
@@ -295,13 +340,13 @@ impl Under {
     }
 
     /// Adds `sum_t w_t g[node + t]` to the pixels, g the samples of a `row` of the TIF.
-    fn add(&self, row: &[f64], out: &mut [f64]) {
+    fn add(&self, row: &Row, out: &mut [f64]) {
         let out = &mut out[self.pixel..self.pixel + self.node.len()];
         for run in &self.runs {
             let [wa, wb, wc, wd] = [0, 1, 2, 3].map(|t| &self.w[t][run.clone()]);
             if run.len() < SHORTEST_RUN {
                 for (k, i) in run.clone().enumerate() {
-                    let samples = &row[self.node[i]..self.node[i] + 4];
+                    let samples = &row.samples[self.node[i]..self.node[i] + 4];
                     out[i] += wa[k] * samples[0]
                         + wb[k] * samples[1]
                         + wc[k] * samples[2]
@@ -310,7 +355,7 @@ impl Under {
                 continue;
             }
             let (from, n) = (self.node[run.start], run.len());
-            let [a, b, c, d] = [0, 1, 2, 3].map(|t| &row[from + t..from + t + n]);
+            let [a, b, c, d] = [0, 1, 2, 3].map(|t| row.under(from + t, n));
             for (i, out) in out[run.clone()].iter_mut().enumerate() {
                 *out += wa[i] * a[i] + wb[i] * b[i] + wc[i] * c[i] + wd[i] * d[i];
             }
@@ -538,13 +583,13 @@ impl<'a> Cells<'a> {
         for (kernel, places) in varying::kernels(&one_column, tif) {
             let mut sums = TwoSums::new(kernel.with_ghosts(), alike.dim());
             for places in places[0].chunk_by(|a, b| a.position_mm[1] == b.position_mm[1]) {
-                let of_cells = |axis: usize, p: &Place, map: &Axis, own: &Axis, range, fraction| {
-                    let under = Under::new(p.position_mm[axis], map, own, range, fraction);
+                let of_cells = |axis: usize, p: &Place, range: (usize, usize), fraction| {
+                    let under =
+                        Under::new(p.position_mm[axis], grid, kernel, axis, range, fraction);
                     Summed::new(&under, range.0, size)
                 };
-                let along_y = of_cells(1, &places[0], &grid.y, &kernel.grid().y, y, 1.0);
-                let along_x =
-                    places.iter().map(|p| of_cells(0, p, &grid.x, &kernel.grid().x, x, p.fraction));
+                let along_y = of_cells(1, &places[0], y, 1.0);
+                let along_x = places.iter().map(|p| of_cells(0, p, x, p.fraction));
                 sums.add(&along_y, top, &along_x.collect::<Vec<_>>(), left);
             }
             sums.add_to(&mut cells);

@@ -16,9 +16,9 @@
 //! ```
 //!
 //! so (1) takes convolutions along rows and columns, one transform for each cell and d, and a few
-//! pixels for each corner. Nothing is approximated for a TIF on the pixels of the map: only sums are
-//! reordered. A TIF of another pitch is first sampled anew at that of the map, by its own
-//! interpolation, and continued by ghost nodes beyond its edge.
+//! pixels for each corner. Nothing is approximated for a TIF on the lattice of the map
+//! ([`planish_types::TifLattice`]): only sums are reordered. Where a pixel has several samples of the TIF,
+//! (1) is for all nodes of that lattice, of which the pixels are some. A surrogate samples a TIF at the pitch of its map.
 
 mod lattice;
 mod spill;
@@ -26,9 +26,9 @@ mod sums;
 
 use std::borrow::Cow;
 
-use ndarray::{Array2, Axis as NdAxis, Zip};
+use ndarray::{Array2, Axis as NdAxis, Zip, s};
 use planish_numerics::fft::convolution::Convolution;
-use planish_types::{Grid, Tif};
+use planish_types::{Axis, Grid, Tif};
 use rayon::prelude::*;
 
 use crate::model::{columns::Place, varying};
@@ -44,6 +44,10 @@ pub struct FftOperator {
     factor: Option<Array2<f64>>,
     /// The mean tool by its energy at every place, for a tool that varies.
     by_energy: Option<Box<OfKernel>>,
+    /// Shape of the map (ny, nx).
+    shape: (usize, usize),
+    /// Nodes for each pixel along [x, y].
+    parts: [usize; 2],
 }
 
 /// (1) for a kernel and the places at which it removes.
@@ -84,8 +88,10 @@ impl FftOperator {
         spread: Spread,
         border: bool,
     ) -> Self {
+        let parts = if border { parts(tif, grid) } else { [1, 1] };
+        let nodes = nodes(grid, parts);
         let of = |places: &[Vec<Place>], kernel: &Tif, border| {
-            OfKernel::new(places, kernel, grid, spread, border)
+            OfKernel::new(places, kernel, &nodes, spread, border)
         };
         let kernels = varying::kernels(places, tif);
         let kernels = kernels.map(|(kernel, places)| of(&places, kernel, border)).collect();
@@ -93,19 +99,24 @@ impl FftOperator {
             .variation()
             .map(|_| Box::new(of(&varying::by_energy(places, tif), &tif.mean_tool(), false)));
         let factor = tif.variation().and_then(|v| v.factor_on(grid)).map(Cow::into_owned);
-        Self { kernels, factor, by_energy }
+        Self { kernels, factor, by_energy, shape: grid.shape(), parts }
     }
 
-    /// Returns true if (1) is exact: the TIF has the pitch of the map.
+    /// Returns true if (1) is exact: the TIF is on the lattice of the map.
     pub fn is_exact(tif: &Tif, grid: &Grid) -> bool {
-        let of = |map, tif| Lattice::new(map, tif, Spread::Keys);
-        of(&grid.x, &tif.grid().x).own && of(&grid.y, &tif.grid().y).own
+        let nodes = nodes(grid, parts(tif, grid));
+        [0, 1].iter().all(|axis| Lattice::new(&nodes, tif, *axis, Spread::Keys).own)
+    }
+
+    /// Returns true if (1) is exact, and every node is a pixel.
+    pub fn has_pitch_of(tif: &Tif, grid: &Grid) -> bool {
+        parts(tif, grid) == [1, 1] && Self::is_exact(tif, grid)
     }
 
     /// `B t`: (ny, nx), nm.
     pub fn apply(&self, t: &[f64]) -> Array2<f64> {
         let sum = self.kernels.iter().map(|kernel| kernel.apply(t)).reduce(|a, b| a + b);
-        let mut map = sum.expect("a tool has a kernel");
+        let mut map = self.on_pixels(sum.expect("a tool has a kernel"));
         if let Some(factor) = &self.factor {
             Zip::from(&mut map).and(factor).par_for_each(|map, g| *map *= g);
         }
@@ -131,6 +142,7 @@ impl FftOperator {
             Some(factor) => Cow::Owned(map * factor),
             None => Cow::Borrowed(map),
         };
+        let map = self.on_nodes(map);
         let mut kernels = self.kernels.iter().map(|kernel| adjoint(kernel, &map));
         let mut sums = kernels.next().expect("a tool has a kernel");
         for of_kernel in kernels {
@@ -146,14 +158,50 @@ impl FftOperator {
             Some(factor) => Cow::Owned(map * factor * factor),
             None => Cow::Borrowed(map),
         };
+        let map = self.on_nodes(map);
         self.by_energy.as_deref().unwrap_or(&self.kernels[0]).adjoint_of_squared_tif(&map)
     }
+
+    /// Returns what is on the nodes of the pixels.
+    fn on_pixels(&self, nodes: Array2<f64>) -> Array2<f64> {
+        match self.parts {
+            [1, 1] => nodes,
+            [nx, ny] => nodes.slice(s![..;ny, ..;nx]).to_owned(),
+        }
+    }
+
+    /// Returns the adjoint of [`Self::on_pixels`].
+    fn on_nodes<'a>(&self, map: Cow<'a, Array2<f64>>) -> Cow<'a, Array2<f64>> {
+        let [nx, ny] = self.parts;
+        if self.parts == [1, 1] {
+            return map;
+        }
+        let (rows, columns) = self.shape;
+        let mut nodes = Array2::zeros(((rows - 1) * ny + 1, (columns - 1) * nx + 1));
+        nodes.slice_mut(s![..;ny, ..;nx]).assign(&map);
+        Cow::Owned(nodes)
+    }
+}
+
+/// Returns the samples of the TIF for each pixel along [x, y], the nearest whole numbers.
+fn parts(tif: &Tif, grid: &Grid) -> [usize; 2] {
+    let of = |map: &Axis, samples: &Axis| (map.step_mm() / samples.step_mm()).round().max(1.0);
+    [of(&grid.x, &tif.grid().x), of(&grid.y, &tif.grid().y)].map(|parts| parts as usize)
+}
+
+/// Returns the nodes of a map with so many parts of a pixel along [x, y].
+fn nodes(grid: &Grid, parts: [usize; 2]) -> Grid {
+    let of = |axis: &Axis, parts: usize| {
+        let finer =
+            Axis::new(axis.start_mm(), axis.step_mm() / parts as f64, (axis.len() - 1) * parts + 1);
+        finer.expect("a finer axis within the same ends")
+    };
+    Grid { x: of(&grid.x, parts[0]), y: of(&grid.y, parts[1]) }
 }
 
 impl OfKernel {
     fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid, spread: Spread, border: bool) -> Self {
-        let x = Lattice::new(&grid.x, &tif.grid().x, spread);
-        let y = Lattice::new(&grid.y, &tif.grid().y, spread);
+        let [x, y] = [0, 1].map(|axis| Lattice::new(grid, tif, axis, spread));
         let mut samples = samples(tif, &x, &y);
         if !border {
             samples = without_ghosts(samples);
@@ -236,9 +284,8 @@ impl OfKernel {
 mod tests {
     use super::*;
     use crate::model::columns::{self, Columns};
-    use ndarray::s;
     use planish_testkit::maps::largest_magnitude;
-    use planish_types::{Axis, PixelFactor, ToolPath, VaryingTif};
+    use planish_types::{PixelFactor, ToolPath, VaryingTif};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 

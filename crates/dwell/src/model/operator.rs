@@ -135,7 +135,8 @@ impl Operator {
     }
 }
 
-/// B for a certificate: by the FFT where that is exact, by its columns where it is not and they fit.
+/// B for a certificate: by the FFT where the TIF has the pitch of the map, by its columns where it has not and they fit.
+/// Where a pixel has several samples of the TIF, a transform of all of them takes longer than the columns.
 ///
 /// It sums in another order than [`Operator`], which stores fewer columns and prefers them.
 pub enum Removal {
@@ -146,8 +147,7 @@ pub enum Removal {
 }
 
 impl Removal {
-    /// B for the places of the tool in each column. With `as_columns` it is exact for a TIF of any pitch, where its columns
-    /// fit.
+    /// B for the places of the tool in each column; `as_columns` allows columns, where they fit.
     pub fn new(
         places: &[Vec<Place>],
         tif: &Tif,
@@ -156,7 +156,7 @@ impl Removal {
     ) -> Result<Self, Invalid> {
         let pixels = covered_pixels(tif, grid)?;
         let stored = as_columns
-            && !FftOperator::is_exact(tif, grid)
+            && !FftOperator::has_pitch_of(tif, grid)
             && places.len() as f64 * pixels <= MAX_COLUMN_ELEMENTS;
         Ok(if stored {
             Self::Stored(Stored::new(places, tif, grid))

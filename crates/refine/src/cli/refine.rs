@@ -13,7 +13,7 @@ use planish_dwell::{
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status,
     flags::{self, FloorArgs, MachineArgs, MirrorArgs, OutputArgs, PathArgs, PathDistanceArgs},
-    kind, say, task, with_flags,
+    kind, say, task, warn, with_flags,
 };
 use planish_refine::{
     Refined, Settings,
@@ -166,6 +166,9 @@ impl Refine {
         if let Some(price) = &price {
             outcome["error_budget"] = json!(price);
         }
+        if let Some(lattice) = refined.tif_lattice {
+            outcome["tif_lattice"] = json!(lattice);
+        }
         let negative = refined.negative(&surface, self.max_rounds.is_some());
         let excess = distance.excess().map(|excess| {
             format!("{excess}; the scheduler pvt stays within it, or give a larger tolerance")
@@ -181,6 +184,9 @@ impl Refine {
         output.write_arrays(&kind::ITERATIONS, &arrays, &[], outcome, &status)?;
         self.tell(&refined, &settings, &output.round_s());
         say(format!("the motion is {distance}"));
+        if let Some(warning) = refined.tif_lattice.and_then(|lattice| lattice.warning()) {
+            warn(warning);
+        }
         if let Some(price) = &price {
             say(words(price));
         }

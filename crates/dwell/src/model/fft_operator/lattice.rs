@@ -5,7 +5,7 @@ use planish_numerics::{
     bspline, keys,
     linear::tridiagonal::{self, Row},
 };
-use planish_types::{Axis, Tif};
+use planish_types::{Grid, Tif};
 use rayon::prelude::*;
 
 use crate::model::columns::Place;
@@ -44,17 +44,22 @@ pub struct Lattice {
 }
 
 impl Lattice {
-    pub fn new(map: &Axis, tif: &Axis, spread: Spread) -> Self {
-        let steps = (tif.len() - 1) as f64;
-        let own = (map.step_mm() / tif.step_mm() - 1.0).abs() * steps <= SAME_PITCH;
-        let edge = if own { steps } else { (tif.end_mm() - tif.start_mm()) / map.step_mm() };
+    /// Makes the lattice of a map and a TIF along x (0) or y (1).
+    pub fn new(map: &Grid, tif: &Tif, axis: usize, spread: Spread) -> Self {
+        let (map, samples) = ([&map.x, &map.y][axis], [&tif.grid().x, &tif.grid().y][axis]);
+        let (end_mm, steps) = (tif.edge_mm()[axis], (samples.len() - 1) as f64);
+        let own = (map.step_mm() / samples.step_mm() - 1.0).abs() * steps <= SAME_PITCH;
+        let edge = match own {
+            true => steps + (end_mm - samples.end_mm()) / samples.step_mm(),
+            false => (end_mm - samples.start_mm()) / map.step_mm(),
+        };
         let (whole, fraction) = keys::split(edge);
         Self {
             start_mm: map.start_mm(),
             step_mm: map.step_mm(),
             pixels: map.len(),
-            tif_start_mm: tif.start_mm(),
-            tif_end_mm: tif.end_mm(),
+            tif_start_mm: samples.start_mm(),
+            tif_end_mm: end_mm,
             own,
             edge,
             last: whole + if fraction > 0.0 { 2 } else { 1 },

@@ -71,8 +71,7 @@ impl Sums {
 
 impl OfKernel {
     fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid, size_mm: f64, spread: Spread) -> Self {
-        let x = Lattice::new(&grid.x, &tif.grid().x, spread);
-        let y = Lattice::new(&grid.y, &tif.grid().y, spread);
+        let [x, y] = [0, 1].map(|axis| Lattice::new(grid, tif, axis, spread));
         // In the order of the columns.
         let placed = placed(places, &x, &y);
         let before = |j: usize| placed.partition_point(|p| (p.column as usize) < j) as u32;
