@@ -99,15 +99,18 @@ fn lacking(dir: &Path, after_servo: bool) -> Option<String> {
     }
     let mut places: Vec<PathBuf> = needed.iter().map(PathBuf::from).collect();
     if dir.join(ON_AXES).exists() {
-        places.extend(["axes", "trajectory", "removal", "verdict"].map(|part| Path::new(ON_AXES).join(part)));
+        places.extend(
+            ["axes", "trajectory", "removal", "verdict"].map(|part| Path::new(ON_AXES).join(part)),
+        );
     }
     let lacking: Vec<String> = places
         .iter()
         .filter(|place| !dir.join(place).exists())
         .map(|place| place.display().to_string())
         .collect();
-    (!lacking.is_empty())
-        .then(|| format!("it has no {}; run the stages again that make it", lacking.join(" and no ")))
+    (!lacking.is_empty()).then(|| {
+        format!("it has no {}; run the stages again that make it", lacking.join(" and no "))
+    })
 }
 
 /// File that a stage leaves in the place of what it refused to make.

@@ -561,7 +561,10 @@ fn a_run_that_cannot_be_read_is_exit_2_and_writes_nothing() {
     let run = dir.path().join("run");
     prepare(&run, &[("pvt", 0.5, true)]);
     fs::remove_dir_all(run.join("methods/pvt/verdict")).unwrap();
-    refused("run", "holds no method; schedule, simulate and verify at least one (pvt: it has no verdict");
+    refused(
+        "run",
+        "holds no method; schedule, simulate and verify at least one (pvt: it has no verdict",
+    );
     // A removal predicted on another surface.
     prepare(&run, &[("pvt", 0.5, true)]);
     let other = Surface::new(*desired().grid(), Array2::ones((2, 3))).unwrap();

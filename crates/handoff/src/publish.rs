@@ -148,7 +148,10 @@ impl Staged {
             (_, true) => false,
             (What::File { replace }, false) => {
                 if let Some(problem) = special_file(&self.place) {
-                    return Err(HandoffError::new(&self.place, format!("{problem}; give another name")));
+                    return Err(HandoffError::new(
+                        &self.place,
+                        format!("{problem}; give another name"),
+                    ));
                 }
                 !replace
             }

@@ -193,7 +193,9 @@ pub fn judge(
         .or_else(|| readings.clear(&common))
         .or_else(|| scale.and_then(|scale| against_scale(&scale)))
         .or_else(|| too_large(fitted, &fit.rest, &data.valid))
-        .or_else(|| untold(&evidence).or_else(|| readings.untold(&common)).filter(|_| !same_measurement));
+        .or_else(|| {
+            untold(&evidence).or_else(|| readings.untold(&common)).filter(|_| !same_measurement)
+        });
     Judgement { evidence, against }
 }
 
@@ -214,7 +216,9 @@ fn untold(evidence: &Evidence) -> Option<String> {
         return None;
     }
     let noise = match evidence.noise_ratio {
-        Some(ratio) => format!("its noise is {} times that of the map before", significant(ratio, 2)),
+        Some(ratio) => {
+            format!("its noise is {} times that of the map before", significant(ratio, 2))
+        }
         None => "its noise is not told from its figure".into(),
     };
     Some(format!(
@@ -276,11 +280,19 @@ fn against_removal((factor, error): (f64, f64)) -> Option<String> {
     );
     let is_near = |value: f64| (factor - value).abs() < low;
     match () {
-        () if is_beyond && is_near(-1.0) => Some(format!("{said}: the maps before and after are exchanged")),
-        () if is_beyond && is_near(0.0) => Some(format!("{said}: no run lies between them; check both maps")),
-        () if is_beyond => Some(format!("{said}: check the units of the maps and of the tool, and that all is of one run")),
+        () if is_beyond && is_near(-1.0) => {
+            Some(format!("{said}: the maps before and after are exchanged"))
+        }
+        () if is_beyond && is_near(0.0) => {
+            Some(format!("{said}: no run lies between them; check both maps"))
+        }
+        () if is_beyond => Some(format!(
+            "{said}: check the units of the maps and of the tool, and that all is of one run"
+        )),
         // Its standard error hides the removal itself.
-        () if ERRORS * error > 1.0 => Some(format!("{said}: the noise hides whether a run lies between them")),
+        () if ERRORS * error > 1.0 => {
+            Some(format!("{said}: the noise hides whether a run lies between them"))
+        }
         () => None,
     }
 }
@@ -288,7 +300,8 @@ fn against_removal((factor, error): (f64, f64)) -> Option<String> {
 /// Sentence on a scale that is not 1. `None` if it can be 1.
 fn against_scale(scale: &Scale) -> Option<String> {
     let [low, high] = scale.bounds;
-    let is_beyond = high + ERRORS * scale.error < SCALES[0] || low - ERRORS * scale.error > SCALES[1];
+    let is_beyond =
+        high + ERRORS * scale.error < SCALES[0] || low - ERRORS * scale.error > SCALES[1];
     is_beyond.then(|| {
         format!(
             "the map after has {} to {} times the heights that the plan leaves there, where 1 is expected: check its unit, and \
@@ -317,8 +330,9 @@ fn too_large(fitted: &Fitted, rest: &Array2<f64>, valid: &Array2<f64>) -> Option
 
 impl Common {
     fn new(expected: Array2<f64>, after: Array2<f64>, valid: &Array2<f64>) -> Self {
-        let [of_expected, of_after, pairs] = [(&expected, &expected), (&after, &after), (valid, valid)]
-            .map(|(one, other)| products(one, other));
+        let [of_expected, of_after, pairs] =
+            [(&expected, &expected), (&after, &after), (valid, valid)]
+                .map(|(one, other)| products(one, other));
         let (ny, nx) = valid.dim();
         let is_near = |(r, c): (usize, usize)| {
             let [r, c] = [lag(r, pairs.nrows()), lag(c, pairs.ncols())];
@@ -370,7 +384,8 @@ impl Common {
 
     /// Other places of the map after, and X there.
     fn other_places(&self, data: &Data<'_>, tool_width_mm: f64) -> Vec<Reading> {
-        let (all, pairs) = (products(&self.expected, &self.after), products(&data.valid, &data.valid));
+        let (all, pairs) =
+            (products(&self.expected, &self.after), products(&data.valid, &data.valid));
         let mut places = Vec::new();
         for ((r, c), n) in pairs.indexed_iter() {
             let [r_lag, c_lag] = [lag(r, pairs.nrows()), lag(c, pairs.ncols())];
@@ -443,18 +458,15 @@ impl Readings {
     /// Sentence on a reading that is as probable as the given one. `None` if there is none.
     fn untold(&self, given: &Common) -> Option<String> {
         let errors = given.standard_errors();
-        let odds = |reading: &Reading| {
-            errors * (errors - reading.common / given.scatter) / given.apart()
-        };
+        let odds =
+            |reading: &Reading| errors * (errors - reading.common / given.scatter) / given.apart();
         let orientation = self.orientations.iter().find(|reading| odds(reading) < ODDS);
         // Before the data every place is as probable as any other one.
         let places: f64 = self.places.iter().map(|reading| (-odds(reading)).exp()).sum();
         let is_elsewhere = places > (-ODDS).exp() * self.places.len() as f64;
         let best = self.places.iter().max_by(|a, b| a.common.total_cmp(&b.common));
         let name = &orientation.or(best.filter(|_| is_elsewhere))?.name;
-        Some(format!(
-            "the maps do not tell whether the map after is as it is or {name}. {REMEDY}"
-        ))
+        Some(format!("the maps do not tell whether the map after is as it is or {name}. {REMEDY}"))
     }
 }
 
@@ -575,7 +587,11 @@ mod tests {
     fn other_reading(after: &Array2<f64>, expected: &Array2<f64>) -> Option<String> {
         let axis = Axis::new(0.0, 0.5, SIZE).unwrap();
         let grid = Grid { x: axis, y: axis };
-        let data = Data { grid: &grid, data: Array2::zeros(grid.shape()), valid: Array2::ones(grid.shape()) };
+        let data = Data {
+            grid: &grid,
+            data: Array2::zeros(grid.shape()),
+            valid: Array2::ones(grid.shape()),
+        };
         let common = of(after, expected);
         Readings::new(&common, &[], after, &data, 4.0).clear(&common)
     }
@@ -605,8 +621,12 @@ mod tests {
             let common = of(&after, &(&r + &noises[0]));
             let plain = common.scale([None; 2]).unwrap();
             // 0.49 / (0.49 + 0.09) and (0.49 + 0.16) / 0.49, to three errors of the common part.
-            for (bound, expected) in plain.bounds.into_iter().zip([0.845 * factor, 1.327 * factor]) {
-                assert!((bound - expected).abs() < 3.0 * plain.error, "{factor}: {bound} {expected}");
+            for (bound, expected) in plain.bounds.into_iter().zip([0.845 * factor, 1.327 * factor])
+            {
+                assert!(
+                    (bound - expected).abs() < 3.0 * plain.error,
+                    "{factor}: {bound} {expected}"
+                );
             }
             let corrected = common.scale([Some(0.3), Some(0.4 * factor)]).unwrap();
             for bound in corrected.bounds {
@@ -645,7 +665,9 @@ mod tests {
         assert_eq!(filled("after", &map, &ones), None);
         assert_eq!(filled("after", &map.mapv(|v| (5.0 * v).round() / 5.0), &ones), None);
         map.slice_mut(s![3..5, 7..10]).fill(0.0);
-        assert!(filled("after", &map, &ones).unwrap().starts_with("6 pixels of the map after have"));
+        assert!(
+            filled("after", &map, &ones).unwrap().starts_with("6 pixels of the map after have")
+        );
     }
 
     #[test]

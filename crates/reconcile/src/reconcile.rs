@@ -144,8 +144,7 @@ impl<'a> Tools<'a> {
         let model = Model::new(runs, tif, parameters.to_vec(), scale);
         let start = Start::new(&model)?;
         let fit_of_plan = fit(&model, terms, data, &start)?;
-        let mut found =
-            Found { fit: fit_of_plan, model, continued: None, released: Vec::new() };
+        let mut found = Found { fit: fit_of_plan, model, continued: None, released: Vec::new() };
         // The TIF as it is sampled has no error of smoothing, but moves its noise: the data decide.
         let as_sampled = self.as_sampled.map(|removal| (self.smooth, removal, None));
         let continued = self.continued.map(|[smooth, own]| (smooth, own.runs, Some(own.tif)));

@@ -68,9 +68,11 @@ fn no_wrong_map_after_teaches_anything() {
         let other = Case::new(seed + 12, sigma_nm);
         assert_eq!(other.after.grid(), case.after.grid());
         let moved = |x: usize, y: usize| {
-            Array2::from_shape_fn(after.dim(), |(r, c)| match (r.checked_sub(y), c.checked_sub(x)) {
-                (Some(r), Some(c)) => after[[r, c]],
-                _ => f64::NAN,
+            Array2::from_shape_fn(after.dim(), |(r, c)| {
+                match (r.checked_sub(y), c.checked_sub(x)) {
+                    (Some(r), Some(c)) => after[[r, c]],
+                    _ => f64::NAN,
+                }
             })
         };
         let mut holes = after.clone();
@@ -92,7 +94,10 @@ fn no_wrong_map_after_teaches_anything() {
             ("piston", before + 5.0),
         ] {
             let found = case.learn_by(&Surface::new(*case.after.grid(), map).unwrap(), false);
-            println!("{seed} {sigma_nm} {} {name}: {:?} {:?}", case.kind, found.drawback, found.outcome.evidence);
+            println!(
+                "{seed} {sigma_nm} {} {name}: {:?} {:?}",
+                case.kind, found.drawback, found.outcome.evidence
+            );
             assert!(found.drawback.is_some(), "{seed} {sigma_nm} {} {name}", case.kind);
             assert!(found.outcome.parameters.iter().all(|e| e.applied == 0.0), "{name}");
             assert_eq!(found.tif.rate_nm_per_s(), case.tif.rate_nm_per_s());

@@ -74,8 +74,7 @@ fn learnt(
         error_budget: process,
         transform,
     };
-    let settings =
-        Settings { tif_as_sampled: true, same_measurement: true, ..Settings::default() };
+    let settings = Settings { tif_as_sampled: true, same_measurement: true, ..Settings::default() };
     reconcile(&comparison, &settings).unwrap()
 }
 

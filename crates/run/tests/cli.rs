@@ -627,7 +627,8 @@ fn no_setting_names_an_input_inside_of_the_output() {
     recorders(dir.path());
     let at = |name: &str| dir.path().join(name);
     fs::create_dir_all(at("o/tool_path")).unwrap();
-    fs::write(at("o/run.json"), r#"{"pipeline":"compare-dwell","mirror":{"fixture":"coupon"}}"#).unwrap();
+    fs::write(at("o/run.json"), r#"{"pipeline":"compare-dwell","mirror":{"fixture":"coupon"}}"#)
+        .unwrap();
     for file in ["point_mm.npy", "manifest.json", "x.json"] {
         fs::write(at("o/tool_path").join(file), file).unwrap();
     }
@@ -649,12 +650,16 @@ fn no_setting_names_an_input_inside_of_the_output() {
         ("raster", "form=o/tool_path"),
         ("raster", "varying=tool-rate --map 'o/tool_path'"),
     ] {
-        let (ended, log) = recorded(dir.path(), &[&["run", pipeline], &quick[..], &[setting]].concat());
+        let (ended, log) =
+            recorded(dir.path(), &[&["run", pipeline], &quick[..], &[setting]].concat());
         let said = message(&ended);
         assert_eq!(ended.status.code(), Some(2), "{setting}: {said}");
         assert!(log.is_empty(), "{setting}: {log:?}");
         if setting != "machine=o/tool_path/x.json" {
-            assert!(said.contains("out o") && said.contains("give another out"), "{setting}: {said}");
+            assert!(
+                said.contains("out o") && said.contains("give another out"),
+                "{setting}: {said}"
+            );
         }
     }
     for file in ["point_mm.npy", "manifest.json", "x.json"] {
@@ -663,7 +668,8 @@ fn no_setting_names_an_input_inside_of_the_output() {
     // A word of a flag that names nothing inside, and the time of a stage, which is an output
     fs::create_dir(at("o/wall")).unwrap();
     let prepare = "prepare=--level plane --wall-time o/wall";
-    let (ended, log) = recorded(dir.path(), &[&["run", "compare-dwell"], &quick[..], &[prepare]].concat());
+    let (ended, log) =
+        recorded(dir.path(), &[&["run", "compare-dwell"], &quick[..], &[prepare]].concat());
     assert!(!log.is_empty(), "{}", message(&ended));
 }
 
@@ -676,8 +682,13 @@ fn a_path_that_the_output_leads_to_is_not_copied_onto_itself() {
     fs::create_dir(dir.path().join("path")).unwrap();
     fs::write(dir.path().join("path/point_mm.npy"), "mine").unwrap();
     std::os::unix::fs::symlink("../path", dir.path().join("o/tool_path")).unwrap();
-    fs::write(dir.path().join("o/run.json"), r#"{"pipeline":"compare-dwell","mirror":{"fixture":"coupon"}}"#).unwrap();
-    let settings = ["run", "compare-dwell", "fixture=coupon", "machine=machine.json", "path=path", "out=o"];
+    fs::write(
+        dir.path().join("o/run.json"),
+        r#"{"pipeline":"compare-dwell","mirror":{"fixture":"coupon"}}"#,
+    )
+    .unwrap();
+    let settings =
+        ["run", "compare-dwell", "fixture=coupon", "machine=machine.json", "path=path", "out=o"];
     let (ended, _) = recorded(dir.path(), &settings);
     let said = message(&ended);
     assert_eq!(ended.status.code(), Some(2), "{said}");
@@ -703,9 +714,16 @@ fn a_circle_of_stages_is_refused() {
     fs::create_dir(&pipelines).unwrap();
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
     fs::copy(root.join("pipelines/shared.yaml"), pipelines.join("shared.yaml")).unwrap();
-    fs::write(pipelines.join("loop.yaml"), "title: T\nstages:\n  path: []\n  run: [path, end, run]\n").unwrap();
+    fs::write(
+        pipelines.join("loop.yaml"),
+        "title: T\nstages:\n  path: []\n  run: [path, end, run]\n",
+    )
+    .unwrap();
     let mut command = Command::new(PROGRAM);
     command.current_dir(dir.path()).env("PLANISH_SHARE", dir.path());
     command.args(["run", "loop", "fixture=coupon", "machine=machine.json", "out=o"]);
-    refused(&command.output().unwrap(), &["loop.yaml: stage run: it runs itself without end (run -> run)"]);
+    refused(
+        &command.output().unwrap(),
+        &["loop.yaml: stage run: it runs itself without end (run -> run)"],
+    );
 }

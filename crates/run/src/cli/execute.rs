@@ -186,8 +186,9 @@ pub fn run<'a>(
                 fs::create_dir_all(&dir)?;
                 let message = Path::new(&dir).join(MESSAGE);
                 refuse_special(&message)?;
-                fs::write(&message, format!("error: {reason}\n"))
-                    .map_err(|e| Failure::new(format!("{}: cannot write: {e}", message.display())))?;
+                fs::write(&message, format!("error: {reason}\n")).map_err(|e| {
+                    Failure::new(format!("{}: cannot write: {e}", message.display()))
+                })?;
                 leave_out(&mut walk, Path::new(&dir))?;
                 0
             }

@@ -95,7 +95,9 @@ impl Last {
             ("error_budget", error_budget.as_ref()),
         ];
         all.into_iter()
-            .flat_map(|(setting, path)| Named::words(setting, path.map_or(&[], std::slice::from_ref), true))
+            .flat_map(|(setting, path)| {
+                Named::words(setting, path.map_or(&[], std::slice::from_ref), true)
+            })
             .collect()
     }
 }
