@@ -78,6 +78,11 @@ const REMOVALS: [f64; 2] = [0.5, 1.5];
 /// Smaller: the correction for noise is a guess. Chosen.
 const LEAST_SIGNAL: f64 = 0.2;
 
+/// Cosine of the angle between both maps from which no other reading is the right one. Larger: right maps with an even
+/// residual are taken for turned ones. Smaller: mistakes pass. Derived: above it the maps have more than half of their
+/// mean square in common as they are.
+const AS_IT_IS: f64 = 0.71;
+
 /// Displacements that count as another place, over the width of the tool. Larger: displaced maps pass. Smaller: the
 /// flank of the correlation is taken for another place. Chosen: such a displacement changes what a run teaches by a part
 /// of it.
@@ -126,6 +131,8 @@ struct Common {
     scatter: f64,
     /// Valid pixels.
     pixels: f64,
+    /// X / (|p| |a|).
+    cosine: f64,
 }
 
 /// Another reading of the map after, and X_k.
@@ -337,9 +344,11 @@ impl Common {
             if is_counted { of_expected[at] * of_after[at] / n } else { 0.0 }
         };
         let variance: f64 = pairs.indexed_iter().map(of_lag).sum();
-        let least = dot(&expected, &expected) * dot(&after, &after) / valid.sum().max(1.0);
+        let squares = dot(&expected, &expected) * dot(&after, &after);
+        let (common, least) = (dot(&expected, &after), squares / valid.sum().max(1.0));
         Self {
-            common: dot(&expected, &after),
+            cosine: if squares > 0.0 { common / squares.sqrt() } else { 0.0 },
+            common,
             // The sum scatters itself, and white noise alone has the least.
             scatter: variance.max(least).sqrt(),
             pixels: valid.sum().max(1.0),
@@ -350,6 +359,11 @@ impl Common {
 
     fn standard_errors(&self) -> f64 {
         if self.scatter > 0.0 { self.common / self.scatter } else { 0.0 }
+    }
+
+    /// Part of the mean square that the maps do not have in common, which alone scatters.
+    fn apart(&self) -> f64 {
+        (1.0 - self.cosine.powi(2)).max(f64::EPSILON)
     }
 
     /// Bounds of the scale; `None` where the maps have nothing in common.
@@ -364,9 +378,7 @@ impl Common {
         };
         let ends = [self.common / signal(0), signal(1) / self.common];
         let bounds = [ends[0].min(ends[1]), ends[0].max(ends[1])];
-        // What both maps have in common does not scatter.
-        let cosine = self.common / (squares[0] * squares[1]).sqrt();
-        let error = bounds[1] / self.standard_errors() * (1.0 - cosine.powi(2)).max(0.0).sqrt();
+        let error = bounds[1] / self.standard_errors() * self.apart().sqrt();
         Some(Scale { bounds, error })
     }
 
@@ -403,7 +415,10 @@ impl Readings {
     ) -> Self {
         let orientation = |(name, map): (&str, Array2<f64>)| {
             let map = without(fields, &map, &data.valid);
-            Reading { name: name.into(), common: dot(&common.expected, &map) }
+            // Turned, the map has a part that the fit explained as it was: its scatter is larger.
+            let size = dot(&map, &map).max(f64::MIN_POSITIVE) / dot(&common.after, &common.after);
+            let size = if size.is_finite() { size.max(1.0).sqrt() } else { 1.0 };
+            Reading { name: name.into(), common: dot(&common.expected, &map) / size }
         };
         Self {
             orientations: turned(after).into_iter().map(orientation).collect(),
@@ -419,6 +434,9 @@ impl Readings {
                 "{said} has opposite signs ({} standard errors): read the map after with its sign turned",
                 significant(given.standard_errors(), 3)
             ));
+        }
+        if given.cosine > AS_IT_IS {
+            return None;
         }
         // A reading has to be taken before another part, and before the given one. Of many places one is the best by
         // chance: the logarithm of their number counts against each.
@@ -440,7 +458,8 @@ impl Readings {
     /// Sentence on a reading that is as probable as the given one. `None` if there is none.
     fn untold(&self, given: &Common) -> Option<String> {
         let errors = given.standard_errors();
-        let odds = |reading: &Reading| errors * (errors - reading.common / given.scatter);
+        let odds =
+            |reading: &Reading| errors * (errors - reading.common / given.scatter) / given.apart();
         let orientation = self.orientations.iter().find(|reading| odds(reading) < ODDS);
         // Before the data every place is as probable as any other one.
         let places: f64 = self.places.iter().map(|reading| (-odds(reading)).exp()).sum();
