@@ -12,8 +12,9 @@ use crate::{
     slow::{Excess, slow},
 };
 
-/// Largest number of times that pieces are halved because the stretch of time bends them. Larger: memory for 2^n pieces.
-/// Smaller: long segments that are slowed down strongly are refused. Chosen: the distance falls by 16 with each.
+/// Largest number of times that pieces are halved because the stretch of time bends them. Larger: memory for 2^n
+/// pieces. Smaller: long segments that are slowed down strongly are refused. Chosen: the distance falls by 16 with
+/// each.
 const MOST_ROUNDS: usize = 10;
 
 /// Report on a motion of the axes.
@@ -31,7 +32,7 @@ pub struct MotionReport {
     pub contact_deviation_time_s: f64,
     /// Largest distance of the tip of the tool from the surface, along the tool, um, at the same points.
     pub gap_um: f64,
-    /// Largest angle between tool and normal at the ends of the segments, degrees.
+    /// Largest angle between tool and normal on the executed motion, degrees.
     pub off_normal_deg: f64,
     /// Duration of the motion of the contact point as it was given, s.
     pub planned_time_s: f64,
@@ -107,7 +108,6 @@ pub fn motion(
     });
     let away = farthest(&map, &pieces, &stretch, &executed, trajectory);
     let point = |piece: &Piece| trajectory.segment(piece.segment).position_mm(piece.from_s);
-    let off_normal = pieces.iter().filter_map(|piece| map.off_normal_deg(point(piece)));
     let added = |of: &dyn Fn(usize) -> bool| -> f64 {
         let of_piece = |k: usize| executed.duration_s(k) - pieces[k].duration_s();
         (0..pieces.len()).filter(|k| of(*k)).map(of_piece).sum()
@@ -119,7 +119,7 @@ pub fn motion(
         contact_deviation_um: 1e3 * away.distance_mm,
         contact_deviation_time_s: away.time_s,
         gap_um: 1e3 * away.gap_mm,
-        off_normal_deg: off_normal.fold(0.0, f64::max),
+        off_normal_deg: largest_off_normal_deg(&map, &executed),
         planned_time_s: trajectory.total_time_s(),
         total_time_s: executed.total_time_s(),
         added_tool_on_time_s: match slowest {
@@ -213,6 +213,43 @@ fn executed(
         pieces.iter().map(|p| trajectory.tool_on()[of(p)]).collect(),
         pieces.iter().map(|p| trajectory.dwell_index()[of(p)]).collect(),
     )
+}
+
+/// Number of parts into which the interval around the largest of equally spaced angles is cut in turn, each time at its
+/// golden section. Larger: more time, no effect. Smaller: a less exact angle. Derived: 0.618^30 is 5e-7.
+const GOLDEN_SECTIONS: usize = 30;
+
+/// Returns the largest angle between tool and normal on an executed motion, degrees: at equal parts of every segment,
+/// and from the largest of these on by golden sections.
+fn largest_off_normal_deg(map: &AxisMap, executed: &AxesMotion) -> f64 {
+    let parts = INNER_POINTS + 1;
+    let (mut largest, mut place) = (0.0, (0, 0));
+    for k in 0..executed.len() {
+        for j in 0..=parts {
+            let angle = off_normal_deg(map, executed, k, j as f64 / parts as f64);
+            if angle > largest {
+                (largest, place) = (angle, (k, j));
+            }
+        }
+    }
+    let (k, j) = place;
+    let [mut low, mut high] =
+        [j.saturating_sub(1), (j + 1).min(parts)].map(|j| j as f64 / parts as f64);
+    let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
+    for _ in 0..GOLDEN_SECTIONS {
+        let [left, right] = [high - golden * (high - low), low + golden * (high - low)];
+        let [of_left, of_right] = [left, right].map(|part| off_normal_deg(map, executed, k, part));
+        largest = largest.max(of_left).max(of_right);
+        if of_left > of_right { high = right } else { low = left }
+    }
+    largest
+}
+
+/// Returns the angle between tool and normal at a part of segment `k`, degrees; 0 where the tool meets no surface.
+fn off_normal_deg(map: &AxisMap, executed: &AxesMotion, k: usize, part: f64) -> f64 {
+    let u = part * executed.duration_s(k);
+    let q: Vec<f64> = executed.segment(k).iter().map(|c| evaluate(c, u)).collect();
+    map.contact(&q).map_or(0.0, |contact| contact.off_normal_deg)
 }
 
 /// Largest distances of an executed motion.

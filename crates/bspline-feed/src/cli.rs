@@ -102,10 +102,8 @@ impl Feed {
             .model_rms_nm
             .map_or(String::new(), |rms| format!(", {rms:.4} nm RMS in its own model"));
         let gap = r.gap.map_or(String::new(), |gap| {
-            format!(
-                "; no feed within the limits, linearised at this one, lowers the objective by more than {:.2} %",
-                100.0 * gap
-            )
+            let covered = r.gap_covers.unwrap_or_default();
+            format!("; proven within {:.2} % of the least objective of {covered}", 100.0 * gap)
         });
         say(format!(
             "{method}: {} passes, {} control values, {:.3} s{rms}{gap}; {:.1} % of the feed and {:.1} % of the \

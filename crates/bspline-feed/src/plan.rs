@@ -106,6 +106,11 @@ impl Default for Settings {
     }
 }
 
+/// Feeds that [`Report::gap`] compares with.
+const COVERED: &str = "feeds on these knots, under the tangents of the acceleration limit at this feed, and nowhere \
+                       more than 1.5 times as fast; not closer knots, other links, or another feed within the limits \
+                       themselves";
+
 /// Report of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
@@ -132,6 +137,9 @@ pub struct Report {
     /// where nothing is proven.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gap: Option<f64>,
+    /// Sentence on the feeds that this bound compares with. Absent where nothing is proven.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gap_covers: Option<&'static str>,
     /// Objective at the start and after every step or sweep of the last round, nm^2.
     pub objective_nm2: Vec<f64>,
     /// Objective after the sweep that would have raised it and was given up, nm^2.
@@ -610,6 +618,7 @@ fn report(
             Some(_) => End::Converged,
         },
         gap: solved.state.as_ref().and_then(|s| s.gap),
+        gap_covers: solved.state.as_ref().and_then(|s| s.gap).map(|_| COVERED),
         objective_nm2: solved.state.as_ref().map_or(Vec::new(), |s| s.objective.clone()),
         given_up_nm2: solved.state.as_ref().and_then(|s| s.given_up_nm2),
         model_rms_nm: solved.state.as_ref().map(|s| rms_nm(&s.residual_nm, surface)),

@@ -110,7 +110,10 @@ fn converged_is_proven_by_a_gap_and_knot_removal_proves_nothing() {
     let gap = outcome["report"]["gap"].as_f64().unwrap();
     // The default of --relative-gap.
     assert!((0.0..=1e-3).contains(&gap), "{gap}");
-    let said = format!("lowers the objective by more than {:.2} %", 100.0 * gap);
+    let said = format!(
+        "proven within {:.2} % of the least objective of feeds on these knots",
+        100.0 * gap
+    );
     assert!(text(&output.stdout).contains(&said), "{}", text(&output.stdout));
     run(tmp.path(), &["--refinement=knot-removal", "--force"]);
     let outcome = manifest(tmp.path(), "trajectory")["outcome"].clone();

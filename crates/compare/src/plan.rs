@@ -251,22 +251,27 @@ fn follows_dwell_times(trajectory: &Value) -> bool {
     names("inputs", "role") || names("lineage", "kind")
 }
 
-/// Sentence on the proven gap of a stage, if it states one.
+/// Sentence on the proven gap of a stage, if it states one, with the plans that it compares with.
 fn proven(manifest: &Value) -> Option<String> {
-    let gap = manifest["outcome"]["report"]["relative_gap"].as_f64().filter(|gap| gap.is_finite());
-    gap.map(|gap| match gap > ROUNDING {
+    let report = &manifest["outcome"]["report"];
+    let gap = report["relative_gap"].as_f64().or(report["gap"].as_f64())?;
+    if !gap.is_finite() {
+        return None;
+    }
+    let covered = match (report["gap_covers"].as_str(), manifest["tool"].as_str()) {
+        (Some(covered), _) => format!("; it compares with {covered}"),
+        // The limits on a motion are not convex: its certificate is that of the convex problem around it.
+        (None, Some("planish-joint" | "planish-bspline-feed")) => {
+            " with the limits linearised at this plan, so it is a local optimum".into()
+        }
+        (None, _) => String::new(),
+    };
+    Some(match gap > ROUNDING {
         true => {
             let gap = significant(gap, 2);
-            let local = match manifest["tool"].as_str() {
-                // The limits on a motion are not convex: its certificate is that of the convex problem around it.
-                Some("planish-joint" | "planish-bspline-feed") => {
-                    " with the limits linearised at this plan, so it is a local optimum"
-                }
-                _ => "",
-            };
-            format!("proven within {gap} of the least objective, relative to it{local}")
+            format!("proven within {gap} of the least objective, relative to it{covered}")
         }
-        false => "proven optimal to rounding".into(),
+        false => format!("proven optimal to rounding{covered}"),
     })
 }
 
@@ -391,6 +396,12 @@ mod tests {
             let plan = Plan::of("mine", Some(&trajectory), Some(&certified), &[]);
             assert_eq!((plan.state, plan.word.as_str()), (state, word), "{trajectory}");
         }
+        let covers = "plans on this curve";
+        let covers =
+            json!({ "report": { "end": "optimal", "relative_gap": 6.9e-4, "gap_covers": covers } });
+        let joint = Plan::of("mine", Some(&made("planish-joint", covers)), None, &[]);
+        let text = "proven within 0.00069 of the least objective, relative to it; it compares with plans on this curve";
+        assert_eq!((joint.state, joint.text.as_str()), (State::Certified, text));
         // Dwell times without a motion are never taken for a plan.
         let still = Plan::of("position", Some(&scheduled()), Some(&certified), &[]);
         assert_eq!(still.state, State::WithoutMotion);

@@ -362,6 +362,11 @@ impl<'a> Merit<'a> {
         (objective, self.price_is_found)
     }
 
+    /// Pull to the least densities in (1), nm^2.
+    pub fn pull_nm2(&self, density: &[f64]) -> f64 {
+        0.5 * self.alpha * density.iter().zip(self.lo).map(|(d, lo)| (d - lo).powi(2)).sum::<f64>()
+    }
+
     /// (1) and its gradient from those of half the mean square.
     fn priced(
         &self,
@@ -371,9 +376,8 @@ impl<'a> Merit<'a> {
     ) -> Objective {
         let total_s = dot(&self.lengths_mm, density);
         gradient.iter_mut().zip(&self.lengths_mm).for_each(|(g, l)| *g += self.price * l);
-        let mut penalty = 0.0;
+        let mut penalty = self.pull_nm2(density);
         for ((g, d), lo) in gradient.iter_mut().zip(density).zip(self.lo) {
-            penalty += 0.5 * self.alpha * (d - lo).powi(2);
             *g += self.alpha * (d - lo);
         }
         for [a, b] in &self.neighbours {
@@ -479,8 +483,8 @@ mod tests {
         let ([after, seen, before], said) = refer(1.0, true);
         assert!(seen < after && after < before);
         assert_eq!(said, Ok(()));
-        // Two and a half times as far it has risen where the cells say that it fell by more; where the motion is simulated
-        // anew it may have risen for that.
+        // Two and a half times as far it has risen where the cells say that it fell by more; where the motion is
+        // simulated anew it may have risen for that.
         let ([after, seen, before], said) = refer(2.5, true);
         assert!(seen < before && before < after);
         assert_eq!(said, Err(JointError::CellsTooLarge { pixels }));

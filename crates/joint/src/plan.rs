@@ -72,8 +72,8 @@ const WIDEST_SPACING_OVER_TIF_WIDTH: f64 = 1.5;
 /// places are named. Chosen.
 const LEAST_NAMED: f64 = 5e-4;
 
-/// Largest number of limits that are named. Larger: a longer sentence. Smaller: limits that matter are left out. Chosen;
-/// the manifest has all of them.
+/// Largest number of limits that are named. Larger: a longer sentence. Smaller: limits that matter are left out.
+/// Chosen; the manifest has all of them.
 const MOST_NAMED: usize = 4;
 
 /// Report of a plan.
@@ -109,6 +109,12 @@ pub struct Report {
     /// This program has fixed tangents in the place of the limits, which are not convex, so it bounds no other
     /// motion.
     pub relative_gap: f64,
+    /// Sentence on the plans that this bound compares with.
+    pub gap_covers: &'static str,
+    /// Tikhonov weight of the pull to the least densities.
+    pub tikhonov: f64,
+    /// Part of the objective that this pull has.
+    pub pull_part: f64,
     /// Number of steps of the solver in all its rounds, without those that look for a start for an elasticity.
     pub iterations: usize,
     /// Objective of the last round at its start and after every step, nm^2. The last value and some before it are
@@ -126,11 +132,21 @@ pub struct Report {
     /// Use of the limits of every axis; empty if the machine has no axes beyond x and y.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub axes: Vec<AxisReport>,
-    /// Factor on all times of the motion, because the rounds left an excess over a limit of a further axis; absent if they
-    /// left none.
+    /// Factor on all times of the motion, because the rounds left an excess over a limit of a further axis; absent if
+    /// they left none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub slowed_by: Option<f64>,
 }
+
+/// Plans that [`Report::relative_gap`] compares with.
+const COVERED: &str = "plans on this curve whose density is linear between these nodes, under the tangents of the \
+                       limits; not closer nodes, another curve, or another law of time between the nodes";
+
+/// The same for a machine that limits jerk.
+const COVERED_BEFORE_AVERAGE: &str = "plans on this curve whose density is linear between these nodes, under the \
+                                      tangents of the limits, and which keep the jerk by the same average in time; \
+                                      not closer nodes, another curve, another law of time between the nodes, or \
+                                      another way to keep the jerk";
 
 /// Spacing of the nodes, if the solver would take too long with the default.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -276,8 +292,8 @@ impl Task<'_> {
         }
     }
 
-    /// Solves the problem. Where the rate depends on the time of the run, it is solved again with the rates at the times
-    /// of the plan before, until these stay.
+    /// Solves the problem. Where the rate depends on the time of the run, it is solved again with the rates at the
+    /// times of the plan before, until these stay.
     fn solved(&self, meshes: &Meshes, settings: &Settings) -> Result<Solved, JointError> {
         let Self { desired, tif, path, curves, limits, further, .. } = *self;
         let mut rates = vec![1.0; path.len()];
@@ -338,7 +354,8 @@ fn planned(
         Task { desired, tif, path, curves, limits, further, average, simulation }
     };
     let Solved { mesh, nodes_of_meshes, found } = task.solved(&meshes, settings)?;
-    let Found { solution, motion, refused, model_rms_nm, price, iterations, rounds } = found;
+    let Found { solution, motion, refused, model_rms_nm, price, tikhonov, pull_part, .. } = found;
+    let (iterations, rounds) = (found.iterations, found.rounds);
     let (mut trajectory, mut refused) = match task.averaged(&motion.trajectory)? {
         None => (motion.trajectory.clone(), refused),
         Some(trajectory) => {
@@ -371,6 +388,9 @@ fn planned(
         price_nm2_per_s: price,
         end: solution.end,
         relative_gap: solution.relative_gap,
+        gap_covers: if average.is_some() { COVERED_BEFORE_AVERAGE } else { COVERED },
+        tikhonov,
+        pull_part,
         iterations,
         objective_nm2: solution.objective,
         model_rms_nm,
@@ -383,8 +403,8 @@ fn planned(
     Ok(Plan { dwell, trajectory, removal, refused, report })
 }
 
-/// A motion that keeps the limits of the further axes: as it is, or with all times longer. With the reason why the judge
-/// refuses it, and the factor on all times.
+/// A motion that keeps the limits of the further axes: as it is, or with all times longer. With the reason why the
+/// judge refuses it, and the factor on all times.
 fn within_axes(
     trajectory: Trajectory,
     refused: Option<String>,
@@ -433,8 +453,8 @@ const MOST_SLOWED: f64 = 1e4;
 const CHECKED_PARTS: usize = 32;
 
 /// Change of a derivative between two such places that its second derivatives there do not show, over the derivative.
-/// Larger: the plan may miss a limit there. Smaller: steep axes are refused. Chosen: where an axis is resolved it is some
-/// percent, and 2 where the tool passes the centre of a spindle.
+/// Larger: the plan may miss a limit there. Smaller: steep axes are refused. Chosen: where an axis is resolved it is
+/// some percent, and 2 where the tool passes the centre of a spindle.
 const MOST_UNSHOWN: f64 = 0.5;
 
 /// Refuses a path on which a further axis has no position, allows nearly no feedrate, or turns between two places.

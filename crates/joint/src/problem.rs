@@ -26,7 +26,7 @@ use crate::{
     mesh::Mesh,
     motion::{self, Motion},
     refinement::{Given, Refined},
-    settings::Settings,
+    settings::{FIRST_TIKHONOV, LEAST_TIKHONOV, MOST_PULL, Settings},
 };
 
 /// Ratio of the first densities to the largest bound on a uniform density. Larger: a slower start, further from the
@@ -90,6 +90,17 @@ const CLEARLY_LESS: f64 = 0.95;
 /// the plan that is sought. Smaller: all starts lead to the same plan. Chosen.
 const MUCH_CHEAPER: f64 = 30.0;
 
+/// Part of [`MOST_PULL`] at which a lowered weight aims. Larger: weights that are lowered again, on the last mesh at
+/// the cost of its steps. Smaller: smaller weights than needed. Chosen.
+const AIMED_PART: f64 = 0.3;
+
+/// Part of [`MOST_PULL`] from which on the weight is lowered before the last mesh. Larger: plans that are solved again.
+/// Smaller: smaller weights than needed. Chosen: the pull of an approach is within a factor of two of the final one.
+const LOWERED_EARLY: f64 = 0.5;
+
+/// Factor on a weight at which the matrix was singular. Larger: more of the pull. Smaller: more attempts.
+const SINGULAR_RAISED_BY: f64 = 30.0;
+
 /// Inputs of a plan: the desired removal, the TIF, the path with its curves, and the limits.
 pub struct Asked<'a> {
     pub desired: &'a Surface,
@@ -132,6 +143,10 @@ pub struct Found {
     pub model_rms_nm: f64,
     /// Price of a second, nm^2/s.
     pub price: f64,
+    /// Weight of the pull to the least densities.
+    pub tikhonov: f64,
+    /// Part of the objective that this pull has.
+    pub pull_part: f64,
     pub iterations: usize,
     pub rounds: usize,
 }
@@ -143,11 +158,45 @@ pub fn solve(
     settings: &Settings,
 ) -> Result<Solved, JointError> {
     let mut most_pixels = usize::MAX;
+    let mut least_tikhonov = LEAST_TIKHONOV;
     loop {
-        match solve_on_cells(asked, meshes, settings, most_pixels) {
+        match solve_on_cells(asked, meshes, settings, (most_pixels, least_tikhonov)) {
             Err(JointError::CellsTooLarge { pixels }) => most_pixels = pixels / 2,
+            // A weight that was chosen and is too small for the factors.
+            Err(JointError::Singular { tikhonov })
+                if settings.tikhonov.is_none() && tikhonov < FIRST_TIKHONOV =>
+            {
+                least_tikhonov = (SINGULAR_RAISED_BY * tikhonov).min(FIRST_TIKHONOV);
+            }
             other => return other,
         }
+    }
+}
+
+/// Weight of the pull to the least densities on one mesh and the next.
+#[derive(Clone, Copy)]
+struct Pull {
+    tikhonov: f64,
+    /// Smallest weight that is chosen; `None` if the weight is given.
+    least: Option<f64>,
+}
+
+impl Pull {
+    fn new(settings: &Settings, least_tikhonov: f64) -> Self {
+        match settings.tikhonov {
+            Some(tikhonov) => Self { tikhonov, least: None },
+            None => Self { tikhonov: FIRST_TIKHONOV, least: Some(least_tikhonov) },
+        }
+    }
+
+    /// Lowers the weight if the pull is more than `most` of the objective. Returns true if it did.
+    fn lower(&mut self, part: f64, most: f64) -> bool {
+        let Some(least) = self.least.filter(|least| part > most && self.tikhonov > *least) else {
+            return false;
+        };
+        // The pull falls with the weight, or a little less, because the densities grow.
+        self.tikhonov = (self.tikhonov * AIMED_PART * MOST_PULL / part).max(least);
+        true
     }
 }
 
@@ -156,8 +205,9 @@ fn solve_on_cells(
     asked: &Asked<'_>,
     meshes: &Meshes,
     settings: &Settings,
-    most_pixels: usize,
+    (most_pixels, least_tikhonov): (usize, f64),
 ) -> Result<Solved, JointError> {
+    let mut pull = Pull::new(settings, least_tikhonov);
     let Meshes { first, refinements, most_work } = meshes;
     let (mut mesh, refinements) = (first.clone(), *refinements);
     let Asked { tif, path, curves, limits, further, .. } = *asked;
@@ -178,7 +228,8 @@ fn solve_on_cells(
     let (mut iterations, mut nodes_of_meshes) = (0, vec![mesh.nodes]);
     if let (Price::Elasticity(x), true) = (settings.price, mesh.work(tif) <= LITTLE_WORK) {
         let rows = given.rows(&mesh);
-        let posed = Posed::new(asked, &mesh, given.floors(&rows), None, settings, most_pixels)?;
+        let posed =
+            Posed::new(asked, &mesh, given.floors(&rows), None, settings, (most_pixels, pull))?;
         let uniform = posed.uniform(&rows, level_s_per_mm);
         start = Some(posed.start_of_elasticity(&rows, uniform, x, settings)?);
         known = Some(posed.normal.for_next((0..mesh.nodes).map(Some).collect()));
@@ -189,15 +240,17 @@ fn solve_on_cells(
         if most == 0 {
             break;
         }
-        let (at, refined, normal) = progress::part(k, refinements + 1, || {
+        let (at, part, refined, normal) = progress::part(k, refinements + 1, || {
             let rows = given.rows(&mesh);
             let (lo, known) = (given.floors(&rows), known.take());
-            let posed = Posed::new(asked, &mesh, lo, known, settings, most_pixels)?;
+            let posed = Posed::new(asked, &mesh, lo, known, settings, (most_pixels, pull))?;
             let from = start.take().unwrap_or_else(|| posed.uniform(&rows, level_s_per_mm));
             let at = posed.approach(&rows, from, (NEAR_THE_MINIMUM, most), settings)?;
+            let part = posed.pull_part(&at.density, at.value, settings);
             let refined = given.refined(&mesh, &rows, &at, affordable);
-            Ok::<_, JointError>((at, refined, posed.normal))
+            Ok::<_, JointError>((at, part, refined, posed.normal))
         })?;
+        pull.lower(part, LOWERED_EARLY * MOST_PULL);
         iterations += at.iterations;
         let Some(Refined { mesh: finer, start: from, same }) = refined else {
             let Approach { density, duals, .. } = at;
@@ -212,12 +265,34 @@ fn solve_on_cells(
     let found = progress::part(refinements, refinements + 1, || {
         let rows = given.rows(&mesh);
         let lo = given.floors(&rows);
-        let mut posed = Posed::new(asked, &mesh, lo, known, settings, most_pixels)?;
+        let mut posed = Posed::new(asked, &mesh, lo, known, settings, (most_pixels, pull))?;
         posed.normal = posed.normal.as_last();
-        let from = start.unwrap_or_else(|| posed.uniform(&rows, level_s_per_mm));
-        posed.solve(asked, rows, from, settings.max_iterations - iterations, settings)
+        let mut from = start.unwrap_or_else(|| posed.uniform(&rows, level_s_per_mm));
+        if refinements == 0 && posed.pull.least.is_some() {
+            let most = (settings.max_iterations - iterations) / 2;
+            let at = posed.approach(&rows, from, (NEAR_THE_MINIMUM, most), settings)?;
+            iterations += at.iterations;
+            let part = posed.pull_part(&at.density, at.value, settings);
+            posed.pull.lower(part, LOWERED_EARLY * MOST_PULL);
+            from = Start { density: at.density, duals: Some(at.duals) };
+        }
+        let mut before: Option<Found> = None;
+        loop {
+            let left = settings.max_iterations.saturating_sub(iterations);
+            let found = posed.solve(asked, given.rows(&mesh), from, left, settings)?;
+            iterations += found.iterations;
+            if found.solution.end != End::Optimal || found.refused.is_some() {
+                // A plan that was proven with more of the pull is better than one that is not.
+                return Ok::<_, JointError>(before.unwrap_or(found));
+            }
+            if !posed.pull.lower(found.pull_part, MOST_PULL) {
+                return Ok(found);
+            }
+            let Solution { density, duals, .. } = &found.solution;
+            from = Start { density: density.clone(), duals: Some(duals.clone()) };
+            before = Some(found);
+        }
     })?;
-    let iterations = iterations + found.iterations;
     Ok(Solved { mesh, nodes_of_meshes, found: Found { iterations, ..found } })
 }
 
@@ -228,6 +303,7 @@ struct Posed<'a> {
     normal: Normal,
     /// Least density of every node, s/mm.
     lo: Vec<f64>,
+    pull: Pull,
 }
 
 impl<'a> Posed<'a> {
@@ -237,11 +313,11 @@ impl<'a> Posed<'a> {
         lo: Vec<f64>,
         known: Option<Known>,
         settings: &Settings,
-        most_pixels: usize,
+        (most_pixels, pull): (usize, Pull),
     ) -> Result<Self, JointError> {
         let residual = residual(asked, mesh, settings)?.on_cells_of_at_most(most_pixels);
         let normal = residual.normal(&mesh.columns(), known)?;
-        Ok(Self { mesh, residual, normal, lo })
+        Ok(Self { mesh, residual, normal, lo, pull })
     }
 
     /// A uniform density above every bound, to start from.
@@ -252,9 +328,14 @@ impl<'a> Posed<'a> {
     }
 
     fn merit<'m>(&'m self, density: &[f64], settings: &Settings) -> Merit<'m> {
-        let weights = (settings.tikhonov, settings.difference_weight);
-        let Self { mesh, residual, normal, lo } = self;
+        let weights = (self.pull.tikhonov, settings.difference_weight);
+        let Self { mesh, residual, normal, lo, .. } = self;
         Merit::new(residual, normal, mesh, lo, weights, settings.price, density)
+    }
+
+    /// Part of an objective, nm^2, that the pull to the least densities has.
+    fn pull_part(&self, density: &[f64], objective_nm2: f64, settings: &Settings) -> f64 {
+        self.merit(density, settings).pull_nm2(density) / objective_nm2
     }
 
     fn program<'p>(&'p self, chain: (&'p [f64], &'p [f64]), rows: &'p Rows<'p>) -> Program<'p> {
@@ -273,7 +354,7 @@ impl<'a> Posed<'a> {
         let (diagonal, below) = merit.chain();
         let program = self.program((&diagonal, &below), rows);
         interior_point::approach(&program, start, near, max_iterations, &mut merit)?
-            .ok_or(JointError::Singular { tikhonov: settings.tikhonov })
+            .ok_or(JointError::Singular { tikhonov: self.pull.tikhonov })
     }
 
     /// Start of a plan with an elasticity: the one from which the solver finds the least product of mean square and
@@ -341,7 +422,7 @@ impl<'a> Posed<'a> {
             rounds += 1;
             let program = self.program((&diagonal, &below), &rows);
             let solution = interior_point::solve(&program, start, &stop, &mut merit)?
-                .ok_or(JointError::Singular { tikhonov: settings.tikhonov })?;
+                .ok_or(JointError::Singular { tikhonov: self.pull.tikhonov })?;
             iterations += solution.iterations;
             let planned = motion(&solution.density)?;
             let verdict = verify(&planned.trajectory, limits, &VerifySettings::default())?;
@@ -386,9 +467,22 @@ impl<'a> Posed<'a> {
         // Of the motion at these densities.
         merit.keep_motion_of(&solution.density)?;
         let model_rms_nm = (2.0 * merit.half_mean_square_nm2(&solution.density)).sqrt();
+        let objective_nm2 = merit.of_execution_nm2(&solution.density)?;
+        let pull_part = merit.pull_nm2(&solution.density) / objective_nm2;
+        let tikhonov = self.pull.tikhonov;
         let price = merit.price;
         let motion = planned;
-        Ok(Found { solution, motion, refused, model_rms_nm, price, iterations, rounds })
+        Ok(Found {
+            solution,
+            motion,
+            refused,
+            model_rms_nm,
+            price,
+            tikhonov,
+            pull_part,
+            iterations,
+            rounds,
+        })
     }
 
     /// A round with new tangents, of the removal of the motion and of the limits. It goes towards the least objective
@@ -412,8 +506,8 @@ impl<'a> Posed<'a> {
         };
         let Some(mut found) = found else { return Ok(None) };
         found.objective.splice(0..0, from.objective.iter().copied());
-        // Proven: no density of the program has an objective below this, nm^2. The gap of a density that is taken in the
-        // place of the solution follows from it. The bound under the tangents before holds too: what the executed
+        // Proven: no density of the program has an objective below this, nm^2. The gap of a density that is taken in
+        // the place of the solution follows from it. The bound under the tangents before holds too: what the executed
         // objective falls by comes nearer to it.
         let least_nm2 = (1.0 - found.relative_gap) * merit.value_nm2(&found.density);
         let gap = |density: &[f64], merit: &Merit<'_>| {
@@ -444,8 +538,8 @@ impl<'a> Posed<'a> {
     }
 }
 
-/// Tightens the limits on the spans whose motion exceeds them: `used` is the part of them that it uses, and `excess` the
-/// largest. `all` tightens the further axes everywhere.
+/// Tightens the limits on the spans whose motion exceeds them: `used` is the part of them that it uses, and `excess`
+/// the largest. `all` tightens the further axes everywhere.
 fn tighten(
     rows: &mut Rows<'_>,
     (excess, used): (f64, &[f64]),
@@ -497,9 +591,9 @@ fn level_s_per_mm(asked: &Asked<'_>, mesh: &Mesh, settings: &Settings) -> Result
 
 #[cfg(test)]
 mod tests {
-    //! Another solver from the end of this one: sequential quadratic programs with a trust region. It simulates the motion
-    //! for its objective, takes differences of simulations for its gradient, and Clarabel for its steps. It keeps the rows
-    //! themselves, not their tangents.
+    //! Another solver from the end of this one: sequential quadratic programs with a trust region. It simulates the
+    //! motion for its objective, takes differences of simulations for its gradient, and Clarabel for its steps. It
+    //! keeps the rows themselves, not their tangents.
 
     use clarabel::{
         algebra::CscMatrix,
@@ -786,7 +880,7 @@ mod tests {
             simulation: &simulation,
             lengths_mm: mesh.lengths_mm(),
             lo: rows.least_density().to_vec(),
-            alpha: settings.tikhonov * strongest,
+            alpha: found.tikhonov * strongest,
         };
         let density = found.solution.density;
         let at = other.residual(&density);

@@ -89,6 +89,10 @@ fn a_plan_is_written_with_its_certificate_and_keeps_the_limits() {
     assert_eq!(manifest["outcome"]["end"], "optimal");
     // The default of --relative-gap.
     assert!(manifest["outcome"]["report"]["relative_gap"].as_f64().unwrap() <= 1e-3);
+    assert!(manifest["outcome"]["report"]["pull_part"].as_f64().unwrap() <= 0.01);
+    let covers = manifest["outcome"]["report"]["gap_covers"].as_str().unwrap();
+    assert!(covers.contains("not closer nodes"), "{covers}");
+    assert!(String::from_utf8_lossy(&output.stdout).contains(covers), "{}", said(&output));
     // The same bytes on one thread
     let other = run(tmp.path(), "1", &["--out=other", "--time-weight-nm2-per-s=0.01"]);
     assert_eq!(other.status.code(), Some(0), "{}", said(&other));

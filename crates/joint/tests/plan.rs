@@ -316,8 +316,8 @@ fn a_wide_tool_is_planned_where_time_is_worth_most() {
     let planned = |settings: Settings| plan(&desired, &tif, &path, &limits, &settings).unwrap();
     let at = |x: f64| planned(Settings { price: Price::Elasticity(x), ..Settings::default() });
     let (half, most) = (at(0.5), at(0.8));
-    // Where x is met best, m T^x is least: beside the other plan by what the meshes differ (0.87 and 1.12 were seen; 1.45
-    // and 0.99 with the plan that takes a quarter of the time).
+    // Where x is met best, m T^x is least: beside the other plan by what the meshes differ (0.87 and 1.12 were seen;
+    // 1.45 and 0.99 with the plan that takes a quarter of the time).
     let product = |plan: &Plan, x: f64| {
         let rms = plan.removal.residual().statistics().rms;
         rms * rms * plan.trajectory.total_time_s().powf(x)
@@ -326,8 +326,8 @@ fn a_wide_tool_is_planned_where_time_is_worth_most() {
         let ratio = product(own, x) / product(other, x);
         assert!(ratio < 1.25, "{ratio} at {x}");
     }
-    // Nodes 0.6 widths apart, as with a tool that is narrow for the part, leave more at the same price: 4 and 15 % of the
-    // merit were seen, by the meshes that follow from the first one.
+    // Nodes 0.6 widths apart, as with a tool that is narrow for the part, leave more at the same price: 4 and 15 % of
+    // the merit were seen, by the meshes that follow from the first one.
     let price = half.report.price_nm2_per_s;
     let node_spacing_mm = Some(0.6 * tif.width_mm());
     let far = planned(Settings { node_spacing_mm, ..at_price(price) });
@@ -350,6 +350,37 @@ fn the_price_follows_from_the_elasticity() {
 }
 
 #[test]
+fn the_pull_to_the_floor_costs_at_most_a_hundredth() {
+    // A layer of 400 nm: densities far above the floor of 0.
+    let deep = Surface::new(*desired().grid(), desired().height_nm() + 400.0).unwrap();
+    let limits = machine(60.0, 300.0, None);
+    let of = |path: &ToolPath, tikhonov: Option<f64>| {
+        let settings = Settings { tikhonov, ..Settings::default() };
+        let plan = plan(&deep, &tif(), path, &limits, &settings).unwrap();
+        assert_eq!((plan.report.end, &plan.refused), (End::Optimal, &None));
+        // The product that is stationary at a plan with the elasticity 0.5.
+        let rms = plan.removal.residual().statistics().rms;
+        (
+            plan.report.pull_part,
+            rms * rms * plan.trajectory.total_time_s().sqrt(),
+            plan.report.tikhonov,
+        )
+    };
+    for (name, path) in [("raster", raster()), ("meander", meander())] {
+        let (fixed, ..) = of(&path, Some(1e-5));
+        let (part, product, tikhonov) = of(&path, None);
+        let (_, least, _) = of(&path, Some(1e-2 * tikhonov));
+        println!(
+            "{name}: pull {fixed:.2e} at 1e-5, {part:.2e} at {tikhonov:.1e}; {product:.5} and {least:.5}"
+        );
+        assert!(fixed > 0.02, "{name}: {fixed}");
+        assert!(part <= 0.01, "{name}: {part}");
+        // The pull of a hundredth, and twice the gap of 1e-3 at which a plan ends.
+        assert!(product < (1.0 + 0.01 + 2e-3) * least, "{name}: {product} {least}");
+    }
+}
+
+#[test]
 fn what_cannot_be_planned_is_refused_by_name() {
     let (limits, settings) = (machine(100.0, 2000.0, None), Settings::default());
     let refuse = |path: &ToolPath, limits: &Limits, settings: &Settings| {
@@ -361,7 +392,7 @@ fn what_cannot_be_planned_is_refused_by_name() {
     let message = refuse(&far, &limits, &settings).to_string();
     assert!(message.contains("the tool reaches no valid pixel"), "{message}");
     let bad = [
-        (Settings { tikhonov: 0.0, ..settings }, "tikhonov"),
+        (Settings { tikhonov: Some(0.0), ..settings }, "tikhonov"),
         (Settings { node_spacing_mm: Some(1e-9), ..settings }, "node_spacing_mm"),
         (Settings { refinements: 11, ..settings }, "refinements"),
         (Settings { corner_radius_mm: Some(f64::NAN), ..settings }, "corner_radius_mm"),

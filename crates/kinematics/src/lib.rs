@@ -16,7 +16,7 @@
 //!
 //! The tool stands along n, out of the material; its pivot is the distance L from the contact point. Without tilt the
 //! linear axes read the contact point. In (5) the tool stays in the plane of the radius and z, so that it follows the
-//! part of the normal in this plane. [`AxisMap::off_normal_deg`] is the angle between tool and normal.
+//! part of the normal in this plane. [`Contact::off_normal_deg`] is the angle between tool and normal.
 //!
 //! A point of the machine goes back to the part along the tool: the contact point is where the axis of the tool meets
 //! the surface, and the gap is the distance from there to the tip of the tool.
@@ -71,6 +71,8 @@ pub struct Contact {
     pub point_mm: [f64; 2],
     /// Distance from the surface to the tip of the tool, along the tool, mm; 0 for kinematics without an axis z.
     pub gap_mm: f64,
+    /// Angle between the tool and the normal there, degrees; 0 for kinematics without an axis z where there is no form.
+    pub off_normal_deg: f64,
 }
 
 impl AxisMap {
@@ -160,7 +162,7 @@ impl AxisMap {
         let vertical = [0.0, 0.0, 1.0];
         let (tip, tool) = match &self.kinematics {
             Kinematics::Xy => {
-                return Some(Contact { point_mm: self.on_part([q[0], q[1]]), gap_mm: 0.0 });
+                return Some(self.below_z(self.on_part([q[0], q[1]])));
             }
             Kinematics::Xyz => ([q[0], q[1], q[2] - self.origin_z_mm], vertical),
             Kinematics::Tilts { pivot_mm, tilts } => {
@@ -175,10 +177,7 @@ impl AxisMap {
             Kinematics::Spindle { has_z, pivot_mm } => {
                 let [s, c] = sine_cosine(q[if *has_z { 2 } else { 1 }]);
                 if !has_z {
-                    return Some(Contact {
-                        point_mm: self.on_part([q[0] * c, q[0] * s]),
-                        gap_mm: 0.0,
-                    });
+                    return Some(self.below_z(self.on_part([q[0] * c, q[0] * s])));
                 }
                 let (pivot, [sb, cb]) = match pivot_mm {
                     Some(pivot) => (*pivot, sine_cosine(q[3])),
@@ -198,29 +197,27 @@ impl AxisMap {
             let slope = tool[2] - fx * direction[0] - fy * direction[1];
             let step = (tip[2] + l * tool[2] - place.sag_mm()) / slope;
             if step.abs() <= CONVERGED_MM * (1.0 + tip[2].abs()) {
-                return Some(Contact { point_mm, gap_mm: -l });
+                // tan of the angle = |n x tool| / n . tool
+                let n = place.normal();
+                let tool = [direction[0], direction[1], tool[2]];
+                let dot = (0..3).map(|k| n[k] * tool[k]).sum::<f64>();
+                let cross = [1, 2, 0].map(|i: usize| {
+                    let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+                    n[j] * tool[k] - n[k] * tool[j]
+                });
+                let sine = cross.iter().map(|v| v * v).sum::<f64>().sqrt();
+                let off_normal_deg = sine.atan2(dot).to_degrees();
+                return Some(Contact { point_mm, gap_mm: -l, off_normal_deg });
             }
             l -= step;
         }
         None
     }
 
-    /// Angle between the tool and the normal of the part at [x, y], mm, in degrees. `None` where the form does not
-    /// exist.
-    pub fn off_normal_deg(&self, point_mm: [f64; 2]) -> Option<f64> {
-        let at = point_mm.map(Series::constant);
-        match &self.kinematics {
-            Kinematics::Tilts { .. } => Some(0.0),
-            Kinematics::Spindle { pivot_mm: Some(_), .. } => {
-                let (_, [nx, ny, _]) = self.surface(at, true)?;
-                let [x, y] = self.on_machine(at).map(|v| v.value);
-                let r = x.hypot(y);
-                // In the centre every plane through z is that of the radius.
-                let across = if r < CENTRE_MM { 0.0 } else { (ny.value * x - nx.value * y) / r };
-                Some(across.abs().asin().to_degrees())
-            }
-            _ => self.form.at(point_mm).map(|place| place.slope_deg()),
-        }
+    /// Contact of a tool along z that has no axis z.
+    fn below_z(&self, point_mm: [f64; 2]) -> Contact {
+        let off_normal_deg = self.form.at(point_mm).map_or(0.0, |place| place.slope_deg());
+        Contact { point_mm, gap_mm: 0.0, off_normal_deg }
     }
 
     /// Distance of a contact point from the axis of the spindle, mm.

@@ -252,7 +252,8 @@ const LARGEST_HEIGHT_NM: f64 = 1e6;
 /// drifts are refused.
 const LONGEST_TIME_S: f64 = 3.2e7;
 
-/// Least and largest damping ratio: structures of steel have some 0.01 to 0.03, and a servo above 2 is one of first order.
+/// Least and largest damping ratio: structures of steel have some 0.01 to 0.03, and a servo above 2 is one of first
+/// order.
 const DAMPING_RATIOS: [f64; 2] = [0.005, 2.0];
 
 /// Largest degree of a low-order error; higher ones are refused. Higher orders are what a map
@@ -293,7 +294,8 @@ impl Kind {
 impl ErrorBudget {
     /// Returns the sentence on the state in which an axis with play begins, if the process has play.
     pub fn play_start(&self) -> Option<&'static str> {
-        let is_play = |e: &ProcessError| e.effect == Effect::Scalar(Scalar::Backlash) && e.size != 0.0;
+        let is_play =
+            |e: &ProcessError| e.effect == Effect::Scalar(Scalar::Backlash) && e.size != 0.0;
         self.errors.iter().any(is_play).then_some(play::START)
     }
 }

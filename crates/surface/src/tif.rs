@@ -2,7 +2,8 @@
 //!
 //! The steps, in this order, each only if it is asked for:
 //!
-//! 1. border: the least-squares plane through the border samples is subtracted; negative noise stays, so the volume has no
+//! 1. border: the least-squares plane through the border samples is subtracted; negative noise stays, so the volume has
+//! no
 //!    bias;
 //! 2. centre: the offsets are counted from the centroid or from the peak. The samples stay where
 //!    they are, so nothing is interpolated; the axes may then have any offset;
@@ -724,7 +725,9 @@ mod tests {
         assert!(clean.border_to_peak() < 1e-3 && report.note.is_none() && report.doubts.is_empty());
         // A plane of any tilt comes off, but for the rounding of the Gaussian's own border.
         let tilted = bell(&grid, [0.0; 2], [0.3; 2])
-            + Array2::from_shape_fn(grid.shape(), |(r, c)| 0.1 + 0.03 * axis.at(c) - 0.02 * axis.at(r));
+            + Array2::from_shape_fn(grid.shape(), |(r, c)| {
+                0.1 + 0.03 * axis.at(c) - 0.02 * axis.at(r)
+            });
         let (flat, _) = prepare_tif(&Tif::new(grid, tilted).unwrap(), &s).unwrap();
         // exp(-(2 / 0.3)^2 / 2) is 2e-10 of the peak.
         assert!(worst(&flat, |x, y| 8.0 * (-0.5 * (x * x + y * y) / 0.09).exp()) < 1e-8);

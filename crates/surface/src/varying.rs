@@ -26,7 +26,7 @@ mod low_rank;
 mod place;
 
 pub use causes::{Overhang, PressureLaw, RateLaw, Spots, tool_at, turned};
-pub use footprint::{Direction, Footprint};
+pub use footprint::{Carrier, Direction, Footprint, ToolFrame};
 pub use low_rank::{
     At, LocalTool, LowRank, LowRankReport, LowRankSettings, Samples, Used, low_rank,
     low_rank_by_azimuth, low_rank_by_heading,

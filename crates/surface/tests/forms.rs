@@ -236,6 +236,24 @@ fn along_normal(p: [f64; 2], pixel: [f64; 2]) -> f64 {
     gaussian([dot(d, t1), b]) / at[2]
 }
 
+/// Angle by which the part lies turned on the machine of [`along_normal_by_tilts`], degrees.
+const PART_ROTATION_DEG: f64 = 25.0;
+
+/// The same where a tilt a about x carries a tilt b about y, by the rotation `Rx(a) Ry(b)` of the machine, on which the
+/// part lies turned: the offset goes to the machine, back through the tilts, and back to the part.
+fn along_normal_by_tilts(p: [f64; 2], pixel: [f64; 2]) -> f64 {
+    let ((contact, n), (point, at)) = (on_sphere(p), on_sphere(pixel));
+    let (sine, cosine) = PART_ROTATION_DEG.to_radians().sin_cos();
+    let to_machine = |v: [f64; 3]| [cosine * v[0] - sine * v[1], sine * v[0] + cosine * v[1], v[2]];
+    let (n, d) = (to_machine(n), to_machine(between(contact, point)));
+    let (a, b) = ((-n[1]).atan2(n[2]), n[0].atan2(n[1].hypot(n[2])));
+    // Rx(-a), then Ry(-b).
+    let y = a.cos() * d[1] + a.sin() * d[2];
+    let z = a.cos() * d[2] - a.sin() * d[1];
+    let x = b.cos() * d[0] - b.sin() * z;
+    gaussian([cosine * x + sine * y, cosine * y - sine * x]) / at[2]
+}
+
 /// The same of rays from a source at this distance above the contact point, by the area that a bundle of rays has on a
 /// flat part in the plane of the contact point and on the sphere; the yield is cos^-0.8.
 fn along_rays(p: [f64; 2], pixel: [f64; 2], distance: f64) -> f64 {
@@ -278,7 +296,22 @@ fn a_footprint_is_the_sum_in_three_dimensions() {
         "--error",
         "3e-4",
     ];
-    done(dir, &[&base[..], &["--direction", "normal", "--out", "normal"]].concat());
+    let unstated = run(dir, &[&base[..], &["--direction", "normal", "--out", "normal"]].concat());
+    let warned = text(&unstated.stderr);
+    assert!(warned.contains("where a carries b, the spot lies turned"), "{warned}");
+    let machine = planish_testkit::workspace().join("fixtures/machines/bonnet-five-axis.json");
+    let mut machine: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(machine).unwrap()).unwrap();
+    machine["kinematics"]["tilts"] = serde_json::json!(["a", "b"]);
+    machine["part_rotation_deg"] = PART_ROTATION_DEG.into();
+    fs::write(dir.join("machine.json"), machine.to_string()).unwrap();
+    let tilts = ["--direction", "normal", "--machine", "machine.json", "--out", "tilts"];
+    let stated = run(dir, &[&base[..], &tilts[..]].concat());
+    assert_eq!(stated.status.code(), Some(0), "{}", text(&stated.stderr));
+    assert!(!text(&stated.stderr).contains("warning"), "{}", text(&stated.stderr));
+    let manifest = fs::read_to_string(dir.join("tilts/manifest.json")).unwrap();
+    let manifest: serde_json::Value = serde_json::from_str(&manifest).unwrap();
+    assert_eq!(manifest["settings"]["settings"]["carrier"], "a", "{manifest}");
     let beam = ["--direction", "fixed", "--exponent=-0.8", "--out", "parallel"];
     done(dir, &[&base[..], &beam[..]].concat());
     let beam = [
@@ -302,8 +335,9 @@ fn a_footprint_is_the_sum_in_three_dimensions() {
         })
         .collect();
     type Sum = fn([f64; 2], [f64; 2]) -> f64;
-    let cases: [(&str, Sum); 3] = [
+    let cases: [(&str, Sum); 4] = [
         ("normal", along_normal),
+        ("tilts", along_normal_by_tilts),
         ("parallel", |p, pixel| {
             let u = [pixel[0] - p[0], pixel[1] - p[1]];
             gaussian(u) * on_sphere(pixel).1[2].powf(-0.8)
@@ -338,7 +372,117 @@ fn a_footprint_is_the_sum_in_three_dimensions() {
         &[&base[..], &["--direction", "normal", "--exponent", "2", "--out", "refused"]].concat(),
     );
     assert!(said.contains("--direction: is normal, where the incidence is 0"), "{said}");
+    machine["kinematics"] = serde_json::json!({ "kind": "xyz" });
+    machine["rotary_axes"] = serde_json::json!([]);
+    fs::write(dir.join("machine.json"), machine.to_string()).unwrap();
+    let tilts = ["--direction", "normal", "--machine", "machine.json", "--out", "refused"];
+    let said = refused(dir, &[&base[..], &tilts[..]].concat());
+    assert!(said.contains("machine: has no tilts"), "{said}");
     let source = ["--direction", "fixed", "--source-distance-mm", "5", "--out", "refused"];
     let said = refused(dir, &[&base[..], &source[..]].concat());
     assert!(said.contains("source_distance_mm: is 5, and the part falls by"), "{said}");
+}
+
+/// A ring of 36 mm outside and 12 mm inside.
+fn ring() -> Surface {
+    let grid = grid();
+    let map = Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        let radius = grid.x.at(c).hypot(grid.y.at(r));
+        if (6.0..=18.0).contains(&radius) { 0.0 } else { f64::NAN }
+    });
+    Surface::new(grid, map).unwrap()
+}
+
+#[test]
+fn a_pad_beside_a_hole_that_is_wider_than_it_has_the_pressure_of_its_covered_part() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    write(dir, "part", &ring());
+    write(dir, "spot", &spot());
+    let pad = ["tool-edge", "--tif", "spot", "--surface", "part", "--error", "1e-2"];
+    for law in ["uniform", "linear"] {
+        let own = ["--pad-radius-mm", "4", "--pressure", law, "--out", law];
+        done(dir, &[&pad[..], &own[..]].concat());
+    }
+    let tool = artifact::read::<Tool>(&dir.join("uniform")).unwrap().value.0;
+    // On the part, over the edge of the hole and over the outer edge by up to a quarter of the diameter.
+    for radius in [5.0, 7.0, 8.0, 12.0, 16.0, 18.0] {
+        let steps = 400;
+        let offset = |k: usize| 4.0 * (2.0 * (k as f64 + 0.5) / steps as f64 - 1.0);
+        let pad = (0..steps * steps).map(|k| [offset(k % steps), offset(k / steps)]);
+        let of_pad: Vec<_> = pad.filter(|u| u[0].hypot(u[1]) <= 4.0).collect();
+        // The edge lies half a pixel of 0.5 mm beyond the centres of the border.
+        let covers = |u: &&[f64; 2]| (5.75..=18.25).contains(&(radius + u[0]).hypot(u[1]));
+        let covered = of_pad.iter().filter(covers).count() as f64 / of_pad.len() as f64;
+        let found = tool.rate_of_tool_at(Pose::along_x([radius, 0.0]), [0.0, 0.0]) / 10.0;
+        // The largest error of the kernels, where the pad begins to hang over; at 16 mm 0.064 was seen.
+        assert!((found * covered - 1.0).abs() < 0.1, "{radius}: {found} {covered}");
+    }
+    // No place of the ring holds enough of a pad of 18 mm radius.
+    let own = ["--pad-radius-mm", "18", "--out", "refused"];
+    let said = refused(dir, &[&pad[..], &own[..]].concat());
+    assert!(said.contains("pad_radius_mm: is 18 mm, and nowhere 60 % of such a pad"), "{said}");
+}
+
+#[test]
+fn a_rate_that_becomes_0_is_refused_at_once_where_the_tool_is_used_and_taken_beyond() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    write(dir, "part", &disk(|_, _| 0.0));
+    write(dir, "spot", &spot());
+    // The kinks of the tables are as exact as the grid of the weights is fine.
+    let part = ["--tif", "spot", "--surface", "part", "--error", "2e-2"];
+    let rate = [&["tool-rate", "--by", "edge-distance"], &part[..]].concat();
+    // 0 at 6.5 mm outside: beyond the half size of the TIF of 6 mm, up to which the tool is used.
+    fs::write(dir.join("beyond.txt"), "-6.5 0\n0 1\n").unwrap();
+    done(dir, &[&rate[..], &["--table", "beyond.txt", "--out", "beyond"]].concat());
+    let tool = artifact::read::<Tool>(&dir.join("beyond")).unwrap().value.0;
+    let at = |x: f64| tool.rate_of_tool_at(Pose::along_x([x, 0.0]), [0.0, 0.0]) / 10.0;
+    // The edge lies a quarter of a millimetre beyond the last pixel: half of the rate 3.25 mm outside of it. The wanted
+    // error.
+    assert!((at(0.0) - 1.0).abs() < 0.04 && (at(21.5) - 0.5).abs() < 0.04, "{}", at(21.5));
+    fs::write(dir.join("inside.txt"), "2 0\n4 1\n").unwrap();
+    let said = refused(dir, &[&rate[..], &["--table", "inside.txt", "--out", "refused"]].concat());
+    assert!(said.contains("tool: removes nothing at x = "), "{said}");
+    assert!(said.contains("--beyond-mm"), "{said}");
+    // Where the tool need not be known outside, the same table is refused for a place of the part.
+    fs::write(dir.join("edge.txt"), "-1 0\n0 1\n").unwrap();
+    let near = ["--table", "edge.txt", "--beyond-mm", "0.5", "--out", "near"];
+    done(dir, &[&rate[..], &near[..]].concat());
+}
+
+#[test]
+fn the_stated_largest_error_is_that_of_dense_places() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    write(dir, "part", &disk(|_, _| 0.0));
+    write(dir, "spot", &spot());
+    fs::write(dir.join("step.txt"), "0 1\n7 1\n10 2\n40 2\n").unwrap();
+    let rate = ["tool-rate", "--tif", "spot", "--surface", "part", "--by", "radius"];
+    for error in ["0.1", "0.03", "0.01"] {
+        let own = ["--table", "step.txt", "--error", error, "--out", "tool", "--force"];
+        done(dir, &[&rate[..], &own[..]].concat());
+        let manifest = fs::read_to_string(dir.join("tool/manifest.json")).unwrap();
+        let manifest: serde_json::Value = serde_json::from_str(&manifest).unwrap();
+        let stated = manifest["outcome"]["report"]["largest_error"].as_f64().unwrap();
+        let tool = artifact::read::<Tool>(&dir.join("tool")).unwrap().value.0;
+        let (mut largest, mut squares, mut count) = (0.0_f64, 0.0, 0.0);
+        for k in 0..240 * 240 {
+            let [x, y] = [k % 240, k / 240].map(|i| 0.2 * (i as f64 + 0.5) - 24.0);
+            let radius = x.hypot(y);
+            if radius > 23.5 {
+                continue;
+            }
+            let factor = 1.0 + ((radius - 7.0) / 3.0).clamp(0.0, 1.0);
+            let found = tool.rate_of_tool_at(Pose::along_x([x, y]), [0.0, 0.0]) / 10.0;
+            largest = largest.max((found - factor).abs());
+            squares += factor * factor;
+            count += 1.0;
+        }
+        let dense = largest / f64::sqrt(squares / count);
+        println!("wanted {error}: stated {stated:.4}, dense {dense:.4}");
+        // The mean square of the factor is that of the places of the weights, and the search ends between two of its
+        // places.
+        assert!((0.85..1.15).contains(&(stated / dense)), "{error}: {stated} {dense}");
+    }
 }

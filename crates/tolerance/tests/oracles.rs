@@ -290,8 +290,8 @@ fn a_wider_and_an_elliptical_tif_are_gaussians_of_other_widths() {
     }
 }
 
-/// A drop with a sharp point: A s^2 exp(2 (1 - s) - (1 + s) y^2 / 4 w^2), s = 1 + x / l where it is above 0, with the length
-/// l of 1.2 mm and the width w of 0.7 mm, on samples of 0.125 mm.
+/// A drop with a sharp point: A s^2 exp(2 (1 - s) - (1 + s) y^2 / 4 w^2), s = 1 + x / l where it is above 0, with the
+/// length l of 1.2 mm and the width w of 0.7 mm, on samples of 0.125 mm.
 fn drop(x: f64, y: f64) -> f64 {
     let s = (1.0 + x / 1.2).max(0.0);
     8.0 * s * s * (2.0 * (1.0 - s) - 0.25 * (1.0 + s) * (y / 0.7).powi(2)).exp()
@@ -328,10 +328,14 @@ fn a_sharp_drop_that_turns_adds_what_its_deformed_samples_do_and_less_than_its_f
         });
         let volume = tif.vrr_nm_mm2_per_s() / deformed.vrr_nm_mm2_per_s();
         let expected = rms(removal(&deformed) * volume - &planned);
-        let process = process(&json!({ "name": "t", "errors": [error(kind, size, unit, "fixed")] }));
+        let process =
+            process(&json!({ "name": "t", "errors": [error(kind, size, unit, "fixed")] }));
         let found = tolerance(&raster(), &tif, &desired(), &process.unwrap(), &settings()).unwrap();
         let line = &found.errors[0];
-        println!("{kind}: {} nm, deformed samples {expected} nm, {}", line.adds_rms_nm, line.simulated);
+        println!(
+            "{kind}: {} nm, deformed samples {expected} nm, {}",
+            line.adds_rms_nm, line.simulated
+        );
         // The smoothed drop beside the drop itself, which has a kink at its point. Regression bound.
         assert!((line.adds_rms_nm / expected - 1.0).abs() < 0.02, "{kind}: {line:?} {expected}");
         assert!(line.simulated, "{kind}");

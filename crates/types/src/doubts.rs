@@ -57,8 +57,8 @@ const MEAN_DEPTH_S: [f64; 2] = [0.1, 300.0];
 const MOST_TRAVEL: f64 = 5.0;
 
 /// Smallest part of the volume of a TIF that a baseline, or its tilt, may hold without a doubt. Larger: a run removes
-/// so much less of the long waves, unsaid. Smaller: good TIFs are doubted. Chosen: a Gaussian that the field cuts at 2.4
-/// standard deviations has 0.5 %.
+/// so much less of the long waves, unsaid. Smaller: good TIFs are doubted. Chosen: a Gaussian that the field cuts at
+/// 2.4 standard deviations has 0.5 %.
 const MOST_BASELINE_VOLUME: f64 = 0.02;
 
 /// Largest rate on the border, relative to the peak, above which the TIF is doubted as cropped.
@@ -109,7 +109,8 @@ pub fn of_tif(tif: &Tif) -> Option<String> {
         ));
     }
     let Baseline { part_of_volume, tilted_part_of_volume, .. } = baseline?;
-    if part_of_volume.abs() <= MOST_BASELINE_VOLUME && tilted_part_of_volume <= MOST_BASELINE_VOLUME {
+    if part_of_volume.abs() <= MOST_BASELINE_VOLUME && tilted_part_of_volume <= MOST_BASELINE_VOLUME
+    {
         return None;
     }
     let plane = tif.border_plane_nm_per_s();
@@ -336,10 +337,13 @@ mod tests {
     #[test]
     fn a_tool_with_a_baseline_or_cropped_or_in_other_units_is_named() {
         let surface = map(|z, _| z);
-        // 0.5 nm/s on 10 x 10 mm beside 2 pi sigma^2 10 nm/s: 50 / (50 + 141), and the lattice ends half a pitch later. The
-        // width of the tail is that of the samples above half of the peak.
+        // 0.5 nm/s on 10 x 10 mm beside 2 pi sigma^2 10 nm/s: 50 / (50 + 141), and the lattice ends half a pitch later.
+        // The width of the tail is that of the samples above half of the peak.
         let baseline = of_tif(&tool(5.0, |rate| rate + 0.5));
-        said(baseline, &["4.7 % of its peak", "is 27 % of its volume", "--subtract-border takes it off"]);
+        said(
+            baseline,
+            &["4.7 % of its peak", "is 27 % of its volume", "--subtract-border takes it off"],
+        );
         // 0.9 % of the peak of sigma 2 mm in a field of 41 mm: 75.6 of 201.3 nm mm^2/s.
         let wide = |add: &dyn Fn(f64, f64) -> f64| {
             let a = axis(-20.0, 20.0, 41);
@@ -349,10 +353,16 @@ mod tests {
             };
             of_tif(&Tif::new(Grid { x: a, y: a }, Array2::from_shape_fn((41, 41), of)).unwrap())
         };
-        said(wide(&|_, _| 0.045), &["0.89 % of its peak", "is 38 % of its volume", "leaves 125.66 of 201.31"]);
+        said(
+            wide(&|_, _| 0.045),
+            &["0.89 % of its peak", "is 38 % of its volume", "leaves 125.66 of 201.31"],
+        );
         said(wide(&|_, _| -0.045), &["takes off 151 % of its volume", "leaves 125.66 of 50.019"]);
         said(wide(&|x, _| 0.00225 * x), &["moves 30 % of its volume", "leaves 125.66 of 125.66"]);
-        said(wide(&|x, _| 0.00225 * (x + 20.0)), &["is 38 % of its volume", "leaves 125.66 of 201.31"]);
+        said(
+            wide(&|x, _| 0.00225 * (x + 20.0)),
+            &["is 38 % of its volume", "leaves 125.66 of 201.31"],
+        );
         assert_eq!(wide(&|_, _| 0.0), None);
         // exp(-1.317^2 / 2) = 0.42
         let cropped = of_tif(&tool(1.317 * 1.5, |rate| rate));

@@ -13,7 +13,8 @@
 //! | [`DwellDensity`] | dwell-time density in s/mm at nodes along the path | (m) |
 //! | [`Limits`] | limits of the machine's axes | - |
 //! | [`Machine`] | a machine: limits, travel, kinematics, and how a part lies on it | - |
-//! | [`ControllerModel`] | grids of times, positions and velocities of a controller, and its motion between two nodes | - |
+//! | [`ControllerModel`] | grids of times, positions and velocities of a controller, and its motion between two nodes |
+//! - |
 //! | [`Trajectory`] | piecewise cubic motion in segment-local time | (k, 2, 4) |
 //! | [`AxesMotion`] | piecewise cubic motion of all axes of a machine | (k, n, 4) |
 //! | [`Transform`] | position of a part on a machine, with its covariance | (2, 2), (6, 6) |

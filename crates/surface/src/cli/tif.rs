@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task, warn, with_flags,
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task, warn,
+    with_flags,
 };
 use planish_surface::{
     tif::{Centre, TifSettings, prepare_tif, tif_statistics},

@@ -1,18 +1,18 @@
-//! `planish-surface tool-rate`, `tool-spots`, `tool-edge`, `tool-turned`, `tool-footprint` and `tool-time`: tools that are not the same
-//! everywhere.
+//! `planish-surface tool-rate`, `tool-spots`, `tool-edge`, `tool-turned`, `tool-footprint` and `tool-time`: tools that
+//! are not the same everywhere.
 
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use ndarray::{Array2, Zip};
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, Tool, flags::OutputArgs, say, task,
+    Artifact, Begin, Failure, Inputs, Output, Status, Tool, flags::OutputArgs, say, task, warn,
     with_flags,
 };
 use planish_surface::varying::{
-    Direction, Footprint, LocalTool, LowRank, LowRankReport, LowRankSettings, Overhang, Parameter,
-    Places, PressureLaw, RateLaw, Samples, Spots, Used, low_rank, low_rank_by_azimuth,
-    low_rank_by_heading, tool_at, turned,
+    Carrier, Direction, Footprint, LocalTool, LowRank, LowRankReport, LowRankSettings, Overhang,
+    Parameter, Places, PressureLaw, RateLaw, Samples, Spots, ToolFrame, Used, low_rank,
+    low_rank_by_azimuth, low_rank_by_heading, tool_at, turned,
 };
 use planish_types::{Axis, Grid, Invalid, PixelFactor, Surface, Tif, TimeFactor, VaryingTif};
 use rayon::prelude::*;
@@ -36,14 +36,20 @@ enum Acts {
 /// each of which costs as much as a constant tool.
 const DEFAULT_ERROR: f64 = 1e-3;
 
-/// Largest number of kernels without `--max-rank`. Larger: plans that take hours. Smaller: tools that are less exact than
-/// asked for.
+/// Largest number of kernels without `--max-rank`. Larger: plans that take hours. Smaller: tools that are less exact
+/// than asked for.
 const DEFAULT_MAX_RANK: usize = 64;
+
+/// Largest difference of a tool from that of tilts in the other order, relative to it, which is not said. Larger: a
+/// spot that lies turned is not noticed. Smaller: round spots whose samples differ a little from round are named.
+/// Chosen: the wanted error of kernels and weights.
+const MOST_OF_OTHER_TILTS: f64 = DEFAULT_ERROR;
 
 /// Exactness of the tool.
 #[derive(Debug, Args)]
 struct ExactArgs {
-    /// Wanted error of the kernels and weights, relative to the tool (root mean square over the places) [default: 0.001]
+    /// Wanted error of the kernels and weights, relative to the tool (root mean square over the places) [default:
+    /// 0.001]
     #[arg(long, value_name = "E")]
     error: Option<f64>,
     /// Largest number of kernels [default: 64]
@@ -113,8 +119,8 @@ impl MakeArgs {
         })
     }
 
-    /// Checks a parameter of the places at the corners of the rectangle, before anything is written: what does not exist
-    /// at some place does not at one of these.
+    /// Checks a parameter of the places at the corners of the rectangle, before anything is written: what does not
+    /// exist at some place does not at one of these.
     fn check_corners<T>(
         &self,
         (surface, tif): (&Surface, &Tif),
@@ -259,7 +265,7 @@ pub struct RateArgs {
 impl RateArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
-        let tif = inputs.read_tool("tif", &self.tif)?;
+        let tif = inputs.read_tool_with_doubt("tif", &self.tif)?;
         let surface: Surface = inputs.read("surface", &self.make.surface)?;
         let places = self.form.places(&surface, &mut inputs)?;
         let law = match (self.exponent, &self.table) {
@@ -341,7 +347,7 @@ impl SpotsArgs {
                     format!("--spot: is {given:?}; give VALUE=DIR, such as 12.5=spots/12");
                 return Err(Failure::new(problem));
             };
-            spots.push((value, inputs.read::<Tif>("spot", Path::new(dir))?));
+            spots.push((value, inputs.read_tool_with_doubt("spot", Path::new(dir))?));
         }
         let values: Vec<f64> = spots.iter().map(|s| s.0).collect();
         let settings = json!({
@@ -376,7 +382,7 @@ pub struct EdgeArgs {
 impl EdgeArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
-        let tif: Tif = inputs.read("tif", &self.tif)?;
+        let tif = inputs.read_tool_with_doubt("tif", &self.tif)?;
         let surface: Surface = inputs.read("surface", &self.make.surface)?;
         let settings = json!({ "pad_radius_mm": self.pad_radius_mm, "pressure": self.pressure });
         let places = Places::new(&surface);
@@ -401,8 +407,8 @@ enum FollowsArg {
 
 #[derive(Debug, Args)]
 pub struct TurnedArgs {
-    /// Tool influence function at the angle 0: beside the middle towards positive x, or in a motion along positive x [tif
-    /// artifact]
+    /// Tool influence function at the angle 0: beside the middle towards positive x, or in a motion along positive x
+    /// [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
     /// Map of the part; the azimuth is that about the middle of its valid pixels [surface artifact]
@@ -420,7 +426,7 @@ pub struct TurnedArgs {
 impl TurnedArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
-        let tif: Tif = inputs.read("tif", &self.tif)?;
+        let tif = inputs.read_tool_with_doubt("tif", &self.tif)?;
         let surface: Surface = inputs.read("surface", &self.surface)?;
         let places = Places::new(&surface);
         let middle_mm = match self.follows {
@@ -475,11 +481,14 @@ pub struct FootprintArgs {
     /// Direction of the tool
     #[arg(long, value_enum)]
     direction: DirectionArg,
+    /// normal: machine whose tilts turn the tool [JSON] [default: one whose tilt b carries a]
+    #[arg(long, value_name = "FILE")]
+    machine: Option<PathBuf>,
     /// Exponent m of cos(incidence)^m; below 0 the rate rises with the angle
     #[arg(long, value_name = "M", allow_negative_numbers = true, conflicts_with = "table")]
     exponent: Option<f64>,
-    /// Table of parameter and factor, two numbers in each line, ascending; the parameter is the incidence in degrees [text
-    /// file]
+    /// Table of parameter and factor, two numbers in each line, ascending; the parameter is the incidence in degrees
+    /// [text file]
     #[arg(long, value_name = "FILE")]
     table: Option<PathBuf>,
     /// fixed: distance of the point from which the rays come to the part, mm [default: parallel rays]
@@ -492,7 +501,7 @@ pub struct FootprintArgs {
 impl FootprintArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
-        let tif = inputs.read_tool("tif", &self.tif)?;
+        let tif = inputs.read_tool_with_doubt("tif", &self.tif)?;
         let surface: Surface = inputs.read("surface", &self.make.surface)?;
         let places = self.form.places(&surface, &mut inputs)?;
         let has_law = self.exponent.is_some() || self.table.is_some();
@@ -503,6 +512,17 @@ impl FootprintArgs {
                  --source-distance-mm out, or give --direction fixed",
             ));
         }
+        if self.direction == DirectionArg::Fixed && self.machine.is_some() {
+            return Err(Failure::new(
+                "--machine: turns a tool along the normal, and --direction is fixed; leave it out",
+            ));
+        }
+        let frame = match &self.machine {
+            None => ToolFrame::of_carrier(Carrier::B),
+            Some(file) => {
+                ToolFrame::of_machine(&inputs.read_machine(file)?).map_err(Failure::with_flags)?
+            }
+        };
         let rate_law = match (self.exponent, &self.table) {
             (Some(exponent), _) => RateLaw::Cosine { exponent },
             (None, Some(file)) => RateLaw::Table { pairs: read_table(&mut inputs, "table", file)? },
@@ -517,14 +537,27 @@ impl FootprintArgs {
         let settings = json!({
             "direction": self.direction, "rate_law": rate_law, "source_distance_mm": self.source_distance_mm,
             "sphere_radius_mm": self.form.sphere_radius_mm,
+            "carrier": (self.direction == DirectionArg::Normal).then_some(frame.carrier()),
         });
         let direction = match self.direction {
-            DirectionArg::Normal => Direction::Normal,
+            DirectionArg::Normal => Direction::Normal(frame),
             DirectionArg::Fixed => {
                 Direction::Fixed { rate_law, source_distance_mm: self.source_distance_mm }
             }
         };
         let on = Footprint::new(&tif, &places, direction).map_err(Failure::with_flags)?;
+        if self.direction == DirectionArg::Normal && self.machine.is_none() {
+            let other = Direction::Normal(ToolFrame::of_carrier(Carrier::A));
+            let other = Footprint::new(&tif, &places, other).map_err(Failure::with_flags)?;
+            let difference = on.largest_difference(&other);
+            if difference > MOST_OF_OTHER_TILTS {
+                warn(format!(
+                    "the tool is that of a machine whose tilt b carries a; where a carries b, the spot lies turned, by \
+                     up to {:.1} % of it (root mean square). Give --machine",
+                    100.0 * difference
+                ));
+            }
+        }
         let of: Box<LocalTool<'_>> = Box::new(|p| on.at(p));
         let tool = (on.offsets(), of, near(&places, self.make.beyond_mm(&tif)));
         self.make.make("tool-footprint", &settings, &inputs, (&surface, &tif), tool)
@@ -547,7 +580,7 @@ pub struct TimeArgs {
 impl TimeArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
-        let tif = inputs.read_tool("tif", &self.tif)?;
+        let tif = inputs.read_tool_with_doubt("tif", &self.tif)?;
         if tif.variation().is_some_and(|v| v.time_factor().is_some()) {
             return Err(Failure::new(
                 "--tif: has a factor of the time already; give a tool without one",

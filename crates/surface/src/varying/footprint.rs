@@ -8,14 +8,15 @@
 //!                     c = cos b = - n . r,   r = direction of the ray at x
 //! ```
 //!
-//! K is the rate along z, and R the TIF as it was measured on a flat part. In (1), t1 is the axis x of the part,
-//! projected onto the tangent plane at p, and t2 is perpendicular to it there. The first factor of (1) is the shorter
-//! projection of the spot, and 1 / n_z turns the rate along the normal into that along z.
+//! K is the rate along z, and R the TIF as it was measured on a flat part. In (1), t1 and t2 are where the tilts of the
+//! machine ([`ToolFrame`]) turn the axes x and y of the TIF. The first factor of (1) is the shorter projection of the
+//! spot, and 1 / n_z turns the rate along the normal into that along z.
 //!
 //! In (2) rays leave a source at the distance D above the contact point, and e is how much deeper than this point the
-//! part lies at x. A ray that passes the plane of the contact point at w was measured there under the angle a. On the part
-//! its flux is lower by the square of the distances, and arrives under the angle b; Y is the yield by the angle. Without
-//! a distance the rays are parallel, a is 0, and (2) is R(x - p) Y(b) / Y(0): in projection the footprint is unchanged.
+//! part lies at x. A ray that passes the plane of the contact point at w was measured there under the angle a. On the
+//! part its flux is lower by the square of the distances, and arrives under the angle b; Y is the yield by the angle.
+//! Without a distance the rays are parallel, a is 0, and (2) is R(x - p) Y(b) / Y(0): in projection the footprint is
+//! unchanged.
 //!
 //! | symbol | variable | unit |
 //! |---|---|---|
@@ -25,15 +26,16 @@
 
 use ndarray::Array2;
 use planish_form::Place;
-use planish_types::{Axis, Grid, Invalid, Pose, Tif};
+use planish_types::{Axis, Grid, Invalid, Kinematics, Machine, Pose, Tif, Tilt, Transform};
+use serde::Serialize;
 
 use super::{causes::RateLaw, place::Places};
 
 /// Direction of a tool over a curved part.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Direction {
-    /// Along the normal at the contact point.
-    Normal,
+    /// Along the normal at the contact point, turned there by the tilts of a machine.
+    Normal(ToolFrame),
     /// Along z everywhere.
     Fixed {
         /// Yield by the angle of incidence.
@@ -41,6 +43,105 @@ pub enum Direction {
         /// Distance of the point from which the rays come, mm; `None` for parallel rays.
         source_distance_mm: Option<f64>,
     },
+}
+
+/// Axis of a machine that carries the others which turn its tool to the normal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Carrier {
+    /// The tilt about x, which carries that about y.
+    A,
+    /// The tilt about y, which carries that about x.
+    B,
+    /// A spindle under a tilt in the plane of its radius.
+    Spindle,
+}
+
+/// The way in which a machine turns its tool to the normal n of the part.
+///
+/// ```text
+/// a carries b    t2 = (0, n_z, -n_y) / |..|,   t1 = t2 x n        the axis y of the tool stays in the plane of y and z
+/// b carries a    t1 = (n_z, 0, -n_x) / |..|,   t2 = n x t1        the axis x stays in the plane of x and z         (3)
+/// spindle        t = e - (e . n) (n + z) / (1 + n_z)               turned about the axis across the radius
+/// ```
+///
+/// The first two differ by a turn about n, of about the product of the slopes along x and y, rad. (3) is in the
+/// directions of the machine; the last one holds for a part that is a surface of revolution about the spindle.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ToolFrame {
+    carrier: Carrier,
+    /// Directions of the part to those of the machine, and back.
+    to_machine: Option<(Transform, Transform)>,
+}
+
+impl ToolFrame {
+    /// The frame of a machine along whose x and y the part lies.
+    pub fn of_carrier(carrier: Carrier) -> Self {
+        Self { carrier, to_machine: None }
+    }
+
+    /// The frame of a machine. Refuses one whose tool stays along z.
+    pub fn of_machine(machine: &Machine) -> Result<Self, Invalid> {
+        let carrier = match machine.kinematics() {
+            Kinematics::Tilts { tilts: [Tilt::A, _], .. } => Carrier::A,
+            Kinematics::Tilts { .. } => Carrier::B,
+            Kinematics::Spindle { pivot_mm: Some(_), .. } => Carrier::Spindle,
+            Kinematics::Xy | Kinematics::Xyz | Kinematics::Spindle { .. } => {
+                let problem = "has no tilts, so that its tool stays along z";
+                let remedy = "give `direction` fixed, or a machine with tilts";
+                return Err(Invalid::whole("machine", problem, remedy));
+            }
+        };
+        let to_machine = match machine.part_to_axes() {
+            Some(there) => Some((there.clone(), there.inverse()?)),
+            None => None,
+        };
+        Ok(Self { carrier, to_machine })
+    }
+
+    /// Axis that carries the others.
+    pub fn carrier(&self) -> Carrier {
+        self.carrier
+    }
+
+    /// (3): where the axes x and y of the TIF point on a part with the unit normal `n`, in the directions of the part.
+    fn axes(&self, n: [f64; 3]) -> [[f64; 3]; 2] {
+        let Some((there, back)) = &self.to_machine else { return self.axes_on_machine(n) };
+        let [nx, ny] = there.direction([n[0], n[1]]);
+        let [t1, t2] = self.axes_on_machine([nx, ny, n[2]]);
+        // An axis of the TIF is a sum of the directions of the machine.
+        [[1.0, 0.0], [0.0, 1.0]].map(|axis| {
+            let [along_x, along_y] = there.direction(axis);
+            let t = [0, 1, 2].map(|k| along_x * t1[k] + along_y * t2[k]);
+            let [x, y] = back.direction([t[0], t[1]]);
+            [x, y, t[2]]
+        })
+    }
+
+    fn axes_on_machine(&self, n: [f64; 3]) -> [[f64; 3]; 2] {
+        match self.carrier {
+            Carrier::A => {
+                let length = n[1].hypot(n[2]);
+                let t2 = [0.0, n[2] / length, -n[1] / length];
+                [cross(t2, n), t2]
+            }
+            Carrier::B => {
+                let length = n[0].hypot(n[2]);
+                let t1 = [n[2] / length, 0.0, -n[0] / length];
+                [t1, cross(n, t1)]
+            }
+            Carrier::Spindle => [0, 1].map(|k| {
+                let by = n[k] / (1.0 + n[2]);
+                let mut t = [-by * n[0], -by * n[1], -by * (n[2] + 1.0)];
+                t[k] += 1.0;
+                t
+            }),
+        }
+    }
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// A tool on the form of a part.
@@ -51,6 +152,10 @@ pub struct Footprint<'a> {
     direction: Direction,
     offsets: Grid,
 }
+
+/// Largest number of places at which two directions are compared. Larger: more time. Smaller: a place with a larger
+/// difference may be missed.
+const MOST_COMPARED: usize = 64;
 
 /// Height and slopes of a part relative to the contact point.
 struct Relative {
@@ -95,6 +200,19 @@ impl<'a> Footprint<'a> {
         self.offsets
     }
 
+    /// Largest difference of the tool from that of another direction at the edge of the part, root mean square over its
+    /// offsets, relative to it.
+    pub fn largest_difference(&self, other: &Self) -> f64 {
+        let border = self.places.border_mm();
+        let every = border.len().div_ceil(MOST_COMPARED).max(1);
+        let difference = |p: &[f64; 2]| {
+            let (own, other) = (self.at(*p), other.at(*p));
+            let square = |of: &Array2<f64>| of.iter().map(|v| v * v).sum::<f64>();
+            (square(&(&own - &other)) / square(&own)).sqrt()
+        };
+        border.iter().step_by(every).map(difference).fold(0.0, f64::max)
+    }
+
     /// Samples of the rate along z of a tool at a place, nm/s.
     pub fn at(&self, tool_mm: [f64; 2]) -> Array2<f64> {
         let form = self.places.form().expect("checked in the constructor");
@@ -121,19 +239,10 @@ impl<'a> Footprint<'a> {
         let [fx, fy] = at.gradient;
         let n_z = 1.0 / (1.0 + fx * fx + fy * fy).sqrt();
         match &self.direction {
-            Direction::Normal => {
-                let [p, _] = contact.gradient();
-                let n = contact.normal();
-                // t1 = (1, 0, p) / sqrt(1 + p^2),   t2 = n x t1
-                let length = p.hypot(1.0);
+            Direction::Normal(frame) => {
                 let d = [u[0], u[1], at.height_mm];
-                let t1 = [1.0 / length, 0.0, p / length];
-                let t2 = [
-                    n[1] * t1[2] - n[2] * t1[1],
-                    n[2] * t1[0] - n[0] * t1[2],
-                    n[0] * t1[1] - n[1] * t1[0],
-                ];
-                let [a, b] = [t1, t2].map(|t| (0..3).map(|k| d[k] * t[k]).sum::<f64>());
+                let axes = frame.axes(contact.normal());
+                let [a, b] = axes.map(|t| (0..3).map(|k| d[k] * t[k]).sum::<f64>());
                 self.tif.rate_of_tool_at(Pose::along_x(tool_mm), [a, b]) / n_z
             }
             Direction::Fixed { rate_law, source_distance_mm: None } => {

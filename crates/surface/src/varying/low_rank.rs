@@ -12,8 +12,8 @@
 //! the weights are interpolated; what that leaves is measured in the middles of cells. The rank is the least, and the
 //! grid the coarsest of halved ones, whose errors stay below the wanted one.
 //!
-//! A tool that only turns, with the azimuth of its place or with the direction of its motion, is sampled at angles of one
-//! turn instead of places of a grid. It is then as exact at the axis as far from it.
+//! A tool that only turns, with the azimuth of its place or with the direction of its motion, is sampled at angles of
+//! one turn instead of places of a grid. It is then as exact at the axis as far from it.
 
 use std::collections::BTreeSet;
 
@@ -43,9 +43,22 @@ const FIRST_ANGLES: usize = 32;
 /// Largest number of angles. Larger: tools with finer shapes, and more time. Smaller: such tools are less exact.
 const MOST_ANGLES: usize = 1024;
 
-/// Largest number of middles of cells at which the interpolation is measured. Larger: more time. Smaller: a larger
+/// Largest number of cells in which the error is measured on every lattice. Larger: more time. Smaller: a larger
 /// scatter of the measured error.
-const MOST_MIDDLES: usize = 400;
+const MOST_MEASURED: usize = 400;
+
+/// Largest number of cells in which the largest error is searched, on the last lattice. Larger: more time. Smaller: a
+/// place with a larger error may be missed.
+const MOST_SEARCHED: usize = 2000;
+
+/// Number of cells with the largest errors in which it is searched further, and number of places along a side of each.
+/// Larger: more time. Smaller: a largest error that is stated too small.
+const SEARCHED_FURTHER: (usize, usize) = (12, 5);
+
+/// Parts of a cell by which the place in one cell differs from that in the next, where the largest error is searched:
+/// in the middle of a cell the third-order error of Keys' interpolation vanishes. Powers of 1 / 1.3247, which cover the
+/// square evenly (M. Roberts, R2 sequence).
+const SPREAD: [f64; 2] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_3];
 
 /// Golden ratio less 1: its multiples are spread evenly between the whole numbers.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
@@ -117,12 +130,15 @@ pub struct LowRankReport {
     pub largest_rank_error: f64,
     /// Error in the middles between the places, rank and interpolation together: root mean square, relative.
     pub error: f64,
-    /// Largest of these errors, relative.
+    /// Largest error that was found between the places, relative to the root mean square of the samples.
     pub largest_error: f64,
     /// Place or heading of the largest error.
     pub largest_error_at: At,
     /// Wanted error.
     pub wanted_error: f64,
+    /// Mean square of the samples, (nm/s)^2: what the errors are relative to.
+    #[serde(skip)]
+    squares: f64,
 }
 
 /// Place or direction of the motion.
@@ -248,24 +264,35 @@ impl Lattice {
 
     /// Middles between neighbouring samples [x, y], mm.
     fn middles(&self) -> Vec<[f64; 2]> {
+        (0..self.cells()).map(|cell| self.within_cell(cell, [0.5; 2])).collect()
+    }
+
+    /// Number of cells between neighbouring samples.
+    fn cells(&self) -> usize {
+        match self {
+            Self::Places(Grid { x, y }) => (x.len() - 1) * (y.len() - 1),
+            Self::Azimuths { count, .. } | Self::Headings { count, .. } => *count,
+        }
+    }
+
+    /// The place [x, y], mm, at parts of a cell along x and y; along the turn, the first part counts.
+    fn within_cell(&self, cell: usize, part: [f64; 2]) -> [f64; 2] {
         match self {
             Self::Places(Grid { x, y }) => {
-                let between = |axis: &Axis, i: usize| 0.5 * (axis.at(i) + axis.at(i + 1));
-                let row = |r: usize| (0..x.len() - 1).map(move |c| [between(x, c), between(y, r)]);
-                (0..y.len() - 1).flat_map(row).collect()
+                let along = |axis: &Axis, i: usize, part: f64| axis.at(i) + part * axis.step_mm();
+                let (r, c) = (cell / (x.len() - 1), cell % (x.len() - 1));
+                [along(x, c, part[0]), along(y, r, part[1])]
             }
             Self::Azimuths { middle_mm, radius_mm, count } => {
-                let turns = |i: usize| (i as f64 + 0.5) / *count as f64;
-                (0..*count).map(|i| around(*middle_mm, *radius_mm, turns(i))).collect()
+                around(*middle_mm, *radius_mm, (cell as f64 + part[0]) / *count as f64)
             }
             Self::Headings { count, .. } => {
-                let turns = |i: usize| (i as f64 + 0.5) / *count as f64;
-                (0..*count).map(|i| around([0.0; 2], 1.0, turns(i))).collect()
+                around([0.0; 2], 1.0, (cell as f64 + part[0]) / *count as f64)
             }
         }
     }
 
-    /// The pose of the tool for the place of a sample, or of a middle between two.
+    /// The pose of the tool for the place of a sample, or for one between two.
     fn pose(&self, place: [f64; 2]) -> Pose {
         match self {
             Self::Places(_) | Self::Azimuths { .. } => {
@@ -295,8 +322,8 @@ fn around(middle_mm: [f64; 2], radius_mm: f64, turns: f64) -> [f64; 2] {
     [middle_mm[0] + radius_mm * cosine, middle_mm[1] + radius_mm * sine]
 }
 
-/// Kernels and weights of the tool `of` on `offsets` that depends on the azimuth of its place about `middle_mm` only, and
-/// removes within `radius_mm` of it.
+/// Kernels and weights of the tool `of` on `offsets` that depends on the azimuth of its place about `middle_mm` only,
+/// and removes within `radius_mm` of it.
 pub fn low_rank_by_azimuth(
     offsets: &Grid,
     (middle_mm, radius_mm): ([f64; 2], f64),
@@ -311,8 +338,8 @@ pub fn low_rank_by_azimuth(
     )
 }
 
-/// Kernels and weights of the tool `of` on `offsets` that depends on the direction of its motion only, which it gets as a
-/// unit vector [x, y]. The grid `positions` of the weights holds the places of the part.
+/// Kernels and weights of the tool `of` on `offsets` that depends on the direction of its motion only, which it gets as
+/// a unit vector [x, y]. The grid `positions` of the weights holds the places of the part.
 pub fn low_rank_by_heading(
     offsets: &Grid,
     positions: Grid,
@@ -332,23 +359,22 @@ fn low_rank_of_turn(
     settings.check()?;
     let mut count = FIRST_ANGLES;
     loop {
-        let lattice = lattice_of(count);
         let is_last = 2 * count > MOST_ANGLES;
-        let found = match at(offsets, lattice, (of, &|_| true), settings) {
+        match on_lattice(offsets, lattice_of(count), (of, &|_| true), settings) {
+            Ok(found) if is_last || found.low_rank.report.more_samples_do_not_help() => {
+                return Ok(found.with_largest_error(of, &|_| true));
+            }
+            Err(Unreached::NoTool(refusal)) => return Err(refusal),
+            Err(Unreached::Samples(refusal)) if is_last => return Err(refusal),
             // Few angles may say too little of the tool.
-            Err(_) if !is_last => None,
-            found => Some(found?),
-        };
-        if let Some(found) = found.filter(|f| is_last || f.report.more_samples_do_not_help()) {
-            return Ok(found);
+            _ => count *= 2,
         }
-        count *= 2;
     }
 }
 
-/// Kernels and weights of the tool `of` on `offsets`, for places in the rectangle from `low_mm` to `high_mm` [x, y]. The
-/// places at which the tool is used, those that `counts` says, decide about the kernels and the errors. The places of the
-/// weights are `spacing_mm` apart, or as far as the wanted error allows.
+/// Kernels and weights of the tool `of` on `offsets`, for places in the rectangle from `low_mm` to `high_mm` [x, y].
+/// The places at which the tool is used, those that `counts` says, decide about the kernels and the errors. The places
+/// of the weights are `spacing_mm` apart, or as far as the wanted error allows.
 pub fn low_rank(
     offsets: &Grid,
     ([low_mm, high_mm], spacing_mm): ([[f64; 2]; 2], Option<f64>),
@@ -375,41 +401,87 @@ pub fn low_rank(
             return Err(Invalid::whole("spacing_mm", problem, remedy));
         }
         let is_last = spacing_mm.is_some() || 4 * places > MOST_PLACES;
-        let found = match at(offsets, Lattice::Places(positions), (of, counts), settings) {
-            // On a coarse grid the few places may say too little of the tool.
-            Err(_) if !is_last => {
-                spacing *= 0.5;
-                continue;
+        match on_lattice(offsets, Lattice::Places(positions), (of, counts), settings) {
+            Ok(found) if is_last || found.low_rank.report.more_samples_do_not_help() => {
+                return Ok(found.with_largest_error(of, counts));
             }
-            found => found?,
-        };
-        if is_last || found.report.more_samples_do_not_help() {
-            return Ok(found);
+            Err(Unreached::NoTool(refusal)) => return Err(refusal),
+            Err(Unreached::Samples(refusal)) if is_last => return Err(refusal),
+            // On a coarse grid the few places may say too little of the tool.
+            _ => spacing *= 0.5,
         }
-        spacing *= 0.5;
     }
 }
 
+/// Reason for which there are no kernels and weights on a lattice.
+enum Unreached {
+    /// The tool removes nothing at a place where it is used; no other lattice helps.
+    NoTool(Invalid),
+    /// So few samples do not make a tool.
+    Samples(Invalid),
+}
+
 /// Kernels and weights on a lattice.
-fn at(
+fn on_lattice(
     offsets: &Grid,
     lattice: Lattice,
     (of, counts): (&LocalTool<'_>, &Used<'_>),
     settings: &LowRankSettings,
-) -> Result<LowRank, Invalid> {
+) -> Result<Found, Unreached> {
     let count = lattice.len();
     let used: Vec<usize> =
         (0..count).into_par_iter().filter(|i| counts(lattice.place(*i))).collect();
     if used.is_empty() {
         let remedy = "give a map with valid pixels in the coordinates of the part";
-        return Err(Invalid::whole("surface", "has no place at which the tool is used", remedy));
+        let problem = "has no place at which the tool is used";
+        return Err(Unreached::Samples(Invalid::whole("surface", problem, remedy)));
     }
-    let basis = Basis::new(offsets, &lattice, &lattice.with_neighbours(&used), of, settings);
-    let found: Vec<Projected> =
-        (0..count).into_par_iter().map(|i| basis.project(&of(lattice.place(i)))).collect();
-    let tool = basis.tool(offsets, lattice, &found)?;
-    let report = report(&basis, lattice, (&used, &found), (of, counts), &tool, settings)?;
-    Ok(LowRank { tool, report })
+    let near = lattice.with_neighbours(&used);
+    let Some(basis) = Basis::new(offsets, &lattice, &near, of, settings) else {
+        return Err(Unreached::NoTool(removes_nothing(lattice, used[0])));
+    };
+    // The interpolation between used places reads two places beyond them.
+    let read: BTreeSet<usize> = lattice.with_neighbours(&near).into_iter().collect();
+    let projected = |i: usize| {
+        let sample = read.contains(&i).then(|| of(lattice.place(i)))?;
+        is_tool(&sample).then(|| basis.project(&sample))
+    };
+    let found: Vec<Option<Projected>> = (0..count).into_par_iter().map(projected).collect();
+    if let Some(i) = used.iter().find(|i| found[**i].is_none()) {
+        return Err(Unreached::NoTool(removes_nothing(lattice, *i)));
+    }
+    // Where nobody works, or the tool removes nothing beside where it is used, it is that of the nearest used place.
+    let nearest = |i: usize| {
+        let here = lattice.place(i);
+        let square = |j: &&usize| {
+            let there = lattice.place(**j);
+            (there[0] - here[0]).powi(2) + (there[1] - here[1]).powi(2)
+        };
+        let nearest = used.iter().min_by(|a, b| square(a).total_cmp(&square(b)));
+        found[*nearest.expect("there is one")].clone().expect("the tool removes there")
+    };
+    let found: Vec<Projected> = (0..count)
+        .into_par_iter()
+        .map(|i| found[i].clone().unwrap_or_else(|| nearest(i)))
+        .collect();
+    let tool = basis.tool(offsets, lattice, &found).map_err(Unreached::Samples)?;
+    let tif = Tif::varying(tool.clone()).map_err(Unreached::Samples)?;
+    let report = report(&basis, lattice, (&used, &found), (of, counts), &tif, settings);
+    Ok(Found { basis, lattice, tif, low_rank: LowRank { tool, report } })
+}
+
+/// Refusal of a tool that removes nothing at a place where it is used.
+fn removes_nothing(lattice: Lattice, i: usize) -> Invalid {
+    let problem = format!("removes nothing at {}", lattice.named(lattice.place(i)));
+    let remedy = "a tool that varies removes material wherever it is used: give factors of at least 0.001, make these \
+                  pixels of the map invalid, or give a smaller `beyond_mm`";
+    Invalid::whole("tool", problem, remedy)
+}
+
+/// Returns true if samples are finite and remove material.
+fn is_tool(sample: &Array2<f64>) -> bool {
+    let volume = sample.sum();
+    volume.is_finite() && volume > 0.0
 }
 
 fn dot(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
@@ -417,6 +489,7 @@ fn dot(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
 }
 
 /// A sample of the tool by its products with the kernels, and its square.
+#[derive(Clone)]
 struct Projected {
     products: Vec<f64>,
     square: f64,
@@ -436,14 +509,15 @@ struct Basis {
 }
 
 impl Basis {
-    /// The kernels of the samples at `taken` places: as few as the wanted error allows.
+    /// The kernels of the samples at `taken` places: as few as the wanted error allows. `None` if none of them is a
+    /// tool.
     fn new(
         offsets: &Grid,
         lattice: &Lattice,
         taken: &[usize],
         of: &LocalTool<'_>,
         settings: &LowRankSettings,
-    ) -> Self {
+    ) -> Option<Self> {
         let LowRankSettings { error, max_rank } = *settings;
         let training = taken.len().min(MOST_TRAINING);
         // Evenly spread, by the golden ratio where not all are taken.
@@ -451,8 +525,13 @@ impl Basis {
             true => taken[k],
             false => taken[((k as f64 * GOLDEN).fract() * taken.len() as f64) as usize],
         };
-        let samples: Vec<Array2<f64>> =
+        let mut samples: Vec<Array2<f64>> =
             (0..training).into_par_iter().map(|k| of(lattice.place(chosen(k)))).collect();
+        samples.retain(is_tool);
+        if samples.is_empty() {
+            return None;
+        }
+        let training = samples.len();
         let rows: Vec<Vec<f64>> = (0..training)
             .into_par_iter()
             .map(|i| (0..=i).map(|j| dot(&samples[i], &samples[j])).collect())
@@ -481,13 +560,27 @@ impl Basis {
             if kernel.sum() < 0.0 { -kernel } else { kernel }
         };
         let kernels = (0..rank).into_par_iter().map(kernel).collect();
-        Self { kernels, scale: (total / training as f64).sqrt() }
+        Some(Self { kernels, scale: (total / training as f64).sqrt() })
     }
 
     /// (2) for a sample of the tool.
     fn project(&self, sample: &Array2<f64>) -> Projected {
         let products = self.kernels.iter().map(|kernel| dot(kernel, sample)).collect();
         Projected { products, square: dot(sample, sample) }
+    }
+
+    /// Square of the error at a place between the samples, (nm/s)^2:
+    /// `|K - sum_k a_k phi_k|^2 = |K|^2 - 2 a . (phi . K) + |a|^2` with the interpolated a.
+    fn square_error(&self, tif: &Tif, lattice: Lattice, of: &LocalTool<'_>, p: [f64; 2]) -> f64 {
+        let Projected { products, square } = self.project(&of(p));
+        let mut error = square;
+        for (k, product) in products.iter().enumerate() {
+            // A tool that turns out to be the same everywhere has no weights.
+            let weight = tif.variation().map_or(1.0, |v| v.weight(k, lattice.pose(p)));
+            let a = weight * self.scale;
+            error += a * a - 2.0 * a * product;
+        }
+        error.max(0.0)
     }
 
     /// The tool of these kernels with the weights that were found on a lattice.
@@ -538,49 +631,83 @@ impl Basis {
     }
 }
 
-/// Exactness of a tool of kernels and weights, at the samples of the weights and in the middles between them.
+/// Exactness of a tool of kernels and weights, at the samples of the weights and between them.
 fn report(
     basis: &Basis,
     lattice: Lattice,
     (used, found): (&[usize], &[Projected]),
     (of, counts): (&LocalTool<'_>, &Used<'_>),
-    tool: &VaryingTif,
+    tif: &Tif,
     settings: &LowRankSettings,
-) -> Result<LowRankReport, Invalid> {
-    let rank = basis.kernels.len();
+) -> LowRankReport {
     let of_used = || used.iter().map(|i| &found[*i]);
     let squares: f64 = of_used().map(|p| p.square).sum::<f64>() / used.len() as f64;
     let of_rank: f64 = of_used().map(Projected::missed).sum::<f64>() / used.len() as f64;
     let largest_of_rank = of_used().map(Projected::missed).fold(0.0, f64::max);
     let inside: Vec<[f64; 2]> = lattice.middles().into_par_iter().filter(|p| counts(*p)).collect();
-    let middles = inside.len().min(MOST_MIDDLES);
-    let tif = Tif::varying(tool.clone())?;
-    // A tool that turns out to be the same everywhere has no weights.
-    let interpolated = |p: [f64; 2]| -> Vec<f64> {
-        let of_kernel = |k| tif.variation().map_or(1.0, |v| v.weight(k, lattice.pose(p)));
-        (0..rank).map(of_kernel).collect()
-    };
-    // |K - sum_k a phi_k|^2 = |K|^2 - 2 a . (phi . K) + |a|^2 with the interpolated a.
-    let error_at = |k: usize| -> (f64, [f64; 2]) {
-        let p = inside[k * inside.len() / middles];
-        let Projected { products, square } = basis.project(&of(p));
-        let a: Vec<f64> = interpolated(p).iter().map(|a| a * basis.scale).collect();
-        let of_terms = products.iter().zip(&a).map(|(e, a)| a * a - 2.0 * a * e).sum::<f64>();
-        ((square + of_terms).max(0.0), p)
-    };
-    let errors: Vec<(f64, [f64; 2])> = (0..middles).into_par_iter().map(error_at).collect();
-    let of_middles = errors.iter().map(|e| e.0).sum::<f64>() / middles.max(1) as f64;
-    let first = (0.0, lattice.place(0));
+    let measured = inside.len().min(MOST_MEASURED);
+    let errors: Vec<(f64, [f64; 2])> = (0..measured)
+        .into_par_iter()
+        .map(|k| inside[k * inside.len() / measured])
+        .map(|p| (basis.square_error(tif, lattice, of, p), p))
+        .collect();
+    let of_cells = errors.iter().map(|e| e.0).sum::<f64>() / measured.max(1) as f64;
+    let first = (0.0, lattice.place(used[0]));
     let worst = errors.iter().fold(first, |a, b| if b.0 > a.0 { *b } else { a });
     let relative = |square: f64| (square / squares).sqrt();
-    Ok(LowRankReport {
-        rank,
+    LowRankReport {
+        rank: basis.kernels.len(),
         samples: lattice.samples(),
         rank_error: relative(of_rank),
         largest_rank_error: relative(largest_of_rank),
-        error: relative(of_middles).max(relative(of_rank)),
+        error: relative(of_cells).max(relative(of_rank)),
         largest_error: relative(worst.0.max(largest_of_rank)),
         largest_error_at: lattice.named(worst.1),
         wanted_error: settings.error,
-    })
+        squares,
+    }
+}
+
+/// Kernels and weights on a lattice, and what their errors are measured with.
+struct Found {
+    basis: Basis,
+    lattice: Lattice,
+    tif: Tif,
+    low_rank: LowRank,
+}
+
+impl Found {
+    /// The tool, with the largest error that is found in all cells and in the worst of them.
+    fn with_largest_error(self, of: &LocalTool<'_>, counts: &Used<'_>) -> LowRank {
+        let Self { basis, lattice, tif, low_rank: LowRank { tool, mut report } } = self;
+        let measured = |cell: usize, part: [f64; 2]| {
+            let p = lattice.within_cell(cell, part);
+            counts(p).then(|| (basis.square_error(&tif, lattice, of, p), cell, p))
+        };
+        let searched = lattice.cells().min(MOST_SEARCHED);
+        let mut errors: Vec<(f64, usize, [f64; 2])> = (0..searched)
+            .into_par_iter()
+            .filter_map(|k| {
+                let cell = k * lattice.cells() / searched;
+                measured(cell, SPREAD.map(|by| (cell as f64 * by).fract()))
+            })
+            .collect();
+        errors.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let (cells, side) = SEARCHED_FURTHER;
+        let part = |i: usize| (i as f64 + 0.5) / side as f64;
+        let worst: Vec<usize> = errors.iter().take(cells).map(|e| e.1).collect();
+        let further = (0..worst.len() * side * side).into_par_iter().filter_map(|k| {
+            let (cell, i) = (worst[k / (side * side)], k % (side * side));
+            measured(cell, [part(i % side), part(i / side)])
+        });
+        errors.extend(further.collect::<Vec<_>>());
+        for (square, _, p) in errors {
+            let error = (square / report.squares).sqrt();
+            if error > report.largest_error {
+                report.largest_error = error;
+                report.largest_error_at = lattice.named(p);
+            }
+        }
+        LowRank { tool, report }
+    }
 }

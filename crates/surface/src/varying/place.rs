@@ -117,6 +117,29 @@ impl<'a> Places<'a> {
         self.border_mm.iter().map(from).fold(0.0, f64::max)
     }
 
+    /// Larger side of a pixel, mm.
+    pub fn pixel_mm(&self) -> f64 {
+        self.surface.grid().x.step_mm().max(self.surface.grid().y.step_mm())
+    }
+
+    /// Area of the valid pixels, mm^2.
+    pub fn valid_mm2(&self) -> f64 {
+        let valid = self.surface.height_nm().iter().filter(|z| !z.is_nan()).count();
+        valid as f64 * self.surface.grid().pixel_mm2()
+    }
+
+    /// Centres of valid pixels [x, y], mm, at least a distance apart along x and y, or a pixel.
+    pub fn valid_places(&self, apart_mm: f64) -> Vec<[f64; 2]> {
+        let grid = self.surface.grid();
+        let [every_x, every_y] =
+            [&grid.x, &grid.y].map(|axis| ((apart_mm / axis.step_mm()) as usize).max(1));
+        let valid = self.surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
+        valid
+            .filter(|((r, c), _)| r % every_y == 0 && c % every_x == 0)
+            .map(|((r, c), _)| [grid.x.at(c), grid.y.at(r)])
+            .collect()
+    }
+
     /// Valid pixels with an invalid or no neighbour, [x, y], mm.
     pub fn border_mm(&self) -> &[[f64; 2]] {
         &self.border_mm
