@@ -12,8 +12,9 @@ use crate::{
     slow::{Excess, slow},
 };
 
-/// Largest number of times that pieces are halved because the stretch of time bends them. Larger: memory for 2^n pieces.
-/// Smaller: long segments that are slowed down strongly are refused. Chosen: the distance falls by 16 with each.
+/// Largest number of times that pieces are halved because the stretch of time bends them. Larger: memory for 2^n
+/// pieces. Smaller: long segments that are slowed down strongly are refused. Chosen: the distance falls by 16 with
+/// each.
 const MOST_ROUNDS: usize = 10;
 
 /// Report on a motion of the axes.
@@ -218,8 +219,8 @@ fn executed(
 /// golden section. Larger: more time, no effect. Smaller: a less exact angle. Derived: 0.618^30 is 5e-7.
 const GOLDEN_SECTIONS: usize = 30;
 
-/// Returns the largest angle between tool and normal on an executed motion, degrees: at equal parts of every segment, and
-/// from the largest of these on by golden sections.
+/// Returns the largest angle between tool and normal on an executed motion, degrees: at equal parts of every segment,
+/// and from the largest of these on by golden sections.
 fn largest_off_normal_deg(map: &AxisMap, executed: &AxesMotion) -> f64 {
     let parts = INNER_POINTS + 1;
     let (mut largest, mut place) = (0.0, (0, 0));

@@ -106,8 +106,9 @@ impl Default for Settings {
 }
 
 /// Feeds that [`Report::gap`] compares with.
-const COVERED: &str = "feeds on these knots, under the tangents of the acceleration limit at this feed, and nowhere more than \
-                       1.5 times as fast; not closer knots, other links, or another feed within the limits themselves";
+const COVERED: &str = "feeds on these knots, under the tangents of the acceleration limit at this feed, and nowhere \
+                       more than 1.5 times as fast; not closer knots, other links, or another feed within the limits \
+                       themselves";
 
 /// Report of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -396,7 +396,9 @@ mod tests {
             let plan = Plan::of("mine", Some(&trajectory), Some(&certified), &[]);
             assert_eq!((plan.state, plan.word.as_str()), (state, word), "{trajectory}");
         }
-        let covers = json!({ "report": { "end": "optimal", "relative_gap": 6.9e-4, "gap_covers": "plans on this curve" } });
+        let covers = "plans on this curve";
+        let covers =
+            json!({ "report": { "end": "optimal", "relative_gap": 6.9e-4, "gap_covers": covers } });
         let joint = Plan::of("mine", Some(&made("planish-joint", covers)), None, &[]);
         let text = "proven within 0.00069 of the least objective, relative to it; it compares with plans on this curve";
         assert_eq!((joint.state, joint.text.as_str()), (State::Certified, text));

@@ -116,7 +116,8 @@ impl Inputs {
         Ok(self.recorded(role, dir, kind, loaded).0)
     }
 
-    /// Reads a tool, and warns of a doubt about its samples where no program has said it before: arrays without a manifest.
+    /// Reads a tool, and warns of a doubt about its samples where no program has said it before: arrays without a
+    /// manifest.
     pub fn read_tool_with_doubt(&mut self, role: &str, dir: &Path) -> Result<Tif, HandoffError> {
         let (kind, loaded) = nouns::read_tool(dir)?;
         let (tif, manifest) = self.recorded(role, dir, kind, loaded);

@@ -158,7 +158,8 @@ fn a_tif_from_rates_and_from_a_spot() {
 
 #[test]
 fn a_spot_with_noise_becomes_a_tif_without_bias() {
-    // A Gaussian of 300 nm and 1 mm of full width, half size 1.6 mm, and normal noise (sums of twelve) of 1 % of its peak.
+    // A Gaussian of 300 nm and 1 mm of full width, half size 1.6 mm, and normal noise (sums of twelve) of 1 % of its
+    // peak.
     let tmp = tempfile::tempdir().unwrap();
     let dir = tmp.path();
     let mut random = ChaCha8Rng::seed_from_u64(41);
@@ -174,8 +175,8 @@ fn a_spot_with_noise_becomes_a_tif_without_bias() {
         artifact::read::<Tif>(&dir.join(out)).unwrap().value.vrr_nm_mm2_per_s()
     };
     let (plain, clipped) = (vrr("plain", &[]), vrr("clipped", &["--clip-negative"]));
-    // 10 nm/s pi / (4 ln 2) mm^2; noise of 0.1 nm/s over 65 x 65 samples of 0.05 mm scatters by 0.016, and by as much in
-    // the plane outside: 0.2 % of it, three of them.
+    // 10 nm/s pi / (4 ln 2) mm^2; noise of 0.1 nm/s over 65 x 65 samples of 0.05 mm scatters by 0.016, and by as much
+    // in the plane outside: 0.2 % of it, three of them.
     let expected = 10.0 * std::f64::consts::PI / (4.0 * std::f64::consts::LN_2);
     assert!((plain / expected - 1.0).abs() < 6e-3, "{plain} {expected}");
     // Sums round.

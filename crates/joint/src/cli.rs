@@ -27,8 +27,8 @@ pub struct Joint {
     path: PathArgs,
     #[command(flatten)]
     machine: MachineArgs,
-    /// Form of the part: a form file [JSON], or its height along z [surface artifact]; a plane without it. It acts on the
-    /// plan for a machine with more axes than x and y
+    /// Form of the part: a form file [JSON], or its height along z [surface artifact]; a plane without it. It acts on
+    /// the plan for a machine with more axes than x and y
     #[arg(long, value_name = "PATH")]
     form: Option<PathBuf>,
     /// Smallest dwell time per length (1 / largest feedrate), s/mm
@@ -39,8 +39,8 @@ pub struct Joint {
     /// Low-order terms of the map that need not be removed
     #[arg(long, value_enum, default_value = "piston")]
     free: Free,
-    /// Tikhonov weight of the squared distance to the least dwell density, relative to the strongest node [default: 1e-5, and
-    /// less where this pull would be more than 1 % of the objective]
+    /// Tikhonov weight of the squared distance to the least dwell density, relative to the strongest node [default:
+    /// 1e-5, and less where this pull would be more than 1 % of the objective]
     #[arg(long, value_name = "A")]
     tikhonov: Option<f64>,
     /// Weight of the squared differences of neighbouring densities, relative to the strongest node
@@ -184,8 +184,9 @@ impl Joint {
             ));
         }
         say(format!(
-            "joint: {} after {} steps, proven within {:.1e} of the least objective of {}; {:.4} nm in {:.2} s at {:.3e} \
-             nm^2/s, the pull to the floor is {:.2} % of the objective; {} nodes, points moved by at most {:.3} mm, {} corners rounded by at most {:.3} mm -> {}",
+            "joint: {} after {} steps, proven within {:.1e} of the least objective of {}; {:.4} nm in {:.2} s at \
+             {:.3e} nm^2/s, the pull to the floor is {:.2} % of the objective; {} nodes, points moved by at most \
+             {:.3} mm, {} corners rounded by at most {:.3} mm -> {}",
             r.end,
             r.iterations,
             r.relative_gap,

@@ -483,8 +483,8 @@ mod tests {
         let ([after, seen, before], said) = refer(1.0, true);
         assert!(seen < after && after < before);
         assert_eq!(said, Ok(()));
-        // Two and a half times as far it has risen where the cells say that it fell by more; where the motion is simulated
-        // anew it may have risen for that.
+        // Two and a half times as far it has risen where the cells say that it fell by more; where the motion is
+        // simulated anew it may have risen for that.
         let ([after, seen, before], said) = refer(2.5, true);
         assert!(seen < before && before < after);
         assert_eq!(said, Err(JointError::CellsTooLarge { pixels }));

@@ -77,8 +77,8 @@ const WIDEST_SPACING_OVER_TIF_WIDTH: f64 = 1.5;
 /// places are named. Chosen.
 const LEAST_NAMED: f64 = 5e-4;
 
-/// Largest number of limits that are named. Larger: a longer sentence. Smaller: limits that matter are left out. Chosen;
-/// the manifest has all of them.
+/// Largest number of limits that are named. Larger: a longer sentence. Smaller: limits that matter are left out.
+/// Chosen; the manifest has all of them.
 const MOST_NAMED: usize = 4;
 
 /// Report of a plan.
@@ -137,8 +137,8 @@ pub struct Report {
     /// Use of the limits of every axis; empty if the machine has no axes beyond x and y.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub axes: Vec<AxisReport>,
-    /// Factor on all times of the motion, because the rounds left an excess over a limit of a further axis; absent if they
-    /// left none.
+    /// Factor on all times of the motion, because the rounds left an excess over a limit of a further axis; absent if
+    /// they left none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub slowed_by: Option<f64>,
     /// Lattice of the map on which the TIF was sampled anew; absent where the samples are its own.
@@ -159,13 +159,14 @@ pub struct RatesOfTime {
 }
 
 /// Plans that [`Report::relative_gap`] compares with.
-const COVERED: &str = "plans on this curve whose density is linear between these nodes, under the tangents of the limits; \
-                       not closer nodes, another curve, or another law of time between the nodes";
+const COVERED: &str = "plans on this curve whose density is linear between these nodes, under the tangents of the \
+                       limits; not closer nodes, another curve, or another law of time between the nodes";
 
 /// The same for a machine that limits jerk.
-const COVERED_BEFORE_AVERAGE: &str = "plans on this curve whose density is linear between these nodes, under the tangents of \
-                                      the limits, and which keep the jerk by the same average in time; not closer nodes, \
-                                      another curve, another law of time between the nodes, or another way to keep the jerk";
+const COVERED_BEFORE_AVERAGE: &str = "plans on this curve whose density is linear between these nodes, under the \
+                                      tangents of the limits, and which keep the jerk by the same average in time; \
+                                      not closer nodes, another curve, another law of time between the nodes, or \
+                                      another way to keep the jerk";
 
 /// Spacing of the nodes, if the solver would take too long with the default.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -318,8 +319,8 @@ impl Task<'_> {
         }
     }
 
-    /// Solves the problem. Where the rate depends on the time of the run, it is solved again with the rates at the times
-    /// of the plan before, until these stay.
+    /// Solves the problem. Where the rate depends on the time of the run, it is solved again with the rates at the
+    /// times of the plan before, until these stay.
     fn solved(
         &self,
         meshes: &Meshes,
@@ -464,8 +465,8 @@ fn planned(
     Ok(Plan { dwell, trajectory, removal, refused, report })
 }
 
-/// A motion that keeps the limits of the further axes: as it is, or with all times longer. With the reason why the judge
-/// refuses it, and the factor on all times.
+/// A motion that keeps the limits of the further axes: as it is, or with all times longer. With the reason why the
+/// judge refuses it, and the factor on all times.
 fn within_axes(
     trajectory: Trajectory,
     refused: Option<String>,
@@ -514,8 +515,8 @@ const MOST_SLOWED: f64 = 1e4;
 const CHECKED_PARTS: usize = 32;
 
 /// Change of a derivative between two such places that its second derivatives there do not show, over the derivative.
-/// Larger: the plan may miss a limit there. Smaller: steep axes are refused. Chosen: where an axis is resolved it is some
-/// percent, and 2 where the tool passes the centre of a spindle.
+/// Larger: the plan may miss a limit there. Smaller: steep axes are refused. Chosen: where an axis is resolved it is
+/// some percent, and 2 where the tool passes the centre of a spindle.
 const MOST_UNSHOWN: f64 = 0.5;
 
 /// Refuses a path on which a further axis has no position, allows nearly no feedrate, or turns between two places.

@@ -90,8 +90,8 @@ const CLEARLY_LESS: f64 = 0.95;
 /// the plan that is sought. Smaller: all starts lead to the same plan. Chosen.
 const MUCH_CHEAPER: f64 = 30.0;
 
-/// Part of [`MOST_PULL`] at which a lowered weight aims. Larger: weights that are lowered again, on the last mesh at the
-/// cost of its steps. Smaller: smaller weights than needed. Chosen.
+/// Part of [`MOST_PULL`] at which a lowered weight aims. Larger: weights that are lowered again, on the last mesh at
+/// the cost of its steps. Smaller: smaller weights than needed. Chosen.
 const AIMED_PART: f64 = 0.3;
 
 /// Part of [`MOST_PULL`] from which on the weight is lowered before the last mesh. Larger: plans that are solved again.
@@ -276,16 +276,21 @@ fn solve_on_cells(
             posed.pull.lower(part, LOWERED_EARLY * MOST_PULL);
             from = Start { density: at.density, duals: Some(at.duals) };
         }
+        let mut before: Option<Found> = None;
         loop {
             let left = settings.max_iterations.saturating_sub(iterations);
             let found = posed.solve(asked, given.rows(&mesh), from, left, settings)?;
             iterations += found.iterations;
-            let is_done = found.solution.end != End::Optimal || found.refused.is_some();
-            if is_done || !posed.pull.lower(found.pull_part, MOST_PULL) {
-                return Ok::<_, JointError>(found);
+            if found.solution.end != End::Optimal || found.refused.is_some() {
+                // A plan that was proven with more of the pull is better than one that is not.
+                return Ok::<_, JointError>(before.unwrap_or(found));
             }
-            let Solution { density, duals, .. } = found.solution;
-            from = Start { density, duals: Some(duals) };
+            if !posed.pull.lower(found.pull_part, MOST_PULL) {
+                return Ok(found);
+            }
+            let Solution { density, duals, .. } = &found.solution;
+            from = Start { density: density.clone(), duals: Some(duals.clone()) };
+            before = Some(found);
         }
     })?;
     Ok(Solved { mesh, nodes_of_meshes, found: Found { iterations, ..found } })
@@ -501,8 +506,8 @@ impl<'a> Posed<'a> {
         };
         let Some(mut found) = found else { return Ok(None) };
         found.objective.splice(0..0, from.objective.iter().copied());
-        // Proven: no density of the program has an objective below this, nm^2. The gap of a density that is taken in the
-        // place of the solution follows from it. The bound under the tangents before holds too: what the executed
+        // Proven: no density of the program has an objective below this, nm^2. The gap of a density that is taken in
+        // the place of the solution follows from it. The bound under the tangents before holds too: what the executed
         // objective falls by comes nearer to it.
         let least_nm2 = (1.0 - found.relative_gap) * merit.value_nm2(&found.density);
         let gap = |density: &[f64], merit: &Merit<'_>| {
@@ -533,8 +538,8 @@ impl<'a> Posed<'a> {
     }
 }
 
-/// Tightens the limits on the spans whose motion exceeds them: `used` is the part of them that it uses, and `excess` the
-/// largest. `all` tightens the further axes everywhere.
+/// Tightens the limits on the spans whose motion exceeds them: `used` is the part of them that it uses, and `excess`
+/// the largest. `all` tightens the further axes everywhere.
 fn tighten(
     rows: &mut Rows<'_>,
     (excess, used): (f64, &[f64]),
@@ -586,9 +591,9 @@ fn level_s_per_mm(asked: &Asked<'_>, mesh: &Mesh, settings: &Settings) -> Result
 
 #[cfg(test)]
 mod tests {
-    //! Another solver from the end of this one: sequential quadratic programs with a trust region. It simulates the motion
-    //! for its objective, takes differences of simulations for its gradient, and Clarabel for its steps. It keeps the rows
-    //! themselves, not their tangents.
+    //! Another solver from the end of this one: sequential quadratic programs with a trust region. It simulates the
+    //! motion for its objective, takes differences of simulations for its gradient, and Clarabel for its steps. It
+    //! keeps the rows themselves, not their tangents.
 
     use clarabel::{
         algebra::CscMatrix,

@@ -6,16 +6,17 @@ use serde::Serialize;
 
 use crate::merit::Price;
 
-/// Largest Tikhonov weight that is chosen, dimensionless. Larger: plans that are pulled to the floor. Smaller: more plans
-/// whose weight has to be lowered. Chosen: on rasters of the fixtures the pull is below [`MOST_PULL`] with it.
+/// Largest Tikhonov weight that is chosen, dimensionless. Larger: plans that are pulled to the floor. Smaller: more
+/// plans whose weight has to be lowered. Chosen: on rasters of the fixtures the pull is below [`MOST_PULL`] with it.
 pub const FIRST_TIKHONOV: f64 = 1e-5;
 
-/// Smallest Tikhonov weight that is chosen. Larger: more of the pull stays in the objective. Smaller: the factors of the
-/// normal matrix, in single precision, are not positive definite.
+/// Smallest Tikhonov weight that is chosen. Larger: more of the pull stays in the objective. Smaller: the factors of
+/// the normal matrix, in single precision, are not positive definite.
 pub const LEAST_TIKHONOV: f64 = 1e-10;
 
-/// Largest part of the objective that the pull to the floor may have where its weight is chosen. Larger: the pull costs more
-/// of the residual than a plan may miss. Smaller: weights at which rounding decides. Chosen: ten times `relative_gap`.
+/// Largest part of the objective that the pull to the floor may have where its weight is chosen. Larger: the pull costs
+/// more of the residual than a plan may miss. Smaller: weights at which rounding decides. Chosen: ten times
+/// `relative_gap`.
 pub const MOST_PULL: f64 = 0.01;
 
 /// Settings of a joint plan.
@@ -25,8 +26,8 @@ pub struct Settings {
     pub min_dwell_s_per_mm: f64,
     /// Price of time.
     pub price: Price,
-    /// alpha, dimensionless; > 0. When absent [`FIRST_TIKHONOV`], and less where the pull to the floor would be more than
-    /// [`MOST_PULL`] of the objective.
+    /// alpha, dimensionless; > 0. When absent [`FIRST_TIKHONOV`], and less where the pull to the floor would be more
+    /// than [`MOST_PULL`] of the objective.
     pub tikhonov: Option<f64>,
     /// beta, dimensionless; >= 0.
     pub difference_weight: f64,

@@ -316,8 +316,8 @@ fn a_wide_tool_is_planned_where_time_is_worth_most() {
     let planned = |settings: Settings| plan(&desired, &tif, &path, &limits, &settings).unwrap();
     let at = |x: f64| planned(Settings { price: Price::Elasticity(x), ..Settings::default() });
     let (half, most) = (at(0.5), at(0.8));
-    // Where x is met best, m T^x is least: beside the other plan by what the meshes differ (0.87 and 1.12 were seen; 1.45
-    // and 0.99 with the plan that takes a quarter of the time).
+    // Where x is met best, m T^x is least: beside the other plan by what the meshes differ (0.87 and 1.12 were seen;
+    // 1.45 and 0.99 with the plan that takes a quarter of the time).
     let product = |plan: &Plan, x: f64| {
         let rms = plan.removal.residual().statistics().rms;
         rms * rms * plan.trajectory.total_time_s().powf(x)
@@ -326,8 +326,8 @@ fn a_wide_tool_is_planned_where_time_is_worth_most() {
         let ratio = product(own, x) / product(other, x);
         assert!(ratio < 1.25, "{ratio} at {x}");
     }
-    // Nodes 0.6 widths apart, as with a tool that is narrow for the part, leave more at the same price: 4 and 15 % of the
-    // merit were seen, by the meshes that follow from the first one.
+    // Nodes 0.6 widths apart, as with a tool that is narrow for the part, leave more at the same price: 4 and 15 % of
+    // the merit were seen, by the meshes that follow from the first one.
     let price = half.report.price_nm2_per_s;
     let node_spacing_mm = Some(0.6 * tif.width_mm());
     let far = planned(Settings { node_spacing_mm, ..at_price(price) });

@@ -26,8 +26,8 @@ pub struct Reconcile {
     /// Map measured before the tool acted [surface artifact]
     #[arg(long, value_name = "DIR")]
     before: PathBuf,
-    /// Map measured after the tool acted. On other pixels than those of the map before it is resampled there by Lagrange
-    /// interpolation of degree five along each axis [surface artifact]
+    /// Map measured after the tool acted. On other pixels than those of the map before it is resampled there by
+    /// Lagrange interpolation of degree five along each axis [surface artifact]
     #[arg(long, value_name = "DIR")]
     after: PathBuf,
     #[command(flatten)]
@@ -62,8 +62,8 @@ pub struct Reconcile {
     /// Transform from part to machine that was applied to the plan of this run [transform artifact]
     #[arg(long, value_name = "DIR")]
     transform: Option<PathBuf>,
-    /// TIF with the rate and the shape that were learnt, written in addition [tif artifact, or tool artifact if the tool
-    /// varies over the part]
+    /// TIF with the rate and the shape that were learnt, written in addition [tif artifact, or tool artifact if the
+    /// tool varies over the part]
     #[arg(long, value_name = "DIR")]
     corrected_tif: Option<PathBuf>,
     /// Transform that takes the next plan to the machine, so that the tool acts where it is planned, written in

@@ -252,7 +252,8 @@ const LARGEST_HEIGHT_NM: f64 = 1e6;
 /// drifts are refused.
 const LONGEST_TIME_S: f64 = 3.2e7;
 
-/// Least and largest damping ratio: structures of steel have some 0.01 to 0.03, and a servo above 2 is one of first order.
+/// Least and largest damping ratio: structures of steel have some 0.01 to 0.03, and a servo above 2 is one of first
+/// order.
 const DAMPING_RATIOS: [f64; 2] = [0.005, 2.0];
 
 /// Largest degree of a low-order error; higher ones are refused. Higher orders are what a map

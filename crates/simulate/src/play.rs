@@ -21,8 +21,9 @@ use planish_numerics::polynomial::{
 use crate::motion::Piece;
 
 /// Sentence on the state in which a run with play begins.
-pub const START: &str = "an axis with play begins in the middle of it, so that its first move is half the play longer; one \
-                         that was pressed against a flank before the run removes some percent more or less of what play adds";
+pub const START: &str = "an axis with play begins in the middle of it, so that its first move is half the play \
+                         longer; one that was pressed against a flank before the run removes some percent more or \
+                         less of what play adds";
 
 /// Distance of a drive from its flank up to which it touches it, mm: far above the rounding of coordinates, far below
 /// any play. Larger: a small play is ignored in part. Smaller: rounding decides the contact.

@@ -23,9 +23,10 @@ pub const LARGEST_DEPARTURE: f64 = 0.1;
 /// changes that RMS by at most 5e-5. Larger: less exact results. Smaller: more simulations.
 pub const SEEN: f64 = 0.01;
 
-/// Departure of an error of one number from its first order, over what it adds, above which its line is that of simulated
-/// runs, whether the departure is seen in the distribution or not. The first order of a sharp TIF that turns is up to twice
-/// its effect: an edge that moves by more than its width adds no more. Larger: less exact lines. Smaller: more simulations.
+/// Departure of an error of one number from its first order, over what it adds, above which its line is that of
+/// simulated runs, whether the departure is seen in the distribution or not. The first order of a sharp TIF that turns
+/// is up to twice its effect: an edge that moves by more than its width adds no more. Larger: less exact lines.
+/// Smaller: more simulations.
 pub const LARGEST_DEPARTURE_OF_LINE: f64 = 0.02;
 
 /// Number of simulated runs that give the distribution if the first order is not enough. Larger: more time. Smaller:

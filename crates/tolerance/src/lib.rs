@@ -6,9 +6,9 @@
 //!
 //! h is the desired removal, R what is executed, P removes what is free (a piston, or a plane). To first order
 //! every error that one number decides adds a field f_i, the derivative of the executed removal: one pair of
-//! simulations with the error of opposite signs ([`planish_simulate::deviation`], `lines`). Errors of their own in every piece of the
-//! motion, and fluctuations in time, add a Gaussian field n, whose covariance is known from the removal of the
-//! pieces ([`noise`]). Then
+//! simulations with the error of opposite signs ([`planish_simulate::deviation`], `lines`). Errors of their own in
+//! every piece of the motion, and fluctuations in time, add a Gaussian field n, whose covariance is known from the
+//! removal of the pieces ([`noise`]). Then
 //!
 //! * what an error adds alone is the RMS of its field, and the part of it that the tool reaches (`lines`, [`reach`]);
 //! * the residual's distribution comes from draws in as many dimensions as there are errors (`distribution`,

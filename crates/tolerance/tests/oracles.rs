@@ -290,8 +290,8 @@ fn a_wider_and_an_elliptical_tif_are_gaussians_of_other_widths() {
     }
 }
 
-/// A drop with a sharp point: A s^2 exp(2 (1 - s) - (1 + s) y^2 / 4 w^2), s = 1 + x / l where it is above 0, with the length
-/// l of 1.2 mm and the width w of 0.7 mm, on samples of 0.125 mm.
+/// A drop with a sharp point: A s^2 exp(2 (1 - s) - (1 + s) y^2 / 4 w^2), s = 1 + x / l where it is above 0, with the
+/// length l of 1.2 mm and the width w of 0.7 mm, on samples of 0.125 mm.
 fn drop(x: f64, y: f64) -> f64 {
     let s = (1.0 + x / 1.2).max(0.0);
     8.0 * s * s * (2.0 * (1.0 - s) - 0.25 * (1.0 + s) * (y / 0.7).powi(2)).exp()

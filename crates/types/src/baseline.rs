@@ -1,14 +1,14 @@
 //! Baseline of a TIF: the plane on which its spot stands, which is of the measurement and not of the tool.
 //!
-//! A baseline is low beside the peak, and acts on all samples. Its volume therefore counts, not its height: 0.9 % of the
-//! peak is 38 % of the volume in a field 10 standard deviations wide on either side. The outer samples decide:
+//! A baseline is low beside the peak, and acts on all samples. Its volume therefore counts, not its height: 0.9 % of
+//! the peak is 38 % of the volume in a field 10 standard deviations wide on either side. The outer samples decide:
 //!
 //! ```text
 //! R = b + g . u + T exp(-d^2 / 2) + noise        on the outer samples, by least squares                        (1)
 //! ```
 //!
-//! b and g are the baseline. The third term is the tail of a spot that the field cuts off, with d the offset from the spot
-//! over its width. Both follow from the samples above half of the peak, as for an elliptical Gaussian.
+//! b and g are the baseline. The third term is the tail of a spot that the field cuts off, with d the offset from the
+//! spot over its width. Both follow from the samples above half of the peak, as for an elliptical Gaussian.
 
 use ndarray::Array2;
 
@@ -17,24 +17,25 @@ use crate::{
     regression::{Regression, regression},
 };
 
-/// Part of the shorter side of the field, on every side of it, that is outer. Larger: more of a cropped spot is among the
-/// outer samples. Smaller: fewer samples, and larger standard errors.
+/// Part of the shorter side of the field, on every side of it, that is outer. Larger: more of a cropped spot is among
+/// the outer samples. Smaller: fewer samples, and larger standard errors.
 const OUTER: f64 = 0.1;
 
-/// Largest part of the samples that may lie above half of the peak. A spot that fills more has no outer samples without a
-/// tail, whose shape would be a guess. Derived: 4.36 sigma^2 for a Gaussian in a square field of 2.1 sigma on either side.
+/// Largest part of the samples that may lie above half of the peak. A spot that fills more has no outer samples without
+/// a tail, whose shape would be a guess. Derived: 4.36 sigma^2 for a Gaussian in a square field of 2.1 sigma on either
+/// side.
 const MOST_ABOVE_HALF: f64 = 0.25;
 
-/// Part of the samples of the border above which zeros are no measurement. Larger: a round field counts as a square one.
-/// Smaller: a floor of rectified noise, of which half is 0, counts as a field with holes.
+/// Part of the samples of the border above which zeros are no measurement. Larger: a round field counts as a square
+/// one. Smaller: a floor of rectified noise, of which half is 0, counts as a field with holes.
 const MOST_ZEROS: f64 = 0.8;
 
-/// Size of the largest tail among the outer samples, over the peak, below which (1) has no third term. Larger: tails count
-/// as a baseline. Smaller: a term that rounding determines.
+/// Size of the largest tail among the outer samples, over the peak, below which (1) has no third term. Larger: tails
+/// count as a baseline. Smaller: a term that rounding determines.
 const LEAST_TAIL: f64 = 1e-6;
 
-/// Smallest ratio of a part of the baseline to its standard error. Larger: baselines in much noise pass. Smaller: noise is
-/// called a baseline.
+/// Smallest ratio of a part of the baseline to its standard error. Larger: baselines in much noise pass. Smaller: noise
+/// is called a baseline.
 const LEAST_SIGNIFICANCE: f64 = 4.0;
 
 /// Baseline of a TIF.
@@ -44,14 +45,14 @@ pub struct Baseline {
     pub level_nm_per_s: f64,
     /// Volume of this level over that of the TIF; negative if the baseline is.
     pub part_of_volume: f64,
-    /// Volume that a tilt of the baseline moves from one side to the other, over that of the TIF; 0 if it does not differ
-    /// from noise.
+    /// Volume that a tilt of the baseline moves from one side to the other, over that of the TIF; 0 if it does not
+    /// differ from noise.
     pub tilted_part_of_volume: f64,
 }
 
 impl Baseline {
-    /// Returns the baseline of a TIF (of the mean tool, if it varies); `None` if the spot fills the field, or if too few
-    /// samples are outer.
+    /// Returns the baseline of a TIF (of the mean tool, if it varies); `None` if the spot fills the field, or if too
+    /// few samples are outer.
     pub fn under(tif: &Tif) -> Option<Self> {
         let (grid, rate) = (tif.grid(), tif.rate_nm_per_s());
         let peak = tif.peak_nm_per_s();
@@ -120,8 +121,8 @@ fn fitted_plane(samples: &[OuterSample]) -> Option<([f64; 3], [f64; 3])> {
     Some(([b, gx, gy], [of_b, of_gx, of_gy]))
 }
 
-/// Returns the samples that were measured: all of them, or those that are not 0 if nearly all of the border is 0, as around
-/// a round field.
+/// Returns the samples that were measured: all of them, or those that are not 0 if nearly all of the border is 0, as
+/// around a round field.
 fn measured(rate: &Array2<f64>) -> Array2<bool> {
     let (ny, nx) = rate.dim();
     let is_border = |(r, c): (usize, usize)| r == 0 || c == 0 || r + 1 == ny || c + 1 == nx;
@@ -166,8 +167,8 @@ struct Spot {
 }
 
 impl Spot {
-    /// Returns the Gaussian with these samples above half of its peak. The ellipse in which it exceeds half of its peak has
-    /// the second moments `ln 2 / 2` times the covariance.
+    /// Returns the Gaussian with these samples above half of its peak. The ellipse in which it exceeds half of its peak
+    /// has the second moments `ln 2 / 2` times the covariance.
     fn above_half(grid: &Grid, rate: &Array2<f64>, peak: f64) -> Self {
         let above = || rate.indexed_iter().filter(|(_, v)| **v >= 0.5 * peak);
         let mean = |of: &dyn Fn(f64, f64) -> f64| {
@@ -238,8 +239,8 @@ mod tests {
                 assert!(found.part_of_volume.abs() < worst, "{half}: {found:?}");
             }
         }
-        // A tilt from -0.9 to 0.9 % of the peak holds no volume and moves 0.225 % x 1681 samples: half of what it has on
-        // either side, in the mean over the field.
+        // A tilt from -0.9 to 0.9 % of the peak holds no volume and moves 0.225 % x 1681 samples: half of what it has
+        // on either side, in the mean over the field.
         let found =
             Baseline::under(&tif(20.0, 41, |x, y| gaussian(x, y) + 0.045 * x / 20.0)).unwrap();
         let moved = 0.5 * 0.045 * 1681.0 / (8.0 * std::f64::consts::PI * 5.0);

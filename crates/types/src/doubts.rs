@@ -102,8 +102,8 @@ const LEAST_FAST_MM_PER_S: f64 = 2000.0;
 const STANDARD_GRAVITY_MM_PER_S2: f64 = 9806.65;
 
 /// Smallest part of the volume of a TIF that a baseline, or its tilt, may hold without a doubt. Larger: a run removes
-/// so much less of the long waves, unsaid. Smaller: good TIFs are doubted. Chosen: a Gaussian that the field cuts at 2.4
-/// standard deviations has 0.5 %.
+/// so much less of the long waves, unsaid. Smaller: good TIFs are doubted. Chosen: a Gaussian that the field cuts at
+/// 2.4 standard deviations has 0.5 %.
 const MOST_BASELINE_VOLUME: f64 = 0.02;
 
 /// Largest rate on the border, relative to the peak, above which the TIF is doubted as cropped.
@@ -720,8 +720,8 @@ mod tests {
     #[test]
     fn a_tool_with_a_baseline_or_cropped_or_in_other_units_is_named() {
         let surface = map(|z, _| z);
-        // 0.5 nm/s on 10 x 10 mm beside 2 pi sigma^2 10 nm/s: 50 / (50 + 141), and the lattice ends half a pitch later. The
-        // width of the tail is that of the samples above half of the peak.
+        // 0.5 nm/s on 10 x 10 mm beside 2 pi sigma^2 10 nm/s: 50 / (50 + 141), and the lattice ends half a pitch later.
+        // The width of the tail is that of the samples above half of the peak.
         let baseline = of_tif(&tool(5.0, |rate| rate + 0.5));
         said(
             baseline,

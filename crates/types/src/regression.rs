@@ -48,8 +48,8 @@ pub(crate) fn regression<const N: usize>(samples: &[([f64; N], f64)]) -> Option<
     Some(Regression { parameters, standard_errors: std::array::from_fn(error) })
 }
 
-/// Returns the inverse of a positive definite matrix with a diagonal of ones, by Gauss and Jordan's elimination; `None` if
-/// a pivot is too small.
+/// Returns the inverse of a positive definite matrix with a diagonal of ones, by Gauss and Jordan's elimination; `None`
+/// if a pivot is too small.
 fn inverse<const N: usize>(mut a: [[f64; N]; N]) -> Option<[[f64; N]; N]> {
     let mut inverse = [[0.0; N]; N];
     (0..N).for_each(|k| inverse[k][k] = 1.0);

@@ -209,23 +209,8 @@ impl Tif {
         self.variation.as_deref()
     }
 
-    /// Returns the lattice of the map on which the TIF was sampled anew; none of a TIF as it was measured.
-    pub(crate) fn lattice(&self) -> Option<&TifLattice> {
-        self.lattice.as_ref()
-    }
-
-    /// Returns this TIF as one that was sampled anew.
-    pub(crate) fn with_lattice(self, lattice: TifLattice) -> Self {
-        Self { lattice: Some(lattice), ..self }
-    }
-
-    /// Returns this TIF as the mean tool of a variation, if there is one.
-    pub(crate) fn with_variation(self, variation: Option<Variation>) -> Self {
-        Self { variation: variation.map(Arc::new), ..self }
-    }
-
-    /// The numbers from which [`Self::varying`] makes this tool; of one that does not vary, one kernel with the weight 1
-    /// at the ends of its samples.
+    /// The numbers from which [`Self::varying`] makes this tool; of one that does not vary, one kernel with the weight
+    /// 1 at the ends of its samples.
     pub fn numbers(&self) -> VaryingTif {
         let Some(v) = self.variation() else {
             let ends = |axis: &Axis| Axis::new(axis.start_mm(), axis.end_mm() - axis.start_mm(), 2);
@@ -272,7 +257,8 @@ impl Tif {
         }
     }
 
-    /// Refuses a tool whose rate depends on the time of the run; `method` is what needs a constant one, for the message.
+    /// Refuses a tool whose rate depends on the time of the run; `method` is what needs a constant one, for the
+    /// message.
     pub fn same_at_all_times(&self, method: &str) -> Result<(), Invalid> {
         match self.variation().and_then(Variation::time_factor) {
             None => Ok(()),
@@ -519,8 +505,8 @@ impl Tif {
         border.map(|(_, v)| v.abs()).fold(0.0, f64::max) / self.peak_nm_per_s()
     }
 
-    /// Least-squares plane through the samples of the border, at every sample (my, mx), nm/s. It is level if the border is
-    /// one line of samples.
+    /// Least-squares plane through the samples of the border, at every sample (my, mx), nm/s. It is level if the border
+    /// is one line of samples.
     pub fn border_plane_nm_per_s(&self) -> Array2<f64> {
         let (ny, nx) = self.grid.shape();
         let border = Array2::from_shape_fn((ny, nx), |(r, c)| {

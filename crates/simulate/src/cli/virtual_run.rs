@@ -27,8 +27,8 @@ pub struct VirtualRun {
     /// Random seed of the hidden errors
     #[arg(long, value_name = "S", requires = "error_budget", default_value_t = 1)]
     seed: u64,
-    /// Number of the run, from 1, on the machine of this seed. Errors of one number are those of its first run, and noise is
-    /// new; --surface is the map measured after the run before
+    /// Number of the run, from 1, on the machine of this seed. Errors of one number are those of its first run, and
+    /// noise is new; --surface is the map measured after the run before
     #[arg(long = "run-number", value_name = "K", requires = "error_budget", default_value_t = 1)]
     number: u64,
     /// Assume that rate, place, width and shape of the tool are known and corrected exactly; all other errors stay

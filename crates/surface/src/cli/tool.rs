@@ -1,5 +1,5 @@
-//! `planish-surface tool-rate`, `tool-spots`, `tool-edge`, `tool-turned`, `tool-footprint` and `tool-time`: tools that are not the same
-//! everywhere.
+//! `planish-surface tool-rate`, `tool-spots`, `tool-edge`, `tool-turned`, `tool-footprint` and `tool-time`: tools that
+//! are not the same everywhere.
 
 use std::path::{Path, PathBuf};
 
@@ -38,19 +38,20 @@ enum Acts {
 /// each of which costs as much as a constant tool.
 const DEFAULT_ERROR: f64 = 1e-3;
 
-/// Largest number of kernels without `--max-rank`. Larger: plans that take hours. Smaller: tools that are less exact than
-/// asked for.
+/// Largest number of kernels without `--max-rank`. Larger: plans that take hours. Smaller: tools that are less exact
+/// than asked for.
 const DEFAULT_MAX_RANK: usize = 64;
 
-/// Largest difference of a tool from that of tilts in the other order, relative to it, which is not said. Larger: a spot
-/// that lies turned is not noticed. Smaller: round spots whose samples differ a little from round are named. Chosen: the
-/// wanted error of kernels and weights.
+/// Largest difference of a tool from that of tilts in the other order, relative to it, which is not said. Larger: a
+/// spot that lies turned is not noticed. Smaller: round spots whose samples differ a little from round are named.
+/// Chosen: the wanted error of kernels and weights.
 const MOST_OF_OTHER_TILTS: f64 = DEFAULT_ERROR;
 
 /// Exactness of the tool.
 #[derive(Debug, Args)]
 struct ExactArgs {
-    /// Wanted error of the kernels and weights, relative to the tool (root mean square over the places) [default: 0.001]
+    /// Wanted error of the kernels and weights, relative to the tool (root mean square over the places) [default:
+    /// 0.001]
     #[arg(long, value_name = "E")]
     error: Option<f64>,
     /// Largest number of kernels [default: 64]
@@ -120,8 +121,8 @@ impl MakeArgs {
         })
     }
 
-    /// Checks a parameter of the places at the corners of the rectangle, before anything is written: what does not exist
-    /// at some place does not at one of these.
+    /// Checks a parameter of the places at the corners of the rectangle, before anything is written: what does not
+    /// exist at some place does not at one of these.
     fn check_corners<T>(
         &self,
         (surface, tif): (&Surface, &Tif),
@@ -414,8 +415,8 @@ enum FollowsArg {
 
 #[derive(Debug, Args)]
 pub struct TurnedArgs {
-    /// Tool influence function at the angle 0: beside the middle towards positive x, or in a motion along positive x [tif
-    /// artifact]
+    /// Tool influence function at the angle 0: beside the middle towards positive x, or in a motion along positive x
+    /// [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
     /// Map of the part; the azimuth is that about the middle of its valid pixels [surface artifact]
@@ -494,8 +495,8 @@ pub struct FootprintArgs {
     /// Exponent m of cos(incidence)^m; below 0 the rate rises with the angle
     #[arg(long, value_name = "M", allow_negative_numbers = true, conflicts_with = "table")]
     exponent: Option<f64>,
-    /// Table of parameter and factor, two numbers in each line, ascending; the parameter is the incidence in degrees [text
-    /// file]
+    /// Table of parameter and factor, two numbers in each line, ascending; the parameter is the incidence in degrees
+    /// [text file]
     #[arg(long, value_name = "FILE")]
     table: Option<PathBuf>,
     /// fixed: distance of the point from which the rays come to the part, mm [default: parallel rays]
@@ -563,8 +564,8 @@ impl FootprintArgs {
             let difference = on.largest_difference(&other);
             if difference > MOST_OF_OTHER_TILTS {
                 warn(format!(
-                    "the tool is that of a machine whose tilt b carries a; where a carries b, the spot lies turned, by up to \
-                     {:.1} % of it (root mean square). Give --machine",
+                    "the tool is that of a machine whose tilt b carries a; where a carries b, the spot lies turned, by \
+                     up to {:.1} % of it (root mean square). Give --machine",
                     100.0 * difference
                 ));
             }

@@ -5,7 +5,10 @@ use planish_types::{Axis, Grid, Invalid, Pose, Tif};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{low_rank::LocalTool, place::Places};
+use super::{
+    low_rank::LocalTool,
+    place::{Parameter, Places},
+};
 
 /// Samples of a tool at a place, nm/s, on its own offsets; of one that turns with its motion, along x.
 pub fn tool_at(tif: &Tif, tool_mm: [f64; 2]) -> Array2<f64> {
@@ -166,33 +169,35 @@ pub enum PressureLaw {
 /// linear     q = max(c0 + c . u, 0),   integral over C of q = |A|,   integral over C of q u = 0          (1)
 /// ```
 ///
-/// The linear law is the equilibrium of a rigid pad. Measured edge functions, and a parametric model of them, are in D. W.
-/// Kim et al., Opt. Express 17 (2009) 5656; they can be given as [`Spots`].
+/// The linear law is the equilibrium of a rigid pad. Measured edge functions, and a parametric model of them, are in D.
+/// W. Kim et al., Opt. Express 17 (2009) 5656; they can be given as [`Spots`].
 #[derive(Debug)]
 pub struct Overhang<'a> {
     tif: &'a Tif,
     places: &'a Places<'a>,
     law: PressureLaw,
+    radius_mm: f64,
     /// Offsets of the pad, mm.
     pad_mm: Vec<[f64; 2]>,
-    /// Places of the part at which enough of the pad is covered, mm.
+    /// Places of the part at which enough of the pad is covered, mm: the middle, or many if it is none of them.
     covered_mm: Vec<[f64; 2]>,
 }
 
-/// Smallest covered fraction of the pad for which the uniform law is used. A tool further outside has the pressure of the
-/// place towards the nearest one of the part at which so much is covered. Larger: pads that hang over far have too little
-/// pressure. Smaller: the pressure grows without bound where nobody works.
+/// Smallest covered fraction of the pad for which the uniform law is used. A tool further outside has the pressure of
+/// the place towards the middle of the part at which so much is covered, or towards the nearest such place. Larger:
+/// pads that hang over far have too little pressure. Smaller: the pressure grows without bound where nobody works.
 const LEAST_COVERED_UNIFORM: f64 = 0.4;
 
-/// The same for the linear law: below what a straight edge leaves where a third of the diameter hangs over, 0.7. Further
-/// outside the pad tilts off the part, and no linear pressure without a negative part is in equilibrium.
+/// The same for the linear law: below what a straight edge leaves where a third of the diameter hangs over, 0.7.
+/// Further outside the pad tilts off the part, and no linear pressure without a negative part is in equilibrium.
 const LEAST_COVERED_LINEAR: f64 = 0.6;
 
 /// Distance of the places of the part among which the nearest one is searched, over the radius of the pad. Larger: a
 /// direction towards the part that is less exact. Smaller: more time.
 const SEARCHED_OVER_RADIUS: f64 = 0.125;
 
-/// Largest number of such places. Larger: more time for small pads on large parts. Smaller: larger distances between them.
+/// Largest number of such places. Larger: more time for small pads on large parts. Smaller: larger distances between
+/// them.
 const MOST_SEARCHED: f64 = 20_000.0;
 
 /// Number of halvings with which that place is found: to 1e-4 of the distance to the nearest one. Larger: more time.
@@ -223,13 +228,17 @@ impl<'a> Overhang<'a> {
         let at = |k: usize| (2.0 * (k as f64 + 0.5) / POINTS_OF_PAD as f64 - 1.0) * pad_radius_mm;
         let all = (0..POINTS_OF_PAD).flat_map(|r| (0..POINTS_OF_PAD).map(move |c| [at(c), at(r)]));
         let pad_mm = all.filter(|[x, y]| x.hypot(*y) <= pad_radius_mm).collect();
-        let mut pad = Self { tif, places, law, pad_mm, covered_mm: Vec::new() };
+        let radius_mm = pad_radius_mm;
+        let mut pad = Self { tif, places, law, radius_mm, pad_mm, covered_mm: Vec::new() };
         let area_mm2 = places.valid_mm2();
         let apart_mm =
             (SEARCHED_OVER_RADIUS * pad_radius_mm).max((area_mm2 / MOST_SEARCHED).sqrt());
         pad.covered_mm = places.valid_places(apart_mm);
         let used = pad.covered_mm.par_iter().copied().filter(|p| pad.is_used(*p)).collect();
-        pad.covered_mm = used;
+        // Towards the middle the tool changes least beyond the edge; where the part has a hole there, no pad is
+        // covered.
+        let middle = places.middle_mm();
+        pad.covered_mm = if pad.is_used(middle) { vec![middle] } else { used };
         if pad.covered_mm.is_empty() {
             let problem = format!(
                 "is {pad_radius_mm} mm, and nowhere {} % of such a pad is on the part",
@@ -261,21 +270,29 @@ impl<'a> Overhang<'a> {
         self.points(p).map(|(_, part)| part).sum::<f64>() / self.pad_mm.len() as f64
     }
 
-    /// Returns true if enough of the pad is on the part for the law to be used at the place.
-    pub fn is_used(&self, p: [f64; 2]) -> bool {
-        self.covered(p) >= self.least_covered()
+    /// Returns true if the whole pad is on the part, and false if nothing of it is, by the distance of the place from
+    /// the edge; `None` where the edge may be under the pad.
+    fn beside_edge(&self, p: [f64; 2]) -> Option<bool> {
+        let far_mm = self.radius_mm + 2.0 * self.places.pixel_mm();
+        let distance_mm = self.places.parameter(Parameter::EdgeDistance, p).ok()?;
+        if distance_mm.abs() > far_mm { Some(distance_mm > 0.0) } else { None }
     }
 
-    /// Returns the place itself, or the first one towards the nearest place of the part at which enough of the pad is
-    /// covered. The middle of the part is no such place where it has a hole.
+    /// Returns true if enough of the pad is on the part for the law to be used at the place.
+    pub fn is_used(&self, p: [f64; 2]) -> bool {
+        self.beside_edge(p).unwrap_or_else(|| self.covered(p) >= self.least_covered())
+    }
+
+    /// Returns the place itself, or the first one towards the nearest of `covered_mm` at which enough of the pad is
+    /// covered.
     fn covered_enough(&self, p: [f64; 2]) -> [f64; 2] {
         if self.is_used(p) {
             return p;
         }
         let square = |q: &[f64; 2]| (q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2);
         let nearest = self.covered_mm.iter().min_by(|a, b| square(a).total_cmp(&square(b)));
-        let nearest = nearest.expect("the constructor refuses a pad without such places");
-        let towards = |s: f64| [0, 1].map(|k| p[k] + s * (nearest[k] - p[k]));
+        let inside = nearest.expect("the constructor refuses a pad without such places");
+        let towards = |s: f64| [0, 1].map(|k| p[k] + s * (inside[k] - p[k]));
         let (mut low, mut high) = (0.0, 1.0);
         for _ in 0..HALVINGS {
             let s = 0.5 * (low + high);
@@ -286,8 +303,11 @@ impl<'a> Overhang<'a> {
 
     /// The tool at a place.
     pub fn at(&self, p: [f64; 2]) -> Array2<f64> {
-        let p = self.covered_enough(p);
         let rate = self.tif.rate_nm_per_s();
+        if self.beside_edge(p) == Some(true) {
+            return rate.clone();
+        }
+        let p = self.covered_enough(p);
         let uniform = [1.0 / self.covered(p), 0.0, 0.0];
         let [c0, cx, cy] = match self.law {
             PressureLaw::Uniform => uniform,

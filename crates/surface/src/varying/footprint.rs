@@ -9,13 +9,14 @@
 //! ```
 //!
 //! K is the rate along z, and R the TIF as it was measured on a flat part. In (1), t1 and t2 are where the tilts of the
-//! machine ([`ToolFrame`]) turn the axes x and y of the TIF. The first factor of (1) is the shorter projection of the spot,
-//! and 1 / n_z turns the rate along the normal into that along z.
+//! machine ([`ToolFrame`]) turn the axes x and y of the TIF. The first factor of (1) is the shorter projection of the
+//! spot, and 1 / n_z turns the rate along the normal into that along z.
 //!
 //! In (2) rays leave a source at the distance D above the contact point, and e is how much deeper than this point the
-//! part lies at x. A ray that passes the plane of the contact point at w was measured there under the angle a. On the part
-//! its flux is lower by the square of the distances, and arrives under the angle b; Y is the yield by the angle. Without
-//! a distance the rays are parallel, a is 0, and (2) is R(x - p) Y(b) / Y(0): in projection the footprint is unchanged.
+//! part lies at x. A ray that passes the plane of the contact point at w was measured there under the angle a. On the
+//! part its flux is lower by the square of the distances, and arrives under the angle b; Y is the yield by the angle.
+//! Without a distance the rays are parallel, a is 0, and (2) is R(x - p) Y(b) / Y(0): in projection the footprint is
+//! unchanged.
 //!
 //! | symbol | variable | unit |
 //! |---|---|---|
@@ -64,8 +65,8 @@ pub enum Carrier {
 /// spindle        t = e - (e . n) (n + z) / (1 + n_z)               turned about the axis across the radius
 /// ```
 ///
-/// The first two differ by a turn about n, of about the product of the slopes along x and y, rad. (3) is in the directions
-/// of the machine; the last one holds for a part that is a surface of revolution about the spindle.
+/// The first two differ by a turn about n, of about the product of the slopes along x and y, rad. (3) is in the
+/// directions of the machine; the last one holds for a part that is a surface of revolution about the spindle.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ToolFrame {
     carrier: Carrier,

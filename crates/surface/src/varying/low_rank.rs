@@ -12,8 +12,8 @@
 //! the weights are interpolated; what that leaves is measured within cells. The rank is the least, and the
 //! grid the coarsest of halved ones, whose errors stay below the wanted one.
 //!
-//! A tool that only turns, with the azimuth of its place or with the direction of its motion, is sampled at angles of one
-//! turn instead of places of a grid. It is then as exact at the axis as far from it.
+//! A tool that only turns, with the azimuth of its place or with the direction of its motion, is sampled at angles of
+//! one turn instead of places of a grid. It is then as exact at the axis as far from it.
 
 use std::collections::BTreeSet;
 
@@ -43,19 +43,20 @@ const FIRST_ANGLES: usize = 32;
 /// Largest number of angles. Larger: tools with finer shapes, and more time. Smaller: such tools are less exact.
 const MOST_ANGLES: usize = 1024;
 
-/// Largest number of cells in which the error is measured on every lattice. Larger: more time. Smaller: a larger scatter of
-/// the measured error.
+/// Largest number of cells in which the error is measured on every lattice. Larger: more time. Smaller: a larger
+/// scatter of the measured error.
 const MOST_MEASURED: usize = 400;
 
-/// Largest number of cells in which the largest error is searched, on the last lattice. Larger: more time. Smaller: a place
-/// with a larger error may be missed.
+/// Largest number of cells in which the largest error is searched, on the last lattice. Larger: more time. Smaller: a
+/// place with a larger error may be missed.
 const MOST_SEARCHED: usize = 2000;
 
 /// Number of cells with the largest errors in which it is searched further, and number of places along a side of each.
 /// Larger: more time. Smaller: a largest error that is stated too small.
 const SEARCHED_FURTHER: (usize, usize) = (12, 5);
 
-/// Parts of a cell by which the place in one cell differs from that in the next: powers of 1 / 1.3247, which cover the
+/// Parts of a cell by which the place in one cell differs from that in the next, where the largest error is searched:
+/// in the middle of a cell the third-order error of Keys' interpolation vanishes. Powers of 1 / 1.3247, which cover the
 /// square evenly (M. Roberts, R2 sequence).
 const SPREAD: [f64; 2] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_3];
 
@@ -261,12 +262,9 @@ impl Lattice {
         }
     }
 
-    /// A place [x, y], mm, in every cell between neighbouring samples, at parts of the cell that are spread evenly over the
-    /// cells. In the middle of a cell the third-order error of Keys' interpolation vanishes.
-    fn within_cells(&self) -> Vec<[f64; 2]> {
-        (0..self.cells())
-            .map(|i| self.within_cell(i, SPREAD.map(|by| (i as f64 * by).fract())))
-            .collect()
+    /// Middles between neighbouring samples [x, y], mm.
+    fn middles(&self) -> Vec<[f64; 2]> {
+        (0..self.cells()).map(|cell| self.within_cell(cell, [0.5; 2])).collect()
     }
 
     /// Number of cells between neighbouring samples.
@@ -324,8 +322,8 @@ fn around(middle_mm: [f64; 2], radius_mm: f64, turns: f64) -> [f64; 2] {
     [middle_mm[0] + radius_mm * cosine, middle_mm[1] + radius_mm * sine]
 }
 
-/// Kernels and weights of the tool `of` on `offsets` that depends on the azimuth of its place about `middle_mm` only, and
-/// removes within `radius_mm` of it.
+/// Kernels and weights of the tool `of` on `offsets` that depends on the azimuth of its place about `middle_mm` only,
+/// and removes within `radius_mm` of it.
 pub fn low_rank_by_azimuth(
     offsets: &Grid,
     (middle_mm, radius_mm): ([f64; 2], f64),
@@ -340,8 +338,8 @@ pub fn low_rank_by_azimuth(
     )
 }
 
-/// Kernels and weights of the tool `of` on `offsets` that depends on the direction of its motion only, which it gets as a
-/// unit vector [x, y]. The grid `positions` of the weights holds the places of the part.
+/// Kernels and weights of the tool `of` on `offsets` that depends on the direction of its motion only, which it gets as
+/// a unit vector [x, y]. The grid `positions` of the weights holds the places of the part.
 pub fn low_rank_by_heading(
     offsets: &Grid,
     positions: Grid,
@@ -374,9 +372,9 @@ fn low_rank_of_turn(
     }
 }
 
-/// Kernels and weights of the tool `of` on `offsets`, for places in the rectangle from `low_mm` to `high_mm` [x, y]. The
-/// places at which the tool is used, those that `counts` says, decide about the kernels and the errors. The places of the
-/// weights are `spacing_mm` apart, or as far as the wanted error allows.
+/// Kernels and weights of the tool `of` on `offsets`, for places in the rectangle from `low_mm` to `high_mm` [x, y].
+/// The places at which the tool is used, those that `counts` says, decide about the kernels and the errors. The places
+/// of the weights are `spacing_mm` apart, or as far as the wanted error allows.
 pub fn low_rank(
     offsets: &Grid,
     ([low_mm, high_mm], spacing_mm): ([[f64; 2]; 2], Option<f64>),
@@ -438,24 +436,21 @@ fn on_lattice(
         let problem = "has no place at which the tool is used";
         return Err(Unreached::Samples(Invalid::whole("surface", problem, remedy)));
     }
-    let taken: Vec<usize> = lattice
-        .with_neighbours(&used)
-        .into_par_iter()
-        .filter(|i| is_tool(&of(lattice.place(*i))))
-        .collect();
-    if let Some(i) = used.iter().find(|i| taken.binary_search(i).is_err()) {
-        let problem = format!("removes nothing at {}", lattice.named(lattice.place(*i)));
-        let remedy = "a tool that varies removes material wherever it is used: give factors of at least 0.001, make these \
-                      pixels of the map invalid, or give a smaller `beyond_mm`";
-        return Err(Unreached::NoTool(Invalid::whole("tool", problem, remedy)));
-    }
-    let basis = Basis::new(offsets, &lattice, &taken, of, settings);
+    let near = lattice.with_neighbours(&used);
+    let Some(basis) = Basis::new(offsets, &lattice, &near, of, settings) else {
+        return Err(Unreached::NoTool(removes_nothing(lattice, used[0])));
+    };
+    // The interpolation between used places reads two places beyond them.
+    let read: BTreeSet<usize> = lattice.with_neighbours(&near).into_iter().collect();
     let projected = |i: usize| {
-        let sample = of(lattice.place(i));
+        let sample = read.contains(&i).then(|| of(lattice.place(i)))?;
         is_tool(&sample).then(|| basis.project(&sample))
     };
     let found: Vec<Option<Projected>> = (0..count).into_par_iter().map(projected).collect();
-    // Where nobody works and the tool removes nothing, it is that of the nearest place at which it is used.
+    if let Some(i) = used.iter().find(|i| found[**i].is_none()) {
+        return Err(Unreached::NoTool(removes_nothing(lattice, *i)));
+    }
+    // Where nobody works, or the tool removes nothing beside where it is used, it is that of the nearest used place.
     let nearest = |i: usize| {
         let here = lattice.place(i);
         let square = |j: &&usize| {
@@ -473,6 +468,14 @@ fn on_lattice(
     let tif = Tif::varying(tool.clone()).map_err(Unreached::Samples)?;
     let report = report(&basis, lattice, (&used, &found), (of, counts), &tif, settings);
     Ok(Found { basis, lattice, tif, low_rank: LowRank { tool, report } })
+}
+
+/// Refusal of a tool that removes nothing at a place where it is used.
+fn removes_nothing(lattice: Lattice, i: usize) -> Invalid {
+    let problem = format!("removes nothing at {}", lattice.named(lattice.place(i)));
+    let remedy = "a tool that varies removes material wherever it is used: give factors of at least 0.001, make these \
+                  pixels of the map invalid, or give a smaller `beyond_mm`";
+    Invalid::whole("tool", problem, remedy)
 }
 
 /// Returns true if samples are finite and remove material.
@@ -506,14 +509,15 @@ struct Basis {
 }
 
 impl Basis {
-    /// The kernels of the samples at `taken` places: as few as the wanted error allows.
+    /// The kernels of the samples at `taken` places: as few as the wanted error allows. `None` if none of them is a
+    /// tool.
     fn new(
         offsets: &Grid,
         lattice: &Lattice,
         taken: &[usize],
         of: &LocalTool<'_>,
         settings: &LowRankSettings,
-    ) -> Self {
+    ) -> Option<Self> {
         let LowRankSettings { error, max_rank } = *settings;
         let training = taken.len().min(MOST_TRAINING);
         // Evenly spread, by the golden ratio where not all are taken.
@@ -521,8 +525,13 @@ impl Basis {
             true => taken[k],
             false => taken[((k as f64 * GOLDEN).fract() * taken.len() as f64) as usize],
         };
-        let samples: Vec<Array2<f64>> =
+        let mut samples: Vec<Array2<f64>> =
             (0..training).into_par_iter().map(|k| of(lattice.place(chosen(k)))).collect();
+        samples.retain(is_tool);
+        if samples.is_empty() {
+            return None;
+        }
+        let training = samples.len();
         let rows: Vec<Vec<f64>> = (0..training)
             .into_par_iter()
             .map(|i| (0..=i).map(|j| dot(&samples[i], &samples[j])).collect())
@@ -551,7 +560,7 @@ impl Basis {
             if kernel.sum() < 0.0 { -kernel } else { kernel }
         };
         let kernels = (0..rank).into_par_iter().map(kernel).collect();
-        Self { kernels, scale: (total / training as f64).sqrt() }
+        Some(Self { kernels, scale: (total / training as f64).sqrt() })
     }
 
     /// (2) for a sample of the tool.
@@ -635,8 +644,7 @@ fn report(
     let squares: f64 = of_used().map(|p| p.square).sum::<f64>() / used.len() as f64;
     let of_rank: f64 = of_used().map(Projected::missed).sum::<f64>() / used.len() as f64;
     let largest_of_rank = of_used().map(Projected::missed).fold(0.0, f64::max);
-    let inside: Vec<[f64; 2]> =
-        lattice.within_cells().into_par_iter().filter(|p| counts(*p)).collect();
+    let inside: Vec<[f64; 2]> = lattice.middles().into_par_iter().filter(|p| counts(*p)).collect();
     let measured = inside.len().min(MOST_MEASURED);
     let errors: Vec<(f64, [f64; 2])> = (0..measured)
         .into_par_iter()

@@ -116,6 +116,11 @@ impl<'a> Places<'a> {
         self.border_mm.iter().map(from).fold(0.0, f64::max)
     }
 
+    /// Larger side of a pixel, mm.
+    pub fn pixel_mm(&self) -> f64 {
+        self.surface.grid().x.step_mm().max(self.surface.grid().y.step_mm())
+    }
+
     /// Area of the valid pixels, mm^2.
     pub fn valid_mm2(&self) -> f64 {
         let valid = self.surface.height_nm().iter().filter(|z| !z.is_nan()).count();
