@@ -4,8 +4,8 @@
 //! without a flag names the setting that takes all other flags of the program. Messages then name the settings.
 //!
 //! [`REHEARSAL`] makes the program end with exit code 0 where it would begin its work, or needs an input that is still to
-//! be made. Until then it checks its flags and the inputs that are there. The first line is the directory of the run; the
-//! other lines are the paths in it that are made already.
+//! be made. Until then it checks its flags and the inputs that are there. The value is a list of paths as JSON: first the
+//! directory of the run, then the paths in it that are made already.
 
 use std::{borrow::Cow, env, path::Path, process::exit};
 
@@ -39,10 +39,11 @@ pub(crate) fn before_the_work() {
 
 /// Ends a rehearsal with exit code 0 if the input at `path` is still to be made.
 pub(crate) fn before_reading(path: &Path) {
-    let Ok(told) = env::var(REHEARSAL) else { return };
-    let mut lines = told.lines().map(Path::new);
-    let is_of_run = lines.next().is_some_and(|run| is_within(path, run));
-    if is_of_run && !lines.any(|made| is_within(path, made)) {
+    let Ok(text) = env::var(REHEARSAL) else { return };
+    let paths: Vec<String> = serde_json::from_str(&text).unwrap_or_default();
+    let Some((run, made)) = paths.split_first() else { return };
+    if is_within(path, Path::new(run)) && !made.iter().any(|made| is_within(path, Path::new(made)))
+    {
         exit(0)
     }
 }

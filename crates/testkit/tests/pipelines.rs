@@ -677,6 +677,66 @@ fn what_is_no_campaign_and_no_next_run_is_refused_and_nothing_is_written() {
 }
 
 #[test]
+fn a_rate_that_depends_on_the_time_and_measured_spots_are_planned() {
+    if !just_is_installed() {
+        return;
+    }
+    let dir = user("mirror", "tool");
+    fs::write(dir.path().join("warm-up.txt"), "0 1\n100 0.9\n").unwrap();
+    let quick = ["machine=machine.json", "refine=no", "plan_joint=no", "frames=0"];
+    for (method, flags) in [
+        ("tool-time", "--table warm-up.txt"),
+        ("tool-spots", "--by x --spot 0=tool --spot 20=tool"),
+    ] {
+        let own = [
+            "surface=mirror".to_string(),
+            "tif=tool".into(),
+            format!("varying={method} {flags}"),
+            format!("out={method}"),
+        ];
+        let words = ["run", "raster"].into_iter().chain(quick).map(String::from);
+        let words: Vec<String> = words.chain(own).collect();
+        ended_with(&run(dir.path(), &words), 0);
+        let out = dir.path().join(method);
+        assert_eq!(manifest(&out.join("tool"))["method"], method);
+        let inputs = manifest(&out.join("methods/pvt/removal"))["inputs"].clone();
+        let tif = inputs.as_array().unwrap().iter().find(|input| input["role"] == "tif").unwrap();
+        assert_eq!(
+            (&tif["kind"], &tif["path"]),
+            (&json!("tool"), &json!(format!("{method}/tool")))
+        );
+    }
+}
+
+#[test]
+fn what_a_controller_cannot_do_is_found_before_hours_of_planning() {
+    if !just_is_installed() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    for (settings, said) in [
+        (&["export=galil", "export_settings=--sample-s 1"][..], "export_settings=--sample-s: is 1"),
+        (&["export=galil", "export_settings=--tick-s 1"], "argument 'export_settings=--tick-s'"),
+        (
+            &["export=pmac", "export_settings=--tool-output 99999"],
+            "export_settings=--tool-output: is M99999",
+        ),
+        (&["error_budget=none.json"], "none.json"),
+    ] {
+        let words = [&["run", "raster", "fixture=coupon", "out=o"], settings].concat();
+        let text = ended_with(&run(dir.path(), &words), 2);
+        assert!(text.contains(said) && !text.contains("planish-fixture"), "{settings:?}: {text}");
+        assert!(entries(dir.path()).is_empty(), "{settings:?}");
+    }
+    // A path that lifts the tool is known before the dwell times are.
+    let lifts = ["run", "multi-pitch", "fixture=coupon", "export=galil", "out=o"];
+    let text = ended_with(&run(dir.path(), &lifts), 2);
+    let remedy = "Give export_settings=--always-on";
+    assert!(text.contains("a galil program cannot switch it") && text.contains(remedy), "{text}");
+    assert!(text.contains("planish-toolpath") && !text.contains("planish-dwell "), "{text}");
+}
+
+#[test]
 fn the_command_of_a_plan_of_a_sweep_makes_the_same_plan_again() {
     if !just_is_installed() {
         return;

@@ -32,7 +32,7 @@ pub struct Report {
     /// Name of the mirror
     #[arg(long, value_name = "NAME", default_value = "")]
     mirror: String,
-    /// Name of the machine, if nobody named one and it is that of the fixtures: the page says so
+    /// Name of the machine, if nobody named one and it is that of the fixtures; the result says so
     #[arg(long, value_name = "NAME")]
     assumed_machine: Option<String>,
     #[command(flatten)]

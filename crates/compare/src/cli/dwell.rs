@@ -19,7 +19,7 @@ pub struct Dwell {
     /// Name of the mirror
     #[arg(long, value_name = "NAME", default_value = "")]
     mirror: String,
-    /// Name of the machine, if nobody named one and it is that of the fixtures: the summary says so
+    /// Name of the machine, if nobody named one and it is that of the fixtures; the result says so
     #[arg(long, value_name = "NAME")]
     assumed_machine: Option<String>,
     #[command(flatten)]

@@ -52,7 +52,7 @@ pub struct Report {
     /// by planish-simulate --servo-of
     #[arg(long)]
     after_servo: bool,
-    /// Name of the machine, if nobody named one and it is that of the fixtures: the answer says so
+    /// Name of the machine, if nobody named one and it is that of the fixtures; the result says so
     #[arg(long, value_name = "NAME")]
     assumed_machine: Option<String>,
     /// Small plots under the table; auto: where standard output is a terminal

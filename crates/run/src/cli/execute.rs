@@ -121,11 +121,11 @@ impl Programs {
         made: &[String],
     ) -> Result<Option<String>, Failure> {
         let mut process = self.process(command);
-        let paths = [&[run.to_string()], made].concat().join("\n");
+        let paths = serde_json::to_string(&[&[run.to_string()], made].concat())?;
         process.env(REHEARSAL, paths).stdin(Stdio::null()).stdout(Stdio::null());
-        let (status, said) = self.ended(command, heard(process.stderr(Stdio::piped())))?;
-        let said = String::from_utf8_lossy(&said).trim().to_string();
-        Ok(if code(status) == 2 { Some(said) } else { None })
+        let (status, message) = self.ended(command, heard(process.stderr(Stdio::piped())))?;
+        let message = String::from_utf8_lossy(&message).trim().to_string();
+        Ok(if code(status) == 2 { Some(message) } else { None })
     }
 
     fn process(&self, command: &Command) -> Process {
@@ -133,7 +133,9 @@ impl Programs {
         process.args(&command.arguments).env("PATH", &self.path);
         let Origins { of_flag, more_flags, .. } = &command.origins;
         let more = more_flags.iter().map(|setting| format!("\t{setting}"));
-        let lines = of_flag.iter().map(|(flag, text)| format!("{flag}\t{text}")).chain(more);
+        let is_line = |(flag, _): &&(String, String)| !flag.contains(char::is_control);
+        let lines = of_flag.iter().filter(is_line).map(|(flag, text)| format!("{flag}\t{text}"));
+        let lines = lines.chain(more);
         process.env(SETTINGS_OF_FLAGS, lines.collect::<Vec<_>>().join("\n"));
         process
     }
