@@ -363,7 +363,9 @@ fn a_plan_that_starts_or_ends_in_the_centre_does_not_depend_on_rounding() {
         let velocities: Vec<[f64; 2]> = (0..=40).map(velocity).collect();
         through(&points, &velocities, 0.05)
     };
-    for (plan, angle_rad) in [(straight, (-0.5_f64).atan()), (slowly, (-0.5_f64).atan()), (spiral, 0.5)] {
+    for (plan, angle_rad) in
+        [(straight, (-0.5_f64).atan()), (slowly, (-0.5_f64).atan()), (spiral, 0.5)]
+    {
         let (axes, report) = motion(&plan, &machine, &plane(), &settings()).unwrap();
         assert!(exceeded(&axes, &machine).is_empty(), "{:?}", exceeded(&axes, &machine));
         let c_deg = axes.position(0, 0.0)[2];

@@ -143,7 +143,9 @@ impl Joint {
         let tolerance_mm = path.tolerance_mm(None)?.max(r.corner_deviation_mm);
         let distance = PathDistance::new(&plan.trajectory, &path, Some(tolerance_mm))?;
         let excess = distance.excess().map(|excess| {
-            format!("{excess}; a smaller `corner_deviation_mm` keeps the plan closer to its corners")
+            format!(
+                "{excess}; a smaller `corner_deviation_mm` keeps the plan closer to its corners"
+            )
         });
         let negative = plan.negative(&surface).or(excess);
         let status = negative.map_or(Status::Done, |text| Status::Negative(with_flags(&text)));

@@ -273,9 +273,9 @@ fn the_operator_of_constant_accelerations_is_their_own() {
 /// Every scheduler that can be chosen by name, with all its choices.
 fn every_scheduler(limits: &Limits) -> Vec<Box<dyn Scheduler>> {
     let modes = [pvt::ModeChoice::Smooth, pvt::ModeChoice::Monotone];
-    let choices = modes
-        .into_iter()
-        .flat_map(|mode| [Repair::Offset, Repair::Local].map(|repair| Choices { mode, repair, ..Choices::default() }));
+    let choices = modes.into_iter().flat_map(|mode| {
+        [Repair::Offset, Repair::Local].map(|repair| Choices { mode, repair, ..Choices::default() })
+    });
     let mut all: Vec<Box<dyn Scheduler>> = Vec::new();
     for choices in choices {
         for named in &SCHEDULERS {

@@ -115,9 +115,8 @@ fn schedulers() -> Vec<(String, bool, Schedule)> {
         let made = average_velocity::schedule(path, dwell, limits);
         made.map(|s| s.trajectory).map_err(|e| e.to_string())
     });
-    let rest: Schedule = Box::new(|path, dwell, _| {
-        position::schedule(path, dwell).map_err(|e| e.to_string())
-    });
+    let rest: Schedule =
+        Box::new(|path, dwell, _| position::schedule(path, dwell).map_err(|e| e.to_string()));
     all.push(("pvt-as-published".into(), false, published));
     all.push(("average-velocity".into(), true, average));
     all.push(("position".into(), false, rest));

@@ -39,10 +39,8 @@ fn simulated(
 
 /// The spline of the publication, which has no tolerance of its distance from the path.
 fn smooth(path: &ToolPath, dwell: &DwellTime) -> pvt::Schedule {
-    let settings = pvt::Settings {
-        max_path_distance_mm: Some(1e9),
-        ..pvt::Settings::of(pvt::Mode::Smooth)
-    };
+    let settings =
+        pvt::Settings { max_path_distance_mm: Some(1e9), ..pvt::Settings::of(pvt::Mode::Smooth) };
     pvt::schedule(path, dwell, &ion_beam(), &settings).unwrap()
 }
 

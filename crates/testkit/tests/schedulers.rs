@@ -86,10 +86,8 @@ impl Case {
 
     /// The motion without a tolerance of its distance from the path.
     fn pvt(&self, mode: Mode) -> Result<pvt::Schedule, String> {
-        let settings = pvt::Settings {
-            max_path_distance_mm: Some(ANYWHERE_MM),
-            ..pvt::Settings::of(mode)
-        };
+        let settings =
+            pvt::Settings { max_path_distance_mm: Some(ANYWHERE_MM), ..pvt::Settings::of(mode) };
         pvt::schedule(&self.path(), &self.dwell(), &self.limits, &settings)
             .map_err(|e| e.to_string())
     }

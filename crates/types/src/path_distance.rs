@@ -72,9 +72,8 @@ impl ToolPath {
             let chosen = (0..self.len()).filter(move |i| self.tool_on()[*i] == on);
             chosen.map(|i| self.segment_length_mm(i)).filter(|mm| *mm > 0.0).collect()
         };
-        let point_mm = quantile(lengths_mm(true), 2)
-            .or_else(|| quantile(lengths_mm(false), 2))
-            .unwrap_or(0.0);
+        let point_mm =
+            quantile(lengths_mm(true), 2).or_else(|| quantile(lengths_mm(false), 2)).unwrap_or(0.0);
         let line_mm = quantile(self.legs_mm(), 4).unwrap_or(point_mm);
         USUAL_PART * line_mm.clamp(point_mm, LINES_PER_POINT * point_mm)
     }
@@ -134,7 +133,8 @@ impl PathDistance {
         };
         let nearest = Nearest { path, last: Cell::new(0) };
         for (segment, range) in motion.segments().zip(served) {
-            let before_mm = if segment.tool_on { distance.tool_on_mm } else { distance.tool_off_mm };
+            let before_mm =
+                if segment.tool_on { distance.tool_on_mm } else { distance.tool_off_mm };
             let farthest = |points: &[Point], enough: f64| nearest.farthest(points, &range, enough);
             let mm = largest(segment.coefficient_mm, segment.duration_s, before_mm, farthest);
             if !segment.tool_on {

@@ -1,10 +1,6 @@
 //! Distance of a plan from its path, which a program must not exceed while the tool is on.
 
-use planish_handoff::{
-    Failure, Inputs,
-    flags::NearPathArgs,
-    say, warn, with_flags,
-};
+use planish_handoff::{Failure, Inputs, flags::NearPathArgs, say, warn, with_flags};
 use planish_types::PathDistance;
 
 use super::Given;

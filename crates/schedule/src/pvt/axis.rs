@@ -241,7 +241,8 @@ impl AxisProblem<'_> {
         let allowed = self.mode == Mode::Smooth || self.is_monotone(&free, h);
         if allowed
             && self.is_within_ranges(&free)
-            && parallel(h.len()).all(|i| self.excess_of(i, &free, h) <= 1.0) {
+            && parallel(h.len()).all(|i| self.excess_of(i, &free, h) <= 1.0)
+        {
             return Ok(Solved { velocity: free, solver: Solver::Tridiagonal });
         }
         drop(free); // its memory is the program's

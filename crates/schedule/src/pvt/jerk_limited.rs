@@ -335,7 +335,10 @@ mod tests {
             assert!((p.iter().sum::<f64>() - dp).abs() < 1e-15);
             // Not beyond the control points of the Hermite cubic.
             let hull = [0.0, ends[0] * h / 3.0, dp - ends[1] * h / 3.0, dp];
-            let [low, high] = [hull.iter().copied().fold(0.0, f64::min), hull.iter().copied().fold(0.0, f64::max)];
+            let [low, high] = [
+                hull.iter().copied().fold(0.0, f64::min),
+                hull.iter().copied().fold(0.0, f64::max),
+            ];
             let (mut start, mut from) = (0.0, ends[0]);
             for (dp, to) in p.iter().zip(&v) {
                 let c = coefficients(start, *dp, from, *to, 0.2);

@@ -184,7 +184,8 @@ fn schedule_stretched(
     let displacement_mm: Vec<[f64; 2]> =
         timing.kept.iter().map(|segment| path.displacement_mm(*segment)).collect();
     let mut axes = [0, 1].map(|axis| {
-        let displacement_mm = parallel(timing.kept.len()).map(|k| displacement_mm[k][axis]).collect();
+        let displacement_mm =
+            parallel(timing.kept.len()).map(|k| displacement_mm[k][axis]).collect();
         AxisProblem::new(displacement_mm, settings.mode, &limits.axes()[axis])
     });
     let tolerance_mm = path.tolerance_mm(settings.max_path_distance_mm)?;

@@ -111,8 +111,7 @@ impl NearPath {
         let is_near = |part: f64| {
             [(ahead, h[node]), (behind, h[node - 1])].into_iter().all(|(dp, h)| {
                 let point = velocity.map(|v| part * v * h / 3.0);
-                from_chord(point, &[[0.0; 2], dp.map(|d| HELD_PART * d)])
-                    <= 0.5 * self.tolerance_mm
+                from_chord(point, &[[0.0; 2], dp.map(|d| HELD_PART * d)]) <= 0.5 * self.tolerance_mm
             })
         };
         if is_near(1.0) {

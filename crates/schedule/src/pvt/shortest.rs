@@ -556,7 +556,7 @@ mod tests {
             });
             let axes = problems([vec![dp], vec![0.0]], mode, &limits);
             let near = anywhere(&axes);
-        let search = Search::new(&axes, &near, &[1e-3]);
+            let search = Search::new(&axes, &near, &[1e-3]);
             let axis = &search.axes[0];
             let slower = 1.0 - ROOM;
             let kept = |h: f64, beyond: f64| {
@@ -619,7 +619,8 @@ mod tests {
         // 1.5 * 3 / 10 s for the velocity, sqrt(6 * 3 / 60) s for the acceleration.
         let limits = machine(10.0, 60.0, None);
         let axes = problems([vec![3.0], vec![0.0]], Mode::Monotone, &limits);
-        let found = Search::new(&axes, &anywhere(&axes), &[0.3]).run(&[vec![0.0; 2], vec![0.0; 2]], &[true]);
+        let found = Search::new(&axes, &anywhere(&axes), &[0.3])
+            .run(&[vec![0.0; 2], vec![0.0; 2]], &[true]);
         let least_s = (18.0_f64 / 60.0).sqrt();
         let over = found.duration_s[0] / least_s;
         assert!(over > 1.0 && over < 1.0 + 2.0 * ROOM, "{over}");

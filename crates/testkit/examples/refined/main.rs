@@ -212,8 +212,11 @@ fn with_every_scheduler() {
         "| fixture, path | `--scheduler` | before, nm | after, nm | before, s | after, s | rounds |"
     );
     println!("|---|---|---|---|---|---|---|");
-    let choices = [Repair::Offset, Repair::Local]
-        .map(|repair| Choices { mode: ModeChoice::Monotone, repair, ..Choices::default() });
+    let choices = [Repair::Offset, Repair::Local].map(|repair| Choices {
+        mode: ModeChoice::Monotone,
+        repair,
+        ..Choices::default()
+    });
     let limits = &ion_beam();
     for fixture_name in ["coupon", "flat-92x16"] {
         let Fixture { surface, tif, .. } = fixture(fixture_name, true);
