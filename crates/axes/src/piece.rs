@@ -92,48 +92,28 @@ pub(crate) fn planned_part(part: f64, [w0, w1]: [f64; 2]) -> f64 {
     2.0 * area / (w0 + (w0 * w0 + 2.0 * (w1 - w0) * area).sqrt())
 }
 
-/// Beginning of a motion from rest in the centre of a spindle.
+/// Direction in which a point at rest in the centre of a spindle moves away, at the local time `u` of a segment; backwards
+/// in time if `sign` is -1. `None` if the point has a velocity, or stays in the centre.
 ///
 /// ```text
-/// p(t) = a t^2 / 2 + j t^3 / 6     direction a, and the azimuth turns by (a x j) / (3 |a|^2) rad/s
-/// p(t) = j t^3 / 6                 direction j, and the azimuth does not turn
+/// p(t) = v t + a t^2 / 2 + j t^3 / 6     the first term that moves the point gives the direction
 /// ```
 ///
 /// A term counts as rounding where it moves the point by less than [`CENTRE_MM`] in the time of its segment. The
 /// velocity of a computed motion at rest is rounding, and its direction says nothing.
-struct Start {
-    /// Unit vector in the plane of the part.
-    direction: [f64; 2],
-    turn_rad_per_s: f64,
-}
-
-impl Start {
-    /// The beginning at the local time `u` of a segment; backwards in time if `sign` is -1. `None` if the point has a
-    /// velocity, or stays in the centre.
-    fn new(segment: &Segment<'_>, u: f64, sign: f64) -> Option<Self> {
-        let h = segment.duration_s;
-        let orders = segment.coefficient_mm.each_ref().map(|c| {
-            let v = derivative(c);
-            let a = derivative(&v);
-            [sign * evaluate(&v, u), evaluate(&a, u), sign * evaluate(&derivative(&a), u)]
-        });
-        let [velocity, acceleration, jerk] = [0, 1, 2].map(|k| [orders[0][k], orders[1][k]]);
-        let length = |d: [f64; 2]| d[0].hypot(d[1]);
-        let unit = |d: [f64; 2]| d.map(|v| v / length(d));
-        if length(velocity) * h >= CENTRE_MM {
-            return None;
-        }
-        let [ax, ay] = acceleration;
-        if length(acceleration) * h * h / 2.0 >= CENTRE_MM {
-            let across = ax * jerk[1] - ay * jerk[0];
-            let turn_rad_per_s = across / (3.0 * (ax * ax + ay * ay));
-            return Some(Self { direction: unit(acceleration), turn_rad_per_s });
-        }
-        if length(jerk) * h * h * h / 6.0 >= CENTRE_MM {
-            return Some(Self { direction: unit(jerk), turn_rad_per_s: 0.0 });
-        }
-        None
-    }
+fn direction_from_rest(segment: &Segment<'_>, u: f64, sign: f64) -> Option<[f64; 2]> {
+    let h = segment.duration_s;
+    let orders = segment.coefficient_mm.each_ref().map(|c| {
+        let v = derivative(c);
+        let a = derivative(&v);
+        [sign * evaluate(&v, u), evaluate(&a, u), sign * evaluate(&derivative(&a), u)]
+    });
+    let ways = [(0, h), (1, h * h / 2.0), (2, h * h * h / 6.0)];
+    let (order, length) = ways.into_iter().find_map(|(order, factor)| {
+        let length = orders[0][order].hypot(orders[1][order]);
+        (length * factor >= CENTRE_MM).then_some((order, length))
+    })?;
+    if order == 0 { None } else { Some([0, 1].map(|k| orders[k][order] / length)) }
 }
 
 /// Distance of a point from the path of a piece, from near its part `f`, mm: two Newton steps of (p - x) . p' = 0.
@@ -243,7 +223,7 @@ impl Pieces<'_> {
     }
 
     /// Position and velocity of the axes at a time of a segment. In the centre of a spindle, the point moves away from
-    /// there, or it arrives. A point at rest in the centre has the direction in which it begins to move ([`Start`]).
+    /// there, or it arrives. A point at rest in the centre has the direction in which it begins to move, and all axes rest.
     fn state(
         &self,
         i: usize,
@@ -257,12 +237,10 @@ impl Pieces<'_> {
             moving(segment.coefficient_mm, u).map(|s| Series { first: sign * s.first, ..s });
         let is_centre =
             self.turning.is_some() && self.map.radius_mm([p[0].value, p[1].value]) < CENTRE_MM;
-        let start = if is_centre { Start::new(segment, u, sign) } else { None };
-        if let Some(start) = &start {
-            // Along this curve, as along the motion, the azimuth turns by half of second / first.
-            let [x, y] = start.direction;
-            let left = [-y, x].map(|v| 2.0 * start.turn_rad_per_s * v);
-            p = [0, 1].map(|k| Series { value: p[k].value, first: [x, y][k], second: left[k] });
+        let from_rest = if is_centre { direction_from_rest(segment, u, sign) } else { None };
+        if let Some(direction) = from_rest {
+            let along = |k: usize| Series { first: direction[k], second: 0.0, ..p[k] };
+            p = [along(0), along(1)];
         }
         let axes = self.map.positions(p).ok_or_else(|| {
             let [x, y] = p.map(|s| s.value);
@@ -272,9 +250,8 @@ impl Pieces<'_> {
             let remedy = "give a form that covers the whole motion, with its overscan";
             Invalid::at("coefficient_mm", i, problem, remedy)
         })?;
-        let moves = |axis: usize| start.is_none() || Some(axis) == self.turning;
-        let velocity = |(axis, q): (usize, &Series)| if moves(axis) { sign * q.first } else { 0.0 };
-        Ok((axes.iter().enumerate()).map(|axis| [axis.1.value, velocity(axis)]).collect())
+        let speed = if from_rest.is_some() { 0.0 } else { sign };
+        Ok(axes.iter().map(|q| [q.value, speed * q.first]).collect())
     }
 
     /// Adds whole turns of the spindle to the state `after` a node, and refuses a jump there, which the centre causes.

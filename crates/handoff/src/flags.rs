@@ -50,6 +50,17 @@ impl PathArgs {
     pub fn read(&self, inputs: &mut Inputs) -> Result<ToolPath, HandoffError> {
         inputs.read("tool-path", &self.tool_path)
     }
+
+    /// Reads the tool path, and its overscan in mm if its manifest states one above 0.
+    pub fn read_with_overscan(
+        &self,
+        inputs: &mut Inputs,
+    ) -> Result<(ToolPath, Option<f64>), HandoffError> {
+        let (path, manifest): (_, Option<Manifest>) =
+            inputs.read_with_manifest("tool-path", &self.tool_path)?;
+        let overscan_mm = manifest.and_then(|m| m.settings["overscan_mm"].as_f64());
+        Ok((path, overscan_mm.filter(|mm| *mm > 0.0)))
+    }
 }
 
 /// Flags of the plan: a tool path and its dwell times.
@@ -63,10 +74,14 @@ pub struct PlanArgs {
 }
 
 impl PlanArgs {
-    /// Reads both artifacts. Refuses dwell times that were made for another path.
-    pub fn read(&self, inputs: &mut Inputs) -> Result<(ToolPath, DwellTime), HandoffError> {
-        let path = self.path.read(inputs)?;
-        Ok((path, read_dwell(&self.dwell, inputs)?))
+    /// Reads both artifacts, and the overscan of the path in mm if it states one above 0. Refuses dwell times that were
+    /// made for another path.
+    pub fn read(
+        &self,
+        inputs: &mut Inputs,
+    ) -> Result<(ToolPath, DwellTime, Option<f64>), HandoffError> {
+        let (path, overscan_mm) = self.path.read_with_overscan(inputs)?;
+        Ok((path, read_dwell(&self.dwell, inputs)?, overscan_mm))
     }
 }
 
@@ -242,9 +257,25 @@ impl MachineArgs {
 #[derive(Clone, Copy, Debug, Args)]
 pub struct PathDistanceArgs {
     /// Largest distance of the motion from the tool path with the tool on, mm [default: half the distance of the lines
-    /// of the path]
+    /// of the path, but not more than its overscan]
     #[arg(long, value_name = "D", allow_negative_numbers = true)]
     pub max_path_distance_mm: Option<f64>,
+}
+
+impl PathDistanceArgs {
+    /// Returns the tolerance of a motion along `path`, mm: that of the flag, or the usual one, but not more than the
+    /// overscan of the path.
+    ///
+    /// # Errors
+    ///
+    /// A tolerance that is negative or not finite.
+    pub fn tolerance_mm(&self, path: &ToolPath, overscan_mm: Option<f64>) -> Result<f64, Invalid> {
+        let tolerance_mm = path.tolerance_mm(self.max_path_distance_mm)?;
+        Ok(match (self.max_path_distance_mm, overscan_mm) {
+            (None, Some(overscan_mm)) => tolerance_mm.min(overscan_mm),
+            _ => tolerance_mm,
+        })
+    }
 }
 
 /// Flags of the distance of a motion from its path, for a judge.
@@ -278,7 +309,8 @@ impl NearPathArgs {
             let [with, without] = ["the machine", "the part"];
             let (own, other) = if is_there { (with, without) } else { (without, with) };
             let problem = format!(
-                "is in the coordinates of {own}, and the motion in those of {other}; transform one of them by                  planish-register apply"
+                "is in the coordinates of {own}, and the motion in those of {other}; transform one of them by \
+                 planish-register apply"
             );
             return Err(HandoffError::new(dir, problem));
         }
@@ -298,9 +330,7 @@ impl NearPathArgs {
         if let Some(mm) = tolerance_mm.filter(|mm| !(mm.is_finite() && *mm >= 0.0)) {
             return Err(HandoffError::new(
                 Path::new("--max-path-distance-mm"),
-                format!(
-                    "is {mm}; give the largest distance of the motion from its path, a finite number >= 0"
-                ),
+                format!("is {mm}; give the largest distance of the motion from its path, mm"),
             ));
         }
         Ok(stated.map(|stated| stated.judged_by(tolerance_mm.unwrap_or(stated.tolerance_mm))))

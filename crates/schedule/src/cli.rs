@@ -112,12 +112,12 @@ trait MotionCommand {
     /// Name of the method in the manifest: that of the subcommand.
     const METHOD: &'static str;
 
-    /// Settings for the manifest, with all defaults resolved for this machine.
+    /// Settings for the manifest, with all defaults resolved for this machine and path.
     type Settings: Serialize;
 
     fn given(&self) -> &Given;
 
-    fn settings(&self, machine: &Limits) -> Self::Settings;
+    fn settings(&self, machine: &Limits, max_path_distance_mm: f64) -> Self::Settings;
 
     /// Kind of the motion, if the method has several.
     fn kind(_: &Self::Settings) -> Option<&'static str> {
@@ -145,11 +145,11 @@ trait MotionCommand {
 fn schedule<S: MotionCommand>(scheduler: &S) -> Result<Status, Failure> {
     let given = scheduler.given();
     let mut inputs = Inputs::new();
-    let (path, dwell) = given.plan.read(&mut inputs)?;
+    let (path, dwell, overscan_mm) = given.plan.read(&mut inputs)?;
     let machine = given.machine.read(&mut inputs)?;
-    let settings = scheduler.settings(&machine);
     let tolerance_mm =
-        path.tolerance_mm(given.distance.max_path_distance_mm).map_err(Failure::with_flags)?;
+        given.distance.tolerance_mm(&path, overscan_mm).map_err(Failure::with_flags)?;
+    let settings = scheduler.settings(&machine, tolerance_mm);
     let task = task!(S::METHOD, Judged { settings: &settings, max_path_distance_mm: tolerance_mm });
     let mut output = Output::directory(&given.output, Trajectory::KIND);
     if let Some(dir) = scheduler.dwell_density() {

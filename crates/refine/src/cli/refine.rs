@@ -109,10 +109,10 @@ impl Refine {
         self.check_choices()?;
         let mut inputs = Inputs::new();
         let (surface, tif) = self.mirror.read(&mut inputs)?;
-        let path = self.path.read(&mut inputs)?;
+        let (path, overscan_mm) = self.path.read_with_overscan(&mut inputs)?;
         let machine = self.machine.read(&mut inputs)?;
         let tolerance_mm =
-            path.tolerance_mm(self.distance.max_path_distance_mm).map_err(Failure::with_flags)?;
+            self.distance.tolerance_mm(&path, overscan_mm).map_err(Failure::with_flags)?;
         let choices = Choices {
             mode: self.mode,
             repair: self.repair,

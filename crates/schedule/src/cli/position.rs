@@ -26,7 +26,7 @@ impl MotionCommand for Position {
         &self.given
     }
 
-    fn settings(&self, _: &Limits) -> NoSettings {
+    fn settings(&self, _: &Limits, _: f64) -> NoSettings {
         NoSettings {}
     }
 

@@ -28,10 +28,10 @@ impl MotionCommand for Pvt {
         &self.given
     }
 
-    fn settings(&self, machine: &Limits) -> pvt::Settings {
+    fn settings(&self, machine: &Limits, max_path_distance_mm: f64) -> pvt::Settings {
         pvt::Settings {
             stretch: !self.no_stretch,
-            max_path_distance_mm: self.given.distance.max_path_distance_mm,
+            max_path_distance_mm: Some(max_path_distance_mm),
             ..pvt::Settings::of(self.mode.on(machine))
         }
     }

@@ -25,7 +25,7 @@ impl MotionCommand for PvtAsPublished {
         &self.given
     }
 
-    fn settings(&self, _: &Limits) -> pvt_as_published::Settings {
+    fn settings(&self, _: &Limits, _: f64) -> pvt_as_published::Settings {
         pvt_as_published::Settings { rest_condition: self.rest_condition }
     }
 

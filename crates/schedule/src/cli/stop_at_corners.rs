@@ -22,7 +22,7 @@ impl MotionCommand for StopAtCorners {
         &self.given
     }
 
-    fn settings(&self, _: &Limits) -> NoSettings {
+    fn settings(&self, _: &Limits, _: f64) -> NoSettings {
         NoSettings {}
     }
 

@@ -37,7 +37,7 @@ impl MotionCommand for TrigSpline {
         &self.given
     }
 
-    fn settings(&self, _: &Limits) -> trig_spline::Settings {
+    fn settings(&self, _: &Limits, _: f64) -> trig_spline::Settings {
         trig_spline::Settings {
             repair: self.repair,
             corner_deviation_mm: self.corner_deviation_mm,
