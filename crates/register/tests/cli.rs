@@ -174,7 +174,7 @@ fn maps_at_one_place_are_averaged_and_not_joined() {
         });
         Surface::new(grid, z).unwrap()
     };
-    for (k, start) in [0, 16].into_iter().enumerate() {
+    for (k, start) in [0, 18].into_iter().enumerate() {
         write(dir, &format!("placed{k}"), &piece(0.5 * start as f64, start));
         write(dir, &format!("plain{k}"), &piece(0.0, start));
     }
@@ -188,7 +188,7 @@ fn maps_at_one_place_are_averaged_and_not_joined() {
     let output = run(dir, "join placed0 placed1 --out placed");
     assert!(output.status.success() && text(&output.stderr).is_empty(), "{}", text(&output.stderr));
     let joined = artifact::read::<Surface>(&dir.join("placed")).unwrap();
-    assert_eq!(joined.value.height_nm().dim(), (16, 40));
-    // The pieces are equal where they overlap: rounding of 13 nm.
+    assert_eq!(joined.value.height_nm().dim(), (16, 42));
+    // The pieces are equal where they overlap, in 6 x 16 pixels: rounding of 13 nm.
     assert!(joined.manifest.unwrap().outcome["join"]["misfit_nm"].as_f64().unwrap() < 1e-9);
 }
