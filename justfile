@@ -239,6 +239,11 @@ test-faults kills="1000" races="200": build
     @which strace > /dev/null || (apt-get update -qq && apt-get install -y -qq --no-install-recommends strace)
     python3 crates/testkit/tests/faults.py target/release --kills {{ kills }} --races {{ races }}
 
+# Make the mistakes of a laboratory, in units, clocks, angles and files: which of them stay silent?
+[group('4 slower tests')]
+test-mistakes: build
+    python3 crates/testkit/tests/mistakes.py target/release
+
 # Run G-code through the interpreter of LinuxCNC, where `rs274` is installed
 [group('4 slower tests')]
 test-gcode: build
