@@ -244,6 +244,11 @@ test-faults kills="1000" races="200": build
 test-killed *flags: build
     python3 crates/testkit/tests/killed.py target/release {{ flags }}
 
+# Make the mistakes of a laboratory, in units, clocks, angles and files: which of them stay silent?
+[group('4 slower tests')]
+test-mistakes: build
+    python3 crates/testkit/tests/mistakes.py target/release
+
 # Run G-code through the interpreter of LinuxCNC, where `rs274` is installed
 [group('4 slower tests')]
 test-gcode: build

@@ -203,14 +203,23 @@ pub fn of_rates(desired: &Surface, tif: &Tif) -> Option<String> {
     } else {
         (&TOO_FAST[..], "give nm/s and nm; a depth is divided by the dwell time of its spot")
     };
-    let mistake = Mistake::most_probable(mistakes, at_one_place_s, USUAL_MEAN_DEPTH_S);
+    // All mistakes that lead back to a usual time, or the nearest one.
+    let explains = |mistake: &&Mistake| (least..=most).contains(&(at_one_place_s * mistake.factor));
+    let mut probable: Vec<&Mistake> = mistakes.iter().filter(explains).collect();
+    if probable.is_empty() {
+        probable.push(Mistake::most_probable(mistakes, at_one_place_s, USUAL_MEAN_DEPTH_S));
+    }
+    let probable: Vec<String> = (probable.iter())
+        .map(|m| {
+            format!("{} (it would be {} s)", m.what, significant(at_one_place_s * m.factor, 2))
+        })
+        .collect();
     Some(format!(
-        "the tool removes the mean depth of {} nm in {} s at one place (its peak is {} nm/s): {}? it would be {} s; {remedy}",
+        "the tool removes the mean depth of {} nm in {} s at one place (its peak is {} nm/s): {}? {remedy}",
         significant(depth_nm, 3),
         significant(at_one_place_s, 2),
         significant(tif.peak_nm_per_s(), 3),
-        mistake.what,
-        significant(at_one_place_s * mistake.factor, 2)
+        probable.join(", or ")
     ))
 }
 
@@ -757,7 +766,10 @@ mod tests {
         let usual = mean_depth_nm(&surface) / 10.0 / USUAL_MEAN_DEPTH_S;
         said(
             of_rates(&surface, &tool(5.0, |rate| 0.06 * usual * rate)),
-            &["in 67 s at one place", "rates in um/min? it would be 4 s"],
+            &[
+                "in 67 s at one place",
+                "rates in um/min (it would be 4 s), or heights in angstrom (it would be 6.7 s)?",
+            ],
         );
         said(
             of_time(&map(|z, _| 1e7 * z), &tool(5.0, |rate| rate)),
