@@ -528,7 +528,10 @@ mod tests {
         ] {
             // 1 mm/s changes over 0.1 s: 0.0125 mm from the corner.
             let joined_s = total_s("G64 P0.0125", parts);
-            assert!((joined_s - (0.3 + 0.1 * runs + dwells_s)).abs() < 1e-12, "{parts:?}: {joined_s}");
+            assert!(
+                (joined_s - (0.3 + 0.1 * runs + dwells_s)).abs() < 1e-12,
+                "{parts:?}: {joined_s}"
+            );
             let straight_s = total_s("G61", parts);
             assert!((straight_s - (0.3 + dwells_s)).abs() < 1e-12, "{parts:?}: {straight_s}");
         }
@@ -539,7 +542,8 @@ mod tests {
 
     #[test]
     fn a_dwell_before_the_start_counts_with_the_tool_off() {
-        let program = |first: &str| format!("{first}G4 P2\nG0 X1 Y1\nG93\nM62 P0\nG1 X2 F60\nM65 P0\nM2\n");
+        let program =
+            |first: &str| format!("{first}G4 P2\nG0 X1 Y1\nG93\nM62 P0\nG1 X2 F60\nM65 P0\nM2\n");
         let motion = read(ControllerKind::Gcode, program("M65 P0\n").as_bytes(), &configuration());
         let motion = motion.unwrap();
         assert_eq!((motion.total_time_s(), motion.tool_on()), (3.0, &[false, true][..]));
@@ -581,20 +585,38 @@ mod tests {
             let unit = if controller == Galil { 1.0 / 1.024 } else { 1.0 };
             let times: Vec<f64> = motion.break_time_s().iter().map(|t| t / unit).collect();
             let off = times.iter().zip([0.0, 0.1, 0.3]).map(|(t, s)| (t - s).abs());
-            assert!(times.len() == 3 && off.fold(0.0, f64::max) < 1e-12, "{controller:?}: {times:?}");
+            assert!(
+                times.len() == 3 && off.fold(0.0, f64::max) < 1e-12,
+                "{controller:?}: {times:?}"
+            );
             let ends = [0.0, 0.1 * unit].map(|u| motion.segment(0).position_mm(u));
             let away = [ends[0][0] - 1.0, ends[1][0] - 2.0, ends[0][1] + 2.0, ends[1][1] + 2.0];
             assert!(away.iter().all(|d| d.abs() < 1e-12), "{controller:?}: {ends:?}");
         }
         for (controller, text, cause, way_out) in [
-            (Pmac, "OPEN PROG 1 CLEAR\nPVT9\nX1:0\nCLOSE\nOPEN PLC 2\n", "line[5]: has \"OPEN\" after CLOSE", "first CLOSE"),
-            (Pmac, "OPEN PLC 1 CLEAR\n", "line[1]: has PLC 1, which is no motion program", "OPEN PROG to CLOSE"),
+            (
+                Pmac,
+                "OPEN PROG 1 CLEAR\nPVT9\nX1:0\nCLOSE\nOPEN PLC 2\n",
+                "line[5]: has \"OPEN\" after CLOSE",
+                "first CLOSE",
+            ),
+            (
+                Pmac,
+                "OPEN PLC 1 CLEAR\n",
+                "line[1]: has PLC 1, which is no motion program",
+                "OPEN PROG to CLOSE",
+            ),
             (Pmac, "OPEN PROG 1\nOPEN PROG 2\n", "opens a second program", "one program"),
             (Pmac, "CMD\"#1J+\"\n", "line[1]: has CMD", "leave it out"),
             (Pmac, "I42=1\n", "sets I42=1", "leave it out"),
             (Pmac, "I190=60000\n", "a unit of 60 s, and 1 s are given", "feedrate_time_unit_s"),
             (Pmac, "PVT(P1)\n", "line[1]: has \"P1\" where a number", "correct the line"),
-            (Pmac, "LINEAR\nF10\nX1\n", "line[3]: goes to the start without all axes", "correct the line"),
+            (
+                Pmac,
+                "LINEAR\nF10\nX1\n",
+                "line[3]: goes to the start without all axes",
+                "correct the line",
+            ),
             (Galil, "TM 500\nPVA=1,0,100\n", "sets samples of 0.00048828125 s (TM)", "sample_s"),
             (Gcode, "G91 G1 X1 F60\n", "has G91", "G90"),
             (Gcode, "G28\n", "has G28", "leave it out"),
@@ -602,11 +624,19 @@ mod tests {
             (Gcode, "G2 X1 Y1 R1\n", "has G2, an arc", "short lines"),
             (Gcode, "G0 X0 Y0\nG4 S1\n", "line[2]: has G4 without P", "seconds as G4 P"),
             (Gcode, "G0 X0 Y0\nG93\nG1 X1 F60\n", "it was cut off", "end it with M2"),
-            (Xps, "dt, dx, vx, dy, vy\n0.1, 1, 0, 0, 0\n", "line[1]: has \"dt, dx", "take the line off"),
+            (
+                Xps,
+                "dt, dx, vx, dy, vy\n0.1, 1, 0, 0, 0\n",
+                "line[1]: has \"dt, dx",
+                "take the line off",
+            ),
             (Csv, "t,x,vx,y,vy,on\n", "is not the header", "these columns"),
         ] {
             let said = message(controller, text);
-            assert!(said.contains(cause) && said.contains(way_out), "{controller:?} {text:?}: {said}");
+            assert!(
+                said.contains(cause) && said.contains(way_out),
+                "{controller:?} {text:?}: {said}"
+            );
         }
     }
 

@@ -207,12 +207,7 @@ fn of_units_of_limits(limits: &Limits) -> Option<String> {
 }
 
 /// Doubt about limits that make the machine slower than the removal.
-fn of_slow_limits(
-    desired: &Surface,
-    tif: &Tif,
-    limits: &Limits,
-    pitch_mm: f64,
-) -> Option<String> {
+fn of_slow_limits(desired: &Surface, tif: &Tif, limits: &Limits, pitch_mm: f64) -> Option<String> {
     let area_mm2 = desired.statistics().valid_count as f64 * desired.grid().pixel_mm2();
     let removal_s = mean_depth_nm(desired) * area_mm2 / tif.vrr_nm_mm2_per_s();
     let fastest = limits.max_velocity_mm_per_s().into_iter().fold(0.0, f64::max);

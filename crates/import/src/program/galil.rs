@@ -66,7 +66,9 @@ pub(super) fn read(
             if command.starts_with('\'') || command == "NO" || command.starts_with("NO ") {
                 break;
             }
-            if command.starts_with('#') || command.get(..2).is_some_and(|c| WITHOUT_MOTION.contains(&c)) {
+            if command.starts_with('#')
+                || command.get(..2).is_some_and(|c| WITHOUT_MOTION.contains(&c))
+            {
                 continue;
             }
             if let Some(units) = command.strip_prefix("TM") {

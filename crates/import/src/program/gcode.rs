@@ -280,7 +280,9 @@ impl<'a> Machine<'a> {
     fn motion(self) -> Result<AxesMotion, Invalid> {
         let mut pieces = Pieces::default();
         let is_joined = self.tolerance_mm > 0.0
-            && self.runs().all(|run| self.farthest_mm(run) <= self.tolerance_mm * (1.0 + 1e-6) + 1e-9);
+            && self
+                .runs()
+                .all(|run| self.farthest_mm(run) <= self.tolerance_mm * (1.0 + 1e-6) + 1e-9);
         let mut rest = &self.parts[..];
         while let Some(part) = rest.first() {
             let lines = rest.iter().position(|part| part.is_stop).unwrap_or(rest.len());
@@ -366,7 +368,13 @@ impl<'a> Machine<'a> {
         })
     }
 
-    fn push(&mut self, number: usize, from: &[f64], to: &[f64], seconds: f64) -> Result<(), Invalid> {
+    fn push(
+        &mut self,
+        number: usize,
+        from: &[f64],
+        to: &[f64],
+        seconds: f64,
+    ) -> Result<(), Invalid> {
         if !seconds.is_finite() {
             return Err(wrong(number, format!("lasts {seconds} s")));
         }
@@ -394,7 +402,8 @@ pub(super) fn doubt_of_dwell(text: &str) -> Option<String> {
         let words = words(i + 1, line).ok()?;
         let is_dwell = words.iter().any(|w| w.0 == 'G' && code(w.1) == Some(40));
         let seconds = words.iter().find(|w| w.0 == 'P')?.1;
-        (is_dwell && seconds >= LEAST_DOUBTED_S && seconds.fract() == 0.0).then_some((i + 1, seconds))
+        (is_dwell && seconds >= LEAST_DOUBTED_S && seconds.fract() == 0.0)
+            .then_some((i + 1, seconds))
     });
     let (line, seconds) = dwells.max_by(|a, b| a.1.total_cmp(&b.1))?;
     Some(format!(
@@ -445,13 +454,18 @@ fn check_words(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<()
                         return Err(Invalid::at("program line", number, problem, remedy));
                     }
                     ('G', 280 | 300 | 530) => {
-                        let problem = format!("has G{v}, which is not understood: the machine goes to a place of its own");
+                        let problem = format!(
+                            "has G{v}, which is not understood: the machine goes to a place of its own"
+                        );
                         let remedy = "leave it out: the motion begins with G0 to the start";
                         return Err(Invalid::at("program line", number, problem, remedy));
                     }
                     ('M', 30 | 40 | 50 | 60 | 70 | 80 | 90) => {
-                        let problem = format!("has M{v}, which is not understood: spindle, tool change or coolant");
-                        let remedy = "leave it out if it is not the tool; the tool is M62 to M65 P0";
+                        let problem = format!(
+                            "has M{v}, which is not understood: spindle, tool change or coolant"
+                        );
+                        let remedy =
+                            "leave it out if it is not the tool; the tool is M62 to M65 P0";
                         return Err(Invalid::at("program line", number, problem, remedy));
                     }
                     ('M', 20 | 300) => "end",

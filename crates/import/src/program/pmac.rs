@@ -51,7 +51,10 @@ enum Tail {
     /// `:v`
     Velocity(f64),
     /// `=v`, or `==v` with the start of the next move.
-    Value { value: f64, is_synchronous: bool },
+    Value {
+        value: f64,
+        is_synchronous: bool,
+    },
 }
 
 /// Returns a line without its comments: `;` and `//` up to its end, and `/* */`, which may go on in further lines.
@@ -213,7 +216,8 @@ impl<'a> Program<'a> {
         match (word.as_str(), tail) {
             ("CLOSE", _) => self.is_closed = self.is_open,
             // Lines that a host sends: coordinate system, program, run.
-            ("&" | "#" | "B" | "R", _) if self.is_closed || !word.starts_with(char::is_alphabetic) => {}
+            ("&" | "#" | "B" | "R", _)
+                if self.is_closed || !word.starts_with(char::is_alphabetic) => {}
             _ if self.is_closed => {
                 let remedy = "give the text up to the first CLOSE";
                 let problem = format!("has {:?} after CLOSE, which ends the program", short(raw));
@@ -230,7 +234,11 @@ impl<'a> Program<'a> {
                 return Err(Invalid::at("program line", line, problem, remedy));
             }
             // They move nothing: labels, memory, ramps and feed of other modes, variables.
-            ("PROG" | "CLEAR" | "N" | "O" | "DELETE" | "GATHER" | "ENDGATHER" | "UNDEFINE" | "ALL", _)
+            (
+                "PROG" | "CLEAR" | "N" | "O" | "DELETE" | "GATHER" | "ENDGATHER" | "UNDEFINE"
+                | "ALL",
+                _,
+            )
             | ("TA" | "TS" | "TM" | "F" | "NORMAL" | "RET" | "RETURN", _)
             | ("P" | "Q", Tail::Value { .. }) => {}
             ("ABS", _) => self.is_absolute = true,
@@ -250,7 +258,9 @@ impl<'a> Program<'a> {
             }
             ("DWELL" | "DWE" | "DELAY" | "DLY", _) => self.dwell(line, needs()?)?,
             ("I", Tail::Value { value, .. }) => self.set(line, needs()?, *value, raw)?,
-            ("M", Tail::Value { .. }) => self.output.assign(line, statement, self.knots.len() > 1)?,
+            ("M", Tail::Value { .. }) => {
+                self.output.assign(line, statement, self.knots.len() > 1)?
+            }
             _ => {
                 let known: Vec<String> = self.letters.iter().map(char::to_string).collect();
                 let problem = format!("has {:?}, not {} or PVT", short(raw), known.join(" or "));
@@ -267,8 +277,10 @@ impl<'a> Program<'a> {
             90 => {
                 let unit_s = value / 1e3;
                 if let Some(other) = self.unit_s.filter(|u| (u - unit_s).abs() > 1e-9 * u.abs()) {
-                    let remedy = "give `feedrate_time_unit_s` as the program has it, or leave it out";
-                    let problem = format!("sets {raw}, a unit of {unit_s} s, and {other} s are given");
+                    let remedy =
+                        "give `feedrate_time_unit_s` as the program has it, or leave it out";
+                    let problem =
+                        format!("sets {raw}, a unit of {unit_s} s, and {other} s are given");
                     return Err(Invalid::at("program line", line, problem, remedy));
                 }
                 self.unit_s = Some(unit_s);
@@ -346,8 +358,7 @@ impl<'a> Program<'a> {
             }
         }
         if words.len() != self.letters.len() || !seen.iter().all(|s| *s) || !self.is_absolute {
-            let problem =
-                "goes to the start without all axes, or by a distance: the motion would start anywhere";
+            let problem = "goes to the start without all axes, or by a distance: the motion would start anywhere";
             return Err(wrong(line, problem));
         }
         self.knots = vec![self.last.clone()];

@@ -18,7 +18,10 @@ pub(super) fn read(text: &str, layout: &Layout) -> Result<AxesMotion, Invalid> {
     let mut knots = vec![last.clone()];
     for (i, line) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
         if line.trim_start().starts_with(|c: char| c.is_alphabetic() || "#;%\"'/".contains(c)) {
-            let problem = format!("has {:?}: a header or a comment", line.trim().chars().take(20).collect::<String>());
+            let problem = format!(
+                "has {:?}: a header or a comment",
+                line.trim().chars().take(20).collect::<String>()
+            );
             let remedy = "take the line off: an XPS reads lines of numbers only";
             return Err(Invalid::at("program line", i + 1, problem, remedy));
         }
