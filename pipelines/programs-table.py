@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """Tables of docs/controller-programs.md: plans as programs of every controller, read back and judged.
 
-programs-table.py [--out DIR] [--rows NAME,...] [--machine FILE] [--grids | --axes]
+programs-table.py [--out DIR] [--rows NAME,...] [--machine FILE] [--grids | --axes | --at-limits N]
 
 Without --grids: the rows of ROWS, every plan, every controller. With --grids: clocks and counts. With --axes: the rows
-of AXES_ROWS, motions of all axes. DIR is out/programs/MACHINE by default.
+of AXES_ROWS, motions of all axes. With --at-limits: N random plans that use an acceleration limit fully, as G-code on
+random clocks and counts; of a refusal, the program after its remedy. DIR is out/programs/MACHINE by default.
 Plans that are in DIR already are not made again. Every number is of the program as planish-import reads it:
 planish-simulate predicts its residual, planish-verify judges its limits.
 """
@@ -13,11 +14,13 @@ import argparse
 import json
 import os
 import pathlib
+import random
+import re
 import subprocess
 import sys
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
-BIN = ROOT / "target/release"
+BIN = pathlib.Path(os.environ.get("PLANISH_PROGRAMS", ROOT / "target/release"))
 # Without a limit on jerk, because its plans use the full acceleration more.
 MACHINE = ROOT / "fixtures/machines/ion-beam-no-jerk-limit.json"
 CONTROLLERS = ["galil", "xps", "pmac", "csv", "gcode"]
@@ -183,6 +186,67 @@ def table_of_axes(out, names):
             show([f"{name}: {rms:.4f} nm in {planned_s:.2f} s", controller, str(about["segments"]), *cells(line)])
 
 
+def random_plan(to, number):
+    """A plan that uses an acceleration limit fully, in `to`; the method, or None where the limit is not reached."""
+    global MACHINE
+    draw = random.Random(number)
+    pitch = draw.uniform(0.7, 1.3)
+    path = draw.choice([["raster", f"--step-mm={pitch}"], ["maze", f"--step-mm={pitch}"], ["random-adaptive"],
+                        ["spiral", f"--step-mm={pitch}"]])
+    acceleration = 10 ** draw.uniform(1.3, 3.3)
+    limits = [(draw.uniform(20, 250), acceleration * ratio) for ratio in (1, draw.choice([0.5, 0.73, 1]))]
+    plan = draw.choice(["pvt", "pvt", "pvt", "joint"])
+    to.mkdir(parents=True, exist_ok=True)
+    MACHINE = to / "machine.json"
+    if not (to / "part.json").exists():
+        axes = [{"name": name, "max_velocity_mm_per_s": v, "max_acceleration_mm_per_s2": a}
+                for name, (v, a) in zip("xy", limits)]
+        MACHINE.write_text(json.dumps({"name": f"random {number}", "time_to_full_acceleration_s": 0, "axes": axes}))
+        path = [path[0], f"--pitch-mm={pitch}", *path[1:]]
+        if path[0] == "random-adaptive":
+            path.append(f"--seed={number}")
+        prepare(to, draw.choice(["coupon", "coupon", "coupon-ring", "flat-92x16"]), path, [], [plan])
+    trajectory = to / {"pvt": "pvt", "joint": "joint/trajectory"}[plan]
+    run("planish-verify", "--trajectory", trajectory, "--machine", MACHINE, "--out", to / "verdict", "--force",
+        allowed=(0, 1))
+    used = outcome(to / "verdict")["max_acceleration_mm_per_s2"]
+    return plan, path[0], max(u / a for u, (_, a) in zip(used, limits))
+
+
+def table_at_limits(out, count, first):
+    """Random plans at their acceleration limit as G-code, on random clocks and counts."""
+    show(["plan", "use of the limit", "clock ms", "count um", "first answer", "residual", "time", "kept"])
+    show(["---"] * 8)
+    number, drawn, good = first, 0, 0
+    while drawn < count:
+        number += 1
+        to = out / str(number)
+        plan, path, used = random_plan(to, number)
+        if used < 0.98:
+            continue
+        drawn += 1
+        draw = random.Random(1000 + number)
+        tick, size = draw.choice([None, None, 5e-4, 1e-3, 2e-3, 4e-3]), draw.choice([None, 1e-4, 1e-3])
+        flags = {"--tick-s": tick, "--count-mm": size}
+        given = [f"{flag}={value:g}" for flag, value in flags.items() if value]
+        line, answer = judge(to, plan, "gcode", given)
+        first_answer = "program" if line else answer
+        if line is None:
+            # The flags that the remedy names, with its numbers.
+            named = re.findall(r"(--[a-z-]+)[ =]([0-9.e-]+)", answer.split("give ", 1)[-1])
+            first_answer = "refused: " + " ".join(f"{name} {value}" for name, value in named)
+            kept = [f for f in given if f.split("=")[0] not in [name for name, _ in named]]
+            line, answer = judge(to, plan, "gcode", [*kept, *(f"{name}={value}" for name, value in named)])
+        shown = [f"{number}: {path}, {plan}", f"{used:.4f}", f"{1e3 * tick:g}" if tick else "-",
+                 f"{1e3 * size:g}" if size else "-", first_answer]
+        if line is None:
+            show([*shown, answer, "", ""])
+            continue
+        good += line["rms"] <= 1.02 and line["time"] <= 1.02 and line["kept"]
+        show([*shown, f"{line['rms']:.4f}", f"{line['time']:.5f}", "yes" if line["kept"] else "no"])
+    print(f"{good} of {drawn} with at most 1.02 times the residual and the time of the plan")
+
+
 def cells(line):
     rms = "tool stays on" if line["rms"] is None else f"{line['rms']:.4f}"
     used = max(line["used"].values()) if line["used"] else 0.0
@@ -202,10 +266,14 @@ def main():
     ask.add_argument("--rows", default="")
     ask.add_argument("--grids", action="store_true")
     ask.add_argument("--axes", action="store_true")
+    ask.add_argument("--at-limits", type=int, metavar="N")
+    ask.add_argument("--first", type=int, default=0)
     ask.add_argument("--machine", type=pathlib.Path, default=MACHINE)
     given = ask.parse_args()
     MACHINE = given.machine.resolve()
     out = given.out or ROOT / "out/programs" / MACHINE.stem
+    if given.at_limits:
+        return table_at_limits(given.out or ROOT / "out/programs/at-limits", given.at_limits, given.first)
     if given.axes:
         return table_of_axes(given.out or ROOT / "out/programs/axes", given.rows.split(",") if given.rows else AXES_ROWS)
     rows = GRID_ROWS if given.grids else ROWS

@@ -9,7 +9,8 @@
 //!
 //! A sample is not what TM says: TM counts 1.024 us, "TM1000 actually specifies a servo update rate of
 //! 976 us", and 1024 samples are one second, while V is in counts per true second whatever TM is. So
-//! samples come in multiples of 1/32768 s (TM 31.25).
+//! samples come in multiples of 1/32768 s (TM 31.25), and the normal firmware, which PVT mode needs, has at least two of
+//! them for two axes, four for three and four axes, five for five.
 //!
 //! The tool: a segment cannot carry an output. `SB` and `CB` act when the controller reads them, and the
 //! segments are read up to a whole buffer before they run, so such a line would switch up to 255 segments
@@ -37,6 +38,16 @@ const SAMPLES_PER_TICK: i64 = 2;
 /// samples are refused.
 const SAMPLE_UNIT_S: f64 = 1.0 / 32768.0;
 const MOST_SAMPLE_UNITS: f64 = 640.0;
+
+/// Returns the smallest sample of a controller for this number of axes, in units. A fact of the normal firmware (command
+/// reference, TM); the fast firmware has smaller ones and no PVT mode.
+fn least_sample_units(axes: usize) -> f64 {
+    match axes {
+        0..=2 => 2.0,
+        3 | 4 => 4.0,
+        _ => 5.0,
+    }
+}
 /// TM of a sample of one second: TM counts 1/1.024e6 s. A fact of the controller.
 const TM_PER_S: f64 = 1.024e6;
 
@@ -53,9 +64,13 @@ pub(crate) fn sample_s(grids: &ControllerModel) -> Result<f64, Invalid> {
     let sample_s = positive("sample_s", grids.tick_s / SAMPLES_PER_TICK as f64)?;
     let units = sample_s / SAMPLE_UNIT_S;
     // A little less or more is the rounding of a number that was typed.
-    if !(1.0 - 1e-3..=MOST_SAMPLE_UNITS + 1e-3).contains(&units) {
-        let problem =
-            format!("is {sample_s}, TM goes from 31.25 (1/32768 s) to 20000 (0.01953125 s)");
+    let least = least_sample_units(N);
+    if !(least - 1e-3..=MOST_SAMPLE_UNITS + 1e-3).contains(&units) {
+        let problem = format!(
+            "is {sample_s}, and PVT mode with {N} axes has samples from TM {} ({} s) to TM 20000 (0.01953125 s)",
+            least * SAMPLE_UNIT_S * TM_PER_S,
+            least * SAMPLE_UNIT_S
+        );
         return Err(Invalid::whole("sample_s", problem, "give 0.0009765625 for TM 1000"));
     }
     Ok(sample_s)

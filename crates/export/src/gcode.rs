@@ -10,8 +10,10 @@
 //! tolerance of G64 bounds the linear axes only.
 //!
 //! Inverse time (G93) is what removal wants: it depends on the time, not on the speed. A line of no
-//! length would silently lose its time there, so standing is written as `G4 P`. Between two lines the
-//! motion is straight and its speed is constant; a smaller `max_step_s` follows a schedule that is neither.
+//! length would silently lose its time there, so standing is written as `G4 P`. A G4 begins when the motion before it has
+//! ended, half a line after its last node, and the next motion begins half a line before its first one. P leaves these
+//! halves out. Between two lines the motion is straight and its speed is constant; a smaller `max_step_s` follows a
+//! schedule that is neither.
 //!
 //! The time is nominal: a planner that blends corners, or whose limits are reached, takes longer.
 //!
@@ -132,7 +134,7 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     text += &format!("G0 {}\n{mode}\n", job.words(q.position(0), DIGITS));
     let mut on = false;
     for k in 0..about.segments {
-        let stands = q.distance(k) == [0; N];
+        let stands = q.stands(k);
         if q.tool_on[k] != on {
             on = q.tool_on[k];
             text += output(match (on, stands) {
@@ -147,7 +149,7 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
         // As the interpreter will read them.
         let length = (1..N).fold((to[0] - from[0]).abs(), |sum, a| sum.hypot(to[a] - from[a]));
         if stands {
-            text += &format!("G4 P{}\n", decimal(seconds, DIGITS));
+            text += &format!("G4 P{}\n", decimal(q.wait_s(k), DIGITS));
             continue;
         }
         let feed = match settings.feed {

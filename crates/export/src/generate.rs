@@ -15,7 +15,8 @@
 //! a_k = (m_k - m_{k-1}) / b_k,   b_k = min(T_{k-1}, T_k)      m = dp / T; before and after the motion m = 0
 //! ```
 //!
-//! So the executed motion of joined lines begins half a line before the first node and ends half a line after the last.
+//! So the executed motion of joined lines begins half a line before the first node and ends half a line after the last. A
+//! dwell (G4) begins when the motion before it has ended, so the parabolas beside it take their halves of its time.
 
 use std::array::from_fn;
 
@@ -25,6 +26,7 @@ use planish_types::{
 };
 
 use crate::{
+    lines::AxisCounts,
     nodes::{self, Choice},
     plan::Plan,
     slowed::{Cells, Inwards, Slowed, at, at_plan},
@@ -68,6 +70,16 @@ const CHOSEN_DEVIATION: f64 = 0.6;
 /// plans are refused. Chosen: a plan that needs more is not one for this controller.
 const MOST_FACTOR: f64 = 64.0;
 
+/// Least growth of the time of a segment that exceeds a limit, from round to round. Larger: more time is added than
+/// needed. Smaller: more rounds. Chosen: the excess of lines is rounding alone.
+const LEAST_GROWTH: f64 = 2e-3;
+const LEAST_GROWTH_OF_LINES: f64 = 2e-4;
+
+/// Most that a position of lines is moved along an axis so that rounding keeps the limits, mm. Larger: positions may run
+/// away where the plan leaves no room. Smaller: more places are slowed down. Chosen: nearly all of it is along the path, a
+/// time of milliseconds; the distance from the path has its own limit.
+const MOST_MOVED_MM: f64 = 0.1;
+
 /// Number of points of every cubic at which the contact point is compared with the plan's.
 const CONTACT_POINTS: usize = 7;
 
@@ -110,6 +122,8 @@ pub(crate) struct Nodes<const N: usize> {
     pub contact_mm: Option<f64>,
     /// Time that the program takes longer than the plan, s.
     pub added_s: f64,
+    /// Change of the dwell times of the plan ([`Cells::uneven`]).
+    pub uneven: f64,
 }
 
 impl<const N: usize> Nodes<N> {
@@ -138,25 +152,103 @@ impl<const N: usize> Nodes<N> {
         self.tool_on.len()
     }
 
+    /// Returns true if segment `k` has no length: a dwell, before which the motion ends.
+    pub fn stands(&self, k: usize) -> bool {
+        self.distance(k) == [0; N]
+    }
+
+    /// Returns the time of the parabola around node `k`, s: that of the shorter line beside it; 0 between two dwells.
+    fn parabola_s(&self, k: usize) -> f64 {
+        let beside = k.saturating_sub(1)..(k + 1).min(self.segments());
+        let lines = beside.filter(|i| !self.stands(*i)).map(|i| self.duration(i));
+        lines.min().map_or(0.0, |ticks| ticks as f64 * self.tick_s)
+    }
+
+    /// Returns the time for which the controller stands in the dwell `k`, s: the parabolas beside it take the rest.
+    pub fn wait_s(&self, k: usize) -> f64 {
+        let parabolas_s = self.parabola_s(k) + self.parabola_s(k + 1);
+        (self.duration(k) as f64 * self.tick_s - 0.5 * parabolas_s).max(0.0)
+    }
+
+    /// Returns the time of the executed motion, s.
+    pub fn total_s(&self) -> f64 {
+        let n = self.segments();
+        let nodes_s = self.time_s(n) - self.time_s(0);
+        if self.interpolation == Interpolation::Hermite {
+            return nodes_s;
+        }
+        // Half a line before the first node and after the last one, and what a short dwell has too little for parabolas.
+        let at_end = |segment: usize, node: usize| match self.stands(segment) {
+            true => 0.0,
+            false => 0.5 * self.parabola_s(node),
+        };
+        let missing_s = |k: usize| {
+            let parabolas_s = self.parabola_s(k) + self.parabola_s(k + 1);
+            (0.5 * parabolas_s - self.duration(k) as f64 * self.tick_s).max(0.0)
+        };
+        let short_s: f64 = (0..n).filter(|k| self.stands(*k)).map(missing_s).sum();
+        nodes_s + at_end(0, 0) + at_end(n - 1, n) + short_s
+    }
+
     /// Makes one of the lines without length that follow each other, each a dwell.
     fn stand_at_once(&mut self, most_ticks: i64) {
-        let stands = |k: usize| self.distance(k) == [0; N];
         let mut kept = vec![0];
-        for k in 1..self.segments() {
-            let last: usize = kept[kept.len() - 1];
-            let is_one = stands(k - 1)
-                && stands(k)
+        let mut tool_on: Vec<bool> = Vec::new();
+        for k in 0..self.segments() {
+            let is_one = k > 0
+                && self.stands(k - 1)
+                && self.stands(k)
                 && self.tool_on[k - 1] == self.tool_on[k]
-                && self.ticks[k + 1] - self.ticks[last] <= most_ticks;
-            if !is_one {
-                kept.push(k);
+                && self.ticks[k + 1] - self.ticks[kept[kept.len() - 2]] <= most_ticks;
+            if is_one {
+                kept.pop();
+            } else {
+                tool_on.push(self.tool_on[k]);
+            }
+            kept.push(k + 1);
+        }
+        self.keep(&kept, tool_on);
+    }
+
+    /// Gives a dwell that is shorter than the parabolas beside it to the line before it, or else to the line after it.
+    fn drop_short_dwells(&mut self, most_ticks: i64) {
+        let mut kept = vec![0];
+        let mut tool_on: Vec<bool> = Vec::new();
+        let mut k = 0;
+        while k < self.segments() {
+            let before = match kept[..] {
+                [.., from, to] if self.counts[from] != self.counts[to] => {
+                    self.ticks[to] - self.ticks[from]
+                }
+                _ => 0,
+            };
+            let is_line_after = k + 1 < self.segments() && !self.stands(k + 1);
+            let after = if is_line_after { self.duration(k + 1) } else { 0 };
+            let own = self.duration(k);
+            let is_short = self.stands(k) && 2 * own < before + after + 2;
+            if is_short && before > 0 && before + own <= most_ticks {
+                kept.pop();
+                kept.push(k + 1);
+                k += 1;
+            } else if is_short && after > 0 && after + own <= most_ticks {
+                kept.push(k + 2);
+                tool_on.push(self.tool_on[k + 1]);
+                k += 2;
+            } else {
+                kept.push(k + 1);
+                tool_on.push(self.tool_on[k]);
+                k += 1;
             }
         }
-        self.tool_on = kept.iter().map(|k| self.tool_on[*k]).collect();
-        kept.push(self.ticks.len() - 1);
+        self.keep(&kept, tool_on);
+    }
+
+    /// Leaves the nodes `kept`, with the tool of the segments between them.
+    fn keep(&mut self, kept: &[usize], tool_on: Vec<bool>) {
         self.ticks = kept.iter().map(|k| self.ticks[*k]).collect();
         self.counts = kept.iter().map(|k| self.counts[*k]).collect();
         self.velocity = kept.iter().map(|k| self.velocity[*k]).collect();
+        self.tool_on = tool_on;
     }
 
     /// The cubics that the controller runs.
@@ -190,41 +282,37 @@ impl<const N: usize> Nodes<N> {
         let at_rest = [0.0; N];
         let mut pieces = Vec::with_capacity(2 * n + 1);
         for k in 0..=n {
-            let before = if k > 0 { Some((mean(k - 1), time(k - 1))) } else { None };
-            let after = if k < n { Some((mean(k), time(k))) } else { None };
-            let shorter = match (before, after) {
-                (Some((_, s)), Some((_, t))) => s.min(t),
-                (Some((_, t)), None) | (None, Some((_, t))) => t,
-                (None, None) => continue,
-            };
-            let (m, next) = (before.map_or(at_rest, |b| b.0), after.map_or(at_rest, |a| a.0));
+            let m = if k > 0 { mean(k - 1) } else { at_rest };
+            let next = if k < n { mean(k) } else { at_rest };
             let (node, at_s) = (self.position(k), self.time_s(k));
-            let half = 0.5 * shorter;
-            // Half of it belongs to the segment before, half to the one after: the tool switches at the node.
-            let a: [f64; N] = from_fn(|i| (next[i] - m[i]) / shorter);
-            let first = from_fn(|i| [node[i] - half * m[i], m[i], 0.5 * a[i], 0.0]);
-            let middle = from_fn(|i| {
-                let v = m[i] + a[i] * half;
-                [node[i] - half * m[i] + half * (m[i] + 0.5 * a[i] * half), v, 0.5 * a[i], 0.0]
-            });
-            pieces.push(Piece {
-                segment: k.saturating_sub(1),
-                start_s: at_s - half,
-                time_s: half,
-                coefficient: first,
-            });
-            pieces.push(Piece {
-                segment: k.min(n - 1),
-                start_s: at_s,
-                time_s: half,
-                coefficient: middle,
-            });
-            // The straight rest of the line until the next parabola.
-            if let Some((m, t)) = after {
-                let following = if k + 1 < n { time(k + 1).min(t) } else { t };
-                let rest_s = t - half - 0.5 * following;
+            let parabola_s = self.parabola_s(k);
+            let half = 0.5 * parabola_s;
+            if parabola_s > 0.0 {
+                // Half of it belongs to the segment before, half to the one after: the tool switches at the node.
+                let a: [f64; N] = from_fn(|i| (next[i] - m[i]) / parabola_s);
+                let first = from_fn(|i| [node[i] - half * m[i], m[i], 0.5 * a[i], 0.0]);
+                let middle = from_fn(|i| {
+                    let v = m[i] + a[i] * half;
+                    [node[i] - half * m[i] + half * (m[i] + 0.5 * a[i] * half), v, 0.5 * a[i], 0.0]
+                });
+                pieces.push(Piece {
+                    segment: k.saturating_sub(1),
+                    start_s: at_s - half,
+                    time_s: half,
+                    coefficient: first,
+                });
+                pieces.push(Piece {
+                    segment: k.min(n - 1),
+                    start_s: at_s,
+                    time_s: half,
+                    coefficient: middle,
+                });
+            }
+            // The straight rest of the line until the next parabola, or the dwell.
+            if k < n {
+                let rest_s = time(k) - half - 0.5 * self.parabola_s(k + 1);
                 if rest_s > 1e-12 {
-                    let c = from_fn(|i| [node[i] + half * m[i], m[i], 0.0, 0.0]);
+                    let c = from_fn(|i| [node[i] + half * next[i], next[i], 0.0, 0.0]);
                     let start_s = at_s + half;
                     pieces.push(Piece { segment: k, start_s, time_s: rest_s, coefficient: c });
                 }
@@ -340,7 +428,12 @@ impl<'a, const N: usize> Generator<'a, N> {
 
     fn run(mut self) -> Result<Nodes<N>, Invalid> {
         let controller = &self.settings.controller;
-        let mut cells = Cells::new(self.plan, self.settings.follows_tool, controller);
+        let chosen_mm = CHOSEN_DEVIATION * self.settings.path_deviation_mm;
+        let mut cells = Cells::new(self.plan, self.settings.follows_tool, controller, chosen_mm);
+        let least_growth = match controller.interpolation {
+            Interpolation::Hermite => LEAST_GROWTH,
+            Interpolation::Linear => LEAST_GROWTH_OF_LINES,
+        };
         let mut last = (0, 1.0_f64);
         let mut deviation_mm = 0.0;
         for _ in 0..MOST_ROUNDS {
@@ -380,7 +473,7 @@ impl<'a, const N: usize> Generator<'a, N> {
                 // The segment and its neighbours: an excess is mended where the velocities change.
                 let from = motion.plan_time(nodes.time_s(k.saturating_sub(1))).0;
                 let to = motion.plan_time(nodes.time_s((k + 2).min(nodes.segments()))).0;
-                let grow = 1.0 + (excess - 1.0).clamp(2e-3, 0.1);
+                let grow = 1.0 + (excess - 1.0).clamp(least_growth, 0.1);
                 for i in cells.of(from)..=cells.of(to) {
                     let target = cells.raised[i] * grow;
                     cells.raised[i] = target.min(MOST_FACTOR);
@@ -456,6 +549,9 @@ impl<'a, const N: usize> Generator<'a, N> {
             }
             counts.push(of_node);
         }
+        if model.interpolation == Interpolation::Linear {
+            self.keep_limits(&ticks, &mut counts);
+        }
         let mut on = Vec::with_capacity(n);
         let mut state = self.plan.tool_on[0];
         let mut next = 0;
@@ -477,15 +573,48 @@ impl<'a, const N: usize> Generator<'a, N> {
             deviation_mm: 0.0,
             contact_mm: None,
             added_s: 0.0,
+            uneven: cells.uneven(motion.factors()),
         };
         if model.interpolation == Interpolation::Linear {
             nodes.stand_at_once(self.settings.most_ticks);
+            nodes.drop_short_dwells(self.settings.most_ticks);
         }
         let n = nodes.segments();
-        nodes.added_s = nodes.time_s(n) - self.plan.total_time_s();
+        nodes.added_s = nodes.total_s() - self.plan.total_time_s();
         nodes.velocity[0] = [0.0; N];
         nodes.velocity[n] = [0.0; N];
         Ok(nodes)
+    }
+
+    /// Moves the positions of lines, in counts, where rounding would exceed a limit.
+    fn keep_limits(&self, ticks: &[i64], counts: &mut [[i64; N]]) {
+        let tick_s = self.settings.controller.tick_s;
+        let time_s: Vec<f64> = ticks.windows(2).map(|t| (t[1] - t[0]) as f64 * tick_s).collect();
+        for (axis, limits) in self.plan.axes.iter().enumerate() {
+            let count = self.plan.grids[axis].count;
+            let axis_counts = AxisCounts {
+                time_s: &time_s,
+                velocity: limits.max_velocity / count,
+                acceleration: limits.max_acceleration / count,
+                travel: self.travel_counts(axis),
+                most_moved: (MOST_MOVED_MM / (self.plan.lever[axis] * count)) as i64,
+            };
+            let mut positions: Vec<i64> = counts.iter().map(|c| c[axis]).collect();
+            axis_counts.keep_limits(&mut positions);
+            counts.iter_mut().zip(positions).for_each(|(c, p)| c[axis] = p);
+        }
+    }
+
+    /// Lowest and highest count of an axis within its travel.
+    fn travel_counts(&self, axis: usize) -> [i64; 2] {
+        let count = self.plan.grids[axis].count;
+        match self.plan.axes[axis].travel {
+            // A hair is the rounding of the division.
+            Some([low, high]) => {
+                [(low / count - 1e-7).ceil() as i64, (high / count + 1e-7).floor() as i64]
+            }
+            None => [i64::MIN, i64::MAX],
+        }
     }
 
     /// A position in counts, within the travel.
@@ -496,13 +625,8 @@ impl<'a, const N: usize> Generator<'a, N> {
             let remedy = "give a larger count";
             return Err(Invalid::at("node", k, format!("is at {counts:e} counts"), remedy));
         }
-        let mut counts = counts.round();
-        if let Some(travel) = self.plan.axes[axis].travel {
-            // A hair is the rounding of the division.
-            let [low, high] = travel.map(|end| end / count);
-            counts = counts.min((high + 1e-7).floor()).max((low - 1e-7).ceil());
-        }
-        Ok(counts as i64)
+        let [low, high] = self.travel_counts(axis);
+        Ok((counts.round() as i64).min(high).max(low))
     }
 
     /// Largest count in mm, and in degrees if an axis turns.
@@ -614,13 +738,17 @@ impl<'a, const N: usize> Generator<'a, N> {
             let off_mm = motion.bound_mm(piece.start_s, piece.time_s, &piece.coefficient, worth_mm);
             faults.deviation_mm = faults.deviation_mm.max(off_mm);
             let too_far = off_mm / self.settings.path_deviation_mm;
-            // What lies between two switches is not cut below two of the shortest segments.
-            if too_far > 1.0 && nodes.duration(i) >= 2 * self.least_ticks {
+            // What lies between two switches is not cut below two of the shortest segments. Shorter lines would be rounded
+            // more.
+            let is_linear = nodes.interpolation == Interpolation::Linear;
+            if too_far > 1.0 && !is_linear && nodes.duration(i) >= 2 * self.least_ticks {
                 if faults.long.last() != Some(&i) {
                     faults.long.push(i);
                 }
             } else if too_far > 1.0 {
-                excess[i] = excess[i].max(1.0 + 0.1 * (too_far - 1.0));
+                // Positions of lines lag behind where the plan leaves no room for rounding; a little more time leaves it.
+                let growth = if is_linear { LEAST_GROWTH } else { 0.1 * (too_far - 1.0) };
+                excess[i] = excess[i].max(1.0 + growth);
             }
         }
         let over = excess.iter().enumerate().filter(|(_, e)| **e > 1.0);

@@ -30,6 +30,7 @@ pub mod gcode;
 mod generate;
 mod header;
 mod limits;
+mod lines;
 mod nodes;
 mod plan;
 pub mod pmac;
@@ -43,8 +44,8 @@ use std::array::from_fn;
 use planish_form::Form;
 use planish_kinematics::AxisMap;
 use planish_types::{
-    AxesMotion, ControllerKind, ControllerModel, Counts, Invalid, Kinematics, Machine, MachineAxis,
-    Trajectory, TransformNumbers,
+    AxesMotion, ControllerKind, ControllerModel, Counts, Interpolation, Invalid, Kinematics,
+    Machine, MachineAxis, Trajectory, TransformNumbers,
 };
 use serde::Serialize;
 
@@ -207,6 +208,11 @@ impl About {
 /// Largest time that a program may add without a warning, over the time of the plan. Larger: slower programs without
 /// a warning. Smaller: warnings for what rounding adds. Chosen: a plan that needs more was made for other limits.
 const WARNED_ADDED: f64 = 0.03;
+
+/// Largest change of the dwell times of a plan by lines: the root mean square over the time of the plan, within 2 mm of
+/// each place of the path. Larger: programs whose residual is above 1.02 times that of the plan. Smaller: good programs are
+/// refused. Chosen: of 50 plans at their limits, those above 1.02 have at least 4e-3 (`programs-table.py --at-limits`).
+const MOST_UNEVEN: f64 = 2e-3;
 
 /// Writes the program of `trajectory`, in the coordinates of the axes, for `controller` on `machine`.
 ///
@@ -412,13 +418,16 @@ impl<const N: usize> Job<'_, N> {
             let remedy = "give a larger `path_deviation_mm`, or plan fewer lines in one run";
             return Err(Invalid::whole("program", problem, remedy));
         }
+        if nodes.interpolation == Interpolation::Linear && nodes.uneven > MOST_UNEVEN {
+            return Err(self.too_uneven(&nodes));
+        }
         let (proof, reach) = limits::prove(&nodes, self.plan)?;
         let plan_s = self.plan.total_time_s();
         if nodes.added_s > WARNED_ADDED * plan_s {
             warnings.push(format!(
                 "the program takes {:.3} s, {:.1} % longer than the plan: the plan asks for more than this controller \
                  can be told; simulate the program",
-                nodes.time_s(n),
+                nodes.total_s(),
                 100.0 * nodes.added_s / plan_s
             ));
         }
@@ -438,7 +447,7 @@ impl<const N: usize> Job<'_, N> {
             feedrate_time_unit_s: None,
             tick_s,
             segments: n,
-            total_time_s: nodes.time_s(n),
+            total_time_s: nodes.total_s(),
             buffer_segments: None,
             buffer_lasts_s: None,
             path_deviation_mm: nodes.deviation_mm,
@@ -449,6 +458,38 @@ impl<const N: usize> Job<'_, N> {
             program_blake3: String::new(),
         };
         Ok((nodes, about))
+    }
+
+    /// Refusal of lines that change the dwell times of the plan, with the grids that do not.
+    fn too_uneven(&self, nodes: &Nodes<N>) -> Invalid {
+        let fine = self.grids.kind.model();
+        let has_coarse = |is_rotary: bool| {
+            let counts = self.plan.grids.iter().zip(self.plan.axes);
+            let own = if is_rotary { fine.rotary[0].count } else { fine.linear[0].count };
+            counts.filter(|(_, axis)| axis.is_rotary == is_rotary).any(|(grid, _)| grid.count > own)
+        };
+        let grids = [
+            ("count_mm", has_coarse(false), fine.linear[0].count),
+            ("count_deg", has_coarse(true), fine.rotary[0].count),
+            ("tick_s", self.grids.tick_s > fine.tick_s, fine.tick_s),
+        ];
+        let grids = grids.into_iter().filter(|(_, is_coarse, _)| *is_coarse);
+        let named: Vec<String> =
+            grids.map(|(name, _, value)| format!("`{name}` {}", decimal(value, 9))).collect();
+        let problem = format!(
+            "changes the dwell times of the plan by {:.2} % RMS over 4 mm of the path and takes {:.3} s longer: the plan \
+             is at its acceleration limit, and lines on this clock and these counts are not",
+            100.0 * nodes.uneven,
+            nodes.added_s
+        );
+        let remedy = match named.is_empty() {
+            true => "plan with 5 % less max_acceleration_mm_per_s2 in the machine file".into(),
+            false => format!(
+                "give {}: LinuxCNC computes with the numbers of the program as they stand",
+                named.join(" and ")
+            ),
+        };
+        Invalid::whole("program", problem, remedy)
     }
 
     /// Sentence on the switching of the tool, and a warning if the tool stays on. Refuses a motion that lifts the tool if

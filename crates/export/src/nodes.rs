@@ -5,7 +5,7 @@
 //! | law | segment of T s | room |
 //! |---|---|---|
 //! | Hermite | the cubic through the plan's positions and velocities is within the deviation of the plan, and within A and J reduced by the room | A: 6 c/T^2 + 3 q/T, J: 12 c/T^3 + 6 q/T^2 |
-//! | linear | the parabola that joins two lines leaves the plan by a T^2/8 | - |
+//! | linear | the parabola that joins two lines leaves the plan by a T^2/8; [`lines`] says more | - |
 //!
 //! with the count c and the unit q of a velocity. Where no segment does, the one that comes nearest is taken, and the
 //! generator slows the plan down there.
@@ -16,7 +16,7 @@ use planish_numerics::polynomial::{derivative, evaluate};
 use planish_types::{AxisGrid, Interpolation, MachineAxis};
 
 use crate::{
-    plan::length_mm,
+    lines,
     slowed::{Cells, Slowed, State},
     velocities::hermite,
 };
@@ -37,10 +37,6 @@ const ALONG_PATH: f64 = 2.0;
 /// Ratio of the lengths of segments that are tried one after the other; above 1. Larger: a good length may be jumped
 /// over. Smaller: more trials. Chosen.
 const GROWTH: f64 = 1.4;
-
-/// Largest relative change of the length from one line to the next. Larger: unequal neighbours, with a steep parabola
-/// between them, which takes the time of the shorter one. Smaller: shorter lines near a bend. Chosen.
-const CHANGE_OF_LINES: f64 = 0.04;
 
 /// Settings and limits for the choice of nodes.
 pub(crate) struct Choice<'a, const N: usize> {
@@ -64,18 +60,15 @@ pub(crate) fn choose<const N: usize>(
     fixed: &[i64],
     choice: &Choice<N>,
 ) -> Vec<i64> {
+    if choice.interpolation == Interpolation::Linear {
+        return lines::choose(motion, fixed, choice);
+    }
     let mut ticks = vec![0];
-    let caps = (choice.interpolation == Interpolation::Linear).then(|| Caps::new(motion, choice));
     for stop in fixed {
         let mut at = ticks[ticks.len() - 1];
         while at < *stop {
             let rest = stop - at;
-            let n = match &caps {
-                // Lines of the neighbours are alike; a shorter one here would make a steeper parabola.
-                Some(caps) => caps.at(at),
-                None => choice.longest(motion, cells, at, rest),
-            };
-            at += choice.landing(n, rest);
+            at += choice.landing(choice.longest(motion, cells, at, rest), rest);
             ticks.push(at);
         }
     }
@@ -195,38 +188,3 @@ impl<const N: usize> Choice<'_, N> {
 /// Number of segments without a fit that are tried before the nearest is taken. Larger: more time. Smaller: a fit may
 /// be missed. Chosen.
 const TRIES: usize = 8;
-
-/// The longest lines, tick by tick of a coarse grid.
-struct Caps {
-    step: i64,
-    ticks: Vec<f64>,
-}
-
-impl Caps {
-    fn new<const N: usize>(motion: &Slowed<N>, choice: &Choice<N>) -> Self {
-        let [least, most] = choice.ticks;
-        let step = least;
-        let m = (motion.total_s() / (step as f64 * choice.tick_s)).ceil() as usize + 2;
-        let cap = |k: usize| {
-            let time_s = k as f64 * step as f64 * choice.tick_s;
-            let a = motion.at(time_s).acceleration;
-            let longest_s = (8.0 * choice.deviation_mm / length_mm(&choice.lever, a)).sqrt();
-            (longest_s / choice.tick_s).clamp(least as f64, most as f64)
-        };
-        let mut ticks: Vec<f64> = (0..m).map(cap).collect();
-        // A line begins where it may still be as long as what comes within it.
-        let change = CHANGE_OF_LINES * step as f64;
-        for k in 0..m - 1 {
-            ticks[k + 1] = ticks[k + 1].min(ticks[k] + change);
-        }
-        for k in (0..m - 1).rev() {
-            ticks[k] = ticks[k].min(ticks[k + 1] + change);
-        }
-        Self { step, ticks }
-    }
-
-    fn at(&self, tick: i64) -> i64 {
-        let k = ((tick / self.step) as usize).min(self.ticks.len() - 1);
-        self.ticks[k] as i64
-    }
-}

@@ -113,6 +113,12 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     };
     let (q, mut about) = job.nodes(Abilities { most_ticks: most as i64, tool, approach })?;
     about.feedrate_time_unit_s = Some(unit_s);
+    let resolutions = tick_s / RESOLUTION_S;
+    if (resolutions - resolutions.round()).abs() > 1e-6 * resolutions {
+        about.warnings.push(format!(
+            "a tick of {tick_s} s is no multiple of {RESOLUTION_S} s, to which a Turbo PMAC rounds every segment"
+        ));
+    }
     let lengths = if job.turns() { "mm or deg" } else { "mm" };
     let units = format!(
         "{lengths}, {lengths} per {unit_s} s with Isx90 = {}, ms",

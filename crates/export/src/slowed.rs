@@ -41,18 +41,27 @@ use std::array::from_fn;
 use planish_numerics::polynomial::{derivative, evaluate, range, shifted};
 use planish_types::{ControllerModel, Interpolation};
 
-use crate::plan::{Plan, length_mm};
+use crate::{
+    lines::line_at_limit_s,
+    plan::{Plan, length_mm},
+};
 
 /// Fraction of the velocity limit that stays unused. Larger: slower programs. Smaller: more rounds. Chosen: rounding
 /// of positions adds 1.5 counts per segment time.
 const VELOCITY_MARGIN: f64 = 1e-3;
 
-/// Fraction of the acceleration limit that stays unused at first, between lines and between cubics. Larger: more time
-/// where the plan is at its limit. Smaller: more places are slowed down further in later rounds. Chosen: along the
-/// random-adaptive path, 0.02 instead of 0.005 for cubics leaves 1.030 instead of 1.016 times the residual of the plan on
-/// a Galil; 0.005 for lines leaves 1.030 instead of 1.019 as G-code.
-const MARGIN_OF_LINES: f64 = 0.02;
-const MARGIN_OF_CUBICS: f64 = 0.005;
+/// Fraction of the acceleration limit that stays unused at first by cubics. Larger: more time where the plan is at its
+/// limit. Smaller: more places are slowed down further in later rounds. Chosen: along the random-adaptive path, 0.02
+/// instead of 0.005 leaves 1.030 instead of 1.016 times the residual of the plan on a Galil.
+const ACCELERATION_MARGIN: f64 = 0.005;
+
+/// Counts that the rounding of lines may add to their second difference at first. Larger: more time where the plan is at
+/// its limit. Smaller: more places are slowed down in later rounds. Chosen: a line whose position is rounded against the
+/// limit moves by a count.
+const COUNTS_OF_LINES: f64 = 1.0;
+
+/// Largest margin of lines. Larger: coarse counts slow the plan down at once. Smaller: in later rounds. Chosen.
+const MOST_MARGIN_OF_LINES: f64 = 0.2;
 
 /// Fraction of the acceleration limit that the change of `k` may always use. Larger: the plan is slowed down for shorter,
 /// and needs more rounds. Smaller: it is slowed down for longer. Chosen.
@@ -170,17 +179,18 @@ pub(crate) struct Cells {
 }
 
 impl Cells {
-    /// The cells of `plan` for this controller; the tool is on where the plan says so, or always.
+    /// The cells of `plan` for this controller; the tool is on where the plan says so, or always. Lines may leave the plan
+    /// by `deviation_mm`.
     pub fn new<const N: usize>(
         plan: &Plan<N>,
         follows_tool: bool,
         controller: &ControllerModel,
+        deviation_mm: f64,
     ) -> Self {
         let tick_s = controller.tick_s;
-        let margin = match controller.interpolation {
-            Interpolation::Hermite => MARGIN_OF_CUBICS,
-            Interpolation::Linear => MARGIN_OF_LINES,
-        };
+        let is_linear = controller.interpolation == Interpolation::Linear;
+        let line_s = line_at_limit_s(plan.axes, &plan.grids, &plan.lever, deviation_mm);
+        let line_s = ((line_s / tick_s).floor() * tick_s).max(controller.min_segment_s);
         let total_s = plan.total_time_s();
         let cell_s = CELL_S.max(total_s / MOST_CELLS);
         let m = (total_s / cell_s).ceil().max(1.0) as usize;
@@ -203,25 +213,39 @@ impl Cells {
                 cells.on[i] &= segment.tool_on || !follows_tool;
                 let begin = (i as f64 * cell_s - from_s).max(0.0).min(segment.duration_s);
                 let end = ((i + 1) as f64 * cell_s - from_s).clamp(begin, segment.duration_s);
-                for (axis, limit) in plan.axes.iter().enumerate() {
-                    let c = shifted(&segment.coefficient[axis], begin);
-                    let v = derivative(&c);
+                let peaks: [[f64; 3]; N] = from_fn(|axis| {
+                    let v = derivative(&shifted(&segment.coefficient[axis], begin));
                     let a = derivative(&v);
                     let peak = |c: &[f64; 4]| range(c, end - begin).peak().0;
-                    let (speed, acceleration) = (peak(&v), peak(&a));
+                    [peak(&v), peak(&a), derivative(&a)[0].abs()]
+                });
+                for (axis, limit) in plan.axes.iter().enumerate() {
+                    let [speed, acceleration, jerk] = peaks[axis];
                     let most_a = limit.max_acceleration;
+                    let count = plan.grids[axis].count;
+                    // The rounding of lines is that of their positions; that of cubics depends on their choice.
+                    let [margin_v, margin_a] = match controller.interpolation {
+                        Interpolation::Hermite => [VELOCITY_MARGIN, ACCELERATION_MARGIN],
+                        Interpolation::Linear => [
+                            count / (line_s * limit.max_velocity),
+                            COUNTS_OF_LINES * count / (line_s * line_s * most_a),
+                        ]
+                        .map(|margin| margin.min(MOST_MARGIN_OF_LINES)),
+                    };
                     let need = &mut cells.need[i];
-                    let most_v = (1.0 - VELOCITY_MARGIN) * limit.max_velocity;
+                    let most_v = (1.0 - margin_v) * limit.max_velocity;
                     *need = need.max(speed / most_v);
-                    *need = need.max((acceleration / ((1.0 - margin) * most_a)).sqrt());
-                    if let Some(jerk) = limit.max_jerk {
-                        let used = derivative(&a)[0].abs() / ((1.0 - JERK_MARGIN) * jerk);
-                        *need = need.max(used.cbrt());
+                    *need = need.max((acceleration / ((1.0 - margin_a) * most_a)).sqrt());
+                    // The acceleration of joined lines has steps.
+                    let max_jerk = limit.max_jerk.filter(|_| !is_linear);
+                    if let Some(most) = max_jerk {
+                        *need = need.max((jerk / ((1.0 - JERK_MARGIN) * most)).cbrt());
                     }
-                    let unused = (1.0 - margin) * most_a - acceleration;
+                    let unused = (1.0 - margin_a) * most_a - acceleration;
                     // Under a limit on the jerk a change of k' is a change of the acceleration that takes time.
-                    let part = if limit.max_jerk.is_some() { 0.0 } else { UNUSED };
-                    let for_clock = (FOR_CLOCK * most_a).max(part * unused);
+                    let part = if max_jerk.is_some() { 0.0 } else { UNUSED };
+                    let always = if is_linear { FOR_CLOCK.min(0.5 * margin_a) } else { FOR_CLOCK };
+                    let for_clock = (always * most_a).max(part * unused);
                     let steepest = for_clock / speed.max(1e-9 * most_v);
                     cells.steepest[i] = cells.steepest[i].min(steepest);
                 }
@@ -353,6 +377,16 @@ impl Cells {
         }
     }
 
+    /// Returns the root mean square, over the time of the plan, of the relative time that `k` adds within
+    /// [`GIVEN_BACK_WITHIN_MM`] of the path: about the relative error of the removal.
+    pub fn uneven(&self, k: &[f64]) -> f64 {
+        let added: Vec<f64> = k.iter().map(|k| k - 1.0).collect();
+        let times = self.sums_within(&vec![1.0; k.len()]);
+        let square: f64 =
+            self.sums_within(&added).iter().zip(times).map(|(a, t)| (a / t).powi(2)).sum();
+        (square / k.len() as f64).sqrt()
+    }
+
     /// Sums of `values` at the borders (m+1) over the borders within [`GIVEN_BACK_WITHIN_MM`] of each.
     fn sums_within(&self, values: &[f64]) -> Vec<f64> {
         let mut before = vec![0.0];
@@ -397,6 +431,11 @@ impl<'a, const N: usize> Slowed<'a, N> {
             time_s.push(sum);
         }
         Self { plan, inwards, cell_s: cells.cell_s, factor, time_s }
+    }
+
+    /// The factors k at the borders of the cells.
+    pub fn factors(&self) -> &[f64] {
+        &self.factor
     }
 
     /// Duration of the slower motion, s.

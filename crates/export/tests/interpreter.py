@@ -5,7 +5,7 @@
 The interpreter (rs274) against the table of the plan: it prints canonical calls, STRAIGHT_FEED(x, y, ...)
 and SET_FEED_RATE(mm/min), both with four decimals, DWELL(s). A line takes 60 length / feed. Compared: every
 end against the program's own words to half of the last decimal, and the total time against the header to
-the 5e-5 of the feed.
+the 5e-5 of the feed. A run of lines from rest to rest takes half of its first and half of its last line longer.
 
 The interpreter ignores outputs. So where LinuxCNC's simulator is installed (`linuxcnc`), a short program of
 planish-export with every kind of switch runs in it, in real time and twice, after a run that has left the
@@ -39,20 +39,24 @@ def main(folder):
     about = json.loads(pathlib.Path(f"{program}.json").read_text())
     words = [re.match(r"G1 X(\S+) Y(\S+) F(\S+)", line) for line in program.read_text().splitlines()]
     planned = [[float(v) for v in w.groups()] for w in words if w]
-    here, feed, seconds, slack, found = about["start_mm"], None, 0.0, 0.0, []
+    here, feed, seconds, slack, found, line = about["start_mm"], None, 0.0, 0.0, [], 0.0
     for name, arguments in re.findall(r"(\w+)\(([^)]*)\)", interpret(program)):
         if name == "SET_FEED_RATE":
             feed = float(arguments)
         elif name == "DWELL":
-            seconds += float(arguments)
+            seconds += float(arguments) + line / 2
+            line = 0.0
         elif name == "STRAIGHT_FEED":
             x, y = (float(v) for v in arguments.split(",")[:2])
             length = ((x - here[0]) ** 2 + (y - here[1]) ** 2) ** 0.5
-            seconds += 60 * length / feed
+            # Half of the first line of a run before it.
+            seconds += 60 * length / feed * (1 if line else 1.5)
+            line = 60 * length / feed
             # Ends to 5e-5 mm each, feed to 5e-5 mm/min.
             slack += 60 * (1e-4 / feed + length * 5e-5 / feed**2)
             here = (x, y)
             found.append(here)
+    seconds += line / 2
     assert len(found) == len(planned), f"{len(found)} lines for {len(planned)}"
     for (x, y), (px, py, _) in zip(found, planned):
         assert abs(x - px) <= 5.1e-5 and abs(y - py) <= 5.1e-5, f"{x}, {y} for {px}, {py}"

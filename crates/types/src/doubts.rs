@@ -89,14 +89,14 @@ const HOLE: f64 = 0.3;
 const MOST_TRAVEL: f64 = 5.0;
 
 /// Least way, m, in which an axis reaches its largest velocity and stops, above which the limits are
-/// doubted. Larger: mistaken units pass. Smaller: fast, weak machines are doubted. Chosen: at most
-/// 0.2 m for the fixtures; velocities in mm/min or accelerations in g make it 3600 or 9800 times as
+/// doubted. Larger: mistaken units pass. Smaller: fast, weak machines are doubted. Chosen: 0.002 to
+/// 0.03 m for the fixtures; velocities in mm/min or accelerations in g make it 3600 or 9800 times as
 /// long.
-const LEAST_WAY_M: f64 = 20.0;
+const LEAST_WAY_M: f64 = 5.0;
 
 /// Velocity, mm/s, above which such a way is due to the velocity. Chosen: figuring machines stay
 /// below it.
-const LEAST_FAST_MM_PER_S: f64 = 2000.0;
+const LEAST_FAST_MM_PER_S: f64 = 600.0;
 
 /// Acceleration of 1 g, mm/s^2.
 const STANDARD_GRAVITY_MM_PER_S2: f64 = 9806.65;
@@ -879,7 +879,10 @@ mod tests {
         // 250 mm/s are 15000 mm/min: 15000^2 / 2000 mm are 112 m.
         said(of(15000.0, 2000.0), &["needs 110 m", "mm/min", "15000 mm/min are 250 mm/s"]);
         said(of(250.0, 0.2), &["0.2 g are 1961 mm/s^2", "0.2 m/s^2 are 200 mm/s^2"]);
-        assert_eq!(of(1000.0, 100.0), None);
+        // A slow machine: 20 mm/s and 200 mm/s^2.
+        said(of(1200.0, 200.0), &["1200 mm/min are 20 mm/s"]);
+        said(of(20.0, 0.02), &["0.02 g are 196.1 mm/s^2"]);
+        assert_eq!(of(500.0, 100.0), None);
     }
 
     #[test]

@@ -1,0 +1,276 @@
+//! The nodes of lines that are joined: their times on the clock of the controller, and their positions in its counts.
+//!
+//! The joined motion has the acceleration a_k near node k. The mean velocities m of a plan P give, for lines of T1 s before
+//! the node and T2 s after it,
+//!
+//! ```text
+//! a_k = (m_k - m_{k-1}) / min(T1, T2)
+//! m_k - m_{k-1} = int P''(t_k + u) w(u) du      w = 1 + u / T1 before the node, 1 - u / T2 after it
+//! ```
+//!
+//! The integral of w is (T1 + T2) / 2. Between equal lines |a_k| is therefore at most the largest |P''| beside the node:
+//! such a program keeps the limit on acceleration wherever the plan does, at the times of the plan. Between unequal lines
+//! |a_k| is up to (T1 + T2) / (2 min(T1, T2)) times as large. So the lines change their length only where the plan leaves
+//! that much of the acceleration unused:
+//!
+//! ```text
+//! |T2 / T1 - 1| <= (1 - u) / u      u: largest use of an acceleration limit beside the node
+//! ```
+//!
+//! This is half of what the limit allows; rounding and the whole ticks of a line take the rest. From two nodes that are
+//! fixed the lines are laid towards each other, and share what is left where u is smallest.
+
+use planish_types::{AxisGrid, MachineAxis};
+
+use crate::{nodes::Choice, plan::length_mm, slowed::Slowed};
+
+/// Distance of the times at which the plan is looked at, s. Larger: a short peak of the acceleration is missed, and mended
+/// in a further round. Smaller: more time. Chosen: a fifth of a line at a usual limit.
+const GRID_S: f64 = 1e-3;
+
+/// Length of a line within which the speed of the plan may change by more than [`STEADY`], mm, if it takes longer than a
+/// line at the limits. Larger: fewer lines, and a removal that differs over this length. Smaller: more lines. Chosen: no
+/// tool sees it.
+const LONGEST_MM: f64 = 0.25;
+
+/// Part of the acceleration limit that a count may be in lines at the limit, where longer lines allow it. Larger: slower
+/// programs. Smaller: longer lines, within which the speed changes.
+const ROUNDING: f64 = 2e-3;
+
+/// Shortest lines at the limit, relative to those that leave the plan by the chosen deviation. Larger: a removal that
+/// differs more. Smaller: more lines. Chosen: 0.4 of the distance from the plan.
+const SHORTEST: f64 = 0.65;
+
+/// Relative change of the speed that a line of any length may leave out.
+const STEADY: f64 = 1e-3;
+
+/// Largest relative change of the length from one line to the next. Larger: more of the acceleration where the plan uses
+/// little of it. Smaller: shorter lines near a bend.
+const MOST_CHANGE: f64 = 0.25;
+
+/// Use of the acceleration below which lines may change as if it were this use. Larger: lines of few ticks keep their
+/// length. Smaller: lines that are twice as long as their neighbours. Chosen: (1 - u) / u = 2.3 of a line.
+const LITTLE_USE: f64 = 0.3;
+
+/// Use of the acceleration above which the lines at both ends of a program are not made shorter.
+const MUCH_USE: f64 = 0.8;
+
+/// Longest line at both ends of a program, s, unless a line at the limits is longer. Larger: the tool stays longer at the ends,
+/// by half of it. Smaller: more lines.
+const LONGEST_AT_END_S: f64 = 5e-3;
+
+/// Lines beside a node on which its acceleration depends, with the growth of the lines.
+const LINES_BESIDE: f64 = 1.5;
+
+/// Largest ratio of the lines at the seam to those beside it: the square of it is the ratio of their distances from the
+/// plan, and the choice leaves 40 % of the path deviation.
+const LONGER_AT_SEAM: f64 = 1.2;
+
+/// Most lines of a seam. Larger: more even lines where the plan uses its limit everywhere. Smaller: less time.
+const MOST_LINES_OF_SEAM: usize = 400;
+
+/// Returns the ticks of the nodes, from 0 to the last of `fixed` (ascending), through all of `fixed`.
+pub(crate) fn choose<const N: usize>(
+    motion: &Slowed<N>,
+    fixed: &[i64],
+    choice: &Choice<N>,
+) -> Vec<i64> {
+    let lengths = Lengths::new(motion, choice);
+    let mut ticks = vec![0];
+    for stop in fixed {
+        let start = ticks[ticks.len() - 1];
+        lengths.lay(start, *stop, &mut ticks);
+    }
+    ticks
+}
+
+/// Returns the time of the lines of a plan at its acceleration limits, s: at most that of a parabola that leaves the plan by
+/// `deviation_mm`, and no longer than rounding to the counts needs it.
+pub(crate) fn line_at_limit_s<const N: usize>(
+    axes: &[MachineAxis; N],
+    grids: &[AxisGrid; N],
+    lever: &[f64; N],
+    deviation_mm: f64,
+) -> f64 {
+    let limits = axes.each_ref().map(|axis| axis.max_acceleration);
+    let longest_s = (8.0 * deviation_mm / length_mm(lever, limits)).sqrt();
+    // c / T^2 = ROUNDING A
+    let rounded = grids.iter().zip(limits).map(|(grid, a)| (grid.count / (ROUNDING * a)).sqrt());
+    longest_s.min(rounded.fold(SHORTEST * longest_s, f64::max))
+}
+
+/// The lengths of lines over the time of a program.
+struct Lengths {
+    /// Ticks from one place of the grid to the next.
+    step: i64,
+    /// Shortest line, ticks.
+    least: i64,
+    /// Length of a line at every place, ticks.
+    ticks: Vec<f64>,
+    /// Largest use of an acceleration limit by the plan near every place, at least [`LITTLE_USE`].
+    used: Vec<f64>,
+}
+
+impl Lengths {
+    fn new<const N: usize>(motion: &Slowed<N>, choice: &Choice<N>) -> Self {
+        let [least, most] = choice.ticks;
+        let step = (GRID_S / choice.tick_s).ceil().max(1.0) as i64;
+        let step_s = step as f64 * choice.tick_s;
+        let m = (motion.total_s() / step_s).ceil() as usize + 2;
+        let Choice { axes, grids, lever, .. } = choice;
+        let at_limit_s = line_at_limit_s(axes, grids, lever, choice.deviation_mm);
+        let limits = axes.each_ref().map(|axis| axis.max_acceleration);
+        let mut ticks = Vec::with_capacity(m);
+        let mut used = vec![LITTLE_USE; m];
+        for k in 0..m {
+            let time_s = k as f64 * step_s;
+            let state = motion.at(time_s);
+            let a = state.acceleration;
+            let v_mm = length_mm(lever, state.velocity);
+            let a_mm = length_mm(lever, a);
+            // a T^2 / 8 is the distance of the parabola from the plan, that of lines at the limits; a T / v is the change of the
+            // speed.
+            let near_s = at_limit_s * (length_mm(lever, limits) / a_mm).sqrt();
+            let steady_s = (LONGEST_MM / v_mm).max(STEADY * v_mm / a_mm).max(at_limit_s);
+            let longest_s = near_s.min(steady_s);
+            let length = (longest_s / choice.tick_s).clamp(least as f64, most as f64);
+            ticks.push(length);
+            let share = |(a, axis): (&f64, &MachineAxis)| a.abs() / axis.max_acceleration;
+            let here = a.iter().zip(choice.axes).map(share).fold(0.0, f64::max);
+            if here > LITTLE_USE {
+                let beside = (LINES_BESIDE * length / step as f64).ceil() as usize;
+                let near = k.saturating_sub(beside)..(k + beside + 1).min(m);
+                used[near].iter_mut().for_each(|u| *u = u.max(here.min(1.0)));
+            }
+        }
+        // Half a line comes before the first node and after the last one, with the tool on.
+        let at_end = LONGEST_AT_END_S.max(at_limit_s) / choice.tick_s;
+        for k in [0, m - 2, m - 1] {
+            if used[k] <= MUCH_USE {
+                ticks[k] = ticks[k].min(at_end);
+            }
+        }
+        let mut lengths = Self { step, least, ticks, used };
+        // A line begins where it may still be as long as what comes within it.
+        for k in 0..m - 1 {
+            let longest = lengths.ticks[k] + lengths.growth(k, lengths.ticks[k]);
+            lengths.ticks[k + 1] = lengths.ticks[k + 1].min(longest);
+        }
+        for k in (0..m - 1).rev() {
+            let longest = lengths.ticks[k + 1] + lengths.growth(k, lengths.ticks[k + 1]);
+            lengths.ticks[k] = lengths.ticks[k].min(longest);
+        }
+        lengths
+    }
+
+    /// Returns the largest change of lines of `length` ticks from place `k` to the next; none where one tick is too much.
+    fn growth(&self, k: usize, length: f64) -> f64 {
+        let change = self.change(self.used[k].max(self.used[k + 1]));
+        if change * length < 1.0 { 0.0 } else { change.min(MOST_CHANGE) * self.step as f64 }
+    }
+
+    /// Returns the largest relative change of the lengths for a use of the acceleration limit.
+    fn change(&self, used: f64) -> f64 {
+        (1.0 - used) / used
+    }
+
+    fn place(&self, tick: i64) -> usize {
+        ((tick / self.step).max(0) as usize).min(self.ticks.len() - 1)
+    }
+
+    /// Returns the length of a line that begins or ends at `tick`.
+    fn length(&self, tick: i64) -> i64 {
+        (self.ticks[self.place(tick)] as i64).max(self.least)
+    }
+
+    /// Returns the tick where the plan between two nodes uses least of the acceleration, where the lines are longest.
+    fn loosest(&self, start: i64, stop: i64) -> i64 {
+        let places = self.place(start) + 1..self.place(stop);
+        let order = |a: &usize, b: &usize| {
+            let by_use = self.used[*a].total_cmp(&self.used[*b]);
+            by_use.then(self.ticks[*b].total_cmp(&self.ticks[*a]))
+        };
+        places.min_by(order).map_or(start + (stop - start) / 2, |k| k as i64 * self.step)
+    }
+
+    /// Adds the nodes after `start` up to `stop`.
+    fn lay(&self, start: i64, stop: i64, ticks: &mut Vec<i64>) {
+        let seam = self.loosest(start, stop);
+        let mut forward = vec![start];
+        let mut next = start + self.length(start);
+        while next <= seam {
+            forward.push(next);
+            next += self.length(next);
+        }
+        let mut backward = vec![stop];
+        let mut next = stop - self.length(stop);
+        while next >= seam {
+            backward.push(next);
+            next -= self.length(next);
+        }
+        let (length, even) = (self.length(seam), self.change(self.used[self.place(seam)]));
+        let (first, last, lines) = loop {
+            let (first, last) = (forward[forward.len() - 1], backward[backward.len() - 1]);
+            let gap = last - first;
+            let longest = 1.0 + even.min(LONGER_AT_SEAM - 1.0);
+            let lines = (gap as f64 / (longest * length as f64)).ceil() as i64;
+            let lines = lines.min(gap / self.least).max(i64::from(gap > 0));
+            let is_even = (lines * length) as f64 <= (1.0 + even) * gap as f64;
+            let is_all = forward.len() == 1 && backward.len() == 1;
+            if is_even || is_all || lines as usize > MOST_LINES_OF_SEAM {
+                break (first, last, lines);
+            }
+            if forward.len() > backward.len() {
+                forward.pop()
+            } else {
+                backward.pop()
+            };
+        };
+        ticks.extend(&forward[1..]);
+        ticks.extend((1..lines).map(|j| first + (last - first) * j / lines));
+        if lines > 0 {
+            ticks.push(last);
+        }
+        ticks.extend(backward.iter().rev().skip(1));
+    }
+}
+
+/// Positions of the nodes of one axis, in counts.
+pub(crate) struct AxisCounts<'a> {
+    /// Time of every line (n), s.
+    pub time_s: &'a [f64],
+    /// Limits, counts/s and counts/s^2.
+    pub velocity: f64,
+    pub acceleration: f64,
+    /// Lowest and highest count of the travel.
+    pub travel: [i64; 2],
+    /// Most counts by which a position is moved. Larger: positions may run away from the plan where it leaves no room.
+    /// Smaller: more places are slowed down.
+    pub most_moved: i64,
+}
+
+impl AxisCounts<'_> {
+    /// Moves rounded positions (n+1) as far as the limits of the joined lines need it. Where the plan
+    /// leaves room for a count, a position comes back to its own.
+    pub fn keep_limits(&self, positions: &mut [i64]) {
+        let (mut velocity, mut before_s) = (0.0, f64::INFINITY);
+        for (k, time_s) in self.time_s.iter().enumerate() {
+            let change = self.acceleration * before_s.min(*time_s);
+            let from = positions[k];
+            let bound = |v: f64| v.clamp(-self.velocity, self.velocity) * time_s;
+            // A hair is the rounding of the product.
+            let low = (bound(velocity - change) - 1e-6).ceil() as i64;
+            let high = (bound(velocity + change) + 1e-6).floor() as i64;
+            let [lowest, highest] = self.travel;
+            let own = positions[k + 1];
+            if low <= high {
+                let kept = own.clamp(from.saturating_add(low), from.saturating_add(high));
+                let most = self.most_moved;
+                let near = kept.clamp(own.saturating_sub(most), own.saturating_add(most));
+                positions[k + 1] = near.clamp(lowest, highest);
+            }
+            velocity = (positions[k + 1] - from) as f64 / time_s;
+            before_s = *time_s;
+        }
+    }
+}
