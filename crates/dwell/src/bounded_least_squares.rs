@@ -151,7 +151,8 @@ pub fn solve_within(
         if rate_error <= SAME_TIME_FACTOR || rounds == MAX_ROUNDS_OF_TIMES {
             // The times that remove just that at the rates of their own times.
             let times = times_of_effective(time, &effective_s);
-            let within = times.iter().zip(lo.iter().zip(&hi)).map(|(t, (lo, hi))| t.clamp(*lo, *hi));
+            let within =
+                times.iter().zip(lo.iter().zip(&hi)).map(|(t, (lo, hi))| t.clamp(*lo, *hi));
             solution.dwell = DwellTime::new(within.collect())?;
             solution.report.total_time_s = solution.dwell.dwell_s().iter().sum();
             solution.report.rates_of_time = Some(RatesOfTime { rounds, rate_error });

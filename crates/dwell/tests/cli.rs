@@ -160,7 +160,8 @@ fn planted_dwell_times_come_back_where_the_rate_halves_in_the_course_of_the_run(
     assert!(number(&report["rates_of_time"]["rate_error"]) < 1e-5, "{report}");
 
     // A solver that assumes a constant rate refuses the tool.
-    for solver in ["tikhonov-lsqr", "non-negative-least-squares", "lucy-richardson", "rifta", "udo"] {
+    for solver in ["tikhonov-lsqr", "non-negative-least-squares", "lucy-richardson", "rifta", "udo"]
+    {
         let inputs = [&[solver], &INPUTS[1..], &["--out=refused"]].concat();
         let output = run_on("2", tmp.path(), &inputs);
         let refused = output.status.code() == Some(2);

@@ -64,8 +64,8 @@ use planish_schedule::{ScheduleError, Scheduled, Scheduler, pvt};
 use planish_simulate::{Plan, Settings as Simulation};
 use planish_tolerance::quadratic::{Quadratic, Sources};
 use planish_types::{
-    DwellTime, End, Invalid, Limits, OnLattice, PARTS_TOLERANCE, Surface, Tif, TifLattice, ToolPath,
-    Trajectory,
+    DwellTime, End, Invalid, Limits, OnLattice, PARTS_TOLERANCE, Surface, Tif, TifLattice,
+    ToolPath, Trajectory,
     plausible::{self, Rms},
     progress as work,
 };

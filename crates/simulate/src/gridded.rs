@@ -136,7 +136,8 @@ impl Plan {
             let tell = |part: f64| tell((k as f64 + part) / count);
             kernel.removal_told(trajectory, weight.as_ref(), &tell)
         };
-        let sum = self.kernels.iter().enumerate().map(of).reduce(|(a, points), (b, _)| (a + b, points));
+        let sum =
+            self.kernels.iter().enumerate().map(of).reduce(|(a, points), (b, _)| (a + b, points));
         let (mut removal, quadrature_points) = sum.expect("a tool has a kernel");
         let TifLattice { parts, error, .. } = self.lattice;
         let numerics =

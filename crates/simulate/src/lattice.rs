@@ -31,8 +31,7 @@ pub struct Lattice {
 impl Lattice {
     /// Makes the lattice along x (0) or y (1) for a map and a TIF on its lattice with so many samples to a pixel.
     pub fn new(map: &Grid, tif: &Tif, subdivision: usize, axis: usize) -> Self {
-        let (map, samples) =
-            ([&map.x, &map.y][axis], [&tif.grid().x, &tif.grid().y][axis]);
+        let (map, samples) = ([&map.x, &map.y][axis], [&tif.grid().x, &tif.grid().y][axis]);
         let beyond = (tif.edge_mm()[axis] - samples.end_mm()) / samples.step_mm();
         let edge = (samples.len() - 1) as f64 + beyond;
         let (whole, fraction) = keys::split(edge);

@@ -4,7 +4,7 @@
 //! removal(x) = g(x) sum over the motion of  c(t) sum_k a_k(p) phi_k(x - p) dt,     phi_k and a_k by Keys
 //! ```
 //!
-//! * `planish-dwell` gives the dwell times of the library, bit by bit, and so do the joint plan and the closed loop.
+//! * `planish-dwell` gives the dwell times of the library, and so do the joint plan and the closed loop.
 //! * The residual that a solver states for dwell points is the residual that `planish-simulate` finds for the motion that
 //!   stands at them.
 //! * The simulated removal is the sum above. The sum is written here, shares no code with a stage, and has the tool on
@@ -34,15 +34,16 @@ use planish_testkit::{
 };
 use planish_toolpath::{MazeSettings, RasterSettings, Tree, maze, raster};
 use planish_types::{
-    Axis, DwellTime, Grid, Limits, MachineFile, MachineFileAxis, PARTS_TOLERANCE, PixelFactor, Pose,
-    Removal, Segment, Surface, Tif, TimeFactor, ToolPath, Trajectory, TurnWeights, VaryingTif,
+    Axis, DwellTime, Grid, Limits, MachineFile, MachineFileAxis, PARTS_TOLERANCE, PixelFactor,
+    Pose, Removal, Segment, Surface, Tif, TimeFactor, ToolPath, Trajectory, TurnWeights,
+    VaryingTif,
 };
 use rand::{Rng, RngExt};
 
 /// Number of problems unless `PLANISH_PROBLEMS` states another one.
 const FEW: u64 = 10;
 
-/// Difference of two residuals, nm, and of two removals, over the largest removal, that is none: the rounding of
+/// Difference of two residuals, nm, of two plans, s and mm, and of two removals, over the largest, that is none: rounding of
 /// transforms and of a rate that depends on the time is below it by a factor of ten at least.
 const NOTHING: f64 = 1e-6;
 
@@ -91,7 +92,16 @@ fn problem(number: u64) -> Problem {
     let depends = matches!(varies, Varies::ByTime | Varies::ByPlaceAndTime);
     let solver = if depends { SOLVERS[0] } else { SOLVERS[random.random_range(0..SOLVERS.len())] };
     let floor_s = random.random_range(0.0..0.05);
-    Problem { surface, tif, varies, is_smooth, path, machine: machine(&mut random), solver, floor_s }
+    Problem {
+        surface,
+        tif,
+        varies,
+        is_smooth,
+        path,
+        machine: machine(&mut random),
+        solver,
+        floor_s,
+    }
 }
 
 /// A part with a mask and holes.
@@ -108,7 +118,8 @@ fn surface(random: &mut impl Rng) -> Surface {
     let (layer, disk) = (20.0 * number(), number() < 0.5);
     let holes: Vec<f64> = (0..nx * ny).map(|_| number()).collect();
     let height = Array2::from_shape_fn(grid.shape(), |(r, c)| {
-        let (u, v) = (2.0 * c as f64 / (nx - 1) as f64 - 1.0, 2.0 * r as f64 / (ny - 1) as f64 - 1.0);
+        let (u, v) =
+            (2.0 * c as f64 / (nx - 1) as f64 - 1.0, 2.0 * r as f64 / (ny - 1) as f64 - 1.0);
         if disk && u.hypot(v) > 1.0 || holes[r * nx + c] < 0.01 {
             return f64::NAN;
         }
@@ -140,11 +151,13 @@ fn tool(surface: &Surface, varies: Varies, is_smooth: bool, random: &mut impl Rn
         Grid { x: axis(pitch * grid.x.step_mm(), off_x), y: axis(pitch * grid.y.step_mm(), off_y) };
     let [lean, aspect] = [random.random_range(-0.4..0.4), random.random_range(0.7..1.4)];
     let peak = random.random_range(2.0..30.0);
-    let end = [&offsets.x, &offsets.y].map(|a| (0.5 * (a.start_mm() + a.end_mm()), 0.5 * (a.end_mm() - a.start_mm())));
+    let end = [&offsets.x, &offsets.y]
+        .map(|a| (0.5 * (a.start_mm() + a.end_mm()), 0.5 * (a.end_mm() - a.start_mm())));
     let spot = Array2::from_shape_fn(offsets.shape(), |(r, c)| {
         let (x, y) = (offsets.x.at(c), offsets.y.at(r));
         let bell = (-0.5 * (x * x + (aspect * y).powi(2)) / (0.25 * width_mm * width_mm)).exp();
-        let rim = |v: f64, (middle, half): (f64, f64)| (1.0 - ((v - middle) / half).powi(2)).max(0.0);
+        let rim =
+            |v: f64, (middle, half): (f64, f64)| (1.0 - ((v - middle) / half).powi(2)).max(0.0);
         let taper = if is_smooth { (rim(x, end[0]) * rim(y, end[1])).powi(2) } else { 1.0 };
         peak * bell * (1.0 + lean * (x / half)) * taper
     });
@@ -183,8 +196,7 @@ fn tool(surface: &Surface, varies: Varies, is_smooth: bool, random: &mut impl Rn
     let turn = |k: usize, degrees: f64| if k == 0 { 1.0 } else { degrees.to_radians().cos() };
     let heading = (varies == Varies::ByHeading).then(|| {
         let degrees: Vec<f64> = (0..24).map(|i| 15.0 * f64::from(i)).collect();
-        let weights =
-            (0..2).map(|k| degrees.iter().map(|d| turn(k, *d)).collect()).collect();
+        let weights = (0..2).map(|k| degrees.iter().map(|d| turn(k, *d)).collect()).collect();
         TurnWeights::by_heading(degrees, weights).unwrap()
     });
     let varying =
@@ -269,7 +281,8 @@ fn interpolated(samples: &Array2<f64>, [x, y]: [f64; 2]) -> f64 {
     let first = |s: f64| s.floor() as isize - 1;
     let along = |r: isize| -> f64 {
         let at = |c: isize| samples[[r as usize, c as usize]];
-        let terms = (first(x)..first(x) + 4).map(|c| keys(x - c as f64) * node(&at, c, nx as isize));
+        let terms =
+            (first(x)..first(x) + 4).map(|c| keys(x - c as f64) * node(&at, c, nx as isize));
         terms.sum()
     };
     let terms = first(y)..first(y) + 4;
@@ -374,7 +387,9 @@ impl Numbers {
                         let u_s = time_s - s.start_s;
                         let position_mm = s.position_mm(u_s);
                         if !is_at_rest {
-                            let [vx, vy] = s.coefficient_mm.map(|c| c[1] + u_s * (2.0 * c[2] + 3.0 * u_s * c[3]));
+                            let [vx, vy] = s
+                                .coefficient_mm
+                                .map(|c| c[1] + u_s * (2.0 * c[2] + 3.0 * u_s * c[3]));
                             heading_rad = vy.atan2(vx);
                         }
                         if s.tool_on {
@@ -392,7 +407,8 @@ impl Numbers {
 
 /// Direction of the first motion or jump, rad; the paths of tools that turn are lines.
 fn first_heading(motion: &Trajectory) -> f64 {
-    let places: Vec<[f64; 2]> = motion.segments().map(|s| s.position_mm(0.5 * s.duration_s)).collect();
+    let places: Vec<[f64; 2]> =
+        motion.segments().map(|s| s.position_mm(0.5 * s.duration_s)).collect();
     let way = |p: &[f64; 2]| [p[0] - places[0][0], p[1] - places[0][1]];
     let there = places.iter().map(way).find(|d| d[0].hypot(d[1]) > 1e-6);
     there.map_or(0.0, |d| d[1].atan2(d[0]))
@@ -496,11 +512,14 @@ fn differences(number: u64) -> Vec<String> {
         let pairs = a.dwell_s().iter().zip(b.dwell_s());
         pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
     };
-    compare("dwell times of program and library, s", off(&dwell, &program), 0.0);
+    compare("dwell times of program and library, s", off(&dwell, &program), NOTHING);
     let stated = outcome(&dir.join("dwell"))["report"]["model_rms_nm"].as_f64().unwrap();
-    compare("residual of program and library, nm", (stated - rms_nm).abs(), 0.0);
+    compare("residual of program and library, nm", (stated - rms_nm).abs(), NOTHING);
 
-    run(dir, "schedule position --tool-path path --dwell dwell --machine machine.json --out position");
+    run(
+        dir,
+        "schedule position --tool-path path --dwell dwell --machine machine.json --out position",
+    );
     run(dir, &format!("simulate {mirror} --trajectory position --out removal"));
     let removal: Removal = read(&dir.join("removal"));
     let rms = removal.residual().statistics().rms;
@@ -547,9 +566,8 @@ fn largest_off(
     stride: usize,
 ) -> f64 {
     let pixels = removal.removal_nm().indexed_iter().step_by(stride);
-    let off = pixels.map(|(index, simulated)| {
-        (simulated - sum.removal(motion, p.surface.grid(), index)).abs()
-    });
+    let off = pixels
+        .map(|(index, simulated)| (simulated - sum.removal(motion, p.surface.grid(), index)).abs());
     off.fold(0.0, f64::max) / largest_of(removal)
 }
 
@@ -560,7 +578,10 @@ fn plans(dir: &Path, p: &Problem, compare: &mut impl FnMut(&str, f64, f64)) {
     let Problem { surface, tif, path, .. } = p;
     let apart = |a: &Trajectory, b: &Trajectory| {
         let numbers = |t: &Trajectory| -> Vec<f64> {
-            t.segments().flat_map(|s| s.coefficient_mm.concat()).chain(t.break_time_s().iter().copied()).collect()
+            t.segments()
+                .flat_map(|s| s.coefficient_mm.concat())
+                .chain(t.break_time_s().iter().copied())
+                .collect()
         };
         let (a, b) = (numbers(a), numbers(b));
         match a.len() == b.len() {
@@ -574,9 +595,13 @@ fn plans(dir: &Path, p: &Problem, compare: &mut impl FnMut(&str, f64, f64)) {
         Err(_) if refused => {}
         Ok(plan) if !refused => {
             let program: Trajectory = read(&dir.join("joint/trajectory"));
-            compare("joint plan of program and library", apart(&plan.trajectory, &program), 0.0);
+            compare(
+                "joint plan of program and library",
+                apart(&plan.trajectory, &program),
+                NOTHING,
+            );
         }
-        _ => compare("joint plan refused by one of program and library", f64::INFINITY, 0.0),
+        _ => compare("joint plan refused by one of program and library", f64::INFINITY, NOTHING),
     }
 
     run(dir, &format!("refine {mirror} --max-rounds 3 --out refined"));
@@ -588,7 +613,7 @@ fn plans(dir: &Path, p: &Problem, compare: &mut impl FnMut(&str, f64, f64)) {
     };
     let refined = planish_refine::refine(surface, tif, path, &limits, None, &settings).unwrap();
     let program: Trajectory = read(&dir.join("refined/trajectory"));
-    compare("closed loop of program and library", apart(&refined.trajectory, &program), 0.0);
+    compare("closed loop of program and library", apart(&refined.trajectory, &program), NOTHING);
 }
 
 #[test]

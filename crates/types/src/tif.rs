@@ -564,8 +564,15 @@ impl Tif {
     /// Returns a TIF or a kernel of these samples, which ends at these offsets.
     pub(crate) fn unchecked(grid: Grid, rate_nm_per_s: Array2<f64>, edge_mm: [f64; 2]) -> Self {
         let with_ghosts = keys::with_ghosts(rate_nm_per_s.view());
-        Self { grid, rate_nm_per_s, with_ghosts, edge_mm: ends_mm(&grid), lattice: None, variation: None }
-            .with_edge(edge_mm)
+        Self {
+            grid,
+            rate_nm_per_s,
+            with_ghosts,
+            edge_mm: ends_mm(&grid),
+            lattice: None,
+            variation: None,
+        }
+        .with_edge(edge_mm)
     }
 
     /// Returns the same samples with an upper edge up to a step beyond the last one.

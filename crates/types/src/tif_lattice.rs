@@ -85,7 +85,8 @@ impl TifLattice {
 
     /// Returns the warning that the wanted accuracy was not reached, or `None`.
     pub fn warning(&self) -> Option<String> {
-        let [error, tolerance] = [self.error, self.tolerance].map(|part| significant(100.0 * part, 2));
+        let [error, tolerance] =
+            [self.error, self.tolerance].map(|part| significant(100.0 * part, 2));
         (self.error > self.tolerance).then(|| {
             format!(
                 "the TIF is too sharp for the pixels of the map: between them it is exact to {error} % of its peak, not \
@@ -127,7 +128,9 @@ impl Tif {
             let grid = lattice(&tif, map, each)?;
             let found = grid.map(|grid| (grid, difference(&tif, grid)));
             match found {
-                Some((grid, Difference { error, volume_change })) if error <= tolerance || is_last => {
+                Some((grid, Difference { error, volume_change }))
+                    if error <= tolerance || is_last =>
+                {
                     let lattice = TifLattice { parts: each, error, volume_change, tolerance };
                     let tif = Cow::Owned(tif.sampled_anew(grid).with_lattice(lattice));
                     return Ok(OnLattice { tif, lattice });
@@ -165,9 +168,9 @@ impl Tif {
             }
             Self::unchecked(grid, rate, edge_mm)
         };
-        let variation = self.variation().map(|v| {
-            v.with_kernels(v.components().iter().map(|c| anew(c.kernel())).collect())
-        });
+        let variation = self
+            .variation()
+            .map(|v| v.with_kernels(v.components().iter().map(|c| anew(c.kernel())).collect()));
         anew(self).with_variation(variation)
     }
 
@@ -318,7 +321,8 @@ mod tests {
     #[test]
     fn the_stated_error_bounds_that_at_other_offsets_and_edges_stay() {
         // Cut off at 1 % of the peak and at 0.03 % of it; samples coarser and finer than the pixels.
-        for (tif, step) in [(bell(0.31, 3.1), 0.2), (bell(0.13, 3.9), 0.2), (bell(0.05, 3.0), 0.47)] {
+        for (tif, step) in [(bell(0.31, 3.1), 0.2), (bell(0.13, 3.9), 0.2), (bell(0.05, 3.0), 0.47)]
+        {
             let found = tif.on_lattice_of(&square(step, 40), PARTS_TOLERANCE).unwrap();
             let lattice = found.lattice;
             assert!(lattice.error <= PARTS_TOLERANCE, "{lattice:?}");

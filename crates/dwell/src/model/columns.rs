@@ -264,9 +264,7 @@ impl Row {
     fn under(&self, node: usize, count: usize) -> &[f64] {
         match self.stride {
             1 => &self.samples[node..node + count],
-            stride => {
-                &self.by_phase[node % stride * self.of_phase + node / stride..][..count]
-            }
+            stride => &self.by_phase[node % stride * self.of_phase + node / stride..][..count],
         }
     }
 }

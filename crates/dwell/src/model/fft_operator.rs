@@ -192,7 +192,8 @@ fn parts(tif: &Tif, grid: &Grid) -> [usize; 2] {
 /// Returns the nodes of a map with so many parts of a pixel along [x, y].
 fn nodes(grid: &Grid, parts: [usize; 2]) -> Grid {
     let of = |axis: &Axis, parts: usize| {
-        let finer = Axis::new(axis.start_mm(), axis.step_mm() / parts as f64, (axis.len() - 1) * parts + 1);
+        let finer =
+            Axis::new(axis.start_mm(), axis.step_mm() / parts as f64, (axis.len() - 1) * parts + 1);
         finer.expect("a finer axis within the same ends")
     };
     Grid { x: of(&grid.x, parts[0]), y: of(&grid.y, parts[1]) }
