@@ -8,6 +8,7 @@
 //! * `end_to_end`: a fixture through all binaries.
 //! * `pipelines`: `just run` as a user calls it (`just test-pipelines`).
 //! * `commands_as_printed`: the commands of README.md and docs/ (`just test-commands`).
+//! * `random_problems`: programs, libraries and a sum of its own on random problems.
 //! * `reference`: the reference mirror, where `PLANISH_REFERENCE` names its folder.
 //!
 //! `examples/reproduce` computes the claims of the papers (docs/reproduction.md).
