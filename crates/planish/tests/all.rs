@@ -69,6 +69,8 @@ mod testkit_end_to_end;
 mod testkit_flags;
 #[path = "../../testkit/tests/machine.rs"]
 mod testkit_machine;
+#[path = "../../testkit/tests/random_problems.rs"]
+mod testkit_random_problems;
 #[path = "../../tolerance/tests/cli.rs"]
 mod tolerance_cli;
 #[path = "../../tolerance/tests/hostile.rs"]

@@ -30,7 +30,7 @@ use planish_numerics::quadrature::gauss_legendre;
 use planish_schedule::{Choices, SCHEDULERS};
 use planish_testkit::{
     case_generator,
-    program::{binaries, text, write},
+    program::{text, write},
 };
 use planish_toolpath::{MazeSettings, RasterSettings, Tree, maze, raster};
 use planish_types::{
@@ -417,8 +417,9 @@ fn first_heading(motion: &Trajectory) -> f64 {
 /// Runs `planish-<command>` in `dir`, and returns its message if it refuses; a negative verdict does not matter here.
 fn refusal(dir: &Path, command: &str) -> Option<String> {
     let mut words = command.split_whitespace();
-    let program = binaries().join(format!("planish-{}", words.next().unwrap()));
-    let output = Command::new(program).args(words).current_dir(dir).output().unwrap();
+    let program = format!("planish-{}", words.next().unwrap());
+    let output =
+        planish_testkit::program::stage(&program).args(words).current_dir(dir).output().unwrap();
     match output.status.code() {
         Some(0 | 1) => None,
         Some(2) => Some(text(&output.stderr)),
