@@ -209,6 +209,21 @@ impl Tif {
         self.variation.as_deref()
     }
 
+    /// Returns the lattice of the map on which the TIF was sampled anew; none of a TIF as it was measured.
+    pub(crate) fn lattice(&self) -> Option<&TifLattice> {
+        self.lattice.as_ref()
+    }
+
+    /// Returns this TIF as one that was sampled anew.
+    pub(crate) fn with_lattice(self, lattice: TifLattice) -> Self {
+        Self { lattice: Some(lattice), ..self }
+    }
+
+    /// Returns this TIF as the mean tool of a variation, if there is one.
+    pub(crate) fn with_variation(self, variation: Option<Variation>) -> Self {
+        Self { variation: variation.map(Arc::new), ..self }
+    }
+
     /// The numbers from which [`Self::varying`] makes this tool; of one that does not vary, one kernel with the weight
     /// 1 at the ends of its samples.
     pub fn numbers(&self) -> VaryingTif {
