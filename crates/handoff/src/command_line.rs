@@ -62,8 +62,7 @@ pub(crate) fn end(error: &clap::Error) -> ! {
     if from_run::is_stage() {
         // The usage is that of flags which the user of a pipeline does not see.
         text.truncate(text.find("\n\nUsage:").unwrap_or(text.len()));
-        let program =
-            together::command_line().first().map(|path| path.to_string_lossy().into_owned());
+        let program = stage::arguments().first().map(|path| path.to_string_lossy().into_owned());
         let program =
             program.as_deref().and_then(|path| path.rsplit('/').next()).unwrap_or_default();
         text += &format!("\n{program} --help lists its flags");
