@@ -59,15 +59,15 @@ const BUFFER: usize = 255;
 /// Letters of the axes, in their order.
 const LETTERS: [&str; 5] = ["A", "B", "C", "D", "E"];
 
-/// Returns the sample time, s. Refuses one that no TM gives.
-pub(crate) fn sample_s(grids: &ControllerModel) -> Result<f64, Invalid> {
+/// Returns the sample time, s. Refuses one that PVT mode with this number of axes does not have.
+pub(crate) fn sample_s(grids: &ControllerModel, axes: usize) -> Result<f64, Invalid> {
     let sample_s = positive("sample_s", grids.tick_s / SAMPLES_PER_TICK as f64)?;
     let units = sample_s / SAMPLE_UNIT_S;
     // A little less or more is the rounding of a number that was typed.
-    let least = least_sample_units(N);
+    let least = least_sample_units(axes);
     if !(least - 1e-3..=MOST_SAMPLE_UNITS + 1e-3).contains(&units) {
         let problem = format!(
-            "is {sample_s}, and PVT mode with {N} axes has samples from TM {} ({} s) to TM 20000 (0.01953125 s)",
+            "is {sample_s}, and PVT mode with {axes} axes has samples from TM {} ({} s) to TM 20000 (0.01953125 s)",
             least * SAMPLE_UNIT_S * TM_PER_S,
             least * SAMPLE_UNIT_S
         );
@@ -77,7 +77,7 @@ pub(crate) fn sample_s(grids: &ControllerModel) -> Result<f64, Invalid> {
 }
 
 pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
-    let sample_s = sample_s(&job.grids)?;
+    let sample_s = sample_s(&job.grids, N)?;
     let units = sample_s / SAMPLE_UNIT_S;
     let (q, mut about) = job.nodes(Abilities {
         most_ticks: MOST_SAMPLES / SAMPLES_PER_TICK,

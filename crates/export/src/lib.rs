@@ -280,7 +280,8 @@ pub fn check(
     let turns = machine.axes().iter().any(|axis| axis.is_rotary);
     positive("path_deviation_mm", settings.path_deviation_mm)?;
     match controller {
-        ControllerKind::Galil => galil::sample_s(&grids).map(|_| ()),
+        // The fewest axes: a motion of more is refused when it is there.
+        ControllerKind::Galil => galil::sample_s(&grids, 2).map(|_| ()),
         ControllerKind::Pmac => pmac::checked(&grids, &settings.pmac).map(|_| ()),
         ControllerKind::Gcode => gcode::tolerance_mm(settings, turns).map(|_| ()),
         ControllerKind::Xps | ControllerKind::Csv => tick_s(&grids).map(|_| ()),
