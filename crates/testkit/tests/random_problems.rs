@@ -13,7 +13,7 @@
 //!
 //! `PLANISH_PROBLEMS=200 cargo test --release --locked -p planish-testkit --test random_problems` takes some minutes.
 
-use std::{fs, path::Path, process::Command};
+use std::{fs, path::Path};
 
 use ndarray::Array2;
 use planish_dwell::{
