@@ -104,10 +104,10 @@ impl Bench {
     fn refused(&self, controller: &str, more: &[&str]) -> String {
         let (code, said) = self.run(controller, "t", more);
         assert_eq!(code, Some(2), "{controller} {more:?}: {said}");
-        // Beside it only what was read is said: the motion here is bare arrays.
+        // Beside it only what was read is said: the motion here is bare arrays. Settings are refused before it is read.
         let (warnings, errors): (Vec<_>, Vec<_>) =
             said.lines().partition(|line| line.starts_with("warning: "));
-        assert_eq!((warnings.len(), errors.len()), (1, 1), "{controller} {more:?}: {said}");
+        assert!(warnings.len() <= 1 && errors.len() == 1, "{controller} {more:?}: {said}");
         assert!(!said.contains("panicked"), "{said}");
         assert!(!self.path("p").exists(), "{controller} {more:?}");
         said
@@ -132,7 +132,7 @@ fn the_program_and_what_it_is() {
     let (code, said) = bench.run("pmac", "t", &flags);
     assert!(code == Some(2) && said.contains("give --force"), "{said}");
     let (code, said) = bench.run("pmac", "t", &["--always-on", "--force", "--count-mm", "-1"]);
-    assert!(code == Some(2) && said.contains("count_mm: is -1"), "{said}");
+    assert!(code == Some(2) && said.contains("count-mm: is -1"), "{said}");
     assert_eq!(fs::read_to_string(bench.path("p/a.txt")).unwrap(), text);
 }
 
@@ -351,7 +351,7 @@ fn a_motion_of_all_axes_has_its_own_flag() {
         (&["--trajectory", "t", "--form", "f.json"], "cannot be used with"),
         (
             &["--axes", "axes", "--count-mm", "1e-4,1e-4"],
-            "count_mm: has 2 numbers; give one for each of the axes r",
+            "count-mm: has 2 numbers; give one for each of the axes r",
         ),
     ] {
         let (code, said) = run(arguments);

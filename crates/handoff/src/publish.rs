@@ -176,6 +176,8 @@ impl Staged {
         if is_absent(&self.place) {
             return Ok(());
         }
+        // What another program has just put there stays.
+        self.check_place()?;
         // The lock keeps other runs from taking it for abandoned.
         let lock = File::open(&self.place).map_err(failed)?;
         let _ = lock.try_lock();

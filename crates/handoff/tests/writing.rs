@@ -730,7 +730,7 @@ fn child_command(shell: &str, directory: &Path, mode: &str, out: &str, value: f6
     command
         .args(["-c", &format!("{shell} exec \"$0\" \"$@\"")])
         .arg(std::env::current_exe().unwrap())
-        .args(["--exact", "child", "--nocapture"])
+        .args(["--exact", "writing::child", "--nocapture"])
         .current_dir(directory)
         .env("PLANISH_CHILD", mode)
         .env("PLANISH_OUT", out)

@@ -84,7 +84,7 @@ struct FileArgs {
     grid_mm: Option<[f64; 2]>,
     /// Columns of x, y and the values in lines of text, by name or by number from 1 [default: by their names, else 1,2,3]
     #[arg(long, value_name = "X,Y,Z", value_parser = columns)]
-    columns: Option<[String; 3]>,
+    xyz_columns: Option<[String; 3]>,
     /// Unit of the coordinates in the file, where it does not state it: m, mm, um, in, or pixels with --pixel-mm
     #[arg(long, value_name = "UNIT")]
     coordinate_unit: Option<Unit>,
@@ -140,7 +140,7 @@ impl FileArgs {
             mask: self.mask.clone(),
             grid_mm: self.grid_mm,
             coordinate_unit: self.coordinate_unit,
-            columns: self.columns.clone(),
+            columns: self.xyz_columns.clone(),
             is_tif,
         }
     }
@@ -232,8 +232,7 @@ fn open(
             || pick.grid_mm.is_some()
             || pick.columns.is_some()
         {
-            let problem =
-                "is a directory; leave out --dataset, --x, --y, --mask, --columns and --grid-mm";
+            let problem = "is a directory; leave out --dataset, --x, --y, --mask, --xyz-columns and --grid-mm";
             return Err(Failure::new(format!("{}: {problem}", path.display())));
         }
         return Ok(match pick.is_tif {

@@ -17,7 +17,7 @@
 //! `# x[mm] y[mm] z[um]` and `# mm mm nm` (`crate::beside`). Then three numbers
 //! per line, in any order of the pixels, on a uniform grid; a pixel that
 //! no line names is invalid. Of more columns, those of x and y are known by their names, and that of the values if only one
-//! more is there beside numbers of points; `columns` names others. Points that lie on no grid are gridded where `grid_mm`
+//! more is there beside numbers of points; `xyz_columns` names others. Points that lie on no grid are gridded where `grid_mm`
 //! asks for it (`crate::scattered`).
 //!
 //! Coordinates that were rounded lie on a grid if each is within [`ROUNDING`] of its last digit from its place.
@@ -381,7 +381,7 @@ fn usual_columns(
         let order = if fields.len() == 3 { "the columns in the order x y z, or " } else { "" };
         let of = listed(fields);
         format!(
-            "give {order}`columns` with the names or the numbers of x, y and the values, of: {of}"
+            "give {order}`xyz_columns` with the names or the numbers of x, y and the values, of: {of}"
         )
     };
     let refuse = || {
@@ -548,7 +548,7 @@ fn three_fields(line: &str, number: usize) -> Result<[&str; 3], Invalid> {
             let problem = format!("has {count} fields in line {number}, not x y z");
             let remedy = match count > 3 {
                 true => {
-                    "give `columns` with the numbers of x, y and the values, such as 2,3,4, or `format` csv for a matrix"
+                    "give `xyz_columns` with the numbers of x, y and the values, such as 2,3,4, or `format` csv for a matrix"
                 }
                 false => "give three numbers per line, or `format` csv for a matrix",
             };

@@ -857,23 +857,24 @@ fn columns_of_points_are_known_by_name_or_number() {
     assert!(said.contains("is angstrom in the file, nm was asked for"), "{said}");
     for columns in ["2,3,4", "x,y,thickness", "X(mm),Y(mm),Thickness(A)"] {
         let (chosen, _, _) =
-            read(&second("wafer.csv"), &[&flags[..], &["--columns", columns]].concat());
+            read(&second("wafer.csv"), &[&flags[..], &["--xyz-columns", columns]].concat());
         assert_eq!(chosen.statistics().rms, map.statistics().rms, "{columns}");
     }
-    let said = refused(&second("wafer.csv"), &[&flags[..], &["--columns", "x,y,height"]].concat());
+    let said =
+        refused(&second("wafer.csv"), &[&flags[..], &["--xyz-columns", "x,y,height"]].concat());
     assert!(said.contains("\"height\" is no column") && said.contains("Thickness(A)"), "{said}");
     // Two columns of values: neither is chosen silently.
     let tmp = tempfile::tempdir().unwrap();
     let two = "Site,X(mm),Y(mm),Thickness(A),GOF\n1,0,0,10,1\n2,1,0,20,1\n3,0,1,30,1\n4,1,1,40,1\n";
     let path = put_text(tmp.path(), "a.xyz", two);
     let said = refused(&path, &[]);
-    assert!(said.contains("give --columns") && said.contains("GOF"), "{said}");
-    let (map, _, _) = read(&path, &["--columns", "X,Y,Thickness"]);
+    assert!(said.contains("give --xyz-columns") && said.contains("GOF"), "{said}");
+    let (map, _, _) = read(&path, &["--xyz-columns", "X,Y,Thickness"]);
     assert_eq!(map.height_nm()[[1, 1]], 4.0);
     // Without names.
     let path = put_text(tmp.path(), "b.xyz", "1 0 0 10\n2 1 0 20\n3 0 1 30\n4 1 1 40\n");
-    assert!(refused(&path, &["--unit", "nm"]).contains("give --columns"));
-    let flags = ["--columns", "2,3,4", "--unit", "nm", "--coordinate-unit", "mm"];
+    assert!(refused(&path, &["--unit", "nm"]).contains("give --xyz-columns"));
+    let flags = ["--xyz-columns", "2,3,4", "--unit", "nm", "--coordinate-unit", "mm"];
     assert_eq!(read(&path, &flags).0.height_nm()[[1, 1]], 40.0);
 }
 

@@ -352,7 +352,7 @@ fn what_a_header_claims_takes_no_memory() {
     for name in ["a.dat", "a.npy", "a.fits"] {
         let program = format!("{} planish-import", planish_testkit::program::planish().display());
         let line = format!(
-            "ulimit -v 1500000; exec {program} surface {name} --unit nm --pixel-mm 1 --out out"
+            "ulimit -v 1700000; exec {program} surface {name} --unit nm --pixel-mm 1 --out out"
         );
         let output = Command::new("sh").args(["-c", &line]).current_dir(dir).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr).into_owned();

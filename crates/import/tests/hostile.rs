@@ -18,8 +18,8 @@ use serde_json::Value;
 const LIMIT: Duration = Duration::from_secs(20);
 
 /// Address space of a run, KiB. Larger: the test does not find a large allocation. Smaller: the allocator
-/// fails, which sets 1 GiB aside and uses little of it.
-const ADDRESS_SPACE_KIB: usize = 1_500_000;
+/// fails, which sets 1 GiB aside and uses little of it; the program and its threads take 100 MiB each.
+const ADDRESS_SPACE_KIB: usize = 1_700_000;
 
 /// Runs to its end, or to [`LIMIT`].
 fn run(dir: &Path, arguments: &[&str]) -> Output {

@@ -414,10 +414,10 @@ fn a_pad_beside_a_hole_that_is_wider_than_it_has_the_pressure_of_its_covered_par
         // The largest error of the kernels, where the pad begins to hang over; 0.14 of the tool was stated.
         assert!((found * covered - 1.0).abs() < 0.15, "{radius}: {found} {covered}");
     }
-    // No place of the ring holds enough of a pad of 18 mm radius.
-    let own = ["--pad-radius-mm", "18", "--out", "refused"];
+    // The ring covers (18.25^2 - 5.75^2) / 40^2 = 19 % of a pad of 40 mm radius.
+    let own = ["--pad-radius-mm", "40", "--out", "refused"];
     let said = refused(dir, &[&pad[..], &own[..]].concat());
-    assert!(said.contains("pad_radius_mm: is 18 mm, and nowhere 60 % of such a pad"), "{said}");
+    assert!(said.contains("pad_radius_mm: is 40 mm, and nowhere 60 % of such a pad"), "{said}");
 }
 
 #[test]

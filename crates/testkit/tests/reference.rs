@@ -57,7 +57,11 @@ fn near(what: &str, found: f64, expected: f64, tolerance: f64) {
 fn a_test_without_its_data_says_so_and_is_counted() {
     let file = tempfile::NamedTempFile::new().unwrap();
     let mut one = Command::new(env::current_exe().unwrap());
-    one.args(["--exact", "initial_rms", "best_dwell_on_the_published_raster_points"]);
+    one.args([
+        "--exact",
+        "reference::initial_rms",
+        "reference::best_dwell_on_the_published_raster_points",
+    ]);
     one.env("CARGO_PKG_NAME", "planish-testkit");
     one.env_remove("PLANISH_REFERENCE").env("PLANISH_SKIPPED", file.path());
     let ended = run_within(&mut one, Duration::from_secs(60));
@@ -65,7 +69,7 @@ fn a_test_without_its_data_says_so_and_is_counted() {
     let mut counted: Vec<String> =
         fs::read_to_string(file.path()).unwrap().lines().map(String::from).collect();
     counted.sort();
-    let names = ["best_dwell_on_the_published_raster_points", "initial_rms"];
+    let names = ["reference::best_dwell_on_the_published_raster_points", "reference::initial_rms"];
     assert_eq!(counted, names.map(|name| format!("planish-testkit: {name}")));
     // Past the harness, which keeps what a passing test prints.
     for name in names {

@@ -105,6 +105,11 @@ const STANDARD_GRAVITY_MM_PER_S2: f64 = 9806.65;
 /// so much less of the long waves, unsaid. Smaller: good TIFs are doubted. Chosen: a Gaussian that the field cuts at
 /// 2.4 standard deviations has 0.5 %.
 const MOST_BASELINE_VOLUME: f64 = 0.02;
+/// The same for its tilt. Chosen: the measured TIF of the reference mirror has 3 %.
+const MOST_TILTED_VOLUME: f64 = 0.05;
+/// Least time of the whole removal, s, without which a slow removal at one place is not doubted. Larger: mistaken units pass
+/// on small parts. Smaller: wide tools, which are slow at one place and quick on a part, are doubted. Chosen.
+const LEAST_SLOW_S: f64 = 3600.0;
 
 /// Largest rate on the border, relative to the peak, above which the TIF is doubted as cropped.
 /// Larger: cropped spots pass. Smaller: noise is doubted. Chosen: a Gaussian that ends at 2.4
@@ -163,8 +168,7 @@ pub fn of_tif(tif: &Tif) -> Option<String> {
         ));
     }
     let Baseline { part_of_volume, tilted_part_of_volume, .. } = baseline?;
-    if part_of_volume.abs() <= MOST_BASELINE_VOLUME && tilted_part_of_volume <= MOST_BASELINE_VOLUME
-    {
+    if part_of_volume.abs() <= MOST_BASELINE_VOLUME && tilted_part_of_volume <= MOST_TILTED_VOLUME {
         return None;
     }
     let plane = tif.border_plane_nm_per_s();
@@ -196,6 +200,9 @@ pub fn of_rates(desired: &Surface, tif: &Tif) -> Option<String> {
     let at_one_place_s = depth_nm / tif.peak_nm_per_s();
     let [least, most] = MEAN_DEPTH_S;
     if (least..=most).contains(&at_one_place_s) || at_one_place_s <= 0.0 {
+        return None;
+    }
+    if at_one_place_s > most && removal_s(desired, tif) < LEAST_SLOW_S {
         return None;
     }
     let (mistakes, remedy) = if at_one_place_s > most {

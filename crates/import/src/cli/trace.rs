@@ -90,7 +90,7 @@ pub struct TraceArgs {
     /// Motion between two samples
     #[arg(long, value_enum, default_value = "cubic")]
     between: Between,
-    /// Machine of which the log holds all axes, by their names; writes their motion [axes artifact], of which planish-axes
+    /// Machine and its limits, whose axes the log holds by their names; writes their motion [axes artifact], of which planish-axes
     /// contact makes that of the contact point [JSON]
     #[arg(long, value_name = "FILE", conflicts_with_all = ["x", "y", "setpoint_x", "setpoint_y", "planned", "current"])]
     machine: Option<PathBuf>,

@@ -489,7 +489,7 @@ pub struct FootprintArgs {
     /// Direction of the tool
     #[arg(long, value_enum)]
     direction: DirectionArg,
-    /// normal: machine whose tilts turn the tool [JSON] [default: one whose tilt b carries a]
+    /// Machine and its limits, with --direction normal: its tilts turn the tool [JSON] [default: one whose tilt b carries a]
     #[arg(long, value_name = "FILE")]
     machine: Option<PathBuf>,
     /// Exponent m of cos(incidence)^m; below 0 the rate rises with the angle
