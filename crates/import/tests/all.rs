@@ -1,6 +1,4 @@
 //! The integration tests of this library, as one program. `crates/planish/tests` has those that run programs.
 
-#[path = "corpus.rs"]
-mod corpus;
 #[path = "files.rs"]
 mod files;
