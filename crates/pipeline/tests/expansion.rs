@@ -17,6 +17,7 @@ fn commands(pipeline: &str, stage: &str, settings: &[&str], kinematics: &str) ->
         ("surface_name", vec!["mirror"]),
         ("directory_name", vec!["m"]),
         ("machine_name", vec!["machine.json"]),
+        ("machine_title", vec!["ion-beam"]),
         ("surface_kind", vec![if scope.is_given("surface") { "bare" } else { "none" }]),
         ("tif_kind", vec![if scope.is_given("tif") { "file" } else { "none" }]),
         ("kinematics", vec![kinematics]),
