@@ -281,14 +281,7 @@ pub fn plan(
     check_knots(&passes, spacing, width_mm)?;
     let knots: Vec<Knots> =
         passes.iter().map(|p| Knots::uniform(p.length_mm(), spans(p, spacing) as usize)).collect();
-    let measured = vrr::pitches_mm(&passes, tif);
-    let pitches = match settings.pitch_mm {
-        Some(p) => {
-            check_pitch(p, &measured)?;
-            vec![p; passes.len()]
-        }
-        None => measured,
-    };
+    let pitches = pitches_mm(settings, &passes, tif)?;
     let guess = Guess { surface, tif, pitches: &pitches, piston: settings.piston };
     let run =
         |d: &[Vec<f64>]| motion(&passes, &knots, d, surface, limits, settings.fit_tolerance_mm);
@@ -420,6 +413,18 @@ fn check_knots(passes: &[Pass], spacing_mm: f64, width_mm: f64) -> Result<(), In
 /// Largest number of knots per width of the TIF; more are refused. Larger: knots that the TIF cannot resolve cost
 /// time and memory. Smaller: fine knots are refused. Chosen: ten times the default of four.
 const MOST_KNOTS_PER_WIDTH: f64 = 40.0;
+
+/// Returns the distance of every pass from its neighbours, mm: the one of the settings, or those of the path.
+fn pitches_mm(settings: &Settings, passes: &[Pass], tif: &Tif) -> Result<Vec<f64>, Invalid> {
+    let measured = vrr::pitches_mm(passes, tif);
+    match settings.pitch_mm {
+        Some(p) => {
+            check_pitch(p, &measured)?;
+            Ok(vec![p; passes.len()])
+        }
+        None => Ok(measured),
+    }
+}
 
 /// Refuses a distance of the passes that has nothing to do with that of the path.
 fn check_pitch(pitch_mm: f64, measured_mm: &[f64]) -> Result<(), Invalid> {

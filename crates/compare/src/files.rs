@@ -208,14 +208,7 @@ pub fn read_run(
     };
     let (valid, mut left_out) = divided(read, chains, judged);
     left_out.extend(refused);
-    let numbered = valid.into_par_iter().map(|(found, judged, remarks)| {
-        let name = found.name.clone();
-        let (number, method) = shared.method(found, judged, remarks)?;
-        Ok(((name, number), method))
-    });
-    // The first failure in the order of the methods, whichever thread met its own first.
-    let numbered: Vec<Result<_, Failure>> = numbered.collect();
-    let (numbers, methods) = numbered.into_iter().collect::<Result<(Vec<_>, Vec<_>), _>>()?;
+    let (numbers, methods) = shared.methods(valid)?;
     let (process, process_remark) =
         read_process(inputs, &role, run, &method_records, &method_names)?;
     let name = name_of(run);
@@ -614,7 +607,22 @@ struct Shared<'a> {
     form: Option<&'a Form>,
 }
 
+/// Name and numbers of a method.
+type Numbered = (String, Method);
+
 impl Shared<'_> {
+    /// Returns the numbers of the methods whose artifacts belong together, and the methods, in their order.
+    fn methods(&self, valid: Vec<Valid>) -> Result<(Vec<Numbered>, Vec<RunMethod>), Failure> {
+        let numbered = valid.into_par_iter().map(|(found, judged, remarks)| {
+            let name = found.name.clone();
+            let (number, method) = self.method(found, judged, remarks)?;
+            Ok(((name, number), method))
+        });
+        // The first failure in the order of the methods, whichever thread met its own first.
+        let numbered: Vec<Result<_, Failure>> = numbered.collect();
+        numbered.into_iter().collect()
+    }
+
     /// The numbers of a method whose artifacts belong together, and the method.
     fn method(
         &self,

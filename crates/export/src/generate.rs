@@ -552,16 +552,7 @@ impl<'a, const N: usize> Generator<'a, N> {
         if model.interpolation == Interpolation::Linear {
             self.keep_limits(&ticks, &mut counts);
         }
-        let mut on = Vec::with_capacity(n);
-        let mut state = self.plan.tool_on[0];
-        let mut next = 0;
-        for tick in &ticks[..n] {
-            while next < self.switches_s.len() && fixed[next] <= *tick {
-                state = !state;
-                next += 1;
-            }
-            on.push(state || !self.settings.follows_tool);
-        }
+        let on = self.tool_states(&fixed, &ticks[..n]);
         let mut nodes = Nodes {
             count: self.plan.grids.map(|grid| grid.count),
             tick_s: model.tick_s,
@@ -584,6 +575,21 @@ impl<'a, const N: usize> Generator<'a, N> {
         nodes.velocity[0] = [0.0; N];
         nodes.velocity[n] = [0.0; N];
         Ok(nodes)
+    }
+
+    /// Returns whether the tool is on from each of `ticks`, with its switches at the ticks `fixed`.
+    fn tool_states(&self, fixed: &[i64], ticks: &[i64]) -> Vec<bool> {
+        let mut on = Vec::with_capacity(ticks.len());
+        let mut state = self.plan.tool_on[0];
+        let mut next = 0;
+        for tick in ticks {
+            while next < self.switches_s.len() && fixed[next] <= *tick {
+                state = !state;
+                next += 1;
+            }
+            on.push(state || !self.settings.follows_tool);
+        }
+        on
     }
 
     /// Moves the positions of lines, in counts, where rounding would exceed a limit.

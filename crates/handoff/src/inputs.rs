@@ -119,6 +119,7 @@ impl Inputs {
     /// Reads a tool, and warns of a doubt about its samples where no program has said it before: arrays without a
     /// manifest.
     pub fn read_tool_with_doubt(&mut self, role: &str, dir: &Path) -> Result<Tif, HandoffError> {
+        before_reading(dir);
         let (kind, loaded) = nouns::read_tool(dir)?;
         let (tif, manifest) = self.recorded(role, dir, kind, loaded);
         if let (None, Some(doubt)) = (manifest, doubts::of_tif(&tif)) {

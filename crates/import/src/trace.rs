@@ -289,19 +289,30 @@ fn on_one_clock(
             }
         }
     }
+    warnings.push(warning_of_own_times(columns, times, settings, &main.name, &time_s));
+    Ok((time_s, clock))
+}
+
+/// Returns the warning that channels have times of their own, and are interpolated to `time_s` of the column `main`.
+fn warning_of_own_times(
+    columns: &[Column],
+    times: &[Column],
+    settings: &TraceSettings,
+    main: &str,
+    time_s: &[f64],
+) -> String {
     let by_own: Vec<String> = (columns.iter())
         .filter_map(|c| Some((settings.columns.name(c.role), &times[c.own_time?].name)))
         .map(|(role, name)| format!("{role} by \"{name}\""))
         .collect();
-    warnings.push(format!(
+    format!(
         "channels have times of their own: {}; they are interpolated to the times of \"{}\", from {} to {} s, which all \
          channels have",
         by_own.join(", "),
-        main.name,
+        main,
         significant(time_s[0], 6),
         significant(time_s[time_s.len() - 1], 6)
-    ));
-    Ok((time_s, clock))
+    )
 }
 
 /// Values at `at_s` (ascending) of samples at `time_s`: by cubics, or those of the last sample where they are `held`.

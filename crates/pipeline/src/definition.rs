@@ -494,8 +494,14 @@ mod tests {
             ("stages:\n  one: ['rm -rf x']", "stage one: 'rm -rf x': "),
             ("values:\n  v: ['{w}']\n  w: ['{v}']", "is made of itself, by v, w"),
             ("stages:\n  one: [one]", "stage one: it runs itself without end (one -> one); take"),
-            ("stages:\n  one: [two when b]\n  two: [run]", "without end (one -> two -> run -> one)"),
-            ("stages:\n  two: ['choose method otherwise x tried by run']", "it runs itself without end ("),
+            (
+                "stages:\n  one: [two when b]\n  two: [run]",
+                "without end (one -> two -> run -> one)",
+            ),
+            (
+                "stages:\n  two: ['choose method otherwise x tried by run']",
+                "it runs itself without end (",
+            ),
             ("stages: [", "pipelines/p.yaml: line "),
         ] {
             let complaint = Definition::read("p", SHARED_TEXT, own).unwrap_err();

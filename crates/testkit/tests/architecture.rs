@@ -586,7 +586,8 @@ fn every_test_file_is_a_module_of_a_test_program() {
             let by_processes = format!("\"planish/{folder}/tests/{name}\"");
             let is_module = programs.contains(&own) || programs.contains(&by_processes);
             let stands_alone = folder == "planish"
-                || ["all.rs", "corpus.rs", "pipelines.rs", "commands_as_printed.rs"].contains(&name.as_str());
+                || ["all.rs", "corpus.rs", "pipelines.rs", "commands_as_printed.rs"]
+                    .contains(&name.as_str());
             if name.ends_with(".rs") && !is_module && !stands_alone {
                 lost.push(format!("crates/{folder}/tests/{name}: name it in a tests/all.rs"));
             }

@@ -9,7 +9,7 @@ mod random_adaptive;
 mod raster;
 mod spiral;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 use planish_form::FormKind;
@@ -133,6 +133,17 @@ struct Region {
     doubts: Vec<String>,
 }
 
+/// Returns the warning of a path in projection where a form, which `planish-surface prepare` wrote, is beside the map.
+fn warning_of_projection(dir: &Path, surface: &Surface) -> Result<Option<String>, Failure> {
+    let beside = dir.join(kind::FORM_FILE);
+    if !beside.exists() {
+        return Ok(None);
+    }
+    let form = Inputs::new().read_form("form", &beside)?.form;
+    let warning = OnForm::new(form, surface).ok().and_then(|on| on.warning_of_projection(surface));
+    Ok(warning.map(|w| w.replace("give `form`", &format!("give `form` {}", beside.display()))))
+}
+
 /// Settings of a method as the manifest has them.
 #[derive(Serialize)]
 struct Asked<'a, S> {
@@ -179,17 +190,8 @@ impl Region {
         // The form is of the part, not of the places of the tool.
         let on_form = args.form.read(&surface, &mut inputs)?;
         doubts.extend(args.form.doubt(&surface)?);
-        // The form beside the map, which `planish-surface prepare` wrote, matters to a path in projection.
-        let beside = args.surface.join(kind::FORM_FILE);
-        if on_form.is_none() && beside.exists() {
-            let form = Inputs::new().read_form("form", &beside)?.form;
-            let warning =
-                OnForm::new(form, &surface).ok().and_then(|on| on.warning_of_projection(&surface));
-            doubts.extend(
-                warning.map(|w| {
-                    w.replace("give `form`", &format!("give `form` {}", beside.display()))
-                }),
-            );
+        if on_form.is_none() {
+            doubts.extend(warning_of_projection(&args.surface, &surface)?);
         }
         let surface = match off_centre_mm {
             [0.0, 0.0] => surface,

@@ -10,6 +10,7 @@ use planish_compare::{
     answer::to_json,
     chain::Standing,
     report::{
+        Run,
         figure::{Layout, figures},
         page, sparkline, views,
     },
@@ -107,14 +108,7 @@ impl Report {
         let read = runs.iter().enumerate();
         let read = read.map(|(i, dir)| files::read_run(&mut inputs, i, dir, &called));
         let mut read = read.collect::<Result<Vec<_>, _>>()?;
-        match (program, &mut read[..]) {
-            (None, _) => {}
-            (Some(row), [run]) => run.summary.recommend(row).map_err(Failure::new)?,
-            (Some(_), _) => {
-                let message = "--program-row is of one run; give one run, or leave it out";
-                return Err(Failure::new(message));
-            }
-        }
+        recommend(program.as_deref(), &mut read)?;
         for (run, name) in read.iter_mut().zip(assumed_machine.iter().cycle()) {
             run.summary.remarks.push(planish_types::assumed_machine(name));
         }
@@ -153,6 +147,18 @@ impl Report {
         }
         warn_of_old(&runs);
         Ok(status)
+    }
+}
+
+/// Recommends the row `program` of the only run, where one is named; refuses it beside several runs.
+fn recommend(program: Option<&str>, read: &mut [Run]) -> Result<(), Failure> {
+    match (program, read) {
+        (None, _) => Ok(()),
+        (Some(row), [run]) => run.summary.recommend(row).map_err(Failure::new),
+        (Some(_), _) => {
+            let message = "--program-row is of one run; give one run, or leave it out";
+            Err(Failure::new(message))
+        }
     }
 }
 

@@ -93,21 +93,7 @@ pub(super) fn read(
             }
         }
     }
-    let of = |k: usize| &letters[k..=k];
-    if let Some(k) = (1..n).find(|k| axes[*k].len() != axes[0].len()) {
-        let problem =
-            format!("has {} segment(s) of A, {} of {}", axes[0].len(), axes[k].len(), of(k));
-        return Err(Invalid::whole("program", problem, "give all axes the same segments"));
-    }
-    if !(begun && ended.iter().all(|e| *e)) {
-        let problem = if begun {
-            let ends: Vec<String> = (0..n).map(|k| format!("PV{}=0,0,0", of(k))).collect();
-            format!("does not end with {}", ends.join(" and "))
-        } else {
-            format!("has no BT{letters}")
-        };
-        return Err(Invalid::whole("program", problem, "complete it if it was cut off"));
-    }
+    check_complete(&axes, &ended, begun, letters)?;
     let count = needed("count_mm", layout.count.clone())?;
     let sample_s = positive("sample_s", needed("sample_s", sample_s)?)?;
     let start = needed("start_mm", layout.start.clone())?;
@@ -126,8 +112,8 @@ pub(super) fn read(
     for i in 0..axes[0].len() {
         let first = axes[0][i];
         if let Some(k) = (1..n).find(|k| axes[*k][i][2] != first[2]) {
-            let problem =
-                format!("takes {} samples for A, {} for {}", first[2], axes[k][i][2], of(k));
+            let (other, of) = (axes[k][i][2], &letters[k..=k]);
+            let problem = format!("takes {} samples for A, {other} for {of}", first[2]);
             return Err(Invalid::at("segment", i, problem, "give all axes the same time"));
         }
         // Both are bounded by the length of the text: 1e9 lines of 44e6 counts stay below 2^63.
@@ -137,6 +123,31 @@ pub(super) fn read(
         knots.push(state(samples, &counts, &velocity));
     }
     through(&knots)
+}
+
+/// Refuses axes with different numbers of segments, and a motion that does not begin or end.
+fn check_complete(
+    axes: &[Vec<[i64; 3]>],
+    ended: &[bool],
+    begun: bool,
+    letters: &str,
+) -> Result<(), Invalid> {
+    let n = axes.len();
+    if let Some(k) = (1..n).find(|k| axes[*k].len() != axes[0].len()) {
+        let (first, other, of) = (axes[0].len(), axes[k].len(), &letters[k..=k]);
+        let problem = format!("has {first} segment(s) of A, {other} of {of}");
+        return Err(Invalid::whole("program", problem, "give all axes the same segments"));
+    }
+    if begun && ended.iter().all(|e| *e) {
+        return Ok(());
+    }
+    let problem = if begun {
+        let ends: Vec<String> = (0..n).map(|k| format!("PV{}=0,0,0", &letters[k..=k])).collect();
+        format!("does not end with {}", ends.join(" and "))
+    } else {
+        format!("has no BT{letters}")
+    };
+    Err(Invalid::whole("program", problem, "complete it if it was cut off"))
 }
 
 /// Returns the sample time that `TM` states, s; refuses another one than that of the settings.

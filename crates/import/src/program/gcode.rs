@@ -421,9 +421,6 @@ fn code(v: f64) -> Option<i64> {
 
 /// Refuses words that are not understood, that contradict each other, or that nothing uses.
 fn check_words(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<(), Invalid> {
-    let has = |letter: char, codes: &[i64]| {
-        words.iter().any(|w| w.0 == letter && code(w.1).is_some_and(|c| codes.contains(&c)))
-    };
     let mut groups = Vec::new();
     for (i, (letter, v)) in words.iter().enumerate() {
         let not_understood = || wrong(number, format!("has {letter}{v}, which is not understood"));
@@ -493,17 +490,31 @@ fn check_words(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<()
             _ => return Err(wrong(number, format!("has the word {letter}{v}"))),
         }
     }
-    let dwell = has('G', &[40]);
-    let output = has('M', &[620, 630, 640, 650]);
-    let blending = has('G', &[640]);
-    let given = |letter: char| words.iter().any(|w| w.0 == letter);
-    if dwell && (output || blending || axes.iter().any(|letter| given(*letter))) {
+    check_belonging(number, words, axes)
+}
+
+/// Returns whether a word of this letter has one of these codes.
+fn has(words: &[(char, f64)], letter: char, codes: &[i64]) -> bool {
+    words.iter().any(|w| w.0 == letter && code(w.1).is_some_and(|c| codes.contains(&c)))
+}
+
+/// Returns whether there is a word of this letter.
+fn given(words: &[(char, f64)], letter: char) -> bool {
+    words.iter().any(|w| w.0 == letter)
+}
+
+/// Refuses words that belong to nothing else of the line, or to two things.
+fn check_belonging(number: usize, words: &[(char, f64)], axes: &[char]) -> Result<(), Invalid> {
+    let dwell = has(words, 'G', &[40]);
+    let output = has(words, 'M', &[620, 630, 640, 650]);
+    let blending = has(words, 'G', &[640]);
+    if dwell && (output || blending || axes.iter().any(|letter| given(words, *letter))) {
         return Err(wrong(number, "has G4 with words that belong to something else"));
     }
-    if given('P') && (output && blending || !(dwell || output || blending)) {
+    if given(words, 'P') && (output && blending || !(dwell || output || blending)) {
         return Err(wrong(number, "has a word P that belongs to nothing, or to two things"));
     }
-    if given('Q') && !blending {
+    if given(words, 'Q') && !blending {
         return Err(wrong(number, "has a word Q that belongs to nothing"));
     }
     Ok(())
