@@ -27,9 +27,9 @@ use planish_types::{
 
 use crate::{
     lines::AxisCounts,
-    nodes::{self, Choice},
+    nodes,
     plan::Plan,
-    slowed::{Cells, Inwards, Slowed, at, at_plan},
+    slowed::{Cells, Choice, Inwards, Slowed, at, at_plan},
     velocities::{Axis, hermite},
 };
 

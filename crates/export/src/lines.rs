@@ -20,9 +20,12 @@
 //! This is half of what the limit allows; rounding and the whole ticks of a line take the rest. From two nodes that are
 //! fixed the lines are laid towards each other, and share what is left where u is smallest.
 
-use planish_types::{AxisGrid, MachineAxis};
+use planish_types::MachineAxis;
 
-use crate::{nodes::Choice, plan::length_mm, slowed::Slowed};
+use crate::{
+    plan::length_mm,
+    slowed::{Choice, Slowed, line_at_limit_s},
+};
 
 /// Distance of the times at which the plan is looked at, s. Larger: a short peak of the acceleration is missed, and mended
 /// in a further round. Smaller: more time. Chosen: a fifth of a line at a usual limit.
@@ -32,14 +35,6 @@ const GRID_S: f64 = 1e-3;
 /// line at the limits. Larger: fewer lines, and a removal that differs over this length. Smaller: more lines. Chosen: no
 /// tool sees it.
 const LONGEST_MM: f64 = 0.25;
-
-/// Part of the acceleration limit that a count may be in lines at the limit, where longer lines allow it. Larger: slower
-/// programs. Smaller: longer lines, within which the speed changes.
-const ROUNDING: f64 = 2e-3;
-
-/// Shortest lines at the limit, relative to those that leave the plan by the chosen deviation. Larger: a removal that
-/// differs more. Smaller: more lines. Chosen: 0.4 of the distance from the plan.
-const SHORTEST: f64 = 0.65;
 
 /// Relative change of the speed that a line of any length may leave out.
 const STEADY: f64 = 1e-3;
@@ -82,21 +77,6 @@ pub(crate) fn choose<const N: usize>(
         lengths.lay(start, *stop, &mut ticks);
     }
     ticks
-}
-
-/// Returns the time of the lines of a plan at its acceleration limits, s: at most that of a parabola that leaves the plan by
-/// `deviation_mm`, and no longer than rounding to the counts needs it.
-pub(crate) fn line_at_limit_s<const N: usize>(
-    axes: &[MachineAxis; N],
-    grids: &[AxisGrid; N],
-    lever: &[f64; N],
-    deviation_mm: f64,
-) -> f64 {
-    let limits = axes.each_ref().map(|axis| axis.max_acceleration);
-    let longest_s = (8.0 * deviation_mm / length_mm(lever, limits)).sqrt();
-    // c / T^2 = ROUNDING A
-    let rounded = grids.iter().zip(limits).map(|(grid, a)| (grid.count / (ROUNDING * a)).sqrt());
-    longest_s.min(rounded.fold(SHORTEST * longest_s, f64::max))
 }
 
 /// The lengths of lines over the time of a program.

@@ -17,7 +17,7 @@ use planish_types::{AxisGrid, Interpolation, MachineAxis};
 
 use crate::{
     lines,
-    slowed::{Cells, Slowed, State},
+    slowed::{Cells, Choice, Slowed, State},
     velocities::hermite,
 };
 
@@ -37,20 +37,6 @@ const ALONG_PATH: f64 = 2.0;
 /// Ratio of the lengths of segments that are tried one after the other; above 1. Larger: a good length may be jumped
 /// over. Smaller: more trials. Chosen.
 const GROWTH: f64 = 1.4;
-
-/// Settings and limits for the choice of nodes.
-pub(crate) struct Choice<'a, const N: usize> {
-    pub axes: &'a [MachineAxis; N],
-    pub grids: [AxisGrid; N],
-    /// Levers of the axes, mm per unit.
-    pub lever: [f64; N],
-    pub tick_s: f64,
-    /// Ticks of a segment, least and most.
-    pub ticks: [i64; 2],
-    /// Largest distance from the plan's path, mm.
-    pub deviation_mm: f64,
-    pub interpolation: Interpolation,
-}
 
 /// Ticks of the nodes, from 0 to the last of `fixed`, through all of `fixed` (ascending, at least the shortest
 /// segment apart).

@@ -39,12 +39,46 @@
 use std::array::from_fn;
 
 use planish_numerics::polynomial::{derivative, evaluate, range, shifted};
-use planish_types::{ControllerModel, Interpolation};
+use planish_types::{AxisGrid, ControllerModel, Interpolation, MachineAxis};
 
-use crate::{
-    lines::line_at_limit_s,
-    plan::{Plan, length_mm},
-};
+use crate::plan::{Plan, length_mm};
+
+/// Part of the acceleration limit that a count may be in lines at the limit, where longer lines allow it. Larger: slower
+/// programs. Smaller: longer lines, within which the speed changes.
+const ROUNDING: f64 = 2e-3;
+
+/// Shortest lines at the limit, relative to those that leave the plan by the chosen deviation. Larger: a removal that
+/// differs more. Smaller: more lines. Chosen: 0.4 of the distance from the plan.
+const SHORTEST: f64 = 0.65;
+
+/// Settings and limits for the choice of nodes.
+pub(crate) struct Choice<'a, const N: usize> {
+    pub axes: &'a [MachineAxis; N],
+    pub grids: [AxisGrid; N],
+    /// Levers of the axes, mm per unit.
+    pub lever: [f64; N],
+    pub tick_s: f64,
+    /// Ticks of a segment, least and most.
+    pub ticks: [i64; 2],
+    /// Largest distance from the plan's path, mm.
+    pub deviation_mm: f64,
+    pub interpolation: Interpolation,
+}
+
+/// Returns the time of the lines of a plan at its acceleration limits, s: at most that of a parabola that leaves the plan by
+/// `deviation_mm`, and no longer than rounding to the counts needs it.
+pub(crate) fn line_at_limit_s<const N: usize>(
+    axes: &[MachineAxis; N],
+    grids: &[AxisGrid; N],
+    lever: &[f64; N],
+    deviation_mm: f64,
+) -> f64 {
+    let limits = axes.each_ref().map(|axis| axis.max_acceleration);
+    let longest_s = (8.0 * deviation_mm / length_mm(lever, limits)).sqrt();
+    // c / T^2 = ROUNDING A
+    let rounded = grids.iter().zip(limits).map(|(grid, a)| (grid.count / (ROUNDING * a)).sqrt());
+    longest_s.min(rounded.fold(SHORTEST * longest_s, f64::max))
+}
 
 /// Fraction of the velocity limit that stays unused. Larger: slower programs. Smaller: more rounds. Chosen: rounding
 /// of positions adds 1.5 counts per segment time.

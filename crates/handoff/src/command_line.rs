@@ -17,9 +17,10 @@ use clap_complete::Shell;
 use planish_types::{ControllerKind, budget};
 
 use crate::{
+    arguments::arguments,
     describe, from_run,
     message::{complain, shortened},
-    stage, words,
+    words,
 };
 
 /// Id and name of the flag that every program has.
@@ -32,7 +33,7 @@ pub(crate) const ALSO: &str = "Also: --completions bash|zsh|fish|elvish|powershe
 /// Parses the command line. For `--completions`, `--man`, `--describe`, `--help` and wrong usage,
 /// it prints a text and ends the program.
 pub(crate) fn parse<C: Parser>() -> C {
-    let arguments = stage::arguments();
+    let arguments = arguments();
     if let Some(text) = generated(command::<C>, &arguments[1..]) {
         match text {
             Ok(bytes) => {
@@ -62,7 +63,7 @@ pub(crate) fn end(error: &clap::Error) -> ! {
     if from_run::is_stage() {
         // The usage is that of flags which the user of a pipeline does not see.
         text.truncate(text.find("\n\nUsage:").unwrap_or(text.len()));
-        let program = stage::arguments().first().map(|path| path.to_string_lossy().into_owned());
+        let program = arguments().first().map(|path| path.to_string_lossy().into_owned());
         let program =
             program.as_deref().and_then(|path| path.rsplit('/').next()).unwrap_or_default();
         text += &format!("\n{program} --help lists its flags");
@@ -92,7 +93,7 @@ fn command<C: CommandFactory>() -> clap::Command {
 
 /// Command line that started this process, quoted for a shell, with the plain name of the program.
 pub(crate) fn as_typed(tool: &str) -> String {
-    let arguments = stage::arguments();
+    let arguments = arguments();
     let arguments = arguments.iter().skip(1).map(|a| a.to_string_lossy().into_owned());
     words::join(std::iter::once(tool.to_string()).chain(arguments))
 }

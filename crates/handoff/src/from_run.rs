@@ -9,7 +9,7 @@
 
 use std::{borrow::Cow, env, path::Path, process::exit};
 
-use crate::inputs::is_within;
+use crate::place::is_within;
 
 /// Name of the variable with the settings behind the flags.
 pub const SETTINGS_OF_FLAGS: &str = "PLANISH_SETTINGS_OF_FLAGS";

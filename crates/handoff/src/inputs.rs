@@ -18,7 +18,7 @@ use crate::{
     kind::{Dtype, Kind, MANIFEST},
     nouns,
     npy::{self, ArrayData},
-    place::parent_of,
+    place::{is_within, parent_of},
     shell::warn,
 };
 
@@ -348,20 +348,4 @@ impl Inputs {
 /// Returns true if two paths lead to the same file or directory.
 pub(crate) fn is_same(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
-}
-
-/// Returns true if `path` is `dir` or leads into it. Links are followed as far as they exist.
-pub(crate) fn is_within(path: &Path, dir: &Path) -> bool {
-    resolved(path).starts_with(resolved(dir))
-}
-
-/// The path without links and `..`. A part that does not exist yet is appended unchanged.
-fn resolved(path: &Path) -> PathBuf {
-    if let Ok(whole) = path.canonicalize() {
-        return whole;
-    }
-    match path.file_name() {
-        Some(name) => resolved(&parent_of(path)).join(name),
-        None => std::path::absolute(Path::new(".").join(path)).unwrap_or_else(|_| path.into()),
-    }
 }

@@ -63,6 +63,7 @@
 //! ```
 
 mod allocator;
+mod arguments;
 pub mod artifact;
 mod children;
 pub mod command_line;

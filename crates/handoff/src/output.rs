@@ -22,11 +22,11 @@ use crate::{
     command_line,
     flags::OutputArgs,
     from_run::before_the_work,
-    inputs::{Inputs, LARGEST_JSON_BYTES, is_same, is_within},
+    inputs::{Inputs, LARGEST_JSON_BYTES, is_same},
     kind::{Kind, MANIFEST},
     message::complain,
     npy::ArrayData,
-    place::{obstacle, parent_of, plain, refuse_foreign_files, special_file},
+    place::{is_within, obstacle, parent_of, plain, refuse_foreign_files, special_file},
     publish::{self, Staged},
     shell::{Failure, Status, say},
 };

@@ -113,3 +113,19 @@ pub(crate) fn refuse_foreign_files(dir: &Path, kind: &Kind) -> Result<(), Handof
     }
     Ok(())
 }
+
+/// Returns true if `path` is `dir` or leads into it. Links are followed as far as they exist.
+pub(crate) fn is_within(path: &Path, dir: &Path) -> bool {
+    resolved(path).starts_with(resolved(dir))
+}
+
+/// The path without links and `..`. A part that does not exist yet is appended unchanged.
+fn resolved(path: &Path) -> PathBuf {
+    if let Ok(whole) = path.canonicalize() {
+        return whole;
+    }
+    match path.file_name() {
+        Some(name) => resolved(&parent_of(path)).join(name),
+        None => std::path::absolute(Path::new(".").join(path)).unwrap_or_else(|_| path.into()),
+    }
+}

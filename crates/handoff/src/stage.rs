@@ -9,10 +9,9 @@ use std::{
     io,
     path::{Path, PathBuf},
     process::{Command, ExitCode},
-    sync::OnceLock,
 };
 
-use crate::{command_line, message::complain, say};
+use crate::{arguments, command_line, message::complain, say};
 
 /// Name of the program that has all stages.
 const PROGRAM: &str = "planish";
@@ -42,14 +41,6 @@ impl Stage {
 
 /// The stage that runs pipelines. Its subcommands are commands of `planish`, too: `planish show raster`.
 const RUNNER: &str = "planish-run";
-
-/// Arguments of the stage that runs, after its name.
-static ARGUMENTS: OnceLock<Vec<OsString>> = OnceLock::new();
-
-/// Returns the command line of the stage that runs: its name as the user wrote it, then its arguments.
-pub(crate) fn arguments() -> Vec<OsString> {
-    ARGUMENTS.get().cloned().unwrap_or_else(|| env::args_os().collect())
-}
 
 /// Runs the stage that the name of this process or its first argument names, and returns its exit code.
 ///
@@ -94,7 +85,7 @@ fn takes_next_word(stage: &Stage, word: Option<&OsStr>) -> bool {
 
 /// Runs a stage with this command line.
 fn run(stage: &Stage, words: Vec<OsString>) -> ExitCode {
-    ARGUMENTS.get_or_init(|| words);
+    arguments::choose(words);
     (stage.main)()
 }
 

@@ -13,8 +13,7 @@
 //! | [`DwellDensity`] | dwell-time density in s/mm at nodes along the path | (m) |
 //! | [`Limits`] | limits of the machine's axes | - |
 //! | [`Machine`] | a machine: limits, travel, kinematics, and how a part lies on it | - |
-//! | [`ControllerModel`] | grids of times, positions and velocities of a controller, and its motion between two nodes |
-//! - |
+//! | [`ControllerModel`] | grids of times, positions and velocities of a controller, and its motion between nodes | - |
 //! | [`Trajectory`] | piecewise cubic motion in segment-local time | (k, 2, 4) |
 //! | [`PathDistance`] | largest distance of a motion from its tool path in mm | - |
 //! | [`AxesMotion`] | piecewise cubic motion of all axes of a machine | (k, n, 4) |

@@ -230,7 +230,7 @@ impl Nearest<'_> {
         for apart in 0..=reach {
             let near = [start.checked_sub(apart), start.checked_add(apart)];
             for i in near.into_iter().flatten().filter(|i| (first..=last).contains(&i)) {
-                let mm = self.from_segment(points, i);
+                let mm = self.distance_to_segment(points, i);
                 if mm < least {
                     least = mm;
                     self.last.set(i);
@@ -244,7 +244,7 @@ impl Nearest<'_> {
     }
 
     /// Returns the largest distance of `points` from segment `i`.
-    fn from_segment(&self, points: &[Point], i: usize) -> f64 {
+    fn distance_to_segment(&self, points: &[Point], i: usize) -> f64 {
         let chord: Chord = [self.path.point_mm()[i], self.path.point_mm()[i + 1]];
         points.iter().map(|p| from_chord(*p, &chord)).fold(0.0, f64::max)
     }
