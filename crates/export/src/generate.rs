@@ -752,7 +752,7 @@ impl<'a, const N: usize> Generator<'a, N> {
                     faults.long.push(i);
                 }
             } else if too_far > 1.0 {
-                // Positions of lines lag behind where the plan leaves no room for rounding; a little more time leaves it.
+                // Positions of lines are late where the plan leaves no room for rounding; a little more time leaves it.
                 let growth = if is_linear { LEAST_GROWTH } else { 0.1 * (too_far - 1.0) };
                 excess[i] = excess[i].max(1.0 + growth);
             }

@@ -11,7 +11,7 @@ use std::{borrow::Cow, env, path::Path, process::exit};
 
 use crate::place::is_within;
 
-/// Name of the variable with the settings behind the flags.
+/// Name of the variable with the settings that give the flags.
 pub const SETTINGS_OF_FLAGS: &str = "PLANISH_SETTINGS_OF_FLAGS";
 
 /// Name of the variable of a rehearsal.

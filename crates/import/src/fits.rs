@@ -208,7 +208,7 @@ const READ: [&str; 24] = [
     "EXTVER", "DATE", "DATAM", "CHECKSUM",
 ];
 
-/// Most cards and comments that are read as statements. Larger: more time on long headers. Smaller: a statement behind a
+/// Most cards and comments that are read as statements. Larger: more time on long headers. Smaller: a statement after a
 /// long history is not seen.
 const MOST_STATEMENTS: usize = 1000;
 

@@ -698,7 +698,7 @@ mod tests {
         );
         let message = slopes(map(1, 1.0), map(2, 1.0), &given).unwrap_err().to_string();
         assert!(message.contains("is urad in the file, mrad was asked for"), "{message}");
-        // An island of four pixels behind a wall.
+        // An island of four pixels beyond a wall.
         let mut x = map(1, 1.0);
         x.values.slice_mut(s![.., 3]).fill(f64::NAN);
         x.values.slice_mut(s![4.., ..3]).fill(f64::NAN);

@@ -18,7 +18,7 @@ const NAME: &str = "SRW file";
 
 /// Largest coordinate that is certainly in metres, and largest height relative to the coordinates. Larger: tables in mm
 /// are taken for SRW's. Smaller: long mirrors are not recognised.
-const LARGEST: [f64; 2] = [10.0, 1e-2];
+const LARGEST_IN_METRES: [f64; 2] = [10.0, 1e-2];
 
 /// Returns true where the first numbers of a text are those of such a file: a 0 in the corner between coordinates that
 /// ascend, separated by tabs, and heights that are tiny beside them.
@@ -39,8 +39,8 @@ pub(crate) fn is_srw(text: &str) -> bool {
         && first.len() == third.len()
         && ascends(&first[1..])
         && third[0] > second[0]
-        && size(first).max(second[0].abs()) < LARGEST[0]
-        && size(&second[1..]) < LARGEST[1] * (third[0] - second[0] + size(first))
+        && size(first).max(second[0].abs()) < LARGEST_IN_METRES[0]
+        && size(&second[1..]) < LARGEST_IN_METRES[1] * (third[0] - second[0] + size(first))
 }
 
 /// Reads the map.

@@ -13,7 +13,7 @@ use crate::{
 /// Names with their words.
 pub type Words = BTreeMap<String, Vec<String>>;
 
-/// Settings behind the flags of a command, so that its messages can name the setting that a user gives.
+/// Settings that give the flags of a command, so that its messages can name the setting that a user gives.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Origins {
     /// Flags, each with what a user gives in its place: `pitch_mm` for `--pitch-mm`, or `prepare=--level` for a word of a
@@ -212,8 +212,8 @@ impl<'a> Scope<'a> {
         Ok(expanded)
     }
 
-    /// Returns the settings behind the flags in a text. `local` are the words of the names that stages were given, and
-    /// `local_origins` the settings behind these.
+    /// Returns the settings that give the flags in a text. `local` are the words of the names that stages were given, and
+    /// `local_origins` the settings that give these.
     pub fn origins(
         &self,
         text: &str,
@@ -262,7 +262,7 @@ impl<'a> Scope<'a> {
         Ok(found)
     }
 
-    /// Returns the settings behind the words of a setting, which stand after `last_flag`, if that is a flag.
+    /// Returns the settings that give the words of a setting, which stand after `last_flag`, if that is a flag.
     fn origins_of_setting(
         &self,
         name: &str,

@@ -21,7 +21,7 @@ pub struct Command {
     pub may_be_negative: bool,
     /// True if its standard output is not shown.
     pub is_quiet: bool,
-    /// Settings behind its flags.
+    /// Settings that give its flags.
     pub origins: Origins,
 }
 
@@ -55,7 +55,7 @@ pub enum Step {
 struct Frame<'a> {
     lines: std::slice::Iter<'a, Line>,
     local: Words,
-    /// Settings behind the flags in these words.
+    /// Settings that give the flags in these words.
     origins: BTreeMap<String, Origins>,
 }
 
@@ -145,7 +145,7 @@ impl<'a> Walk<'a> {
         self.frames.last().map_or(NONE, |frame| &frame.origins)
     }
 
-    /// Returns the settings behind the flags in a text of the stage that runs.
+    /// Returns the settings that give the flags in a text of the stage that runs.
     fn origins_of(&self, text: &str) -> Result<Origins, String> {
         self.scope.origins(text, self.local(), self.origins())
     }

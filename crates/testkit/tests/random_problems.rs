@@ -41,7 +41,7 @@ use planish_types::{
 use rand::{Rng, RngExt};
 
 /// Number of problems unless `PLANISH_PROBLEMS` states another one.
-const FEW: u64 = 10;
+const DEFAULT_PROBLEMS: u64 = 10;
 
 /// Difference of two residuals, nm, of two plans, s and mm, and of two removals, over the largest, that is none: rounding of
 /// transforms and of a rate that depends on the time is below it by a factor of ten at least.
@@ -619,7 +619,7 @@ fn plans(dir: &Path, p: &Problem, compare: &mut impl FnMut(&str, f64, f64)) {
 
 #[test]
 fn programs_libraries_and_a_sum_agree_on_random_problems() {
-    let count = std::env::var("PLANISH_PROBLEMS").map_or(FEW, |n| n.parse().unwrap());
+    let count = std::env::var("PLANISH_PROBLEMS").map_or(DEFAULT_PROBLEMS, |n| n.parse().unwrap());
     let found: Vec<String> = (0..count).flat_map(differences).collect();
     assert!(found.is_empty(), "{} differences:\n{}", found.len(), found.join("\n"));
 }

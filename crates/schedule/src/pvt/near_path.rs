@@ -103,13 +103,13 @@ impl NearPath {
     /// it points back along one of them, and its largest multiple up to 1 otherwise.
     pub(super) fn held(&self, node: usize, velocity: Point, h: &[f64]) -> Point {
         let ahead = [0, 1].map(|a| self.displacement_mm[node][a]);
-        let behind = [0, 1].map(|a| self.displacement_mm[node - 1][a]);
+        let backwards = [0, 1].map(|a| self.displacement_mm[node - 1][a]);
         let along = |dp: Point| dp[0] * velocity[0] + dp[1] * velocity[1];
-        if along(ahead) < 0.0 || along(behind) < 0.0 {
+        if along(ahead) < 0.0 || along(backwards) < 0.0 {
             return [0.0; 2];
         }
         let is_near = |part: f64| {
-            [(ahead, h[node]), (behind, h[node - 1])].into_iter().all(|(dp, h)| {
+            [(ahead, h[node]), (backwards, h[node - 1])].into_iter().all(|(dp, h)| {
                 let point = velocity.map(|v| part * v * h / 3.0);
                 from_chord(point, &[[0.0; 2], dp.map(|d| HELD_PART * d)]) <= 0.5 * self.tolerance_mm
             })
@@ -129,9 +129,9 @@ impl NearPath {
     /// the tolerance, whatever the velocities of the other nodes are.
     pub(super) fn velocity_range(&self, node: usize, held: Point, h: &[f64]) -> VelocityRange {
         let ahead = self.rectangle(self.displacement_mm[node], held, h[node]);
-        let behind = self.rectangle(self.displacement_mm[node - 1], held, h[node - 1]);
+        let backwards = self.rectangle(self.displacement_mm[node - 1], held, h[node - 1]);
         [0, 1].map(|a| {
-            let [low, high] = [ahead[a][0].max(behind[a][0]), ahead[a][1].min(behind[a][1])];
+            let [low, high] = [ahead[a][0].max(backwards[a][0]), ahead[a][1].min(backwards[a][1])];
             // Rounding does not exclude it.
             [low.min(held[a]), high.max(held[a])]
         })
