@@ -216,7 +216,7 @@ fn the_dwell_times_of_a_program_are_those_of_its_plan_and_it_executes_none_that_
         force: true,
         wall_time: None,
     };
-    let task = Task::new("planish-import", "0", "program", &json!({}));
+    let task = Task::new("planish-import", "0", "program", json!({}));
     let output = Output::directory(&args, Trajectory::KIND).begin(&task, &Inputs::new()).unwrap();
     output.writer().unwrap().write(&motion.unwrap(), json!({}), &Status::Done).unwrap();
     let report = ["report", "out", "--pipeline", "raster", "--mirror", "coupon", "--out", "report"];

@@ -12,8 +12,7 @@ use planish_types::{Axis, End, Grid, Surface, Tif, ToolPath, VaryingTif};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-mod definition;
-use definition::Penalty;
+use crate::definition::Penalty;
 
 fn grid() -> Grid {
     Grid { x: Axis::new(0.0, 0.25, 41).unwrap(), y: Axis::new(0.0, 0.25, 29).unwrap() }

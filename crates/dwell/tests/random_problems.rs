@@ -10,8 +10,7 @@ use planish_types::{Axis, End, Grid, PARTS_TOLERANCE, Surface, Tif, ToolPath};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-mod definition;
-use definition::Penalty;
+use crate::definition::Penalty;
 
 /// A map with holes under a tool, a raster that is neither straight nor everywhere on, and bounds.
 struct Case {

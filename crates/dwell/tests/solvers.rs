@@ -15,8 +15,7 @@ use planish_dwell::{
 use planish_testkit::maps::largest_magnitude;
 use planish_types::{Axis, DwellTime, End, Grid, Limits, Surface, Tif, ToolPath};
 
-mod definition;
-use definition::Penalty;
+use crate::definition::Penalty;
 
 fn axis(start: f64, step: f64, n: usize) -> Axis {
     Axis::new(start, step, n).unwrap()

@@ -231,8 +231,8 @@ lies ([from run to run](campaign.md)), `planish-register apply` takes the motion
 applied again.
 
 On a machine with other kinematics than `xy` that box is of x and y alone, or of `kinematics.contact`. `planish-axes`
-makes the motion of all axes ([axes](axes.md)), `planish-verify --axes` judges it, and `planish-export --axes` writes its
-program. `planish-export --trajectory` refuses such a machine.
+makes the motion of all axes ([axes](axes.md)), `planish-verify --axes` judges it, and `planish-export --axes` writes
+its program. `planish-export --trajectory` refuses such a machine.
 ";
 
 /// Keys of an error budget, with unit and meaning.

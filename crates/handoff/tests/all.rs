@@ -4,5 +4,6 @@
 mod frozen;
 #[path = "reading.rs"]
 mod reading;
+mod support;
 #[path = "writing.rs"]
 mod writing;

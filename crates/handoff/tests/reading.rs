@@ -1,19 +1,17 @@
 //! Files that a reader accepts and refuses. Every file is written here byte by byte, as another
 //! program would write it. A message names the file, the place, the value and the remedy.
 
-mod support;
-
 use std::{fs, path::Path};
 
+use crate::support::{
+    doubles, longs, npy, removal, save_f8, surface, tif, tool_path, trajectory, varying, write,
+    write_bare,
+};
 use planish_handoff::{
     Artifact, Tool, artifact,
     kind::{self, Kind, MANIFEST},
 };
 use planish_types::{DwellTime, Removal, Surface, Tif, ToolPath, Trajectory, VaryingTif};
-use support::{
-    doubles, longs, npy, removal, save_f8, surface, tif, tool_path, trajectory, varying, write,
-    write_bare,
-};
 use tempfile::TempDir;
 
 fn tmp() -> TempDir {

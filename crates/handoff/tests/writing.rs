@@ -1,7 +1,7 @@
 //! Outputs of a command: whole or not at all, nothing lost, nothing done twice. The runs that are
 //! killed are this test program itself, started again as [`child`].
 
-mod support;
+use crate::support;
 
 use std::{
     fs,
@@ -13,6 +13,7 @@ use std::{
     time::Duration,
 };
 
+use crate::support::{output, save_f8, surface, tif, write, write_bare};
 use planish_handoff::{
     Artifact, Begin, HandoffError, Inputs, Output, OutputFile, Status, Task, Writer, artifact,
     flags::OutputArgs,
@@ -21,7 +22,6 @@ use planish_handoff::{
 };
 use planish_types::{DwellTime, Trajectory};
 use serde_json::{Value, json};
-use support::{output, save_f8, surface, tif, write, write_bare};
 
 /// One run of a command: the input, the settings, begin, write.
 struct Run {

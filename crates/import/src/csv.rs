@@ -134,9 +134,8 @@ fn header(text: &str) -> Result<(Comments, usize), Invalid> {
             let is_text = |word: &str| !is_numeric(word) && !text::is_no_data(word);
             is_text(field) && field.split_whitespace().any(is_text)
         };
-        let is_corner = fields.len() > 2
-            && !fields[1..].iter().any(|field| is_word(field))
-            && next == Some(fields.len());
+        let is_corner =
+            fields.len() > 2 && !fields[1..].iter().any(&is_word) && next == Some(fields.len());
         if !fields.first().is_some_and(is_word) || is_corner {
             break;
         }

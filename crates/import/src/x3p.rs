@@ -109,7 +109,7 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     reading.factor = number("Record1/Axes/CZ/Increment")?.unwrap_or(1.0);
     reading.offset = number("Record1/Axes/CZ/Offset")?.unwrap_or(0.0);
     (reading.pixel_mm, reading.window) =
-        (pair("Increment", &number)?, pair("Offset", &number)?.map(Window::at_mm));
+        (pair("Increment", number)?, pair("Offset", number)?.map(Window::at_mm));
     reading.stated = json!({
         "revision": text("Record1/Revision"),
         "manufacturer": text("Record2/Instrument/Manufacturer"),

@@ -183,7 +183,7 @@ fn seeds() -> Vec<(Format, Vec<u8>)> {
 fn message(format: Format, bytes: &[u8]) -> String {
     let made = read(format, bytes, &Pick::default())
         .and_then(|reading| surface(reading, &Settings::default()));
-    made.err().expect("a refusal").to_string()
+    made.expect_err("a refusal").to_string()
 }
 
 #[test]

@@ -2,5 +2,6 @@
 
 #[path = "axes.rs"]
 mod axes;
+mod example;
 #[path = "plan.rs"]
 mod plan;

@@ -1,10 +1,8 @@
 //! Axes beyond x and y: the plan keeps their limits, and the motion without them is the same where they never bind.
 
-mod example;
-
 use std::f64::consts::TAU;
 
-use example::{at_price, hill, merit, through, tif, two_axes};
+use crate::example::{at_price, hill, merit, through, tif, two_axes};
 use planish_joint::{
     FurtherAxes, FurtherLimits, JointError, Plan, Settings, plan, plan_with_further_axes,
 };

@@ -1,8 +1,6 @@
 //! A small mirror along every kind of path: the plan is what the judges find, and a freer problem is never worse.
 
-mod example;
-
-use example::{at_price, hill, merit, through, tif, two_axes};
+use crate::example::{at_price, hill, merit, through, tif, two_axes};
 use ndarray::Array2;
 use planish_joint::{Plan, Price, Settings, plan};
 use planish_simulate::{Settings as Simulation, simulate};

@@ -1,5 +1,7 @@
 //! The integration tests of this library, as one program. `crates/planish/tests` has those that run programs.
 
+mod example;
+mod known;
 #[path = "known_truth.rs"]
 mod known_truth;
 #[path = "next_run.rs"]

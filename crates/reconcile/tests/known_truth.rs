@@ -1,8 +1,6 @@
 //! Runs of known truth by a direct sum of their own; `examples/known_truth.rs` has 60 of them.
 
-mod known;
-
-use known::Case;
+use crate::known::Case;
 use ndarray::{Array2, s};
 use planish_testkit::mirror::mirror;
 use planish_types::{Axis, Grid, Surface};

@@ -1,9 +1,7 @@
 //! Tests of the results for the next run: a place, a tool and a process that undo the errors of the last one; and
 //! logs of the machine's motion.
 
-mod example;
-
-use example::{before, gaussian, grid, planned, raster};
+use crate::example::{before, gaussian, grid, planned, raster};
 use ndarray::Array2;
 use planish_reconcile::{Comparison, Reconciled, Settings, parameter::Parameter, reconcile};
 use planish_simulate::{

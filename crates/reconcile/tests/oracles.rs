@@ -1,8 +1,6 @@
 //! Tests of estimates against errors that were planted by other means, of the coverage of intervals, and of refusals.
 
-mod example;
-
-use example::{before, gaussian, grid, planned, raster};
+use crate::example::{before, gaussian, grid, planned, raster};
 use nalgebra::{DMatrix, DVector};
 use ndarray::Array2;
 use planish_reconcile::{

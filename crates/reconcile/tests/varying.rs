@@ -1,9 +1,7 @@
 //! Runs with a tool that is not the same everywhere, by a direct sum over the tool in closed form: a beam along the normal
 //! of a sphere, whose rate depends on the incidence.
 
-mod known;
-
-use known::{Figure, NODES, REACH_SIGMA, middle, motion, normal, path_over, planned};
+use crate::known::{Figure, NODES, REACH_SIGMA, middle, motion, normal, path_over, planned};
 use ndarray::Array2;
 use planish_reconcile::{Comparison, Reconciled, Settings, reconcile};
 use planish_types::{

@@ -3,8 +3,7 @@
 //! The steps, in this order, each only if it is asked for:
 //!
 //! 1. border: the least-squares plane through the border samples is subtracted; negative noise stays, so the volume has
-//! no
-//!    bias;
+//!    no bias;
 //! 2. centre: the offsets are counted from the centroid or from the peak. The samples stay where
 //!    they are, so nothing is interpolated; the axes may then have any offset;
 //! 3. rotation about the centre, counterclockwise: by multiples of 90 degrees exactly, else by

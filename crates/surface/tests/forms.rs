@@ -520,7 +520,7 @@ fn the_stated_largest_error_is_that_of_dense_places() {
         let tool = artifact::read::<Tool>(&dir.join("tool")).unwrap().value.0;
         let (mut largest, mut squares, mut count) = (0.0_f64, 0.0, 0.0);
         for k in 0..240 * 240 {
-            let [x, y] = [k % 240, k / 240].map(|i| 0.2 * (i as f64 + 0.5) - 24.0);
+            let [x, y] = [k % 240, k / 240].map(|i| 0.2 * (f64::from(i) + 0.5) - 24.0);
             let radius = x.hypot(y);
             if radius > 23.5 {
                 continue;

@@ -546,7 +546,7 @@ fn differences(number: u64) -> Vec<String> {
         let off = largest_off(&p, &sum, &motion, &removal, stride);
         compare("simulated removal and sum, moving", off, NOTHING);
     }
-    if number % 5 == 0 {
+    if number.is_multiple_of(5) {
         plans(dir, &p, &mut compare);
     }
     found

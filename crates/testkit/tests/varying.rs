@@ -404,8 +404,12 @@ fn a_tool_along_the_normal_of_a_sphere_leaves_no_more_than_on_a_flat_part() {
     let (desired, tif, path) = coupon();
     let form = Form::sphere(RADIUS_MM, [10.0, 6.0]).unwrap();
     let places = Places::new(&desired).with_form(form.clone()).unwrap();
-    let foot = Footprint::new(&tif, &places, Direction::Normal(ToolFrame::of_carrier(Carrier::B)))
-        .unwrap();
+    let foot = Footprint::new(
+        &tif,
+        &places,
+        Direction::Normal(Box::new(ToolFrame::of_carrier(Carrier::B))),
+    )
+    .unwrap();
     let wanted = LowRankSettings { error: 1e-3, max_rank: 20 };
     let rectangle = [[-4.0, -4.0], [24.0, 16.0]];
     let found =
@@ -456,9 +460,12 @@ fn places_beside_the_part_do_not_make_a_tool_that_adds_material() {
     let made = make(&recipe).unwrap();
     let form = Form::sphere(-100.0, [0.0, 0.0]).unwrap();
     let places = Places::new(&made.surface).with_form(form).unwrap();
-    let foot =
-        Footprint::new(&made.tif, &places, Direction::Normal(ToolFrame::of_carrier(Carrier::B)))
-            .unwrap();
+    let foot = Footprint::new(
+        &made.tif,
+        &places,
+        Direction::Normal(Box::new(ToolFrame::of_carrier(Carrier::B))),
+    )
+    .unwrap();
     let wanted = LowRankSettings { error: 3e-3, max_rank: 64 };
     // As the program asks for it: half the size of the tool beyond the part.
     let beyond_mm = made.tif.grid().x.end_mm();

@@ -1,8 +1,6 @@
 //! The lines of the table against closed forms, against each other, and against simulated runs.
 
-mod example;
-
-use example::{
+use crate::example::{
     assert_line_is_mean_over_runs, desired, error, noises, process, raster, rms, tif, with,
 };
 use ndarray::Array2;

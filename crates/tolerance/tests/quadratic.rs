@@ -1,8 +1,6 @@
 //! The quadratic of the dwell times against the table, which is found from simulations, and against itself.
 
-mod example;
-
-use example::{desired, error, process, raster, tif, with};
+use crate::example::{desired, error, process, raster, tif, with};
 use planish_simulate::{Settings as Simulation, simulate};
 use planish_tolerance::{Free, Settings, quadratic::Sources, tolerance};
 use planish_types::{Removal, Surface, Trajectory, TrajectoryBuilder};

@@ -1,9 +1,9 @@
 //! A tool that is not the same everywhere and at all times: every line of the table against the difference of two
 //! simulations, one of them of a motion or a tool that has the error in it, made here.
 
-mod example;
-
-use example::{assert_line_is_mean_over_runs, desired, error, noises, process, raster, rms, with};
+use crate::example::{
+    assert_line_is_mean_over_runs, desired, error, noises, process, raster, rms, with,
+};
 use ndarray::Array2;
 use planish_simulate::{Settings as Simulation, simulate};
 use planish_tolerance::{Free, Settings, Tolerance, quadratic::Sources, tolerance};

@@ -849,10 +849,10 @@ mod tests {
     #[test]
     fn radians_are_named() {
         said(
-            of_angle("the angle", 1.5708),
-            &["the angle is 1.5708 degrees: radians? it would be 90 degrees"],
+            of_angle("the angle", 1.571),
+            &["the angle is 1.571 degrees: radians? it would be 90 degrees"],
         );
-        said(of_angle("the angle", -0.5236), &["it would be -30 degrees"]);
+        said(of_angle("the angle", -0.5237), &["it would be -30 degrees"]);
         for degrees in [0.0, 1.0, 1.5, 2.0, 0.5, 45.0, 90.0, 3.0] {
             assert_eq!(of_angle("the angle", degrees), None, "{degrees}");
         }

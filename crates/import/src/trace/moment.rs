@@ -39,9 +39,9 @@ struct Date {
 /// Order of the numbers of a date; `None` in a [`Date`] is one of the last two.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Order {
-    YearFirst,
-    MonthFirst,
-    DayFirst,
+    Year,
+    Month,
+    Day,
 }
 
 impl Moment {
@@ -159,7 +159,7 @@ impl Date {
         let [a, b, c] = parts[..] else { return None };
         let date = if a.len() == 4 {
             let numbers = [digits(a, 4..=4)?, digits(b, 1..=2)?, digits(c, 1..=2)?];
-            Self { numbers, order: Some(Order::YearFirst) }
+            Self { numbers, order: Some(Order::Year) }
         } else {
             let year = match c.len() {
                 4 => digits(c, 4..=4)?,
@@ -167,15 +167,14 @@ impl Date {
             };
             let name = b.to_ascii_lowercase();
             let month = MONTHS.iter().position(|m| m.iter().any(|start| name.starts_with(start)));
-            let order =
-                if separator == '.' || month.is_some() { Some(Order::DayFirst) } else { None };
+            let order = if separator == '.' || month.is_some() { Some(Order::Day) } else { None };
             let month = match month {
                 Some(month) => month as i64 + 1,
                 None => digits(b, 1..=2)?,
             };
             Self { numbers: [digits(a, 1..=2)?, month, year], order }
         };
-        let is_day = [Order::MonthFirst, Order::DayFirst].iter().any(|o| date.day(*o).is_some());
+        let is_day = [Order::Month, Order::Day].iter().any(|o| date.day(*o).is_some());
         if is_day { Some(date) } else { None }
     }
 
@@ -183,9 +182,9 @@ impl Date {
     fn day(&self, order: Order) -> Option<i64> {
         let [a, b, c] = self.numbers;
         let (year, month, day) = match self.order.unwrap_or(order) {
-            Order::YearFirst => (a, b, c),
-            Order::MonthFirst => (c, a, b),
-            Order::DayFirst => (c, b, a),
+            Order::Year => (a, b, c),
+            Order::Month => (c, a, b),
+            Order::Day => (c, b, a),
         };
         if !(1..=12).contains(&month) || !(1..=days_of(year, month)).contains(&day) {
             return None;
@@ -209,8 +208,7 @@ pub struct Times {
 pub fn times(moments: &[Moment]) -> Result<Times, usize> {
     let digits = moments.iter().map(|m| m.digits).max().unwrap_or(0);
     let resolution_s = 10f64.powi(-i32::from(digits));
-    let [month_first, day_first] =
-        [Order::MonthFirst, Order::DayFirst].map(|order| in_order(moments, order));
+    let [month_first, day_first] = [Order::Month, Order::Day].map(|order| in_order(moments, order));
     let seconds = match (month_first, day_first) {
         (Ok(a), Ok(b)) => {
             if longest_step(&a) <= longest_step(&b) {

@@ -552,14 +552,14 @@ impl FootprintArgs {
             "carrier": (self.direction == DirectionArg::Normal).then_some(frame.carrier()),
         });
         let direction = match self.direction {
-            DirectionArg::Normal => Direction::Normal(frame),
+            DirectionArg::Normal => Direction::Normal(Box::new(frame)),
             DirectionArg::Fixed => {
                 Direction::Fixed { rate_law, source_distance_mm: self.source_distance_mm }
             }
         };
         let on = Footprint::new(&tif, &places, direction).map_err(Failure::with_flags)?;
         if self.direction == DirectionArg::Normal && self.machine.is_none() {
-            let other = Direction::Normal(ToolFrame::of_carrier(Carrier::A));
+            let other = Direction::Normal(Box::new(ToolFrame::of_carrier(Carrier::A)));
             let other = Footprint::new(&tif, &places, other).map_err(Failure::with_flags)?;
             let difference = on.largest_difference(&other);
             if difference > MOST_OF_OTHER_TILTS {

@@ -35,7 +35,7 @@ use super::{causes::RateLaw, place::Places};
 #[derive(Clone, Debug, PartialEq)]
 pub enum Direction {
     /// Along the normal at the contact point, turned there by the tilts of a machine.
-    Normal(ToolFrame),
+    Normal(Box<ToolFrame>),
     /// Along z everywhere.
     Fixed {
         /// Yield by the angle of incidence.
