@@ -295,6 +295,9 @@ fn drop(x: f64, y: f64) -> f64 {
     8.0 * s * s * (2.0 * (1.0 - s) - 0.25 * (1.0 + s) * (y / 0.7).powi(2)).exp()
 }
 
+/// An error of the shape: its kind, size and unit, and the offset in the TIF that an offset in the deformed one has.
+type Deformation<'a> = (&'a str, f64, &'a str, &'a dyn Fn(f64, f64) -> [f64; 2]);
+
 #[test]
 fn a_sharp_drop_that_turns_adds_what_its_deformed_samples_do_and_less_than_its_first_order() {
     let axis = Axis::new(-2.0, 0.125, 65).unwrap();
@@ -314,7 +317,7 @@ fn a_sharp_drop_that_turns_adds_what_its_deformed_samples_do_and_less_than_its_f
     let turned = |x: f64, y: f64| [cosine * x + sine * y, cosine * y - sine * x];
     let longer = |x: f64, y: f64| [x / 1.05, y / 0.95];
     let wider = |x: f64, y: f64| [x / 1.08, y / 1.08];
-    let cases: [(&str, f64, &str, &dyn Fn(f64, f64) -> [f64; 2]); 3] = [
+    let cases: [Deformation; 3] = [
         ("tif_rotation", 8.0, "deg", &turned),
         ("tif_ellipticity", 10.0, "%", &longer),
         ("tif_width", 8.0, "%", &wider),

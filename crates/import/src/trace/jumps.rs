@@ -139,8 +139,7 @@ mod tests {
         let steps: Vec<f64> = (0..2000).map(|i| f64::from(i / 100)).collect();
         assert!(jumps(&steps).is_empty());
         // A start from rest with the largest acceleration, and an encoder at rest with a count of noise.
-        let start: Vec<f64> =
-            (0..500).map(|i| (f64::from(i) - 100.0).max(0.0).min(200.0)).collect();
+        let start: Vec<f64> = (0..500).map(|i| (f64::from(i) - 100.0).clamp(0.0, 200.0)).collect();
         assert!(jumps(&start).is_empty());
         let noise: Vec<f64> = (0..1000).map(|i| if i % 97 == 0 { 1e-4 } else { 0.0 }).collect();
         assert!(jumps(&noise).is_empty());
