@@ -416,17 +416,7 @@ fn planned(
     let Solved { mesh, nodes_of_meshes, found } = solved;
     let Found { solution, motion, refused, model_rms_nm, price, tikhonov, pull_part, .. } = found;
     let (iterations, rounds) = (found.iterations, found.rounds);
-    let (mut trajectory, mut refused) = match task.averaged(&motion.trajectory)? {
-        None => (motion.trajectory.clone(), refused),
-        Some(trajectory) => {
-            let verdict = verify(&trajectory, limits, &VerifySettings::default())?;
-            (trajectory, verdict.reason())
-        }
-    };
-    let mut slowed_by = None;
-    if let Some(axes) = further {
-        (trajectory, refused, slowed_by) = within_axes(trajectory, refused, limits, axes)?;
-    }
+    let (trajectory, refused, slowed_by) = as_run(&task, &motion.trajectory, refused, limits)?;
     let of_axes =
         further.map(|further| axes::report(&trajectory, &motion.trajectory, limits, further));
     let is_other = matches!(constant, Cow::Owned(_));
@@ -463,6 +453,27 @@ fn planned(
         rates_of_time,
     };
     Ok(Plan { dwell, trajectory, removal, refused, report })
+}
+
+/// Returns the motion of a plan as the machine runs it: averaged in time and within the further axes. With the reason why
+/// the judge refuses it, and the factor on all times.
+fn as_run(
+    task: &Task<'_>,
+    planned: &Trajectory,
+    refused: Option<String>,
+    limits: &Limits,
+) -> Result<(Trajectory, Option<String>, Option<f64>), Invalid> {
+    let (trajectory, refused) = match task.averaged(planned)? {
+        None => (planned.clone(), refused),
+        Some(trajectory) => {
+            let verdict = verify(&trajectory, limits, &VerifySettings::default())?;
+            (trajectory, verdict.reason())
+        }
+    };
+    match task.further {
+        None => Ok((trajectory, refused, None)),
+        Some(further) => within_axes(trajectory, refused, limits, further),
+    }
 }
 
 /// A motion that keeps the limits of the further axes: as it is, or with all times longer. With the reason why the

@@ -276,24 +276,9 @@ fn solve_on_cells(
             posed.pull.lower(part, LOWERED_EARLY * MOST_PULL);
             from = Start { density: at.density, duals: Some(at.duals) };
         }
-        let mut before: Option<Found> = None;
-        loop {
-            let left = settings.max_iterations.saturating_sub(iterations);
-            let found = posed.solve(asked, given.rows(&mesh), from, left, settings)?;
-            iterations += found.iterations;
-            if found.solution.end != End::Optimal || found.refused.is_some() {
-                // A plan that was proven with more of the pull is better than one that is not.
-                return Ok::<_, JointError>(before.unwrap_or(found));
-            }
-            if !posed.pull.lower(found.pull_part, MOST_PULL) {
-                return Ok(found);
-            }
-            let Solution { density, duals, .. } = &found.solution;
-            from = Start { density: density.clone(), duals: Some(duals.clone()) };
-            before = Some(found);
-        }
+        posed.solve_with_less_pull(asked, &given, from, iterations, settings)
     })?;
-    Ok(Solved { mesh, nodes_of_meshes, found: Found { iterations, ..found } })
+    Ok(Solved { mesh, nodes_of_meshes, found })
 }
 
 /// Program on a mesh, without its rows.
@@ -393,6 +378,34 @@ impl<'a> Posed<'a> {
         Ok(Start { density, duals: Some(duals) })
     }
 
+    /// Solves the program again with a lower weight while the pull is too large a part of the objective. Returns the last
+    /// plan that is proven, or the first one, with the number of all steps: those and the `iterations` before.
+    fn solve_with_less_pull(
+        &mut self,
+        asked: &Asked<'_>,
+        given: &Given<'_>,
+        mut from: Start,
+        mut iterations: usize,
+        settings: &Settings,
+    ) -> Result<Found, JointError> {
+        let mut before: Option<Found> = None;
+        loop {
+            let left = settings.max_iterations.saturating_sub(iterations);
+            let found = self.solve(asked, given.rows(self.mesh), from, left, settings)?;
+            iterations += found.iterations;
+            if found.solution.end != End::Optimal || found.refused.is_some() {
+                // A plan that was proven with more of the pull is better than one that is not.
+                return Ok(Found { iterations, ..before.unwrap_or(found) });
+            }
+            if !self.pull.lower(found.pull_part, MOST_PULL) {
+                return Ok(Found { iterations, ..found });
+            }
+            let Solution { density, duals, .. } = &found.solution;
+            from = Start { density: density.clone(), duals: Some(duals.clone()) };
+            before = Some(found);
+        }
+    }
+
     /// Solves the program in rounds until the judge finds the limits of the motion kept.
     fn solve(
         &self,
@@ -464,6 +477,17 @@ impl<'a> Posed<'a> {
                 }
             }
         }
+        self.found(&mut merit, solution, (planned, refused), (iterations, rounds))
+    }
+
+    /// Returns a solution and its motion with the parts of the objective there.
+    fn found(
+        &self,
+        merit: &mut Merit<'_>,
+        solution: Solution,
+        (motion, refused): (Motion, Option<String>),
+        (iterations, rounds): (usize, usize),
+    ) -> Result<Found, JointError> {
         // Of the motion at these densities.
         merit.keep_motion_of(&solution.density)?;
         let model_rms_nm = (2.0 * merit.half_mean_square_nm2(&solution.density)).sqrt();
@@ -471,7 +495,6 @@ impl<'a> Posed<'a> {
         let pull_part = merit.pull_nm2(&solution.density) / objective_nm2;
         let tikhonov = self.pull.tikhonov;
         let price = merit.price;
-        let motion = planned;
         Ok(Found {
             solution,
             motion,

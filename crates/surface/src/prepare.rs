@@ -197,16 +197,7 @@ pub fn prepare_to(
     }
     // The steps move heights and fill gaps: a pixel keeps its deviation, and one without a measurement has none.
     let margin = extended.as_ref().map_or((0, 0), |e| e.margin_px);
-    let deviation = cropped.deviation_nm().map(|deviation| {
-        let mut known = deviation.clone();
-        known.zip_mut_with(masked.height_nm(), |s, z| {
-            if z.is_nan() {
-                *s = f64::NAN;
-            }
-        });
-        known
-    });
-    let surface = with_deviation(surface, deviation, margin)?;
+    let surface = with_deviation(surface, known_deviation(&cropped, &masked), margin)?;
     let report = PrepareReport {
         before: map_statistics(measured),
         in_aperture: map_statistics(&cropped),
@@ -223,6 +214,17 @@ pub fn prepare_to(
         doubts,
     };
     Ok(Prepared { surface, report })
+}
+
+/// Returns the standard deviations of a map where it is valid after masking; `None` if it has none.
+fn known_deviation(cropped: &Surface, masked: &Surface) -> Option<Array2<f64>> {
+    let mut known = cropped.deviation_nm()?.clone();
+    known.zip_mut_with(masked.height_nm(), |s, z| {
+        if z.is_nan() {
+            *s = f64::NAN;
+        }
+    });
+    Some(known)
 }
 
 /// NaN outside the aperture, cropped to its bounding box, and the aperture on the new pixels.

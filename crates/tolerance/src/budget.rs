@@ -97,19 +97,7 @@ pub fn tolerance(
     let errors = Errors::new(&work, &linear, &responses, &span, columns, seed);
     let whole = errors.model(None);
     let expected_rms_nm = whole.mean_square().sqrt();
-    let departs = |line: &Line| {
-        line.departs_by_rms_nm > LARGEST_DEPARTURE * line.adds_rms_nm
-            && line.departs_by_rms_nm > SEEN * expected_rms_nm
-    };
-    let simulated = lines.iter().any(departs);
-    for (i, line) in lines.iter_mut().enumerate() {
-        // Play has no first order: its line is that of the two signs of the play.
-        let is_curved = matches!(process.errors[i].effect, Effect::Scalar(effect) if effect != Scalar::Backlash)
-            && line.departs_by_rms_nm > LARGEST_DEPARTURE_OF_LINE * line.adds_rms_nm;
-        if is_curved || departs(line) {
-            work.simulate_line(i, line, &reach, seed)?;
-        }
-    }
+    let simulated = simulate_departing(&work, &mut lines, expected_rms_nm, &reach, seed)?;
     let least = if simulated { RUNS_OF_ALL } else { 0 };
     let count = settings.simulated_runs.max(least);
     let runs = progress::part(2, PARTS, || work.runs(count, &linear, columns, seed))?;
@@ -140,6 +128,33 @@ pub fn tolerance(
         backlash_start: process.play_start(),
         mean_tool: tif.variation().map(|_| MEAN_TOOL),
     })
+}
+
+/// Returns true if the departure of an error from its first order is seen in what all errors add together.
+fn departs(line: &Line, expected_rms_nm: f64) -> bool {
+    line.departs_by_rms_nm > LARGEST_DEPARTURE * line.adds_rms_nm
+        && line.departs_by_rms_nm > SEEN * expected_rms_nm
+}
+
+/// Simulates the errors whose first order is not enough for their lines. Returns true if it is not enough for the
+/// distribution either.
+fn simulate_departing(
+    work: &Work<'_>,
+    lines: &mut [Line],
+    expected_rms_nm: f64,
+    reach: &Reach,
+    seed: u64,
+) -> Result<bool, Invalid> {
+    let simulated = lines.iter().any(|line| departs(line, expected_rms_nm));
+    for (i, line) in lines.iter_mut().enumerate() {
+        // Play has no first order: its line is that of the two signs of the play.
+        let is_curved = matches!(work.process.errors[i].effect, Effect::Scalar(effect) if effect != Scalar::Backlash)
+            && line.departs_by_rms_nm > LARGEST_DEPARTURE_OF_LINE * line.adds_rms_nm;
+        if is_curved || departs(line, expected_rms_nm) {
+            work.simulate_line(i, line, reach, seed)?;
+        }
+    }
+    Ok(simulated)
 }
 
 /// The error without which the residual that 95 % of the runs are below is least.

@@ -24,7 +24,7 @@ use planish_schedule::{Choices, Named, SCHEDULERS, Scheduler, by_name, pvt, trig
 use planish_tolerance::error_budget::{ErrorBudget, ErrorBudgetFile};
 use planish_types::{DwellTime, PathDistance, Surface, Trajectory, plausible};
 use serde::Serialize;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::iterations;
 
@@ -154,21 +154,7 @@ impl Refine {
         let refined = refined.map_err(Failure::with_flags)?;
 
         let distance = PathDistance::new(&refined.trajectory, &path, Some(tolerance_mm))?;
-        let best = &refined.iterates[refined.best];
-        let mut outcome = json!({
-            "best_round": refined.best,
-            "end": refined.end,
-            "at_bound": refined.at_bound,
-            "rms_nm": best.rms_nm,
-            "total_time_s": best.total_time_s,
-            "path_distance": distance,
-        });
-        if let Some(price) = &price {
-            outcome["error_budget"] = json!(price);
-        }
-        if let Some(lattice) = refined.tif_lattice {
-            outcome["tif_lattice"] = json!(lattice);
-        }
+        let outcome = outcome(&refined, price.as_ref(), &distance);
         let negative = refined.negative(&surface, self.max_rounds.is_some());
         let excess = distance.excess().map(|excess| {
             format!("{excess}; the scheduler pvt stays within it, or give a larger tolerance")
@@ -263,6 +249,26 @@ impl Refine {
 fn read_process(path: &Path, inputs: &mut Inputs) -> Result<ErrorBudget, Failure> {
     let file: ErrorBudgetFile = inputs.read_json("error-budget", path)?;
     file.checked().map_err(|e| Failure::new(format!("{}: {e}", path.display())))
+}
+
+/// Returns what the manifests say of the best round.
+fn outcome(refined: &Refined, price: Option<&Price>, distance: &PathDistance) -> Value {
+    let best = &refined.iterates[refined.best];
+    let mut outcome = json!({
+        "best_round": refined.best,
+        "end": refined.end,
+        "at_bound": refined.at_bound,
+        "rms_nm": best.rms_nm,
+        "total_time_s": best.total_time_s,
+        "path_distance": distance,
+    });
+    if let Some(price) = price {
+        outcome["error_budget"] = json!(price);
+    }
+    if let Some(lattice) = refined.tif_lattice {
+        outcome["tif_lattice"] = json!(lattice);
+    }
+    outcome
 }
 
 /// Sentence on the residuals and times of the plans without and with the process.

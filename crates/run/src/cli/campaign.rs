@@ -18,7 +18,7 @@ use std::{
 
 use clap::Args;
 use planish_handoff::{Failure, Status, warn, words};
-use planish_pipeline::definition::Definition;
+use planish_pipeline::{definition::Definition, scope::Scope};
 use planish_types::assumed_machine;
 
 use super::{
@@ -80,12 +80,7 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
     }
     let runs = count("runs", &setting(&mut given, "runs", "3"), 99)?;
     let definition = place.definition_of_plans(&setting(&mut given, "pipeline", "raster"))?;
-    let (surface, tif) = (given.take_path("surface"), given.take_path("tif"));
-    if let Some(map) = [&surface, &tif].into_iter().flatten().find(|map| Path::new(map).is_file()) {
-        return Err(Failure::new(format!(
-            "{map} is a file; read it with planish-import, and give the directory"
-        )));
-    }
+    let [surface, tif] = take_mirror(&mut given)?;
     let reconcile = setting(&mut given, "reconcile", "");
     let reconcile = words::split(&reconcile)
         .map_err(|e| Failure::new(format!("reconcile={reconcile}: {e}")))?;
@@ -122,14 +117,7 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
         surface: surface.clone().map(Into::into),
         tif: tif.clone().map(Into::into),
         machine: machine.into(),
-        named: [
-            Named::all(&scope)?,
-            Named::words("error_budget", std::slice::from_ref(&error_budget), true),
-            Named::words("reconcile", &reconcile, false),
-        ]
-        .into_iter()
-        .flatten()
-        .collect(),
+        named: named_words(&scope, &error_budget, &reconcile)?,
     };
     let (_lock, assumed) = claim.take(&as_typed())?;
     assumed.iter().chain(&assumed_machine).for_each(warn);
@@ -159,6 +147,31 @@ pub fn campaign(words: &[String], said: Said) -> Result<u8, Failure> {
     let code = Programs::new(&place, said)?.run(&report)?;
     assumed_machine.iter().for_each(warn);
     Ok(code)
+}
+
+/// Takes the map and the tool of a measured mirror from the settings. Refuses files: they are artifacts.
+fn take_mirror(given: &mut Given) -> Result<[Option<String>; 2], Failure> {
+    let mirror = [given.take_path("surface"), given.take_path("tif")];
+    if let Some(map) = mirror.iter().flatten().find(|map| Path::new(map).is_file()) {
+        return Err(Failure::new(format!(
+            "{map} is a file; read it with planish-import, and give the directory"
+        )));
+    }
+    Ok(mirror)
+}
+
+/// Returns the words of the settings that may name a file, those of the plans and those of the campaign.
+fn named_words(
+    scope: &Scope,
+    error_budget: &str,
+    reconcile: &[String],
+) -> Result<Vec<Named>, Failure> {
+    let named = [
+        Named::all(scope)?,
+        Named::words("error_budget", &[error_budget.to_string()], true),
+        Named::words("reconcile", reconcile, false),
+    ];
+    Ok(named.into_iter().flatten().collect())
 }
 
 impl Course<'_> {

@@ -234,37 +234,7 @@ pub fn run<'a>(
             programs.print(&estimate);
         }
         let begun = Instant::now();
-        last = match step {
-            Step::Run(command) => match (programs.run(&command)?, command.may_be_negative) {
-                (0, _) | (1, true) => 0,
-                (1, false) => 1,
-                _ => 2,
-            },
-            Step::Attempt(dir, command) => attempt(&programs, &mut walk, &dir, &command)?,
-            Step::LeaveOut(dir, reason) => {
-                fs::create_dir_all(&dir)?;
-                let message = Path::new(&dir).join(MESSAGE);
-                refuse_special(&message)?;
-                fs::write(&message, format!("error: {reason}\n")).map_err(|e| {
-                    Failure::new(format!("{}: cannot write: {e}", message.display()))
-                })?;
-                leave_out(&mut walk, Path::new(&dir))?;
-                0
-            }
-            Step::Say(line) => {
-                programs.say(&line);
-                0
-            }
-            Step::Copy(from, to) => {
-                copy(&programs, Path::new(&from), Path::new(&to))?;
-                0
-            }
-            Step::Choose { to, otherwise, tried_by } => {
-                let plan = choose(&programs, &walk.scope, &to, otherwise, tried_by.as_deref())?;
-                walk.scope.set(&to, vec![plan]);
-                0
-            }
-        };
+        last = take_step(&programs, &mut walk, step)?;
         took_s.insert(program, begun.elapsed().as_secs_f64());
         if last != 0 {
             break;
@@ -276,6 +246,40 @@ pub fn run<'a>(
         programs.print(&format!("warning: {text}"));
     }
     Ok(Ended { code: last, scope: walk.scope })
+}
+
+/// Takes a step of a pipeline. Returns its exit code: 0, 1 or 2.
+fn take_step(programs: &Programs, walk: &mut Walk, step: Step) -> Result<u8, Failure> {
+    Ok(match step {
+        Step::Run(command) => match (programs.run(&command)?, command.may_be_negative) {
+            (0, _) | (1, true) => 0,
+            (1, false) => 1,
+            _ => 2,
+        },
+        Step::Attempt(dir, command) => attempt(programs, walk, &dir, &command)?,
+        Step::LeaveOut(dir, reason) => {
+            fs::create_dir_all(&dir)?;
+            let message = Path::new(&dir).join(MESSAGE);
+            refuse_special(&message)?;
+            fs::write(&message, format!("error: {reason}\n"))
+                .map_err(|e| Failure::new(format!("{}: cannot write: {e}", message.display())))?;
+            leave_out(walk, Path::new(&dir))?;
+            0
+        }
+        Step::Say(line) => {
+            programs.say(&line);
+            0
+        }
+        Step::Copy(from, to) => {
+            copy(programs, Path::new(&from), Path::new(&to))?;
+            0
+        }
+        Step::Choose { to, otherwise, tried_by } => {
+            let plan = choose(programs, &walk.scope, &to, otherwise, tried_by.as_deref())?;
+            walk.scope.set(&to, vec![plan]);
+            0
+        }
+    })
 }
 
 /// Command line of this process.
