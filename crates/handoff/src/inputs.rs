@@ -111,21 +111,28 @@ impl Inputs {
     /// Reads a tool: a TIF, or one that varies over the part. The manifest says which it is; without one, a directory
     /// with weights holds a tool that varies.
     pub fn read_tool(&mut self, role: &str, dir: &Path) -> Result<Tif, HandoffError> {
-        before_reading(dir);
-        let (kind, loaded) = nouns::read_tool(dir)?;
-        Ok(self.recorded(role, dir, kind, loaded).0)
+        Ok(self.read_tool_with_manifest(role, dir)?.0)
     }
 
     /// Reads a tool, and warns of a doubt about its samples where no program has said it before: arrays without a
     /// manifest.
     pub fn read_tool_with_doubt(&mut self, role: &str, dir: &Path) -> Result<Tif, HandoffError> {
-        before_reading(dir);
-        let (kind, loaded) = nouns::read_tool(dir)?;
-        let (tif, manifest) = self.recorded(role, dir, kind, loaded);
+        let (tif, manifest) = self.read_tool_with_manifest(role, dir)?;
         if let (None, Some(doubt)) = (manifest, doubts::of_tif(&tif)) {
             warn(format!("{}: {doubt}", dir.display()));
         }
         Ok(tif)
+    }
+
+    /// Reads a tool as [`Self::read_tool`] does, and returns its manifest as well, if it has one.
+    fn read_tool_with_manifest(
+        &mut self,
+        role: &str,
+        dir: &Path,
+    ) -> Result<(Tif, Option<Manifest>), HandoffError> {
+        before_reading(dir);
+        let (kind, loaded) = nouns::read_tool(dir)?;
+        Ok(self.recorded(role, dir, kind, loaded))
     }
 
     /// BLAKE3 of the content of the input that was read for this role.
