@@ -69,8 +69,8 @@ struct FileArgs {
     /// called MASK]
     #[arg(long, value_name = "NAME")]
     mask: Option<String>,
-    /// Unit of the values in the file, where it does not state it: m, mm, um, nm, angstrom, in, mil or waves; of rates
-    /// also over a time, such as nm/min or um/h [default of the time: s]
+    /// Unit of the values in the file, where it does not state it: m, mm, um, nm, angstrom, in, mil or waves. Rates take
+    /// a unit over a time, such as nm/min or um/h [default of the time: s]
     #[arg(long, value_name = "UNIT")]
     unit: Option<Unit>,
     /// Wavelength of the light, nm, for heights in waves

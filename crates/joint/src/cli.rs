@@ -39,8 +39,8 @@ pub struct Joint {
     /// Low-order terms of the map that need not be removed
     #[arg(long, value_enum, default_value = "piston")]
     free: Free,
-    /// Tikhonov weight of the squared distance to the least dwell density, relative to the strongest node [default:
-    /// 1e-5, and less where this pull would be more than 1 % of the objective]
+    /// Tikhonov weight of the squared distance to the least dwell density, relative to the strongest node. It is lowered
+    /// where this pull would be more than 1 % of the objective [default: 1e-5]
     #[arg(long, value_name = "A")]
     tikhonov: Option<f64>,
     /// Weight of the squared differences of neighbouring densities, relative to the strongest node

@@ -119,7 +119,7 @@ pub struct Judgement {
 const REMEDY: &str = "Give maps with less noise or with a mark that no tool reaches, or `same_measurement` if both maps were \
                       measured and read in the same way";
 
-/// What both maps have in common beside the fit.
+/// Sums that say what both maps have in common beside the fit.
 struct Common {
     /// p (ny, nx), nm; 0 where invalid.
     expected: Array2<f64>,

@@ -249,7 +249,7 @@ fn ends_in_zeros(tif: &Tif, axis: usize) -> bool {
 struct Difference {
     /// Largest, over the peak.
     error: f64,
-    /// Of the volume of the mean tool, over that volume.
+    /// Change of the volume of the mean tool, as a part of that volume.
     volume_change: f64,
 }
 

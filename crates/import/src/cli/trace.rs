@@ -33,7 +33,7 @@ pub struct TraceArgs {
     /// [default: the one that is called t or time]
     #[arg(long, value_name = "COLUMN")]
     time: Option<String>,
-    /// Column of the time stamps of y, where they are not those of x; the positions of y are interpolated to the times of
+    /// Column of the time stamps of y, where they are not those of x. The positions of y are interpolated to the times of
     /// x [default: the nearest column of times to the left of y]
     #[arg(long, value_name = "COLUMN", requires = "time")]
     time_y: Option<String>,

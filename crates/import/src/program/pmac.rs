@@ -41,11 +41,11 @@ struct Statement {
     word: String,
     number: Option<f64>,
     tail: Tail,
-    /// As the program writes it.
+    /// Text of the statement as the program writes it.
     raw: String,
 }
 
-/// What follows the number of a statement.
+/// Text after the number of a statement.
 enum Tail {
     None,
     /// `:v`

@@ -417,7 +417,7 @@ pub fn low_rank(
 enum Unreached {
     /// The tool removes nothing at a place where it is used; no other lattice helps.
     NoTool(Invalid),
-    /// So few samples do not make a tool.
+    /// The samples are too few for a tool.
     Samples(Invalid),
 }
 
