@@ -62,7 +62,7 @@ pub fn pixel_weights(
     weight: Option<&Array2<f64>>,
 ) -> Result<Array2<f64>, Invalid> {
     let height = desired.height_nm();
-    let mut w = Zip::from(height).par_map_collect(|z| if z.is_nan() { 0.0 } else { 1.0 });
+    let mut w = Zip::from(height).map_collect(|z| if z.is_nan() { 0.0 } else { 1.0 });
     if let Some(given) = weight {
         if given.dim() != height.dim() {
             let problem = format!("has shape {:?}, the map {:?}", given.dim(), height.dim());

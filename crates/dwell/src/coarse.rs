@@ -22,10 +22,10 @@
 use ndarray::{Array2, ArrayView2};
 use planish_numerics::{
     fft::{convolution::Convolution, plan::Planned},
+    parallel,
     vectors::Lanes,
 };
 use planish_types::{Grid, Invalid, Surface, Tif};
-use rayon::prelude::*;
 
 use crate::dwell_map::lattice;
 
@@ -134,9 +134,10 @@ impl<T: Lanes + Planned> CoarseMap<T> {
             .collect();
         let last = (self.shape.0 - 1, self.shape.1 - 1);
         let mut tau = Array2::zeros(self.nodes.shape());
-        tau.outer_iter_mut().into_par_iter().enumerate().for_each_init(
-            || vec![0.0; self.shape.1],
-            |line, (r, mut row)| {
+        parallel::consume_with(
+            tau.outer_iter_mut(),
+            &|| vec![0.0; self.shape.1],
+            &|line, r, mut row| {
                 let (j, [below, above]) = (r / size, weights[r % size]);
                 let (a, b) = (t.row(j), t.row((j + 1).min(last.0)));
                 for (l, (a, b)) in line.iter_mut().zip(a.iter().zip(b)) {
@@ -165,7 +166,7 @@ impl<T: Lanes + Planned> CoarseMap<T> {
         let [w, e] = [w, e].map(|map| map.as_slice().expect("in C order"));
         // Weight, mean, and centroid from the middle of the square [x, y].
         let mut squares = Array2::from_elem(shape, Square::default());
-        squares.outer_iter_mut().into_par_iter().enumerate().for_each(|(i, mut row)| {
+        parallel::consume(squares.outer_iter_mut(), &|i, mut row| {
             let rows = i * size..((i + 1) * size).min(py);
             let middle = 0.5 * (size - 1) as f64;
             let mut sums = vec![[0.0; 4]; shape.1];

@@ -17,10 +17,10 @@ use ndarray::{Array2, ArrayView2, Axis as NdAxis};
 use planish_numerics::{
     counting::Grouped,
     fft::{Complex64, convolution::Convolution},
+    parallel,
     vectors::vectorised,
 };
 use planish_types::{Axis, Grid, Invalid, Tif, ToolPath};
-use rayon::prelude::*;
 
 /// (1): R at the pixels of the map.
 pub(crate) struct DwellMap {
@@ -107,39 +107,35 @@ impl Cells {
             (q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2)
         };
         // Squared distances of the nodes in the aperture.
-        let bands =
-            nearest.axis_chunks_iter_mut(NdAxis(0), NODE_ROWS_PER_TASK).into_par_iter().enumerate();
-        let inside: Vec<Vec<f32>> = bands
-            .map(|(band, mut nearest)| {
-                let rows = band * NODE_ROWS_PER_TASK..band * NODE_ROWS_PER_TASK + nearest.nrows();
-                let nearest = nearest.as_slice_mut().expect("whole rows");
-                let mut squares = vec![f64::INFINITY; nearest.len()];
-                points.within_a_side(grid, rows.clone(), nearest, &mut squares);
-                let width = grid.x.len();
-                let lines = nearest.chunks_mut(width).zip(squares.chunks(width));
-                let mut inside = Vec::new();
-                for (r, (nearest, squares)) in rows.zip(lines) {
-                    let mut guess = 0;
-                    for (c, (n, d)) in nearest.iter_mut().zip(squares).enumerate() {
-                        let p = [grid.x.at(c), grid.y.at(r)];
-                        if !aperture(p) {
-                            continue;
-                        }
-                        if *n != NO_POINT {
-                            inside.push(*d as f32);
-                            continue;
-                        }
-                        (guess, (*n, _)) = points.nearest(p, guess, f64::INFINITY);
-                        if *n != NO_POINT {
-                            inside.push(square(*n, p) as f32);
-                        }
+        let mut inside = vec![Vec::new(); grid.y.len().div_ceil(NODE_ROWS_PER_TASK)];
+        let bands = nearest.axis_chunks_iter_mut(NdAxis(0), NODE_ROWS_PER_TASK);
+        parallel::consume(bands.zip(&mut inside), &|band, (mut nearest, inside)| {
+            let rows = band * NODE_ROWS_PER_TASK..band * NODE_ROWS_PER_TASK + nearest.nrows();
+            let nearest = nearest.as_slice_mut().expect("whole rows");
+            let mut squares = vec![f64::INFINITY; nearest.len()];
+            points.within_a_side(grid, rows.clone(), nearest, &mut squares);
+            let width = grid.x.len();
+            let lines = nearest.chunks_mut(width).zip(squares.chunks(width));
+            for (r, (nearest, squares)) in rows.zip(lines) {
+                let mut guess = 0;
+                for (c, (n, d)) in nearest.iter_mut().zip(squares).enumerate() {
+                    let p = [grid.x.at(c), grid.y.at(r)];
+                    if !aperture(p) {
+                        continue;
+                    }
+                    if *n != NO_POINT {
+                        inside.push(*d as f32);
+                        continue;
+                    }
+                    (guess, (*n, _)) = points.nearest(p, guess, f64::INFINITY);
+                    if *n != NO_POINT {
+                        inside.push(square(*n, p) as f32);
                     }
                 }
-                inside
-            })
-            .collect();
+            }
+        });
         let far = median(&inside).map_or(0.0, |square| 2.0 * f64::from(square).sqrt());
-        nearest.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut row)| {
+        parallel::consume(nearest.outer_iter_mut(), &|r, mut row| {
             let mut guess = 0;
             for (c, n) in row.iter_mut().enumerate() {
                 let p = [grid.x.at(c), grid.y.at(r)];
@@ -163,28 +159,24 @@ impl Cells {
     /// dwell point too.
     pub fn to_path(&self, seconds: &Array2<f64>, n: usize) -> Vec<f64> {
         // Each row by itself, and neighbours with one dwell point together.
-        let rows = (self.nearest.outer_iter().into_par_iter()).zip(seconds.outer_iter());
-        let of_rows: Vec<Vec<(u32, f64)>> = rows
-            .enumerate()
-            .map(|(r, (nearest, seconds))| {
-                let (mut sums, mut guess) = (Vec::<(u32, f64)>::new(), 0);
-                for (c, (j, tau)) in nearest.iter().zip(seconds).enumerate() {
-                    if *tau == 0.0 {
-                        continue;
-                    }
-                    let mut j = *j;
-                    if j == NO_POINT {
-                        let p = [self.grid.x.at(c), self.grid.y.at(r)];
-                        (guess, (j, _)) = self.points.nearest(p, guess, f64::INFINITY);
-                    }
-                    match sums.last_mut() {
-                        Some((last, sum)) if *last == j => *sum += tau,
-                        _ => sums.push((j, *tau)),
-                    }
+        let of_rows = parallel::map(seconds.nrows(), &|r| {
+            let (mut sums, mut guess) = (Vec::<(u32, f64)>::new(), 0);
+            for (c, (j, tau)) in self.nearest.row(r).iter().zip(seconds.row(r)).enumerate() {
+                if *tau == 0.0 {
+                    continue;
                 }
-                sums
-            })
-            .collect();
+                let mut j = *j;
+                if j == NO_POINT {
+                    let p = [self.grid.x.at(c), self.grid.y.at(r)];
+                    (guess, (j, _)) = self.points.nearest(p, guess, f64::INFINITY);
+                }
+                match sums.last_mut() {
+                    Some((last, sum)) if *last == j => *sum += tau,
+                    _ => sums.push((j, *tau)),
+                }
+            }
+            sums
+        });
         let mut t = vec![0.0; n];
         for (j, sum) in of_rows.into_iter().flatten() {
             if let Some(t) = t.get_mut(j as usize) {

@@ -13,9 +13,11 @@
 //! aperture; their ring is a natural-neighbour interpolation).
 
 use ndarray::{Array1, Array2, Axis as ArrayAxis, s};
-use planish_numerics::linear::skyline::{Factor, Skyline};
+use planish_numerics::{
+    linear::skyline::{Factor, Skyline},
+    parallel,
+};
 use planish_types::{Axis, Grid, Invalid};
-use rayon::prelude::*;
 
 /// Number of Chebyshev polynomials along y and x, those of the source. Larger: the extension follows the map more
 /// closely, and may swing beyond it. Smaller: it is smoother.
@@ -165,7 +167,7 @@ fn nearest_valid(valid: &Array2<bool>, dx: f64, dy: f64) -> Array2<(usize, usize
     const NO_PIXEL: usize = usize::MAX;
     let (ny, nx) = valid.dim();
     let mut row_of = Array2::from_elem((ny, nx), NO_PIXEL);
-    row_of.axis_iter_mut(ArrayAxis(1)).into_par_iter().enumerate().for_each(|(c, mut column)| {
+    parallel::consume(row_of.axis_iter_mut(ArrayAxis(1)), &|c, mut column| {
         let mut last = NO_PIXEL;
         for r in 0..ny {
             if valid[[r, c]] {
@@ -184,7 +186,7 @@ fn nearest_valid(valid: &Array2<bool>, dx: f64, dy: f64) -> Array2<(usize, usize
         }
     });
     let mut nearest = Array2::from_elem((ny, nx), (0, 0));
-    nearest.outer_iter_mut().into_par_iter().enumerate().for_each(|(r, mut out)| {
+    parallel::consume(nearest.outer_iter_mut(), &|r, mut out| {
         let f = |k: usize| ((r as f64 - row_of[[r, k]] as f64) * dy).powi(2);
         let at = |k: usize| k as f64 * dx;
         let (mut parabolas, mut from): (Vec<usize>, Vec<f64>) = (Vec::new(), Vec::new());

@@ -46,9 +46,9 @@
 //! | lo | `min_dwell` | (n) | s |
 
 use ndarray::{Array2, ArrayView2, Zip};
-use planish_numerics::linear::skyline::dot;
+use planish_numerics::{linear::skyline::dot, parallel};
 use planish_types::{End, Surface, Tif, progress};
-use rayon::prelude::*;
+
 use serde::Serialize;
 
 use crate::{
@@ -219,7 +219,7 @@ fn positive_target(model: &Model<'_>, settings: &Settings) -> Array2<f64> {
     let c = if high > low { settings.margin * (high - low) } else { 1.0 };
     Zip::from(&mut e)
         .and(&model.weight)
-        .par_for_each(|e, w| *e = if *w > 0.0 { (*e - low).max(0.0) + c } else { 0.0 });
+        .for_each(|e, w| *e = if *w > 0.0 { (*e - low).max(0.0) + c } else { 0.0 });
     e
 }
 
@@ -317,7 +317,7 @@ fn on_map(
     let curvature = |t: &[f64], mean: f64| {
         let mut kappa = curvature_2d(t, &active, shape, 1e-3 * step * mean);
         if size > 1 {
-            kappa.par_iter_mut().with_min_len(ELEMENTS_PER_TASK).for_each(|k| *k /= step);
+            kappa.iter_mut().for_each(|k| *k /= step);
         }
         kappa
     };
@@ -362,7 +362,7 @@ pub(crate) fn counts(desired: &Surface, weight: &Array2<f64>, p: [f64; 2]) -> bo
 /// no difference over the border of the active nodes.
 fn curvature_2d(t: &[f64], active: &[bool], (ny, nx): (usize, usize), eps: f64) -> Vec<f64> {
     let mut normal = vec![[0.0; 2]; t.len()];
-    normal.par_chunks_mut(nx).enumerate().for_each(|(r, normal)| {
+    parallel::for_each_piece(&mut normal, nx, &|r, normal| {
         for (c, normal) in normal.iter_mut().enumerate() {
             let k = r * nx + c;
             let difference = |there: bool, other: usize| {
@@ -380,28 +380,23 @@ fn curvature_2d(t: &[f64], active: &[bool], (ny, nx): (usize, usize), eps: f64) 
         let below = if k >= nx { normal[k - nx][1] } else { 0.0 };
         normal[k][0] - left + normal[k][1] - below
     };
-    (0..t.len()).into_par_iter().with_min_len(ELEMENTS_PER_TASK).map(divergence).collect()
+    (0..t.len()).map(divergence).collect()
 }
 
-/// Number of elements that one thread takes at a time. Sums are sums over such pieces, so that they do not depend on
-/// the number of threads. Larger: fewer tasks than threads on short vectors. Smaller: more overhead. Another value
-/// changes the last digits of the result.
-const ELEMENTS_PER_TASK: usize = 1 << 13;
+/// Number of elements of a piece of a sum. Another value changes the last digits of the result.
+const ELEMENTS_PER_PIECE: usize = 1 << 13;
 
 /// Replaces t by the point of (3) from which the next step goes on: `x` is (2) of t, and `extrapolated` has x_k and g_k.
 fn extrapolate(t: &mut Vec<f64>, x: Vec<f64>, extrapolated: &mut Option<(Vec<f64>, Vec<f64>)>) {
     // t becomes g, then the point to go on from.
-    t.par_iter_mut().with_min_len(ELEMENTS_PER_TASK).zip(&x).for_each(|(t, x)| *t = x - *t);
+    t.iter_mut().zip(&x).for_each(|(t, x)| *t = x - *t);
     let a = extrapolated.as_ref().map_or(0.0, |(_, g)| {
-        let parts = || t.par_chunks(ELEMENTS_PER_TASK).zip(g.par_chunks(ELEMENTS_PER_TASK));
-        let own = sum(g.par_chunks(ELEMENTS_PER_TASK).map(|g| dot(g, g)));
-        let a = sum(parts().map(|(t, g)| dot(t, g))) / own;
+        let a = sum_of_products(t, g) / sum_of_products(g, g);
         if a.is_finite() { a.clamp(0.0, 1.0) } else { 0.0 }
     });
     let mut y = x.clone();
     if let Some((before, _)) = &*extrapolated {
-        let parts = y.par_iter_mut().with_min_len(ELEMENTS_PER_TASK).zip(before);
-        parts.for_each(|(y, before)| *y = (*y + a * (*y - before)).max(0.0));
+        y.iter_mut().zip(before).for_each(|(y, before)| *y = (*y + a * (*y - before)).max(0.0));
     }
     *extrapolated = Some((x, std::mem::replace(t, y)));
 }
@@ -449,12 +444,13 @@ fn iterate(
         }
         // x = T (B' rho) / (B' w) / (1 - mu kappa)
         let mut x = adjoint(&rho);
-        let mean = sum(t.par_chunks(ELEMENTS_PER_TASK).map(|t| t.iter().sum())) / count as f64;
+        let sums = t.chunks(ELEMENTS_PER_PIECE).map(|t| t.iter().sum::<f64>());
+        let mean = sums.sum::<f64>() / count as f64;
         let kappa = if settings.total_variation > 0.0 { curvature(&t, mean) } else { Vec::new() };
-        x.par_iter_mut().with_min_len(ELEMENTS_PER_TASK).enumerate().for_each(|(j, x)| {
+        for (j, x) in x.iter_mut().enumerate() {
             if !active[j] {
                 *x = t[j];
-                return;
+                continue;
             }
             // An FFT leaves a rounding that may be negative.
             let mut next = t[j] * (*x / s[j]).max(0.0);
@@ -462,7 +458,7 @@ fn iterate(
                 next /= (1.0 - settings.total_variation * kappa).clamp(0.5, 2.0);
             }
             *x = next.min(MAX_TIME_OVER_MEAN * mean);
-        });
+        }
         if settings.accelerated {
             extrapolate(&mut t, x, &mut extrapolated);
         } else {
@@ -482,34 +478,28 @@ fn iterate(
     (t, report)
 }
 
-/// The sum of parts in their order.
-fn sum(parts: impl IndexedParallelIterator<Item = f64>) -> f64 {
-    parts.collect::<Vec<f64>>().iter().sum()
+/// Returns `sum a_i b_i`, as the sum of the sums over pieces.
+fn sum_of_products(a: &[f64], b: &[f64]) -> f64 {
+    a.chunks(ELEMENTS_PER_PIECE).zip(b.chunks(ELEMENTS_PER_PIECE)).map(|(a, b)| dot(a, b)).sum()
 }
 
 /// `sum w (E ln m - m)` and the RMS (mean removed) of E - m; m becomes w E / m.
 fn compared(e: &Array2<f64>, w: &Array2<f64>, floor: f64, m: &mut Array2<f64>) -> (f64, f64) {
-    let rows = (m.outer_iter_mut().into_par_iter())
-        .zip(e.outer_iter().into_par_iter())
-        .zip(w.outer_iter().into_par_iter());
-    let parts: Vec<[f64; 4]> = rows
-        .map(|((mut m, e), w)| {
-            let mut sums = [0.0; 4];
-            for ((m, e), w) in m.iter_mut().zip(e).zip(w) {
-                if *w > 0.0 {
-                    let (d, positive) = (e - *m, m.max(floor));
-                    sums[0] += w * (e * positive.ln() - positive);
-                    sums[1] += w;
-                    sums[2] += w * d;
-                    sums[3] += w * d * d;
-                    *m = w * e / positive;
-                } else {
-                    *m = 0.0;
-                }
+    let mut parts = vec![[0.0; 4]; m.nrows()];
+    parallel::consume(m.outer_iter_mut().zip(&mut parts), &|r, (mut m, sums)| {
+        for ((m, e), w) in m.iter_mut().zip(e.row(r)).zip(w.row(r)) {
+            if *w > 0.0 {
+                let (d, positive) = (e - *m, m.max(floor));
+                sums[0] += w * (e * positive.ln() - positive);
+                sums[1] += w;
+                sums[2] += w * d;
+                sums[3] += w * d * d;
+                *m = w * e / positive;
+            } else {
+                *m = 0.0;
             }
-            sums
-        })
-        .collect();
+        }
+    });
     let total = |k: usize| parts.iter().map(|p| p[k]).sum::<f64>();
     // The mean of E - m is small: a step keeps the volume.
     let (weight, mean) = (total(1), total(2) / total(1));

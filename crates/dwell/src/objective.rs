@@ -3,9 +3,10 @@
 //! Both are quadratic in the dwell times, and their matrices are cheap: a few outer products U U', and the
 //! tridiagonal matrix L of the penalty. The equations are those of [`crate::bounded_least_squares`].
 
-use ndarray::{Array2, ArrayView1};
+use ndarray::Array2;
+use planish_numerics::parallel;
 use planish_types::{Axis, Grid, Tif, ToolPath};
-use rayon::prelude::*;
+
 use serde::Serialize;
 
 /// Length of a segment, as a fraction of the median length, up to which it counts as a rest. The length of a rest
@@ -105,16 +106,14 @@ impl Basis {
     /// `sum_i w_i m_i f(x_i)` for every function.
     pub fn coefficients(&self, weight: &Array2<f64>, map: &Array2<f64>) -> Vec<f64> {
         // By rows: sums of w m and of w m x.
-        let of_row = |(w, m): (ArrayView1<f64>, ArrayView1<f64>)| {
+        let rows: Vec<(f64, f64)> = parallel::map(map.nrows(), &|r| {
             let (mut plain, mut along) = (0.0, 0.0);
-            for ((w, m), x) in w.iter().zip(m).zip(&self.x_mm) {
+            for ((w, m), x) in weight.row(r).iter().zip(map.row(r)).zip(&self.x_mm) {
                 plain += w * m;
                 along += w * m * x;
             }
             (plain, along)
-        };
-        let rows = (weight.outer_iter().into_par_iter()).zip(map.outer_iter().into_par_iter());
-        let rows: Vec<(f64, f64)> = rows.map(of_row).collect();
+        });
         let mut sums = vec![0.0; self.functions.len()];
         for ((plain, along), y) in rows.into_iter().zip(&self.y_mm) {
             for (sum, f) in sums.iter_mut().zip(&self.functions) {
@@ -127,7 +126,8 @@ impl Basis {
     /// Takes the component in the functions out of the map.
     pub fn project(&self, weight: &Array2<f64>, map: &mut Array2<f64>) {
         let coefficients = self.coefficients(weight, map);
-        map.outer_iter_mut().into_par_iter().zip(&self.y_mm).for_each(|(mut row, y)| {
+        parallel::consume(map.outer_iter_mut(), &|r, mut row| {
+            let y = self.y_mm[r];
             let (mut at_0, mut slope) = (0.0, 0.0);
             for (k, f) in coefficients.iter().zip(&self.functions) {
                 at_0 += k * (f[0] + f[2] * y);
@@ -165,11 +165,10 @@ impl Basis {
 
 /// `sum_i w_i a_i b_i`: a sum by rows, whatever the number of threads.
 pub fn weighted_product(weight: &Array2<f64>, a: &Array2<f64>, b: &Array2<f64>) -> f64 {
-    let of_row = |((w, a), b): ((ArrayView1<f64>, ArrayView1<f64>), ArrayView1<f64>)| {
-        w.iter().zip(a).zip(b).map(|((w, a), b)| w * a * b).sum::<f64>()
-    };
-    let rows = weight.outer_iter().into_par_iter().zip(a.outer_iter().into_par_iter());
-    let sums: Vec<f64> = rows.zip(b.outer_iter().into_par_iter()).map(of_row).collect();
+    let sums: Vec<f64> = parallel::map(weight.nrows(), &|r| {
+        let factors = weight.row(r).into_iter().zip(a.row(r)).zip(b.row(r));
+        factors.map(|((w, a), b)| w * a * b).sum::<f64>()
+    });
     sums.iter().sum()
 }
 

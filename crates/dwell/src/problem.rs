@@ -24,13 +24,13 @@
 
 use std::borrow::Cow;
 
-use ndarray::{Array2, ArrayView2, Axis, Zip};
-use planish_numerics::statistics;
+use ndarray::{Array2, ArrayView2, Zip, s};
+use planish_numerics::{parallel, statistics};
 use planish_types::{
     DwellTime, Invalid, OnLattice, PARTS_TOLERANCE, Surface, Tif, TifLattice, ToolPath,
     plausible::{self, Rms},
 };
-use rayon::prelude::*;
+
 use serde::Serialize;
 
 use crate::{
@@ -236,16 +236,16 @@ impl<'a> Model<'a> {
     }
 
     /// Applies `of` to bands of `map` and their weights; returns the results in order.
-    fn by_bands<T: Send>(
+    fn by_bands<T: Send + Sync>(
         &self,
         map: &Array2<f64>,
         of: impl Fn(ArrayView2<f64>, ArrayView2<f64>) -> T + Sync,
     ) -> Vec<T> {
-        let bands = map.axis_chunks_iter(Axis(0), ROWS_PER_TASK).into_par_iter();
-        bands
-            .zip(self.weight.axis_chunks_iter(Axis(0), ROWS_PER_TASK))
-            .map(|(z, w)| of(z, w))
-            .collect()
+        parallel::map(map.nrows().div_ceil(ROWS_PER_TASK), &|band| {
+            let from = band * ROWS_PER_TASK;
+            let rows = s![from..(from + ROWS_PER_TASK).min(map.nrows()), ..];
+            of(map.slice(rows), self.weight.slice(rows))
+        })
     }
 
     /// Smallest and largest of `map` where the weight is not zero.
@@ -279,9 +279,7 @@ impl<'a> Model<'a> {
     /// `z - mean z`, 0 where the weight is 0.
     pub fn centred(&self, map: &Array2<f64>) -> Array2<f64> {
         let mean = self.mean(map);
-        Zip::from(map)
-            .and(&self.weight)
-            .par_map_collect(|z, w| if *w > 0.0 { z - mean } else { 0.0 })
+        Zip::from(map).and(&self.weight).map_collect(|z, w| if *w > 0.0 { z - mean } else { 0.0 })
     }
 
     /// Weighted RMS without the mean.
@@ -294,10 +292,8 @@ impl<'a> Model<'a> {
     pub fn target(&self) -> Array2<f64> {
         let z = Zip::from(self.problem.desired.height_nm()).and(&self.weight);
         match &self.floor_removal {
-            Some(floor) => {
-                z.and(floor).par_map_collect(|z, w, f| if *w > 0.0 { z - f } else { 0.0 })
-            }
-            None => z.par_map_collect(|z, w| if *w > 0.0 { *z } else { 0.0 }),
+            Some(floor) => z.and(floor).map_collect(|z, w, f| if *w > 0.0 { z - f } else { 0.0 }),
+            None => z.map_collect(|z, w| if *w > 0.0 { *z } else { 0.0 }),
         }
     }
 
@@ -404,7 +400,7 @@ impl<'a> Model<'a> {
         let residual = Zip::from(self.problem.desired.height_nm())
             .and(&removal)
             .and(&self.weight)
-            .par_map_collect(|z, r, w| if *w > 0.0 { z - r } else { f64::NAN });
+            .map_collect(|z, r, w| if *w > 0.0 { z - r } else { f64::NAN });
         let grid = self.problem.desired.grid();
         let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
         let rms = statistics::statistics(residual.view()).map_or(0.0, |s| s.rms);

@@ -29,9 +29,8 @@
 use std::borrow::Cow;
 
 use ndarray::{Array2, Zip};
-use planish_numerics::{linear::skyline::Skyline, qp::bounded::Quadratic};
+use planish_numerics::{linear::skyline::Skyline, parallel, qp::bounded::Quadratic};
 use planish_types::{Invalid, PARTS_TOLERANCE, Surface, Tif, budget};
-use rayon::prelude::*;
 
 pub use crate::objective::Free;
 use crate::{
@@ -127,7 +126,7 @@ impl<'a> Residual<'a> {
         let mut r = Zip::from(self.desired.height_nm())
             .and(removal_nm)
             .and(&self.weight)
-            .par_map_collect(|z, b, w| if *w > 0.0 { z - b } else { 0.0 });
+            .map_collect(|z, b, w| if *w > 0.0 { z - b } else { 0.0 });
         self.basis.project(&self.weight, &mut r);
         let square = Zip::from(&r).and(&self.weight).fold(0.0, |sum, r, w| sum + w * r * r);
         let mut gradient = self.operator.adjoint(&(&r * &self.weight));
@@ -183,7 +182,7 @@ impl<'a> Residual<'a> {
         let size = self.cell_size;
         let u = self.basis.columns(&self.weight, |m| {
             let m = columns::map_on_cells(m, &self.weight, size);
-            order.par_iter().map(|j| cells[*j].product(&m)).collect()
+            parallel::map(order.len(), &|k| cells[order[k]].product(&m))
         });
         let exact = self.operator.is_exact(&self.tif, self.desired.grid());
         let below_curvature = exact && self.free == Free::Piston;

@@ -93,12 +93,12 @@ impl SlopeTerm {
                 .and(map.slice_axis(*axis, far))
                 .and(self.root.slice_axis(*axis, near))
                 .and(self.root.slice_axis(*axis, far))
-                .par_map_collect(|a, b, v, w| factor * v * w * (b - a));
+                .map_collect(|a, b, v, w| factor * v * w * (b - a));
             // D' of it
             let add = |s: &mut f64, d: &f64| *s += d;
-            Zip::from(sum.slice_axis_mut(*axis, far)).and(&pairs).par_for_each(add);
+            Zip::from(sum.slice_axis_mut(*axis, far)).and(&pairs).for_each(add);
             pairs.mapv_inplace(|d| -d);
-            Zip::from(sum.slice_axis_mut(*axis, near)).and(&pairs).par_for_each(add);
+            Zip::from(sum.slice_axis_mut(*axis, near)).and(&pairs).for_each(add);
         }
         sum
     }

@@ -12,6 +12,7 @@
 //! | [`motion`] | motions between states, and motions given by a law of time |
 //! | [`slope`] | slopes of a map over a base length |
 //! | [`spectrum`] | power spectral densities of a rectangle of samples |
+//! | [`parallel`] | loops over all threads |
 //! | [`precision`] | single precision where it is exact enough |
 //! | the others | interpolation, polynomials, quadrature, statistics, sorting by counting |
 
@@ -23,6 +24,7 @@ pub mod keys;
 pub mod linear;
 pub mod motion;
 pub mod orthogonal;
+pub mod parallel;
 pub mod pareto;
 pub mod polynomial;
 pub mod precision;

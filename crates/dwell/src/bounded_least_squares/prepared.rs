@@ -2,8 +2,8 @@
 //! H, what the tool does not reach, and the surrogate.
 
 use ndarray::{Array2, Zip};
+use planish_numerics::parallel;
 use planish_types::{Grid, Invalid, Surface, Tif, ToolPath};
-use rayon::prelude::*;
 
 use super::settings::{Product, Program, Settings};
 use crate::{
@@ -97,8 +97,9 @@ fn energies(
     let largest = energy.iter().copied().fold(0.0, f64::max);
     let few: Vec<usize> =
         (0..energy.len()).filter(|j| energy[*j] < ESTIMATED_ENERGY_FRACTION * largest).collect();
-    let of = |j: &usize| Stored::new(&places[*j..=*j], tif, grid).energy(weight)[0];
-    let exact: Vec<f64> = few.par_iter().map(of).collect();
+    let exact = parallel::map(few.len(), &|k| {
+        Stored::new(&places[few[k]..=few[k]], tif, grid).energy(weight)[0]
+    });
     few.iter().zip(exact).for_each(|(j, e)| energy[*j] = e);
     energy
 }

@@ -33,7 +33,7 @@ impl Weighted<'_> {
         removal_nm: &Array2<f64>,
     ) -> (f64, Vec<f64>) {
         // r = z - B t without its free part,  q = -B' W r + penalty
-        let mut r = Zip::from(&problem.z).and(removal_nm).par_map_collect(|z, m| z - m);
+        let mut r = &problem.z - removal_nm;
         self.basis.project(self.weight, &mut r);
         let mut squares = weighted_product(self.weight, &r, &r);
         // B' P' S r, which adds to B' W r
@@ -43,7 +43,7 @@ impl Weighted<'_> {
             self.basis.project_adjoint(self.weight, &mut product);
             product
         });
-        Zip::from(&mut r).and(self.weight).par_for_each(|r, w| *r *= -w);
+        Zip::from(&mut r).and(self.weight).for_each(|r, w| *r *= -w);
         if let Some(product) = sloped {
             r -= &product;
         }
@@ -114,12 +114,12 @@ impl BoundedProblem<'_> {
 
 /// `factor map`.
 pub fn scaled(map: &Array2<f64>, factor: f64) -> Array2<f64> {
-    Zip::from(map).par_map_collect(|v| factor * v)
+    factor * map
 }
 
 /// `sum += factor map`.
 pub fn add_scaled(sum: &mut Array2<f64>, factor: f64, map: &Array2<f64>) {
-    Zip::from(sum).and(map).par_for_each(|s, v| *s += factor * v);
+    sum.scaled_add(factor, map);
 }
 
 /// Weights with which the gradient of the weighted squares is that of the Huber loss: `w min(k / |r|, 1)`,

@@ -15,10 +15,10 @@ use std::{borrow::Cow, ops::Range};
 
 use ndarray::{Array2, ArrayView2, Axis as NdAxis, Zip, s};
 use planish_numerics::{
-    keys, linear::skyline::dot, quadrature::gauss_legendre, vectors::vectorised,
+    keys, linear::skyline::dot, parallel, quadrature::gauss_legendre, vectors::vectorised,
 };
 use planish_types::{Axis, Grid, Headings, Pose, Tif, ToolPath, Trajectory, headings_of_path_rad};
-use rayon::prelude::*;
+
 use serde::Serialize;
 
 pub use crate::model::place::Place;
@@ -158,14 +158,13 @@ pub struct Patch {
 /// B by columns; empty patches where the tool is nowhere.
 pub fn patches(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Vec<Patch> {
     let factor = tif.variation().and_then(|v| v.factor_on(grid));
-    let of = |places: &Vec<Place>| {
-        let mut patch = patch(places, tif, grid);
+    parallel::map(places.len(), &|j| {
+        let mut patch = patch(&places[j], tif, grid);
         if let Some(factor) = &factor {
             patch.times(factor);
         }
         patch
-    };
-    places.par_iter().map(of).collect()
+    })
 }
 
 fn nowhere() -> Patch {
@@ -405,32 +404,30 @@ impl Stored {
     /// `B t`: (ny, nx), nm. Every pixel sums in the order of the columns, whatever the threads.
     pub fn apply(&self, t: &[f64]) -> Array2<f64> {
         let mut map = Array2::zeros(self.shape);
-        map.axis_chunks_iter_mut(NdAxis(0), ROWS_PER_TASK).into_par_iter().enumerate().for_each(
-            |(b, mut band)| {
-                let first = b * ROWS_PER_TASK;
-                let rows = first..first + band.nrows();
-                for (p, t) in self.patches.iter().zip(t).filter(|(_, t)| **t != 0.0) {
-                    let height = p.rate_nm_per_s.nrows();
-                    let from = rows.start.max(p.origin.0);
-                    let to = rows.end.min(p.origin.0 + height);
-                    if from >= to {
-                        continue;
-                    }
-                    for (r, columns, rate) in p.rows().skip(from - p.origin.0).take(to - from) {
-                        let mut row = band.row_mut(r - rows.start);
-                        let row = row.as_slice_mut().expect("in C order");
-                        let row = &mut row[columns];
-                        row.iter_mut().zip(rate).for_each(|(m, r)| *m += t * r);
-                    }
+        parallel::for_each_band(&mut map, ROWS_PER_TASK, &|b, mut band| {
+            let first = b * ROWS_PER_TASK;
+            let rows = first..first + band.nrows();
+            for (p, t) in self.patches.iter().zip(t).filter(|(_, t)| **t != 0.0) {
+                let height = p.rate_nm_per_s.nrows();
+                let from = rows.start.max(p.origin.0);
+                let to = rows.end.min(p.origin.0 + height);
+                if from >= to {
+                    continue;
                 }
-            },
-        );
+                for (r, columns, rate) in p.rows().skip(from - p.origin.0).take(to - from) {
+                    let mut row = band.row_mut(r - rows.start);
+                    let row = row.as_slice_mut().expect("in C order");
+                    let row = &mut row[columns];
+                    row.iter_mut().zip(rate).for_each(|(m, r)| *m += t * r);
+                }
+            }
+        });
         map
     }
 
     /// `B' m` for a map (ny, nx).
     pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
-        self.patches.par_iter().map(|p| p.product(map)).collect()
+        parallel::map(self.patches.len(), &|j| self.patches[j].product(map))
     }
 
     /// Sum of `w_i B_ij^2` for every column.
@@ -442,7 +439,7 @@ impl Stored {
             };
             p.rows().map(row).sum()
         };
-        self.patches.par_iter().map(column).collect()
+        parallel::map(self.patches.len(), &|j| column(&self.patches[j]))
     }
 }
 
@@ -465,11 +462,10 @@ pub fn on_cells(
     size: usize,
 ) -> Vec<Patch> {
     let cells = Cells::new(tif, grid, weight, size);
-    let of = |places: &Vec<Place>| match size {
-        1 => cells.by_pixels(places),
-        _ => cells.by_sums(places).unwrap_or_else(|| cells.by_pixels(places)),
-    };
-    places.par_iter().map(of).collect()
+    parallel::map(places.len(), &|j| match size {
+        1 => cells.by_pixels(&places[j]),
+        _ => cells.by_sums(&places[j]).unwrap_or_else(|| cells.by_pixels(&places[j])),
+    })
 }
 
 /// `P W^-1/2 m` of a map m: `sum_i m_i / sqrt(sum_i w_i)` over the pixels i of every cell.
@@ -493,8 +489,8 @@ fn by_cells(
 ) -> Array2<f64> {
     let shape = (map.nrows().div_ceil(size), map.ncols().div_ceil(size));
     let mut cells = Array2::from_elem(shape, begin);
-    let lines = cells.outer_iter_mut().into_par_iter();
-    lines.zip(map.axis_chunks_iter(NdAxis(0), size)).for_each(|(mut cells, rows)| {
+    let lines = cells.outer_iter_mut().zip(map.axis_chunks_iter(NdAxis(0), size));
+    parallel::consume(lines, &|_, (mut cells, rows)| {
         for row in rows.outer_iter() {
             let pixels = row.to_slice().expect("in C order").chunks(size);
             cells.iter_mut().zip(pixels).for_each(|(cell, pixels)| meet(cell, pixels));

@@ -26,10 +26,9 @@ mod sums;
 
 use std::borrow::Cow;
 
-use ndarray::{Array2, Axis as NdAxis, Zip, s};
-use planish_numerics::fft::convolution::Convolution;
+use ndarray::{Array2, Axis as NdAxis, s};
+use planish_numerics::{fft::convolution::Convolution, parallel};
 use planish_types::{Axis, Grid, Tif};
-use rayon::prelude::*;
 
 use crate::model::{columns::Place, varying};
 pub use lattice::Spread;
@@ -118,7 +117,7 @@ impl FftOperator {
         let sum = self.kernels.iter().map(|kernel| kernel.apply(t)).reduce(|a, b| a + b);
         let mut map = self.on_pixels(sum.expect("a tool has a kernel"));
         if let Some(factor) = &self.factor {
-            Zip::from(&mut map).and(factor).par_for_each(|map, g| *map *= g);
+            map *= factor;
         }
         map
     }
@@ -214,7 +213,7 @@ impl OfKernel {
                 offset: [p.offset[1], p.offset[0]],
                 ..*p
             };
-            let swapped = placed.par_iter().map(swap).collect();
+            let swapped = placed.iter().map(swap).collect();
             rayon::join(
                 || Across::new(y, x, samples.view(), placed),
                 || Across::new(x, y, samples.t(), swapped),
@@ -239,13 +238,14 @@ impl OfKernel {
         let mut map = self.convolution.valid(self.rows.seconds(t).view());
         if self.spills {
             let spill = self.rows.spill(t, Some(&self.corners));
-            Zip::from(&mut map).and(&spill).par_for_each(|map, spill| *map -= spill);
+            map -= &spill;
             drop(spill);
             let spill = self.columns_across.spill(t, None);
-            map.axis_chunks_iter_mut(NdAxis(0), LINES_PER_TASK)
-                .into_par_iter()
-                .zip(spill.axis_chunks_iter(NdAxis(1), LINES_PER_TASK))
-                .for_each(|(mut map, spill)| map -= &spill.t());
+            parallel::consume(
+                map.axis_chunks_iter_mut(NdAxis(0), LINES_PER_TASK)
+                    .zip(spill.axis_chunks_iter(NdAxis(1), LINES_PER_TASK)),
+                &|_, (mut map, spill)| map -= &spill.t(),
+            );
         }
         map
     }
@@ -256,11 +256,12 @@ impl OfKernel {
         if self.spills {
             self.rows.subtract_spill(map.view(), Some(&self.corners), &mut sums);
             let mut transposed = Array2::zeros(map.t().dim());
-            transposed
-                .axis_chunks_iter_mut(NdAxis(0), LINES_PER_TASK)
-                .into_par_iter()
-                .zip(map.axis_chunks_iter(NdAxis(1), LINES_PER_TASK))
-                .for_each(|(mut to, from)| to.assign(&from.t()));
+            parallel::consume(
+                transposed
+                    .axis_chunks_iter_mut(NdAxis(0), LINES_PER_TASK)
+                    .zip(map.axis_chunks_iter(NdAxis(1), LINES_PER_TASK)),
+                &|_, (mut to, from)| to.assign(&from.t()),
+            );
             self.columns_across.subtract_spill(transposed.view(), None, &mut sums);
         }
         sums

@@ -5,8 +5,8 @@
 //! map.
 
 use ndarray::{Array2, Axis, s};
+use planish_numerics::parallel;
 use planish_types::{Grid, Invalid, Tif};
-use rayon::prelude::*;
 
 use crate::model::{
     ROWS_PER_TASK,
@@ -95,19 +95,17 @@ impl Operator {
             Self::Fft(operator) => return operator.apply(t),
         };
         let mut map = Array2::zeros(shape);
-        map.axis_chunks_iter_mut(Axis(0), ROWS_PER_TASK).into_par_iter().enumerate().for_each(
-            |(band, mut rows)| {
-                let first = band * ROWS_PER_TASK;
-                for (p, t) in patches.iter().zip(t) {
-                    let (r, c) = p.origin;
-                    let (ny, nx) = p.rate_nm_per_s.dim();
-                    for row in r.max(first)..(r + ny).min(first + rows.nrows()) {
-                        rows.slice_mut(s![row - first, c..c + nx])
-                            .scaled_add(*t, &p.rate_nm_per_s.row(row - r));
-                    }
+        parallel::for_each_band(&mut map, ROWS_PER_TASK, &|band, mut rows| {
+            let first = band * ROWS_PER_TASK;
+            for (p, t) in patches.iter().zip(t) {
+                let (r, c) = p.origin;
+                let (ny, nx) = p.rate_nm_per_s.dim();
+                for row in r.max(first)..(r + ny).min(first + rows.nrows()) {
+                    rows.slice_mut(s![row - first, c..c + nx])
+                        .scaled_add(*t, &p.rate_nm_per_s.row(row - r));
                 }
-            },
-        );
+            }
+        });
         map
     }
 
@@ -131,7 +129,7 @@ impl Operator {
             let rows = p.rate_nm_per_s.outer_iter().enumerate();
             rows.map(|(i, rate)| rate.dot(&map.slice(s![r + i, c..c + nx]))).sum()
         };
-        patches.par_iter().map(of).collect()
+        parallel::map(patches.len(), &|j| of(&patches[j]))
     }
 }
 
@@ -206,16 +204,16 @@ pub fn normal_matrix(
         let ((r, c), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
         map.slice(s![r..r + ny, c..c + nx]).to_owned()
     };
-    patches.par_iter_mut().for_each(|p| {
+    parallel::consume(&mut patches, &|_, p| {
         let w = under(p, &root);
         p.rate_nm_per_s *= &w;
     });
     let b: Vec<f64> =
-        patches.par_iter().map(|p| (&p.rate_nm_per_s * &under(p, &root)).sum()).collect();
+        parallel::map(n, &|j| (&patches[j].rate_nm_per_s * &under(&patches[j], &root)).sum());
     let total = weight.sum();
     let mut h = Array2::zeros((n, n));
-    let rows = h.axis_chunks_iter_mut(Axis(0), MOST_BUNDLED).into_par_iter();
-    rows.zip(patches.par_chunks(MOST_BUNDLED)).enumerate().for_each(|(k, (mut rows, bundled))| {
+    let rows = h.axis_chunks_iter_mut(Axis(0), MOST_BUNDLED);
+    parallel::consume(rows.zip(patches.chunks(MOST_BUNDLED)), &|k, (mut rows, bundled)| {
         let bundle = Bundle::new(bundled.iter());
         let first = k * MOST_BUNDLED;
         for l in 0..first + bundled.len() {

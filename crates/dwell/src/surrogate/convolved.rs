@@ -1,12 +1,12 @@
 //! The surrogate as an operator: too many dwell points for a matrix, which grows with their square over the width
 //! of the TIF, while a product by FFT grows with the number of cells.
 
-use ndarray::{Array2, Zip};
-use planish_numerics::qp::bounded::{
-    self, DESCENT_STEPS, GradientSettings, ProductSettings, Solution,
+use ndarray::Array2;
+use planish_numerics::{
+    parallel,
+    qp::bounded::{self, DESCENT_STEPS, GradientSettings, ProductSettings, Solution},
 };
 use planish_types::{Axis, Grid, Invalid, Tif};
-use rayon::prelude::*;
 
 use super::{
     resolution::{are_short, length_mm},
@@ -99,7 +99,7 @@ impl Convolved {
         let simpler: Vec<Vec<Place>>;
         let places = if size > 1 {
             let longest_mm = MAX_CELLS_IN_TWO * grid.x.step_mm().min(grid.y.step_mm());
-            simpler = places.par_iter().map(|places| in_two(places, longest_mm)).collect();
+            simpler = places.iter().map(|places| in_two(places, longest_mm)).collect();
             &simpler
         } else {
             places
@@ -273,8 +273,10 @@ fn sampled(tif: &Tif, map: &Grid, size: usize) -> Result<Tif, Invalid> {
     let grid = Grid { x: axis(&tif.grid().x, &map.x)?, y: axis(&tif.grid().y, &map.y)? };
     tif.with_kernels(|kernel| {
         let mut rate = Array2::zeros(grid.shape());
-        Zip::indexed(&mut rate)
-            .par_for_each(|(r, c), v| *v = kernel.rate_at(grid.x.at(c), grid.y.at(r)));
+        parallel::consume(rate.outer_iter_mut(), &|r, mut row| {
+            let y = grid.y.at(r);
+            row.indexed_iter_mut().for_each(|(c, v)| *v = kernel.rate_at(grid.x.at(c), y));
+        });
         Ok((grid, rate))
     })
 }

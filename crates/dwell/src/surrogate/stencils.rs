@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use rayon::prelude::*;
+use planish_numerics::parallel;
 
 /// Nodes of a lattice, numbered line by line.
 #[cfg_attr(test, derive(Debug, PartialEq))]
@@ -64,12 +64,13 @@ impl Stencils {
     pub fn fill(&mut self, rows: Range<usize>, most: usize, write: impl Fn(Near<'_>) + Sync) {
         let (per_line, reach, len) = (self.per_line, self.reach, Self::len(self.reach));
         let values = &mut self.values[rows.start * len..rows.end * len];
-        values.par_chunks_mut(per_line * len).enumerate().for_each(|(line, values)| {
-            let first = rows.start + line * per_line;
-            values.par_chunks_mut(most * len).enumerate().for_each(|(i, values)| {
-                let start = first + i * most;
-                write(Near { rows: start..start + values.len() / len, per_line, reach, values });
-            });
+        let lines = values.chunks_mut(per_line * len).enumerate();
+        let pieces = lines.flat_map(|(line, values)| {
+            let starts = (rows.start + line * per_line..).step_by(most);
+            starts.zip(values.chunks_mut(most * len))
+        });
+        parallel::consume(pieces, &|_, (start, values)| {
+            write(Near { rows: start..start + values.len() / len, per_line, reach, values });
         });
     }
 

@@ -27,9 +27,9 @@ use planish_numerics::{
     bspline,
     counting::Grouped,
     linear::{skyline::Skyline, tridiagonal, woodbury::Woodbury},
+    parallel,
     qp::bounded::Deflation,
 };
-use rayon::prelude::*;
 
 use super::{
     resolution::{extent, spline_reach_mm},
@@ -167,11 +167,10 @@ impl Nodes {
 
     /// V c.
     fn prolong(&self, c: &[f64], free: &[bool]) -> Vec<f64> {
-        let of = |(w, free): (&Option<Weights>, &bool)| match w {
-            Some(w) if *free => self.over(w).zip(w.products()).map(|(i, v)| v * c[i]).sum(),
+        parallel::map(self.at.len(), &|j| match &self.at[j] {
+            Some(w) if free[j] => self.over(w).zip(w.products()).map(|(i, v)| v * c[i]).sum(),
             _ => 0.0,
-        };
-        self.at.par_iter().zip(free).map(of).collect()
+        })
     }
 
     /// A column of V: the columns under the node of a row, and their weights.
@@ -222,7 +221,7 @@ impl Nodes {
             }
             sums
         };
-        let parts: Vec<Stencils> = (0..PENALTY_PARTS).into_par_iter().map(part).collect();
+        let parts = parallel::map(PENALTY_PARTS, &part);
         let mut sums = self.stencils([PENALTY_REACH; 2]);
         parts.iter().for_each(|part| sums.add_all(part));
         sums
@@ -311,7 +310,7 @@ impl Coarse {
     /// Zero, for no free column; with room for the reached ones.
     pub fn new(nodes: &Nodes, sums: &Sums, reached: &[bool]) -> Self {
         let extent = |i: usize| sums.extent(nodes.under(i, reached).into_iter().map(|(j, _)| j));
-        let extents: Vec<Extent> = (0..nodes.len()).into_par_iter().map(extent).collect();
+        let extents: Vec<Extent> = parallel::map(nodes.len(), &extent);
         let (ny, nx) = nodes.shape;
         let [of_rows, of_columns] = [
             line_reach(ny, extents.iter().enumerate().map(|(i, e)| (nodes.node(i).0, &e.0))),
@@ -334,7 +333,7 @@ impl Coarse {
             patches: vec![Patch::default(); nodes.len()],
             keeps_patches: cells <= MAX_KEPT_PATCH_ELEMENTS,
             matrix: nodes.stencils(reach),
-            first: (0..nodes.len()).into_par_iter().map(first).collect(),
+            first: parallel::map(nodes.len(), &first),
             last: None,
         }
     }
@@ -359,8 +358,8 @@ impl Coarse {
         };
         let mut before = 0..0;
         for rows in self.matrix.parts() {
-            let patches = self.patches[rows.clone()].par_iter_mut().zip(rows.clone());
-            patches.filter(|(_, i)| is_needed[*i]).for_each(|(patch, i)| {
+            let patches = self.patches[rows.clone()].iter_mut().zip(rows.clone());
+            parallel::consume(patches.filter(|(_, i)| is_needed[*i]), &|_, (patch, i)| {
                 *patch = sums.patch(&nodes.under(i, free));
                 let ((r, c), (ny, nx)) = (patch.origin, patch.rate_nm_per_s.dim());
                 let weight = weight.slice(s![r..r + ny, c..c + nx]);

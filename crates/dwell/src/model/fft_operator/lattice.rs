@@ -6,7 +6,6 @@ use planish_numerics::{
     linear::tridiagonal::{self, Row},
 };
 use planish_types::{Grid, Tif};
-use rayon::prelude::*;
 
 use crate::model::columns::Place;
 
@@ -123,8 +122,8 @@ pub fn placed(places: &[Vec<Place>], x: &Lattice, y: &Lattice) -> Vec<Placed> {
         let (cell, offset) = ([cy, cx], [fy, fx]);
         Some(Placed { cell, offset, fraction: *fraction, column: j as u32 })
     };
-    let columns = places.par_iter().enumerate();
-    columns.flat_map_iter(|(j, places)| places.iter().filter_map(move |p| of_place(j, p))).collect()
+    let columns = places.iter().enumerate();
+    columns.flat_map(|(j, places)| places.iter().filter_map(move |p| of_place(j, p))).collect()
 }
 
 /// Zeros in place of the ghost nodes.

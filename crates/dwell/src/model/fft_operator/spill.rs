@@ -6,10 +6,9 @@ use std::ops::{Range, RangeInclusive};
 use ndarray::{Array2, ArrayView2, Axis as NdAxis};
 use planish_numerics::{
     fft::{Complex64, add_conjugate_products, add_products, line},
-    keys,
+    keys, parallel,
     vectors::vectorised,
 };
-use rayon::prelude::*;
 
 use super::lattice::{Lattice, Placed};
 
@@ -79,7 +78,7 @@ impl Across {
         mut places: Vec<Placed>,
     ) -> Self {
         let key = |p: &Placed| (p.cell[0], across.spills(p.offset[0]));
-        places.par_sort_by_key(key);
+        places.sort_by_key(key);
         let mut groups: Vec<Group> = Vec::new();
         for (i, p) in places.iter().enumerate() {
             let (cell, spills) = (p.cell[0] as isize, across.spills(p.offset[0]));
@@ -119,8 +118,7 @@ impl Across {
     /// S t.
     pub fn seconds(&self, t: &[f64]) -> Array2<f64> {
         let mut seconds = Array2::zeros((self.across.sources(), self.along.sources()));
-        let bands = seconds.axis_chunks_iter_mut(NdAxis(0), LINES_PER_TASK).into_par_iter();
-        bands.enumerate().for_each(|(b, mut band)| {
+        parallel::for_each_band(&mut seconds, LINES_PER_TASK, &|b, mut band| {
             // Nodes from -last on, and those that spread on one of them.
             let first = (b * LINES_PER_TASK) as isize - self.across.last;
             let count = band.nrows() as isize;
@@ -181,7 +179,7 @@ impl Across {
             }
             sum
         };
-        let values: Vec<f64> = self.places.par_iter().map(of).collect();
+        let values = parallel::map(self.places.len(), &|p| of(&self.places[p]));
         let mut sums = vec![0.0; columns];
         for (p, v) in self.places.iter().zip(&values) {
             sums[p.column as usize] += p.fraction * v;
@@ -219,73 +217,61 @@ impl Across {
         let pixels = self.along.pixels;
         let mut map = Array2::zeros((self.across.pixels, pixels));
         let half = self.lines.half();
-        map.axis_chunks_iter_mut(NdAxis(0), LINES_PER_TASK)
-            .into_par_iter()
-            .enumerate()
-            .for_each_init(
-                || (self.lines.workspace(), vec![Complex64::default(); half]),
-                |(work, seconds), (b, mut band)| {
-                    let range =
-                        (b * LINES_PER_TASK) as isize..(b * LINES_PER_TASK + band.nrows()) as isize;
-                    let mut sums = vec![Complex64::default(); half * band.nrows()];
-                    let mut used = vec![false; band.nrows()];
-                    for upper in [false, true] {
-                        for group in self.within(self.cells(&range, upper)) {
-                            for d in -1..=2 {
-                                let mut known = false;
-                                for (k, _) in self.pairs(group, upper).filter(|p| p.1 == d) {
-                                    let (line, j) = (group.cell + k, k - d);
-                                    let Some(g) = self.sample(j).filter(|_| range.contains(&line))
-                                    else {
-                                        continue;
-                                    };
-                                    if !known {
-                                        known = true;
-                                        let write =
-                                            |line: &mut [f64]| self.spread(group, d, t, line);
-                                        self.lines.forward(write, seconds, work);
-                                    }
-                                    let r = (line - range.start) as usize;
-                                    used[r] = true;
-                                    let sum = &mut sums[r * half..(r + 1) * half];
-                                    add_products(sum, seconds, g);
+        parallel::consume_with(
+            map.axis_chunks_iter_mut(NdAxis(0), LINES_PER_TASK),
+            &|| (self.lines.workspace(), vec![Complex64::default(); half]),
+            &|(work, seconds), b, mut band| {
+                let range =
+                    (b * LINES_PER_TASK) as isize..(b * LINES_PER_TASK + band.nrows()) as isize;
+                let mut sums = vec![Complex64::default(); half * band.nrows()];
+                let mut used = vec![false; band.nrows()];
+                for upper in [false, true] {
+                    for group in self.within(self.cells(&range, upper)) {
+                        for d in -1..=2 {
+                            let mut known = false;
+                            for (k, _) in self.pairs(group, upper).filter(|p| p.1 == d) {
+                                let (line, j) = (group.cell + k, k - d);
+                                let Some(g) = self.sample(j).filter(|_| range.contains(&line))
+                                else {
+                                    continue;
+                                };
+                                if !known {
+                                    known = true;
+                                    let write = |line: &mut [f64]| self.spread(group, d, t, line);
+                                    self.lines.forward(write, seconds, work);
                                 }
+                                let r = (line - range.start) as usize;
+                                used[r] = true;
+                                let sum = &mut sums[r * half..(r + 1) * half];
+                                add_products(sum, seconds, g);
                             }
                         }
                     }
-                    for (r, mut row) in band.outer_iter_mut().enumerate().filter(|(r, _)| used[*r])
-                    {
-                        let line = self.lines.inverse(&sums[r * half..(r + 1) * half], work);
-                        let from = self.along.last as usize + 1;
-                        row.iter_mut().zip(&line[from..]).for_each(|(v, l)| *v = *l);
-                    }
-                    let Some(corners) = corners else { return };
-                    let (top, band) =
-                        (range.start as usize, band.as_slice_mut().expect("in C order"));
-                    vectorised(
-                        #[inline(always)]
-                        || {
-                            for upper in [false, true] {
-                                for group in self.within(self.cells(&range, upper)) {
-                                    for p in &self.places[group.places.clone()] {
-                                        let seconds = t[p.column as usize] * p.fraction;
-                                        self.corner(
-                                            p,
-                                            group,
-                                            upper,
-                                            corners,
-                                            &range,
-                                            |r, c, rate| {
-                                                band[(r - top) * pixels + c] -= seconds * rate;
-                                            },
-                                        );
-                                    }
+                }
+                for (r, mut row) in band.outer_iter_mut().enumerate().filter(|(r, _)| used[*r]) {
+                    let line = self.lines.inverse(&sums[r * half..(r + 1) * half], work);
+                    let from = self.along.last as usize + 1;
+                    row.iter_mut().zip(&line[from..]).for_each(|(v, l)| *v = *l);
+                }
+                let Some(corners) = corners else { return };
+                let (top, band) = (range.start as usize, band.as_slice_mut().expect("in C order"));
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        for upper in [false, true] {
+                            for group in self.within(self.cells(&range, upper)) {
+                                for p in &self.places[group.places.clone()] {
+                                    let seconds = t[p.column as usize] * p.fraction;
+                                    self.corner(p, group, upper, corners, &range, |r, c, rate| {
+                                        band[(r - top) * pixels + c] -= seconds * rate;
+                                    });
                                 }
                             }
-                        },
-                    );
-                },
-            );
+                        }
+                    },
+                );
+            },
+        );
         map
     }
 
@@ -392,9 +378,10 @@ impl Across {
             bands.push((groups, own));
         }
         let lines = 0..self.across.pixels as isize;
-        bands.into_par_iter().for_each_init(
-            || (self.lines.workspace(), vec![Complex64::default(); half]),
-            |(work, sum), (groups, values)| {
+        parallel::consume_with(
+            bands,
+            &|| (self.lines.workspace(), vec![Complex64::default(); half]),
+            &|(work, sum), _, (groups, values)| {
                 // Spectra of the lines that are needed, by their number.
                 let mut spectra: Vec<(isize, Vec<Complex64>)> = Vec::new();
                 if let Some(corners) = corners {
