@@ -14,9 +14,8 @@
 //! Source: the B-spline deconvolution of feed profiles, Eqs 5-9, with the quadrature stated.
 
 use ndarray::{Array2, s};
-use planish_numerics::{bspline::Knots, keys, quadrature::gauss_legendre};
+use planish_numerics::{bspline::Knots, keys, parallel, quadrature::gauss_legendre};
 use planish_types::{Axis, Surface, Tif};
-use rayon::prelude::*;
 
 use crate::passes::Pass;
 
@@ -89,7 +88,7 @@ pub fn columns(pass: &Pass, knots: &Knots, tif: &Tif, surface: &Surface) -> Vec<
             }
         }
     }
-    columns.par_iter_mut().for_each(|column| {
+    parallel::consume(&mut columns, &|_, column| {
         let (r0, c0) = column.origin;
         for ((r, c), v) in column.removal.indexed_iter_mut() {
             if surface.height_nm()[[r0 + r, c0 + c]].is_nan() {

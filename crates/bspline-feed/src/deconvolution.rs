@@ -32,9 +32,8 @@
 //! | c | `piston_nm` | - | nm |
 
 use ndarray::Array2;
-use planish_numerics::bspline::Knots;
+use planish_numerics::{bspline::Knots, parallel};
 use planish_types::{Surface, Tif, progress};
-use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::{
@@ -146,15 +145,11 @@ impl Problem {
             let control_values = knots.iter().map(Knots::len).sum();
             return Err(FeedError::TooLarge { control_values, elements, limit: MAX_ELEMENTS });
         }
-        let bases: Vec<_> = pairs()
-            .collect::<Vec<_>>()
-            .into_par_iter()
-            .map(|(pass, knots)| {
-                let columns = columns::columns(pass, knots, tif, surface);
-                let gram = gram(&columns);
-                (columns, gram)
-            })
-            .collect();
+        let bases = parallel::map(passes.len(), &|m| {
+            let columns = columns::columns(&passes[m], &knots[m], tif, surface);
+            let gram = gram(&columns);
+            (columns, gram)
+        });
         let lines: Vec<Line> = (passes.iter().zip(knots).zip(bases))
             .map(|((pass, knots), (columns, gram))| Line {
                 knots,
@@ -265,7 +260,8 @@ impl Problem {
     fn sweep(&self, state: &mut State, settings: &Settings) -> Result<(), FeedError> {
         state.fallbacks = 0;
         for group in &self.groups {
-            let solved: Vec<_> = group.par_iter().map(|m| self.line(*m, state, settings)).collect();
+            let before = &*state;
+            let solved = parallel::map(group.len(), &|k| self.line(group[k], before, settings));
             for (&m, solved) in group.iter().zip(solved) {
                 let solved = solved.map_err(|status| FeedError::Solver { pass: m, status })?;
                 for (i, column) in self.lines[m].columns.iter().enumerate() {

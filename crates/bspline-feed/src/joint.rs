@@ -33,12 +33,14 @@
 //! | w | `w` | (m) | nm^2 mm/s |
 
 use ndarray::Array2;
-use planish_numerics::linear::{
-    skyline::{Skyline, dot},
-    woodbury::Woodbury,
+use planish_numerics::{
+    linear::{
+        skyline::{Skyline, dot},
+        woodbury::Woodbury,
+    },
+    parallel,
 };
 use planish_types::{Surface, budget, progress};
-use rayon::prelude::*;
 
 use crate::{
     FeedError,
@@ -237,12 +239,13 @@ impl<'a> Joint<'a> {
 
     /// The control values within the limits next to these.
     fn within(&self, d: &[f64]) -> Result<Vec<f64>, FeedError> {
-        let lines = self.lines(d).into_par_iter().enumerate().map(|(m, d)| {
+        let lines = parallel::map(self.problem.lines.len(), &|m| {
             let line = &self.problem.lines[m];
+            let d = d[self.first[m]..self.first[m + 1]].to_vec();
             limited::next_within(&line.knots, line.limits, d)
                 .map_err(|status| FeedError::Solver { pass: m, status })
         });
-        Ok(lines.collect::<Result<Vec<_>, _>>()?.concat())
+        Ok(lines.into_iter().collect::<Result<Vec<_>, _>>()?.concat())
     }
 
     fn places(&self) -> Vec<(usize, f64)> {
@@ -314,28 +317,25 @@ impl<'a> Joint<'a> {
             });
         }
         let [alpha, beta] = self.weights;
-        let lines: Vec<(f64, Vec<f64>)> = (0..self.problem.lines.len())
-            .into_par_iter()
-            .map(|m| {
-                let d = &d[self.first[m]..self.first[m + 1]];
-                let least = self.problem.lines[m].limits.min_density_s_per_mm;
-                let columns = self.problem.columns(m);
-                let mut g: Vec<f64> = columns.iter().map(|c| -c.dot(&residual_nm)).collect();
-                let mut penalty = 0.0;
-                for (g, d) in g.iter_mut().zip(d) {
-                    *g += alpha * (d - least);
-                    penalty += alpha * (d - least).powi(2);
+        let lines: Vec<(f64, Vec<f64>)> = parallel::map(self.problem.lines.len(), &|m| {
+            let d = &d[self.first[m]..self.first[m + 1]];
+            let least = self.problem.lines[m].limits.min_density_s_per_mm;
+            let columns = self.problem.columns(m);
+            let mut g: Vec<f64> = columns.iter().map(|c| -c.dot(&residual_nm)).collect();
+            let mut penalty = 0.0;
+            for (g, d) in g.iter_mut().zip(d) {
+                *g += alpha * (d - least);
+                penalty += alpha * (d - least).powi(2);
+            }
+            for (i, w) in d.windows(3).enumerate() {
+                let second = w[0] - 2.0 * w[1] + w[2];
+                penalty += beta * second * second;
+                for (k, v) in [1.0, -2.0, 1.0].into_iter().enumerate() {
+                    g[i + k] += beta * v * second;
                 }
-                for (i, w) in d.windows(3).enumerate() {
-                    let second = w[0] - 2.0 * w[1] + w[2];
-                    penalty += beta * second * second;
-                    for (k, v) in [1.0, -2.0, 1.0].into_iter().enumerate() {
-                        g[i + k] += beta * v * second;
-                    }
-                }
-                (penalty, g)
-            })
-            .collect();
+            }
+            (penalty, g)
+        });
         let squares: f64 = residual_nm.iter().map(|r| r * r).sum();
         let penalties: f64 = lines.iter().map(|l| l.0).sum();
         let gradient = lines.into_iter().flat_map(|l| l.1).collect();
@@ -448,7 +448,7 @@ impl<'a> Joint<'a> {
             let places = peaks.iter().flat_map(|p| [-beside, 0.0, beside].map(|by| p.s_mm + by));
             places.map(|s| (m, s.clamp(0.0, end.unwrap_or(0.0)))).collect::<Vec<_>>()
         };
-        let lines: Vec<_> = (0..self.problem.lines.len()).into_par_iter().map(of_line).collect();
+        let lines = parallel::map(self.problem.lines.len(), &of_line);
         lines.into_iter().flatten().collect()
     }
 }
@@ -456,17 +456,16 @@ impl<'a> Joint<'a> {
 impl Rows {
     /// Tangents at the densities of `d`.
     fn draw(&mut self, joint: &Joint<'_>, d: &[f64]) {
-        self.tangent = (self.at.par_iter())
-            .map(|&(m, s)| {
-                let line = &joint.problem.lines[m];
-                let (first, end) = (joint.first[m], joint.first[m + 1]);
-                let limit = ASKED * line.limits.max_acceleration_mm_per_s2;
-                let row = limited::tangent(&line.knots, &d[first..end], s, limit);
-                // coefficient d <= bound = -2/3 D
-                let coefficient = row.coefficient.map(|c| c.map(|v| -v));
-                (first + row.first, coefficient, -1.5 * row.bound)
-            })
-            .collect();
+        self.tangent = parallel::map(self.at.len(), &|k| {
+            let (m, s) = self.at[k];
+            let line = &joint.problem.lines[m];
+            let (first, end) = (joint.first[m], joint.first[m + 1]);
+            let limit = ASKED * line.limits.max_acceleration_mm_per_s2;
+            let row = limited::tangent(&line.knots, &d[first..end], s, limit);
+            // coefficient d <= bound = -2/3 D
+            let coefficient = row.coefficient.map(|c| c.map(|v| -v));
+            (first + row.first, coefficient, -1.5 * row.bound)
+        });
     }
 
     /// `J step`.

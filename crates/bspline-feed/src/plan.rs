@@ -12,13 +12,12 @@
 //! finer spline cannot remove more (a TIF does not see what is narrower than itself).
 
 use ndarray::Array2;
-use planish_numerics::{bspline::Knots, motion::timing_law};
+use planish_numerics::{bspline::Knots, motion::timing_law, parallel};
 use planish_types::{
     DensityNodes, DwellDensity, End, Invalid, Limits, OnLattice, PARTS_TOLERANCE, Surface, Tif,
     TifLattice, ToolPath, Trajectory, budget,
     plausible::{self, Rms},
 };
-use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::{
@@ -476,13 +475,11 @@ pub fn width_mm(tif: &Tif) -> f64 {
 
 /// The start next to this one that keeps the limits.
 fn within(start: Start, passes: &[Pass], knots: &[Knots]) -> Result<Start, FeedError> {
-    let near = (start.d.into_par_iter().zip(passes).zip(knots).enumerate()).map(
-        |(m, ((d, pass), knots))| {
-            limited::next_within(knots, deconvolution::limits(pass), d)
-                .map_err(|status| FeedError::Solver { pass: m, status })
-        },
-    );
-    Ok(Start { d: near.collect::<Result<_, _>>()?, ..start })
+    let near = parallel::map(passes.len(), &|m| {
+        limited::next_within(&knots[m], deconvolution::limits(&passes[m]), start.d[m].clone())
+            .map_err(|status| FeedError::Solver { pass: m, status })
+    });
+    Ok(Start { d: near.into_iter().collect::<Result<_, _>>()?, ..start })
 }
 
 /// Inputs of the VRR feed.

@@ -17,10 +17,12 @@
 //! | q | position of an axis | that of the axis |
 //! | q', q'' | its derivatives by arc length | unit/mm, unit/mm^2 |
 
-use planish_numerics::polynomial::{derivative, evaluate, range};
+use planish_numerics::{
+    parallel,
+    polynomial::{derivative, evaluate, range},
+};
 use planish_types::{Invalid, Limits, Segment, Trajectory, TrajectoryBuilder};
 use planish_verify::LIMIT_ALLOWANCE;
-use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::{
@@ -233,10 +235,8 @@ impl<'a> Further<'a> {
     /// has no position or no derivative.
     pub fn used(&self, trajectory: &Trajectory) -> Vec<Vec<Used>> {
         let limits = self.axes.limits();
-        let judged: Vec<Option<Judged>> = (0..trajectory.len())
-            .into_par_iter()
-            .map(|i| self.judged(&trajectory.segment(i)))
-            .collect();
+        let judged: Vec<Option<Judged>> =
+            parallel::map(trajectory.len(), &|i| self.judged(&trajectory.segment(i)));
         let mut before = vec![0.0; limits.len()];
         let mut all = Vec::with_capacity(judged.len());
         for judged in judged {

@@ -21,9 +21,8 @@
 //! because (4) is proportional to f^3. Averaging a motion in time to bound its jerk is common in controllers: S.
 //! Tajima and B. Sencer, Int. J. Mach. Tools Manuf. 112 (2017) 1, among others.
 
-use planish_numerics::polynomial;
+use planish_numerics::{parallel, polynomial};
 use planish_types::{Invalid, Limits, MachineFile, Trajectory, TrajectoryBuilder, budget};
-use rayon::prelude::*;
 
 use crate::further::FurtherLimits;
 
@@ -118,7 +117,7 @@ impl Average {
         // Piece i, and the coefficient before it.
         let at_s = |i: usize| (i as f64 - before as f64) * h;
         let mean = |i: usize| mean_mm(motion, at_s(i) - h - 0.5 * self.window_s, self.window_s);
-        let means: Vec<[f64; 2]> = (0..pieces + 3).into_par_iter().map(mean).collect();
+        let means = parallel::map(pieces + 3, &mean);
 
         let runs = runs(motion);
         let (mut builder, mut run) = (TrajectoryBuilder::default(), 0);

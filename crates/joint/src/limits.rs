@@ -27,6 +27,7 @@
 
 use std::ops::Range;
 
+use planish_numerics::parallel;
 use planish_types::Limits;
 use rayon::prelude::*;
 
@@ -180,10 +181,9 @@ impl<'a> Rows<'a> {
     pub fn with_further(mut self, curves: &[Curve], further: &Further<'_>) -> Self {
         let (mesh, of_spans) = (self.mesh, self.of_spans());
         let spans = &mesh.spans;
-        let places: Vec<Vec<Place>> = (0..spans.len())
-            .into_par_iter()
-            .map(|i| self.most(i, of_spans[i].clone()).places(&curves[spans[i].curve], further))
-            .collect();
+        let places: Vec<Vec<Place>> = parallel::map(spans.len(), &|i| {
+            self.most(i, of_spans[i].clone()).places(&curves[spans[i].curve], further)
+        });
         for (span, places) in spans.iter().zip(&places) {
             for (node, place) in span.nodes.iter().zip([places.first(), places.last()]) {
                 let (Some(j), Some(place)) = (node, place) else { continue };

@@ -5,9 +5,8 @@
 //! are halved until the acceleration at their ends is that of q(s(u)) within 2e-3 of the limit. So the cubic keeps
 //! every limit that q(s(u)) keeps with a margin. The same holds for the accelerations of further axes.
 
-use planish_numerics::polynomial;
+use planish_numerics::{parallel, polynomial};
 use planish_types::{Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
-use rayon::prelude::*;
 
 use crate::{
     axes::Further,
@@ -58,7 +57,7 @@ pub fn motion(
         let on_span = OnSpan { span, densities: span.densities(density), further };
         on_span.cubics(&curves[span.curve], span.duration_s(density), most)
     };
-    let pieces: Vec<Vec<Timed>> = mesh.spans.par_iter().map(of_span).collect();
+    let pieces = parallel::map(mesh.spans.len(), &|i| of_span(&mesh.spans[i]));
     let mut builder = TrajectoryBuilder::default();
     let mut fit_error_mm = 0.0f64;
     let mut span_of_piece = Vec::new();

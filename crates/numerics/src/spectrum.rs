@@ -36,8 +36,8 @@
 use std::f64::consts::PI;
 
 use ndarray::{Array2, ArrayView1, ArrayView2};
-use rayon::prelude::*;
 
+use crate::parallel;
 use crate::{
     fft::{Complex64, transform},
     statistics::{fit_plane, subtract_plane},
@@ -177,25 +177,19 @@ pub fn transfer(
 ) -> Array2<f64> {
     let wave = |f: f64, at: f64| Complex64::cis(-2.0 * PI * f * at);
     // Along x: (nx, my)
-    let rows: Vec<Vec<Complex64>> = f_x
-        .par_iter()
-        .map(|f| {
-            let waves: Vec<Complex64> = x.iter().map(|x| wave(*f, *x)).collect();
-            let sum = |row: ArrayView1<f64>| row.iter().zip(&waves).map(|(t, w)| w * t).sum();
-            kernel.outer_iter().map(sum).collect()
-        })
-        .collect();
+    let rows: Vec<Vec<Complex64>> = parallel::map(f_x.len(), &|k| {
+        let waves: Vec<Complex64> = x.iter().map(|x| wave(f_x[k], *x)).collect();
+        let sum = |row: ArrayView1<f64>| row.iter().zip(&waves).map(|(t, w)| w * t).sum();
+        kernel.outer_iter().map(sum).collect()
+    });
     let whole = kernel.sum().abs();
-    let lines: Vec<Vec<f64>> = f_y
-        .par_iter()
-        .map(|f| {
-            let waves: Vec<Complex64> = y.iter().map(|y| wave(*f, *y)).collect();
-            let sum = |row: &Vec<Complex64>| {
-                row.iter().zip(&waves).map(|(t, w)| t * w).sum::<Complex64>().norm() / whole
-            };
-            rows.iter().map(sum).collect()
-        })
-        .collect();
+    let lines: Vec<Vec<f64>> = parallel::map(f_y.len(), &|k| {
+        let waves: Vec<Complex64> = y.iter().map(|y| wave(f_y[k], *y)).collect();
+        let sum = |row: &Vec<Complex64>| {
+            row.iter().zip(&waves).map(|(t, w)| t * w).sum::<Complex64>().norm() / whole
+        };
+        rows.iter().map(sum).collect()
+    });
     Array2::from_shape_fn((f_y.len(), f_x.len()), |(r, c)| lines[r][c])
 }
 

@@ -2,9 +2,10 @@
 
 use std::borrow::Cow;
 
-use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
+use ndarray::{Array2, ArrayView1, ArrayView2, s};
 use rayon::prelude::*;
 
+use crate::parallel;
 use crate::vectors::vectorised;
 
 /// RMS, PV and other statistics of the valid pixels of a map. Units are those of the map.
@@ -35,13 +36,15 @@ const SIDE_BY_SIDE: usize = 8;
 
 /// Results of `of` for parts of the rows of `map`, in order. `of` gets the number of the first row
 /// of a part, and the part.
-fn by_parts<T: Send>(
+fn by_parts<T: Send + Sync>(
     map: ArrayView2<f64>,
     of: impl Fn(usize, ArrayView2<f64>) -> T + Sync,
 ) -> Vec<T> {
     let rows = (PART / map.ncols().max(1)).max(1);
-    let parts = map.axis_chunks_iter(Axis(0), rows).into_par_iter().enumerate();
-    parts.map(|(part, map)| of(part * rows, map)).collect()
+    parallel::map(map.nrows().div_ceil(rows), &|part| {
+        let from = part * rows;
+        of(from, map.slice(s![from..(from + rows).min(map.nrows()), ..]))
+    })
 }
 
 /// Pixels of a row, copied if they are not contiguous.

@@ -9,9 +9,9 @@
 //! a sampled TIF (Keys' convolution has a continuous slope and no more), which change from one point to the next.
 
 use ndarray::Array2;
+use planish_numerics::parallel;
 use planish_simulate::{deviation::Deviation, error_budget::Scalar, runs::Runs};
 use planish_types::{Invalid, Tif};
-use rayon::prelude::*;
 
 use crate::parameter::Parameter;
 
@@ -121,7 +121,7 @@ impl<'a> Model<'a> {
             Ok((side(h)? - side(-h)?) * (factor / (2.0 * h)))
         };
         let derivatives: Vec<Result<_, Invalid>> =
-            self.parameters.par_iter().map(derivative).collect();
+            parallel::map(self.parameters.len(), &|k| derivative(&self.parameters[k]));
         let derivatives = derivatives.into_iter().collect::<Result<_, _>>()?;
         Ok((removal * factor, derivatives))
     }

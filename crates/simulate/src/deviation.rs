@@ -166,7 +166,7 @@ impl Deviation {
             [-d / determinant, (1.0 + e) / determinant],
         ];
         let grid = tif.grid();
-        let [cx, cy] = tif.off_centre_mm(grid);
+        let [cx, cy] = tif.centroid_mm();
         let moved = |kernel: &Tif| {
             Array2::from_shape_fn(grid.shape(), |(r, c)| {
                 let (x, y) = (grid.x.at(c) - cx, grid.y.at(r) - cy);

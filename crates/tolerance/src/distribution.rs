@@ -3,7 +3,6 @@
 
 use nalgebra::{DMatrix, DVector};
 use ndarray::Array2;
-use rayon::prelude::*;
 
 use crate::{
     deviation::Deviation,
@@ -14,6 +13,7 @@ use crate::{
     sample::{sample, stream},
     work::Work,
 };
+use planish_numerics::parallel;
 
 /// Number of fields from which trace(S_perp^2) is estimated, with 1128 pairs. Larger: more time. Smaller: a less
 /// exact variance of the rest.
@@ -33,10 +33,8 @@ impl Span {
         let maps: Vec<&Array2<f64>> =
             [&work.nominal].into_iter().chain(linear.iter().map(|l| &l.field)).collect();
         let n = maps.len();
-        let rows: Vec<Vec<f64>> = (0..n)
-            .into_par_iter()
-            .map(|i| (0..=i).map(|j| work.inner.dot(maps[i], maps[j])).collect())
-            .collect();
+        let rows: Vec<Vec<f64>> =
+            parallel::map(n, &|i| (0..=i).map(|j| work.inner.dot(maps[i], maps[j])).collect());
         let gram = DMatrix::from_fn(n, n, |i, j| rows[i.max(j)][i.min(j)]);
         let (coordinates, basis) = orthonormal(&gram);
         let on_cells: Vec<Vec<f64>> = maps.iter().map(|m| work.inner.to_cells(m)).collect();
@@ -134,29 +132,23 @@ impl<'a> Errors<'a> {
 fn noise_squares(work: &Work<'_>, columns: &Columns<'_>, basis: &[Vec<f64>], seed: u64) -> f64 {
     let noises = work.noises();
     let inner = &work.inner;
-    let fields: Vec<Vec<f64>> = (0..POOL as u64)
-        .into_par_iter()
-        .map(|k| {
-            let mut rng = stream(seed, POOL_STREAM + k);
-            let mut run = Deviation::default();
-            for (_, noise, size) in &noises {
-                sample(*noise, *size, work.motion(), &mut rng, &mut run);
-            }
-            let mut field = columns.change(&run);
-            inner.project_on_cells(&mut field);
-            for q in basis {
-                let c = inner.dot_on_cells(q, &field);
-                field.iter_mut().zip(q).for_each(|(v, q)| *v -= c * q);
-            }
-            field
-        })
-        .collect();
-    let squares: Vec<f64> = (0..POOL)
-        .into_par_iter()
-        .map(|i| {
-            let product = |j: usize| inner.dot_on_cells(&fields[i], &fields[j]);
-            (0..i).map(|j| product(j).powi(2)).sum()
-        })
-        .collect();
+    let fields: Vec<Vec<f64>> = parallel::map(POOL, &|k| {
+        let mut rng = stream(seed, POOL_STREAM + k as u64);
+        let mut run = Deviation::default();
+        for (_, noise, size) in &noises {
+            sample(*noise, *size, work.motion(), &mut rng, &mut run);
+        }
+        let mut field = columns.change(&run);
+        inner.project_on_cells(&mut field);
+        for q in basis {
+            let c = inner.dot_on_cells(q, &field);
+            field.iter_mut().zip(q).for_each(|(v, q)| *v -= c * q);
+        }
+        field
+    });
+    let squares: Vec<f64> = parallel::map(POOL, &|i| {
+        let product = |j: usize| inner.dot_on_cells(&fields[i], &fields[j]);
+        (0..i).map(|j| product(j).powi(2)).sum()
+    });
     squares.iter().sum::<f64>() / (POOL * (POOL - 1) / 2) as f64
 }

@@ -1,8 +1,8 @@
 //! The table: what every error adds alone, to first order, and how far a run with it is from that.
 
 use ndarray::Array2;
+use planish_numerics::parallel;
 use planish_types::Invalid;
-use rayon::prelude::*;
 
 use crate::{
     deviation::Deviation,
@@ -74,7 +74,7 @@ impl Work<'_> {
             }
         };
         let each: Vec<Result<Vec<Linear>, Invalid>> =
-            self.process.errors.par_iter().enumerate().map(of).collect();
+            parallel::map(self.process.errors.len(), &|i| of((i, &self.process.errors[i])));
         Ok(each.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
     }
 
@@ -111,7 +111,8 @@ impl Work<'_> {
                 _ => Ok(0.0),
             }
         };
-        self.process.errors.par_iter().enumerate().map(of).collect()
+        let errors = &self.process.errors;
+        parallel::map(errors.len(), &|i| of((i, &errors[i]))).into_iter().collect()
     }
 
     /// The table, to first order.

@@ -25,8 +25,8 @@
 use std::ops::Range;
 
 use nalgebra::DMatrix;
+use planish_numerics::parallel;
 use planish_types::{Invalid, budget};
-use rayon::prelude::*;
 
 use crate::{
     deviation::Deviation,
@@ -156,7 +156,7 @@ impl<'a> Columns<'a> {
             })
             .collect();
         let fields = |change: Change| -> Vec<Field> {
-            motion.pieces.par_iter().map(|p| field(p, inner, tool, change)).collect()
+            parallel::map(motion.pieces.len(), &|k| field(&motion.pieces[k], inner, tool, change))
         };
         let piece = fields(Change::AsItIs);
         let stays = |of_piece: &[Field]| -> Vec<Field> {
@@ -209,7 +209,7 @@ impl<'a> Columns<'a> {
     fn of_independent(&self, fields: impl Iterator<Item = Field>, variance: f64) -> Response {
         let fields: Vec<Field> = fields.collect();
         let all: Vec<Vec<f64>> =
-            fields.par_iter().map(|f| self.functionals.of(f, self.inner)).collect();
+            parallel::map(fields.len(), &|k| self.functionals.of(&fields[k], self.inner));
         let mut on_cells = vec![0.0; self.inner.cells.weight.len()];
         for field in &fields {
             for (first, line) in field.lines(self.inner.cells.shape.1) {
@@ -234,7 +234,7 @@ impl<'a> Columns<'a> {
     /// The Ornstein-Uhlenbeck process of standard deviation one.
     fn of_rate(&self, tau: f64) -> Response {
         let all: Vec<Vec<f64>> =
-            self.piece.par_iter().map(|f| self.functionals.of(f, self.inner)).collect();
+            parallel::map(self.piece.len(), &|k| self.functionals.of(&self.piece[k], self.inner));
         let cells = self.inner.cells.weight.len();
         let mut on_cells = vec![0.0; cells];
         // s of the module on every cell, at the time up to which it is known

@@ -38,10 +38,9 @@
 use std::ops::Range;
 
 use ndarray::Array2;
-use planish_numerics::{keys, polynomial::evaluate, quadrature::gauss_legendre};
+use planish_numerics::{keys, parallel, polynomial::evaluate, quadrature::gauss_legendre};
 use planish_simulate::{Plan, Settings as Simulation};
 use planish_types::{Grid, Invalid, Surface, Tif, Trajectory, budget};
-use rayon::prelude::*;
 
 use crate::{
     deviation::{Deviation, check_tool, has_one_ellipse},
@@ -184,12 +183,15 @@ impl Sources {
             motion.pieces.iter().map(|p| run.rate_at(p, motion.total_s)).collect()
         };
         let rates: Vec<Vec<f64>> = self.combined().iter().map(rate_of_piece).collect();
-        let mut columns: Vec<Column> = (0..points)
-            .into_par_iter()
-            .map(|j| self.column(&motion, &of_point[j], &rates, served_s[j]))
-            .collect();
+        let mut columns: Vec<Column> =
+            parallel::map(points, &|j| self.column(&motion, &of_point[j], &rates, served_s[j]));
         let place = match self.place_mm2 > 0.0 {
-            true => columns.par_iter_mut().map(|c| self.displaced(c)).collect(),
+            true => {
+                let mut place = vec![0.0; points];
+                let each = columns.iter_mut().zip(&mut place);
+                parallel::consume(each, &|_, (column, place)| *place = self.displaced(column));
+                place
+            }
             false => vec![0.0; points],
         };
         let carried = |(j, i): (usize, usize)| {
@@ -206,7 +208,7 @@ impl Sources {
                 let mut all: Vec<_> =
                     each.flat_map(|(j, own)| own.iter().map(move |i| (j, *i))).collect();
                 all.sort_unstable_by_key(|(_, i)| *i);
-                all.into_par_iter().map(carried).collect()
+                parallel::map(all.len(), &|k| carried(all[k]))
             }
         };
         Ok(Quadratic { sources: self, bias_nm, columns, place, pieces, total_s: motion.total_s })
@@ -555,8 +557,8 @@ impl Quadratic<'_> {
             }
             sum
         };
-        let scalars: Vec<Vec<f64>> = scalars.par_iter().enumerate().map(of_scalar).collect();
-        let rates: Vec<Vec<f64>> = rates.par_iter().map(of_rate).collect();
+        let scalars = parallel::map(scalars.len(), &|k| of_scalar((k, &scalars[k])));
+        let rates = parallel::map(rates.len(), &|k| of_rate(&rates[k]));
         for more in scalars.iter().chain(&rates) {
             product.iter_mut().zip(more).for_each(|(p, m)| *p += m);
         }

@@ -2,9 +2,8 @@
 
 use nalgebra::{DMatrix, SymmetricEigen};
 use ndarray::Array2;
-use planish_numerics::quadrature::gauss_legendre;
+use planish_numerics::{parallel, quadrature::gauss_legendre};
 use planish_types::{Invalid, progress};
-use rayon::prelude::*;
 
 use crate::{
     deviation::Deviation,
@@ -66,25 +65,23 @@ impl Work<'_> {
             true => vec![(0.0, 1.0 / RUNS_OF_NOISE as f64); RUNS_OF_NOISE],
             false => quadrature(error.stated.distribution),
         };
-        let runs = nodes
-            .into_par_iter()
-            .enumerate()
-            .map(|(k, (eta, weight))| {
-                let mut rng = stream(seed, LINE_STREAM + ((index as u64) << 16) + k as u64);
-                let mut run = Deviation::default();
-                match error.effect {
-                    Effect::Scalar(effect) => run.add(effect, error.size * eta),
-                    Effect::Noise(noise) => {
-                        sample(noise, error.size, self.motion(), &mut rng, &mut run)
-                    }
-                    Effect::MapLowOrder { .. } | Effect::MapNoise => {}
+        let runs: Vec<Result<_, Invalid>> = parallel::map(nodes.len(), &|k| {
+            let (eta, weight) = nodes[k];
+            let mut rng = stream(seed, LINE_STREAM + ((index as u64) << 16) + k as u64);
+            let mut run = Deviation::default();
+            match error.effect {
+                Effect::Scalar(effect) => run.add(effect, error.size * eta),
+                Effect::Noise(noise) => {
+                    sample(noise, error.size, self.motion(), &mut rng, &mut run)
                 }
-                let added = &self.nominal - &self.residual(&run)?;
-                let square = self.inner.dot(&added, &added);
-                let reached = reach.mean_square(&self.inner, &added).min(square);
-                Ok((weight, square, reached))
-            })
-            .collect::<Result<Vec<_>, Invalid>>()?;
+                Effect::MapLowOrder { .. } | Effect::MapNoise => {}
+            }
+            let added = &self.nominal - &self.residual(&run)?;
+            let square = self.inner.dot(&added, &added);
+            let reached = reach.mean_square(&self.inner, &added).min(square);
+            Ok((weight, square, reached))
+        });
+        let runs = runs.into_iter().collect::<Result<Vec<_>, Invalid>>()?;
         let mean = |of: fn(&(f64, f64, f64)) -> f64| -> f64 {
             runs.iter().map(|run| run.0 * of(run)).sum()
         };
@@ -158,7 +155,7 @@ impl Work<'_> {
                 first_order_rms_nm: square.max(0.0).sqrt(),
             })
         };
-        (0..count as u64).into_par_iter().map(of).collect()
+        parallel::map(count, &|k| of(k as u64)).into_iter().collect()
     }
 }
 

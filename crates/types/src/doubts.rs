@@ -888,7 +888,7 @@ mod tests {
             of_limits(&map(|z, _| z), &tool(5.0, |rate| rate), &file.checked().unwrap(), 1.0)
         };
         // 250 mm/s are 15000 mm/min: 15000^2 / 2000 mm are 112 m.
-        said(of(15000.0, 2000.0), &["needs 110 m", "mm/min", "15000 mm/min are 250 mm/s"]);
+        said(of(15000.0, 2000.0), &["needs 112 m", "mm/min", "15000 mm/min are 250 mm/s"]);
         said(of(250.0, 0.2), &["0.2 g are 1961 mm/s^2", "0.2 m/s^2 are 200 mm/s^2"]);
         // A slow machine: 20 mm/s and 200 mm/s^2.
         said(of(1200.0, 200.0), &["1200 mm/min are 20 mm/s"]);

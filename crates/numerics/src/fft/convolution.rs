@@ -28,7 +28,6 @@
 use std::sync::{Arc, OnceLock};
 
 use ndarray::{Array2, ArrayView2, s};
-use rayon::prelude::*;
 use realfft::{ComplexToReal, RealToComplex};
 use rustfft::Fft;
 
@@ -38,6 +37,7 @@ use super::{
     smooth_size,
     tiles::Tiles,
 };
+use crate::parallel;
 use crate::vectors::Lanes;
 
 /// Number of columns that a thread transforms at a time: four cache lines of every row. Larger: the
@@ -150,9 +150,10 @@ impl<T: Lanes + Planned> Convolution<T> {
         let mut by_blocks = vec![Complex::<T>::default(); kx.div_ceil(LINES) * shape.0 * LINES];
         let scratch =
             self.forward_y.get_inplace_scratch_len().max(self.inverse_y.get_inplace_scratch_len());
-        by_blocks.par_chunks_mut(shape.0 * LINES).enumerate().for_each_init(
-            || (vec![Complex::default(); LINES * py], vec![Complex::default(); scratch]),
-            |(columns, scratch), (b, out)| {
+        parallel::consume_with(
+            by_blocks.chunks_mut(shape.0 * LINES),
+            &|| (vec![Complex::default(); LINES * py], vec![Complex::default(); scratch]),
+            &|(columns, scratch), b, out| {
                 let first = b * LINES;
                 let width = LINES.min(kx - first);
                 columns.fill(Complex::default());
@@ -176,15 +177,16 @@ impl<T: Lanes + Planned> Convolution<T> {
             },
         );
         let mut out = Array2::zeros(shape);
-        out.outer_iter_mut().into_par_iter().enumerate().for_each_init(
-            || {
+        parallel::consume_with(
+            out.outer_iter_mut(),
+            &|| {
                 (
                     vec![Complex::default(); kx],
                     vec![T::default(); px],
                     self.inverse_x.make_scratch_vec(),
                 )
             },
-            |(half, line, scratch), (r, mut row)| {
+            &|(half, line, scratch), r, mut row| {
                 for (b, half) in half.chunks_mut(LINES).enumerate() {
                     let start = (b * shape.0 + r) * LINES;
                     half.copy_from_slice(&by_blocks[start..start + half.len()]);
@@ -209,9 +211,10 @@ impl<T: Lanes + Planned> Convolution<T> {
         let kx = px / 2 + 1;
         let (rows, columns) = map.dim();
         let mut by_rows = vec![Complex::<T>::default(); rows * kx];
-        by_rows.par_chunks_mut(kx).zip(map.outer_iter().into_par_iter()).for_each_init(
-            || (vec![T::default(); px], self.forward_x.make_scratch_vec()),
-            |(line, scratch), (out, row)| {
+        parallel::consume_with(
+            by_rows.chunks_mut(kx).zip(map.outer_iter()),
+            &|| (vec![T::default(); px], self.forward_x.make_scratch_vec()),
+            &|(line, scratch), _, (out, row)| {
                 if row.iter().all(|v| *v == 0.0) {
                     return; // the transform of zeros
                 }
@@ -232,9 +235,10 @@ impl<T: Lanes + Planned> Convolution<T> {
         let by_rows = self.rows(self.kernel.view(), 0);
         let scale = T::rounded(1.0 / (self.size.0 * self.size.1) as f64);
         let mut by_columns = vec![Complex::<T>::default(); kx * py];
-        by_columns.par_chunks_mut(py).enumerate().for_each_init(
-            || vec![Complex::default(); self.forward_y.get_inplace_scratch_len()],
-            |scratch, (k, column)| {
+        parallel::consume_with(
+            by_columns.chunks_mut(py),
+            &|| vec![Complex::default(); self.forward_y.get_inplace_scratch_len()],
+            &|scratch, k, column| {
                 for (r, value) in column[..self.kernel.nrows()].iter_mut().enumerate() {
                     *value = by_rows[r * kx + k];
                 }

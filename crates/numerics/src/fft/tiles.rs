@@ -10,12 +10,12 @@
 use std::sync::Mutex;
 
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis};
-use rayon::prelude::*;
 
 use super::{
     lane_convolution::{LaneConvolution, Strips, Workspace, field_size, is_field_size},
     lanes::round,
 };
+use crate::parallel;
 use crate::vectors::Lanes;
 
 /// Number of cores that the tiles are laid out for. It is fixed, because the result must not depend
@@ -100,7 +100,7 @@ impl<T: Lanes> Tiles<T> {
         }
         let idle = || self.idle.lock().expect("no thread panics with the lock");
         let (gy, gx) = self.kernel;
-        jobs.into_par_iter().with_max_len(1).for_each(|mut tile| {
+        parallel::consume(jobs, &|_, mut tile| {
             let mut work = idle().pop().unwrap_or_default();
             let source = (tile.out.nrows() + gy - 1, columns.min(tile.out.ncols()) + gx - 1);
             self.convolution.convolve(source, &mut tile, &mut work);

@@ -8,10 +8,11 @@
 //! threads. For convolutions see [`super::convolution`].
 
 use ndarray::{Array2, ArrayView2};
-use rayon::prelude::*;
 use rustfft::{FftDirection, FftPlanner};
 
 use super::Complex64;
+
+use crate::parallel;
 
 /// Transform F of a real map, (ny, nx); element [0, 0] is the sum of the map.
 pub fn forward(map: ArrayView2<f64>) -> Array2<Complex64> {
@@ -35,9 +36,10 @@ fn transform(mut field: Array2<Complex64>, direction: FftDirection) -> Array2<Co
     let mut planner = FftPlanner::new();
     for _axis in 0..2 {
         let plan = planner.plan_fft(field.ncols(), direction);
-        field.outer_iter_mut().into_par_iter().for_each_init(
-            || vec![Complex64::default(); plan.get_inplace_scratch_len()],
-            |scratch, mut row| {
+        parallel::consume_with(
+            field.outer_iter_mut(),
+            &|| vec![Complex64::default(); plan.get_inplace_scratch_len()],
+            &|scratch, _, mut row| {
                 let row = row.as_slice_mut().expect("rows are contiguous");
                 plan.process_with_scratch(row, scratch);
             },
