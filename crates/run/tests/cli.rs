@@ -832,24 +832,25 @@ fn a_link_or_a_pipe_is_not_written_in_the_directory_of_a_run() {
     assert_eq!(fs::read_to_string(dir.path().join("mine")).unwrap(), "mine");
 }
 
-/// Earlier, such a run went on for ever.
+/// A circle of stages once ran for ever. A word of earlier pipelines is refused with what replaces it.
 #[test]
-fn a_circle_of_stages_is_refused() {
+fn a_pipeline_that_cannot_run_is_refused_before_it_begins() {
     let dir = bench();
     let pipelines = dir.path().join("pipelines");
     fs::create_dir(&pipelines).unwrap();
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
     fs::copy(root.join("pipelines/shared.yaml"), pipelines.join("shared.yaml")).unwrap();
-    fs::write(
-        pipelines.join("loop.yaml"),
-        "title: T\nstages:\n  path: []\n  run: [path, end, run]\n",
-    )
-    .unwrap();
-    let mut command = planish_testkit::program::stage(PROGRAM);
-    command.current_dir(dir.path()).env("PLANISH_SHARE", dir.path());
-    command.args(["run", "loop", "fixture=coupon", "machine=machine.json", "out=o"]);
-    refused(
-        &command.output().unwrap(),
-        &["loop.yaml: stage run: it runs itself without end (run -> run)"],
-    );
+    for (run, complaint) in [
+        ("[path, end, run]", "mine.yaml: stage run: it runs itself without end (run -> run)"),
+        ("[path, say it]", "mine.yaml: stage run: 'say it': pipelines have no 'say' any more"),
+        ("[path when scan in mode]", "mine.yaml: line 4: run: 'scan in mode' is no condition"),
+    ] {
+        let text = format!("title: T\nstages:\n  path: []\n  run: {run}\n");
+        fs::write(pipelines.join("mine.yaml"), text).unwrap();
+        let mut command = planish_testkit::program::stage(PROGRAM);
+        command.current_dir(dir.path()).env("PLANISH_SHARE", dir.path());
+        command.args(["run", "mine", "fixture=coupon", "machine=machine.json", "out=o"]);
+        refused(&command.output().unwrap(), &[complaint]);
+        assert!(!dir.path().join("o").exists());
+    }
 }

@@ -80,9 +80,8 @@ impl Programs {
     pub fn run(&self, command: &Command) -> Result<u8, Failure> {
         self.print(&command.line());
         let mut process = self.process(command);
-        match &self.said {
-            Said::Shown => {}
-            Said::Kept(file) => drop(process.stdout(file.try_clone()?).stderr(file.try_clone()?)),
+        if let Said::Kept(file) = &self.said {
+            process.stdout(file.try_clone()?).stderr(file.try_clone()?);
         }
         Ok(code(self.ended(command, ended(&mut process))?))
     }
