@@ -1,7 +1,7 @@
 //! Places of the artifacts of a run, and the arrays of a directory.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     fs,
     io::Read,
     path::{Path, PathBuf},
@@ -768,17 +768,25 @@ struct Wall {
     peak_memory_mb: Option<f64>,
 }
 
-/// Reads a run of dwell solvers: its surface, and the result of each solver.
+/// Reads a run of dwell solvers along a tool path: its surface, and the result of each solver but those of `skip`.
 pub fn read_solvers(
     inputs: &mut Inputs,
     run: &Path,
+    tool_path: &Path,
+    skip: &[String],
 ) -> Result<(Surface, Vec<(String, Row)>), Failure> {
     let surface: Surface = inputs.read("surface", &run.join("surface"))?;
-    let path: ToolPath = inputs.read("tool-path", &run.join("tool_path"))?;
+    let path: ToolPath = inputs.read("tool-path", tool_path)?;
     let dir = run.join("solvers");
+    let solved = entries(&dir)?.into_iter().filter(|name| dir.join(name).is_dir());
+    let names: BTreeSet<String> = solved.chain(skip.iter().cloned()).collect();
     let mut rows = Vec::new();
-    for name in entries(&dir)?.into_iter().filter(|n| dir.join(n).is_dir()) {
-        let row = read_solver(inputs, &name, &dir.join(&name), &path)?;
+    for name in names {
+        let row = if skip.contains(&name) {
+            Row::Refused { refused: "left out by skip=".into() }
+        } else {
+            read_solver(inputs, &name, &dir.join(&name), &path)?
+        };
         rows.push((name, row));
     }
     if rows.is_empty() {

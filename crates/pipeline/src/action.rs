@@ -1,37 +1,34 @@
-//! Lines of a stage: a command, another stage, or one of a few words.
+//! Lines of a stage: a command, or another stage.
 
 use planish_handoff::words;
 
 use crate::phrase::is_name;
 
+/// Words of earlier pipelines, with what replaces them.
+const REPLACED: [(&str, &str); 6] = [
+    ("quietly", "give the command a flag for it, such as --quiet of planish-compare report"),
+    (
+        "attempt",
+        "state the directory as `optional` of a stage, and the command as the first of its `steps`",
+    ),
+    ("leave-out", "end the line that names the stage with `when`"),
+    (
+        "copy",
+        "name the artifact where it is, by a value such as tool_path: [\"{path} when path\", ...]",
+    ),
+    ("choose", "write {recommended}, which is the plan that the report recommends"),
+    ("say", "state the text as `note` of a stage"),
+];
+
 /// A line of a stage, as it is read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action<'a> {
-    /// `[quietly | attempt DIR] planish-NAME WORD... [?]`
+    /// `planish-NAME WORD... [?]`
     Command {
         /// Words of the command.
         text: &'a str,
-        /// True without standard output.
-        is_quiet: bool,
-        /// Directory of an attempt; if it stands for nothing, the command may not refuse.
-        attempt: Option<&'a str>,
         /// True with a question mark.
         may_be_negative: bool,
-    },
-    /// `leave-out DIR REASON`
-    LeaveOut(&'a str, &'a str),
-    /// `say TEXT`
-    Say(&'a str),
-    /// `copy FROM TO`
-    Copy(&'a str, &'a str),
-    /// `choose NAME otherwise VALUE [tried by STAGE]`
-    Choose {
-        /// Name.
-        to: &'a str,
-        /// Value.
-        otherwise: &'a str,
-        /// Stage.
-        tried_by: Option<&'a str>,
     },
     /// `STAGE NAME=VALUE...`
     Stage(String, Vec<(String, String)>),
@@ -39,57 +36,29 @@ pub enum Action<'a> {
 
 impl<'a> Action<'a> {
     /// Reads a line.
+    ///
+    /// # Errors
+    /// Returns a message if the line is neither a command nor a stage; it names what replaces a word of earlier pipelines.
     pub fn read(text: &'a str) -> Result<Self, String> {
-        let (verb, rest) = text.split_once(' ').unwrap_or((text, ""));
-        let rest = rest.trim();
-        let words: Vec<&str> = rest.split_whitespace().collect();
-        match (verb, &words[..]) {
-            ("say", [_, ..]) => Ok(Self::Say(rest)),
-            ("leave-out", [dir, _, ..]) => Ok(Self::LeaveOut(dir, rest[dir.len()..].trim())),
-            ("copy", [from, to]) => Ok(Self::Copy(from, to)),
-            ("choose", [to, "otherwise", otherwise]) => {
-                Ok(Self::Choose { to, otherwise, tried_by: None })
-            }
-            ("choose", [to, "otherwise", otherwise, "tried", "by", stage]) => {
-                Ok(Self::Choose { to, otherwise, tried_by: Some(stage) })
-            }
-            ("quietly", _) => command(rest, true, None),
-            ("attempt", [dir, _, ..]) => command(rest[dir.len()..].trim(), false, Some(dir)),
-            _ if verb.starts_with("planish-") => command(text, false, None),
-            _ => call(text),
+        let verb = text.split(' ').next().unwrap_or_default();
+        if verb.starts_with("planish-") {
+            let (text, may_be_negative) =
+                text.strip_suffix(" ?").map_or((text, false), |text| (text, true));
+            return Ok(Self::Command { text, may_be_negative });
         }
+        if let Some((_, remedy)) = REPLACED.iter().find(|(word, _)| *word == verb) {
+            return Err(format!("pipelines have no '{verb}' any more; {remedy}"));
+        }
+        call(text)
     }
 
-    /// Stages that the line names.
-    pub fn stages(&self) -> impl Iterator<Item = &str> {
-        let stage = match self {
-            Self::Stage(stage, _) => Some(stage.as_str()),
-            Self::Choose { tried_by, .. } => *tried_by,
-            _ => None,
-        };
-        stage.into_iter()
-    }
-
-    /// Names that the line gives to the stage that it names.
-    pub fn gives(&self) -> Vec<String> {
+    /// Returns the stage that the line names.
+    pub fn stage(&self) -> Option<&str> {
         match self {
-            Self::Stage(_, values) => values.iter().map(|(name, _)| name.clone()).collect(),
-            _ => vec![],
+            Self::Stage(stage, _) => Some(stage),
+            Self::Command { .. } => None,
         }
     }
-}
-
-fn command<'a>(
-    text: &'a str,
-    is_quiet: bool,
-    attempt: Option<&'a str>,
-) -> Result<Action<'a>, String> {
-    if !text.starts_with("planish-") {
-        return Err("a command begins with the name of a program, planish-NAME".into());
-    }
-    let (text, may_be_negative) =
-        text.strip_suffix(" ?").map_or((text, false), |text| (text, true));
-    Ok(Action::Command { text, is_quiet, attempt, may_be_negative })
 }
 
 fn call(text: &str) -> Result<Action<'_>, String> {
@@ -112,8 +81,23 @@ mod tests {
 
     #[test]
     fn what_is_no_line_is_refused() {
-        for text in ["quietly rm x", "attempt d rm x", "one x", "one 'x", "choose a b", "copy a"] {
+        for text in ["rm x", "one x", "one 'x", ""] {
             assert!(Action::read(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_word_of_earlier_pipelines_names_its_replacement() {
+        for (text, remedy) in [
+            ("say the end", "`note`"),
+            ("attempt d planish-x", "`optional`"),
+            ("quietly planish-x", "--quiet"),
+            ("copy a b", "by a value"),
+            ("leave-out d not wanted", "`when`"),
+            ("choose plan otherwise pvt tried by export", "{recommended}"),
+        ] {
+            let message = Action::read(text).unwrap_err();
+            assert!(message.contains("any more") && message.contains(remedy), "{message}");
         }
     }
 }

@@ -6,14 +6,14 @@ use crate::{
     action::Action,
     kind::Kind,
     node::{Complaint, Node, Value, parse},
-    phrase::{Line, Test, is_name, names},
+    phrase::{Line, is_name, names},
 };
 
 /// Name of the file that all pipelines share, without its ending.
 pub const SHARED: &str = "shared";
 
 /// Facts that the program finds and no definition states.
-pub const FACTS: [&str; 10] = [
+pub const FACTS: [&str; 12] = [
     "pipeline",
     "repository",
     "home",
@@ -22,8 +22,10 @@ pub const FACTS: [&str; 10] = [
     "surface_name",
     "machine_name",
     "machine_title",
+    "machine_by_default",
     "kinematics",
     "fixture_tool",
+    "recommended",
 ];
 
 /// Name of the fact that follows from the value `name`: the mirror as the name of a directory.
@@ -42,9 +44,6 @@ const FILES: [(&str, &str); 10] = [
     ("spiral", include_str!("../../../pipelines/spiral.yaml")),
     ("trig-spline", include_str!("../../../pipelines/trig-spline.yaml")),
 ];
-
-/// Stages that a pipeline needs.
-const NEEDED: [&str; 1] = ["run"];
 
 /// A setting.
 #[derive(Clone, Debug, PartialEq)]
@@ -77,7 +76,25 @@ pub struct Definition {
     /// Names for what is made of settings and facts.
     pub values: Vec<(String, Vec<Line>)>,
     /// Stages.
-    pub stages: Vec<(String, Vec<Line>)>,
+    pub stages: Vec<(String, Stage)>,
+}
+
+/// A stage: its lines, and its properties.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Stage {
+    /// Commands and other stages, in their order.
+    pub steps: Vec<Line>,
+    /// Directory for the message of the first command, which may refuse; the stage then ends. Without one it may not.
+    pub optional: Option<Line>,
+    /// Sentence for the user when the stage has ended.
+    pub note: Option<Line>,
+}
+
+impl Stage {
+    /// Returns the steps, and the lines of the properties.
+    pub fn lines(&self) -> impl Iterator<Item = &Line> {
+        self.steps.iter().chain(&self.optional).chain(&self.note)
+    }
 }
 
 /// Content of one file, as far as it is read.
@@ -88,7 +105,7 @@ struct Part {
     without: Vec<String>,
     refuse: Vec<Line>,
     values: Vec<(String, Vec<Line>)>,
-    stages: Vec<(String, Vec<Line>)>,
+    stages: Vec<(String, Stage)>,
 }
 
 /// A setting of which a file may state a part.
@@ -129,23 +146,18 @@ impl Definition {
         let mut stages = vec![stage.to_string()];
         let mut entered = BTreeSet::new();
         while let Some(stage) = stages.pop().filter(|stage| entered.insert(stage.clone())) {
-            for line in self.stage(&stage).unwrap_or_default() {
+            for line in self.stage(&stage).into_iter().flat_map(Stage::lines) {
                 names.extend(names_of(line).unwrap_or_default());
-                if let Ok(action) = Action::read(&line.text) {
-                    stages.extend(action.stages().map(String::from));
-                }
             }
+            stages.extend(self.stages_in(&stage));
         }
         let mut found = BTreeSet::new();
         while let Some(name) = names.pop() {
             if !seen.insert(name.clone()) {
                 continue;
             }
-            let setting = self.setting(&name).map(|setting| &setting.default[..]);
-            for line in setting.or(self.value(&name)).unwrap_or_default() {
-                names.extend(names_of(line).unwrap_or_default());
-            }
-            if setting.is_some() {
+            names.extend(self.made_of(&name));
+            if self.setting(&name).is_some() {
                 found.insert(name);
             }
         }
@@ -205,30 +217,60 @@ impl Definition {
         self.values.iter().find(|(known, _)| known == name).map(|(_, lines)| &lines[..])
     }
 
-    /// Lines of a stage.
-    pub fn stage(&self, name: &str) -> Option<&[Line]> {
-        self.stages.iter().find(|(known, _)| known == name).map(|(_, lines)| &lines[..])
+    /// Returns the stage of this name.
+    pub fn stage(&self, name: &str) -> Option<&Stage> {
+        self.stages.iter().find(|(known, _)| known == name).map(|(_, stage)| stage)
+    }
+
+    /// Returns the stages that a stage names in its lines.
+    fn stages_in(&self, name: &str) -> Vec<String> {
+        let steps = self.stage(name).into_iter().flat_map(|stage| &stage.steps);
+        steps.filter_map(|line| Action::read(&line.text).ok()?.stage().map(String::from)).collect()
+    }
+
+    /// Returns the names of which a setting or a value is made.
+    fn made_of(&self, name: &str) -> Vec<String> {
+        let default = self.setting(name).map(|setting| &setting.default[..]);
+        let lines = default.or(self.value(name)).unwrap_or_default();
+        lines.iter().flat_map(|line| names_of(line).unwrap_or_default()).collect()
+    }
+
+    /// Returns every line, with the name of the setting, value or stage that has it.
+    pub fn lines(&self) -> impl Iterator<Item = (&str, &Line)> {
+        let settings = self.settings.iter().chain(&self.without);
+        let defaults = settings.map(|setting| (setting.name.as_str(), &setting.default));
+        let values = self.values.iter().map(|(name, lines)| (name.as_str(), lines));
+        let lists = defaults.chain(values).chain([("refuse", &self.refuse)]);
+        let stages = self.stages.iter().map(|(name, stage)| (name.as_str(), stage));
+        lists
+            .flat_map(|(name, lines)| lines.iter().map(move |line| (name, line)))
+            .chain(stages.flat_map(|(name, stage)| stage.lines().map(move |line| (name, line))))
     }
 
     /// Refuses names that nothing stands for, values that are made of themselves, and lines that are no steps.
     fn check(&self) -> Result<(), String> {
-        if let Some(lacking) = NEEDED.iter().find(|name| self.stage(name).is_none()) {
-            return Err(format!("there is no stage '{lacking}'; add it to `stages`"));
+        if self.stage("run").is_none() {
+            return Err("there is no stage 'run'; add it to `stages`".into());
         }
         let mut given = BTreeSet::new();
-        for (stage, lines) in &self.stages {
-            for line in lines {
+        for (name, stage) in &self.stages {
+            for line in &stage.steps {
                 let action = Action::read(&line.text)
-                    .map_err(|e| format!("stage {stage}: '{}': {e}", line.text))?;
-                if let Some(called) = action.stages().find(|called| self.stage(called).is_none()) {
-                    return Err(format!("stage {stage}: no stage '{called}'; add it to `stages`"));
+                    .map_err(|e| format!("stage {name}: '{}': {e}", line.text))?;
+                let Action::Stage(called, values) = action else { continue };
+                if self.stage(&called).is_none() {
+                    return Err(format!("stage {name}: no stage '{called}'; add it to `stages`"));
                 }
-                given.extend(action.gives());
+                given.extend(values.into_iter().map(|(name, _)| name));
             }
         }
-        let mut ending = BTreeSet::new();
-        for (stage, _) in &self.stages {
-            self.refuse_circle(stage, &mut Vec::new(), &mut ending)?;
+        let stages = self.stages.iter().map(|(name, _)| name);
+        if let Some(circle) = circle(stages, &|stage| self.stages_in(stage)) {
+            return Err(format!(
+                "stage {}: it runs itself without end ({}); take one of these lines out",
+                circle[0],
+                circle.join(" -> ")
+            ));
         }
         let known = |name: &str| {
             self.setting(name).is_some()
@@ -237,98 +279,62 @@ impl Definition {
                 || name == DIRECTORY_NAME
                 || given.contains(name)
         };
-        let defaults = self.settings.iter().chain(&self.without).map(|s| (&s.name, &s.default));
-        let values = self.values.iter().map(|(name, lines)| (name, lines));
-        let stages = self.stages.iter().map(|(name, lines)| (name, lines));
-        let refuse = ("refuse".to_string(), self.refuse.clone());
-        let all = defaults.chain(values).chain(stages).chain([(&refuse.0, &refuse.1)]);
-        for (of, lines) in all {
-            let mut named = Vec::new();
-            for line in lines {
-                named.extend(names_of(line).map_err(|e| format!("{of}: {e}"))?);
-            }
-            if let Some(name) = named.iter().find(|name| !known(name)) {
+        for (owner, line) in self.lines() {
+            let names = names_of(line).map_err(|e| format!("{owner}: {e}"))?;
+            if let Some(name) = names.iter().find(|name| !known(name)) {
                 return Err(format!(
-                    "{of}: no setting or value '{name}'; add it, or correct its name"
+                    "{owner}: no setting or value '{name}'; add it, or correct its name"
                 ));
             }
         }
-        let mut settled = BTreeSet::new();
-        let mut all =
-            self.values.iter().map(|(name, _)| name).chain(self.settings.iter().map(|s| &s.name));
-        all.try_for_each(|name| self.settle(name, &mut Vec::new(), &mut settled))
-    }
-
-    /// Refuses a stage that runs itself, through others. Stages that are known to end are in `ending`.
-    fn refuse_circle(
-        &self,
-        stage: &str,
-        above: &mut Vec<String>,
-        ending: &mut BTreeSet<String>,
-    ) -> Result<(), String> {
-        if let Some(first) = above.iter().position(|known| known == stage) {
-            let circle = [&above[first..], &[stage.into()]].concat().join(" -> ");
-            return Err(format!(
-                "stage {stage}: it runs itself without end ({circle}); take one of these lines out"
-            ));
-        }
-        if ending.contains(stage) {
-            return Ok(());
-        }
-        above.push(stage.into());
-        for line in self.stage(stage).unwrap_or_default() {
-            for called in Action::read(&line.text)?.stages() {
-                self.refuse_circle(called, above, ending)?;
+        let values = self.values.iter().map(|(name, _)| name);
+        let names = values.chain(self.settings.iter().map(|setting| &setting.name));
+        match circle(names, &|name| self.made_of(name)) {
+            Some(circle) => {
+                Err(format!("{}: is made of itself, by {}", circle[0], circle.join(", ")))
             }
+            None => Ok(()),
         }
-        above.pop();
-        ending.insert(stage.into());
-        Ok(())
     }
+}
 
-    /// Refuses a name that is made of itself, through others.
-    fn settle(
-        &self,
-        name: &str,
-        above: &mut Vec<String>,
-        settled: &mut BTreeSet<String>,
-    ) -> Result<(), String> {
-        if above.iter().any(|known| known == name) {
-            return Err(format!("{name}: is made of itself, by {}", above.join(", ")));
-        }
-        if settled.contains(name) {
-            return Ok(());
-        }
-        let setting = self.setting(name).map(|setting| &setting.default[..]);
-        above.push(name.into());
-        for line in setting.or(self.value(name)).unwrap_or_default() {
-            for next in names_of(line)? {
-                self.settle(&next, above, settled)?;
-            }
-        }
-        above.pop();
-        settled.insert(name.into());
-        Ok(())
+/// Returns the names of a circle, the first one also as the last, if `next` leads from one of `starts` into one.
+fn circle<'a>(
+    starts: impl IntoIterator<Item = &'a String>,
+    next: &dyn Fn(&str) -> Vec<String>,
+) -> Option<Vec<String>> {
+    let mut done = BTreeSet::new();
+    starts.into_iter().find_map(|start| circle_from(start, next, &mut Vec::new(), &mut done))
+}
+
+/// Returns a circle beyond `name`, to which the names `above` lead; beyond those in `done` there is none.
+fn circle_from(
+    name: &str,
+    next: &dyn Fn(&str) -> Vec<String>,
+    above: &mut Vec<String>,
+    done: &mut BTreeSet<String>,
+) -> Option<Vec<String>> {
+    if let Some(first) = above.iter().position(|known| known == name) {
+        return Some([&above[first..], &[name.into()]].concat());
     }
+    if !done.insert(name.into()) {
+        return None;
+    }
+    above.push(name.into());
+    let circle = next(name).iter().find_map(|name| circle_from(name, next, above, done));
+    above.pop();
+    circle
 }
 
 /// Names in a line: in its words, and in its condition.
 fn names_of(line: &Line) -> Result<Vec<String>, String> {
     let mut found = names(&line.text)?;
-    for term in &line.condition {
-        found.push(term.name.clone());
-        if let Test::In(list) = &term.test {
-            found.push(list.clone());
-        }
-    }
+    found.extend(line.condition.iter().map(|term| term.name.clone()));
     Ok(found)
 }
 
 /// The own entries, and the shared ones of other names.
-fn over(
-    own: Vec<(String, Vec<Line>)>,
-    shared: Vec<(String, Vec<Line>)>,
-) -> Vec<(String, Vec<Line>)> {
+fn over<T: Clone>(own: Vec<(String, T)>, shared: Vec<(String, T)>) -> Vec<(String, T)> {
     let others = shared.into_iter().filter(|(name, _)| !own.iter().any(|(known, _)| known == name));
     own.iter().cloned().chain(others.collect::<Vec<_>>()).collect()
 }
@@ -356,8 +362,16 @@ fn part(text: &str) -> Result<Part, Complaint> {
             }
             "without" => part.without = list(node)?.iter().map(|(text, _)| text.clone()).collect(),
             "refuse" => part.refuse = lines("refuse", node)?,
-            "values" => part.values = entries("values", node)?,
-            "stages" => part.stages = entries("stages", node)?,
+            "values" => {
+                for (name, node) in table("values", node)? {
+                    part.values.push((name.clone(), lines(&name, node)?));
+                }
+            }
+            "stages" => {
+                for (name, node) in table("stages", node)? {
+                    part.stages.push((name.clone(), stage(&name, node)?));
+                }
+            }
             _ => {
                 let problem = format!(
                     "the file has no key '{key}'; it has title, settings, without, refuse, values, stages"
@@ -410,10 +424,25 @@ fn draft(name: &str, node: &Node) -> Result<Draft, Complaint> {
     Ok(draft)
 }
 
-/// Entries of a table that are lists of lines.
-fn entries(what: &str, node: &Node) -> Result<Vec<(String, Vec<Line>)>, Complaint> {
-    let entry = |(name, node): (String, &Node)| Ok((name.clone(), lines(&name, node)?));
-    table(what, node)?.into_iter().map(entry).collect()
+/// Reads a stage: its steps, or a table with its properties.
+fn stage(name: &str, node: &Node) -> Result<Stage, Complaint> {
+    if !matches!(node.value, Value::Map(_)) {
+        return Ok(Stage { steps: lines(name, node)?, ..Stage::default() });
+    }
+    let mut stage = Stage::default();
+    for (key, node) in table(name, node)? {
+        match key.as_str() {
+            "steps" => stage.steps = lines(name, node)?,
+            "optional" => stage.optional = lines(name, node)?.pop(),
+            "note" => stage.note = lines(name, node)?.pop(),
+            _ => {
+                let problem =
+                    format!("the stage {name} has no key '{key}'; it has steps, optional, note");
+                return Err(Complaint::new(node.line, problem));
+            }
+        }
+    }
+    Ok(stage)
 }
 
 /// Lines of a list, or the single line of a text.
@@ -461,8 +490,8 @@ mod tests {
             (vec!["c".into(), "a".into()], vec!["b".into()])
         );
         assert_eq!(found.setting("a").unwrap().default[0].text, "y");
-        assert_eq!(found.stage("one").unwrap()[0].text, "planish-c {c}");
-        assert_eq!(found.stage("two").unwrap()[0].text, "planish-b {method}");
+        assert_eq!(found.stage("one").unwrap().steps[0].text, "planish-c {c}");
+        assert_eq!(found.stage("two").unwrap().steps[0].text, "planish-b {method}");
     }
 
     #[test]
@@ -498,10 +527,9 @@ mod tests {
                 "stages:\n  one: [two when b]\n  two: [run]",
                 "without end (one -> two -> run -> one)",
             ),
-            (
-                "stages:\n  two: ['choose method otherwise x tried by run']",
-                "it runs itself without end (",
-            ),
+            ("stages:\n  one: ['say x']", "stage one: 'say x': pipelines have no 'say' any more"),
+            ("stages:\n  one: {steps: [two], quiet: x}", "the stage one has no key 'quiet'"),
+            ("stages:\n  one: {note: '{z}'}", "one: no setting or value 'z'"),
             ("stages: [", "pipelines/p.yaml: line "),
         ] {
             let complaint = Definition::read("p", SHARED_TEXT, own).unwrap_err();

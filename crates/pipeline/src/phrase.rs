@@ -9,32 +9,15 @@ pub struct Line {
     pub condition: Vec<Term>,
 }
 
-/// Part of a condition: a name, and what is asked of its value.
+/// Part of a condition: `NAME`, `not NAME`, `NAME is A or B`, `NAME is not A or B`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Term {
     /// Name of a setting, a value or a fact.
     pub name: String,
-    /// Test of its value.
-    pub test: Test,
-}
-
-/// Test of a value.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Test {
-    /// `NAME`: it is not empty.
-    Given,
-    /// `not NAME`: it is empty.
-    Absent,
-    /// `NAME is A or B`: it is one of these words.
-    Is(Vec<String>),
-    /// `NAME is not A`: it is not this word.
-    IsNot(String),
-    /// `NAME in LIST`: it is one of the words of another name.
-    In(String),
-    /// `NAME begins with A`: it is several words, or one, of which this is the first.
-    Begins(String),
-    /// `NAME by default`: it is a setting that the user did not give.
-    ByDefault,
+    /// Words of which one has to be among those of the name; without any, the name only must not be empty.
+    pub choices: Vec<String>,
+    /// True if the opposite has to hold.
+    pub negated: bool,
 }
 
 /// Returns true if `text` can be a name in braces.
@@ -57,29 +40,37 @@ impl Line {
 impl Term {
     fn read(text: &str) -> Result<Self, String> {
         let words: Vec<&str> = text.split_whitespace().collect();
-        let (name, test) = match &words[..] {
-            [name] => (name, Test::Given),
-            ["not", name] => (name, Test::Absent),
-            [name, "is", "not", word] => (name, Test::IsNot(word.to_string())),
-            [name, "in", list] => (name, Test::In(list.to_string())),
-            [name, "begins", "with", word] => (name, Test::Begins(word.to_string())),
-            [name, "by", "default"] => (name, Test::ByDefault),
-            [name, "is", choices @ ..]
-                if choices.iter().skip(1).step_by(2).all(|w| *w == "or")
-                    && choices.len() % 2 == 1 =>
-            {
-                (name, Test::Is(choices.iter().step_by(2).map(|w| w.to_string()).collect()))
-            }
-            _ => (&"", Test::Given),
+        let (name, negated, choices) = match &words[..] {
+            [name] => (*name, false, &[][..]),
+            ["not", name] => (*name, true, &[][..]),
+            [name, "is", "not", choices @ ..] if is_list(choices) => (*name, true, choices),
+            [name, "is", choices @ ..] if is_list(choices) => (*name, false, choices),
+            _ => ("", false, &[][..]),
         };
-        match is_name(name) {
-            true => Ok(Self { name: name.to_string(), test }),
-            false => Err(format!(
-                "'{text}' is no condition; write NAME, not NAME, NAME is A, NAME is A or B, NAME is not A, NAME in LIST, \
-                 NAME begins with A, or NAME by default"
-            )),
+        if !is_name(name) {
+            return Err(format!(
+                "'{text}' is no condition; write NAME, not NAME, NAME is A, NAME is A or B, or NAME is not A, where A is one \
+                 of the words of NAME. These replace `in` and `begins with`; machine_by_default replaces `by default`"
+            ));
         }
+        let choices = choices.iter().step_by(2).map(|word| word.to_string()).collect();
+        Ok(Self { name: name.into(), choices, negated })
     }
+
+    /// Returns true if the term holds where the name stands for these words.
+    pub fn holds(&self, words: &[String]) -> bool {
+        let is_met = match &self.choices[..] {
+            [] => !words.is_empty(),
+            choices => choices.iter().any(|choice| words.contains(choice)),
+        };
+        is_met != self.negated
+    }
+}
+
+/// Returns true for `A`, `A or B`, and so on.
+fn is_list(words: &[&str]) -> bool {
+    let is_joined = words.iter().skip(1).step_by(2).all(|word| *word == "or");
+    words.len() % 2 == 1 && words[0] != "not" && is_joined
 }
 
 /// Part of a word.
@@ -165,27 +156,44 @@ mod tests {
 
     #[test]
     fn conditions_are_read_and_others_are_refused() {
-        let line =
-            Line::read("x y when a and not b and c is d or e and f is not g and h in i and j begins with k and l by default")
-                .unwrap();
-        let tests: Vec<_> = line.condition.into_iter().map(|t| (t.name, t.test)).collect();
-        let words = |list: &[&str]| list.iter().map(|w| w.to_string()).collect::<Vec<_>>();
+        let line = Line::read("x y when a and not b and c is d or e and f is not g").unwrap();
         assert_eq!(line.text, "x y");
+        let words = |list: &[&str]| list.iter().map(|word| word.to_string()).collect::<Vec<_>>();
+        let terms = line.condition.iter().map(|t| (t.name.as_str(), t.choices.clone(), t.negated));
         assert_eq!(
-            tests,
+            terms.collect::<Vec<_>>(),
             [
-                ("a".to_string(), Test::Given),
-                ("b".into(), Test::Absent),
-                ("c".into(), Test::Is(words(&["d", "e"]))),
-                ("f".into(), Test::IsNot("g".into())),
-                ("h".into(), Test::In("i".into())),
-                ("j".into(), Test::Begins("k".into())),
-                ("l".into(), Test::ByDefault),
+                ("a", words(&[]), false),
+                ("b", words(&[]), true),
+                ("c", words(&["d", "e"]), false),
+                ("f", words(&["g"]), true),
             ]
         );
-        for bad in
-            ["x when", "x when a b", "x when a is", "x when a is b c", "x when A", "x when a or b"]
-        {
+        for (i, value, holds) in [
+            (0, &["x"][..], true),
+            (0, &[], false),
+            (1, &[], true),
+            (2, &["x", "e"], true),
+            (2, &["x"], false),
+            (2, &[], false),
+            (3, &["x"], true),
+            (3, &["x", "g"], false),
+        ] {
+            assert_eq!(line.condition[i].holds(&words(value)), holds, "{i}: {value:?}");
+        }
+        for old in ["a in b", "a begins with b", "a by default"] {
+            let message = Line::read(&format!("x when {old}")).unwrap_err();
+            assert!(message.contains("replace"), "{message}");
+        }
+        for bad in [
+            "x when",
+            "x when a b",
+            "x when a is",
+            "x when a is not",
+            "x when a is b c",
+            "x when A",
+            "x when a or b",
+        ] {
             assert!(
                 Line::read(bad).is_err() || Line::read(bad).unwrap().condition.is_empty(),
                 "{bad}"

@@ -7,7 +7,7 @@ use planish_handoff::words;
 use crate::{
     definition::Definition,
     kind::Kind,
-    phrase::{Line, Piece, Term, Test, groups},
+    phrase::{Line, Piece, Term, groups},
 };
 
 /// Names with their words.
@@ -92,7 +92,12 @@ impl<'a> Scope<'a> {
                 }
             })?;
         }
-        let fixed = BTreeMap::from([("pipeline".into(), vec![name.clone()])]);
+        let by_default = if given.contains_key("machine") { vec![] } else { vec!["yes".into()] };
+        let fixed = BTreeMap::from([
+            ("pipeline".into(), vec![name.clone()]),
+            ("machine_by_default".into(), by_default),
+            ("recommended".into(), vec![]),
+        ]);
         Ok(Self { definition, given, fixed })
     }
 
@@ -152,26 +157,8 @@ impl<'a> Scope<'a> {
 
     /// Returns true if all terms of a condition hold.
     pub fn holds(&self, condition: &[Term], local: &Words) -> Result<bool, String> {
-        for Term { name, test } in condition {
-            let words = self.words(name, local)?;
-            let is = |word: &String| words.len() == 1 && words[0] == *word;
-            let holds = match test {
-                Test::Given => !words.is_empty(),
-                Test::Absent => words.is_empty(),
-                Test::Is(choices) => choices.iter().any(is),
-                Test::IsNot(word) => !is(word),
-                Test::In(list) => {
-                    let list = self.words(list, local)?;
-                    words.len() == 1
-                        && list
-                            .iter()
-                            .flat_map(|text| text.split_whitespace())
-                            .any(|word| word == words[0])
-                }
-                Test::Begins(first) => words.first() == Some(first),
-                Test::ByDefault => !self.is_given(name),
-            };
-            if !holds {
+        for term in condition {
+            if !term.holds(&self.words(&term.name, local)?) {
                 return Ok(false);
             }
         }

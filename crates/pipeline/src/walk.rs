@@ -19,8 +19,8 @@ pub struct Command {
     pub arguments: Vec<String>,
     /// True if a negative verdict, exit code 1, lets the run go on.
     pub may_be_negative: bool,
-    /// True if its standard output is not shown.
-    pub is_quiet: bool,
+    /// Directory for its message, if it may refuse: the stage then ends, and the run goes on.
+    pub refusal_dir: Option<String>,
     /// Settings that give its flags.
     pub origins: Origins,
 }
@@ -30,30 +30,17 @@ pub struct Command {
 pub enum Step {
     /// A command.
     Run(Command),
-    /// A command that may refuse. The message is then that of `message.txt` in this directory, and the stage ends.
-    Attempt(String, Command),
-    /// A stage that ends with a message in this directory, as if its command had refused.
-    LeaveOut(String, String),
     /// A line for the user.
     Say(String),
-    /// Copies the files of one directory to another one.
-    Copy(String, String),
-    /// Gives the name `to` the plan that the report recommends, if there is one and the commands of the stage `tried_by`
-    /// accept it, or else `otherwise`.
-    Choose {
-        /// Name to be given.
-        to: String,
-        /// Plan without a recommendation.
-        otherwise: String,
-        /// Stage whose commands refuse a plan that cannot be chosen.
-        tried_by: Option<String>,
-    },
 }
 
 /// A stage that runs: its lines that are left, and the values that it was given.
 #[derive(Clone)]
 struct Frame<'a> {
     lines: std::slice::Iter<'a, Line>,
+    /// Directory for the message of the first command, until that command is made.
+    optional: Option<&'a Line>,
+    note: Option<&'a Line>,
     local: Words,
     /// Settings that give the flags in these words.
     origins: BTreeMap<String, Origins>,
@@ -80,10 +67,8 @@ impl<'a> Walk<'a> {
         let mut walk = Self::new(scope, stage)?;
         let mut commands = Vec::new();
         while let Some(step) = walk.step()? {
-            match step {
-                Step::Run(command) | Step::Attempt(_, command) => commands.push(command),
-                Step::Say(_) | Step::LeaveOut(..) | Step::Copy(..) => {}
-                Step::Choose { to, otherwise, .. } => walk.scope.set(&to, vec![otherwise]),
+            if let Step::Run(command) = step {
+                commands.push(command);
             }
         }
         Ok(commands)
@@ -93,7 +78,12 @@ impl<'a> Walk<'a> {
     pub fn step(&mut self) -> Result<Option<Step>, String> {
         while let Some(frame) = self.frames.last_mut() {
             let Some(Line { text, condition }) = frame.lines.next() else {
+                let note = frame.note;
+                let text = self.text_of(note)?;
                 self.frames.pop();
+                if text.is_some() {
+                    return Ok(text.map(Step::Say));
+                }
                 continue;
             };
             if !self.holds(condition)? {
@@ -109,13 +99,15 @@ impl<'a> Walk<'a> {
                     }
                     self.enter(&stage, local, origins)?;
                 }
-                action => return self.made(action).map(Some),
+                Action::Command { text, may_be_negative } => {
+                    return self.command(text, may_be_negative).map(|made| Some(Step::Run(made)));
+                }
             }
         }
         Ok(None)
     }
 
-    /// Ends the stage that runs; that which named it goes on.
+    /// Ends the stage that runs, without its note; that which named it goes on.
     pub fn leave(&mut self) {
         self.frames.pop();
     }
@@ -127,11 +119,13 @@ impl<'a> Walk<'a> {
         origins: BTreeMap<String, Origins>,
     ) -> Result<(), String> {
         let definition = self.scope.definition;
-        let lines = definition.stage(stage).ok_or_else(|| {
+        let stage = definition.stage(stage).ok_or_else(|| {
             let all: Vec<&str> = definition.stages.iter().map(|(name, _)| name.as_str()).collect();
             format!("{} has no stage '{stage}'; there are: {}", definition.name, all.join(" "))
         })?;
-        self.frames.push(Frame { lines: lines.iter(), local, origins });
+        let lines = stage.steps.iter();
+        let optional = stage.optional.as_ref();
+        self.frames.push(Frame { lines, optional, note: stage.note.as_ref(), local, origins });
         Ok(())
     }
 
@@ -154,31 +148,26 @@ impl<'a> Walk<'a> {
         self.scope.holds(condition, self.local())
     }
 
-    /// The step of a line that names no stage.
-    fn made(&self, action: Action) -> Result<Step, String> {
-        let words = |text: &str| self.scope.expand(text, self.local());
-        let word = |text: &str| Ok::<_, String>(words(text)?.join(" "));
-        Ok(match action {
-            Action::Say(text) => Step::Say(word(text)?),
-            Action::LeaveOut(dir, reason) => Step::LeaveOut(word(dir)?, word(reason)?),
-            Action::Copy(from, to) => Step::Copy(word(from)?, word(to)?),
-            Action::Choose { to, otherwise, tried_by } => Step::Choose {
-                to: to.into(),
-                otherwise: word(otherwise)?,
-                tried_by: tried_by.map(String::from),
-            },
-            Action::Command { text, is_quiet, attempt, may_be_negative } => {
-                let mut words = words(text)?.into_iter();
-                let program = words.next().unwrap_or_default();
-                let arguments = words.collect();
-                let origins = self.origins_of(text)?;
-                let command = Command { program, arguments, may_be_negative, is_quiet, origins };
-                match attempt.map(word).transpose()?.filter(|dir| !dir.is_empty()) {
-                    Some(dir) => Step::Attempt(dir, command),
-                    None => Step::Run(command),
-                }
-            }
-            Action::Stage(stage, _) => return Err(format!("the stage '{stage}' is no step")),
+    /// Returns the text of a property of the stage that runs; `None` if its condition does not hold, or it is empty.
+    fn text_of(&self, property: Option<&Line>) -> Result<Option<String>, String> {
+        let Some(Line { text, condition }) = property else { return Ok(None) };
+        if !self.holds(condition)? {
+            return Ok(None);
+        }
+        let text = self.scope.expand(text, self.local())?.join(" ");
+        Ok(Some(text).filter(|text| !text.is_empty()))
+    }
+
+    /// Makes a command of the stage that runs.
+    fn command(&mut self, text: &str, may_be_negative: bool) -> Result<Command, String> {
+        let optional = self.frames.last_mut().and_then(|frame| frame.optional.take());
+        let mut words = self.scope.expand(text, self.local())?.into_iter();
+        Ok(Command {
+            program: words.next().unwrap_or_default(),
+            arguments: words.collect(),
+            may_be_negative,
+            refusal_dir: self.text_of(optional)?,
+            origins: self.origins_of(text)?,
         })
     }
 }
@@ -199,9 +188,6 @@ impl Command {
             line.push(' ');
             line.push_str(&word(argument));
         }
-        if self.is_quiet {
-            line.push_str(" > /dev/null");
-        }
         line
     }
 }
@@ -216,64 +202,58 @@ settings:
   a: {type: word, help: A}
 values:
   at: ['out/{label}']
-  plan: [none]
+  plan: ['{recommended}', none]
   may: []
 stages:
   run:
     - one label=x flags='--p {a} --q'
     - one label=y flags='' when a
-    - may label=z may='out/z'
-    - may label=z
-    - say the end of {pipeline}
-    - choose plan otherwise {pipeline} tried by try
-    - planish-z {plan} ?
+    - two label=z may='out/z'
+    - two label=z
+    - planish-z {recommended} ?
   one:
-    - leave-out {at} not wanted when label in a
-    - attempt {at} planish-x {flags} --out {at}
-    - quietly planish-y {label}
-  may: ['attempt {may} planish-x {label}']
-  try: ['planish-try {plan}']
+    optional: '{at} when label is not x'
+    steps: ['planish-x {flags} --out {at}', 'planish-y {label}']
+  two: {optional: '{may}', steps: ['planish-x {label}'], note: 'the end of {label} when may'}
 ";
 
-    fn steps(settings: &[&str], leave: bool) -> Vec<Step> {
+    /// The steps of the stage `run`; a stage is left at its first command if that may refuse.
+    fn steps(settings: &[&str], leave: bool) -> Vec<String> {
         let definition = Definition::read("p", SHARED, "title: T").unwrap();
         let mut walk = Walk::new(Scope::new(&definition, settings).unwrap(), "run").unwrap();
         let mut steps = Vec::new();
         while let Some(step) = walk.step().unwrap() {
-            if let Step::Choose { to, .. } = &step {
-                walk.scope.set(to, vec!["best".into()]);
-            }
-            if leave && matches!(step, Step::Attempt(..) | Step::LeaveOut(..)) {
-                walk.leave();
-            }
-            steps.push(step);
+            steps.push(match step {
+                Step::Run(command) => {
+                    walk.scope.set("recommended", vec!["best".into()]);
+                    match &command.refusal_dir {
+                        Some(dir) => {
+                            if leave {
+                                walk.leave();
+                            }
+                            format!("{dir}: {}", command.line())
+                        }
+                        None => command.line(),
+                    }
+                }
+                Step::Say(text) => format!("say {text}"),
+            });
         }
         steps
     }
 
-    fn line(step: &Step) -> String {
-        match step {
-            Step::Run(command) => command.line(),
-            Step::Attempt(dir, command) => format!("{dir}: {}", command.line()),
-            other => format!("{other:?}"),
-        }
-    }
-
     #[test]
-    fn stages_have_values_and_a_chosen_name_counts_afterwards() {
-        let found: Vec<String> = steps(&["a=1 2"], false).iter().map(line).collect();
-        let choose = "Choose { to: \"plan\", otherwise: \"p\", tried_by: Some(\"try\") }";
+    fn stages_have_values_and_a_recommended_plan_counts_afterwards() {
         assert_eq!(
-            found,
+            steps(&["a=1 2"], false),
             [
-                "out/x: planish-x --p '1 2' --q --out out/x",
-                "planish-y x > /dev/null",
+                "planish-x --p '1 2' --q --out out/x",
+                "planish-y x",
                 "out/y: planish-x --out out/y",
-                "planish-y y > /dev/null",
+                "planish-y y",
                 "out/z: planish-x z",
+                "say the end of z",
                 "planish-x z",
-                "Say(\"the end of p\")",
-                choose,
                 "planish-z best"
             ]
         );
@@ -281,13 +261,10 @@ stages:
 
     #[test]
     fn a_stage_that_is_left_does_no_more() {
-        let found: Vec<String> = steps(&["a=x"], true).iter().map(line).collect();
         assert_eq!(
-            found[..2],
-            ["LeaveOut(\"out/x\", \"not wanted\")", "out/y: planish-x --out out/y"]
+            steps(&["a=x"], true)[2..],
+            ["out/y: planish-x --out out/y", "out/z: planish-x z", "planish-x z", "planish-z best"]
         );
-        assert_eq!(found[2..4], ["out/z: planish-x z", "planish-x z"]);
-        assert_eq!(found[4], "Say(\"the end of p\")");
     }
 
     #[test]
@@ -298,7 +275,7 @@ stages:
             program: "planish-x".into(),
             arguments,
             may_be_negative: false,
-            is_quiet: false,
+            refusal_dir: None,
             origins: Origins::default(),
         };
         assert_eq!(command.line(), r"planish-x --a=1 --b='x y' --c 'it'\''s' '--d=' '$(e)'");

@@ -1,36 +1,14 @@
 //! `planish STAGE ARGUMENTS...`: every stage of Planish in one program.
 
+mod stages;
+
 use std::process::ExitCode;
 
-use planish_handoff::{Allocator, Stage};
+use planish_handoff::Allocator;
 
 #[global_allocator]
 static ALLOCATOR: Allocator = Allocator;
 
-/// The stages, in the order of a run; `planish-run` runs them.
-const STAGES: [Stage; 20] = [
-    planish_run::command::COMMAND,
-    planish_fixture::command::COMMAND,
-    planish_import::command::COMMAND,
-    planish_register::command::COMMAND,
-    planish_surface::command::COMMAND,
-    planish_toolpath::command::COMMAND,
-    planish_dwell::command::COMMAND,
-    planish_bspline_feed::command::COMMAND,
-    planish_schedule::command::COMMAND,
-    planish_simulate::command::COMMAND,
-    planish_verify::command::COMMAND,
-    planish_refine::command::COMMAND,
-    planish_joint::command::COMMAND,
-    planish_axes::command::COMMAND,
-    planish_export::command::COMMAND,
-    planish_compare::command::COMMAND,
-    planish_tolerance::command::COMMAND,
-    planish_reconcile::command::COMMAND,
-    planish_campaign::command::COMMAND,
-    planish_sweep::command::COMMAND,
-];
-
 fn main() -> ExitCode {
-    planish_handoff::start(&STAGES)
+    planish_handoff::start(&stages::STAGES)
 }

@@ -31,6 +31,7 @@ mod import_cli;
 mod import_hostile;
 #[path = "../../joint/tests/cli.rs"]
 mod joint_cli;
+mod pipeline_lines;
 #[path = "../../reconcile/tests/cli.rs"]
 mod reconcile_cli;
 #[path = "../../refine/tests/hostile.rs"]
@@ -49,6 +50,8 @@ mod simulate_cli;
 mod simulate_hostile;
 #[path = "../../simulate/tests/virtual_machine.rs"]
 mod simulate_virtual_machine;
+#[path = "../src/stages.rs"]
+mod stages;
 #[path = "../../surface/tests/cli.rs"]
 mod surface_cli;
 #[path = "../../surface/tests/forms.rs"]

@@ -776,9 +776,9 @@ fn no_setting_names_an_input_inside_of_the_output() {
     assert!(!log.is_empty(), "{}", message(&ended));
 }
 
-/// The copy of a tool path never replaces its own original.
+/// A tool path is read where it is, and a link to it in the directory of the run is left as it is.
 #[test]
-fn a_path_that_the_output_leads_to_is_not_copied_onto_itself() {
+fn a_path_that_the_output_leads_to_is_not_touched() {
     let dir = bench();
     recorders(dir.path());
     fs::create_dir_all(dir.path().join("o")).unwrap();
@@ -792,11 +792,34 @@ fn a_path_that_the_output_leads_to_is_not_copied_onto_itself() {
     .unwrap();
     let settings =
         ["run", "compare-dwell", "fixture=coupon", "machine=machine.json", "path=path", "out=o"];
-    let (ended, _) = recorded(dir.path(), &settings);
-    let said = message(&ended);
-    assert_eq!(ended.status.code(), Some(2), "{said}");
-    assert!(said.contains("path: is where the run copies it"), "{said}");
+    let (ended, log) = recorded(dir.path(), &settings);
+    assert_eq!(ended.status.code(), Some(0), "{}", message(&ended));
+    assert!(log.iter().all(|line| !line.starts_with("planish-toolpath")), "{log:?}");
+    let reads = |program: &str| {
+        let mut lines = log.iter().filter(|line| line.starts_with(program));
+        lines.all(|line| line.contains("<--tool-path><path>"))
+    };
+    assert!(reads("planish-dwell") && reads("planish-schedule") && reads("planish-compare"));
     assert_eq!(fs::read_to_string(dir.path().join("path/point_mm.npy")).unwrap(), "mine");
+}
+
+#[test]
+fn a_solver_that_is_left_out_has_no_command() {
+    let dir = bench();
+    recorders(dir.path());
+    let settings = [
+        "run",
+        "compare-dwell",
+        "fixture=coupon",
+        "machine=machine.json",
+        "skip=nnls udo",
+        "out=o",
+    ];
+    let (ended, log) = recorded(dir.path(), &settings);
+    assert_eq!(ended.status.code(), Some(0), "{}", message(&ended));
+    let has = |words: &str| log.iter().any(|line| line.contains(words));
+    assert!(!has("o/solvers/nnls/") && !has("o/solvers/udo/") && has("o/solvers/udo-shift/"));
+    assert!(has("<--skip=nnls udo>"), "{log:?}");
 }
 
 #[test]
@@ -809,24 +832,25 @@ fn a_link_or_a_pipe_is_not_written_in_the_directory_of_a_run() {
     assert_eq!(fs::read_to_string(dir.path().join("mine")).unwrap(), "mine");
 }
 
-/// Earlier, such a run went on for ever.
+/// A circle of stages once ran for ever. A word of earlier pipelines is refused with what replaces it.
 #[test]
-fn a_circle_of_stages_is_refused() {
+fn a_pipeline_that_cannot_run_is_refused_before_it_begins() {
     let dir = bench();
     let pipelines = dir.path().join("pipelines");
     fs::create_dir(&pipelines).unwrap();
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
     fs::copy(root.join("pipelines/shared.yaml"), pipelines.join("shared.yaml")).unwrap();
-    fs::write(
-        pipelines.join("loop.yaml"),
-        "title: T\nstages:\n  path: []\n  run: [path, end, run]\n",
-    )
-    .unwrap();
-    let mut command = planish_testkit::program::stage(PROGRAM);
-    command.current_dir(dir.path()).env("PLANISH_SHARE", dir.path());
-    command.args(["run", "loop", "fixture=coupon", "machine=machine.json", "out=o"]);
-    refused(
-        &command.output().unwrap(),
-        &["loop.yaml: stage run: it runs itself without end (run -> run)"],
-    );
+    for (run, complaint) in [
+        ("[path, end, run]", "mine.yaml: stage run: it runs itself without end (run -> run)"),
+        ("[path, say it]", "mine.yaml: stage run: 'say it': pipelines have no 'say' any more"),
+        ("[path when scan in mode]", "mine.yaml: line 4: run: 'scan in mode' is no condition"),
+    ] {
+        let text = format!("title: T\nstages:\n  path: []\n  run: {run}\n");
+        fs::write(pipelines.join("mine.yaml"), text).unwrap();
+        let mut command = planish_testkit::program::stage(PROGRAM);
+        command.current_dir(dir.path()).env("PLANISH_SHARE", dir.path());
+        command.args(["run", "mine", "fixture=coupon", "machine=machine.json", "out=o"]);
+        refused(&command.output().unwrap(), &[complaint]);
+        assert!(!dir.path().join("o").exists());
+    }
 }

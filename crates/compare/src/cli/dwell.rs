@@ -16,6 +16,12 @@ pub struct Dwell {
     /// position/removal/, executed/{trajectory,removal}/, dwell-wall.json, or only message.txt
     #[arg(value_name = "RUN_DIR")]
     run: PathBuf,
+    /// Tool path of the solvers [tool_path artifact; default: tool_path/ in the run]
+    #[arg(long, value_name = "DIR")]
+    tool_path: Option<PathBuf>,
+    /// Solvers that the run leaves out, separated by blanks; what an earlier run left of them does not count
+    #[arg(long, value_name = "NAMES", value_delimiter = ' ')]
+    skip: Vec<String>,
     /// Name of the mirror
     #[arg(long, value_name = "NAME", default_value = "")]
     mirror: String,
@@ -28,12 +34,13 @@ pub struct Dwell {
 
 impl Dwell {
     pub fn run(&self) -> Result<Status, Failure> {
-        let Dwell { run, mirror: fixture, assumed_machine, output } = self;
+        let Dwell { run, tool_path, skip, mirror: fixture, assumed_machine, output } = self;
         let remarks: Vec<String> =
             assumed_machine.iter().map(|name| planish_types::assumed_machine(name)).collect();
         let mut inputs = Inputs::new();
-        let task = task!("dwell", json!({ "fixture": fixture, "remarks": remarks }));
-        let (surface, rows) = files::read_solvers(&mut inputs, run)?;
+        let task = task!("dwell", json!({ "fixture": fixture, "skip": skip, "remarks": remarks }));
+        let tool_path = tool_path.clone().unwrap_or_else(|| run.join("tool_path"));
+        let (surface, rows) = files::read_solvers(&mut inputs, run, &tool_path, skip)?;
         let writer = Output::directory(output, &kind::REPORT).begin(&task, &inputs)?.writer();
         let solvers: serde_json::Map<String, serde_json::Value> =
             rows.iter().map(|(name, row)| (name.clone(), json!(row))).collect();

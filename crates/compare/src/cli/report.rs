@@ -56,6 +56,9 @@ pub struct Report {
     /// Name of the machine, if nobody named one and it is that of the fixtures; the result says so
     #[arg(long, value_name = "NAME")]
     assumed_machine: Option<String>,
+    /// Print no table and no plots
+    #[arg(long)]
+    quiet: bool,
     /// Small plots under the table; auto: where standard output is a terminal
     #[arg(long, value_enum, default_value = "auto")]
     plots: Plots,
@@ -70,6 +73,17 @@ enum Plots {
     Never,
 }
 
+impl Plots {
+    /// Returns true if the plots are printed here.
+    fn are_wanted(self) -> bool {
+        match self {
+            Self::Always => true,
+            Self::Auto => std::io::stdout().is_terminal(),
+            Self::Never => false,
+        }
+    }
+}
+
 impl Report {
     pub fn run(&self) -> Result<Status, Failure> {
         let Report {
@@ -82,6 +96,7 @@ impl Report {
             program_row: program,
             after_servo,
             assumed_machine,
+            quiet,
             plots,
             output,
         } = self;
@@ -117,11 +132,7 @@ impl Report {
         let status = negative(&runs).map_or(Status::Done, Status::Negative);
         let writer = Output::directory(output, &kind::REPORT).begin(&task, &inputs)?.writer();
 
-        let plotted = match plots {
-            Plots::Always => true,
-            Plots::Auto => std::io::stdout().is_terminal(),
-            Plots::Never => false,
-        };
+        let plotted = !quiet && plots.are_wanted();
         // The table is wanted every time, also when the files are there already.
         let wanted = writer.is_some() || plotted;
         let views = progress::part(0, 3, || if wanted { views(read) } else { vec![] });
@@ -138,12 +149,14 @@ impl Report {
                 .extend(drawn.iter().map(|(name, svg)| (name.as_str(), svg.clone().into_bytes())));
             writer.write_arrays(&kind::REPORT, &[], &beside, json!({}), &status)?;
         }
-        tell(&runs);
-        if plotted {
-            say(sparkline::plots(&views));
-        }
-        for name in ["summary.json", "report.html"] {
-            say(visible(&output.out.join(name).to_string_lossy()));
+        if !quiet {
+            tell(&runs);
+            if plotted {
+                say(sparkline::plots(&views));
+            }
+            for name in ["summary.json", "report.html"] {
+                say(visible(&output.out.join(name).to_string_lossy()));
+            }
         }
         warn_of_old(&runs);
         Ok(status)

@@ -29,7 +29,7 @@ use super::{
 
 /// Artifacts without which a method or a dwell solver is left out of a comparison.
 const LEFT_OUT: [&str; 2] = ["dwell", "trajectory"];
-/// File with what an attempt says, in its directory.
+/// File with what a command says that may refuse, in its directory.
 const MESSAGE: &str = "message.txt";
 
 /// Code of a process that a signal ended. No stage has it.
@@ -80,10 +80,8 @@ impl Programs {
     pub fn run(&self, command: &Command) -> Result<u8, Failure> {
         self.print(&command.line());
         let mut process = self.process(command);
-        match &self.said {
-            Said::Shown if command.is_quiet => drop(process.stdout(Stdio::null())),
-            Said::Shown => {}
-            Said::Kept(file) => drop(process.stdout(file.try_clone()?).stderr(file.try_clone()?)),
+        if let Said::Kept(file) = &self.said {
+            process.stdout(file.try_clone()?).stderr(file.try_clone()?);
         }
         Ok(code(self.ended(command, ended(&mut process))?))
     }
@@ -219,6 +217,7 @@ pub fn run<'a>(
     }
     let mut last = 0;
     let mut took_s = BTreeMap::new();
+    let mut has_report = false;
     loop {
         let ahead = walk.clone();
         let Some(step) = walk.step().map_err(Failure::new)? else { break };
@@ -227,17 +226,22 @@ pub fn run<'a>(
             break;
         }
         let program = match &step {
-            Step::Run(command) | Step::Attempt(_, command) => command.program.clone(),
-            _ => String::new(),
+            Step::Run(command) => command.program.clone(),
+            Step::Say(_) => String::new(),
         };
         if let Some(estimate) = estimate_of_rounds(&program, &took_s) {
             programs.print(&estimate);
         }
+        let is_first_report = !has_report && is_report(&step);
         let begun = Instant::now();
         last = take_step(&programs, &mut walk, step)?;
         took_s.insert(program, begun.elapsed().as_secs_f64());
         if last != 0 {
             break;
+        }
+        if is_first_report {
+            state_recommended(&programs, &mut walk.scope)?;
+            has_report = true;
         }
     }
     if last < 2
@@ -248,35 +252,30 @@ pub fn run<'a>(
     Ok(Ended { code: last, scope: walk.scope })
 }
 
+/// Returns true for the step that makes the report of the run.
+fn is_report(step: &Step) -> bool {
+    match step {
+        Step::Run(command) => {
+            command.program == "planish-compare"
+                && command.arguments.first().is_some_and(|word| word == "report")
+        }
+        Step::Say(_) => false,
+    }
+}
+
 /// Takes a step of a pipeline. Returns its exit code: 0, 1 or 2.
 fn take_step(programs: &Programs, walk: &mut Walk, step: Step) -> Result<u8, Failure> {
     Ok(match step {
-        Step::Run(command) => match (programs.run(&command)?, command.may_be_negative) {
-            (0, _) | (1, true) => 0,
-            (1, false) => 1,
-            _ => 2,
+        Step::Run(command) => match &command.refusal_dir {
+            Some(dir) => attempt(programs, walk, Path::new(dir), &command)?,
+            None => match (programs.run(&command)?, command.may_be_negative) {
+                (0, _) | (1, true) => 0,
+                (1, false) => 1,
+                _ => 2,
+            },
         },
-        Step::Attempt(dir, command) => attempt(programs, walk, &dir, &command)?,
-        Step::LeaveOut(dir, reason) => {
-            fs::create_dir_all(&dir)?;
-            let message = Path::new(&dir).join(MESSAGE);
-            refuse_special(&message)?;
-            fs::write(&message, format!("error: {reason}\n"))
-                .map_err(|e| Failure::new(format!("{}: cannot write: {e}", message.display())))?;
-            leave_out(walk, Path::new(&dir))?;
-            0
-        }
         Step::Say(line) => {
             programs.say(&line);
-            0
-        }
-        Step::Copy(from, to) => {
-            copy(programs, Path::new(&from), Path::new(&to))?;
-            0
-        }
-        Step::Choose { to, otherwise, tried_by } => {
-            let plan = choose(programs, &walk.scope, &to, otherwise, tried_by.as_deref())?;
-            walk.scope.set(&to, vec![plan]);
             0
         }
     })
@@ -354,7 +353,7 @@ impl Rehearsal {
     /// Remembers what a step makes. Before the first long one, tries the commands `ahead`, which begin with it. Returns
     /// false, and prints what is wrong, if one refuses.
     fn before(&mut self, step: &Step, programs: &Programs, ahead: Walk) -> Result<bool, Failure> {
-        let (Step::Run(command) | Step::Attempt(_, command)) = step else { return Ok(true) };
+        let Step::Run(command) = step else { return Ok(true) };
         if self.is_over {
             return Ok(true);
         }
@@ -374,14 +373,10 @@ impl Rehearsal {
     /// Tries the commands of a walk that take flags from settings. One that a comparison may leave out is not tried.
     fn all(&self, programs: &Programs, mut ahead: Walk, made: &[String]) -> Result<bool, Failure> {
         while let Some(step) = ahead.step().map_err(Failure::new)? {
-            let command = match step {
-                Step::Run(command) => command,
-                Step::Choose { to, otherwise, .. } => {
-                    ahead.scope.set(&to, vec![otherwise]);
-                    continue;
-                }
-                _ => continue,
-            };
+            let Step::Run(command) = step else { continue };
+            if command.refusal_dir.is_some() {
+                continue;
+            }
             let Origins { more_flags, settings, .. } = &command.origins;
             let depends =
                 more_flags.is_some() || settings.iter().any(|name| ahead.scope.is_given(name));
@@ -427,19 +422,23 @@ fn cannot_switch_tool(walk: &Walk) -> Result<Option<String>, Failure> {
     )))
 }
 
-/// Runs a command that may refuse: its message then stands in the place of what it makes.
+/// Runs a command that may refuse. The message then stands in the place of what it makes, and the stage ends: the result of
+/// an earlier run in this directory is not that of this one.
 fn attempt(
     programs: &Programs,
     walk: &mut Walk,
-    dir: &str,
+    dir: &Path,
     command: &Command,
 ) -> Result<u8, Failure> {
-    let dir = Path::new(dir);
     fs::create_dir_all(dir)?;
     let message = dir.join(MESSAGE);
     let code = programs.attempt(command, &message)?;
     if code == 2 {
-        return leave_out(walk, dir).map(|()| 0);
+        for made in LEFT_OUT {
+            forget(&dir.join(made))?;
+        }
+        walk.leave();
+        return Ok(0);
     }
     // Warnings, the reason of a negative verdict, or of a program that broke.
     let said = fs::read(&message)?;
@@ -447,74 +446,30 @@ fn attempt(
     Ok(if code > 1 { 2 } else { 0 })
 }
 
-/// Ends the stage. The result of an earlier run in this directory is not that of this one.
-fn leave_out(walk: &mut Walk, dir: &Path) -> Result<(), Failure> {
-    for made in LEFT_OUT {
-        forget(&dir.join(made))?;
+/// States the plan that the report of the run recommends, as the fact `recommended`, for a program of no named plan. The
+/// fact stays empty if a command of the stage `export` refuses that plan; a program of all axes is not tried.
+fn state_recommended(programs: &Programs, scope: &mut Scope) -> Result<(), Failure> {
+    let text = |name: &str| scope.text(name).map_err(Failure::new);
+    let export = text("export")?;
+    if export.is_empty() || !text("named")?.is_empty() {
+        return Ok(());
     }
-    walk.leave();
-    Ok(())
-}
-
-/// Name of the plan that the report of the run recommends, if there is one and a trial of its commands does not refuse it.
-fn choose(
-    programs: &Programs,
-    scope: &Scope,
-    to: &str,
-    otherwise: String,
-    tried_by: Option<&str>,
-) -> Result<String, Failure> {
-    let out = scope.text("out").map_err(Failure::new)?;
-    let Some(best) = Answer::read(Path::new(&out))?.method else { return Ok(otherwise) };
+    let Some(best) = Answer::read(Path::new(&text("out")?))?.method else { return Ok(()) };
     let best = plan_of(&best).to_string();
-    let Some(stage) = tried_by.filter(|_| best != otherwise) else { return Ok(best) };
+    let is_tried = text("program")? == "best" && best != text("exported")?;
     let mut trial = scope.clone();
-    trial.set(to, vec![best.clone()]);
-    for command in Walk::commands(trial, stage).map_err(Failure::new)? {
-        if let Some(refused) = programs.refusal(&command)? {
-            let export = scope.text("export").map_err(Failure::new)?;
-            let refused = refused.trim_start_matches("error: ");
+    trial.set("recommended", vec![best.clone()]);
+    let commands = if is_tried { Walk::commands(trial, "export") } else { Ok(vec![]) };
+    for command in commands.map_err(Failure::new)? {
+        if let Some(refusal) = programs.refusal(&command)? {
+            let refusal = refusal.trim_start_matches("error: ");
             programs.print(&format!(
-                "the plan marked as the best, {best}, is none for {export}: {refused}"
+                "the plan marked as the best, {best}, is none for {export}: {refusal}"
             ));
-            return Ok(otherwise);
+            return Ok(());
         }
     }
-    Ok(best)
-}
-
-/// Copies the files of an artifact in place of those of an earlier one.
-fn copy(programs: &Programs, from: &Path, to: &Path) -> Result<(), Failure> {
-    programs.print(&format!(
-        "cp {}/*.* {}",
-        words::quote(&from.to_string_lossy()),
-        words::quote(&to.to_string_lossy())
-    ));
-    let unreadable = |e: io::Error| {
-        Failure::new(format!(
-            "path {}: cannot be copied: {e}; give the directory of a tool path",
-            from.display()
-        ))
-    };
-    let (real_from, real_to) = (from.canonicalize(), to.canonicalize());
-    if let (Ok(real_from), Ok(real_to)) = (real_from, real_to)
-        && (real_from.starts_with(&real_to) || real_to.starts_with(&real_from))
-    {
-        return Err(Failure::new(format!(
-            "path {}: is where the run copies it, {}; give another out",
-            from.display(),
-            to.display()
-        )));
-    }
-    let entries =
-        fs::read_dir(from).and_then(Iterator::collect::<io::Result<Vec<_>>>).map_err(unreadable)?;
-    forget(to)?;
-    fs::create_dir_all(to)?;
-    for entry in
-        entries.iter().map(fs::DirEntry::path).filter(|p| p.is_file() && p.extension().is_some())
-    {
-        fs::copy(&entry, to.join(entry.file_name().unwrap_or_default())).map_err(unreadable)?;
-    }
+    scope.set("recommended", vec![best]);
     Ok(())
 }
 

@@ -91,8 +91,14 @@ pub fn no_flag(path: &str) -> String {
 /// A command with arguments of which none is taken apart.
 pub fn command<S: AsRef<str>>(program: &str, arguments: &[S]) -> Command {
     let arguments = arguments.iter().map(|word| word.as_ref().to_string()).collect();
-    let (may_be_negative, is_quiet, origins) = (true, false, Origins::default());
-    Command { program: program.into(), arguments, may_be_negative, is_quiet, origins }
+    let origins = Origins::default();
+    Command {
+        program: program.into(),
+        arguments,
+        may_be_negative: true,
+        refusal_dir: None,
+        origins,
+    }
 }
 
 /// Runs whose plans are made in silence: what they say is shown if one of them fails.

@@ -1,0 +1,27 @@
+//! Table of the stages.
+
+use planish_handoff::Stage;
+
+/// The stages, in the order of a run; `planish-run` runs them.
+pub const STAGES: [Stage; 20] = [
+    planish_run::command::COMMAND,
+    planish_fixture::command::COMMAND,
+    planish_import::command::COMMAND,
+    planish_register::command::COMMAND,
+    planish_surface::command::COMMAND,
+    planish_toolpath::command::COMMAND,
+    planish_dwell::command::COMMAND,
+    planish_bspline_feed::command::COMMAND,
+    planish_schedule::command::COMMAND,
+    planish_simulate::command::COMMAND,
+    planish_verify::command::COMMAND,
+    planish_refine::command::COMMAND,
+    planish_joint::command::COMMAND,
+    planish_axes::command::COMMAND,
+    planish_export::command::COMMAND,
+    planish_compare::command::COMMAND,
+    planish_tolerance::command::COMMAND,
+    planish_reconcile::command::COMMAND,
+    planish_campaign::command::COMMAND,
+    planish_sweep::command::COMMAND,
+];
