@@ -8,12 +8,13 @@ use planish_handoff::{Allocator, Stage};
 static ALLOCATOR: Allocator = Allocator;
 
 /// The stages, in the order of a run; `planish-run` runs them.
-const STAGES: [Stage; 20] = [
+const STAGES: [Stage; 21] = [
     planish_run::command::COMMAND,
     planish_fixture::command::COMMAND,
-    planish_import::command::COMMAND,
+    planish_import::command::command::<planish_tool::command::ImportNames>(),
     planish_register::command::COMMAND,
-    planish_surface::command::COMMAND,
+    planish_surface::command::command::<planish_tool::command::SurfaceNames>(),
+    planish_tool::command::COMMAND,
     planish_toolpath::command::COMMAND,
     planish_dwell::command::COMMAND,
     planish_bspline_feed::command::COMMAND,
