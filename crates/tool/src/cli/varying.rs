@@ -616,7 +616,7 @@ impl TimeArgs {
             ));
         }
         let pairs = read_table(&mut inputs, "table", &self.table)?;
-        let task = name.task(&json!({ "pairs": pairs }));
+        let task = name.task(json!({ "pairs": pairs }));
         let output = match Output::directory(&self.output, Tool::KIND).begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
