@@ -258,17 +258,17 @@ test-gcode: build
 # Plans as programs of every controller, read back and judged: the tables of docs/controller-programs.md (--grids: clocks and counts)
 [group('5 pages and tables')]
 programs-table *flags: build
-    @python3 pipelines/programs-table.py {{ flags }}
+    @python3 scripts/programs-table.py {{ flags }}
 
 # Times of every pipeline with its defaults and of every tutorial, wall and CPU (some names: just times-table raster maze)
 [group('5 pages and tables')]
 times-table *names: build
-    @python3 pipelines/times-table.py {{ names }}
+    @python3 scripts/times-table.py {{ names }}
 
 # Joint plans with and without rows for all axes, as motions of these axes: the table of docs/axes.md
 [group('5 pages and tables')]
 axes-table *flags: build
-    @python3 pipelines/axes-table.py {{ flags }}
+    @python3 scripts/axes-table.py {{ flags }}
 
 # Surface and TIF of the mirror in PLANISH_REFERENCE, as artifacts without manifests
 [private]
@@ -289,7 +289,7 @@ reproduce paper="all":
 # What is here, in which version, and what needs it: versions, cores, memory, disk, optional programs
 [group('2 programs')]
 @doctor:
-    pipelines/doctor.sh
+    scripts/doctor.sh
 
 # Between two edits: format, lint and test the crates that changed since the last commit
 [group('3 development')]
@@ -425,7 +425,7 @@ test-commands: build python
 [group('3 development')]
 [positional-arguments]
 same-bytes revision *options:
-    @pipelines/same-bytes.py "$@"
+    @scripts/same-bytes.py "$@"
 
 # Write the generated pages and pictures in docs/
 [group('5 pages and tables')]
@@ -488,19 +488,20 @@ surface-pictures: build
     cp $at/psd/psd.svg docs/surface/psd.svg
     # A magnetorheological spot, turned, and on a coarser lattice
     tool=out/pictures/square-200/tif
-    surface tif --tif $tool --rotate-deg 30 --out $at/turned
-    surface tif --tif $tool --centre centroid --pixel-mm 1.5 --out $at/coarse
+    prepare() { target/release/planish-tool prepare --tif $tool "$@" --force; }
+    prepare --rotate-deg 30 --out $at/turned
+    prepare --centre centroid --pixel-mm 1.5 --out $at/coarse
     surface draw --tif $tool --tif $at/turned --tif $at/coarse --section-y-mm 0 --out docs/surface/tif.svg
 
 # Print the table of docs/lines.md: five mirror lines with and without a weight of slopes, judged by NumPy alone
 [group('5 pages and tables')]
 line-table out="out/lines": build python
-    @target/python/bin/python pipelines/line-table.py {{ quote(out) }}
+    @target/python/bin/python scripts/line-table.py {{ quote(out) }}
 
 # Print the tables of docs/paths.md and docs/schedulers.md: every path on the reference mirror (PLANISH_REFERENCE)
 [group('5 pages and tables')]
 paths-table machine="fixtures/machines/ion-beam.json": build
-    @python3 pipelines/paths-table.py {{ quote(machine) }}
+    @python3 scripts/paths-table.py {{ quote(machine) }}
 
 # Run the commands that print tables of the pages, and compare every row that a page shows: just test-tables line axes
 [group('4 slower tests')]
@@ -535,7 +536,7 @@ test-report: build browser
 # Write the pictures of docs/gallery.md: every path and method on one mirror
 [group('5 pages and tables')]
 gallery: build
-    pipelines/gallery.sh
+    scripts/gallery.sh
 
 # Draw the pictures of the method pages to docs/methods/: dwell, schedulers, refine, joint, tolerance, campaign
 [group('5 pages and tables')]

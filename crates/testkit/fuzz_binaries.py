@@ -102,7 +102,7 @@ TABLE = {
 BASE = """
 planish-fixture {recipe.json} --out {mirror}
 planish-surface prepare --surface {mirror/surface} --level plane --out {run/surface}
-planish-surface tif --tif {mirror/tif} --out {tif}
+planish-tool prepare --tif {mirror/tif} --out {tif}
 planish-surface psd --surface {run/surface} --band-per-mm 0.1 0.5 --out {psd}
 planish-surface draw --surface {run/surface} --out {draw.svg}
 planish-toolpath raster --surface {run/surface} --tif {tif} --pitch-mm 1 --step-mm 1 --out {run/tool_path}
@@ -165,8 +165,8 @@ planish-import surface {run/surface/height_nm.npy} --unit nm --pixel-mm 0.5 --pi
 planish-import surface {run/surface} --flip-x --out {from-directory}
 planish-import surface {points.xyz} --unit nm --coordinate-unit mm --grid-mm 0.5 --out {from-points}
 planish-import surface {map.gsf} --out {from-gsf}
-planish-import tif {tif/rate_nm_per_s.npy} --rate --unit nm --pixel-mm 0.5 --out {tif-from-npy}
-planish-import tif {tif/rate_nm_per_s.npy} --unit nm --pixel-mm 0.5 --dwell-s 30 --half-size-mm 1 --baseline none --out {spot}
+planish-tool from-maps {tif/rate_nm_per_s.npy} --rate --unit nm --pixel-mm 0.5 --out {tif-from-npy}
+planish-tool from-maps {tif/rate_nm_per_s.npy} --unit nm --pixel-mm 0.5 --dwell-s 30 --half-size-mm 1 --baseline none --out {spot}
 planish-surface psd --removal {run/methods/pvt/removal} --out {psd-removal}
 planish-sweep expand {sweep.yaml} --out {sweep}
 planish-compare sweep {table.json} --out {sweep-report}

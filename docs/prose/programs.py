@@ -44,6 +44,8 @@ def main():
                 print(f"\n### {about['program']} {command['name']}\n\n{heading(command['about'])}")
                 if command["baseline"]:
                     print("\nA baseline, to compare with the literature; a report never recommends its plan.")
+            if command["about"].startswith("Second name of "):
+                continue
             flags = [flag for flag in command["flags"] if flag["name"] not in ("help", "version")]
             if not flags:
                 continue

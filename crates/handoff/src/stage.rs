@@ -11,7 +11,7 @@ use std::{
     process::{Command, ExitCode},
 };
 
-use crate::{arguments, command_line, message::complain, say};
+use crate::{Failure, Status, arguments, command_line, message::complain, say};
 
 /// Name of the program that has all stages.
 const PROGRAM: &str = "planish";
@@ -37,6 +37,16 @@ impl Stage {
     fn has_subcommand(&self, word: &OsStr) -> bool {
         (self.definition)().get_subcommands().any(|command| word == command.get_name())
     }
+}
+
+/// Subcommands that run by themselves. A stage can have them beside its own, under a second name.
+pub trait Subcommands: clap::Subcommand {
+    /// Runs the subcommand that the command line names.
+    ///
+    /// # Errors
+    ///
+    /// If it cannot run; the message is for the user.
+    fn run(&self) -> Result<Status, Failure>;
 }
 
 /// The stage that runs pipelines. Its subcommands are commands of `planish`, too: `planish show raster`.

@@ -1,9 +1,11 @@
-//! The subcommands, one file each, and what those that read maps have in common.
+//! The subcommands, one file each, and what all commands that read maps have in common.
+
+// The text of a field is the help of its flag, where [default: ...] is no link.
+#![allow(rustdoc::broken_intra_doc_links)]
 
 mod program;
 mod slopes;
 mod surface;
-mod tif;
 mod trace;
 
 use std::path::{Path, PathBuf};
@@ -11,8 +13,8 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand, ValueEnum};
 use ndarray::Array2;
 use planish_handoff::{
-    Failure, Inputs, Output, Status, Writer, flags::OutputArgs, kind::Kind, pair, say, warn,
-    with_flags,
+    Failure, Inputs, Output, Status, Subcommands, Writer, flags::OutputArgs, kind::Kind, pair, say,
+    warn, with_flags,
 };
 use planish_import::{
     FirstRow, Format, MOST_FILE_BYTES, Origin, Pick, Reading, Rotation, Scale, Settings, Statement,
@@ -21,37 +23,37 @@ use planish_import::{
 use planish_types::{Grid, Surface, Tif, text::significant};
 
 #[derive(Debug, Subcommand)]
-pub enum Method {
+pub(crate) enum Method<Others: Subcommands> {
     /// A height map
     Surface(surface::SurfaceArgs),
     /// A height map from two maps of slopes, along x and along y
     Slopes(Box<slopes::SlopesArgs>),
-    /// A tool influence function: a map of rates, of depth after a known time, or a spot before
-    /// and after
-    Tif(tif::TifArgs),
     /// The program of a motion controller, as the motion that it makes
     Program(program::ProgramArgs),
     /// A log of a machine, as the motion that the machine made
     Trace(trace::TraceArgs),
+    /// Those of another stage
+    #[command(flatten)]
+    Others(Others),
 }
 
-impl Method {
-    pub fn run(&self) -> Result<Status, Failure> {
+impl<Others: Subcommands> Method<Others> {
+    pub(crate) fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::Surface(arguments) => arguments.run(),
             Self::Slopes(arguments) => arguments.run(),
-            Self::Tif(arguments) => arguments.run(),
             Self::Program(arguments) => arguments.run(),
             Self::Trace(arguments) => arguments.run(),
+            Self::Others(others) => others.run(),
         }
     }
 }
 
 /// The file to read, and settings that the file does not state.
 #[derive(Debug, Args)]
-struct FileArgs {
+pub struct FileArgs {
     /// File, or directory of .npy
-    file: PathBuf,
+    pub file: PathBuf,
     /// File format [default: by the content; for text of numbers by the ending .csv or .xyz]
     #[arg(long, value_enum)]
     format: Option<Format>,
@@ -117,13 +119,14 @@ struct FileArgs {
     /// Draw what was read, as SVG, to compare with the picture on the instrument
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
+    /// Directory of the artifact, and what happens if it exists.
     #[command(flatten)]
-    output: OutputArgs,
+    pub output: OutputArgs,
 }
 
 impl FileArgs {
-    /// The artifact, and the picture where one is asked for.
-    fn output(&self, kind: &'static Kind) -> Output {
+    /// Returns the artifact, and the picture where one is asked for.
+    pub fn output(&self, kind: &'static Kind) -> Output {
         let output = Output::directory(&self.output, kind);
         match &self.picture {
             Some(path) => output.and_file("--picture", path),
@@ -131,8 +134,8 @@ impl FileArgs {
         }
     }
 
-    /// Names of the arrays to read from a file that holds several.
-    fn pick(&self, is_tif: bool) -> Pick {
+    /// Returns the names of the arrays to read from a file that holds several.
+    pub fn pick(&self, is_tif: bool) -> Pick {
         Pick {
             dataset: self.dataset.clone(),
             x: self.x.clone(),
@@ -145,8 +148,8 @@ impl FileArgs {
         }
     }
 
-    /// Settings of the library from the flags.
-    fn settings(&self, origin: Origin) -> Settings {
+    /// Returns the settings of the library from the flags.
+    pub fn settings(&self, origin: Origin) -> Settings {
         Settings {
             override_file: self.override_file,
             unit: self.unit,
@@ -165,9 +168,13 @@ impl FileArgs {
         }
     }
 
-    /// The format that was given, or that the content or the ending of the file tells; `bytes` are `None`
+    /// Returns the format that was given, or that the content or the ending of the file tells; `bytes` are `None`
     /// for a directory.
-    fn format(&self, bytes: Option<&[u8]>) -> Result<Format, Failure> {
+    ///
+    /// # Errors
+    ///
+    /// If neither the flags nor the file tell it.
+    pub fn format(&self, bytes: Option<&[u8]>) -> Result<Format, Failure> {
         let path = &self.file;
         let Some(bytes) = bytes else { return Ok(Format::Directory) };
         let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
@@ -179,8 +186,12 @@ impl FileArgs {
         })
     }
 
-    /// The picture that was asked for appears with the map; an older one is replaced with --force.
-    fn put_picture(
+    /// Writes the picture that was asked for. It appears with the map; an older one is replaced with --force.
+    ///
+    /// # Errors
+    ///
+    /// If it cannot be written.
+    pub fn put_picture(
         &self,
         output: &mut Writer,
         picture: impl Fn() -> String,
@@ -200,8 +211,8 @@ fn columns(text: &str) -> Result<[String; 3], String> {
     })
 }
 
-/// A message of the library, with the file that it is about.
-fn about(path: &Path, error: &dyn std::error::Error) -> Failure {
+/// Returns a message of the library, with the file that it is about.
+pub fn about(path: &Path, error: &dyn std::error::Error) -> Failure {
     Failure::new(format!("{}: {}", path.display(), with_flags(&error.to_string())))
 }
 
@@ -214,12 +225,21 @@ fn foreign(inputs: &mut Inputs, role: &str, path: &Path) -> Result<Vec<u8>, Fail
     }
 }
 
-/// The bytes of a map; `None` for a directory.
-fn map_bytes(inputs: &mut Inputs, role: &str, path: &Path) -> Result<Option<Vec<u8>>, Failure> {
+/// Returns the bytes of a map; `None` for a directory.
+///
+/// # Errors
+///
+/// If the file cannot be read, or is empty.
+pub fn map_bytes(inputs: &mut Inputs, role: &str, path: &Path) -> Result<Option<Vec<u8>>, Failure> {
     if path.is_dir() { Ok(None) } else { foreign(inputs, role, path).map(Some) }
 }
 
-fn open(
+/// Reads a map from the bytes of its file, or from its directory.
+///
+/// # Errors
+///
+/// If the file is not of the format, or does not have what `pick` names.
+pub fn open(
     inputs: &mut Inputs,
     role: &str,
     path: &Path,
@@ -249,21 +269,21 @@ fn open(
     read(format, &bytes, pick).map_err(|e| about(path, &e))
 }
 
-/// The statement of the library, its warnings in the words of the command line.
-fn in_flags(statement: Statement) -> Statement {
+/// Returns the statement of the library, its warnings in the words of the command line.
+pub fn in_flags(statement: Statement) -> Statement {
     let warnings = statement.warnings.iter().map(|warning| with_flags(warning)).collect();
     Statement { warnings, ..statement }
 }
 
-/// Prints the warnings, and how the file was read, for the user to check.
-fn report(statement: &Statement, grid: &Grid) {
+/// Prints the warnings, and how the file was read, in the name of `program`, for the user to check.
+pub fn report(program: &str, statement: &Statement, grid: &Grid) {
     for warning in &statement.warnings {
         warn(warning);
     }
     let format = serde_json::to_value(statement.format).unwrap_or_default();
     let (ny, nx) = grid.shape();
     say(format!(
-        "planish-import: {}, {nx} x {ny} pixels of {} x {} mm (pitch: {}), x {} .. {} and y {} .. {} mm, {} \
+        "{program}: {}, {nx} x {ny} pixels of {} x {} mm (pitch: {}), x {} .. {} and y {} .. {} mm, {} \
          invalid",
         format.as_str().unwrap_or_default(),
         significant(grid.x.step_mm(), 10),
@@ -283,13 +303,14 @@ fn report(statement: &Statement, grid: &Grid) {
         ),
     };
     say(format!(
-        "planish-import: {value} (unit: {}); the first row of the file is the {}",
+        "{program}: {value} (unit: {}); the first row of the file is the {}",
         statement.unit_from,
         if statement.first_row == FirstRow::Top { "top" } else { "smallest y" }
     ));
 }
 
-fn draw(
+/// Returns the picture of what was read, as SVG.
+pub fn draw(
     grid: &Grid,
     map: &Array2<f64>,
     scale: Scale,

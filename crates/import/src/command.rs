@@ -3,24 +3,29 @@
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser};
+use planish_handoff::{Stage, Subcommands};
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-import surface mirror.datx --picture mirror.svg --out out/surface\n\
-    \x20 planish-import tif spot.mat --rate --unit m --coordinate-unit m --out out/tif\n\
     \x20 planish-import trace gathering.dat --format xps --unit mm --rate-hz 1000 --out out/run";
 
 /// Read files of instruments and of other programs
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct Cli<Others: Subcommands> {
     #[command(subcommand)]
-    method: crate::cli::Method,
+    method: crate::cli::Method<Others>,
 }
 
-/// The command `planish import`.
-pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+/// Returns the command `planish import`, with further subcommands of another stage, which have a second name here.
+pub const fn command<Others: Subcommands>() -> Stage {
+    Stage {
+        name: env!("CARGO_PKG_NAME"),
+        main: main::<Others>,
+        definition: <Cli<Others> as CommandFactory>::command,
+    }
+}
 
-fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.method.run())
+fn main<Others: Subcommands>() -> ExitCode {
+    planish_handoff::program(|cli: &Cli<Others>| cli.method.run())
 }

@@ -6,30 +6,12 @@
 //! pitch in mm, row 0 at the smallest y. The user must state what the file does not say ([`Settings`]); it
 //! is never guessed.
 //!
-//! | module | format | source of its layout |
-//! |---|---|---|
-//! | [`metropro`] | MetroPro `.dat` | MetroPro reference guide as read by prysm and SurfaceTopography |
-//! | [`datx`] | Zygo `.datx` | a file of Zygo Mx |
-//! | [`points`] | Zygo `.xyz` and any text of lines `x y z` | prysm's writer |
-//! | [`matlab`] | MATLAB `.mat`, version 5 | "MAT-File Format", The MathWorks |
-//! | [`hdf5`] | HDF5 by the path of a dataset, MATLAB `.mat` 7.3 | crate hdf5-reader |
-//! | [`fits`] | FITS images | FITS standard 4.0 |
-//! | [`npy`] | `.npy` of any real number type, and `.npz` | NumPy enhancement proposal 1 |
-//! | [`csv`] | a matrix of numbers as text | - |
-//! | [`gsf`] | Gwyddion Simple Field | Gwyddion user guide |
-//! | [`gwy`] | Gwyddion `.gwy` | Gwyddion user guide |
-//! | [`sur`] | Digital Surf `.sur` | Digital Surf's description, see there |
-//! | [`codev`] | CODE V `.int` | CODE V reference manual |
-//! | [`grid_sag`] | Zemax OpticStudio grid sag | OpticStudio help |
-//! | [`x3p`] | `.x3p` | ISO 25178-72 |
-//! | [`opd`] | Wyko and Veeco `.opd` | documentation of public readers |
-//! | [`srw`] | height map of SRW and Sirepo | SRW's srwlib.py |
-//! | [`wft`] | DFTFringe and OpenFringe `.wft` | files of DFTFringe |
-//! | [`presurface`] | SHADOW presurface | SHADOW's user guide |
-//! | [`four_sight`] | 4D Technology 4Sight `.h5` | public readers |
-//! | [`sdf`] | surface data file, text and binary | ISO 25178-71 |
-//! | [`program`] | programs for Galil, XPS, PMAC, G-code, CSV | see there |
-//! | [`trace`] | logs of what a machine did: CSV, HDF5, XPS, Aerotech, Galil | see there |
+//! | module | contents |
+//! |---|---|
+//! | [`mod@format`] | one file per format of maps |
+//! | [`slopes`] | heights from maps of slopes |
+//! | [`program`] | programs for Galil, XPS, PMAC, G-code, CSV |
+//! | [`trace`] | logs of what a machine did: CSV, HDF5, XPS, Aerotech, Galil |
 //!
 //! Limits on the memory and work for one file are in `budget`. Only this crate and `planish-export` convert
 //! units.
@@ -41,223 +23,26 @@ mod arrays;
 mod beside;
 mod budget;
 mod bytes;
-mod cli;
-pub mod codev;
+pub mod cli;
 pub mod command;
-pub mod csv;
-pub mod datx;
 mod draw;
-pub mod fits;
-pub mod four_sight;
-pub mod grid_sag;
-pub mod gsf;
-pub mod gwy;
-pub mod hdf5;
-pub mod matlab;
-pub mod metropro;
-pub mod npy;
-pub mod opd;
-pub mod points;
-pub mod presurface;
+pub mod format;
 pub mod program;
 mod reading;
 mod scattered;
-pub mod sdf;
-mod shift;
 pub mod slopes;
-mod spot;
-pub mod srw;
-pub mod sur;
 pub mod trace;
 mod unit;
 mod unknown;
-pub mod wft;
-pub mod x3p;
-mod zip;
 
 pub use budget::{MOST_FILE_BYTES, MOST_PIXELS};
 pub use draw::{Scale, svg};
+pub use format::{Format, read};
 pub use reading::{
     Coordinates, FirstRow, Origin, Pick, Reading, Rotation, Rule, Settings, Statement, Window,
     surface, tif,
 };
-pub use spot::{Alignment, Baseline, Spot, SpotSettings, spot};
-
 pub use unit::Unit;
 pub use unknown::unknown;
 
-use planish_types::{Invalid, file_text as text};
-
-/// A format that is read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum Format {
-    /// MetroPro `.dat`.
-    Metropro,
-    /// Zygo `.datx`.
-    Datx,
-    /// Zygo `.xyz`, and text of lines `x y z`.
-    Xyz,
-    /// MATLAB `.mat`, version 5.
-    Mat5,
-    /// HDF5; MATLAB `.mat` 7.3 among them.
-    Hdf5,
-    /// FITS image.
-    Fits,
-    /// A matrix of numbers as text.
-    Csv,
-    /// NumPy array.
-    Npy,
-    /// Archive of NumPy arrays.
-    Npz,
-    /// Surface data file.
-    Sdf,
-    /// Gwyddion Simple Field.
-    Gsf,
-    /// Gwyddion's own format.
-    Gwy,
-    /// Digital Surf `.sur`.
-    Sur,
-    /// CODE V interferogram file on a grid.
-    CodevInt,
-    /// Zemax OpticStudio grid sag.
-    GridSag,
-    /// ISO 25178-72.
-    X3p,
-    /// Wyko and Veeco `.opd`.
-    Opd,
-    /// SHADOW presurface.
-    Presurface,
-    /// Height map of SRW and Sirepo.
-    Srw,
-    /// Wavefront of DFTFringe and OpenFringe.
-    Wft,
-    /// 4D Technology 4Sight.
-    #[value(name = "4sight")]
-    #[serde(rename = "4sight")]
-    FourSight,
-    /// Directory of `.npy` files, with or without a manifest.
-    #[value(skip)]
-    Directory,
-}
-
-impl Format {
-    /// The format of a file from its first bytes, where they tell; text of numbers does not.
-    pub fn of(bytes: &[u8]) -> Option<Self> {
-        let starts = |magic: &[u8]| bytes.starts_with(magic);
-        if metropro::is_magic(bytes) {
-            Some(Self::Metropro)
-        } else if starts(b"\x93NUMPY") {
-            Some(Self::Npy)
-        } else if starts(b"SIMPLE  =") {
-            Some(Self::Fits)
-        } else if hdf5::is_hdf5(bytes) {
-            Some(match () {
-                () if datx::is_datx(bytes) => Self::Datx,
-                () if four_sight::is_four_sight(bytes) => Self::FourSight,
-                () => Self::Hdf5,
-            })
-        } else if starts(b"MATLAB 5.0") {
-            Some(Self::Mat5)
-        } else if starts(b"Zygo XYZ Data File") || starts(b"Zygo ASCII Data File") {
-            Some(Self::Xyz)
-        } else if sdf::is_sdf(bytes) {
-            Some(Self::Sdf)
-        } else if starts(gsf::MAGIC) {
-            Some(Self::Gsf)
-        } else if starts(gwy::MAGIC) {
-            Some(Self::Gwy)
-        } else if starts(sur::MAGIC) || starts(sur::COMPRESSED) {
-            Some(Self::Sur)
-        } else if starts(opd::MAGIC) {
-            Some(Self::Opd)
-        } else if starts(zip::MAGIC) && npy::is_npz(bytes) {
-            Some(Self::Npz)
-        } else if starts(zip::MAGIC) && x3p::is_x3p(bytes) {
-            Some(Self::X3p)
-        } else {
-            let text = text::text("text", bytes).ok()?;
-            let text = text.as_ref();
-            match () {
-                () if codev::is_codev(text) => Some(Self::CodevInt),
-                () if grid_sag::is_grid_sag(text) => Some(Self::GridSag),
-                () if wft::is_wft(text) => Some(Self::Wft),
-                () if presurface::is_presurface(text) => Some(Self::Presurface),
-                () => None,
-            }
-        }
-    }
-
-    /// The format of a text of numbers from the ending of the file's name, in lower case, and from its first lines where
-    /// several formats have that ending.
-    pub fn of_ending(ending: &str, bytes: &[u8]) -> Option<Self> {
-        let is_srw = || text::text("text", bytes).is_ok_and(|text| srw::is_srw(&text));
-        match ending {
-            "csv" => Some(Self::Csv),
-            "xyz" => Some(Self::Xyz),
-            "dat" | "txt" if is_srw() => Some(Self::Srw),
-            _ => None,
-        }
-    }
-}
-
-/// Reads the bytes of a file of `format`; `pick` names the arrays to read from a file that holds several.
-pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
-    if pick.grid_mm.is_some() && format != Format::Xyz {
-        let problem = "was given, but only lines x y z are interpolated";
-        return Err(Invalid::whole("grid_mm", problem, "leave it out, or give `format` xyz"));
-    }
-    if pick.columns.is_some() && format != Format::Xyz {
-        let problem = "was given, but only lines x y z have columns";
-        return Err(Invalid::whole("columns", problem, "leave it out, or give `format` xyz"));
-    }
-    let several = matches!(
-        format,
-        Format::Mat5
-            | Format::Hdf5
-            | Format::Datx
-            | Format::Fits
-            | Format::Gwy
-            | Format::Opd
-            | Format::FourSight
-            | Format::Npz
-    );
-    if let (Some(name), Format::Datx) = (&pick.mask, format) {
-        let remedy = "a datx file marks its invalid pixels itself; leave it out";
-        return Err(Invalid::whole("mask", format!("\"{name}\" was asked for"), remedy));
-    }
-    if let Some(name) = [&pick.dataset, &pick.x, &pick.y, &pick.mask].into_iter().flatten().next()
-        && !several
-    {
-        let remedy =
-            "only datx, mat5, hdf5, npz, fits, gwy, opd and 4sight files have names; leave it out";
-        return Err(Invalid::whole("dataset", format!("\"{name}\" was asked for"), remedy));
-    }
-    match format {
-        Format::Metropro => metropro::read(bytes),
-        Format::Datx => datx::read(bytes, pick),
-        Format::Xyz => points::read(bytes, pick),
-        Format::Mat5 => matlab::read(bytes, pick),
-        Format::Hdf5 => hdf5::read(bytes, pick),
-        Format::Fits => fits::read(bytes, pick),
-        Format::Csv => csv::read(bytes),
-        Format::Npy => npy::read(bytes),
-        Format::Npz => npy::read_archive(bytes, pick),
-        Format::Sdf => sdf::read(bytes),
-        Format::Gsf => gsf::read(bytes),
-        Format::Gwy => gwy::read(bytes, pick),
-        Format::Sur => sur::read(bytes),
-        Format::CodevInt => codev::read(bytes),
-        Format::GridSag => grid_sag::read(bytes),
-        Format::X3p => x3p::read(bytes),
-        Format::Opd => opd::read(bytes, pick),
-        Format::Presurface => presurface::read(bytes),
-        Format::Srw => srw::read(bytes),
-        Format::Wft => wft::read(bytes),
-        Format::FourSight => four_sight::read(bytes, pick),
-        Format::Directory => {
-            let remedy = "give the directory that holds it";
-            Err(Invalid::whole("format", "directory was given for a file", remedy))
-        }
-    }
-}
+use planish_types::file_text as text;

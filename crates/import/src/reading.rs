@@ -421,7 +421,7 @@ fn map(
     let mut warnings = std::mem::take(&mut reading.warnings);
     let (unit, unit_from) = unit(&reading, settings, kind, &mut warnings)?;
     if unit.is_rate() && kind == Values::Heights {
-        let remedy = "planish-import tif reads rates by `rate`; leave out `dwell_s`";
+        let remedy = "planish-tool from-maps reads rates by `rate`; leave out `dwell_s`";
         let problem = format!("of the values is {unit}, a removal rate, and heights are wanted");
         return Err(Invalid::whole("unit", problem, remedy));
     }

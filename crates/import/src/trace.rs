@@ -75,7 +75,7 @@ impl LogFormat {
     /// The format of a log from its first bytes, or from the ending of its name in lower case.
     pub fn of(bytes: &[u8], ending: Option<&str>) -> Option<Self> {
         match ending {
-            _ if crate::hdf5::is_hdf5(bytes) => Some(Self::Hdf5),
+            _ if crate::format::hdf5::is_hdf5(bytes) => Some(Self::Hdf5),
             Some("csv") => Some(Self::Csv),
             _ => None,
         }

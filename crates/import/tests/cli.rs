@@ -7,15 +7,9 @@ use std::{
     process::{Command, Output},
 };
 
-use ndarray::Array2;
-use planish_handoff::{
-    artifact::{self, Manifest},
-    npy::ArrayData,
-};
+use planish_handoff::artifact::{self, Manifest};
 use planish_testkit::skipped::reference;
-use planish_types::{Surface, Tif, Trajectory};
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use planish_types::{Surface, Trajectory};
 
 fn call(dir: &Path, arguments: &[&str]) -> Output {
     planish_testkit::program::stage("planish-import")
@@ -106,134 +100,6 @@ fn a_directory_of_npy_is_a_format_too() {
     fs::remove_file(dir.join("a/manifest.json")).unwrap();
     done(dir, &["surface", "a", "--flip-x", "--out", "b"]);
     assert_eq!(surface(&dir.join("b")).0.height_nm().row(0).to_vec(), [3.0, 2.0, 1.0]);
-}
-
-#[test]
-fn a_tif_from_rates_and_from_a_spot() {
-    let tmp = tempfile::tempdir().unwrap();
-    let dir = tmp.path();
-    let spot = |depth: f64, x0: f64| {
-        Array2::from_shape_fn((41, 61), |(r, c)| {
-            let (x, y) = (0.1 * c as f64 - 3.0 - x0, 0.1 * r as f64 - 2.0);
-            depth * (-(x * x + y * y) / 0.5).exp()
-        })
-    };
-    let save = |name: &str, map: Array2<f64>| {
-        fs::write(dir.join(name), ArrayData::F64(map.into_dyn().into()).to_npy()).unwrap();
-    };
-    save("rate.npy", spot(8e-9, 0.0));
-    done(dir, &["tif", "rate.npy", "--rate", "--unit", "m", "--pixel-mm", "0.1", "--out", "rate"]);
-    let tif = artifact::read::<Tif>(&dir.join("rate")).unwrap().value;
-    // The middle is the origin.
-    assert!((tif.grid().x.start_mm() + 3.0).abs() < 1e-12);
-    // Rounding.
-    assert!((tif.peak_nm_per_s() - 8.0).abs() < 1e-12);
-
-    save("after.npy", -spot(240.0, 0.5));
-    save("before.npy", Array2::zeros((41, 61)));
-    let base = ["tif", "after.npy", "--unit", "nm", "--pixel-mm", "0.1", "--dwell-s", "30"];
-    let more = ["--half-size-mm", "1.5", "--before", "before.npy", "--out", "spot"];
-    let (said, _) = done(dir, &[&base[..], &more].concat());
-    assert!(said.contains("noise"), "{said}");
-    let loaded = artifact::read::<Tif>(&dir.join("spot")).unwrap();
-    // Plane fitted outside the square: the tail there is 240 exp(-4.5) = 2.7 nm at its edge.
-    assert!((loaded.value.peak_nm_per_s() - 8.0).abs() < 0.05);
-    let spot = &loaded.manifest.unwrap().outcome["spot"];
-    // As above, a plane through the tail. Regression bound: 1.5e-3 mm was seen.
-    assert!((spot["centre_mm"][0].as_f64().unwrap() - 3.5).abs() < 1e-2, "{spot}");
-
-    // Directories of maps are read as maps.
-    let nm = ["--unit", "nm", "--pixel-mm", "0.1"];
-    done(dir, &[&["surface", "after.npy", "--out", "after"], &nm[..]].concat());
-    done(dir, &[&["surface", "before.npy", "--out", "before"], &nm[..]].concat());
-    let base = ["tif", "after", "--before", "before", "--dwell-s", "30", "--half-size-mm", "1.5"];
-    done(dir, &[&base[..], &["--out", "spot-2"]].concat());
-    let again = artifact::read::<Tif>(&dir.join("spot-2")).unwrap().value;
-    assert_eq!(again.rate_nm_per_s(), loaded.value.rate_nm_per_s());
-
-    assert!(refused(dir, &["tif", "rate.npy", "--rate", "--unit", "m"]).contains("--pixel-mm"));
-    let added = ["tif", "after.npy", "--unit", "nm", "--pixel-mm", "0.1", "--rate"];
-    assert!(refused(dir, &added).contains("no positive rate"));
-}
-
-#[test]
-fn a_spot_with_noise_becomes_a_tif_without_bias() {
-    // A Gaussian of 300 nm and 1 mm of full width, half size 1.6 mm, and normal noise (sums of twelve) of 1 % of its
-    // peak.
-    let tmp = tempfile::tempdir().unwrap();
-    let dir = tmp.path();
-    let mut random = ChaCha8Rng::seed_from_u64(41);
-    let depth = Array2::from_shape_fn((101, 101), |(r, c)| {
-        let square = (0.05 * (r as f64 - 50.0)).powi(2) + (0.05 * (c as f64 - 50.0)).powi(2);
-        let normal = (0..12).map(|_| random.random_range(0.0..1.0)).sum::<f64>() - 6.0;
-        300.0 * (-4.0 * std::f64::consts::LN_2 * square).exp() + 3.0 * normal
-    });
-    fs::write(dir.join("depth.npy"), ArrayData::F64(depth.into_dyn().into()).to_npy()).unwrap();
-    let base = ["tif", "depth.npy", "--unit", "nm", "--pixel-mm", "0.05", "--dwell-s", "30"];
-    let vrr = |out: &str, more: &[&str]| {
-        done(dir, &[&base[..], &["--half-size-mm", "1.6", "--out", out], more].concat());
-        artifact::read::<Tif>(&dir.join(out)).unwrap().value.vrr_nm_mm2_per_s()
-    };
-    let (plain, clipped) = (vrr("plain", &[]), vrr("clipped", &["--clip-negative"]));
-    // 10 nm/s pi / (4 ln 2) mm^2; noise of 0.1 nm/s over 65 x 65 samples of 0.05 mm scatters by 0.016, and by as much
-    // in the plane outside: 0.2 % of it, three of them.
-    let expected = 10.0 * std::f64::consts::PI / (4.0 * std::f64::consts::LN_2);
-    assert!((plain / expected - 1.0).abs() < 6e-3, "{plain} {expected}");
-    // Sums round.
-    assert!((clipped / plain - 1.0).abs() < 1e-12, "{clipped} {plain}");
-}
-
-/// Rates of 5 nm/s, sigma 2 mm, in a field of 41 mm, with a baseline; as CSV.
-fn rates(baseline: impl Fn(f64, f64) -> f64) -> String {
-    let mut text = String::from("# unit: nm\n# pixel size: 1 mm\n");
-    for r in -20..=20 {
-        let row = (-20..=20).map(|c| {
-            let (x, y) = (f64::from(c), f64::from(r));
-            format!("{:.4}", 5.0 * (-0.125 * (x * x + y * y)).exp() + baseline(x, y))
-        });
-        text.push_str(&row.collect::<Vec<_>>().join(","));
-        text.push('\n');
-    }
-    text
-}
-
-#[test]
-fn a_low_baseline_is_doubted_by_its_volume_and_the_remedy_is_named() {
-    let tmp = tempfile::tempdir().unwrap();
-    let dir = tmp.path();
-    type Baseline = fn(f64, f64) -> f64;
-    let cases: [(&str, Baseline, &str); 5] = [
-        ("level", |_, _| 0.045, "is 38 % of its volume"),
-        ("below", |_, _| -0.045, "takes off 151 % of its volume"),
-        ("tilted", |x, _| 0.00225 * x, "moves 30 % of its volume"),
-        ("round", |x, y| if x.hypot(y) < 19.0 { 0.045 } else { 0.0 }, "is 29 % of its volume"),
-        ("none", |_, _| 0.0, ""),
-    ];
-    for (name, baseline, expected) in cases {
-        fs::write(dir.join("tif.csv"), rates(baseline)).unwrap();
-        let (_, warned) = done(dir, &["tif", "tif.csv", "--rate", "--out", name]);
-        assert_eq!(
-            warned.contains("a baseline?") || warned.contains("a tilted baseline?"),
-            !expected.is_empty()
-        );
-        assert!(warned.contains(expected), "{name}: {warned}");
-        let manifest = artifact::read::<Tif>(&dir.join(name)).unwrap().manifest.unwrap();
-        let doubts = manifest.outcome["doubts"].as_array().unwrap().len();
-        assert_eq!(doubts, usize::from(!expected.is_empty()), "{name}");
-        if ["level", "below"].contains(&name) {
-            // 2 pi sigma^2 5 nm/s, which planish-surface tif --subtract-border gives.
-            assert!(
-                warned.contains("--subtract-border takes it off, and leaves 125.66 of"),
-                "{warned}"
-            );
-        }
-    }
-    // The depth of a spot after 10 s, of which nothing is subtracted.
-    fs::write(dir.join("depth.csv"), rates(|_, _| 0.045)).unwrap();
-    let spot =
-        ["tif", "depth.csv", "--dwell-s", "10", "--half-size-mm", "18", "--baseline", "none"];
-    let (_, warned) = done(dir, &[&spot[..], &["--out", "spot"]].concat());
-    assert!(warned.contains("a baseline?"), "{warned}");
 }
 
 #[test]

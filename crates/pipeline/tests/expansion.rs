@@ -97,8 +97,8 @@ fn settings_add_and_leave_out_commands() {
     );
     for (more, kinematics, found) in [
         (&["passes=3"][..], "xy", "toolpath:one_pass toolpath:tool_path dwell:dwell"),
-        (&["surface=s", "tif=t"], "xy", "surface:import/surface import:import/tif surface:surface"),
-        (&["varying=tool-edge --pad-radius-mm 3"], "xy", "surface:tool toolpath:tool_path"),
+        (&["surface=s", "tif=t"], "xy", "surface:import/surface tool:import/tif surface:surface"),
+        (&["varying=edge --pad-radius-mm 3"], "xy", "tool:tool toolpath:tool_path"),
         (&["error_budget=e.json"], "xy", "simulate:methods/pvt/removal-after-servo"),
         (&["error_budget=e.json"], "xy", "tolerance:tolerance"),
         (&["specification=s.json"], "xy", "surface:specified/pvt/specification"),

@@ -3,12 +3,13 @@
 use planish_handoff::Stage;
 
 /// The stages, in the order of a run; `planish-run` runs them.
-pub const STAGES: [Stage; 20] = [
+pub const STAGES: [Stage; 21] = [
     planish_run::command::COMMAND,
     planish_fixture::command::COMMAND,
-    planish_import::command::COMMAND,
+    planish_import::command::command::<planish_tool::command::ImportNames>(),
     planish_register::command::COMMAND,
-    planish_surface::command::COMMAND,
+    planish_surface::command::command::<planish_tool::command::SurfaceNames>(),
+    planish_tool::command::COMMAND,
     planish_toolpath::command::COMMAND,
     planish_dwell::command::COMMAND,
     planish_bspline_feed::command::COMMAND,

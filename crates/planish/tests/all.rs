@@ -78,6 +78,12 @@ mod testkit_random_problems;
 mod tolerance_cli;
 #[path = "../../tolerance/tests/hostile.rs"]
 mod tolerance_hostile;
+#[path = "../../tool/tests/cli.rs"]
+mod tool_cli;
+#[path = "../../tool/tests/hostile.rs"]
+mod tool_hostile;
+#[path = "../../tool/tests/varying.rs"]
+mod tool_varying;
 #[path = "../../toolpath/tests/cli.rs"]
 mod toolpath_cli;
 #[path = "../../toolpath/tests/hostile.rs"]

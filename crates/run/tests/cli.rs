@@ -435,8 +435,8 @@ fn recorders(dir: &Path) -> std::path::PathBuf {
     let programs = dir.join("programs");
     fs::create_dir(&programs).unwrap();
     for name in [
-        "fixture", "surface", "toolpath", "dwell", "schedule", "simulate", "verify", "compare",
-        "run", "export", "import",
+        "fixture", "surface", "tool", "toolpath", "dwell", "schedule", "simulate", "verify",
+        "compare", "run", "export", "import",
     ] {
         let script = "#!/bin/sh\nname=${0##*/}\n\
                       if [ -n \"$PLANISH_REHEARSAL\" ]; then\n\

@@ -7,13 +7,11 @@ mod profile;
 mod psd;
 mod spec;
 mod statistics;
-mod tif;
-mod tool;
 
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
-use planish_handoff::{Failure, Inputs, Status};
+use planish_handoff::{Failure, Inputs, Status, Subcommands};
 use planish_surface::low_order::Circle;
 use planish_types::{Removal, Surface};
 
@@ -21,7 +19,7 @@ use planish_types::{Removal, Surface};
 const CIRCLE: [&str; 3] = ["CX", "CY", "R"];
 
 #[derive(Debug, Subcommand)]
-pub enum Method {
+pub enum Method<Others: Subcommands> {
     /// Make the desired removal: crop to the clear aperture, mask outliers, level; on request fill holes
     /// and extend beyond the aperture
     Prepare(Box<prepare::PrepareArgs>),
@@ -35,26 +33,14 @@ pub enum Method {
     /// Measure slope errors, heights after the best shape, bands and spectra of a map, a residual or a
     /// profile, and judge them by a specification
     Spec(Box<spec::SpecArgs>),
-    /// Prepare a measured tool influence function (border, centre, rotation, pitch, taper), or fit a
-    /// formula to it
-    Tif(tif::TifArgs),
-    /// Make a tool whose rate depends on the place, or on the incidence of its beam
-    ToolRate(tool::RateArgs),
-    /// Make a tool from spots that were measured at several places, angles or edge distances
-    ToolSpots(tool::SpotsArgs),
-    /// Make a tool of a pad that hangs over the edge, with its pressure law
-    ToolEdge(tool::EdgeArgs),
-    /// Make a tool of a spot that turns with the azimuth of its place, as on a spindle
-    ToolTurned(tool::TurnedArgs),
-    /// Make the tool that a TIF is on a curved part, along its normal or of fixed direction
-    ToolFootprint(tool::FootprintArgs),
-    /// Make a tool whose rate depends on the time of the run: wear and warm-up
-    ToolTime(tool::TimeArgs),
     /// Draw maps and a section through them as SVG
     Draw(draw::DrawArgs),
+    /// Those of another stage
+    #[command(flatten)]
+    Others(Others),
 }
 
-impl Method {
+impl<Others: Subcommands> Method<Others> {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::Prepare(arguments) => arguments.run(),
@@ -62,14 +48,8 @@ impl Method {
             Self::Statistics(arguments) => arguments.run(),
             Self::Psd(arguments) => arguments.run(),
             Self::Spec(arguments) => arguments.run(),
-            Self::Tif(arguments) => arguments.run(),
-            Self::ToolRate(arguments) => arguments.run(),
-            Self::ToolSpots(arguments) => arguments.run(),
-            Self::ToolEdge(arguments) => arguments.run(),
-            Self::ToolTurned(arguments) => arguments.run(),
-            Self::ToolFootprint(arguments) => arguments.run(),
-            Self::ToolTime(arguments) => arguments.run(),
             Self::Draw(arguments) => arguments.run(),
+            Self::Others(others) => others.run(),
         }
     }
 }

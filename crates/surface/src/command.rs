@@ -1,8 +1,9 @@
-//! `planish-surface`: prepares measured maps and tools, and describes them.
+//! `planish-surface`: prepares measured maps, and describes them.
 
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser};
+use planish_handoff::{Stage, Subcommands};
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-surface prepare --surface mirror --level plane --out out/surface\n\
@@ -10,21 +11,25 @@ const EXAMPLES: &str = "Examples:\n\
     \x20 planish-surface psd --surface mirror --band-per-mm 0.1 1 --out out/psd\n\
     \x20 planish-surface spec --surface mirror --base-mm 1 --specification limits.json --out out/spec\n\
     \x20 planish-surface spec --profile ltp.csv --value-unit urad --subtract cylinder-x --out out/ltp\n\
-    \x20 planish-surface line --profile ltp.csv --value-unit urad --positive hill --tif spot --strip-width-mm 10 --out out/line\n\
-    \x20 planish-surface tif --tif spot --centre centroid --fit-formula gaussian --out out/tif";
+    \x20 planish-surface line --profile ltp.csv --value-unit urad --positive hill --tif spot --strip-width-mm 10 --out out/line";
 
-/// Prepare measured maps and tools, and describe them
+/// Prepare measured maps, and describe them
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct Cli<Others: Subcommands> {
     #[command(subcommand)]
-    method: crate::cli::Method,
+    method: crate::cli::Method<Others>,
 }
 
-/// The command `planish surface`.
-pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+/// Returns the command `planish surface`, with further subcommands of another stage, which have a second name here.
+pub const fn command<Others: Subcommands>() -> Stage {
+    Stage {
+        name: env!("CARGO_PKG_NAME"),
+        main: main::<Others>,
+        definition: <Cli<Others> as CommandFactory>::command,
+    }
+}
 
-fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.method.run())
+fn main<Others: Subcommands>() -> ExitCode {
+    planish_handoff::program(|cli: &Cli<Others>| cli.method.run())
 }

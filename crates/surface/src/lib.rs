@@ -1,4 +1,4 @@
-//! Preparation and description of measured maps and measured tools, for the solvers.
+//! Preparation and description of measured maps, for the solvers.
 //!
 //! * [`mod@prepare`]: clear aperture, outlier mask, level, fill and extension, in this order.
 //! * [`outliers`]: finds pits and dust that are too narrow for the tool.
@@ -10,7 +10,6 @@
 //! * [`quality`]: quantities that specify a mirror, of a map or of a [`profile`]; [`shape`]: the best
 //!   shape; [`specification`]: limits on all of these quantities.
 //! * [`mod@line`]: the desired removal of a profile, and the tool that is integrated across it.
-//! * [`tif`], [`tif_fit`]: preparation of a tool influence function, and its description by a formula.
 //! * [`draw`]: pictures of maps and spectra.
 
 // The command line names this library as any other program does.
@@ -36,9 +35,6 @@ pub mod shape;
 pub mod specification;
 pub mod statistics;
 pub mod target;
-pub mod tif;
-pub mod tif_fit;
-pub mod varying;
 
 pub use extension::{ExtensionSettings, extend};
 pub use low_order::{Family, LowOrderSettings, low_order};

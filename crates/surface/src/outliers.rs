@@ -47,12 +47,10 @@
 //! | L | `noise_of_differences` | (ny - 2, nx - 2) | nm |
 //! | s | `noise_nm` | - | nm |
 
-use std::f64::consts::PI;
-
 use nalgebra::{Matrix6, Vector6};
 use ndarray::{Array2, Axis as NdAxis, Slice};
 use planish_numerics::statistics::{fit_plane, subtract_plane};
-use planish_types::{Axis, Invalid, Surface, Tif};
+use planish_types::{Axis, Invalid, Surface};
 use serde::Serialize;
 
 use crate::{PrepareError, figure::figure, median::median_filter};
@@ -95,7 +93,8 @@ const MAX_MASKED_FRACTION: f64 = 0.02;
 /// Settings that define an outlier.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OutlierSettings {
-    /// Full width at half maximum of the tool's influence, mm; > 0. See [`half_maximum_width_mm`].
+    /// Full width at half maximum of the tool's influence, mm; > 0. See
+    /// [`Tif::half_maximum_width_mm`](planish_types::Tif::half_maximum_width_mm).
     pub feature_mm: f64,
     /// Multiple of the noise (1.4826 MAD) above which a deviation is a seed; > 0. The noise of a polished
     /// map is not normal: 6 to 10 still flag its borders, 15 does not.
@@ -169,17 +168,6 @@ pub struct OutlierReport {
     pub grow_nm: f64,
     /// Window of the median filter (rows, columns), px.
     pub window_px: (usize, usize),
-}
-
-/// Diameter of the circle whose area is that of the samples at or above half the peak, mm.
-///
-/// The full width at half maximum of a round TIF; the geometric mean of the two axes of an
-/// elliptical one.
-pub fn half_maximum_width_mm(tif: &Tif) -> f64 {
-    let half = 0.5 * tif.peak_nm_per_s();
-    let count = tif.rate_nm_per_s().iter().filter(|v| **v >= half).count();
-    // pi (W/2)^2 = A
-    2.0 * (count as f64 * tif.grid().pixel_mm2() / PI).sqrt()
 }
 
 impl OutlierReport {
@@ -516,7 +504,7 @@ mod tests {
         for (waves, height, seed) in [(2.5, 300.0, 1), (5.0, 100.0, 2), (5.0, 300.0, 3)] {
             let noise = Normal::new(0.0, 0.05).unwrap();
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
-            let k = 2.0 * PI * waves / nx as f64;
+            let k = 2.0 * std::f64::consts::PI * waves / nx as f64;
             let clean = Array2::from_shape_fn((ny, nx), |(r, c)| {
                 let (x, y) = (c as f64, r as f64);
                 height * (k * x + 0.4).sin() * (k * y).cos() + noise.sample(&mut rng)
@@ -657,21 +645,6 @@ mod tests {
         let error = outliers(&surface, &OutlierSettings::for_feature_mm(4.0)).unwrap_err();
         // 96 dots of 7 x 7 pixels.
         assert!(error.to_string().contains("4704 of 24000"), "{error}");
-    }
-
-    #[test]
-    fn width_of_a_gaussian() {
-        let axis = Axis::new(-5.0, 0.1, 101).unwrap();
-        let grid = Grid { x: axis, y: axis };
-        let sigma = 1.7;
-        let rate = Array2::from_shape_fn((101, 101), |(r, c)| {
-            let (x, y) = (axis.at(c), axis.at(r));
-            8.0 * (-(x * x + y * y) / (2.0 * sigma * sigma)).exp()
-        });
-        let width = half_maximum_width_mm(&Tif::new(grid, rate).unwrap());
-        let exact = 2.0 * (2.0 * std::f64::consts::LN_2).sqrt() * sigma;
-        // Counting lattice points in a circle of 40 px: about one row in 500.
-        assert!((width / exact - 1.0).abs() < 5e-3, "{width} {exact}");
     }
 
     #[test]

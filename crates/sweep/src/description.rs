@@ -42,7 +42,7 @@ pub enum Mirror {
         tif: String,
         /// Flags of `planish-import surface`.
         surface_settings: String,
-        /// Flags of `planish-import tif`.
+        /// Flags of `planish-tool from-maps`.
         tif_settings: String,
     },
 }

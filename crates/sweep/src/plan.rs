@@ -182,7 +182,8 @@ pub fn hash(content: &Value) -> String {
 }
 
 /// Programs that make a mirror.
-const MIRROR_PROGRAMS: [&str; 3] = ["planish-fixture", "planish-import", "planish-surface"];
+const MIRROR_PROGRAMS: [&str; 4] =
+    ["planish-fixture", "planish-import", "planish-surface", "planish-tool"];
 
 /// Returns true if `text` is the name of something directly in a directory that a shell keeps in one piece.
 fn is_name(text: &str) -> bool {
@@ -509,7 +510,7 @@ mod tests {
             ground: Ground {
                 surface: "s".into(),
                 tools: named("t", "n"),
-                varying: vec![("tool-edge --pad-radius-mm 10".into(), "e".into())],
+                varying: vec![("edge --pad-radius-mm 10".into(), "e".into())],
                 own_varying: None,
                 machine: "i".into(),
                 process: process.map(String::from),
@@ -684,7 +685,7 @@ mod tests {
     #[test]
     fn a_tool_that_varies_is_made_once_and_is_that_of_all_stages_of_its_plans() {
         let mut sweep = sweep(Some("p.json"));
-        let command = "tool-edge --pad-radius-mm 10";
+        let command = "edge --pad-radius-mm 10";
         let varying = |text: &str| ("varying", Given::Word(text.into()));
         let [constant, plain, edge] = [
             given(&sweep, "pvt+refined", &[]),
@@ -701,7 +702,7 @@ mod tests {
         sweep.add_varying(&[constant, plain.clone(), edge.clone(), edge.clone()], &words);
         let [step] = &sweep.mirror_steps[..] else { panic!("{:?}", sweep.mirror_steps) };
         let expected = format!(
-            "planish-surface {command} --tif mirror/m/tif --surface surface/s --out {tool} --force"
+            "planish-tool {command} --tif mirror/m/tif --surface surface/s --out {tool} --force"
         );
         assert_eq!(line(step), expected);
         let mut steps = sweep.path_steps(&edge);

@@ -420,9 +420,10 @@ mod tests {
         let prices = "{from: 1e-4, to: 1e-2, count: 3, spacing: logarithmic}";
         assert_eq!(values("time_weight_nm2_per_s", prices).unwrap(), ["0.0001", "0.001", "0.01"]);
         assert_eq!(values("tool", "narrow").unwrap(), ["narrow"]);
-        let beams = "[none, tool-rate --by incidence --exponent=-1.7]";
-        let [none, beam] = ["none", "tool-rate --by incidence --exponent=-1.7"];
-        assert_eq!(values("varying", beams).unwrap(), [none, beam]);
+        let [none, beam] = ["none", "incidence --exponent=-1.7"];
+        let second = "tool-rate --by incidence --exponent=-1.7";
+        let beams = format!("[{none}, {beam}, {second}]");
+        assert_eq!(values("varying", &beams).unwrap(), [none, beam, second]);
     }
 
     #[test]
@@ -448,11 +449,15 @@ mod tests {
             ("contrast", "2", "contrast is 2; give a number from 0 to 1"),
             ("turn", "round", "turn is 'round'; give square, semicircle or lift"),
             ("tool", "wide", "tool is 'wide'; give narrow"),
-            ("varying", "1", "varying is 1; give none, or the words of planish-surface tool-rate,"),
+            (
+                "varying",
+                "1",
+                "varying is 1; give none, or the words of planish-tool incidence, rate,",
+            ),
             ("varying", "prepare", "varying is 'prepare'; give none, or the words of"),
             (
                 "varying",
-                "tool-edge --out elsewhere",
+                "edge --out elsewhere",
                 "give it without --out: the sweep gives --tif, --surface, --out and --force",
             ),
             ("pitch_mm", "{from: 2, to: 1, step: 0.1}", "is empty: it goes from 2 to 1"),

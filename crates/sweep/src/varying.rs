@@ -1,7 +1,10 @@
 //! Tools that vary over the part: the commands of the setting `varying`, which the sweep makes with its mirror.
 
-/// Subcommands of `planish-surface` that make a tool that varies from a TIF and a map.
-pub const COMMANDS: [&str; 4] = ["tool-rate", "tool-footprint", "tool-edge", "tool-turned"];
+/// Subcommands of `planish-tool` that make a tool that varies from a TIF and a map.
+const COMMANDS: [&str; 5] = ["incidence", "rate", "footprint", "edge", "turned"];
+
+/// Second names of some of them.
+const SECOND_NAMES: [&str; 4] = ["tool-rate", "tool-footprint", "tool-edge", "tool-turned"];
 
 /// The word for a tool that is the same everywhere.
 pub const NONE: &str = "none";
@@ -14,7 +17,7 @@ const PATH_FLAGS: [&str; 2] = ["--form", "--table"];
 
 /// The values that the setting may have.
 pub fn wanted() -> String {
-    format!("{NONE}, or the words of planish-surface {}, with their flags", COMMANDS.join(", "))
+    format!("{NONE}, or the words of planish-tool {}, with their flags", COMMANDS.join(", "))
 }
 
 /// Refuses a text that is no command of the setting, with the values that it may have.
@@ -23,7 +26,8 @@ pub fn check(text: &str) -> Result<(), String> {
         return Ok(());
     }
     let mut words = text.split_whitespace();
-    if !words.next().is_some_and(|word| COMMANDS.contains(&word)) {
+    let command = words.next().unwrap_or_default();
+    if !COMMANDS.contains(&command) && !SECOND_NAMES.contains(&command) {
         return Err(wanted());
     }
     match own_flag(text) {
@@ -66,10 +70,10 @@ mod tests {
 
     #[test]
     fn paths_are_replaced_wherever_they_stand() {
-        let words = "tool-rate --by radius --table a/b --form=c --exponent=-1".split(' ');
+        let words = "rate --by radius --table a/b --form=c --exponent=-1".split(' ');
         let words = words.map(String::from).collect();
         let found = with_places(words, |path| Ok::<_, ()>(format!("/root/{path}"))).unwrap();
-        let expected = "tool-rate --by radius --table /root/a/b --form=/root/c --exponent=-1";
+        let expected = "rate --by radius --table /root/a/b --form=/root/c --exponent=-1";
         assert_eq!(found.join(" "), expected);
     }
 }

@@ -171,7 +171,7 @@ fn jobs_make_the_same_bytes_however_the_plans_are_shared_out() {
 fn a_tool_that_varies_is_made_with_the_mirror() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("rate.txt"), "0 1\n100 0.7\n").unwrap();
-    let command = "tool-rate --by radius --table rate.txt --error 1e-2";
+    let command = "rate --by radius --table rate.txt --error 1e-2";
     let with = SWEEP.replacen("pitch_mm: 2", &format!("varying: [none, {command}]"), 1);
     let file = written(dir.path(), &with);
     let out = dir.path().join("out").to_str().unwrap().to_string();
@@ -183,7 +183,7 @@ fn a_tool_that_varies_is_made_with_the_mirror() {
     let first = sweep();
     let steps = first["mirror_steps"].as_array().unwrap();
     let tool = steps.last().unwrap()["arguments"].as_array().unwrap();
-    assert_eq!((steps.len(), &tool[0]), (3, &"tool-rate".into()), "{steps:?}");
+    assert_eq!((steps.len(), &tool[0]), (3, &"rate".into()), "{steps:?}");
     let table = dir.path().canonicalize().unwrap().join("rate.txt");
     assert!(tool.contains(&table.to_str().unwrap().into()), "{tool:?}");
     ended(0, &["run", &out, "--layer", "mirror"]);
@@ -209,7 +209,7 @@ fn a_tool_that_varies_is_made_with_the_mirror() {
         settings.iter().find(|s| s[0] == "varying").unwrap()[1].as_str().unwrap().to_string()
     };
     assert_eq!(of(&plans[0]), "none");
-    assert!(of(plans.as_array().unwrap().last().unwrap()).starts_with("tool-rate --by incidence"));
+    assert!(of(plans.as_array().unwrap().last().unwrap()).starts_with("incidence "));
 }
 
 /// The residual of every plan is judged by the specification; its limits are columns of the table, and a plan that misses

@@ -16,13 +16,14 @@ type Room = (&'static str, &'static [&'static str]);
 
 /// Crates of layers 0 to 2, the stages that see others, crates that run several stages, and the tests that
 /// see all.
-const ROOMS: [Room; 17] = [
+const ROOMS: [Room; 18] = [
     ("numerics", &[]),
     ("types", &["numerics"]),
     ("draw", &["types"]),
     ("form", &["types"]),
     ("handoff", &["types", "form"]),
     ("kinematics", &["types", "form"]),
+    ("tool", &["numerics", "types", "form", "handoff", "import"]),
     ("axes", &["numerics", "types", "form", "kinematics", "handoff"]),
     (
         "refine",
@@ -70,7 +71,7 @@ const STAGES: [&str; 12] = [
 ];
 const STAGE_MAY_NAME: [&str; 6] = ["numerics", "types", "draw", "form", "kinematics", "handoff"];
 
-const ALL: [&str; 27] = [
+const ALL: [&str; 28] = [
     "numerics",
     "types",
     "draw",
@@ -82,6 +83,7 @@ const ALL: [&str; 27] = [
     "fixture",
     "import",
     "surface",
+    "tool",
     "toolpath",
     "dwell",
     "schedule",
@@ -505,9 +507,15 @@ fn libraries_have_no_files_no_shell_and_no_clock() {
 #[test]
 fn the_messages_of_stage_libraries_name_settings_and_no_flags() {
     let mut complaints = Vec::new();
-    for folder in
-        STAGES.iter().chain(&["axes", "refine", "joint", "tolerance", "reconcile", "campaign"])
-    {
+    for folder in STAGES.iter().chain(&[
+        "axes",
+        "tool",
+        "refine",
+        "joint",
+        "tolerance",
+        "reconcile",
+        "campaign",
+    ]) {
         for file in library_files(folder) {
             let source = fs::read_to_string(&file).unwrap();
             for flag in flags(&source) {
@@ -603,7 +611,7 @@ fn the_one_program_has_every_stage() {
     let table = source("src/stages.rs");
     for folder in packages().keys() {
         if directory_of(folder).join("src/command.rs").exists() {
-            let line = format!("planish_{}::command::COMMAND", folder.replace('-', "_"));
+            let line = format!("    planish_{}::command::", folder.replace('-', "_"));
             assert!(table.contains(&line), "crates/planish/src/stages.rs: add {line}");
         }
     }
@@ -637,6 +645,7 @@ fn every_crate_has_name_licence_description_and_the_lints() {
         let program = STAGES.contains(&folder.as_str())
             || [
                 "axes",
+                "tool",
                 "refine",
                 "joint",
                 "tolerance",

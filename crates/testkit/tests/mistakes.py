@@ -219,7 +219,7 @@ CASES = [
     ("limits in m/s", lambda run, d: raster(d, machine=lambda: machine(d / "m.json", change=slow(1e-3))), "m/s"),
     ("angle of the lines in rad", lambda run, d: raster(d, flags=["--angle-deg", 0.7854]), "radians"),
     ("rotary axes in rad", lambda run, d: raster(d, machine=lambda: machine(d / "m.json", "bonnet-five-axis", rotary_in_radians)), "radians"),
-    ("incidences in rad", lambda run, d: ["surface", "tool-rate", "--surface", surface(d / "s"), "--tif", tif(d / "t"), "--by", "incidence", "--sphere-radius-mm", 60, "--table", text(d / "t.txt", "0 1\n0.3 1.1\n0.6 1.3\n1.2 1.5\n")], "radians"),
+    ("incidences in rad", lambda run, d: ["tool", "incidence", "--surface", surface(d / "s"), "--tif", tif(d / "t"), "--sphere-radius-mm", 60, "--table", text(d / "t.txt", "0 1\n0.3 1.1\n0.6 1.3\n1.2 1.5\n")], "radians"),
     ("baseline under the TIF", lambda run, d: raster(d, tif=lambda: tif(d / "tif", floor=0.5)), "baseline"),
     ("TIF cropped", lambda run, d: raster(d, tif=lambda: tif(d / "tif", half=5)), "cropped"),
     ("diameter for the radius", lambda run, d: prepare(d, surface(d / "s", change=disk(False)), "--aperture-circle-mm", 10, 6, 11.5), "diameter for a radius"),

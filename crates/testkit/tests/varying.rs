@@ -12,11 +12,11 @@ use planish_dwell::{
 };
 use planish_fixture::{Recipe, make};
 use planish_form::Form;
-use planish_surface::varying::{
+use planish_testkit::{ion_beam, workspace};
+use planish_tool::varying::{
     Carrier, Direction, Footprint, LowRankSettings, Overhang, Parameter, Places, PressureLaw,
     RateLaw, Spots, ToolFrame, low_rank, low_rank_by_azimuth, low_rank_by_heading, tool_at, turned,
 };
-use planish_testkit::{ion_beam, workspace};
 use planish_toolpath::{
     OnForm,
     maze::{MazeSettings, Tree, maze},

@@ -263,7 +263,7 @@ impl Region {
             let [x, y] = self.off_centre_mm;
             report.warnings.push(format!(
                 "the TIF removes ({x:.3}, {y:.3}) mm from where the tool stands (its centroid), so the path \
-                 lies that much the other way from the aperture; `planish-surface tif --centre centroid` \
+                 lies that much the other way from the aperture; `planish-tool prepare --centre centroid` \
                  centres it, where the tool is not mounted like that"
             ));
         }

@@ -46,7 +46,7 @@ impl SurfaceArgs {
             "rms_nm": statistics.rms,
         });
         output.write(&map, outcome, &Status::Done)?;
-        report(&statement, map.grid());
+        report("planish-import", &statement, map.grid());
         say(format!(
             "planish-import: {:.4} nm RMS, {:.4} nm PV, height {:.4} .. {:.4} nm -> {}",
             statistics.rms,

@@ -10,7 +10,7 @@ use super::{
     columns::{Column, Columns, Log, Role, short, stated_unit},
     table::most_samples,
 };
-use crate::{budget::too_many, hdf5};
+use crate::{budget::too_many, format::hdf5};
 
 /// Reads the datasets that are asked for.
 pub fn read(bytes: &[u8], asked: &Columns) -> Result<Log, Invalid> {

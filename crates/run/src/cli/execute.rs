@@ -36,8 +36,8 @@ const MESSAGE: &str = "message.txt";
 const KILLED: u8 = 128;
 
 /// Programs that make mirror, tool and tool path. Those that come after them may take hours.
-const SHORT: [&str; 4] =
-    ["planish-fixture", "planish-import", "planish-surface", "planish-toolpath"];
+const SHORT: [&str; 5] =
+    ["planish-fixture", "planish-import", "planish-surface", "planish-tool", "planish-toolpath"];
 
 /// Programs that are not tried before the run: they read a whole run, or a large file that the first stage reads anyway.
 const NOT_REHEARSED: [&str; 4] =

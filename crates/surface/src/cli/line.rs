@@ -10,7 +10,6 @@ use planish_surface::{
     line::{Across, LineSettings, Positive, integrated_across, line, mean_profile},
     profile::Profile,
     shape::Shape,
-    tif::tif_statistics,
 };
 use planish_types::{Surface, Tif};
 use serde_json::json;
@@ -92,7 +91,7 @@ impl LineArgs {
         let tool = integrated_across(&tif, across).map_err(Failure::with_flags)?;
         let report = &made.report;
         output.write(&made.surface, serde_json::to_value(report)?, &Status::Done)?;
-        let peak = tif_statistics(&tool).peak_nm_per_s;
+        let peak = tool.peak_nm_per_s();
         output.write(&tool, json!({ "peak_nm_per_s": peak }), &Status::Done)?;
         say(format!(
             "planish-surface: line of {} pixels of {} mm, RMS {:.4} nm, slopes {:.1} nrad RMS; the tool removes at most \

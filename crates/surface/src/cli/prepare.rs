@@ -10,7 +10,6 @@ use planish_handoff::{
 use planish_surface::{
     Family, Level, LowOrderSettings, OutlierSettings, PrepareError, PrepareReport, PrepareSettings,
     extension::{self, ExtensionSettings, gaussian_decay, gerchberg_papoulis, polynomial},
-    outliers::half_maximum_width_mm,
     prepare_to,
     target::{Heights, Lateral, Target, converted},
 };
@@ -310,7 +309,7 @@ impl ApertureArgs {
 impl OutlierArgs {
     fn read(&self, inputs: &mut Inputs) -> Result<Option<OutlierSettings>, Failure> {
         let feature_mm = match (&self.tif, self.feature_mm) {
-            (Some(dir), _) => half_maximum_width_mm(&inputs.read_tool("tif", dir)?),
+            (Some(dir), _) => inputs.read_tool("tif", dir)?.half_maximum_width_mm(),
             (None, Some(width)) => width,
             (None, None) => return Ok(None),
         };

@@ -295,6 +295,7 @@ impl Work<'_> {
             "planish-simulate",
             "planish-verify",
             "planish-surface",
+            "planish-tool",
             "planish-tolerance",
             "planish-compare",
         ]);

@@ -14,8 +14,8 @@ use planish_schedule::{
     constant_acceleration, pvt,
 };
 use planish_simulate::{Settings, simulate};
-use planish_surface::tif_fit;
 use planish_testkit::{ion_beam, mirror::mirror};
+use planish_tool::tif_fit;
 use planish_toolpath::{
     Construction, MazeSettings, RandomAdaptiveSettings, RasterSettings, Tree, maze,
     random_adaptive, raster, statistics,

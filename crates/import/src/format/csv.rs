@@ -23,12 +23,13 @@
 use ndarray::{Array2, s};
 use planish_types::Invalid;
 
+use super::srw;
 use crate::{
     Format,
     beside::{self, Beside},
     budget::{BYTES_PER_PIXEL, MOST_HEADER_LINES, check_room, check_size, most_of, too_many},
     reading::{Coordinates, FirstRow, Reading},
-    srw, text,
+    text,
 };
 
 const NAME: &str = "CSV file";

@@ -22,12 +22,12 @@ use planish_types::Invalid;
 use roxmltree::{Document, Node};
 use serde_json::json;
 
+use super::zip::Archive;
 use crate::{
     Format, Unit,
     budget::{MOST_TEXT_BYTES, check_size},
     bytes::Number,
     reading::{FirstRow, Reading, Window},
-    zip::Archive,
 };
 
 const NAME: &str = "x3p file";

@@ -1,15 +1,15 @@
-//! `planish-surface tool-rate`, `tool-spots`, `tool-edge`, `tool-turned`, `tool-footprint` and `tool-time`: tools that
-//! are not the same everywhere.
+//! `planish-tool rate`, `incidence`, `spots`, `edge`, `turned`, `footprint` and `time`: tools that are not the same
+//! everywhere.
 
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use ndarray::{Array2, Zip};
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, Tool, flags::OutputArgs, say, task, warn,
+    Artifact, Begin, Failure, Inputs, Output, Status, Tool, flags::OutputArgs, say, warn,
     with_flags,
 };
-use planish_surface::varying::{
+use planish_tool::varying::{
     Carrier, Direction, Footprint, LocalTool, LowRank, LowRankReport, LowRankSettings, Overhang,
     Parameter, Places, PressureLaw, RateLaw, Samples, Spots, ToolFrame, Used, low_rank,
     low_rank_by_azimuth, low_rank_by_heading, tool_at, turned,
@@ -20,6 +20,8 @@ use planish_types::{
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::json;
+
+use super::Name;
 
 /// Largest table of a law that is read, bytes.
 const LARGEST_TABLE_BYTES: u64 = 1 << 22;
@@ -138,7 +140,7 @@ impl MakeArgs {
     /// Makes kernels and weights of the tool `of`, and writes them with the factors of `base`.
     fn make<S: Serialize>(
         &self,
-        method: &'static str,
+        name: Name,
         settings: &S,
         inputs: &Inputs,
         (surface, base): (&Surface, &Tif),
@@ -149,7 +151,7 @@ impl MakeArgs {
             "settings": settings, "low_rank": self.exact.settings(), "spacing_mm": self.spacing_mm,
             "beyond_mm": self.beyond_mm,
         });
-        let task = task!(method, &shared);
+        let task = name.task(&shared);
         let output = match Output::directory(&self.output, Tool::KIND).begin(&task, inputs)? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
@@ -164,7 +166,7 @@ impl MakeArgs {
             time: factors.and_then(|v| v.time_factor()).cloned(),
             ..tool
         };
-        write(output, Tif::varying(tool)?, Some(&report), &self.output.out)
+        write(output, name, Tif::varying(tool)?, Some(&report), &self.output.out)
     }
 }
 
@@ -176,6 +178,7 @@ fn near<'a>(places: &'a Places<'a>, beyond_mm: f64) -> Box<Used<'a>> {
 /// Writes a tool, and says what it is.
 fn write(
     mut output: Box<planish_handoff::Writer>,
+    name: Name,
     tif: Tif,
     report: Option<&LowRankReport>,
     out: &Path,
@@ -210,7 +213,7 @@ fn write(
         )
     });
     let kernels = if rank == 1 { "1 kernel".to_string() } else { format!("{rank} kernels") };
-    say(format!("planish-surface: tool of {kernels}{exact} -> {}", out.display()));
+    say(format!("{}: tool of {kernels}{exact} -> {}", name.program, out.display()));
     Ok(status)
 }
 
@@ -243,12 +246,25 @@ impl FormArgs {
 
 #[derive(Debug, Args)]
 pub struct RateArgs {
-    /// Tool influence function where the factor is 1 [tif or tool artifact]
-    #[arg(long, value_name = "DIR")]
-    tif: PathBuf,
     /// Parameter of the place on which the tool depends
     #[arg(long, value_enum)]
     by: Parameter,
+    #[command(flatten)]
+    factor: FactorArgs,
+}
+
+impl RateArgs {
+    pub fn run(&self, name: Name) -> Result<Status, Failure> {
+        self.factor.run(name, self.by)
+    }
+}
+
+/// The rate and its factor, whose parameter is known.
+#[derive(Debug, Args)]
+pub struct FactorArgs {
+    /// Tool influence function where the factor is 1 [tif or tool artifact]
+    #[arg(long, value_name = "DIR")]
+    tif: PathBuf,
     #[command(flatten)]
     form: FormArgs,
     /// Exponent m of cos(incidence)^m; below 0 the rate rises with the angle
@@ -264,14 +280,14 @@ pub struct RateArgs {
     make: MakeArgs,
 }
 
-impl RateArgs {
-    pub fn run(&self) -> Result<Status, Failure> {
+impl FactorArgs {
+    pub fn run(&self, name: Name, by: Parameter) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let tif = inputs.read_tool_with_doubt("tif", &self.tif)?;
         let surface: Surface = inputs.read("surface", &self.make.surface)?;
         let places = self.form.places(&surface, &mut inputs)?;
         let law = match (self.exponent, &self.table) {
-            (Some(_), _) if self.by != Parameter::Incidence => {
+            (Some(_), _) if by != Parameter::Incidence => {
                 return Err(Failure::new(
                     "--exponent: is of the cosine of the incidence; give --by incidence, or a --table",
                 ));
@@ -279,7 +295,7 @@ impl RateArgs {
             (Some(exponent), _) => RateLaw::Cosine { exponent },
             (None, Some(file)) => {
                 let pairs = read_table(&mut inputs, "table", file)?;
-                if self.by == Parameter::Incidence {
+                if by == Parameter::Incidence {
                     doubt_incidences(&pairs);
                 }
                 RateLaw::Table { pairs }
@@ -287,21 +303,21 @@ impl RateArgs {
             (None, None) => return Err(Failure::new("--table: is missing; give it or --exponent")),
         };
         law.check().map_err(Failure::with_flags)?;
-        let at_pixel = self.by == Parameter::Incidence;
+        let at_pixel = by == Parameter::Incidence;
         let acts = self.acts_at.unwrap_or(if at_pixel { Acts::Pixel } else { Acts::Tool });
         let settings = json!({
-            "by": self.by, "law": law, "acts_at": acts, "sphere_radius_mm": self.form.sphere_radius_mm,
+            "by": by, "law": law, "acts_at": acts, "sphere_radius_mm": self.form.sphere_radius_mm,
         });
-        let factor = |p: [f64; 2]| places.parameter(self.by, p).map(|v| law.factor(v));
+        let factor = |p: [f64; 2]| places.parameter(by, p).map(|v| law.factor(v));
         if acts == Acts::Tool {
             self.make.check_corners((&surface, &tif), factor)?;
             let of: Box<LocalTool<'_>> =
                 Box::new(|p| tool_at(&tif, p) * factor(p).expect("checked at the corners"));
             let tool = (*tif.grid(), of, near(&places, self.make.beyond_mm(&tif)));
-            return self.make.make("tool-rate", &settings, &inputs, (&surface, &tif), tool);
+            return self.make.make(name, &settings, &inputs, (&surface, &tif), tool);
         }
         self.make.refuse_all()?;
-        let task = task!("tool-rate", &settings);
+        let task = name.task(&settings);
         let output = match Output::directory(&self.make.output, Tool::KIND).begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
@@ -313,7 +329,7 @@ impl RateArgs {
         let values = found.map_err(Failure::with_flags)?;
         let values = Array2::from_shape_vec((ny, nx), values).expect("one factor per pixel");
         let tif = with_factor(&tif, PixelFactor { grid, factor: values })?;
-        write(output, tif, None, &self.make.output.out)
+        write(output, name, tif, None, &self.make.output.out)
     }
 }
 
@@ -342,7 +358,7 @@ pub struct SpotsArgs {
 }
 
 impl SpotsArgs {
-    pub fn run(&self) -> Result<Status, Failure> {
+    pub fn run(&self, name: Name) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let surface: Surface = inputs.read("surface", &self.make.surface)?;
         let places = self.form.places(&surface, &mut inputs)?;
@@ -368,7 +384,7 @@ impl SpotsArgs {
         let of: Box<LocalTool<'_>> =
             Box::new(|p| spots.at(parameter(p).expect("checked at the corners")));
         let tool = (spots.offsets(), of, near(&places, self.make.beyond_mm(&widest)));
-        self.make.make("tool-spots", &settings, &inputs, (&surface, &widest), tool)
+        self.make.make(name, &settings, &inputs, (&surface, &widest), tool)
     }
 }
 
@@ -388,7 +404,7 @@ pub struct EdgeArgs {
 }
 
 impl EdgeArgs {
-    pub fn run(&self) -> Result<Status, Failure> {
+    pub fn run(&self, name: Name) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let tif = inputs.read_tool_with_doubt("tif", &self.tif)?;
         let surface: Surface = inputs.read("surface", &self.make.surface)?;
@@ -399,7 +415,7 @@ impl EdgeArgs {
         let of: Box<LocalTool<'_>> = Box::new(|p| pad.at(p));
         let counts: Box<Used<'_>> = Box::new(|p| pad.is_used(p));
         let tool = (*tif.grid(), of, counts);
-        self.make.make("tool-edge", &settings, &inputs, (&surface, &tif), tool)
+        self.make.make(name, &settings, &inputs, (&surface, &tif), tool)
     }
 }
 
@@ -432,7 +448,7 @@ pub struct TurnedArgs {
 }
 
 impl TurnedArgs {
-    pub fn run(&self) -> Result<Status, Failure> {
+    pub fn run(&self, name: Name) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let tif = inputs.read_tool_with_doubt("tif", &self.tif)?;
         let surface: Surface = inputs.read("surface", &self.surface)?;
@@ -443,7 +459,7 @@ impl TurnedArgs {
         };
         let (offsets, of) = turned(&tif, middle_mm).map_err(Failure::with_flags)?;
         let settings = json!({ "low_rank": self.exact.settings(), "follows": self.follows });
-        let task = task!("tool-turned", &settings);
+        let task = name.task(&settings);
         let output = match Output::directory(&self.output, Tool::KIND).begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
@@ -458,7 +474,7 @@ impl TurnedArgs {
                 .and_then(|positions| low_rank_by_heading(&offsets, positions, &*of, &exact)),
         };
         let LowRank { tool, report } = made.map_err(Failure::with_flags)?;
-        write(output, Tif::varying(tool)?, Some(&report), &self.output.out)
+        write(output, name, Tif::varying(tool)?, Some(&report), &self.output.out)
     }
 }
 
@@ -507,7 +523,7 @@ pub struct FootprintArgs {
 }
 
 impl FootprintArgs {
-    pub fn run(&self) -> Result<Status, Failure> {
+    pub fn run(&self, name: Name) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let tif = inputs.read_tool_with_doubt("tif", &self.tif)?;
         let surface: Surface = inputs.read("surface", &self.make.surface)?;
@@ -542,9 +558,10 @@ impl FootprintArgs {
         };
         rate_law.check().map_err(Failure::with_flags)?;
         if self.direction == DirectionArg::Fixed && !has_law {
-            say(
-                "planish-surface: note: without --exponent or --table the yield does not depend on the incidence",
-            );
+            say(format!(
+                "{}: note: without --exponent or --table the yield does not depend on the incidence",
+                name.program
+            ));
         }
         let settings = json!({
             "direction": self.direction, "rate_law": rate_law, "source_distance_mm": self.source_distance_mm,
@@ -572,7 +589,7 @@ impl FootprintArgs {
         }
         let of: Box<LocalTool<'_>> = Box::new(|p| on.at(p));
         let tool = (on.offsets(), of, near(&places, self.make.beyond_mm(&tif)));
-        self.make.make("tool-footprint", &settings, &inputs, (&surface, &tif), tool)
+        self.make.make(name, &settings, &inputs, (&surface, &tif), tool)
     }
 }
 
@@ -590,7 +607,7 @@ pub struct TimeArgs {
 }
 
 impl TimeArgs {
-    pub fn run(&self) -> Result<Status, Failure> {
+    pub fn run(&self, name: Name) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let tif = inputs.read_tool_with_doubt("tif", &self.tif)?;
         if tif.variation().is_some_and(|v| v.time_factor().is_some()) {
@@ -599,7 +616,7 @@ impl TimeArgs {
             ));
         }
         let pairs = read_table(&mut inputs, "table", &self.table)?;
-        let task = task!("tool-time", &json!({ "pairs": pairs }));
+        let task = name.task(json!({ "pairs": pairs }));
         let output = match Output::directory(&self.output, Tool::KIND).begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
@@ -610,7 +627,7 @@ impl TimeArgs {
         };
         let given = VaryingTif { time: Some(time), ..tif.numbers() };
         let tif = Tif::varying(given).map_err(Failure::with_flags)?;
-        write(output, tif, None, &self.output.out)
+        write(output, name, tif, None, &self.output.out)
     }
 }
 

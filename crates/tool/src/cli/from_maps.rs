@@ -1,20 +1,22 @@
-//! `planish-import tif`.
+//! `planish-tool from-maps`.
 
 use std::path::PathBuf;
 
 use clap::Args;
-use planish_handoff::{Artifact, Begin, Failure, Inputs, Status, pair, say, task, warn};
+use planish_handoff::{Artifact, Begin, Failure, Inputs, Status, pair, say, warn};
 use planish_import::{
-    Alignment, Baseline, Origin, Reading, Scale, Settings, SpotSettings, Statement, spot, surface,
-    tif,
+    Origin, Reading, Scale, Settings, Statement,
+    cli::{FileArgs, about, draw, in_flags, map_bytes, open, report},
+    surface, tif,
 };
+use planish_tool::{Alignment, Baseline, SpotSettings, spot};
 use planish_types::{Tif, doubts};
 use serde_json::{Value, json};
 
-use super::{FileArgs, about, draw, in_flags, map_bytes, open, report};
+use super::Name;
 
 #[derive(Debug, Args)]
-pub struct TifArgs {
+pub struct FromMapsArgs {
     #[command(flatten)]
     file: FileArgs,
     /// The values are rates already, on the offsets from the tool centre: per second, unless the file or --unit states
@@ -48,8 +50,8 @@ pub struct TifArgs {
     clip_negative: bool,
 }
 
-impl TifArgs {
-    pub fn run(&self) -> Result<Status, Failure> {
+impl FromMapsArgs {
+    pub fn run(&self, name: Name) -> Result<Status, Failure> {
         let file = &self.file;
         let mut inputs = Inputs::new();
         // Maps of a spot are surfaces.
@@ -76,7 +78,7 @@ impl TifArgs {
             "origin_given": self.origin.is_some(),
             "spot": spot_settings,
         });
-        let task = task!("tif", resolved);
+        let task = name.task(resolved);
         let reading = open(&mut inputs, "file", &file.file, format, bytes, &pick)?;
         let before = match &self.before {
             Some(path) => {
@@ -112,15 +114,16 @@ impl TifArgs {
             "vrr_nm_mm2_per_s": made.vrr_nm_mm2_per_s(),
         });
         output.write(&made, outcome, &Status::Done)?;
-        report(&statement, made.grid());
+        report(name.program, &statement, made.grid());
         if let Some(noise) = own["outside_rms_nm"].as_f64() {
             say(format!(
-                "planish-import: spot at {} mm, shift {} mm (standard error {} mm), noise {noise:.4} nm RMS outside it",
-                own["centre_mm"], own["shift_mm"], own["shift_error_mm"]
+                "{}: spot at {} mm, shift {} mm (standard error {} mm), noise {noise:.4} nm RMS outside it",
+                name.program, own["centre_mm"], own["shift_mm"], own["shift_error_mm"]
             ));
         }
         say(format!(
-            "planish-import: peak {:.4} nm/s, {:.4} nm mm^2/s -> {}",
+            "{}: peak {:.4} nm/s, {:.4} nm mm^2/s -> {}",
+            name.program,
             made.peak_nm_per_s(),
             made.vrr_nm_mm2_per_s(),
             file.output.out.display()

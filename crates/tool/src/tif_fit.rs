@@ -24,8 +24,6 @@ use ndarray::Array2;
 use planish_types::{Invalid, Tif};
 use serde::Serialize;
 
-use crate::outliers::half_maximum_width_mm;
-
 /// Largest number of steps; a fit that needs more is reported as not converged. Larger: more time on a TIF
 /// that the formula does not describe. Smaller: reports slow fits.
 const MAX_STEPS: usize = 200;
@@ -185,7 +183,7 @@ pub fn fit(tif: &Tif, model: Model) -> Result<(Tif, FitReport), Invalid> {
 fn start(tif: &Tif, model: Model) -> Vec<(f64, f64)> {
     let g = tif.grid();
     let peak = tif.peak_nm_per_s();
-    let sigma = half_maximum_width_mm(tif) / FWHM_PER_SIGMA;
+    let sigma = tif.half_maximum_width_mm() / FWHM_PER_SIGMA;
     // The centroid of what is above half of the peak, which a pedestal does not move.
     let mut sum = [0.0; 3];
     for ((r, c), v) in tif.rate_nm_per_s().indexed_iter().filter(|(_, v)| **v >= 0.5 * peak) {

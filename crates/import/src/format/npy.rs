@@ -6,6 +6,7 @@
 use ndarray::{Array2, ShapeBuilder};
 use planish_types::Invalid;
 
+use super::zip::Archive;
 use crate::{
     Format,
     arrays::{Arrays, TURNED, choose, is_turned, named_coordinates, prefix},
@@ -13,7 +14,6 @@ use crate::{
     budget::{BYTES_PER_PIXEL, MOST_ARRAYS, check_elements, check_size, most_of, too_many},
     bytes::{Bytes, Number},
     reading::{FirstRow, Pick, Reading},
-    zip::Archive,
 };
 
 const NAME: &str = "npy file";

@@ -1,21 +1,22 @@
-//! `planish-surface tif`.
+//! `planish-tool prepare`.
 
 use std::path::PathBuf;
 
 use clap::Args;
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, task, warn,
-    with_flags,
+    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, warn, with_flags,
 };
-use planish_surface::{
+use planish_tool::{
     tif::{Centre, TifSettings, prepare_tif, tif_statistics},
     tif_fit,
 };
 use planish_types::Tif;
 use serde_json::json;
 
+use super::Name;
+
 #[derive(Debug, Args)]
-pub struct TifArgs {
+pub struct PrepareArgs {
     /// Tool influence function as it was measured [tif artifact]
     #[arg(long, value_name = "DIR")]
     tif: PathBuf,
@@ -44,8 +45,8 @@ pub struct TifArgs {
     output: OutputArgs,
 }
 
-impl TifArgs {
-    pub fn run(&self) -> Result<Status, Failure> {
+impl PrepareArgs {
+    pub fn run(&self, name: Name) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let tif: Tif = inputs.read("tif", &self.tif)?;
         let settings = TifSettings {
@@ -56,7 +57,7 @@ impl TifArgs {
             taper_fraction: self.taper_fraction,
         };
         let model = self.fit_formula;
-        let task = task!("tif", json!({ "tif": settings, "fit": model, "use_fit": self.use_fit }));
+        let task = name.task(json!({ "tif": settings, "fit": model, "use_fit": self.use_fit }));
         let mut output = match Output::directory(&self.output, Tif::KIND).begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
@@ -70,8 +71,8 @@ impl TifArgs {
             outcome["fit"] = serde_json::to_value(&fit)?;
             status = fit.negative().map_or(Status::Done, Status::Negative);
             say(format!(
-                "planish-surface: fit: residual {:.3} % of the peak RMS, VRR of the formula {:.4} of the \
-                 samples'",
+                "{}: fit: residual {:.3} % of the peak RMS, VRR of the formula {:.4} of the samples'",
+                name.program,
                 100.0 * fit.residual_rms_to_peak,
                 fit.vrr_ratio
             ));
@@ -82,8 +83,9 @@ impl TifArgs {
         output.write(&made, outcome, &status)?;
         let s = tif_statistics(&made);
         say(format!(
-            "planish-surface: TIF {} x {} samples, {:.4} x {:.4} mm; peak {:.4} nm/s, VRR {:.4} \
-             nm mm^2/s, centroid ({:.4}, {:.4}) mm, border {:.2} % of the peak",
+            "{}: TIF {} x {} samples, {:.4} x {:.4} mm; peak {:.4} nm/s, VRR {:.4} nm mm^2/s, \
+             centroid ({:.4}, {:.4}) mm, border {:.2} % of the peak",
+            name.program,
             s.shape.1,
             s.shape.0,
             s.pitch_mm[0],
@@ -95,7 +97,7 @@ impl TifArgs {
             100.0 * s.border_to_peak
         ));
         report.doubts.iter().for_each(warn);
-        report.note.iter().for_each(|note| say(format!("planish-surface: note: {note}")));
+        report.note.iter().for_each(|note| say(format!("{}: note: {note}", name.program)));
         Ok(status)
     }
 }

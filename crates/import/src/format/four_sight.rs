@@ -13,11 +13,11 @@ use hdf5_reader::{Attribute, Hdf5File, group::Group};
 use planish_types::Invalid;
 use serde_json::json;
 
+use super::hdf5::{MOST_VALUES, attribute_numbers, broken, is_single, matrix, open};
 use crate::{
     Format, Unit,
     arrays::leaf,
     budget::MOST_ARRAYS,
-    hdf5::{MOST_VALUES, attribute_numbers, broken, is_single, matrix, open},
     reading::{FirstRow, Pick, Reading},
 };
 

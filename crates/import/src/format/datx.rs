@@ -14,11 +14,11 @@ use hdf5_reader::{Dataset, Datatype, Hdf5File};
 use planish_types::Invalid;
 use serde_json::json;
 
+use super::hdf5::{Attributes, broken, matrix, open};
 use crate::{
     Format, Unit,
     budget::{MOST_ARRAYS, MOST_TEXT_BYTES, check_size, too_many},
     bytes::{Bytes, Number},
-    hdf5::{Attributes, broken, matrix, open},
     reading::{FirstRow, Pick, Reading, Window},
 };
 

@@ -7,7 +7,7 @@
 //! that is named twice is refused.
 //!
 //! A `Zygo ASCII Data File` has the same header, then `#`, the intensity, `#`, the phase, `#`, both as
-//! whole numbers, row by row. The phase is coded as in a MetroPro file ([`crate::metropro`]):
+//! whole numbers, row by row. The phase is coded as in a MetroPro file ([`super::metropro`]):
 //!
 //! ```text
 //! height (m) = raw W S O / R

@@ -1,0 +1,5 @@
+//! `planish-tool`: starts `planish tool`, the program beside it.
+
+fn main() -> std::process::ExitCode {
+    planish_handoff::launch(env!("CARGO_PKG_NAME"))
+}
