@@ -51,19 +51,19 @@ fn every(scale: f64) -> Value {
 #[test]
 fn errors_of_size_zero_add_exactly_nothing() {
     let found = of(every(0.0), &settings());
-    for line in &found.errors {
+    for line in &found.outcome.errors {
         let all =
             [line.adds_rms_nm, line.reached_rms_nm, line.unreached_rms_nm, line.departs_by_rms_nm];
         assert_eq!(all, [0.0; 4], "{}", line.kind);
     }
-    assert!(found.first.is_none() && !found.simulated);
+    assert!(found.outcome.first.is_none() && !found.outcome.simulated);
     for run in &found.runs {
-        assert_eq!(run.simulated_rms_nm, found.nominal_rms_nm);
+        assert_eq!(run.simulated_rms_nm, found.outcome.nominal_rms_nm);
     }
     // The Gram matrix has one element: its root and the sum of squares round once each.
-    let [low, high] = found.residual.interval_95_percent_nm;
-    for rms in [low, high, found.residual.median_nm, found.expected_rms_nm] {
-        assert!((rms / found.nominal_rms_nm - 1.0).abs() < 1e-14, "{rms}");
+    let [low, high] = found.outcome.residual.interval_95_percent_nm;
+    for rms in [low, high, found.outcome.residual.median_nm, found.outcome.expected_rms_nm] {
+        assert!((rms / found.outcome.nominal_rms_nm - 1.0).abs() < 1e-14, "{rms}");
     }
     assert!(found.deviation_nm.iter().all(|v| *v == 0.0 || v.is_nan()));
 }
@@ -198,7 +198,7 @@ fn the_line_of_a_noise_is_the_mean_over_simulated_runs() {
 fn the_interval_covers_simulated_runs() {
     let many = Settings { draws: 20_000, simulated_runs: 150, ..settings() };
     let found = of(every(1.0), &many);
-    assert!(!found.simulated);
+    assert!(!found.outcome.simulated);
     assert!((131..150).contains(&found.within_interval), "{}", found.within_interval);
     // Of the largest of 150 runs: a shift of 3 standard deviations, 0.06 of the width of the TIF, is off by half
     // of that times what it adds, which is of the size of the residual.
@@ -212,11 +212,15 @@ fn free_planes_are_not_counted() {
     let tilt = with(error("map_low_order", 1.0, "nm", "normal"), "degree", 1.0);
     let found = of(json!([tilt.clone()]), &plane);
     // A plane of 1 nm is taken off: rounding.
-    assert!(found.errors[0].adds_rms_nm < 1e-9, "{}", found.errors[0].adds_rms_nm);
+    assert!(found.outcome.errors[0].adds_rms_nm < 1e-9, "{}", found.outcome.errors[0].adds_rms_nm);
     // Where it is not free, a tilt of 1 nm RMS over the rectangle adds that.
     let found = of(json!([tilt]), &settings());
     // A tenth of the pixels is invalid.
-    assert!((found.errors[0].adds_rms_nm - 1.0).abs() < 0.1, "{}", found.errors[0].adds_rms_nm);
+    assert!(
+        (found.outcome.errors[0].adds_rms_nm - 1.0).abs() < 0.1,
+        "{}",
+        found.outcome.errors[0].adds_rms_nm
+    );
 }
 
 /// An error beyond its first order is simulated: a shift by half the width of the tool.
@@ -224,11 +228,11 @@ fn free_planes_are_not_counted() {
 fn large_errors_are_simulated() {
     let large = error("offset_x", 0.8, "mm", "uniform");
     let found = of(json!([large]), &settings());
-    assert!(found.simulated && found.errors[0].simulated);
+    assert!(found.outcome.simulated && found.outcome.errors[0].simulated);
     assert_eq!(found.runs.len(), 200);
     let small = of(json!([error("offset_x", 0.01, "mm", "uniform")]), &settings());
     let linear = 80.0 * small.errors[0].adds_rms_nm;
-    let ratio = found.errors[0].adds_rms_nm / linear;
+    let ratio = found.outcome.errors[0].adds_rms_nm / linear;
     // Less than the tangent, and not by orders of magnitude.
     assert!((0.3..1.3).contains(&ratio), "{ratio}");
 }
@@ -246,7 +250,7 @@ fn the_map_of_deviations_is_that_of_the_residual() {
                 !["rate_warm_up", "servo_first_order", "servo_second_order", "backlash"]
                     .contains(&kind)
             };
-            let lines = found.errors.iter().filter(|l| scatters(&l.kind));
+            let lines = found.outcome.errors.iter().filter(|l| scatters(&l.kind));
             let expected: f64 = lines.map(|l| l.adds_rms_nm.powi(2)).sum();
             let valid: Vec<f64> =
                 found.deviation_nm.iter().filter(|v| !v.is_nan()).map(|v| v * v).collect();
@@ -332,7 +336,7 @@ fn a_sharp_drop_that_turns_adds_what_its_deformed_samples_do_and_less_than_its_f
         let process =
             process(&json!({ "name": "t", "errors": [error(kind, size, unit, "fixed")] }));
         let found = tolerance(&raster(), &tif, &desired(), &process.unwrap(), &settings()).unwrap();
-        let line = &found.errors[0];
+        let line = &found.outcome.errors[0];
         println!(
             "{kind}: {} nm, deformed samples {expected} nm, {}",
             line.adds_rms_nm, line.simulated

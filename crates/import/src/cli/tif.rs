@@ -5,11 +5,11 @@ use std::path::PathBuf;
 use clap::Args;
 use planish_handoff::{Artifact, Begin, Failure, Inputs, Status, pair, say, task, warn};
 use planish_import::{
-    Alignment, Baseline, Origin, Reading, Scale, Settings, SpotSettings, Statement, spot, surface,
-    tif,
+    Alignment, Baseline, Origin, Reading, Scale, Settings, Spot, SpotSettings, Statement, spot,
+    surface, tif,
 };
 use planish_types::{Tif, doubts};
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::{FileArgs, about, draw, in_flags, map_bytes, open, report};
 
@@ -96,7 +96,7 @@ impl TifArgs {
                     self.origin.unwrap_or_else(|| reading.usual_tif_origin(&settings));
                 let (made, statement) =
                     tif(reading, &settings).map_err(|e| about(&file.file, &e))?;
-                (made, statement, Value::Null)
+                (made, statement, None)
             }
         };
         let statement = in_flags(statement);
@@ -113,10 +113,13 @@ impl TifArgs {
         });
         output.write(&made, outcome, &Status::Done)?;
         report(&statement, made.grid());
-        if let Some(noise) = own["outside_rms_nm"].as_f64() {
+        if let Some(spot) = &own {
             say(format!(
-                "planish-import: spot at {} mm, shift {} mm (standard error {} mm), noise {noise:.4} nm RMS outside it",
-                own["centre_mm"], own["shift_mm"], own["shift_error_mm"]
+                "planish-import: spot at {} mm, shift {} mm (standard error {} mm), noise {:.4} nm RMS outside it",
+                json!(spot.centre_mm),
+                json!(spot.shift_mm),
+                json!(spot.shift_error_mm),
+                spot.outside_rms_nm
             ));
         }
         say(format!(
@@ -136,7 +139,7 @@ impl TifArgs {
         before: Option<Reading>,
         settings: &Settings,
         spot_settings: &SpotSettings,
-    ) -> Result<(Tif, Statement, Value), Failure> {
+    ) -> Result<(Tif, Statement, Option<Spot>), Failure> {
         let (after, mut statement) =
             surface(after, settings).map_err(|e| about(&self.file.file, &e))?;
         let before = match (before, &self.before) {
@@ -149,7 +152,6 @@ impl TifArgs {
             _ => None,
         };
         let made = spot(before.as_ref(), &after, spot_settings).map_err(Failure::with_flags)?;
-        let own = serde_json::to_value(&made)?;
-        Ok((made.tif, statement, own))
+        Ok((made.tif.clone(), statement, Some(made)))
     }
 }

@@ -24,7 +24,7 @@ use planish_types::{ControllerKind, ToolPath};
 use super::{
     claim::{Claim, Named, refuse_special},
     place::Place,
-    program::{Answer, plan_of},
+    program::{plan_of, read_answer},
 };
 
 /// Artifacts without which a method or a dwell solver is left out of a comparison.
@@ -465,7 +465,7 @@ fn choose(
     tried_by: Option<&str>,
 ) -> Result<String, Failure> {
     let out = scope.text("out").map_err(Failure::new)?;
-    let Some(best) = Answer::read(Path::new(&out))?.method else { return Ok(otherwise) };
+    let Some(best) = read_answer(Path::new(&out))?.method else { return Ok(otherwise) };
     let best = plan_of(&best).to_string();
     let Some(stage) = tried_by.filter(|_| best != otherwise) else { return Ok(best) };
     let mut trial = scope.clone();
