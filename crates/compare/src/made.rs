@@ -7,7 +7,7 @@ use serde_json::Value;
 /// Manifest of an artifact: what made it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Made {
-    /// What the page shows.
+    /// Keys that the page shows.
     pub shown: Shown,
     /// Reason of a negative status.
     pub reason: Option<String>,

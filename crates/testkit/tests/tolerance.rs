@@ -113,7 +113,7 @@ fn a_linear_drift_cancels_between_two_passes() {
         let twice = passes(&path, &PassesSettings { passes: 2, back: true }).unwrap();
         let adds = |motion: &Trajectory| {
             let drift = json!([error("rate_drift", 5.0, "%")]);
-            of(motion, &mirror.tif, &mirror.desired, drift, &settings).errors[0].adds_rms_nm
+            of(motion, &mirror.tif, &mirror.desired, drift, &settings).outcome.errors[0].adds_rms_nm
         };
         let (once, twice) = (adds(&motion(&path, &dwell)), adds(&motion(&twice, &halves(&dwell))));
         println!("{name}: {once:.4} nm once, {twice:.6} nm there and back");

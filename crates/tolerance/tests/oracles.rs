@@ -72,7 +72,7 @@ fn errors_of_size_zero_add_exactly_nothing() {
 fn twice_the_error_is_twice_its_line() {
     let (once, twice) = (of(every(0.5), &settings()), of(every(1.0), &settings()));
     // Play is hysteresis: twice the play is not twice of what it does where a turn is short.
-    let each = once.errors.iter().zip(&twice.errors).filter(|(a, _)| a.kind != "backlash");
+    let each = once.outcome.errors.iter().zip(&twice.outcome.errors).filter(|(a, _)| a.kind != "backlash");
     // The lines of errors that depart from their first order are simulated: twice the error is not twice that.
     let each: Vec<_> = each.filter(|(a, b)| !a.simulated && !b.simulated).collect();
     assert!(each.len() > 10, "{}", each.len());
@@ -153,7 +153,7 @@ fn the_first_order_is_what_a_changed_motion_does() {
         (error("shear", 0.1, "%", "fixed"), moved(&|x, y| [x + 0.001 * (y - cy), y])),
     ];
     for (error, motion) in cases {
-        let line = &of(json!([error]), &settings()).errors[0];
+        let line = &of(json!([error]), &settings()).outcome.errors[0];
         let simulated = apart(&motion, &raster());
         let ratio = line.adds_rms_nm / simulated;
         assert!((ratio - 1.0).abs() < 0.02, "{}: {ratio}", line.kind);
@@ -167,10 +167,10 @@ fn the_first_order_is_what_a_changed_motion_does() {
 fn noise_of_the_rate_becomes_a_scale_where_it_lasts_and_vanishes_where_it_does_not() {
     let line = |tau: f64| {
         let noise = with(error("rate_noise", 1.0, "%", "normal"), "correlation_s", tau);
-        of(json!([noise]), &settings()).errors[0].adds_rms_nm
+        of(json!([noise]), &settings()).outcome.errors[0].adds_rms_nm
     };
     let scale =
-        of(json!([error("rate_scale", 1.0, "%", "normal")]), &settings()).errors[0].adds_rms_nm;
+        of(json!([error("rate_scale", 1.0, "%", "normal")]), &settings()).outcome.errors[0].adds_rms_nm;
     // Over a run of 1e-5 of the correlation time the covariance is 1 - 1e-5; cells are off by 0.5 % at a border.
     let lasting = line(1e7);
     assert!((lasting / scale - 1.0).abs() < 0.01, "{lasting} {scale}");
@@ -231,7 +231,7 @@ fn large_errors_are_simulated() {
     assert!(found.outcome.simulated && found.outcome.errors[0].simulated);
     assert_eq!(found.runs.len(), 200);
     let small = of(json!([error("offset_x", 0.01, "mm", "uniform")]), &settings());
-    let linear = 80.0 * small.errors[0].adds_rms_nm;
+    let linear = 80.0 * small.outcome.errors[0].adds_rms_nm;
     let ratio = found.outcome.errors[0].adds_rms_nm / linear;
     // Less than the tangent, and not by orders of magnitude.
     assert!((0.3..1.3).contains(&ratio), "{ratio}");
@@ -286,7 +286,7 @@ fn a_wider_and_an_elliptical_tif_are_gaussians_of_other_widths() {
     for (kind, expected) in
         [("tif_width", gauss(1.01, 1.01)), ("tif_ellipticity", gauss(1.005, 0.995))]
     {
-        let line = &of(json!([error(kind, 1.0, "%", "fixed")]), &settings()).errors[0];
+        let line = &of(json!([error(kind, 1.0, "%", "fixed")]), &settings()).outcome.errors[0];
         let ratio = line.adds_rms_nm / expected;
         assert!((ratio - 1.0).abs() < 0.03, "{kind}: {ratio}");
     }
@@ -369,7 +369,7 @@ fn a_warm_up_and_play_are_what_a_changed_motion_does() {
         (error("backlash", 50.0, "um", "fixed"), loose),
     ];
     for (error, motion) in cases {
-        let line = &of(json!([error]), &settings()).errors[0];
+        let line = &of(json!([error]), &settings()).outcome.errors[0];
         let simulated = apart(&motion, &raster());
         let ratio = line.adds_rms_nm / simulated;
         // Regression bound: 7e-4 was seen.

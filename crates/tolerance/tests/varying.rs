@@ -176,7 +176,7 @@ fn every_error_adds_the_difference_of_two_simulations() {
         let constant = of(&raster(), &tool().mean_tool(), json!([error]), &settings(0));
         println!(
             "{:<18} {:.5} nm, simulated {simulated:.5} nm, mean tool {:.5} nm",
-            line.kind, line.adds_rms_nm, constant.errors[0].adds_rms_nm
+            line.kind, line.adds_rms_nm, constant.outcome.errors[0].adds_rms_nm
         );
         let ratio = line.adds_rms_nm / simulated;
         assert!((ratio - 1.0).abs() < 0.03, "{}: {ratio}", line.kind);
@@ -219,7 +219,7 @@ fn the_quadratic_of_the_dwell_times_adds_what_the_line_says() {
         let budget = process(&json!({ "name": "test", "errors": [error] })).unwrap();
         let sources = Sources::new(&desired(), &tool(), &budget, Free::Piston).unwrap();
         let found = sources.of(&motion, motion.len()).unwrap().variance_nm2(&times).sqrt();
-        let line = of(&motion, &tool(), json!([error]), &settings(0)).errors[0].adds_rms_nm;
+        let line = of(&motion, &tool(), json!([error]), &settings(0)).outcome.errors[0].adds_rms_nm;
         println!("{} {found:.5} nm, {line:.5} nm", error["kind"]);
         // As for a constant tool: cells at the border of the map, and Keys' convolution of sampled derivatives; the
         // kernels of the second order are steeper than the beam.

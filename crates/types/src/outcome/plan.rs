@@ -90,7 +90,7 @@ pub struct PlanReport {
     pub end: Option<StatedEnd>,
     /// True if the method ended by itself.
     pub converged: Option<bool>,
-    /// What is proven of the plan.
+    /// Proven bound on the rest that is left to gain.
     #[serde(flatten)]
     pub proven: ProvenGap,
 }
