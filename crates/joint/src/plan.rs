@@ -149,6 +149,12 @@ pub struct Report {
     pub rates_of_time: Option<RatesOfTime>,
 }
 
+/// Returns the proven bound of a plan, and the plans that it compares with.
+fn proven_gap(relative_gap: f64, is_before_average: bool) -> ProvenGap {
+    let covered = if is_before_average { COVERED_BEFORE_AVERAGE } else { COVERED };
+    ProvenGap { relative_gap: Some(relative_gap), gap: None, gap_covers: Some(covered.into()) }
+}
+
 impl Report {
     /// Returns the proven bound on the excess of the objective, relative to it; infinite if nothing is proven.
     pub fn relative_gap(&self) -> f64 {
@@ -444,13 +450,7 @@ fn planned(
         widened,
         price_nm2_per_s: price,
         end: solution.end,
-        proven: ProvenGap {
-            relative_gap: Some(solution.relative_gap),
-            gap: None,
-            gap_covers: Some(
-                if average.is_some() { COVERED_BEFORE_AVERAGE } else { COVERED }.into(),
-            ),
-        },
+        proven: proven_gap(solution.relative_gap, average.is_some()),
         tikhonov,
         pull_part,
         iterations,

@@ -48,6 +48,17 @@ pub struct TifArgs {
     clip_negative: bool,
 }
 
+/// Prints the place of a spot, its shift and the noise.
+fn say_spot(spot: &Spot) {
+    say(format!(
+        "planish-import: spot at {} mm, shift {} mm (standard error {} mm), noise {:.4} nm RMS outside it",
+        json!(spot.centre_mm),
+        json!(spot.shift_mm),
+        json!(spot.shift_error_mm),
+        spot.outside_rms_nm
+    ));
+}
+
 impl TifArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let file = &self.file;
@@ -114,13 +125,7 @@ impl TifArgs {
         output.write(&made, outcome, &Status::Done)?;
         report(&statement, made.grid());
         if let Some(spot) = &own {
-            say(format!(
-                "planish-import: spot at {} mm, shift {} mm (standard error {} mm), noise {:.4} nm RMS outside it",
-                json!(spot.centre_mm),
-                json!(spot.shift_mm),
-                json!(spot.shift_error_mm),
-                spot.outside_rms_nm
-            ));
+            say_spot(spot);
         }
         say(format!(
             "planish-import: peak {:.4} nm/s, {:.4} nm mm^2/s -> {}",
