@@ -29,7 +29,7 @@ fn a_verdict_reads_as_it_was_written() {
         ..MachineFileAxis::default()
     };
     let machine = MachineFile { axes: vec![axis("x"), axis("y")], ..MachineFile::default() };
-    let limits = machine.limits().unwrap();
+    let limits = machine.checked().unwrap();
     // x = 2 u + 3 u^2 for 1 s: too fast, and it starts and ends with a step of the velocity.
     let cubics = vec![[[0.0, 2.0, 3.0, 0.0], [0.0; 4]]];
     let motion = Trajectory::new(vec![0.0, 1.0], cubics, vec![true], vec![None]).unwrap();
