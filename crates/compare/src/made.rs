@@ -1,6 +1,6 @@
 //! Manifest of an artifact, as a report needs it.
 
-use planish_types::outcome::{StageEnd, StageStatus, plan::PlanOutcome};
+use planish_types::outcome::{StageStatus, plan::PlanOutcome};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -35,12 +35,5 @@ pub struct Shown {
     /// Inputs with their hashes.
     pub inputs: Value,
     /// Status of the stage at its end.
-    pub status: StageStatus,
-}
-
-impl Made {
-    /// Returns the status of the stage at its end.
-    pub fn end(&self) -> StageEnd {
-        StageEnd { status: self.shown.status, reason: self.reason.clone() }
-    }
+    pub status: Option<StageStatus>,
 }

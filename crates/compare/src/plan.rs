@@ -164,7 +164,7 @@ impl Plan {
             _ => otherwise,
         };
         let proven = proven(manifest);
-        if manifest.shown.status == StageStatus::Negative {
+        if manifest.shown.status == Some(StageStatus::Negative) {
             let reason = manifest.reason.as_deref().unwrap_or("it ended with a negative verdict");
             return Self::new(State::Unconverged, word("not converged"), reason);
         }

@@ -616,12 +616,12 @@ fn older_than_this_program(file: &Path) -> bool {
     matches!((modified(file), program), (Some(f), Some(p)) if f < p)
 }
 
-/// Returns an outcome as a manifest holds it: behind the status of its stage.
+/// Returns an outcome as a manifest holds it: after the status of its stage.
 fn with_status(outcome: impl Serialize, status: &Status) -> Value {
     let end = match status {
-        Status::Done => StageEnd::default(),
+        Status::Done => StageEnd { status: Some(StageStatus::Done), reason: None },
         Status::Negative(reason) => {
-            StageEnd { status: StageStatus::Negative, reason: Some(reason.clone()) }
+            StageEnd { status: Some(StageStatus::Negative), reason: Some(reason.clone()) }
         }
     };
     let mut whole = serde_json::to_value(end).expect("a status serialises");
@@ -635,7 +635,7 @@ fn with_status(outcome: impl Serialize, status: &Status) -> Value {
 
 fn status_of(manifest: &Manifest) -> Status {
     match manifest.end() {
-        StageEnd { status: StageStatus::Negative, reason } => {
+        StageEnd { status: Some(StageStatus::Negative), reason } => {
             Status::Negative(reason.unwrap_or_default())
         }
         _ => Status::Done,

@@ -245,14 +245,17 @@ fn accesses_by_key(source: &str) -> Vec<String> {
     for line in source[..tests].lines().map(without_comment) {
         let parts: Vec<&str> = line.split('"').collect();
         // A text stands between the quotation marks of a pair; a key is a text of small letters and `_`.
-        for (before, key, after) in parts.windows(3).step_by(2).map(|part| (part[0], part[1], part[2])) {
+        for (before, key, after) in
+            parts.windows(3).step_by(2).map(|part| (part[0], part[1], part[2]))
+        {
             let is_key = !key.is_empty() && key.chars().all(|c| c.is_ascii_lowercase() || c == '_');
             let value = before.strip_suffix('[').unwrap_or_default();
             let is_index = after.starts_with(']')
                 && value.ends_with(|c: char| c.is_alphanumeric() || "_])".contains(c));
-            let is_look_up = ["outcome.get(", "settings.get(", "outcome.pointer(", "settings.pointer("]
-                .iter()
-                .any(|call| before.ends_with(call));
+            let is_look_up =
+                ["outcome.get(", "settings.get(", "outcome.pointer(", "settings.pointer("]
+                    .iter()
+                    .any(|call| before.ends_with(call));
             if is_key && is_index || is_look_up {
                 found.push(format!("[\"{key}\"]"));
             }

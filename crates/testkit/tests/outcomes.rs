@@ -47,8 +47,7 @@ fn settings_are_read_as_stages_write_them() {
         let read: ToleranceSettings = from_value(written).unwrap();
         assert_eq!(read.free.as_deref(), Some(word));
     }
-    let written =
-        virtual_machine::Settings { seed: 7, run: 2, known: true, tif_as_sampled: false };
+    let written = virtual_machine::Settings { seed: 7, run: 2, known: true, tif_as_sampled: false };
     let read: RunSettings = from_value(json!(written)).unwrap();
     assert_eq!(read, RunSettings { seed: 7, run: 2, known: true });
     let spiral = SpiralSettings { pitch_mm: 1.0, step_mm: 0.5, overscan_mm: 2.5 };
@@ -63,7 +62,7 @@ fn an_outcome_of_a_foreign_program_may_lack_what_is_not_needed() {
     let end: StageEnd = from_value(json!({})).unwrap();
     assert_eq!(end, StageEnd::default());
     let end: StageEnd = from_value(json!({ "status": "negative", "reason": "no" })).unwrap();
-    assert_eq!((end.status, end.reason.as_deref()), (StageStatus::Negative, Some("no")));
+    assert_eq!((end.status, end.reason.as_deref()), (Some(StageStatus::Negative), Some("no")));
     let plan: PlanOutcome = from_value(json!({ "end": "tired", "more": [1] })).unwrap();
     assert_eq!(plan.end, Some(StatedEnd::Foreign("tired".into())));
     let plan: PlanOutcome = from_value(json!({ "end": "optimal", "report": {} })).unwrap();

@@ -22,23 +22,20 @@ use serde::{Deserialize, Deserializer, Serialize};
 /// Status of a stage at its end. Every outcome begins with it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StageEnd {
-    /// `negative` if the result is not what the settings ask for. An outcome without a status is that of a stage that
-    /// is done.
-    #[serde(default)]
-    pub status: StageStatus,
+    /// Status; absent where a foreign program does not state one, which counts as done.
+    pub status: Option<StageStatus>,
     /// Reason of a negative status.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
 }
 
 /// Statuses of a stage at its end.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StageStatus {
     /// The result is not what the settings ask for: not converged, or a limit exceeded.
     Negative,
     /// The result is what the settings ask for.
-    #[default]
     #[serde(other)]
     Done,
 }

@@ -55,7 +55,7 @@ fn verdict(run: &Path, plans: &[PathBuf]) -> Result<Status, Failure> {
             if *at == Path::new("report") || JUDGED.iter().any(|judged| *judged == name) {
                 whole.check(at, manifest)?;
             }
-            if let StageEnd { status: StageStatus::Negative, reason } = manifest.end() {
+            if let StageEnd { status: Some(StageStatus::Negative), reason } = manifest.end() {
                 let reason = reason.as_deref().unwrap_or("no reason given");
                 let at = run.join(at);
                 negative.push(format!("{} ({}): {reason}", at.display(), manifest.tool));
