@@ -25,7 +25,8 @@ use planish_types::Invalid;
 use serde::Serialize;
 
 pub use contact::{ContactReport, contact};
-pub use motion::{MotionReport, SlowedReport, SpindleReport, motion};
+pub use motion::motion;
+pub use planish_types::outcome::axes::{MotionReport, SlowedReport, SpindleReport};
 
 /// Range of tolerances of the contact point, um. Larger: a distance that changes the removal passes. Smaller: rounding
 /// of coordinates asks for more pieces than memory has. Chosen.

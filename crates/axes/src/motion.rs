@@ -3,8 +3,10 @@
 use planish_form::Form;
 use planish_kinematics::AxisMap;
 use planish_numerics::polynomial::evaluate;
-use planish_types::{AxesMotion, Invalid, Kinematics, Machine, Trajectory};
-use serde::Serialize;
+use planish_types::{
+    AxesMotion, Invalid, Kinematics, Machine, Trajectory,
+    outcome::axes::{MotionReport, SlowedReport, SpindleReport},
+};
 
 use crate::{
     MotionSettings,
@@ -16,63 +18,6 @@ use crate::{
 /// pieces. Smaller: long segments that are slowed down strongly are refused. Chosen: the distance falls by 16 with
 /// each.
 const MOST_ROUNDS: usize = 10;
-
-/// Report on a motion of the axes.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct MotionReport {
-    /// Names of the axes, in the order of the arrays.
-    pub axes: Vec<&'static str>,
-    /// Unit of each axis, mm or deg.
-    pub units: Vec<&'static str>,
-    /// Number of segments.
-    pub segment_count: usize,
-    /// Largest distance of the executed contact point from the path, um, at 7 points in every segment.
-    pub contact_deviation_um: f64,
-    /// Time of this distance in the motion of the axes, s.
-    pub contact_deviation_time_s: f64,
-    /// Largest distance of the tip of the tool from the surface, along the tool, um, at the same points.
-    pub gap_um: f64,
-    /// Largest angle between tool and normal on the executed motion, degrees.
-    pub off_normal_deg: f64,
-    /// Duration of the motion of the contact point as it was given, s.
-    pub planned_time_s: f64,
-    /// Duration of the motion of the axes, s.
-    pub total_time_s: f64,
-    /// Part of the difference that segments with the tool on have, s: the tool removes that much longer.
-    pub added_tool_on_time_s: f64,
-    /// Largest factor by which time was stretched, and where; absent if every limit was kept.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub slowed: Option<SlowedReport>,
-    /// Work of a spindle near its centre; absent for other kinematics.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub spindle: Option<SpindleReport>,
-}
-
-/// Limit that decides on the slowest place of a motion.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct SlowedReport {
-    /// Axis that would exceed its limit most.
-    pub axis: &'static str,
-    /// Quantity that would exceed its limit.
-    pub quantity: &'static str,
-    /// Ratio of its value to the limit.
-    pub ratio: f64,
-    /// Time of this place in the motion as it was given, s.
-    pub time_s: f64,
-    /// Largest factor by which time is stretched anywhere.
-    pub largest_stretch: f64,
-}
-
-/// Work of a spindle near its centre.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct SpindleReport {
-    /// Smallest distance of the contact point from the centre, mm, at the ends of the segments.
-    pub least_radius_mm: f64,
-    /// Radius below which the axis c cannot turn as fast as the motion asks, mm; 0 if it can everywhere.
-    pub c_limit_radius_mm: f64,
-    /// Time that was added below this radius, s.
-    pub added_time_within_s: f64,
-}
 
 /// Motion of the axes of `machine` while the contact point follows `trajectory` over the part `form`.
 ///
@@ -100,8 +45,8 @@ pub fn motion(
 
     let largest_stretch = stretch.iter().fold(1.0, |a: f64, b| a.max(*b));
     let slowest = worst.map(|(worst, time_s)| SlowedReport {
-        axis: axes[worst.axis].name,
-        quantity: worst.quantity,
+        axis: axes[worst.axis].name.into(),
+        quantity: worst.quantity.into(),
         ratio: worst.ratio,
         time_s,
         largest_stretch,
@@ -113,8 +58,8 @@ pub fn motion(
         (0..pieces.len()).filter(|k| of(*k)).map(of_piece).sum()
     };
     let report = MotionReport {
-        axes: axes.iter().map(|a| a.name).collect(),
-        units: axes.iter().map(|a| a.unit()).collect(),
+        axes: axes.iter().map(|a| a.name.into()).collect(),
+        units: axes.iter().map(|a| a.unit().into()).collect(),
         segment_count: executed.len(),
         contact_deviation_um: 1e3 * away.distance_mm,
         contact_deviation_time_s: away.time_s,
@@ -142,6 +87,7 @@ pub fn motion(
                 },
             }
         }),
+        path_distance: None,
     };
     Ok((executed, report))
 }

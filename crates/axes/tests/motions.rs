@@ -423,7 +423,7 @@ fn a_motion_is_slowed_down_only_where_a_limit_asks_for_it() {
     let (axes, report) = motion(&plan, &machine, &sphere, &settings()).unwrap();
     assert!(exceeded(&axes, &machine).is_empty());
     let slowed = report.slowed.unwrap();
-    assert_eq!((slowed.axis, slowed.quantity), ("b", "velocity"));
+    assert_eq!((slowed.axis.as_str(), slowed.quantity.as_str()), ("b", "velocity"));
     // b' = v / (R cos b): the speed 1.5 * 80 / 8 mm/s in the middle gives 8.59 deg/s, and more beside it.
     let least = 15.0 / 100.0 * 1_f64.to_degrees() / 8.0;
     // At the edge b = 23.6 degrees, where the speed is lower: the ratio stays below that of the largest speed there.

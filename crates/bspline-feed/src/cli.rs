@@ -12,8 +12,7 @@ use planish_handoff::{
     flags::{MachineArgs, MirrorArgs, OutputArgs, PathArgs},
     say, task, warn,
 };
-use planish_types::{DwellDensity, PathDistance, Trajectory};
-use serde_json::json;
+use planish_types::{DwellDensity, PathDistance, Trajectory, outcome::plan::PlanOutcome};
 
 /// Way by which turn-arounds may run out beyond the ends of the lines, in widths of the TIF: the usual overscan is half
 /// the size of the tool, which is more. Larger: turn-arounds leave the overscan. Smaller: lines that end fast are
@@ -102,14 +101,17 @@ impl Feed {
             .drawback(&surface, &settings)
             .or(excess)
             .map_or(Status::Done, |text| Status::Negative(planish_handoff::with_flags(&text)));
-        let outcome = json!({
-            "end": r.end,
-            "total_time_s": total_time_s,
-            "path_distance": distance,
-            "between_nodes": "cubic B-spline per pass, on the knots whose Greville abscissae the nodes are",
-            "report": r,
-        });
-        output.write(&plan.density, outcome.clone(), &status)?;
+        let between_nodes =
+            "cubic B-spline per pass, on the knots whose Greville abscissae the nodes are";
+        let outcome = PlanOutcome {
+            end: Some(r.end.into()),
+            total_time_s: Some(total_time_s),
+            path_distance: Some(distance),
+            between_nodes: Some(between_nodes.into()),
+            report: Some(r),
+            ..PlanOutcome::default()
+        };
+        output.write(&plan.density, &outcome, &status)?;
         output.write(&plan.trajectory, outcome, &status)?;
         if let Some(warning) = r.tif_lattice.and_then(|lattice| lattice.warning()) {
             warn(warning);
@@ -117,8 +119,8 @@ impl Feed {
         let rms = r
             .model_rms_nm
             .map_or(String::new(), |rms| format!(", {rms:.4} nm RMS in its own model"));
-        let gap = r.gap.map_or(String::new(), |gap| {
-            let covered = r.gap_covers.unwrap_or_default();
+        let gap = r.proven.gap.map_or(String::new(), |gap| {
+            let covered = r.proven.gap_covers.as_deref().unwrap_or_default();
             format!("; proven within {:.2} % of the least objective of {covered}", 100.0 * gap)
         });
         say(format!(

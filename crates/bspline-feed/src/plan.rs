@@ -16,6 +16,7 @@ use planish_numerics::{bspline::Knots, motion::timing_law, parallel};
 use planish_types::{
     DensityNodes, DwellDensity, End, Invalid, Limits, OnLattice, PARTS_TOLERANCE, Surface, Tif,
     TifLattice, ToolPath, Trajectory, budget,
+    outcome::plan::ProvenGap,
     plausible::{self, Rms},
 };
 use serde::Serialize;
@@ -104,7 +105,7 @@ impl Default for Settings {
     }
 }
 
-/// Feeds that [`Report::gap`] compares with.
+/// Feeds that [`Report::proven`] compares with.
 const COVERED: &str = "feeds on these knots, under the tangents of the acceleration limit at this feed, and nowhere \
                        more than 1.5 times as fast; not closer knots, other links, or another feed within the limits \
                        themselves";
@@ -136,11 +137,8 @@ pub struct Report {
     pub end: End,
     /// Part of the objective that no feed within the tangents of the acceleration limit at this feed can save. Absent
     /// where nothing is proven.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub gap: Option<f64>,
-    /// Sentence on the feeds that this bound compares with. Absent where nothing is proven.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub gap_covers: Option<&'static str>,
+    #[serde(flatten)]
+    pub proven: ProvenGap,
     /// Objective at the start and after every step or sweep of the last round, nm^2.
     pub objective_nm2: Vec<f64>,
     /// Objective after the sweep that would have raised it and was given up, nm^2.
@@ -625,8 +623,12 @@ fn report(
             Some(state) if state.gap.is_none() => End::Settled,
             Some(_) => End::Converged,
         },
-        gap: solved.state.as_ref().and_then(|s| s.gap),
-        gap_covers: solved.state.as_ref().and_then(|s| s.gap).map(|_| COVERED),
+        proven: match solved.state.as_ref().and_then(|s| s.gap) {
+            Some(gap) => {
+                ProvenGap { relative_gap: None, gap: Some(gap), gap_covers: Some(COVERED.into()) }
+            }
+            None => ProvenGap::default(),
+        },
         objective_nm2: solved.state.as_ref().map_or(Vec::new(), |s| s.objective.clone()),
         given_up_nm2: solved.state.as_ref().and_then(|s| s.given_up_nm2),
         model_rms_nm: solved.state.as_ref().map(|s| rms_nm(&s.residual_nm, surface)),

@@ -101,6 +101,16 @@ pub enum Verdict {
     Stop,
 }
 
+impl Verdict {
+    /// Returns the recommendation in words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::RunAgain => "run again",
+            Self::Stop => "stop",
+        }
+    }
+}
+
 /// Distribution of a quantity over the runs, nm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Spread {

@@ -87,7 +87,7 @@ pub fn page(campaign: &Campaign) -> String {
             run.number,
             run.measured_rms_nm,
             left.unwrap_or_default(),
-            escaped(&run.verdict.replace('_', " ")),
+            run.verdict.words(),
             escaped(&run.reason)
         );
     }

@@ -15,59 +15,27 @@
 //! A run finds the deviation from the tool that it was planned with. It adds to the corrections of the runs before:
 //! factors (rate, magnification, width) by products, the rest, which is small, by sums.
 
+use planish_types::outcome::{reconciliation::Estimate, virtual_machine::Truth};
 use serde::{Deserialize, Serialize};
 
-/// Parameter as `planish-reconcile` found it in one run.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-pub struct Found {
-    /// Its name.
-    pub name: String,
-    /// Its unit.
-    pub unit: String,
-    /// Value in `unit`; `None` if it was refused or held.
-    pub value: Option<f64>,
-    /// Its standard error.
-    pub standard_error: Option<f64>,
-    /// Reason for which it was refused.
-    pub refused: Option<String>,
-    /// The part of it that the next run corrects.
-    #[serde(default)]
-    pub applied: f64,
-}
+use crate::decision::Verdict;
 
-/// The hidden truth of the virtual machine: fractions, mm and rad.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
-#[allow(missing_docs)] // what each is stands at the kinds of a process
-pub struct Truth {
-    pub rate_scale: f64,
-    pub offset_x_mm: f64,
-    pub offset_y_mm: f64,
-    pub rotation_rad: f64,
-    pub magnification: f64,
-    pub tif_width: f64,
-    pub tif_ellipticity: f64,
-    pub tif_diagonal_ellipticity: f64,
-    pub tif_rotation_rad: f64,
-}
-
-impl Truth {
-    /// True value of a parameter in the unit of [`Found`]. The ellipticities of an otherwise round TIF that is rotated
-    /// by phi transform as a tensor: (e, d) -> (e cos 2 phi - d sin 2 phi, e sin 2 phi + d cos 2 phi).
-    pub fn of(&self, parameter: &str) -> Option<f64> {
-        let (e, d) = (self.tif_ellipticity, self.tif_diagonal_ellipticity);
-        let (sine, cosine) = (2.0 * self.tif_rotation_rad).sin_cos();
-        Some(match parameter {
-            "rate_scale" => 100.0 * self.rate_scale,
-            "offset_x" => self.offset_x_mm,
-            "offset_y" => self.offset_y_mm,
-            "rotation" => self.rotation_rad.to_degrees(),
-            "magnification" => 100.0 * self.magnification,
-            "tif_width" => 100.0 * self.tif_width,
-            "tif_ellipticity" => 100.0 * (e * cosine - d * sine),
-            "tif_diagonal_ellipticity" => 100.0 * (e * sine + d * cosine),
-            _ => return None,
-        })
-    }
+/// Returns the true value of a parameter in the unit of its [`Estimate`]. The ellipticities of an otherwise round TIF
+/// that is rotated by phi transform as a tensor: (e, d) -> (e cos 2 phi - d sin 2 phi, e sin 2 phi + d cos 2 phi).
+pub fn true_value(truth: &Truth, parameter: &str) -> Option<f64> {
+    let (e, d) = (truth.tif_ellipticity, truth.tif_diagonal_ellipticity);
+    let (sine, cosine) = (2.0 * truth.tif_rotation_rad).sin_cos();
+    Some(match parameter {
+        "rate_scale" => 100.0 * truth.rate_scale,
+        "offset_x" => truth.offset_x_mm,
+        "offset_y" => truth.offset_y_mm,
+        "rotation" => truth.rotation_rad.to_degrees(),
+        "magnification" => 100.0 * truth.magnification,
+        "tif_width" => 100.0 * truth.tif_width,
+        "tif_ellipticity" => 100.0 * (e * cosine - d * sine),
+        "tif_diagonal_ellipticity" => 100.0 * (e * sine + d * cosine),
+        _ => return None,
+    })
 }
 
 /// True result of a run, from the virtual machine.
@@ -108,11 +76,11 @@ pub struct RunRecord {
     /// True result of each chain.
     pub left: Chains,
     /// Parameters that the learning chain found in this run.
-    pub found: Vec<Found>,
+    pub found: Vec<Estimate>,
     /// RMS of the map that the learning chain measured after the run, nm.
     pub measured_rms_nm: f64,
-    /// Decision of the learning chain: `run_again` or `stop`.
-    pub verdict: String,
+    /// Decision of the learning chain.
+    pub verdict: Verdict,
     /// Reason for the decision.
     pub reason: String,
     /// Expected RMS on the mirror after the next run, nm: median, and ends of the interval of 95 %.
@@ -153,8 +121,8 @@ pub struct Run {
     pub measured_rms_nm: f64,
     /// Parameters after the run.
     pub parameters: Vec<Learnt>,
-    /// Decision: `run_again` or `stop`.
-    pub verdict: String,
+    /// Decision.
+    pub verdict: Verdict,
     /// Reason for the decision.
     pub reason: String,
     /// Expected RMS on the mirror after the next run, nm: median, and ends of the interval of 95 %.
@@ -208,7 +176,7 @@ impl Campaign {
 }
 
 /// Parameter after one more run.
-fn after(before: &[Learnt], found: &Found, truth: &Truth) -> Learnt {
+fn after(before: &[Learnt], found: &Estimate, truth: &Truth) -> Learnt {
     let earlier = before.iter().find(|p| p.name == found.name);
     let known = earlier.and_then(|p| p.value);
     let is_factor = ["rate_scale", "magnification", "tif_width"].contains(&found.name.as_str());
@@ -225,7 +193,7 @@ fn after(before: &[Learnt], found: &Found, truth: &Truth) -> Learnt {
             Some(_) => found.standard_error,
             None => earlier.and_then(|p| p.standard_error),
         },
-        truth: truth.of(&found.name),
+        truth: true_value(truth, &found.name),
         is_of_this_run: found.value.is_some(),
         refused: found.refused.clone(),
         applied: sum(corrected, found.applied),
@@ -236,21 +204,22 @@ fn after(before: &[Learnt], found: &Found, truth: &Truth) -> Learnt {
 mod tests {
     use super::*;
 
-    fn found(name: &str, value: Option<f64>, standard_error: f64) -> Found {
+    fn found(name: &str, value: Option<f64>, standard_error: f64) -> Estimate {
         let refused = value.is_none().then(|| "the data say less".to_string());
-        Found {
+        Estimate {
             name: name.into(),
             unit: "%".into(),
             value,
             standard_error: Some(standard_error),
             refused,
             applied: value.unwrap_or(0.0),
+            ..Estimate::default()
         }
     }
 
     #[test]
     fn a_value_that_no_run_corrects_does_not_add_up() {
-        let first = Found { applied: 0.0, ..found("magnification", Some(0.2), 0.1) };
+        let first = Estimate { applied: 0.0, ..found("magnification", Some(0.2), 0.1) };
         let one = after(&[], &first, &Truth::default());
         assert_eq!((one.value, one.applied), (Some(0.2), 0.0));
         let two = after(&[one], &found("magnification", Some(0.25), 0.1), &Truth::default());
@@ -266,7 +235,7 @@ mod tests {
             left: chains,
             found: vec![found("rate_scale", rate, 0.3), found("offset_x", offset, 0.002)],
             measured_rms_nm: 1.1,
-            verdict: "stop".into(),
+            verdict: Verdict::Stop,
             reason: String::new(),
             expected_nm: [1.0; 3],
         };
@@ -294,9 +263,9 @@ mod tests {
             ..Truth::default()
         };
         // Longer along x, turned by 45 degrees, is longer along the diagonal.
-        assert!((truth.of("tif_diagonal_ellipticity").unwrap() - 2.0).abs() < 1e-12);
+        assert!((true_value(&truth, "tif_diagonal_ellipticity").unwrap() - 2.0).abs() < 1e-12);
         // Rounding of the cosine of 90 degrees.
-        assert!(truth.of("tif_ellipticity").unwrap().abs() < 1e-12);
-        assert_eq!(truth.of("wobble"), None);
+        assert!(true_value(&truth, "tif_ellipticity").unwrap().abs() < 1e-12);
+        assert_eq!(true_value(&truth, "wobble"), None);
     }
 }

@@ -3,14 +3,20 @@
 //! The sentences are made here once, for the page and for other programs (`answer` in `summary.json`). Every number
 //! in them is a rounded number of the summary.
 
-use planish_types::text::{fixed, significant};
+pub use planish_types::outcome::report::Answer;
+use planish_types::{
+    outcome::{
+        report::AnsweredSummary,
+        specification::{Bound, SpecificationReport},
+    },
+    text::{fixed, significant},
+};
 use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::{
     plan::{PROGRAM, State},
     recommended::recommended,
-    specification::Judged,
     summary::{Method, Summary},
 };
 
@@ -23,60 +29,35 @@ const DIGITS: usize = 3;
 const MINUTES_FROM_S: f64 = 120.0;
 const HOURS_FROM_S: f64 = 7200.0;
 
-/// The answer.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Answer {
-    /// The method that is to be run; `null` when there is none.
-    pub method: Option<String>,
-    /// Time of the plan and its residual.
-    pub sentence: String,
-    /// Reason for this choice, and the state of its plan.
-    pub why: String,
-    /// Sentence on the row without a motion, which is not a plan; `null` where the run has no such row.
-    pub without_motion: Option<String>,
-    /// Reasons against running it; empty if there are none.
-    pub problems: Vec<String>,
+/// Returns the answer of a summary whose methods and best plan are known.
+pub fn answer(summary: &Summary) -> Answer {
+    let best = summary.methods.iter().find(|(name, _)| Some(name) == summary.best.as_ref());
+    let mut problems = summary.remarks.clone();
+    let (sentence, why) = match best {
+        Some((name, method)) => {
+            problems.extend(against(name, method));
+            (sentence(summary, name, method), why(summary, name, method))
+        }
+        None => {
+            problems.push(summary.why_no_plan().into());
+            ("Nothing here is to be run.".into(), why_none(summary))
+        }
+    };
+    let still = summary.methods.iter().find(|(_, m)| m.plan.state == State::WithoutMotion);
+    let without_motion = still.map(|(name, m)| {
+        format!(
+            "Not a plan: {name} applies the dwell times at the dwell points, without a motion between them. It \
+             leaves {} nm RMS in {}; no machine can run it, and a plan may leave less.",
+            significant(m.rms_nm, DIGITS),
+            duration(m.total_time_s)
+        )
+    });
+    Answer { method: best.map(|(name, _)| name.clone()), sentence, why, without_motion, problems }
 }
 
-impl Answer {
-    /// The answer of a summary whose methods and best plan are known.
-    pub fn of(summary: &Summary) -> Self {
-        let best = summary.methods.iter().find(|(name, _)| Some(name) == summary.best.as_ref());
-        let mut problems = summary.remarks.clone();
-        let (sentence, why) = match best {
-            Some((name, method)) => {
-                problems.extend(against(name, method));
-                (sentence(summary, name, method), why(summary, name, method))
-            }
-            None => {
-                problems.push(summary.why_no_plan().into());
-                ("Nothing here is to be run.".into(), why_none(summary))
-            }
-        };
-        let still = summary.methods.iter().find(|(_, m)| m.plan.state == State::WithoutMotion);
-        let without_motion = still.map(|(name, m)| {
-            format!(
-                "Not a plan: {name} applies the dwell times at the dwell points, without a motion between them. It \
-                 leaves {} nm RMS in {}; no machine can run it, and a plan may leave less.",
-                significant(m.rms_nm, DIGITS),
-                duration(m.total_time_s)
-            )
-        });
-        Self { method: best.map(|(name, _)| name.clone()), sentence, why, without_motion, problems }
-    }
-}
-
-/// A summary and its answer.
-#[derive(Serialize)]
-struct Answered<'a> {
-    answer: Answer,
-    #[serde(flatten)]
-    summary: &'a Summary,
-}
-
-/// One run for other programs and for the page: its answer, then its summary.
+/// Returns one run for other programs and for the page: its answer, then its summary.
 pub fn with_answer(summary: &Summary) -> Value {
-    json!(Answered { answer: Answer::of(summary), summary })
+    json!(AnsweredSummary { answer: answer(summary), summary })
 }
 
 /// The plan to be run, of the recommended ones of several runs on one mirror.
@@ -289,12 +270,16 @@ fn against(name: &str, m: &Method) -> Vec<String> {
     found
 }
 
-fn failing(name: &str, judged: &Judged) -> String {
+fn failing(name: &str, judged: &SpecificationReport) -> String {
     let failed = judged.limits.iter().filter(|limit| !limit.passed);
     let said = failed.map(|l| {
-        let value = l.value.map_or("infinite".into(), |v| significant(v, DIGITS));
+        let value =
+            if l.value.is_finite() { significant(l.value, DIGITS) } else { "infinite".into() };
         let unit = if l.unit.is_empty() { String::new() } else { format!(" {}", l.unit) };
-        let bound = if l.bound == "at-most" { "at most" } else { "at least" };
+        let bound = match l.bound {
+            Bound::AtMost => "at most",
+            Bound::AtLeast => "at least",
+        };
         let limit = significant(l.limit, DIGITS);
         let place = l.worst.as_ref().map_or(String::new(), |worst| format!(", worst {worst}"));
         format!("{} is {value}{unit}, {bound} {limit} is allowed{place}", l.quantity)
@@ -351,21 +336,23 @@ mod tests {
 
     #[test]
     fn what_fails_is_told_with_value_limit_and_place() {
-        let limit = |quantity: &str, value, passed| crate::specification::JudgedLimit {
-            quantity: quantity.into(),
-            unit: "nm".into(),
-            value,
-            limit: 2.0,
-            bound: "at-most".into(),
-            passed,
-            worst: (!passed).then(|| "at x 3 mm".into()),
-        };
+        let limit =
+            |quantity: &str, value, passed| planish_types::outcome::specification::LimitReport {
+                quantity: quantity.into(),
+                unit: "nm".into(),
+                value,
+                limit: 2.0,
+                bound: Bound::AtMost,
+                passed,
+                worst: (!passed).then(|| "at x 3 mm".into()),
+                noise: None,
+            };
         let limits = vec![
-            limit("RMS", Some(1.0), true),
-            limit("PV", Some(3.456), false),
-            limit("B", None, false),
+            limit("RMS", 1.0, true),
+            limit("PV", 3.456, false),
+            limit("B", f64::INFINITY, false),
         ];
-        let judged = Judged { name: "strict".into(), passed: false, limits };
+        let judged = SpecificationReport { name: "strict".into(), passed: false, limits };
         assert_eq!(
             failing("pvt", &judged),
             "pvt does not keep the specification strict: PV is 3.46 nm, at most 2 is allowed, worst at x 3 mm; \

@@ -7,33 +7,41 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use ndarray::{Ix2, Ix3};
+use ndarray::Ix3;
 use planish_compare::{
     chain::{self, Chain, MethodRecords, Record, Recorded, RunRecords, Standing},
     diff::Elements,
     dwell::{Row, Solver},
-    error_budget::{ErrorBudget, ProcessArrays},
-    on_axes::{MotionOutcome, OnAxes},
+    error_budget::ErrorBudget,
+    made::{Made, Shown},
+    on_axes::{OnAxes, check_names},
     places::Division,
     plan::Plan,
     reach::Reach,
     report::{Frames, Rounds, Run, RunMethod, on_axes, tool},
-    specification::{Around, Judged},
-    summary::{LeftOut, Method, Summary, Told, VerdictOutcome, WallTimes},
+    specification::Around,
+    summary::{LeftOut, Method, Summary, Told, WallTimes},
 };
 use planish_form::Form;
 use planish_handoff::{
     Arrays, Artifact, Failure, Inputs,
-    artifact::Manifest,
+    artifact::{Manifest, ManifestHead},
     kind::{self, Dtype, Kind, MANIFEST},
     npy::{self, ArrayData},
 };
 use planish_types::{
     AxesMotion, Axis, DwellTime, Grid, Invalid, Removal, Surface, ToolPath, Trajectory,
+    outcome::{
+        StageEnd, WallTime,
+        axes::MotionReport,
+        plan::PlanOutcome,
+        removal::ServoOutcome,
+        specification::{SpecificationOutcome, SpecificationReport},
+        tolerance::ToleranceArrays,
+        verdict::{AxesVerdict, Verdict},
+    },
 };
 use rayon::prelude::*;
-use serde::Deserialize;
-use serde_json::Value;
 
 /// The last component of the path of a run.
 pub fn name_of(run: &Path) -> String {
@@ -128,13 +136,13 @@ fn message_in(dir: &Path) -> Result<String, Failure> {
 }
 
 /// A method whose artifacts belong together, with its verdict by the specification and the remarks on it.
-type Valid = (Found, Option<Judged>, Vec<String>);
+type Valid = (Found, Option<SpecificationReport>, Vec<String>);
 
 /// The methods whose artifacts belong together, and those that are left out.
 fn divided(
     read: Vec<Found>,
     chains: Vec<Chain>,
-    judged: Vec<Option<Judged>>,
+    judged: Vec<Option<SpecificationReport>>,
 ) -> (Vec<Valid>, Vec<LeftOut>) {
     let (mut valid, mut left_out) = (Vec::new(), Vec::new());
     for ((found, chain), judged) in read.into_iter().zip(chains).zip(judged) {
@@ -255,7 +263,11 @@ struct Judge<'a> {
 
 impl Judge<'_> {
     /// The verdicts on the residuals of the methods.
-    fn read_all(&mut self, methods: &[Found], run: &Path) -> Result<Vec<Option<Judged>>, Failure> {
+    fn read_all(
+        &mut self,
+        methods: &[Found],
+        run: &Path,
+    ) -> Result<Vec<Option<SpecificationReport>>, Failure> {
         let of = |found: &Found| {
             let removal = ("removal", found.records.removal.digest.as_str());
             self.read(&found.name, run, Some(removal))
@@ -270,17 +282,19 @@ impl Judge<'_> {
         name: &str,
         run: &Path,
         of: Option<(&str, &str)>,
-    ) -> Result<Option<Judged>, Failure> {
+    ) -> Result<Option<SpecificationReport>, Failure> {
         let dir = run.join("specified").join(name).join("specification");
         if !dir.exists() {
             return Ok(None);
         }
         let role = format!("{}/{name}/specification", self.role);
         let manifest = self.inputs.read_manifest(&role, &dir, &kind::SPECIFICATION)?;
-        let of_dir = |e: Invalid| Failure::new(format!("{}: {e}", dir.display()));
-        let Some(judged) = Judged::from_json(&manifest.outcome).map_err(of_dir)? else {
+        let outcome: SpecificationOutcome = manifest.read_outcome(&dir, "judge it again")?;
+        let Some(mut judged) = outcome.specification else {
             return Ok(None);
         };
+        // The report tells values and limits; the part of the noise stands in the artifact.
+        judged.limits.iter_mut().for_each(|limit| limit.noise = None);
         let record = record_of(&manifest);
         if of.is_some_and(|(role, digest)| record.input(role) != Some(digest)) {
             let remark =
@@ -311,7 +325,7 @@ fn read_process(
     if !dir.exists() {
         return Ok((None, None));
     }
-    let (file, manifest): (ToleranceFile, _) =
+    let (arrays, manifest): (ToleranceArrays, _) =
         inputs.read_with_manifest(&format!("{role}/tolerance"), &dir)?;
     let of = manifest.as_ref().map(record_of).and_then(|record| {
         records.iter().position(|r| record.input("trajectory") == Some(&r.trajectory.digest))
@@ -320,33 +334,63 @@ fn read_process(
         let remark = "tolerance: it is of a motion that no method of the run has now; run planish-tolerance again";
         return Ok((None, Some(remark.into())));
     };
-    let process = ErrorBudget::new(&names[method], &manifest.settings, &manifest.outcome, file.0);
-    Ok((Some(process.map_err(|e| Failure::new(format!("{}: {e}", dir.display())))?), None))
+    let outcome = manifest.read_outcome(&dir, "run planish-tolerance again")?;
+    let settings = manifest.read_settings(&dir)?;
+    Ok((Some(ErrorBudget::new(&names[method], settings, outcome, arrays)), None))
 }
 
-/// Manifests by role.
-type Provenance = Vec<(String, Value)>;
+/// Manifests of the artifacts of a run or of a method.
+type Provenance = Vec<Made>;
 
-fn manifest_of<'a>(provenance: &'a Provenance, role: &str) -> Option<&'a Value> {
-    provenance.iter().find(|(r, _)| r == role).map(|(_, manifest)| manifest)
+fn manifest_of<'a>(provenance: &'a Provenance, role: &str) -> Option<&'a Made> {
+    provenance.iter().find(|made| made.shown.role == role)
+}
+
+/// Adds the manifest of the artifact `name` in `dir` to the provenance.
+fn add_manifest(
+    provenance: &mut Provenance,
+    name: &str,
+    dir: &Path,
+    manifest: &Manifest,
+) -> Result<(), Failure> {
+    let StageEnd { status, reason } = manifest.end();
+    let outcome = match name {
+        "trajectory" | "dwell" | "iterations" => manifest.read_outcome(dir, "make it again")?,
+        _ => PlanOutcome::default(),
+    };
+    provenance.push(Made {
+        shown: Shown {
+            role: name.into(),
+            tool: manifest.tool.clone(),
+            tool_version: manifest.tool_version.clone(),
+            method: manifest.method.clone(),
+            command: manifest.command.clone(),
+            settings: manifest.settings.clone(),
+            inputs: serde_json::to_value(&manifest.inputs)?,
+            status,
+        },
+        reason,
+        is_from_dwell_times: manifest.inputs.iter().any(|input| input.role == "dwell")
+            || manifest.lineage.iter().any(|ancestor| ancestor.kind == "dwell"),
+        outcome,
+    });
+    Ok(())
 }
 
 /// Name of the machine that a method was judged by: as the verdict states it, or that of its file.
-fn machine_of(provenance: &Provenance) -> Option<String> {
-    let verdict = manifest_of(provenance, "verdict")?;
-    if let Some(name) = verdict["outcome"]["machine"].as_str() {
-        return Some(name.into());
+fn machine_of(verdict: &Verdict, manifest: &Manifest) -> Option<String> {
+    if verdict.machine.is_some() {
+        return verdict.machine.clone();
     }
-    let inputs = manifest_of(provenance, "verdict")?["inputs"].as_array()?;
-    let machine = inputs.iter().find(|input| input["role"] == "machine")?;
-    let path = Path::new(machine["path"].as_str()?);
-    Some(path.file_stem()?.to_string_lossy().into_owned())
+    let machine = manifest.inputs.iter().find(|input| input.role == "machine")?;
+    Some(Path::new(&machine.path).file_stem()?.to_string_lossy().into_owned())
 }
 
-/// An artifact and its record.
+/// An artifact, its record and its manifest.
 struct Known<T> {
     value: T,
     recorded: Recorded,
+    manifest: Option<Manifest>,
 }
 
 /// Reads the artifact `name` in `dir` and keeps its manifest.
@@ -361,10 +405,10 @@ fn read_artifact<T: Artifact>(
     let (value, manifest) = inputs.read_with_manifest(&role, &path)?;
     let digest = inputs.digest(&role).unwrap_or_default().to_string();
     let record = manifest.as_ref().map(record_of);
-    if let Some(manifest) = manifest {
-        provenance.push((name.into(), serde_json::to_value(manifest)?));
+    if let Some(manifest) = &manifest {
+        add_manifest(provenance, name, &path, manifest)?;
     }
-    Ok(Known { value, recorded: Recorded { digest, record } })
+    Ok(Known { value, recorded: Recorded { digest, record }, manifest })
 }
 
 fn record_of(manifest: &Manifest) -> Record {
@@ -390,8 +434,9 @@ struct Found {
     dir: PathBuf,
     trajectory: Trajectory,
     removal: Removal,
-    /// Outcome of the verdict.
-    verdict: Value,
+    verdict: Verdict,
+    /// Name of the machine that the verdict is about.
+    machine: Option<String>,
     own_plan: Option<DwellTime>,
     frames: Option<Frames>,
     rounds: Option<Rounds>,
@@ -411,7 +456,7 @@ impl Found {
         of_run: Option<&'a DwellTime>,
     ) -> Option<&'a DwellTime> {
         let manifest = manifest_of(&self.provenance, "trajectory");
-        match manifest.and_then(|manifest| manifest["tool"].as_str()) {
+        match manifest.map(|made| made.shown.tool.as_str()) {
             Some("planish-import") => {
                 let (plan, _) = self.name.rsplit_once('+')?;
                 let plan = methods.iter().find(|found| found.name == plan)?;
@@ -436,10 +481,11 @@ fn read_method(
     let trajectory: Known<Trajectory> =
         read_artifact(inputs, role, &dir, "trajectory", &mut provenance)?;
     let removal: Known<Removal> = read_artifact(inputs, role, &dir, "removal", &mut provenance)?;
-    let manifest =
-        inputs.read_manifest(&format!("{role}/verdict"), &dir.join("verdict"), &kind::VERDICT)?;
-    let (verdict, judged) = (manifest.outcome.clone(), record_of(&manifest));
-    provenance.push(("verdict".into(), serde_json::to_value(manifest)?));
+    let place = dir.join("verdict");
+    let manifest = inputs.read_manifest(&format!("{role}/verdict"), &place, &kind::VERDICT)?;
+    let verdict: Verdict = manifest.read_outcome(&place, "verify it again")?;
+    let machine = machine_of(&verdict, &manifest);
+    add_manifest(&mut provenance, "verdict", &place, &manifest)?;
     let own_plan: Option<Known<DwellTime>> =
         read_optional_artifact(inputs, role, &dir, "dwell", &mut provenance)?;
     let frames: Option<Known<FramesFile>> =
@@ -456,18 +502,17 @@ fn read_method(
         if !path.exists() {
             return Ok(None);
         }
-        let Wall { wall_s, .. } = inputs.read_json(&format!("{role}/{name}-wall"), &path)?;
+        let WallTime { wall_s, .. } = inputs.read_json(&format!("{role}/{name}-wall"), &path)?;
         Ok(Some(wall_s))
     };
     let wall = WallTimes { schedule_s: wall("schedule")?, simulate_s: wall("simulate")? };
-    let outcome = |role: &str| manifest_of(&provenance, role).map(|m| &m["outcome"]);
-    let claimed = outcome("trajectory").and_then(|o| o["claim"]["limits_respected"].as_bool());
-    let best = outcome("iterations").and_then(|o| o["best_round"].as_u64());
+    let claim = manifest_of(&provenance, "trajectory").and_then(|made| made.outcome.claim);
+    let best = manifest_of(&provenance, "iterations").and_then(|made| made.outcome.best_round);
     let records = MethodRecords {
         trajectory: trajectory.recorded,
         removal: removal.recorded,
-        verdict: judged,
-        limits_kept: (verdict["limits_respected"] == true, claimed),
+        verdict: record_of(&manifest),
+        limits_kept: (verdict.limits_respected, claim.map(|claim| claim.limits_respected)),
         dwell: own_plan.as_ref().map(|p| p.recorded.clone()),
         frames: frames.as_ref().map(|f| f.recorded.clone()),
         iterations: rounds.as_ref().map(|r| r.recorded.clone()),
@@ -478,6 +523,7 @@ fn read_method(
         trajectory: trajectory.value,
         removal: removal.value,
         verdict,
+        machine,
         own_plan: own_plan.map(|p| p.value),
         frames: frames.map(|f| f.value.0),
         rounds: rounds.map(|r| Rounds { best, ..r.value.0 }),
@@ -516,7 +562,7 @@ fn read_after_servo(
             ));
         }
     }
-    match manifest.outcome["servos"].as_u64() {
+    match manifest.read_outcome::<ServoOutcome>(&place, "run planish-simulate again")?.servos {
         Some(0) => Ok(None),
         Some(_) => Ok(Some(after.residual().statistics().rms)),
         None => Err(Failure::new(format!(
@@ -528,10 +574,9 @@ fn read_after_servo(
 
 /// A motion of all axes that runs the plan of a method.
 struct FoundOnAxes {
-    outcome: MotionOutcome,
+    outcome: MotionReport,
     motion: AxesMotion,
-    /// Outcome of its verdict.
-    verdict: Value,
+    verdict: AxesVerdict,
     removal: Removal,
 }
 
@@ -577,15 +622,12 @@ fn read_on_axes(
             ));
         }
     }
-    let outcome = manifest_of(&provenance, "axes").map_or(&Value::Null, |m| &m["outcome"]);
-    let outcome =
-        MotionOutcome::from_json(outcome, motion.value.axes()).map_err(|e| again(e.to_string()))?;
-    Ok(Some(FoundOnAxes {
-        outcome,
-        motion: motion.value,
-        verdict: manifest.outcome,
-        removal: removal.value,
-    }))
+    let verdict = manifest.read_outcome(&place.join("verdict"), "verify it again")?;
+    let made = motion.manifest.as_ref().ok_or_else(|| again("axes has no manifest".into()))?;
+    let outcome: MotionReport =
+        made.read_outcome(&place.join("axes"), "run planish-axes motion again")?;
+    check_names(&outcome, motion.value.axes()).map_err(|e| again(e.to_string()))?;
+    Ok(Some(FoundOnAxes { outcome, motion: motion.value, verdict, removal: removal.value }))
 }
 
 /// Directory of a method with the motion of all axes of the machine.
@@ -599,7 +641,7 @@ struct Shared<'a> {
     desired: &'a Surface,
     /// Planned dwell times of the methods, where they are known.
     planned: &'a BTreeMap<String, DwellTime>,
-    plan_manifest: Option<&'a Value>,
+    plan_manifest: Option<&'a Made>,
     plan_is_for_another: Vec<&'static str>,
     /// Waves that the tool reaches, and the BLAKE3 of the tool.
     reach: Option<&'a (Reach, String)>,
@@ -627,7 +669,7 @@ impl Shared<'_> {
     fn method(
         &self,
         found: Found,
-        specification: Option<Judged>,
+        specification: Option<SpecificationReport>,
         remarks: Vec<String>,
     ) -> Result<(Method, RunMethod), Failure> {
         let of_dir = |e: Invalid| Failure::new(format!("{}: {e}", found.dir.display()));
@@ -642,7 +684,6 @@ impl Shared<'_> {
             }
         };
         let dwell = self.planned.get(&found.name).cloned();
-        let outcome = VerdictOutcome::from_json(&found.verdict).map_err(of_dir)?;
         // A prediction with another tool is not told by this one.
         let tool = found.records.removal.record.as_ref();
         let tool = tool.and_then(|record| record.input("tif"));
@@ -664,10 +705,10 @@ impl Shared<'_> {
             &found.removal,
             &found.trajectory,
             dwell.as_ref(),
-            &outcome,
+            &found.verdict,
             Told {
                 wall: found.wall,
-                machine: machine_of(&found.provenance),
+                machine: found.machine,
                 plan,
                 short_wave_rms_nm,
                 specification,
@@ -733,41 +774,6 @@ impl Artifact for RoundsFile {
     }
 }
 
-/// `kind::TOLERANCE` as an artifact.
-struct ToleranceFile(ProcessArrays);
-
-impl Artifact for ToleranceFile {
-    const KIND: &'static Kind = &kind::TOLERANCE;
-
-    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
-        unreachable!("a report does not write tolerances")
-    }
-
-    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
-        let (part, rms_nm) = (arrays.take_f64("part"), arrays.take_f64("rms_nm"));
-        let deviation_nm = arrays.take_f64("deviation_nm").into_dimensionality::<Ix2>();
-        let mut axis = |name| {
-            let coordinates: Vec<f64> = arrays.take_f64(name).into_iter().collect();
-            Axis::from_coordinates(name, &coordinates)
-        };
-        let grid = Grid { x: axis("x_mm")?, y: axis("y_mm")? };
-        Ok(Self(ProcessArrays {
-            part: part.into_iter().collect(),
-            rms_nm: rms_nm.into_iter().collect(),
-            deviation_nm: deviation_nm.expect("the kind promises two axes"),
-            grid,
-        }))
-    }
-}
-
-/// File that a stage writes for `--wall-time`.
-#[derive(Deserialize)]
-struct Wall {
-    wall_s: f64,
-    #[serde(default)]
-    peak_memory_mb: Option<f64>,
-}
-
 /// Reads a run of dwell solvers along a tool path: its surface, and the result of each solver but those of `skip`.
 pub fn read_solvers(
     inputs: &mut Inputs,
@@ -808,8 +814,11 @@ fn read_solver(
     }
     let (dwell, manifest): (DwellTime, _) =
         inputs.read_with_manifest(&format!("{name}/dwell"), &dir.join("dwell"))?;
-    let manifest = manifest.map(serde_json::to_value).transpose()?;
-    let plan = Plan::of_solver(manifest.as_ref());
+    let mut provenance = Provenance::default();
+    if let Some(manifest) = &manifest {
+        add_manifest(&mut provenance, "dwell", &dir.join("dwell"), manifest)?;
+    }
+    let plan = Plan::of_solver(provenance.first());
     let position: Removal =
         inputs.read(&format!("{name}/position"), &dir.join("position/removal"))?;
     let executed: Removal =
@@ -821,7 +830,7 @@ fn read_solver(
         .map_err(|e| Failure::new(format!("{}: {e}", dir.display())))?;
     let wall = dir.join("dwell-wall.json");
     if wall.exists() {
-        let Wall { wall_s, peak_memory_mb } =
+        let WallTime { wall_s, peak_memory_mb } =
             inputs.read_json(&format!("{name}/dwell-wall"), &wall)?;
         (solver.wall_s, solver.peak_memory_mb) = (Some(wall_s), peak_memory_mb);
     }
@@ -859,8 +868,8 @@ fn kind_of(dir: &Path) -> Result<Option<String>, Failure> {
     }
     let broken = |e: String| Failure::new(format!("{}: is not a manifest ({e})", path.display()));
     let text = read_text(&path).map_err(|e| broken(e.to_string()))?;
-    let manifest: Value = serde_json::from_str(&text).map_err(|e| broken(e.to_string()))?;
-    Ok(manifest["kind"].as_str().map(String::from))
+    let head: ManifestHead = serde_json::from_str(&text).map_err(|e| broken(e.to_string()))?;
+    Ok(Some(head.kind))
 }
 
 /// The text of a regular file: a pipe would never end.

@@ -30,6 +30,7 @@ pub mod dwell;
 pub mod error_budget;
 pub mod execution;
 mod files;
+pub mod made;
 pub mod on_axes;
 pub mod places;
 pub mod plan;

@@ -1,34 +1,20 @@
 //! Residual that a plan leaves when all axes of a machine run it.
 
 use planish_form::Form;
-use planish_types::{AxesMotion, Invalid, Removal, Surface, text::significant};
-use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use planish_types::{
+    AxesMotion, Invalid, Removal, Surface,
+    outcome::{axes::MotionReport, verdict::AxesVerdict},
+    text::significant,
+};
+use serde::Serialize;
 
-/// Outcome of `planish-axes motion` that the report repeats.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-pub struct MotionOutcome {
-    /// Names of the axes.
-    pub axes: Vec<String>,
-    /// Unit of each axis, mm or deg.
-    pub units: Vec<String>,
-    contact_deviation_um: f64,
-    gap_um: f64,
-    added_tool_on_time_s: f64,
-}
-
-impl MotionOutcome {
-    /// The outcome in the manifest of a motion of `axes` axes. Refuses one that names another number of them.
-    pub fn from_json(outcome: &Value, axes: usize) -> Result<Self, Invalid> {
-        let unreadable =
-            |problem: String| Invalid::whole("outcome", problem, "run planish-axes motion again");
-        let read: Self =
-            serde_json::from_value(outcome.clone()).map_err(|e| unreadable(e.to_string()))?;
-        if read.axes.len() != axes || read.units.len() != axes {
-            return Err(unreadable(format!("names {} axes of {axes}", read.axes.len())));
-        }
-        Ok(read)
+/// Refuses the outcome of a motion of `axes` axes that names another number of them.
+pub fn check_names(outcome: &MotionReport, axes: usize) -> Result<(), Invalid> {
+    if outcome.axes.len() == axes && outcome.units.len() == axes {
+        return Ok(());
     }
+    let problem = format!("names {} axes of {axes}", outcome.axes.len());
+    Err(Invalid::whole("outcome", problem, "run planish-axes motion again"))
 }
 
 /// Residual, time and limits of a plan when all axes of the machine run it.
@@ -55,9 +41,9 @@ pub struct OnAxes {
 impl OnAxes {
     /// Numbers of a motion: its outcome and duration, its verdict, what it removes, and the form of the part.
     pub fn new(
-        outcome: &MotionOutcome,
+        outcome: &MotionReport,
         motion: &AxesMotion,
-        verdict: &Value,
+        verdict: &AxesVerdict,
         removal: &Removal,
         form: Option<&Form>,
     ) -> Self {
@@ -70,7 +56,7 @@ impl OnAxes {
             added_tool_on_time_s: outcome.added_tool_on_time_s,
             contact_deviation_um: outcome.contact_deviation_um,
             gap_um: outcome.gap_um,
-            limits_respected: verdict["limits_respected"] == true,
+            limits_respected: verdict.limits_respected,
         }
     }
 

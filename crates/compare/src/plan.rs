@@ -10,9 +10,17 @@
 //! | without-motion | dwell times without a motion: nothing that runs |
 //! | unknown | no manifest says |
 
-use planish_types::{End, text::significant};
+use planish_types::{
+    End,
+    outcome::{
+        StageStatus,
+        plan::{PlanReport, StatedEnd},
+    },
+    text::significant,
+};
 use serde::Serialize;
-use serde_json::Value;
+
+use crate::made::Made;
 
 /// Name of the scheduler that applies the dwell times at the dwell points, without a motion between them.
 pub const WITHOUT_MOTION: &str = "position";
@@ -77,8 +85,8 @@ impl Plan {
     /// for another artifact.
     pub fn of(
         name: &str,
-        trajectory: Option<&Value>,
-        dwell: Option<&Value>,
+        trajectory: Option<&Made>,
+        dwell: Option<&Made>,
         solved_for_another: &[&str],
     ) -> Self {
         if name == WITHOUT_MOTION {
@@ -91,18 +99,20 @@ impl Plan {
                 format!("{method} is there to compare with, and its plan is not recommended");
             return Self::new(State::Baseline, "baseline", text);
         }
-        match trajectory.and_then(|manifest| manifest["tool"].as_str()) {
-            Some("planish-refine" | "planish-joint" | "planish-bspline-feed") => {
-                return Self::of_manifest(trajectory.unwrap_or(&Value::Null));
+        if let Some(trajectory) = trajectory {
+            match trajectory.shown.tool.as_str() {
+                "planish-refine" | "planish-joint" | "planish-bspline-feed" => {
+                    return Self::of_manifest(trajectory);
+                }
+                "planish-import" => {
+                    let text = "read back from a controller's program; how good the plan is that it was made of, \
+                                the plan says";
+                    return Self::new(State::Unknown, PROGRAM, text);
+                }
+                _ => {}
             }
-            Some("planish-import") => {
-                let text = "read back from a controller's program; how good the plan is that it was made of, \
-                            the plan says";
-                return Self::new(State::Unknown, PROGRAM, text);
-            }
-            _ => {}
         }
-        if !trajectory.is_some_and(follows_dwell_times) {
+        if !trajectory.is_some_and(|made| made.is_from_dwell_times) {
             let text = "no manifest says which dwell times its motion follows";
             return Self::new(State::Unknown, "not known", text);
         }
@@ -116,7 +126,7 @@ impl Plan {
     }
 
     /// State of the dwell times of a solver, from their manifest if they have one.
-    pub fn of_solver(manifest: Option<&Value>) -> Self {
+    pub fn of_solver(manifest: Option<&Made>) -> Self {
         manifest.map_or_else(Self::without_manifest, Self::of_dwell)
     }
 
@@ -126,7 +136,7 @@ impl Plan {
     }
 
     /// State of dwell times, from their manifest: nothing that is proven of them is proven of a motion.
-    fn of_dwell(manifest: &Value) -> Self {
+    fn of_dwell(manifest: &Made) -> Self {
         match Self::of_manifest(manifest) {
             Self { state: State::Certified, text, .. } => {
                 let text = format!("the dwell times are {text}; nothing is proven of the motion");
@@ -137,12 +147,15 @@ impl Plan {
     }
 
     /// State of the artifact of a stage, from the end that its manifest states.
-    fn of_manifest(manifest: &Value) -> Self {
-        let outcome = &manifest["outcome"];
-        let report = &outcome["report"];
-        let name = report["end"].as_str().or(outcome["end"].as_str());
+    fn of_manifest(manifest: &Made) -> Self {
+        let report = manifest.outcome.report.as_ref();
         // A stage that is not ours may end with a word of its own.
-        let end = name.and_then(|name| serde_json::from_value::<End>(name.into()).ok());
+        let (end, foreign) =
+            match report.and_then(|r| r.end.as_ref()).or(manifest.outcome.end.as_ref()) {
+                Some(StatedEnd::Known(end)) => (Some(*end), None),
+                Some(StatedEnd::Foreign(word)) => (None, Some(word)),
+                None => (None, None),
+            };
         let word = |otherwise| match end {
             Some(End::Stagnated) => "stagnated",
             Some(End::IterationLimit) => "iteration limit",
@@ -151,15 +164,15 @@ impl Plan {
             _ => otherwise,
         };
         let proven = proven(manifest);
-        if outcome["status"] == "negative" {
-            let reason = outcome["reason"].as_str().unwrap_or("it ended with a negative verdict");
+        if manifest.shown.status == Some(StageStatus::Negative) {
+            let reason = manifest.reason.as_deref().unwrap_or("it ended with a negative verdict");
             return Self::new(State::Unconverged, word("not converged"), reason);
         }
         if let Some(why) = end.and_then(without_proof) {
             let text = format!("{why}, which proves nothing of an optimum");
             return Self::new(State::Unknown, "no certificate", text);
         }
-        match (end, name) {
+        match (end, foreign) {
             (Some(End::Optimal), _) => match proven {
                 Some(proven) => Self::new(State::Certified, "certified", proven),
                 None => {
@@ -200,13 +213,13 @@ impl Plan {
                 let text = format!("ended with `{name}`, of which nothing is known here");
                 Self::new(State::Unknown, "not known", text)
             }
-            (_, None) => match report["converged"].as_bool() {
+            (None, None) => match report.and_then(|r| r.converged) {
                 Some(true) => Self::ended_by_itself(),
                 Some(false) => Self::new(State::Unconverged, "not converged", "not converged"),
                 None => {
-                    let by = match manifest["method"].as_str() {
-                        Some(method) => format!("by {method}, "),
-                        None => String::new(),
+                    let by = match manifest.shown.method.as_str() {
+                        "" => String::new(),
+                        method => format!("by {method}, "),
                     };
                     let text = format!("{by}which gives no certificate of optimality");
                     Self::new(State::Converged, "no certificate", text)
@@ -237,31 +250,22 @@ fn without_proof(end: End) -> Option<&'static str> {
 }
 
 /// The method of a stage, by its manifest, if it is a baseline.
-fn baseline(manifest: &Value) -> Option<&str> {
-    let made_by = (manifest["tool"].as_str()?, manifest["method"].as_str()?);
+fn baseline(manifest: &Made) -> Option<&str> {
+    let made_by = (manifest.shown.tool.as_str(), manifest.shown.method.as_str());
     BASELINES.contains(&made_by).then_some(made_by.1)
 }
 
-/// Returns true if a trajectory was made from dwell times, by its manifest.
-fn follows_dwell_times(trajectory: &Value) -> bool {
-    let names = |list: &str, key: &str| {
-        let mut entries = trajectory[list].as_array().into_iter().flatten();
-        entries.any(|entry| entry[key] == "dwell")
-    };
-    names("inputs", "role") || names("lineage", "kind")
-}
-
 /// Sentence on the proven gap of a stage, if it states one, with the plans that it compares with.
-fn proven(manifest: &Value) -> Option<String> {
-    let report = &manifest["outcome"]["report"];
-    let gap = report["relative_gap"].as_f64().or(report["gap"].as_f64())?;
+fn proven(manifest: &Made) -> Option<String> {
+    let PlanReport { proven, .. } = manifest.outcome.report.as_ref()?;
+    let gap = proven.relative_gap.or(proven.gap)?;
     if !gap.is_finite() {
         return None;
     }
-    let covered = match (report["gap_covers"].as_str(), manifest["tool"].as_str()) {
+    let covered = match (&proven.gap_covers, manifest.shown.tool.as_str()) {
         (Some(covered), _) => format!("; it compares with {covered}"),
         // The limits on a motion are not convex: its certificate is that of the convex problem around it.
-        (None, Some("planish-joint" | "planish-bspline-feed")) => {
+        (None, "planish-joint" | "planish-bspline-feed") => {
             " with the limits linearised at this plan, so it is a local optimum".into()
         }
         (None, _) => String::new(),
@@ -278,7 +282,44 @@ fn proven(manifest: &Value) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde_json::json;
+    use planish_types::outcome::{StageEnd, plan::PlanOutcome};
+    use serde::Deserialize;
+    use serde_json::{Value, json};
+
+    use crate::made::Shown;
+
+    /// Reads the parts of a manifest that a test states.
+    fn read(manifest: &Value) -> Made {
+        let word = |key: &str| manifest[key].as_str().unwrap_or_default().to_string();
+        let has_dwell = |list: &str, key: &str| {
+            manifest[list].as_array().into_iter().flatten().any(|entry| entry[key] == "dwell")
+        };
+        let none = json!({});
+        let outcome = manifest.get("outcome").unwrap_or(&none);
+        let end = StageEnd::deserialize(outcome).unwrap();
+        let shown = Shown {
+            tool: word("tool"),
+            method: word("method"),
+            status: end.status,
+            ..Shown::default()
+        };
+        Made {
+            shown,
+            reason: end.reason,
+            is_from_dwell_times: has_dwell("inputs", "role") || has_dwell("lineage", "kind"),
+            outcome: PlanOutcome::deserialize(outcome).unwrap(),
+        }
+    }
+
+    /// Returns the plan of these manifests.
+    fn plan_of(
+        name: &str,
+        trajectory: Option<&Value>,
+        dwell: Option<&Value>,
+        other: &[&str],
+    ) -> Plan {
+        Plan::of(name, trajectory.map(read).as_ref(), dwell.map(read).as_ref(), other)
+    }
 
     fn dwell(outcome: Value) -> Value {
         json!({ "tool": "planish-dwell", "method": "bounded-least-squares", "outcome": outcome })
@@ -343,7 +384,7 @@ mod tests {
             (done(json!({ "end": "direct" })), State::Unknown, "no certificate", "a formula"),
             (done(json!({ "end": "lift-limit" })), State::Unconverged, "not converged", "limit"),
         ] {
-            let plan = Plan::of("pvt", Some(&scheduled()), Some(&manifest), &[]);
+            let plan = plan_of("pvt", Some(&scheduled()), Some(&manifest), &[]);
             assert_eq!((plan.state, plan.word.as_str()), (state, word), "{manifest}");
             assert!(plan.text.contains(text), "{plan:?}");
         }
@@ -393,31 +434,31 @@ mod tests {
             // A motion whose manifest names no dwell times is not known to follow any.
             (made("planish-schedule", json!({})), State::Unknown, "not known"),
         ] {
-            let plan = Plan::of("mine", Some(&trajectory), Some(&certified), &[]);
+            let plan = plan_of("mine", Some(&trajectory), Some(&certified), &[]);
             assert_eq!((plan.state, plan.word.as_str()), (state, word), "{trajectory}");
         }
         let covers = "plans on this curve";
         let covers =
             json!({ "report": { "end": "optimal", "relative_gap": 6.9e-4, "gap_covers": covers } });
-        let joint = Plan::of("mine", Some(&made("planish-joint", covers)), None, &[]);
+        let joint = plan_of("mine", Some(&made("planish-joint", covers)), None, &[]);
         let text = "proven within 0.00069 of the least objective, relative to it; it compares with plans on this curve";
         assert_eq!((joint.state, joint.text.as_str()), (State::Certified, text));
         // Dwell times without a motion are never taken for a plan.
-        let still = Plan::of("position", Some(&scheduled()), Some(&certified), &[]);
+        let still = plan_of("position", Some(&scheduled()), Some(&certified), &[]);
         assert_eq!(still.state, State::WithoutMotion);
         // A trajectory of one's own, beside dwell times that are optimal.
-        let own = Plan::of("pvt", None, Some(&certified), &[]);
+        let own = plan_of("pvt", None, Some(&certified), &[]);
         assert_eq!((own.state, own.word.as_str()), (State::Unknown, "not known"));
         // A motion of a baseline, and one of dwell times of a baseline.
         let made = |tool: &str, method: &str| json!({ "tool": tool, "method": method, "inputs": [{ "role": "dwell" }] });
         let published = made("planish-schedule", "pvt-as-published");
-        let of_motion = Plan::of("mine", Some(&published), Some(&certified), &[]);
+        let of_motion = plan_of("mine", Some(&published), Some(&certified), &[]);
         let law = made("planish-dwell", "feed-law");
-        let of_dwell = Plan::of("pvt", Some(&scheduled()), Some(&law), &[]);
+        let of_dwell = plan_of("pvt", Some(&scheduled()), Some(&law), &[]);
         assert_eq!([of_motion.state, of_dwell.state], [State::Baseline; 2]);
-        let other = Plan::of("pvt", Some(&scheduled()), Some(&certified), &["tool-path"]);
+        let other = plan_of("pvt", Some(&scheduled()), Some(&certified), &["tool-path"]);
         assert_eq!(other.state, State::Unconverged);
         assert!(other.text.contains("another tool path"), "{other:?}");
-        assert_eq!(Plan::of("pvt", Some(&scheduled()), None, &[]).state, State::Unknown);
+        assert_eq!(plan_of("pvt", Some(&scheduled()), None, &[]).state, State::Unknown);
     }
 }

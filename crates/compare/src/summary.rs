@@ -17,9 +17,15 @@ use planish_numerics::{
     slope::{Along, slopes, steps_of_base},
     statistics::statistics,
 };
-use planish_types::{DwellTime, Invalid, Removal, Surface, Trajectory, text::significant};
-use serde::{Deserialize, Serialize, Serializer};
-use serde_json::Value;
+use planish_types::{
+    DwellTime, Invalid, Removal, Surface, Trajectory,
+    outcome::{
+        specification::SpecificationReport,
+        verdict::{AxisVerdict, Check, Verdict},
+    },
+    text::significant,
+};
+use serde::{Serialize, Serializer};
 
 use crate::{
     chain::Standing,
@@ -30,7 +36,7 @@ use crate::{
     plan::{PROGRAM, Plan, State, WITHOUT_MOTION},
     reach::{Reach, ReachReport},
     recommended::{Candidate, recommended},
-    specification::{Around, Judged},
+    specification::Around,
 };
 
 /// Order of the methods; others follow by name. A refined method follows its base.
@@ -188,7 +194,7 @@ pub struct Method {
     /// State of the plan.
     pub plan: Plan,
     /// Verdict on the residual by a specification; `null` where none was asked.
-    pub specification: Option<Judged>,
+    pub specification: Option<SpecificationReport>,
     /// Result of the plan when all axes of the machine run it; absent where the run has no such motion.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub on_axes: Option<OnAxes>,
@@ -196,48 +202,33 @@ pub struct Method {
     pub remarks: Vec<String>,
 }
 
-/// Part of a verdict that the summary repeats.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-pub struct VerdictOutcome {
-    total_time_s: f64,
-    max_velocity_mm_per_s: [f64; 2],
-    max_acceleration_mm_per_s2: [f64; 2],
-    max_velocity_step_mm_per_s: [f64; 2],
-    max_acceleration_step_mm_per_s2: [f64; 2],
-    limits_respected: bool,
-    #[serde(skip)]
-    broken_limits: Vec<&'static str>,
+/// Returns the checks of an axis in a verdict, and the limit of the machine that each of them is about: a step of the
+/// velocity is an infinite acceleration, a step of the acceleration an infinite jerk.
+fn checks_and_limits(axis: &AxisVerdict) -> [(&Check, &'static str); 7] {
+    [
+        (&axis.position_step_mm, "jumps"),
+        (&axis.position_mm, "travel"),
+        (&axis.velocity_mm_per_s, "velocity"),
+        (&axis.velocity_step_mm_per_s, "acceleration"),
+        (&axis.acceleration_mm_per_s2, "acceleration"),
+        (&axis.acceleration_step_mm_per_s2, "jerk"),
+        (&axis.jerk_mm_per_s3, "jerk"),
+    ]
 }
 
-/// Checks of an axis in a verdict, and the limit of the machine that each of them is about: a step of the velocity is an
-/// infinite acceleration, a step of the acceleration an infinite jerk.
-const LIMIT_OF_CHECK: [(&str, &str); 7] = [
-    ("position_step_mm", "jumps"),
-    ("position_mm", "travel"),
-    ("velocity_mm_per_s", "velocity"),
-    ("velocity_step_mm_per_s", "acceleration"),
-    ("acceleration_mm_per_s2", "acceleration"),
-    ("acceleration_step_mm_per_s2", "jerk"),
-    ("jerk_mm_per_s3", "jerk"),
-];
-
-impl VerdictOutcome {
-    /// The numbers in the outcome of a verdict artifact.
-    pub fn from_json(outcome: &Value) -> Result<Self, Invalid> {
-        let mut found = Self::deserialize(outcome).map_err(|e| {
-            Invalid::whole("verdict", format!("has no usable outcome ({e})"), "verify it again")
-        })?;
-        if outcome["path_distance"]["within"] == false {
-            found.broken_limits.push("path");
-        }
-        for (check, limit) in LIMIT_OF_CHECK {
-            let exceeded = |axis: usize| outcome["axes"][axis][check]["exceeded"] == true;
-            if (exceeded(0) || exceeded(1)) && !found.broken_limits.contains(&limit) {
-                found.broken_limits.push(limit);
-            }
-        }
-        Ok(found)
+/// Returns the limits that a verdict found broken, each once; empty where it does not say.
+fn broken_limits(verdict: &Verdict) -> Vec<&'static str> {
+    let mut broken = Vec::new();
+    if verdict.path_distance.is_some_and(|distance| !distance.within) {
+        broken.push("path");
     }
+    let [x, y] = verdict.axes.each_ref().map(checks_and_limits);
+    for ((x, limit), (y, _)) in x.into_iter().zip(y) {
+        if (x.exceeded || y.exceeded) && !broken.contains(&limit) {
+            broken.push(limit);
+        }
+    }
+    broken
 }
 
 /// Seconds that the stages of a method took, where they were measured.
@@ -261,7 +252,7 @@ pub struct Told {
     /// RMS of the waves of its residual that are shorter than the tool corrects, nm, where the tool is known.
     pub short_wave_rms_nm: Option<f64>,
     /// Verdict on its residual by a specification, where one was asked.
-    pub specification: Option<Judged>,
+    pub specification: Option<SpecificationReport>,
     /// RMS of its residual after the servo of the process, nm, where the process has one.
     pub after_servo_rms_nm: Option<f64>,
     /// Result when all axes of the machine run it, where that was asked.
@@ -305,7 +296,7 @@ impl Method {
         removal: &Removal,
         trajectory: &Trajectory,
         dwell: Option<&DwellTime>,
-        verdict: &VerdictOutcome,
+        verdict: &Verdict,
         told: Told,
     ) -> Result<Self, Invalid> {
         let Told {
@@ -356,7 +347,7 @@ impl Method {
             max_velocity_step_mm_per_s: verdict.max_velocity_step_mm_per_s,
             max_acceleration_step_mm_per_s2: verdict.max_acceleration_step_mm_per_s2,
             limits_respected: verdict.limits_respected,
-            broken_limits: verdict.broken_limits.clone(),
+            broken_limits: broken_limits(verdict),
             after_servo_rms_nm,
             machine,
             schedule_wall_s: wall.schedule_s,
@@ -562,7 +553,7 @@ mod tests {
     use super::*;
     use ndarray::{Array2, array};
     use planish_types::{Axis, Grid};
-    use serde_json::json;
+    use serde_json::{Value, json};
 
     fn grid(nx: usize, ny: usize) -> Grid {
         Grid { x: Axis::new(-1.0, 1.0, nx).unwrap(), y: Axis::new(5.0, 1.0, ny).unwrap() }
@@ -581,7 +572,7 @@ mod tests {
         Trajectory::new(vec![0.0, 4.0], vec![[[0.0; 4]; 2]], vec![true], vec![Some(0)]).unwrap()
     }
 
-    fn verdict(total_time_s: f64) -> Value {
+    fn verdict_json(total_time_s: f64) -> Value {
         json!({
             "total_time_s": total_time_s, "max_velocity_mm_per_s": [1.0, 2.0],
             "max_acceleration_mm_per_s2": [3.0, 4.0], "max_velocity_step_mm_per_s": [5.0, 6.0],
@@ -589,8 +580,12 @@ mod tests {
         })
     }
 
+    fn verdict(total_time_s: f64) -> Verdict {
+        serde_json::from_value(verdict_json(total_time_s)).unwrap()
+    }
+
     fn method() -> Result<Method, Invalid> {
-        let verdict = VerdictOutcome::from_json(&verdict(4.0))?;
+        let verdict = verdict(4.0);
         let wall = WallTimes { schedule_s: Some(0.25), simulate_s: None };
         let told = told(wall);
         Method::new(&desired(), &division(), &removal(), &trajectory(), None, &verdict, told)
@@ -737,7 +732,7 @@ mod tests {
             assert_eq!(summary.best.as_deref(), Some(expected), "{rms_nm} {total_time_s}");
         }
         // A plan that keeps the specification comes before one that leaves less.
-        let judged = |passed| Judged { name: "strict".into(), passed, limits: vec![] };
+        let judged = |passed| SpecificationReport { name: "strict".into(), passed, limits: vec![] };
         let specified =
             |rms_nm, passed| Method { specification: Some(judged(passed)), ..with(rms_nm, true) };
         let of = |first, second| {
@@ -783,7 +778,7 @@ mod tests {
         assert_eq!(of(None, None).best.as_deref(), Some("joint"));
         let followed = of(Some(0.3), Some(0.22));
         assert_eq!(followed.best.as_deref(), Some("pvt"));
-        let answer = crate::answer::Answer::of(&followed);
+        let answer = crate::answer::answer(&followed);
         let said = "The plans are compared by the RMS after the servo of the process, where pvt leaves 0.22 nm.";
         assert!(answer.why.contains(said), "{}", answer.why);
         assert!(answer.why.contains("joint with 0.3 nm"), "{}", answer.why);
@@ -791,19 +786,18 @@ mod tests {
 
     #[test]
     fn the_answer_names_the_limits_that_a_plan_does_not_keep() {
-        let mut outcome = verdict(4.0);
+        let mut outcome = verdict_json(4.0);
         outcome["limits_respected"] = json!(false);
         outcome["axes"] = json!([
             { "jerk_mm_per_s3": { "exceeded": true }, "velocity_mm_per_s": { "exceeded": false } },
             { "acceleration_step_mm_per_s2": { "exceeded": true } },
         ]);
-        let found = VerdictOutcome::from_json(&outcome).unwrap();
-        assert_eq!(found.broken_limits, ["jerk"]);
-        let broken_limits = found.broken_limits;
+        let broken_limits = broken_limits(&serde_json::from_value(outcome).unwrap());
+        assert_eq!(broken_limits, ["jerk"]);
         let rough = Method { limits_respected: false, broken_limits, ..method().unwrap() };
         let rows = [("pvt", method().unwrap()), ("constant-acceleration", rough)];
         let summary = summary_of(rows.map(|(name, m)| (name.to_string(), m)).to_vec());
-        let why = crate::answer::Answer::of(&summary).why;
+        let why = crate::answer::answer(&summary).why;
         assert!(why.ends_with(" constant-acceleration does not keep: jerk."), "{why}");
     }
 
@@ -822,7 +816,7 @@ mod tests {
             row.rms_nm *= 1.5;
             row.total_time_s *= 1.0 + 1e-6;
         }
-        let why = crate::answer::Answer::of(&summary).why;
+        let why = crate::answer::answer(&summary).why;
         let reason = "pvt+galil, because it is the program of pvt, and pvt is chosen because it is the only plan here";
         assert!(why.starts_with(reason), "{why}");
         summary.recommend("pvt+csv").unwrap();
@@ -852,15 +846,15 @@ mod tests {
 
     #[test]
     fn what_does_not_belong_together_is_refused() {
-        let good = VerdictOutcome::from_json(&verdict(4.0)).unwrap();
-        let error = |desired: &Surface, removal: &Removal, verdict: &VerdictOutcome| {
+        let good = verdict(4.0);
+        let error = |desired: &Surface, removal: &Removal, verdict: &Verdict| {
             let told = told(WallTimes::default());
             let division = Division::new(desired, None);
             Method::new(desired, &division, removal, &trajectory(), None, verdict, told)
                 .unwrap_err()
                 .to_string()
         };
-        let late = VerdictOutcome::from_json(&verdict(4.1)).unwrap();
+        let late = verdict(4.1);
         assert!(error(&desired(), &removal(), &late).contains("4.1 s of motion"));
         let wide = Surface::new(grid(3, 2), Array2::ones((2, 3))).unwrap();
         assert!(error(&wide, &removal(), &good).contains("x_mm: the removal has 2 pixels"));
@@ -871,9 +865,9 @@ mod tests {
         heights[[1, 0]] = f64::NAN;
         let masked = Surface::new(grid(2, 2), heights).unwrap();
         assert!(error(&masked, &removal(), &good).contains("residual_nm[1, 0]"));
-        let mut lacking = verdict(4.0);
+        let mut lacking = verdict_json(4.0);
         lacking.as_object_mut().unwrap().remove("limits_respected");
-        let message = VerdictOutcome::from_json(&lacking).unwrap_err().to_string();
+        let message = serde_json::from_value::<Verdict>(lacking).unwrap_err().to_string();
         assert!(message.contains("missing field `limits_respected`"), "{message}");
     }
 }

@@ -9,136 +9,34 @@ mod picture;
 use std::collections::BTreeMap;
 
 use planish_numerics::pareto;
-use planish_types::text::significant;
+use planish_types::{
+    outcome::sweep::{Limited, PlanNumbers, SettingValue, Specified, SweepPlan, SweepTable},
+    text::significant,
+};
 use serde::Deserialize;
-use serde_json::Value;
 
 use crate::recommended::{Candidate, recommended};
 
 pub use picture::{page, svg};
 
-/// Table that `planish-sweep table` writes.
+/// Table of a sweep.
 #[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Table {
-    /// Name of the sweep.
-    pub name: String,
-    /// Name of the mirror.
-    pub mirror: String,
-    /// True if the plans were judged by the errors of a process.
-    pub has_process: bool,
-    /// Constraints on the plans.
-    pub constraints: Constraints,
-    /// The plans.
-    pub plans: Vec<Row>,
-}
+#[serde(transparent)]
+pub struct Table(pub SweepTable);
 
-/// Constraints that a plan must keep to be on the front.
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Constraints {
-    /// Longest time, s.
-    pub max_time_s: Option<f64>,
-    /// True if the limits of the machine must be kept.
-    pub keep_limits: bool,
-    /// True if the limits of the specification must be kept, where there is one.
-    #[serde(default = "kept")]
-    pub keep_specification: bool,
-}
-
-fn kept() -> bool {
-    true
-}
-
-/// A plan and its result.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Row {
-    /// Name.
-    pub id: String,
-    /// Family of the path.
-    pub path: String,
-    /// Method.
-    pub method: String,
-    /// Settings by name.
-    pub settings: BTreeMap<String, Value>,
-    /// `done`, `negative` or `failed`.
-    pub status: String,
-    /// Message of the stage that ended the plan.
-    pub message: Option<String>,
-    /// The numbers, where there are some.
-    pub numbers: Option<Numbers>,
-    /// The report, relative to the table.
-    pub report: Option<String>,
-    /// The command that makes the plan again.
-    pub again: String,
-}
-
-/// The numbers of a plan.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Numbers {
-    /// Time of the run, s.
-    pub total_time_s: f64,
-    /// RMS of the residual, nm.
-    pub rms_nm: f64,
-    /// RMS of the residual, plane removed, nm.
-    pub rms_detilted_nm: f64,
-    /// RMS that 95 % of the runs are below, nm.
-    pub below_95_percent_nm: Option<f64>,
-    /// True if the limits of the machine are kept.
-    pub limits_kept: bool,
-    /// Verdict of the specification, where there is one.
-    #[serde(default)]
-    pub specification: Option<Specified>,
-}
-
-/// Verdict of a specification on the residual of a plan.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Specified {
-    /// True if all limits are kept.
-    pub passed: bool,
-    /// The limits, in the order of the specification.
-    pub limits: Vec<Limited>,
-}
-
-/// A quantity with a limit.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Limited {
-    /// Quantity in words.
-    pub quantity: String,
-    /// Unit; empty if it has none.
-    pub unit: String,
-    /// Value of the plan.
-    pub value: Option<f64>,
-    /// True if the limit is kept.
-    pub passed: bool,
-}
-
-impl Limited {
-    /// Quantity and unit: the heading of its column.
-    fn heading(&self) -> String {
-        if self.unit.is_empty() {
-            return self.quantity.clone();
-        }
-        format!("{} ({})", self.quantity, self.unit)
+/// Returns quantity and unit of a limit: the heading of its column.
+fn heading(limit: &Limited) -> String {
+    if limit.unit.is_empty() {
+        return limit.quantity.clone();
     }
+    format!("{} ({})", limit.quantity, limit.unit)
 }
 
-impl Numbers {
-    /// Returns true if the plan keeps its specification, or has none.
-    fn keeps_specification(&self) -> bool {
-        self.specification.as_ref().is_none_or(|specification| specification.passed)
-    }
-
-    /// Words on the specification; empty without one.
-    fn specification_in_words(&self) -> String {
-        let Some(Specified { passed, limits }) = &self.specification else { return String::new() };
-        let missed = limits.iter().filter(|limit| !limit.passed).count();
-        if *passed { "kept".into() } else { format!("{missed} of {} missed", limits.len()) }
-    }
+/// Returns words on the specification of a plan; empty without one.
+fn specification_in_words(numbers: &PlanNumbers) -> String {
+    let Some(Specified { passed, limits }) = &numbers.specification else { return String::new() };
+    let missed = limits.iter().filter(|limit| !limit.passed).count();
+    if *passed { "kept".into() } else { format!("{missed} of {} missed", limits.len()) }
 }
 
 /// Kind of the residual.
@@ -162,35 +60,32 @@ impl Residual {
 
 impl Table {
     /// Time and residual of a plan that keeps the constraints.
-    pub fn point(&self, row: &Row, residual: Residual) -> Option<[f64; 2]> {
+    pub fn point(&self, row: &SweepPlan, residual: Residual) -> Option<[f64; 2]> {
         let numbers = row.numbers.as_ref()?;
-        let Constraints { max_time_s, keep_limits, keep_specification } = self.constraints;
-        let keeps = (numbers.limits_kept || !keep_limits)
-            && (numbers.keeps_specification() || !keep_specification)
-            && max_time_s.is_none_or(|most| numbers.total_time_s <= most);
         let nm = match residual {
             Residual::Nominal => Some(numbers.rms_nm),
             Residual::Below95 => numbers.below_95_percent_nm,
         };
-        nm.filter(|_| keeps).map(|nm| [numbers.total_time_s, nm])
+        nm.filter(|_| numbers.keeps(&self.0.constraints)).map(|nm| [numbers.total_time_s, nm])
     }
 
     /// The residual by which plans are chosen.
     pub fn judged_by(&self) -> Residual {
-        if self.has_process { Residual::Below95 } else { Residual::Nominal }
+        if self.0.has_process { Residual::Below95 } else { Residual::Nominal }
     }
 
     /// The indices of the plans on the front, the shortest first.
     pub fn front(&self, residual: Residual) -> Vec<usize> {
         let none = [f64::NAN; 2];
         let points: Vec<[f64; 2]> =
-            self.plans.iter().map(|row| self.point(row, residual).unwrap_or(none)).collect();
+            self.0.plans.iter().map(|row| self.point(row, residual).unwrap_or(none)).collect();
         pareto::front(&points)
     }
 
     /// The index of the plan that is to be run: as the report of a run recommends.
     pub fn recommended(&self) -> Option<usize> {
         let candidates: Vec<(usize, Candidate)> = self
+            .0
             .plans
             .iter()
             .enumerate()
@@ -206,8 +101,8 @@ impl Table {
 
     /// The plan that is to be run in one sentence, with the command that makes it again.
     pub fn sentence(&self) -> String {
-        let count = self.plans.len();
-        let Some(row) = self.recommended().map(|i| &self.plans[i]) else {
+        let count = self.0.plans.len();
+        let Some(row) = self.recommended().map(|i| &self.0.plans[i]) else {
             return format!("None of the {count} plans keeps the constraints.");
         };
         let numbers = row.numbers.as_ref().expect("a plan without numbers is not recommended");
@@ -227,11 +122,11 @@ impl Table {
 
     /// Names of the settings that differ between plans, in their alphabetical order.
     pub fn varied(&self) -> Vec<&str> {
-        let mut seen: BTreeMap<&str, Vec<Option<&Value>>> = BTreeMap::new();
+        let mut seen: BTreeMap<&str, Vec<Option<&SettingValue>>> = BTreeMap::new();
         let keys: std::collections::BTreeSet<&str> =
-            self.plans.iter().flat_map(|row| row.settings.keys().map(String::as_str)).collect();
+            self.0.plans.iter().flat_map(|row| row.settings.keys().map(String::as_str)).collect();
         for key in keys {
-            let mut values = self.plans.iter().map(|row| row.settings.get(key));
+            let mut values = self.0.plans.iter().map(|row| row.settings.get(key));
             let first = values.next().flatten();
             if values.any(|value| value != first) {
                 seen.insert(key, vec![]);
@@ -242,7 +137,7 @@ impl Table {
 
     /// The limits of the specification with the values of the first plan that has some; none without a specification.
     fn specified(&self) -> &[Limited] {
-        let numbers = self.plans.iter().filter_map(|row| row.numbers.as_ref());
+        let numbers = self.0.plans.iter().filter_map(|row| row.numbers.as_ref());
         let mut specified = numbers.filter_map(|numbers| numbers.specification.as_ref());
         specified.next().map_or(&[], |specification| &specification.limits)
     }
@@ -251,7 +146,7 @@ impl Table {
     /// a column with the value of the plan.
     pub fn csv(&self) -> String {
         let keys: std::collections::BTreeSet<&str> =
-            self.plans.iter().flat_map(|row| row.settings.keys().map(String::as_str)).collect();
+            self.0.plans.iter().flat_map(|row| row.settings.keys().map(String::as_str)).collect();
         let mut out = String::from("id,path,method,");
         for key in &keys {
             out += &format!("{},", quoted(&text_cell(key)));
@@ -262,22 +157,23 @@ impl Table {
             out += "specification_kept,";
         }
         for limit in limits {
-            out += &format!("{},", quoted(&text_cell(&limit.heading())));
+            out += &format!("{},", quoted(&text_cell(&heading(limit))));
         }
         out += "keeps_constraints,on_front,on_front_95_percent,recommended,status,message,again\n";
         let fronts = [Residual::Nominal, Residual::Below95].map(|residual| self.front(residual));
         let recommended = self.recommended();
-        for (i, row) in self.plans.iter().enumerate() {
+        for (i, row) in self.0.plans.iter().enumerate() {
             let mut cells = [&row.id, &row.path, &row.method].map(|word| text_cell(word)).to_vec();
-            let setting = |value: &Value| match value {
-                Value::String(word) => text_cell(word),
-                other => shown(other),
+            let setting = |value: &SettingValue| match value {
+                SettingValue::Word(word) => text_cell(word),
+                SettingValue::Number(number) => number.to_string(),
             };
             cells.extend(
                 keys.iter().map(|key| row.settings.get(*key).map(setting).unwrap_or_default()),
             );
             let n = row.numbers.as_ref();
-            let number = |of: fn(&Numbers) -> Option<f64>| n.and_then(of).map(|x| x.to_string());
+            let number =
+                |of: fn(&PlanNumbers) -> Option<f64>| n.and_then(of).map(|x| x.to_string());
             cells.extend(
                 [
                     number(|n| Some(n.total_time_s)),
@@ -299,7 +195,8 @@ impl Table {
             cells.extend(fronts.iter().map(|front| front.contains(&i).to_string()));
             cells.push((recommended == Some(i)).to_string());
             let message = row.message.as_deref().unwrap_or_default();
-            cells.extend([row.status.as_str(), message, row.again.as_str()].map(text_cell));
+            let status = row.status.to_string();
+            cells.extend([status.as_str(), message, row.again.as_str()].map(text_cell));
             let cells: Vec<String> = cells.iter().map(|cell| quoted(cell)).collect();
             out += &cells.join(",");
             out.push('\n');
@@ -320,16 +217,16 @@ impl Table {
         lines.push(vec!["s".into(), "nm".into(), "nm".into()]);
         let recommended = self.recommended();
         for i in self.front(self.judged_by()) {
-            let row = &self.plans[i];
+            let row = &self.0.plans[i];
             let Some(n) = &row.numbers else { continue };
             let mut cells = vec![significant(n.total_time_s, 4), significant(n.rms_nm, 4)];
             cells.push(n.below_95_percent_nm.map(|x| significant(x, 4)).unwrap_or_default());
             cells.push(if n.limits_kept { "kept" } else { "exceeded" }.into());
-            cells.extend(is_specified.then(|| n.specification_in_words()));
+            cells.extend(is_specified.then(|| specification_in_words(n)));
             cells.extend([row.path.clone(), row.method.clone()]);
-            cells.extend(
-                varied.iter().map(|key| row.settings.get(*key).map(shown).unwrap_or_default()),
-            );
+            cells.extend(varied.iter().map(|key| {
+                row.settings.get(*key).map(SettingValue::to_string).unwrap_or_default()
+            }));
             cells.push(if recommended == Some(i) { "*".into() } else { String::new() });
             lines.push(cells);
         }
@@ -347,26 +244,15 @@ impl Table {
 
     /// Number of plans without numbers.
     pub fn failed(&self) -> usize {
-        self.plans.iter().filter(|row| row.numbers.is_none()).count()
+        self.0.plans.iter().filter(|row| row.numbers.is_none()).count()
     }
 }
 
-impl Row {
-    /// Path, method and settings in a line.
-    pub fn in_words(&self) -> String {
-        let settings: Vec<String> =
-            self.settings.iter().map(|(key, value)| format!("{key}={}", shown(value))).collect();
-        format!("{}, {}: {}", self.path, self.method, settings.join(" "))
-    }
-}
-
-/// A value as it is written, a text without quotation marks.
-fn shown(value: &Value) -> String {
-    match (value.as_str(), value.as_f64()) {
-        (Some(text), _) => text.into(),
-        (None, Some(number)) => number.to_string(),
-        (None, None) => value.to_string(),
-    }
+/// Path, method and settings of a plan in a line.
+fn in_words(row: &SweepPlan) -> String {
+    let settings: Vec<String> =
+        row.settings.iter().map(|(key, value)| format!("{key}={value}")).collect();
+    format!("{}, {}: {}", row.path, row.method, settings.join(" "))
 }
 
 /// A word for a cell. A spreadsheet evaluates a text that begins with one of these characters as a formula. After an
@@ -389,7 +275,7 @@ fn quoted(cell: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde_json::json;
+    use serde_json::{Value, json};
 
     /// Plans with these times, residuals and limits.
     pub(super) fn table(plans: &[(f64, f64, bool)], max_time_s: Option<f64>) -> Table {
@@ -445,8 +331,8 @@ mod tests {
     #[test]
     fn the_csv_has_every_plan_and_quotes_what_must_be_quoted() {
         let mut table = table(&[(2.0, 1.0, true), (1.0, 2.0, true)], None);
-        table.plans[1].message = Some("a, \"b\"".into());
-        table.plans[1].numbers = None;
+        table.0.plans[1].message = Some("a, \"b\"".into());
+        table.0.plans[1].numbers = None;
         let csv = table.csv();
         let lines: Vec<&str> = csv.lines().collect();
         assert_eq!(lines.len(), 3);
@@ -461,9 +347,9 @@ mod tests {
     #[test]
     fn no_word_of_a_cell_is_a_formula() {
         let mut table = table(&[(2.0, 1.0, true)], None);
-        let row = &mut table.plans[0];
-        row.settings.insert("tool".into(), json!("=HYPERLINK(\"http://x\")"));
-        row.settings.insert("pitch_mm".into(), json!(-1.5));
+        let row = &mut table.0.plans[0];
+        row.settings.insert("tool".into(), SettingValue::Word("=HYPERLINK(\"http://x\")".into()));
+        row.settings.insert("pitch_mm".into(), SettingValue::Number(-1.5));
         row.message = Some("@SUM(1)".into());
         row.again = "+1".into();
         let csv = table.csv();

@@ -3,12 +3,15 @@
 
 use std::collections::BTreeSet;
 
-use planish_types::text::{fixed, significant, visible};
+use planish_types::{
+    outcome::specification::{Bound, LimitReport, SpecificationReport},
+    text::{fixed, significant, visible},
+};
 
 use crate::{
     answer::winner,
     chain::Standing,
-    specification::{Around, Judged, JudgedLimit},
+    specification::Around,
     summary::{Method, Summary},
 };
 
@@ -227,7 +230,7 @@ pub fn execution_table(runs: &[(&str, &Summary)]) -> String {
 }
 
 /// The columns that were judged, with their names: before, the methods, after.
-fn judged_columns(summary: &Summary) -> Vec<(&str, &Judged)> {
+fn judged_columns(summary: &Summary) -> Vec<(&str, &SpecificationReport)> {
     let Around { before, after } = &summary.specification;
     let methods = summary.methods.iter();
     let methods = methods.filter_map(|(name, m)| Some((name.as_str(), m.specification.as_ref()?)));
@@ -248,16 +251,17 @@ pub fn specification_table(runs: &[(&str, &Summary)]) -> String {
         let mut rows =
             vec![["specification".into(), "limit".into()].into_iter().chain(heads).collect()];
         for (i, limit) in first.limits.iter().enumerate() {
-            let found: Vec<Option<&JudgedLimit>> =
+            let found: Vec<Option<&LimitReport>> =
                 columns.iter().map(|(_, judged)| judged.limits.get(i)).collect();
             let one = found.iter().flatten().all(|l| l.limit == limit.limit);
-            let sign = if limit.bound == "at-most" { "<=" } else { ">=" };
+            let sign = if limit.bound == Bound::AtMost { "<=" } else { ">=" };
             let bound = if one { significant(limit.limit, 4) } else { "line".into() };
             let unit =
                 if limit.unit.is_empty() { String::new() } else { format!(" ({})", limit.unit) };
             let cells = found.into_iter().map(|limit| match limit {
                 Some(l) => {
-                    let value = l.value.map_or("-".into(), |v| significant(v, 4));
+                    let value =
+                        if l.value.is_finite() { significant(l.value, 4) } else { "-".into() };
                     format!("{value}{}", if l.passed { " " } else { "!" })
                 }
                 None => "-".into(),
@@ -399,25 +403,26 @@ mod tests {
     #[test]
     fn limits_are_rows_and_what_was_judged_columns() {
         assert_eq!(specification_table(&[("run", &summary())]), "");
-        let limit = |value: Option<f64>, limit: f64, passed| JudgedLimit {
+        let limit = |value: f64, limit: f64, passed| LimitReport {
             quantity: "PSD along x".into(),
             unit: "nm^2 mm".into(),
             value,
             limit,
-            bound: "at-most".into(),
+            bound: Bound::AtMost,
             passed,
             worst: None,
+            noise: None,
         };
-        let judged = |limits: Vec<JudgedLimit>| Judged {
+        let judged = |limits: Vec<LimitReport>| SpecificationReport {
             name: "strict".into(),
             passed: limits.iter().all(|l| l.passed),
             limits,
         };
         let mut summary = summary();
         summary.specification.before =
-            Some(judged(vec![limit(Some(3.0), 1.0, false), limit(None, 2.0, true)]));
+            Some(judged(vec![limit(3.0, 1.0, false), limit(f64::INFINITY, 2.0, true)]));
         summary.methods[1].1.specification =
-            Some(judged(vec![limit(Some(0.5), 1.5, true), limit(Some(1.0), 2.0, true)]));
+            Some(judged(vec![limit(0.5, 1.5, true), limit(1.0, 2.0, true)]));
         let found = specification_table(&[("run", &summary)]);
         let words: Vec<Vec<&str>> = found.lines().map(|l| l.split_whitespace().collect()).collect();
         assert_eq!(words[0], ["specification", "limit", "before", "pvt"]);

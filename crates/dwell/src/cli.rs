@@ -25,9 +25,10 @@ use planish_handoff::{
     flags::{FloorArgs, MirrorArgs, OutputArgs, PathArgs},
     say, task, warn, with_flags,
 };
-use planish_types::{DwellTime, End, Surface, Tif, TifLattice, ToolPath, plausible};
+use planish_types::{
+    DwellTime, End, Surface, Tif, TifLattice, ToolPath, outcome::plan::PlanOutcome, plausible,
+};
 use serde::Serialize;
-use serde_json::json;
 
 /// Solvers. The hidden ones are baselines; the help lists them under a heading of their own.
 #[derive(Subcommand)]
@@ -172,7 +173,11 @@ fn solve<S: Serialize, R: Serialize>(
     let Solution { dwell, outcome, report } = &solution;
     let before = rms_before(&nouns.desired, nouns.weight.as_ref());
     let status = status(negative.or_else(|| outcome.drawback(before)));
-    let written = json!({ "end": end, "report": Reported { outcome, report } });
+    let written = PlanOutcome {
+        end: Some(end.into()),
+        report: Some(Reported { outcome, report }),
+        ..PlanOutcome::default()
+    };
     output.write(dwell, written, &status)?;
     warn_of(outcome.tif_lattice);
     let unreached = match outcome.unreached_pixels {

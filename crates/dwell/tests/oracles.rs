@@ -330,7 +330,7 @@ fn many_points_reach_the_minimum_and_the_certificate_bounds_what_is_missing() {
                 let (r, t) = (&found.report, found.dwell.dwell_s());
                 let context = format!("{name} {min_dwell:?} {max_dwell:?} {r:?}");
                 let value = objective(&case, &tight, t);
-                let gap = r.relative_gap.unwrap();
+                let gap = r.proven.relative_gap.unwrap();
                 // Sums of 1e3 squares, and a gap to rounding.
                 if *name != OTHER_PITCH {
                     assert!(

@@ -544,7 +544,7 @@ fn dwell_times_that_hardly_move_are_not_a_proof() {
         };
         let s = bounded_least_squares::solve(&desired, &tool, &path, None, &settings).unwrap();
         assert_eq!(s.report.end, End::Optimal);
-        assert!(s.report.relative_gap.unwrap() <= settings.relative_gap, "{:?}", s.report);
+        assert!(s.report.proven.relative_gap.unwrap() <= settings.relative_gap, "{:?}", s.report);
     }
 }
 

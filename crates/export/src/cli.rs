@@ -9,7 +9,8 @@ use std::{
 
 use clap::{ArgMatches, Args, Command, FromArgMatches, Subcommand, error::ErrorKind};
 use planish_export::{
-    Origin, PATH_DEVIATION_MM, Program, Settings, check, gcode, pmac, program, program_of_axes,
+    About, Origin, PATH_DEVIATION_MM, Program, Settings, check, gcode, pmac, program,
+    program_of_axes,
 };
 use planish_form::{Form, FormFile};
 use planish_handoff::{
@@ -18,8 +19,20 @@ use planish_handoff::{
     say, warn,
 };
 use planish_types::{
-    AxesMotion, ControllerKind, Counts, Invalid, Kinematics, Machine, TransformNumbers,
+    AxesMotion, ControllerKind, Counts, Invalid, Kinematics, Machine, PathDistance,
+    TransformNumbers,
 };
+use serde::Serialize;
+
+/// File beside a program.
+#[derive(Serialize)]
+struct AboutFile<'a> {
+    #[serde(flatten)]
+    about: &'a About,
+    /// Distance of the plan from its tool path, if it is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    path_distance: Option<PathDistance>,
+}
 
 /// A program to write: a subcommand, which is the name of a [`ControllerKind`], and its flags.
 #[derive(Debug)]
@@ -210,10 +223,7 @@ impl Export {
         for warning in &made.about.warnings {
             warn(warning);
         }
-        let mut about_json = serde_json::to_value(&made.about)?;
-        if let Some(distance) = &distance {
-            about_json["path_distance"] = serde_json::to_value(distance)?;
-        }
+        let about_json = AboutFile { about: &made.about, path_distance: distance };
         let about_text = format!("{}\n", serde_json::to_string_pretty(&about_json)?);
         let files = [(about_file, about_text.as_bytes()), (program_file, made.text.as_bytes())];
         OutputFile::write_together(files)?;

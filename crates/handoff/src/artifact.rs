@@ -9,9 +9,9 @@ use std::{
 };
 
 use ndarray::{ArrayD, Dimension};
-use planish_types::Invalid;
-use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use planish_types::{Invalid, outcome::StageEnd};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde_json::{Map, Value};
 
 use crate::{
     HandoffError,
@@ -117,12 +117,48 @@ impl Manifest {
         Some(hasher.finalize().to_string())
     }
 
+    /// Returns the status of the stage at its end, and the reason of a negative one. A manifest without a status is that
+    /// of a stage that is done.
+    pub fn end(&self) -> StageEnd {
+        StageEnd::deserialize(&self.outcome).unwrap_or_default()
+    }
+
+    /// Returns the outcome as the type that the stage writes.
+    ///
+    /// # Errors
+    ///
+    /// A field that is missing or has another type, with what to do: `remedy`. `path` names the artifact.
+    pub fn read_outcome<T: DeserializeOwned>(
+        &self,
+        path: &Path,
+        remedy: &str,
+    ) -> Result<T, HandoffError> {
+        part(&self.outcome)
+            .map_err(|e| HandoffError::new(path, format!("has no usable outcome ({e}); {remedy}")))
+    }
+
+    /// Returns the settings that others read, as their type.
+    ///
+    /// # Errors
+    ///
+    /// A setting that is missing or has another type. `path` names the artifact.
+    pub fn read_settings<T: DeserializeOwned>(&self, path: &Path) -> Result<T, HandoffError> {
+        part(&self.settings).map_err(|e| {
+            HandoffError::new(path, format!("has no usable settings ({e}); make it again"))
+        })
+    }
+
     /// Text of the file: JSON whose last key is the BLAKE3 of everything before it.
     pub(crate) fn to_text(&self) -> String {
         let text = serde_json::to_string_pretty(self).expect("a manifest serialises");
         let body = text.strip_suffix("\n}").expect("a manifest has keys");
         format!("{body}{SEAL}{}\"\n}}\n", blake3::hash(body.as_bytes()))
     }
+}
+
+/// Reads a part of a manifest; one that is `null` has no keys.
+fn part<T: DeserializeOwned>(value: &Value) -> serde_json::Result<T> {
+    if value.is_null() { T::deserialize(Value::Object(Map::new())) } else { T::deserialize(value) }
 }
 
 /// Text between the body of a manifest and its hash. It is part of the format.
@@ -401,7 +437,8 @@ pub(crate) fn read_file(path: &Path, most: u64) -> Result<Vec<u8>, HandoffError>
 
 /// Keys that every version of a manifest has.
 #[derive(Deserialize)]
-pub(crate) struct ManifestHead {
+pub struct ManifestHead {
+    /// Name of the kind.
     pub kind: String,
     version: u32,
 }

@@ -12,7 +12,9 @@ use clap::Args;
 use planish_types::{
     DwellTime, Invalid, Limits, Machine, PathDistance, Surface, Tif, ToolPath, Trajectory,
     Transform,
+    outcome::{NoMore, plan::PlanOutcome, settings::PathSettings},
 };
+use serde::Deserialize;
 
 use crate::{
     Artifact, HandoffError, Inputs, Manifest, OutputFile, kind::MACHINE_FRAME, shell::warn,
@@ -58,8 +60,11 @@ impl PathArgs {
     ) -> Result<(ToolPath, Option<f64>), HandoffError> {
         let (path, manifest): (_, Option<Manifest>) =
             inputs.read_with_manifest("tool-path", &self.tool_path)?;
-        let overscan_mm = manifest.and_then(|m| m.settings["overscan_mm"].as_f64());
-        Ok((path, overscan_mm.filter(|mm| *mm > 0.0)))
+        let settings: PathSettings = match manifest {
+            Some(manifest) => manifest.read_settings(&self.tool_path)?,
+            None => PathSettings::default(),
+        };
+        Ok((path, settings.overscan_mm.filter(|mm| *mm > 0.0)))
     }
 }
 
@@ -339,7 +344,7 @@ impl NearPathArgs {
 
 /// Returns the distance of a motion from its path as its manifest states it.
 pub fn path_distance_of(made: &Manifest) -> Option<PathDistance> {
-    serde_json::from_value(made.outcome["path_distance"].clone()).ok()
+    PlanOutcome::<NoMore>::deserialize(&made.outcome).ok()?.path_distance
 }
 
 /// Flags of the smallest dwell time.

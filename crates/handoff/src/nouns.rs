@@ -6,7 +6,8 @@ use ndarray::{Array1, Array2, Array3, ArrayD, Axis as NdAxis, Ix1, Ix2, Ix3};
 use planish_types::{
     AxesMotion, Axis, AzimuthWeights, DensityNodes, DwellDensity, DwellTime, Grid, Invalid,
     PixelFactor, Removal, RemovalMaps, Surface, Tif, TimeFactor, ToolPath, Trajectory, Transform,
-    TurnWeights, VaryingTif, dwell_index_from_stored, stored_dwell_index,
+    TurnWeights, VaryingTif, dwell_index_from_stored, outcome::tolerance::ToleranceArrays,
+    stored_dwell_index,
 };
 
 use crate::{
@@ -363,6 +364,29 @@ impl Artifact for Transform {
         let c = take_map(&mut arrays, "covariance_mm2");
         let covariance = std::array::from_fn(|i| std::array::from_fn(|j| c[[i, j]]));
         Self::new([matrix[0], matrix[1]], centre_mm, image_mm, covariance)
+    }
+}
+
+impl Artifact for ToleranceArrays {
+    const KIND: &'static Kind = &kind::TOLERANCE;
+
+    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
+        vec![
+            floats(&self.part),
+            floats(&self.rms_nm),
+            map_array(&self.deviation_nm),
+            axis_array(&self.grid.x),
+            axis_array(&self.grid.y),
+        ]
+    }
+
+    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
+        Ok(Self {
+            grid: take_grid(&mut arrays)?,
+            part: take_vec(arrays.take_f64("part")),
+            rms_nm: take_vec(arrays.take_f64("rms_nm")),
+            deviation_nm: take_map(&mut arrays, "deviation_nm"),
+        })
     }
 }
 

@@ -12,8 +12,11 @@ use std::{
 };
 
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
-use planish_types::progress;
-use serde::{Deserialize, Serialize};
+use planish_types::{
+    outcome::{StageEnd, StageStatus, WallTime},
+    progress,
+};
+use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::{
@@ -323,7 +326,7 @@ impl Writer {
     pub fn write<T: Artifact>(
         &mut self,
         value: &T,
-        outcome: Value,
+        outcome: impl Serialize,
         status: &Status,
     ) -> Result<(), HandoffError> {
         self.write_arrays(T::KIND, &value.to_arrays(), &[], outcome, status)
@@ -335,7 +338,7 @@ impl Writer {
         kind: &'static Kind,
         arrays: &[ArrayData],
         beside: &[(&str, Vec<u8>)],
-        outcome: Value,
+        outcome: impl Serialize,
         status: &Status,
     ) -> Result<(), HandoffError> {
         let at = self.directories.iter().position(|(d, _)| d.kind.name == kind.name);
@@ -573,14 +576,6 @@ fn show_file(path: &Path, replace: bool, bytes: &[u8]) -> Result<(), HandoffErro
     publish::publish(vec![staged])
 }
 
-/// Content of the file of `--wall-time`.
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct WallTime {
-    wall_s: f64,
-    peak_memory_mb: Option<f64>,
-}
-
 /// Peak memory of this process, in 2^20 bytes; `None` if the system does not report it (other than
 /// Linux).
 fn peak_memory_mb() -> Option<f64> {
@@ -621,27 +616,28 @@ fn older_than_this_program(file: &Path) -> bool {
     matches!((modified(file), program), (Some(f), Some(p)) if f < p)
 }
 
-fn with_status(outcome: Value, status: &Status) -> Value {
-    let mut map = serde_json::Map::new();
-    match status {
-        Status::Done => map.insert("status".into(), "done".into()),
+/// Returns an outcome as a manifest holds it: after the status of its stage.
+fn with_status(outcome: impl Serialize, status: &Status) -> Value {
+    let end = match status {
+        Status::Done => StageEnd { status: Some(StageStatus::Done), reason: None },
         Status::Negative(reason) => {
-            map.insert("status".into(), "negative".into());
-            map.insert("reason".into(), reason.as_str().into())
+            StageEnd { status: Some(StageStatus::Negative), reason: Some(reason.clone()) }
         }
     };
-    match outcome {
-        Value::Object(fields) => map.extend(fields),
+    let mut whole = serde_json::to_value(end).expect("a status serialises");
+    match serde_json::to_value(outcome).expect("an outcome serialises to JSON") {
+        Value::Object(fields) => whole.as_object_mut().expect("a struct").extend(fields),
         Value::Null => {}
         other => panic!("an outcome is a JSON object, found {other}"),
     }
-    map.into()
+    whole
 }
 
 fn status_of(manifest: &Manifest) -> Status {
-    let text = |key| manifest.outcome.get(key).and_then(Value::as_str).unwrap_or_default();
-    match text("status") {
-        "negative" => Status::Negative(text("reason").into()),
+    match manifest.end() {
+        StageEnd { status: Some(StageStatus::Negative), reason } => {
+            Status::Negative(reason.unwrap_or_default())
+        }
         _ => Status::Done,
     }
 }

@@ -15,9 +15,9 @@ use planish_joint::{
 };
 use planish_types::{
     DwellTime, PathDistance, Trajectory,
+    outcome::plan::PlanOutcome,
     plausible::{self, Rms},
 };
-use serde_json::json;
 
 #[derive(Args)]
 pub struct Joint {
@@ -150,16 +150,17 @@ impl Joint {
         });
         let negative = plan.negative(&surface).or(excess);
         let status = negative.map_or(Status::Done, |text| Status::Negative(with_flags(&text)));
-        let outcome = json!({
-            "end": r.end,
-            "rms_nm": rms.rms_nm,
-            "rms_detilted_nm": rms.detilted_nm,
-            "total_time_s": total_time_s,
-            "limits_respected": plan.refused.is_none(),
-            "path_distance": distance,
-            "report": r,
-        });
-        output.write(&plan.dwell, outcome.clone(), &status)?;
+        let outcome = PlanOutcome {
+            end: Some(r.end.into()),
+            rms_nm: Some(rms.rms_nm),
+            rms_detilted_nm: Some(rms.detilted_nm),
+            total_time_s: Some(total_time_s),
+            limits_respected: Some(plan.refused.is_none()),
+            path_distance: Some(distance),
+            report: Some(r),
+            ..PlanOutcome::default()
+        };
+        output.write(&plan.dwell, &outcome, &status)?;
         output.write(&plan.trajectory, outcome, &status)?;
         self.say(&plan, rms.rms_nm);
         say(format!("joint: the motion is {distance}"));
@@ -189,8 +190,8 @@ impl Joint {
              {:.3} mm, {} corners rounded by at most {:.3} mm -> {}",
             r.end,
             r.iterations,
-            r.relative_gap,
-            r.gap_covers,
+            r.relative_gap(),
+            r.proven.gap_covers.as_deref().unwrap_or_default(),
             rms_nm,
             plan.trajectory.total_time_s(),
             r.price_nm2_per_s,

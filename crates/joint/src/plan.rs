@@ -13,6 +13,7 @@ use planish_simulate::{Plan as Simulation, Settings as SimulationSettings};
 use planish_types::{
     DwellTime, End, Invalid, Limits, OnLattice, PARTS_TOLERANCE, Removal, Segment, Surface, Tif,
     TifLattice, TimeFactor, ToolPath, Trajectory, Variation,
+    outcome::plan::ProvenGap,
     plausible::{self, Rms},
 };
 use planish_verify::{VerifySettings, verify};
@@ -113,9 +114,8 @@ pub struct Report {
     /// Proven bound on the excess of the objective over the least one of the last convex program, relative to it.
     /// This program has fixed tangents in the place of the limits, which are not convex, so it bounds no other
     /// motion.
-    pub relative_gap: f64,
-    /// Sentence on the plans that this bound compares with.
-    pub gap_covers: &'static str,
+    #[serde(flatten)]
+    pub proven: ProvenGap,
     /// Tikhonov weight of the pull to the least densities.
     pub tikhonov: f64,
     /// Part of the objective that this pull has.
@@ -147,6 +147,19 @@ pub struct Report {
     /// Rates at the times of the plan; absent unless the rate depends on the time of the run.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rates_of_time: Option<RatesOfTime>,
+}
+
+/// Returns the proven bound of a plan, and the plans that it compares with.
+fn proven_gap(relative_gap: f64, is_before_average: bool) -> ProvenGap {
+    let covered = if is_before_average { COVERED_BEFORE_AVERAGE } else { COVERED };
+    ProvenGap { relative_gap: Some(relative_gap), gap: None, gap_covers: Some(covered.into()) }
+}
+
+impl Report {
+    /// Returns the proven bound on the excess of the objective, relative to it; infinite if nothing is proven.
+    pub fn relative_gap(&self) -> f64 {
+        self.proven.relative_gap.unwrap_or(f64::INFINITY)
+    }
 }
 
 /// Rates of a plan for a tool whose rate depends on the time of the run.
@@ -230,7 +243,7 @@ impl Plan {
                  `max_iterations` or `relative_gap`",
                 r.end,
                 r.iterations,
-                r.relative_gap
+                r.relative_gap()
             )
         });
         let (before, after) = (Rms::of(desired), Rms::of(self.removal.residual()));
@@ -437,8 +450,7 @@ fn planned(
         widened,
         price_nm2_per_s: price,
         end: solution.end,
-        relative_gap: solution.relative_gap,
-        gap_covers: if average.is_some() { COVERED_BEFORE_AVERAGE } else { COVERED },
+        proven: proven_gap(solution.relative_gap, average.is_some()),
         tikhonov,
         pull_part,
         iterations,

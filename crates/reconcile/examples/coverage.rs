@@ -124,7 +124,7 @@ impl Tally {
 }
 
 /// The truth of a parameter on a round TIF, whose ellipticity e turned by phi is e cos 2 phi and e sin 2 phi.
-fn of(parameter: Parameter, truth: &planish_simulate::deviation::Truth) -> f64 {
+fn of(parameter: Parameter, truth: &planish_types::outcome::virtual_machine::Truth) -> f64 {
     let turned = 2.0 * truth.tif_rotation_rad;
     match parameter {
         Parameter::RateScale => truth.rate_scale,

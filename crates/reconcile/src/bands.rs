@@ -8,32 +8,12 @@
 
 use ndarray::{Array2, s};
 use planish_numerics::spectrum::{Density, MIN_SAMPLES, hann, largest_rectangle, without_plane};
-use planish_types::Grid;
-use serde::Serialize;
+use planish_types::{Grid, outcome::reconciliation::Band};
 
 /// Longest periods of the bands over the width of the TIF, from the second band on, dimensionless. More or closer:
 /// narrower bands with more noise. Fewer: less detail. Chosen: octaves, from what a tool removes easily to what it
 /// does not reach.
 const PERIODS_OVER_WIDTH: [f64; 4] = [16.0, 8.0, 4.0, 2.0];
-
-/// One band.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Band {
-    /// Shortest and longest period, mm; `null` without a longest.
-    pub period_mm: [Option<f64>; 2],
-    /// RMS of the measured removal without the terms of the metrology, nm.
-    pub measured_rms_nm: f64,
-    /// RMS of the removal that the plan promised, nm.
-    pub planned_rms_nm: f64,
-    /// RMS of the removal with what was learnt, nm.
-    pub predicted_rms_nm: f64,
-    /// RMS of the difference of the measured removal and the plan's, nm.
-    pub measured_less_planned_rms_nm: f64,
-    /// RMS of the rest, nm.
-    pub rest_rms_nm: f64,
-    /// Coefficient of the predicted removal in the measured one; `null` where there is no predicted one.
-    pub transfer: Option<f64>,
-}
 
 /// The maps that are compared, (ny, nx), nm.
 pub struct Maps<'a> {

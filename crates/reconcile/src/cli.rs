@@ -11,15 +11,14 @@ use planish_handoff::{
     npy::ArrayData,
     say, task, with_flags,
 };
-use planish_reconcile::{
-    Comparison, Reconciled, Settings,
-    bands::Band,
-    draw::picture,
-    reconcile,
-    report::{Estimate, Evidence},
-};
+use planish_reconcile::{Comparison, Reconciled, Settings, draw::picture, reconcile};
 use planish_simulate::error_budget::{ErrorBudget, ErrorBudgetFile};
-use planish_types::{Surface, Tif, Transform, plausible, text::significant};
+use planish_types::{
+    Surface, Tif, Transform,
+    outcome::reconciliation::{Band, Estimate, Evidence},
+    plausible,
+    text::significant,
+};
 
 #[derive(Args)]
 pub struct Reconcile {
@@ -129,7 +128,6 @@ impl Reconcile {
 
         let drawback = found.drawback.as_deref().map(with_flags);
         let status = drawback.map_or(Status::Done, Status::Negative);
-        let outcome = serde_json::to_value(&found.outcome)?;
         fn map(m: &Array2<f64>) -> ArrayData<'_> {
             ArrayData::F64(m.view().into_dyn().into())
         }
@@ -147,7 +145,7 @@ impl Reconcile {
         ];
         let svg = picture(&found, before.grid()).into_bytes();
         let beside = [("reconcile.svg", svg)];
-        output.write_arrays(&kind::RECONCILIATION, &arrays, &beside, outcome, &status)?;
+        output.write_arrays(&kind::RECONCILIATION, &arrays, &beside, &found.outcome, &status)?;
         self.write_corrected(&found, &mut output, &status)?;
         say(table(&found));
         say(format!("-> {}", self.output.out.display()));
@@ -231,7 +229,7 @@ fn table(found: &Reconciled) -> String {
     lines.push(String::new());
     lines.push("period, mm        measured   less plan's       rest nm RMS   transfer".into());
     lines.extend(outcome.bands.iter().map(line_of_band));
-    if let Some(method) = outcome.resampled {
+    if let Some(method) = &outcome.resampled {
         lines.push(format!(
             "the map after has other pixels: it is resampled on those of the map before by {method}"
         ));
@@ -318,7 +316,7 @@ fn line(estimate: &Estimate) -> String {
         Some(scale) => format!("+- {} {}", significant(scale, 3), estimate.unit),
         None => String::new(),
     };
-    let (error, unit) = (number(estimate.standard_error), estimate.unit);
+    let (error, unit) = (number(estimate.standard_error), &estimate.unit);
     let found = match (&estimate.refused, estimate.held) {
         (_, true) => "held".into(),
         (Some(_), _) => "not determined".into(),

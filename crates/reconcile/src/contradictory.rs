@@ -44,12 +44,14 @@
 
 use ndarray::{Array2, s};
 use planish_numerics::fft::{smooth_size, transform};
-use planish_types::text::significant;
+use planish_types::{
+    outcome::reconciliation::{Evidence, Fitted},
+    text::significant,
+};
 
 use crate::{
     correlation::padded,
     fit::{Data, Fit, Normal, dot},
-    report::{Evidence, Fitted},
 };
 
 /// Logarithm of the odds from which one reading is taken and another one is left. Larger: fewer maps are accepted.

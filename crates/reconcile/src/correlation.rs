@@ -40,8 +40,7 @@ use std::f64::consts::PI;
 
 use ndarray::{Array2, s};
 use planish_numerics::fft::{smooth_size, transform};
-use planish_types::Grid;
-use serde::Serialize;
+use planish_types::{Grid, outcome::reconciliation::Noise};
 
 /// Radius of the window over the correlation length, dimensionless. Larger: lags that have noise and no signal.
 /// Smaller: a part of the correlation is cut off, and standard errors are too small. Chosen: a Gaussian correlation
@@ -58,25 +57,6 @@ const LEAST_MORE: f64 = 0.25;
 /// that allows. Larger: the spectrum is corrected by a factor that is uncertain. Smaller: windows that cut long
 /// correlations off. Chosen.
 const LARGEST_LOST: f64 = 0.5;
-
-/// Numbers of the noise.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Noise {
-    /// RMS of what the fit leaves, nm.
-    pub rest_rms_nm: f64,
-    /// l, mm.
-    pub correlation_length_mm: f64,
-    /// L, mm.
-    pub window_mm: f64,
-    /// True if the correlation goes on beyond the largest window: standard errors are then too small.
-    pub window_is_cut: bool,
-    /// Valid pixels.
-    pub pixels: usize,
-    /// Number of independent pixels that would give the same variance of a mean.
-    pub effective_pixels: f64,
-    /// Part of the noise's spectrum at zero frequency that the fit took; made up for.
-    pub lost_to_the_fit: f64,
-}
 
 /// The covariance of the noise, ready to be applied.
 pub struct Covariance {

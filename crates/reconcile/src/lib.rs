@@ -45,7 +45,6 @@ pub mod model;
 pub mod parameter;
 mod place;
 mod reconcile;
-pub mod report;
 pub mod resample;
 mod settings;
 

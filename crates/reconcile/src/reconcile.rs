@@ -9,7 +9,10 @@ use planish_simulate::{
     tail,
     tool::smooth,
 };
-use planish_types::{Invalid, Surface, Tif, Trajectory, Transform};
+use planish_types::{
+    Invalid, Surface, Tif, Trajectory, Transform,
+    outcome::reconciliation::{Ellipse, Estimate, Evidence, Fitted, ReconciliationOutcome},
+};
 
 use crate::{
     applied::{Joint, applied, hold},
@@ -22,7 +25,6 @@ use crate::{
     model::Model,
     parameter::{ALL, Parameter},
     place::place,
-    report::{Ellipse, Estimate, Evidence, Fitted, Outcome},
     resample::{METHOD, are_same, resampled},
     settings::Settings,
 };
@@ -54,7 +56,7 @@ pub struct Comparison<'a> {
 /// Result of a reconciliation.
 pub struct Reconciled {
     /// The numbers.
-    pub outcome: Outcome,
+    pub outcome: ReconciliationOutcome,
     /// Correlations of all unknowns, in the order of `outcome.correlation_of`.
     pub correlation: Array2<f64>,
     /// before - after without the terms of the metrology (ny, nx), nm; NaN where a map is invalid.
@@ -359,7 +361,7 @@ fn result(
     let refused: Vec<bool> = refusals.iter().map(Option::is_some).collect();
     let measured = &data.data - &found.metrology;
     let maps = Maps { measured: &measured, planned: &runs.executed, predicted: &found.removal };
-    let outcome = Outcome {
+    let outcome = ReconciliationOutcome {
         parameters: judged.estimates(found, comparison.tif, scale),
         metrology: metrology_estimates(found, settings),
         ellipse: ellipse(found, refusals),
@@ -373,7 +375,7 @@ fn result(
         tried_orders: wider_orders(settings.metrology_order),
         tif_is_as_sampled: settings.tif_as_sampled || model.removal_from.is_some(),
         tif_is_continued: continued.is_some(),
-        resampled: (!are_same(data.grid, comparison.after.grid())).then_some(METHOD),
+        resampled: (!are_same(data.grid, comparison.after.grid())).then(|| METHOD.into()),
         evidence: *evidence,
         explains_nothing: nothing.clone(),
     };
@@ -419,7 +421,7 @@ fn estimate(fit: &Fit, parameter: Parameter, scale: f64, refusals: &[Option<Stri
     let inflation = at.map(|i| fit.inflation[i]).filter(|v| v.is_finite());
     Estimate {
         name: parameter.name().into(),
-        unit,
+        unit: unit.into(),
         value: at.filter(|_| refused.is_none()).map(|i| fit.values[i] / factor),
         standard_error: at.filter(|_| inflation.is_some()).map(|i| fit.standard_error(i) / factor),
         known_beforehand: Some(scale / factor),
@@ -440,7 +442,7 @@ fn metrology_estimates(fit: &Fit, settings: &Settings) -> Vec<Estimate> {
         let refused = refused.map(|_| String::from("the data do not tell it from the others"));
         Estimate {
             name: term.name(),
-            unit: "nm RMS",
+            unit: "nm RMS".into(),
             value: at.filter(|_| inflation.is_some()).map(|i| fit.values[i]),
             standard_error: at.filter(|_| inflation.is_some()).map(|i| fit.standard_error(i)),
             known_beforehand: None,

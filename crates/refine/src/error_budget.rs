@@ -113,10 +113,10 @@ pub fn refine_for(
 impl Judged {
     fn of(found: &Tolerance, plan: &Trajectory) -> Self {
         Self {
-            nominal_rms_nm: found.nominal_rms_nm,
-            expected_rms_nm: found.expected_rms_nm,
-            median_nm: found.residual.median_nm,
-            below_95_percent_nm: found.residual.below_95_percent_nm,
+            nominal_rms_nm: found.outcome.nominal_rms_nm,
+            expected_rms_nm: found.outcome.expected_rms_nm,
+            median_nm: found.outcome.residual.median_nm,
+            below_95_percent_nm: found.outcome.residual.below_95_percent_nm,
             total_time_s: plan.total_time_s(),
         }
     }

@@ -10,8 +10,8 @@
 //! this file, must come to the same result. A step below the tolerances counts as rounding: the
 //! motion is then continuous.
 
+pub use planish_types::outcome::plan::Claim;
 use planish_types::{Limits, Trajectory, plausible};
-use serde::Serialize;
 
 /// Largest step of the position that counts as continuous, mm: rounding, or the default tolerance of
 /// the fit of `trig_spline`. Larger: real jumps are missed. Smaller: fitted motions count as jumps.
@@ -32,131 +32,100 @@ const ACCELERATION_STEP: f64 = 1e-6;
 /// Advice for the motion of a baseline (`position`, `average-velocity`), which no machine can execute.
 pub const JUMPS: &str = "its position or its velocity jumps, which no machine can do";
 
-/// Claim of a schedule about the limits of the machine.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Claim {
-    /// True if every limit is kept: each of the following is true or `None`.
-    pub limits_respected: bool,
-    /// True if the position is continuous.
-    pub continuous_position: bool,
-    /// True if the velocity is continuous, from rest at the start to rest at the end.
-    pub continuous_velocity: bool,
-    /// True if both axes keep the velocity limit.
-    pub velocity: bool,
-    /// True if both axes keep the acceleration limit.
-    pub acceleration: bool,
-    /// True if the limited axes keep the jerk limit and their acceleration does not step. `None` if the
-    /// machine does not limit jerk.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub jerk: Option<bool>,
-    /// True if the limited axes keep the jerk limit inside segments; steps of the acceleration between
-    /// segments do not count. `None` if the machine does not limit jerk.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub jerk_inside_segments: Option<bool>,
-    /// True if no segment is shorter than the controller accepts.
-    pub min_segment: bool,
-    /// Largest |jerk| inside segments of [x, y], mm/s^3.
-    pub max_jerk_mm_per_s3: [f64; 2],
-    /// Largest step in acceleration of [x, y], start and end included, mm/s^2.
-    pub max_acceleration_step_mm_per_s2: [f64; 2],
+/// Returns the claim of `trajectory` about `limits`, measured on its polynomials.
+pub fn measured_claim(trajectory: &Trajectory, limits: &Limits) -> Claim {
+    let mut claim = Claim {
+        limits_respected: false,
+        continuous_position: true,
+        continuous_velocity: true,
+        velocity: true,
+        acceleration: true,
+        jerk: None,
+        jerk_inside_segments: None,
+        min_segment: true,
+        max_jerk_mm_per_s3: [0.0; 2],
+        max_acceleration_step_mm_per_s2: [0.0; 2],
+    };
+    for s in trajectory.segments() {
+        // The duration is the difference of two sums up to the end of the segment.
+        let rounding_s = 2.0 * f64::EPSILON * (s.start_s.abs() + s.duration_s);
+        let least_s = limits.min_segment_s() * (1.0 - ROUNDING) - rounding_s;
+        claim.min_segment &= s.duration_s >= least_s;
+    }
+    for axis in 0..2 {
+        measure(&mut claim, trajectory, limits, axis);
+    }
+    claim.limits_respected = claim.continuous_position
+        && claim.continuous_velocity
+        && claim.velocity
+        && claim.acceleration
+        && claim.jerk.unwrap_or(true)
+        && claim.min_segment;
+    claim
 }
 
-impl Claim {
-    /// Measures `trajectory` against `limits`.
-    pub fn of(trajectory: &Trajectory, limits: &Limits) -> Self {
-        let mut claim = Self {
-            limits_respected: false,
-            continuous_position: true,
-            continuous_velocity: true,
-            velocity: true,
-            acceleration: true,
-            jerk: None,
-            jerk_inside_segments: None,
-            min_segment: true,
-            max_jerk_mm_per_s3: [0.0; 2],
-            max_acceleration_step_mm_per_s2: [0.0; 2],
-        };
-        for s in trajectory.segments() {
-            // The duration is the difference of two sums up to the end of the segment.
-            let rounding_s = 2.0 * f64::EPSILON * (s.start_s.abs() + s.duration_s);
-            let least_s = limits.min_segment_s() * (1.0 - ROUNDING) - rounding_s;
-            claim.min_segment &= s.duration_s >= least_s;
-        }
-        for axis in 0..2 {
-            claim.measure(trajectory, limits, axis);
-        }
-        claim.limits_respected = claim.continuous_position
-            && claim.continuous_velocity
-            && claim.velocity
-            && claim.acceleration
-            && claim.jerk.unwrap_or(true)
-            && claim.min_segment;
-        claim
+fn measure(claim: &mut Claim, trajectory: &Trajectory, limits: &Limits, axis: usize) {
+    let limit = &limits.axes()[axis];
+    let (v_max, a_max) = (limit.max_velocity_mm_per_s(), limit.max_acceleration_mm_per_s2());
+    let velocity_step = VELOCITY_STEP_MM_PER_S + ROUNDING * v_max;
+    let within = |value: f64, limit: f64| value.abs() <= limit * (1.0 + ROUNDING);
+    // Position, velocity and acceleration before the next break; rest before the first one.
+    let mut before: Option<[f64; 3]> = None;
+    let steps = |claim: &mut Claim, before: [f64; 3], after: [f64; 3]| {
+        claim.continuous_position &= (after[0] - before[0]).abs() <= POSITION_STEP_MM;
+        claim.continuous_velocity &= (after[1] - before[1]).abs() <= velocity_step;
+        let largest = &mut claim.max_acceleration_step_mm_per_s2[axis];
+        *largest = largest.max((after[2] - before[2]).abs());
+    };
+    for s in trajectory.segments() {
+        let (c, h) = (&s.coefficient_mm[axis], s.duration_s);
+        let v = |u: f64| c[1] + u * (2.0 * c[2] + 3.0 * c[3] * u);
+        let a = |u: f64| 2.0 * c[2] + 6.0 * c[3] * u;
+        let vertex = -c[2] / (3.0 * c[3]);
+        let inner = if vertex > 0.0 && vertex < h { v(vertex) } else { 0.0 };
+        claim.velocity &= [v(0.0), inner, v(h)].iter().all(|v| within(*v, v_max));
+        claim.acceleration &= within(a(0.0), a_max) && within(a(h), a_max);
+        claim.max_jerk_mm_per_s3[axis] = claim.max_jerk_mm_per_s3[axis].max(6.0 * c[3].abs());
+        let start = [c[0], v(0.0), a(0.0)];
+        steps(claim, before.unwrap_or([c[0], 0.0, 0.0]), start);
+        before = Some([c[0] + h * (c[1] + h * (c[2] + h * c[3])), v(h), a(h)]);
     }
+    let end = before.unwrap_or_default();
+    steps(claim, end, [end[0], 0.0, 0.0]);
+    if let Some(j_max) = limit.max_jerk_mm_per_s3() {
+        let inside = within(claim.max_jerk_mm_per_s3[axis], j_max);
+        let steps = claim.max_acceleration_step_mm_per_s2[axis] > ACCELERATION_STEP * a_max;
+        let before = claim.jerk_inside_segments.unwrap_or(true);
+        claim.jerk_inside_segments = Some(before && inside);
+        claim.jerk = Some(claim.jerk.unwrap_or(true) && inside && !steps);
+    }
+}
 
-    fn measure(&mut self, trajectory: &Trajectory, limits: &Limits, axis: usize) {
-        let limit = &limits.axes()[axis];
-        let (v_max, a_max) = (limit.max_velocity_mm_per_s(), limit.max_acceleration_mm_per_s2());
-        let velocity_step = VELOCITY_STEP_MM_PER_S + ROUNDING * v_max;
-        let within = |value: f64, limit: f64| value.abs() <= limit * (1.0 + ROUNDING);
-        // Position, velocity and acceleration before the next break; rest before the first one.
-        let mut before: Option<[f64; 3]> = None;
-        let steps = |claim: &mut Self, before: [f64; 3], after: [f64; 3]| {
-            claim.continuous_position &= (after[0] - before[0]).abs() <= POSITION_STEP_MM;
-            claim.continuous_velocity &= (after[1] - before[1]).abs() <= velocity_step;
-            let largest = &mut claim.max_acceleration_step_mm_per_s2[axis];
-            *largest = largest.max((after[2] - before[2]).abs());
-        };
-        for s in trajectory.segments() {
-            let (c, h) = (&s.coefficient_mm[axis], s.duration_s);
-            let v = |u: f64| c[1] + u * (2.0 * c[2] + 3.0 * c[3] * u);
-            let a = |u: f64| 2.0 * c[2] + 6.0 * c[3] * u;
-            let vertex = -c[2] / (3.0 * c[3]);
-            let inner = if vertex > 0.0 && vertex < h { v(vertex) } else { 0.0 };
-            self.velocity &= [v(0.0), inner, v(h)].iter().all(|v| within(*v, v_max));
-            self.acceleration &= within(a(0.0), a_max) && within(a(h), a_max);
-            self.max_jerk_mm_per_s3[axis] = self.max_jerk_mm_per_s3[axis].max(6.0 * c[3].abs());
-            let start = [c[0], v(0.0), a(0.0)];
-            steps(self, before.unwrap_or([c[0], 0.0, 0.0]), start);
-            before = Some([c[0] + h * (c[1] + h * (c[2] + h * c[3])), v(h), a(h)]);
-        }
-        let end = before.unwrap_or_default();
-        steps(self, end, [end[0], 0.0, 0.0]);
-        if let Some(j_max) = limit.max_jerk_mm_per_s3() {
-            let inside = within(self.max_jerk_mm_per_s3[axis], j_max);
-            let steps = self.max_acceleration_step_mm_per_s2[axis] > ACCELERATION_STEP * a_max;
-            let before = self.jerk_inside_segments.unwrap_or(true);
-            self.jerk_inside_segments = Some(before && inside);
-            self.jerk = Some(self.jerk.unwrap_or(true) && inside && !steps);
-        }
-    }
+/// Returns the broken limits, in words; empty if every limit is kept.
+pub fn broken_limits(claim: &Claim) -> Vec<&'static str> {
+    let jerk = match claim.jerk_inside_segments {
+        Some(true) => "the acceleration steps, which no limit on jerk allows",
+        _ => "the jerk exceeds its limit",
+    };
+    let broken = [
+        ("the position jumps", claim.continuous_position),
+        ("the velocity steps", claim.continuous_velocity),
+        ("the velocity exceeds its limit", claim.velocity),
+        ("the acceleration exceeds its limit", claim.acceleration),
+        (jerk, claim.jerk.unwrap_or(true)),
+        ("segments are shorter than the controller accepts", claim.min_segment),
+    ];
+    broken.iter().filter(|(_, kept)| !kept).map(|(b, _)| *b).collect()
+}
 
-    /// Broken limits, in words; empty if every limit is kept.
-    pub fn broken(&self) -> Vec<&'static str> {
-        let jerk = match self.jerk_inside_segments {
-            Some(true) => "the acceleration steps, which no limit on jerk allows",
-            _ => "the jerk exceeds its limit",
-        };
-        let broken = [
-            ("the position jumps", self.continuous_position),
-            ("the velocity steps", self.continuous_velocity),
-            ("the velocity exceeds its limit", self.velocity),
-            ("the acceleration exceeds its limit", self.acceleration),
-            (jerk, self.jerk.unwrap_or(true)),
-            ("segments are shorter than the controller accepts", self.min_segment),
-        ];
-        broken.iter().filter(|(_, kept)| !kept).map(|(b, _)| *b).collect()
+/// Returns the reason against executing the motion, if there is one: a limit is exceeded (followed by the `advice`
+/// of the scheduler), or the run takes too long.
+pub fn drawback(claim: &Claim, total_time_s: f64, advice: Option<&str>) -> Option<String> {
+    if claim.limits_respected {
+        return plausible::too_long(total_time_s);
     }
-
-    /// Reason against executing the motion, if there is one: a limit is exceeded (followed by the `advice`
-    /// of the scheduler), or the run takes too long.
-    pub fn drawback(&self, total_time_s: f64, advice: Option<&str>) -> Option<String> {
-        if self.limits_respected {
-            return plausible::too_long(total_time_s);
-        }
-        let advice = advice.map_or(String::new(), |advice| format!("; {advice}"));
-        Some(format!("a limit of the machine is exceeded: {}{advice}", self.broken().join(", ")))
-    }
+    let advice = advice.map_or(String::new(), |advice| format!("; {advice}"));
+    Some(format!("a limit of the machine is exceeded: {}{advice}", broken_limits(claim).join(", ")))
 }
 
 #[cfg(test)]
@@ -191,27 +160,27 @@ mod tests {
     #[test]
     fn every_limit_is_found_at_its_value() {
         let t = rest_to_rest();
-        let kept = Claim::of(&t, &limits(1.5, 6.0, None, 1.0));
+        let kept = measured_claim(&t, &limits(1.5, 6.0, None, 1.0));
         assert!(kept.limits_respected);
-        assert_eq!(kept.drawback(1.0, Some("see there")), None);
-        assert!(kept.drawback(1e8, None).unwrap().contains("days"));
-        assert!(!Claim::of(&t, &limits(1.499, 6.0, None, 1.0)).velocity);
-        assert!(!Claim::of(&t, &limits(1.5, 5.999, None, 1.0)).acceleration);
-        assert!(!Claim::of(&t, &limits(1.5, 6.0, None, 1.001)).min_segment);
+        assert_eq!(drawback(&kept, 1.0, Some("see there")), None);
+        assert!(drawback(&kept, 1e8, None).unwrap().contains("days"));
+        assert!(!measured_claim(&t, &limits(1.499, 6.0, None, 1.0)).velocity);
+        assert!(!measured_claim(&t, &limits(1.5, 5.999, None, 1.0)).acceleration);
+        assert!(!measured_claim(&t, &limits(1.5, 6.0, None, 1.001)).min_segment);
         // The acceleration starts with a step, which no limit on jerk allows.
-        let jerk = Claim::of(&t, &limits(1.5, 6.0, Some(13.0), 0.0));
+        let jerk = measured_claim(&t, &limits(1.5, 6.0, Some(13.0), 0.0));
         assert_eq!((jerk.jerk, jerk.limits_respected), (Some(false), false));
         assert_eq!(jerk.jerk_inside_segments, Some(true));
         assert_eq!(jerk.max_jerk_mm_per_s3, [12.0, 0.0]);
         assert_eq!(jerk.max_acceleration_step_mm_per_s2, [6.0, 0.0]);
-        assert!(jerk.broken()[0].contains("the acceleration steps"));
-        let drawback = jerk.drawback(1.0, Some("see there")).unwrap();
+        assert!(broken_limits(&jerk)[0].contains("the acceleration steps"));
+        let drawback = drawback(&jerk, 1.0, Some("see there")).unwrap();
         assert!(
             drawback.ends_with("the acceleration steps, which no limit on jerk allows; see there")
         );
-        let jerk = Claim::of(&t, &limits(1.5, 6.0, Some(11.0), 0.0));
+        let jerk = measured_claim(&t, &limits(1.5, 6.0, Some(11.0), 0.0));
         assert_eq!((jerk.jerk, jerk.jerk_inside_segments), (Some(false), Some(false)));
-        assert_eq!(jerk.broken(), ["the jerk exceeds its limit"]);
+        assert_eq!(broken_limits(&jerk), ["the jerk exceeds its limit"]);
     }
 
     #[test]
@@ -221,9 +190,9 @@ mod tests {
             Trajectory::new(vec![0.0, 1.0, 2.0], c, vec![true; 2], vec![None; 2]).unwrap()
         };
         let free = limits(1e3, 1e9, None, 0.0);
-        let jump = Claim::of(&t(vec![at(0.0, 0.0), at(1.0, 0.0)]), &free);
+        let jump = measured_claim(&t(vec![at(0.0, 0.0), at(1.0, 0.0)]), &free);
         assert!(!jump.continuous_position && jump.continuous_velocity);
-        let moving = Claim::of(&t(vec![at(0.0, 1.0), at(1.0, 1.0)]), &free);
+        let moving = measured_claim(&t(vec![at(0.0, 1.0), at(1.0, 1.0)]), &free);
         assert!(moving.continuous_position && !moving.continuous_velocity);
     }
 }

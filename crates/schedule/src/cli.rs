@@ -18,10 +18,15 @@ use planish_handoff::{
     flags::{MachineArgs, OutputArgs, PathDistanceArgs, PlanArgs},
     say, task, with_flags,
 };
-use planish_schedule::{ScheduleError, claim::Claim};
-use planish_types::{DwellDensity, DwellTime, Limits, PathDistance, ToolPath, Trajectory};
+use planish_schedule::{
+    ScheduleError,
+    claim::{Claim, broken_limits, drawback, measured_claim},
+};
+use planish_types::{
+    DwellDensity, DwellTime, Limits, PathDistance, ToolPath, Trajectory, outcome::plan::PlanOutcome,
+};
 use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::Value;
 
 /// Commands. The hidden ones are baselines; the help lists them under a heading of their own.
 #[derive(Subcommand)]
@@ -161,28 +166,30 @@ fn schedule<S: MotionCommand>(scheduler: &S) -> Result<Status, Failure> {
     };
 
     let made = S::make(&path, &dwell, &machine, &settings)?;
-    let claim = Claim::of(&made.trajectory, &machine);
+    let claim = measured_claim(&made.trajectory, &machine);
     let total_time_s = made.trajectory.total_time_s();
     let distance = PathDistance::new(&made.trajectory, &path, Some(tolerance_mm))?;
-    let drawback = claim.drawback(total_time_s, S::advice(&settings, &claim).as_deref());
+    let drawback = drawback(&claim, total_time_s, S::advice(&settings, &claim).as_deref());
     let drawbacks: Vec<String> =
         drawback.into_iter().chain(distance.excess().map(nearer)).collect();
     let status = match drawbacks.is_empty() {
         true => Status::Done,
         false => Status::Negative(drawbacks.join("; ")),
     };
-    let outcome = json!({
-        "dwell_s": dwell.total_s(),
-        "total_time_s": total_time_s,
-        "claim": claim,
-        "path_distance": distance,
-        "report": made.report,
-    });
+    let outcome = PlanOutcome {
+        dwell_s: Some(dwell.total_s()),
+        total_time_s: Some(total_time_s),
+        claim: Some(claim),
+        path_distance: Some(distance),
+        report: Some(&made.report),
+        ..PlanOutcome::default()
+    };
     if scheduler.dwell_density().is_some() {
         let density = made.density.as_ref().ok_or_else(|| {
             Failure::new("--dwell-density-out: the path has no length, so there is no dwell-time density; omit the flag")
         })?;
-        output.write(density, json!({ "report": made.report }), &status)?;
+        let outcome = PlanOutcome { report: Some(&made.report), ..PlanOutcome::default() };
+        output.write(density, outcome, &status)?;
     }
     output.write(&made.trajectory, outcome, &status)?;
     say(format!(
@@ -193,7 +200,7 @@ fn schedule<S: MotionCommand>(scheduler: &S) -> Result<Status, Failure> {
         total_time_s,
         dwell.total_s(),
         made.remark,
-        claim.broken().iter().map(|b| format!("; {b}")).collect::<String>(),
+        broken_limits(&claim).iter().map(|b| format!("; {b}")).collect::<String>(),
         given.output.out.display()
     ));
     Ok(status)

@@ -6,7 +6,7 @@
 use planish_schedule::{
     Choices, SCHEDULERS,
     baselines::{average_velocity, position, pvt_as_published},
-    claim::Claim,
+    claim::measured_claim,
     pvt::{self, Mode, Solver},
 };
 use planish_testkit::{ion_beam, machine, numbers};
@@ -175,7 +175,7 @@ fn every_scheduler_states_its_distance_and_pvt_keeps_the_tolerance() {
                 assert!(!keeps || distance.within, "{machine}, {name}, {seed}: {distance}");
                 assert_eq!(distance.excess().is_none(), distance.within);
                 if name == "pvt smooth" || (name == "pvt monotone" && !has_jerk) {
-                    let claim = Claim::of(&motion, &limits);
+                    let claim = measured_claim(&motion, &limits);
                     assert!(claim.limits_respected, "{machine}, {name}, {seed}: {claim:?}");
                 }
                 paths += 1;

@@ -14,7 +14,7 @@ use planish_handoff::{
     say, task, warn,
 };
 use planish_simulate::{
-    Settings,
+    Numerics, Settings,
     between::Between,
     coverage::Coverage,
     deviation::Deviation,
@@ -23,7 +23,12 @@ use planish_simulate::{
     motion::Motion,
     simulate,
 };
-use planish_types::{Removal, plausible, progress};
+use planish_types::{
+    Removal,
+    outcome::removal::{RemovalOutcome, ServoOutcome},
+    plausible, progress,
+};
+use serde::Serialize;
 use serde_json::json;
 
 #[derive(Args)]
@@ -50,6 +55,16 @@ pub struct Simulate {
     virtual_run: virtual_run::VirtualRun,
     #[command(flatten)]
     output: OutputArgs,
+}
+
+/// Numbers of a prediction beside those of the residual.
+#[derive(Serialize)]
+struct PredictionReport<'a> {
+    numerics: &'a Numerics,
+    coverage: &'a Coverage,
+    tif_between_samples: Option<Between>,
+    #[serde(flatten)]
+    servo: ServoOutcome,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -105,18 +120,19 @@ impl Simulate {
         let coverage = Coverage::of(prediction.removal.removal_nm(), &trajectory, &tif, &surface);
         let status = status(&coverage, prediction.drawback(&surface, trajectory.total_time_s()));
         let between = Between::of(&trajectory, &tif, &prediction.removal);
-        let mut outcome = json!({
-            "rms_nm": statistics.rms,
-            "rms_detilted_nm": detilted,
-            "pv_nm": statistics.pv,
-            "total_time_s": trajectory.total_time_s(),
-            "numerics": prediction.numerics,
-            "coverage": coverage,
-            "tif_between_samples": between,
-        });
-        if self.servo_of.is_some() {
-            outcome["servos"] = json!(servos.servo_count());
-        }
+        let servos_of_process = self.servo_of.as_ref().map(|_| servos.servo_count());
+        let outcome = RemovalOutcome {
+            rms_nm: statistics.rms,
+            rms_detilted_nm: Some(detilted),
+            pv_nm: Some(statistics.pv),
+            total_time_s: trajectory.total_time_s(),
+            more: PredictionReport {
+                numerics: &prediction.numerics,
+                coverage: &coverage,
+                tif_between_samples: between,
+                servo: ServoOutcome { servos: servos_of_process },
+            },
+        };
         output.write(&prediction.removal, outcome, &status)?;
         if let Some(warning) = between.and_then(|b| b.warning()) {
             warn(warning);

@@ -8,8 +8,7 @@
 //! is misplaced. Then the machine's axes are turned, scaled and shifted against the map, and the rate acts there.
 
 use ndarray::Array2;
-use planish_types::{Grid, Invalid, Tif, Trajectory};
-use serde::Serialize;
+use planish_types::{Grid, Invalid, Tif, Trajectory, outcome::virtual_machine::Truth};
 
 use crate::{
     error_budget::{Distribution, Effect, ErrorBudget, Scalar},
@@ -71,22 +70,6 @@ pub fn check_tool(process: &ErrorBudget, tif: &Tif) -> Result<(), Invalid> {
         }
     }
     Ok(())
-}
-
-/// Errors that act throughout a run: fractions, mm and rad.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-#[allow(missing_docs)] // what each is stands at the kinds of a process
-pub struct Truth {
-    pub rate_scale: f64,
-    pub offset_x_mm: f64,
-    pub offset_y_mm: f64,
-    pub rotation_rad: f64,
-    pub magnification: f64,
-    pub shear: f64,
-    pub tif_width: f64,
-    pub tif_ellipticity: f64,
-    pub tif_diagonal_ellipticity: f64,
-    pub tif_rotation_rad: f64,
 }
 
 impl Deviation {

@@ -12,6 +12,7 @@
 //! that is fixed: known, but not corrected. A tick is uniform, and its size is the whole tick.
 
 use planish_types::Invalid;
+pub use planish_types::outcome::tolerance::Distribution;
 use serde::{Deserialize, Serialize};
 
 use crate::play;
@@ -69,18 +70,6 @@ pub enum Kind {
     /// The map has an error of low order: Legendre polynomials up to this total degree, piston left out, of this
     /// RMS together.
     MapLowOrder,
-}
-
-/// Distributions of an error from run to run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Distribution {
-    /// Normal about zero; the size is the standard deviation.
-    Normal,
-    /// Uniform about zero; the size is half the width.
-    Uniform,
-    /// Always the size itself.
-    Fixed,
 }
 
 /// A process as its file states it, not checked yet.

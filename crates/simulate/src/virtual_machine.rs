@@ -18,12 +18,16 @@
 //! measurements k - 1 and k, and [`measure`] makes the first of a mirror.
 
 use ndarray::Array2;
-use planish_types::{Invalid, Removal, Surface, Tif, Trajectory, progress};
+use planish_types::{
+    Invalid, Removal, Surface, Tif, Trajectory,
+    outcome::virtual_machine::{Drawn, Hidden},
+    progress,
+};
 use rand::Rng;
 use serde::Serialize;
 
 use crate::{
-    deviation::{Deviation, Truth},
+    deviation::Deviation,
     error_budget::{Distribution, Effect, ErrorBudget},
     runs::Runs,
     sample::{draw, legendre_terms, low_orders, sample, stream, white},
@@ -52,26 +56,6 @@ pub struct Settings {
     pub known: bool,
     /// True if errors move the TIF with the noise and the border of its measurement, and not that of [`crate::tool`].
     pub tif_as_sampled: bool,
-}
-
-/// Value of one error in this run.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Drawn {
-    /// Kind of the error.
-    pub kind: String,
-    /// The number that it drew, in `unit`; `None` of noise, which draws many.
-    pub value: Option<f64>,
-    /// The unit that the error budget states.
-    pub unit: String,
-}
-
-/// Values that nobody at the machine sees.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Hidden {
-    /// Sums of what acts on the same quantity.
-    pub truth: Truth,
-    /// Every error of the process.
-    pub errors: Vec<Drawn>,
 }
 
 /// A run and its measurement.

@@ -29,11 +29,12 @@ use crate::{
 
 mod judge;
 mod limit;
-mod verdict;
 mod zone;
 
 pub use limit::Limit;
-pub use verdict::{Bound, LimitReport, NoisePart, SpecificationReport, Verdict};
+pub use planish_types::outcome::specification::{
+    Bound, LimitReport, NoisePart, SpecificationReport, Verdict,
+};
 pub use zone::Zone;
 
 use judge::{Pieces, judge};

@@ -113,10 +113,11 @@ pub fn members<T>(mut all: Vec<T>, cost: impl Fn(&T) -> f64, index: usize, of: u
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::setting::Given;
+    use planish_types::outcome::sweep::SettingValue;
 
     fn plan(method: &str, settings: &[(&str, f64)]) -> Plan {
-        let settings = settings.iter().map(|(k, x)| (k.to_string(), Given::Number(*x))).collect();
+        let settings =
+            settings.iter().map(|(k, x)| (k.to_string(), SettingValue::Number(*x))).collect();
         Plan {
             id: "id".into(),
             path_id: "path".into(),

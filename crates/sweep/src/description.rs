@@ -1,10 +1,9 @@
 //! Contents of the file of a sweep.
 
-use serde::{Deserialize, Serialize};
-
 use planish_pipeline::node::{Complaint, Key, Node, Value, parse};
+use planish_types::outcome::sweep::{Constraints, SettingValue};
 
-use crate::setting::{EXCLUSIVE, Given, METHODS, Of, PATHS, Setting, default, one_of};
+use crate::setting::{EXCLUSIVE, METHODS, Of, PATHS, Setting, default, one_of};
 
 /// A sweep as its file describes it; paths are as they stand there.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,22 +46,6 @@ pub enum Mirror {
     },
 }
 
-/// Constraints that a plan must keep to be on the front.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Constraints {
-    /// Longest time of a run, s.
-    pub max_time_s: Option<f64>,
-    /// True if the limits of the machine must be kept.
-    pub keep_limits: bool,
-    /// True if the limits of the specification must be kept, where there is one.
-    #[serde(default = "kept")]
-    pub keep_specification: bool,
-}
-
-fn kept() -> bool {
-    true
-}
-
 /// Settings that are varied together: every combination is a plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Block {
@@ -71,7 +54,7 @@ pub struct Block {
     /// Methods.
     pub methods: Vec<String>,
     /// Settings with their values, in the order of the table.
-    pub settings: Vec<(String, Vec<Given>)>,
+    pub settings: Vec<(String, Vec<SettingValue>)>,
 }
 
 /// Reads the text of a file.
@@ -214,8 +197,9 @@ fn block_of(node: &Node, tools: &[String]) -> Result<Block, Complaint> {
             return Err(Complaint::new(*line, problem));
         }
     }
-    let repeated =
-        |(_, values, _): &&(_, Vec<Given>, u64)| values.iter().any(|v| *v != Given::Number(1.0));
+    let repeated = |(_, values, _): &&(_, Vec<SettingValue>, u64)| {
+        values.iter().any(|v| *v != SettingValue::Number(1.0))
+    };
     if let (true, Some((.., line))) =
         (methods.iter().any(|m| m == "joint"), find("passes").filter(repeated))
     {

@@ -2,10 +2,12 @@
 
 use std::collections::BTreeSet;
 
+use planish_types::outcome::sweep::SettingValue;
+
 use crate::{
     description::Block,
     plan::{Ground, Plan, plan},
-    setting::{Given, SETTINGS},
+    setting::SETTINGS,
 };
 
 /// Largest number of plans of a sweep; more are refused. Larger: a mistyped range fills a disk. Smaller: large sweeps
@@ -45,7 +47,7 @@ fn combinations(
     block: &Block,
     path: &str,
     method: &str,
-) -> Result<Vec<Vec<(String, Given)>>, String> {
+) -> Result<Vec<Vec<(String, SettingValue)>>, String> {
     let mut combinations = vec![vec![]];
     for (key, values) in &block.settings {
         let setting = SETTINGS.iter().find(|setting| setting.key == *key);
@@ -55,9 +57,10 @@ fn combinations(
         if combinations.len().saturating_mul(values.len()) > MOST_PLANS {
             return Err(too_many());
         }
-        let longer = combinations.iter().flat_map(|shorter: &Vec<(String, Given)>| {
-            let with =
-                move |value: &Given| [&shorter[..], &[(key.clone(), value.clone())]].concat();
+        let longer = combinations.iter().flat_map(|shorter: &Vec<(String, SettingValue)>| {
+            let with = move |value: &SettingValue| {
+                [&shorter[..], &[(key.clone(), value.clone())]].concat()
+            };
             values.iter().map(with)
         });
         combinations = longer.collect();
@@ -81,11 +84,15 @@ mod tests {
         }
     }
 
-    fn numbers(key: &str, values: &[f64]) -> (String, Vec<Given>) {
-        (key.into(), values.iter().copied().map(Given::Number).collect())
+    fn numbers(key: &str, values: &[f64]) -> (String, Vec<SettingValue>) {
+        (key.into(), values.iter().copied().map(SettingValue::Number).collect())
     }
 
-    fn block(paths: &[&str], methods: &[&str], settings: Vec<(String, Vec<Given>)>) -> Block {
+    fn block(
+        paths: &[&str],
+        methods: &[&str],
+        settings: Vec<(String, Vec<SettingValue>)>,
+    ) -> Block {
         let owned = |words: &[&str]| words.iter().map(|w| w.to_string()).collect();
         Block { paths: owned(paths), methods: owned(methods), settings }
     }
@@ -120,8 +127,8 @@ mod tests {
     fn a_name_changes_with_everything_that_its_plan_is_made_of_and_with_nothing_else() {
         let id = |ground: &Ground, pitch_mm: f64, weight: f64| {
             let settings = vec![
-                ("pitch_mm".into(), Given::Number(pitch_mm)),
-                ("time_weight_nm2_per_s".into(), Given::Number(weight)),
+                ("pitch_mm".into(), SettingValue::Number(pitch_mm)),
+                ("time_weight_nm2_per_s".into(), SettingValue::Number(weight)),
             ];
             plan("raster", "joint", settings, ground)
         };

@@ -7,12 +7,12 @@ use planish_pipeline::{
     scope::Scope,
     walk::{Command, Walk},
 };
+use planish_types::outcome::sweep::{Constraints, SettingValue};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::{
-    description::Constraints,
-    setting::{Given, METHODS, PATHS, SETTINGS, pipeline, settings_of, stages},
+    setting::{METHODS, PATHS, SETTINGS, pipeline, settings_of, stages},
     varying,
 };
 
@@ -110,7 +110,7 @@ pub struct Plan {
     /// Method.
     pub method: String,
     /// Settings in the order of the table.
-    pub settings: Vec<(String, Given)>,
+    pub settings: Vec<(String, SettingValue)>,
 }
 
 impl Step {
@@ -123,14 +123,14 @@ impl Step {
 
 impl Plan {
     /// The value of a setting.
-    pub fn get(&self, key: &str) -> Option<&Given> {
+    pub fn get(&self, key: &str) -> Option<&SettingValue> {
         self.settings.iter().find(|(k, _)| k == key).map(|(_, given)| given)
     }
 
     /// The number that a setting has.
     pub fn number(&self, key: &str) -> Option<f64> {
         match self.get(key) {
-            Some(Given::Number(number)) => Some(*number),
+            Some(SettingValue::Number(number)) => Some(*number),
             _ => None,
         }
     }
@@ -138,7 +138,7 @@ impl Plan {
     /// Name of its tool; that of the mirror's own is empty.
     pub fn tool(&self) -> &str {
         match self.get("tool") {
-            Some(Given::Word(name)) => name,
+            Some(SettingValue::Word(name)) => name,
             _ => "",
         }
     }
@@ -146,7 +146,7 @@ impl Plan {
     /// The command that makes its tool of its TIF, if it has one.
     pub fn varying(&self) -> Option<&str> {
         match self.get("varying") {
-            Some(Given::Word(text)) if text != varying::NONE => Some(text),
+            Some(SettingValue::Word(text)) if text != varying::NONE => Some(text),
             _ => None,
         }
     }
@@ -405,7 +405,7 @@ pub fn steps_of_mirror<const N: usize>(stage: &str, names: [(&str, Vec<String>);
 }
 
 /// The pipeline of a path with the settings of a plan.
-fn scope(path: &str, settings: &[(String, Given)]) -> Result<Scope<'static>, String> {
+fn scope(path: &str, settings: &[(String, SettingValue)]) -> Result<Scope<'static>, String> {
     let definition = pipeline(path).ok_or_else(|| format!("there is no path '{path}'"))?;
     let is_tool = |key: &str| matches!(key, "tool" | "varying");
     let settings = settings.iter().filter(|(key, _)| !is_tool(key));
@@ -414,14 +414,18 @@ fn scope(path: &str, settings: &[(String, Given)]) -> Result<Scope<'static>, Str
 }
 
 /// Values of the settings of these stages in a plan, given or not.
-fn resolved(path: &str, settings: &[(String, Given)], stages: &[&str]) -> Vec<(String, String)> {
+fn resolved(
+    path: &str,
+    settings: &[(String, SettingValue)],
+    stages: &[&str],
+) -> Vec<(String, String)> {
     let Ok(scope) = scope(path, settings) else { return vec![] };
     let value = |name: &str| (name.to_string(), scope.text(name).unwrap_or_default());
     settings_of(path, stages).into_iter().map(value).collect()
 }
 
 /// A plan with these settings, and its names.
-pub fn plan(path: &str, method: &str, given: Vec<(String, Given)>, ground: &Ground) -> Plan {
+pub fn plan(path: &str, method: &str, given: Vec<(String, SettingValue)>, ground: &Ground) -> Plan {
     let settings = with_defaults(path, given, ground);
     let word = |key: &str| settings.iter().find(|(k, _)| k == key).map(|(_, g)| g.to_string());
     let tool = word("tool").unwrap_or_default();
@@ -453,21 +457,22 @@ fn varied_tool(tool: &str, text: Option<&str>, ground: &Ground) -> Option<String
 /// Adds the defaults of `just run` for settings that a stage needs and that are not given.
 fn with_defaults(
     path: &str,
-    mut settings: Vec<(String, Given)>,
+    mut settings: Vec<(String, SettingValue)>,
     ground: &Ground,
-) -> Vec<(String, Given)> {
-    let has = |settings: &[(String, Given)], key: &str| settings.iter().any(|(k, _)| k == key);
+) -> Vec<(String, SettingValue)> {
+    let has =
+        |settings: &[(String, SettingValue)], key: &str| settings.iter().any(|(k, _)| k == key);
     // A tool that is given by name is what it is, as in `just run tif=DIR`.
     let is_own = !has(&settings, "varying") && !has(&settings, "tool");
     if let Some(text) = ground.own_varying.as_ref().filter(|_| is_own) {
-        settings.push(("varying".into(), Given::Word(text.clone())));
+        settings.push(("varying".into(), SettingValue::Word(text.clone())));
     }
     // Those that people compare plans by are stated.
     if let (Some(definition), Ok(scope)) = (pipeline(path), scope(path, &settings)) {
         for key in ["pitch_mm", "step_mm"] {
             let lacks = definition.setting(key).is_some() && !has(&settings, key);
             if let Some(Ok(number)) = lacks.then(|| scope.text(key).unwrap_or_default().parse()) {
-                settings.push((key.into(), Given::Number(number)));
+                settings.push((key.into(), SettingValue::Number(number)));
             }
         }
     }
@@ -520,7 +525,7 @@ mod tests {
         }
     }
 
-    fn given(sweep: &Sweep, method: &str, settings: &[(&str, Given)]) -> Plan {
+    fn given(sweep: &Sweep, method: &str, settings: &[(&str, SettingValue)]) -> Plan {
         let settings = settings.iter().map(|(k, v)| (k.to_string(), v.clone())).collect();
         plan("raster", method, settings, &sweep.ground)
     }
@@ -532,7 +537,8 @@ mod tests {
     #[test]
     fn a_path_of_several_passes_is_made_of_one_pass() {
         let sweep = sweep(None);
-        let settings = [("passes", Given::Number(2.0)), ("scan", Given::Number(30.0))];
+        let settings =
+            [("passes", SettingValue::Number(2.0)), ("scan", SettingValue::Number(30.0))];
         let plan = given(&sweep, "pvt+refined", &settings);
         let steps: Vec<String> = sweep.path_steps(&plan).iter().map(line).collect();
         let at = format!("paths/{}", plan.path_id);
@@ -591,7 +597,8 @@ mod tests {
     fn each_method_has_its_stages_and_a_process_one_more() {
         let of = |process, method| {
             let sweep = sweep(process);
-            let plan = given(&sweep, method, &[("time_weight_nm2_per_s", Given::Number(1e-4))]);
+            let plan =
+                given(&sweep, method, &[("time_weight_nm2_per_s", SettingValue::Number(1e-4))]);
             let steps = sweep.dwell_step(&plan).into_iter().chain(sweep.plan_steps(&plan));
             steps.map(|step| line(&step)).collect::<Vec<_>>()
         };
@@ -647,10 +654,10 @@ mod tests {
                         continue;
                     };
                     let given = |value: &str| match value.parse() {
-                        Ok(number) => Given::Number(number),
-                        Err(_) => Given::Word(value.into()),
+                        Ok(number) => SettingValue::Number(number),
+                        Err(_) => SettingValue::Word(value.into()),
                     };
-                    let of = |settings: Vec<(String, Given)>| {
+                    let of = |settings: Vec<(String, SettingValue)>| {
                         let plan = plan(path, method, settings, &sweep.ground);
                         let steps =
                             sweep.path_steps(&plan).into_iter().chain(sweep.dwell_step(&plan));
@@ -673,7 +680,7 @@ mod tests {
     #[test]
     fn another_tool_is_that_of_its_stages_and_of_the_command() {
         let sweep = sweep(Some("p.json"));
-        let plan = given(&sweep, "joint", &[("tool", Given::Word("narrow".into()))]);
+        let plan = given(&sweep, "joint", &[("tool", SettingValue::Word("narrow".into()))]);
         assert!(line(&sweep.plan_steps(&plan)[0]).contains("--tif /tools/narrow "));
         let again = sweep.again(&plan).join(" ");
         assert_eq!(
@@ -686,7 +693,7 @@ mod tests {
     fn a_tool_that_varies_is_made_once_and_is_that_of_all_stages_of_its_plans() {
         let mut sweep = sweep(Some("p.json"));
         let command = "edge --pad-radius-mm 10";
-        let varying = |text: &str| ("varying", Given::Word(text.into()));
+        let varying = |text: &str| ("varying", SettingValue::Word(text.into()));
         let [constant, plain, edge] = [
             given(&sweep, "pvt+refined", &[]),
             given(&sweep, "pvt+refined", &[varying("none")]),

@@ -8,10 +8,11 @@
 use std::collections::BTreeSet;
 
 use planish_numerics::pareto::{dominated_area, front};
+use planish_types::outcome::sweep::SettingValue;
 
 use crate::{
     plan::{Ground, Plan, plan},
-    setting::{Given, SETTINGS},
+    setting::SETTINGS,
 };
 
 /// Position of the corner of the area over the largest value on the front, so that the ends of the front count.
@@ -55,7 +56,9 @@ fn half_way(own: &Plan, other: &Plan, ground: &Ground) -> Plan {
     let settings = own.settings.iter().map(|(key, given)| {
         let is_whole = SETTINGS.iter().any(|setting| setting.key == *key && setting.is_whole());
         let given = match (given, other.get(key)) {
-            (Given::Number(a), Some(Given::Number(b))) if !is_whole => Given::Number(mean(*a, *b)),
+            (SettingValue::Number(a), Some(SettingValue::Number(b))) if !is_whole => {
+                SettingValue::Number(mean(*a, *b))
+            }
             _ => given.clone(),
         };
         (key.clone(), given)
@@ -102,7 +105,7 @@ mod tests {
 
     fn made(path: &str, pitch_mm: f64, price: f64) -> Plan {
         let settings = [("pitch_mm", pitch_mm), ("time_weight_nm2_per_s", price)];
-        let settings = settings.map(|(k, x)| (k.to_string(), Given::Number(x)));
+        let settings = settings.map(|(k, x)| (k.to_string(), SettingValue::Number(x)));
         plan(path, "joint", settings.to_vec(), &ground())
     }
 

@@ -10,7 +10,7 @@ use planish_pipeline::{
     node::{Complaint, Node, Value},
     scope::Scope,
 };
-use serde::{Deserialize, Serialize};
+use planish_types::outcome::sweep::SettingValue;
 
 use crate::varying;
 
@@ -133,25 +133,6 @@ fn add(settings: &mut Vec<Setting>, key: &str, kind: &Kind, of: Of) {
     }
 }
 
-/// The value of a setting in a plan.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
-pub enum Given {
-    /// A number in the unit of the name.
-    Number(f64),
-    /// A word.
-    Word(String),
-}
-
-impl std::fmt::Display for Given {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Number(number) => write!(f, "{number}"),
-            Self::Word(word) => f.write_str(word),
-        }
-    }
-}
-
 /// Largest whole number that a number of YAML keeps exactly: 2^53. A larger one would be rounded.
 const LARGEST_WHOLE: f64 = 9_007_199_254_740_992.0;
 
@@ -205,7 +186,7 @@ impl Setting {
     }
 
     /// The values of the setting that stand in a node: one, a list, or a range.
-    pub fn values(&self, node: &Node, tools: &[String]) -> Result<Vec<Given>, Complaint> {
+    pub fn values(&self, node: &Node, tools: &[String]) -> Result<Vec<SettingValue>, Complaint> {
         let nodes = match &node.value {
             Value::List(items) if items.is_empty() => {
                 let problem = format!("{} is an empty list; give a value", self.key);
@@ -221,7 +202,7 @@ impl Setting {
         nodes.iter().map(|node| self.value(node, tools)).collect()
     }
 
-    fn value(&self, node: &Node, tools: &[String]) -> Result<Given, Complaint> {
+    fn value(&self, node: &Node, tools: &[String]) -> Result<SettingValue, Complaint> {
         let refused = |wanted: String| {
             let problem = format!("{} is {}; give {wanted}", self.key, node.value);
             Err(Complaint::new(node.line, problem))
@@ -240,7 +221,7 @@ impl Setting {
                 }
             }
             ("varying", _) => match text.map(|text| (text, varying::check(text))) {
-                Some((text, Ok(()))) => Ok(Given::Word(text.clone())),
+                Some((text, Ok(()))) => Ok(SettingValue::Word(text.clone())),
                 Some((_, Err(wanted))) => refused(wanted),
                 None => refused(varying::wanted()),
             },
@@ -248,7 +229,7 @@ impl Setting {
                 Value::Number(x)
                     if x.abs() <= LARGEST_WHOLE && self.kind.check(&x.to_string()).is_ok() =>
                 {
-                    Ok(Given::Number(*x))
+                    Ok(SettingValue::Number(*x))
                 }
                 Value::Text(text)
                     if text.trim_start().starts_with(|c: char| c.is_ascii_digit()) =>
@@ -262,13 +243,13 @@ impl Setting {
             },
             (_, Kind::OneOf { number: true, .. }) if matches!(node.value, Value::Number(_)) => {
                 match node.value {
-                    Value::Number(x) => Ok(Given::Number(x)),
+                    Value::Number(x) => Ok(SettingValue::Number(x)),
                     _ => refused(self.kind.wanted()),
                 }
             }
             (_, kind) => match text {
                 Some(text) if kind.check(text).is_ok() && varying::own_flag(text).is_none() => {
-                    Ok(Given::Word(text.clone()))
+                    Ok(SettingValue::Word(text.clone()))
                 }
                 Some(text) => match varying::own_flag(text) {
                     Some(flag) => {
@@ -283,9 +264,11 @@ impl Setting {
 }
 
 /// The word that stands there, where it is one of these.
-pub fn one_of(node: &Node, words: &[&str]) -> Option<Given> {
+pub fn one_of(node: &Node, words: &[&str]) -> Option<SettingValue> {
     match &node.value {
-        Value::Text(text) if words.contains(&text.as_str()) => Some(Given::Word(text.clone())),
+        Value::Text(text) if words.contains(&text.as_str()) => {
+            Some(SettingValue::Word(text.clone()))
+        }
         _ => None,
     }
 }
@@ -330,7 +313,7 @@ fn range(
             "count" => &mut count,
             "spacing" => {
                 logarithmic = match one_of(node, &["linear", "logarithmic"]) {
-                    Some(Given::Word(word)) => word == "logarithmic",
+                    Some(SettingValue::Word(word)) => word == "logarithmic",
                     _ => {
                         let problem = format!(
                             "spacing of {key} is {}; give linear or logarithmic",
@@ -406,7 +389,7 @@ mod tests {
         };
         let setting = Setting::named(key, 2).map_err(|e| e.to_string())?;
         let values = setting.values(&top[0].1, &["narrow".into()]).map_err(|e| e.to_string())?;
-        Ok(values.iter().map(Given::to_string).collect())
+        Ok(values.iter().map(SettingValue::to_string).collect())
     }
 
     #[test]

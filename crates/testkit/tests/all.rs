@@ -12,6 +12,8 @@ mod bspline_feed;
 mod conventions;
 #[path = "equivariance.rs"]
 mod equivariance;
+#[path = "outcomes.rs"]
+mod outcomes;
 #[path = "papers.rs"]
 mod papers;
 #[path = "programs.rs"]

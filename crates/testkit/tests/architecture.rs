@@ -239,6 +239,33 @@ fn without_comment(line: &str) -> &str {
     line.split("//").next().unwrap_or_default()
 }
 
+/// Places where the code takes a value out of JSON by a key, as `value["key"]` or `outcome.get("key")`, without comments
+/// and unit tests.
+fn accesses_by_key(source: &str) -> Vec<String> {
+    let tests = source.find("#[cfg(test)]\nmod tests").unwrap_or(source.len());
+    let mut found = Vec::new();
+    for line in source[..tests].lines().map(without_comment) {
+        let parts: Vec<&str> = line.split('"').collect();
+        // A text stands between the quotation marks of a pair; a key is a text of small letters and `_`.
+        for (before, key, after) in
+            parts.windows(3).step_by(2).map(|part| (part[0], part[1], part[2]))
+        {
+            let is_key = !key.is_empty() && key.chars().all(|c| c.is_ascii_lowercase() || c == '_');
+            let value = before.strip_suffix('[').unwrap_or_default();
+            let is_index = after.starts_with(']')
+                && value.ends_with(|c: char| c.is_alphanumeric() || "_])".contains(c));
+            let is_look_up =
+                ["outcome.get(", "settings.get(", "outcome.pointer(", "settings.pointer("]
+                    .iter()
+                    .any(|call| before.ends_with(call));
+            if is_key && is_index || is_look_up {
+                found.push(format!("[\"{key}\"]"));
+            }
+        }
+    }
+    found
+}
+
 /// Returns true if `word` occurs in `code`, not as the end or the beginning of a longer name.
 fn contains_word(code: &str, word: &str) -> bool {
     let part_of_name = |c: char| c.is_alphanumeric() || c == '_';
@@ -721,6 +748,24 @@ fn one_module_depends_on_the_operating_system() {
     no_complaints(&complaints);
 }
 
+/// A key of a manifest is a field of a type in `types::outcome`, so that the compiler finds who reads a renamed one.
+#[test]
+fn nobody_reads_json_by_a_key() {
+    let mut complaints = Vec::new();
+    for folder in packages().keys() {
+        for file in sources_under(&directory_of(folder).join("src")) {
+            for key in accesses_by_key(&fs::read_to_string(&file).unwrap()) {
+                complaints.push(format!(
+                    "{}: {key}: read and write it as a field of a type in types/src/outcome, so that a renamed field is \
+                     a compile error",
+                    file.display()
+                ));
+            }
+        }
+    }
+    no_complaints(&complaints);
+}
+
 /// The folders `baselines` and the list by which a report knows their plans.
 #[test]
 fn a_report_knows_every_baseline() {
@@ -815,6 +860,20 @@ fn a_flag_in_a_library_is_caught() {
         ("pure();\n#[cfg(test)]\nmod tests { fn f() { g(\"--out\"); } }", vec![]),
     ] {
         assert_eq!(flags(source), found, "{source}");
+    }
+}
+
+#[test]
+fn an_access_by_key_is_caught() {
+    for (source, found) in [
+        ("let kept = verdict[\"limits_respected\"] == true;", vec!["[\"limits_respected\"]"]),
+        ("m[\"a\"][0][\"b\"]", vec!["[\"a\"]", "[\"b\"]"]),
+        ("manifest.settings.get(\"free\")", vec!["[\"free\"]"]),
+        ("array(\"x_mm\", Dtype::F64, &[\"nx\"], &[\"x\"])", vec![]),
+        ("#[group(args = [\"surface\"])] // m[\"a\"]", vec![]),
+        ("f();\n#[cfg(test)]\nmod tests { fn f() { m[\"a\"] } }", vec![]),
+    ] {
+        assert_eq!(accesses_by_key(source), found, "{source}");
     }
 }
 

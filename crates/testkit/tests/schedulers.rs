@@ -11,7 +11,7 @@ use std::sync::{LazyLock, Mutex};
 use planish_schedule::{
     Choices, Named, SCHEDULERS as TABLE, Scheduled,
     baselines::{average_velocity, position, pvt_as_published},
-    claim::Claim,
+    claim::measured_claim,
     constant_acceleration,
     interpolator::{self, Interpolator},
     pvt::{self, Mode},
@@ -765,7 +765,7 @@ fn judged(
     let mut problems = Vec::new();
     let t = &motion.trajectory;
     for judged_by in [&without_jerk, &with_jerk] {
-        let (claim, verdict) = (Claim::of(t, judged_by), judge(t, judged_by));
+        let (claim, verdict) = (measured_claim(t, judged_by), judge(t, judged_by));
         let found = [
             verdict.limits_respected,
             kept(&verdict, |a| &a.position_step_mm),
@@ -1642,7 +1642,7 @@ fn pvt_keeps_a_limit_on_jerk() {
         let s = limited.pvt(Mode::Smooth)?;
         let verdict = judge(&s.trajectory, &limited.limits);
         ensure(verdict.limits_respected, || format!("smooth: {:?}", verdict.violations))?;
-        let claim = Claim::of(&s.trajectory, &limited.limits);
+        let claim = measured_claim(&s.trajectory, &limited.limits);
         ensure(claim.limits_respected && claim.jerk == Some(true), || format!("{claim:?}"))?;
         let mut end = case.points.clone();
         let served_s =

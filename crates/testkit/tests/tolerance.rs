@@ -65,7 +65,7 @@ fn single_errors_add_what_was_found_independently() {
     for (name, expected) in expected {
         let motion = motion(&mirror.path(name), &mirror.dwell(name));
         let found = of(&motion, &mirror.tif, &mirror.desired, errors.clone(), &settings);
-        for ((line, expected), bound) in found.errors.iter().zip(expected).zip(bounds) {
+        for ((line, expected), bound) in found.outcome.errors.iter().zip(expected).zip(bounds) {
             let ratio = line.adds_rms_nm / expected;
             println!("{name} {} {:.4} nm, {expected} nm", line.kind, line.adds_rms_nm);
             assert!((ratio - 1.0).abs() < bound, "{name} {}: {ratio}", line.kind);
@@ -90,11 +90,11 @@ fn small_errors_are_of_first_order() {
         let motion = motion(&mirror.path(name), &mirror.dwell(name));
         let found = of(&motion, &mirror.tif, &mirror.desired, errors.clone(), &settings);
         assert!(
-            !found.simulated && found.largest_difference < 0.02,
+            !found.outcome.simulated && found.largest_difference < 0.02,
             "{}",
             found.largest_difference
         );
-        for line in &found.errors {
+        for line in &found.outcome.errors {
             let apart = line.departs_by_rms_nm / line.adds_rms_nm;
             println!("{name} {}: departs by {:.2} %", line.kind, 100.0 * apart);
             // A second order at right angles to the first adds apart^2 / 2 of its RMS.
@@ -113,7 +113,7 @@ fn a_linear_drift_cancels_between_two_passes() {
         let twice = passes(&path, &PassesSettings { passes: 2, back: true }).unwrap();
         let adds = |motion: &Trajectory| {
             let drift = json!([error("rate_drift", 5.0, "%")]);
-            of(motion, &mirror.tif, &mirror.desired, drift, &settings).errors[0].adds_rms_nm
+            of(motion, &mirror.tif, &mirror.desired, drift, &settings).outcome.errors[0].adds_rms_nm
         };
         let (once, twice) = (adds(&motion(&path, &dwell)), adds(&motion(&twice, &halves(&dwell))));
         println!("{name}: {once:.4} nm once, {twice:.6} nm there and back");

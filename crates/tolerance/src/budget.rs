@@ -1,6 +1,10 @@
 //! The budget of the errors, from the plan to the table, the distribution, and what to improve first.
 
-use planish_types::{Invalid, Surface, Tif, Trajectory, progress};
+use planish_types::{
+    Invalid, Surface, Tif, Trajectory,
+    outcome::tolerance::{ErrorLine, First, Quantiles, ToleranceOutcome},
+    progress,
+};
 
 use crate::{
     distribution::{Errors, Span},
@@ -9,7 +13,7 @@ use crate::{
     field::Tool,
     noise::{Columns, Response},
     reach::Reach,
-    report::{First, LEVELS, Line, MEAN_TOOL, Pair, Quantiles, Tolerance},
+    report::{LEVELS, MEAN_TOOL, Pair, Tolerance},
     settings::Settings,
     tool::{Moved, moved},
     work::Work,
@@ -111,13 +115,15 @@ pub fn tolerance(
     let differences = runs.iter().filter(|p| p.first_order_rms_nm > 0.0).map(difference);
     let level = |k: usize| k as f64 / (LEVELS - 1) as f64;
     Ok(Tolerance {
-        error_budget: process.name.clone(),
-        nominal_rms_nm: work.rms(&work.nominal),
-        expected_rms_nm,
-        residual,
-        simulated,
-        first: first(&errors, &lines, settings),
-        errors: lines,
+        outcome: ToleranceOutcome {
+            error_budget: process.name.clone(),
+            nominal_rms_nm: work.rms(&work.nominal),
+            expected_rms_nm,
+            residual,
+            simulated,
+            first: first(&errors, &lines, settings),
+            errors: lines,
+        },
         largest_difference: differences.fold(0.0, f64::max),
         within_interval: runs.iter().filter(|p| (low..=high).contains(&p.simulated_rms_nm)).count(),
         runs,
@@ -131,7 +137,7 @@ pub fn tolerance(
 }
 
 /// Returns true if the departure of an error from its first order is seen in what all errors add together.
-fn departs(line: &Line, expected_rms_nm: f64) -> bool {
+fn departs(line: &ErrorLine, expected_rms_nm: f64) -> bool {
     line.departs_by_rms_nm > LARGEST_DEPARTURE * line.adds_rms_nm
         && line.departs_by_rms_nm > SEEN * expected_rms_nm
 }
@@ -140,7 +146,7 @@ fn departs(line: &Line, expected_rms_nm: f64) -> bool {
 /// distribution either.
 fn simulate_departing(
     work: &Work<'_>,
-    lines: &mut [Line],
+    lines: &mut [ErrorLine],
     expected_rms_nm: f64,
     reach: &Reach,
     seed: u64,
@@ -158,7 +164,7 @@ fn simulate_departing(
 }
 
 /// The error without which the residual that 95 % of the runs are below is least.
-fn first(errors: &Errors<'_>, lines: &[Line], settings: &Settings) -> Option<First> {
+fn first(errors: &Errors<'_>, lines: &[ErrorLine], settings: &Settings) -> Option<First> {
     // With the same random numbers for all: what differs is the error that is left out.
     let draws = settings.draws.min(DRAWS_WITHOUT_ONE);
     let below = |model: &Model| quantile(&model.sorted(draws, settings.seed), 0.95);

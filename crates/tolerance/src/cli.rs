@@ -3,14 +3,11 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use ndarray::Array1;
 use planish_handoff::{
     Begin, Failure, Inputs, Output, Status,
     flags::{MirrorArgs, OutputArgs, TrajectoryArgs},
     from_run::is_rehearsal,
-    kind,
-    npy::ArrayData,
-    say, task, warn,
+    kind, say, task, warn,
 };
 use planish_tolerance::{
     Free, Settings,
@@ -18,7 +15,7 @@ use planish_tolerance::{
     error_budget::{Distribution, ErrorBudget, ErrorBudgetFile},
     tolerance,
 };
-use planish_types::{plausible, text::significant};
+use planish_types::{outcome::tolerance::ToleranceArrays, plausible, text::significant};
 
 #[derive(Args)]
 pub struct Tolerance {
@@ -79,21 +76,17 @@ impl Tolerance {
                 }
             })?;
 
-        let list = |values: Vec<f64>| ArrayData::F64(Array1::from(values).into_dyn().into());
-        let grid = surface.grid();
-        let arrays = [
-            list(found.levels.iter().map(|l| l.0).collect()),
-            list(found.levels.iter().map(|l| l.1).collect()),
-            ArrayData::F64(found.deviation_nm.view().into_dyn().into()),
-            list(grid.x.coordinates()),
-            list(grid.y.coordinates()),
-        ];
-        let outcome = serde_json::to_value(&found)?;
+        let arrays = ToleranceArrays {
+            part: found.levels.iter().map(|level| level.0).collect(),
+            rms_nm: found.levels.iter().map(|level| level.1).collect(),
+            deviation_nm: found.deviation_nm.clone(),
+            grid: *surface.grid(),
+        };
         if let Some(warning) = found.coverage.warning() {
             warn(warning);
         }
         let status = found.coverage.drawback().map_or(Status::Done, Status::Negative);
-        output.write_arrays(&kind::TOLERANCE, &arrays, &[], outcome, &status)?;
+        output.write(&arrays, &found, &status)?;
         say(table(&found, settings.free));
         say(format!("-> {}", self.output.out.display()));
         Ok(status)
@@ -121,14 +114,17 @@ fn table(found: &planish_tolerance::Tolerance, free: Free) -> String {
         Free::Plane => " without the best plane",
     };
     let mut lines = vec![
-        format!("{}: {:.4} nm RMS{without} as planned", found.error_budget, found.nominal_rms_nm),
+        format!(
+            "{}: {:.4} nm RMS{without} as planned",
+            found.outcome.error_budget, found.outcome.nominal_rms_nm
+        ),
         String::new(),
         "                                             adds   reached  not reached  departs by"
             .into(),
         "error                            size      nm RMS    nm RMS       nm RMS      nm RMS"
             .into(),
     ];
-    for line in &found.errors {
+    for line in &found.outcome.errors {
         let sign = if line.distribution == Distribution::Fixed { "" } else { "+-" };
         let size = format!("{sign}{} {}", significant(line.size, 4), line.unit);
         lines.push(format!(
@@ -146,22 +142,22 @@ fn table(found: &planish_tolerance::Tolerance, free: Free) -> String {
             }
         ));
     }
-    let q = &found.residual;
+    let q = &found.outcome.residual;
     let [low, high] = q.interval_95_percent_nm;
     lines.push(String::new());
     lines.push(format!(
         "with this process expect {low:.4} to {high:.4} nm (95 % of the runs{}); half of the runs are below \
          {:.4} nm, 95 % below {:.4} nm",
-        if found.simulated { ", simulated" } else { "" },
+        if found.outcome.simulated { ", simulated" } else { "" },
         q.median_nm,
         q.below_95_percent_nm
     ));
-    if let Some(first) = &found.first {
+    if let Some(first) = &found.outcome.first {
         lines.push(format!(
             "improve {} first: without it 95 % of the runs are below {:.4} nm{}",
             first.kind,
             first.without_it_95_percent_nm,
-            if found.simulated { " (to first order)" } else { "" }
+            if found.outcome.simulated { " (to first order)" } else { "" }
         ));
     }
     if !found.runs.is_empty() {

@@ -50,6 +50,6 @@ pub use planish_simulate::{deviation, error_budget, motion, sample, servo, tool}
 
 pub use crate::{
     budget::{LARGEST_DEPARTURE, LARGEST_DEPARTURE_OF_LINE, SEEN, tolerance},
-    report::{First, LEVELS, Line, Pair, Quantiles, Tolerance},
+    report::{LEVELS, Pair, Tolerance},
     settings::{Free, Settings},
 };

@@ -2,7 +2,7 @@
 
 use ndarray::Array2;
 use planish_numerics::parallel;
-use planish_types::Invalid;
+use planish_types::{Invalid, outcome::tolerance::ErrorLine};
 
 use crate::{
     deviation::Deviation,
@@ -10,7 +10,6 @@ use crate::{
     error_budget::{Distribution, Effect, ProcessError, Scalar},
     noise::{Columns, Response},
     reach::Reach,
-    report::Line,
     sample::{sample, stream},
     work::Work,
 };
@@ -122,7 +121,7 @@ impl Work<'_> {
         responses: &[(usize, f64, Response)],
         reach: &Reach,
         departures: &[f64],
-    ) -> Vec<Line> {
+    ) -> Vec<ErrorLine> {
         let line = |(i, e): (usize, &ProcessError)| {
             let (mut square, mut reached) = (0.0, 0.0);
             for l in linear.iter().filter(|l| l.error == i) {
@@ -144,7 +143,7 @@ impl Work<'_> {
                 reached = (e.size * e.size * reach.of_white(&self.inner)).min(square);
             }
             let stated = &e.stated;
-            Line {
+            ErrorLine {
                 kind: stated.kind.name(),
                 size: stated.size,
                 unit: stated.unit.clone(),

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, SymmetricEigen};
 use ndarray::Array2;
 use planish_numerics::{parallel, quadrature::gauss_legendre};
-use planish_types::{Invalid, progress};
+use planish_types::{Invalid, outcome::tolerance::ErrorLine, progress};
 
 use crate::{
     deviation::Deviation,
@@ -12,7 +12,7 @@ use crate::{
     lines::Linear,
     noise::Columns,
     reach::Reach,
-    report::{Line, Pair},
+    report::Pair,
     sample::{draw, sample, stream, white},
     work::Work,
 };
@@ -55,7 +55,7 @@ impl Work<'_> {
     pub fn simulate_line(
         &self,
         index: usize,
-        line: &mut Line,
+        line: &mut ErrorLine,
         reach: &Reach,
         seed: u64,
     ) -> Result<(), Invalid> {

@@ -51,19 +51,19 @@ fn every(scale: f64) -> Value {
 #[test]
 fn errors_of_size_zero_add_exactly_nothing() {
     let found = of(every(0.0), &settings());
-    for line in &found.errors {
+    for line in &found.outcome.errors {
         let all =
             [line.adds_rms_nm, line.reached_rms_nm, line.unreached_rms_nm, line.departs_by_rms_nm];
         assert_eq!(all, [0.0; 4], "{}", line.kind);
     }
-    assert!(found.first.is_none() && !found.simulated);
+    assert!(found.outcome.first.is_none() && !found.outcome.simulated);
     for run in &found.runs {
-        assert_eq!(run.simulated_rms_nm, found.nominal_rms_nm);
+        assert_eq!(run.simulated_rms_nm, found.outcome.nominal_rms_nm);
     }
     // The Gram matrix has one element: its root and the sum of squares round once each.
-    let [low, high] = found.residual.interval_95_percent_nm;
-    for rms in [low, high, found.residual.median_nm, found.expected_rms_nm] {
-        assert!((rms / found.nominal_rms_nm - 1.0).abs() < 1e-14, "{rms}");
+    let [low, high] = found.outcome.residual.interval_95_percent_nm;
+    for rms in [low, high, found.outcome.residual.median_nm, found.outcome.expected_rms_nm] {
+        assert!((rms / found.outcome.nominal_rms_nm - 1.0).abs() < 1e-14, "{rms}");
     }
     assert!(found.deviation_nm.iter().all(|v| *v == 0.0 || v.is_nan()));
 }
@@ -72,7 +72,8 @@ fn errors_of_size_zero_add_exactly_nothing() {
 fn twice_the_error_is_twice_its_line() {
     let (once, twice) = (of(every(0.5), &settings()), of(every(1.0), &settings()));
     // Play is hysteresis: twice the play is not twice of what it does where a turn is short.
-    let each = once.errors.iter().zip(&twice.errors).filter(|(a, _)| a.kind != "backlash");
+    let each =
+        once.outcome.errors.iter().zip(&twice.outcome.errors).filter(|(a, _)| a.kind != "backlash");
     // The lines of errors that depart from their first order are simulated: twice the error is not twice that.
     let each: Vec<_> = each.filter(|(a, b)| !a.simulated && !b.simulated).collect();
     assert!(each.len() > 10, "{}", each.len());
@@ -153,7 +154,7 @@ fn the_first_order_is_what_a_changed_motion_does() {
         (error("shear", 0.1, "%", "fixed"), moved(&|x, y| [x + 0.001 * (y - cy), y])),
     ];
     for (error, motion) in cases {
-        let line = &of(json!([error]), &settings()).errors[0];
+        let line = &of(json!([error]), &settings()).outcome.errors[0];
         let simulated = apart(&motion, &raster());
         let ratio = line.adds_rms_nm / simulated;
         assert!((ratio - 1.0).abs() < 0.02, "{}: {ratio}", line.kind);
@@ -167,10 +168,10 @@ fn the_first_order_is_what_a_changed_motion_does() {
 fn noise_of_the_rate_becomes_a_scale_where_it_lasts_and_vanishes_where_it_does_not() {
     let line = |tau: f64| {
         let noise = with(error("rate_noise", 1.0, "%", "normal"), "correlation_s", tau);
-        of(json!([noise]), &settings()).errors[0].adds_rms_nm
+        of(json!([noise]), &settings()).outcome.errors[0].adds_rms_nm
     };
-    let scale =
-        of(json!([error("rate_scale", 1.0, "%", "normal")]), &settings()).errors[0].adds_rms_nm;
+    let scale = of(json!([error("rate_scale", 1.0, "%", "normal")]), &settings()).outcome.errors[0]
+        .adds_rms_nm;
     // Over a run of 1e-5 of the correlation time the covariance is 1 - 1e-5; cells are off by 0.5 % at a border.
     let lasting = line(1e7);
     assert!((lasting / scale - 1.0).abs() < 0.01, "{lasting} {scale}");
@@ -198,7 +199,7 @@ fn the_line_of_a_noise_is_the_mean_over_simulated_runs() {
 fn the_interval_covers_simulated_runs() {
     let many = Settings { draws: 20_000, simulated_runs: 150, ..settings() };
     let found = of(every(1.0), &many);
-    assert!(!found.simulated);
+    assert!(!found.outcome.simulated);
     assert!((131..150).contains(&found.within_interval), "{}", found.within_interval);
     // Of the largest of 150 runs: a shift of 3 standard deviations, 0.06 of the width of the TIF, is off by half
     // of that times what it adds, which is of the size of the residual.
@@ -212,11 +213,15 @@ fn free_planes_are_not_counted() {
     let tilt = with(error("map_low_order", 1.0, "nm", "normal"), "degree", 1.0);
     let found = of(json!([tilt.clone()]), &plane);
     // A plane of 1 nm is taken off: rounding.
-    assert!(found.errors[0].adds_rms_nm < 1e-9, "{}", found.errors[0].adds_rms_nm);
+    assert!(found.outcome.errors[0].adds_rms_nm < 1e-9, "{}", found.outcome.errors[0].adds_rms_nm);
     // Where it is not free, a tilt of 1 nm RMS over the rectangle adds that.
     let found = of(json!([tilt]), &settings());
     // A tenth of the pixels is invalid.
-    assert!((found.errors[0].adds_rms_nm - 1.0).abs() < 0.1, "{}", found.errors[0].adds_rms_nm);
+    assert!(
+        (found.outcome.errors[0].adds_rms_nm - 1.0).abs() < 0.1,
+        "{}",
+        found.outcome.errors[0].adds_rms_nm
+    );
 }
 
 /// An error beyond its first order is simulated: a shift by half the width of the tool.
@@ -224,11 +229,11 @@ fn free_planes_are_not_counted() {
 fn large_errors_are_simulated() {
     let large = error("offset_x", 0.8, "mm", "uniform");
     let found = of(json!([large]), &settings());
-    assert!(found.simulated && found.errors[0].simulated);
+    assert!(found.outcome.simulated && found.outcome.errors[0].simulated);
     assert_eq!(found.runs.len(), 200);
     let small = of(json!([error("offset_x", 0.01, "mm", "uniform")]), &settings());
-    let linear = 80.0 * small.errors[0].adds_rms_nm;
-    let ratio = found.errors[0].adds_rms_nm / linear;
+    let linear = 80.0 * small.outcome.errors[0].adds_rms_nm;
+    let ratio = found.outcome.errors[0].adds_rms_nm / linear;
     // Less than the tangent, and not by orders of magnitude.
     assert!((0.3..1.3).contains(&ratio), "{ratio}");
 }
@@ -247,7 +252,7 @@ fn the_map_of_deviations_is_that_of_the_residual() {
                 !["rate_warm_up", "servo_first_order", "servo_second_order", "backlash"]
                     .contains(&kind)
             };
-            let lines = found.errors.iter().filter(|l| scatters(&l.kind) && !l.simulated);
+            let lines = found.outcome.errors.iter().filter(|l| scatters(&l.kind) && !l.simulated);
             let expected: f64 = lines.map(|l| l.adds_rms_nm.powi(2)).sum();
             let valid: Vec<f64> =
                 found.deviation_nm.iter().filter(|v| !v.is_nan()).map(|v| v * v).collect();
@@ -283,7 +288,7 @@ fn a_wider_and_an_elliptical_tif_are_gaussians_of_other_widths() {
     for (kind, expected) in
         [("tif_width", gauss(1.01, 1.01)), ("tif_ellipticity", gauss(1.005, 0.995))]
     {
-        let line = &of(json!([error(kind, 1.0, "%", "fixed")]), &settings()).errors[0];
+        let line = &of(json!([error(kind, 1.0, "%", "fixed")]), &settings()).outcome.errors[0];
         let ratio = line.adds_rms_nm / expected;
         assert!((ratio - 1.0).abs() < 0.03, "{kind}: {ratio}");
     }
@@ -333,11 +338,10 @@ fn a_sharp_drop_that_turns_adds_what_its_deformed_samples_do_and_less_than_its_f
         let expected = rms(removal(&deformed) * volume - &planned);
         let process =
             process(&json!({ "name": "t", "errors": [error(kind, size, unit, "fixed")] }));
-        let process = process.unwrap();
         // Samples that turn are interpolated by cubics, which err at the point of the drop, and the smoothed drop has no
         // kink there. Regression bound: 1 to 4 % were seen, of a change that is 1e-3 of the removal.
         let found = tolerance(&raster(), &tif, &desired(), &process.unwrap(), &settings()).unwrap();
-        let line = &found.errors[0];
+        let line = &found.outcome.errors[0];
         assert!((line.adds_rms_nm / expected - 1.0).abs() < 0.05, "{kind}: {line:?} {expected}");
         assert!(line.simulated, "{kind}");
     }
@@ -365,7 +369,7 @@ fn a_warm_up_and_play_are_what_a_changed_motion_does() {
         (error("backlash", 50.0, "um", "fixed"), loose),
     ];
     for (error, motion) in cases {
-        let line = &of(json!([error]), &settings()).errors[0];
+        let line = &of(json!([error]), &settings()).outcome.errors[0];
         let simulated = apart(&motion, &raster());
         let ratio = line.adds_rms_nm / simulated;
         // Regression bound: 7e-4 was seen.

@@ -58,8 +58,8 @@ fn adds(motion: &Trajectory, error: &Value) -> f64 {
     let process = process(&json!({ "name": "test", "errors": [error] })).unwrap();
     let settings = Settings { draws: 100, simulated_runs: 0, ..Settings::default() };
     let found = tolerance(motion, &tif(), &desired(), &process, &settings).unwrap();
-    assert!(!found.errors[0].simulated);
-    found.errors[0].adds_rms_nm
+    assert!(!found.outcome.errors[0].simulated);
+    found.outcome.errors[0].adds_rms_nm
 }
 
 #[test]

@@ -172,11 +172,11 @@ fn planted() -> Vec<(Value, Array2<f64>)> {
 fn every_error_adds_the_difference_of_two_simulations() {
     for (error, difference) in planted() {
         let found = of(&raster(), &tool(), json!([error]), &settings(0));
-        let (line, simulated) = (&found.errors[0], rms(difference));
+        let (line, simulated) = (&found.outcome.errors[0], rms(difference));
         let constant = of(&raster(), &tool().mean_tool(), json!([error]), &settings(0));
         println!(
             "{:<18} {:.5} nm, simulated {simulated:.5} nm, mean tool {:.5} nm",
-            line.kind, line.adds_rms_nm, constant.errors[0].adds_rms_nm
+            line.kind, line.adds_rms_nm, constant.outcome.errors[0].adds_rms_nm
         );
         let ratio = line.adds_rms_nm / simulated;
         assert!((ratio - 1.0).abs() < 0.03, "{}: {ratio}", line.kind);
@@ -192,7 +192,7 @@ fn the_line_of_a_noise_is_the_mean_over_simulated_runs() {
     for noise in noises() {
         let runs = 100;
         let found = of(&raster(), &tool(), json!([noise]), &settings(runs));
-        let line = &found.errors[0];
+        let line = &found.outcome.errors[0];
         // A run of the noise alone, and its first order on the cells of the map. The second order of a displacement by 50 um
         // is some per cent of the first (5.5 % seen), because 50 um are some per cent of the width of the tool.
         assert!(line.departs_by_rms_nm < 0.08 * line.adds_rms_nm, "{line:?}");
@@ -219,7 +219,7 @@ fn the_quadratic_of_the_dwell_times_adds_what_the_line_says() {
         let budget = process(&json!({ "name": "test", "errors": [error] })).unwrap();
         let sources = Sources::new(&desired(), &tool(), &budget, Free::Piston).unwrap();
         let found = sources.of(&motion, motion.len()).unwrap().variance_nm2(&times).sqrt();
-        let line = of(&motion, &tool(), json!([error]), &settings(0)).errors[0].adds_rms_nm;
+        let line = of(&motion, &tool(), json!([error]), &settings(0)).outcome.errors[0].adds_rms_nm;
         println!("{} {found:.5} nm, {line:.5} nm", error["kind"]);
         // As for a constant tool: cells at the border of the map, and Keys' convolution of sampled derivatives; the
         // kernels of the second order are steeper than the beam.
@@ -272,5 +272,9 @@ fn an_ellipticity_of_a_spot_that_turns_is_refused() {
     assert!(said.contains("turns with the direction of the motion"), "{said}");
     let two = json!([errors[0], errors[1]]);
     let found = of(&raster(), &turning, two, &settings(0));
-    assert!(found.errors.iter().all(|line| line.adds_rms_nm > 0.0), "{:?}", found.errors);
+    assert!(
+        found.outcome.errors.iter().all(|line| line.adds_rms_nm > 0.0),
+        "{:?}",
+        found.outcome.errors
+    );
 }

@@ -114,6 +114,16 @@ impl FormArgs {
     }
 }
 
+/// Outcome in the manifest.
+#[derive(Serialize)]
+struct PathOutcome<'a, R> {
+    #[serde(flatten)]
+    report: &'a PathReport<R>,
+    /// The path along the form of the part, if there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    form: Option<&'a AlongReport>,
+}
+
 /// Run of a method: the region of the path and its inputs.
 struct Region {
     inputs: Inputs,
@@ -274,10 +284,7 @@ impl Region {
             *warning = with_flags(warning);
             warn(&*warning);
         }
-        let mut outcome = serde_json::to_value(&report)?;
-        if let Some(along) = &along {
-            outcome["form"] = serde_json::to_value(along)?;
-        }
+        let outcome = PathOutcome { report: &report, form: along.as_ref() };
         output.write(path, outcome, &Status::Done)?;
         let s = &report.statistics;
         say(format!(

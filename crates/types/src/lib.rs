@@ -35,6 +35,7 @@ mod heading;
 mod kinematics;
 mod limits;
 mod machine;
+pub mod outcome;
 mod path_distance;
 pub mod plausible;
 pub mod progress;

@@ -11,8 +11,12 @@ use planish_handoff::{
     flags::{AxesArgs, NearPathArgs, OutputArgs, TrajectoryArgs},
     kind, say, task, warn, with_flags,
 };
-use planish_types::{AxesMotion, Kinematics, TransformNumbers};
-use planish_verify::{Program, VerifySettings, verify_axes, verify_on_axes};
+use planish_types::{
+    AxesMotion, ControllerKind, Kinematics, TransformNumbers,
+    outcome::{NoMore, settings::ProgramSettings},
+};
+use planish_verify::{AxesVerdict, Program, Verdict, VerifySettings, verify_axes, verify_on_axes};
+use serde::Deserialize;
 
 const EXAMPLES: &str = "Examples:\n\
     \x20 planish-verify --trajectory out/trajectory --machine machine.json --out out/verdict\n\
@@ -22,10 +26,13 @@ const EXAMPLES: &str = "Examples:\n\
 /// `planish-import program` read back.
 fn program_of(manifest: &Manifest) -> Option<Program> {
     let is_program = manifest.tool == "planish-import" && manifest.method == "program";
-    is_program.then(|| match manifest.settings["controller"].as_str() {
-        Some("gcode") => Program::Lines,
-        _ => Program::Cubics,
-    })
+    if !is_program {
+        return None;
+    }
+    match ProgramSettings::<NoMore>::deserialize(&manifest.settings) {
+        Ok(ProgramSettings { controller: ControllerKind::Gcode, .. }) => Some(Program::Lines),
+        _ => Some(Program::Cubics),
+    }
 }
 
 /// Prove whether a trajectory keeps the limits of a machine; exit code 1 when it does not
@@ -97,11 +104,12 @@ fn judge_axes(cli: &Cli, axes: &Path) -> Result<Status, Failure> {
         Begin::Unchanged(status) => return Ok(status),
         Begin::Run(output) => output,
     };
-    let verdict = verify_axes(&motion, &machine, &settings)?;
+    let verdict = AxesVerdict {
+        machine: Some(machine.name().into()),
+        ..verify_axes(&motion, &machine, &settings)?
+    };
     let status = verdict.reason().map_or(Status::Done, Status::Negative);
-    let mut outcome = serde_json::to_value(&verdict)?;
-    outcome["machine"] = machine.name().into();
-    output.write_arrays(&kind::VERDICT, &[], &[], outcome, &status)?;
+    output.write_arrays(&kind::VERDICT, &[], &[], &verdict, &status)?;
     let peaks = verdict.axes.iter().map(|axis| {
         let (v, a) = (axis.velocity.magnitude(), axis.acceleration.magnitude());
         format!("{} {v:.2} {u}/s, {a:.1} {u}/s^2", axis.name, u = axis.unit)
@@ -162,7 +170,11 @@ fn judge_trajectory(cli: &Cli, trajectory: PathBuf) -> Result<Status, Failure> {
         Begin::Run(output) => output,
     };
 
-    let verdict = verify_on_axes(&on_axes.motion, machine, &settings)?;
+    let verdict = Verdict {
+        machine: Some(machine.name().into()),
+        part_to_axes: on_axes.part_to_axes.as_ref().map(TransformNumbers::from),
+        ..verify_on_axes(&on_axes.motion, machine, &settings)?
+    };
     let verdict = match distance {
         Some(distance) => verdict.with_path_distance(distance),
         None => verdict,
@@ -172,12 +184,7 @@ fn judge_trajectory(cli: &Cli, trajectory: PathBuf) -> Result<Status, Failure> {
         Some(reason) => Status::Negative(with_flags(&reason)),
         None => Status::Done,
     };
-    let mut outcome = serde_json::to_value(&verdict)?;
-    outcome["machine"] = machine.name().into();
-    if let Some(transform) = &on_axes.part_to_axes {
-        outcome["part_to_axes"] = serde_json::to_value(TransformNumbers::from(transform))?;
-    }
-    output.write_arrays(&kind::VERDICT, &[], &[], outcome, &status)?;
+    output.write_arrays(&kind::VERDICT, &[], &[], &verdict, &status)?;
     let [vx, vy] = verdict.max_velocity_mm_per_s;
     let [ax, ay] = verdict.max_acceleration_mm_per_s2;
     say(format!(

@@ -44,14 +44,14 @@ mod tally;
 mod verdict;
 
 use planish_numerics::polynomial::{derivative, evaluate, range};
+pub use planish_types::outcome::verdict::{
+    AxesVerdict, AxisVerdict, Check, Excursions, MachineAxisVerdict, Place, Verdict,
+};
 use planish_types::{AxesMotion, Invalid, Limits, Machine, MachineAxis, Trajectory};
 use serde::Serialize;
 
 use tally::{Bound, Tally};
-use verdict::Span;
-pub use verdict::{
-    AxesVerdict, AxisVerdict, Check, Excursions, MachineAxisVerdict, Place, Verdict,
-};
+use verdict::{Span, add_excursion};
 
 /// Excess over a limit that is taken for rounding, relative to the limit.
 ///
@@ -181,7 +181,7 @@ fn judge(
     }
 
     let [x, y] = axes.map(AxisTally::finish);
-    Ok(Verdict::new(trajectory, [x, y], duration.finish()))
+    Ok(verdict::verdict(trajectory, [x, y], duration.finish()))
 }
 
 /// Judges a motion of all axes of `machine` against their limits and travels. The motion is a program: of cubics, whose
@@ -226,7 +226,7 @@ pub fn verify_axes(
     }
     let verdicts = tallies.into_iter().zip(axes);
     let verdicts = verdicts.map(|(tally, axis)| tally.finish_for(axis.unit())).collect();
-    Ok(AxesVerdict::new(motion, verdicts, duration.finish()))
+    Ok(verdict::axes_verdict(motion, verdicts, duration.finish()))
 }
 
 /// Tally of the durations of segments.
@@ -238,7 +238,7 @@ fn durations(limits: &Limits) -> Tally {
 fn add_duration(duration: &mut Tally, i: usize, span: &Span) {
     // The duration is the difference of two rounded break times.
     let rounding_s = 2.0 * f64::EPSILON * (span.start_s.abs() + span.duration_s);
-    let place = Place::new(i, span, 0.0, span.duration_s);
+    let place = span.place(i, 0.0, span.duration_s);
     duration.add(place, place, rounding_s);
 }
 
@@ -298,8 +298,8 @@ impl AxisTally {
             },
             name,
             travel,
-            overshoot: Excursions::new(EXCURSION_NOISE_MM),
-            reversal: Excursions::new(REVERSAL_NOISE_MM_PER_S),
+            overshoot: Excursions { noise: EXCURSION_NOISE_MM, ..Excursions::default() },
+            reversal: Excursions { noise: REVERSAL_NOISE_MM_PER_S, ..Excursions::default() },
             before: None,
         }
     }
@@ -316,15 +316,15 @@ impl AxisTally {
         let roundings = [TRAVEL_NOISE_MM, 0.0, 0.0, 0.0];
         for ((tally, r), rounding) in self.ranges.iter_mut().zip(&ranges).zip(roundings) {
             tally.add(
-                Place::new(i, segment, r.min_at, r.min),
-                Place::new(i, segment, r.max_at, r.max),
+                segment.place(i, r.min_at, r.min),
+                segment.place(i, r.max_at, r.max),
                 rounding,
             );
         }
 
         let state = |u: f64| [0, 1, 2].map(|order| evaluate(&orders[order], u));
         let (start, end) = (state(0.0), state(h));
-        self.add_steps(start, h, Place::new(i, segment, 0.0, 0.0));
+        self.add_steps(start, h, segment.place(i, 0.0, 0.0));
         self.before = Some((end, h));
 
         // Distance of the position from the interval between both ends of its own segment.
@@ -332,10 +332,10 @@ impl AxisTally {
         let [p, v] = [&ranges[0], &ranges[1]];
         let (above, below) = (p.max - high, low - p.min);
         let farthest = if below > above { p.min_at } else { p.max_at };
-        self.overshoot.add(Place::new(i, segment, farthest, above.max(below)));
+        add_excursion(&mut self.overshoot, segment.place(i, farthest, above.max(below)));
         // A velocity of both signs: the slower of the two directions is the reverse one.
         let slower = if -v.min < v.max { v.min_at } else { v.max_at };
-        self.reversal.add(Place::new(i, segment, slower, v.max.min(-v.min)));
+        add_excursion(&mut self.reversal, segment.place(i, slower, v.max.min(-v.min)));
     }
 
     /// The steps at the break at `place`, from the state before it to the state `after` it, in which the motion stays
@@ -354,7 +354,7 @@ impl AxisTally {
     /// motion ends.
     fn add_stop(&mut self, index: usize, last: &Span) {
         let position = self.before.map_or(0.0, |(before, _)| before[0]);
-        self.add_steps([position, 0.0, 0.0], 0.0, Place::new(index, last, last.duration_s, 0.0));
+        self.add_steps([position, 0.0, 0.0], 0.0, last.place(index, last.duration_s, 0.0));
     }
 
     fn finish(self) -> AxisVerdict {
@@ -383,7 +383,7 @@ impl AxisTally {
         let [position_step, velocity_step, acceleration_step] = self.steps.map(Tally::finish);
         MachineAxisVerdict {
             name: self.name.into(),
-            unit,
+            unit: unit.into(),
             travel: self.travel,
             position,
             velocity,

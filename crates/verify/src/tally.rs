@@ -1,11 +1,11 @@
 //! Collects the range of one quantity over all segments, and the places where it exceeds its limit.
 
-use planish_types::text::significant;
-
-use crate::{
-    LIMIT_ALLOWANCE,
-    verdict::{Check, Place},
+use planish_types::{
+    outcome::verdict::{Check, Place},
+    text::significant,
 };
+
+use crate::LIMIT_ALLOWANCE;
 
 /// Number of offending segments or breaks that a check lists. Larger: longer manifests. Smaller:
 /// fewer places to look at. Chosen: 20; `exceeding_count` counts all of them.

@@ -1,7 +1,11 @@
-//! The verdict: numbers for programs, one sentence for people.
+//! The verdict of all segments: numbers for programs, one sentence for people.
 
-use planish_types::{AxesMotion, PathDistance, Segment, Trajectory, stored_dwell_index};
-use serde::{Serialize, Serializer};
+use planish_types::{
+    AxesMotion, Segment, Trajectory,
+    outcome::verdict::{
+        AxesVerdict, AxisVerdict, Check, Excursions, MachineAxisVerdict, Place, Verdict,
+    },
+};
 
 use crate::LIMIT_ALLOWANCE;
 
@@ -23,314 +27,101 @@ impl Span {
         let (start_s, dwell_index) = (motion.break_time_s()[i], motion.dwell_index()[i]);
         Self { start_s, duration_s: motion.duration_s(i), dwell_index }
     }
-}
 
-/// A value and the place where it occurs.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Place {
-    /// Index of the segment. For a step: index of the break at which segment `index` starts.
-    pub index: usize,
-    /// Dwell point that the segment serves, if any; serialised as -1 when none.
-    #[serde(serialize_with = "as_stored")]
-    pub dwell_index: Option<usize>,
-    /// Time on the time axis of the trajectory, s.
-    pub time_s: f64,
-    /// The value, with its sign, in the unit of the check.
-    pub value: f64,
-}
-
-impl Place {
-    /// `value` at the local time `u_s` of segment `index`.
-    pub(crate) fn new(index: usize, span: &Span, u_s: f64, value: f64) -> Self {
-        Self { index, dwell_index: span.dwell_index, time_s: span.start_s + u_s, value }
+    /// Returns `value` at the local time `u_s` of this segment, which has the number `index`.
+    pub(crate) fn place(&self, index: usize, u_s: f64, value: f64) -> Place {
+        Place { index, dwell_index: self.dwell_index, time_s: self.start_s + u_s, value }
     }
 }
 
-fn as_stored<S: Serializer>(index: &Option<usize>, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.serialize_i64(stored_dwell_index(*index))
-}
-
-/// The exact range of one quantity over the whole trajectory, and its limit.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Check {
-    /// Smallest value.
-    pub min: Place,
-    /// Largest value.
-    pub max: Place,
-    /// Largest magnitude that is allowed (for durations: smallest value). Absent if nothing limits
-    /// the quantity, and for a position: its two limits are `travel_mm` of the axis.
-    pub limit: Option<f64>,
-    /// True if a value exceeds the limit by more than rounding.
-    pub exceeded: bool,
-    /// Number of segments (for steps: breaks) that exceed the limit.
-    pub exceeding_count: usize,
-    /// Ratio of the largest magnitude to the limit (for durations: of the limit to the shortest).
-    pub worst_ratio: Option<f64>,
-    /// The worst segments (for steps: breaks) that exceed the limit, the worst first; at most 20.
-    pub worst: Vec<Place>,
-    /// The worst excess in a sentence.
-    #[serde(skip)]
-    pub(crate) complaint: Option<String>,
-}
-
-impl Check {
-    /// The largest magnitude.
-    pub fn magnitude(&self) -> f64 {
-        self.min.value.abs().max(self.max.value.abs())
-    }
-}
-
-/// Number and size of excursions inside segments. They are information, and no limit applies to
-/// them.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Excursions {
-    /// Number of segments with an excursion.
-    pub count: usize,
-    /// The largest excursion; `None` if there is none.
-    pub largest: Option<Place>,
-    /// Threshold, in the unit of the quantity. Values up to it are rounding and do not count.
-    pub noise: f64,
-}
-
-impl Excursions {
-    pub(crate) fn new(noise: f64) -> Self {
-        Self { count: 0, largest: None, noise }
-    }
-
-    pub(crate) fn add(&mut self, place: Place) {
-        if place.value > self.noise {
-            self.count += 1;
-            if self.largest.is_none_or(|l| place.value > l.value) {
-                self.largest = Some(place);
-            }
+/// Adds an excursion, unless it is rounding.
+pub(crate) fn add_excursion(excursions: &mut Excursions, place: Place) {
+    if place.value > excursions.noise {
+        excursions.count += 1;
+        if excursions.largest.is_none_or(|largest| place.value > largest.value) {
+            excursions.largest = Some(place);
         }
     }
 }
 
-/// Everything about one axis.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct AxisVerdict {
-    /// "x" or "y".
-    pub name: String,
-    /// Smallest and largest position within the travel of the axis, mm. Absent if no travel is
-    /// stated.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub travel_mm: Option<[f64; 2]>,
-    /// Range of the position, mm.
-    pub position_mm: Check,
-    /// Range of the velocity, mm/s.
-    pub velocity_mm_per_s: Check,
-    /// Range of the acceleration inside the segments, mm/s^2.
-    pub acceleration_mm_per_s2: Check,
-    /// Range of the jerk inside the segments, mm/s^3.
-    pub jerk_mm_per_s3: Check,
-    /// Steps in position at the breaks, mm.
-    pub position_step_mm: Check,
-    /// Steps in velocity at the breaks, start and end included, mm/s.
-    pub velocity_step_mm_per_s: Check,
-    /// Steps in acceleration at the breaks, start and end included, mm/s^2.
-    pub acceleration_step_mm_per_s2: Check,
-    /// Largest distance of the position from the interval between both ends of its segment, mm.
-    pub overshoot_mm: Excursions,
-    /// Speed against the main direction of a segment in which the velocity has both signs, mm/s:
-    /// the smaller of the two largest speeds.
-    pub reversal_mm_per_s: Excursions,
+/// Returns the checks of an axis that can fail, the gravest first.
+fn checks(axis: &AxisVerdict) -> [&Check; 7] {
+    [
+        &axis.position_mm,
+        &axis.position_step_mm,
+        &axis.velocity_step_mm_per_s,
+        &axis.velocity_mm_per_s,
+        &axis.acceleration_mm_per_s2,
+        &axis.jerk_mm_per_s3,
+        &axis.acceleration_step_mm_per_s2,
+    ]
 }
 
-impl AxisVerdict {
-    /// Checks that can fail, the gravest first.
-    fn checks(&self) -> [&Check; 7] {
-        [
-            &self.position_mm,
-            &self.position_step_mm,
-            &self.velocity_step_mm_per_s,
-            &self.velocity_mm_per_s,
-            &self.acceleration_mm_per_s2,
-            &self.jerk_mm_per_s3,
-            &self.acceleration_step_mm_per_s2,
-        ]
+/// Returns the checks of an axis of a machine that can fail, the gravest first.
+fn machine_checks(axis: &MachineAxisVerdict) -> [&Check; 7] {
+    [
+        &axis.position,
+        &axis.position_step,
+        &axis.velocity_step,
+        &axis.velocity,
+        &axis.acceleration,
+        &axis.jerk,
+        &axis.acceleration_step,
+    ]
+}
+
+/// Returns the sentences on exceeded limits, sorted by kind of limit, then by axis.
+fn violations(axes: &[[&Check; 7]], segment_duration_s: &Check) -> Vec<String> {
+    let by_kind = (0..7).flat_map(|kind| axes.iter().map(move |axis| axis[kind]));
+    by_kind.chain([segment_duration_s]).filter_map(|c| c.complaint.clone()).collect()
+}
+
+/// Returns the verdict on a motion in the plane.
+pub(crate) fn verdict(
+    trajectory: &Trajectory,
+    axes: [AxisVerdict; 2],
+    segment_duration_s: Check,
+) -> Verdict {
+    let violations = violations(&axes.each_ref().map(checks), &segment_duration_s);
+    let magnitude =
+        |check: fn(&AxisVerdict) -> &Check| axes.each_ref().map(|axis| check(axis).magnitude());
+    Verdict {
+        limits_respected: violations.is_empty(),
+        violations,
+        total_time_s: trajectory.total_time_s(),
+        segment_count: trajectory.len(),
+        max_velocity_mm_per_s: magnitude(|a| &a.velocity_mm_per_s),
+        max_acceleration_mm_per_s2: magnitude(|a| &a.acceleration_mm_per_s2),
+        max_jerk_mm_per_s3: magnitude(|a| &a.jerk_mm_per_s3),
+        max_position_step_mm: magnitude(|a| &a.position_step_mm),
+        max_velocity_step_mm_per_s: magnitude(|a| &a.velocity_step_mm_per_s),
+        max_acceleration_step_mm_per_s2: magnitude(|a| &a.acceleration_step_mm_per_s2),
+        max_overshoot_mm: axes.each_ref().map(|a| a.overshoot_mm.largest.map_or(0.0, |l| l.value)),
+        limit_allowance: LIMIT_ALLOWANCE,
+        segment_duration_s,
+        axes,
+        path_distance: None,
+        machine: None,
+        part_to_axes: None,
     }
 }
 
-/// The verdict on a trajectory.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Verdict {
-    /// True if the motion keeps every limit.
-    pub limits_respected: bool,
-    /// One sentence per exceeded limit, the gravest first.
-    pub violations: Vec<String>,
-    /// Duration of the motion, s.
-    pub total_time_s: f64,
-    /// Number of segments.
-    pub segment_count: usize,
-    /// Largest |velocity| of [x, y], mm/s.
-    pub max_velocity_mm_per_s: [f64; 2],
-    /// Largest |acceleration| inside segments of [x, y], mm/s^2.
-    pub max_acceleration_mm_per_s2: [f64; 2],
-    /// Largest |jerk| inside segments of [x, y], mm/s^3.
-    pub max_jerk_mm_per_s3: [f64; 2],
-    /// Largest step in position of [x, y], mm.
-    pub max_position_step_mm: [f64; 2],
-    /// Largest step in velocity of [x, y], mm/s.
-    pub max_velocity_step_mm_per_s: [f64; 2],
-    /// Largest step in acceleration of [x, y], mm/s^2.
-    pub max_acceleration_step_mm_per_s2: [f64; 2],
-    /// Largest overshoot beyond the ends of a segment of [x, y], mm.
-    pub max_overshoot_mm: [f64; 2],
-    /// Excess over a limit that is taken for rounding, relative to the limit.
-    pub limit_allowance: f64,
-    /// Durations of the segments, s.
-    pub segment_duration_s: Check,
-    /// Verdicts on the axes [x, y].
-    pub axes: [AxisVerdict; 2],
-    /// Distance of the motion from its path; absent if the path is not known.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub path_distance: Option<PathDistance>,
-}
-
-impl Verdict {
-    /// Returns the verdict with that on the distance from the path. Beyond its tolerance, the motion does not keep its
-    /// limits.
-    pub fn with_path_distance(mut self, distance: PathDistance) -> Self {
-        self.violations.extend(distance.excess());
-        self.limits_respected = self.violations.is_empty();
-        self.path_distance = Some(distance);
-        self
-    }
-
-    pub(crate) fn new(
-        trajectory: &Trajectory,
-        axes: [AxisVerdict; 2],
-        segment_duration_s: Check,
-    ) -> Self {
-        let [x, y] = axes.each_ref().map(AxisVerdict::checks);
-        // The violations are sorted by kind of limit; x comes before y within a kind.
-        let by_kind = x.into_iter().zip(y).flat_map(|(x, y)| [x, y]);
-        let violations: Vec<String> =
-            by_kind.chain([&segment_duration_s]).filter_map(|c| c.complaint.clone()).collect();
-        let magnitude =
-            |check: fn(&AxisVerdict) -> &Check| axes.each_ref().map(|axis| check(axis).magnitude());
-        Self {
-            limits_respected: violations.is_empty(),
-            violations,
-            total_time_s: trajectory.total_time_s(),
-            segment_count: trajectory.len(),
-            max_velocity_mm_per_s: magnitude(|a| &a.velocity_mm_per_s),
-            max_acceleration_mm_per_s2: magnitude(|a| &a.acceleration_mm_per_s2),
-            max_jerk_mm_per_s3: magnitude(|a| &a.jerk_mm_per_s3),
-            max_position_step_mm: magnitude(|a| &a.position_step_mm),
-            max_velocity_step_mm_per_s: magnitude(|a| &a.velocity_step_mm_per_s),
-            max_acceleration_step_mm_per_s2: magnitude(|a| &a.acceleration_step_mm_per_s2),
-            max_overshoot_mm: axes
-                .each_ref()
-                .map(|a| a.overshoot_mm.largest.map_or(0.0, |l| l.value)),
-            limit_allowance: LIMIT_ALLOWANCE,
-            segment_duration_s,
-            axes,
-            path_distance: None,
-        }
-    }
-
-    /// The gravest violation in a sentence, with the number of further ones; `None` if the motion
-    /// keeps every limit.
-    pub fn reason(&self) -> Option<String> {
-        reason(&self.violations)
-    }
-}
-
-fn reason(violations: &[String]) -> Option<String> {
-    let first = violations.first()?;
-    Some(match violations.len() - 1 {
-        0 => first.clone(),
-        1 => format!("{first}; 1 more limit is exceeded"),
-        more => format!("{first}; {more} more limits are exceeded"),
-    })
-}
-
-/// Everything about one axis of a machine. Values have the unit of the axis, over powers of s.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct MachineAxisVerdict {
-    /// Name of the axis.
-    pub name: String,
-    /// Unit of its positions, mm or deg.
-    pub unit: &'static str,
-    /// Smallest and largest position within the travel of the axis. Absent if no travel is stated.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub travel: Option<[f64; 2]>,
-    /// Range of the position.
-    pub position: Check,
-    /// Range of the velocity.
-    pub velocity: Check,
-    /// Range of the acceleration inside the segments.
-    pub acceleration: Check,
-    /// Range of the jerk inside the segments.
-    pub jerk: Check,
-    /// Steps in position at the breaks.
-    pub position_step: Check,
-    /// Steps in velocity at the breaks, start and end included.
-    pub velocity_step: Check,
-    /// Steps in acceleration at the breaks, start and end included.
-    pub acceleration_step: Check,
-}
-
-impl MachineAxisVerdict {
-    /// Checks that can fail, the gravest first.
-    fn checks(&self) -> [&Check; 7] {
-        [
-            &self.position,
-            &self.position_step,
-            &self.velocity_step,
-            &self.velocity,
-            &self.acceleration,
-            &self.jerk,
-            &self.acceleration_step,
-        ]
-    }
-}
-
-/// The verdict on a motion of all axes of a machine.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct AxesVerdict {
-    /// True if the motion keeps every limit.
-    pub limits_respected: bool,
-    /// One sentence per exceeded limit, the gravest first.
-    pub violations: Vec<String>,
-    /// Duration of the motion, s.
-    pub total_time_s: f64,
-    /// Number of segments.
-    pub segment_count: usize,
-    /// Excess over a limit that is taken for rounding, relative to the limit.
-    pub limit_allowance: f64,
-    /// Durations of the segments, s.
-    pub segment_duration_s: Check,
-    /// Verdicts on the axes, in the order of the machine.
-    pub axes: Vec<MachineAxisVerdict>,
-}
-
-impl AxesVerdict {
-    pub(crate) fn new(
-        motion: &AxesMotion,
-        axes: Vec<MachineAxisVerdict>,
-        segment_duration_s: Check,
-    ) -> Self {
-        let checks: Vec<[&Check; 7]> = axes.iter().map(MachineAxisVerdict::checks).collect();
-        let by_kind = (0..7).flat_map(|kind| checks.iter().map(move |of_axis| of_axis[kind]));
-        let violations: Vec<String> =
-            by_kind.chain([&segment_duration_s]).filter_map(|c| c.complaint.clone()).collect();
-        Self {
-            limits_respected: violations.is_empty(),
-            violations,
-            total_time_s: motion.total_time_s(),
-            segment_count: motion.len(),
-            limit_allowance: LIMIT_ALLOWANCE,
-            segment_duration_s,
-            axes,
-        }
-    }
-
-    /// The gravest violation in a sentence, with the number of further ones; `None` if the motion
-    /// keeps every limit.
-    pub fn reason(&self) -> Option<String> {
-        reason(&self.violations)
+/// Returns the verdict on a motion of all axes.
+pub(crate) fn axes_verdict(
+    motion: &AxesMotion,
+    axes: Vec<MachineAxisVerdict>,
+    segment_duration_s: Check,
+) -> AxesVerdict {
+    let checks: Vec<[&Check; 7]> = axes.iter().map(machine_checks).collect();
+    let violations = violations(&checks, &segment_duration_s);
+    AxesVerdict {
+        limits_respected: violations.is_empty(),
+        violations,
+        total_time_s: motion.total_time_s(),
+        segment_count: motion.len(),
+        limit_allowance: LIMIT_ALLOWANCE,
+        segment_duration_s,
+        axes,
+        machine: None,
     }
 }

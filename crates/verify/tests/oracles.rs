@@ -514,7 +514,10 @@ fn a_motion_of_all_axes_is_judged_by_the_limits_of_each() {
     let kept = judged(b(0.0, 4.0, 2.0), 2.0);
     assert!(kept.limits_respected, "{:?}", kept.violations);
     let axis = &kept.axes[4];
-    assert_eq!((axis.name.as_str(), axis.unit, axis.travel), ("b", "deg", Some([-20.0, 20.0])));
+    assert_eq!(
+        (axis.name.as_str(), axis.unit.as_str(), axis.travel),
+        ("b", "deg", Some([-20.0, 20.0]))
+    );
     near(axis.velocity.magnitude(), 3.0, ROUNDING);
     near(axis.acceleration.magnitude(), 6.0, ROUNDING);
     near(axis.jerk.magnitude(), 6.0, ROUNDING);

@@ -47,9 +47,8 @@ impl Motion {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };
-        let (made, report) =
+        let (made, mut report) =
             motion(&trajectory, &machine, &form, &settings).map_err(Failure::with_flags)?;
-        let mut outcome = serde_json::to_value(&report)?;
         // The contact point leaves the path by what the plan does, and by what the axes add.
         let added_mm = 1e-3 * report.contact_deviation_um;
         if let Some(plan) = made_by.as_ref().and_then(path_distance_of) {
@@ -58,9 +57,9 @@ impl Motion {
                 tool_off_mm: plan.tool_off_mm + added_mm,
                 ..plan
             };
-            outcome["path_distance"] = serde_json::to_value(distance.judged_by(plan.tolerance_mm))?;
+            report.path_distance = Some(distance.judged_by(plan.tolerance_mm));
         }
-        output.write(&made, outcome, &Status::Done)?;
+        output.write(&made, &report, &Status::Done)?;
         said(&report, machine.name(), &self.output);
         Ok(Status::Done)
     }

@@ -5,14 +5,17 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use planish_campaign::decision::{self, Decision, Kept, Known, MapError, Settings, Verdict};
 use planish_handoff::{
-    Arrays, Artifact, Begin, Failure, Inputs, Output, Status,
+    Begin, Failure, Inputs, Output, Status,
     flags::{OutputArgs, TrajectoryArgs},
-    kind::{self, Kind},
-    npy::ArrayData,
-    say, task,
+    kind, say, task,
 };
-use planish_types::{Invalid, Surface};
-use serde::Deserialize;
+use planish_types::{
+    Invalid, Surface,
+    outcome::{
+        specification::SpecificationOutcome,
+        tolerance::{ErrorLine, ToleranceArrays, ToleranceOutcome, ToleranceSettings},
+    },
+};
 
 #[derive(Args)]
 pub struct Decide {
@@ -44,8 +47,11 @@ impl Decide {
         let mut inputs = Inputs::new();
         let surface: Surface = inputs.read("surface", &self.surface)?;
         let trajectory = self.trajectory.read(&mut inputs)?;
-        let (levels, manifest) =
-            inputs.read_with_manifest::<Levels>("tolerance", &self.tolerance)?;
+        let (arrays, manifest) =
+            inputs.read_with_manifest::<ToleranceArrays>("tolerance", &self.tolerance)?;
+        let levels = levels(&arrays).map_err(|e| {
+            Failure::new(format!("{}: {e}", self.tolerance.join("part.npy").display()))
+        })?;
         for from in ["surface", "trajectory"] {
             inputs.refuse_unrelated("tolerance", manifest.as_ref(), from)?;
         }
@@ -54,8 +60,9 @@ impl Decide {
         let manifest = manifest.ok_or_else(|| {
             about("has no manifest, in which the errors of the map are; give the output of planish-tolerance".into())
         })?;
-        let unusable = |e| about(format!("has no usable manifest ({e}); make it again"));
-        let found: Found = serde_json::from_value(manifest.outcome).map_err(unusable)?;
+        let remedy = "make it again by planish-tolerance";
+        let outcome: ToleranceOutcome = manifest.read_outcome(&self.tolerance, remedy)?;
+        let ToleranceSettings { free } = manifest.read_settings(&self.tolerance)?;
         let specification = match (&self.specified_now, &self.specified_next) {
             (Some(now), Some(next)) => Some(Kept {
                 now: is_kept(&mut inputs, "specified-now", now)?,
@@ -71,20 +78,19 @@ impl Decide {
         let statistics = surface.statistics();
         let known = Known {
             // The RMS with the same free terms as that of the tolerance
-            measured_rms_nm: match manifest.settings["free"] == "plane" {
-                true => surface.detilted_rms_nm(),
-                false => statistics.rms,
+            measured_rms_nm: match free.as_deref() {
+                Some("plane") => surface.detilted_rms_nm(),
+                _ => statistics.rms,
             },
             pixels: surface.height_nm().iter().filter(|v| !v.is_nan()).count(),
-            map_errors: found.errors.iter().filter_map(Line::of_the_map).collect(),
-            levels: levels.0,
-            nominal_rms_nm: found.nominal_rms_nm,
+            map_errors: outcome.errors.iter().filter_map(error_of_the_map).collect(),
+            levels,
+            nominal_rms_nm: outcome.nominal_rms_nm,
             total_time_s: trajectory.total_time_s(),
             specification,
         };
         let decision = decision::decide(&known, &settings).map_err(Failure::with_flags)?;
-        let outcome = serde_json::to_value(&decision)?;
-        output.write_arrays(&kind::DECISION, &[], &[], outcome, &Status::Done)?;
+        output.write_arrays(&kind::DECISION, &[], &[], &decision, &Status::Done)?;
         say(words(&decision));
         say(format!("-> {}", self.output.out.display()));
         Ok(Status::Done)
@@ -121,58 +127,34 @@ fn words(d: &Decision) -> String {
     .join("\n")
 }
 
-/// Distribution of a tolerance artifact: fractions of the runs, and the RMS that each does not exceed, nm.
-struct Levels(Vec<(f64, f64)>);
-
-impl Artifact for Levels {
-    const KIND: &'static Kind = &kind::TOLERANCE;
-
-    fn to_arrays(&self) -> Vec<ArrayData<'_>> {
-        unreachable!("a decision writes no tolerance")
+/// Returns the distribution of a tolerance artifact: fractions of the runs, and the RMS that each does not exceed, nm.
+/// Refuses one that does not ascend.
+fn levels(arrays: &ToleranceArrays) -> Result<Vec<(f64, f64)>, Invalid> {
+    let levels: Vec<(f64, f64)> =
+        arrays.part.iter().copied().zip(arrays.rms_nm.iter().copied()).collect();
+    let ascend = levels.windows(2).all(|w| w[0].0 < w[1].0 && w[0].1 <= w[1].1);
+    if levels.len() < 2 || !ascend || levels[0].1 < 0.0 {
+        let problem = "do not ascend";
+        return Err(Invalid::whole("part", problem, "make the tolerance again"));
     }
-
-    fn from_arrays(mut arrays: Arrays) -> Result<Self, Invalid> {
-        let (part, rms) = (arrays.take_f64("part"), arrays.take_f64("rms_nm"));
-        let levels: Vec<(f64, f64)> = part.into_iter().zip(rms).collect();
-        let ascend = levels.windows(2).all(|w| w[0].0 < w[1].0 && w[0].1 <= w[1].1);
-        if levels.len() < 2 || !ascend || levels[0].1 < 0.0 {
-            let problem = "do not ascend";
-            return Err(Invalid::whole("part", problem, "make the tolerance again"));
-        }
-        Ok(Self(levels))
-    }
+    Ok(levels)
 }
 
-/// Outcome in the manifest of `planish-tolerance`.
-#[derive(Deserialize)]
-struct Found {
-    nominal_rms_nm: f64,
-    errors: Vec<Line>,
-}
-
-#[derive(Deserialize)]
-struct Line {
-    kind: String,
-    adds_rms_nm: f64,
-    unreached_rms_nm: f64,
-}
-
-impl Line {
-    /// Error of the map; `None` for an error of another kind.
-    fn of_the_map(&self) -> Option<MapError> {
-        let is_white = self.kind == "map_noise";
-        (is_white || self.kind == "map_low_order").then_some(MapError {
-            adds_rms_nm: self.adds_rms_nm,
-            unreached_rms_nm: self.unreached_rms_nm,
-            is_white,
-        })
+/// Returns an error of the map; `None` for an error of another kind.
+fn error_of_the_map(line: &ErrorLine) -> Option<MapError> {
+    let is_white = line.kind == "map_noise";
+    if !is_white && line.kind != "map_low_order" {
+        return None;
     }
+    let ErrorLine { adds_rms_nm, unreached_rms_nm, .. } = *line;
+    Some(MapError { adds_rms_nm, unreached_rms_nm, is_white })
 }
 
 /// Returns true if a specification is kept; refuses an artifact without a specification.
 fn is_kept(inputs: &mut Inputs, role: &str, dir: &Path) -> Result<bool, Failure> {
-    let outcome = inputs.read_manifest(role, dir, &kind::SPECIFICATION)?.outcome;
-    outcome["specification"]["passed"].as_bool().ok_or_else(|| {
+    let manifest = inputs.read_manifest(role, dir, &kind::SPECIFICATION)?;
+    let outcome: SpecificationOutcome = manifest.read_outcome(dir, "judge it again")?;
+    outcome.specification.map(|report| report.passed).ok_or_else(|| {
         let problem = "was measured without a specification; give planish-surface spec one";
         Failure::new(format!("{}: {problem}", dir.display()))
     })

@@ -6,14 +6,21 @@ use clap::Args;
 use planish_campaign::{
     decision::Decision,
     page::{answer, page, picture},
-    summary::{Campaign, Chains, Found, Left, RunRecord, Truth},
+    summary::{Campaign, Chains, Left, RunRecord},
 };
 use planish_handoff::{
     Begin, Failure, Inputs, Output, Status, artifact::Manifest, flags::OutputArgs, kind, say, task,
 };
-use planish_types::{Surface, text::significant};
-use serde::{Deserialize, de::DeserializeOwned};
-use serde_json::{Value, json};
+use planish_types::{
+    Surface,
+    outcome::{
+        reconciliation::ReconciliationOutcome,
+        removal::MeasuredOutcome,
+        virtual_machine::{RunSettings, Truth, TruthOutcome},
+    },
+    text::significant,
+};
+use serde_json::json;
 
 /// Largest number of runs of a campaign. Larger: a table and a page that nobody can read. Smaller: long campaigns
 /// are refused.
@@ -72,8 +79,7 @@ impl Report {
             ("campaign.html", page(&campaign).into_bytes()),
             ("campaign.svg", picture(&campaign).into_bytes()),
         ];
-        let outcome = serde_json::to_value(&campaign)?;
-        output.write_arrays(&kind::CAMPAIGN, &[], &beside, outcome, &Status::Done)?;
+        output.write_arrays(&kind::CAMPAIGN, &[], &beside, &campaign, &Status::Done)?;
         say(table(&campaign));
         say(format!("-> {}", self.output.out.join("campaign.html").display()));
         Ok(Status::Done)
@@ -114,22 +120,23 @@ impl Report {
         hidden: &mut Option<(u64, Truth)>,
     ) -> Result<Left, Failure> {
         let (dir, manifest) = self.manifest(inputs, place, "truth", &kind::REMOVAL)?;
-        let settings: Made = part(&dir, &manifest.settings)?;
+        let settings: RunSettings = manifest.read_settings(&dir)?;
         if settings.run != k as u64 || settings.known != is_known {
             let which = if is_known { "a machine that is known" } else { "a machine with errors" };
             let problem = format!("is not run {k} of {which}");
             return Err(Failure::new(format!("{}: {problem}; run it again", dir.display())));
         }
-        let outcome: Outcome = part(&dir, &manifest.outcome)?;
+        let outcome: TruthOutcome = manifest.read_outcome(&dir, "run it again")?;
+        let of_run = outcome.more.hidden.truth;
         match hidden {
             Some((seed, truth)) => {
-                let same = *seed == settings.seed && (is_known || *truth == outcome.hidden.truth);
+                let same = *seed == settings.seed && (is_known || *truth == of_run);
                 if !same {
                     let problem = "is of another machine than the runs before it; run it again";
                     return Err(Failure::new(format!("{}: {problem}", dir.display())));
                 }
             }
-            None => *hidden = Some((settings.seed, outcome.hidden.truth)),
+            None => *hidden = Some((settings.seed, of_run)),
         }
         Ok(Left { rms_nm: outcome.rms_nm, total_time_s: outcome.total_time_s })
     }
@@ -138,51 +145,22 @@ impl Report {
         let place = Path::new("learning").join(k.to_string());
         let (dir, found) =
             self.manifest(inputs, &place, "reconciliation", &kind::RECONCILIATION)?;
-        let found: Vec<Found> = part(&dir, &found.outcome["parameters"])?;
+        let outcome: ReconciliationOutcome = found.read_outcome(&dir, "reconcile again")?;
         let (dir, measured) = self.manifest(inputs, &place, "measured", &kind::SURFACE)?;
-        let measured_rms_nm: f64 = part(&dir, &measured.outcome["rms_nm"])?;
+        let MeasuredOutcome { rms_nm: measured_rms_nm, .. } =
+            measured.read_outcome(&dir, "measure it again")?;
         let (dir, decision) = self.manifest(inputs, &place, "decision", &kind::DECISION)?;
-        let verdict: String = part(&dir, &decision.outcome["verdict"])?;
-        let decision: Decision = part(&dir, &decision.outcome)?;
+        let decision: Decision = decision.read_outcome(&dir, "decide again")?;
         let [low, high] = decision.next.interval_95_percent_nm;
         Ok(RunRecord {
             left,
-            found,
+            found: outcome.parameters,
             measured_rms_nm,
-            verdict,
+            verdict: decision.verdict,
             reason: decision.reason,
             expected_nm: [decision.next.median_nm, low, high],
         })
     }
-}
-
-/// Settings of a run of the virtual machine.
-#[derive(Deserialize)]
-struct Made {
-    seed: u64,
-    run: u64,
-    known: bool,
-}
-
-/// Outcome of a run of the virtual machine.
-#[derive(Deserialize)]
-struct Outcome {
-    rms_nm: f64,
-    total_time_s: f64,
-    hidden: Hidden,
-}
-
-#[derive(Deserialize)]
-struct Hidden {
-    truth: Truth,
-}
-
-/// Value of a part of a manifest.
-fn part<T: DeserializeOwned>(dir: &Path, value: &Value) -> Result<T, Failure> {
-    T::deserialize(value).map_err(|e| {
-        let problem = format!("has no usable manifest ({e}); make it again");
-        Failure::new(format!("{}: {problem}", dir.display()))
-    })
 }
 
 /// Table for the terminal.
@@ -227,7 +205,7 @@ fn table(campaign: &Campaign) -> String {
         lines.push(format!(
             "after run {}: {} ({}); the next run is expected to leave {median:.4} nm ({low:.4} to {high:.4})",
             run.number,
-            run.verdict.replace('_', " "),
+            run.verdict.words(),
             run.reason
         ));
     }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use planish_campaign::summary::Campaign;
+use planish_campaign::{decision::Verdict, summary::Campaign};
 use planish_handoff::{Failure, Inputs, Status, kind, say};
 
 #[derive(Args)]
@@ -20,8 +20,7 @@ impl Spread {
         for (k, dir) in self.reports.iter().enumerate() {
             let manifest = inputs.read_manifest(&format!("report {k}"), dir, &kind::CAMPAIGN)?;
             let about = |problem: String| Failure::new(format!("{}: {problem}", dir.display()));
-            let campaign: Campaign = serde_json::from_value(manifest.outcome)
-                .map_err(|e| about(format!("has no usable outcome ({e}); make it again")))?;
+            let campaign: Campaign = manifest.read_outcome(dir, "make it again")?;
             let runs = campaigns.first().map_or(campaign.runs.len(), |first| first.runs.len());
             if campaign.runs.len() != runs || runs == 0 {
                 let problem = format!("has {} runs, and the first has {runs}", campaign.runs.len());
@@ -47,7 +46,8 @@ fn table(campaigns: &[Campaign]) -> String {
         let [learning, without] =
             [0, 1].map(|i| sorted(campaigns.iter().map(|c| left(c)[i]).collect()));
         let within = learning.iter().filter(|v| **v <= 1.1).count();
-        let again = |c: &&Campaign| c.runs.get(k).is_some_and(|run| run.verdict == "run_again");
+        let again =
+            |c: &&Campaign| c.runs.get(k).is_some_and(|run| run.verdict == Verdict::RunAgain);
         let (name, again) = match k < runs {
             true => {
                 let again = campaigns.iter().filter(again).count();

@@ -30,7 +30,7 @@ impl Sweep {
         let table: Table = serde_json::from_slice(&bytes).map_err(unusable)?;
         let to_table = self.to_table();
         let task = task!("sweep", json!({ "to_table": to_table }));
-        let recommended = table.recommended().map(|i| table.plans[i].id.as_str());
+        let recommended = table.recommended().map(|i| table.0.plans[i].id.as_str());
         let status = match recommended {
             Some(_) => Status::Done,
             None => Status::Negative(table.sentence()),
@@ -50,10 +50,10 @@ impl Sweep {
                 }
             }
             let front = |residual| -> Vec<&str> {
-                table.front(residual).into_iter().map(|i| table.plans[i].id.as_str()).collect()
+                table.front(residual).into_iter().map(|i| table.0.plans[i].id.as_str()).collect()
             };
             let outcome = json!({
-                "plans": table.plans.len(),
+                "plans": table.0.plans.len(),
                 "failed": table.failed(),
                 "recommended": recommended,
                 "front": front(Residual::Nominal),
@@ -66,7 +66,7 @@ impl Sweep {
             say(format!(
                 "{} of {} plans have no numbers; the page says why",
                 table.failed(),
-                table.plans.len()
+                table.0.plans.len()
             ));
         }
         say(visible(&table.sentence()));

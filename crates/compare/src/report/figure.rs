@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::{
     map::ScreenMap,
-    motion::{Dwell, Line, QUANTITIES},
+    motion::{Dwell, Line},
     pack::base64,
     spectrum::{BAND_PERIOD_MM, Spectrum},
     view::{MethodView, View},
@@ -318,12 +318,14 @@ fn motion(views: &[View], layout: &Layout) -> Option<String> {
         let ends = &m.ranges.end_s;
         let time = [0.0, *ends.last()?];
         let names = ["velocity (mm/s)", "acceleration (mm/s²)", "jerk (mm/s³)"];
-        let keys = QUANTITIES.map(|(key, _)| key);
-        for ((envelopes, name), key) in m.ranges.envelope.iter().zip(names).zip(keys) {
+        for (order, (envelopes, name)) in m.ranges.envelope.iter().zip(names).enumerate() {
             let values = envelopes.iter().flat_map(|e| e.low.iter().chain(&e.high));
             let reach = or_one(range(values.map(|v| v.abs()))[1].max(0.0));
-            let limits =
-                [0, 1].map(|a| m.verdict["axes"][a][key]["limit"].as_f64().unwrap_or(f64::NAN));
+            let limits = m
+                .verdict
+                .axes
+                .each_ref()
+                .map(|axis| axis.derivatives()[order].limit.unwrap_or(f64::NAN));
             let far = |l: f64| l > 3.0 * reach;
             let shown = 1.05 * limits.into_iter().filter(|l| !far(*l)).fold(reach, f64::max);
             let frame = sheet.panel([Scale::linear(time), Scale::linear([-shown, shown])]);
@@ -497,7 +499,7 @@ fn refinement(views: &[View], layout: &Layout) -> Option<String> {
         frame.curve(svg, points.clone(), LINES[0]);
         for (i, p) in points.enumerate() {
             let [x, y] = frame.at(p);
-            let fill = if rounds.best == Some(i as u64) { LINES[0] } else { "#ffffff" };
+            let fill = if rounds.best == Some(i) { LINES[0] } else { "#ffffff" };
             svg.put(format_args!(
                 "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{fill}\" stroke=\"{}\"/>",
                 LINES[0]

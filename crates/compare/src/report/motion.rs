@@ -91,12 +91,8 @@ impl Envelope {
     }
 }
 
-/// Keys of the quantities of [`Ranges::envelope`] in a verdict, and their names on the page.
-pub const QUANTITIES: [(&str, &str); 3] = [
-    ("velocity_mm_per_s", "velocity"),
-    ("acceleration_mm_per_s2", "acceleration"),
-    ("jerk_mm_per_s3", "jerk"),
-];
+/// Names of the quantities of [`Ranges::envelope`] on the page.
+pub const QUANTITIES: [&str; 3] = ["velocity", "acceleration", "jerk"];
 
 /// Ranges of a motion.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -8,14 +8,19 @@ use planish_draw::{
 };
 use planish_form::Form;
 use planish_numerics::polynomial;
-use planish_types::{AxesMotion, Surface, text::significant};
-use serde_json::Value;
+use planish_types::{
+    AxesMotion, Surface,
+    outcome::{
+        axes::MotionReport,
+        verdict::{AxesVerdict, MachineAxisVerdict},
+    },
+    text::significant,
+};
 
 use super::{
     motion::Envelope,
     part::{self, FONT_PX, Look, RIGHT_BOTTOM_PX},
 };
-use crate::on_axes::MotionOutcome;
 
 /// Width and height of a panel, px. Larger: the four panels of an axis are wider than a page. Smaller: peaks of a long run
 /// fall together.
@@ -32,17 +37,16 @@ const COLUMNS: usize = 230;
 /// line. Smaller: limits that the motion comes near are not drawn.
 const FAR: f64 = 4.0;
 
-/// Names of the quantities of an axis, which are the keys of their checks in a verdict, and their units over the unit of the
-/// axis.
+/// Names of the quantities of an axis, and their units over the unit of the axis.
 const QUANTITIES: [(&str, &str); 4] =
     [("position", ""), ("velocity", "/s"), ("acceleration", "/s²"), ("jerk", "/s³")];
 
 /// The picture, as SVG: position, velocity, acceleration and jerk of every axis over the time, with their limits in the
 /// verdict; below, the form of the part where it is known.
 pub fn picture(
-    outcome: &MotionOutcome,
+    outcome: &MotionReport,
     motion: &AxesMotion,
-    verdict: &Value,
+    verdict: &AxesVerdict,
     part: Option<(&Form, &Surface)>,
 ) -> String {
     let mut svg = Svg::new(FONT_PX);
@@ -52,7 +56,7 @@ pub fn picture(
         for (order, (quantity, per)) in QUANTITIES.iter().enumerate() {
             let corner = [order as f64 * cell[0], axis as f64 * cell[1]];
             let titles = [format!("{name}, {quantity}"), format!("{unit}{per}")];
-            let bounds = bounds(verdict, axis, order);
+            let bounds = bounds(verdict.axes.get(axis), order);
             panel(&mut svg, corner, titles, &envelope(motion, axis, order), &bounds, order == 0);
         }
     }
@@ -82,15 +86,14 @@ fn envelope(motion: &AxesMotion, axis: usize, order: usize) -> Vec<(f64, f64, f6
     Envelope { low, high }.over_columns(&end_s, COLUMNS)
 }
 
-/// Limits of a quantity of an axis in a verdict: the travel of the position, and plus and minus the limit of the others.
+/// Limits of a quantity of an axis in its verdict: the travel of the position, and plus and minus the limit of the others.
 /// Empty where the machine states none.
-fn bounds(verdict: &Value, axis: usize, order: usize) -> Vec<f64> {
-    let axis = &verdict["axes"][axis];
-    match order {
-        0 => axis["travel"].as_array().into_iter().flatten().filter_map(Value::as_f64).collect(),
-        _ => {
-            let limit = axis[QUANTITIES[order].0]["limit"].as_f64();
-            limit.into_iter().flat_map(|l| [-l, l]).collect()
+fn bounds(verdict: Option<&MachineAxisVerdict>, order: usize) -> Vec<f64> {
+    let Some(verdict) = verdict else { return Vec::new() };
+    match order.checked_sub(1) {
+        None => verdict.travel.into_iter().flatten().collect(),
+        Some(order) => {
+            verdict.derivatives()[order].limit.into_iter().flat_map(|l| [-l, l]).collect()
         }
     }
 }
@@ -141,6 +144,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
+    use crate::on_axes::check_names;
 
     /// Two seconds of an axis that turns back, x = 2 t - t^2, and of one that stands at 7.
     fn motion() -> AxesMotion {
@@ -160,20 +164,20 @@ mod tests {
 
     #[test]
     fn a_picture_names_every_axis_and_limit() {
-        let outcome = MotionOutcome::from_json(
-            &json!({ "axes": ["x", "b"], "units": ["mm", "deg"], "contact_deviation_um": 1.0, "gap_um": 0.0,
+        let outcome: MotionReport = serde_json::from_value(
+            json!({ "axes": ["x", "b"], "units": ["mm", "deg"], "contact_deviation_um": 1.0, "gap_um": 0.0,
                 "added_tool_on_time_s": 0.0 }),
-            2,
         )
         .unwrap();
         let axis = json!({ "travel": [-100.0, 100.0], "velocity": { "limit": 3.0 },
             "acceleration": { "limit": 1000.0 }, "jerk": { "limit": null } });
-        let svg = picture(&outcome, &motion(), &json!({ "axes": [axis, axis] }), None);
+        let verdict: AxesVerdict = serde_json::from_value(json!({ "axes": [axis, axis] })).unwrap();
+        let svg = picture(&outcome, &motion(), &verdict, None);
         for words in
             ["x, position, travel -100", "b, velocity", "x, acceleration, limit 1000", "deg/s"]
         {
             assert!(svg.contains(words), "{words} is missing");
         }
-        assert!(MotionOutcome::from_json(&json!({ "axes": ["x"] }), 2).is_err());
+        assert!(check_names(&outcome, 2).is_ok() && check_names(&outcome, 3).is_err());
     }
 }

@@ -4,8 +4,11 @@ use planish_draw::{
     colour::{BLUE_TO_BROWN, VIRIDIS_FOR_LINES},
     page,
 };
-use planish_types::text::escaped;
-use serde_json::{Value, json};
+use planish_types::{
+    outcome::verdict::{Check, Verdict},
+    text::escaped,
+};
+use serde_json::{Map, Value, json};
 use sha2::{Digest, Sha256};
 
 use super::{
@@ -14,7 +17,7 @@ use super::{
     spectrum::BAND_PERIOD_MM,
     view::{FrameView, MAX_MAP_PIXELS, MethodView, View},
 };
-use crate::answer::with_answer;
+use crate::{answer::with_answer, made::Made};
 
 /// Skeleton of the page, and the style that it has of its own.
 const HTML: &str = include_str!("page.html");
@@ -181,7 +184,7 @@ fn method_json(m: &MethodView) -> Value {
         },
         "ranges": ranges_json(&m.ranges),
         "limits": limits_json(&m.verdict),
-        "violations": violations_json(&m.verdict),
+        "violations": m.verdict.violations,
         "dwell": m.dwell.as_ref().map(dwell_json),
         "frames": m.frames.as_ref().map(frames_json),
         "rounds": m.rounds.as_ref().map(|r| json!({
@@ -191,15 +194,12 @@ fn method_json(m: &MethodView) -> Value {
     })
 }
 
-/// Keys of a verdict for the steps of position and velocity, which no machine can do.
-const STEPS: [&str; 2] = ["position_step_mm", "velocity_step_mm_per_s"];
-
 fn ranges_json(ranges: &Ranges) -> Value {
     let mut json = json!({
         "every": ranges.every,
         "end_s": doubles(ranges.end_s.iter().copied()),
     });
-    for (envelopes, (_, name)) in ranges.envelope.iter().zip(QUANTITIES) {
+    for (envelopes, name) in ranges.envelope.iter().zip(QUANTITIES) {
         json[name] = envelopes
             .iter()
             .map(|e| {
@@ -215,39 +215,26 @@ fn ranges_json(ranges: &Ranges) -> Value {
     json
 }
 
-/// Sentences of a verdict on exceeded limits.
-fn violations_json(verdict: &Value) -> Value {
-    verdict["violations"]
-        .as_array()
-        .into_iter()
-        .flatten()
-        .filter(|v| v.is_string())
-        .cloned()
-        .collect()
+/// Per quantity and axis: the limit, how often it is exceeded, and the worst places; and the times
+/// of the worst steps in position and velocity, which no machine can do.
+fn limits_json(verdict: &Verdict) -> Value {
+    let mut json = Map::new();
+    for (order, name) in QUANTITIES.into_iter().enumerate() {
+        let of_axis = verdict.axes.each_ref().map(|axis| check_json(axis.derivatives()[order]));
+        json.insert(name.into(), json!(of_axis));
+    }
+    let steps = verdict.axes.iter().flat_map(|a| [&a.position_step_mm, &a.velocity_step_mm_per_s]);
+    let times = steps.flat_map(|check| &check.worst).map(|place| place.time_s);
+    json.insert("steps".into(), times.collect());
+    json.into()
 }
 
-/// Per quantity and axis: the limit, how often it is exceeded, and the worst places; and the times
-/// of the worst steps in position and velocity. Only numbers, whatever else a verdict holds.
-fn limits_json(verdict: &Value) -> Value {
-    let mut json = json!({});
-    let worst_of = |check: &Value| -> Vec<[f64; 2]> {
-        let places = check["worst"].as_array().into_iter().flatten();
-        places.filter_map(|p| Some([p["time_s"].as_f64()?, p["value"].as_f64()?])).collect()
-    };
-    for (key, name) in QUANTITIES {
-        let of_axis = |axis: usize| {
-            let check = &verdict["axes"][axis][key];
-            json!({
-                "limit": check["limit"].as_f64().filter(|limit| *limit >= 0.0),
-                "exceeding_count": check["exceeding_count"].as_u64(),
-                "worst": worst_of(check),
-            })
-        };
-        json[name] = json!([of_axis(0), of_axis(1)]);
-    }
-    let checks = [0, 1].into_iter().flat_map(|axis| STEPS.map(|key| &verdict["axes"][axis][key]));
-    json["steps"] = checks.flat_map(worst_of).map(|[time_s, _]| json!(time_s)).collect();
-    json
+fn check_json(check: &Check) -> Value {
+    json!({
+        "limit": check.limit.filter(|limit| *limit >= 0.0),
+        "exceeding_count": check.exceeding_count,
+        "worst": check.worst.iter().map(|place| [place.time_s, place.value]).collect::<Vec<_>>(),
+    })
 }
 
 fn dwell_json(d: &Dwell) -> Value {
@@ -274,18 +261,8 @@ fn frames_json(f: &FrameView) -> Value {
 }
 
 /// Manifests for the page, without the arrays.
-fn provenance_json(manifests: &[(String, Value)]) -> Value {
-    manifests
-        .iter()
-        .map(|(role, manifest)| {
-            let mut shown = json!({ "role": role });
-            for key in ["tool", "tool_version", "method", "command", "settings", "inputs"] {
-                shown[key] = manifest[key].clone();
-            }
-            shown["status"] = manifest["outcome"]["status"].clone();
-            shown
-        })
-        .collect()
+fn provenance_json(manifests: &[Made]) -> Value {
+    manifests.iter().map(|made| json!(made.shown)).collect()
 }
 
 #[cfg(test)]
@@ -332,21 +309,19 @@ mod tests {
     }
 
     #[test]
-    fn only_numbers_of_a_verdict_reach_the_page() {
-        let check = json!({
-            "limit": "fast", "exceeding_count": -1,
-            "worst": [{ "time_s": null, "value": 1.0 }, { "time_s": 2.0, "value": 3.0 }, 7],
-        });
+    fn limits_of_a_verdict_that_lacks_checks_are_none() {
+        let worst = json!([{ "time_s": 2.0, "value": 3.0 }]);
+        let check = json!({ "limit": 1.5, "exceeding_count": 1, "worst": worst });
         let axis = json!({ "velocity_mm_per_s": check, "position_step_mm": check });
-        let verdict = json!({ "axes": [axis, axis], "violations": ["x", 7, null] });
-        let found = limits_json(&verdict);
-        assert_eq!(
-            found["velocity"][0],
-            json!({ "limit": null, "exceeding_count": null, "worst": [[2.0, 3.0]] })
-        );
+        let verdict = json!({
+            "axes": [axis, axis], "limits_respected": false, "total_time_s": 4.0,
+            "max_velocity_mm_per_s": [3.0, 3.0], "max_acceleration_mm_per_s2": [0.0, 0.0],
+            "max_velocity_step_mm_per_s": [0.0, 0.0], "max_acceleration_step_mm_per_s2": [0.0, 0.0],
+        });
+        let found = limits_json(&serde_json::from_value(verdict).unwrap());
+        let expected = json!({ "limit": 1.5, "exceeding_count": 1, "worst": [[2.0, 3.0]] });
+        assert_eq!(found["velocity"][0], expected);
         assert_eq!(found["steps"], json!([2.0, 2.0]));
-        assert_eq!(found["jerk"][1]["worst"], json!([]));
-        assert_eq!(violations_json(&verdict), json!(["x"]));
-        assert_eq!(violations_json(&json!({ "violations": "text" })), json!([]));
+        assert_eq!(found["jerk"][1], json!({ "limit": null, "exceeding_count": 0, "worst": [] }));
     }
 }

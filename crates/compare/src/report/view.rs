@@ -4,17 +4,16 @@ use std::borrow::Cow;
 
 use ndarray::Array3;
 use planish_types::{
-    Axis, DwellTime, Grid, Removal, Surface, ToolPath, Trajectory, TransformNumbers,
+    Axis, DwellTime, Grid, Removal, Surface, ToolPath, Trajectory, outcome::verdict::Verdict,
 };
 use rayon::prelude::*;
-use serde_json::Value;
 
 use super::{
     map::{Histogram, ScreenMap, block_side, histogram, screen_map},
     motion::{self, Dwell, Line, Ranges},
     spectrum::{Spectrum, spectrum},
 };
-use crate::summary::Summary;
+use crate::{made::Made, summary::Summary};
 
 /// Largest number of pixels of a map, and of all maps together (2 bytes each, 2.7 in base64). Larger: larger, slower
 /// pages. Smaller: coarser maps. Chosen: all maps take at most 5.4 MB of a page.
@@ -54,8 +53,8 @@ pub struct Run {
     pub tool: Option<String>,
     /// Results of the methods.
     pub methods: Vec<RunMethod>,
-    /// Manifests of the artifacts that the methods share: role and manifest.
-    pub provenance: Vec<(String, Value)>,
+    /// Manifests of the artifacts that the methods share.
+    pub provenance: Vec<Made>,
 }
 
 /// Everything of one method.
@@ -67,8 +66,8 @@ pub struct RunMethod {
     pub trajectory: Trajectory,
     /// Prediction.
     pub removal: Removal,
-    /// Outcome of the verdict.
-    pub verdict: Value,
+    /// Verdict on its motion.
+    pub verdict: Verdict,
     /// Planned dwell times, where they are known.
     pub dwell: Option<DwellTime>,
     /// Removal in the course of the run, where it was simulated.
@@ -77,8 +76,8 @@ pub struct RunMethod {
     pub rounds: Option<Rounds>,
     /// Picture of the motion of all axes as SVG, where there is one.
     pub on_axes: Option<String>,
-    /// Manifests of its artifacts: role and manifest.
-    pub provenance: Vec<(String, Value)>,
+    /// Manifests of its artifacts.
+    pub provenance: Vec<Made>,
 }
 
 /// The removal at several times.
@@ -100,7 +99,7 @@ pub struct Rounds {
     /// Time of the motion (m), s.
     pub total_time_s: Vec<f64>,
     /// Round that was kept.
-    pub best: Option<u64>,
+    pub best: Option<usize>,
 }
 
 /// Data of a run for the screen.
@@ -113,7 +112,7 @@ pub struct View {
     pub(super) before: (Histogram, Option<Spectrum>),
     pub(super) tool: Option<String>,
     pub(super) methods: Vec<MethodView>,
-    pub(super) provenance: Vec<(String, Value)>,
+    pub(super) provenance: Vec<Made>,
 }
 
 /// Data of a method for the screen.
@@ -125,12 +124,12 @@ pub(super) struct MethodView {
     pub(super) after: (Histogram, Option<Spectrum>),
     pub(super) line: Line,
     pub(super) ranges: Ranges,
-    pub(super) verdict: Value,
+    pub(super) verdict: Verdict,
     pub(super) dwell: Option<Dwell>,
     pub(super) frames: Option<FrameView>,
     pub(super) rounds: Option<Rounds>,
     pub(super) on_axes: Option<String>,
-    pub(super) provenance: Vec<(String, Value)>,
+    pub(super) provenance: Vec<Made>,
 }
 
 /// The surface in the course of the run.
@@ -167,9 +166,9 @@ struct Allotment {
 }
 
 /// The motion that the verdict is about: that of the axes, where they do not read the coordinates of the part.
-fn on_axes<'a>(motion: &'a Trajectory, verdict: &Value) -> Cow<'a, Trajectory> {
-    serde_json::from_value::<TransformNumbers>(verdict["part_to_axes"].clone())
-        .ok()
+fn on_axes<'a>(motion: &'a Trajectory, verdict: &Verdict) -> Cow<'a, Trajectory> {
+    verdict
+        .part_to_axes
         .and_then(|numbers| numbers.checked().ok()?.trajectory(motion).ok())
         .map_or(Cow::Borrowed(motion), Cow::Owned)
 }

@@ -8,9 +8,12 @@ use planish_draw::{
     page,
     svg::Svg,
 };
-use planish_types::text::{escaped, significant};
+use planish_types::{
+    outcome::sweep::{SettingValue, SweepPlan},
+    text::{escaped, significant},
+};
 
-use super::{Residual, Row, Table};
+use super::{Residual, Table, heading, in_words, specification_in_words};
 
 /// Height of the texts, px of the picture.
 const FONT_PX: f64 = 14.0;
@@ -58,7 +61,7 @@ pub fn svg(table: &Table, residual: Residual, to_table: &str) -> String {
         families.iter().enumerate().map(|(k, name)| (name.as_str(), colour::of_line(k))).collect();
     frame.legend(&mut svg, &entries);
     // A plan is as good as all that takes longer: the front is a staircase.
-    let corners = front.iter().filter_map(|&i| table.point(&table.plans[i], residual));
+    let corners = front.iter().filter_map(|&i| table.point(&table.0.plans[i], residual));
     let corners: Vec<[f64; 2]> = corners.collect();
     let stairs = corners.iter().enumerate().flat_map(|(k, &[time, rms])| {
         let landing = corners.get(k + 1).map(|next| [next[0], rms]);
@@ -67,7 +70,7 @@ pub fn svg(table: &Table, residual: Residual, to_table: &str) -> String {
     frame.curve(&mut svg, stairs, "#888888");
     let recommended = table.recommended();
     for (i, point) in points {
-        let row = &table.plans[i];
+        let row = &table.0.plans[i];
         let family = families.iter().position(|name| *name == family_of(row)).unwrap_or(0);
         let [x, y] = frame.at(point);
         let (radius, opacity) = if front.contains(&i) { (5.0, 1.0) } else { (3.0, 0.55) };
@@ -91,28 +94,28 @@ pub fn svg(table: &Table, residual: Residual, to_table: &str) -> String {
 
 /// Plans that are drawn: the others first, so that those of the front lie over them.
 fn points(table: &Table, residual: Residual, front: &[usize]) -> Vec<(usize, [f64; 2])> {
-    let all =
-        (0..table.plans.len()).filter_map(|i| Some((i, table.point(&table.plans[i], residual)?)));
+    let all = (0..table.0.plans.len())
+        .filter_map(|i| Some((i, table.point(&table.0.plans[i], residual)?)));
     let (on_front, others): (Vec<_>, Vec<_>) = all.partition(|(i, _)| front.contains(i));
     let every = others.len().div_ceil(MOST_POINTS).max(1);
     others.into_iter().step_by(every).chain(on_front).collect()
 }
 
 /// Family of a plan, which has a colour of its own: path and method.
-fn family_of(row: &Row) -> String {
+fn family_of(row: &SweepPlan) -> String {
     format!("{}, {}", row.path, row.method)
 }
 
 fn families(table: &Table) -> Vec<String> {
-    let mut families: Vec<String> = table.plans.iter().map(family_of).collect();
+    let mut families: Vec<String> = table.0.plans.iter().map(family_of).collect();
     families.sort();
     families.dedup();
     families
 }
 
 /// Text of a point.
-fn told(row: &Row, [time_s, rms_nm]: [f64; 2]) -> String {
-    format!("{}: {} nm in {} s", row.in_words(), significant(rms_nm, 4), significant(time_s, 4))
+fn told(row: &SweepPlan, [time_s, rms_nm]: [f64; 2]) -> String {
+    format!("{}: {} nm in {} s", in_words(row), significant(rms_nm, 4), significant(time_s, 4))
 }
 
 /// The style that the page has beside the shared one: its first column has numbers.
@@ -121,8 +124,9 @@ const STYLE: &str = "body { max-width: 75rem; }\nth:first-child { text-align: ri
 
 /// The page: the sentence, the pictures, the plans of the front, those that failed, and all others.
 pub fn page(table: &Table, to_table: &str) -> String {
-    let title = format!("sweep {}, {}", table.name, table.mirror);
-    let mut html = format!("<h1>Sweep {}, {}</h1>\n", escaped(&table.name), escaped(&table.mirror));
+    let title = format!("sweep {}, {}", table.0.name, table.0.mirror);
+    let mut html =
+        format!("<h1>Sweep {}, {}</h1>\n", escaped(&table.0.name), escaped(&table.0.mirror));
     put(&mut html, format_args!("<p>{}</p>\n", with_command(table)));
     put(&mut html, format_args!("<p>{}</p>\n", escaped(&constraints(table))));
     for residual in [Residual::Nominal, Residual::Below95] {
@@ -133,22 +137,22 @@ pub fn page(table: &Table, to_table: &str) -> String {
     html += "<h2>The front</h2>\n";
     html += &rows(table, &table.front(table.judged_by()), to_table);
     let failed: Vec<usize> =
-        (0..table.plans.len()).filter(|&i| table.plans[i].numbers.is_none()).collect();
+        (0..table.0.plans.len()).filter(|&i| table.0.plans[i].numbers.is_none()).collect();
     if !failed.is_empty() {
         put(&mut html, format_args!("<h2>{} plans without numbers</h2>\n<ul>", failed.len()));
-        for row in failed.iter().take(MOST_POINTS).map(|&i| &table.plans[i]) {
+        for row in failed.iter().take(MOST_POINTS).map(|&i| &table.0.plans[i]) {
             let message = row.message.as_deref().unwrap_or_default();
             put(
                 &mut html,
-                format_args!("<li>{}: {}</li>\n", escaped(&row.in_words()), escaped(message)),
+                format_args!("<li>{}: {}</li>\n", escaped(&in_words(row)), escaped(message)),
             );
         }
         html += "</ul>\n";
     }
-    let shown = table.plans.len().min(MOST_POINTS);
+    let shown = table.0.plans.len().min(MOST_POINTS);
     put(
         &mut html,
-        format_args!("<details><summary>{shown} of {} plans</summary>\n", table.plans.len()),
+        format_args!("<details><summary>{shown} of {} plans</summary>\n", table.0.plans.len()),
     );
     html += &rows(table, &(0..shown).collect::<Vec<_>>(), to_table);
     html += "</details>\n<p>All plans with all their numbers are in <a href=\"table.csv\">table.csv</a>.</p>\n";
@@ -168,10 +172,10 @@ fn with_command(table: &Table) -> String {
 
 fn constraints(table: &Table) -> String {
     let time =
-        table.constraints.max_time_s.map(|s| format!("takes {} s at most", significant(s, 6)));
+        table.0.constraints.max_time_s.map(|s| format!("takes {} s at most", significant(s, 6)));
     let limits =
-        table.constraints.keep_limits.then(|| "keeps the limits of the machine".to_string());
-    let is_specified = !table.specified().is_empty() && table.constraints.keep_specification;
+        table.0.constraints.keep_limits.then(|| "keeps the limits of the machine".to_string());
+    let is_specified = !table.specified().is_empty() && table.0.constraints.keep_specification;
     let specification = is_specified.then(|| "keeps the specification".to_string());
     let kept: Vec<String> = limits.into_iter().chain(specification).chain(time).collect();
     let failed = table.failed();
@@ -189,7 +193,7 @@ fn rows(table: &Table, indices: &[usize], to_table: &str) -> String {
     let varied = table.varied();
     let mut html =
         String::from("<div class=\"scroll\"><table><tr><th>time, s</th><th>residual, nm</th>");
-    if table.has_process {
+    if table.0.has_process {
         html += "<th>95 % below, nm</th>";
     }
     html += "<th class=\"words\">limits</th>";
@@ -198,7 +202,7 @@ fn rows(table: &Table, indices: &[usize], to_table: &str) -> String {
         html += "<th class=\"words\">specification</th>";
     }
     for limit in limits {
-        put(&mut html, format_args!("<th class=\"words\">{}</th>", escaped(&limit.heading())));
+        put(&mut html, format_args!("<th class=\"words\">{}</th>", escaped(&heading(limit))));
     }
     html += "<th class=\"words\">path</th><th class=\"words\">method</th>";
     for key in &varied {
@@ -207,18 +211,18 @@ fn rows(table: &Table, indices: &[usize], to_table: &str) -> String {
     html += "<th class=\"words\">plan</th></tr>\n";
     let recommended = table.recommended();
     for &i in indices {
-        let row = &table.plans[i];
+        let row = &table.0.plans[i];
         let Some(n) = &row.numbers else { continue };
         html += if recommended == Some(i) { "<tr class=\"best\">" } else { "<tr>" };
         let numbers = [Some(n.total_time_s), Some(n.rms_nm)].into_iter();
-        for number in numbers.chain(table.has_process.then_some(n.below_95_percent_nm)) {
+        for number in numbers.chain(table.0.has_process.then_some(n.below_95_percent_nm)) {
             let number = number.map(|x| significant(x, 4)).unwrap_or_default();
             put(&mut html, format_args!("<td>{number}</td>"));
         }
         let kept = if n.limits_kept { "kept" } else { "exceeded" };
         put(&mut html, format_args!("<td class=\"words\">{kept}</td>"));
         if !limits.is_empty() {
-            let words = n.specification_in_words();
+            let words = specification_in_words(n);
             put(&mut html, format_args!("<td class=\"words\">{words}</td>"));
         }
         for k in 0..limits.len() {
@@ -236,7 +240,7 @@ fn rows(table: &Table, indices: &[usize], to_table: &str) -> String {
             ),
         );
         for key in &varied {
-            let value = row.settings.get(*key).map(super::shown).unwrap_or_default();
+            let value = row.settings.get(*key).map(SettingValue::to_string).unwrap_or_default();
             put(&mut html, format_args!("<td>{}</td>", escaped(&value)));
         }
         let name = escaped(&row.id);
@@ -276,10 +280,10 @@ mod tests {
     #[test]
     fn names_are_no_markup() {
         let mut table = table(&[(10.0, 1.0, true)], None);
-        table.name = "<script>".into();
-        table.plans[0].path = "\"><script>".into();
-        table.plans[0].report = Some("\"><script>".into());
-        table.plans[0].again = "just run <script>".into();
+        table.0.name = "<script>".into();
+        table.0.plans[0].path = "\"><script>".into();
+        table.0.plans[0].report = Some("\"><script>".into());
+        table.0.plans[0].again = "just run <script>".into();
         let page = page(&table, "");
         assert!(!page.contains("<script>"), "{page}");
     }

@@ -6,6 +6,7 @@ use ndarray::{Array2, Zip};
 use planish_numerics::statistics;
 use planish_types::{
     DwellTime, End, Invalid, TifLattice,
+    outcome::plan::ProvenGap,
     plausible::{self, Rms},
 };
 use serde::Serialize;
@@ -48,8 +49,8 @@ pub struct Report {
     pub kkt_residual_s: f64,
     /// Bound on how far (1) is above its minimum, relative to it; left out when alpha is 0: then
     /// `kkt_residual_s` alone certifies the result.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub relative_gap: Option<f64>,
+    #[serde(flatten)]
+    pub proven: ProvenGap,
     /// beta that was used: the given one, or what the noise level asked for.
     pub slope_weight: f64,
     /// Dwell points at their lower bound, unreached and lifted ones not counted.
@@ -114,7 +115,7 @@ impl Report {
             Some([before, after]) => (both(before), both(after)),
             None => (before, plain),
         };
-        let gap = self.relative_gap.map_or_else(String::new, |gap| {
+        let gap = self.proven.relative_gap.map_or_else(String::new, |gap| {
             format!(", and the objective may be {gap:.1e} of itself above its minimum")
         });
         let unproven = format!(
@@ -185,7 +186,7 @@ impl BoundedProblem<'_> {
             cell_pixels: self.cell,
             end: iterate.end,
             kkt_residual_s: iterate.natural_residual,
-            relative_gap: iterate.relative_gap,
+            proven: ProvenGap { relative_gap: iterate.relative_gap, ..ProvenGap::default() },
             slope_weight,
             at_lower_bound: (0..t.len()).filter(reached).filter(|j| t[*j] <= self.lo[*j]).count(),
             at_upper_bound: (0..t.len()).filter(reached).filter(|j| t[*j] >= self.hi[*j]).count(),

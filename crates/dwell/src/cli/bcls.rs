@@ -1,12 +1,12 @@
 //! `planish-dwell bcls`.
 
 use clap::Args;
-use planish_dwell::{baselines::bcls, problem::rms_before};
+use planish_dwell::{baselines::bcls, bounded_least_squares, problem::rms_before};
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, flags::MachineArgs, say, task,
 };
-use planish_types::{DwellTime, plausible};
-use serde_json::json;
+use planish_types::{DwellTime, outcome::plan::PlanOutcome, plausible};
+use serde::Serialize;
 
 use super::{Given, Nouns, status, warn_of};
 
@@ -22,6 +22,14 @@ pub struct Bcls {
     /// Tikhonov weight of the squared dwell time per area above its floor; the same at every pitch, pixel and tool
     #[arg(long, value_name = "A", default_value_t = bcls::Settings::default().tikhonov)]
     tikhonov: f64,
+}
+
+/// Outcome in the manifest.
+#[derive(Serialize)]
+struct BclsOutcome<'a> {
+    #[serde(flatten)]
+    plan: PlanOutcome<&'a bounded_least_squares::Report>,
+    bounds: &'a bcls::Report,
 }
 
 impl Bcls {
@@ -46,7 +54,9 @@ impl Bcls {
         let (r, bounds) = (&found.solution.report, &found.report);
         let status = status(r.negative(rms_before(&desired, weight.as_ref())));
         let dwell = &found.solution.dwell;
-        output.write(dwell, json!({ "end": r.end, "report": r, "bounds": bounds }), &status)?;
+        let plan =
+            PlanOutcome { end: Some(r.end.into()), report: Some(r), ..PlanOutcome::default() };
+        output.write(dwell, BclsOutcome { plan, bounds }, &status)?;
         warn_of(r.tif_lattice);
         say(format!(
             "bcls: {} dwell times, {:.2} s, {:.4} nm RMS in its own model; {} {} after {} iterations; pitch \

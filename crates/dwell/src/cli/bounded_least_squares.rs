@@ -14,8 +14,7 @@ use planish_handoff::{
     flags::{FloorArgs, MirrorArgs, OutputArgs, PathArgs},
     say, task, warn,
 };
-use planish_types::{DwellTime, Surface, doubts, plausible};
-use serde_json::json;
+use planish_types::{DwellTime, Surface, doubts, outcome::plan::PlanOutcome, plausible};
 
 use super::{status, warn_of};
 
@@ -139,7 +138,9 @@ impl BoundedLeastSquares {
 
         let r = &solution.report;
         let status = status(r.negative(rms_before(&surface, weight)));
-        output.write(&solution.dwell, json!({ "end": r.end, "report": r }), &status)?;
+        let outcome =
+            PlanOutcome { end: Some(r.end.into()), report: Some(r), ..PlanOutcome::default() };
+        output.write(&solution.dwell, outcome, &status)?;
         warn_of(r.tif_lattice);
         say(format!(
             "bounded least squares: {} dwell times, {:.2} s, {:.4} nm RMS in its own model; {} {} after {} \

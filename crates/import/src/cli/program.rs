@@ -7,9 +7,9 @@ use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, controller, flags::OutputArgs, kind,
     kind::MACHINE_FRAME, pair, say, task, warn,
 };
-use planish_import::program::{self, Configuration, ProgramAxis};
-use planish_types::{ControllerKind, Invalid, Trajectory};
-use serde_json::json;
+use planish_import::program::{self, Configuration};
+use planish_types::{ControllerKind, Invalid, Trajectory, outcome::settings::ProgramSettings};
+use serde::Serialize;
 
 use super::{about, foreign};
 
@@ -39,6 +39,27 @@ pub struct ProgramArgs {
     output: OutputArgs,
 }
 
+/// Configuration of the controller, in the manifest.
+#[derive(Serialize)]
+struct ConfigurationSetting<'a> {
+    configuration: &'a Configuration,
+}
+
+/// Outcome in the manifest.
+#[derive(Serialize)]
+struct ProgramOutcome<'a> {
+    segments: usize,
+    total_time_s: f64,
+    /// True if the tool is on in every segment.
+    always_on: bool,
+    /// Names of the axes of a motion of all axes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    axes: Option<Vec<&'a String>>,
+    /// Units of these axes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    units: Option<Vec<&'a String>>,
+}
+
 impl ProgramArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
@@ -59,8 +80,8 @@ impl ProgramArgs {
             None => given,
         };
         let controller = self.controller;
-        let resolved = json!({ "controller": controller, "configuration": configuration });
-        let task = task!("program", resolved);
+        let more = ConfigurationSetting { configuration: &configuration };
+        let task = task!("program", ProgramSettings { controller, more });
         let bytes = foreign(&mut inputs, "file", &self.file)?;
         let is_of_all_axes = !configuration.axes.is_empty();
         let kind = if is_of_all_axes { &kind::AXES } else { Trajectory::KIND };
@@ -72,33 +93,31 @@ impl ProgramArgs {
         if let Some(doubt) = program::doubt(controller, &bytes) {
             warn(format!("{}: {doubt}", self.file.display()));
         }
-        let outcome = |segments: usize, total_time_s: f64, tool_on: &[bool]| {
-            json!({
-                "segments": segments,
-                "total_time_s": total_time_s,
-                "always_on": tool_on.iter().all(|on| *on),
-            })
-        };
         let (segments, total_time_s) = if is_of_all_axes {
             let motion = program::read_axes(controller, &bytes, &configuration).map_err(refused)?;
-            let (segments, total_time_s) = (motion.len(), motion.total_time_s());
-            let mut outcome = outcome(segments, total_time_s, motion.tool_on());
-            let of = |text: fn(&ProgramAxis) -> &String| -> Vec<&String> {
-                configuration.axes.iter().map(text).collect()
+            let outcome = ProgramOutcome {
+                segments: motion.len(),
+                total_time_s: motion.total_time_s(),
+                always_on: motion.tool_on().iter().all(|on| *on),
+                axes: Some(configuration.axes.iter().map(|axis| &axis.name).collect()),
+                units: Some(configuration.axes.iter().map(|axis| &axis.unit).collect()),
             };
-            outcome["axes"] = json!(of(|a| &a.name));
-            outcome["units"] = json!(of(|a| &a.unit));
             output.write(&motion, outcome, &Status::Done)?;
-            (segments, total_time_s)
+            (motion.len(), motion.total_time_s())
         } else {
             let motion = program::read(controller, &bytes, &configuration).map_err(refused)?;
-            let (segments, total_time_s) = (motion.len(), motion.total_time_s());
             if configuration.was_on_axes {
                 output.set_frame(MACHINE_FRAME);
             }
-            let outcome = outcome(segments, total_time_s, motion.tool_on());
+            let outcome = ProgramOutcome {
+                segments: motion.len(),
+                total_time_s: motion.total_time_s(),
+                always_on: motion.tool_on().iter().all(|on| *on),
+                axes: None,
+                units: None,
+            };
             output.write(&motion, outcome, &Status::Done)?;
-            (segments, total_time_s)
+            (motion.len(), motion.total_time_s())
         };
         say(format!(
             "planish-import: {segments} segments, {total_time_s:.4} s -> {}",

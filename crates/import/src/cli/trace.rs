@@ -8,7 +8,8 @@ use planish_handoff::{
     warn, with_flags,
 };
 use planish_import::trace::{
-    self, LogFormat, Trace, TraceSettings,
+    self, LogFormat, Trace, TraceSettings, TraceStatement,
+    clock::Clock,
     columns::{AxisColumn, Columns},
     following::{self, Extent, Following},
     motion::Between,
@@ -18,7 +19,8 @@ use planish_types::{
     text::significant,
     units::{Quantity, Unit},
 };
-use serde_json::{Value, json};
+use serde::Serialize;
+use serde_json::json;
 
 use super::{about, foreign};
 
@@ -247,7 +249,7 @@ impl TraceArgs {
         let mut outcome = outcome(&trace, &motion, beside_setpoint.as_ref(), beside_plan.as_ref());
         let mut drawback = None;
         if let Some(extent) = &extent {
-            outcome["beside_plan"] = json!(extent);
+            outcome.beside_plan = Some(extent);
             drawback = extent.drawback(self.from_s.is_some() || self.until_s.is_some());
         }
         let status = drawback.map_or(Status::Done, Status::Negative);
@@ -307,32 +309,60 @@ impl TraceArgs {
     }
 }
 
-fn outcome(
-    trace: &Trace,
+/// Outcome in the manifest.
+#[derive(Serialize)]
+struct TraceOutcome<'a> {
+    segments: usize,
+    total_time_s: f64,
+    /// True if the tool is on in every segment.
+    always_on: bool,
+    reading: &'a TraceStatement,
+    clock: &'a Clock,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    rate_factor: Option<RateFactorOutcome>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    following_setpoint: Option<&'a Following>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    following_plan: Option<&'a Following>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    beside_plan: Option<&'a Extent>,
+}
+
+/// Factor of the removal rate along the motion.
+#[derive(Serialize)]
+struct RateFactorOutcome {
+    mean: f64,
+    least: f64,
+    most: f64,
+}
+
+impl RateFactorOutcome {
+    fn of_factors(factor: &[f64]) -> Self {
+        Self {
+            mean: factor.iter().sum::<f64>() / factor.len() as f64,
+            least: factor.iter().copied().fold(f64::INFINITY, f64::min),
+            most: factor.iter().copied().fold(0.0, f64::max),
+        }
+    }
+}
+
+fn outcome<'a>(
+    trace: &'a Trace,
     motion: &Trajectory,
-    beside_setpoint: Option<&Following>,
-    beside_plan: Option<&Following>,
-) -> Value {
-    let mut outcome = json!({
-        "segments": motion.len(),
-        "total_time_s": motion.total_time_s(),
-        "always_on": motion.tool_on().iter().all(|on| *on),
-        "reading": trace.statement,
-        "clock": trace.clock,
-    });
-    if let Some(factor) = motion.rate_factor() {
-        let mean = factor.iter().sum::<f64>() / factor.len() as f64;
-        let least = factor.iter().copied().fold(f64::INFINITY, f64::min);
-        let most = factor.iter().copied().fold(0.0, f64::max);
-        outcome["rate_factor"] = json!({ "mean": mean, "least": least, "most": most });
+    following_setpoint: Option<&'a Following>,
+    following_plan: Option<&'a Following>,
+) -> TraceOutcome<'a> {
+    TraceOutcome {
+        segments: motion.len(),
+        total_time_s: motion.total_time_s(),
+        always_on: motion.tool_on().iter().all(|on| *on),
+        reading: &trace.statement,
+        clock: &trace.clock,
+        rate_factor: motion.rate_factor().map(RateFactorOutcome::of_factors),
+        following_setpoint,
+        following_plan,
+        beside_plan: None,
     }
-    if let Some(following) = beside_setpoint {
-        outcome["following_setpoint"] = json!(following);
-    }
-    if let Some(following) = beside_plan {
-        outcome["following_plan"] = json!(following);
-    }
-    outcome
 }
 
 /// The following error of both axes, in um and ms.

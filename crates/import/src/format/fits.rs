@@ -132,7 +132,9 @@ pub fn read(bytes: &[u8], pick: &Pick) -> Result<Reading, Invalid> {
     for mask in masks {
         let values = numbers(&b, mask)?;
         reading.apply_mask(&mask.label(), &values)?;
-        reading.stated["mask_hdu"] = mask.hdu.into();
+        if let Some(stated) = reading.stated.as_object_mut() {
+            stated.insert("mask_hdu".into(), mask.hdu.into());
+        }
     }
     Ok(reading)
 }

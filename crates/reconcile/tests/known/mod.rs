@@ -320,7 +320,7 @@ impl Case {
             100.0 * t.drift,
         ];
         let estimates = found.outcome.parameters.iter().zip(truth);
-        let one = |(e, truth): (&planish_reconcile::report::Estimate, f64)| {
+        let one = |(e, truth): (&planish_types::outcome::reconciliation::Estimate, f64)| {
             let off = e.value.map(|v| (v - truth) / e.standard_error.unwrap());
             (e.name.clone(), off)
         };

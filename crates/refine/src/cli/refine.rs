@@ -22,9 +22,10 @@ use planish_refine::{
 };
 use planish_schedule::{Choices, Named, SCHEDULERS, Scheduler, by_name, pvt, trig_spline};
 use planish_tolerance::error_budget::{ErrorBudget, ErrorBudgetFile};
-use planish_types::{DwellTime, PathDistance, Surface, Trajectory, plausible};
+use planish_types::{
+    DwellTime, PathDistance, Surface, TifLattice, Trajectory, outcome::plan::PlanOutcome, plausible,
+};
 use serde::Serialize;
-use serde_json::{Value, json};
 
 use super::iterations;
 
@@ -164,10 +165,10 @@ impl Refine {
             true => Status::Done,
             false => Status::Negative(with_flags(&reasons.join("; "))),
         };
-        output.write(&refined.dwell, outcome.clone(), &status)?;
-        output.write(&refined.trajectory, outcome.clone(), &status)?;
+        output.write(&refined.dwell, &outcome, &status)?;
+        output.write(&refined.trajectory, &outcome, &status)?;
         let arrays = iterations(refined.iterates.iter());
-        output.write_arrays(&kind::ITERATIONS, &arrays, &[], outcome, &status)?;
+        output.write_arrays(&kind::ITERATIONS, &arrays, &[], &outcome, &status)?;
         self.tell(&refined, &settings, &output.round_s());
         say(format!("the motion is {distance}"));
         if let Some(warning) = refined.tif_lattice.and_then(|lattice| lattice.warning()) {
@@ -251,24 +252,36 @@ fn read_process(path: &Path, inputs: &mut Inputs) -> Result<ErrorBudget, Failure
     file.checked().map_err(|e| Failure::new(format!("{}: {e}", path.display())))
 }
 
+/// Outcome in the manifests.
+#[derive(Clone, Serialize)]
+struct RefineOutcome<'a> {
+    #[serde(flatten)]
+    plan: PlanOutcome,
+    /// Residuals and times without and with the errors of the process, if the loop knows it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    error_budget: Option<&'a Price>,
+    /// Lattice of the map on which the TIF was sampled anew; absent where the samples are its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tif_lattice: Option<TifLattice>,
+}
+
 /// Returns what the manifests say of the best round.
-fn outcome(refined: &Refined, price: Option<&Price>, distance: &PathDistance) -> Value {
+fn outcome<'a>(
+    refined: &Refined,
+    price: Option<&'a Price>,
+    distance: &PathDistance,
+) -> RefineOutcome<'a> {
     let best = &refined.iterates[refined.best];
-    let mut outcome = json!({
-        "best_round": refined.best,
-        "end": refined.end,
-        "at_bound": refined.at_bound,
-        "rms_nm": best.rms_nm,
-        "total_time_s": best.total_time_s,
-        "path_distance": distance,
-    });
-    if let Some(price) = price {
-        outcome["error_budget"] = json!(price);
-    }
-    if let Some(lattice) = refined.tif_lattice {
-        outcome["tif_lattice"] = json!(lattice);
-    }
-    outcome
+    let plan = PlanOutcome {
+        best_round: Some(refined.best),
+        end: Some(refined.end.into()),
+        at_bound: Some(refined.at_bound),
+        rms_nm: Some(best.rms_nm),
+        total_time_s: Some(best.total_time_s),
+        path_distance: Some(*distance),
+        ..PlanOutcome::default()
+    };
+    RefineOutcome { plan, error_budget: price, tif_lattice: refined.tif_lattice }
 }
 
 /// Sentence on the residuals and times of the plans without and with the process.

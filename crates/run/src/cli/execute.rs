@@ -24,7 +24,7 @@ use planish_types::{ControllerKind, ToolPath};
 use super::{
     claim::{Claim, Named, refuse_special},
     place::Place,
-    program::{Answer, plan_of},
+    program::{plan_of, read_answer},
 };
 
 /// Artifacts without which a method or a dwell solver is left out of a comparison.
@@ -454,7 +454,7 @@ fn state_recommended(programs: &Programs, scope: &mut Scope) -> Result<(), Failu
     if export.is_empty() || !text("named")?.is_empty() {
         return Ok(());
     }
-    let Some(best) = Answer::read(Path::new(&text("out")?))?.method else { return Ok(()) };
+    let Some(best) = read_answer(Path::new(&text("out")?))?.method else { return Ok(()) };
     let best = plan_of(&best).to_string();
     let is_tried = text("program")? == "best" && best != text("exported")?;
     let mut trial = scope.clone();

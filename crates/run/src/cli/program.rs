@@ -4,8 +4,10 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use planish_handoff::{Failure, Status, controller, read_regular, say, warn};
-use planish_types::ControllerKind;
-use serde::Deserialize;
+use planish_types::{
+    ControllerKind,
+    outcome::report::{Answer, AnsweredSummary},
+};
 
 #[derive(Args)]
 pub struct Program {
@@ -20,31 +22,15 @@ pub struct Program {
     controller: ControllerKind,
 }
 
-/// Part of `report/summary.json` that is read.
-#[derive(Deserialize)]
-struct Summary {
-    answer: Answer,
-}
-
-/// Recommendation of the report.
-#[derive(Deserialize)]
-pub struct Answer {
-    /// Name of the plan, or of a program that was read back; `None` if the report recommends none.
-    pub method: Option<String>,
-    why: String,
-}
-
-impl Answer {
-    /// Reads the recommendation of the report in `run`.
-    pub fn read(run: &Path) -> Result<Self, Failure> {
-        let path = run.join("report/summary.json");
-        let about = |e: &dyn std::fmt::Display| {
-            Failure::new(format!("{}: cannot be read: {e}; run the report first", path.display()))
-        };
-        let text = read_regular(&path).map_err(|e| about(&e))?;
-        let Summary { answer } = serde_json::from_slice(&text).map_err(|e| about(&e))?;
-        Ok(answer)
-    }
+/// Reads the recommendation of the report in `run`.
+pub fn read_answer(run: &Path) -> Result<Answer, Failure> {
+    let path = run.join("report/summary.json");
+    let about = |e: &dyn std::fmt::Display| {
+        Failure::new(format!("{}: cannot be read: {e}; run the report first", path.display()))
+    };
+    let text = read_regular(&path).map_err(|e| about(&e))?;
+    let summary: AnsweredSummary = serde_json::from_slice(&text).map_err(|e| about(&e))?;
+    Ok(summary.answer)
 }
 
 /// Name of the plan from which the program `method` was written, such as `pvt+galil`; the name of a plan itself is
@@ -58,7 +44,7 @@ pub fn plan_of(method: &str) -> &str {
 
 impl Program {
     pub fn run(&self) -> Result<Status, Failure> {
-        let answer = Answer::read(&self.run)?;
+        let answer = read_answer(&self.run)?;
         let (of, controller) = (&self.of, self.controller.name());
         let program = self.run.join(format!("program.{controller}"));
         let read_back = format!("{of}+{controller}");

@@ -9,6 +9,7 @@ use std::{
 
 use clap::Args;
 use planish_handoff::{Failure, Manifest, Status, kind::MANIFEST, read_regular, words};
+use planish_types::outcome::{StageEnd, StageStatus};
 
 #[derive(Args)]
 pub struct Verdict {
@@ -54,8 +55,8 @@ fn verdict(run: &Path, plans: &[PathBuf]) -> Result<Status, Failure> {
             if *at == Path::new("report") || JUDGED.iter().any(|judged| *judged == name) {
                 whole.check(at, manifest)?;
             }
-            if manifest.outcome["status"] == "negative" {
-                let reason = manifest.outcome["reason"].as_str().unwrap_or("no reason given");
+            if let StageEnd { status: Some(StageStatus::Negative), reason } = manifest.end() {
+                let reason = reason.as_deref().unwrap_or("no reason given");
                 let at = run.join(at);
                 negative.push(format!("{} ({}): {reason}", at.display(), manifest.tool));
             }

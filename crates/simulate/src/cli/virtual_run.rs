@@ -13,7 +13,15 @@ use planish_simulate::{
     error_budget::ErrorBudgetFile,
     virtual_machine::{Settings, run},
 };
-use planish_types::{Removal, Surface, plausible};
+use planish_types::{
+    Removal, Surface,
+    outcome::{
+        removal::MeasuredOutcome,
+        virtual_machine::{HiddenOutcome, TruthOutcome},
+    },
+    plausible,
+};
+use serde::Serialize;
 
 #[derive(Args)]
 pub struct VirtualRun {
@@ -37,6 +45,15 @@ pub struct VirtualRun {
     /// Use the TIF as it is sampled, with the noise and the border step of its measurement
     #[arg(long, requires = "error_budget")]
     tif_as_sampled: bool,
+}
+
+/// Numbers of a run that nobody else reads.
+#[derive(Serialize)]
+struct RunReport {
+    coverage: Coverage,
+    /// State in which an axis with play begins, in a sentence; absent without play.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    backlash_start: Option<&'static str>,
 }
 
 impl VirtualRun {
@@ -85,19 +102,19 @@ impl VirtualRun {
 
         // What is hidden stands in the manifest of the truth alone.
         let statistics = run.measured.statistics();
-        let seen = serde_json::json!({ "rms_nm": statistics.rms, "pv_nm": statistics.pv });
+        let seen = MeasuredOutcome { rms_nm: statistics.rms, pv_nm: Some(statistics.pv) };
         writer.write(&run.measured, seen, &status)?;
         let remains = run.removal.residual().statistics();
-        let mut truth = serde_json::json!({
-            "rms_nm": remains.rms,
-            "pv_nm": remains.pv,
-            "total_time_s": trajectory.total_time_s(),
-            "hidden": run.hidden,
-            "coverage": coverage,
-        });
-        if let Some(start) = errors.play_start() {
-            truth["backlash_start"] = start.into();
-        }
+        let truth = TruthOutcome {
+            rms_nm: remains.rms,
+            rms_detilted_nm: None,
+            pv_nm: Some(remains.pv),
+            total_time_s: trajectory.total_time_s(),
+            more: HiddenOutcome {
+                hidden: run.hidden,
+                more: RunReport { coverage, backlash_start: errors.play_start() },
+            },
+        };
         writer.write(&run.removal, truth, &status)?;
         say(format!(
             "measured {:.4} nm RMS, {:.2} nm PV after run {} of {} with seed {} -> {}; the truth -> {}",

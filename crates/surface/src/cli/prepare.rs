@@ -14,11 +14,27 @@ use planish_surface::{
     target::{Heights, Lateral, Target, converted},
 };
 use planish_types::{ClearAperture, Surface, text::significant};
-use serde_json::json;
+use serde::Serialize;
 
 use super::{CIRCLE, circle};
 
 const RECTANGLE: [&str; 4] = ["X0", "X1", "Y0", "Y1"];
+
+/// Settings in the manifest.
+#[derive(Serialize)]
+struct StatedSettings<'a> {
+    #[serde(flatten)]
+    settings: &'a PrepareSettings,
+    /// Direction of the heights, if the form of the part is given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    heights: Option<&'a Heights>,
+    /// Direction of the coordinates, if the form of the part is given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    lateral: Option<&'a Lateral>,
+    /// Form to subtract.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    target: Option<&'a FormFile>,
+}
 
 #[derive(Debug, Args)]
 pub struct PrepareArgs {
@@ -223,14 +239,13 @@ impl PrepareArgs {
             fill: self.fill,
             extension: self.extension.settings()?,
         };
-        let mut stated = serde_json::to_value(&settings)?;
-        if self.form.form.is_some() {
-            stated["heights"] = json!(self.form.heights);
-            stated["lateral"] = json!(self.form.lateral);
-        }
-        if let Some(target) = &target {
-            stated["target"] = json!(target.file);
-        }
+        let has_form = self.form.form.is_some();
+        let stated = StatedSettings {
+            settings: &settings,
+            heights: Some(&self.form.heights).filter(|_| has_form),
+            lateral: Some(&self.form.lateral).filter(|_| has_form),
+            target: target.as_ref().map(|target| &target.file),
+        };
         let task = task!("prepare", &stated);
         let mut output =
             match Output::directory(&self.output, Surface::KIND).begin(&task, &inputs)? {

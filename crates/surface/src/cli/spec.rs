@@ -13,7 +13,9 @@ use planish_surface::{
     shape::{EllipseParameter, EllipseSettings, Shape},
     specification::{Specification, SpecificationReport, Verdict},
 };
-use planish_types::{Invalid, Removal, text::significant};
+use planish_types::{
+    Invalid, Removal, outcome::specification::SpecificationOutcome, text::significant,
+};
 use serde_json::json;
 
 use super::profile::ProfileArgs;
@@ -120,16 +122,15 @@ impl SpecArgs {
             }
             None => None,
         };
-        let mut outcome = serde_json::to_value(&found)?;
-        outcome["specification"] = serde_json::to_value(&verdict)?;
         let status = verdict
             .as_ref()
             .and_then(SpecificationReport::failures)
             .map_or(Status::Done, Status::Negative);
         let arrays = arrays(&found.arrays);
-        output.write_arrays(&kind::SPECIFICATION, &arrays, &[], outcome, &status)?;
+        let outcome = SpecificationOutcome { more: &found, specification: verdict };
+        output.write_arrays(&kind::SPECIFICATION, &arrays, &[], &outcome, &status)?;
         report(&found);
-        verdict.iter().flat_map(|v| &v.limits).for_each(|limit| {
+        outcome.specification.iter().flat_map(|v| &v.limits).for_each(|limit| {
             let verdict = match limit.verdict() {
                 Verdict::Kept => "kept ",
                 Verdict::Broken => "FAILS",

@@ -1,12 +1,12 @@
 //! Measures the quantity of a limit in its zone after its shape, and judges it.
 
-use planish_types::{Invalid, text::significant};
-
-use super::{
-    limit::Limit,
-    verdict::{Bound, LimitReport, Subtraction},
-    zone::Zones,
+use planish_types::{
+    Invalid,
+    outcome::specification::{Bound, LimitReport, Subtraction},
+    text::significant,
 };
+
+use super::{limit::Limit, zone::Zones};
 use crate::{
     quality::{Direction, Light, Piece, SpectrumLine, Subject, strehl},
     shape::{EllipseSettings, Shape},

@@ -18,11 +18,19 @@ use planish_handoff::{
 use planish_sweep::{
     batch::{Size, estimated_s, members},
     plan::{Plan, Round, Sweep},
-    row::{Numbers, Row, RowStatus},
+    row::Row,
 };
-use planish_types::Surface;
-use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use planish_types::{
+    Surface,
+    outcome::{
+        removal::RemovalOutcome,
+        specification::SpecificationOutcome,
+        sweep::{PlanNumbers, PlanStatus},
+        tolerance::ToleranceOutcome,
+        verdict::Verdict,
+    },
+};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::super::{
     files::{read_row, read_sweep, row_path, unreadable, write_json},
@@ -315,7 +323,7 @@ impl Work<'_> {
         let (done, failed) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let begun = Instant::now();
         let keep = |row: &Row| {
-            if row.status == RowStatus::Failed {
+            if row.status == PlanStatus::Failed {
                 failed.fetch_add(1, Ordering::Relaxed);
                 warn(format!("{}: {}", row.id, row.message.as_deref().unwrap_or_default()));
             }
@@ -359,7 +367,7 @@ impl Work<'_> {
         if is_older {
             return Ok(false);
         }
-        Ok(read_row(self.dir, &plan.id)?.is_some_and(|row| row.status != RowStatus::Failed))
+        Ok(read_row(self.dir, &plan.id)?.is_some_and(|row| row.status != PlanStatus::Failed))
     }
 
     /// Makes a plan; its row, or how a stage was killed.
@@ -371,8 +379,8 @@ impl Work<'_> {
             return Ok(Ok(Row::failed(&plan.id, message)));
         }
         let (status, message) = match self.stages.run_all(&self.sweep.plan_steps(plan))? {
-            End::Done => (RowStatus::Done, None),
-            End::Negative(message) => (RowStatus::Negative, Some(message)),
+            End::Done => (PlanStatus::Done, None),
+            End::Negative(message) => (PlanStatus::Negative, Some(message)),
             End::Failed(message) => return Ok(Ok(Row::failed(&plan.id, message))),
             End::Killed(message) => return Ok(Err(message)),
         };
@@ -390,47 +398,50 @@ impl Work<'_> {
     }
 
     /// The numbers that the stages have left in their manifests.
-    fn numbers(&self, plan: &Plan) -> Result<Numbers, Failure> {
-        let outcome = |dir: String| -> Result<(PathBuf, Value), Failure> {
-            let path = self.dir.join(dir).join(MANIFEST);
-            let bytes = read_regular(&path).map_err(|e| unreadable(&path, &e))?;
-            let manifest: Manifest =
-                serde_json::from_slice(&bytes).map_err(|e| unreadable(&path, &e))?;
-            Ok((path, manifest.outcome))
-        };
+    fn numbers(&self, plan: &Plan) -> Result<PlanNumbers, Failure> {
         let at = plan.method_dir();
-        let (removal_at, removal) = outcome(format!("{at}/removal"))?;
-        let (verdict_at, verdict) = outcome(format!("{at}/verdict"))?;
-        let number = |path: &Path, value: &Value| {
-            value.as_f64().ok_or_else(|| unreadable(path, &"a number of its outcome is missing"))
-        };
+        let removal: RemovalOutcome = self.outcome(&format!("{at}/removal"))?;
+        let verdict: Verdict = self.outcome(&format!("{at}/verdict"))?;
         let below_95_percent_nm = match &self.sweep.process {
             None => None,
             Some(_) => {
-                let (path, tolerance) = outcome(format!("{}/tolerance", plan.dir()))?;
-                Some(number(&path, &tolerance["residual"]["below_95_percent_nm"])?)
+                let tolerance: ToleranceOutcome =
+                    self.outcome(&format!("{}/tolerance", plan.dir()))?;
+                Some(tolerance.residual.below_95_percent_nm)
             }
         };
         let specification = match &self.sweep.specification {
             None => None,
             Some(_) => {
                 let dir = format!("{}/specified/{}/specification", plan.dir(), plan.method);
-                let (path, mut judged) = outcome(dir)?;
-                let verdict = judged["specification"].take();
-                Some(serde_json::from_value(verdict).map_err(|e| unreadable(&path, &e))?)
+                let judged: SpecificationOutcome = self.outcome(&dir)?;
+                let without = "its map was measured without a specification";
+                let report = judged
+                    .specification
+                    .ok_or_else(|| unreadable(&self.dir.join(dir), &without))?;
+                Some(report.into())
             }
         };
-        let kept = verdict["limits_respected"].as_bool();
-        Ok(Numbers {
-            total_time_s: number(&removal_at, &removal["total_time_s"])?,
-            rms_nm: number(&removal_at, &removal["rms_nm"])?,
-            rms_detilted_nm: number(&removal_at, &removal["rms_detilted_nm"])?,
+        let rms_detilted_nm = removal.rms_detilted_nm.ok_or_else(|| {
+            unreadable(&self.dir.join(at).join("removal"), &"its outcome has no rms_detilted_nm")
+        })?;
+        Ok(PlanNumbers {
+            total_time_s: removal.total_time_s,
+            rms_nm: removal.rms_nm,
+            rms_detilted_nm,
             below_95_percent_nm,
-            limits_kept: kept.ok_or_else(|| {
-                unreadable(&verdict_at, &"it does not say whether limits are kept")
-            })?,
+            limits_kept: verdict.limits_respected,
             specification,
         })
+    }
+
+    /// Reads the outcome of the artifact in `dir`, relative to the sweep.
+    fn outcome<T: DeserializeOwned>(&self, dir: &str) -> Result<T, Failure> {
+        let path = self.dir.join(dir).join(MANIFEST);
+        let bytes = read_regular(&path).map_err(|e| unreadable(&path, &e))?;
+        let manifest: Manifest =
+            serde_json::from_slice(&bytes).map_err(|e| unreadable(&path, &e))?;
+        Ok(manifest.read_outcome(&path, "run the stage again that makes it")?)
     }
 
     /// The directory of a plan becomes that of a run, which reports and figures are made of: its map and its path are

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use planish_handoff::{Failure, Status, say};
 use planish_sweep::row::Row;
+use planish_types::outcome::sweep::{SweepPlan, SweepTable};
 use serde_json::{Map, Value, json};
 
 use super::super::files::{again, read_row, read_sweep, write_json};
@@ -29,28 +30,29 @@ impl Table {
             let has_report = self.dir.join(&report).is_file();
             let settings: Map<String, Value> =
                 plan.settings.iter().map(|(key, given)| (key.clone(), json!(given))).collect();
-            plans.push(json!({
-                "id": plan.id,
-                "path": plan.path,
-                "method": plan.method,
-                "settings": settings,
-                "status": status,
-                "message": message,
-                "numbers": numbers,
-                "report": has_report.then_some(report),
-                "again": again(&sweep, plan),
-            }));
+            plans.push(SweepPlan {
+                id: plan.id.clone(),
+                path: plan.path.clone(),
+                method: plan.method.clone(),
+                settings,
+                status,
+                message,
+                numbers,
+                report: Some(report).filter(|_| has_report),
+                again: again(&sweep, plan),
+            });
         }
-        let table = json!({
-            "name": sweep.name,
-            "mirror": sweep.mirror,
-            "has_process": sweep.process.is_some(),
-            "constraints": sweep.constraints,
-            "plans": plans,
-        });
+        let table = SweepTable {
+            name: sweep.name.clone(),
+            mirror: sweep.mirror.clone(),
+            has_process: sweep.process.is_some(),
+            constraints: sweep.constraints,
+            plans,
+        };
         let path = self.dir.join("table.json");
         write_json(&path, &table)?;
-        say(format!("{} plans, {failed} without numbers -> {}", plans.len(), path.display()));
+        let count = table.plans.len();
+        say(format!("{count} plans, {failed} without numbers -> {}", path.display()));
         Ok(Status::Done)
     }
 }

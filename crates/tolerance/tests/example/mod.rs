@@ -102,10 +102,10 @@ pub fn noises() -> [Value; 4] {
 /// Asserts that the mean square over the simulated runs of one noise is that of its line.
 #[allow(dead_code)] // for the tests of noise
 pub fn assert_line_is_mean_over_runs(found: &Tolerance) {
-    let (line, runs) = (&found.errors[0], found.runs.len() as f64);
+    let (line, runs) = (&found.outcome.errors[0], found.runs.len() as f64);
     let squares: Vec<f64> = found.runs.iter().map(|r| r.simulated_rms_nm.powi(2)).collect();
     let mean = squares.iter().sum::<f64>() / runs;
-    let added = mean - found.nominal_rms_nm.powi(2);
+    let added = mean - found.outcome.nominal_rms_nm.powi(2);
     let spread = (squares.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / runs).sqrt();
     // Four standard errors of the mean, and 3 % for the first order and the cells.
     let bound = 4.0 * spread / runs.sqrt() + 0.03 * line.adds_rms_nm.powi(2);

@@ -9,9 +9,9 @@ use planish_import::{
     cli::{FileArgs, about, draw, in_flags, map_bytes, open, report},
     surface, tif,
 };
-use planish_tool::{Alignment, Baseline, SpotSettings, spot};
+use planish_tool::{Alignment, Baseline, Spot, SpotSettings, spot};
 use planish_types::{Tif, doubts};
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::Name;
 
@@ -48,6 +48,17 @@ pub struct FromMapsArgs {
     /// Set negative rates (noise) to zero and scale the others, so that the volume stays
     #[arg(long, requires = "dwell_s")]
     clip_negative: bool,
+}
+
+/// Prints the place of a spot, its shift and the noise.
+fn say_spot(program: &str, spot: &Spot) {
+    say(format!(
+        "{program}: spot at {} mm, shift {} mm (standard error {} mm), noise {:.4} nm RMS outside it",
+        json!(spot.centre_mm),
+        json!(spot.shift_mm),
+        json!(spot.shift_error_mm),
+        spot.outside_rms_nm
+    ));
 }
 
 impl FromMapsArgs {
@@ -98,7 +109,7 @@ impl FromMapsArgs {
                     self.origin.unwrap_or_else(|| reading.usual_tif_origin(&settings));
                 let (made, statement) =
                     tif(reading, &settings).map_err(|e| about(&file.file, &e))?;
-                (made, statement, Value::Null)
+                (made, statement, None)
             }
         };
         let statement = in_flags(statement);
@@ -115,11 +126,8 @@ impl FromMapsArgs {
         });
         output.write(&made, outcome, &Status::Done)?;
         report(name.program, &statement, made.grid());
-        if let Some(noise) = own["outside_rms_nm"].as_f64() {
-            say(format!(
-                "{}: spot at {} mm, shift {} mm (standard error {} mm), noise {noise:.4} nm RMS outside it",
-                name.program, own["centre_mm"], own["shift_mm"], own["shift_error_mm"]
-            ));
+        if let Some(spot) = &own {
+            say_spot(name.program, spot);
         }
         say(format!(
             "{}: peak {:.4} nm/s, {:.4} nm mm^2/s -> {}",
@@ -139,7 +147,7 @@ impl FromMapsArgs {
         before: Option<Reading>,
         settings: &Settings,
         spot_settings: &SpotSettings,
-    ) -> Result<(Tif, Statement, Value), Failure> {
+    ) -> Result<(Tif, Statement, Option<Spot>), Failure> {
         let (after, mut statement) =
             surface(after, settings).map_err(|e| about(&self.file.file, &e))?;
         let before = match (before, &self.before) {
@@ -152,7 +160,6 @@ impl FromMapsArgs {
             _ => None,
         };
         let made = spot(before.as_ref(), &after, spot_settings).map_err(Failure::with_flags)?;
-        let own = serde_json::to_value(&made)?;
-        Ok((made.tif, statement, own))
+        Ok((made.tif.clone(), statement, Some(made)))
     }
 }

@@ -7,13 +7,24 @@ use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, warn, with_flags,
 };
 use planish_tool::{
-    tif::{Centre, TifSettings, prepare_tif, tif_statistics},
-    tif_fit,
+    tif::{Centre, TifReport, TifSettings, prepare_tif, tif_statistics},
+    tif_fit::{self, FitReport},
 };
 use planish_types::Tif;
+use serde::Serialize;
 use serde_json::json;
 
 use super::Name;
+
+/// Outcome in the manifest.
+#[derive(Serialize)]
+struct TifOutcome<'a> {
+    #[serde(flatten)]
+    report: &'a TifReport,
+    /// Fit of a formula, if one was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fit: Option<FitReport>,
+}
 
 #[derive(Debug, Args)]
 pub struct PrepareArgs {
@@ -64,11 +75,10 @@ impl PrepareArgs {
         };
         let (mut made, mut report) = prepare_tif(&tif, &settings).map_err(Failure::with_flags)?;
         report.note = report.note.map(|note| with_flags(&note));
-        let mut outcome = serde_json::to_value(&report)?;
+        let mut fitted = None;
         let mut status = Status::Done;
         if let Some(model) = model {
             let (formula, fit) = tif_fit::fit(&made, model)?;
-            outcome["fit"] = serde_json::to_value(&fit)?;
             status = fit.negative().map_or(Status::Done, Status::Negative);
             say(format!(
                 "{}: fit: residual {:.3} % of the peak RMS, VRR of the formula {:.4} of the samples'",
@@ -76,11 +86,12 @@ impl PrepareArgs {
                 100.0 * fit.residual_rms_to_peak,
                 fit.vrr_ratio
             ));
+            fitted = Some(fit);
             if self.use_fit {
                 made = formula;
             }
         }
-        output.write(&made, outcome, &status)?;
+        output.write(&made, TifOutcome { report: &report, fit: fitted }, &status)?;
         let s = tif_statistics(&made);
         say(format!(
             "{}: TIF {} x {} samples, {:.4} x {:.4} mm; peak {:.4} nm/s, VRR {:.4} nm mm^2/s, \

@@ -4,10 +4,22 @@ use std::path::PathBuf;
 
 use clap::Args;
 use planish_handoff::{Failure, Inputs, Status, flags::PathArgs, say};
-use planish_toolpath::{statistics, time_lower_bound_s};
+use planish_toolpath::{AlongReport, PathStatistics, statistics, time_lower_bound_s};
 use planish_types::Surface;
+use serde::Serialize;
 
 use super::FormArgs;
+
+/// Numbers of a path, as JSON.
+#[derive(Serialize)]
+struct Inspected {
+    #[serde(flatten)]
+    statistics: PathStatistics,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    form: Option<AlongReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    least_time_s: Option<f64>,
+}
 
 #[derive(Debug, Args)]
 pub struct InspectArgs {
@@ -28,17 +40,22 @@ impl InspectArgs {
         let mut inputs = Inputs::new();
         let path = self.path.read(&mut inputs)?;
         let surface: Surface = inputs.read("surface", &self.surface)?;
-        let mut found = serde_json::to_value(statistics(&path, &surface))?;
-        if let Some(on) = self.form.read(&surface, &mut inputs)? {
-            let developed = on.developed(&surface)?;
-            let report = on.report(&on.unrolled(&path)?, &surface, &developed)?;
-            found["form"] = serde_json::to_value(report)?;
-        }
-        if let Some(file) = &self.machine {
-            found["least_time_s"] =
-                time_lower_bound_s(&path, &inputs.read_machine(file)?.limits_on_part()).into();
-        }
-        say(serde_json::to_string_pretty(&found)?);
+        let form = match self.form.read(&surface, &mut inputs)? {
+            Some(on) => {
+                let developed = on.developed(&surface)?;
+                Some(on.report(&on.unrolled(&path)?, &surface, &developed)?)
+            }
+            None => None,
+        };
+        let least_time_s = match &self.machine {
+            Some(file) => {
+                let limits = inputs.read_machine(file)?.limits_on_part();
+                Some(time_lower_bound_s(&path, &limits))
+            }
+            None => None,
+        };
+        let inspected = Inspected { statistics: statistics(&path, &surface), form, least_time_s };
+        say(serde_json::to_string_pretty(&inspected)?);
         Ok(Status::Done)
     }
 }

@@ -1,27 +1,42 @@
-//! Verdicts: limit by limit, and on the whole specification.
+//! Verdict of `planish-surface spec`: limit by limit, and on the whole specification.
 
-use planish_types::text::significant;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+
+use super::NoMore;
+use crate::text::significant;
+
+/// Outcome of `planish-surface spec`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SpecificationOutcome<More = NoMore> {
+    /// Further numbers.
+    #[serde(flatten)]
+    pub more: More,
+    /// The verdict; `null` of a map that was measured without a specification.
+    pub specification: Option<SpecificationReport>,
+}
 
 /// Verdict of a specification on a mirror.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SpecificationReport {
     /// Name of the specification.
+    #[serde(default)]
     pub name: String,
     /// True if every limit is kept.
     pub passed: bool,
     /// The verdict on each limit, in the order of the file.
+    #[serde(default)]
     pub limits: Vec<LimitReport>,
 }
 
 /// The measured value of a limited quantity, and the verdict on it.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LimitReport {
     /// The quantity in words.
     pub quantity: String,
     /// Unit of the value and the limit.
-    pub unit: &'static str,
+    pub unit: String,
     /// Measured value; `null` for infinity (the radius of a plane).
+    #[serde(deserialize_with = "super::null_is_infinity")]
     pub value: f64,
     /// Largest or smallest allowed value.
     pub limit: f64,
@@ -38,7 +53,7 @@ pub struct LimitReport {
 }
 
 /// The part of white noise in a measured value.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoisePart {
     /// The value that noise alone would have; of a largest value an upper bound.
     pub of_noise: f64,
@@ -61,7 +76,7 @@ pub enum Verdict {
 
 /// Rule by which the part of noise is subtracted from a value.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Subtraction {
+pub enum Subtraction {
     /// sqrt(value^2 - part^2), of an RMS.
     OfSquares,
     /// value - part, of a density or a largest value.
@@ -69,7 +84,7 @@ pub(super) enum Subtraction {
 }
 
 /// Allowed side of a limit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Bound {
     /// Values up to the limit are allowed.
@@ -79,29 +94,23 @@ pub enum Bound {
 }
 
 impl LimitReport {
-    /// The verdict on `value`.
-    pub(super) fn new(
-        quantity: String,
-        unit: &'static str,
-        value: f64,
-        bound: Bound,
-        limit: f64,
-    ) -> Self {
+    /// Returns the verdict on `value`.
+    pub fn new(quantity: String, unit: &str, value: f64, bound: Bound, limit: f64) -> Self {
         let passed = match bound {
             Bound::AtMost => value <= limit,
             Bound::AtLeast => value >= limit,
         };
-        Self { quantity, unit, value, limit, bound, passed, worst: None, noise: None }
+        Self { quantity, unit: unit.into(), value, limit, bound, passed, worst: None, noise: None }
     }
 
-    /// This report with the place where the mirror is worst.
-    pub(super) fn worst_at(self, worst: String) -> Self {
+    /// Returns this report with the place where the mirror is worst.
+    pub fn worst_at(self, worst: String) -> Self {
         Self { worst: Some(worst), ..self }
     }
 
-    /// This report with the value that noise alone would have, and the value without the noise by the rule
+    /// Returns this report with the value that noise alone would have, and the value without the noise by the rule
     /// `how`.
-    pub(super) fn beside_noise(self, of_noise: f64, how: Subtraction) -> Self {
+    pub fn beside_noise(self, of_noise: f64, how: Subtraction) -> Self {
         let without_noise = match how {
             Subtraction::OfSquares => (self.value.powi(2) - of_noise.powi(2)).max(0.0).sqrt(),
             Subtraction::Linear => (self.value - of_noise).max(0.0),
@@ -109,8 +118,8 @@ impl LimitReport {
         self.with_and_without_noise(of_noise, without_noise)
     }
 
-    /// This report with the value that noise alone would have, and the value without the noise.
-    pub(super) fn with_and_without_noise(mut self, of_noise: f64, without_noise: f64) -> Self {
+    /// Returns this report with the value that noise alone would have, and the value without the noise.
+    pub fn with_and_without_noise(mut self, of_noise: f64, without_noise: f64) -> Self {
         let would_pass = match self.bound {
             Bound::AtMost => without_noise <= self.limit,
             Bound::AtLeast => without_noise >= self.limit,
@@ -120,7 +129,7 @@ impl LimitReport {
         self
     }
 
-    /// Kept, broken, or open because of the noise.
+    /// Returns kept, broken, or open because of the noise.
     pub fn verdict(&self) -> Verdict {
         match self.noise {
             _ if self.passed => Verdict::Kept,
@@ -129,7 +138,7 @@ impl LimitReport {
         }
     }
 
-    /// The verdict as a sentence without a full stop.
+    /// Returns the verdict as a sentence without a full stop.
     pub fn text(&self) -> String {
         let Self { quantity, unit, bound, worst, .. } = self;
         let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
@@ -155,7 +164,7 @@ impl LimitReport {
 }
 
 impl SpecificationReport {
-    /// The limits that are not shown to be kept, by how much and where; `None` where everything is kept.
+    /// Returns the limits that are not shown to be kept, by how much and where; `None` where everything is kept.
     pub fn failures(&self) -> Option<String> {
         let of = |verdict: Verdict| -> Vec<String> {
             self.limits.iter().filter(|l| l.verdict() == verdict).map(LimitReport::text).collect()

@@ -1,0 +1,146 @@
+//! Outcome of a stage that makes dwell times, a motion, or both.
+
+use std::borrow::Cow;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{End, PathDistance};
+
+/// Outcome of `planish-dwell`, `planish-schedule`, `planish-refine`, `planish-joint` or `planish-bspline-feed`. Each
+/// states what it knows. `R` is the report of the method.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PlanOutcome<R = PlanReport> {
+    /// Round of the closed loop whose plan this is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub best_round: Option<usize>,
+    /// Reason for which the method ended.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub end: Option<StatedEnd>,
+    /// Number of dwell times of the closed loop at a bound of their correction.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub at_bound: Option<usize>,
+    /// RMS of the predicted residual, mean removed, nm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rms_nm: Option<f64>,
+    /// RMS of the predicted residual, plane removed, nm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rms_detilted_nm: Option<f64>,
+    /// Sum of the dwell times that were scheduled, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dwell_s: Option<f64>,
+    /// Duration of the motion, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub total_time_s: Option<f64>,
+    /// True if the judge found every limit of the machine kept.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub limits_respected: Option<bool>,
+    /// Claim of a scheduler about the limits of the machine.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub claim: Option<Claim>,
+    /// Distance of the motion from its path.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub path_distance: Option<PathDistance>,
+    /// Interpolation between the nodes of a dwell-time density, in words.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub between_nodes: Option<Cow<'static, str>>,
+    /// Report of the method.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub report: Option<R>,
+}
+
+impl<R> Default for PlanOutcome<R> {
+    fn default() -> Self {
+        Self {
+            best_round: None,
+            end: None,
+            at_bound: None,
+            rms_nm: None,
+            rms_detilted_nm: None,
+            dwell_s: None,
+            total_time_s: None,
+            limits_respected: None,
+            claim: None,
+            path_distance: None,
+            between_nodes: None,
+            report: None,
+        }
+    }
+}
+
+/// Reason for which a method ended.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum StatedEnd {
+    /// Reason that the stages of Planish know.
+    Known(End),
+    /// Word of another program.
+    Foreign(String),
+}
+
+impl From<End> for StatedEnd {
+    fn from(end: End) -> Self {
+        Self::Known(end)
+    }
+}
+
+/// Part of the report of a method that others read. A program that is not ours, or an older one, may state its end here.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PlanReport {
+    /// Reason for which the method ended, if the outcome does not state it.
+    pub end: Option<StatedEnd>,
+    /// True if the method ended by itself.
+    pub converged: Option<bool>,
+    /// Proven bound on the rest that is left to gain.
+    #[serde(flatten)]
+    pub proven: ProvenGap,
+}
+
+/// Proven bound on what a plan leaves to gain: part of the report of a method.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ProvenGap {
+    /// Excess of the objective over its minimum, relative to it, at most. Not finite if nothing is proven.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub relative_gap: Option<f64>,
+    /// The same, as `planish-bspline-feed` calls it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gap: Option<f64>,
+    /// Sentence on the plans that the bound compares with.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gap_covers: Option<Cow<'static, str>>,
+}
+
+/// Claim of a schedule about the limits of the machine.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Claim {
+    /// True if every limit is kept: each of the following is true or `None`.
+    pub limits_respected: bool,
+    /// True if the position is continuous.
+    #[serde(default)]
+    pub continuous_position: bool,
+    /// True if the velocity is continuous, from rest at the start to rest at the end.
+    #[serde(default)]
+    pub continuous_velocity: bool,
+    /// True if both axes keep the velocity limit.
+    #[serde(default)]
+    pub velocity: bool,
+    /// True if both axes keep the acceleration limit.
+    #[serde(default)]
+    pub acceleration: bool,
+    /// True if the limited axes keep the jerk limit and their acceleration does not step. `None` if the
+    /// machine does not limit jerk.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub jerk: Option<bool>,
+    /// True if the limited axes keep the jerk limit inside segments; steps of the acceleration between
+    /// segments do not count. `None` if the machine does not limit jerk.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub jerk_inside_segments: Option<bool>,
+    /// True if no segment is shorter than the controller accepts.
+    #[serde(default)]
+    pub min_segment: bool,
+    /// Largest |jerk| inside segments of [x, y], mm/s^3.
+    #[serde(default)]
+    pub max_jerk_mm_per_s3: [f64; 2],
+    /// Largest step in acceleration of [x, y], start and end included, mm/s^2.
+    #[serde(default)]
+    pub max_acceleration_step_mm_per_s2: [f64; 2],
+}
