@@ -128,7 +128,10 @@ impl Definition {
         let mut names = Vec::new();
         let mut stages = vec![stage.to_string()];
         let mut entered = BTreeSet::new();
-        while let Some(stage) = stages.pop().filter(|stage| entered.insert(stage.clone())) {
+        while let Some(stage) = stages.pop() {
+            if !entered.insert(stage.clone()) {
+                continue;
+            }
             for line in self.stage(&stage).unwrap_or_default() {
                 names.extend(names_of(line).unwrap_or_default());
                 if let Ok(action) = Action::read(&line.text) {
@@ -478,6 +481,23 @@ mod tests {
         assert_eq!(names("path"), "overscan_mm pitch_mm scan step_mm turn variant");
         assert_eq!(names("there-and-back"), "passes");
         assert_eq!(Definition::built_in("shared"), None);
+    }
+
+    /// Settings that a pipeline refuses by a message of its own where it does not use them.
+    const REFUSED_BY_NAME: [&str; 3] = ["passes", "refine", "frames"];
+
+    #[test]
+    fn every_setting_of_a_pipeline_has_an_effect_on_its_run() {
+        let mut unused = Vec::new();
+        for (name, _) in FILES.iter().filter(|(name, _)| *name != SHARED) {
+            let pipeline = Definition::built_in(name).unwrap();
+            let used = pipeline.settings_of("run", &[]);
+            let names = pipeline.settings.iter().map(|setting| setting.name.as_str());
+            let has_no_effect =
+                |of: &&str| !used.contains(*of) && !REFUSED_BY_NAME.contains(of);
+            unused.extend(names.filter(has_no_effect).map(|of| format!("{name}: {of}")));
+        }
+        assert!(unused.is_empty(), "list these under `without`:\n{}", unused.join("\n"));
     }
 
     #[test]
