@@ -492,10 +492,11 @@ mod tests {
         for (name, _) in FILES.iter().filter(|(name, _)| *name != SHARED) {
             let pipeline = Definition::built_in(name).unwrap();
             let used = pipeline.settings_of("run", &[]);
-            let names = pipeline.settings.iter().map(|setting| setting.name.as_str());
-            let has_no_effect =
-                |of: &&str| !used.contains(*of) && !REFUSED_BY_NAME.contains(of);
-            unused.extend(names.filter(has_no_effect).map(|of| format!("{name}: {of}")));
+            for setting in &pipeline.settings {
+                if !used.contains(&setting.name) && !REFUSED_BY_NAME.contains(&&*setting.name) {
+                    unused.push(format!("{name}: {}", setting.name));
+                }
+            }
         }
         assert!(unused.is_empty(), "list these under `without`:\n{}", unused.join("\n"));
     }

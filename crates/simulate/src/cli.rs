@@ -23,7 +23,7 @@ use planish_simulate::{
     motion::Motion,
     simulate,
 };
-use planish_types::{Removal, plausible, progress};
+use planish_types::{Removal, doubts, plausible, progress};
 use serde_json::json;
 
 #[derive(Args)]
@@ -120,6 +120,9 @@ impl Simulate {
         output.write(&prediction.removal, outcome, &status)?;
         if let Some(warning) = between.and_then(|b| b.warning()) {
             warn(warning);
+        }
+        if matches!(status, Status::Done) {
+            doubts::of_residual(&surface, &prediction.removal).iter().for_each(warn);
         }
         let after = match (&self.servo_of, servos.servo_count()) {
             (None, _) => "",
