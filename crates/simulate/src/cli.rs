@@ -121,9 +121,7 @@ impl Simulate {
         if let Some(warning) = between.and_then(|b| b.warning()) {
             warn(warning);
         }
-        if matches!(status, Status::Done) {
-            doubts::of_residual(&surface, &prediction.removal).iter().for_each(warn);
-        }
+        doubts::of_residual(&surface, &prediction.removal).iter().for_each(warn);
         let after = match (&self.servo_of, servos.servo_count()) {
             (None, _) => "",
             (Some(_), 0) => {
