@@ -178,12 +178,6 @@ def floored(run, d, floor_s):
             "--min-dwell-s", floor_s]
 
 
-def turned(path):
-    xs, ys = ([PITCH_MM * i for i in range(n)] for n in reversed(SHAPE))
-    rows = [[height(xs[-1] - x, ys[-1] - y) for x in xs] for y in ys]
-    return arrays(path, "height_nm.npy", rows, xs, ys)
-
-
 def pivot_in_metres(made):
     made["kinematics"]["pivot_mm"] = 0.08
 
@@ -276,7 +270,6 @@ CASES = [
     ("pad: diameter for the radius", lambda run, d: pad(d, 5), "it would be 2.5 mm"),
     ("plan: sign of the map", lambda run, d: executed(run, d, lambda at: surface(at, factor=-1), tif), "sign of the map"),
     ("plan: tool 5 times too weak", lambda run, d: executed(run, d, surface, lambda at: tif(at, factor=0.2)), "another unit or rate"),
-    ("plan: map turned over", lambda run, d: executed(run, d, lambda at: turned(at), tif), "turned by 180 degrees"),
     ("before and after swapped", lambda run, d: spot(d, True), "before"),
     ("floor in ms", lambda run, d: floored(run, d, 5), "least dwell time"),
     ("xyz: angstrom, nm given", lambda run, d: ["import", "surface", xyz(d / "m.xyz", "x (mm) y (mm) z (A)\n", 10), "--unit", "nm"], "angstrom|Angstrom"),
