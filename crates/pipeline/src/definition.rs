@@ -145,7 +145,10 @@ impl Definition {
         let mut names = Vec::new();
         let mut stages = vec![stage.to_string()];
         let mut entered = BTreeSet::new();
-        while let Some(stage) = stages.pop().filter(|stage| entered.insert(stage.clone())) {
+        while let Some(stage) = stages.pop() {
+            if !entered.insert(stage.clone()) {
+                continue;
+            }
             for line in self.stage(&stage).into_iter().flat_map(Stage::lines) {
                 names.extend(names_of(line).unwrap_or_default());
             }
@@ -507,6 +510,24 @@ mod tests {
         assert_eq!(names("path"), "overscan_mm pitch_mm scan step_mm turn variant");
         assert_eq!(names("there-and-back"), "passes");
         assert_eq!(Definition::built_in("shared"), None);
+    }
+
+    /// Settings that a pipeline refuses by a message of its own where it does not use them.
+    const REFUSED_BY_NAME: [&str; 3] = ["passes", "refine", "frames"];
+
+    #[test]
+    fn every_setting_of_a_pipeline_has_an_effect_on_its_run() {
+        let mut unused = Vec::new();
+        for (name, _) in FILES.iter().filter(|(name, _)| *name != SHARED) {
+            let pipeline = Definition::built_in(name).unwrap();
+            let used = pipeline.settings_of("run", &[]);
+            for setting in &pipeline.settings {
+                if !used.contains(&setting.name) && !REFUSED_BY_NAME.contains(&&*setting.name) {
+                    unused.push(format!("{name}: {}", setting.name));
+                }
+            }
+        }
+        assert!(unused.is_empty(), "list these under `without`:\n{}", unused.join("\n"));
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::{fs, path::Path, process::Output};
 use ndarray::Array2;
 use planish_handoff::artifact;
 use planish_testkit::program::{text, write};
-use planish_types::{Axis, Grid, Surface, ToolPath, Trajectory, Transform};
+use planish_types::{Axis, DwellTime, Grid, Surface, ToolPath, Trajectory, Transform};
 
 fn run(dir: &Path, arguments: &str) -> Output {
     planish_testkit::program::stage("planish-register")
@@ -83,6 +83,39 @@ fn a_motion_goes_to_the_machine_and_back() {
     assert_eq!(path.dwell_point_mm()[0], loaded.value.point([1.0, 0.0]));
     // Again: nothing to do.
     assert!(done(dir, "fit f.csv --out t").contains("unchanged"));
+}
+
+#[test]
+fn the_distance_of_a_plan_from_its_path_goes_with_it() {
+    let tmp = tempfile::tempdir().unwrap();
+    let dir = tmp.path();
+    fs::write(dir.join("f.csv"), FIDUCIALS).unwrap();
+    done(dir, "fit f.csv --model similarity --out t");
+    let points = [[0.0, 0.0], [4.0, 0.0], [8.0, 1.0], [9.0, 5.0], [3.0, 6.0]].to_vec();
+    let path = ToolPath::through(points, vec![true; 4], vec![0; 4]).unwrap();
+    write(dir, "line", &path);
+    write(dir, "times", &DwellTime::new(vec![1.0, 0.2, 2.0, 0.5]).unwrap());
+    let machine =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/machines/ion-beam.json");
+    let planned = planish_testkit::program::stage("planish-schedule")
+        .current_dir(dir)
+        .args("pvt --tool-path line --dwell times --out planned --machine".split(' '))
+        .arg(machine)
+        .output()
+        .unwrap();
+    assert_eq!(planned.status.code(), Some(0), "{}", text(&planned.stderr));
+    done(dir, "apply --transform t --trajectory planned --out moved");
+    let distances = ["planned", "moved"].map(|name| {
+        let made = artifact::read::<Trajectory>(&dir.join(name)).unwrap().manifest.unwrap();
+        let distance = &made.outcome["path_distance"];
+        assert_eq!(distance["within"], true, "{name}: {distance}");
+        [&distance["tool_on_mm"], &distance["tolerance_mm"]].map(|mm| mm.as_f64().unwrap())
+    });
+    let stretch = artifact::read::<Transform>(&dir.join("t")).unwrap().value.scale();
+    for (planned, moved) in distances[0].iter().zip(&distances[1]) {
+        // Both are the same number but for the rounding of the scale.
+        assert!(*planned > 0.0 && (moved / planned / stretch - 1.0).abs() < 1e-9, "{distances:?}");
+    }
 }
 
 #[test]

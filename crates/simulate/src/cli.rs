@@ -24,7 +24,7 @@ use planish_simulate::{
     simulate,
 };
 use planish_types::{
-    Removal,
+    Removal, doubts,
     outcome::removal::{RemovalOutcome, ServoOutcome},
     plausible, progress,
 };
@@ -137,6 +137,7 @@ impl Simulate {
         if let Some(warning) = between.and_then(|b| b.warning()) {
             warn(warning);
         }
+        doubts::of_residual(&surface, &prediction.removal).iter().for_each(warn);
         let after = match (&self.servo_of, servos.servo_count()) {
             (None, _) => "",
             (Some(_), 0) => {

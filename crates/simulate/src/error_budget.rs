@@ -11,8 +11,8 @@
 //! The size is the standard deviation of a normal error, half the width of a uniform one, and the value of one
 //! that is fixed: known, but not corrected. A tick is uniform, and its size is the whole tick.
 
-use planish_types::Invalid;
 pub use planish_types::outcome::tolerance::Distribution;
+use planish_types::{Invalid, text::significant};
 use serde::{Deserialize, Serialize};
 
 use crate::play;
@@ -280,12 +280,42 @@ impl Kind {
     }
 }
 
+/// Size of an error in %, below which it is doubted as a fraction. Larger: good machines are doubted. Smaller:
+/// fractions pass. Chosen: the smallest rates and widths of the fixtures are 0.5 %. Geometric errors may be smaller.
+const LEAST_PERCENT: f64 = 0.1;
+
 impl ErrorBudget {
+    /// Returns the doubt about errors in % that are so small that they may be fractions.
+    pub fn doubt(&self) -> Option<String> {
+        let small: Vec<String> =
+            self.errors.iter().filter_map(ProcessError::small_percent).collect();
+        if small.is_empty() {
+            return None;
+        }
+        Some(format!("{}: fractions? give the size in %, or the unit \"1\"", small.join(", ")))
+    }
+
     /// Returns the sentence on the state in which an axis with play begins, if the process has play.
     pub fn play_start(&self) -> Option<&'static str> {
         let is_play =
             |e: &ProcessError| e.effect == Effect::Scalar(Scalar::Backlash) && e.size != 0.0;
         self.errors.iter().any(is_play).then_some(play::START)
+    }
+}
+
+impl ProcessError {
+    /// Returns the sentence on an error of the rate or of the shape of the tool that is as small as a fraction.
+    fn small_percent(&self) -> Option<String> {
+        let ErrorFile { kind, size, unit, .. } = &self.stated;
+        let is_of_tool = !matches!(kind, Kind::Magnification | Kind::Shear);
+        if unit != "%" || !is_of_tool || *size == 0.0 || size.abs() >= LEAST_PERCENT {
+            return None;
+        }
+        Some(format!(
+            "{} is {size} %, and would be {} %",
+            kind.name(),
+            significant(100.0 * size, 4)
+        ))
     }
 }
 
@@ -331,8 +361,11 @@ impl ErrorFile {
         }
         if size.abs() > largest {
             let problem = format!("the size of {name} is {} {}", self.size, self.unit);
-            let remedy =
+            let mut remedy =
                 format!("give at most {} {}; is the unit right?", largest / factor, self.unit);
+            if self.unit == "1" && 0.01 * size.abs() <= largest {
+                remedy = format!("give at most {largest}, or the unit \"%\" for {} %", self.size);
+            }
             return Err(bad(problem, &remedy));
         }
         self.check_distribution(index, &name)?;
@@ -423,5 +456,37 @@ impl ErrorFile {
             Kind::MapNoise => Effect::MapNoise,
             Kind::MapLowOrder => Effect::MapLowOrder { degree: value as usize },
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A process with one error of the rate.
+    fn process(size: f64, unit: &str) -> Result<ErrorBudget, Invalid> {
+        let error = ErrorFile {
+            kind: Kind::RateScale,
+            size,
+            unit: unit.into(),
+            distribution: Distribution::Normal,
+            note: String::new(),
+            correlation_s: None,
+            time_constant_s: None,
+            damping_ratio: None,
+            degree: None,
+        };
+        ErrorBudgetFile { name: "process".into(), errors: vec![error] }.checked()
+    }
+
+    #[test]
+    fn a_percentage_for_a_fraction_and_the_reverse_are_named_with_the_value() {
+        let refusal = process(5.0, "1").unwrap_err().to_string();
+        assert!(refusal.contains("give at most 0.25, or the unit \"%\" for 5 %"), "{refusal}");
+        let doubt = process(0.05, "%").unwrap().doubt().unwrap();
+        assert!(doubt.contains("rate_scale is 0.05 %, and would be 5 %: fractions?"), "{doubt}");
+        for (size, unit) in [(0.5, "%"), (0.0, "%"), (0.05, "1")] {
+            assert_eq!(process(size, unit).unwrap().doubt(), None, "{size} {unit}");
+        }
     }
 }

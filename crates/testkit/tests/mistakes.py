@@ -178,6 +178,40 @@ def floored(run, d, floor_s):
             "--min-dwell-s", floor_s]
 
 
+def pivot_in_metres(made):
+    made["kinematics"]["pivot_mm"] = 0.08
+
+
+def planned(run, d, **inputs):
+    """A plan of the coupon, on inputs that may be mistaken."""
+    run(raster(d, **inputs), d / "path")
+    mirror = ["--surface", d / "surface", "--tif", d / "tif"]
+    run(["dwell", "bounded-least-squares", *mirror, "--tool-path", d / "path", "--min-dwell-s", 0.01], d / "dwell")
+    run(["schedule", "pvt", "--tool-path", d / "path", "--dwell", d / "dwell", "--machine", d / "machine.json"], d / "motion")
+
+
+def budgeted(run, d, size, unit):
+    """A plan and the errors of its process."""
+    planned(run, d)
+    error = {"kind": "rate_scale", "size": size, "unit": unit, "distribution": "normal", "note": "repeatability"}
+    process = text(d / "process.json", json.dumps({"name": "process", "errors": [error]}))
+    return ["tolerance", "--surface", d / "surface", "--tif", d / "tif", "--trajectory", d / "motion", "--error-budget", process]
+
+
+def executed(run, d, map_of, tool_of):
+    """The motion of a plan, simulated on the map and with the tool that are right."""
+    planned(run, d, surface=lambda: map_of(d / "surface"), tif=lambda: tool_of(d / "tif"))
+    return ["simulate", "--trajectory", d / "motion", "--surface", surface(d / "right-map"), "--tif", tif(d / "right-tif")]
+
+
+def pad(d, radius_mm):
+    """A pad of 2.5 mm with this radius."""
+    offsets = [0.25 * i for i in range(-11, 12)]
+    rows = [[max(0.0, 5 * (1 - (x * x + y * y) / 6.25)) for x in offsets] for y in offsets]
+    flags = ["--surface", surface(d / "s"), "--tif", arrays(d / "pad", "rate_nm_per_s.npy", rows, offsets, offsets)]
+    return ["surface", "tool-edge", *flags, "--pad-radius-mm", radius_mm, "--error", 0.1]
+
+
 # Name, command in a directory, words that name the mistake; no words for a file without one.
 CASES = [
     ("right: log", lambda run, d: trace(log(d / "l.csv", "t (s),x (mm),y (mm)\n", plain)), None),
@@ -186,6 +220,9 @@ CASES = [
     ("right: profile", lambda run, d: spec(profile(d / "p.csv", "x (mm),slope (urad)\n"), "--value-unit", "urad"), None),
     ("right: spot", lambda run, d: spot(d, False), None),
     ("right: drift", lambda run, d: with_plan(run, d, 0), None),
+    ("right: budget", lambda run, d: budgeted(run, d, 1, "%"), None),
+    ("right: plan", lambda run, d: executed(run, d, surface, tif), None),
+    ("right: pad", lambda run, d: pad(d, 2.5), None),
     ("log: um, mm given", lambda run, d: trace(log(d / "l.csv", "t (s),x (micron),y (micron)\n", plain), "--unit", "mm"), "in um"),
     ("log: inches, mm given", lambda run, d: trace(log(d / "l.csv", "t (s),x (in),y (in)\n", plain), "--unit", "mm"), "in in"),
     ("log: unknown unit", lambda run, d: trace(log(d / "l.csv", "t (s),x (furlong),y (mm)\n", plain), "--unit", "mm"), "furlong"),
@@ -227,6 +264,12 @@ CASES = [
     ("inverted mask", lambda run, d: prepare(d, surface(d / "s", change=disk(True))), "inverted mask"),
     ("tilt of the measurement", lambda run, d: prepare(d, surface(d / "s", change=lambda z, x, y: z + 30 * x), "--level", "piston"), "tilt"),
     ("9999 for no data", lambda run, d: prepare(d, surface(d / "s", change=lambda z, x, y: 9999.0 if x < 2 else z)), "without data"),
+    ("pivot in m", lambda run, d: raster(d, machine=lambda: machine(d / "m.json", "bonnet-five-axis", pivot_in_metres)), "metres"),
+    ("budget: fraction as percent", lambda run, d: budgeted(run, d, 0.05, "%"), "would be 5 %"),
+    ("budget: percent as fraction", lambda run, d: budgeted(run, d, 5, "1"), 'the unit "%" for 5 %'),
+    ("pad: diameter for the radius", lambda run, d: pad(d, 5), "it would be 2.5 mm"),
+    ("plan: sign of the map", lambda run, d: executed(run, d, lambda at: surface(at, factor=-1), tif), "sign of the map"),
+    ("plan: tool 5 times too weak", lambda run, d: executed(run, d, surface, lambda at: tif(at, factor=0.2)), "another unit or rate"),
     ("before and after swapped", lambda run, d: spot(d, True), "before"),
     ("floor in ms", lambda run, d: floored(run, d, 5), "least dwell time"),
     ("xyz: angstrom, nm given", lambda run, d: ["import", "surface", xyz(d / "m.xyz", "x (mm) y (mm) z (A)\n", 10), "--unit", "nm"], "angstrom|Angstrom"),

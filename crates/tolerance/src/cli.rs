@@ -60,6 +60,7 @@ impl Tolerance {
         let mut inputs = Inputs::new();
         let (trajectory, tif, surface) = self.trajectory.read_over(&self.mirror, &mut inputs)?;
         let process = self.process(&mut inputs)?;
+        process.doubt().iter().for_each(warn);
         let task = task!("tolerance", settings);
         let output = Output::directory(&self.output, &kind::TOLERANCE);
         let mut output = match output.begin(&task, &inputs)? {

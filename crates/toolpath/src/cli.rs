@@ -189,7 +189,8 @@ impl Region {
         if let Some(file) = &args.machine {
             let found = Inputs::new().read_machine(file)?;
             // Rates in doubt say nothing of the limits.
-            let of_axes = || doubts::of_rotary_axes(&found).or_else(|| of_limits(&found));
+            let of_rotary = || doubts::of_rotary_axes(&found).or_else(|| doubts::of_pivot(&found));
+            let of_axes = || of_rotary().or_else(|| of_limits(&found));
             let doubt = if doubts.is_empty() { of_axes() } else { None };
             if doubt.is_some() || found.travel_mm().iter().any(Option::is_some) {
                 machine = Some(inputs.read_machine(file)?);

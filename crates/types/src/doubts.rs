@@ -9,7 +9,8 @@ use ndarray::Array2;
 use planish_numerics::statistics;
 
 use crate::{
-    Axis, ClearAperture, Grid, Limits, Machine, Surface, Tif, baseline::Baseline, text::significant,
+    Axis, ClearAperture, Grid, Kinematics, Limits, Machine, Removal, Surface, Tif,
+    baseline::Baseline, text::significant,
 };
 
 /// Fraction of the mean square of a map that is a plane, above which the plane is doubted as a tilt
@@ -81,6 +82,33 @@ const CIRCLE: [f64; 2] = [0.55, 1.7];
 /// Smallest part of the rectangle of a map that is a hole within valid corners, from which on the mask is doubted. Smaller:
 /// square parts with a hole are doubted. Larger: inverted masks pass.
 const HOLE: f64 = 0.3;
+
+/// Distance of a pivot from the contact point, mm, below which it is doubted as one in metres. Larger: tools whose pivot
+/// is close to the part are doubted. Smaller: pivots in metres pass. Chosen: 30 to 80 mm for the fixtures; a tool that
+/// turns about its contact point has exactly 0.
+const LEAST_PIVOT_MM: f64 = 1.0;
+
+/// Smallest ratio of the radius of a pad to the half size of its removal, and largest, without a doubt. Narrower: pads that
+/// orbit, whose removal is wider than they are, are doubted. Wider: diameters that were given for radii pass.
+const PAD: [f64; 2] = [0.3, 1.5];
+
+/// Rate over the peak of a TIF, above which a sample belongs to the spot. Larger: thin rims do not count. Smaller: noise does.
+const OF_SPOT: f64 = 1e-2;
+
+/// RMS of the residual over that before the run, below which a mistake explains a residual above the start. Larger: chance
+/// counts as a mistake. Smaller: mistakes beside other errors pass.
+const EXPLAINED: f64 = 0.5;
+
+/// RMS over that of a simpler mistake, below which another mistake explains more. Larger: shifts hide a wrong rate. Smaller:
+/// a wrong rate hides shifts.
+const CLEARLY_LESS: f64 = 0.8;
+
+/// Largest distance at which the removal is looked for, pixels along x and y. Larger: more time. Smaller: parts that are
+/// further off are not recognised.
+const MOST_PIXELS_OFF: isize = 12;
+
+/// Largest number of pixels among which it is looked for. Larger: more time. Smaller: a less certain place.
+const MOST_COMPARED: usize = 4000;
 
 /// Ratio of the time for the path at the largest velocity to the time of the removal, above which
 /// the limits are doubted. Larger: mistaken units pass. Smaller: slow machines are doubted. Chosen:
@@ -389,6 +417,167 @@ pub fn of_rotary_axes(machine: &Machine) -> Option<String> {
     })
 }
 
+/// Doubt about the pivot of the tilts of a machine, which looks like one in metres.
+pub fn of_pivot(machine: &Machine) -> Option<String> {
+    let pivot_mm = match machine.kinematics() {
+        Kinematics::Xy | Kinematics::Xyz => None,
+        Kinematics::Tilts { pivot_mm, .. } => Some(*pivot_mm),
+        Kinematics::Spindle { pivot_mm, .. } => *pivot_mm,
+    }?;
+    if pivot_mm == 0.0 || pivot_mm.abs() >= LEAST_PIVOT_MM {
+        return None;
+    }
+    Some(format!(
+        "pivot_mm is {} mm, beside the contact point: metres? it would be {} mm; 0 is a tool that tilts about its contact \
+         point",
+        significant(pivot_mm, 4),
+        significant(1e3 * pivot_mm, 4)
+    ))
+}
+
+/// Doubt about the radius of a pad, mm, beside the place in which it removes material: a diameter for a radius, or a radius
+/// for a diameter.
+pub fn of_pad(tif: &Tif, radius_mm: f64) -> Option<String> {
+    let least = OF_SPOT * tif.peak_nm_per_s();
+    let grid = tif.grid();
+    let spot = tif.rate_nm_per_s().indexed_iter().filter(|(_, rate)| **rate > least);
+    let half_mm =
+        spot.map(|((r, c), _)| grid.x.at(c).abs().max(grid.y.at(r).abs())).fold(0.0, f64::max);
+    let what = match radius_mm / half_mm {
+        ratio if ratio > PAD[1] => "a diameter for a radius",
+        ratio if ratio < PAD[0] => "a radius that was halved",
+        _ => return None,
+    };
+    let other_mm = if radius_mm > half_mm { 0.5 * radius_mm } else { 2.0 * radius_mm };
+    Some(format!(
+        "the pad has a radius of {} mm, and its TIF removes up to {} mm from its centre: {what}? it would be {} mm",
+        significant(radius_mm, 4),
+        significant(half_mm, 4),
+        significant(other_mm, 4)
+    ))
+}
+
+/// Doubt about a plan whose residual is larger than the desired removal was: the mistake that explains most of it, with its
+/// value. `None` where the residual is smaller.
+pub fn of_residual(desired: &Surface, removal: &Removal) -> Option<String> {
+    let [before, after] = [desired, removal.residual()].map(|map| map.statistics().rms);
+    if after <= before || before == 0.0 {
+        return None;
+    }
+    let compared = Compared::new(desired, removal);
+    let (left, mistake) = compared.best()?;
+    let end = if left < EXPLAINED * before {
+        format!("{mistake} Then {} nm would be left", significant(left, 3))
+    } else {
+        "no single factor, turn or shift of the removal explains it: are map, tool and motion of the same part, in the \
+         same coordinates?"
+            .into()
+    };
+    Some(format!(
+        "the residual of {} nm RMS is larger than the {} nm before the run: {end}",
+        significant(after, 4),
+        significant(before, 4)
+    ))
+}
+
+/// Desired and simulated removal, nm, of which some pixels are compared.
+struct Compared<'a> {
+    grid: &'a Grid,
+    desired_nm: &'a Array2<f64>,
+    removal_nm: &'a Array2<f64>,
+    /// Rows and columns of the compared pixels.
+    pixels: Vec<[usize; 2]>,
+}
+
+impl<'a> Compared<'a> {
+    fn new(desired: &'a Surface, removal: &'a Removal) -> Self {
+        let desired_nm = desired.height_nm();
+        let valid = desired_nm.indexed_iter().filter(|(_, height)| !height.is_nan());
+        let every = desired_nm.len().div_ceil(MOST_COMPARED);
+        let pixels = valid.step_by(every).map(|((r, c), _)| [r, c]).collect();
+        Self { grid: desired.grid(), desired_nm, removal_nm: removal.removal_nm(), pixels }
+    }
+
+    /// Returns the factor of the removal that leaves least, and what it leaves, nm RMS, where the removal at the pixel
+    /// `place` of a pixel [row, column] counts in the place of its own. `None` where too few pixels have one.
+    fn factor(&self, place: impl Fn([isize; 2]) -> [isize; 2]) -> Option<(f64, f64)> {
+        let mut pairs = Vec::with_capacity(self.pixels.len());
+        for &[r, c] in &self.pixels {
+            let [row, column] = place([r as isize, c as isize]);
+            let removed = usize::try_from(row).ok().zip(usize::try_from(column).ok());
+            if let Some(removed) = removed.and_then(|at| self.removal_nm.get(at)) {
+                pairs.push([self.desired_nm[[r, c]], *removed]);
+            }
+        }
+        if 2 * pairs.len() < self.pixels.len() {
+            return None;
+        }
+        let count = pairs.len() as f64;
+        let mean = [0, 1].map(|k| pairs.iter().map(|pair| pair[k]).sum::<f64>() / count);
+        let [mut wanted, mut both, mut removed] = [0.0; 3];
+        for pair in &pairs {
+            let [d, r] = [0, 1].map(|k| pair[k] - mean[k]);
+            wanted += d * d;
+            both += d * r;
+            removed += r * r;
+        }
+        if removed <= 0.0 {
+            return None;
+        }
+        Some((both / removed, ((wanted - both * both / removed).max(0.0) / count).sqrt()))
+    }
+
+    /// Returns what the mistake that explains most would leave, nm RMS, and the sentence that names it. A factor goes before
+    /// turns, and turns before shifts, where they explain about as much.
+    fn best(&self) -> Option<(f64, String)> {
+        let (factor, left) = self.factor(|pixel| pixel)?;
+        let mut best = (left, scaled(factor));
+        let (rows, columns) = self.desired_nm.dim();
+        let last = [rows as isize - 1, columns as isize - 1];
+        for (name, turns) in [
+            ("turned by 180 degrees", [true, true]),
+            ("mirrored along x", [false, true]),
+            ("mirrored along y", [true, false]),
+        ] {
+            let turned = self.factor(|pixel| {
+                [0, 1].map(|k| if turns[k] { last[k] - pixel[k] } else { pixel[k] })
+            });
+            if let Some(left) = explained(turned, best.0) {
+                best = (left, format!("is the map {name} beside the motion?"));
+            }
+        }
+        let [step_x, step_y] = [self.grid.x.step_mm(), self.grid.y.step_mm()];
+        for by_rows in -MOST_PIXELS_OFF..=MOST_PIXELS_OFF {
+            for by_columns in -MOST_PIXELS_OFF..=MOST_PIXELS_OFF {
+                let moved = self.factor(|[r, c]| [r + by_rows, c + by_columns]);
+                if let Some(left) = explained(moved, best.0) {
+                    let x = significant(by_columns as f64 * step_x, 3);
+                    let y = significant(by_rows as f64 * step_y, 3);
+                    best = (left, format!("does the motion lie ({x}, {y}) mm off the map?"));
+                }
+            }
+        }
+        Some(best)
+    }
+}
+
+/// Returns what a factor above 0 leaves, nm RMS, where it is clearly less than what the best mistake so far leaves.
+fn explained(factor: Option<(f64, f64)>, best_nm: f64) -> Option<f64> {
+    let (factor, left) = factor?;
+    if factor > 0.0 && left < CLEARLY_LESS * best_nm { Some(left) } else { None }
+}
+
+/// The mistake behind a removal that this factor would correct.
+fn scaled(factor: f64) -> String {
+    let stated = significant(factor.abs(), 3);
+    if factor < 0.0 {
+        return "is the sign of the map turned? The removal is high where the map is low.".into();
+    }
+    format!(
+        "does the TIF of the dwell times have another unit or rate? {stated} times the removal would fit."
+    )
+}
+
 /// Doubt about angles of incidence in degrees that end at less than a right angle in radians; `largest_deg` is the largest of
 /// `count`.
 pub fn of_incidences(largest_deg: f64, count: usize) -> Option<String> {
@@ -614,7 +803,7 @@ fn spikes(map: &Array2<f64>, some: &[f64]) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{MachineFile, MachineFileAxis};
+    use crate::{KinematicsFile, MachineFile, MachineFileAxis};
 
     fn axis(start: f64, end: f64, n: usize) -> Axis {
         Axis::new(start, (end - start) / (n - 1) as f64, n).unwrap()
@@ -858,6 +1047,62 @@ mod tests {
         }
         said(of_incidences(1.2, 7), &["ends at 1.2 degrees: radians? it would be 68.8 degrees"]);
         assert_eq!((of_incidences(60.0, 7), of_incidences(1.2, 2)), (None, None));
+    }
+
+    #[test]
+    fn a_diameter_of_a_pad_for_its_radius_is_named() {
+        let flat = tool(10.0, |_| 5.0);
+        said(of_pad(&flat, 20.0), &["up to 10 mm", "a diameter for a radius? it would be 10 mm"]);
+        said(of_pad(&flat, 2.5), &["a radius that was halved? it would be 5 mm"]);
+        // A pad that orbits removes beyond its edge.
+        assert_eq!((of_pad(&flat, 10.0), of_pad(&flat, 5.0)), (None, None));
+    }
+
+    #[test]
+    fn a_pivot_in_metres_is_named() {
+        let with_pivot = |mm: f64| {
+            let text = include_str!("../../../fixtures/machines/bonnet-five-axis.json");
+            let mut file: MachineFile = serde_json::from_str(text).unwrap();
+            if let Some(KinematicsFile::XyzTilts { pivot_mm, .. }) = &mut file.kinematics {
+                *pivot_mm = mm;
+            }
+            of_pivot(&Machine::new(file).unwrap())
+        };
+        said(with_pivot(0.08), &["pivot_mm is 0.08 mm", "metres? it would be 80 mm"]);
+        said(with_pivot(-0.03), &["it would be -30 mm"]);
+        assert_eq!((with_pivot(0.0), with_pivot(80.0)), (None, None));
+    }
+
+    #[test]
+    fn a_residual_above_the_start_names_the_mistake_with_its_value() {
+        let waves = |r: usize, c: usize| {
+            20.0 * (0.21 * c as f64 + 0.4).sin() * (0.17 * r as f64).cos() + 0.3 * c as f64
+        };
+        let desired = map(|_, (r, c)| waves(r, c));
+        let (rows, columns) = desired.height_nm().dim();
+        let removal = |of: &dyn Fn(usize, usize) -> f64| {
+            let removed = Array2::from_shape_fn((rows, columns), |(r, c)| of(r, c) + 100.0);
+            Removal::new(&desired, removed).unwrap()
+        };
+        for (of, parts) in [
+            (
+                &(|r, c| 3.0 * waves(r, c)) as &dyn Fn(usize, usize) -> f64,
+                ["another unit", "0.333 times"],
+            ),
+            (&|r, c| -waves(r, c), ["sign of the map", "nm would be left"]),
+            (
+                &|r, c| waves(rows - 1 - r, columns - 1 - c),
+                ["turned by 180 degrees", "larger than"],
+            ),
+            (&|r, c| 1.5 * waves(r, c + 7), ["lie (-3.5, 0) mm off", "larger than"]),
+            (
+                &|r, c| 40.0 * ((r * 7919 + c * 104_729) % 97) as f64,
+                ["no single factor", "same part"],
+            ),
+        ] {
+            said(of_residual(&desired, &removal(of)), &parts);
+        }
+        assert_eq!(of_residual(&desired, &removal(&|r, c| 0.9 * waves(r, c))), None);
     }
 
     #[test]

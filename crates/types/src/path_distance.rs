@@ -152,6 +152,17 @@ impl PathDistance {
         Self { tolerance_mm, within, ..self }
     }
 
+    /// Returns the same distances of a motion that is transformed with its path, by a transform that stretches lengths by
+    /// up to `factor`; with the tolerance in the same proportion.
+    pub fn stretched_by(self, factor: f64) -> Self {
+        Self {
+            tool_on_mm: factor * self.tool_on_mm,
+            tool_off_mm: factor * self.tool_off_mm,
+            tolerance_mm: factor * self.tolerance_mm,
+            ..self
+        }
+    }
+
     /// Returns a sentence if the motion exceeds its tolerance.
     pub fn excess(&self) -> Option<String> {
         if self.within {

@@ -107,6 +107,12 @@ impl Transform {
         (a * d - b * c).abs().sqrt()
     }
 
+    /// Largest factor by which M stretches a length: its larger singular value.
+    pub fn largest_stretch(&self) -> f64 {
+        let [[a, b], [c, d]] = self.matrix;
+        0.5 * ((a + d).hypot(c - b) + (a - d).hypot(c + b))
+    }
+
     /// Image M v of a direction.
     pub fn direction(&self, v: [f64; 2]) -> [f64; 2] {
         self.matrix.map(|row| row[0] * v[0] + row[1] * v[1])
@@ -241,6 +247,7 @@ mod tests {
         assert_eq!(t.point([2.0, 2.0]), [10.0, 21.0]);
         // Below: rounding of an angle and of a root of the order 1.
         assert!((t.angle_rad() - std::f64::consts::FRAC_PI_2).abs() < 1e-15 && t.scale() == 1.0);
+        assert_eq!(t.largest_stretch(), 1.0);
         // Variance of a point: that of the image, and of the row of M times the distance.
         let e = t.standard_error_mm([4.0, 6.0]);
         assert!((e[0] - (1e-4_f64 * 26.0).sqrt()).abs() < 1e-12);

@@ -249,7 +249,9 @@ impl Refine {
 
 fn read_process(path: &Path, inputs: &mut Inputs) -> Result<ErrorBudget, Failure> {
     let file: ErrorBudgetFile = inputs.read_json("error-budget", path)?;
-    file.checked().map_err(|e| Failure::new(format!("{}: {e}", path.display())))
+    let process = file.checked().map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
+    process.doubt().iter().for_each(warn);
+    Ok(process)
 }
 
 /// Outcome in the manifests.

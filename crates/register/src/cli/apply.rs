@@ -4,12 +4,14 @@ use std::path::{Path, PathBuf};
 
 use clap::{ArgGroup, Args};
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, kind::MACHINE_FRAME, say,
-    task,
+    Artifact, Begin, Failure, Inputs, Manifest, Output, Status,
+    flags::{OutputArgs, path_distance_of},
+    kind::MACHINE_FRAME,
+    say, task,
 };
 use planish_register::fit::angle;
 use planish_types::{ToolPath, Trajectory, Transform, TransformNumbers};
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::with_error;
 
@@ -39,28 +41,42 @@ impl ApplyArgs {
         let transform = if self.inverse { given.inverse()? } else { given };
         match (&self.tool_path, &self.trajectory) {
             (Some(dir), _) => {
-                let path: ToolPath = self.read("tool-path", dir, &mut inputs)?;
-                self.write(&inputs, &transform, |t| t.tool_path(&path).map_err(Failure::from))
+                let (path, _): (ToolPath, _) = self.read("tool-path", dir, &mut inputs)?;
+                let moved = |t: &Transform| t.tool_path(&path).map_err(Failure::from);
+                self.write(&inputs, &transform, moved, json!({}))
             }
             (None, Some(dir)) => {
-                let motion: Trajectory = self.read("trajectory", dir, &mut inputs)?;
-                self.write(&inputs, &transform, |t| t.trajectory(&motion).map_err(Failure::from))
+                let (motion, made): (Trajectory, _) = self.read("trajectory", dir, &mut inputs)?;
+                let moved = |t: &Transform| t.trajectory(&motion).map_err(Failure::from);
+                let outcome = match made.as_ref().and_then(path_distance_of) {
+                    Some(distance) => {
+                        let distance = distance.stretched_by(transform.largest_stretch());
+                        json!({ "path_distance": distance })
+                    }
+                    None => json!({}),
+                };
+                self.write(&inputs, &transform, moved, outcome)
             }
             (None, None) => Err(Failure::new("give --tool-path or --trajectory")),
         }
     }
 
     /// Reads the artifact to transform; refuses one that is in the frame of the machine already.
-    fn read<T: Artifact>(&self, role: &str, dir: &Path, inputs: &mut Inputs) -> Result<T, Failure> {
+    fn read<T: Artifact>(
+        &self,
+        role: &str,
+        dir: &Path,
+        inputs: &mut Inputs,
+    ) -> Result<(T, Option<Manifest>), Failure> {
         let (found, manifest) = inputs.read_with_manifest(role, dir)?;
-        if !self.inverse && manifest.is_some_and(|m| m.frame == MACHINE_FRAME) {
+        if !self.inverse && manifest.as_ref().is_some_and(|m| m.frame == MACHINE_FRAME) {
             return Err(Failure::new(format!(
                 "{}: is in the coordinates of the machine already; give what lies on the part, or `--inverse` to take \
                  it back there",
                 dir.display()
             )));
         }
-        Ok(found)
+        Ok((found, manifest))
     }
 
     fn write<T: Artifact>(
@@ -68,6 +84,7 @@ impl ApplyArgs {
         inputs: &Inputs,
         transform: &Transform,
         moved: impl FnOnce(&Transform) -> Result<T, Failure>,
+        outcome: Value,
     ) -> Result<Status, Failure> {
         let numbers = TransformNumbers::from(transform);
         let task = task!("apply", json!({ "inverse": self.inverse, "transform": numbers }));
@@ -79,7 +96,7 @@ impl ApplyArgs {
         if !self.inverse {
             output.set_frame(MACHINE_FRAME);
         }
-        output.write(&moved, json!({}), &Status::Done)?;
+        output.write(&moved, outcome, &Status::Done)?;
         let [x, y] = transform.point([0.0, 0.0]);
         say(format!(
             "planish-register: {}turned by {} degree, the origin to {x:.4}, {y:.4} mm -> {}",

@@ -407,6 +407,7 @@ impl EdgeArgs {
     pub fn run(&self, name: Name) -> Result<Status, Failure> {
         let mut inputs = Inputs::new();
         let tif = inputs.read_tool_with_doubt("tif", &self.tif)?;
+        doubts::of_pad(&tif, self.pad_radius_mm).iter().for_each(warn);
         let surface: Surface = inputs.read("surface", &self.make.surface)?;
         let settings = json!({ "pad_radius_mm": self.pad_radius_mm, "pressure": self.pressure });
         let places = Places::new(&surface);
