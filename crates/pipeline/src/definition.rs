@@ -512,8 +512,9 @@ mod tests {
         assert_eq!(Definition::built_in("shared"), None);
     }
 
-    /// Settings that a pipeline refuses by a message of its own where it does not use them.
-    const REFUSED_BY_NAME: [&str; 3] = ["passes", "refine", "frames"];
+    /// Settings that a pipeline refuses by a message of its own where it does not use them, and the file that every run
+    /// copies to `limits`.
+    const REFUSED_BY_NAME_OR_COPIED: [&str; 4] = ["passes", "refine", "frames", "machine"];
 
     #[test]
     fn every_setting_of_a_pipeline_has_an_effect_on_its_run() {
@@ -522,7 +523,8 @@ mod tests {
             let pipeline = Definition::built_in(name).unwrap();
             let used = pipeline.settings_of("run", &[]);
             for setting in &pipeline.settings {
-                if !used.contains(&setting.name) && !REFUSED_BY_NAME.contains(&&*setting.name) {
+                let is_known = REFUSED_BY_NAME_OR_COPIED.contains(&&*setting.name);
+                if !used.contains(&setting.name) && !is_known {
                     unused.push(format!("{name}: {}", setting.name));
                 }
             }
