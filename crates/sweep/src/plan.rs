@@ -568,7 +568,9 @@ mod tests {
         let [a, b] = ["a", "b"].map(none);
         let fixture = [("recipe", word("r s.json")), ("made", word("mirror/m")), a, b];
         assert_eq!(line("fixture", fixture), "planish-fixture r s.json --out mirror/m --force");
-        for kind in ["surface", "tif"] {
+        for (kind, command) in
+            [("surface", "planish-import surface"), ("tif", "planish-tool from-maps")]
+        {
             let (settings, out) = (format!("{kind}_settings"), format!("imported_{kind}"));
             let names = [
                 (kind, word("/m/f")),
@@ -578,7 +580,7 @@ mod tests {
             ];
             assert_eq!(
                 line(&format!("import-{kind}"), names),
-                format!("planish-import {kind} /m/f --unit m --out mirror/i --force")
+                format!("{command} /m/f --unit m --out mirror/i --force")
             );
         }
         let prepare = [

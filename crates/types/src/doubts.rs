@@ -567,7 +567,7 @@ fn explained(factor: Option<(f64, f64)>, best_nm: f64) -> Option<f64> {
     if factor > 0.0 && left < CLEARLY_LESS * best_nm { Some(left) } else { None }
 }
 
-/// The mistake behind a removal that this factor would correct.
+/// Returns the words for the mistake that this factor of the removal would correct.
 fn scaled(factor: f64) -> String {
     let stated = significant(factor.abs(), 3);
     if factor < 0.0 {
