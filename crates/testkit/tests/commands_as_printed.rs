@@ -218,8 +218,16 @@ impl Clone {
         let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
         let _ = fs::remove_dir_all(&dir);
         fs::create_dir_all(dir.join("shims")).unwrap();
-        for part in ["README.md", "justfile", "docs", "fixtures", "pipelines", "sweeps", "workflow"]
-        {
+        for part in [
+            "README.md",
+            "justfile",
+            "docs",
+            "fixtures",
+            "pipelines",
+            "scripts",
+            "sweeps",
+            "workflow",
+        ] {
             let copy = Command::new("cp").arg("-r").arg(workspace().join(part)).arg(&dir).status();
             assert!(copy.unwrap().success(), "{part}");
         }
