@@ -22,7 +22,7 @@ use planish_testkit::workspace;
 use serde_json::Value;
 
 /// Commands that are not run here, with the reason.
-const EXCEPTIONS: [(&str, &str); 15] = [
+const EXCEPTIONS: [(&str, &str); 17] = [
     ("just run bspline", "two minutes"),
     ("just programs-table", "half an hour"),
     ("just programs-table --grids", "minutes"),
@@ -33,6 +33,11 @@ const EXCEPTIONS: [(&str, &str); 15] = [
         "needs a cluster; `just test-slurm` has one on this machine",
     ),
     ("just test-faults", "minutes; .ci/run disturbs a tenth as often"),
+    ("just test-killed", "half an hour; .ci/run kills one pipeline"),
+    (
+        "just run raster fixture=coupon out=out/warming varying=\"time --table warm-up.txt\"",
+        "ends with 1, as the page says; `just test-pipelines` runs such a tool",
+    ),
     ("just test-schedulers-long", "an hour; a piece of it is run"),
     ("just fuzz 50000", "minutes; .ci/run gives every reader 20 000 inputs"),
     ("just fuzz 10000000 2 hdf5", "a quarter of an hour"),
