@@ -398,7 +398,7 @@ pub fn surface(reading: Reading, settings: &Settings) -> Result<(Surface, Statem
 }
 
 /// The map of a reading as a TIF that is complete: offsets from the tool centre, `unit` per second unless it has a time.
-/// A spot that has to be cut out or divided by its time is a [`crate::spot`].
+/// A spot that has to be cut out or divided by its time is one for `planish-tool`.
 pub fn tif(reading: Reading, settings: &Settings) -> Result<(Tif, Statement), Invalid> {
     let (grid, values, statement) = map(reading, settings, Values::Rates)?;
     Ok((Tif::new(grid, values)?, statement))

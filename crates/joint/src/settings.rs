@@ -26,8 +26,8 @@ pub struct Settings {
     pub min_dwell_s_per_mm: f64,
     /// Price of time.
     pub price: Price,
-    /// alpha, dimensionless; > 0. When absent [`FIRST_TIKHONOV`], and less where the pull to the floor would be more
-    /// than [`MOST_PULL`] of the objective.
+    /// alpha, dimensionless; > 0. When absent 1e-5, and less where the pull to the floor would be more than 1 % of the
+    /// objective.
     pub tikhonov: Option<f64>,
     /// beta, dimensionless; >= 0.
     pub difference_weight: f64,

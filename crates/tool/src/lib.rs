@@ -1,7 +1,7 @@
 //! Tools: tool influence functions (TIFs) from measured maps, their preparation, and tools that are not the same
 //! everywhere.
 //!
-//! * [`mod@spot`]: a TIF from the map of a spot, or from two maps, which `shift` aligns.
+//! * [`spot`]: a TIF from the map of a spot, or from two maps, which `shift` aligns.
 //! * [`tif`], [`tif_fit`]: preparation of a TIF, and its description by a formula.
 //! * [`varying`]: tools that vary over the part, from their causes.
 

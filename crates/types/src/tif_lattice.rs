@@ -98,7 +98,7 @@ impl TifLattice {
 
 impl Tif {
     /// Returns the TIF without its zero margins on the lattice of a map, by (1), to a `tolerance` of its peak where
-    /// [`MOST_PARTS`] allow it.
+    /// its limit of parts allows it.
     ///
     /// # Errors
     /// Refuses a TIF whose samples on the lattice do not fit into the memory.

@@ -20,7 +20,7 @@
 //! more is there beside numbers of points; `xyz_columns` names others. Points that lie on no grid are gridded where `grid_mm`
 //! asks for it (`crate::scattered`).
 //!
-//! Coordinates that were rounded lie on a grid if each is within [`ROUNDING`] of its last digit from its place.
+//! Coordinates that were rounded lie on a grid if each is within one step of its last digit from its place.
 
 use ndarray::Array2;
 use planish_types::{Invalid, text::significant};
