@@ -285,6 +285,26 @@ impl Form {
         Ok(OffAxis::Normal { origin_mm, axes: [x, y, z] })
     }
 
+    /// Checks that the form exists over every valid pixel of a map of the part.
+    ///
+    /// # Errors
+    /// Refuses a form that does not, with the first such pixel and the number of the others.
+    pub fn check_over(&self, surface: &Surface) -> Result<(), Invalid> {
+        let grid = surface.grid();
+        let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
+        let mut lacking =
+            valid.filter(|((r, c), _)| self.at([grid.x.at(*c), grid.y.at(*r)]).is_none());
+        let Some(((r, c), _)) = lacking.next() else { return Ok(()) };
+        let (x, y, more) = (grid.x.at(c), grid.y.at(r), lacking.count());
+        let problem = format!(
+            "is invalid or absent at ({x:.4}, {y:.4}) mm, where the map of the part has a valid pixel (and at {more} \
+             more)"
+        );
+        let remedy = "fill the form by `planish-surface prepare --fill`, give a formula in a form file, or make these \
+                      pixels of the map of the part invalid";
+        Err(Invalid::at("form", (r, c), problem, remedy))
+    }
+
     /// The point of the form over [x, y] of the part, mm; `None` where the form does not exist.
     pub fn at(&self, p: [f64; 2]) -> Option<Place> {
         let jet = self.jet(p);

@@ -26,7 +26,8 @@ pub fn map<R: Send + Sync>(count: usize, item: &(dyn Fn(usize) -> R + Sync)) -> 
     for_each(count, &|i| {
         results[i].get_or_init(|| item(i));
     });
-    results.into_iter().filter_map(OnceLock::into_inner).collect()
+    let values = results.into_iter().map(OnceLock::into_inner);
+    values.map(|value| value.expect("every item has its result")).collect()
 }
 
 /// Calls `work` once with the number of every item and the item.

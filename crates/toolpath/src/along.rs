@@ -74,21 +74,8 @@ impl OnForm {
     /// The form of a part whose valid pixels are those of `surface`. Refuses a form that does not exist at one of them, or
     /// in their middle.
     pub fn new(form: Form, surface: &Surface) -> Result<Self, Invalid> {
+        form.check_over(surface)?;
         let grid = surface.grid();
-        let lacks = |((r, c), z): &((usize, usize), &f64)| {
-            !z.is_nan() && form.at([grid.x.at(*c), grid.y.at(*r)]).is_none()
-        };
-        let mut lacking = surface.height_nm().indexed_iter().filter(lacks);
-        if let Some(((r, c), _)) = lacking.next() {
-            let (x, y, more) = (grid.x.at(c), grid.y.at(r), lacking.count());
-            let problem = format!(
-                "is invalid or absent at ({x:.4}, {y:.4}) mm, where the map of the part has a valid pixel (and at {more} \
-                 more)"
-            );
-            let remedy = "fill the form by `planish-surface prepare --fill`, give a formula in a form file, or make these \
-                          pixels of the map of the part invalid";
-            return Err(Invalid::at("form", (r, c), problem, remedy));
-        }
         let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
         let none = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
         let [x, y] = valid.fold(none, |[x, y], ((r, c), _)| {

@@ -2,7 +2,6 @@
 
 use planish_form::Form;
 use planish_types::{Axis, Invalid, Surface};
-use rayon::prelude::*;
 use serde::Serialize;
 
 /// Parameter of a place on which a tool depends.
@@ -73,25 +72,7 @@ impl<'a> Places<'a> {
     /// The same of a part with this form. Refuses a form that does not exist at a valid pixel: its slope there would be
     /// a guess.
     pub fn with_form(self, form: Form) -> Result<Self, Invalid> {
-        let grid = self.surface.grid();
-        let (ny, nx) = grid.shape();
-        let lacks = |i: &usize| {
-            let (r, c) = (i / nx, i % nx);
-            let is_valid = !self.surface.height_nm()[[r, c]].is_nan();
-            is_valid && form.at([grid.x.at(c), grid.y.at(r)]).is_none()
-        };
-        let lacking: Vec<usize> = (0..ny * nx).into_par_iter().filter(lacks).collect();
-        if let Some(first) = lacking.first() {
-            let (r, c) = (first / nx, first % nx);
-            let (x, y, more) = (grid.x.at(c), grid.y.at(r), lacking.len() - 1);
-            let problem = format!(
-                "is invalid or absent at ({x:.4}, {y:.4}) mm, where the map of the part has a valid pixel (and at {more} \
-                 more)"
-            );
-            let remedy = "fill the form by `planish-surface prepare --fill`, give a formula in a form file, or make these \
-                          pixels of the map of the part invalid";
-            return Err(Invalid::at("form", (r, c), problem, remedy));
-        }
+        form.check_over(self.surface)?;
         Ok(Self { form: Some(form), ..self })
     }
 
