@@ -38,7 +38,10 @@ def main():
             elif anchor and file.suffix == ".md" and anchor not in anchors(file):
                 problems.append(f"{page.relative_to(ROOT)}: {target}: no such heading")
     summary = DOCS / "SUMMARY.md"
-    listed = {(DOCS / target).resolve() for target in re.findall(r"\]\(([^)\s]+)\)", body(summary))}
+    links = [(DOCS / target).resolve() for target in re.findall(r"\]\(([^)\s]+)\)", body(summary))]
+    listed = set(links)
+    for page in sorted(page for page in listed if links.count(page) > 1):
+        problems.append(f"{page.relative_to(DOCS)} is in docs/SUMMARY.md more than once. mdbook refuses that: keep one.")
     for page in DOCS.rglob("*.md"):
         if page != summary and page not in listed:
             problems.append(f"{page.relative_to(ROOT)} is not in docs/SUMMARY.md. Add it to one of the four parts.")
