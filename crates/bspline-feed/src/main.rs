@@ -1,5 +1,5 @@
 //! `planish-bspline-feed`: starts `planish bspline-feed`, the program beside it.
 
 fn main() -> std::process::ExitCode {
-    planish_handoff::launch(env!("CARGO_PKG_NAME"))
+    planish_launch::launch(env!("CARGO_PKG_NAME"))
 }

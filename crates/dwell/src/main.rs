@@ -1,5 +1,5 @@
 //! `planish-dwell`: starts `planish dwell`, the program beside it.
 
 fn main() -> std::process::ExitCode {
-    planish_handoff::launch(env!("CARGO_PKG_NAME"))
+    planish_launch::launch(env!("CARGO_PKG_NAME"))
 }

@@ -16,7 +16,7 @@
 //! * [`Output`], [`OutputFile`]: the outputs of a command; skipped if they are up to date.
 //! * `publish`: makes the outputs of a run visible, whole and together, safe against power failures.
 //! * [`program`]: the body of every `main`; messages and exit codes.
-//! * [`Stage`]: a stage as a command of the one program `planish`, which [`start`] begins; [`launch`] is a stage program.
+//! * [`Stage`]: a stage as a command of the one program `planish`, which [`start`] begins.
 //! * [`Subcommands`]: subcommands that a stage may have under names of another one.
 //! * [`system`]: all that depends on the operating system.
 //! * [`words`]: several words in one text, as a shell reads them.
@@ -94,7 +94,7 @@ pub use nouns::Tool;
 pub use output::{Begin, Output, OutputFile, Task, Writer, save};
 pub use publish::is_temporary;
 pub use shell::{Failure, Status, program, say, warn};
-pub use stage::{Stage, Subcommands, launch, stage_command, start};
+pub use stage::{Stage, Subcommands, stage_command, start};
 
 /// A file or directory that cannot be used. The message states the file, the place, the value and
 /// the remedy.

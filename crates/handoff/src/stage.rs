@@ -1,12 +1,11 @@
 //! One program of many stages: `planish dwell ARGUMENTS...` is `planish-dwell ARGUMENTS...`.
 //!
-//! Each stage program, such as `planish-dwell`, is a small file that starts `planish` beside it ([`launch`]). So the
-//! code that stages share is compiled and linked once, and users still run, replace and time one stage at a time.
+//! Each stage program, such as `planish-dwell`, is a small file that starts `planish` beside it (`planish-launch`). So
+//! the code that stages share is compiled and linked once, and users still run, replace and time one stage at a time.
 
 use std::{
     env,
     ffi::{OsStr, OsString},
-    io,
     path::{Path, PathBuf},
     process::{Command, ExitCode},
 };
@@ -140,24 +139,6 @@ fn overview(stages: &[Stage], words: &[OsString]) -> ExitCode {
     }
 }
 
-/// Starts the stage `name` of `planish`, which lies beside this program, with the arguments of this process, and
-/// returns its exit code. The whole of a stage program.
-pub fn launch(name: &str) -> ExitCode {
-    let own = env::current_exe().unwrap_or_default();
-    let planish = own.with_file_name(format!("{PROGRAM}{}", env::consts::EXE_SUFFIX));
-    let is_run_by_cargo = env::var_os("CARGO_PKG_NAME").is_some_and(|package| package == name);
-    let made = if is_run_by_cargo { build_by_cargo(&own) } else { Ok(()) };
-    let mut command = Command::new(&planish);
-    command.args(env::args_os().skip(1));
-    let error =
-        made.map_or_else(|error| error, |()| crate::system::become_program(&mut command, name));
-    complain(&format!(
-        "error: {}: cannot run: {error}; `cargo build --release` makes it beside {name}",
-        planish.display()
-    ));
-    ExitCode::from(2)
-}
-
 /// Returns the command that runs the stage program `name`: the file of this name in the first of `folders` that has it,
 /// such as a script of the user, or else this program, if it is `planish`, with the name as its first argument.
 pub fn stage_command(name: &str, folders: impl IntoIterator<Item = PathBuf>) -> Command {
@@ -175,19 +156,4 @@ pub fn stage_command(name: &str, folders: impl IntoIterator<Item = PathBuf>) -> 
         }
         _ => Command::new(name),
     }
-}
-
-/// Builds `planish` beside `own`, in the same profile: `cargo run -p planish-dwell` builds only the package that it names.
-fn build_by_cargo(own: &Path) -> io::Result<()> {
-    let folder = own.parent().unwrap_or(Path::new("."));
-    let profile = match folder.file_name().and_then(OsStr::to_str) {
-        Some("debug") | None => "dev",
-        Some(profile) => profile,
-    };
-    let cargo = env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let status = Command::new(cargo)
-        .args(["build", "--quiet", "--package", PROGRAM, "--profile", profile, "--target-dir"])
-        .arg(folder.parent().unwrap_or(folder))
-        .status()?;
-    if status.success() { Ok(()) } else { Err(io::Error::other("cargo could not build it")) }
 }

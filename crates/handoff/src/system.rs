@@ -58,12 +58,6 @@ pub fn become_command(command: Command, lock: File) -> io::Error {
     calls::become_command(command, lock)
 }
 
-/// Runs `command` in place of this process, under the name `name`. Elsewhere than on Unix this process waits, and ends
-/// with the exit code. Returns only if the command cannot be run.
-pub(crate) fn become_program(command: &mut Command, name: &str) -> io::Error {
-    calls::become_program(command, name)
-}
-
 /// Lets every process that this one starts inherit the open `lock`: it is free when the last of them has ended, and not
 /// before, even if some are killed. Elsewhere than on Unix this process alone has it.
 pub fn let_inherit(lock: &File) -> io::Result<()> {
@@ -177,10 +171,6 @@ mod calls {
         }
     }
 
-    pub(super) fn become_program(command: &mut Command, name: &str) -> io::Error {
-        command.arg0(name).exec()
-    }
-
     pub(super) fn let_inherit(lock: &File) -> io::Result<()> {
         Ok(rustix::io::fcntl_setfd(lock, rustix::io::FdFlags::empty())?)
     }
@@ -235,15 +225,6 @@ mod calls {
                 drop(lock);
                 std::process::exit(status.code().unwrap_or(2))
             }
-            Err(error) => error,
-        }
-    }
-
-    pub(super) fn become_program(command: &mut Command, name: &str) -> io::Error {
-        // The name of a process cannot be chosen here: the first argument names the stage.
-        let arguments: Vec<_> = command.get_args().map(ToOwned::to_owned).collect();
-        match Command::new(command.get_program()).arg(name).args(arguments).status() {
-            Ok(status) => std::process::exit(status.code().unwrap_or(2)),
             Err(error) => error,
         }
     }
