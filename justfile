@@ -338,9 +338,12 @@ workflows:
 [group('3 development')]
 ci: test checks
 
-# Campaigns that take hours: kills and races, random schedules, fuzzing of the readers and of the programs
+# What takes hours: claims of the papers, printed commands, kills and races, random schedules, fuzzing
 [group('3 development')]
 ci-long:
+    just reproduce
+    git diff --exit-code docs
+    just test-commands
     cargo test --locked --workspace # the dev profile, which finds overflows
     just test-faults 1000 200
     just test-killed
@@ -365,12 +368,10 @@ checks:
     if command -v npm > /dev/null; then just workflows; fi
     RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps --quiet
     just docs
-    just reproduce
     git diff --exit-code docs
     just prose
     just book
     just test-pipelines
-    just test-commands
 
 # Prints the table, draws out/pareto/FIXTURE/curve/pareto.svg; just pareto reference: the mirror in PLANISH_REFERENCE
 #
