@@ -5,12 +5,12 @@ use ndarray::{Array2, Zip};
 use planish_numerics::parallel;
 use planish_types::{Grid, Invalid, Surface, Tif, ToolPath};
 
-use super::settings::{Product, Program, Settings};
+use super::settings::{BoundedSettings, Product, Program};
 use crate::{
     DwellError,
     model::{
         UNREACHED_FRACTION,
-        columns::{self, Patch, Place, Stored},
+        columns::{self, Patch, Stored, ToolPlace},
         operator::{MAX_COLUMN_ELEMENTS, Removal, pixels_under},
     },
     objective::{Basis, Free, Penalty, PenaltyScale},
@@ -45,8 +45,8 @@ pub struct BoundedProblem<'a> {
     pub desired: &'a Surface,
     tif: &'a Tif,
     pub path: &'a ToolPath,
-    places: &'a [Vec<Place>],
-    pub settings: &'a Settings,
+    places: &'a [Vec<ToolPlace>],
+    pub settings: &'a BoundedSettings,
     /// B.
     pub b: Removal,
     /// z minus its weighted mean, 0 where the weight is 0.
@@ -78,13 +78,13 @@ pub struct BoundedProblem<'a> {
     pub quadratic: Option<Product<'a>>,
 }
 
-/// `sum_i w_i B_ij^2` of every column j. By FFT this is an estimate: what the column has on `cells`, or without
+/// Returns `sum_i w_i B_ij^2` of every column j. By FFT this is an estimate: what the column has on `cells`, or without
 /// them the mean of R^2 along a segment in place of the square of the mean, with the kernel spill. Where a column is so
 /// weak that the estimate would decide whether it reaches the map at all, it is computed from the column itself.
 fn energies(
     b: &Removal,
     cells: Option<&[Patch]>,
-    places: &[Vec<Place>],
+    places: &[Vec<ToolPlace>],
     tif: &Tif,
     grid: &Grid,
     weight: &Array2<f64>,
@@ -106,15 +106,19 @@ fn energies(
 
 impl<'a> BoundedProblem<'a> {
     /// Prepares the problem for a program and the weights of the pixels.
+    ///
+    /// # Errors
+    /// Refuses a program whose columns take too much memory, and a tool that does not reach the map.
     pub fn new(
         desired: &'a Surface,
         tif: &'a Tif,
         path: &'a ToolPath,
         program: &'a Program<'a>,
         weight: Array2<f64>,
-        settings: &'a Settings,
+        settings: &'a BoundedSettings,
     ) -> Result<Self, DwellError> {
-        let (n, grid) = (path.len(), desired.grid());
+        let n = path.len();
+        let grid = desired.grid();
         let factorised = is_factorised(program.places, tif, settings.max_factorised_points);
         // H~ less U U' is positive definite where both are of the same columns.
         let b = Removal::new(program.places, tif, grid, factorised)?;
@@ -123,7 +127,11 @@ impl<'a> BoundedProblem<'a> {
         let loss =
             if factorised { surrogate::MAX_LOSS_FACTORISED } else { surrogate::MAX_LOSS_TWO_LEVEL };
         let mut cell = surrogate::cell_size(tif, grid, loss);
-        let cells = factorised.then(|| columns::on_cells(program.places, tif, grid, &weight, cell));
+        let cells = if factorised {
+            Some(columns::on_cells(program.places, tif, grid, &weight, cell))
+        } else {
+            None
+        };
         // diag H = sum of w B^2 less U^2
         let energy = energies(&b, cells.as_deref(), program.places, tif, grid, &weight);
         let mut diagonal: Vec<f64> = (0..n)
@@ -187,10 +195,11 @@ impl<'a> BoundedProblem<'a> {
         })
     }
 
-    /// The factorised H~ with smaller cells; `false` when there are none, where their columns would take too much memory, or
-    /// where another H~ is used.
+    /// Gives the factorised H~ smaller cells. Returns `false` when there are none, where their columns would take too
+    /// much memory, or where another H~ is used.
     pub fn sharpen(&mut self, penalty: &Penalty) -> bool {
-        let (grid, smaller) = (self.desired.grid(), self.cell / 2);
+        let grid = self.desired.grid();
+        let smaller = self.cell / 2;
         if smaller == 0 || matches!(self.surrogate, Surrogate::Convolved(_)) {
             return false;
         }
@@ -206,29 +215,38 @@ impl<'a> BoundedProblem<'a> {
         true
     }
 
-    /// An H~ without factors in the place of one that is singular to rounding; `false` where there are few points, which
-    /// are not determined then.
+    /// Puts an H~ without factors in the place of one that is singular to rounding. Returns `false` where there are few
+    /// points, which are not determined then.
+    ///
+    /// # Errors
+    /// Refuses cells that no axis can have.
     pub fn without_factors(&mut self, penalty: &Penalty) -> Result<bool, Invalid> {
         if self.path.len() <= self.settings.max_factorised_points {
             return Ok(false);
         }
-        let (alphas, grid) = ((penalty.least_alpha(), self.scale.strongest), self.desired.grid());
+        let alphas = (penalty.least_alpha(), self.scale.strongest);
+        let grid = self.desired.grid();
         (self.cell, self.splines_mm) =
             cells_of_convolved(self.places, &self.reached, self.tif, grid, alphas);
         self.surrogate = self.convolved((self.cell, self.splines_mm))?;
         Ok(true)
     }
 
-    /// H~ for many dwell points, on cells of a size and with splines of a pitch.
+    /// Makes H~ for many dwell points, on cells of a size and with splines of a pitch.
+    ///
+    /// # Errors
+    /// Refuses cells that no axis can have.
     pub fn convolved(&self, cells: (usize, Option<f64>)) -> Result<Surrogate, Invalid> {
-        let (grid, free) = (self.desired.grid(), self.settings.free);
+        let grid = self.desired.grid();
+        let free = self.settings.free;
         convolved(self.places, &self.reached, self.tif, grid, &self.weight, free, cells)
     }
 }
 
-/// z minus its weighted mean, 0 where the weight is 0.
+/// Returns z minus its weighted mean, 0 where the weight is 0.
 fn centred(z: &Array2<f64>, weight: &Array2<f64>) -> Array2<f64> {
-    let (mut sum, mut total) = (0.0, 0.0);
+    let mut sum = 0.0;
+    let mut total = 0.0;
     Zip::from(z).and(weight).for_each(|z, w| {
         if *w > 0.0 {
             sum += w * z;
@@ -245,10 +263,10 @@ fn centred(z: &Array2<f64>, weight: &Array2<f64>) -> Array2<f64> {
     centred
 }
 
-/// Cells and pitch of the splines of the surrogate for many dwell points; none where the Tikhonov term, its least diagonal
-/// element given beside D, is weak.
+/// Returns the cells and the pitch of the splines of the surrogate for many dwell points; no pitch where the Tikhonov
+/// term, its least diagonal element given beside D, is weak.
 fn cells_of_convolved(
-    places: &[Vec<Place>],
+    places: &[Vec<ToolPlace>],
     reached: &[bool],
     tif: &Tif,
     grid: &Grid,
@@ -263,9 +281,9 @@ fn cells_of_convolved(
     (surrogate::cell_size(tif, grid, loss), splines_mm)
 }
 
-/// The surrogate for many dwell points, on cells of a size and with splines of a pitch.
+/// Makes the surrogate for many dwell points, on cells of a size and with splines of a pitch.
 fn convolved(
-    places: &[Vec<Place>],
+    places: &[Vec<ToolPlace>],
     reached: &[bool],
     tif: &Tif,
     grid: &Grid,
@@ -278,7 +296,7 @@ fn convolved(
 }
 
 /// Returns true if H~ is to be factorised, for this many dwell points and more where splines represent too little.
-fn is_factorised(places: &[Vec<Place>], tif: &Tif, most: usize) -> bool {
+fn is_factorised(places: &[Vec<ToolPlace>], tif: &Tif, most: usize) -> bool {
     let n = places.len();
     let says_too_little =
         tif.border_to_peak() > ABRUPT_BORDER_TO_PEAK || surrogate::are_sparse(places, tif);
@@ -288,16 +306,15 @@ fn is_factorised(places: &[Vec<Place>], tif: &Tif, most: usize) -> bool {
             && surrogate::factorisation_work(places, tif) <= MOST_WORK
 }
 
-/// Largest element of the diagonal of H: the element itself, not the estimate.
+/// Returns the largest element of the diagonal of H: the element itself, not the estimate.
 fn strongest(
     diagonal: &[f64],
-    places: &[Vec<Place>],
+    places: &[Vec<ToolPlace>],
     (tif, grid): (&Tif, &Grid),
     basis: &Basis,
     weight: &Array2<f64>,
 ) -> f64 {
-    let order = |a: &usize, b: &usize| diagonal[*a].total_cmp(&diagonal[*b]);
-    let j = (0..diagonal.len()).max_by(order).unwrap_or(0);
+    let j = (0..diagonal.len()).max_by(|a, b| diagonal[*a].total_cmp(&diagonal[*b])).unwrap_or(0);
     let p = Stored::new(&places[j..=j], tif, grid);
     let u = basis.columns(weight, |m| p.adjoint(m));
     p.energy(weight)[0] - u.iter().map(|u| u[0] * u[0]).sum::<f64>()

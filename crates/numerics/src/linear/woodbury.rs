@@ -32,7 +32,7 @@ pub struct Woodbury<T = f64> {
 }
 
 impl<T: Number> Woodbury<T> {
-    /// The inverse from the factor of K and the columns of U; `None` if `K - U U'` is not positive
+    /// Makes the inverse from the factor of K and the columns of U; `None` if `K - U U'` is not positive
     /// definite.
     pub fn new(factor: Factor<T>, u: &[Vec<f64>]) -> Option<Self> {
         let v = solutions(&factor, u);
@@ -40,7 +40,7 @@ impl<T: Number> Woodbury<T> {
         Some(Self { factor, v, small })
     }
 
-    /// The inverse with a refined V. V is refined if less than `enough` is left of K along the
+    /// Makes the inverse with a refined V. V is refined if less than `enough` is left of K along the
     /// directions of U, so that the rounding of the factor does not limit it. `product` is K times
     /// a vector. `None` if `K - U U'` is not positive definite, or if the factor is too far from K
     /// for a refinement.
@@ -72,7 +72,7 @@ impl<T: Number> Woodbury<T> {
         None
     }
 
-    /// Remainder of K along the directions of U after the outer products, relative to K: the
+    /// Returns the remainder of K along the directions of U after the outer products, relative to K: the
     /// smallest square of a pivot of S. The smaller it is, the more the rounding of the factor of K
     /// counts.
     pub fn least_left(&self) -> f64 {
@@ -91,14 +91,14 @@ impl<T: Number> Woodbury<T> {
     }
 }
 
-/// V = K^-1 U.
+/// Returns V = K^-1 U.
 fn solutions<T: Number>(factor: &Factor<T>, u: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let mut v = u.to_vec();
     v.iter_mut().for_each(|v| factor.solve(v));
     v
 }
 
-/// Factor of `S = 1 - U' V`.
+/// Returns the factor of `S = 1 - U' V`.
 fn small(u: &[Vec<f64>], v: &[Vec<f64>]) -> Option<Factor> {
     let mut small = Skyline::zeros(vec![0; u.len()]);
     small.fill(|i, row| {
