@@ -125,7 +125,7 @@ pub struct State {
     /// Objective after the sweep that raised it and was given up, nm^2; it was the last one.
     pub given_up_nm2: Option<f64>,
     /// Knots that are left by knot removal.
-    pub kept: Vec<Knots>,
+    pub knots_left: Vec<Knots>,
     /// Lines on which knot removal ended without an interior knot, and the procedure took over.
     pub fallbacks: usize,
     pub(crate) rows_mm: Vec<Vec<f64>>,
@@ -244,7 +244,7 @@ impl Problem {
             converged: false,
             gap: None,
             given_up_nm2: None,
-            kept: self.lines.iter().map(|l| l.knots.clone()).collect(),
+            knots_left: self.lines.iter().map(|l| l.knots.clone()).collect(),
             fallbacks: 0,
             rows_mm: vec![Vec::new(); self.lines.len()],
         }
@@ -280,7 +280,7 @@ impl Problem {
                 }
                 state.d[m] = solved.d;
                 state.rows_mm[m] = solved.rows_mm;
-                state.kept[m] = solved.kept;
+                state.knots_left[m] = solved.knots_left;
                 state.fallbacks += usize::from(solved.fallback);
             }
         }
@@ -299,12 +299,12 @@ impl Problem {
         let mut solved = Solved {
             d: Vec::new(),
             rows_mm: state.rows_mm[m].clone(),
-            kept: state.kept[m].clone(),
+            knots_left: state.knots_left[m].clone(),
             fallback: false,
         };
         if let Some((d, knots)) = limited::knot_removal(&objective, &line.knots, line.limits)? {
             solved.d = d;
-            solved.kept = knots;
+            solved.knots_left = knots;
             return Ok(solved);
         }
         solved.fallback = true;
@@ -365,7 +365,7 @@ impl Problem {
 struct Solved {
     d: Vec<f64>,
     rows_mm: Vec<f64>,
-    kept: Knots,
+    knots_left: Knots,
     fallback: bool,
 }
 

@@ -86,7 +86,7 @@ const EXACT: f64 = 1e-10;
 /// start is farther from the given feed. Smaller: short first steps.
 const INSIDE: f64 = 1.0 + 1e-3;
 
-/// The least objective and its gap.
+/// The program (1) with the parts of (2) that no step changes.
 pub(crate) struct Joint<'a> {
     problem: &'a Problem,
     surface: &'a Surface,

@@ -624,7 +624,7 @@ fn report(
         feed_use = feed_use.max(1.0 / (least * pass.max_feed_mm_per_s));
     }
     let residual = solved.state.as_ref().and_then(|s| residual(&s.residual_nm, surface));
-    let left = solved.state.as_ref().map_or(knots, |s| &s.kept);
+    let left = solved.state.as_ref().map_or(knots, |s| &s.knots_left);
     FeedReport {
         tif_lattice: None,
         passes: passes.len(),

@@ -13,7 +13,7 @@ use crate::{
     field::Tool,
     noise::{Columns, Response},
     reach::Reach,
-    report::{LEVELS, MEAN_TOOL, Tolerance},
+    report::{LEVELS, MEAN_TOOL, Pair, Tolerance},
     settings::ToleranceSettings,
     tool::{Moved, moved},
     work::Work,
@@ -117,10 +117,7 @@ pub fn tolerance(
     };
     let residual = quantiles(&rms);
     let [low, high] = residual.interval_95_percent_nm;
-    let differences = runs
-        .iter()
-        .filter(|p| p.first_order_rms_nm > 0.0)
-        .map(|p| (p.simulated_rms_nm / p.first_order_rms_nm - 1.0).abs());
+    let differences = runs.iter().filter(|p| p.first_order_rms_nm > 0.0).map(Pair::difference);
     let levels = (0..LEVELS).map(|k| k as f64 / (LEVELS - 1) as f64);
     Ok(Tolerance {
         outcome: ToleranceOutcome {

@@ -140,7 +140,7 @@ impl ResidualModel {
     }
 }
 
-/// Returns the value below which this part of the `sorted` values is, linear between two of them.
+/// Returns the value below which this part of the `sorted` values lies, interpolated between two of them.
 pub fn quantile(sorted: &[f64], part: f64) -> f64 {
     let place = part * (sorted.len() - 1) as f64;
     let below = place.floor() as usize;

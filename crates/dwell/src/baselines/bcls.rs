@@ -54,7 +54,7 @@ impl Default for BclsSettings {
     }
 }
 
-/// The bounds, and what became of them.
+/// The bounds in numbers, and whether the dwell times keep them.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BclsReport {
     /// (3) for the largest limits along a segment of the path, mm.

@@ -12,16 +12,13 @@
 //! * *Lines* are runs of segments with the tool on in the direction that most of the path has. What joins them is
 //!   run at the floor.
 //! * *Pitch* d of a line: in a pass of several lines, as a region of a multi-pitch path is, the median of their
-//! distances
-//!   to the nearest one beside them; in a pass of one line, as of a raster, half the distance between the lines on both
-//!   sides of it, or the distance to the only one.
+//!   distances to the nearest one beside them; in a pass of one line, as of a raster, half the distance between the
+//!   lines on both sides of it, or the distance to the only one.
 //! * *Runs* k of a segment: how many lines go over it, as on a path that is run several times; each takes its part of
-//! the
-//!   depth.
+//!   the depth.
 //! * *Depth* r of a segment: the mean of the map, linear between its pixels, over a square of the area l d around its
-//! dwell point and the centroid of the TIF from there; where the square holds no valid pixel, that of the nearest
-//! one. A map with negative heights is lifted
-//!   until none is.
+//!   dwell point and the centroid of the TIF from there; where the square holds no valid pixel, that of the nearest
+//!   one. A map with negative heights is lifted until none is.
 //!
 //! Source: Development of multi-pitch tool path in computer-controlled optical surfacing processes, JEOS-RP 13 (2017),
 //! Eqs 11 and 12.

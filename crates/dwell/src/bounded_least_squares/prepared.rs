@@ -127,11 +127,7 @@ impl<'a> BoundedProblem<'a> {
         let loss =
             if factorised { surrogate::MAX_LOSS_FACTORISED } else { surrogate::MAX_LOSS_TWO_LEVEL };
         let mut cell = surrogate::cell_size(tif, grid, loss);
-        let cells = if factorised {
-            Some(columns::on_cells(program.places, tif, grid, &weight, cell))
-        } else {
-            None
-        };
+        let cells = factorised.then(|| columns::on_cells(program.places, tif, grid, &weight, cell));
         // diag H = sum of w B^2 less U^2
         let energy = energies(&b, cells.as_deref(), program.places, tif, grid, &weight);
         let mut diagonal: Vec<f64> = (0..n)
@@ -152,10 +148,7 @@ impl<'a> BoundedProblem<'a> {
             (0..n).map(|j| if reached[j] { program.hi[j] } else { program.lo[j] }).collect();
         let first = program.guess.as_ref().unwrap_or(&program.lo);
         let start = (0..n).map(|j| first[j].clamp(program.lo[j], hi[j])).collect();
-        // The first free function is the constant 1 / (sum of w)^1/2, so u_1 is B' w over that.
-        let pixel_weight = weight.sum();
-        let b_w: Vec<f64> = u[0].iter().map(|u| pixel_weight.sqrt() * u).collect();
-        let scale = PenaltyScale::new(path, tif, strongest, pixel_weight, &b_w);
+        let scale = penalty_scale(path, tif, strongest, &weight, &u[0]);
         let penalty = Penalty::new(path, &program.lo, &scale, &settings.penalty_weights());
         let mut splines_mm = None;
         let surrogate = match &cells {
@@ -304,6 +297,20 @@ fn is_factorised(places: &[Vec<ToolPlace>], tif: &Tif, most: usize) -> bool {
         || n <= most.saturating_mul(MORE_FACTORISED)
             && says_too_little
             && surrogate::factorisation_work(places, tif) <= MOST_WORK
+}
+
+/// Returns the quantities to which the weights of the penalty are relative. The first free function is the constant
+/// 1 / (sum of w)^1/2, so its column `u` of U is B' w over that.
+fn penalty_scale(
+    path: &ToolPath,
+    tif: &Tif,
+    strongest: f64,
+    weight: &Array2<f64>,
+    u: &[f64],
+) -> PenaltyScale {
+    let pixel_weight = weight.sum();
+    let b_w: Vec<f64> = u.iter().map(|u| pixel_weight.sqrt() * u).collect();
+    PenaltyScale::new(path, tif, strongest, pixel_weight, &b_w)
 }
 
 /// Returns the largest element of the diagonal of H: the element itself, not the estimate.

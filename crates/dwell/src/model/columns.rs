@@ -426,7 +426,8 @@ impl Patch {
 
 /// B as stored patches.
 pub struct Stored {
-    patches: Vec<Patch>,
+    /// One per column.
+    pub(super) patches: Vec<Patch>,
     shape: (usize, usize),
 }
 

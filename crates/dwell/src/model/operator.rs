@@ -9,8 +9,7 @@ use planish_numerics::parallel;
 use planish_types::{Grid, Invalid, Tif};
 
 use crate::model::{
-    ROWS_PER_TASK,
-    columns::{self, Patch, Stored, ToolPlace},
+    columns::{self, Stored, ToolPlace},
     fft_operator::FftOperator,
     products::{Bundle, MOST_BUNDLED},
 };
@@ -53,12 +52,7 @@ fn covered_pixels(tif: &Tif, grid: &Grid) -> Result<f64, Invalid> {
 /// B.
 pub enum Operator {
     /// Stored columns.
-    Stored {
-        /// One per dwell point.
-        patches: Vec<Patch>,
-        /// (ny, nx).
-        shape: (usize, usize),
-    },
+    Stored(Stored),
     /// Operator by spreading and FFT.
     Fft(Box<FftOperator>),
 }
@@ -72,7 +66,7 @@ impl Operator {
         // A column has at most the pixels of the map.
         let pixels = covered_pixels(tif, grid)?.min((grid.x.len() * grid.y.len()) as f64);
         Ok(if places.len() as f64 * pixels <= MAX_STORED_ELEMENTS {
-            Self::Stored { patches: columns::patches(places, tif, grid), shape: grid.shape() }
+            Self::Stored(Stored::new(places, tif, grid))
         } else {
             Self::Fft(Box::new(FftOperator::new(places, tif, grid)))
         })
@@ -81,42 +75,29 @@ impl Operator {
     /// Returns the name of the method: `columns` or `fft`.
     pub fn name(&self) -> &'static str {
         match self {
-            Self::Stored { .. } => "columns",
+            Self::Stored(_) => "columns",
             Self::Fft(_) => "fft",
         }
     }
 
     /// Returns true if B is that of [`columns`] but for rounding: stored, or by FFT if TIF and map have one pitch.
     pub fn is_exact(&self, tif: &Tif, grid: &Grid) -> bool {
-        matches!(self, Self::Stored { .. }) || FftOperator::is_exact(tif, grid)
+        matches!(self, Self::Stored(_)) || FftOperator::is_exact(tif, grid)
     }
 
     /// Returns `B t`, shape (ny, nx), nm.
     pub fn apply(&self, t: &[f64]) -> Array2<f64> {
-        let (patches, shape) = match self {
-            Self::Stored { patches, shape } => (patches, *shape),
-            Self::Fft(operator) => return operator.apply(t),
-        };
-        let mut map = Array2::zeros(shape);
-        parallel::for_each_band(&mut map, ROWS_PER_TASK, &|band, mut rows| {
-            let first = band * ROWS_PER_TASK;
-            for (p, t) in patches.iter().zip(t) {
-                let (r, c) = p.origin;
-                let (ny, nx) = p.rate_nm_per_s.dim();
-                for row in r.max(first)..(r + ny).min(first + rows.nrows()) {
-                    rows.slice_mut(s![row - first, c..c + nx])
-                        .scaled_add(*t, &p.rate_nm_per_s.row(row - r));
-                }
-            }
-        });
-        map
+        match self {
+            Self::Stored(b) => b.apply(t),
+            Self::Fft(b) => b.apply(t),
+        }
     }
 
     /// Returns what [`Self::adjoint`] returns; where that is by FFT, the TIF ends up to two pixels beyond its last
     /// samples.
     pub fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
         match self {
-            Self::Stored { .. } => self.adjoint(map),
+            Self::Stored(_) => self.adjoint(map),
             Self::Fft(operator) => operator.adjoint_with_spill(map),
         }
     }
@@ -124,7 +105,7 @@ impl Operator {
     /// Returns `B' m` (n) for a map m (ny, nx).
     pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
         let patches = match self {
-            Self::Stored { patches, .. } => patches,
+            Self::Stored(b) => &b.patches,
             Self::Fft(operator) => return operator.adjoint(map),
         };
         parallel::map(patches.len(), &|j| {
@@ -280,10 +261,7 @@ mod tests {
         let t: Vec<f64> = (0..n).map(|_| rng.random_range(-1.0..1.0)).collect();
         let m = Array2::from_shape_simple_fn(grid.shape(), || rng.random_range(-1.0..1.0));
 
-        let stored = Operator::Stored {
-            patches: columns::patches(&places, &tif, &grid),
-            shape: grid.shape(),
-        };
+        let stored = Operator::Stored(Stored::new(&places, &tif, &grid));
         let fft = Operator::Fft(Box::new(FftOperator::new(&places, &tif, &grid)));
         let removal = Removal::Stored(Stored::new(&places, &tif, &grid));
         let without_border = FftOperator::without_border(&places, &tif, &grid, Spread::Splines);

@@ -253,7 +253,7 @@ fn in_two(places: &[ToolPlace], longest_mm: f64) -> Vec<ToolPlace> {
     both.to_vec()
 }
 
-/// Returns the mean of a value over places, weighted by their fractions with this sum.
+/// Returns the mean of a value over places, weighted by their fractions; `total` is the sum of the fractions.
 fn mean(places: &[ToolPlace], total: f64, value: impl Fn(&ToolPlace) -> f64) -> f64 {
     places.iter().map(|p| p.fraction * value(p)).sum::<f64>() / total
 }

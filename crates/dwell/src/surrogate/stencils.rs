@@ -126,7 +126,7 @@ impl Stencils {
     }
 }
 
-/// A few rows of [`Stencils`], one beside the other along a line.
+/// Neighbouring rows of [`Stencils`], all of one line.
 pub struct Near<'a> {
     rows: Range<usize>,
     per_line: usize,

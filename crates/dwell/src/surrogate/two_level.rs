@@ -459,7 +459,7 @@ pub struct TwoLevel<'a> {
 }
 
 impl<'a> TwoLevel<'a> {
-    /// Updates `coarse` to other free columns; `u` is that of all columns.
+    /// Makes the preconditioner for some free columns, to which `coarse` is updated; `u` is that of all columns.
     pub fn new(
         nodes: &'a Nodes,
         coarse: &mut Coarse,

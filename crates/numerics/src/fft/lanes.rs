@@ -214,7 +214,7 @@ impl<T: Lanes, S: Simd> NullaryFnOnce for Step<'_, T, S> {
 }
 
 impl<T: Lanes> Level<T> {
-    /// Step (1) within a block, or its inverse. With real and imaginary parts exchanged, the
+    /// Does step (1) within a block, or its inverse. With real and imaginary parts exchanged, the
     /// transform is its own inverse.
     #[inline(always)]
     fn pass<S: Simd, const INVERSE: bool>(&self, simd: S, block: &mut [Element<T, S>]) {

@@ -95,14 +95,14 @@ impl LineConvolution {
     /// Replaces lines, in whole groups, by their spectra. `work` is a buffer.
     pub fn forward(&self, lines: &mut [Run], work: &mut Vec<f64>) {
         for lines in lines.chunks_exact_mut(GROUP * self.runs()) {
-            Arch::new().dispatch(Forward { plan: self, lines, work });
+            Arch::new().dispatch(GroupTransform::<false> { plan: self, lines, work });
         }
     }
 
     /// Replaces sums of [`Self::subtract`], in whole groups, by their lines. `work` is a buffer.
     pub fn inverse(&self, lines: &mut [Run], work: &mut Vec<f64>) {
         for lines in lines.chunks_exact_mut(GROUP * self.runs()) {
-            Arch::new().dispatch(Inverse { plan: self, lines, work });
+            Arch::new().dispatch(GroupTransform::<true> { plan: self, lines, work });
         }
     }
 
@@ -175,13 +175,14 @@ impl LineConvolution {
     }
 }
 
-struct Forward<'a> {
+/// The transform of a group of lines, or its inverse.
+struct GroupTransform<'a, const INVERSE: bool> {
     plan: &'a LineConvolution,
     lines: &'a mut [Run],
     work: &'a mut Vec<f64>,
 }
 
-impl WithSimd for Forward<'_> {
+impl<const INVERSE: bool> WithSimd for GroupTransform<'_, INVERSE> {
     type Output = ();
 
     #[inline(always)]
@@ -189,30 +190,15 @@ impl WithSimd for Forward<'_> {
         let Self { plan, lines, work } = self;
         let buffer = plan.buffer::<S>(work);
         for first in (0..GROUP).step_by(f64::lanes::<S>()) {
-            plan.gather::<S, false>(lines, first, buffer);
-            plan.transform.forward::<S>(simd, elements::<f64, S>(buffer));
-            plan.scatter::<S, true>(buffer, lines, first);
-        }
-    }
-}
-
-struct Inverse<'a> {
-    plan: &'a LineConvolution,
-    lines: &'a mut [Run],
-    work: &'a mut Vec<f64>,
-}
-
-impl WithSimd for Inverse<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Self { plan, lines, work } = self;
-        let buffer = plan.buffer::<S>(work);
-        for first in (0..GROUP).step_by(f64::lanes::<S>()) {
-            plan.gather::<S, true>(lines, first, buffer);
-            plan.transform.inverse::<S>(simd, elements::<f64, S>(buffer));
-            plan.scatter::<S, false>(buffer, lines, first);
+            if INVERSE {
+                plan.gather::<S, true>(lines, first, buffer);
+                plan.transform.inverse::<S>(simd, elements::<f64, S>(buffer));
+                plan.scatter::<S, false>(buffer, lines, first);
+            } else {
+                plan.gather::<S, false>(lines, first, buffer);
+                plan.transform.forward::<S>(simd, elements::<f64, S>(buffer));
+                plan.scatter::<S, true>(buffer, lines, first);
+            }
         }
     }
 }

@@ -129,7 +129,7 @@ fn step(x: &mut [f64], y: Vec<f64>, factor: f64) {
     }
 }
 
-/// Scales to length 1 and returns the length; zeros stay.
+/// Scales a vector to length 1, and returns its length before; a vector of zeros stays as it is.
 fn normalise(x: &mut [f64]) -> f64 {
     let length = x.iter().map(|v| v * v).sum::<f64>().sqrt();
     if length > 0.0 {

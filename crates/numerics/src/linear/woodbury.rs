@@ -17,8 +17,8 @@ use crate::linear::skyline::{Factor, Number, Skyline, axpy, dot};
 /// of the error.
 const MOST_REFINEMENTS: usize = 4;
 
-/// Largest change of S by the last step of a refinement, relative to the remainder
-/// [`Woodbury::least_left`]. Larger: a less exact S. Smaller: more steps.
+/// Largest change of S by the last step of a refinement, relative to the smallest square of a pivot of S: the part of K
+/// that is left along the directions of U. Larger: a less exact S. Smaller: more steps.
 const REFINED_TO: f64 = 1e-3;
 
 /// The inverse `(K - U U')^-1`.
@@ -70,13 +70,6 @@ impl<T: Number> Woodbury<T> {
             }
         }
         None
-    }
-
-    /// Returns the remainder of K along the directions of U after the outer products, relative to K: the
-    /// smallest square of a pivot of S. The smaller it is, the more the rounding of the factor of K
-    /// counts.
-    pub fn least_left(&self) -> f64 {
-        self.small.least_pivot()
     }
 
     /// Solves `(K - U U') x = b` in place.
@@ -183,7 +176,11 @@ mod tests {
         // The remainder agrees to the change that the last step may make. The planted part along V
         // is of order 1 and appears in b as small as the remainder. Rounding of 1e-16 in b is
         // therefore 1e-5 of it; that of single precision is far more.
-        assert!((found.least_left() / left - 1.0).abs() < 1e-3, "{}", found.least_left());
+        assert!(
+            (found.small.least_pivot() / left - 1.0).abs() < 1e-3,
+            "{}",
+            found.small.least_pivot()
+        );
         assert!(error(&found) < 1e-4, "{}", error(&found));
         let alone = Woodbury::new(single(), std::slice::from_ref(&u)).map(|alone| error(&alone));
         // Rounding of 6e-8 alone is above the remainder of 1e-11; what comes out, if anything, has no digit of it.

@@ -294,9 +294,9 @@ pub struct ProductSettings {
 /// Acceleration of conjugate gradients on the free components: the exact solution in a coarse space
 /// V, and an approximate one for the remainder.
 pub trait Deflation {
-    /// Product `V (V' H V)^-1 V' r` on the free components.
+    /// Returns `V (V' H V)^-1 V' r` on the free components.
     fn coarse(&self, r: &[f64]) -> Vec<f64>;
-    /// Product of an approximate inverse of H_II and r, for r orthogonal to V.
+    /// Returns the product of an approximate inverse of H_II and r, for r orthogonal to V.
     fn smooth(&self, r: &[f64]) -> Vec<f64>;
 }
 
@@ -371,13 +371,7 @@ pub fn active_set_by_products<D: Deflation>(
         let state = wanted;
         free = (0..n).map(|j| moves[j] && state[j] == BoundState::Free).collect();
         // x: bound components at their bounds, the free ones where their gradient vanishes
-        for j in (0..n).filter(|j| moves[*j]) {
-            match state[j] {
-                BoundState::Low => x[j] = lo[j],
-                BoundState::High => x[j] = hi[j],
-                BoundState::Free => x[j] = x[j].clamp(lo[j], hi[j]),
-            }
-        }
+        put_on_bounds(&mut x, &state, &moves, (lo, hi));
         let mut q_x = difference(&apply(&x), g);
         let most = settings.max_products - products;
         products += conjugate_gradients(
@@ -417,6 +411,17 @@ pub fn active_set_by_products<D: Deflation>(
     }
     let solution = Solution { value: t, natural_residual: residual, iterations: products, end };
     ProductSolution { solution, unbounded: x, free }
+}
+
+/// Puts the components that move on their bounds or, if they are free, within them.
+fn put_on_bounds(x: &mut [f64], state: &[BoundState], moves: &[bool], (lo, hi): (&[f64], &[f64])) {
+    for j in (0..x.len()).filter(|j| moves[*j]) {
+        match state[j] {
+            BoundState::Low => x[j] = lo[j],
+            BoundState::High => x[j] = hi[j],
+            BoundState::Free => x[j] = x[j].clamp(lo[j], hi[j]),
+        }
+    }
 }
 
 /// Solves `q_I = 0` for the free components of t by deflated conjugate gradients; q is the gradient

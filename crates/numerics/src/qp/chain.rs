@@ -621,11 +621,8 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
             let rows = self.rows.of_link(k);
             let mut excess = Excess::default();
             if ELASTIC {
-                excess = self.excess[k];
-                excess.e += length * excess.de;
-                excess.de = 0.0;
-                excess.mean = [0.0; 2];
-                excess.inverse = 0.0;
+                let Excess { e, de, .. } = self.excess[k];
+                excess.e = e + length * de;
             }
             let price = if ELASTIC && !rows.is_empty() { self.price(k) } else { 0.0 };
             let mut dual_e = price;

@@ -148,6 +148,7 @@ impl Across {
     }
 
     /// Returns the weights of a tool across and along.
+    #[inline(always)]
     fn weights(&self, p: &Placed) -> ([f64; 4], [f64; 4]) {
         (self.across.weights(p.offset[0]), self.along.weights(p.offset[1]))
     }
