@@ -2,10 +2,10 @@
 
 use clap::Args;
 use planish_bspline_feed::{
-    Settings,
+    FeedSettings,
     deconvolution::Refinement,
     plan,
-    plan::{Method, Piston, width_mm},
+    plan::{FeedSource, Piston, width_mm},
 };
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status,
@@ -29,7 +29,7 @@ pub struct Feed {
     machine: MachineArgs,
     /// Source of the feed
     #[arg(long, value_enum, default_value = "deconvolution")]
-    feed_source: Method,
+    feed_source: FeedSource,
     /// Method to keep the acceleration limit
     #[arg(long, value_enum, default_value = "convex-concave")]
     refinement: Refinement,
@@ -43,19 +43,19 @@ pub struct Feed {
     #[arg(long, value_enum, default_value = "keep")]
     piston: Piston,
     /// Tikhonov weight of the squared distance to the least dwell density, relative to the strongest column
-    #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
+    #[arg(long, value_name = "A", default_value_t = FeedSettings::default().tikhonov)]
     tikhonov: f64,
     /// Weight of the second differences of the control values along a pass, relative to the strongest column
-    #[arg(long, value_name = "B", default_value_t = Settings::default().curvature_weight)]
+    #[arg(long, value_name = "B", default_value_t = FeedSettings::default().curvature_weight)]
     curvature_weight: f64,
     /// Relative duality gap at which the solver ends; with knot removal, relative decrease of the objective in a sweep
-    #[arg(long, value_name = "R", default_value_t = Settings::default().relative_gap)]
+    #[arg(long, value_name = "R", default_value_t = FeedSettings::default().relative_gap)]
     relative_gap: f64,
     /// Largest number of steps of the interior point method; with knot removal, of sweeps over the lines
-    #[arg(long, value_name = "N", default_value_t = Settings::default().max_sweeps)]
+    #[arg(long, value_name = "N", default_value_t = FeedSettings::default().max_sweeps)]
     max_sweeps: usize,
     /// Largest error of the position in the fit of the motion by cubics, mm
-    #[arg(long, value_name = "E", default_value_t = Settings::default().fit_tolerance_mm)]
+    #[arg(long, value_name = "E", default_value_t = FeedSettings::default().fit_tolerance_mm)]
     fit_tolerance_mm: f64,
     #[command(flatten)]
     output: OutputArgs,
@@ -63,7 +63,7 @@ pub struct Feed {
 
 impl Feed {
     pub fn run(&self) -> Result<Status, Failure> {
-        let settings = Settings {
+        let settings = FeedSettings {
             method: self.feed_source,
             refinement: self.refinement,
             knot_spacing_mm: self.knot_spacing_mm,

@@ -15,7 +15,7 @@
 
 use ndarray::{Array2, s};
 use planish_numerics::{bspline::Knots, keys, parallel, quadrature::gauss_legendre};
-use planish_types::{Axis, Surface, Tif};
+use planish_types::{Surface, Tif};
 
 use crate::passes::Pass;
 
@@ -29,48 +29,53 @@ pub struct Column {
 }
 
 impl Column {
-    /// First and last row, first and last column; none where it is empty.
+    /// Returns the first and last row, and the first and last column; none where it is empty.
     pub fn pixels(&self) -> Option<[usize; 4]> {
-        let ((r, k), (ny, nx)) = (self.origin, self.removal.dim());
-        (!self.removal.is_empty()).then(|| [r, r + ny - 1, k, k + nx - 1])
+        if self.removal.is_empty() {
+            return None;
+        }
+        let (r, c) = self.origin;
+        let (ny, nx) = self.removal.dim();
+        Some([r, r + ny - 1, c, c + nx - 1])
     }
 
-    /// Scalar product with a map (ny, nx).
+    /// Returns the scalar product with a map (ny, nx).
     pub fn dot(&self, map: &Array2<f64>) -> f64 {
         let ((r, c), (ny, nx)) = (self.origin, self.removal.dim());
         let window = map.slice(s![r..r + ny, c..c + nx]);
         window.rows().into_iter().zip(self.removal.rows()).map(|(a, b)| a.dot(&b)).sum()
     }
 
-    /// `map += factor * G`.
+    /// Adds `factor * G` to a map (ny, nx).
     pub fn add_to(&self, map: &mut Array2<f64>, factor: f64) {
         let ((r, c), (ny, nx)) = (self.origin, self.removal.dim());
         map.slice_mut(s![r..r + ny, c..c + nx]).scaled_add(factor, &self.removal);
     }
 
-    /// Scalar product with another column.
+    /// Returns the scalar product with another column.
     pub fn dot_column(&self, other: &Self) -> f64 {
-        let overlap = |a: usize, n: usize, b: usize, m: usize| (a.max(b), (a + n).min(b + m));
-        let ((r, c), (ny, nx)) = (self.origin, self.removal.dim());
-        let ((s, d), (my, mx)) = (other.origin, other.removal.dim());
-        let ((top, bottom), (left, right)) = (overlap(r, ny, s, my), overlap(c, nx, d, mx));
-        if top >= bottom || left >= right {
+        let (Some([top, bottom, left, right]), Some([t, b, l, r])) =
+            (self.pixels(), other.pixels())
+        else {
+            return 0.0;
+        };
+        let rows = top.max(t)..(bottom + 1).min(b + 1);
+        let columns = left.max(l)..(right + 1).min(r + 1);
+        if rows.is_empty() || columns.is_empty() {
             return 0.0;
         }
-        let a = self.removal.slice(s![top - r..bottom - r, left - c..right - c]);
-        let b = other.removal.slice(s![top - s..bottom - s, left - d..right - d]);
-        a.rows().into_iter().zip(b.rows()).map(|(a, b)| a.dot(&b)).sum()
+        let [own, other] = [(self, top, left), (other, t, l)].map(|(column, top, left)| {
+            let rows = rows.start - top..rows.end - top;
+            column.removal.slice(s![rows, columns.start - left..columns.end - left])
+        });
+        own.rows().into_iter().zip(other.rows()).map(|(a, b)| a.dot(&b)).sum()
     }
 }
 
-/// G of one pass, a column per control value.
+/// Computes G of one pass, a column per control value.
 pub fn columns(pass: &Pass, knots: &Knots, tif: &Tif, surface: &Surface) -> Vec<Column> {
-    let empty = |i: usize| {
-        let (low, high) = knots.support(i);
-        let (a, b) = (pass.at(low), pass.at(high));
-        window([0, 1].map(|k| (a[k].min(b[k]), a[k].max(b[k]))), tif, surface)
-    };
-    let mut columns: Vec<Column> = (0..knots.len()).map(empty).collect();
+    let mut columns: Vec<Column> =
+        (0..knots.len()).map(|i| window(support_box(pass, knots, i), tif, surface)).collect();
     let spans = knots.breaks().windows(2);
     let parts = parts(pass.direction, spans.map(|s| s[1] - s[0]).fold(0.0, f64::max), tif);
     let rule = composite_rule(parts);
@@ -78,7 +83,7 @@ pub fn columns(pass: &Pass, knots: &Knots, tif: &Tif, surface: &Surface) -> Vec<
         let h = span[1] - span[0];
         for (u, w) in rule.iter().copied() {
             let s = span[0] + u * h;
-            let p = pass.at(s);
+            let p = pass.position(s);
             let mut here = window(p.map(|v| (v, v)), tif, surface);
             add_rate(&mut here, p, 1.0, tif, surface);
             let (first, basis) = knots.basis(s);
@@ -111,68 +116,84 @@ const MOST_PARTS: usize = 16;
 /// Golden ratio less one, (sqrt(5) - 1)/2: the fractional parts of its multiples are spread evenly over [0, 1).
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
-/// The five-point Gauss rule on equal parts of [0, 1]: places and weights.
+/// Returns the five-point Gauss rule on equal parts of [0, 1]: places and weights.
 fn composite_rule(parts: usize) -> Vec<(f64, f64)> {
     let n = parts as f64;
-    let part = |k: usize| gauss_legendre::<5>().map(|(u, w)| ((k as f64 + u) / n, w / n));
-    (0..parts).flat_map(part).collect()
+    (0..parts)
+        .flat_map(|k| gauss_legendre::<5>().map(|(u, w)| ((k as f64 + u) / n, w / n)))
+        .collect()
 }
 
-/// Into how many parts a span of `length_mm` along `direction` has to be divided for this TIF.
+/// Returns into how many parts a span of `length_mm` along `direction` has to be divided for this TIF.
 fn parts(direction: [f64; 2], length_mm: f64, tif: &Tif) -> usize {
-    let grid = tif.grid();
-    // sum_q w_q R(d - t s_q) at the samples d, each passed by at another part of the span: all of a row or a column
-    // would see the end of a TIF at the same one
-    let removed = |parts: usize| {
-        let rule = composite_rule(parts);
-        Array2::from_shape_fn(grid.shape(), |(r, c)| {
-            let passed_at = (GOLDEN * (r * grid.x.len() + c) as f64).fract();
-            let rate = |u: f64| {
-                let [x, y] = direction.map(|t| t * (u - passed_at) * length_mm);
-                tif.rate_at(grid.x.at(c) - x, grid.y.at(r) - y)
-            };
-            rule.iter().map(|(u, w)| w * rate(*u)).sum::<f64>()
-        })
-    };
-    let norm = |a: &Array2<f64>| a.iter().map(|v| v * v).sum::<f64>().sqrt();
-    let (mut parts, mut coarse) = (1, removed(1));
+    let mut parts = 1;
+    let mut coarse = removed(direction, length_mm, tif, 1);
     while parts < MOST_PARTS {
-        let fine = removed(2 * parts);
+        let fine = removed(direction, length_mm, tif, 2 * parts);
         if norm(&(&fine - &coarse)) <= PARTS_TOLERANCE * norm(&fine) {
             break;
         }
-        (parts, coarse) = (2 * parts, fine);
+        parts *= 2;
+        coarse = fine;
     }
     parts
 }
 
-/// Number of elements of the columns of a pass, without making them.
+/// Returns `sum_q w_q R(d - t s_q)` at the samples d, with the rule on so many parts of a span. Each sample is passed
+/// by at another part of the span: all of a row or a column would see the end of a TIF at the same one.
+fn removed(direction: [f64; 2], length_mm: f64, tif: &Tif, parts: usize) -> Array2<f64> {
+    let grid = tif.grid();
+    let rule = composite_rule(parts);
+    Array2::from_shape_fn(grid.shape(), |(r, c)| {
+        let passed_at = (GOLDEN * (r * grid.x.len() + c) as f64).fract();
+        let rates = rule.iter().map(|(u, w)| {
+            let [x, y] = direction.map(|t| t * (u - passed_at) * length_mm);
+            w * tif.rate_at(grid.x.at(c) - x, grid.y.at(r) - y)
+        });
+        rates.sum::<f64>()
+    })
+}
+
+/// Returns the Euclidean norm.
+fn norm(a: &Array2<f64>) -> f64 {
+    a.iter().map(|v| v * v).sum::<f64>().sqrt()
+}
+
+/// Counts the elements of the columns of a pass, without making them.
 pub fn elements(pass: &Pass, knots: &Knots, tif: &Tif, surface: &Surface) -> usize {
-    let one = |i: usize| {
-        let (low, high) = knots.support(i);
-        let (a, b) = (pass.at(low), pass.at(high));
-        let place = [0, 1].map(|k| (a[k].min(b[k]), a[k].max(b[k])));
-        bounds(place, tif, surface).map_or(0, |[x, y]| (x.1 - x.0 + 1) * (y.1 - y.0 + 1))
-    };
-    (0..knots.len()).map(one).sum()
+    let each = (0..knots.len()).map(|i| {
+        let pixels = bounds(support_box(pass, knots, i), tif, surface);
+        pixels.map_or(0, |[x, y]| (x.1 - x.0 + 1) * (y.1 - y.0 + 1))
+    });
+    each.sum()
 }
 
-/// First and last pixel along x and y that a tool reaches that stays in a box.
+/// Returns the least and largest position along x and y at which `B_i` is not zero, mm.
+fn support_box(pass: &Pass, knots: &Knots, i: usize) -> [(f64, f64); 2] {
+    let (low, high) = knots.support(i);
+    let a = pass.position(low);
+    let b = pass.position(high);
+    [0, 1].map(|k| (a[k].min(b[k]), a[k].max(b[k])))
+}
+
+/// Returns the first and last pixel along x and y that a tool reaches that stays in a box.
 fn bounds(place: [(f64, f64); 2], tif: &Tif, surface: &Surface) -> Option<[(usize, usize); 2]> {
-    let axis = |(low, high): (f64, f64), map: &Axis, start_mm: f64, edge_mm: f64| {
-        let at = |p: f64| (p - map.start_mm()) / map.step_mm();
-        let first = (at(low + start_mm) - keys::SNAP).ceil().max(0.0);
-        let last = (at(high + edge_mm) + keys::SNAP).floor().min((map.len() - 1) as f64);
-        (first <= last).then_some((first as usize, last as usize))
-    };
-    let (map, tool, [end_x, end_y]) = (surface.grid(), tif.grid(), tif.edge_mm());
-    Some([
-        axis(place[0], &map.x, tool.x.start_mm(), end_x)?,
-        axis(place[1], &map.y, tool.y.start_mm(), end_y)?,
-    ])
+    let map = surface.grid();
+    let tool = tif.grid();
+    let edges_mm = tif.edge_mm();
+    let axes = [(&map.x, tool.x.start_mm()), (&map.y, tool.y.start_mm())];
+    let [x, y] = [0, 1].map(|k| {
+        let (map, start_mm) = axes[k];
+        let [low, high] = [place[k].0 + start_mm, place[k].1 + edges_mm[k]]
+            .map(|p| (p - map.start_mm()) / map.step_mm());
+        let first = (low - keys::SNAP).ceil().max(0.0);
+        let last = (high + keys::SNAP).floor().min((map.len() - 1) as f64);
+        if first <= last { Some((first as usize, last as usize)) } else { None }
+    });
+    Some([x?, y?])
 }
 
-/// Zeros on the pixels that a tool reaches that stays in a box.
+/// Makes zeros on the pixels that a tool reaches that stays in a box.
 pub(crate) fn window(place: [(f64, f64); 2], tif: &Tif, surface: &Surface) -> Column {
     match bounds(place, tif, surface) {
         Some([x, y]) => {
@@ -182,14 +203,15 @@ pub(crate) fn window(place: [(f64, f64); 2], tif: &Tif, surface: &Surface) -> Co
     }
 }
 
-/// `to += factor * from`, `from` within `to`.
+/// Adds `factor * from` to `to`, `from` within `to`.
 fn add_window(to: &mut Column, from: &Column, factor: f64) {
     let (ny, nx) = from.removal.dim();
     if from.removal.is_empty() || factor == 0.0 {
         return;
     }
     // The box of a point on the border may round to a pixel beyond that of the support.
-    let (r, c) = (from.origin.0.max(to.origin.0), from.origin.1.max(to.origin.1));
+    let r = from.origin.0.max(to.origin.0);
+    let c = from.origin.1.max(to.origin.1);
     let (my, mx) = to.removal.dim();
     let bottom = (from.origin.0 + ny).min(to.origin.0 + my);
     let right = (from.origin.1 + nx).min(to.origin.1 + mx);
@@ -202,7 +224,7 @@ fn add_window(to: &mut Column, from: &Column, factor: f64) {
     to.removal.slice_mut(s![r - tr..bottom - tr, c - tc..right - tc]).scaled_add(factor, &source);
 }
 
-/// `column += factor R(x - p)` on its pixels, the TIF being zero outside its rectangle.
+/// Adds `factor R(x - p)` to a column on its pixels, the TIF being zero outside its rectangle.
 pub(crate) fn add_rate(
     column: &mut Column,
     p: [f64; 2],
@@ -211,16 +233,14 @@ pub(crate) fn add_rate(
     surface: &Surface,
 ) {
     let map = surface.grid();
-    let node = |axis: usize, offset_mm: f64| {
-        tif.cell(axis, offset_mm).map(|(cell, f)| (cell, keys::weights(f)))
-    };
     let (ny, nx) = column.removal.dim();
     let (r0, c0) = column.origin;
-    let along_x: Vec<_> = (0..nx).map(|c| node(0, map.x.at(c0 + c) - p[0])).collect();
+    let along_x: Vec<_> =
+        (0..nx).map(|c| cell_and_weights(tif, 0, map.x.at(c0 + c) - p[0])).collect();
     let ghosts = tif.with_ghosts();
     let mut line = vec![0.0; ghosts.ncols()];
     for r in 0..ny {
-        let Some((iy, wy)) = node(1, map.y.at(r0 + r) - p[1]) else { continue };
+        let Some((iy, wy)) = cell_and_weights(tif, 1, map.y.at(r0 + r) - p[1]) else { continue };
         // Interpolate along y once per row, then along x.
         for (c, v) in line.iter_mut().enumerate() {
             *v = (0..4).map(|b| wy[b] * ghosts[[iy + b, c]]).sum();
@@ -235,10 +255,15 @@ pub(crate) fn add_rate(
     }
 }
 
+/// Returns the cell of the samples of the TIF at an offset along x (0) or y (1), and Keys' weights there.
+fn cell_and_weights(tif: &Tif, axis: usize, offset_mm: f64) -> Option<(usize, [f64; 4])> {
+    tif.cell(axis, offset_mm).map(|(cell, f)| (cell, keys::weights(f)))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use planish_types::Grid;
+    use planish_types::{Axis, Grid};
 
     fn axis(start: f64, step: f64, n: usize) -> Axis {
         Axis::new(start, step, n).unwrap()
@@ -286,7 +311,7 @@ mod tests {
             let (x, y) = (surface.grid().x.at(c), surface.grid().y.at(r));
             // Midpoint rule with 3000 steps: the TIF ends smoothly enough for 1e-6 of 0.4.
             let expected: f64 = (0..3000)
-                .map(|k| pass.at((f64::from(k) + 0.5) * 1e-3))
+                .map(|k| pass.position((f64::from(k) + 0.5) * 1e-3))
                 .map(|p| 1e-3 * tif.rate_at(x - p[0], y - p[1]))
                 .sum();
             assert!((sum[[r, c]] - expected).abs() < 2e-6, "{r} {c}: {} {expected}", sum[[r, c]]);
@@ -319,7 +344,7 @@ mod tests {
             for ((r, c), v) in sum.indexed_iter().filter(|(p, _)| *p != (9, 20)) {
                 let (x, y) = (surface.grid().x.at(c), surface.grid().y.at(r));
                 let expected: f64 = (0..3000)
-                    .map(|k| pass.at((f64::from(k) + 0.5) * 1e-3))
+                    .map(|k| pass.position((f64::from(k) + 0.5) * 1e-3))
                     .map(|p| 1e-3 * tif.rate_at(x - p[0], y - p[1]))
                     .sum();
                 apart += (v - expected).powi(2);

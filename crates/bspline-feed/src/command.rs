@@ -12,15 +12,15 @@ const EXAMPLES: &str = "Examples:\n\
 /// The path is of straight passes that turn outside the clear aperture.
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct FeedCli {
     #[command(flatten)]
     feed: crate::cli::Feed,
 }
 
 /// The command `planish bspline-feed`.
 pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: FeedCli::command };
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.feed.run())
+    planish_handoff::program(|cli: &FeedCli| cli.feed.run())
 }

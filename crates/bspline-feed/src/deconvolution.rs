@@ -59,7 +59,7 @@ pub enum Refinement {
 
 /// Settings of the deconvolution.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct DeconvolutionSettings {
     /// Method to keep the acceleration limit.
     pub refinement: Refinement,
     /// True if a piston is free: the uniform part of the desired removal does not count.
@@ -76,7 +76,7 @@ pub struct Settings {
 
 /// One pass with its basis.
 #[derive(Debug)]
-pub struct Line {
+pub struct PassBasis {
     /// Knots of the spline on [0, length].
     pub knots: Knots,
     /// Limits of the feed along the pass.
@@ -90,7 +90,7 @@ pub struct Line {
 #[derive(Debug)]
 pub struct Problem {
     /// Lines in the order of the path.
-    pub lines: Vec<Line>,
+    pub lines: Vec<PassBasis>,
     /// K.
     strongest: f64,
     groups: Vec<Vec<usize>>,
@@ -125,22 +125,26 @@ pub struct State {
     /// Objective after the sweep that raised it and was given up, nm^2; it was the last one.
     pub given_up_nm2: Option<f64>,
     /// Knots that are left by knot removal.
-    pub kept: Vec<Knots>,
+    pub knots_left: Vec<Knots>,
     /// Lines on which knot removal ended without an interior knot, and the procedure took over.
     pub fallbacks: usize,
     pub(crate) rows_mm: Vec<Vec<f64>>,
 }
 
 impl Problem {
-    /// The basis of every pass on its knots.
+    /// Computes the basis of every pass on its knots.
+    ///
+    /// # Errors
+    /// Refuses a basis that takes too much memory, and a tool that no pass brings to the part.
     pub fn new(
         passes: &[Pass],
         knots: Vec<Knots>,
         tif: &Tif,
         surface: &Surface,
     ) -> Result<Self, FeedError> {
-        let pairs = || passes.iter().zip(&knots);
-        let elements = pairs().map(|(p, k)| columns::elements(p, k, tif, surface)).sum();
+        let elements =
+            passes.iter().zip(&knots).map(|(p, k)| columns::elements(p, k, tif, surface));
+        let elements = elements.sum();
         if elements > MAX_ELEMENTS {
             let control_values = knots.iter().map(Knots::len).sum();
             return Err(FeedError::TooLarge { control_values, elements, limit: MAX_ELEMENTS });
@@ -150,8 +154,8 @@ impl Problem {
             let gram = gram(&columns);
             (columns, gram)
         });
-        let lines: Vec<Line> = (passes.iter().zip(knots).zip(bases))
-            .map(|((pass, knots), (columns, gram))| Line {
+        let lines: Vec<PassBasis> = (passes.iter().zip(knots).zip(bases))
+            .map(|((pass, knots), (columns, gram))| PassBasis {
                 knots,
                 limits: limits(pass),
                 columns,
@@ -166,14 +170,17 @@ impl Problem {
         Ok(Self { lines, strongest, groups })
     }
 
-    /// Sweeps of knot removal from a start within the limits; `other_nm` (ny, nx) is what is removed beside the passes.
-    /// What is returned is no worse than the start.
+    /// Sweeps by knot removal from a start within the limits; `other_nm` (ny, nx) is what is removed beside the passes.
+    /// The result is no worse than the start.
+    ///
+    /// # Errors
+    /// Returns the failure of the quadratic program of a pass.
     pub fn sweeps(
         &self,
         surface: &Surface,
         other_nm: &Array2<f64>,
         start: Start,
-        settings: &Settings,
+        settings: &DeconvolutionSettings,
     ) -> Result<State, FeedError> {
         let mut first_fall = None;
         let mut state = self.start(surface, other_nm, start);
@@ -205,28 +212,28 @@ impl Problem {
         Ok(state)
     }
 
-    /// alpha K and beta K.
-    pub(crate) fn weights(&self, settings: &Settings) -> [f64; 2] {
+    /// Returns alpha K and beta K.
+    pub(crate) fn weights(&self, settings: &DeconvolutionSettings) -> [f64; 2] {
         // A trace of the identity makes the program definite where the tool reaches nothing.
         [settings.tikhonov.max(1e-12), settings.curvature_weight].map(|w| w * self.strongest)
     }
 
-    /// The basis of line `m`.
+    /// Returns the basis of line `m`.
     pub(crate) fn columns(&self, m: usize) -> &[Column] {
         &self.lines[m].columns
     }
 
-    /// The bases of all lines, in their order.
+    /// Returns the bases of all lines, in their order.
     pub(crate) fn all_columns(&self) -> impl Iterator<Item = &Column> {
         self.lines.iter().flat_map(|line| &line.columns)
     }
 
-    /// First and last row, first and last column that line `m` reaches.
+    /// Returns the first and last row, and the first and last column that line `m` reaches.
     pub(crate) fn pixels(&self, m: usize) -> Option<[usize; 4]> {
         bounding_box(&self.lines[m])
     }
 
-    /// A state of which nothing is known yet, with all knots.
+    /// Makes a state of which nothing is known yet, with all knots.
     pub(crate) fn untouched(&self) -> State {
         State {
             d: Vec::new(),
@@ -237,12 +244,13 @@ impl Problem {
             converged: false,
             gap: None,
             given_up_nm2: None,
-            kept: self.lines.iter().map(|l| l.knots.clone()).collect(),
+            knots_left: self.lines.iter().map(|l| l.knots.clone()).collect(),
             fallbacks: 0,
             rows_mm: vec![Vec::new(); self.lines.len()],
         }
     }
 
+    /// Makes the state at a start, with its residual.
     fn start(&self, surface: &Surface, other_nm: &Array2<f64>, start: Start) -> State {
         let Start { d, piston_nm } = start;
         // r = z + c - other - G d on the valid pixels
@@ -256,8 +264,8 @@ impl Problem {
         State { d, piston_nm, residual_nm, ..self.untouched() }
     }
 
-    /// (2) for every line.
-    fn sweep(&self, state: &mut State, settings: &Settings) -> Result<(), FeedError> {
+    /// Does (2) for every line.
+    fn sweep(&self, state: &mut State, settings: &DeconvolutionSettings) -> Result<(), FeedError> {
         state.fallbacks = 0;
         for group in &self.groups {
             let before = &*state;
@@ -272,25 +280,31 @@ impl Problem {
                 }
                 state.d[m] = solved.d;
                 state.rows_mm[m] = solved.rows_mm;
-                state.kept[m] = solved.kept;
+                state.knots_left[m] = solved.knots_left;
                 state.fallbacks += usize::from(solved.fallback);
             }
         }
         Ok(())
     }
 
-    fn line(&self, m: usize, state: &State, settings: &Settings) -> Result<Solved, String> {
-        let (line, current) = (&self.lines[m], &state.d[m]);
+    /// Solves (2) for line `m`.
+    fn line(
+        &self,
+        m: usize,
+        state: &State,
+        settings: &DeconvolutionSettings,
+    ) -> Result<Solved, String> {
+        let line = &self.lines[m];
         let objective = self.line_objective(m, state, settings);
         let mut solved = Solved {
             d: Vec::new(),
             rows_mm: state.rows_mm[m].clone(),
-            kept: state.kept[m].clone(),
+            knots_left: state.knots_left[m].clone(),
             fallback: false,
         };
-        let removed = limited::knot_removal(&objective, &line.knots, line.limits)?;
-        if let Some((d, kept)) = removed {
-            (solved.d, solved.kept) = (d, kept);
+        if let Some((d, knots)) = limited::knot_removal(&objective, &line.knots, line.limits)? {
+            solved.d = d;
+            solved.knots_left = knots;
             return Ok(solved);
         }
         solved.fallback = true;
@@ -298,15 +312,21 @@ impl Problem {
             &objective,
             &line.knots,
             line.limits,
-            current,
+            &state.d[m],
             &mut solved.rows_mm,
         )?;
         Ok(solved)
     }
 
-    /// P_m and q_m of (2).
-    fn line_objective(&self, m: usize, state: &State, settings: &Settings) -> Quadratic {
-        let (line, current) = (&self.lines[m], &state.d[m]);
+    /// Returns P_m and q_m of (2).
+    fn line_objective(
+        &self,
+        m: usize,
+        state: &State,
+        settings: &DeconvolutionSettings,
+    ) -> Quadratic {
+        let line = &self.lines[m];
+        let current = &state.d[m];
         let n = current.len();
         let [alpha, beta] = self.weights(settings);
         let mut p = line.gram.clone();
@@ -327,8 +347,8 @@ impl Problem {
         Quadratic { p, q }
     }
 
-    /// (1).
-    fn objective(&self, state: &State, settings: &Settings) -> f64 {
+    /// Returns the value of (1).
+    fn objective(&self, state: &State, settings: &DeconvolutionSettings) -> f64 {
         let [alpha, beta] = self.weights(settings);
         let mut sum = state.residual_nm.iter().map(|r| r * r).sum::<f64>();
         for (line, d) in self.lines.iter().zip(&state.d) {
@@ -345,11 +365,11 @@ impl Problem {
 struct Solved {
     d: Vec<f64>,
     rows_mm: Vec<f64>,
-    kept: Knots,
+    knots_left: Knots,
     fallback: bool,
 }
 
-/// The limits of a pass for its spline.
+/// Returns the limits of a pass for its spline.
 pub(crate) fn limits(pass: &Pass) -> FeedLimits {
     FeedLimits {
         min_density_s_per_mm: 1.0 / pass.max_feed_mm_per_s,
@@ -357,20 +377,25 @@ pub(crate) fn limits(pass: &Pass) -> FeedLimits {
     }
 }
 
-/// The piston that leaves no mean residual.
+/// Takes the piston that leaves no mean residual.
 fn free_piston(surface: &Surface, state: &mut State) {
-    let valid = |z: &f64| !z.is_nan();
-    let count = surface.height_nm().iter().filter(|z| valid(z)).count();
-    let mean = state.residual_nm.sum() / count as f64;
-    state.piston_nm -= mean;
-    ndarray::Zip::from(&mut state.residual_nm).and(surface.height_nm()).for_each(|r, z| {
-        if valid(z) {
+    state.piston_nm -= subtract_mean(surface, &mut state.residual_nm);
+}
+
+/// Subtracts the mean of a residual over the valid pixels from these, and returns it, nm. The residual is zero on all
+/// other pixels.
+pub(crate) fn subtract_mean(surface: &Surface, residual_nm: &mut Array2<f64>) -> f64 {
+    let count = surface.height_nm().iter().filter(|z| !z.is_nan()).count();
+    let mean = residual_nm.sum() / count as f64;
+    ndarray::Zip::from(residual_nm).and(surface.height_nm()).for_each(|r, z| {
+        if !z.is_nan() {
             *r -= mean;
         }
     });
+    mean
 }
 
-/// G'G; columns far apart share no pixel.
+/// Returns G'G; columns far apart share no pixel.
 fn gram(columns: &[Column]) -> Array2<f64> {
     let n = columns.len();
     let mut gram = Array2::zeros((n, n));
@@ -384,16 +409,12 @@ fn gram(columns: &[Column]) -> Array2<f64> {
     gram
 }
 
-/// Groups of lines that share no pixel, each line in the first group that it fits.
-fn groups(lines: &[Line]) -> Vec<Vec<usize>> {
+/// Returns groups of lines that share no pixel, each line in the first group that it fits.
+fn groups(lines: &[PassBasis]) -> Vec<Vec<usize>> {
     let boxes: Vec<Option<[usize; 4]>> = lines.iter().map(bounding_box).collect();
-    let apart = |a: usize, b: usize| match (boxes[a], boxes[b]) {
-        (Some([t, b, l, r]), Some([u, c, m, s])) => b < u || c < t || r < m || s < l,
-        _ => true,
-    };
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for m in 0..lines.len() {
-        match groups.iter_mut().find(|g| g.iter().all(|k| apart(m, *k))) {
+        match groups.iter_mut().find(|g| g.iter().all(|k| !share_pixels(boxes[m], boxes[*k]))) {
             Some(group) => group.push(m),
             None => groups.push(vec![m]),
         }
@@ -401,8 +422,16 @@ fn groups(lines: &[Line]) -> Vec<Vec<usize>> {
     groups
 }
 
-/// First and last row, first and last column that a line reaches.
-fn bounding_box(line: &Line) -> Option<[usize; 4]> {
+/// Returns true if two boxes, each its first and last row and column, have a pixel in common.
+pub(crate) fn share_pixels(a: Option<[usize; 4]>, b: Option<[usize; 4]>) -> bool {
+    match (a, b) {
+        (Some([t, b, l, r]), Some([u, c, m, s])) => u <= b && t <= c && m <= r && l <= s,
+        _ => false,
+    }
+}
+
+/// Returns the first and last row, and the first and last column that a line reaches.
+fn bounding_box(line: &PassBasis) -> Option<[usize; 4]> {
     let boxes = line.columns.iter().filter_map(Column::pixels);
     boxes.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].max(b[3])])
 }

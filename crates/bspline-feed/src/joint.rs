@@ -44,7 +44,7 @@ use planish_types::{Surface, budget, progress};
 
 use crate::{
     FeedError,
-    deconvolution::{Problem, Settings, Start, State},
+    deconvolution::{DeconvolutionSettings, Problem, Start, State, share_pixels, subtract_mean},
     limited::{self, ACCEPTED, ASKED},
 };
 
@@ -86,11 +86,11 @@ const EXACT: f64 = 1e-10;
 /// start is farther from the given feed. Smaller: short first steps.
 const INSIDE: f64 = 1.0 + 1e-3;
 
-/// The least objective and its gap.
+/// The program (1) with the parts of (2) that no step changes.
 pub(crate) struct Joint<'a> {
     problem: &'a Problem,
     surface: &'a Surface,
-    settings: &'a Settings,
+    settings: &'a DeconvolutionSettings,
     /// First control value of every line, and the end of the last one.
     first: Vec<usize>,
     /// 1/F of every control value (n).
@@ -106,9 +106,9 @@ pub(crate) struct Joint<'a> {
 }
 
 /// Rows (2) of the acceleration limit.
-struct Rows {
+struct AccelerationRows {
     /// Line and arc length, mm.
-    at: Vec<(usize, f64)>,
+    places: Vec<(usize, f64)>,
     /// First control value, coefficients of `c = coefficient d - constant` of both signs, density there.
     tangent: Vec<(usize, [[f64; 4]; 2], f64)>,
 }
@@ -130,10 +130,11 @@ struct Value {
 }
 
 impl<'a> Joint<'a> {
+    /// Prepares the matrix of (2) without its rows.
     pub(crate) fn new(
         problem: &'a Problem,
         surface: &'a Surface,
-        settings: &'a Settings,
+        settings: &'a DeconvolutionSettings,
     ) -> Result<Self, FeedError> {
         let mut first = vec![0];
         for line in &problem.lines {
@@ -154,18 +155,20 @@ impl<'a> Joint<'a> {
         )?;
         let weights = problem.weights(settings);
         let normal = normal(problem, &first, &place, begin, weights);
-        let uniform = settings.free_piston.then(|| {
+        let mut uniform = None;
+        if settings.free_piston {
             let valid = surface.height_nm().iter().filter(|z| !z.is_nan()).count();
             let mut u = vec![0.0; place.len()];
             for (i, column) in problem.all_columns().enumerate() {
                 u[place[i]] = column.removal.sum() / (valid as f64).sqrt();
             }
-            u
-        });
+            uniform = Some(u);
+        }
         Ok(Self { problem, surface, settings, first, least, place, normal, uniform, weights })
     }
 
-    /// The feed of least objective from a start, and its gap; `other_nm` (ny, nx) is what is removed beside the passes.
+    /// Finds the feed of least objective from a start, and its gap; `other_nm` (ny, nx) is what is removed beside the
+    /// passes.
     pub(crate) fn solve(&self, other_nm: &Array2<f64>, start: Start) -> Result<State, FeedError> {
         let target_nm =
             (self.surface.height_nm() - other_nm).mapv(|z| if z.is_nan() { 0.0 } else { z });
@@ -174,26 +177,28 @@ impl<'a> Joint<'a> {
         let scale = |objective: f64| objective.max(EXACT * nothing);
         let mut d: Vec<f64> = start.d.concat();
         d.iter_mut().zip(&self.least).for_each(|(d, least)| *d = d.max(INSIDE * least));
-        let mut rows = Rows { at: self.places(), tangent: Vec::new() };
+        let mut rows = AccelerationRows { places: self.places(), tangent: Vec::new() };
         rows.draw(self, &d);
         let mut now = self.value(&target_nm, &d);
-        let mut at = self.first_iterate(d, &rows, now.objective);
+        let mut iterate = self.first_iterate(d, &rows, now.objective);
         let mut held: Option<(Vec<f64>, f64)> = None;
-        let (mut objective, mut steps, mut first_gap) = (vec![now.objective], 0, None);
+        let mut objective = vec![now.objective];
+        let mut steps = 0;
+        let mut first_gap = None;
         let mut gap = None;
         while steps < self.settings.max_sweeps {
             // How far a program is solved before its bound is compared.
             let solved = PROGRAM_TOLERANCE * tolerance * scale(now.objective);
-            let complementarity = dot(&at.s, &at.w);
-            if let Some((d, at_d)) = &held {
-                let open = self.open(&at, &rows, &now);
+            let complementarity = dot(&iterate.s, &iterate.w);
+            if let Some((d, held_objective)) = &held {
+                let open = self.open(&iterate, &rows, &now);
                 if open <= solved {
-                    let found = (at_d - (now.objective - open)) / scale(*at_d);
-                    let first = *first_gap.get_or_insert(found);
-                    progress::done(progress::of_convergence(first, found, tolerance));
-                    if found <= tolerance {
-                        at.d.clone_from(d);
-                        gap = Some(found.max(0.0));
+                    let proven = (held_objective - (now.objective - open)) / scale(*held_objective);
+                    let first = *first_gap.get_or_insert(proven);
+                    progress::done(progress::of_convergence(first, proven, tolerance));
+                    if proven <= tolerance {
+                        iterate.d.clone_from(d);
+                        gap = Some(proven.max(0.0));
                         break;
                     }
                     held = None;
@@ -202,24 +207,24 @@ impl<'a> Joint<'a> {
             if held.is_none() {
                 // Not `solved`: tangents that are drawn after every step keep the complementarity above it.
                 let near = complementarity <= tolerance * scale(now.objective);
-                let excess = if near { self.excess(&at.d) } else { Vec::new() };
+                let excess = if near { self.excess(&iterate.d) } else { Vec::new() };
                 let fell =
                     objective.iter().rev().nth(1).map_or(f64::INFINITY, |f| f - now.objective);
                 let is_within =
-                    excess.is_empty() && at.d.iter().zip(&self.least).all(|(d, l)| d >= l);
+                    excess.is_empty() && iterate.d.iter().zip(&self.least).all(|(d, l)| d >= l);
                 if near && is_within && fell.abs() <= solved {
-                    held = Some((at.d.clone(), now.objective));
+                    held = Some((iterate.d.clone(), now.objective));
                 }
-                self.renew(&mut at, &mut rows, excess);
+                self.renew(&mut iterate, &mut rows, excess);
             }
-            if !self.step(&mut at, &rows, &now, CENTRED * solved) {
+            if !self.step(&mut iterate, &rows, &now, CENTRED * solved) {
                 break;
             }
-            now = self.value(&target_nm, &at.d);
+            now = self.value(&target_nm, &iterate.d);
             objective.push(now.objective);
             steps += 1;
         }
-        let d = if gap.is_some() { at.d } else { self.within(&at.d)? };
+        let d = if gap.is_some() { iterate.d } else { self.within(&iterate.d)? };
         let value = self.value(&target_nm, &d);
         Ok(State {
             d: self.lines(&d),
@@ -233,11 +238,12 @@ impl<'a> Joint<'a> {
         })
     }
 
+    /// Returns the control values line by line.
     fn lines(&self, d: &[f64]) -> Vec<Vec<f64>> {
         self.first.windows(2).map(|w| d[w[0]..w[1]].to_vec()).collect()
     }
 
-    /// The control values within the limits next to these.
+    /// Returns the control values within the limits next to these.
     fn within(&self, d: &[f64]) -> Result<Vec<f64>, FeedError> {
         let lines = parallel::map(self.problem.lines.len(), &|m| {
             let line = &self.problem.lines[m];
@@ -248,58 +254,63 @@ impl<'a> Joint<'a> {
         Ok(lines.into_iter().collect::<Result<Vec<_>, _>>()?.concat())
     }
 
+    /// Returns the places of the rows: line and arc length, mm.
     fn places(&self) -> Vec<(usize, f64)> {
-        let mut at = Vec::new();
+        let mut places = Vec::new();
         for (m, line) in self.problem.lines.iter().enumerate() {
             for span in line.knots.breaks().windows(2) {
-                let part = |k: usize| span[0] + (span[1] - span[0]) * k as f64 / PLACES as f64;
-                at.extend((0..PLACES).map(|k| (m, part(k))));
+                let length = span[1] - span[0];
+                let parts = (0..PLACES).map(|k| span[0] + length * k as f64 / PLACES as f64);
+                places.extend(parts.map(|s| (m, s)));
             }
-            at.extend(line.knots.breaks().last().map(|s| (m, *s)));
+            places.extend(line.knots.breaks().last().map(|s| (m, *s)));
         }
-        at
+        places
     }
 
-    fn first_iterate(&self, d: Vec<f64>, rows: &Rows, objective: f64) -> Iterate {
+    /// Makes the iterate at the start, inside of the bounds.
+    fn first_iterate(&self, d: Vec<f64>, rows: &AccelerationRows, objective: f64) -> Iterate {
         let mut s = rows.values(&d, &self.least);
-        let density = |j: usize| match j.checked_sub(d.len()) {
-            None => d[j],
-            Some(k) => rows.tangent[k / 2].2,
-        };
-        s.iter_mut().enumerate().for_each(|(j, s)| *s = s.max(FIRST_SLACK * density(j)));
+        for (j, s) in s.iter_mut().enumerate() {
+            let density = match j.checked_sub(d.len()) {
+                None => d[j],
+                Some(k) => rows.tangent[k / 2].2,
+            };
+            *s = s.max(FIRST_SLACK * density);
+        }
         let mu = FIRST_GAP * objective / s.len() as f64;
         let w = s.iter().map(|s| mu / s).collect();
         Iterate { d, s, w }
     }
 
     /// Draws the tangents at the iterate, with rows at the places of `excess`, too.
-    fn renew(&self, at: &mut Iterate, rows: &mut Rows, excess: Vec<(usize, f64)>) {
-        let n = at.d.len();
-        let mu = dot(&at.s, &at.w) / at.s.len() as f64;
+    fn renew(&self, iterate: &mut Iterate, rows: &mut AccelerationRows, excess: Vec<(usize, f64)>) {
+        let n = iterate.d.len();
+        let mu = dot(&iterate.s, &iterate.w) / iterate.s.len() as f64;
         let before: Vec<f64> = rows.tangent.iter().map(|t| t.2).collect();
-        rows.at.extend(excess);
-        rows.draw(self, &at.d);
+        rows.places.extend(excess);
+        rows.draw(self, &iterate.d);
         // A tangent at D is divided by 3 A D^2.
         for (k, before) in before.into_iter().enumerate() {
             let factor = (rows.tangent[k].2 / before).powi(2);
-            at.w[n + 2 * k..n + 2 * k + 2].iter_mut().for_each(|w| *w *= factor);
+            iterate.w[n + 2 * k..n + 2 * k + 2].iter_mut().for_each(|w| *w *= factor);
         }
-        let c = rows.values(&at.d, &self.least);
+        let c = rows.values(&iterate.d, &self.least);
         for (j, c) in c.into_iter().enumerate() {
             let least = match j.checked_sub(n) {
                 None => 0.0,
                 Some(k) => LEAST_SLACK * rows.tangent[k / 2].2,
             };
-            if j >= at.s.len() {
-                at.s.push(c.max(least));
-                at.w.push(mu / at.s[j]);
+            if j >= iterate.s.len() {
+                iterate.s.push(c.max(least));
+                iterate.w.push(mu / iterate.s[j]);
             } else {
-                at.s[j] = at.s[j].max(c);
+                iterate.s[j] = iterate.s[j].max(c);
             }
         }
     }
 
-    /// f, f', what is left of the map and the best piston; the target is zero where the map is invalid.
+    /// Returns f, f', what is left of the map and the best piston; the target is zero where the map is invalid.
     fn value(&self, target_nm: &Array2<f64>, d: &[f64]) -> Value {
         let mut residual_nm = target_nm.clone();
         for (column, d) in self.problem.all_columns().zip(d) {
@@ -307,14 +318,7 @@ impl<'a> Joint<'a> {
         }
         let mut piston_nm = 0.0;
         if self.settings.free_piston {
-            let valid = |z: &f64| !z.is_nan();
-            let count = self.surface.height_nm().iter().filter(|z| valid(z)).count();
-            piston_nm = -residual_nm.sum() / count as f64;
-            ndarray::Zip::from(&mut residual_nm).and(self.surface.height_nm()).for_each(|r, z| {
-                if valid(z) {
-                    *r += piston_nm;
-                }
-            });
+            piston_nm = -subtract_mean(self.surface, &mut residual_nm);
         }
         let [alpha, beta] = self.weights;
         let lines: Vec<(f64, Vec<f64>)> = parallel::map(self.problem.lines.len(), &|m| {
@@ -342,12 +346,12 @@ impl<'a> Joint<'a> {
         Value { objective: 0.5 * (squares + penalties), gradient, residual_nm, piston_nm }
     }
 
-    /// `w' c + r' P0^-1 r / 2` of (3).
-    fn open(&self, at: &Iterate, rows: &Rows, now: &Value) -> f64 {
-        let c = rows.values(&at.d, &self.least);
-        let r = self.dual_residual(at, rows, now);
+    /// Returns `w' c + r' P0^-1 r / 2` of (3).
+    fn open(&self, iterate: &Iterate, rows: &AccelerationRows, now: &Value) -> f64 {
+        let c = rows.values(&iterate.d, &self.least);
+        let r = self.dual_residual(iterate, rows, now);
         let [alpha, beta] = self.weights;
-        let of_line = |m: usize| {
+        let of_lines = (0..self.problem.lines.len()).map(|m| {
             let r = &r[self.first[m]..self.first[m + 1]];
             let mut p = Skyline::zeros((0..r.len()).map(|i| i.saturating_sub(2)).collect());
             add_penalties(&mut p, r.len(), [alpha, beta], |i| i);
@@ -355,22 +359,56 @@ impl<'a> Joint<'a> {
             let mut x = r.to_vec();
             factor.solve(&mut x);
             dot(r, &x)
-        };
-        let of_lines: f64 = (0..self.problem.lines.len()).map(of_line).sum();
-        dot(&at.w, &c) + 0.5 * of_lines
+        });
+        let of_lines: f64 = of_lines.sum();
+        dot(&iterate.w, &c) + 0.5 * of_lines
     }
 
-    /// r of (3).
-    fn dual_residual(&self, at: &Iterate, rows: &Rows, now: &Value) -> Vec<f64> {
-        let of_rows = rows.transposed(&at.w, at.d.len());
+    /// Returns r of (3).
+    fn dual_residual(&self, iterate: &Iterate, rows: &AccelerationRows, now: &Value) -> Vec<f64> {
+        let of_rows = rows.transposed(&iterate.w, iterate.d.len());
         now.gradient.iter().zip(of_rows).map(|(g, w)| g - w).collect()
     }
 
-    /// A predictor and a corrector, which aims at a complementarity of `least` or more; false where the matrix cannot be
-    /// factorised.
-    fn step(&self, at: &mut Iterate, rows: &Rows, now: &Value, least: f64) -> bool {
-        let (n, m) = (at.d.len(), at.s.len());
-        let theta: Vec<f64> = at.w.iter().zip(&at.s).map(|(w, s)| w / s).collect();
+    /// Does a predictor and a corrector, which aims at a complementarity of `least` or more; false where the matrix
+    /// cannot be factorised.
+    fn step(
+        &self,
+        iterate: &mut Iterate,
+        rows: &AccelerationRows,
+        now: &Value,
+        least: f64,
+    ) -> bool {
+        let m = iterate.s.len();
+        let Some(factor) = self.factor(iterate, rows) else { return false };
+        let system = System {
+            joint: self,
+            rows,
+            factor,
+            r: self.dual_residual(iterate, rows, now),
+            short: (rows.values(&iterate.d, &self.least).iter().zip(&iterate.s))
+                .map(|(c, s)| c - s)
+                .collect(),
+        };
+        let mu = dot(&iterate.s, &iterate.w) / m as f64;
+        let predictor = system.direction(iterate, |_| 0.0);
+        let a = predictor.longest(iterate);
+        let Iterate { s: ds, w: dw, .. } = &predictor;
+        let after: f64 =
+            (0..m).map(|j| (iterate.s[j] + a * ds[j]) * (iterate.w[j] + a * dw[j])).sum();
+        let aim = ((after / m as f64 / mu).powi(3) * mu).max(least / m as f64);
+        let corrector = system.direction(iterate, |j| aim - ds[j] * dw[j]);
+        let a = corrector.longest(iterate);
+        add(&mut iterate.d, a, &corrector.d);
+        add(&mut iterate.s, a, &corrector.s);
+        add(&mut iterate.w, a, &corrector.w);
+        true
+    }
+
+    /// Factorises the matrix of (2); `None` if it is not positive definite to rounding.
+    fn factor(&self, iterate: &Iterate, rows: &AccelerationRows) -> Option<Woodbury> {
+        let n = iterate.d.len();
+        let theta: Vec<f64> = iterate.w.iter().zip(&iterate.s).map(|(w, s)| w / s).collect();
         let mut matrix = self.normal.clone();
         for (i, theta) in theta[..n].iter().enumerate() {
             matrix.add(self.place[i], self.place[i], *theta);
@@ -380,86 +418,94 @@ impl<'a> Joint<'a> {
                 let theta = theta[n + 2 * k + sign];
                 for a in 0..4 {
                     for b in 0..=a {
-                        let (p, q) = (self.place[first + a], self.place[first + b]);
+                        let p = self.place[first + a];
+                        let q = self.place[first + b];
                         matrix.add(p.max(q), p.min(q), theta * row[a] * row[b]);
                     }
                 }
             }
         }
         let uniform: Vec<Vec<f64>> = self.uniform.iter().cloned().collect();
-        let factor = matrix.factorise().and_then(|factor| Woodbury::new(factor, &uniform));
-        let Some(factor) = factor else { return false };
-        let r = self.dual_residual(at, rows, now);
-        let short: Vec<f64> =
-            rows.values(&at.d, &self.least).iter().zip(&at.s).map(|(c, s)| c - s).collect();
-        let direction = |target: &dyn Fn(usize) -> f64| {
-            // What s w shall become in a full step.
-            let y: Vec<f64> =
-                (0..m).map(|j| (target(j) - at.w[j] * (at.s[j] + short[j])) / at.s[j]).collect();
-            let of_rows = rows.transposed(&y, n);
-            let mut x = vec![0.0; n];
-            for i in 0..n {
-                x[self.place[i]] = of_rows[i] - r[i];
-            }
-            factor.solve(&mut x);
-            let step: Vec<f64> = (0..n).map(|i| x[self.place[i]]).collect();
-            let ds: Vec<f64> =
-                rows.changes(&step).into_iter().zip(&short).map(|(c, short)| c + short).collect();
-            let dw: Vec<f64> =
-                (0..m).map(|j| (target(j) - at.w[j] * (at.s[j] + ds[j])) / at.s[j]).collect();
-            (step, ds, dw)
-        };
-        let longest = |ds: &[f64], dw: &[f64]| {
-            let of = |v: &[f64], dv: &[f64]| {
-                v.iter()
-                    .zip(dv)
-                    .filter(|(_, dv)| **dv < 0.0)
-                    .map(|(v, dv)| -v / dv)
-                    .fold(f64::INFINITY, f64::min)
-            };
-            (STEP_TO_BOUNDARY * of(&at.s, ds).min(of(&at.w, dw))).min(1.0)
-        };
-        let mu = dot(&at.s, &at.w) / m as f64;
-        let (_, ds, dw) = direction(&|_| 0.0);
-        let a = longest(&ds, &dw);
-        let after: f64 = (0..m).map(|j| (at.s[j] + a * ds[j]) * (at.w[j] + a * dw[j])).sum();
-        let aim = ((after / m as f64 / mu).powi(3) * mu).max(least / m as f64);
-        let (step, ds, dw) = direction(&|j| aim - ds[j] * dw[j]);
-        let a = longest(&ds, &dw);
-        let add = |v: &mut [f64], dv: &[f64]| {
-            v.iter_mut().zip(dv).for_each(|(v, dv)| *v += a * dv);
-        };
-        add(&mut at.d, &step);
-        add(&mut at.s, &ds);
-        add(&mut at.w, &dw);
-        true
+        matrix.factorise().and_then(|factor| Woodbury::new(factor, &uniform))
     }
 
-    /// Places at which the acceleration exceeds what is accepted.
+    /// Returns the places at which the acceleration exceeds what is accepted.
     fn excess(&self, d: &[f64]) -> Vec<(usize, f64)> {
-        let of_line = |m: usize| {
+        let lines = parallel::map(self.problem.lines.len(), &|m| {
             let line = &self.problem.lines[m];
             let d = &d[self.first[m]..self.first[m + 1]];
             let limit = ACCEPTED * line.limits.max_acceleration_mm_per_s2;
-            let (breaks, end) = (line.knots.breaks(), line.knots.breaks().last().copied());
+            let breaks = line.knots.breaks();
+            let end = breaks.last().copied().unwrap_or(0.0);
             let beside = (breaks[1] - breaks[0]) / (4 * PLACES) as f64;
             let peaks = limited::peaks(&line.knots, d, limit);
             // Beside it, too: a peak moves as the feed changes.
             let places = peaks.iter().flat_map(|p| [-beside, 0.0, beside].map(|by| p.s_mm + by));
-            places.map(|s| (m, s.clamp(0.0, end.unwrap_or(0.0)))).collect::<Vec<_>>()
-        };
-        let lines = parallel::map(self.problem.lines.len(), &of_line);
+            places.map(|s| (m, s.clamp(0.0, end))).collect::<Vec<_>>()
+        });
         lines.into_iter().flatten().collect()
     }
 }
+/// The equations (2) at an iterate.
+struct System<'a> {
+    joint: &'a Joint<'a>,
+    rows: &'a AccelerationRows,
+    factor: Woodbury,
+    /// r of (3).
+    r: Vec<f64>,
+    /// c - s.
+    short: Vec<f64>,
+}
 
-impl Rows {
-    /// Tangents at the densities of `d`.
+impl System<'_> {
+    /// Solves (2) for the step after which s w of constraint j would be `target(j)`, to first order.
+    fn direction(&self, iterate: &Iterate, target: impl Fn(usize) -> f64) -> Iterate {
+        let Iterate { d, s, w } = iterate;
+        let n = d.len();
+        let m = s.len();
+        let y: Vec<f64> =
+            (0..m).map(|j| (target(j) - w[j] * (s[j] + self.short[j])) / s[j]).collect();
+        let of_rows = self.rows.transposed(&y, n);
+        let place = &self.joint.place;
+        let mut x = vec![0.0; n];
+        for i in 0..n {
+            x[place[i]] = of_rows[i] - self.r[i];
+        }
+        self.factor.solve(&mut x);
+        let step: Vec<f64> = (0..n).map(|i| x[place[i]]).collect();
+        let changes = self.rows.changes(&step).into_iter();
+        let ds: Vec<f64> = changes.zip(&self.short).map(|(c, short)| c + short).collect();
+        let dw = (0..m).map(|j| (target(j) - w[j] * (s[j] + ds[j])) / s[j]).collect();
+        Iterate { d: step, s: ds, w: dw }
+    }
+}
+
+impl Iterate {
+    /// Returns the part of this step, at most 1, that keeps the slacks and dual variables of `iterate` positive.
+    fn longest(&self, iterate: &Self) -> f64 {
+        let slack = longest_positive(&iterate.s, &self.s);
+        (STEP_TO_BOUNDARY * slack.min(longest_positive(&iterate.w, &self.w))).min(1.0)
+    }
+}
+
+/// Returns the largest a at which no element of `v + a dv` is negative.
+fn longest_positive(v: &[f64], dv: &[f64]) -> f64 {
+    let falling = v.iter().zip(dv).filter(|(_, dv)| **dv < 0.0);
+    falling.map(|(v, dv)| -v / dv).fold(f64::INFINITY, f64::min)
+}
+
+/// Adds `a dv` to v.
+fn add(v: &mut [f64], a: f64, dv: &[f64]) {
+    v.iter_mut().zip(dv).for_each(|(v, dv)| *v += a * dv);
+}
+impl AccelerationRows {
+    /// Draws the tangents at the densities of `d`.
     fn draw(&mut self, joint: &Joint<'_>, d: &[f64]) {
-        self.tangent = parallel::map(self.at.len(), &|k| {
-            let (m, s) = self.at[k];
+        self.tangent = parallel::map(self.places.len(), &|k| {
+            let (m, s) = self.places[k];
             let line = &joint.problem.lines[m];
-            let (first, end) = (joint.first[m], joint.first[m + 1]);
+            let first = joint.first[m];
+            let end = joint.first[m + 1];
             let limit = ASKED * line.limits.max_acceleration_mm_per_s2;
             let row = limited::tangent(&line.knots, &d[first..end], s, limit);
             // coefficient d <= bound = -2/3 D
@@ -468,7 +514,7 @@ impl Rows {
         });
     }
 
-    /// `J step`.
+    /// Returns `J step`.
     fn changes(&self, step: &[f64]) -> Vec<f64> {
         let mut c = step.to_vec();
         for (first, coefficient, _) in &self.tangent {
@@ -478,7 +524,7 @@ impl Rows {
         c
     }
 
-    /// c.
+    /// Returns c.
     fn values(&self, d: &[f64], least: &[f64]) -> Vec<f64> {
         let mut c = self.changes(d);
         c.iter_mut().zip(least).for_each(|(c, least)| *c -= least);
@@ -489,7 +535,7 @@ impl Rows {
         c
     }
 
-    /// `J' y`.
+    /// Returns `J' y`.
     fn transposed(&self, y: &[f64], n: usize) -> Vec<f64> {
         let mut x = y[..n].to_vec();
         for (k, (first, coefficient, _)) in self.tangent.iter().enumerate() {
@@ -502,16 +548,12 @@ impl Rows {
     }
 }
 
-/// Place of every control value in a skyline, and the first column of every row: line by line, or along the lines,
-/// whichever takes fewer multiplications.
+/// Returns the place of every control value in a skyline, and the first column of every row: line by line, or along
+/// the lines, whichever takes fewer multiplications.
 fn order(problem: &Problem, first: &[usize]) -> (Vec<usize>, Vec<usize>) {
     let n = first[first.len() - 1];
     let boxes: Vec<_> = problem.all_columns().map(|c| c.pixels()).collect();
     let lines: Vec<_> = (0..problem.lines.len()).map(|m| problem.pixels(m)).collect();
-    let meet = |a: &Option<[usize; 4]>, b: &Option<[usize; 4]>| match (a, b) {
-        (Some([t, b, l, r]), Some([u, c, m, s])) => u <= b && t <= c && m <= r && l <= s,
-        _ => false,
-    };
     let begin = |place: &[usize]| {
         let mut begin: Vec<usize> = (0..n).collect();
         for m in 0..lines.len() {
@@ -519,17 +561,14 @@ fn order(problem: &Problem, first: &[usize]) -> (Vec<usize>, Vec<usize>) {
                 // The penalties and the rows of the limit couple four in a row.
                 let own = i.saturating_sub(3).max(first[m])..(i + 4).min(first[m + 1]);
                 let others = (0..lines.len())
-                    .filter(|k| meet(&boxes[i], &lines[*k]))
+                    .filter(|k| share_pixels(boxes[i], lines[*k]))
                     .flat_map(|k| first[k]..first[k + 1])
-                    .filter(|j| meet(&boxes[i], &boxes[*j]));
+                    .filter(|j| share_pixels(boxes[i], boxes[*j]));
                 let lowest = own.chain(others).map(|j| place[j]).min().unwrap_or(place[i]);
                 begin[place[i]] = lowest.min(place[i]);
             }
         }
         begin
-    };
-    let cost = |begin: &[usize]| -> f64 {
-        begin.iter().enumerate().map(|(i, b)| ((i - b) as f64).powi(2)).sum()
     };
     let by_line: Vec<usize> = (0..n).collect();
     // Along the lines: by the middle of what a control value reaches, in the direction in which a line is longer.
@@ -537,13 +576,14 @@ fn order(problem: &Problem, first: &[usize]) -> (Vec<usize>, Vec<usize>) {
         .iter()
         .flatten()
         .fold((0, 0), |(wide, high), [t, b, l, r]| (wide + r - l, high + b - t));
-    let middle = |i: usize| match &boxes[i] {
-        Some([_, _, l, r]) if wide >= high => l + r,
-        Some([t, b, _, _]) => t + b,
-        None => 0,
-    };
     // What reaches no pixel stays beside its neighbour.
-    let mut key: Vec<usize> = (0..n).map(middle).collect();
+    let mut key: Vec<usize> = (boxes.iter())
+        .map(|pixels| match pixels {
+            Some([_, _, l, r]) if wide >= high => l + r,
+            Some([t, b, _, _]) => t + b,
+            None => 0,
+        })
+        .collect();
     for m in 0..lines.len() {
         let reached: Vec<usize> =
             (first[m]..first[m + 1]).filter(|i| boxes[*i].is_some()).collect();
@@ -560,7 +600,12 @@ fn order(problem: &Problem, first: &[usize]) -> (Vec<usize>, Vec<usize>) {
     if cost(&of_along) < cost(&of_lines) { (along, of_along) } else { (by_line, of_lines) }
 }
 
-/// G'G and the penalties.
+/// Returns the number of multiplications of a factorisation, with the first column of every row.
+fn cost(begin: &[usize]) -> f64 {
+    begin.iter().enumerate().map(|(i, b)| ((i - b) as f64).powi(2)).sum()
+}
+
+/// Returns G'G and the penalties.
 fn normal(
     problem: &Problem,
     first: &[usize],
@@ -569,12 +614,12 @@ fn normal(
     weights: [f64; 2],
 ) -> Skyline {
     let columns: Vec<_> = problem.all_columns().collect();
-    let mut at = vec![0; place.len()];
-    place.iter().enumerate().for_each(|(i, place)| at[*place] = i);
+    let mut value_at = vec![0; place.len()];
+    place.iter().enumerate().for_each(|(i, place)| value_at[*place] = i);
     let mut normal = Skyline::zeros(begin.clone());
     normal.fill(|row, elements| {
         for (j, v) in elements.iter_mut().enumerate() {
-            *v = columns[at[row]].dot_column(columns[at[begin[row] + j]]);
+            *v = columns[value_at[row]].dot_column(columns[value_at[begin[row] + j]]);
         }
     });
     for w in first.windows(2) {
@@ -583,7 +628,7 @@ fn normal(
     normal
 }
 
-/// `alpha K + beta K (second differences)'(second differences)` of a line of n control values at these places.
+/// Adds `alpha K + beta K (second differences)'(second differences)` of a line of n control values at these places.
 fn add_penalties(
     matrix: &mut Skyline,
     n: usize,
@@ -597,7 +642,8 @@ fn add_penalties(
         let row = [(i - 1, 1.0), (i, -2.0), (i + 1, 1.0)];
         for (a, va) in row {
             for (b, vb) in row {
-                let (p, q) = (place(a), place(b));
+                let p = place(a);
+                let q = place(b);
                 if q <= p {
                     matrix.add(p, q, beta * va * vb);
                 }
@@ -654,8 +700,8 @@ mod tests {
         Problem::new(&passes, knots, &tif, surface).unwrap()
     }
 
-    fn settings(free_piston: bool, tolerance: f64) -> Settings {
-        Settings {
+    fn settings(free_piston: bool, tolerance: f64) -> DeconvolutionSettings {
+        DeconvolutionSettings {
             refinement: Refinement::ConvexConcave,
             free_piston,
             tikhonov: 1e-5,
@@ -684,7 +730,7 @@ mod tests {
         let mut gradient = joint.value(target_nm, &d).gradient;
         let element = |i: usize, j: usize| {
             let (p, q) = (joint.place[i].max(joint.place[j]), joint.place[i].min(joint.place[j]));
-            joint.normal.at(p, q)
+            joint.normal.element(p, q)
                 - joint.uniform.as_ref().map_or(0.0, |u| u[joint.place[i]] * u[joint.place[j]])
         };
         let matrix = Array2::from_shape_fn((n, n), |(i, j)| element(i, j));
@@ -746,7 +792,7 @@ mod tests {
                 let n = range.len();
                 let p = Array2::from_shape_fn((n, n), |(i, j)| {
                     let (a, b) = (joint.place[range.start + i], joint.place[range.start + j]);
-                    joint.normal.at(a.max(b), a.min(b))
+                    joint.normal.element(a.max(b), a.min(b))
                 });
                 let q = (0..n)
                     .map(|i| {

@@ -34,7 +34,7 @@ pub mod passes;
 pub mod plan;
 pub mod vrr;
 
-pub use plan::{Plan, Report, Settings, plan};
+pub use plan::{FeedPlan, FeedReport, FeedSettings, plan};
 
 use planish_types::Invalid;
 

@@ -50,14 +50,14 @@ pub struct Quadratic {
 }
 
 impl Quadratic {
-    /// Value of the quadratic at `d`.
+    /// Returns the value of the quadratic at `d`.
     pub fn value(&self, d: &[f64]) -> f64 {
         let d = ArrayView1::from(d);
         0.5 * d.dot(&self.p.dot(&d)) - d.dot(&ArrayView1::from(&self.q))
     }
 
     /// Returns the quadratic as a function of c, for `d = K c`.
-    fn of(&self, k: &Array2<f64>) -> Self {
+    fn of_coarser(&self, k: &Array2<f64>) -> Self {
         Self { p: k.t().dot(&self.p).dot(k), q: k.t().dot(&ArrayView1::from(&self.q)).to_vec() }
     }
 }
@@ -96,22 +96,23 @@ pub struct Peak {
     pub acceleration_mm_per_s2: f64,
 }
 
-/// Local extrema of |a| above `threshold`, in order.
+/// Returns the local extrema of |a| above `threshold`, in order.
 pub(crate) fn peaks(knots: &Knots, d: &[f64], threshold: f64) -> Vec<Peak> {
-    let mut at: Vec<f64> = Vec::new();
+    let mut places: Vec<f64> = Vec::new();
     for span in knots.breaks().windows(2) {
-        at.extend(
-            (0..SAMPLES).map(|k| span[0] + (span[1] - span[0]) * f64::from(k) / f64::from(SAMPLES)),
-        );
+        let length = span[1] - span[0];
+        places.extend((0..SAMPLES).map(|k| span[0] + length * f64::from(k) / f64::from(SAMPLES)));
     }
-    at.extend(knots.breaks().last());
-    let a: Vec<f64> = at.iter().map(|s| acceleration(knots, d, *s)).collect();
+    places.extend(knots.breaks().last());
+    let a: Vec<f64> = places.iter().map(|s| acceleration(knots, d, *s)).collect();
     let mut peaks = Vec::new();
-    for k in 0..at.len() {
-        let (before, after) = (k.saturating_sub(1), (k + 1).min(at.len() - 1));
+    for k in 0..places.len() {
+        let before = k.saturating_sub(1);
+        let after = (k + 1).min(places.len() - 1);
         if a[k] >= a[before] && a[k] >= a[after] && a[k] > 0.5 * threshold {
             // Golden section between the neighbours.
-            let (mut low, mut high) = (at[before], at[after]);
+            let mut low = places[before];
+            let mut high = places[after];
             for _ in 0..30 {
                 let inner = 0.381_966 * (high - low);
                 if acceleration(knots, d, low + inner) >= acceleration(knots, d, high - inner) {
@@ -122,7 +123,7 @@ pub(crate) fn peaks(knots: &Knots, d: &[f64], threshold: f64) -> Vec<Peak> {
             }
             let refined = 0.5 * (low + high);
             let value = acceleration(knots, d, refined);
-            let (s_mm, value) = if value >= a[k] { (refined, value) } else { (at[k], a[k]) };
+            let (s_mm, value) = if value >= a[k] { (refined, value) } else { (places[k], a[k]) };
             if value > threshold {
                 peaks.push(Peak { s_mm, acceleration_mm_per_s2: value });
             }
@@ -131,13 +132,13 @@ pub(crate) fn peaks(knots: &Knots, d: &[f64], threshold: f64) -> Vec<Peak> {
     peaks
 }
 
-/// |a| = |D'|/D^3.
+/// Returns |a| = |D'|/D^3.
 fn acceleration(knots: &Knots, d: &[f64], s: f64) -> f64 {
     let density = knots.value(d, s);
     knots.derivative(d, s).abs() / (density * density * density)
 }
 
-/// The largest |a|.
+/// Returns the largest |a|.
 pub fn highest_peak(knots: &Knots, d: &[f64]) -> Peak {
     let none = Peak { s_mm: 0.0, acceleration_mm_per_s2: 0.0 };
     peaks(knots, d, 0.0)
@@ -145,10 +146,12 @@ pub fn highest_peak(knots: &Knots, d: &[f64]) -> Peak {
         .fold(none, |m, p| if p.acceleration_mm_per_s2 > m.acceleration_mm_per_s2 { p } else { m })
 }
 
-/// One step of the convex-concave procedure from the control values `current` (positive).
+/// Does one step of the convex-concave procedure from the control values `current` (positive).
 ///
-/// `rows_mm` are the places of rows (2): those of the step before on entry, those that mattered on
-/// return. `Err` is what the solver says.
+/// `rows_mm` are the places of rows (2): those of the step before on entry, those that mattered on return.
+///
+/// # Errors
+/// Returns what the solver says.
 pub fn convex_concave_step(
     objective: &Quadratic,
     knots: &Knots,
@@ -158,7 +161,7 @@ pub fn convex_concave_step(
 ) -> Result<Vec<f64>, String> {
     let limit = limits.max_acceleration_mm_per_s2;
     for _ in 0..MAX_ROUNDS {
-        let rows: Vec<Row> =
+        let rows: Vec<TangentRow> =
             rows_mm.iter().map(|s| tangent(knots, current, *s, ASKED * limit)).collect();
         let d = quadratic_program(objective, limits.min_density_s_per_mm, &rows)?;
         let excess = peaks(knots, &d, ACCEPTED * limit);
@@ -174,13 +177,16 @@ pub fn convex_concave_step(
         }
     }
     // Not reached with a sound program; what it left is mended by a slower feed.
-    let rows: Vec<Row> =
+    let rows: Vec<TangentRow> =
         rows_mm.iter().map(|s| tangent(knots, current, *s, ASKED * limit)).collect();
     Ok(slowed(knots, quadratic_program(objective, limits.min_density_s_per_mm, &rows)?, limit))
 }
 
-/// The control values within the limits next to the positive `wanted`: `wanted` itself where it keeps them, and
+/// Returns the control values within the limits next to the positive `wanted`: `wanted` itself where it keeps them, and
 /// what the procedure makes of `min |d - wanted|^2` otherwise.
+///
+/// # Errors
+/// Returns the failure of the quadratic program.
 pub fn next_within(
     knots: &Knots,
     limits: FeedLimits,
@@ -197,7 +203,10 @@ pub fn next_within(
     closest_within(&objective, knots, limits, wanted)
 }
 
-/// The procedure from `start` to where it settles.
+/// Repeats the procedure from `start` to where it settles.
+///
+/// # Errors
+/// Returns the failure of the quadratic program.
 pub fn closest_within(
     objective: &Quadratic,
     knots: &Knots,
@@ -213,7 +222,7 @@ pub fn closest_within(
 /// more time. Smaller: the feed depends on its start.
 const STEPS_TO_SETTLE: usize = 6;
 
-/// `d` plus the least of the doubled constants that brings |a| within the limit.
+/// Returns `d` plus the least of the doubled constants that brings |a| within the limit.
 fn slowed(knots: &Knots, mut d: Vec<f64>, limit: f64) -> Vec<f64> {
     let mut more = 1e-3 * d.iter().copied().fold(f64::INFINITY, f64::min);
     while highest_peak(knots, &d).acceleration_mm_per_s2 > ACCEPTED * limit {
@@ -223,50 +232,61 @@ fn slowed(knots: &Knots, mut d: Vec<f64>, limit: f64) -> Vec<f64> {
     d
 }
 
-/// The solution of (1) by knot removal, on `knots`, and the knots that are left; `None` when the limit is
+/// Returns the solution of (1) by knot removal, on `knots`, and the knots that are left; `None` when the limit is
 /// exceeded without an interior knot.
+///
+/// # Errors
+/// Returns the failure of the quadratic program.
 pub fn knot_removal(
     objective: &Quadratic,
     knots: &Knots,
     limits: FeedLimits,
 ) -> Result<Option<(Vec<f64>, Knots)>, String> {
-    let mut kept = knots.clone();
+    let mut left = knots.clone();
     loop {
-        let k = kept.refinement(knots);
-        let c = quadratic_program(&objective.of(&k), limits.min_density_s_per_mm, &[])?;
-        let peak = highest_peak(&kept, &c);
+        let k = left.refinement(knots);
+        let coarser = objective.of_coarser(&k);
+        let c = quadratic_program(&coarser, limits.min_density_s_per_mm, &[])?;
+        let peak = highest_peak(&left, &c);
         if peak.acceleration_mm_per_s2 <= ACCEPTED * limits.max_acceleration_mm_per_s2 {
-            return Ok(Some((k.dot(&ArrayView1::from(&c)).to_vec(), kept)));
+            return Ok(Some((k.dot(&ArrayView1::from(&c)).to_vec(), left)));
         }
-        let breaks = kept.breaks();
-        let distance = |i: &usize| (breaks[*i] - peak.s_mm).abs();
+        let breaks = left.breaks();
         let inner = 1..breaks.len() - 1;
-        let Some(closest) = inner.min_by(|a, b| distance(a).total_cmp(&distance(b))) else {
+        let closest = inner.min_by(|a, b| {
+            let [a, b] = [a, b].map(|i| (breaks[*i] - peak.s_mm).abs());
+            a.total_cmp(&b)
+        });
+        let Some(closest) = closest else {
             return Ok(None);
         };
-        kept = kept.without(closest);
+        left = left.without(closest);
     }
 }
 
 /// `sum_j coefficient_j d_(first + j) <= bound`.
-pub(crate) struct Row {
+pub(crate) struct TangentRow {
     pub(crate) first: usize,
     pub(crate) coefficient: [[f64; 4]; 2],
     pub(crate) bound: f64,
 }
 
-/// (2) at `s`, over 3 A D_k^2:  +-D'/(3 A D_k^2) - D <= -2/3 D_k.
-pub(crate) fn tangent(knots: &Knots, current: &[f64], s: f64, limit: f64) -> Row {
+/// Returns (2) at `s`, over 3 A D_k^2:  +-D'/(3 A D_k^2) - D <= -2/3 D_k.
+pub(crate) fn tangent(knots: &Knots, current: &[f64], s: f64, limit: f64) -> TangentRow {
     let (first, b) = knots.basis(s);
     let (_, slope) = knots.basis_derivative(s);
     let now = knots.value(current, s);
     let w = 1.0 / (3.0 * limit * now * now);
-    let signed = |sign: f64| [0, 1, 2, 3].map(|j| sign * w * slope[j] - b[j]);
-    Row { first, coefficient: [signed(1.0), signed(-1.0)], bound: -2.0 / 3.0 * now }
+    let coefficient = [1.0, -1.0].map(|sign| [0, 1, 2, 3].map(|j| sign * w * slope[j] - b[j]));
+    TangentRow { first, coefficient, bound: -2.0 / 3.0 * now }
 }
 
-/// The objective under `d >= least` and `rows`, in the variables `d / scale`.
-fn quadratic_program(objective: &Quadratic, least: f64, rows: &[Row]) -> Result<Vec<f64>, String> {
+/// Minimises the objective under `d >= least` and `rows`, in the variables `d / scale`.
+fn quadratic_program(
+    objective: &Quadratic,
+    least: f64,
+    rows: &[TangentRow],
+) -> Result<Vec<f64>, String> {
     let n = objective.q.len();
     let strongest = (0..n).map(|i| objective.p[[i, i]]).fold(0.0, f64::max);
     if strongest <= 0.0 {
@@ -276,7 +296,9 @@ fn quadratic_program(objective: &Quadratic, least: f64, rows: &[Row]) -> Result<
     let aim = objective.q.iter().map(|q| q.abs()).fold(0.0, f64::max) / strongest;
     let scale = aim.max(least);
 
-    let (mut pr, mut pc, mut pv) = (Vec::new(), Vec::new(), Vec::new());
+    let mut pr = Vec::new();
+    let mut pc = Vec::new();
+    let mut pv = Vec::new();
     for c in 0..n {
         for r in 0..=c {
             let v = objective.p[[r, c]];
@@ -288,7 +310,10 @@ fn quadratic_program(objective: &Quadratic, least: f64, rows: &[Row]) -> Result<
         }
     }
     let q: Vec<f64> = objective.q.iter().map(|q| -q / (strongest * scale)).collect();
-    let (mut ar, mut ac, mut av, mut b) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let mut ar = Vec::new();
+    let mut ac = Vec::new();
+    let mut av = Vec::new();
+    let mut b = Vec::new();
     for i in 0..n {
         // -d_i <= -least
         ar.push(i);

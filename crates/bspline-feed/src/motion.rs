@@ -74,7 +74,10 @@ pub struct Motion {
     links_on: Vec<Range<usize>>,
 }
 
-/// One trajectory of all passes with the control values `d` on `knots`.
+/// Makes one trajectory of all passes with the control values `d` on `knots`.
+///
+/// # Errors
+/// Refuses limits with which a piece of the motion vanishes in the rounding of its time.
 pub fn motion(
     passes: &[Pass],
     knots: &[Knots],
@@ -100,9 +103,12 @@ pub fn motion(
         least_s,
     };
     for (m, pass) in passes.iter().enumerate() {
-        let (knots, d) = (&knots[m], &d[m]);
-        let velocity = |s: f64| pass.direction.map(|t| t / knots.value(d, s));
-        let start = [pass.start_mm, velocity(0.0)];
+        let knots = &knots[m];
+        let d = &d[m];
+        let end_mm = pass.length_mm();
+        let [velocity_in, velocity_out] =
+            [0.0, end_mm].map(|s| pass.direction.map(|t| t / knots.value(d, s)));
+        let start = [pass.start_mm, velocity_in];
         let tool_on = m > 0 && passes[m - 1].tool_on_after;
         let begin = draft.len();
         links.total_time_s += add_link(
@@ -123,8 +129,7 @@ pub fn motion(
         let fitted = add_pass(&mut draft, pass, knots, d, tolerance_mm);
         fit.pieces += fitted.pieces;
         fit.largest_error_mm = fit.largest_error_mm.max(fitted.largest_error_mm);
-        let end_mm = pass.length_mm();
-        before = Some([pass.at(end_mm), velocity(end_mm)]);
+        before = Some([pass.position(end_mm), velocity_out]);
     }
     if let Some(end) = before {
         links.total_time_s += add_link(&mut draft, end, [end[0], [0.0; 2]], false, &linked);
@@ -141,8 +146,8 @@ pub fn motion(
 }
 
 impl Motion {
-    /// Removal by the links with the tool on (ny, nx), nm: 3-point Gauss rule in time on parts that are at most a
-    /// pixel of the TIF long.
+    /// Returns the removal by the links with the tool on (ny, nx), nm: 3-point Gauss rule in time on parts that are
+    /// at most a pixel of the TIF long.
     pub fn link_removal_nm(&self, tif: &Tif, surface: &Surface) -> Array2<f64> {
         let mut map = Array2::zeros(surface.grid().shape());
         let pixel = tif.grid().x.step_mm().min(tif.grid().y.step_mm());
@@ -150,11 +155,11 @@ impl Motion {
             let segment = self.trajectory.segment(i);
             let h = segment.duration_s;
             // Of constant acceleration: no faster than at its faster end, and that over its duration.
-            let speed = |u: f64| {
+            let [first, last] = [0.0, h].map(|u| {
                 let v = segment.coefficient_mm.map(|c| c[1] + 2.0 * c[2] * u);
                 v[0].hypot(v[1])
-            };
-            let parts = (speed(0.0).max(speed(h)) * h / pixel).ceil().max(1.0) as usize;
+            });
+            let parts = (first.max(last) * h / pixel).ceil().max(1.0) as usize;
             let step = h / parts as f64;
             for part in 0..parts {
                 for (u, w) in gauss_legendre::<3>() {
@@ -198,7 +203,7 @@ fn add_link(
     pieces.iter().map(|p| p.duration).sum()
 }
 
-/// The pieces of a pass.
+/// Adds the pieces of a pass.
 fn add_pass(
     draft: &mut TrajectoryBuilder,
     pass: &Pass,
@@ -243,7 +248,7 @@ fn enters(draft: &TrajectoryBuilder, begin: usize, surface: &Surface) -> bool {
     })
 }
 
-/// Control points of the path and knots, ascending.
+/// Returns the control points of the path and knots, ascending.
 fn breaks(pass: &Pass, knots: &Knots) -> Vec<f64> {
     let mut breaks: Vec<f64> = pass.node_mm.iter().chain(knots.breaks()).copied().collect();
     breaks.sort_by(f64::total_cmp);

@@ -40,20 +40,24 @@ pub struct Pass {
 }
 
 impl Pass {
-    /// Length, mm.
+    /// Returns the length, mm.
     pub fn length_mm(&self) -> f64 {
         *self.node_mm.last().expect("a pass has a segment")
     }
 
-    /// Position [x, y] at the distance `s_mm` from the start.
-    pub fn at(&self, s_mm: f64) -> [f64; 2] {
+    /// Returns the position [x, y], mm, at the distance `s_mm` from the start.
+    pub fn position(&self, s_mm: f64) -> [f64; 2] {
         [0, 1].map(|k| self.start_mm[k] + s_mm * self.direction[k])
     }
 }
 
-/// The passes of `path` over `surface` in order; never empty.
+/// Returns the passes of `path` over `surface` in order; never empty.
+///
+/// # Errors
+/// Refuses a path that turns inside the clear aperture, and one without a straight pass.
 pub fn passes(path: &ToolPath, surface: &Surface, limits: &Limits) -> Result<Vec<Pass>, FeedError> {
-    let (idx, on) = (path.pass_idx(), path.tool_on());
+    let idx = path.pass_idx();
+    let on = path.tool_on();
     let mut arc_mm = vec![0.0];
     for i in 0..path.len() {
         arc_mm.push(arc_mm[i] + path.segment_length_mm(i));
@@ -62,10 +66,12 @@ pub fn passes(path: &ToolPath, surface: &Surface, limits: &Limits) -> Result<Vec
     let mut begin = 0;
     while begin < path.len() {
         let end = (begin..path.len()).find(|i| idx[*i] != idx[begin]).unwrap_or(path.len());
-        let length = |run: &(usize, usize)| arc_mm[run.1] - arc_mm[run.0];
         let runs = straight_runs(path, begin, end);
         // The first of equally long runs.
-        let longest = runs.iter().copied().rev().max_by(|a, b| length(a).total_cmp(&length(b)));
+        let longest = runs.iter().copied().rev().max_by(|a, b| {
+            let [a, b] = [a, b].map(|run| arc_mm[run.1] - arc_mm[run.0]);
+            a.total_cmp(&b)
+        });
         if let Some(run) = longest {
             for i in begin..end {
                 let on_pass = (run.0..run.1).contains(&i);
@@ -88,16 +94,17 @@ pub fn passes(path: &ToolPath, surface: &Surface, limits: &Limits) -> Result<Vec
     Ok(passes)
 }
 
-/// Stretches [first, end) of segments in one direction with the tool on.
+/// Returns the stretches [first, end) of segments in one direction with the tool on.
 fn straight_runs(path: &ToolPath, begin: usize, end: usize) -> Vec<(usize, usize)> {
-    let direction = |i: usize| {
-        let ([dx, dy], l) = (path.displacement_mm(i), path.segment_length_mm(i));
-        (l > 0.0).then(|| [dx / l, dy / l])
-    };
     let mut runs: Vec<(usize, usize)> = Vec::new();
     let mut current: Option<[f64; 2]> = None;
     for i in begin..end {
-        let this = direction(i).filter(|_| path.tool_on()[i]);
+        let l = path.segment_length_mm(i);
+        let this = if l > 0.0 && path.tool_on()[i] {
+            Some(path.displacement_mm(i).map(|d| d / l))
+        } else {
+            None
+        };
         match (current, this) {
             (Some(a), Some(b))
                 if (a[0] * b[1] - a[1] * b[0]).abs() < STRAIGHT
@@ -115,35 +122,41 @@ fn straight_runs(path: &ToolPath, begin: usize, end: usize) -> Vec<(usize, usize
     runs
 }
 
+/// Makes the pass of a run of segments.
 fn pass(path: &ToolPath, limits: &Limits, run: (usize, usize), arc_start_mm: f64) -> Pass {
     let points = &path.point_mm()[run.0..=run.1];
     let start_mm = points[0];
     let end_mm = points[points.len() - 1];
-    let (dx, dy) = (end_mm[0] - start_mm[0], end_mm[1] - start_mm[1]);
+    let dx = end_mm[0] - start_mm[0];
+    let dy = end_mm[1] - start_mm[1];
     let length = dx.hypot(dy);
     let direction = [dx / length, dy / length];
-    let along =
-        |p: &[f64; 2]| (p[0] - start_mm[0]) * direction[0] + (p[1] - start_mm[1]) * direction[1];
+    let node_mm = points
+        .iter()
+        .map(|p| (p[0] - start_mm[0]) * direction[0] + (p[1] - start_mm[1]) * direction[1])
+        .collect();
     // F = min_axis V / |t|,  A = min_axis A / |t|
-    let least = |limit: [f64; 2]| {
-        let axis = |k: usize| (1.0 - MARGIN) * limit[k] / direction[k].abs();
-        axis(0).min(axis(1))
-    };
+    let [max_feed, max_acceleration] =
+        [limits.max_velocity_mm_per_s(), limits.max_acceleration_mm_per_s2()].map(|limit| {
+            let [x, y] = [0, 1].map(|k| (1.0 - MARGIN) * limit[k] / direction[k].abs());
+            x.min(y)
+        });
     Pass {
         first_segment: run.0,
         arc_start_mm,
         start_mm,
         direction,
-        node_mm: points.iter().map(along).collect(),
+        node_mm,
         tool_on_after: false,
-        max_feed_mm_per_s: least(limits.max_velocity_mm_per_s()),
-        max_acceleration_mm_per_s2: least(limits.max_acceleration_mm_per_s2()),
+        max_feed_mm_per_s: max_feed,
+        max_acceleration_mm_per_s2: max_acceleration,
     }
 }
 
 /// Refuses a segment beside the passes whose ends or middle are inside the aperture.
 fn refuse_inside(path: &ToolPath, surface: &Surface, i: usize) -> Result<(), FeedError> {
-    let (a, d) = (path.point_mm()[i], path.displacement_mm(i));
+    let a = path.point_mm()[i];
+    let d = path.displacement_mm(i);
     for f in [0.0, 0.5, 1.0] {
         let point_mm = [a[0] + f * d[0], a[1] + f * d[1]];
         if is_inside(surface, point_mm) {
@@ -158,11 +171,11 @@ pub(crate) fn is_inside(surface: &Surface, [x, y]: [f64; 2]) -> bool {
     let Grid { x: ax, y: ay } = surface.grid();
     let c = ((x - ax.start_mm()) / ax.step_mm()).round();
     let r = ((y - ay.start_mm()) / ay.step_mm()).round();
-    let within = |v: f64, n: usize| v >= 1.0 && v + 1.0 < n as f64;
-    if !(within(c, ax.len()) && within(r, ay.len())) {
+    if [(c, ax.len()), (r, ay.len())].iter().any(|(v, n)| !(*v >= 1.0 && v + 1.0 < *n as f64)) {
         return false;
     }
-    let (r, c) = (r as usize, c as usize);
+    let r = r as usize;
+    let c = c as usize;
     (r - 1..=r + 1).all(|r| (c - 1..=c + 1).all(|c| !surface.height_nm()[[r, c]].is_nan()))
 }
 

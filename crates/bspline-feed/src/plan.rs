@@ -23,7 +23,7 @@ use serde::Serialize;
 
 use crate::{
     FeedError,
-    deconvolution::{self, Problem, Refinement, Start},
+    deconvolution::{self, DeconvolutionSettings, Problem, Refinement, Start},
     joint::Joint,
     limited,
     motion::{FitReport, Links, Motion, motion},
@@ -34,15 +34,15 @@ use crate::{
 /// Sources of the feed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
-pub enum Method {
+pub enum FeedSource {
     /// The feed that leaves the smallest residual.
     Deconvolution,
     /// VRR / (desired removal x pitch).
     Vrr,
 }
 
-impl Method {
-    /// Name of the method in a plan.
+impl FeedSource {
+    /// Returns the name of the source in a plan.
     pub fn name(self) -> &'static str {
         match self {
             Self::Deconvolution => "bspline",
@@ -63,9 +63,9 @@ pub enum Piston {
 
 /// Settings of a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct FeedSettings {
     /// Source of the feed.
-    pub method: Method,
+    pub method: FeedSource,
     /// Method to keep the acceleration limit.
     pub refinement: Refinement,
     /// Distance of the knots, mm; a quarter of the TIF's width when absent.
@@ -87,10 +87,10 @@ pub struct Settings {
     pub fit_tolerance_mm: f64,
 }
 
-impl Default for Settings {
+impl Default for FeedSettings {
     fn default() -> Self {
         Self {
-            method: Method::Deconvolution,
+            method: FeedSource::Deconvolution,
             refinement: Refinement::ConvexConcave,
             knot_spacing_mm: None,
             pitch_mm: None,
@@ -112,7 +112,7 @@ const COVERED: &str = "feeds on these knots, under the tangents of the accelerat
 
 /// Report of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct FeedReport {
     /// Lattice of the map on which the TIF was sampled anew; absent where the samples are its own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tif_lattice: Option<TifLattice>,
@@ -177,20 +177,20 @@ pub struct Jerk {
 
 /// Dwell-time density, motion, and what was done.
 #[derive(Clone, Debug)]
-pub struct Plan {
+pub struct FeedPlan {
     /// The splines at Greville's abscissae, which determine them.
     pub density: DwellDensity,
     /// Motion.
     pub trajectory: Trajectory,
     /// Report of the plan.
-    pub report: Report,
+    pub report: FeedReport,
 }
 
-impl Plan {
+impl FeedPlan {
     /// Returns the reason for which the plan for the desired removal `surface`, made with `settings`, should not be
     /// executed as it is, or `None`: a limit on jerk is exceeded, the method did not converge, the surface becomes
     /// worse, or the run takes too long.
-    pub fn drawback(&self, surface: &Surface, settings: &Settings) -> Option<String> {
+    pub fn drawback(&self, surface: &Surface, settings: &FeedSettings) -> Option<String> {
         let r = &self.report;
         if let Some(jerk) = r.jerk {
             return Some(format!(
@@ -230,19 +230,20 @@ impl Plan {
         }
     }
 
-    /// Message about a sweep that was given up.
+    /// Returns the message about a sweep that was given up.
     fn stopped(&self) -> String {
         let r = &self.report;
-        let (done, last) = (r.objective_nm2.len() - 1, r.objective_nm2[r.objective_nm2.len() - 1]);
+        let done = r.objective_nm2.len() - 1;
+        let last = r.objective_nm2[done];
         let raised = r.given_up_nm2.unwrap_or(last);
-        let kept = if done == 0 {
+        let result = if done == 0 {
             "the plan is its start, the feed of the volumetric removal rate".to_string()
         } else {
             format!("the plan is that of sweep {done}")
         };
         format!(
             "not converged: sweep {} raised the objective from {last:.6e} to {raised:.6e} nm^2 and was given \
-             up, so {kept}; take `refinement` convex-concave, which keeps all knots",
+             up, so {result}; take `refinement` convex-concave, which keeps all knots",
             done + 1
         )
     }
@@ -257,13 +258,17 @@ const MAX_ROUNDS: usize = 5;
 const LINK_TOLERANCE: f64 = 1e-3;
 
 /// Plans feed and motion along `path` for the desired removal `surface`.
+///
+/// # Errors
+/// Refuses settings out of range, a TIF that varies, a path that turns inside the clear aperture, a tool that does not
+/// reach the part, and a problem that takes too much memory.
 pub fn plan(
     surface: &Surface,
     tif: &Tif,
     path: &ToolPath,
     limits: &Limits,
-    settings: &Settings,
-) -> Result<Plan, FeedError> {
+    settings: &FeedSettings,
+) -> Result<FeedPlan, FeedError> {
     check(settings)?;
     tif.same_everywhere("planish-bspline-feed")?;
     plausible::check_path(surface, tif, path)?;
@@ -284,14 +289,14 @@ pub fn plan(
         |d: &[Vec<f64>]| motion(&passes, &knots, d, surface, limits, settings.fit_tolerance_mm);
 
     let solved = match settings.method {
-        Method::Vrr => {
+        FeedSource::Vrr => {
             let (d, piston_nm) = guess.baseline(&passes, &knots)?;
             let motion = run(&d)?;
             let link_removal_nm = largest(&motion.link_removal_nm(tif, surface), surface);
             let state = None;
             Solved { d, motion, link_removal_nm, piston_nm, sweeps: 0, settled: true, state }
         }
-        Method::Deconvolution => {
+        FeedSource::Deconvolution => {
             let problem = Problem::new(&passes, knots.clone(), tif, surface)?;
             let how = deconvolution_settings(settings);
             let joint = match settings.refinement {
@@ -317,10 +322,15 @@ pub fn plan(
                 sweeps += state.steps;
                 let settled = change <= LINK_TOLERANCE * rms_nm(&state.residual_nm, surface);
                 if settled || rounds == MAX_ROUNDS {
-                    let link_removal_nm = largest(&now_nm, surface);
-                    let (d, piston_nm) = (state.d.clone(), state.piston_nm);
-                    let state = Some(state);
-                    break Solved { d, motion, link_removal_nm, piston_nm, sweeps, settled, state };
+                    break Solved {
+                        d: state.d.clone(),
+                        motion,
+                        link_removal_nm: largest(&now_nm, surface),
+                        piston_nm: state.piston_nm,
+                        sweeps,
+                        settled,
+                        state: Some(state),
+                    };
                 }
                 start = Start { d: state.d, piston_nm: state.piston_nm };
                 other_nm = now_nm;
@@ -328,9 +338,9 @@ pub fn plan(
         }
     };
     let report = report(&passes, &knots, spacing, &solved, surface, limits);
-    let report = Report { tif_lattice: lattice.if_anew(), ..report };
+    let report = FeedReport { tif_lattice: lattice.if_anew(), ..report };
     let density = density(&passes, &knots, &solved.d)?;
-    Ok(Plan { density, trajectory: solved.motion.trajectory, report })
+    Ok(FeedPlan { density, trajectory: solved.motion.trajectory, report })
 }
 
 /// Control values, the motion that they make, and how they were found.
@@ -345,7 +355,8 @@ struct Solved {
     state: Option<deconvolution::State>,
 }
 
-fn check(settings: &Settings) -> Result<(), Invalid> {
+/// Refuses settings that are out of range.
+fn check(settings: &FeedSettings) -> Result<(), Invalid> {
     let positive = [
         ("knot_spacing_mm", settings.knot_spacing_mm),
         ("pitch_mm", settings.pitch_mm),
@@ -356,7 +367,8 @@ fn check(settings: &Settings) -> Result<(), Invalid> {
             return Err(Invalid::whole(name, format!("is {v}"), "give a length in mm above 0"));
         }
     }
-    let (fit, least) = (settings.fit_tolerance_mm, timing_law::LEAST_TOLERANCE_MM);
+    let fit = settings.fit_tolerance_mm;
+    let least = timing_law::LEAST_TOLERANCE_MM;
     if fit < least {
         let remedy = format!("give at least {least:e} mm: what is smaller is rounding");
         return Err(Invalid::whole("fit_tolerance_mm", format!("is {fit:?}"), remedy));
@@ -377,7 +389,7 @@ fn check(settings: &Settings) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Spans of the knots of a pass.
+/// Returns the number of spans of the knots of a pass.
 fn spans(pass: &Pass, spacing_mm: f64) -> f64 {
     (pass.length_mm() / spacing_mm).ceil().max(1.0)
 }
@@ -412,7 +424,7 @@ fn check_knots(passes: &[Pass], spacing_mm: f64, width_mm: f64) -> Result<(), In
 const MOST_KNOTS_PER_WIDTH: f64 = 40.0;
 
 /// Returns the distance of every pass from its neighbours, mm: the one of the settings, or those of the path.
-fn pitches_mm(settings: &Settings, passes: &[Pass], tif: &Tif) -> Result<Vec<f64>, Invalid> {
+fn pitches_mm(settings: &FeedSettings, passes: &[Pass], tif: &Tif) -> Result<Vec<f64>, Invalid> {
     let measured = vrr::pitches_mm(passes, tif);
     match settings.pitch_mm {
         Some(p) => {
@@ -444,8 +456,9 @@ fn check_pitch(pitch_mm: f64, measured_mm: &[f64]) -> Result<(), Invalid> {
 /// such rasters are refused.
 const MOST_PITCH_RATIO: f64 = 30.0;
 
-fn deconvolution_settings(settings: &Settings) -> deconvolution::Settings {
-    deconvolution::Settings {
+/// Returns the settings of the deconvolution.
+fn deconvolution_settings(settings: &FeedSettings) -> DeconvolutionSettings {
+    DeconvolutionSettings {
         refinement: settings.refinement,
         free_piston: settings.piston == Piston::Free,
         tikhonov: settings.tikhonov,
@@ -455,23 +468,27 @@ fn deconvolution_settings(settings: &Settings) -> deconvolution::Settings {
     }
 }
 
-/// FWHM of the Gaussian with the second moment of the TIF: `sqrt(8 ln 2) sigma`,
+/// Returns the FWHM of the Gaussian with the second moment of the TIF, mm: `sqrt(8 ln 2) sigma`,
 /// `sigma^2 = integral R r^2 / (2 integral R)`, about its centre of mass.
 pub fn width_mm(tif: &Tif) -> f64 {
     let grid = tif.grid();
-    let moment = |f: &dyn Fn(f64, f64) -> f64| {
-        let sum = tif.rate_nm_per_s().indexed_iter();
-        sum.map(|((r, c), v)| v.max(0.0) * f(grid.x.at(c), grid.y.at(r))).sum::<f64>()
-    };
-    let mass = moment(&|_, _| 1.0);
-    let (cx, cy) = (moment(&|x, _| x) / mass, moment(&|_, y| y) / mass);
-    let r2 = moment(&|x, y| (x - cx).powi(2) + (y - cy).powi(2)) / mass;
+    let mass = moment(tif, |_, _| 1.0);
+    let cx = moment(tif, |x, _| x) / mass;
+    let cy = moment(tif, |_, y| y) / mass;
+    let r2 = moment(tif, |x, y| (x - cx).powi(2) + (y - cy).powi(2)) / mass;
     // Between its samples a TIF is interpolated: of one sample it is no narrower than their distance.
     let least = grid.x.step_mm().max(grid.y.step_mm());
     ((8.0 * std::f64::consts::LN_2).sqrt() * (0.5 * r2).sqrt()).max(least)
 }
 
-/// The start next to this one that keeps the limits.
+/// Returns the sum of `f(x, y)` over the samples of the TIF, weighted with their rates above 0.
+fn moment(tif: &Tif, f: impl Fn(f64, f64) -> f64) -> f64 {
+    let grid = tif.grid();
+    let samples = tif.rate_nm_per_s().indexed_iter();
+    samples.map(|((r, c), v)| v.max(0.0) * f(grid.x.at(c), grid.y.at(r))).sum::<f64>()
+}
+
+/// Returns the start next to this one that keeps the limits.
 fn within(start: Start, passes: &[Pass], knots: &[Knots]) -> Result<Start, FeedError> {
     let near = parallel::map(passes.len(), &|m| {
         limited::next_within(&knots[m], deconvolution::limits(&passes[m]), start.d[m].clone())
@@ -489,12 +506,12 @@ struct Guess<'a> {
 }
 
 impl Guess<'_> {
-    /// The VRR feed of the map as the TIF sees it, as control values, whatever the acceleration, and the piston
+    /// Returns the VRR feed of the map as the TIF sees it, as control values, whatever the acceleration, and the piston
     /// with which the lowest place gets the largest feed.
     fn start(&self, passes: &[Pass], knots: &[Knots]) -> Start {
         let vrr = self.tif.vrr_nm_mm2_per_s();
         let seen: Vec<Vec<Option<f64>>> = (passes.iter().zip(knots))
-            .map(|(p, k)| k.greville().iter().map(|s| self.average_nm(p.at(*s))).collect())
+            .map(|(p, k)| k.greville().iter().map(|s| self.average_nm(p.position(*s))).collect())
             .collect();
         let lowest = seen.iter().flatten().flatten().copied().fold(f64::INFINITY, f64::min);
         let piston_nm = match self.piston {
@@ -503,16 +520,13 @@ impl Guess<'_> {
         };
         let d = (0..passes.len()).map(|m| {
             let least = 1.0 / passes[m].max_feed_mm_per_s;
-            let density = |z: &Option<f64>| {
-                let z = z.map_or(0.0, |z| z + piston_nm);
-                vrr::density_s_per_mm(z, self.pitches[m], vrr, least)
-            };
-            seen[m].iter().map(density).collect()
+            let heights = seen[m].iter().map(|z| z.map_or(0.0, |z| z + piston_nm));
+            heights.map(|z| vrr::density_s_per_mm(z, self.pitches[m], vrr, least)).collect()
         });
         Start { d: d.collect(), piston_nm }
     }
 
-    /// The splines closest to the VRR feed within the limits, and the piston with which the lowest pixel
+    /// Returns the splines closest to the VRR feed within the limits, and the piston with which the lowest pixel
     /// gets the largest feed.
     fn baseline(
         &self,
@@ -529,8 +543,8 @@ impl Guess<'_> {
             let limits = deconvolution::limits(pass);
             let least = limits.min_density_s_per_mm;
             let wanted = |s: f64| {
-                let z =
-                    self.surface.height_nm()[self.surface.nearest_valid(pass.at(s))] + piston_nm;
+                let pixel = self.surface.nearest_valid(pass.position(s));
+                let z = self.surface.height_nm()[pixel] + piston_nm;
                 vrr::density_s_per_mm(z, self.pitches[m], vrr, least)
             };
             let objective = vrr::closest(knots, wanted);
@@ -542,17 +556,18 @@ impl Guess<'_> {
         Ok((all, piston_nm))
     }
 
-    /// Removal at the largest feed of the first pass, nm.
+    /// Returns the removal at the largest feed of the first pass, nm.
     fn floor_nm(&self, passes: &[Pass]) -> f64 {
         self.tif.vrr_nm_mm2_per_s() / (passes[0].max_feed_mm_per_s * self.pitches[0])
     }
 
-    /// The desired removal as the tool at `p` sees it: `sum R z / sum R` over the valid pixels;
+    /// Returns the desired removal as the tool at `p` sees it: `sum R z / sum R` over the valid pixels;
     /// `None` where it sees less than a tenth of its volume.
     fn average_nm(&self, p: [f64; 2]) -> Option<f64> {
         let mut rate = crate::columns::window(p.map(|v| (v, v)), self.tif, self.surface);
         crate::columns::add_rate(&mut rate, p, 1.0, self.tif, self.surface);
-        let (mut sum, mut weight) = (0.0, 0.0);
+        let mut sum = 0.0;
+        let mut weight = 0.0;
         for ((r, c), w) in rate.removal.indexed_iter() {
             let z = self.surface.height_nm()[[rate.origin.0 + r, rate.origin.1 + c]];
             if !z.is_nan() {
@@ -561,32 +576,36 @@ impl Guess<'_> {
             }
         }
         let volume = weight * self.surface.grid().pixel_mm2();
-        (volume > 0.1 * self.tif.vrr_nm_mm2_per_s()).then(|| sum / weight)
+        if volume > 0.1 * self.tif.vrr_nm_mm2_per_s() { Some(sum / weight) } else { None }
     }
 }
 
-/// Largest magnitude on the valid pixels.
+/// Returns the largest magnitude on the valid pixels.
 fn largest(map: &Array2<f64>, surface: &Surface) -> f64 {
     let valid = map.iter().zip(surface.height_nm()).filter(|(_, z)| !z.is_nan());
     valid.map(|(v, _)| v.abs()).fold(0.0, f64::max)
 }
 
-/// RMS (mean removed) over the valid pixels.
+/// Returns the RMS (mean removed) over the valid pixels.
 fn rms_nm(residual_nm: &Array2<f64>, surface: &Surface) -> f64 {
-    let masked = ndarray::Zip::from(residual_nm)
-        .and(surface.height_nm())
-        .map_collect(|r, z| if z.is_nan() { f64::NAN } else { *r });
+    let masked = masked(residual_nm, surface);
     planish_numerics::statistics::statistics(masked.view()).map_or(0.0, |s| s.rms)
 }
 
-/// The residual as a map, measured.
+/// Returns the RMS of the residual as a map.
 fn residual(residual_nm: &Array2<f64>, surface: &Surface) -> Option<Rms> {
-    let masked = ndarray::Zip::from(residual_nm)
-        .and(surface.height_nm())
-        .map_collect(|r, z| if z.is_nan() { f64::NAN } else { *r });
-    Surface::new(*surface.grid(), masked).ok().map(|s| Rms::of(&s))
+    let map = Surface::new(*surface.grid(), masked(residual_nm, surface));
+    map.ok().map(|s| Rms::of(&s))
 }
 
+/// Returns the residual with NaN on invalid pixels.
+fn masked(residual_nm: &Array2<f64>, surface: &Surface) -> Array2<f64> {
+    ndarray::Zip::from(residual_nm)
+        .and(surface.height_nm())
+        .map_collect(|r, z| if z.is_nan() { f64::NAN } else { *r })
+}
+
+/// Makes the report of a plan, but for the lattice of its TIF.
 fn report(
     passes: &[Pass],
     knots: &[Knots],
@@ -594,8 +613,9 @@ fn report(
     solved: &Solved,
     surface: &Surface,
     limits: &Limits,
-) -> Report {
-    let (mut acceleration_use, mut feed_use) = (0.0_f64, 0.0_f64);
+) -> FeedReport {
+    let mut acceleration_use = 0.0_f64;
+    let mut feed_use = 0.0_f64;
     for ((pass, knots), d) in passes.iter().zip(knots).zip(&solved.d) {
         let peak = limited::highest_peak(knots, d).acceleration_mm_per_s2;
         acceleration_use = acceleration_use.max(peak / pass.max_acceleration_mm_per_s2);
@@ -604,14 +624,13 @@ fn report(
         feed_use = feed_use.max(1.0 / (least * pass.max_feed_mm_per_s));
     }
     let residual = solved.state.as_ref().and_then(|s| residual(&s.residual_nm, surface));
-    let inner = |k: &Knots| k.breaks().len() - 2;
-    let left = solved.state.as_ref().map_or(knots, |s| &s.kept);
-    Report {
+    let left = solved.state.as_ref().map_or(knots, |s| &s.knots_left);
+    FeedReport {
         tif_lattice: None,
         passes: passes.len(),
         control_values: knots.iter().map(Knots::len).sum(),
         knot_spacing_mm: spacing,
-        knots_left: left.iter().map(inner).sum(),
+        knots_left: left.iter().map(|k| k.breaks().len() - 2).sum(),
         fallbacks: solved.state.as_ref().map_or(0, |s| s.fallbacks),
         piston_nm: solved.piston_nm,
         sweeps: solved.sweeps,
@@ -648,32 +667,34 @@ const STEP_ROUNDING: f64 = 1e-6;
 
 /// Returns the excess of the motion over the limit on jerk; none if there is no limit, or the motion keeps it.
 fn jerk(trajectory: &Trajectory, limits: &Limits) -> Option<Jerk> {
-    let mut found = Jerk { inside: 0.0, largest_acceleration_step_mm_per_s2: 0.0 };
+    let mut jerk = Jerk { inside: 0.0, largest_acceleration_step_mm_per_s2: 0.0 };
     let mut exceeded = false;
     for (k, axis) in limits.axes().iter().enumerate() {
         let Some(limit) = axis.max_jerk_mm_per_s3() else { continue };
-        let (mut before, mut largest_step) = (0.0, 0.0_f64);
+        let mut before = 0.0;
+        let mut largest_step = 0.0_f64;
         for segment in trajectory.segments() {
             let [_, _, c2, c3] = segment.coefficient_mm[k];
-            found.inside = found.inside.max(6.0 * c3.abs() / limit);
+            jerk.inside = jerk.inside.max(6.0 * c3.abs() / limit);
             largest_step = largest_step.max((2.0 * c2 - before).abs());
             before = 2.0 * c2 + 6.0 * c3 * segment.duration_s;
         }
         largest_step = largest_step.max(before.abs());
         exceeded |= largest_step > STEP_ROUNDING * axis.max_acceleration_mm_per_s2();
-        found.largest_acceleration_step_mm_per_s2 =
-            found.largest_acceleration_step_mm_per_s2.max(largest_step);
+        jerk.largest_acceleration_step_mm_per_s2 =
+            jerk.largest_acceleration_step_mm_per_s2.max(largest_step);
     }
-    (exceeded || found.inside > 1.0).then_some(found)
+    if exceeded || jerk.inside > 1.0 { Some(jerk) } else { None }
 }
 
+/// Returns the splines at Greville's abscissae.
 fn density(passes: &[Pass], knots: &[Knots], d: &[Vec<f64>]) -> Result<DwellDensity, Invalid> {
     let mut nodes = DensityNodes::default();
     for (m, pass) in passes.iter().enumerate() {
         for s in knots[m].greville() {
             nodes.arc_length_mm.push(pass.arc_start_mm + s);
             nodes.dwell_density_s_per_mm.push(knots[m].value(&d[m], s));
-            nodes.point_mm.push(pass.at(s));
+            nodes.point_mm.push(pass.position(s));
             nodes.pass_idx.push(m as i64);
             nodes.corner.push(false);
         }

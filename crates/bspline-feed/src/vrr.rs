@@ -26,12 +26,13 @@ use crate::{limited::Quadratic, passes::Pass};
 /// neighbours. Smaller: rounding of the directions hides neighbours.
 const PARALLEL: f64 = 1e-3;
 
-/// Distance p of every pass to its nearest parallel neighbour beside it, mm; for a pass without one
+/// Returns the distance p of every pass to its nearest parallel neighbour beside it, mm; for a pass without one
 /// the width of a groove of the TIF with its depth and volume.
 pub fn pitches_mm(passes: &[Pass], tif: &Tif) -> Vec<f64> {
     passes.iter().map(|p| pitch_mm(p, passes).unwrap_or_else(|| groove_width_mm(p, tif))).collect()
 }
 
+/// Returns the distance of a pass to its nearest parallel neighbour, mm.
 fn pitch_mm(pass: &Pass, passes: &[Pass]) -> Option<f64> {
     let [tx, ty] = pass.direction;
     let beside = passes.iter().filter_map(|other| {
@@ -39,43 +40,44 @@ fn pitch_mm(pass: &Pass, passes: &[Pass]) -> Option<f64> {
         if cross.abs() > PARALLEL {
             return None;
         }
-        let local = |p: [f64; 2]| {
-            let (dx, dy) = (p[0] - pass.start_mm[0], p[1] - pass.start_mm[1]);
+        let [(a, across), (b, _)] = [other.start_mm, other.position(other.length_mm())].map(|p| {
+            let dx = p[0] - pass.start_mm[0];
+            let dy = p[1] - pass.start_mm[1];
             (dx * tx + dy * ty, dy * tx - dx * ty)
-        };
-        let (a, across) = local(other.start_mm);
-        let (b, _) = local(other.at(other.length_mm()));
+        });
         let overlap = a.min(b) < pass.length_mm() && a.max(b) > 0.0;
         // Nearer than this it is the same line.
-        (overlap && across.abs() > 1e-6).then_some(across.abs())
+        if overlap && across.abs() > 1e-6 { Some(across.abs()) } else { None }
     });
     beside.reduce(f64::min)
 }
 
-/// VRR over the largest line integral of the TIF along the pass.
+/// Returns VRR over the largest line integral of the TIF along the pass, mm.
 fn groove_width_mm(pass: &Pass, tif: &Tif) -> f64 {
     let [tx, ty] = pass.direction;
     let [hx, hy] = tif.half_size_mm();
     let reach = hx.hypot(hy);
     let step = 0.5 * tif.grid().x.step_mm().min(tif.grid().y.step_mm());
     let n = (reach / step).ceil() as i64;
-    let at = |k: i64| k as f64 * step;
-    let line = |w: f64| {
-        (-n..=n).map(|k| tif.rate_at(at(k) * tx - w * ty, at(k) * ty + w * tx)).sum::<f64>() * step
-    };
-    let depth = (-n..=n).map(|k| line(at(k))).fold(0.0, f64::max);
+    let places: Vec<f64> = (-n..=n).map(|k| k as f64 * step).collect();
+    let lines = places.iter().map(|w| {
+        let rates = places.iter().map(|s| tif.rate_at(s * tx - w * ty, s * ty + w * tx));
+        rates.sum::<f64>() * step
+    });
+    let depth = lines.fold(0.0, f64::max);
     tif.vrr_nm_mm2_per_s() / depth
 }
 
-/// (1) at `z_nm`.
+/// Returns the density (1) at a desired removal of `z_nm`, s/mm.
 pub fn density_s_per_mm(z_nm: f64, pitch_mm: f64, vrr_nm_mm2_per_s: f64, least: f64) -> f64 {
     (z_nm * pitch_mm / vrr_nm_mm2_per_s).max(least)
 }
 
-/// (2): half of the mean square distance to `wanted(s)`, as a quadratic of the control values.
+/// Returns (2): half of the mean square distance to `wanted(s)`, as a quadratic of the control values.
 pub fn closest(knots: &Knots, wanted: impl Fn(f64) -> f64) -> Quadratic {
     let n = knots.len();
-    let (mut p, mut q) = (Array2::zeros((n, n)), vec![0.0; n]);
+    let mut p = Array2::zeros((n, n));
+    let mut q = vec![0.0; n];
     for span in knots.breaks().windows(2) {
         let h = span[1] - span[0];
         for (u, w) in gauss_legendre::<5>() {

@@ -2,12 +2,12 @@
 
 use ndarray::Array2;
 use planish_bspline_feed::{
-    FeedError, Plan, Settings,
+    FeedError, FeedPlan, FeedSettings,
     columns::columns,
     deconvolution::Refinement,
     passes::passes,
     plan,
-    plan::{Method, Piston},
+    plan::{FeedSource, Piston},
 };
 use planish_numerics::bspline::Knots;
 use planish_testkit::maps::largest_magnitude;
@@ -63,15 +63,15 @@ fn raster(pitch: f64, overscan: f64) -> ToolPath {
 }
 
 /// No regularisation, nothing free: the problem as it is.
-fn exact() -> Settings {
-    Settings {
+fn exact() -> FeedSettings {
+    FeedSettings {
         piston: Piston::Keep,
         tikhonov: 0.0,
         curvature_weight: 0.0,
         knot_spacing_mm: Some(1.0),
         relative_gap: 1e-6,
         max_sweeps: 100,
-        ..Settings::default()
+        ..FeedSettings::default()
     }
 }
 
@@ -81,11 +81,11 @@ fn constant_removal_is_a_constant_feed() {
     // which the ripple is below 1e-8.
     let vrr = 2.0 * std::f64::consts::PI * 10.0 * SIGMA_MM * SIGMA_MM;
     let density = 40.0 * 0.5 / vrr;
-    let run = |settings: Settings| {
+    let run = |settings: FeedSettings| {
         plan(&map(|_, _| 40.0), &tif(), &raster(0.5, 2.5), &machine(50.0, 500.0), &settings)
             .unwrap()
     };
-    let baseline = run(Settings { method: Method::Vrr, ..exact() });
+    let baseline = run(FeedSettings { method: FeedSource::Vrr, ..exact() });
     for d in baseline.density.dwell_density_s_per_mm() {
         // The TIF is cut at 5 sigma (4e-6 of its volume), and the interior point method's 1e-8.
         assert!((d / density - 1.0).abs() < 1e-5, "{d} {density}");
@@ -116,11 +116,11 @@ fn a_tool_that_is_off_centre_has_the_feed_of_a_centred_one() {
     let tif = tif();
     let off_tif = Tif::new(tif.grid().moved(off).unwrap(), tif.rate_nm_per_s().clone()).unwrap();
     let surface = map(|x, y| 40.0 + 8.0 * (1.3 * x).sin() + 4.0 * y);
-    for method in [Method::Vrr, Method::Deconvolution] {
-        let settings = Settings { method, relative_gap: 1e-3, max_sweeps: 200, ..exact() };
+    for method in [FeedSource::Vrr, FeedSource::Deconvolution] {
+        let settings = FeedSettings { method, relative_gap: 1e-3, max_sweeps: 200, ..exact() };
         let run = |tif, path| plan(&surface, tif, path, &machine(50.0, 500.0), &settings).unwrap();
         let (centred, found) = (run(&tif, &path), run(&off_tif, &off_path));
-        let densities = |plan: &Plan| plan.density.dwell_density_s_per_mm().to_vec();
+        let densities = |plan: &FeedPlan| plan.density.dwell_density_s_per_mm().to_vec();
         let pairs = densities(&centred).into_iter().zip(densities(&found));
         let apart = largest_magnitude(pairs.map(|(a, b)| a / b - 1.0));
         println!("{method:?}: apart by {apart:.1e}");
@@ -158,8 +158,8 @@ fn ridges() -> Surface {
     map(|x, y| 40.0 + 30.0 * (1.9 * x).sin() + 3.0 * (1.1 * y).cos())
 }
 
-fn ridges_with(refinement: Refinement, acceleration: f64) -> Plan {
-    let settings = Settings { refinement, relative_gap: 1e-2, ..Settings::default() };
+fn ridges_with(refinement: Refinement, acceleration: f64) -> FeedPlan {
+    let settings = FeedSettings { refinement, relative_gap: 1e-2, ..FeedSettings::default() };
     let (tif, path) = (tif(), raster(0.5, 2.5));
     plan(&ridges(), &tif, &path, &machine(5.0, acceleration), &settings).unwrap()
 }
@@ -176,7 +176,7 @@ fn the_objective_falls_and_its_gradient_vanishes_where_no_limit_is_met() {
     let path = ToolPath::through(vec![[-0.5, 1.0], [8.5, 1.0]], vec![true], vec![0]).unwrap();
     let limits = machine(20.0, 1e9);
     let surface = ridges();
-    let settings = Settings { tikhonov: 0.0, curvature_weight: 0.0, ..exact() };
+    let settings = FeedSettings { tikhonov: 0.0, curvature_weight: 0.0, ..exact() };
     let solved = plan(&surface, &tif(), &path, &limits, &settings).unwrap();
     let pass = &passes(&path, &surface, &limits).unwrap()[0];
     let knots = Knots::uniform(9.0, 9);
@@ -226,7 +226,7 @@ fn the_acceleration_is_kept_and_the_procedure_leaves_less_than_knot_removal() {
     let free = ridges_with(Refinement::ConvexConcave, 1e6);
     let procedure = ridges_with(Refinement::ConvexConcave, 20.0);
     let removal = ridges_with(Refinement::KnotRemoval, 20.0);
-    let rms = |p: &Plan| p.report.model_rms_nm.unwrap();
+    let rms = |p: &FeedPlan| p.report.model_rms_nm.unwrap();
     assert!(procedure.report.acceleration_use > 0.99, "the limit matters");
     for p in [&procedure, &removal] {
         assert!(p.report.acceleration_use <= 1.0 && p.report.feed_use <= 1.0, "{:?}", p.report);
@@ -238,7 +238,7 @@ fn the_acceleration_is_kept_and_the_procedure_leaves_less_than_knot_removal() {
 
 #[test]
 fn a_sweep_that_raises_the_objective_is_given_up_and_said() {
-    let settings = Settings { refinement: Refinement::KnotRemoval, ..Settings::default() };
+    let settings = FeedSettings { refinement: Refinement::KnotRemoval, ..FeedSettings::default() };
     // With a weak machine the first sweep is worse than its start, the feed of the volumetric removal rate; with a
     // stronger one some sweeps lower the objective before one raises it.
     for (acceleration, sweeps) in [(2.0, 0..1), (20.0, 1..10)] {
@@ -263,7 +263,7 @@ fn a_sweep_that_raises_the_objective_is_given_up_and_said() {
 #[test]
 fn deconvolution_leaves_less_than_the_vrr_feed() {
     let (tif, path, limits) = (tif(), raster(0.5, 2.5), machine(5.0, 50.0));
-    let settings = Settings { relative_gap: 1e-2, ..Settings::default() };
+    let settings = FeedSettings { relative_gap: 1e-2, ..FeedSettings::default() };
     let solved = plan(&ridges(), &tif, &path, &limits, &settings).unwrap();
     // The blur of a Gaussian of 0.5 mm leaves 1 - exp(-(1.9 x 0.5)^2 / 2) = 0.36 of 30 nm.
     let fraction = solved.report.model_rms_nm.unwrap() / (0.36 * 30.0 / 2.0_f64.sqrt());
@@ -275,7 +275,7 @@ fn deconvolution_leaves_less_than_the_vrr_feed() {
 #[test]
 fn turns_with_the_tool_on_near_the_edge_are_taken_into_account() {
     let (tif, path, limits) = (tif(), raster(0.5, 0.5), machine(5.0, 5.0));
-    let settings = Settings { relative_gap: 1e-2, ..Settings::default() };
+    let settings = FeedSettings { relative_gap: 1e-2, ..FeedSettings::default() };
     let solved = plan(&ridges(), &tif, &path, &limits, &settings).unwrap();
     let r = &solved.report;
     // Regression bound: 3.5 nm was seen. Without links it is 0.
@@ -298,13 +298,13 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
 fn what_cannot_be_is_refused() {
     let limits = machine(5.0, 50.0);
     let far = ToolPath::through(vec![[90.0, 0.0], [99.0, 0.0]], vec![true], vec![0]).unwrap();
-    let error = plan(&ridges(), &tif(), &far, &limits, &Settings::default()).unwrap_err();
+    let error = plan(&ridges(), &tif(), &far, &limits, &FeedSettings::default()).unwrap_err();
     assert_eq!(error, FeedError::OutOfReach);
     for (settings, name) in [
-        (Settings { knot_spacing_mm: Some(0.0), ..exact() }, "knot_spacing_mm: is 0"),
-        (Settings { fit_tolerance_mm: f64::NAN, ..exact() }, "fit_tolerance_mm: is NaN"),
-        (Settings { tikhonov: -1.0, ..exact() }, "tikhonov: is -1"),
-        (Settings { max_sweeps: 0, ..exact() }, "max_sweeps: is 0"),
+        (FeedSettings { knot_spacing_mm: Some(0.0), ..exact() }, "knot_spacing_mm: is 0"),
+        (FeedSettings { fit_tolerance_mm: f64::NAN, ..exact() }, "fit_tolerance_mm: is NaN"),
+        (FeedSettings { tikhonov: -1.0, ..exact() }, "tikhonov: is -1"),
+        (FeedSettings { max_sweeps: 0, ..exact() }, "max_sweeps: is 0"),
     ] {
         let error = plan(&ridges(), &tif(), &raster(0.5, 2.5), &limits, &settings).unwrap_err();
         assert!(error.to_string().starts_with(name), "{error}");

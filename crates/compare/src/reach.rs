@@ -63,7 +63,7 @@ impl Reach {
         // The frequencies of its spectra, which do not depend on the heights.
         let flat = Array2::zeros((ny, nx));
         let Density { frequency_x, frequency_y, .. } =
-            Density::of(flat.view(), step_mm, [&vec![1.0; nx], &vec![1.0; ny]]);
+            Density::new(flat.view(), step_mm, [&vec![1.0; nx], &vec![1.0; ny]]);
         let at = [tif.grid().x.coordinates(), tif.grid().y.coordinates()];
         let gain =
             transfer(tif.rate_nm_per_s().view(), [&at[0], &at[1]], [&frequency_x, &frequency_y]);
@@ -99,7 +99,7 @@ impl Reach {
         let (r, c) = self.origin;
         let z = surface.height_nm().slice(s![r..r + ny, c..c + nx]);
         let z = without_plane(z, &self.x_mm, &self.y_mm);
-        let density = Density::of(z.view(), self.step_mm, [&hann(nx), &hann(ny)]).density;
+        let density = Density::new(z.view(), self.step_mm, [&hann(nx), &hann(ny)]).density;
         let short: f64 = density
             .iter()
             .zip(&self.is_short)

@@ -37,14 +37,14 @@
 //! size of the TIF, a small tool on a small part has the same minimum. If lines and points are so far apart that the
 //! TIF has less than 36 of them, neighbours have the weights of 36: a machine executes a motion from point to point.
 //!
-//! H is never made. Steps come from a cheap surrogate H~ of it without Q and S (`surrogate`), and each is corrected by the
-//! gradient of (1) itself, which also certifies the result. H~ has cells of pixels and the primal-dual active set
-//! method, with a skyline Cholesky factorisation. For many points it has the FFT and conjugate gradients with a
+//! H is never made. Steps come from a cheap surrogate H~ of it without Q and S (`surrogate`), and each is corrected
+//! by the gradient of (1) itself, which also certifies the result. H~ has cells of pixels and the primal-dual active
+//! set method, with a skyline Cholesky factorisation. For many points it has the FFT and conjugate gradients with a
 //! spline lattice, after easier problems. If the lattice would be too large, it has projected gradient steps. B is
 //! applied by FFT, which is exact if the TIF has the pitch of the map. Otherwise its columns are stored, unless they
-//! are too many.
-//! Columns whose effect on the map is below 1e-9 of the largest stay at their lower bound in (1). In the result they
-//! have the density of their neighbours (`continuation`), which removes less than 1e-4 of a column there.
+//! are too many. Columns whose effect on the map is below 1e-9 of the largest stay at their lower bound in (1). In
+//! the result they have the density of their neighbours (`continuation`), which removes less than 1e-4 of a column
+//! there.
 //!
 //! Source: the bounded least squares of constrained dwell-time optimisation, e.g. T. Wang et al.,
 //! Opt. Express 29 (2021) 38737, with the free piston, the density smoothness and the certificate.
@@ -65,7 +65,7 @@
 //! | `certificate` | the bound on what is missing |
 //! | `unbounded` | how the two-level method comes to that bound |
 //! | `discrepancy` | the smoothness that the noise asks for |
-//! | `report` | what is told of the result |
+//! | `report` | the result in numbers |
 
 mod certificate;
 mod descent;
@@ -85,7 +85,7 @@ use planish_types::{
 use crate::{
     DwellError,
     bounds::{self, pixel_weights},
-    columns::Place,
+    columns::ToolPlace,
     residual_slope::ResidualSlope,
 };
 pub use crate::{
@@ -94,8 +94,8 @@ pub use crate::{
 };
 use prepared::BoundedProblem;
 use report::SAME_TIME_FACTOR;
-pub use report::{Algorithm, BoundedSolution, RatesOfTime, Report};
-pub use settings::{Product, Program, Settings};
+pub use report::{Algorithm, BoundedReport, BoundedSolution, RatesOfTime};
+pub use settings::{BoundedSettings, Product, Program};
 
 /// Solves (1) for `desired` along `path`, within the bounds of the settings.
 ///
@@ -108,13 +108,14 @@ pub fn solve(
     tif: &Tif,
     path: &ToolPath,
     weight: Option<&Array2<f64>>,
-    settings: &Settings,
+    settings: &BoundedSettings,
 ) -> Result<BoundedSolution, DwellError> {
     solve_within(desired, tif, path, weight, settings, bounds(path, settings)?)
 }
 
-/// Solves (1) for `desired` along `path`, within these bounds (n), s. A rate that depends on the time of the run is that
-/// of the times of the plan: the problem is solved in rounds, each with the rates at the times of the round before.
+/// Solves (1) for `desired` along `path`, within these bounds (n), s. A rate that depends on the time of the run is
+/// that of the times of the plan: the problem is solved in rounds, each with the rates at the times of the round
+/// before.
 ///
 /// # Errors
 /// Refuses weights, settings and bounds that are not in their range, and a tool that does not reach the map.
@@ -123,7 +124,7 @@ pub fn solve_within(
     tif: &Tif,
     path: &ToolPath,
     weight: Option<&Array2<f64>>,
-    settings: &Settings,
+    settings: &BoundedSettings,
     (lo, hi): (Vec<f64>, Vec<f64>),
 ) -> Result<BoundedSolution, DwellError> {
     let tif = &*tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?.tif;
@@ -139,7 +140,8 @@ pub fn solve_within(
         let guess = times_of_effective(time, &effective_s);
         let factors = time_factors(time, &guess);
         let pairs = columns.iter().zip(&factors);
-        let with_rates: Vec<Vec<Place>> = pairs.map(|(p, factor)| at_rate(p, *factor)).collect();
+        let with_rates: Vec<Vec<ToolPlace>> =
+            pairs.map(|(p, factor)| at_rate(p, *factor)).collect();
         let program = program(&with_rates, (&lo, &hi), Some(guess));
         let mut solution = solve_columns(desired, tif, path, weight, settings, &program)?;
         rounds += 1;
@@ -163,7 +165,7 @@ pub fn solve_within(
 
 /// Returns the program of these columns within bounds.
 fn program<'a>(
-    places: &'a [Vec<Place>],
+    places: &'a [Vec<ToolPlace>],
     (lo, hi): (&[f64], &[f64]),
     guess: Option<Vec<f64>>,
 ) -> Program<'a> {
@@ -201,8 +203,8 @@ fn times_of_effective(time: &TimeFactor, effective_s: &[f64]) -> Vec<f64> {
 }
 
 /// Returns places at a rate with a factor.
-fn at_rate(places: &[Place], factor: f64) -> Vec<Place> {
-    places.iter().map(|p| Place { fraction: factor * p.fraction, ..*p }).collect()
+fn at_rate(places: &[ToolPlace], factor: f64) -> Vec<ToolPlace> {
+    places.iter().map(|p| ToolPlace { fraction: factor * p.fraction, ..*p }).collect()
 }
 
 /// Solves (1) with the columns and the bounds of a program. The fractions of its places hold the factors of a rate that
@@ -215,7 +217,7 @@ pub fn solve_columns(
     tif: &Tif,
     path: &ToolPath,
     weight: Option<&Array2<f64>>,
-    settings: &Settings,
+    settings: &BoundedSettings,
     program: &Program<'_>,
 ) -> Result<BoundedSolution, DwellError> {
     let OnLattice { tif, lattice } = tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?;
@@ -259,7 +261,13 @@ pub fn solve_columns(
     Ok(solution)
 }
 
-/// Lower and upper bound of every dwell point (n), s, by the settings.
-pub fn bounds(path: &ToolPath, settings: &Settings) -> Result<(Vec<f64>, Vec<f64>), Invalid> {
+/// Returns the lower and the upper bound of every dwell point (n), s, by the settings.
+///
+/// # Errors
+/// Refuses bounds that are negative or not finite.
+pub fn bounds(
+    path: &ToolPath,
+    settings: &BoundedSettings,
+) -> Result<(Vec<f64>, Vec<f64>), Invalid> {
     Ok((bounds::lower(path, settings.min_dwell)?, bounds::upper(path, settings.max_dwell)?))
 }

@@ -16,7 +16,10 @@ pub enum Bound {
 }
 
 impl Bound {
-    /// The bound of every dwell point (n), s.
+    /// Returns the bound of every dwell point (n), s.
+    ///
+    /// # Errors
+    /// Refuses a bound that is negative or not finite.
     fn times_s(self, name: &'static str, path: &ToolPath) -> Result<Vec<f64>, Invalid> {
         let (Self::Seconds(value) | Self::SecondsPerMm(value)) = self;
         if !(value.is_finite() && value >= 0.0) {
@@ -31,7 +34,10 @@ impl Bound {
     }
 }
 
-/// Lower bound of every dwell point (n), s.
+/// Returns the lower bound of every dwell point (n), s.
+///
+/// # Errors
+/// Refuses a bound that is negative or not finite, and one above [`LONGEST_FLOOR_S`].
 pub fn lower(path: &ToolPath, min_dwell: Bound) -> Result<Vec<f64>, Invalid> {
     let lo = min_dwell.times_s("min_dwell", path)?;
     if let Some(j) = lo.iter().position(|t| *t > LONGEST_FLOOR_S) {
@@ -42,7 +48,10 @@ pub fn lower(path: &ToolPath, min_dwell: Bound) -> Result<Vec<f64>, Invalid> {
     Ok(lo)
 }
 
-/// Upper bound of every dwell point (n), s.
+/// Returns the upper bound of every dwell point (n), s; infinite without a bound.
+///
+/// # Errors
+/// Refuses a bound that is negative or not finite.
 pub fn upper(path: &ToolPath, max_dwell: Option<Bound>) -> Result<Vec<f64>, Invalid> {
     match max_dwell {
         Some(bound) => bound.times_s("max_dwell", path),
@@ -55,24 +64,27 @@ pub fn upper(path: &ToolPath, max_dwell: Option<Bound>) -> Result<Vec<f64>, Inva
 /// weak tools are refused.
 const LONGEST_FLOOR_S: f64 = 1e7;
 
-/// The given weights, zero on invalid pixels. Without them the weights follow from the standard deviations of the
-/// map, if it has any ([`weights_of_deviations`]), and are 1 otherwise.
+/// Returns the weights of the pixels (ny, nx), zero on invalid pixels. Without `weight` they follow from the standard
+/// deviations of the map, if it has any ([`weights_of_deviations`]), and are 1 otherwise.
+///
+/// # Errors
+/// Refuses weights of another shape, negative ones, and weights that are 0 on every valid pixel.
 pub fn pixel_weights(
     desired: &Surface,
     weight: Option<&Array2<f64>>,
 ) -> Result<Array2<f64>, Invalid> {
     let height = desired.height_nm();
     let mut w = Zip::from(height).map_collect(|z| if z.is_nan() { 0.0 } else { 1.0 });
-    if let Some(given) = weight {
-        if given.dim() != height.dim() {
-            let problem = format!("has shape {:?}, the map {:?}", given.dim(), height.dim());
+    if let Some(weight) = weight {
+        if weight.dim() != height.dim() {
+            let problem = format!("has shape {:?}, the map {:?}", weight.dim(), height.dim());
             return Err(Invalid::whole("weight", problem, "give one weight per pixel"));
         }
-        let bad = given.indexed_iter().find(|(_, v)| !(v.is_finite() && **v >= 0.0));
+        let bad = weight.indexed_iter().find(|(_, v)| !(v.is_finite() && **v >= 0.0));
         if let Some((index, v)) = bad {
             return Err(Invalid::at("weight", index, format!("is {v}"), "give weights >= 0"));
         }
-        w *= given;
+        w *= weight;
         if w.iter().all(|v| *v == 0.0) {
             return Err(Invalid::whole("weight", "is 0 on every valid pixel", "give a weight > 0"));
         }
@@ -82,7 +94,7 @@ pub fn pixel_weights(
     Ok(w)
 }
 
-/// Weights of the pixels (ny, nx) from the standard deviations s of their heights; `None` for a map without
+/// Returns the weights of the pixels (ny, nx) from the standard deviations s of their heights; `None` for a map without
 /// deviations.
 ///
 /// ```text
@@ -94,22 +106,25 @@ pub fn pixel_weights(
 /// mean of that of the pixel and that of the map. A weight is at most 2, and 1 for a pixel with s = m. A pixel of an
 /// unknown deviation has s = m. The shrinkage of variances towards their mean is that of G. K. Smyth, Stat. Appl.
 /// Genet. Mol. Biol. 3 (2004) 3, with as many degrees of freedom for the map as for the pixel.
-pub fn weights_of_deviations(desired: &Surface) -> Option<Array2<f64>> {
-    let (deviation, mean_nm) = (desired.deviation_nm()?, desired.noise_rms_nm()?);
+fn weights_of_deviations(desired: &Surface) -> Option<Array2<f64>> {
+    let deviation = desired.deviation_nm()?;
+    let mean_nm = desired.noise_rms_nm()?;
     if mean_nm == 0.0 {
         return None;
     }
     let mean = mean_nm * mean_nm;
-    let of = |s: &f64| if s.is_nan() { 1.0 } else { 2.0 * mean / (mean + s * s) };
-    Some(deviation.map(of))
+    Some(deviation.map(|s| if s.is_nan() { 1.0 } else { 2.0 * mean / (mean + s * s) }))
 }
 
-/// RMS of the standard deviations of the map under the weights of its pixels, nm: the noise level that a residual can
-/// reach. `None` for a map without deviations, or with deviations of 0.
+/// Returns the RMS of the standard deviations of the map under the weights of its pixels, nm: the noise level that a
+/// residual can reach. `None` for a map without deviations, or with deviations of 0.
 ///
 /// ```text
 /// sqrt(sum w s^2 / sum w)     over the valid pixels with a known s
 /// ```
+///
+/// # Errors
+/// Refuses weights as [`pixel_weights`] does.
 pub fn noise_of_deviations(
     desired: &Surface,
     weight: Option<&Array2<f64>>,
@@ -118,7 +133,7 @@ pub fn noise_of_deviations(
     let weight = pixel_weights(desired, weight)?;
     let known = weight.iter().zip(deviation).filter(|(_, s)| !s.is_nan());
     let (squares, sum) = known.fold((0.0, 0.0), |(q, t), (w, s)| (q + w * s * s, t + w));
-    Ok((squares > 0.0).then(|| (squares / sum).sqrt()))
+    Ok(if squares > 0.0 { Some((squares / sum).sqrt()) } else { None })
 }
 
 #[cfg(test)]

@@ -75,7 +75,7 @@ impl Solver {
 
 /// Arguments that every solver has in common.
 #[derive(Args)]
-struct Given {
+struct CommonArgs {
     #[command(flatten)]
     mirror: MirrorArgs,
     #[command(flatten)]
@@ -109,7 +109,7 @@ struct Reported<'a, R> {
     report: &'a R,
 }
 
-/// The nouns that a solver is given.
+/// The maps and the path that a solver works on.
 struct Nouns {
     desired: Surface,
     tif: Tif,
@@ -117,13 +117,15 @@ struct Nouns {
     weight: Option<Array2<f64>>,
 }
 
-impl Given {
+impl CommonArgs {
     fn read(&self, inputs: &mut Inputs) -> Result<Nouns, Failure> {
-        let weight = |inputs: &mut Inputs| {
-            self.weight.as_ref().map(|file| inputs.read_map("weight", file)).transpose()
-        };
         let (desired, tif) = self.mirror.read(inputs)?;
-        Ok(Nouns { desired, tif, path: self.path.read(inputs)?, weight: weight(inputs)? })
+        let path = self.path.read(inputs)?;
+        let weight = match &self.weight {
+            Some(file) => Some(inputs.read_map("weight", file)?),
+            None => None,
+        };
+        Ok(Nouns { desired, tif, path, weight })
     }
 }
 
@@ -140,7 +142,7 @@ struct Ended {
 /// Reads, solves, writes, and prints one line.
 fn solve<S: Serialize, R: Serialize>(
     method: &'static str,
-    given: &Given,
+    common: &CommonArgs,
     floor: &FloorArgs,
     settings: S,
     solver: impl FnOnce(&Problem<'_>, &S) -> Result<Solution<R>, DwellError>,
@@ -148,14 +150,14 @@ fn solve<S: Serialize, R: Serialize>(
 ) -> Result<Status, Failure> {
     let mut inputs = Inputs::new();
     let resolved = Resolved {
-        columns: given.columns,
+        columns: common.columns,
         min_dwell: floor.bound(Bound::Seconds, Bound::SecondsPerMm)?,
         solver: settings,
     };
     let task = task!(method, &resolved);
-    let nouns = given.read(&mut inputs)?;
+    let nouns = common.read(&mut inputs)?;
     let mut output =
-        match Output::directory(&given.output, DwellTime::KIND).begin(&task, &inputs)? {
+        match Output::directory(&common.output, DwellTime::KIND).begin(&task, &inputs)? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };
@@ -192,7 +194,7 @@ fn solve<S: Serialize, R: Serialize>(
         outcome.model_rms_nm,
         outcome.at_floor,
         outcome.unreached_points,
-        given.output.out.display()
+        common.output.out.display()
     ));
     Ok(status)
 }
@@ -204,7 +206,7 @@ fn warn_of(lattice: Option<TifLattice>) {
     }
 }
 
-/// Negative for this reason of the library, where there is one.
+/// Returns the status: negative with this reason of the library, if there is one.
 fn status(negative: Option<String>) -> Status {
     negative.map_or(Status::Done, |reason| Status::Negative(with_flags(&reason)))
 }

@@ -43,31 +43,34 @@ const SQUARES_ON_RISE: f64 = 7.0;
 /// that are large beside the pixels. Smaller: more squares, and more time, for such tools.
 pub(crate) const MAX_SQUARE_PIXELS: usize = 64;
 
-/// K for a map: the largest that the TIF allows, 1 for one that is not large.
+/// Returns K for a map: the largest that the TIF allows, 1 for a map that is not large.
 pub(crate) fn automatic_size(tif: &Tif, desired: &Surface) -> usize {
     let grid = desired.grid();
     if grid.x.len() * grid.y.len() < MIN_PIXELS_FOR_SQUARES {
         return 1;
     }
     let rate = tif.rate_nm_per_s();
-    let (ny, nx) = rate.dim();
     let peak = rate.iter().copied().fold(0.0, f64::max);
     // Largest slopes, per pixel of the map; what the TIF drops to beyond its samples counts too.
-    let at = |r: isize, c: isize| {
-        let inside = r >= 0 && c >= 0 && (r as usize) < ny && (c as usize) < nx;
-        if inside { rate[[r as usize, c as usize]] } else { 0.0 }
-    };
     let mut steepest = [0.0_f64; 2];
-    for r in -1..ny as isize {
-        for c in -1..nx as isize {
-            steepest[0] = steepest[0].max((at(r, c + 1) - at(r, c)).abs());
-            steepest[1] = steepest[1].max((at(r + 1, c) - at(r, c)).abs());
+    for r in -1..rate.nrows() as isize {
+        for c in -1..rate.ncols() as isize {
+            let [own, right, above] =
+                [(r, c), (r, c + 1), (r + 1, c)].map(|p| rate_or_zero(rate, p));
+            steepest[0] = steepest[0].max((right - own).abs());
+            steepest[1] = steepest[1].max((above - own).abs());
         }
     }
-    let rise = |slope: f64, tif: f64, map: f64| peak / slope * tif / map;
-    let x = rise(steepest[0], tif.grid().x.step_mm(), grid.x.step_mm());
-    let y = rise(steepest[1], tif.grid().y.step_mm(), grid.y.step_mm());
+    let [x, y] = [(steepest[0], tif.grid().x, grid.x), (steepest[1], tif.grid().y, grid.y)]
+        .map(|(slope, tif, map)| peak / slope * tif.step_mm() / map.step_mm());
     ((x.min(y) / SQUARES_ON_RISE) as usize).clamp(1, MAX_SQUARE_PIXELS)
+}
+
+/// Returns a sample of the TIF (row, column), 0 beyond its samples.
+fn rate_or_zero(rate: &Array2<f64>, (r, c): (isize, isize)) -> f64 {
+    let inside = r >= 0 && c >= 0;
+    let sample = if inside { rate.get([r as usize, c as usize]) } else { None };
+    sample.copied().unwrap_or(0.0)
 }
 
 /// (1) and (2); what is summed is summed in the precision of `T`.
@@ -83,7 +86,10 @@ pub(crate) struct CoarseMap<T: Lanes + Planned> {
 }
 
 impl<T: Lanes + Planned> CoarseMap<T> {
-    /// The lattice for maps on `grid` in squares of `size` x `size` pixels.
+    /// Makes the lattice for maps on `grid` in squares of `size` x `size` pixels.
+    ///
+    /// # Errors
+    /// Refuses a TIF that varies over the part.
     pub fn new(tif: &Tif, grid: &Grid, size: usize) -> Result<Self, Invalid> {
         let (samples, nodes) = lattice(tif, grid)?;
         let kernel = coarse_kernel(&samples, size);
@@ -94,35 +100,36 @@ impl<T: Lanes + Planned> CoarseMap<T> {
         Ok(Self { size, nodes, pixels, shape, convolution })
     }
 
-    /// All tool positions, not only the coarse ones.
+    /// Returns all tool positions, not only the coarse ones.
     pub fn nodes(&self) -> &Grid {
         &self.nodes
     }
 
-    /// Coarse nodes.
+    /// Returns the shape of the lattice of coarse nodes, (rows, columns).
     pub fn shape(&self) -> (usize, usize) {
         self.shape
     }
 
-    /// (2): means of the removal over the squares, nm.
+    /// Returns the means of the removal over the squares (2), nm, for the times at the coarse nodes, s.
     pub fn removal(&self, t: ArrayView2<f64>) -> Array2<f64> {
         self.convolution.valid(t)
     }
 
-    /// Adjoint of (2).
+    /// Applies the adjoint of (2).
     pub fn adjoint(&self, map: &Array2<f64>) -> Array2<f64> {
         self.convolution.adjoint(map.view())
     }
 
-    /// Values of a mask at the coarse nodes, (rows, columns). The outermost nodes may lie beyond all pixels; they get
-    /// the value at the border.
+    /// Returns the values of a mask at the coarse nodes, (rows, columns). The outermost nodes may lie beyond all
+    /// pixels; they get the value at the border.
     pub fn at_nodes(&self, fine: &Array2<bool>) -> Array2<bool> {
         let (ny, nx) = fine.dim();
-        let at = |k: usize, n: usize| (k * self.size).min(n - 1);
-        Array2::from_shape_fn(self.shape, |(r, c)| fine[[at(r, ny), at(c, nx)]])
+        Array2::from_shape_fn(self.shape, |(r, c)| {
+            fine[[(r * self.size).min(ny - 1), (c * self.size).min(nx - 1)]]
+        })
     }
 
-    /// (1).
+    /// Returns the times (1) on all tool positions, s, from those at the coarse nodes.
     pub fn prolong(&self, t: Array2<f64>) -> Array2<f64> {
         if self.size == 1 {
             return t;
@@ -155,7 +162,7 @@ impl<T: Lanes + Planned> CoarseMap<T> {
         tau
     }
 
-    /// Desired means and weights of the squares.
+    /// Returns the desired means and the weights of the squares, from those of the pixels (ny, nx).
     pub fn restrict(&self, e: &Array2<f64>, w: &Array2<f64>) -> (Array2<f64>, Array2<f64>) {
         if self.size == 1 {
             return (e.clone(), w.clone());
@@ -192,7 +199,7 @@ impl<T: Lanes + Planned> CoarseMap<T> {
                 }
             }
         });
-        let desired = Array2::from_shape_fn(shape, |at| in_the_middle(&squares, at, size));
+        let desired = Array2::from_shape_fn(shape, |p| in_the_middle(&squares, p, size));
         (desired, squares.mapv(|square| square.weight))
     }
 }
@@ -205,8 +212,8 @@ struct Square {
     centroid: [f64; 2],
 }
 
-/// The mean, moved from the centroid to the middle along the plane through the squares around;
-/// not below half the mean: what is desired stays positive.
+/// Returns the mean, moved from the centroid to the middle along the plane through the squares around;
+/// not below half the mean, so that what is desired stays positive.
 fn in_the_middle(squares: &Array2<Square>, (r, c): (usize, usize), size: usize) -> f64 {
     let own = squares[[r, c]];
     let off = own.centroid.iter().any(|d| d.abs() > 1e-9);
@@ -218,12 +225,10 @@ fn in_the_middle(squares: &Array2<Square>, (r, c): (usize, usize), size: usize) 
     for i in r.saturating_sub(1)..(r + 2).min(squares.nrows()) {
         for j in c.saturating_sub(1)..(c + 2).min(squares.ncols()) {
             let other = squares[[i, j]];
-            let distance = |axis: usize, there: usize, here: usize| {
-                (there as f64 - here as f64) * size as f64 + other.centroid[axis]
-                    - own.centroid[axis]
-            };
-            let (x, y) = (distance(0, j, c), distance(1, i, r));
-            let (w, z) = (other.weight, other.mean - own.mean);
+            let x = (j as f64 - c as f64) * size as f64 + other.centroid[0] - own.centroid[0];
+            let y = (i as f64 - r as f64) * size as f64 + other.centroid[1] - own.centroid[1];
+            let w = other.weight;
+            let z = other.mean - own.mean;
             xx += w * x * x;
             xy += w * x * y;
             yy += w * y * y;
@@ -241,7 +246,7 @@ fn in_the_middle(squares: &Array2<Square>, (r, c): (usize, usize), size: usize) 
     (own.mean - gx * own.centroid[0] - gy * own.centroid[1]).max(0.5 * own.mean)
 }
 
-/// (2), on both axes.
+/// Returns the kernel of (2), on both axes.
 fn coarse_kernel(samples: &Array2<f64>, size: usize) -> Array2<f64> {
     if size == 1 {
         return samples.clone();
@@ -250,7 +255,7 @@ fn coarse_kernel(samples: &Array2<f64>, size: usize) -> Array2<f64> {
     coarse_lines(rows.t(), size).t().as_standard_layout().into_owned()
 }
 
-/// (2) along the first axis: G[D], D = -(n - 1) ..= 0.
+/// Applies (2) along the first axis: returns G[D], D = -(n - 1) ..= 0.
 fn coarse_lines(samples: ArrayView2<f64>, size: usize) -> Array2<f64> {
     let (s, width) = samples.dim();
     let (k, n) = (size as isize, (s + 2 * size - 3) / size + 1);
@@ -258,10 +263,10 @@ fn coarse_lines(samples: ArrayView2<f64>, size: usize) -> Array2<f64> {
     for (b, mut line) in g.outer_iter_mut().enumerate() {
         let d = b as isize - (n as isize - 1);
         for (i, r) in samples.outer_iter().enumerate() {
-            let hat = |a: isize| (k - (k * d + a + s as isize - 1 - i as isize).abs()).max(0);
-            let sum: isize = (0..k).map(hat).sum();
+            // K hat of (2), summed over a.
+            let hats = (0..k).map(|a| (k - (k * d + a + s as isize - 1 - i as isize).abs()).max(0));
+            let sum: isize = hats.sum();
             if sum > 0 {
-                // hat is here K times that of (2).
                 line.scaled_add(sum as f64 / (k * k * k) as f64, &r);
             }
         }

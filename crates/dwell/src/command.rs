@@ -11,15 +11,15 @@ const EXAMPLES: &str = "Examples:\n\
 /// Find the dwell times that remove what is desired
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct DwellCli {
     #[command(subcommand)]
     solver: crate::cli::Solver,
 }
 
 /// The command `planish dwell`.
 pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: DwellCli::command };
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.solver.run())
+    planish_handoff::program(|cli: &DwellCli| cli.solver.run())
 }

@@ -14,19 +14,19 @@
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | s | `middle_mm` | (n) | mm |
-//! | t_j / t_a, t_j / t_b | `Tie::of` | - | 1 |
+//! | t_j / t_a, t_j / t_b | `Tie::sources` | - | 1 |
 
 use planish_types::ToolPath;
 
-use crate::objective::{self, median_length_mm};
+use crate::objective::{has_density, median_length_mm};
 
 /// One undecided dwell point: its time is the sum of `factor t_k` over these k.
 struct Tie {
     point: usize,
-    of: [(usize, f64); 2],
+    sources: [(usize, f64); 2],
 }
 
-/// (1) for a path.
+/// The ties of (1) along a path.
 pub(crate) struct Continuation {
     ties: Vec<Tie>,
 }
@@ -36,19 +36,19 @@ impl Continuation {
     pub fn new(path: &ToolPath, decided: impl Fn(usize) -> bool) -> Self {
         let Some(median) = median_length_mm(path) else { return Self { ties: Vec::new() } };
         let n = path.len();
-        let length = |j: usize| path.segment_length_mm(j);
-        let has_density = |j: usize| objective::has_density(path, j, median);
+        let length: Vec<f64> = (0..n).map(|j| path.segment_length_mm(j)).collect();
         let mut middle_mm = Vec::with_capacity(n);
-        let mut at = 0.0;
-        for j in 0..n {
-            middle_mm.push(at + 0.5 * length(j));
-            at += length(j);
+        let mut start_mm = 0.0;
+        for length in &length {
+            middle_mm.push(start_mm + 0.5 * length);
+            start_mm += length;
         }
-        let known: Vec<usize> = (0..n).filter(|j| has_density(*j) && decided(*j)).collect();
+        let (known, unknown): (Vec<usize>, Vec<usize>) =
+            (0..n).filter(|j| has_density(path, *j, median)).partition(|j| decided(*j));
         let (Some(&first), Some(&last)) = (known.first(), known.last()) else {
             return Self { ties: Vec::new() };
         };
-        let ties = (0..n).filter(|j| has_density(*j) && !decided(*j)).map(|j| {
+        let ties = unknown.into_iter().map(|j| {
             let next = known.partition_point(|k| *k < j);
             let (a, b) = match next {
                 0 => (first, first),
@@ -61,29 +61,29 @@ impl Continuation {
             } else {
                 (middle_mm[j] - middle_mm[a]) / (middle_mm[b] - middle_mm[a])
             };
-            let factor = |k: usize, w: f64| (k, w * length(j) / length(k));
-            Tie { point: j, of: [factor(a, 1.0 - w), factor(b, w)] }
+            let sources = [(a, 1.0 - w), (b, w)].map(|(k, w)| (k, w * length[j] / length[k]));
+            Tie { point: j, sources }
         });
         Self { ties: ties.collect() }
     }
 
-    /// (1): the times of the undecided points from those of the others.
+    /// Sets the times of the undecided points from those of the others, by (1).
     pub fn apply(&self, t: &mut [f64]) {
         for tie in &self.ties {
-            t[tie.point] = tie.of.iter().map(|(k, factor)| factor * t[*k]).sum();
+            t[tie.point] = tie.sources.iter().map(|(k, factor)| factor * t[*k]).sum();
         }
     }
 
-    /// Adjoint of (1): what counts for an undecided point counts for those that decide it.
+    /// Applies the adjoint of (1): adds what counts for an undecided point to those that decide it.
     pub fn gather(&self, s: &mut [f64]) {
         for tie in &self.ties {
-            for (k, factor) in tie.of {
+            for (k, factor) in tie.sources {
                 s[k] += factor * s[tie.point];
             }
         }
     }
 
-    /// (1) for times that have to keep bounds.
+    /// Sets the times of the undecided points by (1), within their bounds.
     pub fn apply_within(&self, t: &mut [f64], lo: &[f64], hi: &[f64]) {
         self.apply(t);
         for Tie { point, .. } in &self.ties {

@@ -32,19 +32,22 @@ pub(crate) struct DwellMap {
 }
 
 impl DwellMap {
-    /// The lattice for maps on `grid`.
+    /// Makes the lattice of tool positions for maps on `grid`.
+    ///
+    /// # Errors
+    /// Refuses a TIF that varies over the part.
     pub fn new(tif: &Tif, grid: &Grid) -> Result<Self, Invalid> {
         let (kernel, nodes) = lattice(tif, grid)?;
         let convolution = Convolution::new(kernel.view(), nodes.shape());
         Ok(Self { grid: nodes, rate_sum: kernel.sum(), convolution })
     }
 
-    /// (1): (ny, nx), nm.
+    /// Returns the removal (1), shape (ny, nx), nm, for the times on the nodes, s.
     pub fn removal(&self, seconds: ArrayView2<f64>) -> Array2<f64> {
         self.convolution.valid(seconds)
     }
 
-    /// The adjoint of (1) with `filter` of the spectrum of R in place of its conjugate.
+    /// Applies the adjoint of (1) with `filter` of the spectrum of R in place of its conjugate.
     pub fn filtered(
         &self,
         map: &Array2<f64>,
@@ -54,30 +57,40 @@ impl DwellMap {
     }
 }
 
-/// R at the pitch of the map, and the tool positions from which it reaches the map.
+/// Returns R at the pitch of the map, and the tool positions from which it reaches the map.
+///
+/// # Errors
+/// Refuses a TIF that varies over the part.
 pub(crate) fn lattice(tif: &Tif, grid: &Grid) -> Result<(Array2<f64>, Grid), Invalid> {
     tif.same_everywhere("a map of dwell times")?;
-    let samples = |map: &Axis, tif: &Axis| {
-        // The tolerance of a shared pitch that is rounded differently in the two files.
-        ((tif.end_mm() - tif.start_mm()) / map.step_mm() + 1e-4).floor() as usize + 1
-    };
     let t = tif.grid();
-    let (sx, sy) = (samples(&grid.x, &t.x), samples(&grid.y, &t.y));
-    let offset = |map: &Axis, tif: &Axis, k: usize| tif.start_mm() + k as f64 * map.step_mm();
-    let kernel = Array2::from_shape_fn((sy, sx), |(r, c)| {
-        tif.rate_at(offset(&grid.x, &t.x, c), offset(&grid.y, &t.y, r))
+    let [columns, rows] = [samples_at_pitch(&grid.x, &t.x), samples_at_pitch(&grid.y, &t.y)];
+    let kernel = Array2::from_shape_fn((rows, columns), |(r, c)| {
+        tif.rate_at(sample_mm(&grid.x, &t.x, c), sample_mm(&grid.y, &t.y, r))
     });
-    // Node 0 reaches pixel 0 with the last sample of R.
-    let lattice = |map: &Axis, tif: &Axis, samples: usize| {
-        let start = map.start_mm() - offset(map, tif, samples - 1);
-        Axis::new(start, map.step_mm(), map.len() + samples - 1)
-    };
-    let nodes = Grid { x: lattice(&grid.x, &t.x, sx)?, y: lattice(&grid.y, &t.y, sy)? };
-    Ok((kernel, nodes))
+    let x = tool_positions(&grid.x, &t.x, columns)?;
+    Ok((kernel, Grid { x, y: tool_positions(&grid.y, &t.y, rows)? }))
+}
+
+/// Returns the number of samples of the TIF along an axis at the pitch of the map.
+fn samples_at_pitch(map: &Axis, tif: &Axis) -> usize {
+    // The tolerance of a shared pitch that is rounded differently in the two files.
+    ((tif.end_mm() - tif.start_mm()) / map.step_mm() + 1e-4).floor() as usize + 1
+}
+
+/// Returns the offset of sample k of the TIF from the tool, mm.
+fn sample_mm(map: &Axis, tif: &Axis, k: usize) -> f64 {
+    tif.start_mm() + k as f64 * map.step_mm()
+}
+
+/// Returns the tool positions along an axis: from node 0 the last sample of R reaches pixel 0.
+fn tool_positions(map: &Axis, tif: &Axis, samples: usize) -> Result<Axis, Invalid> {
+    let start = map.start_mm() - sample_mm(map, tif, samples - 1);
+    Axis::new(start, map.step_mm(), map.len() + samples - 1)
 }
 
 /// Assignment of the nodes of a lattice to dwell points.
-pub(crate) struct Cells {
+pub(crate) struct NodeOwners {
     grid: Grid,
     points: Buckets,
     /// Nearest dwell point that is near enough.
@@ -91,7 +104,7 @@ const NO_POINT: u32 = u32::MAX;
 /// more overhead.
 const NODE_ROWS_PER_TASK: usize = 64;
 
-impl Cells {
+impl NodeOwners {
     /// Assigns nodes to the nearest dwell point with the tool on, unless it is farther away than twice the median
     /// distance of the nodes in the `aperture`. The aperture is a test of a position, because mm bounds [x, y] cannot
     /// describe a disk. In a cell of a lattice the corner is 1.8 medians from the middle.
@@ -102,10 +115,7 @@ impl Cells {
             .collect();
         let points = Buckets::new(&points);
         let mut nearest = Array2::from_elem(grid.shape(), NO_POINT);
-        let square = |j: u32, p: [f64; 2]| {
-            let q = path.dwell_point_mm()[j as usize];
-            (q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2)
-        };
+        let square = |j: u32, p| squared_distance(path.dwell_point_mm()[j as usize], p);
         // Squared distances of the nodes in the aperture.
         let mut inside = vec![Vec::new(); grid.y.len().div_ceil(NODE_ROWS_PER_TASK)];
         let bands = nearest.axis_chunks_iter_mut(NdAxis(0), NODE_ROWS_PER_TASK);
@@ -150,17 +160,18 @@ impl Cells {
         Self { grid: *grid, points, nearest }
     }
 
-    /// Mask of the nodes that have a dwell point near enough.
+    /// Returns the mask of the nodes that have a dwell point near enough.
     pub fn owned(&self) -> Array2<bool> {
         self.nearest.mapv(|j| j != NO_POINT)
     }
 
-    /// (2) for `n` dwell points, s. Time on a node that nobody is near enough to goes to the nearest
-    /// dwell point too.
+    /// Returns the times (2) of `n` dwell points, s. Time on a node without a dwell point near enough goes to the
+    /// nearest dwell point, too.
     pub fn to_path(&self, seconds: &Array2<f64>, n: usize) -> Vec<f64> {
         // Each row by itself, and neighbours with one dwell point together.
         let of_rows = parallel::map(seconds.nrows(), &|r| {
-            let (mut sums, mut guess) = (Vec::<(u32, f64)>::new(), 0);
+            let mut sums = Vec::<(u32, f64)>::new();
+            let mut guess = 0;
             for (c, (j, tau)) in self.nearest.row(r).iter().zip(seconds.row(r)).enumerate() {
                 if *tau == 0.0 {
                     continue;
@@ -187,12 +198,15 @@ impl Cells {
     }
 }
 
-/// The middle one of numbers >= 0, the upper of two; `None` of none.
+/// Returns the square of the distance of two points.
+fn squared_distance(q: [f64; 2], p: [f64; 2]) -> f64 {
+    (q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2)
+}
+
+/// Returns the middle one of numbers >= 0, the upper of two; `None` of none.
 fn median(parts: &[Vec<f32>]) -> Option<f32> {
-    // The upper half of the bits grows with the number: the middle is among those that share it.
-    let upper = |v: f32| (v.to_bits() >> 16) as usize;
     let mut counts = vec![0; 1 << 15];
-    parts.iter().flatten().for_each(|v| counts[upper(*v)] += 1);
+    parts.iter().flatten().for_each(|v| counts[upper_bits(*v)] += 1);
     let mut rank = counts.iter().sum::<usize>() / 2;
     let shared = counts.iter().position(|count| match rank.checked_sub(*count) {
         Some(rest) => {
@@ -201,12 +215,18 @@ fn median(parts: &[Vec<f32>]) -> Option<f32> {
         }
         None => true,
     })?;
-    let mut near: Vec<f32> =
-        parts.iter().flatten().copied().filter(|v| upper(*v) == shared).collect();
+    let of_shared = parts.iter().flatten().copied().filter(|v| upper_bits(*v) == shared);
+    let mut near: Vec<f32> = of_shared.collect();
     Some(*near.select_nth_unstable_by(rank, f32::total_cmp).1)
 }
 
-/// Nodes that are no unknowns have the time of the unknown next to them.
+/// Returns the upper half of the bits of a number >= 0. It grows with the number: the middle one is among those that
+/// share it.
+fn upper_bits(v: f32) -> usize {
+    (v.to_bits() >> 16) as usize
+}
+
+/// Nodes that are no unknowns, and the unknowns whose time they have.
 pub(crate) struct Spread {
     /// Node, and the unknown whose time it has.
     ties: Vec<(u32, u32)>,
@@ -246,14 +266,14 @@ impl Spread {
         Self { ties }
     }
 
-    /// The times of the other nodes from those of the unknowns.
+    /// Sets the times of the other nodes to those of their unknowns.
     pub fn apply(&self, t: &mut [f64]) {
         for (node, source) in &self.ties {
             t[*node as usize] = t[*source as usize];
         }
     }
 
-    /// Adjoint: what counts for a node counts for the unknown whose time it has.
+    /// Applies the adjoint: adds what counts for a node to the unknown whose time it has.
     pub fn gather(&self, s: &mut [f64]) {
         for (node, source) in &self.ties {
             s[*source as usize] += s[*node as usize];
@@ -274,22 +294,20 @@ struct Buckets {
 
 impl Buckets {
     fn new(points: &[(u32, [f64; 2])]) -> Self {
-        let range = |a: usize| {
-            let ends = points.iter().map(|(_, p)| p[a]);
+        let [x, y] = [0, 1].map(|axis| {
+            let ends = points.iter().map(|(_, p)| p[axis]);
             ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)))
-        };
-        let (x, y) = (range(0), range(1));
+        });
         // About one point in each square; a line of points has no area.
-        let (width, height) = ((x.1 - x.0).max(0.0), (y.1 - y.0).max(0.0));
+        let [width, height] = [x, y].map(|(low, high)| (high - low).max(0.0));
         let n = points.len().max(1) as f64;
         let side = (width * height / n).sqrt().max((width + height) / n).max(1e-9);
         let shape = [width, height].map(|w| (w / side) as usize + 1);
         let start = [x.0, y.0];
-        let square = |p: &[f64; 2]| {
+        let squares = points.iter().map(|(_, p)| {
             let [bx, by] = [0, 1].map(|a| (((p[a] - start[a]) / side) as usize).min(shape[a] - 1));
-            by * shape[0] + bx
-        };
-        let squares = points.iter().map(|(_, p)| Some(square(p)));
+            Some(by * shape[0] + bx)
+        });
         let grouped = Grouped::new(shape[0] * shape[1], squares);
         let points = grouped.items().iter().map(|i| points[*i as usize]).collect();
         Self { start, side, shape, grouped, points }
@@ -305,29 +323,24 @@ impl Buckets {
         nearest: &mut [u32],
         squares: &mut [f64],
     ) {
-        let (reach, x, y) = (self.side, &grid.x, &grid.y);
-        // Nodes of an axis within a distance of p.
-        let near = |axis: &Axis, p: f64, distance: f64| {
-            let node = |p: f64| (p - axis.start_mm()) / axis.step_mm();
-            let from = node(p - distance).ceil().max(0.0) as usize;
-            let to = ((node(p + distance).floor() + 1.0).max(0.0) as usize).min(axis.len());
-            from.min(to)..to
-        };
+        let reach = self.side;
+        let Grid { x, y } = grid;
         let [low, high] = [(rows.start, -1.0), (rows.end - 1, 1.0)].map(|(r, side)| {
             let by = (y.at(r) + side * 1.001 * reach - self.start[1]) / self.side;
             (by.max(-1.0) as isize).clamp(-1, self.shape[1] as isize)
         });
         let lines = low.max(0) as usize..((high + 1).max(0) as usize).min(self.shape[1]);
-        let line = |by: usize| self.grouped.first(by * self.shape[0]);
-        let points = &self.points[line(lines.start)..line(lines.end.max(lines.start))];
+        let [from, to] = [lines.start, lines.end.max(lines.start)].map(|by| by * self.shape[0]);
+        let points = &self.points[self.grouped.first(from)..self.grouped.first(to)];
         vectorised(
             #[inline(always)]
             || {
                 for (j, p) in points {
-                    let of = near(y, p[1], reach);
-                    for r in of.start.max(rows.start)..of.end.min(rows.end) {
+                    let near = nodes_within(y, p[1], reach);
+                    for r in near.start.max(rows.start)..near.end.min(rows.end) {
                         let dy = y.at(r) - p[1];
-                        let columns = near(x, p[0], (reach * reach - dy * dy).max(0.0).sqrt());
+                        let columns =
+                            nodes_within(x, p[0], (reach * reach - dy * dy).max(0.0).sqrt());
                         let first = (r - rows.start) * x.len();
                         let line = first + columns.start..first + columns.end;
                         let on_line = nearest[line.clone()].iter_mut().zip(&mut squares[line]);
@@ -344,71 +357,104 @@ impl Buckets {
         );
     }
 
-    /// Place (for the next guess), and number of and distance to the nearest point; the lowest number
-    /// of equals. The nearer the guess, the quicker. Beyond `reach` it may be another one than the nearest.
+    /// Returns the place of the nearest point to p (for the next guess), its number, and its distance; the lowest
+    /// number of equals. The nearer the guess, the quicker. Beyond `reach` it may be another one than the nearest.
     fn nearest(&self, p: [f64; 2], guess: usize, reach: f64) -> (usize, (u32, f64)) {
-        let at = [0, 1].map(|a| {
+        let own = [0, 1].map(|a| {
             let b = ((p[a] - self.start[a]) / self.side).floor();
             b.clamp(-1e9, 1e9) as isize
         });
         let Some((j, q)) = self.points.get(guess) else { return (0, (NO_POINT, f64::INFINITY)) };
-        let mut place = guess;
-        let mut best = (*j, (q[0] - p[0]).hypot(q[1] - p[1]));
-        // Squared distances above this are larger than the best by more than rounding.
-        let bound = |d: f64| 1.000_001 * d * d;
-        let mut above = bound(best.1);
-        // Rings of squares; the first that can hold a point, and the last.
-        let gap = |a: usize| (-at[a]).max(at[a] - self.shape[a] as isize + 1).max(0);
-        let span = |a: usize| at[a].abs().max((self.shape[a] as isize - 1 - at[a]).abs());
-        for ring in gap(0).max(gap(1))..=span(0).max(span(1)) {
+        let best = (*j, (q[0] - p[0]).hypot(q[1] - p[1]));
+        let mut search = NearestSearch {
+            buckets: self,
+            p,
+            place: guess,
+            best,
+            above: rounded_up_square(best.1),
+        };
+        // Rings of squares: the first that can hold a point, and the last.
+        let shape = self.shape.map(|n| n as isize);
+        let gap = [0, 1].map(|a| (-own[a]).max(own[a] - shape[a] + 1).max(0));
+        let span = [0, 1].map(|a| own[a].abs().max((shape[a] - 1 - own[a]).abs()));
+        for ring in gap[0].max(gap[1])..=span[0].max(span[1]) {
             // All points of this ring are at least ring - 1 sides away.
-            if best.1.min(reach) <= (ring - 1) as f64 * self.side {
+            if search.best.1.min(reach) <= (ring - 1) as f64 * self.side {
                 break;
             }
-            let mut look = |bx: isize, by: isize| {
-                let inside = |b: isize, a: usize| b >= 0 && b < self.shape[a] as isize;
-                if !(inside(bx, 0) && inside(by, 1)) {
-                    return;
-                }
-                let gap = |b: isize, a: usize| {
-                    let low = self.start[a] + b as f64 * self.side - p[a];
-                    low.max(-low - self.side).max(0.0)
-                };
-                let (x, y) = (gap(bx, 0), gap(by, 1));
-                if x * x + y * y > above {
-                    return;
-                }
-                let square = by as usize * self.shape[0] + bx as usize;
-                for k in self.grouped.first(square)..self.grouped.first(square + 1) {
-                    let (j, q) = self.points[k];
-                    let (x, y) = (q[0] - p[0], q[1] - p[1]);
-                    if x * x + y * y > above {
-                        continue;
-                    }
-                    let d = x.hypot(y);
-                    if d < best.1 || d == best.1 && j < best.0 {
-                        (place, best) = (k, (j, d));
-                        above = bound(d);
-                    }
-                }
-            };
-            for by in [at[1] - ring, at[1] + ring] {
-                let from = (at[0] - ring).max(0);
-                for bx in from..=(at[0] + ring).min(self.shape[0] as isize - 1) {
-                    look(bx, by);
+            for by in [own[1] - ring, own[1] + ring] {
+                for bx in (own[0] - ring).max(0)..=(own[0] + ring).min(shape[0] - 1) {
+                    search.look_into([bx, by]);
                 }
                 if ring == 0 {
                     break;
                 }
             }
-            for bx in [at[0] - ring, at[0] + ring] {
-                let from = (at[1] - ring + 1).max(0);
-                for by in from..(at[1] + ring).min(self.shape[1] as isize) {
-                    look(bx, by);
+            for bx in [own[0] - ring, own[0] + ring] {
+                for by in (own[1] - ring + 1).max(0)..(own[1] + ring).min(shape[1]) {
+                    search.look_into([bx, by]);
                 }
             }
         }
-        (place, best)
+        (search.place, search.best)
+    }
+}
+
+/// Returns the nodes of an axis within a distance of p, mm.
+#[inline(always)]
+fn nodes_within(axis: &Axis, p: f64, distance: f64) -> Range<usize> {
+    let low = (p - distance - axis.start_mm()) / axis.step_mm();
+    let high = (p + distance - axis.start_mm()) / axis.step_mm();
+    let from = low.ceil().max(0.0) as usize;
+    let to = ((high.floor() + 1.0).max(0.0) as usize).min(axis.len());
+    from.min(to)..to
+}
+
+/// Returns a square above which squared distances are larger than `distance` by more than rounding.
+fn rounded_up_square(distance: f64) -> f64 {
+    1.000_001 * distance * distance
+}
+
+/// The search for the point nearest to `p`.
+struct NearestSearch<'a> {
+    buckets: &'a Buckets,
+    p: [f64; 2],
+    /// Place of the best point so far, its number and its distance.
+    place: usize,
+    best: (u32, f64),
+    /// Squared distance beyond which no point is better.
+    above: f64,
+}
+
+impl NearestSearch<'_> {
+    /// Looks for a better point in a square [x, y], which may lie outside.
+    #[inline]
+    fn look_into(&mut self, square: [isize; 2]) {
+        let Self { buckets: Buckets { start, side, shape, grouped, points }, p, .. } = *self;
+        if [0, 1].iter().any(|a| square[*a] < 0 || square[*a] >= shape[*a] as isize) {
+            return;
+        }
+        let [x, y] = [0, 1].map(|a| {
+            let low = start[a] + square[a] as f64 * side - p[a];
+            low.max(-low - side).max(0.0)
+        });
+        if x * x + y * y > self.above {
+            return;
+        }
+        let index = square[1] as usize * shape[0] + square[0] as usize;
+        for k in grouped.first(index)..grouped.first(index + 1) {
+            let (j, q) = points[k];
+            let [x, y] = [q[0] - p[0], q[1] - p[1]];
+            if x * x + y * y > self.above {
+                continue;
+            }
+            let d = x.hypot(y);
+            if d < self.best.1 || d == self.best.1 && j < self.best.0 {
+                self.place = k;
+                self.best = (j, d);
+                self.above = rounded_up_square(d);
+            }
+        }
     }
 }
 
@@ -474,7 +520,7 @@ mod tests {
             let path = ToolPath::new(points.clone(), points[..n].to_vec(), on.clone(), vec![0; n])
                 .unwrap();
             let inside = |p: [f64; 2]| (p[0] - 5.0).hypot(p[1] - 3.0) < 3.5;
-            let cells = Cells::new(&path, &grid, inside);
+            let cells = NodeOwners::new(&path, &grid, inside);
             let at = |(r, c): (usize, usize)| [grid.x.at(c), grid.y.at(r)];
             let nearest = |p: [f64; 2]| {
                 let with = (0..n).filter(|j| on[*j]);
@@ -535,7 +581,7 @@ mod tests {
         ends.push(points[n - 1]);
         let path = ToolPath::new(ends, points, vec![true; n], vec![0; n]).unwrap();
         let inside = |p: [f64; 2]| p[0] > 0.0 && p[0] < 10.0 && p[1] > 0.0 && p[1] < 6.0;
-        let cells = Cells::new(&path, &grid, inside);
+        let cells = NodeOwners::new(&path, &grid, inside);
         // 2 + 0.1 x seconds per mm^2, 100 nodes per mm^2.
         let density = |x: f64| 2.0 + 0.1 * x;
         let seconds = Array2::from_shape_fn(grid.shape(), |(_, c)| 0.01 * density(grid.x.at(c)));

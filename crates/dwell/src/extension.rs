@@ -41,19 +41,20 @@ pub(crate) struct Extension {
 }
 
 impl Extension {
-    /// A border of `border` rows and columns around the pixels of `grid` with `valid`; the ring of (2) begins
+    /// Makes a border of `border` rows and columns around the pixels of `grid` with `valid`; the ring of (2) begins
     /// `ring_mm` from the nearest valid pixel.
+    ///
+    /// # Errors
+    /// Refuses a border that no axis can have.
     pub fn new(
         grid: &Grid,
         valid: &Array2<bool>,
         border: [usize; 2],
         ring_mm: f64,
     ) -> Result<Self, Invalid> {
-        let widen = |a: &Axis, border: usize| {
-            Axis::new(a.start_mm() - border as f64 * a.step_mm(), a.step_mm(), a.len() + 2 * border)
-        };
         let [rows, columns] = border;
-        let extended = Grid { x: widen(&grid.x, columns)?, y: widen(&grid.y, rows)? };
+        let x = widened(&grid.x, columns)?;
+        let extended = Grid { x, y: widened(&grid.y, rows)? };
         let (ny, nx) = grid.shape();
         let mut wide = Array2::from_elem(extended.shape(), false);
         wide.slice_mut(s![rows..rows + ny, columns..columns + nx]).assign(valid);
@@ -76,21 +77,22 @@ impl Extension {
         Ok(extension)
     }
 
-    /// Distance of a pixel to the nearest valid one, mm.
+    /// Returns the distance of a pixel to the nearest valid one, mm.
     pub fn distance_mm(&self, (r, c): (usize, usize)) -> f64 {
         let (nr, nc) = self.nearest[[r, c]];
-        let (dy, dx) = (r as f64 - nr as f64, c as f64 - nc as f64);
+        let dy = r as f64 - nr as f64;
+        let dx = c as f64 - nc as f64;
         (dx * self.grid.x.step_mm()).hypot(dy * self.grid.y.step_mm())
     }
 
-    /// The part of an extended map that is the map.
+    /// Returns the part of an extended map that is the map.
     pub fn inner(&self, map: &Array2<f64>) -> Array2<f64> {
         let (ny, nx) = map.dim();
         let [rows, columns] = self.border;
         map.slice(s![rows..ny - rows, columns..nx - columns]).to_owned()
     }
 
-    /// (2) for a map (ny, nx) whose invalid pixels may hold anything.
+    /// Returns (2) on the extended map, for a map (ny, nx) whose invalid pixels may hold anything.
     pub fn rise(&self, map: &Array2<f64>) -> Array2<f64> {
         let mut z = Array2::zeros(self.valid.dim());
         let (ny, nx) = map.dim();
@@ -108,12 +110,12 @@ impl Extension {
         Array2::from_shape_fn(z.dim(), |p| if self.fitted(p) { odd[p] } else { polynomial[p] })
     }
 
-    /// Pixels that (2) is fitted to, and which keep their value.
+    /// Returns true for a pixel that (2) is fitted to, and which keeps its value.
     fn fitted(&self, p: (usize, usize)) -> bool {
         self.valid[p] || self.ring[p]
     }
 
-    /// (1); the value itself on valid pixels.
+    /// Returns (1) at a pixel; the value itself on valid pixels.
     fn odd(&self, z: &Array2<f64>, p: (usize, usize)) -> f64 {
         let e = self.nearest[p];
         let mirrored = (2 * e.0).checked_sub(p.0).zip((2 * e.1).checked_sub(p.1));
@@ -123,17 +125,13 @@ impl Extension {
         }
     }
 
-    /// Phi' Phi over the fitted pixels; `None` when it is singular (all valid pixels on a line).
+    /// Returns the factor of Phi' Phi over the fitted pixels; `None` when it is singular (all valid pixels on a line).
     fn normal_equations(&self) -> Option<Factor> {
         let (ty, tx) = &self.basis;
         let (a, b) = POLYNOMIALS_Y_X;
         let fitted = Array2::from_shape_fn(self.valid.dim(), |p| f64::from(self.fitted(p)));
         // sum over pixels of T_a T_a' T_b T_b': products along one axis, then along the other.
-        let products = |t: &Array2<f64>| {
-            let k = t.ncols();
-            Array2::from_shape_fn((t.nrows(), k * k), |(i, q)| t[[i, q / k]] * t[[i, q % k]])
-        };
-        let sums = products(ty).t().dot(&fitted).dot(&products(tx));
+        let sums = column_products(ty).t().dot(&fitted).dot(&column_products(tx));
         let gram = Array2::from_shape_fn((a * b, a * b), |(p, q)| {
             let ((pa, pb), (qa, qb)) = ((p / b, p % b), (q / b, q % b));
             sums[[pa * a + qa, pb * b + qb]]
@@ -144,7 +142,19 @@ impl Extension {
     }
 }
 
-/// T_0 .. T_{count-1} at `n` points from -1 to 1.
+/// Returns an axis with so many more coordinates at each end.
+fn widened(axis: &Axis, border: usize) -> Result<Axis, Invalid> {
+    let start_mm = axis.start_mm() - border as f64 * axis.step_mm();
+    Axis::new(start_mm, axis.step_mm(), axis.len() + 2 * border)
+}
+
+/// Returns the products of every column of t with every other, as the columns of a matrix.
+fn column_products(t: &Array2<f64>) -> Array2<f64> {
+    let k = t.ncols();
+    Array2::from_shape_fn((t.nrows(), k * k), |(i, q)| t[[i, q / k]] * t[[i, q % k]])
+}
+
+/// Returns T_0 .. T_{count-1} (columns) at `n` points from -1 to 1 (rows).
 fn chebyshev(n: usize, count: usize) -> Array2<f64> {
     let x = Array1::from_iter((0..n).map(|i| 2.0 * i as f64 / (n - 1) as f64 - 1.0));
     let mut t = Array2::ones((n, count));
@@ -158,7 +168,7 @@ fn chebyshev(n: usize, count: usize) -> Array2<f64> {
     t
 }
 
-/// Per pixel the nearest true one (Euclidean, pixels of dx by dy); one must be true.
+/// Finds, for every pixel, the nearest true one (Euclidean, pixels of dx by dy); one must be true.
 ///
 /// Exact in two passes: nearest in the column, then the lower envelope of the parabolas
 /// `(c - k)^2 dx^2 + d_k^2` along each row. Source: P. F. Felzenszwalb, D. P. Huttenlocher, Theory of
@@ -185,19 +195,21 @@ fn nearest_valid(valid: &Array2<bool>, dx: f64, dy: f64) -> Array2<(usize, usize
             }
         }
     });
+    let x: Vec<f64> = (0..nx).map(|k| k as f64 * dx).collect();
     let mut nearest = Array2::from_elem((ny, nx), (0, 0));
     parallel::consume(nearest.outer_iter_mut(), &|r, mut out| {
-        let f = |k: usize| ((r as f64 - row_of[[r, k]] as f64) * dy).powi(2);
-        let at = |k: usize| k as f64 * dx;
-        let (mut parabolas, mut from): (Vec<usize>, Vec<f64>) = (Vec::new(), Vec::new());
+        // Square of the distance to the nearest pixel in column k.
+        let d: Vec<f64> =
+            (0..nx).map(|k| ((r as f64 - row_of[[r, k]] as f64) * dy).powi(2)).collect();
+        let mut parabolas: Vec<usize> = Vec::new();
+        let mut from: Vec<f64> = Vec::new();
         for q in (0..nx).filter(|q| row_of[[r, *q]] != NO_PIXEL) {
             loop {
                 let Some(&v) = parabolas.last() else {
                     from.push(f64::NEG_INFINITY);
                     break;
                 };
-                let crossing =
-                    (f(q) + at(q).powi(2) - f(v) - at(v).powi(2)) / (2.0 * (at(q) - at(v)));
+                let crossing = (d[q] + x[q].powi(2) - d[v] - x[v].powi(2)) / (2.0 * (x[q] - x[v]));
                 if crossing > *from.last().expect("one per parabola") {
                     from.push(crossing);
                     break;
@@ -209,7 +221,7 @@ fn nearest_valid(valid: &Array2<bool>, dx: f64, dy: f64) -> Array2<(usize, usize
         }
         let mut k = 0;
         for c in 0..nx {
-            while k + 1 < parabolas.len() && from[k + 1] < at(c) {
+            while k + 1 < parabolas.len() && from[k + 1] < x[c] {
                 k += 1;
             }
             out[c] = (row_of[[r, parabolas[k]]], parabolas[k]);

@@ -47,7 +47,7 @@
 
 use ndarray::{Array2, ArrayView2, Zip};
 use planish_numerics::{linear::skyline::dot, parallel};
-use planish_types::{End, Surface, Tif, progress};
+use planish_types::{Axis, End, Invalid, Surface, Tif, progress};
 
 use serde::Serialize;
 
@@ -55,8 +55,8 @@ use crate::{
     DwellError,
     coarse::{self, CoarseMap, MAX_SQUARE_PIXELS},
     continuation::Continuation,
-    dwell_map::{Cells, Spread},
-    problem::{Model, Problem, Solution, check, check_steps},
+    dwell_map::{NodeOwners, Spread},
+    problem::{DwellModel, Problem, Solution, check, check_steps},
 };
 
 /// Unknowns of the solver.
@@ -71,7 +71,7 @@ pub enum Unknowns {
 
 /// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct LucyRichardsonSettings {
     /// Unknowns of the solver.
     pub unknowns: Unknowns,
     /// mu: weight of the total variation; >= 0, useful up to 0.02.
@@ -94,7 +94,7 @@ pub struct Settings {
     pub pixels_per_cell: Option<usize>,
 }
 
-impl Default for Settings {
+impl Default for LucyRichardsonSettings {
     fn default() -> Self {
         Self {
             unknowns: Unknowns::Path,
@@ -112,7 +112,7 @@ impl Default for Settings {
 
 /// Result of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct LucyRichardsonReport {
     /// `settled` (the RMS changes no more), `iteration-limit`, or `steps-done` where only their number
     /// was to end the steps.
     pub end: End,
@@ -131,16 +131,17 @@ pub struct Report {
     pub pixels_per_cell: usize,
 }
 
-impl Report {
+impl LucyRichardsonReport {
     /// Returns the reason of a negative verdict; none if the end is the one that the settings ask for.
-    pub fn negative(&self, settings: &Settings) -> Option<String> {
-        (self.end == End::IterationLimit).then(|| {
-            format!(
-                "not settled: after {} steps ten more still lower the RMS by more than {} of it; give \
-                 `accelerated`, a larger `min_decrease`, or `max_iterations` to stop there on purpose",
-                self.iterations, settings.min_decrease
-            )
-        })
+    pub fn negative(&self, settings: &LucyRichardsonSettings) -> Option<String> {
+        if self.end != End::IterationLimit {
+            return None;
+        }
+        Some(format!(
+            "not settled: after {} steps ten more still lower the RMS by more than {} of it; give \
+             `accelerated`, a larger `min_decrease`, or `max_iterations` to stop there on purpose",
+            self.iterations, settings.min_decrease
+        ))
     }
 }
 
@@ -153,8 +154,14 @@ const MIN_SENSITIVITY_FRACTION: f64 = 0.02;
 /// may grow without use. Smaller: the limit cuts dwell times that the map needs.
 const MAX_TIME_OVER_MEAN: f64 = 20.0;
 
-/// Solves by (2).
-pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
+/// Maximises the likelihood by (2), on the path or on a map of dwell times.
+///
+/// # Errors
+/// Refuses settings out of range, what every solver refuses, and a map of dwell times for a TIF that varies.
+pub fn solve(
+    problem: &Problem<'_>,
+    settings: &LucyRichardsonSettings,
+) -> Result<Solution<LucyRichardsonReport>, DwellError> {
     check("total_variation", settings.total_variation, |m| m >= 0.0, "give a number >= 0")?;
     check("margin", settings.margin, |m| m > 0.0, "give a number > 0")?;
     check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a fraction from 0 to below 1")?;
@@ -163,11 +170,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     check_size(settings)?;
     let (tif, clipped_tif_samples) = without_negatives(problem.tif)?;
     let solved = &Problem { tif: &tif, ..*problem };
-    let ready = |problem| match settings.unknowns {
-        Unknowns::Path => Model::new(problem),
-        Unknowns::Map => Model::for_map(problem),
-    };
-    let mut model = ready(solved)?;
+    let mut model = ready(solved, settings.unknowns)?;
     let e = positive_target(&model, settings);
     let (t, mut report) = match settings.unknowns {
         Unknowns::Path => on_path(&model, &e, settings),
@@ -177,12 +180,21 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     report.clipped_tif_samples = clipped_tif_samples;
     if clipped_tif_samples > 0 {
         // What the dwell times do is what the tool does, not the one that they were found with.
-        model = ready(problem)?;
+        model = ready(problem, settings.unknowns)?;
     }
     model.finish(model.lo.iter().zip(t).map(|(lo, t)| lo + t).collect(), report)
 }
 
-fn check_size(settings: &Settings) -> Result<(), DwellError> {
+/// Makes the model that these unknowns need.
+fn ready<'a>(problem: &Problem<'a>, unknowns: Unknowns) -> Result<DwellModel<'a>, DwellError> {
+    match unknowns {
+        Unknowns::Path => DwellModel::new(problem),
+        Unknowns::Map => DwellModel::for_map(problem),
+    }
+}
+
+/// Refuses squares that are no multiple of a pixel or too large, and squares without a map.
+fn check_size(settings: &LucyRichardsonSettings) -> Result<(), DwellError> {
     let problem = match settings.pixels_per_cell {
         Some(size) if !(1..=MAX_SQUARE_PIXELS).contains(&size) => format!("is {size}"),
         Some(size) if size > 1 && settings.unknowns == Unknowns::Path => {
@@ -192,11 +204,12 @@ fn check_size(settings: &Settings) -> Result<(), DwellError> {
     };
     let remedy =
         format!("give a number from 1 to {MAX_SQUARE_PIXELS} with `unknowns` map, or none");
-    Err(planish_types::Invalid::whole("pixels_per_cell", problem, remedy).into())
+    Err(Invalid::whole("pixels_per_cell", problem, remedy).into())
 }
 
-/// The likelihood needs a TIF that is not negative: zeros in the place of negative rates, scaled to the same volume, and
-/// the number of these samples. A tool that varies keeps its kernels, of which single ones are negative.
+/// Returns a TIF that is not negative, as the likelihood needs it: zeros in the place of negative rates, scaled to the
+/// same volume. Returns the number of these samples, too. A tool that varies keeps its kernels, of which single ones
+/// are negative.
 fn without_negatives(tif: &Tif) -> Result<(Tif, usize), DwellError> {
     if tif.variation().is_some() {
         return Ok((tif.clone(), 0));
@@ -210,8 +223,8 @@ fn without_negatives(tif: &Tif) -> Result<(Tif, usize), DwellError> {
     Ok((Tif::new(*tif.grid(), rate)?, negative))
 }
 
-/// (1), 0 where the weight is 0.
-fn positive_target(model: &Model<'_>, settings: &Settings) -> Array2<f64> {
+/// Returns E of (1), shape (ny, nx), nm; 0 where the weight is 0.
+fn positive_target(model: &DwellModel<'_>, settings: &LucyRichardsonSettings) -> Array2<f64> {
     let mut e = model.target();
     let low = model.lowest(&e, settings.pits);
     let high = model.range(&e).1;
@@ -236,32 +249,18 @@ struct Unknown<'a> {
     uniform: &'a [f64],
 }
 
-fn on_path(model: &Model<'_>, e: &Array2<f64>, settings: &Settings) -> (Vec<f64>, Report) {
+/// Solves for the dwell times of the path.
+fn on_path(
+    model: &DwellModel<'_>,
+    e: &Array2<f64>,
+    settings: &LucyRichardsonSettings,
+) -> (Vec<f64>, LucyRichardsonReport) {
     let largest = model.sensitivity.iter().copied().fold(0.0, f64::max);
     let active: Vec<bool> =
         model.sensitivity.iter().map(|s| *s > MIN_SENSITIVITY_FRACTION * largest).collect();
     let beyond = Continuation::new(model.problem.path, |j| active[j]);
     let mut sensitivity = model.sensitivity.clone();
     beyond.gather(&mut sensitivity);
-    // Density q = t / (l_j / l); p_j = (q_{j+1} - q_j) / sqrt(|..|^2 + eps^2), kappa_j = p_j - p_{j-1}
-    let curvature = |t: &[f64], mean: f64| -> Vec<f64> {
-        let slope = |j: usize| {
-            if j + 1 >= t.len() || !(active[j] && active[j + 1]) {
-                return 0.0;
-            }
-            let d = t[j + 1] / model.shape[j + 1] - t[j] / model.shape[j];
-            d / d.hypot(1e-3 * mean)
-        };
-        let mut before = 0.0;
-        (0..t.len())
-            .map(|j| {
-                let p = slope(j);
-                let kappa = p - before;
-                before = p;
-                kappa
-            })
-            .collect()
-    };
     let unknown = Unknown {
         forward: &|t| {
             let mut t = t.to_vec();
@@ -273,7 +272,7 @@ fn on_path(model: &Model<'_>, e: &Array2<f64>, settings: &Settings) -> (Vec<f64>
             beyond.gather(&mut s);
             s
         },
-        curvature: &curvature,
+        curvature: &|t, mean| curvature_along_path(t, &model.shape, &active, mean),
         sensitivity: &sensitivity,
         active: &active,
         uniform: &model.shape,
@@ -283,16 +282,35 @@ fn on_path(model: &Model<'_>, e: &Array2<f64>, settings: &Settings) -> (Vec<f64>
     (t, report)
 }
 
+/// Returns kappa along the path (n), with the density q = t / (l_j / l):
+/// `kappa_j = p_j - p_{j-1}`, `p_j = (q_{j+1} - q_j) / sqrt((q_{j+1} - q_j)^2 + eps^2)`.
+fn curvature_along_path(t: &[f64], shape: &[f64], active: &[bool], mean: f64) -> Vec<f64> {
+    let mut before = 0.0;
+    let mut kappa = Vec::with_capacity(t.len());
+    for j in 0..t.len() {
+        let p = if j + 1 >= t.len() || !(active[j] && active[j + 1]) {
+            0.0
+        } else {
+            let d = t[j + 1] / shape[j + 1] - t[j] / shape[j];
+            d / d.hypot(1e-3 * mean)
+        };
+        kappa.push(p - before);
+        before = p;
+    }
+    kappa
+}
+
+/// Solves for a map of dwell times, and brings it to the path.
 fn on_map(
-    model: &Model<'_>,
+    model: &DwellModel<'_>,
     e: &Array2<f64>,
-    settings: &Settings,
-) -> Result<(Vec<f64>, Report), DwellError> {
+    settings: &LucyRichardsonSettings,
+) -> Result<(Vec<f64>, LucyRichardsonReport), DwellError> {
     let Problem { desired, tif, path, .. } = model.problem;
     let size = settings.pixels_per_cell.unwrap_or_else(|| coarse::automatic_size(tif, desired));
     // In single precision, whose error is far below what a step changes.
     let map = CoarseMap::<f32>::new(tif, desired.grid(), size)?;
-    let cells = Cells::new(path, map.nodes(), |p| counts(desired, &model.weight, p));
+    let cells = NodeOwners::new(path, map.nodes(), |p| counts(desired, &model.weight, p));
     let (e, weight) = map.restrict(e, &model.weight);
     let shape = map.shape();
     let sensitivity = map.adjoint(&weight);
@@ -307,28 +325,26 @@ fn on_map(
     let beyond = Spread::new(&owned, &active);
     let mut sensitivity = sensitivity.into_raw_vec_and_offset().0;
     beyond.gather(&mut sensitivity);
-    let removal = |t: &[f64]| -> Array2<f64> {
-        let mut t = t.to_vec();
-        beyond.apply(&mut t);
-        map.removal(ArrayView2::from_shape(shape, &t).expect("one per node"))
-    };
     // Differences over `size` pixels, and a curvature in cells: `size` times that in pixels.
     let step = size as f64;
-    let curvature = |t: &[f64], mean: f64| {
-        let mut kappa = curvature_2d(t, &active, shape, 1e-3 * step * mean);
-        if size > 1 {
-            kappa.iter_mut().for_each(|k| *k /= step);
-        }
-        kappa
-    };
     let unknown = Unknown {
-        forward: &removal,
+        forward: &|t| {
+            let mut t = t.to_vec();
+            beyond.apply(&mut t);
+            map.removal(ArrayView2::from_shape(shape, &t).expect("one per node"))
+        },
         adjoint: &|m| {
             let mut s = map.adjoint(m).into_raw_vec_and_offset().0;
             beyond.gather(&mut s);
             s
         },
-        curvature: &curvature,
+        curvature: &|t, mean| {
+            let mut kappa = curvature_2d(t, &active, shape, 1e-3 * step * mean);
+            if size > 1 {
+                kappa.iter_mut().for_each(|k| *k /= step);
+            }
+            kappa
+        },
         sensitivity: &sensitivity,
         active: &active,
         uniform: &vec![1.0; active.len()],
@@ -340,53 +356,54 @@ fn on_map(
     let mut t = cells.to_path(&seconds, path.len());
     // Where the lattice of tool positions ends within the cell of a dwell point, its time is not all there.
     let most = model.sensitivity.iter().copied().fold(0.0, f64::max);
-    let reached = |j: usize| model.sensitivity[j] > MIN_SENSITIVITY_FRACTION * most;
-    Continuation::new(path, reached).apply(&mut t);
+    Continuation::new(path, |j| model.sensitivity[j] > MIN_SENSITIVITY_FRACTION * most)
+        .apply(&mut t);
     Ok((t, report))
 }
 
 /// Returns true if the pixel nearest to `p` has a positive weight.
 pub(crate) fn counts(desired: &Surface, weight: &Array2<f64>, p: [f64; 2]) -> bool {
     let grid = desired.grid();
-    let index = |axis: &planish_types::Axis, p: f64| {
-        let i = (p - axis.start_mm()) / axis.step_mm() + 0.5;
-        (i >= 0.0 && i < axis.len() as f64).then_some(i as usize)
-    };
-    match (index(&grid.y, p[1]), index(&grid.x, p[0])) {
+    match (index_of_cell(&grid.y, p[1]), index_of_cell(&grid.x, p[0])) {
         (Some(r), Some(c)) => weight[[r, c]] > 0.0,
         _ => false,
     }
 }
 
-/// `div(grad T / sqrt(|grad T|^2 + eps^2))`: forward differences, and backward ones of their result;
+/// Returns the index of the pixel that contains p, mm; `None` beyond the axis.
+fn index_of_cell(axis: &Axis, p: f64) -> Option<usize> {
+    let i = (p - axis.start_mm()) / axis.step_mm() + 0.5;
+    if i >= 0.0 && i < axis.len() as f64 { Some(i as usize) } else { None }
+}
+
+/// Returns `div(grad T / sqrt(|grad T|^2 + eps^2))` by forward differences, and backward ones of their result;
 /// no difference over the border of the active nodes.
 fn curvature_2d(t: &[f64], active: &[bool], (ny, nx): (usize, usize), eps: f64) -> Vec<f64> {
     let mut normal = vec![[0.0; 2]; t.len()];
     parallel::for_each_piece(&mut normal, nx, &|r, normal| {
         for (c, normal) in normal.iter_mut().enumerate() {
             let k = r * nx + c;
-            let difference = |there: bool, other: usize| {
-                if there && active[k] && active[other] { t[other] - t[k] } else { 0.0 }
-            };
-            let (dx, dy) = (difference(c + 1 < nx, k + 1), difference(r + 1 < ny, k + nx));
+            let dx = if c + 1 < nx && active[k] && active[k + 1] { t[k + 1] - t[k] } else { 0.0 };
+            let dy = if r + 1 < ny && active[k] && active[k + nx] { t[k + nx] - t[k] } else { 0.0 };
             let length = (dx * dx + dy * dy + eps * eps).sqrt();
             if length > 0.0 {
                 *normal = [dx / length, dy / length];
             }
         }
     });
-    let divergence = |k: usize| {
+    let divergence = (0..t.len()).map(|k| {
         let left = if !k.is_multiple_of(nx) { normal[k - 1][0] } else { 0.0 };
         let below = if k >= nx { normal[k - nx][1] } else { 0.0 };
         normal[k][0] - left + normal[k][1] - below
-    };
-    (0..t.len()).map(divergence).collect()
+    });
+    divergence.collect()
 }
 
 /// Number of elements of a piece of a sum. Another value changes the last digits of the result.
 const ELEMENTS_PER_PIECE: usize = 1 << 13;
 
-/// Replaces t by the point of (3) from which the next step goes on: `x` is (2) of t, and `extrapolated` has x_k and g_k.
+/// Replaces t by the point of (3) from which the next step goes on: `x` is (2) of t, and `extrapolated` has x_k and
+/// g_k.
 fn extrapolate(t: &mut Vec<f64>, x: Vec<f64>, extrapolated: &mut Option<(Vec<f64>, Vec<f64>)>) {
     // t becomes g, then the point to go on from.
     t.iter_mut().zip(&x).for_each(|(t, x)| *t = x - *t);
@@ -401,13 +418,13 @@ fn extrapolate(t: &mut Vec<f64>, x: Vec<f64>, extrapolated: &mut Option<(Vec<f64
     *extrapolated = Some((x, std::mem::replace(t, y)));
 }
 
-/// (2) until it settles.
+/// Repeats (2) until it settles; returns the times of the unknowns and the report.
 fn iterate(
     w: &Array2<f64>,
     e: &Array2<f64>,
     unknown: &Unknown<'_>,
-    settings: &Settings,
-) -> (Vec<f64>, Report) {
+    settings: &LucyRichardsonSettings,
+) -> (Vec<f64>, LucyRichardsonReport) {
     let Unknown { forward, adjoint, curvature, sensitivity: s, active, uniform } = unknown;
     // The uniform density whose removed volume is the desired one.
     let desired: f64 = (e * w).sum();
@@ -416,7 +433,8 @@ fn iterate(
         (0..s.len()).map(|j| if active[j] { uniform[j] * desired / volume } else { 0.0 }).collect();
     let count = active.iter().filter(|a| **a).count();
     let floor = 1e-9 * e.iter().copied().fold(0.0, f64::max);
-    let (mut log_likelihood, mut rms_nm) = (Vec::new(), Vec::new());
+    let mut log_likelihood = Vec::new();
+    let mut rms_nm = Vec::new();
     let wanted = settings.stop_at_max || settings.min_decrease == 0.0;
     let mut end = if wanted { End::StepsDone } else { End::IterationLimit };
     let mut iterations = 0;
@@ -466,7 +484,7 @@ fn iterate(
         }
         iterations += 1;
     }
-    let report = Report {
+    let report = LucyRichardsonReport {
         end,
         iterations,
         log_likelihood,
@@ -483,13 +501,14 @@ fn sum_of_products(a: &[f64], b: &[f64]) -> f64 {
     a.chunks(ELEMENTS_PER_PIECE).zip(b.chunks(ELEMENTS_PER_PIECE)).map(|(a, b)| dot(a, b)).sum()
 }
 
-/// `sum w (E ln m - m)` and the RMS (mean removed) of E - m; m becomes w E / m.
+/// Returns `sum w (E ln m - m)` and the RMS (mean removed) of E - m; m becomes w E / m.
 fn compared(e: &Array2<f64>, w: &Array2<f64>, floor: f64, m: &mut Array2<f64>) -> (f64, f64) {
     let mut parts = vec![[0.0; 4]; m.nrows()];
     parallel::consume(m.outer_iter_mut().zip(&mut parts), &|r, (mut m, sums)| {
         for ((m, e), w) in m.iter_mut().zip(e.row(r)).zip(w.row(r)) {
             if *w > 0.0 {
-                let (d, positive) = (e - *m, m.max(floor));
+                let d = e - *m;
+                let positive = m.max(floor);
                 sums[0] += w * (e * positive.ln() - positive);
                 sums[1] += w;
                 sums[2] += w * d;
@@ -500,10 +519,11 @@ fn compared(e: &Array2<f64>, w: &Array2<f64>, floor: f64, m: &mut Array2<f64>) -
             }
         }
     });
-    let total = |k: usize| parts.iter().map(|p| p[k]).sum::<f64>();
+    let [likelihood, weight, differences, squares] =
+        [0, 1, 2, 3].map(|k| parts.iter().map(|p| p[k]).sum::<f64>());
     // The mean of E - m is small: a step keeps the volume.
-    let (weight, mean) = (total(1), total(2) / total(1));
-    (total(0), (total(3) / weight - mean * mean).max(0.0).sqrt())
+    let mean = differences / weight;
+    (likelihood, (squares / weight - mean * mean).max(0.0).sqrt())
 }
 
 #[cfg(test)]

@@ -19,7 +19,7 @@ pub const REST_FRACTION: f64 = 0.01;
 /// passes as a free function.
 const DEPENDENT_FRACTION: f64 = 1e-12;
 
-/// Median length of the segments that have one, mm.
+/// Returns the median length of the segments that have one, mm.
 pub fn median_length_mm(path: &ToolPath) -> Option<f64> {
     let mut lengths: Vec<f64> =
         (0..path.len()).map(|j| path.segment_length_mm(j)).filter(|l| *l > 0.0).collect();
@@ -49,11 +49,8 @@ pub struct Basis {
 impl Basis {
     /// Makes the functions on the pixels of `grid` with these weights.
     pub fn new(grid: &Grid, weight: &Array2<f64>, free: Free) -> Self {
-        let centred = |a: &Axis| -> Vec<f64> {
-            let middle = 0.5 * (a.start_mm() + a.end_mm());
-            a.coordinates().iter().map(|v| v - middle).collect()
-        };
-        let (x_mm, y_mm) = (centred(&grid.x), centred(&grid.y));
+        let x_mm = from_middle_mm(&grid.x);
+        let y_mm = from_middle_mm(&grid.y);
         // Moments m[k][l] = sum of w f_k f_l with f = 1, x, y.
         let mut m = [[0.0; 3]; 3];
         for (r, row) in weight.outer_iter().enumerate() {
@@ -66,15 +63,6 @@ impl Basis {
                 }
             }
         }
-        let product = |a: &[f64; 3], b: &[f64; 3]| -> f64 {
-            let mut sum = 0.0;
-            for k in 0..3 {
-                for l in 0..3 {
-                    sum += a[k] * b[l] * m[k.max(l)][k.min(l)];
-                }
-            }
-            sum
-        };
         // Gram-Schmidt; a function that is none (a map of one column) is left out.
         let count = match free {
             Free::Piston => 1,
@@ -84,14 +72,14 @@ impl Basis {
         for k in 0..count {
             let mut f = [0.0; 3];
             f[k] = 1.0;
-            let before = product(&f, &f);
+            let before = moment_product(&m, &f, &f);
             for _ in 0..2 {
                 for g in &functions {
-                    let c = product(&f, g);
+                    let c = moment_product(&m, &f, g);
                     (0..3).for_each(|l| f[l] -= c * g[l]);
                 }
             }
-            let after = product(&f, &f);
+            let after = moment_product(&m, &f, &f);
             if after > DEPENDENT_FRACTION * before {
                 functions.push(f.map(|v| v / after.sqrt()));
             }
@@ -99,11 +87,11 @@ impl Basis {
         Self { x_mm, y_mm, functions }
     }
 
-    fn at(&self, f: &[f64; 3], r: usize, c: usize) -> f64 {
+    fn value_at(&self, f: &[f64; 3], r: usize, c: usize) -> f64 {
         f[0] + f[1] * self.x_mm[c] + f[2] * self.y_mm[r]
     }
 
-    /// `sum_i w_i m_i f(x_i)` for every function.
+    /// Returns `sum_i w_i m_i f(x_i)` for every function.
     pub fn coefficients(&self, weight: &Array2<f64>, map: &Array2<f64>) -> Vec<f64> {
         // By rows: sums of w m and of w m x.
         let rows: Vec<(f64, f64)> = parallel::map(map.nrows(), &|r| {
@@ -143,27 +131,42 @@ impl Basis {
         let coefficients = self.coefficients(&Array2::ones(weight.dim()), map);
         for (k, f) in coefficients.iter().zip(&self.functions) {
             for ((r, c), m) in map.indexed_iter_mut() {
-                *m -= weight[[r, c]] * k * self.at(f, r, c);
+                *m -= weight[[r, c]] * k * self.value_at(f, r, c);
             }
         }
     }
 
-    /// `U = B' W f` for every function, `adjoint` being B'.
+    /// Returns the columns of `U = B' W f`, one (n) for every function; `adjoint` applies B' to a map.
     pub fn columns(
         &self,
         weight: &Array2<f64>,
         adjoint: impl Fn(&Array2<f64>) -> Vec<f64>,
     ) -> Vec<Vec<f64>> {
-        let of = |f: &[f64; 3]| {
-            adjoint(&Array2::from_shape_fn(weight.dim(), |(r, c)| {
-                weight[[r, c]] * self.at(f, r, c)
-            }))
+        let map_of = |f| {
+            Array2::from_shape_fn(weight.dim(), |(r, c)| weight[[r, c]] * self.value_at(f, r, c))
         };
-        self.functions.iter().map(of).collect()
+        self.functions.iter().map(|f| adjoint(&map_of(f))).collect()
     }
 }
 
-/// `sum_i w_i a_i b_i`: a sum by rows, whatever the number of threads.
+/// Returns the coordinates of an axis from its middle, mm.
+fn from_middle_mm(axis: &Axis) -> Vec<f64> {
+    let middle = 0.5 * (axis.start_mm() + axis.end_mm());
+    axis.coordinates().iter().map(|v| v - middle).collect()
+}
+
+/// Returns the weighted product of two functions from the moments of 1, x, y, of which the lower triangle is filled.
+fn moment_product(moments: &[[f64; 3]; 3], a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    let mut sum = 0.0;
+    for k in 0..3 {
+        for l in 0..3 {
+            sum += a[k] * b[l] * moments[k.max(l)][k.min(l)];
+        }
+    }
+    sum
+}
+
+/// Returns `sum_i w_i a_i b_i`, added by rows: the result is the same for every number of threads.
 pub fn weighted_product(weight: &Array2<f64>, a: &Array2<f64>, b: &Array2<f64>) -> f64 {
     let sums: Vec<f64> = parallel::map(weight.nrows(), &|r| {
         let factors = weight.row(r).into_iter().zip(a.row(r)).zip(b.row(r));
@@ -212,15 +215,17 @@ impl PenaltyScale {
     }
 }
 
-/// Lengths of the path that dwell times are spent on (n), mm: those of the segments; a rest has the median.
+/// Returns the lengths of the path on which dwell times are spent (n), mm: those of the segments; a rest has the
+/// median.
 pub fn lengths_mm(path: &ToolPath) -> Vec<f64> {
     let median = median_length_mm(path);
-    let of = |j: usize| match median {
-        Some(median) if !has_density(path, j, median) => median,
-        Some(_) => path.segment_length_mm(j),
-        None => 0.0,
-    };
-    (0..path.len()).map(of).collect()
+    (0..path.len())
+        .map(|j| match median {
+            Some(median) if !has_density(path, j, median) => median,
+            Some(_) => path.segment_length_mm(j),
+            None => 0.0,
+        })
+        .collect()
 }
 
 /// Returns true if segment j has a dwell-time density: the tool is on, and the segment is not a rest.
@@ -228,8 +233,8 @@ pub fn has_density(path: &ToolPath, j: usize, median_mm: f64) -> bool {
     path.tool_on()[j] && path.segment_length_mm(j) > REST_FRACTION * median_mm
 }
 
-/// Distance of neighbouring lines of the path, mm. A tool of the volumetric removal rate V that takes 1 s/mm
-/// along lines at the distance p removes V / p on average, so with `b = B' w` (n)
+/// Returns the distance of neighbouring lines of the path, mm. A tool of the volumetric removal rate V that takes 1
+/// s/mm along lines at the distance p removes V / p on average, so with `b = B' w` (n)
 ///
 /// ```text
 /// p = V sum_i w_i / sum_j b_j l_j
@@ -274,49 +279,49 @@ impl Penalty {
     ) -> Self {
         let PenaltyScale { strongest, pixel_weight, area_mm2, line_distance_mm } = *scale;
         let lengths = lengths_mm(path);
-        let own = |l: f64| if line_distance_mm * l > 0.0 { line_distance_mm * l } else { area_mm2 };
-        let alpha =
-            (lengths.iter()).map(|l| weights.tikhonov * strongest * area_mm2 / own(*l)).collect();
+        let diagonal = |l: &f64| {
+            let point_mm2 = line_distance_mm * l;
+            let own_mm2 = if point_mm2 > 0.0 { point_mm2 } else { area_mm2 };
+            weights.tikhonov * strongest * area_mm2 / own_mm2
+        };
+        let alpha = lengths.iter().map(diagonal).collect();
         let mut steps = Vec::new();
         if let Some(median) = median_length_mm(path).filter(|_| line_distance_mm > 0.0) {
             // p m ((r_k - r_{k-1}) / m)^2 = (t_k / l_k - t_{k-1} / l_{k-1})^2 / (p m)
-            let factor = |k: usize| {
-                let between = 0.5 * (lengths[k - 1] + lengths[k]);
-                let weight = weights.slope_weight * strongest * area_mm2 * area_mm2;
-                (weight / (line_distance_mm * between)).sqrt()
-            };
-            let both =
-                |k: &usize| has_density(path, k - 1, median) && has_density(path, *k, median);
-            steps = (1..lo.len())
-                .filter(both)
-                .map(|k| (k, factor(k) / lengths[k - 1], factor(k) / lengths[k]))
-                .collect();
+            for k in 1..lo.len() {
+                if has_density(path, k - 1, median) && has_density(path, k, median) {
+                    let between = 0.5 * (lengths[k - 1] + lengths[k]);
+                    let weight = weights.slope_weight * strongest * area_mm2 * area_mm2;
+                    let factor = (weight / (line_distance_mm * between)).sqrt();
+                    steps.push((k, factor / lengths[k - 1], factor / lengths[k]));
+                }
+            }
         }
         let time = weights.time_weight_nm2_per_s * pixel_weight;
         Self { alpha, time, lo: lo.to_vec(), steps }
     }
 
-    /// Number of dwell times.
+    /// Returns the number of dwell times.
     pub fn len(&self) -> usize {
         self.lo.len()
     }
 
-    /// `alpha D A / a_j` of every dwell time (n).
+    /// Returns `alpha D A / a_j` of every dwell time (n).
     pub fn alpha(&self) -> &[f64] {
         &self.alpha
     }
 
-    /// The least of them: a lower bound of the eigenvalues of L.
+    /// Returns the least `alpha D A / a_j`: a lower bound of the eigenvalues of L.
     pub fn least_alpha(&self) -> f64 {
         self.alpha.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
-    /// k and the factors u, v of a term `(v t_k - u t_{k-1})^2 / 2`.
+    /// Returns the terms `(v t_k - u t_{k-1})^2 / 2` of the slope as (k, u, v).
     pub fn steps(&self) -> &[(usize, f64, f64)] {
         &self.steps
     }
 
-    /// Elements (j, k), k <= j, of the matrix L.
+    /// Calls `add(j, k, v)` for elements of the matrix L with k <= j; an element is the sum of all its calls.
     pub fn for_each(&self, mut add: impl FnMut(usize, usize, f64)) {
         for (j, alpha) in self.alpha.iter().enumerate() {
             add(j, j, *alpha);
@@ -328,7 +333,7 @@ impl Penalty {
         }
     }
 
-    /// Diagonal of L.
+    /// Returns the diagonal of L (n).
     pub fn diagonal(&self) -> Vec<f64> {
         let mut diagonal = vec![0.0; self.len()];
         self.for_each(|j, k, v| {
@@ -339,7 +344,7 @@ impl Penalty {
         diagonal
     }
 
-    /// `out += L t`.
+    /// Adds `L t` to `out` (n).
     pub fn add_product(&self, t: &[f64], out: &mut [f64]) {
         out.iter_mut().zip(t).zip(&self.alpha).for_each(|((o, t), alpha)| *o += alpha * t);
         for &(k, u, v) in &self.steps {
@@ -349,7 +354,7 @@ impl Penalty {
         }
     }
 
-    /// `out += ` the gradient.
+    /// Adds the gradient of the penalty at the dwell times t to `out` (n).
     pub fn add_gradient(&self, t: &[f64], out: &mut [f64]) {
         self.add_product(t, out);
         for ((o, lo), alpha) in out.iter_mut().zip(&self.lo).zip(&self.alpha) {
@@ -357,10 +362,10 @@ impl Penalty {
         }
     }
 
-    /// The terms themselves.
+    /// Returns the value of the penalty at the dwell times t (n).
     pub fn value(&self, t: &[f64]) -> f64 {
-        let far = t.iter().zip(&self.lo).zip(&self.alpha);
-        let far: f64 = far.map(|((t, lo), alpha)| alpha * (t - lo).powi(2)).sum();
+        let above_floor = t.iter().zip(&self.lo).zip(&self.alpha);
+        let far: f64 = above_floor.map(|((t, lo), alpha)| alpha * (t - lo).powi(2)).sum();
         let rough: f64 =
             self.steps.iter().map(|(k, u, v)| (v * t[*k] - u * t[k - 1]).powi(2)).sum();
         0.5 * (far + rough) + self.time * t.iter().sum::<f64>()

@@ -39,7 +39,7 @@ use crate::{
     continuation::Continuation,
     model::{
         FFT_ROUNDING, ROWS_PER_TASK, UNREACHED_FRACTION,
-        columns::{Columns, Place},
+        columns::{Columns, ToolPlace},
         operator::Operator,
     },
     objective::{REST_FRACTION, median_length_mm},
@@ -69,11 +69,11 @@ impl<'a> Problem<'a> {
     }
 }
 
-/// The map before the plan, where it counts.
+/// Returns the RMS of the map before the plan, over the pixels of a weight that is not 0. Accepts weights of
+/// another shape, which the solver refuses later.
 pub fn rms_before(desired: &Surface, weight: Option<&Array2<f64>>) -> Rms {
     let Some(weight) = weight else { return Rms::of(desired) };
     let mut height = desired.height_nm().clone();
-    // Whether the shapes agree is for the solver to say.
     height.iter_mut().zip(weight).filter(|(_, w)| **w == 0.0).for_each(|(z, _)| *z = f64::NAN);
     let counted = Surface::new(*desired.grid(), height);
     counted.map_or_else(|_| Rms::of(desired), |surface| Rms::of(&surface))
@@ -123,13 +123,13 @@ impl Outcome {
     }
 }
 
-/// A problem made ready: (1) and the operator.
-pub(crate) struct Model<'a> {
+/// A problem made ready for a solver: its weights, its floor (1), and its operator.
+pub(crate) struct DwellModel<'a> {
     pub problem: Problem<'a>,
     /// The tool on the lattice of the map.
     pub tif: Cow<'a, Tif>,
     lattice: TifLattice,
-    pub places: Vec<Vec<Place>>,
+    pub places: Vec<Vec<ToolPlace>>,
     pub operator: Operator,
     /// Zero on invalid pixels.
     pub weight: Array2<f64>,
@@ -156,7 +156,11 @@ pub(crate) fn check_steps(steps: usize) -> Result<(), Invalid> {
     Err(Invalid::whole("max_iterations", format!("is {steps}"), remedy))
 }
 
-impl<'a> Model<'a> {
+impl<'a> DwellModel<'a> {
+    /// Makes the model for a solver.
+    ///
+    /// # Errors
+    /// Refuses what [`Self::with_any_floor`] refuses, and a floor that alone removes more than the map has.
     pub fn new(problem: &Problem<'a>) -> Result<Self, DwellError> {
         let model = Self::with_any_floor(problem)?;
         model.refuse_a_floor_above_the_map()?;
@@ -164,12 +168,18 @@ impl<'a> Model<'a> {
     }
 
     /// Makes the model for dwell times that follow a rule and are not solved for; accepts any removal by the floor.
+    ///
+    /// # Errors
+    /// Refuses a TIF that varies in time, weights and floors out of range, and a tool that does not reach the map.
     pub fn with_any_floor(problem: &Problem<'a>) -> Result<Self, DwellError> {
         Self::with_sensitivity(problem, Operator::adjoint)
     }
 
     /// Makes the model for solvers on a map of dwell times. They ask the sensitivity of a dwell point only whether it
     /// reaches the map. Within two pixels of its reach, a point counts as reaching it.
+    ///
+    /// # Errors
+    /// Refuses what [`Self::new`] refuses.
     pub fn for_map(problem: &Problem<'a>) -> Result<Self, DwellError> {
         let model = Self::with_sensitivity(problem, Operator::adjoint_with_spill)?;
         model.refuse_a_floor_above_the_map()?;
@@ -192,7 +202,8 @@ impl<'a> Model<'a> {
         if largest <= FFT_ROUNDING * tif.peak_nm_per_s() {
             return Err(DwellError::OutOfReach { points: path.len() });
         }
-        let floor_removal = lo.iter().any(|t| *t > 0.0).then(|| operator.apply(&lo));
+        let has_floor = lo.iter().any(|t| *t > 0.0);
+        let floor_removal = if has_floor { Some(operator.apply(&lo)) } else { None };
         Ok(Self {
             problem: *problem,
             tif,
@@ -208,11 +219,12 @@ impl<'a> Model<'a> {
         })
     }
 
-    /// A floor that removes more on average than the map has from its lowest to its highest point.
+    /// Refuses a floor that removes more on average than the map has from its lowest to its highest point.
     fn refuse_a_floor_above_the_map(&self) -> Result<(), Invalid> {
         let Some(floor_removal) = &self.floor_removal else { return Ok(()) };
         let (low, high) = self.range(self.problem.desired.height_nm());
-        let (floor, pv) = (self.mean(floor_removal), high - low);
+        let floor = self.mean(floor_removal);
+        let pv = high - low;
         if floor <= pv {
             return Ok(());
         }
@@ -235,20 +247,20 @@ impl<'a> Model<'a> {
         Err(Invalid::at("min_dwell", j, problem, remedy))
     }
 
-    /// Applies `of` to bands of `map` and their weights; returns the results in order.
+    /// Applies `evaluate` to bands of `map` and their weights; returns the results in order.
     fn by_bands<T: Send + Sync>(
         &self,
         map: &Array2<f64>,
-        of: impl Fn(ArrayView2<f64>, ArrayView2<f64>) -> T + Sync,
+        evaluate: impl Fn(ArrayView2<f64>, ArrayView2<f64>) -> T + Sync,
     ) -> Vec<T> {
         parallel::map(map.nrows().div_ceil(ROWS_PER_TASK), &|band| {
             let from = band * ROWS_PER_TASK;
             let rows = s![from..(from + ROWS_PER_TASK).min(map.nrows()), ..];
-            of(map.slice(rows), self.weight.slice(rows))
+            evaluate(map.slice(rows), self.weight.slice(rows))
         })
     }
 
-    /// Smallest and largest of `map` where the weight is not zero.
+    /// Returns the smallest and the largest value of `map` where the weight is not zero.
     pub fn range(&self, map: &Array2<f64>) -> (f64, f64) {
         let none = (f64::INFINITY, f64::NEG_INFINITY);
         let bands = self.by_bands(map, |z, w| {
@@ -259,7 +271,7 @@ impl<'a> Model<'a> {
         bands.into_iter().fold(none, |a, b| (a.0.min(b.0), a.1.max(b.1)))
     }
 
-    /// Weighted mean.
+    /// Returns the weighted mean of a map (ny, nx).
     pub fn mean(&self, map: &Array2<f64>) -> f64 {
         let bands = self.by_bands(map, |z, w| {
             Zip::from(z).and(w).fold((0.0, 0.0), |(sum, weight), z, w| {
@@ -270,25 +282,25 @@ impl<'a> Model<'a> {
         sum / weight
     }
 
-    /// Lowest value where the weight is not zero, but for this fraction of the pixels.
+    /// Returns the lowest value where the weight is not zero, after this fraction of the pixels is left out.
     pub fn lowest(&self, map: &Array2<f64>, fraction: f64) -> f64 {
         statistics::lowest(map.view(), Some(self.weight.view()), fraction)
             .expect("a model has a pixel that counts")
     }
 
-    /// `z - mean z`, 0 where the weight is 0.
+    /// Returns `z - mean z` of a map z (ny, nx), 0 where the weight is 0.
     pub fn centred(&self, map: &Array2<f64>) -> Array2<f64> {
         let mean = self.mean(map);
         Zip::from(map).and(&self.weight).map_collect(|z, w| if *w > 0.0 { z - mean } else { 0.0 })
     }
 
-    /// Weighted RMS without the mean.
+    /// Returns the weighted RMS of a map without its mean.
     pub fn rms(&self, map: &Array2<f64>) -> f64 {
         let z = self.centred(map);
         ((&z * &z * &self.weight).sum() / self.weight.sum()).sqrt()
     }
 
-    /// (1): `z - B lo`, 0 where the weight is 0.
+    /// Returns `z - B lo` of (1), shape (ny, nx), nm; 0 where the weight is 0.
     pub fn target(&self) -> Array2<f64> {
         let z = Zip::from(self.problem.desired.height_nm()).and(&self.weight);
         match &self.floor_removal {
@@ -303,19 +315,19 @@ impl<'a> Model<'a> {
         self.sensitivity[j].abs() > self.unreached_below
     }
 
-    /// (2) of dwell times: `M W^1/2 B t`, by rows.
+    /// Returns `A t` of (2), one element per pixel by rows, for dwell times t (n).
     pub fn weighted(&self, t: &[f64]) -> Vec<f64> {
         self.project(&self.operator.apply(t))
     }
 
-    /// `M W^1/2 z`, by rows.
+    /// Returns `M W^1/2 z` of a map z (ny, nx), one element per pixel by rows.
     pub fn project(&self, map: &Array2<f64>) -> Vec<f64> {
         // M W^1/2 z = W^1/2 (z - mean z)
         let centred = self.centred(map);
         centred.iter().zip(&self.weight).map(|(z, w)| w.sqrt() * z).collect()
     }
 
-    /// (2), adjoint: `B' W^1/2 M y`.
+    /// Returns `A' y` of (2), shape (n), for y with one element per pixel by rows.
     pub fn weighted_adjoint(&self, y: &[f64]) -> Vec<f64> {
         let y = ArrayView2::from_shape(self.weight.dim(), y).expect("one per pixel");
         // W^1/2 M y = W^1/2 (y - W^1/2 sum(W^1/2 y) / sum(w))
@@ -324,13 +336,14 @@ impl<'a> Model<'a> {
         self.operator.adjoint(&((&y - &(&root * mean)) * &root))
     }
 
-    /// `B' W M z`: the right-hand side of the normal equations.
+    /// Returns `B' W M z` (n) of a map z (ny, nx): the right-hand side of the normal equations.
     pub fn gradient(&self, map: &Array2<f64>) -> Vec<f64> {
         self.operator.adjoint(&(self.centred(map) * &self.weight))
     }
 
-    /// (3) with the least level c that brings every dwell time to its floor where a level can: where
-    /// b > 0.1. What is still below is put on its floor and counted; so are unreached dwell points.
+    /// Returns the dwell times (3) with the least level c that brings every dwell time to its floor where a level can:
+    /// where b > 0.1. Dwell times that are still below are put on their floor and counted; so are unreached dwell
+    /// points.
     pub fn levelled(&self, a: &[f64], b: &[f64]) -> Levelled {
         let n = self.lo.len();
         let level = (0..n)
@@ -355,34 +368,39 @@ impl<'a> Model<'a> {
         Levelled { dwell_s, level_s: level, clipped }
     }
 
-    /// Counted pixels that no dwell point reaches, for what the dwell times remove.
+    /// Counts the valid pixels that no dwell point reaches. `removal` is what the dwell times remove.
     fn unreached(&self, removal: &Array2<f64>, dwell_s: &[f64]) -> usize {
         // With R >= 0 what is removed in B t is at most max(t) of what is in B 1, and that at most
         // 2 n peak (Keys' interpolation stays below 1.3 peak): most maps need no second removal.
         let rate = self.problem.tif.rate_nm_per_s();
         let longest = dwell_s.iter().copied().fold(0.0, f64::max);
         let most = self.range(removal).1.max(0.0);
-        let enough = (2.0
+        let least_nm = (2.0
             * FFT_ROUNDING
             * dwell_s.len() as f64
             * self.problem.tif.peak_nm_per_s()
             * longest)
             .max(1e-9 * most);
-        let counted = |map: &Array2<f64>, floor: f64| -> usize {
-            let of = |r: ArrayView2<f64>, w: ArrayView2<f64>| {
-                r.iter().zip(w).filter(|(r, w)| **w > 0.0 && **r <= floor).count()
-            };
-            self.by_bands(map, of).iter().sum()
-        };
-        if rate.iter().all(|r| *r >= 0.0) && counted(removal, enough) == 0 {
+        if rate.iter().all(|r| *r >= 0.0) && self.pixels_up_to(removal, least_nm) == 0 {
             return 0;
         }
         let ones = self.operator.apply(&vec![1.0; dwell_s.len()]);
-        counted(&ones, FFT_ROUNDING * ones.iter().copied().fold(0.0, f64::max))
+        self.pixels_up_to(&ones, FFT_ROUNDING * ones.iter().copied().fold(0.0, f64::max))
+    }
+
+    /// Counts the pixels of a map that count and are at most `limit`.
+    fn pixels_up_to(&self, map: &Array2<f64>, limit: f64) -> usize {
+        let counts = self.by_bands(map, |z, w| {
+            z.iter().zip(w).filter(|(z, w)| **w > 0.0 && **z <= limit).count()
+        });
+        counts.iter().sum()
     }
 
     /// Returns the solution with these dwell times, s; those of unreached dwell points get the density of their
     /// neighbours.
+    ///
+    /// # Errors
+    /// Refuses dwell times that are not finite or negative.
     pub fn finish<R>(&self, mut dwell_s: Vec<f64>, report: R) -> Result<Solution<R>, DwellError> {
         let hi = vec![f64::INFINITY; dwell_s.len()];
         let unreached = Continuation::new(self.problem.path, |j| self.reached(j));
@@ -391,6 +409,9 @@ impl<'a> Model<'a> {
     }
 
     /// Returns the solution with these dwell times, s, unchanged.
+    ///
+    /// # Errors
+    /// Refuses dwell times that are not finite or negative.
     pub fn finish_as_they_are<R>(
         &self,
         dwell_s: Vec<f64>,
@@ -420,7 +441,7 @@ impl<'a> Model<'a> {
     }
 }
 
-/// (3).
+/// Dwell times with the level of (3).
 pub(crate) struct Levelled {
     pub dwell_s: Vec<f64>,
     /// c, s.
@@ -429,7 +450,7 @@ pub(crate) struct Levelled {
     pub clipped: usize,
 }
 
-/// l_j / l; a rest gets [`REST_FRACTION`].
+/// Returns l_j / l of every dwell point; a rest gets [`REST_FRACTION`].
 fn shape(path: &ToolPath) -> Vec<f64> {
     match median_length_mm(path) {
         Some(median) => (0..path.len())

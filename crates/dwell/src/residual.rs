@@ -36,7 +36,7 @@ pub use crate::objective::Free;
 use crate::{
     DwellError,
     bounds::pixel_weights,
-    columns::{self, Patch, Place},
+    columns::{self, Patch, ToolPlace},
     model::{FFT_ROUNDING, operator::Operator, products::Order},
     objective::Basis,
     surrogate::{MAX_LOSS_FACTORISED, cell_size},
@@ -47,7 +47,7 @@ pub struct Residual<'a> {
     desired: &'a Surface,
     tif: Cow<'a, Tif>,
     /// Places of the tool with the factor of the rate there.
-    places: Vec<Place>,
+    places: Vec<ToolPlace>,
     /// Weights of the pixels; their sum is 1.
     weight: Array2<f64>,
     free: Free,
@@ -68,6 +68,10 @@ pub struct Evaluation {
 impl<'a> Residual<'a> {
     /// Makes (1) for the desired removal, a tool, and its places (n). Without weights every valid pixel counts the
     /// same.
+    ///
+    /// # Errors
+    /// Refuses weights as the solvers do, a TIF that has no place on the lattice of the map, and places that reach
+    /// nothing.
     pub fn new(
         desired: &'a Surface,
         tif: &'a Tif,
@@ -75,22 +79,25 @@ impl<'a> Residual<'a> {
         weight: Option<&Array2<f64>>,
         free: Free,
     ) -> Result<Self, DwellError> {
-        let places = places_mm.iter().map(|p| Place::new(*p, 1.0)).collect();
+        let places = places_mm.iter().map(|p| ToolPlace::new(*p, 1.0)).collect();
         Self::at_places(desired, tif, places, weight, free)
     }
 
-    /// [`Self::new`] of places with their directions; the fraction of a place is the factor of the rate there.
+    /// Makes (1) for places with their directions; the fraction of a place is the factor of the rate there.
+    ///
+    /// # Errors
+    /// Refuses what [`Self::new`] refuses.
     pub fn at_places(
         desired: &'a Surface,
         tif: &'a Tif,
-        places: Vec<Place>,
+        places: Vec<ToolPlace>,
         weight: Option<&Array2<f64>>,
         free: Free,
     ) -> Result<Self, DwellError> {
         let tif = tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?.tif;
         let mut weight = pixel_weights(desired, weight)?;
         weight /= weight.sum();
-        let columns: Vec<Vec<Place>> = places.iter().map(|place| vec![*place]).collect();
+        let columns: Vec<Vec<ToolPlace>> = places.iter().map(|place| vec![*place]).collect();
         let operator = Operator::new(&columns, &tif, desired.grid())?;
         let largest = operator.adjoint(&weight).into_iter().fold(0.0, f64::max);
         if largest <= FFT_ROUNDING * tif.peak_nm_per_s() {
@@ -106,22 +113,22 @@ impl<'a> Residual<'a> {
         Self { cell_size: self.cell_size.min(pixels), ..self }
     }
 
-    /// Pixels along the side of a cell of the normal matrices.
+    /// Returns the pixels along the side of a cell of the normal matrices.
     pub fn cell_size(&self) -> usize {
         self.cell_size
     }
 
-    /// f and its gradient for the times at the places (n), s.
+    /// Returns f and its gradient for the times at the places (n), s.
     pub fn evaluate(&self, time_s: &[f64]) -> Evaluation {
         self.evaluate_removal(&self.removal_nm(time_s))
     }
 
-    /// B t for the times at the places (n), s; (ny, nx), nm.
+    /// Returns the removal B t, shape (ny, nx), nm, for the times at the places (n), s.
     pub fn removal_nm(&self, time_s: &[f64]) -> Array2<f64> {
         self.operator.apply(time_s)
     }
 
-    /// f and its gradient where the removal (ny, nx), nm, is this one in the place of B t.
+    /// Returns f and its gradient for a removal (ny, nx), nm, in the place of B t.
     pub fn evaluate_removal(&self, removal_nm: &Array2<f64>) -> Evaluation {
         let mut r = Zip::from(self.desired.height_nm())
             .and(removal_nm)
@@ -134,33 +141,33 @@ impl<'a> Residual<'a> {
         Evaluation { half_mean_square_nm2: 0.5 * square, gradient_nm2_per_s: gradient }
     }
 
-    /// The curvature of f times some times at the places (n), s: what the gradient changes by with them, nm^2/s.
+    /// Returns the product of the curvature of f with some times at the places (n), s: the change of the gradient,
+    /// nm^2/s.
     pub fn curvature(&self, time_s: &[f64]) -> Vec<f64> {
         let mut r = self.removal_nm(time_s);
         self.basis.project(&self.weight, &mut r);
         self.operator.adjoint(&(&r * &self.weight))
     }
 
-    /// Mean removal for the times at the places (n), s, over the weighted pixels, nm.
+    /// Returns the mean removal over the weighted pixels, nm, for the times at the places (n), s.
     pub fn mean_removal_nm(&self, time_s: &[f64]) -> f64 {
         (&self.removal_nm(time_s) * &self.weight).sum()
     }
 
-    /// The normal matrix of columns (m), each a sum of some places by their indices, with a time at each; it has room
-    /// for the coupling of every column with the next one. Refuses one beyond the memory budget.
+    /// Returns the normal matrix of columns (m), each a sum of some places by their indices, with a time at each. It
+    /// has room for the coupling of every column with the next one.
     ///
-    /// What is `known` of them from another matrix of the same map and tool is not computed again.
+    /// Parts that are `known` from another matrix of the same map and tool are not computed again.
+    ///
+    /// # Errors
+    /// Refuses a matrix beyond the memory budget.
     pub fn normal(
         &self,
         columns: &[Vec<(usize, f64)>],
         known: Option<Known>,
     ) -> Result<Normal, Invalid> {
-        let place = |(index, time): &(usize, f64)| {
-            let place = self.places[*index];
-            Place { fraction: place.fraction * time, ..place }
-        };
-        let places: Vec<Vec<Place>> =
-            columns.iter().map(|column| column.iter().map(place).collect()).collect();
+        let places: Vec<Vec<ToolPlace>> =
+            columns.iter().map(|column| self.timed_places(column)).collect();
         let mut known = known.unwrap_or_else(|| Known::nothing(columns.len()));
         let cells = self.on_cells(&places, &mut known);
         let position_mm = [0, 1].map(|axis| positions_mm(&places, axis));
@@ -174,9 +181,8 @@ impl<'a> Residual<'a> {
             size_of::<f64>(),
             "give a path of fewer nodes: wider lines, or a larger spacing of the nodes",
         )?;
-        let of_known: Vec<Option<KnownRow>> = ordered.order.iter().map(|j| known.row(*j)).collect();
-        let before = |i: usize, l: usize| of_known[i].as_ref()?.coupling(ordered.order[l]);
-        let k = ordered.products(&cells, before);
+        let rows: Vec<Option<KnownRow>> = ordered.order.iter().map(|j| known.row(*j)).collect();
+        let k = ordered.products(&cells, |i, l| rows[i].as_ref()?.coupling(ordered.order[l]));
         let order = ordered.order;
         // U = B' w^1/2 P w^1/2 f of the free functions f
         let size = self.cell_size;
@@ -189,18 +195,27 @@ impl<'a> Residual<'a> {
         Ok(Normal { order, matrix: Quadratic { k, u }, below_curvature, cells })
     }
 
-    /// Removal of every column on cells of pixels; takes known ones from `known`.
-    fn on_cells(&self, places: &[Vec<Place>], known: &mut Known) -> Vec<Patch> {
+    /// Returns the places of a column, given by index and time.
+    fn timed_places(&self, column: &[(usize, f64)]) -> Vec<ToolPlace> {
+        let timed = column.iter().map(|(index, time)| {
+            let place = self.places[*index];
+            ToolPlace { fraction: place.fraction * time, ..place }
+        });
+        timed.collect()
+    }
+
+    /// Returns the removal of every column on cells of pixels; takes known ones out of `known`.
+    fn on_cells(&self, places: &[Vec<ToolPlace>], known: &mut Known) -> Vec<Patch> {
         let grid = self.desired.grid();
         let new = places.iter().zip(&known.column).filter(|(_, before)| before.is_none());
-        let new: Vec<Vec<Place>> = new.map(|(places, _)| places.clone()).collect();
+        let new: Vec<Vec<ToolPlace>> = new.map(|(places, _)| places.clone()).collect();
         let size = self.cell_size;
         let mut made = columns::on_cells(&new, &self.tif, grid, &self.weight, size).into_iter();
-        let of = |before: &Option<usize>| match before {
+        let columns = known.column.iter().map(|before| match before {
             Some(j) => std::mem::take(&mut known.cells[*j]),
             None => made.next().expect("one for every new column"),
-        };
-        known.column.iter().map(of).collect()
+        });
+        columns.collect()
     }
 }
 
@@ -220,7 +235,7 @@ impl Known {
         Self { column: vec![None; columns], row_of: Vec::new(), k, cells: Vec::new() }
     }
 
-    /// The row of a column that is known.
+    /// Returns the row of a column, if it is known.
     fn row(&self, column: usize) -> Option<KnownRow<'_>> {
         let row = self.row_of[self.column[column]?];
         Some(KnownRow { known: self, row, first: self.k.first(row), elements: self.k.row(row) })
@@ -236,14 +251,15 @@ struct KnownRow<'a> {
 }
 
 impl KnownRow<'_> {
-    /// The element of this row and of a column that is known, too.
+    /// Returns the element of this row and another column, if that one is known, too.
     fn coupling(&self, column: usize) -> Option<f64> {
         let Known { column: before, row_of, k, .. } = self.known;
         let other = row_of[before[column]?];
         // Both matrices have nearly the same order, so the other one is nearly always before this one.
-        match (self.first..=self.row).contains(&other) {
-            true => Some(self.elements[other - self.first]),
-            false => Some(k.at(self.row.max(other), self.row.min(other))),
+        if (self.first..=self.row).contains(&other) {
+            Some(self.elements[other - self.first])
+        } else {
+            Some(k.element(self.row.max(other), self.row.min(other)))
         }
     }
 }
@@ -262,7 +278,7 @@ pub struct Normal {
 }
 
 impl Normal {
-    /// Row of every column.
+    /// Returns the row of every column.
     pub fn row_of(&self) -> Vec<usize> {
         let mut row_of = vec![0; self.order.len()];
         self.order.iter().enumerate().for_each(|(i, j)| row_of[*j] = i);
@@ -280,7 +296,7 @@ impl Normal {
         Self { cells: Vec::new(), ..self }
     }
 
-    /// The matrix times a vector, both in the order of the columns.
+    /// Returns the product of the matrix with a vector, both in the order of the columns.
     pub fn product(&self, x: &[f64]) -> Vec<f64> {
         let by_rows: Vec<f64> = self.order.iter().map(|j| x[*j]).collect();
         let mut product = vec![0.0; x.len()];
@@ -290,9 +306,9 @@ impl Normal {
     }
 }
 
-/// Positions of the columns along an axis, mm. A column without a place gets the position of its predecessor, so that
-/// their coupling costs nothing.
-fn positions_mm(columns: &[Vec<Place>], axis: usize) -> Vec<f64> {
+/// Returns the positions of the columns along an axis, mm. A column without a place gets the position of its
+/// predecessor, so that their coupling costs nothing.
+fn positions_mm(columns: &[Vec<ToolPlace>], axis: usize) -> Vec<f64> {
     let mut positions: Vec<f64> = Vec::with_capacity(columns.len());
     for places in columns {
         let sum: f64 = places.iter().map(|p| p.position_mm[axis]).sum();

@@ -34,21 +34,20 @@ pub struct ResidualSlope {
 impl ResidualSlope {
     /// Refuses a weight or a base that is no positive number.
     pub(crate) fn check(&self) -> Result<(), Invalid> {
-        let of = |value: f64| value.is_finite() && value > 0.0;
         let named = [
             ("residual_slope_weight_mm2", self.weight_mm2),
             ("residual_slope_base_mm", self.base_mm),
         ];
-        match named.into_iter().find(|(_, value)| !of(*value)) {
-            None => Ok(()),
-            Some((name, value)) => {
-                Err(Invalid::whole(name, format!("is {value}"), "give a number > 0"))
+        for (name, value) in named {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(Invalid::whole(name, format!("is {value}"), "give a number > 0"));
             }
         }
+        Ok(())
     }
 
-    /// Twice the term (1) of a residual, over the number of its valid pixels, nm^2: W times the mean square of the
-    /// slopes, which adds to the mean square of the heights.
+    /// Returns twice the term (1) of a residual, over the number of its valid pixels, nm^2: W times the mean square
+    /// of the slopes, which adds to the mean square of the heights.
     pub fn mean_square_nm2(&self, residual: &Surface) -> f64 {
         let weight = residual.height_nm().map(|z| if z.is_nan() { 0.0 } else { 1.0 });
         let known = residual.height_nm().map(|z| if z.is_nan() { 0.0 } else { *z });
@@ -81,12 +80,13 @@ impl SlopeTerm {
         }
     }
 
-    /// S r.
+    /// Returns the product S r with a map r (ny, nx).
     pub fn product(&self, map: &Array2<f64>) -> Array2<f64> {
         let mut sum = Array2::zeros(map.dim());
         for (axis, steps, base_mm) in &self.directions {
-            let kept = map.len_of(*axis) - steps;
-            let (near, far) = (Slice::from(..kept), Slice::from(*steps..));
+            let pairs_along = map.len_of(*axis) - steps;
+            let near = Slice::from(..pairs_along);
+            let far = Slice::from(*steps..);
             // D r, weighted
             let factor = self.weight_mm2 / (base_mm * base_mm);
             let mut pairs = Zip::from(map.slice_axis(*axis, near))

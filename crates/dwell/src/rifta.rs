@@ -14,8 +14,8 @@
 //!
 //! The dwell map then goes to the path (`dwell_map.rs`). Solves on the pixels of the map, so
 //! the pitch of the path must be fine against the TIF. A tool that removes beside its place is seen as one that
-//! removes around it ([`planish_types::Tif::centred_on`]), so that margin and half size are those of the removal. The map
-//! beyond the aperture is `extension.rs`, brought down to zero beyond the reach of the margin.
+//! removes around it ([`planish_types::Tif::centred_on`]), so that margin and half size are those of the removal. The
+//! map beyond the aperture is `extension.rs`, brought down to zero beyond the reach of the margin.
 //!
 //! Source: T. Wang et al., Sci. Rep. 10 (2020) 8135, with the search in one dimension (theirs is a
 //! simplex) and the floor in the model.
@@ -30,20 +30,20 @@ use std::f64::consts::PI;
 
 use ndarray::{Array2, Zip};
 use planish_numerics::fft::Complex64;
-use planish_types::{End, Invalid, progress};
+use planish_types::{Axis, End, Grid, Invalid, progress};
 use serde::Serialize;
 
 use crate::{
     DwellError,
-    dwell_map::{Cells, DwellMap},
+    dwell_map::{DwellMap, NodeOwners},
     extension::Extension,
     lucy_richardson::counts,
-    problem::{Model, Problem, Solution, check},
+    problem::{DwellModel, Problem, Solution, check},
 };
 
 /// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct RiftaSettings {
     /// RMS that a smaller margin may cost, nm; >= 0.
     pub margin_tolerance_nm: f64,
     /// Change of the RMS at which the lift of the map ends, nm; > 0.
@@ -54,7 +54,7 @@ pub struct Settings {
     pub pits: f64,
 }
 
-impl Default for Settings {
+impl Default for RiftaSettings {
     fn default() -> Self {
         // Those of the source, where the lowest pixel decides.
         Self { margin_tolerance_nm: 0.02, piston_tolerance_nm: 1e-3, max_lifts: 10, pits: 1e-3 }
@@ -63,7 +63,7 @@ impl Default for Settings {
 
 /// Result of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct RiftaReport {
     /// Reason for which the lifts of the map ended: `settled` (another lift would lower the RMS by little or not at
     /// all), or `lift-limit`.
     pub end: End,
@@ -83,19 +83,26 @@ pub struct Report {
     pub map_rms_nm: f64,
 }
 
-impl Report {
+impl RiftaReport {
     /// Returns the reason of a negative verdict; none if the lifts settled.
     pub fn negative(&self) -> Option<String> {
-        (self.end == End::LiftLimit).then(|| {
-            "not settled: every lift of the map that is allowed was taken, and another would lower the RMS"
-                .to_string()
-        })
+        if self.end != End::LiftLimit {
+            return None;
+        }
+        let reason = "not settled: every lift of the map that is allowed was taken, and another would lower the RMS";
+        Some(reason.to_string())
     }
 }
 
-/// Solves by (1).
-pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
-    let Settings { margin_tolerance_nm, piston_tolerance_nm, .. } = *settings;
+/// Solves by (1), with the margin that costs less time and hardly any residual.
+///
+/// # Errors
+/// Refuses settings out of range, a TIF that varies or is larger than the map, and what every solver refuses.
+pub fn solve(
+    problem: &Problem<'_>,
+    settings: &RiftaSettings,
+) -> Result<Solution<RiftaReport>, DwellError> {
+    let RiftaSettings { margin_tolerance_nm, piston_tolerance_nm, .. } = *settings;
     check("margin_tolerance_nm", margin_tolerance_nm, |t| t >= 0.0, "give a number >= 0")?;
     check("piston_tolerance_nm", piston_tolerance_nm, |t| t > 0.0, "give a number > 0")?;
     check("pits", settings.pits, |p| (0.0..1.0).contains(&p), "give a fraction from 0 to below 1")?;
@@ -103,35 +110,36 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     refuse_a_tif_larger_than_the_map(problem)?;
     let centred = problem.tif.centred_on(problem.desired)?;
     let problem = &problem.with(centred.as_ref());
-    let model = Model::for_map(problem)?;
+    let model = DwellModel::for_map(problem)?;
     let fourier = Fourier::new(&model, settings.pits)?;
     if !(fourier.map.rate_sum > 0.0 && fourier.map.rate_sum.is_finite()) {
-        let (nx, ny) = (problem.tif.grid().x.len(), problem.tif.grid().y.len());
+        let Grid { x, y } = problem.tif.grid();
         return Err(Invalid::whole(
             "rate_nm_per_s",
-            format!("of {nx} x {ny} samples has no sum on the pixels of the map"),
+            format!("of {} x {} samples has no sum on the pixels of the map", x.len(), y.len()),
             "check that the TIF and the map are both in mm, and bin the finer one",
         )
         .into());
     }
     // Reference: the margin of the TIF; then smaller ones, from a third of it.
-    let solve = |k: usize, margin_mm: f64| {
-        progress::part(k, 1 + MARGINS_TRIED, || fourier.solve(margin_mm, settings))
-    };
-    let mut tried = vec![solve(0, fourier.radius_mm)];
+    let radius_mm = fourier.radius_mm;
+    let reference = progress::part(0, 1 + MARGINS_TRIED, || fourier.solve(radius_mm, settings));
+    let mut best = 0;
+    let mut tried = vec![reference];
     for k in 0..MARGINS_TRIED {
         let fraction = 1.0 / 3.0 + 2.0 / 3.0 * k as f64 / MARGINS_TRIED as f64;
-        tried.push(solve(1 + k, fraction * fourier.radius_mm));
-        let (first, last) = (&tried[0], &tried[tried.len() - 1]);
-        if last.time_s < first.time_s && last.rms_nm - first.rms_nm < margin_tolerance_nm {
+        tried.push(progress::part(1 + k, 1 + MARGINS_TRIED, || {
+            fourier.solve(fraction * radius_mm, settings)
+        }));
+        let last = &tried[1 + k];
+        if last.time_s < tried[0].time_s && last.rms_nm - tried[0].rms_nm < margin_tolerance_nm {
+            best = 1 + k;
             break;
         }
     }
-    let (first, last) = (&tried[0], &tried[tried.len() - 1]);
-    let smaller = last.time_s < first.time_s && last.rms_nm - first.rms_nm < margin_tolerance_nm;
-    let best = if smaller { last } else { first };
+    let best = &tried[best];
     let t = fourier.cells.to_path(&best.seconds, problem.path.len());
-    let report = Report {
+    let report = RiftaReport {
         end: if best.settled { End::Settled } else { End::LiftLimit },
         relative_gamma: best.gamma * fourier.map.rate_sum,
         piston_nm: best.piston_nm,
@@ -151,9 +159,11 @@ const MARGINS_TRIED: usize = 8;
 /// Refuses a TIF larger than the map: most of the extended map would then be border, which is no measurement of the
 /// mirror.
 pub(crate) fn refuse_a_tif_larger_than_the_map(problem: &Problem<'_>) -> Result<(), Invalid> {
-    let (map, tif) = (problem.desired.grid(), problem.tif.grid());
+    let map = problem.desired.grid();
+    let tif = problem.tif.grid();
     for (name, map, tif) in [("x_mm", &map.x, &tif.x), ("y_mm", &map.y, &tif.y)] {
-        let (size, limit) = (tif.end_mm() - tif.start_mm(), map.end_mm() - map.start_mm());
+        let size = tif.end_mm() - tif.start_mm();
+        let limit = map.end_mm() - map.start_mm();
         if size > limit {
             return Err(Invalid::whole(
                 name,
@@ -168,9 +178,9 @@ pub(crate) fn refuse_a_tif_larger_than_the_map(problem: &Problem<'_>) -> Result<
 
 /// The extended map and what does not change from one margin to the next.
 struct Fourier<'a> {
-    model: &'a Model<'a>,
+    model: &'a DwellModel<'a>,
     map: DwellMap,
-    cells: Cells,
+    cells: NodeOwners,
     extension: Extension,
     /// z - B lo - min on the aperture, continued, and its weight by the distance (1 within reach).
     target: Array2<f64>,
@@ -181,8 +191,8 @@ struct Fourier<'a> {
     radius_mm: f64,
 }
 
-/// A dwell map and what it does.
-struct Found {
+/// The dwell map for a margin and its effect.
+struct MarginTrial {
     seconds: Array2<f64>,
     gamma: f64,
     piston_nm: f64,
@@ -194,7 +204,7 @@ struct Found {
 }
 
 impl<'a> Fourier<'a> {
-    fn new(model: &'a Model<'a>, pits: f64) -> Result<Self, DwellError> {
+    fn new(model: &'a DwellModel<'a>, pits: f64) -> Result<Self, DwellError> {
         let Problem { desired, tif, path, .. } = model.problem;
         let [half_x, half_y] = tif.half_size_mm();
         let radius_mm = half_x.max(half_y);
@@ -211,24 +221,18 @@ impl<'a> Fourier<'a> {
             0.5 * (1.0 + (PI * beyond).cos())
         });
         let map = DwellMap::new(tif, &extension.grid)?;
-        let cells = Cells::new(path, &map.grid, |p| counts(desired, &model.weight, p));
-        let near = |axis: &planish_types::Axis, p: f64| {
-            let i = ((p - axis.start_mm()) / axis.step_mm()).round();
-            i.clamp(0.0, (axis.len() - 1) as f64) as usize
-        };
+        let cells = NodeOwners::new(path, &map.grid, |p| counts(desired, &model.weight, p));
         let owned = cells.owned();
         let distance_mm = Array2::from_shape_fn(map.grid.shape(), |(r, c)| {
-            let p = (
-                near(&extension.grid.y, map.grid.y.at(r)),
-                near(&extension.grid.x, map.grid.x.at(c)),
-            );
+            let row = nearest_index(&extension.grid.y, map.grid.y.at(r));
+            let p = (row, nearest_index(&extension.grid.x, map.grid.x.at(c)));
             // No path, no dwell.
             if owned[[r, c]] { extension.distance_mm(p) } else { f64::INFINITY }
         });
         Ok(Self { model, map, cells, extension, target, taper, distance_mm, radius_mm })
     }
 
-    /// (1) within the margin, and the RMS in the aperture.
+    /// Returns the dwell map (1) within the margin, its residual in the aperture, and the RMS of that.
     fn apply(&self, piston_nm: f64, gamma: f64, margin_mm: f64) -> (Array2<f64>, Array2<f64>, f64) {
         let lifted = (&self.target + piston_nm) * &self.taper;
         let mut seconds = self.map.filtered(&lifted, |r| {
@@ -249,7 +253,8 @@ impl<'a> Fourier<'a> {
         (seconds, residual, rms)
     }
 
-    fn solve(&self, margin_mm: f64, settings: &Settings) -> Found {
+    /// Lifts the map until the RMS settles, for one margin.
+    fn solve(&self, margin_mm: f64, settings: &RiftaSettings) -> MarginTrial {
         let gamma = self.gamma(margin_mm);
         let mut piston_nm = 0.0;
         let (mut seconds, mut residual, mut rms) = self.apply(piston_nm, gamma, margin_mm);
@@ -271,35 +276,54 @@ impl<'a> Fourier<'a> {
             }
         }
         let time_s = seconds.sum();
-        Found { time_s, seconds, gamma, piston_nm, margin_mm, rms_nm: rms, settled }
+        MarginTrial { time_s, seconds, gamma, piston_nm, margin_mm, rms_nm: rms, settled }
     }
 
-    /// The cap with the least RMS: a scan over three decades, then the golden section.
+    /// Returns the cap of the gain with the least RMS: a scan over three decades, then the golden section.
     fn gamma(&self, margin_mm: f64) -> f64 {
         let unit = 1.0 / self.map.rate_sum;
-        let rms = |ln: f64| self.apply(0.0, unit * ln.exp(), margin_mm).2;
-        let ln_of = |k: usize| 1e3_f64.ln() * k as f64 / CAPS_SCANNED as f64;
-        let scan: Vec<f64> = (0..=CAPS_SCANNED).map(|k| rms(ln_of(k))).collect();
+        let scan: Vec<f64> =
+            (0..=CAPS_SCANNED).map(|k| self.rms_of_cap(ln_cap(k), margin_mm)).collect();
         let k = (0..=CAPS_SCANNED).min_by(|a, b| scan[*a].total_cmp(&scan[*b])).unwrap_or(0);
-        let (mut low, mut high) = (ln_of(k.saturating_sub(1)), ln_of((k + 1).min(CAPS_SCANNED)));
+        let mut low = ln_cap(k.saturating_sub(1));
+        let mut high = ln_cap((k + 1).min(CAPS_SCANNED));
         let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
-        let (mut a, mut b) = (high - golden * (high - low), low + golden * (high - low));
-        let (mut at_a, mut at_b) = (rms(a), rms(b));
+        let mut a = high - golden * (high - low);
+        let mut b = low + golden * (high - low);
+        let mut rms_a = self.rms_of_cap(a, margin_mm);
+        let mut rms_b = self.rms_of_cap(b, margin_mm);
         for _ in 0..10 {
-            if at_a < at_b {
-                (high, b, at_b) = (b, a, at_a);
+            if rms_a < rms_b {
+                (high, b, rms_b) = (b, a, rms_a);
                 a = high - golden * (high - low);
-                at_a = rms(a);
+                rms_a = self.rms_of_cap(a, margin_mm);
             } else {
-                (low, a, at_a) = (a, b, at_b);
+                (low, a, rms_a) = (a, b, rms_b);
                 b = low + golden * (high - low);
-                at_b = rms(b);
+                rms_b = self.rms_of_cap(b, margin_mm);
             }
         }
-        let found = if at_a < at_b { (a, at_a) } else { (b, at_b) };
+        let (narrowed, rms) = if rms_a < rms_b { (a, rms_a) } else { (b, rms_b) };
         // The scan may have met a lower valley than the one that was narrowed down.
-        unit * if found.1 < scan[k] { found.0 } else { ln_of(k) }.exp()
+        unit * if rms < scan[k] { narrowed } else { ln_cap(k) }.exp()
     }
+
+    /// Returns the RMS with a cap, given as the logarithm of gamma over that for a constant.
+    fn rms_of_cap(&self, ln_cap: f64, margin_mm: f64) -> f64 {
+        let unit = 1.0 / self.map.rate_sum;
+        self.apply(0.0, unit * ln_cap.exp(), margin_mm).2
+    }
+}
+
+/// Returns the logarithm of the k-th cap of the scan.
+fn ln_cap(k: usize) -> f64 {
+    1e3_f64.ln() * k as f64 / CAPS_SCANNED as f64
+}
+
+/// Returns the index of the coordinate nearest to p, mm; that of an end beyond it.
+fn nearest_index(axis: &Axis, p: f64) -> usize {
+    let i = ((p - axis.start_mm()) / axis.step_mm()).round();
+    i.clamp(0.0, (axis.len() - 1) as f64) as usize
 }
 
 /// Number of intervals of the scan of the cap over a factor of 1000, before the best cap is narrowed down; neighbours

@@ -27,7 +27,7 @@ use serde::Serialize;
 
 use crate::{
     DwellError,
-    problem::{Model, Problem, Solution, check},
+    problem::{DwellModel, Problem, Solution, check},
 };
 
 /// Choice of delta. Relative dampings are fractions of the largest singular value of `M W^1/2 B`.
@@ -44,7 +44,7 @@ pub enum Damping {
 
 /// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct TikhonovLsqrSettings {
     /// Choice of delta.
     pub damping: Damping,
     /// Orthogonality of residual and columns at which LSQR ends.
@@ -53,7 +53,7 @@ pub struct Settings {
     pub max_iterations: usize,
 }
 
-impl Default for Settings {
+impl Default for TikhonovLsqrSettings {
     fn default() -> Self {
         // On a measured mirror dwell times are not negative from 1e-2 on, and the residual is within
         // a tenth of the unconstrained least one.
@@ -63,7 +63,7 @@ impl Default for Settings {
 
 /// Result of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct TikhonovLsqrReport {
     /// `converged` or `iteration-limit`.
     pub end: End,
     /// Steps of LSQR.
@@ -86,7 +86,7 @@ pub struct Report {
     pub clipped: usize,
 }
 
-impl Report {
+impl TikhonovLsqrReport {
     /// Returns the reason of a negative verdict; none if the solver converged and reached the noise.
     pub fn negative(&self) -> Option<String> {
         if !self.noise_reached {
@@ -115,11 +115,11 @@ const PARTS_AT_THE_NOISE: usize = 8;
 
 impl Damping {
     fn check(self) -> Result<(), DwellError> {
-        let positive = |v: f64| v > 0.0;
         match self {
-            Damping::Relative(d) => check("damping", d, positive, "give a number > 0")?,
+            Damping::Relative(d) => check("damping", d, |d| d > 0.0, "give a number > 0")?,
             Damping::Discrepancy(noise) => {
-                check("noise_rms_nm", noise, positive, "give the noise of the map in nm, > 0")?;
+                let remedy = "give the noise of the map in nm, > 0";
+                check("noise_rms_nm", noise, |n| n > 0.0, remedy)?;
             }
             Damping::LCurve => {}
         }
@@ -127,55 +127,44 @@ impl Damping {
     }
 }
 
-/// Solves (1).
-pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
+/// Solves (1), with the damping or by the search for it.
+///
+/// # Errors
+/// Refuses a damping or a noise that is not positive, and what every solver refuses.
+pub fn solve(
+    problem: &Problem<'_>,
+    settings: &TikhonovLsqrSettings,
+) -> Result<Solution<TikhonovLsqrReport>, DwellError> {
     settings.damping.check()?;
-    let model = Model::new(problem)?;
+    let model = DwellModel::new(problem)?;
     let largest =
         largest_singular_value(|t| model.weighted_adjoint(&model.weighted(t)), problem.path.len());
     if largest <= 0.0 {
         return Err(DwellError::OutOfReach { points: problem.path.len() });
     }
-    let falling = |(from, to, count): (f64, f64, usize)| -> Vec<f64> {
-        (0..count).map(|k| to * (from / to).powf(k as f64 / (count - 1) as f64)).collect()
-    };
     let mut relative = match settings.damping {
         Damping::Relative(d) => vec![d],
-        Damping::LCurve => falling(SEARCHED_DAMPINGS),
-        Damping::Discrepancy(_) => falling(SEARCHED_FOR_NOISE),
+        Damping::LCurve => falling_dampings(SEARCHED_DAMPINGS),
+        Damping::Discrepancy(_) => falling_dampings(SEARCHED_FOR_NOISE),
     };
-    let run = |b: &[f64], relative: &[f64]| -> Vec<Damped> {
-        let dampings: Vec<f64> = relative.iter().map(|d| d * largest).collect();
-        lsqr(
-            |t| model.weighted(t),
-            |y| model.weighted_adjoint(y),
-            b,
-            &dampings,
-            settings.tolerance,
-            settings.max_iterations,
-            progress::of_excess(),
-        )
-    };
-    let z = problem.desired.height_nm();
-    let projected = model.project(z);
-    let mut found = progress::part(0, 3, || run(&projected, &relative));
-    let rms_of = |found: &[Damped]| -> Vec<f64> {
-        found.iter().map(|f| model.rms(&(z - &model.operator.apply(&f.value)))).collect()
-    };
-    let mut rms = rms_of(&found);
+    let projected = model.project(problem.desired.height_nm());
+    let mut solutions =
+        progress::part(0, 3, || damped(&model, &projected, largest, &relative, settings));
+    let mut rms = residual_rms(&model, &solutions);
     if let Damping::Discrepancy(noise) = settings.damping
         && let Some(k) = rms.iter().position(|r| *r <= noise).filter(|k| *k > 0)
     {
         // Between the last damping with too large a residual and the first without
-        let inner = falling((relative[k], relative[k - 1], PARTS_AT_THE_NOISE + 1));
+        let inner = falling_dampings((relative[k], relative[k - 1], PARTS_AT_THE_NOISE + 1));
         let inner = inner[1..PARTS_AT_THE_NOISE].to_vec();
-        let of_inner = progress::part(1, 3, || run(&projected, &inner));
-        rms.splice(k..k, rms_of(&of_inner));
-        found.splice(k..k, of_inner);
+        let of_inner =
+            progress::part(1, 3, || damped(&model, &projected, largest, &inner, settings));
+        rms.splice(k..k, residual_rms(&model, &of_inner));
+        solutions.splice(k..k, of_inner);
         relative.splice(k..k, inner);
     }
     let norm: Vec<f64> =
-        found.iter().map(|f| f.value.iter().map(|t| t * t).sum::<f64>().sqrt()).collect();
+        solutions.iter().map(|f| f.value.iter().map(|t| t * t).sum::<f64>().sqrt()).collect();
     let (chosen, noise_reached) = match settings.damping {
         Damping::Relative(_) => (0, true),
         Damping::Discrepancy(noise) => match rms.iter().position(|r| *r <= noise) {
@@ -186,12 +175,14 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     };
     // The answer to a level of dwell: b = s + argmin |A u + A s|^2 + delta^2 |u|^2.
     let level: Vec<f64> = model.weighted(&model.shape).iter().map(|v| -v).collect();
-    let answer = progress::part(2, 3, || run(&level, &relative[chosen..=chosen])).remove(0);
+    let chosen_damping = &relative[chosen..=chosen];
+    let answer = progress::part(2, 3, || damped(&model, &level, largest, chosen_damping, settings))
+        .remove(0);
     let b: Vec<f64> = model.shape.iter().zip(&answer.value).map(|(s, u)| s + u).collect();
-    let chosen_one = &found[chosen];
+    let chosen_one = &solutions[chosen];
     let levelled = model.levelled(&chosen_one.value, &b);
     let converged = chosen_one.converged && answer.converged;
-    let report = Report {
+    let report = TikhonovLsqrReport {
         end: if converged { End::Converged } else { End::IterationLimit },
         iterations: chosen_one.iterations.max(answer.iterations),
         relative_damping: relative[chosen],
@@ -206,22 +197,59 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     model.finish(levelled.dwell_s, report)
 }
 
-/// Index of the corner of the curve (ln residual, ln norm): the largest Menger curvature
+/// Returns the dampings of a search (smallest, largest, number), in falling order and equal ratios.
+fn falling_dampings((from, to, count): (f64, f64, usize)) -> Vec<f64> {
+    (0..count).map(|k| to * (from / to).powf(k as f64 / (count - 1) as f64)).collect()
+}
+
+/// Returns the solution for the right-hand side b with each of the dampings, as fractions of `largest`.
+fn damped(
+    model: &DwellModel<'_>,
+    b: &[f64],
+    largest: f64,
+    relative: &[f64],
+    settings: &TikhonovLsqrSettings,
+) -> Vec<Damped> {
+    let dampings: Vec<f64> = relative.iter().map(|d| d * largest).collect();
+    lsqr(
+        |t| model.weighted(t),
+        |y| model.weighted_adjoint(y),
+        b,
+        &dampings,
+        settings.tolerance,
+        settings.max_iterations,
+        progress::of_excess(),
+    )
+}
+
+/// Returns the RMS (mean removed) of the residual of each solution, nm.
+fn residual_rms(model: &DwellModel<'_>, solutions: &[Damped]) -> Vec<f64> {
+    let z = model.problem.desired.height_nm();
+    solutions.iter().map(|f| model.rms(&(z - &model.operator.apply(&f.value)))).collect()
+}
+
+/// Returns the index of the corner of the curve (ln residual, ln norm): the largest Menger curvature
 /// `4 area / (product of the sides)` of three neighbours that turn towards the origin.
 fn corner(residual: &[f64], norm: &[f64]) -> usize {
     let p: Vec<[f64; 2]> = residual.iter().zip(norm).map(|(r, n)| [r.ln(), n.ln()]).collect();
-    let side = |a: [f64; 2], b: [f64; 2]| (b[0] - a[0]).hypot(b[1] - a[1]);
-    let curvature = |k: usize| {
-        let (a, b, c) = (p[k - 1], p[k], p[k + 1]);
-        let cross = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
-        // Damping falls along the curve: the residual first falls, then the norm rises; a turn to
-        // the right is the corner.
-        let sides = side(a, b) * side(b, c) * side(a, c);
-        if sides > 0.0 { -2.0 * cross / sides } else { f64::NEG_INFINITY }
-    };
     (1..p.len().saturating_sub(1))
-        .max_by(|a, b| curvature(*a).total_cmp(&curvature(*b)))
+        .max_by(|a, b| {
+            turn([p[a - 1], p[*a], p[a + 1]]).total_cmp(&turn([p[b - 1], p[*b], p[b + 1]]))
+        })
         .unwrap_or(0)
+}
+
+/// Returns the Menger curvature of three points, positive for a turn to the right. Damping falls along the curve: the
+/// residual first falls, then the norm rises, so that a turn to the right is the corner.
+fn turn([a, b, c]: [[f64; 2]; 3]) -> f64 {
+    let cross = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+    let sides = distance(a, b) * distance(b, c) * distance(a, c);
+    if sides > 0.0 { -2.0 * cross / sides } else { f64::NEG_INFINITY }
+}
+
+/// Returns the distance of two points.
+fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (b[0] - a[0]).hypot(b[1] - a[1])
 }
 
 #[cfg(test)]

@@ -32,7 +32,7 @@ use crate::{
     DwellError,
     extension::Extension,
     model::operator::Operator,
-    problem::{Model, Problem, Solution, check, check_steps},
+    problem::{DwellModel, Problem, Solution, check, check_steps},
     rifta::refuse_a_tif_larger_than_the_map,
 };
 
@@ -48,7 +48,7 @@ pub enum Floor {
 
 /// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct UdoSettings {
     /// Method to keep the dwell times above their floor.
     pub floor: Floor,
     /// beta: fraction of the best step that is taken from the second round on; in (0, 1].
@@ -59,7 +59,7 @@ pub struct Settings {
     pub max_iterations: usize,
 }
 
-impl Default for Settings {
+impl Default for UdoSettings {
     fn default() -> Self {
         // The source has a threshold of 1 nm, which on a good mirror is one round.
         Self { floor: Floor::Model, step: 0.5, threshold_nm: 0.0, max_iterations: 30 }
@@ -68,7 +68,7 @@ impl Default for Settings {
 
 /// Result of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct UdoReport {
     /// `threshold`, `stopped` (another round would raise the RMS), `iteration-limit` (the threshold was
     /// not reached), or `rounds-done` where there is no threshold: the rounds are the end asked for.
     pub end: End,
@@ -78,20 +78,28 @@ pub struct Report {
     pub rms_nm: Vec<f64>,
 }
 
-impl Report {
+impl UdoReport {
     /// Returns the reason of a negative verdict; none if the steps ended as the settings ask for.
-    pub fn negative(&self, settings: &Settings) -> Option<String> {
+    pub fn negative(&self, settings: &UdoSettings) -> Option<String> {
         let threshold_nm = settings.threshold_nm;
         let last = self.rms_nm.last()?;
         let is_missed =
             self.end == End::IterationLimit || self.end == End::Stopped && threshold_nm > 0.0;
-        is_missed
-            .then(|| format!("the threshold of {threshold_nm} nm is not reached: {last:.4} nm RMS"))
+        if !is_missed {
+            return None;
+        }
+        Some(format!("the threshold of {threshold_nm} nm is not reached: {last:.4} nm RMS"))
     }
 }
 
 /// Solves by (1) and (2).
-pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
+///
+/// # Errors
+/// Refuses settings out of range, a TIF that varies or is larger than the map, and what every solver refuses.
+pub fn solve(
+    problem: &Problem<'_>,
+    settings: &UdoSettings,
+) -> Result<Solution<UdoReport>, DwellError> {
     check("step", settings.step, |s| s > 0.0 && s <= 1.0, "give a number above 0 and at most 1")?;
     check("threshold_nm", settings.threshold_nm, |t| t >= 0.0, "give a number >= 0")?;
     check_steps(settings.max_iterations)?;
@@ -99,24 +107,22 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     refuse_a_tif_larger_than_the_map(problem)?;
     let centred = problem.tif.centred_on(problem.desired)?;
     let problem = &problem.with(centred.as_ref());
-    let model = Model::new(problem)?;
+    let model = DwellModel::new(problem)?;
     let image = Image::new(&model)?;
     let z = match settings.floor {
         Floor::Model => model.target(),
         Floor::Shift => problem.desired.height_nm().clone(),
     };
     let z = model.centred(&z);
-    let rms = |r: &Array2<f64>| model.rms(r);
-
     // First image: (1), (2) with the whole step.
-    let b = image.of(&z);
+    let b = image.adjoint(&z);
     let least = b.iter().copied().fold(f64::INFINITY, f64::min);
     let lifted: Vec<f64> = b.iter().map(|b| b - least).collect();
     let removal = image.removal(&lifted);
     let gamma = best_step(&model, &removal, &z);
     let mut t: Vec<f64> = lifted.iter().map(|b| gamma * b).collect();
     let mut residual = &z - &(removal * gamma);
-    let mut rms_nm = vec![rms(&residual)];
+    let mut rms_nm = vec![model.rms(&residual)];
     let mut end = if settings.threshold_nm > 0.0 { End::IterationLimit } else { End::RoundsDone };
     for _ in 0..settings.max_iterations {
         let now = rms_nm[rms_nm.len() - 1];
@@ -124,7 +130,7 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
             end = End::Threshold;
             break;
         }
-        let b = image.of(&model.centred(&residual));
+        let b = image.adjoint(&model.centred(&residual));
         let least = match settings.floor {
             Floor::Model => 0.0,
             Floor::Shift => b.iter().copied().fold(f64::INFINITY, f64::min),
@@ -133,19 +139,21 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
         let step = settings.step * best_step(&model, &image.removal(&lifted), &residual);
         let next: Vec<f64> = t.iter().zip(&lifted).map(|(t, b)| (t + step * b).max(0.0)).collect();
         let after = &z - &image.removal(&next);
-        if rms(&after) > now {
+        let rms = model.rms(&after);
+        if rms > now {
             end = End::Stopped;
             break;
         }
-        rms_nm.push(rms(&after));
+        rms_nm.push(rms);
         (t, residual) = (next, after);
         progress::done((rms_nm.len() - 1) as f64 / settings.max_iterations as f64);
     }
-    let report = Report { end, iterations: rms_nm.len() - 1, rms_nm };
+    let report = UdoReport { end, iterations: rms_nm.len() - 1, rms_nm };
     match settings.floor {
         Floor::Model => {
-            let above = |j: usize| if model.reached(j) { t[j] } else { 0.0 };
-            model.finish((0..t.len()).map(|j| model.lo[j] + above(j)).collect(), report)
+            let dwell =
+                (0..t.len()).map(|j| model.lo[j] + if model.reached(j) { t[j] } else { 0.0 });
+            model.finish(dwell.collect(), report)
         }
         Floor::Shift => {
             // t - min t + the floor; a floor that differs from point to point is met everywhere.
@@ -157,10 +165,11 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     }
 }
 
-/// gamma of (1): least RMS of `z - gamma m`, means removed.
-fn best_step(model: &Model<'_>, m: &Array2<f64>, z: &Array2<f64>) -> f64 {
+/// Returns gamma of (1): the step with the least RMS of `z - gamma m`, means removed.
+fn best_step(model: &DwellModel<'_>, m: &Array2<f64>, z: &Array2<f64>) -> f64 {
     let m = model.centred(m);
-    let (mut cov, mut var) = (0.0, 0.0);
+    let mut cov = 0.0;
+    let mut var = 0.0;
     Zip::from(&m).and(z).and(&model.weight).for_each(|m, z, w| {
         if *w > 0.0 {
             cov += w * m * z;
@@ -177,7 +186,7 @@ struct Image {
 }
 
 impl Image {
-    fn new(model: &Model<'_>) -> Result<Self, DwellError> {
+    fn new(model: &DwellModel<'_>) -> Result<Self, DwellError> {
         let Problem { desired, tif, .. } = model.problem;
         let grid = desired.grid();
         let [half_x, half_y] = tif.half_size_mm();
@@ -192,15 +201,15 @@ impl Image {
         Ok(Self { extension, operator })
     }
 
-    /// b of (1).
-    fn of(&self, z: &Array2<f64>) -> Vec<f64> {
+    /// Returns b of (1), shape (n), for a map (ny, nx).
+    fn adjoint(&self, z: &Array2<f64>) -> Vec<f64> {
         let mut z = self.extension.rise(z);
         let mean = z.sum() / z.len() as f64;
         z -= mean;
         self.operator.adjoint(&z)
     }
 
-    /// B t in the map.
+    /// Returns B t on the pixels of the map, (ny, nx).
     fn removal(&self, t: &[f64]) -> Array2<f64> {
         self.extension.inner(&self.operator.apply(t))
     }

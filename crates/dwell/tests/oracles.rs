@@ -4,7 +4,8 @@ use ndarray::{Array2, s};
 use planish_dwell::{
     DwellError,
     bounded_least_squares::{
-        Algorithm, Bound, BoundedSolution, Free, Product, Program, Settings, solve, solve_columns,
+        Algorithm, Bound, BoundedSettings, BoundedSolution, Free, Product, Program, solve,
+        solve_columns,
     },
     columns::{Columns, patches},
 };
@@ -100,14 +101,14 @@ fn bowl() -> Array2<f64> {
     })
 }
 
-fn settings() -> Settings {
+fn settings() -> BoundedSettings {
     // The certificate to rounding; a plan is content with less.
     let (tolerance_s, relative_gap) = (1e-11, 0.0);
     let min_dwell = Bound::Seconds(0.05);
-    Settings { min_dwell, tolerance_s, relative_gap, ..Settings::default() }
+    BoundedSettings { min_dwell, tolerance_s, relative_gap, ..BoundedSettings::default() }
 }
 
-fn run(desired: &Surface, path: &ToolPath, settings: &Settings) -> BoundedSolution {
+fn run(desired: &Surface, path: &ToolPath, settings: &BoundedSettings) -> BoundedSolution {
     solve(desired, &tif(), path, None, settings).unwrap()
 }
 
@@ -125,7 +126,7 @@ fn the_removal_of_a_planted_dwell_is_recovered() {
         let path = path(0.0);
         let planted = random(path.len(), 0.5, 2.0, 1);
         let desired = surface(removal_of(&tif, &path, columns, &planted));
-        let exact = Settings { columns, tikhonov: 1e-12, slope_weight: 0.0, ..settings() };
+        let exact = BoundedSettings { columns, tikhonov: 1e-12, slope_weight: 0.0, ..settings() };
         let found = solve(&desired, &tif, &path, None, &exact).unwrap();
         // What is left is the regularisation: some 1e-11 of the largest column energy.
         assert!(found.report.model_rms_nm < 1e-5, "{:?}", found.report);
@@ -152,7 +153,7 @@ fn the_certificate_holds_by_an_independent_computation() {
         })
         .collect();
     let d = energy.iter().copied().fold(0.0, f64::max);
-    let Settings { tikhonov, slope_weight, .. } = settings();
+    let BoundedSettings { tikhonov, slope_weight, .. } = settings();
     let weight = Array2::ones(grid().shape());
     let penalty = Penalty::new(&path, &tif(), &b, &weight, d, (tikhonov, slope_weight));
     // In the program the unreached columns, the weakest, stay at their bound; what is returned has their
@@ -188,7 +189,7 @@ fn the_certificate_holds_by_an_independent_computation() {
 fn both_algorithms_give_the_same_dwell() {
     let (path, desired) = (path(2.0), surface(bowl()));
     let dense = run(&desired, &path, &settings());
-    let by_fft = Settings { max_factorised_points: 0, tolerance_s: 1e-7, ..settings() };
+    let by_fft = BoundedSettings { max_factorised_points: 0, tolerance_s: 1e-7, ..settings() };
     let by_fft = run(&desired, &path, &by_fft);
     assert_eq!(dense.report.algorithm, Algorithm::ActiveSet);
     assert_eq!(by_fft.report.algorithm, Algorithm::TwoLevel);
@@ -200,8 +201,13 @@ fn both_algorithms_give_the_same_dwell() {
     // border included, but do not reach the minimum.
     let weak = |max_factorised_points: usize, max_iterations: usize| {
         let (tikhonov, tolerance_s) = (1e-9, 1e-7);
-        let s =
-            Settings { max_factorised_points, max_iterations, tikhonov, tolerance_s, ..settings() };
+        let s = BoundedSettings {
+            max_factorised_points,
+            max_iterations,
+            tikhonov,
+            tolerance_s,
+            ..settings()
+        };
         run(&desired, &path, &s)
     };
     let (dense, by_gradient) = (weak(6000, 3000), weak(0, 20_000));
@@ -212,7 +218,7 @@ fn both_algorithms_give_the_same_dwell() {
 }
 
 /// (1) by its definition, for equal weights and a free piston.
-fn objective(case: &Case, settings: &Settings, t: &[f64]) -> f64 {
+fn objective(case: &Case, settings: &BoundedSettings, t: &[f64]) -> f64 {
     let map = case.desired.grid();
     let b = patches(&settings.columns.places(&case.path, &case.tif), &case.tif, map);
     let valid = case.desired.height_nm().mapv(|z| if z.is_nan() { 0.0 } else { 1.0 });
@@ -315,11 +321,11 @@ fn many_points_reach_the_minimum_and_the_certificate_bounds_what_is_missing() {
         let bounds = [(0.0, None), (0.02, Some(0.3))];
         for (lo, hi) in bounds {
             let (min_dwell, max_dwell) = (Bound::Seconds(lo), hi.map(Bound::Seconds));
-            let tight = Settings { min_dwell, max_dwell, tolerance_s: 1e-10, ..settings() };
+            let tight = BoundedSettings { min_dwell, max_dwell, tolerance_s: 1e-10, ..settings() };
             let best = solve(desired, tif, path, None, &tight).unwrap();
             let least = objective(&case, &tight, best.dwell.dwell_s());
             for (max_iterations, relative_gap) in [(3000, 1e-4), (30, 1e-4)] {
-                let loose = Settings {
+                let loose = BoundedSettings {
                     max_factorised_points: 0,
                     max_iterations,
                     relative_gap,
@@ -364,16 +370,16 @@ fn many_points_keep_every_term_of_the_problem() {
     let pit = surface(pit);
     let mut weight = Array2::ones(grid().shape());
     weight.slice_mut(s![.., ..9]).fill(0.3);
-    let plain = Settings { tolerance_s: 1e-8, ..settings() };
+    let plain = BoundedSettings { tolerance_s: 1e-8, ..settings() };
     for (desired, weight, settings) in [
-        (&pit, None, Settings { huber_nm: Some(0.5), tolerance_s: 1e-7, ..plain }),
+        (&pit, None, BoundedSettings { huber_nm: Some(0.5), tolerance_s: 1e-7, ..plain }),
         (desired, Some(&weight), plain),
-        (desired, None, Settings { free: Free::Plane, ..plain }),
-        (desired, None, Settings { time_weight_nm2_per_s: 1e-3, ..plain }),
-        (desired, None, Settings { min_dwell: Bound::SecondsPerMm(0.05), ..plain }),
-        (desired, None, Settings { columns: Columns::Point, ..plain }),
+        (desired, None, BoundedSettings { free: Free::Plane, ..plain }),
+        (desired, None, BoundedSettings { time_weight_nm2_per_s: 1e-3, ..plain }),
+        (desired, None, BoundedSettings { min_dwell: Bound::SecondsPerMm(0.05), ..plain }),
+        (desired, None, BoundedSettings { columns: Columns::Point, ..plain }),
     ] {
-        let many = Settings { max_factorised_points: 0, max_iterations: 20_000, ..settings };
+        let many = BoundedSettings { max_factorised_points: 0, max_iterations: 20_000, ..settings };
         let a = solve(desired, tif, path, weight, &settings).unwrap();
         let b = solve(desired, tif, path, weight, &many).unwrap();
         assert_eq!(b.report.algorithm, Algorithm::TwoLevel);
@@ -381,8 +387,8 @@ fn many_points_keep_every_term_of_the_problem() {
         // others, together by up to a thousand times that.
         assert!(apart(&a, &b) < 1e-4, "{settings:?}: {} {:?}", apart(&a, &b), b.report);
     }
-    let noisy = Settings { noise_rms_nm: Some(1.0), slope_weight: 1e-8, ..plain };
-    let noisy = Settings { max_factorised_points: 0, relative_gap: 1e-4, ..noisy };
+    let noisy = BoundedSettings { noise_rms_nm: Some(1.0), slope_weight: 1e-8, ..plain };
+    let noisy = BoundedSettings { max_factorised_points: 0, relative_gap: 1e-4, ..noisy };
     let stopped = solve(desired, tif, path, None, &noisy).unwrap().report;
     // It ends at the first point of its search that is below the noise. Regression bound: 0.98 was seen.
     assert!((0.95..=1.0).contains(&(stopped.model_rms_nm / 1.0)), "{stopped:?}");
@@ -396,7 +402,7 @@ fn a_piston_changes_nothing_and_more_room_never_hurts() {
     // 1000 nm cost two digits of the heights.
     assert!(apart(&a, &b) < 1e-8, "{}", apart(&a, &b));
     let bounded = |low: f64, high: f64| {
-        let free = Settings {
+        let free = BoundedSettings {
             min_dwell: Bound::Seconds(low),
             max_dwell: Some(Bound::Seconds(high)),
             tikhonov: 1e-9,
@@ -460,15 +466,20 @@ fn lifted_segments_keep_their_bound_and_unreached_pixels_are_counted() {
 #[test]
 fn contradictions_are_refused() {
     let (path, desired) = (path(0.0), surface(bowl()));
-    let message = |s: Settings| solve(&desired, &tif(), &path, None, &s).unwrap_err().to_string();
-    let crossing = Settings { max_dwell: Some(Bound::Seconds(0.01)), ..settings() };
+    let message =
+        |s: BoundedSettings| solve(&desired, &tif(), &path, None, &s).unwrap_err().to_string();
+    let crossing = BoundedSettings { max_dwell: Some(Bound::Seconds(0.01)), ..settings() };
     assert!(message(crossing).contains("max_dwell[0]: is 0.01 s, below the lower bound of 0.05 s"));
-    let negative = Settings { min_dwell: Bound::SecondsPerMm(-1.0), ..settings() };
+    let negative = BoundedSettings { min_dwell: Bound::SecondsPerMm(-1.0), ..settings() };
     assert!(message(negative).contains("min_dwell: is -1"));
-    assert!(message(Settings { huber_nm: Some(0.0), ..settings() }).contains("huber_nm: is 0"));
-    let noiseless = Settings { noise_rms_nm: Some(f64::NAN), ..settings() };
+    assert!(
+        message(BoundedSettings { huber_nm: Some(0.0), ..settings() }).contains("huber_nm: is 0")
+    );
+    let noiseless = BoundedSettings { noise_rms_nm: Some(f64::NAN), ..settings() };
     assert!(message(noiseless).contains("noise_rms_nm: is NaN"));
-    assert!(message(Settings { tikhonov: f64::NAN, ..settings() }).contains("tikhonov: is NaN"));
+    assert!(
+        message(BoundedSettings { tikhonov: f64::NAN, ..settings() }).contains("tikhonov: is NaN")
+    );
     let far: Vec<[f64; 2]> = path.point_mm().iter().map(|p| [p[0] + 1e3, p[1]]).collect();
     let far = ToolPath::through(far, vec![true; path.len()], vec![0; path.len()]).unwrap();
     let error = solve(&desired, &tif(), &far, None, &settings()).unwrap_err();
@@ -487,7 +498,8 @@ fn a_pit_is_left_to_itself_by_the_huber_loss() {
     let squared = run(&surface(pit.clone()), &path, &settings());
     let huber_nm = Some(0.5);
     // A step that lowers 1e3 nm^2 by rounding moves a dwell time by 1e-8 s.
-    let robust = run(&surface(pit), &path, &Settings { huber_nm, tolerance_s: 1e-7, ..settings() });
+    let robust =
+        run(&surface(pit), &path, &BoundedSettings { huber_nm, tolerance_s: 1e-7, ..settings() });
     assert_eq!(robust.report.end, End::Optimal);
     let (with, without) = (apart(&robust, &clean), apart(&squared, &clean));
     println!("the pit moves a dwell time by {without} s, by {with} s at most where it is robust");
@@ -513,7 +525,7 @@ fn a_pit_is_left_to_itself_by_the_huber_loss() {
         p.rate_nm_per_s.mapv(|v| v * v).sum() - sum * sum / total
     });
     let d = energy.fold(0.0, f64::max);
-    let Settings { tikhonov, slope_weight, .. } = settings();
+    let BoundedSettings { tikhonov, slope_weight, .. } = settings();
     let weight = Array2::ones(grid().shape());
     let penalty = Penalty::new(&path, &tif(), &b, &weight, d, (tikhonov, slope_weight));
     let slope = penalty.gradient(t, &vec![0.05; t.len()]);
@@ -531,7 +543,7 @@ fn a_free_plane_ignores_a_tilt() {
     let path = path(2.0);
     let g = grid();
     let tilt = Array2::from_shape_fn(g.shape(), |(r, c)| 3.0 * g.x.at(c) - 2.0 * g.y.at(r));
-    let free = Settings { free: Free::Plane, ..settings() };
+    let free = BoundedSettings { free: Free::Plane, ..settings() };
     let a = run(&surface(bowl()), &path, &free);
     let b = run(&surface(bowl() + &tilt), &path, &free);
     // The plane is taken out but for rounding. Regression bound: 6.7e-13 s was seen.
@@ -582,7 +594,7 @@ fn a_quadratic_term_is_the_penalty_that_it_writes_out() {
     let path = path(2.0);
     let n = path.len();
     let places = Columns::Segment.places(&path, &tif());
-    let weak = Settings { min_dwell: Bound::Seconds(0.0), ..settings() };
+    let weak = BoundedSettings { min_dwell: Bound::Seconds(0.0), ..settings() };
     let (columns, weight) = (patches(&places, &tif(), &grid()), Array2::ones(grid().shape()));
     let written_out = |weights: (f64, f64)| {
         Penalty::new(&path, &tif(), &columns, &weight, strongest(&path), weights)
@@ -593,23 +605,23 @@ fn a_quadratic_term_is_the_penalty_that_it_writes_out() {
         (written_out((more_tikhonov, 0.0)), written_out((0.0, more_smoothness)));
     let distance = |t: &[f64]| distance.gradient(t, &vec![0.0; n]);
     let slope = |t: &[f64]| slope.gradient(t, &vec![0.0; n]);
-    let products: [(Product<'_>, Settings); 2] = [
-        (&distance, Settings { tikhonov: weak.tikhonov + more_tikhonov, ..weak }),
-        (&slope, Settings { slope_weight: weak.slope_weight + more_smoothness, ..weak }),
+    let products: [(Product<'_>, BoundedSettings); 2] = [
+        (&distance, BoundedSettings { tikhonov: weak.tikhonov + more_tikhonov, ..weak }),
+        (&slope, BoundedSettings { slope_weight: weak.slope_weight + more_smoothness, ..weak }),
     ];
     let nothing = run(&surface(bowl()), &path, &weak);
     for (product, strong) in products {
         // Factorised, the certificate is reached to rounding. Steps by FFT end where they change the mean square by
         // less than 2e-4: regression bound, 6e-4 s of some 0.5 s were found.
         for (max_factorised_points, bound_s) in [(6000, 1e-6), (0, 2e-3)] {
-            let weak = Settings { max_factorised_points, ..weak };
+            let weak = BoundedSettings { max_factorised_points, ..weak };
             let (lo, hi) = (vec![0.0; n], vec![f64::INFINITY; n]);
             let program =
                 Program { places: &places, lo, hi, guess: None, quadratic: Some(product) };
             let found =
                 solve_columns(&surface(bowl()), &tif(), &path, None, &weak, &program).unwrap();
             let expected =
-                run(&surface(bowl()), &path, &Settings { max_factorised_points, ..strong });
+                run(&surface(bowl()), &path, &BoundedSettings { max_factorised_points, ..strong });
             // Regression bound: 0.05 s and more was seen.
             assert!(apart(&expected, &nothing) > 0.01, "the term changes nothing: no test");
             let apart = apart(&found, &expected);
@@ -624,7 +636,7 @@ fn where_splines_say_too_little_more_points_are_factorised() {
     let a = Axis::new(-1.5, 0.25, 13).unwrap();
     let pad = Tif::new(Grid { x: a, y: a }, Array2::from_elem((13, 13), 5.0)).unwrap();
     let by = |tif: &Tif, path: &ToolPath, max_factorised_points: usize| {
-        let settings = Settings { max_factorised_points, ..settings() };
+        let settings = BoundedSettings { max_factorised_points, ..settings() };
         solve(&surface(bowl()), tif, path, None, &settings).unwrap()
     };
     // A tool that ends abruptly; points 1 mm apart under one of 0.9 mm (sigma), on the pixels of the map and of another
@@ -672,8 +684,8 @@ fn where_the_factor_is_singular_many_points_are_solved_without_one() {
     let path = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
     // More dwell points than pixels, and nothing else that tells their times apart.
     let by = |max_factorised_points: usize| {
-        let weights = Settings { tikhonov: 0.0, slope_weight: 0.0, ..settings() };
-        let settings = Settings { max_factorised_points, max_iterations: 300, ..weights };
+        let weights = BoundedSettings { tikhonov: 0.0, slope_weight: 0.0, ..settings() };
+        let settings = BoundedSettings { max_factorised_points, max_iterations: 300, ..weights };
         solve(&surface(bowl()), &tif, &path, None, &settings)
     };
     assert!(matches!(by(n), Err(DwellError::Singular { .. })));
@@ -698,9 +710,9 @@ fn stopping_at_the_noise_is_closer_to_the_true_surface() {
     let noise_nm = 2.0;
     let uniform = rand::distr::Uniform::new(-1.0, 1.0).unwrap();
     let measured = truth.mapv(|z| z + noise_nm * 3.0_f64.sqrt() * rng.sample::<f64, _>(uniform));
-    let weak = Settings { slope_weight: 1e-8, ..settings() };
+    let weak = BoundedSettings { slope_weight: 1e-8, ..settings() };
     let fitted = run(&surface(measured.clone()), &path, &weak);
-    let stopping = Settings { noise_rms_nm: Some(noise_nm), ..weak };
+    let stopping = BoundedSettings { noise_rms_nm: Some(noise_nm), ..weak };
     let stopped = run(&surface(measured.clone()), &path, &stopping);
     let missed = |s: &BoundedSolution| {
         let left = &truth - &removal(&path, Columns::Segment, s.dwell.dwell_s());
@@ -723,7 +735,7 @@ fn stopping_at_the_noise_is_closer_to_the_true_surface() {
         0 => -200.0,
         _ => 0.0,
     });
-    let robust = Settings { huber_nm: Some(4.0 * noise_nm), ..stopping };
+    let robust = BoundedSettings { huber_nm: Some(4.0 * noise_nm), ..stopping };
     let pitted = run(&surface(&measured + &pits), &path, &robust);
     let ratio = pitted.report.slope_weight / stopped.report.slope_weight;
     println!("slope_weight with pits over that without {ratio}, {} nm missed", missed(&pitted));
@@ -738,9 +750,9 @@ fn a_price_on_time_is_its_derivative() {
     // At the optimum of f + L T the fall of f per second is L: between two prices,
     // L1 <= -(f2 - f1) / (T2 - T1) <= L2 with f half the mean square plus the other terms.
     let path = path(2.0);
-    let free = Settings { tikhonov: 1e-9, slope_weight: 0.0, ..settings() };
+    let free = BoundedSettings { tikhonov: 1e-9, slope_weight: 0.0, ..settings() };
     let at = |price: f64| {
-        let priced = Settings { time_weight_nm2_per_s: price, ..free };
+        let priced = BoundedSettings { time_weight_nm2_per_s: price, ..free };
         let r = run(&surface(bowl()), &path, &priced).report;
         (0.5 * r.model_rms_nm * r.model_rms_nm, r.total_time_s)
     };
@@ -786,10 +798,11 @@ fn one_continuous_problem_is_solved_whatever_the_pitch_the_pixels_and_the_size()
     let plan = |pixel: f64, pitch: f64, scale: f64, weights: f64| {
         let (desired, tif, path) = mirror(pixel, pitch, scale);
         let min_dwell = Bound::Seconds(0.05 * pitch * pitch);
-        let how = Settings { min_dwell, relative_gap: 1e-8, tolerance_s: 1e-9, ..settings() };
+        let how =
+            BoundedSettings { min_dwell, relative_gap: 1e-8, tolerance_s: 1e-9, ..settings() };
         // Heavy enough to decide the plan.
         let (tikhonov, slope_weight) = (1e-4 * weights, 1e-3 * weights * weights);
-        let how = Settings { tikhonov, slope_weight, ..how };
+        let how = BoundedSettings { tikhonov, slope_weight, ..how };
         (solve(&desired, &tif, &path, None, &how).unwrap(), path)
     };
     // Mean and standard deviation of the dwell time per area over the part, s/mm^2

@@ -3,7 +3,7 @@
 
 use ndarray::{Array2, s};
 use planish_dwell::{
-    bounded_least_squares::{Algorithm, Free, Program, Settings, solve_columns},
+    bounded_least_squares::{Algorithm, BoundedSettings, Free, Program, solve_columns},
     columns::{Columns, Patch, patches},
 };
 use planish_types::{Axis, End, Grid, PARTS_TOLERANCE, Surface, Tif, ToolPath};
@@ -20,7 +20,7 @@ struct Case {
     path: ToolPath,
     lo: Vec<f64>,
     hi: Vec<f64>,
-    settings: Settings,
+    settings: BoundedSettings,
 }
 
 fn axis(start: f64, step: f64, n: usize) -> Axis {
@@ -82,7 +82,7 @@ fn case(seed: u64, pitch_mm: f64) -> Case {
     });
     let lo: Vec<f64> = (0..n).map(|_| rng.random_range(0.0..0.02)).collect();
     let hi = lo.iter().map(|lo| lo + rng.random_range(0.05..0.6)).collect();
-    let settings = Settings {
+    let settings = BoundedSettings {
         tikhonov: 10.0_f64.powf(rng.random_range(-6.0..-4.0)),
         slope_weight: 10.0_f64.powf(rng.random_range(-7.0..-4.0)),
         time_weight_nm2_per_s: rng.random_range(0.0..0.01),
@@ -91,7 +91,7 @@ fn case(seed: u64, pitch_mm: f64) -> Case {
         // The certificate by the natural residual alone.
         relative_gap: 0.0,
         max_iterations: 100_000,
-        ..Settings::default()
+        ..BoundedSettings::default()
     };
     let desired = Surface::new(map, height).unwrap();
     Case { desired, weight, tif, path, lo, hi, settings }
@@ -173,7 +173,7 @@ impl Definition {
         // In (1) an unreached column stays at its bound.
         let held = |j: usize| if self.diagonal[j] > 1e-9 * largest { t[j] } else { case.lo[j] };
         let t = &(0..t.len()).map(held).collect::<Vec<f64>>()[..];
-        let Settings { tikhonov, slope_weight, time_weight_nm2_per_s, .. } = case.settings;
+        let BoundedSettings { tikhonov, slope_weight, time_weight_nm2_per_s, .. } = case.settings;
         let weights = (tikhonov, slope_weight);
         let penalty = Penalty::new(&case.path, &case.tif, &self.columns, &self.weight, d, weights);
         let residual = self.residual(case, t);

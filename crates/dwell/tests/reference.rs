@@ -44,7 +44,7 @@ fn udo_is_the_published_dwell_and_better_with_the_floor_in_the_model() {
     for (name, limit_nm) in [("raster", 0.22), ("maze", 0.28)] {
         let path = mirror.path(name);
         let with = |floor| {
-            let settings = udo::Settings { floor, max_iterations: 10, ..Default::default() };
+            let settings = udo::UdoSettings { floor, max_iterations: 10, ..Default::default() };
             udo::solve(&problem(&mirror, &path), &settings).unwrap()
         };
         let (shift, model) = (with(Floor::Shift), with(Floor::Model));
@@ -64,7 +64,8 @@ fn udo_is_the_published_dwell_and_better_with_the_floor_in_the_model() {
 fn nnls_finds_the_least_residual() {
     let Some(mirror) = mirror() else { return };
     let path = mirror.path("raster");
-    let settings = non_negative_least_squares::Settings { tikhonov: 2.8e-8, ..Default::default() };
+    let settings =
+        non_negative_least_squares::NonNegativeSettings { tikhonov: 2.8e-8, ..Default::default() };
     let found = non_negative_least_squares::solve(&problem(&mirror, &path), &settings).unwrap();
     println!("{:?} {:?}", found.outcome, found.report);
     assert_eq!(found.report.end, End::Optimal);
@@ -84,7 +85,8 @@ fn nnls_finds_the_least_residual() {
 fn lucy_richardson_needs_no_extension() {
     let Some(mirror) = mirror() else { return };
     let path = mirror.path("raster");
-    let settings = lucy_richardson::Settings { max_iterations: 60, ..Default::default() };
+    let settings =
+        lucy_richardson::LucyRichardsonSettings { max_iterations: 60, ..Default::default() };
     let found = lucy_richardson::solve(&problem(&mirror, &path), &settings).unwrap();
     println!("{:?}", found.outcome);
     // Regression bound: measured 0.1605 nm on the published raster. A prototype of the same iteration had 0.1581 nm

@@ -174,7 +174,7 @@ const SOLVERS: [(&str, Solver, [f64; 3]); 10] = [
 ];
 
 fn bounded(c: &Case<'_>) -> Result<Found, DwellError> {
-    let settings = bounded_least_squares::Settings {
+    let settings = bounded_least_squares::BoundedSettings {
         min_dwell: Bound::SecondsPerMm(c.floor_s_per_mm),
         ..Default::default()
     };
@@ -190,12 +190,13 @@ fn by_machine(c: &Case<'_>) -> Result<Found, DwellError> {
 }
 
 fn on_map(c: &Case<'_>) -> Result<Found, DwellError> {
-    let settings = lucy_richardson::Settings { unknowns: Unknowns::Map, ..Default::default() };
+    let settings =
+        lucy_richardson::LucyRichardsonSettings { unknowns: Unknowns::Map, ..Default::default() };
     found!(lucy_richardson::solve(&c.problem(), &settings))
 }
 
 fn shifted(c: &Case<'_>) -> Result<Found, DwellError> {
-    let settings = udo::Settings { floor: Floor::Shift, ..Default::default() };
+    let settings = udo::UdoSettings { floor: Floor::Shift, ..Default::default() };
     found!(udo::solve(&c.problem(), &settings))
 }
 
@@ -488,11 +489,12 @@ fn nnls_and_bounded_least_squares_find_the_same_minimum_and_its_conditions_hold(
         Case { desired: &desired, tif: &tool, path: &path, weight: None, floor_s_per_mm: FLOOR };
     // Enough for the dwell times themselves to agree, not only what they remove.
     let tikhonov = 1e-5;
-    let settings = non_negative_least_squares::Settings { tikhonov, ..Default::default() };
+    let settings =
+        non_negative_least_squares::NonNegativeSettings { tikhonov, ..Default::default() };
     let a = non_negative_least_squares::solve(&case.problem(), &settings).unwrap();
     assert_eq!(a.report.end, End::Optimal);
     assert!(a.outcome.at_floor > 20, "the floor is active: {:?}", a.outcome);
-    let settings = bounded_least_squares::Settings {
+    let settings = bounded_least_squares::BoundedSettings {
         min_dwell: Bound::SecondsPerMm(FLOOR),
         tikhonov,
         slope_weight: 0.0,
@@ -516,7 +518,8 @@ fn where_a_tool_with_steep_flanks_adds_more_than_it_removes_it_reaches_the_map()
     let case =
         Case { desired: &desired, tif: &pad, path: &path, weight: None, floor_s_per_mm: FLOOR };
     let tikhonov = 1e-5;
-    let settings = non_negative_least_squares::Settings { tikhonov, ..Default::default() };
+    let settings =
+        non_negative_least_squares::NonNegativeSettings { tikhonov, ..Default::default() };
     let found = non_negative_least_squares::solve(&case.problem(), &settings).unwrap();
     // In (1) what does not reach the map is at its bound.
     let columns = patches(&Columns::Segment.places(&path, &pad), &pad, &grid());
@@ -536,7 +539,7 @@ fn dwell_times_that_hardly_move_are_not_a_proof() {
     // Dwell times that would move by less than a second are soon found, long before the gap is 1e-4.
     let (desired, tool, path) = (surface(bowl()), bell(), path(1.0));
     for max_factorised_points in [6000, 1] {
-        let settings = bounded_least_squares::Settings {
+        let settings = bounded_least_squares::BoundedSettings {
             min_dwell: Bound::SecondsPerMm(FLOOR),
             tolerance_s: 1.0,
             max_factorised_points,
@@ -553,7 +556,7 @@ fn lsqr_solves_its_normal_equations_and_the_floor_is_met_by_a_level() {
     let (desired, tool, path) = (surface(bowl()), bell(), path(2.0));
     let case =
         Case { desired: &desired, tif: &tool, path: &path, weight: None, floor_s_per_mm: FLOOR };
-    let settings = tikhonov_lsqr::Settings {
+    let settings = tikhonov_lsqr::TikhonovLsqrSettings {
         damping: tikhonov_lsqr::Damping::Relative(0.05),
         tolerance: 1e-12,
         max_iterations: 3000,
@@ -594,7 +597,7 @@ fn more_damping_leaves_more_and_the_discrepancy_stops_at_the_noise() {
     let case =
         Case { desired: &desired, tif: &tool, path: &path, weight: None, floor_s_per_mm: 0.0 };
     let with = |damping| {
-        let settings = tikhonov_lsqr::Settings { damping, ..Default::default() };
+        let settings = tikhonov_lsqr::TikhonovLsqrSettings { damping, ..Default::default() };
         tikhonov_lsqr::solve(&case.problem(), &settings).unwrap()
     };
     let curve = with(tikhonov_lsqr::Damping::LCurve);
@@ -620,7 +623,7 @@ fn lucy_richardson_raises_the_likelihood_and_keeps_the_volume() {
     let case =
         Case { desired: &desired, tif: &tool, path: &path, weight: None, floor_s_per_mm: FLOOR };
     for unknowns in [Unknowns::Path, Unknowns::Map] {
-        let settings = lucy_richardson::Settings {
+        let settings = lucy_richardson::LucyRichardsonSettings {
             unknowns,
             total_variation: 0.0,
             min_decrease: 0.0,
@@ -640,7 +643,8 @@ fn lucy_richardson_raises_the_likelihood_and_keeps_the_volume() {
             assert!(found.report.active < above && above == path.len(), "{above}");
             // sum w B t' = sum w E after every step, here with the piston of E unknown: the dwell
             // time of the unsmoothed and of the smoothed solution remove nearly the same.
-            let smooth = lucy_richardson::Settings { total_variation: 0.01, ..settings };
+            let smooth =
+                lucy_richardson::LucyRichardsonSettings { total_variation: 0.01, ..settings };
             let smooth = lucy_richardson::solve(&case.problem(), &smooth).unwrap();
             let (a, b) = (found.outcome.total_time_s, smooth.outcome.total_time_s);
             // The edge, where a second removes less, moves a few percent, and what goes on beyond it moves along.
@@ -687,7 +691,7 @@ fn lucy_richardson_on_squares_leaves_what_it_leaves_on_pixels() {
             min_dwell: Bound::SecondsPerMm(FLOOR),
         };
         let solve = |pixels_per_cell| {
-            let settings = lucy_richardson::Settings {
+            let settings = lucy_richardson::LucyRichardsonSettings {
                 unknowns: Unknowns::Map,
                 min_decrease: 0.0,
                 max_iterations: 40,
@@ -718,7 +722,7 @@ fn accelerated_lucy_richardson_needs_fewer_steps() {
         Case { desired: &desired, tif: &tool, path: &path, weight: None, floor_s_per_mm: FLOOR };
     for unknowns in [Unknowns::Path, Unknowns::Map] {
         let run = |max_iterations, accelerated| {
-            let settings = lucy_richardson::Settings {
+            let settings = lucy_richardson::LucyRichardsonSettings {
                 unknowns,
                 total_variation: 0.0,
                 min_decrease: 0.0,
@@ -747,7 +751,7 @@ fn lucy_richardson_says_what_a_tool_with_noise_removes() {
     let case =
         Case { desired: &desired, tif: &noisy, path: &path, weight: None, floor_s_per_mm: FLOOR };
     for unknowns in [Unknowns::Path, Unknowns::Map] {
-        let settings = lucy_richardson::Settings { unknowns, ..Default::default() };
+        let settings = lucy_richardson::LucyRichardsonSettings { unknowns, ..Default::default() };
         let found = lucy_richardson::solve(&case.problem(), &settings).unwrap();
         assert!(found.report.clipped_tif_samples > 50, "{}", found.report.clipped_tif_samples);
         let left = rms(&(desired.height_nm() - &removal(&path, &noisy, found.dwell.dwell_s())));
@@ -767,7 +771,7 @@ fn lucy_richardson_stays_where_the_removal_is_the_desired_one() {
     let desired = surface(height);
     let case =
         Case { desired: &desired, tif: &tool, path: &path, weight: None, floor_s_per_mm: 0.0 };
-    let settings = lucy_richardson::Settings {
+    let settings = lucy_richardson::LucyRichardsonSettings {
         margin: low / (high - low),
         pits: 0.0,
         total_variation: 0.0,
@@ -790,7 +794,7 @@ fn udo_goes_down_and_the_model_floor_beats_the_shift() {
     let case =
         Case { desired: &desired, tif: &tool, path: &path, weight: None, floor_s_per_mm: 0.1 };
     let with = |floor| {
-        let settings = udo::Settings { floor, ..Default::default() };
+        let settings = udo::UdoSettings { floor, ..Default::default() };
         udo::solve(&case.problem(), &settings).unwrap()
     };
     let (model, shift) = (with(Floor::Model), with(Floor::Shift));
@@ -799,7 +803,7 @@ fn udo_goes_down_and_the_model_floor_beats_the_shift() {
         assert!(found.report.iterations > 0);
     }
     // The last RMS of the loop is the one of the result; the shift adds what it removes beside.
-    let last = |r: &udo::Report| *r.rms_nm.last().unwrap();
+    let last = |r: &udo::UdoReport| *r.rms_nm.last().unwrap();
     // Regression bound: 1e-16 nm was seen.
     assert!((model.outcome.model_rms_nm - last(&model.report)).abs() < 1e-3);
     assert!(model.outcome.total_time_s < shift.outcome.total_time_s);
@@ -840,7 +844,7 @@ fn rifta_trades_margin_for_time() {
     let (desired, tool, path) = (surface(bowl()), bell(), path(2.0));
     let case =
         Case { desired: &desired, tif: &tool, path: &path, weight: None, floor_s_per_mm: 0.0 };
-    let strict = rifta::Settings { margin_tolerance_nm: 0.0, ..Default::default() };
+    let strict = rifta::RiftaSettings { margin_tolerance_nm: 0.0, ..Default::default() };
     let a = rifta::solve(&case.problem(), &strict).unwrap();
     let (margins, times) = (&a.report.tried_margin_mm, &a.report.tried_time_s);
     assert!(margins.len() > 2);
@@ -848,7 +852,7 @@ fn rifta_trades_margin_for_time() {
     assert!(margins[1..].windows(2).all(|w| w[1] > w[0]));
     // Regression bound: a factor of 1.026 was seen.
     assert!(times[1..].windows(2).all(|w| w[1] > w[0] * 0.999), "{times:?}");
-    let loose = rifta::Settings { margin_tolerance_nm: 1e9, ..Default::default() };
+    let loose = rifta::RiftaSettings { margin_tolerance_nm: 1e9, ..Default::default() };
     let b = rifta::solve(&case.problem(), &loose).unwrap();
     assert!(b.report.margin_mm < a.report.margin_mm);
     assert!(b.outcome.total_time_s < a.outcome.total_time_s);
@@ -882,7 +886,7 @@ fn bcls_states_and_keeps_the_limits_of_the_source() {
     let (desired, tool, path) = (surface(bowl()), bell(), path(2.0));
     let limits = machine(20.0, 50.0);
     for least_feed in [0.0, 0.2] {
-        let settings = bcls::Settings { least_feed, tikhonov: 3e-5, ..Default::default() };
+        let settings = bcls::BclsSettings { least_feed, tikhonov: 3e-5, ..Default::default() };
         let found = bcls::solve(&desired, &tool, &path, None, &limits, &settings).unwrap();
         let (r, b) = (&found.report, bcls::bounds(&path, &limits, least_feed).unwrap());
         let t = found.solution.dwell.dwell_s();
@@ -914,28 +918,39 @@ fn bad_settings_are_refused_by_name() {
     let messages = [
         lucy_richardson::solve(
             &p,
-            &lucy_richardson::Settings { total_variation: -1.0, ..Default::default() },
+            &lucy_richardson::LucyRichardsonSettings {
+                total_variation: -1.0,
+                ..Default::default()
+            },
         )
         .err(),
         lucy_richardson::solve(
             &p,
-            &lucy_richardson::Settings { margin: 0.0, ..Default::default() },
+            &lucy_richardson::LucyRichardsonSettings { margin: 0.0, ..Default::default() },
         )
         .err(),
-        rifta::solve(&p, &rifta::Settings { margin_tolerance_nm: nan, ..Default::default() }).err(),
-        udo::solve(&p, &udo::Settings { step: 1.5, ..Default::default() }).err(),
+        rifta::solve(&p, &rifta::RiftaSettings { margin_tolerance_nm: nan, ..Default::default() })
+            .err(),
+        udo::solve(&p, &udo::UdoSettings { step: 1.5, ..Default::default() }).err(),
         tikhonov_lsqr::solve(
             &p,
-            &tikhonov_lsqr::Settings {
+            &tikhonov_lsqr::TikhonovLsqrSettings {
                 damping: tikhonov_lsqr::Damping::Relative(0.0),
                 ..Default::default()
             },
         )
         .err(),
-        truncated_svd::solve(&p, &truncated_svd::Settings { cut: 1.0, ..Default::default() }).err(),
+        truncated_svd::solve(
+            &p,
+            &truncated_svd::TruncatedSvdSettings { cut: 1.0, ..Default::default() },
+        )
+        .err(),
         non_negative_least_squares::solve(
             &p,
-            &non_negative_least_squares::Settings { tikhonov: -1.0, ..Default::default() },
+            &non_negative_least_squares::NonNegativeSettings {
+                tikhonov: -1.0,
+                ..Default::default()
+            },
         )
         .err(),
     ];

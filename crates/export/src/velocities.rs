@@ -130,7 +130,8 @@ impl Axis<'_> {
                 }
             };
             let program = chain::Program { diagonal, beside, linear, free, price };
-            let rows = |k: usize, rows: &mut chain::Rows| self.rows(k, &within[k], most_v, rows);
+            let rows =
+                |k: usize, rows: &mut chain::ChainRows| self.rows(k, &within[k], most_v, rows);
             let mut v = chain::solve(program, rows).ok()?;
             for k in (0..=n).filter(|k| self.rests[*k]) {
                 v[k] = 0.0;
@@ -154,7 +155,7 @@ impl Axis<'_> {
     }
 
     /// Rows of segment `k`.
-    fn rows(&self, k: usize, within: &[f64], most_v: f64, rows: &mut chain::Rows) {
+    fn rows(&self, k: usize, within: &[f64], most_v: f64, rows: &mut chain::ChainRows) {
         let (t, m, q) = (self.time_s[k], self.distance[k] / self.time_s[k], self.unit);
         let limits = self.limits;
         let mut both = |row: [f64; 2], constant: f64, slack: f64, bound: f64| {

@@ -24,7 +24,7 @@
 //! by the same conditions.
 
 use planish_numerics::{
-    linear::tridiagonal::{self, Row},
+    linear::tridiagonal::{self, TridiagonalRow as Row},
     motion::clothoid,
 };
 

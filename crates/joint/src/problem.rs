@@ -9,7 +9,7 @@
 use ndarray::Array2;
 use planish_dwell::{
     DwellError,
-    columns::Place,
+    columns::ToolPlace as Place,
     residual::{Known, Normal, Residual},
 };
 use planish_numerics::linear::skyline::dot;

@@ -13,13 +13,18 @@
 
 use ndarray::Array2;
 
-/// Values of the four cubic B-splines that are not 0 on a cell, for knots at distance 1. The
+/// Returns the values of the four cubic B-splines that are not 0 on a cell, for knots at distance 1. The
 /// argument `f` in [0, 1] is the offset from the start of the cell.
 #[inline]
 pub fn on_a_cell(f: f64) -> [f64; 4] {
     let g = 1.0 - f;
-    let inner = |f: f64| (4.0 - 6.0 * f * f + 3.0 * f * f * f) / 6.0;
-    [g * g * g / 6.0, inner(f), inner(g), f * f * f / 6.0]
+    [g * g * g / 6.0, inner_spline(f), inner_spline(g), f * f * f / 6.0]
+}
+
+/// Returns the value of a spline on a cell beside its middle, at the offset `f` from the middle.
+#[inline]
+fn inner_spline(f: f64) -> f64 {
+    (4.0 - 6.0 * f * f + 3.0 * f * f * f) / 6.0
 }
 
 /// Degree of the splines: 3, cubic. [`Knots::basis`] and its callers assume it.
@@ -32,36 +37,35 @@ pub struct Knots {
 }
 
 impl Knots {
-    /// Knots of `spans >= 1` spans of equal length on [0, `length`].
+    /// Makes knots of `spans >= 1` spans of equal length on [0, `length`].
     pub fn uniform(length: f64, spans: usize) -> Self {
-        let at = |k: usize| if k == spans { length } else { length * k as f64 / spans as f64 };
-        let inner = (1..spans).map(at);
+        let inner = (1..spans).map(|k| length * k as f64 / spans as f64);
         let t = [0.0; P + 1].into_iter().chain(inner).chain([length; P + 1]).collect();
         Self { t }
     }
 
-    /// Number of control values n.
+    /// Returns the number of control values n.
     #[allow(clippy::len_without_is_empty)] // never empty
     pub fn len(&self) -> usize {
         self.t.len() - P - 1
     }
 
-    /// All knots, (n+4).
+    /// Returns all knots, (n+4).
     pub fn all(&self) -> &[f64] {
         &self.t
     }
 
-    /// Ends of the spans, ascending: the knots without their repetitions.
+    /// Returns the ends of the spans, ascending: the knots without their repetitions.
     pub fn breaks(&self) -> &[f64] {
         &self.t[P..self.t.len() - P]
     }
 
-    /// Interval on which `B_i` is not zero.
+    /// Returns the interval on which `B_i` is not zero.
     pub fn support(&self, i: usize) -> (f64, f64) {
         (self.t[i], self.t[i + P + 1])
     }
 
-    /// Greville's abscissae (n): the mean of the three inner knots of every `B_i`.
+    /// Returns Greville's abscissae (n): the mean of the three inner knots of every `B_i`.
     ///
     /// They are the control values of D = s. The values of a spline at these abscissae determine
     /// it.
@@ -69,47 +73,47 @@ impl Knots {
         (0..self.len()).map(|i| (self.t[i + 1] + self.t[i + 2] + self.t[i + 3]) / 3.0).collect()
     }
 
-    /// The largest k with `t_k <= s` in a span that is not empty.
+    /// Returns the largest k with `t_k <= s` in a span that is not empty.
     fn span(&self, s: f64) -> usize {
         let inner = &self.t[P + 1..self.len()];
         P + inner.partition_point(|t| *t <= s)
     }
 
-    /// Index of the first B-spline that is not zero at `s`, and the values of `B_i .. B_{i+3}`; all
+    /// Returns the index of the first B-spline that is not zero at `s`, and the values of `B_i .. B_{i+3}`; all
     /// others are zero.
     pub fn basis(&self, s: f64) -> (usize, [f64; 4]) {
         let k = self.span(s);
         (k - P, recurrence::<4>(|i| self.t[i], k, s))
     }
 
-    /// Index of the first B-spline that is not zero at `s`, and the derivatives of `B_i ..
+    /// Returns the index of the first B-spline that is not zero at `s`, and the derivatives of `B_i ..
     /// B_{i+3}`.
     pub fn basis_derivative(&self, s: f64) -> (usize, [f64; 4]) {
         let k = self.span(s);
         let lower = recurrence::<3>(|i| self.t[i], k, s);
         // B_i' = 3 (B_i^2 / (t_{i+3} - t_i) - B_{i+1}^2 / (t_{i+4} - t_{i+1}))
-        let part = |i: usize| 3.0 * lower[i + 2 - k] / (self.t[i + 3] - self.t[i]);
         let first = k - P;
+        // Parts 3 B_i^2 / (t_{i+3} - t_i) for i = k - 2, k - 1, k.
+        let part = [0, 1, 2].map(|r| 3.0 * lower[r] / (self.t[k + 1 + r] - self.t[k + r - 2]));
         let derivative = [0, 1, 2, 3].map(|j| {
-            let i = first + j;
-            let rising = if j > 0 { part(i) } else { 0.0 };
-            let falling = if j < 3 { part(i + 1) } else { 0.0 };
+            let rising = if j > 0 { part[j - 1] } else { 0.0 };
+            let falling = if j < 3 { part[j] } else { 0.0 };
             rising - falling
         });
         (first, derivative)
     }
 
-    /// Value D(s) of the spline with the control values `d` (n).
+    /// Returns the value D(s) of the spline with the control values `d` (n).
     pub fn value(&self, d: &[f64], s: f64) -> f64 {
         combine(d, self.basis(s))
     }
 
-    /// Derivative D'(s) of the spline with the control values `d` (n).
+    /// Returns the derivative D'(s) of the spline with the control values `d` (n).
     pub fn derivative(&self, d: &[f64], s: f64) -> f64 {
         combine(d, self.basis_derivative(s))
     }
 
-    /// Integral of D from the first knot, in closed form.
+    /// Returns the integral of D from the first knot, in closed form.
     pub fn integral(&self, d: &[f64]) -> Integral<'_> {
         let mut e = vec![0.0];
         for i in 0..self.len() {
@@ -118,14 +122,14 @@ impl Knots {
         Integral { knots: self, e }
     }
 
-    /// The knots without the inner break `k` of [`Self::breaks`], 0 < k < last.
+    /// Returns the knots without the inner break `k` of [`Self::breaks`], 0 < k < last.
     pub fn without(&self, k: usize) -> Self {
         let mut t = self.t.clone();
         t.remove(P + k);
         Self { t }
     }
 
-    /// Matrix (n of `fine`, n) from control values on these knots to control values of the same
+    /// Returns the matrix (n of `fine`, n) from control values on these knots to control values of the same
     /// spline on `fine`, which has these knots and more.
     pub fn refinement(&self, fine: &Self) -> Array2<f64> {
         let mut knots = self.clone();
@@ -169,22 +173,22 @@ pub struct Integral<'a> {
 }
 
 impl Integral<'_> {
-    /// Value of the integral at `s`.
+    /// Returns the value of the integral at `s`.
     pub fn value(&self, s: f64) -> f64 {
         let t = &self.knots.t;
         let k = self.knots.span(s);
         // The quartic knots have one more repetition at either end: their index is one higher.
-        let at = |i: usize| t[(i.max(1) - 1).min(t.len() - 1)];
-        let basis = recurrence::<5>(at, k + 1, s);
+        let basis = recurrence::<5>(|i| t[(i.max(1) - 1).min(t.len() - 1)], k + 1, s);
         (0..5).map(|j| self.e[k + 1 - 4 + j] * basis[j]).sum()
     }
 }
 
+/// Returns the sum of the splines that are not zero, with their control values.
 fn combine(d: &[f64], (first, basis): (usize, [f64; 4])) -> f64 {
     (0..4).map(|j| d[first + j] * basis[j]).sum()
 }
 
-/// Values of the N B-splines of degree N - 1 that are not zero in span k, by the recurrence of Cox
+/// Returns the values of the N B-splines of degree N - 1 that are not zero in span k, by the recurrence of Cox
 /// and de Boor.
 fn recurrence<const N: usize>(t: impl Fn(usize) -> f64, k: usize, s: f64) -> [f64; N] {
     let mut b = [0.0; N];
@@ -193,7 +197,8 @@ fn recurrence<const N: usize>(t: impl Fn(usize) -> f64, k: usize, s: f64) -> [f6
         // B_i^p = (s - t_i)/(t_{i+p} - t_i) B_i^{p-1} + (t_{i+p+1} - s)/(t_{i+p+1} - t_{i+1}) B_{i+1}^{p-1}
         let mut carried = 0.0;
         for r in 0..degree {
-            let (left, right) = (t(k + 1 + r - degree), t(k + 1 + r));
+            let left = t(k + 1 + r - degree);
+            let right = t(k + 1 + r);
             let fraction = b[r] / (right - left);
             b[r] = carried + (right - s) * fraction;
             carried = (s - left) * fraction;

@@ -30,18 +30,18 @@ impl Grouped {
         Self { first, items }
     }
 
-    /// The items of a key.
-    pub fn of(&self, key: usize) -> &[u32] {
+    /// Returns the items of a key.
+    pub fn group(&self, key: usize) -> &[u32] {
         &self.items[self.first(key)..self.first(key + 1)]
     }
 
-    /// Place of the first item of a key among all items. For the key after the last, it is the
+    /// Returns the place of the first item of a key among all items. For the key after the last, it is the
     /// number of items.
     pub fn first(&self, key: usize) -> usize {
         self.first[key] as usize
     }
 
-    /// All items that have a key.
+    /// Returns all items that have a key.
     pub fn items(&self) -> &[u32] {
         &self.items
     }
@@ -63,7 +63,7 @@ mod tests {
         for k in 0..32 {
             let of_key: Vec<u32> =
                 expected.iter().copied().filter(|i| keys[*i as usize] == Some(k)).collect();
-            assert_eq!(grouped.of(k), of_key);
+            assert_eq!(grouped.group(k), of_key);
         }
         assert_eq!(grouped.first(32), expected.len());
     }
@@ -71,6 +71,6 @@ mod tests {
     #[test]
     fn nothing_is_grouped_into_nothing() {
         let none = Grouped::new(3, std::iter::empty());
-        assert!((0..3).all(|k| none.of(k).is_empty()) && none.items().is_empty());
+        assert!((0..3).all(|k| none.group(k).is_empty()) && none.items().is_empty());
     }
 }

@@ -35,9 +35,11 @@ pub fn from_chord(point: Point, chord: &Chord) -> f64 {
 }
 
 /// Returns the Bernstein coefficients of the cubic with ascending coefficients per axis on [0, `end`].
-pub fn bernstein(cubic: &[[f64; 4]; 2], end: f64) -> [Point; 4] {
+fn bernstein(cubic: &[[f64; 4]; 2], end: f64) -> [Point; 4] {
     let per_axis = cubic.map(|c| {
-        let (first, second, third) = (c[1] * end, c[2] * end * end, c[3] * end * end * end);
+        let first = c[1] * end;
+        let second = c[2] * end * end;
+        let third = c[3] * end * end * end;
         [
             c[0],
             c[0] + first / 3.0,
@@ -51,8 +53,8 @@ pub fn bernstein(cubic: &[[f64; 4]; 2], end: f64) -> [Point; 4] {
 /// Returns the largest distance of a cubic on [0, `end`] that is above `least`, or `least` if none is. The distance is
 /// an upper bound, and exact to 1e-7.
 ///
-/// `farthest` returns the largest distance of its points, for one chord or for the nearest of several: the smallest over
-/// the chords of the largest over the points. It may return any bound that is not above its second argument.
+/// `farthest` returns the largest distance of its points, for one chord or for the nearest of several: the smallest
+/// over the chords of the largest over the points. It may return any bound that is not above its second argument.
 pub fn largest(
     cubic: &[[f64; 4]; 2],
     end: f64,
@@ -86,11 +88,15 @@ pub fn largest(
 
 /// Returns the corners of both halves of a cubic, by de Casteljau's construction.
 fn halves([a, b, c, d]: &[Point; 4]) -> [[Point; 4]; 2] {
-    let middle = |p: &Point, q: &Point| [0.5 * (p[0] + q[0]), 0.5 * (p[1] + q[1])];
-    let (ab, bc, cd) = (middle(a, b), middle(b, c), middle(c, d));
-    let (abc, bcd) = (middle(&ab, &bc), middle(&bc, &cd));
+    let [ab, bc, cd] = [(a, b), (b, c), (c, d)].map(|(p, q)| middle(p, q));
+    let [abc, bcd] = [(ab, bc), (bc, cd)].map(|(p, q)| middle(&p, &q));
     let centre = middle(&abc, &bcd);
     [[*a, ab, abc, centre], [centre, bcd, cd, *d]]
+}
+
+/// Returns the point half way between two points.
+fn middle(p: &Point, q: &Point) -> Point {
+    [0.5 * (p[0] + q[0]), 0.5 * (p[1] + q[1])]
 }
 
 #[cfg(test)]

@@ -20,7 +20,7 @@
 
 use ndarray::{Array2, ArrayView2, s};
 
-/// Keys' weights `[w_-1, w_0, w_1, w_2]` at the offset `f` in [0, 1] from the node below.
+/// Returns Keys' weights `[w_-1, w_0, w_1, w_2]` at the offset `f` in [0, 1] from the node below.
 #[inline]
 pub fn weights(f: f64) -> [f64; 4] {
     [
@@ -31,13 +31,13 @@ pub fn weights(f: f64) -> [f64; 4] {
     ]
 }
 
-/// Means of Keys' weights over offsets f whose powers have the means `[f, f^2, f^3]`.
+/// Returns the means of Keys' weights over offsets f whose powers have the means `[f, f^2, f^3]`.
 #[inline]
 pub fn mean_weights([f, f2, f3]: [f64; 3]) -> [f64; 4] {
     [f2 - 0.5 * (f3 + f), 1.0 + 1.5 * f3 - 2.5 * f2, 2.0 * f2 - 1.5 * f3 + 0.5 * f, 0.5 * (f3 - f2)]
 }
 
-/// `samples` (ny, nx) with one ghost node on every side, (ny+2, nx+2).
+/// Returns `samples` (ny, nx) with one ghost node on every side, (ny+2, nx+2).
 ///
 /// An axis with fewer than three samples continues with the highest order that it has: linear for
 /// two samples, constant for one.
@@ -56,12 +56,12 @@ pub fn with_ghosts(samples: ArrayView2<f64>) -> Array2<f64> {
     g
 }
 
-/// Ghost node next to `at(0)`, from the `n` nodes `at(0), at(1), ...` towards the middle.
-fn continuation(n: usize, at: impl Fn(usize) -> f64) -> f64 {
+/// Returns the ghost node next to `node(0)`, from the `n` nodes `node(0), node(1), ...` towards the middle.
+fn continuation(n: usize, node: impl Fn(usize) -> f64) -> f64 {
     match n {
-        1 => at(0),
-        2 => 2.0 * at(0) - at(1),
-        _ => 3.0 * at(0) - 3.0 * at(1) + at(2),
+        1 => node(0),
+        2 => 2.0 * node(0) - node(1),
+        _ => 3.0 * node(0) - 3.0 * node(1) + node(2),
     }
 }
 
@@ -74,7 +74,7 @@ fn continuation(n: usize, at: impl Fn(usize) -> f64) -> f64 {
 /// steps.
 pub const SNAP: f64 = 1e-9;
 
-/// Lattice cell and offset of the coordinate `s`, which is moved to a node within [`SNAP`].
+/// Returns the lattice cell and the offset of the coordinate `s`, which is moved to a node within [`SNAP`].
 #[inline]
 pub fn split(s: f64) -> (isize, f64) {
     // floor, without a call where the processor that is compiled for has no instruction for it

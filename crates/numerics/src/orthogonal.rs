@@ -12,7 +12,7 @@
 //! Source: F. W. J. Olver et al., NIST Handbook of Mathematical Functions, section 18.9; for the
 //! radial polynomials B. Honarvar Shakibaei, R. Paramesran, Opt. Lett. 38 (2013) 2487, Eq. 12.
 
-/// `out[k] = P_k(u)`, k = 0, 1, ...
+/// Writes `out[k] = P_k(u)`, k = 0, 1, ...
 pub fn legendre(u: f64, out: &mut [f64]) {
     for k in 0..out.len() {
         out[k] = match k {
@@ -26,7 +26,7 @@ pub fn legendre(u: f64, out: &mut [f64]) {
     }
 }
 
-/// `out[k] = T_k(u)`, k = 0, 1, ...
+/// Writes `out[k] = T_k(u)`, k = 0, 1, ...
 pub fn chebyshev(u: f64, out: &mut [f64]) {
     for k in 0..out.len() {
         out[k] = match k {
@@ -37,18 +37,18 @@ pub fn chebyshev(u: f64, out: &mut [f64]) {
     }
 }
 
-/// Number of Zernike terms up to the radial order `order`.
+/// Returns the number of Zernike terms up to the radial order `order`.
 pub fn zernike_terms(order: u32) -> usize {
     (order as usize + 1) * (order as usize + 2) / 2
 }
 
-/// Index of the term (n, m) in the order of OSA and ANSI Z80.28: n ascending, then m.
+/// Returns the index of the term (n, m) in the order of OSA and ANSI Z80.28: n ascending, then m.
 pub fn zernike_index(n: u32, m: i32) -> usize {
-    let (n, m) = (i64::from(n), i64::from(m));
-    ((n * (n + 2) + m) / 2) as usize
+    let n = i64::from(n);
+    ((n * (n + 2) + i64::from(m)) / 2) as usize
 }
 
-/// All `Z_n^m(x, y)` with n <= `order` at x = rho cos(theta), y = rho sin(theta), at the indices of
+/// Writes all `Z_n^m(x, y)` with n <= `order` at x = rho cos(theta), y = rho sin(theta), at the indices of
 /// [`zernike_index`]. `out` has [`zernike_terms`] elements.
 pub fn zernike(order: u32, x: f64, y: f64, out: &mut [f64]) {
     let n_max = order as usize;
@@ -72,10 +72,12 @@ pub fn zernike(order: u32, x: f64, y: f64, out: &mut [f64]) {
             }
         }
         // (cos, sin)(m theta) = (cos theta + i sin theta)^m
-        let (mut c, mut s) = (1.0, 0.0);
+        let mut c = 1.0;
+        let mut s = 0.0;
         for m in 0..=n {
             if (n - m) % 2 == 0 {
-                let (n, m) = (n as u32, m as i32);
+                let n = n as u32;
+                let m = m as i32;
                 out[zernike_index(n, -m)] = this[m as usize] * s;
                 out[zernike_index(n, m)] = this[m as usize] * c;
             }

@@ -3,7 +3,7 @@
 //! A point is on the front if no other point is at most as large in both quantities and smaller in
 //! one.
 
-/// Indices of the points on the front, by ascending first quantity. Of equal points, only the first
+/// Returns the indices of the points on the front, by ascending first quantity. Of equal points, only the first
 /// is on it. Points with NaN are not on it.
 pub fn front(points: &[[f64; 2]]) -> Vec<usize> {
     let mut order: Vec<usize> =
@@ -21,7 +21,7 @@ pub fn front(points: &[[f64; 2]]) -> Vec<usize> {
     order
 }
 
-/// Area that points dominate below a corner, in the logarithms of both quantities:
+/// Returns the area that points dominate below a corner, in the logarithms of both quantities:
 ///
 /// ```text
 /// A = sum_i ln(x_(i+1) / x_i) ln(Y / y_i)        over the front x_1 < x_2 < ..., with x_(n+1) = X

@@ -2,19 +2,19 @@
 //!
 //! Coefficients are ascending: `p(u) = c[0] + c[1] u + c[2] u^2 + c[3] u^3`.
 
-/// Value `p(u)` by nested multiplication.
+/// Returns the value `p(u)`, by nested multiplication.
 #[inline]
 pub fn evaluate(c: &[f64; 4], u: f64) -> f64 {
     ((c[3] * u + c[2]) * u + c[1]) * u + c[0]
 }
 
-/// Coefficients of the derivative.
+/// Returns the coefficients of the derivative.
 #[inline]
 pub fn derivative(c: &[f64; 4]) -> [f64; 4] {
     [c[1], 2.0 * c[2], 3.0 * c[3], 0.0]
 }
 
-/// Polynomial q(u) = p(u + d), which begins at `d`: `q_k = p^(k)(d) / k!`. For d = 0 it equals p to
+/// Returns the polynomial q(u) = p(u + d), which begins at `d`: `q_k = p^(k)(d) / k!`. For d = 0 it equals p to
 /// the last bit.
 pub fn shifted(p: &[f64; 4], d: f64) -> [f64; 4] {
     if d == 0.0 {
@@ -26,16 +26,15 @@ pub fn shifted(p: &[f64; 4], d: f64) -> [f64; 4] {
     [evaluate(p, d), evaluate(&v, d), evaluate(&a, d) / 2.0, evaluate(&j, d) / 6.0]
 }
 
-/// Real roots of `a + b u + c u^2` in the open interval (0, `end`), ascending.
+/// Returns the real roots of `a + b u + c u^2` in the open interval (0, `end`), ascending.
 ///
 /// Uses the citardauq pair `q = -(b + sign(b) sqrt(b^2 - 4ac)) / 2`, `u = q / c`, `u = a / q`,
 /// which does not cancel; a double root is returned once.
 pub fn quadratic_roots(a: f64, b: f64, c: f64, end: f64) -> impl Iterator<Item = f64> {
-    let inside = move |u: f64| (u > 0.0 && u < end).then_some(u);
     let mut roots = [None, None];
     if c == 0.0 {
         if b != 0.0 {
-            roots[0] = inside(-a / b);
+            roots[0] = within(-a / b, end);
         }
     } else {
         let discriminant = b * b - 4.0 * a * c;
@@ -43,14 +42,19 @@ pub fn quadratic_roots(a: f64, b: f64, c: f64, end: f64) -> impl Iterator<Item =
             let q = -0.5 * (b + discriminant.sqrt().copysign(b));
             let first = q / c;
             let second = if q == 0.0 { first } else { a / q };
-            roots[0] = inside(first.min(second));
-            roots[1] = if first == second { None } else { inside(first.max(second)) };
+            roots[0] = within(first.min(second), end);
+            roots[1] = if first == second { None } else { within(first.max(second), end) };
         }
     }
     roots.into_iter().flatten()
 }
 
-/// Exact smallest and largest value of `p` on [0, `end`], with the places where they occur.
+/// Returns `u` if it is in the open interval (0, `end`).
+fn within(u: f64, end: f64) -> Option<f64> {
+    if u > 0.0 && u < end { Some(u) } else { None }
+}
+
+/// Returns the exact smallest and largest value of `p` on [0, `end`], with the places where they occur.
 ///
 /// The candidates are the two ends and the roots of p' inside.
 pub fn range(c: &[f64; 4], end: f64) -> Range {
@@ -82,13 +86,13 @@ pub struct Range {
 }
 
 impl Range {
-    /// Largest magnitude and its place.
+    /// Returns the largest magnitude and its place.
     pub fn peak(&self) -> (f64, f64) {
         if -self.min > self.max { (-self.min, self.min_at) } else { (self.max, self.max_at) }
     }
 }
 
-/// Root of `p(u) = level` in [`lo`, `hi`], where `p` is monotone and the level is bracketed.
+/// Returns the root of `p(u) = level` in [`lo`, `hi`], where `p` is monotone and the level is bracketed.
 ///
 /// Newton's method, with bisection where it would leave the shrinking bracket. It ends at rounding.
 pub fn monotone_crossing(c: &[f64; 4], level: f64, mut lo: f64, mut hi: f64) -> f64 {

@@ -4,7 +4,7 @@ use rustfft::FftNum;
 
 /// Number of a matrix, a transform or a factor, in either precision.
 pub trait Real: FftNum + Default + Into<f64> {
-    /// The number nearest to `value`.
+    /// Returns the number nearest to `value`.
     fn rounded(value: f64) -> Self;
 }
 

@@ -1,6 +1,6 @@
 //! Gauss-Legendre quadrature.
 
-/// Nodes in (0, 1) and weights of the `N`-point Gauss-Legendre rule. The weights sum to 1.
+/// Returns the nodes in (0, 1) and the weights of the `N`-point Gauss-Legendre rule. The weights sum to 1.
 ///
 /// Exact for polynomials up to degree 2N - 1. The nodes are the roots of the Legendre
 /// polynomial P_N, found by Newton's method from Chebyshev's estimate
@@ -19,9 +19,10 @@ pub fn gauss_legendre<const N: usize>() -> [(f64, f64); N] {
     })
 }
 
-/// `(P_n(z), P_n'(z))` by Bonnet's recursion.
+/// Returns `(P_n(z), P_n'(z))` by Bonnet's recursion.
 fn legendre(n: usize, z: f64) -> (f64, f64) {
-    let (mut previous, mut p) = (0.0, 1.0);
+    let mut previous = 0.0;
+    let mut p = 1.0;
     for k in 0..n {
         let kf = k as f64;
         (previous, p) = (p, ((2.0 * kf + 1.0) * z * p - kf * previous) / (kf + 1.0));

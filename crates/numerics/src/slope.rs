@@ -12,7 +12,7 @@
 //! | symbol | variable | shape | unit |
 //! |---|---|---|---|
 //! | z | `z` | (ny, nx) | u |
-//! | x | `at` | (nx) or (ny) | s |
+//! | x | `coordinates` | (nx) or (ny) | s |
 //! | k | `steps` | | samples |
 //! | s | slopes | (ny, nx - k) or (ny - k, nx) | u/s |
 
@@ -28,7 +28,7 @@ pub enum Along {
 }
 
 impl Along {
-    /// The axis of an array [y, x].
+    /// Returns the axis of an array [y, x].
     pub fn axis(self) -> Axis {
         match self {
             Self::X => Axis(1),
@@ -37,24 +37,24 @@ impl Along {
     }
 }
 
-/// Number of steps, at least one, nearest to the length `base`. `None` if `n` samples do not
+/// Returns the number of steps, at least one, nearest to the length `base`. `None` if `n` samples do not
 /// contain that many steps.
 pub fn steps_of_base(base: f64, step: f64, n: usize) -> Option<usize> {
     let steps = (base / step).round().max(1.0);
-    (steps.is_finite() && steps < n as f64).then_some(steps as usize)
+    if steps.is_finite() && steps < n as f64 { Some(steps as usize) } else { None }
 }
 
-/// Slopes of `z` at the coordinates `at` along the axis, over `steps` samples. The result is empty
+/// Returns the slopes of `z` at the `coordinates` along the axis, over `steps` samples. The result is empty
 /// for `steps` samples or fewer.
-pub fn slopes(z: ArrayView2<f64>, at: &[f64], along: Along, steps: usize) -> Array2<f64> {
+pub fn slopes(z: ArrayView2<f64>, coordinates: &[f64], along: Along, steps: usize) -> Array2<f64> {
     let axis = along.axis();
-    let kept = z.len_of(axis).saturating_sub(steps);
-    let near = z.slice_axis(axis, Slice::from(..kept));
+    let count = z.len_of(axis).saturating_sub(steps);
+    let near = z.slice_axis(axis, Slice::from(..count));
     let far = z.slice_axis(axis, Slice::from(steps.min(z.len_of(axis))..));
     let mut slopes = Array2::zeros(near.dim());
     Zip::from(&mut slopes).and(&near).and(&far).for_each(|s, a, b| *s = b - a);
     for (i, mut line) in slopes.axis_iter_mut(axis).enumerate() {
-        let base = at[i + steps] - at[i];
+        let base = coordinates[i + steps] - coordinates[i];
         line.mapv_inplace(|rise| rise / base);
     }
     slopes

@@ -35,7 +35,7 @@
 
 use std::f64::consts::PI;
 
-use ndarray::{Array2, ArrayView1, ArrayView2};
+use ndarray::{Array2, ArrayView2};
 
 use crate::parallel;
 use crate::{
@@ -54,19 +54,19 @@ pub const MIN_SAMPLES: usize = 8;
 /// 100 nm, more than the whole removal of most plans, and dwell times cannot be negative.
 pub const LEAST_TRANSFER: f64 = 0.01;
 
-/// The periodic Hann window of `n` samples, `w[i] = (1 - cos(2 pi i / n)) / 2`.
+/// Returns the periodic Hann window of `n` samples, `w[i] = (1 - cos(2 pi i / n)) / 2`.
 pub fn hann(n: usize) -> Vec<f64> {
     (0..n).map(|i| 0.5 * (1.0 - (2.0 * PI * i as f64 / n as f64).cos())).collect()
 }
 
-/// `z` (ny, nx) minus its mean.
+/// Returns `z` (ny, nx) minus its mean.
 pub fn without_mean(z: ArrayView2<f64>) -> Array2<f64> {
     let z = z.to_owned();
     let mean = z.mean().unwrap_or(0.0);
     z - mean
 }
 
-/// `z` (ny, nx) minus its least-squares plane over the coordinates `x` and `y`, and minus its mean.
+/// Returns `z` (ny, nx) minus its least-squares plane over the coordinates `x` and `y`, and minus its mean.
 /// If the samples define no plane, only the mean is subtracted.
 pub fn without_plane(z: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Array2<f64> {
     match fit_plane(z, x, y) {
@@ -98,36 +98,36 @@ pub struct Ring {
 }
 
 impl Density {
-    /// Density S of `z` (ny, nx) without invalid samples, at `step` [dx, dy], under `window` [w_x,
+    /// Computes the density S of `z` (ny, nx) without invalid samples, at `step` [dx, dy], under `window` [w_x,
     /// w_y].
-    pub fn of(z: ArrayView2<f64>, step: [f64; 2], window: [&[f64]; 2]) -> Self {
-        let ((ny, nx), [dx, dy], [w_x, w_y]) = (z.dim(), step, window);
+    pub fn new(z: ArrayView2<f64>, [dx, dy]: [f64; 2], [w_x, w_y]: [&[f64]; 2]) -> Self {
+        let (ny, nx) = z.dim();
         // S = |F|^2 / (nx dx ny dy mean(w^2)), F = dx dy DFT(z w)
         let weighted = Array2::from_shape_fn((ny, nx), |(r, c)| z[[r, c]] * w_y[r] * w_x[c]);
         let scale = dx * dy / ((nx * ny) as f64 * mean_square(w_x) * mean_square(w_y));
         let power = transform::forward(weighted.view()).mapv(|v| v.norm_sqr() * scale);
-        let (order_x, order_y) = (ascending(nx), ascending(ny));
-        let at = |k: &usize, n: usize, step: f64| transform::frequency(*k, n) / step;
+        let order_x = ascending(nx);
+        let order_y = ascending(ny);
         Self {
-            frequency_x: order_x.iter().map(|k| at(k, nx, dx)).collect(),
-            frequency_y: order_y.iter().map(|k| at(k, ny, dy)).collect(),
+            frequency_x: order_x.iter().map(|k| transform::frequency(*k, nx) / dx).collect(),
+            frequency_y: order_y.iter().map(|k| transform::frequency(*k, ny) / dy).collect(),
             density: Array2::from_shape_fn((ny, nx), |(r, c)| power[[order_y[r], order_x[c]]]),
             bin: 1.0 / (nx as f64 * dx * ny as f64 * dy),
         }
     }
 
-    /// Sum of S df over all bins. It equals the mean square of the weighted samples.
+    /// Returns the sum of S df over all bins. It equals the mean square of the weighted samples.
     pub fn total(&self) -> f64 {
         self.density.sum() * self.bin
     }
 
-    /// Sum of S df over the bins with `low` <= |f| < `high`.
+    /// Returns the sum of S df over the bins with `low` <= |f| < `high`.
     pub fn mean_square(&self, [low, high]: [f64; 2]) -> f64 {
         let inside = self.bins().filter(|(f, _)| *f >= low && *f < high);
         inside.map(|(_, s)| s).sum::<f64>() * self.bin
     }
 
-    /// Means over `count` rings. `ring_of` gives the ring of a frequency |f|, if any. A ring
+    /// Returns the means over `count` rings. `ring_of` gives the ring of a frequency |f|, if any. A ring
     /// without a bin is `None`.
     pub fn rings(&self, count: usize, ring_of: impl Fn(f64) -> Option<usize>) -> Vec<Option<Ring>> {
         let mut sums = vec![(0.0, 0.0, 0_usize); count];
@@ -136,20 +136,23 @@ impl Density {
                 *sum = (sum.0 + f, sum.1 + s, sum.2 + 1);
             }
         }
-        let mean = |(f, s, n): (f64, f64, usize)| {
-            (n > 0).then(|| Ring { frequency: f / n as f64, density: s / n as f64 })
-        };
-        sums.into_iter().map(mean).collect()
+        let rings = sums.into_iter().map(|(f, s, n)| {
+            if n == 0 {
+                return None;
+            }
+            Some(Ring { frequency: f / n as f64, density: s / n as f64 })
+        });
+        rings.collect()
     }
 
-    /// |f| and S of every bin.
+    /// Returns |f| and S of every bin.
     fn bins(&self) -> impl Iterator<Item = (f64, f64)> {
         let bins = self.density.indexed_iter();
         bins.map(|((r, c), s)| (self.frequency_x[c].hypot(self.frequency_y[r]), *s))
     }
 }
 
-/// Frequencies and the mean one-sided density of the rows of `z`, at `step`, under `window`.
+/// Returns the frequencies and the mean one-sided density of the rows of `z`, at `step`, under `window`.
 pub fn along_rows(z: ArrayView2<f64>, step: f64, window: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let (rows, n) = z.dim();
     let mut sums = vec![0.0; n / 2 + 1];
@@ -159,13 +162,15 @@ pub fn along_rows(z: ArrayView2<f64>, step: f64, window: &[f64]) -> (Vec<f64>, V
         sums.iter_mut().zip(&spectrum).for_each(|(s, v)| *s += v.norm_sqr());
     }
     let scale = step / (n as f64 * mean_square(window) * rows as f64);
-    let once = |k: usize| k == 0 || 2 * k == n;
-    let density = sums.iter().enumerate();
-    let density = density.map(|(k, s)| s * scale * if once(k) { 1.0 } else { 2.0 }).collect();
+    let density = sums.iter().enumerate().map(|(k, s)| {
+        let is_single = k == 0 || 2 * k == n;
+        s * scale * if is_single { 1.0 } else { 2.0 }
+    });
+    let density = density.collect();
     ((0..=n / 2).map(|k| k as f64 / (n as f64 * step)).collect(), density)
 }
 
-/// Transfer function of a kernel (my, mx) with samples at `x` and `y`, at the frequencies `f_x` and
+/// Computes the transfer function of a kernel (my, mx) with samples at `x` and `y`, at the frequencies `f_x` and
 /// `f_y`, relative to frequency 0: |sum t exp(-2 pi i (f_x x + f_y y))| / |sum t|, (ny, nx).
 ///
 /// It is a direct sum, one axis after the other, because the steps of the kernel and of the
@@ -175,35 +180,38 @@ pub fn transfer(
     [x, y]: [&[f64]; 2],
     [f_x, f_y]: [&[f64]; 2],
 ) -> Array2<f64> {
-    let wave = |f: f64, at: f64| Complex64::cis(-2.0 * PI * f * at);
     // Along x: (nx, my)
     let rows: Vec<Vec<Complex64>> = parallel::map(f_x.len(), &|k| {
-        let waves: Vec<Complex64> = x.iter().map(|x| wave(f_x[k], *x)).collect();
-        let sum = |row: ArrayView1<f64>| row.iter().zip(&waves).map(|(t, w)| w * t).sum();
-        kernel.outer_iter().map(sum).collect()
+        let waves = waves(f_x[k], x);
+        let rows = kernel.outer_iter();
+        rows.map(|row| row.iter().zip(&waves).map(|(t, w)| w * t).sum()).collect()
     });
     let whole = kernel.sum().abs();
     let lines: Vec<Vec<f64>> = parallel::map(f_y.len(), &|k| {
-        let waves: Vec<Complex64> = y.iter().map(|y| wave(f_y[k], *y)).collect();
-        let sum = |row: &Vec<Complex64>| {
-            row.iter().zip(&waves).map(|(t, w)| t * w).sum::<Complex64>().norm() / whole
-        };
-        rows.iter().map(sum).collect()
+        let waves = waves(f_y[k], y);
+        let sums =
+            rows.iter().map(|row| row.iter().zip(&waves).map(|(t, w)| t * w).sum::<Complex64>());
+        sums.map(|sum| sum.norm() / whole).collect()
     });
     Array2::from_shape_fn((f_y.len(), f_x.len()), |(r, c)| lines[r][c])
 }
 
-/// Mean of the squares of a window.
+/// Returns `exp(-2 pi i f x)` at every x.
+fn waves(f: f64, x: &[f64]) -> Vec<Complex64> {
+    x.iter().map(|x| Complex64::cis(-2.0 * PI * f * x)).collect()
+}
+
+/// Returns the mean of the squares of a window.
 pub fn mean_square(window: &[f64]) -> f64 {
     window.iter().map(|w| w * w).sum::<f64>() / window.len() as f64
 }
 
-/// Indices of the elements of a transform of length `n` by ascending frequency.
+/// Returns the indices of the elements of a transform of length `n` by ascending frequency.
 fn ascending(n: usize) -> Vec<usize> {
     (n / 2 + 1..n).chain(0..=n / 2).collect()
 }
 
-/// Largest rectangle of true by area: its first (row, column) and its (rows, columns). Of equal
+/// Returns the largest rectangle of true by area: its first (row, column) and its (rows, columns). Of equal
 /// rectangles, the first.
 pub fn largest_rectangle(flags: &Array2<bool>) -> ((usize, usize), (usize, usize)) {
     let (ny, nx) = flags.dim();
@@ -244,7 +252,7 @@ mod tests {
         for (nx, ny) in [(30, 21), (31, 22), (16, 16), (17, 9)] {
             let z = Array2::from_shape_simple_fn((ny, nx), || rng.random_range(-3.0..5.0));
             let (w_x, w_y) = (hann(nx), hann(ny));
-            let found = Density::of(z.view(), [0.1, 0.15], [&w_x, &w_y]).mean_square([0.0, 99.0]);
+            let found = Density::new(z.view(), [0.1, 0.15], [&w_x, &w_y]).mean_square([0.0, 99.0]);
             let weighted = z.indexed_iter().map(|((r, c), z)| (z * w_y[r] * w_x[c]).powi(2));
             let weights = (nx * ny) as f64 * mean_square(&w_x) * mean_square(&w_y);
             // Sums of a few hundred terms.
@@ -260,7 +268,7 @@ mod tests {
     #[test]
     fn rings_are_means_and_an_empty_one_is_none() {
         let z = Array2::from_shape_fn((8, 8), |(_, c)| (PI * c as f64 / 2.0).cos());
-        let density = Density::of(z.view(), [1.0, 1.0], [&[1.0; 8], &[1.0; 8]]);
+        let density = Density::new(z.view(), [1.0, 1.0], [&[1.0; 8], &[1.0; 8]]);
         // Frequencies k / 8: the wave is at +-2 / 8 along x, S = (1/4) 64 in both bins.
         let rings = density.rings(3, |f| match f {
             0.0 => Some(0),

@@ -34,32 +34,32 @@ const PART: usize = 1 << 14;
 /// rounding of a sum.
 const SIDE_BY_SIDE: usize = 8;
 
-/// Results of `of` for parts of the rows of `map`, in order. `of` gets the number of the first row
+/// Returns the results of `evaluate` for parts of the rows of `map`, in order. It gets the number of the first row
 /// of a part, and the part.
 fn by_parts<T: Send + Sync>(
     map: ArrayView2<f64>,
-    of: impl Fn(usize, ArrayView2<f64>) -> T + Sync,
+    evaluate: impl Fn(usize, ArrayView2<f64>) -> T + Sync,
 ) -> Vec<T> {
     let rows = (PART / map.ncols().max(1)).max(1);
     parallel::map(map.nrows().div_ceil(rows), &|part| {
         let from = part * rows;
-        of(from, map.slice(s![from..(from + rows).min(map.nrows()), ..]))
+        evaluate(from, map.slice(s![from..(from + rows).min(map.nrows()), ..]))
     })
 }
 
-/// Pixels of a row, copied if they are not contiguous.
+/// Returns the pixels of a row, copied if they are not contiguous.
 #[inline(always)]
 fn pixels(row: ArrayView1<'_, f64>) -> Cow<'_, [f64]> {
     row.to_slice().map_or_else(|| row.to_vec().into(), Cow::Borrowed)
 }
 
-/// Sums of `of(x, y, value)` over all valid pixels. `x` has a number for every column, `y` for
+/// Returns the sums of `terms(x, y, value)` over all valid pixels. `x` has a number for every column, `y` for
 /// every row. The sums are made over parts of rows, and added in order: they are the same on any
 /// number of threads.
 fn sums<const N: usize>(
     map: ArrayView2<f64>,
     (x, y): (&[f64], &[f64]),
-    of: impl Fn(f64, f64, f64) -> [f64; N] + Sync,
+    terms: impl Fn(f64, f64, f64) -> [f64; N] + Sync,
 ) -> [f64; N] {
     let parts = by_parts(map, |first, map| {
         vectorised(
@@ -72,13 +72,13 @@ fn sums<const N: usize>(
                     let places = x.chunks(SIDE_BY_SIDE);
                     for (pixels, x) in row.chunks(SIDE_BY_SIDE).zip(places) {
                         if let (Ok(pixels), Ok(x)) = (pixels.try_into(), x.try_into()) {
-                            add::<SIDE_BY_SIDE, N>(pixels, x, *y, &of, &mut sums);
+                            add::<SIDE_BY_SIDE, N>(pixels, x, *y, &terms, &mut sums);
                         } else {
                             // The last pixels of a row, padded with NaN, which does not count.
                             let mut whole = [[f64::NAN; SIDE_BY_SIDE]; 2];
                             whole[0][..pixels.len()].copy_from_slice(pixels);
                             whole[1][..x.len()].copy_from_slice(x);
-                            add(&whole[0], &whole[1], *y, &of, &mut sums);
+                            add(&whole[0], &whole[1], *y, &terms, &mut sums);
                         }
                     }
                     for (total, sums) in total.iter_mut().zip(sums) {
@@ -95,37 +95,38 @@ fn sums<const N: usize>(
     })
 }
 
+/// Adds the terms of a few pixels of a row to their sums.
 #[inline(always)]
 fn add<const M: usize, const N: usize>(
     pixels: &[f64; M],
     x: &[f64; M],
     y: f64,
-    of: &impl Fn(f64, f64, f64) -> [f64; N],
+    terms_of: &impl Fn(f64, f64, f64) -> [f64; N],
     sums: &mut [[f64; M]; N],
 ) {
     for i in 0..M {
-        let terms = of(x[i], y, pixels[i]);
+        let terms = terms_of(x[i], y, pixels[i]);
         for k in 0..N {
             sums[k][i] += if pixels[i].is_nan() { 0.0 } else { terms[k] };
         }
     }
 }
 
-/// Sums of `of(value)` over all valid pixels ([`sums`]).
+/// Returns the sums of `terms(value)` over all valid pixels ([`sums`]).
 fn sums_of_values<const N: usize>(
     map: ArrayView2<f64>,
-    of: impl Fn(f64) -> [f64; N] + Sync,
+    terms: impl Fn(f64) -> [f64; N] + Sync,
 ) -> [f64; N] {
     let nowhere = vec![0.0; map.nrows().max(map.ncols())];
     sums(
         map,
         (&nowhere[..map.ncols()], &nowhere),
         #[inline(always)]
-        |_, _, v| of(v),
+        |_, _, v| terms(v),
     )
 }
 
-/// Smallest and largest of the valid pixels; infinity and minus infinity if there is none.
+/// Returns the smallest and the largest of the valid pixels; infinity and minus infinity if there is none.
 pub fn range(map: ArrayView2<f64>) -> (f64, f64) {
     let none = (f64::INFINITY, f64::NEG_INFINITY);
     let parts = by_parts(map, |_, map| {
@@ -149,7 +150,7 @@ pub fn range(map: ArrayView2<f64>) -> (f64, f64) {
     parts.into_iter().flatten().fold(none, |a, b| (a.0.min(b.0), a.1.max(b.1)))
 }
 
-/// Number of valid pixels.
+/// Counts the valid pixels.
 pub fn valid_count(map: ArrayView2<f64>) -> usize {
     sums_of_values(
         map,
@@ -158,17 +159,17 @@ pub fn valid_count(map: ArrayView2<f64>) -> usize {
     )[0] as usize
 }
 
-/// Number of valid pixels that have each of these values.
+/// Counts the valid pixels that have each of these values.
 pub fn counts<const N: usize>(map: ArrayView2<f64>, values: [f64; N]) -> [usize; N] {
-    let found = sums_of_values(
+    let counts = sums_of_values(
         map,
         #[inline(always)]
         |v| values.map(|value| if v == value { 1.0 } else { 0.0 }),
     );
-    found.map(|n| n as usize)
+    counts.map(|n| n as usize)
 }
 
-/// Sum of the excess of the valid pixels over `level`.
+/// Returns the sum of the excess of the valid pixels over `level`.
 pub fn sum_above(map: ArrayView2<f64>, level: f64) -> f64 {
     let above = sums_of_values(
         map,
@@ -182,29 +183,42 @@ pub fn sum_above(map: ArrayView2<f64>, level: f64) -> f64 {
 /// so that more pixels are sorted. Smaller: more pixels are sampled. It does not change the result.
 const ROWS_PER_LOOK: usize = 16;
 
-/// Lowest valid pixel after leaving out the lowest `fraction`, in [0, 1). If weights (ny, nx) are
+/// Returns the lowest valid pixel after leaving out the lowest `fraction`, in [0, 1). If weights (ny, nx) are
 /// given, only pixels with a `weight` > 0 count. `None` if no pixel counts.
 pub fn lowest(map: ArrayView2<f64>, weight: Option<ArrayView2<f64>>, fraction: f64) -> Option<f64> {
-    let row = |r: usize| {
-        let counts = move |c: usize| weight.is_none_or(|w| w[[r, c]] > 0.0);
-        map.row(r).into_iter().enumerate().filter(move |(c, v)| !v.is_nan() && counts(*c))
-    };
     let rows = (0..map.nrows()).into_par_iter();
     let count = match weight {
-        Some(_) => rows.clone().map(|r| row(r).count()).sum(),
+        Some(_) => rows.clone().map(|r| counted(map, weight, r).count()).sum(),
         None => valid_count(map),
     };
     let rank = ((fraction * count as f64) as usize).min(count.checked_sub(1)?);
-    let at_rank = |mut values: Vec<f64>| {
-        (rank < values.len()).then(|| *values.select_nth_unstable_by(rank, f64::total_cmp).1)
-    };
     // At least as many of all pixels as of the sampled ones are at or below this bound.
-    let looked_at = (0..map.nrows()).step_by(ROWS_PER_LOOK).flat_map(|r| row(r).map(|(_, v)| *v));
-    let enough = at_rank(looked_at.collect()).unwrap_or(f64::INFINITY);
-    at_rank(rows.flat_map_iter(|r| row(r).map(|(_, v)| *v).filter(|v| *v <= enough)).collect())
+    let sampled = (0..map.nrows()).step_by(ROWS_PER_LOOK).flat_map(|r| counted(map, weight, r));
+    let bound = ranked(sampled.collect(), rank).unwrap_or(f64::INFINITY);
+    let low = rows.flat_map_iter(|r| counted(map, weight, r).filter(|v| *v <= bound));
+    ranked(low.collect(), rank)
 }
 
-/// Statistics of the valid pixels; `None` if there are none.
+/// Returns the valid pixels of row r that count: those of a weight above 0.
+fn counted<'a>(
+    map: ArrayView2<'a, f64>,
+    weight: Option<ArrayView2<'a, f64>>,
+    r: usize,
+) -> impl Iterator<Item = f64> + use<'a> {
+    let row = map.slice_move(s![r, ..]).into_iter().enumerate();
+    row.filter(move |(c, v)| !v.is_nan() && weight.is_none_or(|w| w[[r, *c]] > 0.0))
+        .map(|(_, v)| *v)
+}
+
+/// Returns the value with so many lower ones, if there are enough values.
+fn ranked(mut values: Vec<f64>, rank: usize) -> Option<f64> {
+    if rank >= values.len() {
+        return None;
+    }
+    Some(*values.select_nth_unstable_by(rank, f64::total_cmp).1)
+}
+
+/// Returns the statistics of the valid pixels; `None` if there are none.
 pub fn statistics(map: ArrayView2<f64>) -> Option<Statistics> {
     let [n, sum] = sums_of_values(
         map,
@@ -256,9 +270,6 @@ pub fn fit_plane(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Option<Plane> {
     let [x_mean, y_mean, z_mean] = [x_sum, y_sum, z_sum].map(|sum| sum / n);
     let x_scale = x.iter().fold(0.0_f64, |m, v| m.max((v - x_mean).abs())).max(f64::MIN_POSITIVE);
     let y_scale = y.iter().fold(0.0_f64, |m, v| m.max((v - y_mean).abs())).max(f64::MIN_POSITIVE);
-    let scaled = |of: &[f64], mean: f64, scale: f64| -> Vec<f64> {
-        of.iter().map(|v| (v - mean) / scale).collect()
-    };
     let [xx, xy, yy, xz, yz] = sums(
         map,
         (&scaled(x, x_mean, x_scale), &scaled(y, y_mean, y_scale)),
@@ -279,7 +290,12 @@ pub fn fit_plane(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Option<Plane> {
     Some(Plane { a: z_mean - b * x_mean - c * y_mean, b, c })
 }
 
-/// `map` minus `plane`; NaN stays NaN.
+/// Returns coordinates from their mean, in units of a scale.
+fn scaled(coordinates: &[f64], mean: f64, scale: f64) -> Vec<f64> {
+    coordinates.iter().map(|v| (v - mean) / scale).collect()
+}
+
+/// Returns `map` minus `plane`; NaN stays NaN.
 pub fn subtract_plane(map: ArrayView2<f64>, x: &[f64], y: &[f64], plane: Plane) -> Array2<f64> {
     let mut out = map.to_owned();
     for ((r, c), v) in out.indexed_iter_mut() {
@@ -288,7 +304,7 @@ pub fn subtract_plane(map: ArrayView2<f64>, x: &[f64], y: &[f64], plane: Plane) 
     out
 }
 
-/// Population RMS after removing the least-squares plane. If the valid pixels define no plane, only
+/// Returns the population RMS after removing the least-squares plane. If the valid pixels define no plane, only
 /// the mean is removed. `None` if there are no valid pixels.
 pub fn detilted_rms(map: ArrayView2<f64>, x: &[f64], y: &[f64]) -> Option<f64> {
     let Some(plane) = fit_plane(map, x, y) else { return statistics(map).map(|s| s.rms) };

@@ -26,33 +26,33 @@ pub trait Lanes: Real {
     /// Vector type of the processor.
     type Vector<S: Simd>: Copy;
 
-    /// Number of lanes of a vector.
+    /// Returns the number of lanes of a vector.
     fn lanes<S: Simd>() -> usize;
-    /// Vector with `value` in every lane.
+    /// Returns a vector with `value` in every lane.
     fn splat<S: Simd>(simd: S, value: Self) -> Self::Vector<S>;
-    /// `a + b`.
+    /// Returns `a + b`.
     fn sum<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
-    /// `a - b`.
+    /// Returns `a - b`.
     fn difference<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
-    /// `a b`.
+    /// Returns `a b`.
     fn product<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
-    /// `a b + c`.
+    /// Returns `a b + c`.
     fn mul_add<S: Simd>(
         simd: S,
         a: Self::Vector<S>,
         b: Self::Vector<S>,
         c: Self::Vector<S>,
     ) -> Self::Vector<S>;
-    /// `c - a b`.
+    /// Returns `c - a b`.
     fn negate_mul_add<S: Simd>(
         simd: S,
         a: Self::Vector<S>,
         b: Self::Vector<S>,
         c: Self::Vector<S>,
     ) -> Self::Vector<S>;
-    /// The numbers as vectors; their count is a multiple of [`Self::lanes`].
+    /// Returns the numbers as vectors; their count is a multiple of [`Self::lanes`].
     fn vectors<S: Simd>(numbers: &[Self]) -> &[Self::Vector<S>];
-    /// The numbers as mutable vectors; their count is a multiple of [`Self::lanes`].
+    /// Returns the numbers as mutable vectors; their count is a multiple of [`Self::lanes`].
     fn vectors_mut<S: Simd>(numbers: &mut [Self]) -> &mut [Self::Vector<S>];
 }
 

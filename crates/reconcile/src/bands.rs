@@ -37,7 +37,7 @@ pub fn bands(maps: &Maps<'_>, valid: &Array2<f64>, grid: &Grid, width_mm: f64) -
     let density = |map: &Array2<f64>| {
         let z = map.slice(s![rows.clone(), columns.clone()]);
         let z = without_plane(z, &x[columns.clone()], &y[rows.clone()]);
-        Density::of(z.view(), [grid.x.step_mm(), grid.y.step_mm()], [&w_x, &w_y])
+        Density::new(z.view(), [grid.x.step_mm(), grid.y.step_mm()], [&w_x, &w_y])
     };
     let measured = density(maps.measured);
     let planned = density(maps.planned);

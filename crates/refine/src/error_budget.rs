@@ -16,8 +16,7 @@
 //! of first order.
 
 use planish_tolerance::{
-    Settings as ToleranceSettings, Tolerance, error_budget::ErrorBudget, quadratic::Sources,
-    tolerance,
+    Tolerance, ToleranceSettings, error_budget::ErrorBudget, quadratic::Sources, tolerance,
 };
 use planish_types::{DwellTime, End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory};
 use serde::Serialize;

@@ -85,7 +85,7 @@ pub struct Settings<'a> {
     pub scheduler: &'a dyn Scheduler,
     /// Settings of the dwell solver. The columns are those of the first plan, the smoothness is that of the
     /// last corrections.
-    pub dwell: dwell_solver::Settings,
+    pub dwell: dwell_solver::BoundedSettings,
     /// Smoothness of the first correction; it falls to that of `dwell`. Larger: more rounds, and a larger
     /// residual along random paths (docs/refine.md). Smaller: the first corrections are too rough for their
     /// operator, and more tries fail.
@@ -113,14 +113,14 @@ impl Default for Settings<'_> {
                 stretch: true,
                 max_path_distance_mm: None,
             },
-            dwell: dwell_solver::Settings {
+            dwell: dwell_solver::BoundedSettings {
                 // The columns are those of the executed motion, so the smoothness need not make the dwell
                 // times executable. The pull to the lower bound saves machine time.
                 tikhonov: 2.78e-6,
                 slope_weight: 7.72e-8,
                 // RMS within 5e-4 of the smallest, relative: half of the improvement that counts as progress.
                 relative_gap: 1e-3,
-                ..dwell_solver::Settings::default()
+                ..dwell_solver::BoundedSettings::default()
             },
             first_smoothness: 2.31e-7,
             max_rounds: 50,
@@ -360,7 +360,7 @@ struct Rounds<'a> {
     has_noise: bool,
     last_smoothness: f64,
     /// Settings of the next correction.
-    solver: dwell_solver::Settings,
+    solver: dwell_solver::BoundedSettings,
     /// Bounds of the dwell times, s; the lower ones rise to what the machine needs.
     lo: Vec<f64>,
     hi: Vec<f64>,
@@ -439,7 +439,7 @@ impl<'a> Rounds<'a> {
         let total_time_s = trajectory.total_time_s();
         let price = 2.0 * self.solver.time_weight_nm2_per_s * total_time_s;
         // E |e|^2 = |P (e - m)|^2 + h'Q h
-        let quadratic = sources.map(|s| s.of(&trajectory, path.len())).transpose()?;
+        let quadratic = sources.map(|s| s.quadratic(&trajectory, path.len())).transpose()?;
         let (mean_nm, variance_nm2) = match &quadratic {
             None => (rms_nm, 0.0),
             Some(q) => (less_bias(residual, q)?.statistics().rms, q.variance_nm2(&h)),

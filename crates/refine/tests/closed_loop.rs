@@ -187,7 +187,8 @@ fn a_correction_that_bends_the_curve_too_far_is_taken_in_part() {
 fn a_correction_that_promises_much_and_holds_in_no_part_is_followed_by_a_smoother_one() {
     let (desired, tif, path) = (desired(), tif(), meander());
     let how = settings(pvt::Mode::Smooth);
-    let solver = dwell_solver::Settings { min_dwell: how.dwell.min_dwell, ..Default::default() };
+    let solver =
+        dwell_solver::BoundedSettings { min_dwell: how.dwell.min_dwell, ..Default::default() };
     let given = dwell_solver::solve(&desired, &tif, &path, None, &solver).unwrap().dwell;
     let given = refine(&desired, &tif, &path, &machine(10.0, 1280.0), Some(given), &how).unwrap();
     let own = refine(&desired, &tif, &path, &machine(40.0, 640.0), None, &how).unwrap();

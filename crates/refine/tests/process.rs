@@ -8,7 +8,7 @@ use planish_refine::{
     refine,
 };
 use planish_tolerance::{
-    Settings as ToleranceSettings,
+    ToleranceSettings,
     error_budget::{ErrorBudget, ErrorBudgetFile},
     tolerance,
 };

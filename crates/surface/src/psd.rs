@@ -137,7 +137,7 @@ pub fn psd(surface: &Surface, settings: &PsdSettings) -> Result<Psd, Invalid> {
     let (dx, dy) = (grid.x.step_mm(), grid.y.step_mm());
     let (w_x, w_y) = (weights(settings.window, nx), weights(settings.window, ny));
 
-    let density = Density::of(z.view(), [dx, dy], [&w_x, &w_y]);
+    let density = Density::new(z.view(), [dx, dy], [&w_x, &w_y]);
     let (frequency_x_per_mm, psd_x_nm2_mm) = along_rows(z.view(), dx, &w_x);
     let (frequency_y_per_mm, psd_y_nm2_mm) = along_rows(z.t(), dy, &w_y);
     let (frequency_radial_per_mm, psd_radial_nm2_mm2) = radial(&density);

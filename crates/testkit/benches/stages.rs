@@ -41,8 +41,8 @@ struct Case {
     trajectory: Trajectory,
 }
 
-fn solver() -> bounded_least_squares::Settings {
-    bounded_least_squares::Settings { min_dwell: Bound::Seconds(0.1), ..Default::default() }
+fn solver() -> bounded_least_squares::BoundedSettings {
+    bounded_least_squares::BoundedSettings { min_dwell: Bound::Seconds(0.1), ..Default::default() }
 }
 
 fn raster_settings(pitch_mm: f64) -> RasterSettings {
@@ -81,7 +81,7 @@ fn dwell_bounded_least_squares_by_pitch(bencher: Bencher, pitch_mm: f64) {
     let c = &*CASE;
     let path = raster(&c.surface, &raster_settings(pitch_mm)).unwrap();
     let min_dwell = Bound::Seconds(0.1 * pitch_mm * pitch_mm);
-    let settings = bounded_least_squares::Settings { min_dwell, ..solver() };
+    let settings = bounded_least_squares::BoundedSettings { min_dwell, ..solver() };
     bencher.bench_local(|| {
         black_box(bounded_least_squares::solve(&c.surface, &c.tif, &path, None, &settings).unwrap())
     });
@@ -114,7 +114,7 @@ fn dwell_lucy_richardson_large<const ACCELERATED: bool>(bencher: Bencher) {
         columns: Columns::Segment,
         min_dwell: Bound::Seconds(0.0),
     };
-    let settings = lucy_richardson::Settings {
+    let settings = lucy_richardson::LucyRichardsonSettings {
         unknowns: Unknowns::Map,
         total_variation: 0.0,
         min_decrease: 0.0,
@@ -291,7 +291,7 @@ fn schedule_trig_spline_of_the_source(bencher: Bencher) {
     let fixture = make(&serde_json::from_str::<Recipe>(&recipe).unwrap()).unwrap();
     let settings = RasterSettings { line_origin_mm: Some(0.0), ..raster_settings(0.2) };
     let path = raster(&fixture.surface, &settings).unwrap();
-    let how = lucy_richardson::Settings {
+    let how = lucy_richardson::LucyRichardsonSettings {
         unknowns: Unknowns::Map,
         max_iterations: 60,
         stop_at_max: true,
@@ -331,7 +331,7 @@ fn dwell_lucy_richardson_map(bencher: Bencher, side: usize) {
     let fixture = make(&recipe).unwrap();
     let path = raster(&fixture.surface, &raster_settings(1.0)).unwrap();
     let problem = without_floor(&fixture, &path);
-    let how = lucy_richardson::Settings {
+    let how = lucy_richardson::LucyRichardsonSettings {
         unknowns: Unknowns::Map,
         max_iterations: 60,
         min_decrease: 0.0,

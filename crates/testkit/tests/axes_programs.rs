@@ -59,7 +59,7 @@ impl Plan {
                 spiral(&surface, &settings).unwrap()
             }
         };
-        let settings = bounded_least_squares::Settings::default();
+        let settings = bounded_least_squares::BoundedSettings::default();
         let dwell =
             bounded_least_squares::solve(&surface, &tif, &path, None, &settings).unwrap().dwell;
         let machine = match is_spindle {

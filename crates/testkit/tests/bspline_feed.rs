@@ -2,7 +2,9 @@
 
 use std::fs;
 
-use planish_bspline_feed::{Plan, Settings, deconvolution::Refinement, plan, plan::Method};
+use planish_bspline_feed::{
+    FeedPlan, FeedSettings, deconvolution::Refinement, plan, plan::FeedSource,
+};
 use planish_fixture::{Recipe, make};
 use planish_simulate::simulate;
 use planish_testkit::{machine, workspace};
@@ -26,7 +28,7 @@ fn lines(surface: &Surface, tif: &Tif, pitch_mm: f64) -> ToolPath {
 }
 
 /// RMS of the executed residual; the limits of the whole motion are proven on the way.
-fn executed_rms_nm(plan: &Plan, surface: &Surface, tif: &Tif, limits: &Limits) -> f64 {
+fn executed_rms_nm(plan: &FeedPlan, surface: &Surface, tif: &Tif, limits: &Limits) -> f64 {
     let verdict = verify(&plan.trajectory, limits, &VerifySettings::default()).unwrap();
     assert!(verdict.limits_respected, "{:?}", verdict.reason());
     let gridded = planish_simulate::Settings::Gridded;
@@ -38,11 +40,11 @@ fn the_coupon_is_executed_as_planned_within_the_limits() {
     let (surface, tif) = mirror("coupon");
     let path = lines(&surface, &tif, 1.0);
     let limits = machine([50.0, 30.0], [400.0, 200.0]);
-    let with = |settings: Settings| plan(&surface, &tif, &path, &limits, &settings).unwrap();
-    let base = Settings { relative_gap: 1e-2, ..Settings::default() };
+    let with = |settings: FeedSettings| plan(&surface, &tif, &path, &limits, &settings).unwrap();
+    let base = FeedSettings { relative_gap: 1e-2, ..FeedSettings::default() };
     let solved = with(base);
-    let removed = with(Settings { refinement: Refinement::KnotRemoval, ..base });
-    let vrr = with(Settings { method: Method::Vrr, ..base });
+    let removed = with(FeedSettings { refinement: Refinement::KnotRemoval, ..base });
+    let vrr = with(FeedSettings { method: FeedSource::Vrr, ..base });
     let rms = [&solved, &removed, &vrr].map(|p| executed_rms_nm(p, &surface, &tif, &limits));
     // Two quadratures of the same removal: five Gauss points per knot span against an exact cut
     // at the lattice lines. The TIF ends with a step of 0.2 % of its peak.

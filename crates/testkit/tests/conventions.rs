@@ -406,7 +406,7 @@ fn motion_is_mm_per_s() {
 fn dwell_density_is_s_per_mm() {
     // A map that asks for nothing: every dwell time stays at its least, density times length.
     let path = straight(&[13.0, 13.5, 15.0, 15.25], -1.0);
-    let settings = bounded_least_squares::Settings {
+    let settings = bounded_least_squares::BoundedSettings {
         min_dwell: Bound::SecondsPerMm(0.2),
         ..Default::default()
     };
@@ -504,7 +504,7 @@ fn height_positive_is_material_above_the_target() {
             20.0 + sign * 10.0 * (-(x * x + y * y) / 2.0).exp()
         };
         let desired = Surface::new(part(), Array2::from_shape_fn(part().shape(), height)).unwrap();
-        let settings = bounded_least_squares::Settings {
+        let settings = bounded_least_squares::BoundedSettings {
             min_dwell: Bound::Seconds(0.1),
             ..Default::default()
         };

@@ -110,7 +110,7 @@ const NATURAL_RESIDUAL_S: f64 = 1e-11;
 const DWELL_TOLERANCE_S: f64 = 100.0 * NATURAL_RESIDUAL_S;
 
 fn dwell(surface: &Surface, tif: &Tif, path: &ToolPath) -> DwellTime {
-    let settings = bounded_least_squares::Settings {
+    let settings = bounded_least_squares::BoundedSettings {
         min_dwell: Bound::Seconds(0.02),
         tolerance_s: NATURAL_RESIDUAL_S,
         relative_gap: 0.0,

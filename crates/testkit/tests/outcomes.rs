@@ -43,7 +43,7 @@ fn a_verdict_reads_as_it_was_written() {
 #[test]
 fn settings_are_read_as_stages_write_them() {
     for (free, word) in [(Free::Piston, "piston"), (Free::Plane, "plane")] {
-        let written = json!(planish_tolerance::Settings { free, ..Default::default() });
+        let written = json!(planish_tolerance::ToleranceSettings { free, ..Default::default() });
         let read: ToleranceSettings = from_value(written).unwrap();
         assert_eq!(read.free.as_deref(), Some(word));
     }

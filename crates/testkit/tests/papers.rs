@@ -63,7 +63,7 @@ fn a_random_path_has_dwell_points_that_the_usual_floor_allows() {
         let solved = lucy_richardson::solve(
             // The floor of the other plans in docs/paths.md.
             &problem(&part, &path, Bound::Seconds(0.1)),
-            &lucy_richardson::Settings { max_iterations: 2, ..Default::default() },
+            &lucy_richardson::LucyRichardsonSettings { max_iterations: 2, ..Default::default() },
         );
         (path.len(), solved.map(|s| s.outcome.floor_removal_nm).map_err(|e| e.to_string()))
     };

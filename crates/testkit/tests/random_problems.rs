@@ -445,7 +445,8 @@ fn read<T: Artifact>(dir: &Path) -> T {
 fn by_library(p: &Problem) -> Result<(DwellTime, f64), DwellError> {
     let (columns, min_dwell) = (Columns::Point, Bound::Seconds(p.floor_s));
     if p.solver == SOLVERS[0] {
-        let settings = squares::Settings { columns, min_dwell, ..squares::Settings::default() };
+        let settings =
+            squares::BoundedSettings { columns, min_dwell, ..squares::BoundedSettings::default() };
         let found = squares::solve(&p.surface, &p.tif, &p.path, None, &settings)?;
         return Ok((found.dwell, found.report.model_rms_nm));
     }
@@ -453,15 +454,19 @@ fn by_library(p: &Problem) -> Result<(DwellTime, f64), DwellError> {
     let problem = DwellProblem { desired, tif, path, weight: None, columns, min_dwell };
     let (dwell, outcome) = match p.solver {
         "tikhonov-lsqr" => {
-            let found = tikhonov_lsqr::solve(&problem, &tikhonov_lsqr::Settings::default())?;
+            let found =
+                tikhonov_lsqr::solve(&problem, &tikhonov_lsqr::TikhonovLsqrSettings::default())?;
             (found.dwell, found.outcome)
         }
         "non-negative-least-squares" => {
-            let found = nnls::solve(&problem, &nnls::Settings::default())?;
+            let found = nnls::solve(&problem, &nnls::NonNegativeSettings::default())?;
             (found.dwell, found.outcome)
         }
         _ => {
-            let found = lucy_richardson::solve(&problem, &lucy_richardson::Settings::default())?;
+            let found = lucy_richardson::solve(
+                &problem,
+                &lucy_richardson::LucyRichardsonSettings::default(),
+            )?;
             (found.dwell, found.outcome)
         }
     };

@@ -269,7 +269,7 @@ fn within_reach(trajectory: &Trajectory, tif: &Tif, x: f64, y: f64) -> Trajector
 fn best_dwell_on_the_published_raster_points() {
     let Some(mirror) = mirror() else { return };
     let path = mirror.path("raster");
-    let settings = bounded_least_squares::Settings {
+    let settings = bounded_least_squares::BoundedSettings {
         columns: Columns::Point,
         min_dwell: Bound::Seconds(0.1),
         tikhonov: 2.8e-8,
@@ -294,7 +294,7 @@ fn best_dwell_on_the_published_raster_points() {
 fn best_dwell_within_its_own_model() {
     let Some(mirror) = mirror() else { return };
     for name in ["raster", "maze"] {
-        let settings = bounded_least_squares::Settings {
+        let settings = bounded_least_squares::BoundedSettings {
             columns: Columns::Point,
             min_dwell: Bound::Seconds(0.1),
             tikhonov: 2.8e-8,
@@ -352,8 +352,10 @@ fn own_raster_own_dwell_executed_by_pvt() {
     let [x, y] = mirror.tif.half_size_mm();
     let settings = RasterSettings::new(1.0, 1.0, x.max(y));
     let path = raster(&mirror.desired, &settings).unwrap();
-    let settings =
-        bounded_least_squares::Settings { min_dwell: Bound::Seconds(0.1), ..Default::default() };
+    let settings = bounded_least_squares::BoundedSettings {
+        min_dwell: Bound::Seconds(0.1),
+        ..Default::default()
+    };
     let solution =
         bounded_least_squares::solve(&mirror.desired, &mirror.tif, &path, None, &settings).unwrap();
     let schedule = smooth(&path, &solution.dwell);

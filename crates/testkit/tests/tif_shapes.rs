@@ -3,7 +3,7 @@
 
 use ndarray::Array2;
 use planish_dwell::{
-    bounded_least_squares::{Settings as DwellSettings, solve},
+    bounded_least_squares::{BoundedSettings as DwellSettings, solve},
     columns::Columns,
 };
 use planish_schedule::baselines::position;

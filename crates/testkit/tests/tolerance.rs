@@ -3,7 +3,9 @@
 
 use planish_schedule::pvt;
 use planish_testkit::{ion_beam, mirror::mirror};
-use planish_tolerance::{Free, Settings, Tolerance, error_budget::ErrorBudgetFile, tolerance};
+use planish_tolerance::{
+    Free, Tolerance, ToleranceSettings, error_budget::ErrorBudgetFile, tolerance,
+};
 use planish_toolpath::{PassesSettings, passes};
 use planish_types::{DwellTime, Surface, Tif, ToolPath, Trajectory};
 use serde_json::{Value, json};
@@ -18,7 +20,7 @@ fn of(
     tif: &Tif,
     desired: &Surface,
     errors: Value,
-    settings: &Settings,
+    settings: &ToleranceSettings,
 ) -> Tolerance {
     let file: ErrorBudgetFile =
         serde_json::from_value(json!({ "name": "reference", "errors": errors })).unwrap();
@@ -60,8 +62,12 @@ fn single_errors_add_what_was_found_independently() {
         ("maze", [0.063, 0.200, 0.029, 0.022, 0.117, 0.16]),
     ];
     let bounds = [0.01, 0.2, 0.2, 0.2, 0.2, 0.4];
-    let settings =
-        Settings { free: Free::Plane, draws: 1000, simulated_runs: 2, ..Settings::default() };
+    let settings = ToleranceSettings {
+        free: Free::Plane,
+        draws: 1000,
+        simulated_runs: 2,
+        ..ToleranceSettings::default()
+    };
     for (name, expected) in expected {
         let motion = motion(&mirror.path(name), &mirror.dwell(name));
         let found = of(&motion, &mirror.tif, &mirror.desired, errors.clone(), &settings);
@@ -85,7 +91,8 @@ fn small_errors_are_of_first_order() {
         error("timing_jitter", 2.0, "ms"),
         error("rotation", 0.01, "deg"),
     ]);
-    let settings = Settings { draws: 1000, simulated_runs: 20, ..Settings::default() };
+    let settings =
+        ToleranceSettings { draws: 1000, simulated_runs: 20, ..ToleranceSettings::default() };
     for name in ["raster", "maze"] {
         let motion = motion(&mirror.path(name), &mirror.dwell(name));
         let found = of(&motion, &mirror.tif, &mirror.desired, errors.clone(), &settings);
@@ -107,7 +114,8 @@ fn small_errors_are_of_first_order() {
 #[test]
 fn a_linear_drift_cancels_between_two_passes() {
     let Some(mirror) = mirror() else { return };
-    let settings = Settings { draws: 1000, simulated_runs: 1, ..Settings::default() };
+    let settings =
+        ToleranceSettings { draws: 1000, simulated_runs: 1, ..ToleranceSettings::default() };
     for name in ["raster", "maze"] {
         let (path, dwell) = (mirror.path(name), mirror.dwell(name));
         let twice = passes(&path, &PassesSettings { passes: 2, back: true }).unwrap();

@@ -115,8 +115,11 @@ fn at_uniform_feed(path: &ToolPath, dwell_s: &[f64]) -> Trajectory {
     Trajectory::new(breaks, c, on, index).unwrap()
 }
 
-fn settings(most_factorised: usize) -> squares::Settings {
-    squares::Settings { max_factorised_points: most_factorised, ..squares::Settings::default() }
+fn settings(most_factorised: usize) -> squares::BoundedSettings {
+    squares::BoundedSettings {
+        max_factorised_points: most_factorised,
+        ..squares::BoundedSettings::default()
+    }
 }
 
 /// The motion of the joint plan.
@@ -243,7 +246,7 @@ fn other_solvers_use_the_tool_or_refuse_it() {
         // Ignored, the tool leaves more than a tenth.
         assert!(left < 0.1 * before, "{name}: {left} of {before}");
     }
-    let on_map = lucy_richardson::Settings {
+    let on_map = lucy_richardson::LucyRichardsonSettings {
         unknowns: lucy_richardson::Unknowns::Map,
         ..Default::default()
     };

@@ -8,13 +8,13 @@ use planish_types::{
 
 use crate::{
     distribution::{Errors, Span},
-    draws::{Model, quantile},
+    draws::{ResidualModel, quantile},
     error_budget::{Effect, ErrorBudget, Noise, Scalar},
     field::Tool,
     noise::{Columns, Response},
     reach::Reach,
     report::{LEVELS, MEAN_TOOL, Pair, Tolerance},
-    settings::Settings,
+    settings::ToleranceSettings,
     tool::{Moved, moved},
     work::Work,
 };
@@ -44,30 +44,34 @@ const DRAWS_WITHOUT_ONE: usize = 10_000;
 /// Number of parts of the work that count alike in the estimate of the time: derivatives, second order, and runs.
 const PARTS: usize = 3;
 
+/// Returns the RMS of runs in ascending order.
 fn sorted(mut rms: Vec<f64>) -> Vec<f64> {
     rms.sort_unstable_by(f64::total_cmp);
     rms
 }
 
+/// Returns the quantiles of sorted RMS.
 fn quantiles(sorted_rms: &[f64]) -> Quantiles {
-    let at = |part: f64| quantile(sorted_rms, part);
-    Quantiles {
-        median_nm: at(0.5),
-        below_95_percent_nm: at(0.95),
-        interval_95_percent_nm: [at(0.025), at(0.975)],
-    }
+    let [low, median, below, high] =
+        [0.025, 0.5, 0.95, 0.975].map(|part| quantile(sorted_rms, part));
+    Quantiles { median_nm: median, below_95_percent_nm: below, interval_95_percent_nm: [low, high] }
 }
 
 /// Computes the errors that `process` adds to the residual of `trajectory` on `desired`.
+///
+/// # Errors
+/// Refuses settings out of range, a log with the rate of its beam, errors that the tool cannot have, and a motion or a
+/// map that takes too much memory.
 pub fn tolerance(
     trajectory: &Trajectory,
     tif: &Tif,
     desired: &Surface,
     process: &ErrorBudget,
-    settings: &Settings,
+    settings: &ToleranceSettings,
 ) -> Result<Tolerance, Invalid> {
     settings.check()?;
-    let (seed, width) = (settings.seed, tif.width_mm());
+    let seed = settings.seed;
+    let width = tif.width_mm();
     let Moved { tif: moved, resampling_error } =
         moved(tif, desired.grid(), settings.tif_as_sampled)?;
     let work = Work::new(trajectory, tif, &moved, desired, process, settings.free, width)?;
@@ -78,20 +82,21 @@ pub fn tolerance(
     let reach = Reach::new(&work.inner, &moved, width);
     let noises = work.noises();
     let displaced = noises.iter().any(|(_, n, _)| *n == Noise::Position);
-    let columns = match noises.is_empty() {
-        true => None,
-        false => Some(Columns::new(
+    let columns = if noises.is_empty() {
+        None
+    } else {
+        Some(Columns::new(
             work.motion(),
             &work.inner,
             &Tool::new(&moved, &work.inner),
             reach.on_cells(&work.inner),
             span.basis.clone(),
             displaced,
-        )?),
+        )?)
     };
     let columns = columns.as_ref();
-    let responses: Vec<(usize, f64, Response)> = columns.map_or(Vec::new(), |of| {
-        noises.iter().map(|(i, noise, size)| (*i, *size, of.response(*noise))).collect()
+    let responses: Vec<(usize, f64, Response)> = columns.map_or(Vec::new(), |columns| {
+        noises.iter().map(|(i, noise, size)| (*i, *size, columns.response(*noise))).collect()
     });
 
     // What each adds alone
@@ -105,15 +110,15 @@ pub fn tolerance(
     let least = if simulated { RUNS_OF_ALL } else { 0 };
     let count = settings.simulated_runs.max(least);
     let runs = progress::part(2, PARTS, || work.runs(count, &linear, columns, seed))?;
-    let rms = match simulated {
-        true => sorted(runs.iter().map(|r| r.simulated_rms_nm).collect()),
-        false => whole.sorted(settings.draws, seed),
+    let rms = if simulated {
+        sorted(runs.iter().map(|r| r.simulated_rms_nm).collect())
+    } else {
+        whole.sorted(settings.draws, seed)
     };
     let residual = quantiles(&rms);
     let [low, high] = residual.interval_95_percent_nm;
-    let difference = |p: &Pair| (p.simulated_rms_nm / p.first_order_rms_nm - 1.0).abs();
-    let differences = runs.iter().filter(|p| p.first_order_rms_nm > 0.0).map(difference);
-    let level = |k: usize| k as f64 / (LEVELS - 1) as f64;
+    let differences = runs.iter().filter(|p| p.first_order_rms_nm > 0.0).map(Pair::difference);
+    let levels = (0..LEVELS).map(|k| k as f64 / (LEVELS - 1) as f64);
     Ok(Tolerance {
         outcome: ToleranceOutcome {
             error_budget: process.name.clone(),
@@ -127,7 +132,7 @@ pub fn tolerance(
         largest_difference: differences.fold(0.0, f64::max),
         within_interval: runs.iter().filter(|p| (low..=high).contains(&p.simulated_rms_nm)).count(),
         runs,
-        levels: (0..LEVELS).map(|k| (level(k), quantile(&rms, level(k)))).collect(),
+        levels: levels.map(|level| (level, quantile(&rms, level))).collect(),
         deviation_nm: work.deviation_map(&linear, &responses),
         coverage: work.coverage.clone(),
         tif_resampling_error: resampling_error,
@@ -163,16 +168,17 @@ fn simulate_departing(
     Ok(simulated)
 }
 
-/// The error without which the residual that 95 % of the runs are below is least.
-fn first(errors: &Errors<'_>, lines: &[ErrorLine], settings: &Settings) -> Option<First> {
+/// Returns the error without which the residual that 95 % of the runs are below is least; none if it is not less
+/// without any of them.
+fn first(errors: &Errors<'_>, lines: &[ErrorLine], settings: &ToleranceSettings) -> Option<First> {
     // With the same random numbers for all: what differs is the error that is left out.
     let draws = settings.draws.min(DRAWS_WITHOUT_ONE);
-    let below = |model: &Model| quantile(&model.sorted(draws, settings.seed), 0.95);
+    let below = |model: &ResidualModel| quantile(&model.sorted(draws, settings.seed), 0.95);
     let without: Vec<f64> = (0..lines.len()).map(|i| below(&errors.model(Some(i)))).collect();
     let (index, least) = without.into_iter().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
-    (least < below(&errors.model(None))).then(|| First {
-        index,
-        kind: lines[index].kind.clone(),
-        without_it_95_percent_nm: least,
-    })
+    if least >= below(&errors.model(None)) {
+        return None;
+    }
+    let kind = lines[index].kind.clone();
+    Some(First { index, kind, without_it_95_percent_nm: least })
 }

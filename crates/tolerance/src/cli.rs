@@ -10,7 +10,7 @@ use planish_handoff::{
     kind, say, task, warn,
 };
 use planish_tolerance::{
-    Free, Settings,
+    Free, ToleranceSettings,
     deviation::check_tool,
     error_budget::{Distribution, ErrorBudget, ErrorBudgetFile},
     tolerance,
@@ -30,16 +30,16 @@ pub struct Tolerance {
     #[arg(long, value_enum, default_value = "piston")]
     free: Free,
     /// Runs that are drawn to first order, for the distribution
-    #[arg(long, value_name = "N", default_value_t = Settings::default().draws)]
+    #[arg(long, value_name = "N", default_value_t = ToleranceSettings::default().draws)]
     draws: usize,
     /// Runs with all errors that are simulated, to check the first order
-    #[arg(long, value_name = "N", default_value_t = Settings::default().simulated_runs)]
+    #[arg(long, value_name = "N", default_value_t = ToleranceSettings::default().simulated_runs)]
     simulated_runs: usize,
     /// Use the TIF as it is sampled, with the noise and the border step of its measurement
     #[arg(long)]
     tif_as_sampled: bool,
     /// Random seed
-    #[arg(long, value_name = "S", default_value_t = Settings::default().seed)]
+    #[arg(long, value_name = "S", default_value_t = ToleranceSettings::default().seed)]
     seed: u64,
     #[command(flatten)]
     output: OutputArgs,
@@ -47,7 +47,7 @@ pub struct Tolerance {
 
 impl Tolerance {
     pub fn run(&self) -> Result<Status, Failure> {
-        let settings = Settings {
+        let settings = ToleranceSettings {
             free: self.free,
             draws: self.draws,
             simulated_runs: self.simulated_runs,
@@ -69,32 +69,30 @@ impl Tolerance {
         };
         plausible::check_tool(&surface, &tif)?;
 
-        let found =
-            tolerance(&trajectory, &tif, &surface, &process, &settings).map_err(|e| {
-                match e.array {
-                    "errors" => Failure::new(format!("{}: {e}", self.error_budget.display())),
-                    _ => Failure::with_flags(e),
-                }
-            })?;
+        let outcome = tolerance(&trajectory, &tif, &surface, &process, &settings).map_err(|e| {
+            match e.array {
+                "errors" => Failure::new(format!("{}: {e}", self.error_budget.display())),
+                _ => Failure::with_flags(e),
+            }
+        })?;
 
         let arrays = ToleranceArrays {
-            part: found.levels.iter().map(|level| level.0).collect(),
-            rms_nm: found.levels.iter().map(|level| level.1).collect(),
-            deviation_nm: found.deviation_nm.clone(),
+            part: outcome.levels.iter().map(|level| level.0).collect(),
+            rms_nm: outcome.levels.iter().map(|level| level.1).collect(),
+            deviation_nm: outcome.deviation_nm.clone(),
             grid: *surface.grid(),
         };
-        if let Some(warning) = found.coverage.warning() {
+        if let Some(warning) = outcome.coverage.warning() {
             warn(warning);
         }
-        let status = found.coverage.drawback().map_or(Status::Done, Status::Negative);
-        output.write(&arrays, &found, &status)?;
-        say(table(&found, settings.free));
+        let status = outcome.coverage.drawback().map_or(Status::Done, Status::Negative);
+        output.write(&arrays, &outcome, &status)?;
+        say(table(&outcome, settings.free));
         say(format!("-> {}", self.output.out.display()));
         Ok(status)
     }
-}
 
-impl Tolerance {
+    /// Reads the error budget, and refuses one that contradicts itself.
     fn process(&self, inputs: &mut Inputs) -> Result<ErrorBudget, Failure> {
         let file: ErrorBudgetFile = inputs.read_json("error-budget", &self.error_budget)?;
         file.checked().map_err(|e| Failure::new(format!("{}: {e}", self.error_budget.display())))
@@ -108,8 +106,8 @@ impl Tolerance {
     }
 }
 
-/// Table for a reader.
-fn table(found: &planish_tolerance::Tolerance, free: Free) -> String {
+/// Returns the table for a reader.
+fn table(report: &planish_tolerance::Tolerance, free: Free) -> String {
     let without = match free {
         Free::Piston => "",
         Free::Plane => " without the best plane",
@@ -117,7 +115,7 @@ fn table(found: &planish_tolerance::Tolerance, free: Free) -> String {
     let mut lines = vec![
         format!(
             "{}: {:.4} nm RMS{without} as planned",
-            found.outcome.error_budget, found.outcome.nominal_rms_nm
+            report.outcome.error_budget, report.outcome.nominal_rms_nm
         ),
         String::new(),
         "                                             adds   reached  not reached  departs by"
@@ -125,7 +123,7 @@ fn table(found: &planish_tolerance::Tolerance, free: Free) -> String {
         "error                            size      nm RMS    nm RMS       nm RMS      nm RMS"
             .into(),
     ];
-    for line in &found.outcome.errors {
+    for line in &report.outcome.errors {
         let sign = if line.distribution == Distribution::Fixed { "" } else { "+-" };
         let size = format!("{sign}{} {}", significant(line.size, 4), line.unit);
         lines.push(format!(
@@ -136,47 +134,52 @@ fn table(found: &planish_tolerance::Tolerance, free: Free) -> String {
             line.reached_rms_nm,
             line.unreached_rms_nm,
             line.departs_by_rms_nm,
-            match (line.simulated, line.standard_error_nm) {
-                (false, _) => String::new(),
-                (true, None) => "  simulated".into(),
-                (true, Some(e)) => format!("  simulated, +-{e:.4} (standard error)"),
-            }
+            simulated_note(line.simulated, line.standard_error_nm)
         ));
     }
-    let q = &found.outcome.residual;
+    let q = &report.outcome.residual;
     let [low, high] = q.interval_95_percent_nm;
     lines.push(String::new());
     lines.push(format!(
         "with this process expect {low:.4} to {high:.4} nm (95 % of the runs{}); half of the runs are below \
          {:.4} nm, 95 % below {:.4} nm",
-        if found.outcome.simulated { ", simulated" } else { "" },
+        if report.outcome.simulated { ", simulated" } else { "" },
         q.median_nm,
         q.below_95_percent_nm
     ));
-    if let Some(first) = &found.outcome.first {
+    if let Some(first) = &report.outcome.first {
         lines.push(format!(
             "improve {} first: without it 95 % of the runs are below {:.4} nm{}",
             first.kind,
             first.without_it_95_percent_nm,
-            if found.outcome.simulated { " (to first order)" } else { "" }
+            if report.outcome.simulated { " (to first order)" } else { "" }
         ));
     }
-    if !found.runs.is_empty() {
+    if !report.runs.is_empty() {
         lines.push(format!(
             "{} simulated runs differ from the first order by at most {:.2} % of their RMS; {} of them are in the \
              interval",
-            found.runs.len(),
-            100.0 * found.largest_difference,
-            found.within_interval
+            report.runs.len(),
+            100.0 * report.largest_difference,
+            report.within_interval
         ));
     }
-    if found.tif_resampling_error > 0.0 {
+    if report.tif_resampling_error > 0.0 {
         lines.push(format!(
             "errors are simulated with the TIF sampled anew on the pixels of the map, to {} % of its peak",
-            significant(100.0 * found.tif_resampling_error, 2)
+            significant(100.0 * report.tif_resampling_error, 2)
         ));
     }
-    lines.extend(found.backlash_start.map(String::from));
-    lines.extend(found.mean_tool.map(String::from));
+    lines.extend(report.backlash_start.map(String::from));
+    lines.extend(report.mean_tool.map(String::from));
     lines.join("\n")
+}
+
+/// Returns the end of a line of the table: whether the line is that of simulated runs.
+fn simulated_note(simulated: bool, standard_error_nm: Option<f64>) -> String {
+    match standard_error_nm {
+        _ if !simulated => String::new(),
+        None => "  simulated".into(),
+        Some(e) => format!("  simulated, +-{e:.4} (standard error)"),
+    }
 }

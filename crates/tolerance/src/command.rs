@@ -13,15 +13,18 @@ const EXAMPLES: &str = "Examples:\n\
 /// Say before the run what each error of a process adds to the residual, and what to expect of all of them
 #[derive(Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct ToleranceCli {
     #[command(flatten)]
     tolerance: crate::cli::Tolerance,
 }
 
 /// The command `planish tolerance`.
-pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+pub const COMMAND: planish_handoff::Stage = planish_handoff::Stage {
+    name: env!("CARGO_PKG_NAME"),
+    main,
+    definition: ToleranceCli::command,
+};
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.tolerance.run())
+    planish_handoff::program(|cli: &ToleranceCli| cli.tolerance.run())
 }

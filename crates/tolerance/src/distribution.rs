@@ -1,12 +1,12 @@
 //! The distribution of the residual: all errors in an orthonormal basis of e0 and the f_i, and what of the noise is
 //! outside of it.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use ndarray::Array2;
 
 use crate::{
     deviation::Deviation,
-    draws::{Model, POOL_STREAM, Term, orthonormal},
+    draws::{POOL_STREAM, ResidualModel, Term, orthonormal},
     error_budget::Effect,
     lines::Linear,
     noise::{Columns, Response},
@@ -79,16 +79,17 @@ impl<'a> Errors<'a> {
     }
 
     /// Returns the model that is drawn from, without the error `without` if one is named.
-    pub fn model(&self, without: Option<usize>) -> Model {
+    pub fn model(&self, without: Option<usize>) -> ResidualModel {
         let coordinates = &self.span.coordinates;
         let dimension = coordinates.nrows();
-        let column = |i: usize| DVector::from_column_slice(coordinates.column(i).as_slice());
-        let term = |(i, l): (usize, &Linear)| Term {
+        let terms = self.linear.iter().enumerate().map(|(i, l)| Term {
             distribution: l.distribution,
-            coordinates: column(i + 1) * if Some(l.error) == without { 0.0 } else { l.size },
-        };
+            coordinates: coordinates.column(i + 1)
+                * if Some(l.error) == without { 0.0 } else { l.size },
+        });
         let mut noise = DMatrix::zeros(dimension, dimension);
-        let (mut all, mut total) = (0.0, 0.0);
+        let mut all = 0.0;
+        let mut total = 0.0;
         for (i, size, response) in self.responses {
             let square = size * size;
             total += square * response.mean_square;
@@ -102,15 +103,16 @@ impl<'a> Errors<'a> {
         let part = if total > 0.0 { all / total } else { 0.0 };
         let squares = self.noise_squares * part * part;
         // White noise of the map: m numbers, less the free terms, of the same variance on every pixel
-        let (white, m) = (self.white(without), self.work.inner.count);
+        let white = self.white(without);
+        let m = self.work.inner.count;
         for k in 0..dimension {
             noise[(k, k)] += white / m;
         }
         let free = self.work.inner.cells.free.len() as f64;
         let pixels = (m - free - dimension as f64).max(0.0);
-        Model {
-            nominal: column(0),
-            terms: self.linear.iter().enumerate().map(term).collect(),
+        ResidualModel {
+            nominal: coordinates.column(0).into_owned(),
+            terms: terms.collect(),
             rest: smooth + white * pixels / m,
             rest_variance: 2.0
                 * (squares + 2.0 * white / m * smooth + white * white * pixels / (m * m)),
@@ -118,7 +120,7 @@ impl<'a> Errors<'a> {
         }
     }
 
-    /// Variance of a pixel of the map by its noise, nm^2.
+    /// Returns the variance of a pixel of the map by its noise, nm^2.
     fn white(&self, without: Option<usize>) -> f64 {
         let each = self.work.process.errors.iter().enumerate();
         each.filter(|(i, e)| e.effect == Effect::MapNoise && Some(*i) != without)
@@ -127,7 +129,7 @@ impl<'a> Errors<'a> {
     }
 }
 
-/// trace(S_perp^2) of the noise along the run, from products of independent draws of it:
+/// Estimates trace(S_perp^2) of the noise along the run, from products of independent draws of it:
 /// E <n, n'>^2 = trace(S^2).
 fn noise_squares(work: &Work<'_>, columns: &Columns<'_>, basis: &[Vec<f64>], seed: u64) -> f64 {
     let noises = work.noises();
@@ -147,8 +149,7 @@ fn noise_squares(work: &Work<'_>, columns: &Columns<'_>, basis: &[Vec<f64>], see
         field
     });
     let squares: Vec<f64> = parallel::map(POOL, &|i| {
-        let product = |j: usize| inner.dot_on_cells(&fields[i], &fields[j]);
-        (0..i).map(|j| product(j).powi(2)).sum()
+        (0..i).map(|j| inner.dot_on_cells(&fields[i], &fields[j]).powi(2)).sum()
     });
     squares.iter().sum::<f64>() / (POOL * (POOL - 1) / 2) as f64
 }

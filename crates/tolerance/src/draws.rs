@@ -48,7 +48,7 @@ pub struct Term {
 
 /// Model of the residual that is drawn from.
 #[derive(Clone, Debug)]
-pub struct Model {
+pub struct ResidualModel {
     /// a0.
     pub nominal: DVector<f64>,
     /// The f_i.
@@ -61,23 +61,23 @@ pub struct Model {
     pub rest_variance: f64,
 }
 
-/// Coordinates (columns) of vectors with this Gram matrix in an orthonormal basis of their span, and the basis
-/// as combinations (columns) of the vectors.
+/// Returns the coordinates (columns) of vectors with this Gram matrix in an orthonormal basis of their span, and the
+/// basis as combinations (columns) of the vectors.
 pub fn orthonormal(gram: &DMatrix<f64>) -> (DMatrix<f64>, DMatrix<f64>) {
     let eigen = SymmetricEigen::new(gram.clone());
     let largest = eigen.eigenvalues.iter().fold(0.0_f64, |m, v| m.max(*v));
-    let kept: Vec<usize> =
-        (0..gram.nrows()).filter(|i| eigen.eigenvalues[*i] > INDEPENDENT * largest).collect();
-    let root = |i: usize| eigen.eigenvalues[i].sqrt();
     let n = gram.nrows();
-    let vector = |i: usize, k: usize| eigen.eigenvectors[(i, kept[k])];
-    let coordinates = DMatrix::from_fn(kept.len(), n, |k, i| root(kept[k]) * vector(i, k));
-    let basis = DMatrix::from_fn(n, kept.len(), |i, k| vector(i, k) / root(kept[k]));
+    let above: Vec<usize> =
+        (0..n).filter(|i| eigen.eigenvalues[*i] > INDEPENDENT * largest).collect();
+    let root: Vec<f64> = above.iter().map(|i| eigen.eigenvalues[*i].sqrt()).collect();
+    let vector = |i: usize, k: usize| eigen.eigenvectors[(i, above[k])];
+    let coordinates = DMatrix::from_fn(above.len(), n, |k, i| root[k] * vector(i, k));
+    let basis = DMatrix::from_fn(n, above.len(), |i, k| vector(i, k) / root[k]);
     (coordinates, basis)
 }
 
-impl Model {
-    /// Mean over the runs of the mean square, nm^2.
+impl ResidualModel {
+    /// Returns the mean over the runs of the mean square, nm^2.
     pub fn mean_square(&self) -> f64 {
         let mut e = self.nominal.clone();
         let mut square = self.noise.trace() + self.rest;
@@ -91,14 +91,14 @@ impl Model {
         e.norm_squared() + square
     }
 
-    /// RMS, nm, of `count` runs, ascending.
+    /// Draws the RMS, nm, of `count` runs, ascending.
     pub fn sorted(&self, count: usize, seed: u64) -> Vec<f64> {
         let mut rms = self.draw(count, seed);
         rms.sort_unstable_by(f64::total_cmp);
         rms
     }
 
-    /// RMS, nm, of `count` runs.
+    /// Draws the RMS, nm, of `count` runs.
     pub fn draw(&self, count: usize, seed: u64) -> Vec<f64> {
         // noise = root root'; a map of one pixel has no residual, and no dimension
         let root = if self.noise.is_empty() {
@@ -108,13 +108,11 @@ impl Model {
             let scale = eigen.eigenvalues.map(|v| v.max(0.0).sqrt());
             &eigen.eigenvectors * DMatrix::from_diagonal(&scale)
         };
-        let rest = match self.rest_variance > 0.0 && self.rest > 0.0 {
-            true => Gamma::new(
-                self.rest * self.rest / self.rest_variance,
-                self.rest_variance / self.rest,
-            )
-            .ok(),
-            false => None,
+        let rest = if self.rest_variance > 0.0 && self.rest > 0.0 {
+            let shape = self.rest * self.rest / self.rest_variance;
+            Gamma::new(shape, self.rest_variance / self.rest).ok()
+        } else {
+            None
         };
         let streams = count.div_ceil(DRAWS_PER_STREAM);
         (0..streams)
@@ -123,7 +121,8 @@ impl Model {
                 let mut rng = stream(seed, FIRST_STREAM + s as u64);
                 let here = DRAWS_PER_STREAM.min(count - s * DRAWS_PER_STREAM);
                 let mut e = self.nominal.clone();
-                let (root, rest) = (&root, &rest);
+                let root = &root;
+                let rest = &rest;
                 (0..here).map(move |_| {
                     e.copy_from(&self.nominal);
                     for term in &self.terms {
@@ -141,10 +140,11 @@ impl Model {
     }
 }
 
-/// Values below which these parts of the sorted `values` are, between two of them linear.
+/// Returns the value below which this part of the `sorted` values lies, interpolated between two of them.
 pub fn quantile(sorted: &[f64], part: f64) -> f64 {
-    let at = part * (sorted.len() - 1) as f64;
-    let (below, f) = (at.floor() as usize, at.fract());
+    let place = part * (sorted.len() - 1) as f64;
+    let below = place.floor() as usize;
+    let f = place.fract();
     let above = (below + 1).min(sorted.len() - 1);
     sorted[below] + f * (sorted[above] - sorted[below])
 }

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use planish_numerics::{polynomial::evaluate, quadrature::gauss_legendre};
-use planish_types::{Axis, Pose, Tif, Variation};
+use planish_types::{Pose, Tif};
 
 use crate::{inner::Inner, motion::Piece};
 
@@ -23,27 +23,26 @@ pub struct Field {
 }
 
 impl Field {
-    /// 0 on a box.
+    /// Makes a field that is 0 on a box.
     pub fn on(rows: Range<usize>, columns: Range<usize>) -> Self {
         let value = vec![0.0; rows.len() * columns.len()];
         Self { rows, columns, value }
     }
 
-    /// Index on the cells of each row's first value, and its values.
+    /// Returns the index on the cells of each row's first value, and its values.
     pub fn lines(&self, cells_per_row: usize) -> impl Iterator<Item = (usize, &[f64])> {
-        let first = move |r: usize| (self.rows.start + r) * cells_per_row + self.columns.start;
+        let first = self.rows.start * cells_per_row + self.columns.start;
         let width = self.columns.len().max(1);
-        self.value.chunks_exact(width).enumerate().map(move |(r, line)| (first(r), line))
+        let lines = self.value.chunks_exact(width).enumerate();
+        lines.map(move |(r, line)| (first + r * cells_per_row, line))
     }
 
-    /// Sum of fields times numbers, on a box that holds them all.
+    /// Returns the sum of fields times numbers, on a box that holds them all.
     pub fn sum(parts: &[(&Self, f64)]) -> Self {
         let filled: Vec<_> = parts.iter().filter(|(f, _)| !f.value.is_empty()).collect();
-        let hull = |of: fn(&Self) -> &Range<usize>| {
-            let low = filled.iter().map(|(f, _)| of(f).start).min().unwrap_or(0);
-            low..filled.iter().map(|(f, _)| of(f).end).max().unwrap_or(0)
-        };
-        let mut sum = Self::on(hull(|f| &f.rows), hull(|f| &f.columns));
+        let rows = hull(filled.iter().map(|(f, _)| &f.rows));
+        let columns = hull(filled.iter().map(|(f, _)| &f.columns));
+        let mut sum = Self::on(rows, columns);
         let width = sum.columns.len();
         for (field, by) in filled {
             for (r, line) in field.value.chunks_exact(field.columns.len()).enumerate() {
@@ -57,6 +56,12 @@ impl Field {
     }
 }
 
+/// Returns the least range that holds all of these; an empty one if there is none.
+fn hull<'a>(ranges: impl Iterator<Item = &'a Range<usize>>) -> Range<usize> {
+    let all = ranges.cloned().reduce(|a, b| a.start.min(b.start)..a.end.max(b.end));
+    all.unwrap_or_default()
+}
+
 /// The TIF that errors move, on the cells of a map, without its factor of the time, which the motion has.
 pub struct Tool {
     /// The TIF.
@@ -66,7 +71,7 @@ pub struct Tool {
 }
 
 impl Tool {
-    /// The tool on the cells of `inner`.
+    /// Makes the tool on the cells of `inner`.
     pub fn new(tif: &Tif, inner: &Inner) -> Self {
         let tif = tif.without_time().into_owned();
         let factor = tif.variation().and_then(|v| v.factor_on(&inner.grid));
@@ -74,22 +79,20 @@ impl Tool {
         Self { tif, factor }
     }
 
-    /// Weights of the kernels of a tool at a place; none of a tool that is the same everywhere.
+    /// Returns the weights of the kernels of a tool at a place; none of a tool that is the same everywhere.
     pub fn weights(&self, place_mm: [f64; 2]) -> Vec<f64> {
-        let of = |v: &Variation| {
-            // Tools that turn with their motion are refused: every heading is as good.
-            let pose = Pose::along_x(place_mm);
-            (0..v.components().len()).map(|k| v.weight(k, pose)).collect::<Vec<f64>>()
-        };
-        self.tif.variation().map(of).unwrap_or_default()
+        let Some(v) = self.tif.variation() else { return Vec::new() };
+        // Tools that turn with their motion are refused: every heading is as good.
+        let pose = Pose::along_x(place_mm);
+        (0..v.components().len()).map(|k| v.weight(k, pose)).collect()
     }
 
-    /// Factor of the pixels of a cell.
+    /// Returns the factor of the pixels of a cell.
     pub fn factor(&self, cell: usize) -> f64 {
         self.factor.as_ref().map_or(1.0, |factor| factor[cell])
     }
 
-    /// Rate of a tool with these weights at an offset, nm/s, without the factor of the pixels.
+    /// Returns the rate of a tool with these weights at an offset, nm/s, without the factor of the pixels.
     fn rate(&self, weights: &[f64], x: f64, y: f64) -> f64 {
         let Some(v) = self.tif.variation() else { return self.tif.rate_at(x, y) };
         let each = v.components().iter().zip(weights);
@@ -107,7 +110,7 @@ pub enum Change {
 }
 
 /// A tool at one place.
-struct Placed<'a> {
+struct PlacedChange<'a> {
     tool: &'a Tool,
     place_mm: [f64; 2],
     change: Change,
@@ -117,7 +120,7 @@ struct Placed<'a> {
     weights: [Vec<f64>; 2],
 }
 
-impl<'a> Placed<'a> {
+impl<'a> PlacedChange<'a> {
     fn new(tool: &'a Tool, place_mm: [f64; 2], change: Change) -> Self {
         let Change::Along(axis) = change else {
             let weights = [tool.weights(place_mm), Vec::new()];
@@ -133,10 +136,11 @@ impl<'a> Placed<'a> {
         Self { tool, place_mm, change, half_mm, weights }
     }
 
-    /// Value at a point of the part.
-    fn at(&self, x: f64, y: f64) -> f64 {
+    /// Returns the value at a point of the part.
+    fn value(&self, x: f64, y: f64) -> f64 {
         let Self { tool, half_mm: h, weights: [before, after], .. } = self;
-        let (x, y) = (x - self.place_mm[0], y - self.place_mm[1]);
+        let x = x - self.place_mm[0];
+        let y = y - self.place_mm[1];
         let difference = match self.change {
             Change::AsItIs => return tool.rate(before, x, y),
             Change::Along(0) => tool.rate(after, x - h, y) - tool.rate(before, x + h, y),
@@ -146,43 +150,42 @@ impl<'a> Placed<'a> {
     }
 }
 
-/// Cells that a resting tool reaches, at most.
+/// Returns the number of cells that a resting tool reaches, at most.
 pub fn cells_of_tif(inner: &Inner, tif: &Tif) -> usize {
-    let across = |map: &Axis, tif: &Axis, pixels: usize| {
-        let cells = (tif.end_mm() - tif.start_mm()) / (map.step_mm() * pixels as f64);
-        (cells as usize + 3).min(map.len().div_ceil(pixels))
-    };
-    let (map, tool) = (&inner.grid, tif.grid());
+    let tool = tif.grid();
     let [px, py] = inner.cells.pixels;
-    across(&map.x, &tool.x, px) * across(&map.y, &tool.y, py)
+    let axes = [(&inner.grid.x, &tool.x, px), (&inner.grid.y, &tool.y, py)];
+    let [x, y] = axes.map(|(map, tool, pixels)| {
+        let cells = (tool.end_mm() - tool.start_mm()) / (map.step_mm() * pixels as f64);
+        (cells as usize + 3).min(map.len().div_ceil(pixels))
+    });
+    x * y
 }
 
-/// Rows and columns of the cells whose pixels are within the TIF of a tool at any of the places, and one more on
-/// every side.
+/// Returns the rows and columns of the cells whose pixels are within the TIF of a tool at any of the places, and one
+/// more on every side.
 pub fn reached(
     places: impl Iterator<Item = [f64; 2]> + Clone,
     inner: &Inner,
     tif: &Tif,
 ) -> (Range<usize>, Range<usize>) {
-    let along = |axis: usize| {
-        let (map, tool) = match axis {
-            0 => (&inner.grid.x, &tif.grid().x),
-            _ => (&inner.grid.y, &tif.grid().y),
-        };
+    let (rows, columns) = inner.cells.shape;
+    let axes = [(&inner.grid.x, &tif.grid().x, columns), (&inner.grid.y, &tif.grid().y, rows)];
+    let [columns, rows] = [0, 1].map(|axis| {
+        let (map, tool, last) = axes[axis];
         let low = places.clone().map(|p| p[axis]).fold(f64::INFINITY, f64::min);
         let high = places.clone().map(|p| p[axis]).fold(f64::NEG_INFINITY, f64::max);
-        let (rows, columns) = inner.cells.shape;
-        let last = if axis == 0 { columns } else { rows };
         let size = inner.cells.pixels[axis] as f64 * map.step_mm();
-        let cell = |mm: f64| (mm - map.start_mm()) / size;
-        let from = (cell(low + tool.start_mm()) - 1.0).floor().clamp(0.0, last as f64);
-        let to = (cell(high + tool.end_mm()) + 2.0).ceil().clamp(0.0, last as f64);
+        let [first, end] =
+            [low + tool.start_mm(), high + tool.end_mm()].map(|mm| (mm - map.start_mm()) / size);
+        let from = (first - 1.0).floor().clamp(0.0, last as f64);
+        let to = (end + 2.0).ceil().clamp(0.0, last as f64);
         from as usize..(to as usize).max(from as usize)
-    };
-    (along(1), along(0))
+    });
+    (rows, columns)
 }
 
-/// The integral of a tool, or of its change, over a piece, on the cells it reaches.
+/// Returns the integral of a tool, or of its change, over a piece, on the cells it reaches.
 pub fn field(piece: &Piece, inner: &Inner, tool: &Tool, change: Change) -> Field {
     if !piece.tool_on {
         return Field::default();
@@ -190,7 +193,7 @@ pub fn field(piece: &Piece, inner: &Inner, tool: &Tool, change: Change) -> Field
     let points = gauss_legendre::<POINTS>().map(|(node, weight)| {
         let u = node * piece.duration_s;
         let place = [0, 1].map(|a| evaluate(&piece.coefficient_mm[a], u));
-        (Placed::new(tool, place, change), weight * piece.duration_s * piece.rate_factor)
+        (PlacedChange::new(tool, place, change), weight * piece.duration_s * piece.rate_factor)
     });
     let cells = &inner.cells;
     let (rows, columns) = reached(points.iter().map(|(p, _)| p.place_mm), inner, &tool.tif);
@@ -203,7 +206,7 @@ pub fn field(piece: &Piece, inner: &Inner, tool: &Tool, change: Change) -> Field
         let first = (field.rows.start + r) * cells.shape.1 + field.columns.start;
         for (c, v) in line.iter_mut().enumerate().filter(|(c, _)| cells.weight[first + c] > 0.0) {
             let [x, y] = cells.centre_mm[first + c];
-            let sum: f64 = points.iter().map(|(placed, t)| t * placed.at(x, y)).sum();
+            let sum: f64 = points.iter().map(|(placed, t)| t * placed.value(x, y)).sum();
             *v = tool.factor(first + c) * sum;
         }
     }

@@ -32,11 +32,11 @@ pub struct Inner {
     /// Orthonormal free terms (ny, nx); 0 where invalid.
     free: Vec<Array2<f64>>,
     /// Its cells.
-    pub cells: Cells,
+    pub cells: CellGrid,
 }
 
 /// Blocks of pixels, row by row.
-pub struct Cells {
+pub struct CellGrid {
     /// Pixels per cell [x, y].
     pub pixels: [usize; 2],
     /// Cells (rows, columns).
@@ -55,9 +55,10 @@ impl Inner {
         let grid = *desired.grid();
         let valid = desired.height_nm().mapv(|z| !z.is_nan());
         let count = valid.iter().filter(|v| **v).count() as f64;
-        let block =
-            |step: f64, n: usize| ((width_mm / CELLS_PER_WIDTH / step) as usize).clamp(1, n);
-        let pixels = [block(grid.x.step_mm(), grid.x.len()), block(grid.y.step_mm(), grid.y.len())];
+        let pixels = [&grid.x, &grid.y].map(|axis| {
+            let pixels = (width_mm / CELLS_PER_WIDTH / axis.step_mm()) as usize;
+            pixels.clamp(1, axis.len())
+        });
         let shape = (grid.y.len().div_ceil(pixels[1]), grid.x.len().div_ceil(pixels[0]));
         let mut weight = vec![0.0; shape.0 * shape.1];
         let mut centre_mm = vec![[0.0; 2]; weight.len()];
@@ -70,7 +71,7 @@ impl Inner {
         for (centre, w) in centre_mm.iter_mut().zip(&weight).filter(|(_, w)| **w > 0.0) {
             centre.iter_mut().for_each(|v| *v /= w);
         }
-        let cells = Cells { pixels, shape, weight, centre_mm, free: Vec::new() };
+        let cells = CellGrid { pixels, shape, weight, centre_mm, free: Vec::new() };
         let mut inner = Self { grid, valid, count, free: Vec::new(), cells };
         let middle = [&grid.x, &grid.y].map(|a| 0.5 * (a.start_mm() + a.end_mm()));
         let terms: &[fn(f64, f64) -> f64] = match free {
@@ -78,8 +79,9 @@ impl Inner {
             Free::Plane => &[|_, _| 1.0, |x, _| x, |_, y| y],
         };
         for term in terms {
-            let of = |(r, c)| term(grid.x.at(c) - middle[0], grid.y.at(r) - middle[1]);
-            let mut map = inner.masked(Array2::from_shape_fn(grid.shape(), of));
+            let mut map = inner.masked(Array2::from_shape_fn(grid.shape(), |(r, c)| {
+                term(grid.x.at(c) - middle[0], grid.y.at(r) - middle[1])
+            }));
             let before = inner.dot(&map, &map);
             inner.project(&mut map);
             let norm = inner.dot(&map, &map);
@@ -92,7 +94,7 @@ impl Inner {
         inner
     }
 
-    /// The map with 0 where it is invalid.
+    /// Returns the map with 0 where it is invalid.
     pub fn masked(&self, mut map: Array2<f64>) -> Array2<f64> {
         map.zip_mut_with(&self.valid, |v, valid| {
             if !valid {
@@ -102,7 +104,7 @@ impl Inner {
         map
     }
 
-    /// The map with NaN where it is invalid.
+    /// Returns the map with NaN where it is invalid.
     pub fn with_nan(&self, mut map: Array2<f64>) -> Array2<f64> {
         map.zip_mut_with(&self.valid, |v, valid| {
             if !valid {
@@ -112,12 +114,12 @@ impl Inner {
         map
     }
 
-    /// 1 where the map is valid, 0 elsewhere.
+    /// Returns 1 where the map is valid, 0 elsewhere.
     pub fn validity(&self) -> Array2<f64> {
         self.valid.mapv(|valid| if valid { 1.0 } else { 0.0 })
     }
 
-    /// Orthonormal free terms; 0 where the map is invalid.
+    /// Returns the orthonormal free terms (ny, nx); 0 where the map is invalid.
     pub fn free(&self) -> &[Array2<f64>] {
         &self.free
     }
@@ -130,23 +132,23 @@ impl Inner {
         }
     }
 
-    /// A map without its invalid pixels and its free terms.
+    /// Returns a map without its invalid pixels and its free terms.
     pub fn judged(&self, map: Array2<f64>) -> Array2<f64> {
         let mut map = self.masked(map);
         self.project(&mut map);
         map
     }
 
-    /// Inner product of two masked maps.
+    /// Returns the inner product of two masked maps.
     pub fn dot(&self, f: &Array2<f64>, g: &Array2<f64>) -> f64 {
         let rows = f.outer_iter().zip(g.outer_iter());
         rows.map(|(f, g)| f.iter().zip(g).map(|(f, g)| f * g).sum::<f64>()).sum::<f64>()
             / self.count
     }
 
-    /// Means of a masked map over the valid pixels of the cells.
+    /// Returns the means of a masked map over the valid pixels of the cells.
     pub fn to_cells(&self, map: &Array2<f64>) -> Vec<f64> {
-        let Cells { pixels, shape, weight, .. } = &self.cells;
+        let CellGrid { pixels, shape, weight, .. } = &self.cells;
         let mut sum = vec![0.0; weight.len()];
         for ((r, c), v) in map.indexed_iter() {
             sum[r / pixels[1] * shape.1 + c / pixels[0]] += v;
@@ -155,14 +157,15 @@ impl Inner {
         sum
     }
 
-    /// The map that is constant on every cell.
+    /// Returns the map that is constant on every cell.
     pub fn from_cells(&self, of_cell: &[f64]) -> Array2<f64> {
-        let Cells { pixels, shape, .. } = &self.cells;
-        let of = |(r, c)| of_cell[r / pixels[1] * shape.1 + c / pixels[0]];
-        self.masked(Array2::from_shape_fn(self.grid.shape(), of))
+        let CellGrid { pixels, shape, .. } = &self.cells;
+        self.masked(Array2::from_shape_fn(self.grid.shape(), |(r, c)| {
+            of_cell[r / pixels[1] * shape.1 + c / pixels[0]]
+        }))
     }
 
-    /// Inner product of two fields on the cells.
+    /// Returns the inner product of two fields on the cells.
     pub fn dot_on_cells(&self, f: &[f64], g: &[f64]) -> f64 {
         let each = f.iter().zip(g).zip(&self.cells.weight);
         each.map(|((f, g), w)| w * f * g).sum::<f64>() / self.count

@@ -51,5 +51,5 @@ pub use planish_simulate::{deviation, error_budget, motion, sample, servo, tool}
 pub use crate::{
     budget::{LARGEST_DEPARTURE, LARGEST_DEPARTURE_OF_LINE, SEEN, tolerance},
     report::{LEVELS, Pair, Tolerance},
-    settings::{Free, Settings},
+    settings::{Free, ToleranceSettings},
 };

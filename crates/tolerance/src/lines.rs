@@ -32,89 +32,114 @@ pub struct Linear {
 }
 
 impl Work<'_> {
-    /// The fields of all errors that one number decides, at size one.
+    /// Returns the fields of all errors that one number decides, at size one.
+    ///
+    /// # Errors
+    /// Refuses a deviation that cannot be simulated.
     pub fn linear(&self, width: f64) -> Result<Vec<Linear>, Invalid> {
-        let of = |(error, e): (usize, &ProcessError)| -> Result<Vec<Linear>, Invalid> {
-            let distribution = e.stated.distribution;
-            let linear = |field, size| Linear { error, distribution, field, size };
-            match e.effect {
-                _ if e.size == 0.0 => Ok(Vec::new()),
-                Effect::Scalar(effect) => {
-                    // A servo of any order begins as a lag.
-                    let effect = match effect {
-                        Scalar::ServoFirstOrder | Scalar::ServoSecondOrder { .. } => {
-                            Scalar::VelocityLag
-                        }
-                        other => other,
-                    };
-                    let per_size = self.displacement_per_size(effect);
-                    let step = match effect {
-                        // Hysteresis has no derivative: half the play decides which turns are seen at all.
-                        Scalar::Backlash => e.size,
-                        _ if per_size > 0.0 => STEP * width / per_size,
-                        // What acts on the rate is linear: any step will do.
-                        _ => STEP,
-                    };
-                    let side = |step: f64| {
-                        let mut run = Deviation::default();
-                        run.add(effect, step);
-                        self.residual(&run)
-                    };
-                    let field = (side(-step)? - side(step)?) / (2.0 * step);
-                    Ok(vec![linear(field, e.size)])
-                }
-                Effect::MapLowOrder { degree } => {
-                    let terms = self.low_order(degree);
-                    let size = e.size / (terms.len() as f64).sqrt();
-                    // The residual has it on top.
-                    Ok(terms.into_iter().map(|t| linear(-self.inner.judged(t), size)).collect())
-                }
-                Effect::Noise(_) | Effect::MapNoise => Ok(Vec::new()),
-            }
-        };
+        let errors = &self.process.errors;
         let each: Vec<Result<Vec<Linear>, Invalid>> =
-            parallel::map(self.process.errors.len(), &|i| of((i, &self.process.errors[i])));
+            parallel::map(errors.len(), &|i| self.linear_of(i, &errors[i], width));
         Ok(each.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
     }
 
+    /// Returns the fields of one error, the `error`-th.
+    fn linear_of(
+        &self,
+        error: usize,
+        e: &ProcessError,
+        width: f64,
+    ) -> Result<Vec<Linear>, Invalid> {
+        let distribution = e.stated.distribution;
+        match e.effect {
+            _ if e.size == 0.0 => Ok(Vec::new()),
+            Effect::Scalar(effect) => {
+                // A servo of any order begins as a lag.
+                let effect = match effect {
+                    Scalar::ServoFirstOrder | Scalar::ServoSecondOrder { .. } => {
+                        Scalar::VelocityLag
+                    }
+                    other => other,
+                };
+                let per_size = self.displacement_per_size(effect);
+                let step = match effect {
+                    // Hysteresis has no derivative: half the play decides which turns are seen at all.
+                    Scalar::Backlash => e.size,
+                    _ if per_size > 0.0 => STEP * width / per_size,
+                    // What acts on the rate is linear: any step will do.
+                    _ => STEP,
+                };
+                let [below, above] = [-step, step].map(|step| {
+                    let mut run = Deviation::default();
+                    run.add(effect, step);
+                    self.residual(&run)
+                });
+                let field = (below? - above?) / (2.0 * step);
+                Ok(vec![Linear { error, distribution, field, size: e.size }])
+            }
+            Effect::MapLowOrder { degree } => {
+                let terms = self.low_order(degree);
+                let size = e.size / (terms.len() as f64).sqrt();
+                // The residual has it on top.
+                let fields = terms.into_iter().map(|t| -self.inner.judged(t));
+                Ok(fields.map(|field| Linear { error, distribution, field, size }).collect())
+            }
+            Effect::Noise(_) | Effect::MapNoise => Ok(Vec::new()),
+        }
+    }
+
     /// Returns, for every error, the RMS difference of the run with its size alone from its first order, nm.
+    ///
+    /// # Errors
+    /// Refuses a deviation that cannot be simulated.
     pub fn departures(
         &self,
         linear: &[Linear],
         columns: Option<&Columns<'_>>,
         seed: u64,
     ) -> Result<Vec<f64>, Invalid> {
-        let of = |(i, e): (usize, &ProcessError)| -> Result<f64, Invalid> {
-            let mut run = Deviation::default();
-            match (e.effect, columns) {
-                _ if e.size == 0.0 => Ok(0.0),
-                (Effect::Scalar(effect), _) => {
-                    let l = linear.iter().find(|l| l.error == i).expect("it has a field");
-                    run.add(effect, l.size);
-                    let added = &self.nominal - &self.residual(&run)?;
-                    let first = &l.field * l.size;
-                    let difference = &added - &first;
-                    Ok(self.rms(&difference))
-                }
-                (Effect::Noise(noise), Some(columns)) => {
-                    let mut rng = stream(seed, DEPARTURE_STREAM + i as u64);
-                    sample(noise, e.size, self.motion(), &mut rng, &mut run);
-                    let added = &self.nominal - &self.residual(&run)?;
-                    let mut added = self.inner.to_cells(&added);
-                    let mut first = columns.change(&run);
-                    self.inner.project_on_cells(&mut first);
-                    added.iter_mut().zip(&first).for_each(|(a, f)| *a -= f);
-                    Ok(self.inner.dot_on_cells(&added, &added).sqrt())
-                }
-                // What the map has wrong is in the residual as it is.
-                _ => Ok(0.0),
-            }
-        };
         let errors = &self.process.errors;
-        parallel::map(errors.len(), &|i| of((i, &errors[i]))).into_iter().collect()
+        let departures =
+            parallel::map(errors.len(), &|i| self.departure(i, &errors[i], linear, columns, seed));
+        departures.into_iter().collect()
     }
 
-    /// The table, to first order.
+    /// Returns the departure of one error, the `i`-th.
+    fn departure(
+        &self,
+        i: usize,
+        e: &ProcessError,
+        linear: &[Linear],
+        columns: Option<&Columns<'_>>,
+        seed: u64,
+    ) -> Result<f64, Invalid> {
+        let mut run = Deviation::default();
+        match (e.effect, columns) {
+            _ if e.size == 0.0 => Ok(0.0),
+            (Effect::Scalar(effect), _) => {
+                let l = linear.iter().find(|l| l.error == i).expect("it has a field");
+                run.add(effect, l.size);
+                let added = &self.nominal - &self.residual(&run)?;
+                let first = &l.field * l.size;
+                let difference = &added - &first;
+                Ok(self.rms(&difference))
+            }
+            (Effect::Noise(noise), Some(columns)) => {
+                let mut rng = stream(seed, DEPARTURE_STREAM + i as u64);
+                sample(noise, e.size, self.motion(), &mut rng, &mut run);
+                let added = &self.nominal - &self.residual(&run)?;
+                let mut added = self.inner.to_cells(&added);
+                let mut first = columns.change(&run);
+                self.inner.project_on_cells(&mut first);
+                added.iter_mut().zip(&first).for_each(|(a, f)| *a -= f);
+                Ok(self.inner.dot_on_cells(&added, &added).sqrt())
+            }
+            // What the map has wrong is in the residual as it is.
+            _ => Ok(0.0),
+        }
+    }
+
+    /// Returns the table, to first order.
     pub fn lines(
         &self,
         linear: &[Linear],
@@ -122,8 +147,9 @@ impl Work<'_> {
         reach: &Reach,
         departures: &[f64],
     ) -> Vec<ErrorLine> {
-        let line = |(i, e): (usize, &ProcessError)| {
-            let (mut square, mut reached) = (0.0, 0.0);
+        let lines = self.process.errors.iter().enumerate().map(|(i, e)| {
+            let mut square = 0.0;
+            let mut reached = 0.0;
             for l in linear.iter().filter(|l| l.error == i) {
                 let variance = match l.distribution {
                     Distribution::Normal | Distribution::Fixed => l.size * l.size,
@@ -132,7 +158,7 @@ impl Work<'_> {
                 square += variance * self.inner.dot(&l.field, &l.field);
                 reached += variance * reach.mean_square(&self.inner, &l.field);
             }
-            for (_, size, response) in responses.iter().filter(|(of, ..)| *of == i) {
+            for (_, size, response) in responses.iter().filter(|(error, ..)| *error == i) {
                 square += size * size * response.mean_square;
                 reached += size * size * response.reached;
             }
@@ -156,11 +182,11 @@ impl Work<'_> {
                 simulated: false,
                 standard_error_nm: None,
             }
-        };
-        self.process.errors.iter().enumerate().map(line).collect()
+        });
+        lines.collect()
     }
 
-    /// Standard deviation over the runs of every pixel of the residual.
+    /// Returns the standard deviation over the runs of every pixel of the residual, nm.
     pub fn deviation_map(
         &self,
         linear: &[Linear],

@@ -33,7 +33,7 @@ use crate::{
     error_budget::Noise,
     field::{Change, Field, Tool, cells_of_tif, field},
     inner::Inner,
-    motion::{Motion, Piece},
+    motion::Motion,
     reach::CosinesOnCells,
     sample::Mean,
 };
@@ -75,12 +75,13 @@ struct Functionals {
 }
 
 impl Functionals {
+    /// Returns the number of functionals.
     fn len(&self) -> usize {
         self.fields.len() + self.cosines.pairs.len()
     }
 
-    /// All of them; the cosines are those of P f.
-    fn of(&self, field: &Field, inner: &Inner) -> Vec<f64> {
+    /// Returns all functionals of a field; the cosines are those of P f.
+    fn values(&self, field: &Field, inner: &Inner) -> Vec<f64> {
         let per_row = inner.cells.shape.1;
         let weight = &inner.cells.weight;
         let mut all = Vec::with_capacity(self.len());
@@ -101,10 +102,11 @@ impl Functionals {
         all
     }
 
-    /// sum over the cells of w f cos(y) cos(x) / sqrt(m)
+    /// Returns `sum over the cells of w f cos(y) cos(x) / sqrt(m)` of every pair of cosines.
     fn cosines_of(&self, field: &Field, inner: &Inner) -> Vec<f64> {
         let CosinesOnCells { y, x, pairs } = &self.cosines;
-        let (ny, nx) = (y.ncols(), x.ncols());
+        let ny = y.ncols();
+        let nx = x.ncols();
         let mut table = vec![0.0; ny * nx];
         let mut along_x = vec![0.0; nx];
         for (r, (first, line)) in field.lines(inner.cells.shape.1).enumerate() {
@@ -127,6 +129,9 @@ impl Functionals {
 impl<'a> Columns<'a> {
     /// Makes the fields of a motion; with `displaced`, also their change with the place. `basis` are fields on the
     /// cells without free terms.
+    ///
+    /// # Errors
+    /// Refuses a motion of so many pieces that its fields take too much memory.
     pub fn new(
         motion: &'a Motion,
         inner: &'a Inner,
@@ -159,22 +164,11 @@ impl<'a> Columns<'a> {
             parallel::map(motion.pieces.len(), &|k| field(&motion.pieces[k], inner, tool, change))
         };
         let piece = fields(Change::AsItIs);
-        let stays = |of_piece: &[Field]| -> Vec<Field> {
-            let mut first = 0;
-            let mut stays = Vec::with_capacity(motion.stay_s.len());
-            while first < of_piece.len() {
-                let same = |p: &&Piece| p.stay == motion.pieces[first].stay;
-                let end = first + motion.pieces[first..].iter().take_while(same).count();
-                let parts: Vec<_> = of_piece[first..end].iter().map(|f| (f, 1.0)).collect();
-                stays.push(Field::sum(&parts));
-                first = end;
-            }
-            stays
-        };
-        let stay = stays(&piece);
-        let displaced = match displaced {
-            true => [0, 1].map(|axis| stays(&fields(Change::Along(axis)))),
-            false => Default::default(),
+        let stay = by_stay(motion, &piece);
+        let displaced = if displaced {
+            [0, 1].map(|axis| by_stay(motion, &fields(Change::Along(axis))))
+        } else {
+            Default::default()
         };
         Ok(Self { motion, inner, piece, stay, displaced, functionals })
     }
@@ -199,17 +193,17 @@ impl<'a> Columns<'a> {
         }
     }
 
-    /// Removal of every stay per second of its time, nm/s.
+    /// Returns the removal of every stay per second of its time, nm/s.
     fn longer(&self) -> Vec<Field> {
         let stays = self.stay.iter().zip(&self.motion.stay_s);
         stays.map(|(f, t)| Field::sum(&[(f, 1.0 / t)])).collect()
     }
 
-    /// Independent errors of this variance, each times its field.
+    /// Returns the response to independent errors of this variance, each times its field.
     fn of_independent(&self, fields: impl Iterator<Item = Field>, variance: f64) -> Response {
         let fields: Vec<Field> = fields.collect();
         let all: Vec<Vec<f64>> =
-            parallel::map(fields.len(), &|k| self.functionals.of(&fields[k], self.inner));
+            parallel::map(fields.len(), &|k| self.functionals.values(&fields[k], self.inner));
         let mut on_cells = vec![0.0; self.inner.cells.weight.len()];
         for field in &fields {
             for (first, line) in field.lines(self.inner.cells.shape.1) {
@@ -231,14 +225,16 @@ impl<'a> Columns<'a> {
         self.finish(on_cells, mean_square, &squares[basis.end..], covariance)
     }
 
-    /// The Ornstein-Uhlenbeck process of standard deviation one.
+    /// Returns the response to the Ornstein-Uhlenbeck process of standard deviation one.
     fn of_rate(&self, tau: f64) -> Response {
-        let all: Vec<Vec<f64>> =
-            parallel::map(self.piece.len(), &|k| self.functionals.of(&self.piece[k], self.inner));
+        let all: Vec<Vec<f64>> = parallel::map(self.piece.len(), &|k| {
+            self.functionals.values(&self.piece[k], self.inner)
+        });
         let cells = self.inner.cells.weight.len();
         let mut on_cells = vec![0.0; cells];
         // s of the module on every cell, at the time up to which it is known
-        let (mut carried, mut until) = (vec![0.0; cells], vec![0.0; cells]);
+        let mut carried = vec![0.0; cells];
+        let mut until = vec![0.0; cells];
         let (free, basis) = self.parts();
         let mut squares = vec![0.0; self.functionals.len()];
         let mut covariance = DMatrix::zeros(basis.len(), basis.len());
@@ -247,11 +243,13 @@ impl<'a> Columns<'a> {
         // c_kq
         let mut with_all = Vec::with_capacity(all.len());
         for ((piece, field), z) in self.motion.pieces.iter().zip(&self.piece).zip(&all) {
-            let (start, h) = (piece.start_s, piece.duration_s);
+            let start = piece.start_s;
+            let h = piece.duration_s;
             let mean = Mean::over(h / tau);
             for (first, line) in field.lines(self.inner.cells.shape.1) {
                 for (c, v) in line.iter().enumerate() {
-                    let (i, b) = (first + c, *v);
+                    let i = first + c;
+                    let b = *v;
                     let s = carried[i] * ((until[i] - start) / tau).exp();
                     on_cells[i] += mean.variance * b * b + 2.0 * mean.weight * b * s;
                     carried[i] = s * (-h / tau).exp() + mean.weight * b;
@@ -264,9 +262,10 @@ impl<'a> Columns<'a> {
                 *square += mean.variance * v * v + 2.0 * mean.weight * v * s;
             }
             let each = z[free.clone()].iter().zip(&carried_z);
-            let with_earlier = |(z, s): (&f64, &f64)| mean.variance * z + mean.weight * s;
-            with_all.push(each.map(with_earlier).collect::<Vec<f64>>());
-            let (b, s) = (&z[basis.clone()], &carried_z[basis.clone()]);
+            let with_earlier = each.map(|(z, s)| mean.variance * z + mean.weight * s);
+            with_all.push(with_earlier.collect::<Vec<f64>>());
+            let b = &z[basis.clone()];
+            let s = &carried_z[basis.clone()];
             add_outer(&mut covariance, b, b, mean.variance);
             add_outer(&mut covariance, b, s, mean.weight);
             add_outer(&mut covariance, s, b, mean.weight);
@@ -278,9 +277,11 @@ impl<'a> Columns<'a> {
         }
         let mut later = vec![0.0; free.len()];
         for ((piece, z), c) in self.motion.pieces.iter().zip(&all).zip(&mut with_all).rev() {
-            let (end, h) = (piece.start_s + piece.duration_s, piece.duration_s);
+            let end = piece.start_s + piece.duration_s;
+            let h = piece.duration_s;
             let mean = Mean::over(h / tau);
-            let (gap, decay) = (((end - now) / tau).exp(), (-h / tau).exp());
+            let gap = ((end - now) / tau).exp();
+            let decay = (-h / tau).exp();
             for ((s, z), c) in later.iter_mut().zip(z).zip(c) {
                 *s *= gap;
                 *c += mean.weight * *s;
@@ -293,7 +294,8 @@ impl<'a> Columns<'a> {
         self.finish(on_cells, mean_square, &squares[basis.end..], covariance)
     }
 
-    /// Mean square without the free terms, from the variance on the cells and the squares of the free terms, nm^2.
+    /// Returns the mean square without the free terms, from the variance on the cells and the squares of the free
+    /// terms, nm^2.
     fn mean_square(&self, variance: &[f64], free: &[f64]) -> f64 {
         let weight = &self.inner.cells.weight;
         let all = variance.iter().zip(weight).map(|(v, w)| v * w).sum::<f64>() / self.inner.count;
@@ -315,26 +317,28 @@ impl<'a> Columns<'a> {
         }
         for (q, term) in free.iter().enumerate() {
             for (r, other) in free.iter().enumerate() {
+                let between_terms = between[(q, r)];
                 let pairs = variance.iter_mut().zip(term).zip(other);
-                pairs.for_each(|((v, q_at), r_at)| *v += between[(q, r)] * q_at * r_at);
+                pairs.for_each(|((v, q), r)| *v += between_terms * q * r);
             }
             for (field, c) in fields.iter().zip(carried) {
                 for (first, line) in field.lines(self.inner.cells.shape.1) {
                     let cells = first..first + line.len();
                     let each = variance[cells.clone()].iter_mut().zip(&term[cells]).zip(line);
-                    each.for_each(|((v, q_at), b)| *v -= 2.0 * c[q] * q_at * b);
+                    each.for_each(|((v, term), b)| *v -= 2.0 * c[q] * term * b);
                 }
             }
         }
         variance.iter_mut().for_each(|v| *v = v.max(0.0));
     }
 
-    /// Ranges of the free terms and of the basis among the functionals.
+    /// Returns the ranges of the free terms and of the basis among the functionals.
     fn parts(&self) -> (Range<usize>, Range<usize>) {
         let f = &self.functionals;
         (0..f.free, f.free..f.fields.len())
     }
 
+    /// Makes the response; `cosines` are the mean squares of the reached cosines.
     fn finish(
         &self,
         variance: Vec<f64>,
@@ -347,35 +351,50 @@ impl<'a> Columns<'a> {
         Response { variance, mean_square, reached, covariance }
     }
 
-    /// The change of the removal by the errors of a run, to first order, on the cells.
+    /// Returns the change of the removal by the errors of a run, to first order, on the cells.
     pub fn change(&self, run: &Deviation) -> Vec<f64> {
         let mut change = vec![0.0; self.inner.cells.weight.len()];
-        let mut add = |field: &Field, by: f64| {
-            for (first, line) in field.lines(self.inner.cells.shape.1) {
-                let into = &mut change[first..first + line.len()];
-                into.iter_mut().zip(line).for_each(|(s, v)| *s += by * v);
-            }
-        };
         for (field, g) in self.piece.iter().zip(&run.rate_of_piece) {
-            add(field, *g);
+            self.add(&mut change, field, *g);
         }
         for ((field, t), more) in self.stay.iter().zip(&self.motion.stay_s).zip(&run.time_of_stay_s)
         {
-            add(field, more / t);
+            self.add(&mut change, field, more / t);
         }
         for (axis, fields) in self.displaced.iter().enumerate() {
             for (field, place) in fields.iter().zip(&run.place_of_stay_mm) {
-                add(field, place[axis]);
+                self.add(&mut change, field, place[axis]);
             }
         }
         change
     }
+
+    /// Adds a field times a number to a sum on the cells.
+    fn add(&self, sum: &mut [f64], field: &Field, by: f64) {
+        for (first, line) in field.lines(self.inner.cells.shape.1) {
+            let into = &mut sum[first..first + line.len()];
+            into.iter_mut().zip(line).for_each(|(s, v)| *s += by * v);
+        }
+    }
+}
+
+/// Returns the sums of the fields of the pieces of every stay.
+fn by_stay(motion: &Motion, of_piece: &[Field]) -> Vec<Field> {
+    let mut rest = of_piece;
+    let mut stays = Vec::with_capacity(motion.stay_s.len());
+    for pieces in motion.pieces.chunk_by(|a, b| a.stay == b.stay) {
+        let (own, others) = rest.split_at(pieces.len());
+        let parts: Vec<_> = own.iter().map(|f| (f, 1.0)).collect();
+        stays.push(Field::sum(&parts));
+        rest = others;
+    }
+    stays
 }
 
 /// Variance of a time that is uniform in a tick, in squared ticks: 1/12.
 const TICK_VARIANCE: f64 = 1.0 / 12.0;
 
-/// m += by a b'
+/// Adds `by a b'` to m.
 fn add_outer(m: &mut DMatrix<f64>, a: &[f64], b: &[f64], by: f64) {
     for (mut column, b) in m.column_iter_mut().zip(b) {
         column.iter_mut().zip(a).for_each(|(m, a)| *m += by * a * b);

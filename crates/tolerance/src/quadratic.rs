@@ -16,8 +16,8 @@
 //! motion. Each term is a sum of squares, so Q is positive semidefinite. Q is never made: a product with it takes a
 //! pass over the columns.
 //!
-//! A tool that varies over the part, sum_k a_k(p) phi_k, acts in the same ways at every place: each way of every kernel has
-//! the weight of the kernel there, and a displacement changes the weights as well.
+//! A tool that varies over the part, sum_k a_k(p) phi_k, acts in the same ways at every place: each way of every
+//! kernel has the weight of the kernel there, and a displacement changes the weights as well.
 //!
 //! Q is that of one motion. The motion gives the places and times of the tool, and the times at which the rate has
 //! drifted. m is the change of the removal by the `fixed` errors of the process, simulated: they are known, and a
@@ -94,6 +94,9 @@ pub struct Sources {
 
 impl Sources {
     /// Makes the sources of `process` on the map `desired` with `tif`; errors of size zero are left out.
+    ///
+    /// # Errors
+    /// Refuses errors that the tool cannot have, and changes of the TIF that cannot be made.
     pub fn new(
         desired: &Surface,
         tif: &Tif,
@@ -158,8 +161,15 @@ impl Sources {
         self.included.is_empty()
     }
 
-    /// m and Q of a motion that serves `points` dwell points.
-    pub fn of(&self, trajectory: &Trajectory, points: usize) -> Result<Quadratic<'_>, Invalid> {
+    /// Makes m and Q of a motion that serves `points` dwell points.
+    ///
+    /// # Errors
+    /// Refuses a motion or a map that takes too much memory, and errors that cannot be simulated.
+    pub fn quadratic(
+        &self,
+        trajectory: &Trajectory,
+        points: usize,
+    ) -> Result<Quadratic<'_>, Invalid> {
         let motion = Motion::new(trajectory, 0.5 * self.width_mm)?.with_rate_of(&self.moved);
         let bias_nm = self.fixed.as_ref().map(|fixed| self.change(fixed, &motion)).transpose()?;
         let pieces = if self.rates.is_empty() { 0 } else { motion.pieces.len() };
@@ -174,47 +184,47 @@ impl Sources {
                 own.push(i);
             }
         }
-        let time = |own: &Vec<usize>| own.iter().map(|i| motion.pieces[*i].duration_s).sum();
-        let served_s: Vec<f64> = of_point.iter().map(time).collect();
+        let served_s: Vec<f64> = of_point
+            .iter()
+            .map(|own| own.iter().map(|i| motion.pieces[*i].duration_s).sum())
+            .collect();
         // g of the pieces, for the errors that act on the rate
-        let rate_of_piece = |(effect, _): &(Scalar, f64)| -> Vec<f64> {
+        let rates = self.combined().into_iter().map(|(effect, _)| -> Vec<f64> {
             let mut run = Deviation::default();
-            run.add(*effect, 1.0);
+            run.add(effect, 1.0);
             motion.pieces.iter().map(|p| run.rate_at(p, motion.total_s)).collect()
-        };
-        let rates: Vec<Vec<f64>> = self.combined().iter().map(rate_of_piece).collect();
+        });
+        let rates: Vec<Vec<f64>> = rates.collect();
         let mut columns: Vec<Column> =
             parallel::map(points, &|j| self.column(&motion, &of_point[j], &rates, served_s[j]));
-        let place = match self.place_mm2 > 0.0 {
-            true => {
-                let mut place = vec![0.0; points];
-                let each = columns.iter_mut().zip(&mut place);
-                parallel::consume(each, &|_, (column, place)| *place = self.displaced(column));
-                place
+        let mut place = vec![0.0; points];
+        if self.place_mm2 > 0.0 {
+            let each = columns.iter_mut().zip(&mut place);
+            parallel::consume(each, &|_, (column, place)| *place = self.displaced(column));
+        }
+        let mut of_pieces: Vec<(usize, usize)> = Vec::new();
+        if !self.rates.is_empty() {
+            for (j, own) in of_point.iter().enumerate() {
+                of_pieces.extend(own.iter().map(|i| (j, *i)));
             }
-            false => vec![0.0; points],
-        };
-        let carried = |(j, i): (usize, usize)| {
-            let piece = &motion.pieces[i];
-            let field = field(piece, &self.inner, &self.tool, Change::AsItIs);
-            let free = self.inner.cells.free.iter().map(|q| self.dot(q, &field)).collect();
-            let (start_s, duration_s) = (piece.start_s, piece.duration_s);
-            Carried { point: j, part: 1.0 / served_s[j], start_s, duration_s, field, free }
-        };
-        let pieces = match self.rates.is_empty() {
-            true => Vec::new(),
-            false => {
-                let each = of_point.iter().enumerate();
-                let mut all: Vec<_> =
-                    each.flat_map(|(j, own)| own.iter().map(move |i| (j, *i))).collect();
-                all.sort_unstable_by_key(|(_, i)| *i);
-                parallel::map(all.len(), &|k| carried(all[k]))
-            }
-        };
+        }
+        of_pieces.sort_unstable_by_key(|(_, i)| *i);
+        let pieces = parallel::map(of_pieces.len(), &|k| {
+            let (j, i) = of_pieces[k];
+            self.carried(j, &motion.pieces[i], 1.0 / served_s[j])
+        });
         Ok(Quadratic { sources: self, bias_nm, columns, place, pieces, total_s: motion.total_s })
     }
 
-    /// The scalars, and the displacements where the places are noisy, at no variance of their own.
+    /// Prepares a piece that serves dwell point j, for the noise of the rate; `part` is 1 over the time of the point.
+    fn carried(&self, j: usize, piece: &Piece, part: f64) -> Carried {
+        let field = field(piece, &self.inner, &self.tool, Change::AsItIs);
+        let free = self.inner.cells.free.iter().map(|q| self.dot(q, &field)).collect();
+        let Piece { start_s, duration_s, .. } = *piece;
+        Carried { point: j, part, start_s, duration_s, field, free }
+    }
+
+    /// Returns the scalars, and the displacements where the places are noisy, at no variance of their own.
     fn combined(&self) -> Vec<(Scalar, f64)> {
         let mut all = self.scalars.clone();
         for axis in [Scalar::OffsetX, Scalar::OffsetY] {
@@ -225,19 +235,21 @@ impl Sources {
         all
     }
 
-    /// Difference of the removals of a run with these errors and one without, nm.
+    /// Returns the difference of the removals of a run with these errors and one without, nm.
     fn change(&self, run: &Deviation, motion: &Motion) -> Result<Array2<f64>, Invalid> {
-        let grid = &self.inner.grid;
-        let removal = |run: &Deviation| -> Result<Array2<f64>, Invalid> {
-            let other = run.tif(&self.tool.tif)?;
-            let tif = other.as_ref().unwrap_or(&self.tool.tif);
-            let plan = Plan::new(tif, grid, Simulation::Gridded)?;
-            Ok(plan.removal_nm(&run.trajectory(motion, grid)?)?.0)
-        };
-        Ok(removal(run)? - removal(&Deviation::default())?)
+        Ok(self.removal_nm(run, motion)? - self.removal_nm(&Deviation::default(), motion)?)
     }
 
-    /// c_kj of a dwell point, which these pieces serve.
+    /// Simulates the removal of a run with these errors, nm.
+    fn removal_nm(&self, run: &Deviation, motion: &Motion) -> Result<Array2<f64>, Invalid> {
+        let grid = &self.inner.grid;
+        let other = run.tif(&self.tool.tif)?;
+        let tif = other.as_ref().unwrap_or(&self.tool.tif);
+        let plan = Plan::new(tif, grid, Simulation::Gridded)?;
+        Ok(plan.removal_nm(&run.trajectory(motion, grid)?)?.0)
+    }
+
+    /// Computes c_kj of a dwell point, which these pieces serve.
     fn column(&self, motion: &Motion, own: &[usize], rates: &[Vec<f64>], served_s: f64) -> Column {
         let grid = &self.inner.grid;
         let middle = [&grid.x, &grid.y].map(|a| 0.5 * (a.start_mm() + a.end_mm()));
@@ -254,8 +266,8 @@ impl Sources {
                     .iter()
                     .zip(rates)
                     .map(|((effect, _), rate)| {
-                        let of = combination(*effect).expect("others are left out");
-                        of(from_middle, rate[*i]).map(|c| c * part)
+                        let weights = combination(*effect).expect("others are left out");
+                        weights(from_middle, rate[*i]).map(|c| c * part)
                     })
                     .collect();
                 points.push((self.kernels.placed(&self.tool, place), acts));
@@ -278,7 +290,7 @@ impl Sources {
                 let [x, y] = cells.centre_mm[cell];
                 let factor = self.tool.factor(cell);
                 for (placed, acts) in &points {
-                    let Some(kernel) = self.kernels.at(placed, x, y) else { continue };
+                    let Some(kernel) = self.kernels.values(placed, x, y) else { continue };
                     for (k, act) in acts.iter().enumerate() {
                         let sum: f64 = act.iter().zip(&kernel).map(|(a, v)| a * v).sum();
                         value[k * size + r * columns.len() + c] += factor * sum;
@@ -289,39 +301,39 @@ impl Sources {
         Column { rows, columns, value }
     }
 
-    /// |P db/dx|^2 + |P db/dy|^2; takes away what only this needs.
+    /// Returns |P db/dx|^2 + |P db/dy|^2; takes away what only this needs.
     fn displaced(&self, column: &mut Column) -> f64 {
         let size = column.rows.len() * column.columns.len();
-        let along = |axis: Scalar| -> f64 {
-            let all = self.combined();
+        let all = self.combined();
+        let [x, y] = [Scalar::OffsetX, Scalar::OffsetY].map(|axis| {
             let k = all.iter().position(|(effect, _)| *effect == axis).expect("both are there");
             let value = column.value.get(k * size..(k + 1) * size).unwrap_or(&[]).to_vec();
-            let (rows, columns) = (column.rows.clone(), column.columns.clone());
-            self.square(&Field { rows, columns, value })
-        };
-        let sum = along(Scalar::OffsetX) + along(Scalar::OffsetY);
+            let rows = column.rows.clone();
+            self.square(&Field { rows, columns: column.columns.clone(), value })
+        });
+        let sum = x + y;
         column.value.truncate(self.scalars.len() * size);
         sum
     }
 
-    /// <q, f> of a field on all cells and one on some.
+    /// Returns <q, f> of a field on all cells and one on some.
     fn dot(&self, q: &[f64], f: &Field) -> f64 {
         let cells = &self.inner.cells;
-        let line = |(first, line): (usize, &[f64])| -> f64 {
+        let lines = f.lines(cells.shape.1).map(|(first, line)| -> f64 {
             let here = first..first + line.len();
             let each = line.iter().zip(&cells.weight[here.clone()]).zip(&q[here]);
             each.map(|((v, w), q)| v * w * q).sum()
-        };
-        f.lines(cells.shape.1).map(line).sum::<f64>() / self.inner.count
+        });
+        lines.sum::<f64>() / self.inner.count
     }
 
-    /// |P f|^2
+    /// Returns |P f|^2.
     fn square(&self, f: &Field) -> f64 {
         let cells = &self.inner.cells;
-        let line = |(first, line): (usize, &[f64])| -> f64 {
+        let lines = f.lines(cells.shape.1).map(|(first, line)| -> f64 {
             line.iter().zip(&cells.weight[first..]).map(|(v, w)| v * v * w).sum()
-        };
-        let all = f.lines(cells.shape.1).map(line).sum::<f64>() / self.inner.count;
+        });
+        let all = lines.sum::<f64>() / self.inner.count;
         let free: f64 = cells.free.iter().map(|q| self.dot(q, f).powi(2)).sum();
         (all - free).max(0.0)
     }
@@ -331,6 +343,7 @@ impl Sources {
 /// g. None if the effect depends on more than the place and the time.
 type Combination = fn([f64; 2], f64) -> [f64; KERNELS];
 
+/// Returns the combination of the kernels by which an error acts.
 fn combination(effect: Scalar) -> Option<Combination> {
     fn one(kernel: usize, value: f64) -> [f64; KERNELS] {
         let mut all = [0.0; KERNELS];
@@ -380,35 +393,26 @@ struct Placed {
 impl Kernels {
     /// Makes the changes of a tool whose rate does not depend on the time.
     fn new(tif: &Tif) -> Result<Self, Invalid> {
-        let changed = |effect: Scalar| -> Result<[Tif; 2], Invalid> {
-            let side = |step: f64| {
-                let mut run = Deviation::default();
-                run.add(effect, step);
-                Ok(run.tif(tif)?.unwrap_or_else(|| tif.clone()))
-            };
-            Ok([side(STEP)?, side(-STEP)?])
-        };
-        let mut shapes =
-            vec![(WIDER, changed(Scalar::TifWidth)?), (ROTATED, changed(Scalar::TifRotation)?)];
+        let width = changed(tif, Scalar::TifWidth)?;
+        let mut shapes = vec![(WIDER, width), (ROTATED, changed(tif, Scalar::TifRotation)?)];
         if has_one_ellipse(tif) {
-            shapes.push((ELLIPTICAL, changed(Scalar::TifEllipticity)?));
-            shapes.push((DIAGONAL, changed(Scalar::TifDiagonalEllipticity)?));
+            shapes.push((ELLIPTICAL, changed(tif, Scalar::TifEllipticity)?));
+            shapes.push((DIAGONAL, changed(tif, Scalar::TifDiagonalEllipticity)?));
         }
         let count = tif.variation().map_or(1, |v| v.components().len());
         let samples = (0..count).map(|k| samples_of(k, tif, &shapes)).collect();
         Ok(Self { grid: *tif.grid(), samples })
     }
 
-    /// The tool at a place.
+    /// Prepares the tool at a place.
     fn placed(&self, tool: &Tool, place_mm: [f64; 2]) -> Placed {
         let half = [self.grid.x.step_mm(), self.grid.y.step_mm()].map(|step| 0.5 * step);
-        let moved = |axis: usize, by_mm: f64| {
-            let mut place = place_mm;
-            place[axis] += by_mm;
-            tool.weights(place)
-        };
         let slopes = [0, 1].map(|axis| -> Vec<f64> {
-            let (before, after) = (moved(axis, -half[axis]), moved(axis, half[axis]));
+            let [before, after] = [-half[axis], half[axis]].map(|by_mm| {
+                let mut place = place_mm;
+                place[axis] += by_mm;
+                tool.weights(place)
+            });
             after.iter().zip(before).map(|(a, b)| (a - b) / (2.0 * half[axis])).collect()
         });
         let weights = tool.weights(place_mm).into_iter().enumerate();
@@ -416,17 +420,13 @@ impl Kernels {
         Placed { place_mm, weights }
     }
 
-    /// All of them at a point of the part; none beyond the samples.
-    fn at(&self, placed: &Placed, x_mm: f64, y_mm: f64) -> Option<[f64; KERNELS]> {
-        let (x, y) = (&self.grid.x, &self.grid.y);
-        let node = |s: f64, n: usize| {
-            let (i, f) = keys::split(s);
-            (0..n as isize - 1).contains(&i).then(|| (i as usize, keys::weights(f)))
-        };
+    /// Returns all changes at a point of the part; none beyond the samples.
+    fn values(&self, placed: &Placed, x_mm: f64, y_mm: f64) -> Option<[f64; KERNELS]> {
+        let Grid { x, y } = &self.grid;
         let [dx, dy] = [x_mm - placed.place_mm[0], y_mm - placed.place_mm[1]];
-        let (column, wx) = node((dx - x.start_mm()) / x.step_mm(), x.len())?;
-        let (row, wy) = node((dy - y.start_mm()) / y.step_mm(), y.len())?;
-        let of = |samples: &Samples| {
+        let (column, wx) = node_and_weights((dx - x.start_mm()) / x.step_mm(), x.len())?;
+        let (row, wy) = node_and_weights((dy - y.start_mm()) / y.step_mm(), y.len())?;
+        let interpolated = |samples: &Samples| {
             let mut sum = [0.0; KERNELS];
             for (r, wy) in wy.iter().enumerate() {
                 let first = (row + r) * (x.len() + 2) + column;
@@ -438,11 +438,11 @@ impl Kernels {
             sum
         };
         if placed.weights.is_empty() {
-            return Some(of(&self.samples[0]));
+            return Some(interpolated(&self.samples[0]));
         }
         let mut sum = [0.0; KERNELS];
         for (samples, [a, along_x, along_y]) in self.samples.iter().zip(&placed.weights) {
-            let kernel = of(samples);
+            let kernel = interpolated(samples);
             sum.iter_mut().zip(&kernel).for_each(|(s, v)| *s += a * v);
             sum[ALONG_X] += along_x * kernel[AS_IT_IS];
             sum[ALONG_Y] += along_y * kernel[AS_IT_IS];
@@ -451,7 +451,23 @@ impl Kernels {
     }
 }
 
-/// The changes of kernel `k` of a tool; `shapes` are those of the tool by a step up and down.
+/// Returns the node of a coordinate in steps from the first of n samples, and Keys' weights there; none beyond them.
+fn node_and_weights(s: f64, n: usize) -> Option<(usize, [f64; 4])> {
+    let (i, f) = keys::split(s);
+    if (0..n as isize - 1).contains(&i) { Some((i as usize, keys::weights(f))) } else { None }
+}
+
+/// Returns the TIF with an error of a step up and of a step down.
+fn changed(tif: &Tif, effect: Scalar) -> Result<[Tif; 2], Invalid> {
+    let [up, down] = [STEP, -STEP].map(|step| {
+        let mut run = Deviation::default();
+        run.add(effect, step);
+        Ok(run.tif(tif)?.unwrap_or_else(|| tif.clone()))
+    });
+    Ok([up?, down?])
+}
+
+/// Returns the changes of kernel `k` of a tool; `shapes` are those of the tool by a step up and down.
 fn samples_of(k: usize, tif: &Tif, shapes: &[(usize, [Tif; 2])]) -> Samples {
     fn kernel(tif: &Tif, k: usize) -> &Tif {
         tif.variation().map_or(tif, |v| v.components()[k].kernel())
@@ -463,17 +479,18 @@ fn samples_of(k: usize, tif: &Tif, shapes: &[(usize, [Tif; 2])]) -> Samples {
     let mut samples = vec![[0.0; KERNELS]; (ny + 2) * (nx + 2)];
     for r in 0..ny {
         for c in 0..nx {
-            let (x, y) = (grid.x.at(c), grid.y.at(r));
+            let x = grid.x.at(c);
+            let y = grid.y.at(r);
             // The tool moves, the place stays: the derivative is by minus the offset.
             let along_x = own.rate_at(x - half[0], y) - own.rate_at(x + half[0], y);
             let along_y = own.rate_at(x, y - half[1]) - own.rate_at(x, y + half[1]);
-            let at = &mut samples[(r + 1) * (nx + 2) + c + 1];
-            at[AS_IT_IS] = own.rate_nm_per_s()[[r, c]];
-            at[ALONG_X] = along_x / (2.0 * half[0]);
-            at[ALONG_Y] = along_y / (2.0 * half[1]);
+            let sample = &mut samples[(r + 1) * (nx + 2) + c + 1];
+            sample[AS_IT_IS] = own.rate_nm_per_s()[[r, c]];
+            sample[ALONG_X] = along_x / (2.0 * half[0]);
+            sample[ALONG_Y] = along_y / (2.0 * half[1]);
             for (index, changed) in shapes {
                 let [up, down] = changed.each_ref().map(|t| kernel(t, k).rate_nm_per_s()[[r, c]]);
-                at[*index] = (up - down) / (2.0 * STEP);
+                sample[*index] = (up - down) / (2.0 * STEP);
             }
         }
     }
@@ -489,12 +506,14 @@ struct Column {
 }
 
 impl Column {
-    /// Index on the cells of each row's first value, and its values, of error k.
+    /// Returns the index on the cells of each row's first value, and its values, of error k.
     fn lines(&self, k: usize, cells_per_row: usize) -> impl Iterator<Item = (usize, &[f64])> {
-        let (size, width) = (self.rows.len() * self.columns.len(), self.columns.len().max(1));
+        let size = self.rows.len() * self.columns.len();
+        let width = self.columns.len().max(1);
         let own = self.value.get(k * size..(k + 1) * size).unwrap_or(&[]);
-        let first = move |r: usize| (self.rows.start + r) * cells_per_row + self.columns.start;
-        own.chunks_exact(width).enumerate().map(move |(r, line)| (first(r), line))
+        let first = self.rows.start * cells_per_row + self.columns.start;
+        let lines = own.chunks_exact(width).enumerate();
+        lines.map(move |(r, line)| (first + r * cells_per_row, line))
     }
 }
 
@@ -524,75 +543,78 @@ pub struct Quadratic<'a> {
 }
 
 impl Quadratic<'_> {
-    /// Q t, nm^2/s: half the derivative of t'Q t.
+    /// Returns Q t (n), nm^2/s: half the derivative of t'Q t.
     pub fn product(&self, time_s: &[f64]) -> Vec<f64> {
-        let Sources { inner, scalars, place_mm2, rates, .. } = self.sources;
+        let Sources { scalars, place_mm2, rates, .. } = self.sources;
         let mut product: Vec<f64> =
             self.place.iter().zip(time_s).map(|(d, t)| place_mm2 * d * t).collect();
-        let per_row = inner.cells.shape.1;
-        let of_scalar = |(k, (_, variance)): (usize, &(Scalar, f64))| -> Vec<f64> {
-            // f = P sum_j t_j c_kj, and <c_kj, f>
-            let mut f = vec![0.0; inner.cells.weight.len()];
-            for (column, t) in self.columns.iter().zip(time_s) {
-                for (first, line) in column.lines(k, per_row) {
-                    let into = &mut f[first..first + line.len()];
-                    into.iter_mut().zip(line).for_each(|(f, c)| *f += t * c);
-                }
-            }
-            inner.project_on_cells(&mut f);
-            let each = f.iter_mut().zip(&inner.cells.weight);
-            each.for_each(|(f, w)| *f *= variance * w / inner.count);
-            let dot = |column: &Column| -> f64 {
-                let line = |(first, line): (usize, &[f64])| -> f64 {
-                    line.iter().zip(&f[first..]).map(|(c, f)| c * f).sum()
-                };
-                column.lines(k, per_row).map(line).sum()
-            };
-            self.columns.iter().map(dot).collect()
-        };
-        let of_rate = |(tau, variance): &(f64, f64)| -> Vec<f64> {
+        let scalars =
+            parallel::map(scalars.len(), &|k| self.scalar_product(k, scalars[k].1, time_s));
+        let rates = parallel::map(rates.len(), &|k| {
+            let (tau, variance) = rates[k];
             let mut sum = vec![0.0; time_s.len()];
-            for (piece, value) in self.pieces.iter().zip(self.correlated(*tau, time_s)) {
+            for (piece, value) in self.pieces.iter().zip(self.correlated(tau, time_s)) {
                 sum[piece.point] += variance * piece.part * value;
             }
             sum
-        };
-        let scalars = parallel::map(scalars.len(), &|k| of_scalar((k, &scalars[k])));
-        let rates = parallel::map(rates.len(), &|k| of_rate(&rates[k]));
+        });
         for more in scalars.iter().chain(&rates) {
             product.iter_mut().zip(more).for_each(|(p, m)| *p += m);
         }
         product
     }
 
-    /// t'Q t, nm^2: what the errors that scatter add to the mean square on average.
+    /// Returns the part of Q t by scalar error k of this variance: `s_k^2 <c_kj, f>` of f = P sum_j t_j c_kj.
+    fn scalar_product(&self, k: usize, variance: f64, time_s: &[f64]) -> Vec<f64> {
+        let inner = &self.sources.inner;
+        let per_row = inner.cells.shape.1;
+        let mut f = vec![0.0; inner.cells.weight.len()];
+        for (column, t) in self.columns.iter().zip(time_s) {
+            for (first, line) in column.lines(k, per_row) {
+                let into = &mut f[first..first + line.len()];
+                into.iter_mut().zip(line).for_each(|(f, c)| *f += t * c);
+            }
+        }
+        inner.project_on_cells(&mut f);
+        let each = f.iter_mut().zip(&inner.cells.weight);
+        each.for_each(|(f, w)| *f *= variance * w / inner.count);
+        let products = self.columns.iter().map(|column| {
+            let lines = column.lines(k, per_row).map(|(first, line)| -> f64 {
+                line.iter().zip(&f[first..]).map(|(c, f)| c * f).sum()
+            });
+            lines.sum()
+        });
+        products.collect()
+    }
+
+    /// Returns t'Q t, nm^2: what the errors that scatter add to the mean square on average.
     pub fn variance_nm2(&self, time_s: &[f64]) -> f64 {
         self.product(time_s).iter().zip(time_s).map(|(q, t)| q * t).sum()
     }
 
-    /// sum_l C_kl x_l <P b_k, P b_l> of every piece k, x = t over the time of the plan.
+    /// Returns sum_l C_kl x_l <P b_k, P b_l> of every piece k, x = t over the time of the plan.
     fn correlated(&self, tau: f64, time_s: &[f64]) -> Vec<f64> {
         let part = |p: &Carried| p.part * time_s[p.point];
-        let own = |p: &Carried| {
-            let mean = Mean::over(p.duration_s / tau);
-            mean.variance * part(p) * self.sources.square(&p.field)
-        };
-        let earlier = || {
-            let each = self.pieces.iter().map(|p| (p, p.start_s, part(p)));
-            self.carry(each, tau)
-        };
-        let later = || {
-            let begin = |p: &Carried| self.total_s - p.start_s - p.duration_s;
-            let each = self.pieces.iter().rev().map(|p| (p, begin(p), part(p)));
-            self.carry(each, tau)
-        };
-        let (earlier, later) = rayon::join(earlier, later);
+        let (earlier, later) = rayon::join(
+            || self.carry(self.pieces.iter().map(|p| (p, p.start_s, part(p))), tau),
+            || {
+                let mirrored = self.pieces.iter().rev().map(|p| {
+                    let begin_s = self.total_s - p.start_s - p.duration_s;
+                    (p, begin_s, part(p))
+                });
+                self.carry(mirrored, tau)
+            },
+        );
         let both = earlier.iter().zip(later.iter().rev());
-        self.pieces.iter().zip(both).map(|(p, (e, l))| own(p) + e + l).collect()
+        let each = self.pieces.iter().zip(both).map(|(p, (e, l))| {
+            let mean = Mean::over(p.duration_s / tau);
+            mean.variance * part(p) * self.sources.square(&p.field) + e + l
+        });
+        each.collect()
     }
 
-    /// `a_k <P b_k, P s_k>` with `s_k = sum_l a_l x_l b_l exp(-gap / tau)` of the pieces before, each with the time at
-    /// which it begins and its x.
+    /// Returns `a_k <P b_k, P s_k>` with `s_k = sum_l a_l x_l b_l exp(-gap / tau)` of the pieces before, each with
+    /// the time at which it begins and its x.
     fn carry<'p>(
         &self,
         pieces: impl Iterator<Item = (&'p Carried, f64, f64)>,
@@ -600,14 +622,16 @@ impl Quadratic<'_> {
     ) -> Vec<f64> {
         let cells = &self.sources.inner.cells;
         let count = self.sources.inner.count;
-        let (mut carried, mut until) =
-            (vec![0.0; cells.weight.len()], vec![0.0; cells.weight.len()]);
-        let (mut free, mut now) = (vec![0.0; cells.free.len()], 0.0);
+        let mut carried = vec![0.0; cells.weight.len()];
+        let mut until = vec![0.0; cells.weight.len()];
+        let mut free = vec![0.0; cells.free.len()];
+        let mut now = 0.0;
         pieces
             .map(|(piece, begin, x)| {
                 let h = piece.duration_s;
                 let Mean { weight: a, .. } = Mean::over(h / tau);
-                let (end, decay) = (begin + h, (-h / tau).exp());
+                let end = begin + h;
+                let decay = (-h / tau).exp();
                 let mut sum = 0.0;
                 for (first, line) in piece.field.lines(cells.shape.1) {
                     for (i, b) in (first..).zip(line) {

@@ -35,7 +35,7 @@ pub struct Reach {
     y_axis: Axis,
 }
 
-/// Orthonormal cosine j of n at the place i, which is the pixel i or between two.
+/// Returns the orthonormal cosine j of n at the place i, which is the pixel i or between two.
 fn cosine(j: usize, n: usize, i: f64) -> f64 {
     let scale = if j == 0 { 1.0 } else { 2.0_f64.sqrt() };
     scale / (n as f64).sqrt() * (PI * j as f64 * (i + 0.5) / n as f64).cos()
@@ -44,82 +44,81 @@ fn cosine(j: usize, n: usize, i: f64) -> f64 {
 impl Reach {
     /// Makes the cosines for maps on the pixels of `inner`.
     pub fn new(inner: &Inner, tif: &Tif, width_mm: f64) -> Self {
-        let (x_axis, y_axis) = (inner.grid.x, inner.grid.y);
-        let frequencies = |a: &Axis| -> Vec<f64> {
+        let x_axis = inner.grid.x;
+        let y_axis = inner.grid.y;
+        let [f_x, f_y] = [&x_axis, &y_axis].map(|a| -> Vec<f64> {
             let all = (0..a.len()).map(|j| j as f64 / (2.0 * a.len() as f64 * a.step_mm()));
             all.take_while(|f| *f <= LARGEST_FREQUENCY / width_mm).collect()
-        };
-        let (f_x, f_y) = (frequencies(&x_axis), frequencies(&y_axis));
+        });
         // A cosine is a wave and the one mirrored along y, in equal parts.
         let mirrored: Vec<f64> = f_y.iter().map(|f| -f).collect();
-        let at = [&tif.grid().x, &tif.grid().y].map(Axis::coordinates);
+        let [x, y] = [&tif.grid().x, &tif.grid().y].map(Axis::coordinates);
         let [plus, minus] = [&f_y, &mirrored]
-            .map(|f_y| transfer(tif.rate_nm_per_s().view(), [&at[0], &at[1]], [&f_x, f_y]));
+            .map(|f_y| transfer(tif.rate_nm_per_s().view(), [&x, &y], [&f_x, f_y]));
         let both = Zip::from(&plus).and(&minus).map_collect(|p, m| ((p * p + m * m) / 2.0).sqrt());
         let reached = both.mapv(|transfer| transfer >= LEAST_TRANSFER);
         // Only as far as the last that is reached.
-        let last = |axis: usize| {
+        let [ny, nx] = [0, 1].map(|axis| {
             let lanes: Vec<bool> =
                 reached.axis_iter(ndarray::Axis(axis)).map(|l| l.iter().any(|r| *r)).collect();
             lanes.iter().rposition(|any| *any).map_or(1, |i| i + 1)
-        };
-        let (ny, nx) = (last(0), last(1));
+        });
         let reached = reached.slice(s![..ny, ..nx]).to_owned();
         let pairs = reached.indexed_iter().filter(|(_, r)| **r).map(|(p, _)| p).collect();
-        let all = |n: usize, of: &Axis| {
-            Array2::from_shape_fn((n, of.len()), |(j, i)| cosine(j, of.len(), i as f64))
-        };
-        Self { y: all(ny, &y_axis), x: all(nx, &x_axis), reached, pairs, x_axis, y_axis }
+        let [y, x] = [(ny, &y_axis), (nx, &x_axis)].map(|(n, axis)| {
+            Array2::from_shape_fn((n, axis.len()), |(j, i)| cosine(j, axis.len(), i as f64))
+        });
+        Self { y, x, reached, pairs, x_axis, y_axis }
     }
 
-    /// Part of the mean square of a map that the tool reaches; the map is 0 at invalid pixels.
+    /// Returns the part of the mean square of a map that the tool reaches; the map is 0 at invalid pixels.
     pub fn mean_square(&self, inner: &Inner, map: &Array2<f64>) -> f64 {
         let coefficients = self.y.dot(map).dot(&self.x.t());
         let reached = coefficients.iter().zip(&self.reached).filter(|(_, r)| **r);
         reached.map(|(c, _)| c * c).sum::<f64>() / inner.count
     }
 
-    /// Part of the mean square of P w that the tool reaches, with w white noise of variance one on the valid pixels:
+    /// Returns the part of the mean square of P w that the tool reaches, with w white noise of variance one on the
+    /// valid pixels:
     /// `tr(P C' C P) / m = (sum over the cosines of |c|^2 on the valid pixels - sum_q |C q|^2 / m) / m`.
     pub fn of_white(&self, inner: &Inner) -> f64 {
-        let square = |a: &Array2<f64>| a.mapv(|v| v * v);
-        let on_valid = square(&self.y).dot(&inner.validity()).dot(&square(&self.x).t());
+        let [y, x] = [&self.y, &self.x].map(|a| a.mapv(|v| v * v));
+        let on_valid = y.dot(&inner.validity()).dot(&x.t());
         let all: f64 = on_valid.iter().zip(&self.reached).filter(|(_, r)| **r).map(|c| c.0).sum();
         let free: f64 = inner.free().iter().map(|q| self.mean_square(inner, q)).sum();
         ((all - free) / inner.count).max(0.0)
     }
 
-    /// The cosines as fields on the cells, so that their inner products with fields there are the coefficients
+    /// Returns the cosines as fields on the cells, so that their inner products with fields there are the coefficients
     /// over sqrt(m): cosines along y and x at the centres, and the scale.
     pub fn on_cells(&self, inner: &Inner) -> CosinesOnCells {
-        let at = |a: &Axis, mm: f64| (mm - a.start_mm()) / a.step_mm();
         let cells = &inner.cells;
         let (ny, nx) = self.reached.dim();
+        let (rows, columns) = cells.shape;
         // Rows (and columns) of cells have one coordinate where the map is whole; at its border a centroid
         // is elsewhere, which the mean over the row stands for.
-        let mean = |axis: usize, index: usize, of: &Axis| {
-            let (rows, columns) = cells.shape;
-            let members: Vec<usize> = if axis == 1 {
-                (0..columns).map(|c| index * columns + c).collect()
-            } else {
-                (0..rows).map(|r| r * columns + index).collect()
-            };
+        let mean = |members: Vec<usize>, axis: usize, of_map: &Axis| {
             let total: f64 = members.iter().map(|i| cells.weight[*i]).sum();
             let sum: f64 =
                 members.iter().map(|i| cells.weight[*i] * cells.centre_mm[*i][axis]).sum();
-            if total > 0.0 { at(of, sum / total) } else { 0.0 }
+            let mean_mm = sum / total;
+            if total > 0.0 { (mean_mm - of_map.start_mm()) / of_map.step_mm() } else { 0.0 }
         };
-        let y: Vec<f64> = (0..cells.shape.0).map(|r| mean(1, r, &self.y_axis)).collect();
-        let x: Vec<f64> = (0..cells.shape.1).map(|c| mean(0, c, &self.x_axis)).collect();
-        let table = |n: usize, len: usize, places: &[f64]| {
-            Array2::from_shape_fn((places.len(), n), |(i, j)| cosine(j, len, places[i]))
-        };
+        let y = (0..rows)
+            .map(|r| mean((0..columns).map(|c| r * columns + c).collect(), 1, &self.y_axis));
+        let x = (0..columns)
+            .map(|c| mean((0..rows).map(|r| r * columns + c).collect(), 0, &self.x_axis));
         CosinesOnCells {
-            y: table(ny, self.y_axis.len(), &y),
-            x: table(nx, self.x_axis.len(), &x),
+            y: cosines(ny, self.y_axis.len(), &y.collect::<Vec<f64>>()),
+            x: cosines(nx, self.x_axis.len(), &x.collect::<Vec<f64>>()),
             pairs: self.pairs.clone(),
         }
     }
+}
+
+/// Returns the first n of `len` cosines (columns) at these places (rows).
+fn cosines(n: usize, len: usize, places: &[f64]) -> Array2<f64> {
+    Array2::from_shape_fn((places.len(), n), |(i, j)| cosine(j, len, places[i]))
 }
 
 /// The reached cosines at the rows and columns of the cells.

@@ -17,6 +17,13 @@ pub struct Pair {
     pub first_order_rms_nm: f64,
 }
 
+impl Pair {
+    /// Returns the relative difference of the two RMS.
+    pub(crate) fn difference(&self) -> f64 {
+        (self.simulated_rms_nm / self.first_order_rms_nm - 1.0).abs()
+    }
+}
+
 /// Sentence on what the mean tool decides in the budget of a tool that varies.
 pub const MEAN_TOOL: &str = "the tool varies over the part: every error acts on it as it is at its place, and the mean \
                              tool decides which wavelengths are reached";

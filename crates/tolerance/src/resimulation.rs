@@ -28,19 +28,18 @@ const RUNS_OF_NOISE: usize = 32;
 /// Larger: more time, and farther nodes. Smaller: less exact.
 const NODES: usize = 6;
 
-/// Numbers of a distribution at size one, and weights that sum to one, so that the weighted sum of a function of them
-/// is its mean: Gauss and Hermite's rule, Gauss and Legendre's, or the one number.
+/// Returns numbers of a distribution at size one, and weights that sum to one, so that the weighted sum of a function
+/// of them is its mean: Gauss and Hermite's rule, Gauss and Legendre's, or the one number.
 fn quadrature(distribution: Distribution) -> Vec<(f64, f64)> {
     match distribution {
         // Golub and Welsch: the Jacobi matrix of the polynomials orthogonal under the normal density has sqrt(k)
         // beside its diagonal.
         Distribution::Normal => {
-            let beside =
-                |i: usize, j: usize| if i.abs_diff(j) == 1 { i.max(j) as f64 } else { 0.0 };
-            let jacobi = DMatrix::from_fn(NODES, NODES, |i, j| beside(i, j).sqrt());
+            let jacobi = DMatrix::from_fn(NODES, NODES, |i, j| {
+                if i.abs_diff(j) == 1 { (i.max(j) as f64).sqrt() } else { 0.0 }
+            });
             let eigen = SymmetricEigen::new(jacobi);
-            let node = |k: usize| (eigen.eigenvalues[k], eigen.eigenvectors[(0, k)].powi(2));
-            (0..NODES).map(node).collect()
+            (0..NODES).map(|k| (eigen.eigenvalues[k], eigen.eigenvectors[(0, k)].powi(2))).collect()
         }
         Distribution::Uniform => {
             let rule = gauss_legendre::<NODES>();
@@ -51,7 +50,10 @@ fn quadrature(distribution: Distribution) -> Vec<(f64, f64)> {
 }
 
 impl Work<'_> {
-    /// The line of an error from simulated runs.
+    /// Makes the line of an error from simulated runs.
+    ///
+    /// # Errors
+    /// Refuses a deviation that cannot be simulated.
     pub fn simulate_line(
         &self,
         index: usize,
@@ -61,9 +63,10 @@ impl Work<'_> {
     ) -> Result<(), Invalid> {
         let error = &self.process.errors[index];
         let noise = matches!(error.effect, Effect::Noise(_));
-        let nodes = match noise {
-            true => vec![(0.0, 1.0 / RUNS_OF_NOISE as f64); RUNS_OF_NOISE],
-            false => quadrature(error.stated.distribution),
+        let nodes = if noise {
+            vec![(0.0, 1.0 / RUNS_OF_NOISE as f64); RUNS_OF_NOISE]
+        } else {
+            quadrature(error.stated.distribution)
         };
         let runs: Vec<Result<_, Invalid>> = parallel::map(nodes.len(), &|k| {
             let (eta, weight) = nodes[k];
@@ -82,22 +85,29 @@ impl Work<'_> {
             Ok((weight, square, reached))
         });
         let runs = runs.into_iter().collect::<Result<Vec<_>, Invalid>>()?;
-        let mean = |of: fn(&(f64, f64, f64)) -> f64| -> f64 {
-            runs.iter().map(|run| run.0 * of(run)).sum()
+        let mean = |value: fn(&(f64, f64, f64)) -> f64| -> f64 {
+            runs.iter().map(|run| run.0 * value(run)).sum()
         };
-        let (square, of_square) = (mean(|r| r.1), mean(|r| r.1 * r.1));
+        let square = mean(|r| r.1);
+        let of_square = mean(|r| r.1 * r.1);
         line.adds_rms_nm = square.sqrt();
         line.reached_rms_nm = mean(|r| r.2).sqrt();
         line.unreached_rms_nm = mean(|r| r.1 - r.2).sqrt();
         line.simulated = true;
         // d sqrt(s) = ds / (2 sqrt(s)), and the variance of a mean over n runs
         let variance = (of_square - square * square).max(0.0) / (RUNS_OF_NOISE - 1) as f64;
-        line.standard_error_nm =
-            (noise && square > 0.0).then(|| variance.sqrt() / (2.0 * square.sqrt()));
+        line.standard_error_nm = if noise && square > 0.0 {
+            Some(variance.sqrt() / (2.0 * square.sqrt()))
+        } else {
+            None
+        };
         Ok(())
     }
 
-    /// Runs with all errors.
+    /// Simulates `count` runs with all errors.
+    ///
+    /// # Errors
+    /// Refuses a deviation that cannot be simulated.
     pub fn runs(
         &self,
         count: usize,
@@ -106,56 +116,66 @@ impl Work<'_> {
         seed: u64,
     ) -> Result<Vec<Pair>, Invalid> {
         let pieces = progress::Pieces::new(count);
-        let of = |k: u64| -> Result<Pair, Invalid> {
-            let mut rng = stream(seed, RUN_STREAM + k);
-            let mut run = Deviation::default();
-            let mut first = self.nominal.clone();
-            let mut map = Array2::zeros(self.inner.grid.shape());
-            for (i, e) in self.process.errors.iter().enumerate().filter(|(_, e)| e.size != 0.0) {
-                let mine = linear.iter().filter(|l| l.error == i);
-                match e.effect {
-                    Effect::Scalar(effect) => {
-                        for l in mine {
-                            let eta = l.size * draw(l.distribution, &mut rng);
-                            run.add(effect, eta);
-                            first.scaled_add(-eta, &l.field);
-                        }
-                    }
-                    Effect::MapLowOrder { degree } => {
-                        for (l, term) in mine.zip(self.low_order(degree)) {
-                            let eta = l.size * draw(l.distribution, &mut rng);
-                            map.scaled_add(eta, &term);
-                            first.scaled_add(-eta, &l.field);
-                        }
-                    }
-                    Effect::Noise(noise) => {
-                        sample(noise, e.size, self.motion(), &mut rng, &mut run)
-                    }
-                    Effect::MapNoise => {
-                        let noise = white(e.size, self.inner.grid.shape(), &mut rng);
-                        map += &noise;
-                        first += &self.inner.judged(noise);
+        let runs = parallel::map(count, &|k| {
+            let pair = self.run_with_all(k as u64, linear, columns, seed);
+            progress::done(pieces.one_more());
+            pair
+        });
+        runs.into_iter().collect()
+    }
+
+    /// Simulates the k-th run with all errors.
+    fn run_with_all(
+        &self,
+        k: u64,
+        linear: &[Linear],
+        columns: Option<&Columns<'_>>,
+        seed: u64,
+    ) -> Result<Pair, Invalid> {
+        let mut rng = stream(seed, RUN_STREAM + k);
+        let mut run = Deviation::default();
+        let mut first = self.nominal.clone();
+        let mut map = Array2::zeros(self.inner.grid.shape());
+        for (i, e) in self.process.errors.iter().enumerate().filter(|(_, e)| e.size != 0.0) {
+            let mine = linear.iter().filter(|l| l.error == i);
+            match e.effect {
+                Effect::Scalar(effect) => {
+                    for l in mine {
+                        let eta = l.size * draw(l.distribution, &mut rng);
+                        run.add(effect, eta);
+                        first.scaled_add(-eta, &l.field);
                     }
                 }
+                Effect::MapLowOrder { degree } => {
+                    for (l, term) in mine.zip(self.low_order(degree)) {
+                        let eta = l.size * draw(l.distribution, &mut rng);
+                        map.scaled_add(eta, &term);
+                        first.scaled_add(-eta, &l.field);
+                    }
+                }
+                Effect::Noise(noise) => sample(noise, e.size, self.motion(), &mut rng, &mut run),
+                Effect::MapNoise => {
+                    let noise = white(e.size, self.inner.grid.shape(), &mut rng);
+                    map += &noise;
+                    first += &self.inner.judged(noise);
+                }
             }
-            let mut square = self.inner.dot(&first, &first);
-            if let Some(columns) = columns {
-                // |first - n|^2
-                let mut noise = columns.change(&run);
-                self.inner.project_on_cells(&mut noise);
-                let first = self.inner.to_cells(&first);
-                square += self.inner.dot_on_cells(&noise, &noise)
-                    - 2.0 * self.inner.dot_on_cells(&first, &noise);
-            }
-            run.map_nm = Some(map);
-            let simulated = self.residual(&run)?;
-            progress::done(pieces.one_more());
-            Ok(Pair {
-                simulated_rms_nm: self.rms(&simulated),
-                first_order_rms_nm: square.max(0.0).sqrt(),
-            })
-        };
-        parallel::map(count, &|k| of(k as u64)).into_iter().collect()
+        }
+        let mut square = self.inner.dot(&first, &first);
+        if let Some(columns) = columns {
+            // |first - n|^2
+            let mut noise = columns.change(&run);
+            self.inner.project_on_cells(&mut noise);
+            let first = self.inner.to_cells(&first);
+            square += self.inner.dot_on_cells(&noise, &noise)
+                - 2.0 * self.inner.dot_on_cells(&first, &noise);
+        }
+        run.map_nm = Some(map);
+        let simulated = self.residual(&run)?;
+        Ok(Pair {
+            simulated_rms_nm: self.rms(&simulated),
+            first_order_rms_nm: square.max(0.0).sqrt(),
+        })
     }
 }
 

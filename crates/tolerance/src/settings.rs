@@ -13,7 +13,7 @@ const MOST_SIMULATED_RUNS: usize = 100_000;
 
 /// Settings of the tolerance analysis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct ToleranceSettings {
     /// Low-order terms that are not part of the residual.
     pub free: Free,
     /// Runs that are drawn to first order.
@@ -27,7 +27,7 @@ pub struct Settings {
     pub seed: u64,
 }
 
-impl Default for Settings {
+impl Default for ToleranceSettings {
     fn default() -> Self {
         Self {
             free: Free::Piston,
@@ -39,7 +39,7 @@ impl Default for Settings {
     }
 }
 
-impl Settings {
+impl ToleranceSettings {
     /// Refuses counts that are out of range.
     pub fn check(&self) -> Result<(), Invalid> {
         let draws = [("draws", self.draws, 100, MOST_DRAWS)];

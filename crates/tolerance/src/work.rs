@@ -29,6 +29,9 @@ pub struct Work<'a> {
 
 impl<'a> Work<'a> {
     /// Prepares a plan with the TIF `tif`, whose errors are computed with `moved`, both of this width.
+    ///
+    /// # Errors
+    /// Refuses a log with the rate of its beam, and errors of a size that the tool cannot have.
     pub fn new(
         trajectory: &Trajectory,
         tif: &Tif,
@@ -48,22 +51,25 @@ impl<'a> Work<'a> {
         Ok(Self { runs, inner, process, nominal, coverage })
     }
 
-    /// The motion in pieces.
+    /// Returns the motion in pieces.
     pub fn motion(&self) -> &Motion {
         &self.runs.motion
     }
 
-    /// RMS of a masked map, nm.
+    /// Returns the RMS of a masked map, nm.
     pub fn rms(&self, judged: &Array2<f64>) -> f64 {
         self.inner.dot(judged, judged).sqrt()
     }
 
-    /// Displacement of the tool, mm (for a change of the TIF: times its width), per size of an effect.
+    /// Returns the displacement of the tool, mm (for a change of the TIF: times its width), per size of an effect.
     pub fn displacement_per_size(&self, effect: Scalar) -> f64 {
         self.runs.displacement_per_size(effect)
     }
 
-    /// The residual of a run.
+    /// Simulates the residual of a run, nm.
+    ///
+    /// # Errors
+    /// Refuses a deviation that cannot be simulated.
     pub fn residual(&self, run: &Deviation) -> Result<Array2<f64>, Invalid> {
         let mut more = &self.runs.unchanged - &self.runs.moved_nm(run)?;
         if let Some(map) = &run.map_nm {
@@ -72,12 +78,12 @@ impl<'a> Work<'a> {
         Ok(&self.nominal + &self.inner.judged(more))
     }
 
-    /// Legendre polynomials up to a total degree, the constant left out, of RMS one over the rectangle.
+    /// Returns the Legendre polynomials up to a total degree, the constant left out, of RMS one over the rectangle.
     pub fn low_order(&self, degree: usize) -> Vec<Array2<f64>> {
         legendre_terms(&self.inner.grid, &low_orders(degree))
     }
 
-    /// Index, kind and size of the noise along the run.
+    /// Returns the index, the kind and the size of each noise along the run.
     pub fn noises(&self) -> Vec<(usize, Noise, f64)> {
         let each = self.process.errors.iter().enumerate();
         each.filter_map(|(i, e)| match e.effect {

@@ -5,15 +5,15 @@ use crate::example::{
 };
 use ndarray::Array2;
 use planish_simulate::{Settings as Simulation, simulate};
-use planish_tolerance::{Free, Settings, Tolerance, tolerance};
+use planish_tolerance::{Free, Tolerance, ToleranceSettings, tolerance};
 use planish_types::{Axis, Grid, Tif, Trajectory, TrajectoryBuilder};
 use serde_json::{Value, json};
 
-fn settings() -> Settings {
-    Settings { draws: 4000, simulated_runs: 2, ..Settings::default() }
+fn settings() -> ToleranceSettings {
+    ToleranceSettings { draws: 4000, simulated_runs: 2, ..ToleranceSettings::default() }
 }
 
-fn of(errors: Value, settings: &Settings) -> Tolerance {
+fn of(errors: Value, settings: &ToleranceSettings) -> Tolerance {
     let process = process(&json!({ "name": "test", "errors": errors })).unwrap();
     tolerance(&raster(), &tif(), &desired(), &process, settings).unwrap()
 }
@@ -186,7 +186,7 @@ fn noise_of_the_rate_becomes_a_scale_where_it_lasts_and_vanishes_where_it_does_n
 fn the_line_of_a_noise_is_the_mean_over_simulated_runs() {
     for noise in noises() {
         let runs = 200;
-        let many = Settings { simulated_runs: runs, ..settings() };
+        let many = ToleranceSettings { simulated_runs: runs, ..settings() };
         let found = of(json!([noise]), &many);
         assert_eq!(found.runs.len(), runs);
         assert_line_is_mean_over_runs(&found);
@@ -197,7 +197,7 @@ fn the_line_of_a_noise_is_the_mean_over_simulated_runs() {
 /// standard deviation of 2.7, so that fewer than 131 (or none outside) has a probability below 1e-3.
 #[test]
 fn the_interval_covers_simulated_runs() {
-    let many = Settings { draws: 20_000, simulated_runs: 150, ..settings() };
+    let many = ToleranceSettings { draws: 20_000, simulated_runs: 150, ..settings() };
     let found = of(every(1.0), &many);
     assert!(!found.outcome.simulated);
     assert!((131..150).contains(&found.within_interval), "{}", found.within_interval);
@@ -209,7 +209,7 @@ fn the_interval_covers_simulated_runs() {
 /// Free planes are not counted, for example a magnification along one axis of a ramp.
 #[test]
 fn free_planes_are_not_counted() {
-    let plane = Settings { free: Free::Plane, ..settings() };
+    let plane = ToleranceSettings { free: Free::Plane, ..settings() };
     let tilt = with(error("map_low_order", 1.0, "nm", "normal"), "degree", 1.0);
     let found = of(json!([tilt.clone()]), &plane);
     // A plane of 1 nm is taken off: rounding.
@@ -245,7 +245,7 @@ fn large_errors_are_simulated() {
 fn the_map_of_deviations_is_that_of_the_residual() {
     let lasting = with(error("rate_noise", 1.0, "%", "normal"), "correlation_s", 1e4);
     for free in [Free::Piston, Free::Plane] {
-        let settings = Settings { free, simulated_runs: 0, ..settings() };
+        let settings = ToleranceSettings { free, simulated_runs: 0, ..settings() };
         for errors in [json!([lasting.clone()]), every(1.0)] {
             let found = of(errors, &settings);
             let scatters = |kind: &str| {

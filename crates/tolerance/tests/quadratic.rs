@@ -2,7 +2,7 @@
 
 use crate::example::{desired, error, process, raster, tif, with};
 use planish_simulate::{Settings as Simulation, simulate};
-use planish_tolerance::{Free, Settings, quadratic::Sources, tolerance};
+use planish_tolerance::{Free, ToleranceSettings, quadratic::Sources, tolerance};
 use planish_types::{Removal, Surface, Trajectory, TrajectoryBuilder};
 use serde_json::{Value, json};
 
@@ -56,7 +56,8 @@ fn times(motion: &Trajectory) -> Vec<f64> {
 /// RMS that an error adds, nm, by the table, from simulations of the motion.
 fn adds(motion: &Trajectory, error: &Value) -> f64 {
     let process = process(&json!({ "name": "test", "errors": [error] })).unwrap();
-    let settings = Settings { draws: 100, simulated_runs: 0, ..Settings::default() };
+    let settings =
+        ToleranceSettings { draws: 100, simulated_runs: 0, ..ToleranceSettings::default() };
     let found = tolerance(motion, &tif(), &desired(), &process, &settings).unwrap();
     assert!(!found.outcome.errors[0].simulated);
     found.outcome.errors[0].adds_rms_nm
@@ -68,7 +69,8 @@ fn every_error_adds_what_its_line_says() {
     for error in decided() {
         let sources = sources(&json!([error]));
         assert_eq!((sources.included.len(), sources.left_out.len()), (1, 0));
-        let found = sources.of(&motion, motion.len()).unwrap().variance_nm2(&times(&motion)).sqrt();
+        let found =
+            sources.quadratic(&motion, motion.len()).unwrap().variance_nm2(&times(&motion)).sqrt();
         let line = adds(&motion, &error);
         println!("{} {found:.5} nm, {line:.5} nm", error["kind"]);
         // The cells at the border of the map err by 1/216 of what lies there (`inner`), and Keys' convolution of
@@ -84,7 +86,7 @@ fn a_diagonal_ellipticity_adds_what_its_line_says() {
     let error = error("tif_diagonal_ellipticity", 1.0, "%", "normal");
     let motion = other();
     let quadratic = sources(&json!([error]));
-    let found = quadratic.of(&motion, motion.len()).unwrap();
+    let found = quadratic.quadratic(&motion, motion.len()).unwrap();
     let found = found.variance_nm2(&times(&motion)).sqrt();
     let line = adds(&motion, &error);
     // The bound of the other times below: their ripple is not smooth on the cells.
@@ -102,7 +104,7 @@ fn other_dwell_times_add_what_their_own_motion_says() {
             continue;
         }
         let sources = sources(&json!([error]));
-        let quadratic = sources.of(&motion, motion.len()).unwrap();
+        let quadratic = sources.quadratic(&motion, motion.len()).unwrap();
         let [before, after] = [&from, &to].map(|t| quadratic.variance_nm2(t).sqrt());
         let line = adds(&other, &error);
         // The times matter, or there is no test. Their ripple from line to line is not smooth on the cells: regression
@@ -116,7 +118,7 @@ fn other_dwell_times_add_what_their_own_motion_says() {
 fn products_are_those_of_a_symmetric_positive_semidefinite_matrix() {
     let motion = raster();
     let sources = sources(&json!(decided()));
-    let quadratic = sources.of(&motion, motion.len()).unwrap();
+    let quadratic = sources.quadratic(&motion, motion.len()).unwrap();
     let wave = |of: f64| -> Vec<f64> {
         times(&motion).iter().enumerate().map(|(j, t)| t * (of * j as f64).sin()).collect()
     };
@@ -145,11 +147,14 @@ fn fixed_errors_are_a_bias_and_what_the_times_do_not_decide_is_left_out() {
     let nothing = sources(&constant);
     let names = ["timing_jitter", "timing_tick", "velocity_lag", "backlash", "map_noise"];
     assert!(nothing.is_empty() && nothing.left_out == names);
-    assert_eq!(nothing.of(&motion, motion.len()).unwrap().variance_nm2(&times(&motion)), 0.0);
+    assert_eq!(
+        nothing.quadratic(&motion, motion.len()).unwrap().variance_nm2(&times(&motion)),
+        0.0
+    );
 
     // A rate that is 2 % larger removes 2 % more; what is smoothed of the TIF is less than 1 % of its removal.
     let fixed = sources(&json!([error("rate_scale", 2.0, "%", "fixed")]));
-    let quadratic = fixed.of(&motion, motion.len()).unwrap();
+    let quadratic = fixed.quadratic(&motion, motion.len()).unwrap();
     assert_eq!(quadratic.variance_nm2(&times(&motion)), 0.0);
     let bias = quadratic.bias_nm.unwrap();
     let executed = simulate(&motion, &tif(), &desired(), Simulation::Gridded).unwrap().removal;

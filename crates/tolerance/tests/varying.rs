@@ -6,7 +6,7 @@ use crate::example::{
 };
 use ndarray::Array2;
 use planish_simulate::{Settings as Simulation, simulate};
-use planish_tolerance::{Free, Settings, Tolerance, quadratic::Sources, tolerance};
+use planish_tolerance::{Free, Tolerance, ToleranceSettings, quadratic::Sources, tolerance};
 use planish_types::{
     Axis, AzimuthWeights, Grid, PixelFactor, Tif, TimeFactor, Trajectory, TrajectoryBuilder,
     VaryingTif,
@@ -43,9 +43,9 @@ fn wear(drift: f64) -> TimeFactor {
     TimeFactor { time_s: part.iter().map(|u| u * total).collect(), factor }
 }
 
-/// A beam along the normal of the sphere, whose rate depends on the incidence at the pixel and on the time. In the plane it
-/// is exp(-(u^2 + (u . q)^2) / 2) with the tangent q, to the second order of (u . q)^2; `inverse` takes offsets to those of
-/// the beam without errors, of `volume` times its volume.
+/// A beam along the normal of the sphere, whose rate depends on the incidence at the pixel and on the time. In the
+/// plane it is exp(-(u^2 + (u . q)^2) / 2) with the tangent q, to the second order of (u . q)^2; `inverse` takes
+/// offsets to those of the beam without errors, of `volume` times its volume.
 fn beam(inverse: [[f64; 2]; 2], volume: f64, time: Option<TimeFactor>) -> Tif {
     let offsets = Grid { x: axis(-5.0, 0.25, 41), y: axis(-5.0, 0.25, 41) };
     let positions = Grid { x: axis(-6.5, 1.5, 23), y: axis(-5.0, 1.5, 17) };
@@ -92,11 +92,11 @@ fn tool() -> Tif {
     beam(SAME, 1.0, Some(wear(0.0)))
 }
 
-fn settings(simulated_runs: usize) -> Settings {
-    Settings { draws: 1000, simulated_runs, ..Settings::default() }
+fn settings(simulated_runs: usize) -> ToleranceSettings {
+    ToleranceSettings { draws: 1000, simulated_runs, ..ToleranceSettings::default() }
 }
 
-fn of(motion: &Trajectory, tif: &Tif, errors: Value, settings: &Settings) -> Tolerance {
+fn of(motion: &Trajectory, tif: &Tif, errors: Value, settings: &ToleranceSettings) -> Tolerance {
     let process = process(&json!({ "name": "test", "errors": errors })).unwrap();
     tolerance(motion, tif, &desired(), &process, settings).unwrap()
 }
@@ -166,8 +166,8 @@ fn planted() -> Vec<(Value, Array2<f64>)> {
     ]
 }
 
-/// Every error of one number adds what a simulation with it differs by from one without it: within 3 %, of which the first
-/// order is 1 % at these sizes, and the smoothing of the tool that errors move 1 %.
+/// Every error of one number adds what a simulation with it differs by from one without it: within 3 %, of which the
+/// first order is 1 % at these sizes, and the smoothing of the tool that errors move 1 %.
 #[test]
 fn every_error_adds_the_difference_of_two_simulations() {
     for (error, difference) in planted() {
@@ -218,7 +218,7 @@ fn the_quadratic_of_the_dwell_times_adds_what_the_line_says() {
     ] {
         let budget = process(&json!({ "name": "test", "errors": [error] })).unwrap();
         let sources = Sources::new(&desired(), &tool(), &budget, Free::Piston).unwrap();
-        let found = sources.of(&motion, motion.len()).unwrap().variance_nm2(&times).sqrt();
+        let found = sources.quadratic(&motion, motion.len()).unwrap().variance_nm2(&times).sqrt();
         let line = of(&motion, &tool(), json!([error]), &settings(0)).outcome.errors[0].adds_rms_nm;
         println!("{} {found:.5} nm, {line:.5} nm", error["kind"]);
         // As for a constant tool: cells at the border of the map, and Keys' convolution of sampled derivatives; the

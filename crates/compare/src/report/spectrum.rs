@@ -72,7 +72,7 @@ pub fn spectrum(map: ArrayView2<f64>, grid: &Grid) -> Option<Spectrum> {
     let rectangle = map.slice(s![rows.clone(), columns.clone()]);
     let z = without_plane(rectangle, &x[columns], &y[rows]);
     let step_mm = [grid.x.step_mm(), grid.y.step_mm()];
-    let density = Density::of(z.view(), step_mm, [&hann(nx), &hann(ny)]);
+    let density = Density::new(z.view(), step_mm, [&hann(nx), &hann(ny)]);
 
     let size_mm = [nx as f64 * step_mm[0], ny as f64 * step_mm[1]];
     // Frequencies below that of the rectangle itself are not resolved.

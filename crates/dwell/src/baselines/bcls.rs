@@ -32,14 +32,14 @@ use serde::Serialize;
 
 use crate::{
     DwellError,
-    bounded_least_squares::{self, BoundedSolution, Program},
+    bounded_least_squares::{self, BoundedSettings, BoundedSolution, Program},
     model::columns::Columns,
     problem::check,
 };
 
 /// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct BclsSettings {
     /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment.
     pub columns: Columns,
     /// eta: least feed as a fraction of the largest reachable one; in [0, 1), 0 for none.
@@ -48,15 +48,15 @@ pub struct Settings {
     pub tikhonov: f64,
 }
 
-impl Default for Settings {
+impl Default for BclsSettings {
     fn default() -> Self {
         Self { columns: Columns::Segment, least_feed: 0.0, tikhonov: 3e-8 }
     }
 }
 
-/// The bounds, and what became of them.
+/// The bounds in numbers, and whether the dwell times keep them.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct BclsReport {
     /// (3) for the largest limits along a segment of the path, mm.
     pub pitch_limit_mm: f64,
     /// Shortest segment with a length, mm.
@@ -75,26 +75,30 @@ pub struct Bcls {
     /// Dwell times and certificate.
     pub solution: BoundedSolution,
     /// The bounds.
-    pub report: Report,
+    pub report: BclsReport,
 }
 
 /// Solves within (2).
+///
+/// # Errors
+/// Refuses a TIF whose rate depends on the time of the run, what [`bounds`] refuses, and what
+/// [`bounded_least_squares::solve_columns`] refuses.
 pub fn solve(
     desired: &Surface,
     tif: &Tif,
     path: &ToolPath,
     weight: Option<&Array2<f64>>,
     limits: &Limits,
-    settings: &Settings,
+    settings: &BclsSettings,
 ) -> Result<Bcls, DwellError> {
     tif.same_at_all_times("bcls")?;
     let bounds = bounds(path, limits, settings.least_feed)?;
     let places = settings.columns.places(path, tif);
-    let squares = bounded_least_squares::Settings {
+    let squares = BoundedSettings {
         columns: settings.columns,
         tikhonov: settings.tikhonov,
         slope_weight: 0.0,
-        ..bounded_least_squares::Settings::default()
+        ..BoundedSettings::default()
     };
     let program = Program {
         places: &places,
@@ -124,7 +128,10 @@ pub struct Bounds {
     pitch_limit_mm: Vec<f64>,
 }
 
-/// (1) and (2); refuses a path whose lengths differ too much for the least feed.
+/// Returns the bounds (1) and (2) of every segment.
+///
+/// # Errors
+/// Refuses a least feed that is no fraction, and a path whose lengths differ too much for it.
 pub fn bounds(path: &ToolPath, limits: &Limits, least_feed: f64) -> Result<Bounds, Invalid> {
     check(
         "least_feed",
@@ -133,17 +140,11 @@ pub fn bounds(path: &ToolPath, limits: &Limits, least_feed: f64) -> Result<Bound
         "give a fraction from 0 to below 1",
     )?;
     let n = path.len();
-    let along = |j: usize, limit: [f64; 2]| {
-        let (d, length) = (path.displacement_mm(j), path.segment_length_mm(j));
-        // The axis that reaches its limit first; a rest has no direction.
-        let of =
-            |a: usize| if d[a] == 0.0 { f64::INFINITY } else { limit[a] * length / d[a].abs() };
-        of(0).min(of(1))
-    };
     let change = 1.0 - least_feed * least_feed;
-    let velocity: Vec<f64> = (0..n).map(|j| along(j, limits.max_velocity_mm_per_s())).collect();
+    let velocity: Vec<f64> =
+        (0..n).map(|j| limit_along(path, j, limits.max_velocity_mm_per_s())).collect();
     let acceleration: Vec<f64> =
-        (0..n).map(|j| along(j, limits.max_acceleration_mm_per_s2())).collect();
+        (0..n).map(|j| limit_along(path, j, limits.max_acceleration_mm_per_s2())).collect();
     // V* = min(V, sqrt(2 d A / (1 - eta^2)))
     let reachable: Vec<f64> = (0..n)
         .map(|j| {
@@ -190,38 +191,49 @@ pub fn bounds(path: &ToolPath, limits: &Limits, least_feed: f64) -> Result<Bound
     })
 }
 
+/// Returns the limit along segment j, by the axis that reaches its own limit first; a rest has no direction.
+fn limit_along(path: &ToolPath, j: usize, limit: [f64; 2]) -> f64 {
+    let d = path.displacement_mm(j);
+    let length = path.segment_length_mm(j);
+    let [x, y] =
+        [0, 1].map(|a| if d[a] == 0.0 { f64::INFINITY } else { limit[a] * length / d[a].abs() });
+    x.min(y)
+}
+
 impl Bounds {
-    fn report(&self, path: &ToolPath, dwell_s: &[f64]) -> Report {
-        let moving = || (0..path.len()).filter(|j| path.segment_length_mm(*j) > 0.0);
-        let least = |of: &dyn Fn(usize) -> f64| moving().map(of).fold(f64::INFINITY, f64::min);
-        let most = |of: &dyn Fn(usize) -> f64| moving().map(of).fold(0.0, f64::max);
-        let shortest = least(&|j| path.segment_length_mm(j));
-        Report {
-            pitch_limit_mm: most(&|j| self.pitch_limit_mm[j]),
+    /// Returns the bounds in numbers.
+    fn report(&self, path: &ToolPath, dwell_s: &[f64]) -> BclsReport {
+        let length_mm = |j: &usize| path.segment_length_mm(*j);
+        let moving: Vec<usize> = (0..path.len()).filter(|j| length_mm(j) > 0.0).collect();
+        let shortest = moving.iter().map(length_mm).fold(f64::INFINITY, f64::min);
+        let reachable = moving.iter().map(|j| self.reachable_mm_per_s[*j]);
+        let is_short = |j: &&usize| length_mm(j) < self.pitch_limit_mm[**j] * (1.0 - 1e-12);
+        BclsReport {
+            pitch_limit_mm: moving.iter().map(|j| self.pitch_limit_mm[*j]).fold(0.0, f64::max),
             shortest_segment_mm: if shortest.is_finite() { shortest } else { 0.0 },
-            below_pitch_limit: moving()
-                .filter(|j| path.segment_length_mm(*j) < self.pitch_limit_mm[*j] * (1.0 - 1e-12))
-                .count(),
+            below_pitch_limit: moving.iter().filter(is_short).count(),
             reachable_mm_per_s: [
-                least(&|j| self.reachable_mm_per_s[j]).min(1e12),
-                most(&|j| self.reachable_mm_per_s[j]),
+                reachable.clone().fold(f64::INFINITY, f64::min).min(1e12),
+                reachable.fold(0.0, f64::max),
             ],
             trapezoid_violations: self.trapezoid_violations(path, dwell_s),
         }
     }
 
-    /// Neighbours with `|v_{k+1}^2 - v_k^2| > max(2 A d)` of the two, v = d / t: the change of feed does
+    /// Counts the neighbours with `|v_{k+1}^2 - v_k^2| > max(2 A d)` of the two, v = d / t: the change of feed does
     /// not fit into the longer of them.
     pub fn trapezoid_violations(&self, path: &ToolPath, dwell_s: &[f64]) -> usize {
-        let d = |j: usize| path.segment_length_mm(j);
-        let v = |j: usize| if dwell_s[j] > 0.0 { d(j) / dwell_s[j] } else { 0.0 };
-        let room = |j: usize| 2.0 * self.acceleration_mm_per_s2[j] * d(j);
-        (1..path.len())
-            .filter(|k| d(k - 1) > 0.0 && d(*k) > 0.0)
+        let n = path.len();
+        let d: Vec<f64> = (0..n).map(|j| path.segment_length_mm(j)).collect();
+        let v: Vec<f64> =
+            (0..n).map(|j| if dwell_s[j] > 0.0 { d[j] / dwell_s[j] } else { 0.0 }).collect();
+        let room: Vec<f64> = (0..n).map(|j| 2.0 * self.acceleration_mm_per_s2[j] * d[j]).collect();
+        (1..n)
+            .filter(|k| d[k - 1] > 0.0 && d[*k] > 0.0)
             .filter(|k| {
-                let change = (v(*k).powi(2) - v(k - 1).powi(2)).abs();
+                let change = (v[*k].powi(2) - v[k - 1].powi(2)).abs();
                 // Rounding of the squares.
-                change > room(k - 1).max(room(*k)) * (1.0 + 1e-9)
+                change > room[k - 1].max(room[*k]) * (1.0 + 1e-9)
             })
             .count()
     }

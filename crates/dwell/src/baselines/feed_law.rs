@@ -11,14 +11,14 @@
 //!
 //! * *Lines* are runs of segments with the tool on in the direction that most of the path has. What joins them is
 //!   run at the floor.
-//! * *Pitch* d of a line: in a pass of several lines, as a region of a multi-pitch path is, the median of their distances
-//!   to the nearest one beside them; in a pass of one line, as of a raster, half the distance between the lines on both
-//!   sides of it, or the distance to the only one.
-//! * *Runs* k of a segment: how many lines go over it, as on a path that is run several times; each takes its part of the
-//!   depth.
+//! * *Pitch* d of a line: in a pass of several lines, as a region of a multi-pitch path is, the median of their
+//!   distances to the nearest one beside them; in a pass of one line, as of a raster, half the distance between the
+//!   lines on both sides of it, or the distance to the only one.
+//! * *Runs* k of a segment: how many lines go over it, as on a path that is run several times; each takes its part of
+//!   the depth.
 //! * *Depth* r of a segment: the mean of the map, linear between its pixels, over a square of the area l d around its
-//!   dwell point and the centroid of the TIF from there; where the square holds no valid pixel, that of the nearest one. A map with negative heights is lifted
-//!   until none is.
+//!   dwell point and the centroid of the TIF from there; where the square holds no valid pixel, that of the nearest
+//!   one. A map with negative heights is lifted until none is.
 //!
 //! Source: Development of multi-pitch tool path in computer-controlled optical surfacing processes, JEOS-RP 13 (2017),
 //! Eqs 11 and 12.
@@ -38,7 +38,7 @@ use serde::Serialize;
 use crate::{
     DwellError,
     bounds::{self, Bound},
-    problem::{Model, Problem, Solution, check},
+    problem::{DwellModel, Problem, Solution, check},
 };
 
 /// Angle below which two segments are parallel, rad. Larger: segments of curves count as lines. Smaller: rounding of
@@ -56,14 +56,14 @@ const LEAST_PART_OF_LINES: f64 = 0.6;
 
 /// Settings of the feed law.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Settings {
+pub struct FeedLawSettings {
     /// d everywhere, mm; measured line by line where absent.
     pub pitch_mm: Option<f64>,
 }
 
 /// Result of the feed law.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct FeedLawReport {
     /// `direct`: nothing is solved for.
     pub end: End,
     /// Number of lines.
@@ -76,23 +76,32 @@ pub struct Report {
     pub lifted_nm: f64,
 }
 
-/// Dwell times by (2), and what they do in the removal model of the solvers.
-pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
+/// Computes the dwell times (2), and what they do in the removal model of the solvers.
+///
+/// # Errors
+/// Refuses what [`dwell`] refuses, and what every solver refuses.
+pub fn solve(
+    problem: &Problem<'_>,
+    settings: &FeedLawSettings,
+) -> Result<Solution<FeedLawReport>, DwellError> {
     let Problem { desired, tif, path, min_dwell, .. } = *problem;
     // What they remove takes as long.
-    let found = progress::part(0, 2, || dwell(desired, tif, path, min_dwell, settings));
-    let (dwell, report) = found?;
-    Model::with_any_floor(problem)?.finish_as_they_are(dwell.dwell_s().to_vec(), report)
+    let (dwell, report) = progress::part(0, 2, || dwell(desired, tif, path, min_dwell, settings))?;
+    DwellModel::with_any_floor(problem)?.finish_as_they_are(dwell.dwell_s().to_vec(), report)
 }
 
-/// (2), without what the dwell times do.
+/// Computes the dwell times (2), without what they do.
+///
+/// # Errors
+/// Refuses a pitch that is not positive, a path without lines or with a line that has no pitch, a floor out of range,
+/// and a TIF that varies over the part.
 pub fn dwell(
     desired: &Surface,
     tif: &Tif,
     path: &ToolPath,
     min_dwell: Bound,
-    settings: &Settings,
-) -> Result<(DwellTime, Report), Invalid> {
+    settings: &FeedLawSettings,
+) -> Result<(DwellTime, FeedLawReport), Invalid> {
     if let Some(pitch_mm) = settings.pitch_mm {
         check("pitch_mm", pitch_mm, |p| p > 0.0, "give a distance above 0")?;
     }
@@ -116,20 +125,24 @@ pub fn dwell(
             // Where the tool removes when it is at the dwell point
             let [x, y] = path.dwell_point_mm()[i];
             let depth_nm = depth_nm(desired, [x + off_x, y + off_y], side_mm) + lifted_nm;
-            let at_mm = x * along[0] + y * along[1];
+            let position_mm = x * along[0] + y * along[1];
             let others = same_place[line_idx].iter();
-            let runs = 1 + others.filter(|[low, high]| *low <= at_mm && at_mm <= *high).count();
+            let runs = 1 + others
+                .filter(|[low, high]| *low <= position_mm && position_mm <= *high)
+                .count();
             // (2)
             let time_s = length_mm * pitch_mm * depth_nm / (runs as f64 * vrr);
             too_fast += usize::from(time_s < dwell_s[i]);
             dwell_s[i] = dwell_s[i].max(time_s);
         }
     }
-    let least_and_largest = |p: [f64; 2], d: &f64| [p[0].min(*d), p[1].max(*d)];
-    let report = Report {
+    let report = FeedLawReport {
         end: End::Direct,
         lines: lines.len(),
-        pitch_mm: pitches.iter().fold([f64::INFINITY, 0.0], least_and_largest),
+        pitch_mm: [
+            pitches.iter().copied().fold(f64::INFINITY, f64::min),
+            pitches.iter().copied().fold(0.0, f64::max),
+        ],
         too_fast,
         lifted_nm,
     };
@@ -138,7 +151,7 @@ pub fn dwell(
 
 /// A line: consecutive segments in the common direction.
 #[derive(Clone, Debug)]
-struct Line {
+struct RasterLine {
     segments: std::ops::Range<usize>,
     pass: i64,
     /// Coordinate across the lines, from an origin that all lines share, mm.
@@ -147,46 +160,42 @@ struct Line {
     along_mm: [f64; 2],
 }
 
-/// The lines of a path, in its order, and their direction; refuses a path whose length is not mostly that of parallel
-/// lines.
-fn lines(path: &ToolPath) -> Result<(Vec<Line>, [f64; 2]), Invalid> {
-    let unit = |i: usize| path.displacement_mm(i).map(|d| d / path.segment_length_mm(i));
+/// Returns the lines of a path, in its order, and their direction; refuses a path whose length is not mostly that of
+/// parallel lines.
+fn lines(path: &ToolPath) -> Result<(Vec<RasterLine>, [f64; 2]), Invalid> {
     let is_on = |i: &usize| path.tool_on()[*i] && path.segment_length_mm(*i) > 0.0;
-    let dot = |a: [f64; 2], b: [f64; 2]| a[0] * b[0] + a[1] * b[1];
-    // The axis of most of the length: sum of l exp(2 i angle), in which there and back are the same.
-    let axis = |segments: &[usize]| {
-        let (mut cosine, mut sine) = (0.0, 0.0);
-        for i in segments {
-            let (l, [x, y]) = (path.segment_length_mm(*i), unit(*i));
-            cosine += l * (x * x - y * y);
-            sine += l * 2.0 * x * y;
-        }
-        let angle = 0.5 * f64::atan2(sine, cosine);
-        [angle.cos(), angle.sin()]
-    };
     let on: Vec<usize> = (0..path.len()).filter(is_on).collect();
     let length_mm = on.iter().fold(0.0, |sum, i| sum + path.segment_length_mm(*i));
     // Of all segments at first, and of the lines alone in the end: slanted links turn it.
-    let (mut along, mut parallel) = (axis(&on), Vec::new());
+    let mut along = main_direction(path, &on);
+    let mut parallel = Vec::new();
     for within in [0.1, 0.01, PARALLEL] {
-        let off = |i: usize| dot(unit(i), [-along[1], along[0]]).abs();
-        parallel = on.iter().copied().filter(|i| off(*i) <= within).collect();
-        along = axis(&parallel);
+        let across = [-along[1], along[0]];
+        let segments = on.iter().copied();
+        parallel = segments.filter(|i| dot(unit(path, *i), across).abs() <= within).collect();
+        along = main_direction(path, &parallel);
     }
     let across = [-along[1], along[0]];
-    let mut lines: Vec<Line> = Vec::new();
+    let mut lines: Vec<RasterLine> = Vec::new();
     let mut of_lines_mm = 0.0;
     for i in parallel {
         of_lines_mm += path.segment_length_mm(i);
-        let (a, b) = (path.point_mm()[i], path.point_mm()[i + 1]);
-        let (low, high) = (dot(a, along).min(dot(b, along)), dot(a, along).max(dot(b, along)));
-        let (pass, across_mm) = (path.pass_idx()[i], dot(path.dwell_point_mm()[i], across));
+        let [a, b] = [path.point_mm()[i], path.point_mm()[i + 1]].map(|p| dot(p, along));
+        let low = a.min(b);
+        let high = a.max(b);
+        let pass = path.pass_idx()[i];
+        let across_mm = dot(path.dwell_point_mm()[i], across);
         match lines.last_mut() {
             Some(line) if line.segments.end == i && line.pass == pass => {
                 line.segments.end = i + 1;
                 line.along_mm = [line.along_mm[0].min(low), line.along_mm[1].max(high)];
             }
-            _ => lines.push(Line { segments: i..i + 1, pass, across_mm, along_mm: [low, high] }),
+            _ => lines.push(RasterLine {
+                segments: i..i + 1,
+                pass,
+                across_mm,
+                along_mm: [low, high],
+            }),
         }
     }
     if of_lines_mm < LEAST_PART_OF_LINES * length_mm || lines.is_empty() {
@@ -199,37 +208,72 @@ fn lines(path: &ToolPath) -> Result<(Vec<Line>, [f64; 2]), Invalid> {
     Ok((lines, along))
 }
 
-/// Intervals of the other lines at the place of each line: start and end along it, mm.
-fn in_the_same_place(lines: &[Line]) -> Vec<Vec<[f64; 2]>> {
-    let mut order: Vec<usize> = (0..lines.len()).collect();
-    order.sort_by(|a, b| lines[*a].across_mm.total_cmp(&lines[*b].across_mm));
-    let mut found = vec![Vec::new(); lines.len()];
+/// Returns the scalar product.
+fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[0] + a[1] * b[1]
+}
+
+/// Returns the unit vector along a segment.
+fn unit(path: &ToolPath, i: usize) -> [f64; 2] {
+    path.displacement_mm(i).map(|d| d / path.segment_length_mm(i))
+}
+
+/// Returns the axis of most of the length of some segments, by the sum of l exp(2 i angle), in which there and back are
+/// the same.
+fn main_direction(path: &ToolPath, segments: &[usize]) -> [f64; 2] {
+    let mut cosine = 0.0;
+    let mut sine = 0.0;
+    for i in segments {
+        let l = path.segment_length_mm(*i);
+        let [x, y] = unit(path, *i);
+        cosine += l * (x * x - y * y);
+        sine += l * 2.0 * x * y;
+    }
+    let angle = 0.5 * f64::atan2(sine, cosine);
+    [angle.cos(), angle.sin()]
+}
+
+/// Returns the intervals of the other lines at the place of each line: start and end along it, mm.
+fn in_the_same_place(lines: &[RasterLine]) -> Vec<Vec<[f64; 2]>> {
+    let order = across_order(lines);
+    let mut others = vec![Vec::new(); lines.len()];
     for (place, k) in order.iter().enumerate() {
         let is_same =
             |other: &&usize| lines[**other].across_mm - lines[*k].across_mm <= SAME_LINE_MM;
         for other in order[place + 1..].iter().take_while(is_same) {
-            found[*k].push(lines[*other].along_mm);
-            found[*other].push(lines[*k].along_mm);
+            others[*k].push(lines[*other].along_mm);
+            others[*other].push(lines[*k].along_mm);
         }
     }
-    found
+    others
 }
 
-/// d of every line.
-fn measured(lines: &[Line]) -> Result<Vec<f64>, Invalid> {
+/// Returns the lines in the order of their coordinates across them.
+fn across_order(lines: &[RasterLine]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..lines.len()).collect();
     order.sort_by(|a, b| lines[*a].across_mm.total_cmp(&lines[*b].across_mm));
+    order
+}
+
+/// Returns the distance of a line to another one that is beside it, mm; `None` for the same line and one that does not
+/// overlap it.
+fn distance_beside_mm(line: &RasterLine, other: &RasterLine) -> Option<f64> {
+    let distance_mm = (other.across_mm - line.across_mm).abs();
+    let is_beside = distance_mm > SAME_LINE_MM
+        && other.along_mm[0] < line.along_mm[1]
+        && other.along_mm[1] > line.along_mm[0];
+    if is_beside { Some(distance_mm) } else { None }
+}
+
+/// Returns d of every line; refuses a line without another one beside it.
+fn measured(lines: &[RasterLine]) -> Result<Vec<f64>, Invalid> {
+    let order = across_order(lines);
     // Distances to the nearest line beside one, before and after it: of its own pass, or of all.
     let beside = |place: usize, own: bool| {
         let line = &lines[order[place]];
         let distance = |other: &usize| {
             let other = &lines[*other];
-            let distance_mm = (other.across_mm - line.across_mm).abs();
-            let is_beside = (other.pass == line.pass || !own)
-                && distance_mm > SAME_LINE_MM
-                && other.along_mm[0] < line.along_mm[1]
-                && other.along_mm[1] > line.along_mm[0];
-            is_beside.then_some(distance_mm)
+            if own && other.pass != line.pass { None } else { distance_beside_mm(line, other) }
         };
         let before = order[..place].iter().rev().find_map(distance);
         [before, order[place + 1..].iter().find_map(distance)]
@@ -259,12 +303,15 @@ fn measured(lines: &[Line]) -> Result<Vec<f64>, Invalid> {
     Ok(pitches)
 }
 
-/// Mean over a square around `p` of the map, linear between its pixels, or the valid pixel nearest to it, nm. Invalid
-/// pixels have no part in it.
+/// Returns the mean over a square around `p` of the map, linear between its pixels, or the valid pixel nearest to it,
+/// nm. Invalid pixels have no part in it.
 fn depth_nm(desired: &Surface, p: [f64; 2], side_mm: f64) -> f64 {
-    let (grid, z) = (desired.grid(), desired.height_nm());
-    let (rows, columns) = (weights(&grid.y, p[1], side_mm), weights(&grid.x, p[0], side_mm));
-    let (mut sum, mut total) = (0.0, 0.0);
+    let grid = desired.grid();
+    let z = desired.height_nm();
+    let rows = weights(&grid.y, p[1], side_mm);
+    let columns = weights(&grid.x, p[0], side_mm);
+    let mut sum = 0.0;
+    let mut total = 0.0;
     for (r, by_row) in &rows {
         for (c, by_column) in &columns {
             if !z[[*r, *c]].is_nan() {
@@ -276,21 +323,24 @@ fn depth_nm(desired: &Surface, p: [f64; 2], side_mm: f64) -> f64 {
     if total > 0.0 { sum / total } else { z[desired.nearest_valid(p)] }
 }
 
-/// The pixels of an axis that have a part in the mean of what is linear between them, from `v` - side/2 to
+/// Returns the pixels of an axis that have a part in the mean of what is linear between them, from `v` - side/2 to
 /// `v` + side/2, each with its part times side / pixel:
 ///
 /// ```text
 /// w_i = H(b - i) - H(a - i),   H' = max(1 - |u|, 0)     a, b the ends, in pixels
 /// ```
 fn weights(axis: &Axis, v: f64, side_mm: f64) -> Vec<(usize, f64)> {
-    let hat = |u: f64| {
-        let rest = 1.0 - u.abs().min(1.0);
-        if u < 0.0 { 0.5 * rest * rest } else { 1.0 - 0.5 * rest * rest }
-    };
     let [a, b] = [-0.5, 0.5].map(|side| (v + side * side_mm - axis.start_mm()) / axis.step_mm());
-    let end = |at: f64| at.clamp(0.0, axis.len() as f64) as usize;
-    let pixels = end(a.floor())..end(b.ceil() + 1.0);
-    pixels.map(|i| (i, hat(b - i as f64) - hat(a - i as f64))).filter(|(_, w)| *w > 0.0).collect()
+    let [first, end] =
+        [a.floor(), b.ceil() + 1.0].map(|pixel| pixel.clamp(0.0, axis.len() as f64) as usize);
+    let parts = (first..end).map(|i| (i, hat_integral(b - i as f64) - hat_integral(a - i as f64)));
+    parts.filter(|(_, w)| *w > 0.0).collect()
+}
+
+/// Returns H(u) of [`weights`]: the integral of `max(1 - |u|, 0)` up to u.
+fn hat_integral(u: f64) -> f64 {
+    let rest = 1.0 - u.abs().min(1.0);
+    if u < 0.0 { 0.5 * rest * rest } else { 1.0 - 0.5 * rest * rest }
 }
 
 #[cfg(test)]
@@ -337,9 +387,10 @@ mod tests {
         (0..=n).map(|k| -8.0 + pitch_mm * k as f64).collect()
     }
 
-    fn removal_nm(desired: &Surface, path: &ToolPath) -> (Array2<f64>, Report) {
+    fn removal_nm(desired: &Surface, path: &ToolPath) -> (Array2<f64>, FeedLawReport) {
         let floor = Bound::SecondsPerMm(1e-6);
-        let (dwell, report) = dwell(desired, &tif(), path, floor, &Settings::default()).unwrap();
+        let (dwell, report) =
+            dwell(desired, &tif(), path, floor, &FeedLawSettings::default()).unwrap();
         let places = Columns::Segment.places(path, &tif());
         let operator = Operator::new(&places, &tif(), desired.grid()).unwrap();
         (operator.apply(dwell.dwell_s()), report)
@@ -461,7 +512,7 @@ mod tests {
         let path = raster(&places(1.0), false, 0.0);
         let floor = Bound::SecondsPerMm(1e-6);
         let of = |tif: &Tif, path: &ToolPath| {
-            let (dwell, _) = dwell(&wedge, tif, path, floor, &Settings::default()).unwrap();
+            let (dwell, _) = dwell(&wedge, tif, path, floor, &FeedLawSettings::default()).unwrap();
             dwell.dwell_s().to_vec()
         };
         let tif = tif();
@@ -483,7 +534,8 @@ mod tests {
         let path = raster(&places(1.0), false, 0.0);
         let wedge = part(|x, _| 20.0 * x - 100.0);
         let (tif, floor) = (tif(), 0.01);
-        let found = dwell(&wedge, &tif, &path, Bound::SecondsPerMm(floor), &Settings::default());
+        let found =
+            dwell(&wedge, &tif, &path, Bound::SecondsPerMm(floor), &FeedLawSettings::default());
         let (found, report) = found.unwrap();
         assert_eq!(report.lifted_nm, 100.0);
         let vrr = tif.vrr_nm_mm2_per_s();
@@ -520,7 +572,7 @@ mod tests {
                 columns: Columns::Segment,
                 min_dwell: Bound::SecondsPerMm(floor),
             };
-            let found = solve(&problem, &Settings::default()).unwrap();
+            let found = solve(&problem, &FeedLawSettings::default()).unwrap();
             // Lines of 1 mm in steps of 1 mm.
             let time_s = (depth_nm / vrr).max(floor);
             let is_line = |i: &usize| path.displacement_mm(*i)[1] == 0.0;
@@ -540,7 +592,7 @@ mod tests {
         let stairs = ToolPath::through(stairs, vec![true; 40], vec![0; 40]).unwrap();
         let flat = part(|_, _| 50.0);
         let of = |path: &ToolPath, pitch_mm| {
-            let settings = Settings { pitch_mm };
+            let settings = FeedLawSettings { pitch_mm };
             dwell(&flat, &tif(), path, Bound::Seconds(0.0), &settings).map_err(|e| e.to_string())
         };
         assert!(of(&stairs, None).unwrap_err().contains("no lines in one direction"));

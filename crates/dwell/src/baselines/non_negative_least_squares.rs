@@ -26,12 +26,12 @@ use crate::{
     DwellError,
     model::operator::normal_matrix,
     objective::{Penalty, PenaltyScale, PenaltyWeights},
-    problem::{Model, Problem, Solution, check},
+    problem::{DwellModel, Problem, Solution, check},
 };
 
 /// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct NonNegativeSettings {
     /// alpha; >= 0.
     pub tikhonov: f64,
     /// Gradient at which it ends, as a fraction of the largest at the floor.
@@ -40,7 +40,7 @@ pub struct Settings {
     pub max_changes_per_point: usize,
 }
 
-impl Default for Settings {
+impl Default for NonNegativeSettings {
     fn default() -> Self {
         // With points as dense as ten in a width of the TIF, `alpha A / a_j` is at the rounding of the single
         // precision in which maps are measured; below, the columns of neighbours cannot be told apart.
@@ -50,7 +50,7 @@ impl Default for Settings {
 
 /// Result of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct NonNegativeReport {
     /// `optimal` or `iteration-limit`.
     pub end: End,
     /// Components that were freed or put back.
@@ -59,22 +59,29 @@ pub struct Report {
     pub kkt_residual_s: f64,
 }
 
-impl Report {
+impl NonNegativeReport {
     /// Returns the reason of a negative verdict; none if the solver converged.
     pub fn negative(&self) -> Option<String> {
-        (self.end != End::Optimal).then(|| {
-            format!(
-                "not converged after {} changes: a dwell time would still move by {:.1e} s",
-                self.iterations, self.kkt_residual_s
-            )
-        })
+        if self.end == End::Optimal {
+            return None;
+        }
+        Some(format!(
+            "not converged after {} changes: a dwell time would still move by {:.1e} s",
+            self.iterations, self.kkt_residual_s
+        ))
     }
 }
 
-/// Solves (1); at most 6000 dwell points.
-pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
+/// Solves (1).
+///
+/// # Errors
+/// Refuses a negative alpha, more than 6000 dwell points, and what every solver refuses.
+pub fn solve(
+    problem: &Problem<'_>,
+    settings: &NonNegativeSettings,
+) -> Result<Solution<NonNegativeReport>, DwellError> {
     check("tikhonov", settings.tikhonov, |a| a >= 0.0, "give a number >= 0")?;
-    let model = Model::new(problem)?;
+    let model = DwellModel::new(problem)?;
     let n = problem.path.len();
     let mut h = normal_matrix(&model.places, &model.tif, problem.desired.grid(), &model.weight)?;
     let strongest = (0..n).map(|j| h[[j, j]]).fold(0.0, f64::max);
@@ -97,12 +104,12 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
     }
     let g = model.gradient(&model.target());
     let most = settings.max_changes_per_point * n;
-    let found = nnls(&h, &g, settings.tolerance, most, progress::of_excess());
-    let report = Report {
-        end: if found.converged { End::Optimal } else { End::IterationLimit },
-        iterations: found.iterations,
-        kkt_residual_s: found.violation,
+    let solution = nnls(&h, &g, settings.tolerance, most, progress::of_excess());
+    let report = NonNegativeReport {
+        end: if solution.converged { End::Optimal } else { End::IterationLimit },
+        iterations: solution.iterations,
+        kkt_residual_s: solution.violation,
     };
-    let dwell_s = model.lo.iter().zip(&found.value).map(|(lo, s)| lo + s).collect();
+    let dwell_s = model.lo.iter().zip(&solution.value).map(|(lo, s)| lo + s).collect();
     model.finish(dwell_s, report)
 }

@@ -27,12 +27,12 @@ use serde::Serialize;
 use crate::{
     DwellError,
     model::operator::{MAX_MATRIX_POINTS, normal_matrix},
-    problem::{Model, Problem, Solution, check},
+    problem::{DwellModel, Problem, Solution, check},
 };
 
 /// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct TruncatedSvdSettings {
     /// Singular values up to this fraction of the largest are left out; between 0 and 1.
     pub cut: f64,
     /// Change of the dwell times, as a fraction of them, at which the process ends.
@@ -41,7 +41,7 @@ pub struct Settings {
     pub max_iterations: usize,
 }
 
-impl Default for Settings {
+impl Default for TruncatedSvdSettings {
     fn default() -> Self {
         Self { cut: 1e-2, tolerance: 1e-3, max_iterations: 2000 }
     }
@@ -49,7 +49,7 @@ impl Default for Settings {
 
 /// Result of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct TruncatedSvdReport {
     /// `converged` or `step-limit`.
     pub end: End,
     /// Steps of the process.
@@ -66,21 +66,29 @@ pub struct Report {
     pub clipped: usize,
 }
 
-impl Report {
+impl TruncatedSvdReport {
     /// Returns the reason of a negative verdict; none if the solver converged.
     pub fn negative(&self) -> Option<String> {
-        (self.end != End::Converged)
-            .then(|| format!("not converged after {} steps; raise `max_iterations`", self.steps))
+        if self.end == End::Converged {
+            return None;
+        }
+        Some(format!("not converged after {} steps; raise `max_iterations`", self.steps))
     }
 }
 
 /// Computes (1).
-pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Report>, DwellError> {
+///
+/// # Errors
+/// Refuses a cut that is no fraction, no steps at all, and what every solver refuses.
+pub fn solve(
+    problem: &Problem<'_>,
+    settings: &TruncatedSvdSettings,
+) -> Result<Solution<TruncatedSvdReport>, DwellError> {
     check("cut", settings.cut, |c| c > 0.0 && c < 1.0, "give a number between 0 and 1")?;
     if settings.max_iterations == 0 {
         return Err(Invalid::whole("max_iterations", "is 0", "give at least 1").into());
     }
-    let model = Model::new(problem)?;
+    let model = DwellModel::new(problem)?;
     // Every step keeps a vector of n: as many as fit into memory.
     let fit = budget::memory_bytes() / (size_of::<f64>() * problem.path.len()) as u64;
     let max_steps = settings.max_iterations.min(usize::try_from(fit).unwrap_or(usize::MAX).max(1));
@@ -98,17 +106,17 @@ pub fn solve(problem: &Problem<'_>, settings: &Settings) -> Result<Solution<Repo
         let watch = progress::of_excess();
         truncated(apply, g, settings.cut.powi(2), settings.tolerance, max_steps, watch)
     };
-    let found = progress::part(0, 2, || run(&model.gradient(problem.desired.height_nm())));
+    let solution = progress::part(0, 2, || run(&model.gradient(problem.desired.height_nm())));
     let level: Vec<f64> = apply(&model.shape).iter().map(|v| -v).collect();
     let answer = progress::part(1, 2, || run(&level));
     let b: Vec<f64> = model.shape.iter().zip(&answer.value).map(|(s, u)| s + u).collect();
-    let levelled = model.levelled(&found.value, &b);
-    let report = Report {
-        end: if found.converged && answer.converged { End::Converged } else { End::StepLimit },
-        steps: found.steps.max(answer.steps),
-        rank: found.rank,
-        largest_singular_value_nm_per_s: found.largest.sqrt(),
-        smallest_singular_value_nm_per_s: found.smallest.sqrt(),
+    let levelled = model.levelled(&solution.value, &b);
+    let report = TruncatedSvdReport {
+        end: if solution.converged && answer.converged { End::Converged } else { End::StepLimit },
+        steps: solution.steps.max(answer.steps),
+        rank: solution.rank,
+        largest_singular_value_nm_per_s: solution.largest.sqrt(),
+        smallest_singular_value_nm_per_s: solution.smallest.sqrt(),
         level_s: levelled.level_s,
         clipped: levelled.clipped,
     };

@@ -2,9 +2,8 @@
 //!
 //! It is proven by the exact gradient alone, so whatever the surrogate does, the claim in the report holds.
 
-/// Upper bound of the decrease of (1) that is still possible. With the diagonal C of the Tikhonov term,
-/// `c_j = alpha D A / a_j`, H is
-/// at least C, so
+/// Returns the upper bound of the decrease of (1) that is still possible. With the diagonal C of the Tikhonov term,
+/// `c_j = alpha D A / a_j`, H is at least C, so
 ///
 /// ```text
 /// f(t) - min f <= sum_j max over lo <= s <= hi of q_j (t_j - s) - c_j (t_j - s)^2 / 2
@@ -16,7 +15,7 @@
 ///
 /// t may be anything: also beyond its bounds `f(t)` less this is a lower bound of the minimum.
 ///
-/// `None` without alpha.
+/// Returns `None` without alpha.
 pub fn gap(
     t: &[f64],
     q: &[f64],
@@ -25,12 +24,15 @@ pub fn gap(
     c: &[f64],
     reached: &[bool],
 ) -> Option<f64> {
-    // p: from t to the best s,  max over s = q_j p - c_j p^2 / 2
-    let of = |j: usize| {
+    if !c.iter().all(|c| *c > 0.0) {
+        return None;
+    }
+    let terms = (0..t.len()).filter(|j| reached[*j]).map(|j| {
+        // p: from t to the best s,  max over s = q_j p - c_j p^2 / 2
         let p = t[j] - (t[j] - q[j] / c[j]).clamp(lo[j], hi[j]);
         p * (q[j] - 0.5 * c[j] * p)
-    };
-    c.iter().all(|c| *c > 0.0).then(|| (0..t.len()).filter(|j| reached[*j]).map(of).sum())
+    });
+    Some(terms.sum())
 }
 
 #[cfg(test)]

@@ -22,8 +22,8 @@ use planish_types::{End, Grid, progress};
 
 use super::{
     prepared::BoundedProblem,
-    settings::Settings,
-    weighted::{Weighted, add_scaled, huber_weights, scaled},
+    settings::BoundedSettings,
+    weighted::{Weighted, huber_weights},
 };
 use crate::{
     DwellError,
@@ -85,6 +85,7 @@ struct Terms {
 }
 
 impl Terms {
+    /// Returns the objective with these terms.
     fn weighted<'a>(&'a self, problem: &BoundedProblem<'a>) -> Weighted<'a> {
         Weighted {
             penalty: &self.penalty,
@@ -101,7 +102,7 @@ type Step = (Vec<f64>, Array2<f64>);
 
 /// The descent, between two of its states.
 pub struct Descent<'s> {
-    settings: &'s Settings,
+    settings: &'s BoundedSettings,
     grid: Grid,
     terms: Terms,
     /// Diagonal of H.
@@ -153,13 +154,14 @@ pub enum Target {
 }
 
 impl<'s> Descent<'s> {
-    /// The start of the descent of a problem.
-    pub fn new(problem: &BoundedProblem<'_>, settings: &'s Settings) -> Self {
+    /// Makes the start of the descent of a problem.
+    pub fn new(problem: &BoundedProblem<'_>, settings: &'s BoundedSettings) -> Self {
         let weights = settings.penalty_weights();
         let penalty = Penalty::new(problem.path, problem.lo, &problem.scale, &weights);
         let own = penalty.diagonal();
-        let of = |j: usize| if problem.reached[j] { problem.diagonal[j] + own[j] } else { 0.0 };
-        let diagonal = (0..own.len()).map(of).collect();
+        let diagonal = (0..own.len())
+            .map(|j| if problem.reached[j] { problem.diagonal[j] + own[j] } else { 0.0 })
+            .collect();
         let grid = *problem.desired.grid();
         let weight = &problem.weight;
         let terms = Terms {
@@ -209,8 +211,9 @@ impl<'s> Descent<'s> {
     pub fn look(&mut self, problem: &BoundedProblem<'_>, max_corrections: usize) -> Look {
         let settings = self.settings;
         let weighted = self.terms.weighted(problem);
-        let (objective, gradient) = weighted.at(problem, &self.t, &self.removal_nm);
-        let (lo, hi) = (problem.lo, &problem.hi);
+        let (objective, gradient) = weighted.evaluate(problem, &self.t, &self.removal_nm);
+        let lo = problem.lo;
+        let hi = &problem.hi;
         let natural_residual =
             bounded::natural_residual(&self.t, &gradient, &self.diagonal, lo, hi);
         let relative_gap = problem.gap(&self.terms.penalty, &self.t, &gradient).map(|gap| {
@@ -230,6 +233,7 @@ impl<'s> Descent<'s> {
         Look { objective, gradient, natural_residual, relative_gap, is_still, end }
     }
 
+    /// Reports the progress: by the number of corrections, or by the gap, whichever is further.
     fn tell_progress(&mut self, relative_gap: Option<f64>) {
         let usual = (self.corrections as f64 / USUAL_CORRECTIONS).min(BEFORE_LAST);
         let proven = relative_gap.map_or(0.0, |gap| {
@@ -239,22 +243,25 @@ impl<'s> Descent<'s> {
         progress::done(usual.max(proven));
     }
 
-    /// Finds dwell times with a smaller objective: by what is found without bounds, or by H~.
+    /// Finds dwell times with a smaller objective: by steps without bounds, or by H~.
+    ///
+    /// # Errors
+    /// Refuses a problem whose H~ is singular in every form.
     pub fn target(
         &mut self,
         problem: &mut BoundedProblem<'_>,
         look: &Look,
     ) -> Result<Target, DwellError> {
         self.sharpen_where_slow(problem, look);
-        let found = match self.without_bounds(problem, look) {
-            Some(found) => found,
+        let target = match self.without_bounds(problem, look) {
+            Some(target) => target,
             None => self.by_surrogate(problem, look)?,
         };
-        let Target::To(to, _) = &found else { return Ok(found) };
+        let Target::To(to, _) = &target else { return Ok(target) };
         if -slope(&look.gradient, &self.t, to) <= STEP_ROUNDING * look.objective {
             return Ok(Target::End(if look.is_still { End::Optimal } else { End::Stagnated }));
         }
-        Ok(found)
+        Ok(target)
     }
 
     /// Gives the factorised surrogate smaller cells after slow steps.
@@ -270,22 +277,23 @@ impl<'s> Descent<'s> {
         }
     }
 
-    /// Looks without bounds, where the surrogate has left dwell times to go on from.
+    /// Minimises the objective without bounds, from the dwell times that the surrogate has left for it. Returns
+    /// `None` if it has left none, or if the objective would not fall.
     fn without_bounds(&mut self, problem: &mut BoundedProblem<'_>, look: &Look) -> Option<Target> {
         let from = self.unbounded.take()?;
         let most = self.settings.max_iterations.saturating_sub(self.iterations);
         let wanted = (self.settings.relative_gap, most);
         let weighted = self.terms.weighted(problem);
-        let found = problem.without_bounds(&weighted, from, look.objective, wanted);
-        self.iterations += found.products;
-        self.bound = self.bound.max(found.bound);
-        let found = found.end?;
-        let to = bounded::clip(&found.t, problem.lo, &problem.hi);
+        let unbounded = problem.without_bounds(&weighted, from, look.objective, wanted);
+        self.iterations += unbounded.products;
+        self.bound = self.bound.max(unbounded.bound);
+        let end = unbounded.end?;
+        let to = bounded::clip(&end.t, problem.lo, &problem.hi);
         let falls = -slope(&look.gradient, &self.t, &to) > STEP_ROUNDING * look.objective;
-        falls.then_some(Target::To(to, Some(found.free)))
+        if falls { Some(Target::To(to, Some(end.free))) } else { None }
     }
 
-    /// The minimum of H~; where H~ is singular, that of H~ on smaller cells.
+    /// Returns the minimum of H~; where H~ is singular, that of H~ on smaller cells.
     fn by_surrogate(
         &mut self,
         problem: &mut BoundedProblem<'_>,
@@ -296,8 +304,8 @@ impl<'s> Descent<'s> {
             match &mut problem.surrogate {
                 Surrogate::Ordered(h) => {
                     let h = self.penalised.get_or_insert_with(|| h.penalised(penalty));
-                    let found = h.minimum(&self.t, &look.gradient, problem.lo, &problem.hi);
-                    if let Some((to, count)) = found {
+                    let minimum = h.minimum(&self.t, &look.gradient, problem.lo, &problem.hi);
+                    if let Some((to, count)) = minimum {
                         self.iterations += count;
                         return Ok(Target::To(to, None));
                     }
@@ -310,15 +318,17 @@ impl<'s> Descent<'s> {
                 Surrogate::Convolved(h) => {
                     let steps = self.gradient_settings(problem.splines_mm, look);
                     let bounds = (problem.lo, problem.hi.as_slice());
-                    let (t, q, reached) = (&self.t, &look.gradient, &problem.reached);
-                    let found = h.minimum(penalty, t, q, reached, bounds, &steps);
-                    self.iterations += found.iterations;
+                    let t = &self.t;
+                    let q = &look.gradient;
+                    let reached = &problem.reached;
+                    let minimum = h.minimum(penalty, t, q, reached, bounds, &steps);
+                    self.iterations += minimum.iterations;
                     // With a Huber loss the next q has other weights.
-                    self.unbounded = found.unbounded.filter(|_| self.settings.huber_nm.is_none());
-                    return Ok(match self.iterations >= self.settings.max_iterations {
-                        true => Target::End(End::IterationLimit),
-                        false => Target::To(found.t, None),
-                    });
+                    self.unbounded = minimum.unbounded.filter(|_| self.settings.huber_nm.is_none());
+                    if self.iterations >= self.settings.max_iterations {
+                        return Ok(Target::End(End::IterationLimit));
+                    }
+                    return Ok(Target::To(minimum.t, None));
                 }
             }
         }
@@ -356,11 +366,12 @@ impl<'s> Descent<'s> {
         if fall <= 0.0 {
             return;
         }
-        let (lo, hi) = (problem.lo, &problem.hi);
+        let lo = problem.lo;
+        let hi = &problem.hi;
         for (j, t) in self.t.iter_mut().enumerate() {
             *t = snapped(*t + step[j], lo[j], hi[j]);
         }
-        add_scaled(&mut self.removal_nm, 1.0, &step_nm);
+        self.removal_nm.scaled_add(1.0, &step_nm);
         // Where it was without bounds it may be so again, with those dwell times at their bounds that were beyond them.
         match free.filter(|_| self.rounds_without_bounds < MAX_ROUNDS_WITHOUT_BOUNDS) {
             Some(mut free) => {
@@ -372,14 +383,15 @@ impl<'s> Descent<'s> {
             None => self.rounds_without_bounds = 0,
         }
         // What goes on without bounds does not need it.
-        self.before = self.unbounded.is_none().then_some((step, step_nm));
+        self.before = if self.unbounded.is_none() { Some((step, step_nm)) } else { None };
         self.corrections += 1;
     }
 
-    /// The better one of the step to the target and of a step in the plane of that and the step before, with the fall
-    /// of the objective.
+    /// Returns the better one of the step to the target and of a step in the plane of that and the step before, with
+    /// the fall of the objective.
     fn best_step(&self, problem: &BoundedProblem<'_>, look: &Look, to: &[f64]) -> (f64, Step) {
-        let (t, q) = (&self.t, &look.gradient);
+        let t = &self.t;
+        let q = &look.gradient;
         let weighted = self.terms.weighted(problem);
         let slope = slope(q, t, to);
         let d: Vec<f64> = to.iter().zip(t).map(|(to, t)| to - t).collect();
@@ -389,34 +401,38 @@ impl<'s> Descent<'s> {
         let s = -slope / curvature;
         let s = if s > WHOLE_STEP_FROM { 1.0 } else { s };
         let fall = -s * slope - 0.5 * s * s * curvature;
-        let own = |d: &[f64]| -> Step { (d.iter().map(|d| s * d).collect(), scaled(&d_nm, s)) };
-        let Some((p, p_nm)) = &self.before else { return (fall, own(&d)) };
+        let Some((p, p_nm)) = &self.before else { return (fall, scaled(s, &d, &d_nm)) };
         let [a, b] = weighted.plane_minimum(q, (&d, &d_nm, curvature), (p, p_nm));
         let wanted: Vec<f64> = d.iter().zip(p).map(|(d, p)| a * d + b * p).collect();
         // B e = a B d + b B p + B (what was clipped: few columns)
-        let clipped = |j: usize| match t[j] + wanted[j] {
-            to if to < problem.lo[j] => problem.lo[j] - t[j],
-            to if to > problem.hi[j] => problem.hi[j] - t[j],
-            _ => wanted[j],
-        };
-        let e: Vec<f64> = (0..t.len()).map(clipped).collect();
+        let e: Vec<f64> = (0..t.len())
+            .map(|j| match t[j] + wanted[j] {
+                to if to < problem.lo[j] => problem.lo[j] - t[j],
+                to if to > problem.hi[j] => problem.hi[j] - t[j],
+                _ => wanted[j],
+            })
+            .collect();
         let left_out: Vec<f64> = e.iter().zip(&wanted).map(|(e, w)| e - w).collect();
-        let mut e_nm = scaled(&d_nm, a);
-        add_scaled(&mut e_nm, b, p_nm);
+        let mut e_nm = a * &d_nm;
+        e_nm.scaled_add(b, p_nm);
         if left_out.iter().any(|w| *w != 0.0) {
-            add_scaled(&mut e_nm, 1.0, &problem.b.apply(&left_out));
+            e_nm.scaled_add(1.0, &problem.b.apply(&left_out));
         }
         let other = -dot(q, &e) - 0.5 * weighted.curvature(&e, &e_nm);
-        if other > fall { (other, (e, e_nm)) } else { (fall, own(&d)) }
+        if other > fall { (other, (e, e_nm)) } else { (fall, scaled(s, &d, &d_nm)) }
     }
 }
 
-/// Slope of the objective along the step d = to - t of the dwell times: `q'd`, with its gradient q.
+/// Returns the part s of a step d with the removal `d_nm`.
+fn scaled(s: f64, d: &[f64], d_nm: &Array2<f64>) -> Step {
+    (d.iter().map(|d| s * d).collect(), s * d_nm)
+}
+/// Returns the slope of the objective along the step d = to - t of the dwell times: `q'd`, with its gradient q.
 fn slope(q: &[f64], t: &[f64], to: &[f64]) -> f64 {
     q.iter().zip(to.iter().zip(t)).map(|(q, (to, t))| q * (to - t)).sum()
 }
 
-/// `t` within its bounds, and on them where it differs by rounding.
+/// Returns `t` within its bounds, and on them where it differs by rounding.
 fn snapped(t: f64, lo: f64, hi: f64) -> f64 {
     let rounding = BOUND_ROUNDING * t.abs().max(lo.abs());
     match t {

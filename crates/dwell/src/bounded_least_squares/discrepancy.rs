@@ -41,30 +41,31 @@ const BEYOND_NOISE: f64 = 8.0;
 /// [`BEYOND_NOISE`] deviations. Smaller: errors of the expected noise.
 const QUADRATURE_POINTS: usize = 32;
 
-/// The minimum, at the given smoothness or at the one that the noise of the map asks for.
+/// Solves the problem, at the smoothness of the settings or at the one that the noise of the map asks for.
+///
+/// # Errors
+/// Refuses a problem whose surrogate is singular in every form.
 pub fn solve(mut problem: BoundedProblem<'_>) -> Result<BoundedSolution, DwellError> {
-    let given = problem.settings.slope_weight;
-    let approach = problem.approach(given)?;
-    let mut first = problem.minimise(given)?;
-    first.iterations += approach;
-    let (slope_weight, iterate) = match problem.settings.noise_rms_nm {
-        Some(noise) => {
-            let noise_nm = problem.settings.huber_nm.map_or(noise, |k| rms_within(noise, k));
-            match problem.rms_nm(&first) < noise_nm {
-                true => problem.stop_at(noise_nm, first)?,
-                false => (given, first),
-            }
+    let smoothness = problem.settings.slope_weight;
+    let approach = problem.approach(smoothness)?;
+    let mut iterate = problem.minimise(smoothness)?;
+    iterate.iterations += approach;
+    if let Some(noise) = problem.settings.noise_rms_nm {
+        let noise_nm = problem.settings.huber_nm.map_or(noise, |k| rms_within(noise, k));
+        if problem.rms_nm(&iterate) < noise_nm {
+            let (smoothness, iterate) = problem.stop_at(noise_nm, iterate)?;
+            return Ok(problem.finish(iterate, smoothness)?);
         }
-        None => (given, first),
-    };
-    Ok(problem.finish(iterate, slope_weight)?)
+    }
+    Ok(problem.finish(iterate, smoothness)?)
 }
 
 impl BoundedProblem<'_> {
-    /// The largest beta at which the residual does not exceed the noise (Morozov's discrepancy
-    /// principle), and its minimum; `first` is that of the given beta, which fits the noise.
+    /// Returns the largest beta at which the residual does not exceed the noise (Morozov's discrepancy
+    /// principle), and its minimum; `first` is that of the beta of the settings, which fits the noise.
     fn stop_at(&mut self, noise_nm: f64, first: Iterate) -> Result<(f64, Iterate), DwellError> {
-        let (mut low, mut best) = (self.settings.slope_weight.max(MIN_SMOOTHNESS), first);
+        let mut low = self.settings.slope_weight.max(MIN_SMOOTHNESS);
+        let mut best = first;
         let mut high = low;
         while high < MAX_SMOOTHNESS {
             high *= SMOOTHNESS_FACTOR;
@@ -78,47 +79,53 @@ impl BoundedProblem<'_> {
         while high / low > SMOOTHNESS_RATIO && low < MAX_SMOOTHNESS {
             let middle = (low * high).sqrt();
             self.start.clone_from(&best.t);
-            let found = self.minimise(middle)?;
-            if self.rms_nm(&found) > noise_nm {
+            let iterate = self.minimise(middle)?;
+            if self.rms_nm(&iterate) > noise_nm {
                 high = middle;
             } else {
-                (low, best) = (middle, found);
+                (low, best) = (middle, iterate);
             }
         }
         Ok((low, best))
     }
 
-    /// RMS of the residual without its free part, nm; with a Huber loss as in (1).
+    /// Returns the RMS of the residual without its free part, nm; with a Huber loss as in (1).
     fn rms_nm(&self, iterate: &Iterate) -> f64 {
         let mut r = &self.z - &iterate.removal_nm;
-        let project = |weight: &Array2<f64>, r: &mut Array2<f64>| {
-            Basis::new(self.desired.grid(), weight, self.settings.free).project(weight, r);
-        };
-        project(&self.weight, &mut r);
+        self.project_free(&self.weight, &mut r);
         let most = self.settings.huber_nm.unwrap_or(f64::INFINITY);
         if most.is_finite() {
             // Pits do not decide what is free either.
             let weight = huber_weights(&self.weight, &r, most);
-            project(&weight, &mut r);
+            self.project_free(&weight, &mut r);
         }
-        let within = |(sum, all): (f64, f64), r: &f64, w: &f64| match r.abs() <= most {
-            true => (sum + w * r * r, all + w),
-            false => (sum, all),
-        };
-        let (squares, weight) = Zip::from(&r).and(&self.weight).fold((0.0, 0.0), within);
+        let mut squares = 0.0;
+        let mut weight = 0.0;
+        Zip::from(&r).and(&self.weight).for_each(|r, w| {
+            if r.abs() <= most {
+                squares += w * r * r;
+                weight += w;
+            }
+        });
         // Where nothing is within, nothing is near the noise.
         if weight > 0.0 { (squares / weight).sqrt() } else { f64::INFINITY }
     }
+
+    /// Takes the free part out of a residual, for these weights of the pixels.
+    fn project_free(&self, weight: &Array2<f64>, r: &mut Array2<f64>) {
+        Basis::new(self.desired.grid(), weight, self.settings.free).project(weight, r);
+    }
 }
 
-/// The root of the right-hand side of (1), nm.
+/// Returns the root of the right-hand side of (1), nm.
 fn rms_within(noise_nm: f64, most_nm: f64) -> f64 {
     let c = most_nm / noise_nm;
     if c >= BEYOND_NOISE {
         return noise_nm;
     }
     // Integrals of the density and of u^2 times it over 0 <= u <= c, with u = x / s; its factor is in both.
-    let (mut inside, mut squares) = (0.0, 0.0);
+    let mut inside = 0.0;
+    let mut squares = 0.0;
     for (f, weight) in gauss_legendre::<QUADRATURE_POINTS>() {
         let u = f * c;
         let p = weight * (-0.5 * u * u).exp();

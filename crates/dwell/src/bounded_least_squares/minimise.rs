@@ -7,7 +7,7 @@ use planish_types::{End, progress};
 use super::{
     descent::{Descent, Look, Target},
     prepared::BoundedProblem,
-    settings::Settings,
+    settings::BoundedSettings,
 };
 use crate::DwellError;
 
@@ -66,7 +66,7 @@ impl BoundedProblem<'_> {
     /// components at their bounds are settled. With a Huber loss every q has the weights of its own
     /// residual ([`super::weighted::huber_weights`]).
     pub(super) fn minimise(&mut self, slope_weight: f64) -> Result<Iterate, DwellError> {
-        self.minimise_by(&Settings { slope_weight, ..*self.settings }, MAX_CORRECTIONS)
+        self.minimise_by(&BoundedSettings { slope_weight, ..*self.settings }, MAX_CORRECTIONS)
     }
 
     /// Brings the two-level method near the minimum by easier problems, and returns the number of products with their
@@ -90,26 +90,27 @@ impl BoundedProblem<'_> {
             let surrogate = self.convolved(cells)?;
             let fine = std::mem::replace(&mut self.surrogate, surrogate);
             let settings =
-                Settings { tikhonov, slope_weight: weight * slope_weight, ..*self.settings };
+                BoundedSettings { tikhonov, slope_weight: weight * slope_weight, ..*self.settings };
             let corrections = match settings.huber_nm {
                 Some(_) => ROUGH_CORRECTIONS_HUBER,
                 None => ROUGH_CORRECTIONS,
             };
-            let found = progress::part(k, 2 * ROUGH_PROBLEMS.len(), || {
+            let iterate = progress::part(k, 2 * ROUGH_PROBLEMS.len(), || {
                 self.minimise_by(&settings, corrections)
             });
             self.surrogate = fine;
-            let found = found?;
-            iterations += found.iterations;
-            self.start = found.t;
+            let iterate = iterate?;
+            iterations += iterate.iterations;
+            self.start = iterate.t;
         }
         Ok(iterations)
     }
 
-    /// [`Self::minimise`] with the weights and limits of these settings, in at most so many corrections.
+    /// Minimises (1) as [`Self::minimise`] does, with the weights and limits of these settings, in at most so many
+    /// corrections.
     fn minimise_by(
         &mut self,
-        settings: &Settings,
+        settings: &BoundedSettings,
         max_corrections: usize,
     ) -> Result<Iterate, DwellError> {
         let mut descent = Descent::new(self, settings);

@@ -5,12 +5,12 @@ use ndarray::{Array2, Zip};
 use planish_numerics::parallel;
 use planish_types::{Grid, Invalid, Surface, Tif, ToolPath};
 
-use super::settings::{Product, Program, Settings};
+use super::settings::{BoundedSettings, Product, Program};
 use crate::{
     DwellError,
     model::{
         UNREACHED_FRACTION,
-        columns::{self, Patch, Place, Stored},
+        columns::{self, Patch, Stored, ToolPlace},
         operator::{MAX_COLUMN_ELEMENTS, Removal, pixels_under},
     },
     objective::{Basis, Free, Penalty, PenaltyScale},
@@ -45,8 +45,8 @@ pub struct BoundedProblem<'a> {
     pub desired: &'a Surface,
     tif: &'a Tif,
     pub path: &'a ToolPath,
-    places: &'a [Vec<Place>],
-    pub settings: &'a Settings,
+    places: &'a [Vec<ToolPlace>],
+    pub settings: &'a BoundedSettings,
     /// B.
     pub b: Removal,
     /// z minus its weighted mean, 0 where the weight is 0.
@@ -78,13 +78,13 @@ pub struct BoundedProblem<'a> {
     pub quadratic: Option<Product<'a>>,
 }
 
-/// `sum_i w_i B_ij^2` of every column j. By FFT this is an estimate: what the column has on `cells`, or without
+/// Returns `sum_i w_i B_ij^2` of every column j. By FFT this is an estimate: what the column has on `cells`, or without
 /// them the mean of R^2 along a segment in place of the square of the mean, with the kernel spill. Where a column is so
 /// weak that the estimate would decide whether it reaches the map at all, it is computed from the column itself.
 fn energies(
     b: &Removal,
     cells: Option<&[Patch]>,
-    places: &[Vec<Place>],
+    places: &[Vec<ToolPlace>],
     tif: &Tif,
     grid: &Grid,
     weight: &Array2<f64>,
@@ -106,15 +106,19 @@ fn energies(
 
 impl<'a> BoundedProblem<'a> {
     /// Prepares the problem for a program and the weights of the pixels.
+    ///
+    /// # Errors
+    /// Refuses a program whose columns take too much memory, and a tool that does not reach the map.
     pub fn new(
         desired: &'a Surface,
         tif: &'a Tif,
         path: &'a ToolPath,
         program: &'a Program<'a>,
         weight: Array2<f64>,
-        settings: &'a Settings,
+        settings: &'a BoundedSettings,
     ) -> Result<Self, DwellError> {
-        let (n, grid) = (path.len(), desired.grid());
+        let n = path.len();
+        let grid = desired.grid();
         let factorised = is_factorised(program.places, tif, settings.max_factorised_points);
         // H~ less U U' is positive definite where both are of the same columns.
         let b = Removal::new(program.places, tif, grid, factorised)?;
@@ -144,10 +148,7 @@ impl<'a> BoundedProblem<'a> {
             (0..n).map(|j| if reached[j] { program.hi[j] } else { program.lo[j] }).collect();
         let first = program.guess.as_ref().unwrap_or(&program.lo);
         let start = (0..n).map(|j| first[j].clamp(program.lo[j], hi[j])).collect();
-        // The first free function is the constant 1 / (sum of w)^1/2, so u_1 is B' w over that.
-        let pixel_weight = weight.sum();
-        let b_w: Vec<f64> = u[0].iter().map(|u| pixel_weight.sqrt() * u).collect();
-        let scale = PenaltyScale::new(path, tif, strongest, pixel_weight, &b_w);
+        let scale = penalty_scale(path, tif, strongest, &weight, &u[0]);
         let penalty = Penalty::new(path, &program.lo, &scale, &settings.penalty_weights());
         let mut splines_mm = None;
         let surrogate = match &cells {
@@ -187,10 +188,11 @@ impl<'a> BoundedProblem<'a> {
         })
     }
 
-    /// The factorised H~ with smaller cells; `false` when there are none, where their columns would take too much memory, or
-    /// where another H~ is used.
+    /// Gives the factorised H~ smaller cells. Returns `false` when there are none, where their columns would take too
+    /// much memory, or where another H~ is used.
     pub fn sharpen(&mut self, penalty: &Penalty) -> bool {
-        let (grid, smaller) = (self.desired.grid(), self.cell / 2);
+        let grid = self.desired.grid();
+        let smaller = self.cell / 2;
         if smaller == 0 || matches!(self.surrogate, Surrogate::Convolved(_)) {
             return false;
         }
@@ -206,29 +208,38 @@ impl<'a> BoundedProblem<'a> {
         true
     }
 
-    /// An H~ without factors in the place of one that is singular to rounding; `false` where there are few points, which
-    /// are not determined then.
+    /// Puts an H~ without factors in the place of one that is singular to rounding. Returns `false` where there are few
+    /// points, which are not determined then.
+    ///
+    /// # Errors
+    /// Refuses cells that no axis can have.
     pub fn without_factors(&mut self, penalty: &Penalty) -> Result<bool, Invalid> {
         if self.path.len() <= self.settings.max_factorised_points {
             return Ok(false);
         }
-        let (alphas, grid) = ((penalty.least_alpha(), self.scale.strongest), self.desired.grid());
+        let alphas = (penalty.least_alpha(), self.scale.strongest);
+        let grid = self.desired.grid();
         (self.cell, self.splines_mm) =
             cells_of_convolved(self.places, &self.reached, self.tif, grid, alphas);
         self.surrogate = self.convolved((self.cell, self.splines_mm))?;
         Ok(true)
     }
 
-    /// H~ for many dwell points, on cells of a size and with splines of a pitch.
+    /// Makes H~ for many dwell points, on cells of a size and with splines of a pitch.
+    ///
+    /// # Errors
+    /// Refuses cells that no axis can have.
     pub fn convolved(&self, cells: (usize, Option<f64>)) -> Result<Surrogate, Invalid> {
-        let (grid, free) = (self.desired.grid(), self.settings.free);
+        let grid = self.desired.grid();
+        let free = self.settings.free;
         convolved(self.places, &self.reached, self.tif, grid, &self.weight, free, cells)
     }
 }
 
-/// z minus its weighted mean, 0 where the weight is 0.
+/// Returns z minus its weighted mean, 0 where the weight is 0.
 fn centred(z: &Array2<f64>, weight: &Array2<f64>) -> Array2<f64> {
-    let (mut sum, mut total) = (0.0, 0.0);
+    let mut sum = 0.0;
+    let mut total = 0.0;
     Zip::from(z).and(weight).for_each(|z, w| {
         if *w > 0.0 {
             sum += w * z;
@@ -245,10 +256,10 @@ fn centred(z: &Array2<f64>, weight: &Array2<f64>) -> Array2<f64> {
     centred
 }
 
-/// Cells and pitch of the splines of the surrogate for many dwell points; none where the Tikhonov term, its least diagonal
-/// element given beside D, is weak.
+/// Returns the cells and the pitch of the splines of the surrogate for many dwell points; no pitch where the Tikhonov
+/// term, its least diagonal element given beside D, is weak.
 fn cells_of_convolved(
-    places: &[Vec<Place>],
+    places: &[Vec<ToolPlace>],
     reached: &[bool],
     tif: &Tif,
     grid: &Grid,
@@ -263,9 +274,9 @@ fn cells_of_convolved(
     (surrogate::cell_size(tif, grid, loss), splines_mm)
 }
 
-/// The surrogate for many dwell points, on cells of a size and with splines of a pitch.
+/// Makes the surrogate for many dwell points, on cells of a size and with splines of a pitch.
 fn convolved(
-    places: &[Vec<Place>],
+    places: &[Vec<ToolPlace>],
     reached: &[bool],
     tif: &Tif,
     grid: &Grid,
@@ -278,7 +289,7 @@ fn convolved(
 }
 
 /// Returns true if H~ is to be factorised, for this many dwell points and more where splines represent too little.
-fn is_factorised(places: &[Vec<Place>], tif: &Tif, most: usize) -> bool {
+fn is_factorised(places: &[Vec<ToolPlace>], tif: &Tif, most: usize) -> bool {
     let n = places.len();
     let says_too_little =
         tif.border_to_peak() > ABRUPT_BORDER_TO_PEAK || surrogate::are_sparse(places, tif);
@@ -288,16 +299,29 @@ fn is_factorised(places: &[Vec<Place>], tif: &Tif, most: usize) -> bool {
             && surrogate::factorisation_work(places, tif) <= MOST_WORK
 }
 
-/// Largest element of the diagonal of H: the element itself, not the estimate.
+/// Returns the quantities to which the weights of the penalty are relative. The first free function is the constant
+/// 1 / (sum of w)^1/2, so its column `u` of U is B' w over that.
+fn penalty_scale(
+    path: &ToolPath,
+    tif: &Tif,
+    strongest: f64,
+    weight: &Array2<f64>,
+    u: &[f64],
+) -> PenaltyScale {
+    let pixel_weight = weight.sum();
+    let b_w: Vec<f64> = u.iter().map(|u| pixel_weight.sqrt() * u).collect();
+    PenaltyScale::new(path, tif, strongest, pixel_weight, &b_w)
+}
+
+/// Returns the largest element of the diagonal of H: the element itself, not the estimate.
 fn strongest(
     diagonal: &[f64],
-    places: &[Vec<Place>],
+    places: &[Vec<ToolPlace>],
     (tif, grid): (&Tif, &Grid),
     basis: &Basis,
     weight: &Array2<f64>,
 ) -> f64 {
-    let order = |a: &usize, b: &usize| diagonal[*a].total_cmp(&diagonal[*b]);
-    let j = (0..diagonal.len()).max_by(order).unwrap_or(0);
+    let j = (0..diagonal.len()).max_by(|a, b| diagonal[*a].total_cmp(&diagonal[*b])).unwrap_or(0);
     let p = Stored::new(&places[j..=j], tif, grid);
     let u = basis.columns(weight, |m| p.adjoint(m));
     p.energy(weight)[0] - u.iter().map(|u| u[0] * u[0]).sum::<f64>()

@@ -34,7 +34,7 @@ impl fmt::Display for Algorithm {
 
 /// Result of the solver.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct BoundedReport {
     /// Method that found the steps.
     pub algorithm: Algorithm,
     /// Sets of free dwell times that were solved for with the surrogate of H, or products with it.
@@ -95,24 +95,24 @@ impl RatesOfTime {
     /// Returns the reason of a negative verdict: rates that are not those of the plan's own times.
     fn negative(&self) -> Option<String> {
         let Self { rounds, rate_error } = *self;
-        (rate_error > SAME_TIME_FACTOR).then(|| {
-            format!(
-                "not converged: after {rounds} rounds the rate at the times of the plan is up to {rate_error:.1e} off \
-                 the one it is planned with; give a tool whose rate changes less within the run"
-            )
-        })
+        if rate_error <= SAME_TIME_FACTOR {
+            return None;
+        }
+        Some(format!(
+            "not converged: after {rounds} rounds the rate at the times of the plan is up to {rate_error:.1e} off \
+             the one it is planned with; give a tool whose rate changes less within the run"
+        ))
     }
 }
 
-impl Report {
+impl BoundedReport {
     /// Returns the reason of a negative verdict, or none. A result without its certificate is not known to be the
     /// best, and the best one is no plan if it leaves more than the map `before` it. A robust loss measures this by
     /// itself: the pits that it leaves alone would decide an RMS, and removal around them deepens them.
     pub fn negative(&self, before: Rms) -> Option<String> {
         let plain = Rms { rms_nm: self.model_rms_nm, detilted_nm: self.model_rms_detilted_nm };
-        let both = |rms_nm| Rms { rms_nm, detilted_nm: rms_nm };
         let (before, after) = match self.robust_nm {
-            Some([before, after]) => (both(before), both(after)),
+            Some(robust) => robust.map(|rms_nm| Rms { rms_nm, detilted_nm: rms_nm }).into(),
             None => (before, plain),
         };
         let gap = self.proven.relative_gap.map_or_else(String::new, |gap| {
@@ -142,7 +142,7 @@ pub struct BoundedSolution {
     /// Dwell times.
     pub dwell: DwellTime,
     /// Report of the solver.
-    pub report: Report,
+    pub report: BoundedReport,
 }
 
 impl BoundedProblem<'_> {
@@ -155,27 +155,22 @@ impl BoundedProblem<'_> {
         let unreached = Continuation::new(self.path, |j| self.reached[j]);
         unreached.apply_within(&mut iterate.t, self.lo, self.hi_given);
         let t = &iterate.t;
-        let reached = |j: &usize| self.reached[*j];
         let mut residual = self.desired.height_nm() - &iterate.removal_nm;
         Zip::from(&mut residual).and(&self.weight).for_each(|r, w| {
             if *w == 0.0 {
                 *r = f64::NAN;
             }
         });
-        let unreached = |map: &Array2<f64>| {
-            // An FFT leaves rounding where nothing is reached.
-            let floor = FFT_ROUNDING * map.iter().copied().fold(0.0, f64::max);
-            map.iter().zip(&self.weight).filter(|(r, w)| **w > 0.0 && **r <= floor).count()
-        };
         // Where something is removed the tool was; where nothing is, it may not have dwelt.
-        let mut unreached_pixels = unreached(&iterate.removal_nm);
+        let mut unreached_pixels = self.unreached_pixels(&iterate.removal_nm);
         if unreached_pixels > 0 {
-            unreached_pixels = unreached(&self.b.apply(&vec![1.0; t.len()]));
+            unreached_pixels = self.unreached_pixels(&self.b.apply(&vec![1.0; t.len()]));
         }
+        let reached: Vec<usize> = (0..t.len()).filter(|j| self.reached[*j]).collect();
         let grid = self.desired.grid();
         let rms = statistics::statistics(residual.view()).map_or(0.0, |s| s.rms);
         let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
-        let report = Report {
+        let report = BoundedReport {
             algorithm: match &self.surrogate {
                 Surrogate::Ordered(_) => Algorithm::ActiveSet,
                 Surrogate::Convolved(_) if self.splines_mm.is_some() => Algorithm::TwoLevel,
@@ -188,9 +183,9 @@ impl BoundedProblem<'_> {
             kkt_residual_s: iterate.natural_residual,
             proven: ProvenGap { relative_gap: iterate.relative_gap, ..ProvenGap::default() },
             slope_weight,
-            at_lower_bound: (0..t.len()).filter(reached).filter(|j| t[*j] <= self.lo[*j]).count(),
-            at_upper_bound: (0..t.len()).filter(reached).filter(|j| t[*j] >= self.hi[*j]).count(),
-            unreached_points: (0..t.len()).filter(|j| !reached(j)).count(),
+            at_lower_bound: reached.iter().filter(|j| t[**j] <= self.lo[**j]).count(),
+            at_upper_bound: reached.iter().filter(|j| t[**j] >= self.hi[**j]).count(),
+            unreached_points: t.len() - reached.len(),
             unreached_pixels,
             model_rms_nm: rms,
             model_rms_detilted_nm: statistics::detilted_rms(residual.view(), &x, &y).unwrap_or(rms),
@@ -203,16 +198,23 @@ impl BoundedProblem<'_> {
         };
         Ok(BoundedSolution { dwell: DwellTime::new(iterate.t)?, report })
     }
+
+    /// Counts the valid pixels on which a removal is nothing but the rounding that an FFT leaves.
+    fn unreached_pixels(&self, removal_nm: &Array2<f64>) -> usize {
+        let floor = FFT_ROUNDING * removal_nm.iter().copied().fold(0.0, f64::max);
+        removal_nm.iter().zip(&self.weight).filter(|(r, w)| **w > 0.0 && **r <= floor).count()
+    }
 }
 
 /// Number of steps of the piston. Each halves the error at least, if more than half of the pixels are within k.
 /// Larger: more time. Smaller: the piston is not exact to rounding.
 const PISTON_STEPS: usize = 50;
 
-/// The root of twice the mean of the loss, at the piston p where it is least:
+/// Returns the root of twice the mean of the Huber loss rho, at the piston p where it is least:
 ///
 /// ```text
 /// sqrt(2 sum w rho(z - p) / sum w),   p <- sum w h z / sum w h,   h = min(1, k / |z - p|)
+/// rho(e) = e^2 / 2 up to |e| = k,     k (|e| - k / 2) beyond it
 /// ```
 ///
 /// the RMS where no pixel is farther than k from the mean.
@@ -226,7 +228,8 @@ fn huber_rms(z: &Array2<f64>, weight: &Array2<f64>, k: f64) -> f64 {
     let half = sorted.len() / 2;
     let mut piston = *sorted.select_nth_unstable_by(half, f64::total_cmp).1;
     for _ in 0..PISTON_STEPS {
-        let (mut sum, mut total) = (0.0, 0.0);
+        let mut sum = 0.0;
+        let mut total = 0.0;
         for (z, w) in &counted {
             let w = w * (k / (z - piston).abs()).min(1.0);
             sum += w * z;
@@ -234,10 +237,13 @@ fn huber_rms(z: &Array2<f64>, weight: &Array2<f64>, k: f64) -> f64 {
         }
         piston = sum / total;
     }
-    let loss = |e: f64| if e <= k { 0.5 * e * e } else { k * (e - 0.5 * k) };
-    let (sum, total) = counted
-        .iter()
-        .fold((0.0, 0.0), |(sum, total), (z, w)| (sum + w * loss((z - piston).abs()), total + w));
+    let mut sum = 0.0;
+    let mut total = 0.0;
+    for (z, w) in &counted {
+        let e = (z - piston).abs();
+        sum += w * if e <= k { 0.5 * e * e } else { k * (e - 0.5 * k) };
+        total += w;
+    }
     (2.0 * sum / total).sqrt()
 }
 

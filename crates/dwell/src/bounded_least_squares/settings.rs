@@ -4,14 +4,14 @@ use serde::Serialize;
 
 use crate::{
     bounds::Bound,
-    model::columns::{Columns, Place},
+    model::columns::{Columns, ToolPlace},
     objective::{Free, PenaltyWeights},
     residual_slope::ResidualSlope,
 };
 
 /// Settings of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct BoundedSettings {
     /// Columns of the removal model: the tool stands at the dwell point, or moves along the segment.
     pub columns: Columns,
     /// Lower bound.
@@ -44,7 +44,7 @@ pub struct Settings {
     pub max_iterations: usize,
 }
 
-impl Default for Settings {
+impl Default for BoundedSettings {
     fn default() -> Self {
         Self {
             columns: Columns::Segment,
@@ -68,8 +68,8 @@ impl Default for Settings {
     }
 }
 
-impl Settings {
-    /// Weights of the terms beside the residual.
+impl BoundedSettings {
+    /// Returns the weights of the terms beside the residual.
     pub(super) fn penalty_weights(&self) -> PenaltyWeights {
         PenaltyWeights {
             tikhonov: self.tikhonov,
@@ -86,7 +86,7 @@ pub type Product<'a> = &'a (dyn Fn(&[f64]) -> Vec<f64> + Sync);
 #[derive(Clone)]
 pub struct Program<'a> {
     /// Places of the tool in each column (n).
-    pub places: &'a [Vec<Place>],
+    pub places: &'a [Vec<ToolPlace>],
     /// Lower bounds (n), s.
     pub lo: Vec<f64>,
     /// Upper bounds (n), s.

@@ -11,10 +11,7 @@ use ndarray::Array2;
 use planish_numerics::linear::skyline::dot;
 use planish_types::progress;
 
-use super::{
-    prepared::BoundedProblem,
-    weighted::{Weighted, add_scaled, scaled},
-};
+use super::{prepared::BoundedProblem, weighted::Weighted};
 use crate::surrogate::{Surrogate, Unbounded};
 
 /// Change of (1) by the bounds, as a fraction of (1), above which the solution without bounds is dropped: other dwell
@@ -31,7 +28,7 @@ const GAP_FRACTION: f64 = 0.3;
 const SLOW_GAP_FRACTION: f64 = 0.5;
 
 /// Result of [`BoundedProblem::without_bounds`].
-pub struct Found {
+pub struct WithoutBounds {
     /// Dwell times, some of the free ones beyond their bounds; none where the bounds cost too much.
     pub end: Option<Unbounded>,
     /// Largest lower bound of (1) that was proven.
@@ -50,61 +47,61 @@ impl BoundedProblem<'_> {
     ///         t += p
     /// ```
     ///
-    /// Dwell times at a bound that (1) would take away from it become free. `objective` is (1) at the dwell times within
-    /// the bounds that were found with `from`. The steps end at a relative gap, or after so many products.
+    /// Dwell times at a bound that (1) would take away from it become free. `objective` is (1) at the dwell times
+    /// within the bounds that were found with `from`. The steps end at a relative gap, or after so many products.
     pub(super) fn without_bounds(
         &mut self,
         weighted: &Weighted,
         from: Unbounded,
         objective: f64,
         (relative_gap, max_products): (f64, usize),
-    ) -> Found {
+    ) -> WithoutBounds {
         let Unbounded { mut t, mut free } = from;
-        let mut found = Found { end: None, bound: f64::NEG_INFINITY, products: 0 };
+        let mut result = WithoutBounds { end: None, bound: f64::NEG_INFINITY, products: 0 };
         let mut removal_nm = self.b.apply(&t);
         let mut before: Option<(Vec<f64>, Array2<f64>)> = None;
         let mut gaps: Option<(f64, f64)> = None;
         loop {
-            let (value, q) = weighted.at(self, &t, &removal_nm);
-            let Some(gap) = self.gap(weighted.penalty, &t, &q) else { return found };
-            found.bound = found.bound.max(value - gap);
+            let (value, q) = weighted.evaluate(self, &t, &removal_nm);
+            let Some(gap) = self.gap(weighted.penalty, &t, &q) else { return result };
+            result.bound = result.bound.max(value - gap);
             if gaps.is_none() && (objective - value).abs() > MAX_COST_OF_BOUNDS * objective {
-                return found;
+                return result;
             }
             let enough = GAP_FRACTION * relative_gap * objective;
             let (first, last) = gaps.unwrap_or((gap, f64::INFINITY));
             progress::done(progress::of_convergence(first, gap, enough));
             let is_slow = gap > SLOW_GAP_FRACTION * last;
-            if gap <= enough || is_slow || found.products >= max_products {
-                found.end = Some(Unbounded { t, free });
-                return found;
+            if gap <= enough || is_slow || result.products >= max_products {
+                result.end = Some(Unbounded { t, free });
+                return result;
             }
             gaps = Some((first, gap));
             for j in (0..t.len()).filter(|j| self.reached[*j] && self.lo[*j] < self.hi[*j]) {
                 let leaves = t[j] <= self.lo[j] && q[j] < 0.0 || t[j] >= self.hi[j] && q[j] > 0.0;
                 free[j] |= leaves;
             }
-            let left = max_products - found.products;
-            let Surrogate::Convolved(h) = &mut self.surrogate else { return found };
+            let left = max_products - result.products;
+            let Surrogate::Convolved(h) = &mut self.surrogate else { return result };
             let (e, products) = h.step(weighted.penalty, &q, &free, left);
-            found.products += products;
+            result.products += products;
             let mut p_nm = self.b.apply(&e);
             let curvature = weighted.curvature(&e, &p_nm);
             let p: Vec<f64> = match before {
                 Some((p, of_p)) => {
                     let [a, b] = weighted.plane_minimum(&q, (&e, &p_nm, curvature), (&p, &of_p));
-                    p_nm = scaled(&p_nm, a);
-                    add_scaled(&mut p_nm, b, &of_p);
+                    p_nm = a * &p_nm;
+                    p_nm.scaled_add(b, &of_p);
                     e.iter().zip(&p).map(|(e, p)| a * e + b * p).collect()
                 }
                 None => {
                     let a = -dot(&q, &e) / curvature;
-                    p_nm = scaled(&p_nm, a);
+                    p_nm = a * &p_nm;
                     e.iter().map(|e| a * e).collect()
                 }
             };
             t.iter_mut().zip(&p).for_each(|(t, p)| *t += p);
-            add_scaled(&mut removal_nm, 1.0, &p_nm);
+            removal_nm.scaled_add(1.0, &p_nm);
             before = Some((p, p_nm));
         }
     }

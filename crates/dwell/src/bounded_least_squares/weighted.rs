@@ -25,8 +25,8 @@ pub struct Weighted<'a> {
 }
 
 impl Weighted<'_> {
-    /// (1) at dwell times with their removal B t, and its gradient q.
-    pub fn at(
+    /// Returns the value of (1) at dwell times with their removal B t, and its gradient q.
+    pub fn evaluate(
         &self,
         problem: &BoundedProblem,
         t: &[f64],
@@ -58,19 +58,18 @@ impl Weighted<'_> {
         (value, q)
     }
 
-    /// `e' H e` of a step with its removal B e.
+    /// Returns `e' H e` of a step with its removal B e.
     pub fn curvature(&self, e: &[f64], e_nm: &Array2<f64>) -> f64 {
         self.between((e, e_nm), (e, e_nm))
     }
 
-    /// `d' H p`.
+    /// Returns `d' H p` of two steps with their removals.
     fn between(&self, d: (&[f64], &Array2<f64>), p: (&[f64], &Array2<f64>)) -> f64 {
         let mut curved = vec![0.0; p.0.len()];
         self.penalty.add_product(p.0, &mut curved);
         if let Some(product) = self.quadratic {
             curved.iter_mut().zip(product(p.0)).for_each(|(c, more)| *c += more);
         }
-        let free = |nm: &Array2<f64>| self.basis.coefficients(self.weight, nm);
         // d' B' P' S P B p
         let sloped = self.slope.map_or(0.0, |slope| {
             let [d, p] = [d.1, p.1].map(|nm| {
@@ -80,11 +79,12 @@ impl Weighted<'_> {
             });
             (&d * &slope.product(&p)).sum()
         });
-        let height = weighted_product(self.weight, d.1, p.1) - dot(&free(d.1), &free(p.1));
+        let [free_d, free_p] = [d.1, p.1].map(|nm| self.basis.coefficients(self.weight, nm));
+        let height = weighted_product(self.weight, d.1, p.1) - dot(&free_d, &free_p);
         height + sloped + dot(&curved, d.0)
     }
 
-    /// Minimum of `q'e + e'He / 2` over `e = a d + b p`, as [a, b]:
+    /// Returns the minimum of `q'e + e'He / 2` over `e = a d + b p`, as [a, b]:
     ///
     /// ```text
     /// [d'Hd d'Hp; d'Hp p'Hp] [a; b] = -[q'd; q'p]
@@ -95,8 +95,10 @@ impl Weighted<'_> {
         (d, d_nm, dd): (&[f64], &Array2<f64>, f64),
         (p, p_nm): (&[f64], &Array2<f64>),
     ) -> [f64; 2] {
-        let (dp, pp) = (self.between((d, d_nm), (p, p_nm)), self.curvature(p, p_nm));
-        let (qd, qp) = (dot(q, d), dot(q, p));
+        let dp = self.between((d, d_nm), (p, p_nm));
+        let pp = self.curvature(p, p_nm);
+        let qd = dot(q, d);
+        let qp = dot(q, p);
         let determinant = dd * pp - dp * dp;
         if determinant <= MIN_DETERMINANT_FRACTION * dd * pp {
             return [-qd / dd, 0.0];
@@ -106,23 +108,13 @@ impl Weighted<'_> {
 }
 
 impl BoundedProblem<'_> {
-    /// Upper bound of the decrease of (1) from its value at t with the gradient q: [`gap`].
+    /// Returns the upper bound of the decrease of (1) from its value at t with the gradient q: [`gap`].
     pub fn gap(&self, penalty: &Penalty, t: &[f64], q: &[f64]) -> Option<f64> {
         gap(t, q, self.lo, &self.hi, penalty.alpha(), &self.reached)
     }
 }
 
-/// `factor map`.
-pub fn scaled(map: &Array2<f64>, factor: f64) -> Array2<f64> {
-    factor * map
-}
-
-/// `sum += factor map`.
-pub fn add_scaled(sum: &mut Array2<f64>, factor: f64, map: &Array2<f64>) {
-    sum.scaled_add(factor, map);
-}
-
-/// Weights with which the gradient of the weighted squares is that of the Huber loss: `w min(k / |r|, 1)`,
+/// Returns the weights with which the gradient of the weighted squares is that of the Huber loss: `w min(k / |r|, 1)`,
 /// for the residual r without its free part.
 pub fn huber_weights(weight: &Array2<f64>, r: &Array2<f64>, k: f64) -> Array2<f64> {
     Zip::from(weight).and(r).map_collect(|w, r| w * (k / r.abs()).min(1.0))

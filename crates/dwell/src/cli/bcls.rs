@@ -1,26 +1,30 @@
 //! `planish-dwell bcls`.
 
 use clap::Args;
-use planish_dwell::{baselines::bcls, bounded_least_squares, problem::rms_before};
+use planish_dwell::{
+    baselines::bcls::{self, BclsSettings},
+    bounded_least_squares,
+    problem::rms_before,
+};
 use planish_handoff::{
     Artifact, Begin, Failure, Inputs, Output, Status, flags::MachineArgs, say, task,
 };
 use planish_types::{DwellTime, outcome::plan::PlanOutcome, plausible};
 use serde::Serialize;
 
-use super::{Given, Nouns, status, warn_of};
+use super::{CommonArgs, Nouns, status, warn_of};
 
 #[derive(Args)]
 pub struct Bcls {
     #[command(flatten)]
-    given: Given,
+    common: CommonArgs,
     #[command(flatten)]
     machine: MachineArgs,
     /// Least feed as a fraction of the largest reachable feed on a segment; 0 for none
-    #[arg(long, value_name = "ETA", default_value_t = bcls::Settings::default().least_feed)]
+    #[arg(long, value_name = "ETA", default_value_t = BclsSettings::default().least_feed)]
     least_feed: f64,
     /// Tikhonov weight of the squared dwell time per area above its floor; the same at every pitch, pixel and tool
-    #[arg(long, value_name = "A", default_value_t = bcls::Settings::default().tikhonov)]
+    #[arg(long, value_name = "A", default_value_t = BclsSettings::default().tikhonov)]
     tikhonov: f64,
 }
 
@@ -28,32 +32,32 @@ pub struct Bcls {
 #[derive(Serialize)]
 struct BclsOutcome<'a> {
     #[serde(flatten)]
-    plan: PlanOutcome<&'a bounded_least_squares::Report>,
-    bounds: &'a bcls::Report,
+    plan: PlanOutcome<&'a bounded_least_squares::BoundedReport>,
+    bounds: &'a bcls::BclsReport,
 }
 
 impl Bcls {
     pub fn run(&self) -> Result<Status, Failure> {
-        let settings = bcls::Settings {
-            columns: self.given.columns,
+        let settings = BclsSettings {
+            columns: self.common.columns,
             least_feed: self.least_feed,
             tikhonov: self.tikhonov,
         };
         let task = task!("bcls", settings);
         let mut inputs = Inputs::new();
-        let Nouns { desired, tif, path, weight } = self.given.read(&mut inputs)?;
+        let Nouns { desired, tif, path, weight } = self.common.read(&mut inputs)?;
         let machine = self.machine.read(&mut inputs)?;
         let mut output =
-            match Output::directory(&self.given.output, DwellTime::KIND).begin(&task, &inputs)? {
+            match Output::directory(&self.common.output, DwellTime::KIND).begin(&task, &inputs)? {
                 Begin::Unchanged(status) => return Ok(status),
                 Begin::Run(output) => output,
             };
         plausible::check_path(&desired, &tif, &path)?;
-        let found = bcls::solve(&desired, &tif, &path, weight.as_ref(), &machine, &settings)
+        let bounded = bcls::solve(&desired, &tif, &path, weight.as_ref(), &machine, &settings)
             .map_err(Failure::with_flags)?;
-        let (r, bounds) = (&found.solution.report, &found.report);
+        let (r, bounds) = (&bounded.solution.report, &bounded.report);
         let status = status(r.negative(rms_before(&desired, weight.as_ref())));
-        let dwell = &found.solution.dwell;
+        let dwell = &bounded.solution.dwell;
         let plan =
             PlanOutcome { end: Some(r.end.into()), report: Some(r), ..PlanOutcome::default() };
         output.write(dwell, BclsOutcome { plan, bounds }, &status)?;
@@ -73,7 +77,7 @@ impl Bcls {
             bounds.reachable_mm_per_s[1],
             r.at_lower_bound,
             r.at_upper_bound,
-            self.given.output.out.display()
+            self.common.output.out.display()
         ));
         Ok(status)
     }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use planish_dwell::{
-    bounded_least_squares::{self, Bound, Free, Settings, solve_within},
+    bounded_least_squares::{self, Bound, BoundedSettings, Free, solve_within},
     columns::Columns,
     problem::rms_before,
     residual_slope::ResidualSlope,
@@ -59,10 +59,10 @@ pub struct BoundedLeastSquares {
     #[arg(long, value_enum, default_value = "segment")]
     columns: Columns,
     /// Tikhonov weight of the squared dwell time per area above its floor; the same at every pitch, pixel and tool
-    #[arg(long, value_name = "A", default_value_t = Settings::default().tikhonov)]
+    #[arg(long, value_name = "A", default_value_t = BoundedSettings::default().tikhonov)]
     tikhonov: f64,
     /// Weight of the square of the slope of the dwell time per area along the path: the same at every pitch and tool
-    #[arg(long, value_name = "B", default_value_t = Settings::default().slope_weight)]
+    #[arg(long, value_name = "B", default_value_t = BoundedSettings::default().slope_weight)]
     slope_weight: f64,
     #[command(flatten)]
     residual_slope: ResidualSlopeArgs,
@@ -83,7 +83,7 @@ struct ResidualSlopeArgs {
 }
 
 impl ResidualSlopeArgs {
-    fn of(&self, surface: &Surface) -> Option<ResidualSlope> {
+    fn setting(&self, surface: &Surface) -> Option<ResidualSlope> {
         let step_mm = surface.grid().x.step_mm();
         let base_mm = self.residual_slope_base_mm.unwrap_or(step_mm);
         self.residual_slope_weight_mm2.map(|weight_mm2| ResidualSlope { weight_mm2, base_mm })
@@ -92,14 +92,14 @@ impl ResidualSlopeArgs {
 
 impl BoundedLeastSquares {
     pub fn run(&self) -> Result<Status, Failure> {
-        let defaults = Settings::default();
+        let defaults = BoundedSettings::default();
         let mut inputs = Inputs::new();
         let (surface, tif) = self.mirror.read(&mut inputs)?;
         let path = self.path.read(&mut inputs)?;
         let weight =
             self.weight.as_ref().map(|file| inputs.read_map("weight", file)).transpose()?;
         let of_map = bounded_least_squares::noise_of_deviations(&surface, weight.as_ref());
-        let settings = Settings {
+        let settings = BoundedSettings {
             columns: self.columns,
             min_dwell: self.floor.bound(Bound::Seconds, Bound::SecondsPerMm)?,
             max_dwell: self
@@ -112,7 +112,7 @@ impl BoundedLeastSquares {
             free: self.free,
             huber_nm: self.huber_nm,
             noise_rms_nm: self.noise_rms_nm.or(of_map.map_err(Failure::with_flags)?),
-            residual_slope: self.residual_slope.of(&surface),
+            residual_slope: self.residual_slope.setting(&surface),
             ..defaults
         };
         let least: Option<DwellTime> =

@@ -1,15 +1,15 @@
 //! `planish-dwell feed-law`.
 
 use clap::Args;
-use planish_dwell::baselines::feed_law;
+use planish_dwell::baselines::feed_law::{self, FeedLawSettings};
 use planish_handoff::{Failure, Status, flags::FloorArgs};
 
-use super::{Ended, Given, solve};
+use super::{CommonArgs, Ended, solve};
 
 #[derive(Args)]
 pub struct FeedLaw {
     #[command(flatten)]
-    given: Given,
+    common: CommonArgs,
     #[command(flatten)]
     least: FloorArgs,
     /// Distance of neighbouring lines, mm [default: measured line by line, in every pass by itself]
@@ -19,8 +19,8 @@ pub struct FeedLaw {
 
 impl FeedLaw {
     pub fn run(&self) -> Result<Status, Failure> {
-        let settings = feed_law::Settings { pitch_mm: self.pitch_mm };
-        solve("feed-law", &self.given, &self.least, settings, feed_law::solve, |r, _| Ended {
+        let settings = FeedLawSettings { pitch_mm: self.pitch_mm };
+        solve("feed-law", &self.common, &self.least, settings, feed_law::solve, |r, _| Ended {
             end: r.end,
             negative: None,
             words: format!(

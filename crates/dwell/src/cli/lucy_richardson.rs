@@ -1,31 +1,31 @@
 //! `planish-dwell lucy-richardson`.
 
 use clap::Args;
-use planish_dwell::lucy_richardson;
+use planish_dwell::lucy_richardson::{self, LucyRichardsonSettings};
 use planish_handoff::{Failure, Status, flags::FloorArgs};
 
-use super::{Ended, Given, solve};
+use super::{CommonArgs, Ended, solve};
 
 #[derive(Args)]
 pub struct LucyRichardson {
     #[command(flatten)]
-    given: Given,
+    common: CommonArgs,
     #[command(flatten)]
     least: FloorArgs,
     /// Unknowns: dwell times of the path, or a map of dwell times
     #[arg(long, value_enum, default_value = "path")]
     unknowns: lucy_richardson::Unknowns,
     /// Weight of the total variation, useful from 0 to 0.02
-    #[arg(long, value_name = "MU", default_value_t = lucy_richardson::Settings::default().total_variation)]
+    #[arg(long, value_name = "MU", default_value_t = LucyRichardsonSettings::default().total_variation)]
     total_variation: f64,
     /// Removal at the lowest pixel, as a fraction of the PV of the desired removal
-    #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().margin)]
+    #[arg(long, value_name = "PART", default_value_t = LucyRichardsonSettings::default().margin)]
     margin: f64,
     /// Fraction of the pixels that count as pits: the lowest ones, which may be cut off as pits
-    #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().pits)]
+    #[arg(long, value_name = "PART", default_value_t = LucyRichardsonSettings::default().pits)]
     pits: f64,
     /// Smallest decrease of the RMS in ten iterations, as a fraction of it; the solver ends after a smaller one
-    #[arg(long, value_name = "PART", default_value_t = lucy_richardson::Settings::default().min_decrease)]
+    #[arg(long, value_name = "PART", default_value_t = LucyRichardsonSettings::default().min_decrease)]
     min_decrease: f64,
     /// Largest number of iterations; if it is given, stopping there is not reported as a failure [default: 300, and a
     /// negative verdict if the RMS does not settle]
@@ -42,7 +42,7 @@ pub struct LucyRichardson {
 
 impl LucyRichardson {
     pub fn run(&self) -> Result<Status, Failure> {
-        let settings = lucy_richardson::Settings {
+        let settings = LucyRichardsonSettings {
             unknowns: self.unknowns,
             total_variation: self.total_variation,
             margin: self.margin,
@@ -50,13 +50,13 @@ impl LucyRichardson {
             min_decrease: self.min_decrease,
             max_iterations: self
                 .max_iterations
-                .unwrap_or(lucy_richardson::Settings::default().max_iterations),
+                .unwrap_or(LucyRichardsonSettings::default().max_iterations),
             stop_at_max: self.max_iterations.is_some(),
             accelerated: self.accelerated,
             pixels_per_cell: self.pixels_per_cell,
         };
         let solver = lucy_richardson::solve;
-        solve("lucy-richardson", &self.given, &self.least, settings, solver, |r, settings| {
+        solve("lucy-richardson", &self.common, &self.least, settings, solver, |r, settings| {
             let clipped = match r.clipped_tif_samples {
                 0 => String::new(),
                 n => format!(", {n} negative samples of the TIF taken as 0"),

@@ -1,15 +1,15 @@
 //! `planish-dwell tikhonov-lsqr`.
 
 use clap::Args;
-use planish_dwell::tikhonov_lsqr;
+use planish_dwell::tikhonov_lsqr::{self, TikhonovLsqrSettings};
 use planish_handoff::{Failure, Status, flags::FloorArgs};
 
-use super::{Ended, Given, solve};
+use super::{CommonArgs, Ended, solve};
 
 #[derive(Args)]
 pub struct TikhonovLsqr {
     #[command(flatten)]
-    given: Given,
+    common: CommonArgs,
     #[command(flatten)]
     least: FloorArgs,
     /// Damping as a fraction of the largest singular value [default: 0.01]
@@ -22,13 +22,13 @@ pub struct TikhonovLsqr {
     #[arg(long, group = "choice")]
     l_curve: bool,
     /// Largest number of iterations of LSQR
-    #[arg(long, value_name = "N", default_value_t = tikhonov_lsqr::Settings::default().max_iterations)]
+    #[arg(long, value_name = "N", default_value_t = TikhonovLsqrSettings::default().max_iterations)]
     max_iterations: usize,
 }
 
 impl TikhonovLsqr {
     pub fn run(&self) -> Result<Status, Failure> {
-        let defaults = tikhonov_lsqr::Settings::default();
+        let defaults = TikhonovLsqrSettings::default();
         let damping = match (self.damping, self.noise_rms_nm, self.l_curve) {
             (Some(part), ..) => tikhonov_lsqr::Damping::Relative(part),
             (_, Some(noise), _) => tikhonov_lsqr::Damping::Discrepancy(noise),
@@ -36,9 +36,9 @@ impl TikhonovLsqr {
             _ => defaults.damping,
         };
         let settings =
-            tikhonov_lsqr::Settings { damping, max_iterations: self.max_iterations, ..defaults };
+            TikhonovLsqrSettings { damping, max_iterations: self.max_iterations, ..defaults };
         let solver = tikhonov_lsqr::solve;
-        solve("tikhonov-lsqr", &self.given, &self.least, settings, solver, |r, _| {
+        solve("tikhonov-lsqr", &self.common, &self.least, settings, solver, |r, _| {
             let negative = r.negative();
             let words = format!(
                 "damping {:.2e}, {} after {} steps, level {:.4} s, {} clipped",

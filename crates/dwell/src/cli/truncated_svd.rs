@@ -1,34 +1,34 @@
 //! `planish-dwell truncated-svd`.
 
 use clap::Args;
-use planish_dwell::baselines::truncated_svd;
+use planish_dwell::baselines::truncated_svd::{self, TruncatedSvdSettings};
 use planish_handoff::{Failure, Status, flags::FloorArgs};
 
-use super::{Ended, Given, solve};
+use super::{CommonArgs, Ended, solve};
 
 #[derive(Args)]
 pub struct TruncatedSvd {
     #[command(flatten)]
-    given: Given,
+    common: CommonArgs,
     #[command(flatten)]
     least: FloorArgs,
     /// Fraction of the largest singular value up to which singular values are left out
-    #[arg(long, value_name = "PART", default_value_t = truncated_svd::Settings::default().cut)]
+    #[arg(long, value_name = "PART", default_value_t = TruncatedSvdSettings::default().cut)]
     cut: f64,
     /// Largest number of iterations; each keeps a vector of the number of dwell points
-    #[arg(long, value_name = "N", default_value_t = truncated_svd::Settings::default().max_iterations)]
+    #[arg(long, value_name = "N", default_value_t = TruncatedSvdSettings::default().max_iterations)]
     max_iterations: usize,
 }
 
 impl TruncatedSvd {
     pub fn run(&self) -> Result<Status, Failure> {
-        let settings = truncated_svd::Settings {
+        let settings = TruncatedSvdSettings {
             cut: self.cut,
             max_iterations: self.max_iterations,
-            ..truncated_svd::Settings::default()
+            ..TruncatedSvdSettings::default()
         };
         let solver = truncated_svd::solve;
-        solve("truncated-svd", &self.given, &self.least, settings, solver, |r, _| {
+        solve("truncated-svd", &self.common, &self.least, settings, solver, |r, _| {
             let negative = r.negative();
             let words = format!(
                 "rank {}, {} after {} steps, level {:.4} s, {} clipped",

@@ -8,8 +8,8 @@
 //!
 //! with the three-point Gauss rule along the chord of segment j, or in time along each piece of the
 //! trajectory that serves it. R is the interpolated TIF of [`planish_types::Tif`]. For a tool that varies, `R(x_i - p)`
-//! is K of [`planish_types::Variation`], with its factor of the time in the fractions of executed columns. This model is
-//! the solver's own; what the machine really does is predicted elsewhere, by code that shares nothing with it.
+//! is K of [`planish_types::Variation`], with its factor of the time in the fractions of executed columns. This model
+//! is the solver's own; what the machine really does is predicted elsewhere, by code that shares nothing with it.
 
 use std::{borrow::Cow, ops::Range};
 
@@ -21,7 +21,7 @@ use planish_types::{Axis, Grid, Headings, Pose, Tif, ToolPath, Trajectory, headi
 
 use serde::Serialize;
 
-pub use crate::model::place::Place;
+pub use crate::model::place::ToolPlace;
 use crate::model::{ROWS_PER_TASK, varying};
 
 /// Columns of the removal model: motion of the tool during one dwell time.
@@ -35,92 +35,103 @@ pub enum Columns {
 }
 
 impl Columns {
-    /// Places of the tool in each column; none if the tool is lifted. A segment has a three-point Gauss rule on the
-    /// whole, or on equal parts that are short beside the tool.
-    pub fn places(self, path: &ToolPath, tif: &Tif) -> Vec<Vec<Place>> {
+    /// Returns the places of the tool in each column; none if the tool is lifted. A segment has a three-point Gauss
+    /// rule on the whole, or on equal parts that are short beside the tool.
+    pub fn places(self, path: &ToolPath, tif: &Tif) -> Vec<Vec<ToolPlace>> {
         self.places_in_parts(path, longest_part_mm(tif))
     }
 
-    fn places_in_parts(self, path: &ToolPath, longest_mm: [f64; 2]) -> Vec<Vec<Place>> {
+    /// Returns the places with parts of a segment no longer than these along x and y.
+    fn places_in_parts(self, path: &ToolPath, longest_mm: [f64; 2]) -> Vec<Vec<ToolPlace>> {
         let rule = gauss_legendre::<3>();
         let headings_rad = headings_of_path_rad(path);
-        let column = |j: usize| match self {
+        let columns = (0..path.len()).map(|j| match self {
             _ if !path.tool_on()[j] => Vec::new(),
-            Self::Point => vec![Place {
+            Self::Point => vec![ToolPlace {
                 position_mm: path.dwell_point_mm()[j],
                 heading_rad: headings_rad[j],
                 fraction: 1.0,
             }],
             Self::Segment => {
-                let (start, d) = (path.point_mm()[j], path.displacement_mm(j));
-                let at = |s: f64| [start[0] + s * d[0], start[1] + s * d[1]];
-                let parts = parts(d, longest_mm);
-                let heading_rad = headings_rad[j];
-                let place = |s, fraction| Place { position_mm: at(s), heading_rad, fraction };
-                in_parts(&rule, parts, place)
+                let start = path.point_mm()[j];
+                let d = path.displacement_mm(j);
+                in_parts(&rule, parts(d, longest_mm), |s, fraction| ToolPlace {
+                    position_mm: [start[0] + s * d[0], start[1] + s * d[1]],
+                    heading_rad: headings_rad[j],
+                    fraction,
+                })
             }
-        };
-        (0..path.len()).map(column).collect()
+        });
+        columns.collect()
     }
 }
 
-/// Length along x and y of a part up to which three Gauss points see what a tool removes on the way, mm: two standard
-/// deviations of a Gaussian, by its slopes. A tool with steep flanks is narrow by these, and three points never see it
-/// exactly; of such a one it is half of the spread.
+/// Returns the length along x and y of a part up to which three Gauss points see what a tool removes on the way, mm:
+/// two standard deviations of a Gaussian, by its slopes. A tool with steep flanks is narrow by these, and three
+/// points never see it exactly; of such a one it is half of the spread.
 fn longest_part_mm(tif: &Tif) -> [f64; 2] {
-    let (rate, grid) = (tif.rate_nm_per_s(), tif.grid());
-    let energy: f64 = rate.iter().map(|r| r * r).sum();
     // 1 / (2 sigma^2) and sigma^2 / 2 of a Gaussian, weighted with R^2: noise far from the tool counts for nothing.
     let slopes = tif.slope_energy_per_mm2();
     [0, 1].map(|axis| {
-        let at = |(r, c): (usize, usize)| if axis == 0 { grid.x.at(c) } else { grid.y.at(r) };
-        let moment = |power: i32, about: f64| {
-            let each = rate.indexed_iter().map(|(i, v)| v * v * (at(i) - about).powi(power));
-            each.sum::<f64>() / energy
-        };
-        let spread_mm = (2.0 * moment(2, moment(1, 0.0))).sqrt();
+        let mean_mm = energy_moment(tif, axis, 1, 0.0);
+        let spread_mm = (2.0 * energy_moment(tif, axis, 2, mean_mm)).sqrt();
         let flank_mm = (2.0 * slopes[axis]).sqrt().recip();
         2.0 * flank_mm.max(LEAST_PART_OF_SPREAD * spread_mm)
     })
+}
+
+/// Returns the moment `sum R^2 (x - about)^power / sum R^2` of a TIF along x (0) or y (1).
+fn energy_moment(tif: &Tif, axis: usize, power: i32, about_mm: f64) -> f64 {
+    let rate = tif.rate_nm_per_s();
+    let grid = tif.grid();
+    let energy: f64 = rate.iter().map(|r| r * r).sum();
+    let terms = rate.indexed_iter().map(|((r, c), v)| {
+        let coordinate_mm = if axis == 0 { grid.x.at(c) } else { grid.y.at(r) };
+        v * v * (coordinate_mm - about_mm).powi(power)
+    });
+    terms.sum::<f64>() / energy
 }
 
 /// Smallest half length of a part, over the spread of the TIF, dimensionless; see [`longest_part_mm`]. Larger: longer
 /// parts of tools with steep flanks, and a larger error of the removal. Smaller: more parts, and more time.
 const LEAST_PART_OF_SPREAD: f64 = 0.25;
 
-/// Equal parts of a displacement that are no longer than this along x and y.
+/// Returns the number of equal parts of a displacement that are no longer than this along x and y.
 fn parts(displacement_mm: [f64; 2], longest_mm: [f64; 2]) -> usize {
-    let along = |axis: usize| (displacement_mm[axis].abs() / longest_mm[axis]).ceil();
-    (along(0).max(along(1)) as usize).max(1)
+    let [x, y] = [0, 1].map(|axis| (displacement_mm[axis].abs() / longest_mm[axis]).ceil());
+    (x.max(y) as usize).max(1)
 }
 
-/// A rule on 0..1 on each of so many equal parts of it.
-fn in_parts(rule: &[(f64, f64)], parts: usize, place: impl Fn(f64, f64) -> Place) -> Vec<Place> {
+/// Returns the places of a rule on 0..1, applied to each of so many equal parts of it.
+fn in_parts(
+    rule: &[(f64, f64)],
+    parts: usize,
+    place: impl Fn(f64, f64) -> ToolPlace,
+) -> Vec<ToolPlace> {
     let n = parts as f64;
     let each = (0..parts).flat_map(|k| rule.iter().map(move |(s, w)| ((k as f64 + s) / n, w / n)));
     each.map(|(s, w)| place(s, w)).collect()
 }
 
-/// Places of the tool in each of `columns` columns of an executed motion. Every piece that serves a column with the
-/// tool on has a three-point Gauss rule in time on the whole, or on equal parts that are short beside the tool.
-pub fn executed(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<Vec<Place>> {
+/// Returns the places of the tool in each of `columns` columns of an executed motion. Every piece that serves a
+/// column with the tool on has a three-point Gauss rule in time on the whole, or on equal parts that are short beside
+/// the tool.
+pub fn executed(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<Vec<ToolPlace>> {
     let rule = gauss_legendre::<3>();
     let longest_mm = longest_part_mm(tif);
     let headings = Headings::new(trajectory);
     let mut places = vec![Vec::new(); columns];
     for (k, segment) in trajectory.segments().enumerate().filter(|(_, s)| s.tool_on) {
         let Some(column) = segment.dwell_index.and_then(|j| places.get_mut(j)) else { continue };
-        let at = |u: f64| segment.position_mm(u * segment.duration_s);
         // The way between four positions is that of a cubic piece but for a few percent.
-        let way = [[0.0, 1.0 / 3.0], [1.0 / 3.0, 2.0 / 3.0], [2.0 / 3.0, 1.0]].map(|[a, b]| {
-            let (a, b) = (at(a), at(b));
-            [0, 1].map(|axis| (b[axis] - a[axis]).abs())
-        });
-        let total = [0, 1].map(|axis| way.iter().map(|d| d[axis]).sum());
+        let positions =
+            [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0].map(|u| segment.position_mm(u * segment.duration_s));
+        let total =
+            [0, 1].map(|axis| positions.windows(2).map(|p| (p[1][axis] - p[0][axis]).abs()).sum());
         column.extend(in_parts(&rule, parts(total, longest_mm), |u, w| {
             let Pose { position_mm, heading_rad } =
                 headings.pose(k, &segment, u * segment.duration_s);
-            Place { position_mm, heading_rad, fraction: w * segment.duration_s }
+            ToolPlace { position_mm, heading_rad, fraction: w * segment.duration_s }
         }));
     }
     for (column, factor) in places.iter_mut().zip(time_factors(trajectory, columns, tif)) {
@@ -130,15 +141,16 @@ pub fn executed(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<Vec<P
     places
 }
 
-/// Mean factor of the time of a tool over what serves each of `columns` columns of an executed motion; 1 without one.
+/// Returns the mean factor of the time of a tool over what serves each of `columns` columns of an executed motion; 1
+/// without one.
 pub fn time_factors(trajectory: &Trajectory, columns: usize, tif: &Tif) -> Vec<f64> {
     let Some(time) = tif.variation().and_then(|v| v.time_factor()) else {
         return vec![1.0; columns];
     };
     let mut sums = vec![(0.0, 0.0); columns];
     for segment in trajectory.segments() {
-        let of = segment.dwell_index.filter(|_| segment.tool_on);
-        let Some((sum, total)) = of.and_then(|j| sums.get_mut(j)) else { continue };
+        let column = segment.dwell_index.filter(|_| segment.tool_on);
+        let Some((sum, total)) = column.and_then(|j| sums.get_mut(j)) else { continue };
         let end_s = segment.start_s + segment.duration_s;
         *sum += segment.duration_s * time.mean(segment.start_s, end_s);
         *total += segment.duration_s;
@@ -155,8 +167,8 @@ pub struct Patch {
     pub rate_nm_per_s: Array2<f64>,
 }
 
-/// B by columns; empty patches where the tool is nowhere.
-pub fn patches(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Vec<Patch> {
+/// Returns B by columns; empty patches where the tool is nowhere.
+pub fn patches(places: &[Vec<ToolPlace>], tif: &Tif, grid: &Grid) -> Vec<Patch> {
     let factor = tif.variation().and_then(|v| v.factor_on(grid));
     parallel::map(places.len(), &|j| {
         let mut patch = patch(&places[j], tif, grid);
@@ -167,24 +179,25 @@ pub fn patches(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Vec<Patch> {
     })
 }
 
+/// Returns a patch without pixels.
 fn nowhere() -> Patch {
     Patch { origin: (0, 0), rate_nm_per_s: Array2::zeros((0, 0)) }
 }
 
-/// First and last pixel along x and y that any of the places reaches, if one does.
-fn reach(places: &[Place], tif: &Tif, grid: &Grid) -> Option<[(usize, usize); 2]> {
-    let along = |axis: usize| {
+/// Returns the first and last pixel along x and y that any of the places reaches, if one does.
+fn reach(places: &[ToolPlace], tif: &Tif, grid: &Grid) -> Option<[(usize, usize); 2]> {
+    let [x, y] = [0, 1].map(|axis| {
         let covered = places.iter().filter_map(|p| pixels(p.position_mm[axis], grid, tif, axis));
         covered.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
-    };
-    Some([along(0)?, along(1)?])
+    });
+    Some([x?, y?])
 }
 
-/// `sum_q w_q K(x_i; p_q)` on the pixels that any of the places reaches, without the factor of the pixels.
-fn patch(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
+/// Returns `sum_q w_q K(x_i; p_q)` on the pixels that any of the places reaches, without the factor of the pixels.
+fn patch(places: &[ToolPlace], tif: &Tif, grid: &Grid) -> Patch {
     let Some(v) = tif.variation() else { return of_kernel(places, tif, grid) };
     let each = v.components().iter().enumerate().map(|(k, component)| {
-        let places: Vec<Place> = places.iter().map(|p| varying::weighted(v, k, p)).collect();
+        let places: Vec<ToolPlace> = places.iter().map(|p| varying::weighted(v, k, p)).collect();
         of_kernel(&places, component.kernel(), grid)
     });
     // All kernels have one grid, and reach the same pixels.
@@ -195,12 +208,12 @@ fn patch(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
     sum.unwrap_or_else(nowhere)
 }
 
-/// `sum_q w_q R(x_i - p_q)` on the pixels that any of the places reaches.
-fn of_kernel(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
+/// Returns `sum_q w_q R(x_i - p_q)` on the pixels that any of the places reaches.
+fn of_kernel(places: &[ToolPlace], tif: &Tif, grid: &Grid) -> Patch {
     let Some([x, y]) = reach(places, tif, grid) else { return nowhere() };
     let mut rate_nm_per_s = Array2::zeros((y.1 - y.0 + 1, x.1 - x.0 + 1));
     let samples = tif.with_ghosts();
-    let mut row = Row::new(samples.ncols(), stride(&grid.x, &tif.grid().x));
+    let mut row = SampleRow::new(samples.ncols(), stride(&grid.x, &tif.grid().x));
     // Interpolate along y once for all places of the same y, then along x.
     for places in places.chunk_by(|a, b| a.position_mm[1] == b.position_mm[1]) {
         let along_x: Vec<Under> = places
@@ -220,6 +233,7 @@ fn of_kernel(places: &[Place], tif: &Tif, grid: &Grid) -> Patch {
     Patch { origin: (y.0, x.0), rate_nm_per_s }
 }
 
+/// Writes the sum of four rows, with a weight each, to `out`.
 fn combine(rows: &ArrayView2<f64>, w: &[f64; 4], out: &mut [f64]) {
     let n = out.len();
     let all = rows.as_slice().expect("whole rows of an array in C order");
@@ -231,7 +245,7 @@ fn combine(rows: &ArrayView2<f64>, w: &[f64; 4], out: &mut [f64]) {
 
 /// A row of samples of a TIF, and the same samples by their phase in a pixel, so that the samples under neighbouring
 /// pixels are neighbours.
-struct Row {
+struct SampleRow {
     samples: Vec<f64>,
     by_phase: Vec<f64>,
     /// Samples to a pixel.
@@ -240,7 +254,7 @@ struct Row {
     of_phase: usize,
 }
 
-impl Row {
+impl SampleRow {
     fn new(samples: usize, stride: usize) -> Self {
         let of_phase = samples.div_ceil(stride);
         let by_phase = if stride == 1 { Vec::new() } else { vec![0.0; of_phase * stride] };
@@ -272,13 +286,15 @@ fn stride(map: &Axis, samples: &Axis) -> usize {
     (map.step_mm() / samples.step_mm()).round().max(1.0) as usize
 }
 
-/// First and last pixel along x (0) or y (1) whose offset from `p` is within the edges of the TIF.
+/// Returns the first and last pixel along x (0) or y (1) whose offset from `p` is within the edges of the TIF.
 fn pixels(p: f64, grid: &Grid, tif: &Tif, axis: usize) -> Option<(usize, usize)> {
     let map = [&grid.x, &grid.y][axis];
-    let at = |d: f64| (p + d - map.start_mm()) / map.step_mm();
-    let first = (at([tif.grid().x, tif.grid().y][axis].start_mm()) - keys::SNAP).ceil().max(0.0);
-    let last = (at(tif.edge_mm()[axis]) + keys::SNAP).floor().min((map.len() - 1) as f64);
-    (first <= last).then_some((first as usize, last as usize))
+    let start_mm = [tif.grid().x, tif.grid().y][axis].start_mm();
+    let [low, high] = [start_mm, tif.edge_mm()[axis]]
+        .map(|offset_mm| (p + offset_mm - map.start_mm()) / map.step_mm());
+    let first = (low - keys::SNAP).ceil().max(0.0);
+    let last = (high + keys::SNAP).floor().min((map.len() - 1) as f64);
+    if first <= last { Some((first as usize, last as usize)) } else { None }
 }
 
 /// Pixels along an axis and where the TIF of a tool is on them.
@@ -303,7 +319,8 @@ const SAME_OFFSET: f64 = 1e-11;
 const SHORTEST_RUN: usize = 8;
 
 impl Under {
-    /// The pixels in `range` along x (0) or y (1) under a tool at `p`; the weights are those of Keys times `fraction`.
+    /// Finds the pixels in `range` along x (0) or y (1) under a tool at `p`; the weights are those of Keys times
+    /// `fraction`.
     fn new(
         p: f64,
         grid: &Grid,
@@ -317,7 +334,8 @@ impl Under {
         let count = range.1 + 1 - range.0;
         let w = [(); 4].map(|()| Vec::with_capacity(count));
         let mut under = Self { pixel: 0, node: Vec::with_capacity(count), w, runs: Vec::new() };
-        let (mut offset, mut w) = (f64::NAN, [0.0; 4]);
+        let mut offset = f64::NAN;
+        let mut w = [0.0; 4];
         for i in range.0..=range.1 {
             let Some((node, f)) = tif.cell(axis, map.at(i) - p) else { continue };
             let n = under.node.len();
@@ -339,7 +357,7 @@ impl Under {
     }
 
     /// Adds `sum_t w_t g[node + t]` to the pixels, g the samples of a `row` of the TIF.
-    fn add(&self, row: &Row, out: &mut [f64]) {
+    fn add(&self, row: &SampleRow, out: &mut [f64]) {
         let out = &mut out[self.pixel..self.pixel + self.node.len()];
         for run in &self.runs {
             let [wa, wb, wc, wd] = [0, 1, 2, 3].map(|t| &self.w[t][run.clone()]);
@@ -353,7 +371,8 @@ impl Under {
                 }
                 continue;
             }
-            let (from, n) = (self.node[run.start], run.len());
+            let from = self.node[run.start];
+            let n = run.len();
             let [a, b, c, d] = [0, 1, 2, 3].map(|t| row.under(from + t, n));
             for (i, out) in out[run.clone()].iter_mut().enumerate() {
                 *out += wa[i] * a[i] + wb[i] * b[i] + wc[i] * c[i] + wd[i] * d[i];
@@ -369,7 +388,7 @@ impl Patch {
         self.rate_nm_per_s *= &factor.slice(s![r..r + ny, c..c + nx]);
     }
 
-    /// Rows of the map and, in each, its columns and the patch there.
+    /// Returns the rows of the map and, in each, its columns and the patch there.
     fn rows(&self) -> impl Iterator<Item = (usize, Range<usize>, &[f64])> {
         let (r, c) = self.origin;
         let width = self.rate_nm_per_s.ncols();
@@ -379,29 +398,46 @@ impl Patch {
             .map(move |(k, row)| (r + k, c..c + width, row))
     }
 
-    /// Sum of the products with a map.
+    /// Returns the sum of the products with a map (ny, nx).
     pub fn product(&self, map: &Array2<f64>) -> f64 {
-        let (all, width) = (map.as_slice().expect("in C order"), map.ncols());
-        let row = |(r, c, rate): (usize, Range<usize>, &[f64])| {
-            dot(rate, &all[r * width + c.start..r * width + c.end])
-        };
-        self.rows().map(row).sum()
+        let all = map.as_slice().expect("in C order");
+        let width = map.ncols();
+        self.rows()
+            .map(|(r, c, rate)| dot(rate, &all[r * width + c.start..r * width + c.end]))
+            .sum()
+    }
+
+    /// Returns the sum of the squares, weighted with a map (ny, nx).
+    fn energy(&self, weight: &Array2<f64>) -> f64 {
+        let rows = self.rows().map(|(r, c, rate)| {
+            let w = weight.slice(s![r, c]);
+            rate.iter().zip(w).map(|(b, w)| w * b * b).sum::<f64>()
+        });
+        rows.sum()
+    }
+
+    /// Returns the part of a map (ny, nx) on the pixels of the patch.
+    pub(crate) fn part_of(&self, map: &Array2<f64>) -> Array2<f64> {
+        let (r, c) = self.origin;
+        let (ny, nx) = self.rate_nm_per_s.dim();
+        map.slice(s![r..r + ny, c..c + nx]).to_owned()
     }
 }
 
 /// B as stored patches.
 pub struct Stored {
-    patches: Vec<Patch>,
+    /// One per column.
+    pub(super) patches: Vec<Patch>,
     shape: (usize, usize),
 }
 
 impl Stored {
-    /// The columns of one path, TIF and map.
-    pub fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Self {
+    /// Stores the columns of one path, TIF and map.
+    pub fn new(places: &[Vec<ToolPlace>], tif: &Tif, grid: &Grid) -> Self {
         Self { patches: patches(places, tif, grid), shape: grid.shape() }
     }
 
-    /// `B t`: (ny, nx), nm. Every pixel sums in the order of the columns, whatever the threads.
+    /// Returns `B t`, shape (ny, nx), nm. Every pixel sums in the order of the columns, whatever the threads.
     pub fn apply(&self, t: &[f64]) -> Array2<f64> {
         let mut map = Array2::zeros(self.shape);
         parallel::for_each_band(&mut map, ROWS_PER_TASK, &|b, mut band| {
@@ -425,26 +461,19 @@ impl Stored {
         map
     }
 
-    /// `B' m` for a map (ny, nx).
+    /// Returns `B' m` (n) for a map m (ny, nx).
     pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
         parallel::map(self.patches.len(), &|j| self.patches[j].product(map))
     }
 
-    /// Sum of `w_i B_ij^2` for every column.
+    /// Returns the sum of `w_i B_ij^2` for every column (n).
     pub fn energy(&self, weight: &Array2<f64>) -> Vec<f64> {
-        let column = |p: &Patch| -> f64 {
-            let row = |(r, c, rate): (usize, Range<usize>, &[f64])| -> f64 {
-                let w = weight.slice(s![r, c]);
-                rate.iter().zip(w).map(|(b, w)| w * b * b).sum()
-            };
-            p.rows().map(row).sum()
-        };
-        parallel::map(self.patches.len(), &|j| column(&self.patches[j]))
+        parallel::map(self.patches.len(), &|j| self.patches[j].energy(weight))
     }
 }
 
-/// `P W^1/2 B`: with the pixels of every cell of `size` x `size` taken together,
-/// `sum_i w_i B_ij / sqrt(sum_i w_i)` over the pixels i of the cell. The columns are not kept.
+/// Computes `P W^1/2 B`: with the pixels of every cell of `size` x `size` taken together, the columns of
+/// `sum_i w_i B_ij / sqrt(sum_i w_i)` over the pixels i of the cell. The columns of B are not kept.
 ///
 /// Where every cell that a column reaches has pixels of one weight, the weights of the interpolation are summed along
 /// either axis before they meet the samples g of the TIF. With those of pixel row r and pixel column c, a_t(r) and
@@ -455,32 +484,32 @@ impl Stored {
 /// A_m = sum of a_t(r) over all r and t with p(r) + t = m,   B_n likewise
 /// ```
 pub fn on_cells(
-    places: &[Vec<Place>],
+    places: &[Vec<ToolPlace>],
     tif: &Tif,
     grid: &Grid,
     weight: &Array2<f64>,
     size: usize,
 ) -> Vec<Patch> {
-    let cells = Cells::new(tif, grid, weight, size);
+    let cells = PixelCells::new(tif, grid, weight, size);
     parallel::map(places.len(), &|j| match size {
         1 => cells.by_pixels(&places[j]),
         _ => cells.by_sums(&places[j]).unwrap_or_else(|| cells.by_pixels(&places[j])),
     })
 }
 
-/// `P W^-1/2 m` of a map m: `sum_i m_i / sqrt(sum_i w_i)` over the pixels i of every cell.
+/// Computes `P W^-1/2 m` of a map m: `sum_i m_i / sqrt(sum_i w_i)` over the pixels i of every cell.
 pub fn map_on_cells(map: &Array2<f64>, weight: &Array2<f64>, size: usize) -> Array2<f64> {
     let mut cells = sums(map, size);
     Zip::from(&mut cells).and(&sums(weight, size)).for_each(|v, w| *v *= reciprocal_root(*w));
     cells
 }
 
-/// Sums over the pixels of every cell.
+/// Returns the sums over the pixels of every cell.
 fn sums(map: &Array2<f64>, size: usize) -> Array2<f64> {
     by_cells(map, size, 0.0, |sum, pixels| pixels.iter().for_each(|v| *sum += v))
 }
 
-/// A number for every cell, which begins as `begin` and meets its pixels row by row.
+/// Computes a number for every cell, which begins as `begin` and meets its pixels row by row.
 fn by_cells(
     map: &Array2<f64>,
     size: usize,
@@ -499,13 +528,13 @@ fn by_cells(
     cells
 }
 
-/// `1 / sqrt(w)`; 0 without a weight.
+/// Returns `1 / sqrt(w)`; 0 without a weight.
 fn reciprocal_root(w: f64) -> f64 {
     if w > 0.0 { w.sqrt().recip() } else { 0.0 }
 }
 
 /// Cells of pixels of a map under a TIF.
-struct Cells<'a> {
+struct PixelCells<'a> {
     tif: &'a Tif,
     grid: &'a Grid,
     weight: &'a Array2<f64>,
@@ -518,7 +547,7 @@ struct Cells<'a> {
     factor: Option<Cow<'a, Array2<f64>>>,
 }
 
-impl<'a> Cells<'a> {
+impl<'a> PixelCells<'a> {
     fn new(tif: &'a Tif, grid: &'a Grid, weight: &'a Array2<f64>, size: usize) -> Self {
         let scale = sums(weight, size).mapv(reciprocal_root);
         let alike = by_cells(weight, size, f64::INFINITY, |alike, pixels| {
@@ -529,8 +558,8 @@ impl<'a> Cells<'a> {
         Self { tif, grid, weight, size, scale, alike, factor }
     }
 
-    /// A column, from all of its pixels.
-    fn by_pixels(&self, places: &[Place]) -> Patch {
+    /// Computes a column, from all of its pixels.
+    fn by_pixels(&self, places: &[ToolPlace]) -> Patch {
         let Self { tif, grid, size, .. } = *self;
         let mut p = patch(places, tif, grid);
         if let Some(factor) = &self.factor {
@@ -540,8 +569,10 @@ impl<'a> Cells<'a> {
         if ny == 0 || nx == 0 {
             return nowhere();
         }
-        let (all, width) = (self.weight.as_slice().expect("in C order"), self.weight.ncols());
-        let (top, left) = (r / size, c / size);
+        let all = self.weight.as_slice().expect("in C order");
+        let width = self.weight.ncols();
+        let top = r / size;
+        let left = c / size;
         let shape = ((r + ny - 1) / size + 1 - top, (c + nx - 1) / size + 1 - left);
         let mut cells = Array2::zeros(shape);
         let mut line = vec![0.0; nx];
@@ -560,15 +591,16 @@ impl<'a> Cells<'a> {
         Patch { origin: (top, left), rate_nm_per_s: cells }
     }
 
-    /// A column by (1); `None` where it reaches a cell of which the pixels have not one weight, or where they have
-    /// factors.
-    fn by_sums(&self, places: &[Place]) -> Option<Patch> {
+    /// Computes a column by (1); `None` where it reaches a cell of which the pixels have not one weight, or where
+    /// they have factors.
+    fn by_sums(&self, places: &[ToolPlace]) -> Option<Patch> {
         let Self { tif, grid, size, .. } = *self;
         if self.factor.is_some() {
             return None;
         }
         let Some([x, y]) = reach(places, tif, grid) else { return Some(nowhere()) };
-        let (top, left) = (y.0 / size, x.0 / size);
+        let top = y.0 / size;
+        let left = x.0 / size;
         let window = s![top..=y.1 / size, left..=x.1 / size];
         let alike = self.alike.slice(window);
         if alike.iter().any(|w| w.is_nan()) {
@@ -579,13 +611,8 @@ impl<'a> Cells<'a> {
         for (kernel, places) in varying::kernels(&one_column, tif) {
             let mut sums = TwoSums::new(kernel.with_ghosts(), alike.dim());
             for places in places[0].chunk_by(|a, b| a.position_mm[1] == b.position_mm[1]) {
-                let of_cells = |axis: usize, p: &Place, range: (usize, usize), fraction| {
-                    let under =
-                        Under::new(p.position_mm[axis], grid, kernel, axis, range, fraction);
-                    Summed::new(&under, range.0, size)
-                };
-                let along_y = of_cells(1, &places[0], y, 1.0);
-                let along_x = places.iter().map(|p| of_cells(0, p, x, p.fraction));
+                let along_y = self.summed(kernel, 1, &places[0], y, 1.0);
+                let along_x = places.iter().map(|p| self.summed(kernel, 0, p, x, p.fraction));
                 sums.add(&along_y, top, &along_x.collect::<Vec<_>>(), left);
             }
             sums.add_to(&mut cells);
@@ -593,6 +620,19 @@ impl<'a> Cells<'a> {
         cells *= &alike;
         cells *= &self.scale.slice(window);
         Some(Patch { origin: (top, left), rate_nm_per_s: cells })
+    }
+
+    /// Sums the weights of the pixels in a range of an axis under a place to cells.
+    fn summed(
+        &self,
+        kernel: &Tif,
+        axis: usize,
+        place: &ToolPlace,
+        range: (usize, usize),
+        fraction: f64,
+    ) -> Summed {
+        let under = Under::new(place.position_mm[axis], self.grid, kernel, axis, range, fraction);
+        Summed::new(&under, range.0, self.size)
     }
 }
 
@@ -613,16 +653,21 @@ struct TwoSums<'a> {
 impl<'a> TwoSums<'a> {
     fn new(samples: &'a Array2<f64>, (height, width): (usize, usize)) -> Self {
         let nodes = samples.ncols();
-        let zeros = |count: usize| vec![0.0; count];
-        let (row, rows, cells) = (zeros(nodes), zeros(nodes * height), zeros(width * height));
-        Self { samples, row, rows, cells, height }
+        Self {
+            samples,
+            row: vec![0.0; nodes],
+            rows: vec![0.0; nodes * height],
+            cells: vec![0.0; width * height],
+            height,
+        }
     }
 
     /// Adds the places on one line along x, by A from the row of cells `top` on and by the B of each from the column
     /// `left` on.
     fn add(&mut self, along_y: &Summed, top: usize, along_x: &[Summed], left: usize) {
         let Self { samples, row, rows, cells, height } = self;
-        let (nodes, height) = (samples.ncols(), *height);
+        let nodes = samples.ncols();
+        let height = *height;
         let g = samples.as_slice().expect("in C order");
         rows.fill(0.0);
         vectorised(
@@ -673,22 +718,23 @@ impl Summed {
         let first = first + under.pixel;
         let mut summed =
             Self { cell: first / size, node: Vec::new(), from: Vec::new(), weight: Vec::new() };
-        let (mut start, mut from) = (0, 0);
+        let mut start = 0;
+        let mut from = 0;
         for (k, node) in under.node.iter().enumerate() {
             if k == 0 || (first + k).is_multiple_of(size) {
                 (start, from) = (*node, summed.weight.len());
                 summed.node.push(start);
                 summed.from.push(from);
             }
-            let at = from + node - start;
-            summed.weight.resize((at + 4).max(summed.weight.len()), 0.0);
-            (0..4).for_each(|t| summed.weight[at + t] += under.w[t][k]);
+            let first_weight = from + node - start;
+            summed.weight.resize((first_weight + 4).max(summed.weight.len()), 0.0);
+            (0..4).for_each(|t| summed.weight[first_weight + t] += under.w[t][k]);
         }
         summed.from.push(summed.weight.len());
         summed
     }
 
-    /// Every cell, its first node, and the weights from there on.
+    /// Returns every cell, its first node, and the weights from there on.
     fn cells(&self) -> impl Iterator<Item = (usize, (usize, &[f64]))> {
         let weights = self.from.windows(2).map(|w| &self.weight[w[0]..w[1]]);
         (self.cell..).zip(self.node.iter().copied().zip(weights))
@@ -696,12 +742,12 @@ impl Summed {
 }
 
 impl Patch {
-    /// Sum of the squares.
+    /// Returns the sum of the squares.
     pub fn square(&self) -> f64 {
         dot(self.all(), self.all())
     }
 
-    /// Rows (axis 0) or columns (axis 1) of the map that it is on.
+    /// Returns the rows (axis 0) or columns (axis 1) of the map that it is on.
     pub fn range(&self, axis: usize) -> Range<usize> {
         let start = [self.origin.0, self.origin.1][axis];
         start..start + self.rate_nm_per_s.shape()[axis]
@@ -709,13 +755,14 @@ impl Patch {
 
     /// Returns true if the patches have a pixel in common.
     pub fn overlaps(&self, other: &Self) -> bool {
-        let apart = |a: usize, n: usize, b: usize, m: usize| a >= b + m || b >= a + n;
-        let ((ny, nx), (my, mx)) = (self.rate_nm_per_s.dim(), other.rate_nm_per_s.dim());
-        !apart(self.origin.0, ny, other.origin.0, my)
-            && !apart(self.origin.1, nx, other.origin.1, mx)
+        [0, 1].iter().all(|axis| {
+            let own = self.range(*axis);
+            let other = other.range(*axis);
+            own.start < other.end && other.start < own.end
+        })
     }
 
-    /// Row by row.
+    /// Returns the rates row by row.
     pub fn all(&self) -> &[f64] {
         self.rate_nm_per_s.as_slice().expect("in C order")
     }
@@ -749,7 +796,7 @@ mod tests {
         let maps = [coarse, of_pitch(0.11, 0.09), of_pitch(0.11 * (1.0 + 2.5e-8), 0.09 + 1e-9)];
         let places = [[1.7, 1.3], [-1.0, 0.2], [3.9, 2.32], [0.0, 0.0], [99.0, 0.0]];
         for (map, p) in maps.iter().flat_map(|map| places.map(|p| (map, p))) {
-            let patch = patch(&[Place::new(p, 1.0)], &tif, map);
+            let patch = patch(&[ToolPlace::new(p, 1.0)], &tif, map);
             let mut full = Array2::zeros(map.shape());
             let (r, c) = patch.origin;
             let (ny, nx) = patch.rate_nm_per_s.dim();
@@ -847,7 +894,7 @@ mod tests {
     fn cells_summed_before_the_samples_are_those_of_the_pixels() {
         let (tif, coarse) = rough();
         // Pixels of another pitch than the TIF, of its pitch, and larger ones.
-        let place = |x: f64, y: f64, fraction: f64| Place::new([x, y], fraction);
+        let place = |x: f64, y: f64, fraction: f64| ToolPlace::new([x, y], fraction);
         let columns = [
             vec![place(1.7, 1.3, 0.4), place(1.9, 1.3, 0.3), place(2.0, 1.45, 0.3)],
             vec![place(-1.0, 0.2, 1.0)],
@@ -857,7 +904,7 @@ mod tests {
         for map in [coarse, of_pitch(0.11, 0.09), of_pitch(0.17, 0.12)] {
             let mut weight = Array2::from_elem(map.shape(), 0.3);
             for size in [1, 2, 5] {
-                let cells = Cells::new(&tif, &map, &weight, size);
+                let cells = PixelCells::new(&tif, &map, &weight, size);
                 for column in &columns {
                     let (found, expected) =
                         (cells.by_sums(column).unwrap(), cells.by_pixels(column));
@@ -870,7 +917,7 @@ mod tests {
             }
             // A pixel that is not measured: only columns that reach its cell see it.
             weight[[0, 0]] = 0.0;
-            let cells = Cells::new(&tif, &map, &weight, 2);
+            let cells = PixelCells::new(&tif, &map, &weight, 2);
             let by_sums = columns.each_ref().map(|column| cells.by_sums(column).is_some());
             assert!(by_sums[0] && !by_sums[2] && by_sums[3], "{by_sums:?}");
         }

@@ -18,7 +18,8 @@
 //! so (1) takes convolutions along rows and columns, one transform for each cell and d, and a few
 //! pixels for each corner. Nothing is approximated for a TIF on the lattice of the map
 //! ([`planish_types::TifLattice`]): only sums are reordered. Where a pixel has several samples of the TIF,
-//! (1) is for all nodes of that lattice, of which the pixels are some. A surrogate samples a TIF at the pitch of its map.
+//! (1) is for all nodes of that lattice, of which the pixels are some. A surrogate samples a TIF at the pitch of its
+//! map.
 
 mod lattice;
 mod spill;
@@ -30,7 +31,7 @@ use ndarray::{Array2, Axis as NdAxis, s};
 use planish_numerics::{fft::convolution::Convolution, parallel};
 use planish_types::{Axis, Grid, Tif};
 
-use crate::model::{columns::Place, varying};
+use crate::model::{columns::ToolPlace, varying};
 pub use lattice::Spread;
 use lattice::{Lattice, Placed, kernel, placed, samples, without_ghosts};
 use spill::{Across, Corners, LINES_PER_TASK};
@@ -38,11 +39,11 @@ pub use sums::Sums;
 
 /// B of [`crate::model::columns`] as an operator: (1) for every kernel of the tool.
 pub struct FftOperator {
-    kernels: Vec<OfKernel>,
+    kernels: Vec<KernelOperator>,
     /// Factor of every pixel, if the tool has one.
     factor: Option<Array2<f64>>,
     /// The mean tool by its energy at every place, for a tool that varies.
-    by_energy: Option<Box<OfKernel>>,
+    by_energy: Option<Box<KernelOperator>>,
     /// Shape of the map (ny, nx).
     shape: (usize, usize),
     /// Nodes for each pixel along [x, y].
@@ -50,7 +51,7 @@ pub struct FftOperator {
 }
 
 /// (1) for a kernel and the places at which it removes.
-struct OfKernel {
+struct KernelOperator {
     columns: usize,
     /// g[j], j = -1 ..= last on both axes.
     samples: Array2<f64>,
@@ -69,19 +70,24 @@ struct OfKernel {
 const NEGLIGIBLE_SPILL: f64 = 1e-14;
 
 impl FftOperator {
-    /// Plans for the columns of one path, TIF and map.
-    pub fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Self {
+    /// Makes the operator for the columns of one path, TIF and map.
+    pub fn new(places: &[Vec<ToolPlace>], tif: &Tif, grid: &Grid) -> Self {
         Self::spreading(places, tif, grid, Spread::Keys, true)
     }
 
-    /// C S alone, of samples that are continued by zeros: for a surrogate. With few samples Keys' weights are too rough
-    /// and ghost nodes far from R.
-    pub fn without_border(places: &[Vec<Place>], tif: &Tif, grid: &Grid, spread: Spread) -> Self {
+    /// Makes C S alone, of samples that are continued by zeros: for a surrogate. With few samples Keys' weights are too
+    /// rough and ghost nodes far from R.
+    pub fn without_border(
+        places: &[Vec<ToolPlace>],
+        tif: &Tif,
+        grid: &Grid,
+        spread: Spread,
+    ) -> Self {
         Self::spreading(places, tif, grid, spread, false)
     }
 
     fn spreading(
-        places: &[Vec<Place>],
+        places: &[Vec<ToolPlace>],
         tif: &Tif,
         grid: &Grid,
         spread: Spread,
@@ -89,14 +95,14 @@ impl FftOperator {
     ) -> Self {
         let parts = if border { parts(tif, grid) } else { [1, 1] };
         let nodes = nodes(grid, parts);
-        let of = |places: &[Vec<Place>], kernel: &Tif, border| {
-            OfKernel::new(places, kernel, &nodes, spread, border)
-        };
         let kernels = varying::kernels(places, tif);
-        let kernels = kernels.map(|(kernel, places)| of(&places, kernel, border)).collect();
-        let by_energy = tif
-            .variation()
-            .map(|_| Box::new(of(&varying::by_energy(places, tif), &tif.mean_tool(), false)));
+        let kernels = kernels
+            .map(|(kernel, places)| KernelOperator::new(&places, kernel, &nodes, spread, border))
+            .collect();
+        let by_energy = tif.variation().map(|_| {
+            let places = varying::by_energy(places, tif);
+            Box::new(KernelOperator::new(&places, &tif.mean_tool(), &nodes, spread, false))
+        });
         let factor = tif.variation().and_then(|v| v.factor_on(grid)).map(Cow::into_owned);
         Self { kernels, factor, by_energy, shape: grid.shape(), parts }
     }
@@ -112,7 +118,7 @@ impl FftOperator {
         parts(tif, grid) == [1, 1] && Self::is_exact(tif, grid)
     }
 
-    /// `B t`: (ny, nx), nm.
+    /// Returns `B t`, shape (ny, nx), nm.
     pub fn apply(&self, t: &[f64]) -> Array2<f64> {
         let sum = self.kernels.iter().map(|kernel| kernel.apply(t)).reduce(|a, b| a + b);
         let mut map = self.on_pixels(sum.expect("a tool has a kernel"));
@@ -122,20 +128,20 @@ impl FftOperator {
         map
     }
 
-    /// `B' m` for a map (ny, nx).
+    /// Returns `B' m` (n) for a map m (ny, nx).
     pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
-        self.sum_of_adjoints(map, OfKernel::adjoint)
+        self.sum_of_adjoints(map, KernelOperator::adjoint)
     }
 
-    /// `E' m`.
+    /// Returns `E' m` (n) for a map m (ny, nx).
     pub fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
-        self.sum_of_adjoints(map, OfKernel::adjoint_with_spill)
+        self.sum_of_adjoints(map, KernelOperator::adjoint_with_spill)
     }
 
     fn sum_of_adjoints(
         &self,
         map: &Array2<f64>,
-        adjoint: impl Fn(&OfKernel, &Array2<f64>) -> Vec<f64>,
+        adjoint: impl Fn(&KernelOperator, &Array2<f64>) -> Vec<f64>,
     ) -> Vec<f64> {
         let map = match &self.factor {
             Some(factor) => Cow::Owned(map * factor),
@@ -150,8 +156,8 @@ impl FftOperator {
         sums
     }
 
-    /// `B' m` with R^2 in place of R, but for what spills. Of a tool that varies, R is the mean tool with the energy that
-    /// the tool has at every place.
+    /// Returns `B' m` with R^2 in place of R, but for what spills. Of a tool that varies, R is the mean tool with the
+    /// energy that the tool has at every place.
     pub fn adjoint_of_squared_tif(&self, map: &Array2<f64>) -> Vec<f64> {
         let map = match &self.factor {
             Some(factor) => Cow::Owned(map * factor * factor),
@@ -184,22 +190,28 @@ impl FftOperator {
 
 /// Returns the samples of the TIF for each pixel along [x, y], the nearest whole numbers.
 fn parts(tif: &Tif, grid: &Grid) -> [usize; 2] {
-    let of = |map: &Axis, samples: &Axis| (map.step_mm() / samples.step_mm()).round().max(1.0);
-    [of(&grid.x, &tif.grid().x), of(&grid.y, &tif.grid().y)].map(|parts| parts as usize)
+    [(&grid.x, &tif.grid().x), (&grid.y, &tif.grid().y)]
+        .map(|(map, samples)| (map.step_mm() / samples.step_mm()).round().max(1.0) as usize)
 }
 
 /// Returns the nodes of a map with so many parts of a pixel along [x, y].
 fn nodes(grid: &Grid, parts: [usize; 2]) -> Grid {
-    let of = |axis: &Axis, parts: usize| {
-        let finer =
-            Axis::new(axis.start_mm(), axis.step_mm() / parts as f64, (axis.len() - 1) * parts + 1);
+    let [x, y] = [(&grid.x, parts[0]), (&grid.y, parts[1])].map(|(axis, parts)| {
+        let step_mm = axis.step_mm() / parts as f64;
+        let finer = Axis::new(axis.start_mm(), step_mm, (axis.len() - 1) * parts + 1);
         finer.expect("a finer axis within the same ends")
-    };
-    Grid { x: of(&grid.x, parts[0]), y: of(&grid.y, parts[1]) }
+    });
+    Grid { x, y }
 }
 
-impl OfKernel {
-    fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid, spread: Spread, border: bool) -> Self {
+impl KernelOperator {
+    fn new(
+        places: &[Vec<ToolPlace>],
+        tif: &Tif,
+        grid: &Grid,
+        spread: Spread,
+        border: bool,
+    ) -> Self {
         let [x, y] = [0, 1].map(|axis| Lattice::new(grid, tif, axis, spread));
         let mut samples = samples(tif, &x, &y);
         if !border {
@@ -208,12 +220,7 @@ impl OfKernel {
         let shape = (y.sources(), x.sources());
         let across = || {
             let placed = placed(places, &x, &y);
-            let swap = |p: &Placed| Placed {
-                cell: [p.cell[1], p.cell[0]],
-                offset: [p.offset[1], p.offset[0]],
-                ..*p
-            };
-            let swapped = placed.iter().map(swap).collect();
+            let swapped = placed.iter().map(Placed::swapped).collect();
             rayon::join(
                 || Across::new(y, x, samples.view(), placed),
                 || Across::new(x, y, samples.t(), swapped),
@@ -226,14 +233,13 @@ impl OfKernel {
         let (my, mx) = samples.dim();
         let spills = border
             && samples.indexed_iter().any(|((r, c), v)| {
-                let at_border = |k: usize, n: usize| k <= 2 || k + 4 >= n;
-                (at_border(r, my) || at_border(c, mx)) && v.abs() > NEGLIGIBLE_SPILL * peak
+                (is_border(r, my) || is_border(c, mx)) && v.abs() > NEGLIGIBLE_SPILL * peak
             });
         let columns = places.len();
         Self { columns, samples, corners, convolution, rows, columns_across, spread, spills }
     }
 
-    /// `B t`: (ny, nx), nm.
+    /// Returns `B t`, shape (ny, nx), nm.
     fn apply(&self, t: &[f64]) -> Array2<f64> {
         let mut map = self.convolution.valid(self.rows.seconds(t).view());
         if self.spills {
@@ -250,7 +256,7 @@ impl OfKernel {
         map
     }
 
-    /// `B' m` for a map (ny, nx).
+    /// Returns `B' m` (n) for a map m (ny, nx).
     fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
         let mut sums = self.adjoint_with_spill(map);
         if self.spills {
@@ -267,18 +273,23 @@ impl OfKernel {
         sums
     }
 
-    /// `E' m`.
+    /// Returns `E' m` (n) for a map m (ny, nx).
     fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
         self.rows.gather(&self.convolution.adjoint(map.view()), self.columns)
     }
 
-    /// `B' m` with R^2 in place of R, but for what spills.
+    /// Returns `B' m` with R^2 in place of R, but for what spills.
     fn adjoint_of_squared_tif(&self, map: &Array2<f64>) -> Vec<f64> {
         let squared = kernel(&self.samples.mapv(|r| r * r), self.spread);
         let shape = (self.rows.across.sources(), self.rows.along.sources());
         let field = Convolution::<f64>::new(squared.view(), shape).adjoint(map.view());
         self.rows.gather(&field, self.columns)
     }
+}
+
+/// Returns true for a node k of n that is a border or a ghost of the TIF.
+fn is_border(k: usize, n: usize) -> bool {
+    k <= 2 || k + 4 >= n
 }
 
 #[cfg(test)]
@@ -311,7 +322,7 @@ mod tests {
     }
 
     /// B t by its columns.
-    fn by_columns(places: &[Vec<Place>], tif: &Tif, map: &Grid, t: &[f64]) -> Array2<f64> {
+    fn by_columns(places: &[Vec<ToolPlace>], tif: &Tif, map: &Grid, t: &[f64]) -> Array2<f64> {
         let mut removal = Array2::zeros(map.shape());
         for (p, t) in columns::patches(places, tif, map).iter().zip(t) {
             let ((r, c), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
@@ -325,13 +336,13 @@ mod tests {
     }
 
     /// Places on nodes, between them, and around the map, one in each column.
-    fn places(map: &Grid) -> Vec<Vec<Place>> {
+    fn places(map: &Grid) -> Vec<Vec<ToolPlace>> {
         let at = |axis: &Axis, k: usize| axis.start_mm() + k as f64 * 0.45 * axis.step_mm();
         (0..2600)
             .map(|j| {
                 let (kx, ky) = ((7 * j) % 173, (11 * j) % 139);
                 let p = [at(&map.x, kx) - 1.8, at(&map.y, ky) - 1.5];
-                vec![Place::new(p, 1.0)]
+                vec![ToolPlace::new(p, 1.0)]
             })
             .collect()
     }
@@ -398,7 +409,7 @@ mod tests {
     fn without_a_border_it_follows_a_smooth_tif_by_the_fourth_power_of_the_pitch() {
         // exp(-(x^2 + 1.3 y^2) / 2), 1e-14 at its edge, of a tool at 40 places between the nodes, over every pixel
         let bell = |x: f64, y: f64| (-(x * x + 1.3 * y * y) / 2.0).exp();
-        let error = |h: f64, operator: fn(&[Vec<Place>], &Tif, &Grid) -> FftOperator| {
+        let error = |h: f64, operator: fn(&[Vec<ToolPlace>], &Tif, &Grid) -> FftOperator| {
             let axis = |half: f64| {
                 let n = (half / h).round();
                 Axis::new(-n * h, h, 2 * n as usize + 1).unwrap()
@@ -408,7 +419,7 @@ mod tests {
             let (tif, map) = (Tif::new(own, rate).unwrap(), Grid { x: axis(3.0), y: axis(2.0) });
             let of = |k: usize| {
                 let at = [0.7 * (k as f64).sin(), 0.4 * (1.7 * k as f64).cos()];
-                let places = vec![vec![Place::new(at, 1.0)]];
+                let places = vec![vec![ToolPlace::new(at, 1.0)]];
                 let found = operator(&places, &tif, &map).apply(&[1.0]);
                 let exact = |(r, c)| bell(map.x.at(c) - at[0], map.y.at(r) - at[1]);
                 largest(&(found - Array2::from_shape_fn(map.shape(), exact)))

@@ -9,8 +9,7 @@ use planish_numerics::parallel;
 use planish_types::{Grid, Invalid, Tif};
 
 use crate::model::{
-    ROWS_PER_TASK,
-    columns::{self, Patch, Place, Stored},
+    columns::{self, Stored, ToolPlace},
     fft_operator::FftOperator,
     products::{Bundle, MOST_BUNDLED},
 };
@@ -32,12 +31,12 @@ const MAX_TIF_PIXELS: f64 = 2.7e8;
 /// square. Smaller: fewer problems can be solved.
 pub const MAX_MATRIX_POINTS: usize = 6000;
 
-/// Pixels of the map that the TIF covers.
+/// Returns the number of pixels of the map that the TIF covers.
 pub fn pixels_under(tif: &Tif, grid: &Grid) -> f64 {
     tif.rate_nm_per_s().len() as f64 * tif.grid().pixel_mm2() / grid.pixel_mm2()
 }
 
-/// [`pixels_under`]; refuses so many that the units must be wrong.
+/// Returns [`pixels_under`]; refuses so many that the units must be wrong.
 fn covered_pixels(tif: &Tif, grid: &Grid) -> Result<f64, Invalid> {
     let pixels = pixels_under(tif, grid);
     if pixels <= MAX_TIF_PIXELS {
@@ -53,88 +52,74 @@ fn covered_pixels(tif: &Tif, grid: &Grid) -> Result<f64, Invalid> {
 /// B.
 pub enum Operator {
     /// Stored columns.
-    Stored {
-        /// One per dwell point.
-        patches: Vec<Patch>,
-        /// (ny, nx).
-        shape: (usize, usize),
-    },
+    Stored(Stored),
     /// Operator by spreading and FFT.
     Fft(Box<FftOperator>),
 }
 
 impl Operator {
-    /// B for the places of the tool in each column.
-    pub fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid) -> Result<Self, Invalid> {
+    /// Makes B for the places of the tool in each column.
+    ///
+    /// # Errors
+    /// Refuses a TIF that covers so many pixels that the units must be wrong.
+    pub fn new(places: &[Vec<ToolPlace>], tif: &Tif, grid: &Grid) -> Result<Self, Invalid> {
         // A column has at most the pixels of the map.
         let pixels = covered_pixels(tif, grid)?.min((grid.x.len() * grid.y.len()) as f64);
         Ok(if places.len() as f64 * pixels <= MAX_STORED_ELEMENTS {
-            Self::Stored { patches: columns::patches(places, tif, grid), shape: grid.shape() }
+            Self::Stored(Stored::new(places, tif, grid))
         } else {
             Self::Fft(Box::new(FftOperator::new(places, tif, grid)))
         })
     }
 
-    /// `columns` or `fft`.
+    /// Returns the name of the method: `columns` or `fft`.
     pub fn name(&self) -> &'static str {
         match self {
-            Self::Stored { .. } => "columns",
+            Self::Stored(_) => "columns",
             Self::Fft(_) => "fft",
         }
     }
 
     /// Returns true if B is that of [`columns`] but for rounding: stored, or by FFT if TIF and map have one pitch.
     pub fn is_exact(&self, tif: &Tif, grid: &Grid) -> bool {
-        matches!(self, Self::Stored { .. }) || FftOperator::is_exact(tif, grid)
+        matches!(self, Self::Stored(_)) || FftOperator::is_exact(tif, grid)
     }
 
-    /// `B t`: (ny, nx), nm.
+    /// Returns `B t`, shape (ny, nx), nm.
     pub fn apply(&self, t: &[f64]) -> Array2<f64> {
-        let (patches, shape) = match self {
-            Self::Stored { patches, shape } => (patches, *shape),
-            Self::Fft(operator) => return operator.apply(t),
-        };
-        let mut map = Array2::zeros(shape);
-        parallel::for_each_band(&mut map, ROWS_PER_TASK, &|band, mut rows| {
-            let first = band * ROWS_PER_TASK;
-            for (p, t) in patches.iter().zip(t) {
-                let (r, c) = p.origin;
-                let (ny, nx) = p.rate_nm_per_s.dim();
-                for row in r.max(first)..(r + ny).min(first + rows.nrows()) {
-                    rows.slice_mut(s![row - first, c..c + nx])
-                        .scaled_add(*t, &p.rate_nm_per_s.row(row - r));
-                }
-            }
-        });
-        map
+        match self {
+            Self::Stored(b) => b.apply(t),
+            Self::Fft(b) => b.apply(t),
+        }
     }
 
-    /// [`Self::adjoint`]; where that is by FFT, the TIF ends up to two pixels beyond its last samples.
+    /// Returns what [`Self::adjoint`] returns; where that is by FFT, the TIF ends up to two pixels beyond its last
+    /// samples.
     pub fn adjoint_with_spill(&self, map: &Array2<f64>) -> Vec<f64> {
         match self {
-            Self::Stored { .. } => self.adjoint(map),
+            Self::Stored(_) => self.adjoint(map),
             Self::Fft(operator) => operator.adjoint_with_spill(map),
         }
     }
 
-    /// `B' m` for a map (ny, nx).
+    /// Returns `B' m` (n) for a map m (ny, nx).
     pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
         let patches = match self {
-            Self::Stored { patches, .. } => patches,
+            Self::Stored(b) => &b.patches,
             Self::Fft(operator) => return operator.adjoint(map),
         };
-        let of = |p: &Patch| {
+        parallel::map(patches.len(), &|j| {
+            let p = &patches[j];
             let (r, c) = p.origin;
             let nx = p.rate_nm_per_s.ncols();
             let rows = p.rate_nm_per_s.outer_iter().enumerate();
             rows.map(|(i, rate)| rate.dot(&map.slice(s![r + i, c..c + nx]))).sum()
-        };
-        parallel::map(patches.len(), &|j| of(&patches[j]))
+        })
     }
 }
 
-/// B for a certificate: by the FFT where the TIF has the pitch of the map, by its columns where it has not and they fit.
-/// Where a pixel has several samples of the TIF, a transform of all of them takes longer than the columns.
+/// B for a certificate: by the FFT where the TIF has the pitch of the map, by its columns where it has not and they
+/// fit. Where a pixel has several samples of the TIF, a transform of all of them takes longer than the columns.
 ///
 /// It sums in another order than [`Operator`], which stores fewer columns and prefers them.
 pub enum Removal {
@@ -145,9 +130,12 @@ pub enum Removal {
 }
 
 impl Removal {
-    /// B for the places of the tool in each column; `as_columns` allows columns, where they fit.
+    /// Makes B for the places of the tool in each column; `as_columns` allows columns, where they fit.
+    ///
+    /// # Errors
+    /// Refuses a TIF that covers so many pixels that the units must be wrong.
     pub fn new(
-        places: &[Vec<Place>],
+        places: &[Vec<ToolPlace>],
         tif: &Tif,
         grid: &Grid,
         as_columns: bool,
@@ -163,7 +151,7 @@ impl Removal {
         })
     }
 
-    /// `B t`: (ny, nx), nm.
+    /// Returns `B t`, shape (ny, nx), nm.
     pub fn apply(&self, t: &[f64]) -> Array2<f64> {
         match self {
             Self::Stored(b) => b.apply(t),
@@ -171,7 +159,7 @@ impl Removal {
         }
     }
 
-    /// `B' m` for a map (ny, nx).
+    /// Returns `B' m` (n) for a map m (ny, nx).
     pub fn adjoint(&self, map: &Array2<f64>) -> Vec<f64> {
         match self {
             Self::Stored(b) => b.adjoint(map),
@@ -180,10 +168,10 @@ impl Removal {
     }
 }
 
-/// `B' W B - b b' / sum(w)`, b = B' w: the normal matrix (n, n) with a free piston, for solvers that
+/// Returns `B' W B - b b' / sum(w)`, b = B' w: the normal matrix (n, n) with a free piston, for solvers that
 /// need a matrix. Refuses one that does not fit.
 pub fn normal_matrix(
-    places: &[Vec<Place>],
+    places: &[Vec<ToolPlace>],
     tif: &Tif,
     grid: &Grid,
     weight: &Array2<f64>,
@@ -200,16 +188,12 @@ pub fn normal_matrix(
     // W^1/2 B
     let mut patches = columns::patches(places, tif, grid);
     let root = weight.mapv(f64::sqrt);
-    let under = |p: &Patch, map: &Array2<f64>| {
-        let ((r, c), (ny, nx)) = (p.origin, p.rate_nm_per_s.dim());
-        map.slice(s![r..r + ny, c..c + nx]).to_owned()
-    };
     parallel::consume(&mut patches, &|_, p| {
-        let w = under(p, &root);
+        let w = p.part_of(&root);
         p.rate_nm_per_s *= &w;
     });
     let b: Vec<f64> =
-        parallel::map(n, &|j| (&patches[j].rate_nm_per_s * &under(&patches[j], &root)).sum());
+        parallel::map(n, &|j| (&patches[j].rate_nm_per_s * &patches[j].part_of(&root)).sum());
     let total = weight.sum();
     let mut h = Array2::zeros((n, n));
     let rows = h.axis_chunks_iter_mut(Axis(0), MOST_BUNDLED);
@@ -263,13 +247,13 @@ mod tests {
         };
         let (x, y) = (reach(&grid.x, &own.x), reach(&grid.y, &own.y));
         let n = rng.random_range(1..80);
-        let places: Vec<Vec<Place>> = (0..n)
+        let places: Vec<Vec<ToolPlace>> = (0..n)
             .map(|_| {
                 let count = rng.random_range(0..4);
                 let fraction = 1.0 / f64::from(count.max(1));
                 let mut place = || {
                     let at = [rng.random_range(x.clone()), rng.random_range(y.clone())];
-                    Place::new(at, fraction)
+                    ToolPlace::new(at, fraction)
                 };
                 (0..count).map(|_| place()).collect()
             })
@@ -277,10 +261,7 @@ mod tests {
         let t: Vec<f64> = (0..n).map(|_| rng.random_range(-1.0..1.0)).collect();
         let m = Array2::from_shape_simple_fn(grid.shape(), || rng.random_range(-1.0..1.0));
 
-        let stored = Operator::Stored {
-            patches: columns::patches(&places, &tif, &grid),
-            shape: grid.shape(),
-        };
+        let stored = Operator::Stored(Stored::new(&places, &tif, &grid));
         let fft = Operator::Fft(Box::new(FftOperator::new(&places, &tif, &grid)));
         let removal = Removal::Stored(Stored::new(&places, &tif, &grid));
         let without_border = FftOperator::without_border(&places, &tif, &grid, Spread::Splines);

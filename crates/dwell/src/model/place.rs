@@ -4,7 +4,7 @@ use planish_types::Pose;
 
 /// The tool is at `position_mm` for this fraction of a dwell time.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
+pub struct ToolPlace {
     /// Position [x, y], mm.
     pub position_mm: [f64; 2],
     /// Direction of the motion there, rad from positive x towards positive y.
@@ -14,13 +14,13 @@ pub struct Place {
     pub fraction: f64,
 }
 
-impl Place {
-    /// A place of a tool that does not turn with its motion.
+impl ToolPlace {
+    /// Makes a place of a tool that does not turn with its motion.
     pub fn new(position_mm: [f64; 2], fraction: f64) -> Self {
         Self { position_mm, heading_rad: 0.0, fraction }
     }
 
-    /// Where the tool is, and the direction in which it goes.
+    /// Returns the position and the direction of the motion.
     pub fn pose(&self) -> Pose {
         Pose { position_mm: self.position_mm, heading_rad: self.heading_rad }
     }

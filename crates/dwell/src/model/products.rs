@@ -6,7 +6,7 @@
 use std::ops::Range;
 
 use planish_numerics::linear::{
-    interleaved::{self, Rows},
+    interleaved::{self, PitchedRows},
     skyline::Skyline,
 };
 
@@ -28,45 +28,46 @@ pub struct Bundle {
 impl Bundle {
     /// Bundles up to [`MOST_BUNDLED`] patches near each other.
     pub fn new<'a>(patches: impl Iterator<Item = &'a Patch> + Clone) -> Self {
-        let range = |axis: usize| {
+        let [rows, columns] = [0, 1].map(|axis| {
             let ranges = patches.clone().filter(|p| !p.rate_nm_per_s.is_empty());
             let ranges = ranges.map(|p| p.range(axis));
             ranges.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or_default()
-        };
-        let (rows, columns) = (range(0), range(1));
+        });
         let mut rate_nm_per_s = vec![0.0; rows.len() * columns.len() * MOST_BUNDLED];
         for (lane, patch) in patches.enumerate() {
             assert!(lane < MOST_BUNDLED, "more patches than a bundle holds");
             for ((r, c), rate) in patch.rate_nm_per_s.indexed_iter() {
-                let (r, c) = (r + patch.origin.0 - rows.start, c + patch.origin.1 - columns.start);
+                let r = r + patch.origin.0 - rows.start;
+                let c = c + patch.origin.1 - columns.start;
                 rate_nm_per_s[(r * columns.len() + c) * MOST_BUNDLED + lane] = *rate;
             }
         }
-        let (origin, shape) = ((rows.start, columns.start), (rows.len(), columns.len()));
-        Self { origin, shape, rate_nm_per_s }
+        let origin = (rows.start, columns.start);
+        Self { origin, shape: (rows.len(), columns.len()), rate_nm_per_s }
     }
 
-    /// Sum of the products of every patch of the bundle with another one, where both are; zero beyond the last one of
-    /// the bundle.
+    /// Returns the sum of the products of every patch of the bundle with another one, where both are; zero beyond the
+    /// last one of the bundle.
     pub fn dots(&self, other: &Patch) -> [f64; MOST_BUNDLED] {
         let mut dots = [0.0; MOST_BUNDLED];
-        let overlap = |start: usize, len: usize, other: Range<usize>| {
-            start.max(other.start)..(start + len).min(other.end)
-        };
         let rows = overlap(self.origin.0, self.shape.0, other.range(0));
         let columns = overlap(self.origin.1, self.shape.1, other.range(1));
         if !rows.is_empty() && !columns.is_empty() {
-            let (nx, mx) = (self.shape.1, other.rate_nm_per_s.ncols());
-            let from = |origin: (usize, usize), pitch: usize| {
-                (rows.start - origin.0) * pitch + columns.start - origin.1
-            };
-            let from_a = from(self.origin, nx) * MOST_BUNDLED;
-            let a = Rows { numbers: &self.rate_nm_per_s[from_a..], pitch: nx };
-            let b = Rows { numbers: &other.all()[from(other.origin, mx)..], pitch: mx };
+            let nx = self.shape.1;
+            let mx = other.rate_nm_per_s.ncols();
+            let [own, other_first] = [(self.origin, nx), (other.origin, mx)]
+                .map(|(origin, pitch)| (rows.start - origin.0) * pitch + columns.start - origin.1);
+            let a = PitchedRows { numbers: &self.rate_nm_per_s[own * MOST_BUNDLED..], pitch: nx };
+            let b = PitchedRows { numbers: &other.all()[other_first..], pitch: mx };
             interleaved::add_products(a, b, (rows.len(), columns.len()), &mut dots);
         }
         dots
     }
+}
+
+/// Returns the common part of two ranges, one of them given by its start and length.
+fn overlap(start: usize, len: usize, other: Range<usize>) -> Range<usize> {
+    start.max(other.start)..(start + len).min(other.end)
 }
 
 /// Columns in an order in which the matrix of their products has a small skyline.
@@ -80,43 +81,41 @@ pub struct Order {
 }
 
 impl Order {
-    /// Some `columns` along the one of the axes of the map with the smaller skyline. `at(axis, j)` is where column j is
-    /// along x (0) or y (1). There is room for the elements of these pairs, too.
+    /// Orders some `columns` along the one of the axes of the map with the smaller skyline. `position(axis, j)` is
+    /// where column j is along x (0) or y (1). There is room for the elements of these pairs, too.
     pub fn new(
         columns: &[usize],
         patches: &[Patch],
-        at: impl Fn(usize, usize) -> f64,
+        position: impl Fn(usize, usize) -> f64,
         pairs: &[(usize, usize)],
     ) -> Self {
-        let [x, y] = [0, 1].map(|axis| Self::along(axis, columns, patches, &at, pairs));
+        let [x, y] = [0, 1].map(|axis| Self::along(axis, columns, patches, &position, pairs));
         if x.elements <= y.elements { x } else { y }
     }
 
+    /// Orders the columns along one axis.
     fn along(
         axis: usize,
         columns: &[usize],
         patches: &[Patch],
-        at: impl Fn(usize, usize) -> f64,
+        position: impl Fn(usize, usize) -> f64,
         pairs: &[(usize, usize)],
     ) -> Self {
         let mut order = columns.to_vec();
-        order.sort_by(|a, b| at(axis, *a).total_cmp(&at(axis, *b)).then(a.cmp(b)));
+        order.sort_by(|a, b| position(axis, *a).total_cmp(&position(axis, *b)).then(a.cmp(b)));
         // Columns up to the first one that reaches so far cannot meet it.
         let range = |j: usize| patches[j].range(1 - axis);
-        let mut reached = 0;
-        let so_far: Vec<usize> = order
-            .iter()
-            .map(|j| {
-                reached = range(*j).end.max(reached);
-                reached
-            })
-            .collect();
-        let meets = |i: usize| {
-            let own = &patches[order[i]];
-            let from = so_far[..i].partition_point(|end| *end <= range(order[i]).start);
-            (from..i).find(|l| patches[order[*l]].overlaps(own)).unwrap_or(i)
-        };
-        let mut first: Vec<usize> = (0..order.len()).map(meets).collect();
+        let mut so_far: Vec<usize> = Vec::with_capacity(order.len());
+        for j in &order {
+            let before = so_far.last().copied().unwrap_or(0);
+            so_far.push(range(*j).end.max(before));
+        }
+        let mut first: Vec<usize> = Vec::with_capacity(order.len());
+        for (i, j) in order.iter().enumerate() {
+            let from = so_far[..i].partition_point(|end| *end <= range(*j).start);
+            let mut near = from..i;
+            first.push(near.find(|l| patches[order[*l]].overlaps(&patches[*j])).unwrap_or(i));
+        }
         let row_of = rows(&order, patches.len());
         for (a, b) in pairs {
             if let (Some(a), Some(b)) = (row_of[*a], row_of[*b]) {
@@ -127,8 +126,8 @@ impl Order {
         Self { order, first, elements }
     }
 
-    /// The matrix of the products of these patches. Where `known(i, l)` has the element of row i and column l it is
-    /// not computed.
+    /// Returns the matrix of the products of these patches. Where `known(i, l)` has the element of row i and column l
+    /// it is not computed.
     pub fn products(
         &self,
         patches: &[Patch],
@@ -153,7 +152,7 @@ impl Order {
     }
 }
 
-/// Row of every one of `columns` columns that has one in this order.
+/// Returns the row of every one of `columns` columns that has one in this order.
 pub fn rows(order: &[usize], columns: usize) -> Vec<Option<usize>> {
     let mut rows = vec![None; columns];
     order.iter().enumerate().for_each(|(i, j)| rows[*j] = Some(i));
@@ -259,7 +258,7 @@ mod tests {
                 products += usize::from(l < i && expected > 0.0);
                 taken += usize::from(expected == -1.0);
                 // Some 300 products of at most 1000 in another order.
-                assert!((matrix.at(i, l) - expected).abs() < 1e-9, "{i} {l}");
+                assert!((matrix.element(i, l) - expected).abs() < 1e-9, "{i} {l}");
             }
         }
         assert!(products > 5 && taken > 5, "{products} {taken}");

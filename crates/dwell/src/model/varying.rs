@@ -11,44 +11,48 @@ use std::borrow::Cow;
 
 use planish_types::{Tif, Variation};
 
-use super::place::Place;
+use super::place::ToolPlace;
 
-/// The kernels of a tool, and the places of each for some columns: those of the tool itself, if it does not vary.
+/// Returns the kernels of a tool, and the places of each for some columns: those of the tool itself, if it does not
+/// vary.
 pub fn kernels<'a>(
-    places: &'a [Vec<Place>],
+    places: &'a [Vec<ToolPlace>],
     tif: &'a Tif,
-) -> impl ExactSizeIterator<Item = (&'a Tif, Cow<'a, [Vec<Place>]>)> {
+) -> impl ExactSizeIterator<Item = (&'a Tif, Cow<'a, [Vec<ToolPlace>]>)> {
     let count = tif.variation().map_or(1, |v| v.components().len());
     (0..count).map(move |k| match tif.variation() {
         None => (tif, Cow::Borrowed(places)),
         Some(v) => {
-            let of = |places: &Vec<Place>| places.iter().map(|p| weighted(v, k, p)).collect();
-            (v.components()[k].kernel(), Cow::Owned(places.iter().map(of).collect()))
+            let weighted = places
+                .iter()
+                .map(|places| places.iter().map(|p| weighted(v, k, p)).collect())
+                .collect();
+            (v.components()[k].kernel(), Cow::Owned(weighted))
         }
     })
 }
 
-/// A place with its fraction times the weight of a kernel.
-pub fn weighted(variation: &Variation, kernel: usize, place: &Place) -> Place {
+/// Returns a place with its fraction times the weight of a kernel.
+pub fn weighted(variation: &Variation, kernel: usize, place: &ToolPlace) -> ToolPlace {
     let weight = variation.weight(kernel, place.pose());
-    Place { fraction: weight * place.fraction, ..*place }
+    ToolPlace { fraction: weight * place.fraction, ..*place }
 }
 
-/// Places whose fractions are those of the tool times the ratio of its energy there to that of the mean tool,
+/// Returns places whose fractions are those of the tool times the ratio of its energy there to that of the mean tool,
 /// `int K^2 / int R^2`.
-pub fn by_energy<'a>(places: &'a [Vec<Place>], tif: &Tif) -> Cow<'a, [Vec<Place>]> {
+pub fn by_energy<'a>(places: &'a [Vec<ToolPlace>], tif: &Tif) -> Cow<'a, [Vec<ToolPlace>]> {
     let Some(v) = tif.variation() else { return Cow::Borrowed(places) };
     let rates: Vec<_> = v.components().iter().map(|c| c.kernel().rate_nm_per_s()).collect();
     let products: Vec<Vec<f64>> =
         rates.iter().map(|a| rates.iter().map(|b| (*a * *b).sum()).collect()).collect();
     let of_mean: f64 = tif.rate_nm_per_s().iter().map(|r| r * r).sum();
-    let of = |p: &Place| {
+    let by_energy = |p: &ToolPlace| {
         let a: Vec<f64> = (0..rates.len()).map(|k| v.weight(k, p.pose())).collect();
         let rows = a.iter().zip(&products);
         let energy: f64 = rows
             .map(|(a_k, row)| a_k * row.iter().zip(&a).map(|(g, a_l)| g * a_l).sum::<f64>())
             .sum();
-        Place { fraction: p.fraction * energy / of_mean, ..*p }
+        ToolPlace { fraction: p.fraction * energy / of_mean, ..*p }
     };
-    places.iter().map(|places| places.iter().map(of).collect()).collect()
+    places.iter().map(|places| places.iter().map(by_energy).collect()).collect()
 }

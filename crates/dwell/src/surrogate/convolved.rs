@@ -14,7 +14,7 @@ use super::{
 };
 use crate::{
     model::{
-        columns::Place,
+        columns::ToolPlace,
         fft_operator::{FftOperator, Spread, Sums},
     },
     objective::{Basis, Free, Penalty},
@@ -43,7 +43,7 @@ struct Operator {
 }
 
 impl Operator {
-    /// `H~ t`, with the penalty.
+    /// Returns `H~ t`, with the penalty.
     fn product(&self, penalty: &Penalty, t: &[f64]) -> Vec<f64> {
         let mut h_t = self.b.adjoint(&(self.b.apply(t) * &self.weight));
         for u in &self.u {
@@ -81,10 +81,13 @@ pub struct Minimum {
 }
 
 impl Convolved {
-    /// H~ for cells of `size` x `size` pixels. With a pitch of splines its minimum
-    /// is found by them and an active set, without by gradient steps.
+    /// Makes H~ for cells of `size` x `size` pixels. With a pitch of splines its minimum is found by them and an active
+    /// set, without by gradient steps.
+    ///
+    /// # Errors
+    /// Refuses cells that no axis can have.
     pub fn new(
-        places: &[Vec<Place>],
+        places: &[Vec<ToolPlace>],
         reached: &[bool],
         tif: &Tif,
         map: &Grid,
@@ -92,11 +95,8 @@ impl Convolved {
         free: Free,
         (size, spline_pitch_mm): (usize, Option<f64>),
     ) -> Result<Self, Invalid> {
-        let axis = |a: &Axis| {
-            Axis::new(a.start_mm(), size as f64 * a.step_mm(), (a.len() - 1).div_ceil(size) + 1)
-        };
-        let grid = Grid { x: axis(&map.x)?, y: axis(&map.y)? };
-        let simpler: Vec<Vec<Place>>;
+        let grid = Grid { x: cell_axis(&map.x, size)?, y: cell_axis(&map.y, size)? };
+        let simpler: Vec<Vec<ToolPlace>>;
         let places = if size > 1 {
             let longest_mm = MAX_CELLS_IN_TWO * grid.x.step_mm().min(grid.y.step_mm());
             simpler = places.iter().map(|places| in_two(places, longest_mm)).collect();
@@ -130,7 +130,7 @@ impl Convolved {
         Ok(Self { h: Operator { b, weight: cells, u }, diagonal, splines })
     }
 
-    /// The minimum of `q'd + d'H~d / 2` within the bounds, `d` from `t`. Components that are not reached stay.
+    /// Returns the minimum of `q'd + d'H~d / 2` within the bounds, `d` from `t`. Components that are not reached stay.
     pub fn minimum(
         &mut self,
         penalty: &Penalty,
@@ -153,9 +153,6 @@ impl Convolved {
         let g: Vec<f64> = h_t.iter().zip(q).map(|(h, q)| h - q).collect();
         let mut settings = *settings;
         if let Some(Splines { sums, nodes, coarse }) = splines {
-            let deflation = |free: &[bool]| {
-                TwoLevel::new(nodes, coarse, (sums, &h.weight), penalty, &h.u, free)
-            };
             let products = ProductSettings {
                 enough: settings.tolerance,
                 inexact: LINEAR_SOLVE_ERROR,
@@ -163,12 +160,20 @@ impl Convolved {
                 max_products: settings.max_iterations,
             };
             let bounds = (lo.as_slice(), bounds.1);
-            let found = bounded::active_set_by_products(
-                apply, deflation, &diagonal, &g, bounds, t, &products,
+            let solved = bounded::active_set_by_products(
+                apply,
+                |free: &[bool]| {
+                    TwoLevel::new(nodes, coarse, (sums, &h.weight), penalty, &h.u, free)
+                },
+                &diagonal,
+                &g,
+                bounds,
+                t,
+                &products,
             );
-            let Solution { value, iterations, .. } = found.solution;
+            let Solution { value, iterations, .. } = solved.solution;
             if value != t {
-                let unbounded = Unbounded { t: found.unbounded, free: found.free };
+                let unbounded = Unbounded { t: solved.unbounded, free: solved.free };
                 return Minimum { t: value, unbounded: Some(unbounded), iterations };
             }
             // No set was better: gradient steps descend at least.
@@ -178,12 +183,14 @@ impl Convolved {
         // The offset is that of the objective at t.
         let own: f64 = (0..t.len()).map(|j| t[j] * (0.5 * h_t[j] - g[j])).sum();
         let settings = GradientSettings { offset: settings.offset - own, ..settings };
-        let found = bounded::projected_gradient(apply, &diagonal, &g, &lo, bounds.1, t, &settings);
-        Minimum { t: found.value, unbounded: None, iterations: found.iterations }
+        let descended =
+            bounded::projected_gradient(apply, &diagonal, &g, &lo, bounds.1, t, &settings);
+        Minimum { t: descended.value, unbounded: None, iterations: descended.iterations }
     }
 
-    /// The minimum of `q'd + d'H~d / 2` over free components alone, without bounds, and the products, at most so many.
-    /// The factor at hand is used again where it is of some of these, which should be nearly all.
+    /// Returns the minimum of `q'd + d'H~d / 2` over free components alone, without bounds, and the number of products,
+    /// which is at most `max_products`. The factor at hand is used again where it is of some of these, which should be
+    /// nearly all.
     pub fn step(
         &mut self,
         penalty: &Penalty,
@@ -216,45 +223,48 @@ impl Convolved {
 /// errs more for long segments. Smaller: more places, and more time.
 const MAX_CELLS_IN_TWO: f64 = 3.0;
 
-/// Two places in place of more, with their mean and with their spread along the line on which that is largest. For uniform
-/// motion along a line it is Gauss' rule: `k^4 l^4 / 4320` of a wave k is lost on a length l.
-fn in_two(places: &[Place], longest_mm: f64) -> Vec<Place> {
+/// Returns the pixels of the map that begin a cell, and one beyond the last.
+fn cell_axis(map: &Axis, size: usize) -> Result<Axis, Invalid> {
+    let cells = (map.len() - 1).div_ceil(size) + 1;
+    Axis::new(map.start_mm(), size as f64 * map.step_mm(), cells)
+}
+
+/// Returns two places in place of more, with their mean and with their spread along the line on which that is
+/// largest. For uniform motion along a line it is Gauss' rule: `k^4 l^4 / 4320` of a wave k is lost on a length l.
+fn in_two(places: &[ToolPlace], longest_mm: f64) -> Vec<ToolPlace> {
     let total: f64 = places.iter().map(|p| p.fraction).sum();
     if places.len() <= 2 || length_mm(places) > longest_mm || total <= 0.0 {
         return places.to_vec();
     }
-    let mean =
-        |of: &dyn Fn(&Place) -> f64| places.iter().map(|p| p.fraction * of(p)).sum::<f64>() / total;
-    let [x, y] = [0, 1].map(|k| mean(&|p| p.position_mm[k]));
-    let product = |a: usize, b: usize| {
-        mean(&|p| (p.position_mm[a] - [x, y][a]) * (p.position_mm[b] - [x, y][b]))
-    };
-    let (xx, xy, yy) = (product(0, 0), product(0, 1), product(1, 1));
+    let [x, y] = [0, 1].map(|k| mean(places, total, |p| p.position_mm[k]));
+    let [xx, xy, yy] = [(0, 0), (0, 1), (1, 1)].map(|(a, b)| {
+        mean(places, total, |p| (p.position_mm[a] - [x, y][a]) * (p.position_mm[b] - [x, y][b]))
+    });
     // The larger eigenvalue of [xx xy; xy yy], and its direction.
     let angle = 0.5 * (2.0 * xy).atan2(xx - yy);
     let spread_mm = (0.5 * (xx + yy) + (0.25 * (xx - yy).powi(2) + xy * xy).sqrt()).sqrt();
     // That of the place in the middle: columns are short beside the bends of a path.
     let heading_rad = places[places.len() / 2].heading_rad;
-    let at = |sign: f64| Place {
+    let both = [-1.0, 1.0].map(|sign| ToolPlace {
         heading_rad,
         position_mm: [x + sign * spread_mm * angle.cos(), y + sign * spread_mm * angle.sin()],
         fraction: 0.5 * total,
-    };
-    vec![at(-1.0), at(1.0)]
+    });
+    both.to_vec()
 }
 
-/// The weights of the pixels on the first pixels of cells of `size`, by linear interpolation between these: so sums over
-/// pixels of what is linear between them are kept.
+/// Returns the mean of a value over places, weighted by their fractions; `total` is the sum of the fractions.
+fn mean(places: &[ToolPlace], total: f64, value: impl Fn(&ToolPlace) -> f64) -> f64 {
+    places.iter().map(|p| p.fraction * value(p)).sum::<f64>() / total
+}
+
+/// Returns the weights of the pixels on the first pixels of cells of `size`, by linear interpolation between these:
+/// so sums over pixels of what is linear between them are kept.
 fn on_cells(weight: &Array2<f64>, shape: (usize, usize), size: usize) -> Array2<f64> {
-    let split = |pixel: usize| {
-        let (below, f) = (pixel / size, (pixel % size) as f64 / size as f64);
-        // A pixel that is the first of a cell has nothing on the next one, which may not be there.
-        [(below, 1.0 - f), (below + usize::from(f > 0.0), f)]
-    };
     let mut cells = Array2::<f64>::zeros(shape);
     for ((r, c), w) in weight.indexed_iter().filter(|(_, w)| **w > 0.0) {
-        for (y, v) in split(r) {
-            for (x, u) in split(c) {
+        for (y, v) in shares(r, size) {
+            for (x, u) in shares(c, size) {
                 cells[[y, x]] += w * v * u;
             }
         }
@@ -262,15 +272,24 @@ fn on_cells(weight: &Array2<f64>, shape: (usize, usize), size: usize) -> Array2<
     cells
 }
 
-/// The TIF at the pitch of the cells, with room for what its spline does beyond it: 0.27 of it each sample further.
+/// Returns the two cells that share a pixel along an axis, with their shares.
+fn shares(pixel: usize, size: usize) -> [(usize, f64); 2] {
+    let below = pixel / size;
+    let f = (pixel % size) as f64 / size as f64;
+    // A pixel that is the first of a cell has nothing on the next one, which may not be there.
+    [(below, 1.0 - f), (below + usize::from(f > 0.0), f)]
+}
+
+/// Samples the TIF at the pitch of the cells, with room for what its spline does beyond it: 0.27 of it each sample
+/// further.
 fn sampled(tif: &Tif, map: &Grid, size: usize) -> Result<Tif, Invalid> {
-    const BEYOND: usize = 3;
-    let axis = |own: &Axis, map: &Axis| {
+    let [x, y] = [(&tif.grid().x, &map.x), (&tif.grid().y, &map.y)].map(|(own, map)| {
+        const BEYOND: usize = 3;
         let step = size as f64 * map.step_mm();
         let samples = ((own.end_mm() - own.start_mm()) / step).ceil() as usize + 1 + 2 * BEYOND;
         Axis::new(own.start_mm() - BEYOND as f64 * step, step, samples)
-    };
-    let grid = Grid { x: axis(&tif.grid().x, &map.x)?, y: axis(&tif.grid().y, &map.y)? };
+    });
+    let grid = Grid { x: x?, y: y? };
     tif.with_kernels(|kernel| {
         let mut rate = Array2::zeros(grid.shape());
         parallel::consume(rate.outer_iter_mut(), &|r, mut row| {
@@ -297,7 +316,8 @@ mod tests {
 
     #[test]
     fn two_places_keep_the_mean_and_the_spread_of_more() {
-        let along = |s: f64, fraction: f64| Place::new([3.0 + 0.4 * s, -1.0 + 0.3 * s], fraction);
+        let along =
+            |s: f64, fraction: f64| ToolPlace::new([3.0 + 0.4 * s, -1.0 + 0.3 * s], fraction);
         // Gauss' rule of three on a line of 0.5 mm
         let g = 0.6_f64.sqrt();
         let three =
@@ -313,7 +333,7 @@ mod tests {
         assert_eq!(in_two(&three, 0.2), three);
         assert_eq!(in_two(&three[..2], 9.0), three[..2]);
         // Around a corner: the largest spread is across the bisector.
-        let at = |x: f64, y: f64| Place::new([x, y], 0.25);
+        let at = |x: f64, y: f64| ToolPlace::new([x, y], 0.25);
         let corner = [at(-0.2, 0.0), at(-0.1, 0.0), at(0.0, 0.1), at(0.0, 0.2)];
         let [a, b] = in_two(&corner, 1.0).try_into().unwrap();
         let d = [0, 1].map(|k| b.position_mm[k] - a.position_mm[k]);
@@ -356,10 +376,10 @@ mod tests {
         let own = Grid { x: axis(), y: axis() };
         let bell = |(r, c)| (-0.5 * (own.x.at(c).powi(2) + own.y.at(r).powi(2))).exp();
         let tif = Tif::new(own, Array2::from_shape_fn(own.shape(), bell)).unwrap();
-        let places: Vec<Vec<Place>> = (0..21 * 21)
+        let places: Vec<Vec<ToolPlace>> = (0..21 * 21)
             .map(|j| {
                 let at = |k: usize| 0.4 * k as f64 - 4.0;
-                vec![Place::new([at(j % 21), at(j / 21)], 1.0)]
+                vec![ToolPlace::new([at(j % 21), at(j / 21)], 1.0)]
             })
             .collect();
         let reached = vec![true; places.len()];

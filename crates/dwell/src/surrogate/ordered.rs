@@ -38,7 +38,7 @@ pub struct Ordered {
 }
 
 impl Ordered {
-    /// H~ of the columns on the cells; `exact` when these are pixels.
+    /// Makes H~ of the columns on the cells; `exact` when these are pixels.
     pub fn new(
         cells: &[Patch],
         u: &[Vec<f64>],
@@ -46,15 +46,15 @@ impl Ordered {
         penalty: &Penalty,
         exact: bool,
     ) -> Self {
-        // Twice the centre of a column, in cells.
-        let at = |axis: usize, j: usize| {
-            let range = cells[j].range(1 - axis);
-            (range.start + range.end) as f64
-        };
         let columns: Vec<usize> = (0..reached.len()).filter(|j| reached[*j]).collect();
         let mut pairs = Vec::new();
         penalty.for_each(|j, k, _| pairs.push((j, k)));
-        let ordered = Order::new(&columns, cells, at, &pairs);
+        // Twice the centre of a column, in cells.
+        let centre = |axis: usize, j: usize| {
+            let range = cells[j].range(1 - axis);
+            (range.start + range.end) as f64
+        };
+        let ordered = Order::new(&columns, cells, centre, &pairs);
         let k = ordered.products(cells, |_, _| None);
         let order = ordered.order;
         let u = u.iter().map(|u| order.iter().map(|j| u[*j]).collect()).collect();
@@ -65,7 +65,7 @@ impl Ordered {
         }
     }
 
-    /// H~ and the penalty.
+    /// Returns H~ with the penalty added.
     pub fn penalised(&self, penalty: &Penalty) -> Penalised {
         let rows = rows(&self.order, penalty.len());
         let mut h = self.data.clone();
@@ -74,8 +74,8 @@ impl Ordered {
                 h.k.add(i.max(l), i.min(l), v);
             }
         });
-        let (order, enough) = (self.order.clone(), self.enough);
-        Penalised { order, h, enough, last: LastFactor::default() }
+        let order = self.order.clone();
+        Penalised { order, h, enough: self.enough, last: LastFactor::default() }
     }
 }
 
@@ -88,8 +88,8 @@ pub struct Penalised {
 }
 
 impl Penalised {
-    /// The minimum of `q'd + d'H~d / 2` within the bounds, `d` from `t`, and the sets of free dwell times that it
-    /// took. `None` when H~ is not positive definite.
+    /// Returns the minimum of `q'd + d'H~d / 2` within the bounds, `d` from `t`, and the number of sets of free dwell
+    /// times that it took. `None` when H~ is not positive definite.
     pub fn minimum(
         &mut self,
         t: &[f64],
@@ -98,16 +98,15 @@ impl Penalised {
         hi: &[f64],
     ) -> Option<(Vec<f64>, usize)> {
         let Self { order, h, enough, last } = self;
-        let pick = |a: &[f64]| -> Vec<f64> { order.iter().map(|j| a[*j]).collect() };
-        let start = pick(t);
-        let g: Vec<f64> = h.product(&start).iter().zip(pick(q)).map(|(h, q)| h - q).collect();
-        let (lo, hi) = (pick(lo), pick(hi));
+        let [start, q, lo, hi] = [t, q, lo, hi].map(|a| order.iter().map(|j| a[*j]).collect());
+        let [start, q, lo, hi]: [Vec<f64>; 4] = [start, q, lo, hi];
+        let g: Vec<f64> = h.product(&start).iter().zip(&q).map(|(h, q)| h - q).collect();
         let bounds = (lo.as_slice(), hi.as_slice());
-        let before = bounded::natural_residual(&start, &pick(q), &h.diagonal(), &lo, &hi);
+        let before = bounded::natural_residual(&start, &q, &h.diagonal(), &lo, &hi);
         let enough = *enough * before;
         let most = MAX_FACTORISATIONS;
-        let mut found = bounded::active_set(h, &g, bounds, &start, enough, most, last)?;
-        if found.end != End::Optimal {
+        let mut solved = bounded::active_set(h, &g, bounds, &start, enough, most, last)?;
+        if solved.end != End::Optimal {
             // Nearly singular: gradient steps find most of the active set, or descend at least.
             let steps = GradientSettings {
                 tolerance: 0.0,
@@ -115,19 +114,26 @@ impl Penalised {
                 stagnation: 0.0,
                 offset: 0.0,
             };
-            let apply = |t: &[f64]| h.product(t);
             let diagonal = h.diagonal();
-            let near = bounded::projected_gradient(apply, &diagonal, &g, &lo, &hi, &start, &steps);
+            let near = bounded::projected_gradient(
+                |t: &[f64]| h.product(t),
+                &diagonal,
+                &g,
+                &lo,
+                &hi,
+                &start,
+                &steps,
+            );
             let most = MAX_FACTORISATIONS_AFTER_DESCENT;
             let second = bounded::active_set(h, &g, bounds, &near.value, enough, most, last)?;
-            let iterations = found.iterations + second.iterations;
-            found = if second.end == End::Optimal { second } else { near };
-            found.iterations = iterations;
+            let iterations = solved.iterations + second.iterations;
+            solved = if second.end == End::Optimal { second } else { near };
+            solved.iterations = iterations;
         }
         let mut to = t.to_vec();
-        for (j, v) in order.iter().zip(found.value) {
+        for (j, v) in order.iter().zip(solved.value) {
             to[*j] = v;
         }
-        Some((to, found.iterations))
+        Some((to, solved.iterations))
     }
 }

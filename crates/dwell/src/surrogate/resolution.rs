@@ -2,7 +2,7 @@
 
 use planish_types::{Grid, Tif};
 
-use crate::model::columns::Place;
+use crate::model::columns::ToolPlace;
 
 /// Fraction of the energy of the TIF that the cells may lose if H~ is factorised. Larger: larger cells, and more
 /// corrections by the exact gradient. Smaller: smaller cells, and more time per factorisation.
@@ -51,22 +51,26 @@ const QUICK_SPLINE_FACTOR_ELEMENTS: f64 = 1.6e8;
 /// Larger: more memory. Smaller: more problems without the two-level method.
 const MAX_SPLINE_FACTOR_ELEMENTS: f64 = 7e8;
 
-/// Pixels of the map along the side of the largest cell that loses at most this fraction of the energy.
+/// Returns the pixels of the map along the side of the largest cell that loses at most this fraction of the energy.
 pub fn cell_size(tif: &Tif, map: &Grid, max_loss: f64) -> usize {
     let [along_x, along_y] = tif.slope_energy_per_mm2();
-    let (hx, hy) = (map.x.step_mm(), map.y.step_mm());
-    let loss = |s: usize| (s * s) as f64 * (hx * hx * along_x + hy * hy * along_y) / 12.0;
-    (2..=MAX_CELL_PIXELS).rev().find(|s| loss(*s) <= max_loss).unwrap_or(1)
+    let hx = map.x.step_mm();
+    let hy = map.y.step_mm();
+    let sizes = (2..=MAX_CELL_PIXELS).rev();
+    // s^2 h^2 / 12 <|grad R|^2> / <R^2>
+    let mut small_loss = sizes
+        .filter(|s| (s * s) as f64 * (hx * hx * along_x + hy * hy * along_y) / 12.0 <= max_loss);
+    small_loss.next().unwrap_or(1)
 }
 
-/// Largest extent of the places of a column along an axis, mm.
-pub fn length_mm(places: &[Place]) -> f64 {
+/// Returns the largest extent of the places of a column along an axis, mm.
+pub fn length_mm(places: &[ToolPlace]) -> f64 {
     let (low, high) = extent(places.iter().map(|p| &p.position_mm));
     (high[0] - low[0]).max(high[1] - low[1]).max(0.0)
 }
 
-/// Mask of the reached columns that a spline of this pitch can include.
-pub fn are_short(places: &[Vec<Place>], reached: &[bool], pitch_mm: f64) -> Vec<bool> {
+/// Returns the mask of the reached columns that a spline of this pitch can include.
+pub fn are_short(places: &[Vec<ToolPlace>], reached: &[bool], pitch_mm: f64) -> Vec<bool> {
     places
         .iter()
         .zip(reached)
@@ -76,33 +80,38 @@ pub fn are_short(places: &[Vec<Place>], reached: &[bool], pitch_mm: f64) -> Vec<
         .collect()
 }
 
-/// Pitch of splines that can say what the TIF resolves, mm; none where most columns are longer, or
+/// Returns the pitch of splines that can represent what the TIF resolves, mm; none where most columns are longer, or
 /// where their matrix would be too large, which depends on the area under the reached columns, not on
 /// their number.
-pub fn spline_pitch(places: &[Vec<Place>], reached: &[bool], tif: &Tif) -> Option<f64> {
-    let of_reached = || places.iter().zip(reached).filter(|(_, reached)| **reached).map(|(p, _)| p);
-    let (size_mm, least_mm) = least_pitch_mm(of_reached());
-    let count = |of: &[bool]| of.iter().filter(|of| **of).count();
+pub fn spline_pitch(places: &[Vec<ToolPlace>], reached: &[bool], tif: &Tif) -> Option<f64> {
+    let of_reached = places.iter().zip(reached).filter(|(_, reached)| **reached).map(|(p, _)| p);
+    let (size_mm, least_mm) = least_pitch_mm(of_reached);
     let pitch_mm = affordable_pitch(width_mm(tif), size_mm, tif.grid().size_mm())?.max(least_mm);
-    let dense = count(&are_short(places, reached, pitch_mm)) * 2 > count(reached);
-    dense.then_some(pitch_mm)
+    let short = count(&are_short(places, reached, pitch_mm));
+    if short * 2 > count(reached) { Some(pitch_mm) } else { None }
+}
+
+/// Counts the true elements of a mask.
+fn count(mask: &[bool]) -> usize {
+    mask.iter().filter(|is_set| **is_set).count()
 }
 
 /// Returns true if dwell points are so far apart that splines over them are wider than the resolution of the TIF. The
 /// conjugate gradients then take many steps.
-pub fn are_sparse(places: &[Vec<Place>], tif: &Tif) -> bool {
+pub fn are_sparse(places: &[Vec<ToolPlace>], tif: &Tif) -> bool {
     let (_, least_mm) = least_pitch_mm(places.iter().filter(|places| !places.is_empty()));
     least_mm > SPLINE_PITCH_OVER_TIF_WIDTH * width_mm(tif)
 }
 
-/// Width of a TIF, mm: sigma of a Gaussian.
+/// Returns the width of a TIF, mm: sigma of a Gaussian.
 fn width_mm(tif: &Tif) -> f64 {
     let [along_x, along_y] = tif.slope_energy_per_mm2();
     1.0 / (along_x + along_y).sqrt()
 }
 
-/// Size of the rectangle that columns take up [x, y], and the least pitch of splines that their spacing in it allows, mm.
-fn least_pitch_mm<'a>(places: impl Iterator<Item = &'a Vec<Place>> + Clone) -> ([f64; 2], f64) {
+/// Returns the size of the rectangle that columns take up [x, y], and the least pitch of splines that their spacing
+/// in it allows, mm.
+fn least_pitch_mm<'a>(places: impl Iterator<Item = &'a Vec<ToolPlace>> + Clone) -> ([f64; 2], f64) {
     let count = places.clone().count();
     let (low, high) = extent(places.flatten().map(|p| &p.position_mm));
     let size_mm = [high[0] - low[0], high[1] - low[1]];
@@ -110,41 +119,44 @@ fn least_pitch_mm<'a>(places: impl Iterator<Item = &'a Vec<Place>> + Clone) -> (
     (size_mm, MIN_SPLINE_PITCH_OVER_SPACING * spacing_mm)
 }
 
-/// The least pitch, mm, for which the matrix is quickly factorised, or else is not too large, for a TIF of a width, over
-/// a rectangle; sizes of the rectangle and the TIF are [x, y].
+/// Returns the least pitch, mm, for which the matrix is quickly factorised, or else is not too large, for a TIF of a
+/// width, over a rectangle; sizes of the rectangle and the TIF are [x, y].
 fn affordable_pitch(width_mm: f64, size_mm: [f64; 2], tif_mm: [f64; 2]) -> Option<f64> {
-    let elements = |pitch_mm: f64| {
-        let [x, y] = size_mm.map(|v| v / pitch_mm + 4.0);
-        let across = |axis: usize, nodes: f64| {
-            (spline_reach_mm(tif_mm, pitch_mm)[axis] / pitch_mm + 4.0).min(nodes)
-        };
-        // The narrower band of the two.
-        x * y * (across(0, x) * y).min(across(1, y) * x)
-    };
     let mut pitch_mm = SPLINE_PITCH_OVER_TIF_WIDTH * width_mm;
-    while elements(pitch_mm) > QUICK_SPLINE_FACTOR_ELEMENTS
+    while spline_factor_elements(pitch_mm, size_mm, tif_mm) > QUICK_SPLINE_FACTOR_ELEMENTS
         && WIDENED_BY * pitch_mm <= MAX_SPLINE_PITCH_OVER_TIF_WIDTH * width_mm
     {
         pitch_mm *= WIDENED_BY;
     }
-    (elements(pitch_mm) <= MAX_SPLINE_FACTOR_ELEMENTS).then_some(pitch_mm)
+    let elements = spline_factor_elements(pitch_mm, size_mm, tif_mm);
+    if elements <= MAX_SPLINE_FACTOR_ELEMENTS { Some(pitch_mm) } else { None }
 }
 
-/// About how many multiplications a factorisation of the normal matrix of all columns takes: those of a band that is as
-/// wide as there are columns within the TIF along one of the axes.
-pub fn factorisation_work(places: &[Vec<Place>], tif: &Tif) -> f64 {
+/// Returns about how many elements the factor of the matrix of the splines has: those of the narrower band of the two.
+fn spline_factor_elements(pitch_mm: f64, size_mm: [f64; 2], tif_mm: [f64; 2]) -> f64 {
+    let [x, y] = size_mm.map(|v| v / pitch_mm + 4.0);
+    let reach_mm = spline_reach_mm(tif_mm, pitch_mm);
+    let across_x = (reach_mm[0] / pitch_mm + 4.0).min(x);
+    let across_y = (reach_mm[1] / pitch_mm + 4.0).min(y);
+    x * y * (across_x * y).min(across_y * x)
+}
+
+/// Returns about how many multiplications a factorisation of the normal matrix of all columns takes: those of a band
+/// that is as wide as there are columns within the TIF along one of the axes.
+pub fn factorisation_work(places: &[Vec<ToolPlace>], tif: &Tif) -> f64 {
     let n = places.len() as f64;
     let (low, high) = extent(places.iter().flatten().map(|p| &p.position_mm));
-    let part = |axis: usize| (tif.grid().size_mm()[axis] / (high[axis] - low[axis])).min(1.0);
-    n * (n * part(0).min(part(1))).powi(2)
+    let [x, y] =
+        [0, 1].map(|axis| (tif.grid().size_mm()[axis] / (high[axis] - low[axis])).min(1.0));
+    n * (n * x.min(y)).powi(2)
 }
 
-/// Largest distance of two splines whose removals meet, for a TIF of the size [x, y]: [x, y], mm.
+/// Returns the largest distance of two splines whose removals meet, for a TIF of the size [x, y]: [x, y], mm.
 pub fn spline_reach_mm(tif_mm: [f64; 2], pitch_mm: f64) -> [f64; 2] {
     tif_mm.map(|size| size + 4.0 * pitch_mm)
 }
 
-/// Least and largest [x, y].
+/// Returns the least and the largest [x, y] of some points.
 pub fn extent<'a>(points: impl Iterator<Item = &'a [f64; 2]>) -> ([f64; 2], [f64; 2]) {
     let start = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
     points.fold(start, |(low, high), p| {

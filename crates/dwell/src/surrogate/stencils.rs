@@ -18,51 +18,54 @@ pub struct Stencils {
 }
 
 impl Stencils {
-    /// Zero, for so many nodes.
+    /// Makes the zero matrix for so many nodes.
     pub fn zeros(nodes: usize, per_line: usize, reach: [usize; 2]) -> Self {
         Self { per_line, reach, values: vec![0.0; nodes * Self::len(reach)] }
     }
 
-    /// Elements of a row.
+    /// Returns the number of elements of a row.
     fn len(reach: [usize; 2]) -> usize {
         (reach[0] + 1) * (2 * reach[1] + 1)
     }
 
-    /// Index in a row at s along a line of the node at m there, so many before it across the lines.
-    fn at(reach: [usize; 2], before: usize, s: usize, m: usize) -> usize {
+    /// Returns the index, in a row at s along a line, of the node at m there, so many before it across the lines.
+    fn index(reach: [usize; 2], before: usize, s: usize, m: usize) -> usize {
         before * (2 * reach[1] + 1) + m + reach[1] - s
     }
 
-    /// The nodes that may be coupled with some of these rows of one line and do not come after the last of them: how many
-    /// lines before, and where along a line.
+    /// Returns the nodes that may be coupled with some of these rows of one line and do not come after the last of
+    /// them: how many lines before, and where along a line.
     fn near(
         rows: &Range<usize>,
         per_line: usize,
         reach: [usize; 2],
     ) -> impl Iterator<Item = (usize, usize)> + use<> {
-        let (l, first, last) =
-            (rows.start / per_line, rows.start % per_line, (rows.end - 1) % per_line);
+        let l = rows.start / per_line;
+        let first = rows.start % per_line;
+        let last = (rows.end - 1) % per_line;
         (0..=reach[0].min(l)).flat_map(move |before| {
             let end = if before == 0 { last } else { (last + reach[1]).min(per_line - 1) };
             (first.saturating_sub(reach[1])..=end).map(move |m| (before, m))
         })
     }
 
-    /// The nodes that may be coupled with row i and do not come after it, and their indices in the row.
+    /// Returns the nodes that may be coupled with row i and do not come after it, and their indices in the row.
     fn coupled(
         i: usize,
         per_line: usize,
         reach: [usize; 2],
     ) -> impl Iterator<Item = (usize, usize)> {
-        let (l, s) = (i / per_line, i % per_line);
+        let l = i / per_line;
+        let s = i % per_line;
         Self::near(&(i..i + 1), per_line, reach)
-            .map(move |(before, m)| ((l - before) * per_line + m, Self::at(reach, before, s, m)))
+            .map(move |(before, m)| ((l - before) * per_line + m, Self::index(reach, before, s, m)))
     }
 
-    /// Lets `write` see all of these rows, which begin and end with whole lines along a line: up to `most` of one
+    /// Calls `write` for all of these rows, which begin and end with whole lines: up to `most` of one
     /// line at a time.
     pub fn fill(&mut self, rows: Range<usize>, most: usize, write: impl Fn(Near<'_>) + Sync) {
-        let (per_line, reach, len) = (self.per_line, self.reach, Self::len(self.reach));
+        let Self { per_line, reach, .. } = *self;
+        let len = Self::len(reach);
         let values = &mut self.values[rows.start * len..rows.end * len];
         let lines = values.chunks_mut(per_line * len).enumerate();
         let pieces = lines.flat_map(|(line, values)| {
@@ -74,26 +77,28 @@ impl Stencils {
         });
     }
 
-    /// The rows in as many parts as leaves the rows coupled with one in it and in the part before.
+    /// Returns the rows in as many parts as leaves the rows coupled with one in it and in the part before.
     pub fn parts(&self) -> impl Iterator<Item = Range<usize>> + use<> {
-        let (rows, part) = (self.rows(), self.reach[0].max(1) * self.per_line);
+        let rows = self.rows();
+        let part = self.reach[0].max(1) * self.per_line;
         (0..rows).step_by(part).map(move |from| from..(from + part).min(rows))
     }
 
+    /// Returns the number of rows.
     fn rows(&self) -> usize {
         self.values.len() / Self::len(self.reach)
     }
 
-    /// Mask of the rows that are coupled with one of `these`, or are one of `these`.
+    /// Returns the mask of the rows that are coupled with one of `these`, or are one of `these`.
     pub fn coupled_with(&self, these: &[bool]) -> Vec<bool> {
-        let mut found = these.to_vec();
+        let mut coupled = these.to_vec();
         for i in 0..self.rows() {
             for (k, _) in Self::coupled(i, self.per_line, self.reach) {
-                found[i] |= these[k];
-                found[k] |= these[i];
+                coupled[i] |= these[k];
+                coupled[k] |= these[i];
             }
         }
-        found
+        coupled
     }
 
     /// Adds to the element of two nodes, of which the second one does not come after the first: line and
@@ -101,7 +106,7 @@ impl Stencils {
     #[inline]
     pub fn add(&mut self, [l, s]: [usize; 2], [k, m]: [usize; 2], value: f64) {
         let row = (l * self.per_line + s) * Self::len(self.reach);
-        self.values[row + Self::at(self.reach, l - k, s, m)] += value;
+        self.values[row + Self::index(self.reach, l - k, s, m)] += value;
     }
 
     /// Adds another of the same nodes and reach.
@@ -113,15 +118,15 @@ impl Stencils {
     pub fn add_row(&self, i: usize, first: usize, to: &mut [f64]) {
         let len = Self::len(self.reach);
         let row = &self.values[i * len..(i + 1) * len];
-        for (k, at) in Self::coupled(i, self.per_line, self.reach) {
-            if row[at] != 0.0 {
-                to[k - first] += row[at];
+        for (k, index) in Self::coupled(i, self.per_line, self.reach) {
+            if row[index] != 0.0 {
+                to[k - first] += row[index];
             }
         }
     }
 }
 
-/// A few rows of [`Stencils`], one beside the other along a line.
+/// Neighbouring rows of [`Stencils`], all of one line.
 pub struct Near<'a> {
     rows: Range<usize>,
     per_line: usize,
@@ -130,26 +135,29 @@ pub struct Near<'a> {
 }
 
 impl Near<'_> {
-    /// Rows that this part holds.
+    /// Returns the rows that this part holds.
     pub fn rows(&self) -> Range<usize> {
         self.rows.clone()
     }
 
-    /// The nodes that may be coupled with some of these rows and do not come after the last of them.
+    /// Returns the nodes that may be coupled with some of these rows and do not come after the last of them.
     pub fn coupled(&self) -> impl Iterator<Item = usize> + use<> {
-        let (per_line, l) = (self.per_line, self.rows.start / self.per_line);
+        let per_line = self.per_line;
+        let l = self.rows.start / per_line;
         let near = Stencils::near(&self.rows, per_line, self.reach);
         near.map(move |(before, m)| (l - before) * per_line + m)
     }
 
-    /// The element (i, k) of one of these rows and a node of [`Self::coupled`]; `None` where k comes after i or is too far
-    /// away.
-    pub fn at(&mut self, i: usize, k: usize) -> Option<&mut f64> {
-        let (l, s) = (i / self.per_line, i % self.per_line);
-        let (n, m) = (k / self.per_line, k % self.per_line);
+    /// Returns the element (i, k) of one of these rows and a node of [`Self::coupled`]; `None` where k comes after i or
+    /// is too far away.
+    pub fn element(&mut self, i: usize, k: usize) -> Option<&mut f64> {
+        let [(l, s), (n, m)] = [i, k].map(|node| (node / self.per_line, node % self.per_line));
         let is_near = k <= i && l - n <= self.reach[0] && s.abs_diff(m) <= self.reach[1];
+        if !is_near {
+            return None;
+        }
         let row = (i - self.rows.start) * Stencils::len(self.reach);
-        is_near.then(|| &mut self.values[row + Stencils::at(self.reach, l - n, s, m)])
+        Some(&mut self.values[row + Stencils::index(self.reach, l - n, s, m)])
     }
 }
 
@@ -175,7 +183,7 @@ mod tests {
                 assert!((1..=3).contains(&near.rows().len()));
                 for k in near.coupled() {
                     for i in near.rows() {
-                        if let Some(v) = near.at(i, k) {
+                        if let Some(v) = near.element(i, k) {
                             *v = value(i, k);
                         }
                     }

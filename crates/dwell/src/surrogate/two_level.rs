@@ -37,7 +37,7 @@ use super::{
 };
 use crate::{
     model::{
-        columns::{Patch, Place},
+        columns::{Patch, ToolPlace},
         fft_operator::Sums,
         products::{Bundle, MOST_BUNDLED},
     },
@@ -51,7 +51,7 @@ pub struct Nodes {
     /// True if a line of nodes in the matrix runs along x; else it runs along y.
     by_rows: bool,
     /// Weights of every column; none if it is not reached.
-    at: Vec<Option<Weights>>,
+    weights: Vec<Option<Weights>>,
     /// Columns by cell.
     by_cell: Grouped,
 }
@@ -65,13 +65,15 @@ struct Weights {
 }
 
 impl Weights {
+    /// Returns the 16 products of the splines along y and x, row by row.
     fn products(&self) -> impl Iterator<Item = f64> {
         self.y.iter().flat_map(|y| self.x.iter().map(move |x| y * x))
     }
 
+    /// Returns true if the difference of the two columns is in the matrix of the lattice.
     fn is_near(&self, other: &Self) -> bool {
-        let near = |a: u32, b: u32| a.abs_diff(b) <= MAX_COUPLED_CELLS;
-        near(self.cell.0, other.cell.0) && near(self.cell.1, other.cell.1)
+        self.cell.0.abs_diff(other.cell.0) <= MAX_COUPLED_CELLS
+            && self.cell.1.abs_diff(other.cell.1) <= MAX_COUPLED_CELLS
     }
 }
 
@@ -90,53 +92,57 @@ const SPLINE_RIDGE: f64 = 1e-3;
 const MAX_KEPT_PATCH_ELEMENTS: usize = 200_000_000;
 
 impl Nodes {
-    /// The lattice over the reached columns of a TIF of the size [x, y].
-    pub fn new(places: &[Vec<Place>], reached: &[bool], pitch_mm: f64, tif_mm: [f64; 2]) -> Self {
-        let centre = |places: &Vec<Place>| {
-            let of = |k: usize| places.iter().map(|p| p.fraction * p.position_mm[k]).sum::<f64>();
-            [of(0), of(1)]
-        };
-        let centres: Vec<Option<[f64; 2]>> =
-            places.iter().zip(reached).map(|(p, reached)| reached.then(|| centre(p))).collect();
+    /// Makes the lattice over the reached columns of a TIF of the size [x, y].
+    pub fn new(
+        places: &[Vec<ToolPlace>],
+        reached: &[bool],
+        pitch_mm: f64,
+        tif_mm: [f64; 2],
+    ) -> Self {
+        let centres: Vec<Option<[f64; 2]>> = places
+            .iter()
+            .zip(reached)
+            .map(|(places, reached)| if *reached { Some(centre_mm(places)) } else { None })
+            .collect();
         let (low, high) = extent(centres.iter().flatten());
-        let cells = |k: usize| ((high[k] - low[k]) / pitch_mm) as usize + 1;
-        let (rows, columns) = (cells(1), cells(0));
-        let split = |v: f64, cells: usize| {
-            let i = (v as usize).min(cells - 1);
-            (i as u32, bspline::on_a_cell(v - i as f64))
-        };
-        let weights = |c: [f64; 2]| {
-            let (r, y) = split((c[1] - low[1]) / pitch_mm, rows);
-            let (c, x) = split((c[0] - low[0]) / pitch_mm, columns);
+        let [columns, rows] = [0, 1].map(|k| ((high[k] - low[k]) / pitch_mm) as usize + 1);
+        let weights_of = |c: [f64; 2]| {
+            let (r, y) = cell_and_splines((c[1] - low[1]) / pitch_mm, rows);
+            let (c, x) = cell_and_splines((c[0] - low[0]) / pitch_mm, columns);
             Weights { cell: (r, c), y, x }
         };
-        let at: Vec<Option<Weights>> = centres.into_iter().map(|c| c.map(weights)).collect();
-        let cell = |w: &Weights| w.cell.0 as usize * columns + w.cell.1 as usize;
-        let by_cell = Grouped::new(rows * columns, at.iter().map(|w| w.as_ref().map(cell)));
+        let weights: Vec<Option<Weights>> =
+            centres.into_iter().map(|c| c.map(weights_of)).collect();
+        let cells = weights
+            .iter()
+            .map(|w| w.as_ref().map(|w| w.cell.0 as usize * columns + w.cell.1 as usize));
+        let by_cell = Grouped::new(rows * columns, cells);
         // Lines that meet lie as far apart as their splines: the product with the length of a line is the width of the
         // band.
-        let (ny, nx) = (rows + 3, columns + 3);
+        let ny = rows + 3;
+        let nx = columns + 3;
         let reach = spline_reach_mm(tif_mm, pitch_mm);
         let by_rows = reach[1] * (nx as f64) < reach[0] * ny as f64;
-        Self { shape: (ny, nx), by_rows, at, by_cell }
+        Self { shape: (ny, nx), by_rows, weights, by_cell }
     }
 
+    /// Returns the number of nodes.
     fn len(&self) -> usize {
         self.shape.0 * self.shape.1
     }
 
-    /// Nodes of a line.
+    /// Returns the number of nodes of a line.
     fn line(&self) -> usize {
         if self.by_rows { self.shape.1 } else { self.shape.0 }
     }
 
-    /// Row of a node in the matrix: line by line.
+    /// Returns the row of a node in the matrix: line by line.
     fn row(&self, r: usize, c: usize) -> usize {
         let (ny, nx) = self.shape;
         if self.by_rows { r * nx + c } else { c * ny + r }
     }
 
-    /// The node of a row.
+    /// Returns the node of a row.
     fn node(&self, i: usize) -> (usize, usize) {
         let (ny, nx) = self.shape;
         if self.by_rows { (i / nx, i % nx) } else { (i % ny, i / ny) }
@@ -148,16 +154,16 @@ impl Nodes {
         ra.abs_diff(rb) <= PENALTY_REACH && ca.abs_diff(cb) <= PENALTY_REACH
     }
 
-    /// Rows of the nodes over a column, in the order of its weights.
+    /// Returns the rows of the nodes over a column, in the order of its weights.
     fn over(&self, w: &Weights) -> impl Iterator<Item = usize> {
         let (r, c) = (w.cell.0 as usize, w.cell.1 as usize);
         (0..16).map(move |k| self.row(r + k / 4, c + k % 4))
     }
 
-    /// V' r.
+    /// Returns V' r (nodes), for r (n).
     fn restrict(&self, r: &[f64], free: &[bool]) -> Vec<f64> {
         let mut sums = vec![0.0; self.len()];
-        for ((w, r), _) in self.at.iter().zip(r).zip(free).filter(|(_, free)| **free) {
+        for ((w, r), _) in self.weights.iter().zip(r).zip(free).filter(|(_, free)| **free) {
             if let Some(w) = w {
                 self.over(w).zip(w.products()).for_each(|(i, v)| sums[i] += v * r);
             }
@@ -165,47 +171,46 @@ impl Nodes {
         sums
     }
 
-    /// V c.
+    /// Returns V c (n), for c (nodes).
     fn prolong(&self, c: &[f64], free: &[bool]) -> Vec<f64> {
-        parallel::map(self.at.len(), &|j| match &self.at[j] {
+        parallel::map(self.weights.len(), &|j| match &self.weights[j] {
             Some(w) if free[j] => self.over(w).zip(w.products()).map(|(i, v)| v * c[i]).sum(),
             _ => 0.0,
         })
     }
 
-    /// A column of V: the columns under the node of a row, and their weights.
+    /// Returns a column of V: the columns under the node of a row, and their weights.
     fn under(&self, row: usize, free: &[bool]) -> Vec<(usize, f64)> {
         let (r, c) = self.node(row);
-        let (rows, columns) = (self.shape.0 - 3, self.shape.1 - 3);
-        let mut found = Vec::new();
+        let rows = self.shape.0 - 3;
+        let columns = self.shape.1 - 3;
+        let mut under = Vec::new();
         for y in r.saturating_sub(3)..=r.min(rows - 1) {
             for x in c.saturating_sub(3)..=c.min(columns - 1) {
-                let of_cell = self.by_cell.of(y * columns + x);
+                let of_cell = self.by_cell.group(y * columns + x);
                 for j in of_cell.iter().map(|j| *j as usize).filter(|j| free[*j]) {
-                    if let Some(w) = &self.at[j] {
-                        found.push((j, w.y[r - y] * w.x[c - x]));
+                    if let Some(w) = &self.weights[j] {
+                        under.push((j, w.y[r - y] * w.x[c - x]));
                     }
                 }
             }
         }
-        found
+        under
     }
 
-    /// V' L V. A difference of columns that are not near is replaced by its bound
+    /// Returns V' L V. A difference of columns that are not near is replaced by its bound
     /// `(v t_k - u t_{k-1})^2 <= 2 v^2 t_k^2 + 2 u^2 t_{k-1}^2`.
     fn penalty(&self, penalty: &Penalty, free: &[bool]) -> Stencils {
-        let of = |j: usize| self.at[j].as_ref().filter(|_| free[j]);
         let steps = penalty.steps();
-        let part = |part: usize| {
-            let range = |len: usize| part * len / PENALTY_PARTS..(part + 1) * len / PENALTY_PARTS;
+        let parts = parallel::map(PENALTY_PARTS, &|part| {
             let mut sums = self.stencils([PENALTY_REACH; 2]);
-            for j in range(free.len()) {
-                if let Some(w) = of(j) {
+            for j in part_of(part, free.len()) {
+                if let Some(w) = self.free_weights(j, free) {
                     self.add_square(&[(w, 1.0)], penalty.alpha()[j], &mut sums);
                 }
             }
-            for &(k, u, v) in &steps[range(steps.len())] {
-                match (of(k - 1), of(k)) {
+            for &(k, u, v) in &steps[part_of(part, steps.len())] {
+                match (self.free_weights(k - 1, free), self.free_weights(k, free)) {
                     (Some(a), Some(b)) if a.is_near(b) => {
                         self.add_square(&[(b, v), (a, -u)], 1.0, &mut sums);
                     }
@@ -220,21 +225,26 @@ impl Nodes {
                 }
             }
             sums
-        };
-        let parts = parallel::map(PENALTY_PARTS, &part);
+        });
         let mut sums = self.stencils([PENALTY_REACH; 2]);
         parts.iter().for_each(|part| sums.add_all(part));
         sums
     }
 
+    /// Returns the weights of column j, if it is free and reached.
+    fn free_weights(&self, j: usize, free: &[bool]) -> Option<&Weights> {
+        if free[j] { self.weights[j].as_ref() } else { None }
+    }
+
     /// Adds `factor g g'`, g the sum of some columns of V' that are near.
     fn add_square(&self, columns: &[(&Weights, f64)], factor: f64, sums: &mut Stencils) {
         const SIDE: usize = 1 + PENALTY_REACH;
-        let least = |of: fn(&Weights) -> u32| columns.iter().map(|c| of(c.0)).min().unwrap_or(0);
-        let (r0, c0) = (least(|w| w.cell.0), least(|w| w.cell.1));
+        let r0 = columns.iter().map(|c| c.0.cell.0).min().unwrap_or(0);
+        let c0 = columns.iter().map(|c| c.0.cell.1).min().unwrap_or(0);
         let mut g = [[0.0; SIDE]; SIDE];
         for (w, f) in columns {
-            let (r, c) = ((w.cell.0 - r0) as usize, (w.cell.1 - c0) as usize);
+            let r = (w.cell.0 - r0) as usize;
+            let c = (w.cell.1 - c0) as usize;
             for (k, v) in w.products().enumerate() {
                 g[r + k / 4][c + k % 4] += f * v;
             }
@@ -255,13 +265,27 @@ impl Nodes {
         }
     }
 
-    /// Zero for all nodes.
+    /// Makes the zero matrix of all nodes.
     fn stencils(&self, reach: [usize; 2]) -> Stencils {
         Stencils::zeros(self.len(), self.line(), reach)
     }
 }
 
-/// Number of parts of the penalty that are summed separately. It does not depend on the number of threads, so that
+/// Returns the mean position of a column, weighted by the fractions of its places, mm.
+fn centre_mm(places: &[ToolPlace]) -> [f64; 2] {
+    [0, 1].map(|k| places.iter().map(|p| p.fraction * p.position_mm[k]).sum::<f64>())
+}
+
+/// Returns the cell of a position along an axis, in cells, and the splines there.
+fn cell_and_splines(position: f64, cells: usize) -> (u32, [f64; 4]) {
+    let i = (position as usize).min(cells - 1);
+    (i as u32, bspline::on_a_cell(position - i as f64))
+}
+
+/// Returns the indices of one of [`PENALTY_PARTS`] parts.
+fn part_of(part: usize, len: usize) -> Range<usize> {
+    part * len / PENALTY_PARTS..(part + 1) * len / PENALTY_PARTS
+}
 /// the result does not either. Larger: more memory. Another value changes the last digits of the result.
 const PENALTY_PARTS: usize = 2;
 
@@ -285,32 +309,34 @@ pub struct Coarse {
 /// Rows and columns of the map.
 type Extent = (Range<usize>, Range<usize>);
 
+/// Returns true if two ranges have an element in common.
 fn meet(a: &Range<usize>, b: &Range<usize>) -> bool {
     a.start < b.end && b.start < a.end
 }
 
-/// Most lines from one to another that it meets, for what nodes of each line reach.
+/// Returns the most lines from one to another that it meets; `nodes` has the line and the reach of every node.
 fn line_reach<'a>(lines: usize, nodes: impl Iterator<Item = (usize, &'a Range<usize>)>) -> usize {
     let mut of_lines: Vec<Option<Range<usize>>> = vec![None; lines];
     for (line, reach) in nodes.filter(|(_, reach)| !reach.is_empty()) {
-        let of = of_lines[line].get_or_insert_with(|| reach.clone());
-        *of = of.start.min(reach.start)..of.end.max(reach.end);
+        let whole = of_lines[line].get_or_insert_with(|| reach.clone());
+        *whole = whole.start.min(reach.start)..whole.end.max(reach.end);
     }
-    let meet = |a: &Option<Range<usize>>, b: &Option<Range<usize>>| match (a, b) {
-        (Some(a), Some(b)) => meet(a, b),
-        _ => false,
-    };
-    let reach = |(k, of): (usize, &Option<Range<usize>>)| {
-        k - of_lines[..k].iter().position(|before| meet(before, of)).unwrap_or(k)
-    };
-    of_lines.iter().enumerate().map(reach).max().unwrap_or(0)
+    let mut most = 0;
+    for (k, reach) in of_lines.iter().enumerate() {
+        let Some(reach) = reach else { continue };
+        let meets = |before: &Option<Range<usize>>| before.as_ref().is_some_and(|b| meet(b, reach));
+        let first = of_lines[..k].iter().position(meets).unwrap_or(k);
+        most = most.max(k - first);
+    }
+    most
 }
 
 impl Coarse {
-    /// Zero, for no free column; with room for the reached ones.
+    /// Makes the zero matrix, for no free column; with room for the reached ones.
     pub fn new(nodes: &Nodes, sums: &Sums, reached: &[bool]) -> Self {
-        let extent = |i: usize| sums.extent(nodes.under(i, reached).into_iter().map(|(j, _)| j));
-        let extents: Vec<Extent> = parallel::map(nodes.len(), &extent);
+        let extents: Vec<Extent> = parallel::map(nodes.len(), &|i| {
+            sums.extent(nodes.under(i, reached).into_iter().map(|(j, _)| j))
+        });
         let (ny, nx) = nodes.shape;
         let [of_rows, of_columns] = [
             line_reach(ny, extents.iter().enumerate().map(|(i, e)| (nodes.node(i).0, &e.0))),
@@ -319,49 +345,49 @@ impl Coarse {
         .map(|reach| reach.max(PENALTY_REACH));
         let reach = if nodes.by_rows { [of_rows, of_columns] } else { [of_columns, of_rows] };
         let line = nodes.line();
-        let first = |i: usize| {
+        let first = parallel::map(nodes.len(), &|i| {
             let mut near = (i / line).saturating_sub(reach[0]) * line..i;
-            let are_coupled = |k: &usize| {
-                let (a, b) = (&extents[*k], &extents[i]);
+            let is_coupled = |k: &usize| {
+                let [a, b] = [*k, i].map(|k| &extents[k]);
                 nodes.are_linked(*k, i) || meet(&a.0, &b.0) && meet(&a.1, &b.1)
             };
-            near.find(are_coupled).unwrap_or(i)
-        };
+            near.find(is_coupled).unwrap_or(i)
+        });
         let cells: usize = extents.iter().map(|(rows, columns)| rows.len() * columns.len()).sum();
         Self {
             free: vec![false; reached.len()],
             patches: vec![Patch::default(); nodes.len()],
             keeps_patches: cells <= MAX_KEPT_PATCH_ELEMENTS,
             matrix: nodes.stencils(reach),
-            first: parallel::map(nodes.len(), &first),
+            first,
             last: None,
         }
     }
 
     /// Returns true if the last inverse is for this penalty, and all its columns are free.
     pub fn is_of(&self, penalty: &Penalty, free: &[bool]) -> bool {
-        let known = self.last.as_ref().is_some_and(|(of, _)| of == penalty);
+        let known = self.last.as_ref().is_some_and(|(last, _)| last == penalty);
         known && self.free.iter().zip(free).all(|(own, free)| *free || !own)
     }
 
-    /// The matrix for other free columns.
+    /// Makes the matrix that of other free columns.
     fn update(&mut self, nodes: &Nodes, sums: &Sums, weight: &Array2<f64>, free: &[bool]) {
         let mut changed = vec![false; nodes.len()];
-        let differs = |(j, w): (usize, &Option<Weights>)| w.filter(|_| self.free[j] != free[j]);
-        for w in nodes.at.iter().enumerate().filter_map(differs) {
-            nodes.over(&w).for_each(|i| changed[i] = true);
+        for (j, w) in nodes.weights.iter().enumerate() {
+            if let Some(w) = w.as_ref().filter(|_| self.free[j] != free[j]) {
+                nodes.over(w).for_each(|i| changed[i] = true);
+            }
         }
         self.free.copy_from_slice(free);
-        let is_needed = match self.keeps_patches {
-            true => changed.clone(),
-            false => self.matrix.coupled_with(&changed),
-        };
+        let is_needed =
+            if self.keeps_patches { changed.clone() } else { self.matrix.coupled_with(&changed) };
         let mut before = 0..0;
         for rows in self.matrix.parts() {
             let patches = self.patches[rows.clone()].iter_mut().zip(rows.clone());
             parallel::consume(patches.filter(|(_, i)| is_needed[*i]), &|_, (patch, i)| {
                 *patch = sums.patch(&nodes.under(i, free));
-                let ((r, c), (ny, nx)) = (patch.origin, patch.rate_nm_per_s.dim());
+                let (r, c) = patch.origin;
+                let (ny, nx) = patch.rate_nm_per_s.dim();
                 let weight = weight.slice(s![r..r + ny, c..c + nx]);
                 patch.rate_nm_per_s.zip_mut_with(&weight, |v, w| *v *= w.sqrt());
             });
@@ -374,7 +400,7 @@ impl Coarse {
                     let bundle =
                         bundle.get_or_insert_with(|| Bundle::new(patches[rows.clone()].iter()));
                     for (i, dot) in rows.clone().zip(bundle.dots(&patches[k])) {
-                        if let Some(v) = near.at(i, k).filter(|_| changed[i] || changed[k]) {
+                        if let Some(v) = near.element(i, k).filter(|_| changed[i] || changed[k]) {
                             *v = dot;
                         }
                     }
@@ -390,7 +416,7 @@ impl Coarse {
         }
     }
 
-    /// `(V' H V)^-1` of the columns that [`Self::update`] was for; none where that is singular to rounding.
+    /// Returns `(V' H V)^-1` of the columns that [`Self::update`] was for; none where that is singular to rounding.
     fn inverse(
         &self,
         nodes: &Nodes,
@@ -406,7 +432,7 @@ impl Coarse {
         });
         let mut squares = vec![0.0; nodes.len()];
         for ((w, alpha), _) in
-            nodes.at.iter().zip(penalty.alpha()).zip(free).filter(|(_, free)| **free)
+            nodes.weights.iter().zip(penalty.alpha()).zip(free).filter(|(_, free)| **free)
         {
             if let Some(w) = w {
                 nodes.over(w).zip(w.products()).for_each(|(i, v)| squares[i] += alpha * v * v);
@@ -433,7 +459,7 @@ pub struct TwoLevel<'a> {
 }
 
 impl<'a> TwoLevel<'a> {
-    /// Updates `coarse` to other free columns; `u` is that of all columns.
+    /// Makes the preconditioner for some free columns, to which `coarse` is updated; `u` is that of all columns.
     pub fn new(
         nodes: &'a Nodes,
         coarse: &mut Coarse,
@@ -442,7 +468,7 @@ impl<'a> TwoLevel<'a> {
         u: &[Vec<f64>],
         free: &[bool],
     ) -> Self {
-        if coarse.free != free || coarse.last.as_ref().is_none_or(|(of, _)| of != penalty) {
+        if coarse.free != free || coarse.last.as_ref().is_none_or(|(last, _)| last != penalty) {
             // The one before goes first: each is as large as the matrix.
             coarse.last = None;
             coarse.update(nodes, sums, weight, free);
@@ -460,7 +486,7 @@ impl<'a> TwoLevel<'a> {
 }
 
 impl Deflation for TwoLevel<'_> {
-    /// `Q r = V (V' H V)^-1 V' r`; zero where the matrix is singular to rounding, which only costs
+    /// Returns `Q r = V (V' H V)^-1 V' r`; zero where the matrix is singular to rounding, which only costs
     /// steps.
     fn coarse(&self, r: &[f64]) -> Vec<f64> {
         let Some(inverse) = &self.inverse else { return vec![0.0; r.len()] };
@@ -474,9 +500,10 @@ impl Deflation for TwoLevel<'_> {
     }
 }
 
-/// L on the free columns: a chain, because only neighbours along the path are coupled.
+/// Returns the factor of L on the free columns: a chain, because only neighbours along the path are coupled.
 fn chain(penalty: &Penalty, free: &[bool]) -> tridiagonal::Factor {
-    let (mut diagonal, mut below) = (vec![0.0; free.len()], vec![0.0; free.len()]);
+    let mut diagonal = vec![0.0; free.len()];
+    let mut below = vec![0.0; free.len()];
     penalty.for_each(|j, k, v| {
         if j == k && free[j] {
             diagonal[j] += v;

@@ -16,7 +16,7 @@ const STEP_TO_BOUNDARY: f64 = 0.95;
 /// longest one, with more evaluations of the rows. Smaller: fewer evaluations, shorter steps. Chosen.
 const BACKTRACKING: f64 = 0.8;
 
-/// Least remainder of the matrix along the free functions ([`Woodbury::least_left`]), relative, at which a factor in
+/// Least remainder of the matrix along the free functions ([`Woodbury::refined`]), relative, at which a factor in
 /// single precision is used as it is. If less is left it is refined; if that fails, the factor is made in double
 /// precision. Larger: more refinements. Smaller: steps by a wrong inverse. Derived: a thousand times the rounding of
 /// the products.

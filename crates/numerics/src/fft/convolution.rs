@@ -85,7 +85,7 @@ impl<T: Lanes + Planned> Convolution<T> {
         }
     }
 
-    /// Valid part of kernel * source, (sy-gy+1, sx-gx+1).
+    /// Returns the valid part of kernel * source, (sy-gy+1, sx-gx+1).
     pub fn valid(&self, source: ArrayView2<f64>) -> Array2<f64> {
         assert_eq!(source.dim(), self.source, "shape of the source");
         let (gy, gx) = self.kernel.dim();
@@ -98,7 +98,7 @@ impl<T: Lanes + Planned> Convolution<T> {
         }
     }
 
-    /// Adjoint of [`Self::valid`]: `<valid(s), m> = <s, adjoint(m)>`. It has the shape of the
+    /// Applies the adjoint of [`Self::valid`]: `<valid(s), m> = <s, adjoint(m)>`. It has the shape of the
     /// source.
     pub fn adjoint(&self, map: ArrayView2<f64>) -> Array2<f64> {
         // The kernel is rotated by 180 degrees, and the map is placed in the middle of zeros.
@@ -111,7 +111,7 @@ impl<T: Lanes + Planned> Convolution<T> {
         }
     }
 
-    /// Adjoint with `filter(G)` in place of conj(G), where G is the spectrum of the kernel. A
+    /// Applies the adjoint with `filter(G)` in place of conj(G), where G is the spectrum of the kernel. A
     /// filter near 1 / G gives a source whose valid part is near `map`. The result has the shape of
     /// the source.
     pub fn filtered(
@@ -121,22 +121,22 @@ impl<T: Lanes + Planned> Convolution<T> {
     ) -> Array2<f64> {
         let elements = T::rounded((self.size.0 * self.size.1) as f64);
         // The spectrum is stored with the scale of the inverse transform.
-        let filter = |g: Complex<T>| filter(g * elements) / elements;
-        self.through(map, self.placed(), filter, (0, 0), self.source)
+        let scaled = |g: Complex<T>| filter(g * elements) / elements;
+        self.through(map, self.placed(), scaled, (0, 0), self.source)
     }
 
-    /// Place of the valid part in the source (row, column).
+    /// Returns the place of the valid part in the source (row, column).
     fn placed(&self) -> (usize, usize) {
         (self.kernel.nrows() - 1, self.kernel.ncols() - 1)
     }
 
-    /// Places `map` at `at` in a field of zeros, multiplies its spectrum by the filter, and returns
+    /// Puts `map` at `offset` in a field of zeros, multiplies its spectrum by the filter, and returns
     /// the part of the result that starts at `from`. The columns stay in the cache between both
     /// transforms.
     fn through(
         &self,
         map: ArrayView2<f64>,
-        at: (usize, usize),
+        offset: (usize, usize),
         filter: impl Fn(Complex<T>) -> Complex<T> + Sync,
         from: (usize, usize),
         shape: (usize, usize),
@@ -145,7 +145,7 @@ impl<T: Lanes + Planned> Convolution<T> {
         let kx = px / 2 + 1;
         let rows = map.nrows();
         let spectrum = self.spectrum.get_or_init(|| self.kernel_spectrum());
-        let by_rows = self.rows(map, at.1);
+        let by_rows = self.rows(map, offset.1);
         // [k / LINES][row][k % LINES]
         let mut by_blocks = vec![Complex::<T>::default(); kx.div_ceil(LINES) * shape.0 * LINES];
         let scratch =
@@ -160,7 +160,7 @@ impl<T: Lanes + Planned> Convolution<T> {
                 for r in 0..rows {
                     let values = &by_rows[r * kx + first..r * kx + first + width];
                     for (l, v) in values.iter().enumerate() {
-                        columns[l * py + at.0 + r] = *v;
+                        columns[l * py + offset.0 + r] = *v;
                     }
                 }
                 for (l, column) in columns.chunks_mut(py).take(width).enumerate() {
@@ -205,8 +205,8 @@ impl<T: Lanes + Planned> Convolution<T> {
         out
     }
 
-    /// Spectra [row][kx] of the rows of `map`, each placed at `at` in a line of zeros.
-    fn rows(&self, map: ArrayView2<f64>, at: usize) -> Vec<Complex<T>> {
+    /// Returns the spectra [row][kx] of the rows of `map`, each placed at `offset` in a line of zeros.
+    fn rows(&self, map: ArrayView2<f64>, offset: usize) -> Vec<Complex<T>> {
         let px = self.size.1;
         let kx = px / 2 + 1;
         let (rows, columns) = map.dim();
@@ -219,7 +219,10 @@ impl<T: Lanes + Planned> Convolution<T> {
                     return; // the transform of zeros
                 }
                 line.fill(T::default());
-                line[at..at + columns].iter_mut().zip(row).for_each(|(l, v)| *l = T::rounded(*v));
+                line[offset..offset + columns]
+                    .iter_mut()
+                    .zip(row)
+                    .for_each(|(l, v)| *l = T::rounded(*v));
                 self.forward_x
                     .process_with_scratch(line, out, scratch)
                     .expect("buffers have the planned sizes");
@@ -228,7 +231,7 @@ impl<T: Lanes + Planned> Convolution<T> {
         by_rows
     }
 
-    /// Spectrum [kx][ky] of the kernel, scaled by 1 / (number of elements).
+    /// Returns the spectrum [kx][ky] of the kernel, scaled by 1 / (number of elements).
     fn kernel_spectrum(&self) -> Vec<Complex<T>> {
         let py = self.size.0;
         let kx = self.size.1 / 2 + 1;

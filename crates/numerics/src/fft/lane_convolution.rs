@@ -34,7 +34,7 @@ pub fn is_field_size(n: usize) -> bool {
     n > 0 && n.is_multiple_of(STEP) && is_size(n)
 }
 
-/// Smallest size of a field `>= n` ([`is_field_size`]).
+/// Returns the smallest size of a field `>= n` ([`is_field_size`]).
 pub fn field_size(n: usize) -> usize {
     (n.max(1).next_multiple_of(STEP)..)
         .step_by(STEP)
@@ -92,7 +92,7 @@ impl<T: Lanes> LaneConvolution<T> {
         plan
     }
 
-    /// Shape (ny, nx) of the fields.
+    /// Returns the shape (ny, nx) of the fields.
     pub fn size(&self) -> (usize, usize) {
         (self.y.size(), self.x.size())
     }
@@ -107,6 +107,7 @@ impl<T: Lanes> LaneConvolution<T> {
         self.run(source, strips, work, None);
     }
 
+    /// Convolves the strips, or makes their spectrum where there is a place for it.
     fn run(
         &self,
         source: (usize, usize),
@@ -116,7 +117,7 @@ impl<T: Lanes> LaneConvolution<T> {
     ) {
         let (ny, nx) = self.size();
         assert!(source.0 <= ny && source.1 <= nx, "source exceeds the field");
-        Arch::new().dispatch(Run { plan: self, source, strips, work, spectrum });
+        Arch::new().dispatch(ConvolutionRun { plan: self, source, strips, work, spectrum });
     }
 }
 
@@ -139,7 +140,7 @@ impl<T: Lanes> Strips<T> for Kernel<'_> {
 }
 
 /// A convolution, or only the spectrum of its strips.
-struct Run<'a, T: Lanes, X> {
+struct ConvolutionRun<'a, T: Lanes, X> {
     plan: &'a LaneConvolution<T>,
     source: (usize, usize),
     strips: &'a mut X,
@@ -162,20 +163,20 @@ struct Places {
 }
 
 impl Places {
-    /// Range of the square of a block and a group of rows.
+    /// Returns the range of the square of a block and a group of rows.
     fn square(&self, block: usize, group: usize) -> Range<usize> {
         let from = block * self.stride + group * self.square;
         from..from + self.square
     }
 
-    /// Range of the element of a block and a row.
+    /// Returns the range of the element of a block and a row.
     fn element(&self, block: usize, row: usize) -> Range<usize> {
         let from = block * self.stride + row * self.element;
         from..from + self.element
     }
 }
 
-impl<T: Lanes, X: Strips<T>> WithSimd for Run<'_, T, X> {
+impl<T: Lanes, X: Strips<T>> WithSimd for ConvolutionRun<'_, T, X> {
     type Output = ();
 
     #[inline(always)]
@@ -279,7 +280,8 @@ impl<T: Lanes> LaneConvolution<T> {
         field: &mut [T],
         places: Places,
     ) {
-        let ((gy, gx), lanes) = (self.kernel, places.lanes);
+        let (gy, gx) = self.kernel;
+        let lanes = places.lanes;
         let valid = self.spoilt(places)..places.blocks;
         for block in field.chunks_exact_mut(places.stride).take(valid.end).skip(valid.start) {
             let block = &mut block[..self.y.size() * places.element];
@@ -289,20 +291,21 @@ impl<T: Lanes> LaneConvolution<T> {
             for b in valid.clone() {
                 let column = b * lanes;
                 // Lanes of valid columns.
-                let (from, to) = ((gx - 1).saturating_sub(column), lanes.min(source.1 - column));
+                let from = (gx - 1).saturating_sub(column);
+                let to = lanes.min(source.1 - column);
                 if from >= to {
                     continue;
                 }
                 for row in rows..(rows + ROWS).min(source.0) {
                     let (left, right) = field[places.element(b, row)].split_at(lanes);
-                    let (left, right) = (&left[from..to], &right[from..to]);
-                    strips.write(row + 1 - gy, column + from + 1 - gx, left, right);
+                    let column = column + from + 1 - gx;
+                    strips.write(row + 1 - gy, column, &left[from..to], &right[from..to]);
                 }
             }
         }
     }
 
-    /// Number of blocks of columns that the wrapped part of a circular convolution fills
+    /// Returns the number of blocks of columns that the wrapped part of a circular convolution fills
     /// completely.
     fn spoilt(&self, places: Places) -> usize {
         (self.kernel.1 - 1) / places.lanes

@@ -42,7 +42,7 @@ pub fn is_size(n: usize) -> bool {
 /// An element of a line in every lane: the real and the imaginary parts.
 pub type Element<T, S> = [<T as Lanes>::Vector<S>; 2];
 
-/// The numbers as elements: the real parts of the first element, its imaginary parts, and so on.
+/// Returns the numbers as elements: the real parts of the first element, its imaginary parts, and so on.
 #[inline(always)]
 pub fn elements<T: Lanes, S: Simd>(numbers: &mut [T]) -> &mut [Element<T, S>] {
     T::vectors_mut::<S>(numbers).as_chunks_mut::<2>().0
@@ -69,12 +69,11 @@ impl<T: Lanes> Transform<T> {
         let mut size = len;
         let levels = radices(len).into_iter().map(|radix| {
             let rest = size / radix;
-            let twiddle = |j: usize, p: usize| {
-                let (sin, cos) = (-TAU * (j * p) as f64 / size as f64).sin_cos();
+            let turns = (0..rest).flat_map(|j| (1..radix).map(move |p| j * p));
+            let twiddles = turns.map(|turns| {
+                let (sin, cos) = (-TAU * turns as f64 / size as f64).sin_cos();
                 [T::rounded(cos), T::rounded(sin)]
-            };
-            let twiddles =
-                (0..rest).flat_map(|j| (1..radix).map(move |p| (j, p))).map(|(j, p)| twiddle(j, p));
+            });
             let level = Level { radix, rest, twiddles: twiddles.collect() };
             size = rest;
             level
@@ -82,7 +81,7 @@ impl<T: Lanes> Transform<T> {
         Self { size: len, levels: levels.collect() }
     }
 
-    /// Number of elements of a line.
+    /// Returns the number of elements of a line.
     pub fn size(&self) -> usize {
         self.size
     }
@@ -93,7 +92,7 @@ impl<T: Lanes> Transform<T> {
         Step { simd, levels: &self.levels, lines, what: What::<T, S>::Forward }.run();
     }
 
-    /// Inverse of [`Self::forward`] in place, times the number of elements.
+    /// Transforms lines back in place: the inverse of [`Self::forward`], times the number of elements.
     #[inline(always)]
     pub fn inverse<S: Simd>(&self, simd: S, lines: &mut [Element<T, S>]) {
         Step { simd, levels: &self.levels, lines, what: What::<T, S>::Inverse }.run();
@@ -112,9 +111,10 @@ impl<T: Lanes> Transform<T> {
     }
 }
 
-/// Radices of a length. Eights come first, so that the blocks are soon small.
+/// Returns the radices of a length. Eights come first, so that the blocks are soon small.
 fn radices(len: usize) -> Vec<usize> {
-    let (mut twos, mut rest) = (len.trailing_zeros(), len >> len.trailing_zeros());
+    let mut twos = len.trailing_zeros();
+    let mut rest = len >> twos;
     let mut radices = vec![];
     match twos % 3 {
         1 if twos >= 4 => {
@@ -169,8 +169,8 @@ impl<T: Lanes, S: Simd> NullaryFnOnce for Step<'_, T, S> {
     #[inline(always)]
     fn call(self) {
         let Self { simd, levels, lines, what } = self;
-        let (forward, inverse) =
-            (!matches!(what, What::Inverse), !matches!(what, What::<T, S>::Forward));
+        let forward = !matches!(what, What::Inverse);
+        let inverse = !matches!(what, What::<T, S>::Forward);
         if lines.len() <= BLOCK {
             if forward {
                 for level in levels {
@@ -214,7 +214,7 @@ impl<T: Lanes, S: Simd> NullaryFnOnce for Step<'_, T, S> {
 }
 
 impl<T: Lanes> Level<T> {
-    /// Step (1) within a block, or its inverse. With real and imaginary parts exchanged, the
+    /// Does step (1) within a block, or its inverse. With real and imaginary parts exchanged, the
     /// transform is its own inverse.
     #[inline(always)]
     fn pass<S: Simd, const INVERSE: bool>(&self, simd: S, block: &mut [Element<T, S>]) {
@@ -295,7 +295,7 @@ fn twiddle<T: Lanes, S: Simd>(simd: S, v: &mut [Element<T, S>], roots: &[[T; 2]]
     }
 }
 
-/// `a b`.
+/// Returns `a b`.
 #[inline(always)]
 fn times<T: Lanes, S: Simd>(simd: S, a: Element<T, S>, b: Element<T, S>) -> Element<T, S> {
     let [re, im] = [T::product(simd, a[0], b[0]), T::product(simd, a[0], b[1])];
@@ -313,7 +313,7 @@ struct Four;
 struct Five;
 struct Eight;
 
-/// a + b, a - b.
+/// Returns a + b and a - b.
 #[inline(always)]
 fn sum_and_difference<T: Lanes, S: Simd>(
     simd: S,
@@ -326,7 +326,7 @@ fn sum_and_difference<T: Lanes, S: Simd>(
     ]
 }
 
-/// a - i b, a + i b.
+/// Returns a - i b and a + i b.
 #[inline(always)]
 fn turned<T: Lanes, S: Simd>(simd: S, a: Element<T, S>, b: Element<T, S>) -> [Element<T, S>; 2] {
     [
@@ -345,8 +345,8 @@ impl Butterfly<2> for Two {
 impl Butterfly<3> for Three {
     #[inline(always)]
     fn dft<T: Lanes, S: Simd>(simd: S, x: [Element<T, S>; 3]) -> [Element<T, S>; 3] {
-        let (half, sine) =
-            (T::splat(simd, T::rounded(0.5)), T::splat(simd, T::rounded((TAU / 3.0).sin())));
+        let half = T::splat(simd, T::rounded(0.5));
+        let sine = T::splat(simd, T::rounded((TAU / 3.0).sin()));
         let [sum, difference] = sum_and_difference::<T, S>(simd, x[1], x[2]);
         let [all, _] = sum_and_difference::<T, S>(simd, x[0], sum);
         let a = [
@@ -373,9 +373,9 @@ impl Butterfly<4> for Four {
 impl Butterfly<5> for Five {
     #[inline(always)]
     fn dft<T: Lanes, S: Simd>(simd: S, x: [Element<T, S>; 5]) -> [Element<T, S>; 5] {
-        let number = |v: f64| T::splat(simd, T::rounded(v));
-        let (c1, c2) = (number((TAU / 5.0).cos()), number((2.0 * TAU / 5.0).cos()));
-        let (s1, s2) = (number((TAU / 5.0).sin()), number((2.0 * TAU / 5.0).sin()));
+        let angles = [TAU / 5.0, 2.0 * TAU / 5.0];
+        let [c1, c2] = angles.map(|angle| T::splat(simd, T::rounded(angle.cos())));
+        let [s1, s2] = angles.map(|angle| T::splat(simd, T::rounded(angle.sin())));
         let [p1, d1] = sum_and_difference::<T, S>(simd, x[1], x[4]);
         let [p2, d2] = sum_and_difference::<T, S>(simd, x[2], x[3]);
         let [p, _] = sum_and_difference::<T, S>(simd, p1, p2);
@@ -435,7 +435,8 @@ pub fn round<T: Lanes>(from: &[f64], to: &mut [T]) {
     let (to, to_rest) = to.as_chunks_mut::<AT_A_TIME>();
     for (from, to) in from.iter().zip(to) {
         // All of them are read before the first is written.
-        let (from, mut rounded) = (*from, [T::default(); AT_A_TIME]);
+        let from = *from;
+        let mut rounded = [T::default(); AT_A_TIME];
         for k in 0..AT_A_TIME {
             rounded[k] = T::rounded(from[k]);
         }
@@ -475,7 +476,8 @@ fn transpose_square<T: Lanes, const N: usize>(
     /// Side of the squares that are transposed at a time. Larger: more than the compiler has
     /// vectors for. Smaller: single values. It does not change the result.
     const SIDE: usize = 4;
-    let (from, to) = (&from[..(N - 1) * from_step + N], &mut to[..(N - 1) * to_step + N]);
+    let from = &from[..(N - 1) * from_step + N];
+    let to = &mut to[..(N - 1) * to_step + N];
     for i in 0..N / SIDE {
         for j in 0..N / SIDE {
             let mut v = [[T::default(); SIDE]; SIDE];

@@ -27,16 +27,17 @@ impl Lines {
     pub fn new(len: usize) -> Self {
         let size = smooth_size(len);
         let mut planner = RealFftPlanner::new();
-        let (forward, inverse) = (planner.plan_fft_forward(size), planner.plan_fft_inverse(size));
+        let forward = planner.plan_fft_forward(size);
+        let inverse = planner.plan_fft_inverse(size);
         Self { size, forward, inverse }
     }
 
-    /// Number of elements of a spectrum.
+    /// Returns the number of elements of a spectrum.
     pub fn half(&self) -> usize {
         self.size / 2 + 1
     }
 
-    /// Buffers for [`Self::forward`] and [`Self::inverse`].
+    /// Makes the buffers for [`Self::forward`] and [`Self::inverse`].
     pub fn workspace(&self) -> Workspace {
         Workspace {
             line: self.forward.make_input_vec(),
@@ -60,7 +61,7 @@ impl Lines {
             .expect("buffers have the planned sizes");
     }
 
-    /// Line of a spectrum, divided by the number of its elements.
+    /// Returns the line of a spectrum, divided by the number of its elements.
     pub fn inverse<'a>(&self, spectrum: &[Complex64], work: &'a mut Workspace) -> &'a [f64] {
         let scale = 1.0 / self.size as f64;
         work.half.iter_mut().zip(spectrum).for_each(|(h, s)| *h = s * scale);

@@ -63,29 +63,30 @@ impl LineConvolution {
             left.zip(g).for_each(|(l, g)| *l = g / size as f64);
         }
         plan.forward(&mut lines, &mut Vec::new());
-        let of = |(k, j): (usize, usize)| lines[j * plan.runs() + k];
-        let spectra = (0..size / RUN).flat_map(|k| (0..m).map(move |j| (k, j))).map(of).collect();
-        plan.spectra = spectra;
+        plan.spectra = (0..size / RUN)
+            .flat_map(|k| (0..m).map(move |j| (k, j)))
+            .map(|(k, j)| lines[j * plan.runs() + k])
+            .collect();
         plan
     }
 
-    /// Number of runs from one line to the next. As numbers, they are the elements of the left
+    /// Returns the number of runs from one line to the next. As numbers, they are the elements of the left
     /// line, those of the right one, and the gap. As a spectrum, they are its runs and the gap.
     pub fn runs(&self) -> usize {
         self.size / RUN + GAP
     }
 
-    /// Number of elements of a left or a right line.
+    /// Returns the number of elements of a left or a right line.
     pub fn size(&self) -> usize {
         self.size
     }
 
-    /// Count of numbers from one line to the next.
+    /// Returns the count of numbers from one line to the next.
     pub fn numbers(&self) -> usize {
         self.runs() * 2 * RUN
     }
 
-    /// The left and the right line of a line that is not a spectrum.
+    /// Returns the left and the right line of a line that is not a spectrum.
     pub fn left_and_right<'a>(&self, line: &'a [Run]) -> [&'a [f64]; 2] {
         let (left, rest) = line.as_flattened().split_at(self.size);
         [left, &rest[..self.size]]
@@ -94,14 +95,14 @@ impl LineConvolution {
     /// Replaces lines, in whole groups, by their spectra. `work` is a buffer.
     pub fn forward(&self, lines: &mut [Run], work: &mut Vec<f64>) {
         for lines in lines.chunks_exact_mut(GROUP * self.runs()) {
-            Arch::new().dispatch(Forward { plan: self, lines, work });
+            Arch::new().dispatch(GroupTransform::<false> { plan: self, lines, work });
         }
     }
 
     /// Replaces sums of [`Self::subtract`], in whole groups, by their lines. `work` is a buffer.
     pub fn inverse(&self, lines: &mut [Run], work: &mut Vec<f64>) {
         for lines in lines.chunks_exact_mut(GROUP * self.runs()) {
-            Arch::new().dispatch(Inverse { plan: self, lines, work });
+            Arch::new().dispatch(GroupTransform::<true> { plan: self, lines, work });
         }
     }
 
@@ -123,10 +124,10 @@ impl LineConvolution {
         Arch::new().dispatch(Subtract { plan: self, sums, terms });
     }
 
-    /// Place in a line of element `i`: of the left line (part 0) or the right one (part 1), or of
+    /// Returns the place in a line of element `i`: of the left line (part 0) or the right one (part 1), or of
     /// the real (0) or imaginary (1) part of a spectrum.
     #[inline(always)]
-    fn at<const SPECTRUM: bool>(&self, part: usize, i: usize) -> usize {
+    fn place<const SPECTRUM: bool>(&self, part: usize, i: usize) -> usize {
         if SPECTRUM { (i / RUN * 2 + part) * RUN + i % RUN } else { part * self.size + i }
     }
 
@@ -134,11 +135,12 @@ impl LineConvolution {
     /// `to`.
     #[inline(always)]
     fn gather<S: Simd, const SPECTRUM: bool>(&self, lines: &[Run], first: usize, to: &mut [f64]) {
-        let (lanes, numbers) = (f64::lanes::<S>(), self.numbers());
+        let lanes = f64::lanes::<S>();
+        let numbers = self.numbers();
         let lines = &lines.as_flattened()[first * numbers..];
         for i in (0..self.size).step_by(lanes) {
             for part in 0..2 {
-                let from = &lines[self.at::<SPECTRUM>(part, i)..];
+                let from = &lines[self.place::<SPECTRUM>(part, i)..];
                 transpose::<f64, S>(from, numbers, &mut to[(2 * i + part) * lanes..], 2 * lanes);
             }
         }
@@ -153,17 +155,18 @@ impl LineConvolution {
         lines: &mut [Run],
         first: usize,
     ) {
-        let (lanes, numbers) = (f64::lanes::<S>(), self.numbers());
+        let lanes = f64::lanes::<S>();
+        let numbers = self.numbers();
         let lines = &mut lines.as_flattened_mut()[first * numbers..];
         for i in (0..self.size).step_by(lanes) {
             for part in 0..2 {
-                let to = &mut lines[self.at::<SPECTRUM>(part, i)..];
+                let to = &mut lines[self.place::<SPECTRUM>(part, i)..];
                 transpose::<f64, S>(&from[(2 * i + part) * lanes..], 2 * lanes, to, numbers);
             }
         }
     }
 
-    /// Buffer for as many lines as there are lanes.
+    /// Returns a buffer for as many lines as there are lanes.
     #[inline(always)]
     fn buffer<'a, S: Simd>(&self, work: &'a mut Vec<f64>) -> &'a mut [f64] {
         let needed = 2 * self.size * f64::lanes::<S>();
@@ -172,13 +175,14 @@ impl LineConvolution {
     }
 }
 
-struct Forward<'a> {
+/// The transform of a group of lines, or its inverse.
+struct GroupTransform<'a, const INVERSE: bool> {
     plan: &'a LineConvolution,
     lines: &'a mut [Run],
     work: &'a mut Vec<f64>,
 }
 
-impl WithSimd for Forward<'_> {
+impl<const INVERSE: bool> WithSimd for GroupTransform<'_, INVERSE> {
     type Output = ();
 
     #[inline(always)]
@@ -186,30 +190,15 @@ impl WithSimd for Forward<'_> {
         let Self { plan, lines, work } = self;
         let buffer = plan.buffer::<S>(work);
         for first in (0..GROUP).step_by(f64::lanes::<S>()) {
-            plan.gather::<S, false>(lines, first, buffer);
-            plan.transform.forward::<S>(simd, elements::<f64, S>(buffer));
-            plan.scatter::<S, true>(buffer, lines, first);
-        }
-    }
-}
-
-struct Inverse<'a> {
-    plan: &'a LineConvolution,
-    lines: &'a mut [Run],
-    work: &'a mut Vec<f64>,
-}
-
-impl WithSimd for Inverse<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Self { plan, lines, work } = self;
-        let buffer = plan.buffer::<S>(work);
-        for first in (0..GROUP).step_by(f64::lanes::<S>()) {
-            plan.gather::<S, true>(lines, first, buffer);
-            plan.transform.inverse::<S>(simd, elements::<f64, S>(buffer));
-            plan.scatter::<S, false>(buffer, lines, first);
+            if INVERSE {
+                plan.gather::<S, true>(lines, first, buffer);
+                plan.transform.inverse::<S>(simd, elements::<f64, S>(buffer));
+                plan.scatter::<S, false>(buffer, lines, first);
+            } else {
+                plan.gather::<S, false>(lines, first, buffer);
+                plan.transform.forward::<S>(simd, elements::<f64, S>(buffer));
+                plan.scatter::<S, true>(buffer, lines, first);
+            }
         }
     }
 }
@@ -253,8 +242,8 @@ impl WithSimd for Subtract<'_, '_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { plan, sums, terms } = self;
         for (k, spectra) in plan.spectra.chunks_exact(plan.kernels).enumerate() {
-            for (sum, of) in &mut *sums {
-                subtract_run::<S>(simd, &mut sum[k], &terms[of.clone()], spectra, k);
+            for (sum, own) in &mut *sums {
+                subtract_run::<S>(simd, &mut sum[k], &terms[own.clone()], spectra, k);
             }
         }
     }
@@ -274,14 +263,17 @@ fn subtract_run<S: Simd>(
     k: usize,
 ) {
     let (re, im) = sum.split_at_mut(RUN);
-    let (re, im) = (f64::vectors_mut::<S>(re), f64::vectors_mut::<S>(im));
+    let re = f64::vectors_mut::<S>(re);
+    let im = f64::vectors_mut::<S>(im);
     let pairs = re.as_chunks_mut::<PAIR>().0.iter_mut().zip(im.as_chunks_mut::<PAIR>().0);
     for (pair, (to_re, to_im)) in pairs.enumerate() {
-        let (mut re, mut im) = (*to_re, *to_im);
+        let mut re = *to_re;
+        let mut im = *to_im;
         for &(j, source) in terms {
-            let (g, s) = (&spectra[j], &source[k]);
-            let (g_re, g_im) = (part::<S>(g, 0, pair), part::<S>(g, 1, pair));
-            let (s_re, s_im) = (part::<S>(s, 0, pair), part::<S>(s, 1, pair));
+            let g = &spectra[j];
+            let s = &source[k];
+            let [g_re, g_im] = [0, 1].map(|i| part::<S>(g, i, pair));
+            let [s_re, s_im] = [0, 1].map(|i| part::<S>(s, i, pair));
             for v in 0..PAIR {
                 re[v] = <f64 as Lanes>::negate_mul_add(simd, g_re[v], s_re[v], re[v]);
                 re[v] = <f64 as Lanes>::mul_add(simd, g_im[v], s_im[v], re[v]);
@@ -289,11 +281,12 @@ fn subtract_run<S: Simd>(
                 im[v] = <f64 as Lanes>::negate_mul_add(simd, g_im[v], s_re[v], im[v]);
             }
         }
-        (*to_re, *to_im) = (re, im);
+        *to_re = re;
+        *to_im = im;
     }
 }
 
-/// A pair of vectors of real parts (0) or of imaginary ones (1).
+/// Returns a pair of vectors of real parts (0) or of imaginary ones (1).
 #[inline(always)]
 fn part<S: Simd>(run: &Run, part: usize, pair: usize) -> &[<f64 as Lanes>::Vector<S>; PAIR] {
     let numbers = &run.as_chunks::<RUN>().0[part];

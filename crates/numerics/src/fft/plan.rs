@@ -40,6 +40,7 @@ impl Planned for f32 {
     }
 }
 
+/// Plans the transforms of maps of a size (rows, columns).
 fn plans<T: Real>((rows, columns): (usize, usize)) -> Plans<T> {
     let mut real = RealFftPlanner::new();
     let mut complex = FftPlanner::new();

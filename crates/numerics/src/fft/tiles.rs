@@ -7,7 +7,7 @@
 //! map, which share one complex transform. The tiles depend on the shapes only, so the result does
 //! not depend on the number of threads.
 
-use std::sync::Mutex;
+use std::sync::{Mutex, MutexGuard};
 
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis};
 
@@ -34,7 +34,7 @@ pub struct Tiles<T> {
     idle: Mutex<Vec<Workspace<T>>>,
 }
 
-/// Work of the forward and inverse transform of a field. The unit is the arithmetic of one element
+/// Returns the work of the forward and inverse transform of a field. The unit is the arithmetic of one element
 /// in one level of a transform. Reading, transposing and writing take as long as eight levels, and
 /// a field that exceeds the cache takes longer. Both were measured in double precision on fields of
 /// 384 x 384 to 1536 x 1024 elements.
@@ -60,10 +60,8 @@ impl<T: Lanes> Tiles<T> {
         // of 2, and all cores work.
         let mut least = field_work::<T>((whole.div_ceil(2), 1)) * 2.0 / CORES as f64;
         let mut best = None;
-        let sizes = |g: usize, valid: usize| -> Vec<usize> {
-            (g..=field_size(valid + g - 1)).filter(|n| is_field_size(*n)).collect()
-        };
-        let (nys, nxs) = (sizes(gy, shape.0), sizes(gx, shape.1));
+        let nxs = sizes(gx, shape.1);
+        let nys = sizes(gy, shape.0);
         for nx in nxs {
             let strips = shape.1.div_ceil(nx - gx + 1);
             for &ny in &nys {
@@ -73,7 +71,8 @@ impl<T: Lanes> Tiles<T> {
                 if cost < least {
                     // Parts of equal size.
                     let part = (shape.0.div_ceil(bands), shape.1.div_ceil(strips));
-                    (least, best) = (cost, Some(((ny, nx), part)));
+                    least = cost;
+                    best = Some(((ny, nx), part));
                 }
             }
         }
@@ -82,11 +81,11 @@ impl<T: Lanes> Tiles<T> {
         Some(Self { convolution, kernel: (gy, gx), shape, part, idle: Mutex::default() })
     }
 
-    /// Valid part of the convolution of `map`, placed at `at` in a field of zeros.
-    pub fn valid(&self, map: ArrayView2<f64>, at: (usize, usize)) -> Array2<f64> {
+    /// Returns the valid part of the convolution of `map`, placed at `offset` in a field of zeros.
+    pub fn valid(&self, map: ArrayView2<f64>, offset: (usize, usize)) -> Array2<f64> {
         let map = map.as_standard_layout();
         let data = map.as_slice().expect("in C order");
-        let source = Source { data, shape: map.dim(), at };
+        let source = Source { data, shape: map.dim(), offset };
         let mut out = Array2::zeros(self.shape);
         let (rows, columns) = self.part;
         let mut jobs = vec![];
@@ -98,16 +97,26 @@ impl<T: Lanes> Tiles<T> {
                 jobs.push(Tile { source, first: (band * rows, column), columns, out: tile });
             }
         }
-        let idle = || self.idle.lock().expect("no thread panics with the lock");
         let (gy, gx) = self.kernel;
         parallel::consume(jobs, &|_, mut tile| {
-            let mut work = idle().pop().unwrap_or_default();
+            let mut work = self.idle().pop().unwrap_or_default();
             let source = (tile.out.nrows() + gy - 1, columns.min(tile.out.ncols()) + gx - 1);
             self.convolution.convolve(source, &mut tile, &mut work);
-            idle().push(work);
+            self.idle().push(work);
         });
         out
     }
+
+    /// Locks the buffers that no thread is using.
+    fn idle(&self) -> MutexGuard<'_, Vec<Workspace<T>>> {
+        self.idle.lock().expect("no thread panics with the lock")
+    }
+}
+
+/// Returns the sizes of a field along an axis for a kernel of `g` and a valid part of `valid` elements, up to the
+/// smallest one that has room for all.
+fn sizes(g: usize, valid: usize) -> Vec<usize> {
+    (g..=field_size(valid + g - 1)).filter(|n| is_field_size(*n)).collect()
 }
 
 /// A map in C order in a field of zeros.
@@ -115,7 +124,7 @@ impl<T: Lanes> Tiles<T> {
 struct Source<'a> {
     data: &'a [f64],
     shape: (usize, usize),
-    at: (usize, usize),
+    offset: (usize, usize),
 }
 
 impl Source<'_> {
@@ -123,19 +132,20 @@ impl Source<'_> {
     #[inline(always)]
     fn read<T: Lanes>(&self, row: usize, column: usize, to: &mut [T]) {
         let (rows, columns) = self.shape;
-        if row < self.at.0 || row - self.at.0 >= rows {
+        if row < self.offset.0 || row - self.offset.0 >= rows {
             to.fill(T::default());
             return;
         }
-        let line = &self.data[(row - self.at.0) * columns..][..columns];
-        if column >= self.at.1
-            && let Some(values) = line.get(column - self.at.1..column - self.at.1 + to.len())
+        let line = &self.data[(row - self.offset.0) * columns..][..columns];
+        if column >= self.offset.1
+            && let Some(values) =
+                line.get(column - self.offset.1..column - self.offset.1 + to.len())
         {
             round(values, to);
             return;
         }
         for (k, to) in to.iter_mut().enumerate() {
-            let value = (column + k).checked_sub(self.at.1).and_then(|c| line.get(c));
+            let value = (column + k).checked_sub(self.offset.1).and_then(|c| line.get(c));
             *to = T::rounded(value.copied().unwrap_or(0.0));
         }
     }
@@ -154,7 +164,8 @@ struct Tile<'a> {
 impl<T: Lanes> Strips<T> for Tile<'_> {
     #[inline(always)]
     fn read(&self, row: usize, column: usize, left: &mut [T], right: &mut [T]) {
-        let (row, column) = (self.first.0 + row, self.first.1 + column);
+        let row = self.first.0 + row;
+        let column = self.first.1 + column;
         self.source.read(row, column, left);
         self.source.read(row, column + self.columns, right);
     }

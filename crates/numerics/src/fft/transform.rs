@@ -14,24 +14,25 @@ use super::Complex64;
 
 use crate::parallel;
 
-/// Transform F of a real map, (ny, nx); element [0, 0] is the sum of the map.
+/// Returns the transform F of a real map, (ny, nx); element [0, 0] is the sum of the map.
 pub fn forward(map: ArrayView2<f64>) -> Array2<Complex64> {
     transform(map.mapv(|v| Complex64::new(v, 0.0)), FftDirection::Forward)
 }
 
-/// Real part of the inverse transform: `inverse(forward(z)) = z`.
+/// Returns the real part of the inverse transform: `inverse(forward(z)) = z`.
 pub fn inverse(spectrum: Array2<Complex64>) -> Array2<f64> {
     let scale = 1.0 / spectrum.len() as f64;
     transform(spectrum, FftDirection::Inverse).mapv(|v| v.re * scale)
 }
 
-/// Frequency of element `k` of `n`, in cycles per sample: `k / n` up to n/2, and `(k - n) / n`
+/// Returns the frequency of element `k` of `n`, in cycles per sample: `k / n` up to n/2, and `(k - n) / n`
 /// above.
 pub fn frequency(k: usize, n: usize) -> f64 {
     let signed = if 2 * k <= n { k as f64 } else { k as f64 - n as f64 };
     signed / n as f64
 }
 
+/// Transforms the rows and the columns of a field, without a scale.
 fn transform(mut field: Array2<Complex64>, direction: FftDirection) -> Array2<Complex64> {
     let mut planner = FftPlanner::new();
     for _axis in 0..2 {

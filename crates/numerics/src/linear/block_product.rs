@@ -27,7 +27,7 @@ const DEPTH: usize = 64;
 /// B are read more often.
 const ROWS: usize = 4;
 
-/// `c -= a' b`.
+/// Subtracts `a' b` from `c`; a and b (k, BLOCK), c (BLOCK, BLOCK).
 pub(crate) fn subtract_product<T: Lanes>(a: &[T], b: &[T], c: &mut [T]) {
     assert_eq!(a.len(), b.len(), "panels of one height");
     assert_eq!(c.len(), BLOCK * BLOCK, "elements of a block");
@@ -60,7 +60,8 @@ impl<T: Lanes> WithSimd for Product<'_, T> {
 #[inline(always)]
 fn subtract_part<T: Lanes, S: Simd, const VECTORS: usize>(simd: S, a: &[T], b: &[T], c: &mut [T]) {
     let of_row = BLOCK / T::lanes::<S>();
-    let (b, c) = (T::vectors::<S>(b), T::vectors_mut::<S>(c));
+    let b = T::vectors::<S>(b);
+    let c = T::vectors_mut::<S>(c);
     for from in (0..of_row).step_by(VECTORS) {
         for row in (0..BLOCK).step_by(ROWS) {
             let mut sums = [[T::splat(simd, T::zero()); VECTORS]; ROWS];

@@ -16,7 +16,7 @@ pub const EIGHT: usize = 8;
 
 /// Rows of numbers. The first numbers of two neighbouring rows are `pitch` apart.
 #[derive(Clone, Copy, Debug)]
-pub struct Rows<'a> {
+pub struct PitchedRows<'a> {
     /// Numbers, from the first one of the rectangle on.
     pub numbers: &'a [f64],
     /// Distance between rows, in elements. An element is eight numbers if the rectangle is
@@ -26,13 +26,18 @@ pub struct Rows<'a> {
 
 /// Adds to `sums` the products of `a`, with eight numbers for each one of `b`, over `shape` (rows,
 /// columns).
-pub fn add_products(a: Rows<'_>, b: Rows<'_>, shape: (usize, usize), sums: &mut [f64; EIGHT]) {
+pub fn add_products(
+    a: PitchedRows<'_>,
+    b: PitchedRows<'_>,
+    shape: (usize, usize),
+    sums: &mut [f64; EIGHT],
+) {
     Arch::new().dispatch(Products { a, b, shape, sums });
 }
 
 struct Products<'a> {
-    a: Rows<'a>,
-    b: Rows<'a>,
+    a: PitchedRows<'a>,
+    b: PitchedRows<'a>,
     shape: (usize, usize),
     sums: &'a mut [f64; EIGHT],
 }
@@ -61,7 +66,8 @@ impl Products<'_> {
         // result.
         let mut four = [[simd.splat_f64s(0.0); VECTORS]; 4];
         for (a, b) in elements.chunks(a.pitch).zip(b.numbers.chunks(b.pitch)).take(ny) {
-            let ((a4, a_rest), (b4, b_rest)) = (a[..nx].as_chunks::<4>(), b[..nx].as_chunks::<4>());
+            let (a4, a_rest) = a[..nx].as_chunks::<4>();
+            let (b4, b_rest) = b[..nx].as_chunks::<4>();
             for (a, b) in a4.iter().zip(b4) {
                 for i in 0..4 {
                     let b = simd.splat_f64s(b[i]);
@@ -100,7 +106,7 @@ mod tests {
                 (0..ny * pitch_a * EIGHT).map(|i| (i * 7 % 23) as f64 - 9.0).collect();
             let b: Vec<f64> = (0..ny * pitch_b).map(|i| (i * 5 % 17) as f64 - 4.0).collect();
             let mut sums = [1.0; EIGHT];
-            let rows = |numbers, pitch| Rows { numbers, pitch };
+            let rows = |numbers, pitch| PitchedRows { numbers, pitch };
             add_products(rows(&a, pitch_a), rows(&b, pitch_b), shape, &mut sums);
             for (l, found) in sums.into_iter().enumerate() {
                 let at = |r: usize, c: usize| a[(r * pitch_a + c) * EIGHT + l] * b[r * pitch_b + c];

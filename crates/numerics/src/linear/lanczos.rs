@@ -85,7 +85,8 @@ pub fn truncated(
     // Rows are the vectors v_k; H v_k = beta_{k-1} v_{k-1} + alpha_k v_k + beta_k v_{k+1}.
     let mut v = Array2::<f64>::zeros((max_steps, n));
     v.row_mut(0).assign(&(&start / length));
-    let (mut alpha, mut beta): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
+    let mut alpha: Vec<f64> = Vec::new();
+    let mut beta: Vec<f64> = Vec::new();
     let mut next_look = FIRST_LOOK;
     for k in 0..max_steps {
         let row = v.row(k).to_vec();
@@ -121,7 +122,7 @@ pub fn truncated(
     result
 }
 
-/// Largest eigenvalue of H from the products `apply` of n numbers. The result is a lower bound.
+/// Returns the largest eigenvalue of H from the products `apply` of n numbers. The result is a lower bound.
 /// Unless another eigenvalue is near, its relative error is about the square of the residual at the
 /// end, 2e-3.
 ///
@@ -133,9 +134,12 @@ pub fn truncated(
 pub fn largest_eigenvalue(apply: impl Fn(&[f64]) -> Vec<f64>, n: usize) -> f64 {
     let start = Array1::from_iter((0..n as u64).map(without_structure));
     let length = start.dot(&start).sqrt();
-    let (mut before, mut v) = (Array1::<f64>::zeros(n), start / length);
-    let (mut alpha, mut beta): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
-    let (mut largest, mut next_look) = (0.0, FIRST_LOOK_AT_LARGEST);
+    let mut before = Array1::<f64>::zeros(n);
+    let mut v = start / length;
+    let mut alpha: Vec<f64> = Vec::new();
+    let mut beta: Vec<f64> = Vec::new();
+    let mut largest = 0.0;
+    let mut next_look = FIRST_LOOK_AT_LARGEST;
     let max_steps = MAX_STEPS_FOR_LARGEST.min(n);
     for k in 1..=max_steps {
         let mut w = Array1::from(apply(v.as_slice().expect("one axis")));
@@ -162,7 +166,7 @@ pub fn largest_eigenvalue(apply: impl Fn(&[f64]) -> Vec<f64>, n: usize) -> f64 {
     largest
 }
 
-/// Number from -1/2 to 1/2 that is unrelated to its neighbours: the finaliser of SplitMix64 (G. L.
+/// Returns a number from -1/2 to 1/2 that is unrelated to its neighbours: the finaliser of SplitMix64 (G. L.
 /// Steele, D. Lea, C. H. Flood, OOPSLA 2014, Fig. 17).
 fn without_structure(j: u64) -> f64 {
     let z = (j + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
@@ -171,7 +175,7 @@ fn without_structure(j: u64) -> f64 {
     ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
 }
 
-/// Eigenvalues and eigenvectors of the tridiagonal matrix T of alpha and beta.
+/// Returns the eigenvalues and eigenvectors of the tridiagonal matrix T of alpha and beta.
 fn eigen(alpha: &[f64], beta: &[f64]) -> SymmetricEigen<f64, Dyn> {
     let k = alpha.len();
     let mut t = DMatrix::zeros(k, k);
@@ -191,9 +195,9 @@ fn solve(alpha: &[f64], beta: &[f64], v: &Array2<f64>, length: f64, cut: f64) ->
     let k = alpha.len();
     let eigen = eigen(alpha, beta);
     let largest = eigen.eigenvalues.iter().copied().fold(0.0, f64::max);
-    let kept: Vec<usize> = (0..k).filter(|i| eigen.eigenvalues[*i] > cut * largest).collect();
+    let above: Vec<usize> = (0..k).filter(|i| eigen.eigenvalues[*i] > cut * largest).collect();
     let mut y = Array1::<f64>::zeros(k);
-    for &i in &kept {
+    for &i in &above {
         // s_i (s_i' e_1 |g|) / theta_i
         let factor = eigen.eigenvectors[(0, i)] * length / eigen.eigenvalues[i];
         for r in 0..k {
@@ -201,8 +205,8 @@ fn solve(alpha: &[f64], beta: &[f64], v: &Array2<f64>, length: f64, cut: f64) ->
         }
     }
     let value = v.slice(s![..k, ..]).t().dot(&y).to_vec();
-    let smallest = kept.iter().map(|i| eigen.eigenvalues[*i]).fold(f64::INFINITY, f64::min);
-    Truncated { value, rank: kept.len(), largest, smallest, steps: k, converged: false }
+    let smallest = above.iter().map(|i| eigen.eigenvalues[*i]).fold(f64::INFINITY, f64::min);
+    Truncated { value, rank: above.len(), largest, smallest, steps: k, converged: false }
 }
 
 #[cfg(test)]

@@ -103,8 +103,10 @@ impl Lane {
         let phi_bar = self.rho_bar / damped * self.phi_bar;
         // ... and one takes beta out.
         let rho = damped.hypot(beta);
-        let (c, s) = (damped / rho, beta / rho);
-        let (theta, phi) = (s * alpha, c * phi_bar);
+        let c = damped / rho;
+        let s = beta / rho;
+        let theta = s * alpha;
+        let phi = c * phi_bar;
         self.rho_bar = -c * alpha;
         self.phi_bar = s * phi_bar;
         for (x, (w, v)) in self.result.value.iter_mut().zip(self.direction.iter_mut().zip(v)) {
@@ -120,14 +122,14 @@ impl Lane {
     }
 }
 
-/// `x <- y - factor x`.
+/// Replaces x by `y - factor x`.
 fn step(x: &mut [f64], y: Vec<f64>, factor: f64) {
     for (x, y) in x.iter_mut().zip(y) {
         *x = y - factor * *x;
     }
 }
 
-/// Scales to length 1 and returns the length; zeros stay.
+/// Scales a vector to length 1, and returns its length before; a vector of zeros stays as it is.
 fn normalise(x: &mut [f64]) -> f64 {
     let length = x.iter().map(|v| v * v).sum::<f64>().sqrt();
     if length > 0.0 {
@@ -136,7 +138,7 @@ fn normalise(x: &mut [f64]) -> f64 {
     length
 }
 
-/// Largest singular value of a matrix of n columns known by `x -> A' A x`, to about 1e-3. The
+/// Returns the largest singular value of a matrix of n columns known by `x -> A' A x`, to about 1e-3. The
 /// result is a lower bound.
 pub fn largest_singular_value(normal: impl Fn(&[f64]) -> Vec<f64>, n: usize) -> f64 {
     largest_eigenvalue(normal, n).sqrt()

@@ -7,7 +7,7 @@
 //! for a symmetric positive semidefinite A that is known by its products only, and a diagonal S.
 //! Source: Golub and Van Loan, Matrix Computations, 4th ed., section 8.2.1.
 
-/// Estimates of the largest eigenvalue of `S A S`, S = diag(`scale`), one per product. They are
+/// Returns estimates of the largest eigenvalue of `S A S`, S = diag(`scale`), one per product. They are
 /// lower bounds that increase. The iterator ends when a product vanishes, after the estimate 0.
 ///
 /// `product(x)` is A x. The start has no structure, so that it contains every eigenvector.
@@ -29,6 +29,7 @@ pub fn power_method(
     })
 }
 
+/// Returns the Euclidean norm.
 fn norm(x: &[f64]) -> f64 {
     x.iter().map(|v| v * v).sum::<f64>().sqrt()
 }

@@ -36,12 +36,12 @@ use crate::{
 pub struct Skyline {
     /// First column of every row.
     first: Vec<usize>,
-    blocks: Vec<Rows>,
+    blocks: Vec<RowBlock>,
 }
 
 /// Block of up to [`BLOCK`] rows.
 #[derive(Clone, Debug)]
-struct Rows {
+struct RowBlock {
     /// First column that is stored, a multiple of [`BLOCK`].
     start: usize,
     /// (rows, columns up to and with the diagonal block); zero right of the diagonal.
@@ -60,20 +60,20 @@ pub struct Element {
 }
 
 impl Skyline {
-    /// A zero matrix that stores the columns from `first[i] <= i` on in row i.
+    /// Makes a zero matrix that stores the columns from `first[i] <= i` on in row i.
     pub fn zeros(first: Vec<usize>) -> Self {
         let n = first.len();
-        let block = |top: usize| {
+        let blocks = (0..n).step_by(BLOCK).map(|top| {
             let end = (top + BLOCK).min(n);
             let lowest = (top..end).map(|i| first[i].min(i)).min().unwrap_or(top);
             let start = lowest / BLOCK * BLOCK;
-            Rows { start, values: Array2::zeros((end - top, end - start)) }
-        };
-        let blocks = (0..n).step_by(BLOCK).map(block).collect();
+            RowBlock { start, values: Array2::zeros((end - top, end - start)) }
+        });
+        let blocks = blocks.collect();
         Self { first, blocks }
     }
 
-    /// The lower triangle of a full matrix.
+    /// Makes the matrix with the lower triangle of a full one.
     pub fn from_dense(a: &Array2<f64>) -> Self {
         assert!(a.is_square(), "a square matrix");
         let mut full = Self::zeros(vec![0; a.nrows()]);
@@ -81,7 +81,7 @@ impl Skyline {
         full
     }
 
-    /// Number of rows.
+    /// Returns the number of rows.
     pub fn len(&self) -> usize {
         self.first.len()
     }
@@ -91,12 +91,12 @@ impl Skyline {
         self.first.is_empty()
     }
 
-    /// Count of the stored numbers.
+    /// Counts the stored numbers.
     pub fn elements(&self) -> usize {
         self.blocks.iter().map(|b| b.values.len()).sum()
     }
 
-    /// First column of row i.
+    /// Returns the first column of row i.
     pub fn first(&self, i: usize) -> usize {
         self.first[i]
     }
@@ -117,7 +117,8 @@ impl Skyline {
         assert!(most > 0 && BLOCK.is_multiple_of(most), "{most} rows do not divide a block");
         let first = &self.first;
         self.blocks.par_iter_mut().enumerate().for_each(|(b, block)| {
-            let (start, columns) = (block.start, block.values.ncols());
+            let start = block.start;
+            let columns = block.values.ncols();
             let all = block.values.as_slice_mut().expect("in C order");
             for (k, together) in all.chunks_mut(most * columns).enumerate() {
                 let top = b * BLOCK + k * most;
@@ -130,7 +131,7 @@ impl Skyline {
         });
     }
 
-    /// Row i from its first column up to the diagonal.
+    /// Returns row i from its first column up to the diagonal.
     pub fn row(&self, i: usize) -> &[f64] {
         let rows = &self.blocks[i / BLOCK];
         let width = rows.values.ncols();
@@ -147,56 +148,65 @@ impl Skyline {
         rows.values[[i % BLOCK, j - rows.start]] += value;
     }
 
-    /// Element (i, j) of the lower triangle; 0 outside of the skyline.
-    pub fn at(&self, i: usize, j: usize) -> f64 {
+    /// Returns the element (i, j) of the lower triangle; 0 outside of the skyline.
+    pub fn element(&self, i: usize, j: usize) -> f64 {
         assert!(j <= i, "({i}, {j}) is above the diagonal");
         if j < self.first[i] { 0.0 } else { self.row(i)[j - self.first[i]] }
     }
 
-    /// Element (i, i).
+    /// Returns the element (i, i).
     pub fn diagonal(&self, i: usize) -> f64 {
         *self.row(i).last().expect("a row has its diagonal")
     }
 
-    /// `A x`.
+    /// Returns `A x`.
     pub fn product(&self, x: &[f64]) -> Vec<f64> {
         // Each task takes the rows with half of the elements; the split is the same on one thread.
         let half = self.elements() / 2;
         let mut before = 0;
-        let is_first_half = |rows: &Rows| {
-            before += rows.values.len();
-            before <= half
-        };
-        let middle =
-            BLOCK * self.blocks.iter().map(is_first_half).take_while(|first| *first).count();
-        let of = |rows: Range<usize>| {
-            let mut y = vec![0.0; self.len()];
-            vectorised(
-                #[inline(always)]
-                || {
-                    for i in rows {
-                        let row = self.row(i);
-                        let (left, from) = (&row[..row.len() - 1], self.first[i]);
-                        y[i] += dot(left, &x[from..i]) + row[left.len()] * x[i];
-                        axpy(x[i], left, &mut y[from..i]);
-                    }
-                },
-            );
-            y
-        };
-        let parallel = self.elements() >= MIN_ELEMENTS_PARALLEL;
-        let (mut y, lower) = both(parallel, || of(0..middle), || of(middle..self.len()));
+        let mut middle = 0;
+        for block in &self.blocks {
+            before += block.values.len();
+            if before > half {
+                break;
+            }
+            middle += BLOCK;
+        }
+        let (mut y, lower) = both(
+            self.elements() >= MIN_ELEMENTS_PARALLEL,
+            || self.product_of_rows(0..middle, x),
+            || self.product_of_rows(middle..self.len(), x),
+        );
         y.iter_mut().zip(lower).for_each(|(y, v)| *y += v);
         y
     }
 
-    /// Submatrix of the rows and columns `keep`, which ascend.
+    /// Returns the part of `A x` (n) by the elements of some rows and their mirror images.
+    fn product_of_rows(&self, rows: Range<usize>, x: &[f64]) -> Vec<f64> {
+        let mut y = vec![0.0; self.len()];
+        vectorised(
+            #[inline(always)]
+            || {
+                for i in rows {
+                    let row = self.row(i);
+                    let left = &row[..row.len() - 1];
+                    let from = self.first[i];
+                    y[i] += dot(left, &x[from..i]) + row[left.len()] * x[i];
+                    axpy(x[i], left, &mut y[from..i]);
+                }
+            },
+        );
+        y
+    }
+
+    /// Returns the submatrix of the rows and columns `keep`, which ascend.
     pub fn principal(&self, keep: &[usize]) -> Self {
         let first = keep.iter().map(|i| keep.partition_point(|k| *k < self.first[*i])).collect();
         let mut part = Self::zeros(first);
         let columns: Vec<usize> = part.first.clone();
         part.fill(|i, row| {
-            let (from, offset) = (self.row(keep[i]), self.first[keep[i]]);
+            let from = self.row(keep[i]);
+            let offset = self.first[keep[i]];
             for (v, k) in row.iter_mut().zip(&keep[columns[i]..]) {
                 *v = from[k - offset];
             }
@@ -225,20 +235,22 @@ impl Skyline {
     pub fn factorise_in_single(&self, added: &[Element]) -> Option<Factor<f32>> {
         assert!(added.is_sorted_by_key(|e| e.row), "elements whose rows ascend");
         assert!(added.last().is_none_or(|e| e.row < self.len()), "elements of this matrix");
-        let of = |(b, rows): (usize, &Rows)| {
+        let panels = self.blocks.par_iter().enumerate().map(|(b, rows)| {
             let mut panel = Panel::new(rows);
-            let of_block = |row: usize| added.partition_point(|e| e.row < row);
-            for e in &added[of_block(b * BLOCK)..of_block((b + 1) * BLOCK)] {
+            let [from, to] =
+                [b * BLOCK, (b + 1) * BLOCK].map(|row| added.partition_point(|e| e.row < row));
+            for e in &added[from..to] {
                 assert!(self.first[e.row] <= e.column && e.column <= e.row, "{e:?} is outside");
                 let v = &mut panel.values[[e.column - rows.start, e.row - b * BLOCK]];
                 *v = f32::rounded(f64::from(*v) + e.value);
             }
             panel
-        };
-        let panels: Vec<Panel<f32>> = self.blocks.par_iter().enumerate().map(of).collect();
+        });
+        let panels: Vec<Panel<f32>> = panels.collect();
         rayon::scope(|_| factorise_panels(panels, |panel| panel))
     }
 
+    /// Factorises in double precision; `keep` converts each finished panel into the stored one.
     fn factorise_keeping<T: Send>(
         self,
         keep: impl Fn(Panel<f64>) -> Panel<T> + Send,
@@ -283,13 +295,14 @@ fn factorise_panels<S: Number, T>(
     keep: impl Fn(Panel<S>) -> Panel<T>,
 ) -> Option<Factor<T>> {
     let len = panels.iter().map(Panel::rows).sum();
-    let mut kept = Vec::with_capacity(panels.len());
+    let mut finished = Vec::with_capacity(panels.len());
     // L[k, k]^-1 of the next pivot
     let mut next = panels.first_mut().map(|panel| panel.factorise_diagonal(0));
     for (k, last) in last_panels(&panels).into_iter().enumerate() {
         let inverse = next.take()??;
         let (head, below) = panels.split_at_mut(k + 1);
-        let (pivot, at) = (&mut head[k], k * BLOCK);
+        let pivot = &mut head[k];
+        let top = k * BLOCK;
         if let Some((first, others)) = below.split_first_mut() {
             // Only panels with work are shared out, one at a time, because threads take halves of a
             // list.
@@ -297,23 +310,23 @@ fn factorise_panels<S: Number, T>(
             // The next pivot is ready when the others are.
             let (of_first, ()) = rayon::join(
                 || {
-                    first.eliminate(pivot, &inverse, at);
-                    first.factorise_diagonal(at + BLOCK)
+                    first.eliminate(pivot, &inverse, top);
+                    first.factorise_diagonal(top + BLOCK)
                 },
                 || {
                     let others = others.par_iter_mut().with_max_len(1);
-                    others.for_each(|panel| panel.eliminate(pivot, &inverse, at));
+                    others.for_each(|panel| panel.eliminate(pivot, &inverse, top));
                 },
             );
             next = Some(of_first);
         }
         let done = Panel { start: pivot.start, values: std::mem::take(&mut pivot.values) };
-        kept.push(keep(done));
+        finished.push(keep(done));
     }
-    Some(Factor { len, panels: kept })
+    Some(Factor { len, panels: finished })
 }
 
-/// For every panel, the index of the last panel that has columns of it.
+/// Returns, for every panel, the index of the last panel that has columns of it.
 fn last_panels<T>(panels: &[Panel<T>]) -> Vec<usize> {
     let mut last: Vec<usize> = (0..panels.len()).collect();
     for (i, panel) in panels.iter().enumerate() {
@@ -326,36 +339,39 @@ fn last_panels<T>(panels: &[Panel<T>]) -> Vec<usize> {
 }
 
 impl<T: Number> Panel<T> {
-    fn new(rows: &Rows) -> Self {
+    /// Makes a panel from a block of rows of the matrix.
+    fn new(rows: &RowBlock) -> Self {
         let (count, columns) = rows.values.dim();
-        let value = |(column, row)| T::rounded(rows.values[[row, column]]);
-        Self { start: rows.start, values: Array2::from_shape_fn((columns, count), value) }
+        let values = Array2::from_shape_fn((columns, count), |(column, row)| {
+            T::rounded(rows.values[[row, column]])
+        });
+        Self { start: rows.start, values }
     }
 
     /// Computes `L[i, k]` from `A[i, k]`, of which nothing is subtracted yet, for a pivot panel k
-    /// whose rows begin at `at`.
-    fn eliminate(&mut self, pivot: &Self, inverse: &Array2<T>, at: usize) {
-        if self.start > at {
+    /// whose rows begin at `top`.
+    fn eliminate(&mut self, pivot: &Self, inverse: &Array2<T>, top: usize) {
+        if self.start > top {
             return;
         }
-        let (left, rest) = self.values.view_mut().split_at(Axis(0), at - self.start);
+        let (left, rest) = self.values.view_mut().split_at(Axis(0), top - self.start);
         let (mut block, _) = rest.split_at(Axis(0), inverse.nrows());
         let from = self.start.max(pivot.start);
         // All of it transposed: A[i, k]' -= L[k, j] L[i, j]'
-        if from < at {
+        if from < top {
             let l = left.slice(s![from - self.start.., ..]);
-            let top = pivot.values.slice(s![from - pivot.start..at - pivot.start, ..]);
-            subtract(&top, &l, &mut block);
+            let above = pivot.values.slice(s![from - pivot.start..top - pivot.start, ..]);
+            subtract(&above, &l, &mut block);
         }
         // L[i, k]' = L[k, k]^-1 A[i, k]'
         let known = block.to_owned();
         general_mat_mul(T::one(), inverse, &known, T::zero(), &mut block);
     }
 
-    /// Computes `L[k, k]` and its inverse from `A[k, k]`, whose rows begin at `at` and of which
+    /// Computes `L[k, k]` and its inverse from `A[k, k]`, whose rows begin at `top` and of which
     /// nothing is subtracted yet. `None` if it is not positive definite to rounding.
-    fn factorise_diagonal(&mut self, at: usize) -> Option<Array2<T>> {
-        let (left, mut diagonal) = self.values.view_mut().split_at(Axis(0), at - self.start);
+    fn factorise_diagonal(&mut self, top: usize) -> Option<Array2<T>> {
+        let (left, mut diagonal) = self.values.view_mut().split_at(Axis(0), top - self.start);
         let least: Vec<f64> =
             diagonal.diag().iter().map(|v| T::LEAST_PIVOT * (*v).into().abs()).collect();
         if left.nrows() > 0 {
@@ -371,7 +387,7 @@ impl<T: Number> Panel<T> {
     }
 }
 
-/// `c -= a' b`.
+/// Subtracts `a' b` from `c`.
 fn subtract<T: Number>(a: &ArrayView2<'_, T>, b: &ArrayView2<'_, T>, c: &mut ArrayViewMut2<'_, T>) {
     let (a_all, b_all, c_all) = (a.as_slice(), b.as_slice(), c.as_slice_mut());
     match (a_all, b_all, c_all) {
@@ -382,6 +398,7 @@ fn subtract<T: Number>(a: &ArrayView2<'_, T>, b: &ArrayView2<'_, T>, c: &mut Arr
 }
 
 impl<T> Panel<T> {
+    /// Returns the number of rows.
     fn rows(&self) -> usize {
         self.values.ncols()
     }
@@ -389,10 +406,10 @@ impl<T> Panel<T> {
 
 impl<T: Copy> Panel<T> {
     /// Splits the values into the columns before the diagonal block and those of it. The first row
-    /// is `at`.
-    fn split(&self, at: usize) -> (&[T], &[T]) {
+    /// is `top`.
+    fn split(&self, top: usize) -> (&[T], &[T]) {
         let all = self.values.as_slice().expect("in C order");
-        all.split_at((at - self.start) * self.rows())
+        all.split_at((top - self.start) * self.rows())
     }
 }
 
@@ -404,16 +421,16 @@ pub struct Factor<T = f64> {
 }
 
 impl<T: Number> Factor<T> {
-    /// Smallest square of a pivot. It is at least the smallest eigenvalue.
+    /// Returns the smallest square of a pivot. It is at least the smallest eigenvalue.
     pub fn least_pivot(&self) -> f64 {
-        let of_panel = |panel: &Panel<T>| {
+        let of_panels = self.panels.iter().map(|panel| {
             let rows = panel.rows();
-            let at = panel.values.nrows() - rows;
+            let top = panel.values.nrows() - rows;
             (0..rows)
-                .map(|i| panel.values[[at + i, i]].into().powi(2))
+                .map(|i| panel.values[[top + i, i]].into().powi(2))
                 .fold(f64::INFINITY, f64::min)
-        };
-        self.panels.iter().map(of_panel).fold(f64::INFINITY, f64::min)
+        });
+        of_panels.fold(f64::INFINITY, f64::min)
     }
 
     /// Solves `A x = b` in place.
@@ -432,26 +449,17 @@ impl<T: Number> Factor<T> {
     fn solve_by_panels(&self, b: &mut [f64], parallel: bool) {
         // L y = b
         for (k, panel) in self.panels.iter().enumerate() {
-            let at = k * BLOCK;
-            let (y, rest) = b.split_at_mut(at);
-            let (y, rows) = (&y[panel.start..], panel.rows());
-            let (left, diagonal) = panel.split(at);
+            let top = k * BLOCK;
+            let (y, rest) = b.split_at_mut(top);
+            let y = &y[panel.start..];
+            let rows = panel.rows();
+            let (left, diagonal) = panel.split(top);
             let middle = y.len() / 2;
-            let product = |from: usize, to: usize| {
-                let mut sums = [0.0; BLOCK];
-                vectorised(
-                    #[inline(always)]
-                    || {
-                        add_products(
-                            &left[from * rows..to * rows],
-                            &y[from..to],
-                            &mut sums[..rows],
-                        );
-                    },
-                );
-                sums
-            };
-            let (early, late) = both(parallel, || product(0, middle), || product(middle, y.len()));
+            let (early, late) = both(
+                parallel,
+                || products(&left[..middle * rows], &y[..middle], rows),
+                || products(&left[middle * rows..], &y[middle..], rows),
+            );
             let x = &mut rest[..rows];
             x.iter_mut().zip(early.iter().zip(&late)).for_each(|(x, (a, b))| *x -= a + b);
             for (i, column) in diagonal.chunks_exact(rows).enumerate() {
@@ -461,11 +469,11 @@ impl<T: Number> Factor<T> {
         }
         // L' x = y
         for (k, panel) in self.panels.iter().enumerate().rev() {
-            let at = k * BLOCK;
-            let (y, x) = b.split_at_mut(at);
+            let top = k * BLOCK;
+            let (y, x) = b.split_at_mut(top);
             let rows = panel.rows();
             let x = &mut x[..rows];
-            let (left, diagonal) = panel.split(at);
+            let (left, diagonal) = panel.split(top);
             for (i, column) in diagonal.chunks_exact(rows).enumerate().rev() {
                 x[i] = (x[i] - dot(&column[i + 1..], &x[i + 1..])) / column[i].into();
             }
@@ -473,19 +481,35 @@ impl<T: Number> Factor<T> {
             let middle = y.len() / 2;
             let (before, after) = y.split_at_mut(middle);
             let (left_before, left_after) = left.split_at(middle * rows);
-            let subtract = |left: &[T], y: &mut [f64]| {
-                vectorised(
-                    #[inline(always)]
-                    || {
-                        for (column, y) in left.chunks_exact(rows).zip(y) {
-                            *y -= dot(column, x);
-                        }
-                    },
-                );
-            };
-            both(parallel, || subtract(left_before, before), || subtract(left_after, after));
+            both(
+                parallel,
+                || subtract_products(left_before, x, before),
+                || subtract_products(left_after, x, after),
+            );
         }
     }
+}
+
+/// Returns `columns y` for as many rows. `columns` is stored column by column.
+fn products<T: Number>(columns: &[T], y: &[f64], rows: usize) -> [f64; BLOCK] {
+    let mut sums = [0.0; BLOCK];
+    vectorised(
+        #[inline(always)]
+        || add_products(columns, y, &mut sums[..rows]),
+    );
+    sums
+}
+
+/// Subtracts `columns' x` from y. `columns` is stored column by column.
+fn subtract_products<T: Number>(columns: &[T], x: &[f64], y: &mut [f64]) {
+    vectorised(
+        #[inline(always)]
+        || {
+            for (column, y) in columns.chunks_exact(x.len()).zip(y) {
+                *y -= dot(column, x);
+            }
+        },
+    );
 }
 
 /// Adds `columns y` to `sums`. `columns` has as many rows as there are sums.
@@ -511,6 +535,7 @@ fn add_products<T: Number>(columns: &[T], y: &[f64], sums: &mut [f64]) {
 /// the times of problems; the value does not change the result.
 const MIN_ELEMENTS_PARALLEL: usize = 1_000_000;
 
+/// Runs both functions, by two threads if `parallel`.
 fn both<R: Send>(
     parallel: bool,
     a: impl FnOnce() -> R + Send,
@@ -519,7 +544,7 @@ fn both<R: Send>(
     if parallel { rayon::join(a, b) } else { (a(), b()) }
 }
 
-/// Sum of products.
+/// Returns the sum of products.
 #[inline(always)]
 pub fn dot<T: Copy + Into<f64>>(a: &[T], b: &[f64]) -> f64 {
     let mut sums = Sums::default();
@@ -535,7 +560,8 @@ impl Sums {
     /// Adds the products of the elements of two slices of the same length.
     #[inline(always)]
     fn add_products<T: Copy + Into<f64>>(&mut self, a: &[T], b: &[f64]) {
-        let ((a8, a_rest), (b8, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
+        let (a8, a_rest) = a.as_chunks::<8>();
+        let (b8, b_rest) = b.as_chunks::<8>();
         for (a, b) in a8.iter().zip(b8) {
             for k in 0..8 {
                 self.0[k] += a[k].into() * b[k];
@@ -546,14 +572,14 @@ impl Sums {
         }
     }
 
-    /// The sum.
+    /// Returns the sum.
     #[inline(always)]
     fn total(&self) -> f64 {
         self.0.iter().sum()
     }
 }
 
-/// `y += a x`.
+/// Adds `a x` to `y`.
 #[inline(always)]
 pub(crate) fn axpy<T: Copy + Into<f64>>(a: f64, x: &[T], y: &mut [f64]) {
     for (y, x) in y.iter_mut().zip(x) {
@@ -561,7 +587,7 @@ pub(crate) fn axpy<T: Copy + Into<f64>>(a: f64, x: &[T], y: &mut [f64]) {
     }
 }
 
-/// Inverse X of L, row by row: `X[i, :] = (1[i, :] - sum_{k < i} L[i, k] X[k, :]) / L[i, i]`.
+/// Returns the inverse X of L, row by row: `X[i, :] = (1[i, :] - sum_{k < i} L[i, k] X[k, :]) / L[i, i]`.
 fn inverse(l: &Array2<f64>) -> Array2<f64> {
     let n = l.nrows();
     let mut x = Array2::zeros((n, n));
@@ -657,7 +683,7 @@ mod tests {
         let mut x = a.product(&expected);
         // By two threads as well; each row and column once.
         let by_rows = |i: usize| {
-            let of = |j: usize| a.at(i.max(j), i.min(j)) * expected[j];
+            let of = |j: usize| a.element(i.max(j), i.min(j)) * expected[j];
             (0..n).map(of).sum::<f64>()
         };
         // A thousand roundings of order 1 values.

@@ -6,15 +6,15 @@
 /// Row k of a tridiagonal system: its elements at the unknowns k - 1, k and k + 1, and its
 /// right-hand side. The elements at the unknowns -1 and n are not used.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Row {
+pub struct TridiagonalRow {
     /// Elements [k - 1, k, k + 1], called below, own and above.
     pub elements: [f64; 3],
     /// Right-hand side.
     pub right: f64,
 }
 
-impl Row {
-    /// The row of an unknown with a fixed value, in place of its own equation.
+impl TridiagonalRow {
+    /// Makes the row of an unknown with a fixed value, in place of its own equation.
     pub fn held(value: f64) -> Self {
         Self { elements: [0.0, 1.0, 0.0], right: value }
     }
@@ -27,10 +27,11 @@ impl Row {
 /// y_k = (right_k - below_k y_{k-1}) / (own_k - below_k u_{k-1})
 /// x_k = y_k - u_k x_{k+1}
 /// ```
-pub fn solve(n: usize, row: impl Fn(usize) -> Row) -> Vec<f64> {
-    let (mut upper, mut x) = (vec![0.0; n], vec![0.0; n]);
+pub fn solve(n: usize, row: impl Fn(usize) -> TridiagonalRow) -> Vec<f64> {
+    let mut upper = vec![0.0; n];
+    let mut x = vec![0.0; n];
     for k in 0..n {
-        let Row { elements: [below, own, above], right } = row(k);
+        let TridiagonalRow { elements: [below, own, above], right } = row(k);
         let (left, past) = if k == 0 { (0.0, 0.0) } else { (upper[k - 1], x[k - 1]) };
         let pivot = own - below * left;
         upper[k] = above / pivot;
@@ -59,8 +60,8 @@ impl Factor {
     /// Rows and columns with a diagonal of 0 are left out; they must not be coupled to others. In
     /// exact arithmetic no pivot is smaller than the smallest eigenvalue of A. `least_pivot` > 0 is
     /// a lower bound for it, and keeps rounding from making a pivot smaller.
-    pub fn new(diagonal: Vec<f64>, below: Vec<f64>, least_pivot: f64) -> Self {
-        let (mut pivot, mut below) = (diagonal, below);
+    pub fn new(diagonal: Vec<f64>, mut below: Vec<f64>, least_pivot: f64) -> Self {
+        let mut pivot = diagonal;
         for j in 1..pivot.len() {
             if below[j] != 0.0 {
                 // C[j, j-1] = A[j, j-1] / P[j-1],   P[j] = A[j, j] - C[j, j-1] A[j, j-1]
@@ -72,7 +73,7 @@ impl Factor {
         Self { pivot, below }
     }
 
-    /// Solution `A^-1 r`; 0 where a row is left out.
+    /// Returns the solution `A^-1 r`; 0 where a row is left out.
     pub fn solve(&self, r: &[f64]) -> Vec<f64> {
         let mut x = r.to_vec();
         // C y = r
@@ -103,13 +104,13 @@ mod tests {
     fn elimination_agrees_with_a_dense_solution_with_and_without_held_rows() {
         let mut rng = ChaCha8Rng::seed_from_u64(21);
         for n in [1, 2, 3, 50, 200] {
-            let rows: Vec<Row> = (0..n)
+            let rows: Vec<TridiagonalRow> = (0..n)
                 .map(|k| match k % 7 {
-                    5 => Row::held(rng.random_range(-1.0..1.0)),
+                    5 => TridiagonalRow::held(rng.random_range(-1.0..1.0)),
                     _ => {
                         let [below, above] = [0, 1].map(|_| rng.random_range(-1.0..1.0));
                         let right = rng.random_range(-1.0..1.0);
-                        Row { elements: [below, 2.5, above], right }
+                        TridiagonalRow { elements: [below, 2.5, above], right }
                     }
                 })
                 .collect();
@@ -127,7 +128,7 @@ mod tests {
 
     #[test]
     fn no_row_is_no_unknown() {
-        assert!(solve(0, |_| Row::held(1.0)).is_empty());
+        assert!(solve(0, |_| TridiagonalRow::held(1.0)).is_empty());
         assert!(Factor::new(Vec::new(), Vec::new(), 1.0).solve(&[]).is_empty());
     }
 

@@ -17,8 +17,8 @@ use crate::linear::skyline::{Factor, Number, Skyline, axpy, dot};
 /// of the error.
 const MOST_REFINEMENTS: usize = 4;
 
-/// Largest change of S by the last step of a refinement, relative to the remainder
-/// [`Woodbury::least_left`]. Larger: a less exact S. Smaller: more steps.
+/// Largest change of S by the last step of a refinement, relative to the smallest square of a pivot of S: the part of K
+/// that is left along the directions of U. Larger: a less exact S. Smaller: more steps.
 const REFINED_TO: f64 = 1e-3;
 
 /// The inverse `(K - U U')^-1`.
@@ -32,7 +32,7 @@ pub struct Woodbury<T = f64> {
 }
 
 impl<T: Number> Woodbury<T> {
-    /// The inverse from the factor of K and the columns of U; `None` if `K - U U'` is not positive
+    /// Makes the inverse from the factor of K and the columns of U; `None` if `K - U U'` is not positive
     /// definite.
     pub fn new(factor: Factor<T>, u: &[Vec<f64>]) -> Option<Self> {
         let v = solutions(&factor, u);
@@ -40,7 +40,7 @@ impl<T: Number> Woodbury<T> {
         Some(Self { factor, v, small })
     }
 
-    /// The inverse with a refined V. V is refined if less than `enough` is left of K along the
+    /// Makes the inverse with a refined V. V is refined if less than `enough` is left of K along the
     /// directions of U, so that the rounding of the factor does not limit it. `product` is K times
     /// a vector. `None` if `K - U U'` is not positive definite, or if the factor is too far from K
     /// for a refinement.
@@ -72,13 +72,6 @@ impl<T: Number> Woodbury<T> {
         None
     }
 
-    /// Remainder of K along the directions of U after the outer products, relative to K: the
-    /// smallest square of a pivot of S. The smaller it is, the more the rounding of the factor of K
-    /// counts.
-    pub fn least_left(&self) -> f64 {
-        self.small.least_pivot()
-    }
-
     /// Solves `(K - U U') x = b` in place.
     pub fn solve(&self, b: &mut [f64]) {
         // x = K^-1 b + V S^-1 V' b
@@ -91,14 +84,14 @@ impl<T: Number> Woodbury<T> {
     }
 }
 
-/// V = K^-1 U.
+/// Returns V = K^-1 U.
 fn solutions<T: Number>(factor: &Factor<T>, u: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let mut v = u.to_vec();
     v.iter_mut().for_each(|v| factor.solve(v));
     v
 }
 
-/// Factor of `S = 1 - U' V`.
+/// Returns the factor of `S = 1 - U' V`.
 fn small(u: &[Vec<f64>], v: &[Vec<f64>]) -> Option<Factor> {
     let mut small = Skyline::zeros(vec![0; u.len()]);
     small.fill(|i, row| {
@@ -183,7 +176,11 @@ mod tests {
         // The remainder agrees to the change that the last step may make. The planted part along V
         // is of order 1 and appears in b as small as the remainder. Rounding of 1e-16 in b is
         // therefore 1e-5 of it; that of single precision is far more.
-        assert!((found.least_left() / left - 1.0).abs() < 1e-3, "{}", found.least_left());
+        assert!(
+            (found.small.least_pivot() / left - 1.0).abs() < 1e-3,
+            "{}",
+            found.small.least_pivot()
+        );
         assert!(error(&found) < 1e-4, "{}", error(&found));
         let alone = Woodbury::new(single(), std::slice::from_ref(&u)).map(|alone| error(&alone));
         // Rounding of 6e-8 alone is above the remainder of 1e-11; what comes out, if anything, has no digit of it.

@@ -32,7 +32,7 @@ const MAX_TERMS: usize = 40;
 /// Larger: truncation exceeds rounding. Smaller: more terms without an effect.
 const NEGLIGIBLE_TERM: f64 = 1e-18;
 
-/// Position (1) at the arc length `s`, mm, in the frame of the start; the curve begins along the
+/// Returns the position (1) at the arc length `s`, mm, in the frame of the start; the curve begins along the
 /// first axis.
 pub fn position(curvature: f64, sharpness: f64, s: f64) -> [f64; 2] {
     if curvature == 0.0 && sharpness == 0.0 {
@@ -42,21 +42,23 @@ pub fn position(curvature: f64, sharpness: f64, s: f64) -> [f64; 2] {
     let turn = (curvature.abs() + (sharpness * s).abs()) * s.abs();
     let steps = (turn / MAX_TURN_OF_SERIES_RAD).ceil().max(1.0);
     let step = s / steps;
-    let mut at = series(curvature, sharpness, step);
+    let mut position = series(curvature, sharpness, step);
     for k in 1..steps as usize {
         let from = step * k as f64;
         let [along, across] = series(curvature + sharpness * from, sharpness, step);
         let (sin, cos) = heading(curvature, sharpness, from).sin_cos();
-        at[0] += cos * along - sin * across;
-        at[1] += sin * along + cos * across;
+        position[0] += cos * along - sin * across;
+        position[1] += sin * along + cos * across;
     }
-    at
+    position
 }
 
-/// Sum (2), mm.
+/// Returns the sum (2), mm.
 fn series(curvature: f64, sharpness: f64, s: f64) -> [f64; 2] {
-    let (bend, change) = (curvature * s, sharpness * s * s);
-    let (mut before, mut term) = ([0.0; 2], [1.0, 0.0]);
+    let bend = curvature * s;
+    let change = sharpness * s * s;
+    let mut before = [0.0; 2];
+    let mut term = [1.0, 0.0];
     let mut sum = term;
     for n in 1..MAX_TERMS {
         let by = [0, 1].map(|k| bend * term[k] + change * before[k]);
@@ -64,15 +66,15 @@ fn series(curvature: f64, sharpness: f64, s: f64) -> [f64; 2] {
         (before, term) = (term, [-by[1] * part, by[0] * part]);
         let part = 1.0 / (n + 1) as f64;
         sum = [sum[0] + term[0] * part, sum[1] + term[1] * part];
-        let size = |t: [f64; 2]| t[0].abs() + t[1].abs();
-        if size(term) < NEGLIGIBLE_TERM && size(before) < NEGLIGIBLE_TERM {
+        let is_negligible = |t: [f64; 2]| t[0].abs() + t[1].abs() < NEGLIGIBLE_TERM;
+        if is_negligible(term) && is_negligible(before) {
             break;
         }
     }
     sum.map(|v| s * v)
 }
 
-/// Heading at the arc length `s` relative to that of the start, rad.
+/// Returns the heading at the arc length `s` relative to that of the start, rad.
 pub fn heading(curvature: f64, sharpness: f64, s: f64) -> f64 {
     s * (curvature + 0.5 * sharpness * s)
 }

@@ -51,7 +51,7 @@ pub struct LinkPiece {
 /// missed. The link is then slower than necessary.
 const TRIALS: u32 = 400;
 
-/// Pieces of constant acceleration of both axes; none if both axes are already in their final
+/// Returns pieces of constant acceleration of both axes; none if both axes are already in their final
 /// state.
 pub fn link(axes: &[AxisLink; 2]) -> Vec<LinkPiece> {
     let duration = least_duration(axes);
@@ -69,7 +69,8 @@ pub fn link(axes: &[AxisLink; 2]) -> Vec<LinkPiece> {
     let mut state = axes.map(|axis| axis.from);
     let mut pieces = Vec::with_capacity(times.len());
     for w in times.windows(2) {
-        let (h, middle) = (w[1] - w[0], 0.5 * (w[0] + w[1]));
+        let h = w[1] - w[0];
+        let middle = 0.5 * (w[0] + w[1]);
         let coefficient = [0, 1].map(|k| {
             let [lowest, highest] = &profiles[k];
             let part = axes[k].weight(lowest, highest);
@@ -84,27 +85,32 @@ pub fn link(axes: &[AxisLink; 2]) -> Vec<LinkPiece> {
     pieces
 }
 
-/// Smallest duration that both axes can do.
+/// Returns the smallest duration that both axes can do.
 fn least_duration(axes: &[AxisLink; 2]) -> f64 {
-    let possible = |t: f64| axes.iter().all(|axis| axis.can_take(t));
     let low = axes[0].least_for_velocity().max(axes[1].least_for_velocity());
     let high = axes[0].stop_and_go().max(axes[1].stop_and_go());
-    if possible(low) {
+    if both_can_take(axes, low) {
         return low;
     }
-    let at = |k: u32| low + (high - low) * f64::from(k) / f64::from(TRIALS);
-    let first = (1..=TRIALS).find(|k| possible(at(*k))).unwrap_or(TRIALS);
-    let (mut below, mut above) = (at(first - 1), at(first));
+    let trial = |k: u32| low + (high - low) * f64::from(k) / f64::from(TRIALS);
+    let first = (1..=TRIALS).find(|k| both_can_take(axes, trial(*k))).unwrap_or(TRIALS);
+    let mut below = trial(first - 1);
+    let mut above = trial(first);
     // Halving ends at rounding.
     for _ in 0..60 {
         let middle = 0.5 * (below + above);
-        if possible(middle) {
+        if both_can_take(axes, middle) {
             above = middle;
         } else {
             below = middle;
         }
     }
     above
+}
+
+/// Returns true if both axes can arrive at this time.
+fn both_can_take(axes: &[AxisLink; 2], duration: f64) -> bool {
+    axes.iter().all(|axis| axis.can_take(duration))
 }
 
 /// Motion that accelerates, holds and brakes, or its mirror image.
@@ -118,6 +124,7 @@ struct Profile {
 }
 
 impl Profile {
+    /// Returns the acceleration at a time.
     fn acceleration(&self, t: f64) -> f64 {
         match t {
             _ if t < self.corner[0] => self.acceleration,
@@ -128,17 +135,20 @@ impl Profile {
 }
 
 impl AxisLink {
+    /// Returns p1 - p0.
     fn displacement(&self) -> f64 {
         self.to[0] - self.from[0]
     }
 
+    /// Returns the least duration of the change of velocity.
     fn least_for_velocity(&self) -> f64 {
         (self.to[1] - self.from[1]).abs() / self.max_acceleration
     }
 
-    /// Duration of the motion that brakes to rest, moves from rest to rest, and starts again.
+    /// Returns the duration of the motion that brakes to rest, moves from rest to rest, and starts again.
     fn stop_and_go(&self) -> f64 {
-        let (v, a) = (self.max_velocity, self.max_acceleration);
+        let v = self.max_velocity;
+        let a = self.max_acceleration;
         let [v0, v1] = [self.from[1], self.to[1]];
         let rest = self.displacement() - (v0 * v0.abs() + v1 * v1.abs()) / (2.0 * a);
         let d = rest.abs();
@@ -147,20 +157,23 @@ impl AxisLink {
         ((v0.abs() + v1.abs()) / a + between) * (1.0 + 1e-12)
     }
 
+    /// Returns true if the axis can arrive at this time.
     fn can_take(&self, duration: f64) -> bool {
         let [lowest, highest] = self.profiles(duration);
         let d = self.displacement();
         lowest.displacement <= d && d <= highest.displacement
     }
 
-    /// Profiles by (2) and (3): the mirrored one first, then the direct one.
+    /// Returns the profiles by (2) and (3): the mirrored one first, then the direct one.
     fn profiles(&self, duration: f64) -> [Profile; 2] {
         let a = self.max_acceleration;
         [-1.0, 1.0].map(|sign| {
-            let (v0, v1) = (sign * self.from[1], sign * self.to[1]);
+            let v0 = sign * self.from[1];
+            let v1 = sign * self.to[1];
             // w = min(V, (v0 + v1 + A T)/2)
             let w = self.max_velocity.min(0.5 * (v0 + v1 + a * duration)).max(v0).max(v1);
-            let (rise, fall) = ((w - v0) / a, (w - v1) / a);
+            let rise = (w - v0) / a;
+            let fall = (w - v1) / a;
             let hold = (duration - rise - fall).max(0.0);
             // d = (2 w^2 - v0^2 - v1^2)/(2 A) + w hold
             let d = 0.5 * ((w + v0) * rise + (w + v1) * fall) + w * hold;
@@ -168,7 +181,7 @@ impl AxisLink {
         })
     }
 
-    /// Weight of the highest profile in the mean of both profiles, 0 to 1.
+    /// Returns the weight of the highest profile in the mean of both profiles, 0 to 1.
     fn weight(&self, lowest: &Profile, highest: &Profile) -> f64 {
         let room = highest.displacement - lowest.displacement;
         if room <= 0.0 {

@@ -17,7 +17,7 @@ use crate::polynomial::{derivative, evaluate, range};
 
 /// One cubic piece of the motion along the arc.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Piece {
+pub struct TimingPiece {
     /// Arc length at the start of the piece.
     pub start: f64,
     /// Arc length at the end of the piece.
@@ -30,9 +30,9 @@ pub struct Piece {
 
 /// Pieces, and their distance from the motion that they approximate.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Fit {
+pub struct TimingFit {
     /// Pieces in order.
-    pub pieces: Vec<Piece>,
+    pub pieces: Vec<TimingPiece>,
     /// Largest distance from the motion at equal times, among 15 places in every piece.
     pub largest_error: f64,
 }
@@ -62,8 +62,8 @@ pub fn fit(
     tolerance: f64,
     max_velocity: f64,
     max_acceleration: f64,
-) -> Fit {
-    let mut fit = Fit { pieces: Vec::new(), largest_error: 0.0 };
+) -> TimingFit {
+    let mut fit = TimingFit { pieces: Vec::new(), largest_error: 0.0 };
     for w in breaks.windows(2) {
         let mut open = vec![(w[0], w[1], 0)];
         while let Some((start, end, halvings)) = open.pop() {
@@ -85,27 +85,35 @@ pub fn fit(
     fit
 }
 
-/// Piece (1) from `start` to `end`.
-fn hermite(time: impl Fn(f64) -> f64, density: impl Fn(f64) -> f64, start: f64, end: f64) -> Piece {
-    let (ds, h) = (end - start, time(end) - time(start));
-    let (v0, v1) = (1.0 / density(start), 1.0 / density(end));
+/// Returns the piece (1) from `start` to `end`.
+fn hermite(
+    time: impl Fn(f64) -> f64,
+    density: impl Fn(f64) -> f64,
+    start: f64,
+    end: f64,
+) -> TimingPiece {
+    let ds = end - start;
+    let h = time(end) - time(start);
+    let v0 = 1.0 / density(start);
+    let v1 = 1.0 / density(end);
     let coefficient =
         [start, v0, (3.0 * ds / h - 2.0 * v0 - v1) / h, (v0 + v1 - 2.0 * ds / h) / (h * h)];
-    Piece { start, end, duration: h, coefficient }
+    TimingPiece { start, end, duration: h, coefficient }
 }
 
-fn largest_error(time: impl Fn(f64) -> f64, piece: &Piece) -> f64 {
+/// Returns the largest distance of a piece from the motion at equal times, among [`PLACES`] places.
+fn largest_error(time: impl Fn(f64) -> f64, piece: &TimingPiece) -> f64 {
     let begin = time(piece.start);
-    let error = |k: u32| {
+    let errors = (1..=PLACES).map(|k| {
         let s = piece.start + (piece.end - piece.start) * f64::from(k) / f64::from(PLACES + 1);
         (evaluate(&piece.coefficient, time(s) - begin) - s).abs()
-    };
-    (1..=PLACES).map(error).fold(0.0, f64::max)
+    });
+    errors.fold(0.0, f64::max)
 }
 
-/// Largest magnitude of the acceleration. It is at an end, because the acceleration is linear in
+/// Returns the largest magnitude of the acceleration. It is at an end, because the acceleration is linear in
 /// time.
-fn end_acceleration(piece: &Piece) -> f64 {
+fn end_acceleration(piece: &TimingPiece) -> f64 {
     let [_, _, c2, c3] = piece.coefficient;
     (2.0 * c2).abs().max((2.0 * c2 + 6.0 * c3 * piece.duration).abs())
 }
@@ -117,7 +125,7 @@ mod tests {
     const NONE: f64 = f64::INFINITY;
 
     /// D = 1 + s: t = s + s^2/2, s = sqrt(1 + 2t) - 1.
-    fn fitted(tolerance: f64) -> Fit {
+    fn fitted(tolerance: f64) -> TimingFit {
         fit(|s| s + 0.5 * s * s, |s| 1.0 + s, &[0.0, 0.7, 3.0], tolerance, NONE, NONE)
     }
 
@@ -184,7 +192,7 @@ mod tests {
         let late = |s: f64| (s - 2.5).max(0.0);
         let time = |s: f64| s + 10.0 / 3.0 * late(s).powi(3);
         let density = |s: f64| 1.0 + 10.0 * late(s).powi(2);
-        let peak = |p: &Piece| range(&derivative(&p.coefficient), p.duration).max;
+        let peak = |p: &TimingPiece| range(&derivative(&p.coefficient), p.duration).max;
         let fastest = |limit: f64| {
             let fit = fit(time, density, &[0.0, 3.0], 1.0, limit, NONE);
             fit.pieces.iter().map(peak).fold(0.0, f64::max)

@@ -56,7 +56,7 @@ pub struct Quadratic {
 }
 
 impl Quadratic {
-    /// Product `H t`.
+    /// Returns the product `H t`.
     pub fn product(&self, t: &[f64]) -> Vec<f64> {
         let mut h_t = self.k.product(t);
         for u in &self.u {
@@ -66,15 +66,16 @@ impl Quadratic {
         h_t
     }
 
-    /// Diagonal of H.
+    /// Returns the diagonal of H.
     pub fn diagonal(&self) -> Vec<f64> {
-        let of = |j: usize| self.k.diagonal(j) - self.u.iter().map(|u| u[j] * u[j]).sum::<f64>();
-        (0..self.k.len()).map(of).collect()
+        (0..self.k.len())
+            .map(|j| self.k.diagonal(j) - self.u.iter().map(|u| u[j] * u[j]).sum::<f64>())
+            .collect()
     }
 
-    /// Solution x of `H_II x = r` with I = `keep`; `None` if H_II is not positive definite.
+    /// Returns the solution x of `H_II x = r` with I = `keep`; `None` if H_II is not positive definite.
     fn solve(&self, keep: &[usize], mut r: Vec<f64>, last: &mut LastFactor) -> Option<Vec<f64>> {
-        if last.0.as_ref().is_none_or(|(of, _)| of != keep) {
+        if last.0.as_ref().is_none_or(|(set, _)| set != keep) {
             // The last factor is dropped first, so that only one is in memory.
             last.0 = None;
             let factor = self.k.principal(keep).factorise()?;
@@ -116,7 +117,7 @@ pub enum End {
     IterationLimit,
 }
 
-/// Natural residual (2) over the components with H_jj > 0.
+/// Returns the natural residual (2) over the components with H_jj > 0.
 pub fn natural_residual(
     t: &[f64],
     gradient: &[f64],
@@ -130,7 +131,7 @@ pub fn natural_residual(
         .fold(0.0, f64::max)
 }
 
-/// Primal-dual active set method for an H that can be factorised.
+/// Solves (1) by the primal-dual active set method, for an H that can be factorised.
 ///
 /// Source: Hintermueller, Ito, Kunisch, SIAM J. Optim. 13 (2002) 865, algorithm of section 2. The
 /// sets of components at a bound are guessed from `t - q / c`, and the other components are solved
@@ -155,12 +156,13 @@ pub fn active_set(
     sorted.sort_by(f64::total_cmp);
     let c = sorted[n / 2].max(f64::MIN_POSITIVE);
 
-    let place = |j: usize| match start[j] {
-        t if t <= lo[j] => Place::Low,
-        t if t >= hi[j] => Place::High,
-        _ => Place::Free,
-    };
-    let mut state: Vec<Place> = (0..n).map(place).collect();
+    let mut state: Vec<BoundState> = (0..n)
+        .map(|j| match start[j] {
+            t if t <= lo[j] => BoundState::Low,
+            t if t >= hi[j] => BoundState::High,
+            _ => BoundState::Free,
+        })
+        .collect();
     let mut best: Option<Solution> = None;
     let mut without_progress = 0;
     for iterations in 1..=max_iterations {
@@ -176,10 +178,10 @@ pub fn active_set(
             &at_clipped
         };
         let residual = natural_residual(&clipped, gradient_at_clipped, &diagonal, lo, hi);
-        let wanted: Vec<Place> = (0..n)
+        let wanted: Vec<BoundState> = (0..n)
             .map(|j| {
-                let multiplier = if state[j] == Place::Free { 0.0 } else { gradient_at_t[j] };
-                Place::of(t[j] - multiplier / c, lo[j], hi[j])
+                let multiplier = if state[j] == BoundState::Free { 0.0 } else { gradient_at_t[j] };
+                BoundState::of_target(t[j] - multiplier / c, lo[j], hi[j])
             })
             .collect();
         let better = best.as_ref().is_none_or(|b| residual < b.natural_residual);
@@ -208,17 +210,17 @@ pub fn active_set(
     best
 }
 
-/// Place of a component: free, or at a bound.
+/// State of a component: free, or at a bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Place {
+enum BoundState {
     Free,
     Low,
     High,
 }
 
-impl Place {
-    /// Place of a component whose target is the value `aim`.
-    fn of(aim: f64, lo: f64, hi: f64) -> Self {
+impl BoundState {
+    /// Returns the state of a component whose target is the value `aim`.
+    fn of_target(aim: f64, lo: f64, hi: f64) -> Self {
         match aim {
             aim if aim < lo => Self::Low,
             aim if aim > hi => Self::High,
@@ -228,33 +230,43 @@ impl Place {
     }
 }
 
-/// Nearest point within the bounds.
+/// Returns the nearest point within the bounds.
 pub fn clip(t: &[f64], lo: &[f64], hi: &[f64]) -> Vec<f64> {
     (0..t.len()).map(|j| t[j].clamp(lo[j], hi[j])).collect()
 }
 
-/// Gradient H t - g.
+/// Returns the gradient H t - g.
 fn gradient(h: &Quadratic, g: &[f64], t: &[f64]) -> Vec<f64> {
-    h.product(t).iter().zip(g).map(|(h, g)| h - g).collect()
+    difference(&h.product(t), g)
 }
 
-/// The point with the bound components at their bounds, and a zero gradient of the free ones.
+/// Returns `a - b`.
+fn difference(a: &[f64], b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
+}
+
+/// Returns the value `1/2 t' H t - g' t` of (1).
+fn objective(t: &[f64], h_t: &[f64], g: &[f64]) -> f64 {
+    (0..t.len()).map(|j| t[j] * (0.5 * h_t[j] - g[j])).sum()
+}
+
+/// Returns the point with the bound components at their bounds, and a zero gradient of the free ones.
 fn solve_free(
     h: &Quadratic,
     g: &[f64],
     (lo, hi): (&[f64], &[f64]),
-    state: &[Place],
+    state: &[BoundState],
     last: &mut LastFactor,
 ) -> Option<Vec<f64>> {
     let n = g.len();
     let mut t: Vec<f64> = (0..n)
         .map(|j| match state[j] {
-            Place::Free => 0.0,
-            Place::Low => lo[j],
-            Place::High => hi[j],
+            BoundState::Free => 0.0,
+            BoundState::Low => lo[j],
+            BoundState::High => hi[j],
         })
         .collect();
-    let free: Vec<usize> = (0..n).filter(|j| state[*j] == Place::Free).collect();
+    let free: Vec<usize> = (0..n).filter(|j| state[*j] == BoundState::Free).collect();
     if free.is_empty() {
         return Some(t);
     }
@@ -282,9 +294,9 @@ pub struct ProductSettings {
 /// Acceleration of conjugate gradients on the free components: the exact solution in a coarse space
 /// V, and an approximate one for the remainder.
 pub trait Deflation {
-    /// Product `V (V' H V)^-1 V' r` on the free components.
+    /// Returns `V (V' H V)^-1 V' r` on the free components.
     fn coarse(&self, r: &[f64]) -> Vec<f64>;
-    /// Product of an approximate inverse of H_II and r, for r orthogonal to V.
+    /// Returns the product of an approximate inverse of H_II and r, for r orthogonal to V.
     fn smooth(&self, r: &[f64]) -> Vec<f64>;
 }
 
@@ -300,19 +312,24 @@ pub struct ProductSolution {
     pub free: Vec<bool>,
 }
 
-/// Sets at the start: at a bound where the gradient q points beyond it.
-fn first_places(t: &[f64], q: &[f64], moves: &[bool], (lo, hi): (&[f64], &[f64])) -> Vec<Place> {
+/// Returns the sets at the start: at a bound where the gradient q points beyond it.
+fn first_places(
+    t: &[f64],
+    q: &[f64],
+    moves: &[bool],
+    (lo, hi): (&[f64], &[f64]),
+) -> Vec<BoundState> {
     (0..t.len())
         .map(|j| match t[j] {
-            _ if !moves[j] => Place::Low,
-            v if v <= lo[j] && q[j] >= 0.0 => Place::Low,
-            v if v >= hi[j] && q[j] <= 0.0 => Place::High,
-            _ => Place::Free,
+            _ if !moves[j] => BoundState::Low,
+            v if v <= lo[j] && q[j] >= 0.0 => BoundState::Low,
+            v if v >= hi[j] && q[j] <= 0.0 => BoundState::High,
+            _ => BoundState::Free,
         })
         .collect()
 }
 
-/// Method [`active_set`] for an H that can only be applied. Conjugate gradients solve for the free
+/// Solves (1) as [`active_set`] does, for an H that can only be applied. Conjugate gradients solve for the free
 /// components, and `deflation(free)` accelerates them.
 ///
 /// `apply(t)` is H t; components with H_jj <= 0 stay at `start`. The result is the point with the
@@ -332,17 +349,17 @@ pub fn active_set_by_products<D: Deflation>(
     let mut sorted: Vec<f64> = (0..n).filter(|j| moves[*j]).map(|j| diagonal[j]).collect();
     sorted.sort_by(f64::total_cmp);
     let c = sorted.get(sorted.len() / 2).copied().unwrap_or(1.0);
-    let value =
-        |t: &[f64], h_t: &[f64]| -> f64 { (0..n).map(|j| t[j] * (0.5 * h_t[j] - g[j])).sum() };
-    let gradient = |h_t: &[f64]| -> Vec<f64> { h_t.iter().zip(g).map(|(h, g)| h - g).collect() };
 
     let mut t = start.to_vec();
     let h_t = apply(&t);
-    let (mut q, mut best) = (gradient(&h_t), value(&t, &h_t));
+    let mut q = difference(&h_t, g);
+    let mut best = objective(&t, &h_t, g);
     let mut residual = natural_residual(&t, &q, diagonal, lo, hi);
     let mut wanted = first_places(&t, &q, &moves, (lo, hi));
-    let (mut products, mut end) = (0, End::IterationLimit);
-    let (mut x, mut free) = (t.clone(), vec![false; n]);
+    let mut products = 0;
+    let mut end = End::IterationLimit;
+    let mut x = t.clone();
+    let mut free = vec![false; n];
     for _ in 0..settings.max_sets {
         if residual <= settings.enough {
             end = End::Optimal;
@@ -352,16 +369,10 @@ pub fn active_set_by_products<D: Deflation>(
             break;
         }
         let state = wanted;
-        free = (0..n).map(|j| moves[j] && state[j] == Place::Free).collect();
+        free = (0..n).map(|j| moves[j] && state[j] == BoundState::Free).collect();
         // x: bound components at their bounds, the free ones where their gradient vanishes
-        for j in (0..n).filter(|j| moves[*j]) {
-            match state[j] {
-                Place::Low => x[j] = lo[j],
-                Place::High => x[j] = hi[j],
-                Place::Free => x[j] = x[j].clamp(lo[j], hi[j]),
-            }
-        }
-        let mut q_x = gradient(&apply(&x));
+        put_on_bounds(&mut x, &state, &moves, (lo, hi));
+        let mut q_x = difference(&apply(&x), g);
         let most = settings.max_products - products;
         products += conjugate_gradients(
             &apply,
@@ -376,17 +387,21 @@ pub fn active_set_by_products<D: Deflation>(
             (0..n).map(|j| if moves[j] { x[j].clamp(lo[j], hi[j]) } else { x[j] }).collect();
         let h_to = apply(&to);
         products += 1;
-        let found = value(&to, &h_to);
-        if found < best {
-            best = found;
-            q = gradient(&h_to);
+        let value = objective(&to, &h_to, g);
+        if value < best {
+            best = value;
+            q = difference(&h_to, g);
             t = to;
             residual = natural_residual(&t, &q, diagonal, lo, hi);
         }
         wanted = (0..n)
-            .map(|j| match moves[j] {
-                false => Place::Low,
-                true => Place::of(x[j] - if free[j] { 0.0 } else { q_x[j] / c }, lo[j], hi[j]),
+            .map(|j| {
+                if moves[j] {
+                    let multiplier = if free[j] { 0.0 } else { q_x[j] / c };
+                    BoundState::of_target(x[j] - multiplier, lo[j], hi[j])
+                } else {
+                    BoundState::Low
+                }
             })
             .collect();
         if wanted == state {
@@ -396,6 +411,17 @@ pub fn active_set_by_products<D: Deflation>(
     }
     let solution = Solution { value: t, natural_residual: residual, iterations: products, end };
     ProductSolution { solution, unbounded: x, free }
+}
+
+/// Puts the components that move on their bounds or, if they are free, within them.
+fn put_on_bounds(x: &mut [f64], state: &[BoundState], moves: &[bool], (lo, hi): (&[f64], &[f64])) {
+    for j in (0..x.len()).filter(|j| moves[*j]) {
+        match state[j] {
+            BoundState::Low => x[j] = lo[j],
+            BoundState::High => x[j] = hi[j],
+            BoundState::Free => x[j] = x[j].clamp(lo[j], hi[j]),
+        }
+    }
 }
 
 /// Solves `q_I = 0` for the free components of t by deflated conjugate gradients; q is the gradient
@@ -417,23 +443,16 @@ pub fn conjugate_gradients(
     inexact: f64,
     most: usize,
 ) -> usize {
-    let n = t.len();
-    let masked =
-        |q: &[f64]| -> Vec<f64> { (0..n).map(|j| if free[j] { -q[j] } else { 0.0 }).collect() };
-    let mut step = |p: &[f64], h_p: &[f64], a: f64, q: &mut [f64]| {
-        for j in 0..n {
-            t[j] += a * p[j];
-            q[j] += a * h_p[j];
-        }
-    };
-    let first = deflation.coarse(&masked(q));
+    let first = deflation.coarse(&descent(q, free));
     let h_first = apply(&first);
     let mut fall = -dot(q, &first) - 0.5 * dot(&first, &h_first);
-    step(&first, &h_first, 1.0, q);
-    let mut r = masked(q);
-    let (mut p, mut rz) = (vec![0.0; n], 0.0);
+    step(t, q, 1.0, (&first, &h_first));
+    let mut r = descent(q, free);
+    let mut p = vec![0.0; t.len()];
+    let mut rz = 0.0;
     let mut products = 1;
-    let (mut least, mut at_least) = (f64::INFINITY, products);
+    let mut least = f64::INFINITY;
+    let mut at_least = products;
     while products < most {
         let mut z = deflation.smooth(&r);
         let left: Vec<f64> = apply(&z).iter().zip(&r).map(|(h, r)| r - h).collect();
@@ -441,7 +460,8 @@ pub fn conjugate_gradients(
         z.iter_mut().zip(deflation.coarse(&left)).for_each(|(z, c)| *z += c);
         let next = dot(&r, &z);
         if next < least {
-            (least, at_least) = (next, products);
+            least = next;
+            at_least = products;
         }
         let is_rounding = products > at_least + PRODUCTS_WITHOUT_PROGRESS;
         if next <= inexact * inexact * fall || is_rounding {
@@ -458,11 +478,24 @@ pub fn conjugate_gradients(
             break;
         }
         let a = rz / curvature;
-        step(&p, &h_p, a, q);
+        step(t, q, a, (&p, &h_p));
         fall += 0.5 * a * rz;
-        r = masked(q);
+        r = descent(q, free);
     }
     products
+}
+
+/// Returns the negative gradient, 0 where a component is not free.
+fn descent(q: &[f64], free: &[bool]) -> Vec<f64> {
+    q.iter().zip(free).map(|(q, free)| if *free { -q } else { 0.0 }).collect()
+}
+
+/// Moves t by `a p`, and its gradient q with it.
+fn step(t: &mut [f64], q: &mut [f64], a: f64, (p, h_p): (&[f64], &[f64])) {
+    for j in 0..t.len() {
+        t[j] += a * p[j];
+        q[j] += a * h_p[j];
+    }
 }
 
 /// Conditions for the end of an accelerated projected gradient iteration.
@@ -479,7 +512,7 @@ pub struct GradientSettings {
     pub offset: f64,
 }
 
-/// Scaled accelerated projected gradient with restart, for any H that can be applied.
+/// Solves (1) by scaled accelerated projected gradient steps with restart, for any H that can be applied.
 ///
 /// Source: Beck and Teboulle, SIAM J. Imaging Sci. 2 (2009) 183, Eqs 4.1-4.3, with the restart of
 /// O'Donoghue and Candes, Found. Comput. Math. 15 (2015) 715, Eq. 3.2, in the scale
@@ -510,7 +543,8 @@ pub fn projected_gradient(
 
     let mut t: Vec<f64> =
         (0..n).map(|j| if moves[j] { start[j].clamp(lo[j], hi[j]) } else { lo[j] }).collect();
-    let (mut y, mut theta) = (t.clone(), 1.0_f64);
+    let mut y = t.clone();
+    let mut theta = 1.0_f64;
     let mut objective_before = f64::INFINITY;
     let mut iterations = 0;
     loop {
@@ -533,10 +567,9 @@ pub fn projected_gradient(
         t = next;
         if iterations % STEPS_BETWEEN_LOOKS == 0 || iterations >= settings.max_iterations {
             let h_t = apply(&t);
-            let q: Vec<f64> = h_t.iter().zip(g).map(|(h, g)| h - g).collect();
+            let q = difference(&h_t, g);
             let natural_residual = natural_residual(&t, &q, diagonal, lo, hi);
-            let objective: f64 =
-                settings.offset + (0..n).map(|j| t[j] * (0.5 * h_t[j] - g[j])).sum::<f64>();
+            let objective = settings.offset + objective(&t, &h_t, g);
             let end = if natural_residual <= settings.tolerance {
                 Some(End::Optimal)
             } else if objective_before - objective <= settings.stagnation * objective.abs() {
@@ -554,7 +587,7 @@ pub fn projected_gradient(
     }
 }
 
-/// Estimate of the largest eigenvalue of S H S, S = diag(H)^-1/2; 1 if H is zero.
+/// Returns an estimate of the largest eigenvalue of S H S, S = diag(H)^-1/2; 1 if H is zero.
 fn largest_eigenvalue(apply: &impl Fn(&[f64]) -> Vec<f64>, diagonal: &[f64]) -> f64 {
     let scale: Vec<f64> =
         diagonal.iter().map(|d| if *d > 0.0 { d.sqrt().recip() } else { 0.0 }).collect();

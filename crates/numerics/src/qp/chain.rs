@@ -55,8 +55,8 @@ pub struct Program {
 /// Rows of a half of the chain, in units of y and with a largest coefficient of 1. Rows without
 /// coefficients are left out.
 #[derive(Debug)]
-pub struct Rows {
-    row: Vec<Row>,
+pub struct ChainRows {
+    row: Vec<ChainRow>,
     /// Coefficients k of the rows; empty if the rows are hard.
     slack: Vec<f64>,
     /// Number of rows up to the end of link k.
@@ -71,13 +71,13 @@ pub struct Rows {
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Row {
+struct ChainRow {
     /// Coefficients of the outer and of the inner end of the link.
     a: [f64; 2],
     bound: f64,
 }
 
-impl Rows {
+impl ChainRows {
     /// Adds `a[0] x_i + a[1] x_{i+1} - k e_i <= bound` to the present link i.
     pub fn add(&mut self, a: [f64; 2], k: f64, bound: f64) {
         let a = [a[0] * self.w[0], a[1] * self.w[1]];
@@ -85,7 +85,7 @@ impl Rows {
         let size = a[0].abs().max(a[1].abs()).max(k);
         if size > 0.0 {
             let a = if self.up { [a[1] / size, a[0] / size] } else { a.map(|a| a / size) };
-            self.row.push(Row { a, bound: bound / size });
+            self.row.push(ChainRow { a, bound: bound / size });
             if self.elastic {
                 self.slack.push(k / size);
             }
@@ -94,6 +94,7 @@ impl Rows {
         }
     }
 
+    /// Ends the present link, with its row `e >= 0`.
     fn end_link(&mut self) {
         let start = self.end.last().copied().unwrap_or(0);
         if self.elastic && self.row.len() > start {
@@ -102,7 +103,8 @@ impl Rows {
         self.end.push(self.row.len());
     }
 
-    fn of(&self, k: usize) -> Range<usize> {
+    /// Returns the rows of link k.
+    fn of_link(&self, k: usize) -> Range<usize> {
         let start = if k == 0 { 0 } else { self.end[k - 1] };
         start..self.end[k]
     }
@@ -139,12 +141,15 @@ const MAX_ITERATIONS: usize = 150;
 /// chains. Smaller: the overhead of the thread exceeds its gain. It does not change the result.
 const MIN_LINKS_PER_THREAD: usize = 2048;
 
-/// Solution x of (1). `rows` adds the rows of a link, in any order, but in the same order at every
+/// Returns the solution x of (1). `rows` adds the rows of a link, in any order, but in the same order at every
 /// call. The program is scaled in place, because a copy of a long one would take as long as an
 /// iteration.
+///
+/// # Errors
+/// Returns a failure if the rows contradict each other, or if the iteration does not reach the tolerance.
 pub fn solve(
     mut program: Program,
-    rows: impl Fn(usize, &mut Rows) + Sync,
+    rows: impl Fn(usize, &mut ChainRows) + Sync,
 ) -> Result<Vec<f64>, Failure> {
     if program.diagonal.is_empty() {
         return Ok(Vec::new());
@@ -165,13 +170,12 @@ impl Program {
     fn scale(&mut self) -> (Vec<f64>, f64) {
         // w_i = unit / sqrt(P_ii)
         let mut w = std::mem::take(&mut self.diagonal);
-        let root = |((w, free), c): ((&mut f64, &bool), &f64)| {
-            *w = if *free { 1.0 / w.sqrt() } else { 0.0 };
-            (c * *w).abs()
-        };
         let unit = (w.par_iter_mut().zip(&self.free).zip(&self.linear))
             .with_min_len(MIN_LINKS_PER_THREAD)
-            .map(root)
+            .map(|((w, free), c)| {
+                *w = if *free { 1.0 / w.sqrt() } else { 0.0 };
+                (c * *w).abs()
+            })
             .reduce(|| 0.0, f64::max);
         let unit = if unit > 0.0 { unit } else { 1.0 };
         // The objective is divided by unit^2 (1 + highest price).
@@ -201,7 +205,13 @@ struct Node {
     /// Element of L at the next node towards the middle.
     below: f64,
 }
-
+impl Node {
+    /// Moves y by a fraction of the step; returns it.
+    fn advance(&mut self, length: f64) -> f64 {
+        self.y += length * self.dy;
+        self.y
+    }
+}
 /// Slack s and multiplier l of a row, or their steps.
 #[derive(Clone, Copy, Default)]
 struct Pair {
@@ -246,6 +256,7 @@ struct Carry {
 }
 
 impl Carry {
+    /// Returns the sum of both contributions.
     fn plus(self, other: Self) -> Self {
         Self {
             pivot: self.pivot + other.pivot,
@@ -281,7 +292,8 @@ impl Block {
         node.inverse = 1.0 / pivot[0];
         node.below = off * node.inverse;
         node.dy = right[0] * node.inverse;
-        let (pivot, right) = (pivot[1] - node.below * off, right[1] - node.below * right[0]);
+        let right = right[1] - node.below * right[0];
+        let pivot = pivot[1] - node.below * off;
         Carry { pivot, right, ..Carry::default() }
     }
 }
@@ -304,6 +316,7 @@ struct Residual {
 }
 
 impl Residual {
+    /// Returns the residuals of two parts together.
     fn plus(self, other: Self) -> Self {
         Self {
             mu: self.mu + other.mu,
@@ -315,6 +328,7 @@ impl Residual {
         }
     }
 
+    /// Returns true if the residuals are within a tolerance.
     fn is_within(&self, tolerance: f64) -> bool {
         self.largest <= tolerance && self.largest_dual <= DUAL_TOLERANCE.max(tolerance)
     }
@@ -336,13 +350,14 @@ struct Reach {
 }
 
 impl Reach {
+    /// Returns the reach of two parts together.
     fn plus(self, other: Self) -> Self {
         let inverse = self.inverse.max(other.inverse);
         Self { inverse, product: self.product + other.product }
     }
 }
 
-/// The larger number; NaN counts as the largest.
+/// Returns the larger number; NaN counts as the largest.
 fn worse(a: f64, b: f64) -> f64 {
     if a >= b || a.is_nan() { a } else { b }
 }
@@ -355,13 +370,14 @@ struct Chain<'a, const ELASTIC: bool> {
 }
 
 impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
-    /// Solution w y.
+    /// Returns the solution w y.
     fn solve(
         &self,
         mut w: Vec<f64>,
-        rows: impl Fn(usize, &mut Rows) + Sync,
+        rows: impl Fn(usize, &mut ChainRows) + Sync,
     ) -> Result<Vec<f64>, Failure> {
-        let (n, diagonal) = (w.len(), self.diagonal);
+        let n = w.len();
+        let diagonal = self.diagonal;
         let (mut low, mut high) = self.halves(&w, rows);
         if low.rows.infeasible || high.rows.infeasible {
             return Err(Failure::Infeasible);
@@ -382,7 +398,8 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
         // The minimiser without rows is a good start.
         let (a, b) = both!(eliminate_free());
         let c = a.plus(b);
-        let (mut y, mut dy) = ((linear + c.right) / (diagonal + c.pivot), 0.0);
+        let mut y = (linear + c.right) / (diagonal + c.pivot);
+        let mut dy = 0.0;
         both!(start(y));
         // The last point that would be accepted: rounding may spoil the next.
         let mut accepted: Option<Vec<f64>> = None;
@@ -392,7 +409,8 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
         for _ in 0..if solved { 0 } else { MAX_ITERATIONS } {
             y += length * dy;
             let ((a, ra), (b, rb)) = both!(advance_and_eliminate(length, y));
-            let (c, mut r) = (a.plus(b), ra.plus(rb));
+            let c = a.plus(b);
+            let mut r = ra.plus(rb);
             let gradient = linear - diagonal * y + c.gradient;
             r.largest_dual = worse(r.largest_dual, (c.multipliers - gradient).abs());
             r.largest_multipliers = worse(r.largest_multipliers, c.multipliers.abs());
@@ -427,17 +445,17 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
                 break;
             }
         }
-        let last = || values(&low, y, &high);
-        let found = if solved { last() } else { accepted.ok_or(Failure::NotConverged)? };
-        w.iter_mut().zip(found).for_each(|(w, y)| *w *= y);
+        let y =
+            if solved { values(&low, y, &high) } else { accepted.ok_or(Failure::NotConverged)? };
+        w.iter_mut().zip(y).for_each(|(w, y)| *w *= y);
         Ok(w)
     }
 
-    /// The links of both ends of the chain to its middle.
+    /// Makes the links of both ends of the chain to its middle.
     fn halves(
         &self,
         w: &[f64],
-        rows: impl Fn(usize, &mut Rows) + Sync,
+        rows: impl Fn(usize, &mut ChainRows) + Sync,
     ) -> (Half<'_, ELASTIC>, Half<'_, ELASTIC>) {
         let half = |up| Half::new(self.program, self.diagonal, up, w, &rows);
         if w.len() < MIN_LINKS_PER_THREAD {
@@ -448,13 +466,14 @@ impl<const ELASTIC: bool> Chain<'_, ELASTIC> {
     }
 }
 
-/// The nodes in order: those of the low half, the middle, those of the high half.
+/// Returns the nodes in order: those of the low half, the middle, those of the high half.
 fn values<const ELASTIC: bool>(low: &Half<ELASTIC>, middle: f64, high: &Half<ELASTIC>) -> Vec<f64> {
     let nodes = low.node.iter().map(|node| node.y).chain([middle]);
     nodes.chain(high.node.iter().rev().map(|node| node.y)).collect()
 }
 
-/// Centring parameter sigma of the corrector (Mehrotra), from the reach of the predictor and the number of rows m:
+/// Returns the centring parameter sigma of the corrector (Mehrotra), from the reach of the predictor and the number
+/// of rows m:
 ///
 /// ```text
 /// a     = min(1, 1 / max(-ds/s, -dl/l))
@@ -474,25 +493,26 @@ struct Half<'a, const ELASTIC: bool> {
     diagonal: f64,
     /// True if this is the half with the last nodes.
     up: bool,
-    rows: Rows,
+    rows: ChainRows,
     node: Vec<Node>,
-    at: Vec<Pair>,
+    pair: Vec<Pair>,
     /// Steps; before the backward pass of the corrector, `l` contains its t.
     step: Vec<Pair>,
     excess: Vec<Excess>,
 }
 
 impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
+    /// Collects the rows of the links of one half.
     fn new(
         program: &'a Program,
         diagonal: f64,
         up: bool,
         w: &[f64],
-        add: impl Fn(usize, &mut Rows),
+        add: impl Fn(usize, &mut ChainRows),
     ) -> Self {
         let n = w.len();
         let links = if up { n - 1 - n / 2 } else { n / 2 };
-        let mut rows = Rows {
+        let mut rows = ChainRows {
             row: Vec::new(),
             slack: Vec::new(),
             end: Vec::with_capacity(links),
@@ -514,17 +534,18 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
             up,
             rows,
             node: vec![Node::default(); links],
-            at: vec![Pair::default(); m],
+            pair: vec![Pair::default(); m],
             step: vec![Pair::default(); m],
             excess: vec![Excess::default(); if ELASTIC { links } else { 0 }],
         }
     }
 
+    /// Returns the number of links.
     fn links(&self) -> usize {
         self.node.len()
     }
 
-    /// Linear term c of the outer node of link k, and the element of P between both nodes.
+    /// Returns the linear term c of the outer node of link k, and the element of P between both nodes.
     fn terms(&self, k: usize) -> (f64, f64) {
         let Program { linear, beside, .. } = self.program;
         if self.up {
@@ -534,14 +555,15 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         }
     }
 
+    /// Returns the price of link k.
     fn price(&self, k: usize) -> f64 {
         let price = &self.program.price;
         price[if self.up { price.len() - 1 - k } else { k }]
     }
 
-    /// Coefficients of the outer and of the inner node, k and the bound of row j.
+    /// Returns the coefficients of the outer and of the inner node, k and the bound of row j.
     fn row(&self, j: usize) -> ([f64; 2], f64, f64) {
-        let Row { a, bound } = self.rows.row[j];
+        let ChainRow { a, bound } = self.rows.row[j];
         (a, if ELASTIC { self.rows.slack[j] } else { 0.0 }, bound)
     }
 
@@ -568,10 +590,11 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
             let node = &mut self.node[k];
             node.y = node.dy - node.below * y1;
             let y0 = node.y;
-            for j in self.rows.of(k) {
+            for j in self.rows.of_link(k) {
                 let (a, _, bound) = self.row(j);
                 let s = (bound - (a[0] * y0 + a[1] * y1)).max(1.0);
-                (self.at[j], self.step[j]) = (Pair { s, l: 1.0 }, Pair::default());
+                self.pair[j] = Pair { s, l: 1.0 };
+                self.step[j] = Pair::default();
             }
             y1 = y0;
         }
@@ -580,15 +603,12 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
     /// Moves by the fraction `length` of the step, computes the residuals there, and eliminates (2)
     /// of the predictor towards the middle.
     fn advance_and_eliminate(&mut self, length: f64, middle: f64) -> (Carry, Residual) {
-        let (mut carry, mut r) = (Carry::default(), Residual::default());
-        let go = |node: &mut Node| {
-            node.y += length * node.dy;
-            node.y
-        };
-        let mut y1 = if self.links() > 0 { go(&mut self.node[0]) } else { middle };
+        let mut carry = Carry::default();
+        let mut r = Residual::default();
+        let mut y1 = if self.links() > 0 { self.node[0].advance(length) } else { middle };
         for k in 0..self.links() {
             let y0 = y1;
-            y1 = if k + 1 < self.links() { go(&mut self.node[k + 1]) } else { middle };
+            y1 = if k + 1 < self.links() { self.node[k + 1].advance(length) } else { middle };
             let (linear, beside) = self.terms(k);
             // c - P y
             let gradient = linear - self.diagonal * y0 - beside * y1 + carry.gradient;
@@ -598,21 +618,23 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
                 off: beside,
                 right: [gradient + carry.right, 0.0],
             };
-            let rows = self.rows.of(k);
+            let rows = self.rows.of_link(k);
             let mut excess = Excess::default();
             if ELASTIC {
-                excess = self.excess[k];
-                excess.e += length * excess.de;
-                (excess.de, excess.mean, excess.inverse) = (0.0, [0.0; 2], 0.0);
+                let Excess { e, de, .. } = self.excess[k];
+                excess.e = e + length * de;
             }
             let price = if ELASTIC && !rows.is_empty() { self.price(k) } else { 0.0 };
-            let (mut dual_e, mut square, mut right_e) = (price, 0.0, -price);
+            let mut dual_e = price;
+            let mut square = 0.0;
+            let mut right_e = -price;
             for j in rows.clone() {
                 let (a, slack, bound) = self.row(j);
-                let (at, step) = (&mut self.at[j], &mut self.step[j]);
-                at.s += length * step.s;
-                at.l += length * step.l;
-                let Pair { s, l } = *at;
+                let pair = &mut self.pair[j];
+                let step = &mut self.step[j];
+                pair.s += length * step.s;
+                pair.l += length * step.l;
+                let Pair { s, l } = *pair;
                 let primal = a[0] * y0 + a[1] * y1 - slack * excess.e + (s - bound);
                 // Its rounding is that of a sum of numbers of order 1.
                 let rounding = 16.0 * f64::EPSILON * (1.0 + bound.abs() + s);
@@ -637,7 +659,8 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
             }
             if ELASTIC && !rows.is_empty() {
                 excess.mean = excess.mean.map(|c| c / square);
-                (excess.inverse, excess.de) = (1.0 / square, right_e);
+                excess.inverse = 1.0 / square;
+                excess.de = right_e;
                 let m = excess.mean;
                 for j in rows {
                     let (a, slack, _) = self.row(j);
@@ -655,12 +678,13 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
             r.largest_dual = worse(r.largest_dual, (multipliers[0] - gradient).abs());
             r.largest_multipliers = worse(r.largest_multipliers, multipliers[0].abs());
             carry = block.eliminate(&mut self.node[k]);
-            (carry.gradient, carry.multipliers) = (-beside * y0, multipliers[1]);
+            carry.gradient = -beside * y0;
+            carry.multipliers = multipliers[1];
         }
         (carry, r)
     }
 
-    /// Step of node k and of its link by substitution; returns the step of the node.
+    /// Computes the step of node k and of its link by substitution; returns the step of the node.
     fn substitute(&mut self, k: usize, dy1: f64) -> f64 {
         let node = &mut self.node[k];
         node.dy -= node.below * dy1;
@@ -674,17 +698,17 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         dy0
     }
 
-    /// Excess e of link k and its step.
+    /// Returns the excess e of link k and its step.
     fn excess_of(&self, k: usize) -> (f64, f64) {
         if ELASTIC { (self.excess[k].e, self.excess[k].de) } else { (0.0, 0.0) }
     }
 
-    /// Values of row j during a step: coefficients, s and l, r_p, and ds. The arguments are y, e
+    /// Returns the values of row j during a step: coefficients, s and l, r_p, and ds. The arguments are y, e
     /// and their steps of its link.
     #[inline(always)]
     fn step_of(&self, j: usize, y: [f64; 2], dy: [f64; 2], (e, de): (f64, f64)) -> RowStep {
         let (a, slack, bound) = self.row(j);
-        let Pair { s, l } = self.at[j];
+        let Pair { s, l } = self.pair[j];
         let primal = a[0] * y[0] + a[1] * y[1] - slack * e + (s - bound);
         let ds = -primal - (a[0] * dy[0] + a[1] * dy[1] - slack * de);
         RowStep { a, slack, s, l, primal, ds }
@@ -693,18 +717,21 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
     /// Substitutes the predictor from the middle outwards.
     fn predict(&mut self, middle: f64, step: f64) -> Reach {
         let mut reach = Reach::default();
-        let (mut y1, mut dy1) = (middle, step);
+        let mut y1 = middle;
+        let mut dy1 = step;
         for k in (0..self.links()).rev() {
-            let (y0, dy0) = (self.node[k].y, self.substitute(k, dy1));
+            let y0 = self.node[k].y;
+            let dy0 = self.substitute(k, dy1);
             let excess = self.excess_of(k);
-            for j in self.rows.of(k) {
+            for j in self.rows.of_link(k) {
                 let RowStep { s, l, ds, .. } = self.step_of(j, [y0, y1], [dy0, dy1], excess);
                 // dl = -l - D ds = -l (1 + ds/s)
                 let ratio = ds / s;
                 reach.inverse = reach.inverse.max(-ratio).max(1.0 + ratio);
                 reach.product += s * l * ratio * (1.0 + ratio);
             }
-            (y1, dy1) = (y0, dy0);
+            y1 = y0;
+            dy1 = dy0;
         }
         reach
     }
@@ -712,16 +739,15 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
     /// Eliminates (2) of the corrector towards the middle.
     fn eliminate_corrector(&mut self, second: f64, sigma_mu: f64, middle: f64, step: f64) -> Carry {
         let mut carry = Carry::default();
-        let of = |node: Option<&Node>| node.map_or((middle, step), |node| (node.y, node.dy));
-        let mut inner = of((self.links() > 0).then(|| &self.node[0]));
+        let mut inner = self.y_and_step(0, middle, step);
         for k in 0..self.links() {
             let (y0, dy0) = inner;
-            inner = of((k + 1 < self.links()).then(|| &self.node[k + 1]));
+            inner = self.y_and_step(k + 1, middle, step);
             let (y1, dy1) = inner;
             let (linear, beside) = self.terms(k);
             let gradient = linear - self.diagonal * y0 - beside * y1 + carry.gradient;
             let mut right = [gradient + carry.right, 0.0];
-            let rows = self.rows.of(k);
+            let rows = self.rows.of_link(k);
             let excess = self.excess_of(k);
             let mut right_e = if ELASTIC && !rows.is_empty() { -self.price(k) } else { 0.0 };
             for j in rows {
@@ -751,14 +777,22 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
         carry
     }
 
+    /// Returns y of node k and its step; those of the middle beyond the last node.
+    #[inline(always)]
+    fn y_and_step(&self, k: usize, middle: f64, step: f64) -> (f64, f64) {
+        self.node.get(k).map_or((middle, step), |node| (node.y, node.dy))
+    }
+
     /// Substitutes the corrector from the middle outwards.
     fn correct(&mut self, middle: f64, step: f64) -> Reach {
         let mut reach = Reach::default();
-        let (mut y1, mut dy1) = (middle, step);
+        let mut y1 = middle;
+        let mut dy1 = step;
         for k in (0..self.links()).rev() {
-            let (y0, dy0) = (self.node[k].y, self.substitute(k, dy1));
+            let y0 = self.node[k].y;
+            let dy0 = self.substitute(k, dy1);
             let excess = self.excess_of(k);
-            for j in self.rows.of(k) {
+            for j in self.rows.of_link(k) {
                 let RowStep { s, l, ds, .. } = self.step_of(j, [y0, y1], [dy0, dy1], excess);
                 // 1/s and 1/l by one division.
                 let inverse = 1.0 / (s * l);
@@ -766,7 +800,8 @@ impl<'a, const ELASTIC: bool> Half<'a, ELASTIC> {
                 self.step[j] = Pair { s: ds, l: dl };
                 reach.inverse = reach.inverse.max(-ds * (l * inverse)).max(-dl * (s * inverse));
             }
-            (y1, dy1) = (y0, dy0);
+            y1 = y0;
+            dy1 = dy0;
         }
         reach
     }

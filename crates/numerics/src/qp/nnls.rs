@@ -79,11 +79,11 @@ pub fn nnls(
             for (j, w) in free.members.iter().zip(&wanted) {
                 x[*j] += fraction * (w - x[*j]);
             }
-            for at in (0..free.members.len()).rev() {
-                let j = free.members[at];
-                if wanted[at] <= 0.0 && x[j] <= 1e-14 * wanted.iter().fold(0.0, |m, v| v.max(m)) {
+            for k in (0..free.members.len()).rev() {
+                let j = free.members[k];
+                if wanted[k] <= 0.0 && x[j] <= 1e-14 * wanted.iter().fold(0.0, |m, v| v.max(m)) {
                     x[j] = 0.0;
-                    free.remove(at);
+                    free.remove(k);
                     iterations += 1;
                 }
             }
@@ -101,7 +101,7 @@ pub fn nnls(
     NonNegative { value: x, iterations, violation, converged }
 }
 
-/// Gradient `H x - g` from the columns where x is not zero.
+/// Returns the gradient `H x - g` from the columns where x is not zero.
 fn gradient(h: &Array2<f64>, g: &[f64], x: &[f64], members: &[usize]) -> Vec<f64> {
     let mut q: Vec<f64> = g.iter().map(|v| -v).collect();
     for &k in members.iter().filter(|k| x[**k] != 0.0) {
@@ -140,17 +140,20 @@ impl Free {
         true
     }
 
-    /// Removes the component at `at`. Rotations bring the rows below back to triangular form.
-    fn remove(&mut self, at: usize) {
-        self.rows.remove(at);
-        self.members.remove(at);
-        for i in at..self.rows.len() {
+    /// Removes the k-th free component. Rotations bring the rows below back to triangular form.
+    fn remove(&mut self, k: usize) {
+        self.rows.remove(k);
+        self.members.remove(k);
+        for i in k..self.rows.len() {
             // Row i has i + 2 elements; rotate the columns i, i + 1 of it and of those below.
-            let (a, b) = (self.rows[i][i], self.rows[i][i + 1]);
+            let a = self.rows[i][i];
+            let b = self.rows[i][i + 1];
             let r = a.hypot(b);
-            let (c, s) = (a / r, b / r);
+            let c = a / r;
+            let s = b / r;
             for row in &mut self.rows[i..] {
-                let (u, v) = (row[i], row[i + 1]);
+                let u = row[i];
+                let v = row[i + 1];
                 row[i] = c * u + s * v;
                 row[i + 1] = c * v - s * u;
             }

@@ -358,7 +358,7 @@ impl AxisProblem<'_> {
         known.iter().for_each(|i| limited.segment[*i] = true);
         let mut reach = 2;
         for _ in 0..MAX_PROGRAMS {
-            let add = |i: usize, rows: &mut chain::Rows| self.rows(i, h, &limited, rows);
+            let add = |i: usize, rows: &mut chain::ChainRows| self.rows(i, h, &limited, rows);
             let v = chain::solve(self.program(h, bounds), add).ok()?;
             let v = self.exact_at_fixed_nodes(v);
             let mut complete = true;
@@ -429,7 +429,7 @@ impl AxisProblem<'_> {
     }
 
     /// Adds the rows of segment i: its signs, and the limits of the machine if `limited` has the segment.
-    fn rows(&self, i: usize, h: &[f64], limited: &Limited, rows: &mut chain::Rows) {
+    fn rows(&self, i: usize, h: &[f64], limited: &Limited, rows: &mut chain::ChainRows) {
         let dp = self.displacement_mm[i];
         if let Some([low, high]) = self.range_of(i) {
             rows.add([1.0, 0.0], 0.0, high);

@@ -3,7 +3,7 @@
 
 use std::{f64::consts::PI, ops::Range};
 
-use planish_numerics::linear::tridiagonal::{self, Row};
+use planish_numerics::linear::tridiagonal::{self, TridiagonalRow as Row};
 use planish_types::{DensityNodes, DwellDensity, DwellTime, Invalid, Limits, ToolPath};
 
 use super::{

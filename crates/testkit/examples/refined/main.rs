@@ -47,7 +47,7 @@ impl Case<'_> {
         settings.dwell.min_dwell = self.floor;
         settings.dwell.noise_rms_nm = self.noise_rms_nm;
         let solver =
-            bounded_least_squares::Settings { min_dwell: self.floor, ..Default::default() };
+            bounded_least_squares::BoundedSettings { min_dwell: self.floor, ..Default::default() };
         let first = bounded_least_squares::solve(self.desired, self.tif, path, None, &solver);
         let first = Some(first.expect("a plan").dwell);
         let refined = refine(self.desired, self.tif, path, self.limits, first, &settings);
@@ -160,8 +160,10 @@ fn with_noise() {
                 let desired = &measured.surface;
                 let case = Case { desired, tif, limits, mode, floor: bound, noise_rms_nm };
                 let refined = case.refined(&path);
-                let solver =
-                    bounded_least_squares::Settings { min_dwell: bound, ..Default::default() };
+                let solver = bounded_least_squares::BoundedSettings {
+                    min_dwell: bound,
+                    ..Default::default()
+                };
                 let first = bounded_least_squares::solve(desired, tif, &path, None, &solver);
                 let how = pvt::Settings::of(mode);
                 let first = first.expect("a plan").dwell;

@@ -190,7 +190,7 @@ fn of_modes(
     limits: &Limits,
     floor: Bound,
 ) -> String {
-    let solver = bounded_least_squares::Settings { min_dwell: floor, ..Default::default() };
+    let solver = bounded_least_squares::BoundedSettings { min_dwell: floor, ..Default::default() };
     let solved = bounded_least_squares::solve(desired, tif, path, None, &solver);
     let dwell = solved.expect("a plan").dwell;
     let both = [Mode::Monotone, Mode::Smooth];

@@ -4,11 +4,11 @@ use std::f64::consts::PI;
 
 use ndarray::{Array1, Array2};
 use planish_bspline_feed::{
-    Plan, Settings,
+    FeedPlan, FeedSettings,
     deconvolution::Refinement,
     limited::{FeedLimits, Quadratic, convex_concave_step, highest_peak, knot_removal},
     plan,
-    plan::Method,
+    plan::FeedSource,
 };
 use planish_fixture::make;
 use planish_numerics::{bspline::Knots, quadrature::gauss_legendre};
@@ -42,16 +42,17 @@ pub fn reproduce() -> Outcome {
     let limits = machine([20.0, 20.0], [200.0, 200.0]);
     let path =
         raster(surface, &RasterSettings::new(0.2, 0.2, tif.half_size_mm()[0])).expect("a raster");
-    let base = Settings { relative_gap: 1e-2, ..Settings::default() };
-    let with = |settings: Settings| plan(surface, tif, &path, &limits, &settings).expect("a feed");
+    let base = FeedSettings { relative_gap: 1e-2, ..FeedSettings::default() };
+    let with =
+        |settings: FeedSettings| plan(surface, tif, &path, &limits, &settings).expect("a feed");
     let spline = with(base);
-    let vrr = with(Settings { method: Method::Vrr, ..base });
-    let removed = with(Settings { refinement: Refinement::KnotRemoval, ..base });
+    let vrr = with(FeedSettings { method: FeedSource::Vrr, ..base });
+    let removed = with(FeedSettings { refinement: Refinement::KnotRemoval, ..base });
     let within = [&spline, &vrr, &removed].iter().all(|p| {
         let verdict = verify(&p.trajectory, &limits, &VerifySettings::default());
         verdict.expect("a verdict").limits_respected
     });
-    let executed = |p: &Plan| {
+    let executed = |p: &FeedPlan| {
         let done = simulate(&p.trajectory, tif, surface, planish_simulate::Settings::Gridded);
         done.expect("a removal").removal
     };

@@ -21,7 +21,7 @@ use clarabel::{
     },
 };
 use hdf5_reader::Hdf5File;
-use planish_numerics::linear::tridiagonal::{self, Row};
+use planish_numerics::linear::tridiagonal::{self, TridiagonalRow as Row};
 use planish_schedule::baselines::pvt_as_published;
 use planish_testkit::{ion_beam, skipped::reference};
 use planish_types::{DwellTime, ToolPath};

@@ -304,7 +304,7 @@ fn across_mm(tif: &Tif) -> f64 {
 /// Dwell times by the feed law (Eq. 12), executed at constant feeds.
 fn execute(part: &Surface, tif: &Tif, path: &ToolPath, max_velocity_mm_per_s: f64) -> Run {
     let least = Bound::SecondsPerMm(1.0 / max_velocity_mm_per_s);
-    let law = feed_law::dwell(part, tif, path, least, &feed_law::Settings::default());
+    let law = feed_law::dwell(part, tif, path, least, &feed_law::FeedLawSettings::default());
     let (dwell, _) = law.expect("dwell times");
     let motion = average_velocity::schedule(path, &dwell, &ion_beam()).expect("a motion");
     let done = simulate(&motion.trajectory, tif, part, Settings::Gridded).expect("a removal");

@@ -217,7 +217,8 @@ fn udo_dwell(
         columns: Columns::Point,
         min_dwell: Bound::Seconds(0.1),
     };
-    let settings = udo::Settings { floor, max_iterations: iterations, ..udo::Settings::default() };
+    let settings =
+        udo::UdoSettings { floor, max_iterations: iterations, ..udo::UdoSettings::default() };
     udo::solve(&problem, &settings).expect("dwell times").dwell
 }
 
@@ -469,12 +470,12 @@ fn on_the_mirror() -> Option<Vec<Claim>> {
         tif,
         &raster.path,
         None,
-        &bounded_least_squares::Settings {
+        &bounded_least_squares::BoundedSettings {
             columns: Columns::Point,
             min_dwell: Bound::Seconds(0.1),
             tikhonov: 2.8e-8,
             slope_weight: 0.0,
-            ..bounded_least_squares::Settings::default()
+            ..bounded_least_squares::BoundedSettings::default()
         },
     )
     .expect("dwell times");

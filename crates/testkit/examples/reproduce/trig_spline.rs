@@ -342,7 +342,7 @@ fn full_run() -> Vec<Claim> {
         columns: Columns::Segment,
         min_dwell: Bound::Seconds(0.0),
     };
-    let settings = lucy_richardson::Settings {
+    let settings = lucy_richardson::LucyRichardsonSettings {
         unknowns: lucy_richardson::Unknowns::Map,
         max_iterations: 60,
         stop_at_max: true,

@@ -3,11 +3,11 @@
 use ndarray::{Array2, Axis as NdAxis, s};
 use planish_numerics::{
     bspline, keys,
-    linear::tridiagonal::{self, Row},
+    linear::tridiagonal::{self, TridiagonalRow},
 };
 use planish_types::{Grid, Tif};
 
-use crate::model::columns::Place;
+use crate::model::columns::ToolPlace;
 
 /// Difference of two pitches, accumulated over the whole TIF, in steps, up to which they are the same. The same pitch
 /// may be rounded differently in two files. Larger: the removal shifts by up to that many steps. Smaller: rounded
@@ -45,12 +45,15 @@ pub struct Lattice {
 impl Lattice {
     /// Makes the lattice of a map and a TIF along x (0) or y (1).
     pub fn new(map: &Grid, tif: &Tif, axis: usize, spread: Spread) -> Self {
-        let (map, samples) = ([&map.x, &map.y][axis], [&tif.grid().x, &tif.grid().y][axis]);
-        let (end_mm, steps) = (tif.edge_mm()[axis], (samples.len() - 1) as f64);
+        let map = [&map.x, &map.y][axis];
+        let samples = [&tif.grid().x, &tif.grid().y][axis];
+        let end_mm = tif.edge_mm()[axis];
+        let steps = (samples.len() - 1) as f64;
         let own = (map.step_mm() / samples.step_mm() - 1.0).abs() * steps <= SAME_PITCH;
-        let edge = match own {
-            true => steps + (end_mm - samples.end_mm()) / samples.step_mm(),
-            false => (end_mm - samples.start_mm()) / map.step_mm(),
+        let edge = if own {
+            steps + (end_mm - samples.end_mm()) / samples.step_mm()
+        } else {
+            (end_mm - samples.start_mm()) / map.step_mm()
         };
         let (whole, fraction) = keys::split(edge);
         Self {
@@ -66,7 +69,7 @@ impl Lattice {
         }
     }
 
-    /// Weights of the nodes -1 ..= 2 at the offset f from node 0.
+    /// Returns the weights of the nodes -1 ..= 2 at the offset f from node 0.
     #[inline]
     pub fn weights(&self, f: f64) -> [f64; 4] {
         match self.spread {
@@ -75,30 +78,30 @@ impl Lattice {
         }
     }
 
-    /// Offset of sample j from the tool.
+    /// Returns the offset of sample j from the tool, mm.
     pub fn offset_mm(&self, j: usize) -> f64 {
         (self.tif_start_mm + j as f64 * self.step_mm).min(self.tif_end_mm)
     }
 
-    /// Samples with ghost nodes.
+    /// Returns the number of samples with ghost nodes.
     pub fn kernel(&self) -> usize {
         self.last as usize + 2
     }
 
-    /// Nodes -last ..= pixels, from which a sample reaches a pixel.
+    /// Returns the number of nodes -last ..= pixels, from which a sample reaches a pixel.
     pub fn sources(&self) -> usize {
         self.pixels + self.last as usize + 1
     }
 
-    /// Cell and offset of a tool that reaches the map.
+    /// Returns the cell of a tool at p, mm, and its offset there; `None` if it does not reach the map.
     pub fn place(&self, p: f64) -> Option<(i32, f64)> {
         let (cell, f) = keys::split((p + self.tif_start_mm - self.start_mm) / self.step_mm);
         let reaches = cell >= -self.last - 2 && cell <= self.pixels as isize + 1;
-        reaches.then_some((cell as i32, f))
+        if reaches { Some((cell as i32, f)) } else { None }
     }
 
-    /// Pixel offsets k from C that are beyond R: all up to the first returned value, and all from the second one on.
-    /// There k - f lies outside [0, edge].
+    /// Returns the pixel offsets k from C that are beyond R: all up to the first returned value, and all from the
+    /// second one on. There k - f lies outside [0, edge].
     pub fn spills(&self, f: f64) -> [isize; 2] {
         let low = if f > 0.0 { 0 } else { -1 };
         let (whole, _) = keys::split(self.edge + f);
@@ -114,19 +117,35 @@ pub struct Placed {
     pub fraction: f64,
     pub column: u32,
 }
-
-/// The tools of all columns that reach the map, in the order of the columns.
-pub fn placed(places: &[Vec<Place>], x: &Lattice, y: &Lattice) -> Vec<Placed> {
-    let of_place = |j: usize, Place { position_mm: p, fraction, .. }: &Place| {
-        let ((cy, fy), (cx, fx)) = (y.place(p[1])?, x.place(p[0])?);
-        let (cell, offset) = ([cy, cx], [fy, fx]);
-        Some(Placed { cell, offset, fraction: *fraction, column: j as u32 })
-    };
-    let columns = places.iter().enumerate();
-    columns.flat_map(|(j, places)| places.iter().filter_map(move |p| of_place(j, p))).collect()
+impl Placed {
+    /// Returns the same tool with the axes swapped.
+    pub fn swapped(&self) -> Self {
+        let [cell_across, cell_along] = self.cell;
+        let [across, along] = self.offset;
+        Self { cell: [cell_along, cell_across], offset: [along, across], ..*self }
+    }
 }
 
-/// Zeros in place of the ghost nodes.
+/// Returns the tools of all columns that reach the map, in the order of the columns.
+pub fn placed(places: &[Vec<ToolPlace>], x: &Lattice, y: &Lattice) -> Vec<Placed> {
+    let mut placed = Vec::new();
+    for (j, places) in places.iter().enumerate() {
+        for ToolPlace { position_mm: p, fraction, .. } in places {
+            if let (Some((cy, fy)), Some((cx, fx))) = (y.place(p[1]), x.place(p[0])) {
+                let fraction = *fraction;
+                placed.push(Placed {
+                    cell: [cy, cx],
+                    offset: [fy, fx],
+                    fraction,
+                    column: j as u32,
+                });
+            }
+        }
+    }
+    placed
+}
+
+/// Puts zeros in the place of the ghost nodes.
 pub fn without_ghosts(mut samples: Array2<f64>) -> Array2<f64> {
     let (my, mx) = samples.dim();
     samples.slice_mut(s![..;my - 1, ..]).fill(0.0);
@@ -134,7 +153,7 @@ pub fn without_ghosts(mut samples: Array2<f64>) -> Array2<f64> {
     samples
 }
 
-/// Kernel that is convolved with the spread dwell times, from samples of R.
+/// Returns the kernel that is convolved with the spread dwell times, from samples of R.
 pub fn kernel(samples: &Array2<f64>, spread: Spread) -> Array2<f64> {
     let mut kernel = samples.clone();
     if spread == Spread::Keys {
@@ -143,23 +162,23 @@ pub fn kernel(samples: &Array2<f64>, spread: Spread) -> Array2<f64> {
     // c_{j-1} / 6 + 4 c_j / 6 + c_{j+1} / 6 = R_j along one axis, then along the other
     for axis in [0, 1] {
         for mut line in kernel.lanes_mut(NdAxis(axis)) {
-            let row =
-                |j: usize| Row { elements: [1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0], right: line[j] };
-            let coefficients = tridiagonal::solve(line.len(), row);
+            let coefficients = tridiagonal::solve(line.len(), |j| TridiagonalRow {
+                elements: [1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0],
+                right: line[j],
+            });
             line.iter_mut().zip(coefficients).for_each(|(v, c)| *v = c);
         }
     }
     kernel
 }
 
-/// R at the pixels of the map, with a ghost node before its lower edge and up to two beyond its upper
+/// Returns R at the pixels of the map, with a ghost node before its lower edge and up to two beyond its upper
 /// one.
 pub fn samples(tif: &Tif, x: &Lattice, y: &Lattice) -> Array2<f64> {
     if x.own && y.own {
         return tif.with_ghosts().clone();
     }
-    let inside = |l: &Lattice| keys::split(l.edge).0 as usize + 1;
-    let (ny, nx) = (inside(y), inside(x));
+    let [ny, nx] = [y, x].map(|lattice| keys::split(lattice.edge).0 as usize + 1);
     let mut g = keys::with_ghosts(
         Array2::from_shape_fn((ny, nx), |(j, i)| tif.rate_at(x.offset_mm(i), y.offset_mm(j)))
             .view(),
@@ -172,8 +191,8 @@ pub fn samples(tif: &Tif, x: &Lattice, y: &Lattice) -> Array2<f64> {
             let next = match n {
                 0..=2 => g.index_axis(axis, n - 1).to_owned(),
                 _ => {
-                    let at = |k: usize| g.index_axis(axis, n - k);
-                    &at(1) * 3.0 - &(&at(2) * 3.0) + at(3)
+                    let [a, b, c] = [1, 2, 3].map(|k| g.index_axis(axis, n - k));
+                    &a * 3.0 - &(&b * 3.0) + c
                 }
             };
             g.push(axis, next.view()).expect("a line of the array");

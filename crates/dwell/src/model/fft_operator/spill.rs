@@ -39,11 +39,13 @@ struct Under {
 }
 
 impl Under {
+    /// Returns the sum of a line under the tool, weighted.
     fn sum(&self, weights: &[f64; 4], line: &[f64]) -> f64 {
         let on = line[self.start..self.end].iter().zip(&weights[self.skipped..]);
         on.map(|(v, w)| w * v).sum()
     }
 
+    /// Adds the seconds to a line under the tool, by the weights.
     fn add(&self, seconds: f64, weights: &[f64; 4], line: &mut [f64]) {
         let on = line[self.start..self.end].iter_mut().zip(&weights[self.skipped..]);
         on.for_each(|(v, w)| *v += w * seconds);
@@ -70,18 +72,18 @@ pub struct Corners {
 pub const LINES_PER_TASK: usize = 32;
 
 impl Across {
-    /// `samples` [across, along].
+    /// Sorts the places, and transforms the samples [across, along] that spill.
     pub fn new(
         across: Lattice,
         along: Lattice,
         samples: ArrayView2<f64>,
         mut places: Vec<Placed>,
     ) -> Self {
-        let key = |p: &Placed| (p.cell[0], across.spills(p.offset[0]));
-        places.sort_by_key(key);
+        places.sort_by_key(|p| (p.cell[0], across.spills(p.offset[0])));
         let mut groups: Vec<Group> = Vec::new();
         for (i, p) in places.iter().enumerate() {
-            let (cell, spills) = (p.cell[0] as isize, across.spills(p.offset[0]));
+            let cell = p.cell[0] as isize;
+            let spills = across.spills(p.offset[0]);
             match groups.last_mut() {
                 Some(g) if g.cell == cell && g.spills == spills => g.places.end = i + 1,
                 _ => groups.push(Group { cell, spills, places: i..i + 1 }),
@@ -96,26 +98,30 @@ impl Across {
             .map(|j| {
                 let mut spectrum = vec![Complex64::default(); lines.half()];
                 let g = samples.row((j + 1) as usize);
-                let write = |line: &mut [f64]| line.iter_mut().zip(g).for_each(|(l, g)| *l = *g);
-                lines.forward(write, &mut spectrum, &mut work);
+                lines.forward(
+                    |line: &mut [f64]| line.iter_mut().zip(g).for_each(|(l, g)| *l = *g),
+                    &mut spectrum,
+                    &mut work,
+                );
                 (j, spectrum)
             })
             .collect();
         Self { across, along, places, groups, lines, border }
     }
 
+    /// Returns the spectrum of sample j, if it spills.
     fn sample(&self, j: isize) -> Option<&[Complex64]> {
         self.border.iter().find(|(k, _)| *k == j).map(|(_, g)| g.as_slice())
     }
 
-    /// Groups with a cell in the range.
+    /// Returns the groups with a cell in the range.
     fn within(&self, cells: Range<isize>) -> &[Group] {
-        let at = |cell: isize| self.groups.partition_point(|g| g.cell < cell);
-        let (from, to) = (at(cells.start), at(cells.end));
+        let [from, to] =
+            [cells.start, cells.end].map(|cell| self.groups.partition_point(|g| g.cell < cell));
         &self.groups[from..to.max(from)]
     }
 
-    /// S t.
+    /// Returns S t on the sources (across, along), s.
     pub fn seconds(&self, t: &[f64]) -> Array2<f64> {
         let mut seconds = Array2::zeros((self.across.sources(), self.along.sources()));
         parallel::for_each_band(&mut seconds, LINES_PER_TASK, &|b, mut band| {
@@ -127,13 +133,13 @@ impl Across {
                 let lines = lines.filter(|(_, line)| (0..count).contains(line));
                 for p in &self.places[group.places.clone()] {
                     let (across, along) = self.weights(p);
-                    let at = self.sources_under(p);
+                    let under = self.sources_under(p);
                     let second = t[p.column as usize] * p.fraction;
                     for (i, line) in lines.clone() {
                         let seconds = second * across[i];
                         let mut line = band.row_mut(line as usize);
                         let line = line.as_slice_mut().expect("in C order");
-                        at.add(seconds, &along, line);
+                        under.add(seconds, &along, line);
                     }
                 }
             }
@@ -141,15 +147,18 @@ impl Across {
         seconds
     }
 
+    /// Returns the weights of a tool across and along.
+    #[inline(always)]
     fn weights(&self, p: &Placed) -> ([f64; 4], [f64; 4]) {
         (self.across.weights(p.offset[0]), self.along.weights(p.offset[1]))
     }
 
-    /// The sources of a line that a tool is spread on.
+    /// Returns the sources of a line that a tool is spread on.
     fn sources_under(&self, p: &Placed) -> Under {
         let first = p.cell[1] as isize - 1 + self.along.last;
         let sources = self.along.sources() as isize;
-        let (start, end) = (first.clamp(0, sources), (first + 4).clamp(0, sources));
+        let start = first.clamp(0, sources);
+        let end = (first + 4).clamp(0, sources);
         Under { start: start as usize, end: end as usize, skipped: (start - first) as usize }
     }
 
@@ -162,24 +171,25 @@ impl Across {
         }
     }
 
-    /// `S' f`, summed by columns.
+    /// Returns `S' f` (n), summed by columns.
     pub fn gather(&self, field: &Array2<f64>, columns: usize) -> Vec<f64> {
         let field = field.as_slice().expect("in C order");
-        let (height, width) = (self.across.sources() as isize, self.along.sources());
-        let of = |p: &Placed| {
+        let height = self.across.sources() as isize;
+        let width = self.along.sources();
+        let values = parallel::map(self.places.len(), &|p| {
+            let p = &self.places[p];
             let (across, along) = self.weights(p);
-            let at = self.sources_under(p);
+            let under = self.sources_under(p);
             let first = p.cell[0] as isize - 1 + self.across.last;
             let mut sum = 0.0;
             for (i, w) in across.iter().enumerate() {
                 let r = first + i as isize;
                 if r >= 0 && r < height {
-                    sum += w * at.sum(&along, &field[r as usize * width..]);
+                    sum += w * under.sum(&along, &field[r as usize * width..]);
                 }
             }
             sum
-        };
-        let values = parallel::map(self.places.len(), &|p| of(&self.places[p]));
+        });
         let mut sums = vec![0.0; columns];
         for (p, v) in self.places.iter().zip(&values) {
             sums[p.column as usize] += p.fraction * v;
@@ -187,23 +197,23 @@ impl Across {
         sums
     }
 
-    /// The lines k on which a group spills, over its lower or its upper edge.
+    /// Returns the lines k on which a group spills, over its lower or its upper edge.
     fn lines_beyond(&self, group: &Group, upper: bool) -> RangeInclusive<isize> {
         if upper { group.spills[1]..=self.across.last + 2 } else { -2..=group.spills[0] }
     }
 
-    /// The weights d by which it spills on the line k.
+    /// Returns the weights d by which it spills on the line k.
     fn weights_of(&self, k: isize, upper: bool) -> RangeInclusive<isize> {
         if upper { (k - self.across.last).max(-1)..=2 } else { -1..=(k + 1).min(2) }
     }
 
-    /// The pairs (k, d) at which a group spills, of its lower or its upper edge.
+    /// Returns the pairs (k, d) at which a group spills, of its lower or its upper edge.
     fn pairs(&self, group: &Group, upper: bool) -> impl Iterator<Item = (isize, isize)> {
-        let of = move |k| self.weights_of(k, upper).map(move |d| (k, d));
-        self.lines_beyond(group, upper).flat_map(of)
+        self.lines_beyond(group, upper)
+            .flat_map(move |k| self.weights_of(k, upper).map(move |d| (k, d)))
     }
 
-    /// Cells that spill into lines of the range, over their lower or their upper edge.
+    /// Returns the cells that spill into lines of the range, over their lower or their upper edge.
     fn cells(&self, lines: &Range<isize>, upper: bool) -> Range<isize> {
         if upper {
             lines.start - self.across.last - 2..lines.end - self.across.edge.floor() as isize
@@ -212,7 +222,8 @@ impl Across {
         }
     }
 
-    /// (2): lines of the map; with `corners` what spills over both edges is left out.
+    /// Returns what spills (2) onto the lines of the map (across, along); with `corners` what spills over both edges
+    /// is left out.
     pub fn spill(&self, t: &[f64], corners: Option<&Corners>) -> Array2<f64> {
         let pixels = self.along.pixels;
         let mut map = Array2::zeros((self.across.pixels, pixels));
@@ -230,15 +241,18 @@ impl Across {
                         for d in -1..=2 {
                             let mut known = false;
                             for (k, _) in self.pairs(group, upper).filter(|p| p.1 == d) {
-                                let (line, j) = (group.cell + k, k - d);
-                                let Some(g) = self.sample(j).filter(|_| range.contains(&line))
+                                let line = group.cell + k;
+                                let Some(g) = self.sample(k - d).filter(|_| range.contains(&line))
                                 else {
                                     continue;
                                 };
                                 if !known {
                                     known = true;
-                                    let write = |line: &mut [f64]| self.spread(group, d, t, line);
-                                    self.lines.forward(write, seconds, work);
+                                    self.lines.forward(
+                                        |line: &mut [f64]| self.spread(group, d, t, line),
+                                        seconds,
+                                        work,
+                                    );
                                 }
                                 let r = (line - range.start) as usize;
                                 used[r] = true;
@@ -254,7 +268,8 @@ impl Across {
                     row.iter_mut().zip(&line[from..]).for_each(|(v, l)| *v = *l);
                 }
                 let Some(corners) = corners else { return };
-                let (top, band) = (range.start as usize, band.as_slice_mut().expect("in C order"));
+                let top = range.start as usize;
+                let band = band.as_slice_mut().expect("in C order");
                 vectorised(
                     #[inline(always)]
                     || {
@@ -275,13 +290,13 @@ impl Across {
         map
     }
 
-    /// The corners of these samples [across, along].
+    /// Returns the corners of these samples [across, along].
     pub fn corners(&self, samples: &Array2<f64>) -> Corners {
         let last = self.along.last;
         let beyond = keys::split(self.along.edge).0 + 1;
         let nodes: Vec<isize> = (-2..=0).chain(beyond.max(1)..=last + 2).collect();
         assert!(nodes.len() <= MAX_BORDER && self.border.len() <= MAX_BORDER, "nodes of a corner");
-        let of = |(j, _): &(isize, Vec<Complex64>)| {
+        let corners = self.border.iter().map(|(j, _)| {
             let mut corner = [[0.0; MAX_BORDER]; 4];
             for (e, of_weight) in (-1..=2).zip(&mut corner) {
                 for (c, v) in nodes.iter().zip(of_weight) {
@@ -291,18 +306,18 @@ impl Across {
                 }
             }
             corner
-        };
-        Corners { samples: self.border.iter().map(of).collect(), nodes }
+        });
+        Corners { samples: corners.collect(), nodes }
     }
 
-    /// Index of sample j among those that spill.
+    /// Returns the index of sample j among those that spill.
     #[inline(always)]
     fn slot(&self, j: isize) -> usize {
         (if j <= 1 { j + 1 } else { j - self.across.last + self.border.len() as isize - 1 })
             as usize
     }
 
-    /// `E ly lx` of one tool on the lines of the range: (line, pixel, rate).
+    /// Adds `E ly lx` of one tool on the lines of the range, by `add(line, pixel, rate)`.
     ///
     /// ```text
     /// rate[k, c] = sum_d wy_d sum_e wx_e g[k - d, c - e]
@@ -318,11 +333,12 @@ impl Across {
         mut add: impl FnMut(usize, usize, f64),
     ) {
         let lines = self.lines_beyond(group, upper);
-        let (first, end) = (*lines.start(), *lines.end());
+        let first = *lines.start();
+        let end = *lines.end();
         if group.cell + end < range.start || group.cell + first >= range.end {
             return;
         }
-        let (wy, wx) = (self.across.weights(p.offset[0]), self.along.weights(p.offset[1]));
+        let (wy, wx) = self.weights(p);
         let [low, high] = self.along.spills(p.offset[1]);
         let pixels = 0..self.along.pixels as isize;
         // h[j, c] = sum_e w_e g[j, c - e] of the samples j = k - d that these lines get something from
@@ -343,7 +359,8 @@ impl Across {
             }
             let mut rates = [0.0; MAX_BORDER];
             for d in self.weights_of(k, upper) {
-                let (w, h) = (wy[(d + 1) as usize], &h[self.slot(k - d) - from]);
+                let w = wy[(d + 1) as usize];
+                let h = &h[self.slot(k - d) - from];
                 for i in 0..MAX_BORDER {
                     rates[i] += w * h[i];
                 }
@@ -401,7 +418,7 @@ impl Across {
                                     continue;
                                 };
                                 let known = spectra.iter().position(|(l, _)| *l == line);
-                                let at = known.unwrap_or_else(|| {
+                                let index = known.unwrap_or_else(|| {
                                     let mut spectrum = vec![Complex64::default(); half];
                                     let write = |to: &mut [f64]| {
                                         let to = &mut to[self.along.last as usize + 1..];
@@ -413,7 +430,7 @@ impl Across {
                                     spectra.len() - 1
                                 });
                                 used = true;
-                                add_conjugate_products(sum, &spectra[at].1, g);
+                                add_conjugate_products(sum, &spectra[index].1, g);
                             }
                         }
                         if used {
@@ -422,12 +439,11 @@ impl Across {
                     }
                     for p in &self.places[group.places.clone()] {
                         let (across, along) = self.weights(p);
-                        let at = self.sources_under(p);
-                        let of = |(d, field): &(isize, Vec<f64>)| {
-                            across[(d + 1) as usize] * at.sum(&along, field)
-                        };
-                        *values.next().expect("one for each place") +=
-                            field.iter().map(of).sum::<f64>();
+                        let under = self.sources_under(p);
+                        let spills = field.iter().map(|(d, field): &(isize, Vec<f64>)| {
+                            across[(d + 1) as usize] * under.sum(&along, field)
+                        });
+                        *values.next().expect("one for each place") += spills.sum::<f64>();
                     }
                 }
             },
@@ -445,7 +461,8 @@ impl Across {
         corners: &Corners,
         values: &mut [f64],
     ) {
-        let (all, lines) = (map.as_slice().expect("in C order"), 0..self.across.pixels as isize);
+        let all = map.as_slice().expect("in C order");
+        let lines = 0..self.across.pixels as isize;
         let pixels = self.along.pixels;
         vectorised(
             #[inline(always)]

@@ -8,19 +8,19 @@ use planish_types::{Grid, Tif};
 
 use super::lattice::{Lattice, Placed, Spread, kernel, placed, samples, without_ghosts};
 use crate::model::{
-    columns::{Patch, Place},
+    columns::{Patch, ToolPlace},
     varying,
 };
 
 /// Sums of a few columns of `FftOperator::without_border`, on the pixels that they reach.
 pub struct Sums {
-    kernels: Vec<OfKernel>,
+    kernels: Vec<KernelSums>,
     /// Factor of every pixel, if the tool has one.
     factor: Option<Array2<f64>>,
 }
 
 /// [`Sums`] of a kernel of the tool.
-struct OfKernel {
+struct KernelSums {
     x: Lattice,
     y: Lattice,
     placed: Vec<Placed>,
@@ -34,27 +34,26 @@ struct OfKernel {
 impl Sums {
     /// Makes the sums for columns whose places lie within a square of `size_mm`.
     pub fn new(
-        places: &[Vec<Place>],
+        places: &[Vec<ToolPlace>],
         tif: &Tif,
         grid: &Grid,
         size_mm: f64,
         spread: Spread,
     ) -> Self {
-        let kernels = varying::kernels(places, tif);
-        let of = |(kernel, places): (&Tif, Cow<'_, [Vec<Place>]>)| {
-            OfKernel::new(&places, kernel, grid, size_mm, spread)
-        };
+        let kernels = varying::kernels(places, tif)
+            .map(|(kernel, places)| KernelSums::new(&places, kernel, grid, size_mm, spread))
+            .collect();
         let factor = tif.variation().and_then(|v| v.factor_on(grid)).map(Cow::into_owned);
-        Self { kernels: kernels.map(of).collect(), factor }
+        Self { kernels, factor }
     }
 
-    /// Pixels (y, x) that the columns reach.
+    /// Returns the pixels (y, x) that the columns reach.
     pub fn extent(&self, columns: impl Iterator<Item = usize>) -> (Range<usize>, Range<usize>) {
         // All kernels have one grid, and reach the same pixels.
         self.kernels[0].extent(columns)
     }
 
-    /// `sum_j t_j B_j` for columns j and their t_j.
+    /// Returns `sum_j t_j B_j` for columns j and their t_j.
     pub fn patch(&self, t: &[(usize, f64)]) -> Patch {
         let kernels = self.kernels.iter().map(|kernel| kernel.patch(t));
         let sum = kernels.reduce(|mut sum, patch| {
@@ -69,25 +68,33 @@ impl Sums {
     }
 }
 
-impl OfKernel {
-    fn new(places: &[Vec<Place>], tif: &Tif, grid: &Grid, size_mm: f64, spread: Spread) -> Self {
+impl KernelSums {
+    fn new(
+        places: &[Vec<ToolPlace>],
+        tif: &Tif,
+        grid: &Grid,
+        size_mm: f64,
+        spread: Spread,
+    ) -> Self {
         let [x, y] = [0, 1].map(|axis| Lattice::new(grid, tif, axis, spread));
         // In the order of the columns.
         let placed = placed(places, &x, &y);
-        let before = |j: usize| placed.partition_point(|p| (p.column as usize) < j) as u32;
-        let first = (0..=places.len()).map(before).collect();
-        let nodes = |l: &Lattice| (size_mm / l.step_mm).ceil() as usize + 5;
-        let room = (nodes(&y), nodes(&x));
+        let first = (0..=places.len())
+            .map(|j| placed.partition_point(|p| (p.column as usize) < j) as u32)
+            .collect();
+        let [ny, nx] = [y, x].map(|lattice| (size_mm / lattice.step_mm).ceil() as usize + 5);
+        let room = (ny, nx);
         let correlation =
             full_correlation(&kernel(&without_ghosts(samples(tif, &x, &y)), spread), room);
         Self { x, y, placed, first, room, correlation }
     }
 
+    /// Returns the places of a column.
     fn places(&self, column: usize) -> &[Placed] {
         &self.placed[self.first[column] as usize..self.first[column + 1] as usize]
     }
 
-    /// First and last nodes [y, x] that the columns are spread on.
+    /// Returns the first and last nodes [y, x] that the columns are spread on.
     fn nodes(&self, columns: impl Iterator<Item = usize>) -> Option<[[isize; 2]; 2]> {
         let cells = columns.flat_map(|j| self.places(j)).map(|p| p.cell.map(|c| c as isize));
         let ends = cells.map(|c| [c.map(|c| c - 1), c.map(|c| c + 2)]);
@@ -96,21 +103,21 @@ impl OfKernel {
         })
     }
 
-    /// Pixels (y, x) that nodes reach.
+    /// Returns the pixels (y, x) that nodes reach.
     fn pixels(&self, [low, high]: [[isize; 2]; 2]) -> (Range<usize>, Range<usize>) {
-        let range = |axis: usize, l: &Lattice| {
+        let [rows, columns] = [(0, self.y), (1, self.x)].map(|(axis, l)| {
             let to = (high[axis] + l.last + 1).clamp(0, l.pixels as isize) as usize;
             ((low[axis] - 1).max(0) as usize).min(to)..to
-        };
-        (range(0, &self.y), range(1, &self.x))
+        });
+        (rows, columns)
     }
 
-    /// Pixels (y, x) that the columns reach.
+    /// Returns the pixels (y, x) that the columns reach.
     fn extent(&self, columns: impl Iterator<Item = usize>) -> (Range<usize>, Range<usize>) {
         self.nodes(columns).map_or((0..0, 0..0), |nodes| self.pixels(nodes))
     }
 
-    /// `sum_j t_j B_j` for columns j and their t_j.
+    /// Returns `sum_j t_j B_j` for columns j and their t_j.
     fn patch(&self, t: &[(usize, f64)]) -> Patch {
         let Some(nodes) = self.nodes(t.iter().map(|(j, _)| *j)) else { return Patch::default() };
         let (rows, columns) = self.pixels(nodes);
@@ -118,29 +125,31 @@ impl OfKernel {
             return Patch::default();
         }
         let [low, high] = nodes;
-        let shape = |axis: usize| (high[axis] - low[axis] + 1) as usize;
-        let fits = shape(0) <= self.room.0 && shape(1) <= self.room.1;
+        let [height, width] = [0, 1].map(|axis| (high[axis] - low[axis] + 1) as usize);
+        let fits = height <= self.room.0 && width <= self.room.1;
         assert!(fits, "columns within the planned square");
         let mut seconds = Array2::zeros(self.room);
         for (p, t) in t.iter().flat_map(|(j, t)| self.places(*j).iter().map(move |p| (p, t))) {
-            let (wy, wx) = (self.y.weights(p.offset[0]), self.x.weights(p.offset[1]));
-            let at = |axis: usize| (p.cell[axis] as isize - 1 - low[axis]) as usize;
+            let wy = self.y.weights(p.offset[0]);
+            let wx = self.x.weights(p.offset[1]);
+            let [first_r, first_c] =
+                [0, 1].map(|axis| (p.cell[axis] as isize - 1 - low[axis]) as usize);
             for (r, wy) in wy.iter().enumerate() {
                 for (c, wx) in wx.iter().enumerate() {
-                    seconds[[at(0) + r, at(1) + c]] += t * p.fraction * wy * wx;
+                    seconds[[first_r + r, first_c + c]] += t * p.fraction * wy * wx;
                 }
             }
         }
         // From the pixel before the first node on.
         let all = self.correlation.adjoint(seconds.view());
-        let from = |axis: usize, first: usize| (first as isize - low[axis] + 1) as usize;
-        let (r, c) = (from(0, rows.start), from(1, columns.start));
+        let r = (rows.start as isize - low[0] + 1) as usize;
+        let c = (columns.start as isize - low[1] + 1) as usize;
         let rate = all.slice(s![r..r + rows.len(), c..c + columns.len()]).to_owned();
         Patch { origin: (rows.start, columns.start), rate_nm_per_s: rate }
     }
 }
 
-/// The convolution of `samples` with all of a source of shape `room`, as an adjoint.
+/// Makes the convolution of `samples` with all of a source of shape `room`, as an adjoint.
 fn full_correlation(samples: &Array2<f64>, room: (usize, usize)) -> Convolution {
     let (my, mx) = samples.dim();
     let reversed = samples.slice(s![..;-1, ..;-1]);
