@@ -14,7 +14,7 @@
 
 use planish_types::Invalid;
 
-use crate::{Form, Place};
+use crate::{Form, FormPoint};
 
 /// Nodes and weights of the Gauss-Legendre rule of five points on [0, 1].
 const GAUSS: [(f64, f64); 5] = [
@@ -45,10 +45,10 @@ pub struct Development<'a> {
 }
 
 impl<'a> Development<'a> {
-    /// Coordinates along a form about a place of the part, [x, y] mm, over a part of this size, mm. Refuses a form that
-    /// does not exist there.
+    /// Makes the coordinates along a form about a place of the part, [x, y] mm, over a part of this size, mm. Refuses a
+    /// form that does not exist there.
     pub fn new(form: &'a Form, origin_mm: [f64; 2], size_mm: f64) -> Result<Self, Invalid> {
-        let Some(place) = form.at(origin_mm) else {
+        let Some(place) = form.point(origin_mm) else {
             let [x, y] = origin_mm;
             let problem = format!("does not exist in the middle of the part, at ({x}, {y}) mm");
             let remedy = "give a form that does, such as a formula in the place of a map";
@@ -66,7 +66,7 @@ impl<'a> Development<'a> {
         Ok(Self { form, origin_mm, piece_mm, tangents: [t1, t2], gradient: [p, q] })
     }
 
-    /// The coordinates (u, v) of a place of the part, mm. Beyond the form it continues with its last slope.
+    /// Returns the coordinates (u, v) of a place of the part, mm. Beyond the form it continues with its last slope.
     pub fn along(&self, p: [f64; 2]) -> [f64; 2] {
         let d = [0, 1].map(|k| p[k] - self.origin_mm[k]);
         if let Some(direction) = self.form.cylinder_direction() {
@@ -87,7 +87,7 @@ impl<'a> Development<'a> {
         [self.origin_mm[0] + arc * a / length, self.origin_mm[1] + arc * b / length]
     }
 
-    /// The place [x, y] of the part with the coordinates (u, v), mm: the inverse of [`Self::along`].
+    /// Returns the place [x, y] of the part with the coordinates (u, v), mm: the inverse of [`Self::along`].
     pub fn projected(&self, uv: [f64; 2]) -> [f64; 2] {
         let d = [0, 1].map(|k| uv[k] - self.origin_mm[k]);
         if let Some(direction) = self.form.cylinder_direction() {
@@ -119,7 +119,7 @@ impl<'a> Development<'a> {
     /// sqrt(1 + f'^2) along a line at the distance rho from the origin; beyond the form that of its last place.
     fn factor(&self, direction: [f64; 2], rho: f64, sign: f64, last: &mut f64) -> f64 {
         let p = [0, 1].map(|k| self.origin_mm[k] + sign * rho * direction[k]);
-        if let Some(place) = self.form.at(p) {
+        if let Some(place) = self.form.point(p) {
             let [fx, fy] = place.gradient();
             *last = (direction[0] * fx + direction[1] * fy).hypot(1.0);
         }
@@ -141,13 +141,18 @@ impl<'a> Development<'a> {
 
     /// Arc length over the piece of a line from `start` on, mm.
     fn piece(&self, direction: [f64; 2], (start, h): (f64, f64), sign: f64, last: &mut f64) -> f64 {
-        let at = |(node, weight)| weight * self.factor(direction, start + node * h, sign, last);
-        h * GAUSS.map(at).into_iter().sum::<f64>()
+        let mut sum = 0.0;
+        for (node, weight) in GAUSS {
+            sum += weight * self.factor(direction, start + node * h, sign, last);
+        }
+        h * sum
     }
 
     /// Length of the straight line over which the arc has this length, mm: the inverse of [`Self::arc_mm`].
     fn distance_mm(&self, direction: [f64; 2], arc: f64, sign: f64) -> f64 {
-        let (mut last, mut sum, mut start) = (1.0, 0.0, 0.0);
+        let mut last = 1.0;
+        let mut sum = 0.0;
+        let mut start = 0.0;
         // An arc is at least as long as its line.
         loop {
             let before = last;
@@ -156,20 +161,22 @@ impl<'a> Development<'a> {
                 last = before;
                 break;
             }
-            (sum, start) = (next, start + self.piece_mm);
+            sum = next;
+            start += self.piece_mm;
         }
         // Newton's method in the last piece, by bisection where it would leave it.
-        let (mut low, mut high) = (0.0, self.piece_mm);
+        let mut low = 0.0;
+        let mut high = self.piece_mm;
         let mut h = (arc - sum).min(high);
         for _ in 0..60 {
-            let mut of_piece = last;
-            let excess = sum + self.piece(direction, (start, h), sign, &mut of_piece) - arc;
+            let mut last_factor = last;
+            let excess = sum + self.piece(direction, (start, h), sign, &mut last_factor) - arc;
             if excess > 0.0 {
                 high = h
             } else {
                 low = h
             }
-            let next = h - excess / self.factor(direction, start + h, sign, &mut of_piece);
+            let next = h - excess / self.factor(direction, start + h, sign, &mut last_factor);
             let next = if next > low && next < high { next } else { 0.5 * (low + high) };
             let step = (next - h).abs();
             h = next;
@@ -180,28 +187,36 @@ impl<'a> Development<'a> {
         start + h
     }
 
-    /// Smallest and largest ratio of a length along the surface to the same length in (u, v), at a place of (u, v);
-    /// `None` where the form does not exist. Both are 1 where the surface is unrolled exactly.
+    /// Returns the smallest and largest ratio of a length along the surface to the same length in (u, v), at a place of
+    /// (u, v); `None` where the form does not exist. Both are 1 where the surface is unrolled exactly.
     pub fn stretches(&self, uv: [f64; 2]) -> Option<[f64; 2]> {
-        let [p, q] = self.form.at(self.projected(uv))?.gradient();
-        let h = DIFFERENCE_MM;
-        let moved = |k: usize| {
-            let mut ends = [uv; 2];
-            ends[0][k] -= h;
-            ends[1][k] += h;
-            let [a, b] = ends.map(|end| self.projected(end));
-            [0, 1].map(|i| (b[i] - a[i]) / (2.0 * h))
-        };
+        let [p, q] = self.form.point(self.projected(uv))?.gradient();
         // Vectors in space for a step along u and along v, and the eigenvalues of their products.
         let [a, b] = [0, 1].map(|k| {
-            let [x, y] = moved(k);
+            let [x, y] = self.projected_by_coordinate(uv, k);
             [x, y, p * x + q * y]
         });
-        let dot = |a: &[f64; 3], b: &[f64; 3]| (0..3).map(|k| a[k] * b[k]).sum::<f64>();
-        let (aa, ab, bb) = (dot(&a, &a), dot(&a, &b), dot(&b, &b));
-        let (mean, half) = (0.5 * (aa + bb), (0.25 * (aa - bb).powi(2) + ab * ab).sqrt());
+        let aa = dot(&a, &a);
+        let ab = dot(&a, &b);
+        let bb = dot(&b, &b);
+        let mean = 0.5 * (aa + bb);
+        let half = (0.25 * (aa - bb).powi(2) + ab * ab).sqrt();
         Some([(mean - half).max(0.0).sqrt(), (mean + half).sqrt()])
     }
+
+    /// Derivative of the place [x, y] of (u, v) by the coordinate `k`, by a central difference.
+    fn projected_by_coordinate(&self, uv: [f64; 2], k: usize) -> [f64; 2] {
+        let h = DIFFERENCE_MM;
+        let mut ends = [uv; 2];
+        ends[0][k] -= h;
+        ends[1][k] += h;
+        let [a, b] = ends.map(|end| self.projected(end));
+        [0, 1].map(|i| (b[i] - a[i]) / (2.0 * h))
+    }
+}
+
+fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    (0..3).map(|k| a[k] * b[k]).sum()
 }
 
 /// A vector along and across a direction.
@@ -210,35 +225,39 @@ fn turned([cosine, sine]: [f64; 2], [x, y]: [f64; 2]) -> [f64; 2] {
 }
 
 impl Form {
-    /// The point of the form over a place; where it does not exist, over the nearest place at which it does: the
-    /// nearest valid pixel of a map, or the last place on the straight line from `inside`, [x, y] mm.
-    pub fn nearest(&self, p: [f64; 2], inside: [f64; 2]) -> Option<Place> {
-        if let Some(found) = self.at(p) {
-            return Some(found);
+    /// Returns the point of the form over a place; where it does not exist, over the nearest place at which it does:
+    /// the nearest valid pixel of a map, or the last place on the straight line from `inside`, [x, y] mm.
+    pub fn nearest(&self, p: [f64; 2], inside: [f64; 2]) -> Option<FormPoint> {
+        if let Some(point) = self.point(p) {
+            return Some(point);
         }
         if let Some(map) = self.map() {
-            return self.at(map.nearest_mm(p));
+            return self.point(map.nearest_mm(p));
         }
-        let mut best = self.at(inside)?;
-        let (mut low, mut high) = (0.0, 1.0);
+        let mut best = self.point(inside)?;
+        let mut low = 0.0;
+        let mut high = 1.0;
         // 40 halvings of 100 mm leave 1e-10 mm.
         for _ in 0..40 {
             let middle = 0.5 * (low + high);
-            match self.at([0, 1].map(|k| inside[k] + middle * (p[k] - inside[k]))) {
-                Some(found) => (best, low) = (found, middle),
+            match self.point([0, 1].map(|k| inside[k] + middle * (p[k] - inside[k]))) {
+                Some(point) => {
+                    best = point;
+                    low = middle;
+                }
                 None => high = middle,
             }
         }
         Some(best)
     }
 
-    /// Length along the surface over the straight line from `a` to `b` [x, y], mm, by (1) and five points; `None` where
-    /// the form does not exist at one of them.
+    /// Returns the length along the surface over the straight line from `a` to `b` [x, y], mm, by (1) and five points;
+    /// `None` where the form does not exist at one of them.
     pub fn length_mm(&self, a: [f64; 2], b: [f64; 2]) -> Option<f64> {
         let d = [b[0] - a[0], b[1] - a[1]];
         let mut sum = 0.0;
         for (node, weight) in GAUSS {
-            let [fx, fy] = self.at([0, 1].map(|k| a[k] + node * d[k]))?.gradient();
+            let [fx, fy] = self.point([0, 1].map(|k| a[k] + node * d[k]))?.gradient();
             sum += weight * d[0].hypot(d[1]).hypot(fx * d[0] + fy * d[1]);
         }
         Some(sum)

@@ -51,7 +51,7 @@ pub enum Axis {
 /// Freedom of a parameter in a fit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
-pub enum Fit {
+pub enum ParameterFit {
     /// `"free"` or `"held"`.
     Word(FitWord),
     /// Smallest and largest value, in the unit of the parameter.
@@ -83,7 +83,7 @@ pub struct ZernikeFile {
 }
 
 impl ZernikeFile {
-    /// Indices and coefficients, nm.
+    /// Returns the indices and coefficients, nm.
     pub(crate) fn indexed(&self) -> impl Iterator<Item = (u32, f64)> {
         self.terms_nm.iter().filter_map(|(index, nm)| Some((index.parse().ok()?, *nm)))
     }
@@ -139,11 +139,11 @@ pub struct FormFile {
     pub zernike: Option<ZernikeFile>,
     /// Parameters that a fit may change, by name; all others are held.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub fit: Option<BTreeMap<String, Fit>>,
+    pub fit: Option<BTreeMap<String, ParameterFit>>,
 }
 
 impl FormFile {
-    /// A plane.
+    /// Returns a plane.
     pub fn plane() -> Self {
         Self {
             kind: FormKind::Plane,
@@ -306,7 +306,7 @@ impl FormFile {
         let mut copy = self.clone();
         for (name, freedom) in self.fit.iter().flatten() {
             if name == "tilt" {
-                if matches!(freedom, Fit::Between(_)) {
+                if matches!(freedom, ParameterFit::Between(_)) {
                     let remedy = "give \"free\" or \"held\"";
                     return Err(Invalid::whole("fit", "bounds the tilt", remedy));
                 }
@@ -317,7 +317,7 @@ impl FormFile {
                 let problem = format!("names {name:?}, which this form does not have");
                 return Err(Invalid::whole("fit", problem, format!("give any of tilt, {known}")));
             };
-            if let Fit::Between([low, high]) = freedom
+            if let ParameterFit::Between([low, high]) = freedom
                 && !(low < high && (low..=high).contains(&&*value))
             {
                 let problem = format!("bounds {name} to [{low}, {high}], and it is {value}");
@@ -328,10 +328,10 @@ impl FormFile {
         Ok(())
     }
 
-    /// The imaging curve of an elliptic, parabolic or hyperbolic cylinder.
+    /// Returns the imaging curve of an elliptic, parabolic or hyperbolic cylinder.
     pub(crate) fn imaging(&self) -> Result<ImagingConic, Invalid> {
         let far = f64::INFINITY;
-        let (p, q) = (self.p_mm.unwrap_or(far), self.q_mm.unwrap_or(far));
+        let [p, q] = [self.p_mm, self.q_mm].map(|mm| mm.unwrap_or(far));
         let theta = 1e-3 * self.theta_mrad.unwrap_or(f64::NAN);
         match self.kind {
             FormKind::HyperbolicCylinder => ImagingConic::hyperbola(p, q, theta),
@@ -363,7 +363,7 @@ impl FormFile {
         words.chain(even).chain(zernike.map(|index| format!("zernike_{index}_nm"))).collect()
     }
 
-    /// The number of this name, to read or change it.
+    /// Returns the number of this name, to read or change it.
     pub fn parameter_mut(&mut self, name: &str) -> Option<&mut f64> {
         match name {
             "radius_mm" => self.radius_mm.as_mut(),

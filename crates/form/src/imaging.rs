@@ -41,7 +41,7 @@ pub struct ImagingConic {
 }
 
 impl ImagingConic {
-    /// An ellipse: source and image at finite distances before the mirror. Refuses what is no mirror.
+    /// Makes an ellipse: source and image at finite distances before the mirror. Refuses what is no mirror.
     pub fn ellipse(p_mm: f64, q_mm: f64, theta_rad: f64) -> Result<Self, Invalid> {
         for (name, mm) in [("p", p_mm), ("q", q_mm)] {
             if !(mm.is_finite() && mm > 0.0) {
@@ -53,7 +53,7 @@ impl ImagingConic {
         Ok(Self { p_mm, q_mm, theta_rad })
     }
 
-    /// A hyperbola: exactly one of both distances is negative. Refuses what is no mirror.
+    /// Makes a hyperbola: exactly one of both distances is negative. Refuses what is no mirror.
     pub fn hyperbola(p_mm: f64, q_mm: f64, theta_rad: f64) -> Result<Self, Invalid> {
         let finite = p_mm.is_finite() && q_mm.is_finite();
         if !(finite && p_mm * q_mm < 0.0) {
@@ -69,7 +69,7 @@ impl ImagingConic {
         Ok(Self { p_mm, q_mm, theta_rad })
     }
 
-    /// A parabola: one distance, of the source or of the image, is infinite. Refuses what is no mirror.
+    /// Makes a parabola: one distance, of the source or of the image, is infinite. Refuses what is no mirror.
     pub fn parabola(p_mm: f64, q_mm: f64, theta_rad: f64) -> Result<Self, Invalid> {
         let near = if p_mm.is_infinite() { q_mm } else { p_mm };
         let one_is_infinite = p_mm.is_infinite() != q_mm.is_infinite();
@@ -82,11 +82,12 @@ impl ImagingConic {
         Ok(Self { p_mm, q_mm, theta_rad })
     }
 
-    /// z above the tangent at the pole, mm, with its derivatives; NaN beyond the ends of the curve.
+    /// Returns z above the tangent at the pole, mm, with its derivatives; NaN beyond the ends of the curve.
     pub(crate) fn jet(&self, x: Jet) -> Jet {
         let (s, c) = self.theta_rad.sin_cos();
-        let (u, v) = (1.0 / self.p_mm, 1.0 / self.q_mm);
-        let (t, w) = (0.5 * (u + v), 0.5 * (v - u));
+        let [u, v] = [self.p_mm, self.q_mm].map(|mm| 1.0 / mm);
+        let t = 0.5 * (u + v);
+        let w = 0.5 * (v - u);
         let one = Jet::constant(1.0);
         let b = (one - x.times(w * c)).times(s);
         let square = (x * x).times(s * s);
@@ -94,12 +95,12 @@ impl ImagingConic {
         square.times(t) / (b + (b * b - square.times(t * t - (s * w).powi(2))).sqrt())
     }
 
-    /// z above the tangent at the pole, mm; NaN beyond the ends of the curve.
+    /// Returns z above the tangent at the pole, mm; NaN beyond the ends of the curve.
     pub fn height_mm(&self, x_mm: f64) -> f64 {
         self.jet(Jet::coordinates([x_mm, 0.0])[0]).value
     }
 
-    /// dz/dx, rad; NaN beyond the ends of the curve.
+    /// Returns dz/dx, rad; NaN beyond the ends of the curve.
     pub fn slope(&self, x_mm: f64) -> f64 {
         self.jet(Jet::coordinates([x_mm, 0.0])[0]).gradient[0]
     }

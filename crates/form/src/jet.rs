@@ -19,12 +19,12 @@ pub struct Jet {
 }
 
 impl Jet {
-    /// A number that does not depend on the place.
+    /// Makes a number that does not depend on the place.
     pub fn constant(value: f64) -> Self {
         Self { value, ..Self::default() }
     }
 
-    /// The coordinates x and y of a place.
+    /// Returns the coordinates x and y of a place.
     pub fn coordinates([x, y]: [f64; 2]) -> [Self; 2] {
         [
             Self { value: x, gradient: [1.0, 0.0], hessian: [0.0; 3] },
@@ -32,26 +32,26 @@ impl Jet {
         ]
     }
 
-    /// h(f, g) with the derivatives [h, h_f, h_g, h_ff, h_fg, h_gg] of h at the values of f and g:
-    /// `h_xy = h_f f_xy + h_g g_xy + h_ff f_x f_y + h_fg (f_x g_y + f_y g_x) + h_gg g_x g_y`.
+    /// Returns h(f, g) with the derivatives [h, h_f, h_g, h_ff, h_fg, h_gg] of h at the values of f and g: `h_xy = h_f
+    /// f_xy + h_g g_xy + h_ff f_x f_y + h_fg (f_x g_y + f_y g_x) + h_gg g_x g_y`.
     pub(crate) fn composed([h, hf, hg, hff, hfg, hgg]: [f64; 6], [f, g]: [Self; 2]) -> Self {
-        let second = |k: usize, i: usize, j: usize| {
-            let ([a, b], [c, d]) = ([f.gradient[i], f.gradient[j]], [g.gradient[i], g.gradient[j]]);
-            hf * f.hessian[k]
-                + hg * g.hessian[k]
-                + hff * a * b
-                + hfg * (a * d + b * c)
-                + hgg * c * d
-        };
         Self {
             value: h,
             gradient: [0, 1].map(|k| hf * f.gradient[k] + hg * g.gradient[k]),
-            hessian: [second(0, 0, 0), second(1, 0, 1), second(2, 1, 1)],
+            hessian: [(0, 0, 0), (1, 0, 1), (2, 1, 1)].map(|(k, i, j)| {
+                let [a, b] = [f.gradient[i], f.gradient[j]];
+                let [c, d] = [g.gradient[i], g.gradient[j]];
+                hf * f.hessian[k]
+                    + hg * g.hessian[k]
+                    + hff * a * b
+                    + hfg * (a * d + b * c)
+                    + hgg * c * d
+            }),
         }
     }
 
-    /// h(f) with h, h' and h'' at the value of f.
-    fn of(self, [h, first, second]: [f64; 3]) -> Self {
+    /// Returns h(f) with h, h' and h'' at the value of f.
+    fn chained(self, [h, first, second]: [f64; 3]) -> Self {
         let [x, y] = self.gradient;
         let products = [x * x, x * y, y * y];
         Self {
@@ -61,18 +61,18 @@ impl Jet {
         }
     }
 
-    /// Square root; NaN of a negative number.
+    /// Returns the square root; NaN of a negative number.
     pub fn sqrt(self) -> Self {
         let root = self.value.sqrt();
-        self.of([root, 0.5 / root, -0.25 / (root * self.value)])
+        self.chained([root, 0.5 / root, -0.25 / (root * self.value)])
     }
 
-    /// f times a number.
+    /// Returns f times a number.
     pub fn times(self, factor: f64) -> Self {
         self * Self::constant(factor)
     }
 
-    /// f to a whole power.
+    /// Returns f to a whole power.
     pub fn power(self, exponent: u32) -> Self {
         (0..exponent).fold(Self::constant(1.0), |product, _| product * self)
     }
@@ -120,7 +120,7 @@ impl Div for Jet {
     type Output = Self;
     fn div(self, g: Self) -> Self {
         let inverse = 1.0 / g.value;
-        self * g.of([inverse, -inverse * inverse, 2.0 * inverse.powi(3)])
+        self * g.chained([inverse, -inverse * inverse, 2.0 * inverse.powi(3)])
     }
 }
 

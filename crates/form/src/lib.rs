@@ -1,4 +1,4 @@
-//! The form of a part: its height along z over the plane of the part, with normal and curvatures.
+//! The form of a part: its height along z over the plane of the part, with its slopes, normal and second derivatives.
 //!
 //! ```text
 //! sphere, conic, paraboloid     z = c r^2 / (1 + sqrt(1 - (1 + k) c^2 r^2)),   c = 1 / R             (1)
@@ -37,7 +37,7 @@ pub mod sampled;
 mod zernike;
 
 pub use development::Development;
-pub use file::{Axis, Fit, FormFile, FormKind, ZernikeFile};
+pub use file::{Axis, FormFile, FormKind, ParameterFit, ZernikeFile};
 pub use imaging::ImagingConic;
 pub use jet::Jet;
 pub use sampled::Sampled;
@@ -148,61 +148,52 @@ struct Terms {
 
 /// A point of a form.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
+pub struct FormPoint {
     jet: Jet,
 }
 
-impl Place {
-    /// Height along z above the vertex, mm.
+impl FormPoint {
+    /// Returns the height along z above the vertex, mm.
     pub fn sag_mm(&self) -> f64 {
         self.jet.value
     }
 
-    /// Slopes of the height along [x, y], mm/mm.
+    /// Returns the slopes of the height along [x, y], mm/mm.
     pub fn gradient(&self) -> [f64; 2] {
         self.jet.gradient
     }
 
-    /// Second derivatives [xx, xy, yy] of the height, 1/mm.
+    /// Returns the second derivatives [xx, xy, yy] of the height, 1/mm.
     pub fn hessian(&self) -> [f64; 3] {
         self.jet.hessian
     }
 
-    /// Unit normal, out of the material: `(-f_x, -f_y, 1) / sqrt(1 + f_x^2 + f_y^2)`.
+    /// Returns the unit normal, out of the material: `(-f_x, -f_y, 1) / sqrt(1 + f_x^2 + f_y^2)`.
     pub fn normal(&self) -> [f64; 3] {
         let [x, y] = self.jet.gradient;
         let n = self.cosine();
         [-x * n, -y * n, n]
     }
 
-    /// Cosine of the slope angle, the z component of the normal.
+    /// Returns the cosine of the slope angle, the z component of the normal.
     pub fn cosine(&self) -> f64 {
         let [x, y] = self.jet.gradient;
         1.0 / (1.0 + x * x + y * y).sqrt()
     }
 
-    /// Slope angle: between the normal and z, degrees.
+    /// Returns the slope angle: between the normal and z, degrees.
     pub fn slope_deg(&self) -> f64 {
         let [x, y] = self.jet.gradient;
         x.hypot(y).atan().to_degrees()
     }
-
-    /// Principal curvatures, 1/mm, the smaller first; positive where the part is concave. They are the roots of the
-    /// characteristic polynomial of the shape operator of a graph (M. do Carmo, Differential Geometry of Curves and
-    /// Surfaces, section 3-3).
-    pub fn principal_curvatures_per_mm(&self) -> [f64; 2] {
-        let ([p, q], [r, s, t]) = (self.jet.gradient, self.jet.hessian);
-        let w = 1.0 + p * p + q * q;
-        // H = ((1 + q^2) r - 2 p q s + (1 + p^2) t) / (2 w^(3/2)),   K = (r t - s^2) / w^2
-        let mean = ((1.0 + q * q) * r - 2.0 * p * q * s + (1.0 + p * p) * t) / (2.0 * w.powf(1.5));
-        let gauss = (r * t - s * s) / (w * w);
-        let half = (mean * mean - gauss).max(0.0).sqrt();
-        [mean - half, mean + half]
-    }
 }
 
 impl Form {
-    /// The form that a file states; `map` is the height of a file of the kind `map`.
+    /// Makes the form that a file states; `map` is the height of a file of the kind `map`.
+    ///
+    /// # Errors
+    /// Refuses a file that [`FormFile::check`] refuses, a map without 2 x 2 valid pixels, and a section where the
+    /// parent does not exist.
     pub fn new(file: &FormFile, map: Option<&Surface>) -> Result<Self, Invalid> {
         file.check()?;
         let shape = match file.kind {
@@ -248,7 +239,7 @@ impl Form {
         Ok(form)
     }
 
-    /// A sphere of this radius of curvature, mm, with its vertex at [x, y], mm.
+    /// Makes a sphere of this radius of curvature, mm, with its vertex at [x, y], mm. Refuses a radius that is none.
     pub fn sphere(radius_mm: f64, vertex_mm: [f64; 2]) -> Result<Self, Invalid> {
         let file = FormFile {
             kind: FormKind::Sphere,
@@ -259,7 +250,7 @@ impl Form {
         Self::new(&file, None)
     }
 
-    /// A form that is a map of its height along z, nm.
+    /// Makes a form that is a map of its height along z, nm. Refuses a map without 2 x 2 valid pixels.
     pub fn sampled(map: &Surface) -> Result<Self, Invalid> {
         let shape = Shape::Sampled(Box::new(Sampled::new(map)?));
         Ok(Self { shape, vertex_mm: [0.0; 2], turn: [1.0, 0.0], off_axis: None, terms: None })
@@ -277,7 +268,7 @@ impl Form {
             return Ok(OffAxis::Parent { at_mm, height_mm: jet.value });
         }
         let [fx, _] = jet.gradient;
-        let z = Place { jet }.normal();
+        let z = FormPoint { jet }.normal();
         let length = fx.hypot(1.0);
         let x = [1.0 / length, 0.0, fx / length];
         let y = [z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]];
@@ -293,9 +284,11 @@ impl Form {
         let grid = surface.grid();
         let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
         let mut lacking =
-            valid.filter(|((r, c), _)| self.at([grid.x.at(*c), grid.y.at(*r)]).is_none());
+            valid.filter(|((r, c), _)| self.point([grid.x.at(*c), grid.y.at(*r)]).is_none());
         let Some(((r, c), _)) = lacking.next() else { return Ok(()) };
-        let (x, y, more) = (grid.x.at(c), grid.y.at(r), lacking.count());
+        let x = grid.x.at(c);
+        let y = grid.y.at(r);
+        let more = lacking.count();
         let problem = format!(
             "is invalid or absent at ({x:.4}, {y:.4}) mm, where the map of the part has a valid pixel (and at {more} \
              more)"
@@ -305,18 +298,18 @@ impl Form {
         Err(Invalid::at("form", (r, c), problem, remedy))
     }
 
-    /// The point of the form over [x, y] of the part, mm; `None` where the form does not exist.
-    pub fn at(&self, p: [f64; 2]) -> Option<Place> {
+    /// Returns the point of the form over [x, y] of the part, mm; `None` where the form does not exist.
+    pub fn point(&self, p: [f64; 2]) -> Option<FormPoint> {
         let jet = self.jet(p);
-        jet.is_finite().then_some(Place { jet })
+        if jet.is_finite() { Some(FormPoint { jet }) } else { None }
     }
 
-    /// Height along z over [x, y], mm; `None` where the form does not exist.
+    /// Returns the height along z over [x, y], mm; `None` where the form does not exist.
     pub fn sag_mm(&self, p: [f64; 2]) -> Option<f64> {
-        self.at(p).map(|place| place.sag_mm())
+        self.point(p).map(|place| place.sag_mm())
     }
 
-    /// Place of the vertex of the form on the part [x, y], mm; that of a map is its origin.
+    /// Returns the place of the vertex of the form on the part [x, y], mm; that of a map is its origin.
     pub fn vertex_mm(&self) -> [f64; 2] {
         self.vertex_mm
     }
@@ -324,7 +317,11 @@ impl Form {
     /// The direction of the part along which the form is curved, if its height depends on one coordinate alone.
     fn cylinder_direction(&self) -> Option<[f64; 2]> {
         let tilted = matches!(self.off_axis, Some(OffAxis::Normal { .. }));
-        (self.shape.is_cylinder() && !tilted && self.terms.is_none()).then_some(self.turn)
+        if self.shape.is_cylinder() && !tilted && self.terms.is_none() {
+            Some(self.turn)
+        } else {
+            None
+        }
     }
 
     /// The map of the form, if it is one.
@@ -343,17 +340,17 @@ impl Form {
         let mut z = match &self.off_axis {
             None => self.shape.jet(local),
             Some(OffAxis::Parent { at_mm, height_mm }) => {
-                let at = [0, 1].map(|k| local[k] + Jet::constant(at_mm[k]));
-                self.shape.jet(at) - Jet::constant(*height_mm)
+                let on_parent = [0, 1].map(|k| local[k] + Jet::constant(at_mm[k]));
+                self.shape.jet(on_parent) - Jet::constant(*height_mm)
             }
             Some(OffAxis::Normal { origin_mm, axes }) => self.tilted(local, *origin_mm, axes),
         };
         if let Some(terms) = &self.terms {
-            let at = [0, 1].map(|k| {
+            let on_circle = [0, 1].map(|k| {
                 (part[k] - Jet::constant(terms.centre_mm[k])).times(1.0 / terms.radius_mm)
             });
             for (index, mm) in &terms.terms {
-                let term = terms.numbering.term(*index, at).expect("checked with the file");
+                let term = terms.numbering.term(*index, on_circle).expect("checked with the file");
                 z = z + term.times(*mm);
             }
         }
@@ -365,14 +362,13 @@ impl Form {
         let mut z = Jet::constant(0.0);
         let mut exact = 0;
         for _ in 0..NEWTON_STEPS {
-            let at = |k: usize| {
+            let [px, py, pz] = [0, 1, 2].map(|k| {
                 Jet::constant(origin[k]) + x.times(e1[k]) + y.times(e2[k]) + z.times(e3[k])
-            };
-            let [px, py] = [at(0), at(1)];
+            });
             // G = P_z - F(P_x, P_y),   dG/dz = e3_z - F_x e3_x - F_y e3_y
             let f = self.shape.jet([px, py]);
             let [fx, fy] = self.shape.jet(Jet::coordinates([px.value, py.value])).gradient;
-            let step = (at(2) - f).times(1.0 / (e3[2] - fx * e3[0] - fy * e3[1]));
+            let step = (pz - f).times(1.0 / (e3[2] - fx * e3[0] - fy * e3[1]));
             z = z - step;
             if step.value.abs() <= CONVERGED * (1.0 + z.value.abs()) || exact > 0 {
                 exact += 1;
@@ -388,6 +384,22 @@ impl Form {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    impl FormPoint {
+        /// The principal curvatures, 1/mm, the smaller first; positive where the part is concave. They are the roots of
+        /// the characteristic polynomial of the shape operator of a graph (M. do Carmo, Differential Geometry of Curves
+        /// and Surfaces, section 3-3).
+        fn principal_curvatures_per_mm(&self) -> [f64; 2] {
+            let ([p, q], [r, s, t]) = (self.jet.gradient, self.jet.hessian);
+            let w = 1.0 + p * p + q * q;
+            // H = ((1 + q^2) r - 2 p q s + (1 + p^2) t) / (2 w^(3/2)),   K = (r t - s^2) / w^2
+            let mean =
+                ((1.0 + q * q) * r - 2.0 * p * q * s + (1.0 + p * p) * t) / (2.0 * w.powf(1.5));
+            let gauss = (r * t - s * s) / (w * w);
+            let half = (mean * mean - gauss).max(0.0).sqrt();
+            [mean - half, mean + half]
+        }
+    }
     use proptest::prelude::*;
 
     fn form(json: &str) -> Form {
@@ -399,7 +411,7 @@ mod tests {
         for radius in [80.0, -80.0] {
             let sphere = Form::sphere(radius, [3.0, -2.0]).unwrap();
             for p in [[3.0, -2.0], [13.0, 8.0], [3.0, 58.0], [-40.0, -30.0]] {
-                let at = sphere.at(p).unwrap();
+                let at = sphere.point(p).unwrap();
                 let centre = [3.0, -2.0, radius];
                 let point = [p[0], p[1], at.sag_mm()];
                 let n = at.normal();
@@ -412,7 +424,7 @@ mod tests {
                     assert!((curvature * radius - 1.0).abs() < 1e-7, "{p:?}: {curvature}");
                 }
             }
-            assert!(sphere.at([90.0, 0.0]).is_none());
+            assert!(sphere.point([90.0, 0.0]).is_none());
         }
     }
 
@@ -420,7 +432,7 @@ mod tests {
     fn a_paraboloid_has_the_curvatures_of_its_formula() {
         // Meridional 1 / (R w^3), sagittal 1 / (R w), w = sqrt(1 + r^2 / R^2).
         let parabola = form(r#"{"kind": "paraboloid", "radius_mm": 100}"#);
-        let at = parabola.at([30.0, 40.0]).unwrap();
+        let at = parabola.point([30.0, 40.0]).unwrap();
         let w = 1.25_f64.sqrt();
         // Below: rounding of 12.5 mm, of quotients, and of degrees.
         assert!((at.sag_mm() - 12.5).abs() < 1e-13);
@@ -441,14 +453,14 @@ mod tests {
             let section = form(json);
             let Some(OffAxis::Normal { origin_mm, axes }) = section.off_axis else { panic!() };
             // Below: rounding of coordinates of up to 400 mm, of curvatures below 0.01 / mm, and of a unit vector.
-            assert!(section.at([0.0; 2]).unwrap().sag_mm().abs() < 1e-14);
+            assert!(section.point([0.0; 2]).unwrap().sag_mm().abs() < 1e-14);
             for p in [[0.0, 0.0], [10.0, -20.0], [-25.0, 3.0]] {
-                let at = section.at(p).unwrap();
+                let at = section.point(p).unwrap();
                 let point = [0, 1, 2].map(|k| {
                     origin_mm[k] + p[0] * axes[0][k] + p[1] * axes[1][k] + at.sag_mm() * axes[2][k]
                 });
                 let parent =
-                    Place { jet: section.shape.jet(Jet::coordinates([point[0], point[1]])) };
+                    FormPoint { jet: section.shape.jet(Jet::coordinates([point[0], point[1]])) };
                 // Rounding of coordinates of up to 400 mm.
                 assert!((parent.sag_mm() - point[2]).abs() < 1e-13);
                 // Curvatures and normal do not depend on the frame.
@@ -482,8 +494,9 @@ mod tests {
         );
         let (s, c) = 30_f64.to_radians().sin_cos();
         for (along, across) in [(0.0, 7.0), (20.0, -3.0), (-31.0, 0.0)] {
-            let at =
-                cylinder.at([1.0 + along * c - across * s, 2.0 + along * s + across * c]).unwrap();
+            let at = cylinder
+                .point([1.0 + along * c - across * s, 2.0 + along * s + across * c])
+                .unwrap();
             let want = 50.0 - (2500.0 - along * along).sqrt();
             // Rounding of 50 mm.
             assert!((at.sag_mm() - want).abs() < 1e-13);
@@ -510,7 +523,7 @@ mod tests {
                 // Rounding of 3e5 mm is 6e-11 mm; over 60 mm of the radius.
                 assert!((about.hypot(y) / y_mm.abs() - 1.0).abs() < 5e-12, "{json} {x} {y}");
             }
-            let mut radii = toroid.at([1.0, -2.0]).unwrap().hessian().map(|c| 1.0 / c);
+            let mut radii = toroid.point([1.0, -2.0]).unwrap().hessian().map(|c| 1.0 / c);
             radii[1] = 0.0;
             // Quotients of the radii.
             assert!((radii[0] / x_mm - 1.0).abs() < 1e-14 && (radii[2] / y_mm - 1.0).abs() < 1e-14);
@@ -546,13 +559,13 @@ mod tests {
                 r#"{"kind": "conic", "radius_mm": 150, "conic_constant": -1.5, "off_axis_mm": [40, 10],
                     "height_along": "normal", "rotation_deg": -70}"#,
             ][kind]);
-            let at = form.at([x, y]).unwrap();
+            let at = form.point([x, y]).unwrap();
             let h = 1e-3;
             for k in 0..2 {
                 let moved = |by: f64| {
                     let mut p = [x, y];
                     p[k] += by;
-                    form.at(p).unwrap()
+                    form.point(p).unwrap()
                 };
                 let (up, down) = (moved(h), moved(-h));
                 let slope = (up.sag_mm() - down.sag_mm()) / (2.0 * h);

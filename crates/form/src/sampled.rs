@@ -27,7 +27,7 @@ pub struct Sampled {
 }
 
 impl Sampled {
-    /// The form of a map of heights along z, nm. Refuses a map without 2 x 2 valid pixels.
+    /// Makes the form of a map of heights along z, nm. Refuses a map without 2 x 2 valid pixels.
     pub fn new(map: &Surface) -> Result<Self, Invalid> {
         let mut z = map.height_nm().mapv(|nm| nm / NM_PER_MM);
         continue_by_one(&mut z);
@@ -47,12 +47,12 @@ impl Sampled {
         Ok(form)
     }
 
-    /// Pixel centres.
+    /// Returns the pixel centres.
     pub fn grid(&self) -> &Grid {
         self.map.grid()
     }
 
-    /// Centre of the valid pixel that is nearest to a place [x, y], mm.
+    /// Returns the centre of the valid pixel that is nearest to a place [x, y], mm.
     pub fn nearest_mm(&self, p: [f64; 2]) -> [f64; 2] {
         let (r, c) = self.map.nearest_valid(p);
         [self.grid().x.at(c), self.grid().y.at(r)]
@@ -64,33 +64,13 @@ impl Sampled {
         corner(r, c) && corner(r, c + 1) && corner(r + 1, c) && corner(r + 1, c + 1)
     }
 
-    /// Height at a place, mm; NaN where there is none.
+    /// Returns the height at a place, mm; NaN where there is none.
     pub(crate) fn jet(&self, [x, y]: [Jet; 2]) -> Jet {
-        let Grid { x: of_x, y: of_y } = self.grid();
-        let (s, t) = (pixels(of_x, x.value), pixels(of_y, y.value));
-        let nearest = |at: f64, axis: &Axis| {
-            // Between two pixels either is the nearest one.
-            let low = (at - 0.5 - ON_THE_EDGE).ceil();
-            let high = (at + 0.5 + ON_THE_EDGE).floor();
-            [low, high].map(|i| (i >= 0.0 && i < axis.len() as f64).then_some(i as usize))
-        };
-        let (columns, rows) = (nearest(s, of_x), nearest(t, of_y));
-        let valid = |r: usize, c: usize| !self.map.height_nm()[[r, c]].is_nan();
-        let near = rows.iter().flatten().any(|r| columns.iter().flatten().any(|c| valid(*r, *c)));
-        let cell = |at: f64, axis: &Axis| {
-            let last = axis.len() - 2;
-            let i = (at.max(0.0) as usize).min(last);
-            // On a node, the cell before it will do as well.
-            let before = (at - i as f64) < ON_THE_EDGE && i > 0;
-            [Some(i), before.then(|| i - 1)]
-        };
-        let (of_s, of_t) = (cell(s, of_x), cell(t, of_y));
-        let cells =
-            of_t.iter().flatten().flat_map(|r| of_s.iter().flatten().map(move |c| (*r, *c)));
-        let found = cells.into_iter().find(|(r, c)| self.is_cell(*r, *c));
-        let Some((r, c)) = found.filter(|_| near) else { return Jet::constant(f64::NAN) };
-        let (of_x, of_y) =
-            (basis(s - c as f64, of_x.step_mm()), basis(t - r as f64, of_y.step_mm()));
+        let grid = self.grid();
+        let [s, t] = [(&grid.x, x), (&grid.y, y)].map(|(axis, v)| pixels(axis, v.value));
+        let Some((r, c)) = self.cell_around(s, t) else { return Jet::constant(f64::NAN) };
+        let along_x = basis(s - c as f64, grid.x.step_mm());
+        let along_y = basis(t - r as f64, grid.y.step_mm());
         // Derivatives of these orders by x and y.
         let orders = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)];
         let mut sums = [0.0; 6];
@@ -100,12 +80,45 @@ impl Sampled {
                 let which = usize::from(i > 1) + 2 * usize::from(j > 1);
                 let value = self.values[which][[r + down, c + right]];
                 for (sum, (by_x, by_y)) in sums.iter_mut().zip(orders) {
-                    *sum += of_x[by_x][i] * of_y[by_y][j] * value;
+                    *sum += along_x[by_x][i] * along_y[by_y][j] * value;
                 }
             }
         }
         Jet::composed(sums, [x, y])
     }
+
+    /// Row and column of the cell that holds the place (s, t), in pixels along x and y; `None` where the nearest pixel
+    /// is invalid or a corner lacks its slopes.
+    fn cell_around(&self, s: f64, t: f64) -> Option<(usize, usize)> {
+        let Grid { x, y } = self.grid();
+        let mut nearest_pixels = pairs(nearest_pixels(t, y), nearest_pixels(s, x));
+        if !nearest_pixels.any(|pixel| !self.map.height_nm()[pixel].is_nan()) {
+            return None;
+        }
+        pairs(cells(t, y), cells(s, x)).find(|(r, c)| self.is_cell(*r, *c))
+    }
+}
+
+/// Pixels that are nearest to a coordinate in pixels: two, if it lies between them.
+fn nearest_pixels(coordinate: f64, axis: &Axis) -> [Option<usize>; 2] {
+    let low = (coordinate - 0.5 - ON_THE_EDGE).ceil();
+    let high = (coordinate + 0.5 + ON_THE_EDGE).floor();
+    [low, high].map(|i| if i >= 0.0 && i < axis.len() as f64 { Some(i as usize) } else { None })
+}
+
+/// First pixels of the cells that hold a coordinate in pixels: on a node, the cell before it will do as well.
+fn cells(coordinate: f64, axis: &Axis) -> [Option<usize>; 2] {
+    let i = (coordinate.max(0.0) as usize).min(axis.len() - 2);
+    let on_node = (coordinate - i as f64) < ON_THE_EDGE && i > 0;
+    [Some(i), if on_node { Some(i - 1) } else { None }]
+}
+
+/// All pairs (row, column) of those that exist.
+fn pairs(
+    rows: [Option<usize>; 2],
+    columns: [Option<usize>; 2],
+) -> impl Iterator<Item = (usize, usize)> {
+    rows.into_iter().flatten().flat_map(move |r| columns.into_iter().flatten().map(move |c| (r, c)))
 }
 
 /// Coordinate in pixels from the first one.
@@ -116,8 +129,10 @@ fn pixels(axis: &Axis, mm: f64) -> f64 {
 /// Cubic Hermite basis at f in [0, 1], of the heights at both ends, then of the slopes per pixel; and its first and second
 /// derivatives by a coordinate in mm, for pixels of this size, mm.
 fn basis(f: f64, pixel_mm: f64) -> [[f64; 4]; 3] {
-    let (end, start) = (f * f * (3.0 - 2.0 * f), f * f * (f - 1.0));
-    let (first, second) = (1.0 / pixel_mm, 1.0 / (pixel_mm * pixel_mm));
+    let end = f * f * (3.0 - 2.0 * f);
+    let start = f * f * (f - 1.0);
+    let first = 1.0 / pixel_mm;
+    let second = 1.0 / (pixel_mm * pixel_mm);
     let rise = 6.0 * f * (1.0 - f);
     [
         [1.0 - end, end, start - f * (f - 1.0), start],
@@ -128,24 +143,24 @@ fn basis(f: f64, pixel_mm: f64) -> [[f64; 4]; 3] {
 
 /// Gives invalid pixels beside valid ones the mean of the quadratic continuations along x and y that exist.
 fn continue_by_one(z: &mut Array2<f64>) {
-    let given = z.clone();
-    let (ny, nx) = given.dim();
-    let at = |r: isize, c: isize| {
-        let inside = r >= 0 && c >= 0 && (r as usize) < ny && (c as usize) < nx;
-        if inside { given[[r as usize, c as usize]] } else { f64::NAN }
-    };
-    for ((r, c), v) in z.indexed_iter_mut().filter(|(_, v)| v.is_nan()) {
-        let (r, c) = (r as isize, c as isize);
-        let along = |dr: isize, dc: isize| {
-            let [a, b, d] = [1, 2, 3].map(|k| at(r + k * dr, c + k * dc));
-            3.0 * a - 3.0 * b + d
-        };
-        let all = [along(0, 1), along(0, -1), along(1, 0), along(-1, 0)];
-        let found: Vec<f64> = all.into_iter().filter(|v| !v.is_nan()).collect();
-        if !found.is_empty() {
-            *v = found.iter().sum::<f64>() / found.len() as f64;
+    let map = z.clone();
+    for (pixel, v) in z.indexed_iter_mut().filter(|(_, v)| v.is_nan()) {
+        let all = [[0, 1], [0, -1], [1, 0], [-1, 0]].map(|side| continuation(&map, pixel, side));
+        let valid: Vec<f64> = all.into_iter().filter(|v| !v.is_nan()).collect();
+        if !valid.is_empty() {
+            *v = valid.iter().sum::<f64>() / valid.len() as f64;
         }
     }
+}
+
+/// Value at a pixel of the quadratic through the three pixels on one side of it; NaN where one is missing.
+fn continuation(map: &Array2<f64>, (r, c): (usize, usize), [dr, dc]: [isize; 2]) -> f64 {
+    let [a, b, d] = [1, 2, 3].map(|k| {
+        let row = r.checked_add_signed(k * dr);
+        let column = c.checked_add_signed(k * dc);
+        row.zip(column).and_then(|pixel| map.get(pixel)).copied().unwrap_or(f64::NAN)
+    });
+    3.0 * a - 3.0 * b + d
 }
 
 /// Replaces heights along a line by their slopes, run by run; NaN where a run has one pixel.
@@ -156,7 +171,7 @@ fn slopes(mut line: ArrayViewMut1<f64>) {
         let end = (start..n).find(|i| line[*i].is_nan()).unwrap_or(n);
         if end > start {
             let z: Vec<f64> = (start..end).map(|i| line[i]).collect();
-            for (i, m) in of_run(&z).into_iter().enumerate() {
+            for (i, m) in slopes_of_run(&z).into_iter().enumerate() {
                 line[start + i] = m;
             }
         }
@@ -165,7 +180,7 @@ fn slopes(mut line: ArrayViewMut1<f64>) {
 }
 
 /// Slopes of a run of heights, per pixel.
-fn of_run(z: &[f64]) -> Vec<f64> {
+fn slopes_of_run(z: &[f64]) -> Vec<f64> {
     let n = z.len();
     match n {
         1 => return vec![f64::NAN],
@@ -223,7 +238,7 @@ mod tests {
         };
         let form = Form::sampled(&map(z, |_, _| true)).unwrap();
         for p in [[0.13, 0.21], [-9.9, 5.7], [9.99, -5.99], [3.0, 2.0]] {
-            let at = form.at(p).unwrap();
+            let at = form.point(p).unwrap();
             // Below: rounding of heights of some 30 mm, over the steps of 0.4 mm, and over their squares.
             assert!((at.sag_mm() - z(p[0], p[1])).abs() < 1e-12, "{p:?}");
             let [x, y] = p;
@@ -232,7 +247,7 @@ mod tests {
             let second = 0.06 * x - 0.04 * y + 1.8e-5 * x * y.powi(3);
             assert!((at.hessian()[0] - second).abs() < 1e-10, "{p:?}");
         }
-        assert!(form.at([10.3, 0.0]).is_none());
+        assert!(form.point([10.3, 0.0]).is_none());
     }
 
     #[test]
@@ -249,10 +264,10 @@ mod tests {
         let mut pixels = 0;
         for (r, c) in (0..grid.y.len()).flat_map(|r| (0..grid.x.len()).map(move |c| (r, c))) {
             let p = [grid.x.at(c), grid.y.at(r)];
-            match (form.at(p), inside(p[0], p[1])) {
+            match (form.point(p), inside(p[0], p[1])) {
                 (Some(found), true) => {
                     pixels += 1;
-                    let want = sphere.at(p).unwrap();
+                    let want = sphere.point(p).unwrap();
                     // Fourth derivative 3 / R^3 = 5e-5 times h^3 / 24 = 5e-3, and the continuation at the edge.
                     for k in 0..2 {
                         let error = (found.gradient()[k] - want.gradient()[k]).abs();

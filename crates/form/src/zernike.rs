@@ -79,12 +79,13 @@ impl Numbering {
         }
     }
 
-    /// The term `index` at the coordinates [x, y] over the radius of the circle.
+    /// Returns the term `index` at the coordinates [x, y] over the radius of the circle.
     pub(crate) fn term(self, index: u32, [x, y]: [Jet; 2]) -> Result<Jet, Invalid> {
         let (n, m) = self.order(index)?;
         let a = m.unsigned_abs();
         // (x + i y)^|m|
-        let (mut re, mut im) = (Jet::constant(1.0), Jet::constant(0.0));
+        let mut re = Jet::constant(1.0);
+        let mut im = Jet::constant(0.0);
         for _ in 0..a {
             (re, im) = (re * x - im * y, re * y + im * x);
         }

@@ -192,7 +192,7 @@ impl AxisMap {
         let mut l = 0.0;
         for _ in 0..NEWTON_STEPS {
             let point_mm = self.on_part([tip[0] + l * tool[0], tip[1] + l * tool[1]]);
-            let place = self.form.at(point_mm)?;
+            let place = self.form.point(point_mm)?;
             let [fx, fy] = place.gradient();
             let slope = tool[2] - fx * direction[0] - fy * direction[1];
             let step = (tip[2] + l * tool[2] - place.sag_mm()) / slope;
@@ -216,7 +216,7 @@ impl AxisMap {
 
     /// Contact of a tool along z that has no axis z.
     fn below_z(&self, point_mm: [f64; 2]) -> Contact {
-        let off_normal_deg = self.form.at(point_mm).map_or(0.0, |place| place.slope_deg());
+        let off_normal_deg = self.form.point(point_mm).map_or(0.0, |place| place.slope_deg());
         Contact { point_mm, gap_mm: 0.0, off_normal_deg }
     }
 
@@ -229,7 +229,7 @@ impl AxisMap {
     /// Height of the form, and its unit normal in the directions of the machine (zero unless asked for).
     fn surface(&self, p: [Series; 2], normal: bool) -> Option<(Series, [Series; 3])> {
         let at = p.map(|v| v.value);
-        let place = self.form.at(at)?;
+        let place = self.form.point(at)?;
         let (gradient, [xx, xy, yy]) = (place.gradient(), place.hessian());
         let (v, w) = (p.map(|s| s.first), p.map(|s| s.second));
         let of =
@@ -270,7 +270,7 @@ impl AxisMap {
             return Some([0.0; 3]);
         }
         let beside = |d: f64| {
-            let place = self.form.at([0, 1].map(|k| at[k] + d * v[k] / speed))?;
+            let place = self.form.point([0, 1].map(|k| at[k] + d * v[k] / speed))?;
             Some((d, place.hessian()))
         };
         let (ahead, back) = (beside(STEP_MM), beside(-STEP_MM));

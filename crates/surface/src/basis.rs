@@ -19,7 +19,7 @@
 use nalgebra::{DMatrix, DVector};
 use ndarray::{Array1, Array2, ArrayView2, Axis as Dimension};
 use planish_numerics::orthogonal;
-use planish_types::{Axis, Grid, Invalid};
+use planish_types::{Grid, Invalid};
 use rayon::prelude::*;
 
 /// Number of rows that are summed together, so that the order of the sums does not depend on the threads.
@@ -58,14 +58,16 @@ pub(crate) enum Polynomial {
 }
 
 impl Basis {
-    /// Products of polynomials in u and v, which run from -1 to 1 over `x_mm` and `y_mm`.
+    /// Returns the products of polynomials in u and v, which run from -1 to 1 over `x_mm` and `y_mm`.
     pub(crate) fn tensor(
         grid: &Grid,
         [x_mm, y_mm]: [[f64; 2]; 2],
         polynomial: Polynomial,
         terms: Vec<[u32; 2]>,
     ) -> Self {
-        let values = |axis: &Axis, [low, high]: [f64; 2], which: usize| {
+        let [along_x, along_y] = [0, 1].map(|which| {
+            let axis = [&grid.x, &grid.y][which];
+            let [low, high] = [x_mm, y_mm][which];
             let orders = terms.iter().map(|t| t[which]).max().unwrap_or(0) as usize + 1;
             let mut out = Array2::zeros((axis.len(), orders));
             for (i, mut row) in out.outer_iter_mut().enumerate() {
@@ -77,16 +79,15 @@ impl Basis {
                 }
             }
             out
-        };
-        let (along_x, along_y) = (values(&grid.x, x_mm, 0), values(&grid.y, y_mm, 1));
+        });
         Self::Tensor { terms, along_x, along_y }
     }
 
     pub(crate) fn zernike(grid: &Grid, centre_mm: [f64; 2], radius_mm: f64, order: u32) -> Self {
-        let unit = |axis: &Axis, centre: f64| {
+        let [x, y] = [(&grid.x, centre_mm[0]), (&grid.y, centre_mm[1])].map(|(axis, centre)| {
             axis.coordinates().into_iter().map(|v| (v - centre) / radius_mm).collect()
-        };
-        Self::Zernike { order, x: unit(&grid.x, centre_mm[0]), y: unit(&grid.y, centre_mm[1]) }
+        });
+        Self::Zernike { order, x, y }
     }
 
     pub(crate) fn len(&self) -> usize {
@@ -96,7 +97,7 @@ impl Basis {
         }
     }
 
-    /// The terms as [order along x, order along y], or [n, m].
+    /// Returns the terms as [order along x, order along y], or [n, m].
     pub(crate) fn terms(&self) -> Vec<[i32; 2]> {
         match self {
             Self::Tensor { terms, .. } => terms.iter().map(|t| t.map(|k| k as i32)).collect(),
@@ -134,7 +135,7 @@ impl Basis {
         }
     }
 
-    /// `sum_k c_k phi_k` on every pixel of `shape`.
+    /// Returns `sum_k c_k phi_k` on every pixel of `shape`.
     pub(crate) fn sum(&self, shape: (usize, usize), coefficients: &[f64]) -> Array2<f64> {
         let c = Array1::from(coefficients.to_vec());
         let mut out = Array2::zeros(shape);
@@ -145,7 +146,7 @@ impl Basis {
 }
 
 /// The fitted terms.
-pub(crate) struct Fit {
+pub(crate) struct BasisFit {
     /// Coefficients, one per term.
     pub coefficients: Vec<f64>,
     /// Sum of the fitted terms on every pixel, (ny, nx).
@@ -157,7 +158,7 @@ pub(crate) struct Fit {
 }
 
 /// Fits the basis to the valid pixels of `map`.
-pub(crate) fn fit(basis: &Basis, map: ArrayView2<f64>) -> Result<Fit, Invalid> {
+pub(crate) fn fit(basis: &Basis, map: ArrayView2<f64>) -> Result<BasisFit, Invalid> {
     let terms = basis.len();
     let valid = map.iter().filter(|v| !v.is_nan()).count();
     if valid < 2 * terms {
@@ -177,15 +178,17 @@ pub(crate) fn fit(basis: &Basis, map: ArrayView2<f64>) -> Result<Fit, Invalid> {
             },
         );
     let scaled = DMatrix::from_fn(terms, terms, |k, l| gram[(k, l)] * scale[k] * scale[l]);
-    let off_diagonal = |k: usize, l: usize| if k == l { 0.0 } else { scaled[(k, l)].abs() };
-    let largest_correlation = (0..terms)
-        .flat_map(|k| (0..terms).map(move |l| (k, l)))
-        .map(|(k, l)| off_diagonal(k, l))
-        .fold(0.0, f64::max);
+    let mut largest_correlation = 0.0_f64;
+    for l in 0..terms {
+        for k in (0..terms).filter(|k| *k != l) {
+            largest_correlation = largest_correlation.max(scaled[(k, l)].abs());
+        }
+    }
     let eigen = scaled.symmetric_eigen();
-    let (least, most) = (eigen.eigenvalues.min(), eigen.eigenvalues.max());
-    let told_apart = least > LEAST_EIGENVALUE * most;
-    if !told_apart {
+    let least = eigen.eigenvalues.min();
+    let most = eigen.eigenvalues.max();
+    let distinguishable = least > LEAST_EIGENVALUE * most;
+    if !distinguishable {
         return Err(Invalid::whole(
             "low order",
             format!("{terms} terms cannot be told apart on the {valid} valid pixels"),
@@ -203,7 +206,7 @@ pub(crate) fn fit(basis: &Basis, map: ArrayView2<f64>) -> Result<Fit, Invalid> {
         c += solve(&moments);
         fitted = basis.sum(map.dim(), c.as_slice());
     }
-    Ok(Fit {
+    Ok(BasisFit {
         coefficients: c.as_slice().to_vec(),
         map: fitted,
         condition: (most / least).sqrt(),
@@ -224,9 +227,9 @@ fn sums(basis: &Basis, map: ArrayView2<f64>, with_gram: bool) -> (DMatrix<f64>, 
             for (i, line) in rows.outer_iter().enumerate() {
                 let mut phi = basis.row(band * BAND + i);
                 let mut z = line.to_owned();
-                for (mut at, z) in phi.outer_iter_mut().zip(z.iter_mut()) {
+                for (mut terms, z) in phi.outer_iter_mut().zip(z.iter_mut()) {
                     if z.is_nan() {
-                        at.fill(0.0);
+                        terms.fill(0.0);
                         *z = 0.0;
                     }
                 }

@@ -19,7 +19,7 @@ use planish_types::{Removal, Surface};
 const CIRCLE: [&str; 3] = ["CX", "CY", "R"];
 
 #[derive(Debug, Subcommand)]
-pub enum Method<Others: Subcommands> {
+pub enum SurfaceCommand<Others: Subcommands> {
     /// Make the desired removal: crop to the clear aperture, mask outliers, level; on request fill holes
     /// and extend beyond the aperture
     Prepare(Box<prepare::PrepareArgs>),
@@ -40,7 +40,7 @@ pub enum Method<Others: Subcommands> {
     Others(Others),
 }
 
-impl<Others: Subcommands> Method<Others> {
+impl<Others: Subcommands> SurfaceCommand<Others> {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::Prepare(arguments) => arguments.run(),
@@ -66,7 +66,7 @@ struct MapArgs {
 }
 
 impl MapArgs {
-    /// The map, or the residual.
+    /// Reads the map, or the residual. Refuses a folder that does not hold it.
     pub fn read(&self, inputs: &mut Inputs) -> Result<Surface, Failure> {
         match (&self.surface, &self.removal) {
             (Some(dir), _) => Ok(inputs.read("surface", dir)?),

@@ -16,9 +16,9 @@ const EXAMPLES: &str = "Examples:\n\
 /// Prepare measured maps, and describe them
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli<Others: Subcommands> {
+struct SurfaceCli<Others: Subcommands> {
     #[command(subcommand)]
-    method: crate::cli::Method<Others>,
+    method: crate::cli::SurfaceCommand<Others>,
 }
 
 /// Returns the command `planish surface`, with further subcommands of another stage, which have a second name here.
@@ -26,10 +26,10 @@ pub const fn command<Others: Subcommands>() -> Stage {
     Stage {
         name: env!("CARGO_PKG_NAME"),
         main: main::<Others>,
-        definition: <Cli<Others> as CommandFactory>::command,
+        definition: <SurfaceCli<Others> as CommandFactory>::command,
     }
 }
 
 fn main<Others: Subcommands>() -> ExitCode {
-    planish_handoff::program(|cli: &Cli<Others>| cli.method.run())
+    planish_handoff::program(|cli: &SurfaceCli<Others>| cli.method.run())
 }

@@ -19,7 +19,7 @@
 //!
 //! Source: P. F. Felzenszwalb, D. P. Huttenlocher, Theory Comput. 8 (2012) 415, section 2.
 
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, ArrayView1, ArrayView2, ArrayViewMut1};
 use planish_types::Grid;
 use rayon::prelude::*;
 
@@ -53,7 +53,7 @@ pub(crate) fn nearest(map: ArrayView2<f64>, grid: &Grid) -> Nearest {
             };
         }
     }
-    let (dx, dy) = (grid.x.step_mm(), grid.y.step_mm());
+    let [dx, dy] = [grid.x, grid.y].map(|axis| axis.step_mm());
     let rows: Vec<Vec<(f64, (usize, usize))>> = (0..ny)
         .into_par_iter()
         .map(|r| {
@@ -89,38 +89,28 @@ fn envelope(sites: &[(usize, usize, f64)], nx: usize, dx: f64) -> Vec<(f64, (usi
         }
         lowest.push((k, from));
     }
-    let mut at = 0;
+    let mut current = 0;
     (0..nx)
         .map(|c| {
-            while at + 1 < lowest.len() && lowest[at + 1].1 <= c as f64 {
-                at += 1;
+            while current + 1 < lowest.len() && lowest[current + 1].1 <= c as f64 {
+                current += 1;
             }
-            let (column, row, g) = sites[lowest[at].0];
+            let (column, row, g) = sites[lowest[current].0];
             ((c.abs_diff(column) as f64 * dx).powi(2) + g, (row, column))
         })
         .collect()
 }
 
-/// Distance (ny, nx), mm, of the centre of every pixel from the nearest point of a `marked` one; 0 in these. At least one is
-/// marked.
+/// Returns the distance (ny, nx), mm, of the centre of every pixel from the nearest point of a `marked` one; 0 in
+/// these. At least one is marked.
 pub(crate) fn to_marked(marked: &Array2<bool>, grid: &Grid) -> Array2<f64> {
     let (ny, nx) = marked.dim();
-    let (dx, dy) = (grid.x.step_mm(), grid.y.step_mm());
+    let [dx, dy] = [grid.x, grid.y].map(|axis| axis.step_mm());
     // Squared distance from the marked pixels of the same column, infinite where there is none.
     let mut in_column = Array2::from_elem((ny, nx), f64::INFINITY);
     for (mut column, marked) in in_column.columns_mut().into_iter().zip(marked.columns()) {
-        let mut from = |rows: &mut dyn Iterator<Item = usize>| {
-            let mut last: Option<usize> = None;
-            for r in rows {
-                last = if marked[r] { Some(r) } else { last };
-                if let Some(last) = last {
-                    let steps = (r.abs_diff(last) as f64 - 0.5).max(0.0);
-                    column[r] = column[r].min((steps * dy).powi(2));
-                }
-            }
-        };
-        from(&mut (0..ny));
-        from(&mut (0..ny).rev());
+        lower_behind_marked(&mut column, marked, 0..ny, dy);
+        lower_behind_marked(&mut column, marked, (0..ny).rev(), dy);
     }
     let mut distance = Array2::zeros((ny, nx));
     let rows = distance.outer_iter_mut().into_par_iter().zip(in_column.outer_iter());
@@ -136,12 +126,29 @@ pub(crate) fn to_marked(marked: &Array2<bool>, grid: &Grid) -> Array2<f64> {
             .filter(|(_, square)| square.is_finite())
             .map(|(site, square)| (site, 0, *square))
             .collect();
-        let found = envelope(&sites, 2 * nx + 1, 0.5 * dx);
+        let nearest = envelope(&sites, 2 * nx + 1, 0.5 * dx);
         for (c, to) in to.iter_mut().enumerate() {
-            *to = found[2 * c + 1].0.sqrt();
+            *to = nearest[2 * c + 1].0.sqrt();
         }
     });
     distance
+}
+
+/// Lowers the squared distances of a column to those from the last marked pixel before each, in the order of `rows`.
+fn lower_behind_marked(
+    column: &mut ArrayViewMut1<f64>,
+    marked: ArrayView1<bool>,
+    rows: impl Iterator<Item = usize>,
+    dy: f64,
+) {
+    let mut last: Option<usize> = None;
+    for r in rows {
+        last = if marked[r] { Some(r) } else { last };
+        if let Some(last) = last {
+            let steps = (r.abs_diff(last) as f64 - 0.5).max(0.0);
+            column[r] = column[r].min((steps * dy).powi(2));
+        }
+    }
 }
 
 #[cfg(test)]

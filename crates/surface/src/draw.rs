@@ -5,7 +5,7 @@
 
 use ndarray::Array2;
 use planish_draw::{Bands, Frame, Scale, Svg, cells, colour, frame::range, svg::put};
-use planish_types::{Axis, Grid, Invalid, text::fixed};
+use planish_types::{Grid, Invalid, text::fixed};
 
 use crate::psd::Psd;
 
@@ -55,17 +55,16 @@ pub struct MapsSettings {
     pub outline: Option<Panel>,
 }
 
-/// The maps one after the other, and below them one section through all. A section that meets none of the
-/// maps is refused.
+/// Draws the maps one after the other, and below them one section through all. A section that meets none of the maps is
+/// refused.
 pub fn maps_svg(panels: &[Panel], settings: &MapsSettings) -> Result<String, Invalid> {
     let Some(first) = panels.first() else { return Ok(String::new()) };
-    if let Some(y) = settings.section_y_mm {
-        let inside = |p: &Panel| (p.grid.y.start_mm()..=p.grid.y.end_mm()).contains(&y);
-        if !panels.iter().any(inside) {
-            let [low, high] = [first.grid.y.start_mm(), first.grid.y.end_mm()];
-            let remedy = format!("the first goes from {low} to {high} mm");
-            return Err(Invalid::whole("section_y_mm", format!("is {y}, no map is there"), remedy));
-        }
+    if let Some(y) = settings.section_y_mm
+        && !panels.iter().any(|p| (p.grid.y.start_mm()..=p.grid.y.end_mm()).contains(&y))
+    {
+        let [low, high] = [first.grid.y.start_mm(), first.grid.y.end_mm()];
+        let remedy = format!("the first goes from {low} to {high} mm");
+        return Err(Invalid::whole("section_y_mm", format!("is {y}, no map is there"), remedy));
     }
     let y_mm =
         settings.section_y_mm.unwrap_or(0.5 * (first.grid.y.start_mm() + first.grid.y.end_mm()));
@@ -101,38 +100,41 @@ pub fn maps_svg(panels: &[Panel], settings: &MapsSettings) -> Result<String, Inv
     Ok(svg.finish([cell[0] * columns as f64, top + HEIGHT + MARGIN[1] + MARGIN[3]]))
 }
 
-/// The spectra along x and y, and the radial one, on logarithmic axes.
+/// Draws the spectra along x and y, and the radial one, on logarithmic axes.
 pub fn psd_svg(psd: &Psd) -> String {
     let mut svg = Svg::new(FONT_PX);
-    let along = |name: &'static str, f: &[f64], s: &[f64]| {
-        // The first bin holds the mean; a logarithm needs a positive value.
-        let points = f.iter().zip(s).skip(1).filter(|(_, s)| **s > 0.0).map(|(f, s)| [*f, *s]);
-        (name, points.collect::<Vec<_>>())
-    };
     let lines = [
-        along("along x", &psd.frequency_x_per_mm, &psd.psd_x_nm2_mm),
-        along("along y", &psd.frequency_y_per_mm, &psd.psd_y_nm2_mm),
+        ("along x", positive_points(&psd.frequency_x_per_mm, &psd.psd_x_nm2_mm)),
+        ("along y", positive_points(&psd.frequency_y_per_mm, &psd.psd_y_nm2_mm)),
     ];
-    let radial = [along("radial mean", &psd.frequency_radial_per_mm, &psd.psd_radial_nm2_mm2)];
-    let (total, size) = (WIDTH + MARGIN[0] + MARGIN[2], [WIDTH, 1.4 * HEIGHT]);
-    for (k, (curves_of, unit, title)) in [
+    let radial =
+        [("radial mean", positive_points(&psd.frequency_radial_per_mm, &psd.psd_radial_nm2_mm2))];
+    let total = WIDTH + MARGIN[0] + MARGIN[2];
+    let size = [WIDTH, 1.4 * HEIGHT];
+    for (k, (spectra, unit, title)) in [
         (&lines[..], "nm² mm", "one-sided, along lines"),
         (&radial[..], "nm² mm²", "two-dimensional"),
     ]
     .into_iter()
     .enumerate()
     {
-        let over = |axis: usize| {
-            let powers = curves_of.iter().flat_map(|(_, points)| points.iter());
-            let powers = with_rim(range(powers.map(|p| p[axis].log10())));
+        let scales = [0, 1].map(|axis| {
+            let points = spectra.iter().flat_map(|(_, points)| points.iter());
+            let powers = with_rim(range(points.map(|p| p[axis].log10())));
             Scale::logarithmic(powers.map(|power| 10_f64.powf(power)))
-        };
-        let frame = Frame::new([k as f64 * total, 0.0], size, MARGIN, [over(0), over(1)]);
+        });
+        let frame = Frame::new([k as f64 * total, 0.0], size, MARGIN, scales);
         frame.axes(&mut svg, ["spatial frequency (1/mm)", &format!("PSD ({unit})")]);
-        curves(&mut svg, &frame, curves_of);
+        curves(&mut svg, &frame, spectra);
         frame.title(&mut svg, title);
     }
     svg.finish([2.0 * total, size[1] + MARGIN[1] + MARGIN[3]])
+}
+
+/// Points that a logarithmic picture can show: without the first bin, which holds the mean, and positive.
+fn positive_points(frequency: &[f64], density: &[f64]) -> Vec<[f64; 2]> {
+    let points = frequency.iter().zip(density).skip(1);
+    points.filter(|(_, s)| **s > 0.0).map(|(f, s)| [*f, *s]).collect()
 }
 
 /// Range of a plot: that of the data, wider by 4 % at both ends; about a single value, 1 to each side.
@@ -144,8 +146,8 @@ fn with_rim([low, high]: [f64; 2]) -> [f64; 2] {
 /// Ratio of height to width of a drawing: that of the map, but limited, because the drawing of a narrow
 /// strip would have no height, or more than a page of it.
 fn ratio(grid: &Grid) -> f64 {
-    let length = |axis: &Axis| axis.len() as f64 * axis.step_mm();
-    (length(&grid.y) / length(&grid.x)).clamp(0.08, 2.0)
+    let [width, height] = [&grid.x, &grid.y].map(|axis| axis.len() as f64 * axis.step_mm());
+    (height / width).clamp(0.08, 2.0)
 }
 
 fn map(
@@ -200,26 +202,24 @@ fn curves(svg: &mut Svg, frame: &Frame, curves: &[(&str, Vec<[f64; 2]>)]) {
 /// The edges between valid and invalid pixels of a map.
 fn outline(svg: &mut Svg, frame: &Frame, panel: &Panel) {
     let (ny, nx) = panel.map.dim();
-    let (x, y) = (&panel.grid.x, &panel.grid.y);
-    let valid = |r: isize, c: isize| {
-        (0..ny as isize).contains(&r)
-            && (0..nx as isize).contains(&c)
-            && !panel.map[[r as usize, c as usize]].is_nan()
-    };
-    let (hx, hy) = (0.5 * x.step_mm(), 0.5 * y.step_mm());
+    let Grid { x, y } = &panel.grid;
+    let [hx, hy] = [x, y].map(|axis| 0.5 * axis.step_mm());
+    // Pixel (r - 1, c - 1); a border of invalid pixels is around the map.
+    let mut valid = Array2::from_elem((ny + 2, nx + 2), false);
+    for ((r, c), z) in panel.map.indexed_iter() {
+        valid[[r + 1, c + 1]] = !z.is_nan();
+    }
     let mut d = String::new();
-    for r in 0..=ny as isize {
-        for c in 0..=nx as isize {
-            let (left, below) = (
-                x.start_mm() + c as f64 * x.step_mm() - hx,
-                y.start_mm() + r as f64 * y.step_mm() - hy,
-            );
+    for r in 0..=ny {
+        for c in 0..=nx {
+            let left = x.start_mm() + c as f64 * x.step_mm() - hx;
+            let below = y.start_mm() + r as f64 * y.step_mm() - hy;
             let [px, py] = frame.at([left, below]);
-            if valid(r, c) != valid(r, c - 1) {
+            if valid[[r + 1, c + 1]] != valid[[r + 1, c]] {
                 let end = frame.at([left, below + 2.0 * hy])[1];
                 put(&mut d, format_args!("M{px:.1} {py:.1}V{end:.1}"));
             }
-            if valid(r, c) != valid(r - 1, c) {
+            if valid[[r + 1, c + 1]] != valid[[r, c + 1]] {
                 let end = frame.at([left + 2.0 * hx, below])[0];
                 put(&mut d, format_args!("M{px:.1} {py:.1}H{end:.1}"));
             }
@@ -231,6 +231,7 @@ fn outline(svg: &mut Svg, frame: &Frame, panel: &Panel) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use planish_types::Axis;
 
     fn panel(title: &str, nx: usize, ny: usize, f: impl Fn(usize, usize) -> f64) -> Panel {
         let grid =

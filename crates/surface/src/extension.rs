@@ -39,21 +39,21 @@ pub struct ExtensionSettings {
     /// the map itself get a height.
     pub margin_mm: f64,
     /// Method of the extension.
-    pub method: Method,
+    pub method: ExtensionMethod,
 }
 
 /// Source of the heights of new pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Method {
+pub enum ExtensionMethod {
     /// The nearest valid pixel.
     Nearest,
     /// The nearest valid pixel, decaying.
-    GaussianDecay(gaussian_decay::Settings),
+    GaussianDecay(gaussian_decay::GaussianDecaySettings),
     /// No high spatial frequencies.
-    GerchbergPapoulis(gerchberg_papoulis::Settings),
+    GerchbergPapoulis(gerchberg_papoulis::GerchbergPapoulisSettings),
     /// A polynomial.
-    Polynomial(polynomial::Settings),
+    Polynomial(polynomial::PolynomialSettings),
 }
 
 /// Extent and heights of the extension.
@@ -72,7 +72,11 @@ pub struct ExtensionReport {
     pub own: Value,
 }
 
-/// Extends `surface`; the result has no invalid pixel.
+/// Extends `surface` by the margin; the result has no invalid pixel.
+///
+/// # Errors
+/// Refuses a margin that makes too many pixels, settings of the method out of their range, and a map that does not
+/// determine the terms of a polynomial.
 pub fn extend(
     surface: &Surface,
     settings: &ExtensionSettings,
@@ -83,10 +87,10 @@ pub fn extend(
     map.slice_mut(s![margin_px.0..margin_px.0 + ny, margin_px.1..margin_px.1 + nx])
         .assign(surface.height_nm());
     let (mut extended, own) = match &settings.method {
-        Method::Nearest => (nearest::extend(&map, &grid), Value::Null),
-        Method::GaussianDecay(s) => (gaussian_decay::extend(&map, &grid, s)?, Value::Null),
-        Method::GerchbergPapoulis(s) => gerchberg_papoulis::extend(&map, &grid, s)?,
-        Method::Polynomial(s) => polynomial::extend(&map, &grid, settings.margin_mm, s)?,
+        ExtensionMethod::Nearest => (nearest::extend(&map, &grid), Value::Null),
+        ExtensionMethod::GaussianDecay(s) => (gaussian_decay::extend(&map, &grid, s)?, Value::Null),
+        ExtensionMethod::GerchbergPapoulis(s) => gerchberg_papoulis::extend(&map, &grid, s)?,
+        ExtensionMethod::Polynomial(s) => polynomial::extend(&map, &grid, settings.margin_mm, s)?,
     };
     let mut range_nm = [f64::INFINITY, f64::NEG_INFINITY];
     let mut extended_pixels = 0;
@@ -147,12 +151,12 @@ fn enlarged(grid: &Grid, margin_mm: f64) -> Result<(Grid, (usize, usize)), Inval
 
 /// RMS of the differences between neighbours of which one is valid in `map`.
 fn step_rms(map: &Array2<f64>, extended: &Array2<f64>) -> f64 {
-    let (ny, nx) = map.dim();
-    let (mut sum, mut count) = (0.0, 0);
+    let mut sum = 0.0;
+    let mut count = 0;
     for ((r, c), v) in map.indexed_iter() {
-        for at in [(r + 1, c), (r, c + 1)] {
-            if at.0 < ny && at.1 < nx && v.is_nan() != map[at].is_nan() {
-                sum += (extended[(r, c)] - extended[at]).powi(2);
+        for neighbour in [(r + 1, c), (r, c + 1)] {
+            if map.get(neighbour).is_some_and(|n| v.is_nan() != n.is_nan()) {
+                sum += (extended[(r, c)] - extended[neighbour]).powi(2);
                 count += 1;
             }
         }
@@ -165,15 +169,15 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    const METHODS: [Method; 4] = [
-        Method::Nearest,
-        Method::GaussianDecay(gaussian_decay::Settings { sigma_mm: 0.4 }),
-        Method::GerchbergPapoulis(gerchberg_papoulis::Settings {
+    const METHODS: [ExtensionMethod; 4] = [
+        ExtensionMethod::Nearest,
+        ExtensionMethod::GaussianDecay(gaussian_decay::GaussianDecaySettings { sigma_mm: 0.4 }),
+        ExtensionMethod::GerchbergPapoulis(gerchberg_papoulis::GerchbergPapoulisSettings {
             cutoff_per_mm: 0.3,
             max_iterations: 50,
             tolerance_nm: 1e-3,
         }),
-        Method::Polynomial(polynomial::Settings { order: [5, 4], ring: true }),
+        ExtensionMethod::Polynomial(polynomial::PolynomialSettings { order: [5, 4], ring: true }),
     ];
 
     fn disc(f: impl Fn(f64, f64) -> f64) -> Surface {
@@ -211,7 +215,7 @@ mod tests {
         for method in METHODS {
             let (extended, report) =
                 extend(&surface, &ExtensionSettings { margin_mm: 1.5, method }).unwrap();
-            if let Method::GaussianDecay(_) = method {
+            if let ExtensionMethod::GaussianDecay(_) = method {
                 // The corner is sqrt(2) * 3.5 - 2 = 2.95 mm away: 7 sigma.
                 assert!(extended.height_nm()[[0, 0]].abs() < 1e-9);
                 // One pixel beside the rim: 5 exp(-0.1^2 / 0.32).
@@ -236,11 +240,12 @@ mod tests {
         let map = Array2::from_shape_fn(grid.shape(), |(r, c)| wave(grid.x.at(c), grid.y.at(r)));
         let surface = Surface::new(grid, map).unwrap();
         let error = |max_iterations: usize| {
-            let method = Method::GerchbergPapoulis(gerchberg_papoulis::Settings {
-                cutoff_per_mm: 0.28,
-                max_iterations,
-                tolerance_nm: 0.0,
-            });
+            let method =
+                ExtensionMethod::GerchbergPapoulis(gerchberg_papoulis::GerchbergPapoulisSettings {
+                    cutoff_per_mm: 0.28,
+                    max_iterations,
+                    tolerance_nm: 0.0,
+                });
             let (e, _) = extend(&surface, &ExtensionSettings { margin_mm: 1.2, method }).unwrap();
             let g = e.grid();
             let squares = e.height_nm().indexed_iter();
@@ -255,7 +260,10 @@ mod tests {
     fn a_polynomial_without_ring_is_continued_exactly() {
         let f = |x: f64, y: f64| 1.0 + 20.0 * x - 4.0 * x * x * y + y.powi(4) - x.powi(5);
         let surface = disc(f);
-        let method = Method::Polynomial(polynomial::Settings { order: [5, 4], ring: false });
+        let method = ExtensionMethod::Polynomial(polynomial::PolynomialSettings {
+            order: [5, 4],
+            ring: false,
+        });
         let settings = ExtensionSettings { margin_mm: 0.8, method };
         let (extended, report) = extend(&surface, &settings).unwrap();
         let g = extended.grid();
@@ -273,7 +281,8 @@ mod tests {
         // Not a polynomial: a bowl with ripple.
         let surface = disc(|x, y| 10.0 * (x * x + y * y) + 3.0 * (5.0 * x).sin() * (4.0 * y).cos());
         let range = |ring: bool| {
-            let method = Method::Polynomial(polynomial::Settings { order: [9, 6], ring });
+            let method =
+                ExtensionMethod::Polynomial(polynomial::PolynomialSettings { order: [9, 6], ring });
             let settings = ExtensionSettings { margin_mm: 1.5, method };
             extend(&surface, &settings).unwrap().1.range_nm
         };
@@ -287,7 +296,7 @@ mod tests {
     #[test]
     fn the_nearest_pixel_is_copied() {
         let surface = disc(|x, y| 7.0 * x + y);
-        let settings = ExtensionSettings { margin_mm: 1.0, method: Method::Nearest };
+        let settings = ExtensionSettings { margin_mm: 1.0, method: ExtensionMethod::Nearest };
         let (e, report) = extend(&surface, &settings).unwrap();
         let s = surface.statistics();
         assert!(report.range_nm[0] >= s.min && report.range_nm[1] <= s.max);
@@ -304,13 +313,14 @@ mod tests {
         let message = |margin_mm, method| {
             extend(&surface, &ExtensionSettings { margin_mm, method }).unwrap_err().to_string()
         };
-        assert!(message(-1.0, Method::Nearest).contains("is -1 mm"));
-        assert!(message(f64::NAN, Method::Nearest).contains("is NaN mm"));
-        assert!(message(1e6, Method::Nearest).contains("at most 25000000 pixels"));
-        let decay = Method::GaussianDecay(gaussian_decay::Settings { sigma_mm: 0.0 });
+        assert!(message(-1.0, ExtensionMethod::Nearest).contains("is -1 mm"));
+        assert!(message(f64::NAN, ExtensionMethod::Nearest).contains("is NaN mm"));
+        assert!(message(1e6, ExtensionMethod::Nearest).contains("at most 25000000 pixels"));
+        let decay =
+            ExtensionMethod::GaussianDecay(gaussian_decay::GaussianDecaySettings { sigma_mm: 0.0 });
         assert!(message(1.0, decay).contains("is 0 mm"));
         let gp = |cutoff_per_mm| {
-            Method::GerchbergPapoulis(gerchberg_papoulis::Settings {
+            ExtensionMethod::GerchbergPapoulis(gerchberg_papoulis::GerchbergPapoulisSettings {
                 cutoff_per_mm,
                 max_iterations: 10,
                 tolerance_nm: 0.0,
@@ -318,7 +328,10 @@ mod tests {
         };
         assert!(message(1.0, gp(0.01)).contains("no wave"));
         assert!(message(1.0, gp(9.0)).contains("is 9 /mm"));
-        let polynomial = Method::Polynomial(polynomial::Settings { order: [40, 3], ring: true });
+        let polynomial = ExtensionMethod::Polynomial(polynomial::PolynomialSettings {
+            order: [40, 3],
+            ring: true,
+        });
         assert!(message(1.0, polynomial).contains("40"));
     }
 }

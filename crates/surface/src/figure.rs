@@ -67,19 +67,24 @@ const RIDGE: f64 = 1e-10;
 /// another window.
 const LAST_RESORT: f64 = 1e-6;
 
-/// Figure at every pixel, from windows of the given numbers of pixels along y and x, or of the whole map if
-/// that is smaller.
+/// Computes the figure at every pixel, from windows of the given numbers of pixels along y and x, or of the whole map
+/// if that is smaller.
 pub fn figure(map: ArrayView2<f64>, window: (usize, usize)) -> Array2<f64> {
-    let (rows, columns) = (windows(map.nrows(), window.0), windows(map.ncols(), window.1));
+    let rows = windows(map.nrows(), window.0);
+    let columns = windows(map.ncols(), window.1);
     let all: Vec<_> =
         rows.iter().flat_map(|r| columns.iter().map(move |c| (r.clone(), c.clone()))).collect();
     let terms = if all.len() == 1 { Terms::Sum } else { Terms::Each };
-    let fits: Vec<_> =
-        all.par_iter().map(|(r, c)| Fit::of(map.slice(s![r.clone(), c.clone()]), terms)).collect();
-    let (mut sum, mut weight) = (Array2::zeros(map.dim()), Array2::<f64>::zeros(map.dim()));
+    let fits: Vec<_> = all
+        .par_iter()
+        .map(|(r, c)| WindowFit::new(map.slice(s![r.clone(), c.clone()]), terms))
+        .collect();
+    let mut sum = Array2::zeros(map.dim());
+    let mut weight = Array2::<f64>::zeros(map.dim());
     for ((r, c), fit) in all.into_iter().zip(fits) {
         let Some(fit) = fit else { continue };
-        let (along_y, along_x) = (tent(&r, map.nrows()), tent(&c, map.ncols()));
+        let along_y = tent(&r, map.nrows());
+        let along_x = tent(&c, map.ncols());
         let whole = if fit.order + 1 == ORDERS { 1.0 } else { LAST_RESORT };
         let q = fit.heights(r.len(), c.len());
         for ((k, l), q) in q.indexed_iter() {
@@ -98,24 +103,24 @@ fn windows(n: usize, window: usize) -> Vec<Range<usize>> {
     let window = window.min(n);
     let rest = n - window;
     let steps = rest.div_ceil((window / 2).max(1));
-    let start = |k: usize| rest * k / steps.max(1);
-    (0..=steps).map(start).map(|start| start..start + window).collect()
+    (0..=steps).map(|k| rest * k / steps.max(1)).map(|start| start..start + window).collect()
 }
 
 /// Distance of the pixels of a window to its border, in windows, at most 1; the border of the map counts as
 /// infinitely far.
 fn tent(window: &Range<usize>, n: usize) -> Vec<f64> {
-    let at = |i: usize| {
-        let (low, high) = ((i - window.start) as f64 + 0.5, (window.end - i) as f64 - 0.5);
+    let pixels = window.clone().map(|i| {
+        let low = (i - window.start) as f64 + 0.5;
+        let high = (window.end - i) as f64 - 0.5;
         let low = if window.start == 0 { f64::INFINITY } else { low };
         let high = if window.end == n { f64::INFINITY } else { high };
         (low.min(high) / window.len() as f64).min(1.0)
-    };
-    window.clone().map(at).collect()
+    });
+    pixels.collect()
 }
 
 /// Polynomial q of a window.
-struct Fit {
+struct WindowFit {
     terms: Terms,
     order: usize,
     /// Coefficients of the terms, in their order, nm.
@@ -133,7 +138,7 @@ enum Terms {
 
 impl Terms {
     /// (i, j) of the terms of an order.
-    fn of(self, order: usize) -> impl Iterator<Item = (usize, usize)> {
+    fn up_to(self, order: usize) -> impl Iterator<Item = (usize, usize)> {
         let last = move |i: usize| if self == Self::Sum { order - i } else { order };
         (0..=order).flat_map(move |i| (0..=last(i)).map(move |j| (i, j)))
     }
@@ -141,58 +146,62 @@ impl Terms {
 
 /// Number of the product of P_i and P_k.
 fn pair(i: usize, k: usize) -> usize {
-    let (low, high) = (i.min(k), i.max(k));
+    let low = i.min(k);
+    let high = i.max(k);
     high * (high + 1) / 2 + low
 }
 
-impl Fit {
-    /// argmin sum rho(z - q); `None` without a sample.
-    fn of(map: ArrayView2<f64>, of: Terms) -> Option<Self> {
-        let (at_y, at_x) = (samples(map.nrows()), samples(map.ncols()));
+impl WindowFit {
+    /// Returns argmin sum rho(z - q) with the terms of the highest order for which there are samples enough; `None`
+    /// without a sample.
+    fn new(map: ArrayView2<f64>, terms: Terms) -> Option<Self> {
+        let at_y = samples(map.nrows());
+        let at_x = samples(map.ncols());
         let z = Array2::from_shape_fn((at_y.len(), at_x.len()), |(r, c)| map[[at_y[r], at_x[c]]]);
         let count = z.iter().filter(|z| !z.is_nan()).count();
-        // The highest order p whose terms have samples enough.
-        let enough = |p: &usize| SAMPLES_PER_TERM * of.of(*p).count() <= count;
-        let order = (0..ORDERS).rev().find(enough).unwrap_or(0);
-        let (along_y, along_x) = (polynomials(map.nrows()), polynomials(map.ncols()));
-        let along = |all: &[[f64; ORDERS]], at: &[usize]| -> Vec<_> {
-            at.iter().map(|k| (all[*k], products(&all[*k]))).collect()
-        };
-        let (along_y, along_x) = (along(&along_y, &at_y), along(&along_x, &at_x));
-        let terms: Vec<_> = of.of(order).collect();
+        let order = (0..ORDERS)
+            .rev()
+            .find(|p| SAMPLES_PER_TERM * terms.up_to(*p).count() <= count)
+            .unwrap_or(0);
+        let along_y = with_products(&polynomials(map.nrows()), &at_y);
+        let along_x = with_products(&polynomials(map.ncols()), &at_x);
+        let indices: Vec<_> = terms.up_to(order).collect();
         // 0 on invalid pixels
         let mut w = z.mapv(|z| if z.is_nan() { 0.0 } else { 1.0 });
-        let mut found = None;
+        let mut last_fit = None;
         for _ in 0..=ROUNDS {
             // A' w A c = A' w z
-            let (mut by_pairs, mut right) = ([[0.0; PAIRS]; PAIRS], [[0.0; ORDERS]; ORDERS]);
+            let mut by_pairs = [[0.0; PAIRS]; PAIRS];
+            let mut right = [[0.0; ORDERS]; ORDERS];
             for ((z, w), (p_y, pp_y)) in z.outer_iter().zip(w.outer_iter()).zip(&along_y) {
-                let (mut of_row, mut right_of_row) = ([0.0; PAIRS], [0.0; ORDERS]);
+                let mut row_by_pairs = [0.0; PAIRS];
+                let mut row_right = [0.0; ORDERS];
                 for ((z, w), (p, pp)) in z.iter().zip(w).zip(&along_x) {
                     if *w > 0.0 {
-                        of_row.iter_mut().zip(pp).for_each(|(sum, pp)| *sum += w * pp);
-                        right_of_row.iter_mut().zip(p).for_each(|(sum, p)| *sum += w * z * p);
+                        row_by_pairs.iter_mut().zip(pp).for_each(|(sum, pp)| *sum += w * pp);
+                        row_right.iter_mut().zip(p).for_each(|(sum, p)| *sum += w * z * p);
                     }
                 }
                 for (sums, pp) in by_pairs.iter_mut().zip(pp_y) {
-                    sums.iter_mut().zip(&of_row).for_each(|(sum, of_row)| *sum += pp * of_row);
+                    sums.iter_mut().zip(&row_by_pairs).for_each(|(sum, row)| *sum += pp * row);
                 }
                 for (sums, p) in right.iter_mut().zip(p_y) {
-                    sums.iter_mut().zip(&right_of_row).for_each(|(sum, row)| *sum += p * row);
+                    sums.iter_mut().zip(&row_right).for_each(|(sum, row)| *sum += p * row);
                 }
             }
-            let mut normal = DMatrix::from_fn(terms.len(), terms.len(), |a, b| {
-                let ((i, j), (k, l)) = (terms[a], terms[b]);
+            let mut normal = DMatrix::from_fn(indices.len(), indices.len(), |a, b| {
+                let (i, j) = indices[a];
+                let (k, l) = indices[b];
                 by_pairs[pair(j, l)][pair(i, k)]
             });
             let ridge = RIDGE * normal.trace() / normal.nrows() as f64;
             (0..normal.nrows()).for_each(|k| normal[(k, k)] += ridge);
             let right =
-                DVector::from_iterator(terms.len(), terms.iter().map(|&(i, j)| right[j][i]));
-            let fit = Self { terms: of, order, c: normal.cholesky()?.solve(&right) };
+                DVector::from_iterator(indices.len(), indices.iter().map(|&(i, j)| right[j][i]));
+            let fit = Self { terms, order, c: normal.cholesky()?.solve(&right) };
             // w = min(1, t / |e|)
             let q = fit.on(along_y.iter().map(|a| &a.0), along_x.iter().map(|a| &a.0));
-            found = Some(fit);
+            last_fit = Some(fit);
             let errors = (&z - &q).mapv(f64::abs);
             let mut sorted: Vec<f64> = errors.iter().copied().filter(|e| !e.is_nan()).collect();
             let half = sorted.len() / 2;
@@ -204,9 +213,8 @@ impl Fit {
                 *w = if e.is_nan() { 0.0 } else { middle / e.max(middle) }
             });
         }
-        found
+        last_fit
     }
-
     /// q on the pixels of a window of this shape.
     fn heights(&self, ny: usize, nx: usize) -> Array2<f64> {
         self.on(polynomials(ny).iter(), polynomials(nx).iter())
@@ -221,7 +229,10 @@ impl Fit {
         for (v, mut line) in along_y.zip(q.outer_iter_mut()) {
             // sum_ij c_ij P_i(u) P_j(v) = sum_i a_i P_i(u)
             let mut a = [0.0; ORDERS];
-            self.terms.of(self.order).zip(self.c.iter()).for_each(|((i, j), c)| a[i] += c * v[j]);
+            self.terms
+                .up_to(self.order)
+                .zip(self.c.iter())
+                .for_each(|((i, j), c)| a[i] += c * v[j]);
             for (u, q) in along_x.clone().zip(line.iter_mut()) {
                 *q = a.iter().zip(u).map(|(a, u)| a * u).sum();
             }
@@ -233,12 +244,19 @@ impl Fit {
 /// P_0 ... P_p at `n` pixels from -1 to 1.
 fn polynomials(n: usize) -> Vec<[f64; ORDERS]> {
     let half = 0.5 * (n - 1) as f64;
-    let at = |i: usize| {
-        let mut out = [0.0; ORDERS];
-        legendre((i as f64 - half) / half.max(1.0), &mut out);
-        out
-    };
-    (0..n).map(at).collect()
+    let mut all = vec![[0.0; ORDERS]; n];
+    for (i, values) in all.iter_mut().enumerate() {
+        legendre((i as f64 - half) / half.max(1.0), values);
+    }
+    all
+}
+
+/// The polynomials at the pixels `samples`, each with its [`products`].
+fn with_products(
+    polynomials: &[[f64; ORDERS]],
+    samples: &[usize],
+) -> Vec<([f64; ORDERS], [f64; PAIRS])> {
+    samples.iter().map(|k| (polynomials[*k], products(&polynomials[*k]))).collect()
 }
 
 /// P_i P_k, in the order of [`pair`].

@@ -48,21 +48,22 @@ pub struct FillReport {
     pub note: Option<String>,
 }
 
-/// True for the pixels of holes: invalid pixels that no path of invalid pixels connects to the border of
-/// the map.
+/// Returns true for the pixels of holes: invalid pixels that no path of invalid pixels connects to the border of the
+/// map.
 pub fn enclosed(surface: &Surface) -> Array2<bool> {
     let map = surface.height_nm();
     let (ny, nx) = map.dim();
     let mut hole = map.mapv(f64::is_nan);
     for region in regions(&hole) {
         if region.iter().any(|&(r, c)| r == 0 || c == 0 || r == ny - 1 || c == nx - 1) {
-            region.into_iter().for_each(|at| hole[at] = false);
+            region.into_iter().for_each(|pixel| hole[pixel] = false);
         }
     }
     hole
 }
 
-/// Fills the invalid pixels where `inside` (ny, nx) is true; the others stay as they are.
+/// Fills the invalid pixels where `inside` (ny, nx) is true; the others stay as they are. Refuses a hole without a
+/// valid neighbour.
 pub fn fill(surface: &Surface, inside: &Array2<bool>) -> Result<(Surface, FillReport), Invalid> {
     let map = surface.height_nm();
     let mut hole = map.mapv(f64::is_nan);
@@ -74,15 +75,16 @@ pub fn fill(surface: &Surface, inside: &Array2<bool>) -> Result<(Surface, FillRe
     }
     let filled_pixels = holes.iter().map(Vec::len).sum::<usize>();
     let distance = nearest(map.view(), surface.grid()).distance_mm;
-    let deepest = holes.iter().flatten().map(|at| distance[*at]).fold(0.0, f64::max);
+    let deepest = holes.iter().flatten().map(|pixel| distance[*pixel]).fold(0.0, f64::max);
     let valid = filled.iter().filter(|v| !v.is_nan()).count();
     let filled_fraction = filled_pixels as f64 / valid as f64;
-    let note = (filled_fraction > NOTEWORTHY_FRACTION).then(|| {
-        format!(
+    let mut note = None;
+    if filled_fraction > NOTEWORTHY_FRACTION {
+        note = Some(format!(
             "{:.1} % of the map are filled, not measured; check the aperture and the mask",
             100.0 * filled_fraction
-        )
-    });
+        ));
+    }
     let report = FillReport {
         holes: holes.len(),
         filled_pixels,
@@ -95,36 +97,35 @@ pub fn fill(surface: &Surface, inside: &Array2<bool>) -> Result<(Surface, FillRe
 
 /// The 4-connected regions of true.
 fn regions(flags: &Array2<bool>) -> Vec<Vec<(usize, usize)>> {
-    let (ny, nx) = flags.dim();
     let mut open = flags.clone();
-    let mut found = Vec::new();
-    for start in ndarray::indices((ny, nx)) {
+    let mut regions = Vec::new();
+    for start in ndarray::indices(flags.dim()) {
         if !std::mem::take(&mut open[start]) {
             continue;
         }
         let mut region = vec![start];
         let mut next = 0;
         while next < region.len() {
-            for at in neighbours(region[next], (ny, nx)).into_iter().flatten() {
-                if std::mem::take(&mut open[at]) {
-                    region.push(at);
+            for (_, pixel) in neighbours(region[next], flags.dim()) {
+                if std::mem::take(&mut open[pixel]) {
+                    region.push(pixel);
                 }
             }
             next += 1;
         }
-        found.push(region);
+        regions.push(region);
     }
-    found
+    regions
 }
 
-/// Left, right, below and above, where they are in the map.
-fn neighbours((r, c): (usize, usize), (ny, nx): (usize, usize)) -> [Option<(usize, usize)>; 4] {
-    [
-        c.checked_sub(1).map(|c| (r, c)),
-        (c + 1 < nx).then_some((r, c + 1)),
-        r.checked_sub(1).map(|r| (r, c)),
-        (r + 1 < ny).then_some((r + 1, c)),
-    ]
+/// The neighbours left (side 0), right (1), below (2) and above (3), where they are in the map, each with its side.
+fn neighbours(
+    (r, c): (usize, usize),
+    (ny, nx): (usize, usize),
+) -> impl Iterator<Item = (usize, (usize, usize))> {
+    // A step below 0 wraps round, beyond the map.
+    let all = [(r, c.wrapping_sub(1)), (r, c + 1), (r.wrapping_sub(1), c), (r + 1, c)];
+    all.into_iter().enumerate().filter(move |(_, (r, c))| *r < ny && *c < nx)
 }
 
 /// `sum over neighbours of w (z_i - z_n) = 0` for every pixel i of the region.
@@ -134,20 +135,20 @@ fn fill_one(
     surface: &Surface,
 ) -> Result<(), Invalid> {
     let grid = surface.grid();
-    let (wx, wy) = (grid.x.step_mm().powi(-2), grid.y.step_mm().powi(-2));
+    let [wx, wy] = [grid.x, grid.y].map(|axis| axis.step_mm().powi(-2));
     let mut index = Array2::from_elem(map.dim(), usize::MAX);
-    for (k, at) in region.iter().enumerate() {
-        index[*at] = k;
+    for (k, pixel) in region.iter().enumerate() {
+        index[*pixel] = k;
     }
     let weight = [wx, wx, wy, wy];
     // A = diagonal - links; b = sum of w z over the rim.
     let mut diagonal = vec![0.0; region.len()];
     let mut links = vec![[usize::MAX; 4]; region.len()];
     let mut rim = vec![0.0; region.len()];
-    let (mut rim_sum, mut rim_count) = (0.0, 0.0);
-    for (k, at) in region.iter().enumerate() {
-        for (side, n) in neighbours(*at, map.dim()).into_iter().enumerate() {
-            let Some(n) = n else { continue };
+    let mut rim_sum = 0.0;
+    let mut rim_count = 0.0;
+    for (k, pixel) in region.iter().enumerate() {
+        for (side, n) in neighbours(*pixel, map.dim()) {
             if index[n] != usize::MAX {
                 links[k][side] = index[n];
                 diagonal[k] += weight[side];
@@ -165,42 +166,50 @@ fn fill_one(
     }
     // Heights count from the mean of the rim, so that a large piston costs no digits.
     let mean = rim_sum / rim_count;
-    for (k, at) in region.iter().enumerate() {
-        for (side, n) in neighbours(*at, map.dim()).into_iter().enumerate() {
-            if let Some(n) = n
-                && index[n] == usize::MAX
-                && !map[n].is_nan()
-            {
+    for (k, pixel) in region.iter().enumerate() {
+        for (side, n) in neighbours(*pixel, map.dim()) {
+            if index[n] == usize::MAX && !map[n].is_nan() {
                 rim[k] += weight[side] * (map[n] - mean);
             }
         }
     }
-    let apply = |z: &[f64]| -> Vec<f64> {
-        let one = |k: usize| {
-            let linked = links[k].iter().zip(weight).filter(|(n, _)| **n != usize::MAX);
-            diagonal[k] * z[k] - linked.map(|(n, w)| w * z[*n]).sum::<f64>()
-        };
-        (0..z.len()).map(one).collect()
-    };
-    let z = conjugate_gradients(apply, &diagonal, &rim);
-    for (at, z) in region.iter().zip(z) {
-        map[*at] = mean + z;
+    let z = conjugate_gradients(&Laplace { diagonal, links, weight }, &rim);
+    for (pixel, z) in region.iter().zip(z) {
+        map[*pixel] = mean + z;
     }
     Ok(())
 }
 
+/// The five-point formula on the pixels of a region, A = diagonal - links.
+struct Laplace {
+    diagonal: Vec<f64>,
+    /// Indices of the neighbours in the region, by side; `usize::MAX` where there is none.
+    links: Vec<[usize; 4]>,
+    /// Weights of the neighbours, by side.
+    weight: [f64; 4],
+}
+
+impl Laplace {
+    /// Returns A z.
+    fn apply(&self, z: &[f64]) -> Vec<f64> {
+        let rows = self.links.iter().zip(&self.diagonal).zip(z).map(|((links, diagonal), own)| {
+            let linked = links.iter().zip(self.weight).filter(|(n, _)| **n != usize::MAX);
+            diagonal * own - linked.map(|(n, w)| w * z[*n]).sum::<f64>()
+        });
+        rows.collect()
+    }
+
+    /// Returns r over the diagonal.
+    fn precondition(&self, r: &[f64]) -> Vec<f64> {
+        r.iter().zip(&self.diagonal).map(|(r, d)| r / d).collect()
+    }
+}
+
 /// Solves A z = b with the diagonal as the preconditioner.
-fn conjugate_gradients(
-    apply: impl Fn(&[f64]) -> Vec<f64>,
-    diagonal: &[f64],
-    b: &[f64],
-) -> Vec<f64> {
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let precondition =
-        |r: &[f64]| -> Vec<f64> { r.iter().zip(diagonal).map(|(r, d)| r / d).collect() };
+fn conjugate_gradients(matrix: &Laplace, b: &[f64]) -> Vec<f64> {
     let mut z = vec![0.0; b.len()];
     let mut r = b.to_vec();
-    let mut p = precondition(&r);
+    let mut p = matrix.precondition(&r);
     let mut rho = dot(&r, &p);
     let goal = TOLERANCE * TOLERANCE * rho;
     // In exact arithmetic one step per pixel is enough.
@@ -208,16 +217,20 @@ fn conjugate_gradients(
         if rho <= goal {
             break;
         }
-        let q = apply(&p);
+        let q = matrix.apply(&p);
         let alpha = rho / dot(&p, &q);
         z.iter_mut().zip(&p).for_each(|(z, p)| *z += alpha * p);
         r.iter_mut().zip(&q).for_each(|(r, q)| *r -= alpha * q);
-        let s = precondition(&r);
+        let s = matrix.precondition(&r);
         let next = dot(&r, &s);
         p = s.iter().zip(&p).map(|(s, p)| s + next / rho * p).collect();
         rho = next;
     }
     z
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 #[cfg(test)]

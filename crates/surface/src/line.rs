@@ -25,14 +25,14 @@
 //! | R1 | `across` | (5, mx) | nm/s |
 //! | W, d | [`Across`] | - | mm |
 
-use ndarray::{Array1, Array2, Axis as NdAxis};
+use ndarray::{Array1, Array2};
 use planish_numerics::{quadrature::gauss_legendre, slope, statistics::statistics};
 use planish_types::{Axis, Grid, Invalid, Surface, Tif, text::significant};
 use serde::Serialize;
 
 use crate::{
     profile::{Profile, Values},
-    quality::{Piece, Subject, at_even_steps},
+    quality::{ShapeResidual, Subject, at_even_steps},
     shape::{Shape, ShapeReport},
 };
 
@@ -95,7 +95,7 @@ pub struct LineSettings {
 
 /// A line as the stages take it.
 #[derive(Clone, Debug)]
-pub struct Line {
+pub struct PreparedLine {
     /// Desired removal, three equal rows.
     pub surface: Surface,
     /// Numbers for the manifest.
@@ -127,40 +127,44 @@ const MOST_PIXELS: f64 = 1e5;
 /// displaced. Smaller: rounding of the file makes the line an interpolated one.
 const SAME_STEP: f64 = 1e-6;
 
-/// The mean of every column of a map, as a profile of heights.
+/// Computes the mean of every column of a map, as a profile of heights. Refuses a map whose columns make no [`Profile`].
 pub fn mean_profile(surface: &Surface) -> Result<Profile, Invalid> {
-    let mean = |column: ndarray::ArrayView1<f64>| {
-        let valid = || column.iter().filter(|z| !z.is_nan());
-        valid().sum::<f64>() / valid().count() as f64
-    };
-    let height = surface.height_nm().axis_iter(NdAxis(1)).map(mean).collect();
+    let means = surface.height_nm().columns().into_iter().map(|column| {
+        let valid: Vec<f64> = column.iter().copied().filter(|z| !z.is_nan()).collect();
+        valid.iter().sum::<f64>() / valid.len() as f64
+    });
+    let height = means.collect();
     Profile::new(surface.grid().x.coordinates(), Values::HeightNm(height))
 }
 
 /// Makes the desired removal of a line from its profile.
-pub fn line(profile: &Profile, settings: &LineSettings) -> Result<Line, Invalid> {
+///
+/// # Errors
+/// Refuses a width across the line that is not positive, pixels that are more than the line holds or too many, and a
+/// profile that does not determine the shape to subtract.
+pub fn line(profile: &Profile, settings: &LineSettings) -> Result<PreparedLine, Invalid> {
     settings.across.check()?;
     let signed = match settings.positive {
         Positive::Hill => profile.clone(),
         Positive::Hole => {
-            let turned = |v: &[f64]| v.iter().map(|v| -v).collect::<Vec<f64>>();
             let values = match profile.values() {
-                Values::HeightNm(v) => Values::HeightNm(turned(v)),
-                Values::SlopeNrad(v) => Values::SlopeNrad(turned(v)),
+                Values::HeightNm(v) => Values::HeightNm(v.iter().map(|v| -v).collect()),
+                Values::SlopeNrad(v) => Values::SlopeNrad(v.iter().map(|v| -v).collect()),
             };
             Profile::new(profile.position_mm().to_vec(), values)?
         }
     };
     let x = profile.position_mm().to_vec();
-    let (first, length) = (x[0], x[x.len() - 1] - x[0]);
+    let first = x[0];
+    let length = x[x.len() - 1] - x[0];
     let step = settings.pixel_mm.unwrap_or(profile.step_mm());
     if !(step.is_finite() && step > 0.0 && length / step <= MOST_PIXELS && step <= length) {
         let problem = format!("is {step} mm for a line of {} mm", significant(length, 6));
         let remedy = format!("give a length that makes 2 to {MOST_PIXELS} pixels");
         return Err(Invalid::whole("pixel_mm", problem, remedy));
     }
-    let piece = Piece::new(&Subject::Profile(signed), None, settings.subtract, None)?;
-    let height = piece.height_nm.row(0).to_vec();
+    let residual = ShapeResidual::new(&Subject::Profile(signed), None, settings.subtract, None)?;
+    let height = residual.height_nm.row(0).to_vec();
     let same =
         profile.uneven_steps_mm().is_none() && (step / profile.step_mm() - 1.0).abs() <= SAME_STEP;
     let row: Array1<f64> = if same {
@@ -171,35 +175,41 @@ pub fn line(profile: &Profile, settings: &LineSettings) -> Result<Line, Invalid>
         even.row(0).to_owned()
     };
     let lowest = row.iter().copied().filter(|z| !z.is_nan()).fold(f64::INFINITY, f64::min);
-    let (half, nx) = (0.5 * settings.across.width_mm(), row.len());
+    let half = 0.5 * settings.across.width_mm();
+    let nx = row.len();
     let grid = Grid { x: Axis::new(first, step, nx)?, y: Axis::new(-half, half, 3)? };
     let rows = Array2::from_shape_fn((3, nx), |(_, c)| row[c] - lowest);
     let slopes = slope::slopes(rows.view(), &grid.x.coordinates(), slope::Along::X, 1);
     // nm/mm are 1e3 nrad.
     let slope_rms_nrad = statistics(slopes.view()).map_or(0.0, |s| 1e3 * s.rms);
     let surface = Surface::new(grid, rows)?;
-    let mut notes = piece.notes.clone();
+    let mut notes = residual.notes.clone();
     notes.retain(|note| !note.contains("spectra"));
     if !same {
-        let of = significant(step, 6);
-        notes.push(format!("the profile is interpolated linearly at steps of {of} mm"));
+        let step = significant(step, 6);
+        notes.push(format!("the profile is interpolated linearly at steps of {step} mm"));
     }
     let report = LineReport {
         rms_nm: surface.statistics().rms,
         slope_rms_nrad,
         integrated: matches!(profile.values(), Values::SlopeNrad(_)),
         interpolated: !same,
-        shape: piece.shape,
+        shape: residual.shape,
         notes,
     };
-    Ok(Line { surface, report })
+    Ok(PreparedLine { surface, report })
 }
 
-/// The tool of a line: (1) or (2) in the rows at -W/2, 0 and W/2, and zeros at -W and W.
+/// Makes the tool of a line: (1) or (2) in the rows at -W/2, 0 and W/2, and zeros at -W and W.
+///
+/// # Errors
+/// Refuses a width across the line that is not positive, a TIF that varies over the part, and a strip that does not
+/// lie under the tool.
 pub fn integrated_across(tif: &Tif, across: Across) -> Result<Tif, Invalid> {
     across.check()?;
     tif.same_everywhere("a line")?;
-    let (own, width_mm) = (tif.grid(), across.width_mm());
+    let own = tif.grid();
+    let width_mm = across.width_mm();
     let (low, high) = match across {
         Across::StripWidthMm(width) => (-0.5 * width, 0.5 * width),
         Across::PitchMm(_) => (own.y.start_mm(), own.y.end_mm()),
@@ -209,18 +219,23 @@ pub fn integrated_across(tif: &Tif, across: Across) -> Result<Tif, Invalid> {
     ends.extend(own.y.coordinates().into_iter().filter(|y| low < *y && *y < high));
     ends.sort_by(f64::total_cmp);
     let nodes = gauss_legendre::<2>();
-    let of = |x: f64| {
-        let piece = |ends: &[f64]| {
-            let length = (ends[1] - ends[0]).max(0.0);
-            let rate = |u: f64| tif.rate_at(x, ends[0] + length * u);
-            length * nodes.iter().map(|(u, w)| w * rate(*u)).sum::<f64>()
-        };
-        ends.windows(2).map(piece).sum::<f64>() / width_mm
-    };
-    let rate: Vec<f64> = own.x.coordinates().into_iter().map(of).collect();
+    let rate: Vec<f64> = own
+        .x
+        .coordinates()
+        .into_iter()
+        .map(|x| {
+            let pieces = ends.windows(2).map(|ends| {
+                let length = (ends[1] - ends[0]).max(0.0);
+                let at_nodes = nodes.iter().map(|(u, w)| w * tif.rate_at(x, ends[0] + length * u));
+                length * at_nodes.sum::<f64>()
+            });
+            pieces.sum::<f64>() / width_mm
+        })
+        .collect();
     let grid = Grid { x: own.x, y: Axis::new(-width_mm, 0.5 * width_mm, 5)? };
-    let of_row = |(r, c): (usize, usize)| if r == 0 || r == 4 { 0.0 } else { rate[c] };
-    Tif::new(grid, Array2::from_shape_fn(grid.shape(), of_row)).map_err(|e| match across {
+    let rows =
+        Array2::from_shape_fn(grid.shape(), |(r, c)| if r == 0 || r == 4 { 0.0 } else { rate[c] });
+    Tif::new(grid, rows).map_err(|e| match across {
         Across::StripWidthMm(_) => {
             Invalid { remedy: format!("{}; the strip may not lie under the tool", e.remedy), ..e }
         }

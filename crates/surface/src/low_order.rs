@@ -30,7 +30,7 @@ use ndarray::Array2;
 use planish_types::{Axis, Grid, Invalid, Surface};
 use serde::Serialize;
 
-use crate::basis::{Basis, Fit, Polynomial, fit};
+use crate::basis::{Basis, BasisFit, Polynomial, fit};
 
 /// Highest order that a caller may ask for; it has 231 terms. Larger: normal equations that take noticeable
 /// time. Smaller: less of the figure can be described.
@@ -131,7 +131,8 @@ pub struct Term {
     pub coefficient_nm: f64,
 }
 
-/// Fits the low-order terms to the valid pixels of `surface`.
+/// Fits the low-order terms to the valid pixels of `surface`. Refuses an order that is too high, pixels that do not
+/// determine the terms, and a circle that does not hold all of them.
 pub fn low_order(surface: &Surface, settings: &LowOrderSettings) -> Result<LowOrder, Invalid> {
     let grid = surface.grid();
     if settings.order > MAX_ORDER {
@@ -175,7 +176,7 @@ pub fn low_order(surface: &Surface, settings: &LowOrderSettings) -> Result<LowOr
             (basis, Domain::Rectangle { x_mm, y_mm }, area_mm2)
         }
     };
-    let Fit { coefficients, map: mut shape_nm, condition, largest_correlation } =
+    let BasisFit { coefficients, map: mut shape_nm, condition, largest_correlation } =
         fit(&basis, map.view())?;
     shape_nm.zip_mut_with(map, |s, z| {
         if z.is_nan() {
@@ -183,13 +184,14 @@ pub fn low_order(surface: &Surface, settings: &LowOrderSettings) -> Result<LowOr
         }
     });
     let fitted = Surface::new(*grid, shape_nm)?;
-    let note = (largest_correlation > NOTEWORTHY_CORRELATION).then(|| {
-        format!(
+    let mut note = None;
+    if largest_correlation > NOTEWORTHY_CORRELATION {
+        note = Some(format!(
             "the terms are not orthogonal on these pixels (largest correlation \
              {largest_correlation:.2}): the coefficients belong to this order and change with it; \
              what is removed does not depend on that"
-        )
-    });
+        ));
+    }
     let terms = basis.terms().into_iter().zip(coefficients);
     let report = LowOrderReport {
         convention: convention(settings.family),
@@ -224,35 +226,28 @@ fn convention(family: Family) -> &'static str {
     }
 }
 
-/// Smallest and largest x, and y, of the valid pixels, mm.
+/// Returns the smallest and largest x, and y, of the valid pixels, mm.
 pub(crate) fn bounding_box_mm(map: &Array2<f64>, grid: &Grid) -> [[f64; 2]; 2] {
-    let mut found = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
+    let mut bounds = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
     for ((r, c), z) in map.indexed_iter() {
         if !z.is_nan() {
-            for (range, v) in found.iter_mut().zip([grid.x.at(c), grid.y.at(r)]) {
+            for (range, v) in bounds.iter_mut().zip([grid.x.at(c), grid.y.at(r)]) {
                 *range = [range[0].min(v), range[1].max(v)];
             }
         }
     }
-    found
+    bounds
 }
 
 /// The given circle, which must hold every valid pixel, or the one about their bounding box.
-fn unit_circle(surface: &Surface, given: Option<Circle>) -> Result<Circle, Invalid> {
-    let grid = surface.grid();
-    let farthest_mm = |centre: [f64; 2]| {
-        let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
-        valid
-            .map(|((r, c), _)| (grid.x.at(c) - centre[0]).hypot(grid.y.at(r) - centre[1]))
-            .fold(0.0, f64::max)
-    };
-    let Some(circle) = given else {
-        let centre_mm =
-            bounding_box_mm(surface.height_nm(), grid).map(|[low, high]| 0.5 * (low + high));
-        return Circle { centre_mm, radius_mm: farthest_mm(centre_mm) }.checked();
+fn unit_circle(surface: &Surface, circle: Option<Circle>) -> Result<Circle, Invalid> {
+    let Some(circle) = circle else {
+        let centre_mm = bounding_box_mm(surface.height_nm(), surface.grid())
+            .map(|[low, high]| 0.5 * (low + high));
+        return Circle { centre_mm, radius_mm: farthest_mm(surface, centre_mm) }.checked();
     };
     let circle = circle.checked()?;
-    let farthest = farthest_mm(circle.centre_mm);
+    let farthest = farthest_mm(surface, circle.centre_mm);
     // A pixel centre that rounding puts outside is on the circle.
     if farthest > circle.radius_mm * (1.0 + 1e-9) {
         return Err(Invalid::whole(
@@ -262,6 +257,15 @@ fn unit_circle(surface: &Surface, given: Option<Circle>) -> Result<Circle, Inval
         ));
     }
     Ok(circle)
+}
+
+/// Distance of the valid pixel that is farthest from `centre`, mm.
+fn farthest_mm(surface: &Surface, centre: [f64; 2]) -> f64 {
+    let grid = surface.grid();
+    let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
+    valid
+        .map(|((r, c), _)| (grid.x.at(c) - centre[0]).hypot(grid.y.at(r) - centre[1]))
+        .fold(0.0, f64::max)
 }
 
 impl Circle {

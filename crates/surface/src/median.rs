@@ -28,7 +28,7 @@ const INVALID: u32 = u32::MAX;
 /// more histograms to set up. The result does not depend on it.
 const BAND: usize = 64;
 
-/// The median over windows of `2 half + 1` (rows, columns); NaN where `map` is NaN.
+/// Returns the median over windows of `2 half + 1` (rows, columns); NaN where `map` is NaN.
 pub fn median_filter(map: ArrayView2<f64>, half: (usize, usize)) -> Array2<f64> {
     let (ny, nx) = map.dim();
     let (sorted, rank) = ranks(map);
@@ -65,17 +65,18 @@ pub fn median_filter(map: ArrayView2<f64>, half: (usize, usize)) -> Array2<f64> 
 /// The valid values in ascending order, and the place of every pixel among them.
 fn ranks(map: ArrayView2<f64>) -> (Vec<f64>, Array2<u32>) {
     let mut valid: Vec<_> = map.indexed_iter().filter(|(_, v)| !v.is_nan()).collect();
-    valid.par_sort_unstable_by(|a, b| a.1.total_cmp(b.1).then(a.0.cmp(&b.0)));
+    valid.par_sort_unstable_by(|a, b| a.1.total_cmp(b.1).then_with(|| a.0.cmp(&b.0)));
     let mut rank = Array2::from_elem(map.dim(), INVALID);
-    for (k, (at, _)) in valid.iter().enumerate() {
-        rank[*at] = k as u32;
+    for (k, (pixel, _)) in valid.iter().enumerate() {
+        rank[*pixel] = k as u32;
     }
     (valid.into_iter().map(|(_, v)| *v).collect(), rank)
 }
 
 /// Indices `centre - half ..= centre + half`, mirrored at the borders of 0..n.
 fn mirrored(centre: usize, half: usize, n: usize) -> Vec<usize> {
-    let (centre, half) = (centre as isize, half as isize);
+    let centre = centre as isize;
+    let half = half as isize;
     (centre - half..=centre + half).map(|i| mirror(i, n)).collect()
 }
 

@@ -47,6 +47,8 @@
 //! | L | `noise_of_differences` | (ny - 2, nx - 2) | nm |
 //! | s | `noise_nm` | - | nm |
 
+use std::ops::Range;
+
 use nalgebra::{Matrix6, Vector6};
 use ndarray::{Array2, Axis as NdAxis, Slice};
 use planish_numerics::statistics::{fit_plane, subtract_plane};
@@ -108,33 +110,29 @@ pub struct OutlierSettings {
 }
 
 impl OutlierSettings {
-    /// The defaults for a tool of this full width at half maximum, mm.
+    /// Returns the defaults for a tool of this full width at half maximum, mm.
     pub fn for_feature_mm(feature_mm: f64) -> Self {
         Self { feature_mm, seed_sigmas: 15.0, grow_sigmas: 6.0, floor_nm: 1.0, dilate_px: 3 }
     }
 
     fn check(&self) -> Result<(), Invalid> {
-        let refuse = |name, value: f64, remedy: &str| {
-            Err(Invalid::whole(name, format!("is {value}"), remedy.to_string()))
-        };
-        let positive = |v: f64| v.is_finite() && v > 0.0;
-        if !positive(self.feature_mm) {
-            return refuse("feature_mm", self.feature_mm, "give a positive width in mm");
-        }
-        if !positive(self.seed_sigmas) {
-            return refuse(
+        let Self { feature_mm, seed_sigmas, grow_sigmas, floor_nm, .. } = *self;
+        let at_most_seed = format!("give a positive multiple, at most the seed's {seed_sigmas}");
+        let in_range = grow_sigmas > 0.0 && grow_sigmas <= seed_sigmas;
+        for (name, value, is_right, remedy) in [
+            ("feature_mm", feature_mm, feature_mm > 0.0, "give a positive width in mm"),
+            (
                 "seed_sigmas",
-                self.seed_sigmas,
+                seed_sigmas,
+                seed_sigmas > 0.0,
                 "give a positive multiple of the noise",
-            );
-        }
-        if !positive(self.grow_sigmas) || self.grow_sigmas > self.seed_sigmas {
-            let remedy =
-                format!("give a positive multiple, at most the seed's {}", self.seed_sigmas);
-            return refuse("grow_sigmas", self.grow_sigmas, &remedy);
-        }
-        if !(self.floor_nm.is_finite() && self.floor_nm >= 0.0) {
-            return refuse("floor_nm", self.floor_nm, "give a height of at least 0 nm");
+            ),
+            ("grow_sigmas", grow_sigmas, in_range, &at_most_seed),
+            ("floor_nm", floor_nm, floor_nm >= 0.0, "give a height of at least 0 nm"),
+        ] {
+            if !(value.is_finite() && is_right) {
+                return Err(Invalid::whole(name, format!("is {value}"), remedy));
+            }
         }
         Ok(())
     }
@@ -187,42 +185,16 @@ impl OutlierReport {
     }
 }
 
-/// Finds the outliers of `surface`; refuses to mask more than 2 % of its valid pixels.
+/// Finds the outliers of `surface`. Refuses settings out of their range, and to mask more than 2 % of the valid pixels.
 pub fn outliers(surface: &Surface, settings: &OutlierSettings) -> Result<Outliers, PrepareError> {
     settings.check()?;
     let grid = surface.grid();
     let extent_mm = 0.5 * settings.feature_mm;
     let window_px = (window(&grid.y, extent_mm), window(&grid.x, extent_mm));
 
-    // z <- z - figure(z)
     let half = (window_px.0 / 2, window_px.1 / 2);
     let level = without_plane(surface);
-    let without_figure = |window| {
-        let flat = &level - &figure(level.view(), window);
-        // d = z - median filter(z)
-        let deviation = &flat - &median_filter(flat.view(), half);
-        // s = 1.4826 max(MAD(d), MAD(L) / 6)
-        let of_deviation = SIGMA_PER_MAD * median_absolute_deviation(&deviation);
-        (deviation, of_deviation.max(noise_of_differences(&flat, 2)))
-    };
-    let whole = without_figure(grid.shape());
-    let (noise_of_whole, mut best) = (whole.1, whole);
-    // Third differences respond to white noise only, unless waves are very short. No window has less noise
-    // than they give.
-    let worth_while = noise_of_differences(&level, 3) < FALLS * noise_of_whole;
-    let smaller = |window: &(usize, usize)| {
-        let halved = |of: usize, px: usize| (of / 2).max(LEAST_FIGURE * px).min(of);
-        let smaller = (halved(window.0, window_px.0), halved(window.1, window_px.1));
-        (worth_while && smaller != *window).then_some(smaller)
-    };
-    for window in std::iter::successors(Some(grid.shape()), smaller).skip(1) {
-        let found = without_figure(window);
-        let enough = if best.1 < noise_of_whole { FALLS_ON } else { FALLS };
-        if found.1 < enough * best.1 {
-            best = found;
-        }
-    }
-    let (deviation, noise_nm) = best;
+    let (deviation, noise_nm) = least_noisy_deviation(&level, window_px);
     let seed_nm = (settings.seed_sigmas * noise_nm).max(settings.floor_nm);
     let grow_nm = (settings.grow_sigmas * noise_nm).max(GROW_FLOOR * settings.floor_nm);
 
@@ -237,21 +209,20 @@ pub fn outliers(surface: &Surface, settings: &OutlierSettings) -> Result<Outlier
         grow_nm,
         window_px,
     };
-    // A pixel that rounding puts beyond W/2 by 1e-9 of a step is within it.
-    let fits = |pixels: usize, axis: &Axis| {
-        pixels as f64 * axis.step_mm() <= extent_mm + 1e-9 * axis.step_mm()
-    };
     for component in components(&deviation, grow_nm) {
-        let has_seed = component.iter().any(|at| deviation[*at].abs() > seed_nm);
-        let (rows, columns) = bounding_box(&component);
+        let has_seed = component.iter().any(|pixel| deviation[*pixel].abs() > seed_nm);
+        let [rows, columns] = bounding_box(&component);
+        // A pixel that rounding puts beyond W/2 by 1e-9 of a step is within it.
+        let is_narrow = [(rows, &grid.y), (columns, &grid.x)].iter().all(|(range, axis)| {
+            range.len() as f64 * axis.step_mm() <= extent_mm + 1e-9 * axis.step_mm()
+        });
         if has_seed
-            && fits(rows, &grid.y)
-            && fits(columns, &grid.x)
+            && is_narrow
             && stands_out(&level, &deviation, &component, half, (seed_nm, grow_nm))
         {
             report.components += 1;
             report.core_pixels += component.len();
-            component.iter().for_each(|at| dilate(&mut mask, *at, settings.dilate_px));
+            component.iter().for_each(|pixel| dilate(&mut mask, *pixel, settings.dilate_px));
         }
     }
     mask.zip_mut_with(surface.height_nm(), |m, z| *m &= !z.is_nan());
@@ -268,6 +239,52 @@ fn window(axis: &Axis, extent_mm: f64) -> usize {
     2 * half + 1
 }
 
+/// d and its noise s, nm, without the figure in the whole map, or in the windows that lower the noise.
+fn least_noisy_deviation(level: &Array2<f64>, window_px: (usize, usize)) -> (Array2<f64>, f64) {
+    let mut window = level.dim();
+    let (mut deviation, mut noise_nm) = deviation_and_noise(level, window, window_px);
+    // Third differences respond to white noise only, unless waves are very short. No window has less noise
+    // than they give.
+    let noise_of_whole = noise_nm;
+    if noise_of_differences(level, 3) >= FALLS * noise_of_whole {
+        return (deviation, noise_nm);
+    }
+    loop {
+        let smaller = (halved(window.0, window_px.0), halved(window.1, window_px.1));
+        if smaller == window {
+            return (deviation, noise_nm);
+        }
+        window = smaller;
+        let (next, next_noise_nm) = deviation_and_noise(level, window, window_px);
+        let enough = if noise_nm < noise_of_whole { FALLS_ON } else { FALLS };
+        if next_noise_nm < enough * noise_nm {
+            deviation = next;
+            noise_nm = next_noise_nm;
+        }
+    }
+}
+
+/// Half a window of the figure, but at least some windows of the median.
+fn halved(figure_px: usize, median_px: usize) -> usize {
+    (figure_px / 2).max(LEAST_FIGURE * median_px).min(figure_px)
+}
+
+/// d and its noise s, nm, without the figure in windows of the shape `window`.
+fn deviation_and_noise(
+    level: &Array2<f64>,
+    window: (usize, usize),
+    window_px: (usize, usize),
+) -> (Array2<f64>, f64) {
+    // z <- z - figure(z)
+    let flat = level - &figure(level.view(), window);
+    // d = z - median filter(z)
+    let deviation = &flat - &median_filter(flat.view(), (window_px.0 / 2, window_px.1 / 2));
+    // s = 1.4826 max(MAD(d), MAD(L) / 6)
+    let noise_nm = SIGMA_PER_MAD * median_absolute_deviation(&deviation);
+    let noise_nm = noise_nm.max(noise_of_differences(&flat, 2));
+    (deviation, noise_nm)
+}
+
 /// Returns true if a component deviates from the quadratic through its neighbours, half a window around its
 /// bounding box. The remainder of a wave does not deviate.
 fn stands_out(
@@ -278,27 +295,22 @@ fn stands_out(
     (seed_nm, grow_nm): (f64, f64),
 ) -> bool {
     let (ny, nx) = level.dim();
-    let range = |of: fn(&(usize, usize)) -> usize, half: usize, n: usize| {
-        let (low, high) =
-            component.iter().map(of).fold((usize::MAX, 0), |(l, h), i| (l.min(i), h.max(i)));
-        low.saturating_sub(half)..(high + half + 1).min(n)
-    };
-    let (rows, columns) = (range(|p| p.0, half.0, ny), range(|p| p.1, half.1, nx));
-    let unit = |i: usize, of: &std::ops::Range<usize>| {
-        let reach = 0.5 * (of.end - of.start) as f64;
-        (i as f64 - of.start as f64 + 0.5) / reach - 1.0
-    };
+    let [rows, columns] = bounding_box(component);
+    let rows = rows.start.saturating_sub(half.0)..(rows.end + half.0).min(ny);
+    let columns = columns.start.saturating_sub(half.1)..(columns.end + half.1).min(nx);
     let terms = |&(r, c): &(usize, usize)| {
-        let (u, v) = (unit(c, &columns), unit(r, &rows));
+        let (u, v) = (unit_coordinate(c, &columns), unit_coordinate(r, &rows));
         Vector6::new(1.0, u, v, u * u, u * v, v * v)
     };
-    let (mut normal, mut right, mut count) = (Matrix6::zeros(), Vector6::zeros(), 0);
-    for at in rows.clone().flat_map(|r| columns.clone().map(move |c| (r, c))) {
+    let mut normal = Matrix6::zeros();
+    let mut right = Vector6::zeros();
+    let mut count = 0;
+    for pixel in rows.clone().flat_map(|r| columns.clone().map(move |c| (r, c))) {
         // false for NaN
-        if deviation[at].abs() <= grow_nm {
-            let a = terms(&at);
+        if deviation[pixel].abs() <= grow_nm {
+            let a = terms(&pixel);
             normal += a * a.transpose();
-            right += a * level[at];
+            right += a * level[pixel];
             count += 1;
         }
     }
@@ -307,8 +319,14 @@ fn stands_out(
         return true; // Too few neighbours to say.
     };
     let mut stands: Vec<f64> =
-        component.iter().map(|at| (level[*at] - fit.dot(&terms(at))).abs()).collect();
+        component.iter().map(|pixel| (level[*pixel] - fit.dot(&terms(pixel))).abs()).collect();
     stands.iter().any(|d| *d > seed_nm) && middle(&mut stands) > grow_nm
+}
+
+/// Coordinate of the centre of pixel `i`, from -1 to 1 over a range of pixels.
+fn unit_coordinate(i: usize, range: &Range<usize>) -> f64 {
+    let reach = 0.5 * range.len() as f64;
+    (i as f64 - range.start as f64 + 0.5) / reach - 1.0
 }
 
 fn without_plane(surface: &Surface) -> Array2<f64> {
@@ -328,8 +346,9 @@ fn noise_of_differences(map: &Array2<f64>, n: usize) -> f64 {
             if len < 2 {
                 return 0.0;
             }
-            let at = |k: usize| differences.slice_axis(axis, Slice::from(k..len - 1 + k));
-            differences = &at(1) - &at(0); // NaN beside an invalid pixel
+            let [lower, upper] =
+                [0, 1].map(|k| differences.slice_axis(axis, Slice::from(k..len - 1 + k)));
+            differences = &upper - &lower; // NaN beside an invalid pixel
         }
     }
     let gain = (1..=n).fold(1.0, |product, k| product * (n + k) as f64 / k as f64);
@@ -357,7 +376,7 @@ fn middle(values: &mut [f64]) -> f64 {
 fn components(map: &Array2<f64>, threshold: f64) -> Vec<Vec<(usize, usize)>> {
     let (ny, nx) = map.dim();
     let mut open = map.mapv(|v| v.abs() > threshold); // false for NaN
-    let mut found = Vec::new();
+    let mut components = Vec::new();
     for start in ndarray::indices((ny, nx)) {
         if !std::mem::take(&mut open[start]) {
             continue;
@@ -375,19 +394,18 @@ fn components(map: &Array2<f64>, threshold: f64) -> Vec<Vec<(usize, usize)>> {
                 }
             }
         }
-        found.push(component);
+        components.push(component);
     }
-    found
+    components
 }
-
-/// Rows and columns of the bounding box.
-fn bounding_box(pixels: &[(usize, usize)]) -> (usize, usize) {
-    let extent = |of: fn(&(usize, usize)) -> usize| {
-        let (low, high) =
-            pixels.iter().map(of).fold((usize::MAX, 0), |(l, h), i| (l.min(i), h.max(i)));
-        high + 1 - low
-    };
-    (extent(|p| p.0), extent(|p| p.1))
+/// Rows and columns of the bounding box of at least one pixel.
+fn bounding_box(pixels: &[(usize, usize)]) -> [Range<usize>; 2] {
+    let [mut rows, mut columns] = [pixels[0].0, pixels[0].1].map(|k| k..k + 1);
+    for (r, c) in pixels {
+        rows = rows.start.min(*r)..rows.end.max(r + 1);
+        columns = columns.start.min(*c)..columns.end.max(c + 1);
+    }
+    [rows, columns]
 }
 
 /// Sets the square of half-width `reach` about a pixel.

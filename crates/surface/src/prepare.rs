@@ -38,7 +38,7 @@ use crate::{
     extension::{ExtensionReport, ExtensionSettings, extend},
     fill::{FillReport, enclosed, fill},
     low_order::{LowOrderReport, LowOrderSettings, low_order},
-    outliers::{OutlierReport, OutlierSettings, outliers},
+    outliers::{OutlierReport, OutlierSettings, Outliers, outliers},
     target::{Target, TargetReport, without_target},
 };
 
@@ -137,12 +137,16 @@ pub struct RemovedPlane {
     pub slope_nm_per_mm: [f64; 2],
 }
 
-/// Crops, masks, levels, fills and extends `measured`.
+/// Prepares `measured`: crops, masks, levels, fills and extends it. Refuses what [`prepare_to`] refuses.
 pub fn prepare(measured: &Surface, settings: &PrepareSettings) -> Result<Prepared, PrepareError> {
     prepare_to(measured, settings, None)
 }
 
-/// [`prepare()`] of the map less the form `target`.
+/// Prepares `measured` less the form `target`: crops, masks, levels, fills and extends it.
+///
+/// # Errors
+/// Refuses settings of a step out of their range, an aperture of less than 2 x 2 pixels, too many outliers, valid
+/// pixels that do not define what is fitted, and a form that does not exist at one of them.
 pub fn prepare_to(
     measured: &Surface,
     settings: &PrepareSettings,
@@ -156,13 +160,13 @@ pub fn prepare_to(
     let parts =
         usize::from(settings.outliers.is_some()) + usize::from(settings.extension.is_some());
     // The mask is found in what the form leaves, and the form is fitted again without the masked pixels.
-    let mut of_form = target.map(|target| without_target(&cropped, target)).transpose()?;
-    let to_mask = of_form.as_ref().map_or(&cropped, |(map, _)| map);
-    let (mut masked, found) = match &settings.outliers {
+    let mut without_form = target.map(|target| without_target(&cropped, target)).transpose()?;
+    let to_mask = without_form.as_ref().map_or(&cropped, |(map, _)| map);
+    let (mut masked, outliers) = match &settings.outliers {
         Some(settings) => progress::part(0, parts, || mask_outliers(to_mask, settings))?,
         None => (to_mask.clone(), None),
     };
-    if let (Some(target), Some(_)) = (target, &found) {
+    if let (Some(target), Some(_)) = (target, &outliers) {
         let mut map = cropped.height_nm().clone();
         map.zip_mut_with(masked.height_nm(), |z, masked| {
             if masked.is_nan() {
@@ -171,29 +175,31 @@ pub fn prepare_to(
         });
         let fitted = without_target(&Surface::new(*cropped.grid(), map)?, target)?;
         masked = fitted.0.clone();
-        of_form = Some(fitted);
+        without_form = Some(fitted);
     }
     let (mut surface, removed_plane, removed_low_order) = level(&masked, settings.level)?;
     // A pixel that is not a height decides everything else.
     let levelled = map_statistics(&surface);
     let MapStatistics { pv_nm, rms_nm, rms_detilted_nm, .. } = levelled;
-    let of_removal = || doubts::of_removal(pv_nm, rms_nm, rms_detilted_nm);
-    let of_circle = || doubts::of_circle(measured, settings.aperture.as_ref()?);
-    let doubts = of_circle()
-        .or_else(|| doubts::of_mask(&masked))
-        .into_iter()
-        .chain(doubts::of_heights(&masked).or_else(of_removal))
-        .collect();
+    let aperture = settings.aperture.as_ref();
+    let pixels = aperture
+        .and_then(|aperture| doubts::of_circle(measured, aperture))
+        .or_else(|| doubts::of_mask(&masked));
+    let heights =
+        doubts::of_heights(&masked).or_else(|| doubts::of_removal(pv_nm, rms_nm, rms_detilted_nm));
+    let doubts = pixels.into_iter().chain(heights).collect();
     let mut filled = None;
     if settings.fill {
         let inside = inside.unwrap_or_else(|| enclosed(&surface));
         let (map, report) = fill(&surface, &inside)?;
-        (surface, filled) = (map, Some(report));
+        surface = map;
+        filled = Some(report);
     }
     let mut extended = None;
     if let Some(settings) = &settings.extension {
         let (map, report) = progress::part(parts - 1, parts, || extend(&surface, settings))?;
-        (surface, extended) = (map, Some(report));
+        surface = map;
+        extended = Some(report);
     }
     // The steps move heights and fill gaps: a pixel keeps its deviation, and one without a measurement has none.
     let margin = extended.as_ref().map_or((0, 0), |e| e.margin_px);
@@ -205,8 +211,8 @@ pub fn prepare_to(
             (None, None) => levelled,
             _ => map_statistics(&surface),
         },
-        outliers: found,
-        target: of_form.map(|(_, report)| report),
+        outliers,
+        target: without_form.map(|(_, report)| report),
         removed_plane,
         removed_low_order,
         filled,
@@ -236,7 +242,8 @@ fn crop(
     let mask = aperture.mask(grid)?;
     let rows = extent(mask.outer_iter().map(|row| row.iter().any(|m| *m)));
     let columns = extent(mask.columns().into_iter().map(|column| column.iter().any(|m| *m)));
-    let (height, width) = (rows.1 + 1 - rows.0, columns.1 + 1 - columns.0);
+    let height = rows.1 + 1 - rows.0;
+    let width = columns.1 + 1 - columns.0;
     if height < 2 || width < 2 {
         return Err(PrepareError::TooSmall { rows: height, columns: width });
     }
@@ -247,24 +254,25 @@ fn crop(
         }
     });
     let part = s![rows.0..=rows.1, columns.0..=columns.1];
-    let (map, inside) = (map.slice(part).to_owned(), mask.slice(part).to_owned());
+    let map = map.slice(part).to_owned();
+    let inside = mask.slice(part).to_owned();
     let grid = Grid { x: grid.x.crop(columns.0, columns.1)?, y: grid.y.crop(rows.0, rows.1)? };
     let cropped = Surface::new(grid, map)?;
     let deviation = measured.deviation_nm().map(|d| d.slice(part).to_owned());
     Ok((with_deviation(cropped, deviation, (0, 0))?, inside))
 }
 
-/// The map with these standard deviations, which begin at the row and column `at` of it; beyond them they are
+/// The map with these standard deviations, which begin at the row and column `start` of it; beyond them they are
 /// unknown.
 fn with_deviation(
     map: Surface,
     deviation_nm: Option<Array2<f64>>,
-    at: (usize, usize),
+    start: (usize, usize),
 ) -> Result<Surface, PrepareError> {
     let Some(deviation) = deviation_nm else { return Ok(map) };
     let mut all = Array2::from_elem(map.height_nm().dim(), f64::NAN);
     let (ny, nx) = deviation.dim();
-    all.slice_mut(s![at.0..at.0 + ny, at.1..at.1 + nx]).assign(&deviation);
+    all.slice_mut(s![start.0..start.0 + ny, start.1..start.1 + nx]).assign(&deviation);
     Ok(map.with_deviation(all)?)
 }
 
@@ -278,14 +286,14 @@ fn mask_outliers(
     surface: &Surface,
     settings: &OutlierSettings,
 ) -> Result<(Surface, Option<OutlierReport>), PrepareError> {
-    let found = outliers(surface, settings)?;
+    let Outliers { mask, report } = outliers(surface, settings)?;
     let mut map = surface.height_nm().clone();
-    map.zip_mut_with(&found.mask, |z, outlier| {
+    map.zip_mut_with(&mask, |z, outlier| {
         if *outlier {
             *z = f64::NAN;
         }
     });
-    Ok((Surface::new(*surface.grid(), map)?, Some(found.report)))
+    Ok((Surface::new(*surface.grid(), map)?, Some(report)))
 }
 
 /// The levelled map, the plane and the terms that were subtracted.
@@ -381,7 +389,7 @@ mod tests {
             fill: true,
             extension: Some(ExtensionSettings {
                 margin_mm: 0.5,
-                method: crate::extension::Method::Nearest,
+                method: crate::extension::ExtensionMethod::Nearest,
             }),
             ..settings(disc(), Level::Plane)
         };

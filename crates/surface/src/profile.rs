@@ -12,7 +12,7 @@
 
 use planish_types::{
     Invalid, file_text,
-    units::{Header, Quantity, Unit, UnknownUnit},
+    units::{Header, Quantity, Unit},
 };
 use serde::Serialize;
 
@@ -25,10 +25,15 @@ pub const MIN_POSITIONS: usize = 8;
 /// Smaller: positions that are rounded in the file are interpolated.
 const UNIFORMITY: f64 = 0.01;
 
-/// Largest plausible magnitudes: positions in mm, heights in nm, slopes in nrad. A larger value is refused,
-/// because its unit is wrong. Larger: accepts wrong units. Smaller: refuses unusual profiles. Chosen:
-/// positions and heights as for maps, slopes of 1 rad.
-const LARGEST_PLAUSIBLE: [(&str, f64); 3] = [("position", 1e7), ("height", 1e12), ("slope", 1e9)];
+/// Largest plausible magnitude of a position, mm. A larger value is refused, because its unit is wrong. Chosen as for
+/// maps.
+const LARGEST_POSITION_MM: f64 = 1e7;
+
+/// Largest plausible magnitude of a height, nm; as [`LARGEST_POSITION_MM`].
+const LARGEST_HEIGHT_NM: f64 = 1e12;
+
+/// Largest plausible magnitude of a slope, nrad: 1 rad; as [`LARGEST_POSITION_MM`].
+const LARGEST_SLOPE_NRAD: f64 = 1e9;
 
 /// Columns and units of a profile in its file.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -60,12 +65,15 @@ pub struct Profile {
 }
 
 impl Profile {
-    /// Checks the positions. They ascend, or descend, which reverses the line, and at least
-    /// [`MIN_POSITIONS`] have a value.
+    /// Makes a profile of values at positions, which ascend, or descend and are reversed.
+    ///
+    /// # Errors
+    /// Refuses another number of values than of positions, less than [`MIN_POSITIONS`] valid values, numbers that are
+    /// not finite or implausibly large, and positions that are not in order.
     pub fn new(mut position_mm: Vec<f64>, mut values: Values) -> Result<Self, Invalid> {
-        let (name, v) = match &mut values {
-            Values::HeightNm(v) => ("height", v),
-            Values::SlopeNrad(v) => ("slope", v),
+        let (name, unit, largest, v) = match &mut values {
+            Values::HeightNm(v) => ("height", "nm", LARGEST_HEIGHT_NM, v),
+            Values::SlopeNrad(v) => ("slope", "nrad", LARGEST_SLOPE_NRAD, v),
         };
         if v.len() != position_mm.len() {
             let problem = format!("has {} values at {} positions", v.len(), position_mm.len());
@@ -77,25 +85,16 @@ impl Profile {
             let remedy = format!("give at least {MIN_POSITIONS}; check its columns");
             return Err(Invalid::whole("profile", problem, remedy));
         }
-        let beyond = |name: &str, v: f64| {
-            let largest =
-                LARGEST_PLAUSIBLE.iter().find(|(n, _)| *n == name).map_or(0.0, |(_, l)| *l);
-            v.is_infinite() || v.abs() > largest
-        };
-        if let Some(i) = position_mm.iter().position(|x| x.is_nan() || beyond("position", *x)) {
+        let is_wrong = |x: &f64| x.is_nan() || x.abs() > LARGEST_POSITION_MM;
+        if let Some(i) = position_mm.iter().position(is_wrong) {
             let problem = format!("is {} mm", position_mm[i]);
             let remedy = "give a finite number, and check `position_unit`";
             return Err(Invalid::at("position", i, problem, remedy));
         }
-        if let Some(i) = v.iter().position(|v| beyond(name, *v)) {
-            let problem = format!("is {} {}", v[i], if name == "slope" { "nrad" } else { "nm" });
+        if let Some(i) = v.iter().position(|v| v.abs() > largest) {
+            let problem = format!("is {} {unit}", v[i]);
             let remedy = "give a finite number, and check `value_unit`";
-            return Err(Invalid::at(
-                if name == "slope" { "slope" } else { "height" },
-                i,
-                problem,
-                remedy,
-            ));
+            return Err(Invalid::at(name, i, problem, remedy));
         }
         if position_mm[position_mm.len() - 1] < position_mm[0] {
             position_mm.reverse();
@@ -109,7 +108,8 @@ impl Profile {
         Ok(Self { position_mm, values })
     }
 
-    /// Makes a profile from the rows [position, value] of a file, in its units.
+    /// Makes a profile from the rows [position, value] of a file, in its units. Refuses units of other quantities, and
+    /// what [`Self::new`] refuses.
     pub fn from_rows(rows: &ProfileRows, settings: &ProfileSettings) -> Result<Self, Invalid> {
         let unit = settings.position_unit.or(rows.position_unit);
         let to_mm = match unit {
@@ -122,12 +122,13 @@ impl Profile {
         };
         let rows = &rows.rows;
         let position_mm = rows.iter().map(|r| to_mm * r[0]).collect();
-        let scaled = || rows.iter().map(|r| settings.value_unit.size(-9) * r[1]).collect();
-        let values = match settings.value_unit.quantity() {
-            Quantity::Length => Values::HeightNm(scaled()),
-            Quantity::Angle => Values::SlopeNrad(scaled()),
+        let value_unit = settings.value_unit;
+        let values = rows.iter().map(|r| value_unit.size(-9) * r[1]).collect();
+        let values = match value_unit.quantity() {
+            Quantity::Length => Values::HeightNm(values),
+            Quantity::Angle => Values::SlopeNrad(values),
             _ => {
-                let problem = format!("is {}", settings.value_unit);
+                let problem = format!("is {value_unit}");
                 let remedy = "give the unit of a length for heights (nm, um), or of an angle for slopes (urad, arcsec)";
                 return Err(Invalid::whole("value_unit", problem, remedy));
             }
@@ -135,28 +136,29 @@ impl Profile {
         Self::new(position_mm, values)
     }
 
-    /// Positions (n), mm, ascending.
+    /// Returns the positions (n), mm, ascending.
     pub fn position_mm(&self) -> &[f64] {
         &self.position_mm
     }
 
-    /// Heights or slopes (n).
+    /// Returns the heights or slopes (n).
     pub fn values(&self) -> &Values {
         &self.values
     }
 
-    /// The mean step, mm.
+    /// Returns the mean step, mm.
     pub fn step_mm(&self) -> f64 {
         let x = &self.position_mm;
         (x[x.len() - 1] - x[0]) / (x.len() - 1) as f64
     }
 
-    /// Smallest and largest step, mm, if they differ by more than the rounding of a file.
+    /// Returns the smallest and largest step, mm, if they differ by more than the rounding of a file.
     pub fn uneven_steps_mm(&self) -> Option<[f64; 2]> {
         let steps = self.position_mm.windows(2).map(|w| w[1] - w[0]);
         let [low, high] = steps.fold([f64::INFINITY, 0.0_f64], |[l, h], s| [l.min(s), h.max(s)]);
         let mean = self.step_mm();
-        (mean - low > UNIFORMITY * mean || high - mean > UNIFORMITY * mean).then_some([low, high])
+        let is_uneven = mean - low > UNIFORMITY * mean || high - mean > UNIFORMITY * mean;
+        if is_uneven { Some([low, high]) } else { None }
     }
 }
 
@@ -171,8 +173,11 @@ pub struct ProfileRows {
     pub warnings: Vec<String>,
 }
 
-/// Reads [position, value] of every line of a text. A unit that the line above the numbers states must be that of the
-/// settings.
+/// Reads [position, value] of every line of a text.
+///
+/// # Errors
+/// Refuses a text without a line of numbers in both columns, a unit above the numbers that is not that of the settings,
+/// and a line among the numbers that is none.
 pub fn rows_of_text(bytes: &[u8], settings: &ProfileSettings) -> Result<ProfileRows, Invalid> {
     let text = file_text::text("profile", bytes).map_err(|e| Invalid {
         remedy: "export it as a table of text, or save it with numpy.save as .npy".into(),
@@ -180,32 +185,27 @@ pub fn rows_of_text(bytes: &[u8], settings: &ProfileSettings) -> Result<ProfileR
     })?;
     let columns = settings.columns;
     let skipped = settings.header_lines.unwrap_or(0);
-    let with_points = |line: &str| match file_text::with_points("profile", line) {
-        Ok(converted) => converted,
-        // Where all lines are looked at, marks of thousands are refused.
-        Err(_) => Some(line.replace(',', ".")),
-    };
-    let is_row = |line: &str| row_of_line(line, columns).is_ok();
-    let is_first = |(_, line): &(usize, &str)| {
-        is_row(line) || with_points(line).is_some_and(|line| is_row(&line))
-    };
-    let Some((first, line)) = text.lines().enumerate().skip(skipped).find(is_first) else {
+    let mut lines = text.lines().enumerate().skip(skipped);
+    let Some((first, line)) = lines.find(|(_, line)| begins_numbers(line, columns)) else {
         let [position, value] = columns;
         let problem = format!("has no line with numbers in the columns {position} and {value}");
         let remedy = "give the right `profile_columns`, or save two columns of numbers";
         return Err(Invalid::whole("profile", problem, remedy));
     };
-    let mut found = ProfileRows { rows: Vec::new(), position_unit: None, warnings: Vec::new() };
+    let mut profile = ProfileRows { rows: Vec::new(), position_unit: None, warnings: Vec::new() };
     if settings.header_lines.is_none() {
         let above: Vec<&str> = text.lines().take(first).collect();
-        found.position_unit = check_header(&above, file_text::fields(line).count(), settings)?;
+        profile.position_unit = check_header(&above, file_text::fields(line).count(), settings)?;
     }
     let start: usize = text.split_inclusive('\n').take(first).map(str::len).sum();
     let body = &text[start..];
-    let converted = if is_row(line) { None } else { file_text::with_points("profile", body)? };
+    let converted = match row_of_line(line, columns) {
+        Ok(_) => None,
+        Err(_) => file_text::with_points("profile", body)?,
+    };
     let body = converted.as_deref().unwrap_or(body);
     if converted.is_some() {
-        found.warnings.push(file_text::DECIMAL_COMMAS.into());
+        profile.warnings.push(file_text::DECIMAL_COMMAS.into());
     }
     let mut lines = body.lines().enumerate();
     while let Some((i, line)) = lines.next() {
@@ -215,26 +215,35 @@ pub fn rows_of_text(bytes: &[u8], settings: &ProfileSettings) -> Result<ProfileR
             continue;
         }
         match row_of_line(line, columns) {
-            Ok(row) => found.rows.push(row),
+            Ok(row) => profile.rows.push(row),
             Err(problem) => {
                 let number = first + i + 1;
                 let begins_with_number =
                     trimmed.starts_with(|c: char| c.is_ascii_digit() || c == '-');
-                if begins_with_number || lines.any(|(_, line)| is_row(line)) {
+                if begins_with_number || lines.any(|(_, line)| row_of_line(line, columns).is_ok()) {
                     let remedy = "write numbers with a decimal point; give the right `profile_columns` \
                                   and `header_lines`";
                     let problem = format!("{problem} in line {number}");
                     return Err(Invalid::whole("profile", problem, remedy));
                 }
                 let short: String = trimmed.chars().filter(|c| !c.is_control()).take(40).collect();
-                found.warnings.push(format!(
+                profile.warnings.push(format!(
                     "the numbers end before line {number}, \"{short}\": it and what follows are not used"
                 ));
                 break;
             }
         }
     }
-    Ok(found)
+    Ok(profile)
+}
+
+/// Returns true if a line has numbers in both columns, perhaps with decimal commas.
+fn begins_numbers(line: &str, columns: [usize; 2]) -> bool {
+    // Where all lines are looked at, marks of thousands are refused.
+    let with_points =
+        file_text::with_points("profile", line).unwrap_or_else(|_| Some(line.replace(',', ".")));
+    row_of_line(line, columns).is_ok()
+        || with_points.is_some_and(|line| row_of_line(&line, columns).is_ok())
 }
 
 /// Refuses a header whose units are not those of the settings: names of columns in the last line of text above the numbers,
@@ -244,8 +253,8 @@ fn check_header(
     columns: usize,
     settings: &ProfileSettings,
 ) -> Result<Option<Unit>, Invalid> {
-    let is_text = |(_, line): &(usize, &&str)| !line.trim().is_empty();
-    let Some((i, line)) = above.iter().enumerate().rfind(is_text) else { return Ok(None) };
+    let Some(i) = above.iter().rposition(|line| !line.trim().is_empty()) else { return Ok(None) };
+    let line = above[i];
     let number = i + 1;
     // The files of the long-trace profiler of the ESRF have slopes in mrad, which they do not state.
     let milliradian = Unit::read("mrad", &[]);
@@ -264,60 +273,60 @@ fn check_header(
         return Ok(None);
     }
     let [position, value] = settings.columns;
-    let wanted = [Quantity::Length, Quantity::Angle];
-    let angle_first = [Quantity::Angle, Quantity::Length];
-    let value_wanted = match settings.value_unit.quantity() {
-        Quantity::Angle => angle_first,
-        _ => wanted,
+    // A name may have the first of these quantities, or the other.
+    let value_quantities = match settings.value_unit.quantity() {
+        Quantity::Angle => [Quantity::Angle, Quantity::Length],
+        _ => [Quantity::Length, Quantity::Angle],
     };
-    let asked = [
-        ("position_unit", position, settings.position_unit, &wanted[..1]),
-        ("value_unit", value, Some(settings.value_unit), &value_wanted[..]),
-    ];
-    let mut of_position = None;
-    for (setting, column, asked, wanted) in asked {
+    let mut position_unit = None;
+    for (setting, column, unit, quantities) in [
+        ("position_unit", position, settings.position_unit, &[Quantity::Length][..]),
+        ("value_unit", value, Some(settings.value_unit), &value_quantities[..]),
+    ] {
         let Some(name) = names.get(column - 1) else { continue };
         let otherwise = format!("`header_lines` {number} where the name is wrong");
-        let unknown =
-            |e: UnknownUnit| e.refused(setting, format!("correct the name, or give {otherwise}"));
-        let Some(stated) = Header::read(name, wanted).map_err(unknown)?.unit else { continue };
-        if let Some(asked) = asked.filter(|asked| *asked != stated) {
+        let header = Header::read(name, quantities)
+            .map_err(|e| e.refused(setting, format!("correct the name, or give {otherwise}")))?;
+        let Some(stated) = header.unit else { continue };
+        if let Some(unit) = unit.filter(|unit| *unit != stated) {
             let short: String = name.chars().filter(|c| !c.is_control()).take(40).collect();
-            let problem =
-                format!("is {asked}, but line {number} names column {column} \"{short}\"");
+            let problem = format!("is {unit}, but line {number} names column {column} \"{short}\"");
             let remedy = format!("give `{setting}` {stated}, or {otherwise}");
             return Err(Invalid::whole(setting, problem, remedy));
         }
         if setting == "position_unit" {
-            of_position = Some(stated);
+            position_unit = Some(stated);
         }
     }
-    Ok(of_position)
+    Ok(position_unit)
 }
 
 /// The two numbers of a line, or what is wrong with it.
 fn row_of_line(line: &str, columns: [usize; 2]) -> Result<[f64; 2], String> {
     let fields: Vec<&str> = file_text::fields(line.trim()).collect();
-    let number = |column: usize| {
-        let field = fields
-            .get(column - 1)
-            .ok_or_else(|| format!("has {} column(s), not {column},", fields.len()))?;
-        // Fortran writes 1.0D-3.
-        let plain = field.replace(['d', 'D'], "e");
-        match plain.parse::<f64>() {
-            Ok(v) => Ok(v),
-            Err(_) if !field.is_empty() && file_text::is_no_data(field) => Ok(f64::NAN),
-            Err(_) => {
-                let short: String = field.chars().filter(|c| !c.is_control()).take(20).collect();
-                Err(format!("has \"{short}\" where a number should be"))
-            }
-        }
-    };
-    let [position, value] = [number(columns[0])?, number(columns[1])?];
+    let position = number_of_column(&fields, columns[0])?;
+    let value = number_of_column(&fields, columns[1])?;
     if position.is_nan() {
         return Err("has no position".into());
     }
     Ok([position, value])
+}
+
+/// The number in a column, from 1, NaN for a mark of no data; or what is wrong with it.
+fn number_of_column(fields: &[&str], column: usize) -> Result<f64, String> {
+    let field = fields
+        .get(column - 1)
+        .ok_or_else(|| format!("has {} column(s), not {column},", fields.len()))?;
+    // Fortran writes 1.0D-3.
+    let plain = field.replace(['d', 'D'], "e");
+    match plain.parse::<f64>() {
+        Ok(v) => Ok(v),
+        Err(_) if !field.is_empty() && file_text::is_no_data(field) => Ok(f64::NAN),
+        Err(_) => {
+            let short: String = field.chars().filter(|c| !c.is_control()).take(20).collect();
+            Err(format!("has \"{short}\" where a number should be"))
+        }
+    }
 }
 
 #[cfg(test)]

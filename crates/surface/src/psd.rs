@@ -115,7 +115,8 @@ pub struct BandRms {
     pub rms_y_nm: f64,
 }
 
-/// The spectra of the largest rectangle of valid pixels of `surface`.
+/// Computes the spectra of the largest rectangle of valid pixels of `surface`. Refuses a map without a large enough
+/// rectangle, and a band without a frequency of the map.
 pub fn psd(surface: &Surface, settings: &PsdSettings) -> Result<Psd, Invalid> {
     let (origin, (ny, nx)) = largest_rectangle(&surface.height_nm().mapv(|v| !v.is_nan()));
     if ny < MIN_SAMPLES || nx < MIN_SAMPLES {
@@ -134,32 +135,24 @@ pub fn psd(surface: &Surface, settings: &PsdSettings) -> Result<Psd, Invalid> {
         y: surface.grid().y.crop(origin.0, origin.0 + ny - 1)?,
     };
     let z = detrended(surface.height_nm().slice(rectangle), &grid, settings.detrend);
-    let (dx, dy) = (grid.x.step_mm(), grid.y.step_mm());
-    let (w_x, w_y) = (weights(settings.window, nx), weights(settings.window, ny));
+    let [dx, dy] = [grid.x, grid.y].map(|axis| axis.step_mm());
+    let [w_x, w_y] = [nx, ny].map(|n| weights(settings.window, n));
 
     let density = Density::new(z.view(), [dx, dy], [&w_x, &w_y]);
     let (frequency_x_per_mm, psd_x_nm2_mm) = along_rows(z.view(), dx, &w_x);
     let (frequency_y_per_mm, psd_y_nm2_mm) = along_rows(z.t(), dy, &w_y);
     let (frequency_radial_per_mm, psd_radial_nm2_mm2) = radial(&density);
 
-    // band RMS^2 = sum of S df
-    let in_band = |band: [f64; 2]| {
-        let line = |f: &[f64], s: &[f64]| {
-            let inside = f.iter().zip(s).filter(|(f, _)| **f >= band[0] && **f < band[1]);
-            (inside.map(|(_, s)| s).sum::<f64>() * f[1]).sqrt()
-        };
-        BandRms {
-            band_per_mm: band,
-            rms_nm: density.mean_square(band).sqrt(),
-            rms_x_nm: line(&frequency_x_per_mm, &psd_x_nm2_mm),
-            rms_y_nm: line(&frequency_y_per_mm, &psd_y_nm2_mm),
-        }
-    };
     let highest = (0.5 / dx).hypot(0.5 / dy);
     let mut bands = Vec::new();
     for band in &settings.band_per_mm {
         check_band(*band, (frequency_x_per_mm[1]).min(frequency_y_per_mm[1]), highest)?;
-        bands.push(in_band(*band));
+        bands.push(BandRms {
+            band_per_mm: *band,
+            rms_nm: density.mean_square(*band).sqrt(),
+            rms_x_nm: mean_square(&frequency_x_per_mm, &psd_x_nm2_mm, *band).sqrt(),
+            rms_y_nm: mean_square(&frequency_y_per_mm, &psd_y_nm2_mm, *band).sqrt(),
+        });
     }
     let report = PsdReport {
         x_mm: [grid.x.start_mm(), grid.x.end_mm()],
@@ -182,6 +175,13 @@ pub fn psd(surface: &Surface, settings: &PsdSettings) -> Result<Psd, Invalid> {
         psd_radial_nm2_mm2,
         report,
     })
+}
+
+/// Returns the mean square in the band [f_0, f_1) of a one-sided density at frequencies from 0: the sum of S df.
+pub(crate) fn mean_square(frequency_per_mm: &[f64], density: &[f64], [low, high]: [f64; 2]) -> f64 {
+    let all = frequency_per_mm.iter().zip(density);
+    let inside = all.filter(|(f, _)| **f >= low && **f < high);
+    inside.map(|(_, s)| s).sum::<f64>() * (frequency_per_mm[1] - frequency_per_mm[0])
 }
 
 fn check_band([low, high]: [f64; 2], lowest: f64, highest: f64) -> Result<(), Invalid> {
@@ -212,7 +212,7 @@ fn weights(window: Window, n: usize) -> Vec<f64> {
 /// Means over rings as wide as the coarser of the two frequency steps, up to the lower Nyquist frequency.
 /// The ring about 0 holds frequencies nearer to 0 than half a step.
 fn radial(density: &Density) -> (Vec<f64>, Vec<f64>) {
-    let (fx, fy) = (&density.frequency_x, &density.frequency_y);
+    let Density { frequency_x: fx, frequency_y: fy, .. } = density;
     let df = (fx[1] - fx[0]).max(fy[1] - fy[0]);
     let nyquist = fx[fx.len() - 1].min(fy[fy.len() - 1]);
     let count = (nyquist / df + 1e-9).floor() as usize + 1;
@@ -222,15 +222,15 @@ fn radial(density: &Density) -> (Vec<f64>, Vec<f64>) {
     ((0..count).map(|k| k as f64 * df).collect(), means)
 }
 
-/// The frequency at which `along` is largest, for a message.
-pub fn strongest_per_mm(frequency_per_mm: &[f64], along: &[f64]) -> f64 {
-    let all = frequency_per_mm.iter().zip(along).skip(1);
-    all.fold((0.0, 0.0), |best, (f, s)| if *s > best.1 { (*f, *s) } else { best }).0
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The frequency at which a density is largest.
+    fn strongest_per_mm(frequency_per_mm: &[f64], density: &[f64]) -> f64 {
+        let points = frequency_per_mm.iter().zip(density).skip(1);
+        points.fold((0.0, 0.0), |best, (f, s)| if *s > best.1 { (*f, *s) } else { best }).0
+    }
     use planish_numerics::spectrum::mean_square;
     use planish_types::Axis;
     use rand::{RngExt, SeedableRng};

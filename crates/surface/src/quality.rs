@@ -34,12 +34,12 @@ use crate::{
     shape::{EllipseSettings, Shape, ShapeReport},
 };
 
-mod piece;
+mod residual;
 mod spectrum;
 mod strehl;
 
-pub(crate) use piece::Piece;
-pub use piece::{Direction, SlopeReport, Subject};
+pub(crate) use residual::ShapeResidual;
+pub use residual::{Direction, SlopeReport, Subject};
 pub use spectrum::SpectrumLine;
 pub(crate) use strehl::strehl;
 pub use strehl::{Light, StrehlReport};
@@ -176,18 +176,22 @@ pub struct QualityArrays {
 }
 
 /// Measures `subject`.
+///
+/// # Errors
+/// Refuses a map or a profile that does not define the shape to subtract or the slopes, and settings out of their
+/// range, such as a band without a frequency. Other quantities that cannot be measured are left out, with a note.
 pub fn quality(subject: &Subject, settings: &QualitySettings) -> Result<Quality, Invalid> {
     let base_mm = settings.base_mm;
-    let piece = Piece::new(subject, None, settings.after, settings.ellipse.as_ref())?;
-    let height = piece.height()?;
-    let slope_x = piece.slope(Direction::X, base_mm)?;
+    let residual = ShapeResidual::new(subject, None, settings.after, settings.ellipse.as_ref())?;
+    let height = residual.height()?;
+    let slope_x = residual.slope(Direction::X, base_mm)?;
     let slope_y = match subject {
-        Subject::Map(_) => Some(piece.slope(Direction::Y, base_mm)),
+        Subject::Map(_) => Some(residual.slope(Direction::Y, base_mm)),
         Subject::Profile(_) => None,
     };
     let strehl = settings.light.map(|light| strehl(light, height.rms)).transpose()?;
-    let spectra = piece.spectra();
-    let mut notes = piece.notes.clone();
+    let spectra = residual.spectra();
+    let mut notes = residual.notes.clone();
     notes.extend(notes_on_slopes(base_mm, &slope_x, slope_y.as_ref()));
     let after = after_shapes(subject, settings);
     notes.extend(note_on_ellipse(&after));
@@ -208,7 +212,7 @@ pub fn quality(subject: &Subject, settings: &QualitySettings) -> Result<Quality,
         Subject::Map(surface) => Some(centre_line_report(surface, settings)?).unzip(),
         Subject::Profile(_) => (None, None),
     };
-    let line = line.as_ref().unwrap_or(&piece);
+    let line = line.as_ref().unwrap_or(&residual);
     let (slope_position_mm, slopes, _) = line.slopes(Direction::X, base_mm)?;
     let lines = match &spectra {
         Ok(s) => {
@@ -216,7 +220,6 @@ pub fn quality(subject: &Subject, settings: &QualitySettings) -> Result<Quality,
         }
         Err(_) => Default::default(),
     };
-    let length = |along| piece.autocorrelation_length_mm(along);
     Ok(Quality {
         height: HeightReport {
             rms_nm: height.rms,
@@ -228,9 +231,9 @@ pub fn quality(subject: &Subject, settings: &QualitySettings) -> Result<Quality,
         after,
         bands,
         centre_line,
-        autocorrelation_length_x_mm: length(Direction::X),
+        autocorrelation_length_x_mm: residual.autocorrelation_length_mm(Direction::X),
         autocorrelation_length_y_mm: match subject {
-            Subject::Map(_) => length(Direction::Y),
+            Subject::Map(_) => residual.autocorrelation_length_mm(Direction::Y),
             Subject::Profile(_) => None,
         },
         strehl,
@@ -242,7 +245,7 @@ pub fn quality(subject: &Subject, settings: &QualitySettings) -> Result<Quality,
             lines,
         },
         notes,
-        shape: piece.shape,
+        shape: residual.shape,
     })
 }
 
@@ -253,8 +256,7 @@ fn notes_on_slopes(
     slope_y: Option<&Result<SlopeReport, Invalid>>,
 ) -> Vec<String> {
     let mut notes = Vec::new();
-    let found = [("x", Some(slope_x)), ("y", slope_y.and_then(|s| s.as_ref().ok()))];
-    for (along, slope) in found {
+    for (along, slope) in [("x", Some(slope_x)), ("y", slope_y.and_then(|s| s.as_ref().ok()))] {
         let Some(used_mm) = slope.map(|s| s.base_mm).filter(|b| *b > 0.0) else { continue };
         if (used_mm / base_mm - 1.0).abs() > NOTEWORTHY_BASE {
             notes.push(format!(
@@ -272,9 +274,10 @@ fn notes_on_slopes(
 /// Remark on an ellipse that leaves more than a plane, which values of the opposite sign do, or more than a
 /// circle.
 fn note_on_ellipse(after: &[AfterShape]) -> Option<String> {
-    let rms_nm =
-        |shape: Shape| after.iter().find(|a| a.shape.shape == shape).map(|a| a.height_rms_nm);
-    let (plane, ellipse) = (rms_nm(Shape::Plane)?, rms_nm(Shape::Ellipse)?);
+    let [plane, circle, ellipse] = [Shape::Plane, Shape::CylinderX, Shape::Ellipse]
+        .map(|shape| after.iter().find(|a| a.shape.shape == shape).map(|a| a.height_rms_nm));
+    let plane = plane?;
+    let ellipse = ellipse?;
     if ellipse > plane {
         return Some(format!(
             "the ellipse leaves more than a plane ({} against {} nm RMS): a mirror that focuses is concave, its slope \
@@ -284,19 +287,20 @@ fn note_on_ellipse(after: &[AfterShape]) -> Option<String> {
             significant(plane, 4)
         ));
     }
-    let circle = rms_nm(Shape::CylinderX)?;
+    let circle = circle?;
     let is_fitted = after
         .iter()
         .filter_map(|a| a.shape.ellipse.as_ref())
         .any(|ellipse| !ellipse.fitted.is_empty());
-    (is_fitted && ellipse > NOTEWORTHY_CIRCLE * circle).then(|| {
-        format!(
-            "the best ellipse within the bounds leaves more than a circle ({} against {} nm RMS); check p, q and theta of \
-             the design, or fit more of them",
-            significant(ellipse, 4),
-            significant(circle, 4)
-        )
-    })
+    if !is_fitted || ellipse <= NOTEWORTHY_CIRCLE * circle {
+        return None;
+    }
+    Some(format!(
+        "the best ellipse within the bounds leaves more than a circle ({} against {} nm RMS); check p, q and theta of \
+  the design, or fit more of them",
+        significant(ellipse, 4),
+        significant(circle, 4)
+    ))
 }
 
 /// Residuals after each shape; shapes that the points do not determine are left out.
@@ -306,19 +310,20 @@ fn after_shapes(subject: &Subject, settings: &QualitySettings) -> Vec<AfterShape
         shapes.extend([Shape::CylinderY, Shape::Sphere]);
     }
     shapes.extend(settings.ellipse.as_ref().map(|_| Shape::Ellipse));
-    let found = shapes.into_iter().filter_map(|shape| {
-        let piece = Piece::new(subject, None, shape, settings.ellipse.as_ref()).ok()?;
-        let height = piece.height().ok()?;
-        let slope = |along| piece.slope(along, settings.base_mm).ok().map(|s| s.rms_nrad);
+    let residuals = shapes.into_iter().filter_map(|shape| {
+        let residual = ShapeResidual::new(subject, None, shape, settings.ellipse.as_ref()).ok()?;
+        let height = residual.height().ok()?;
+        let [slope_x_rms_nrad, slope_y_rms_nrad] = [Direction::X, Direction::Y]
+            .map(|along| residual.slope(along, settings.base_mm).ok().map(|s| s.rms_nrad));
         Some(AfterShape {
             height_rms_nm: height.rms,
             height_pv_nm: height.pv,
-            slope_x_rms_nrad: slope(Direction::X),
-            slope_y_rms_nrad: slope(Direction::Y),
-            shape: piece.shape,
+            slope_x_rms_nrad,
+            slope_y_rms_nrad,
+            shape: residual.shape,
         })
     });
-    found.collect()
+    residuals.collect()
 }
 
 fn band_report(spectra: &Spectra, band: [f64; 2]) -> Result<BandReport, Invalid> {
@@ -346,7 +351,7 @@ fn band_report(spectra: &Spectra, band: [f64; 2]) -> Result<BandReport, Invalid>
 fn centre_line_report(
     surface: &Surface,
     settings: &QualitySettings,
-) -> Result<(LineReport, Piece), Invalid> {
+) -> Result<(LineReport, ShapeResidual), Invalid> {
     let (y_mm, line) = centre_line(surface, settings.centre_line_width_mm)?;
     let line = Subject::Profile(line);
     // A cylinder along y is a straight line there.
@@ -354,7 +359,7 @@ fn centre_line_report(
         Shape::CylinderY => Shape::Plane,
         shape => shape,
     };
-    let line = Piece::new(&line, None, after, settings.ellipse.as_ref())?;
+    let line = ShapeResidual::new(&line, None, after, settings.ellipse.as_ref())?;
     let height = line.height()?;
     let report = LineReport {
         y_mm,
@@ -371,7 +376,8 @@ fn centre_line(surface: &Surface, width_mm: f64) -> Result<([f64; 2], Profile), 
         let problem = format!("`centre_line_width_mm` is {width_mm}");
         return Err(Invalid::whole("centre line", problem, "give a width in mm, 0 for one row"));
     }
-    let (map, y) = (surface.height_nm(), surface.grid().y.coordinates());
+    let map = surface.height_nm();
+    let y = surface.grid().y.coordinates();
     let used: Vec<usize> =
         (0..y.len()).filter(|r| map.row(*r).iter().any(|v| !v.is_nan())).collect();
     let middle_mm = 0.5 * (y[used[0]] + y[used[used.len() - 1]]);

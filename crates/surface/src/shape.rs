@@ -32,7 +32,7 @@ use serde::{Deserialize, Serialize};
 
 mod columns;
 mod curve;
-mod fit;
+pub(crate) mod fit;
 mod moved_ellipse;
 mod sphere;
 
@@ -150,44 +150,30 @@ pub(crate) struct Heights<'a> {
     pub height_nm: &'a Array2<f64>,
 }
 
-/// `heights` minus the best `shape`.
+/// Returns `heights` minus the best `shape`.
 pub(crate) fn without_shape(
     heights: &Heights,
     shape: Shape,
     ellipse: Option<&EllipseSettings>,
 ) -> Result<(Array2<f64>, ShapeReport), Invalid> {
-    let of_lines = |report: ShapeReport, value: &dyn Fn(f64, f64) -> f64| {
-        let mut left = heights.height_nm.clone();
-        for ((r, c), v) in left.indexed_iter_mut() {
-            *v -= NM_PER_MM * value(heights.x_mm[c], heights.y_mm[r]);
-        }
-        (left, report)
-    };
-    let flat = |plane: Plane| ShapeReport {
-        shape,
-        // nm/mm is urad.
-        tilt_urad: [plane.b, plane.c],
-        radius_m: None,
-        ellipse: None,
-    };
     let is_line = heights.y_mm.len() == 1;
     match shape {
         Shape::Piston => {
             let valid = heights.height_nm.iter().filter(|v| !v.is_nan());
             let (n, sum) = valid.fold((0.0, 0.0), |(n, sum), v| (n + 1.0, sum + v));
             let plane = Plane { a: sum / n, b: 0.0, c: 0.0 };
-            Ok((heights.height_nm - plane.a, flat(plane)))
+            Ok((heights.height_nm - plane.a, plane_report(shape, plane)))
         }
         Shape::Plane if !is_line => {
-            let (x, y) = (heights.x_mm, heights.y_mm);
+            let Heights { x_mm: x, y_mm: y, .. } = *heights;
             let plane = fit_plane(heights.height_nm.view(), x, y)
                 .ok_or_else(|| too_few(shape, "all on one line"))?;
-            let nm = |x: f64, y: f64| (plane.a + plane.b * x + plane.c * y) / NM_PER_MM;
-            Ok(of_lines(flat(plane), &nm))
+            let left = heights.minus(|x, y| (plane.a + plane.b * x + plane.c * y) / NM_PER_MM);
+            Ok((left, plane_report(shape, plane)))
         }
         Shape::Sphere if !is_line => {
-            let sphere = Sphere::of(heights)?;
-            Ok(of_lines(sphere.report(), &|x, y| sphere.height_mm(x, y)))
+            let sphere = Sphere::fitted(heights)?;
+            Ok((heights.minus(|x, y| sphere.height_mm(x, y)), sphere.report()))
         }
         Shape::CylinderY if is_line => {
             let remedy = "a profile has no y: take `cylinder-x`, or measure a map";
@@ -202,15 +188,31 @@ pub(crate) fn without_shape(
             Ok((left.t().as_standard_layout().into_owned(), report))
         }
         Shape::Plane | Shape::CylinderX | Shape::Sphere | Shape::Ellipse => {
-            let columns = Columns::of(heights);
+            let columns = Columns::of_map(heights);
             let curve = Curve::new(shape, ellipse, &columns.x_mm)?;
             let best = fitted(curve, &columns, shape)?;
-            Ok(of_lines(best.report(shape), &|x, y| best.height_mm(x, y)))
+            Ok((heights.minus(|x, y| best.height_mm(x, y)), best.report(shape)))
         }
     }
 }
 
-/// `slope_nrad` at `x_mm` minus the slope of the best `shape`; NaN marks an invalid element.
+impl Heights<'_> {
+    /// Returns the heights, nm, minus those of a shape, mm, at x and y.
+    fn minus(&self, shape_mm: impl Fn(f64, f64) -> f64) -> Array2<f64> {
+        let mut left = self.height_nm.clone();
+        for ((r, c), v) in left.indexed_iter_mut() {
+            *v -= NM_PER_MM * shape_mm(self.x_mm[c], self.y_mm[r]);
+        }
+        left
+    }
+}
+
+fn plane_report(shape: Shape, plane: Plane) -> ShapeReport {
+    // nm/mm is urad.
+    ShapeReport { shape, tilt_urad: [plane.b, plane.c], radius_m: None, ellipse: None }
+}
+
+/// Returns `slope_nrad` at `x_mm` minus the slope of the best `shape`; NaN marks an invalid element.
 pub(crate) fn without_shape_of_slopes(
     x_mm: &[f64],
     slope_nrad: &[f64],

@@ -37,7 +37,7 @@ pub use planish_types::outcome::specification::{
 };
 pub use zone::Zone;
 
-use judge::{Pieces, judge};
+use judge::{ZoneResiduals, judge};
 use zone::Zones;
 
 /// A specification as its JSON file states it.
@@ -78,7 +78,10 @@ pub struct EllipseFile {
 }
 
 impl Specification {
-    /// Checks names, zones and every number, which the JSON types do not check.
+    /// Checks what the JSON types do not check.
+    ///
+    /// # Errors
+    /// Refuses no limits, a name that two zones have or no zone has, and numbers out of their range.
     pub fn check(&self) -> Result<(), Invalid> {
         if self.limits.is_empty() {
             return Err(Invalid::whole("limits", "are none", "give at least one"));
@@ -96,23 +99,24 @@ impl Specification {
 
     /// Checks that the zone and the ellipse of limit `i` exist, and its own numbers.
     fn check_limit(&self, i: usize, limit: &Limit) -> Result<(), Invalid> {
-        let refuse = |problem: String, remedy: &str| Err(Invalid::at("limits", i, problem, remedy));
         if let Some(name) = limit.zone().filter(|n| !self.zones.iter().any(|z| z.name == *n)) {
             let problem = format!("zone is \"{name}\"");
-            return refuse(problem, "name one of the zones, or leave the key out");
+            let remedy = "name one of the zones, or leave the key out";
+            return Err(Invalid::at("limits", i, problem, remedy));
         }
         if limit.after() == Shape::Ellipse && self.ellipse.is_none() {
-            return refuse("after is \"ellipse\"".into(), "give the specification an `ellipse`");
+            let remedy = "give the specification an `ellipse`";
+            return Err(Invalid::at("limits", i, "after is \"ellipse\"", remedy));
         }
         limit.check(i)
     }
 
-    /// The ellipse of the limits after `ellipse`, if the specification has one.
+    /// Returns the ellipse of the limits after `ellipse`, if the specification has one. Refuses one that is no mirror.
     pub fn ellipse(&self) -> Result<Option<EllipseSettings>, Invalid> {
         self.ellipse.as_ref().map(EllipseFile::settings).transpose()
     }
 
-    /// Judges `subject`, limit by limit.
+    /// Judges `subject`, limit by limit. Refuses what [`Self::check`] refuses, and a limit that cannot be judged.
     pub fn judge(&self, subject: &Subject) -> Result<SpecificationReport, Invalid> {
         self.judge_beside_noise(subject, 0.0)
     }
@@ -126,6 +130,9 @@ impl Specification {
     /// ```
     ///
     /// For an RMS the squares are subtracted; for a largest value and a density the values themselves.
+    ///
+    /// # Errors
+    /// Refuses what [`Self::check`] refuses, a limit that cannot be judged, and noise beside measured slopes.
     pub fn judge_beside_noise(
         &self,
         subject: &Subject,
@@ -136,16 +143,16 @@ impl Specification {
             let problem = format!("is {noise_nm}");
             return Err(Invalid::whole("noise_nm", problem, "give nm RMS, 0 or more"));
         }
-        let of_slopes =
+        let has_slopes =
             matches!(subject, Subject::Profile(p) if matches!(p.values(), Values::SlopeNrad(_)));
-        if noise_nm > 0.0 && of_slopes {
+        if noise_nm > 0.0 && has_slopes {
             let problem = "is of heights, but the profile has measured slopes";
             return Err(Invalid::whole("noise_nm", problem, "leave it out"));
         }
         let ellipse = self.ellipse()?;
-        let mut pieces = Pieces::new(Zones::new(subject, &self.zones), ellipse);
+        let mut residuals = ZoneResiduals::new(Zones::new(subject, &self.zones), ellipse);
         let limits = self.limits.iter().enumerate().map(|(i, limit)| {
-            judge(limit, &mut pieces, noise_nm).map_err(|e| {
+            judge(limit, &mut residuals, noise_nm).map_err(|e| {
                 let problem = format!("cannot be judged: {} {}", e.array, e.problem);
                 Invalid::at("limits", i, problem, e.remedy)
             })

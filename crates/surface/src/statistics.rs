@@ -68,6 +68,9 @@ pub struct RobustPv {
 /// Describes `surface`. `family` is that of the fit of PVr; `None` takes Zernike terms if the valid pixels
 /// fill less than 90 % of their bounding box, else Legendre terms. `circle` is the unit circle of Zernike
 /// terms, as in [`LowOrderSettings`].
+///
+/// # Errors
+/// Refuses a circle that does not hold all valid pixels.
 pub fn surface_statistics(
     surface: &Surface,
     family: Option<Family>,
@@ -94,15 +97,17 @@ pub fn surface_statistics(
     })
 }
 
-/// PVr with the given terms.
-pub fn robust_pv(
+/// Computes PVr with the given terms. Refuses valid pixels that do not determine them, and a circle that does not hold
+/// all of them.
+fn robust_pv(
     surface: &Surface,
     family: Family,
     circle: Option<Circle>,
 ) -> Result<RobustPv, Invalid> {
     let fitted = low_order(surface, &LowOrderSettings { family, order: PVR_ORDER, circle })?;
     let rest = Surface::new(*surface.grid(), surface.height_nm() - &fitted.shape_nm)?;
-    let (fit_pv_nm, rest_rms_nm) = (fitted.report.pv_nm, rest.statistics().rms);
+    let fit_pv_nm = fitted.report.pv_nm;
+    let rest_rms_nm = rest.statistics().rms;
     Ok(RobustPv {
         // PVr = PV(fit) + 3 RMS(rest)
         pvr_nm: fit_pv_nm + 3.0 * rest_rms_nm,
@@ -117,12 +122,12 @@ pub fn robust_pv(
 /// The terms that suit the outline of the valid pixels.
 fn suited(surface: &Surface) -> Family {
     let map = surface.height_nm();
-    let used = |lines: &mut dyn Iterator<Item = bool>| {
-        let at: Vec<usize> = lines.enumerate().filter(|(_, u)| *u).map(|(i, _)| i).collect();
-        (at[at.len() - 1] + 1 - at[0]) as f64
-    };
-    let rows = used(&mut map.outer_iter().map(|l| l.iter().any(|v| !v.is_nan())));
-    let columns = used(&mut map.columns().into_iter().map(|l| l.iter().any(|v| !v.is_nan())));
+    let [rows, columns] = [map.rows(), map.columns()].map(|lines| {
+        let lines = lines.into_iter().enumerate();
+        let used = lines.filter(|(_, line)| line.iter().any(|v| !v.is_nan())).map(|(i, _)| i);
+        let (first, last) = used.fold((usize::MAX, 0), |(f, l), i| (f.min(i), l.max(i)));
+        (last + 1 - first) as f64
+    });
     let filled = surface.statistics().valid_count as f64 / (rows * columns);
     if filled < RECTANGLE_FILLS { Family::Zernike } else { Family::Legendre }
 }

@@ -20,12 +20,14 @@
 //! | c0, bx, by | `piston_nm`, `tilt_urad` | nm, urad |
 //! | a | `parameters` | as named |
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use ndarray::Array2;
-use planish_form::{Development, Fit, Form, FormFile, file::FitWord};
+use planish_form::{Development, Form, FormFile, ParameterFit, file::FitWord};
 use planish_types::{Invalid, Surface};
 use rayon::prelude::*;
 use serde::Serialize;
+
+use crate::{low_order::bounding_box_mm, shape::fit::damped_step};
 
 /// Number of nm in a mm.
 const NM_PER_MM: f64 = 1e6;
@@ -120,7 +122,7 @@ impl Parameter {
 
 /// The valid pixels of a map.
 struct Points {
-    at_mm: Vec<[f64; 2]>,
+    place_mm: Vec<[f64; 2]>,
     height_nm: Vec<f64>,
     index: Vec<(usize, usize)>,
     middle_mm: [f64; 2],
@@ -128,35 +130,32 @@ struct Points {
 }
 
 impl Points {
-    fn of(surface: &Surface) -> Self {
+    fn valid(surface: &Surface) -> Self {
         let grid = surface.grid();
-        let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
-        let (mut at_mm, mut height_nm, mut index) = (Vec::new(), Vec::new(), Vec::new());
-        for ((r, c), z) in valid {
-            at_mm.push([grid.x.at(c), grid.y.at(r)]);
+        let mut place_mm = Vec::new();
+        let mut height_nm = Vec::new();
+        let mut index = Vec::new();
+        for ((r, c), z) in surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan()) {
+            place_mm.push([grid.x.at(c), grid.y.at(r)]);
             height_nm.push(*z);
             index.push((r, c));
         }
-        let ends = |k: usize| {
-            let all = at_mm.iter().map(|p: &[f64; 2]| p[k]);
-            all.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| [a.min(v), b.max(v)])
-        };
-        let [x, y] = [ends(0), ends(1)];
+        let [x, y] = bounding_box_mm(surface.height_nm(), grid);
         let middle_mm = [0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1])];
         let half_mm = 0.5 * (x[1] - x[0]).hypot(y[1] - y[0]);
-        Self { at_mm, height_nm, index, middle_mm, half_mm }
+        Self { place_mm, height_nm, index, middle_mm, half_mm }
     }
 }
 
-/// The model (1) at its current parameters.
-struct Model<'a> {
+/// The model (1) at the parameters of its file.
+struct TargetModel<'a> {
     target: &'a Target,
     file: FormFile,
     parameters: Vec<Parameter>,
     tilted: bool,
 }
 
-impl Model<'_> {
+impl TargetModel<'_> {
     /// Number of unknowns: piston, tilts, parameters.
     fn unknowns(&self) -> usize {
         1 + 2 * usize::from(self.tilted) + self.parameters.len()
@@ -165,8 +164,8 @@ impl Model<'_> {
     /// Coordinates of the parameters.
     fn coordinates(&self) -> Vec<f64> {
         let mut file = self.file.clone();
-        let value = |p: &Parameter| p.coordinate(*file.parameter_mut(&p.name).expect("checked"));
-        self.parameters.iter().map(value).collect()
+        let values = self.parameters.iter();
+        values.map(|p| p.coordinate(*file.parameter_mut(&p.name).expect("checked"))).collect()
     }
 
     fn file_at(&self, coordinates: &[f64]) -> FormFile {
@@ -181,14 +180,51 @@ impl Model<'_> {
     fn heights(&self, coordinates: &[f64], points: &Points) -> Option<Vec<f64>> {
         let file = FormFile { fit: None, ..self.file_at(coordinates) };
         let form = Form::new(&file, self.target.map.as_ref()).ok()?;
-        let sags: Option<Vec<f64>> = points.at_mm.par_iter().map(|p| form.sag_mm(*p)).collect();
+        let sags: Option<Vec<f64>> = points.place_mm.par_iter().map(|p| form.sag_mm(*p)).collect();
         sags.map(|sags| sags.into_iter().map(|mm| NM_PER_MM * mm).collect())
     }
 
     /// Columns of J that do not depend on the form: 1, and x and y over the half size.
     fn rigid(&self, p: [f64; 2], points: &Points) -> Vec<f64> {
-        let scaled = |k: usize| (p[k] - points.middle_mm[k]) / points.half_mm;
-        if self.tilted { vec![1.0, scaled(0), scaled(1)] } else { vec![1.0] }
+        if !self.tilted {
+            return vec![1.0];
+        }
+        let [x, y] = [0, 1].map(|k| (p[k] - points.middle_mm[k]) / points.half_mm);
+        vec![1.0, x, y]
+    }
+    /// Heights of the points less the form and the rigid terms, nm.
+    fn left(&self, form: &[f64], rigid: &[f64], points: &Points) -> Vec<f64> {
+        let places = points.place_mm.iter().zip(&points.height_nm).zip(form);
+        let left = places.map(|((place, height), form)| {
+            let columns = self.rigid(*place, points);
+            let sum: f64 = columns.iter().zip(rigid).map(|(c, b)| c * b).sum();
+            height - form - sum
+        });
+        left.collect()
+    }
+    /// Column of J of the parameter `k`; `None` if the form does not exist on either side.
+    fn column(&self, k: usize, coordinates: &[f64], points: &Points) -> Option<Vec<f64>> {
+        let step = self.parameters[k].step;
+        let [above, below] = [step, -step].map(|by| {
+            let mut moved = coordinates.to_vec();
+            moved[k] += by;
+            self.heights(&moved, points)
+        });
+        // Where the form ends within a step, the difference is of one side.
+        let (above, below, width) = match (above, below) {
+            (Some(a), Some(b)) => (a, b, 2.0 * step),
+            (Some(a), None) => (a, self.heights(coordinates, points)?, step),
+            (None, Some(b)) => (self.heights(coordinates, points)?, b, step),
+            (None, None) => return None,
+        };
+        Some(above.iter().zip(&below).map(|(a, b)| (a - b) / width).collect())
+    }
+    /// Refusal of parameters that the pixels do not tell apart.
+    fn undetermined(&self) -> Invalid {
+        let names: Vec<&str> = self.parameters.iter().map(|p| p.name.as_str()).collect();
+        let problem =
+            format!("the valid pixels do not tell {} and the tilt apart", names.join(", "));
+        Invalid::whole("target", problem, "hold one of them in `fit` of the form file")
     }
 
     /// R of the QR factors of [J, r], J with columns of length 1, and the lengths; `None` if the form does not exist.
@@ -198,29 +234,13 @@ impl Model<'_> {
         left: &[f64],
         points: &Points,
     ) -> Option<(DMatrix<f64>, Vec<f64>)> {
-        let mut columns = Vec::new();
-        for (k, p) in self.parameters.iter().enumerate() {
-            let at = |by: f64| {
-                let mut moved = coordinates.to_vec();
-                moved[k] += by;
-                self.heights(&moved, points)
-            };
-            let (above, below) = (at(p.step), at(-p.step));
-            // Where the form ends within a step, the difference is of one side.
-            let here = || self.heights(coordinates, points);
-            let (above, below, width) = match (above, below) {
-                (Some(a), Some(b)) => (a, b, 2.0 * p.step),
-                (Some(a), None) => (a, here()?, p.step),
-                (None, Some(b)) => (here()?, b, p.step),
-                (None, None) => return None,
-            };
-            columns
-                .push(above.iter().zip(&below).map(|(a, b)| (a - b) / width).collect::<Vec<_>>());
-        }
+        let columns: Option<Vec<Vec<f64>>> =
+            (0..self.parameters.len()).map(|k| self.column(k, coordinates, points)).collect();
+        let columns = columns?;
         let n = self.unknowns();
         let mut squares = vec![0.0; n];
         let row = |i: usize| {
-            let rigid = self.rigid(points.at_mm[i], points);
+            let rigid = self.rigid(points.place_mm[i], points);
             rigid.into_iter().chain(columns.iter().map(move |c| c[i]))
         };
         for i in 0..left.len() {
@@ -236,11 +256,11 @@ impl Model<'_> {
             let mut block = DMatrix::zeros(r.nrows() + rows, n + 1);
             block.rows_mut(0, r.nrows()).copy_from(&r);
             for i in 0..rows {
-                let at = r.nrows() + i;
+                let to = r.nrows() + i;
                 for (k, v) in row(start + i).enumerate() {
-                    block[(at, k)] = v / scale[k];
+                    block[(to, k)] = v / scale[k];
                 }
-                block[(at, n)] = left[start + i];
+                block[(to, n)] = left[start + i];
             }
             r = block.qr().r();
         }
@@ -248,47 +268,42 @@ impl Model<'_> {
     }
 }
 
-/// `surface` less the target, fitted where its file says so, and always less a piston; less a tilt unless the file holds
-/// it. Refuses a form that does not exist at a valid pixel, and parameters that the pixels do not tell apart.
+/// Subtracts the target from `surface`, fitted where its file says so, and always less a piston; less a tilt unless the
+/// file holds it. Refuses a form that does not exist at a valid pixel, and parameters that the pixels do not tell
+/// apart.
 pub fn without_target(
     surface: &Surface,
     target: &Target,
 ) -> Result<(Surface, TargetReport), Invalid> {
-    let points = Points::of(surface);
+    let points = Points::valid(surface);
     let model = model(target, &points)?;
     let mut coordinates = model.coordinates();
     let Some(form) = model.heights(&coordinates, &points) else {
         return Err(absent(target, surface, &points));
     };
     let n = model.unknowns();
-    if points.at_mm.len() <= n {
-        let problem = format!("has {} valid pixels for {n} unknowns", points.at_mm.len());
+    if points.place_mm.len() <= n {
+        let problem = format!("has {} valid pixels for {n} unknowns", points.place_mm.len());
         return Err(Invalid::whole("target", problem, "give a larger map, or hold parameters"));
     }
     let first = n - model.parameters.len();
     let mut rigid = vec![0.0; first];
-    let left_of = |form: &[f64], rigid: &[f64]| -> Vec<f64> {
-        let at = |i: usize| {
-            let columns = model.rigid(points.at_mm[i], &points);
-            let sum: f64 = columns.iter().zip(rigid).map(|(c, b)| c * b).sum();
-            points.height_nm[i] - form[i] - sum
-        };
-        (0..points.at_mm.len()).map(at).collect()
-    };
-    let norm = |left: &[f64]| left.iter().map(|v| v * v).sum::<f64>().sqrt();
-    let mut left = left_of(&form, &rigid);
+    let mut left = model.left(&form, &rigid, &points);
     let size = norm(&form).max(norm(&points.height_nm));
-    let undetermined = || {
-        let names: Vec<&str> = model.parameters.iter().map(|p| p.name.as_str()).collect();
-        let problem =
-            format!("the valid pixels do not tell {} and the tilt apart", names.join(", "));
-        Invalid::whole("target", problem, "hold one of them in `fit` of the form file")
-    };
-    let mut factors = model.factors(&coordinates, &left, &points).ok_or_else(undetermined)?;
-    let (mut damping, mut steps) = (0.0, 0);
+    let mut factors =
+        model.factors(&coordinates, &left, &points).ok_or_else(|| model.undetermined())?;
+    let mut damping = 0.0;
+    let mut steps = 0;
     while steps < MAX_STEPS {
         steps += 1;
-        let (step, length) = damped_step(&model, &coordinates, &factors, damping);
+        let (r, scale) = &factors;
+        let matrix = r.view((0, 0), (n, n)).into_owned();
+        let right = r.view((0, n), (n, 1)).column(0).into_owned();
+        let parameters = model.parameters.iter().zip(&coordinates);
+        let room: Vec<[f64; 2]> =
+            parameters.map(|(p, value)| p.ends().map(|end| end - value)).collect();
+        // (2): [R; sqrt(l) I] step = [Q' r; 0]
+        let (step, length) = damped_step(&matrix, scale, &right, &room, damping);
         let next: Vec<f64> = (0..coordinates.len())
             .map(|k| {
                 let [low, high] = model.parameters[k].ends();
@@ -296,13 +311,15 @@ pub fn without_target(
             })
             .collect();
         let moved: Vec<f64> = rigid.iter().zip(&step).map(|(b, s)| b + s).collect();
-        let then = model.heights(&next, &points).map(|form| left_of(&form, &moved));
+        let then = model.heights(&next, &points).map(|form| model.left(&form, &moved, &points));
         let ends = length <= LAST_STEP * size;
         match then {
             Some(then) if norm(&then) < norm(&left) => {
                 (coordinates, rigid, left) = (next, moved, then);
                 damping = if damping > DAMPING.0 { damping / DAMPING.1 } else { 0.0 };
-                factors = model.factors(&coordinates, &left, &points).ok_or_else(undetermined)?;
+                factors = model
+                    .factors(&coordinates, &left, &points)
+                    .ok_or_else(|| model.undetermined())?;
             }
             _ if ends || damping > 1e12 => break,
             _ => damping = if damping == 0.0 { DAMPING.0 } else { damping * DAMPING.1 },
@@ -313,24 +330,28 @@ pub fn without_target(
     }
     let r = factors.0.view((0, 0), (n, n)).into_owned();
     if (0..n).any(|k| r[(k, k)].abs() < INDEPENDENT) {
-        return Err(undetermined());
+        return Err(model.undetermined());
     }
     report(surface, &model, &points, (coordinates, rigid, left), (&r, &factors.1), steps)
 }
 
+fn norm(values: &[f64]) -> f64 {
+    values.iter().map(|v| v * v).sum::<f64>().sqrt()
+}
+
 /// The model of a target, at the values of its file.
-fn model<'a>(target: &'a Target, points: &Points) -> Result<Model<'a>, Invalid> {
+fn model<'a>(target: &'a Target, points: &Points) -> Result<TargetModel<'a>, Invalid> {
     target.file.check()?;
     let mut file = target.file.clone();
     let fit = file.fit.take().unwrap_or_default();
-    let tilted = fit.get("tilt") != Some(&Fit::Word(FitWord::Held));
+    let tilted = fit.get("tilt") != Some(&ParameterFit::Word(FitWord::Held));
     let half = points.half_mm;
     let mut parameters = Vec::new();
     for name in file.parameter_names() {
         let bounds = match fit.get(&name) {
-            None | Some(Fit::Word(FitWord::Held)) => continue,
-            Some(Fit::Word(FitWord::Free)) => None,
-            Some(Fit::Between(bounds)) => Some(*bounds),
+            None | Some(ParameterFit::Word(FitWord::Held)) => continue,
+            Some(ParameterFit::Word(FitWord::Free)) => None,
+            Some(ParameterFit::Between(bounds)) => Some(*bounds),
         };
         let value = *file.parameter_mut(&name).expect("a name of the list");
         let inverse =
@@ -349,7 +370,7 @@ fn model<'a>(target: &'a Target, points: &Points) -> Result<Model<'a>, Invalid> 
         };
         parameters.push(Parameter { name, bounds, inverse, step });
     }
-    Ok(Model { target, file, parameters, tilted })
+    Ok(TargetModel { target, file, parameters, tilted })
 }
 
 /// A form that does not exist on all of the part.
@@ -359,9 +380,10 @@ fn absent(target: &Target, surface: &Surface, points: &Points) -> Invalid {
         Ok(form) => form,
         Err(e) => return e,
     };
-    let lacks = |i: &usize| form.sag_mm(points.at_mm[*i]).is_none();
-    let i = (0..points.at_mm.len()).find(lacks).unwrap_or_default();
-    let ([x, y], (r, c)) = (points.at_mm[i], points.index[i]);
+    let lacking = points.place_mm.iter().position(|place| form.sag_mm(*place).is_none());
+    let i = lacking.unwrap_or_default();
+    let [x, y] = points.place_mm[i];
+    let (r, c) = points.index[i];
     let problem = format!(
         "does not exist at ({x:.4}, {y:.4}) mm, where the map has {} nm",
         surface.height_nm()[[r, c]]
@@ -370,46 +392,10 @@ fn absent(target: &Target, surface: &Surface, points: &Points) -> Invalid {
     Invalid::at("target", (r, c), problem, remedy)
 }
 
-/// A step of all unknowns, in their own units, and its length by the scaled Jacobian.
-fn damped_step(
-    model: &Model<'_>,
-    coordinates: &[f64],
-    (r, scale): &(DMatrix<f64>, Vec<f64>),
-    damping: f64,
-) -> (Vec<f64>, f64) {
-    let n = scale.len();
-    let first = n - coordinates.len();
-    let (matrix, right) = (r.view((0, 0), (n, n)), r.view((0, n), (n, 1)));
-    let gradient = matrix.tr_mul(&right);
-    let rests = |k: usize| {
-        k >= first && {
-            let [low, high] = model.parameters[k - first].ends();
-            let at = coordinates[k - first];
-            at <= low && gradient[k] < 0.0 || at >= high && gradient[k] > 0.0
-        }
-    };
-    let moving: Vec<usize> = (0..n).filter(|k| !rests(*k)).collect();
-    let m = moving.len();
-    // [R; sqrt(l) I] step = [Q' r; 0]
-    let stacked = DMatrix::from_fn(n + m, m, |i, k| match i.checked_sub(n) {
-        None => matrix[(i, moving[k])],
-        Some(row) => f64::from(u8::from(row == k)) * damping.sqrt(),
-    });
-    let mut target = DVector::zeros(n + m);
-    target.rows_mut(0, n).copy_from(&right.column(0));
-    let qr = stacked.qr();
-    qr.q_tr_mul(&mut target);
-    let head = target.rows(0, m).into_owned();
-    let solved = qr.r().solve_upper_triangular(&head).unwrap_or_else(|| DVector::zeros(m));
-    let mut step = vec![0.0; n];
-    moving.iter().zip(&solved).for_each(|(k, v)| step[*k] = v / scale[*k]);
-    (step, solved.norm())
-}
-
 /// The map less the model, and its report.
 fn report(
     surface: &Surface,
-    model: &Model<'_>,
+    model: &TargetModel<'_>,
     points: &Points,
     (coordinates, rigid, left): (Vec<f64>, Vec<f64>, Vec<f64>),
     (r, scale): (&DMatrix<f64>, &[f64]),
@@ -426,10 +412,10 @@ fn report(
     let deviation = (left.iter().map(|v| v * v).sum::<f64>() / spare).sqrt();
     let inverse = r.clone().try_inverse();
     let mut form = model.file_at(&coordinates);
-    let mut given = model.file.clone();
+    let mut file = model.file.clone();
     let parameters = model.parameters.iter().enumerate().map(|(k, p)| {
         let value = p.coordinate(coordinates[k]);
-        let of_coordinate = inverse.as_ref().map_or(f64::INFINITY, |inverse| {
+        let coordinate_error = inverse.as_ref().map_or(f64::INFINITY, |inverse| {
             inverse.row(first + k).norm() * deviation / scale[first + k]
         });
         // The derivative of 1 / c is 1 / c^2.
@@ -437,18 +423,17 @@ fn report(
         let [low, high] = p.ends();
         ParameterReport {
             name: p.name.clone(),
-            given: *given.parameter_mut(&p.name).expect("checked"),
+            given: *file.parameter_mut(&p.name).expect("checked"),
             value,
-            standard_error: of_coordinate * by_coordinate,
+            standard_error: coordinate_error * by_coordinate,
             bounds: p.bounds,
             at_bound: coordinates[k] <= low || coordinates[k] >= high,
         }
     });
     let parameters = parameters.collect();
     form.fit = None;
-    let slopes = |k: usize| rigid.get(1 + k).map_or(0.0, |b| b / points.half_mm);
     // nm/mm is urad.
-    let tilt_urad = [slopes(0), slopes(1)];
+    let tilt_urad = [0, 1].map(|k| rigid.get(1 + k).map_or(0.0, |b| b / points.half_mm));
     let at_middle = tilt_urad[0] * points.middle_mm[0] + tilt_urad[1] * points.middle_mm[1];
     let report = TargetReport {
         convention: "height along z less form, tilt and piston, nm; the lateral axes are projected along z",
@@ -484,8 +469,8 @@ pub enum Lateral {
     Surface,
 }
 
-/// A map with heights along z and projected lateral axes, from one that counts them along a form. Refuses a form that
-/// does not exist at a pixel of the result.
+/// Converts to a map with heights along z and projected lateral axes, from one that counts them along a form. Refuses a
+/// form that does not exist at a pixel of the result.
 pub fn converted(
     map: &Surface,
     form: &Form,
@@ -495,20 +480,20 @@ pub fn converted(
     let grid = *map.grid();
     let mut height_nm = map.height_nm().clone();
     if lateral == Lateral::Surface {
-        let points = Points::of(map);
-        let on = Development::new(form, points.middle_mm, 2.0 * points.half_mm)?;
+        let points = Points::valid(map);
+        let development = Development::new(form, points.middle_mm, 2.0 * points.half_mm)?;
         let measured = Form::sampled(map)?;
         let (ny, nx) = grid.shape();
-        let at = |i: usize| {
-            let uv = on.along([grid.x.at(i % nx), grid.y.at(i / nx)]);
+        let values = (0..ny * nx).into_par_iter().map(|i| {
+            let uv = development.along([grid.x.at(i % nx), grid.y.at(i / nx)]);
             measured.sag_mm(uv).map_or(f64::NAN, |mm| NM_PER_MM * mm)
-        };
-        let values: Vec<f64> = (0..ny * nx).into_par_iter().map(at).collect();
+        });
+        let values: Vec<f64> = values.collect();
         height_nm = Array2::from_shape_vec((ny, nx), values).expect("one value per pixel");
     }
     for ((r, c), z) in height_nm.indexed_iter_mut().filter(|(_, z)| !z.is_nan()) {
         let (x, y) = (grid.x.at(c), grid.y.at(r));
-        let Some(place) = form.at([x, y]) else {
+        let Some(point) = form.point([x, y]) else {
             let problem =
                 format!("does not exist at ({x:.4}, {y:.4}) mm, where the map has {z} nm");
             let remedy = "give the form of the whole part, or a smaller clear aperture";
@@ -516,7 +501,7 @@ pub fn converted(
         };
         if heights == Heights::Normal {
             // h_z = h_n / n_z
-            *z /= place.cosine();
+            *z /= point.cosine();
         }
     }
     Surface::new(grid, height_nm)

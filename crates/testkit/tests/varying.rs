@@ -419,8 +419,8 @@ fn a_tool_along_the_normal_of_a_sphere_leaves_no_more_than_on_a_flat_part() {
     .unwrap();
     let wanted = LowRankSettings { error: 1e-3, max_rank: 20 };
     let rectangle = [[-4.0, -4.0], [24.0, 16.0]];
-    let found =
-        low_rank(&foot.offsets(), (rectangle, None), &|p| foot.at(p), &|_| true, &wanted).unwrap();
+    let found = low_rank(&foot.offsets(), (rectangle, None), &|p| foot.tool(p), &|_| true, &wanted)
+        .unwrap();
     assert!(found.report.negative().is_none(), "{:?}", found.report);
     let normal = Tif::varying(found.tool).unwrap();
     let on = OnForm::new(form, &desired).unwrap();
@@ -480,7 +480,7 @@ fn places_beside_the_part_do_not_make_a_tool_that_adds_material() {
     let counts = |p: [f64; 2]| edge(p) >= -beyond_mm;
     let far = places.radius_mm() + beyond_mm;
     let rectangle = [[-far, -far], [far, far]];
-    let of = |p: [f64; 2]| foot.at(p);
+    let of = |p: [f64; 2]| foot.tool(p);
     let found = low_rank(&foot.offsets(), (rectangle, None), &of, &counts, &wanted).unwrap();
     assert!(found.report.negative().is_none(), "{:?}", found.report);
 }
@@ -532,9 +532,9 @@ fn causes_have_their_closed_forms() {
     // The edge is half a pixel beyond the last centre.
     let at_edge = [0.125, 0.0];
     assert!((uniform.covered(at_edge) - 0.5).abs() < 0.02);
-    assert!(uniform.at(at_edge).iter().all(|r| (r / 4.0 - 1.0).abs() < 0.04));
+    assert!(uniform.tool(at_edge).iter().all(|r| (r / 4.0 - 1.0).abs() < 0.04));
     // A quarter of the radius beyond: moments of the covered area by the rate of the tool itself.
-    let linear = pad(PressureLaw::Linear).at([-2.0, 0.0]);
+    let linear = pad(PressureLaw::Linear).tool([-2.0, 0.0]);
     let (mut force, mut moment, mut area) = (0.0, 0.0, 0.0);
     for ((r, c), rate) in linear.indexed_iter() {
         let u = [own.x.at(c), own.y.at(r)];
@@ -550,7 +550,7 @@ fn causes_have_their_closed_forms() {
     assert!((force / area - 1.0).abs() < 0.03, "{force} {area}");
     assert!((moment / (3.0 * area)).abs() < 0.03, "{moment} {area}");
     // On the part nothing changes.
-    let inside = pad(PressureLaw::Linear).at([-8.0, 0.0]);
+    let inside = pad(PressureLaw::Linear).tool([-8.0, 0.0]);
     // Rounding of products of the samples.
     assert!(inside.iter().all(|r| (r - 2.0).abs() < 1e-9));
 
@@ -594,7 +594,7 @@ fn causes_have_their_closed_forms() {
     let other = Tif::new(own, spot.rate_nm_per_s() * 3.0).unwrap();
     let spots = Spots::new(vec![(4.0, other), (0.0, spot.clone())]).unwrap();
     for (parameter, factor) in [(-1.0, 1.0), (1.0, 1.5), (4.0, 3.0), (9.0, 3.0)] {
-        let found = spots.at(parameter);
+        let found = spots.tool(parameter);
         Zip::from(&found).and(spot.rate_nm_per_s()).for_each(|a, b| {
             // Rounding of a sum of two rates.
             assert!((a - factor * b).abs() < 1e-12);

@@ -27,7 +27,7 @@ impl Name {
 
 /// The subcommands of `planish tool`. Their aliases are the names that `varying` of a pipeline and of a sweep had.
 #[derive(Debug, Subcommand)]
-pub enum Method {
+pub enum ToolCommand {
     /// Make a TIF from maps: of rates, of the depth after a known time, or of a spot before and after
     FromMaps(Box<from_maps::FromMapsArgs>),
     /// Prepare a measured TIF (border, centre, rotation, pitch, taper), or fit a formula to it
@@ -54,7 +54,7 @@ pub enum Method {
     Time(varying::TimeArgs),
 }
 
-impl Method {
+impl ToolCommand {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::FromMaps(arguments) => arguments.run(tool("from-maps")),

@@ -16,15 +16,15 @@ const EXAMPLES: &str = "Examples:\n\
 /// Make and prepare tools: from maps, for curved parts, and varying over the part or in time
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct ToolCli {
     #[command(subcommand)]
-    method: crate::cli::Method,
+    method: crate::cli::ToolCommand,
 }
 
 /// The command `planish tool`.
 pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: ToolCli::command };
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.method.run())
+    planish_handoff::program(|cli: &ToolCli| cli.method.run())
 }

@@ -80,32 +80,29 @@ pub(crate) struct Shift {
     pub steps: usize,
 }
 
-/// `map` at every pixel moved by `d` pixels (x, y), and its slopes per pixel along x and y; NaN
-/// where a pixel that is needed is invalid or beyond the map.
+/// Returns `map` at every pixel moved by `d` pixels (x, y), and its slopes per pixel along x and y; NaN where a pixel
+/// that is needed is invalid or beyond the map.
 pub(crate) fn shifted(map: &Array2<f64>, d: [f64; 2]) -> (Array2<f64>, [Array2<f64>; 2]) {
     let (ny, nx) = map.dim();
-    let ([ix, fx], [iy, fy]) =
-        ([d[0].floor(), d[0] - d[0].floor()], [d[1].floor(), d[1] - d[1].floor()]);
-    let (wx, wy) = (keys::weights(fx), keys::weights(fy));
+    let [(ix, fx), (iy, fy)] = d.map(|d| (d.floor() as isize, d - d.floor()));
+    let [wx, wy] = [fx, fy].map(keys::weights);
     // Derivatives of Keys' weights: central differences with 1e-4 of a pixel. They only direct the steps of
     // the alignment.
-    let slope = |f: f64| {
-        let (up, down) = (keys::weights(f + 1e-4), keys::weights(f - 1e-4));
+    let [sx, sy] = [fx, fy].map(|f| {
+        let up = keys::weights(f + 1e-4);
+        let down = keys::weights(f - 1e-4);
         [0, 1, 2, 3].map(|k| (up[k] - down[k]) / 2e-4)
-    };
-    let (sx, sy) = (slope(fx), slope(fy));
-    let at = |r: isize, c: isize| {
-        let inside = (0..ny as isize).contains(&r) && (0..nx as isize).contains(&c);
-        if inside { map[[r as usize, c as usize]] } else { f64::NAN }
-    };
+    });
     // K = sum_b w_b(fy) sum_a w_a(fx) g[r + b, c + a]; a weight 0 needs no pixel.
     let sum = |wy: [f64; 4], wx: [f64; 4]| {
         Array2::from_shape_fn((ny, nx), |(r, c)| {
-            let (r, c) = (r as isize + iy as isize - 1, c as isize + ix as isize - 1);
             let mut total = 0.0;
             for (b, wb) in wy.iter().enumerate().filter(|(_, w)| **w != 0.0) {
                 for (a, wa) in wx.iter().enumerate().filter(|(_, w)| **w != 0.0) {
-                    total += wb * wa * at(r + b as isize, c + a as isize);
+                    let row = r.checked_add_signed(iy - 1 + b as isize);
+                    let column = c.checked_add_signed(ix - 1 + a as isize);
+                    let value = row.zip(column).and_then(|pixel| map.get(pixel));
+                    total += wb * wa * value.copied().unwrap_or(f64::NAN);
                 }
             }
             total
@@ -121,20 +118,27 @@ fn slopes(map: &Array2<f64>, [along, across]: [usize; 2]) -> [Array2<f64>; 2] {
     let squares: f64 = odd.iter().map(|k| k * k).sum();
     let odd: Vec<f64> = odd.iter().map(|k| k / squares).collect();
     let even = vec![1.0 / (2 * across + 1) as f64; 2 * across + 1];
-    let in_rows = |map: &Array2<f64>, weights: &[f64]| {
-        let (ny, nx) = map.dim();
-        let half = weights.len() / 2;
-        Array2::from_shape_fn((ny, nx), |(r, c)| {
-            if c < half || c + half >= nx {
-                return f64::NAN;
-            }
-            let window = map.slice(s![r, c - half..=c + half]);
-            window.iter().zip(weights).map(|(v, w)| v * w).sum()
-        })
-    };
-    let turned = |map: Array2<f64>| map.reversed_axes().as_standard_layout().into_owned();
-    let in_columns = |map: Array2<f64>, weights: &[f64]| turned(in_rows(&turned(map), weights));
-    [in_columns(in_rows(map, &odd), &even), in_columns(in_rows(map, &even), &odd)]
+    [(&odd, &even), (&even, &odd)].map(|(in_rows, in_columns)| {
+        let columns = turned(weighted_in_rows(map, in_rows));
+        turned(weighted_in_rows(&columns, in_columns))
+    })
+}
+
+/// Weighted sums over windows along the rows; NaN where the window reaches beyond the map.
+fn weighted_in_rows(map: &Array2<f64>, weights: &[f64]) -> Array2<f64> {
+    let (ny, nx) = map.dim();
+    let half = weights.len() / 2;
+    Array2::from_shape_fn((ny, nx), |(r, c)| {
+        if c < half || c + half >= nx {
+            return f64::NAN;
+        }
+        let window = map.slice(s![r, c - half..=c + half]);
+        window.iter().zip(weights).map(|(v, w)| v * w).sum()
+    })
+}
+
+fn turned(map: Array2<f64>) -> Array2<f64> {
+    map.reversed_axes().as_standard_layout().into_owned()
 }
 
 /// Pixels outside the spot whose slopes of `before` are known, with these, per pixel, and around which
@@ -147,40 +151,41 @@ fn pixels_for_shift(
 ) -> Vec<([usize; 2], [f64; 2])> {
     let (ny, nx) = outside.dim();
     let [dx, dy] = d.map(|d| d.round() as isize);
-    let is_valid = |r: isize, c: isize| {
-        let inside = r >= 2 && c >= 2 && r + 2 < ny as isize && c + 2 < nx as isize;
-        inside && {
-            let (r, c) = (r as usize, c as usize);
-            after.slice(s![r - 2..=r + 2, c - 2..=c + 2]).iter().all(|v| !v.is_nan())
-        }
-    };
-    let of = |((r, c), outside): ((usize, usize), &bool)| {
+    let mut pixels = Vec::new();
+    for ((r, c), _) in outside.indexed_iter().filter(|(_, outside)| **outside) {
         let h = [slopes[0][[r, c]], slopes[1][[r, c]]];
-        let is_used = *outside && h.iter().all(|h| !h.is_nan());
-        (is_used && is_valid(r as isize + dy, c as isize + dx)).then_some(([r, c], h))
-    };
-    outside.indexed_iter().filter_map(of).collect()
+        let (to_r, to_c) = (r as isize + dy, c as isize + dx);
+        let is_inside = to_r >= 2 && to_c >= 2 && to_r + 2 < ny as isize && to_c + 2 < nx as isize;
+        if h.iter().any(|h| h.is_nan()) || !is_inside {
+            continue;
+        }
+        let (to_r, to_c) = (to_r as usize, to_c as usize);
+        let around = after.slice(s![to_r - 2..=to_r + 2, to_c - 2..=to_c + 2]);
+        if around.iter().all(|v| !v.is_nan()) {
+            pixels.push(([r, c], h));
+        }
+    }
+    pixels
 }
 
 /// Terms of the equations at one pixel.
-struct Row {
+struct ShiftEquation {
     pixel: [usize; 2],
     /// Coordinates from -1 to 1 over the map.
-    at: [f64; 2],
+    place: [f64; 2],
     h: [f64; 2],
     g: [f64; 2],
     e: f64,
 }
 
-impl Row {
+impl ShiftEquation {
     /// Its row of H.
-    fn of_h(&self) -> Vector5<f64> {
-        Vector5::new(self.h[0], self.h[1], 1.0, self.at[0], self.at[1])
+    fn h_row(&self) -> Vector5<f64> {
+        Vector5::new(self.h[0], self.h[1], 1.0, self.place[0], self.place[1])
     }
-
     /// Its row of G.
-    fn of_g(&self) -> Vector5<f64> {
-        Vector5::new(self.g[0], self.g[1], 1.0, self.at[0], self.at[1])
+    fn g_row(&self) -> Vector5<f64> {
+        Vector5::new(self.g[0], self.g[1], 1.0, self.place[0], self.place[1])
     }
 }
 
@@ -190,23 +195,23 @@ fn rows(
     after: &Array2<f64>,
     used: &[([usize; 2], [f64; 2])],
     d: [f64; 2],
-) -> Vec<Row> {
+) -> Vec<ShiftEquation> {
     let (moved, [gx, gy]) = shifted(after, d);
     let (ny, nx) = before.dim();
-    let of = |(pixel, h): &([usize; 2], [f64; 2])| {
+    let rows = used.iter().map(|(pixel, h)| {
         let [r, c] = *pixel;
         // e = before - after(p + d) = gx dx + gy dy + a + b x + c y at the next step
-        let (e, g) = (before[[r, c]] - moved[[r, c]], [gx[[r, c]], gy[[r, c]]]);
-        let at = [2.0 * c as f64 / nx as f64 - 1.0, 2.0 * r as f64 / ny as f64 - 1.0];
-        let is_known = !e.is_nan() && g.iter().all(|v| !v.is_nan());
-        is_known.then_some(Row { pixel: *pixel, at, h: *h, g, e })
-    };
-    used.iter().filter_map(of).collect()
+        let e = before[[r, c]] - moved[[r, c]];
+        let g = [gx[[r, c]], gy[[r, c]]];
+        let place = [2.0 * c as f64 / nx as f64 - 1.0, 2.0 * r as f64 / ny as f64 - 1.0];
+        ShiftEquation { pixel: *pixel, place, h: *h, g, e }
+    });
+    rows.filter(|row| !row.e.is_nan() && row.g.iter().all(|v| !v.is_nan())).collect()
 }
 
 /// (H'G)^-1, where the maps have structure.
-fn inverse(rows: &[Row]) -> Option<Matrix5<f64>> {
-    rows.iter().map(|r| r.of_h() * r.of_g().transpose()).sum::<Matrix5<f64>>().try_inverse()
+fn inverse(rows: &[ShiftEquation]) -> Option<Matrix5<f64>> {
+    rows.iter().map(|r| r.h_row() * r.g_row().transpose()).sum::<Matrix5<f64>>().try_inverse()
 }
 
 /// The slopes of `before` over the window that gives the least covariance of the shift by white noise.
@@ -215,30 +220,32 @@ fn best_slopes(
     after: &Array2<f64>,
     outside: &Array2<bool>,
 ) -> Option<[Array2<f64>; 2]> {
-    let of = |window: &[usize; 2]| {
+    let all = WINDOWS.iter().filter_map(|window| {
         let slopes = slopes(before, *window);
         let rows =
             rows(before, after, &pixels_for_shift(&slopes, after, outside, [0.0; 2]), [0.0; 2]);
         let inverse = inverse(&rows).filter(|_| rows.len() > 5)?;
-        let instruments: Matrix5<f64> = rows.iter().map(|r| r.of_h() * r.of_h().transpose()).sum();
+        let instruments: Matrix5<f64> =
+            rows.iter().map(|r| r.h_row() * r.h_row().transpose()).sum();
         let covariance = inverse * instruments * inverse.transpose();
         Some((covariance[(0, 0)] + covariance[(1, 1)], slopes))
-    };
-    let all = WINDOWS.iter().filter_map(of).filter(|(v, _)| v.is_finite());
-    all.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, slopes)| slopes)
+    });
+    all.filter(|(v, _)| v.is_finite()).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, slopes)| slopes)
 }
 
 /// H'C H, with the correlation of what `change` leaves of e.
-fn squares(rows: &[Row], shape: (usize, usize), change: &Vector5<f64>) -> Matrix5<f64> {
+fn squares(rows: &[ShiftEquation], shape: (usize, usize), change: &Vector5<f64>) -> Matrix5<f64> {
     let mut row_at = Array2::from_elem(shape, usize::MAX);
     for (k, row) in rows.iter().enumerate() {
         row_at[row.pixel] = k;
     }
-    let left: Vec<f64> = rows.iter().map(|row| row.e - row.of_g().dot(change)).collect();
+    let left: Vec<f64> = rows.iter().map(|row| row.e - row.g_row().dot(change)).collect();
     let step = rows.len().div_ceil(MOST_IN_CORRELATION);
     // C(l), and sum_p h(p) h(p + l)' of every pixel, for one of the lags l and -l
-    let of_lag = |[dr, dc]: [isize; 2]| {
-        let (mut product, mut count, mut both) = (0.0, 0.0, Matrix5::<f64>::zeros());
+    let correlation = |[dr, dc]: [isize; 2]| {
+        let mut product = 0.0;
+        let mut count = 0.0;
+        let mut both = Matrix5::<f64>::zeros();
         for (k, row) in rows.iter().enumerate().step_by(step) {
             let [r, c] = [row.pixel[0] as isize + dr, row.pixel[1] as isize + dc];
             if r < 0 || c < 0 || r >= shape.0 as isize || c >= shape.1 as isize {
@@ -246,33 +253,34 @@ fn squares(rows: &[Row], shape: (usize, usize), change: &Vector5<f64>) -> Matrix
             }
             let Some(other) = rows.get(row_at[[r as usize, c as usize]]) else { continue };
             product += left[k] * left[row_at[[r as usize, c as usize]]];
-            both += row.of_h() * other.of_h().transpose();
+            both += row.h_row() * other.h_row().transpose();
             count += 1.0;
         }
         (product / f64::max(count, 1.0), both * step as f64)
     };
-    let (variance, mut sum) = of_lag([0, 0]);
+    let (variance, mut sum) = correlation([0, 0]);
     sum *= variance;
     let reach = -LARGEST_LAG..=LARGEST_LAG;
-    let mut lags: Vec<[isize; 2]> = (0..=LARGEST_LAG)
+    let mut lags: Vec<(f64, [isize; 2])> = (0..=LARGEST_LAG)
         .flat_map(|dr| reach.clone().map(move |dc| [dr, dc]))
         .filter(|[dr, dc]| *dr > 0 || *dc > 0)
+        .map(|lag| ((lag[0] as f64).hypot(lag[1] as f64), lag))
         .collect();
-    let radius = |[dr, dc]: &[isize; 2]| (*dr as f64).hypot(*dc as f64);
-    lags.sort_by(|a, b| radius(a).total_cmp(&radius(b)));
-    let (mut kept, mut pixels, mut largest) = (Vec::new(), 1.0_f64, LARGEST_LAG as f64);
-    for lag in lags.into_iter().filter(|lag| radius(lag) <= LARGEST_LAG as f64) {
-        let radius = radius(&lag);
+    lags.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut correlations = Vec::new();
+    let mut pixels = 1.0_f64;
+    let mut largest = LARGEST_LAG as f64;
+    for (radius, lag) in lags.into_iter().filter(|(radius, _)| *radius <= LARGEST_LAG as f64) {
         // Two pixels, so that there is a taper
         if radius >= 2.0 && radius >= WINDOW_OVER_LENGTH * (pixels.max(0.0) / PI).sqrt() {
             largest = radius;
             break;
         }
-        let (c, both) = of_lag(lag);
+        let (c, both) = correlation(lag);
         pixels += 2.0 * c / variance.max(f64::MIN_POSITIVE);
-        kept.push((radius, c, both));
+        correlations.push((radius, c, both));
     }
-    for (radius, c, both) in kept {
+    for (radius, c, both) in correlations {
         let part = radius / largest;
         let w = if part <= 0.5 { 1.0 } else { 0.5 * (1.0 + (PI * (2.0 * part - 1.0)).cos()) };
         sum += (both + both.transpose()) * (w * c);
@@ -280,18 +288,15 @@ fn squares(rows: &[Row], shape: (usize, usize), change: &Vector5<f64>) -> Matrix
     sum
 }
 
-/// The shift of `after` against `before` by what is outside the spot.
+/// Returns the shift of `after` against `before` by what is outside the spot.
 pub(crate) fn align(
     grid: &Grid,
     before: &Surface,
     after: &Surface,
     outside: &Array2<bool>,
 ) -> Result<Shift, Invalid> {
-    let lost = |problem: &str| {
-        let remedy = "give `align` none, or maps with structure outside the spot";
-        Invalid::whole("align", problem, remedy)
-    };
-    let (before, after) = (before.height_nm(), after.height_nm());
+    let before = before.height_nm();
+    let after = after.height_nm();
     let (ny, nx) = grid.shape();
     let slopes = best_slopes(before, after, outside)
         .ok_or_else(|| lost("there is nothing outside the spot to align by"))?;
@@ -306,7 +311,7 @@ pub(crate) fn align(
             return Err(lost("there is nothing outside the spot to align by"));
         }
         let inverse = inverse(&rows).ok_or_else(|| lost("the maps have no structure"))?;
-        let change = inverse * rows.iter().map(|r| r.of_h() * r.e).sum::<Vector5<f64>>();
+        let change = inverse * rows.iter().map(|r| r.h_row() * r.e).sum::<Vector5<f64>>();
         d = [d[0] + change[0], d[1] + change[1]];
         if d.iter().any(|v| v.is_nan())
             || d[0].abs() > 0.25 * nx as f64
@@ -329,4 +334,10 @@ pub(crate) fn align(
         }
     }
     Err(lost("the shift does not settle"))
+}
+
+/// Refusal of maps that do not determine the shift.
+fn lost(problem: &str) -> Invalid {
+    let remedy = "give `align` none, or maps with structure outside the spot";
+    Invalid::whole("align", problem, remedy)
 }

@@ -105,7 +105,11 @@ pub struct Spot {
     pub clipped_share: f64,
 }
 
-/// The TIF of a spot. `before` is absent where `after` already is the depth of the removal.
+/// Makes the TIF of a spot. `before` is absent where `after` already is the depth of the removal.
+///
+/// # Errors
+/// Refuses settings out of their range, maps that are not measured alike or have nothing to align by, and a spot that
+/// is not found, does not stand out, or has invalid pixels.
 pub fn spot(
     before: Option<&Surface>,
     after: &Surface,
@@ -117,17 +121,11 @@ pub fn spot(
         }
     }
     let grid = after.grid();
-    let apart = |a: &Axis, b: &Axis| {
-        // Both pitches may have passed through 32-bit floats.
-        a.len() != b.len() || (a.step_mm() - b.step_mm()).abs() > 1e-6 * a.step_mm()
-    };
-    if let Some(b) = before.filter(|b| apart(&b.grid().x, &grid.x) || apart(&b.grid().y, &grid.y)) {
-        let of = |g: &Grid| format!("{:?} pixels of {} mm", g.shape(), g.x.step_mm());
-        let problem = format!("has {}, the map after {}", of(b.grid()), of(grid));
-        return Err(Invalid::whole("before", problem, "measure both maps alike, or crop them"));
-    }
-    if let Some(before) = before.filter(|_| settings.align == Alignment::None) {
-        refuse_another_window(before.grid(), grid)?;
+    if let Some(before) = before {
+        refuse_other_pixels(before.grid(), grid)?;
+        if settings.align == Alignment::None {
+            refuse_another_window(before.grid(), grid)?;
+        }
     }
     let removal = |shift_px: [f64; 2]| match before {
         None => after.height_nm().clone(),
@@ -151,10 +149,6 @@ pub fn spot(
     let mut removal = removal(shift.px);
     let mut ring = masked(&removal, &outside);
     let (x, y) = (grid.x.coordinates(), grid.y.coordinates());
-    let no_ring = || {
-        let remedy = "give a smaller `half_size_mm`, or `baseline` none";
-        Invalid::whole("half_size_mm", "leaves no pixels outside the spot", remedy)
-    };
     match settings.baseline {
         Baseline::None => {}
         Baseline::Piston => {
@@ -169,14 +163,15 @@ pub fn spot(
         }
     }
     let centre = centroid(grid, &removal, coarse, settings.half_size_mm)?;
-    let in_mm = |px: [f64; 2]| [px[0] * grid.x.step_mm(), px[1] * grid.y.step_mm()];
+    let [shift_mm, shift_error_mm] =
+        [shift.px, shift.error_px].map(|px| [px[0] * grid.x.step_mm(), px[1] * grid.y.step_mm()]);
     let noise = statistics::statistics(ring.view());
     let noise_nm = noise.map(|n| n.rms);
     let (tif, depth_nm, clipped_share) = cut(grid, &removal, centre, noise_nm, settings)?;
     Ok(Spot {
         tif,
-        shift_mm: in_mm(shift.px),
-        shift_error_mm: in_mm(shift.error_px),
+        shift_mm,
+        shift_error_mm,
         steps: shift.steps,
         centre_mm: centre,
         outside_rms_nm: noise.map_or(0.0, |s| s.rms),
@@ -184,6 +179,26 @@ pub fn spot(
         depth_nm,
         clipped_share,
     })
+}
+
+fn no_ring() -> Invalid {
+    let remedy = "give a smaller `half_size_mm`, or `baseline` none";
+    Invalid::whole("half_size_mm", "leaves no pixels outside the spot", remedy)
+}
+
+/// Refuses maps of different numbers of pixels, or pitches.
+fn refuse_other_pixels(before: &Grid, after: &Grid) -> Result<(), Invalid> {
+    // Both pitches may have passed through 32-bit floats.
+    let is_alike = [(&before.x, &after.x), (&before.y, &after.y)].iter().all(|(a, b)| {
+        a.len() == b.len() && (a.step_mm() - b.step_mm()).abs() <= 1e-6 * a.step_mm()
+    });
+    if is_alike {
+        return Ok(());
+    }
+    let [before, after] =
+        [before, after].map(|g| format!("{:?} pixels of {} mm", g.shape(), g.x.step_mm()));
+    let problem = format!("has {before}, the map after {after}");
+    Err(Invalid::whole("before", problem, "measure both maps alike, or crop them"))
 }
 
 fn outside(grid: &Grid, centre: [f64; 2], half_size_mm: f64) -> Array2<bool> {
@@ -218,14 +233,15 @@ fn find(grid: &Grid, removal: &Array2<f64>, half_size_mm: f64) -> Result<[f64; 2
         }
     }
     // A square larger than the map reaches as far as the map.
-    let reach =
-        |axis: &Axis| ((0.25 * half_size_mm / axis.step_mm()).round() as usize).min(axis.len());
-    let (rx, ry) = (reach(&grid.x), reach(&grid.y));
+    let [rx, ry] = [&grid.x, &grid.y]
+        .map(|axis| ((0.25 * half_size_mm / axis.step_mm()).round() as usize).min(axis.len()));
     let mut best = (f64::NEG_INFINITY, None);
     for r in 0..ny {
         for c in 0..nx {
-            let (r0, r1) = (r.saturating_sub(ry), (r + ry + 1).min(ny));
-            let (c0, c1) = (c.saturating_sub(rx), (c + rx + 1).min(nx));
+            let r0 = r.saturating_sub(ry);
+            let r1 = (r + ry + 1).min(ny);
+            let c0 = c.saturating_sub(rx);
+            let c1 = (c + rx + 1).min(nx);
             let [total, count] = [0, 1].map(|k| {
                 sums[[r1, c1]][k] - sums[[r0, c1]][k] - sums[[r1, c0]][k] + sums[[r0, c0]][k]
             });
@@ -248,24 +264,12 @@ fn centroid(
     near: [f64; 2],
     half_size_mm: f64,
 ) -> Result<[f64; 2], Invalid> {
-    // The centroid of what is at least so much, about a place: that of the noise is its distance from there.
-    let about = |[x, y]: [f64; 2], least_nm: f64| {
-        let mut sums = [0.0; 3];
-        for ((r, c), v) in removal.indexed_iter().filter(|(_, v)| **v >= least_nm) {
-            let offset = [grid.x.at(c) - x, grid.y.at(r) - y];
-            if offset[0].abs().max(offset[1].abs()) <= half_size_mm {
-                let add = [v * offset[0], v * offset[1], *v];
-                sums.iter_mut().zip(add).for_each(|(s, a)| *s += a);
-            }
-        }
-        (sums[2] > 0.0).then(|| [x + sums[0] / sums[2], y + sums[1] / sums[2]])
-    };
-    let is_near = |r: usize, c: usize| {
-        (grid.x.at(c) - near[0]).abs().max((grid.y.at(r) - near[1]).abs()) <= half_size_mm
-    };
-    let heights = removal.indexed_iter().filter(|((r, c), v)| !v.is_nan() && is_near(*r, *c));
+    let heights = removal.indexed_iter().filter(|((r, c), v)| {
+        let distance_mm = (grid.x.at(*c) - near[0]).abs().max((grid.y.at(*r) - near[1]).abs());
+        !v.is_nan() && distance_mm <= half_size_mm
+    });
     let peak = heights.map(|(_, v)| *v).fold(0.0, f64::max);
-    let Some(first) = about(near, 0.5 * peak) else {
+    let Some(first) = centroid_about(grid, removal, near, half_size_mm, 0.5 * peak) else {
         let problem = format!("has no removal around x {}, y {} mm", near[0], near[1]);
         let remedy = "check `before` and after (or `negate`), or give `spot_mm` X,Y";
         return Err(Invalid::whole("spot", problem, remedy));
@@ -274,20 +278,44 @@ fn centroid(
     for _ in 0..CENTRE_ROUNDS {
         // A centroid that is far away is not that of a spot; the contrast is then too small, and the spot
         // is refused.
-        let is_near = |c: &[f64; 2]| (0..2).all(|k| (c[k] - first[k]).abs() <= 0.5 * half_size_mm);
-        centre = about(centre, f64::NEG_INFINITY).filter(is_near).unwrap_or(centre);
+        centre = centroid_about(grid, removal, centre, half_size_mm, f64::NEG_INFINITY)
+            .filter(|c| (0..2).all(|k| (c[k] - first[k]).abs() <= 0.5 * half_size_mm))
+            .unwrap_or(centre);
     }
     Ok(centre)
 }
 
+/// Centroid of what is at least `least_nm`, within the half size of a place: that of the noise is its distance from
+/// there.
+fn centroid_about(
+    grid: &Grid,
+    removal: &Array2<f64>,
+    [x, y]: [f64; 2],
+    half_size_mm: f64,
+    least_nm: f64,
+) -> Option<[f64; 2]> {
+    let mut sums = [0.0; 3];
+    for ((r, c), v) in removal.indexed_iter().filter(|(_, v)| **v >= least_nm) {
+        let offset = [grid.x.at(c) - x, grid.y.at(r) - y];
+        if offset[0].abs().max(offset[1].abs()) <= half_size_mm {
+            let add = [v * offset[0], v * offset[1], *v];
+            sums.iter_mut().zip(add).for_each(|(s, a)| *s += a);
+        }
+    }
+    if sums[2] > 0.0 { Some([x + sums[0] / sums[2], y + sums[1] / sums[2]]) } else { None }
+}
+
 /// Refuses maps of two windows of a camera, if nobody aligns them.
 fn refuse_another_window(before: &Grid, after: &Grid) -> Result<(), Invalid> {
-    let is_moved = |a: &Axis, b: &Axis| (a.start_mm() - b.start_mm()).abs() > 0.5 * a.step_mm();
-    if !is_moved(&before.x, &after.x) && !is_moved(&before.y, &after.y) {
+    let is_moved = [(&before.x, &after.x), (&before.y, &after.y)]
+        .iter()
+        .any(|(a, b)| (a.start_mm() - b.start_mm()).abs() > 0.5 * a.step_mm());
+    if !is_moved {
         return Ok(());
     }
-    let start = |g: &Grid| format!("({}, {}) mm", g.x.start_mm(), g.y.start_mm());
-    let problem = format!("begins at {}, the map after at {}", start(before), start(after));
+    let [before, after] =
+        [before, after].map(|g| format!("({}, {}) mm", g.x.start_mm(), g.y.start_mm()));
+    let problem = format!("begins at {before}, the map after at {after}");
     let remedy = "measure both with the same window, crop them, or give `align` shift";
     Err(Invalid::whole("before", problem, remedy))
 }
@@ -300,19 +328,8 @@ fn cut(
     noise_nm: Option<f64>,
     settings: &SpotSettings,
 ) -> Result<(Tif, f64, f64), Invalid> {
-    let half = settings.half_size_mm;
-    let window = |axis: &Axis, centre: f64| -> Result<(usize, usize, Axis), Invalid> {
-        let inside: Vec<usize> =
-            (0..axis.len()).filter(|i| (axis.at(*i) - centre).abs() <= half).collect();
-        let (Some(first), Some(last)) = (inside.first(), inside.last()) else {
-            let remedy = "give a larger `half_size_mm`";
-            return Err(Invalid::whole("half_size_mm", format!("{half} holds no pixel"), remedy));
-        };
-        let offsets = Axis::new(axis.at(*first) - centre, axis.step_mm(), last - first + 1)?;
-        Ok((*first, *last, offsets))
-    };
-    let (c0, c1, x) = window(&grid.x, centre[0])?;
-    let (r0, r1, y) = window(&grid.y, centre[1])?;
+    let (c0, c1, x) = window(&grid.x, centre[0], settings.half_size_mm)?;
+    let (r0, r1, y) = window(&grid.y, centre[1], settings.half_size_mm)?;
     let mut depth = removal.slice(s![r0..=r1, c0..=c1]).to_owned();
     let invalid = depth.iter().filter(|v| v.is_nan()).count();
     if invalid > 0 {
@@ -341,6 +358,18 @@ fn cut(
     // R = removal / dwell time
     let tif = Tif::new(Grid { x, y }, depth / settings.dwell_s)?;
     Ok((tif, depth_nm, clipped_share))
+}
+
+/// The first and the last pixel within half the size of the centre, and the offsets of these pixels from it.
+fn window(axis: &Axis, centre: f64, half: f64) -> Result<(usize, usize, Axis), Invalid> {
+    let mut inside = (0..axis.len()).filter(|i| (axis.at(*i) - centre).abs() <= half);
+    let Some(first) = inside.next() else {
+        let remedy = "give a larger `half_size_mm`";
+        return Err(Invalid::whole("half_size_mm", format!("{half} holds no pixel"), remedy));
+    };
+    let last = inside.next_back().unwrap_or(first);
+    let offsets = Axis::new(axis.at(first) - centre, axis.step_mm(), last - first + 1)?;
+    Ok((first, last, offsets))
 }
 
 #[cfg(test)]

@@ -41,7 +41,7 @@
 use std::f64::consts::PI;
 
 use nalgebra::{Matrix3, Vector3};
-use ndarray::{Array1, Array2};
+use ndarray::{Array1, Array2, ArrayView1};
 use planish_numerics::keys;
 use planish_types::{Axis, Grid, Invalid, Tif, doubts};
 use serde::Serialize;
@@ -131,6 +131,10 @@ pub struct TifStatistics {
 }
 
 /// Applies the steps to `tif`.
+///
+/// # Errors
+/// Refuses settings out of their range, pixels that leave less than 2 samples or too many, and a taper about a centre
+/// that is not within the samples.
 pub fn prepare_tif(tif: &Tif, settings: &TifSettings) -> Result<(Tif, TifReport), Invalid> {
     settings.check()?;
     let mut now = tif.clone();
@@ -163,13 +167,14 @@ pub fn prepare_tif(tif: &Tif, settings: &TifSettings) -> Result<(Tif, TifReport)
     }
     let after = tif_statistics(&now);
     let doubts: Vec<String> = doubts::of_tif(&now).into_iter().collect();
-    let note = (doubts.is_empty() && after.border_to_peak > NOTEWORTHY_BORDER).then(|| {
-        format!(
+    let mut note = None;
+    if doubts.is_empty() && after.border_to_peak > NOTEWORTHY_BORDER {
+        note = Some(format!(
             "the TIF ends at {:.1} % of its peak: a raster prints that step onto the part; measure a \
-             wider field, or use `subtract_border` or `taper_fraction`",
+   wider field, or use `subtract_border` or `taper_fraction`",
             100.0 * after.border_to_peak
-        )
-    });
+        ));
+    }
     let report = TifReport {
         before: tif_statistics(tif),
         after,
@@ -207,10 +212,10 @@ impl TifSettings {
 pub fn tif_statistics(tif: &Tif) -> TifStatistics {
     let g = tif.grid();
     let (r, c) = peak_place(tif);
-    let on_node = |axis: &Axis| {
+    let sample_at_centre = [&g.x, &g.y].iter().all(|axis| {
         let k = -axis.start_mm() / axis.step_mm();
         (k - k.round()).abs() <= keys::SNAP && axis.start_mm() <= 0.0 && axis.end_mm() >= 0.0
-    };
+    });
     let row: Vec<f64> = tif.rate_nm_per_s().row(r).to_vec();
     let column: Vec<f64> = tif.rate_nm_per_s().column(c).to_vec();
     TifStatistics {
@@ -218,7 +223,7 @@ pub fn tif_statistics(tif: &Tif) -> TifStatistics {
         pitch_mm: [g.x.step_mm(), g.y.step_mm()],
         x_mm: [g.x.start_mm(), g.x.end_mm()],
         y_mm: [g.y.start_mm(), g.y.end_mm()],
-        sample_at_centre: on_node(&g.x) && on_node(&g.y),
+        sample_at_centre,
         peak_nm_per_s: tif.peak_nm_per_s(),
         peak_at_mm: [g.x.at(c), g.y.at(r)],
         centroid_mm: tif.centroid_mm(),
@@ -235,24 +240,26 @@ pub fn tif_statistics(tif: &Tif) -> TifStatistics {
 fn peak_place(tif: &Tif) -> (usize, usize) {
     let first = ((0, 0), f64::NEG_INFINITY);
     let all = tif.rate_nm_per_s().indexed_iter();
-    all.fold(first, |best, (at, v)| if *v > best.1 { (at, *v) } else { best }).0
+    all.fold(first, |best, (place, v)| if *v > best.1 { (place, *v) } else { best }).0
 }
 
 /// Samples between the half-maximum points on both sides of `peak`, linear between samples.
 fn width_at_half(line: &[f64], peak: usize) -> Option<f64> {
-    let half = 0.5 * line[peak];
-    let from = |outwards: &mut dyn Iterator<Item = f64>| {
-        let mut before = line[peak];
-        for (k, v) in outwards.enumerate() {
-            if v < half {
-                return Some(k as f64 + (before - half) / (before - v));
-            }
-            before = v;
+    let right = samples_to_half(line[peak], line[peak + 1..].iter())?;
+    Some(right + samples_to_half(line[peak], line[..peak].iter().rev())?)
+}
+
+/// Samples from the peak outwards to its half.
+fn samples_to_half<'a>(peak: f64, outwards: impl Iterator<Item = &'a f64>) -> Option<f64> {
+    let half = 0.5 * peak;
+    let mut before = peak;
+    for (k, v) in outwards.enumerate() {
+        if *v < half {
+            return Some(k as f64 + (before - half) / (before - v));
         }
-        None
-    };
-    let right = from(&mut line[peak + 1..].iter().copied())?;
-    Some(right + from(&mut line[..peak].iter().rev().copied())?)
+        before = *v;
+    }
+    None
 }
 
 /// Vertex of the paraboloid through the largest sample and its neighbours.
@@ -267,24 +274,14 @@ fn width_at_half(line: &[f64], peak: usize) -> Option<f64> {
 /// on the plane.
 fn vertex_mm(tif: &Tif) -> [f64; 2] {
     let (r, c) = peak_place(tif);
-    let (g, rate) = (tif.grid(), tif.rate_nm_per_s());
-    let at = |offset: [f64; 2]| {
-        let along = |axis: &Axis, k: usize, offset: f64| axis.at(k) + offset * axis.step_mm();
-        [along(&g.x, c, offset[0]), along(&g.y, r, offset[1])]
-    };
-    // Slope and bend along a line whose middle is the largest sample. If the line ends at that sample,
-    // nothing is known but that it is the largest.
-    let differences = |before: f64, after: f64| {
-        let bend = before - 2.0 * rate[[r, c]] + after;
-        (bend < 0.0).then_some((0.5 * (after - before), bend))
-    };
-    let (ny, nx) = rate.dim();
-    let inner = |k: usize, n: usize| k > 0 && k + 1 < n;
-    let along_x = inner(c, nx).then(|| differences(rate[[r, c - 1]], rate[[r, c + 1]])).flatten();
-    let along_y = inner(r, ny).then(|| differences(rate[[r - 1, c]], rate[[r + 1, c]])).flatten();
+    let g = tif.grid();
+    let rate = tif.rate_nm_per_s();
+    let along_x = slope_and_bend(rate.row(r), c);
+    let along_y = slope_and_bend(rate.column(c), r);
     let on_lines = [along_x, along_y].map(|line| line.map_or(0.0, |(slope, bend)| -slope / bend));
+    let in_mm = |[x, y]: [f64; 2]| [g.x.at(c) + x * g.x.step_mm(), g.y.at(r) + y * g.y.step_mm()];
     let (Some((slope_x, bend_x)), Some((slope_y, bend_y))) = (along_x, along_y) else {
-        return at(on_lines);
+        return in_mm(on_lines);
     };
     let rising = rate[[r + 1, c + 1]] + rate[[r - 1, c - 1]];
     let twist = 0.25 * (rising - rate[[r + 1, c - 1]] - rate[[r - 1, c + 1]]);
@@ -295,13 +292,23 @@ fn vertex_mm(tif: &Tif) -> [f64; 2] {
     ];
     // Beyond the neighbours the paraboloid is a guess: that of a saddle, or of noise on a plateau.
     let within = determinant > 0.0 && vertex.iter().all(|offset| offset.abs() <= 1.0);
-    at(if within { vertex } else { on_lines })
+    in_mm(if within { vertex } else { on_lines })
+}
+
+/// Slope and bend along a line about its largest sample, per sample. If the line ends at that sample, nothing is known
+/// but that it is the largest.
+fn slope_and_bend(line: ArrayView1<f64>, peak: usize) -> Option<(f64, f64)> {
+    let before = line.get(peak.checked_sub(1)?)?;
+    let after = line.get(peak + 1)?;
+    let bend = before - 2.0 * line[peak] + after;
+    if bend < 0.0 { Some((0.5 * (after - before), bend)) } else { None }
 }
 
 /// The grid with its origin at `centre_mm`.
 fn shifted(grid: &Grid, centre_mm: [f64; 2]) -> Result<Grid, Invalid> {
-    let shift = |axis: &Axis, by: f64| Axis::new(axis.start_mm() - by, axis.step_mm(), axis.len());
-    Ok(Grid { x: shift(&grid.x, centre_mm[0])?, y: shift(&grid.y, centre_mm[1])? })
+    let [x, y] = [(&grid.x, centre_mm[0]), (&grid.y, centre_mm[1])]
+        .map(|(axis, by)| Axis::new(axis.start_mm() - by, axis.step_mm(), axis.len()));
+    Ok(Grid { x: x?, y: y? })
 }
 
 /// Turned counterclockwise: R'(p) = R(turned back p).
@@ -316,7 +323,8 @@ fn rotated(tif: &Tif, degrees: f64) -> Result<Tif, Invalid> {
     }
     let rest = rest_deg.to_radians();
     let g = turned.grid();
-    let (cos, sin) = (rest.cos(), rest.sin());
+    let cos = rest.cos();
+    let sin = rest.sin();
     // The box about the turned corners, on multiples of the pitch.
     let corners: Vec<[f64; 2]> = [g.x.start_mm(), g.x.end_mm()]
         .iter()
@@ -324,13 +332,14 @@ fn rotated(tif: &Tif, degrees: f64) -> Result<Tif, Invalid> {
             [g.y.start_mm(), g.y.end_mm()].map(|y| [x * cos - y * sin, x * sin + y * cos])
         })
         .collect();
-    let axis = |which: usize, step: f64| {
+    let [x, y] = [g.x, g.y].map(|axis| axis.step_mm());
+    let [x, y] = [(0, x), (1, y)].map(|(which, step)| {
         let ends = corners.iter().map(|p| p[which]);
         let (low, high) =
             ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
         lattice(low, high, step)
-    };
-    let grid = Grid { x: axis(0, g.x.step_mm())?, y: axis(1, g.y.step_mm())? };
+    });
+    let grid = Grid { x: x?, y: y? };
     let least = least_rate(tif);
     let rate = Array2::from_shape_fn(grid.shape(), |(r, c)| {
         let (x, y) = (grid.x.at(c), grid.y.at(r));
@@ -384,10 +393,10 @@ fn lattice(low: f64, high: f64, step: f64) -> Result<Axis, Invalid> {
 /// Resamples a TIF on multiples of `pitch_mm`, within the rectangle of the samples.
 fn resampled(tif: &Tif, pitch_mm: f64) -> Result<Tif, Invalid> {
     let g = tif.grid();
-    let new = |axis: &Axis| lattice(axis.start_mm(), axis.end_mm(), pitch_mm);
-    let grid = Grid { x: new(&g.x)?, y: new(&g.y)? };
+    let [x, y] = [g.x, g.y].map(|axis| lattice(axis.start_mm(), axis.end_mm(), pitch_mm));
+    let grid = Grid { x: x?, y: y? };
     // R' = W_y R W_x^T
-    let (wx, wy) = (weights(&g.x, &grid.x), weights(&g.y, &grid.y));
+    let [wx, wy] = [(g.x, grid.x), (g.y, grid.y)].map(|(old, new)| weights(&old, &new));
     let least = least_rate(tif);
     Tif::new(grid, wy.dot(tif.rate_nm_per_s()).dot(&wx.t()).mapv(|v| v.max(least)))
 }
@@ -397,54 +406,60 @@ fn weights(old: &Axis, new: &Axis) -> Array2<f64> {
     let n = old.len();
     let mut out = Array2::zeros((new.len(), n));
     for (k, mut row) in out.outer_iter_mut().enumerate() {
-        let at = (new.at(k) - old.start_mm()) / old.step_mm();
+        let place = (new.at(k) - old.start_mm()) / old.step_mm();
         if new.step_mm() <= old.step_mm() {
-            let (cell, f) = keys::split(at);
+            let (cell, f) = keys::split(place);
             let cell = cell.clamp(0, n as isize - 2) as usize;
-            let f = if f == 0.0 { at.round() - cell as f64 } else { f };
+            let f = if f == 0.0 { place.round() - cell as f64 } else { f };
             for (w, node) in keys::weights(f).into_iter().zip(cell..) {
                 // Node `node - 1`; the ghosts are what `keys::with_ghosts` makes them.
-                let ghost = |far: [usize; 3]| match n {
-                    2 => vec![(far[0], 2.0), (far[1], -1.0)],
-                    _ => vec![(far[0], 3.0), (far[1], -3.0), (far[2], 1.0)],
+                let far = match node {
+                    0 => [0, 1, 2],
+                    _ if node == n + 1 => [n - 1, n - 2, n.max(3) - 3],
+                    _ => {
+                        row[node - 1] += w;
+                        continue;
+                    }
                 };
-                let parts = match node {
-                    0 => ghost([0, 1, 2]),
-                    _ if node == n + 1 => ghost([n - 1, n - 2, n.max(3) - 3]),
-                    _ => vec![(node - 1, 1.0)],
-                };
-                parts.into_iter().for_each(|(i, v)| row[i] += w * v);
+                let parts = if n == 2 { &[2.0, -1.0][..] } else { &[3.0, -3.0, 1.0] };
+                parts.iter().zip(far).for_each(|(v, i)| row[i] += w * v);
             }
         } else {
-            row.assign(&averaging(n, at, new.step_mm() / old.step_mm()));
+            row.assign(&averaging(n, place, new.step_mm() / old.step_mm()));
         }
     }
     out
 }
 
-/// Weights of samples 0 .. n about the coordinate `at`: Keys' kernel, stretched.
+/// Weights of samples 0 .. n about the coordinate `place`: Keys' kernel, stretched.
 ///
 /// On the samples its moments are not quite 1, 0, 0 any more; a small parabola under a bell makes
 /// them so, and the weights are exact for quadratics again.
-fn averaging(n: usize, at: f64, stretch: f64) -> Array1<f64> {
-    let t = |i: usize| (i as f64 - at) / stretch;
-    let bell = |i: usize| (1.0 - 0.25 * t(i).powi(2)).max(0.0).powi(2);
-    let mut w = Array1::from_shape_fn(n, |i| kernel(t(i)) / stretch);
+fn averaging(n: usize, place: f64, stretch: f64) -> Array1<f64> {
+    let t: Vec<f64> = (0..n).map(|i| (i as f64 - place) / stretch).collect();
+    let bell: Vec<f64> = t.iter().map(|t| (1.0 - 0.25 * t.powi(2)).max(0.0).powi(2)).collect();
+    let mut w: Vec<f64> = t.iter().map(|t| kernel(*t) / stretch).collect();
     // sum (w + bell (a + b t + c t^2)) t^k = [k = 0],  k = 0, 1, 2
-    let moment =
-        |of: &dyn Fn(usize) -> f64, k: i32| -> f64 { (0..n).map(|i| of(i) * t(i).powi(k)).sum() };
-    let lack = Vector3::from_fn(|k, _| f64::from(u8::from(k == 0)) - moment(&|i| w[i], k as i32));
-    let matrix = Matrix3::from_fn(|k, l| moment(&bell, (k + l) as i32));
+    let lack = Vector3::from_fn(|k, _| f64::from(u8::from(k == 0)) - moment(&w, &t, k));
+    let matrix = Matrix3::from_fn(|k, l| moment(&bell, &t, k + l));
     match matrix.cholesky().map(|m| m.solve(&lack)) {
         Some(c) => {
-            for i in 0..n {
-                w[i] += bell(i) * (c[0] + t(i) * (c[1] + t(i) * c[2]));
+            for ((w, bell), t) in w.iter_mut().zip(bell).zip(t) {
+                *w += bell * (c[0] + t * (c[1] + t * c[2]));
             }
-            w
+            w.into()
         }
         // Fewer than three samples within reach.
-        None => &w / w.sum(),
+        None => {
+            let w = Array1::from(w);
+            &w / w.sum()
+        }
     }
+}
+
+/// sum over the samples of value t^k
+fn moment(values: &[f64], t: &[f64], k: usize) -> f64 {
+    values.iter().zip(t).map(|(v, t)| v * t.powi(k as i32)).sum()
 }
 
 /// Keys' kernel, a = -1/2.
@@ -464,21 +479,20 @@ fn kernel(t: f64) -> f64 {
 /// off samples at the same distance on the other side.
 fn tapered(tif: &Tif, fraction: f64) -> Result<Tif, Invalid> {
     let g = tif.grid();
-    let inside = |axis: &Axis| axis.start_mm() < 0.0 && axis.end_mm() > 0.0;
-    if !(inside(&g.x) && inside(&g.y)) {
+    if ![&g.x, &g.y].iter().all(|axis| axis.start_mm() < 0.0 && axis.end_mm() > 0.0) {
         return Err(Invalid::whole(
             "taper",
             "the tool centre is not within the samples",
             "give a centre (`centre` centroid)",
         ));
     }
-    // The offset over that of the border on its side.
-    let to_border = |axis: &Axis, k: usize| {
-        let offset = axis.at(k);
-        offset / if offset < 0.0 { axis.start_mm() } else { axis.end_mm() }
-    };
     let rate = Array2::from_shape_fn(g.shape(), |(r, c)| {
-        let rho = to_border(&g.x, c).hypot(to_border(&g.y, r));
+        // The offset over that of the border on its side.
+        let [x, y] = [(&g.x, c), (&g.y, r)].map(|(axis, k)| {
+            let offset = axis.at(k);
+            offset / if offset < 0.0 { axis.start_mm() } else { axis.end_mm() }
+        });
+        let rho = x.hypot(y);
         let t = ((rho - 1.0 + fraction) / fraction).clamp(0.0, 1.0);
         tif.rate_nm_per_s()[[r, c]] * 0.5 * (1.0 + (PI * t).cos())
     });

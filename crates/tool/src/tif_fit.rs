@@ -44,7 +44,7 @@ const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949_3;
 /// Formula to fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
-pub enum Model {
+pub enum TifModel {
     /// An elliptical Gaussian.
     Gaussian,
     /// An elliptical super-Gaussian.
@@ -57,7 +57,7 @@ pub enum Model {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FitReport {
     /// The formula.
-    pub model: Model,
+    pub model: TifModel,
     /// Centre [x, y], mm.
     pub centre_mm: [f64; 2],
     /// The ellipses: one, or core and halo.
@@ -81,7 +81,10 @@ pub struct FitReport {
 impl FitReport {
     /// Returns the reason of a negative verdict, if the fit did not converge.
     pub fn negative(&self) -> Option<String> {
-        (!self.converged).then(|| format!("the fit did not converge in {} steps", self.steps))
+        if self.converged {
+            return None;
+        }
+        Some(format!("the fit did not converge in {} steps", self.steps))
     }
 }
 
@@ -96,8 +99,9 @@ pub struct Component {
     pub angle_deg: f64,
 }
 
-/// Fits `model` to the samples; the TIF of the formula on the same samples, and the report.
-pub fn fit(tif: &Tif, model: Model) -> Result<(Tif, FitReport), Invalid> {
+/// Fits `model` to the samples; returns the TIF of the formula on the same samples, and the report. Refuses less than
+/// two samples per parameter.
+pub fn fit(tif: &Tif, model: TifModel) -> Result<(Tif, FitReport), Invalid> {
     let g = tif.grid();
     let mut theta = start(tif, model);
     if tif.rate_nm_per_s().len() < 2 * theta.len() {
@@ -110,18 +114,11 @@ pub fn fit(tif: &Tif, model: Model) -> Result<(Tif, FitReport), Invalid> {
     let scale = theta.iter().map(|s| s.1).collect::<Vec<f64>>();
     let samples: Vec<[f64; 3]> =
         tif.rate_nm_per_s().indexed_iter().map(|((r, c), v)| [g.x.at(c), g.y.at(r), *v]).collect();
-    let residual = |p: &[f64]| {
-        samples.iter().map(|[x, y, v]| v - value(model, p, *x, *y)).collect::<Vec<f64>>()
-    };
-    let cost = |p: &[f64]| -> f64 {
-        if !is_sound(model, p) {
-            return f64::INFINITY;
-        }
-        residual(p).iter().map(|e| e * e).sum()
-    };
     let mut p: Vec<f64> = theta.drain(..).map(|s| s.0).collect();
-    let (mut now, mut damping) = (cost(&p), 1e-3);
-    let (mut steps, mut converged) = (0, false);
+    let mut now = cost(model, &p, &samples);
+    let mut damping = 1e-3;
+    let mut steps = 0;
+    let mut converged = false;
     while steps < MAX_STEPS && !converged {
         steps += 1;
         let (normal, gradient) = linearised(model, &p, &scale, &samples);
@@ -141,10 +138,12 @@ pub fn fit(tif: &Tif, model: Model) -> Result<(Tif, FitReport), Invalid> {
             };
             let trial: Vec<f64> =
                 p.iter().zip(&scale).zip(step.iter()).map(|((p, s), d)| p + s * d).collect();
-            let then = cost(&trial);
+            let then = cost(model, &trial, &samples);
             let small = step.amax() <= TOLERANCE;
             if then <= now {
-                (p, now, converged) = (trial, then, small);
+                p = trial;
+                now = then;
+                converged = small;
                 damping = (damping * 0.1).max(1e-12);
                 break;
             }
@@ -159,7 +158,7 @@ pub fn fit(tif: &Tif, model: Model) -> Result<(Tif, FitReport), Invalid> {
             break;
         }
     }
-    let errors = residual(&p);
+    let errors = residual(model, &p, &samples);
     let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
     let rate = Array2::from_shape_fn(g.shape(), |(r, c)| value(model, &p, g.x.at(c), g.y.at(r)));
     let fitted = Tif::new(*g, rate)?;
@@ -167,7 +166,7 @@ pub fn fit(tif: &Tif, model: Model) -> Result<(Tif, FitReport), Invalid> {
         model,
         centre_mm: [p[1], p[2]],
         components: components(model, &p),
-        order: if model == Model::SuperGaussian { p[6] } else { 2.0 },
+        order: if model == TifModel::SuperGaussian { p[6] } else { 2.0 },
         residual_rms_nm_per_s: rms,
         residual_max_nm_per_s: errors.iter().map(|e| e.abs()).fold(0.0, f64::max),
         residual_rms_to_peak: rms / tif.peak_nm_per_s(),
@@ -178,9 +177,22 @@ pub fn fit(tif: &Tif, model: Model) -> Result<(Tif, FitReport), Invalid> {
     Ok((fitted, report))
 }
 
+/// Samples minus formula.
+fn residual(model: TifModel, p: &[f64], samples: &[[f64; 3]]) -> Vec<f64> {
+    samples.iter().map(|[x, y, v]| v - value(model, p, *x, *y)).collect()
+}
+
+/// Sum of the squared residuals; infinite where the parameters describe no spot.
+fn cost(model: TifModel, p: &[f64], samples: &[[f64; 3]]) -> f64 {
+    if !is_sound(model, p) {
+        return f64::INFINITY;
+    }
+    residual(model, p, samples).iter().map(|e| e * e).sum()
+}
+
 /// First guess and scale of every parameter: A, centre x, y, then
 /// a, b, c; a, b, c, p; or s_1, A_2, s_2.
-fn start(tif: &Tif, model: Model) -> Vec<(f64, f64)> {
+fn start(tif: &Tif, model: TifModel) -> Vec<(f64, f64)> {
     let g = tif.grid();
     let peak = tif.peak_nm_per_s();
     let sigma = tif.half_maximum_width_mm() / FWHM_PER_SIGMA;
@@ -194,11 +206,11 @@ fn start(tif: &Tif, model: Model) -> Vec<(f64, f64)> {
     let inverse = sigma.powi(-2);
     let mut p = vec![(peak, peak), (centre[0], sigma), (centre[1], sigma)];
     match model {
-        Model::Gaussian => p.extend([(inverse, inverse), (0.0, inverse), (inverse, inverse)]),
-        Model::SuperGaussian => {
+        TifModel::Gaussian => p.extend([(inverse, inverse), (0.0, inverse), (inverse, inverse)]),
+        TifModel::SuperGaussian => {
             p.extend([(inverse, inverse), (0.0, inverse), (inverse, inverse), (2.0, 1.0)]);
         }
-        Model::Mixture => {
+        TifModel::Mixture => {
             p[0].0 = 0.7 * peak;
             p.extend([(0.8 * sigma, sigma), (0.3 * peak, peak), (1.6 * sigma, sigma)]);
         }
@@ -206,14 +218,14 @@ fn start(tif: &Tif, model: Model) -> Vec<(f64, f64)> {
     p
 }
 
-fn value(model: Model, p: &[f64], x: f64, y: f64) -> f64 {
+fn value(model: TifModel, p: &[f64], x: f64, y: f64) -> f64 {
     let (u, v) = (x - p[1], y - p[2]);
     // q = a u^2 + 2 b u v + c v^2
     let q = || p[3] * u * u + 2.0 * p[4] * u * v + p[5] * v * v;
     match model {
-        Model::Gaussian => p[0] * (-0.5 * q()).exp(),
-        Model::SuperGaussian => p[0] * (-0.5 * q().max(0.0).powf(0.5 * p[6])).exp(),
-        Model::Mixture => {
+        TifModel::Gaussian => p[0] * (-0.5 * q()).exp(),
+        TifModel::SuperGaussian => p[0] * (-0.5 * q().max(0.0).powf(0.5 * p[6])).exp(),
+        TifModel::Mixture => {
             let r2 = u * u + v * v;
             p[0] * (-0.5 * r2 / (p[3] * p[3])).exp() + p[4] * (-0.5 * r2 / (p[5] * p[5])).exp()
         }
@@ -221,17 +233,17 @@ fn value(model: Model, p: &[f64], x: f64, y: f64) -> f64 {
 }
 
 /// Returns true if the parameters describe a spot.
-fn is_sound(model: Model, p: &[f64]) -> bool {
+fn is_sound(model: TifModel, p: &[f64]) -> bool {
     match model {
-        Model::Gaussian => p[3] > 0.0 && p[3] * p[5] > p[4] * p[4],
-        Model::SuperGaussian => p[3] > 0.0 && p[3] * p[5] > p[4] * p[4] && p[6] > 0.0,
-        Model::Mixture => p[3] > 0.0 && p[5] > 0.0,
+        TifModel::Gaussian => p[3] > 0.0 && p[3] * p[5] > p[4] * p[4],
+        TifModel::SuperGaussian => p[3] > 0.0 && p[3] * p[5] > p[4] * p[4] && p[6] > 0.0,
+        TifModel::Mixture => p[3] > 0.0 && p[5] > 0.0,
     }
 }
 
 /// J'J and J' residual with J = dR / d(parameter / scale) by central differences.
 fn linearised(
-    model: Model,
+    model: TifModel,
     p: &[f64],
     scale: &[f64],
     samples: &[[f64; 3]],
@@ -264,20 +276,21 @@ fn linearised(
     (normal, gradient)
 }
 
-fn components(model: Model, p: &[f64]) -> Vec<Component> {
-    if model == Model::Mixture {
-        let round = |peak_nm_per_s: f64, s: f64| Component {
+fn components(model: TifModel, p: &[f64]) -> Vec<Component> {
+    if model == TifModel::Mixture {
+        let mut both = [(p[0], p[3]), (p[4], p[5])].map(|(peak_nm_per_s, s)| Component {
             peak_nm_per_s,
             sigma_mm: [s, s],
             angle_deg: 0.0,
-        };
-        let mut both = vec![round(p[0], p[3]), round(p[4], p[5])];
+        });
         // The core first.
         both.sort_by(|a, b| a.sigma_mm[0].total_cmp(&b.sigma_mm[0]));
-        return both;
+        return both.to_vec();
     }
     // Eigenvalues of [a b; b c]: mean +- half the difference; the smaller one is the long axis.
-    let (mean, half, b) = (0.5 * (p[3] + p[5]), 0.5 * (p[3] - p[5]), p[4]);
+    let mean = 0.5 * (p[3] + p[5]);
+    let half = 0.5 * (p[3] - p[5]);
+    let b = p[4];
     let radius = half.hypot(b);
     // Round to 1e-9: its direction is rounding.
     let round = radius <= 1e-9 * mean;
@@ -317,7 +330,7 @@ mod tests {
         let gaussian = sampled(|x, y| 8.0 * (-0.5 * q(x, y)).exp());
         let flat = sampled(|x, y| 8.0 * (-0.5 * q(x, y).powf(1.6)).exp());
         for (tif, model, order) in
-            [(gaussian, Model::Gaussian, 2.0), (flat, Model::SuperGaussian, 3.2)]
+            [(gaussian, TifModel::Gaussian, 2.0), (flat, TifModel::SuperGaussian, 3.2)]
         {
             let (_, report) = fit(&tif, model).unwrap();
             assert!(report.converged, "{report:?}");
@@ -339,14 +352,14 @@ mod tests {
             let r2 = (x - 0.1).powi(2) + y * y;
             6.0 * (-0.5 * r2 / 0.49).exp() + 2.0 * (-0.5 * r2 / 1.96).exp()
         });
-        let (_, report) = fit(&tif, Model::Mixture).unwrap();
+        let (_, report) = fit(&tif, TifModel::Mixture).unwrap();
         let [core, halo] = report.components[..] else { panic!("{report:?}") };
         let got = [core.peak_nm_per_s, core.sigma_mm[0], halo.peak_nm_per_s, halo.sigma_mm[0]];
         for (got, want) in got.into_iter().zip([6.0, 0.7, 2.0, 1.4]) {
             assert!((got / want - 1.0).abs() < 1e-6, "{report:?}");
         }
         // One Gaussian is a worse description, and says so.
-        let (_, one) = fit(&tif, Model::Gaussian).unwrap();
+        let (_, one) = fit(&tif, TifModel::Gaussian).unwrap();
         assert!(one.residual_rms_to_peak > 5e-3 && report.residual_rms_to_peak < 1e-8);
     }
 
@@ -357,7 +370,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         let noisy = tif.rate_nm_per_s().mapv(|v| v + normal.sample(&mut rng));
         tif = Tif::new(*tif.grid(), noisy).unwrap();
-        let (fitted, report) = fit(&tif, Model::Gaussian).unwrap();
+        let (fitted, report) = fit(&tif, TifModel::Gaussian).unwrap();
         // 2652 samples know their standard deviation to 1.4 %.
         assert!((report.residual_rms_nm_per_s / 0.02 - 1.0).abs() < 0.05, "{report:?}");
         assert!((report.components[0].sigma_mm[0] - 1.4).abs() < 5e-3);
@@ -367,7 +380,7 @@ mod tests {
     #[test]
     fn a_round_spot_has_no_direction() {
         let tif = sampled(|x, y| 3.0 * (-0.5 * (x * x + y * y)).exp());
-        let (_, report) = fit(&tif, Model::Gaussian).unwrap();
+        let (_, report) = fit(&tif, TifModel::Gaussian).unwrap();
         let [long, short] = report.components[0].sigma_mm;
         assert!((long - 1.0).abs() < 1e-8 && (short - 1.0).abs() < 1e-8, "{report:?}");
     }
@@ -376,7 +389,7 @@ mod tests {
     fn too_few_samples_are_refused() {
         let axis = Axis::new(0.0, 1.0, 3).unwrap();
         let tif = Tif::new(Grid { x: axis, y: axis }, Array2::ones((3, 3))).unwrap();
-        let error = fit(&tif, Model::Gaussian).unwrap_err().to_string();
+        let error = fit(&tif, TifModel::Gaussian).unwrap_err().to_string();
         assert!(error.contains("9 samples for 6 parameters"), "{error}");
     }
 }

@@ -45,7 +45,7 @@ fn two_maps_of_a_turned_spot_become_its_formula() {
     };
     let (tif, _) = prepare_tif(&measured.tif, &turned).unwrap();
     assert!(tif_statistics(&tif).sample_at_centre);
-    let (formula, fit) = tif_fit::fit(&tif, tif_fit::Model::Gaussian).unwrap();
+    let (formula, fit) = tif_fit::fit(&tif, tif_fit::TifModel::Gaussian).unwrap();
     let component = fit.components[0];
     // Keys' interpolation, of the shift and of the turn, each (0.1 / 0.35)^3 / 6 = 0.4 % of the peak.
     assert!((component.peak_nm_per_s / 8.0 - 1.0).abs() < 0.01, "{fit:?}");

@@ -17,7 +17,10 @@ use planish_types::{Axis, Grid, Invalid, Surface, ToolPath};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::statistics::{PathStatistics, statistics};
+use crate::{
+    region::{nearest_pixel, valid_mm},
+    statistics::{PathStatistics, statistics},
+};
 
 /// Ratio of two lengths above which a warning says so. Larger: users are not told of wider lines. Smaller: warnings for
 /// parts where nothing can be seen.
@@ -48,16 +51,15 @@ pub struct AlongReport {
 }
 
 impl AlongReport {
-    /// A sentence for each ratio above 5 %.
+    /// Returns a sentence for each ratio above 5 %.
     pub fn warnings(&self) -> Vec<String> {
         let [low, high] = self.stretches;
         let mut warnings = Vec::new();
-        let percent = |ratio: f64| 100.0 * (ratio - 1.0);
         if self.largest_over_projection > NOTEWORTHY {
             warnings.push(format!(
                 "lengths along the surface are up to {:.1} % longer than their projections; pitch and step count along the \
                  surface, and lie closer in projection by as much",
-                percent(self.largest_over_projection)
+                100.0 * (self.largest_over_projection - 1.0)
             ));
         }
         if high.max(1.0 / low) > NOTEWORTHY {
@@ -71,17 +73,11 @@ impl AlongReport {
 }
 
 impl OnForm {
-    /// The form of a part whose valid pixels are those of `surface`. Refuses a form that does not exist at one of them, or
-    /// in their middle.
+    /// Makes the form of a part whose valid pixels are those of `surface`. Refuses a form that does not exist at one of
+    /// them, or in their middle.
     pub fn new(form: Form, surface: &Surface) -> Result<Self, Invalid> {
         form.check_over(surface)?;
-        let grid = surface.grid();
-        let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
-        let none = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
-        let [x, y] = valid.fold(none, |[x, y], ((r, c), _)| {
-            let wider = |[low, high]: [f64; 2], v: f64| [low.min(v), high.max(v)];
-            [wider(x, grid.x.at(c)), wider(y, grid.y.at(r))]
-        });
+        let [x, y] = bounding_box(&valid_mm(surface));
         let middle_mm = [0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1])];
         let on = Self { form, middle_mm, size_mm: (x[1] - x[0]).hypot(y[1] - y[0]) };
         on.development()?;
@@ -92,119 +88,112 @@ impl OnForm {
         Development::new(&self.form, self.middle_mm, self.size_mm)
     }
 
-    /// Largest ratio of a length along the surface to its projection over the valid pixels, `1 / cos(slope)`; pixels
-    /// without a form do not count.
-    pub fn largest_over_projection(&self, surface: &Surface) -> f64 {
-        let cosine = |p: &[f64; 2]| self.form.at(*p).map_or(1.0, |place| place.cosine());
-        1.0 / valid_mm(surface).iter().map(cosine).fold(1.0, f64::min)
+    /// Returns the largest ratio of a length along the surface to its projection over the valid pixels, `1 /
+    /// cos(slope)`; pixels without a form do not count.
+    fn largest_over_projection(&self, surface: &Surface) -> f64 {
+        let places = valid_mm(surface).into_iter();
+        let cosines = places.map(|p| self.form.point(p).map_or(1.0, |point| point.cosine()));
+        1.0 / cosines.fold(1.0, f64::min)
     }
 
-    /// A sentence on a path in projection over a part with this form, if lengths differ by more than 5 %.
+    /// Returns a sentence on a path in projection over a part with this form, if lengths differ by more than 5 %.
     pub fn warning_of_projection(&self, surface: &Surface) -> Option<String> {
         let ratio = self.largest_over_projection(surface);
-        (ratio > NOTEWORTHY).then(|| {
-            format!(
-                "lengths along the surface are up to {:.1} % longer than their projections, in which pitch and step count \
-                 here; give `form`, and they count along the surface",
-                100.0 * (ratio - 1.0)
-            )
-        })
+        if ratio <= NOTEWORTHY {
+            return None;
+        }
+        Some(format!(
+            "lengths along the surface are up to {:.1} % longer than their projections, in which pitch and step count \
+   here; give `form`, and they count along the surface",
+            100.0 * (ratio - 1.0)
+        ))
     }
 
-    /// The map in the coordinates along the surface, on pixels of the same pitch.
+    /// Returns the map in the coordinates along the surface, on pixels of the same pitch. Refuses a part without a
+    /// valid pixel there.
     pub fn developed(&self, surface: &Surface) -> Result<Surface, Invalid> {
-        let on = self.development()?;
+        let development = self.development()?;
         let grid = surface.grid();
-        let (z, border) = (surface.height_nm(), border_mm(surface));
-        let corners: Vec<[f64; 2]> = border.par_iter().map(|p| on.along(*p)).collect();
-        let axis = |k: usize, like: &Axis| {
-            let ends =
-                corners.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], uv| {
-                    [low.min(uv[k]), high.max(uv[k])]
-                });
-            // The pixels of the map, continued to both sides as far as the part reaches.
-            let before = ((ends[0] - like.start_mm()) / like.step_mm() - 0.5).floor();
-            let after = ((ends[1] - like.start_mm()) / like.step_mm() + 0.5).ceil();
-            Axis::new(
-                like.at(0) + before * like.step_mm(),
-                like.step_mm(),
-                (after - before) as usize + 1,
-            )
-        };
-        let wide = Grid { x: axis(0, &grid.x)?, y: axis(1, &grid.y)? };
+        let border = border_mm(surface);
+        let corners: Vec<[f64; 2]> = border.par_iter().map(|p| development.along(*p)).collect();
+        let [u, v] = bounding_box(&corners);
+        let wide = Grid { x: continued(&grid.x, u)?, y: continued(&grid.y, v)? };
         let (ny, nx) = wide.shape();
-        let pixel = |axis: &Axis, mm: f64| {
-            let i = ((mm - axis.start_mm()) / axis.step_mm()).round();
-            (i >= 0.0 && i < axis.len() as f64).then_some(i as usize)
-        };
-        let at = |i: usize| {
-            let [x, y] = on.projected([wide.x.at(i % nx), wide.y.at(i / nx)]);
-            match (pixel(&grid.y, y), pixel(&grid.x, x)) {
-                (Some(r), Some(c)) => z[[r, c]],
-                _ => f64::NAN,
-            }
-        };
-        let heights: Vec<f64> = (0..ny * nx).into_par_iter().map(at).collect();
-        let heights = Array2::from_shape_vec((ny, nx), heights).expect("one height per pixel");
+        let heights = (0..ny * nx).into_par_iter().map(|i| {
+            let place = development.projected([wide.x.at(i % nx), wide.y.at(i / nx)]);
+            nearest_pixel(grid, place).map_or(f64::NAN, |pixel| surface.height_nm()[pixel])
+        });
+        let heights =
+            Array2::from_shape_vec((ny, nx), heights.collect()).expect("one height per pixel");
         Surface::new(wide, heights)
     }
 
-    /// A path in the coordinates along the surface, projected along z.
+    /// Projects a path in the coordinates along the surface along z. Refuses points that are no path there.
     pub fn projected(&self, path: &ToolPath) -> Result<ToolPath, Invalid> {
-        let on = self.development()?;
-        self.moved(path, |uv| on.projected(uv))
+        let development = self.development()?;
+        moved(path, |uv| development.projected(uv))
     }
-
-    /// A path of the part in the coordinates along the surface: the inverse of [`Self::projected`].
+    /// Converts a path of the part to the coordinates along the surface: the inverse of [`Self::projected`]. Refuses
+    /// points that are no path there.
     pub fn unrolled(&self, path: &ToolPath) -> Result<ToolPath, Invalid> {
-        let on = self.development()?;
-        self.moved(path, |p| on.along(p))
+        let development = self.development()?;
+        moved(path, |p| development.along(p))
     }
 
-    fn moved(
-        &self,
-        path: &ToolPath,
-        to: impl Fn([f64; 2]) -> [f64; 2] + Sync,
-    ) -> Result<ToolPath, Invalid> {
-        let all = |points: &[[f64; 2]]| points.par_iter().map(|p| to(*p)).collect();
-        let (points, dwell_points) = (all(path.point_mm()), all(path.dwell_point_mm()));
-        ToolPath::new(points, dwell_points, path.tool_on().to_vec(), path.pass_idx().to_vec())
-    }
-
-    /// Numbers of a path in the coordinates along the surface, over the map `surface` of the part, which is `developed` in
-    /// these coordinates.
+    /// Describes a path in the coordinates along the surface, over the map `surface` of the part, which is `developed`
+    /// in these coordinates. Refuses a form that does not exist in the middle of the part.
     pub fn report(
         &self,
         path: &ToolPath,
         surface: &Surface,
         developed: &Surface,
     ) -> Result<AlongReport, Invalid> {
-        let on = self.development()?;
+        let development = self.development()?;
         let valid = valid_mm(surface);
         let taken = valid.len().min(MOST_PLACES);
         let stretches: Vec<[f64; 2]> = (0..taken)
             .into_par_iter()
-            .filter_map(|k| on.stretches(on.along(valid[k * valid.len() / taken])))
+            .filter_map(|k| {
+                development.stretches(development.along(valid[k * valid.len() / taken]))
+            })
             .collect();
-        let both = |[low, high]: [f64; 2], v: &[f64; 2]| [low.min(v[0]), high.max(v[1])];
+        let stretches =
+            stretches.iter().fold([1.0_f64; 2], |[low, high], v| [low.min(v[0]), high.max(v[1])]);
         Ok(AlongReport {
             along_surface: statistics(path, developed),
-            stretches: stretches.iter().fold([1.0; 2], both),
+            stretches,
             largest_over_projection: self.largest_over_projection(surface),
         })
     }
 }
 
-/// Centres of the valid pixels, mm.
-fn valid_mm(surface: &Surface) -> Vec<[f64; 2]> {
-    let grid = surface.grid();
-    let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
-    valid.map(|((r, c), _)| [grid.x.at(c), grid.y.at(r)]).collect()
+/// A path with all its points moved.
+fn moved(path: &ToolPath, to: impl Fn([f64; 2]) -> [f64; 2] + Sync) -> Result<ToolPath, Invalid> {
+    let [points, dwell_points] = [path.point_mm(), path.dwell_point_mm()]
+        .map(|points| points.par_iter().map(|p| to(*p)).collect());
+    ToolPath::new(points, dwell_points, path.tool_on().to_vec(), path.pass_idx().to_vec())
+}
+
+/// Smallest and largest x, and y, of the points.
+fn bounding_box(points: &[[f64; 2]]) -> [[f64; 2]; 2] {
+    [0, 1].map(|k| {
+        let values = points.iter().map(|p| p[k]);
+        values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)])
+    })
+}
+
+/// The axis with its pixels continued to both sides, as far as the part reaches.
+fn continued(axis: &Axis, [low, high]: [f64; 2]) -> Result<Axis, Invalid> {
+    let before = ((low - axis.start_mm()) / axis.step_mm() - 0.5).floor();
+    let after = ((high - axis.start_mm()) / axis.step_mm() + 0.5).ceil();
+    let start_mm = axis.at(0) + before * axis.step_mm();
+    Axis::new(start_mm, axis.step_mm(), (after - before) as usize + 1)
 }
 
 /// Centres of the first and the last valid pixel of every row and column, mm.
 fn border_mm(surface: &Surface) -> Vec<[f64; 2]> {
-    let (z, grid) = (surface.height_nm(), surface.grid());
+    let z = surface.height_nm();
+    let grid = surface.grid();
     let mut border = Vec::new();
     for (r, row) in z.outer_iter().enumerate() {
         let mut valid = (0..row.len()).filter(|c| !row[*c].is_nan());

@@ -24,7 +24,7 @@ use planish_types::{Machine, Surface, Tif, ToolPath, doubts, plausible};
 use serde::Serialize;
 
 #[derive(Debug, Subcommand)]
-pub enum Method {
+pub enum PathCommand {
     /// Parallel lines, back and forth, joined by turn-arounds beyond the aperture
     Raster(raster::RasterArgs),
     /// One random closed line through every cell of a lattice, which never crosses itself
@@ -43,7 +43,7 @@ pub enum Method {
     Draw(draw::DrawArgs),
 }
 
-impl Method {
+impl PathCommand {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::Raster(arguments) => arguments.run(),
@@ -83,6 +83,32 @@ struct RegionArgs {
     output: OutputArgs,
 }
 
+impl RegionArgs {
+    /// Reads the machine, if its travel is limited or its limits are in doubt, and adds its doubts.
+    fn machine(
+        &self,
+        surface: &Surface,
+        tif: Option<&Tif>,
+        inputs: &mut Inputs,
+        doubts: &mut Vec<String>,
+    ) -> Result<Option<Machine>, Failure> {
+        let Some(file) = &self.machine else { return Ok(None) };
+        let read = Inputs::new().read_machine(file)?;
+        let mut doubt = None;
+        // Rates in doubt say nothing of the limits.
+        if doubts.is_empty() {
+            doubt =
+                doubts::of_rotary_axes(&read).or_else(|| doubts::of_pivot(&read)).or_else(|| {
+                    doubts::of_limits(surface, tif?, &read.limits_on_part(), self.pitch_mm)
+                });
+        }
+        let counts = doubt.is_some() || read.travel_mm().iter().any(Option::is_some);
+        doubts.extend(doubt);
+        doubts.extend(doubts::of_travel(surface, &read));
+        if counts { Ok(Some(inputs.read_machine(file)?)) } else { Ok(None) }
+    }
+}
+
 /// The form of the part, along which pitch and step count.
 #[derive(Clone, Debug, Default, Args)]
 struct FormArgs {
@@ -97,20 +123,18 @@ impl FormArgs {
     fn read(&self, surface: &Surface, inputs: &mut Inputs) -> Result<Option<OnForm>, Failure> {
         let Some(path) = &self.form else { return Ok(None) };
         let form = inputs.read_form("form", path)?.form;
-        let named = |e| Failure::new(format!("{}: {e}", path.display()));
-        OnForm::new(form, surface).map(Some).map_err(named)
+        OnForm::new(form, surface)
+            .map(Some)
+            .map_err(|e| Failure::new(format!("{}: {e}", path.display())))
     }
-}
-
-impl FormArgs {
     /// Doubt about the vertex of a curved form.
     fn doubt(&self, surface: &Surface) -> Result<Option<String>, Failure> {
         let Some(path) = &self.form else { return Ok(None) };
-        let given = Inputs::new().read_form("form", path)?;
-        let is_flat = given
+        let read = Inputs::new().read_form("form", path)?;
+        let is_flat = read
             .file
             .is_none_or(|stated| matches!(stated.file.kind, FormKind::Plane | FormKind::Map));
-        Ok(if is_flat { None } else { doubts::of_vertex(surface, given.form.vertex_mm()) })
+        Ok(if is_flat { None } else { doubts::of_vertex(surface, read.form.vertex_mm()) })
     }
 }
 
@@ -156,7 +180,7 @@ fn warning_of_projection(dir: &Path, surface: &Surface) -> Result<Option<String>
 
 /// Settings of a method as the manifest has them.
 #[derive(Serialize)]
-struct Asked<'a, S> {
+struct StatedSettings<'a, S> {
     #[serde(skip_serializing_if = "Option::is_none")]
     inset_mm: Option<f64>,
     #[serde(flatten)]
@@ -176,28 +200,14 @@ impl Region {
         let mut doubts = Vec::new();
         if let Some(tif) = &tif {
             doubts.extend(doubts::of_tif(tif));
-            let of_sizes =
-                || doubts::of_pixels(&surface, tif).or_else(|| doubts::of_sizes(&surface, tif));
-            let of_rates =
-                || doubts::of_rates(&surface, tif).or_else(|| doubts::of_time(&surface, tif));
-            doubts.extend(of_sizes().or_else(of_rates));
+            doubts.extend(
+                doubts::of_pixels(&surface, tif)
+                    .or_else(|| doubts::of_sizes(&surface, tif))
+                    .or_else(|| doubts::of_rates(&surface, tif))
+                    .or_else(|| doubts::of_time(&surface, tif)),
+            );
         }
-        let of_limits = |machine: &Machine| {
-            doubts::of_limits(&surface, tif.as_ref()?, &machine.limits_on_part(), args.pitch_mm)
-        };
-        let mut machine = None;
-        if let Some(file) = &args.machine {
-            let found = Inputs::new().read_machine(file)?;
-            // Rates in doubt say nothing of the limits.
-            let of_rotary = || doubts::of_rotary_axes(&found).or_else(|| doubts::of_pivot(&found));
-            let of_axes = || of_rotary().or_else(|| of_limits(&found));
-            let doubt = if doubts.is_empty() { of_axes() } else { None };
-            if doubt.is_some() || found.travel_mm().iter().any(Option::is_some) {
-                machine = Some(inputs.read_machine(file)?);
-            }
-            doubts.extend(doubt);
-            doubts.extend(doubts::of_travel(&surface, &found));
-        }
+        let machine = args.machine(&surface, tif.as_ref(), &mut inputs, &mut doubts)?;
         // The form is of the part, not of the places of the tool.
         let on_form = args.form.read(&surface, &mut inputs)?;
         doubts.extend(args.form.doubt(&surface)?);
@@ -220,11 +230,11 @@ impl Region {
         })?;
         // A path that stays inside is that of a smaller aperture, without overscan.
         let inset_mm = (-overscan_mm).max(0.0);
-        let surface = match inset_mm > 0.0 {
-            true => inset(&surface, inset_mm).map_err(Failure::with_flags)?,
-            false => surface,
+        let (surface, overscan_mm) = if inset_mm > 0.0 {
+            (inset(&surface, inset_mm).map_err(Failure::with_flags)?, 0.0)
+        } else {
+            (surface, overscan_mm)
         };
-        let overscan_mm = if inset_mm > 0.0 { 0.0 } else { overscan_mm };
         Ok(Self {
             inputs,
             output: args.output.clone(),
@@ -240,8 +250,8 @@ impl Region {
     }
 
     /// Settings of a method with what the aperture has become.
-    fn asked<'a, S: Serialize>(&self, settings: &'a S) -> Asked<'a, S> {
-        Asked { inset_mm: (self.inset_mm > 0.0).then_some(self.inset_mm), settings }
+    fn stated<'a, S: Serialize>(&self, settings: &'a S) -> StatedSettings<'a, S> {
+        StatedSettings { inset_mm: Some(self.inset_mm).filter(|mm| *mm > 0.0), settings }
     }
 
     fn begin(&self, task: &Task) -> Result<Begin, Failure> {
@@ -258,7 +268,8 @@ impl Region {
         warnings: Vec<String>,
     ) -> Result<Status, Failure> {
         let tif = self.tif.as_ref();
-        let (mut along, mut projected) = (None, None);
+        let mut along = None;
+        let mut projected = None;
         if let Some((on, part)) = &self.on_form {
             along = Some(on.report(path, part, &self.surface)?);
             projected = Some((on.projected(path)?, part));

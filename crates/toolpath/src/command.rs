@@ -12,15 +12,15 @@ const EXAMPLES: &str = "Examples:\n\
 /// Tool paths over the clear aperture: the valid pixels of a map
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXAMPLES)]
-struct Cli {
+struct ToolPathCli {
     #[command(subcommand)]
-    method: crate::cli::Method,
+    method: crate::cli::PathCommand,
 }
 
 /// The command `planish toolpath`.
 pub const COMMAND: planish_handoff::Stage =
-    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: Cli::command };
+    planish_handoff::Stage { name: env!("CARGO_PKG_NAME"), main, definition: ToolPathCli::command };
 
 fn main() -> ExitCode {
-    planish_handoff::program(|cli: &Cli| cli.method.run())
+    planish_handoff::program(|cli: &ToolPathCli| cli.method.run())
 }

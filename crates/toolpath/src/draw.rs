@@ -20,7 +20,7 @@ const SIZE_PX: f64 = 1000.0;
 /// Left, top, right, bottom of the region, in pixels of the picture.
 const MARGIN_PX: [f64; 4] = [70.0, 40.0, 20.0, 60.0];
 
-/// A picture of `path`, over the valid pixels of `surface` where it is given.
+/// Draws a picture of `path`, over the valid pixels of `surface` where it is given.
 pub fn svg(path: &ToolPath, surface: Option<&Surface>) -> String {
     let aperture = surface.map(|s| Aperture::new(&s.grid().x, &s.grid().y, s.height_nm().view()));
     let frame = frame_around(path, aperture.as_ref());
@@ -47,7 +47,8 @@ fn frame_around(path: &ToolPath, aperture: Option<&Aperture>) -> Frame {
     let rounding = 1e-12 * [x, y].as_flattened().iter().fold(0.0, |m: f64, v| m.max(v.abs()));
     let rim = if widest > rounding { 0.02 * widest } else { 0.5 };
     for [low, high] in [&mut x, &mut y] {
-        (*low, *high) = (*low - rim, *high + rim);
+        *low -= rim;
+        *high += rim;
     }
     let px_per_mm = SIZE_PX / (widest + 2.0 * rim);
     let size = [x, y].map(|[low, high]| (high - low) * px_per_mm);
@@ -69,13 +70,15 @@ fn draw_aperture(svg: &mut Svg, frame: &Frame, aperture: &Aperture) {
 }
 
 fn draw_path(svg: &mut Svg, frame: &Frame, path: &ToolPath) {
-    let (on, pass, n) = (path.tool_on(), path.pass_idx(), path.len());
+    let on = path.tool_on();
+    let pass = path.pass_idx();
+    let n = path.len();
     let single = pass.iter().all(|p| *p == pass[0]);
     // Which line of the picture a segment belongs to: a colour, or none for a lift.
-    let colour = |i: usize| match single {
-        _ if !on[i] => None,
-        true => Some(i * COLOURS.len() / n),
-        false => Some(pass[i].rem_euclid(COLOURS.len() as i64) as usize),
+    let colour = |i: usize| {
+        let by_pass = pass[i].rem_euclid(COLOURS.len() as i64) as usize;
+        let colour = if single { i * COLOURS.len() / n } else { by_pass };
+        Some(colour).filter(|_| on[i])
     };
     let width = (0.25 * SIZE_PX / (n as f64).sqrt()).clamp(0.4, 2.0);
     svg.put(format_args!(

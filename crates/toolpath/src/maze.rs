@@ -74,7 +74,7 @@ pub struct MazeSettings {
 }
 
 impl MazeSettings {
-    /// The usual longest segment, mm: a side of a cell, or the radius of rounded corners.
+    /// Returns the usual longest segment, mm: a side of a cell, or the radius of rounded corners.
     pub fn usual_step_mm(pitch_mm: f64, corner_radius_mm: f64) -> f64 {
         if corner_radius_mm > 0.0 { corner_radius_mm } else { pitch_mm }
     }
@@ -105,7 +105,10 @@ pub struct Maze {
     pub cells_left_out: usize,
 }
 
-/// A maze over the valid pixels of `surface`.
+/// Makes a maze over the valid pixels of `surface`.
+///
+/// # Errors
+/// Refuses settings out of their range, an aperture that is too thin for the pitch, and too many segments.
 pub fn maze(surface: &Surface, settings: &MazeSettings) -> Result<Maze, ToolPathError> {
     check(settings)?;
     let lattice = Lattice::new(surface, settings)?;
@@ -133,7 +136,8 @@ pub fn maze(surface: &Surface, settings: &MazeSettings) -> Result<Maze, ToolPath
 }
 
 fn check(settings: &MazeSettings) -> Result<(), Invalid> {
-    let (pitch, radius) = (settings.pitch_mm, settings.corner_radius_mm);
+    let pitch = settings.pitch_mm;
+    let radius = settings.corner_radius_mm;
     check_length("pitch_mm", pitch, false)?;
     check_length("step_mm", settings.step_mm, false)?;
     check_length("overscan_mm", settings.overscan_mm, true)?;
@@ -172,7 +176,8 @@ struct Lattice {
 
 impl Lattice {
     fn new(surface: &Surface, settings: &MazeSettings) -> Result<Self, ToolPathError> {
-        let (p, o) = (settings.pitch_mm, settings.overscan_mm);
+        let p = settings.pitch_mm;
+        let o = settings.overscan_mm;
         let grid = surface.grid();
         let aperture = Aperture::new(&grid.x, &grid.y, surface.height_nm().view());
         // max(o, p/2, h/2)
@@ -219,7 +224,7 @@ impl Lattice {
     }
 
     /// Centre of a cell, mm.
-    fn at(&self, cell: usize) -> [f64; 2] {
+    fn centre(&self, cell: usize) -> [f64; 2] {
         let index = [cell % self.width, cell / self.width];
         [0, 1].map(|a| self.origin_mm[a] + index[a] as f64 * self.pitch_mm)
     }
@@ -242,7 +247,8 @@ impl Lattice {
 
     fn too_many(&self, settings: &MazeSettings) -> ToolPathError {
         let step_mm = settings.step_mm.min(settings.pitch_mm);
-        let (pitch_mm, extent_mm) = (settings.pitch_mm, self.extent_mm);
+        let pitch_mm = settings.pitch_mm;
+        let extent_mm = self.extent_mm;
         ToolPathError::TooManySegments { pitch_mm, step_mm, extent_mm }
     }
 
@@ -266,20 +272,24 @@ struct Blocks {
 
 impl Blocks {
     fn new(lattice: &Lattice) -> Self {
-        let (inside, width) = (&lattice.inside, lattice.width);
+        let inside = &lattice.inside;
+        let width = lattice.width;
         let (part, parts) = parts_of(lattice);
-        let whole =
-            |k: &usize| inside[*k] && inside[k + 1] && inside[k + width] && inside[k + width + 1];
         let phase_of = |k: usize| [k % width % 2, k / width % 2];
         // A block is connected, so it lies in one part.
-        let candidates: Vec<usize> = (0..inside.len() - width - 1).filter(whole).collect();
+        let candidates: Vec<usize> = (0..inside.len() - width - 1)
+            .filter(|k| inside[*k] && inside[k + 1] && inside[k + width] && inside[k + width + 1])
+            .collect();
         let mut blocks = vec![[0_usize; 4]; parts];
         for k in &candidates {
             let [x, y] = phase_of(*k);
             blocks[part[*k] as usize][x + 2 * y] += 1;
         }
-        let most = |n: &[usize; 4]| (1..4).fold(0, |best, i| if n[i] > n[best] { i } else { best });
-        let phase: Vec<_> = blocks.iter().map(|n| [most(n) % 2, most(n) / 2]).collect();
+        let phases = blocks.iter().map(|n| {
+            let most = (1..4).fold(0, |best, i| if n[i] > n[best] { i } else { best });
+            [most % 2, most / 2]
+        });
+        let phase: Vec<[usize; 2]> = phases.collect();
         let mut corners = candidates;
         corners.retain(|k| phase_of(*k) == phase[part[*k] as usize]);
         let mut is_corner = vec![false; inside.len()];
@@ -420,8 +430,10 @@ impl<'a> Loops<'a> {
     fn around(lattice: &'a Lattice, blocks: &Blocks) -> Self {
         let mut loops = Self { lattice, next: vec![NONE; lattice.inside.len()] };
         for block in &blocks.corners {
-            let corner = |side| lattice.side_of(*block, side);
-            (0..SIDES).for_each(|side| loops.link(corner(side), corner((side + 1) % SIDES)));
+            for side in 0..SIDES {
+                let next = lattice.side_of(*block, (side + 1) % SIDES);
+                loops.link(lattice.side_of(*block, side), next);
+            }
         }
         loops
     }
@@ -459,8 +471,8 @@ impl<'a> Loops<'a> {
         while let Some(a) = queue.pop_front() {
             let b = self.next[a] as usize;
             let [s, q] = self.on_the_right(a);
-            let free = |k: usize| self.lattice.inside[k] && self.next[k] == NONE;
-            if free(s) && free(q) && allowed(s, q) {
+            let are_free = [s, q].iter().all(|k| self.lattice.inside[*k] && self.next[*k] == NONE);
+            if are_free && allowed(s, q) {
                 // a -> s -> q -> b
                 self.link(a, s);
                 self.link(s, q);
@@ -472,26 +484,19 @@ impl<'a> Loops<'a> {
 
     /// Joins different loops wherever two of their steps face each other.
     fn join_the_facing(&mut self) {
-        let mut of = vec![NONE; self.next.len()];
+        let mut tour_of_cell = vec![NONE; self.next.len()];
         let tours = self.tours();
         for (i, tour) in tours.iter().enumerate() {
-            tour.iter().for_each(|k| of[*k] = i as u32);
+            tour.iter().for_each(|k| tour_of_cell[*k] = i as u32);
         }
         // Each loop points to one that it was joined to; the last in the chain is the whole.
         let mut whole: Vec<usize> = (0..tours.len()).collect();
-        fn find(whole: &mut [usize], mut i: usize) -> usize {
-            while whole[i] != i {
-                whole[i] = whole[whole[i]];
-                i = whole[i];
-            }
-            i
-        }
         for a in tours.into_iter().flatten() {
             let [d, c] = self.on_the_right(a);
-            if of[c] == NONE || self.next[c] != d as u32 {
+            if tour_of_cell[c] == NONE || self.next[c] != d as u32 {
                 continue;
             }
-            let (i, j) = (find(&mut whole, of[a] as usize), find(&mut whole, of[c] as usize));
+            let [i, j] = [a, c].map(|k| last_in_chain(&mut whole, tour_of_cell[k] as usize));
             if i != j {
                 self.join(a);
                 whole[i] = j;
@@ -519,12 +524,21 @@ impl<'a> Loops<'a> {
     }
 }
 
+/// The last in the chain that begins at `i`; shortens the chain.
+fn last_in_chain(whole: &mut [usize], mut i: usize) -> usize {
+    while whole[i] != i {
+        whole[i] = whole[whole[i]];
+        i = whole[i];
+    }
+    i
+}
+
 /// All nodes in order; `None` when there are too many.
 fn walk(lattice: &Lattice, tours: &[Vec<usize>], settings: &MazeSettings) -> Option<Draft> {
     let step = settings.step_mm.min(settings.pitch_mm);
     let mut path = Draft::default();
     for (i, tour) in tours.iter().enumerate() {
-        let mut corners: Vec<[f64; 2]> = tour.iter().map(|k| lattice.at(*k)).collect();
+        let mut corners: Vec<[f64; 2]> = tour.iter().map(|k| lattice.centre(*k)).collect();
         if let Some(end) = path.point_mm.last() {
             // Begin where the tool is nearest.
             let distance = |p: &[f64; 2]| (p[0] - end[0]).hypot(p[1] - end[1]);
@@ -545,9 +559,10 @@ fn walk(lattice: &Lattice, tours: &[Vec<usize>], settings: &MazeSettings) -> Opt
                 corners.push(corners[0]);
             }
         }
-        match path.point_mm.is_empty() {
-            true => path.begin(corners[0]),
-            false => path.to(corners[0], false, i - 1),
+        if path.point_mm.is_empty() {
+            path.begin(corners[0]);
+        } else {
+            path.to(corners[0], false, i - 1);
         }
         if rounded {
             let pieces = pieces(&corners, settings.corner_radius_mm);
@@ -567,7 +582,7 @@ fn walk(lattice: &Lattice, tours: &[Vec<usize>], settings: &MazeSettings) -> Opt
 }
 
 /// A piece of a line with rounded corners.
-enum Piece {
+enum PathPiece {
     Line {
         from: [f64; 2],
         to: [f64; 2],
@@ -580,7 +595,7 @@ enum Piece {
     },
 }
 
-impl Piece {
+impl PathPiece {
     fn length_mm(&self) -> f64 {
         match self {
             Self::Line { from, to } => (to[0] - from[0]).hypot(to[1] - from[1]),
@@ -589,7 +604,7 @@ impl Piece {
     }
 
     /// The point at the fraction `f` of the length.
-    fn at(&self, f: f64) -> [f64; 2] {
+    fn point(&self, f: f64) -> [f64; 2] {
         match self {
             Self::Line { from, to } => [0, 1].map(|a| from[a] + f * (to[a] - from[a])),
             Self::Arc { centre, begin, end } => {
@@ -601,34 +616,34 @@ impl Piece {
 }
 
 /// The line through `corners` (all straight or at a right angle) with quarter circles.
-fn pieces(corners: &[[f64; 2]], radius_mm: f64) -> Vec<Piece> {
+fn pieces(corners: &[[f64; 2]], radius_mm: f64) -> Vec<PathPiece> {
     let r = radius_mm;
     let mut pieces = Vec::with_capacity(2 * corners.len());
     let mut from = corners[0];
     for w in corners.windows(3) {
-        let unit = |a: [f64; 2], b: [f64; 2]| {
+        let [u, v] = [(w[0], w[1]), (w[1], w[2])].map(|(a, b)| {
             let length = (b[0] - a[0]).hypot(b[1] - a[1]);
             [(b[0] - a[0]) / length, (b[1] - a[1]) / length]
-        };
-        let (u, v) = (unit(w[0], w[1]), unit(w[1], w[2]));
+        });
         // Straight on: a right angle has u.v = 0.
         if u[0] * v[0] + u[1] * v[1] > 0.5 {
             continue;
         }
         // From B - R u to B + R v about B - R u + R v.
         let along = |f: f64, g: f64| [0, 1].map(|a| w[1][a] + r * (f * u[a] + g * v[a]));
-        pieces.push(Piece::Line { from, to: along(-1.0, 0.0) });
-        let (begin, end) = (v.map(|c| -r * c), u.map(|c| r * c));
-        pieces.push(Piece::Arc { centre: along(-1.0, 1.0), begin, end });
+        pieces.push(PathPiece::Line { from, to: along(-1.0, 0.0) });
+        let begin = v.map(|c| -r * c);
+        let end = u.map(|c| r * c);
+        pieces.push(PathPiece::Arc { centre: along(-1.0, 1.0), begin, end });
         from = along(0.0, 1.0);
     }
-    pieces.push(Piece::Line { from, to: corners[corners.len() - 1] });
+    pieces.push(PathPiece::Line { from, to: corners[corners.len() - 1] });
     pieces
 }
 
 /// Nodes at equal arc length along the pieces; `None` when there are too many.
-fn follow(path: &mut Draft, pieces: &[Piece], step_mm: f64, pass: usize) -> Option<()> {
-    let total: f64 = pieces.iter().map(Piece::length_mm).sum();
+fn follow(path: &mut Draft, pieces: &[PathPiece], step_mm: f64, pass: usize) -> Option<()> {
+    let total: f64 = pieces.iter().map(PathPiece::length_mm).sum();
     // L / ceil(L/s)
     let n = parts(total, step_mm, path.tool_on.len())?;
     let mut k = 1;
@@ -637,12 +652,12 @@ fn follow(path: &mut Draft, pieces: &[Piece], step_mm: f64, pass: usize) -> Opti
         let length = piece.length_mm();
         while k < n && (k as f64 / n as f64) * total <= before + length {
             let f = ((k as f64 / n as f64) * total - before) / length;
-            path.to(piece.at(f.clamp(0.0, 1.0)), true, pass);
+            path.to(piece.point(f.clamp(0.0, 1.0)), true, pass);
             k += 1;
         }
         before += length;
     }
-    if let Some(Piece::Line { to, .. }) = pieces.last() {
+    if let Some(PathPiece::Line { to, .. }) = pieces.last() {
         path.to(*to, true, pass);
     }
     Some(())

@@ -58,7 +58,7 @@ use crate::{
     region::{Aperture, SLACK, check_length},
 };
 use cells::{Cell, Raster, Visit};
-use regions::{Field, OUTSIDE};
+use regions::{Field, OUTSIDE, range};
 
 /// Largest number of depth classes; more are refused. Larger: regions so narrow that their borders decide the result.
 /// Smaller: fewer choices of the pitch.
@@ -171,23 +171,29 @@ pub struct PitchRegion {
     pub cells: usize,
 }
 
-/// A multi-pitch raster for the desired removal `surface` with `tif`.
+/// Makes a multi-pitch raster for the desired removal `surface` with `tif`.
+///
+/// # Errors
+/// Refuses settings out of their range, an aperture without room for two lines, and too many segments.
 pub fn multi_pitch(
     surface: &Surface,
     tif: &Tif,
     settings: &MultiPitchSettings,
 ) -> Result<MultiPitch, ToolPathError> {
     check(settings)?;
-    let (vrr, smoothing_mm) = (tif.vrr_nm_mm2_per_s(), 0.25 * full_width_mm(tif));
+    let vrr = tif.vrr_nm_mm2_per_s();
+    let smoothing_mm = 0.25 * full_width_mm(tif);
     let depth_nm = regions::depth_nm(surface, smoothing_mm);
     let mut classes = classes(&depth_nm, vrr, settings);
     let pitches: Vec<f64> = classes.iter().map(|c| c.pitch_mm).collect();
     check_size(surface, &pitches)?;
 
     let pixel_mm2 = surface.grid().pixel_mm2();
-    let class_of = depth_nm.map(|r| match r.is_nan() {
-        true => OUTSIDE,
-        false => classes.partition_point(|c| c.edge_nm[1] <= *r).min(classes.len() - 1),
+    let class_of = depth_nm.map(|r| {
+        if r.is_nan() {
+            return OUTSIDE;
+        }
+        classes.partition_point(|c| c.edge_nm[1] <= *r).min(classes.len() - 1)
     });
     let least_pixels = pitches.iter().map(|d| {
         let area_mm2 = settings.min_area_mm2.unwrap_or((25.0 * d * d).max(50.0));
@@ -214,8 +220,8 @@ pub fn multi_pitch(
         let id = cells[visit.cell].region;
         if number[id] == OUTSIDE {
             number[id] = regions.len();
-            let (class, area_mm2) =
-                (components.class[id], components.pixels[id] as f64 * pixel_mm2);
+            let class = components.class[id];
+            let area_mm2 = components.pixels[id] as f64 * pixel_mm2;
             classes[class].components += 1;
             classes[class].area_mm2 += area_mm2;
             regions.push(PitchRegion { class, area_mm2, cells: 0 });
@@ -236,7 +242,7 @@ pub fn multi_pitch(
     Ok(MultiPitch { path, region_idx, report })
 }
 
-/// Pitches of the classes between the depths `edge_nm` (m+1, ascending): (m), mm.
+/// Returns the pitches of the classes between the depths `edge_nm` (m+1, ascending): (m), mm.
 ///
 /// `vrr_per_velocity` is VRR / v_max in nm mm.
 pub fn class_pitches_mm(edge_nm: &[f64], vrr_per_velocity: f64, limits_mm: [f64; 2]) -> Vec<f64> {
@@ -263,7 +269,8 @@ fn check(settings: &MultiPitchSettings) -> Result<(), Invalid> {
     check_length("max_pitch_mm", settings.max_pitch_mm, false)?;
     check_length("step_mm", settings.step_mm, false)?;
     check_length("overscan_mm", settings.overscan_mm, true)?;
-    let (low, high) = (settings.min_pitch_mm, settings.max_pitch_mm);
+    let low = settings.min_pitch_mm;
+    let high = settings.max_pitch_mm;
     if low > high {
         let problem = format!("is {low}, above the largest pitch of {high} mm");
         let remedy = "give a smaller `min_pitch_mm` or a larger `max_pitch_mm`";
@@ -283,7 +290,8 @@ fn check_size(surface: &Surface, pitches: &[f64]) -> Result<(), Invalid> {
     let grid = surface.grid();
     let aperture = Aperture::new(&grid.x, &grid.y, surface.height_nm().view());
     let extent = aperture.across(0.5 * grid.y.step_mm());
-    let (size, pitch) = (extent.high - extent.low, pitches[0]);
+    let size = extent.high - extent.low;
+    let pitch = pitches[0];
     if pitch > size * (1.0 + SLACK) {
         let problem = format!("a pitch of {pitch} mm is larger than the aperture, {size} mm in y");
         let remedy = "give a smaller `max_pitch_mm`, or check the units";
@@ -293,20 +301,20 @@ fn check_size(surface: &Surface, pitches: &[f64]) -> Result<(), Invalid> {
 }
 
 fn too_many(surface: &Surface, settings: &MultiPitchSettings, pitches: &[f64]) -> ToolPathError {
-    let (grid, o) = (surface.grid(), settings.overscan_mm);
-    let extent = |a: &planish_types::Axis| a.end_mm() - a.start_mm() + 2.0 * o;
+    let grid = surface.grid();
     ToolPathError::TooManySegments {
         pitch_mm: pitches.iter().copied().fold(f64::MAX, f64::min),
         step_mm: settings.step_mm,
-        extent_mm: [extent(&grid.x), extent(&grid.y)],
+        extent_mm: [&grid.x, &grid.y]
+            .map(|axis| axis.end_mm() - axis.start_mm() + 2.0 * settings.overscan_mm),
     }
 }
 
 /// Classes of depth with their pitches, before anything is known of their areas.
 fn classes(depth_nm: &Array2<f64>, vrr: f64, settings: &MultiPitchSettings) -> Vec<DepthClass> {
-    let valid = || depth_nm.iter().copied().filter(|r| !r.is_nan());
-    let (low, high) = (valid().fold(f64::MAX, f64::min), valid().fold(f64::MIN, f64::max));
-    let (m, v_max) = (settings.classes, settings.max_velocity_mm_per_s);
+    let [low, high] = range(depth_nm);
+    let m = settings.classes;
+    let v_max = settings.max_velocity_mm_per_s;
     // e_k = r_min + k (r_max - r_min) / m
     let edge_nm: Vec<f64> = (0..=m)
         .map(|k| if k == m { high } else { low + (high - low) * k as f64 / m as f64 })
@@ -330,8 +338,8 @@ fn classes(depth_nm: &Array2<f64>, vrr: f64, settings: &MultiPitchSettings) -> V
     }
     for class in &mut classes {
         // v = VRR / (d r)
-        let velocity = |r: f64| (r > 0.0).then(|| vrr / (class.pitch_mm * r));
-        let [least, largest] = class.edge_nm.map(velocity);
+        let [least, largest] =
+            class.edge_nm.map(|r| if r > 0.0 { Some(vrr / (class.pitch_mm * r)) } else { None });
         class.least_depth_velocity_mm_per_s = least;
         class.largest_depth_velocity_mm_per_s = largest;
     }

@@ -18,7 +18,8 @@ pub struct PassesSettings {
     pub back: bool,
 }
 
-/// `path` as often as `settings` say. Passes of the path stay apart from those of its repetitions.
+/// Repeats `path` as often as `settings` say. Passes of the path stay apart from those of its repetitions. Refuses one
+/// pass, and more segments or numbers of passes than a path may have.
 pub fn passes(path: &ToolPath, settings: &PassesSettings) -> Result<ToolPath, Invalid> {
     let PassesSettings { passes, back } = *settings;
     let n = path.len();
@@ -39,8 +40,8 @@ pub fn passes(path: &ToolPath, settings: &PassesSettings) -> Result<ToolPath, In
     for pass in 0..passes {
         let backwards = back && pass % 2 == 1;
         let index = |i: usize| {
-            let of = (path.pass_idx()[i] - first) as usize;
-            pass * own + if backwards { own - 1 - of } else { of }
+            let pass_of_path = (path.pass_idx()[i] - first) as usize;
+            pass * own + if backwards { own - 1 - pass_of_path } else { pass_of_path }
         };
         let here = draft.point_mm[draft.point_mm.len() - 1];
         if pass > 0 && !back && here != points[0] {

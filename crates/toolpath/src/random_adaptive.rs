@@ -136,7 +136,7 @@ pub struct RandomAdaptiveReport {
 }
 
 impl RandomAdaptiveReport {
-    /// The pitch where the path is least dense, in whole micrometres, mm.
+    /// Returns the pitch where the path is least dense, in whole micrometres, mm.
     pub fn largest_pitch_mm(&self) -> f64 {
         (1e3 * self.largest_spacing_mm).ceil() / 1e3
     }
@@ -149,7 +149,10 @@ struct Loop {
     visits: usize,
 }
 
-/// A random-adaptive path over the valid pixels of `desired_removal`.
+/// Makes a random-adaptive path over the valid pixels of `desired_removal`.
+///
+/// # Errors
+/// Refuses settings out of their range, a region that is too small for the pitch, and too many segments.
 pub fn random_adaptive(
     desired_removal: &Surface,
     settings: &RandomAdaptiveSettings,
@@ -173,14 +176,13 @@ pub fn random_adaptive(
     let normal = field.mean_inverse_spacing() * p;
     let mut scale = normal;
     let mut best: Option<(f64, Trial)> = None;
-    let too_many = || ToolPathError::TooManySegments {
-        pitch_mm: p,
-        step_mm: settings.step_mm.unwrap_or(p),
-        extent_mm: field.extent_mm(),
-    };
     for k in 0..TRIALS {
-        let made = progress::part(k, TRIALS, || Trial::new(&field, settings, scale));
-        let mut trial = made.ok_or_else(too_many)?;
+        let trial = progress::part(k, TRIALS, || Trial::new(&field, settings, scale));
+        let mut trial = trial.ok_or_else(|| ToolPathError::TooManySegments {
+            pitch_mm: p,
+            step_mm: settings.step_mm.unwrap_or(p),
+            extent_mm: field.extent_mm(),
+        })?;
         let ratio = trial.effective_pitch_mm(&field) / p;
         trial.pitch_scale = normal * ratio;
         let error = ratio.ln().abs();
@@ -193,27 +195,24 @@ pub fn random_adaptive(
         }
     }
     let (_, trial) = best.expect("there is a trial");
-    let lifted = |a: Point, b: Point| field.leaves(a, b);
-    let steps_off = trial.steps().filter(|[a, b]| lifted(*a, *b)).count();
-    let report = trial.report(&field, steps_off);
-    Ok(RandomAdaptive { path: trial.path(&lifted)?, report })
+    let report = trial.report(&field);
+    Ok(RandomAdaptive { path: trial.path(&field)?, report })
 }
 
 fn check(settings: &RandomAdaptiveSettings) -> Result<(), Invalid> {
-    let refuse = |name, value: f64, remedy: &str| {
-        Err(Invalid::whole(name, format!("is {value}"), remedy.to_string()))
-    };
     check_length("pitch_mm", settings.pitch_mm, false)?;
     if let Some(step_mm) = settings.step_mm {
         check_length("step_mm", step_mm, false)?;
     }
     check_length("overscan_mm", settings.overscan_mm, true)?;
     if !(0.0..=1.0).contains(&settings.contrast) {
-        return refuse("contrast", settings.contrast, "give an exponent in 0 ..= 1");
+        let problem = format!("is {}", settings.contrast);
+        return Err(Invalid::whole("contrast", problem, "give an exponent in 0 ..= 1"));
     }
     if settings.rounding_passes > MAX_ROUNDING_PASSES {
-        let passes = f64::from(settings.rounding_passes);
-        return refuse("rounding_passes", passes, "give at most 4; every pass doubles the points");
+        let problem = format!("is {}", settings.rounding_passes);
+        let remedy = "give at most 4; every pass doubles the points";
+        return Err(Invalid::whole("rounding_passes", problem, remedy));
     }
     Ok(())
 }
@@ -254,7 +253,8 @@ impl Trial {
 
     /// Area over length, within the aperture; of everything when nothing lies within.
     fn effective_pitch_mm(&self, field: &Field) -> f64 {
-        let (mut inside, mut all) = (0.0, 0.0);
+        let mut inside = 0.0;
+        let mut all = 0.0;
         for [a, b] in self.steps() {
             let length = distance(a, b);
             all += length;
@@ -276,19 +276,21 @@ impl Trial {
         })
     }
 
-    fn report(&self, field: &Field, steps_off: usize) -> RandomAdaptiveReport {
-        let spacings =
-            || field.cells().map(|k| self.pitch_scale * field.spacing_mm(field.centre(k)));
-        let relative = |[a, b]: [Point; 2]| {
-            distance(a, b) / (self.pitch_scale * field.spacing_mm(middle(a, b)))
-        };
+    fn report(&self, field: &Field) -> RandomAdaptiveReport {
+        let (smallest_spacing_mm, largest_spacing_mm) = field
+            .cells()
+            .map(|k| self.pitch_scale * field.spacing_mm(field.centre(k)))
+            .fold((f64::INFINITY, 0.0), |(low, high), d| (f64::min(low, d), f64::max(high, d)));
+        let relative_steps = self
+            .steps()
+            .map(|[a, b]| distance(a, b) / (self.pitch_scale * field.spacing_mm(middle(a, b))));
         RandomAdaptiveReport {
             islands: self.loops.len(),
             visits: self.visits,
-            smallest_spacing_mm: spacings().fold(f64::INFINITY, f64::min),
-            largest_spacing_mm: spacings().fold(0.0, f64::max),
-            longest_step_per_spacing: self.steps().map(relative).fold(0.0, f64::max),
-            steps_off,
+            smallest_spacing_mm,
+            largest_spacing_mm,
+            longest_step_per_spacing: relative_steps.fold(0.0, f64::max),
+            steps_off: self.steps().filter(|[a, b]| field.leaves(*a, *b)).count(),
             corners_kept: self.corners_kept,
             points_kept: self.points_kept,
         }
@@ -296,9 +298,11 @@ impl Trial {
 
     /// The loops one after the other: first the one that reaches farthest towards small x + y,
     /// from there; then always the nearest node that is left.
-    /// Steps that are `lifted` have the tool off.
-    fn path(mut self, lifted: &impl Fn(Point, Point) -> bool) -> Result<ToolPath, Invalid> {
-        let (mut point_mm, mut tool_on, mut pass_idx) = (Vec::new(), Vec::new(), Vec::new());
+    /// Steps that leave the region have the tool off.
+    fn path(mut self, field: &Field) -> Result<ToolPath, Invalid> {
+        let mut point_mm = Vec::new();
+        let mut tool_on = Vec::new();
+        let mut pass_idx = Vec::new();
         let mut pass = 0;
         while !self.loops.is_empty() {
             let far = |p: Point| match point_mm.last() {
@@ -316,12 +320,13 @@ impl Trial {
                 .expect("a loop has nodes");
             let mut nodes = self.loops.swap_remove(l);
             let n = nodes.len();
-            let off = |k: usize| lifted(nodes[k % n], nodes[(k + 1) % n]);
+            let off = |k: usize| field.leaves(nodes[k % n], nodes[(k + 1) % n]);
             match (0..n).find(|k| off(*k) && !off(k + 1)) {
                 // Open: it begins after a lift, and ends before one.
                 Some(k) => {
                     nodes.rotate_left((k + 1) % n);
-                    while nodes.len() > 2 && lifted(nodes[nodes.len() - 2], nodes[nodes.len() - 1])
+                    while nodes.len() > 2
+                        && field.leaves(nodes[nodes.len() - 2], nodes[nodes.len() - 1])
                     {
                         nodes.pop();
                     }
@@ -336,7 +341,7 @@ impl Trial {
                 pass_idx.push(pass);
                 pass += 1;
             }
-            tool_on.extend(nodes.windows(2).map(|w| !lifted(w[0], w[1])));
+            tool_on.extend(nodes.windows(2).map(|w| !field.leaves(w[0], w[1])));
             pass_idx.extend((1..nodes.len()).map(|_| pass));
             point_mm.extend(nodes);
         }

@@ -95,8 +95,8 @@ pub struct RasterSettings {
 }
 
 impl RasterSettings {
-    /// Lines along x, centred and one after the other, joined by square turns: what `planish-toolpath raster` makes
-    /// without further flags.
+    /// Returns settings for lines along x, centred and one after the other, joined by square turns: what
+    /// `planish-toolpath raster` makes without further flags.
     pub fn new(pitch_mm: f64, step_mm: f64, overscan_mm: f64) -> Self {
         Self {
             pitch_mm,
@@ -111,7 +111,7 @@ impl RasterSettings {
         }
     }
 
-    /// The largest distance between neighbouring lines, mm.
+    /// Returns the largest distance between neighbouring lines, mm.
     pub fn largest_pitch_mm(&self) -> f64 {
         self.pitch_range_mm.map_or(self.pitch_mm, |[_, most]| most)
     }
@@ -119,15 +119,14 @@ impl RasterSettings {
     /// Returns warnings for `path` with these settings, for example that it has one line only.
     pub fn warnings(&self, path: &ToolPath) -> Vec<String> {
         let across = self.scan.axes()[1];
-        let w = |p: &[f64; 2]| p[0] * across[0] + p[1] * across[1];
-        let first = w(&path.point_mm()[0]);
+        let mut w = path.point_mm().iter().map(|p| p[0] * across[0] + p[1] * across[1]);
+        let first = w.clone().next().unwrap_or(0.0);
+        let pitch_mm = self.pitch_mm;
         // Less than any pitch that can be meant, more than rounding.
-        let is_one = path.point_mm().iter().all(|p| (w(p) - first).abs() < 1e-6 * self.pitch_mm);
-        let warning = is_one.then(|| {
-            let pitch_mm = self.pitch_mm;
-            format!("one line only: a pitch of {pitch_mm} mm leaves no room for a second one")
-        });
-        warning.into_iter().collect()
+        if w.any(|w| (w - first).abs() >= 1e-6 * pitch_mm) {
+            return Vec::new();
+        }
+        vec![format!("one line only: a pitch of {pitch_mm} mm leaves no room for a second one")]
     }
 }
 
@@ -148,7 +147,7 @@ pub enum Scan {
 }
 
 impl Scan {
-    /// Unit vectors along and across the lines.
+    /// Returns the unit vectors along and across the lines.
     pub fn axes(self) -> [[f64; 2]; 2] {
         match self {
             Self::X => [[1.0, 0.0], [0.0, 1.0]],
@@ -197,23 +196,27 @@ pub enum Turn {
 }
 
 impl Turn {
-    /// The usual one: lines in one direction or in random order need a lift between them.
+    /// Returns the usual link: lines in one direction or in random order need a lift between them.
     pub fn usual(order: LineOrder, one_directional: bool) -> Self {
         let lifts = one_directional || matches!(order, LineOrder::Random { .. });
         if lifts { Self::Lift } else { Self::Square }
     }
 }
 
-/// A raster over the valid pixels of `surface`.
+/// Makes a raster over the valid pixels of `surface`.
+///
+/// # Errors
+/// Refuses settings out of their range or that contradict each other, an origin of lines that leaves none in the
+/// region, and too many segments.
 pub fn raster(surface: &Surface, settings: &RasterSettings) -> Result<ToolPath, ToolPathError> {
     check(settings)?;
     let axes = settings.scan.axes();
     let runs = Runs::new(surface, axes);
-    let too_many = || too_many(&runs, settings);
-    let lines = lines::positions(surface, &runs, settings)?.ok_or_else(too_many)?;
-    let mut passes = passes(&runs, &lines, settings).ok_or_else(too_many)?;
+    let lines = lines::positions(surface, &runs, settings)?;
+    let lines = lines.ok_or_else(|| too_many(&runs, settings))?;
+    let mut passes = passes(&runs, &lines, settings).ok_or_else(|| too_many(&runs, settings))?;
     let links = link(&mut passes, settings.turn);
-    let mut path = walk(&passes, &links, settings).ok_or_else(too_many)?;
+    let mut path = walk(&passes, &links, settings).ok_or_else(|| too_many(&runs, settings))?;
     for point in &mut path.point_mm {
         let [u, w] = *point;
         *point = [0, 1].map(|a| u * axes[0][a] + w * axes[1][a]);
@@ -225,13 +228,15 @@ fn check(settings: &RasterSettings) -> Result<(), Invalid> {
     check_length("pitch_mm", settings.pitch_mm, false)?;
     check_length("step_mm", settings.step_mm, false)?;
     check_length("overscan_mm", settings.overscan_mm, true)?;
-    let finite = |name, value: Option<f64>, remedy: &str| match value {
-        Some(v) if !v.is_finite() => Err(Invalid::whole(name, format!("is {v}"), remedy)),
-        _ => Ok(()),
-    };
-    finite("line_origin_mm", settings.line_origin_mm, "give a finite coordinate in mm")?;
-    if let Scan::Angle { angle_deg } = settings.scan {
-        finite("angle_deg", Some(angle_deg), "give a finite angle in degrees")?;
+    if let Some(origin) = settings.line_origin_mm.filter(|origin| !origin.is_finite()) {
+        let remedy = "give a finite coordinate in mm";
+        return Err(Invalid::whole("line_origin_mm", format!("is {origin}"), remedy));
+    }
+    if let Scan::Angle { angle_deg } = settings.scan
+        && !angle_deg.is_finite()
+    {
+        let remedy = "give a finite angle in degrees";
+        return Err(Invalid::whole("angle_deg", format!("is {angle_deg}"), remedy));
     }
     if let Some([least, most]) = settings.pitch_range_mm {
         check_length("pitch_range_mm", least, false)?;
@@ -323,7 +328,8 @@ fn intervals(runs: &Runs, lines: &[f64], line: usize, settings: &RasterSettings)
     for i in &mut merged {
         // Half a pixel on either side stays clear of the neighbours: gaps exceed two pixels.
         let short = 0.5 * (pixel_along - (i.high - i.low)).max(0.0);
-        (i.low, i.high) = (i.low - short, i.high + short);
+        i.low -= short;
+        i.high += short;
     }
     merged
 }
@@ -348,10 +354,12 @@ fn link(passes: &mut [Pass], turn: Turn) -> Vec<Link> {
             }
             if a.forward {
                 let outer = a.along.high.max(b.along.high);
-                (passes[i - 1].along.high, passes[i].along.high) = (outer, outer);
+                passes[i - 1].along.high = outer;
+                passes[i].along.high = outer;
             } else {
                 let outer = a.along.low.min(b.along.low);
-                (passes[i - 1].along.low, passes[i].along.low) = (outer, outer);
+                passes[i - 1].along.low = outer;
+                passes[i].along.low = outer;
             }
             Link::TurnAround
         })
@@ -375,7 +383,8 @@ fn walk(passes: &[Pass], links: &[Link], settings: &RasterSettings) -> Option<Dr
                     // The chords of an arc of length pi p/2 are shorter than their arcs.
                     let n = parts(0.5 * PI * apart, s, path.tool_on.len())?.max(MIN_CHORDS);
                     let out = if pass.forward { -0.5 * apart } else { 0.5 * apart };
-                    let (middle, half) = (0.5 * (from + w), 0.5 * (w - from));
+                    let middle = 0.5 * (from + w);
+                    let half = 0.5 * (w - from);
                     for k in 1..n {
                         let (sin, cos) = (PI * k as f64 / n as f64).sin_cos();
                         path.to([begin + out * sin, middle - half * cos], true, i - 1);

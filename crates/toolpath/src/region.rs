@@ -13,8 +13,8 @@
 //! A TIF is often stored with a margin in which it removes nothing. The overscan follows what removes: the samples and
 //! not their array.
 
-use ndarray::ArrayView2;
-use planish_types::{Axis, Invalid, Surface, Tif};
+use ndarray::{Array2, ArrayView2};
+use planish_types::{Axis, Grid, Invalid, Surface, Tif};
 
 /// Difference of two lengths, as a fraction of a pitch or a step, up to which they are equal. Larger: different
 /// lengths are taken as equal. Smaller: rounding of coordinates adds a segment.
@@ -25,18 +25,22 @@ pub(crate) const SLACK: f64 = 1e-9;
 /// beyond the part.
 const BEYOND_SUPPORT: f64 = 5e-4;
 
-/// The usual overscan: half the size of the square around `off_centre_mm`, where the TIF removes, that holds its volume
-/// but for 5e-4 of it. It keeps the removal at the edge equal to that inside, mm.
+/// Returns the usual overscan: half the size of the square around `off_centre_mm`, where the TIF removes, that holds
+/// its volume but for 5e-4 of it. It keeps the removal at the edge equal to that inside, mm.
 pub fn usual_overscan_mm(tif: &Tif, off_centre_mm: [f64; 2]) -> f64 {
     let [cx, cy] = off_centre_mm;
-    let (grid, rate) = (tif.grid(), tif.rate_nm_per_s());
-    let distance = |r: usize, c: usize| (grid.x.at(c) - cx).abs().max((grid.y.at(r) - cy).abs());
-    let mut samples: Vec<(f64, f64)> =
-        rate.indexed_iter().map(|((r, c), v)| (distance(r, c), *v)).collect();
-    samples.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(b.1.total_cmp(&a.1)));
+    let grid = tif.grid();
+    let rate = tif.rate_nm_per_s();
+    let samples = rate.indexed_iter().map(|((r, c), v)| {
+        let distance = (grid.x.at(c) - cx).abs().max((grid.y.at(r) - cy).abs());
+        (distance, *v)
+    });
+    let mut samples: Vec<(f64, f64)> = samples.collect();
+    samples.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then_with(|| b.1.total_cmp(&a.1)));
     let most = BEYOND_SUPPORT * rate.sum();
     // From the outermost square of samples inwards, until those beyond would be too much.
-    let (mut beyond, mut support) = (0.0, samples[0].0);
+    let mut beyond = 0.0;
+    let mut support = samples[0].0;
     for square in samples.chunk_by(|a, b| a.0 - b.0 <= SLACK * a.0) {
         support = square[0].0;
         beyond += square.iter().map(|(_, v)| v).sum::<f64>();
@@ -47,16 +51,17 @@ pub fn usual_overscan_mm(tif: &Tif, off_centre_mm: [f64; 2]) -> f64 {
     support
 }
 
-/// The part of an aperture that is at least `inset_mm` from its edge, which runs half a pixel beyond the centres of the
-/// valid pixels at it:
+/// Returns the part of an aperture that is at least `inset_mm` from its edge, which runs half a pixel beyond the
+/// centres of the valid pixels at it:
 ///
 /// ```text
-/// kept   the pixels with |x - b| + h/2 >= inset for every valid pixel b that has an invalid or no neighbour
+/// inset  the pixels with |x - b| + h/2 >= inset for every valid pixel b that has an invalid or no neighbour
 /// ```
 ///
 /// with the smaller pitch h. Returns an error if nothing is left.
 pub fn inset(surface: &Surface, inset_mm: f64) -> Result<Surface, Invalid> {
-    let (z, grid) = (surface.height_nm(), surface.grid());
+    let z = surface.height_nm();
+    let grid = surface.grid();
     let (ny, nx) = z.dim();
     let pixel_mm = [grid.x.step_mm(), grid.y.step_mm()];
     if !inset_mm.is_finite() {
@@ -65,12 +70,8 @@ pub fn inset(surface: &Surface, inset_mm: f64) -> Result<Surface, Invalid> {
     }
     let reach_mm = inset_mm - 0.5 * pixel_mm[0].min(pixel_mm[1]);
     let cells = pixel_mm.map(|mm| (reach_mm / mm).ceil().clamp(0.0, nx.max(ny) as f64) as usize);
-    let is_border = |r: usize, c: usize| {
-        let inside = r > 0 && c > 0 && r + 1 < ny && c + 1 < nx;
-        !inside || [(r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)].iter().any(|p| z[*p].is_nan())
-    };
     let mut left = z.clone();
-    for ((r, c), _) in z.indexed_iter().filter(|((r, c), v)| !v.is_nan() && is_border(*r, *c)) {
+    for ((r, c), _) in z.indexed_iter().filter(|(pixel, v)| !v.is_nan() && is_border(z, *pixel)) {
         for i in r.saturating_sub(cells[1])..(r + cells[1] + 1).min(ny) {
             for k in c.saturating_sub(cells[0])..(c + cells[0] + 1).min(nx) {
                 let distance_mm =
@@ -92,6 +93,28 @@ pub fn inset(surface: &Surface, inset_mm: f64) -> Result<Surface, Invalid> {
     Surface::new(*grid, left)
 }
 
+/// Returns true if a pixel has an invalid or no neighbour.
+fn is_border(z: &Array2<f64>, (r, c): (usize, usize)) -> bool {
+    let neighbours = [(r.wrapping_sub(1), c), (r + 1, c), (r, c.wrapping_sub(1)), (r, c + 1)];
+    neighbours.iter().any(|n| z.get(*n).is_none_or(|z| z.is_nan()))
+}
+
+/// Returns the centres of the valid pixels, mm.
+pub(crate) fn valid_mm(surface: &Surface) -> Vec<[f64; 2]> {
+    let grid = surface.grid();
+    let valid = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
+    valid.map(|((r, c), _)| [grid.x.at(c), grid.y.at(r)]).collect()
+}
+
+/// Returns the pixel (row, column) whose centre is nearest to a point; `None` beyond the map.
+pub(crate) fn nearest_pixel(grid: &Grid, [x, y]: [f64; 2]) -> Option<(usize, usize)> {
+    let [row, column] = [(&grid.y, y), (&grid.x, x)].map(|(axis, mm)| {
+        let i = ((mm - axis.start_mm()) / axis.step_mm()).round();
+        if i >= 0.0 && i < axis.len() as f64 { Some(i as usize) } else { None }
+    });
+    row.zip(column)
+}
+
 /// The clear aperture as runs of valid pixels, in coordinates along and across the lines.
 pub(crate) struct Aperture {
     /// Across the lines, mm: (coordinate of a pixel row, its runs), rows without a run left out.
@@ -108,7 +131,7 @@ pub(crate) struct Interval {
 }
 
 impl Aperture {
-    /// The valid pixels of `map` (across, along).
+    /// Returns the valid pixels of `map` (across, along).
     pub fn new(along: &Axis, across: &Axis, map: ArrayView2<f64>) -> Self {
         let mut rows = Vec::new();
         for (r, row) in map.outer_iter().enumerate() {
@@ -130,23 +153,24 @@ impl Aperture {
         Self { rows, pixel_mm: [along.step_mm(), across.step_mm()] }
     }
 
-    /// Extent across the lines, overscan included, mm. A surface has a valid pixel.
+    /// Returns the extent across the lines, overscan included, mm. A surface has a valid pixel.
     pub fn across(&self, overscan_mm: f64) -> Interval {
-        let (first, last) = (self.rows[0].0, self.rows[self.rows.len() - 1].0);
+        let first = self.rows[0].0;
+        let last = self.rows[self.rows.len() - 1].0;
         Interval { low: first - overscan_mm, high: last + overscan_mm }
     }
 
-    /// Extent along the lines, overscan included, mm.
+    /// Returns the extent along the lines, overscan included, mm.
     pub fn along(&self, overscan_mm: f64) -> Interval {
-        let runs = || self.rows.iter().flat_map(|(_, runs)| runs);
+        let runs = self.rows.iter().flat_map(|(_, runs)| runs);
         Interval {
-            low: runs().map(|i| i.low).fold(f64::MAX, f64::min) - overscan_mm,
-            high: runs().map(|i| i.high).fold(f64::MIN, f64::max) + overscan_mm,
+            low: runs.clone().map(|i| i.low).fold(f64::MAX, f64::min) - overscan_mm,
+            high: runs.map(|i| i.high).fold(f64::MIN, f64::max) + overscan_mm,
         }
     }
 
-    /// Intervals of a line in the region: the runs `[u_first - o, u_last + o]` of the pixel rows with coordinates
-    /// `low_mm <= w <= high_mm`, joined if they are at most `bridge_mm` apart; ascending.
+    /// Returns the intervals of a line in the region: the runs `[u_first - o, u_last + o]` of the pixel rows with
+    /// coordinates `low_mm <= w <= high_mm`, joined if they are at most `bridge_mm` apart; ascending.
     pub fn stretches(
         &self,
         low_mm: f64,
@@ -162,9 +186,9 @@ impl Aperture {
     }
 }
 
-/// Intervals at most `bridge_mm` apart joined; ascending.
+/// Joins the intervals that are at most `bridge_mm` apart; ascending.
 pub(crate) fn join(mut all: Vec<Interval>, bridge_mm: f64) -> Vec<Interval> {
-    all.sort_unstable_by(|a, b| a.low.total_cmp(&b.low).then(a.high.total_cmp(&b.high)));
+    all.sort_unstable_by(|a, b| a.low.total_cmp(&b.low).then_with(|| a.high.total_cmp(&b.high)));
     let mut joined: Vec<Interval> = Vec::new();
     for next in all {
         match joined.last_mut() {

@@ -3,7 +3,10 @@
 use planish_types::{Machine, Surface, Tif, ToolPath};
 use serde::Serialize;
 
-use crate::statistics::{PathStatistics, PitchLimit, pitch_limit, statistics};
+use crate::{
+    region::valid_mm,
+    statistics::{PathStatistics, PitchLimit, pitch_limit, statistics},
+};
 
 /// Returns a sentence for every axis of `machine` whose travel `path` leaves. It says how far the path is beyond the
 /// travel, and how much overscan the travel allows.
@@ -12,24 +15,16 @@ use crate::statistics::{PathStatistics, PitchLimit, pitch_limit, statistics};
 /// too far = beyond the travel by the path;   the largest overscan = travel beyond the clear aperture, on the nearer side
 /// ```
 pub fn travel_warnings(path: &ToolPath, surface: &Surface, machine: &Machine) -> Vec<String> {
-    let on_axes = |p: [f64; 2]| machine.part_to_axes().map_or(p, |transform| transform.point(p));
-    let range = |points: &mut dyn Iterator<Item = [f64; 2]>, axis: usize| {
-        let ends = [f64::INFINITY, f64::NEG_INFINITY];
-        points.map(|p| on_axes(p)[axis]).fold(ends, |[low, high], v| [low.min(v), high.max(v)])
-    };
-    let grid = surface.grid();
-    let valid = surface.height_nm().indexed_iter().filter(|(_, h)| !h.is_nan());
-    let aperture: Vec<[f64; 2]> =
-        valid.map(|((row, column), _)| [grid.x.at(column), grid.y.at(row)]).collect();
+    let aperture = valid_mm(surface);
     let mut warnings = Vec::new();
     for (axis, travel) in machine.travel_mm().iter().enumerate() {
         let Some([from, to]) = *travel else { continue };
-        let [low, high] = range(&mut path.point_mm().iter().copied(), axis);
+        let [low, high] = range_on_axis(path.point_mm(), machine, axis);
         let beyond = (from - low).max(high - to);
         if beyond <= TRAVEL_NOISE_MM {
             continue;
         }
-        let [first, last] = range(&mut aperture.iter().copied(), axis);
+        let [first, last] = range_on_axis(&aperture, machine, axis);
         let room = (first - from).min(to - last);
         let what_fits = if room >= 0.0 {
             format!(
@@ -41,7 +36,8 @@ pub fn travel_warnings(path: &ToolPath, surface: &Surface, machine: &Machine) ->
                 "the clear aperture itself, from {first:.3} to {last:.3} mm there, does not fit"
             )
         };
-        let (length, available) = (high - low, to - from);
+        let length = high - low;
+        let available = to - from;
         let remedy = if length <= available {
             let least = if from > low { from - low } else { to - high };
             format!("; with part_origin_mm of {} moved by {least:.3} mm all of it fits", AXES[axis])
@@ -56,6 +52,14 @@ pub fn travel_warnings(path: &ToolPath, surface: &Surface, machine: &Machine) ->
         ));
     }
     warnings
+}
+
+/// Smallest and largest position of an axis of the machine at points of the part, mm.
+fn range_on_axis(points: &[[f64; 2]], machine: &Machine, axis: usize) -> [f64; 2] {
+    let positions = points
+        .iter()
+        .map(|p| machine.part_to_axes().map_or(*p, |transform| transform.point(*p))[axis]);
+    positions.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)])
 }
 
 /// Names of the axes.

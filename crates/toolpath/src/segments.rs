@@ -19,8 +19,8 @@ fn boxes_overlap(a: &[[f64; 2]; 2], b: &[[f64; 2]; 2]) -> bool {
 
 /// 1 with `p` on the left of the line through `a`, -1 on its right, 0 on it.
 fn side(a: &[[f64; 2]; 2], p: [f64; 2]) -> i32 {
-    let coord = |[x, y]: [f64; 2]| Coord { x, y };
-    match orient2d(coord(a[0]), coord(a[1]), coord(p)) {
+    let [a, b, p] = [a[0], a[1], p].map(|[x, y]| Coord { x, y });
+    match orient2d(a, b, p) {
         d if d > 0.0 => 1,
         d if d < 0.0 => -1,
         _ => 0,

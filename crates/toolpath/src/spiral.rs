@@ -51,7 +51,7 @@ pub struct SpiralSettings {
     pub overscan_mm: f64,
 }
 
-/// A spiral over the valid pixels of `surface`.
+/// Makes a spiral over the valid pixels of `surface`. Refuses lengths out of their range, and too many segments.
 pub fn spiral(surface: &Surface, settings: &SpiralSettings) -> Result<ToolPath, ToolPathError> {
     let SpiralSettings { pitch_mm: p, step_mm, overscan_mm } = *settings;
     check_length("pitch_mm", p, false)?;
@@ -67,7 +67,8 @@ pub fn spiral(surface: &Surface, settings: &SpiralSettings) -> Result<ToolPath, 
         .fold((f64::MAX, 0.0_f64), |(low, high), r| (low.min(r), high.max(r)));
     // max(p/2, r_in - m) .. r_out + m
     let margin = overscan_mm.max(0.5 * p);
-    let (inner, outer) = ((inner - margin).max(0.5 * p), outer + margin);
+    let inner = (inner - margin).max(0.5 * p);
+    let outer = outer + margin;
     let angles = angles(p, step_mm.min(LONGEST_CHORD * p), inner, outer).ok_or({
         ToolPathError::TooManySegments { pitch_mm: p, step_mm, extent_mm: [2.0 * outer; 2] }
     })?;
@@ -82,20 +83,20 @@ pub fn spiral(surface: &Surface, settings: &SpiralSettings) -> Result<ToolPath, 
 
 /// Angles of the nodes, radians; `None` when there are too many.
 fn angles(pitch: f64, step: f64, inner: f64, outer: f64) -> Option<Vec<f64>> {
-    let theta = |r: f64| 2.0 * PI * r / pitch;
-    let (first, last) = (theta(inner), theta(outer));
-    let change = theta(step / FRAC_PI_4).clamp(first, last);
+    let [first, last, change] = [inner, outer, step / FRAC_PI_4].map(|r| 2.0 * PI * r / pitch);
+    let change = change.clamp(first, last);
     let mut angles = vec![first];
     if change > first {
         let n = parts(change - first, FRAC_PI_4, 0)?;
         angles.extend((1..=n).map(|k| first + (change - first) * k as f64 / n as f64));
     }
     if last > change {
-        let (begin, end) = (arc_length(pitch, change), arc_length(pitch, last));
+        let begin = arc_length(pitch, change);
+        let end = arc_length(pitch, last);
         let n = parts(end - begin, step, angles.len())?;
         // S_k = S_a + k (S_b - S_a) / n
-        let at = |k: usize| angle_at(pitch, begin + (end - begin) * k as f64 / n as f64);
-        angles.extend((1..=n).map(at));
+        let lengths = (1..=n).map(|k| begin + (end - begin) * k as f64 / n as f64);
+        angles.extend(lengths.map(|length| angle_at(pitch, length)));
     }
     Some(angles)
 }

@@ -31,12 +31,12 @@
 
 use std::f64::consts::PI;
 
-use ndarray::{ArrayView2, Axis};
-use planish_types::{Limits, Surface, Tif, ToolPath, progress};
+use ndarray::Axis;
+use planish_types::{Grid, Limits, Surface, Tif, ToolPath, progress};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::segments::meet;
+use crate::{region::nearest_pixel, segments::meet};
 
 /// Ripple that the pitch limit allows, peak to valley over mean, dimensionless (0.1 %). Larger: a larger pitch, and
 /// visible lines. Smaller: a smaller pitch, and a longer path.
@@ -102,29 +102,31 @@ pub struct PitchLimit {
 }
 
 impl PitchLimit {
-    /// The largest pitch that keeps both bounds, mm.
+    /// Returns the largest pitch that keeps both bounds, mm.
     pub fn pitch_mm(&self) -> f64 {
         self.tif_size_sixth_mm.min(self.ripple_mm)
     }
 }
 
-/// Statistics of `path` over the clear aperture: the valid pixels of `surface`.
+/// Computes the statistics of `path` over the clear aperture: the valid pixels of `surface`.
 pub fn statistics(path: &ToolPath, surface: &Surface) -> PathStatistics {
-    let lengths = |on: bool| {
-        let chosen = (0..path.len()).filter(move |i| path.tool_on()[*i] == on);
-        chosen.map(|i| path.segment_length_mm(i))
-    };
+    let [on, lifted] = [true, false].map(|on| -> Vec<f64> {
+        let segments = (0..path.len()).filter(|i| path.tool_on()[*i] == on);
+        segments.map(|i| path.segment_length_mm(i)).collect()
+    });
     // An empty sum of floats is -0.
-    let length = |on| lengths(on).fold(0.0, |sum, l| sum + l);
+    let [length_mm, lift_length_mm] =
+        [&on, &lifted].map(|lengths| lengths.iter().fold(0.0, |sum, l| sum + l));
     let changes = path.pass_idx().windows(2).filter(|w| w[0] != w[1]).count();
-    let lifted = |i: usize| !path.tool_on()[i];
-    let (steps, turns) = (sorted(lengths(true).collect()), sorted(turns_deg(path)));
+    let lifts = path.tool_on().chunk_by(|a, b| a == b).filter(|run| !run[0]).count();
+    let steps = sorted(on);
+    let turns = sorted(turns_deg(path));
     PathStatistics {
         points: path.point_mm().len(),
-        length_mm: length(true),
-        lift_length_mm: length(false),
+        length_mm,
+        lift_length_mm,
         passes: changes + 1,
-        lifts: (0..path.len()).filter(|i| lifted(*i) && (*i == 0 || !lifted(i - 1))).count(),
+        lifts,
         shortest_step_mm: percentile(&steps, 0.0),
         median_step_mm: percentile(&steps, 0.5),
         p99_step_mm: percentile(&steps, 0.99),
@@ -139,8 +141,8 @@ pub fn statistics(path: &ToolPath, surface: &Surface) -> PathStatistics {
     }
 }
 
-/// The time below which no motion can pass all points of the path, lifts included, s: every
-/// segment at the largest velocity that the axes allow.
+/// Returns the time below which no motion can pass all points of the path, lifts included, s: every segment at the
+/// largest velocity that the axes allow.
 pub fn time_lower_bound_s(path: &ToolPath, limits: &Limits) -> f64 {
     let v_max = limits.max_velocity_mm_per_s();
     // sum of max |d| / v_max
@@ -172,7 +174,8 @@ fn turns_deg(path: &ToolPath) -> Vec<f64> {
             before = None;
         } else if d != [0.0, 0.0] {
             if let Some(b) = before {
-                let (cross, dot) = (b[0] * d[1] - b[1] * d[0], b[0] * d[0] + b[1] * d[1]);
+                let cross = b[0] * d[1] - b[1] * d[0];
+                let dot = b[0] * d[0] + b[1] * d[1];
                 turns.push(cross.abs().atan2(dot).to_degrees());
             }
             before = Some(d);
@@ -181,7 +184,7 @@ fn turns_deg(path: &ToolPath) -> Vec<f64> {
     turns
 }
 
-/// Bounds of the pitch for this TIF.
+/// Returns the bounds of the pitch for this TIF.
 pub fn pitch_limit(tif: &Tif) -> PitchLimit {
     let [x, y] = tif.grid().size_mm();
     let sigma_mm = (tif.vrr_nm_mm2_per_s() / (2.0 * PI * tif.peak_nm_per_s())).sqrt();
@@ -193,37 +196,31 @@ pub fn pitch_limit(tif: &Tif) -> PitchLimit {
 
 fn effective_pitch_mm(path: &ToolPath, surface: &Surface) -> Option<f64> {
     let grid = surface.grid();
-    let valid = |p: [f64; 2]| {
-        let index = |axis: &planish_types::Axis, v: f64| {
-            let i = ((v - axis.start_mm()) / axis.step_mm()).round();
-            (i >= 0.0 && i < axis.len() as f64).then_some(i as usize)
-        };
-        match (index(&grid.y, p[1]), index(&grid.x, p[0])) {
-            (Some(r), Some(c)) => !surface.height_nm()[[r, c]].is_nan(),
-            _ => false,
-        }
-    };
-    let inside = |i: &usize| path.tool_on()[*i] && valid(path.dwell_point_mm()[*i]);
-    let length: f64 = (0..path.len()).filter(inside).map(|i| path.segment_length_mm(i)).sum();
+    let inside = (0..path.len()).filter(|i| {
+        let pixel = nearest_pixel(grid, path.dwell_point_mm()[*i]);
+        path.tool_on()[*i] && pixel.is_some_and(|pixel| !surface.height_nm()[pixel].is_nan())
+    });
+    let length: f64 = inside.map(|i| path.segment_length_mm(i)).sum();
     let area_mm2 = surface.statistics().valid_count as f64 * grid.pixel_mm2();
-    (length > 0.0).then(|| area_mm2 / length)
+    if length > 0.0 { Some(area_mm2 / length) } else { None }
 }
 
 fn coverage_mm(path: &ToolPath, surface: &Surface) -> Option<f64> {
     let point = path.point_mm();
     let on = (0..path.len()).filter(|i| path.tool_on()[*i]);
     let segments: Vec<_> = on.map(|i| [point[i], point[i + 1]]).collect();
-    let cells = Cells::new(&segments)?;
-    let (x, y) = (surface.grid().x, surface.grid().y);
+    let cells = SegmentCells::new(&segments)?;
+    let Grid { x, y } = *surface.grid();
     // From a path beside the map an outermost pixel is farthest: what is nearer need not be looked at.
     let beside = [(x.start_mm(), y.start_mm()), (x.end_mm(), y.end_mm())]
         .into_iter()
         .any(|(x, y)| cells.beside([x, y]) > cells.side_mm);
-    let distance_of = |(r, c): (usize, usize)| cells.distance_mm([x.at(c), y.at(r)]);
     let outermost = if beside { outermost(surface) } else { Vec::new() };
-    let seed = outermost.into_iter().map(distance_of).fold(0.0, f64::max);
+    let distances = outermost.into_iter().map(|(r, c)| cells.distance_mm([x.at(c), y.at(r)]));
+    let seed = distances.fold(0.0, f64::max);
     let pieces = progress::Pieces::new(y.len().div_ceil(BAND));
-    let farthest = |(band, rows): (usize, ArrayView2<f64>)| {
+    let bands = surface.height_nm().axis_chunks_iter(Axis(0), BAND).into_par_iter().enumerate();
+    let farthest = bands.map(|(band, rows)| {
         let mut worst = seed;
         for (r, row) in rows.outer_iter().enumerate() {
             let mut near = 0;
@@ -239,9 +236,8 @@ fn coverage_mm(path: &ToolPath, surface: &Surface) -> Option<f64> {
         }
         progress::done(pieces.one_more());
         worst
-    };
-    let bands = surface.height_nm().axis_chunks_iter(Axis(0), BAND).into_par_iter().enumerate();
-    Some(bands.map(farthest).reduce(|| 0.0, f64::max))
+    });
+    Some(farthest.reduce(|| 0.0, f64::max))
 }
 
 /// Number of rows of the map that one thread takes at a time. Larger: fewer tasks for the threads. Smaller: more
@@ -250,72 +246,75 @@ const BAND: usize = 64;
 
 /// The outermost valid pixels in eight directions, as (row, column).
 fn outermost(surface: &Surface) -> Vec<(usize, usize)> {
-    let (grid, map) = (surface.grid(), surface.height_nm());
-    let valid = || map.indexed_iter().filter(|(_, z)| !z.is_nan()).map(|(index, _)| index);
-    let directions = [[1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [-1.0, 1.0]];
-    let along = |[u, v]: [f64; 2], (r, c): (usize, usize)| u * grid.x.at(c) + v * grid.y.at(r);
-    let ends = directions.into_iter().flat_map(|d| {
-        let order = |a: &(usize, usize), b: &(usize, usize)| along(d, *a).total_cmp(&along(d, *b));
-        [valid().min_by(order), valid().max_by(order)]
+    let grid = surface.grid();
+    let pixels = surface.height_nm().indexed_iter().filter(|(_, z)| !z.is_nan());
+    let ends = [[1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [-1.0, 1.0]].into_iter().flat_map(|[u, v]| {
+        let along = pixels.clone().map(|((r, c), _)| (u * grid.x.at(c) + v * grid.y.at(r), (r, c)));
+        let first = along.clone().min_by(|a, b| a.0.total_cmp(&b.0));
+        [first, along.max_by(|a, b| a.0.total_cmp(&b.0))]
     });
-    ends.flatten().collect()
+    ends.flatten().map(|(_, pixel)| pixel).collect()
 }
 
 fn crossings(path: &ToolPath) -> usize {
     let point = path.point_mm();
     let on = (0..path.len()).filter(|i| path.tool_on()[*i] && point[*i] != point[i + 1]);
     let segments: Vec<_> = on.map(|i| [point[i], point[i + 1]]).collect();
-    // Where a closed line ends, the segment with which it began.
-    let follows = |i: usize| segments[i - 1][1] == segments[i][0];
     let mut closes = vec![usize::MAX; segments.len()];
     let mut first = 0;
     for i in 0..segments.len() {
-        if i > 0 && !follows(i) {
+        if i > 0 && segments[i - 1][1] != segments[i][0] {
             first = i;
         }
         if segments[i][1] == segments[first][0] {
             closes[i] = first;
         }
     }
-    let Some(cells) = Cells::new(&segments) else { return 0 };
-    let in_cell = |k: usize| {
-        // Ascending along the axis across which they are thin: where the boxes of two are apart, so are
-        // those of all that follow, and lines that are much denser than long stay cheap.
-        let mut members = cells.members(k).to_vec();
-        let size = |c: usize| {
-            let of = |i: &u32| (segments[*i as usize][1][c] - segments[*i as usize][0][c]).abs();
-            members.iter().map(of).sum::<f64>()
-        };
-        let across = usize::from(size(1) < size(0));
-        let ends = |i: u32| {
-            let [a, b] = segments[i as usize].map(|p| p[across]);
-            (a.min(b), a.max(b))
-        };
-        members.sort_unstable_by(|a, b| ends(*a).0.total_cmp(&ends(*b).0).then(a.cmp(b)));
-        let mut count = 0;
-        for (n, p) in members.iter().enumerate() {
-            let high = ends(*p).1;
-            for q in members[n + 1..].iter().take_while(|q| ends(**q).0 <= high) {
-                let (i, j) = (*p.min(q) as usize, *p.max(q) as usize);
-                let neighbours = (j == i + 1 && follows(j)) || closes[j] == i;
-                let (a, b) = (&segments[i], &segments[j]);
-                if neighbours {
-                    continue;
-                }
-                // Once per pair: in the cell of the lowest corner that the boxes share.
-                let low = |c: usize| a[0][c].min(a[1][c]).max(b[0][c].min(b[1][c]));
-                let [x, y] = cells.cell([low(0), low(1)]);
-                let here = (y * cells.count[0] as isize + x) as usize == k;
-                count += usize::from(here && meet(a, b));
+    let Some(cells) = SegmentCells::new(&segments) else { return 0 };
+    let cell_numbers = (0..cells.start.len() - 1).into_par_iter();
+    cell_numbers.map(|k| crossings_in_cell(&cells, k, &closes)).sum()
+}
+
+/// Number of crossings whose boxes share their lowest corner in cell `k`. `closes` has, for the segment with which a
+/// closed line ends, the one with which it began.
+fn crossings_in_cell(cells: &SegmentCells, k: usize, closes: &[usize]) -> usize {
+    let segments = cells.segments;
+    let size = [0, 1].map(|c| {
+        let sizes = cells.members(k).iter().map(|i| {
+            let [a, b] = segments[*i as usize];
+            (b[c] - a[c]).abs()
+        });
+        sizes.sum::<f64>()
+    });
+    // Ascending along the axis across which they are thin: where the boxes of two are apart, so are
+    // those of all that follow, and lines that are much denser than long stay cheap.
+    let across = usize::from(size[1] < size[0]);
+    let ends = cells.members(k).iter().map(|i| {
+        let [a, b] = segments[*i as usize].map(|p| p[across]);
+        (a.min(b), a.max(b), *i as usize)
+    });
+    let mut members: Vec<(f64, f64, usize)> = ends.collect();
+    members.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.2.cmp(&b.2)));
+    let mut count = 0;
+    for (n, (_, high, p)) in members.iter().enumerate() {
+        for (.., q) in members[n + 1..].iter().take_while(|(low, ..)| low <= high) {
+            let (i, j) = (*p.min(q), *p.max(q));
+            let (a, b) = (&segments[i], &segments[j]);
+            if (j == i + 1 && a[1] == b[0]) || closes[j] == i {
+                continue;
             }
+            // Once per pair: in the cell of the lowest corner that the boxes share.
+            let low = [0, 1].map(|c| a[0][c].min(a[1][c]).max(b[0][c].min(b[1][c])));
+            let [x, y] = cells.cell(low);
+            let here = (y * cells.count[0] as isize + x) as usize == k;
+            count += usize::from(here && meet(a, b));
         }
-        count
-    };
-    (0..cells.start.len() - 1).into_par_iter().map(in_cell).sum()
+    }
+    count
 }
 
 /// Segments sorted into the square cells that their bounding boxes touch.
-struct Cells<'a> {
+struct SegmentCells<'a> {
     segments: &'a [[[f64; 2]; 2]],
     origin_mm: [f64; 2],
     side_mm: f64,
@@ -325,24 +324,25 @@ struct Cells<'a> {
     member: Vec<u32>,
 }
 
-impl<'a> Cells<'a> {
+impl<'a> SegmentCells<'a> {
     /// `None` without segments.
     fn new(segments: &'a [[[f64; 2]; 2]]) -> Option<Self> {
-        let ends = || segments.iter().flatten();
-        let low = [0, 1].map(|a| ends().map(|p| p[a]).fold(f64::MAX, f64::min));
-        let high = [0, 1].map(|a| ends().map(|p| p[a]).fold(f64::MIN, f64::max));
-        let sizes = || segments.iter().map(|[a, b]| [0, 1].map(|c| (b[c] - a[c]).abs()));
+        let ends = segments.iter().flatten();
+        let low = [0, 1].map(|a| ends.clone().map(|p| p[a]).fold(f64::MAX, f64::min));
+        let high = [0, 1].map(|a| ends.clone().map(|p| p[a]).fold(f64::MIN, f64::max));
+        let sizes = segments.iter().map(|[a, b]| [0, 1].map(|c| (b[c] - a[c]).abs()));
         let extent = (high[0] - low[0]).max(high[1] - low[1]);
-        let mean = sizes().map(|d| d[0].max(d[1])).sum::<f64>() / segments.len() as f64;
+        let mean = sizes.clone().map(|d| d[0].max(d[1])).sum::<f64>() / segments.len() as f64;
         let mut side_mm = mean.max(extent / MAX_CELLS);
         if segments.is_empty() || side_mm <= 0.0 {
             return None;
         }
         // As fine as the segments, but so that the lists of the cells stay short when few of them
         // are much longer than the others.
-        let touched =
-            |side: f64| sizes().map(|d| (d[0] / side + 1.0) * (d[1] / side + 1.0)).sum::<f64>();
-        while touched(side_mm) > TOUCHED * segments.len() as f64 {
+        let most = TOUCHED * segments.len() as f64;
+        while sizes.clone().map(|d| (d[0] / side_mm + 1.0) * (d[1] / side_mm + 1.0)).sum::<f64>()
+            > most
+        {
             side_mm *= 2.0;
         }
         let count = [0, 1].map(|a| ((high[a] - low[a]) / side_mm) as usize + 1);
@@ -367,7 +367,8 @@ impl<'a> Cells<'a> {
                 next[k] += 1;
             }
         }
-        (cells.start, cells.member) = (start, member);
+        cells.start = start;
+        cells.member = member;
         Some(cells)
     }
 
@@ -377,15 +378,15 @@ impl<'a> Cells<'a> {
 
     /// Distance of a point from the grid, mm; 0 within it.
     fn beside(&self, p: [f64; 2]) -> f64 {
-        let away = |a: usize| {
+        let [x, y] = [0, 1].map(|a| {
             let end = self.origin_mm[a] + self.count[a] as f64 * self.side_mm;
             p[a] - p[a].clamp(self.origin_mm[a], end)
-        };
-        away(0).hypot(away(1))
+        });
+        x.hypot(y)
     }
 
     fn touched(&self, [a, b]: &[[f64; 2]; 2]) -> impl Iterator<Item = usize> + use<> {
-        let (p, q) = (self.cell(*a), self.cell(*b));
+        let [p, q] = [a, b].map(|end| self.cell(*end));
         let columns = p[0].min(q[0])..=p[0].max(q[0]);
         let width = self.count[0] as isize;
         (p[1].min(q[1])..=p[1].max(q[1]))
@@ -400,8 +401,8 @@ impl<'a> Cells<'a> {
         let centre = [0, 1].map(|a| own[a].clamp(0, count[a] - 1));
         // The nearest point q of the grid: |p - r|^2 >= |p - q|^2 + |q - r|^2 for every r in the grid.
         let beside = self.beside(p).powi(2);
-        let farthest = |a: usize| centre[a].max(count[a] - 1 - centre[a]);
-        let last = farthest(0).max(farthest(1));
+        let [x, y] = [0, 1].map(|a| centre[a].max(count[a] - 1 - centre[a]));
+        let last = x.max(y);
         let mut best = f64::INFINITY;
         for ring in 0..=last {
             // What lies in this ring is at least (ring - 1) cells away from q.
@@ -439,7 +440,8 @@ impl<'a> Cells<'a> {
 
 /// Square of the distance of `p` from the segment `a b`.
 fn square_of_distance(p: [f64; 2], [a, b]: &[[f64; 2]; 2]) -> f64 {
-    let (d, q) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
+    let d = [b[0] - a[0], b[1] - a[1]];
+    let q = [p[0] - a[0], p[1] - a[1]];
     let square = d[0] * d[0] + d[1] * d[1];
     // f = clamp(<q, d> / <d, d>): the foot of the perpendicular, or the nearer end.
     let f = if square > 0.0 { ((q[0] * d[0] + q[1] * d[1]) / square).clamp(0.0, 1.0) } else { 0.0 };

@@ -9,7 +9,10 @@ use planish_handoff::{
 };
 use planish_surface::{
     Family, Level, LowOrderSettings, OutlierSettings, PrepareError, PrepareReport, PrepareSettings,
-    extension::{self, ExtensionSettings, gaussian_decay, gerchberg_papoulis, polynomial},
+    extension::{
+        ExtensionMethod, ExtensionSettings, gaussian_decay::GaussianDecaySettings,
+        gerchberg_papoulis::GerchbergPapoulisSettings, polynomial::PolynomialSettings,
+    },
     prepare_to,
     target::{Heights, Lateral, Target, converted},
 };
@@ -131,10 +134,10 @@ impl FormArgs {
                 )))
             }
             Some(path) => {
-                let given = inputs.read_form("form", path)?;
-                let named = |e| Failure::new(format!("{}: {e}", path.display()));
-                let map = converted(&surface, &given.form, *heights, *lateral).map_err(named)?;
-                Ok((map, given.file.map(|stated| stated.file)))
+                let read = inputs.read_form("form", path)?;
+                let map = converted(&surface, &read.form, *heights, *lateral)
+                    .map_err(|e| Failure::new(format!("{}: {e}", path.display())))?;
+                Ok((map, read.file.map(|stated| stated.file)))
             }
         }
     }
@@ -227,10 +230,11 @@ impl PrepareArgs {
         let (surface, converted_along) = self.form.converted(surface, &mut inputs)?;
         // The form that an earlier run wrote beside the map stays with it.
         let earlier = self.surface.join(kind::FORM_FILE);
-        let earlier = match earlier.exists() {
-            true => inputs.read_form("surface-form", &earlier)?.file.map(|stated| stated.file),
-            false => None,
-        };
+        let mut earlier_form = None;
+        if earlier.exists() {
+            let read = inputs.read_form("surface-form", &earlier)?;
+            earlier_form = read.file.map(|stated| stated.file);
+        }
         let target = self.form.target(&mut inputs)?;
         let settings = PrepareSettings {
             aperture: self.aperture.read(&mut inputs)?,
@@ -263,32 +267,35 @@ impl PrepareArgs {
         let report = &prepared.report;
         // The form stands beside the map, for the stages that need it; a map refers to another directory.
         let subtracted = report.target.as_ref().map(|t| t.form.clone());
-        let of_part = earlier.or(converted_along).or(subtracted);
-        let of_part = of_part.filter(|file| file.surface.is_none());
-        let of_part = of_part.map(|file| FormFile { fit: None, ..file });
-        let beside = of_part.map(|file| serde_json::to_vec_pretty(&file)).transpose()?;
-        let beside: Vec<_> = beside.into_iter().map(|bytes| (kind::FORM_FILE, bytes)).collect();
+        let part_form = earlier_form.or(converted_along).or(subtracted);
+        let part_form = part_form.filter(|file| file.surface.is_none());
+        let mut beside = Vec::new();
+        if let Some(file) = part_form {
+            let file = FormFile { fit: None, ..file };
+            beside.push((kind::FORM_FILE, serde_json::to_vec_pretty(&file)?));
+        }
         let arrays = prepared.surface.to_arrays();
         let outcome = serde_json::to_value(report)?;
         output.write_arrays(Surface::KIND, &arrays, &beside, outcome, &Status::Done)?;
-        tell(report);
+        print_report(report);
         Ok(Status::Done)
     }
 
+    fn low_order(&self, family: Family) -> Result<Level, Failure> {
+        let order = self.level_order.ok_or_else(|| {
+            Failure::new(
+                "--level-order: is missing; give the highest order of the terms to subtract",
+            )
+        })?;
+        let circle = self.zernike_circle_mm.as_deref().map(circle);
+        Ok(Level::LowOrder(LowOrderSettings { family, order, circle }))
+    }
+
     fn level(&self) -> Result<Level, Failure> {
-        let low_order = |family| {
-            let order = self.level_order.ok_or_else(|| {
-                Failure::new(
-                    "--level-order: is missing; give the highest order of the terms to subtract",
-                )
-            })?;
-            let circle = self.zernike_circle_mm.as_deref().map(circle);
-            Ok(Level::LowOrder(LowOrderSettings { family, order, circle }))
-        };
         let level = match self.level {
-            LevelArg::Zernike => return low_order(Family::Zernike),
-            LevelArg::Legendre => return low_order(Family::Legendre),
-            LevelArg::Chebyshev => return low_order(Family::Chebyshev),
+            LevelArg::Zernike => return self.low_order(Family::Zernike),
+            LevelArg::Legendre => return self.low_order(Family::Legendre),
+            LevelArg::Chebyshev => return self.low_order(Family::Chebyshev),
             LevelArg::None => Level::None,
             LevelArg::Piston => Level::Piston,
             LevelArg::Plane => Level::Plane,
@@ -346,10 +353,10 @@ impl ExtensionArgs {
         };
         self.refuse_flags_of_another(method)?;
         let method = match method {
-            ExtendArg::Nearest => extension::Method::Nearest,
+            ExtendArg::Nearest => ExtensionMethod::Nearest,
             ExtendArg::GaussianDecay => {
-                let usual = gaussian_decay::Settings::for_margin_mm(margin_mm);
-                extension::Method::GaussianDecay(gaussian_decay::Settings {
+                let usual = GaussianDecaySettings::for_margin_mm(margin_mm);
+                ExtensionMethod::GaussianDecay(GaussianDecaySettings {
                     sigma_mm: self.extend_sigma_mm.unwrap_or(usual.sigma_mm),
                 })
             }
@@ -359,16 +366,16 @@ impl ExtensionArgs {
                         "--extend-cutoff-per-mm: is missing; 1 / (2 FWHM) of the tool is usual",
                     )
                 })?;
-                let usual = gerchberg_papoulis::Settings::for_cutoff_per_mm(cutoff_per_mm);
-                extension::Method::GerchbergPapoulis(gerchberg_papoulis::Settings {
+                let usual = GerchbergPapoulisSettings::for_cutoff_per_mm(cutoff_per_mm);
+                ExtensionMethod::GerchbergPapoulis(GerchbergPapoulisSettings {
                     cutoff_per_mm,
                     max_iterations: self.extend_iterations.unwrap_or(usual.max_iterations),
                     tolerance_nm: self.extend_tolerance_nm.unwrap_or(usual.tolerance_nm),
                 })
             }
             ExtendArg::Polynomial => {
-                let usual = polynomial::Settings::default();
-                extension::Method::Polynomial(polynomial::Settings {
+                let usual = PolynomialSettings::default();
+                ExtensionMethod::Polynomial(PolynomialSettings {
                     order: self.extend_order.as_ref().map_or(usual.order, |o| [o[0], o[1]]),
                     ring: !self.extend_without_ring,
                 })
@@ -377,7 +384,7 @@ impl ExtensionArgs {
         Ok(Some(ExtensionSettings { margin_mm, method }))
     }
 
-    /// A flag of another method would be ignored in silence.
+    /// Refuses a flag of another method, which would be ignored in silence.
     fn refuse_flags_of_another(&self, method: ExtendArg) -> Result<(), Failure> {
         let flags = [
             ("--extend-sigma-mm", self.extend_sigma_mm.is_some(), ExtendArg::GaussianDecay),
@@ -395,7 +402,8 @@ impl ExtensionArgs {
             ("--extend-order", self.extend_order.is_some(), ExtendArg::Polynomial),
             ("--extend-without-ring", self.extend_without_ring, ExtendArg::Polynomial),
         ];
-        if let Some((flag, ..)) = flags.iter().find(|(_, given, of)| *given && *of != method) {
+        let other = flags.iter().find(|(_, is_there, owner)| *is_there && *owner != method);
+        if let Some((flag, ..)) = other {
             return Err(Failure::new(format!(
                 "{flag}: has no use with this --extend; leave it out"
             )));
@@ -404,8 +412,8 @@ impl ExtensionArgs {
     }
 }
 
-/// Says what was done to the map.
-fn tell(report: &PrepareReport) {
+/// Prints what was done to the map.
+fn print_report(report: &PrepareReport) {
     let (rows, columns) = report.after.shape;
     let masked = report.outliers.as_ref().map_or(String::new(), |o| {
         format!(", {} outlier(s) masked ({} px)", o.components, o.masked_pixels)

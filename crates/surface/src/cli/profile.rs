@@ -41,36 +41,34 @@ fn value_unit(text: &str) -> Result<Unit, String> {
 }
 
 impl ProfileArgs {
-    /// Reads a profile: a table as text, or a .npy file of shape (positions, columns).
+    /// Reads a profile: a table as text, or a .npy file of shape (positions, columns). Refuses flags that do not
+    /// describe it, and a file that is no profile.
     pub fn read(&self, inputs: &mut Inputs, file: &Path) -> Result<Profile, Failure> {
         let settings = self.settings()?;
-        let rows = match file.extension().is_some_and(|e| e.eq_ignore_ascii_case("npy")) {
-            true => {
-                let table = inputs.read_map("profile", file)?;
-                let [position, value] = settings.columns;
-                if position.max(value) > table.ncols() {
-                    let message = format!(
-                        "{}: has {} column(s), not {}; give the right --profile-columns (an array of shape \
+        let rows = if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("npy")) {
+            let table = inputs.read_map("profile", file)?;
+            let [position, value] = settings.columns;
+            if position.max(value) > table.ncols() {
+                let message = format!(
+                    "{}: has {} column(s), not {}; give the right --profile-columns (an array of shape \
                          (positions, columns))",
-                        file.display(),
-                        table.ncols(),
-                        position.max(value)
-                    );
-                    return Err(Failure::new(message));
-                }
-                let rows = table.outer_iter().map(|row| [row[position - 1], row[value - 1]]);
-                ProfileRows { rows: rows.collect(), position_unit: None, warnings: Vec::new() }
+                    file.display(),
+                    table.ncols(),
+                    position.max(value)
+                );
+                return Err(Failure::new(message));
             }
-            false => {
-                let bytes = inputs.read_bytes("profile", file, LARGEST_PROFILE_BYTES)?;
-                rows_of_text(&bytes, &settings).map_err(Failure::with_flags)?
-            }
+            let rows = table.outer_iter().map(|row| [row[position - 1], row[value - 1]]);
+            ProfileRows { rows: rows.collect(), position_unit: None, warnings: Vec::new() }
+        } else {
+            let bytes = inputs.read_bytes("profile", file, LARGEST_PROFILE_BYTES)?;
+            rows_of_text(&bytes, &settings).map_err(Failure::with_flags)?
         };
         rows.warnings.iter().for_each(warn);
         Profile::from_rows(&rows, &settings).map_err(Failure::with_flags)
     }
 
-    /// Settings of the library from the flags.
+    /// Returns the settings of the library from the flags. Refuses equal columns, and no unit of the values.
     pub fn settings(&self) -> Result<ProfileSettings, Failure> {
         let columns = [self.profile_columns[0], self.profile_columns[1]];
         if columns.contains(&0) || columns[0] == columns[1] {

@@ -43,11 +43,11 @@ impl PsdArgs {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };
-        let found = psd(&surface, &settings).map_err(Failure::with_flags)?;
-        let picture = [("psd.svg", psd_svg(&found).into_bytes())];
-        let outcome = serde_json::to_value(&found.report)?;
-        output.write_arrays(&kind::PSD, &psd_arrays(&found), &picture, outcome, &Status::Done)?;
-        let r = &found.report;
+        let psd = psd(&surface, &settings).map_err(Failure::with_flags)?;
+        let picture = [("psd.svg", psd_svg(&psd).into_bytes())];
+        let outcome = serde_json::to_value(&psd.report)?;
+        output.write_arrays(&kind::PSD, &psd_arrays(&psd), &picture, outcome, &Status::Done)?;
+        let r = &psd.report;
         say(format!(
             "planish-surface: spectrum of {} x {} px ({:.1} % of the valid ones), RMS {:.4} nm, in the \
              spectrum {:.4} nm",

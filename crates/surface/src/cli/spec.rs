@@ -13,9 +13,7 @@ use planish_surface::{
     shape::{EllipseParameter, EllipseSettings, Shape},
     specification::{Specification, SpecificationReport, Verdict},
 };
-use planish_types::{
-    Invalid, Removal, outcome::specification::SpecificationOutcome, text::significant,
-};
+use planish_types::{Removal, outcome::specification::SpecificationOutcome, text::significant};
 use serde_json::json;
 
 use super::profile::ProfileArgs;
@@ -109,16 +107,17 @@ impl SpecArgs {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };
-        let found = quality(&subject, &settings).map_err(Failure::with_flags)?;
+        let quality = quality(&subject, &settings).map_err(Failure::with_flags)?;
         let verdict = match &specification {
             Some((file, specification)) => {
-                let judged =
-                    specification.judge_beside_noise(&subject, self.noise_nm.unwrap_or(0.0));
-                let about = |e: Invalid| match e.array {
-                    "noise_nm" => Failure::with_flags(e),
-                    _ => Failure::new(format!("{}: {e}", file.display())),
-                };
-                Some(judged.map_err(about)?)
+                let noise_nm = self.noise_nm.unwrap_or(0.0);
+                let report = specification.judge_beside_noise(&subject, noise_nm).map_err(|e| {
+                    match e.array {
+                        "noise_nm" => Failure::with_flags(e),
+                        _ => Failure::new(format!("{}: {e}", file.display())),
+                    }
+                })?;
+                Some(report)
             }
             None => None,
         };
@@ -126,10 +125,10 @@ impl SpecArgs {
             .as_ref()
             .and_then(SpecificationReport::failures)
             .map_or(Status::Done, Status::Negative);
-        let arrays = arrays(&found.arrays);
-        let outcome = SpecificationOutcome { more: &found, specification: verdict };
+        let arrays = arrays(&quality.arrays);
+        let outcome = SpecificationOutcome { more: &quality, specification: verdict };
         output.write_arrays(&kind::SPECIFICATION, &arrays, &[], &outcome, &status)?;
-        report(&found);
+        report(&quality);
         outcome.specification.iter().flat_map(|v| &v.limits).for_each(|limit| {
             let verdict = match limit.verdict() {
                 Verdict::Kept => "kept ",
@@ -177,15 +176,15 @@ impl SpecArgs {
 }
 
 /// Prints the numbers.
-fn report(found: &Quality) {
-    let nrad = |v: Option<f64>| v.map_or("-".into(), |v| significant(v, 4));
-    let base_mm = found.slope_x.base_mm;
-    let over = match base_mm > 0.0 {
-        true => format!("over {} mm", significant(base_mm, 4)),
-        false => "as measured".into(),
+fn report(quality: &Quality) {
+    let base_mm = quality.slope_x.base_mm;
+    let over = if base_mm > 0.0 {
+        format!("over {} mm", significant(base_mm, 4))
+    } else {
+        "as measured".into()
     };
     say(format!("after            height RMS    PV (nm)    slope {over}: RMS along x, y (nrad)"));
-    for after in &found.after {
+    for after in &quality.after {
         let shape = &after.shape;
         let mut how = String::new();
         if let Some(radius) = shape.radius_m {
@@ -200,32 +199,33 @@ fn report(found: &Quality) {
             shape.shape.name(),
             significant(after.height_rms_nm, 4),
             significant(after.height_pv_nm, 4),
-            nrad(after.slope_x_rms_nrad),
-            nrad(after.slope_y_rms_nrad),
+            or_dash(after.slope_x_rms_nrad),
+            or_dash(after.slope_y_rms_nrad),
         ));
     }
-    let after = found.shape.shape.name();
-    if let Some(line) = &found.centre_line {
+    let after = quality.shape.shape.name();
+    if let Some(line) = &quality.centre_line {
         let [low, high] = line.y_mm.map(|y| significant(y, 4));
         say(format!(
             "centre line (y {low} to {high} mm) after {after}: {} nm RMS, {} nm PV, {} nrad RMS",
             significant(line.height_rms_nm, 4),
             significant(line.height_pv_nm, 4),
-            nrad(line.slope_rms_nrad)
+            or_dash(line.slope_rms_nrad)
         ));
     }
-    for band in &found.bands {
+    for band in &quality.bands {
         let [low, high] = band.band_per_mm;
         say(format!(
             "{low} .. {high} /mm after {after}: {} nm RMS; slope along x {}, along y {} nrad RMS",
             significant(band.height_rms_nm, 4),
             significant(band.slope_x_rms_nrad, 4),
-            nrad(band.slope_y_rms_nrad)
+            or_dash(band.slope_y_rms_nrad)
         ));
     }
-    let [x, y] = [found.autocorrelation_length_x_mm, found.autocorrelation_length_y_mm].map(nrad);
+    let lengths = [quality.autocorrelation_length_x_mm, quality.autocorrelation_length_y_mm];
+    let [x, y] = lengths.map(or_dash);
     say(format!("autocorrelation length after {after}: along x {x}, along y {y} mm"));
-    if let Some(s) = &found.strehl {
+    if let Some(s) = &quality.strehl {
         say(format!(
             "Strehl ratio at {} nm after {after}: {} ({} rad RMS)",
             significant(s.light.wavelength_nm, 6),
@@ -233,22 +233,18 @@ fn report(found: &Quality) {
             significant(s.phase_rms_rad, 3)
         ));
     }
-    found.notes.iter().for_each(|note| say(format!("note: {note}")));
+    quality.notes.iter().for_each(|note| say(format!("note: {note}")));
+}
+
+/// A number as it is printed; a dash where there is none.
+fn or_dash(value: Option<f64>) -> String {
+    value.map_or("-".into(), |v| significant(v, 4))
 }
 
 /// Arrays of the artifact, in the order of its kind.
-fn arrays(found: &QualityArrays) -> Vec<ArrayData<'_>> {
-    let line = |v: &[f64]| ArrayData::F64(Array1::from(v.to_vec()).into_dyn().into());
-    let mut all = vec![
-        line(&found.position_mm),
-        line(&found.height_nm),
-        line(&found.slope_position_mm),
-        line(&found.slope_nrad),
-    ];
-    for spectrum in &found.lines {
-        all.extend(
-            [&spectrum.frequency_per_mm, &spectrum.height, &spectrum.slope].map(|v| line(v)),
-        );
-    }
-    all
+fn arrays(arrays: &QualityArrays) -> Vec<ArrayData<'_>> {
+    let QualityArrays { position_mm, height_nm, slope_position_mm, slope_nrad, lines } = arrays;
+    let spectra = lines.iter().flat_map(|s| [&s.frequency_per_mm, &s.height, &s.slope]);
+    let all = [position_mm, height_nm, slope_position_mm, slope_nrad].into_iter().chain(spectra);
+    all.map(|v| ArrayData::F64(Array1::from(v.to_vec()).into_dyn().into())).collect()
 }

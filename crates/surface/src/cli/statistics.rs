@@ -23,8 +23,8 @@ impl StatisticsArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let surface = self.map.read(&mut Inputs::new())?;
         let circle = self.zernike_circle_mm.as_deref().map(circle);
-        let found = surface_statistics(&surface, self.pvr_terms, circle)?;
-        say(serde_json::to_string_pretty(&found)?);
+        let statistics = surface_statistics(&surface, self.pvr_terms, circle)?;
+        say(serde_json::to_string_pretty(&statistics)?);
         Ok(Status::Done)
     }
 }

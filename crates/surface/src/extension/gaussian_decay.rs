@@ -16,23 +16,23 @@ use crate::distance;
 
 /// Length of the decay.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct GaussianDecaySettings {
     /// Distance at which the height has fallen to exp(-1/2) = 0.61, mm; > 0.
     pub sigma_mm: f64,
 }
 
-impl Settings {
-    /// The usual decay for this margin: to 1 % at its outer edge.
+impl GaussianDecaySettings {
+    /// Returns the usual decay for this margin: to 1 % at its outer edge.
     pub fn for_margin_mm(margin_mm: f64) -> Self {
         Self { sigma_mm: margin_mm / 3.0 }
     }
 }
 
-/// `map` (ny, nx) with a height on every pixel.
+/// Returns `map` (ny, nx) with a height on every pixel.
 pub(super) fn extend(
     map: &Array2<f64>,
     grid: &Grid,
-    settings: &Settings,
+    settings: &GaussianDecaySettings,
 ) -> Result<Array2<f64>, Invalid> {
     let sigma = settings.sigma_mm;
     if !(sigma.is_finite() && sigma > 0.0) {
@@ -46,5 +46,5 @@ pub(super) fn extend(
     // z(p) = z(q) exp(-d^2 / 2 sigma^2)
     Ok(Zip::from(&near.place)
         .and(&near.distance_mm)
-        .map_collect(|at, d| map[*at] * (-0.5 * (d / sigma).powi(2)).exp()))
+        .map_collect(|pixel, d| map[*pixel] * (-0.5 * (d / sigma).powi(2)).exp()))
 }

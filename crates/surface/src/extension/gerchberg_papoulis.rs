@@ -33,7 +33,7 @@ const MOST_ITERATIONS: usize = 100_000;
 
 /// Cutoff and stopping rule.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct GerchbergPapoulisSettings {
     /// f_c, 1/mm; > 0, at most half the sampling frequency.
     pub cutoff_per_mm: f64,
     /// Largest number of steps.
@@ -42,18 +42,18 @@ pub struct Settings {
     pub tolerance_nm: f64,
 }
 
-impl Settings {
-    /// The defaults for this cutoff, 1/mm.
+impl GerchbergPapoulisSettings {
+    /// Returns the defaults for this cutoff, 1/mm.
     pub fn for_cutoff_per_mm(cutoff_per_mm: f64) -> Self {
         Self { cutoff_per_mm, max_iterations: 300, tolerance_nm: 1e-3 }
     }
 }
 
-/// `map` (ny, nx) with a height on every pixel.
+/// Returns `map` (ny, nx) with a height on every pixel.
 pub(super) fn extend(
     map: &Array2<f64>,
     grid: &Grid,
-    settings: &Settings,
+    settings: &GerchbergPapoulisSettings,
 ) -> Result<(Array2<f64>, Value), Invalid> {
     let (ny, nx) = map.dim();
     // The transform's own margin, for its speed, joins the unknown pixels.
@@ -61,8 +61,8 @@ pub(super) fn extend(
     settings.check(grid, size)?;
     let mut known = Array2::from_elem(size, f64::NAN);
     known.slice_mut(s![..ny, ..nx]).assign(map);
-    let valid = || known.iter().filter(|v| !v.is_nan());
-    let mean = valid().sum::<f64>() / valid().count() as f64;
+    let valid: Vec<f64> = known.iter().copied().filter(|v| !v.is_nan()).collect();
+    let mean = valid.iter().sum::<f64>() / valid.len() as f64;
     known -= mean;
 
     let pass = Array2::from_shape_fn(size, |(k, l)| {
@@ -71,7 +71,8 @@ pub(super) fn extend(
         fx.hypot(fy) <= settings.cutoff_per_mm
     });
     let mut z = nearest::extend(&known, grid);
-    let (mut iterations, mut change) = (0, 0.0);
+    let mut iterations = 0;
+    let mut change = 0.0;
     while iterations < settings.max_iterations {
         // L z_k
         let mut spectrum = transform::forward(z.view());
@@ -98,9 +99,9 @@ pub(super) fn extend(
     Ok((z.slice_move(s![..ny, ..nx]) + mean, own))
 }
 
-impl Settings {
+impl GerchbergPapoulisSettings {
     fn check(&self, grid: &Grid, size: (usize, usize)) -> Result<(), Invalid> {
-        let (dx, dy) = (grid.x.step_mm(), grid.y.step_mm());
+        let [dx, dy] = [grid.x, grid.y].map(|axis| axis.step_mm());
         let f = self.cutoff_per_mm;
         let highest = 0.5 / dx.max(dy);
         if !(f > 0.0 && f <= highest) {

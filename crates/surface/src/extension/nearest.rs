@@ -12,7 +12,7 @@ use planish_types::Grid;
 
 use crate::distance;
 
-/// `map` (ny, nx) with a height on every pixel.
+/// Returns `map` (ny, nx) with a height on every pixel.
 pub(super) fn extend(map: &Array2<f64>, grid: &Grid) -> Array2<f64> {
-    distance::nearest(map.view(), grid).place.mapv(|at| map[at])
+    distance::nearest(map.view(), grid).place.mapv(|pixel| map[pixel])
 }

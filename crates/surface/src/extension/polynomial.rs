@@ -35,7 +35,7 @@ const MAX_ORDER: u32 = 30;
 
 /// Settings of the polynomial.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct PolynomialSettings {
     /// Highest orders [I along x, J along y]; at most 30.
     pub order: [u32; 2],
     /// True to fit the ring too, with the heights of the nearest extension. False is for maps that are
@@ -43,18 +43,18 @@ pub struct Settings {
     pub ring: bool,
 }
 
-impl Default for Settings {
+impl Default for PolynomialSettings {
     fn default() -> Self {
         Self { order: [9, 6], ring: true }
     }
 }
 
-/// `map` (ny, nx), enlarged by `margin_mm`, with a height on every pixel.
+/// Returns `map` (ny, nx), enlarged by `margin_mm`, with a height on every pixel.
 pub(super) fn extend(
     map: &Array2<f64>,
     grid: &Grid,
     margin_mm: f64,
-    settings: &Settings,
+    settings: &PolynomialSettings,
 ) -> Result<(Array2<f64>, Value), Invalid> {
     let [along_x, along_y] = settings.order;
     if along_x.max(along_y) > MAX_ORDER {
@@ -87,7 +87,10 @@ pub(super) fn extend(
     }
     let terms = (0..=along_x).flat_map(|i| (0..=along_y).map(move |j| [i, j])).collect();
     let basis = Basis::tensor(grid, box_mm, Polynomial::Chebyshev, terms);
-    let found = fit(&basis, data.view())?;
-    let misfit_rms_nm = statistics((map - &found.map).view()).map_or(0.0, |s| s.rms);
-    Ok((found.map, json!({ "misfit_rms_nm": misfit_rms_nm, "condition": found.condition })))
+    let polynomial = fit(&basis, data.view())?;
+    let misfit_rms_nm = statistics((map - &polynomial.map).view()).map_or(0.0, |s| s.rms);
+    Ok((
+        polynomial.map,
+        json!({ "misfit_rms_nm": misfit_rms_nm, "condition": polynomial.condition }),
+    ))
 }

@@ -11,7 +11,7 @@ use planish_numerics::{
 use planish_types::{Invalid, Surface};
 
 use crate::{
-    psd::{Detrend, Psd, PsdSettings, Window, psd},
+    psd::{Detrend, Psd, PsdSettings, Window, mean_square, psd},
     shape::{Heights, Shape, without_shape},
 };
 
@@ -35,15 +35,24 @@ impl SpectrumLine {
         Self { frequency_per_mm, height, slope }
     }
 
+    /// Makes both densities, averaged over the rows of a map. The mean of a row has no slope along it, and the window
+    /// would spread it over the lowest frequencies.
+    fn of_rows(z: ArrayView2<f64>, step_mm: f64) -> Self {
+        let mut z = z.to_owned();
+        for mut line in z.outer_iter_mut() {
+            let mean = line.mean().unwrap_or(0.0);
+            line.mapv_inplace(|v| v - mean);
+        }
+        let (f, density) = along_rows(z.view(), step_mm, &hann(z.ncols()));
+        Self::of_heights(f, density)
+    }
     /// Makes both densities from the density of slopes: that of heights is it over (2 pi f)^2, and 0 at f =
     /// 0, where it is not defined.
     fn of_slopes(frequency_per_mm: Vec<f64>, slope: Vec<f64>) -> Self {
         let height = frequency_per_mm.iter().zip(&slope);
-        let height = height.map(|(f, s)| match *f > 0.0 {
-            true => s / (2.0 * PI * f * 1e3).powi(2),
-            false => 0.0,
-        });
-        let height = height.collect();
+        let height = height
+            .map(|(f, s)| if *f > 0.0 { s / (2.0 * PI * f * 1e3).powi(2) } else { 0.0 })
+            .collect();
         Self { frequency_per_mm, height, slope }
     }
 
@@ -53,22 +62,21 @@ impl SpectrumLine {
         let density = vec![density; f.len()];
         Self::of_heights(f, density)
     }
-
-    /// Mean square in a band: the sum of S df over the frequencies in [f_0, f_1).
-    fn mean_square(&self, density: &[f64], [low, high]: [f64; 2]) -> f64 {
-        let f = &self.frequency_per_mm;
-        let inside = f.iter().zip(density).filter(|(f, _)| **f >= low && **f < high);
-        inside.map(|(_, s)| s).sum::<f64>() * (f[1] - f[0])
+    /// Makes both densities of white noise of `noise_nm` RMS along a line: one-sided up to the Nyquist frequency, the
+    /// last one or half a bin below it.
+    fn white(&self, noise_nm: f64) -> Self {
+        let highest = self.frequency_per_mm.last().copied().unwrap_or(1.0);
+        self.flat(noise_nm * noise_nm / highest)
     }
 
-    /// RMS of heights in the band, nm.
+    /// Returns the RMS of heights in the band, nm.
     pub(crate) fn height_rms(&self, band: [f64; 2]) -> f64 {
-        self.mean_square(&self.height, band).sqrt()
+        mean_square(&self.frequency_per_mm, &self.height, band).sqrt()
     }
 
-    /// RMS of slopes in the band, nrad.
+    /// Returns the RMS of slopes in the band, nrad.
     pub(crate) fn slope_rms(&self, band: [f64; 2]) -> f64 {
-        self.mean_square(&self.slope, band).sqrt()
+        mean_square(&self.frequency_per_mm, &self.slope, band).sqrt()
     }
 
     /// Returns true if a frequency of the spectrum is in the band.
@@ -87,26 +95,21 @@ pub(crate) struct Spectra {
 }
 
 impl Spectra {
-    /// RMS of heights in a band, nm: of a map in two dimensions.
+    /// Returns the RMS of heights in a band, nm: of a map in two dimensions.
     pub(crate) fn height_rms_nm(&self, [low, high]: [f64; 2]) -> f64 {
         let Some(psd) = &self.two_dimensional else { return self.x.height_rms([low, high]) };
         let (fx, fy) = (&psd.frequency_2d_x_per_mm, &psd.frequency_2d_y_per_mm);
         let bin = (fx[1] - fx[0]) * (fy[1] - fy[0]);
-        let of = psd.psd_2d_nm2_mm2.indexed_iter().filter(|((r, c), _)| {
+        let inside = psd.psd_2d_nm2_mm2.indexed_iter().filter(|((r, c), _)| {
             let f = fx[*c].hypot(fy[*r]);
             f >= low && f < high
         });
-        (of.map(|(_, s)| s).sum::<f64>() * bin).sqrt()
+        (inside.map(|(_, s)| s).sum::<f64>() * bin).sqrt()
     }
 
-    /// White noise of `noise_nm` RMS at the same frequencies: the same density at all of them, whose integral is the
-    /// mean square.
+    /// Returns the white noise of `noise_nm` RMS at the same frequencies: the same density at all of them, whose
+    /// integral is the mean square.
     pub(crate) fn white(&self, noise_nm: f64) -> Self {
-        let flat = |line: &SpectrumLine| {
-            // One-sided up to the Nyquist frequency, the last one or half a bin below it.
-            let highest = line.frequency_per_mm.last().copied().unwrap_or(1.0);
-            line.flat(noise_nm * noise_nm / highest)
-        };
         let two_dimensional = self.two_dimensional.as_ref().map(|psd| {
             let (fx, fy) = (&psd.frequency_2d_x_per_mm, &psd.frequency_2d_y_per_mm);
             let area = (fx[1] - fx[0]) * (fy[1] - fy[0]) * psd.psd_2d_nm2_mm2.len() as f64;
@@ -116,53 +119,43 @@ impl Spectra {
         });
         let radial = self.radial.as_ref().zip(two_dimensional.as_ref());
         Self {
-            x: flat(&self.x),
-            y: self.y.as_ref().map(flat),
+            x: self.x.white(noise_nm),
+            y: self.y.as_ref().map(|y| y.white(noise_nm)),
             radial: radial.map(|(line, white)| line.flat(white.psd_2d_nm2_mm2[[0, 0]])),
             two_dimensional,
         }
     }
 
-    /// Spectra of a map after subtraction of the shape.
+    /// Returns the spectra of a map after subtraction of the shape.
     pub(super) fn of_map(surface: &Surface) -> Result<Self, Invalid> {
         let settings =
             PsdSettings { window: Window::Hann, detrend: Detrend::Plane, band_per_mm: vec![] };
-        let found = psd(surface, &settings)?;
+        let psd = psd(surface, &settings)?;
         let (origin, (ny, nx)) = largest_rectangle(&surface.height_nm().mapv(|v| !v.is_nan()));
-        let (rows, columns) = (origin.0..origin.0 + ny, origin.1..origin.1 + nx);
+        let rows = origin.0..origin.0 + ny;
+        let columns = origin.1..origin.1 + nx;
         let (x, y) = (surface.grid().x.coordinates(), surface.grid().y.coordinates());
         let z = surface.height_nm().slice(s![rows.clone(), columns.clone()]);
         let z = without_plane(z, &x[columns], &y[rows]);
-        // The mean of a line has no slope along it, and the window would spread it over the lowest
-        // frequencies.
-        let lines = |z: ArrayView2<f64>, step_mm: f64| {
-            let mut z = z.to_owned();
-            for mut line in z.outer_iter_mut() {
-                let mean = line.mean().unwrap_or(0.0);
-                line.mapv_inplace(|v| v - mean);
-            }
-            let (f, density) = along_rows(z.view(), step_mm, &hann(z.ncols()));
-            SpectrumLine::of_heights(f, density)
-        };
         let radial = SpectrumLine::of_heights(
-            found.frequency_radial_per_mm.clone(),
-            found.psd_radial_nm2_mm2.clone(),
+            psd.frequency_radial_per_mm.clone(),
+            psd.psd_radial_nm2_mm2.clone(),
         );
         Ok(Self {
-            x: lines(z.view(), surface.grid().x.step_mm()),
-            y: Some(lines(z.t(), surface.grid().y.step_mm())),
+            x: SpectrumLine::of_rows(z.view(), surface.grid().x.step_mm()),
+            y: Some(SpectrumLine::of_rows(z.t(), surface.grid().y.step_mm())),
             radial: Some(radial),
-            two_dimensional: Some(found),
+            two_dimensional: Some(psd),
         })
     }
 
-    /// Spectra of the heights of a profile after subtraction of the shape, nm.
+    /// Returns the spectra of the heights of a profile after subtraction of the shape, nm.
     pub(super) fn of_heights(x_mm: &[f64], height_nm: &[f64]) -> Result<Self, Invalid> {
         let (f, density) = density_of_profile(x_mm, height_nm, Shape::Plane)?;
         Ok(Self::of_line(SpectrumLine::of_heights(f, density)))
     }
 
-    /// Spectra of the measured slopes of a profile after subtraction of those of the shape, nrad.
+    /// Returns the spectra of the measured slopes of a profile after subtraction of those of the shape, nrad.
     pub(super) fn of_slopes(x_mm: &[f64], slope_nrad: &[f64]) -> Result<Self, Invalid> {
         let (f, density) = density_of_profile(x_mm, slope_nrad, Shape::Piston)?;
         Ok(Self::of_line(SpectrumLine::of_slopes(f, density)))
@@ -196,13 +189,13 @@ fn density_of_profile(
     Ok(along_rows(run.view(), step_mm, &hann(length)))
 }
 
-/// `values` at `x` as one row of `count` even steps from the first, linear between valid neighbours.
+/// Returns `values` at `x` as one row of `count` even steps from the first, linear between valid neighbours.
 pub(crate) fn at_even_steps(x: &[f64], values: &[f64], step: f64, count: usize) -> Array2<f64> {
     let n = x.len();
     Array2::from_shape_fn((1, count), |(_, c)| {
-        let at = x[0] + c as f64 * step;
-        let i = x.partition_point(|v| *v <= at).clamp(1, n - 1);
-        let part = ((at - x[i - 1]) / (x[i] - x[i - 1])).clamp(0.0, 1.0);
+        let position = x[0] + c as f64 * step;
+        let i = x.partition_point(|v| *v <= position).clamp(1, n - 1);
+        let part = ((position - x[i - 1]) / (x[i] - x[i - 1])).clamp(0.0, 1.0);
         // If an even step meets a position but for rounding, the value there is used as it is: its
         // neighbour may be invalid.
         match part {
@@ -213,35 +206,26 @@ pub(crate) fn at_even_steps(x: &[f64], values: &[f64], step: f64, count: usize) 
     })
 }
 
-/// Lag in samples at which the autocorrelation of the rows falls to 1/e; `None` if it does not.
+/// Returns the lag in samples at which the autocorrelation of the rows falls to 1/e; `None` if it does not.
 ///
 /// C(k) = sum of z_i z_(i+k) over the pairs of valid samples, over their number: both sums are correlations,
 /// whose transforms are squares.
 pub(super) fn autocorrelation_length(rows: ArrayView2<f64>) -> Option<f64> {
     let mean = statistics(rows)?.mean;
-    let (count, n) = rows.dim();
-    let m = (2 * n).next_power_of_two();
-    // Rows with zeros beyond their end: no lag below n wraps round.
-    let padded = |value: &dyn Fn(f64) -> f64| {
-        let mut power = vec![0.0; m];
-        for r in 0..count {
-            let line = Array2::from_shape_fn((1, m), |(_, c)| {
-                let v = if c < n { rows[[r, c]] } else { f64::NAN };
-                if v.is_nan() { 0.0 } else { value(v) }
-            });
-            let spectrum = transform::forward(line.view());
-            power.iter_mut().zip(&spectrum).for_each(|(p, f)| *p += f.norm_sqr());
-        }
-        let power = Array2::from_shape_fn((1, m), |(_, k)| Complex64::new(power[k], 0.0));
-        transform::inverse(power)
-    };
-    let (products, pairs) = (padded(&|v| v - mean), padded(&|_| 1.0));
-    // At least half a pair: the counts are whole but for rounding.
-    let at = |k: usize| (pairs[[0, k]] > 0.5).then(|| products[[0, k]] / pairs[[0, k]]);
-    let variance = at(0).filter(|v| *v > 0.0)?;
+    let n = rows.ncols();
+    let products = correlations(rows, |v| v - mean);
+    let pairs = correlations(rows, |_| 1.0);
+    let variance = products[[0, 0]] / pairs[[0, 0]];
+    if !(pairs[[0, 0]] > 0.5 && variance > 0.0) {
+        return None;
+    }
     let mut before = 1.0;
     for k in 1..n {
-        let now = at(k)? / variance;
+        // At least half a pair: the counts are whole but for rounding.
+        if pairs[[0, k]] <= 0.5 {
+            return None;
+        }
+        let now = products[[0, k]] / pairs[[0, k]] / variance;
         if now <= (-1.0_f64).exp() {
             let part = (before - (-1.0_f64).exp()) / (before - now);
             return Some((k - 1) as f64 + part);
@@ -249,4 +233,22 @@ pub(super) fn autocorrelation_length(rows: ArrayView2<f64>) -> Option<f64> {
         before = now;
     }
     None
+}
+
+/// The sums over the rows of f(z_i) f(z_(i+k)), where both samples are valid, for every lag k.
+fn correlations(rows: ArrayView2<f64>, value: impl Fn(f64) -> f64) -> Array2<f64> {
+    let (count, n) = rows.dim();
+    // Rows with zeros beyond their end: no lag below n wraps round.
+    let m = (2 * n).next_power_of_two();
+    let mut power = vec![0.0; m];
+    for r in 0..count {
+        let line = Array2::from_shape_fn((1, m), |(_, c)| {
+            let v = if c < n { rows[[r, c]] } else { f64::NAN };
+            if v.is_nan() { 0.0 } else { value(v) }
+        });
+        let spectrum = transform::forward(line.view());
+        power.iter_mut().zip(&spectrum).for_each(|(p, f)| *p += f.norm_sqr());
+    }
+    let power = Array2::from_shape_fn((1, m), |(_, k)| Complex64::new(power[k], 0.0));
+    transform::inverse(power)
 }

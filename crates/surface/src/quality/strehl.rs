@@ -25,7 +25,7 @@ pub struct StrehlReport {
     pub strehl: f64,
 }
 
-/// The Strehl ratio of heights of this RMS, nm.
+/// Returns the Strehl ratio of heights of this RMS, nm.
 pub(crate) fn strehl(light: Light, rms_nm: f64) -> Result<StrehlReport, Invalid> {
     let Light { wavelength_nm, grazing_mrad } = light;
     if !(wavelength_nm.is_finite() && wavelength_nm > 0.0) {

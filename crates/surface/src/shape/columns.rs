@@ -24,15 +24,18 @@ pub(super) struct Columns {
 }
 
 impl Columns {
-    /// The columns that have valid pixels.
-    pub fn of(heights: &Heights) -> Self {
+    /// Collects the columns that have valid pixels.
+    pub fn of_map(heights: &Heights) -> Self {
         let y = heights.y_mm;
         let mut columns = Self { y_middle_mm: 0.5 * (y[0] + y[y.len() - 1]), ..Self::default() };
-        let (mut yy, mut yz) = (0.0, 0.0);
+        let mut yy = 0.0;
+        let mut yz = 0.0;
         for (c, column) in heights.height_nm.columns().into_iter().enumerate() {
-            let valid = || column.iter().zip(y).filter(|(z, _)| !z.is_nan());
-            let (mut n, mut z_sum, mut y_sum) = (0.0, 0.0, 0.0);
-            for (z, y) in valid() {
+            let valid = column.iter().zip(y).filter(|(z, _)| !z.is_nan());
+            let mut n = 0.0;
+            let mut z_sum = 0.0;
+            let mut y_sum = 0.0;
+            for (z, y) in valid.clone() {
                 n += 1.0;
                 z_sum += z;
                 y_sum += y - columns.y_middle_mm;
@@ -40,8 +43,9 @@ impl Columns {
             if n == 0.0 {
                 continue;
             }
-            let (z_mean, y_mean) = (z_sum / n, y_sum / n);
-            for (z, y) in valid() {
+            let z_mean = z_sum / n;
+            let y_mean = y_sum / n;
+            for (z, y) in valid {
                 let y = y - columns.y_middle_mm - y_mean;
                 yy += y * y;
                 yz += y * (z - z_mean);
@@ -51,27 +55,22 @@ impl Columns {
             columns.weight.push(f64::sqrt(n));
             columns.y_mm.push(y_mean);
         }
-        if y.len() > 1 {
-            columns.within = (yy > 0.0).then(|| [yy.sqrt(), yz / yy.sqrt() / NM_PER_MM]);
+        if y.len() > 1 && yy > 0.0 {
+            columns.within = Some([yy.sqrt(), yz / yy.sqrt() / NM_PER_MM]);
         }
         columns
     }
 
-    /// Every n-th column, so that at most twice `count` remain; for comparisons of fits.
+    /// Returns every n-th column, so that at most twice `count` remain; for comparisons of fits.
     pub fn thinned(&self, count: usize) -> Self {
         let step = (self.x_mm.len() / count).max(1);
-        let some = |of: &[f64]| of.iter().step_by(step).copied().collect();
-        Self {
-            x_mm: some(&self.x_mm),
-            mean_mm: some(&self.mean_mm),
-            weight: some(&self.weight),
-            y_mm: some(&self.y_mm),
-            ..*self
-        }
+        let [x_mm, mean_mm, weight, y_mm] = [&self.x_mm, &self.mean_mm, &self.weight, &self.y_mm]
+            .map(|all| all.iter().step_by(step).copied().collect());
+        Self { x_mm, mean_mm, weight, y_mm, ..*self }
     }
 
     /// Returns true if the columns are heights, false for slopes.
-    pub fn of_heights(&self) -> bool {
+    pub fn are_heights(&self) -> bool {
         !self.weight.is_empty()
     }
 

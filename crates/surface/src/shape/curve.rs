@@ -7,7 +7,6 @@ use super::{
     EllipseReport, EllipseSettings, Shape, ShapeReport, columns::Columns,
     moved_ellipse::MovedEllipse, too_few,
 };
-use planish_form::ImagingConic;
 
 /// A curve of x, with a tilt along y.
 #[derive(Clone, Debug)]
@@ -29,7 +28,8 @@ pub(super) struct Curve {
 }
 
 impl Curve {
-    /// The curve from which a fit of `shape` to points at `x_mm` begins.
+    /// Returns the curve from which a fit of `shape` to points at `x_mm` begins. Refuses no points, and an ellipse
+    /// without its settings.
     pub fn new(
         shape: Shape,
         ellipse: Option<&EllipseSettings>,
@@ -61,13 +61,14 @@ impl Curve {
 
     /// w at `u` from the middle, and its derivatives by bx and A.
     fn circle(&self, u: f64) -> [f64; 3] {
-        let (a, g) = (self.curvature_per_mm, self.tilt[0] * u + self.curvature_per_mm * u * u);
+        let a = self.curvature_per_mm;
+        let g = self.tilt[0] * u + self.curvature_per_mm * u * u;
         let w = 2.0 * g / (1.0 + (1.0 - 4.0 * a * g).sqrt());
         let steep = 1.0 - 2.0 * a * w;
         [w, u / steep, (u * u + w * w) / steep]
     }
 
-    /// Height, mm.
+    /// Returns the height, mm.
     pub fn height_mm(&self, x_mm: f64, y_mm: f64) -> f64 {
         let u = x_mm - self.middle_mm[0];
         let curve = match &self.ellipse {
@@ -77,7 +78,7 @@ impl Curve {
         self.piston_mm + self.tilt[1] * (y_mm - self.middle_mm[1]) + curve
     }
 
-    /// Slope along x, rad.
+    /// Returns the slope along x, rad.
     pub fn slope(&self, x_mm: f64) -> f64 {
         let u = x_mm - self.middle_mm[0];
         match &self.ellipse {
@@ -95,7 +96,7 @@ impl Curve {
     fn derivatives(&self, x_mm: f64, y_mm: f64, columns: &Columns) -> Vec<f64> {
         let u = x_mm - self.middle_mm[0];
         let mut row = Vec::with_capacity(6);
-        let heights = columns.of_heights();
+        let heights = columns.are_heights();
         if heights {
             row.push(1.0);
         }
@@ -105,35 +106,33 @@ impl Curve {
         match &self.ellipse {
             Some(moved) => {
                 row.push(if heights { u } else { 1.0 });
-                let value = |ellipse: ImagingConic| match heights {
-                    true => ellipse.height_mm(u),
-                    false => ellipse.slope(u),
-                };
-                row.extend((0..moved.count()).map(|k| moved.derivative(k, value)));
+                row.extend((0..moved.count()).map(|k| {
+                    moved.derivative(k, |e| if heights { e.height_mm(u) } else { e.slope(u) })
+                }));
             }
             None => {
-                let [w, by_tilt, by_curvature] = self.circle(u);
-                if heights {
-                    row.push(by_tilt);
-                    row.extend(self.curved.then_some(by_curvature));
-                } else {
-                    // The derivatives of `by_tilt` and `by_curvature` by x, but for terms of the order of the
-                    // squared slope.
+                let [w, mut by_tilt, mut by_curvature] = self.circle(u);
+                if !heights {
+                    // The derivatives of those of the height by x, but for terms of the order of the squared slope.
                     let steep = 1.0 - 2.0 * self.curvature_per_mm * w;
-                    row.push(1.0 / steep);
-                    row.extend(self.curved.then_some(2.0 * u / steep));
+                    by_tilt = 1.0 / steep;
+                    by_curvature = 2.0 * u / steep;
+                }
+                row.push(by_tilt);
+                if self.curved {
+                    row.push(by_curvature);
                 }
             }
         }
         row
     }
 
-    /// The curve with its parameters moved by `step`.
+    /// Returns the curve with its parameters moved by `step`.
     pub fn moved(&self, step: &[f64], columns: &Columns) -> Self {
         let mut curve = self.clone();
         let mut step = step.iter();
         let mut next = || step.next().copied().unwrap_or(0.0);
-        if columns.of_heights() {
+        if columns.are_heights() {
             curve.piston_mm += next();
         }
         if columns.has_y() {
@@ -149,30 +148,29 @@ impl Curve {
         curve
     }
 
-    /// Other ellipses from which a fit begins; none of another shape.
+    /// Returns other ellipses from which a fit begins; none of another shape.
     pub fn starts(&self) -> Vec<Self> {
         let moved = self.ellipse.as_ref().map_or(Vec::new(), MovedEllipse::starts);
         moved.into_iter().map(|e| Self { ellipse: Some(e), ..self.clone() }).collect()
     }
 
-    /// Room of the last parameters, those of the ellipse, to move down and up to their bounds.
+    /// Returns the room of the last parameters, those of the ellipse, to move down and up to their bounds.
     pub fn room(&self) -> Vec<[f64; 2]> {
         self.ellipse.as_ref().map_or(Vec::new(), MovedEllipse::room)
     }
 
-    /// Weighted differences of the means of the columns from the curve. If there are deviations from these
+    /// Returns the weighted differences of the means of the columns from the curve. If there are deviations from these
     /// means, their difference follows.
     pub fn left(&self, columns: &Columns) -> DVector<f64> {
         let n = columns.x_mm.len();
         let mut left = DVector::zeros(n + usize::from(columns.has_y()));
         for i in 0..n {
             let x = columns.x_mm[i];
-            left[i] = match columns.of_heights() {
-                true => {
-                    let y = columns.y_mm[i] + self.middle_mm[1];
-                    columns.weight[i] * (columns.mean_mm[i] - self.height_mm(x, y))
-                }
-                false => columns.mean_mm[i] - self.slope(x),
+            left[i] = if columns.are_heights() {
+                let y = columns.y_mm[i] + self.middle_mm[1];
+                columns.weight[i] * (columns.mean_mm[i] - self.height_mm(x, y))
+            } else {
+                columns.mean_mm[i] - self.slope(x)
             };
         }
         if let Some([spread, rise]) = columns.within {
@@ -181,7 +179,8 @@ impl Curve {
         left
     }
 
-    /// Derivatives of the fitted values by the parameters, with the weights and in the order of [`Self::left`].
+    /// Returns the derivatives of the fitted values by the parameters, with the weights and in the order of
+    /// [`Self::left`].
     pub fn jacobian(&self, columns: &Columns) -> DMatrix<f64> {
         let n = columns.x_mm.len();
         let rows: Vec<Vec<f64>> = (0..n)
@@ -194,18 +193,13 @@ impl Curve {
             .collect();
         let count = rows.first().map_or(0, Vec::len);
         DMatrix::from_fn(n + usize::from(columns.has_y()), count, |i, k| match columns.within {
-            Some([spread, _]) if i == n => {
-                if k == 1 {
-                    spread
-                } else {
-                    0.0
-                }
-            }
+            Some([spread, _]) if (i, k) == (n, 1) => spread,
+            Some(_) if i == n => 0.0,
             _ => rows[i][k],
         })
     }
 
-    /// The curve as the fit of `shape` states it.
+    /// Returns the curve as the fit of `shape` states it.
     pub fn report(&self, shape: Shape) -> ShapeReport {
         let [bx, by] = self.tilt;
         // A / sqrt(1 + bx^2 + ...) is half the curvature; a profile has no by.
@@ -213,7 +207,7 @@ impl Curve {
         ShapeReport {
             shape,
             tilt_urad: [1e6 * bx, 1e6 * by],
-            radius_m: (self.curved && radius.is_finite()).then_some(1e-3 * radius),
+            radius_m: Some(1e-3 * radius).filter(|_| self.curved && radius.is_finite()),
             ellipse: self.ellipse.as_ref().map(|moved| {
                 let ellipse = moved.ellipse();
                 EllipseReport {

@@ -11,7 +11,6 @@ use nalgebra::{DMatrix, DVector};
 use planish_types::Invalid;
 
 use super::{LAST_STEP, MAX_STEPS, Shape, columns::Columns, curve::Curve, too_few};
-use planish_form::ImagingConic;
 
 /// Damping of the first step, for Jacobian columns of length 1. It is divided by 10 after a step that
 /// lowers the sum of squares. After another step it is multiplied by 10, from [`LEAST_DAMPING`] at least.
@@ -59,19 +58,18 @@ pub(super) fn fitted(mut curve: Curve, columns: &Columns, shape: Shape) -> Resul
     let starts = curve.starts();
     let designed = descended(curve, columns, shape, MAX_STEPS);
     let norm = |curve: &Curve| curve.left(columns).norm();
-    let from = |start: Curve, columns: &Columns, steps: usize| {
-        descended(start, columns, shape, steps).ok()
-    };
     let some = columns.thinned(COMPARED_COLUMNS);
     let mut others: Vec<(f64, Curve)> = starts
         .into_iter()
-        .filter_map(|start| from(start, &some, FIRST_STEPS))
+        .filter_map(|start| descended(start, &some, shape, FIRST_STEPS).ok())
         .map(|curve| (norm(&curve), curve))
         .filter(|(norm, _)| norm.is_finite())
         .collect();
     others.sort_by(|a, b| a.0.total_cmp(&b.0));
     others.truncate(FOLLOWED);
-    let ends = others.into_iter().filter_map(|(_, curve)| from(curve, columns, MAX_STEPS));
+    let ends = others
+        .into_iter()
+        .filter_map(|(_, curve)| descended(curve, columns, shape, MAX_STEPS).ok());
     // Differences of the norms below this are rounding.
     let rounding = LAST_STEP * size(columns);
     let mut best = designed;
@@ -107,7 +105,13 @@ fn descended(
         return Err(too_few(shape, &how));
     }
     for _ in 0..steps {
-        let (step, norm) = damped_step(&jacobian, &left, &curve.room(), damping);
+        let room = curve.room();
+        let (matrix, scale) = &jacobian;
+        let (mut step, norm) = damped_step(matrix, scale, &left, &room, damping);
+        let first = step.len() - room.len();
+        for (step, [low, high]) in step[first..].iter_mut().zip(&room) {
+            *step = step.clamp(low.min(0.0), high.max(0.0));
+        }
         let small = norm <= LAST_STEP * size(columns);
         let next = curve.moved(&step, columns);
         let then = next.left(columns);
@@ -147,25 +151,27 @@ fn with_errors(mut curve: Curve, columns: &Columns, shape: Shape) -> Result<Curv
     Ok(curve)
 }
 
-/// A step of the parameters, and its length by the scaled Jacobian. The last parameters have `room` to
-/// move.
-fn damped_step(
-    (matrix, scale): &(DMatrix<f64>, Vec<f64>),
+/// Computes a step of the parameters, in their own units, and its length by the scaled Jacobian: `matrix` is this
+/// Jacobian, or R of its QR factors, `scale` the lengths of its columns, and `left` the differences, or Q' of them. The
+/// last parameters have `room` to move down and up; one that the step would take beyond its end rests.
+pub(crate) fn damped_step(
+    matrix: &DMatrix<f64>,
+    scale: &[f64],
     left: &DVector<f64>,
     room: &[[f64; 2]],
     damping: f64,
 ) -> (Vec<f64>, f64) {
     let unknowns = matrix.ncols();
-    // A parameter at an end of its room that the step would take beyond this end keeps its value.
     let gradient = matrix.tr_mul(left);
     let first = unknowns - room.len();
-    let rests = |k: usize| {
-        k >= first && {
-            let [low, high] = room[k - first];
-            low >= 0.0 && gradient[k] < 0.0 || high <= 0.0 && gradient[k] > 0.0
+    let mut moving: Vec<usize> = (0..first).collect();
+    for (k, [low, high]) in room.iter().enumerate() {
+        let downhill = gradient[first + k];
+        let rests = *low >= 0.0 && downhill < 0.0 || *high <= 0.0 && downhill > 0.0;
+        if !rests {
+            moving.push(first + k);
         }
-    };
-    let moving: Vec<usize> = (0..unknowns).filter(|k| !rests(*k)).collect();
+    }
     // [J; sqrt(damping) I] step = [left; 0]
     let (n, m) = (matrix.nrows(), moving.len());
     let damped = DMatrix::from_fn(n + m, m, |i, k| match i.checked_sub(n) {
@@ -179,13 +185,7 @@ fn damped_step(
     let right = right.rows(0, m).into_owned();
     let solved = qr.r().solve_upper_triangular(&right).unwrap_or_else(|| DVector::zeros(m));
     let mut step = vec![0.0; unknowns];
-    for (k, v) in moving.iter().zip(&solved) {
-        step[*k] = v / scale[*k];
-        if *k >= first {
-            let [low, high] = room[*k - first];
-            step[*k] = step[*k].clamp(low.min(0.0), high.max(0.0));
-        }
-    }
+    moving.iter().zip(&solved).for_each(|(k, v)| step[*k] = v / scale[*k]);
     (step, solved.norm())
 }
 
@@ -222,12 +222,11 @@ fn errors(curve: &Curve, r: &DMatrix<f64>, scale: &[f64], left: &DVector<f64>) -
     let Some(inverse) = r.clone().try_inverse() else { return [0.0; 3] };
     let first = unknowns - moved.count();
     [0, 1, 2].map(|parameter| {
-        let logarithm = |ellipse: ImagingConic| {
-            [ellipse.p_mm, ellipse.q_mm, ellipse.theta_rad][parameter].abs().ln()
-        };
         let mut row = DVector::zeros(unknowns);
         for k in 0..moved.count() {
-            row[first + k] = moved.derivative(k, logarithm) / scale[first + k];
+            let by_coordinate =
+                moved.derivative(k, |e| [e.p_mm, e.q_mm, e.theta_rad][parameter].abs().ln());
+            row[first + k] = by_coordinate / scale[first + k];
         }
         let error = inverse.tr_mul(&row).norm() * left.norm() / spare.sqrt();
         if error.is_nan() { f64::INFINITY } else { error }

@@ -34,7 +34,7 @@ pub(super) struct MovedEllipse {
 }
 
 impl MovedEllipse {
-    /// The given ellipse itself.
+    /// Returns the given ellipse itself.
     pub fn new(settings: &EllipseSettings) -> Self {
         let mut settings = settings.clone();
         settings.free.sort_by_key(|parameter| *parameter as usize);
@@ -43,7 +43,7 @@ impl MovedEllipse {
         Self { settings, by }
     }
 
-    /// Number of coordinates that are fitted.
+    /// Returns the number of coordinates that are fitted.
     pub fn count(&self) -> usize {
         self.by.len()
     }
@@ -53,28 +53,30 @@ impl MovedEllipse {
         self.by.iter_mut().for_each(|v| *v += step());
     }
 
-    /// The given ellipse moved to a lattice of places within its bounds, [`STARTS`] along each coordinate; itself is not
-    /// among them.
+    /// Returns the given ellipse moved to a lattice of places within its bounds, [`STARTS`] along each coordinate;
+    /// itself is not among them.
     pub fn starts(&self) -> Vec<Self> {
         let room = Self { by: vec![0.0; self.by.len()], ..self.clone() }.room();
         let count = STARTS.len().pow(room.len() as u32);
-        let at = |index: usize| {
-            let place = |k: usize| {
-                let [low, high] = room[k];
+        if room.is_empty() {
+            return Vec::new();
+        }
+        let starts = (0..count).map(|index| {
+            let by = room.iter().enumerate().map(|(k, [low, high])| {
                 let part = STARTS[index / STARTS.len().pow(k as u32) % STARTS.len()];
                 low + part * (high - low)
-            };
-            Self { by: (0..room.len()).map(place).collect(), ..self.clone() }
-        };
-        if room.is_empty() { Vec::new() } else { (0..count).map(at).collect() }
+            });
+            Self { by: by.collect(), ..self.clone() }
+        });
+        starts.collect()
     }
 
-    /// The ellipse at the current coordinates.
+    /// Returns the ellipse at the current coordinates.
     pub fn ellipse(&self) -> ImagingConic {
-        self.at(&self.by)
+        self.moved(&self.by)
     }
-
-    fn at(&self, by: &[f64]) -> ImagingConic {
+    /// Returns the given ellipse with each coordinate moved.
+    fn moved(&self, by: &[f64]) -> ImagingConic {
         let mut ellipse = self.settings.design;
         if let [curvature, asymmetric, rest] = by {
             let sum = 1.0 / ellipse.p_mm + 1.0 / ellipse.q_mm;
@@ -99,30 +101,32 @@ impl MovedEllipse {
         ellipse
     }
 
-    /// Derivative of a value of the ellipse by coordinate `k`.
+    /// Returns the derivative of a value of the ellipse by coordinate `k`.
     pub fn derivative(&self, k: usize, value: impl Fn(ImagingConic) -> f64) -> f64 {
-        let at = |step: f64| {
-            let mut by = self.by.clone();
-            by[k] += step;
-            value(self.at(&by))
-        };
-        let difference = |step: f64| (at(step) - at(-step)) / (2.0 * step);
-        (4.0 * difference(DIFFERENCE) - difference(2.0 * DIFFERENCE)) / 3.0
+        let [short, long] = [DIFFERENCE, 2.0 * DIFFERENCE].map(|step| {
+            let [above, below] = [step, -step].map(|step| {
+                let mut by = self.by.clone();
+                by[k] += step;
+                value(self.moved(&by))
+            });
+            (above - below) / (2.0 * step)
+        });
+        (4.0 * short - long) / 3.0
     }
 
-    /// Distance of every coordinate to its lower and upper bound.
+    /// Returns the distance of every coordinate to its lower and upper bound.
     pub fn room(&self) -> Vec<[f64; 2]> {
         let k = asymmetry(&self.settings.design);
-        let whole = |i: usize| match (self.by.len(), i) {
-            (3, 1) => [-1.0 - k, 1.0 - k],
-            _ => [-LARGEST_LOGARITHM, LARGEST_LOGARITHM],
-        };
-        self.by.iter().enumerate().map(|(i, v)| whole(i).map(|end| end - v)).collect()
+        let mut room = vec![[-LARGEST_LOGARITHM, LARGEST_LOGARITHM]; self.by.len()];
+        if self.by.len() == 3 {
+            room[1] = [-1.0 - k, 1.0 - k];
+        }
+        room.iter().zip(&self.by).map(|(ends, v)| ends.map(|end| end - v)).collect()
     }
 }
 
 /// k = (1/q - 1/p) / (1/p + 1/q)
 fn asymmetry(ellipse: &ImagingConic) -> f64 {
-    let (u, v) = (1.0 / ellipse.p_mm, 1.0 / ellipse.q_mm);
+    let [u, v] = [ellipse.p_mm, ellipse.q_mm].map(|mm| 1.0 / mm);
     (v - u) / (u + v)
 }

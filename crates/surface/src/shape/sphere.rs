@@ -14,17 +14,18 @@ pub(super) struct Sphere {
 }
 
 impl Sphere {
-    /// The sphere of least squares by the Gauss-Newton method: the normal equations of these four unknowns are well
-    /// conditioned.
-    pub fn of(heights: &Heights) -> Result<Self, Invalid> {
-        let (x, y) = (heights.x_mm, heights.y_mm);
+    /// Fits the sphere of least squares by the Gauss-Newton method: the normal equations of these four unknowns are
+    /// well conditioned. Refuses heights that do not define a sphere.
+    pub fn fitted(heights: &Heights) -> Result<Self, Invalid> {
+        let Heights { x_mm: x, y_mm: y, .. } = *heights;
         let middle_mm = [0.5 * (x[0] + x[x.len() - 1]), 0.5 * (y[0] + y[y.len() - 1])];
         let half = (x[x.len() - 1] - x[0]).hypot(y[y.len() - 1] - y[0]) / 2.0;
         let scale = [1.0, half, half, half * half];
         let mut sphere = Self { parameter: [0.0; 4], middle_mm };
         let mut before = f64::INFINITY;
         for _ in 0..MAX_STEPS {
-            let (mut normal, mut right) = (Matrix4::<f64>::zeros(), Vector4::<f64>::zeros());
+            let mut normal = Matrix4::<f64>::zeros();
+            let mut right = Vector4::<f64>::zeros();
             let mut squares = 0.0;
             for ((r, c), z) in heights.height_nm.indexed_iter().filter(|(_, z)| !z.is_nan()) {
                 let [value, row @ ..] = sphere.with_derivatives(x[c], y[r]);
@@ -49,7 +50,8 @@ impl Sphere {
                 return Err(too_few(Shape::Sphere, "they lie on one or two lines"));
             }
             let step = normal.lu().solve(&right).expect("its eigenvalues are not zero");
-            let (mut moved, mut size) = (0.0_f64, 0.0_f64);
+            let mut moved = 0.0_f64;
+            let mut size = 0.0_f64;
             for i in 0..4 {
                 sphere.parameter[i] += step[i] / scale[i];
                 moved = moved.max(step[i].abs());
@@ -72,19 +74,19 @@ impl Sphere {
         [c0 + w, 1.0, u / steep, v / steep, (u * u + v * v + w * w) / steep]
     }
 
-    /// Height, mm.
+    /// Returns the height, mm.
     pub fn height_mm(&self, x_mm: f64, y_mm: f64) -> f64 {
         self.with_derivatives(x_mm, y_mm)[0]
     }
 
-    /// The sphere as its fit states it.
+    /// Returns the sphere as its fit states it.
     pub fn report(&self) -> ShapeReport {
         let [_, bx, by, a] = self.parameter;
         let radius_m = 1e-3 * (1.0 + bx * bx + by * by).sqrt() / (2.0 * a);
         ShapeReport {
             shape: Shape::Sphere,
             tilt_urad: [1e6 * bx, 1e6 * by],
-            radius_m: radius_m.is_finite().then_some(radius_m),
+            radius_m: Some(radius_m).filter(|r| r.is_finite()),
             ellipse: None,
         }
     }

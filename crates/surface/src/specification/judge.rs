@@ -8,7 +8,7 @@ use planish_types::{
 
 use super::{limit::Limit, zone::Zones};
 use crate::{
-    quality::{Direction, Light, Piece, SpectrumLine, Subject, strehl},
+    quality::{Direction, Light, ShapeResidual, SpectrumLine, Subject, strehl},
     shape::{EllipseSettings, Shape},
 };
 
@@ -16,56 +16,59 @@ use crate::{
 const NORMAL_MRAD: f64 = 1e3 * std::f64::consts::FRAC_PI_2;
 
 /// Zones of the mirror after shapes, each made once.
-pub(super) struct Pieces<'a> {
+pub(super) struct ZoneResiduals<'a> {
     zones: Zones<'a>,
     ellipse: Option<EllipseSettings>,
-    known: Vec<(Option<String>, Shape, Piece)>,
+    known: Vec<(Option<String>, Shape, ShapeResidual)>,
 }
-
-impl<'a> Pieces<'a> {
-    /// No zone is measured before a limit asks for it.
+impl<'a> ZoneResiduals<'a> {
+    /// Makes a judge without zones; no zone is measured before a limit asks for it.
     pub fn new(zones: Zones<'a>, ellipse: Option<EllipseSettings>) -> Self {
         Self { zones, ellipse, known: Vec::new() }
     }
 
     /// The zone (all valid pixels without one) after `shape`.
-    fn of(&mut self, zone: Option<&str>, shape: Shape) -> Result<&Piece, Invalid> {
-        let same = |(z, s, _): &(Option<String>, Shape, Piece)| z.as_deref() == zone && *s == shape;
-        let at = match self.known.iter().position(same) {
-            Some(at) => at,
+    fn get(&mut self, zone: Option<&str>, shape: Shape) -> Result<&ShapeResidual, Invalid> {
+        let known = self.known.iter().position(|(z, s, _)| z.as_deref() == zone && *s == shape);
+        let k = match known {
+            Some(k) => k,
             None => {
                 let mask = zone.map(|name| self.zones.mask(name)).transpose()?;
-                let piece =
-                    Piece::new(self.zones.subject, mask.as_ref(), shape, self.ellipse.as_ref())?;
-                self.known.push((zone.map(String::from), shape, piece));
+                let residual = ShapeResidual::new(
+                    self.zones.subject,
+                    mask.as_ref(),
+                    shape,
+                    self.ellipse.as_ref(),
+                )?;
+                self.known.push((zone.map(String::from), shape, residual));
                 self.known.len() - 1
             }
         };
-        Ok(&self.known[at].2)
+        Ok(&self.known[k].2)
     }
 }
 
-/// The verdict on one limit, of heights with white noise of `noise_nm` RMS (0 where it is not known).
+/// Returns the verdict on one limit, of heights with white noise of `noise_nm` RMS (0 where it is not known).
 pub(super) fn judge(
     limit: &Limit,
-    pieces: &mut Pieces,
+    residuals: &mut ZoneResiduals,
     noise_nm: f64,
 ) -> Result<LimitReport, Invalid> {
-    let is_profile = matches!(pieces.zones.subject, Subject::Profile(_));
-    let piece = pieces.of(limit.zone(), limit.after())?;
-    Judged { limit, piece, is_profile, noise_nm }.report()
+    let is_profile = matches!(residuals.zones.subject, Subject::Profile(_));
+    let residual = residuals.get(limit.zone(), limit.after())?;
+    LimitMeasurement { limit, residual, is_profile, noise_nm }.report()
 }
 
 /// A limit, and the zone after the shape that it is on.
-struct Judged<'a> {
+struct LimitMeasurement<'a> {
     limit: &'a Limit,
-    piece: &'a Piece,
+    residual: &'a ShapeResidual,
     is_profile: bool,
     /// RMS of the white noise of the heights, nm; 0 where it is not known.
     noise_nm: f64,
 }
 
-impl Judged<'_> {
+impl LimitMeasurement<'_> {
     /// The verdict beside the value that noise alone would have. The fit of the shape takes a few of the squares of the
     /// noise; that is neglected.
     fn report(&self) -> Result<LimitReport, Invalid> {
@@ -76,18 +79,13 @@ impl Judged<'_> {
         }
         let rms = |of_noise| report.clone().beside_noise(of_noise, Subtraction::OfSquares);
         let largest = |of_noise| report.clone().beside_noise(of_noise, Subtraction::Linear);
-        // Slope of noise over a base, (n_2 - n_1) / base; nm/mm is urad.
-        let slope_nrad = |direction, base_mm| {
-            let found = self.piece.slope(direction, base_mm)?;
-            Ok::<f64, Invalid>(1e3 * 2.0_f64.sqrt() * noise_nm / found.base_mm)
-        };
         // The largest of n normal values is expected below sqrt(2 ln n) standard deviations, of magnitudes of 2 n.
-        let count = self.piece.height()?.valid_count as f64;
+        let count = self.residual.height()?.valid_count as f64;
         Ok(match self.limit {
             Limit::HeightRms { along: direction, .. } => match self.band() {
                 None => rms(noise_nm),
                 Some(band) => {
-                    let white = self.piece.spectra()?.white(noise_nm);
+                    let white = self.residual.spectra()?.white(noise_nm);
                     rms(match self.direction_of(*direction) {
                         Direction::X => white.x.height_rms(band),
                         Direction::Y => white.y.as_ref().map_or(0.0, |y| y.height_rms(band)),
@@ -97,18 +95,19 @@ impl Judged<'_> {
             },
             Limit::HeightPv { .. } => largest(2.0 * noise_nm * (2.0 * count.ln()).sqrt()),
             Limit::SlopeRms { along: direction, base_mm, .. } => match self.band() {
-                None => rms(slope_nrad(*direction, base_mm.unwrap_or_default())?),
+                None => rms(self.noise_slope_nrad(*direction, base_mm.unwrap_or_default())?),
                 Some(band) => {
-                    let white = self.piece.spectra()?.white(noise_nm);
+                    let white = self.residual.spectra()?.white(noise_nm);
                     let line = if *direction == Direction::Y { white.y } else { Some(white.x) };
                     rms(line.map_or(0.0, |line| line.slope_rms(band)))
                 }
             },
             Limit::SlopePeak { along: direction, base_mm, .. } => {
-                largest(slope_nrad(*direction, *base_mm)? * (2.0 * (2.0 * count).ln()).sqrt())
+                let slope_nrad = self.noise_slope_nrad(*direction, *base_mm)?;
+                largest(slope_nrad * (2.0 * (2.0 * count).ln()).sqrt())
             }
             Limit::Psd { along: direction, .. } => {
-                let white = self.piece.spectra()?.white(noise_nm);
+                let white = self.residual.spectra()?.white(noise_nm);
                 let line = match direction {
                     Direction::X => Some(white.x),
                     Direction::Y => white.y,
@@ -123,15 +122,21 @@ impl Judged<'_> {
                     wavelength_nm: *wavelength_nm,
                     grazing_mrad: grazing_mrad.unwrap_or(NORMAL_MRAD),
                 };
-                let rms_nm = self.piece.height()?.rms;
+                let rms_nm = self.residual.height()?.rms;
                 let without_nm = (rms_nm.powi(2) - noise_nm.powi(2)).max(0.0).sqrt();
-                let [of, without] = [noise_nm, without_nm].map(|nm| strehl(light, nm));
-                report.with_and_without_noise(of?.strehl, without?.strehl)
+                let [with, without] = [noise_nm, without_nm].map(|nm| strehl(light, nm));
+                report.with_and_without_noise(with?.strehl, without?.strehl)
             }
             Limit::Radius { .. } | Limit::AutocorrelationLength { .. } => report,
         })
     }
 
+    /// RMS slope of the noise over a base, (n_2 - n_1) / base, nrad.
+    fn noise_slope_nrad(&self, direction: Direction, base_mm: f64) -> Result<f64, Invalid> {
+        let used_mm = self.residual.slope(direction, base_mm)?.base_mm;
+        // nm/mm is urad.
+        Ok(1e3 * 2.0_f64.sqrt() * self.noise_nm / used_mm)
+    }
     /// The direction of a spectrum where a limit may leave it out.
     fn direction_of(&self, direction: Option<Direction>) -> Direction {
         match direction {
@@ -142,25 +147,25 @@ impl Judged<'_> {
     }
 
     fn measured(&self) -> Result<LimitReport, Invalid> {
-        let piece = self.piece;
+        let residual = self.residual;
         Ok(match self.limit {
             Limit::HeightRms { along: direction, at_most_nm, .. } => {
                 self.height_rms(*direction, *at_most_nm)?
             }
             Limit::HeightPv { at_most_nm, .. } => {
                 let text = self.after("PV height".into());
-                LimitReport::new(text, "nm", piece.height()?.pv, Bound::AtMost, *at_most_nm)
-                    .worst_at(place(piece.farthest_height()?.0))
+                LimitReport::new(text, "nm", residual.height()?.pv, Bound::AtMost, *at_most_nm)
+                    .worst_at(place(residual.farthest_height()?.0))
             }
             Limit::SlopeRms { along: direction, base_mm, at_most_nrad, .. } => {
                 self.slope_rms(*direction, *base_mm, *at_most_nrad)?
             }
             Limit::SlopePeak { along: direction, base_mm, at_most_nrad, .. } => {
-                let found = piece.slope(*direction, *base_mm)?;
-                let base = of_base(found.base_mm);
+                let slope = residual.slope(*direction, *base_mm)?;
+                let base = base_in_words(slope.base_mm);
                 let text = self.after(format!("largest slope{}{base}", along(*direction)));
-                LimitReport::new(text, "nrad", found.peak_nrad, Bound::AtMost, *at_most_nrad)
-                    .worst_at(place(found.peak_at_mm))
+                LimitReport::new(text, "nrad", slope.peak_nrad, Bound::AtMost, *at_most_nrad)
+                    .worst_at(place(slope.peak_at_mm))
             }
             Limit::Psd { along: direction, a, b, frequency_per_mm, .. } => {
                 self.psd(*direction, [*a, *b], *frequency_per_mm)?
@@ -170,19 +175,19 @@ impl Judged<'_> {
                     wavelength_nm: *wavelength_nm,
                     grazing_mrad: grazing_mrad.unwrap_or(NORMAL_MRAD),
                 };
-                let value = strehl(light, piece.height()?.rms)?.strehl;
+                let value = strehl(light, residual.height()?.rms)?.strehl;
                 let angle = grazing_mrad.map_or(String::new(), |g| format!(" under {g} mrad"));
                 let text = self.after(format!("Strehl ratio at {wavelength_nm} nm{angle}"));
                 LimitReport::new(text, "", value, Bound::AtLeast, *at_least)
             }
             Limit::Radius { along: direction, at_least_m, .. } => {
                 // A shape without curvature has no radius that could be too small.
-                let value = piece.shape.radius_m.map_or(f64::INFINITY, f64::abs);
+                let value = residual.shape.radius_m.map_or(f64::INFINITY, f64::abs);
                 let text = format!("radius of curvature{}{}", along(*direction), self.in_zone());
                 LimitReport::new(text, "m", value, Bound::AtLeast, *at_least_m)
             }
             Limit::AutocorrelationLength { along: direction, at_least_mm, .. } => {
-                let value = piece.autocorrelation_length_mm(*direction).ok_or_else(|| {
+                let value = residual.autocorrelation_length_mm(*direction).ok_or_else(|| {
                     let problem = "has no autocorrelation length: it is longer than the zone";
                     Invalid::whole("map", problem, "leave the limit out, or give a larger zone")
                 })?;
@@ -198,13 +203,13 @@ impl Judged<'_> {
         at_most_nm: f64,
     ) -> Result<LimitReport, Invalid> {
         let value = match self.band() {
-            None => self.piece.height()?.rms,
+            None => self.residual.height()?.rms,
             Some(band) => {
                 let direction = self.direction_of(direction);
-                let line = spectrum_line(self.piece, direction)?;
+                let line = spectrum_line(self.residual, direction)?;
                 check_band(line, band)?;
                 match direction {
-                    Direction::Radial => self.piece.spectra()?.height_rms_nm(band),
+                    Direction::Radial => self.residual.spectra()?.height_rms_nm(band),
                     _ => line.height_rms(band),
                 }
             }
@@ -213,7 +218,7 @@ impl Judged<'_> {
         let text = self.after(format!("RMS height{direction}{}", self.of_periods()));
         let report = LimitReport::new(text, "nm", value, Bound::AtMost, at_most_nm);
         Ok(match self.band() {
-            None => report.worst_at(place(self.piece.farthest_height()?.0)),
+            None => report.worst_at(place(self.residual.farthest_height()?.0)),
             Some(_) => report,
         })
     }
@@ -226,13 +231,13 @@ impl Judged<'_> {
     ) -> Result<LimitReport, Invalid> {
         let name = format!("RMS slope{}", along(direction));
         let Some(band) = self.band() else {
-            let found = self.piece.slope(direction, base_mm.unwrap_or_default())?;
-            let text = self.after(format!("{name}{}", of_base(found.base_mm)));
+            let slope = self.residual.slope(direction, base_mm.unwrap_or_default())?;
+            let text = self.after(format!("{name}{}", base_in_words(slope.base_mm)));
             let report =
-                LimitReport::new(text, "nrad", found.rms_nrad, Bound::AtMost, at_most_nrad);
-            return Ok(report.worst_at(place(found.peak_at_mm)));
+                LimitReport::new(text, "nrad", slope.rms_nrad, Bound::AtMost, at_most_nrad);
+            return Ok(report.worst_at(place(slope.peak_at_mm)));
         };
-        let line = spectrum_line(self.piece, direction)?;
+        let line = spectrum_line(self.residual, direction)?;
         check_band(line, band)?;
         let text = self.after(format!("{name}{}", self.of_periods()));
         Ok(LimitReport::new(text, "nrad", line.slope_rms(band), Bound::AtMost, at_most_nrad))
@@ -245,7 +250,7 @@ impl Judged<'_> {
         [a, b]: [f64; 2],
         [low, high]: [f64; 2],
     ) -> Result<LimitReport, Invalid> {
-        let line = spectrum_line(self.piece, direction)?;
+        let line = spectrum_line(self.residual, direction)?;
         let inside = line.frequency_per_mm.iter().zip(&line.height);
         let worst = inside
             .filter(|(f, s)| **f >= low && **f <= high && s.is_finite())
@@ -300,15 +305,16 @@ fn place([x, y]: [f64; 2]) -> String {
     format!("at x {}, y {} mm", significant(x, 4), significant(y, 4))
 }
 
-fn of_base(base_mm: f64) -> String {
-    match base_mm > 0.0 {
-        true => format!(", base {} mm", significant(base_mm, 4)),
-        false => " as measured".into(),
+fn base_in_words(base_mm: f64) -> String {
+    if base_mm > 0.0 {
+        format!(", base {} mm", significant(base_mm, 4))
+    } else {
+        " as measured".into()
     }
 }
 
-fn spectrum_line(piece: &Piece, direction: Direction) -> Result<&SpectrumLine, Invalid> {
-    let spectra = piece.spectra()?;
+fn spectrum_line(residual: &ShapeResidual, direction: Direction) -> Result<&SpectrumLine, Invalid> {
+    let spectra = residual.spectra()?;
     let line = match direction {
         Direction::X => Some(&spectra.x),
         Direction::Y => spectra.y.as_ref(),
@@ -321,10 +327,7 @@ fn spectrum_line(piece: &Piece, direction: Direction) -> Result<&SpectrumLine, I
 }
 
 fn check_band(line: &SpectrumLine, band: [f64; 2]) -> Result<(), Invalid> {
-    match line.holds(band) {
-        true => Ok(()),
-        false => Err(no_frequency(line, band)),
-    }
+    if line.holds(band) { Ok(()) } else { Err(no_frequency(line, band)) }
 }
 
 fn no_frequency(line: &SpectrumLine, [low, high]: [f64; 2]) -> Invalid {

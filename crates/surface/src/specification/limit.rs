@@ -150,14 +150,13 @@ impl Limit {
         }
         match self {
             Self::SlopeRms { base_mm, shortest_period_mm, longest_period_mm, .. } => {
-                let of_periods = shortest_period_mm.is_some() || longest_period_mm.is_some();
-                if base_mm.is_some() == of_periods {
-                    let problem = match of_periods {
-                        true => "base_mm and periods are both given",
-                        false => "neither base_mm nor a period is given",
-                    };
-                    return refuse(problem.into(), "a slope error is over a base, or over periods");
-                }
+                let has_period = shortest_period_mm.is_some() || longest_period_mm.is_some();
+                let problem = match (base_mm.is_some(), has_period) {
+                    (true, true) => "base_mm and periods are both given",
+                    (false, false) => "neither base_mm nor a period is given",
+                    _ => return self.check_periods(i),
+                };
+                return refuse(problem.into(), "a slope error is over a base, or over periods");
             }
             Self::HeightRms {
                 along, shortest_period_mm: None, longest_period_mm: None, ..
@@ -176,6 +175,12 @@ impl Limit {
             }
             _ => {}
         }
+        self.check_periods(i)
+    }
+
+    /// Checks the order of the periods of limit `i`, and the directions.
+    fn check_periods(&self, i: usize) -> Result<(), Invalid> {
+        let refuse = |problem: String, remedy: &str| Err(Invalid::at("limits", i, problem, remedy));
         if let Some([shortest, longest]) = self.periods().filter(|[s, l]| s >= l) {
             let problem = format!("the periods are {shortest} .. {longest} mm");
             return refuse(problem, "give shortest_period_mm < longest_period_mm");
@@ -203,7 +208,7 @@ impl Limit {
         }
     }
 
-    /// The shape that is taken off before the quantity is measured; of a radius the shape that has it.
+    /// Returns the shape that is taken off before the quantity is measured; of a radius the shape that has it.
     pub(super) fn after(&self) -> Shape {
         match self {
             Self::HeightRms { after, .. }
@@ -219,7 +224,7 @@ impl Limit {
         }
     }
 
-    /// The direction of its quantity, where it has one.
+    /// Returns the direction of its quantity, where it has one.
     pub(super) fn direction(&self) -> Option<Direction> {
         match self {
             Self::HeightRms { along, .. } => *along,
@@ -232,7 +237,7 @@ impl Limit {
         }
     }
 
-    /// Shortest and longest period, 0 and infinity where not given; `None` without both.
+    /// Returns the shortest and longest period, 0 and infinity where not given; `None` without both.
     pub(super) fn periods(&self) -> Option<[f64; 2]> {
         match self {
             Self::HeightRms { shortest_period_mm, longest_period_mm, .. }

@@ -43,7 +43,7 @@ impl Zone {
         let rectangle = self.x_mm.is_some() || self.y_mm.is_some();
         let kinds =
             [rectangle, self.circle_mm.is_some(), self.inside_mm.is_some(), self.edge_mm.is_some()];
-        let count = kinds.iter().filter(|given| **given).count();
+        let count = kinds.iter().filter(|is_there| **is_there).count();
         if count != 1 {
             let problem = format!("\"{}\" is described in {count} ways", self.name);
             let remedy =
@@ -90,7 +90,8 @@ impl<'a> Zones<'a> {
         Self { subject, zones, outline: None, masks: Vec::new() }
     }
 
-    /// True at the pixels that are in the zone `name`, one of the given zones.
+    /// Returns true at the pixels that are in the zone `name`, one of the given zones. Refuses a circle on a profile,
+    /// and a zone without a valid pixel.
     pub fn mask(&mut self, name: &str) -> Result<Array2<bool>, Invalid> {
         if let Some((_, mask)) = self.masks.iter().find(|(n, _)| n == name) {
             return Ok(mask.clone());
@@ -108,8 +109,6 @@ impl<'a> Zones<'a> {
                 (Array2::from_elem((1, n), true), profile.position_mm().to_vec(), vec![0.0])
             }
         };
-        let within =
-            |at: f64, range: Option<[f64; 2]>| range.is_none_or(|[l, h]| at >= l && at <= h);
         let mask = if let Some([cx, cy, radius_mm]) = zone.circle_mm {
             let Subject::Map(surface) = self.subject else {
                 let remedy = "a profile has zones by x_mm, inside_mm or edge_mm";
@@ -128,7 +127,7 @@ impl<'a> Zones<'a> {
             distance.mapv(|d| (d >= width) == inside)
         } else {
             Array2::from_shape_fn(valid.dim(), |(r, c)| {
-                within(x_mm[c], zone.x_mm) && within(y_mm[r], zone.y_mm)
+                is_within(x_mm[c], zone.x_mm) && is_within(y_mm[r], zone.y_mm)
             })
         };
         let mask = mask & &valid;
@@ -141,19 +140,18 @@ impl<'a> Zones<'a> {
     }
 }
 
+fn is_within(coordinate_mm: f64, range: Option<[f64; 2]>) -> bool {
+    range.is_none_or(|[low, high]| coordinate_mm >= low && coordinate_mm <= high)
+}
+
 /// Distance of every pixel from the outline of the valid pixels, mm.
 fn from_outline(surface: &Surface) -> Result<Array2<f64>, Invalid> {
     let (ny, nx) = surface.height_nm().dim();
     let Grid { x, y } = surface.grid();
-    let axis = |a: &Axis| Axis::new(a.start_mm() - a.step_mm(), a.step_mm(), a.len() + 2);
-    let grid = Grid { x: axis(x)?, y: axis(y)? };
-    let invalid = |r: usize, c: usize| {
-        r == 0
-            || c == 0
-            || r == ny + 1
-            || c == nx + 1
-            || surface.height_nm()[[r - 1, c - 1]].is_nan()
-    };
+    let [x, y] = [x, y].map(|a| Axis::new(a.start_mm() - a.step_mm(), a.step_mm(), a.len() + 2));
+    let grid = Grid { x: x?, y: y? };
+    let mut invalid = Array2::from_elem((ny + 2, nx + 2), true);
+    invalid.slice_mut(s![1..=ny, 1..=nx]).assign(&surface.height_nm().mapv(f64::is_nan));
     // The invalid pixels that reach to the rim, found from the rim inwards.
     let mut outside = Array2::from_elem((ny + 2, nx + 2), false);
     let mut open: Vec<(usize, usize)> = vec![(0, 0)];
@@ -161,7 +159,7 @@ fn from_outline(surface: &Surface) -> Result<Array2<f64>, Invalid> {
     while let Some((r, c)) = open.pop() {
         let steps = [(r.wrapping_sub(1), c), (r + 1, c), (r, c.wrapping_sub(1)), (r, c + 1)];
         for (r, c) in steps.into_iter().filter(|(r, c)| *r < ny + 2 && *c < nx + 2) {
-            if !outside[[r, c]] && invalid(r, c) {
+            if !outside[[r, c]] && invalid[[r, c]] {
                 outside[[r, c]] = true;
                 open.push((r, c));
             }

@@ -485,7 +485,7 @@ fn on_the_mirror() -> Option<Vec<Claim>> {
     let without_pit = without_pit_nm(&raster, &raster.position());
     let measured =
         Surface::new(*desired.grid(), mirror.map("after_ibf_measured_nm")).expect("a map");
-    let fitted = tif_fit::fit(tif, tif_fit::Model::Gaussian).expect("a fit").1.components[0];
+    let fitted = tif_fit::fit(tif, tif_fit::TifModel::Gaussian).expect("a fit").1.components[0];
     let refined = runs.map(Run::refined_nm);
     let corner = [0, 1, 2].map(|k| 1e3 * runs[k].distance_mm(&smooth[k]));
     let minutes = |r: &Run<'_>| r.dwell.total_s() / 60.0;

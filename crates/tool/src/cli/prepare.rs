@@ -48,7 +48,7 @@ pub struct PrepareArgs {
     taper_fraction: Option<f64>,
     /// Fit a formula to the result and report it
     #[arg(long, value_enum)]
-    fit_formula: Option<tif_fit::Model>,
+    fit_formula: Option<tif_fit::TifModel>,
     /// Write the formula's samples instead of the measured ones
     #[arg(long, requires = "fit_formula")]
     use_fit: bool,

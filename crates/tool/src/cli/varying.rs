@@ -92,13 +92,13 @@ impl MakeArgs {
     /// Refuses settings of kernels and weights for a factor of the pixels, which has none of them.
     fn refuse_all(&self) -> Result<(), Failure> {
         let Self { exact: ExactArgs { error, max_rank }, spacing_mm, beyond_mm, .. } = self;
-        let given = [
+        let flags = [
             ("--error", error.is_some()),
             ("--max-rank", max_rank.is_some()),
             ("--spacing-mm", spacing_mm.is_some()),
             ("--beyond-mm", beyond_mm.is_some()),
         ];
-        match given.iter().find(|(_, is_given)| *is_given) {
+        match flags.iter().find(|(_, is_there)| *is_there) {
             None => Ok(()),
             Some((flag, _)) => Err(Failure::new(format!(
                 "{flag}: has no effect on a factor of the pixels, which is exact; leave it out, or give --acts-at tool"
@@ -144,7 +144,7 @@ impl MakeArgs {
         settings: &S,
         inputs: &Inputs,
         (surface, base): (&Surface, &Tif),
-        (offsets, of, counts): (Grid, Box<LocalTool<'_>>, Box<Used<'_>>),
+        (offsets, local_tool, counts): (Grid, Box<LocalTool<'_>>, Box<Used<'_>>),
     ) -> Result<Status, Failure> {
         base.same_in_all_directions("a second cause").map_err(Failure::with_flags)?;
         let shared = json!({
@@ -158,7 +158,7 @@ impl MakeArgs {
         };
         let places = (self.rectangle(surface, base), self.spacing_mm);
         let LowRank { tool, report } =
-            low_rank(&offsets, places, &*of, &*counts, &self.exact.settings())
+            low_rank(&offsets, places, &*local_tool, &*counts, &self.exact.settings())
                 .map_err(Failure::with_flags)?;
         let factors = base.variation();
         let tool = VaryingTif {
@@ -236,8 +236,7 @@ impl FormArgs {
             (Some(radius_mm), _) => places.on_sphere(radius_mm).map_err(Failure::with_flags),
             (None, Some(path)) => {
                 let form = inputs.read_form("form", path)?.form;
-                let named = |e| Failure::new(format!("{}: {e}", path.display()));
-                places.with_form(form).map_err(named)
+                places.with_form(form).map_err(|e| Failure::new(format!("{}: {e}", path.display())))
             }
             (None, None) => Ok(places),
         }
@@ -311,9 +310,9 @@ impl FactorArgs {
         let factor = |p: [f64; 2]| places.parameter(by, p).map(|v| law.factor(v));
         if acts == Acts::Tool {
             self.make.check_corners((&surface, &tif), factor)?;
-            let of: Box<LocalTool<'_>> =
+            let local_tool: Box<LocalTool<'_>> =
                 Box::new(|p| tool_at(&tif, p) * factor(p).expect("checked at the corners"));
-            let tool = (*tif.grid(), of, near(&places, self.make.beyond_mm(&tif)));
+            let tool = (*tif.grid(), local_tool, near(&places, self.make.beyond_mm(&tif)));
             return self.make.make(name, &settings, &inputs, (&surface, &tif), tool);
         }
         self.make.refuse_all()?;
@@ -324,23 +323,25 @@ impl FactorArgs {
         };
         let grid = *surface.grid();
         let (ny, nx) = grid.shape();
-        let at = |i: usize| factor([grid.x.at(i % nx), grid.y.at(i / nx)]);
-        let found: Result<Vec<f64>, Invalid> = (0..ny * nx).into_par_iter().map(at).collect();
-        let values = found.map_err(Failure::with_flags)?;
-        let values = Array2::from_shape_vec((ny, nx), values).expect("one factor per pixel");
-        let tif = with_factor(&tif, PixelFactor { grid, factor: values })?;
+        let values: Result<Vec<f64>, Invalid> = (0..ny * nx)
+            .into_par_iter()
+            .map(|i| factor([grid.x.at(i % nx), grid.y.at(i / nx)]))
+            .collect();
+        let values = values.map_err(Failure::with_flags)?;
+        let factor = Array2::from_shape_vec((ny, nx), values).expect("one factor per pixel");
+        let tif = with_factor(&tif, PixelFactor { grid, factor })?;
         write(output, name, tif, None, &self.make.output.out)
     }
 }
 
 /// A tool with a further factor of the pixels.
 fn with_factor(tif: &Tif, mut pixels: PixelFactor) -> Result<Tif, Failure> {
-    let mut given = tif.numbers();
+    let mut numbers = tif.numbers();
     if let Some(before) = tif.variation().and_then(|v| v.factor_on(&pixels.grid)) {
         Zip::from(&mut pixels.factor).and(&*before).for_each(|f, before| *f *= before);
     }
-    given.pixels = Some(pixels);
-    Tif::varying(given).map_err(Failure::with_flags)
+    numbers.pixels = Some(pixels);
+    Tif::varying(numbers).map_err(Failure::with_flags)
 }
 
 #[derive(Debug, Args)]
@@ -363,12 +364,11 @@ impl SpotsArgs {
         let surface: Surface = inputs.read("surface", &self.make.surface)?;
         let places = self.form.places(&surface, &mut inputs)?;
         let mut spots = Vec::new();
-        for given in &self.spot {
+        for spot in &self.spot {
             let parsed =
-                given.split_once('=').and_then(|(value, dir)| Some((value.parse().ok()?, dir)));
+                spot.split_once('=').and_then(|(value, dir)| Some((value.parse().ok()?, dir)));
             let Some((value, dir)) = parsed else {
-                let problem =
-                    format!("--spot: is {given:?}; give VALUE=DIR, such as 12.5=spots/12");
+                let problem = format!("--spot: is {spot:?}; give VALUE=DIR, such as 12.5=spots/12");
                 return Err(Failure::new(problem));
             };
             spots.push((value, inputs.read_tool_with_doubt("spot", Path::new(dir))?));
@@ -381,9 +381,9 @@ impl SpotsArgs {
         let spots = Spots::new(spots).map_err(Failure::with_flags)?;
         let parameter = |p: [f64; 2]| places.parameter(self.by, p);
         self.make.check_corners((&surface, &widest), parameter)?;
-        let of: Box<LocalTool<'_>> =
-            Box::new(|p| spots.at(parameter(p).expect("checked at the corners")));
-        let tool = (spots.offsets(), of, near(&places, self.make.beyond_mm(&widest)));
+        let local_tool: Box<LocalTool<'_>> =
+            Box::new(|p| spots.tool(parameter(p).expect("checked at the corners")));
+        let tool = (spots.offsets(), local_tool, near(&places, self.make.beyond_mm(&widest)));
         self.make.make(name, &settings, &inputs, (&surface, &widest), tool)
     }
 }
@@ -413,9 +413,9 @@ impl EdgeArgs {
         let places = Places::new(&surface);
         let pad = Overhang::new(&tif, &places, self.pressure, self.pad_radius_mm);
         let pad = pad.map_err(Failure::with_flags)?;
-        let of: Box<LocalTool<'_>> = Box::new(|p| pad.at(p));
+        let local_tool: Box<LocalTool<'_>> = Box::new(|p| pad.tool(p));
         let counts: Box<Used<'_>> = Box::new(|p| pad.is_used(p));
-        let tool = (*tif.grid(), of, counts);
+        let tool = (*tif.grid(), local_tool, counts);
         self.make.make(name, &settings, &inputs, (&surface, &tif), tool)
     }
 }
@@ -458,7 +458,7 @@ impl TurnedArgs {
             FollowsArg::Azimuth => places.middle_mm(),
             FollowsArg::Heading => [0.0; 2],
         };
-        let (offsets, of) = turned(&tif, middle_mm).map_err(Failure::with_flags)?;
+        let (offsets, local_tool) = turned(&tif, middle_mm).map_err(Failure::with_flags)?;
         let settings = json!({ "low_rank": self.exact.settings(), "follows": self.follows });
         let task = name.task(&settings);
         let output = match Output::directory(&self.output, Tool::KIND).begin(&task, &inputs)? {
@@ -469,10 +469,11 @@ impl TurnedArgs {
         let made = match self.follows {
             FollowsArg::Azimuth => {
                 let around = (middle_mm, places.radius_mm());
-                low_rank_by_azimuth(&offsets, around, &*of, &exact)
+                low_rank_by_azimuth(&offsets, around, &*local_tool, &exact)
             }
-            FollowsArg::Heading => corners(surface.grid())
-                .and_then(|positions| low_rank_by_heading(&offsets, positions, &*of, &exact)),
+            FollowsArg::Heading => corners(surface.grid()).and_then(|positions| {
+                low_rank_by_heading(&offsets, positions, &*local_tool, &exact)
+            }),
         };
         let LowRank { tool, report } = made.map_err(Failure::with_flags)?;
         write(output, name, Tif::varying(tool)?, Some(&report), &self.output.out)
@@ -481,9 +482,11 @@ impl TurnedArgs {
 
 /// The grid of the corners of a map.
 fn corners(map: &Grid) -> Result<Grid, Invalid> {
-    let size_mm = |axis: &Axis| (axis.end_mm() - axis.start_mm()).max(axis.step_mm());
-    let ends = |axis: &Axis| Axis::new(axis.start_mm(), size_mm(axis), 2);
-    Ok(Grid { x: ends(&map.x)?, y: ends(&map.y)? })
+    let [x, y] = [map.x, map.y].map(|axis| {
+        let size_mm = (axis.end_mm() - axis.start_mm()).max(axis.step_mm());
+        Axis::new(axis.start_mm(), size_mm, 2)
+    });
+    Ok(Grid { x: x?, y: y? })
 }
 
 /// Direction of a tool.
@@ -567,7 +570,7 @@ impl FootprintArgs {
         let settings = json!({
             "direction": self.direction, "rate_law": rate_law, "source_distance_mm": self.source_distance_mm,
             "sphere_radius_mm": self.form.sphere_radius_mm,
-            "carrier": (self.direction == DirectionArg::Normal).then_some(frame.carrier()),
+            "carrier": Some(frame.carrier()).filter(|_| self.direction == DirectionArg::Normal),
         });
         let direction = match self.direction {
             DirectionArg::Normal => Direction::Normal(Box::new(frame)),
@@ -588,8 +591,8 @@ impl FootprintArgs {
                 ));
             }
         }
-        let of: Box<LocalTool<'_>> = Box::new(|p| on.at(p));
-        let tool = (on.offsets(), of, near(&places, self.make.beyond_mm(&tif)));
+        let local_tool: Box<LocalTool<'_>> = Box::new(|p| on.tool(p));
+        let tool = (on.offsets(), local_tool, near(&places, self.make.beyond_mm(&tif)));
         self.make.make(name, &settings, &inputs, (&surface, &tif), tool)
     }
 }
@@ -626,8 +629,8 @@ impl TimeArgs {
             time_s: pairs.iter().map(|p| p[0]).collect(),
             factor: pairs.iter().map(|p| p[1]).collect(),
         };
-        let given = VaryingTif { time: Some(time), ..tif.numbers() };
-        let tif = Tif::varying(given).map_err(Failure::with_flags)?;
+        let numbers = VaryingTif { time: Some(time), ..tif.numbers() };
+        let tif = Tif::varying(numbers).map_err(Failure::with_flags)?;
         write(output, name, tif, None, &self.output.out)
     }
 }

@@ -33,7 +33,7 @@ pub enum RateLaw {
 }
 
 impl RateLaw {
-    /// Checks that a table ascends.
+    /// Checks the numbers. Refuses an exponent that is none, and a table that is empty or does not ascend.
     pub fn check(&self) -> Result<(), Invalid> {
         match self {
             Self::Cosine { exponent } if !exponent.is_finite() => {
@@ -44,7 +44,7 @@ impl RateLaw {
         }
     }
 
-    /// The factor at a parameter.
+    /// Returns the factor at a parameter.
     pub fn factor(&self, parameter: f64) -> f64 {
         match self {
             Self::Cosine { exponent } => parameter.to_radians().cos().powf(*exponent),
@@ -75,12 +75,14 @@ fn ascending(name: &'static str, pairs: &[[f64; 2]]) -> Result<(), Invalid> {
 }
 
 /// The two of `count` ascending numbers around a value, and how far it is from the first to the second, 0 to 1.
-fn between(count: usize, value: f64, at: impl Fn(usize) -> f64) -> (usize, usize, f64) {
-    let after = (0..count).find(|i| at(*i) > value).unwrap_or(count);
-    match after {
-        0 => (0, 0, 0.0),
-        _ if after == count => (count - 1, count - 1, 0.0),
-        _ => (after - 1, after, (value - at(after - 1)) / (at(after) - at(after - 1))),
+fn between(count: usize, value: f64, number: impl Fn(usize) -> f64) -> (usize, usize, f64) {
+    match (0..count).find(|i| number(*i) > value) {
+        Some(0) => (0, 0, 0.0),
+        None => (count - 1, count - 1, 0.0),
+        Some(after) => {
+            let (low, high) = (number(after - 1), number(after));
+            (after - 1, after, (value - low) / (high - low))
+        }
     }
 }
 
@@ -94,14 +96,18 @@ pub struct Spots {
 }
 
 impl Spots {
-    /// Spots on the pitch of the first one, over the offsets that any of them has.
-    pub fn new(mut given: Vec<(f64, Tif)>) -> Result<Self, Invalid> {
-        let Some((_, first)) = given.first() else {
+    /// Resamples the spots, each with its parameter, to the pitch of the first one, over the offsets that any of them
+    /// has.
+    ///
+    /// # Errors
+    /// Refuses no spots, spots that vary over the part, and parameters that are no numbers or those of two spots.
+    pub fn new(mut measured: Vec<(f64, Tif)>) -> Result<Self, Invalid> {
+        let Some((_, first)) = measured.first() else {
             return Err(Invalid::whole("spot", "is missing", "give at least one spot"));
         };
         let pitch = [first.grid().x.step_mm(), first.grid().y.step_mm()];
         let centre = [first.grid().x.start_mm(), first.grid().y.start_mm()];
-        for (parameter, tif) in &given {
+        for (parameter, tif) in &measured {
             tif.same_everywhere("a measured spot")?;
             if !parameter.is_finite() {
                 let remedy = "give the parameter of the place where it was measured";
@@ -112,29 +118,29 @@ impl Spots {
                 ));
             }
         }
-        given.sort_by(|a, b| a.0.total_cmp(&b.0));
-        if let Some(i) = (1..given.len()).find(|i| given[*i].0 == given[*i - 1].0) {
-            let problem = format!("two have the parameter {}", given[i].0);
+        measured.sort_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some(i) = (1..measured.len()).find(|i| measured[*i].0 == measured[*i - 1].0) {
+            let problem = format!("two have the parameter {}", measured[i].0);
             return Err(Invalid::whole("spot", problem, "average them first, or give another one"));
         }
         // Nodes of the first spot, continued as far as the widest one.
-        let axis = |k: usize| {
-            let of = |tif: &Tif| if k == 0 { tif.grid().x } else { tif.grid().y };
-            let low = given.iter().map(|(_, t)| of(t).start_mm()).fold(f64::INFINITY, f64::min);
-            let high = given.iter().map(|(_, t)| of(t).end_mm()).fold(f64::NEG_INFINITY, f64::max);
+        let [x, y] = [0, 1].map(|k| {
+            let axes = measured.iter().map(|(_, tif)| [tif.grid().x, tif.grid().y][k]);
+            let low = axes.clone().map(|axis| axis.start_mm()).fold(f64::INFINITY, f64::min);
+            let high = axes.map(|axis| axis.end_mm()).fold(f64::NEG_INFINITY, f64::max);
             let before = ((centre[k] - low) / pitch[k] - 1e-6).ceil().max(0.0);
             let start = centre[k] - before * pitch[k];
             let count = ((high - start) / pitch[k] - 1e-6).ceil() as usize + 1;
             Axis::new(start, pitch[k], count)
-        };
-        let offsets = Grid { x: axis(0)?, y: axis(1)? };
-        let samples = |tif: &Tif| {
-            Array2::from_shape_fn(offsets.shape(), |(r, c)| {
+        });
+        let offsets = Grid { x: x?, y: y? };
+        let spots = measured.iter().map(|(parameter, tif)| {
+            let samples = Array2::from_shape_fn(offsets.shape(), |(r, c)| {
                 tif.rate_at(offsets.x.at(c), offsets.y.at(r))
-            })
-        };
-        let spots = given.iter().map(|(parameter, tif)| (*parameter, samples(tif))).collect();
-        Ok(Self { offsets, spots })
+            });
+            (*parameter, samples)
+        });
+        Ok(Self { offsets, spots: spots.collect() })
     }
 
     /// Offsets of the samples.
@@ -142,8 +148,8 @@ impl Spots {
         self.offsets
     }
 
-    /// The tool at a parameter.
-    pub fn at(&self, parameter: f64) -> Array2<f64> {
+    /// Returns the tool at a parameter.
+    pub fn tool(&self, parameter: f64) -> Array2<f64> {
         let (before, after, f) = between(self.spots.len(), parameter, |i| self.spots[i].0);
         &self.spots[before].1 * (1.0 - f) + &self.spots[after].1 * f
     }
@@ -214,7 +220,10 @@ const HALVINGS: usize = 14;
 const POINTS_OF_PAD: usize = 61;
 
 impl<'a> Overhang<'a> {
-    /// A round pad of a radius, mm, whose removal on the part is `tif`.
+    /// Makes a round pad of a radius, mm, whose removal on the part is `tif`.
+    ///
+    /// # Errors
+    /// Refuses a TIF that varies over the part, and a pad that is smaller than a sample or nowhere covered enough.
     pub fn new(
         tif: &'a Tif,
         places: &'a Places<'a>,
@@ -231,8 +240,10 @@ impl<'a> Overhang<'a> {
             let remedy = "give the radius of the pad in mm, not less than this distance";
             return Err(Invalid::whole("pad_radius_mm", problem, remedy));
         }
-        let at = |k: usize| (2.0 * (k as f64 + 0.5) / POINTS_OF_PAD as f64 - 1.0) * pad_radius_mm;
-        let all = (0..POINTS_OF_PAD).flat_map(|r| (0..POINTS_OF_PAD).map(move |c| [at(c), at(r)]));
+        let all = (0..POINTS_OF_PAD).flat_map(|r| (0..POINTS_OF_PAD).map(move |c| [c, r]));
+        let all = all.map(|point| {
+            point.map(|k| (2.0 * (k as f64 + 0.5) / POINTS_OF_PAD as f64 - 1.0) * pad_radius_mm)
+        });
         let pad_mm = all.filter(|[x, y]| x.hypot(*y) <= pad_radius_mm).collect();
         let radius_mm = pad_radius_mm;
         let mut pad = Self { tif, places, law, radius_mm, pad_mm, covered_mm: Vec::new() };
@@ -275,11 +286,10 @@ impl<'a> Overhang<'a> {
 
     /// Points of the pad, and the part of each that is on the part.
     fn points(&self, p: [f64; 2]) -> impl Iterator<Item = ([f64; 2], f64)> {
-        let on_part = move |u: &[f64; 2]| (*u, self.places.covered([p[0] + u[0], p[1] + u[1]]));
-        self.pad_mm.iter().map(on_part)
+        self.pad_mm.iter().map(move |u| (*u, self.places.covered([p[0] + u[0], p[1] + u[1]])))
     }
 
-    /// Fraction of the pad on the part, for a tool at a place.
+    /// Returns the fraction of the pad on the part, for a tool at a place.
     pub fn covered(&self, p: [f64; 2]) -> f64 {
         self.points(p).map(|(_, part)| part).sum::<f64>() / self.pad_mm.len() as f64
     }
@@ -323,12 +333,12 @@ impl<'a> Overhang<'a> {
         if covered >= self.levelled_off(covered) {
             return p;
         }
-        let square = |q: &[f64; 2]| (q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2);
-        let nearest = self.covered_mm.iter().min_by(|a, b| square(a).total_cmp(&square(b)));
-        let inside = nearest.expect("the constructor refuses a pad without such places");
-        let least = self.levelled_off(covered).min(self.covered(*inside));
+        let inside = nearest(&self.covered_mm, p)
+            .expect("the constructor refuses a pad without such places");
+        let least = self.levelled_off(covered).min(self.covered(inside));
         let towards = |s: f64| [0, 1].map(|k| p[k] + s * (inside[k] - p[k]));
-        let (mut low, mut high) = (0.0, 1.0);
+        let mut low = 0.0;
+        let mut high = 1.0;
         for _ in 0..HALVINGS {
             let s = 0.5 * (low + high);
             if self.covered(towards(s)) >= least { high = s } else { low = s }
@@ -336,8 +346,8 @@ impl<'a> Overhang<'a> {
         towards(high)
     }
 
-    /// The tool at a place.
-    pub fn at(&self, p: [f64; 2]) -> Array2<f64> {
+    /// Returns the tool at a place.
+    pub fn tool(&self, p: [f64; 2]) -> Array2<f64> {
         let rate = self.tif.rate_nm_per_s();
         if self.beside_edge(p) == Some(true) {
             return rate.clone();
@@ -349,9 +359,10 @@ impl<'a> Overhang<'a> {
             PressureLaw::Linear => self.linear(p).unwrap_or(uniform),
         };
         let grid = self.tif.grid();
-        let pressure =
-            |(r, c): (usize, usize)| (c0 + cx * grid.x.at(c) + cy * grid.y.at(r)).max(0.0);
-        Array2::from_shape_fn(rate.dim(), |place| rate[place] * pressure(place))
+        Array2::from_shape_fn(rate.dim(), |(r, c)| {
+            let pressure = (c0 + cx * grid.x.at(c) + cy * grid.y.at(r)).max(0.0);
+            rate[[r, c]] * pressure
+        })
     }
 
     /// (1) without its maximum: c0 and c; none where the covered points lie on a line.
@@ -367,8 +378,15 @@ impl<'a> Overhang<'a> {
     }
 }
 
-/// A spot that turns about its centre with the azimuth of its place about a middle: at the azimuth 0 it is `tif`.
-/// Returns the offsets, which hold the spot in every direction, and the tool at a place.
+/// The nearest of `places` to a place.
+fn nearest(places: &[[f64; 2]], [x, y]: [f64; 2]) -> Option<[f64; 2]> {
+    let squares = places.iter().map(|q| ((q[0] - x).powi(2) + (q[1] - y).powi(2), *q));
+    squares.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, place)| place)
+}
+
+/// Makes a spot that turns about its centre with the azimuth of its place about a middle: at the azimuth 0 it is `tif`.
+/// Returns the offsets, which hold the spot in every direction, and the tool at a place. Refuses a TIF that varies over
+/// the part.
 pub fn turned(tif: &Tif, middle_mm: [f64; 2]) -> Result<(Grid, Box<LocalTool<'static>>), Invalid> {
     tif.same_everywhere("a spot that turns")?;
     let spot = tif.without_zero_margins().into_owned();
@@ -377,7 +395,7 @@ pub fn turned(tif: &Tif, middle_mm: [f64; 2]) -> Result<(Grid, Box<LocalTool<'st
     let half = (x.hypot(y) / step).ceil() as usize;
     let axis = Axis::new(-(half as f64) * step, step, 2 * half + 1)?;
     let offsets = Grid { x: axis, y: axis };
-    let at = move |p: [f64; 2]| {
+    let local_tool = move |p: [f64; 2]| {
         // K(u; p) = R(T(-azimuth) u)
         let (dx, dy) = (p[0] - middle_mm[0], p[1] - middle_mm[1]);
         let radius = dx.hypot(dy);
@@ -387,7 +405,7 @@ pub fn turned(tif: &Tif, middle_mm: [f64; 2]) -> Result<(Grid, Box<LocalTool<'st
             spot.rate_at(cosine * x + sine * y, cosine * y - sine * x)
         })
     };
-    Ok((offsets, Box::new(at)))
+    Ok((offsets, Box::new(local_tool)))
 }
 
 #[cfg(test)]
@@ -421,7 +439,7 @@ mod tests {
         let strip = ([[20.0, -11.0], [160.0, 11.0]], Some(2.65625));
         let settings = LowRankSettings { error: 1e-2, max_rank: 64 };
         let made =
-            low_rank(tif.grid(), strip, &|p| pad.at(p), &|p| pad.is_used(p), &settings).unwrap();
+            low_rank(tif.grid(), strip, &|p| pad.tool(p), &|p| pad.is_used(p), &settings).unwrap();
         // With a kink where 60 % are covered it is 0.023, and 0.26 at the worst place.
         assert!(made.report.error < 1e-2, "{:?}", made.report);
         assert!(made.report.largest_error < 0.05, "{:?}", made.report);

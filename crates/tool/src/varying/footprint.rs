@@ -25,7 +25,7 @@
 //! | Y | `rate_law` | 1 |
 
 use ndarray::Array2;
-use planish_form::Place;
+use planish_form::FormPoint;
 use planish_types::{Axis, Grid, Invalid, Kinematics, Machine, Pose, Tif, Tilt, Transform};
 use serde::Serialize;
 
@@ -75,12 +75,12 @@ pub struct ToolFrame {
 }
 
 impl ToolFrame {
-    /// The frame of a machine along whose x and y the part lies.
+    /// Makes the frame of a machine along whose x and y the part lies.
     pub fn of_carrier(carrier: Carrier) -> Self {
         Self { carrier, to_machine: None }
     }
 
-    /// The frame of a machine. Refuses one whose tool stays along z.
+    /// Makes the frame of a machine. Refuses one whose tool stays along z.
     pub fn of_machine(machine: &Machine) -> Result<Self, Invalid> {
         let carrier = match machine.kinematics() {
             Kinematics::Tilts { tilts: [Tilt::A, _], .. } => Carrier::A,
@@ -99,7 +99,7 @@ impl ToolFrame {
         Ok(Self { carrier, to_machine })
     }
 
-    /// Axis that carries the others.
+    /// Returns the axis that carries the others.
     pub fn carrier(&self) -> Carrier {
         self.carrier
     }
@@ -164,7 +164,7 @@ struct Relative {
 }
 
 impl<'a> Footprint<'a> {
-    /// A tool of this direction; refuses a part without a form, and a source below the part.
+    /// Makes a tool of this direction; refuses a part without a form, and a source below the part.
     pub fn new(
         tif: &'a Tif,
         places: &'a Places<'a>,
@@ -177,13 +177,13 @@ impl<'a> Footprint<'a> {
         let mut offsets = *tif.grid();
         if let Direction::Fixed { source_distance_mm: Some(mm), .. } = direction {
             // Where the part falls away, the rays spread: by the largest slope over half the TIF.
-            let slope = |p: &[f64; 2]| {
+            let slopes = places.border_mm().iter().map(|p| {
                 let [x, y] =
                     form.nearest(*p, places.middle_mm()).map_or([0.0; 2], |f| f.gradient());
                 x.hypot(y)
-            };
+            });
             let [x, y] = tif.half_size_mm();
-            let depth = places.border_mm().iter().map(slope).fold(0.0, f64::max) * x.hypot(y);
+            let depth = slopes.fold(0.0, f64::max) * x.hypot(y);
             if !(mm.is_finite() && mm > 2.0 * depth) {
                 let problem =
                     format!("is {mm}, and the part falls by {depth:.3} mm under the tool");
@@ -200,33 +200,34 @@ impl<'a> Footprint<'a> {
         self.offsets
     }
 
-    /// Largest difference of the tool from that of another direction at the edge of the part, root mean square over its
-    /// offsets, relative to it.
+    /// Returns the largest difference of the tool from that of another direction at the edge of the part, root mean
+    /// square over its offsets, relative to it.
     pub fn largest_difference(&self, other: &Self) -> f64 {
         let border = self.places.border_mm();
         let every = border.len().div_ceil(MOST_COMPARED).max(1);
-        let difference = |p: &[f64; 2]| {
-            let (own, other) = (self.at(*p), other.at(*p));
-            let square = |of: &Array2<f64>| of.iter().map(|v| v * v).sum::<f64>();
-            (square(&(&own - &other)) / square(&own)).sqrt()
-        };
-        border.iter().step_by(every).map(difference).fold(0.0, f64::max)
+        let differences = border.iter().step_by(every).map(|p| {
+            let own = self.tool(*p);
+            let [difference, own] = [&own - &other.tool(*p), own]
+                .map(|samples| samples.iter().map(|v| v * v).sum::<f64>());
+            (difference / own).sqrt()
+        });
+        differences.fold(0.0, f64::max)
     }
-
-    /// Samples of the rate along z of a tool at a place, nm/s.
-    pub fn at(&self, tool_mm: [f64; 2]) -> Array2<f64> {
+    /// Returns the samples of the rate along z of a tool at a place, nm/s.
+    pub fn tool(&self, tool_mm: [f64; 2]) -> Array2<f64> {
         let form = self.places.form().expect("checked in the constructor");
-        let here = form.at(tool_mm);
+        let here = form.point(tool_mm);
         let nearest = here.or_else(|| form.nearest(tool_mm, self.places.middle_mm()));
         let contact = nearest.expect("a form exists somewhere on the part");
         Array2::from_shape_fn(self.offsets.shape(), |(r, c)| {
             let u = [self.offsets.x.at(c), self.offsets.y.at(r)];
             // Beyond the part nothing is removed; there the form continues quadratically, so that the tool is smooth.
-            let there = form.at([tool_mm[0] + u[0], tool_mm[1] + u[1]]).filter(|_| here.is_some());
+            let there =
+                form.point([tool_mm[0] + u[0], tool_mm[1] + u[1]]).filter(|_| here.is_some());
             let relative = match there {
-                Some(place) => Relative {
-                    height_mm: place.sag_mm() - contact.sag_mm(),
-                    gradient: place.gradient(),
+                Some(point) => Relative {
+                    height_mm: point.sag_mm() - contact.sag_mm(),
+                    gradient: point.gradient(),
                 },
                 None => continued(&contact, u),
             };
@@ -235,12 +236,18 @@ impl<'a> Footprint<'a> {
     }
 
     /// (1) or (2), nm/s.
-    fn rate(&self, tool_mm: [f64; 2], u: [f64; 2], contact: &Place, at: &Relative) -> f64 {
-        let [fx, fy] = at.gradient;
+    fn rate(
+        &self,
+        tool_mm: [f64; 2],
+        u: [f64; 2],
+        contact: &FormPoint,
+        relative: &Relative,
+    ) -> f64 {
+        let [fx, fy] = relative.gradient;
         let n_z = 1.0 / (1.0 + fx * fx + fy * fy).sqrt();
         match &self.direction {
             Direction::Normal(frame) => {
-                let d = [u[0], u[1], at.height_mm];
+                let d = [u[0], u[1], relative.height_mm];
                 let axes = frame.axes(contact.normal());
                 let [a, b] = axes.map(|t| (0..3).map(|k| d[k] * t[k]).sum::<f64>());
                 self.tif.rate_of_tool_at(Pose::along_x(tool_mm), [a, b]) / n_z
@@ -251,7 +258,7 @@ impl<'a> Footprint<'a> {
                     / rate_law.factor(0.0)
             }
             Direction::Fixed { rate_law, source_distance_mm: Some(source) } => {
-                let depth = source - at.height_mm;
+                let depth = source - relative.height_mm;
                 let scale = source / depth;
                 let ray = u[0].hypot(u[1]).hypot(depth);
                 // - n . r with r = (u, -depth) / |..|
@@ -261,33 +268,35 @@ impl<'a> Footprint<'a> {
                     return 0.0;
                 }
                 let cos_a = depth / ray;
-                let angle = |cosine: f64| rate_law.factor(cosine.min(1.0).acos().to_degrees());
+                let [yield_a, yield_b] = [cos_a, cos_b]
+                    .map(|cosine| rate_law.factor(cosine.min(1.0).acos().to_degrees()));
                 let flux = scale * scale * cos_b / (n_z * cos_a);
                 let measured =
                     self.tif.rate_of_tool_at(Pose::along_x(tool_mm), u.map(|v| v * scale));
-                measured * flux * angle(cos_b) / angle(cos_a)
+                measured * flux * yield_b / yield_a
             }
         }
     }
 }
 
 /// Height and slopes at an offset from a place, by its Taylor polynomial of second order.
-fn continued(contact: &Place, [x, y]: [f64; 2]) -> Relative {
-    let ([p, q], [r, s, t]) = (contact.gradient(), contact.hessian());
-    let (of_x, of_y) = (r * x + s * y, s * x + t * y);
+fn continued(contact: &FormPoint, [x, y]: [f64; 2]) -> Relative {
+    let [p, q] = contact.gradient();
+    let [r, s, t] = contact.hessian();
+    let [more_p, more_q] = [r * x + s * y, s * x + t * y];
     Relative {
-        height_mm: p * x + q * y + 0.5 * (of_x * x + of_y * y),
-        gradient: [p + of_x, q + of_y],
+        height_mm: p * x + q * y + 0.5 * (more_p * x + more_q * y),
+        gradient: [p + more_p, q + more_q],
     }
 }
 
 /// A grid of the same pitch that is larger by a factor.
 fn wider(grid: &Grid, factor: f64) -> Result<Grid, Invalid> {
-    let axis = |axis: &Axis| {
+    let [x, y] = [grid.x, grid.y].map(|axis| {
         let size = axis.end_mm() - axis.start_mm();
         let more = (0.5 * (factor - 1.0) * size / axis.step_mm()).ceil();
         let start = axis.start_mm() - more * axis.step_mm();
         Axis::new(start, axis.step_mm(), axis.len() + 2 * more as usize)
-    };
-    Ok(Grid { x: axis(&grid.x)?, y: axis(&grid.y)? })
+    });
+    Ok(Grid { x: x?, y: y? })
 }

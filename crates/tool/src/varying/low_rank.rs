@@ -170,20 +170,21 @@ impl LowRankReport {
 
     /// Returns the sentence that says what is not reached; none if the error is below the wanted one.
     pub fn negative(&self) -> Option<String> {
-        (self.error > self.wanted_error).then(|| {
-            format!(
-                "the kernels and weights miss the tool by {:.2e} of it (root mean square), more than the wanted {:.2e}; \
-                 the largest error, {:.2e}, is at {}; give a larger `error`{}, or a larger `max_rank`",
-                self.error,
-                self.wanted_error,
-                self.largest_error,
-                self.largest_error_at,
-                match self.samples {
-                    Samples::Places { .. } => ", a smaller `spacing_mm`",
-                    Samples::Azimuths { .. } | Samples::Headings { .. } => "",
-                }
-            )
-        })
+        if self.error <= self.wanted_error {
+            return None;
+        }
+        Some(format!(
+            "the kernels and weights miss the tool by {:.2e} of it (root mean square), more than the wanted {:.2e}; \
+   the largest error, {:.2e}, is at {}; give a larger `error`{}, or a larger `max_rank`",
+            self.error,
+            self.wanted_error,
+            self.largest_error,
+            self.largest_error_at,
+            match self.samples {
+                Samples::Places { .. } => ", a smaller `spacing_mm`",
+                Samples::Azimuths { .. } | Samples::Headings { .. } => "",
+            }
+        ))
     }
 }
 
@@ -236,12 +237,12 @@ impl Lattice {
         let Self::Places(Grid { x, y }) = self else { return used.to_vec() };
         let nx = x.len();
         let is_used: BTreeSet<usize> = used.iter().copied().collect();
-        let about = |k: usize, n: usize| k.saturating_sub(1)..(k + 2).min(n);
-        let is_near = |i: &usize| {
-            let mut rows = about(i / nx, y.len());
-            rows.any(|r| about(i % nx, nx).any(|c| is_used.contains(&(r * nx + c))))
-        };
-        (0..self.len()).filter(is_near).collect()
+        let near = (0..self.len()).filter(|i| {
+            let [mut rows, columns] =
+                [(i / nx, y.len()), (i % nx, nx)].map(|(k, n)| k.saturating_sub(1)..(k + 2).min(n));
+            rows.any(|r| columns.clone().any(|c| is_used.contains(&(r * nx + c))))
+        });
+        near.collect()
     }
 
     fn len(&self) -> usize {
@@ -262,6 +263,15 @@ impl Lattice {
         }
     }
 
+    /// The one of the samples `used` whose place is nearest to that of sample `i`.
+    fn nearest(&self, used: &[usize], i: usize) -> usize {
+        let here = self.place(i);
+        let squares = used.iter().map(|j| {
+            let there = self.place(*j);
+            ((there[0] - here[0]).powi(2) + (there[1] - here[1]).powi(2), *j)
+        });
+        squares.min_by(|a, b| a.0.total_cmp(&b.0)).expect("there is one").1
+    }
     /// Middles between neighbouring samples [x, y], mm.
     fn middles(&self) -> Vec<[f64; 2]> {
         (0..self.cells()).map(|cell| self.within_cell(cell, [0.5; 2])).collect()
@@ -279,9 +289,8 @@ impl Lattice {
     fn within_cell(&self, cell: usize, part: [f64; 2]) -> [f64; 2] {
         match self {
             Self::Places(Grid { x, y }) => {
-                let along = |axis: &Axis, i: usize, part: f64| axis.at(i) + part * axis.step_mm();
                 let (r, c) = (cell / (x.len() - 1), cell % (x.len() - 1));
-                [along(x, c, part[0]), along(y, r, part[1])]
+                [x.at(c) + part[0] * x.step_mm(), y.at(r) + part[1] * y.step_mm()]
             }
             Self::Azimuths { middle_mm, radius_mm, count } => {
                 around(*middle_mm, *radius_mm, (cell as f64 + part[0]) / *count as f64)
@@ -322,47 +331,49 @@ fn around(middle_mm: [f64; 2], radius_mm: f64, turns: f64) -> [f64; 2] {
     [middle_mm[0] + radius_mm * cosine, middle_mm[1] + radius_mm * sine]
 }
 
-/// Kernels and weights of the tool `of` on `offsets` that depends on the azimuth of its place about `middle_mm` only,
-/// and removes within `radius_mm` of it.
+/// Computes the kernels and weights of the tool `local_tool` on `offsets` that depends on the azimuth of its place
+/// about `middle_mm` only, and removes within `radius_mm` of it. Refuses settings out of their range, and a tool that
+/// removes nothing at an azimuth.
 pub fn low_rank_by_azimuth(
     offsets: &Grid,
     (middle_mm, radius_mm): ([f64; 2], f64),
-    of: &LocalTool<'_>,
+    local_tool: &LocalTool<'_>,
     settings: &LowRankSettings,
 ) -> Result<LowRank, Invalid> {
     low_rank_of_turn(
         offsets,
         |count| Lattice::Azimuths { middle_mm, radius_mm, count },
-        of,
+        local_tool,
         settings,
     )
 }
 
-/// Kernels and weights of the tool `of` on `offsets` that depends on the direction of its motion only, which it gets as
-/// a unit vector [x, y]. The grid `positions` of the weights holds the places of the part.
+/// Computes the kernels and weights of the tool `local_tool` on `offsets` that depends on the direction of its motion
+/// only, which it gets as a unit vector [x, y]. The grid `positions` of the weights holds the places of the part.
+/// Refuses settings out of their range, and a tool that removes nothing in a direction.
 pub fn low_rank_by_heading(
     offsets: &Grid,
     positions: Grid,
-    of: &LocalTool<'_>,
+    local_tool: &LocalTool<'_>,
     settings: &LowRankSettings,
 ) -> Result<LowRank, Invalid> {
-    low_rank_of_turn(offsets, |count| Lattice::Headings { positions, count }, of, settings)
+    low_rank_of_turn(offsets, |count| Lattice::Headings { positions, count }, local_tool, settings)
 }
 
 /// Kernels and weights on the coarsest lattice of one turn that reaches the wanted error.
 fn low_rank_of_turn(
     offsets: &Grid,
     lattice_of: impl Fn(usize) -> Lattice,
-    of: &LocalTool<'_>,
+    local_tool: &LocalTool<'_>,
     settings: &LowRankSettings,
 ) -> Result<LowRank, Invalid> {
     settings.check()?;
     let mut count = FIRST_ANGLES;
     loop {
         let is_last = 2 * count > MOST_ANGLES;
-        match on_lattice(offsets, lattice_of(count), (of, &|_| true), settings) {
-            Ok(found) if is_last || found.low_rank.report.more_samples_do_not_help() => {
-                return Ok(found.with_largest_error(of, &|_| true));
+        match on_lattice(offsets, lattice_of(count), (local_tool, &|_| true), settings) {
+            Ok(fit) if is_last || fit.low_rank.report.more_samples_do_not_help() => {
+                return Ok(fit.with_largest_error(local_tool, &|_| true));
             }
             Err(Unreached::NoTool(refusal)) => return Err(refusal),
             Err(Unreached::Samples(refusal)) if is_last => return Err(refusal),
@@ -372,13 +383,17 @@ fn low_rank_of_turn(
     }
 }
 
-/// Kernels and weights of the tool `of` on `offsets`, for places in the rectangle from `low_mm` to `high_mm` [x, y].
-/// The places at which the tool is used, those that `counts` says, decide about the kernels and the errors. The places
-/// of the weights are `spacing_mm` apart, or as far as the wanted error allows.
+/// Computes the kernels and weights of the tool `local_tool` on `offsets`, for places in the rectangle from `low_mm` to
+/// `high_mm` [x, y]. The places at which the tool is used, those that `counts` says, decide about the kernels and the
+/// errors. The places of the weights are `spacing_mm` apart, or as far as the wanted error allows.
+///
+/// # Errors
+/// Refuses settings out of their range, a distance that makes too many places, no place at which the tool is used, and
+/// a tool that removes nothing at such a place.
 pub fn low_rank(
     offsets: &Grid,
     ([low_mm, high_mm], spacing_mm): ([[f64; 2]; 2], Option<f64>),
-    of: &LocalTool<'_>,
+    local_tool: &LocalTool<'_>,
     counts: &Used<'_>,
     settings: &LowRankSettings,
 ) -> Result<LowRank, Invalid> {
@@ -389,11 +404,11 @@ pub fn low_rank(
     let size = [0, 1].map(|k| high_mm[k] - low_mm[k]);
     let mut spacing = spacing_mm.unwrap_or(size[0].max(size[1]) / FIRST_CELLS);
     loop {
-        let axis = |k: usize| {
+        let [x, y] = [0, 1].map(|k| {
             let cells = (size[k] / spacing - 1e-9).ceil().max(1.0);
             Axis::new(low_mm[k], size[k].max(spacing) / cells, cells as usize + 1)
-        };
-        let positions = Grid { x: axis(0)?, y: axis(1)? };
+        });
+        let positions = Grid { x: x?, y: y? };
         let places = positions.x.len() * positions.y.len();
         if places > MOST_PLACES && spacing_mm.is_some() {
             let problem = format!("is {spacing} mm, which makes {places} places");
@@ -401,9 +416,9 @@ pub fn low_rank(
             return Err(Invalid::whole("spacing_mm", problem, remedy));
         }
         let is_last = spacing_mm.is_some() || 4 * places > MOST_PLACES;
-        match on_lattice(offsets, Lattice::Places(positions), (of, counts), settings) {
-            Ok(found) if is_last || found.low_rank.report.more_samples_do_not_help() => {
-                return Ok(found.with_largest_error(of, counts));
+        match on_lattice(offsets, Lattice::Places(positions), (local_tool, counts), settings) {
+            Ok(fit) if is_last || fit.low_rank.report.more_samples_do_not_help() => {
+                return Ok(fit.with_largest_error(local_tool, counts));
             }
             Err(Unreached::NoTool(refusal)) => return Err(refusal),
             Err(Unreached::Samples(refusal)) if is_last => return Err(refusal),
@@ -425,9 +440,9 @@ enum Unreached {
 fn on_lattice(
     offsets: &Grid,
     lattice: Lattice,
-    (of, counts): (&LocalTool<'_>, &Used<'_>),
+    (local_tool, counts): (&LocalTool<'_>, &Used<'_>),
     settings: &LowRankSettings,
-) -> Result<Found, Unreached> {
+) -> Result<LatticeFit, Unreached> {
     let count = lattice.len();
     let used: Vec<usize> =
         (0..count).into_par_iter().filter(|i| counts(lattice.place(*i))).collect();
@@ -437,37 +452,35 @@ fn on_lattice(
         return Err(Unreached::Samples(Invalid::whole("surface", problem, remedy)));
     }
     let near = lattice.with_neighbours(&used);
-    let Some(basis) = Basis::new(offsets, &lattice, &near, of, settings) else {
+    let Some(basis) = Basis::new(offsets, &lattice, &near, local_tool, settings) else {
         return Err(Unreached::NoTool(removes_nothing(lattice, used[0])));
     };
     // The interpolation between used places reads two places beyond them.
     let read: BTreeSet<usize> = lattice.with_neighbours(&near).into_iter().collect();
-    let projected = |i: usize| {
-        let sample = read.contains(&i).then(|| of(lattice.place(i)))?;
-        is_tool(&sample).then(|| basis.project(&sample))
-    };
-    let found: Vec<Option<Projected>> = (0..count).into_par_iter().map(projected).collect();
-    if let Some(i) = used.iter().find(|i| found[**i].is_none()) {
+    let projected = (0..count).into_par_iter().map(|i| {
+        if !read.contains(&i) {
+            return None;
+        }
+        let sample = local_tool(lattice.place(i));
+        if is_tool(&sample) { Some(basis.project(&sample)) } else { None }
+    });
+    let projected: Vec<Option<Projected>> = projected.collect();
+    if let Some(i) = used.iter().find(|i| projected[**i].is_none()) {
         return Err(Unreached::NoTool(removes_nothing(lattice, *i)));
     }
     // Where nobody works, or the tool removes nothing beside where it is used, it is that of the nearest used place.
-    let nearest = |i: usize| {
-        let here = lattice.place(i);
-        let square = |j: &&usize| {
-            let there = lattice.place(**j);
-            (there[0] - here[0]).powi(2) + (there[1] - here[1]).powi(2)
-        };
-        let nearest = used.iter().min_by(|a, b| square(a).total_cmp(&square(b)));
-        found[*nearest.expect("there is one")].clone().expect("the tool removes there")
-    };
-    let found: Vec<Projected> = (0..count)
-        .into_par_iter()
-        .map(|i| found[i].clone().unwrap_or_else(|| nearest(i)))
-        .collect();
-    let tool = basis.tool(offsets, lattice, &found).map_err(Unreached::Samples)?;
+    let completed = (0..count).into_par_iter().map(|i| {
+        let own = projected[i].clone();
+        own.unwrap_or_else(|| {
+            let nearest = &projected[lattice.nearest(&used, i)];
+            nearest.clone().expect("the tool removes there")
+        })
+    });
+    let samples: Vec<Projected> = completed.collect();
+    let tool = basis.tool(offsets, lattice, &samples).map_err(Unreached::Samples)?;
     let tif = Tif::varying(tool.clone()).map_err(Unreached::Samples)?;
-    let report = report(&basis, lattice, (&used, &found), (of, counts), &tif, settings);
-    Ok(Found { basis, lattice, tif, low_rank: LowRank { tool, report } })
+    let report = report(&basis, lattice, (&used, &samples), (local_tool, counts), &tif, settings);
+    Ok(LatticeFit { basis, lattice, tif, low_rank: LowRank { tool, report } })
 }
 
 /// Refusal of a tool that removes nothing at a place where it is used.
@@ -515,18 +528,18 @@ impl Basis {
         offsets: &Grid,
         lattice: &Lattice,
         taken: &[usize],
-        of: &LocalTool<'_>,
+        local_tool: &LocalTool<'_>,
         settings: &LowRankSettings,
     ) -> Option<Self> {
         let LowRankSettings { error, max_rank } = *settings;
         let training = taken.len().min(MOST_TRAINING);
         // Evenly spread, by the golden ratio where not all are taken.
-        let chosen = |k: usize| match training == taken.len() {
-            true => taken[k],
-            false => taken[((k as f64 * GOLDEN).fract() * taken.len() as f64) as usize],
-        };
-        let mut samples: Vec<Array2<f64>> =
-            (0..training).into_par_iter().map(|k| of(lattice.place(chosen(k)))).collect();
+        let samples = (0..training).into_par_iter().map(|k| {
+            let spread = ((k as f64 * GOLDEN).fract() * taken.len() as f64) as usize;
+            let chosen = if training == taken.len() { k } else { spread };
+            local_tool(lattice.place(taken[chosen]))
+        });
+        let mut samples: Vec<Array2<f64>> = samples.collect();
         samples.retain(is_tool);
         if samples.is_empty() {
             return None;
@@ -550,17 +563,16 @@ impl Basis {
             left -= eigenvalues[order[rank]];
             rank += 1;
         }
-        let kernel = |k: usize| -> Array2<f64> {
+        let kernels = (0..rank).into_par_iter().map(|k| {
             let column = eigenvectors.column(order[k]);
-            let mut kernel = Array2::zeros(offsets.shape());
+            let mut kernel = Array2::<f64>::zeros(offsets.shape());
             for (sample, v) in samples.iter().zip(column.iter()) {
                 kernel.scaled_add(v / eigenvalues[order[k]].sqrt(), sample);
             }
             // A sign that does not depend on the eigenvectors' own: the larger part of a kernel is positive.
             if kernel.sum() < 0.0 { -kernel } else { kernel }
-        };
-        let kernels = (0..rank).into_par_iter().map(kernel).collect();
-        Some(Self { kernels, scale: (total / training as f64).sqrt() })
+        });
+        Some(Self { kernels: kernels.collect(), scale: (total / training as f64).sqrt() })
     }
 
     /// (2) for a sample of the tool.
@@ -571,8 +583,14 @@ impl Basis {
 
     /// Square of the error at a place between the samples, (nm/s)^2:
     /// `|K - sum_k a_k phi_k|^2 = |K|^2 - 2 a . (phi . K) + |a|^2` with the interpolated a.
-    fn square_error(&self, tif: &Tif, lattice: Lattice, of: &LocalTool<'_>, p: [f64; 2]) -> f64 {
-        let Projected { products, square } = self.project(&of(p));
+    fn square_error(
+        &self,
+        tif: &Tif,
+        lattice: Lattice,
+        local_tool: &LocalTool<'_>,
+        p: [f64; 2],
+    ) -> f64 {
+        let Projected { products, square } = self.project(&local_tool(p));
         let mut error = square;
         for (k, product) in products.iter().enumerate() {
             // A tool that turns out to be the same everywhere has no weights.
@@ -583,39 +601,40 @@ impl Basis {
         error.max(0.0)
     }
 
-    /// The tool of these kernels with the weights that were found on a lattice.
+    /// The tool of these kernels with the weights of the samples on a lattice.
     fn tool(
         &self,
         offsets: &Grid,
         lattice: Lattice,
-        found: &[Projected],
+        samples: &[Projected],
     ) -> Result<VaryingTif, Invalid> {
         let rank = self.kernels.len();
-        let weight = |k: usize, i: usize| found[i].products[k] / self.scale;
-        let turn = |count: usize| -> (Vec<f64>, Vec<Vec<f64>>) {
-            let degrees = (0..count).map(|i| 360.0 * i as f64 / count as f64).collect();
-            let row = |k: usize| (0..count).map(|i| weight(k, i)).collect();
-            (degrees, (0..rank).map(row).collect())
-        };
-        let ones = |positions: &Grid| vec![Array2::ones(positions.shape()); rank];
-        let (mut azimuth, mut heading) = (None, None);
+        // Weights of every kernel at the samples, and the angles of these on a turn.
+        let by_kernel =
+            (0..rank).map(|k| samples.iter().map(|s| s.products[k] / self.scale).collect());
+        let by_kernel: Vec<Vec<f64>> = by_kernel.collect();
+        let count = samples.len();
+        let degrees = (0..count).map(|i| 360.0 * i as f64 / count as f64).collect();
+        let mut azimuth = None;
+        let mut heading = None;
         let (positions, weights) = match lattice {
             Lattice::Places(positions) => {
-                let (ny, nx) = positions.shape();
-                let map = |k| Array2::from_shape_fn((ny, nx), |(r, c)| weight(k, r * nx + c));
-                (positions, (0..rank).map(map).collect())
+                let maps = by_kernel.into_iter().map(|weights| {
+                    Array2::from_shape_vec(positions.shape(), weights)
+                        .expect("one weight per place")
+                });
+                (positions, maps.collect())
             }
-            Lattice::Azimuths { middle_mm, radius_mm, count } => {
-                let around = |i: usize| Axis::new(middle_mm[i] - radius_mm, 2.0 * radius_mm, 2);
-                let positions = Grid { x: around(0)?, y: around(1)? };
-                let (degrees, rows) = turn(count);
-                azimuth = Some(AzimuthWeights::new(middle_mm, degrees, rows)?);
-                (positions, ones(&positions))
+            Lattice::Azimuths { middle_mm, radius_mm, .. } => {
+                let [x, y] =
+                    middle_mm.map(|middle| Axis::new(middle - radius_mm, 2.0 * radius_mm, 2));
+                let positions = Grid { x: x?, y: y? };
+                azimuth = Some(AzimuthWeights::new(middle_mm, degrees, by_kernel)?);
+                (positions, vec![Array2::ones(positions.shape()); rank])
             }
-            Lattice::Headings { positions, count } => {
-                let (degrees, rows) = turn(count);
-                heading = Some(TurnWeights::by_heading(degrees, rows)?);
-                (positions, ones(&positions))
+            Lattice::Headings { positions, .. } => {
+                heading = Some(TurnWeights::by_heading(degrees, by_kernel)?);
+                (positions, vec![Array2::ones(positions.shape()); rank])
             }
         };
         Ok(VaryingTif {
@@ -635,21 +654,22 @@ impl Basis {
 fn report(
     basis: &Basis,
     lattice: Lattice,
-    (used, found): (&[usize], &[Projected]),
-    (of, counts): (&LocalTool<'_>, &Used<'_>),
+    (used, samples): (&[usize], &[Projected]),
+    (local_tool, counts): (&LocalTool<'_>, &Used<'_>),
     tif: &Tif,
     settings: &LowRankSettings,
 ) -> LowRankReport {
-    let of_used = || used.iter().map(|i| &found[*i]);
-    let squares: f64 = of_used().map(|p| p.square).sum::<f64>() / used.len() as f64;
-    let of_rank: f64 = of_used().map(Projected::missed).sum::<f64>() / used.len() as f64;
-    let largest_of_rank = of_used().map(Projected::missed).fold(0.0, f64::max);
+    let used_samples = used.iter().map(|i| &samples[*i]);
+    let squares = used_samples.clone().map(|s| s.square).sum::<f64>() / used.len() as f64;
+    let missed = used_samples.map(Projected::missed);
+    let of_rank = missed.clone().sum::<f64>() / used.len() as f64;
+    let largest_of_rank = missed.fold(0.0, f64::max);
     let inside: Vec<[f64; 2]> = lattice.middles().into_par_iter().filter(|p| counts(*p)).collect();
     let measured = inside.len().min(MOST_MEASURED);
     let errors: Vec<(f64, [f64; 2])> = (0..measured)
         .into_par_iter()
         .map(|k| inside[k * inside.len() / measured])
-        .map(|p| (basis.square_error(tif, lattice, of, p), p))
+        .map(|p| (basis.square_error(tif, lattice, local_tool, p), p))
         .collect();
     let of_cells = errors.iter().map(|e| e.0).sum::<f64>() / measured.max(1) as f64;
     let first = (0.0, lattice.place(used[0]));
@@ -669,20 +689,24 @@ fn report(
 }
 
 /// Kernels and weights on a lattice, and what their errors are measured with.
-struct Found {
+struct LatticeFit {
     basis: Basis,
     lattice: Lattice,
     tif: Tif,
     low_rank: LowRank,
 }
 
-impl Found {
-    /// The tool, with the largest error that is found in all cells and in the worst of them.
-    fn with_largest_error(self, of: &LocalTool<'_>, counts: &Used<'_>) -> LowRank {
+impl LatticeFit {
+    /// The tool, with the largest error in all cells and in the worst of them.
+    fn with_largest_error(self, local_tool: &LocalTool<'_>, counts: &Used<'_>) -> LowRank {
         let Self { basis, lattice, tif, low_rank: LowRank { tool, mut report } } = self;
         let measured = |cell: usize, part: [f64; 2]| {
             let p = lattice.within_cell(cell, part);
-            counts(p).then(|| (basis.square_error(&tif, lattice, of, p), cell, p))
+            if counts(p) {
+                Some((basis.square_error(&tif, lattice, local_tool, p), cell, p))
+            } else {
+                None
+            }
         };
         let searched = lattice.cells().min(MOST_SEARCHED);
         let mut errors: Vec<(f64, usize, [f64; 2])> = (0..searched)
@@ -694,11 +718,11 @@ impl Found {
             .collect();
         errors.sort_by(|a, b| b.0.total_cmp(&a.0));
         let (cells, side) = SEARCHED_FURTHER;
-        let part = |i: usize| (i as f64 + 0.5) / side as f64;
         let worst: Vec<usize> = errors.iter().take(cells).map(|e| e.1).collect();
         let further = (0..worst.len() * side * side).into_par_iter().filter_map(|k| {
-            let (cell, i) = (worst[k / (side * side)], k % (side * side));
-            measured(cell, [part(i % side), part(i / side)])
+            let cell = worst[k / (side * side)];
+            let i = k % (side * side);
+            measured(cell, [i % side, i / side].map(|i| (i as f64 + 0.5) / side as f64))
         });
         errors.extend(further.collect::<Vec<_>>());
         for (square, _, p) in errors {

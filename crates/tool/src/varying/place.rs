@@ -1,7 +1,7 @@
 //! Parameters of a place of the part.
 
 use planish_form::Form;
-use planish_types::{Axis, Invalid, Surface};
+use planish_types::{Invalid, Surface};
 use serde::Serialize;
 
 /// Parameter of a place on which a tool depends.
@@ -31,36 +31,34 @@ pub struct Places<'a> {
 }
 
 impl<'a> Places<'a> {
-    /// Places of the map `surface`, of a part without a form.
+    /// Makes the places of the map `surface`, of a part without a form.
     pub fn new(surface: &'a Surface) -> Self {
-        let (z, grid) = (surface.height_nm(), surface.grid());
-        let (ny, nx) = grid.shape();
-        let valid = |r: isize, c: isize| {
-            let inside = (0..ny as isize).contains(&r) && (0..nx as isize).contains(&c);
-            inside && !z[[r as usize, c as usize]].is_nan()
-        };
+        let z = surface.height_nm();
+        let grid = surface.grid();
         let all = z.indexed_iter().filter(|(_, z)| !z.is_nan()).map(|(place, _)| place);
         let none = ([usize::MAX; 2], [0; 2]);
         let (low, high) = all.clone().fold(none, |(low, high), (r, c)| {
             ([low[0].min(c), low[1].min(r)], [high[0].max(c), high[1].max(r)])
         });
-        let middle = |axis: &Axis, k: usize| 0.5 * (axis.at(low[k]) + axis.at(high[k]));
+        let middle_mm = [(&grid.x, 0), (&grid.y, 1)]
+            .map(|(axis, k)| 0.5 * (axis.at(low[k]) + axis.at(high[k])));
         let border = all.filter(|&(r, c)| {
-            let (r, c) = (r as isize, c as isize);
-            ![(1, 0), (-1, 0), (0, 1), (0, -1)].iter().all(|(i, k)| valid(r + i, c + k))
+            let neighbours =
+                [(r + 1, c), (r.wrapping_sub(1), c), (r, c + 1), (r, c.wrapping_sub(1))];
+            neighbours.iter().any(|n| z.get(*n).is_none_or(|z| z.is_nan()))
         });
         let border_mm = border.map(|(r, c)| [grid.x.at(c), grid.y.at(r)]).collect();
-        let middle_mm = [middle(&grid.x, 0), middle(&grid.y, 1)];
         Self { surface, form: None, middle_mm, border_mm }
     }
 
-    /// The same of a part that is a sphere of this radius of curvature, mm, with its vertex in the middle of the valid
-    /// pixels. Refuses a sphere that is smaller than the part.
+    /// Makes the places of a part that is a sphere of this radius of curvature, mm, with its vertex in the middle of
+    /// the valid pixels. Refuses a sphere that is smaller than the part.
     pub fn on_sphere(self, radius_mm: f64) -> Result<Self, Invalid> {
-        let (name, remedy) = ("sphere_radius_mm", "give a radius of curvature in mm");
+        let name = "sphere_radius_mm";
+        let remedy = "give a radius of curvature in mm";
         let sphere = Form::sphere(radius_mm, self.middle_mm)
             .map_err(|_| Invalid::whole(name, format!("is {radius_mm}"), remedy))?;
-        let reach = self.border_mm.iter().map(|q| self.radius_mm_of(*q)).fold(0.0, f64::max);
+        let reach = self.radius_mm();
         if reach >= radius_mm.abs() {
             let problem = format!("is {radius_mm} mm, but the map reaches {reach} mm");
             let remedy = "give the radius of curvature, which is larger than the part";
@@ -69,14 +67,14 @@ impl<'a> Places<'a> {
         Ok(Self { form: Some(sphere), ..self })
     }
 
-    /// The same of a part with this form. Refuses a form that does not exist at a valid pixel: its slope there would be
-    /// a guess.
+    /// Makes the places of a part with this form. Refuses a form that does not exist at a valid pixel: its slope there
+    /// would be a guess.
     pub fn with_form(self, form: Form) -> Result<Self, Invalid> {
         form.check_over(self.surface)?;
         Ok(Self { form: Some(form), ..self })
     }
 
-    /// The form of the part, if it has one.
+    /// Returns the form of the part, if it has one.
     pub fn form(&self) -> Option<&Form> {
         self.form.as_ref()
     }
@@ -86,18 +84,17 @@ impl<'a> Places<'a> {
         (x - self.middle_mm[0]).hypot(y - self.middle_mm[1])
     }
 
-    /// Middle of the valid pixels [x, y], mm.
+    /// Returns the middle of the valid pixels [x, y], mm.
     pub fn middle_mm(&self) -> [f64; 2] {
         self.middle_mm
     }
 
-    /// Largest distance of a valid pixel from the middle, mm.
+    /// Returns the largest distance of a valid pixel from the middle, mm.
     pub fn radius_mm(&self) -> f64 {
-        let from = |q: &[f64; 2]| (q[0] - self.middle_mm[0]).hypot(q[1] - self.middle_mm[1]);
-        self.border_mm.iter().map(from).fold(0.0, f64::max)
+        self.border_mm.iter().map(|q| self.radius_mm_of(*q)).fold(0.0, f64::max)
     }
 
-    /// Larger side of a pixel, mm.
+    /// Returns the larger side of a pixel, mm.
     pub fn pixel_mm(&self) -> f64 {
         self.surface.grid().x.step_mm().max(self.surface.grid().y.step_mm())
     }
@@ -108,7 +105,7 @@ impl<'a> Places<'a> {
         valid as f64 * self.surface.grid().pixel_mm2()
     }
 
-    /// Centres of valid pixels [x, y], mm, at least a distance apart along x and y, or a pixel.
+    /// Returns the centres of valid pixels [x, y], mm, at least a distance apart along x and y, or a pixel.
     pub fn valid_places(&self, apart_mm: f64) -> Vec<[f64; 2]> {
         let grid = self.surface.grid();
         let [every_x, every_y] =
@@ -120,7 +117,7 @@ impl<'a> Places<'a> {
             .collect()
     }
 
-    /// Valid pixels with an invalid or no neighbour, [x, y], mm.
+    /// Returns the valid pixels with an invalid or no neighbour, [x, y], mm.
     pub fn border_mm(&self) -> &[[f64; 2]] {
         &self.border_mm
     }
@@ -128,39 +125,40 @@ impl<'a> Places<'a> {
     /// Returns true if a point lies in a valid pixel.
     fn is_on_part(&self, [x, y]: [f64; 2]) -> bool {
         let grid = self.surface.grid();
-        let pixel = |axis: &Axis, mm: f64| {
-            let i = ((mm - axis.start_mm()) / axis.step_mm()).round();
-            (i >= 0.0 && i < axis.len() as f64).then_some(i as usize)
-        };
-        let (r, c) = (pixel(&grid.y, y), pixel(&grid.x, x));
-        matches!((r, c), (Some(r), Some(c)) if !self.surface.height_nm()[[r, c]].is_nan())
+        let [c, r] = [(&grid.x, x), (&grid.y, y)]
+            .map(|(axis, mm)| ((mm - axis.start_mm()) / axis.step_mm()).round());
+        self.is_valid(r, c)
+    }
+    /// Returns true if the pixel of this row and column exists and is valid.
+    fn is_valid(&self, r: f64, c: f64) -> bool {
+        let z = self.surface.height_nm();
+        r >= 0.0 && c >= 0.0 && z.get((r as usize, c as usize)).is_some_and(|z| !z.is_nan())
     }
 
-    /// Part of a pixel around a point that is valid, from 0 to 1: linear between the centres of the pixels.
+    /// Returns the part of a pixel around a point that is valid, from 0 to 1: linear between the centres of the pixels.
     pub fn covered(&self, [x, y]: [f64; 2]) -> f64 {
-        let (z, grid) = (self.surface.height_nm(), self.surface.grid());
-        let cell = |axis: &Axis, mm: f64| {
+        let grid = self.surface.grid();
+        let [(c, fx), (r, fy)] = [(&grid.x, x), (&grid.y, y)].map(|(axis, mm)| {
             let s = (mm - axis.start_mm()) / axis.step_mm();
             (s.floor(), s - s.floor())
-        };
-        let ((c, fx), (r, fy)) = (cell(&grid.x, x), cell(&grid.y, y));
-        let valid = |r: f64, c: f64| {
-            let inside = r >= 0.0 && c >= 0.0 && r < grid.y.len() as f64 && c < grid.x.len() as f64;
-            f64::from(u8::from(inside && !z[[r as usize, c as usize]].is_nan()))
-        };
-        let row = |r: f64| (1.0 - fx) * valid(r, c) + fx * valid(r, c + 1.0);
-        (1.0 - fy) * row(r) + fy * row(r + 1.0)
+        });
+        let [lower, upper] = [r, r + 1.0].map(|r| {
+            let [left, right] = [c, c + 1.0].map(|c| f64::from(u8::from(self.is_valid(r, c))));
+            (1.0 - fx) * left + fx * right
+        });
+        (1.0 - fy) * lower + fy * upper
     }
 
-    /// A parameter at a point of the part, in its unit.
+    /// Returns a parameter at a point of the part, in its unit. Refuses the incidence on a part without a form, or with
+    /// one that does not exist in its middle.
     pub fn parameter(&self, parameter: Parameter, p: [f64; 2]) -> Result<f64, Invalid> {
         Ok(match parameter {
             Parameter::X => p[0],
             Parameter::Y => p[1],
             Parameter::Radius => self.radius_mm_of(p),
             Parameter::EdgeDistance => {
-                let to = |q: &[f64; 2]| (p[0] - q[0]).hypot(p[1] - q[1]);
-                let nearest = self.border_mm.iter().map(to).fold(f64::INFINITY, f64::min);
+                let distances = self.border_mm.iter().map(|q| (p[0] - q[0]).hypot(p[1] - q[1]));
+                let nearest = distances.fold(f64::INFINITY, f64::min);
                 // The edge is half a pixel outside of the centres of the border.
                 let half =
                     0.25 * (self.surface.grid().x.step_mm() + self.surface.grid().y.step_mm());
@@ -172,7 +170,7 @@ impl<'a> Places<'a> {
                     return Err(Invalid::whole("by", "is incidence, without a form", remedy));
                 };
                 // Beyond the part the tool sees the nearest place of the form.
-                let Some(place) = form.nearest(p, self.middle_mm) else {
+                let Some(point) = form.nearest(p, self.middle_mm) else {
                     let [x, y] = self.middle_mm;
                     let problem =
                         format!("does not exist in the middle of the part, ({x}, {y}) mm");
@@ -182,7 +180,7 @@ impl<'a> Places<'a> {
                         "give a form that covers the part",
                     ));
                 };
-                place.slope_deg()
+                point.slope_deg()
             }
         })
     }

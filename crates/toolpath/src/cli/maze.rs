@@ -42,7 +42,8 @@ enum TreeArg {
 impl MazeArgs {
     pub fn run(&self) -> Result<Status, Failure> {
         let on = Region::read(&self.region)?;
-        let (pitch_mm, corner_radius_mm) = (self.region.pitch_mm, self.corner_radius_mm);
+        let pitch_mm = self.region.pitch_mm;
+        let corner_radius_mm = self.corner_radius_mm;
         let settings = MazeSettings {
             pitch_mm,
             step_mm: self
@@ -60,7 +61,7 @@ impl MazeArgs {
             open: self.open,
             seed: self.seed,
         };
-        let mut output = match on.begin(&task!("maze", &on.asked(&settings)))? {
+        let mut output = match on.begin(&task!("maze", &on.stated(&settings)))? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };

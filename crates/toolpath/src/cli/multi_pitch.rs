@@ -72,7 +72,7 @@ impl MultiPitchArgs {
             overscan_mm: on.overscan_mm,
             links: self.links,
         };
-        let mut output = match on.begin(&task!("multi-pitch", &on.asked(&settings)))? {
+        let mut output = match on.begin(&task!("multi-pitch", &on.stated(&settings)))? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };

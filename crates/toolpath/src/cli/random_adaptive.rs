@@ -40,7 +40,7 @@ impl RandomAdaptiveArgs {
             rounding_passes: self.rounding_passes,
             seed: self.seed,
         };
-        let mut output = match on.begin(&task!("random-adaptive", &on.asked(&settings)))? {
+        let mut output = match on.begin(&task!("random-adaptive", &on.stated(&settings)))? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };

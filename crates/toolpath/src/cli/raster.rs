@@ -90,7 +90,7 @@ impl RasterArgs {
             one_directional: self.one_directional,
             pitch_range_mm: self.pitch_range_mm.as_ref().map(|range| [range[0], range[1]]),
         };
-        let mut output = match on.begin(&task!("raster", &on.asked(&settings)))? {
+        let mut output = match on.begin(&task!("raster", &on.stated(&settings)))? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };

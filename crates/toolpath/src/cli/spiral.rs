@@ -22,7 +22,7 @@ impl SpiralArgs {
         let pitch_mm = self.region.pitch_mm;
         let settings =
             SpiralSettings { pitch_mm, step_mm: self.step_mm, overscan_mm: on.overscan_mm };
-        let mut output = match on.begin(&task!("spiral", &on.asked(&settings)))? {
+        let mut output = match on.begin(&task!("spiral", &on.stated(&settings)))? {
             Begin::Unchanged(status) => return Ok(status),
             Begin::Run(output) => output,
         };

@@ -41,7 +41,7 @@ pub(super) struct Raster {
     lines: Vec<Vec<Stretch>>,
 }
 
-/// The lines of every region; `None` when there are too many.
+/// Returns the lines of every region; `None` when there are too many.
 pub(super) fn rasters(field: &Field, pitch_mm: &[f64]) -> Option<Vec<Raster>> {
     let [hx, hy] = field.pixel_mm;
     let [x0, y0] = field.first_mm;
@@ -84,20 +84,19 @@ pub(super) fn rasters(field: &Field, pitch_mm: &[f64]) -> Option<Vec<Raster>> {
 /// The first line of a region, and how many it has.
 fn line_positions(field: &Field, id: usize, d: f64, [r0, r1, c0, c1]: [usize; 4]) -> (f64, f64) {
     // Whether the outermost row has another region beyond it.
-    let borders = |row: usize, beyond: Option<usize>| {
-        beyond.filter(|b| *b < field.label.nrows()).is_some_and(|b| {
-            let rows = [row, b].map(|r| field.label.slice(s![r, c0..=c1]));
+    let inner = [(r0, r0.wrapping_sub(1)), (r1, r1 + 1)].map(|(row, beyond)| {
+        beyond < field.label.nrows() && {
+            let rows = [row, beyond].map(|r| field.label.slice(s![r, c0..=c1]));
             rows[0].iter().zip(&rows[1]).any(|(own, other)| *own == id && *other != OUTSIDE)
-        })
-    };
-    let inner = [borders(r0, r0.checked_sub(1)), borders(r1, Some(r1 + 1))];
-    let (h, rest) = (field.pixel_mm[1], field.rest_mm[1]);
-    let margin = inner.map(|i| if i { 0.5 * h } else { rest });
-    let y = |r: usize| field.first_mm[1] + r as f64 * h;
-    let (low, high) = (y(r0) - margin[0], y(r1) + margin[1]);
+        }
+    });
+    let margin = inner.map(|i| if i { 0.5 * field.pixel_mm[1] } else { field.rest_mm[1] });
+    let low = field.centre_mm(1, r0) - margin[0];
+    let high = field.centre_mm(1, r1) + margin[1];
     // The line on an outer edge serves half a pitch beyond it.
     let beyond = inner.map(|i| if i { 0.0 } else { 0.5 * d });
-    let (from, to) = (low - beyond[0], high + beyond[1]);
+    let from = low - beyond[0];
+    let to = high + beyond[1];
     let fitting = (to - from) / d;
     // With two outer edges a raster: n = floor(H / d) + 1.
     let count = if inner == [false; 2] { (fitting + SLACK).floor() } else { fitting.round() };
@@ -110,12 +109,9 @@ fn line_positions(field: &Field, id: usize, d: f64, [r0, r1, c0, c1]: [usize; 4]
 /// Intervals of a row of pixels that belong to a region; gaps of one pitch or two pixels are
 /// bridged.
 fn stretches(field: &Field, id: usize, row: usize, [c0, c1]: [usize; 2], d: f64) -> Vec<Stretch> {
-    let (h, rest) = (field.pixel_mm[0], field.rest_mm[0]);
-    let x = |c: usize| field.first_mm[0] + c as f64 * h;
+    let h = field.pixel_mm[0];
     let labels = field.label.row(row);
-    let end = |beyond: usize| labels.get(beyond).is_some_and(|other| *other != OUTSIDE);
-    let margin = |inner: bool| if inner { 0.5 * h } else { rest };
-    let mut found: Vec<Stretch> = Vec::new();
+    let mut stretches: Vec<Stretch> = Vec::new();
     let mut c = c0;
     while c <= c1 {
         if labels[c] != id {
@@ -126,44 +122,51 @@ fn stretches(field: &Field, id: usize, row: usize, [c0, c1]: [usize; 2], d: f64)
         while c <= c1 && labels[c] == id {
             c += 1;
         }
-        let inner = [end(begin.wrapping_sub(1)), end(c)];
-        let mut margins = inner.map(margin);
+        let inner = [begin.wrapping_sub(1), c]
+            .map(|beyond| labels.get(beyond).is_some_and(|other| *other != OUTSIDE));
+        let mut margins = inner.map(|i| if i { 0.5 * h } else { field.rest_mm[0] });
         // Every stretch has a length.
         if begin + 1 == c {
             let least = if inner == [false; 2] { 0.5 * h } else { 0.0 };
             margins = margins.map(|m| m.max(least));
         }
-        let next = Stretch { low: x(begin) - margins[0], high: x(c - 1) + margins[1], inner };
-        match found.last_mut() {
+        let next = Stretch {
+            low: field.centre_mm(0, begin) - margins[0],
+            high: field.centre_mm(0, c - 1) + margins[1],
+            inner,
+        };
+        match stretches.last_mut() {
             Some(last)
                 if !last.inner[1]
                     && !inner[0]
                     && next.low - last.high <= d.max(2.0 * h) * (1.0 + SLACK)
                     && between_is_outside(field, row, [last.high, next.low]) =>
             {
-                (last.high, last.inner[1]) = (next.high, inner[1]);
+                last.high = next.high;
+                last.inner[1] = inner[1];
             }
-            _ => found.push(next),
+            _ => stretches.push(next),
         }
     }
-    found
+    stretches
 }
 
 /// Returns true if no region lies between two coordinates of a row.
 fn between_is_outside(field: &Field, row: usize, [low, high]: [f64; 2]) -> bool {
-    let column = |x: f64| (x - field.first_mm[0]) / field.pixel_mm[0];
+    let [low, high] = [low, high].map(|x| (x - field.first_mm[0]) / field.pixel_mm[0]);
     // Ends reach less than a pixel beyond their last centre.
-    let (from, to) = (column(low).floor() as usize + 1, column(high).ceil() as usize);
+    let from = low.floor() as usize + 1;
+    let to = high.ceil() as usize;
     (from..to).all(|c| field.label[[row, c]] == OUTSIDE)
 }
 
 /// Adds to the lines what lies farther than its pitch from every line in its column.
 fn add_slivers(field: &Field, rasters: &mut [Raster], over: &mut [Vec<f64>]) {
-    let [hx, hy] = field.pixel_mm;
+    let hx = field.pixel_mm[0];
     for ((r, c), _) in field.inside.indexed_iter().filter(|(_, inside)| **inside) {
         let raster = &mut rasters[field.label[[r, c]]];
         let d = raster.pitch_mm;
-        let (x, y) = (field.first_mm[0] + c as f64 * hx, field.first_mm[1] + r as f64 * hy);
+        let (x, y) = (field.centre_mm(0, c), field.centre_mm(1, r));
         let reach = d * (1.0 + SLACK);
         let next = over[c].partition_point(|w| *w < y - reach);
         if over[c].get(next).is_some_and(|w| *w <= y + reach) {
@@ -180,15 +183,26 @@ fn add_slivers(field: &Field, rasters: &mut [Raster], over: &mut [Vec<f64>]) {
             match joined.last_mut() {
                 Some(last) if next.low - last.high <= SLACK * hx => {
                     if next.high > last.high {
-                        (last.high, last.inner[1]) = (next.high, next.inner[1]);
+                        last.high = next.high;
+                        last.inner[1] = next.inner[1];
                     }
                 }
                 _ => joined.push(next),
             }
         }
         *line = joined;
-        let at = over[c].partition_point(|v| *v < w);
-        over[c].insert(at, w);
+        let place = over[c].partition_point(|v| *v < w);
+        over[c].insert(place, w);
+    }
+}
+
+impl Stretch {
+    /// Index of the only one of the stretches of a neighbouring line that this one overlaps.
+    fn only_neighbour(&self, others: &[Stretch]) -> Option<usize> {
+        let mut met = (0..others.len())
+            .filter(|i| self.low.max(others[*i].low) <= self.high.min(others[*i].high));
+        let first = met.next();
+        if met.next().is_some() { None } else { first }
     }
 }
 
@@ -210,24 +224,19 @@ struct CellLine {
 }
 
 impl Raster {
-    /// The cells of the region.
+    /// Returns the cells of the region.
     pub fn cells(&self, region: usize) -> Vec<Cell> {
         let mut cells: Vec<Cell> = Vec::new();
         // Cell of every stretch of the line before.
         let mut open: Vec<usize> = Vec::new();
         for (k, line) in self.lines.iter().enumerate() {
             let before = if k == 0 { &[][..] } else { &self.lines[k - 1][..] };
-            let meet = |a: &Stretch, b: &Stretch| a.low.max(b.low) <= a.high.min(b.high);
-            let only = |s: &Stretch, others: &[Stretch]| {
-                let mut met = others.iter().enumerate().filter(|(_, o)| meet(s, o));
-                let first = met.next().map(|(i, _)| i);
-                if met.next().is_some() { None } else { first }
-            };
             let w = self.first_mm + k as f64 * self.pitch_mm;
             let mut now = Vec::with_capacity(line.len());
             for s in line {
-                let continued = only(s, before)
-                    .filter(|i| only(&before[*i], line).is_some() && self.can_link(&before[*i], s));
+                let continued = s.only_neighbour(before).filter(|i| {
+                    before[*i].only_neighbour(line).is_some() && self.can_link(&before[*i], s)
+                });
                 let cell = continued.map_or(cells.len(), |i| open[i]);
                 if cell == cells.len() {
                     cells.push(Cell { region, lines: Vec::new() });
@@ -296,11 +305,11 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// A short order of the cells, those of a region one after another.
+/// Returns a short order of the cells, those of a region one after another.
 pub(super) fn order(cells: &[Cell]) -> Vec<Visit> {
     let lowest = (0..cells.len()).min_by(|a, b| {
-        let key = |i: &usize| (cells[*i].lines[0].across, cells[*i].lines[0].ends[0]);
-        key(a).0.total_cmp(&key(b).0).then(key(a).1.total_cmp(&key(b).1))
+        let [a, b] = [a, b].map(|i| cells[*i].lines[0]);
+        a.across.total_cmp(&b.across).then_with(|| a.ends[0].total_cmp(&b.ends[0]))
     });
     let Some(first) = lowest else { return Vec::new() };
     // The nearest end first.
@@ -308,14 +317,15 @@ pub(super) fn order(cells: &[Cell]) -> Vec<Visit> {
     let mut visits = vec![Visit::all(first)[0]];
     while !left.is_empty() {
         let here = visits[visits.len() - 1];
-        let (at, region) = (here.end(cells), cells[here.cell].region);
+        let end = here.end(cells);
+        let region = cells[here.cell].region;
         let within = left.iter().any(|i| cells[*i].region == region);
         let candidates = left.iter().enumerate();
         let nearest = candidates
             .filter(|(_, i)| !within || cells[**i].region == region)
             .flat_map(|(n, i)| Visit::all(*i).map(|v| (n, v)))
             .min_by(|a, b| {
-                distance(at, a.1.start(cells)).total_cmp(&distance(at, b.1.start(cells)))
+                distance(end, a.1.start(cells)).total_cmp(&distance(end, b.1.start(cells)))
             });
         let Some((n, visit)) = nearest else { break };
         left.remove(n);
@@ -333,19 +343,20 @@ pub(super) fn order(cells: &[Cell]) -> Vec<Visit> {
 fn improve(cells: &[Cell], visits: &mut [Visit]) -> bool {
     let n = visits.len();
     let region = |v: &Visit| cells[v.cell].region;
-    // Length of the lifts from `a` to `b` to `c`; none beyond the ends.
+    // Length of the lift from `a` to `b`; none beyond the ends.
     let lift = |a: Option<Visit>, b: Option<Visit>| match (a, b) {
         (Some(a), Some(b)) => distance(a.end(cells), b.start(cells)),
         _ => 0.0,
     };
-    let mut found = false;
+    let mut is_shorter = false;
     for i in 0..n {
         let before = i.checked_sub(1).map(|b| visits[b]);
         let after = visits.get(i + 1).copied();
         let around = |v| lift(before, Some(v)) + lift(Some(v), after);
         for other in Visit::all(visits[i].cell) {
             if around(other) < around(visits[i]) - SLACK {
-                (visits[i], found) = (other, true);
+                visits[i] = other;
+                is_shorter = true;
             }
         }
         for j in i + 1..n.min(i + MAX_REVERSED) {
@@ -357,18 +368,19 @@ fn improve(cells: &[Cell], visits: &mut [Visit]) -> bool {
             }
             let after = visits.get(j + 1).copied();
             let old = lift(before, Some(visits[i])) + lift(Some(visits[j]), after);
-            let (head, tail) = (visits[j].reversed(cells), visits[i].reversed(cells));
+            let head = visits[j].reversed(cells);
+            let tail = visits[i].reversed(cells);
             if lift(before, Some(head)) + lift(Some(tail), after) < old - SLACK {
                 visits[i..=j].reverse();
                 visits[i..=j].iter_mut().for_each(|v| *v = v.reversed(cells));
-                found = true;
+                is_shorter = true;
             }
         }
     }
-    found
+    is_shorter
 }
 
-/// All nodes in order; `None` when there are too many.
+/// Returns all nodes in order; `None` when there are too many.
 pub(super) fn walk(cells: &[Cell], visits: &[Visit], step: f64, links: Links) -> Option<Draft> {
     let mut path = Draft::default();
     let mut pass = 0;
@@ -378,21 +390,21 @@ pub(super) fn walk(cells: &[Cell], visits: &[Visit], step: f64, links: Links) ->
         match path.point_mm.last() {
             None => path.begin(start),
             // Neighbouring regions may end and begin in the same point.
-            Some(at) if distance(*at, start) > SLACK => path.to(start, false, pass),
+            Some(here) if distance(*here, start) > SLACK => path.to(start, false, pass),
             Some(_) => {}
         }
         pass += usize::from(i > 0 && cells[visits[i - 1].cell].region != *region);
         let mut backwards = visit.backwards;
+        let mut before: Option<CellLine> = None;
         for n in 0..lines.len() {
-            let at = |n: usize| lines[if visit.downwards { lines.len() - 1 - n } else { n }];
-            let line = at(n);
+            let line = lines[if visit.downwards { lines.len() - 1 - n } else { n }];
             // The side that it begins on, where the line before it ended.
             let side = usize::from(backwards);
             let begin = [line.ends[side], line.across];
-            if n > 0 {
+            if let Some(before) = before {
                 let on = match links {
                     Links::On => true,
-                    Links::Outside => !(line.inner[side] || at(n - 1).inner[side]),
+                    Links::Outside => !(line.inner[side] || before.inner[side]),
                     Links::Off => false,
                 };
                 if on {
@@ -403,6 +415,7 @@ pub(super) fn walk(cells: &[Cell], visits: &[Visit], step: f64, links: Links) ->
             }
             straight(&mut path, [line.ends[1 - side], line.across], step, pass)?;
             backwards = !backwards;
+            before = Some(line);
         }
     }
     Some(path)

@@ -14,9 +14,10 @@ pub(super) const OUTSIDE: usize = usize::MAX;
 /// Larger: more time. Smaller: steps in the smoothed depth.
 const CUT_OFF: f64 = 4.0;
 
-/// The depth to be removed, smoothed over the valid pixels; NaN elsewhere.
+/// Returns the depth to be removed, smoothed over the valid pixels; NaN elsewhere.
 pub(super) fn depth_nm(surface: &Surface, sigma_mm: f64) -> Array2<f64> {
-    let (grid, z) = (surface.grid(), surface.height_nm());
+    let grid = surface.grid();
+    let z = surface.height_nm();
     let lowest = surface.statistics().min.min(0.0);
     let mut sum = z.map(|z| if z.is_nan() { 0.0 } else { z - lowest });
     let mut weight = z.map(|z| if z.is_nan() { 0.0 } else { 1.0 });
@@ -43,12 +44,17 @@ pub(super) fn depth_nm(surface: &Surface, sigma_mm: f64) -> Array2<f64> {
         }
     });
     // Rounding of a mean does not divide a constant map.
-    let valid = || depth.iter().copied().filter(|r| !r.is_nan());
-    let (low, high) = (valid().fold(f64::MAX, f64::min), valid().fold(f64::MIN, f64::max));
+    let [low, high] = range(&depth);
     if high - low <= SLACK * high {
         depth.mapv_inplace(|r| if r.is_nan() { r } else { high });
     }
     depth
+}
+
+/// Returns the smallest and the largest valid value.
+pub(super) fn range(map: &Array2<f64>) -> [f64; 2] {
+    let valid = map.iter().filter(|v| !v.is_nan());
+    valid.fold([f64::MAX, f64::MIN], |[low, high], v| [low.min(*v), high.max(*v)])
 }
 
 /// The 4-connected components of the classes.
@@ -61,28 +67,30 @@ pub(super) struct Components {
     pub pixels: Vec<usize>,
 }
 
-/// Components of at least `least_pixels` of their class, wherever they have a neighbour.
+/// Returns the components of at least `least_pixels` of their class, wherever they have a neighbour.
 pub(super) fn components(class_of: &Array2<usize>, least_pixels: &[f64]) -> Components {
     let mut label = Array2::from_elem(class_of.dim(), OUTSIDE);
-    let (mut class, mut members): (Vec<usize>, Vec<Vec<[usize; 2]>>) = (Vec::new(), Vec::new());
+    let mut class: Vec<usize> = Vec::new();
+    let mut members: Vec<Vec<[usize; 2]>> = Vec::new();
     for ((r, c), k) in class_of.indexed_iter() {
         if *k == OUTSIDE || label[[r, c]] != OUTSIDE {
             continue;
         }
         let id = class.len();
-        let (mut found, mut next) = (vec![[r, c]], 0);
+        let mut pixels = vec![[r, c]];
+        let mut next = 0;
         label[[r, c]] = id;
-        while let Some(at) = found.get(next).copied() {
+        while let Some(pixel) = pixels.get(next).copied() {
             next += 1;
-            for n in neighbours(at, class_of.dim()) {
+            for n in neighbours(pixel, class_of.dim()) {
                 if class_of[n] == *k && label[n] == OUTSIDE {
                     label[n] = id;
-                    found.push(n);
+                    pixels.push(n);
                 }
             }
         }
         class.push(*k);
-        members.push(found);
+        members.push(pixels);
     }
 
     let mut smallest: BinaryHeap<_> =
@@ -92,7 +100,7 @@ pub(super) fn components(class_of: &Array2<usize>, least_pixels: &[f64]) -> Comp
         if members[id].len() != size || size as f64 >= least_pixels[class[id]] {
             continue;
         }
-        let around = members[id].iter().flat_map(|at| neighbours(*at, label.dim()));
+        let around = members[id].iter().flat_map(|pixel| neighbours(*pixel, label.dim()));
         let mut ring: Vec<[usize; 2]> =
             around.filter(|n| label[*n] != OUTSIDE && label[*n] != id).collect();
         ring.sort_unstable();
@@ -115,7 +123,7 @@ pub(super) fn components(class_of: &Array2<usize>, least_pixels: &[f64]) -> Comp
         class[into] = most;
         for j in joined.into_iter().filter(|j| *j != into) {
             let moved = std::mem::take(&mut members[j]);
-            moved.iter().for_each(|at| label[*at] = into);
+            moved.iter().for_each(|pixel| label[*pixel] = into);
             members[into].extend(moved);
         }
         smallest.push(Reverse((members[into].len(), into)));
@@ -123,13 +131,13 @@ pub(super) fn components(class_of: &Array2<usize>, least_pixels: &[f64]) -> Comp
 
     // Without the ones that have gone.
     let mut number = vec![OUTSIDE; class.len()];
-    let kept: Vec<usize> = (0..class.len()).filter(|id| !members[*id].is_empty()).collect();
-    kept.iter().enumerate().for_each(|(n, id)| number[*id] = n);
+    let remaining: Vec<usize> = (0..class.len()).filter(|id| !members[*id].is_empty()).collect();
+    remaining.iter().enumerate().for_each(|(n, id)| number[*id] = n);
     label.mapv_inplace(|id| if id == OUTSIDE { OUTSIDE } else { number[id] });
     Components {
         label,
-        class: kept.iter().map(|id| class[*id]).collect(),
-        pixels: kept.iter().map(|id| members[*id].len()).collect(),
+        class: remaining.iter().map(|id| class[*id]).collect(),
+        pixels: remaining.iter().map(|id| members[*id].len()).collect(),
     }
 }
 
@@ -154,6 +162,11 @@ pub(super) struct Field {
 }
 
 impl Field {
+    /// Returns the coordinate of a column (axis 0) or a row (axis 1), mm.
+    pub fn centre_mm(&self, axis: usize, index: usize) -> f64 {
+        self.first_mm[axis] + index as f64 * self.pixel_mm[axis]
+    }
+
     /// Continues `label` by `overscan_mm` to each side; `None` when that has too many pixels.
     pub fn new(grid: &Grid, label: &Array2<usize>, overscan_mm: f64) -> Option<Self> {
         let axes = [&grid.x, &grid.y];
@@ -188,7 +201,8 @@ impl Field {
                     let Some((rows, id)) = column.get((r, from)) else { continue };
                     let dy = *rows as f64 * pixel_mm[1];
                     if *id != OUTSIDE && dx * dx + dy * dy < best {
-                        (best, *nearest) = (dx * dx + dy * dy, *id);
+                        best = dx * dx + dy * dy;
+                        *nearest = *id;
                     }
                 }
             }

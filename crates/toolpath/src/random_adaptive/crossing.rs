@@ -5,7 +5,7 @@
 use super::{Point, distance};
 use crate::segments::meet;
 
-/// (loop, step) of both steps of every pair that meets; neighbours in a loop do not count.
+/// Returns (loop, step) of both steps of every pair that meets; neighbours in a loop do not count.
 pub(super) fn crossings(loops: &[Vec<Point>]) -> Vec<[(usize, usize); 2]> {
     let mut segments: Vec<(Point, Point, usize, usize)> = Vec::new();
     for (l, nodes) in loops.iter().enumerate() {
@@ -14,10 +14,9 @@ pub(super) fn crossings(loops: &[Vec<Point>]) -> Vec<[(usize, usize); 2]> {
     }
     let mean = segments.iter().map(|s| distance(s.0, s.1)).sum::<f64>() / segments.len() as f64;
     let side = 2.0 * mean;
-    let cell = |p: Point| p.map(|v| (v / side).floor() as i64);
     let mut touched: Vec<(i64, i64, u32)> = Vec::new();
     for (k, (a, b, ..)) in segments.iter().enumerate() {
-        let (p, q) = (cell(*a), cell(*b));
+        let [p, q] = [a, b].map(|p| p.map(|v| (v / side).floor() as i64));
         for y in p[1].min(q[1])..=p[1].max(q[1]) {
             touched.extend((p[0].min(q[0])..=p[0].max(q[0])).map(|x| (y, x, k as u32)));
         }

@@ -19,7 +19,8 @@
 
 use std::{collections::VecDeque, ops::Range};
 
-use planish_types::{Axis, Invalid, Surface};
+use ndarray::Array2;
+use planish_types::{Axis, Grid, Invalid, Surface};
 
 use super::{EDGE_PER_SPACING, RandomAdaptiveSettings};
 
@@ -81,7 +82,8 @@ impl Field {
     }
 
     fn region(surface: &Surface, settings: &RandomAdaptiveSettings) -> Result<Self, Invalid> {
-        let (grid, map) = (surface.grid(), surface.height_nm());
+        let grid = surface.grid();
+        let map = surface.height_nm();
         let p = settings.pitch_mm;
         let axes = [&grid.x, &grid.y];
         let reach = axes.map(|a| settings.overscan_mm.max(0.5 * p).max(0.5 * a.step_mm()));
@@ -122,33 +124,21 @@ impl Field {
             spacing_mm: vec![0.0; count[0] * count[1]],
         };
 
-        // sum[r][c]: valid pixels in the rows before r and the columns before c.
-        let (ny, nx) = map.dim();
-        let mut sum = vec![0_u32; (ny + 1) * (nx + 1)];
-        for ((r, c), z) in map.indexed_iter() {
-            let k = (r + 1) * (nx + 1) + c + 1;
-            sum[k] = u32::from(!z.is_nan()) + sum[k - 1] + sum[k - nx - 1] - sum[k - nx - 2];
-        }
-        let any = |rows: &Range<usize>, columns: &Range<usize>| {
-            let at = |r: usize, c: usize| sum[r * (nx + 1) + c];
-            at(rows.end, columns.end) + at(rows.start, columns.start)
-                > at(rows.start, columns.end) + at(rows.end, columns.start)
-        };
-        let near = |a: usize, reach: f64| -> Vec<Range<usize>> {
-            (0..count[a]).map(|i| within(axes[a], field.centre_along(a, i), reach)).collect()
-        };
-        let mask = |reach: [f64; 2]| -> Vec<bool> {
-            let (columns, rows) = (near(0, reach[0]), near(1, reach[1]));
-            rows.iter()
-                .flat_map(|r| columns.iter().map(|c| any(r, c)).collect::<Vec<_>>())
-                .collect()
-        };
-        let inside = close(mask(reach), count);
-        let aperture = mask(axes.map(|a| 0.5 * a.step_mm()));
-        field.aperture = aperture;
+        let valid = ValidCounts::new(map);
+        let inside = close(field.cells_near_valid(&valid, grid, reach), count);
+        let half_pixel = axes.map(|a| 0.5 * a.step_mm());
+        field.aperture = field.cells_near_valid(&valid, grid, half_pixel);
         field.label(&inside);
         field.near = spread(inside, count, true);
         Ok(field)
+    }
+    /// Returns true for the cells with the centre of a valid pixel within `reach`, along x and along y.
+    fn cells_near_valid(&self, valid: &ValidCounts, grid: &Grid, reach: [f64; 2]) -> Vec<bool> {
+        let [columns, rows] = [0, 1].map(|a| -> Vec<Range<usize>> {
+            let centres = (0..self.count[a]).map(|i| self.centre_along(a, i));
+            centres.map(|centre| within([&grid.x, &grid.y][a], centre, reach[a])).collect()
+        });
+        rows.iter().flat_map(|r| columns.iter().map(|c| valid.any(r, c))).collect()
     }
 
     /// Numbers the islands: 4-connected parts.
@@ -180,7 +170,8 @@ impl Field {
 
     /// rho of every cell.
     fn density(&self, surface: &Surface, settings: &RandomAdaptiveSettings) -> Vec<f64> {
-        let (grid, map) = (surface.grid(), surface.height_nm());
+        let grid = surface.grid();
+        let map = surface.height_nm();
         let mut weighted = vec![0.0; self.island.len()];
         let mut weight = weighted.clone();
         for ((r, c), z) in map.indexed_iter().filter(|(_, z)| !z.is_nan()) {
@@ -195,21 +186,21 @@ impl Field {
             smooth(&mut weighted, self.count, a, sigma);
             smooth(&mut weight, self.count, a, sigma);
         }
-        let known = |k: &usize| self.aperture[*k] && weight[*k] > 0.0;
-        let removal = |k: usize| weighted[k] / weight[k];
-        let cells: Vec<usize> = (0..weight.len()).filter(known).collect();
-        let lowest = cells.iter().map(|k| removal(*k)).fold(0.0, f64::min);
-        let mean = cells.iter().map(|k| removal(*k) - lowest).sum::<f64>() / cells.len() as f64;
+        weighted.iter_mut().zip(&weight).for_each(|(z, w)| *z /= w);
+        let removal = weighted;
+        let cells: Vec<usize> =
+            (0..weight.len()).filter(|k| self.aperture[*k] && weight[*k] > 0.0).collect();
+        let lowest = cells.iter().map(|k| removal[*k]).fold(0.0, f64::min);
+        let mean = cells.iter().map(|k| removal[*k] - lowest).sum::<f64>() / cells.len() as f64;
         if cells.is_empty() || mean <= 0.0 {
             return vec![1.0; weight.len()];
         }
-        let nearest = self.nearest(&cells);
         // rho = (clamp(r, mean r / 4, 4 mean r) / mean r)^b
-        let law = |k: &usize| {
-            let ratio = (removal(*k) - lowest) / mean;
+        let rho = self.nearest(&cells).into_iter().map(|k| {
+            let ratio = (removal[k] - lowest) / mean;
             ratio.clamp(LOWEST_RATIO, HIGHEST_RATIO).powf(settings.contrast)
-        };
-        nearest.iter().map(law).collect()
+        });
+        rho.collect()
     }
 
     /// The nearest of `sources` to every cell, by two sweeps that hand on the neighbours' nearest.
@@ -218,9 +209,8 @@ impl Field {
         let mut best = vec![usize::MAX; nx * ny];
         sources.iter().for_each(|k| best[*k] = *k);
         let distance = |k: usize, source: usize| {
-            let d = |p: usize, q: usize, side: f64| p.abs_diff(q) as f64 * side;
-            let x = d(k % nx, source % nx, self.side_mm[0]);
-            x.hypot(d(k / nx, source / nx, self.side_mm[1]))
+            let x = (k % nx).abs_diff(source % nx) as f64 * self.side_mm[0];
+            x.hypot((k / nx).abs_diff(source / nx) as f64 * self.side_mm[1])
         };
         self.sweep(|k, neighbour| {
             let offer = best[neighbour];
@@ -249,50 +239,52 @@ impl Field {
     /// Calls `update(cell, neighbour)` for the four neighbours before a cell, forwards, and for
     /// the four after it, backwards.
     fn sweep(&self, mut update: impl FnMut(usize, usize)) {
-        let [nx, ny] = self.count.map(|n| n as isize);
-        let mut at = |i: isize, j: isize, sign: isize| {
-            for (di, dj) in [(-1, 0), (-1, -1), (0, -1), (1, -1)] {
-                let (m, n) = (i + sign * di, j + sign * dj);
-                if (0..nx).contains(&m) && (0..ny).contains(&n) {
-                    update((j * nx + i) as usize, (n * nx + m) as usize);
-                }
+        let [nx, ny] = self.count;
+        for j in 0..ny {
+            for i in (0..nx).chain((0..nx).rev()) {
+                self.neighbours_before([i, j], 1).for_each(|n| update(j * nx + i, n));
             }
-        };
-        (0..ny).for_each(|j| {
-            (0..nx).for_each(|i| at(i, j, 1));
-            (0..nx).rev().for_each(|i| at(i, j, 1));
-        });
-        (0..ny).rev().for_each(|j| {
-            (0..nx).rev().for_each(|i| at(i, j, -1));
-            (0..nx).for_each(|i| at(i, j, -1));
-        });
+        }
+        for j in (0..ny).rev() {
+            for i in (0..nx).rev().chain(0..nx) {
+                self.neighbours_before([i, j], -1).for_each(|n| update(j * nx + i, n));
+            }
+        }
+    }
+    /// The four neighbours before the cell (i, j), or with the sign -1 the four after it.
+    fn neighbours_before(&self, cell: [usize; 2], sign: isize) -> impl Iterator<Item = usize> {
+        let [nx, ny] = self.count;
+        let [i, j] = cell.map(|v| v as isize);
+        let steps = [(-1, 0), (-1, -1), (0, -1), (1, -1)].into_iter();
+        let neighbours = steps.map(move |(di, dj)| (i + sign * di, j + sign * dj));
+        neighbours
+            .filter(move |(i, j)| (0..nx as isize).contains(i) && (0..ny as isize).contains(j))
+            .map(move |(i, j)| j as usize * nx + i as usize)
     }
 
     fn centre_along(&self, a: usize, i: usize) -> f64 {
         self.low_mm[a] + (i as f64 + 0.5) * self.side_mm[a]
     }
 
-    /// Corner (i, j) of the lattice, mm.
-    pub(super) fn corner(&self, [i, j]: [usize; 2]) -> [f64; 2] {
-        let at = |a: usize, i: usize| self.low_mm[a] + i as f64 * self.side_mm[a];
-        [at(0, i), at(1, j)]
+    /// Returns the corner (i, j) of the lattice, mm.
+    pub(super) fn corner(&self, index: [usize; 2]) -> [f64; 2] {
+        [0, 1].map(|a| self.low_mm[a] + index[a] as f64 * self.side_mm[a])
     }
 
-    /// Centre of cell k, mm.
+    /// Returns the centre of cell k, mm.
     pub(super) fn centre(&self, k: usize) -> [f64; 2] {
         [self.centre_along(0, k % self.count[0]), self.centre_along(1, k / self.count[0])]
     }
 
     fn cell(&self, p: [f64; 2]) -> Option<usize> {
         let i = [0, 1].map(|a| ((p[a] - self.low_mm[a]) / self.side_mm[a]).floor());
-        let within = |a: usize| i[a] >= 0.0 && i[a] < self.count[a] as f64;
-        (within(0) && within(1)).then(|| i[1] as usize * self.count[0] + i[0] as usize)
+        let is_inside = (0..2).all(|a| i[a] >= 0.0 && i[a] < self.count[a] as f64);
+        if is_inside { Some(i[1] as usize * self.count[0] + i[0] as usize) } else { None }
     }
 
-    /// Number of the island at `p`; none outside the region.
+    /// Returns the number of the island at `p`; none outside the region.
     pub(super) fn island(&self, p: [f64; 2]) -> Option<usize> {
-        let island = self.island[self.cell(p)?];
-        (island != OUTSIDE).then_some(island as usize)
+        self.island_of_cell(self.cell(p)?)
     }
 
     /// Returns true if the step from `a` to `b` goes more than [`CLOSING_CELLS`] beyond the region.
@@ -301,14 +293,14 @@ impl Field {
         let parts = cells[0].max(cells[1]).ceil().max(1.0);
         (0..=parts as usize).any(|k| {
             let f = k as f64 / parts;
-            let at = self.cell([0, 1].map(|x| a[x] + f * (b[x] - a[x])));
-            at.is_none_or(|k| !self.near[k])
+            let cell = self.cell([0, 1].map(|x| a[x] + f * (b[x] - a[x])));
+            cell.is_none_or(|k| !self.near[k])
         })
     }
 
-    /// Number of the island of cell `k`.
+    /// Returns the number of the island of cell `k`; none outside the region.
     pub(super) fn island_of_cell(&self, k: usize) -> Option<usize> {
-        (self.island[k] != OUTSIDE).then_some(self.island[k] as usize)
+        if self.island[k] == OUTSIDE { None } else { Some(self.island[k] as usize) }
     }
 
     /// Returns true if `p` is in the clear aperture: its cell's nearest pixel is valid.
@@ -316,7 +308,7 @@ impl Field {
         self.cell(p).is_some_and(|k| self.aperture[k])
     }
 
-    /// Size of the lattice along x and y, mm.
+    /// Returns the size of the lattice along x and y, mm.
     pub(super) fn extent_mm(&self) -> [f64; 2] {
         [0, 1].map(|a| self.count[a] as f64 * self.side_mm[a])
     }
@@ -327,21 +319,24 @@ impl Field {
         cells as f64 * self.side_mm[0] * self.side_mm[1]
     }
 
-    /// Mean of 1/d over the clear aperture, 1/mm; over the region where the aperture is so small that
-    /// no centre of a cell lies in it.
+    /// Returns the mean of 1/d over the clear aperture, 1/mm; over the region where the aperture is so small that no
+    /// centre of a cell lies in it.
     pub(super) fn mean_inverse_spacing(&self) -> f64 {
         let none = !self.aperture.contains(&true);
-        let counts = |k: &usize| if none { self.island[*k] != OUTSIDE } else { self.aperture[*k] };
-        let cells = || (0..self.aperture.len()).filter(counts);
-        cells().map(|k| 1.0 / self.spacing_mm[k]).sum::<f64>() / cells().count().max(1) as f64
+        let cells = (0..self.aperture.len())
+            .filter(|k| if none { self.island[*k] != OUTSIDE } else { self.aperture[*k] });
+        let (sum, count) = cells
+            .map(|k| 1.0 / self.spacing_mm[k])
+            .fold((0.0, 0_usize), |(sum, count), inverse| (sum + inverse, count + 1));
+        sum / count.max(1) as f64
     }
 
-    /// Cells of the region.
+    /// Returns the cells of the region.
     pub(super) fn cells(&self) -> impl Iterator<Item = usize> + '_ {
         (0..self.island.len()).filter(|k| self.island[*k] != OUTSIDE)
     }
 
-    /// d at `p`, mm; beyond the lattice that of its edge.
+    /// Returns d at `p`, mm; beyond the lattice that of its edge.
     pub(super) fn spacing_mm(&self, p: [f64; 2]) -> f64 {
         let i = [0, 1].map(|a| {
             let i = ((p[a] - self.low_mm[a]) / self.side_mm[a]).floor();
@@ -351,12 +346,37 @@ impl Field {
     }
 }
 
+/// Numbers of valid pixels in rectangles of a map.
+struct ValidCounts {
+    /// Valid pixels in the rows before r and the columns before c, (ny+1, nx+1).
+    before: Array2<u32>,
+}
+
+impl ValidCounts {
+    fn new(map: &Array2<f64>) -> Self {
+        let (ny, nx) = map.dim();
+        let mut before = Array2::zeros((ny + 1, nx + 1));
+        for ((r, c), z) in map.indexed_iter() {
+            before[[r + 1, c + 1]] =
+                u32::from(!z.is_nan()) + before[[r + 1, c]] + before[[r, c + 1]] - before[[r, c]];
+        }
+        Self { before }
+    }
+
+    /// Returns true if a pixel of the rectangle is valid.
+    fn any(&self, rows: &Range<usize>, columns: &Range<usize>) -> bool {
+        self.before[[rows.end, columns.end]] + self.before[[rows.start, columns.start]]
+            > self.before[[rows.start, columns.end]] + self.before[[rows.end, columns.start]]
+    }
+}
+
 /// Pixels of `axis` within `reach` of `x`.
 fn within(axis: &Axis, x: f64, reach: f64) -> Range<usize> {
-    let at = |v: f64| ((v - axis.start_mm()) / axis.step_mm()).clamp(-1.0, axis.len() as f64);
+    let [low, high] = [x - reach, x + reach]
+        .map(|v| ((v - axis.start_mm()) / axis.step_mm()).clamp(-1.0, axis.len() as f64));
     // A pixel that rounding puts 1e-9 of a step too far is within.
-    let first = (at(x - reach) - 1e-9).ceil().max(0.0) as usize;
-    let end = ((at(x + reach) + 1e-9).floor() + 1.0).max(0.0) as usize;
+    let first = (low - 1e-9).ceil().max(0.0) as usize;
+    let end = ((high + 1e-9).floor() + 1.0).max(0.0) as usize;
     first..end.min(axis.len()).max(first)
 }
 
@@ -383,8 +403,7 @@ fn spread(mut mask: Vec<bool>, count: [usize; 2], value: bool) -> Vec<bool> {
 /// Convolution along one axis with a Gaussian of `sigma` cells, cut off at 4 sigma.
 fn smooth(values: &mut Vec<f64>, count: [usize; 2], axis: usize, sigma: f64) {
     let reach = (4.0 * sigma).ceil() as usize;
-    let tap = |d: usize| (-0.5 * (d as f64 / sigma).powi(2)).exp();
-    let taps: Vec<f64> = (0..=reach).map(tap).collect();
+    let taps: Vec<f64> = (0..=reach).map(|d| (-0.5 * (d as f64 / sigma).powi(2)).exp()).collect();
     let stride = if axis == 0 { 1 } else { count[0] };
     let n = count[axis];
     let mut out = vec![0.0; values.len()];

@@ -48,7 +48,7 @@ const MIN_HEIGHT: f64 = 0.1;
 /// middle of the edge.
 const MEETS_AT: f64 = 0.5;
 
-/// One closed path per edge-connected part of the mesh.
+/// Returns one closed path per edge-connected part of the mesh.
 pub(super) fn mesh_tree(field: &Field, scale: f64, rng: &mut ChaCha8Rng) -> Vec<Loop> {
     let edge_mm = |p: Point| EDGE_PER_SPACING * scale * field.spacing_mm(p);
     let points = mesh_points(field, &edge_mm, LLOYD_ITERATIONS, rng);
@@ -88,15 +88,11 @@ impl Mesh {
         // A border that is straight or bends inwards has slivers on it: off, layer by layer.
         loop {
             let beyond = beyond(&face);
-            let on_border = |f: usize| {
-                let side = |e: usize| minus(point[face[f][(e + 1) % 3]], point[face[f][e]]);
-                let length = [0, 1, 2].map(|e| side(e)[0].hypot(side(e)[1]));
-                let longest = (0..3).max_by(|a, b| length[*a].total_cmp(&length[*b]));
-                let e = longest.expect("there are three edges");
-                let height = cross(side(0), side(1)) / length[e];
-                beyond[f][e].is_none() && height < MIN_HEIGHT * length[e]
-            };
-            let sliver: Vec<bool> = (0..face.len()).map(on_border).collect();
+            let sliver: Vec<bool> = face
+                .iter()
+                .zip(&beyond)
+                .map(|(face, beyond)| is_border_sliver(face.map(|v| point[v]), beyond))
+                .collect();
             if !sliver.contains(&true) {
                 return Self { point, face, beyond };
             }
@@ -108,11 +104,6 @@ impl Mesh {
     fn tree(&self, rng: &mut ChaCha8Rng) -> Vec<[bool; 3]> {
         let mut tree = vec![[false; 3]; self.face.len()];
         let mut seen = vec![false; self.face.len()];
-        let shuffled = |rng: &mut ChaCha8Rng| {
-            let mut order = [0, 1, 2];
-            order.shuffle(rng);
-            order
-        };
         for root in 0..self.face.len() {
             if std::mem::replace(&mut seen[root], true) {
                 continue;
@@ -127,7 +118,8 @@ impl Mesh {
                 let f = *f;
                 if let Some((g, back)) = self.beyond[f][e].filter(|(g, _)| !seen[*g]) {
                     seen[g] = true;
-                    (tree[f][e], tree[g][back]) = (true, true);
+                    tree[f][e] = true;
+                    tree[g][back] = true;
                     stack.push((g, shuffled(rng), 0));
                 }
             }
@@ -138,23 +130,23 @@ impl Mesh {
     /// The cycle through the small triangles of the part of triangle `start`.
     fn walk(&self, start: usize, tree: &[[bool; 3]], seen: &mut [bool]) -> Loop {
         let first = (start, 0, 0);
-        let mut at = first;
+        let mut small = first;
         let mut path = Loop::default();
         loop {
-            let (f, e, s) = at;
+            let (f, e, s) = small;
             seen[6 * f + 2 * e + s] = true;
             path.visits += 1;
-            path.node_mm.push(self.node(at));
-            at = match self.beyond[f][e] {
+            path.node_mm.push(self.node(small));
+            small = match self.beyond[f][e] {
                 _ if s == 1 => (f, (e + 1) % 3, 0),
                 Some((g, other)) if tree[f][e] => {
                     let next = (g, other, 1);
-                    path.node_mm.extend(self.detour(at, next).into_iter().flatten());
+                    path.node_mm.extend(self.detour(small, next).into_iter().flatten());
                     next
                 }
                 _ => (f, e, 1),
             };
-            if at == first {
+            if small == first {
                 return path;
             }
         }
@@ -175,30 +167,50 @@ impl Mesh {
         let [a, b, c] = self.corners(small.0);
         let (v, m) = self.half_edge(small);
         // (C + w V + M) / (2 + w)
-        let sum = |x: usize| (a[x] + b[x] + c[x]) / 3.0 + VERTEX_WEIGHT * v[x] + m[x];
-        [0, 1].map(|x| sum(x) / (2.0 + VERTEX_WEIGHT))
+        [0, 1].map(|x| {
+            ((a[x] + b[x] + c[x]) / 3.0 + VERTEX_WEIGHT * v[x] + m[x]) / (2.0 + VERTEX_WEIGHT)
+        })
     }
 
     /// Nodes between those of two small triangles whose line does not meet their shared edge.
     fn detour(&self, from: (usize, usize, usize), to: (usize, usize, usize)) -> Option<[Point; 2]> {
         let (v, m) = self.half_edge(from);
-        let (a, b) = (self.node(from), self.node(to));
+        let [a, b] = [from, to].map(|small| self.node(small));
         // The line a b meets the line V M at V + u (M - V).
-        let (along, step) = (minus(m, v), minus(b, a));
+        let along = minus(m, v);
+        let step = minus(b, a);
         let u = cross(minus(a, v), step) / cross(along, step);
         // (w V + M)/(w + 1) = V + e (M - V). Drawn towards it by a fraction, a b meets V M at
         // e + fraction (u - e).
         let e = 1.0 / (VERTEX_WEIGHT + 1.0);
         let end = if u < e { 0.0 } else { 1.0 };
         let fraction = MEETS_AT * (end - e) / (u - e);
-        let drawn = |p: Point| {
+        let passes_by = u <= 0.0 || u >= 1.0;
+        let drawn = [a, b].map(|p| {
             [0, 1].map(|x| {
                 let centre = v[x] + e * along[x];
                 centre + fraction * (p[x] - centre)
             })
-        };
-        (u <= 0.0 || u >= 1.0).then(|| [drawn(a), drawn(b)])
+        });
+        if passes_by { Some(drawn) } else { None }
     }
+}
+
+/// Returns true if the longest edge of a triangle is on the border, and the triangle is flat on it.
+fn is_border_sliver(corners: [Point; 3], beyond: &[Option<(usize, usize)>; 3]) -> bool {
+    let side = [0, 1, 2].map(|e| minus(corners[(e + 1) % 3], corners[e]));
+    let length = side.map(|[x, y]| x.hypot(y));
+    let longest = (0..3).max_by(|a, b| length[*a].total_cmp(&length[*b]));
+    let e = longest.expect("there are three edges");
+    let height = cross(side[0], side[1]) / length[e];
+    beyond[e].is_none() && height < MIN_HEIGHT * length[e]
+}
+
+/// The edges of a triangle in random order.
+fn shuffled(rng: &mut ChaCha8Rng) -> [usize; 3] {
+    let mut order = [0, 1, 2];
+    order.shuffle(rng);
+    order
 }
 
 /// Triangle and edge beyond every edge.

@@ -65,12 +65,12 @@ impl Buckets {
         self.members[y * self.count[0] + x].retain(|member| *member != i as u32);
     }
 
-    /// Side of a bucket, mm.
+    /// Returns the side of a bucket, mm.
     pub(super) fn side(&self) -> f64 {
         self.side
     }
 
-    /// Members of the buckets that meet the square of half-width `reach` about `p`.
+    /// Returns the members of the buckets that meet the square of half-width `reach` about `p`.
     pub(super) fn around(&self, p: Point, reach: f64) -> impl Iterator<Item = usize> + '_ {
         let low = self.place([p[0] - reach, p[1] - reach]);
         let high = self.place([p[0] + reach, p[1] + reach]);
@@ -80,14 +80,13 @@ impl Buckets {
         })
     }
 
-    /// The nearest point; the first of equals.
+    /// Returns the nearest point; the first of equals.
     pub(super) fn nearest(&self, points: &[Point], p: Point) -> Option<usize> {
         let mut reach = self.side;
         let most = self.side * (self.count[0] + self.count[1]) as f64;
         loop {
-            let better = |a: (f64, usize), b: (f64, usize)| if b < a { b } else { a };
-            let near = self.around(p, reach).map(|i| (distance(points[i], p), i)).reduce(better);
-            match near {
+            let near = self.around(p, reach).map(|i| (distance(points[i], p), i));
+            match near.reduce(|a, b| if b < a { b } else { a }) {
                 Some((d, i)) if d <= reach || reach > most => return Some(i),
                 None if reach > most => return None,
                 _ => reach *= 2.0,
@@ -96,7 +95,7 @@ impl Buckets {
     }
 }
 
-/// Points of a mesh whose edges are about `edge(x)`, those on the border first; their number.
+/// Returns the points of a mesh whose edges are about `edge(x)`, those on the border first; their number.
 pub(super) fn mesh_points(
     field: &Field,
     edge: &(impl Fn(Point) -> f64 + Sync),
@@ -121,7 +120,7 @@ pub(super) fn mesh_points(
     points
 }
 
-/// Darts at a distance of at least the mean of their `radius`.
+/// Throws darts at a distance of at least the mean of their `radius`.
 pub(super) fn darts(
     field: &Field,
     radius: &impl Fn(Point) -> f64,
@@ -155,8 +154,10 @@ fn throw(
             let centre = field.centre(*k);
             let p = [0, 1].map(|a| centre[a] + (rng.random::<f64>() - 0.5) * field.side_mm[a]);
             let own = length(p);
-            let clear = |i: usize| distance(points[i], p) >= fraction * (own + length(points[i]));
-            if buckets.around(p, fraction * (own + largest)).all(clear) {
+            let is_clear = buckets
+                .around(p, fraction * (own + largest))
+                .all(|i| distance(points[i], p) >= fraction * (own + length(points[i])));
+            if is_clear {
                 buckets.insert(points.len(), p);
                 points.push(p);
             }
@@ -169,8 +170,10 @@ fn lloyd(field: &Field, edge: &(impl Fn(Point) -> f64 + Sync), points: &mut [Poi
     let mut buckets = empty_buckets(field, edge);
     points.iter().enumerate().for_each(|(i, p)| buckets.insert(i, *p));
     let cells: Vec<usize> = field.cells().collect();
-    let own = |k: &usize| buckets.nearest(points, field.centre(*k)).expect("there are points");
-    let owner: Vec<usize> = cells.par_iter().map(own).collect();
+    let owners = cells
+        .par_iter()
+        .map(|k| buckets.nearest(points, field.centre(*k)).expect("there are points"));
+    let owner: Vec<usize> = owners.collect();
     let mut sum = vec![[0.0; 3]; points.len()];
     for (k, i) in cells.iter().zip(owner) {
         let p = field.centre(*k);
@@ -196,7 +199,9 @@ struct Arc {
 /// Points at equal parts of the integral of ds / l; the end of an open arc begins the next one.
 fn along(arc: &Arc, length: &impl Fn(Point) -> f64, rng: &mut ChaCha8Rng) -> Vec<Point> {
     let mut nodes = arc.nodes.clone();
-    nodes.extend(arc.closed.then(|| arc.nodes[0]));
+    if arc.closed {
+        nodes.push(arc.nodes[0]);
+    }
     let mut total = vec![0.0];
     for w in nodes.windows(2) {
         let middle = [0, 1].map(|a| 0.5 * (w[0][a] + w[1][a]));
@@ -208,13 +213,13 @@ fn along(arc: &Arc, length: &impl Fn(Point) -> f64, rng: &mut ChaCha8Rng) -> Vec
     } else {
         (whole.round().max(1.0), 0.0)
     };
-    let at = |k: usize| {
+    let points = (0..parts as usize).map(|k| {
         let target = (k as f64 + shift) * whole / parts;
         let i = total.partition_point(|t| *t <= target).clamp(1, nodes.len() - 1);
         let f = ((target - total[i - 1]) / (total[i] - total[i - 1])).clamp(0.0, 1.0);
         [0, 1].map(|a| nodes[i - 1][a] + f * (nodes[i][a] - nodes[i - 1][a]))
-    };
-    (0..parts as usize).map(at).collect()
+    });
+    points.collect()
 }
 
 /// The border of the region, its inside on the left.
@@ -225,41 +230,28 @@ fn border(field: &Field) -> Vec<Arc> {
 /// Closed chains of lattice corners between cells of an island and others.
 fn loops(field: &Field) -> Vec<Vec<[usize; 2]>> {
     let [nx, ny] = field.count;
-    let inside = |i: isize, j: isize| {
-        let within = (0..nx as isize).contains(&i) && (0..ny as isize).contains(&j);
-        within && field.island_of_cell(j as usize * nx + i as usize).is_some()
-    };
-    // From corner (i, j) in direction 0 = +x, 1 = +y, 2 = -x, 3 = -y: cells on the left and right.
-    const STEP: [[isize; 2]; 4] = [[1, 0], [0, 1], [-1, 0], [0, -1]];
-    let is_border = |[i, j]: [isize; 2], direction: usize| {
-        let (left, right) = match direction {
-            0 => ([i, j], [i, j - 1]),
-            1 => ([i - 1, j], [i, j]),
-            2 => ([i - 1, j - 1], [i - 1, j]),
-            _ => ([i, j - 1], [i - 1, j - 1]),
-        };
-        inside(left[0], left[1]) && !inside(right[0], right[1])
-    };
     let mut seen = vec![false; (nx + 1) * (ny + 1)];
     let mut loops = Vec::new();
     for start in 0..seen.len() {
         // Every loop has a step in +x.
         let first = [(start % (nx + 1)) as isize, (start / (nx + 1)) as isize];
-        if seen[start] || !is_border(first, 0) {
+        if seen[start] || !is_border(field, first, 0) {
             continue;
         }
-        let (mut at, mut direction) = (first, 0);
+        let mut corner = first;
+        let mut direction = 0;
         let mut chain = Vec::new();
         loop {
             if direction == 0 {
-                seen[at[1] as usize * (nx + 1) + at[0] as usize] = true;
+                seen[corner[1] as usize * (nx + 1) + corner[0] as usize] = true;
             }
-            chain.push(at.map(|v| v as usize));
-            at = [at[0] + STEP[direction][0], at[1] + STEP[direction][1]];
+            chain.push(corner.map(|v| v as usize));
+            corner = [corner[0] + STEP[direction][0], corner[1] + STEP[direction][1]];
             // Left first: cells that touch at a corner only stay apart.
             let turns = [1, 0, 3].map(|t| (direction + t) % 4);
-            direction = turns.into_iter().find(|d| is_border(at, *d)).expect("borders close");
-            if at == first && direction == 0 {
+            direction =
+                turns.into_iter().find(|d| is_border(field, corner, *d)).expect("borders close");
+            if corner == first && direction == 0 {
                 break;
             }
         }
@@ -268,40 +260,68 @@ fn loops(field: &Field) -> Vec<Vec<[usize; 2]>> {
     loops
 }
 
+/// Steps of a corner in the directions 0 = +x, 1 = +y, 2 = -x, 3 = -y.
+const STEP: [[isize; 2]; 4] = [[1, 0], [0, 1], [-1, 0], [0, -1]];
+
+/// Returns true if the step from a corner of the lattice has a cell of an island on its left only.
+fn is_border(field: &Field, [i, j]: [isize; 2], direction: usize) -> bool {
+    let (left, right) = match direction {
+        0 => ([i, j], [i, j - 1]),
+        1 => ([i - 1, j], [i, j]),
+        2 => ([i - 1, j - 1], [i - 1, j]),
+        _ => ([i, j - 1], [i - 1, j - 1]),
+    };
+    is_inside(field, left) && !is_inside(field, right)
+}
+
+fn is_inside(field: &Field, [i, j]: [isize; 2]) -> bool {
+    let [nx, ny] = field.count;
+    let within = (0..nx as isize).contains(&i) && (0..ny as isize).contains(&j);
+    within && field.island_of_cell(j as usize * nx + i as usize).is_some()
+}
+
 /// Cuts a loop at its corners and smooths the stretches between them.
 fn arcs(field: &Field, chain: &[[usize; 2]]) -> Vec<Arc> {
     let n = chain.len();
-    let straight = |i: usize| {
-        // Whether the border goes straight on at node i.
-        let (a, b) = (chain[(i + n - 1) % n], chain[(i + 1) % n]);
-        a[0] == b[0] || a[1] == b[1]
-    };
-    let run = |i: usize, sign: usize| {
-        (1..CORNER_CELLS).all(|k| straight((i + if sign == 0 { k } else { n - k }) % n))
-    };
-    let corners: Vec<usize> = if n > 2 * CORNER_CELLS {
-        (0..n).filter(|i| !straight(*i) && run(*i, 0) && run(*i, 1)).collect()
-    } else {
-        Vec::new()
-    };
-    let at = |i: usize| field.corner(chain[i % n]);
-    let mean = |nodes: &[Point]| {
-        let sum = nodes.iter().fold([0.0; 2], |s, p| [s[0] + p[0], s[1] + p[1]]);
-        sum.map(|v| v / nodes.len() as f64)
-    };
+    let nodes: Vec<Point> = chain.iter().map(|corner| field.corner(*corner)).collect();
+    let corners: Vec<usize> = (0..n).filter(|i| is_corner(chain, *i)).collect();
     if corners.is_empty() {
         let reach = SMOOTHING_CELLS.min((n - 1) / 4);
-        let around = |i: usize| (0..=2 * reach).map(|k| at(i + n + k - reach)).collect::<Vec<_>>();
-        return vec![Arc { nodes: (0..n).map(|i| mean(&around(i))).collect(), closed: true }];
+        let smoothed = (0..n).map(|i| {
+            let around: Vec<Point> =
+                (0..=2 * reach).map(|k| nodes[(i + n + k - reach) % n]).collect();
+            mean(&around)
+        });
+        return vec![Arc { nodes: smoothed.collect(), closed: true }];
     }
     let ends = corners.iter().skip(1).copied().chain([corners[0] + n]);
-    let arc = |(&from, to): (&usize, usize)| {
-        let nodes: Vec<Point> = (from..=to).map(at).collect();
+    let arcs = corners.iter().zip(ends).map(|(&from, to)| {
+        let nodes: Vec<Point> = (from..=to).map(|i| nodes[i % n]).collect();
         let smoothed = (0..nodes.len()).map(|i| {
             let reach = SMOOTHING_CELLS.min(i).min(nodes.len() - 1 - i);
             mean(&nodes[i - reach..=i + reach])
         });
         Arc { nodes: smoothed.collect(), closed: false }
-    };
-    corners.iter().zip(ends).map(arc).collect()
+    });
+    arcs.collect()
+}
+
+/// Returns true if the border turns at node i, between straight runs on both sides.
+fn is_corner(chain: &[[usize; 2]], i: usize) -> bool {
+    let n = chain.len();
+    n > 2 * CORNER_CELLS
+        && !is_straight(chain, i)
+        && (1..CORNER_CELLS).all(|k| is_straight(chain, i + k) && is_straight(chain, i + n - k))
+}
+
+/// Returns true if the border goes straight on at node i, counted round the chain.
+fn is_straight(chain: &[[usize; 2]], i: usize) -> bool {
+    let n = chain.len();
+    let [a, b] = [chain[(i + n - 1) % n], chain[(i + 1) % n]];
+    a[0] == b[0] || a[1] == b[1]
+}
+
+fn mean(nodes: &[Point]) -> Point {
+    let sum = nodes.iter().fold([0.0; 2], |s, p| [s[0] + p[0], s[1] + p[1]]);
+    sum.map(|v| v / nodes.len() as f64)
 }

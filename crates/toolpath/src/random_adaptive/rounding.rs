@@ -29,18 +29,20 @@ const MAX_STEP: f64 = 2.0;
 /// Makes one pass over closed paths that do not cross; returns the number of corners that had to stay.
 pub(super) fn round(loops: &mut [Vec<Point>]) -> usize {
     // 3Q/4 + P/4
-    let quarter = |q: Point, other: Point, _: f64| [0, 1].map(|x| 0.75 * q[x] + 0.25 * other[x]);
-    cut(loops, |_| false, quarter)
+    cut(loops, |_| false, |q, other, _| [0, 1].map(|x| 0.75 * q[x] + 0.25 * other[x]))
 }
 
-/// Cuts the corners of more than 90 degrees into two equal ones; how many had to stay.
+/// Cuts the corners of more than 90 degrees into two equal ones; returns how many had to stay.
 pub(super) fn blunt(loops: &mut [Vec<Point>]) -> usize {
-    // Q + t (P - Q) / |P - Q|, as far from Q on both sides
-    let even = |q: Point, other: Point, shorter: f64| {
-        let f = 0.25 * shorter / distance(q, other);
-        [0, 1].map(|x| q[x] + f * (other[x] - q[x]))
-    };
-    cut(loops, |[p, q, r]| turn(p, q, r) <= MAX_TURN, even)
+    cut(
+        loops,
+        |[p, q, r]| turn(p, q, r) <= MAX_TURN,
+        |q, other, shorter| {
+            // Q + t (P - Q) / |P - Q|, as far from Q on both sides
+            let f = 0.25 * shorter / distance(q, other);
+            [0, 1].map(|x| q[x] + f * (other[x] - q[x]))
+        },
+    )
 }
 
 /// Puts two nodes in the place of every corner that need not stay: `place(corner, neighbour,
@@ -64,15 +66,16 @@ fn cut(
             .zip(&stays)
             .map(|(nodes, stays)| cut_corners(nodes, stays, &place))
             .unzip();
-        let mut kept = 0;
+        let mut more = 0;
         for (l, step) in crossings(&new).into_iter().flatten() {
-            let (from, to) = (corner_of[l][step], corner_of[l][(step + 1) % new[l].len()]);
+            let from = corner_of[l][step];
+            let to = corner_of[l][(step + 1) % new[l].len()];
             if from == to {
-                kept += usize::from(!std::mem::replace(&mut stays[l][from], true));
+                more += usize::from(!std::mem::replace(&mut stays[l][from], true));
             }
         }
-        given_up += kept;
-        if kept == 0 {
+        given_up += more;
+        if more == 0 {
             loops.iter_mut().zip(new).for_each(|(old, new)| *old = new);
             return given_up;
         }
@@ -86,7 +89,8 @@ fn cut_corners(
     place: &impl Fn(Point, Point, f64) -> Point,
 ) -> (Vec<Point>, Vec<usize>) {
     let n = nodes.len();
-    let (mut new, mut corner_of) = (Vec::new(), Vec::new());
+    let mut new = Vec::new();
+    let mut corner_of = Vec::new();
     for (i, q) in nodes.iter().enumerate() {
         if stays[i] {
             new.push(*q);
@@ -107,24 +111,25 @@ fn cut_corners(
 const MAX_TURN: f64 = std::f64::consts::FRAC_PI_2;
 
 /// Divides closed paths that do not cross into steps of about `step_mm`, at most twice the
-/// spacing; how many nodes had to be given back. `None` where the steps would be more than `most`.
+/// spacing; returns how many nodes had to be put back. `None` where the steps would be more than `most`.
 pub(super) fn divide(
     loops: &mut [Vec<Point>],
     step_mm: f64,
     spacing: &impl Fn(Point) -> f64,
     most: usize,
 ) -> Option<usize> {
-    let lines: Vec<Line> = loops.iter().map(|nodes| Line::new(nodes, step_mm, spacing)).collect();
-    if lines.iter().map(Line::parts).sum::<f64>() > most as f64 {
+    let lines: Vec<ClosedLine> =
+        loops.iter().map(|nodes| ClosedLine::new(nodes, step_mm, spacing)).collect();
+    if lines.iter().map(ClosedLine::parts).sum::<f64>() > most as f64 {
         return None;
     }
-    let mut stops: Vec<Vec<f64>> = lines.iter().map(Line::stops).collect();
-    let mut given_back = 0;
+    let mut stops: Vec<Vec<f64>> = lines.iter().map(ClosedLine::stops).collect();
+    let mut put_back = 0;
     loop {
         let chords: Vec<Vec<Point>> = lines
             .iter()
             .zip(&stops)
-            .map(|(line, stops)| stops.iter().map(|t| line.at(*t)).collect())
+            .map(|(line, stops)| stops.iter().map(|t| line.point(*t)).collect())
             .collect();
         let mut more: Vec<(usize, f64)> = Vec::new();
         for (l, step) in crossings(&chords).into_iter().flatten() {
@@ -132,26 +137,26 @@ pub(super) fn divide(
             let to = stops[l].get(step + 1).copied().unwrap_or(lines[l].whole());
             more.extend(lines[l].farthest_between(from, to).map(|t| (l, t)));
         }
-        more.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        more.sort_by(|a, b| a.0.cmp(&b.0).then_with(|| a.1.total_cmp(&b.1)));
         more.dedup();
         if more.is_empty() {
             loops.iter_mut().zip(chords).for_each(|(old, new)| *old = new);
-            return Some(given_back);
+            return Some(put_back);
         }
-        given_back += more.len();
+        put_back += more.len();
         more.iter().for_each(|(l, t)| stops[*l].push(*t));
         stops.iter_mut().for_each(|s| s.sort_by(f64::total_cmp));
     }
 }
 
 /// A closed path with a coordinate t along it: the integral of ds / (wanted step).
-struct Line {
+struct ClosedLine {
     /// Nodes, the first one again at the end.
     nodes: Vec<Point>,
     t: Vec<f64>,
 }
 
-impl Line {
+impl ClosedLine {
     fn new(nodes: &[Point], step_mm: f64, spacing: &impl Fn(Point) -> f64) -> Self {
         let mut nodes = nodes.to_vec();
         nodes.push(nodes[0]);
@@ -181,7 +186,7 @@ impl Line {
         (0..parts as usize).map(|k| k as f64 * self.whole() / parts).collect()
     }
 
-    fn at(&self, t: f64) -> Point {
+    fn point(&self, t: f64) -> Point {
         let i = self.t.partition_point(|v| *v <= t).clamp(1, self.t.len() - 1);
         let f = (t - self.t[i - 1]) / (self.t[i] - self.t[i - 1]);
         [0, 1].map(|x| self.nodes[i - 1][x] + f * (self.nodes[i][x] - self.nodes[i - 1][x]))
@@ -189,21 +194,21 @@ impl Line {
 
     /// The node strictly between `from` and `to` that is farthest from their chord.
     fn farthest_between(&self, from: f64, to: f64) -> Option<f64> {
-        let (a, b) = (self.at(from), self.at(to));
+        let [a, b] = [from, to].map(|t| self.point(t));
         let first = self.t.partition_point(|v| *v <= from);
         let end = self.t.partition_point(|v| *v < to);
-        let aside = |i: &usize| {
-            let p = self.nodes[*i];
-            ((b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])).abs()
-        };
-        let nodes = first..end.max(first);
-        nodes.max_by(|i, j| aside(i).total_cmp(&aside(j))).map(|i| self.t[i])
+        let nodes = (first..end.max(first)).map(|i| {
+            let p = self.nodes[i];
+            let aside = ((b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])).abs();
+            (aside, self.t[i])
+        });
+        nodes.max_by(|i, j| i.0.total_cmp(&j.0)).map(|(_, t)| t)
     }
 }
 
 /// Angle between p q and q r.
 fn turn(p: Point, q: Point, r: Point) -> f64 {
-    let (u, v) = ([q[0] - p[0], q[1] - p[1]], [r[0] - q[0], r[1] - q[1]]);
+    let [u, v] = [(p, q), (q, r)].map(|(a, b)| [b[0] - a[0], b[1] - a[1]]);
     (u[0] * v[1] - u[1] * v[0]).atan2(u[0] * v[0] + u[1] * v[1]).abs()
 }
 

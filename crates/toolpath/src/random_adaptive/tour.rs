@@ -36,7 +36,7 @@ const DETOUR: f64 = 10.0;
 /// Smaller: more such steps remain.
 const REPAIRS: usize = 4;
 
-/// One closed path per island.
+/// Returns one closed path per island.
 pub(super) fn tour(field: &Field, scale: f64, rng: &mut ChaCha8Rng) -> Vec<Loop> {
     let spacing = |p: Point| scale * field.spacing_mm(p);
     let points = darts(field, &|p| RADIUS_PER_SPACING * spacing(p), rng);
@@ -76,10 +76,8 @@ fn closed(points: Vec<Point>, field: &Field, spacing: &impl Fn(Point) -> f64) ->
 }
 
 fn buckets(points: &[Point]) -> Buckets {
-    let end = |worst: f64, pick: fn(f64, f64) -> f64| {
-        [0, 1].map(|a| points.iter().map(|p| p[a]).fold(worst, pick))
-    };
-    let (low, high) = (end(f64::MAX, f64::min), end(f64::MIN, f64::max));
+    let low = [0, 1].map(|a| points.iter().map(|p| p[a]).fold(f64::MAX, f64::min));
+    let high = [0, 1].map(|a| points.iter().map(|p| p[a]).fold(f64::MIN, f64::max));
     let area = (high[0] - low[0]) * (high[1] - low[1]);
     let longer = (high[0] - low[0]).max(high[1] - low[1]);
     // About one point per bucket.
@@ -90,8 +88,7 @@ fn buckets(points: &[Point]) -> Buckets {
 fn neighbours(points: &[Point]) -> Vec<Vec<u32>> {
     let buckets = buckets(points);
     let wanted = NEIGHBOURS.min(points.len() - 1);
-    let of = |i: usize| {
-        let p = points[i];
+    let neighbours = points.iter().enumerate().map(|(i, &p)| {
         let mut reach = buckets.side();
         let mut near: Vec<(f64, u32)> = Vec::new();
         // Enough of them within the circle that the square of buckets surely holds.
@@ -100,21 +97,21 @@ fn neighbours(points: &[Point]) -> Vec<Vec<u32>> {
             let others = buckets.around(p, reach).filter(|j| *j != i);
             near = others.map(|j| (distance(points[j], p), j as u32)).collect();
         }
-        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        near.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(&b.1)));
         near.iter().take(wanted).map(|n| n.1).collect()
-    };
-    (0..points.len()).map(of).collect()
+    });
+    neighbours.collect()
 }
 
 fn nearest_neighbour(points: &[Point]) -> Vec<u32> {
     let mut left = buckets(points);
     let mut order = vec![0];
     left.remove(0, points[0]);
-    let mut at = points[0];
-    while let Some(next) = left.nearest(points, at) {
+    let mut here = points[0];
+    while let Some(next) = left.nearest(points, here) {
         order.push(next as u32);
-        at = points[next];
-        left.remove(next, at);
+        here = points[next];
+        left.remove(next, here);
     }
     order
 }
@@ -124,12 +121,16 @@ fn cut_long(nodes: &[Point], spacing: &impl Fn(Point) -> f64) -> Vec<Point> {
     let mut out = Vec::new();
     for (i, a) in nodes.iter().enumerate() {
         let b = nodes[(i + 1) % nodes.len()];
-        let at = |f: f64| [0, 1].map(|x| a[x] + f * (b[x] - a[x]));
-        let smallest = spacing(*a).min(spacing(at(0.5))).min(spacing(b));
+        let smallest = spacing(*a).min(spacing(between(*a, b, 0.5))).min(spacing(b));
         let parts = (distance(*a, b) / (LONG * smallest)).ceil().max(1.0);
-        out.extend((0..parts as usize).map(|k| at(k as f64 / parts)));
+        out.extend((0..parts as usize).map(|k| between(*a, b, k as f64 / parts)));
     }
     out
+}
+
+/// The point at the fraction `f` of the way from `a` to `b`.
+fn between(a: Point, b: Point, f: f64) -> Point {
+    [0, 1].map(|x| a[x] + f * (b[x] - a[x]))
 }
 
 /// A cyclic order of points, and where each stands in it.
@@ -161,6 +162,10 @@ impl<'a> Tour<'a> {
         self.order[if i == 0 { self.len() - 1 } else { i - 1 }]
     }
 
+    /// The next point of the tour, or the previous one.
+    fn step(&self, c: u32, ahead: bool) -> u32 {
+        if ahead { self.next(c) } else { self.previous(c) }
+    }
     fn distance(&self, a: u32, b: u32) -> f64 {
         distance(self.points[a as usize], self.points[b as usize])
     }
@@ -182,7 +187,7 @@ impl<'a> Tour<'a> {
     /// Reverses the path from a to b (in the order of the tour), or the rest of the tour.
     fn reverse(&mut self, a: u32, b: u32) {
         let n = self.len();
-        let (mut i, mut j) = (self.place[a as usize] as usize, self.place[b as usize] as usize);
+        let [mut i, mut j] = [a, b].map(|c| self.place[c as usize] as usize);
         let inner = (j + n - i) % n + 1;
         let mut swaps = inner / 2;
         if 2 * inner > n {
@@ -222,15 +227,14 @@ impl<'a> Tour<'a> {
 
     fn two_opt(&mut self, a: u32, near: &[Vec<u32>]) -> Option<[u32; 6]> {
         for ahead in [true, false] {
-            let step = |t: &Self, c| if ahead { t.next(c) } else { t.previous(c) };
-            let a_next = step(self, a);
+            let a_next = self.step(a, ahead);
             let old = self.cost(a, a_next);
             for &b in &near[a as usize] {
                 if self.distance(a, b) >= old {
                     break;
                 }
                 let new = self.cost(a, b);
-                let b_next = step(self, b);
+                let b_next = self.step(b, ahead);
                 if b == a_next || b_next == a {
                     continue;
                 }
@@ -255,10 +259,11 @@ impl<'a> Tour<'a> {
                 // The path a .. z, and what is before and after it.
                 let mut z = a;
                 for _ in 1..moved {
-                    z = if ahead { self.next(z) } else { self.previous(z) };
+                    z = self.step(z, ahead);
                 }
                 let (first, last) = if ahead { (a, z) } else { (z, a) };
-                let (before, after) = (self.previous(first), self.next(last));
+                let before = self.previous(first);
+                let after = self.next(last);
                 let gain =
                     self.cost(before, first) + self.cost(last, after) - self.cost(before, after);
                 for &b in &near[a as usize] {
@@ -293,9 +298,9 @@ impl<'a> Tour<'a> {
         let (x, y) = if self.next(b) == c { (b, c) } else { (c, b) };
         let first_by_x = (end == first) == (b == x);
         let n = self.len() as u32;
-        let ahead = |t: &Self, c: u32| (t.place[c as usize] + n - t.place[last as usize]) % n;
-        let back = |t: &Self, c: u32| (t.place[first as usize] + n - t.place[c as usize]) % n;
-        if ahead(self, x) <= back(self, y) {
+        let [first_place, last_place, x_place, y_place] =
+            [first, last, x, y].map(|c| self.place[c as usize]);
+        if (x_place + n - last_place) % n <= (first_place + n - y_place) % n {
             // before F..L after..x y: reverse (F..x), then its parts.
             self.reverse(first, x);
             // before x..after L..F y
@@ -349,30 +354,36 @@ impl<'a> Tour<'a> {
         }
     }
 
-    /// Moves points into long steps where no step becomes long by it; how many.
+    /// Returns true if the step between two points is longer than [`LONG`] spacings.
+    fn is_long(&self, a: u32, b: u32, spacing: &impl Fn(Point) -> f64) -> bool {
+        let local = spacing(self.points[a as usize]).min(spacing(self.points[b as usize]));
+        self.distance(a, b) > LONG * local
+    }
+    /// Moves points into long steps where no step becomes long by it; returns how many.
     fn repair(&mut self, near: &[Vec<u32>], spacing: &impl Fn(Point) -> f64) -> usize {
-        let long = |t: &Self, a: u32, b: u32| {
-            let local = spacing(t.points[a as usize]).min(spacing(t.points[b as usize]));
-            t.distance(a, b) > LONG * local
-        };
         let mut moved = 0;
         for a in 0..self.len() as u32 {
             let b = self.next(a);
-            if self.len() < 5 || !long(self, a, b) {
+            if self.len() < 5 || !self.is_long(a, b, spacing) {
                 continue;
             }
             let near = near[a as usize].iter().chain(&near[b as usize]).copied();
-            let cost = |c: u32| {
-                let (before, after) = (self.previous(c), self.next(c));
-                let short = [(a, c), (c, b), (before, after)].iter().all(|s| !long(self, s.0, s.1));
+            let offers = near.filter(|c| *c != a && *c != b).filter_map(|c| {
+                let before = self.previous(c);
+                let after = self.next(c);
+                if [(a, c), (c, b), (before, after)].iter().any(|s| self.is_long(s.0, s.1, spacing))
+                {
+                    return None;
+                }
                 let change =
                     self.distance(a, c) + self.distance(c, b) + self.distance(before, after)
                         - self.distance(before, c)
                         - self.distance(c, after);
-                (c != a && c != b && short).then_some((change, c))
-            };
-            if let Some((_, c)) = near.filter_map(cost).min_by(|x, y| x.0.total_cmp(&y.0)) {
-                let (before, after) = (self.previous(c), self.next(c));
+                Some((change, c))
+            });
+            if let Some((_, c)) = offers.min_by(|x, y| x.0.total_cmp(&y.0)) {
+                let before = self.previous(c);
+                let after = self.next(c);
                 if before != b && after != a {
                     self.relocate([before, c, c, after], [a, b], c);
                     moved += 1;

@@ -10,7 +10,7 @@ use crate::{
     region::{Interval, SLACK},
 };
 
-/// Coordinates of the lines across, ascending; `None` when there are too many.
+/// Returns the coordinates of the lines across, ascending; `None` when there are too many.
 pub(super) fn positions(
     surface: &Surface,
     runs: &Runs,
@@ -18,16 +18,14 @@ pub(super) fn positions(
 ) -> Result<Option<Vec<f64>>, ToolPathError> {
     let p = settings.pitch_mm;
     let region = runs.extent(1, settings.overscan_mm);
-    // Every line has a segment, and every turn.
-    let few = |spaces: f64| 2.0 * spaces < MAX_SEGMENTS as f64;
     let (first, spaces) = match (settings.pitch_range_mm, settings.line_origin_mm) {
         (Some(range), _) => {
             let count = Count::new(surface, runs, region, settings, range);
             // N(w_k) = (N_H - floor(N_H)) / 2 + k
             let all = count.line[count.line.len() - 1];
             let spaces = (all + SLACK).floor();
-            let at = |k: usize| count.position(0.5 * (all - spaces) + k as f64);
-            return Ok(few(spaces).then(|| (0..=spaces as usize).map(at).collect()));
+            let first = 0.5 * (all - spaces);
+            return Ok(up_to(spaces).map(|k| k.map(|k| count.position(first + k)).collect()));
         }
         (None, None) => {
             // w_k = w_mid + (k - (n-1)/2) p,  n = floor(H/p) + 1
@@ -49,10 +47,20 @@ pub(super) fn positions(
             (origin + first * p, last - first)
         }
     };
-    Ok(few(spaces).then(|| (0..=spaces as usize).map(|k| first + k as f64 * p).collect()))
+    Ok(up_to(spaces).map(|k| k.map(|k| first + k * p).collect()))
 }
 
-/// Lines in the order in which they are run.
+/// The numbers 0, 1, .. `spaces` of the lines; `None` when there are too many: every line has a segment, and every
+/// turn.
+fn up_to(spaces: f64) -> Option<impl Iterator<Item = f64>> {
+    if 2.0 * spaces < MAX_SEGMENTS as f64 {
+        Some((0..=spaces as usize).map(|k| k as f64))
+    } else {
+        None
+    }
+}
+
+/// Returns the lines in the order in which they are run.
 pub(super) fn order(lines: usize, order: LineOrder) -> Vec<usize> {
     let mut all: Vec<usize> = (0..lines).collect();
     match order {
@@ -84,21 +92,19 @@ impl Count {
         settings: &RasterSettings,
         [least_mm, most_mm]: [f64; 2],
     ) -> Self {
-        let (h, part) = (runs.pixel_mm[1], runs.extent(1, 0.0));
+        let h = runs.pixel_mm[1];
+        let part = runs.extent(1, 0.0);
         let (row_mean, mean) = row_means(surface, settings.scan.axes()[1], part, h);
         // d = clamp(p mean r / r, d_min, d_max)
-        let spacing = |r: f64| match mean > 0.0 {
-            true => (settings.pitch_mm * mean / r).clamp(least_mm, most_mm),
-            false => settings.pitch_mm.clamp(least_mm, most_mm),
-        };
-        let (mut break_mm, mut line) = (vec![region.low], vec![0.0]);
+        let ratio =
+            |r: f64| if mean > 0.0 { settings.pitch_mm * mean / r } else { settings.pitch_mm };
+        let mut break_mm = vec![region.low];
+        let mut line = vec![0.0];
         for (j, r) in row_mean.iter().enumerate() {
-            let end = match j + 1 == row_mean.len() {
-                true => region.high,
-                false => part.low + (j as f64 + 0.5) * h,
-            };
+            let is_last = j + 1 == row_mean.len();
+            let end = if is_last { region.high } else { part.low + (j as f64 + 0.5) * h };
             // N(w) = integral of dw / d
-            line.push(line[j] + (end - break_mm[j]) / spacing(*r));
+            line.push(line[j] + (end - break_mm[j]) / ratio(*r).clamp(least_mm, most_mm));
             break_mm.push(end);
         }
         Self { break_mm, line }
@@ -107,7 +113,8 @@ impl Count {
     /// w where N(w) is `line`.
     fn position(&self, line: f64) -> f64 {
         let above = self.line.partition_point(|n| *n <= line).clamp(1, self.line.len() - 1);
-        let (n, w) = (&self.line[above - 1..=above], &self.break_mm[above - 1..=above]);
+        let n = &self.line[above - 1..=above];
+        let w = &self.break_mm[above - 1..=above];
         let f = if n[1] > n[0] { (line - n[0]) / (n[1] - n[0]) } else { 0.0 };
         w[0] + f * (w[1] - w[0])
     }
@@ -116,7 +123,8 @@ impl Count {
 /// Mean of the desired removal over the rows of height `h` about part.low + j h, and over all of
 /// it; negative removal is lifted to 0. Rows without a valid pixel have that of the row before.
 fn row_means(surface: &Surface, across: [f64; 2], part: Interval, h: f64) -> (Vec<f64>, f64) {
-    let (grid, map) = (surface.grid(), surface.height_nm());
+    let grid = surface.grid();
+    let map = surface.height_nm();
     let rows = ((part.high - part.low) / h).round() as usize + 1;
     let mut sum = vec![(0.0, 0.0); rows];
     let lowest = surface.statistics().min.min(0.0);
@@ -128,9 +136,9 @@ fn row_means(surface: &Surface, across: [f64; 2], part: Interval, h: f64) -> (Ve
     let (total, count) = sum.iter().fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
     let mean = total / count;
     let mut last = mean;
-    let of_row = |(total, count): (f64, f64)| {
+    let means = sum.into_iter().map(|(total, count)| {
         last = if count > 0.0 { total / count } else { last };
         last
-    };
-    (sum.into_iter().map(of_row).collect(), mean)
+    });
+    (means.collect(), mean)
 }

@@ -19,68 +19,71 @@ pub(super) struct Runs {
 }
 
 impl Runs {
-    /// `axes`: unit vectors along and across the lines.
+    /// Makes the pieces of the valid pixels; `axes` are unit vectors along and across the lines.
     pub(super) fn new(surface: &Surface, axes: [[f64; 2]; 2]) -> Self {
-        let (grid, map) = (surface.grid(), surface.height_nm().view());
+        let grid = surface.grid();
+        let map = surface.height_nm().view();
         let [along, across] = axes;
         let by_rows = along[0].abs() >= along[1].abs();
-        let aperture = match by_rows {
-            true => Aperture::new(&grid.x, &grid.y, map),
-            false => Aperture::new(&grid.y, &grid.x, map.reversed_axes()),
+        let aperture = if by_rows {
+            Aperture::new(&grid.x, &grid.y, map)
+        } else {
+            Aperture::new(&grid.y, &grid.x, map.reversed_axes())
         };
-        // u = <x, along>,  w = <x, across>
-        let turned = |p: [f64; 2]| {
-            let p = if by_rows { p } else { [p[1], p[0]] };
-            [along, across].map(|a| p[0] * a[0] + p[1] * a[1])
-        };
-        let rows = aperture.rows.iter();
-        let mut piece: Vec<_> = rows
-            .flat_map(|(row, runs)| runs.iter().map(move |i| [[i.low, *row], [i.high, *row]]))
-            .map(|ends| ends.map(turned))
-            .collect();
-        let low = |s: &[[f64; 2]; 2]| s[0][1].min(s[1][1]);
-        piece.sort_by(|a, b| low(a).total_cmp(&low(b)));
+        let mut piece = Vec::new();
+        for (row, runs) in &aperture.rows {
+            for run in runs {
+                piece.push([run.low, run.high].map(|end| {
+                    let p = if by_rows { [end, *row] } else { [*row, end] };
+                    // u = <x, along>,  w = <x, across>
+                    [along, across].map(|a| p[0] * a[0] + p[1] * a[1])
+                }));
+            }
+        }
+        piece.sort_by(|a, b| low_end_mm(a).total_cmp(&low_end_mm(b)));
         let tilt_mm = piece.iter().map(|s| (s[1][1] - s[0][1]).abs()).fold(0.0, f64::max);
         let cos = along[0].abs().max(along[1].abs());
         Self { piece, tilt_mm, pixel_mm: aperture.pixel_mm.map(|h| h / cos) }
     }
 
-    /// Extent along (0) or across (1) the lines, overscan included, mm.
+    /// Returns the extent along (0) or across (1) the lines, overscan included, mm.
     pub(super) fn extent(&self, axis: usize, overscan_mm: f64) -> Interval {
-        let ends = || self.piece.iter().flatten().map(|p| p[axis]);
+        let ends = self.piece.iter().flatten().map(|p| p[axis]);
         Interval {
-            low: ends().fold(f64::MAX, f64::min) - overscan_mm,
-            high: ends().fold(f64::MIN, f64::max) + overscan_mm,
+            low: ends.clone().fold(f64::MAX, f64::min) - overscan_mm,
+            high: ends.fold(f64::MIN, f64::max) + overscan_mm,
         }
     }
 
-    /// Intervals of a line in the region: `[u_first - o, u_last + o]` of the parts of the pieces in
-    /// the band `low_mm <= w <= high_mm`, joined if they are at most `bridge_mm` apart; ascending.
+    /// Returns the intervals of a line in the region: `[u_first - o, u_last + o]` of the parts of the pieces in the
+    /// band `low_mm <= w <= high_mm`, joined if they are at most `bridge_mm` apart; ascending.
     pub(super) fn stretches(
         &self,
         [low_mm, high_mm]: [f64; 2],
         overscan_mm: f64,
         bridge_mm: f64,
     ) -> Vec<Interval> {
-        let low = |s: &[[f64; 2]; 2]| s[0][1].min(s[1][1]);
-        let first = self.piece.partition_point(|s| low(s) < low_mm - self.tilt_mm);
-        let last = self.piece.partition_point(|s| low(s) <= high_mm);
-        let within = |[a, b]: &[[f64; 2]; 2]| {
+        let first = self.piece.partition_point(|s| low_end_mm(s) < low_mm - self.tilt_mm);
+        let last = self.piece.partition_point(|s| low_end_mm(s) <= high_mm);
+        let met = self.piece[first..last].iter().filter(|[a, b]| a[1].max(b[1]) >= low_mm);
+        let parts = met.map(|[a, b]| {
             let rise = b[1] - a[1];
-            if a[1].max(b[1]) < low_mm {
-                return None;
-            }
-            let at = |w: f64| match rise == 0.0 {
-                true => None,
+            let mut ends = [a[0], b[0]];
+            if rise != 0.0 {
                 // w = w_a + f (w_b - w_a)
-                false => Some(a[0] + ((w - a[1]) / rise).clamp(0.0, 1.0) * (b[0] - a[0])),
-            };
-            let ends = [at(low_mm).unwrap_or(a[0]), at(high_mm).unwrap_or(b[0])];
-            Some(Interval {
+                ends = [low_mm, high_mm]
+                    .map(|w| a[0] + ((w - a[1]) / rise).clamp(0.0, 1.0) * (b[0] - a[0]));
+            }
+            Interval {
                 low: ends[0].min(ends[1]) - overscan_mm,
                 high: ends[0].max(ends[1]) + overscan_mm,
-            })
-        };
-        join(self.piece[first..last].iter().filter_map(within).collect(), bridge_mm)
+            }
+        });
+        join(parts.collect(), bridge_mm)
     }
+}
+
+/// Smaller w of a piece.
+fn low_end_mm(piece: &[[f64; 2]; 2]) -> f64 {
+    piece[0][1].min(piece[1][1])
 }

@@ -57,7 +57,7 @@ pub struct SlopeReport {
 }
 
 /// A map or a profile, or a zone of it, after subtraction of the best shape.
-pub(crate) struct Piece {
+pub(crate) struct ShapeResidual {
     /// (nx), mm.
     pub(super) x_mm: Vec<f64>,
     /// (ny), mm; of a profile 0.
@@ -73,8 +73,8 @@ pub(crate) struct Piece {
     spectra: OnceCell<Result<Spectra, Invalid>>,
 }
 
-impl Piece {
-    /// Makes a piece of `subject` from the pixels at which `inside` is true (from all of them without it),
+impl ShapeResidual {
+    /// Makes a residual of `subject` from the pixels at which `inside` is true (from all of them without it),
     /// and subtracts its best `shape`.
     pub(crate) fn new(
         subject: &Subject,
@@ -82,42 +82,26 @@ impl Piece {
         shape: Shape,
         ellipse: Option<&EllipseSettings>,
     ) -> Result<Self, Invalid> {
-        let masked = |map: &Array2<f64>| match inside {
-            Some(inside) => {
-                let mut map = map.clone();
-                map.zip_mut_with(inside, |z, inside| {
-                    if !inside {
-                        *z = f64::NAN
-                    }
-                });
-                map
-            }
-            None => map.clone(),
-        };
-        let row = |values: &[f64]| {
-            let row = Array2::from_shape_fn((1, values.len()), |(_, c)| values[c]);
-            masked(&row)
-        };
         match subject {
             Subject::Map(surface) => {
                 let (x_mm, y_mm) = (surface.grid().x.coordinates(), surface.grid().y.coordinates());
-                let heights = masked(surface.height_nm());
+                let heights = masked(surface.height_nm().clone(), inside);
                 let heights = Heights { x_mm: &x_mm, y_mm: &y_mm, height_nm: &heights };
                 let (height_nm, report) = without_shape(&heights, shape, ellipse)?;
                 let surface = Some(Surface::new(*surface.grid(), height_nm.clone())?);
-                Ok(Self::of(x_mm, y_mm, height_nm, None, surface, report))
+                Ok(Self::with_notes(x_mm, y_mm, height_nm, None, surface, report))
             }
             Subject::Profile(profile) => {
                 let x_mm = profile.position_mm().to_vec();
                 let (height_nm, slope, report) = match profile.values() {
                     Values::HeightNm(heights) => {
-                        let heights = row(heights);
+                        let heights = masked(as_row(heights), inside);
                         let heights = Heights { x_mm: &x_mm, y_mm: &[0.0], height_nm: &heights };
                         let (left, report) = without_shape(&heights, shape, ellipse)?;
                         (left, None, report)
                     }
                     Values::SlopeNrad(slopes) => {
-                        let slopes = row(slopes).into_raw_vec_and_offset().0;
+                        let slopes = masked(as_row(slopes), inside).into_raw_vec_and_offset().0;
                         let (left, report) =
                             without_shape_of_slopes(&x_mm, &slopes, shape, ellipse)?;
                         let heights = integrated(&x_mm, &left);
@@ -126,9 +110,10 @@ impl Piece {
                         (heights, Some(left), report)
                     }
                 };
-                let mut piece = Self::of(x_mm, vec![0.0], height_nm, slope, None, report);
+                let mut residual =
+                    Self::with_notes(x_mm, vec![0.0], height_nm, slope, None, report);
                 if let Some([low, high]) = profile.uneven_steps_mm() {
-                    piece.notes.push(format!(
+                    residual.notes.push(format!(
                         "the positions are not uniform (steps of {} to {} mm): spectra are of values \
                          interpolated linearly at steps of {} mm",
                         significant(low, 6),
@@ -136,12 +121,13 @@ impl Piece {
                         significant(profile.step_mm(), 6)
                     ));
                 }
-                Ok(piece)
+                Ok(residual)
             }
         }
     }
 
-    fn of(
+    /// Adds a note for each parameter of the ellipse that the data hardly determine.
+    fn with_notes(
         x_mm: Vec<f64>,
         y_mm: Vec<f64>,
         height_nm: Array2<f64>,
@@ -153,9 +139,10 @@ impl Piece {
         if let Some(ellipse) = &shape.ellipse {
             let names = ["p", "q", "theta"].iter().zip(ellipse.standard_error);
             for (name, error) in names.filter(|(_, e)| *e > NOTEWORTHY_ERROR) {
-                let how = match error.is_finite() {
-                    true => format!("standard error {} %", significant(100.0 * error, 2)),
-                    false => "it is infinite".into(),
+                let how = if error.is_finite() {
+                    format!("standard error {} %", significant(100.0 * error, 2))
+                } else {
+                    "it is infinite".into()
                 };
                 notes.push(format!(
                     "the data hardly tell {name} of the ellipse ({how}); the residual is that of the best ellipse found from all \
@@ -184,36 +171,36 @@ impl Piece {
             .ok_or_else(|| Invalid::whole("map", "has no valid pixel here", "give another zone"))
     }
 
-    /// Place [x, y], mm, of the height that is farthest from the mean, and its distance from the mean, nm.
+    /// Returns the place [x, y], mm, of the height that is farthest from the mean, and its distance from the mean, nm.
     pub(crate) fn farthest_height(&self) -> Result<([f64; 2], f64), Invalid> {
         let mean = self.height()?.mean;
         let ((r, c), distance) = farthest(self.height_nm.view(), mean);
         Ok(([self.x_mm[c], self.y_mm[r]], distance))
     }
 
-    /// Slopes along an axis over the whole number of steps nearest to the base; measured slopes are used as
+    /// Returns the slopes along an axis over the whole number of steps nearest to the base; measured slopes are used as
     /// they are.
     pub(crate) fn slope(&self, along: Direction, base_mm: f64) -> Result<SlopeReport, Invalid> {
         let (positions, values, base_mm) = self.slopes(along, base_mm)?;
-        let found = statistics(values.view()).ok_or_else(|| {
+        let slopes = statistics(values.view()).ok_or_else(|| {
             let problem = format!("no two valid pixels are {} mm apart", significant(base_mm, 4));
             Invalid::whole("slope", problem, "give a shorter `base_mm`, or another zone")
         })?;
-        let ((r, c), peak_nrad) = farthest(values.view(), found.mean);
+        let ((r, c), peak_nrad) = farthest(values.view(), slopes.mean);
         let peak_at_mm = match along {
             Direction::Y => [self.x_mm[c], positions[r]],
             _ => [positions[c], self.y_mm[r]],
         };
-        Ok(SlopeReport { base_mm, rms_nrad: found.rms, peak_nrad, peak_at_mm })
+        Ok(SlopeReport { base_mm, rms_nrad: slopes.rms, peak_nrad, peak_at_mm })
     }
 
-    /// Middles of the bases, mm, the slopes there, nrad, and the base that was used, mm.
+    /// Returns the middles of the bases, mm, the slopes there, nrad, and the base that was used, mm.
     pub(super) fn slopes(
         &self,
         along: Direction,
         base_mm: f64,
     ) -> Result<(Vec<f64>, Array2<f64>, f64), Invalid> {
-        let (at, axis) = match along {
+        let (position_mm, axis) = match along {
             Direction::X => (&self.x_mm, slope::Along::X),
             Direction::Y => (&self.y_mm, slope::Along::Y),
             Direction::Radial => {
@@ -222,8 +209,7 @@ impl Piece {
             }
         };
         if let (Direction::X, Some(slopes)) = (along, &self.measured_slope_nrad) {
-            let row = Array2::from_shape_fn((1, slopes.len()), |(_, c)| slopes[c]);
-            return Ok((self.x_mm.clone(), row, 0.0));
+            return Ok((self.x_mm.clone(), as_row(slopes), 0.0));
         }
         if self.is_profile() && along == Direction::Y {
             let remedy = "a profile has slopes along x only";
@@ -233,24 +219,23 @@ impl Piece {
             let problem = format!("`base_mm` is {base_mm}");
             return Err(Invalid::whole("slope", problem, "give a length in mm, above 0"));
         }
-        let n = at.len();
-        let step_mm = (at[n - 1] - at[0]) / (n - 1) as f64;
+        let n = position_mm.len();
+        let length_mm = position_mm[n - 1] - position_mm[0];
+        let step_mm = length_mm / (n - 1) as f64;
         let steps = steps_of_base(base_mm, step_mm, n).ok_or_else(|| {
-            let problem = format!(
-                "`base_mm` is {base_mm}, the map is {} mm long",
-                significant(at[n - 1] - at[0], 4)
-            );
+            let length_mm = significant(length_mm, 4);
+            let problem = format!("`base_mm` is {base_mm}, the map is {length_mm} mm long");
             Invalid::whole("slope", problem, "give a shorter one")
         })?;
         // nm/mm is urad.
-        let mut values = slopes(self.height_nm.view(), at, axis, steps);
+        let mut values = slopes(self.height_nm.view(), position_mm, axis, steps);
         values.mapv_inplace(|s| 1e3 * s);
-        let middles: Vec<f64> = (0..n - steps).map(|i| 0.5 * (at[i] + at[i + steps])).collect();
-        Ok((middles, values, steps as f64 * step_mm))
+        let middles = (0..n - steps).map(|i| 0.5 * (position_mm[i] + position_mm[i + steps]));
+        Ok((middles.collect(), values, steps as f64 * step_mm))
     }
 
     pub(crate) fn spectra(&self) -> Result<&Spectra, Invalid> {
-        let found = self.spectra.get_or_init(|| match &self.surface {
+        let spectra = self.spectra.get_or_init(|| match &self.surface {
             Some(surface) => Spectra::of_map(surface),
             None => match &self.measured_slope_nrad {
                 Some(slopes) => Spectra::of_slopes(&self.x_mm, slopes),
@@ -260,27 +245,44 @@ impl Piece {
                 }
             },
         });
-        found.as_ref().map_err(Clone::clone)
+        spectra.as_ref().map_err(Clone::clone)
     }
 
-    /// Lag along the axis at which the autocorrelation falls to 1/e, mm.
+    /// Returns the lag along the axis at which the autocorrelation falls to 1/e, mm.
     pub(crate) fn autocorrelation_length_mm(&self, along: Direction) -> Option<f64> {
-        let (at, turned) = match along {
+        let (position_mm, turned) = match along {
             Direction::Y => (&self.y_mm, self.height_nm.t().to_owned()),
             _ => (&self.x_mm, self.height_nm.clone()),
         };
-        let n = at.len();
+        let n = position_mm.len();
         if n < MIN_SAMPLES {
             return None;
         }
-        let step_mm = (at[n - 1] - at[0]) / (n - 1) as f64;
+        let step_mm = (position_mm[n - 1] - position_mm[0]) / (n - 1) as f64;
         let turned = if self.is_profile() {
-            at_even_steps(at, turned.as_slice()?, step_mm, at.len())
+            at_even_steps(position_mm, turned.as_slice()?, step_mm, n)
         } else {
             turned
         };
         autocorrelation_length(turned.view()).map(|lag| lag * step_mm)
     }
+}
+
+/// A map with NaN outside of a zone.
+fn masked(mut map: Array2<f64>, inside: Option<&Array2<bool>>) -> Array2<f64> {
+    if let Some(inside) = inside {
+        map.zip_mut_with(inside, |z, inside| {
+            if !inside {
+                *z = f64::NAN
+            }
+        });
+    }
+    map
+}
+
+/// A map of one row.
+fn as_row(values: &[f64]) -> Array2<f64> {
+    Array2::from_shape_fn((1, values.len()), |(_, c)| values[c])
 }
 
 /// Shape to subtract from the integral of measured slopes after the best `shape`. Least squares of slopes
@@ -313,8 +315,8 @@ fn integrated(x_mm: &[f64], slope_nrad: &[f64]) -> Array2<f64> {
 /// The valid element that is farthest from `mean`, and its distance.
 fn farthest(map: ArrayView2<f64>, mean: f64) -> ((usize, usize), f64) {
     let valid = map.indexed_iter().filter(|(_, v)| !v.is_nan());
-    valid.fold(((0, 0), 0.0), |best, (at, v)| match (v - mean).abs() > best.1 {
-        true => (at, (v - mean).abs()),
-        false => best,
+    valid.fold(((0, 0), 0.0), |best, (pixel, v)| {
+        let distance = (v - mean).abs();
+        if distance > best.1 { (pixel, distance) } else { best }
     })
 }
