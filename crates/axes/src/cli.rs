@@ -10,7 +10,7 @@ use planish_form::{Form, FormFile};
 use planish_handoff::{Failure, Inputs, Status};
 
 #[derive(Subcommand)]
-pub enum Command {
+pub enum AxesCommand {
     /// Motion of all axes while the contact point follows a plan
     ///
     /// Every axis runs cubics between nodes at which its position and velocity are exact. Where an axis would exceed a
@@ -20,7 +20,7 @@ pub enum Command {
     Contact(contact::Contact),
 }
 
-impl Command {
+impl AxesCommand {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::Motion(arguments) => arguments.run(),

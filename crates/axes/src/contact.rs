@@ -53,7 +53,9 @@ pub fn contact(
         return Err(Invalid::whole("coefficient_mm_or_deg", problem, remedy));
     }
     let mut break_time_s = vec![motion.break_time_s()[0]];
-    let (mut coefficient, mut tool_on, mut dwell_index) = (Vec::new(), Vec::new(), Vec::new());
+    let mut coefficient = Vec::new();
+    let mut tool_on = Vec::new();
+    let mut dwell_index = Vec::new();
     let mut deviation_mm: f64 = 0.0;
     for i in 0..motion.len() {
         let cubics = motion.segment(i);

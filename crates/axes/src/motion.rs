@@ -10,7 +10,7 @@ use planish_types::{
 
 use crate::{
     MotionSettings,
-    piece::{INNER_POINTS, Piece, Pieces, distance_mm, planned_part, stretched_s},
+    piece::{INNER_POINTS, AxesPiece, AxesPieces, distance_mm, planned_part, stretched_s},
     slow::{Excess, slow},
 };
 
@@ -33,7 +33,7 @@ pub fn motion(
     trajectory.check_rate_is_constant()?;
     let map = AxisMap::new(machine, form)?;
     let axes = machine.axes();
-    let given = Pieces {
+    let given = AxesPieces {
         map: &map,
         trajectory,
         turning: axes.iter().position(|a| a.name == "c"),
@@ -52,7 +52,7 @@ pub fn motion(
         largest_stretch,
     });
     let away = farthest(&map, &pieces, &stretch, &executed, trajectory);
-    let point = |piece: &Piece| trajectory.segment(piece.segment).position_mm(piece.from_s);
+    let point = |piece: &AxesPiece| trajectory.segment(piece.segment).position_mm(piece.from_s);
     let added = |of: &dyn Fn(usize) -> bool| -> f64 {
         let of_piece = |k: usize| executed.duration_s(k) - pieces[k].duration_s();
         (0..pieces.len()).filter(|k| of(*k)).map(of_piece).sum()
@@ -81,9 +81,10 @@ pub fn motion(
             SpindleReport {
                 least_radius_mm: (0..pieces.len()).map(radius).fold(f64::INFINITY, f64::min),
                 c_limit_radius_mm,
-                added_time_within_s: match c_limit_radius_mm > 0.0 {
-                    true => added(&|k| radius(k) <= c_limit_radius_mm),
-                    false => 0.0,
+                added_time_within_s: if c_limit_radius_mm > 0.0 {
+                    added(&|k| radius(k) <= c_limit_radius_mm)
+                } else {
+                    0.0
                 },
             }
         }),
@@ -93,17 +94,17 @@ pub fn motion(
 }
 
 /// Pieces, stretch at their ends, and the worst excess of the motion as given with its time, s.
-type SlowedPieces = (Vec<Piece>, Vec<f64>, Option<(Excess, f64)>);
+type SlowedPieces = (Vec<AxesPiece>, Vec<f64>, Option<(Excess, f64)>);
 
 /// Slows the pieces down to the limits, and halves those that leave the path by it, until neither is needed.
-fn slowed(given: &Pieces<'_>, machine: &Machine) -> Result<SlowedPieces, Invalid> {
+fn slowed(given: &AxesPieces<'_>, machine: &Machine) -> Result<SlowedPieces, Invalid> {
     let mut pieces = given.all()?;
     let mut first = None;
     for round in 0..=MOST_ROUNDS {
         let slowed = slow(&pieces, machine.axes());
         if round == 0 {
             first = slowed.worst.map(|worst| {
-                let piece: &Piece = &pieces[worst.piece];
+                let piece: &AxesPiece = &pieces[worst.piece];
                 (worst, given.trajectory.break_time_s()[piece.segment] + piece.from_s)
             });
         }
@@ -122,7 +123,7 @@ fn slowed(given: &Pieces<'_>, machine: &Machine) -> Result<SlowedPieces, Invalid
 
 /// The cubics of the pieces, with the stretch at their ends.
 fn executed(
-    pieces: &[Piece],
+    pieces: &[AxesPiece],
     stretch: &[f64],
     machine: &Machine,
     trajectory: &Trajectory,
@@ -152,7 +153,7 @@ fn executed(
             false => trajectory.break_time_s()[piece.segment] + piece.to_s,
         });
     }
-    let of = |piece: &Piece| piece.segment;
+    let of = |piece: &AxesPiece| piece.segment;
     AxesMotion::new(
         break_time_s,
         coefficient,
@@ -169,7 +170,8 @@ const GOLDEN_SECTIONS: usize = 30;
 /// and from the largest of these on by golden sections.
 fn largest_off_normal_deg(map: &AxisMap, executed: &AxesMotion) -> f64 {
     let parts = INNER_POINTS + 1;
-    let (mut largest, mut place) = (0.0, (0, 0));
+    let mut largest = 0.0;
+    let mut place = (0, 0);
     for k in 0..executed.len() {
         for j in 0..=parts {
             let angle = off_normal_deg(map, executed, k, j as f64 / parts as f64);
@@ -208,7 +210,7 @@ struct Farthest {
 /// Largest distance of the executed contact point from the path, at points in every segment.
 fn farthest(
     map: &AxisMap,
-    pieces: &[Piece],
+    pieces: &[AxesPiece],
     stretch: &[f64],
     executed: &AxesMotion,
     trajectory: &Trajectory,

@@ -38,7 +38,7 @@ pub(crate) type State = [f64; 2];
 
 /// A piece, with the states of all axes at both ends.
 #[derive(Clone, Debug)]
-pub(crate) struct Piece {
+pub(crate) struct AxesPiece {
     /// Segment of the motion.
     pub(crate) segment: usize,
     /// Local times in this segment at which the piece begins and ends, s.
@@ -48,7 +48,7 @@ pub(crate) struct Piece {
     pub(crate) end: Vec<State>,
 }
 
-impl Piece {
+impl AxesPiece {
     /// Duration in the motion, s.
     pub(crate) fn duration_s(&self) -> f64 {
         self.to_s - self.from_s
@@ -81,7 +81,7 @@ pub(crate) fn moving(c: &[[f64; 4]; 2], u: f64) -> [Series; 2] {
 }
 
 /// Duration of a piece whose time is stretched by a factor that is linear between its ends, s.
-pub(crate) fn stretched_s(piece: &Piece, ends: [f64; 2]) -> f64 {
+pub(crate) fn stretched_s(piece: &AxesPiece, ends: [f64; 2]) -> f64 {
     0.5 * (ends[0] + ends[1]) * piece.duration_s()
 }
 
@@ -117,7 +117,7 @@ fn direction_from_rest(segment: &Segment<'_>, u: f64, sign: f64) -> Option<[f64;
 }
 
 /// Distance of a point from the path of a piece, from near its part `f`, mm: two Newton steps of (p - x) . p' = 0.
-pub(crate) fn distance_mm(c: &[[f64; 4]; 2], piece: &Piece, f: f64, x: [f64; 2]) -> f64 {
+pub(crate) fn distance_mm(c: &[[f64; 4]; 2], piece: &AxesPiece, f: f64, x: [f64; 2]) -> f64 {
     let mut u = piece.from_s + f * piece.duration_s();
     for _ in 0..2 {
         let p = moving(c, u);
@@ -135,7 +135,7 @@ pub(crate) fn distance_mm(c: &[[f64; 4]; 2], piece: &Piece, f: f64, x: [f64; 2])
 }
 
 /// All pieces of a motion, in order.
-pub(crate) struct Pieces<'a> {
+pub(crate) struct AxesPieces<'a> {
     pub(crate) map: &'a AxisMap,
     pub(crate) trajectory: &'a Trajectory,
     /// Index of the axis c of a spindle.
@@ -144,10 +144,10 @@ pub(crate) struct Pieces<'a> {
     pub(crate) min_segment_s: f64,
 }
 
-impl Pieces<'_> {
+impl AxesPieces<'_> {
     /// The pieces. Refuses a motion that leaves the form, and one that the axes cannot follow.
-    pub(crate) fn all(&self) -> Result<Vec<Piece>, Invalid> {
-        let mut pieces: Vec<Piece> = Vec::new();
+    pub(crate) fn all(&self) -> Result<Vec<AxesPiece>, Invalid> {
+        let mut pieces: Vec<AxesPiece> = Vec::new();
         for (i, segment) in self.trajectory.segments().enumerate() {
             let h = segment.duration_s;
             let mut start = self.state(i, &segment, 0.0, false)?;
@@ -156,7 +156,7 @@ impl Pieces<'_> {
             }
             let end = self.state(i, &segment, h, true)?;
             // The last of the open pieces is the next one; the number says how often it was halved.
-            let mut open = vec![(Piece { segment: i, from_s: 0.0, to_s: h, start, end }, 0)];
+            let mut open = vec![(AxesPiece { segment: i, from_s: 0.0, to_s: h, start, end }, 0)];
             while let Some((mut piece, halves)) = open.pop() {
                 self.unwrap(&piece.start.clone(), &mut piece.end);
                 let away = self.away_mm(&piece, &segment);
@@ -177,8 +177,9 @@ impl Pieces<'_> {
     }
 
     /// Both halves of a piece.
-    fn halved(&self, piece: Piece, segment: &Segment<'_>) -> Result<[Piece; 2], Invalid> {
-        let (i, middle_s) = (piece.segment, 0.5 * (piece.from_s + piece.to_s));
+    fn halved(&self, piece: AxesPiece, segment: &Segment<'_>) -> Result<[AxesPiece; 2], Invalid> {
+        let i = piece.segment;
+        let middle_s = 0.5 * (piece.from_s + piece.to_s);
         let mut end = self.state(i, segment, middle_s, true)?;
         self.unwrap(&piece.start, &mut end);
         let mut start = self.state(i, segment, middle_s, false)?;
@@ -186,17 +187,17 @@ impl Pieces<'_> {
         // Whole turns that were added to the start are in the end of the piece already, or are added to it now.
         let mut last = piece.end.clone();
         self.unwrap(&start, &mut last);
-        let second = Piece { from_s: middle_s, start, end: last, ..piece.clone() };
-        Ok([Piece { to_s: middle_s, end, ..piece }, second])
+        let second = AxesPiece { from_s: middle_s, start, end: last, ..piece.clone() };
+        Ok([AxesPiece { to_s: middle_s, end, ..piece }, second])
     }
 
     /// The pieces, those halved that leave the path by more than the tolerance where time is stretched by `stretch`;
     /// `None` if none does. A stretch that changes within a piece bends its cubics.
     pub(crate) fn finer(
         &self,
-        pieces: &[Piece],
+        pieces: &[AxesPiece],
         stretch: &[f64],
-    ) -> Result<Option<Vec<Piece>>, Invalid> {
+    ) -> Result<Option<Vec<AxesPiece>>, Invalid> {
         let mut finer = Vec::with_capacity(pieces.len());
         for (k, piece) in pieces.iter().enumerate() {
             let ends = [stretch[k], stretch[k + 1]];
@@ -289,7 +290,7 @@ impl Pieces<'_> {
 
     /// Largest distance in mm of the contact point of a piece from that of the motion at the same time; infinite where
     /// a spindle turns too far, and where the tool meets no surface.
-    fn away_mm(&self, piece: &Piece, segment: &Segment<'_>) -> f64 {
+    fn away_mm(&self, piece: &AxesPiece, segment: &Segment<'_>) -> f64 {
         if self.turning.is_some_and(|c| (piece.end[c][0] - piece.start[c][0]).abs() > MOST_TURN_DEG)
         {
             return f64::INFINITY;
@@ -307,7 +308,7 @@ impl Pieces<'_> {
         largest
     }
 
-    fn too_far(&self, piece: &Piece, segment: &Segment<'_>, away: f64) -> Invalid {
+    fn too_far(&self, piece: &AxesPiece, segment: &Segment<'_>, away: f64) -> Invalid {
         let at_s = segment.start_s + piece.from_s;
         let point = segment.position_mm(piece.from_s);
         let half_ms = 500.0 * piece.duration_s();

@@ -281,7 +281,8 @@ impl<'a> Further<'a> {
         let breaks = planned.break_time_s();
         // The average begins earlier by its window, and takes part of as much to both sides.
         for (used, times) in self.used(&averaged).iter().zip(averaged.break_time_s().windows(2)) {
-            let (from_s, to_s) = (times[0] - 2.0 * average.window_s, times[1]);
+            let from_s = times[0] - 2.0 * average.window_s;
+            let to_s = times[1];
             let first = breaks.partition_point(|b| *b < from_s).max(1) - 1;
             for (k, span) in span.iter().enumerate().skip(first) {
                 if breaks[k] > to_s {
@@ -347,7 +348,8 @@ fn motion_at(segment: &Segment<'_>, u_s: f64) -> [[f64; 2]; 3] {
 
 /// Largest magnitude of the parabola through three equidistant values, if it is in between; 0 otherwise.
 fn peak([a, b, c]: [f64; 3]) -> f64 {
-    let (slope, bend) = (0.5 * (c - a), a - 2.0 * b + c);
+    let slope = 0.5 * (c - a);
+    let bend = a - 2.0 * b + c;
     if slope.abs() < bend.abs() { (b - 0.5 * slope * slope / bend).abs() } else { 0.0 }
 }
 

@@ -28,7 +28,7 @@ use planish_numerics::{
     motion::clothoid,
 };
 
-use crate::piece::{Piece, Station};
+use crate::piece::{CurvePiece, Station};
 
 /// Largest number of steps for the headings, and of shifts for a clothoid. Larger: more time for points that no spline
 /// of small turns goes through. Smaller: such splines are given up that need a step more. Chosen: each step leaves a
@@ -84,7 +84,8 @@ impl Bends {
 
     /// End of the shape of length 1 that begins at the origin along the first axis.
     fn tip(&self) -> [f64; 2] {
-        let (mut tip, mut heading) = ([0.0; 2], 0.0);
+        let mut tip = [0.0; 2];
+        let mut heading = 0.0;
         for (length, [from, to]) in self.parts() {
             let sharpness = (to - from) / length;
             let step = clothoid::position(from, sharpness, length);
@@ -161,7 +162,7 @@ pub fn through(
     points_mm: &[[f64; 2]],
     ends: [End; 2],
     lines: [[f64; 2]; 2],
-) -> Option<Vec<Vec<Piece>>> {
+) -> Option<Vec<Vec<CurvePiece>>> {
     let mut spline = Spline::new(points_mm, ends, lines);
     for _ in 0..MOST_STEPS {
         let joined = spline.joined()?;
@@ -266,7 +267,7 @@ impl Spline {
         tridiagonal::solve(n + 1, row)
     }
 
-    fn arcs(&self, points_mm: &[[f64; 2]], joined: &[(f64, Bends)]) -> Vec<Vec<Piece>> {
+    fn arcs(&self, points_mm: &[[f64; 2]], joined: &[(f64, Bends)]) -> Vec<Vec<CurvePiece>> {
         let of = |(k, (length_mm, bends)): (usize, &(f64, Bends))| {
             let tangent = turned(direction(self.angles_rad[k]), self.chords[k].along);
             let mut there = Station { point_mm: points_mm[k], tangent, curvature_per_mm: 0.0 };
@@ -274,7 +275,7 @@ impl Spline {
             for (part, curvatures) in bends.parts() {
                 let [curvature_per_mm, end_per_mm] = curvatures.map(|c| c / length_mm);
                 let length_mm = part * length_mm;
-                let arc = Piece {
+                let arc = CurvePiece {
                     start: Station { curvature_per_mm, ..there },
                     sharpness_per_mm2: (end_per_mm - curvature_per_mm) / length_mm,
                     from_mm: 0.0,
@@ -314,7 +315,7 @@ mod tests {
     use super::*;
 
     /// Largest steps of position (mm), direction and curvature times length from arc to arc.
-    fn steps(arcs: &[Piece]) -> [f64; 3] {
+    fn steps(arcs: &[CurvePiece]) -> [f64; 3] {
         let mut most = [0.0f64; 3];
         for w in arcs.windows(2) {
             let (end, start) = (w[0].at(w[0].length_mm), w[1].start);

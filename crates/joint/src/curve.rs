@@ -30,7 +30,7 @@ use planish_types::ToolPath;
 
 use crate::{
     clothoid_spline::{End, angle_between, through},
-    piece::{Piece, Station},
+    piece::{CurvePiece, Station},
 };
 
 /// Largest turn of a corner, rad. At a sharper turn the path goes back on itself: the machine rests there and the
@@ -114,7 +114,7 @@ pub struct Corner {
 /// A smooth curve from rest to rest.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Curve {
-    pieces: Vec<Piece>,
+    pieces: Vec<CurvePiece>,
     corners: Vec<Corner>,
     /// Largest distance from the path where that is bent, mm.
     bent_deviation_mm: f64,
@@ -122,7 +122,7 @@ pub struct Curve {
 
 impl Curve {
     /// Its pieces in order; each begins where the one before ends.
-    pub fn pieces(&self) -> &[Piece] {
+    pub fn pieces(&self) -> &[CurvePiece] {
         &self.pieces
     }
 
@@ -133,7 +133,7 @@ impl Curve {
 
     /// Arc length, mm.
     pub fn length_mm(&self) -> f64 {
-        self.pieces.last().map_or(0.0, Piece::to_mm)
+        self.pieces.last().map_or(0.0, CurvePiece::to_mm)
     }
 
     /// Largest distance from the path, mm.
@@ -143,16 +143,16 @@ impl Curve {
 
     /// Largest curvature, without its sign, 1/mm.
     pub fn most_curvature_per_mm(&self) -> f64 {
-        self.pieces.iter().map(Piece::most_curvature_per_mm).fold(0.0, f64::max)
+        self.pieces.iter().map(CurvePiece::most_curvature_per_mm).fold(0.0, f64::max)
     }
 
     /// Integral of the square root of the curvature, mm^(1/2).
     fn bend(&self) -> f64 {
-        self.pieces.iter().map(Piece::bend).sum()
+        self.pieces.iter().map(CurvePiece::bend).sum()
     }
 
     /// The piece at an arc length, mm; of two that meet there the later one.
-    pub fn piece_at(&self, s: f64) -> &Piece {
+    pub fn piece_at(&self, s: f64) -> &CurvePiece {
         let after = self.pieces.partition_point(|p| p.from_mm <= s);
         &self.pieces[after.saturating_sub(1)]
     }
@@ -173,7 +173,7 @@ impl Curve {
         let from_mm = self.length_mm();
         // Lengths that vanish beside the arc length would be pieces without duration.
         if from_mm + length_mm > from_mm {
-            self.pieces.push(Piece { start, sharpness_per_mm2, from_mm, length_mm, segment });
+            self.pieces.push(CurvePiece { start, sharpness_per_mm2, from_mm, length_mm, segment });
         }
     }
 }
@@ -228,7 +228,8 @@ fn chords(point_mm: &[[f64; 2]], tool_on: &[bool]) -> Vec<Chord> {
     let mut chords: Vec<Chord> = Vec::new();
     for (segment, tool_on) in tool_on.iter().copied().enumerate() {
         let (from, to) = (point_mm[segment], point_mm[segment + 1]);
-        let (dx, dy) = (to[0] - from[0], to[1] - from[1]);
+        let dx = to[0] - from[0];
+        let dy = to[1] - from[1];
         let length = dx.hypot(dy);
         if length < LEAST_SEGMENT_MM {
             continue;
@@ -263,7 +264,8 @@ impl Blend {
     fn widest(turn_rad: f64, room_mm: f64, rounding: &Rounding) -> Self {
         // For L = 1: heading phi u^2 / 2 means a sharpness of phi.
         let [c, s] = clothoid::position(0.0, turn_rad, 1.0);
-        let (cut, deviation) = (c + s * (0.5 * turn_rad).tan(), s / (0.5 * turn_rad).cos());
+        let cut = c + s * (0.5 * turn_rad).tan();
+        let deviation = s / (0.5 * turn_rad).cos();
         let by_deviation =
             if deviation > 0.0 { rounding.deviation_mm / deviation } else { f64::INFINITY };
         // r = L / phi
@@ -320,7 +322,8 @@ fn smoothed(path: &ToolPath, bound_mm: f64, longest_mm: f64) -> (Vec<[f64; 2]>, 
                 // The second differences in which P_i is, without it, and its coefficient there
                 let centres = [i - 1, i, i + 1].into_iter().zip([1.0, -2.0, 1.0]);
                 let inside = centres.filter(|(k, _)| (1..n - 1).contains(k));
-                let (mut weight, mut target) = (0.0, [0.0; 2]);
+                let mut weight = 0.0;
+                let mut target = [0.0; 2];
                 for (k, c) in inside {
                     weight += c * c;
                     for axis in 0..2 {
@@ -407,7 +410,7 @@ fn blend(
 /// A bent part of a path: the clothoids along its chords.
 struct Bent {
     /// For each chord in order: part of its length, as fractions, and the clothoid along it.
-    arcs: Vec<(usize, [f64; 2], Piece)>,
+    arcs: Vec<(usize, [f64; 2], CurvePiece)>,
     /// Length of the last chord that it takes, mm.
     taken_mm: f64,
     deviation_mm: f64,
@@ -428,23 +431,22 @@ impl Bent {
         // Half of what the next chord has, where that is left of the line
         let of_line =
             |line: usize, next: usize| 0.5 * chords[line].length_mm.min(chords[next].length_mm);
-        let (lead_mm, trail_mm) = (of_line(first, first + 1), of_line(last + 1, last));
+        let lead_mm = of_line(first, first + 1);
+        let trail_mm = of_line(last + 1, last);
         let (before, after) = (&chords[first], &chords[last + 1]);
         // Point, end, first vertex that is a point, and fraction of the chord at which the curve begins; and likewise ends
-        let (start, first_end, from, begin) = match from_rest {
-            true => (before.from, End::Rest, first, 0.0),
-            false => {
-                let end = End::Line(lead_mm / (lead_mm + chords[first + 1].length_mm));
-                let fraction = 1.0 - lead_mm / before.length_mm;
-                (before.at(before.length_mm - lead_mm), end, first + 1, fraction)
-            }
+        let (start, first_end, from, begin) = if from_rest {
+            (before.from, End::Rest, first, 0.0)
+        } else {
+            let end = End::Line(lead_mm / (lead_mm + chords[first + 1].length_mm));
+            let fraction = 1.0 - lead_mm / before.length_mm;
+            (before.at(before.length_mm - lead_mm), end, first + 1, fraction)
         };
-        let (stop, last_end, to, taken_mm) = match to_rest {
-            true => (after.to, End::Rest, last, after.length_mm),
-            false => {
-                let end = End::Line(trail_mm / (trail_mm + chords[last].length_mm));
-                (after.at(trail_mm), end, last - 1, trail_mm)
-            }
+        let (stop, last_end, to, taken_mm) = if to_rest {
+            (after.to, End::Rest, last, after.length_mm)
+        } else {
+            let end = End::Line(trail_mm / (trail_mm + chords[last].length_mm));
+            (after.at(trail_mm), end, last - 1, trail_mm)
         };
         let vertices_mm = chords[from..=to].iter().map(|c| c.to);
         let points: Vec<[f64; 2]> =
@@ -469,7 +471,7 @@ impl Bent {
 
     /// Largest distance of ends and middles of the clothoids from their chords, mm.
     fn deviation_mm(&self, chords: &[Chord]) -> f64 {
-        let of = |(chord, _, arc): &(usize, [f64; 2], Piece)| {
+        let of = |(chord, _, arc): &(usize, [f64; 2], CurvePiece)| {
             [0.5, 1.0].map(|f| chords[*chord].distance_mm(arc.at(f * arc.length_mm).point_mm))
         };
         self.arcs.iter().flat_map(of).fold(0.0, f64::max)
@@ -504,7 +506,8 @@ fn bent_parts(chords: &[Chord], vertices: &[Vertex], rounding: &Rounding) -> BTr
 
 /// True if a chord and the next one may be samples of the same bent path.
 fn are_even(chords: &[Chord], i: usize) -> bool {
-    let (a, b) = (chords[i].length_mm, chords[i + 1].length_mm);
+    let a = chords[i].length_mm;
+    let b = chords[i + 1].length_mm;
     a.max(b) <= MOST_UNEVEN * a.min(b)
 }
 
@@ -569,14 +572,15 @@ impl Curve {
     /// a clothoid belongs to the same fraction of the part of the chord that the corner replaces.
     fn round(&mut self, chord: &Chord, next: &Chord, turn: f64, blend: &Blend) {
         let ([tx, ty], v, l) = (chord.tangent, chord.to, blend.half_length_mm);
-        let (peak, cut) = (turn / l, blend.cut_mm);
+        let peak = turn / l;
+        let cut = blend.cut_mm;
         let start = Station {
             point_mm: [v[0] - cut * tx, v[1] - cut * ty],
             tangent: chord.tangent,
             curvature_per_mm: 0.0,
         };
         let before =
-            Piece { start, sharpness_per_mm2: peak / l, from_mm: 0.0, length_mm: l, segment: 0 };
+            CurvePiece { start, sharpness_per_mm2: peak / l, from_mm: 0.0, length_mm: l, segment: 0 };
         let first = chord.length_mm - cut;
         for (segment, from, to) in chord.parts(first, chord.length_mm) {
             self.push_part(&before, [from, to].map(|s| (s - first) / cut), segment);
@@ -593,7 +597,7 @@ impl Curve {
             tangent: [half[0] / length, half[1] / length],
             curvature_per_mm: peak,
         };
-        let after = Piece { start: middle, sharpness_per_mm2: -peak / l, ..before };
+        let after = CurvePiece { start: middle, sharpness_per_mm2: -peak / l, ..before };
         for (segment, from, to) in next.parts(0.0, cut) {
             self.push_part(&after, [from, to].map(|s| s / cut), segment);
         }
@@ -609,7 +613,7 @@ impl Curve {
     }
 
     /// The part of a piece between two fractions of its length.
-    fn push_part(&mut self, whole: &Piece, [from, to]: [f64; 2], segment: usize) {
+    fn push_part(&mut self, whole: &CurvePiece, [from, to]: [f64; 2], segment: usize) {
         let l = whole.length_mm;
         self.push(whole.at(from * l), whole.sharpness_per_mm2, (to - from) * l, segment);
     }
@@ -838,7 +842,7 @@ mod tests {
         }
         // The arc has 0.5; the way in and out of it a little more.
         let bent = curve.pieces().iter().filter(|p| p.at(0.0).point_mm[0] > 5.0);
-        let most = bent.map(Piece::most_curvature_per_mm).fold(0.0, f64::max);
+        let most = bent.map(CurvePiece::most_curvature_per_mm).fold(0.0, f64::max);
         assert!(most > 0.49 && most < 0.6, "{most}");
         let mut served: Vec<usize> = curve.pieces().iter().map(|p| p.segment).collect();
         served.dedup();

@@ -153,7 +153,7 @@ mod tests {
     use super::*;
     use crate::{
         curve::{Rounding, curves},
-        limits::Rows,
+        limits::LimitRows,
         merit::Price,
         mesh::Mesh,
     };
@@ -231,7 +231,7 @@ mod tests {
         let strongest = normal.matrix.diagonal().into_iter().fold(0.0, f64::max);
         let lengths = mesh.lengths_mm();
         for (acceleration, price, alpha) in [(400.0, 1e-4, 1e-4), (4000.0, 1e-3, 1e-3)] {
-            let rows = Rows::new(&curves, &mesh, &machine(60.0, acceleration), 0.1);
+            let rows = LimitRows::new(&curves, &mesh, &machine(60.0, acceleration), 0.1);
             let lo = rows.least_density().to_vec();
             let tikhonov = alpha;
             let alpha = alpha * strongest;

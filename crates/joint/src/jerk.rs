@@ -120,7 +120,8 @@ impl Average {
         let means = parallel::map(pieces + 3, &mean);
 
         let runs = runs(motion);
-        let (mut builder, mut run) = (TrajectoryBuilder::default(), 0);
+        let mut builder = TrajectoryBuilder::default();
+        let mut run = 0;
         let least_s = SHORTEST_OVER_INTERVAL * h;
         for i in 0..pieces {
             let cubic = [0, 1].map(|axis| of_b_spline([0, 1, 2, 3].map(|k| means[i + k][axis]), h));
@@ -156,7 +157,9 @@ struct Run {
 fn runs(motion: &Trajectory) -> Vec<Run> {
     let mut runs: Vec<Run> = Vec::new();
     for (segment, end_s) in motion.segments().zip(&motion.break_time_s()[1..]) {
-        let (end_s, tool_on, dwell_index) = (*end_s, segment.tool_on, segment.dwell_index);
+        let end_s = *end_s;
+        let tool_on = segment.tool_on;
+        let dwell_index = segment.dwell_index;
         match runs.last_mut().filter(|r| (r.tool_on, r.dwell_index) == (tool_on, dwell_index)) {
             Some(run) => run.end_s = end_s,
             None => runs.push(Run { end_s, tool_on, dwell_index }),
@@ -174,7 +177,8 @@ fn runs(motion: &Trajectory) -> Vec<Run> {
 /// means are divided by h^3.
 fn mean_mm(motion: &Trajectory, from_s: f64, window_s: f64) -> [f64; 2] {
     let breaks = motion.break_time_s();
-    let (last, total_s) = (motion.len() - 1, motion.total_time_s());
+    let last = motion.len() - 1;
+    let total_s = motion.total_time_s();
     let segment_at = |t: f64| (breaks.partition_point(|b| *b <= t).max(1) - 1).min(last);
     let to_s = from_s + window_s;
     let middle_s = (0.5 * (from_s + to_s)).clamp(0.0, total_s);

@@ -35,7 +35,7 @@ use crate::{
     axes::{Further, Scaled},
     curve::Curve,
     mesh::{Kinematics, Mesh, Span},
-    piece::Piece,
+    piece::CurvePiece,
 };
 
 /// Largest turn between two places of (1) on a clothoid, rad. Larger: fewer rows, and more acceleration between the
@@ -93,7 +93,7 @@ const DIFFERENCE: f64 = 1e-4;
 
 /// A row of the program: its span and the quantity that it limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Row {
+struct LimitRow {
     span: usize,
     /// Index of the further axis; `None` for x and y.
     further: Option<usize>,
@@ -125,13 +125,13 @@ pub struct Constraint {
 }
 
 /// The limits along some curves.
-pub struct Rows<'a> {
+pub struct LimitRows<'a> {
     mesh: &'a Mesh,
-    rows: Vec<Row>,
+    rows: Vec<LimitRow>,
     least_density: Vec<f64>,
 }
 
-impl<'a> Rows<'a> {
+impl<'a> LimitRows<'a> {
     /// The rows of all spans of a mesh; `reference_s_per_mm` is D_0 of (4), a density of the usual size.
     pub fn new(curves: &[Curve], mesh: &'a Mesh, limits: &Limits, reference_s_per_mm: f64) -> Self {
         let mut rows = Vec::new();
@@ -139,7 +139,8 @@ impl<'a> Rows<'a> {
         let most = limits.axes().each_ref().map(|a| a.max_acceleration_mm_per_s2());
         for (i, span) in mesh.spans.iter().enumerate() {
             let samples = samples(&curves[span.curve], span);
-            let (mut line, mut curved) = (f64::INFINITY, false);
+            let mut line = f64::INFINITY;
+            let mut curved = false;
             for Sample { s_mm, tangent: [tx, ty], curvature_per_mm } in samples {
                 let straight = curvature_per_mm == 0.0;
                 curved |= !straight;
@@ -158,7 +159,7 @@ impl<'a> Rows<'a> {
                 for (axis, bend) in bend.into_iter().enumerate().filter(|(_, bend)| *bend != 0.0) {
                     let scale = bend.signum() / (most[axis] * (1.0 - CURVED_MARGIN));
                     let (across, along) = (scale * bend, scale * [tx, ty][axis]);
-                    rows.push(Row::of(i, On::Place { s_mm, across, along }));
+                    rows.push(LimitRow::of(i, On::Place { s_mm, across, along }));
                 }
             }
             let margin = if curved { ALONG_CURVE_MARGIN } else { ROUNDING_MARGIN };
@@ -167,11 +168,12 @@ impl<'a> Rows<'a> {
             // At rest the acceleration is constant.
             for tau in if inner { &[0.0, 1.0][..] } else { &[0.0] } {
                 let on = |along: f64| On::Line { tau: *tau, along };
-                rows.extend([along, -along].map(|along| Row::of(i, on(along))));
+                rows.extend([along, -along].map(|along| LimitRow::of(i, on(along))));
             }
             if inner {
-                let (r, one) = (MAX_RATIO / reference_s_per_mm, -1.0 / reference_s_per_mm);
-                rows.extend([[r, one], [one, r]].map(|by| Row::of(i, On::Ratio { by })));
+                let r = MAX_RATIO / reference_s_per_mm;
+                let one = -1.0 / reference_s_per_mm;
+                rows.extend([[r, one], [one, r]].map(|by| LimitRow::of(i, On::Ratio { by })));
             }
         }
         Self { mesh, rows, least_density }
@@ -179,7 +181,8 @@ impl<'a> Rows<'a> {
 
     /// These rows of x and y, with those of further axes.
     pub fn with_further(mut self, curves: &[Curve], further: &Further<'_>) -> Self {
-        let (mesh, of_spans) = (self.mesh, self.of_spans());
+        let mesh = self.mesh;
+        let of_spans = self.of_spans();
         let spans = &mesh.spans;
         let places: Vec<Vec<Place>> = parallel::map(spans.len(), &|i| {
             self.most(i, of_spans[i].clone()).places(&curves[spans[i].curve], further)
@@ -201,7 +204,7 @@ impl<'a> Rows<'a> {
             rows.extend_from_slice(&self.rows[own]);
             rows.extend(places.iter().flat_map(|place| most.rows(i, place)));
             // Rows at one place are evaluated together.
-            let place = |row: &Row| match row.on {
+            let place = |row: &LimitRow| match row.on {
                 On::Place { s_mm, .. } => s_mm,
                 On::Line { .. } | On::Ratio { .. } => f64::INFINITY,
             };
@@ -239,9 +242,10 @@ impl<'a> Rows<'a> {
 
     /// c of every row.
     pub fn slacks(&self, density: &[f64]) -> Vec<f64> {
-        let places = self.rows.par_chunk_by(Row::are_at_one_place);
+        let places = self.rows.par_chunk_by(LimitRow::are_at_one_place);
         let all = places.flat_map_iter(|rows| {
-            let (span, on) = (&self.mesh.spans[rows[0].span], rows[0].on);
+            let span = &self.mesh.spans[rows[0].span];
+            let on = rows[0].on;
             let densities = span.densities(density);
             let at = on.motion(span, densities);
             rows.iter().map(move |row| row.on.derivatives(&at, densities).0)
@@ -251,14 +255,15 @@ impl<'a> Rows<'a> {
 
     /// Every row with its derivatives.
     pub fn constraints(&self, density: &[f64]) -> Vec<Constraint> {
-        let places = self.rows.par_chunk_by(Row::are_at_one_place);
+        let places = self.rows.par_chunk_by(LimitRow::are_at_one_place);
         let all = places.flat_map_iter(|rows| {
-            let (span, on) = (&self.mesh.spans[rows[0].span], rows[0].on);
+            let span = &self.mesh.spans[rows[0].span];
+            let on = rows[0].on;
             let densities = span.densities(density);
             let at = on.motion(span, densities);
             // Of the densities a little higher and a little lower, one by one; where a row asks for it
             let mut around = None;
-            let of = move |row: &Row| {
+            let of = move |row: &LimitRow| {
                 let (slack, by) = row.on.derivatives(&at, densities);
                 if matches!(row.on, On::Ratio { .. }) || slack > FAR_SLACK {
                     return Constraint { nodes: span.nodes, slack, by, bend: [0.0; 3] };
@@ -353,11 +358,8 @@ impl<'a> Rows<'a> {
             let rows = &mut self.rows[rows];
             for (axis, factor) in use_of_limit[span].iter().enumerate().filter(|(_, f)| **f > 1.0) {
                 let has_own = rows.iter().any(|row| row.further == Some(axis));
-                let is_meant = |row: &&mut Row| {
-                    all || match has_own {
-                        true => row.further == Some(axis),
-                        false => row.further.is_none(),
-                    }
+                let is_meant = |row: &&mut LimitRow| {
+                    all || if has_own { row.further == Some(axis) } else { row.further.is_none() }
                 };
                 rows.iter_mut().filter(is_meant).for_each(|row| row.on.tighten(*factor));
             }
@@ -386,7 +388,7 @@ pub fn constant_acceleration(a: f64, b: f64) -> f64 {
     (0.5 * (a.powi(-2) + b.powi(-2))).powf(-0.5)
 }
 
-impl Row {
+impl LimitRow {
     /// A row of x or y.
     fn of(span: usize, on: On) -> Self {
         Self { span, further: None, on }
@@ -446,14 +448,17 @@ impl On {
 
 /// The nearest matrix without negative eigenvalues, elements 00, 01, 11.
 fn positive_part([a, b, c]: [f64; 3]) -> [f64; 3] {
-    let (middle, half) = (0.5 * (a + c), 0.5 * (a - c));
+    let middle = 0.5 * (a + c);
+    let half = 0.5 * (a - c);
     let radius = half.hypot(b);
-    let (high, low) = ((middle + radius).max(0.0), (middle - radius).max(0.0));
+    let high = (middle + radius).max(0.0);
+    let low = (middle - radius).max(0.0);
     if radius == 0.0 {
         return [high, 0.0, high];
     }
     // The projector on the eigenvector of `high` is (1 + [half, b; b, -half] / radius) / 2.
-    let (mean, difference) = (0.5 * (high + low), 0.5 * (high - low) / radius);
+    let mean = 0.5 * (high + low);
+    let difference = 0.5 * (high - low) / radius;
     [mean + difference * half, difference * b, mean - difference * half]
 }
 
@@ -468,7 +473,7 @@ struct Sample {
 }
 
 /// Number of steps of a clothoid between places of (1) for x and y.
-fn steps_of(piece: &Piece) -> usize {
+fn steps_of(piece: &CurvePiece) -> usize {
     let least = if piece.change_of_curvature() > LITTLE_CHANGE { LEAST_STEPS } else { 1 };
     ((piece.turn_rad() / TURN_PER_STEP_RAD).ceil() as usize).max(least)
 }
@@ -552,7 +557,8 @@ impl Most<'_> {
     /// Ends of the parts that have places of their own whatever the axes do, as lengths from the start of the span, mm,
     /// each with true for a part of a clothoid: steps on clothoids, and all of the lines between them.
     fn steps(&self, curve: &Curve) -> Vec<(f64, bool)> {
-        let (from_mm, to_mm) = (self.span.from_mm, self.span.to_mm);
+        let from_mm = self.span.from_mm;
+        let to_mm = self.span.to_mm;
         let mut steps: Vec<(f64, bool)> = Vec::new();
         let first = curve.pieces().partition_point(|p| p.to_mm() <= from_mm);
         for piece in curve.pieces()[first..].iter().take_while(|p| p.from_mm < to_mm) {
@@ -616,14 +622,15 @@ impl Most<'_> {
     }
 
     /// The rows of a place that the other limits do not imply.
-    fn rows(&self, span: usize, place: &Place) -> Vec<Row> {
+    fn rows(&self, span: usize, place: &Place) -> Vec<LimitRow> {
         let s_mm = place.s_mm;
-        let row = |axis: usize, across: f64, along: f64| Row {
+        let row = |axis: usize, across: f64, along: f64| LimitRow {
             span,
             further: Some(axis),
             on: On::Place { s_mm, across, along },
         };
-        let (feed, acceleration) = (self.feed_mm_per_s, self.acceleration_mm_per_s2);
+        let feed = self.feed_mm_per_s;
+        let acceleration = self.acceleration_mm_per_s2;
         let [start, end] = self.span.nodes;
         let at_node =
             s_mm == 0.0 && start.is_some() || s_mm == self.span.length_mm() && end.is_some();
@@ -696,7 +703,7 @@ mod tests {
         let (path, limits) = (path(), machine());
         let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 }).curves;
         let mesh = Mesh::new(&curves, &path, 0.8).unwrap();
-        let rows = Rows::new(&curves, &mesh, &limits, 0.1);
+        let rows = LimitRows::new(&curves, &mesh, &limits, 0.1);
         let density: Vec<f64> =
             (0..mesh.nodes).map(|j| 0.09 + 0.03 * (2.1 * j as f64).sin()).collect();
         let constraints = rows.constraints(&density);
@@ -743,7 +750,7 @@ mod tests {
         let limits = machine();
         let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 }).curves;
         let mesh = Mesh::new(&curves, &path, 0.7).unwrap();
-        let rows = Rows::new(&curves, &mesh, &limits, 0.1);
+        let rows = LimitRows::new(&curves, &mesh, &limits, 0.1);
         let density: Vec<f64> =
             (0..mesh.nodes).map(|j| 0.09 + 0.03 * (2.1 * j as f64).sin()).collect();
         let slacks = rows.slacks(&density);
@@ -762,7 +769,7 @@ mod tests {
             let middle = 1.0 / ((v * v + w * w) / 2.0).sqrt();
             let mut of_finer = density.clone();
             of_finer.insert(span.nodes[1].unwrap(), middle);
-            let finer_rows = Rows::new(&curves, &finer, &limits, 0.1);
+            let finer_rows = LimitRows::new(&curves, &finer, &limits, 0.1);
             let of_halves = finer_rows.slacks(&of_finer);
             let (whole, halves) = (rows.of_spans()[i].clone(), finer_rows.of_spans());
             let mut expected = 0.0;
@@ -785,7 +792,7 @@ mod tests {
         let (path, limits) = (path(), machine());
         let curves = curves(&path, &Rounding { deviation_mm: 0.15, radius_mm: 1.0 }).curves;
         let mesh = Mesh::new(&curves, &path, 0.8).unwrap();
-        let rows = Rows::new(&curves, &mesh, &limits, 0.1);
+        let rows = LimitRows::new(&curves, &mesh, &limits, 0.1);
         let least = rows.least_uniform_density();
         let slack = |d: f64| rows.slacks(&vec![d; mesh.nodes]).into_iter().fold(1.0, f64::min);
         // Rounding of 1.

@@ -234,7 +234,8 @@ impl<'a> Merit<'a> {
     /// The curvature of (1) without that of the residual: diagonal (nodes), and element (j, j - 1) for every j.
     pub fn chain(&self) -> (Vec<f64>, Vec<f64>) {
         let n = self.lo.len();
-        let (mut diagonal, mut below) = (vec![self.alpha; n], vec![0.0; n]);
+        let mut diagonal = vec![self.alpha; n];
+        let mut below = vec![0.0; n];
         for [a, b] in &self.neighbours {
             diagonal[*a] += self.beta;
             diagonal[*b] += self.beta;
@@ -392,9 +393,10 @@ impl<'a> Merit<'a> {
 
     /// A matrix that is nowhere above the curvature of (1), and nowhere below alpha, times densities.
     pub fn lower_curvature(&self, d: &[f64]) -> Vec<f64> {
-        let mut product = match self.normal.below_curvature {
-            true => self.normal.product(d),
-            false => self.mesh.collect(&self.residual.curvature(&self.mesh.times_s(d))),
+        let mut product = if self.normal.below_curvature {
+            self.normal.product(d)
+        } else {
+            self.mesh.collect(&self.residual.curvature(&self.mesh.times_s(d)))
         };
         product.iter_mut().zip(d).for_each(|(p, d)| *p += self.alpha * d);
         for [a, b] in &self.neighbours {

@@ -112,23 +112,31 @@ impl Span {
     /// The motion (3) at the fraction `tau` of the time of the span, for the densities of its nodes.
     pub fn at(&self, tau: f64, densities: [Option<f64>; 2]) -> Kinematics {
         let l = self.length_mm();
-        let (t, t2) = (tau, tau * tau);
+        let t = tau;
+        let t2 = tau * tau;
         match densities {
             [Some(a), Some(b)] => {
-                let (va, vb, mean) = (1.0 / a, 1.0 / b, 2.0 / (a + b));
+                let va = 1.0 / a;
+                let vb = 1.0 / b;
+                let mean = 2.0 / (a + b);
                 // l / T = mean; derivatives of the mean, of v, and of 1 / T = mean / l
                 let by_mean = -0.5 * mean * mean;
                 let by_v = [-va * va, -vb * vb];
                 // s' = 6 t (1 - t) mean + (1 - 4 t + 3 t^2) v_a + (3 t^2 - 2 t) v_b
-                let (m, p, q) = (6.0 * (t - t2), 1.0 - 4.0 * t + 3.0 * t2, 3.0 * t2 - 2.0 * t);
+                let m = 6.0 * (t - t2);
+                let p = 1.0 - 4.0 * t + 3.0 * t2;
+                let q = 3.0 * t2 - 2.0 * t;
                 // s'' T = (6 - 12 t) mean + (6 t - 4) v_a + (6 t - 2) v_b
-                let (dm, dp, dq) = (6.0 - 12.0 * t, 6.0 * t - 4.0, 6.0 * t - 2.0);
+                let dm = 6.0 - 12.0 * t;
+                let dp = 6.0 * t - 4.0;
+                let dq = 6.0 * t - 2.0;
                 let change = dm * mean + dp * va + dq * vb;
                 let rate = mean / l;
                 let s = (3.0 - 2.0 * t) * t2
                     + ((t - 2.0 * t2 + t * t2) * va + (t * t2 - t2) * vb) / mean;
                 // v_a / mean = (1 + b / a) / 2
-                let (early, late) = (t - 2.0 * t2 + t * t2, t * t2 - t2);
+                let early = t - 2.0 * t2 + t * t2;
+                let late = t * t2 - t2;
                 let s_by = [
                     0.5 * (late * vb - early * b * va * va),
                     0.5 * (early * va - late * a * vb * vb),
@@ -201,8 +209,10 @@ impl Span {
             [_, None] => return 1.0 - (1.0 - f).sqrt(),
         };
         // s / l = (3 - 2 t) t^2 + (t - 2 t^2 + t^3) p + (t^3 - t^2) q,  p = v_a T / l, q = v_b T / l
-        let (p, q) = (0.5 * (1.0 + b / a), 0.5 * (1.0 + a / b));
-        let (c2, c3) = (3.0 - 2.0 * p - q, p + q - 2.0);
+        let p = 0.5 * (1.0 + b / a);
+        let q = 0.5 * (1.0 + a / b);
+        let c2 = 3.0 - 2.0 * p - q;
+        let c3 = p + q - 2.0;
         let (mut low, mut high) = (0.0, 1.0);
         let mut tau = f * (2.0 * a + (b - a) * f) / (a + b);
         for _ in 0..MAX_INVERSION_STEPS {
@@ -281,7 +291,8 @@ impl Mesh {
 
     /// Nodes at all `breaks` (curves) but the first and last one, which are rests.
     fn through(curves: &[Curve], path: &ToolPath, breaks: &[Vec<f64>]) -> Self {
-        let (mut spans, mut nodes) = (Vec::new(), 0);
+        let mut spans = Vec::new();
+        let mut nodes = 0;
         for (c, at) in breaks.iter().enumerate() {
             for (i, w) in at.windows(2).enumerate() {
                 let before = (i > 0).then(|| nodes - 1);
@@ -294,10 +305,13 @@ impl Mesh {
             }
         }
         let rule = gauss_legendre::<GAUSS_POINTS>();
-        let (mut points, mut points_mm, mut segments) = (Vec::new(), Vec::new(), Vec::new());
+        let mut points = Vec::new();
+        let mut points_mm = Vec::new();
+        let mut segments = Vec::new();
         let mut headings_rad = Vec::new();
         for (i, span) in spans.iter().enumerate() {
-            let (curve, l) = (&curves[span.curve], span.length_mm());
+            let curve = &curves[span.curve];
+            let l = span.length_mm();
             for (u, omega) in rule {
                 let (f, weight) = match span.nodes {
                     [Some(_), Some(_)] => (u, [1.0 - u, u].map(|w| w * l * omega)),
@@ -354,7 +368,8 @@ impl Mesh {
             let by_time = &by_time[from..from + points.len()];
             from += points.len();
             let [Some(j), Some(k)] = points[0].nodes else { continue };
-            let (span, densities) = (&self.spans[points[0].span], [density[j], density[k]]);
+            let span = &self.spans[points[0].span];
+            let densities = [density[j], density[k]];
             let differences: Vec<[f64; 2]> = points
                 .iter()
                 .map(|point| {

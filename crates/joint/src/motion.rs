@@ -12,7 +12,7 @@ use crate::{
     axes::Further,
     curve::Curve,
     mesh::{Mesh, Span},
-    piece::Piece,
+    piece::CurvePiece,
 };
 
 /// Largest difference of the acceleration at the ends of a cubic piece from that of q(s(u)), over the limit. Larger:
@@ -138,12 +138,12 @@ impl OnSpan<'_> {
     }
 
     /// Pieces of the curve on the span, with the fractions of its time between which each lies.
-    fn parts<'c>(&self, curve: &'c Curve) -> Vec<(&'c Piece, f64, f64)> {
+    fn parts<'c>(&self, curve: &'c Curve) -> Vec<(&'c CurvePiece, f64, f64)> {
         let span = self.span;
         let first = curve.pieces().partition_point(|p| p.to_mm() <= span.from_mm + SAME_BREAK_MM);
         let here =
             curve.pieces()[first..].iter().take_while(|p| p.from_mm < span.to_mm - SAME_BREAK_MM);
-        let mut parts: Vec<(&Piece, f64, f64)> = Vec::new();
+        let mut parts: Vec<(&CurvePiece, f64, f64)> = Vec::new();
         for piece in here {
             let from = parts.last().map_or(0.0, |(_, _, to)| *to);
             let to_mm = piece.to_mm();
@@ -157,7 +157,7 @@ impl OnSpan<'_> {
 
     /// The motion on a piece of the curve between two fractions of the time of the span, `h` seconds, with the limits
     /// `most` on acceleration, mm/s^2.
-    fn cubic(&self, piece: &Piece, taus: [f64; 2], h: f64, most: [f64; 2]) -> Cubic {
+    fn cubic(&self, piece: &CurvePiece, taus: [f64; 2], h: f64, most: [f64; 2]) -> Cubic {
         let at = |tau: f64| {
             let along = self.span.at(tau, self.densities);
             (along, piece.at(self.span.from_mm + along.s_mm - piece.from_mm))
@@ -165,7 +165,8 @@ impl OnSpan<'_> {
         let [(from, start), (to, end)] = taus.map(at);
         let length_mm = to.s_mm - from.s_mm;
         if piece.is_straight() {
-            let (v, a) = (from.feed_mm_per_s, from.acceleration_mm_per_s2);
+            let v = from.feed_mm_per_s;
+            let a = from.acceleration_mm_per_s2;
             let jerk = (to.acceleration_mm_per_s2 - a) / h;
             let coefficient_mm = [0, 1].map(|axis| {
                 let t = start.tangent[axis];
@@ -174,7 +175,8 @@ impl OnSpan<'_> {
             return Cubic { coefficient_mm, length_mm, fit_error_mm: 0.0, acceleration_error: 0.0 };
         }
         let coefficient_mm = [0, 1].map(|axis| {
-            let (p, q) = (start.point_mm[axis], end.point_mm[axis]);
+            let p = start.point_mm[axis];
+            let q = end.point_mm[axis];
             let m = start.tangent[axis] * from.feed_mm_per_s;
             let n = end.tangent[axis] * to.feed_mm_per_s;
             // Hermite: p + m u + (3 (q - p) / h - 2 m - n) u^2 / h + (m + n - 2 (q - p) / h) u^3 / h^2

@@ -16,7 +16,7 @@ pub struct Station {
 
 /// A part of a curve whose curvature is linear in the arc length.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Piece {
+pub struct CurvePiece {
     /// Its start.
     pub start: Station,
     /// Change of curvature over length, 1/mm^2.
@@ -29,7 +29,7 @@ pub struct Piece {
     pub segment: usize,
 }
 
-impl Piece {
+impl CurvePiece {
     /// The station at a length from the start of the piece, mm.
     pub fn at(&self, s: f64) -> Station {
         let Station { point_mm, tangent, curvature_per_mm } = self.start;
@@ -81,7 +81,8 @@ impl Piece {
     /// Integral of the square root of the curvature without its sign, mm^(1/2).
     pub fn bend(&self) -> f64 {
         let [from, to] = self.curvatures_per_mm();
-        let (a, b) = (from.abs().sqrt(), to.abs().sqrt());
+        let a = from.abs().sqrt();
+        let b = to.abs().sqrt();
         let mean = if from * to < 0.0 {
             // Two ramps from 0
             (a.powi(3) + b.powi(3)) / (a * a + b * b)

@@ -9,7 +9,7 @@ use std::borrow::Cow;
 
 use ndarray::Array2;
 use planish_dwell::columns;
-use planish_simulate::{Plan as Simulation, Settings as SimulationSettings};
+use planish_simulate::{SimulationPlan, SimulationSettings};
 use planish_types::{
     DwellTime, End, Invalid, Limits, OnLattice, PARTS_TOLERANCE, Removal, Segment, Surface, Tif,
     TifLattice, TimeFactor, ToolPath, Trajectory, Variation,
@@ -27,7 +27,7 @@ use crate::{
     jerk::Average,
     mesh::Mesh,
     problem::{Asked, Found, HOPELESS, LITTLE_WORK, Meshes, Solved, solve},
-    settings::Settings,
+    settings::JointSettings,
 };
 
 /// Default spacing of the nodes over the width of the TIF. Larger: less work, and a residual at wavelengths that the
@@ -84,7 +84,7 @@ const MOST_NAMED: usize = 4;
 
 /// Report of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct JointReport {
     /// Number of curves from rest to rest.
     pub curves: usize,
     /// Largest movement of a point of the path by smoothing, before the corners were rounded, mm.
@@ -155,7 +155,7 @@ fn proven_gap(relative_gap: f64, is_before_average: bool) -> ProvenGap {
     ProvenGap { relative_gap: Some(relative_gap), gap: None, gap_covers: Some(covered.into()) }
 }
 
-impl Report {
+impl JointReport {
     /// Returns the proven bound on the excess of the objective, relative to it; infinite if nothing is proven.
     pub fn relative_gap(&self) -> f64 {
         self.proven.relative_gap.unwrap_or(f64::INFINITY)
@@ -171,7 +171,7 @@ pub struct RatesOfTime {
     pub rate_error: f64,
 }
 
-/// Plans that [`Report::relative_gap`] compares with.
+/// Plans that [`JointReport::relative_gap`] compares with.
 const COVERED: &str = "plans on this curve whose density is linear between these nodes, under the tangents of the \
                        limits; not closer nodes, another curve, or another law of time between the nodes";
 
@@ -203,7 +203,7 @@ pub struct Averaged {
 
 /// The plan.
 #[derive(Clone, Debug)]
-pub struct Plan {
+pub struct JointPlan {
     /// Time of the motion on every segment of the path.
     pub dwell: DwellTime,
     /// The motion.
@@ -213,10 +213,10 @@ pub struct Plan {
     /// Reason why the judge refuses the motion; `None` if it keeps every limit.
     pub refused: Option<String>,
     /// Report of the plan.
-    pub report: Report,
+    pub report: JointReport,
 }
 
-impl Report {
+impl JointReport {
     /// Limits that the plan is near for some of the time, in words, those of most of the time first.
     pub fn near_limits(&self) -> String {
         let of_axis = |axis: &AxisReport| {
@@ -232,7 +232,7 @@ impl Report {
     }
 }
 
-impl Plan {
+impl JointPlan {
     /// Reason why the plan should not be run as it is; `None` if there is none.
     pub fn negative(&self, desired: &Surface) -> Option<String> {
         let r = &self.report;
@@ -274,8 +274,8 @@ pub fn plan(
     tif: &Tif,
     path: &ToolPath,
     limits: &Limits,
-    settings: &Settings,
-) -> Result<Plan, JointError> {
+    settings: &JointSettings,
+) -> Result<JointPlan, JointError> {
     planned(desired, tif, path, (limits, None), settings)
 }
 
@@ -285,8 +285,8 @@ pub fn plan_with_further_axes(
     tif: &Tif,
     path: &ToolPath,
     (limits, further): (&Limits, &dyn FurtherAxes),
-    settings: &Settings,
-) -> Result<Plan, JointError> {
+    settings: &JointSettings,
+) -> Result<JointPlan, JointError> {
     planned(desired, tif, path, (limits, Some(further)), settings)
 }
 
@@ -309,7 +309,7 @@ struct Task<'a> {
     limits: &'a Limits,
     further: Option<&'a Further<'a>>,
     average: Option<Average>,
-    simulation: &'a Simulation<'a>,
+    simulation: &'a SimulationPlan<'a>,
 }
 
 impl Task<'_> {
@@ -337,7 +337,7 @@ impl Task<'_> {
     fn solved(
         &self,
         meshes: &Meshes,
-        settings: &Settings,
+        settings: &JointSettings,
     ) -> Result<(Solved, Option<RatesOfTime>), JointError> {
         let Self { desired, tif, path, curves, limits, further, .. } = *self;
         let mut rates = vec![1.0; path.len()];
@@ -393,8 +393,8 @@ fn planned(
     tif: &Tif,
     path: &ToolPath,
     (limits, further): (&Limits, Option<&dyn FurtherAxes>),
-    settings: &Settings,
-) -> Result<Plan, JointError> {
+    settings: &JointSettings,
+) -> Result<JointPlan, JointError> {
     settings.check()?;
     let OnLattice { tif, lattice } = tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?;
     let tif = &*tif;
@@ -418,11 +418,13 @@ fn planned(
     let refinements = if widened.is_some() { 0 } else { settings.refinements };
     let most_work = settings.node_spacing_mm.map_or(MOST_WORK, |_| f64::INFINITY);
     let constant = tif.without_time();
-    let simulation = Simulation::new(&constant, desired.grid(), SimulationSettings::Gridded)?;
+    let simulation = SimulationPlan::new(&constant, desired.grid(), SimulationSettings::Gridded)?;
     let slower = average.map_or(Ok(limits.clone()), |a| a.limits(limits))?;
     let meshes = Meshes { first: mesh, refinements, most_work };
     let task = {
-        let (curves, limits, simulation) = (&curves, &slower, &simulation);
+        let curves = &curves;
+        let limits = &slower;
+        let simulation = &simulation;
         Task { desired, tif, path, curves, limits, further, average, simulation }
     };
     let (solved, rates_of_time) = task.solved(&meshes, settings)?;
@@ -433,11 +435,11 @@ fn planned(
     let of_axes =
         further.map(|further| axes::report(&trajectory, &motion.trajectory, limits, further));
     let is_other = matches!(constant, Cow::Owned(_));
-    let own = || Simulation::new(tif, desired.grid(), SimulationSettings::Gridded);
+    let own = || SimulationPlan::new(tif, desired.grid(), SimulationSettings::Gridded);
     let of_run = is_other.then(own).transpose()?;
     let removal = of_run.as_ref().unwrap_or(&simulation).predict(&trajectory, desired)?.removal;
     let dwell = DwellTime::new(trajectory.served_s(path.len(), |_| true)?)?;
-    let report = Report {
+    let report = JointReport {
         curves: curves.len(),
         points_moved_mm: moved_mm,
         corners: curves.iter().flat_map(Curve::corners).count(),
@@ -464,7 +466,7 @@ fn planned(
         tif_lattice: lattice.if_anew(),
         rates_of_time,
     };
-    Ok(Plan { dwell, trajectory, removal, refused, report })
+    Ok(JointPlan { dwell, trajectory, removal, refused, report })
 }
 
 /// Returns the motion of a plan as the machine runs it: averaged in time and within the further axes. With the reason why
@@ -515,7 +517,7 @@ fn first_mesh(
     path: &ToolPath,
     tif: &Tif,
     spacing_mm: f64,
-    settings: &Settings,
+    settings: &JointSettings,
 ) -> Result<(Mesh, Option<Widened>), Invalid> {
     if settings.node_spacing_mm.is_some() {
         return Ok((Mesh::new(curves, path, spacing_mm)?, None));
@@ -604,7 +606,7 @@ fn least_radius_mm(curves: &[Curve]) -> Option<f64> {
 fn scales(
     tif_width_mm: f64,
     tif_spread_mm: f64,
-    settings: &Settings,
+    settings: &JointSettings,
 ) -> Result<(Rounding, f64), Invalid> {
     let of = |given: Option<f64>, over_width: f64| given.unwrap_or(over_width * tif_width_mm);
     let node_width_mm = tif_width_mm.max(LEAST_WIDTH_OVER_SPREAD * tif_spread_mm);

@@ -21,12 +21,12 @@ use crate::{
     axes::Further,
     curve::Curve,
     interior_point::{self, Approach, NEAR_THE_MINIMUM, Program, Solution, Start, Stop},
-    limits::Rows,
+    limits::LimitRows,
     merit::{Merit, Price},
     mesh::Mesh,
     motion::{self, Motion},
     refinement::{Given, Refined},
-    settings::{FIRST_TIKHONOV, LEAST_TIKHONOV, MOST_PULL, Settings},
+    settings::{FIRST_TIKHONOV, LEAST_TIKHONOV, MOST_PULL, JointSettings},
 };
 
 /// Ratio of the first densities to the largest bound on a uniform density. Larger: a slower start, further from the
@@ -155,7 +155,7 @@ pub struct Found {
 pub fn solve(
     asked: &Asked<'_>,
     meshes: &Meshes,
-    settings: &Settings,
+    settings: &JointSettings,
 ) -> Result<Solved, JointError> {
     let mut most_pixels = usize::MAX;
     let mut least_tikhonov = LEAST_TIKHONOV;
@@ -182,7 +182,7 @@ struct Pull {
 }
 
 impl Pull {
-    fn new(settings: &Settings, least_tikhonov: f64) -> Self {
+    fn new(settings: &JointSettings, least_tikhonov: f64) -> Self {
         match settings.tikhonov {
             Some(tikhonov) => Self { tikhonov, least: None },
             None => Self { tikhonov: FIRST_TIKHONOV, least: Some(least_tikhonov) },
@@ -204,12 +204,13 @@ impl Pull {
 fn solve_on_cells(
     asked: &Asked<'_>,
     meshes: &Meshes,
-    settings: &Settings,
+    settings: &JointSettings,
     (most_pixels, least_tikhonov): (usize, f64),
 ) -> Result<Solved, JointError> {
     let mut pull = Pull::new(settings, least_tikhonov);
     let Meshes { first, refinements, most_work } = meshes;
-    let (mut mesh, refinements) = (first.clone(), *refinements);
+    let mut mesh = first.clone();
+    let refinements = *refinements;
     let Asked { tif, path, curves, limits, further, .. } = *asked;
     let level_s_per_mm = level_s_per_mm(asked, &mesh, settings)?;
     // If nothing is to be removed, the reference is the density at the largest feedrate.
@@ -224,8 +225,10 @@ fn solve_on_cells(
     };
     let most_work = (*most_work).min(MOST_GROWTH * mesh.work(tif).max(LITTLE_WORK));
     let affordable = |mesh: &Mesh| mesh.work(tif) <= most_work;
-    let (mut start, mut known) = (None, None);
-    let (mut iterations, mut nodes_of_meshes) = (0, vec![mesh.nodes]);
+    let mut start = None;
+    let mut known = None;
+    let mut iterations = 0;
+    let mut nodes_of_meshes = vec![mesh.nodes];
     if let (Price::Elasticity(x), true) = (settings.price, mesh.work(tif) <= LITTLE_WORK) {
         let rows = given.rows(&mesh);
         let posed =
@@ -242,7 +245,8 @@ fn solve_on_cells(
         }
         let (at, part, refined, normal) = progress::part(k, refinements + 1, || {
             let rows = given.rows(&mesh);
-            let (lo, known) = (given.floors(&rows), known.take());
+            let lo = given.floors(&rows);
+            let known = known.take();
             let posed = Posed::new(asked, &mesh, lo, known, settings, (most_pixels, pull))?;
             let from = start.take().unwrap_or_else(|| posed.uniform(&rows, level_s_per_mm));
             let at = posed.approach(&rows, from, (NEAR_THE_MINIMUM, most), settings)?;
@@ -297,7 +301,7 @@ impl<'a> Posed<'a> {
         mesh: &'a Mesh,
         lo: Vec<f64>,
         known: Option<Known>,
-        settings: &Settings,
+        settings: &JointSettings,
         (most_pixels, pull): (usize, Pull),
     ) -> Result<Self, JointError> {
         let residual = residual(asked, mesh, settings)?.on_cells_of_at_most(most_pixels);
@@ -306,34 +310,34 @@ impl<'a> Posed<'a> {
     }
 
     /// A uniform density above every bound, to start from.
-    fn uniform(&self, rows: &Rows<'_>, level_s_per_mm: f64) -> Start {
+    fn uniform(&self, rows: &LimitRows<'_>, level_s_per_mm: f64) -> Start {
         let bound = self.lo.iter().copied().fold(rows.least_uniform_density(), f64::max);
         let density = vec![level_s_per_mm.max(FIRST_ABOVE_BOUNDS * bound); self.mesh.nodes];
         Start { density, duals: None }
     }
 
-    fn merit<'m>(&'m self, density: &[f64], settings: &Settings) -> Merit<'m> {
+    fn merit<'m>(&'m self, density: &[f64], settings: &JointSettings) -> Merit<'m> {
         let weights = (self.pull.tikhonov, settings.difference_weight);
         let Self { mesh, residual, normal, lo, .. } = self;
         Merit::new(residual, normal, mesh, lo, weights, settings.price, density)
     }
 
     /// Part of an objective, nm^2, that the pull to the least densities has.
-    fn pull_part(&self, density: &[f64], objective_nm2: f64, settings: &Settings) -> f64 {
+    fn pull_part(&self, density: &[f64], objective_nm2: f64, settings: &JointSettings) -> f64 {
         self.merit(density, settings).pull_nm2(density) / objective_nm2
     }
 
-    fn program<'p>(&'p self, chain: (&'p [f64], &'p [f64]), rows: &'p Rows<'p>) -> Program<'p> {
+    fn program<'p>(&'p self, chain: (&'p [f64], &'p [f64]), rows: &'p LimitRows<'p>) -> Program<'p> {
         Program { normal: &self.normal, chain, lo: &self.lo, rows }
     }
 
     /// Iterate near the minimum after at most `max_iterations` steps; nothing is proven of it.
     fn approach(
         &self,
-        rows: &Rows<'_>,
+        rows: &LimitRows<'_>,
         start: Start,
         (near, max_iterations): (f64, usize),
-        settings: &Settings,
+        settings: &JointSettings,
     ) -> Result<Approach, JointError> {
         let mut merit = self.merit(&start.density, settings);
         let (diagonal, below) = merit.chain();
@@ -350,10 +354,10 @@ impl<'a> Posed<'a> {
     /// the plans near a much higher and a much lower price are also tried. The one with the least m T^x is taken.
     fn start_of_elasticity(
         &self,
-        rows: &Rows<'_>,
+        rows: &LimitRows<'_>,
         uniform: Start,
         x: f64,
-        settings: &Settings,
+        settings: &JointSettings,
     ) -> Result<Start, JointError> {
         let most = (COMPARABLE, settings.max_iterations);
         let product = |density: &[f64]| {
@@ -364,7 +368,7 @@ impl<'a> Posed<'a> {
         let mut found = self.approach(rows, uniform.clone(), most, settings)?;
         let (price, mut least) = product(&found.density);
         for factor in [1.0 / MUCH_CHEAPER, MUCH_CHEAPER] {
-            let priced = Settings { price: Price::Nm2PerS(price * factor), ..*settings };
+            let priced = JointSettings { price: Price::Nm2PerS(price * factor), ..*settings };
             let Approach { density, duals, .. } =
                 self.approach(rows, uniform.clone(), most, &priced)?;
             let from = Start { density, duals: Some(duals) };
@@ -386,7 +390,7 @@ impl<'a> Posed<'a> {
         given: &Given<'_>,
         mut from: Start,
         mut iterations: usize,
-        settings: &Settings,
+        settings: &JointSettings,
     ) -> Result<Found, JointError> {
         let mut before: Option<Found> = None;
         loop {
@@ -410,10 +414,10 @@ impl<'a> Posed<'a> {
     fn solve(
         &self,
         asked: &Asked<'_>,
-        mut rows: Rows<'_>,
+        mut rows: LimitRows<'_>,
         mut start: Start,
         max_iterations: usize,
-        settings: &Settings,
+        settings: &JointSettings,
     ) -> Result<Found, JointError> {
         let Asked { path, curves, limits, further, executed, .. } = *asked;
         let mesh = self.mesh;
@@ -455,7 +459,9 @@ impl<'a> Posed<'a> {
             let density = solution.density.iter().map(|d| d * factor).collect();
             start = Start { density, duals: Some(solution.duals) };
         };
-        let (mut solution, mut planned, mut refused) = (solution, planned, refused);
+        let mut solution = solution;
+        let mut planned = planned;
+        let mut refused = refused;
         let program = self.program((&diagonal, &below), &rows);
         if solution.end == End::Optimal && refused.is_none() && kept {
             for _ in 0..MAX_DESCENTS {
@@ -564,7 +570,7 @@ impl<'a> Posed<'a> {
 /// Tightens the limits on the spans whose motion exceeds them: `used` is the part of them that it uses, and `excess`
 /// the largest. `all` tightens the further axes everywhere.
 fn tighten(
-    rows: &mut Rows<'_>,
+    rows: &mut LimitRows<'_>,
     (excess, used): (f64, &[f64]),
     (further_excess, of_axes): (f64, &[Vec<f64>]),
     all: bool,
@@ -585,7 +591,7 @@ fn tighten(
 fn residual<'a>(
     asked: &Asked<'a>,
     mesh: &'a Mesh,
-    settings: &Settings,
+    settings: &JointSettings,
 ) -> Result<Residual<'a>, JointError> {
     let Asked { desired, tif, path, rates, .. } = *asked;
     let poses = mesh.points_mm.iter().zip(&mesh.headings_rad).zip(&mesh.segments);
@@ -603,7 +609,7 @@ fn residual<'a>(
 }
 
 /// The uniform density, s/mm, that removes on average what is above the lowest point.
-fn level_s_per_mm(asked: &Asked<'_>, mesh: &Mesh, settings: &Settings) -> Result<f64, JointError> {
+fn level_s_per_mm(asked: &Asked<'_>, mesh: &Mesh, settings: &JointSettings) -> Result<f64, JointError> {
     let residual = residual(asked, mesh, settings)?;
     let heights = asked.desired.height_nm().iter().filter(|z| !z.is_nan());
     let (sum, count, low) =
@@ -623,7 +629,7 @@ mod tests {
         solver::{DefaultSettingsBuilder, DefaultSolver, IPSolver, SolverStatus, SupportedConeT},
     };
     use planish_dwell::residual::Free;
-    use planish_simulate::{Plan as Simulation, Settings as SimulationSettings};
+    use planish_simulate::{SimulationPlan, SimulationSettings};
     use planish_types::{Axis, Grid, MachineFile, MachineFileAxis};
 
     use super::*;
@@ -723,7 +729,7 @@ mod tests {
         problem: &'a Problem,
         curves: &'a [Curve],
         mesh: &'a Mesh,
-        simulation: &'a Simulation<'a>,
+        simulation: &'a SimulationPlan<'a>,
         lengths_mm: Vec<f64>,
         lo: Vec<f64>,
         alpha: f64,
@@ -750,7 +756,7 @@ mod tests {
         }
 
         /// The objective after at most `steps`, from densities that keep the rows.
-        fn descend(&self, rows: &Rows<'_>, mut density: Vec<f64>, steps: usize) -> f64 {
+        fn descend(&self, rows: &LimitRows<'_>, mut density: Vec<f64>, steps: usize) -> f64 {
             let n = density.len();
             let mut residual = self.residual(&density);
             let mut value = self.value(&residual, &density);
@@ -883,16 +889,16 @@ mod tests {
         let rounding = Rounding { deviation_mm: 0.2, radius_mm: 1.0 };
         let curves = curves(path, &rounding).curves;
         let mesh = Mesh::new(&curves, path, *spacing_mm).unwrap();
-        let simulation = Simulation::new(tif, desired.grid(), SimulationSettings::Gridded).unwrap();
+        let simulation = SimulationPlan::new(tif, desired.grid(), SimulationSettings::Gridded).unwrap();
         let executed = |planned: &Trajectory| Ok(simulation.removal_nm(planned)?.0);
         let rates = vec![1.0; path.len()];
         let rates = &rates;
         let (curves, executed) = (&curves, &executed);
         let asked = Asked { desired, tif, path, curves, limits, further: None, rates, executed };
-        let settings = Settings { price: Price::Nm2PerS(*price), ..Settings::default() };
+        let settings = JointSettings { price: Price::Nm2PerS(*price), ..JointSettings::default() };
         let meshes = Meshes { first: mesh, refinements: 0, most_work: f64::INFINITY };
         let Solved { mesh, found, .. } = solve(&asked, &meshes, &settings).unwrap();
-        let rows = Rows::new(curves, &mesh, limits, 0.1);
+        let rows = LimitRows::new(curves, &mesh, limits, 0.1);
         let residual = Residual::new(desired, tif, &mesh.points_mm, None, Free::Piston).unwrap();
         let normal = residual.normal(&mesh.columns(), None).unwrap();
         let strongest = normal.matrix.diagonal().into_iter().fold(0.0, f64::max);
@@ -929,6 +935,6 @@ mod tests {
         let count =
             std::env::var("PLANISH_DESCENTS").ok().and_then(|n| n.parse().ok()).unwrap_or(3);
         let most = (1..=count).map(|number| gain(number, 20).0).fold(0.0, f64::max);
-        assert!(most < Settings::default().relative_gap, "{most:.2e}");
+        assert!(most < JointSettings::default().relative_gap, "{most:.2e}");
     }
 }

@@ -19,7 +19,7 @@ use crate::{
     axes::Further,
     curve::Curve,
     interior_point::{Approach, Start},
-    limits::{Rows, constant_acceleration},
+    limits::{LimitRows, constant_acceleration},
     mesh::{Mesh, Span},
 };
 
@@ -62,8 +62,8 @@ pub struct Given<'a> {
 
 impl Given<'_> {
     /// The limits on the densities of a mesh.
-    pub fn rows<'m>(&self, mesh: &'m Mesh) -> Rows<'m> {
-        let rows = Rows::new(self.curves, mesh, self.limits, self.reference_s_per_mm);
+    pub fn rows<'m>(&self, mesh: &'m Mesh) -> LimitRows<'m> {
+        let rows = LimitRows::new(self.curves, mesh, self.limits, self.reference_s_per_mm);
         match self.further {
             None => rows,
             Some(further) => rows.with_further(self.curves, further),
@@ -71,7 +71,7 @@ impl Given<'_> {
     }
 
     /// Least density of every node, s/mm.
-    pub fn floors(&self, rows: &Rows<'_>) -> Vec<f64> {
+    pub fn floors(&self, rows: &LimitRows<'_>) -> Vec<f64> {
         rows.least_density().iter().map(|d| d.max(self.min_dwell_s_per_mm)).collect()
     }
 
@@ -79,7 +79,7 @@ impl Given<'_> {
     pub fn refined(
         &self,
         mesh: &Mesh,
-        rows: &Rows<'_>,
+        rows: &LimitRows<'_>,
         at: &Approach,
         affordable: impl Fn(&Mesh) -> bool,
     ) -> Option<Refined> {
@@ -149,7 +149,7 @@ impl Given<'_> {
     fn start(
         &self,
         mesh: &Mesh,
-        rows: &Rows<'_>,
+        rows: &LimitRows<'_>,
         finer: &Mesh,
         towards: &[Option<f64>],
         before: &[Option<usize>],

@@ -183,7 +183,8 @@ impl AxisMap {
                     Some(pivot) => (*pivot, sine_cosine(q[3])),
                     None => (0.0, [0.0, 1.0]),
                 };
-                let (r, z) = (q[0] - pivot * sb, q[1] - self.origin_z_mm + pivot * (1.0 - cb));
+                let r = q[0] - pivot * sb;
+                let z = q[1] - self.origin_z_mm + pivot * (1.0 - cb);
                 ([r * c, r * s, z], [sb * c, sb * s, cb])
             }
         };
@@ -202,7 +203,8 @@ impl AxisMap {
                 let tool = [direction[0], direction[1], tool[2]];
                 let dot = (0..3).map(|k| n[k] * tool[k]).sum::<f64>();
                 let cross = [1, 2, 0].map(|i: usize| {
-                    let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+                    let j = (i + 1) % 3;
+                    let k = (i + 2) % 3;
                     n[j] * tool[k] - n[k] * tool[j]
                 });
                 let sine = cross.iter().map(|v| v * v).sum::<f64>().sqrt();

@@ -5,7 +5,7 @@ use crate::example::{before, gaussian, grid, planned, raster};
 use ndarray::Array2;
 use planish_reconcile::{Comparison, Reconciled, Settings, parameter::Parameter, reconcile};
 use planish_simulate::{
-    Settings as Simulation,
+    SimulationSettings as Simulation,
     error_budget::{ErrorBudget, ErrorBudgetFile, Kind},
     simulate,
     virtual_machine::{self, run},

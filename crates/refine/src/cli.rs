@@ -11,12 +11,12 @@ use planish_refine::Iterate;
 pub use refine::Refine;
 
 #[derive(Subcommand)]
-pub enum Command {
+pub enum RefineCommand {
     /// Plan at rising prices of a second: residual against total time
     Pareto(pareto::Pareto),
 }
 
-impl Command {
+impl RefineCommand {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::Pareto(arguments) => arguments.run(),
@@ -30,7 +30,8 @@ fn iterations<'a>(iterates: impl Iterator<Item = &'a Iterate>) -> Vec<ArrayData<
     let column = |f: fn(&Iterate) -> f64| {
         ArrayData::F64(iterates.iter().map(|i| f(i)).collect::<Array1<f64>>().into_dyn().into())
     };
-    let (m, n) = (iterates.len(), iterates[0].dwell_s.len());
+    let m = iterates.len();
+    let n = iterates[0].dwell_s.len();
     let dwell = Array2::from_shape_fn((m, n), |(i, j)| iterates[i].dwell_s[j]);
     let stretched: Array1<i64> = iterates.iter().map(|i| i.stretched as i64).collect();
     vec![

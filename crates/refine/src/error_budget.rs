@@ -22,7 +22,7 @@ use planish_tolerance::{
 use planish_types::{DwellTime, End, Invalid, Limits, Surface, Tif, ToolPath, Trajectory};
 use serde::Serialize;
 
-use crate::{RefineError, Refined, Settings, Start, refine, rounds};
+use crate::{RefineError, Refined, RefineSettings, Start, refine, rounds};
 
 /// Residual of a plan under a process.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -64,7 +64,7 @@ pub fn refine_for(
     path: &ToolPath,
     limits: &Limits,
     first: Option<DwellTime>,
-    settings: &Settings,
+    settings: &RefineSettings,
     process: &ErrorBudget,
 ) -> Result<(Refined, Price), RefineError> {
     let sources = Sources::new(desired, tif, process, settings.dwell.free)?;

@@ -66,7 +66,7 @@ use planish_dwell::{
     columns,
 };
 use planish_schedule::{ScheduleError, Scheduled, Scheduler, pvt};
-use planish_simulate::{Plan, Settings as Simulation};
+use planish_simulate::{SimulationPlan, SimulationSettings};
 use planish_tolerance::quadratic::{Quadratic, Sources};
 use planish_types::{
     DwellTime, End, Invalid, Limits, OnLattice, PARTS_TOLERANCE, Surface, Tif, TifLattice,
@@ -79,7 +79,7 @@ use serde::{Serialize, Serializer};
 
 /// Settings of the closed loop.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct Settings<'a> {
+pub struct RefineSettings<'a> {
     /// Scheduler that makes the motion.
     #[serde(serialize_with = "name_and_kind")]
     pub scheduler: &'a dyn Scheduler,
@@ -105,10 +105,10 @@ fn name_and_kind<S: Serializer>(scheduler: &&dyn Scheduler, to: S) -> Result<S::
     }
 }
 
-impl Default for Settings<'_> {
+impl Default for RefineSettings<'_> {
     fn default() -> Self {
         Self {
-            scheduler: &pvt::Settings {
+            scheduler: &pvt::PvtSettings {
                 mode: pvt::Mode::Monotone,
                 stretch: true,
                 max_path_distance_mm: None,
@@ -255,7 +255,7 @@ pub fn refine(
     path: &ToolPath,
     limits: &Limits,
     first: Option<DwellTime>,
-    settings: &Settings,
+    settings: &RefineSettings,
 ) -> Result<Refined, RefineError> {
     let start = Start { dwell: first, least_s: None };
     rounds(desired, tif, path, limits, start, settings, None)
@@ -276,7 +276,7 @@ fn rounds(
     path: &ToolPath,
     limits: &Limits,
     start: Start,
-    settings: &Settings,
+    settings: &RefineSettings,
     sources: Option<&Sources>,
 ) -> Result<Refined, RefineError> {
     let OnLattice { tif, lattice } = tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?;
@@ -311,7 +311,7 @@ struct Given<'a> {
     tif: &'a Tif,
     path: &'a ToolPath,
     limits: &'a Limits,
-    settings: &'a Settings<'a>,
+    settings: &'a RefineSettings<'a>,
     sources: Option<&'a Sources>,
 }
 
@@ -352,7 +352,7 @@ enum Next {
 /// State of the loop between two rounds.
 struct Rounds<'a> {
     given: Given<'a>,
-    simulation: Plan<'a>,
+    simulation: SimulationPlan<'a>,
     /// Valid pixels.
     pixels: f64,
     /// RMS below which a residual is noise, nm.
@@ -400,7 +400,7 @@ impl<'a> Rounds<'a> {
         let noise_rms_nm = |s: f64| s * (1.0 + 3.0 / (2.0 * pixels).sqrt());
         let state = Self {
             given,
-            simulation: Plan::new(tif, desired.grid(), Simulation::Gridded)?,
+            simulation: SimulationPlan::new(tif, desired.grid(), SimulationSettings::Gridded)?,
             pixels,
             known_nm: solver.noise_rms_nm.map_or(0.0, noise_rms_nm),
             has_noise: solver.noise_rms_nm.is_some(),
@@ -522,9 +522,10 @@ impl<'a> Rounds<'a> {
         if self.is_at_last() && !gets_smoother && is_over {
             return Next::End;
         }
-        match is_better || is_spent {
-            true => Next::Correct { is_given_up: is_spent, is_smoother: gets_smoother },
-            false => Next::HalveStep,
+        if is_better || is_spent {
+            Next::Correct { is_given_up: is_spent, is_smoother: gets_smoother }
+        } else {
+            Next::HalveStep
         }
     }
 
@@ -557,7 +558,8 @@ impl<'a> Rounds<'a> {
         let Best { round: best, trajectory, quadratic, .. } = self.best();
         let places = columns::executed(trajectory, path.len(), tif);
         let guess = Some(self.iterates[*best].dwell_s.clone());
-        let (lo, hi) = (self.lo.clone(), self.hi.clone());
+        let lo = self.lo.clone();
+        let hi = self.hi.clone();
         let target = quadratic.as_ref().map(|q| less_bias(desired, q)).transpose()?;
         // Sums over the pixels in the solver, means here.
         let product = |t: &[f64]| -> Vec<f64> {

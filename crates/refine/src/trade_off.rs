@@ -18,7 +18,7 @@ use planish_types::{
 };
 use serde::Serialize;
 
-use crate::{Iterate, RefineError, Settings, refine};
+use crate::{Iterate, RefineError, RefineSettings, refine};
 
 /// Fraction of the pixels that are below z_min, dimensionless. Larger: a lower bound (1) that deeper parts of the
 /// map may not reach. Smaller: a pit of a few pixels decides the bound.
@@ -31,14 +31,14 @@ const MOST_PRICES: usize = 1000;
 /// Method that made a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Method {
+pub enum PlanMethod {
     /// Correction of the dwell times against their motion, round by round.
     ClosedLoop,
     /// Joint plan: motion and times as one problem.
     Joint,
 }
 
-impl Method {
+impl PlanMethod {
     /// Name in tables and pictures.
     pub fn name(self) -> &'static str {
         match self {
@@ -52,7 +52,7 @@ impl Method {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Point {
     /// Method that made the plan.
-    pub method: Method,
+    pub method: PlanMethod,
     /// Price of a second, nm^2/s.
     pub time_weight_nm2_per_s: f64,
     /// The plan; for the closed loop its best round.
@@ -131,11 +131,11 @@ pub fn trade_off(
     path: &ToolPath,
     limits: &Limits,
     prices: &[f64],
-    settings: &Settings,
+    settings: &RefineSettings,
 ) -> Result<Vec<Point>, RefineError> {
     let (mut points, mut plans): (Vec<Point>, Vec<(Iterate, End)>) = (Vec::new(), Vec::new());
     let refined = |price: f64, first: Option<DwellTime>, max_rounds: usize| {
-        let mut settings = Settings { max_rounds, ..*settings };
+        let mut settings = RefineSettings { max_rounds, ..*settings };
         settings.dwell.time_weight_nm2_per_s = price;
         refine(desired, tif, path, limits, first, &settings)
     };
@@ -143,14 +143,15 @@ pub fn trade_off(
     for (k, &price) in prices.iter().enumerate() {
         let max_rounds = match first {
             // The other prices begin with its result.
-            None => settings.max_rounds.max(Settings::default().max_rounds),
+            None => settings.max_rounds.max(RefineSettings::default().max_rounds),
             Some(_) => settings.max_rounds,
         };
         let of_price = || refined(price, first.take(), max_rounds);
         let refined = progress::part(k, prices.len(), of_price)?;
         first = Some(refined.dwell);
         let best = refined.iterates[refined.best].clone();
-        let (method, end) = (Method::ClosedLoop, refined.end);
+        let method = PlanMethod::ClosedLoop;
+        let end = refined.end;
         plans.extend(refined.iterates.into_iter().map(|plan| (plan, end)));
         points.push(Point { method, time_weight_nm2_per_s: price, best, end });
     }
@@ -197,7 +198,7 @@ pub fn feed_trade_off(
 ) -> Result<Vec<Point>, JointError> {
     let at_price = |(k, price): (usize, &f64)| {
         let price = Price::Nm2PerS(*price);
-        let settings = planish_joint::Settings { min_dwell_s_per_mm, price, ..Default::default() };
+        let settings = planish_joint::JointSettings { min_dwell_s_per_mm, price, ..Default::default() };
         let plan = progress::part(k, prices.len(), || plan(desired, tif, path, limits, &settings))?;
         let rms = Rms::of(plan.removal.residual());
         let best = Iterate {
@@ -213,7 +214,7 @@ pub fn feed_trade_off(
             limits_respected: plan.refused.is_none(),
         };
         let time_weight_nm2_per_s = plan.report.price_nm2_per_s;
-        Ok(Point { method: Method::Joint, time_weight_nm2_per_s, best, end: plan.report.end })
+        Ok(Point { method: PlanMethod::Joint, time_weight_nm2_per_s, best, end: plan.report.end })
     };
     let mut points: Vec<Point> =
         prices.iter().enumerate().map(at_price).collect::<Result<_, JointError>>()?;
@@ -243,7 +244,7 @@ const TIME_AXIS: &str =
     "total time (s), at least volume to be removed / volumetric removal rate (dashed)";
 
 /// Methods in the order of their names from the right, and the colours of their curves.
-const METHODS: [(Method, &str); 2] = [(Method::ClosedLoop, "#365c8d"), (Method::Joint, "#b5367a")];
+const METHODS: [(PlanMethod, &str); 2] = [(PlanMethod::ClosedLoop, "#365c8d"), (PlanMethod::Joint, "#b5367a")];
 /// SVG attributes of the line of the bound (1).
 const BOUND: &str = "stroke=\"#d8a010\" stroke-width=\"2\" stroke-dasharray=\"6 4\"";
 
@@ -310,7 +311,7 @@ mod tests {
             .iter()
             .zip(prices)
             .map(|((time_s, rms_nm), price)| Point {
-                method: Method::ClosedLoop,
+                method: PlanMethod::ClosedLoop,
                 time_weight_nm2_per_s: price,
                 best: plan(*time_s, *rms_nm, true),
                 end: End::NoImprovement,
@@ -330,7 +331,7 @@ mod tests {
 
     #[test]
     fn every_plan_is_a_dot_and_the_bound_is_where_its_time_is() {
-        let point = |method: Method, total_time_s: f64, rms_nm: f64| Point {
+        let point = |method: PlanMethod, total_time_s: f64, rms_nm: f64| Point {
             method,
             time_weight_nm2_per_s: 0.0,
             best: Iterate {
@@ -345,7 +346,7 @@ mod tests {
             },
             end: End::NoImprovement,
         };
-        let (closed, joint) = (Method::ClosedLoop, Method::Joint);
+        let (closed, joint) = (PlanMethod::ClosedLoop, PlanMethod::Joint);
         let points =
             [point(closed, 100.0, 0.5), point(closed, 200.0, 0.0), point(joint, 90.0, 0.4)];
         let svg = svg(&points, 54.0);

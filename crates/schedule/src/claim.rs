@@ -66,7 +66,8 @@ pub fn measured_claim(trajectory: &Trajectory, limits: &Limits) -> Claim {
 
 fn measure(claim: &mut Claim, trajectory: &Trajectory, limits: &Limits, axis: usize) {
     let limit = &limits.axes()[axis];
-    let (v_max, a_max) = (limit.max_velocity_mm_per_s(), limit.max_acceleration_mm_per_s2());
+    let v_max = limit.max_velocity_mm_per_s();
+    let a_max = limit.max_acceleration_mm_per_s2();
     let velocity_step = VELOCITY_STEP_MM_PER_S + ROUNDING * v_max;
     let within = |value: f64, limit: f64| value.abs() <= limit * (1.0 + ROUNDING);
     // Position, velocity and acceleration before the next break; rest before the first one.
@@ -78,7 +79,8 @@ fn measure(claim: &mut Claim, trajectory: &Trajectory, limits: &Limits, axis: us
         *largest = largest.max((after[2] - before[2]).abs());
     };
     for s in trajectory.segments() {
-        let (c, h) = (&s.coefficient_mm[axis], s.duration_s);
+        let c = &s.coefficient_mm[axis];
+        let h = s.duration_s;
         let v = |u: f64| c[1] + u * (2.0 * c[2] + 3.0 * c[3] * u);
         let a = |u: f64| 2.0 * c[2] + 6.0 * c[3] * u;
         let vertex = -c[2] / (3.0 * c[3]);

@@ -30,7 +30,7 @@ use serde_json::Value;
 
 /// Commands. The hidden ones are baselines; the help lists them under a heading of their own.
 #[derive(Subcommand)]
-pub enum Command {
+pub enum ScheduleCommand {
     /// Cubic segments through the control points at the dwell times, within the limits (PVT)
     Pvt(pvt::Pvt),
     /// PVT by the least squares of its publication; stretches nothing
@@ -61,7 +61,7 @@ pub enum Command {
     Program(program::Program),
 }
 
-impl Command {
+impl ScheduleCommand {
     pub fn run(&self) -> Result<Status, Failure> {
         match self {
             Self::Pvt(scheduler) => schedule(scheduler),
@@ -172,10 +172,8 @@ fn schedule<S: MotionCommand>(scheduler: &S) -> Result<Status, Failure> {
     let drawback = drawback(&claim, total_time_s, S::advice(&settings, &claim).as_deref());
     let drawbacks: Vec<String> =
         drawback.into_iter().chain(distance.excess().map(nearer)).collect();
-    let status = match drawbacks.is_empty() {
-        true => Status::Done,
-        false => Status::Negative(drawbacks.join("; ")),
-    };
+    let status =
+        if drawbacks.is_empty() { Status::Done } else { Status::Negative(drawbacks.join("; ")) };
     let outcome = PlanOutcome {
         dwell_s: Some(dwell.total_s()),
         total_time_s: Some(total_time_s),

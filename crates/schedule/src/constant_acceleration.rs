@@ -50,7 +50,7 @@ use crate::{
 
 /// Times and positions that the recursion did not keep.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Report {
+pub struct ConstantAccelerationReport {
     /// Segments that took longer than their dwell time.
     pub late_segments: usize,
     /// Time that these segments took beyond their dwell time, without lifts, s.
@@ -85,14 +85,14 @@ pub struct Schedule {
     /// Motion.
     pub trajectory: Trajectory,
     /// Times and positions that the motion does not keep.
-    pub report: Report,
+    pub report: ConstantAccelerationReport,
 }
 
 /// The scheduler, which has no settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Settings;
+pub struct ConstantAccelerationSettings;
 
-impl Scheduler for Settings {
+impl Scheduler for ConstantAccelerationSettings {
     fn name(&self) -> &'static str {
         "constant-acceleration"
     }
@@ -127,8 +127,9 @@ pub fn schedule(
     limits: &Limits,
 ) -> Result<Schedule, ScheduleError> {
     check_lengths(path, dwell)?;
-    let (v_max, a_max) = (limits.max_velocity_mm_per_s(), limits.max_acceleration_mm_per_s2());
-    let mut report = Report::default();
+    let v_max = limits.max_velocity_mm_per_s();
+    let a_max = limits.max_acceleration_mm_per_s2();
+    let mut report = ConstantAccelerationReport::default();
     let mut motion = TrajectoryBuilder::default();
     let mut position = path.point_mm()[0];
     let mut velocity = [0.0; 2];
@@ -280,7 +281,7 @@ impl Phase {
     }
 }
 
-impl Report {
+impl ConstantAccelerationReport {
     fn missed(&mut self, axis: usize, distance: f64) {
         if distance.abs() > ROUNDING_MM {
             self.missed_points[axis] += 1;
@@ -315,7 +316,8 @@ fn add(
     tool_on: bool,
     dwell_index: Option<usize>,
 ) {
-    let (position, velocity) = (from.position_mm, from.velocity_mm_per_s);
+    let position = from.position_mm;
+    let velocity = from.velocity_mm_per_s;
     let mut cuts = vec![0.0, phases[0].tau_s, phases[1].tau_s, duration_s];
     cuts.retain(|t| (0.0..=duration_s).contains(t));
     cuts.sort_by(f64::total_cmp);

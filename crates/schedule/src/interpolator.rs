@@ -49,7 +49,7 @@
 use planish_numerics::polynomial::{derivative, evaluate};
 use planish_types::{DwellDensity, Segment, Trajectory};
 
-use crate::{hermite, trig_spline::Piece};
+use crate::{hermite, trig_spline::TrigPiece};
 
 /// Lengths of a program agree with the distances of its points to this, mm.
 const SAME_LENGTH_MM: f64 = 1e-6;
@@ -98,7 +98,9 @@ pub struct Cubic {
 
 /// The records of `density`, in order.
 pub fn records(density: &DwellDensity) -> impl Iterator<Item = Record> + '_ {
-    let (s, d, p) = (density.arc_length_mm(), density.dwell_density_s_per_mm(), density.point_mm());
+    let s = density.arc_length_mm();
+    let d = density.dwell_density_s_per_mm();
+    let p = density.point_mm();
     let starts = |i: usize| i == 0 || density.pass_idx()[i] != density.pass_idx()[i - 1];
     // A corner is part of the block that ends at the node after it.
     (0..density.len()).filter(|i| !density.corner()[*i]).map(move |i| {
@@ -199,9 +201,9 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
 }
 
 impl Block {
-    fn piece(&self) -> Piece {
+    fn piece(&self) -> TrigPiece {
         let [s1, s2] = self.arc_length_mm;
-        Piece { density_s_per_mm: self.density_s_per_mm, length_mm: s2 - s1 }
+        TrigPiece { density_s_per_mm: self.density_s_per_mm, length_mm: s2 - s1 }
     }
 
     /// Velocity at its end [x, y], mm/s, if it starts at `start`.
@@ -277,7 +279,8 @@ impl Record {
             if let Some(other) = "IJPQRS".chars().find(|c| get(*c).is_some()) {
                 return Err(format!("the word {other} does not stand beside U V T K"));
             }
-            let (tool, duration_s) = (need('K')?, need('T')?);
+            let tool = need('K')?;
+            let duration_s = need('T')?;
             if tool != 0.0 && tool != 1.0 {
                 return Err(format!("K is {tool}; it is 1 with the tool on, 0 with the tool off"));
             }
@@ -355,7 +358,8 @@ impl Interpolator {
         if !(tick_s.is_finite() && tick_s > 0.0) {
             return Err(format!("the tick is {tick_s} s; give a positive time"));
         }
-        let (start_s, lost_s) = (0.0, 0.0);
+        let start_s = 0.0;
+        let lost_s = 0.0;
         Ok(Self { tick_s, tick: 0, start_s, lost_s, pass_idx: -1, before: None })
     }
 
@@ -416,7 +420,8 @@ impl Interpolator {
         }
         let piece = block.piece();
         let duration_s = piece.duration_s();
-        let (end, pass_idx) = (block.end_mm, self.pass_idx);
+        let end = block.end_mm;
+        let pass_idx = self.pass_idx;
         self.ticks(duration_s, |time_s, t| {
             let m = t / duration_s;
             // x - e/pi sin(pi x) = t/T
@@ -456,7 +461,8 @@ impl Interpolator {
         };
         let duration_s = cubic.duration_s;
         let c = [0, 1].map(|a| {
-            let (p, v) = (before.point_mm[a], before.velocity_mm_per_s[a]);
+            let p = before.point_mm[a];
+            let v = before.velocity_mm_per_s[a];
             let w = cubic.velocity_mm_per_s[a];
             hermite::coefficients(p, cubic.end_mm[a] - p, v, w, duration_s)
         });

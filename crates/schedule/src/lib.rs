@@ -110,27 +110,27 @@ pub static SCHEDULERS: [Named; 4] = [
         name: "pvt",
         about: "Cubic segments, stretched if the limits demand it",
         make: |choices, limits| {
-            Box::new(pvt::Settings {
+            Box::new(pvt::PvtSettings {
                 max_path_distance_mm: choices.max_path_distance_mm,
-                ..pvt::Settings::of(choices.mode.on(limits))
+                ..pvt::PvtSettings::of(choices.mode.on(limits))
             })
         },
     },
     Named {
         name: "constant-acceleration",
         about: "One constant acceleration, then constant velocity, per segment; no look-ahead",
-        make: |_, _| Box::new(constant_acceleration::Settings),
+        make: |_, _| Box::new(constant_acceleration::ConstantAccelerationSettings),
     },
     Named {
         name: "stop-at-corners",
         about: "Constant acceleration along the path with look-ahead, at rest in every corner",
-        make: |_, _| Box::new(stop_at_corners::Settings),
+        make: |_, _| Box::new(stop_at_corners::StopAtCornersSettings),
     },
     Named {
         name: "trig-spline",
         about: "Dwell-time density as a trigonometric spline along the path, raised until the limits are kept",
         make: |choices, _| {
-            Box::new(trig_spline::Settings { repair: choices.repair, ..Default::default() })
+            Box::new(trig_spline::TrigSplineSettings { repair: choices.repair, ..Default::default() })
         },
     },
 ];
@@ -194,7 +194,8 @@ fn rounding_mm(path: &ToolPath, segment: usize) -> f64 {
 
 /// Refuses a dwell time that belongs to another path.
 fn check_lengths(path: &ToolPath, dwell: &DwellTime) -> Result<(), Invalid> {
-    let (segments, times) = (path.len(), dwell.dwell_s().len());
+    let segments = path.len();
+    let times = dwell.dwell_s().len();
     if segments == times {
         return Ok(());
     }

@@ -49,9 +49,11 @@ pub(crate) fn shortest_cubic(
     limits: &Limits,
     least_s: f64,
 ) -> Option<CubicSegment> {
-    let (v_max, a_max) = (limits.max_velocity_mm_per_s(), limits.max_acceleration_mm_per_s2());
+    let v_max = limits.max_velocity_mm_per_s();
+    let a_max = limits.max_acceleration_mm_per_s2();
     let dp = [0, 1].map(|a| to.position_mm[a] - from.position_mm[a]);
-    let (v, w) = (from.velocity_mm_per_s, to.velocity_mm_per_s);
+    let v = from.velocity_mm_per_s;
+    let w = to.velocity_mm_per_s;
     let least_s = least_s.max(limits.min_segment_s());
     let fits = |h: f64| {
         (0..2).all(|a| {

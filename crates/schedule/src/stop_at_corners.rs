@@ -48,7 +48,7 @@ use crate::{
 
 /// Stops, late segments and lifts of a schedule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Report {
+pub struct StopAtCornersReport {
     /// Number of nodes between two segments with the tool on at which the tool comes to rest.
     pub stops: usize,
     /// Segments with the tool on that took longer than their dwell time.
@@ -71,14 +71,14 @@ pub struct Schedule {
     /// Motion.
     pub trajectory: Trajectory,
     /// Stops, late segments and lifts.
-    pub report: Report,
+    pub report: StopAtCornersReport,
 }
 
 /// The scheduler, which has no settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Settings;
+pub struct StopAtCornersSettings;
 
-impl Scheduler for Settings {
+impl Scheduler for StopAtCornersSettings {
     fn name(&self) -> &'static str {
         "stop-at-corners"
     }
@@ -105,7 +105,7 @@ pub fn schedule(
     limits: &Limits,
 ) -> Result<Schedule, ScheduleError> {
     check_lengths(path, dwell)?;
-    let mut report = Report::default();
+    let mut report = StopAtCornersReport::default();
     let all = (0..path.len()).map(|i| Along::new(path, dwell, limits, i));
     let (along, dropped): (Vec<Along>, Vec<Along>) =
         all.partition(|s| s.length_mm > 0.0 || s.dwell_s > 0.0);
@@ -171,7 +171,8 @@ struct Along {
 
 impl Along {
     fn new(path: &ToolPath, dwell: &DwellTime, limits: &Limits, i: usize) -> Self {
-        let (d, length_mm) = (path.displacement_mm(i), path.segment_length_mm(i));
+        let d = path.displacement_mm(i);
+        let length_mm = path.segment_length_mm(i);
         let direction = if length_mm > 0.0 { d.map(|d| d / length_mm) } else { [0.0; 2] };
         let along = |limit: [f64; 2]| {
             let of = |a: usize| limit[a] / direction[a].abs();
@@ -202,14 +203,18 @@ impl Along {
 
     /// Largest velocity (1) at the start, mm/s, with the velocity `next` at the end.
     fn bound(&self, next: f64) -> f64 {
-        let (l, d, a) = (self.length_mm, self.duration_s, self.max_acceleration);
+        let l = self.length_mm;
+        let d = self.duration_s;
+        let a = self.max_acceleration;
         let in_time = if d * d < 2.0 * l / a { l / d + 0.5 * a * d } else { (2.0 * a * l).sqrt() };
         self.max_velocity.min((next * next + 2.0 * a * l).sqrt()).min(in_time)
     }
 
     /// The motion from `v0` that ends at `bound` at most.
     fn profile(&self, v0: f64, bound: f64) -> Profile {
-        let (l, d, a) = (self.length_mm, self.duration_s, self.max_acceleration);
+        let l = self.length_mm;
+        let d = self.duration_s;
+        let a = self.max_acceleration;
         if l == 0.0 {
             return Profile { time_s: [0.0, d, 0.0], velocity: [0.0; 3] };
         }
@@ -229,7 +234,8 @@ impl Along {
         }
         let v1 = bound.min((v0 * v0 + 2.0 * a * l).sqrt());
         // (2)
-        let (b, c) = (a * d + v0 + v1, a * l + 0.5 * (v0 * v0 + v1 * v1));
+        let b = a * d + v0 + v1;
+        let c = a * l + 0.5 * (v0 * v0 + v1 * v1);
         let fastest = self.max_velocity.min(c.sqrt()).max(v0).max(v1);
         let discriminant = b * b - 4.0 * c;
         let wanted =
@@ -245,7 +251,8 @@ impl Along {
             wanted
         } else {
             // Where it brakes all the way and then waits, w is 0.
-            let (coast_mm, coast_s) = (l - (v0 * v0 - v1 * v1) / (2.0 * a), d - (v0 - v1) / a);
+            let coast_mm = l - (v0 * v0 - v1 * v1) / (2.0 * a);
+            let coast_s = d - (v0 - v1) / a;
             let w = if coast_s > 0.0 { coast_mm / coast_s } else { v0.max(v1) };
             w.clamp(v0.min(v1), v0.max(v1))
         };
@@ -299,7 +306,8 @@ impl Profile {
         } else if during < t0 + t1 {
             [0.5 * (v0 + w) * t0 + w * (t - t0), w, 0.0]
         } else {
-            let (half, u) = (0.5 * slope(v1 - w, t2), t - t0 - t1);
+            let half = 0.5 * slope(v1 - w, t2);
+            let u = t - t0 - t1;
             let before = 0.5 * (v0 + w) * t0 + w * t1;
             [before + u * (w + u * half), w + 2.0 * u * half, half]
         }

@@ -141,9 +141,11 @@ impl Between {
         let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
         let without_mean = |v: &[f64]| -> Vec<f64> { v.iter().map(|x| x - mean(v)).collect() };
         let square = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>() / n;
-        let (r, d) = (without_mean(before), without_mean(difference));
+        let r = without_mean(before);
+        let d = without_mean(difference);
         let after: Vec<f64> = r.iter().zip(&d).map(|(r, d)| r + d).collect();
-        let (of_before, of_after) = (square(&r), square(&after));
+        let of_before = square(&r);
+        let of_after = square(&after);
         if before.len() < 2 || of_before.is_nan() || of_before <= 0.0 {
             return None;
         }

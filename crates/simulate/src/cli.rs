@@ -14,7 +14,7 @@ use planish_handoff::{
     say, task, warn,
 };
 use planish_simulate::{
-    Numerics, Settings,
+    Numerics, SimulationSettings,
     between::Between,
     coverage::Coverage,
     deviation::Deviation,
@@ -81,8 +81,8 @@ impl Simulate {
             return self.virtual_run.run(asked, &self.trajectory, &self.mirror, &self.output);
         }
         let settings = match self.integral {
-            Method::Gridded => Settings::Gridded,
-            Method::Direct => Settings::Direct { steps: self.steps },
+            Method::Gridded => SimulationSettings::Gridded,
+            Method::Direct => SimulationSettings::Direct { steps: self.steps },
         };
         let method = if self.frames.is_some() { "frames" } else { "simulate" };
         let task = match (self.frames, &self.servo_of) {
@@ -116,7 +116,8 @@ impl Simulate {
         let prediction = progress::part(0, 2, || simulate(&trajectory, &tif, &surface, settings))?;
 
         let residual = prediction.removal.residual();
-        let (statistics, detilted) = (residual.statistics(), residual.detilted_rms_nm());
+        let statistics = residual.statistics();
+        let detilted = residual.detilted_rms_nm();
         let coverage = Coverage::of(prediction.removal.removal_nm(), &trajectory, &tif, &surface);
         let status = status(&coverage, prediction.drawback(&surface, trajectory.total_time_s()));
         let between = Between::of(&trajectory, &tif, &prediction.removal);
@@ -178,9 +179,11 @@ fn write_frames(
     frames: Frames,
     output: &OutputArgs,
 ) -> Result<Status, Failure> {
-    let (x, y) = (frames.grid.x.coordinates(), frames.grid.y.coordinates());
+    let x = frames.grid.x.coordinates();
+    let y = frames.grid.y.coordinates();
     let list = |values: Vec<f64>| ArrayData::F64(Array1::from(values).into_dyn().into());
-    let (count, stride) = (frames.time_s.len(), frames.stride);
+    let count = frames.time_s.len();
+    let stride = frames.stride;
     let removal = ArrayData::F64(frames.removal_nm.into_dyn().into());
     let arrays = [list(frames.time_s), removal, list(x), list(y)];
     let status = status(&frames.coverage, None);

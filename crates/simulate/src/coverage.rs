@@ -54,7 +54,8 @@ impl Coverage {
         tif: &Tif,
         desired: &Surface,
     ) -> Self {
-        let (mut tool_on_s, mut at_rate_s) = (0.0, 0.0);
+        let mut tool_on_s = 0.0;
+        let mut at_rate_s = 0.0;
         let mut spans_mm: Option<[[f64; 2]; 2]> = None;
         for s in trajectory.segments().filter(|s| s.tool_on) {
             tool_on_s += s.duration_s;
@@ -68,7 +69,9 @@ impl Coverage {
         }
         let largest = removal_nm.iter().copied().fold(0.0, f64::max);
         let least = (TOUCHED * largest).max(ROUNDING * at_rate_s * tif.peak_nm_per_s());
-        let (mut touched_pixels, mut valid_pixels, mut volume) = (0, 0, 0.0);
+        let mut touched_pixels = 0;
+        let mut valid_pixels = 0;
+        let mut volume = 0.0;
         Zip::from(removal_nm).and(desired.height_nm()).for_each(|r, z| {
             if !z.is_nan() {
                 valid_pixels += 1;

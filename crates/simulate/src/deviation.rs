@@ -12,7 +12,7 @@ use planish_types::{Grid, Invalid, Tif, Trajectory, outcome::virtual_machine::Tr
 
 use crate::{
     error_budget::{Distribution, Effect, ErrorBudget, Scalar},
-    motion::{Motion, Piece},
+    motion::{Motion, MotionPiece},
     play::with_play,
     servo::Servo,
 };
@@ -141,7 +141,9 @@ impl Deviation {
         // T'(c + u) = T(c + S^-1 u) about the centroid c, so that the tool stays where it removes; S is a rotation after
         // the stretch
         //     w [[1 + e/2, d/2], [d/2, 1 - e/2]];    the volume is kept.
-        let (w, e, d) = (1.0 + shape[0], 0.5 * shape[1], 0.5 * shape[2]);
+        let w = 1.0 + shape[0];
+        let e = 0.5 * shape[1];
+        let d = 0.5 * shape[2];
         let (sine, cosine) = self.tif_rotation_rad.sin_cos();
         let determinant = w * (1.0 - e * e - d * d);
         let inverse = [
@@ -152,7 +154,8 @@ impl Deviation {
         let [cx, cy] = tif.centroid_mm();
         let moved = |kernel: &Tif| {
             Array2::from_shape_fn(grid.shape(), |(r, c)| {
-                let (x, y) = (grid.x.at(c) - cx, grid.y.at(r) - cy);
+                let x = grid.x.at(c) - cx;
+                let y = grid.y.at(r) - cy;
                 let u = [cosine * x + sine * y, cosine * y - sine * x];
                 let [dx, dy] = inverse.map(|row| row[0] * u[0] + row[1] * u[1]);
                 kernel.rate_at(cx + dx, cy + dy)
@@ -195,7 +198,8 @@ impl Deviation {
         let (sine, cosine) = self.rotation_rad.sin_cos();
         let m = 1.0 + self.magnification;
         let mut breaks = vec![0.0];
-        let (mut coefficients, mut tool_on) = (Vec::new(), Vec::new());
+        let mut coefficients = Vec::new();
+        let mut tool_on = Vec::new();
         for (p, from) in pieces.iter().zip(origin) {
             let [mut x, mut y] = p.coefficient_mm;
             x[0] -= middle[0];
@@ -205,7 +209,8 @@ impl Deviation {
             let r = rate[from];
             let mut power = 1.0;
             for k in 0..4 {
-                let (a, b) = (m * (x[k] + self.shear * y[k]), m * y[k]);
+                let a = m * (x[k] + self.shear * y[k]);
+                let b = m * y[k];
                 c[0][k] = (cosine * a - sine * b) / power;
                 c[1][k] = (sine * a + cosine * b) / power;
                 power *= r;
@@ -243,7 +248,7 @@ impl Deviation {
     }
 
     /// Mean deviation of the rate over a piece, noise left out.
-    pub fn rate_at(&self, p: &Piece, total_s: f64) -> f64 {
+    pub fn rate_at(&self, p: &MotionPiece, total_s: f64) -> f64 {
         // d (t / T - 1/2), and -a exp(-t / tau)
         let middle = (p.start_s + 0.5 * p.duration_s) / total_s - 0.5;
         let warm_up = |&(tau, a): &(f64, f64)| {

@@ -19,7 +19,7 @@ use planish_numerics::polynomial::{derivative, evaluate};
 use planish_types::{Axis, Grid, Invalid, Surface, Tif, Trajectory, progress};
 use rayon::prelude::*;
 
-use crate::{Plan, Settings, coverage::Coverage};
+use crate::{SimulationPlan, SimulationSettings, coverage::Coverage};
 
 /// Largest number of pixels of a frame; 24 frames take 4 MB. Larger: larger files. Smaller: coarser pictures.
 pub const MAX_PIXELS: usize = 20_000;
@@ -51,7 +51,7 @@ pub fn frames(
     trajectory: &Trajectory,
     tif: &Tif,
     desired: &Surface,
-    settings: Settings,
+    settings: SimulationSettings,
     count: usize,
 ) -> Result<Frames, Invalid> {
     if !(1..=MAX_COUNT).contains(&count) {
@@ -65,9 +65,10 @@ pub fn frames(
     };
     let grid = Grid { x: thin(&full.x, stride[0])?, y: thin(&full.y, stride[1])? };
 
-    let plan = Plan::new(tif, full, settings)?;
+    let plan = SimulationPlan::new(tif, full, settings)?;
     let start_s = trajectory.break_time_s()[0];
-    let (total_s, m) = (trajectory.total_time_s(), count as f64);
+    let total_s = trajectory.total_time_s();
+    let m = count as f64;
     let mut removal: Array2<f64> = Array2::zeros(full.shape());
     let mut kept = Array3::zeros((count, grid.y.len(), grid.x.len()));
     let until_s = |i: usize| start_s + total_s * i as f64 / m;
@@ -106,11 +107,15 @@ fn strides(grid: &Grid) -> [usize; 2] {
 fn part_of(t: &Trajectory, from_s: f64, until_s: f64) -> Result<Option<Trajectory>, Invalid> {
     let breaks = t.break_time_s();
     let first = breaks.partition_point(|b| *b <= from_s).saturating_sub(1);
-    let (mut times, mut coefficients) = (vec![], vec![]);
-    let (mut on, mut index, mut factor) = (vec![], vec![], vec![]);
+    let mut times = vec![];
+    let mut coefficients = vec![];
+    let mut on = vec![];
+    let mut index = vec![];
+    let mut factor = vec![];
     for i in first..t.len() {
         let segment = t.segment(i);
-        let (start, end) = (breaks[i].max(from_s), breaks[i + 1].min(until_s));
+        let start = breaks[i].max(from_s);
+        let end = breaks[i + 1].min(until_s);
         if end <= start {
             break;
         }
@@ -176,11 +181,11 @@ mod tests {
     #[test]
     fn the_last_frame_is_the_removal() {
         let (surface, tif) = (desired(21, 9), tif());
-        let f = frames(&motion(), &tif, &surface, Settings::Gridded, 5).unwrap();
+        let f = frames(&motion(), &tif, &surface, SimulationSettings::Gridded, 5).unwrap();
         assert_eq!((f.time_s.len(), f.stride), (5, [1, 1]));
         // Rounding of a time of 7 s.
         assert!((f.time_s[4] - 7.1).abs() < 1e-12);
-        let plan = Plan::new(&tif, surface.grid(), Settings::Gridded).unwrap();
+        let plan = SimulationPlan::new(&tif, surface.grid(), SimulationSettings::Gridded).unwrap();
         let (whole, _) = plan.removal_nm(&motion()).unwrap();
         let last = f.removal_nm.index_axis(NdAxis(0), 4);
         // The cuts between the frames move the points of the quadrature, whose remainder of the
@@ -194,7 +199,7 @@ mod tests {
     fn a_frame_agrees_with_the_other_method() {
         let (surface, tif) = (desired(21, 9), tif());
         let of = |settings| frames(&motion(), &tif, &surface, settings, 3).unwrap();
-        let (a, b) = (of(Settings::Gridded), of(Settings::Direct { steps: 400 }));
+        let (a, b) = (of(SimulationSettings::Gridded), of(SimulationSettings::Direct { steps: 400 }));
         // The midpoint rule over 400 steps of 7 ms: (0.007 s)^2 / 24 times 3 s times the second
         // derivative of the rate along the motion, below 10 nm/s^3.
         let e = largest_difference(&a.removal_nm, &b.removal_nm);
@@ -204,9 +209,9 @@ mod tests {
     #[test]
     fn large_maps_are_thinned_to_the_pixels_themselves() {
         let (surface, tif) = (desired(301, 203), tif());
-        let f = frames(&motion(), &tif, &surface, Settings::Gridded, 1).unwrap();
+        let f = frames(&motion(), &tif, &surface, SimulationSettings::Gridded, 1).unwrap();
         assert_eq!((f.stride, f.grid.shape()), ([2, 2], (102, 151)));
-        let plan = Plan::new(&tif, surface.grid(), Settings::Gridded).unwrap();
+        let plan = SimulationPlan::new(&tif, surface.grid(), SimulationSettings::Gridded).unwrap();
         let (whole, _) = plan.removal_nm(&motion()).unwrap();
         for ((_, r, c), v) in f.removal_nm.indexed_iter() {
             let e = (v - whole[[2 * r, 2 * c]]).abs();
@@ -231,7 +236,7 @@ mod tests {
     #[test]
     fn no_frames_and_too_many_are_refused() {
         for count in [0, 1001] {
-            let f = frames(&motion(), &tif(), &desired(5, 5), Settings::Gridded, count);
+            let f = frames(&motion(), &tif(), &desired(5, 5), SimulationSettings::Gridded, count);
             assert!(f.unwrap_err().to_string().contains("give 1 to 1000"));
         }
     }

@@ -36,7 +36,7 @@
 //! kept but the removal, and a tile that no motion reaches costs nothing. A tile has two strips of
 //! the map side by side, which share one complex transform. The tiles depend on the TIF and the map
 //! only, and within one the motion goes in the order of time: the result does not depend on the
-//! number of threads. All of this (lattice, tiles, spectra) is a [`Plan`], which many trajectories
+//! number of threads. All of this (lattice, tiles, spectra) is a [`GriddedPlan`], which many trajectories
 //! share.
 //!
 //! # Other pixels
@@ -81,7 +81,7 @@ const BYTES_PER_SAMPLE: usize = 64;
 /// ```
 ///
 /// by (1) of [`planish_types::Variation`]; a constant tool has one kernel, and no weights.
-pub struct Plan {
+pub struct GriddedPlan {
     kernels: Vec<OfKernel>,
     /// Lattice of the TIF on the map.
     lattice: TifLattice,
@@ -100,11 +100,12 @@ struct OfKernel {
     idle: Mutex<Vec<Workspace>>,
 }
 
-impl Plan {
+impl GriddedPlan {
     /// Plans the removal of `tif` on `grid`.
     pub fn new(tif: &Tif, grid: &Grid) -> Result<Self, Invalid> {
         let OnLattice { tif, lattice } = tif.on_lattice_of(grid, PARTS_TOLERANCE)?;
-        let (peak, parts) = (tif.peak_nm_per_s(), lattice.parts);
+        let peak = tif.peak_nm_per_s();
+        let parts = lattice.parts;
         let Some(variation) = tif.variation() else {
             let kernels = vec![OfKernel::new(&tif, peak, grid, parts)?];
             return Ok(Self { kernels, lattice, varying: None, factor: None });
@@ -256,7 +257,7 @@ pub fn removal_nm(
     tif: &Tif,
     grid: &Grid,
 ) -> Result<(Array2<f64>, Numerics), Invalid> {
-    Ok(Plan::new(tif, grid)?.removal_nm(trajectory))
+    Ok(GriddedPlan::new(tif, grid)?.removal_nm(trajectory))
 }
 
 /// Number of cores for which the tiles are laid out. It is fixed, because the result may not depend on the number of

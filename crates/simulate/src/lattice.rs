@@ -6,7 +6,7 @@ use ndarray::Array2;
 use planish_numerics::keys;
 use planish_types::{Grid, Tif};
 
-use crate::quadrature::Cells;
+use crate::quadrature::NodeCells;
 
 /// The lattice of one axis: pixel `i` of the map is node `i subdivision`, sample `j` of the TIF
 /// (on the lattice) has the offset `low + j step`.
@@ -31,7 +31,8 @@ pub struct Lattice {
 impl Lattice {
     /// Makes the lattice along x (0) or y (1) for a map and a TIF on its lattice with so many samples to a pixel.
     pub fn new(map: &Grid, tif: &Tif, subdivision: usize, axis: usize) -> Self {
-        let (map, samples) = ([&map.x, &map.y][axis], [&tif.grid().x, &tif.grid().y][axis]);
+        let map = [&map.x, &map.y][axis];
+        let samples = [&tif.grid().x, &tif.grid().y][axis];
         let beyond = (tif.edge_mm()[axis] - samples.end_mm()) / samples.step_mm();
         let edge = (samples.len() - 1) as f64 + beyond;
         let (whole, fraction) = keys::split(edge);
@@ -53,9 +54,9 @@ impl Lattice {
     }
 
     /// Cell C begins at the tool position at which sample 0 of the TIF is on the node C.
-    pub fn cells(&self) -> Cells {
+    pub fn cells(&self) -> NodeCells {
         let fraction = keys::split(self.edge).1;
-        Cells {
+        NodeCells {
             origin_mm: self.start_mm - self.tif_start_mm,
             step_mm: self.step_mm,
             inner: (fraction > 0.0).then_some(1.0 - fraction),

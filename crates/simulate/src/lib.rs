@@ -67,7 +67,7 @@ use serde::Serialize;
 /// Methods for the integral.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(tag = "method", rename_all = "kebab-case")]
-pub enum Settings {
+pub enum SimulationSettings {
     /// Exact quadrature, FFT convolution.
     Gridded,
     /// Midpoint rule with this many equal time steps per segment, pixel by pixel.
@@ -107,10 +107,10 @@ pub struct Numerics {
 }
 
 /// Data that depend on the TIF and the map only, for many trajectories.
-pub enum Plan<'a> {
-    /// [`Settings::Gridded`].
-    Gridded(Box<gridded::Plan>),
-    /// [`Settings::Direct`], which has nothing to plan.
+pub enum SimulationPlan<'a> {
+    /// [`SimulationSettings::Gridded`].
+    Gridded(Box<gridded::GriddedPlan>),
+    /// [`SimulationSettings::Direct`], which has nothing to plan.
     Direct {
         /// TIF.
         tif: &'a Tif,
@@ -121,12 +121,12 @@ pub enum Plan<'a> {
     },
 }
 
-impl<'a> Plan<'a> {
+impl<'a> SimulationPlan<'a> {
     /// Plans the removal of `tif` on `grid`.
-    pub fn new(tif: &'a Tif, grid: &'a Grid, settings: Settings) -> Result<Self, Invalid> {
+    pub fn new(tif: &'a Tif, grid: &'a Grid, settings: SimulationSettings) -> Result<Self, Invalid> {
         Ok(match settings {
-            Settings::Gridded => Self::Gridded(Box::new(gridded::Plan::new(tif, grid)?)),
-            Settings::Direct { steps } => Self::Direct { tif, grid, steps },
+            SimulationSettings::Gridded => Self::Gridded(Box::new(gridded::GriddedPlan::new(tif, grid)?)),
+            SimulationSettings::Direct { steps } => Self::Direct { tif, grid, steps },
         })
     }
 
@@ -170,9 +170,9 @@ pub fn simulate(
     trajectory: &Trajectory,
     tif: &Tif,
     desired: &Surface,
-    settings: Settings,
+    settings: SimulationSettings,
 ) -> Result<Prediction, Invalid> {
-    let plan = Plan::new(tif, desired.grid(), settings)?;
+    let plan = SimulationPlan::new(tif, desired.grid(), settings)?;
     let (removal_nm, numerics) = plan.removal_told(trajectory, &progress::done)?;
     Ok(Prediction { removal: Removal::new(desired, removal_nm)?, numerics })
 }

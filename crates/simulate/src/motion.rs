@@ -10,7 +10,7 @@ const TIME_PARTS: f64 = 1000.0;
 
 /// A part of the motion short enough for its rate and its place to be one.
 #[derive(Clone, Copy, Debug)]
-pub struct Piece {
+pub struct MotionPiece {
     /// Start since the start of the motion, s.
     pub start_s: f64,
     /// Duration, s.
@@ -30,7 +30,7 @@ pub struct Piece {
 #[derive(Clone, Debug)]
 pub struct Motion {
     /// Pieces in the order of time.
-    pub pieces: Vec<Piece>,
+    pub pieces: Vec<MotionPiece>,
     /// Time of every stay, s.
     pub stay_s: Vec<f64>,
     /// Index of the dwell point that every stay serves, if any.
@@ -52,7 +52,7 @@ impl Motion {
         };
         let count: f64 = trajectory.segments().map(|s| parts(&s)).sum();
         let remedy = "give a motion over the part, in mm";
-        budget::affordable("coefficient_mm", count, size_of::<Piece>(), remedy)?;
+        budget::affordable("coefficient_mm", count, size_of::<MotionPiece>(), remedy)?;
         let first_s = trajectory.break_time_s()[0];
         let mut pieces = Vec::with_capacity(trajectory.len());
         let mut stay_s: Vec<f64> = Vec::new();
@@ -71,7 +71,7 @@ impl Motion {
             let duration_s = segment.duration_s / parts;
             for k in 0..parts as usize {
                 let from = k as f64 * duration_s;
-                pieces.push(Piece {
+                pieces.push(MotionPiece {
                     start_s: segment.start_s - first_s + from,
                     duration_s,
                     coefficient_mm: segment.coefficient_mm.map(|c| shifted(&c, from)),
@@ -98,7 +98,7 @@ impl Motion {
 
     /// Largest speed at the ends and in the middle of the pieces, mm/s.
     pub fn largest_speed_mm_per_s(&self) -> f64 {
-        let speed = |p: &Piece| {
+        let speed = |p: &MotionPiece| {
             let v = p.coefficient_mm.map(|c| derivative(&c));
             let at = |u: f64| evaluate(&v[0], u).hypot(evaluate(&v[1], u));
             [0.0, 0.5, 1.0].map(|f| at(f * p.duration_s)).into_iter().fold(0.0, f64::max)

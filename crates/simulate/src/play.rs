@@ -18,7 +18,7 @@ use planish_numerics::polynomial::{
     derivative, evaluate, monotone_crossing, quadratic_roots, shifted,
 };
 
-use crate::motion::Piece;
+use crate::motion::MotionPiece;
 
 /// Sentence on the state in which a run with play begins.
 pub const START: &str = "an axis with play begins in the middle of it, so that its first move is half the play \
@@ -102,12 +102,13 @@ impl Axis {
 }
 
 /// The carriages of axes whose drives move along `pieces`; and of each piece the one of `origin` that it was.
-pub fn with_play(pieces: &[Piece], origin: &[usize], play_mm: f64) -> (Vec<Piece>, Vec<usize>) {
+pub fn with_play(pieces: &[MotionPiece], origin: &[usize], play_mm: f64) -> (Vec<MotionPiece>, Vec<usize>) {
     let mirrored = play_mm < 0.0;
     let half_mm = 0.5 * play_mm.abs();
     let mut axes = [(); 2].map(|()| Axis { half_mm, carriage_mm: None });
     let mut parts = [Vec::new(), Vec::new()];
-    let (mut cut, mut cut_origin) = (Vec::new(), Vec::new());
+    let mut cut = Vec::new();
+    let mut cut_origin = Vec::new();
     for (p, from) in pieces.iter().zip(origin) {
         for ((axis, c), parts) in axes.iter_mut().zip(&p.coefficient_mm).zip(&mut parts) {
             axis.follow(c, p.duration_s, parts);
@@ -138,13 +139,13 @@ pub fn with_play(pieces: &[Piece], origin: &[usize], play_mm: f64) -> (Vec<Piece
 mod tests {
     use super::*;
 
-    fn piece(start_s: f64, duration_s: f64, coefficient_mm: [[f64; 4]; 2]) -> Piece {
+    fn piece(start_s: f64, duration_s: f64, coefficient_mm: [[f64; 4]; 2]) -> MotionPiece {
         let (tool_on, rate_factor, stay) = (true, 1.0, 0);
-        Piece { start_s, duration_s, coefficient_mm, tool_on, rate_factor, stay }
+        MotionPiece { start_s, duration_s, coefficient_mm, tool_on, rate_factor, stay }
     }
 
     /// Pieces whose coefficients are wild and whose ends do not join, along x and y.
-    fn wild() -> Vec<Piece> {
+    fn wild() -> Vec<MotionPiece> {
         let wave = |k: usize, j: usize| (1.0 + 7.3 * k as f64 + 2.9 * j as f64).sin();
         (0..40)
             .map(|k| {
@@ -155,7 +156,7 @@ mod tests {
     }
 
     /// Positions of the carriage of `axis` in the middle of dense steps: q <- the nearest place to q within h of p.
-    fn dense(pieces: &[Piece], axis: usize, play_mm: f64, steps: usize) -> Vec<(f64, f64)> {
+    fn dense(pieces: &[MotionPiece], axis: usize, play_mm: f64, steps: usize) -> Vec<(f64, f64)> {
         let h = 0.5 * play_mm;
         let mut q = pieces[0].coefficient_mm[axis][0];
         let mut all = Vec::new();
@@ -172,7 +173,7 @@ mod tests {
         all
     }
 
-    fn at(pieces: &[Piece], axis: usize, t: f64) -> f64 {
+    fn at(pieces: &[MotionPiece], axis: usize, t: f64) -> f64 {
         let i = pieces.partition_point(|p| p.start_s <= t) - 1;
         evaluate(&pieces[i].coefficient_mm[axis], t - pieces[i].start_s)
     }
@@ -209,7 +210,7 @@ mod tests {
                 if k.is_multiple_of(2) { [0.0, 4e-3, -4e-3, 0.0] } else { [0.0, -1e-16, 0.0, 0.0] };
             piece(k as f64, 1.0, [[5.0 * k as f64, 5.0, 0.0, 0.0], y])
         };
-        let pieces: Vec<Piece> = (0..10).map(there_and_back).collect();
+        let pieces: Vec<MotionPiece> = (0..10).map(there_and_back).collect();
         let (cut, _) = with_play(&pieces, &[0; 10], 0.02);
         for p in &cut {
             assert_eq!(p.coefficient_mm[1], [0.0; 4]);

@@ -58,7 +58,7 @@ const SHORTEST: f64 = 1e-13;
 
 /// The lattice cells of one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Cells {
+pub struct NodeCells {
     /// Coordinate at which cell 0 begins, mm.
     pub origin_mm: f64,
     /// Size of a cell, mm; > 0.
@@ -114,7 +114,8 @@ impl Weight<'_> {
 
     /// Mean over a segment at rest, which has the index `index`.
     fn at_rest(&self, index: usize, segment: &Segment<'_>) -> f64 {
-        let (from_s, to_s) = (segment.start_s, segment.start_s + segment.duration_s);
+        let from_s = segment.start_s;
+        let to_s = segment.start_s + segment.duration_s;
         let of_time = self.variation.time_factor().map_or(1.0, |time| time.mean(from_s, to_s));
         of_time * self.variation.weight(self.kernel, self.headings.pose(index, segment, 0.0))
     }
@@ -135,14 +136,14 @@ pub struct Piece {
 
 /// Cuts motions at the cells of a lattice.
 pub struct Cutter {
-    cells: [Cells; 2],
+    cells: [NodeCells; 2],
     rules: Rules,
     cuts: Vec<f64>,
 }
 
 impl Cutter {
     /// Makes a cutter for cells along [x, y].
-    pub fn new(cells: [Cells; 2]) -> Self {
+    pub fn new(cells: [NodeCells; 2]) -> Self {
         Self { cells, rules: Rules::new(), cuts: Vec::new() }
     }
 
@@ -210,7 +211,7 @@ impl Cutter {
     /// The motion in lattice coordinates.
     fn on_lattice(&self, segment: &Segment<'_>) -> [[f64; 4]; 2] {
         [0, 1].map(|axis| {
-            let Cells { origin_mm, step_mm, .. } = self.cells[axis];
+            let NodeCells { origin_mm, step_mm, .. } = self.cells[axis];
             let c = &segment.coefficient_mm[axis];
             [(c[0] - origin_mm) / step_mm, c[1] / step_mm, c[2] / step_mm, c[3] / step_mm]
         })
@@ -423,7 +424,8 @@ fn crossing(
     let [start, end] = between;
     let tolerance = CUT_TOLERANCE.max(4.0 * f64::EPSILON * level.abs());
     // v t + a t^2 / 2 = level - at, in the form that does not cancel
-    let (v, a) = (polynomial::evaluate(d, start), d[1] + 2.0 * d[2] * start);
+    let v = polynomial::evaluate(d, start);
+    let a = d[1] + 2.0 * d[2] * start;
     let root = (v * v + 2.0 * a * (level - at)).max(0.0).sqrt();
     let mut u = start + 2.0 * (level - at) / (if rising { v + root } else { v - root });
     for _ in 0..4 {
@@ -459,11 +461,11 @@ mod tests {
         Trajectory::new(vec![0.0, end], vec![c], vec![true], vec![Some(0)]).unwrap()
     }
 
-    fn cells(first: f64, step: f64) -> [Cells; 2] {
-        [Cells { origin_mm: first, step_mm: step, inner: None }; 2]
+    fn cells(first: f64, step: f64) -> [NodeCells; 2] {
+        [NodeCells { origin_mm: first, step_mm: step, inner: None }; 2]
     }
 
-    fn pieces(t: &Trajectory, cells: [Cells; 2], window: &Window) -> Vec<Piece> {
+    fn pieces(t: &Trajectory, cells: [NodeCells; 2], window: &Window) -> Vec<Piece> {
         let mut pieces = vec![];
         let mut cutter = Cutter::new(cells);
         for s in t.segments().enumerate() {
@@ -506,7 +508,7 @@ mod tests {
         ];
         for c in motions {
             for inner in [None, Some(0.3)] {
-                let cells = cells(0.0, 0.1).map(|c| Cells { inner, ..c });
+                let cells = cells(0.0, 0.1).map(|c| NodeCells { inner, ..c });
                 let t = trajectory(c, 2.0);
                 let found = pieces(&t, cells, &ALL);
                 let total: f64 = found.iter().map(seconds).sum();

@@ -51,7 +51,8 @@ pub fn sample(noise: Noise, size: f64, motion: &Motion, rng: &mut impl Rng, run:
                 let decay = (-h).exp();
                 let end_variance = -(-2.0 * h).exp_m1();
                 let covariance = weight * -(-h).exp_m1();
-                let (u, v) = (normal(), normal());
+                let u = normal();
+                let v = normal();
                 let slope = if end_variance > 0.0 { covariance / end_variance.sqrt() } else { 0.0 };
                 let left = (variance - weight * weight - slope * slope).max(0.0);
                 *rate += size * (x * weight + slope * u + left.sqrt() * v);

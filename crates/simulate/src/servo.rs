@@ -12,7 +12,7 @@
 
 use planish_numerics::polynomial::{derivative, evaluate};
 
-use crate::motion::Piece;
+use crate::motion::MotionPiece;
 
 /// Models of the axes' response.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,7 +41,7 @@ type State = [f64; 2];
 
 impl Servo {
     /// The motion of the axes under the command `pieces`; each new piece with the origin of its command.
-    pub fn follow(self, pieces: &[Piece], origin: &[usize]) -> (Vec<Piece>, Vec<usize>) {
+    pub fn follow(self, pieces: &[MotionPiece], origin: &[usize]) -> (Vec<MotionPiece>, Vec<usize>) {
         let lag_s = match self {
             Self::Lag { lag_s } | Self::FirstOrder { lag_s } | Self::SecondOrder { lag_s, .. } => {
                 lag_s
@@ -49,13 +49,14 @@ impl Servo {
         };
         // No lag is no servo; a negative one, which only the first can have, is an early tool.
         if matches!(self, Self::Lag { .. }) || lag_s <= 0.0 {
-            let late = |p: &Piece| Piece {
+            let late = |p: &MotionPiece| MotionPiece {
                 coefficient_mm: p.coefficient_mm.map(|c| lagging(&c, lag_s)),
                 ..*p
             };
             return (pieces.iter().map(late).collect(), origin.to_vec());
         }
-        let (mut motion, mut from) = (Vec::new(), Vec::new());
+        let mut motion = Vec::new();
+        let mut from = Vec::new();
         let Some(first) = pieces.first() else { return (motion, from) };
         let mut state: [State; 2] = first.coefficient_mm.map(|c| [c[0], 0.0]);
         for (p, command) in pieces.iter().zip(origin) {
@@ -87,7 +88,7 @@ impl Servo {
             for w in times.windows(2).filter(|w| w[1] > w[0]) {
                 let h = w[1] - w[0];
                 let coefficient_mm = std::array::from_fn(|a| hermite(at(a, w[0]), at(a, w[1]), h));
-                motion.push(Piece {
+                motion.push(MotionPiece {
                     start_s: p.start_s + w[0],
                     duration_s: h,
                     coefficient_mm,
@@ -147,7 +148,8 @@ impl Servo {
                 } else {
                     (1.0, u)
                 };
-                let (decay, b) = ((-z * w * u).exp(), dh + z * w * h);
+                let decay = (-z * w * u).exp();
+                let b = dh + z * w * h;
                 let now = h * c + b * s;
                 [decay * now, decay * (b * c - k * h * s - z * w * now)]
             }
@@ -173,12 +175,12 @@ mod tests {
     use planish_numerics::polynomial::shifted;
 
     /// A command that runs, brakes and turns, in three pieces.
-    fn command() -> Vec<Piece> {
+    fn command() -> Vec<MotionPiece> {
         let c = [[0.0, 3.0, 0.5, -0.2], [1.0, 0.0, 1.0, 0.1]];
         let d = [c[0], c[1]].map(|c| shifted(&c, 1.0));
         let brake = d.map(|c| [c[0], -0.5 * c[1], 0.3, 0.0]);
         let rest = brake.map(|c| [evaluate(&c, 0.7), 0.0, 0.0, 0.0]);
-        let piece = |start_s, duration_s, coefficient_mm| Piece {
+        let piece = |start_s, duration_s, coefficient_mm| MotionPiece {
             start_s,
             duration_s,
             coefficient_mm,
@@ -227,7 +229,7 @@ mod tests {
                         q[i] + h / 6.0 * (a[i] + 2.0 * b[i] + 2.0 * c[i] + d[i])
                     });
                     let t = p.start_s + f64::from(k + 1) * h;
-                    let of = |m: &&Piece| t >= m.start_s && t <= m.start_s + m.duration_s + 1e-12;
+                    let of = |m: &&MotionPiece| t >= m.start_s && t <= m.start_s + m.duration_s + 1e-12;
                     let m = motion.iter().find(of).unwrap();
                     worst = worst.max((evaluate(&m.coefficient_mm[0], t - m.start_s) - q[0]).abs());
                 }
@@ -239,7 +241,7 @@ mod tests {
 
     #[test]
     fn at_constant_velocity_every_servo_lags_by_its_lag() {
-        let run = Piece {
+        let run = MotionPiece {
             start_s: 0.0,
             duration_s: 5.0,
             coefficient_mm: [[1.0, 4.0, 0.0, 0.0], [0.0; 4]],

@@ -132,7 +132,8 @@ impl Lines<'_> {
         let Edge { nodes, convolution } = self.edge;
         let runs = convolution.runs();
         // The line of cells whose tool reaches the pixel i with its node k is i * subdivision + last - k.
-        let (step, last) = (self.across.subdivision, self.across.last + 2);
+        let step = self.across.subdivision;
+        let last = self.across.last + 2;
         let reached = |node: &BorderNode| {
             let first = (from as isize + node.k - last).max(0) as usize;
             let end = ((from + BLOCK * BLOCKS) as isize + node.k - last).max(0) as usize;
@@ -270,7 +271,8 @@ impl<'a> Blocks<'a> {
             _ => &[],
         };
         order.iter().map(|&piece| {
-            let (cell, kind) = (self.cells[piece as usize], self.kinds[piece as usize]);
+            let cell = self.cells[piece as usize];
+            let kind = self.kinds[piece as usize];
             (piece, (cell[self.axis] - self.lowest) as usize % BLOCK, kind[self.axis])
         })
     }

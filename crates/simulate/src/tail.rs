@@ -48,7 +48,9 @@ pub fn continued(tif: &Tif) -> Result<Option<Tif>, Invalid> {
     };
     let rate = smoothed(tif, &inside, tif.width_mm());
     let square = |r: usize, c: usize| x.at(c).powi(2) + y.at(r).powi(2);
-    let (mut last, mut count, mut nearest) = (0.0, 0.0, f64::INFINITY);
+    let mut last = 0.0;
+    let mut count = 0.0;
+    let mut nearest = f64::INFINITY;
     for ((r, c), v) in rate.indexed_iter() {
         if inside[[r, c]] && beside_end(r, c) {
             (last, count) = (last + v, count + 1.0);
@@ -83,7 +85,8 @@ pub fn continued(tif: &Tif) -> Result<Option<Tif>, Invalid> {
                 let i = ((v - axis.start_mm()) / axis.step_mm()).round();
                 (i >= 0.0 && i < axis.len() as f64).then_some(i as usize)
             };
-            let (c, r) = (node(&x, part * px)?, node(&y, part * py)?);
+            let c = node(&x, part * px)?;
+            let r = node(&y, part * py)?;
             let from = square(r, c);
             let v = rate[[r, c]] * ((from - px * px - py * py) / two_s2).exp();
             inside[[r, c]].then_some(v.max(0.0))
@@ -97,9 +100,10 @@ pub fn continued(tif: &Tif) -> Result<Option<Tif>, Invalid> {
         }
     });
     let volume = tif.rate_nm_per_s().sum();
-    match with_tail.sum() - volume <= MOST_VOLUME * volume {
-        true => Tif::new(Grid { x: x2, y: y2 }, with_tail).map(Some),
-        false => Ok(None),
+    if with_tail.sum() - volume <= MOST_VOLUME * volume {
+        Tif::new(Grid { x: x2, y: y2 }, with_tail).map(Some)
+    } else {
+        Ok(None)
     }
 }
 
@@ -108,7 +112,8 @@ fn fall(samples: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     // Weighted sums of 1, |p|^2, ln R, |p|^4, |p|^2 ln R
     let mut sums = [0.0; 5];
     for (square, rate) in samples {
-        let (weight, log) = (rate * rate, rate.ln());
+        let weight = rate * rate;
+        let log = rate.ln();
         let row = [1.0, square, log, square * square, square * log];
         sums.iter_mut().zip(row).for_each(|(sum, v)| *sum += weight * v);
     }

@@ -105,7 +105,8 @@ impl<'a> Tile<'a> {
         }
         // R = E - E ly - E lx + E ly lx                                              (2)
         let Workspace { seconds, transform, kept, spilt, sources, .. } = work;
-        let (x, y) = (&self.kernel.x, &self.kernel.y);
+        let x = &self.kernel.x;
+        let y = &self.kernel.y;
         let nodes = (y.nodes_of(&self.rows), x.nodes_of(&self.strips[0]));
         let mut strips = Seconds {
             seconds,
@@ -156,7 +157,8 @@ impl<'a> Tile<'a> {
         cells.clear();
         kinds.clear();
         let x = self.window.low[0]..self.window.high[0];
-        let (mut points, mut reached) = (0, false);
+        let mut points = 0;
+        let mut reached = false;
         for reach in segments.iter().filter(|r| r.is_in(0, &x)) {
             let segment = trajectory.segment(reach.segment);
             cutter.pieces((reach.segment, &segment), &self.window, weight, |piece| {
@@ -208,7 +210,8 @@ impl<'a> Tile<'a> {
     /// Adds the valid parts of the rows of both strips.
     fn add_rows(&self, lines: &Lines, rows: &mut Spilt, mut out: ArrayViewMut2<f64>) {
         let convolution = &lines.edge.convolution;
-        let (x, runs) = (&self.kernel.x, convolution.runs());
+        let x = &self.kernel.x;
+        let runs = convolution.runs();
         out.axis_chunks_iter_mut(NdAxis(0), GROUP)
             .into_par_iter()
             .zip(rows.spectra.par_chunks_mut(GROUP * runs))
@@ -270,7 +273,8 @@ impl<'a> Tile<'a> {
         kept: &Kept,
         mut out: ArrayViewMut2<f64>,
     ) {
-        let (x, y) = (&self.kernel.x, &self.kernel.y);
+        let x = &self.kernel.x;
+        let y = &self.kernel.y;
         let [left, right] = &self.strips;
         let columns = left.start..left.end.max(right.end);
         for ((seconds, cell), kind) in kept.seconds.iter().zip(&kept.cells).zip(&kept.kinds) {
@@ -335,7 +339,8 @@ impl Strips<f64> for Seconds<'_> {
             return;
         }
         // The first pixel at one of these nodes.
-        let (pixel, first) = (column.div_ceil(nx), column.next_multiple_of(nx) - column);
+        let pixel = column.div_ceil(nx);
+        let first = column.next_multiple_of(nx) - column;
         let (Some(left), Some(right)) = (left.get(first..), right.get(first..)) else { return };
         let mut out = self.out.row_mut(row / ny);
         let (to_left, to_right) = out.as_slice_mut().expect("in C order").split_at_mut(self.left);

@@ -126,7 +126,8 @@ fn end_of(tif: &Tif, inside: &Array2<bool>) -> (Vec<[f64; 2]>, bool) {
     // Places just outside: those beside a sample inside.
     let mut outside = Vec::new();
     // What the samples at the end have, and by how much they are below those before them.
-    let (mut last, mut fall) = (0.0, 0.0);
+    let mut last = 0.0;
+    let mut fall = 0.0;
     for r in -1..=ny as isize {
         for c in -1..=nx as isize {
             let beside = [(0, 1), (0, -1), (1, 0), (-1, 0)].into_iter();

@@ -12,7 +12,7 @@
 //! is written elsewhere, for comparison with what is learnt.
 //!
 //! Every error has its own random numbers, by its index in the error budget: an error added at the end of the file
-//! changes none of the others. The machine of a seed runs more than once ([`Settings::run`]). An error of one number
+//! changes none of the others. The machine of a seed runs more than once ([`VirtualMachineSettings::run`]). An error of one number
 //! is the same in all of its runs; noise is new in each. The map after a run is the map before the next one, with the
 //! same error of its measurement. So the measurements of a campaign are counted: run k is between the
 //! measurements k - 1 and k, and [`measure`] makes the first of a mirror.
@@ -47,7 +47,7 @@ const MOST_RUNS: u64 = 1_000_000;
 
 /// Settings of the machine.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct VirtualMachineSettings {
     /// Random seed of what is hidden.
     pub seed: u64,
     /// Number of the run of this machine, from 1.
@@ -60,7 +60,7 @@ pub struct Settings {
 
 /// A run and its measurement.
 #[derive(Clone, Debug)]
-pub struct Run {
+pub struct VirtualRun {
     /// Map measured after the run; invalid where the map before is.
     pub measured: Surface,
     /// True removal and true residual.
@@ -75,8 +75,8 @@ pub fn run(
     tif: &Tif,
     before: &Surface,
     process: &ErrorBudget,
-    settings: &Settings,
-) -> Result<Run, Invalid> {
+    settings: &VirtualMachineSettings,
+) -> Result<VirtualRun, Invalid> {
     check_run(settings.run)?;
     let moved = moved(tif, before.grid(), settings.tif_as_sampled)?;
     let runs = progress::part(0, 2, || Runs::new(trajectory, tif, &moved.tif, before.grid()))?;
@@ -86,9 +86,10 @@ pub fn run(
 }
 
 fn check_run(run: u64) -> Result<(), Invalid> {
-    match (1..=MOST_RUNS).contains(&run) {
-        true => Ok(()),
-        false => Err(Invalid::whole("run", format!("is {run}"), format!("give 1 to {MOST_RUNS}"))),
+    if (1..=MOST_RUNS).contains(&run) {
+        Ok(())
+    } else {
+        Err(Invalid::whole("run", format!("is {run}"), format!("give 1 to {MOST_RUNS}")))
     }
 }
 
@@ -125,7 +126,7 @@ pub fn draw_run(
     process: &ErrorBudget,
     seed: u64,
     run: u64,
-) -> Result<Run, Invalid> {
+) -> Result<VirtualRun, Invalid> {
     let mut deviation = Deviation::default();
     let mut errors = Vec::with_capacity(process.errors.len());
     for (i, error) in process.errors.iter().enumerate() {
@@ -151,7 +152,7 @@ pub fn draw_run(
     let true_before = Surface::new(*before.grid(), before.height_nm() + &m_1)?;
     let removal = Removal::new(&true_before, removal)?;
     let measured = Surface::new(*before.grid(), removal.residual().height_nm() - &m_2)?;
-    Ok(Run { measured, removal, hidden: Hidden { truth: deviation.truth(), errors } })
+    Ok(VirtualRun { measured, removal, hidden: Hidden { truth: deviation.truth(), errors } })
 }
 
 /// Error of the measurement `number` of the machine of a seed, nm.

@@ -87,7 +87,7 @@ impl Case {
     /// The motion without a tolerance of its distance from the path.
     fn pvt(&self, mode: Mode) -> Result<pvt::Schedule, String> {
         let settings =
-            pvt::Settings { max_path_distance_mm: Some(ANYWHERE_MM), ..pvt::Settings::of(mode) };
+            pvt::PvtSettings { max_path_distance_mm: Some(ANYWHERE_MM), ..pvt::PvtSettings::of(mode) };
         pvt::schedule(&self.path(), &self.dwell(), &self.limits, &settings)
             .map_err(|e| e.to_string())
     }
@@ -199,7 +199,7 @@ fn unstretched(trajectory: Trajectory) -> Motion {
 }
 
 fn pvt_motion(p: &ToolPath, d: &DwellTime, l: &Limits, mode: Mode) -> Result<Motion, String> {
-    let settings = pvt::Settings::of(mode);
+    let settings = pvt::PvtSettings::of(mode);
     let s = pvt::schedule(p, d, l, &settings).map_err(|e| e.to_string())?;
     let stretched = s.report.stretched.iter().any(|s| s.tool_on);
     Ok(Motion {
@@ -229,7 +229,7 @@ fn trig(
     limits: &Limits,
     repair: Repair,
 ) -> Result<trig_spline::Schedule, String> {
-    let settings = trig_spline::Settings { repair, ..Default::default() };
+    let settings = trig_spline::TrigSplineSettings { repair, ..Default::default() };
     trig_spline::schedule(path, dwell, limits, &settings).map_err(|e| e.to_string())
 }
 
@@ -1240,7 +1240,7 @@ fn disk_100_repaired_removes_a_piston_more() {
         (0..path.len()).map(|i| density(heights[i]) * path.segment_length_mm(i)).collect();
     let dwell = DwellTime::new(dwell_s).unwrap();
     let removal = |t: &Trajectory| {
-        let gridded = planish_simulate::Settings::Gridded;
+        let gridded = planish_simulate::SimulationSettings::Gridded;
         planish_simulate::simulate(t, tif, surface, gridded).unwrap().removal
     };
     let ideal = trig(&path, &dwell, &machine([1e6; 2], [1e12; 2]), Repair::Local).unwrap();

@@ -33,7 +33,7 @@ use crate::{
     error_budget::Noise,
     field::{Change, Field, Tool, cells_of_tif, field},
     inner::Inner,
-    motion::{Motion, Piece},
+    motion::{Motion, MotionPiece as Piece},
     reach::CosinesOnCells,
     sample::Mean,
 };

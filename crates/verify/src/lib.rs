@@ -263,7 +263,8 @@ struct AxisTally {
 
 impl AxisTally {
     fn new(axis: &MachineAxis, settings: &VerifySettings) -> Self {
-        let (v, a) = (axis.max_velocity, axis.max_acceleration);
+        let v = axis.max_velocity;
+        let a = axis.max_acceleration;
         let velocity_step = settings.velocity_step_mm_per_s + VELOCITY_STEP_ALLOWANCE * v;
         // Without a limit on jerk any step in acceleration is allowed.
         let acceleration_step = axis.max_jerk.map(|_| ACCELERATION_STEP_ALLOWANCE * a);
@@ -274,7 +275,8 @@ impl AxisTally {
             Some(Program::Cubics) => Some(Bound::StepOfProgram(tolerance)),
             Some(Program::Lines) => None,
         };
-        let (name, travel) = (axis.name, axis.travel);
+        let name = axis.name;
+        let travel = axis.travel;
         let units = if axis.is_rotary { UNITS_DEG } else { UNITS_MM };
         Self {
             ranges: [
@@ -323,14 +325,16 @@ impl AxisTally {
         }
 
         let state = |u: f64| [0, 1, 2].map(|order| evaluate(&orders[order], u));
-        let (start, end) = (state(0.0), state(h));
+        let start = state(0.0);
+        let end = state(h);
         self.add_steps(start, h, segment.place(i, 0.0, 0.0));
         self.before = Some((end, h));
 
         // Distance of the position from the interval between both ends of its own segment.
         let (low, high) = (start[0].min(end[0]), start[0].max(end[0]));
         let [p, v] = [&ranges[0], &ranges[1]];
-        let (above, below) = (p.max - high, low - p.min);
+        let above = p.max - high;
+        let below = low - p.min;
         let farthest = if below > above { p.min_at } else { p.max_at };
         add_excursion(&mut self.overshoot, segment.place(i, farthest, above.max(below)));
         // A velocity of both signs: the slower of the two directions is the reverse one.

@@ -227,7 +227,9 @@ impl<'a> Iterate<'a> {
 
     /// Replaces the rows by their tangents for the steps that follow; `gap` is the proven gap so far, nm^2.
     pub(super) fn keep_tangents(&mut self, gap: f64) {
-        let (density, value, c) = (self.density.clone(), self.f.value, self.c.clone());
+        let density = self.density.clone();
+        let value = self.f.value;
+        let c = self.c.clone();
         self.kept = Some(Kept { density, value, c, gap });
         self.here.iter_mut().for_each(|row| row.bend = [0.0; 3]);
         let mean = self.complementarity() / (self.c.len() + self.room.len()) as f64;
@@ -274,7 +276,8 @@ impl<'a> Iterate<'a> {
 
     /// Mehrotra's mu, from the step that aims at no products at all, and the products to aim at.
     fn centred(&self, inverse: &Inverse<'_>) -> (f64, Products) {
-        let (rows, bounds) = (self.c.len(), self.room.len());
+        let rows = self.c.len();
+        let bounds = self.room.len();
         let complementarity = self.complementarity();
         let zero = Products { rows: vec![0.0; rows], bounds: vec![0.0; bounds] };
         let predictor = self.direction(inverse, &zero, &self.excess);
@@ -295,7 +298,8 @@ impl<'a> Iterate<'a> {
         let towards = |t: &Products| self.direction(inverse, t, &self.excess);
         let mut step = towards(&target);
         for _ in 0..MAX_CENTRALITY_CORRECTIONS {
-            let (a, b) = (self.by_tangents(&step), self.dual(&step));
+            let a = self.by_tangents(&step);
+            let b = self.dual(&step);
             let [further_a, further_b] = [a, b].map(|v| (v + FURTHER).min(1.0));
             let correction = self.products(&step, further_a, further_b).correction(mu);
             let corrected = target.plus(&correction);

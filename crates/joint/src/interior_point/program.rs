@@ -6,7 +6,7 @@ use planish_numerics::{
     qp::bounded::Quadratic,
 };
 
-use crate::limits::{Constraint, Rows};
+use crate::limits::{Constraint, LimitRows};
 
 /// Largest fraction of a slack or of a dual variable that one step may take away, dimensionless; below 1. Larger:
 /// longer steps, but the next ones are short at rows that are nearly active. Smaller: more steps. Chosen.
@@ -31,7 +31,7 @@ pub struct Program<'a> {
     /// lo (n).
     pub lo: &'a [f64],
     /// c.
-    pub rows: &'a Rows<'a>,
+    pub rows: &'a LimitRows<'a>,
 }
 
 impl<'a> Program<'a> {

@@ -302,7 +302,8 @@ impl<'a> Search<'a> {
     pub(super) fn solution(self, end: End) -> Option<Solution> {
         let Executable { density, relative_gap, .. } = self.best.iterate?;
         let duals = [self.at.z, self.at.y];
-        let (objective, iterations) = (self.values, self.iteration);
+        let objective = self.values;
+        let iterations = self.iteration;
         Some(Solution { density, objective, iterations, duals, relative_gap, end })
     }
 }
@@ -315,7 +316,7 @@ mod tests {
     use crate::{
         curve::{Rounding, curves},
         interior_point::tests::{machine, part},
-        limits::Rows,
+        limits::LimitRows,
         merit::Price,
         mesh::Mesh,
     };
@@ -327,7 +328,7 @@ mod tests {
         let mesh = Mesh::new(&curves, &path, 0.7).unwrap();
         let residual = Residual::new(&desired, &tif, &mesh.points_mm, None, Free::Piston).unwrap();
         let normal = residual.normal(&mesh.columns(), None).unwrap();
-        let rows = Rows::new(&curves, &mesh, &machine(60.0, 400.0), 0.1);
+        let rows = LimitRows::new(&curves, &mesh, &machine(60.0, 400.0), 0.1);
         let lo = rows.least_density().to_vec();
         let density = vec![(1.05 * rows.least_uniform_density()).max(0.3); mesh.nodes];
         let (weights, price) = ((1e-4, 0.0), Price::Nm2PerS(1e-4));

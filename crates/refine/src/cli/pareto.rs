@@ -8,8 +8,8 @@ use planish_handoff::{
     kind, say, task,
 };
 use planish_refine::{
-    Settings,
-    trade_off::{self, Method},
+    RefineSettings,
+    trade_off::{self, PlanMethod},
 };
 use planish_schedule::pvt::{self, ModeChoice};
 use planish_types::{End, plausible, progress};
@@ -48,13 +48,13 @@ pub struct Pareto {
 impl Pareto {
     /// The plans, their table and their picture.
     pub fn run(&self) -> Result<Status, Failure> {
-        let mut settings = Settings { max_rounds: self.max_rounds, ..Settings::default() };
+        let mut settings = RefineSettings { max_rounds: self.max_rounds, ..RefineSettings::default() };
         settings.dwell.min_dwell = self.floor.bound(Bound::Seconds, Bound::SecondsPerMm)?;
         let mut inputs = Inputs::new();
         let (surface, tif) = self.mirror.read(&mut inputs)?;
         let path = self.path.read(&mut inputs)?;
         let machine = self.machine.read(&mut inputs)?;
-        let scheduler = pvt::Settings::of(self.mode.on(&machine));
+        let scheduler = pvt::PvtSettings::of(self.mode.on(&machine));
         settings.scheduler = &scheduler;
         let task = task!("pareto", json!({ "prices": self.prices, "refine": settings }));
         let mut output =
@@ -92,7 +92,7 @@ impl Pareto {
         let arrays = iterations(points.iter().map(|p| &p.best));
         let picture = trade_off::svg(&points, least_time_s).into_bytes();
         let ends: Vec<End> = points.iter().map(|p| p.end).collect();
-        let methods: Vec<Method> = points.iter().map(|p| p.method).collect();
+        let methods: Vec<PlanMethod> = points.iter().map(|p| p.method).collect();
         let of_points: Vec<f64> = points.iter().map(|p| p.time_weight_nm2_per_s).collect();
         let outcome = json!({
             "end": End::AllPrices,

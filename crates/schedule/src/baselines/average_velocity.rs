@@ -24,7 +24,7 @@ use crate::{
 
 /// Stretched segments and velocity steps of a schedule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Report {
+pub struct AverageVelocityReport {
     /// Segments that were given more time, in order.
     pub stretched: Vec<Stretched>,
     /// Time that the stretching added, s.
@@ -41,7 +41,7 @@ pub struct Schedule {
     /// Motion.
     pub trajectory: Trajectory,
     /// Stretched segments and velocity steps.
-    pub report: Report,
+    pub report: AverageVelocityReport,
 }
 
 /// Schedules `path` with the times `dwell`. A segment takes longer if the velocity limit or the
@@ -52,7 +52,7 @@ pub fn schedule(
     limits: &Limits,
 ) -> Result<Schedule, ScheduleError> {
     check_lengths(path, dwell)?;
-    let mut report = Report::default();
+    let mut report = AverageVelocityReport::default();
     let mut motion = TrajectoryBuilder::default();
     let mut before = [0.0; 2];
     let durations_s = durations_s(path, dwell, limits);
@@ -79,7 +79,7 @@ pub fn schedule(
     Ok(Schedule { trajectory: motion.build()?, report })
 }
 
-impl Report {
+impl AverageVelocityReport {
     fn step(&mut self, before: [f64; 2], after: [f64; 2]) {
         for axis in 0..2 {
             let largest = &mut self.largest_velocity_step_mm_per_s[axis];

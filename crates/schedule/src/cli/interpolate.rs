@@ -51,7 +51,8 @@ impl Interpolate {
         };
         let output = self.output.begin(&inputs)?;
         refuse_too_many(&source, self.cycle_s, table)?;
-        let (mut count, mut end_s) = (0_u64, 0.0);
+        let mut count = 0_u64;
+        let mut end_s = 0.0;
         output.write_by(|file| {
             let mut to = BufWriter::new(file);
             table.begin(&mut to)?;
@@ -144,9 +145,10 @@ fn for_each_line(
             break;
         }
         let whole = line.ends_with('\n') || (line.len() as u64) < LONGEST_LINE;
-        let parsed = match whole {
-            true => Record::parse(&line),
-            false => Err(format!("has more than {LONGEST_LINE} characters")),
+        let parsed = if whole {
+            Record::parse(&line)
+        } else {
+            Err(format!("has more than {LONGEST_LINE} characters"))
         };
         let pushed = parsed.and_then(|record| record.map_or(Ok(()), |record| push(&record)));
         pushed.map_err(|e| {

@@ -19,21 +19,21 @@ pub struct PvtAsPublished {
 impl MotionCommand for PvtAsPublished {
     const METHOD: &'static str = "pvt-as-published";
 
-    type Settings = pvt_as_published::Settings;
+    type Settings = pvt_as_published::AsPublishedSettings;
 
     fn given(&self) -> &Given {
         &self.given
     }
 
-    fn settings(&self, _: &Limits, _: f64) -> pvt_as_published::Settings {
-        pvt_as_published::Settings { rest_condition: self.rest_condition }
+    fn settings(&self, _: &Limits, _: f64) -> pvt_as_published::AsPublishedSettings {
+        pvt_as_published::AsPublishedSettings { rest_condition: self.rest_condition }
     }
 
     fn make(
         path: &ToolPath,
         dwell: &DwellTime,
         machine: &Limits,
-        settings: &pvt_as_published::Settings,
+        settings: &pvt_as_published::AsPublishedSettings,
     ) -> Result<Made, ScheduleError> {
         let s = pvt_as_published::schedule(path, dwell, machine, settings)?;
         let [x, y] = s.report.largest_position_error_mm.map(micron);

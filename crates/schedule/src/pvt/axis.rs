@@ -202,7 +202,8 @@ impl AxisProblem<'_> {
     /// displacements fix the velocity at zero.
     pub(super) fn parts(&self) -> Vec<Part> {
         let n = self.displacement_mm.len();
-        let (mut parts, mut start) = (Vec::new(), 0);
+        let mut parts = Vec::new();
+        let mut start = 0;
         for node in 1..=n {
             let is_long =
                 node - start >= LEAST_PART_SEGMENTS && self.allowed_signs(node) == [false, false];
@@ -221,9 +222,10 @@ impl AxisProblem<'_> {
         parts.par_iter_mut().filter(|part| part.solved.is_none()).for_each(|part| {
             let segments = part.segments.clone();
             let displacement_mm = Cow::Borrowed(&self.displacement_mm[segments.clone()]);
-            let velocity_range = match self.velocity_range.is_empty() {
-                true => Cow::Borrowed(&[][..]),
-                false => Cow::Borrowed(&self.velocity_range[segments.start..=segments.end]),
+            let velocity_range = if self.velocity_range.is_empty() {
+                Cow::Borrowed(&[][..])
+            } else {
+                Cow::Borrowed(&self.velocity_range[segments.start..=segments.end])
             };
             let problem = AxisProblem { displacement_mm, velocity_range, ..*self };
             part.solved = Some(problem.solve(&h[segments], price, &mut part.limited));
@@ -295,7 +297,10 @@ impl AxisProblem<'_> {
     }
 
     fn excess_of(&self, i: usize, v: &[f64], h: &[f64]) -> f64 {
-        let (dp, v0, v1, h) = (self.displacement_mm[i], v[i], v[i + 1], h[i]);
+        let dp = self.displacement_mm[i];
+        let v0 = v[i];
+        let v1 = v[i + 1];
+        let h = h[i];
         let (start, end) = accelerations(dp, v0, v1, h);
         let a = (start.abs().max(end.abs()) / self.max_acceleration).sqrt();
         let excess = a.max(peak_velocity(dp, v0, v1, h).0 / self.max_velocity);
@@ -397,7 +402,8 @@ impl AxisProblem<'_> {
     /// Penalty of elastic bounds, for an excess of 1 that lasts 1 s. It follows from the largest energy and
     /// the largest mean velocity of the axis, so that the energy hardly counts against it.
     fn elastic_price(&self, h: &[f64]) -> f64 {
-        let (n, dp) = (h.len(), &self.displacement_mm);
+        let n = h.len();
+        let dp = &self.displacement_mm;
         let of = |i: usize| 4.0 / h[i];
         let energy = (1..n).map(|i| of(i - 1) + of(i)).fold(of(0).max(of(n - 1)), f64::max);
         let mean = (0..n).map(|i| dp[i].abs() / h[i]).fold(0.0, f64::max);
@@ -411,7 +417,8 @@ impl AxisProblem<'_> {
     /// penalty is proportional to h_i e_i, about twice the time that a stretch of the segment would add.
     /// The excesses are then few and need little time.
     fn program(&self, h: &[f64], bounds: Bounds) -> chain::Program {
-        let (n, dp) = (h.len(), &self.displacement_mm);
+        let n = h.len();
+        let dp = &self.displacement_mm;
         // Sum over the segments at a node.
         let sum = |node: usize, of: &dyn Fn(usize) -> f64| {
             (node.saturating_sub(1)..(node + 1).min(n)).map(of).sum()
@@ -451,7 +458,9 @@ impl AxisProblem<'_> {
             return;
         }
         // |6 dp/h - (4 v0 + 2 v1)| <= a h,  |-6 dp/h + (2 v0 + 4 v1)| <= a h
-        let (d, a, v_max) = (dp / h[i], self.max_acceleration * h[i], self.max_velocity);
+        let d = dp / h[i];
+        let a = self.max_acceleration * h[i];
+        let v_max = self.max_velocity;
         let mut both = |row: [f64; 2], constant: f64, bound: f64| {
             rows.add(row, bound, bound - constant);
             rows.add(row.map(|v| -v), bound, bound + constant);
@@ -466,7 +475,8 @@ impl AxisProblem<'_> {
         }
         for u in limited.times(i) {
             // v(u) = (1-u)^2 v0 + 2u(1-u) (3 dp/h - v0 - v1) + u^2 v1
-            let (w, m) = (1.0 - u, 2.0 * u * (1.0 - u));
+            let w = 1.0 - u;
+            let m = 2.0 * u * (1.0 - u);
             both([w * w - m, u * u - m], 3.0 * m * d, v_max);
         }
     }

@@ -59,7 +59,7 @@ pub(super) fn motion(
         for (k, h) in timing.duration_s.iter_mut().enumerate() {
             *h = h.max(least_parts(k) * limits.min_segment_s());
         }
-        let pieces = Pieces::new(axes, near, &timing.duration_s, &is_cut);
+        let pieces = CutSegments::new(axes, near, &timing.duration_s, &is_cut);
         let more_cuts = pieces.cut_far_segments(near, &mut is_cut);
         if more_cuts {
             continue;
@@ -93,7 +93,7 @@ pub(super) fn motion(
 }
 
 /// Cubic pieces of a motion, as the problems of both axes along them.
-struct Pieces {
+struct CutSegments {
     /// Segment of every piece (m).
     segment: Vec<usize>,
     /// Times of the breaks (m+1), s, and their differences (m).
@@ -105,7 +105,7 @@ struct Pieces {
     velocity: [Vec<f64>; 2],
 }
 
-impl Pieces {
+impl CutSegments {
     /// The motion with durations h (N) that is cut at the nodes `is_cut` (N+1).
     fn new(axes: &[AxisProblem<'_>; 2], near: &NearPath, h: &[f64], is_cut: &[bool]) -> Self {
         let n = h.len();
@@ -114,9 +114,12 @@ impl Pieces {
             _ => node_velocities(&axis.displacement_mm, h, [0.0; 2]),
         });
         let cuts: Vec<usize> = (0..=n).filter(|node| is_cut[*node]).collect();
-        let cut_velocity = |node: usize| match node == 0 || node == n {
-            true => [0.0; 2],
-            false => near.held(node, [free[0][node], free[1][node]], h),
+        let cut_velocity = |node: usize| {
+            if node == 0 || node == n {
+                [0.0; 2]
+            } else {
+                near.held(node, [free[0][node], free[1][node]], h)
+            }
         };
         let mut pieces = Self {
             segment: Vec::new(),
@@ -139,7 +142,8 @@ impl Pieces {
                 times.extend(std::iter::repeat_n(h[k] / *parts as f64, *parts));
             }
             for a in 0..2 {
-                let (dp, h) = (&axes[a].displacement_mm[run.clone()], &h[run.clone()]);
+                let dp = &axes[a].displacement_mm[run.clone()];
+                let h = &h[run.clone()];
                 let (displacement, velocity) = match parts[0] {
                     4 => quarters(dp[0], h[0]),
                     3 => thirds(dp[0], h[0], [from[a], to[a]]),
@@ -179,7 +183,8 @@ impl Pieces {
     /// Piece i, which starts at `start`, mm.
     fn cubic(&self, i: usize, start: [f64; 2]) -> [[f64; 4]; 2] {
         [0, 1].map(|a| {
-            let (v, dp) = (&self.velocity[a], self.displacement_mm[a][i]);
+            let v = &self.velocity[a];
+            let dp = self.displacement_mm[a][i];
             coefficients(start[a], dp, v[i], v[i + 1], self.duration_s[i])
         })
     }
@@ -233,7 +238,8 @@ fn node_velocities(dp: &[f64], h: &[f64], ends: [f64; 2]) -> Vec<f64> {
     (v[0], v[n]) = (ends[0], ends[1]);
     let mut upper = vec![0.0; n + 1];
     for i in 1..n {
-        let (a, b) = (h[i - 1], h[i]);
+        let a = h[i - 1];
+        let b = h[i];
         // (6) at the ends, (2) else: the factors of v/h and of dp/h^2.
         let (own, mean) = if i == 1 { (6.0, 12.0) } else { (4.0, 6.0) };
         let (next, next_mean) = if i == n - 1 { (6.0, 12.0) } else { (4.0, 6.0) };

@@ -85,7 +85,7 @@ use crate::{ScheduleError, Scheduled, Scheduler, check_lengths, hermite::coeffic
 
 /// Settings of PVT.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Settings {
+pub struct PvtSettings {
     /// Objective of the motion: smooth or monotone.
     pub mode: Mode,
     /// True: segments get more time if the limits need it. False: such dwell times are refused.
@@ -96,7 +96,7 @@ pub struct Settings {
     pub max_path_distance_mm: Option<f64>,
 }
 
-impl Settings {
+impl PvtSettings {
     /// The settings of a mode: segments may be stretched, and the path has its usual tolerance.
     pub fn of(mode: Mode) -> Self {
         Self { mode, stretch: true, max_path_distance_mm: None }
@@ -105,7 +105,7 @@ impl Settings {
 
 /// Stretched segments and solvers of a schedule.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct PvtReport {
     /// Segments that were given more time, in order.
     pub stretched: Vec<Stretched>,
     /// Time that the stretching added with the tool on, s.
@@ -129,10 +129,10 @@ pub struct Schedule {
     /// Motion.
     pub trajectory: Trajectory,
     /// Stretched segments and solvers.
-    pub report: Report,
+    pub report: PvtReport,
 }
 
-impl Scheduler for Settings {
+impl Scheduler for PvtSettings {
     fn name(&self) -> &'static str {
         "pvt"
     }
@@ -158,7 +158,7 @@ pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
     limits: &Limits,
-    settings: &Settings,
+    settings: &PvtSettings,
 ) -> Result<Schedule, ScheduleError> {
     check_lengths(path, dwell)?;
     // The whole runs on the threads of rayon: handing over every part by itself would cost more than a part.
@@ -169,7 +169,7 @@ fn schedule_stretched(
     path: &ToolPath,
     dwell: &DwellTime,
     limits: &Limits,
-    settings: &Settings,
+    settings: &PvtSettings,
 ) -> Result<Schedule, ScheduleError> {
     let mut timing = Timing::new(path, dwell, limits);
     if timing.kept.is_empty() {
@@ -194,7 +194,7 @@ fn schedule_stretched(
         let (trajectory, rounds, held_nodes) =
             jerk_limited::motion(path, dwell, limits, settings.stretch, &mut timing, &axes, &near)?;
         let solver = [Solver::Tridiagonal; 2];
-        let report = Report::new(&timing, path, dwell, solver, rounds, held_nodes);
+        let report = PvtReport::new(&timing, path, dwell, solver, rounds, held_nodes);
         return Ok(Schedule { trajectory, report });
     }
 
@@ -308,14 +308,15 @@ fn joined_motion(
     [rounds, held_nodes]: [usize; 2],
 ) -> Result<Schedule, ScheduleError> {
     let [x, y] = parts.map(joined);
-    let report = Report::new(timing, path, dwell, [x.solver, y.solver], rounds, held_nodes);
+    let report = PvtReport::new(timing, path, dwell, [x.solver, y.solver], rounds, held_nodes);
     let velocity = [x.velocity, y.velocity];
     let n = timing.kept.len();
     let segments = parallel(n).map(|k| {
         let start = path.point_mm()[timing.kept[k]];
         let h = break_time_s[k + 1] - break_time_s[k];
         [0, 1].map(|axis| {
-            let (v, dp) = (&velocity[axis], axes[axis].displacement_mm[k]);
+            let v = &velocity[axis];
+            let dp = axes[axis].displacement_mm[k];
             coefficients(start[axis], dp, v[k], v[k + 1], h)
         })
     });
@@ -329,7 +330,7 @@ fn joined_motion(
     Ok(Schedule { trajectory, report })
 }
 
-impl Report {
+impl PvtReport {
     fn new(
         timing: &Timing,
         path: &ToolPath,
@@ -382,7 +383,7 @@ mod tests {
         let n = dwell_s.len();
         let path = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
         let limits = ion_beam();
-        let settings = Settings::of(Mode::Monotone);
+        let settings = PvtSettings::of(Mode::Monotone);
         let dwell = DwellTime::new(dwell_s).unwrap();
         let found = schedule(&path, &dwell, &limits, &settings).unwrap();
         // With segments slowed one by one, each by its excess, it was 7.7 s.
@@ -405,7 +406,7 @@ mod tests {
         let dwell_s = (0..900).map(|i| path.segment_length_mm(i) / 500.0 + 1e-4).collect();
         let dwell = DwellTime::new(dwell_s).unwrap();
         for mode in [Mode::Monotone, Mode::Smooth] {
-            let settings = Settings::of(mode);
+            let settings = PvtSettings::of(mode);
             let found = schedule(&path, &dwell, &limits, &settings).unwrap();
             let total_s = found.trajectory.total_time_s();
             // Slowed one by one, each by its excess, they took six times as long.
@@ -439,7 +440,7 @@ mod tests {
             let stops_s: f64 = (0..n).map(|i| dwell_s[i].max(rest_to_rest_s(i))).sum();
             let dwell = DwellTime::new(dwell_s).unwrap();
             for mode in [Mode::Monotone, Mode::Smooth] {
-                let settings = Settings::of(mode);
+                let settings = PvtSettings::of(mode);
                 let found = schedule(&path, &dwell, &limits, &settings).unwrap();
                 let total_s = found.trajectory.total_time_s();
                 // The search leaves 0.001 free for the program (`shortest::ROOM`).

@@ -55,9 +55,10 @@ impl Mode {
     /// Default mode of a machine: monotone, which never leaves the box of a segment. If the machine limits
     /// jerk: smooth, because the acceleration of monotone motions steps.
     pub fn within(limits: &Limits) -> Self {
-        match limits.axes().iter().any(|axis| axis.max_jerk_mm_per_s3().is_some()) {
-            true => Self::Smooth,
-            false => Self::Monotone,
+        if limits.axes().iter().any(|axis| axis.max_jerk_mm_per_s3().is_some()) {
+            Self::Smooth
+        } else {
+            Self::Monotone
         }
     }
 }

@@ -198,7 +198,9 @@ impl<'a> Search<'a> {
         let reach_s = braking_s(&self.axes[0]).max(braking_s(&self.axes[1]));
         let mut open = vec![false; n + 1];
         let mut pass = |segments: &mut dyn Iterator<Item = usize>, far: usize| {
-            let (mut left_s, mut left, mut go_on) = (0.0, 0, false);
+            let mut left_s = 0.0;
+            let mut left = 0;
+            let mut go_on = false;
             for i in segments {
                 if wanted[i] {
                     (left_s, left, go_on) = (reach_s, LEAST_REACH, true);
@@ -258,9 +260,8 @@ impl<'a> Search<'a> {
         };
         let direction: Vec<Velocity> =
             (0..=n).map(|node| if open[node] { self.direction(node) } else { [0.0; 2] }).collect();
-        let at = |node: usize, speed: f64| match open[node] {
-            true => direction[node].map(|d| speed * d),
-            false => before[node],
+        let at = |node: usize, speed: f64| {
+            if open[node] { direction[node].map(|d| speed * d) } else { before[node] }
         };
         let speed_of = |node: usize| before[node][0].hypot(before[node][1]);
         let is_even = |i: usize, from: f64, to: f64| {
@@ -287,9 +288,12 @@ impl<'a> Search<'a> {
             let asked = |i: usize| FASTER_THAN_ASKED * length_mm(i) / self.least_s[i];
             let most = largest.min(asked(node - 1)).min(asked(node));
             speed[node] = [node - 1, node]
-                .map(|i| match open[i] && open[i + 1] {
-                    true => highest(most, &|speed| is_even(i, speed, speed)),
-                    false => most,
+                .map(|i| {
+                    if open[i] && open[i + 1] {
+                        highest(most, &|speed| is_even(i, speed, speed))
+                    } else {
+                        most
+                    }
                 })
                 .into_iter()
                 .fold(most, f64::min);
@@ -301,7 +305,8 @@ impl<'a> Search<'a> {
             }
         }
         for i in (0..n).rev() {
-            let (most, to) = (speed[i], speed[i + 1]);
+            let most = speed[i];
+            let to = speed[i + 1];
             if open[i] && most > to {
                 speed[i] = highest(most, &|from| from < to || is_even(i, from, to)).max(to);
             }
@@ -407,7 +412,8 @@ impl<'a> Search<'a> {
         }
         [0, 1].map(|axis| {
             let problem = self.axes[axis].problem;
-            let (s0, s1) = (before[axis] / l0, after[axis] / l1);
+            let s0 = before[axis] / l0;
+            let s1 = after[axis] / l1;
             if problem.allowed_signs(node) == [false, false] {
                 0.0
             } else if problem.is_reversal_allowed() {
@@ -458,7 +464,8 @@ impl Axis<'_> {
         const ROUNDING: f64 = 1e-12;
         let dp = self.problem.displacement_mm[i];
         let [dp, v0, v1] = if dp < 0.0 { [-dp, -v0, -v1] } else { [dp, v0, v1] };
-        let (limit, sum) = (self.velocity, v0 + v1);
+        let limit = self.velocity;
+        let sum = v0 + v1;
         if v0.abs().max(v1.abs()) > limit {
             return f64::INFINITY;
         }
@@ -478,7 +485,9 @@ impl Axis<'_> {
         }
         // (2)
         if self.jerk.is_finite() {
-            let (c0, c1, j) = (12.0 * dp, 6.0 * sum, self.jerk);
+            let c0 = 12.0 * dp;
+            let c1 = 6.0 * sum;
+            let j = self.jerk;
             for (c0, c1) in [(c0, -c1), (-c0, c1)] {
                 if c0 + c1 * h > (1.0 + ROUNDING) * j * h.powi(3) {
                     h = h.max(end_of_cubic(c0, c1, j));

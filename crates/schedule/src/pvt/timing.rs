@@ -110,7 +110,8 @@ pub(crate) fn durations_s(path: &ToolPath, dwell: &DwellTime, limits: &Limits) -
 
 /// Least time of segment `i`, s: the mean velocity keeps its limits, and the controller accepts the duration.
 fn least_time(path: &ToolPath, limits: &Limits, i: usize) -> f64 {
-    let (dp, v) = (path.displacement_mm(i), limits.max_velocity_mm_per_s());
+    let dp = path.displacement_mm(i);
+    let v = limits.max_velocity_mm_per_s();
     let axis = |a: usize| dp[a].abs() / v[a];
     axis(0).max(axis(1)).max(limits.min_segment_s())
 }

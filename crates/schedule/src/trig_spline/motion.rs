@@ -5,8 +5,8 @@ use planish_types::{DwellTime, Limits, ToolPath, TrajectoryBuilder};
 
 use super::{
     passes::{MARGIN, Pass, Straight, along},
-    report::Report,
-    spline::{Piece, STRETCH_PLACES, Stretch},
+    report::TrigSplineReport,
+    spline::{TrigPiece, STRETCH_PLACES, Stretch},
 };
 use crate::{
     hermite::{accelerations, coefficients, peak_velocity},
@@ -19,7 +19,7 @@ pub(super) struct Motion<'a> {
     dwell: &'a DwellTime,
     limits: &'a Limits,
     tolerance_mm: f64,
-    pub(super) report: Report,
+    pub(super) report: TrigSplineReport,
     /// Pieces that are not proven: number of the pass, first node.
     pub(super) unproven: Vec<(usize, usize)>,
     /// The segments so far.
@@ -36,10 +36,11 @@ impl<'a> Motion<'a> {
         limits: &'a Limits,
         tolerance_mm: f64,
         passes: &[Pass],
-        report: Report,
+        report: TrigSplineReport,
     ) -> Self {
         let now = State { position_mm: path.point_mm()[0], velocity_mm_per_s: [0.0; 2] };
-        let (unproven, made) = (Vec::new(), TrajectoryBuilder::default());
+        let unproven = Vec::new();
+        let made = TrajectoryBuilder::default();
         let mut motion = Self { path, dwell, limits, tolerance_mm, report, unproven, made, now };
         motion.walk(passes);
         motion
@@ -70,7 +71,8 @@ impl<'a> Motion<'a> {
         let (speed, direction) = polar(start.velocity_mm_per_s);
         if speed > 0.0 {
             let a = self.acceleration_along(direction);
-            let (t, distance) = (speed / a, 0.5 * speed * speed / a);
+            let t = speed / a;
+            let distance = 0.5 * speed * speed / a;
             let c = [0, 1].map(|x| {
                 let u = direction[x];
                 [start.position_mm[x] - u * distance, 0.0, 0.5 * u * a, 0.0]
@@ -140,7 +142,8 @@ impl<'a> Motion<'a> {
             return;
         }
         let last = pass.nodes.len() - 1;
-        let (first_straight, last_straight) = (&pass.straights[0], pass.straights.len() - 1);
+        let first_straight = &pass.straights[0];
+        let last_straight = pass.straights.len() - 1;
         self.plateau(first_straight, 0.0, 0.5 * first_straight.length, pass.nodes[0].density);
         for k in 0..last {
             if !self.piece(pass, k) {
@@ -164,13 +167,16 @@ impl<'a> Motion<'a> {
 
     /// Adds the parabola at corner node k, in two halves.
     fn blend(&mut self, pass: &Pass, k: usize) {
-        let (node, s) = (&pass.nodes[k], &pass.straights[pass.straight_of[k]]);
+        let node = &pass.nodes[k];
+        let s = &pass.straights[pass.straight_of[k]];
         let next = &pass.straights[pass.straight_of[k] + 1];
-        let (b, v) = (node.half_length_mm, 1.0 / node.density);
+        let b = node.half_length_mm;
+        let v = 1.0 / node.density;
         let half_s = b * node.density;
         // p(u) = corner - b u1 + v u1 u + (u2 - u1) v^2/(4 b) u^2
         let c = [0, 1].map(|a| {
-            let (u1, u2) = (s.direction[a], next.direction[a]);
+            let u1 = s.direction[a];
+            let u2 = next.direction[a];
             [next.start[a] - b * u1, v * u1, (u2 - u1) * v * v / (4.0 * b), 0.0]
         });
         let middle = c.map(|c| {
@@ -182,7 +188,8 @@ impl<'a> Motion<'a> {
 
     /// Adds the piece from node k to the next one, by step 5. Returns true if it is proven within the limits.
     fn piece(&mut self, pass: &Pass, k: usize) -> bool {
-        let (a, b) = (&pass.nodes[k], &pass.nodes[k + 1]);
+        let a = &pass.nodes[k];
+        let b = &pass.nodes[k + 1];
         let own = &pass.straights[pass.straight_of[k]];
         // The straight along which the piece starts, and the start on it. A piece between two dwell points
         // is cut at the end of the first segment.
@@ -192,7 +199,7 @@ impl<'a> Motion<'a> {
             _ => (own, 0.5 * own.length),
         };
         let limited = pass.piece(k);
-        let fit = Fit {
+        let fit = CubicFit {
             shape: limited.shape,
             // A corner's is that of two directions.
             max_velocity: 1.0 / if a.half_length_mm > 0.0 { b.fastest } else { a.fastest },
@@ -201,12 +208,11 @@ impl<'a> Motion<'a> {
         };
         let both = match next {
             Some(next) if a.half_length_mm == 0.0 && b.half_length_mm == 0.0 => {
-                let [first, second] = match (own.length / next.length - 1.0).abs() <= SAME_LENGTH {
-                    true => Stretch::WHOLE.halves(),
-                    false => {
-                        let cut = 0.5 * own.length / fit.shape.length_mm;
-                        [Stretch::new(0.0, cut), Stretch::new(cut, 1.0)]
-                    }
+                let [first, second] = if (own.length / next.length - 1.0).abs() <= SAME_LENGTH {
+                    Stretch::WHOLE.halves()
+                } else {
+                    let cut = 0.5 * own.length / fit.shape.length_mm;
+                    [Stretch::new(0.0, cut), Stretch::new(cut, 1.0)]
                 };
                 [Some((first, own.index)), Some((second, next.index))]
             }
@@ -243,8 +249,8 @@ const SAME_LENGTH: f64 = 1e-12;
 
 /// Piece to be fitted, its limits and the tolerance.
 #[derive(Clone, Copy, Debug)]
-struct Fit {
-    shape: Piece,
+struct CubicFit {
+    shape: TrigPiece,
     max_velocity: f64,
     max_acceleration: f64,
     tolerance_mm: f64,
@@ -273,7 +279,7 @@ const MAX_HALVINGS: usize = 20;
 /// the tolerance. Smaller: more cubics.
 const FIT_SAFETY: f64 = 0.95;
 
-impl Fit {
+impl CubicFit {
     /// Cubics along a stretch, in order.
     fn cubics(&self, stretch: Stretch, halvings: usize, emit: &mut impl FnMut(Cubic)) {
         if let Some(cubic) = self.cubic(&stretch, halvings == MAX_HALVINGS) {

@@ -7,8 +7,8 @@ use planish_numerics::linear::tridiagonal::{self, Row};
 use planish_types::{DensityNodes, DwellDensity, DwellTime, Invalid, Limits, ToolPath};
 
 use super::{
-    report::Report,
-    spline::{Limited, Piece},
+    report::TrigSplineReport,
+    spline::{Limited, TrigPiece},
 };
 use crate::{rounding_mm, shortest_cubic::State};
 
@@ -117,9 +117,10 @@ impl Pass {
         limits: &Limits,
         corner_deviation_mm: f64,
         run: Range<usize>,
-        report: &mut Report,
+        report: &mut TrigSplineReport,
     ) -> Self {
-        let (v_max, a_max) = (limits.max_velocity_mm_per_s(), limits.max_acceleration_mm_per_s2());
+        let v_max = limits.max_velocity_mm_per_s();
+        let a_max = limits.max_acceleration_mm_per_s2();
         let mut arc_length: f64 = (0..run.start).map(|i| path.segment_length_mm(i)).sum();
         let mut straights: Vec<Straight> = Vec::new();
         for index in run.clone() {
@@ -186,7 +187,7 @@ impl Pass {
 
     /// Dwell time of every straight; a segment without length gives its time to the straights
     /// before and after it.
-    fn times(&self, dwell: &DwellTime, report: &mut Report) -> Vec<f64> {
+    fn times(&self, dwell: &DwellTime, report: &mut TrigSplineReport) -> Vec<f64> {
         let mut times: Vec<f64> = self.straights.iter().map(|s| dwell.dwell_s()[s.index]).collect();
         let has_length = |i: &usize| self.straights.binary_search_by_key(i, |s| s.index).is_ok();
         for i in self.run.clone().filter(|i| !has_length(i)) {
@@ -206,7 +207,7 @@ impl Pass {
 
     /// Densities of the dwell points that give every straight its time: row k holds the time that
     /// a density of 1 at the dwell points k-1, k, k+1 gives straight k.
-    fn densities(&self, times: &[f64], report: &mut Report) -> Vec<f64> {
+    fn densities(&self, times: &[f64], report: &mut TrigSplineReport) -> Vec<f64> {
         let n = self.straights.len();
         let mut rows = vec![[0.0; 3]; n];
         for k in 0..n {
@@ -217,7 +218,8 @@ impl Pass {
             };
         }
         for k in 0..n - 1 {
-            let (s, next) = (&self.straights[k], &self.straights[k + 1]);
+            let s = &self.straights[k];
+            let next = &self.straights[k + 1];
             let [before, after] = match s.corner {
                 Some(corner) => {
                     // Dwell point, cosine to the corner, plateau b | b, cosine, dwell point:
@@ -250,12 +252,16 @@ impl Pass {
         // A density that was held before its neighbours may have less than its time. It is released again, a few
         // times at most.
         let least: Vec<f64> = (0..n).map(|k| 0.5 * times[k] / self.straights[k].length).collect();
-        let (mut held, mut times_let_go) = (vec![false; n], vec![0; n]);
+        let mut held = vec![false; n];
+        let mut times_let_go = vec![0; n];
         loop {
             // Every row is diagonally dominant, at least weakly.
-            let d = tridiagonal::solve(n, |k| match held[k] {
-                true => Row::held(least[k]),
-                false => Row { elements: rows[k], right: times[k] },
+            let d = tridiagonal::solve(n, |k| {
+                if held[k] {
+                    Row::held(least[k])
+                } else {
+                    Row { elements: rows[k], right: times[k] }
+                }
             });
             let low: Vec<usize> =
                 (0..n).filter(|k| !held[*k] && (d[*k].is_nan() || d[*k] < least[*k])).collect();
@@ -265,9 +271,10 @@ impl Pass {
                 before * at(k.checked_sub(1)) + own * d[k] + after * at(Some(k + 1))
             };
             let short = |k: &usize| held[*k] && time(*k) < (1.0 - SHORT) * times[*k];
-            let let_go: Vec<usize> = match low.is_empty() {
-                true => (0..n).filter(|k| times_let_go[*k] < MOST_LET_GO).filter(short).collect(),
-                false => Vec::new(),
+            let let_go: Vec<usize> = if low.is_empty() {
+                (0..n).filter(|k| times_let_go[*k] < MOST_LET_GO).filter(short).collect()
+            } else {
+                Vec::new()
             };
             if low.is_empty() && let_go.is_empty() {
                 report.held_densities += held.iter().filter(|h| **h).count();
@@ -283,7 +290,8 @@ impl Pass {
 
     /// Piece from node k to the next one.
     pub(super) fn piece(&self, k: usize) -> Limited {
-        let (a, b) = (&self.nodes[k], &self.nodes[k + 1]);
+        let a = &self.nodes[k];
+        let b = &self.nodes[k + 1];
         let (from, to) = (self.arc_length(k), self.arc_length(k + 1));
         let length_mm = to - b.half_length_mm - (from + a.half_length_mm);
         let straight = &self.straights[self.straight_of[k]];
@@ -294,7 +302,7 @@ impl Pass {
             straight
         };
         Limited {
-            shape: Piece { density_s_per_mm: [a.density, b.density], length_mm },
+            shape: TrigPiece { density_s_per_mm: [a.density, b.density], length_mm },
             max_acceleration: straight.max_acceleration,
         }
     }
@@ -368,10 +376,12 @@ pub(super) fn density_of(
             nodes.pass_idx.push(number as i64);
             nodes.corner.push(is_corner);
         };
-        let (first, last) = (&pass.straights[0], &pass.straights[pass.straights.len() - 1]);
+        let first = &pass.straights[0];
+        let last = &pass.straights[pass.straights.len() - 1];
         push(first, 0.0, pass.nodes[0].density, false);
         for (node, k) in pass.nodes.iter().zip(&pass.straight_of) {
-            let (straight, b) = (&pass.straights[*k], node.half_length_mm);
+            let straight = &pass.straights[*k];
+            let b = node.half_length_mm;
             if b == 0.0 {
                 push(straight, 0.5 * straight.length, node.density, false);
             } else {

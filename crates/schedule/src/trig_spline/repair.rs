@@ -3,7 +3,7 @@
 
 use serde::Serialize;
 
-use super::{passes::Pass, report::Report};
+use super::{passes::Pass, report::TrigSplineReport};
 
 /// Repair of the densities that the machine cannot follow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
@@ -38,7 +38,7 @@ pub(super) const PROOF_ROUNDS: usize = 16;
 
 /// Repairs the densities by step 2, in O(N): the offset grows piece by piece, and no piece is visited
 /// twice.
-pub(super) fn repair(passes: &mut [Pass], how: Repair, report: &mut Report) {
+pub(super) fn repair(passes: &mut [Pass], how: Repair, report: &mut TrigSplineReport) {
     let before: f64 = passes.iter().map(Pass::duration_s).sum();
     let all = || passes.iter().flat_map(|p| &p.nodes).filter(|n| n.half_length_mm == 0.0);
     let smallest = all().map(|n| n.density).fold(f64::INFINITY, f64::min);
@@ -68,7 +68,7 @@ pub(super) fn repair(passes: &mut [Pass], how: Repair, report: &mut Report) {
 }
 
 /// Raises the densities at corners and beside them, step 3.
-pub(super) fn slow_at_corners(passes: &mut [Pass], report: &mut Report) {
+pub(super) fn slow_at_corners(passes: &mut [Pass], report: &mut TrigSplineReport) {
     let before: f64 = passes.iter().map(Pass::duration_s).sum();
     for pass in passes.iter_mut() {
         for n in pass.nodes.iter_mut().filter(|n| n.density < n.least) {
@@ -105,7 +105,7 @@ pub(super) fn ease(
     passes: &mut [Pass],
     unproven: &[(usize, usize)],
     round: usize,
-    report: &mut Report,
+    report: &mut TrigSplineReport,
 ) {
     let before: f64 = passes.iter().map(Pass::duration_s).sum();
     if round < EVENING_ROUNDS {
@@ -143,7 +143,7 @@ mod tests {
         let path = ToolPath::through(points, vec![true; 30], vec![0; 30]).unwrap();
         let t = (0..30).map(|i| [1e-3, 2.0, 0.1][i % 3]).collect();
         let limits = machine([50.0; 2], [300.0, 200.0]);
-        let mut report = Report::default();
+        let mut report = TrigSplineReport::default();
         let dwell = DwellTime::new(t).unwrap();
         let mut passes = vec![Pass::new(&path, &dwell, &limits, 0.02, 0..30, &mut report)];
         repair(&mut passes, Repair::Local, &mut report);

@@ -9,7 +9,7 @@ const BISECTIONS: usize = 60;
 
 /// One piece of the spline, (1).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Piece {
+pub struct TrigPiece {
     /// Densities at its ends, s/mm; > 0.
     pub density_s_per_mm: [f64; 2],
     /// Length, mm; > 0.
@@ -26,7 +26,7 @@ pub(super) struct Place {
     pub(super) density_s_per_mm: f64,
 }
 
-impl Piece {
+impl TrigPiece {
     fn sum(&self) -> f64 {
         self.density_s_per_mm[0] + self.density_s_per_mm[1]
     }
@@ -78,7 +78,8 @@ impl Piece {
         let cosine = cosines[0].max(cosines[1]);
         let q = PI / self.length_mm;
         let amplitude = 0.5 * q * self.difference().abs();
-        let (first, second) = (amplitude * sine, amplitude * q * cosine);
+        let first = amplitude * sine;
+        let second = amplitude * q * cosine;
         let third = first * q * q;
         // D is monotone.
         let least = ends[0].density_s_per_mm.min(ends[1].density_s_per_mm);
@@ -167,7 +168,8 @@ fn time_weights(from: f64, to: f64) -> [f64; 2] {
     //   of sin^2(pi x/2):  (theta - sin theta)/pi + 2/pi sin^2(pi m/2) sin theta,  theta = pi w/2
     //   of cos^2(pi x/2):  the same with 1 - m
     let theta = 0.5 * PI * (to - from);
-    let (sine, excess) = (theta.sin(), angle_less_sine(theta));
+    let sine = theta.sin();
+    let excess = angle_less_sine(theta);
     let part = |m: f64| (excess + 2.0 * (0.5 * PI * m).sin().powi(2) * sine) / PI;
     [0.5 * ((1.0 - from) + (1.0 - to)), 0.5 * (from + to)].map(part)
 }
@@ -254,7 +256,8 @@ fn angle_less_sine(x: f64) -> f64 {
     }
     // x^3/3! - x^5/5! + ...; 0.5^18/19! is below rounding.
     let x2 = x * x;
-    let (mut term, mut sum) = (x * x2 / 6.0, 0.0);
+    let mut term = x * x2 / 6.0;
+    let mut sum = 0.0;
     for k in 1..=8 {
         sum += term;
         term *= -x2 / f64::from((2 * k + 2) * (2 * k + 3));
@@ -265,7 +268,7 @@ fn angle_less_sine(x: f64) -> f64 {
 /// Piece with the acceleration that the machine allows along it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limited {
-    pub(super) shape: Piece,
+    pub(super) shape: TrigPiece,
     /// Largest acceleration along the path, mm/s^2, less the margin.
     pub(super) max_acceleration: f64,
 }
@@ -312,8 +315,8 @@ fn bisect(mut low: f64, mut high: f64, good: impl Fn(f64) -> bool) -> f64 {
 mod tests {
     use super::*;
 
-    fn piece(d1: f64, d2: f64, length_mm: f64) -> Piece {
-        Piece { density_s_per_mm: [d1, d2], length_mm }
+    fn piece(d1: f64, d2: f64, length_mm: f64) -> TrigPiece {
+        TrigPiece { density_s_per_mm: [d1, d2], length_mm }
     }
 
     #[test]

@@ -11,7 +11,7 @@ use planish_handoff::{
 use planish_simulate::{
     coverage::Coverage,
     error_budget::ErrorBudgetFile,
-    virtual_machine::{Settings, run},
+    virtual_machine::{VirtualMachineSettings, run},
 };
 use planish_types::{
     Removal, Surface,
@@ -69,7 +69,7 @@ impl VirtualRun {
         mirror: &MirrorArgs,
         output: &OutputArgs,
     ) -> Result<Status, Failure> {
-        let settings = Settings {
+        let settings = VirtualMachineSettings {
             seed: self.seed,
             run: self.number,
             known: self.known,

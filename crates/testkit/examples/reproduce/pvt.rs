@@ -13,7 +13,7 @@ use planish_schedule::{
     baselines::{position, pvt_as_published},
     constant_acceleration, pvt,
 };
-use planish_simulate::{Settings, simulate};
+use planish_simulate::{SimulationSettings as Settings, simulate};
 use planish_testkit::{ion_beam, mirror::mirror};
 use planish_tool::tif_fit;
 use planish_toolpath::{
@@ -102,7 +102,7 @@ impl Run<'_> {
 
     fn pvt(&self, mode: pvt::Mode) -> Trajectory {
         // The publication has no tolerance of the distance from the path.
-        let settings = pvt::Settings { max_path_distance_mm: Some(1e9), ..pvt::Settings::of(mode) };
+        let settings = pvt::PvtSettings { max_path_distance_mm: Some(1e9), ..pvt::PvtSettings::of(mode) };
         pvt::schedule(&self.path, &self.dwell, &ion_beam(), &settings).expect("a motion").trajectory
     }
 

@@ -51,13 +51,13 @@ pub(super) enum Side {
 
 /// Row `value x[first..] = right` of the least squares.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Row {
+pub(super) struct ResidualRow {
     pub(super) first: usize,
     pub(super) value: [f64; 2 * PER_NODE],
     pub(super) right: f64,
 }
 
-impl Row {
+impl ResidualRow {
     pub(super) fn residual(&self, x: &[f64]) -> f64 {
         let terms = self.value.iter().zip(&x[self.first..]).map(|(c, x)| c * x);
         terms.sum::<f64>() - self.right
@@ -67,14 +67,15 @@ impl Row {
 /// Problem min |J x - r|^2; the rows ascend in `first`.
 #[derive(Clone, Debug)]
 pub(super) struct LeastSquares {
-    pub(super) rows: Vec<Row>,
+    pub(super) rows: Vec<ResidualRow>,
     pub(super) unknowns: usize,
 }
 
 impl LeastSquares {
     /// Gradient J'(J x - r), and the diagonal of J'J.
     pub(super) fn gradient(&self, x: &[f64]) -> (Vec<f64>, Vec<f64>) {
-        let (mut gradient, mut square) = (vec![0.0; self.unknowns], vec![0.0; self.unknowns]);
+        let mut gradient = vec![0.0; self.unknowns];
+        let mut square = vec![0.0; self.unknowns];
         for row in &self.rows {
             let residual = row.residual(x);
             for (k, c) in row.value.iter().enumerate() {
@@ -169,7 +170,8 @@ impl LeastSquares {
         let scale = self.right_norm();
         for change in 1..=MAX_CHANGES {
             let wanted = self.solve_with_fixed(|j| bound(j, side[j]))?;
-            let (mut step, mut first) = (1.0, None);
+            let mut step = 1.0;
+            let mut first = None;
             for j in 0..x.len() {
                 let (at, hit) = match wanted[j] {
                     w if w < low[j] => (low[j], Side::Low),
@@ -220,7 +222,8 @@ impl LeastSquares {
         let mut triangle = vec![[0.0_f64; BAND + 1]; n];
         let mut right = vec![0.0; n];
         for row in &self.rows {
-            let (mut c, mut b) = (row.value, row.right);
+            let mut c = row.value;
+            let mut b = row.right;
             for (k, c) in c.iter_mut().enumerate() {
                 if let Some(value) = value[row.first + k] {
                     b -= *c * value;
@@ -259,8 +262,12 @@ impl LeastSquares {
 
     /// Solution by clarabel, to its tolerance of 1e-8, as min |z|^2/2 with J x - z = r.
     pub(super) fn interior_point(&self, low: &[f64], high: &[f64]) -> Vec<f64> {
-        let (n, m) = (self.unknowns, self.rows.len());
-        let (mut r, mut c, mut v, mut bound) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let n = self.unknowns;
+        let m = self.rows.len();
+        let mut r = Vec::new();
+        let mut c = Vec::new();
+        let mut v = Vec::new();
+        let mut bound = Vec::new();
         for (i, row) in self.rows.iter().enumerate() {
             for (k, value) in row.value.iter().enumerate().filter(|(_, value)| **value != 0.0) {
                 r.push(i);

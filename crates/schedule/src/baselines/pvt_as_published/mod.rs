@@ -57,7 +57,7 @@ mod least_squares;
 use planish_types::{DwellTime, Invalid, Limits, NotConverged, ToolPath, Trajectory, break_times};
 use serde::Serialize;
 
-use self::least_squares::{LeastSquares, MAX_ROUNDS, PER_NODE, Row, Side};
+use self::least_squares::{LeastSquares, MAX_ROUNDS, PER_NODE, ResidualRow, Side};
 use crate::{
     ScheduleError, check_lengths,
     hermite::{accelerations, coefficients},
@@ -77,14 +77,14 @@ pub enum RestCondition {
 
 /// Settings of PVT as published.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Settings {
+pub struct AsPublishedSettings {
     /// Node at which Eq. 16 sets the tool at rest.
     pub rest_condition: RestCondition,
 }
 
 /// Errors of the least squares and of the motion, per axis [x, y].
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Report {
+pub struct AsPublishedReport {
     /// Largest distance of the least-squares cubics from their control points, mm.
     pub largest_position_error_mm: [f64; 2],
     /// RMS of that distance over both ends of every segment, mm.
@@ -115,7 +115,7 @@ pub struct Schedule {
     /// Motion.
     pub trajectory: Trajectory,
     /// Errors of the least squares and of the motion.
-    pub report: Report,
+    pub report: AsPublishedReport,
 }
 
 /// Schedules `path` with the times `dwell`, and stretches nothing.
@@ -125,10 +125,10 @@ pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
     limits: &Limits,
-    settings: &Settings,
+    settings: &AsPublishedSettings,
 ) -> Result<Schedule, ScheduleError> {
     check_lengths(path, dwell)?;
-    let mut report = Report::default();
+    let mut report = AsPublishedReport::default();
     let mut kept = Vec::new();
     // A length that is rounding, in a time that vanishes in the rounding of the break times, is no segment.
     let least_s = 4.0 * f64::EPSILON * dwell.total_s();
@@ -179,10 +179,11 @@ pub fn schedule(
     Ok(Schedule { trajectory, report })
 }
 
-impl Report {
+impl AsPublishedReport {
     fn measure(&mut self, axis: usize, problem: &Axis, nodes: &Nodes) {
         let n = problem.duration_s.len();
-        let (mut largest, mut sum) = (0.0_f64, 0.0);
+        let mut largest = 0.0_f64;
+        let mut sum = 0.0;
         for i in 0..n {
             for error in problem.position_errors(nodes, i) {
                 largest = largest.max(error.abs());
@@ -191,7 +192,8 @@ impl Report {
         }
         self.largest_position_error_mm[axis] = largest;
         self.rms_position_error_mm[axis] = (sum / (2 * n) as f64).sqrt();
-        let (dp, h) = (&problem.displacement_mm, &problem.duration_s);
+        let dp = &problem.displacement_mm;
+        let h = &problem.duration_s;
         self.resting_segments[axis] = dp.iter().filter(|d| **d == 0.0).count();
         for i in 1..n {
             let v = nodes.velocity(i);
@@ -241,7 +243,7 @@ impl Nodes {
     }
 }
 
-/// Largest [`Report::optimality`] of a solution, relative; others are refused. Larger: inaccurate velocities pass.
+/// Largest [`AsPublishedReport::optimality`] of a solution, relative; others are refused. Larger: inaccurate velocities pass.
 /// Smaller: solutions are refused because of rounding. The reference mirror reaches 4e-15 (docs/schedulers.md).
 const LARGEST_OPTIMALITY: f64 = 1e-9;
 
@@ -255,18 +257,20 @@ impl Axis {
     }
 
     /// Rows (3) of segment i.
-    fn rows(&self, i: usize) -> [Row; 2] {
-        let (h, dp) = (self.duration_s[i], self.displacement_mm[i]);
-        let (turn, shift) = (0.5_f64.sqrt(), 1.0 / (2.0 + 0.5 * h * h).sqrt());
+    fn rows(&self, i: usize) -> [ResidualRow; 2] {
+        let h = self.duration_s[i];
+        let dp = self.displacement_mm[i];
+        let turn = 0.5_f64.sqrt();
+        let shift = 1.0 / (2.0 + 0.5 * h * h).sqrt();
         let area = h * h / 12.0;
         let first = PER_NODE * i;
         [
-            Row {
+            ResidualRow {
                 first,
                 value: [-1.0, -0.5 * h, 0.0, 1.0, -0.5 * h, 0.0].map(|c| c * turn),
                 right: 0.0,
             },
-            Row {
+            ResidualRow {
                 first,
                 value: [-0.5 * h, -area, 0.0, -0.5 * h, area, 0.0].map(|c| c * shift),
                 right: -dp * shift,
@@ -285,7 +289,7 @@ impl Axis {
             let weight = if i == 0 || i == n { 1.0 } else { 2.0_f64.sqrt() };
             let mut value = [0.0; 2 * PER_NODE];
             (value[own + 1], value[own + 2]) = (weight, -weight);
-            rows.push(Row { first, value, right: 0.0 });
+            rows.push(ResidualRow { first, value, right: 0.0 });
             if i < n {
                 rows.extend(self.rows(i));
             }
@@ -520,7 +524,7 @@ mod tests {
         let times = (0..40).map(|i| if i % 2 == 0 { 1e-100 } else { 0.2 }).collect();
         let dwell = DwellTime::new(times).unwrap();
         let limits = planish_testkit::machine([100.0; 2], [1000.0; 2]);
-        let error = schedule(&path.unwrap(), &dwell, &limits, &Settings::default()).unwrap_err();
+        let error = schedule(&path.unwrap(), &dwell, &limits, &AsPublishedSettings::default()).unwrap_err();
         println!("{error}");
         let ScheduleError::NotConverged(NotConverged { iterations, residual, .. }) = error else {
             panic!("{error}")
@@ -538,7 +542,7 @@ mod tests {
         let path = ToolPath::through(points, vec![true; 5], vec![0; 5]).unwrap();
         let dwell = DwellTime::new(vec![0.3, 0.25, 0.3, 0.25, 0.3]).unwrap();
         let limits = planish_testkit::machine([100.0; 2], [1000.0; 2]);
-        let s = schedule(&path, &dwell, &limits, &Settings::default()).unwrap();
+        let s = schedule(&path, &dwell, &limits, &AsPublishedSettings::default()).unwrap();
         assert_eq!(s.report.resting_segments, [3, 2]);
         assert!(s.report.largest_position_error_mm[0] > 1e-4, "{:?}", s.report);
         // Eq. 18 lets x move forwards only at the nodes 3 and 4, between segments along which it rests: at
@@ -555,7 +559,7 @@ mod tests {
         }
         let never = DwellTime::new(vec![0.3, 0.0, 0.3, 0.25, 0.3]).unwrap();
         let message =
-            schedule(&path, &never, &limits, &Settings::default()).unwrap_err().to_string();
+            schedule(&path, &never, &limits, &AsPublishedSettings::default()).unwrap_err().to_string();
         assert!(message.contains("dwell_s[1]: is 0 s on a segment of 1 mm"), "{message}");
     }
 }
