@@ -38,7 +38,8 @@ pub struct ContactReport {
     pub total_time_s: f64,
 }
 
-/// The executed contact point of `motion`, within 1e-3 um.
+/// Returns the path of the contact point over the part that the motion of the axes executes, within 1e-3 um: a
+/// trajectory in the plane of the part, with the segments and the tool states of `motion`.
 ///
 /// Refuses a motion with another number of axes than the machine, and one whose tool leaves the form.
 pub fn contact(

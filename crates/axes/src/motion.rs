@@ -19,7 +19,7 @@ use crate::{
 /// each.
 const MOST_ROUNDS: usize = 10;
 
-/// Motion of the axes of `machine` while the contact point follows `trajectory` over the part `form`.
+/// Computes the motion of the axes of `machine` while the contact point follows `trajectory` over the part `form`.
 ///
 /// Refuses a tolerance that is not plausible, and a motion that the axes cannot follow within it. Slows the motion down
 /// where an axis would exceed a limit; a step of the velocity in the motion itself stays.

@@ -11,7 +11,8 @@ use planish_handoff::{
     say, task, warn, with_flags,
 };
 use planish_joint::{
-    FurtherAxes, MachineAxes, JointPlan, Price, JointReport, JointSettings, plan, plan_with_further_axes,
+    FurtherAxes, JointPlan, JointReport, JointSettings, MachineAxes, Price, plan,
+    plan_with_further_axes,
 };
 use planish_types::{
     DwellTime, PathDistance, Trajectory,
@@ -108,6 +109,11 @@ impl Joint {
     }
 
     /// Computes the plan, writes it and returns the verdict.
+    ///
+    /// # Errors
+    ///
+    /// Refuses inputs that cannot be read or do not fit each other. Fails where the plan fails or the output cannot be
+    /// written.
     pub fn run(&self) -> Result<Status, Failure> {
         let settings = self.settings();
         let mut inputs = Inputs::new();

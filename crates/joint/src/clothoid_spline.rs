@@ -99,12 +99,11 @@ impl Bends {
 impl Shape {
     /// (1) or (2): the factors of phi_0 and phi_1 in the curvatures at the start and at the end.
     fn factors(&self) -> [[f64; 2]; 2] {
-        let of_line = |f: f64| [2.0 * (1.0 + f) / (1.0 - f), 2.0 * (2.0 - f) / (1.0 - f)];
         match *self {
             Self::One => [[-4.0, -2.0], [2.0, 4.0]],
-            Self::FromLine(f) => [[0.0, 0.0], of_line(f)],
+            Self::FromLine(f) => [[0.0, 0.0], factors_of_line(f)],
             Self::ToLine(f) => {
-                let [far, near] = of_line(f);
+                let [far, near] = factors_of_line(f);
                 [[-near, -far], [0.0, 0.0]]
             }
         }
@@ -138,6 +137,11 @@ impl Shape {
     }
 }
 
+/// Returns the factors of phi_0 and phi_1 in kappa_1 L of (2).
+fn factors_of_line(f: f64) -> [f64; 2] {
+    [2.0 * (1.0 + f) / (1.0 - f), 2.0 * (2.0 - f) / (1.0 - f)]
+}
+
 /// A chord between two points.
 struct Chord {
     length_mm: f64,
@@ -156,8 +160,8 @@ struct Spline {
     ends: [End; 2],
 }
 
-/// The clothoids from each of these points, mm, to the next one: one, or two beside a line. `lines` has unit vectors along
-/// the lines at the ends; they count where there is a line. `None` if the turns are too large.
+/// Returns the clothoids from each of these points, mm, to the next one: one, or two beside a line. `lines` has unit
+/// vectors along the lines at the ends; they count where there is a line. `None` if the turns are too large.
 pub fn through(
     points_mm: &[[f64; 2]],
     ends: [End; 2],
@@ -215,11 +219,11 @@ impl Spline {
 
     /// Lengths, mm, and curvatures times length of all shapes.
     fn joined(&self) -> Option<Vec<(f64, Bends)>> {
-        let of = |(k, chord): (usize, &Chord)| {
+        let chords = self.chords.iter().enumerate().map(|(k, chord)| {
             let angles = [self.angles_rad[k], self.angles_rad[k + 1] + chord.turn_rad];
             chord.shape.joined(angles, chord.length_mm)
-        };
-        self.chords.iter().enumerate().map(of).collect()
+        });
+        chords.collect()
     }
 
     /// Excess of the curvature before an inner point over that after it, 1/mm.
@@ -238,37 +242,41 @@ impl Spline {
             let length_mm = joined[k - 1].0.max(joined[k].0);
             Self::kink_per_mm(joined, k).abs() * length_mm <= BEND_TOLERANCE_RAD
         });
-        let is_arc = |end: End, chord: usize| {
-            end != End::Rest || self.asymmetry_rad(chord).abs() <= BEND_TOLERANCE_RAD
-        };
-        inner && is_arc(self.ends[0], 0) && is_arc(self.ends[1], self.chords.len() - 1)
+        let mut outermost = self.ends.into_iter().zip([0, self.chords.len() - 1]);
+        inner
+            && outermost.all(|(end, chord)| {
+                end != End::Rest || self.asymmetry_rad(chord).abs() <= BEND_TOLERANCE_RAD
+            })
     }
 
     /// Changes of the angles by a step of Newton's method with the derivatives (1) and (2), rad.
     fn step(&self, joined: &[(f64, Bends)]) -> Vec<f64> {
         let n = self.chords.len();
-        let end = |end: End, elements: [f64; 3], chord: usize| match end {
-            End::Rest => Row { elements, right: -self.asymmetry_rad(chord) },
-            End::Line(_) => Row::held(0.0),
-        };
-        let row = |k: usize| {
+        tridiagonal::solve(n + 1, |k| {
             if k == 0 {
-                return end(self.ends[0], [0.0, 1.0, 1.0], 0);
+                return self.row_of_end(self.ends[0], [0.0, 1.0, 1.0], 0);
             }
             if k == n {
-                return end(self.ends[1], [1.0, 1.0, 0.0], n - 1);
+                return self.row_of_end(self.ends[1], [1.0, 1.0, 0.0], n - 1);
             }
             let [_, before] =
                 self.chords[k - 1].shape.factors().map(|f| f.map(|v| v / joined[k - 1].0));
             let [after, _] = self.chords[k].shape.factors().map(|f| f.map(|v| v / joined[k].0));
             let elements = [before[0], before[1] - after[0], -after[1]];
             Row { elements, right: -Self::kink_per_mm(joined, k) }
-        };
-        tridiagonal::solve(n + 1, row)
+        })
+    }
+
+    /// Returns the equation of a step for the heading at an end, whose outermost chord is `chord`.
+    fn row_of_end(&self, end: End, elements: [f64; 3], chord: usize) -> Row {
+        match end {
+            End::Rest => Row { elements, right: -self.asymmetry_rad(chord) },
+            End::Line(_) => Row::held(0.0),
+        }
     }
 
     fn arcs(&self, points_mm: &[[f64; 2]], joined: &[(f64, Bends)]) -> Vec<Vec<CurvePiece>> {
-        let of = |(k, (length_mm, bends)): (usize, &(f64, Bends))| {
+        let shapes = joined.iter().enumerate().map(|(k, (length_mm, bends))| {
             let tangent = turned(direction(self.angles_rad[k]), self.chords[k].along);
             let mut there = Station { point_mm: points_mm[k], tangent, curvature_per_mm: 0.0 };
             let mut arcs = Vec::with_capacity(2);
@@ -282,12 +290,12 @@ impl Spline {
                     length_mm,
                     segment: 0,
                 };
-                there = arc.at(length_mm);
+                there = arc.station(length_mm);
                 arcs.push(arc);
             }
             arcs
-        };
-        joined.iter().enumerate().map(of).collect()
+        });
+        shapes.collect()
     }
 }
 
@@ -305,7 +313,7 @@ fn turned([x, y]: [f64; 2], [cos, sin]: [f64; 2]) -> [f64; 2] {
     [cos * x - sin * y, sin * x + cos * y]
 }
 
-/// Angle from the first vector to the second one, positive to the left, rad.
+/// Returns the angle from the first vector to the second one, positive to the left, rad.
 pub fn angle_between([ax, ay]: [f64; 2], [bx, by]: [f64; 2]) -> f64 {
     (ax * by - ay * bx).atan2(ax * bx + ay * by)
 }
@@ -318,7 +326,7 @@ mod tests {
     fn steps(arcs: &[CurvePiece]) -> [f64; 3] {
         let mut most = [0.0f64; 3];
         for w in arcs.windows(2) {
-            let (end, start) = (w[0].at(w[0].length_mm), w[1].start);
+            let (end, start) = (w[0].station(w[0].length_mm), w[1].start);
             let (t, u) = (end.tangent, start.tangent);
             let bend = (end.curvature_per_mm - start.curvature_per_mm) * w[0].length_mm;
             let of = [
@@ -369,7 +377,7 @@ mod tests {
             );
             if ends[0] == End::Line(0.4) {
                 let (first, last) = (arcs[0], arcs[arcs.len() - 1]);
-                let end = last.at(last.length_mm);
+                let end = last.station(last.length_mm);
                 assert_eq!((first.start.curvature_per_mm, end.curvature_per_mm), (0.0, 0.0));
                 for (a, b) in [(first.start.tangent, lines[0]), (end.tangent, lines[1])] {
                     // Some tens of roundings of unit vectors.

@@ -58,22 +58,21 @@ pub struct Average {
 }
 
 impl Average {
-    /// The average for the limits on jerk of a machine, with (4) at most `deviation_mm`; `None` if the machine does
-    /// not limit jerk. (3) does not hold for further axes, which are no linear functions of x and y: the rounds of the
-    /// plan keep their limits.
+    /// Returns the average for the limits on jerk of a machine, with (4) at most `deviation_mm`; `None` if the machine
+    /// does not limit jerk. (3) does not hold for further axes, which are no linear functions of x and y: the rounds of
+    /// the plan keep their limits.
     pub fn new(limits: &Limits, further: &[FurtherLimits], deviation_mm: f64) -> Option<Self> {
         // (4) holds for every axis; the distance is that of both together.
         let [a, b] = limits.max_acceleration_mm_per_s2();
         let most = a.hypot(b);
-        let over_jerk = |axis: &planish_types::AxisLimits| {
-            axis.max_jerk_mm_per_s3().map(|jerk| 2.0 * axis.max_acceleration_mm_per_s2() / jerk)
-        };
         // Of all of A: w = 2 A / J on the slower axis.
-        let of_further = |axis: &FurtherLimits| {
+        let own = limits.axes().iter().filter_map(|axis| {
+            axis.max_jerk_mm_per_s3().map(|jerk| 2.0 * axis.max_acceleration_mm_per_s2() / jerk)
+        });
+        let of_further = further.iter().filter_map(|axis| {
             axis.max_jerk_per_s3.map(|jerk| 2.0 * axis.max_acceleration_per_s2 / jerk)
-        };
-        let own = limits.axes().iter().filter_map(over_jerk);
-        let window_s = own.chain(further.iter().filter_map(of_further)).reduce(f64::max)?;
+        });
+        let window_s = own.chain(of_further).reduce(f64::max)?;
         let intervals = INTERVALS as f64;
         let of_window = 1.0 / 24.0 + 1.0 / (6.0 * intervals * intervals);
         let least_s = (LEAST_DEVIATION * deviation_mm / (most * of_window)).sqrt();
@@ -86,7 +85,11 @@ impl Average {
         Some(Self { window_s, fraction, deviation_mm })
     }
 
-    /// The limits that the plan keeps.
+    /// Returns the limits that the plan keeps before averaging: the fraction f of every acceleration, and no jerk.
+    ///
+    /// # Errors
+    ///
+    /// Refuses a limit on jerk that leaves nearly nothing of the acceleration.
     pub fn limits(&self, limits: &Limits) -> Result<Limits, Invalid> {
         if self.fraction < LEAST_FRACTION {
             let problem =
@@ -101,8 +104,12 @@ impl Average {
         file.checked()
     }
 
-    /// The motion (2), longer by w and four h. Segments of the path and the state of the tool keep their times.
-    pub fn of(&self, motion: &Trajectory) -> Result<Trajectory, Invalid> {
+    /// Returns the motion (2), longer by w and four h. Segments of the path and the state of the tool keep their times.
+    ///
+    /// # Errors
+    ///
+    /// Refuses a motion whose average would not fit into the memory.
+    pub fn averaged(&self, motion: &Trajectory) -> Result<Trajectory, Invalid> {
         let total_s = motion.total_time_s();
         let h = self.window_s / INTERVALS as f64;
         // From the first coefficient that is not the start on; B reaches two intervals to both sides.
@@ -116,8 +123,9 @@ impl Average {
         )?;
         // Piece i, and the coefficient before it.
         let at_s = |i: usize| (i as f64 - before as f64) * h;
-        let mean = |i: usize| mean_mm(motion, at_s(i) - h - 0.5 * self.window_s, self.window_s);
-        let means = parallel::map(pieces + 3, &mean);
+        let means = parallel::map(pieces + 3, &|i| {
+            mean_mm(motion, at_s(i) - h - 0.5 * self.window_s, self.window_s)
+        });
 
         let runs = runs(motion);
         let mut builder = TrajectoryBuilder::default();
@@ -272,7 +280,7 @@ mod tests {
             assert!(
                 !verify(&motion, &limits, &VerifySettings::default()).unwrap().limits_respected
             );
-            let smooth = average.of(&motion).unwrap();
+            let smooth = average.averaged(&motion).unwrap();
             let verdict = verify(&smooth, &limits, &VerifySettings::default()).unwrap();
             assert!(verdict.limits_respected, "{jerk}: {:?}", verdict.reason());
             // At rest at both ends, where the motion was.
@@ -307,7 +315,7 @@ mod tests {
         let limits = machine(Some(1e5));
         let average = Average::new(&limits, &[], 0.05).unwrap();
         let motion = full_speed(&limits);
-        let smooth = average.of(&motion).unwrap();
+        let smooth = average.averaged(&motion).unwrap();
         let of = |t: &Trajectory| t.served_s(3, |_| true).unwrap();
         let (planned, kept) = (of(&motion), of(&smooth));
         // Below: rounding of sums of the durations of some hundred pieces.

@@ -132,7 +132,7 @@ pub struct LimitRows<'a> {
 }
 
 impl<'a> LimitRows<'a> {
-    /// The rows of all spans of a mesh; `reference_s_per_mm` is D_0 of (4), a density of the usual size.
+    /// Returns the rows of all spans of a mesh; `reference_s_per_mm` is D_0 of (4), a density of the usual size.
     pub fn new(curves: &[Curve], mesh: &'a Mesh, limits: &Limits, reference_s_per_mm: f64) -> Self {
         let mut rows = Vec::new();
         let mut least_density = vec![0.0f64; mesh.nodes];
@@ -159,7 +159,7 @@ impl<'a> LimitRows<'a> {
                 for (axis, bend) in bend.into_iter().enumerate().filter(|(_, bend)| *bend != 0.0) {
                     let scale = bend.signum() / (most[axis] * (1.0 - CURVED_MARGIN));
                     let (across, along) = (scale * bend, scale * [tx, ty][axis]);
-                    rows.push(LimitRow::of(i, On::Place { s_mm, across, along }));
+                    rows.push(LimitRow::of_part(i, On::Place { s_mm, across, along }));
                 }
             }
             let margin = if curved { ALONG_CURVE_MARGIN } else { ROUNDING_MARGIN };
@@ -167,24 +167,25 @@ impl<'a> LimitRows<'a> {
             let inner = span.nodes.iter().all(Option::is_some);
             // At rest the acceleration is constant.
             for tau in if inner { &[0.0, 1.0][..] } else { &[0.0] } {
-                let on = |along: f64| On::Line { tau: *tau, along };
-                rows.extend([along, -along].map(|along| LimitRow::of(i, on(along))));
+                for along in [along, -along] {
+                    rows.push(LimitRow::of_part(i, On::Line { tau: *tau, along }));
+                }
             }
             if inner {
                 let r = MAX_RATIO / reference_s_per_mm;
                 let one = -1.0 / reference_s_per_mm;
-                rows.extend([[r, one], [one, r]].map(|by| LimitRow::of(i, On::Ratio { by })));
+                rows.extend([[r, one], [one, r]].map(|by| LimitRow::of_part(i, On::Ratio { by })));
             }
         }
         Self { mesh, rows, least_density }
     }
 
-    /// These rows of x and y, with those of further axes.
+    /// Adds the rows of further axes to those of x and y.
     pub fn with_further(mut self, curves: &[Curve], further: &Further<'_>) -> Self {
         let mesh = self.mesh;
         let of_spans = self.of_spans();
         let spans = &mesh.spans;
-        let places: Vec<Vec<Place>> = parallel::map(spans.len(), &|i| {
+        let places: Vec<Vec<FurtherPlace>> = parallel::map(spans.len(), &|i| {
             self.most(i, of_spans[i].clone()).places(&curves[spans[i].curve], further)
         });
         for (span, places) in spans.iter().zip(&places) {
@@ -204,11 +205,7 @@ impl<'a> LimitRows<'a> {
             rows.extend_from_slice(&self.rows[own]);
             rows.extend(places.iter().flat_map(|place| most.rows(i, place)));
             // Rows at one place are evaluated together.
-            let place = |row: &LimitRow| match row.on {
-                On::Place { s_mm, .. } => s_mm,
-                On::Line { .. } | On::Ratio { .. } => f64::INFINITY,
-            };
-            rows[from..].sort_by(|a, b| place(a).total_cmp(&place(b)));
+            rows[from..].sort_by(|a, b| a.on.place_mm().total_cmp(&b.on.place_mm()));
         }
         self.rows = rows;
         self
@@ -230,7 +227,7 @@ impl<'a> LimitRows<'a> {
         }
     }
 
-    /// Number of rows.
+    /// Returns the number of rows.
     pub fn len(&self) -> usize {
         self.rows.len()
     }
@@ -240,7 +237,8 @@ impl<'a> LimitRows<'a> {
         self.rows.is_empty()
     }
 
-    /// c of every row.
+    /// Returns c of (3) and (4) for every row (rows), at the densities of the nodes, s/mm; negative where a limit is
+    /// exceeded.
     pub fn slacks(&self, density: &[f64]) -> Vec<f64> {
         let places = self.rows.par_chunk_by(LimitRow::are_at_one_place);
         let all = places.flat_map_iter(|rows| {
@@ -253,7 +251,7 @@ impl<'a> LimitRows<'a> {
         all.collect()
     }
 
-    /// Every row with its derivatives.
+    /// Returns every row (rows) with its derivatives by the densities of the nodes, s/mm.
     pub fn constraints(&self, density: &[f64]) -> Vec<Constraint> {
         let places = self.rows.par_chunk_by(LimitRow::are_at_one_place);
         let all = places.flat_map_iter(|rows| {
@@ -263,7 +261,7 @@ impl<'a> LimitRows<'a> {
             let at = on.motion(span, densities);
             // Of the densities a little higher and a little lower, one by one; where a row asks for it
             let mut around = None;
-            let of = move |row: &LimitRow| {
+            rows.iter().map(move |row| {
                 let (slack, by) = row.on.derivatives(&at, densities);
                 if matches!(row.on, On::Ratio { .. }) || slack > FAR_SLACK {
                     return Constraint { nodes: span.nodes, slack, by, bend: [0.0; 3] };
@@ -291,13 +289,12 @@ impl<'a> LimitRows<'a> {
                 let off = 0.5 * (second[0][1] + second[1][0]);
                 let bend = positive_part([-second[0][0], -off, -second[1][1]]);
                 Constraint { nodes: span.nodes, slack, by, bend }
-            };
-            rows.iter().map(of)
+            })
         });
         all.collect()
     }
 
-    /// Ranges of the rows of every span (spans).
+    /// Returns the ranges of the rows of every span (spans).
     pub fn of_spans(&self) -> Vec<Range<usize>> {
         let mut all = Vec::with_capacity(self.mesh.spans.len());
         let mut end = 0;
@@ -309,8 +306,8 @@ impl<'a> LimitRows<'a> {
         all
     }
 
-    /// First-order decrease of the objective if a span is halved (spans), nm^2: the increase of the slacks of its
-    /// rows, times their dual variables `z`.
+    /// Returns the first-order decrease of the objective if a span is halved (spans), nm^2: the increase of the slacks
+    /// of its rows, times their dual variables `z`.
     ///
     /// The node in the middle has the feedrate of a constant acceleration, which leaves the largest slacks. For a row
     /// about the whole span, the half with the smaller slack decides.
@@ -319,24 +316,20 @@ impl<'a> LimitRows<'a> {
         for (row, z) in self.rows.iter().zip(z) {
             let span = &self.mesh.spans[row.span];
             let [Some(a), Some(b)] = span.densities(density) else { continue };
-            let slack = |on: On, span: &Span, d: [f64; 2]| {
-                let d = d.map(Some);
-                on.derivatives(&on.motion(span, d), d).0
-            };
             let middle = constant_acceleration(a, b);
             let [first, second] = span.halves();
             let (before, after) = ([a, middle], [middle, b]);
             let half_mm = first.length_mm();
             let halved = match row.on {
                 On::Place { s_mm, across, along } if s_mm > half_mm => {
-                    slack(On::Place { s_mm: s_mm - half_mm, across, along }, &second, after)
+                    On::Place { s_mm: s_mm - half_mm, across, along }.slack(&second, after)
                 }
-                On::Place { .. } => slack(row.on, &first, before),
+                On::Place { .. } => row.on.slack(&first, before),
                 On::Line { .. } | On::Ratio { .. } => {
-                    slack(row.on, &first, before).min(slack(row.on, &second, after))
+                    row.on.slack(&first, before).min(row.on.slack(&second, after))
                 }
             };
-            worth[row.span] += z * (halved - slack(row.on, span, [a, b])).max(0.0);
+            worth[row.span] += z * (halved - row.on.slack(span, [a, b])).max(0.0);
         }
         worth
     }
@@ -358,20 +351,20 @@ impl<'a> LimitRows<'a> {
             let rows = &mut self.rows[rows];
             for (axis, factor) in use_of_limit[span].iter().enumerate().filter(|(_, f)| **f > 1.0) {
                 let has_own = rows.iter().any(|row| row.further == Some(axis));
-                let is_meant = |row: &&mut LimitRow| {
-                    all || if has_own { row.further == Some(axis) } else { row.further.is_none() }
-                };
-                rows.iter_mut().filter(is_meant).for_each(|row| row.on.tighten(*factor));
+                let tightened = if has_own { Some(axis) } else { None };
+                for row in rows.iter_mut().filter(|row| all || row.further == tightened) {
+                    row.on.tighten(*factor);
+                }
             }
         }
     }
 
-    /// Least densities by (2) (nodes), s/mm: on both spans of a node.
+    /// Returns the least densities by (2) (nodes), s/mm: on both spans of a node.
     pub fn least_density(&self) -> &[f64] {
         &self.least_density
     }
 
-    /// The least uniform density at which every row holds, s/mm.
+    /// Returns the least uniform density at which every row holds, s/mm.
     ///
     /// At a uniform feedrate p'' is that feedrate squared times what it is at 1 mm/s, at rest too.
     pub fn least_uniform_density(&self) -> f64 {
@@ -382,15 +375,15 @@ impl<'a> LimitRows<'a> {
     }
 }
 
-/// Density in the middle between two others where the acceleration is constant: that of the root mean square of their
-/// feedrates.
+/// Returns the density in the middle between two others where the acceleration is constant: that of the root mean
+/// square of their feedrates.
 pub fn constant_acceleration(a: f64, b: f64) -> f64 {
     (0.5 * (a.powi(-2) + b.powi(-2))).powf(-0.5)
 }
 
 impl LimitRow {
-    /// A row of x or y.
-    fn of(span: usize, on: On) -> Self {
+    /// Returns a row of x or y.
+    fn of_part(span: usize, on: On) -> Self {
         Self { span, further: None, on }
     }
 
@@ -406,6 +399,19 @@ impl LimitRow {
 }
 
 impl On {
+    /// Returns the place of the row on its span, mm; infinite for one that has none.
+    fn place_mm(&self) -> f64 {
+        match self {
+            Self::Place { s_mm, .. } => *s_mm,
+            Self::Line { .. } | Self::Ratio { .. } => f64::INFINITY,
+        }
+    }
+
+    /// Returns c of the row where it limits the motion on `span` with these densities at its nodes, s/mm.
+    fn slack(&self, span: &Span, densities: [f64; 2]) -> f64 {
+        let densities = densities.map(Some);
+        self.derivatives(&self.motion(span, densities), densities).0
+    }
     /// Multiplies the use of the limit by a factor where that is above 1.
     fn tighten(&mut self, factor: f64) {
         let factor = factor.max(1.0);
@@ -422,8 +428,8 @@ impl On {
     /// The motion that the row limits; for a ratio of densities any.
     fn motion(&self, span: &Span, densities: [Option<f64>; 2]) -> Kinematics {
         match *self {
-            Self::Ratio { .. } => span.at(0.0, densities),
-            Self::Line { tau, .. } => span.at(tau, densities),
+            Self::Ratio { .. } => span.kinematics(0.0, densities),
+            Self::Line { tau, .. } => span.kinematics(tau, densities),
             Self::Place { s_mm, .. } => span.at_place(s_mm, densities),
         }
     }
@@ -439,10 +445,10 @@ impl On {
             Self::Place { across, along, .. } => (across, along),
         };
         let slack = 1.0 - across * at.feed_mm_per_s.powi(2) - along * at.acceleration_mm_per_s2;
-        let by = |k: usize| {
+        let by = [0, 1].map(|k| {
             -2.0 * across * at.feed_mm_per_s * at.feed_by[k] - along * at.acceleration_by[k]
-        };
-        (slack, [by(0), by(1)])
+        });
+        (slack, by)
     }
 }
 
@@ -479,7 +485,7 @@ fn steps_of(piece: &CurvePiece) -> usize {
 }
 
 fn samples(curve: &Curve, span: &Span) -> Vec<Sample> {
-    let mut found = Vec::new();
+    let mut samples = Vec::new();
     let first = curve.pieces().partition_point(|p| p.to_mm() <= span.from_mm);
     for piece in curve.pieces()[first..].iter().take_while(|p| p.from_mm < span.to_mm) {
         let (from, to) = (piece.from_mm.max(span.from_mm), piece.to_mm().min(span.to_mm));
@@ -489,21 +495,30 @@ fn samples(curve: &Curve, span: &Span) -> Vec<Sample> {
             // Where a node stands within the piece, the part on this side of it has its end there.
             let s = s.clamp(from, to);
             let (tangent, curvature_per_mm) = piece.direction(s - piece.from_mm);
-            found.push(Sample { s_mm: s - span.from_mm, tangent, curvature_per_mm });
+            samples.push(Sample { s_mm: s - span.from_mm, tangent, curvature_per_mm });
         }
     }
-    found.dedup_by(|b, a| a.s_mm == b.s_mm);
-    found
+    samples.dedup_by(|b, a| a.s_mm == b.s_mm);
+    samples
 }
 
 /// A place on a span at which further axes are limited.
-struct Place {
+struct FurtherPlace {
     /// Length from the start of the span, mm.
     s_mm: f64,
     /// Empty where an axis has no position: there the judge refuses the motion.
     axes: Vec<Scaled>,
     /// Fractions of the limits of every axis that are left free, of velocity and of acceleration.
     margins: Vec<[f64; 2]>,
+}
+
+impl FurtherPlace {
+    /// Returns the place at `s_mm` from the start of the span, with the margins for rounding.
+    fn new(curve: &Curve, span: &Span, further: &Further<'_>, s_mm: f64) -> Self {
+        let axes = further.scaled(&curve.station(span.from_mm + s_mm)).unwrap_or_default();
+        let margins = vec![[ROUNDING_MARGIN; 2]; axes.len()];
+        Self { s_mm, axes, margins }
+    }
 }
 
 /// Bounds on the motion on a span.
@@ -515,21 +530,17 @@ struct Most<'a> {
 
 impl Most<'_> {
     /// Places between which (5) is small.
-    fn places(&self, curve: &Curve, further: &Further<'_>) -> Vec<Place> {
+    fn places(&self, curve: &Curve, further: &Further<'_>) -> Vec<FurtherPlace> {
         let span = self.span;
-        let at = |s_mm: f64| {
-            let axes = further.scaled(&curve.at(span.from_mm + s_mm)).unwrap_or_default();
-            let margins = vec![[ROUNDING_MARGIN; 2]; axes.len()];
-            Place { s_mm, axes, margins }
-        };
-        let mut found = Vec::new();
-        let mut start = at(0.0);
+        let mut places = Vec::new();
+        let mut start = FurtherPlace::new(curve, span, further, 0.0);
         for (to_mm, curved) in self.steps(curve) {
             // From the last place on: the ends of the parts that are still to be made.
-            let mut ends = vec![(at(to_mm), 0)];
+            let mut ends = vec![(FurtherPlace::new(curve, span, further, to_mm), 0)];
             while let Some((mut end, halvings)) = ends.pop() {
                 let length_mm = end.s_mm - start.s_mm;
-                let inside = [0.25, 0.5, 0.75].map(|f| at(start.s_mm + f * length_mm));
+                let inside = [0.25, 0.5, 0.75]
+                    .map(|f| FurtherPlace::new(curve, span, further, start.s_mm + f * length_mm));
                 let [a, b, c] = &inside;
                 let between = self.between([&start, a, b, c, &end]);
                 let most = between.iter().flatten().copied().fold(0.0, f64::max);
@@ -547,11 +558,11 @@ impl Most<'_> {
                         }
                     }
                 }
-                found.push(std::mem::replace(&mut start, end));
+                places.push(std::mem::replace(&mut start, end));
             }
         }
-        found.push(start);
-        found
+        places.push(start);
+        places
     }
 
     /// Ends of the parts that have places of their own whatever the axes do, as lengths from the start of the span, mm,
@@ -581,21 +592,20 @@ impl Most<'_> {
     }
 
     /// (5) of velocity and acceleration of every axis, over its limit, from the values at five equidistant places.
-    fn between(&self, at: [&Place; 5]) -> Vec<[f64; 2]> {
+    fn between(&self, at: [&FurtherPlace; 5]) -> Vec<[f64; 2]> {
         let axes = at.iter().map(|place| place.axes.len()).min().unwrap_or(0);
         let length_mm = at[4].s_mm - at[0].s_mm;
         // The slowest feedrate that some axis asks for all over the part
         let slowest =
             |i: usize| at.iter().map(|p| p.axes[i].need_s_per_mm).fold(f64::INFINITY, f64::min);
         let feed = (0..axes).map(|i| 1.0 / slowest(i)).fold(self.feed_mm_per_s, f64::min);
-        let of_axis = |i: usize| {
+        let bounds = (0..axes).map(|i| {
             let need = at.map(|place| place.axes[i].need_s_per_mm);
             let along = at.map(|place| place.axes[i].along);
             let across = at.map(|place| place.axes[i].across);
-            let largest = |v: [f64; 5]| v.into_iter().fold(0.0, |m: f64, v| m.max(v.abs()));
-            let change = |v: [f64; 5]| (v[4] - v[0]).abs();
-            let (f, g, acceleration) =
-                (largest(along), largest(across), self.acceleration_mm_per_s2);
+            let f = largest(along);
+            let g = largest(across);
+            let acceleration = self.acceleration_mm_per_s2;
             let velocity = if largest(need) * self.feed_mm_per_s <= 1.0 {
                 0.0
             } else {
@@ -617,18 +627,13 @@ impl Most<'_> {
                 + change(across) * (2.0 * acceleration * length_mm).min(squared);
             let own = off_line(across) * squared + off_line(along) * acceleration;
             [velocity, 0.25 * products + own + step]
-        };
-        (0..axes).map(of_axis).collect()
+        });
+        bounds.collect()
     }
 
     /// The rows of a place that the other limits do not imply.
-    fn rows(&self, span: usize, place: &Place) -> Vec<LimitRow> {
+    fn rows(&self, span: usize, place: &FurtherPlace) -> Vec<LimitRow> {
         let s_mm = place.s_mm;
-        let row = |axis: usize, across: f64, along: f64| LimitRow {
-            span,
-            further: Some(axis),
-            on: On::Place { s_mm, across, along },
-        };
         let feed = self.feed_mm_per_s;
         let acceleration = self.acceleration_mm_per_s2;
         let [start, end] = self.span.nodes;
@@ -640,13 +645,15 @@ impl Most<'_> {
         {
             let need = axis.need_s_per_mm / (1.0 - of_velocity);
             if need * feed > 1.0 && !at_node {
-                rows.push(row(i, need * need, 0.0));
+                let on = On::Place { s_mm, across: need * need, along: 0.0 };
+                rows.push(LimitRow { span, further: Some(i), on });
             }
             let [across, along] = [axis.across, axis.along].map(|v| v / (1.0 - of_acceleration));
             for sign in [1.0, -1.0] {
                 let bend = (sign * across).max(0.0) * feed * feed;
                 if bend + along.abs() * acceleration > 1.0 {
-                    rows.push(row(i, sign * across, sign * along));
+                    let on = On::Place { s_mm, across: sign * across, along: sign * along };
+                    rows.push(LimitRow { span, further: Some(i), on });
                 }
             }
         }
@@ -654,10 +661,20 @@ impl Most<'_> {
     }
 }
 
-/// Largest difference of five equidistant values from the line between the first and the last one.
+/// Returns the largest magnitude of five values.
+fn largest(v: [f64; 5]) -> f64 {
+    v.into_iter().fold(0.0, |m: f64, v| m.max(v.abs()))
+}
+
+/// Returns the magnitude of the change from the first of five values to the last one.
+fn change(v: [f64; 5]) -> f64 {
+    (v[4] - v[0]).abs()
+}
+
+/// Returns the largest difference of five equidistant values from the line between the first and the last one.
 fn off_line(v: [f64; 5]) -> f64 {
-    let of = |k: usize| (v[k] - v[0] - (v[4] - v[0]) * k as f64 / 4.0).abs();
-    of(1).max(of(2)).max(of(3))
+    let [a, b, c] = [1, 2, 3].map(|k| (v[k] - v[0] - (v[4] - v[0]) * k as f64 / 4.0).abs());
+    a.max(b).max(c)
 }
 
 #[cfg(test)]

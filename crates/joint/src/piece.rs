@@ -30,8 +30,8 @@ pub struct CurvePiece {
 }
 
 impl CurvePiece {
-    /// The station at a length from the start of the piece, mm.
-    pub fn at(&self, s: f64) -> Station {
+    /// Returns the station at a length from the start of the piece, mm.
+    pub fn station(&self, s: f64) -> Station {
         let Station { point_mm, tangent, curvature_per_mm } = self.start;
         let [along, across] = clothoid::position(curvature_per_mm, self.sharpness_per_mm2, s);
         let step =
@@ -41,7 +41,7 @@ impl CurvePiece {
         Station { point_mm, tangent, curvature_per_mm }
     }
 
-    /// Unit vector along the curve, and curvature (1/mm), at a length from the start of the piece, mm.
+    /// Returns the unit vector along the curve, and curvature (1/mm), at a length from the start of the piece, mm.
     pub fn direction(&self, s: f64) -> ([f64; 2], f64) {
         let Station { tangent, curvature_per_mm: curvature, .. } = self.start;
         let (sin, cos) = clothoid::heading(curvature, self.sharpness_per_mm2, s).sin_cos();
@@ -54,31 +54,31 @@ impl CurvePiece {
         self.start.curvature_per_mm == 0.0 && self.sharpness_per_mm2 == 0.0
     }
 
-    /// Largest change of the heading on it, rad.
+    /// Returns the change of the heading along the piece without its sign, rad.
     pub fn turn_rad(&self) -> f64 {
         clothoid::heading(self.start.curvature_per_mm, self.sharpness_per_mm2, self.length_mm).abs()
     }
 
-    /// Curvature at its start and at its end, 1/mm.
+    /// Returns the curvature at the start and at the end of the piece, 1/mm.
     pub fn curvatures_per_mm(&self) -> [f64; 2] {
         let from = self.start.curvature_per_mm;
         [from, from + self.sharpness_per_mm2 * self.length_mm]
     }
 
-    /// Largest curvature, without its sign, 1/mm.
+    /// Returns the largest curvature, without its sign, 1/mm.
     pub fn most_curvature_per_mm(&self) -> f64 {
         let [from, to] = self.curvatures_per_mm();
         from.abs().max(to.abs())
     }
 
-    /// Change of its curvature over the largest one; 0 on a line.
+    /// Returns the change of the curvature along the piece over the largest curvature; 0 on a line.
     pub fn change_of_curvature(&self) -> f64 {
         let [from, to] = self.curvatures_per_mm();
         let most = from.abs().max(to.abs());
         if most > 0.0 { (to - from).abs() / most } else { 0.0 }
     }
 
-    /// Integral of the square root of the curvature without its sign, mm^(1/2).
+    /// Returns the integral of the square root of the curvature without its sign, mm^(1/2).
     pub fn bend(&self) -> f64 {
         let [from, to] = self.curvatures_per_mm();
         let a = from.abs().sqrt();
@@ -95,7 +95,7 @@ impl CurvePiece {
         2.0 / 3.0 * self.length_mm * mean
     }
 
-    /// Arc length of its end from the start of the curve, mm.
+    /// Returns the arc length of the end of the piece from the start of the curve, mm.
     pub fn to_mm(&self) -> f64 {
         self.from_mm + self.length_mm
     }

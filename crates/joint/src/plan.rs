@@ -11,8 +11,8 @@ use ndarray::Array2;
 use planish_dwell::columns;
 use planish_simulate::{SimulationPlan, SimulationSettings};
 use planish_types::{
-    DwellTime, End, Invalid, Limits, OnLattice, PARTS_TOLERANCE, Removal, Segment, Surface, Tif,
-    TifLattice, TimeFactor, ToolPath, Trajectory, Variation,
+    DwellTime, End, Invalid, Limits, OnLattice, PARTS_TOLERANCE, Removal, Surface, Tif, TifLattice,
+    TimeFactor, ToolPath, Trajectory, Variation,
     outcome::plan::ProvenGap,
     plausible::{self, Rms},
 };
@@ -26,7 +26,7 @@ use crate::{
     further::FurtherAxes,
     jerk::Average,
     mesh::Mesh,
-    problem::{Asked, Found, HOPELESS, LITTLE_WORK, Meshes, Solved, solve},
+    problem::{HOPELESS, LITTLE_WORK, MeshOutcome, Meshes, PlanInputs, Solved, solve},
     settings::JointSettings,
 };
 
@@ -217,35 +217,38 @@ pub struct JointPlan {
 }
 
 impl JointReport {
-    /// Limits that the plan is near for some of the time, in words, those of most of the time first.
+    /// Names the limits that the plan is near for some of the time, in words, those of most of the time first.
     pub fn near_limits(&self) -> String {
-        let of_axis = |axis: &AxisReport| {
+        let of_axes = self.axes.iter().flat_map(|axis| {
             axis.near().map(|(quantity, part)| (part, format!("{quantity} of {}", axis.name)))
-        };
-        let mut all: Vec<(f64, String)> = self.axes.iter().flat_map(of_axis).collect();
+        });
+        let mut all: Vec<(f64, String)> = of_axes.collect();
         all.retain(|(part, _)| *part >= LEAST_NAMED);
         all.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let in_words =
-            |(part, name): &(f64, String)| format!("{name} {:.1} % of the time", 100.0 * part);
-        let named: Vec<String> = all.iter().take(MOST_NAMED).map(in_words).collect();
+        let named: Vec<String> = all
+            .iter()
+            .take(MOST_NAMED)
+            .map(|(part, name)| format!("{name} {:.1} % of the time", 100.0 * part))
+            .collect();
         if named.is_empty() { "none".into() } else { named.join(", ") }
     }
 }
 
 impl JointPlan {
-    /// Reason why the plan should not be run as it is; `None` if there is none.
+    /// Returns the reason why the plan should not be run as it is; `None` if there is none.
     pub fn negative(&self, desired: &Surface) -> Option<String> {
         let r = &self.report;
-        let unfinished = (r.end != End::Optimal).then(|| {
-            format!(
+        let unfinished = if r.end == End::Optimal {
+            None
+        } else {
+            Some(format!(
                 "{}: after {} steps the objective may be {:.1e} of itself above the least one for fixed tangents of the \
-                 limits; raise \
-                 `max_iterations` or `relative_gap`",
+                 limits; raise `max_iterations` or `relative_gap`",
                 r.end,
                 r.iterations,
                 r.relative_gap()
-            )
-        });
+            ))
+        };
         let (before, after) = (Rms::of(desired), Rms::of(self.removal.residual()));
         let total_time_s = self.trajectory.total_time_s();
         let other_rates = r.rates_of_time.filter(|rates| rates.rate_error > SAME_RATE).map(|rates| {
@@ -269,6 +272,11 @@ const SAME_RATE: f64 = 1e-4;
 const MAX_ROUNDS_OF_TIMES: usize = 6;
 
 /// Finds density and motion along `path` for the desired removal, on a machine with the axes x and y.
+///
+/// # Errors
+///
+/// Refuses settings out of their range, a path without a length and a TIF that nowhere reaches the map. Fails if the
+/// weights are too small for the equations.
 pub fn plan(
     desired: &Surface,
     tif: &Tif,
@@ -280,6 +288,10 @@ pub fn plan(
 }
 
 /// Finds density and motion along `path` as [`plan`] does, on a machine with axes beyond x and y.
+///
+/// # Errors
+///
+/// Refuses what [`plan`] refuses, and a path on which a further axis has no position or allows nearly no feedrate.
 pub fn plan_with_further_axes(
     desired: &Surface,
     tif: &Tif,
@@ -290,8 +302,8 @@ pub fn plan_with_further_axes(
     planned(desired, tif, path, (limits, Some(further)), settings)
 }
 
-impl Averaged {
-    fn of(average: Average) -> Self {
+impl From<Average> for Averaged {
+    fn from(average: Average) -> Self {
         Self {
             window_s: average.window_s,
             fraction_of_acceleration: average.fraction,
@@ -315,7 +327,7 @@ struct Task<'a> {
 impl Task<'_> {
     /// The average in time, if the machine limits jerk.
     fn averaged(&self, planned: &Trajectory) -> Result<Option<Trajectory>, Invalid> {
-        self.average.map(|average| average.of(planned)).transpose()
+        self.average.map(|average| average.averaged(planned)).transpose()
     }
 
     /// Removal of a plan as it is executed, by these rates at the dwell points.
@@ -325,8 +337,8 @@ impl Task<'_> {
         match self.tif.variation().and_then(Variation::time_factor) {
             None => Ok(self.simulation.removal_nm(motion)?.0),
             Some(_) => {
-                let rate = |s: Segment<'_>| s.dwell_index.map_or(1.0, |j| rates[j]);
-                let rates = motion.segments().map(rate).collect();
+                let rates = motion.segments().map(|s| s.dwell_index.map_or(1.0, |j| rates[j]));
+                let rates = rates.collect();
                 Ok(self.simulation.removal_nm(&motion.clone().with_rate_factor(rates)?)?.0)
             }
         }
@@ -345,16 +357,16 @@ impl Task<'_> {
         loop {
             // The rates of a plan are fixed, in its model as in its motion.
             let executed = &|planned: &Trajectory| self.removal_nm(planned, &rates);
-            let asked = {
+            let inputs = {
                 let rates = &rates;
-                Asked { desired, tif, path, curves, limits, further, rates, executed }
+                PlanInputs { desired, tif, path, curves, limits, further, rates, executed }
             };
-            let solved = solve(&asked, meshes, settings)?;
+            let solved = solve(&inputs, meshes, settings)?;
             rounds_of_times += 1;
             let Some(time) = tif.variation().and_then(Variation::time_factor) else {
                 return Ok((solved, None));
             };
-            let trajectory = &solved.found.motion.trajectory;
+            let trajectory = &solved.outcome.motion.trajectory;
             let own = columns::time_factors(trajectory, path.len(), tif);
             let change = own.iter().zip(&rates).map(|(a, b)| (a / b - 1.0).abs());
             let rate_error = change.fold(0.0, f64::max);
@@ -382,10 +394,13 @@ fn rates_of_same_removal(time: &TimeFactor, motion: &Trajectory, rates: &[f64]) 
         sums[j].1 += duration_s;
         now_s += duration_s;
     }
-    let rate = |(effective_s, duration_s): (f64, f64)| {
-        if duration_s > 0.0 { effective_s / duration_s } else { 1.0 }
-    };
-    sums.into_iter().map(rate).collect()
+    sums.into_iter()
+        .map(
+            |(effective_s, duration_s)| {
+                if duration_s > 0.0 { effective_s / duration_s } else { 1.0 }
+            },
+        )
+        .collect()
 }
 
 fn planned(
@@ -428,16 +443,17 @@ fn planned(
         Task { desired, tif, path, curves, limits, further, average, simulation }
     };
     let (solved, rates_of_time) = task.solved(&meshes, settings)?;
-    let Solved { mesh, nodes_of_meshes, found } = solved;
-    let Found { solution, motion, refused, model_rms_nm, price, tikhonov, pull_part, .. } = found;
-    let (iterations, rounds) = (found.iterations, found.rounds);
+    let Solved { mesh, nodes_of_meshes, outcome } = solved;
+    let MeshOutcome { solution, motion, refused, .. } = outcome;
     let (trajectory, refused, slowed_by) = as_run(&task, &motion.trajectory, refused, limits)?;
     let of_axes =
         further.map(|further| axes::report(&trajectory, &motion.trajectory, limits, further));
-    let is_other = matches!(constant, Cow::Owned(_));
-    let own = || SimulationPlan::new(tif, desired.grid(), SimulationSettings::Gridded);
-    let of_run = is_other.then(own).transpose()?;
-    let removal = of_run.as_ref().unwrap_or(&simulation).predict(&trajectory, desired)?.removal;
+    let removal = if matches!(constant, Cow::Owned(_)) {
+        let of_run = SimulationPlan::new(tif, desired.grid(), SimulationSettings::Gridded)?;
+        of_run.predict(&trajectory, desired)?.removal
+    } else {
+        simulation.predict(&trajectory, desired)?.removal
+    };
     let dwell = DwellTime::new(trajectory.served_s(path.len(), |_| true)?)?;
     let report = JointReport {
         curves: curves.len(),
@@ -450,17 +466,17 @@ fn planned(
         nodes_of_meshes,
         node_spacing_mm: mesh.spans.iter().map(|s| s.length_mm()).fold(0.0, f64::max),
         widened,
-        price_nm2_per_s: price,
+        price_nm2_per_s: outcome.price,
         end: solution.end,
         proven: proven_gap(solution.relative_gap, average.is_some()),
-        tikhonov,
-        pull_part,
-        iterations,
+        tikhonov: outcome.tikhonov,
+        pull_part: outcome.pull_part,
+        iterations: outcome.iterations,
         objective_nm2: solution.objective,
-        model_rms_nm,
+        model_rms_nm: outcome.model_rms_nm,
         fit_error_mm: motion.fit_error_mm,
-        average: average.map(Averaged::of),
-        rounds,
+        average: average.map(Averaged::from),
+        rounds: outcome.rounds,
         axes: of_axes.unwrap_or_default(),
         slowed_by,
         tif_lattice: lattice.if_anew(),
@@ -527,7 +543,7 @@ fn first_mesh(
     let (mesh, taken_mm) = affordable(curves, path, tif, [spacing_mm, widest_mm], MOST_WORK)?;
     let mesh = closer(curves, path, tif, (mesh, taken_mm), closest_mm)?;
     let widened = Widened { from_mm: spacing_mm, to_mm: taken_mm };
-    Ok((mesh, (taken_mm > spacing_mm).then_some(widened)))
+    Ok((mesh, if taken_mm > spacing_mm { Some(widened) } else { None }))
 }
 
 /// Largest ratio of a density that a further axis asks for to the largest that x and y ask for. Larger: a plan that
@@ -558,7 +574,7 @@ fn check_further(
         let part_mm = span.length_mm() / CHECKED_PARTS as f64;
         for k in 0..=CHECKED_PARTS {
             let s_mm = span.from_mm + part_mm * k as f64;
-            let there = curves[span.curve].at(s_mm);
+            let there = curves[span.curve].station(s_mm);
             let [x, y] = there.point_mm;
             let Some(scaled) = further.scaled(&there) else {
                 let problem = format!(
@@ -599,7 +615,7 @@ fn check_further(
 /// Least radius of curvature, mm; `None` where all is straight.
 fn least_radius_mm(curves: &[Curve]) -> Option<f64> {
     let most = curves.iter().map(Curve::most_curvature_per_mm).fold(0.0, f64::max);
-    (most > 0.0).then(|| 1.0 / most)
+    if most > 0.0 { Some(1.0 / most) } else { None }
 }
 
 /// Limits on the rounding of corners, and the spacing of the nodes (mm), for the width and the spread of the TIF.
@@ -608,7 +624,6 @@ fn scales(
     tif_spread_mm: f64,
     settings: &JointSettings,
 ) -> Result<(Rounding, f64), Invalid> {
-    let of = |given: Option<f64>, over_width: f64| given.unwrap_or(over_width * tif_width_mm);
     let node_width_mm = tif_width_mm.max(LEAST_WIDTH_OVER_SPREAD * tif_spread_mm);
     let spacing_mm = settings.node_spacing_mm.unwrap_or(SPACING_OVER_TIF_WIDTH * node_width_mm);
     if spacing_mm < LEAST_SPACING_OVER_TIF_WIDTH * tif_width_mm {
@@ -617,8 +632,10 @@ fn scales(
         return Err(Invalid::whole("node_spacing_mm", problem, remedy));
     }
     let rounding = Rounding {
-        deviation_mm: of(settings.corner_deviation_mm, DEVIATION_OVER_TIF_WIDTH),
-        radius_mm: of(settings.corner_radius_mm, RADIUS_OVER_TIF_WIDTH),
+        deviation_mm: settings
+            .corner_deviation_mm
+            .unwrap_or(DEVIATION_OVER_TIF_WIDTH * tif_width_mm),
+        radius_mm: settings.corner_radius_mm.unwrap_or(RADIUS_OVER_TIF_WIDTH * tif_width_mm),
     };
     Ok((rounding, spacing_mm))
 }

@@ -73,6 +73,10 @@ const MOST_REFINEMENTS: usize = 10;
 
 impl JointSettings {
     /// Checks every number by itself.
+    ///
+    /// # Errors
+    ///
+    /// Refuses a number that is not finite or is out of its range, and too many refinements.
     pub fn check(&self) -> Result<(), Invalid> {
         let (price_name, price) = match self.price {
             Price::Nm2PerS(price) => ("time_weight_nm2_per_s", price),

@@ -2,7 +2,7 @@
 
 use crate::example::{at_price, hill, merit, through, tif, two_axes};
 use ndarray::Array2;
-use planish_joint::{JointPlan, Price, JointSettings, plan};
+use planish_joint::{JointPlan, JointSettings, Price, plan};
 use planish_simulate::{SimulationSettings as Simulation, simulate};
 use planish_types::{Axis, End, Grid, Limits, Surface, Tif, ToolPath};
 use planish_verify::{VerifySettings, verify};
@@ -317,8 +317,10 @@ fn a_wide_tool_is_planned_where_time_is_worth_most() {
     let desired = Surface::new(g, height).unwrap();
     let tif = within_square(12.0, &|d| 3.0 * (-d * d / 32.0).exp());
     let path = lines(12.0, 1.6);
-    let planned = |settings: JointSettings| plan(&desired, &tif, &path, &limits, &settings).unwrap();
-    let at = |x: f64| planned(JointSettings { price: Price::Elasticity(x), ..JointSettings::default() });
+    let planned =
+        |settings: JointSettings| plan(&desired, &tif, &path, &limits, &settings).unwrap();
+    let at =
+        |x: f64| planned(JointSettings { price: Price::Elasticity(x), ..JointSettings::default() });
     let (half, most) = (at(0.5), at(0.8));
     // Where x is met best, m T^x is least: beside the other plan by what the meshes differ (0.87 and 1.12 were seen;
     // 1.45 and 0.99 with the plan that takes a quarter of the time).

@@ -76,7 +76,7 @@ pub struct Contact {
 }
 
 impl AxisMap {
-    /// The map of a machine and a part.
+    /// Builds the map from contact points on the part `form` to the axes of `machine`.
     pub fn new(machine: &Machine, form: &Form) -> Result<Self, Invalid> {
         let to_axes = match machine.part_to_axes() {
             Some(there) => Some((there.clone(), there.inverse()?)),
@@ -91,13 +91,13 @@ impl AxisMap {
         })
     }
 
-    /// Number of axes.
+    /// Returns the number of axes.
     pub fn axes(&self) -> usize {
         self.axes
     }
 
-    /// Positions of the axes, mm and deg, with their derivatives by the parameter of the contact point `p`, mm. `None`
-    /// where the form does not exist. The axis c of a spindle is between -180 and 180 deg.
+    /// Returns the positions of the axes, mm and deg, with their derivatives by the parameter of the contact point `p`,
+    /// mm. `None` where the form does not exist. The axis c of a spindle is between -180 and 180 deg.
     ///
     /// In the centre of a spindle the point is taken to move away from it.
     pub fn positions(&self, p: [Series; 2]) -> Option<Vec<Series>> {
@@ -136,9 +136,9 @@ impl AxisMap {
         })
     }
 
-    /// Position, first and second derivative by the arc length in the plane of the part, of every axis; in mm and deg,
-    /// and over mm and mm^2. The path goes through `point_mm` along the unit vector `tangent`, with this curvature
-    /// (positive to the left). `None` where the form does not exist.
+    /// Returns the position of every axis, with the first and second derivative by the arc length in the plane of the
+    /// part; in mm and deg, and over mm and mm^2. The path goes through `point_mm` along the unit vector `tangent`,
+    /// with this curvature (positive to the left). `None` where the form does not exist.
     pub fn along(
         &self,
         point_mm: [f64; 2],
@@ -155,8 +155,8 @@ impl AxisMap {
         Some(axes.iter().map(|q| [q.value, q.first, q.second]).collect())
     }
 
-    /// Contact of the tool where the axes are at `positions`, mm and deg. `None` where the axis of the tool meets no
-    /// surface.
+    /// Returns the contact of the tool where the axes are at `positions`, mm and deg. `None` where the axis of the tool
+    /// meets no surface.
     pub fn contact(&self, positions: &[f64]) -> Option<Contact> {
         let q = positions;
         let vertical = [0.0, 0.0, 1.0];
@@ -222,7 +222,7 @@ impl AxisMap {
         Contact { point_mm, gap_mm: 0.0, off_normal_deg }
     }
 
-    /// Distance of a contact point from the axis of the spindle, mm.
+    /// Returns the distance of a contact point from the axis of the spindle, mm.
     pub fn radius_mm(&self, point_mm: [f64; 2]) -> f64 {
         let [x, y] = self.on_machine(point_mm.map(Series::constant));
         x.value.hypot(y.value)

@@ -19,12 +19,12 @@ pub struct Series {
 }
 
 impl Series {
-    /// A number that does not depend on the parameter.
+    /// Returns a number that does not depend on the parameter.
     pub fn constant(value: f64) -> Self {
         Self { value, ..Self::default() }
     }
 
-    /// The number times a factor.
+    /// Returns the number times a factor.
     pub fn times(self, factor: f64) -> Self {
         Self {
             value: factor * self.value,

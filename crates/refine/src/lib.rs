@@ -206,7 +206,7 @@ pub struct Refined {
 }
 
 impl Refined {
-    /// Reason for a negative verdict; `None` if the verdict is positive. The largest number of rounds is no
+    /// Returns the reason for a negative verdict; `None` if the verdict is positive. The largest number of rounds is no
     /// reason if the user gave that number.
     pub fn negative(&self, desired: &Surface, rounds_asked_for: bool) -> Option<String> {
         let best = &self.iterates[self.best];

@@ -61,13 +61,13 @@ pub struct Point {
     pub end: End,
 }
 
-/// Reason for a negative verdict on a trade-off; `None` if the verdict is positive.
+/// Returns the reason for a negative verdict on a trade-off; `None` if the verdict is positive.
 pub fn negative(points: &[Point]) -> Option<String> {
     let kept = points.iter().all(|p| p.best.limits_respected);
     (!kept).then(|| "some plan exceeds the limits of the machine".to_string())
 }
 
-/// Least total time of any plan (1), s.
+/// Returns the least total time of any plan (1), s.
 pub fn least_time_s(desired: &Surface, tif: &Tif) -> f64 {
     let mut z: Vec<f64> = desired.height_nm().iter().copied().filter(|z| !z.is_nan()).collect();
     z.sort_by(f64::total_cmp);
@@ -77,8 +77,8 @@ pub fn least_time_s(desired: &Surface, tif: &Tif) -> f64 {
     volume / tif.vrr_nm_mm2_per_s()
 }
 
-/// Prices of a second, nm^2/s: zero, and `count` prices of equal ratio over three and a half decades. The largest
-/// is 3 % of half the mean square of the map per second of (1).
+/// Returns prices of a second, nm^2/s: zero, and `count` prices of equal ratio over three and a half decades. The
+/// largest is 3 % of half the mean square of the map per second of (1).
 pub fn prices(desired: &Surface, tif: &Tif, count: usize) -> Result<Vec<f64>, Invalid> {
     if count > MOST_PRICES {
         let remedy = format!("give at most {MOST_PRICES}: every price is a refinement");
@@ -248,8 +248,8 @@ const METHODS: [(PlanMethod, &str); 2] = [(PlanMethod::ClosedLoop, "#365c8d"), (
 /// SVG attributes of the line of the bound (1).
 const BOUND: &str = "stroke=\"#d8a010\" stroke-width=\"2\" stroke-dasharray=\"6 4\"";
 
-/// Picture as SVG text with a curve per method: total time to the right, residual upwards (logarithmic), the bound
-/// (1) dashed.
+/// Draws a picture as SVG text with a curve per method: total time to the right, residual upwards (logarithmic), the
+/// bound (1) dashed.
 pub fn svg(points: &[Point], least_time_s: f64) -> String {
     let place = |p: &Point| [p.best.total_time_s, p.best.rms_nm.max(LEAST_RMS_NM)];
     let end_s = 1.08 * points.iter().map(|p| place(p)[0]).fold(least_time_s, f64::max);

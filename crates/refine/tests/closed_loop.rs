@@ -158,7 +158,7 @@ fn the_executed_residual_falls_and_the_promise_is_what_the_judges_find() {
         assert_eq!(p.unwrap().removal.residual().statistics().rms, rms[refined.best]);
         let v = verify(&refined.trajectory, &machine, &VerifySettings::default()).unwrap();
         assert!(v.limits_respected, "{:?}", v.violations);
-        let how = pvt::PvtSettings { stretch: false, ..pvt::PvtSettings::of(mode) };
+        let how = pvt::PvtSettings { stretch: false, ..pvt::PvtSettings::new(mode) };
         let again = pvt::schedule(&path, &refined.dwell, &machine, &how).unwrap();
         assert_eq!(again.trajectory, refined.trajectory);
         assert!(refined.dwell.dwell_s().iter().all(|t| *t >= 0.05));
@@ -363,7 +363,7 @@ impl Scheduler for Pause {
     ) -> Result<Scheduled, ScheduleError> {
         let mut dwell_s = dwell.dwell_s().to_vec();
         dwell_s[self.segment] = dwell_s[self.segment].max(self.least_s);
-        let inner = pvt::PvtSettings::of(pvt::Mode::Monotone);
+        let inner = pvt::PvtSettings::new(pvt::Mode::Monotone);
         let motion = inner.schedule(path, &DwellTime::new(dwell_s)?, limits)?.trajectory;
         Ok(Scheduled::compared(motion, dwell)?)
     }

@@ -79,7 +79,7 @@ impl ScheduleCommand {
 
 /// Inputs and output of every scheduler.
 #[derive(Args)]
-struct Given {
+struct SchedulerArgs {
     #[command(flatten)]
     plan: PlanArgs,
     #[command(flatten)]
@@ -92,7 +92,7 @@ struct Given {
 
 /// Settings of a scheduler, with the tolerance by which its motion is judged.
 #[derive(Serialize)]
-struct Judged<'a, S> {
+struct JudgedSettings<'a, S> {
     #[serde(flatten)]
     settings: &'a S,
     max_path_distance_mm: f64,
@@ -118,14 +118,14 @@ trait MotionCommand {
     const METHOD: &'static str;
 
     /// Settings for the manifest, with all defaults resolved for this machine and path.
-    type Settings: Serialize;
+    type SchedulerSettings: Serialize;
 
-    fn given(&self) -> &Given;
+    fn args(&self) -> &SchedulerArgs;
 
-    fn settings(&self, machine: &Limits, max_path_distance_mm: f64) -> Self::Settings;
+    fn settings(&self, machine: &Limits, max_path_distance_mm: f64) -> Self::SchedulerSettings;
 
     /// Kind of the motion, if the method has several.
-    fn kind(_: &Self::Settings) -> Option<&'static str> {
+    fn kind(_: &Self::SchedulerSettings) -> Option<&'static str> {
         None
     }
 
@@ -138,25 +138,28 @@ trait MotionCommand {
         path: &ToolPath,
         dwell: &DwellTime,
         machine: &Limits,
-        settings: &Self::Settings,
+        settings: &Self::SchedulerSettings,
     ) -> Result<Made, ScheduleError>;
 
     /// Advice to the user if a limit is exceeded.
-    fn advice(_: &Self::Settings, _: &Claim) -> Option<String> {
+    fn advice(_: &Self::SchedulerSettings, _: &Claim) -> Option<String> {
         None
     }
 }
 
 fn schedule<S: MotionCommand>(scheduler: &S) -> Result<Status, Failure> {
-    let given = scheduler.given();
+    let args = scheduler.args();
     let mut inputs = Inputs::new();
-    let (path, dwell, overscan_mm) = given.plan.read(&mut inputs)?;
-    let machine = given.machine.read(&mut inputs)?;
+    let (path, dwell, overscan_mm) = args.plan.read(&mut inputs)?;
+    let machine = args.machine.read(&mut inputs)?;
     let tolerance_mm =
-        given.distance.tolerance_mm(&path, overscan_mm).map_err(Failure::with_flags)?;
+        args.distance.tolerance_mm(&path, overscan_mm).map_err(Failure::with_flags)?;
     let settings = scheduler.settings(&machine, tolerance_mm);
-    let task = task!(S::METHOD, Judged { settings: &settings, max_path_distance_mm: tolerance_mm });
-    let mut output = Output::directory(&given.output, Trajectory::KIND);
+    let task = task!(
+        S::METHOD,
+        JudgedSettings { settings: &settings, max_path_distance_mm: tolerance_mm }
+    );
+    let mut output = Output::directory(&args.output, Trajectory::KIND);
     if let Some(dir) = scheduler.dwell_density() {
         output = output.and_directory("--dwell-density-out", dir, DwellDensity::KIND);
     }
@@ -199,7 +202,7 @@ fn schedule<S: MotionCommand>(scheduler: &S) -> Result<Status, Failure> {
         dwell.total_s(),
         made.remark,
         broken_limits(&claim).iter().map(|b| format!("; {b}")).collect::<String>(),
-        given.output.out.display()
+        args.output.out.display()
     ));
     Ok(status)
 }

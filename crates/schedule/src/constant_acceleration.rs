@@ -45,7 +45,7 @@ use serde::Serialize;
 
 use crate::{
     ScheduleError, Scheduled, Scheduler, check_lengths,
-    shortest_cubic::{CubicSegment, State, shortest_cubic},
+    shortest_cubic::{State, shortest_cubic},
 };
 
 /// Times and positions that the recursion did not keep.
@@ -121,6 +121,10 @@ struct Phase {
 }
 
 /// Schedules `path` with the times `dwell` and the accelerations of `limits`.
+///
+/// # Errors
+///
+/// Refuses dwell times of another path, and dwell times that are zero everywhere.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -138,11 +142,11 @@ pub fn schedule(
         let s = [0, 1].map(|a| target[a] - position[a]);
         if !path.tool_on()[i] {
             let from = State { position_mm: position, velocity_mm_per_s: velocity };
-            let to = State { position_mm: target, velocity_mm_per_s: [0.0; 2] };
+            let to = State::at_rest(target);
             // Without dwell time and but for rounding at its end already, it would vanish too.
-            let lasts =
-                |l: &CubicSegment| l.duration_s > least_piece_s(motion.end_s() + l.duration_s);
-            match shortest_cubic(from, to, limits, dwell_s).filter(lasts) {
+            let link = shortest_cubic(from, to, limits, dwell_s)
+                .filter(|l| l.duration_s > least_piece_s(motion.end_s() + l.duration_s));
+            match link {
                 Some(link) => {
                     motion.push(link.duration_s, link.coefficient_mm, false, Some(i));
                     report.lifts += 1;
@@ -150,7 +154,8 @@ pub fn schedule(
                 }
                 None => report.dropped.push(i),
             }
-            (position, velocity) = (target, [0.0; 2]);
+            position = target;
+            velocity = [0.0; 2];
             continue;
         }
         if dwell_s == 0.0 && s == [0.0; 2] {
@@ -164,7 +169,8 @@ pub fn schedule(
         for axis in 0..2 {
             let p = &phases[axis];
             position[axis] += p.travel(velocity[axis], duration_s);
-            let (from, v0) = (start.position_mm[axis], start.velocity_mm_per_s[axis]);
+            let from = start.position_mm[axis];
+            let v0 = start.velocity_mm_per_s[axis];
             report.overshoot(axis, p, v0, [from, target[axis]], duration_s);
             report.missed(axis, position[axis] - target[axis]);
             if (position[axis] - target[axis]).abs() <= ROUNDING_MM {

@@ -64,12 +64,16 @@ pub struct Scheduled {
 
 impl Scheduled {
     /// Compares the time of every segment in the motion with its dwell time.
+    ///
+    /// # Errors
+    ///
+    /// Fails if the trajectory serves a segment that `dwell` does not have.
     pub fn compared(trajectory: Trajectory, dwell: &DwellTime) -> Result<Self, Invalid> {
         let served_s = trajectory.served_s(dwell.dwell_s().len(), |_| true)?;
         // Break times are sums: their differences round with the total.
         let rounding_s = 1e-12 * trajectory.total_time_s();
         let times = dwell.dwell_s().iter().zip(served_s).enumerate();
-        let differs = times.filter(|(_, (asked, took))| (took - **asked).abs() > rounding_s);
+        let differs = times.filter(|(_, (dwell_s, took))| (took - **dwell_s).abs() > rounding_s);
         let changed = differs.map(|(segment, (_, took))| (segment, took)).collect();
         Ok(Self { trajectory, changed })
     }
@@ -97,7 +101,7 @@ pub struct Named {
 }
 
 impl Named {
-    /// The scheduler for a machine, with the chosen settings and the default of every other one.
+    /// Returns the scheduler for a machine, with the chosen settings and the default of every other one.
     pub fn scheduler(&self, choices: &Choices, limits: &Limits) -> Box<dyn Scheduler> {
         (self.make)(choices, limits)
     }
@@ -112,7 +116,7 @@ pub static SCHEDULERS: [Named; 4] = [
         make: |choices, limits| {
             Box::new(pvt::PvtSettings {
                 max_path_distance_mm: choices.max_path_distance_mm,
-                ..pvt::PvtSettings::of(choices.mode.on(limits))
+                ..pvt::PvtSettings::new(choices.mode.on(limits))
             })
         },
     },
@@ -130,12 +134,15 @@ pub static SCHEDULERS: [Named; 4] = [
         name: "trig-spline",
         about: "Dwell-time density as a trigonometric spline along the path, raised until the limits are kept",
         make: |choices, _| {
-            Box::new(trig_spline::TrigSplineSettings { repair: choices.repair, ..Default::default() })
+            Box::new(trig_spline::TrigSplineSettings {
+                repair: choices.repair,
+                ..Default::default()
+            })
         },
     },
 ];
 
-/// The row of a name.
+/// Returns the scheduler of this name; `None` if there is none.
 pub fn by_name(name: &str) -> Option<&'static Named> {
     SCHEDULERS.iter().find(|named| named.name == name)
 }
@@ -190,6 +197,12 @@ fn rounding_mm(path: &ToolPath, segment: usize) -> f64 {
     let ends = [path.point_mm()[segment], path.point_mm()[segment + 1]];
     let largest = ends.as_flattened().iter().fold(0.0, |m: f64, v| m.max(v.abs()));
     (4.0 * f64::EPSILON * largest).max(LEAST_LENGTH_MM)
+}
+
+/// Returns the largest magnitude along a unit vector `direction` that keeps `max` on both axes.
+fn largest_along(direction: [f64; 2], max: [f64; 2]) -> f64 {
+    let [x, y] = [0, 1].map(|a| max[a] / direction[a].abs()); // infinite across
+    x.min(y)
 }
 
 /// Refuses a dwell time that belongs to another path.

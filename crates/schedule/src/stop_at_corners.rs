@@ -43,6 +43,7 @@ use serde::Serialize;
 use crate::{
     ScheduleError, Scheduled, Scheduler, check_lengths,
     constant_acceleration::least_piece_s,
+    largest_along,
     shortest_cubic::{State, shortest_cubic},
 };
 
@@ -99,6 +100,10 @@ impl Scheduler for StopAtCornersSettings {
 const STRAIGHT_MM_PER_S: f64 = 1e-7;
 
 /// Schedules `path` with at least the times `dwell` within `limits`.
+///
+/// # Errors
+///
+/// Refuses dwell times of another path, and dwell times that are zero everywhere.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -118,9 +123,8 @@ pub fn schedule(
         let i = segment.index;
         let start = path.point_mm()[i];
         if !segment.tool_on {
-            let at_rest = |position_mm| State { position_mm, velocity_mm_per_s: [0.0; 2] };
-            let to = at_rest(path.point_mm()[i + 1]);
-            if let Some(link) = shortest_cubic(at_rest(start), to, limits, segment.dwell_s) {
+            let [from, to] = [start, path.point_mm()[i + 1]].map(State::at_rest);
+            if let Some(link) = shortest_cubic(from, to, limits, segment.dwell_s) {
                 motion.push(link.duration_s, link.coefficient_mm, false, Some(i));
                 end_s += link.duration_s;
                 report.lifts += 1;
@@ -174,10 +178,6 @@ impl Along {
         let d = path.displacement_mm(i);
         let length_mm = path.segment_length_mm(i);
         let direction = if length_mm > 0.0 { d.map(|d| d / length_mm) } else { [0.0; 2] };
-        let along = |limit: [f64; 2]| {
-            let of = |a: usize| limit[a] / direction[a].abs();
-            of(0).min(of(1))
-        };
         Self {
             index: i,
             tool_on: path.tool_on()[i],
@@ -185,20 +185,20 @@ impl Along {
             direction,
             dwell_s: dwell.dwell_s()[i],
             duration_s: dwell.dwell_s()[i].max(limits.min_segment_s()),
-            max_velocity: along(limits.max_velocity_mm_per_s()),
-            max_acceleration: along(limits.max_acceleration_mm_per_s2()),
+            max_velocity: largest_along(direction, limits.max_velocity_mm_per_s()),
+            max_acceleration: largest_along(direction, limits.max_acceleration_mm_per_s2()),
         }
     }
 
     /// Returns true if the motion goes on into the next segment without a stop.
     fn joins(&self, next: &Self) -> bool {
         let speed = self.max_velocity.min(next.max_velocity);
-        let step = |a: usize| (self.direction[a] - next.direction[a]).abs() * speed;
+        let [x, y] = [0, 1].map(|a| (self.direction[a] - next.direction[a]).abs() * speed);
         self.tool_on
             && next.tool_on
             && self.length_mm > 0.0
             && next.length_mm > 0.0
-            && step(0).max(step(1)) <= STRAIGHT_MM_PER_S
+            && x.max(y) <= STRAIGHT_MM_PER_S
     }
 
     /// Largest velocity (1) at the start, mm/s, with the velocity `next` at the end.
@@ -240,10 +240,10 @@ impl Along {
         let discriminant = b * b - 4.0 * c;
         let wanted =
             if discriminant > 0.0 { 2.0 * c / (b + discriminant.sqrt()) } else { f64::INFINITY };
-        let phases = |w: f64| ((w - v0).abs() / a, (w - v1).abs() / a);
         if wanted > fastest {
             // Late.
-            let (w, (t0, t2)) = (fastest, phases(fastest));
+            let w = fastest;
+            let [t0, t2] = [v0, v1].map(|v| (w - v).abs() / a);
             let rest_mm = l - 0.5 * ((v0 + w) * t0 + (w + v1) * t2);
             return Profile { time_s: [t0, rest_mm.max(0.0) / w, t2], velocity: [v0, w, v1] };
         }
@@ -256,7 +256,7 @@ impl Along {
             let w = if coast_s > 0.0 { coast_mm / coast_s } else { v0.max(v1) };
             w.clamp(v0.min(v1), v0.max(v1))
         };
-        let (t0, t2) = phases(w);
+        let [t0, t2] = [v0, v1].map(|v| (w - v).abs() / a);
         Profile { time_s: [t0, (d - t0 - t2).max(0.0), t2], velocity: [v0, w, v1] }
     }
 }
@@ -296,10 +296,10 @@ impl Profile {
         cut.windows(2).map(|w| [w[0], w[1]]).collect()
     }
 
-    /// Distance, velocity and half the acceleration at the time `t` of the phase that `during` is in.
+    /// Returns distance, velocity and half the acceleration at the time `t` of the phase that `during` is in.
     fn state(&self, during: f64, t: f64) -> [f64; 3] {
-        let ([t0, t1, t2], [v0, w, v1]) = (self.time_s, self.velocity);
-        let slope = |change: f64, time: f64| if time > 0.0 { change / time } else { 0.0 };
+        let [t0, t1, t2] = self.time_s;
+        let [v0, w, v1] = self.velocity;
         if during < t0 {
             let half = 0.5 * slope(w - v0, t0);
             [t * (v0 + t * half), v0 + 2.0 * t * half, half]
@@ -312,6 +312,11 @@ impl Profile {
             [before + u * (w + u * half), w + 2.0 * u * half, half]
         }
     }
+}
+
+/// Returns the acceleration of a change of velocity in some time; 0 without time.
+fn slope(change: f64, time: f64) -> f64 {
+    if time > 0.0 { change / time } else { 0.0 }
 }
 
 #[cfg(test)]

@@ -73,7 +73,7 @@ pub fn check_tool(process: &ErrorBudget, tif: &Tif) -> Result<(), Invalid> {
 }
 
 impl Deviation {
-    /// The axes of `process` as they follow in every run: its lags of a fixed size, in the order of the file.
+    /// Returns the axes of `process` as they follow in every run: its lags of a fixed size, in the order of the file.
     pub fn servos_of(process: &ErrorBudget) -> Self {
         let mut run = Self::default();
         for error in &process.errors {
@@ -88,7 +88,7 @@ impl Deviation {
         run
     }
 
-    /// Number of servos that the axes follow through, one after the other.
+    /// Returns the number of servos that the axes follow through, one after the other.
     pub fn servo_count(&self) -> usize {
         self.servos.len()
     }
@@ -117,7 +117,7 @@ impl Deviation {
         }
     }
 
-    /// The TIF that runs, where it is another one.
+    /// Returns the TIF that runs; `None` where it is `tif` itself.
     ///
     /// A tool that varies over the part is wider, longer or rotated in the plane of the part, about the centroid of the
     /// mean tool:
@@ -165,7 +165,7 @@ impl Deviation {
         tif.with_kernels(|kernel| Ok((*grid, moved(kernel) * volume))).map(Some)
     }
 
-    /// The motion that runs over a map of `grid`.
+    /// Computes the motion that the machine executes over a map of `grid`, with the rates there.
     pub fn trajectory(&self, motion: &Motion, grid: &Grid) -> Result<Trajectory, Invalid> {
         let mut pieces = motion.pieces.clone();
         // Rates first: they belong to the times of the plan.
@@ -247,7 +247,7 @@ impl Deviation {
         }
     }
 
-    /// Mean deviation of the rate over a piece, noise left out.
+    /// Returns the mean deviation of the rate over a piece, noise left out.
     pub fn rate_at(&self, p: &MotionPiece, total_s: f64) -> f64 {
         // d (t / T - 1/2), and -a exp(-t / tau)
         let middle = (p.start_s + 0.5 * p.duration_s) / total_s - 0.5;

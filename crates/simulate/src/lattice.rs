@@ -53,7 +53,7 @@ impl Lattice {
         (self.pixels - 1).saturating_mul(self.subdivision).saturating_add(1)
     }
 
-    /// Cell C begins at the tool position at which sample 0 of the TIF is on the node C.
+    /// Returns the cells: cell C begins at the tool position at which sample 0 of the TIF is on the node C.
     pub fn cells(&self) -> NodeCells {
         let fraction = keys::split(self.edge).1;
         NodeCells {
@@ -68,12 +68,13 @@ impl Lattice {
         (self.last + 2) as usize
     }
 
-    /// Sources reach from node -last to node nodes(): one more than outputs and samples need.
+    /// Returns the number of nodes of the sources of the whole map: they reach from node -last to node nodes(), one
+    /// more than outputs and samples need.
     pub fn source_nodes(&self) -> usize {
         self.nodes().saturating_add(self.last as usize + 1)
     }
 
-    /// Nodes of a source from which the tool reaches `pixels`.
+    /// Returns the number of nodes of a source from which the tool reaches `pixels`.
     pub fn nodes_of(&self, pixels: &Range<usize>) -> usize {
         match pixels.len() {
             0 => 0,
@@ -81,12 +82,12 @@ impl Lattice {
         }
     }
 
-    /// Node 0 of that source.
+    /// Returns the node of the lattice that is node 0 of the source of `pixels`.
     pub fn first_node(&self, pixels: &Range<usize>) -> i64 {
         (pixels.start * self.subdivision) as i64 - self.last as i64
     }
 
-    /// The pixel at the node `q`, counted from the first of `pixels`, if it is one of them.
+    /// Returns the pixel at the node `q`, counted from the first of `pixels`, if it is one of them.
     pub fn pixel(&self, q: i64, pixels: &Range<usize>) -> Option<usize> {
         let q = usize::try_from(q).ok()?;
         let i = if self.subdivision == 1 {
@@ -97,7 +98,7 @@ impl Lattice {
         (i >= pixels.start && i < pixels.end).then(|| i - pixels.start)
     }
 
-    /// Cells that spread seconds to that source.
+    /// Returns the cells that spread seconds to the source of `pixels`.
     pub fn window(&self, pixels: &Range<usize>) -> Range<i64> {
         let first = self.first_node(pixels);
         match self.nodes_of(pixels) {
@@ -113,13 +114,13 @@ impl Lattice {
         s < -keys::SNAP || s > self.edge + keys::SNAP
     }
 
-    /// The samples j that the nodes beyond the edges get something from.
+    /// Returns the samples j from which the nodes beyond the edges get something.
     pub fn border_samples(&self) -> Vec<isize> {
         let upper = self.edge.floor() as isize;
         (-1..=self.last).filter(|j| *j <= 1 || *j >= upper - 2).collect()
     }
 
-    /// The nodes k that may be beyond an edge and still get something from (1).
+    /// Returns the nodes k that may be beyond an edge and still get something from (1).
     pub fn border(&self) -> Vec<BorderNode> {
         let samples = self.border_samples();
         let mut bit = 1;

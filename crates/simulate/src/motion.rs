@@ -84,8 +84,8 @@ impl Motion {
         Ok(Self { pieces, stay_s, point_of_stay, total_s, first_s })
     }
 
-    /// The motion with the rate of a tool whose rate depends on the time of the run: every piece has the mean of the factor
-    /// over its planned time. An error that stretches a piece thus leaves the rate at its planned time.
+    /// Returns the motion with the rate of a tool whose rate depends on the time of the run: every piece has the mean
+    /// of the factor over its planned time. An error that stretches a piece thus leaves the rate at its planned time.
     pub fn with_rate_of(mut self, tif: &Tif) -> Self {
         if let Some(time) = tif.variation().and_then(Variation::time_factor) {
             for p in &mut self.pieces {
@@ -96,7 +96,7 @@ impl Motion {
         self
     }
 
-    /// Largest speed at the ends and in the middle of the pieces, mm/s.
+    /// Returns the largest speed at the ends and in the middle of the pieces, mm/s.
     pub fn largest_speed_mm_per_s(&self) -> f64 {
         let speed = |p: &MotionPiece| {
             let v = p.coefficient_mm.map(|c| derivative(&c));

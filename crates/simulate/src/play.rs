@@ -101,7 +101,8 @@ impl Axis {
     }
 }
 
-/// The carriages of axes whose drives move along `pieces`; and of each piece the one of `origin` that it was.
+/// Returns the motion of the carriages of axes whose drives move along `pieces`, and for each of its pieces the
+/// `origin` of the piece that it is a part of.
 pub fn with_play(pieces: &[MotionPiece], origin: &[usize], play_mm: f64) -> (Vec<MotionPiece>, Vec<usize>) {
     let mirrored = play_mm < 0.0;
     let half_mm = 0.5 * play_mm.abs();

@@ -72,7 +72,8 @@ impl<'a> Runs<'a> {
         Ok(Self { tif: moved, grid: *grid, plan, motion, executed, unchanged, width_mm })
     }
 
-    /// S(run) (ny, nx), nm.
+    /// Returns the removal S(run) of the motion with the deviations of one run, without the errors of the rate (ny,
+    /// nx), nm.
     pub fn moved_nm(&self, run: &Deviation) -> Result<Array2<f64>, Invalid> {
         let trajectory = run.trajectory(&self.motion, &self.grid)?;
         Ok(match run.tif(&self.tif)? {
@@ -81,7 +82,7 @@ impl<'a> Runs<'a> {
         })
     }
 
-    /// R(run) (ny, nx), nm.
+    /// Returns the removal R(run) of one run (ny, nx), nm.
     pub fn removal_nm(&self, run: &Deviation) -> Result<Array2<f64>, Invalid> {
         Ok(&self.executed + &(self.moved_nm(run)? - &self.unchanged))
     }
@@ -92,7 +93,7 @@ impl<'a> Runs<'a> {
         0.5 * size[0].hypot(size[1])
     }
 
-    /// Displacement of the tool, mm (for a change of the TIF: times its width), per size of an effect.
+    /// Returns the displacement of the tool, mm (for a change of the TIF: times its width), per size of an effect.
     pub fn displacement_per_size(&self, effect: Scalar) -> f64 {
         match effect {
             Scalar::RateScale | Scalar::RateDrift | Scalar::RateWarmUp { .. } => 0.0,

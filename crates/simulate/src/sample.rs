@@ -17,7 +17,7 @@ use crate::{
     motion::Motion,
 };
 
-/// A standardised number: of standard deviation one, of half a width one, or one.
+/// Draws a standardised number: with a standard deviation of one, with half a width of one, or one itself.
 pub fn draw(distribution: Distribution, rng: &mut impl Rng) -> f64 {
     match distribution {
         Distribution::Normal => StandardNormal.sample(rng),
@@ -29,7 +29,7 @@ pub fn draw(distribution: Distribution, rng: &mut impl Rng) -> f64 {
     }
 }
 
-/// The random numbers of stream `index` of a seed.
+/// Returns the random numbers of stream `index` of a seed.
 pub fn stream(seed: u64, index: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(index);
@@ -85,7 +85,7 @@ pub fn sample(noise: Noise, size: f64, motion: &Motion, rng: &mut impl Rng, run:
     }
 }
 
-/// White noise of this standard deviation in every pixel (ny, nx), nm.
+/// Draws white noise of this standard deviation in every pixel (ny, nx), nm.
 pub fn white(sigma_nm: f64, shape: (usize, usize), rng: &mut impl Rng) -> Array2<f64> {
     Array2::from_shape_simple_fn(shape, || {
         let xi: f64 = StandardNormal.sample(rng);
@@ -93,7 +93,7 @@ pub fn white(sigma_nm: f64, shape: (usize, usize), rng: &mut impl Rng) -> Array2
     })
 }
 
-/// Legendre polynomials of the orders (along x, along y) over the rectangle of `grid`, of RMS one there.
+/// Returns Legendre polynomials of the orders (along x, along y) over the rectangle of `grid`, of RMS one there.
 pub fn legendre_terms(grid: &Grid, orders: &[(usize, usize)]) -> Vec<Array2<f64>> {
     let largest = orders.iter().map(|(i, j)| *i.max(j)).max().unwrap_or(0);
     let table = |a: &Axis| -> Vec<Vec<f64>> {
@@ -114,7 +114,7 @@ pub fn legendre_terms(grid: &Grid, orders: &[(usize, usize)]) -> Vec<Array2<f64>
     orders.iter().map(term).collect()
 }
 
-/// The orders (along x, along y) of total degree 1 to `degree`.
+/// Returns the orders (along x, along y) of total degree 1 to `degree`.
 pub fn low_orders(degree: usize) -> Vec<(usize, usize)> {
     (1..=degree).flat_map(|d| (0..=d).map(move |i| (d - i, i))).collect()
 }
@@ -128,7 +128,7 @@ pub struct Mean {
 }
 
 impl Mean {
-    /// Averages over a time of x correlation times.
+    /// Returns the averages over a time of x correlation times.
     pub fn over(x: f64) -> Self {
         let gone = -(-x).exp_m1();
         // The difference loses its digits below 1e-3; there the series errs by x^3 / 60.

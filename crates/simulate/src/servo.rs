@@ -40,7 +40,7 @@ const LEAST_TRANSIENT_MM: f64 = 1e-7;
 type State = [f64; 2];
 
 impl Servo {
-    /// The motion of the axes under the command `pieces`; each new piece with the origin of its command.
+    /// Returns the motion of the axes under the command `pieces`; each new piece with the origin of its command.
     pub fn follow(self, pieces: &[MotionPiece], origin: &[usize]) -> (Vec<MotionPiece>, Vec<usize>) {
         let lag_s = match self {
             Self::Lag { lag_s } | Self::FirstOrder { lag_s } | Self::SecondOrder { lag_s, .. } => {

@@ -116,7 +116,7 @@ impl Lines<'_> {
         }
     }
 
-    /// Items that a thread takes at least.
+    /// Returns the least number of items that a thread takes.
     pub fn least(&self) -> usize {
         if self.parallel { 1 } else { usize::MAX }
     }
@@ -264,7 +264,7 @@ impl<'a> Blocks<'a> {
         Self { cells, kinds, axis, lowest, start, order }
     }
 
-    /// The pieces of a block, the line of each in it, and its kind.
+    /// Returns the pieces of a block, the line of each in it, and its kind.
     pub fn of(&self, block: usize) -> impl Iterator<Item = (u32, usize, u8)> {
         let order = match self.start.get(block..block + 2) {
             Some(&[from, to]) => &self.order[from as usize..to as usize],

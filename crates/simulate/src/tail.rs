@@ -30,7 +30,8 @@ const LARGEST_OVER_HALF: f64 = 2.0;
 /// Smaller: a spot that is cut close keeps its cut. Chosen.
 const MOST_VOLUME: f64 = 0.3;
 
-/// The TIF with its tail; `None` if it ends by itself, or if its samples do not tell how it goes on.
+/// Continues the TIF by a tail beyond its samples; `None` if it ends by itself, or if its samples do not tell how it
+/// goes on.
 pub fn continued(tif: &Tif) -> Result<Option<Tif>, Invalid> {
     if tif.variation().is_some() {
         return Ok(None);

@@ -76,7 +76,7 @@ pub struct Tile<'a> {
 }
 
 impl<'a> Tile<'a> {
-    /// The tile of `kernel` with these pixels.
+    /// Returns the tile of `kernel` with these pixels.
     pub fn new(kernel: &'a Kernel, rows: Range<usize>, strips: [Range<usize>; 2]) -> Self {
         let [left, right] = [0, 1].map(|s| kernel.x.window(&strips[s]));
         let y = kernel.y.window(&rows);

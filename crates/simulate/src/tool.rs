@@ -40,8 +40,8 @@ const RESAMPLED: f64 = 2e-3;
 /// Smaller: rounding counts as part of the tool.
 const NOTHING: f64 = 1e-9;
 
-/// The TIF smoothed, and led to zero at its border, at the same volumetric removal rate. Of a tool that varies, the same
-/// linear operation acts on every kernel, and so on the tool at every place.
+/// Returns the TIF smoothed, and led to zero at its border, at the same volumetric removal rate. Of a tool that varies,
+/// the same linear operation acts on every kernel, and so on the tool at every place.
 pub fn smooth(tif: &Tif, width_mm: f64) -> Result<Tif, Invalid> {
     let extent = tif.grid().size_mm();
     let over_mm = (FADED * width_mm).min(MOST_FADED * extent[0].min(extent[1]));
@@ -61,7 +61,8 @@ pub struct Moved<'a> {
     pub resampling_error: f64,
 }
 
-/// The TIF that errors move over a map: smooth, and on the pixels of the map where they hold it; or `tif` as it is.
+/// Returns the TIF that errors move over a map: smooth, and on the pixels of the map where they hold it; or `tif` as it
+/// is.
 pub fn moved<'a>(tif: &'a Tif, map: &Grid, as_sampled: bool) -> Result<Moved<'a>, Invalid> {
     if as_sampled {
         return Ok(Moved { tif: Cow::Borrowed(tif), resampling_error: 0.0 });

@@ -104,7 +104,7 @@ fn without_what_is_learnt(process: &ErrorBudget) -> ErrorBudget {
     process
 }
 
-/// The map that is measured of `mirror` before run `run` of the machine of `seed`.
+/// Draws the map that is measured of `mirror` before run `run` of the machine of `seed`.
 pub fn measure(
     mirror: &Surface,
     process: &ErrorBudget,
@@ -119,7 +119,7 @@ pub fn measure(
     )
 }
 
-/// [`run`] of a plan that is ready, for many seeds.
+/// Executes a plan as [`run`] does, with what is the same for all seeds prepared.
 pub fn draw_run(
     runs: &Runs<'_>,
     before: &Surface,

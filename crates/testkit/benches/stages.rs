@@ -58,7 +58,7 @@ static CASE: LazyLock<Case> = LazyLock::new(|| {
         bounded_least_squares::solve(&fixture.surface, &fixture.tif, &path, None, &solver())
             .unwrap()
             .dwell;
-    let how = pvt::PvtSettings::of(Mode::Smooth);
+    let how = pvt::PvtSettings::new(Mode::Smooth);
     let trajectory = pvt::schedule(&path, &dwell, &ion_beam(), &how).unwrap().trajectory;
     Case { surface: fixture.surface, tif: fixture.tif, path, dwell, trajectory }
 });
@@ -137,7 +137,7 @@ fn dwell_large_map(bencher: Bencher) {
 #[divan::bench(args = [Mode::Smooth, Mode::Monotone], sample_count = 20)]
 fn schedule_pvt(mode: Mode) {
     let c = &*CASE;
-    let how = pvt::PvtSettings::of(mode);
+    let how = pvt::PvtSettings::new(mode);
     black_box(pvt::schedule(&c.path, &c.dwell, &ion_beam(), &how).unwrap());
 }
 
@@ -229,7 +229,7 @@ const LENGTHS: [usize; 3] = [2678, 62_500, 1_000_000];
 fn schedule_pvt_long<const MONOTONE: bool>(bencher: Bencher, segments: usize) {
     let (path, dwell) = long_path(segments);
     let mode = if MONOTONE { Mode::Monotone } else { Mode::Smooth };
-    let how = pvt::PvtSettings::of(mode);
+    let how = pvt::PvtSettings::new(mode);
     bencher.bench_local(|| black_box(pvt::schedule(&path, &dwell, &ion_beam(), &how).unwrap()));
 }
 
@@ -258,7 +258,7 @@ fn short_times(segments: usize) -> (ToolPath, DwellTime) {
 #[divan::bench(args = [3000, 50_000], sample_count = 3)]
 fn schedule_pvt_stretched(bencher: Bencher, segments: usize) {
     let (path, dwell) = short_times(segments);
-    let how = pvt::PvtSettings::of(Mode::Monotone);
+    let how = pvt::PvtSettings::new(Mode::Monotone);
     bencher.bench_local(|| black_box(pvt::schedule(&path, &dwell, &ion_beam(), &how).unwrap()));
 }
 

@@ -66,7 +66,7 @@ impl Plan {
             false => machine("bonnet-five-axis", |_| {}),
             true => machine("spindle", |file| file["part_origin_mm"] = json!([-10, -6])),
         };
-        let settings = pvt::PvtSettings::of(Mode::Smooth);
+        let settings = pvt::PvtSettings::new(Mode::Smooth);
         let plan = pvt::schedule(&path, &dwell, machine.limits(), &settings).unwrap().trajectory;
         let form = sphere();
         let motion = motion(&plan, &machine, &form, &MotionSettings::default()).unwrap().0;

@@ -341,7 +341,7 @@ fn programs_of_random_problems_keep_the_limits() {
             MachineFile { name: "bench".into(), axes: axes.to_vec(), ..MachineFile::default() };
         let machine = Machine::new(file).unwrap();
         let mode = if has_jerk { Mode::Smooth } else { Mode::Monotone };
-        let settings = pvt::PvtSettings::of(mode);
+        let settings = pvt::PvtSettings::new(mode);
         let plan = match pvt::schedule(&path, &dwell, machine.limits(), &settings) {
             Ok(plan) => plan.trajectory,
             Err(e) => {
@@ -484,7 +484,7 @@ fn plan_at_its_limits() -> (Trajectory, Machine) {
     let dwell = DwellTime::new(times.collect()).unwrap();
     let limits = planish_testkit::ion_beam();
     let machine = Machine::new(MachineFile::from(&limits)).unwrap();
-    let plan = pvt::PvtSettings::of(Mode::Monotone);
+    let plan = pvt::PvtSettings::new(Mode::Monotone);
     (pvt::schedule(&path, &dwell, &limits, &plan).unwrap().trajectory, machine)
 }
 

@@ -40,7 +40,7 @@ fn simulated(
 /// The spline of the publication, which has no tolerance of its distance from the path.
 fn smooth(path: &ToolPath, dwell: &DwellTime) -> pvt::Schedule {
     let settings =
-        pvt::PvtSettings { max_path_distance_mm: Some(1e9), ..pvt::PvtSettings::of(pvt::Mode::Smooth) };
+        pvt::PvtSettings { max_path_distance_mm: Some(1e9), ..pvt::PvtSettings::new(pvt::Mode::Smooth) };
     pvt::schedule(path, dwell, &ion_beam(), &settings).unwrap()
 }
 
@@ -193,7 +193,7 @@ fn smooth_overshoots_corners_and_monotone_does_not() {
     let (path, dwell) = (mirror.path("maze"), mirror.dwell("maze"));
     let largest = |t: &Trajectory| judge(t).max_overshoot_mm.into_iter().fold(0.0, f64::max);
     near("smooth, um", 1e3 * largest(&smooth(&path, &dwell).trajectory), 168.0, 1.0);
-    let settings = pvt::PvtSettings::of(pvt::Mode::Monotone);
+    let settings = pvt::PvtSettings::new(pvt::Mode::Monotone);
     let monotone = pvt::schedule(&path, &dwell, &ion_beam(), &settings).unwrap();
     near("monotone, um", 1e3 * largest(&monotone.trajectory), 0.0, 1e-9);
 }

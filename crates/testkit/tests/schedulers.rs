@@ -87,7 +87,7 @@ impl Case {
     /// The motion without a tolerance of its distance from the path.
     fn pvt(&self, mode: Mode) -> Result<pvt::Schedule, String> {
         let settings =
-            pvt::PvtSettings { max_path_distance_mm: Some(ANYWHERE_MM), ..pvt::PvtSettings::of(mode) };
+            pvt::PvtSettings { max_path_distance_mm: Some(ANYWHERE_MM), ..pvt::PvtSettings::new(mode) };
         pvt::schedule(&self.path(), &self.dwell(), &self.limits, &settings)
             .map_err(|e| e.to_string())
     }
@@ -199,7 +199,7 @@ fn unstretched(trajectory: Trajectory) -> Motion {
 }
 
 fn pvt_motion(p: &ToolPath, d: &DwellTime, l: &Limits, mode: Mode) -> Result<Motion, String> {
-    let settings = pvt::PvtSettings::of(mode);
+    let settings = pvt::PvtSettings::new(mode);
     let s = pvt::schedule(p, d, l, &settings).map_err(|e| e.to_string())?;
     let stretched = s.report.stretched.iter().any(|s| s.tool_on);
     Ok(Motion {

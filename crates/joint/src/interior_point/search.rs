@@ -224,7 +224,7 @@ impl<'a> Search<'a> {
         let to_go = self.stop.max_iterations.saturating_sub(self.iteration);
         let near = self.settled
             && complementarity <= wanted_nm2
-            && (self.at.kept.is_some()
+            && (self.at.anchor.is_some()
                 || self.patience.ends(there, fall_nm2, wanted_nm2)
                 || to_go <= STEPS_OF_A_PROOF);
         Look { there, wanted_nm2, near, last: to_go == 0 }
@@ -235,12 +235,12 @@ impl<'a> Search<'a> {
     pub(super) fn refer(&mut self, look: Look, merit: &mut Merit<'_>) -> Result<Look, JointError> {
         let complementarity = look.there.complementarity;
         if look.decides() || complementarity <= REFERRED_AGAIN * self.referred_at {
-            merit.refer_to(look.there, &self.at.density, self.at.kept.is_some())?;
+            merit.refer_to(look.there, &self.at.density, self.at.anchor.is_some())?;
             self.evaluate(look.there, merit);
             self.referred_at = complementarity;
         }
         self.value_before = self.at.f.value;
-        if self.at.kept.is_none() {
+        if self.at.anchor.is_none() {
             self.values.push(self.at.f.value);
         }
         Ok(Look { near: look.near && self.settled, ..look })
@@ -264,7 +264,7 @@ impl<'a> Search<'a> {
             Next::End(End::Optimal)
         } else if look.last {
             Next::End(End::IterationLimit)
-        } else if self.at.kept.is_none() {
+        } else if self.at.anchor.is_none() {
             Next::KeepTangents
         } else if gap_nm2 <= PROGRAM_SOLVED * look.wanted_nm2 {
             Next::Move
@@ -432,14 +432,14 @@ mod tests {
             let under = search.refer(under, merit).unwrap();
             assert_eq!(search.values.len(), values);
             let solved = 0.5 * PROGRAM_SOLVED * under.wanted_nm2;
-            let kept = search.at.kept.as_mut().unwrap();
+            let kept = search.at.anchor.as_mut().unwrap();
             assert_eq!(kept.density, density);
             // Far below the iterate whose tangents are kept: solved, but nothing is proven of that iterate.
             (kept.value, kept.gap) = (2.0 * search.at.f.value, f64::INFINITY);
             assert_eq!(search.conclude(&look, solved), Next::Move);
             assert_eq!(search.conclude(&look, 2.0 * PROGRAM_SOLVED * look.wanted_nm2), Next::Step);
             search.move_towards_solution(&look, merit);
-            assert!(search.at.kept.is_none());
+            assert!(search.at.anchor.is_none());
             assert_eq!(search.patience.from, search.iteration + LEAST_STEPS_BETWEEN_PROOFS);
             assert!(search.at.c.iter().all(|c| *c > 0.0), "every iterate can be executed");
         });

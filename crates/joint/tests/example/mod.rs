@@ -1,7 +1,7 @@
 //! A small part of 57 pixels along x, a Gaussian tool, and a machine of two axes.
 
 use ndarray::Array2;
-use planish_joint::{JointPlan, Price, JointSettings};
+use planish_joint::{JointPlan, JointSettings, Price};
 use planish_types::{Axis, Grid, Limits, MachineFile, MachineFileAxis, Surface, Tif, ToolPath};
 
 /// Limits along [x, y]: velocities, mm/s, accelerations, mm/s^2, and one jerk, mm/s^3.

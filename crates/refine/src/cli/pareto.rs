@@ -46,7 +46,7 @@ pub struct Pareto {
 }
 
 impl Pareto {
-    /// The plans, their table and their picture.
+    /// Computes the plans and writes them with their table and their picture.
     pub fn run(&self) -> Result<Status, Failure> {
         let mut settings = RefineSettings { max_rounds: self.max_rounds, ..RefineSettings::default() };
         settings.dwell.min_dwell = self.floor.bound(Bound::Seconds, Bound::SecondsPerMm)?;
@@ -54,7 +54,7 @@ impl Pareto {
         let (surface, tif) = self.mirror.read(&mut inputs)?;
         let path = self.path.read(&mut inputs)?;
         let machine = self.machine.read(&mut inputs)?;
-        let scheduler = pvt::PvtSettings::of(self.mode.on(&machine));
+        let scheduler = pvt::PvtSettings::new(self.mode.on(&machine));
         settings.scheduler = &scheduler;
         let task = task!("pareto", json!({ "prices": self.prices, "refine": settings }));
         let mut output =

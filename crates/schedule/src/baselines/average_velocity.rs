@@ -46,6 +46,10 @@ pub struct Schedule {
 
 /// Schedules `path` with the times `dwell`. A segment takes longer if the velocity limit or the
 /// shortest segment of the controller demands it.
+///
+/// # Errors
+///
+/// Refuses dwell times of another path, and dwell times that are zero everywhere.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,

@@ -5,21 +5,21 @@ use planish_schedule::{ScheduleError, constant_acceleration};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, MotionCommand, NoSettings, micron};
+use super::{Made, MotionCommand, NoSettings, SchedulerArgs, micron};
 
 #[derive(Args)]
 pub struct ConstantAcceleration {
     #[command(flatten)]
-    given: Given,
+    args: SchedulerArgs,
 }
 
 impl MotionCommand for ConstantAcceleration {
     const METHOD: &'static str = "constant-acceleration";
 
-    type Settings = NoSettings;
+    type SchedulerSettings = NoSettings;
 
-    fn given(&self) -> &Given {
-        &self.given
+    fn args(&self) -> &SchedulerArgs {
+        &self.args
     }
 
     fn settings(&self, _: &Limits, _: f64) -> NoSettings {

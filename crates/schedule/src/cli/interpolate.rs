@@ -35,9 +35,9 @@ pub struct Interpolate {
 
 impl Interpolate {
     pub fn run(&self) -> Result<Status, Failure> {
-        let tick = |e| Failure::new(format!("--cycle-s: {e}"));
-        let mut interpolator = Interpolator::new(self.cycle_s).map_err(tick)?;
-        let table = Table::of(&self.output.out)?;
+        let mut interpolator =
+            Interpolator::new(self.cycle_s).map_err(|e| Failure::new(format!("--cycle-s: {e}")))?;
+        let table = Table::from_path(&self.output.out)?;
         let mut inputs = Inputs::new();
         let source = match (&self.program, &self.dwell_density) {
             (Some(program), _) => {
@@ -173,7 +173,8 @@ enum Table {
 const NPY_HEAD_BYTES: usize = 128;
 
 impl Table {
-    fn of(path: &Path) -> Result<Self, Failure> {
+    /// Chooses the format by the ending of the file.
+    fn from_path(path: &Path) -> Result<Self, Failure> {
         match path.extension().and_then(OsStr::to_str) {
             Some("csv") => Ok(Self::Csv),
             Some("npy") => Ok(Self::Npy),

@@ -9,21 +9,21 @@ use planish_schedule::{
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, MotionCommand, NoSettings};
+use super::{Made, MotionCommand, NoSettings, SchedulerArgs};
 
 #[derive(Args)]
 pub struct Position {
     #[command(flatten)]
-    given: Given,
+    args: SchedulerArgs,
 }
 
 impl MotionCommand for Position {
     const METHOD: &'static str = "position";
 
-    type Settings = NoSettings;
+    type SchedulerSettings = NoSettings;
 
-    fn given(&self) -> &Given {
-        &self.given
+    fn args(&self) -> &SchedulerArgs {
+        &self.args
     }
 
     fn settings(&self, _: &Limits, _: f64) -> NoSettings {

@@ -58,7 +58,7 @@ impl Program {
     fn heights_mm(&self, records: &[Record], inputs: &mut Inputs) -> Result<Vec<f64>, Failure> {
         let Some(path) = &self.form else { return Ok(vec![0.0; records.len()]) };
         let form = inputs.read_form("form", path)?.form;
-        let height = |(number, record): (usize, &Record)| {
+        let heights = records.iter().enumerate().map(|(number, record)| {
             let [x, y] = record.end_mm();
             // Never the other zero.
             form.sag_mm([x, y]).map(|z| z + 0.0).ok_or_else(|| {
@@ -68,8 +68,8 @@ impl Program {
                     path.display()
                 ))
             })
-        };
-        records.iter().enumerate().map(height).collect()
+        });
+        heights.collect()
     }
 }
 

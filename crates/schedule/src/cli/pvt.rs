@@ -5,12 +5,12 @@ use planish_schedule::{ScheduleError, claim::Claim, pvt};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, MotionCommand};
+use super::{Made, MotionCommand, SchedulerArgs};
 
 #[derive(Args)]
 pub struct Pvt {
     #[command(flatten)]
-    given: Given,
+    args: SchedulerArgs,
     /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "auto")]
     mode: pvt::ModeChoice,
@@ -22,17 +22,17 @@ pub struct Pvt {
 impl MotionCommand for Pvt {
     const METHOD: &'static str = "pvt";
 
-    type Settings = pvt::PvtSettings;
+    type SchedulerSettings = pvt::PvtSettings;
 
-    fn given(&self) -> &Given {
-        &self.given
+    fn args(&self) -> &SchedulerArgs {
+        &self.args
     }
 
     fn settings(&self, machine: &Limits, max_path_distance_mm: f64) -> pvt::PvtSettings {
         pvt::PvtSettings {
             stretch: !self.no_stretch,
             max_path_distance_mm: Some(max_path_distance_mm),
-            ..pvt::PvtSettings::of(self.mode.on(machine))
+            ..pvt::PvtSettings::new(self.mode.on(machine))
         }
     }
 

@@ -5,12 +5,12 @@ use planish_schedule::{ScheduleError, baselines::pvt_as_published};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, MotionCommand, micron};
+use super::{Made, MotionCommand, SchedulerArgs, micron};
 
 #[derive(Args)]
 pub struct PvtAsPublished {
     #[command(flatten)]
-    given: Given,
+    args: SchedulerArgs,
     /// Node at which the tool rests besides the end: as Eq. 16 of the publication means, or as it is misprinted
     #[arg(long, value_enum, default_value = "corrected")]
     rest_condition: pvt_as_published::RestCondition,
@@ -19,10 +19,10 @@ pub struct PvtAsPublished {
 impl MotionCommand for PvtAsPublished {
     const METHOD: &'static str = "pvt-as-published";
 
-    type Settings = pvt_as_published::AsPublishedSettings;
+    type SchedulerSettings = pvt_as_published::AsPublishedSettings;
 
-    fn given(&self) -> &Given {
-        &self.given
+    fn args(&self) -> &SchedulerArgs {
+        &self.args
     }
 
     fn settings(&self, _: &Limits, _: f64) -> pvt_as_published::AsPublishedSettings {

@@ -5,21 +5,21 @@ use planish_schedule::{ScheduleError, stop_at_corners};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, MotionCommand, NoSettings};
+use super::{Made, MotionCommand, NoSettings, SchedulerArgs};
 
 #[derive(Args)]
 pub struct StopAtCorners {
     #[command(flatten)]
-    given: Given,
+    args: SchedulerArgs,
 }
 
 impl MotionCommand for StopAtCorners {
     const METHOD: &'static str = "stop-at-corners";
 
-    type Settings = NoSettings;
+    type SchedulerSettings = NoSettings;
 
-    fn given(&self) -> &Given {
-        &self.given
+    fn args(&self) -> &SchedulerArgs {
+        &self.args
     }
 
     fn settings(&self, _: &Limits, _: f64) -> NoSettings {

@@ -7,12 +7,12 @@ use planish_schedule::{ScheduleError, trig_spline};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Given, Made, MotionCommand};
+use super::{Made, MotionCommand, SchedulerArgs};
 
 #[derive(Args)]
 pub struct TrigSpline {
     #[command(flatten)]
-    given: Given,
+    args: SchedulerArgs,
     /// Repair of the dwell-time densities that the machine cannot follow
     #[arg(long, value_enum, default_value = "offset")]
     repair: trig_spline::Repair,
@@ -31,10 +31,10 @@ pub struct TrigSpline {
 impl MotionCommand for TrigSpline {
     const METHOD: &'static str = "trig-spline";
 
-    type Settings = trig_spline::TrigSplineSettings;
+    type SchedulerSettings = trig_spline::TrigSplineSettings;
 
-    fn given(&self) -> &Given {
-        &self.given
+    fn args(&self) -> &SchedulerArgs {
+        &self.args
     }
 
     fn settings(&self, _: &Limits, _: f64) -> trig_spline::TrigSplineSettings {

@@ -218,7 +218,6 @@ impl AxisProblem<'_> {
     /// Solves the parts whose durations have changed.
     pub(super) fn solve_parts(&self, h: &[f64], parts: &mut [Part]) {
         let price = OnceLock::new();
-        let price = || *price.get_or_init(|| self.elastic_price(h));
         parts.par_iter_mut().filter(|part| part.solved.is_none()).for_each(|part| {
             let segments = part.segments.clone();
             let displacement_mm = Cow::Borrowed(&self.displacement_mm[segments.clone()]);
@@ -228,6 +227,7 @@ impl AxisProblem<'_> {
                 Cow::Borrowed(&self.velocity_range[segments.start..=segments.end])
             };
             let problem = AxisProblem { displacement_mm, velocity_range, ..*self };
+            let price = || *price.get_or_init(|| self.elastic_price(h));
             part.solved = Some(problem.solve(&h[segments], price, &mut part.limited));
         });
     }
@@ -248,9 +248,8 @@ impl AxisProblem<'_> {
             return Ok(Solved { velocity: free, solver: Solver::Tridiagonal });
         }
         drop(free); // its memory is the program's
-        let solved = |velocity| Ok(Solved { velocity, solver: Solver::QuadraticProgram });
         if let Some(velocity) = self.quadratic_program(h, Bounds::Hard, limited) {
-            return solved(velocity);
+            return Ok(Solved { velocity, solver: Solver::QuadraticProgram });
         }
         // If the bounds allow a single motion only, hard rows have no interior and the method does not
         // converge. With the elastic ones it does, and no limit is exceeded.
@@ -329,15 +328,20 @@ impl AxisProblem<'_> {
     }
 
     fn is_monotone(&self, v: &[f64], h: &[f64]) -> bool {
-        let sign_ok = |i: usize| {
+        let have_signs = v.iter().enumerate().all(|(i, v)| {
             let [negative, positive] = self.allowed_signs(i);
-            (v[i] >= 0.0 || negative) && (v[i] <= 0.0 || positive)
-        };
-        let middle_ok = |i: usize| {
-            let dp = self.displacement_mm[i];
-            dp * (3.0 * dp / h[i] - v[i] - v[i + 1]) >= 0.0
-        };
-        (0..v.len()).all(sign_ok) && (0..h.len()).all(middle_ok)
+            (*v >= 0.0 || negative) && (*v <= 0.0 || positive)
+        });
+        have_signs
+            && (0..h.len()).all(|i| {
+                let dp = self.displacement_mm[i];
+                dp * (3.0 * dp / h[i] - v[i] - v[i + 1]) >= 0.0
+            })
+    }
+
+    /// Returns true if the segment `i` exceeds a limit by more than the tolerance of the solver.
+    fn exceeds(&self, i: usize, v: &[f64], h: &[f64]) -> bool {
+        self.excess_of(i, v, h) > 1.0 + 0.5 * MARGIN
     }
 
     /// Minimiser of (4) within the bounds of the mode and of the machine; `None` if there is no solution.
@@ -352,23 +356,23 @@ impl AxisProblem<'_> {
         known: &mut Vec<usize>,
     ) -> Option<Vec<f64>> {
         let n = h.len();
-        let exceeds = |v: &[f64], i: usize| self.excess_of(i, v, h) > 1.0 + 0.5 * MARGIN;
         if (0..=n).all(|i| self.allowed_signs(i) == [false, false]) {
             // The axis rests in every control point.
             let v = vec![0.0; n + 1];
-            let kept = bounds != Bounds::Hard || !parallel(n).any(|i| exceeds(&v, i));
-            return kept.then_some(v);
+            let is_solution =
+                bounds != Bounds::Hard || !parallel(n).any(|i| self.exceeds(i, &v, h));
+            return if is_solution { Some(v) } else { None };
         }
         let mut limited = Limited { segment: vec![false; n], velocity_at: BTreeMap::new() };
         known.iter().for_each(|i| limited.segment[*i] = true);
         let mut reach = 2;
         for _ in 0..MAX_PROGRAMS {
-            let add = |i: usize, rows: &mut chain::Rows| self.rows(i, h, &limited, rows);
-            let v = chain::solve(self.program(h, bounds), add).ok()?;
+            let program = self.program(h, bounds);
+            let v = chain::solve(program, |i, rows| self.rows(i, h, &limited, rows)).ok()?;
             let v = self.exact_at_fixed_nodes(v);
             let mut complete = true;
             let mut with_rows: Vec<usize> = Vec::new();
-            let exceeding: Vec<usize> = parallel(n).filter(|i| exceeds(&v, *i)).collect();
+            let exceeding: Vec<usize> = parallel(n).filter(|i| self.exceeds(*i, &v, h)).collect();
             for i in exceeding {
                 if !limited.segment[i] {
                     with_rows.push(i);
@@ -404,8 +408,8 @@ impl AxisProblem<'_> {
     fn elastic_price(&self, h: &[f64]) -> f64 {
         let n = h.len();
         let dp = &self.displacement_mm;
-        let of = |i: usize| 4.0 / h[i];
-        let energy = (1..n).map(|i| of(i - 1) + of(i)).fold(of(0).max(of(n - 1)), f64::max);
+        let ends = (4.0 / h[0]).max(4.0 / h[n - 1]);
+        let energy = (1..n).map(|i| 4.0 / h[i - 1] + 4.0 / h[i]).fold(ends, f64::max);
         let mean = (0..n).map(|i| dp[i].abs() / h[i]).fold(0.0, f64::max);
         let mean_s = h.iter().sum::<f64>() / n as f64;
         energy * mean * mean / (ELASTIC_ENERGY * mean_s)
@@ -419,19 +423,16 @@ impl AxisProblem<'_> {
     fn program(&self, h: &[f64], bounds: Bounds) -> chain::Program {
         let n = h.len();
         let dp = &self.displacement_mm;
-        // Sum over the segments at a node.
-        let sum = |node: usize, of: &dyn Fn(usize) -> f64| {
-            (node.saturating_sub(1)..(node + 1).min(n)).map(of).sum()
-        };
-        let nodes = || parallel(n + 1);
-        let diagonal = nodes().map(|node| sum(node, &|i| 4.0 / h[i])).collect();
-        let linear = nodes().map(|node| sum(node, &|i| 6.0 * dp[i] / (h[i] * h[i]))).collect();
+        let diagonal = parallel(n + 1).map(|node| beside_node(node, n).map(|i| 4.0 / h[i]).sum());
+        let linear = parallel(n + 1)
+            .map(|node| beside_node(node, n).map(|i| 6.0 * dp[i] / (h[i] * h[i])).sum());
         let beside = parallel(n).map(|i| 2.0 / h[i]).collect();
         let price = match bounds {
             Bounds::Hard => Vec::new(),
             Bounds::Elastic { price } => h.iter().map(|h| price * h).collect(),
         };
-        let free = nodes().map(|i| self.allowed_signs(i) != [false, false]).collect();
+        let free = parallel(n + 1).map(|i| self.allowed_signs(i) != [false, false]).collect();
+        let (diagonal, linear) = (diagonal.collect(), linear.collect());
         chain::Program { diagonal, beside, linear, free, price }
     }
 
@@ -461,27 +462,24 @@ impl AxisProblem<'_> {
         let d = dp / h[i];
         let a = self.max_acceleration * h[i];
         let v_max = self.max_velocity;
-        let mut both = |row: [f64; 2], constant: f64, bound: f64| {
-            rows.add(row, bound, bound - constant);
-            rows.add(row.map(|v| -v), bound, bound + constant);
-        };
-        both([-4.0, -2.0], 6.0 * d, a);
-        both([2.0, 4.0], -6.0 * d, a);
-        both([1.0, 0.0], 0.0, v_max);
-        both([0.0, 1.0], 0.0, v_max);
+
+        add_both(rows, [-4.0, -2.0], 6.0 * d, a);
+        add_both(rows, [2.0, 4.0], -6.0 * d, a);
+        add_both(rows, [1.0, 0.0], 0.0, v_max);
+        add_both(rows, [0.0, 1.0], 0.0, v_max);
         if self.max_jerk.is_finite() {
             // |6 (v0 + v1) - 12 dp/h| <= j h^2
-            both([6.0, 6.0], -12.0 * d, self.max_jerk * h[i] * h[i]);
+            add_both(rows, [6.0, 6.0], -12.0 * d, self.max_jerk * h[i] * h[i]);
         }
         for u in limited.times(i) {
             // v(u) = (1-u)^2 v0 + 2u(1-u) (3 dp/h - v0 - v1) + u^2 v1
             let w = 1.0 - u;
             let m = 2.0 * u * (1.0 - u);
-            both([w * w - m, u * u - m], 3.0 * m * d, v_max);
+            add_both(rows, [w * w - m, u * u - m], 3.0 * m * d, v_max);
         }
     }
 
-    /// Velocities that are fixed at zero are zero, and none has a forbidden sign, or leaves its range, by the solver's
+    /// Moves velocities into their bounds: those that are fixed at zero are zero, and none has a forbidden sign, or leaves its range, by the solver's
     /// tolerance.
     fn exact_at_fixed_nodes(&self, mut v: Vec<f64>) -> Vec<f64> {
         for (i, v) in v.iter_mut().enumerate() {
@@ -496,6 +494,17 @@ impl AxisProblem<'_> {
         }
         v
     }
+}
+
+/// Returns the segments beside a node, of `n` in all.
+fn beside_node(node: usize, n: usize) -> Range<usize> {
+    node.saturating_sub(1)..(node + 1).min(n)
+}
+
+/// Adds the rows of `|row . v + constant| <= bound`.
+fn add_both(rows: &mut chain::Rows, row: [f64; 2], constant: f64, bound: f64) {
+    rows.add(row, bound, bound - constant);
+    rows.add(row.map(|v| -v), bound, bound + constant);
 }
 
 #[cfg(test)]

@@ -46,18 +46,19 @@ pub(super) fn motion(
     axes: &[AxisProblem<'_>; 2],
     near: &NearPath,
 ) -> Result<(Trajectory, usize, usize), ScheduleError> {
-    let n = timing.kept.len();
+    let n = timing.segments.len();
     let mut is_cut = vec![false; n + 1];
-    (is_cut[0], is_cut[n]) = (true, true);
+    is_cut[0] = true;
+    is_cut[n] = true;
     let mut rounds = 0;
     loop {
-        let least_parts = |k: usize| match (is_cut[k], is_cut[k + 1]) {
-            (true, true) => 4.0,
-            (false, false) => 1.0,
-            _ => 2.0,
-        };
         for (k, h) in timing.duration_s.iter_mut().enumerate() {
-            *h = h.max(least_parts(k) * limits.min_segment_s());
+            let least_parts = match (is_cut[k], is_cut[k + 1]) {
+                (true, true) => 4.0,
+                (false, false) => 1.0,
+                _ => 2.0,
+            };
+            *h = h.max(least_parts * limits.min_segment_s());
         }
         let pieces = CutSegments::new(axes, near, &timing.duration_s, &is_cut);
         let more_cuts = pieces.cut_far_segments(near, &mut is_cut);
@@ -75,9 +76,9 @@ pub(super) fn motion(
         let (k, worst) = worst(&excess);
         if worst <= 1.0 {
             let cuts = is_cut.iter().filter(|cut| **cut).count() - 2;
-            return Ok((pieces.trajectory(path, &timing.kept)?, rounds, cuts));
+            return Ok((pieces.trajectory(path, &timing.segments)?, rounds, cuts));
         }
-        let segment = timing.kept[k];
+        let segment = timing.segments[k];
         if !stretch {
             return Err(too_short(path, dwell, segment, worst));
         }
@@ -114,13 +115,6 @@ impl CutSegments {
             _ => node_velocities(&axis.displacement_mm, h, [0.0; 2]),
         });
         let cuts: Vec<usize> = (0..=n).filter(|node| is_cut[*node]).collect();
-        let cut_velocity = |node: usize| {
-            if node == 0 || node == n {
-                [0.0; 2]
-            } else {
-                near.held(node, [free[0][node], free[1][node]], h)
-            }
-        };
         let mut pieces = Self {
             segment: Vec::new(),
             break_time_s: Vec::new(),
@@ -131,7 +125,13 @@ impl CutSegments {
         let mut times = Vec::new();
         for ends in cuts.windows(2) {
             let run = ends[0]..ends[1];
-            let [from, to] = [cut_velocity(ends[0]), cut_velocity(ends[1])];
+            let [from, to] = [ends[0], ends[1]].map(|node| {
+                if node == 0 || node == n {
+                    [0.0; 2]
+                } else {
+                    near.held(node, [free[0][node], free[1][node]], h)
+                }
+            });
             let parts: Vec<usize> = match run.len() {
                 1 if from == [0.0; 2] && to == [0.0; 2] => vec![4],
                 1 => vec![3],
@@ -164,7 +164,7 @@ impl CutSegments {
         let mut first = 0;
         while first < self.segment.len() {
             let k = self.segment[first];
-            let last = first + self.segment[first..].partition_point(|of| *of == k);
+            let last = first + self.segment[first..].partition_point(|segment| *segment == k);
             let is_single = is_cut[k] && is_cut[k + 1];
             let mut start = [0.0; 2];
             let cubics = (first..last).map(|i| {
@@ -173,7 +173,9 @@ impl CutSegments {
                 (cubic, self.duration_s[i])
             });
             if !is_single && !near.pieces_are_near(k, cubics) {
-                (is_cut[k], is_cut[k + 1], more) = (true, true, true);
+                is_cut[k] = true;
+                is_cut[k + 1] = true;
+                more = true;
             }
             first = last;
         }
@@ -189,15 +191,15 @@ impl CutSegments {
         })
     }
 
-    /// The motion along the segments `kept` of `path`.
-    fn trajectory(self, path: &ToolPath, kept: &[usize]) -> Result<Trajectory, ScheduleError> {
-        let of = &self.segment;
+    /// Returns the motion along the segments `timed` of `path`.
+    fn trajectory(self, path: &ToolPath, timed: &[usize]) -> Result<Trajectory, ScheduleError> {
+        let segment_of = &self.segment;
         let mut position = path.point_mm()[0];
-        let segments = (0..of.len()).map(|i| {
+        let segments = (0..segment_of.len()).map(|i| {
             let cubic = self.cubic(i, position);
             let next = i + 1;
-            position = if next == of.len() || of[next] != of[i] {
-                path.point_mm()[kept[of[i]] + 1]
+            position = if next == segment_of.len() || segment_of[next] != segment_of[i] {
+                path.point_mm()[timed[segment_of[i]] + 1]
             } else {
                 [0, 1].map(|a| position[a] + self.displacement_mm[a][i])
             };
@@ -207,8 +209,8 @@ impl CutSegments {
         Ok(Trajectory::new(
             self.break_time_s,
             segments,
-            of.iter().map(|k| path.tool_on()[kept[*k]]).collect(),
-            of.iter().map(|k| Some(kept[*k])).collect(),
+            segment_of.iter().map(|k| path.tool_on()[timed[*k]]).collect(),
+            segment_of.iter().map(|k| Some(timed[*k])).collect(),
         )?)
     }
 }
@@ -235,7 +237,8 @@ fn node_velocities(dp: &[f64], h: &[f64], ends: [f64; 2]) -> Vec<f64> {
     let n = h.len();
     // a-(i) = a+(i+1): elimination of the nodes 1 .. n-1.
     let mut v = vec![0.0; n + 1];
-    (v[0], v[n]) = (ends[0], ends[1]);
+    v[0] = ends[0];
+    v[n] = ends[1];
     let mut upper = vec![0.0; n + 1];
     for i in 1..n {
         let a = h[i - 1];
@@ -261,19 +264,21 @@ fn node_velocities(dp: &[f64], h: &[f64], ends: [f64; 2]) -> Vec<f64> {
     v
 }
 
+/// Returns the displacement of the outer half of an outermost segment by (6), v tau + j tau^3/6, and the velocity at its
+/// inner end, v + j tau^2/2. It has no acceleration at its outer end, where the velocity is `end`.
+fn outer_half(dp: f64, end: f64, inner: f64, h: f64) -> (f64, f64) {
+    let tau = 0.5 * h;
+    let change = 0.25 * dp - (5.0 * end + inner) * tau / 12.0;
+    (end * tau + change, end + 3.0 * change / tau)
+}
+
 /// Displacements of the pieces of the spline along N > 1 segments: halves of the first and of the last segment by (6).
 /// Velocities at the ends of the pieces, mm/s.
 fn spline(dp: &[f64], h: &[f64], ends: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
     let n = h.len();
     let v = node_velocities(dp, h, ends);
-    // v tau + j tau^3/6 and v + j tau^2/2 of the outer half, which has no acceleration at its end with the velocity v.
-    let half = |dp: f64, end: f64, inner: f64, h: f64| {
-        let tau = 0.5 * h;
-        let change = 0.25 * dp - (5.0 * end + inner) * tau / 12.0;
-        (end * tau + change, end + 3.0 * change / tau)
-    };
-    let (first, first_v) = half(dp[0], ends[0], v[1], h[0]);
-    let (last, last_v) = half(dp[n - 1], ends[1], v[n - 1], h[n - 1]);
+    let (first, first_v) = outer_half(dp[0], ends[0], v[1], h[0]);
+    let (last, last_v) = outer_half(dp[n - 1], ends[1], v[n - 1], h[n - 1]);
     let mut parts = vec![first, dp[0] - first];
     parts.extend(&dp[1..n - 1]);
     parts.extend([dp[n - 1] - last, last]);

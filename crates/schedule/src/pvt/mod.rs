@@ -97,8 +97,8 @@ pub struct PvtSettings {
 }
 
 impl PvtSettings {
-    /// The settings of a mode: segments may be stretched, and the path has its usual tolerance.
-    pub fn of(mode: Mode) -> Self {
+    /// Returns the settings of a mode: segments may be stretched, and the path has its usual tolerance.
+    pub fn new(mode: Mode) -> Self {
         Self { mode, stretch: true, max_path_distance_mm: None }
     }
 }
@@ -154,6 +154,11 @@ impl Scheduler for PvtSettings {
 }
 
 /// Schedules `path` with the times `dwell` within `limits`.
+///
+/// # Errors
+///
+/// Refuses dwell times of another path or that are zero everywhere, and without stretching dwell times that the machine
+/// cannot follow.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -172,7 +177,7 @@ fn schedule_stretched(
     settings: &PvtSettings,
 ) -> Result<Schedule, ScheduleError> {
     let mut timing = Timing::new(path, dwell, limits);
-    if timing.kept.is_empty() {
+    if timing.segments.is_empty() {
         let problem = "is zero everywhere on a path at rest";
         return Err(Invalid::whole("dwell_s", problem, "give a dwell time").into());
     }
@@ -182,10 +187,10 @@ fn schedule_stretched(
         return Err(error);
     }
     let displacement_mm: Vec<[f64; 2]> =
-        timing.kept.iter().map(|segment| path.displacement_mm(*segment)).collect();
+        timing.segments.iter().map(|segment| path.displacement_mm(*segment)).collect();
     let mut axes = [0, 1].map(|axis| {
         let displacement_mm =
-            parallel(timing.kept.len()).map(|k| displacement_mm[k][axis]).collect();
+            parallel(timing.segments.len()).map(|k| displacement_mm[k][axis]).collect();
         AxisProblem::new(displacement_mm, settings.mode, &limits.axes()[axis])
     });
     let tolerance_mm = path.tolerance_mm(settings.max_path_distance_mm)?;
@@ -206,14 +211,14 @@ fn schedule_stretched(
     };
     if !settings.stretch {
         let (k, worst) = worst(&excess);
-        return Err(too_short(path, dwell, timing.kept[k], worst));
+        return Err(too_short(path, dwell, timing.segments[k], worst));
     }
     let exceed: Vec<bool> = excess.iter().map(|e| *e > 1.0).collect();
     let before = parts.each_ref().map(|parts| velocity_of_parts(parts));
-    let found = Search::new(&axes, &near, &timing.duration_s).run(&before, &exceed);
+    let shortest = Search::new(&axes, &near, &timing.duration_s).run(&before, &exceed);
     let changed: Vec<bool> =
-        found.duration_s.iter().zip(&timing.duration_s).map(|(a, b)| a != b).collect();
-    timing.duration_s = found.duration_s;
+        shortest.duration_s.iter().zip(&timing.duration_s).map(|(a, b)| a != b).collect();
+    timing.duration_s = shortest.duration_s;
     let (break_time_s, h) = differences(&timing.duration_s);
     for part in parts.iter_mut().flatten() {
         if matches!(part.solved, Some(Err(_))) || changed[part.segments.clone()].contains(&true) {
@@ -222,13 +227,13 @@ fn schedule_stretched(
     }
     axes.iter_mut().for_each(|axis| axis.velocity_range = Cow::Borrowed(&[]));
     let held_nodes = solve_near_path(&mut axes, &near, &h, &mut parts);
-    take_least_times(&mut parts, &found.velocity, |part| matches!(part.solved, Some(Err(_))));
+    take_least_times(&mut parts, &shortest.velocity, |part| matches!(part.solved, Some(Err(_))));
     // One axis by the program and the other one by the search may leave the path together.
     let [x, y] = parts.each_ref().map(|parts| velocity_of_parts(parts));
     if !near.far_segments([&x, &y], &h).is_empty() {
-        take_least_times(&mut parts, &found.velocity, |_| true);
+        take_least_times(&mut parts, &shortest.velocity, |_| true);
     }
-    joined_motion(path, dwell, &timing, &axes, parts, break_time_s, [found.sweeps, held_nodes])
+    joined_motion(path, dwell, &timing, &axes, parts, break_time_s, [shortest.sweeps, held_nodes])
 }
 
 /// Replaces the solution of the parts that are `chosen` by the velocities of the search for the shortest times.
@@ -266,8 +271,8 @@ fn solve_near_path(
                 continue;
             }
             more = true;
-            let kept = near.held(node, [velocity[0][node], velocity[1][node]], h);
-            let range = near.velocity_range(node, kept, h);
+            let held_velocity = near.held(node, [velocity[0][node], velocity[1][node]], h);
+            let range = near.velocity_range(node, held_velocity, h);
             for a in 0..2 {
                 axes[a].bound_velocity(node, range[a]);
                 let first = parts[a].partition_point(|part| part.segments.end < node);
@@ -286,8 +291,8 @@ fn solve_near_path(
 /// Break times, and the durations as their difference, so that the segments join to rounding.
 fn differences(duration_s: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let break_time_s = break_times(duration_s);
-    let duration = |k: usize| break_time_s[k + 1] - break_time_s[k];
-    let h = parallel(duration_s.len()).map(duration).collect();
+    let h = parallel(duration_s.len()).map(|k| break_time_s[k + 1] - break_time_s[k]);
+    let h = h.collect();
     (break_time_s, h)
 }
 
@@ -310,9 +315,9 @@ fn joined_motion(
     let [x, y] = parts.map(joined);
     let report = PvtReport::new(timing, path, dwell, [x.solver, y.solver], rounds, held_nodes);
     let velocity = [x.velocity, y.velocity];
-    let n = timing.kept.len();
+    let n = timing.segments.len();
     let segments = parallel(n).map(|k| {
-        let start = path.point_mm()[timing.kept[k]];
+        let start = path.point_mm()[timing.segments[k]];
         let h = break_time_s[k + 1] - break_time_s[k];
         [0, 1].map(|axis| {
             let v = &velocity[axis];
@@ -324,8 +329,8 @@ fn joined_motion(
     let trajectory = Trajectory::new(
         break_time_s,
         segments,
-        parallel(n).map(|k| path.tool_on()[timing.kept[k]]).collect(),
-        parallel(n).map(|k| Some(timing.kept[k])).collect(),
+        parallel(n).map(|k| path.tool_on()[timing.segments[k]]).collect(),
+        parallel(n).map(|k| Some(timing.segments[k])).collect(),
     )?;
     Ok(Schedule { trajectory, report })
 }
@@ -340,13 +345,13 @@ impl PvtReport {
         held_nodes: usize,
     ) -> Self {
         let stretched = timing.stretched(path, dwell);
-        let added = |on: bool| {
-            let of = stretched.iter().filter(|s| s.tool_on == on);
-            of.map(|s| s.scheduled_s - s.dwell_s).fold(0.0, |a, b| a + b)
-        };
+        let [added_tool_on_s, added_tool_off_s] = [true, false].map(|tool_on| {
+            let segments = stretched.iter().filter(|s| s.tool_on == tool_on);
+            segments.map(|s| s.scheduled_s - s.dwell_s).fold(0.0, |a, b| a + b)
+        });
         Self {
-            added_tool_on_s: added(true),
-            added_tool_off_s: added(false),
+            added_tool_on_s,
+            added_tool_off_s,
             dropped: timing.dropped(path),
             held_nodes,
             stretched,
@@ -383,7 +388,7 @@ mod tests {
         let n = dwell_s.len();
         let path = ToolPath::through(points, vec![true; n], vec![0; n]).unwrap();
         let limits = ion_beam();
-        let settings = PvtSettings::of(Mode::Monotone);
+        let settings = PvtSettings::new(Mode::Monotone);
         let dwell = DwellTime::new(dwell_s).unwrap();
         let found = schedule(&path, &dwell, &limits, &settings).unwrap();
         // With segments slowed one by one, each by its excess, it was 7.7 s.
@@ -406,7 +411,7 @@ mod tests {
         let dwell_s = (0..900).map(|i| path.segment_length_mm(i) / 500.0 + 1e-4).collect();
         let dwell = DwellTime::new(dwell_s).unwrap();
         for mode in [Mode::Monotone, Mode::Smooth] {
-            let settings = PvtSettings::of(mode);
+            let settings = PvtSettings::new(mode);
             let found = schedule(&path, &dwell, &limits, &settings).unwrap();
             let total_s = found.trajectory.total_time_s();
             // Slowed one by one, each by its excess, they took six times as long.
@@ -440,7 +445,7 @@ mod tests {
             let stops_s: f64 = (0..n).map(|i| dwell_s[i].max(rest_to_rest_s(i))).sum();
             let dwell = DwellTime::new(dwell_s).unwrap();
             for mode in [Mode::Monotone, Mode::Smooth] {
-                let settings = PvtSettings::of(mode);
+                let settings = PvtSettings::new(mode);
                 let found = schedule(&path, &dwell, &limits, &settings).unwrap();
                 let total_s = found.trajectory.total_time_s();
                 // The search leaves 0.001 free for the program (`shortest::ROOM`).

@@ -153,6 +153,11 @@ impl Scheduler for TrigSplineSettings {
 }
 
 /// Schedules `path` with the times `dwell` within `limits`.
+///
+/// # Errors
+///
+/// Refuses dwell times of another path or that are zero everywhere, tolerances out of range, and dwell times whose
+/// motion rounding keeps from being proven.
 pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -288,7 +293,8 @@ mod tests {
         t[10] = 0.0;
         let dwell = DwellTime::new(t).unwrap();
         let limits = machine([66.6667; 2], [1e9; 2]);
-        let s = schedule(&straight(21, 1.0), &dwell, &limits, &TrigSplineSettings::default()).unwrap();
+        let s =
+            schedule(&straight(21, 1.0), &dwell, &limits, &TrigSplineSettings::default()).unwrap();
         assert!((s.report.feed_offset_s_per_mm - 0.015).abs() < 1e-5, "{:?}", s.report);
         assert!(s.report.feed_use <= 1.0 && s.report.feed_use > 0.999);
     }

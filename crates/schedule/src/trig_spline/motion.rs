@@ -4,12 +4,13 @@
 use planish_types::{DwellTime, Limits, ToolPath, TrajectoryBuilder};
 
 use super::{
-    passes::{MARGIN, Pass, Straight, along},
+    passes::{MARGIN, Pass, Straight},
     report::TrigSplineReport,
-    spline::{TrigPiece, STRETCH_PLACES, Stretch},
+    spline::{STRETCH_PLACES, Stretch, TrigPiece},
 };
 use crate::{
     hermite::{accelerations, coefficients, peak_velocity},
+    largest_along,
     shortest_cubic::{State, shortest_cubic},
 };
 
@@ -38,10 +39,16 @@ impl<'a> Motion<'a> {
         passes: &[Pass],
         report: TrigSplineReport,
     ) -> Self {
-        let now = State { position_mm: path.point_mm()[0], velocity_mm_per_s: [0.0; 2] };
-        let unproven = Vec::new();
-        let made = TrajectoryBuilder::default();
-        let mut motion = Self { path, dwell, limits, tolerance_mm, report, unproven, made, now };
+        let mut motion = Self {
+            path,
+            dwell,
+            limits,
+            tolerance_mm,
+            report,
+            unproven: Vec::new(),
+            made: TrajectoryBuilder::default(),
+            now: State::at_rest(path.point_mm()[0]),
+        };
         motion.walk(passes);
         motion
     }
@@ -58,9 +65,10 @@ impl<'a> Motion<'a> {
             self.pass(number, pass);
             next = pass.run.end;
         }
-        let rest = |p: [f64; 2]| State { position_mm: p, velocity_mm_per_s: [0.0; 2] };
+
         if next < self.path.len() {
-            self.lift(next..self.path.len(), rest(self.path.point_mm()[self.path.len()]));
+            let end = State::at_rest(self.path.point_mm()[self.path.len()]);
+            self.lift(next..self.path.len(), end);
         } else {
             self.brake();
         }
@@ -100,14 +108,13 @@ impl<'a> Motion<'a> {
     }
 
     fn acceleration_along(&self, direction: [f64; 2]) -> f64 {
-        (1.0 - MARGIN) * along(direction, self.limits.max_acceleration_mm_per_s2())
+        (1.0 - MARGIN) * largest_along(direction, self.limits.max_acceleration_mm_per_s2())
     }
 
     /// Adds a link for every segment with the tool off, at rest in between.
     fn lift(&mut self, run: std::ops::Range<usize>, end: State) {
         for i in run.clone() {
-            let rest =
-                State { position_mm: self.path.point_mm()[i + 1], velocity_mm_per_s: [0.0; 2] };
+            let rest = State::at_rest(self.path.point_mm()[i + 1]);
             let to = if i + 1 == run.end { end } else { rest };
             match shortest_cubic(self.now, to, self.limits, self.dwell.dwell_s()[i]) {
                 Some(link) => self.link(link.duration_s, link.coefficient_mm, Some(i)),
@@ -299,19 +306,15 @@ impl CubicFit {
         let dp = piece.length_mm * (stretch.to - stretch.from);
         let c = coefficients(piece.length_mm * stretch.from, dp, v0, v1, h);
         let most_mm = FIT_SAFETY * self.tolerance_mm;
-        let error_mm_at = |k: usize| {
-            let u = piece.elapsed_s_to(stretch, k);
-            let position_mm = c[0] + u * (c[1] + u * (c[2] + u * c[3]));
-            (position_mm - piece.length_mm * stretch.part(k)).abs()
-        };
         // Hermite interpolation: error <= h^4 / 384 max |d^4 s/dt^4|
         let mut error_mm = (h * h).powi(2) / 384.0 * piece.fourth_derivative_bound(ends);
         if error_mm.is_nan() || error_mm > most_mm {
             // The middle first: a cubic that misses the tolerance nearly always misses it there.
-            if error_mm_at(STRETCH_PLACES / 2) > most_mm && !is_last {
+            if self.error_mm(stretch, &c, STRETCH_PLACES / 2) > most_mm && !is_last {
                 return None;
             }
-            error_mm = (1..STRETCH_PLACES).map(error_mm_at).fold(0.0, f64::max);
+            let errors = (1..STRETCH_PLACES).map(|k| self.error_mm(stretch, &c, k));
+            error_mm = errors.fold(0.0, f64::max);
             if error_mm > most_mm && !is_last {
                 return None;
             }
@@ -319,11 +322,16 @@ impl CubicFit {
         let (start, end) = accelerations(dp, v0, v1, h);
         let within_limits = start.abs().max(end.abs()) <= self.max_acceleration
             && peak_velocity(dp, v0, v1, h).0 <= self.max_velocity;
-        (within_limits || is_last).then_some(Cubic {
-            duration_s: h,
-            coefficient_mm: c,
-            error_mm,
-            within_limits,
-        })
+        if !within_limits && !is_last {
+            return None;
+        }
+        Some(Cubic { duration_s: h, coefficient_mm: c, error_mm, within_limits })
+    }
+
+    /// Returns the distance of the cubic `c` from the spline at the place `k` of a stretch, mm.
+    fn error_mm(&self, stretch: &Stretch, c: &[f64; 4], k: usize) -> f64 {
+        let u = self.shape.elapsed_s_to(stretch, k);
+        let position_mm = c[0] + u * (c[1] + u * (c[2] + u * c[3]));
+        (position_mm - self.shape.length_mm * stretch.part(k)).abs()
     }
 }

@@ -10,7 +10,7 @@ use super::{
     report::TrigSplineReport,
     spline::{Limited, TrigPiece},
 };
-use crate::{rounding_mm, shortest_cubic::State};
+use crate::{largest_along, rounding_mm, shortest_cubic::State};
 
 /// Part of the limits that the repair leaves free, relative. The acceleration of a fitted cubic deviates
 /// from that of the spline; with the margin a few cuts near its peak are enough. Larger: motions are
@@ -104,12 +104,6 @@ pub(super) fn runs_with_tool_on(path: &ToolPath) -> impl Iterator<Item = Range<u
     })
 }
 
-/// Largest magnitude along `direction` that keeps `max` on both axes.
-pub(super) fn along(direction: [f64; 2], max: [f64; 2]) -> f64 {
-    let axis = |a: usize| max[a] / direction[a].abs(); // infinite across
-    axis(0).min(axis(1))
-}
-
 impl Pass {
     pub(super) fn new(
         path: &ToolPath,
@@ -133,7 +127,7 @@ impl Pass {
                     direction,
                     length,
                     arc_length,
-                    max_acceleration: (1.0 - MARGIN) * along(direction, a_max),
+                    max_acceleration: (1.0 - MARGIN) * largest_along(direction, a_max),
                     corner: None,
                 });
             }
@@ -164,19 +158,19 @@ impl Pass {
         let times = pass.times(dwell, report);
         let densities = pass.densities(&times, report);
         for (k, s) in pass.straights.iter().enumerate() {
-            let fastest = 1.0 / along(s.direction, v_max);
+            let fastest = 1.0 / largest_along(s.direction, v_max);
             let least = fastest / (1.0 - MARGIN);
             let density = densities[k];
             pass.nodes.push(Node { density, least, fastest, half_length_mm: 0.0 });
             pass.straight_of.push(k);
             let Some(corner) = s.corner else { continue };
             let next = &pass.straights[k + 1];
-            let fastest = fastest.max(1.0 / along(next.direction, v_max));
+            let fastest = fastest.max(1.0 / largest_along(next.direction, v_max));
             let b = corner.half_length_mm;
             // a = v^2 (u2 - u1) / (2 b)
-            let bend =
-                |a: usize| (corner.turn[a].abs() / (2.0 * b * (1.0 - MARGIN) * a_max[a])).sqrt();
-            let least = (fastest / (1.0 - MARGIN)).max(bend(0)).max(bend(1));
+            let [x, y] = [0, 1]
+                .map(|a| (corner.turn[a].abs() / (2.0 * b * (1.0 - MARGIN) * a_max[a])).sqrt());
+            let least = (fastest / (1.0 - MARGIN)).max(x).max(y);
             let weights = corner_weights(s.length, next.length);
             let density = weights[0] * density + weights[1] * densities[k + 1];
             pass.nodes.push(Node { density, least, fastest, half_length_mm: b });
@@ -189,8 +183,10 @@ impl Pass {
     /// before and after it.
     fn times(&self, dwell: &DwellTime, report: &mut TrigSplineReport) -> Vec<f64> {
         let mut times: Vec<f64> = self.straights.iter().map(|s| dwell.dwell_s()[s.index]).collect();
-        let has_length = |i: &usize| self.straights.binary_search_by_key(i, |s| s.index).is_ok();
-        for i in self.run.clone().filter(|i| !has_length(i)) {
+        for i in self.run.clone() {
+            if self.straights.binary_search_by_key(&i, |s| s.index).is_ok() {
+                continue;
+            }
             let t = dwell.dwell_s()[i];
             if t == 0.0 {
                 report.dropped.push(i);
@@ -225,14 +221,13 @@ impl Pass {
                     // Dwell point, cosine to the corner, plateau b | b, cosine, dwell point:
                     // (l/2 - b) (d + d_c)/2 + b d_c
                     let weights = corner_weights(s.length, next.length);
-                    let half = |length: f64, own: usize| {
+                    [(s.length, 0), (next.length, 1)].map(|(length, own)| {
                         let rest = 0.5 * length - corner.half_length_mm;
                         let at_corner = 0.5 * rest + corner.half_length_mm;
                         let mut weight = weights.map(|w| w * at_corner);
                         weight[own] += 0.5 * rest;
                         weight
-                    };
-                    [half(s.length, 0), half(next.length, 1)]
+                    })
                 }
                 None => {
                     // Cut at x = l/2 / L: integral of (1) to x, L (M2 x/2 - M1/(2 pi) sin(pi x))
@@ -265,17 +260,14 @@ impl Pass {
             });
             let low: Vec<usize> =
                 (0..n).filter(|k| !held[*k] && (d[*k].is_nan() || d[*k] < least[*k])).collect();
-            let time = |k: usize| {
-                let [before, own, after] = rows[k];
-                let at = |k: Option<usize>| k.and_then(|k| d.get(k)).copied().unwrap_or(0.0);
-                before * at(k.checked_sub(1)) + own * d[k] + after * at(Some(k + 1))
-            };
-            let short = |k: &usize| held[*k] && time(*k) < (1.0 - SHORT) * times[*k];
-            let let_go: Vec<usize> = if low.is_empty() {
-                (0..n).filter(|k| times_let_go[*k] < MOST_LET_GO).filter(short).collect()
-            } else {
-                Vec::new()
-            };
+            let mut let_go = Vec::new();
+            if low.is_empty() {
+                let_go.extend((0..n).filter(|k| {
+                    times_let_go[*k] < MOST_LET_GO
+                        && held[*k]
+                        && time_of_row(&rows[*k], &d, *k) < (1.0 - SHORT) * times[*k]
+                }));
+            }
             if low.is_empty() && let_go.is_empty() {
                 report.held_densities += held.iter().filter(|h| **h).count();
                 return d;
@@ -319,7 +311,7 @@ impl Pass {
     }
 
     fn standing(&self) -> State {
-        State { position_mm: self.start_mm, velocity_mm_per_s: [0.0; 2] }
+        State::at_rest(self.start_mm)
     }
 
     pub(super) fn start(&self) -> State {
@@ -347,16 +339,23 @@ impl Pass {
     /// Time of the pass, s.
     pub(super) fn duration_s(&self) -> f64 {
         let (Some(first), Some(last)) = (self.nodes.first(), self.nodes.last()) else { return 0.0 };
-        let half = |s: &Straight| 0.5 * s.length;
+        let last_straight = &self.straights[self.straights.len() - 1];
         let plateaus: f64 = self.nodes.iter().map(|n| 2.0 * n.half_length_mm * n.density).sum();
-        half(&self.straights[0]) * first.density
-            + half(&self.straights[self.straights.len() - 1]) * last.density
+        0.5 * self.straights[0].length * first.density
+            + 0.5 * last_straight.length * last.density
             + plateaus
             + self.pieces().map(|p| p.shape.duration_s()).sum::<f64>()
     }
 }
 
-/// Weights of the dwell points before and after a corner in its density: the nearer one has more.
+/// Returns the time of straight k by its row, for the densities `d` of all dwell points.
+fn time_of_row([before, own, after]: &[f64; 3], d: &[f64], k: usize) -> f64 {
+    let first = if k > 0 { d[k - 1] } else { 0.0 };
+    let last = d.get(k + 1).copied().unwrap_or(0.0);
+    before * first + own * d[k] + after * last
+}
+
+/// Returns the weights of the dwell points before and after a corner in its density: the nearer one has more.
 fn corner_weights(before: f64, after: f64) -> [f64; 2] {
     [after / (before + after), before / (before + after)]
 }

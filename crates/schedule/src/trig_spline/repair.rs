@@ -3,7 +3,10 @@
 
 use serde::Serialize;
 
-use super::{passes::Pass, report::TrigSplineReport};
+use super::{
+    passes::{Node, Pass},
+    report::TrigSplineReport,
+};
 
 /// Repair of the densities that the machine cannot follow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
@@ -40,13 +43,12 @@ pub(super) const PROOF_ROUNDS: usize = 16;
 /// twice.
 pub(super) fn repair(passes: &mut [Pass], how: Repair, report: &mut TrigSplineReport) {
     let before: f64 = passes.iter().map(Pass::duration_s).sum();
-    let all = || passes.iter().flat_map(|p| &p.nodes).filter(|n| n.half_length_mm == 0.0);
-    let smallest = all().map(|n| n.density).fold(f64::INFINITY, f64::min);
+    let smallest = dwell_points(passes).map(|n| n.density).fold(f64::INFINITY, f64::min);
     report.smallest_density_s_per_mm = if smallest.is_finite() { smallest } else { 0.0 };
     match how {
         Repair::Offset => {
             // delta >= 1/v_max - min d
-            let feed = all().map(|n| n.least - n.density).fold(0.0, f64::max);
+            let feed = dwell_points(passes).map(|n| n.least - n.density).fold(0.0, f64::max);
             let pieces = passes.iter().flat_map(Pass::pieces);
             let offset = pieces.fold(feed, |offset, piece| piece.offset(offset));
             report.feed_offset_s_per_mm = feed;
@@ -65,6 +67,11 @@ pub(super) fn repair(passes: &mut [Pass], how: Repair, report: &mut TrigSplineRe
         }
     }
     report.offset_added_s = passes.iter().map(Pass::duration_s).sum::<f64>() - before;
+}
+
+/// Returns the nodes of all passes that are no corners.
+fn dwell_points(passes: &[Pass]) -> impl Iterator<Item = &Node> {
+    passes.iter().flat_map(|p| &p.nodes).filter(|n| n.half_length_mm == 0.0)
 }
 
 /// Raises the densities at corners and beside them, step 3.

@@ -18,7 +18,7 @@ pub struct TrigPiece {
 
 /// A place along a piece.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Place {
+pub(super) struct PiecePlace {
     /// Part of the length, 0 to 1.
     x: f64,
     angle: HalfAngle,
@@ -35,41 +35,41 @@ impl TrigPiece {
         self.density_s_per_mm[1] - self.density_s_per_mm[0]
     }
 
-    /// Eccentricity e = M1/M2, in (-1, 1).
+    /// Returns the eccentricity e = M1/M2, in (-1, 1).
     pub fn eccentricity(&self) -> f64 {
         self.difference() / self.sum()
     }
 
-    /// Duration T = L M2/2, s.
+    /// Returns the duration T = L M2/2, s.
     pub fn duration_s(&self) -> f64 {
         0.5 * self.length_mm * self.sum()
     }
 
-    /// Density (1) at the part `x` of the length, s/mm.
+    /// Returns the density (1) at the fraction `x` of the length, s/mm.
     pub fn density_s_per_mm_at(&self, x: f64) -> f64 {
-        self.place(x, HalfAngle::at(x)).density_s_per_mm
+        self.place(x, HalfAngle::new(x)).density_s_per_mm
     }
 
     /// Ends of a stretch.
-    pub(super) fn ends(&self, stretch: &Stretch) -> [Place; 2] {
+    pub(super) fn ends(&self, stretch: &Stretch) -> [PiecePlace; 2] {
         let [from, to] = stretch.angles();
         [self.place(stretch.from, from), self.place(stretch.to, to)]
     }
 
-    fn place(&self, x: f64, angle: HalfAngle) -> Place {
+    fn place(&self, x: f64, angle: HalfAngle) -> PiecePlace {
         // Half-angle form: no density below the smaller of the two by rounding.
         let [d1, d2] = self.density_s_per_mm;
         let HalfAngle { sine, cosine } = angle;
         let density_s_per_mm = d1 * cosine * cosine + d2 * sine * sine;
-        Place { x, angle, density_s_per_mm }
+        PiecePlace { x, angle, density_s_per_mm }
     }
 
     /// Upper bound on |d^4 s/dt^4| of the position s between two parts of the length, mm/s^4.
-    pub(super) fn fourth_derivative_bound(&self, ends: [Place; 2]) -> f64 {
+    pub(super) fn fourth_derivative_bound(&self, ends: [PiecePlace; 2]) -> f64 {
         // ds/dt = 1/D, so d^4 s/dt^4 = (-D''' D^2 + 10 D D' D'' - 15 D'^3) / D^7, and by (1), with
         // q = pi/L and A = M1 q/2,  D' = A sin(pi x),  D'' = A q cos(pi x),  D''' = -A q^2 sin(pi x)
-        let sines = ends.map(|Place { angle, .. }| 2.0 * angle.sine * angle.cosine);
-        let cosines = ends.map(|Place { angle, .. }| {
+        let sines = ends.map(|place| 2.0 * place.angle.sine * place.angle.cosine);
+        let cosines = ends.map(|PiecePlace { angle, .. }| {
             (angle.cosine * angle.cosine - angle.sine * angle.sine).abs()
         });
         // The cosine is largest at an end, and so is the sine unless the middle lies between the ends.
@@ -87,9 +87,9 @@ impl TrigPiece {
         (third + ratio * (10.0 * second + 15.0 * ratio * first)) / (least * least).powi(2) / least
     }
 
-    /// Time (2) between the parts `from` and `to` of the length, s, to its own rounding. If the densities of
-    /// the ends differ by orders of magnitude, the difference of two times of (2) would leave no digit of a
-    /// short one.
+    /// Returns the time (2) between the fractions `from` and `to` of the length, s, to its own rounding. If the
+    /// densities of the ends differ by orders of magnitude, the difference of two times of (2) would leave no digit of
+    /// a short one.
     pub fn elapsed_s(&self, from: f64, to: f64) -> f64 {
         self.time_s(time_weights(from, to))
     }
@@ -104,8 +104,8 @@ impl TrigPiece {
         self.length_mm * (d1 * weights[0] + d2 * weights[1])
     }
 
-    /// Part of the length at the part `m` of the time, the inverse of (2), by Newton's method within a
-    /// bracket that bisection narrows.
+    /// Returns the fraction of the length at the fraction `m` of the time, the inverse of (2), by Newton's method
+    /// within a bracket that bisection narrows.
     pub fn progress(&self, m: f64) -> f64 {
         let e = self.eccentricity();
         let (mut low, mut high) = (0.0, 1.0);
@@ -127,7 +127,7 @@ impl TrigPiece {
         x
     }
 
-    /// Peak acceleration (3), mm/s^2.
+    /// Returns the peak acceleration (3), mm/s^2.
     pub fn peak_acceleration(&self) -> f64 {
         let r = self.eccentricity().abs();
         let [d1, d2] = self.density_s_per_mm;
@@ -156,7 +156,7 @@ struct HalfAngle {
 }
 
 impl HalfAngle {
-    fn at(x: f64) -> Self {
+    fn new(x: f64) -> Self {
         Self { sine: (0.5 * PI * x).sin(), cosine: (0.5 * PI * (1.0 - x)).sin() }
     }
 }
@@ -170,8 +170,8 @@ fn time_weights(from: f64, to: f64) -> [f64; 2] {
     let theta = 0.5 * PI * (to - from);
     let sine = theta.sin();
     let excess = angle_less_sine(theta);
-    let part = |m: f64| (excess + 2.0 * (0.5 * PI * m).sin().powi(2) * sine) / PI;
-    [0.5 * ((1.0 - from) + (1.0 - to)), 0.5 * (from + to)].map(part)
+    [0.5 * ((1.0 - from) + (1.0 - to)), 0.5 * (from + to)]
+        .map(|m| (excess + 2.0 * (0.5 * PI * m).sin().powi(2) * sine) / PI)
 }
 
 /// Number of equal steps of a stretch; the fit is checked at their ends. Larger: more computing time, and larger
@@ -219,7 +219,7 @@ impl Stretch {
     }
 
     fn angles(&self) -> [HalfAngle; 2] {
-        self.known().map_or_else(|| [self.from, self.to].map(HalfAngle::at), |known| known.angles)
+        self.known().map_or_else(|| [self.from, self.to].map(HalfAngle::new), |known| known.angles)
     }
 
     fn time_weights(&self, k: usize) -> [f64; 2] {
@@ -242,11 +242,11 @@ static KNOWN: LazyLock<Vec<Known>> = LazyLock::new(|| {
     for k in 0..127 {
         stretches.extend(stretches[k].halves());
     }
-    let known = |s: &Stretch| Known {
-        angles: [s.from, s.to].map(HalfAngle::at),
+    let known = stretches.iter().map(|s| Known {
+        angles: [s.from, s.to].map(HalfAngle::new),
         time_weights: std::array::from_fn(|k| time_weights(s.from, s.part(k))),
-    };
-    stretches.iter().map(known).collect()
+    });
+    known.collect()
 });
 
 /// Difference x - sin x for 0 <= x <= pi/2, to its own rounding.
@@ -293,12 +293,14 @@ impl Limited {
     /// Smallest increase of the smaller density, at the end `which`, that keeps the acceleration limit,
     /// s/mm. It lowers |D'| and raises D everywhere; at equal densities there is no acceleration.
     pub(super) fn raise(&self, which: usize) -> f64 {
-        let by = |amount: f64| if which == 0 { [amount, 0.0] } else { [0.0, amount] };
-        let all = self.shape.difference().abs();
         if !self.is_too_fast([0.0; 2]) {
             return 0.0;
         }
-        bisect(0.0, all, |amount| !self.is_too_fast(by(amount)))
+        bisect(0.0, self.shape.difference().abs(), |amount| {
+            let mut by = [0.0; 2];
+            by[which] = amount;
+            !self.is_too_fast(by)
+        })
     }
 }
 

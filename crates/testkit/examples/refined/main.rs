@@ -38,7 +38,7 @@ struct Case<'a> {
 impl Case<'_> {
     /// Refines the dwell times of the solver with its own settings, as a pipeline does.
     fn refined(&self, path: &ToolPath) -> Refined {
-        self.refined_by(&pvt::PvtSettings::of(self.mode), path)
+        self.refined_by(&pvt::PvtSettings::new(self.mode), path)
     }
 
     /// The same with any scheduler.
@@ -163,7 +163,7 @@ fn with_noise() {
                 let solver =
                     bounded_least_squares::Settings { min_dwell: bound, ..Default::default() };
                 let first = bounded_least_squares::solve(desired, tif, &path, None, &solver);
-                let how = pvt::PvtSettings::of(mode);
+                let how = pvt::PvtSettings::new(mode);
                 let first = first.expect("a plan").dwell;
                 let first = pvt::schedule(&path, &first, limits, &how);
                 let before = missed(&first.expect("a motion").trajectory);

@@ -195,7 +195,7 @@ fn of_modes(
     let dwell = solved.expect("a plan").dwell;
     let both = [Mode::Monotone, Mode::Smooth];
     let plain = both.map(|mode| {
-        let how = pvt::PvtSettings::of(mode);
+        let how = pvt::PvtSettings::new(mode);
         let made = pvt::schedule(path, &dwell, limits, &how);
         cells(made.map(|s| s.trajectory).map_err(|e| e.to_string()), tif, desired)
     });

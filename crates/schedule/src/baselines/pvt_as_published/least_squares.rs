@@ -49,6 +49,17 @@ pub(super) enum Side {
     High,
 }
 
+impl Side {
+    /// Returns the bound at which an unknown between `low` and `high` is held; `None` if it is free.
+    fn bound(self, low: f64, high: f64) -> Option<f64> {
+        match self {
+            Self::Low => Some(low),
+            Self::High => Some(high),
+            Self::Free => None,
+        }
+    }
+}
+
 /// Row `value x[first..] = right` of the least squares.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ResidualRow {
@@ -91,11 +102,11 @@ impl LeastSquares {
     pub(super) fn optimality(&self, low: &[f64], high: &[f64], x: &[f64]) -> f64 {
         let (gradient, square) = self.gradient(x);
         let scale = self.right_norm();
-        let off = |j: usize| {
+        let steps = (0..self.unknowns).map(|j| {
             let wanted = (x[j] - gradient[j] / square[j]).clamp(low[j], high[j]);
             square[j].sqrt() * (x[j] - wanted).abs()
-        };
-        let largest = (0..self.unknowns).map(off).fold(0.0, f64::max);
+        });
+        let largest = steps.fold(0.0, f64::max);
         // For an axis at rest the right-hand side is zero.
         if largest == 0.0 { 0.0 } else { largest / scale }
     }
@@ -132,12 +143,7 @@ impl LeastSquares {
             }
         }
         for round in 1..=MAX_ROUNDS {
-            let fixed = |j: usize| match side[j] {
-                Side::Low => Some(low[j]),
-                Side::High => Some(high[j]),
-                Side::Free => None,
-            };
-            let x = self.solve_with_fixed(fixed)?;
+            let x = self.solve_with_fixed(|j| side[j].bound(low[j], high[j]))?;
             let next = self.sides(low, high, &x);
             if next == side {
                 return Some((x, round));
@@ -159,17 +165,12 @@ impl LeastSquares {
     ) -> Option<(Vec<f64>, usize)> {
         let mut x = x;
         let mut side = self.sides(low, high, &x);
-        let bound = |j: usize, side: Side| match side {
-            Side::Low => Some(low[j]),
-            Side::High => Some(high[j]),
-            Side::Free => None,
-        };
         for (j, x) in x.iter_mut().enumerate() {
-            *x = bound(j, side[j]).unwrap_or(*x);
+            *x = side[j].bound(low[j], high[j]).unwrap_or(*x);
         }
         let scale = self.right_norm();
         for change in 1..=MAX_CHANGES {
-            let wanted = self.solve_with_fixed(|j| bound(j, side[j]))?;
+            let wanted = self.solve_with_fixed(|j| side[j].bound(low[j], high[j]))?;
             let mut step = 1.0;
             let mut first = None;
             for j in 0..x.len() {
@@ -180,14 +181,16 @@ impl LeastSquares {
                 };
                 let part = (at - x[j]) / (wanted[j] - x[j]);
                 if part < step {
-                    (step, first) = (part, Some((j, hit)));
+                    step = part;
+                    first = Some((j, hit));
                 }
             }
             if let Some((hit, at)) = first {
                 side[hit] = at;
                 for (j, x) in x.iter_mut().enumerate() {
                     let moved = *x + step * (wanted[j] - *x);
-                    *x = bound(j, side[j]).unwrap_or_else(|| moved.clamp(low[j], high[j]));
+                    let bound = side[j].bound(low[j], high[j]);
+                    *x = bound.unwrap_or_else(|| moved.clamp(low[j], high[j]));
                 }
                 continue;
             }
@@ -257,7 +260,7 @@ impl LeastSquares {
                 }
             };
         }
-        x.iter().all(|x| x.is_finite()).then_some(x)
+        if x.iter().all(|x| x.is_finite()) { Some(x) } else { None }
     }
 
     /// Solution by clarabel, to its tolerance of 1e-8, as min |z|^2/2 with J x - z = r.
@@ -302,10 +305,9 @@ impl LeastSquares {
         solver.solve();
         // Any point within the bounds is a start for `descend`, also the last point of a run that did not
         // converge.
-        let clamped = |j: usize| {
-            let x = solver.solution.x[j];
-            if x.is_finite() { x.clamp(low[j], high[j]) } else { 0.0 }
-        };
-        (0..n).map(clamped).collect()
+        let solution = solver.solution.x[..n].iter().zip(low.iter().zip(high));
+        solution
+            .map(|(x, (low, high))| if x.is_finite() { x.clamp(*low, *high) } else { 0.0 })
+            .collect()
     }
 }

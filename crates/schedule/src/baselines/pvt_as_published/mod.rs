@@ -129,14 +129,14 @@ pub fn schedule(
 ) -> Result<Schedule, ScheduleError> {
     check_lengths(path, dwell)?;
     let mut report = AsPublishedReport::default();
-    let mut kept = Vec::new();
+    let mut timed = Vec::new();
     // A length that is rounding, in a time that vanishes in the rounding of the break times, is no segment.
     let least_s = 4.0 * f64::EPSILON * dwell.total_s();
     for (i, &t) in dwell.dwell_s().iter().enumerate() {
         if t <= least_s && path.segment_length_mm(i) <= rounding_mm(path, i) {
             report.dropped.push(i);
         } else if t > 0.0 {
-            kept.push(i);
+            timed.push(i);
         } else {
             let length = path.segment_length_mm(i);
             let problem = format!("is 0 s on a segment of {length} mm");
@@ -144,14 +144,14 @@ pub fn schedule(
             return Err(Invalid::at("dwell_s", i, problem, remedy).into());
         }
     }
-    if kept.is_empty() {
+    if timed.is_empty() {
         return Err(Invalid::whole("dwell_s", "is zero everywhere", "give a dwell time").into());
     }
-    let durations: Vec<f64> = kept.iter().map(|i| dwell.dwell_s()[*i]).collect();
+    let durations: Vec<f64> = timed.iter().map(|i| dwell.dwell_s()[*i]).collect();
     let break_time_s = break_times(&durations);
     let h: Vec<f64> = break_time_s.windows(2).map(|w| w[1] - w[0]).collect();
     let axes = [0, 1].map(|axis| Axis {
-        displacement_mm: kept.iter().map(|i| path.displacement_mm(*i)[axis]).collect(),
+        displacement_mm: timed.iter().map(|i| path.displacement_mm(*i)[axis]).collect(),
         duration_s: h.clone(),
         max_velocity: limits.max_velocity_mm_per_s()[axis],
         max_acceleration: limits.max_acceleration_mm_per_s2()[axis],
@@ -166,15 +166,15 @@ pub fn schedule(
     let segments = (0..h.len()).map(|k| {
         [0, 1].map(|a| {
             let (v0, v1) = (nodes[a].velocity(k), nodes[a].velocity(k + 1));
-            let start = path.point_mm()[kept[k]][a];
+            let start = path.point_mm()[timed[k]][a];
             coefficients(start, axes[a].displacement_mm[k], v0, v1, h[k])
         })
     });
     let trajectory = Trajectory::new(
         break_time_s,
         segments.collect(),
-        kept.iter().map(|i| path.tool_on()[*i]).collect(),
-        kept.iter().copied().map(Some).collect(),
+        timed.iter().map(|i| path.tool_on()[*i]).collect(),
+        timed.iter().copied().map(Some).collect(),
     )?;
     Ok(Schedule { trajectory, report })
 }
@@ -207,9 +207,12 @@ impl AsPublishedReport {
             *largest = largest.max((start - end).abs());
         }
         for i in 0..n {
-            let against = |v: f64| if v * dp[i] < 0.0 { v.abs() } else { 0.0 };
             let largest = &mut self.largest_reverse_velocity_mm_per_s[axis];
-            *largest = largest.max(against(nodes.velocity(i)).max(against(nodes.velocity(i + 1))));
+            for v in [nodes.velocity(i), nodes.velocity(i + 1)] {
+                if v * dp[i] < 0.0 {
+                    *largest = largest.max(v.abs());
+                }
+            }
         }
         self.velocities_at_a_bound[axis] = nodes.velocities_at_a_bound;
         self.factorisations[axis] = nodes.factorisations;
@@ -288,7 +291,8 @@ impl Axis {
                 if i < n { (PER_NODE * i, 0) } else { (PER_NODE * (n - 1), PER_NODE) };
             let weight = if i == 0 || i == n { 1.0 } else { 2.0_f64.sqrt() };
             let mut value = [0.0; 2 * PER_NODE];
-            (value[own + 1], value[own + 2]) = (weight, -weight);
+            value[own + 1] = weight;
+            value[own + 2] = -weight;
             rows.push(ResidualRow { first, value, right: 0.0 });
             if i < n {
                 rows.extend(self.rows(i));
@@ -322,35 +326,38 @@ impl Axis {
         let problem = self.least_squares();
         let (low, high) = self.bounds();
         let free = vec![Side::Free; low.len()];
-        let not_converged = |iterations: usize, residual: f64| NotConverged {
-            method: "the least squares of PVT as published",
-            iterations,
-            residual,
-            residual_of: "its distance from the minimum, of which 1e-9 is allowed,",
-            remedy: "the times in dwell_s differ by too many orders of magnitude, use pvt",
-        };
         let (value, factorisations) = match problem.active_set(&low, &high, free) {
-            Some(found) => found,
+            Some(solution) => solution,
             None => {
                 let near = problem.interior_point(&low, &high);
                 let residual = problem.optimality(&low, &high, &near);
-                let found = problem.descend(&low, &high, near);
-                let (value, changes) = found.ok_or_else(|| not_converged(MAX_ROUNDS, residual))?;
+                let minimum = problem.descend(&low, &high, near);
+                let (value, changes) =
+                    minimum.ok_or_else(|| not_converged(MAX_ROUNDS, residual))?;
                 (value, MAX_ROUNDS + changes)
             }
         };
-        let inner = 1..self.duration_s.len();
-        let at_a_bound = |i: &usize| {
-            let v = value[PER_NODE * i];
-            v == low[PER_NODE * i] || v == high[PER_NODE * i]
-        };
-        let velocities_at_a_bound = inner.filter(at_a_bound).count();
+        let at_a_bound = (1..self.duration_s.len())
+            .map(|i| PER_NODE * i)
+            .filter(|v| value[*v] == low[*v] || value[*v] == high[*v]);
+        let velocities_at_a_bound = at_a_bound.count();
         let optimality = problem.optimality(&low, &high, &value);
         if optimality <= LARGEST_OPTIMALITY {
             Ok(Nodes { value, velocities_at_a_bound, factorisations, optimality })
         } else {
             Err(not_converged(factorisations, optimality))
         }
+    }
+}
+
+/// Returns the error about a solution that is `residual` away from the minimum, relative.
+fn not_converged(iterations: usize, residual: f64) -> NotConverged {
+    NotConverged {
+        method: "the least squares of PVT as published",
+        iterations,
+        residual,
+        residual_of: "its distance from the minimum, of which 1e-9 is allowed,",
+        remedy: "the times in dwell_s differ by too many orders of magnitude, use pvt",
     }
 }
 
@@ -524,7 +531,8 @@ mod tests {
         let times = (0..40).map(|i| if i % 2 == 0 { 1e-100 } else { 0.2 }).collect();
         let dwell = DwellTime::new(times).unwrap();
         let limits = planish_testkit::machine([100.0; 2], [1000.0; 2]);
-        let error = schedule(&path.unwrap(), &dwell, &limits, &AsPublishedSettings::default()).unwrap_err();
+        let error =
+            schedule(&path.unwrap(), &dwell, &limits, &AsPublishedSettings::default()).unwrap_err();
         println!("{error}");
         let ScheduleError::NotConverged(NotConverged { iterations, residual, .. }) = error else {
             panic!("{error}")
@@ -558,8 +566,9 @@ mod tests {
             assert!((end[0] - p[0]).abs() + (end[1] - p[1]).abs() < 1e-14, "{i}: {end:?} {p:?}");
         }
         let never = DwellTime::new(vec![0.3, 0.0, 0.3, 0.25, 0.3]).unwrap();
-        let message =
-            schedule(&path, &never, &limits, &AsPublishedSettings::default()).unwrap_err().to_string();
+        let message = schedule(&path, &never, &limits, &AsPublishedSettings::default())
+            .unwrap_err()
+            .to_string();
         assert!(message.contains("dwell_s[1]: is 0 s on a segment of 1 mm"), "{message}");
     }
 }
