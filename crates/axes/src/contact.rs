@@ -41,6 +41,8 @@ pub struct ContactReport {
 /// Returns the path of the contact point over the part that the motion of the axes executes, within 1e-3 um: a
 /// trajectory in the plane of the part, with the segments and the tool states of `motion`.
 ///
+/// # Errors
+///
 /// Refuses a motion with another number of axes than the machine, and one whose tool leaves the form.
 pub fn contact(
     motion: &AxesMotion,
@@ -80,9 +82,9 @@ pub fn contact(
             }
             if away > TOLERANCE_MM && halves < MOST_HALVES {
                 let middle = 0.5 * (from + to);
-                let at = state(middle)?;
-                open.push(([middle, to], [at, end], halves + 1));
-                open.push(([from, middle], [start, at], halves + 1));
+                let half = state(middle)?;
+                open.push(([middle, to], [half, end], halves + 1));
+                open.push(([from, middle], [start, half], halves + 1));
                 continue;
             }
             deviation_mm = deviation_mm.max(away);
@@ -120,13 +122,13 @@ fn state(map: &AxisMap, cubics: &[[f64; 4]], u: f64) -> Option<[State; 2]> {
     let p = map.contact(&q)?.point_mm;
     let fastest = v.iter().fold(0.0, |a: f64, b| a.max(b.abs()));
     if fastest == 0.0 {
-        return Some(p.map(|at| [at, 0.0]));
+        return Some(p.map(|mm| [mm, 0.0]));
     }
     let d = WAY / fastest;
-    let beside = |d: f64| {
+    let [ahead, back] = [d, -d].map(|d| {
         let moved: Vec<f64> = q.iter().zip(&v).map(|(q, v)| q + d * v).collect();
         map.contact(&moved)
-    };
-    let (ahead, back) = (beside(d)?.point_mm, beside(-d)?.point_mm);
+    });
+    let (ahead, back) = (ahead?.point_mm, back?.point_mm);
     Some([0, 1].map(|k| [p[k], (ahead[k] - back[k]) / (2.0 * d)]))
 }

@@ -111,7 +111,7 @@ fn direction_from_rest(segment: &Segment<'_>, u: f64, sign: f64) -> Option<[f64;
     let ways = [(0, h), (1, h * h / 2.0), (2, h * h * h / 6.0)];
     let (order, length) = ways.into_iter().find_map(|(order, factor)| {
         let length = orders[0][order].hypot(orders[1][order]);
-        (length * factor >= CENTRE_MM).then_some((order, length))
+        if length * factor >= CENTRE_MM { Some((order, length)) } else { None }
     })?;
     if order == 0 { None } else { Some([0, 1].map(|k| orders[k][order] / length)) }
 }
@@ -220,7 +220,7 @@ impl AxesPieces<'_> {
                 finer.extend(self.halved(piece.clone(), &segment)?);
             }
         }
-        Ok((finer.len() > pieces.len()).then_some(finer))
+        Ok(if finer.len() > pieces.len() { Some(finer) } else { None })
     }
 
     /// Position and velocity of the axes at a time of a segment. In the centre of a spindle, the point moves away from
@@ -240,8 +240,7 @@ impl AxesPieces<'_> {
             self.turning.is_some() && self.map.radius_mm([p[0].value, p[1].value]) < CENTRE_MM;
         let from_rest = if is_centre { direction_from_rest(segment, u, sign) } else { None };
         if let Some(direction) = from_rest {
-            let along = |k: usize| Series { first: direction[k], second: 0.0, ..p[k] };
-            p = [along(0), along(1)];
+            p = [0, 1].map(|k| Series { first: direction[k], second: 0.0, ..p[k] });
         }
         let axes = self.map.positions(p).ok_or_else(|| {
             let [x, y] = p.map(|s| s.value);

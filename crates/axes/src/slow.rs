@@ -112,12 +112,11 @@ fn excesses(pieces: &[AxesPiece], axes: &[MachineAxis], stretch: &[f64]) -> Vec<
                     worst = Some(Excess { ratio, stretch, axis, quantity, piece: k });
                 }
             };
-            let peak = |c: &[f64; 4]| range(c, h).peak().0;
-            add("velocity", peak(&v), limits.max_velocity, 1.0);
-            add("acceleration", peak(&a), limits.max_acceleration, 0.5);
+            add("velocity", range(&v, h).peak().0, limits.max_velocity, 1.0);
+            add("acceleration", range(&a, h).peak().0, limits.max_acceleration, 0.5);
             let end = evaluate(&a, h);
             if let Some(jerk) = limits.max_jerk {
-                add("jerk", peak(&derivative(&a)), jerk, 1.0 / 3.0);
+                add("jerk", range(&derivative(&a), h).peak().0, jerk, 1.0 / 3.0);
                 // As planish-verify allows it in a program: from the middle of a segment to that of the next.
                 let step = (a[0] - before.0[axis]).abs();
                 add("step of the acceleration", step, 0.5 * jerk * (before.1 + h), 1.0 / 3.0);
@@ -203,7 +202,13 @@ mod tests {
     fn a_window_and_an_average_are_never_below_the_need() {
         // Pieces of 1 s; one needs 3.
         let pieces: Vec<AxesPiece> = (0..40)
-            .map(|segment| AxesPiece { segment, from_s: 0.0, to_s: 1.0, start: vec![], end: vec![] })
+            .map(|segment| AxesPiece {
+                segment,
+                from_s: 0.0,
+                to_s: 1.0,
+                start: vec![],
+                end: vec![],
+            })
             .collect();
         let mut need = vec![1.0; 40];
         need[20] = 3.0;

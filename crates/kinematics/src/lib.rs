@@ -77,6 +77,10 @@ pub struct Contact {
 
 impl AxisMap {
     /// Builds the map from contact points on the part `form` to the axes of `machine`.
+    ///
+    /// # Errors
+    ///
+    /// Fails if the placement of the part on the machine has no inverse.
     pub fn new(machine: &Machine, form: &Form) -> Result<Self, Invalid> {
         let to_axes = match machine.part_to_axes() {
             Some(there) => Some((there.clone(), there.inverse()?)),
@@ -103,33 +107,33 @@ impl AxisMap {
     pub fn positions(&self, p: [Series; 2]) -> Option<Vec<Series>> {
         let [x, y] = self.on_machine(p);
         let origin_z = Series::constant(self.origin_z_mm);
-        let needs_form = |normal| self.surface(p, normal);
         Some(match &self.kinematics {
             Kinematics::Xy => vec![x, y],
-            Kinematics::Xyz => vec![x, y, needs_form(false)?.0 + origin_z],
+            Kinematics::Xyz => vec![x, y, self.surface(p, false)?.0 + origin_z],
             Kinematics::Tilts { pivot_mm, tilts } => {
-                let (z, [nx, ny, nz]) = needs_form(true)?;
+                let (z, [nx, ny, nz]) = self.surface(p, true)?;
                 let (a, b) = match tilts[0] {
                     Tilt::A => (Series::angle([nz, -ny]), Series::angle([hypot(ny, nz), nx])),
                     Tilt::B => (Series::angle([hypot(nx, nz), -ny]), Series::angle([nz, nx])),
                 };
-                let along = |v: Series, n: Series| v + n.times(*pivot_mm);
+                let [px, py, pz] = [(x, nx), (y, ny), (z, nz)].map(|(v, n)| v + n.times(*pivot_mm));
                 let lowered = origin_z - Series::constant(*pivot_mm);
-                vec![along(x, nx), along(y, ny), along(z, nz) + lowered, degrees(a), degrees(b)]
+                vec![px, py, pz + lowered, degrees(a), degrees(b)]
             }
             Kinematics::Spindle { has_z, pivot_mm } => {
                 let (r, c, [ux, uy]) = polar(x, y);
                 match pivot_mm {
                     Some(pivot) => {
-                        let (z, [nx, ny, nz]) = needs_form(true)?;
+                        let (z, [nx, ny, nz]) = self.surface(p, true)?;
                         let nr = nx * ux + ny * uy;
                         let length = hypot(nr, nz);
-                        let along = |v: Series, n: Series| v + (n / length).times(*pivot);
+                        let [pr, pz] =
+                            [(r, nr), (z, nz)].map(|(v, n)| v + (n / length).times(*pivot));
                         let lowered = origin_z - Series::constant(*pivot);
                         let b = Series::angle([nz, nr]);
-                        vec![along(r, nr), along(z, nz) + lowered, degrees(c), degrees(b)]
+                        vec![pr, pz + lowered, degrees(c), degrees(b)]
                     }
-                    None if *has_z => vec![r, needs_form(false)?.0 + origin_z, degrees(c)],
+                    None if *has_z => vec![r, self.surface(p, false)?.0 + origin_z, degrees(c)],
                     None => vec![r, degrees(c)],
                 }
             }
@@ -166,7 +170,7 @@ impl AxisMap {
             }
             Kinematics::Xyz => ([q[0], q[1], q[2] - self.origin_z_mm], vertical),
             Kinematics::Tilts { pivot_mm, tilts } => {
-                let ([sa, ca], [sb, cb]) = (sine_cosine(q[3]), sine_cosine(q[4]));
+                let [[sa, ca], [sb, cb]] = [q[3], q[4]].map(sine_cosine);
                 let tool = match tilts[0] {
                     Tilt::A => [sb, -sa * cb, ca * cb],
                     Tilt::B => [ca * sb, -sa, ca * cb],
@@ -228,15 +232,15 @@ impl AxisMap {
         x.value.hypot(y.value)
     }
 
-    /// Height of the form, and its unit normal in the directions of the machine (zero unless asked for).
+    /// Returns the height of the form, and its unit normal in the directions of the machine; zero without `normal`.
     fn surface(&self, p: [Series; 2], normal: bool) -> Option<(Series, [Series; 3])> {
         let at = p.map(|v| v.value);
         let place = self.form.at(at)?;
-        let (gradient, [xx, xy, yy]) = (place.gradient(), place.hessian());
-        let (v, w) = (p.map(|s| s.first), p.map(|s| s.second));
-        let of =
-            |[xx, xy, yy]: [f64; 3], v: [f64; 2]| [xx * v[0] + xy * v[1], xy * v[0] + yy * v[1]];
-        let bent = of([xx, xy, yy], v);
+        let gradient = place.gradient();
+        let hessian = place.hessian();
+        let v = p.map(|s| s.first);
+        let w = p.map(|s| s.second);
+        let bent = times(hessian, v);
         // f' = grad f . p',  f'' = grad f . p'' + p' H p'
         let f = Series {
             value: place.sag_mm(),
@@ -247,8 +251,8 @@ impl AxisMap {
             return Some((f, [Series::default(); 3]));
         }
         // (grad f)' = H p',  (grad f)'' = H p'' + H' p'
-        let change = of(self.hessian_change(at, v)?, v);
-        let turned = of([xx, xy, yy], w);
+        let change = times(self.hessian_change(at, v)?, v);
+        let turned = times(hessian, w);
         let slope = [0, 1].map(|k| Series {
             value: gradient[k],
             first: bent[k],
@@ -275,9 +279,8 @@ impl AxisMap {
             let place = self.form.at([0, 1].map(|k| at[k] + d * v[k] / speed))?;
             Some((d, place.hessian()))
         };
-        let (ahead, back) = (beside(STEP_MM), beside(-STEP_MM));
-        let (d0, h0) = back.or_else(|| beside(0.0))?;
-        let (d1, h1) = ahead.or_else(|| beside(0.0))?;
+        let (d0, h0) = beside(-STEP_MM).or_else(|| beside(0.0))?;
+        let (d1, h1) = beside(STEP_MM).or_else(|| beside(0.0))?;
         if d0 == d1 {
             return Some([0.0; 3]);
         }
@@ -301,7 +304,12 @@ impl AxisMap {
     }
 }
 
-/// Radius, azimuth in rad and unit vector along the radius.
+/// Returns the product of a symmetric matrix, of the elements xx, xy and yy, with a vector.
+fn times([xx, xy, yy]: [f64; 3], v: [f64; 2]) -> [f64; 2] {
+    [xx * v[0] + xy * v[1], xy * v[0] + yy * v[1]]
+}
+
+/// Returns radius, azimuth in rad and unit vector along the radius.
 fn polar(x: Series, y: Series) -> (Series, Series, [Series; 2]) {
     if x.value.hypot(y.value) >= CENTRE_MM {
         let r = hypot(x, y);

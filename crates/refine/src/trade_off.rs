@@ -63,8 +63,10 @@ pub struct Point {
 
 /// Returns the reason for a negative verdict on a trade-off; `None` if the verdict is positive.
 pub fn negative(points: &[Point]) -> Option<String> {
-    let kept = points.iter().all(|p| p.best.limits_respected);
-    (!kept).then(|| "some plan exceeds the limits of the machine".to_string())
+    if points.iter().all(|p| p.best.limits_respected) {
+        return None;
+    }
+    Some("some plan exceeds the limits of the machine".to_string())
 }
 
 /// Returns the least total time of any plan (1), s.
@@ -79,6 +81,10 @@ pub fn least_time_s(desired: &Surface, tif: &Tif) -> f64 {
 
 /// Returns prices of a second, nm^2/s: zero, and `count` prices of equal ratio over three and a half decades. The
 /// largest is 3 % of half the mean square of the map per second of (1).
+///
+/// # Errors
+///
+/// Refuses more than 1000 prices.
 pub fn prices(desired: &Surface, tif: &Tif, count: usize) -> Result<Vec<f64>, Invalid> {
     if count > MOST_PRICES {
         let remedy = format!("give at most {MOST_PRICES}: every price is a refinement");
@@ -86,8 +92,10 @@ pub fn prices(desired: &Surface, tif: &Tif, count: usize) -> Result<Vec<f64>, In
     }
     let rms = desired.statistics().rms;
     let whole = 0.5 * rms * rms / least_time_s(desired, tif).max(f64::MIN_POSITIVE);
-    let exponent = |k: usize| -5.0 + 3.5 * k as f64 / (count.max(2) - 1) as f64;
-    let priced = (0..count).map(|k| whole * 10_f64.powf(exponent(k)));
+    let priced = (0..count).map(|k| {
+        let exponent = -5.0 + 3.5 * k as f64 / (count.max(2) - 1) as f64;
+        whole * 10_f64.powf(exponent)
+    });
     Ok(std::iter::once(0.0).chain(priced).collect())
 }
 
@@ -115,7 +123,8 @@ fn give_the_best(points: &mut [Point], plans: &[(Iterate, End)]) {
         let price = point.time_weight_nm2_per_s;
         for (plan, end) in plans {
             if rank(plan, price) < rank(&point.best, price) {
-                (point.best, point.end) = (plan.clone(), *end);
+                point.best = plan.clone();
+                point.end = *end;
                 point.best.merit_nm = (2.0 * rank(plan, price).1).sqrt();
             }
         }
@@ -125,6 +134,10 @@ fn give_the_best(points: &mut [Point], plans: &[(Iterate, End)]) {
 /// Refines once per price, from the dwell times of the price before, then again from those of a neighbour whose
 /// plan is better at this price. Every price gets the best of all rounds of all prices. So a plan at a higher price
 /// never takes longer, and a plan at a lower price never leaves a larger residual.
+///
+/// # Errors
+///
+/// Fails as [`refine`] does.
 pub fn trade_off(
     desired: &Surface,
     tif: &Tif,
@@ -133,7 +146,8 @@ pub fn trade_off(
     prices: &[f64],
     settings: &RefineSettings,
 ) -> Result<Vec<Point>, RefineError> {
-    let (mut points, mut plans): (Vec<Point>, Vec<(Iterate, End)>) = (Vec::new(), Vec::new());
+    let mut points: Vec<Point> = Vec::new();
+    let mut plans: Vec<(Iterate, End)> = Vec::new();
     let refined = |price: f64, first: Option<DwellTime>, max_rounds: usize| {
         let mut settings = RefineSettings { max_rounds, ..*settings };
         settings.dwell.time_weight_nm2_per_s = price;
@@ -146,13 +160,12 @@ pub fn trade_off(
             None => settings.max_rounds.max(RefineSettings::default().max_rounds),
             Some(_) => settings.max_rounds,
         };
-        let of_price = || refined(price, first.take(), max_rounds);
-        let refined = progress::part(k, prices.len(), of_price)?;
+        let refined = progress::part(k, prices.len(), || refined(price, first.take(), max_rounds))?;
         first = Some(refined.dwell);
         let best = refined.iterates[refined.best].clone();
-        let method = PlanMethod::ClosedLoop;
         let end = refined.end;
         plans.extend(refined.iterates.into_iter().map(|plan| (plan, end)));
+        let method = PlanMethod::ClosedLoop;
         points.push(Point { method, time_weight_nm2_per_s: price, best, end });
     }
     for pass in 0..MAX_PASSES {
@@ -188,6 +201,10 @@ pub fn trade_off(
 }
 
 /// Makes a joint plan per price; every price gets the best of all of them.
+///
+/// # Errors
+///
+/// Fails as [`plan`] does.
 pub fn feed_trade_off(
     desired: &Surface,
     tif: &Tif,
@@ -196,9 +213,11 @@ pub fn feed_trade_off(
     prices: &[f64],
     min_dwell_s_per_mm: f64,
 ) -> Result<Vec<Point>, JointError> {
-    let at_price = |(k, price): (usize, &f64)| {
+    let mut points = Vec::new();
+    for (k, price) in prices.iter().enumerate() {
         let price = Price::Nm2PerS(*price);
-        let settings = planish_joint::JointSettings { min_dwell_s_per_mm, price, ..Default::default() };
+        let settings =
+            planish_joint::JointSettings { min_dwell_s_per_mm, price, ..Default::default() };
         let plan = progress::part(k, prices.len(), || plan(desired, tif, path, limits, &settings))?;
         let rms = Rms::of(plan.removal.residual());
         let best = Iterate {
@@ -214,10 +233,9 @@ pub fn feed_trade_off(
             limits_respected: plan.refused.is_none(),
         };
         let time_weight_nm2_per_s = plan.report.price_nm2_per_s;
-        Ok(Point { method: PlanMethod::Joint, time_weight_nm2_per_s, best, end: plan.report.end })
-    };
-    let mut points: Vec<Point> =
-        prices.iter().enumerate().map(at_price).collect::<Result<_, JointError>>()?;
+        let method = PlanMethod::Joint;
+        points.push(Point { method, time_weight_nm2_per_s, best, end: plan.report.end });
+    }
     let plans: Vec<_> = points.iter().map(|p| (p.best.clone(), p.end)).collect();
     give_the_best(&mut points, &plans);
     Ok(points)
@@ -244,7 +262,8 @@ const TIME_AXIS: &str =
     "total time (s), at least volume to be removed / volumetric removal rate (dashed)";
 
 /// Methods in the order of their names from the right, and the colours of their curves.
-const METHODS: [(PlanMethod, &str); 2] = [(PlanMethod::ClosedLoop, "#365c8d"), (PlanMethod::Joint, "#b5367a")];
+const METHODS: [(PlanMethod, &str); 2] =
+    [(PlanMethod::ClosedLoop, "#365c8d"), (PlanMethod::Joint, "#b5367a")];
 /// SVG attributes of the line of the bound (1).
 const BOUND: &str = "stroke=\"#d8a010\" stroke-width=\"2\" stroke-dasharray=\"6 4\"";
 

@@ -3,7 +3,7 @@
 
 use ndarray::Array2;
 use planish_dwell::bounded_least_squares::{self as dwell_solver, Bound};
-use planish_refine::{RefineError, Refined, RefineSettings, refine, trade_off};
+use planish_refine::{RefineError, RefineSettings, Refined, refine, trade_off};
 use planish_schedule::{
     Choices, SCHEDULERS, ScheduleError, Scheduled, Scheduler, constant_acceleration, pvt,
     trig_spline::Repair,
@@ -154,7 +154,12 @@ fn the_executed_residual_falls_and_the_promise_is_what_the_judges_find() {
         let least = rms.iter().copied().fold(f64::INFINITY, f64::min);
         assert!(refined.best + 1 < rms.len() && rms[refined.best] == least, "{mode:?}: {rms:?}");
         // The trajectory is the one that was judged, and the dwell is its own.
-        let p = simulate(&refined.trajectory, &tif, &desired, planish_simulate::SimulationSettings::Gridded);
+        let p = simulate(
+            &refined.trajectory,
+            &tif,
+            &desired,
+            planish_simulate::SimulationSettings::Gridded,
+        );
         assert_eq!(p.unwrap().removal.residual().statistics().rms, rms[refined.best]);
         let v = verify(&refined.trajectory, &machine, &VerifySettings::default()).unwrap();
         assert!(v.limits_respected, "{:?}", v.violations);
@@ -266,7 +271,12 @@ fn the_operator_of_constant_accelerations_is_their_own() {
     // Regression bound: measured 0.59 of the first round on this meander.
     assert!(refined.best > 0 && rms[refined.best] < 0.7 * rms[0], "{rms:?}");
     assert!(refined.iterates[refined.best].limits_respected);
-    let p = simulate(&refined.trajectory, &tif, &desired, planish_simulate::SimulationSettings::Gridded);
+    let p = simulate(
+        &refined.trajectory,
+        &tif,
+        &desired,
+        planish_simulate::SimulationSettings::Gridded,
+    );
     assert_eq!(p.unwrap().removal.residual().statistics().rms, rms[refined.best]);
 }
 
@@ -331,8 +341,12 @@ fn every_scheduler_gains_within_the_limits_and_its_dwell_times_are_those_of_its_
             let judge = |t| verify(t, &machine, &VerifySettings::default()).unwrap();
             let verdict = judge(&refined.trajectory);
             assert!(verdict.limits_respected, "{name}: {:?}", verdict.violations);
-            let p =
-                simulate(&refined.trajectory, &tif, &desired, planish_simulate::SimulationSettings::Gridded);
+            let p = simulate(
+                &refined.trajectory,
+                &tif,
+                &desired,
+                planish_simulate::SimulationSettings::Gridded,
+            );
             assert_eq!(p.unwrap().removal.residual().statistics().rms, best.rms_nm, "{name}");
             let served_s = refined.trajectory.served_s(path.len(), |_| true).unwrap();
             let rounding_s = 1e-12 * best.total_time_s;
@@ -437,7 +451,12 @@ fn noise_is_not_fitted_at_the_cost_of_the_true_surface() {
     (how.dwell.slope_weight, how.first_smoothness, how.dwell.tikhonov) = (1e-8, 1e-8, 1e-7);
     how.dwell.noise_rms_nm = Some(noise_nm);
     let missed = |refined: &Refined| {
-        let p = simulate(&refined.trajectory, &tif, &clean, planish_simulate::SimulationSettings::Gridded);
+        let p = simulate(
+            &refined.trajectory,
+            &tif,
+            &clean,
+            planish_simulate::SimulationSettings::Gridded,
+        );
         p.unwrap().removal.residual().statistics().rms
     };
     let first = RefineSettings { max_rounds: 0, ..how };

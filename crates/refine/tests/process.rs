@@ -3,7 +3,7 @@
 use ndarray::Array2;
 use planish_dwell::bounded_least_squares::Bound;
 use planish_refine::{
-    Refined, RefineSettings,
+    RefineSettings, Refined,
     error_budget::{Price, refine_for},
     refine,
 };

@@ -48,7 +48,7 @@ pub struct Coverage {
 
 impl Coverage {
     /// Computes the coverage from the removal (ny, nx), in nm, of `trajectory` with `tif` on the pixels of `desired`.
-    pub fn of(
+    pub fn new(
         removal_nm: &Array2<f64>,
         trajectory: &Trajectory,
         tif: &Tif,
@@ -119,13 +119,12 @@ impl Coverage {
         if !few && self.volume_on_map >= LEAST_ON_MAP {
             return None;
         }
-        let percent = |part: f64| format!("{} %", significant(100.0 * part, 2));
         Some(format!(
-            "the tool removes material from {} of the map's valid pixels, and {} of what it removes falls on them; it \
+            "the tool removes material from {} % of the map's valid pixels, and {} % of what it removes falls on them; it \
              is on for {} s of {} s, within {}, and the map is within {}: unless this is a local correction, check the \
              coordinates and tool_on",
-            percent(touched),
-            percent(self.volume_on_map),
+            significant(100.0 * touched, 2),
+            significant(100.0 * self.volume_on_map, 2),
             significant(self.tool_on_s, 4),
             significant(self.total_s, 4),
             shown(&spans_mm),
@@ -136,6 +135,6 @@ impl Coverage {
 
 /// A rectangle from its lowest and its highest [x, y].
 fn shown([low, high]: &[[f64; 2]; 2]) -> String {
-    let mm = |v: f64| significant(v, 5);
-    format!("x {} .. {} mm, y {} .. {} mm", mm(low[0]), mm(high[0]), mm(low[1]), mm(high[1]))
+    let [x0, x1, y0, y1] = [low[0], high[0], low[1], high[1]].map(|mm| significant(mm, 5));
+    format!("x {x0} .. {x1} mm, y {y0} .. {y1} mm")
 }

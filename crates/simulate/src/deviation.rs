@@ -152,7 +152,7 @@ impl Deviation {
         ];
         let grid = tif.grid();
         let [cx, cy] = tif.centroid_mm();
-        let moved = |kernel: &Tif| {
+        let changed = |kernel: &Tif| {
             Array2::from_shape_fn(grid.shape(), |(r, c)| {
                 let x = grid.x.at(c) - cx;
                 let y = grid.y.at(r) - cy;
@@ -161,11 +161,15 @@ impl Deviation {
                 kernel.rate_at(cx + dx, cy + dy)
             })
         };
-        let volume = tif.rate_nm_per_s().sum() / moved(tif).sum();
-        tif.with_kernels(|kernel| Ok((*grid, moved(kernel) * volume))).map(Some)
+        let volume = tif.rate_nm_per_s().sum() / changed(tif).sum();
+        tif.with_kernels(|kernel| Ok((*grid, changed(kernel) * volume))).map(Some)
     }
 
     /// Computes the motion that the machine executes over a map of `grid`, with the rates there.
+    ///
+    /// # Errors
+    ///
+    /// Fails if nothing of the motion is left, because the errors of its rate take away all of its time.
     pub fn trajectory(&self, motion: &Motion, grid: &Grid) -> Result<Trajectory, Invalid> {
         let mut pieces = motion.pieces.clone();
         // Rates first: they belong to the times of the plan.
@@ -251,10 +255,10 @@ impl Deviation {
     pub fn rate_at(&self, p: &MotionPiece, total_s: f64) -> f64 {
         // d (t / T - 1/2), and -a exp(-t / tau)
         let middle = (p.start_s + 0.5 * p.duration_s) / total_s - 0.5;
-        let warm_up = |&(tau, a): &(f64, f64)| {
+        let warm_up = self.warm_up.iter().map(|(tau, a)| {
             let gone = -(-p.duration_s / tau).exp_m1();
             -a * (-p.start_s / tau).exp() * gone * tau / p.duration_s
-        };
-        self.rate + self.drift * middle + self.warm_up.iter().map(warm_up).sum::<f64>()
+        });
+        self.rate + self.drift * middle + warm_up.sum::<f64>()
     }
 }

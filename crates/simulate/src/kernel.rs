@@ -28,7 +28,7 @@ impl Kernel {
         spills: bool,
     ) -> Self {
         let convolution = LaneConvolution::new(samples, size);
-        let border = spills.then(|| Border::new(&x, &y, samples, size));
+        let border = if spills { Some(Border::new(&x, &y, samples, size)) } else { None };
         Self { x, y, convolution, border }
     }
 }
@@ -82,7 +82,7 @@ impl Border {
         }
         let largest = corners.iter().flatten().flatten().fold(0.0_f64, |m, v| m.max(v.abs()));
         let peak = g.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-        let corners = (largest > f64::EPSILON * peak).then_some(corners);
+        let corners = if largest > f64::EPSILON * peak { Some(corners) } else { None };
         Self { rows, columns, corners }
     }
 }

@@ -59,7 +59,7 @@ impl Lattice {
         NodeCells {
             origin_mm: self.start_mm - self.tif_start_mm,
             step_mm: self.step_mm,
-            inner: (fraction > 0.0).then_some(1.0 - fraction),
+            inner: if fraction > 0.0 { Some(1.0 - fraction) } else { None },
         }
     }
 
@@ -90,12 +90,12 @@ impl Lattice {
     /// Returns the pixel at the node `q`, counted from the first of `pixels`, if it is one of them.
     pub fn pixel(&self, q: i64, pixels: &Range<usize>) -> Option<usize> {
         let q = usize::try_from(q).ok()?;
-        let i = if self.subdivision == 1 {
-            q
-        } else {
-            q.is_multiple_of(self.subdivision).then_some(q / self.subdivision)?
+        let i = match self.subdivision {
+            1 => q,
+            nodes if q.is_multiple_of(nodes) => q / nodes,
+            _ => return None,
         };
-        (i >= pixels.start && i < pixels.end).then(|| i - pixels.start)
+        if pixels.contains(&i) { Some(i - pixels.start) } else { None }
     }
 
     /// Returns the cells that spread seconds to the source of `pixels`.
@@ -124,20 +124,17 @@ impl Lattice {
     pub fn border(&self) -> Vec<BorderNode> {
         let samples = self.border_samples();
         let mut bit = 1;
-        let may_be = |k: &isize| self.is_beyond(*k, 0.0) || self.is_beyond(*k, 1.0 - keys::SNAP);
         (-2..=self.last + 2)
-            .filter(may_be)
+            .filter(|k| self.is_beyond(*k, 0.0) || self.is_beyond(*k, 1.0 - keys::SNAP))
             .map(|k| {
-                let weight = |j: isize| usize::try_from(k - j + 1).ok().filter(|d| *d < 4);
-                let with = |(slot, j): (usize, &isize)| weight(*j).map(|w| (slot, w));
+                let terms = samples.iter().enumerate().filter_map(|(slot, j)| {
+                    let weight = usize::try_from(k - j + 1).ok().filter(|d| *d < 4)?;
+                    Some((slot, weight))
+                });
                 let always = self.is_beyond(k, 0.0) && self.is_beyond(k, 1.0 - keys::SNAP);
                 let at_times = if always { 0 } else { bit };
                 bit <<= u8::from(!always);
-                BorderNode {
-                    k,
-                    at_times,
-                    terms: samples.iter().enumerate().filter_map(with).collect(),
-                }
+                BorderNode { k, at_times, terms: terms.collect() }
             })
             .collect()
     }
@@ -161,8 +158,8 @@ impl BorderNode {
     /// cell.
     #[inline]
     pub fn kind(nodes: &[Self], lattice: &Lattice, f: f64) -> u8 {
-        let is_beyond = |n: &&Self| n.at_times != 0 && lattice.is_beyond(n.k, f);
-        nodes.iter().filter(is_beyond).map(|n| n.at_times).sum()
+        let beyond = nodes.iter().filter(|n| n.at_times != 0 && lattice.is_beyond(n.k, f));
+        beyond.map(|n| n.at_times).sum()
     }
 
     /// Returns true if the node is beyond with the tool at offsets of this kind.
@@ -174,8 +171,10 @@ impl BorderNode {
 
 /// Returns true if anything spills: some sample next to the border is not negligible.
 pub fn has_border(peak: f64, x: &Lattice, y: &Lattice, g: &Array2<f64>) -> bool {
-    let near = |l: &Lattice, j: usize| l.border_samples().contains(&(j as isize - 1));
-    let border = g.indexed_iter().filter(|((r, c), _)| near(y, *r) || near(x, *c));
+    let [rows, columns] = [y, x].map(Lattice::border_samples);
+    let border = g.indexed_iter().filter(|((r, c), _)| {
+        rows.contains(&(*r as isize - 1)) || columns.contains(&(*c as isize - 1))
+    });
     // Below this the spill is lost in the rounding of the peak.
     border.map(|(_, v)| v.abs()).fold(0.0, f64::max) > f64::EPSILON * peak
 }

@@ -1,7 +1,7 @@
 //! The motion in pieces that are short enough to have one place and one rate.
 
 use planish_numerics::polynomial::{derivative, evaluate, shifted};
-use planish_types::{Invalid, Segment, Tif, Trajectory, Variation, budget};
+use planish_types::{Invalid, Tif, Trajectory, Variation, budget};
 
 /// Smallest number of parts of equal time into which the run is divided; the rate is constant in each. The error of a
 /// linear drift is at most 1/2000 of its size, and its mean is exact. Larger: more pieces, and more time. Smaller: a
@@ -43,14 +43,19 @@ pub struct Motion {
 
 impl Motion {
     /// Cuts `trajectory` so that the tool goes at most `longest_mm` in a piece.
+    ///
+    /// # Errors
+    ///
+    /// Refuses a motion whose pieces would not fit into the memory.
     pub fn new(trajectory: &Trajectory, longest_mm: f64) -> Result<Self, Invalid> {
         let total_s = trajectory.total_time_s();
-        let parts = |segment: &Segment<'_>| {
+        let parts = trajectory.segments().map(|segment| {
             let travel = travel_mm(segment.coefficient_mm, segment.duration_s) / longest_mm;
             let parts = travel.max(segment.duration_s * TIME_PARTS / total_s).ceil().max(1.0);
             if segment.tool_on { parts } else { 1.0 }
-        };
-        let count: f64 = trajectory.segments().map(|s| parts(&s)).sum();
+        });
+        let parts: Vec<f64> = parts.collect();
+        let count = parts.iter().sum();
         let remedy = "give a motion over the part, in mm";
         budget::affordable("coefficient_mm", count, size_of::<MotionPiece>(), remedy)?;
         let first_s = trajectory.break_time_s()[0];
@@ -58,7 +63,7 @@ impl Motion {
         let mut stay_s: Vec<f64> = Vec::new();
         let mut point_of_stay = Vec::new();
         let mut last = None;
-        for segment in trajectory.segments() {
+        for (segment, parts) in trajectory.segments().zip(parts) {
             // Of segments that serve no point each is a stay.
             if segment.dwell_index.is_none() || last != Some(segment.dwell_index) {
                 stay_s.push(0.0);
@@ -67,7 +72,7 @@ impl Motion {
             last = Some(segment.dwell_index);
             let stay = stay_s.len() - 1;
             stay_s[stay] += segment.duration_s;
-            let parts = parts(&segment);
+
             let duration_s = segment.duration_s / parts;
             for k in 0..parts as usize {
                 let from = k as f64 * duration_s;
@@ -98,17 +103,21 @@ impl Motion {
 
     /// Returns the largest speed at the ends and in the middle of the pieces, mm/s.
     pub fn largest_speed_mm_per_s(&self) -> f64 {
-        let speed = |p: &MotionPiece| {
-            let v = p.coefficient_mm.map(|c| derivative(&c));
-            let at = |u: f64| evaluate(&v[0], u).hypot(evaluate(&v[1], u));
-            [0.0, 0.5, 1.0].map(|f| at(f * p.duration_s)).into_iter().fold(0.0, f64::max)
-        };
-        self.pieces.iter().map(speed).fold(0.0, f64::max)
+        let speeds = self.pieces.iter().flat_map(|p| {
+            let [vx, vy] = p.coefficient_mm.map(|c| derivative(&c));
+            [0.0, 0.5, 1.0]
+                .map(|f| evaluate(&vx, f * p.duration_s).hypot(evaluate(&vy, f * p.duration_s)))
+        });
+        speeds.fold(0.0, f64::max)
     }
 }
 
-/// Length of the way, by eight chords.
+/// Returns the length of the way, by eight chords, mm.
 fn travel_mm(c: &[[f64; 4]; 2], duration_s: f64) -> f64 {
-    let at = |k: i32| [0, 1].map(|a| evaluate(&c[a], duration_s * f64::from(k) / 8.0));
-    (0..8).map(|k| (at(k), at(k + 1))).map(|(p, q)| (q[0] - p[0]).hypot(q[1] - p[1])).sum()
+    let chords = (0..8).map(|k| {
+        let [p, q] =
+            [k, k + 1].map(|k| [0, 1].map(|a| evaluate(&c[a], duration_s * f64::from(k) / 8.0)));
+        (q[0] - p[0]).hypot(q[1] - p[1])
+    });
+    chords.sum()
 }

@@ -39,11 +39,11 @@ enum Carriage {
 }
 
 impl Carriage {
-    /// Its motion where the drive has the coefficients `c`; the mirror image where the play is negative.
-    fn of(self, c: [f64; 4], mirrored: bool) -> [f64; 4] {
+    /// Returns the motion of the carriage where the drive has the coefficients `c`; the mirror image where the play is negative.
+    fn motion(self, c: [f64; 4], mirrored: bool) -> [f64; 4] {
         let q = match self {
             Self::Follows(distance) => [c[0] + distance, c[1], c[2], c[3]],
-            Self::Stands(at) => [at, 0.0, 0.0, 0.0],
+            Self::Stands(place_mm) => [place_mm, 0.0, 0.0, 0.0],
         };
         if mirrored { [0, 1, 2, 3].map(|k| 2.0 * c[k] - q[k]) } else { q }
     }
@@ -103,7 +103,11 @@ impl Axis {
 
 /// Returns the motion of the carriages of axes whose drives move along `pieces`, and for each of its pieces the
 /// `origin` of the piece that it is a part of.
-pub fn with_play(pieces: &[MotionPiece], origin: &[usize], play_mm: f64) -> (Vec<MotionPiece>, Vec<usize>) {
+pub fn with_play(
+    pieces: &[MotionPiece],
+    origin: &[usize],
+    play_mm: f64,
+) -> (Vec<MotionPiece>, Vec<usize>) {
     let mirrored = play_mm < 0.0;
     let half_mm = 0.5 * play_mm.abs();
     let mut axes = [(); 2].map(|()| Axis { half_mm, carriage_mm: None });
@@ -114,22 +118,26 @@ pub fn with_play(pieces: &[MotionPiece], origin: &[usize], play_mm: f64) -> (Vec
         for ((axis, c), parts) in axes.iter_mut().zip(&p.coefficient_mm).zip(&mut parts) {
             axis.follow(c, p.duration_s, parts);
         }
-        let mut at = [0, 0];
+        let mut part_of = [0, 0];
         let mut from_s = 0.0;
         while from_s < p.duration_s {
-            let next = |a: usize| parts[a].get(at[a] + 1).map_or(p.duration_s, |(t, _)| *t);
-            let until_s = next(0).min(next(1));
+            let next_s =
+                [0, 1].map(|a| parts[a].get(part_of[a] + 1).map_or(p.duration_s, |(t, _)| *t));
+            let until_s = next_s[0].min(next_s[1]);
             if until_s > from_s {
                 let mut part = *p;
                 part.start_s = p.start_s + from_s;
                 part.duration_s = until_s - from_s;
-                part.coefficient_mm = [0, 1]
-                    .map(|a| parts[a][at[a]].1.of(shifted(&p.coefficient_mm[a], from_s), mirrored));
+                part.coefficient_mm = [0, 1].map(|a| {
+                    let (_, carriage) = parts[a][part_of[a]];
+                    carriage.motion(shifted(&p.coefficient_mm[a], from_s), mirrored)
+                });
                 cut.push(part);
                 cut_origin.push(*from);
             }
-            let ended = [0, 1].map(|a| usize::from(next(a) <= until_s));
-            at = [at[0] + ended[0], at[1] + ended[1]];
+            for (part, next_s) in part_of.iter_mut().zip(next_s) {
+                *part += usize::from(next_s <= until_s);
+            }
             from_s = until_s;
         }
     }

@@ -65,15 +65,19 @@ impl<'a> Runs<'a> {
         let width_mm = tif.width_mm();
         let motion = Motion::new(trajectory, LONGEST_OVER_WIDTH * width_mm)?.with_rate_of(moved);
         let moved = moved.without_time();
-        let executed = SimulationPlan::new(tif, grid, SimulationSettings::Gridded)?.removal_nm(trajectory)?.0;
+        let executed =
+            SimulationPlan::new(tif, grid, SimulationSettings::Gridded)?.removal_nm(trajectory)?.0;
         let plan = gridded::GriddedPlan::new(&moved, grid)?;
         let as_planned = Deviation::default().trajectory(&motion, grid)?;
         let unchanged = plan.removal_nm(&as_planned).0;
         Ok(Self { tif: moved, grid: *grid, plan, motion, executed, unchanged, width_mm })
     }
 
-    /// Returns the removal S(run) of the motion with the deviations of one run, without the errors of the rate (ny,
-    /// nx), nm.
+    /// Returns the removal S(run) of the motion with the deviations of one run, by the TIF that errors move (ny, nx), nm.
+    ///
+    /// # Errors
+    ///
+    /// Fails as [`Deviation::trajectory`] and [`Deviation::tif`] do.
     pub fn moved_nm(&self, run: &Deviation) -> Result<Array2<f64>, Invalid> {
         let trajectory = run.trajectory(&self.motion, &self.grid)?;
         Ok(match run.tif(&self.tif)? {
@@ -83,6 +87,10 @@ impl<'a> Runs<'a> {
     }
 
     /// Returns the removal R(run) of one run (ny, nx), nm.
+    ///
+    /// # Errors
+    ///
+    /// Fails as [`Self::moved_nm`] does.
     pub fn removal_nm(&self, run: &Deviation) -> Result<Array2<f64>, Invalid> {
         Ok(&self.executed + &(self.moved_nm(run)? - &self.unchanged))
     }

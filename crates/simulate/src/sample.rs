@@ -71,18 +71,20 @@ pub fn sample(noise: Noise, size: f64, motion: &Motion, rng: &mut impl Rng, run:
         }
         Noise::Tick => {
             run.time_of_stay_s.resize(stays, 0.0);
-            let mut uniform = || {
-                let part: f64 = StandardUniform.sample(rng);
-                size * (part - 0.5)
-            };
-            let mut before = uniform();
+            let mut before = part_of_tick(size, rng);
             for time in &mut run.time_of_stay_s {
-                let after = uniform();
+                let after = part_of_tick(size, rng);
                 *time += after - before;
                 before = after;
             }
         }
     }
+}
+
+/// Draws the part of a tick by which an event is off, s.
+fn part_of_tick(tick_s: f64, rng: &mut impl Rng) -> f64 {
+    let part: f64 = StandardUniform.sample(rng);
+    tick_s * (part - 0.5)
 }
 
 /// Draws white noise of this standard deviation in every pixel (ny, nx), nm.
@@ -96,22 +98,24 @@ pub fn white(sigma_nm: f64, shape: (usize, usize), rng: &mut impl Rng) -> Array2
 /// Returns Legendre polynomials of the orders (along x, along y) over the rectangle of `grid`, of RMS one there.
 pub fn legendre_terms(grid: &Grid, orders: &[(usize, usize)]) -> Vec<Array2<f64>> {
     let largest = orders.iter().map(|(i, j)| *i.max(j)).max().unwrap_or(0);
-    let table = |a: &Axis| -> Vec<Vec<f64>> {
-        let half = 0.5 * (a.end_mm() - a.start_mm());
-        let of = |i: usize| {
-            let mut p = vec![0.0; largest + 1];
-            let u = if half > 0.0 { (a.at(i) - a.start_mm()) / half - 1.0 } else { 0.0 };
-            legendre(u, &mut p);
-            p
-        };
-        (0..a.len()).map(of).collect()
-    };
-    let (px, py) = (table(&grid.x), table(&grid.y));
-    let term = |&(i, j): &(usize, usize)| {
+    let [px, py] = [&grid.x, &grid.y].map(|axis| legendre_table(axis, largest));
+    let terms = orders.iter().map(|&(i, j)| {
         let scale = ((2 * i + 1) as f64 * (2 * j + 1) as f64).sqrt();
         Array2::from_shape_fn(grid.shape(), |(r, c)| scale * px[c][i] * py[r][j])
-    };
-    orders.iter().map(term).collect()
+    });
+    terms.collect()
+}
+
+/// Returns the Legendre polynomials of degree 0 to `largest` at every pixel of an axis.
+fn legendre_table(axis: &Axis, largest: usize) -> Vec<Vec<f64>> {
+    let half = 0.5 * (axis.end_mm() - axis.start_mm());
+    let pixels = (0..axis.len()).map(|i| {
+        let mut p = vec![0.0; largest + 1];
+        let u = if half > 0.0 { (axis.at(i) - axis.start_mm()) / half - 1.0 } else { 0.0 };
+        legendre(u, &mut p);
+        p
+    });
+    pixels.collect()
 }
 
 /// Returns the orders (along x, along y) of total degree 1 to `degree`.

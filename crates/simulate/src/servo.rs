@@ -41,7 +41,11 @@ type State = [f64; 2];
 
 impl Servo {
     /// Returns the motion of the axes under the command `pieces`; each new piece with the origin of its command.
-    pub fn follow(self, pieces: &[MotionPiece], origin: &[usize]) -> (Vec<MotionPiece>, Vec<usize>) {
+    pub fn follow(
+        self,
+        pieces: &[MotionPiece],
+        origin: &[usize],
+    ) -> (Vec<MotionPiece>, Vec<usize>) {
         let lag_s = match self {
             Self::Lag { lag_s } | Self::FirstOrder { lag_s } | Self::SecondOrder { lag_s, .. } => {
                 lag_s
@@ -49,11 +53,11 @@ impl Servo {
         };
         // No lag is no servo; a negative one, which only the first can have, is an early tool.
         if matches!(self, Self::Lag { .. }) || lag_s <= 0.0 {
-            let late = |p: &MotionPiece| MotionPiece {
+            let late = pieces.iter().map(|p| MotionPiece {
                 coefficient_mm: p.coefficient_mm.map(|c| lagging(&c, lag_s)),
                 ..*p
-            };
-            return (pieces.iter().map(late).collect(), origin.to_vec());
+            });
+            return (late.collect(), origin.to_vec());
         }
         let mut motion = Vec::new();
         let mut from = Vec::new();
@@ -64,30 +68,31 @@ impl Servo {
             let transient: [State; 2] =
                 std::array::from_fn(|a| [state[a][0] - steady[a][0], state[a][1] - steady[a][1]]);
             let (fastest_s, slowest_s) = self.times_s();
-            let is_seen = |t: &State| {
+            let is_seen = transient.iter().any(|t| {
                 t[0].abs() > LEAST_TRANSIENT_MM || t[1].abs() * slowest_s > LEAST_TRANSIENT_MM
-            };
+            });
             let mut times = vec![0.0];
-            if transient.iter().any(is_seen) {
+            if is_seen {
                 let until = (FOLLOWED * slowest_s).min(p.duration_s);
-                let next = |u: &f64| {
-                    let next = u + STEP * fastest_s * (u / (4.0 * slowest_s)).exp();
-                    (next < until).then_some(next)
-                };
-                times.extend(std::iter::successors(next(&0.0), next));
+                let mut u = STEP * fastest_s;
+                while u < until {
+                    times.push(u);
+                    u += STEP * fastest_s * (u / (4.0 * slowest_s)).exp();
+                }
                 if until < p.duration_s {
                     times.push(until);
                 }
             }
             times.push(p.duration_s);
-            let at = |axis: usize, u: f64| -> State {
+            let response = |axis: usize, u: f64| -> State {
                 let [h, dh] = self.decayed(transient[axis], u);
                 let s = &steady[axis];
                 [evaluate(s, u) + h, evaluate(&derivative(s), u) + dh]
             };
             for w in times.windows(2).filter(|w| w[1] > w[0]) {
                 let h = w[1] - w[0];
-                let coefficient_mm = std::array::from_fn(|a| hermite(at(a, w[0]), at(a, w[1]), h));
+                let coefficient_mm =
+                    std::array::from_fn(|a| hermite(response(a, w[0]), response(a, w[1]), h));
                 motion.push(MotionPiece {
                     start_s: p.start_s + w[0],
                     duration_s: h,
@@ -96,7 +101,7 @@ impl Servo {
                 });
                 from.push(*command);
             }
-            state = std::array::from_fn(|a| at(a, p.duration_s));
+            state = std::array::from_fn(|a| response(a, p.duration_s));
         }
         (motion, from)
     }
@@ -229,7 +234,8 @@ mod tests {
                         q[i] + h / 6.0 * (a[i] + 2.0 * b[i] + 2.0 * c[i] + d[i])
                     });
                     let t = p.start_s + f64::from(k + 1) * h;
-                    let of = |m: &&MotionPiece| t >= m.start_s && t <= m.start_s + m.duration_s + 1e-12;
+                    let of =
+                        |m: &&MotionPiece| t >= m.start_s && t <= m.start_s + m.duration_s + 1e-12;
                     let m = motion.iter().find(of).unwrap();
                     worst = worst.max((evaluate(&m.coefficient_mm[0], t - m.start_s) - q[0]).abs());
                 }

@@ -42,6 +42,10 @@ const NOTHING: f64 = 1e-9;
 
 /// Returns the TIF smoothed, and led to zero at its border, at the same volumetric removal rate. Of a tool that varies,
 /// the same linear operation acts on every kernel, and so on the tool at every place.
+///
+/// # Errors
+///
+/// Fails if the smoothed samples are not those of a TIF.
 pub fn smooth(tif: &Tif, width_mm: f64) -> Result<Tif, Invalid> {
     let extent = tif.grid().size_mm();
     let over_mm = (FADED * width_mm).min(MOST_FADED * extent[0].min(extent[1]));
@@ -90,11 +94,12 @@ pub(crate) fn smoothed(kernel: &Tif, inside: &Array2<bool>, width_mm: f64) -> Ar
     let step = [kernel.grid().x.step_mm(), kernel.grid().y.step_mm()];
     let radius_mm = (SMOOTHED * width_mm).min(MOST_SAMPLES * step[0].min(step[1]));
     let [reach_x, reach_y] = step.map(|s| (radius_mm / s) as usize);
-    let at = |r: usize, c: usize| {
+    rows_in_parallel((ny, nx), |r, c| {
         if !inside[[r, c]] {
             return rate[[r, c]];
         }
-        let (mut normal, mut right) = (SMatrix::<f64, 6, 6>::zeros(), SVector::<f64, 6>::zeros());
+        let mut normal = SMatrix::<f64, 6, 6>::zeros();
+        let mut right = SVector::<f64, 6>::zeros();
         let mut samples = 0;
         for i in r.saturating_sub(reach_y)..(r + reach_y + 1).min(ny) {
             for j in c.saturating_sub(reach_x)..(c + reach_x + 1).min(nx) {
@@ -110,9 +115,16 @@ pub(crate) fn smoothed(kernel: &Tif, inside: &Array2<bool>, width_mm: f64) -> Ar
         }
         let fit = normal.cholesky().filter(|_| samples >= LEAST_SAMPLES);
         fit.map_or(rate[[r, c]], |f| f.solve(&right)[0])
-    };
+    })
+}
+
+/// Computes every element (row, column) of an array of this shape, the rows on all threads.
+fn rows_in_parallel(
+    (ny, nx): (usize, usize),
+    element: impl Fn(usize, usize) -> f64 + Sync,
+) -> Array2<f64> {
     let rows: Vec<Vec<f64>> =
-        (0..ny).into_par_iter().map(|r| (0..nx).map(|c| at(r, c)).collect()).collect();
+        (0..ny).into_par_iter().map(|r| (0..nx).map(|c| element(r, c)).collect()).collect();
     Array2::from_shape_fn((ny, nx), |(r, c)| rows[r][c])
 }
 
@@ -165,15 +177,12 @@ fn fade(tif: &Tif, inside: &Array2<bool>, over_mm: f64) -> Array2<f64> {
     if ends_by_itself {
         return Array2::ones((ny, nx));
     }
-    let at = |r: usize, c: usize| {
-        let square = |o: &[f64; 2]| {
-            ((o[0] - c as f64) * step[0]).powi(2) + ((o[1] - r as f64) * step[1]).powi(2)
-        };
-        let nearest_mm = outside.iter().map(square).fold(f64::INFINITY, f64::min).sqrt();
+    rows_in_parallel((ny, nx), |r, c| {
+        let squares = outside
+            .iter()
+            .map(|o| ((o[0] - c as f64) * step[0]).powi(2) + ((o[1] - r as f64) * step[1]).powi(2));
+        let nearest_mm = squares.fold(f64::INFINITY, f64::min).sqrt();
         let s = (nearest_mm / over_mm).min(1.0);
         s * s * (3.0 - 2.0 * s)
-    };
-    let rows: Vec<Vec<f64>> =
-        (0..ny).into_par_iter().map(|r| (0..nx).map(|c| at(r, c)).collect()).collect();
-    Array2::from_shape_fn((ny, nx), |(r, c)| rows[r][c])
+    })
 }

@@ -70,6 +70,11 @@ pub struct VirtualRun {
 }
 
 /// Runs `trajectory` on the mirror that was measured as `before`, with one draw of the errors of `process`.
+///
+/// # Errors
+///
+/// Refuses the number of a run out of its range, a tool and sizes of errors that [`Runs::check_sizes`] refuses, and
+/// what [`Runs::new`] refuses.
 pub fn run(
     trajectory: &Trajectory,
     tif: &Tif,
@@ -87,10 +92,9 @@ pub fn run(
 
 fn check_run(run: u64) -> Result<(), Invalid> {
     if (1..=MOST_RUNS).contains(&run) {
-        Ok(())
-    } else {
-        Err(Invalid::whole("run", format!("is {run}"), format!("give 1 to {MOST_RUNS}")))
+        return Ok(());
     }
+    Err(Invalid::whole("run", format!("is {run}"), format!("give 1 to {MOST_RUNS}")))
 }
 
 /// The process with the sizes of what can be learnt from maps at zero, each error at its place.
@@ -98,13 +102,18 @@ fn without_what_is_learnt(process: &ErrorBudget) -> ErrorBudget {
     let mut process = process.clone();
     for error in &mut process.errors {
         if matches!(error.effect, Effect::Scalar(effect) if effect.is_learnt()) {
-            (error.size, error.stated.size) = (0.0, 0.0);
+            error.size = 0.0;
+            error.stated.size = 0.0;
         }
     }
     process
 }
 
 /// Draws the map that is measured of `mirror` before run `run` of the machine of `seed`.
+///
+/// # Errors
+///
+/// Refuses the number of a run out of its range.
 pub fn measure(
     mirror: &Surface,
     process: &ErrorBudget,
@@ -120,6 +129,10 @@ pub fn measure(
 }
 
 /// Executes a plan as [`run`] does, with what is the same for all seeds prepared.
+///
+/// # Errors
+///
+/// Fails as [`Runs::removal_nm`] does.
 pub fn draw_run(
     runs: &Runs<'_>,
     before: &Surface,
@@ -130,16 +143,17 @@ pub fn draw_run(
     let mut deviation = Deviation::default();
     let mut errors = Vec::with_capacity(process.errors.len());
     for (i, error) in process.errors.iter().enumerate() {
-        let of = |run: u64| stream(seed, STREAMS_PER_ERROR * i as u64 + run * STREAMS_PER_RUN);
+        let first_stream = STREAMS_PER_ERROR * i as u64;
         let mut value = None;
         match error.effect {
             Effect::Scalar(effect) => {
-                let eta = draw(error.stated.distribution, &mut of(0));
+                let eta = draw(error.stated.distribution, &mut stream(seed, first_stream));
                 deviation.add(effect, eta * error.size);
                 value = Some(eta * error.stated.size);
             }
             Effect::Noise(noise) => {
-                sample(noise, error.size, &runs.motion, &mut of(run - 1), &mut deviation);
+                let mut rng = stream(seed, first_stream + (run - 1) * STREAMS_PER_RUN);
+                sample(noise, error.size, &runs.motion, &mut rng, &mut deviation);
             }
             Effect::MapLowOrder { .. } | Effect::MapNoise => {}
         }

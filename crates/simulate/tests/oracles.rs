@@ -2,7 +2,9 @@
 
 use ndarray::Array2;
 use planish_numerics::statistics;
-use planish_simulate::{SimulationPlan, SimulationSettings, direct, frames::frames, gridded, simulate};
+use planish_simulate::{
+    SimulationPlan, SimulationSettings, direct, frames::frames, gridded, simulate,
+};
 use planish_testkit::maps::{largest_difference, largest_magnitude};
 use planish_types::{Axis, Grid, PARTS_TOLERANCE, Surface, Tif, Trajectory};
 use rand::{RngExt, SeedableRng};

@@ -159,7 +159,7 @@ fn the_change_by_straight_lines_is_that_of_a_tif_with_straight_lines() {
     };
     let residual = |tif: &Tif| {
         let prediction = simulate(&raster(), tif, &map(), SimulationSettings::Gridded).unwrap();
-        let between = Between::of(&raster(), tif, &prediction.removal).unwrap();
+        let between = Between::new(&raster(), tif, &prediction.removal).unwrap();
         (prediction.removal.residual().statistics().rms, between)
     };
     let coarse = tif(grid(1.2, 0.12), pad);

@@ -243,7 +243,8 @@ fn a_known_wear_is_the_integral_of_its_factor() {
     let motion = Trajectory::new(vec![0.0, 8.0], vec![rest], vec![true], vec![Some(0)]).unwrap();
     let map = Grid { x: axis(0.0, 0.25, 41), y: axis(0.0, 0.25, 29) };
     for settings in [SimulationSettings::Gridded, SimulationSettings::Direct { steps: 1 }] {
-        let removal = SimulationPlan::new(&tif, &map, settings).unwrap().removal_nm(&motion).unwrap().0;
+        let removal =
+            SimulationPlan::new(&tif, &map, settings).unwrap().removal_nm(&motion).unwrap().0;
         let centre = removal[[16, 20]];
         // Rounding.
         assert!((centre / (6.4 * kernel[[12, 12]]) - 1.0).abs() < 1e-12, "{centre}");

@@ -133,7 +133,7 @@ fn judge_axes(cli: &VerifyCli, axes: &Path) -> Result<Status, Failure> {
 
 /// Settings of a verdict, with the tolerance of the distance from the path if it is known.
 #[derive(serde::Serialize)]
-struct Judged {
+struct JudgedSettings {
     #[serde(flatten)]
     settings: VerifySettings,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -165,7 +165,7 @@ fn judge_trajectory(cli: &VerifyCli, trajectory: PathBuf) -> Result<Status, Fail
     }
     let distance = cli.near_path.measure(&on_axes, &mut inputs)?;
     let tolerance_mm = distance.map(|distance| distance.tolerance_mm);
-    let task = task!("verify", Judged { settings, max_path_distance_mm: tolerance_mm });
+    let task = task!("verify", JudgedSettings { settings, max_path_distance_mm: tolerance_mm });
     let mut output = match Output::directory(&cli.output, &kind::VERDICT).begin(&task, &inputs)? {
         Begin::Unchanged(status) => return Ok(status),
         Begin::Run(output) => output,

@@ -53,7 +53,11 @@ impl Bound {
     fn ratio(self, value: f64) -> Option<f64> {
         match self {
             Self::Within(limit) | Self::StepWithin(limit) => {
-                (limit > 0.0).then(|| value.abs() / limit)
+                if limit > 0.0 {
+                    Some(value.abs() / limit)
+                } else {
+                    None
+                }
             }
             Self::AtLeast(limit) => Some(limit / value),
             Self::StepOfProgram(_) | Self::Between(_) => None,

@@ -18,7 +18,7 @@ pub(crate) struct Span {
 }
 
 impl Span {
-    pub(crate) fn of(segment: &Segment<'_>) -> Self {
+    pub(crate) fn new(segment: &Segment<'_>) -> Self {
         let Segment { start_s, duration_s, dwell_index, .. } = *segment;
         Self { start_s, duration_s, dwell_index }
     }

@@ -47,8 +47,14 @@ pub struct Pareto {
 
 impl Pareto {
     /// Computes the plans and writes them with their table and their picture.
+    ///
+    /// # Errors
+    ///
+    /// Refuses inputs that cannot be read or do not fit each other. Fails where a plan fails or the output cannot be
+    /// written.
     pub fn run(&self) -> Result<Status, Failure> {
-        let mut settings = RefineSettings { max_rounds: self.max_rounds, ..RefineSettings::default() };
+        let mut settings =
+            RefineSettings { max_rounds: self.max_rounds, ..RefineSettings::default() };
         settings.dwell.min_dwell = self.floor.bound(Bound::Seconds, Bound::SecondsPerMm)?;
         let mut inputs = Inputs::new();
         let (surface, tif) = self.mirror.read(&mut inputs)?;
@@ -65,12 +71,16 @@ impl Pareto {
 
         plausible::check_path(&surface, &tif, &path)?;
         let prices = trade_off::prices(&surface, &tif, self.prices)?;
-        let of_loop = || trade_off::trade_off(&surface, &tif, &path, &machine, &prices, &settings);
-        let mut points = progress::part(0, 2, of_loop).map_err(Failure::with_flags)?;
+        let mut points = progress::part(0, 2, || {
+            trade_off::trade_off(&surface, &tif, &path, &machine, &prices, &settings)
+        })
+        .map_err(Failure::with_flags)?;
         // A floor per dwell point does not apply to a motion without points.
         let floor = self.floor.bound(|_| 0.0, |s_per_mm| s_per_mm)?;
-        let of_feed = || trade_off::feed_trade_off(&surface, &tif, &path, &machine, &prices, floor);
-        points.extend(progress::part(1, 2, of_feed).map_err(Failure::with_flags)?);
+        let of_joint_plans = progress::part(1, 2, || {
+            trade_off::feed_trade_off(&surface, &tif, &path, &machine, &prices, floor)
+        });
+        points.extend(of_joint_plans.map_err(Failure::with_flags)?);
         let least_time_s = trade_off::least_time_s(&surface, &tif);
 
         say("| method | price, nm^2/s | total time, s | residual RMS, nm | limits |");

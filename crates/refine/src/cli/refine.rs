@@ -16,7 +16,7 @@ use planish_handoff::{
     kind, say, task, warn, with_flags,
 };
 use planish_refine::{
-    Refined, RefineSettings,
+    RefineSettings, Refined,
     error_budget::{Price, refine_for},
     refine,
 };
@@ -145,8 +145,7 @@ impl Refine {
         let (refined, price) = match &process {
             None => (refine(&surface, &tif, &path, &machine, first, &settings), None),
             Some(process) => {
-                let found = refine_for(&surface, &tif, &path, &machine, first, &settings, process);
-                match found {
+                match refine_for(&surface, &tif, &path, &machine, first, &settings, process) {
                     Ok((refined, price)) => (Ok(refined), Some(price)),
                     Err(e) => (Err(e), None),
                 }
@@ -188,9 +187,9 @@ impl Refine {
             ("--repair", "trig-spline", self.repair == trig_spline::Repair::default()),
         ];
         let chosen = self.scheduler.name;
-        match own.into_iter().find(|(_, of, is_default)| !is_default && chosen != *of) {
-            Some((flag, of, _)) => Err(Failure::new(format!(
-                "{flag} is of the scheduler {of}, and --scheduler is {chosen}; leave {flag} out, or give --scheduler {of}"
+        match own.into_iter().find(|(_, owner, is_default)| !is_default && chosen != *owner) {
+            Some((flag, owner, _)) => Err(Failure::new(format!(
+                "{flag} is of the scheduler {owner}, and --scheduler is {chosen}; leave {flag} out, or give --scheduler {owner}"
             ))),
             None => Ok(()),
         }
@@ -287,7 +286,7 @@ fn outcome<'a>(
     RefineOutcome { plan, error_budget: price, tif_lattice: refined.tif_lattice }
 }
 
-/// Sentence on the residuals and times of the plans without and with the process.
+/// Returns the sentence on the residuals and times of the plans without and with the process.
 fn words(price: &Price) -> String {
     let Price { name, without, with, kept, not_in_the_objective, .. } = price;
     let objective = match not_in_the_objective.as_slice() {
