@@ -74,8 +74,8 @@ const LEAST_STEPS_OF_AN_APPROACH: usize = 3;
 ///
 /// # Errors
 ///
-/// Refuses cells of the normal matrix that miss too much of the mean square ([`JointError::CellsTooLarge`]). Fails where
-/// the motion cannot be simulated.
+/// Refuses cells of the normal matrix that miss too much of the mean square ([`JointError::CellsTooLarge`]). Fails
+/// where the motion cannot be simulated.
 pub fn solve(
     program: &Program<'_>,
     start: Start,

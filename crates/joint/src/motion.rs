@@ -165,8 +165,8 @@ impl OnSpan<'_> {
         (along, piece.station(self.span.from_mm + along.s_mm - piece.from_mm))
     }
 
-    /// Fits the motion on a piece of the curve between two fractions of the time of the span, `h` seconds, with the limits
-    /// `most` on acceleration, mm/s^2.
+    /// Fits the motion on a piece of the curve between two fractions of the time of the span, `h` seconds, with the
+    /// limits `most` on acceleration, mm/s^2.
     fn cubic(&self, piece: &CurvePiece, taus: [f64; 2], h: f64, most: [f64; 2]) -> Cubic {
         let [(from, start), (to, end)] = taus.map(|tau| self.state(piece, tau));
         let length_mm = to.s_mm - from.s_mm;

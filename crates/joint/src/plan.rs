@@ -618,7 +618,7 @@ fn least_radius_mm(curves: &[Curve]) -> Option<f64> {
     if most > 0.0 { Some(1.0 / most) } else { None }
 }
 
-/// Limits on the rounding of corners, and the spacing of the nodes (mm), for the width and the spread of the TIF.
+/// Returns the limits on the rounding of corners, and the spacing of the nodes (mm), for the width and the spread of the TIF.
 fn scales(
     tif_width_mm: f64,
     tif_spread_mm: f64,

@@ -204,17 +204,17 @@ impl Pull {
     }
 }
 
-/// Solves as [`solve`] does, with normal matrices on cells of at most `most_pixels` pixels along a side.
+/// Solves as [`solve`] does, with normal matrices on cells of at most `pixels` pixels along a side, and weights of the pull
+/// from `least_tikhonov` on.
 fn solve_on_cells(
     inputs: &PlanInputs<'_>,
     meshes: &Meshes,
     settings: &JointSettings,
-    (most_pixels, least_tikhonov): (usize, f64),
+    (pixels, least_tikhonov): (usize, f64),
 ) -> Result<Solved, JointError> {
     let mut pull = Pull::new(settings, least_tikhonov);
-    let Meshes { first, refinements, most_work } = meshes;
-    let mut mesh = first.clone();
-    let refinements = *refinements;
+    let mut mesh = meshes.first.clone();
+    let refinements = meshes.refinements;
     let PlanInputs { tif, path, curves, limits, further, .. } = *inputs;
     let level_s_per_mm = level_s_per_mm(inputs, &mesh, settings)?;
     // If nothing is to be removed, the reference is the density at the largest feedrate.
@@ -227,21 +227,15 @@ fn solve_on_cells(
         reference_s_per_mm: level_s_per_mm.max(1.0 / fastest),
         min_dwell_s_per_mm: settings.min_dwell_s_per_mm,
     };
-    let most_work = (*most_work).min(MOST_GROWTH * mesh.work(tif).max(LITTLE_WORK));
+    let most_work = meshes.most_work.min(MOST_GROWTH * mesh.work(tif).max(LITTLE_WORK));
     let mut start = None;
     let mut known = None;
     let mut iterations = 0;
     let mut nodes_of_meshes = vec![mesh.nodes];
     if let (Price::Elasticity(x), true) = (settings.price, mesh.work(tif) <= LITTLE_WORK) {
         let rows = fixed.rows(&mesh);
-        let on_mesh = ProgramOnMesh::new(
-            inputs,
-            &mesh,
-            fixed.floors(&rows),
-            None,
-            settings,
-            (most_pixels, pull),
-        )?;
+        let on_mesh =
+            OnMesh::new(inputs, &mesh, fixed.floors(&rows), None, settings, (pixels, pull))?;
         let uniform = on_mesh.uniform(&rows, level_s_per_mm);
         start = Some(on_mesh.start_of_elasticity(&rows, uniform, x, settings)?);
         known = Some(on_mesh.normal.for_next((0..mesh.nodes).map(Some).collect()));
@@ -255,9 +249,7 @@ fn solve_on_cells(
         let (at, part, refined, normal) = progress::part(k, refinements + 1, || {
             let rows = fixed.rows(&mesh);
             let lo = fixed.floors(&rows);
-            let known = known.take();
-            let on_mesh =
-                ProgramOnMesh::new(inputs, &mesh, lo, known, settings, (most_pixels, pull))?;
+            let on_mesh = OnMesh::new(inputs, &mesh, lo, known.take(), settings, (pixels, pull))?;
             let from = start.take().unwrap_or_else(|| on_mesh.uniform(&rows, level_s_per_mm));
             let at = on_mesh.approach(&rows, from, (NEAR_THE_MINIMUM, most), settings)?;
             let part = on_mesh.pull_part(&at.density, at.value, settings);
@@ -267,8 +259,7 @@ fn solve_on_cells(
         pull.lower(part, LOWERED_EARLY * MOST_PULL);
         iterations += at.iterations;
         let Some(Refined { mesh: finer, start: from, same }) = refined else {
-            let Approach { density, duals, .. } = at;
-            start = Some(Start { density, duals: Some(duals) });
+            start = Some(Start { density: at.density, duals: Some(at.duals) });
             known = Some(normal.for_next((0..mesh.nodes).map(Some).collect()));
             break;
         };
@@ -280,8 +271,7 @@ fn solve_on_cells(
     let outcome = progress::part(refinements, refinements + 1, || {
         let rows = fixed.rows(&mesh);
         let lo = fixed.floors(&rows);
-        let mut on_mesh =
-            ProgramOnMesh::new(inputs, &mesh, lo, known, settings, (most_pixels, pull))?;
+        let mut on_mesh = OnMesh::new(inputs, &mesh, lo, known, settings, (pixels, pull))?;
         on_mesh.normal = on_mesh.normal.as_last();
         let mut from = start.unwrap_or_else(|| on_mesh.uniform(&rows, level_s_per_mm));
         if refinements == 0 && on_mesh.pull.least.is_some() {
@@ -298,7 +288,7 @@ fn solve_on_cells(
 }
 
 /// Program on a mesh, without its rows.
-struct ProgramOnMesh<'a> {
+struct OnMesh<'a> {
     mesh: &'a Mesh,
     residual: Residual<'a>,
     normal: Normal,
@@ -307,7 +297,7 @@ struct ProgramOnMesh<'a> {
     pull: Pull,
 }
 
-impl<'a> ProgramOnMesh<'a> {
+impl<'a> OnMesh<'a> {
     fn new(
         inputs: &'a PlanInputs<'_>,
         mesh: &'a Mesh,

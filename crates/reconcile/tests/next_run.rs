@@ -51,9 +51,9 @@ fn hidden() -> ErrorBudget {
 }
 
 /// Run of that machine with a command.
-fn executed(command: &Trajectory) -> virtual_machine::Run {
+fn executed(command: &Trajectory) -> virtual_machine::VirtualRun {
     let settings =
-        virtual_machine::Settings { seed: 1, run: 1, known: false, tif_as_sampled: true };
+        virtual_machine::VirtualMachineSettings { seed: 1, run: 1, known: false, tif_as_sampled: true };
     run(command, &tif(), &before(), &hidden(), &settings).unwrap()
 }
 
@@ -97,7 +97,7 @@ fn the_next_plan_acts_where_it_should() {
         let next = executed(&found.transform.trajectory(&motion).unwrap());
         // The plan with the tool that was learnt
         let wanted = removal(&motion, &found.tif);
-        let off = |run: &virtual_machine::Run| rms(&(run.removal.removal_nm() - &wanted));
+        let off = |run: &virtual_machine::VirtualRun| rms(&(run.removal.removal_nm() - &wanted));
         let (before_it, after_it) = (off(&first), off(&next));
         // Waves of some nm displaced by 0.07 mm are off by 0.1 nm. Place and tool are undone by another way than they
         // were done (a transform of the command, a TIF of its own): what is left is where the fit ended.
@@ -120,7 +120,7 @@ fn the_place_is_as_uncertain_as_it_scatters() {
     let seeds = 24;
     for seed in 0..seeds {
         let settings =
-            virtual_machine::Settings { seed, run: 1, known: false, tif_as_sampled: true };
+            virtual_machine::VirtualMachineSettings { seed, run: 1, known: false, tif_as_sampled: true };
         let run = run(&motion, &tif(), &before(), &noise, &settings).unwrap();
         let found = learnt(&run.measured, &motion, None, None);
         // D^-1 of the true displacement
@@ -144,7 +144,7 @@ fn what_was_learnt_takes_the_place_of_the_errors_that_were_believed() {
     let mut errors = hidden();
     errors.errors.extend(process(&[("map_noise", 0.1, "nm")]).errors);
     let settings =
-        virtual_machine::Settings { seed: 1, run: 1, known: false, tif_as_sampled: true };
+        virtual_machine::VirtualMachineSettings { seed: 1, run: 1, known: false, tif_as_sampled: true };
     let first = run(&planned(), &tif(), &before(), &errors, &settings).unwrap();
     let believed = process(&[
         ("rate_scale", 5.0, "%"),

@@ -40,11 +40,11 @@
 //! | d | its dwell time | (n) | s |
 //! | v0, v | velocity before and after | (n) | mm/s |
 
-use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, TrajectoryBuilder};
 use serde::Serialize;
 
 use crate::{
-    ScheduleError, Scheduled, Scheduler, check_lengths,
+    Schedule, ScheduleError, Scheduled, Scheduler, check_lengths,
     shortest_cubic::{State, shortest_cubic},
 };
 
@@ -77,15 +77,6 @@ pub struct ConstantAccelerationReport {
     pub brake_s: f64,
     /// Segments without length and dwell time, left out.
     pub dropped: Vec<usize>,
-}
-
-/// Motion and its report.
-#[derive(Clone, Debug)]
-pub struct Schedule {
-    /// Motion.
-    pub trajectory: Trajectory,
-    /// Times and positions that the motion does not keep.
-    pub report: ConstantAccelerationReport,
 }
 
 /// The scheduler, which has no settings.
@@ -129,7 +120,7 @@ pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
     limits: &Limits,
-) -> Result<Schedule, ScheduleError> {
+) -> Result<Schedule<ConstantAccelerationReport>, ScheduleError> {
     check_lengths(path, dwell)?;
     let v_max = limits.max_velocity_mm_per_s();
     let a_max = limits.max_acceleration_mm_per_s2();

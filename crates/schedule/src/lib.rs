@@ -53,6 +53,15 @@ pub trait Scheduler: std::fmt::Debug {
     ) -> Result<Scheduled, ScheduleError>;
 }
 
+/// Motion of a scheduler, with its report.
+#[derive(Clone, Debug)]
+pub struct Schedule<R> {
+    /// Motion.
+    pub trajectory: Trajectory,
+    /// Changes of the times, and what the motion does not keep.
+    pub report: R,
+}
+
 /// Motion, and the segments of the path whose time is not their dwell time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scheduled {

@@ -37,11 +37,11 @@
 //! | d | `Along::duration_s` | (n) | s |
 //! | V | `bound` | (n+1) | mm/s |
 
-use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, TrajectoryBuilder};
 use serde::Serialize;
 
 use crate::{
-    ScheduleError, Scheduled, Scheduler, check_lengths,
+    Schedule, ScheduleError, Scheduled, Scheduler, check_lengths,
     constant_acceleration::least_piece_s,
     largest_along,
     shortest_cubic::{State, shortest_cubic},
@@ -64,15 +64,6 @@ pub struct StopAtCornersReport {
     pub added_lifted_s: f64,
     /// Segments without length and dwell time, left out.
     pub dropped: Vec<usize>,
-}
-
-/// Motion and its report.
-#[derive(Clone, Debug)]
-pub struct Schedule {
-    /// Motion.
-    pub trajectory: Trajectory,
-    /// Stops, late segments and lifts.
-    pub report: StopAtCornersReport,
 }
 
 /// The scheduler, which has no settings.
@@ -108,7 +99,7 @@ pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
     limits: &Limits,
-) -> Result<Schedule, ScheduleError> {
+) -> Result<Schedule<StopAtCornersReport>, ScheduleError> {
     check_lengths(path, dwell)?;
     let mut report = StopAtCornersReport::default();
     let all = (0..path.len()).map(|i| Along::new(path, dwell, limits, i));
@@ -342,7 +333,11 @@ mod tests {
         .unwrap()
     }
 
-    fn motion(points: &[[f64; 2]], dwell_s: &[f64], limits: &Limits) -> Schedule {
+    fn motion(
+        points: &[[f64; 2]],
+        dwell_s: &[f64],
+        limits: &Limits,
+    ) -> Schedule<StopAtCornersReport> {
         let n = dwell_s.len();
         let path = ToolPath::through(points.to_vec(), vec![true; n], vec![0; n]).unwrap();
         schedule(&path, &DwellTime::new(dwell_s.to_vec()).unwrap(), limits).unwrap()

@@ -39,7 +39,8 @@ enum Carriage {
 }
 
 impl Carriage {
-    /// Returns the motion of the carriage where the drive has the coefficients `c`; the mirror image where the play is negative.
+    /// Returns the motion of the carriage where the drive has the coefficients `c`; the mirror image where the play is
+    /// negative.
     fn motion(self, c: [f64; 4], mirrored: bool) -> [f64; 4] {
         let q = match self {
             Self::Follows(distance) => [c[0] + distance, c[1], c[2], c[3]],

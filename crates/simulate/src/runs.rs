@@ -73,7 +73,8 @@ impl<'a> Runs<'a> {
         Ok(Self { tif: moved, grid: *grid, plan, motion, executed, unchanged, width_mm })
     }
 
-    /// Returns the removal S(run) of the motion with the deviations of one run, by the TIF that errors move (ny, nx), nm.
+    /// Returns the removal S(run) of the motion with the deviations of one run, by the TIF that errors move (ny, nx),
+    /// nm.
     ///
     /// # Errors
     ///

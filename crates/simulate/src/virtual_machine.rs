@@ -12,9 +12,9 @@
 //! is written elsewhere, for comparison with what is learnt.
 //!
 //! Every error has its own random numbers, by its index in the error budget: an error added at the end of the file
-//! changes none of the others. The machine of a seed runs more than once ([`VirtualMachineSettings::run`]). An error of one number
-//! is the same in all of its runs; noise is new in each. The map after a run is the map before the next one, with the
-//! same error of its measurement. So the measurements of a campaign are counted: run k is between the
+//! changes none of the others. The machine of a seed runs more than once ([`VirtualMachineSettings::run`]). An error of
+//! one number is the same in all of its runs; noise is new in each. The map after a run is the map before the next one,
+//! with the same error of its measurement. So the measurements of a campaign are counted: run k is between the
 //! measurements k - 1 and k, and [`measure`] makes the first of a mirror.
 
 use ndarray::Array2;

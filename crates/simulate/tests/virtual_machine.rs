@@ -4,7 +4,7 @@ use std::{fs, path::Path};
 
 use ndarray::Array2;
 use planish_simulate::{
-    Settings as Simulation,
+    SimulationSettings as Simulation,
     deviation::Deviation,
     error_budget::{ErrorBudget, ErrorBudgetFile, Scalar},
     runs::Runs,

@@ -310,7 +310,7 @@ fn schedule_trig_spline_of_the_source(bencher: Bencher) {
 #[divan::bench(args = ["usual", "worst"], sample_count = 20)]
 fn interpolate_10000_ticks(bencher: Bencher, block: &str) {
     let density_s_per_mm = if block == "usual" { [0.03, 0.05] } else { [1e-9, 1.0] };
-    let piece = trig_spline::Piece { density_s_per_mm, length_mm: 0.2 };
+    let piece = trig_spline::TrigPiece { density_s_per_mm, length_mm: 0.2 };
     bencher.bench_local(|| {
         for k in 0..10_000 {
             let part = f64::from(k) / 10_000.0;

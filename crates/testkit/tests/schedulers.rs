@@ -85,14 +85,14 @@ impl Case {
     }
 
     /// The motion without a tolerance of its distance from the path.
-    fn pvt(&self, mode: Mode) -> Result<pvt::Schedule, String> {
+    fn pvt(&self, mode: Mode) -> Result<planish_schedule::Schedule<pvt::PvtReport>, String> {
         let settings =
             pvt::PvtSettings { max_path_distance_mm: Some(ANYWHERE_MM), ..pvt::PvtSettings::new(mode) };
         pvt::schedule(&self.path(), &self.dwell(), &self.limits, &settings)
             .map_err(|e| e.to_string())
     }
 
-    fn constant_acceleration(&self) -> Result<constant_acceleration::Schedule, String> {
+    fn constant_acceleration(&self) -> Result<planish_schedule::Schedule<constant_acceleration::ConstantAccelerationReport>, String> {
         constant_acceleration::schedule(&self.path(), &self.dwell(), &self.limits)
             .map_err(|e| e.to_string())
     }
@@ -228,7 +228,7 @@ fn trig(
     dwell: &DwellTime,
     limits: &Limits,
     repair: Repair,
-) -> Result<trig_spline::Schedule, String> {
+) -> Result<trig_spline::TrigSplineSchedule, String> {
     let settings = trig_spline::TrigSplineSettings { repair, ..Default::default() };
     trig_spline::schedule(path, dwell, limits, &settings).map_err(|e| e.to_string())
 }

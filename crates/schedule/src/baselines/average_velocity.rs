@@ -14,11 +14,11 @@
 //! | dp | `displacement_mm` | (n) | mm |
 //! | v | `coefficient_mm[.., 1]` | (n) | mm/s |
 
-use planish_types::{DwellTime, Invalid, Limits, ToolPath, Trajectory, TrajectoryBuilder};
+use planish_types::{DwellTime, Invalid, Limits, ToolPath, TrajectoryBuilder};
 use serde::Serialize;
 
 use crate::{
-    ScheduleError, check_lengths,
+    Schedule, ScheduleError, check_lengths,
     pvt::{Stretched, durations_s},
 };
 
@@ -35,15 +35,6 @@ pub struct AverageVelocityReport {
     pub dropped: Vec<usize>,
 }
 
-/// Motion and its report.
-#[derive(Clone, Debug)]
-pub struct Schedule {
-    /// Motion.
-    pub trajectory: Trajectory,
-    /// Stretched segments and velocity steps.
-    pub report: AverageVelocityReport,
-}
-
 /// Schedules `path` with the times `dwell`. A segment takes longer if the velocity limit or the
 /// shortest segment of the controller demands it.
 ///
@@ -54,7 +45,7 @@ pub fn schedule(
     path: &ToolPath,
     dwell: &DwellTime,
     limits: &Limits,
-) -> Result<Schedule, ScheduleError> {
+) -> Result<Schedule<AverageVelocityReport>, ScheduleError> {
     check_lengths(path, dwell)?;
     let mut report = AverageVelocityReport::default();
     let mut motion = TrajectoryBuilder::default();

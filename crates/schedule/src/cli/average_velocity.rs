@@ -9,22 +9,15 @@ use planish_schedule::{
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Made, MotionCommand, NoSettings, SchedulerArgs};
+use super::{Made, MotionCommand, NoSettings};
 
 #[derive(Args)]
-pub struct AverageVelocity {
-    #[command(flatten)]
-    args: SchedulerArgs,
-}
+pub struct AverageVelocity {}
 
 impl MotionCommand for AverageVelocity {
     const METHOD: &'static str = "average-velocity";
 
     type SchedulerSettings = NoSettings;
-
-    fn args(&self) -> &SchedulerArgs {
-        &self.args
-    }
 
     fn settings(&self, _: &Limits, _: f64) -> NoSettings {
         NoSettings {}

@@ -5,22 +5,15 @@ use planish_schedule::{ScheduleError, constant_acceleration};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Made, MotionCommand, NoSettings, SchedulerArgs, micron};
+use super::{Made, MotionCommand, NoSettings, micron};
 
 #[derive(Args)]
-pub struct ConstantAcceleration {
-    #[command(flatten)]
-    args: SchedulerArgs,
-}
+pub struct ConstantAcceleration {}
 
 impl MotionCommand for ConstantAcceleration {
     const METHOD: &'static str = "constant-acceleration";
 
     type SchedulerSettings = NoSettings;
-
-    fn args(&self) -> &SchedulerArgs {
-        &self.args
-    }
 
     fn settings(&self, _: &Limits, _: f64) -> NoSettings {
         NoSettings {}

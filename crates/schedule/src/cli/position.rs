@@ -9,22 +9,15 @@ use planish_schedule::{
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Made, MotionCommand, NoSettings, SchedulerArgs};
+use super::{Made, MotionCommand, NoSettings};
 
 #[derive(Args)]
-pub struct Position {
-    #[command(flatten)]
-    args: SchedulerArgs,
-}
+pub struct Position {}
 
 impl MotionCommand for Position {
     const METHOD: &'static str = "position";
 
     type SchedulerSettings = NoSettings;
-
-    fn args(&self) -> &SchedulerArgs {
-        &self.args
-    }
 
     fn settings(&self, _: &Limits, _: f64) -> NoSettings {
         NoSettings {}

@@ -5,12 +5,10 @@ use planish_schedule::{ScheduleError, claim::Claim, pvt};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Made, MotionCommand, SchedulerArgs};
+use super::{Made, MotionCommand};
 
 #[derive(Args)]
 pub struct Pvt {
-    #[command(flatten)]
-    args: SchedulerArgs,
     /// Shape of the PVT motion
     #[arg(long, value_enum, default_value = "auto")]
     mode: pvt::ModeChoice,
@@ -23,10 +21,6 @@ impl MotionCommand for Pvt {
     const METHOD: &'static str = "pvt";
 
     type SchedulerSettings = pvt::PvtSettings;
-
-    fn args(&self) -> &SchedulerArgs {
-        &self.args
-    }
 
     fn settings(&self, machine: &Limits, max_path_distance_mm: f64) -> pvt::PvtSettings {
         pvt::PvtSettings {

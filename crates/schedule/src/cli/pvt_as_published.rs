@@ -5,12 +5,10 @@ use planish_schedule::{ScheduleError, baselines::pvt_as_published};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Made, MotionCommand, SchedulerArgs, micron};
+use super::{Made, MotionCommand, micron};
 
 #[derive(Args)]
 pub struct PvtAsPublished {
-    #[command(flatten)]
-    args: SchedulerArgs,
     /// Node at which the tool rests besides the end: as Eq. 16 of the publication means, or as it is misprinted
     #[arg(long, value_enum, default_value = "corrected")]
     rest_condition: pvt_as_published::RestCondition,
@@ -20,10 +18,6 @@ impl MotionCommand for PvtAsPublished {
     const METHOD: &'static str = "pvt-as-published";
 
     type SchedulerSettings = pvt_as_published::AsPublishedSettings;
-
-    fn args(&self) -> &SchedulerArgs {
-        &self.args
-    }
 
     fn settings(&self, _: &Limits, _: f64) -> pvt_as_published::AsPublishedSettings {
         pvt_as_published::AsPublishedSettings { rest_condition: self.rest_condition }

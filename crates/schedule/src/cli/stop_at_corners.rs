@@ -5,22 +5,15 @@ use planish_schedule::{ScheduleError, stop_at_corners};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Made, MotionCommand, NoSettings, SchedulerArgs};
+use super::{Made, MotionCommand, NoSettings};
 
 #[derive(Args)]
-pub struct StopAtCorners {
-    #[command(flatten)]
-    args: SchedulerArgs,
-}
+pub struct StopAtCorners {}
 
 impl MotionCommand for StopAtCorners {
     const METHOD: &'static str = "stop-at-corners";
 
     type SchedulerSettings = NoSettings;
-
-    fn args(&self) -> &SchedulerArgs {
-        &self.args
-    }
 
     fn settings(&self, _: &Limits, _: f64) -> NoSettings {
         NoSettings {}

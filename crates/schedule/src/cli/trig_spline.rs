@@ -7,12 +7,10 @@ use planish_schedule::{ScheduleError, trig_spline};
 use planish_types::{DwellTime, Limits, ToolPath};
 use serde_json::json;
 
-use super::{Made, MotionCommand, SchedulerArgs};
+use super::{Made, MotionCommand};
 
 #[derive(Args)]
 pub struct TrigSpline {
-    #[command(flatten)]
-    args: SchedulerArgs,
     /// Repair of the dwell-time densities that the machine cannot follow
     #[arg(long, value_enum, default_value = "offset")]
     repair: trig_spline::Repair,
@@ -32,10 +30,6 @@ impl MotionCommand for TrigSpline {
     const METHOD: &'static str = "trig-spline";
 
     type SchedulerSettings = trig_spline::TrigSplineSettings;
-
-    fn args(&self) -> &SchedulerArgs {
-        &self.args
-    }
 
     fn settings(&self, _: &Limits, _: f64) -> trig_spline::TrigSplineSettings {
         trig_spline::TrigSplineSettings {

@@ -479,8 +479,8 @@ impl AxisProblem<'_> {
         }
     }
 
-    /// Moves velocities into their bounds: those that are fixed at zero are zero, and none has a forbidden sign, or leaves its range, by the solver's
-    /// tolerance.
+    /// Moves velocities into their bounds: those that are fixed at zero are zero, and none has a forbidden sign, or
+    /// leaves its range, by the solver's tolerance.
     fn exact_at_fixed_nodes(&self, mut v: Vec<f64>) -> Vec<f64> {
         for (i, v) in v.iter_mut().enumerate() {
             let [negative, positive] = self.allowed_signs(i);

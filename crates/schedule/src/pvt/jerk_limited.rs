@@ -264,8 +264,8 @@ fn node_velocities(dp: &[f64], h: &[f64], ends: [f64; 2]) -> Vec<f64> {
     v
 }
 
-/// Returns the displacement of the outer half of an outermost segment by (6), v tau + j tau^3/6, and the velocity at its
-/// inner end, v + j tau^2/2. It has no acceleration at its outer end, where the velocity is `end`.
+/// Returns the displacement of the outer half of an outermost segment by (6), v tau + j tau^3/6, and the velocity at
+/// its inner end, v + j tau^2/2. It has no acceleration at its outer end, where the velocity is `end`.
 fn outer_half(dp: f64, end: f64, inner: f64, h: f64) -> (f64, f64) {
     let tau = 0.5 * h;
     let change = 0.25 * dp - (5.0 * end + inner) * tau / 12.0;

@@ -81,7 +81,7 @@ use self::{
     shortest::Search,
     timing::{Timing, parallel, too_short, worst},
 };
-use crate::{ScheduleError, Scheduled, Scheduler, check_lengths, hermite::coefficients};
+use crate::{Schedule, ScheduleError, Scheduled, Scheduler, check_lengths, hermite::coefficients};
 
 /// Settings of PVT.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -123,15 +123,6 @@ pub struct PvtReport {
     pub rounds: usize,
 }
 
-/// Motion and its report.
-#[derive(Clone, Debug)]
-pub struct Schedule {
-    /// Motion.
-    pub trajectory: Trajectory,
-    /// Stretched segments and solvers.
-    pub report: PvtReport,
-}
-
 impl Scheduler for PvtSettings {
     fn name(&self) -> &'static str {
         "pvt"
@@ -164,7 +155,7 @@ pub fn schedule(
     dwell: &DwellTime,
     limits: &Limits,
     settings: &PvtSettings,
-) -> Result<Schedule, ScheduleError> {
+) -> Result<Schedule<PvtReport>, ScheduleError> {
     check_lengths(path, dwell)?;
     // The whole runs on the threads of rayon: handing over every part by itself would cost more than a part.
     rayon::scope(|_| schedule_stretched(path, dwell, limits, settings))
@@ -175,7 +166,7 @@ fn schedule_stretched(
     dwell: &DwellTime,
     limits: &Limits,
     settings: &PvtSettings,
-) -> Result<Schedule, ScheduleError> {
+) -> Result<Schedule<PvtReport>, ScheduleError> {
     let mut timing = Timing::new(path, dwell, limits);
     if timing.segments.is_empty() {
         let problem = "is zero everywhere on a path at rest";
@@ -311,7 +302,7 @@ fn joined_motion(
     parts: [Vec<Part>; 2],
     break_time_s: Vec<f64>,
     [rounds, held_nodes]: [usize; 2],
-) -> Result<Schedule, ScheduleError> {
+) -> Result<Schedule<PvtReport>, ScheduleError> {
     let [x, y] = parts.map(joined);
     let report = PvtReport::new(timing, path, dwell, [x.solver, y.solver], rounds, held_nodes);
     let velocity = [x.velocity, y.velocity];

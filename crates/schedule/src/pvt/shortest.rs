@@ -397,8 +397,8 @@ impl<'a> Search<'a> {
         x.hypot(y)
     }
 
-    /// Returns the direction of the path at a node: per axis the mean of the slopes beside it, without reversal the harmonic one
-    /// (F. N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300).
+    /// Returns the direction of the path at a node: per axis the mean of the slopes beside it, without reversal the
+    /// harmonic one (F. N. Fritsch, J. Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300).
     fn direction(&self, node: usize) -> Velocity {
         let [before, after] = [node - 1, node].map(|i| self.displacement_mm(i));
         let [l0, l1] = [before, after].map(|d| d[0].hypot(d[1]));

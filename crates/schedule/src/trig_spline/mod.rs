@@ -111,7 +111,7 @@ impl TrigSplineSettings {
 
 /// Motion, its dwell-time density, and the report.
 #[derive(Clone, Debug)]
-pub struct Schedule {
+pub struct TrigSplineSchedule {
     /// Motion.
     pub trajectory: Trajectory,
     /// Nodes of the spline; `None` if no pass has a length.
@@ -163,7 +163,7 @@ pub fn schedule(
     dwell: &DwellTime,
     limits: &Limits,
     settings: &TrigSplineSettings,
-) -> Result<Schedule, ScheduleError> {
+) -> Result<TrigSplineSchedule, ScheduleError> {
     check_lengths(path, dwell)?;
     settings.check()?;
     let settings = &settings.near(path)?;
@@ -210,7 +210,11 @@ pub fn schedule(
         return Err(Invalid::whole("dwell_s", problem, remedy).into());
     }
     let trajectory = motion.made.build()?;
-    Ok(Schedule { trajectory, density: density_of(path, &passes)?, report: motion.report })
+    Ok(TrigSplineSchedule {
+        trajectory,
+        density: density_of(path, &passes)?,
+        report: motion.report,
+    })
 }
 
 #[cfg(test)]

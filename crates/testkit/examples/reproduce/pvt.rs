@@ -90,7 +90,7 @@ impl Run<'_> {
     /// Executed residual after refinement against the motion, plane removed, nm RMS.
     fn refined_nm(&self) -> f64 {
         // Enough that no round improves it much: of fewer, rounding decides how far they come.
-        let mut settings = refine::Settings { max_rounds: 8, ..Default::default() };
+        let mut settings = refine::RefineSettings { max_rounds: 8, ..Default::default() };
         settings.dwell.min_dwell = Bound::SecondsPerMm(0.02);
         let done = refine::refine(self.desired, self.tif, &self.path, &ion_beam(), None, &settings);
         self.residual_nm(&done.expect("a refined plan").trajectory)
@@ -106,7 +106,7 @@ impl Run<'_> {
         pvt::schedule(&self.path, &self.dwell, &ion_beam(), &settings).expect("a motion").trajectory
     }
 
-    fn constant_acceleration(&self) -> constant_acceleration::Schedule {
+    fn constant_acceleration(&self) -> planish_schedule::Schedule<constant_acceleration::ConstantAccelerationReport> {
         constant_acceleration::schedule(&self.path, &self.dwell, &ion_beam()).expect("a motion")
     }
 }

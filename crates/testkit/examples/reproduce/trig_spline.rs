@@ -13,7 +13,7 @@ use planish_schedule::{
     constant_acceleration,
     interpolator::{Interpolator, Reference, records},
     stop_at_corners,
-    trig_spline::{self, Piece, Schedule},
+    trig_spline::{self, TrigPiece as Piece, TrigSplineSchedule as Schedule},
 };
 use planish_simulate::{SimulationSettings as Settings, simulate};
 use planish_surface::psd::{Detrend, Psd, PsdSettings, Window, psd};

@@ -59,7 +59,7 @@ use serde::Serialize;
 
 use self::least_squares::{LeastSquares, MAX_ROUNDS, PER_NODE, ResidualRow, Side};
 use crate::{
-    ScheduleError, check_lengths,
+    Schedule, ScheduleError, check_lengths,
     hermite::{accelerations, coefficients},
     rounding_mm,
 };
@@ -109,15 +109,6 @@ pub struct AsPublishedReport {
     pub dropped: Vec<usize>,
 }
 
-/// Motion and its report.
-#[derive(Clone, Debug)]
-pub struct Schedule {
-    /// Motion.
-    pub trajectory: Trajectory,
-    /// Errors of the least squares and of the motion.
-    pub report: AsPublishedReport,
-}
-
 /// Schedules `path` with the times `dwell`, and stretches nothing.
 ///
 /// Refuses a dwell time of zero on a segment with a length: its cubic would have no time.
@@ -126,7 +117,7 @@ pub fn schedule(
     dwell: &DwellTime,
     limits: &Limits,
     settings: &AsPublishedSettings,
-) -> Result<Schedule, ScheduleError> {
+) -> Result<Schedule<AsPublishedReport>, ScheduleError> {
     check_lengths(path, dwell)?;
     let mut report = AsPublishedReport::default();
     let mut timed = Vec::new();
@@ -246,8 +237,8 @@ impl Nodes {
     }
 }
 
-/// Largest [`AsPublishedReport::optimality`] of a solution, relative; others are refused. Larger: inaccurate velocities pass.
-/// Smaller: solutions are refused because of rounding. The reference mirror reaches 4e-15 (docs/schedulers.md).
+/// Largest [`AsPublishedReport::optimality`] of a solution, relative; others are refused. Larger: inaccurate velocities
+/// pass. Smaller: solutions are refused because of rounding. The reference mirror reaches 4e-15 (docs/schedulers.md).
 const LARGEST_OPTIMALITY: f64 = 1e-9;
 
 impl Axis {
