@@ -446,8 +446,7 @@ fn planned(
     let Solved { mesh, nodes_of_meshes, outcome } = solved;
     let MeshOutcome { solution, motion, refused, .. } = outcome;
     let (trajectory, refused, slowed_by) = as_run(&task, &motion.trajectory, refused, limits)?;
-    let of_axes =
-        further.map(|further| axes::report(&trajectory, &motion.trajectory, limits, further));
+    let axes = further.map(|f| axes::report(&trajectory, &motion.trajectory, limits, f));
     let removal = if matches!(constant, Cow::Owned(_)) {
         let of_run = SimulationPlan::new(tif, desired.grid(), SimulationSettings::Gridded)?;
         of_run.predict(&trajectory, desired)?.removal
@@ -477,7 +476,7 @@ fn planned(
         fit_error_mm: motion.fit_error_mm,
         average: average.map(Averaged::from),
         rounds: outcome.rounds,
-        axes: of_axes.unwrap_or_default(),
+        axes: axes.unwrap_or_default(),
         slowed_by,
         tif_lattice: lattice.if_anew(),
         rates_of_time,
@@ -618,7 +617,8 @@ fn least_radius_mm(curves: &[Curve]) -> Option<f64> {
     if most > 0.0 { Some(1.0 / most) } else { None }
 }
 
-/// Returns the limits on the rounding of corners, and the spacing of the nodes (mm), for the width and the spread of the TIF.
+/// Returns the limits on the rounding of corners, and the spacing of the nodes (mm), for the width and the spread of
+/// the TIF.
 fn scales(
     tif_width_mm: f64,
     tif_spread_mm: f64,

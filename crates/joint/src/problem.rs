@@ -204,8 +204,8 @@ impl Pull {
     }
 }
 
-/// Solves as [`solve`] does, with normal matrices on cells of at most `pixels` pixels along a side, and weights of the pull
-/// from `least_tikhonov` on.
+/// Solves as [`solve`] does, with normal matrices on cells of at most `pixels` pixels along a side, and weights of the
+/// pull from `least_tikhonov` on.
 fn solve_on_cells(
     inputs: &PlanInputs<'_>,
     meshes: &Meshes,

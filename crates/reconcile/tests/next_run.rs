@@ -52,8 +52,12 @@ fn hidden() -> ErrorBudget {
 
 /// Run of that machine with a command.
 fn executed(command: &Trajectory) -> virtual_machine::VirtualRun {
-    let settings =
-        virtual_machine::VirtualMachineSettings { seed: 1, run: 1, known: false, tif_as_sampled: true };
+    let settings = virtual_machine::VirtualMachineSettings {
+        seed: 1,
+        run: 1,
+        known: false,
+        tif_as_sampled: true,
+    };
     run(command, &tif(), &before(), &hidden(), &settings).unwrap()
 }
 
@@ -119,8 +123,12 @@ fn the_place_is_as_uncertain_as_it_scatters() {
     let corner = [16.0, 12.0];
     let seeds = 24;
     for seed in 0..seeds {
-        let settings =
-            virtual_machine::VirtualMachineSettings { seed, run: 1, known: false, tif_as_sampled: true };
+        let settings = virtual_machine::VirtualMachineSettings {
+            seed,
+            run: 1,
+            known: false,
+            tif_as_sampled: true,
+        };
         let run = run(&motion, &tif(), &before(), &noise, &settings).unwrap();
         let found = learnt(&run.measured, &motion, None, None);
         // D^-1 of the true displacement
@@ -143,8 +151,12 @@ fn the_place_is_as_uncertain_as_it_scatters() {
 fn what_was_learnt_takes_the_place_of_the_errors_that_were_believed() {
     let mut errors = hidden();
     errors.errors.extend(process(&[("map_noise", 0.1, "nm")]).errors);
-    let settings =
-        virtual_machine::VirtualMachineSettings { seed: 1, run: 1, known: false, tif_as_sampled: true };
+    let settings = virtual_machine::VirtualMachineSettings {
+        seed: 1,
+        run: 1,
+        known: false,
+        tif_as_sampled: true,
+    };
     let first = run(&planned(), &tif(), &before(), &errors, &settings).unwrap();
     let believed = process(&[
         ("rate_scale", 5.0, "%"),

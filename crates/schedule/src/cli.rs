@@ -191,7 +191,10 @@ impl<S: MotionCommand + Args> SchedulerCommand<S> {
         };
         if scheduler.dwell_density().is_some() {
             let density = made.density.as_ref().ok_or_else(|| {
-                Failure::new("--dwell-density-out: the path has no length, so there is no dwell-time density; omit the flag")
+                Failure::new(
+                        "--dwell-density-out: the path has no length, so there is no dwell-time density; omit the \
+                         flag",
+                    )
             })?;
             let outcome = PlanOutcome { report: Some(&made.report), ..PlanOutcome::default() };
             output.write(density, outcome, &status)?;

@@ -1,7 +1,7 @@
 //! Schedulers: each one makes a motion from a tool path and dwell times.
 //!
-//! Every scheduler is a file or a folder with the same items: `Settings`, `schedule`, and a report
-//! in addition to the trajectory.
+//! Every scheduler is a file or a folder with the same items: its settings, `schedule`, and a report in addition to the
+//! trajectory ([`Schedule`]).
 //!
 //! | scheduler | motion |
 //! |---|---|

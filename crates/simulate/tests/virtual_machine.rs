@@ -9,7 +9,7 @@ use planish_simulate::{
     error_budget::{ErrorBudget, ErrorBudgetFile, Scalar},
     runs::Runs,
     simulate,
-    virtual_machine::{VirtualRun, VirtualMachineSettings, draw_run, measure, run},
+    virtual_machine::{VirtualMachineSettings, VirtualRun, draw_run, measure, run},
 };
 use planish_testkit::program::{text, write};
 use planish_types::{Axis, Grid, Surface, Tif, Trajectory, TrajectoryBuilder};
@@ -178,7 +178,8 @@ fn the_runs_of_one_machine_follow_each_other() {
     assert!((0.08..0.21).contains(&square), "{square}");
     let first = ran(&measured, 1, false);
     let second = ran(&first.measured, 2, false);
-    let true_before = |run: &VirtualRun| run.removal.residual().height_nm() + run.removal.removal_nm();
+    let true_before =
+        |run: &VirtualRun| run.removal.residual().height_nm() + run.removal.removal_nm();
     // Sums of a few numbers of 30 nm, to rounding.
     assert!(apart(&true_before(&first), mirror.height_nm()) < 1e-12);
     // As above.

@@ -309,7 +309,9 @@ fn straight(x: &[f64], y: f64) -> ToolPath {
 }
 
 fn removal(trajectory: &Trajectory, tif: &Tif, desired: &Surface) -> Removal {
-    simulate(trajectory, tif, desired, planish_simulate::SimulationSettings::Gridded).unwrap().removal
+    simulate(trajectory, tif, desired, planish_simulate::SimulationSettings::Gridded)
+        .unwrap()
+        .removal
 }
 
 fn judge(trajectory: &Trajectory, limits: &Limits) -> Verdict {

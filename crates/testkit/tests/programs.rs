@@ -598,7 +598,8 @@ fn reference_positions_go_through_lifts() {
     let dwell = DwellTime::new(times.collect()).unwrap();
     let machine = planish_testkit::machine([20.0, 15.0], [200.0, 150.0]);
     let made =
-        trig_spline::schedule(&path, &dwell, &machine, &trig_spline::TrigSplineSettings::default()).unwrap();
+        trig_spline::schedule(&path, &dwell, &machine, &trig_spline::TrigSplineSettings::default())
+            .unwrap();
     let density = made.density.unwrap();
     let tick_s = 1e-3;
     let mut positions = Interpolator::new(tick_s).unwrap();

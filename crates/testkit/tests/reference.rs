@@ -39,8 +39,10 @@ fn simulated(
 
 /// The spline of the publication, which has no tolerance of its distance from the path.
 fn smooth(path: &ToolPath, dwell: &DwellTime) -> planish_schedule::Schedule<pvt::PvtReport> {
-    let settings =
-        pvt::PvtSettings { max_path_distance_mm: Some(1e9), ..pvt::PvtSettings::new(pvt::Mode::Smooth) };
+    let settings = pvt::PvtSettings {
+        max_path_distance_mm: Some(1e9),
+        ..pvt::PvtSettings::new(pvt::Mode::Smooth)
+    };
     pvt::schedule(path, dwell, &ion_beam(), &settings).unwrap()
 }
 

@@ -86,13 +86,18 @@ impl Case {
 
     /// The motion without a tolerance of its distance from the path.
     fn pvt(&self, mode: Mode) -> Result<planish_schedule::Schedule<pvt::PvtReport>, String> {
-        let settings =
-            pvt::PvtSettings { max_path_distance_mm: Some(ANYWHERE_MM), ..pvt::PvtSettings::new(mode) };
+        let settings = pvt::PvtSettings {
+            max_path_distance_mm: Some(ANYWHERE_MM),
+            ..pvt::PvtSettings::new(mode)
+        };
         pvt::schedule(&self.path(), &self.dwell(), &self.limits, &settings)
             .map_err(|e| e.to_string())
     }
 
-    fn constant_acceleration(&self) -> Result<planish_schedule::Schedule<constant_acceleration::ConstantAccelerationReport>, String> {
+    fn constant_acceleration(
+        &self,
+    ) -> Result<planish_schedule::Schedule<constant_acceleration::ConstantAccelerationReport>, String>
+    {
         constant_acceleration::schedule(&self.path(), &self.dwell(), &self.limits)
             .map_err(|e| e.to_string())
     }
@@ -1317,7 +1322,11 @@ fn pvt_passes_every_control_point_in_time_and_monotone_stays_in_its_boxes() {
     });
 }
 
-fn passes_and_lasts(case: &Case, mode: Mode, schedule: &pvt::Schedule) -> Result<(), String> {
+fn passes_and_lasts(
+    case: &Case,
+    mode: Mode,
+    schedule: &planish_schedule::Schedule<pvt::PvtReport>,
+) -> Result<(), String> {
     let t = &schedule.trajectory;
     // The cubic ends where the next one starts up to the rounding of its four terms, each of
     // which is at most a few times the extent.
@@ -1351,7 +1360,11 @@ fn passes_and_lasts(case: &Case, mode: Mode, schedule: &pvt::Schedule) -> Result
 }
 
 /// Neither overshoot nor reversal inside a segment.
-fn stays_in_its_boxes(case: &Case, mode: Mode, schedule: &pvt::Schedule) -> Result<(), String> {
+fn stays_in_its_boxes(
+    case: &Case,
+    mode: Mode,
+    schedule: &planish_schedule::Schedule<pvt::PvtReport>,
+) -> Result<(), String> {
     if mode == Mode::Smooth {
         return Ok(());
     }

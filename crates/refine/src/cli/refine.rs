@@ -189,7 +189,8 @@ impl Refine {
         let chosen = self.scheduler.name;
         match own.into_iter().find(|(_, owner, is_default)| !is_default && chosen != *owner) {
             Some((flag, owner, _)) => Err(Failure::new(format!(
-                "{flag} is of the scheduler {owner}, and --scheduler is {chosen}; leave {flag} out, or give --scheduler {owner}"
+                "{flag} is of the scheduler {owner}, and --scheduler is {chosen}; leave {flag} out, or give \
+                 --scheduler {owner}"
             ))),
             None => Ok(()),
         }

@@ -9,7 +9,7 @@ mod smooth;
 
 use planish_dwell::bounded_least_squares::{self, Bound};
 use planish_fixture::Fixture;
-use planish_refine::{Refined, RefineSettings as Settings, refine};
+use planish_refine::{RefineSettings as Settings, Refined, refine};
 use planish_schedule::{
     Choices, SCHEDULERS, Scheduler,
     pvt::{self, Mode, ModeChoice},

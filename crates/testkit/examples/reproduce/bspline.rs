@@ -52,7 +52,8 @@ pub fn reproduce() -> Outcome {
         verdict.expect("a verdict").limits_respected
     });
     let executed = |p: &Plan| {
-        let done = simulate(&p.trajectory, tif, surface, planish_simulate::SimulationSettings::Gridded);
+        let done =
+            simulate(&p.trajectory, tif, surface, planish_simulate::SimulationSettings::Gridded);
         done.expect("a removal").removal
     };
     let done = [&vrr, &spline, &removed].map(executed);

@@ -102,11 +102,14 @@ impl Run<'_> {
 
     fn pvt(&self, mode: pvt::Mode) -> Trajectory {
         // The publication has no tolerance of the distance from the path.
-        let settings = pvt::PvtSettings { max_path_distance_mm: Some(1e9), ..pvt::PvtSettings::new(mode) };
+        let settings =
+            pvt::PvtSettings { max_path_distance_mm: Some(1e9), ..pvt::PvtSettings::new(mode) };
         pvt::schedule(&self.path, &self.dwell, &ion_beam(), &settings).expect("a motion").trajectory
     }
 
-    fn constant_acceleration(&self) -> planish_schedule::Schedule<constant_acceleration::ConstantAccelerationReport> {
+    fn constant_acceleration(
+        &self,
+    ) -> planish_schedule::Schedule<constant_acceleration::ConstantAccelerationReport> {
         constant_acceleration::schedule(&self.path, &self.dwell, &ion_beam()).expect("a motion")
     }
 }
