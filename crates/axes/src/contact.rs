@@ -115,7 +115,7 @@ fn point(map: &AxisMap, cubics: &[[f64; 4]], u: f64) -> Option<[f64; 2]> {
     Some(map.contact(&q)?.point_mm)
 }
 
-/// Position and velocity of the contact point along x and y.
+/// Returns the position and velocity of the contact point along x and y.
 fn state(map: &AxisMap, cubics: &[[f64; 4]], u: f64) -> Option<[State; 2]> {
     let q: Vec<f64> = cubics.iter().map(|c| evaluate(c, u)).collect();
     let v: Vec<f64> = cubics.iter().map(|c| evaluate(&derivative(c), u)).collect();

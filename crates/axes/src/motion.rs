@@ -128,7 +128,7 @@ fn slowed(planned: &AxesPieces<'_>, machine: &Machine) -> Result<SlowedPieces, I
     Err(Invalid::whole("trajectory", problem, remedy))
 }
 
-/// The cubics of the pieces, with the stretch at their ends.
+/// Returns the cubics of the pieces, with the stretch at their ends.
 fn executed(
     pieces: &[AxesPiece],
     stretch: &[f64],
@@ -215,7 +215,7 @@ struct Farthest {
     gap_mm: f64,
 }
 
-/// Largest distance of the executed contact point from the path, at points in every segment.
+/// Returns the largest distance of the executed contact point from the path, at points in every segment.
 fn farthest(
     map: &AxisMap,
     pieces: &[AxesPiece],

@@ -49,12 +49,12 @@ pub(crate) struct AxesPiece {
 }
 
 impl AxesPiece {
-    /// Duration in the motion, s.
+    /// Returns the duration in the motion, s.
     pub(crate) fn duration_s(&self) -> f64 {
         self.to_s - self.from_s
     }
 
-    /// The cubics (1) of the axes over `h` seconds, with the velocities at the ends divided by `slower`.
+    /// Returns the cubics (1) of the axes over `h` seconds, with the velocities at the ends divided by `slower`.
     pub(crate) fn cubics(&self, h: f64, slower: [f64; 2]) -> impl Iterator<Item = [f64; 4]> {
         self.start.iter().zip(&self.end).map(move |(start, end)| {
             cubic([start[0], start[1] / slower[0]], [end[0], end[1] / slower[1]], h)
@@ -62,13 +62,13 @@ impl AxesPiece {
     }
 }
 
-/// The cubic (1) between two states, `h` seconds apart.
+/// Returns the cubic (1) between two states, `h` seconds apart.
 pub(crate) fn cubic([q0, v0]: State, [q1, v1]: State, h: f64) -> [f64; 4] {
     let mean = (q1 - q0) / h;
     [q0, v0, (3.0 * mean - 2.0 * v0 - v1) / h, (-2.0 * mean + v0 + v1) / (h * h)]
 }
 
-/// Contact point of the motion with its derivatives, at the local time `u` of a segment.
+/// Returns the contact point of the motion with its derivatives, at the local time `u` of a segment.
 pub(crate) fn moving(c: &[[f64; 4]; 2], u: f64) -> [Series; 2] {
     c.each_ref().map(|c| {
         let v = derivative(c);
@@ -80,20 +80,20 @@ pub(crate) fn moving(c: &[[f64; 4]; 2], u: f64) -> [Series; 2] {
     })
 }
 
-/// Duration of a piece whose time is stretched by a factor that is linear between its ends, s.
+/// Returns the duration of a piece whose time is stretched by a factor that is linear between its ends, s.
 pub(crate) fn stretched_s(piece: &AxesPiece, ends: [f64; 2]) -> f64 {
     0.5 * (ends[0] + ends[1]) * piece.duration_s()
 }
 
-/// Part of the duration in the motion as given, at a part of the stretched duration: the root of
-/// `w0 f + (w1 - w0) f^2 / 2 = part (w0 + w1) / 2`.
+/// Returns the part of the duration in the motion as given, at a part of the stretched duration: the root of `w0 f +
+/// (w1 - w0) f^2 / 2 = part (w0 + w1) / 2`.
 pub(crate) fn planned_part(part: f64, [w0, w1]: [f64; 2]) -> f64 {
     let area = 0.5 * part * (w0 + w1);
     2.0 * area / (w0 + (w0 * w0 + 2.0 * (w1 - w0) * area).sqrt())
 }
 
-/// Direction in which a point at rest in the centre of a spindle moves away, at the local time `u` of a segment; backwards
-/// in time if `sign` is -1. `None` if the point has a velocity, or stays in the centre.
+/// Returns the direction in which a point at rest in the centre of a spindle moves away, at the local time `u` of a
+/// segment; backwards in time if `sign` is -1. `None` if the point has a velocity, or stays in the centre.
 ///
 /// ```text
 /// p(t) = v t + a t^2 / 2 + j t^3 / 6     the first term that moves the point gives the direction
@@ -116,7 +116,8 @@ fn direction_from_rest(segment: &Segment<'_>, u: f64, sign: f64) -> Option<[f64;
     if order == 0 { None } else { Some([0, 1].map(|k| orders[k][order] / length)) }
 }
 
-/// Distance of a point from the path of a piece, from near its part `f`, mm: two Newton steps of (p - x) . p' = 0.
+/// Returns the distance of a point from the path of a piece, from near its part `f`, mm: two Newton steps of (p - x) .
+/// p' = 0.
 pub(crate) fn distance_mm(c: &[[f64; 4]; 2], piece: &AxesPiece, f: f64, x: [f64; 2]) -> f64 {
     let mut u = piece.from_s + f * piece.duration_s();
     for _ in 0..2 {
@@ -145,7 +146,7 @@ pub(crate) struct AxesPieces<'a> {
 }
 
 impl AxesPieces<'_> {
-    /// The pieces. Refuses a motion that leaves the form, and one that the axes cannot follow.
+    /// Returns the pieces. Refuses a motion that leaves the form, and one that the axes cannot follow.
     pub(crate) fn all(&self) -> Result<Vec<AxesPiece>, Invalid> {
         let mut pieces: Vec<AxesPiece> = Vec::new();
         for (i, segment) in self.trajectory.segments().enumerate() {
@@ -176,7 +177,7 @@ impl AxesPieces<'_> {
         Ok(pieces)
     }
 
-    /// Both halves of a piece.
+    /// Returns both halves of a piece.
     fn halved(&self, piece: AxesPiece, segment: &Segment<'_>) -> Result<[AxesPiece; 2], Invalid> {
         let i = piece.segment;
         let middle_s = 0.5 * (piece.from_s + piece.to_s);
@@ -191,8 +192,8 @@ impl AxesPieces<'_> {
         Ok([AxesPiece { to_s: middle_s, end, ..piece }, second])
     }
 
-    /// The pieces, those halved that leave the path by more than the tolerance where time is stretched by `stretch`;
-    /// `None` if none does. A stretch that changes within a piece bends its cubics.
+    /// Returns the pieces, those halved that leave the path by more than the tolerance where time is stretched by
+    /// `stretch`; `None` if none does. A stretch that changes within a piece bends its cubics.
     pub(crate) fn finer(
         &self,
         pieces: &[AxesPiece],
@@ -223,8 +224,9 @@ impl AxesPieces<'_> {
         Ok(if finer.len() > pieces.len() { Some(finer) } else { None })
     }
 
-    /// Position and velocity of the axes at a time of a segment. In the centre of a spindle, the point moves away from
-    /// there, or it arrives. A point at rest in the centre has the direction in which it begins to move, and all axes rest.
+    /// Returns the position and velocity of the axes at a time of a segment. In the centre of a spindle, the point
+    /// moves away from there, or it arrives. A point at rest in the centre has the direction in which it begins to
+    /// move, and all axes rest.
     fn state(
         &self,
         i: usize,
@@ -287,8 +289,8 @@ impl AxesPieces<'_> {
         }
     }
 
-    /// Largest distance in mm of the contact point of a piece from that of the motion at the same time; infinite where
-    /// a spindle turns too far, and where the tool meets no surface.
+    /// Returns the largest distance in mm of the contact point of a piece from that of the motion at the same time;
+    /// infinite where a spindle turns too far, and where the tool meets no surface.
     fn away_mm(&self, piece: &AxesPiece, segment: &Segment<'_>) -> f64 {
         if self.turning.is_some_and(|c| (piece.end[c][0] - piece.start[c][0]).abs() > MOST_TURN_DEG)
         {

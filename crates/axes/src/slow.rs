@@ -91,7 +91,7 @@ fn largest(excess: &[Option<Excess>]) -> Option<Excess> {
     excess.iter().flatten().copied().max_by(|a, b| a.stretch.total_cmp(&b.stretch))
 }
 
-/// The worst ratio of every piece, the step at its start included; `None` where everything rests.
+/// Returns the worst ratio of every piece, the step at its start included; `None` where everything rests.
 fn excesses(pieces: &[AxesPiece], axes: &[MachineAxis], stretch: &[f64]) -> Vec<Option<Excess>> {
     // Accelerations at the end of the piece before, and its duration.
     let mut before = (vec![0.0; axes.len()], 0.0);
@@ -132,7 +132,7 @@ fn excesses(pieces: &[AxesPiece], axes: &[MachineAxis], stretch: &[f64]) -> Vec<
     all
 }
 
-/// Stretch at the ends of the pieces: the largest need within the window, averaged twice over half of it.
+/// Returns the stretch at the ends of the pieces: the largest need within the window, averaged twice over half of it.
 fn spread(pieces: &[AxesPiece], need: &[f64], window_s: f64) -> Vec<f64> {
     let mut time_s = vec![0.0];
     for piece in pieces {
@@ -150,7 +150,7 @@ fn spread(pieces: &[AxesPiece], need: &[f64], window_s: f64) -> Vec<f64> {
     stretch
 }
 
-/// Largest need of the pieces that come within `window_s` of every time.
+/// Returns the largest need of the pieces that come within `window_s` of every time.
 fn windowed_largest(time_s: &[f64], need: &[f64], window_s: f64) -> Vec<f64> {
     let mut largest = Vec::with_capacity(time_s.len());
     // Pieces in the window, the needs descending.
@@ -172,7 +172,8 @@ fn windowed_largest(time_s: &[f64], need: &[f64], window_s: f64) -> Vec<f64> {
     largest
 }
 
-/// Mean over `half_s` on both sides of every time, of values that are linear between the times and constant beyond.
+/// Returns the mean over `half_s` on both sides of every time, of values that are linear between the times and constant
+/// beyond.
 fn averaged(time_s: &[f64], value: &[f64], half_s: f64) -> Vec<f64> {
     let n = time_s.len();
     let mut sum = vec![0.0];

@@ -339,14 +339,14 @@ fn without_rounding([velocity, acceleration, jerk]: &Used) -> Used {
     [velocity, acceleration, jerk / (1.0 + JERK_ALLOWANCE)]
 }
 
-/// Largest use of a limit, as a factor on accelerations: with all times longer by a factor, a velocity is lower by this
-/// factor and an acceleration by its square.
+/// Returns the largest use of a limit, as a factor on accelerations: with all times longer by a factor, a velocity is
+/// lower by this factor and an acceleration by its square.
 fn as_acceleration(used: &Used) -> f64 {
     let [velocity, acceleration, jerk] = without_rounding(used);
     velocity.powi(2).max(acceleration).max(jerk)
 }
 
-/// Position, velocity and acceleration at the local time `u_s` of a piece, in mm and s.
+/// Returns the position, velocity and acceleration at the local time `u_s` of a piece, in mm and s.
 fn motion_at(segment: &Segment<'_>, u_s: f64) -> [[f64; 2]; 3] {
     let mut c = *segment.coefficient_mm;
     [0; 3].map(|_| {
@@ -356,7 +356,7 @@ fn motion_at(segment: &Segment<'_>, u_s: f64) -> [[f64; 2]; 3] {
     })
 }
 
-/// Largest magnitude of the parabola through three equidistant values, if it is in between; 0 otherwise.
+/// Returns the largest magnitude of the parabola through three equidistant values, if it is in between; 0 otherwise.
 fn peak([a, b, c]: [f64; 3]) -> f64 {
     let slope = 0.5 * (c - a);
     let bend = a - 2.0 * b + c;

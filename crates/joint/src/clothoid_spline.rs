@@ -74,7 +74,7 @@ struct Bends {
 }
 
 impl Bends {
-    /// The parts of a shape of length 1: fraction of the length, and both curvatures.
+    /// Returns the parts of a shape of length 1: fraction of the length, and both curvatures.
     fn parts(&self) -> Vec<(f64, [f64; 2])> {
         match self.kink {
             None => vec![(1.0, [self.start, self.end])],
@@ -120,8 +120,8 @@ impl Shape {
         Bends { start, kink, end }
     }
 
-    /// Length, mm, and curvatures times the length of the shape over a chord, mm, whose ends have these headings,
-    /// counted from the chord; `None` where the turns are too large.
+    /// Returns the length, mm, and curvatures times the length of the shape over a chord, mm, whose ends have these
+    /// headings, counted from the chord; `None` where the turns are too large.
     fn joined(&self, angles_rad: [f64; 2], chord_mm: f64) -> Option<(f64, Bends)> {
         let mut shift = 0.0;
         for _ in 0..MOST_STEPS {
@@ -217,7 +217,7 @@ impl Spline {
         Self { chords, angles_rad, ends }
     }
 
-    /// Lengths, mm, and curvatures times length of all shapes.
+    /// Returns the lengths, mm, and curvatures times length of all shapes.
     fn joined(&self) -> Option<Vec<(f64, Bends)>> {
         let chords = self.chords.iter().enumerate().map(|(k, chord)| {
             let angles = [self.angles_rad[k], self.angles_rad[k + 1] + chord.turn_rad];
@@ -226,7 +226,7 @@ impl Spline {
         chords.collect()
     }
 
-    /// Excess of the curvature before an inner point over that after it, 1/mm.
+    /// Returns the excess of the curvature before an inner point over that after it, 1/mm.
     fn kink_per_mm(joined: &[(f64, Bends)], point: usize) -> f64 {
         let ((before_mm, before), (after_mm, after)) = (&joined[point - 1], &joined[point]);
         before.end / before_mm - after.start / after_mm
@@ -249,7 +249,7 @@ impl Spline {
             })
     }
 
-    /// Changes of the angles by a step of Newton's method with the derivatives (1) and (2), rad.
+    /// Returns the changes of the angles by a step of Newton's method with the derivatives (1) and (2), rad.
     fn step(&self, joined: &[(f64, Bends)]) -> Vec<f64> {
         let n = self.chords.len();
         tridiagonal::solve(n + 1, |k| {
@@ -308,7 +308,7 @@ fn direction(angle_rad: f64) -> [f64; 2] {
     [cos, sin]
 }
 
-/// A vector turned by the angle from the first axis to a unit vector.
+/// Returns a vector turned by the angle from the first axis to a unit vector.
 fn turned([x, y]: [f64; 2], [cos, sin]: [f64; 2]) -> [f64; 2] {
     [cos * x - sin * y, sin * x + cos * y]
 }

@@ -204,13 +204,13 @@ impl Chord {
         [0, 1].map(|k| self.from[k] + s_mm * self.tangent[k])
     }
 
-    /// Distance of a point from the line through it, mm.
+    /// Returns the distance of a point from the line through it, mm.
     fn distance_mm(&self, point_mm: [f64; 2]) -> f64 {
         let [dx, dy] = [0, 1].map(|k| point_mm[k] - self.from[k]);
         (self.tangent[0] * dy - self.tangent[1] * dx).abs()
     }
 
-    /// The parts of its segments between two lengths along it: segment, from, to (mm).
+    /// Returns the parts of its segments between two lengths along it: segment, from, to (mm).
     fn parts(&self, from_mm: f64, to_mm: f64) -> impl Iterator<Item = (usize, f64, f64)> {
         let starts = std::iter::once(0.0).chain(self.segments.iter().map(|(_, end)| *end));
         let parts = self
@@ -223,7 +223,7 @@ impl Chord {
     }
 }
 
-/// The straight lines between points (segments + 1); segments shorter than a picometre are left out.
+/// Returns the straight lines between points (segments + 1); segments shorter than a picometre are left out.
 fn chords(point_mm: &[[f64; 2]], tool_on: &[bool]) -> Vec<Chord> {
     let mut chords: Vec<Chord> = Vec::new();
     for (segment, tool_on) in tool_on.iter().copied().enumerate() {
@@ -260,7 +260,7 @@ struct Blend {
 }
 
 impl Blend {
-    /// The widest rounding that the limits and the room along the two segments allow.
+    /// Returns the widest rounding that the limits and the room along the two segments allow.
     fn widest(turn_rad: f64, room_mm: f64, rounding: &Rounding) -> Self {
         // For L = 1: heading phi u^2 / 2 means a sharpness of phi.
         let [c, s] = clothoid::position(0.0, turn_rad, 1.0);
@@ -299,7 +299,7 @@ pub fn curves(path: &ToolPath, rounding: &Rounding) -> Smooth {
     }
 }
 
-/// The points of a path moved by at most `bound_mm` so that it bends less.
+/// Returns the points of a path moved by at most `bound_mm` so that it bends less.
 ///
 /// ```text
 /// min sum |P_(i-1) - 2 P_i + P_(i+1)|^2   subject to   |P_i - P_i of the path| <= bound
@@ -355,7 +355,7 @@ fn smoothed(path: &ToolPath, bound_mm: f64, longest_mm: f64) -> (Vec<[f64; 2]>, 
     (point_mm, moved_mm)
 }
 
-/// The indices `at` of the points of a path from one that must stay to the next.
+/// Splits the indices `at` of the points of a path from one that must stay to the next.
 fn runs(path: &ToolPath, at: &[usize], longest_mm: f64) -> Vec<Vec<usize>> {
     let mut runs = vec![vec![at[0]]];
     for w in at.windows(3) {
@@ -384,7 +384,7 @@ enum Vertex {
     Corner(f64),
 }
 
-/// The vertices after the chords.
+/// Returns the vertices after the chords.
 fn vertices(chords: &[Chord]) -> Vec<Vertex> {
     let between = chords.windows(2).map(|w| {
         let turn = angle_between(w[0].tangent, w[1].tangent);
@@ -395,7 +395,7 @@ fn vertices(chords: &[Chord]) -> Vec<Vertex> {
     between.chain(last).collect()
 }
 
-/// The rounding of the corner after a chord; `None` where there is no corner.
+/// Returns the rounding of the corner after a chord; `None` where there is no corner.
 fn blend(
     chords: &[Chord],
     vertices: &[Vertex],
@@ -420,8 +420,8 @@ struct Bent {
 }
 
 impl Bent {
-    /// The bent part whose first vertex is after the chord `first` and whose last one is after `last`. `None` where the
-    /// rounding allows no such deviation, or corners would be less curved.
+    /// Returns the bent part whose first vertex is after the chord `first` and whose last one is after `last`. `None`
+    /// where the rounding allows no such deviation, or corners would be less curved.
     fn new(
         chords: &[Chord],
         vertices: &[Vertex],
@@ -478,7 +478,7 @@ impl Bent {
     }
 }
 
-/// The bent parts of a path, each with the chord after which it has its first vertex.
+/// Returns the bent parts of a path, each with the chord after which it has its first vertex.
 fn bent_parts(chords: &[Chord], vertices: &[Vertex], rounding: &Rounding) -> BTreeMap<usize, Bent> {
     let mut bent_parts = BTreeMap::new();
     let mut first = 0;
@@ -509,7 +509,7 @@ fn is_sample(chords: &[Chord], vertices: &[Vertex], i: usize, rounding: &Roundin
     (NO_TURN_RAD..=BENT_TURN_RAD).contains(&turn.abs()) && sagitta_mm <= rounding.deviation_mm
 }
 
-/// True if a chord and the next one may be samples of the same bent path.
+/// Returns true if a chord and the next one may be samples of the same bent path.
 fn are_even(chords: &[Chord], i: usize) -> bool {
     let a = chords[i].length_mm;
     let b = chords[i + 1].length_mm;

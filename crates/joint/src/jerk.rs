@@ -218,7 +218,7 @@ fn mean_mm(motion: &Trajectory, from_s: f64, window_s: f64) -> [f64; 2] {
     [0, 1].map(|axis| about[axis] + sum[axis] / window_s)
 }
 
-/// A piece of (2), h long, from the coefficients that reach it.
+/// Returns a piece of (2), h long, from the coefficients that reach it.
 fn of_b_spline([a, b, c, d]: [f64; 4], h: f64) -> [f64; 4] {
     let (before, here, after) = (b - a, c - b, d - c);
     [

@@ -211,7 +211,8 @@ impl<'a> LimitRows<'a> {
         self
     }
 
-    /// The largest feedrate and acceleration along the curve that the other limits allow on a span with these rows.
+    /// Returns the largest feedrate and acceleration along the curve that the other limits allow on a span with these
+    /// rows.
     fn most(&self, span: usize, rows: Range<usize>) -> Most<'a> {
         let span = &self.mesh.spans[span];
         // s' is largest at a node, because its cubic is not concave; s'' is linear in time.
@@ -425,7 +426,7 @@ impl On {
         }
     }
 
-    /// The motion that the row limits; for a ratio of densities any.
+    /// Returns the motion that the row limits; for a ratio of densities any.
     fn motion(&self, span: &Span, densities: [Option<f64>; 2]) -> Kinematics {
         match *self {
             Self::Ratio { .. } => span.kinematics(0.0, densities),
@@ -452,7 +453,7 @@ impl On {
     }
 }
 
-/// The nearest matrix without negative eigenvalues, elements 00, 01, 11.
+/// Returns the nearest matrix without negative eigenvalues, elements 00, 01, 11.
 fn positive_part([a, b, c]: [f64; 3]) -> [f64; 3] {
     let middle = 0.5 * (a + c);
     let half = 0.5 * (a - c);
@@ -478,7 +479,7 @@ struct Sample {
     curvature_per_mm: f64,
 }
 
-/// Number of steps of a clothoid between places of (1) for x and y.
+/// Returns the number of steps of a clothoid between places of (1) for x and y.
 fn steps_of(piece: &CurvePiece) -> usize {
     let least = if piece.change_of_curvature() > LITTLE_CHANGE { LEAST_STEPS } else { 1 };
     ((piece.turn_rad() / TURN_PER_STEP_RAD).ceil() as usize).max(least)
@@ -529,7 +530,7 @@ struct Most<'a> {
 }
 
 impl Most<'_> {
-    /// Places between which (5) is small.
+    /// Returns the places between which (5) is small.
     fn places(&self, curve: &Curve, further: &Further<'_>) -> Vec<FurtherPlace> {
         let span = self.span;
         let mut places = Vec::new();
@@ -631,7 +632,7 @@ impl Most<'_> {
         bounds.collect()
     }
 
-    /// The rows of a place that the other limits do not imply.
+    /// Returns the rows of a place that the other limits do not imply.
     fn rows(&self, span: usize, place: &FurtherPlace) -> Vec<LimitRow> {
         let s_mm = place.s_mm;
         let feed = self.feed_mm_per_s;

@@ -165,7 +165,7 @@ struct Reference {
 }
 
 impl Reference {
-    /// The reference at densities with this removal.
+    /// Returns the reference at densities with this removal.
     fn new(
         residual: &Residual<'_>,
         mesh: &Mesh,
@@ -284,7 +284,7 @@ impl<'a> Merit<'a> {
         Ok(())
     }
 
-    /// The reference at densities by (3) and (4).
+    /// Returns the reference at densities by (3) and (4).
     fn reference_at(&self, density: &[f64], model_nm: Array2<f64>) -> Reference {
         let Some(beyond) = &self.beyond else {
             return Reference::new(self.residual, self.mesh, density, &model_nm);
@@ -347,7 +347,7 @@ impl<'a> Merit<'a> {
         self.residual.evaluate_removal(&removal_nm).half_mean_square_nm2
     }
 
-    /// Half the mean square and its gradient, by the normal matrix since the reference.
+    /// Returns half the mean square and its gradient, by the normal matrix since the reference.
     fn by_cells(&self, density: &[f64]) -> Evaluation {
         let reference = &self.reference;
         let off: Vec<f64> = density.iter().zip(&reference.density).map(|(d, r)| d - r).collect();

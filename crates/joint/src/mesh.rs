@@ -296,7 +296,7 @@ impl Mesh {
         Self::through(curves, path, &breaks)
     }
 
-    /// Nodes at all `breaks` (curves) but the first and last one, which are rests.
+    /// Returns the nodes at all `breaks` (curves) but the first and last one, which are rests.
     fn through(curves: &[Curve], path: &ToolPath, breaks: &[Vec<f64>]) -> Self {
         let mut spans = Vec::new();
         let mut nodes = 0;
@@ -450,7 +450,7 @@ impl Mesh {
     }
 }
 
-/// Arc lengths at which nodes stand, from the rest at the start to that at the end.
+/// Returns the arc lengths at which nodes stand, from the rest at the start to that at the end.
 fn breaks(curve: &Curve, path: &ToolPath, spacing_mm: f64) -> Vec<f64> {
     let end = curve.length_mm();
     let mut at = vec![0.0];
@@ -482,7 +482,8 @@ fn breaks(curve: &Curve, path: &ToolPath, spacing_mm: f64) -> Vec<f64> {
     all
 }
 
-/// The candidates (rising) that are further than `nearest` from every value (rising) and from each other, among them.
+/// Returns the candidates (rising) that are further than `nearest` from every value (rising) and from each other, among
+/// them.
 fn insert(at: Vec<f64>, candidates: impl Iterator<Item = f64>, nearest: f64) -> Vec<f64> {
     let mut all: Vec<f64> = Vec::with_capacity(at.len());
     let mut rest = at.into_iter().peekable();

@@ -118,7 +118,7 @@ struct Timed {
 }
 
 impl OnSpan<'_> {
-    /// The motion on the span, which takes `duration_s`, with the limits `most` on acceleration, mm/s^2.
+    /// Returns the motion on the span, which takes `duration_s`, with the limits `most` on acceleration, mm/s^2.
     fn cubics(&self, curve: &Curve, duration_s: f64, most: [f64; 2]) -> Vec<Timed> {
         let mut cubics = Vec::new();
         for (piece, from, to) in self.parts(curve) {
@@ -141,7 +141,7 @@ impl OnSpan<'_> {
         cubics
     }
 
-    /// Pieces of the curve on the span, with the fractions of its time between which each lies.
+    /// Returns the pieces of the curve on the span, with the fractions of its time between which each lies.
     fn parts<'c>(&self, curve: &'c Curve) -> Vec<(&'c CurvePiece, f64, f64)> {
         let span = self.span;
         let first = curve.pieces().partition_point(|p| p.to_mm() <= span.from_mm + SAME_BREAK_MM);

@@ -325,7 +325,7 @@ struct Task<'a> {
 }
 
 impl Task<'_> {
-    /// The average in time, if the machine limits jerk.
+    /// Returns the average in time, if the machine limits jerk.
     fn averaged(&self, planned: &Trajectory) -> Result<Option<Trajectory>, Invalid> {
         self.average.map(|average| average.averaged(planned)).transpose()
     }
@@ -505,8 +505,8 @@ fn as_run(
     }
 }
 
-/// A motion that keeps the limits of the further axes: as it is, or with all times longer. With the reason why the
-/// judge refuses it, and the factor on all times.
+/// Returns a motion that keeps the limits of the further axes: as it is, or with all times longer. With the reason why
+/// the judge refuses it, and the factor on all times.
 fn within_axes(
     trajectory: Trajectory,
     refused: Option<String>,
@@ -526,7 +526,7 @@ fn within_axes(
     Ok((trajectory, refused, Some(factor)))
 }
 
-/// Mesh of equal distances, and its spacing if that is wider than `spacing_mm` to save work.
+/// Returns the mesh of equal distances, and its spacing if that is wider than `spacing_mm` to save work.
 fn first_mesh(
     curves: &[Curve],
     path: &ToolPath,
@@ -611,7 +611,7 @@ fn check_further(
     Ok(())
 }
 
-/// Least radius of curvature, mm; `None` where all is straight.
+/// Returns the least radius of curvature, mm; `None` where all is straight.
 fn least_radius_mm(curves: &[Curve]) -> Option<f64> {
     let most = curves.iter().map(Curve::most_curvature_per_mm).fold(0.0, f64::max);
     if most > 0.0 { Some(1.0 / most) } else { None }
@@ -640,8 +640,8 @@ fn scales(
     Ok((rounding, spacing_mm))
 }
 
-/// Mesh with nodes `spacing_mm[0]` apart, and its spacing. It is larger, up to `spacing_mm[1]`, where the solver
-/// would need more than `most_work` multiplications for a factorisation.
+/// Returns the mesh with nodes `spacing_mm[0]` apart, and its spacing. It is larger, up to `spacing_mm[1]`, where the
+/// solver would need more than `most_work` multiplications for a factorisation.
 fn affordable(
     curves: &[Curve],
     path: &ToolPath,
@@ -658,7 +658,8 @@ fn affordable(
     }
 }
 
-/// The mesh, or one with nodes closer than `spacing_mm`, down to `closest_mm`, as long as it takes [`LITTLE_WORK`].
+/// Returns the mesh, or one with nodes closer than `spacing_mm`, down to `closest_mm`, as long as it takes
+/// [`LITTLE_WORK`].
 fn closer(
     curves: &[Curve],
     path: &ToolPath,

@@ -311,7 +311,7 @@ impl<'a> OnMesh<'a> {
         Ok(Self { mesh, residual, normal, lo, pull })
     }
 
-    /// A uniform density above every bound, to start from.
+    /// Returns a uniform density above every bound, to start from.
     fn uniform(&self, rows: &LimitRows<'_>, level_s_per_mm: f64) -> Start {
         let bound = self.lo.iter().copied().fold(rows.least_uniform_density(), f64::max);
         let density = vec![level_s_per_mm.max(FIRST_ABOVE_BOUNDS * bound); self.mesh.nodes];
@@ -324,7 +324,7 @@ impl<'a> OnMesh<'a> {
         Merit::new(residual, normal, mesh, lo, weights, settings.price, density)
     }
 
-    /// Part of an objective, nm^2, that the pull to the least densities has.
+    /// Returns the part of an objective, nm^2, that the pull to the least densities has.
     fn pull_part(&self, density: &[f64], objective_nm2: f64, settings: &JointSettings) -> f64 {
         self.merit(density, settings).pull_nm2(density) / objective_nm2
     }
@@ -521,9 +521,9 @@ impl<'a> OnMesh<'a> {
         })
     }
 
-    /// A round with new tangents, of the removal of the motion and of the limits. It goes towards the least objective
-    /// of that convex program as far as the simulated motion has a lower one. `None` if nothing is proven of this
-    /// program.
+    /// Runs a round with new tangents, of the removal of the motion and of the limits. It goes towards the least
+    /// objective of that convex program as far as the simulated motion has a lower one. `None` if nothing is proven of
+    /// this program.
     fn descend(
         &self,
         program: &Program<'_>,
@@ -621,7 +621,7 @@ fn residual<'a>(
     })
 }
 
-/// The uniform density, s/mm, that removes on average what is above the lowest point.
+/// Returns the uniform density, s/mm, that removes on average what is above the lowest point.
 fn level_s_per_mm(
     inputs: &PlanInputs<'_>,
     mesh: &Mesh,

@@ -113,8 +113,8 @@ impl MeshInputs<'_> {
         Some(Refined { mesh: finer, start, same })
     }
 
-    /// First value of [`TOWARDS_MEAN`] that the rows of the halves allow, for every span that is to be halved; `None`
-    /// if there is none.
+    /// Returns the first value of [`TOWARDS_MEAN`] that the rows of the halves allow, for every span that is to be
+    /// halved; `None` if there is none.
     fn towards_mean(
         &self,
         mesh: &Mesh,
@@ -178,7 +178,7 @@ impl MeshInputs<'_> {
     }
 }
 
-/// Node of the coarser mesh for every node of the finer one; `None` for new nodes.
+/// Returns the node of the coarser mesh for every node of the finer one; `None` for new nodes.
 fn nodes_before(mesh: &Mesh, halved: &[bool]) -> Vec<Option<usize>> {
     let mut before = Vec::new();
     for (span, halved) in mesh.spans.iter().zip(halved) {
@@ -190,8 +190,8 @@ fn nodes_before(mesh: &Mesh, halved: &[bool]) -> Vec<Option<usize>> {
     before
 }
 
-/// The densities of the nodes of the finer mesh: those of the spans that are halved in between, so far
-/// towards the mean; the others are left as they are.
+/// Returns the densities of the nodes of the finer mesh: those of the spans that are halved in between, so far towards
+/// the mean; the others are left as they are.
 fn densities(mesh: &Mesh, towards: &[Option<f64>], density: &[f64]) -> Vec<f64> {
     let mut all = Vec::with_capacity(density.len());
     for (span, towards) in mesh.spans.iter().zip(towards) {

@@ -220,7 +220,7 @@ impl AxisMap {
         None
     }
 
-    /// Contact of a tool along z that has no axis z.
+    /// Returns the contact of a tool along z that has no axis z.
     fn below_z(&self, point_mm: [f64; 2]) -> Contact {
         let off_normal_deg = self.form.at(point_mm).map_or(0.0, |place| place.slope_deg());
         Contact { point_mm, gap_mm: 0.0, off_normal_deg }
@@ -268,8 +268,8 @@ impl AxisMap {
         Some((f, [nx, ny, nz]))
     }
 
-    /// Derivative of the second derivatives of the form by the parameter of a point that moves with the velocity `v`: a
-    /// difference over [`STEP_MM`] on both sides, or on one where the form ends.
+    /// Returns the derivative of the second derivatives of the form by the parameter of a point that moves with the
+    /// velocity `v`: a difference over [`STEP_MM`] on both sides, or on one where the form ends.
     fn hessian_change(&self, at: [f64; 2], v: [f64; 2]) -> Option<[f64; 3]> {
         let speed = v[0].hypot(v[1]);
         if speed == 0.0 {

@@ -394,7 +394,7 @@ struct Rounds<'a> {
 }
 
 impl<'a> Rounds<'a> {
-    /// The state before the first round, and its dwell times.
+    /// Returns the state before the first round, and its dwell times.
     fn start(inputs: LoopInputs<'a>, start: Start) -> Result<(Self, DwellTime), RefineError> {
         let LoopInputs { desired, tif, path, settings, .. } = inputs;
         let mut solver = settings.dwell;
@@ -523,7 +523,7 @@ impl<'a> Rounds<'a> {
         Ok(())
     }
 
-    /// True where the corrections have their last smoothness.
+    /// Returns true where the corrections have their last smoothness.
     fn is_at_last(&self) -> bool {
         self.solver.slope_weight <= self.last_smoothness || self.has_noise
     }
@@ -599,7 +599,7 @@ impl<'a> Rounds<'a> {
         Ok(())
     }
 
-    /// The dwell times of the next round, t = t* + s (t^ - t*).
+    /// Returns the dwell times of the next round, t = t* + s (t^ - t*).
     fn proposal(&self) -> Result<DwellTime, Invalid> {
         let best_s = &self.iterates[self.best().round].dwell_s;
         let step = best_s.iter().zip(&self.proposed_s);

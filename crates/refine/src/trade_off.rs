@@ -107,7 +107,7 @@ const MAX_PASSES: usize = 4;
 /// with it. Larger: prices keep worse plans. Smaller: more refinements for small gains.
 const CLEARLY_BETTER: f64 = 1e-3;
 
-/// Rank of a plan by its objective, nm^2; a plan that exceeds the limits ranks after all others.
+/// Returns the rank of a plan by its objective, nm^2; a plan that exceeds the limits ranks after all others.
 fn rank(plan: &Iterate, price_nm2_per_s: f64) -> (bool, f64) {
     let objective = 0.5 * plan.rms_nm.powi(2) + price_nm2_per_s * plan.total_time_s;
     (!plan.limits_respected, objective)

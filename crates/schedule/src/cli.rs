@@ -124,7 +124,7 @@ pub trait MotionCommand {
 
     fn settings(&self, machine: &Limits, max_path_distance_mm: f64) -> Self::SchedulerSettings;
 
-    /// Kind of the motion, if the method has several.
+    /// Returns the kind of the motion, if the method has several.
     fn kind(_: &Self::SchedulerSettings) -> Option<&'static str> {
         None
     }

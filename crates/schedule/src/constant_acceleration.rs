@@ -214,7 +214,7 @@ pub const OVERSHOOT_MM: f64 = 1e-6;
 /// axis overshoot by more than this (docs/schedulers.md).
 pub const VISIBLE_OVERSHOOT_MM: f64 = 1e-3;
 
-/// Motion of both axes in the same time: the later axis decides it.
+/// Returns the motion of both axes in the same time: the later axis decides it.
 fn coupled(
     s: [f64; 2],
     v0: [f64; 2],
@@ -233,7 +233,7 @@ fn coupled(
     }
 }
 
-/// Motion of one axis by (1), by (2) if the time is too short, or by (3) if the result is too fast.
+/// Returns the motion of one axis by (1), by (2) if the time is too short, or by (3) if the result is too fast.
 fn phase(s: f64, v0: f64, d: f64, v_max: f64, a_max: f64) -> Phase {
     let free = unlimited(s, v0, d, a_max);
     if free.velocity.abs() <= v_max {
@@ -245,7 +245,7 @@ fn phase(s: f64, v0: f64, d: f64, v_max: f64, a_max: f64) -> Phase {
     Phase { tau_s, duration_s, velocity: v, ..free }
 }
 
-/// Motion of one axis by (1), or by (2) if the time is too short; the velocity is not limited.
+/// Returns the motion of one axis by (1), or by (2) if the time is too short; the velocity is not limited.
 fn unlimited(s: f64, v0: f64, d: f64, a_max: f64) -> Phase {
     let r = s - v0 * d;
     if r.abs() <= 1e-15 * s.abs().max(1.0) {

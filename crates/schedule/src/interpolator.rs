@@ -214,7 +214,7 @@ impl Block {
         TrigPiece { density_s_per_mm: self.density_s_per_mm, length_mm: s2 - s1 }
     }
 
-    /// Velocity at its end [x, y], mm/s, if it starts at `start`.
+    /// Returns the velocity at its end [x, y], mm/s, if it starts at `start`.
     fn end_velocity(&self, start: [f64; 2]) -> [f64; 2] {
         let from = self.corner_mm.unwrap_or(start);
         let length = distance(from, self.end_mm);
@@ -482,7 +482,7 @@ impl Interpolator {
         Ok(())
     }
 
-    /// The references of a cubic.
+    /// Emits the references of a cubic.
     fn link(&mut self, cubic: &Cubic, mut emit: impl FnMut(Reference)) -> Result<(), String> {
         let Some(before) = self.before else {
             return Err("a cubic stands before the start; begin with N X Y Z S".into());
@@ -528,7 +528,7 @@ impl Interpolator {
         self.start_s = sum;
     }
 
-    /// The start of the block, when everything agrees.
+    /// Returns the start of the block, when everything agrees.
     fn check(&self, block: &Block) -> Result<[f64; 2], String> {
         let Some(Before { point_mm: start, arc_length_mm: s, .. }) =
             self.before.filter(|b| b.in_pass)

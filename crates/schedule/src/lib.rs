@@ -39,7 +39,7 @@ pub trait Scheduler: std::fmt::Debug {
     /// Name: that of its subcommand of `planish-schedule`.
     fn name(&self) -> &'static str;
 
-    /// Kind of the motion, if the scheduler has several.
+    /// Returns the kind of the motion, if the scheduler has several.
     fn kind(&self) -> Option<&'static str> {
         None
     }
@@ -200,8 +200,8 @@ pub enum ScheduleError {
 /// large that rounding keeps the motion from being proven within the limits.
 const LEAST_LENGTH_MM: f64 = 1e-9;
 
-/// Length up to which a segment counts as rounding, mm: [`LEAST_LENGTH_MM`], or four roundings of its largest
-/// coordinate. A computed closed path ends with such a segment.
+/// Returns the length up to which a segment counts as rounding, mm: [`LEAST_LENGTH_MM`], or four roundings of its
+/// largest coordinate. A computed closed path ends with such a segment.
 fn rounding_mm(path: &ToolPath, segment: usize) -> f64 {
     let ends = [path.point_mm()[segment], path.point_mm()[segment + 1]];
     let largest = ends.as_flattened().iter().fold(0.0, |m: f64, v| m.max(v.abs()));

@@ -192,7 +192,7 @@ impl Along {
             && x.max(y) <= STRAIGHT_MM_PER_S
     }
 
-    /// Largest velocity (1) at the start, mm/s, with the velocity `next` at the end.
+    /// Returns the largest velocity (1) at the start, mm/s, with the velocity `next` at the end.
     fn bound(&self, next: f64) -> f64 {
         let l = self.length_mm;
         let d = self.duration_s;
@@ -201,7 +201,7 @@ impl Along {
         self.max_velocity.min((next * next + 2.0 * a * l).sqrt()).min(in_time)
     }
 
-    /// The motion from `v0` that ends at `bound` at most.
+    /// Returns the motion from `v0` that ends at `bound` at most.
     fn profile(&self, v0: f64, bound: f64) -> Profile {
         let l = self.length_mm;
         let d = self.duration_s;
@@ -252,7 +252,7 @@ impl Along {
     }
 }
 
-/// Largest velocities (1) at all nodes, mm/s, from the end backwards.
+/// Returns the largest velocities (1) at all nodes, mm/s, from the end backwards.
 fn bounds(along: &[Along]) -> Vec<f64> {
     let mut bound = vec![0.0; along.len() + 1];
     for i in (1..along.len()).rev() {
@@ -276,7 +276,7 @@ impl Profile {
         self.time_s.iter().sum()
     }
 
-    /// Pieces that last longer than `least_s`, from 0 to the end.
+    /// Returns the pieces that last longer than `least_s`, from 0 to the end.
     fn cuts(&self, least_s: f64) -> Vec<[f64; 2]> {
         let end = self.duration_s();
         let mut cut = vec![0.0, self.time_s[0], self.time_s[0] + self.time_s[1], end];

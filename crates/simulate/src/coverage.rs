@@ -133,7 +133,7 @@ impl Coverage {
     }
 }
 
-/// A rectangle from its lowest and its highest [x, y].
+/// Returns a rectangle from its lowest and its highest [x, y].
 fn shown([low, high]: &[[f64; 2]; 2]) -> String {
     let [x0, x1, y0, y1] = [low[0], high[0], low[1], high[1]].map(|mm| significant(mm, 5));
     format!("x {x0} .. {x1} mm, y {y0} .. {y1} mm")

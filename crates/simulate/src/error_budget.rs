@@ -250,7 +250,7 @@ const DAMPING_RATIOS: [f64; 2] = [0.005, 2.0];
 const LARGEST_DEGREE: usize = 8;
 
 impl Kind {
-    /// The units of its size, and the largest size.
+    /// Returns the units of its size, and the largest size.
     fn units(self) -> (&'static [Unit], f64) {
         use Kind::*;
         match self {
@@ -399,7 +399,7 @@ impl ErrorFile {
         Err(Invalid::at("errors", index, problem, format!("give {only:?}")))
     }
 
-    /// The effect, with the settings that its kind asks for; refuses any other.
+    /// Returns the effect, with the settings that its kind asks for; refuses any other.
     fn effect(&self, index: usize, name: &str) -> Result<Effect, Invalid> {
         let degree = self.degree.map(|d| d as f64);
         let settings = [

@@ -218,12 +218,12 @@ impl OfKernel {
         (removal, quadrature_points)
     }
 
-    /// Rows of the map, band by band.
+    /// Returns the rows of the map, band by band.
     fn bands(&self) -> Vec<Range<usize>> {
         parts(self.kernel.y.pixels, self.pixels[1])
     }
 
-    /// Columns of the map, two strips for each tile; the last may be empty.
+    /// Returns the columns of the map, two strips for each tile; the last may be empty.
     fn strips(&self) -> Vec<[Range<usize>; 2]> {
         let n = self.kernel.x.pixels;
         let strips = parts(n, self.pixels[0]);

@@ -48,7 +48,7 @@ impl Lattice {
         }
     }
 
-    /// Nodes between the first and the last pixel.
+    /// Returns the nodes between the first and the last pixel.
     fn nodes(&self) -> usize {
         (self.pixels - 1).saturating_mul(self.subdivision).saturating_add(1)
     }

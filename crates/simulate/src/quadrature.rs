@@ -206,7 +206,7 @@ impl Cutter {
         }
     }
 
-    /// The motion in lattice coordinates.
+    /// Returns the motion in lattice coordinates.
     fn on_lattice(&self, segment: &Segment<'_>) -> [[f64; 4]; 2] {
         [0, 1].map(|axis| {
             let NodeCells { origin_mm, step_mm, .. } = self.cells[axis];
@@ -242,7 +242,7 @@ impl Cutter {
 }
 
 impl Window {
-    /// The cell of two split coordinates, if it is inside.
+    /// Returns the cell of two split coordinates, if it is inside.
     fn cell(&self, at: [(isize, f64); 2]) -> Option<[i64; 2]> {
         let cell = [at[0].0 as i64, at[1].0 as i64];
         let is_inside = (0..2).all(|a| cell[a] >= self.low[a] && cell[a] < self.high[a]);
@@ -268,7 +268,7 @@ impl Rules {
         }
     }
 
-    /// The piece in a cell; `offset` at its middle, `motion` [x, y] by [`within`].
+    /// Returns the piece in a cell; `offset` at its middle, `motion` [x, y] by [`within`].
     fn piece(
         &self,
         cell: [i64; 2],
@@ -323,24 +323,24 @@ impl Rules {
     }
 }
 
-/// Largest difference of a cubic on 0..1 from uniform motion.
+/// Returns the largest difference of a cubic on 0..1 from uniform motion.
 fn bend(p: &[f64; 4]) -> f64 {
     p[2].abs() + p[3].abs()
 }
 
-/// Largest way of a cubic on 0..1.
+/// Returns the largest way of a cubic on 0..1.
 fn way(p: &[f64; 4]) -> f64 {
     p[1].abs() + bend(p)
 }
 
-/// The cubic p of the time as one of the fraction of the piece from `start`, less its cell.
+/// Returns the cubic p of the time as one of the fraction of the piece from `start`, less its cell.
 fn within(p: &[f64; 4], cell: i64, start: f64, duration: f64) -> [f64; 4] {
     let [p0, p1, p2, p3] = polynomial::shifted(p, start);
     let square = duration * duration;
     [p0 - cell as f64, p1 * duration, p2 * square, p3 * square * duration]
 }
 
-/// Mean of Keys' weights along a motion.
+/// Returns the mean of Keys' weights along a motion.
 #[inline]
 fn mean_weights<const N: usize>(rule: &[(f64, f64); N], p: &[f64; 4]) -> [f64; 4] {
     let mut mean = [0.0; 3];
@@ -355,7 +355,7 @@ fn mean_weights<const N: usize>(rule: &[(f64, f64); N], p: &[f64; 4]) -> [f64; 4
     keys::mean_weights(mean)
 }
 
-/// Mean of the products of Keys' weights along a motion [x, y] and of a factor, times `seconds`.
+/// Returns the mean of the products of Keys' weights along a motion [x, y] and of a factor, times `seconds`.
 #[inline]
 fn products<const N: usize>(
     rule: &[(f64, f64); N],
@@ -412,7 +412,7 @@ fn crossings(
     }
 }
 
-/// The time in `between` at which p, there monotone, is `level`; p is `at` at its start.
+/// Returns the time in `between` at which p, there monotone, is `level`; p is `at` at its start.
 fn crossing(
     p: &[f64; 4],
     d: &[f64; 4],

@@ -96,7 +96,7 @@ impl<'a> Runs<'a> {
         Ok(&self.executed + &(self.moved_nm(run)? - &self.unchanged))
     }
 
-    /// Half the diagonal of the map, mm.
+    /// Returns half the diagonal of the map, mm.
     fn reach_mm(&self) -> f64 {
         let size = self.grid.size_mm();
         0.5 * size[0].hypot(size[1])

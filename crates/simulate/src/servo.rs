@@ -106,7 +106,7 @@ impl Servo {
         (motion, from)
     }
 
-    /// The cubic that solves the equation: with D = d/dt, q = r / (1 + A D + B D^2).
+    /// Returns the cubic that solves the equation: with D = d/dt, q = r / (1 + A D + B D^2).
     fn steady(self, r: &[f64; 4]) -> [f64; 4] {
         let (a, b) = match self {
             Self::Lag { lag_s } | Self::FirstOrder { lag_s } => (lag_s, 0.0),
@@ -121,7 +121,7 @@ impl Servo {
         std::array::from_fn(|k| r[k] - a * d1[k] + (a * a - b) * d2[k] - third * d3[k])
     }
 
-    /// Fastest and slowest time of the transient, s.
+    /// Returns the fastest and slowest time of the transient, s.
     fn times_s(self) -> (f64, f64) {
         match self {
             Self::Lag { lag_s } | Self::FirstOrder { lag_s } => (lag_s, lag_s),
@@ -133,7 +133,7 @@ impl Servo {
         }
     }
 
-    /// The transient after the time u.
+    /// Returns the transient after the time u.
     fn decayed(self, [h, dh]: State, u: f64) -> State {
         match self {
             Self::Lag { lag_s } | Self::FirstOrder { lag_s } => {
@@ -168,7 +168,7 @@ fn lagging(r: &[f64; 4], lag_s: f64) -> [f64; 4] {
     std::array::from_fn(|k| r[k] - lag_s * v[k])
 }
 
-/// The cubic over the time h from one state to the next.
+/// Returns the cubic over the time h from one state to the next.
 fn hermite([p, v]: State, [q, w]: State, h: f64) -> [f64; 4] {
     let mean = (q - p) / h;
     [p, v, (3.0 * mean - 2.0 * v - w) / h, (v + w - 2.0 * mean) / (h * h)]

@@ -46,8 +46,8 @@ pub struct Lines<'a> {
 
 /// The pieces of the lines of cells, of which 0 is the first that spreads seconds to the tile.
 pub trait LinePieces: Sync {
-    /// The pieces of each strip in a block of lines, the line of each in the block, and which of the nodes that are
-    /// beyond only at times are so for it: [`crate::lattice::BorderNode::kind`].
+    /// Returns the pieces of each strip in a block of lines, the line of each in the block, and which of the nodes that
+    /// are beyond only at times are so for it: [`crate::lattice::BorderNode::kind`].
     fn in_block(&self, block: usize) -> [impl Iterator<Item = (u32, usize, u8)>; 2];
 
     /// Adds the seconds of a piece to what the `F_d` have of the given strip, at `(d + 1) step` and after.

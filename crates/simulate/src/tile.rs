@@ -207,12 +207,12 @@ impl<'a> Tile<'a> {
         (0..2).all(|a| first[a] == 0 || cell[a] >= self.window.low[a] + overlap[a])
     }
 
-    /// Node of a cell along y.
+    /// Returns the node of a cell along y.
     fn row(&self, cell_y: i64) -> i64 {
         cell_y - self.first_y
     }
 
-    /// Node of a cell in a strip along x, if it spreads seconds there.
+    /// Returns the node of a cell in a strip along x, if it spreads seconds there.
     fn column(&self, cell_x: i64, part: usize) -> Option<i64> {
         let c = cell_x - self.first_x[part];
         let nodes = self.kernel.x.nodes_of(&self.strips[part]) as i64;

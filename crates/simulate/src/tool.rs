@@ -128,7 +128,7 @@ fn rows_in_parallel(
     Array2::from_shape_fn((ny, nx), |(r, c)| rows[r][c])
 }
 
-/// Places just outside of the tool, in samples (column, row), and true if the tool ends there by itself.
+/// Returns the places just outside of the tool, in samples (column, row), and true if the tool ends there by itself.
 fn end_of(tif: &Tif, inside: &Array2<bool>) -> (Vec<[f64; 2]>, bool) {
     let rate = tif.rate_nm_per_s();
     let (ny, nx) = rate.dim();
@@ -168,8 +168,8 @@ pub(crate) fn ends_by_itself(tif: &Tif, inside: &Array2<bool>) -> bool {
     end_of(tif, inside).1
 }
 
-/// Weight of every sample: 1 in the TIF, 0 just outside, and smooth between over `over_mm`. It is 1 everywhere if the
-/// TIF falls to zero within its samples: that is the edge of the tool and not of a measurement.
+/// Returns the weight of every sample: 1 in the TIF, 0 just outside, and smooth between over `over_mm`. It is 1
+/// everywhere if the TIF falls to zero within its samples: that is the edge of the tool and not of a measurement.
 fn fade(tif: &Tif, inside: &Array2<bool>, over_mm: f64) -> Array2<f64> {
     let (ny, nx) = inside.dim();
     let step = [tif.grid().x.step_mm(), tif.grid().y.step_mm()];

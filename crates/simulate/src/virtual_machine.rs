@@ -97,7 +97,7 @@ fn check_run(run: u64) -> Result<(), Invalid> {
     Err(Invalid::whole("run", format!("is {run}"), format!("give 1 to {MOST_RUNS}")))
 }
 
-/// The process with the sizes of what can be learnt from maps at zero, each error at its place.
+/// Returns the process with the sizes of what can be learnt from maps at zero, each error at its place.
 fn without_what_is_learnt(process: &ErrorBudget) -> ErrorBudget {
     let mut process = process.clone();
     for error in &mut process.errors {
@@ -169,7 +169,7 @@ pub fn draw_run(
     Ok(VirtualRun { measured, removal, hidden: Hidden { truth: deviation.truth(), errors } })
 }
 
-/// Error of the measurement `number` of the machine of a seed, nm.
+/// Returns the error of the measurement `number` of the machine of a seed, nm.
 fn measurement_error(map: &Surface, process: &ErrorBudget, seed: u64, number: u64) -> Array2<f64> {
     let mut wrong = Array2::zeros(map.grid().shape());
     for (i, error) in process.errors.iter().enumerate() {
@@ -182,7 +182,7 @@ fn measurement_error(map: &Surface, process: &ErrorBudget, seed: u64, number: u6
     wrong
 }
 
-/// Error of one measurement by one error of the map, nm.
+/// Returns the error of one measurement by one error of the map, nm.
 fn map_error(effect: Effect, size: f64, map: &Surface, rng: &mut impl Rng) -> Array2<f64> {
     let shape = map.grid().shape();
     match effect {

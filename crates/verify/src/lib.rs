@@ -377,7 +377,7 @@ impl AxisTally {
         }
     }
 
-    /// The verdict on an axis whose positions have the unit `unit`.
+    /// Returns the verdict on an axis whose positions have the unit `unit`.
     fn finish_for(self, unit: &'static str) -> MachineAxisVerdict {
         let [position, velocity, acceleration, jerk] = self.ranges.map(Tally::finish);
         let [position_step, velocity_step, acceleration_step] = self.steps.map(Tally::finish);

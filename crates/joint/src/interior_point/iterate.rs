@@ -179,8 +179,8 @@ impl<'a> Iterate<'a> {
         dot(&self.c, &self.z) + dot(&self.room, &self.y)
     }
 
-    /// Upper bound on the excess of f over its least value under the tangents, nm^2. With the inverse of its
-    /// curvature a closer bound is tried, if it can decide whether `relative_gap` is reached.
+    /// Returns the upper bound on the excess of f over its least value under the tangents, nm^2. With the inverse of
+    /// its curvature a closer bound is tried, if it can decide whether `relative_gap` is reached.
     pub(super) fn gap(
         &self,
         inverse: Option<&Inverse<'_>>,
@@ -216,8 +216,8 @@ impl<'a> Iterate<'a> {
         simple.min(products + square)
     }
 
-    /// The iterate whose rows the tangents are, and its proven gap: the excess over their least value, from the `gap`
-    /// here.
+    /// Returns the iterate whose rows the tangents are, and its proven gap: the excess over their least value, from the
+    /// `gap` here.
     pub(super) fn executable(&mut self, gap: f64) -> Executable {
         let (density, value, gap) = match &mut self.anchor {
             None => (&self.density, self.f.value, gap),
@@ -294,7 +294,7 @@ impl<'a> Iterate<'a> {
         (mu, centred.combined(&self.second_order(&predictor), |a, b| a - b))
     }
 
-    /// The step to `target` with Gondzio's corrections, and the products that it aims at with them.
+    /// Returns the step to `target` with Gondzio's corrections, and the products that it aims at with them.
     fn without_outliers(
         &self,
         inverse: &Inverse<'_>,
@@ -318,7 +318,7 @@ impl<'a> Iterate<'a> {
         (target, step)
     }
 
-    /// A longer step where bends end it early.
+    /// Returns a longer step where bends end it early.
     ///
     /// ```text
     /// c(D + t d) = c + t J d - q,   and d' instead of d with   J d' = J d + q / t as far as (2) allows   (3)
@@ -369,7 +369,7 @@ impl<'a> Iterate<'a> {
         after
     }
 
-    /// The matrix of (2), factorised; `row_of` has the row of every node. `None` if it is singular to rounding.
+    /// Returns the matrix of (2), factorised; `row_of` has the row of every node. `None` if it is singular to rounding.
     fn inverse(&self, row_of: &[usize]) -> Option<Inverse<'_>> {
         let chain = self.program.chain;
         let mut diagonal: Vec<f64> =
@@ -389,8 +389,8 @@ impl<'a> Iterate<'a> {
         self.program.inverse(row_of, (&diagonal, &below))
     }
 
-    /// The step by (2) with `target` in the place of mu, and slacks that are `excess` (rows) larger than they should
-    /// be.
+    /// Returns the step by (2) with `target` in the place of mu, and slacks that are `excess` (rows) larger than they
+    /// should be.
     fn direction(&self, inverse: &Inverse<'_>, target: &Products, excess: &[f64]) -> Step {
         let Self { f, here, c, room, z, y, .. } = self;
         let t = target.bounds.iter().zip(room).map(|(t, room)| t / room);
@@ -407,12 +407,12 @@ impl<'a> Iterate<'a> {
         }
     }
 
-    /// The longest step by the tangents of the rows.
+    /// Returns the longest step by the tangents of the rows.
     fn by_tangents(&self, step: &Step) -> f64 {
         longest(&self.room, &step.density).min(longest(&self.c, &step.c))
     }
 
-    /// The longest step, and where it ends: by the rows themselves, unless their tangents are kept.
+    /// Returns the longest step, and where it ends: by the rows themselves, unless their tangents are kept.
     fn primal(&self, step: &Step) -> (f64, Vec<f64>) {
         // The tangents say nearly how far.
         let length = self.by_tangents(step);
@@ -426,7 +426,7 @@ impl<'a> Iterate<'a> {
         longest(&self.z, &step.z).min(longest(&self.y, &step.y))
     }
 
-    /// The products after a primal step of length `a` and a dual one of length `b`, by the tangents.
+    /// Returns the products after a primal step of length `a` and a dual one of length `b`, by the tangents.
     fn products(&self, step: &Step, a: f64, b: f64) -> Products {
         let after_step = |v: &[f64], dv: &[f64], z: &[f64], dz: &[f64]| {
             (0..v.len()).map(|i| (v[i] + a * dv[i]) * (z[i] + b * dz[i])).collect()
@@ -437,7 +437,7 @@ impl<'a> Iterate<'a> {
         }
     }
 
-    /// Second-order terms of the products after a full step.
+    /// Returns the second-order terms of the products after a full step.
     fn second_order(&self, step: &Step) -> Products {
         Products {
             rows: zip_with(&step.c, &step.z, |dc, dz| dc * dz),

@@ -38,8 +38,8 @@ pub struct Program<'a> {
 }
 
 impl<'a> Program<'a> {
-    /// The inverse of the normal matrix with a chain added: its diagonal (n) and its elements (j, j - 1) (n). `None` if
-    /// that is singular to rounding.
+    /// Returns the inverse of the normal matrix with a chain added: its diagonal (n) and its elements (j, j - 1) (n).
+    /// `None` if that is singular to rounding.
     pub(super) fn inverse(
         &self,
         row_of: &[usize],
@@ -70,8 +70,8 @@ impl<'a> Program<'a> {
         Some(Inverse { order: &self.normal.order, by_rows })
     }
 
-    /// The longest part of the step `length d` after which every row keeps more than a twentieth of its slack `c`,
-    /// and the densities where it ends.
+    /// Returns the longest part of the step `length d` after which every row keeps more than a twentieth of its slack
+    /// `c`, and the densities where it ends.
     pub(super) fn farthest(
         &self,
         density: &[f64],

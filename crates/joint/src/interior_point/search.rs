@@ -98,13 +98,13 @@ struct Patience {
 impl Patience {
     const FIRST: Self = Self { below: 1.0, from: 0 };
 
-    /// True if a proof may begin, when the objective has just fallen by `fall_nm2`.
+    /// Returns true if a proof may begin, when the objective has just fallen by `fall_nm2`.
     fn ends(&self, there: Progress, fall_nm2: f64, wanted_nm2: f64) -> bool {
         let falls = fall_nm2 > STILL_FALLING * wanted_nm2;
         there.complementarity <= self.below * wanted_nm2 && !falls && there.iteration >= self.from
     }
 
-    /// The condition after a proof that failed at a step.
+    /// Returns the condition after a proof that failed at a step.
     fn after_failure(&self, iteration: usize) -> Self {
         Self {
             below: (self.below * KEPT_AGAIN).max(LEAST_KEPT_BELOW),
@@ -144,7 +144,7 @@ pub(super) struct Look {
 }
 
 impl Look {
-    /// True if the gap here decides how the search goes on.
+    /// Returns true if the gap here decides how the search goes on.
     pub(super) fn decides(&self) -> bool {
         self.near || self.last
     }
@@ -246,7 +246,7 @@ impl<'a> Search<'a> {
         Ok(Look { near: look.near && self.settled, ..look })
     }
 
-    /// The proven gap here, nm^2. `None` if the curvature of f is singular to rounding.
+    /// Returns the proven gap here, nm^2. `None` if the curvature of f is singular to rounding.
     pub(super) fn prove(&mut self, look: &Look, merit: &Merit<'_>) -> Option<f64> {
         if look.near && self.of_curvature.is_none() {
             self.of_curvature = Some(self.program.inverse(&self.row_of, self.program.chain)?);
@@ -285,7 +285,7 @@ impl<'a> Search<'a> {
         self.evaluate(look.there, merit);
     }
 
-    /// The step by (2), as far as it is allowed. `None` if its matrix is singular to rounding.
+    /// Takes the step by (2), as far as it is allowed. `None` if its matrix is singular to rounding.
     pub(super) fn step(&mut self, merit: &mut Merit<'_>) -> Option<()> {
         let step = self.at.step(&self.row_of)?;
         let complementarity = self.at.advance(&step);
@@ -298,7 +298,7 @@ impl<'a> Search<'a> {
         (self.at.f, self.settled) = merit.evaluate(there, &self.at.density);
     }
 
-    /// The best iterate, with the dual variables of the last one.
+    /// Returns the best iterate, with the dual variables of the last one.
     pub(super) fn solution(self, end: End) -> Option<Solution> {
         let Executable { density, relative_gap, .. } = self.best.iterate?;
         let duals = [self.at.z, self.at.y];

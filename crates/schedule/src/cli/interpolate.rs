@@ -226,7 +226,7 @@ impl Table {
     }
 }
 
-/// Head in format version 1.0 of NumPy's `.npy`: magic, version, length of the header, the header.
+/// Returns the head in format version 1.0 of NumPy's `.npy`: magic, version, length of the header, the header.
 fn npy_head(rows: u64) -> Vec<u8> {
     let columns = COLUMNS.len();
     let header =

@@ -54,7 +54,7 @@ impl Program {
         Ok(Status::Done)
     }
 
-    /// Height of the part at the end of every record, mm.
+    /// Returns the height of the part at the end of every record, mm.
     fn heights_mm(&self, records: &[Record], inputs: &mut Inputs) -> Result<Vec<f64>, Failure> {
         let Some(path) = &self.form else { return Ok(vec![0.0; records.len()]) };
         let form = inputs.read_form("form", path)?.form;
@@ -73,7 +73,7 @@ impl Program {
     }
 }
 
-/// Records of a dwell-time density, with what lies outside of its passes if the trajectory is given.
+/// Returns the records of a dwell-time density, with what lies outside of its passes if the trajectory is given.
 pub(super) fn read_records(
     inputs: &mut Inputs,
     dwell_density: &Path,

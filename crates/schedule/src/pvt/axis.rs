@@ -94,7 +94,7 @@ pub(super) struct Part {
 /// segments to solve again. Smaller: parts cost more to set up than to solve.
 const LEAST_PART_SEGMENTS: usize = 64;
 
-/// Excess of each of n segments, the larger of both axes; `None` if no part exceeds the limits.
+/// Returns the excess of each of n segments, the larger of both axes; `None` if no part exceeds the limits.
 pub(super) fn excess_of_parts(parts: &[Vec<Part>; 2], n: usize) -> Option<Vec<f64>> {
     let mut all = None;
     for part in parts.iter().flatten() {
@@ -106,7 +106,7 @@ pub(super) fn excess_of_parts(parts: &[Vec<Part>; 2], n: usize) -> Option<Vec<f6
     all
 }
 
-/// Node velocities of an axis, whether its parts exceed limits or not.
+/// Returns the node velocities of an axis, whether its parts exceed limits or not.
 pub(super) fn velocity_of_parts(parts: &[Part]) -> Vec<f64> {
     let mut all = vec![0.0];
     for part in parts {
@@ -119,7 +119,7 @@ pub(super) fn velocity_of_parts(parts: &[Part]) -> Vec<f64> {
     all
 }
 
-/// The solution of all parts of an axis.
+/// Returns the solution of all parts of an axis.
 pub(super) fn joined(parts: Vec<Part>) -> Solved {
     let mut parts = parts.into_iter().filter_map(|part| part.solved?.ok());
     let mut all = parts.next().expect("every part is solved");
@@ -141,7 +141,7 @@ struct Limited {
 }
 
 impl Limited {
-    /// Times at which the velocity of segment `i`, which has limits, is bounded.
+    /// Returns the times at which the velocity of segment `i`, which has limits, is bounded.
     fn times(&self, i: usize) -> impl Iterator<Item = f64> {
         std::iter::once(0.5).chain(self.velocity_at.get(&i).into_iter().flatten().copied())
     }
@@ -155,7 +155,7 @@ pub(super) struct Solved {
 }
 
 impl AxisProblem<'_> {
-    /// The problem of an axis with these displacements and limits.
+    /// Returns the problem of an axis with these displacements and limits.
     pub(super) fn new(displacement_mm: Vec<f64>, mode: Mode, limits: &AxisLimits) -> Self {
         Self {
             displacement_mm: Cow::Owned(displacement_mm),
@@ -170,7 +170,7 @@ impl AxisProblem<'_> {
         }
     }
 
-    /// Problem of the same axis along other segments.
+    /// Returns the problem of the same axis along other segments.
     pub(super) fn along(&self, displacement_mm: Vec<f64>) -> AxisProblem<'static> {
         AxisProblem {
             displacement_mm: Cow::Owned(displacement_mm),
@@ -232,7 +232,7 @@ impl AxisProblem<'_> {
         });
     }
 
-    /// Node velocities within the limits at the durations `h`, or those with the least excess.
+    /// Returns the node velocities within the limits at the durations `h`, or those with the least excess.
     fn solve(
         &self,
         h: &[f64],
@@ -267,7 +267,7 @@ impl AxisProblem<'_> {
         Err(Exceeding { velocity, excess })
     }
 
-    /// The free minimiser of (4): H v = g by elimination; H is diagonally dominant.
+    /// Returns the free minimiser of (4): H v = g by elimination; H is diagonally dominant.
     fn clamped_spline(&self, h: &[f64]) -> Vec<f64> {
         let n = h.len();
         let dp = &self.displacement_mm;
@@ -289,7 +289,7 @@ impl AxisProblem<'_> {
         v
     }
 
-    /// Factor by which the time of each segment should grow; up to 1 if it keeps the limits. The velocity
+    /// Returns the factor by which the time of each segment should grow; up to 1 if it keeps the limits. The velocity
     /// falls with the time, the acceleration with its square, the jerk with its cube.
     pub(super) fn excess(&self, v: &[f64], h: &[f64]) -> Vec<f64> {
         (0..h.len()).map(|i| self.excess_of(i, v, h)).collect()
@@ -309,7 +309,7 @@ impl AxisProblem<'_> {
         excess.max(((end - start).abs() / (h * self.max_jerk)).cbrt())
     }
 
-    /// Signs that the velocity of each node may have: [negative, positive].
+    /// Returns the signs that the velocity of each node may have: [negative, positive].
     pub(super) fn allowed_signs(&self, i: usize) -> [bool; 2] {
         let n = self.displacement_mm.len();
         if i == 0 || i == n {
@@ -403,7 +403,7 @@ impl AxisProblem<'_> {
         None
     }
 
-    /// Penalty of elastic bounds, for an excess of 1 that lasts 1 s. It follows from the largest energy and
+    /// Returns the penalty of elastic bounds, for an excess of 1 that lasts 1 s. It follows from the largest energy and
     /// the largest mean velocity of the axis, so that the energy hardly counts against it.
     fn elastic_price(&self, h: &[f64]) -> f64 {
         let n = h.len();
@@ -415,7 +415,7 @@ impl AxisProblem<'_> {
         energy * mean * mean / (ELASTIC_ENERGY * mean_s)
     }
 
-    /// Quadratic program of (4), with the penalty for exceeding its bounds.
+    /// Returns the quadratic program of (4), with the penalty for exceeding its bounds.
     ///
     /// Elastic bounds: segment i may exceed its limits by the fraction e_i >= 0, a variable of its own. The
     /// penalty is proportional to h_i e_i, about twice the time that a stretch of the segment would add.
@@ -462,7 +462,6 @@ impl AxisProblem<'_> {
         let d = dp / h[i];
         let a = self.max_acceleration * h[i];
         let v_max = self.max_velocity;
-
         add_both(rows, [-4.0, -2.0], 6.0 * d, a);
         add_both(rows, [2.0, 4.0], -6.0 * d, a);
         add_both(rows, [1.0, 0.0], 0.0, v_max);

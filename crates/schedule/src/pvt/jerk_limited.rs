@@ -35,8 +35,8 @@ use crate::{ScheduleError, hermite::coefficients};
 /// that the loop ends. Larger: hard cases run longer. Smaller: more of them are slowed as a whole.
 const MAX_LOCAL_ROUNDS: usize = 200;
 
-/// Motion along the spline of (5), the number of rounds, and the number of cuts. `timing` is stretched until every limit
-/// is kept; without `stretch` an excess is an error.
+/// Returns the motion along the spline of (5), the number of rounds, and the number of cuts. `timing` is stretched
+/// until every limit is kept; without `stretch` an excess is an error.
 pub(super) fn motion(
     path: &ToolPath,
     dwell: &DwellTime,
@@ -107,7 +107,7 @@ struct CutSegments {
 }
 
 impl CutSegments {
-    /// The motion with durations h (N) that is cut at the nodes `is_cut` (N+1).
+    /// Returns the motion with durations h (N) that is cut at the nodes `is_cut` (N+1).
     fn new(axes: &[AxisProblem<'_>; 2], near: &NearPath, h: &[f64], is_cut: &[bool]) -> Self {
         let n = h.len();
         let free = axes.each_ref().map(|axis| match n {
@@ -182,7 +182,7 @@ impl CutSegments {
         more
     }
 
-    /// Piece i, which starts at `start`, mm.
+    /// Returns the piece i, which starts at `start`, mm.
     fn cubic(&self, i: usize, start: [f64; 2]) -> [[f64; 4]; 2] {
         [0, 1].map(|a| {
             let v = &self.velocity[a];
@@ -215,14 +215,14 @@ impl CutSegments {
     }
 }
 
-/// Displacements of the quarters of (5) from rest to rest, and the velocities at their ends.
+/// Returns the displacements of the quarters of (5) from rest to rest, and the velocities at their ends.
 fn quarters(dp: f64, h: f64) -> (Vec<f64>, Vec<f64>) {
     let v = dp / h;
     let parts = [1.0, 5.0, 5.0, 1.0].map(|part| part / 12.0 * dp);
     (parts.to_vec(), vec![v, 2.0 * v, v, 0.0])
 }
 
-/// Displacements of the thirds of (7), and the velocities at their ends.
+/// Returns the displacements of the thirds of (7), and the velocities at their ends.
 fn thirds(dp: f64, h: f64, [v0, v1]: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
     let tau = h / 3.0;
     let middle = 3.0 * dp / h - v0 - v1;
@@ -231,8 +231,8 @@ fn thirds(dp: f64, h: f64, [v0, v1]: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
     (vec![outer[0], dp - outer[0] - outer[1], outer[1]], vec![first, second, v1])
 }
 
-/// Velocities at the nodes (N+1) of the spline along N > 1 segments that has the velocities `ends` and no acceleration
-/// at its ends, mm/s.
+/// Returns the velocities at the nodes (N+1) of the spline along N > 1 segments that has the velocities `ends` and no
+/// acceleration at its ends, mm/s.
 fn node_velocities(dp: &[f64], h: &[f64], ends: [f64; 2]) -> Vec<f64> {
     let n = h.len();
     // a-(i) = a+(i+1): elimination of the nodes 1 .. n-1.
@@ -272,8 +272,8 @@ fn outer_half(dp: f64, end: f64, inner: f64, h: f64) -> (f64, f64) {
     (end * tau + change, end + 3.0 * change / tau)
 }
 
-/// Displacements of the pieces of the spline along N > 1 segments: halves of the first and of the last segment by (6).
-/// Velocities at the ends of the pieces, mm/s.
+/// Returns the displacements of the pieces of the spline along N > 1 segments: halves of the first and of the last
+/// segment by (6). Velocities at the ends of the pieces, mm/s.
 fn spline(dp: &[f64], h: &[f64], ends: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
     let n = h.len();
     let v = node_velocities(dp, h, ends);

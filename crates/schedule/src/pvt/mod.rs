@@ -279,7 +279,7 @@ fn solve_near_path(
     }
 }
 
-/// Break times, and the durations as their difference, so that the segments join to rounding.
+/// Returns the break times, and the durations as their difference, so that the segments join to rounding.
 fn differences(duration_s: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let break_time_s = break_times(duration_s);
     let h = parallel(duration_s.len()).map(|k| break_time_s[k + 1] - break_time_s[k]);
@@ -293,7 +293,7 @@ fn solve_parts(axes: &[AxisProblem<'_>; 2], h: &[f64], parts: &mut [Vec<Part>; 2
     rayon::join(|| axes[0].solve_parts(h, x), || axes[1].solve_parts(h, y));
 }
 
-/// Motion from the solutions of all parts.
+/// Returns the motion from the solutions of all parts.
 fn joined_motion(
     path: &ToolPath,
     dwell: &DwellTime,

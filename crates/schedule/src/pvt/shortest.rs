@@ -191,8 +191,8 @@ impl<'a> Search<'a> {
         Shortest { duration_s, velocity, sweeps }
     }
 
-    /// True for nodes whose velocity may change: within reach of the `wanted` segments, and on to a segment that keeps
-    /// the limits of the search at the wanted time. That segment can keep the velocity at its far end.
+    /// Returns true for nodes whose velocity may change: within reach of the `wanted` segments, and on to a segment
+    /// that keeps the limits of the search at the wanted time. That segment can keep the velocity at its far end.
     fn near(&self, wanted: &[bool], velocity: &[Velocity]) -> Vec<bool> {
         let n = wanted.len();
         let [x_s, y_s] =
@@ -230,7 +230,7 @@ impl<'a> Search<'a> {
         self.least_time(i, velocity[i], velocity[i + 1]) <= self.least_s[i]
     }
 
-    /// Times of all segments, s. A segment between two nodes that keep their velocity has its wanted time.
+    /// Returns the times of all segments, s. A segment between two nodes that keep their velocity has its wanted time.
     fn durations(&self, open: &[bool], velocity: &[Velocity]) -> Vec<f64> {
         let durations = (0..self.wanted_s.len()).map(|i| {
             let least = self.least_time(i, velocity[i], velocity[i + 1]);
@@ -241,7 +241,8 @@ impl<'a> Search<'a> {
         durations.collect()
     }
 
-    /// Best combination of speeds along the path, rest, and the velocities before; `None` if none keeps the limits.
+    /// Returns the best combination of speeds along the path, rest, and the velocities before; `None` if none keeps the
+    /// limits.
     fn along_the_path(&self, open: &[bool], before: &[Velocity]) -> Option<Vec<Velocity>> {
         let largest = self.axes[0].velocity.hypot(self.axes[1].velocity);
         let speeds: Vec<f64> = (0..SPEEDS as i32).map(|k| largest / SPEED_FACTOR.powi(k)).collect();
@@ -253,10 +254,10 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Highest speeds along the path at which every segment takes about the time of a constant acceleration. The limits
-    /// at constant speed come first, then those of accelerating, and backwards those of braking (J. E. Bobrow, S.
-    /// Dubowsky, J. S. Gibson, Int. J. Robot. Res. 4 (1985) 3). A grid of speeds is too coarse along segments that are
-    /// too short to change the speed by one of its steps.
+    /// Returns the highest speeds along the path at which every segment takes about the time of a constant
+    /// acceleration. The limits at constant speed come first, then those of accelerating, and backwards those of
+    /// braking (J. E. Bobrow, S. Dubowsky, J. S. Gibson, Int. J. Robot. Res. 4 (1985) 3). A grid of speeds is too
+    /// coarse along segments that are too short to change the speed by one of its steps.
     fn profile(&self, open: &[bool], before: &[Velocity]) -> Vec<Velocity> {
         let n = self.wanted_s.len();
         let direction: Vec<Velocity> =
@@ -298,7 +299,7 @@ impl<'a> Search<'a> {
         (0..=n).map(|node| velocity(node, speed[node])).collect()
     }
 
-    /// Best combination of steps up and down from `velocity`.
+    /// Returns the best combination of steps up and down from `velocity`.
     fn stepped(
         &self,
         open: &[bool],
@@ -326,8 +327,9 @@ impl<'a> Search<'a> {
         best.unwrap_or_else(|| velocity.to_vec())
     }
 
-    /// Best of all combinations of candidates at the open nodes; `None` if none keeps the limits. The first [`OTHERS`]
-    /// candidates are combined with all candidates of a neighbour, the others with those at most `apart` places away.
+    /// Returns the best of all combinations of candidates at the open nodes; `None` if none keeps the limits. The first
+    /// [`OTHERS`] candidates are combined with all candidates of a neighbour, the others with those at most `apart`
+    /// places away.
     fn best(
         &self,
         open: &[bool],
@@ -419,7 +421,7 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Nearest velocity that the mode and the limits allow.
+    /// Returns the nearest velocity that the mode and the limits allow.
     fn allowed(&self, node: usize, velocity: Velocity) -> Velocity {
         [0, 1].map(|a| {
             let axis = &self.axes[a];
@@ -434,8 +436,8 @@ impl<'a> Search<'a> {
         (0..2).all(|a| velocity[a].abs() <= self.axes[a].velocity)
     }
 
-    /// Least time of segment `i`, s, not below `least_s`; infinite if no time keeps the limits, or the segment near its
-    /// path. In more time, a segment with the same velocities leaves its path by more.
+    /// Returns the least time of segment `i`, s, not below `least_s`; infinite if no time keeps the limits, or the
+    /// segment near its path. In more time, a segment with the same velocities leaves its path by more.
     fn least_time(&self, i: usize, from: Velocity, to: Velocity) -> f64 {
         let mut h = self.least_s[i];
         loop {
@@ -500,7 +502,7 @@ impl Axis<'_> {
     }
 }
 
-/// The largest h at which `c0 + c1 h = j h^3`.
+/// Returns the largest h at which `c0 + c1 h = j h^3`.
 fn end_of_cubic(c0: f64, c1: f64, j: f64) -> f64 {
     // Not below it; from there the steps of Newton descend to it, because the difference is concave.
     let mut h = (2.0 * c0.max(0.0) / j).cbrt().max((2.0 * c1.max(0.0) / j).sqrt());

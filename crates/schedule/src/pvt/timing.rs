@@ -35,7 +35,7 @@ pub(super) struct Timing {
 }
 
 impl Timing {
-    /// Times by [`durations_s`], without the segments that take no time.
+    /// Returns the times by [`durations_s`], without the segments that take no time.
     pub(super) fn new(path: &ToolPath, dwell: &DwellTime, limits: &Limits) -> Self {
         let mut duration_s = durations_s(path, dwell, limits);
         let segments = (0..path.len()).filter(|i| duration_s[*i] > 0.0).collect();
@@ -43,7 +43,7 @@ impl Timing {
         Self { segments, duration_s }
     }
 
-    /// Error about the segment whose dwell time is the most below its least time; `None` if none is.
+    /// Returns the error about the segment whose dwell time is the most below its least time; `None` if none is.
     pub(super) fn refusal(
         &self,
         path: &ToolPath,
@@ -77,7 +77,7 @@ impl Timing {
         }
     }
 
-    /// Segments that take longer than their dwell time, in order.
+    /// Returns the segments that take longer than their dwell time, in order.
     pub(super) fn stretched(&self, path: &ToolPath, dwell: &DwellTime) -> Vec<Stretched> {
         (self.segments.iter().zip(&self.duration_s))
             .map(|(&segment, &scheduled_s)| Stretched {
@@ -90,7 +90,7 @@ impl Timing {
             .collect()
     }
 
-    /// Segments of `path` that take no time, in order.
+    /// Returns the segments of `path` that take no time, in order.
     pub(super) fn dropped(&self, path: &ToolPath) -> Vec<usize> {
         let mut timed = self.segments.iter().peekable();
         (0..path.len()).filter(|i| timed.next_if(|k| *k == i).is_none()).collect()
@@ -102,8 +102,8 @@ impl Timing {
 /// digits. 64 roundings leave two digits, enough for a segment whose times and lengths are rounding.
 const LEAST_ROUNDINGS: f64 = 64.0;
 
-/// Duration of every segment of `path`: `h >= dwell`, `h >= |dp| / v_max` on both axes, `h >= min_segment_s`, and
-/// where that is not zero, not below [`LEAST_ROUNDINGS`].
+/// Returns the duration of every segment of `path`: `h >= dwell`, `h >= |dp| / v_max` on both axes, `h >=
+/// min_segment_s`, and where that is not zero, not below [`LEAST_ROUNDINGS`].
 pub(crate) fn durations_s(path: &ToolPath, dwell: &DwellTime, limits: &Limits) -> Vec<f64> {
     let mut duration_s: Vec<f64> =
         parallel(path.len()).map(|i| dwell.dwell_s()[i].max(least_time(path, limits, i))).collect();
@@ -112,7 +112,8 @@ pub(crate) fn durations_s(path: &ToolPath, dwell: &DwellTime, limits: &Limits) -
     duration_s
 }
 
-/// Least time of segment `i`, s: the mean velocity keeps its limits, and the controller accepts the duration.
+/// Returns the least time of segment `i`, s: the mean velocity keeps its limits, and the controller accepts the
+/// duration.
 fn least_time(path: &ToolPath, limits: &Limits, i: usize) -> f64 {
     let dp = path.displacement_mm(i);
     let v = limits.max_velocity_mm_per_s();
@@ -120,13 +121,13 @@ fn least_time(path: &ToolPath, limits: &Limits, i: usize) -> f64 {
     x_s.max(y_s).max(limits.min_segment_s())
 }
 
-/// Segment with the largest excess, and that excess; 1 if no segment exceeds the limits.
+/// Returns the segment with the largest excess, and that excess; 1 if no segment exceeds the limits.
 pub(super) fn worst(excess: &[f64]) -> (usize, f64) {
     let each = excess.iter().copied().enumerate();
     each.fold((0, 1.0), |m, (k, e)| if e > m.1 { (k, e) } else { m })
 }
 
-/// Error about a segment that would have to be stretched by `factor`, which the settings forbid.
+/// Returns the error about a segment that would have to be stretched by `factor`, which the settings forbid.
 pub(super) fn too_short(
     path: &ToolPath,
     dwell: &DwellTime,

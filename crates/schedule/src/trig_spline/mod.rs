@@ -121,7 +121,7 @@ pub struct TrigSplineSchedule {
 }
 
 impl TrigSplineSettings {
-    /// The settings with corners that stay within the usual tolerance of the path.
+    /// Returns the settings with corners that stay within the usual tolerance of the path.
     fn near(&self, path: &ToolPath) -> Result<Self, Invalid> {
         let tolerance_mm = path.tolerance_mm(None)?;
         let corner_deviation_mm = if tolerance_mm > 0.0 {

@@ -30,7 +30,7 @@ pub(super) struct Motion<'a> {
 }
 
 impl<'a> Motion<'a> {
-    /// Motion along all passes; `report` has the changes of their densities.
+    /// Returns the motion along all passes; `report` has the changes of their densities.
     pub(super) fn along(
         path: &'a ToolPath,
         dwell: &'a DwellTime,
@@ -243,7 +243,7 @@ impl<'a> Motion<'a> {
     }
 }
 
-/// Magnitude and direction.
+/// Returns the magnitude and direction.
 fn polar(v: [f64; 2]) -> (f64, [f64; 2]) {
     let speed = v[0].hypot(v[1]);
     (speed, v.map(|v| if speed > 0.0 { v / speed } else { 0.0 }))
@@ -297,7 +297,7 @@ impl CubicFit {
         }
     }
 
-    /// Hermite cubic along a stretch; `None` if it misses the tolerance or the limits and can be halved.
+    /// Returns the Hermite cubic along a stretch; `None` if it misses the tolerance or the limits and can be halved.
     fn cubic(&self, stretch: &Stretch, is_last: bool) -> Option<Cubic> {
         let piece = &self.shape;
         let ends = piece.ends(stretch);

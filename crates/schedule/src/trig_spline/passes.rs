@@ -92,7 +92,7 @@ pub(super) struct Pass {
     pub(super) straight_of: Vec<usize>,
 }
 
-/// Maximal runs of segments with the tool on.
+/// Returns the maximal runs of segments with the tool on.
 pub(super) fn runs_with_tool_on(path: &ToolPath) -> impl Iterator<Item = Range<usize>> + '_ {
     let on = path.tool_on();
     let mut next = 0;
@@ -179,8 +179,8 @@ impl Pass {
         pass
     }
 
-    /// Dwell time of every straight; a segment without length gives its time to the straights
-    /// before and after it.
+    /// Returns the dwell time of every straight; a segment without length gives its time to the straights before and
+    /// after it.
     fn times(&self, dwell: &DwellTime, report: &mut TrigSplineReport) -> Vec<f64> {
         let mut times: Vec<f64> = self.straights.iter().map(|s| dwell.dwell_s()[s.index]).collect();
         for i in self.run.clone() {
@@ -201,8 +201,8 @@ impl Pass {
         times
     }
 
-    /// Densities of the dwell points that give every straight its time: row k holds the time that
-    /// a density of 1 at the dwell points k-1, k, k+1 gives straight k.
+    /// Returns the densities of the dwell points that give every straight its time: row k holds the time that a density
+    /// of 1 at the dwell points k-1, k, k+1 gives straight k.
     fn densities(&self, times: &[f64], report: &mut TrigSplineReport) -> Vec<f64> {
         let n = self.straights.len();
         let mut rows = vec![[0.0; 3]; n];
@@ -280,7 +280,7 @@ impl Pass {
         }
     }
 
-    /// Piece from node k to the next one.
+    /// Returns the piece from node k to the next one.
     pub(super) fn piece(&self, k: usize) -> Limited {
         let a = &self.nodes[k];
         let b = &self.nodes[k + 1];
@@ -303,7 +303,7 @@ impl Pass {
         (1..self.nodes.len()).map(|k| self.piece(k - 1))
     }
 
-    /// Arc length of node k from the start of the pass; that of a corner is its middle.
+    /// Returns the arc length of node k from the start of the pass; that of a corner is its middle.
     fn arc_length(&self, k: usize) -> f64 {
         let s = &self.straights[self.straight_of[k]];
         let part = if self.nodes[k].half_length_mm > 0.0 { s.length } else { 0.5 * s.length };
@@ -336,7 +336,7 @@ impl Pass {
         )
     }
 
-    /// Time of the pass, s.
+    /// Returns the time of the pass, s.
     pub(super) fn duration_s(&self) -> f64 {
         let (Some(first), Some(last)) = (self.nodes.first(), self.nodes.last()) else { return 0.0 };
         let last_straight = &self.straights[self.straights.len() - 1];
@@ -360,7 +360,7 @@ fn corner_weights(before: f64, after: f64) -> [f64; 2] {
     [after / (before + after), before / (before + after)]
 }
 
-/// Nodes of all passes that have a length: start, dwell points, three for every corner, end.
+/// Returns the nodes of all passes that have a length: start, dwell points, three for every corner, end.
 pub(super) fn density_of(
     path: &ToolPath,
     passes: &[Pass],

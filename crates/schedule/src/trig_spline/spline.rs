@@ -64,7 +64,7 @@ impl TrigPiece {
         PiecePlace { x, angle, density_s_per_mm }
     }
 
-    /// Upper bound on |d^4 s/dt^4| of the position s between two parts of the length, mm/s^4.
+    /// Returns the upper bound on |d^4 s/dt^4| of the position s between two parts of the length, mm/s^4.
     pub(super) fn fourth_derivative_bound(&self, ends: [PiecePlace; 2]) -> f64 {
         // ds/dt = 1/D, so d^4 s/dt^4 = (-D''' D^2 + 10 D D' D'' - 15 D'^3) / D^7, and by (1), with
         // q = pi/L and A = M1 q/2,  D' = A sin(pi x),  D'' = A q cos(pi x),  D''' = -A q^2 sin(pi x)
@@ -94,7 +94,7 @@ impl TrigPiece {
         self.time_s(time_weights(from, to))
     }
 
-    /// Time from the start of a stretch to its place `k`, s; the place [`STRETCH_PLACES`] is its end.
+    /// Returns the time from the start of a stretch to its place `k`, s; the place [`STRETCH_PLACES`] is its end.
     pub(super) fn elapsed_s_to(&self, stretch: &Stretch, k: usize) -> f64 {
         self.time_s(stretch.time_weights(k))
     }
@@ -161,8 +161,8 @@ impl HalfAngle {
     }
 }
 
-/// Time between two parts of the length per mm of length, for a density of 1 s/mm at one end and 0 at the other,
-/// for each end.
+/// Returns the time between two parts of the length per mm of length, for a density of 1 s/mm at one end and 0 at the
+/// other, for each end.
 fn time_weights(from: f64, to: f64) -> [f64; 2] {
     // The integral of (1) in half-angle form, w = to - from, m the middle; no term is negative:
     //   of sin^2(pi x/2):  (theta - sin theta)/pi + 2/pi sin^2(pi m/2) sin theta,  theta = pi w/2
@@ -191,7 +191,7 @@ impl Stretch {
     /// The whole piece.
     pub(super) const WHOLE: Self = Self { from: 0.0, to: 1.0, halved: 1 };
 
-    /// Stretch between any two parts of the length.
+    /// Returns the stretch between any two parts of the length.
     pub(super) fn new(from: f64, to: f64) -> Self {
         Self { from, to, halved: 0 }
     }
@@ -206,7 +206,7 @@ impl Stretch {
         ]
     }
 
-    /// The part of the length at the place `k`.
+    /// Returns the part of the length at the place `k`.
     pub(super) fn part(&self, k: usize) -> f64 {
         if k == STRETCH_PLACES {
             return self.to;
@@ -249,7 +249,7 @@ static KNOWN: LazyLock<Vec<Known>> = LazyLock::new(|| {
     known.collect()
 });
 
-/// Difference x - sin x for 0 <= x <= pi/2, to its own rounding.
+/// Returns the difference x - sin x for 0 <= x <= pi/2, to its own rounding.
 fn angle_less_sine(x: f64) -> f64 {
     if x > 0.5 {
         return x - x.sin();
@@ -278,7 +278,7 @@ impl Limited {
         self.shape.raised(by).peak_acceleration() > self.max_acceleration
     }
 
-    /// Smallest offset >= `offset` that keeps the acceleration limit, s/mm. Raising both densities by the
+    /// Returns the smallest offset >= `offset` that keeps the acceleration limit, s/mm. Raising both densities by the
     /// same amount leaves D' and raises D: |D'|/D^3 falls.
     pub(super) fn offset(&self, offset: f64) -> f64 {
         if !self.is_too_fast([offset; 2]) {
@@ -290,7 +290,7 @@ impl Limited {
         bisect(offset, offset.max(bound), |by| !self.is_too_fast([by; 2]))
     }
 
-    /// Smallest increase of the smaller density, at the end `which`, that keeps the acceleration limit,
+    /// Returns the smallest increase of the smaller density, at the end `which`, that keeps the acceleration limit,
     /// s/mm. It lowers |D'| and raises D everywhere; at equal densities there is no acceleration.
     pub(super) fn raise(&self, which: usize) -> f64 {
         if !self.is_too_fast([0.0; 2]) {
@@ -304,7 +304,7 @@ impl Limited {
     }
 }
 
-/// Smallest value in (low, high] that is `good`. `high` is good, and so is every value above a good one.
+/// Returns the smallest value in (low, high] that is `good`. `high` is good, and so is every value above a good one.
 fn bisect(mut low: f64, mut high: f64, good: impl Fn(f64) -> bool) -> f64 {
     for _ in 0..BISECTIONS {
         let middle = 0.5 * (low + high);

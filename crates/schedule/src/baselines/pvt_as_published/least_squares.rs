@@ -83,7 +83,7 @@ pub(super) struct LeastSquares {
 }
 
 impl LeastSquares {
-    /// Gradient J'(J x - r), and the diagonal of J'J.
+    /// Returns the gradient J'(J x - r), and the diagonal of J'J.
     pub(super) fn gradient(&self, x: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let mut gradient = vec![0.0; self.unknowns];
         let mut square = vec![0.0; self.unknowns];
@@ -97,8 +97,8 @@ impl LeastSquares {
         (gradient, square)
     }
 
-    /// Distance from the minimum, max_j |J_j| |x_j - clamp(x_j - gradient_j / |J_j|^2)| / |r|; it is 0 at the
-    /// minimum and only there.
+    /// Returns the distance from the minimum, max_j |J_j| |x_j - clamp(x_j - gradient_j / |J_j|^2)| / |r|; it is 0 at
+    /// the minimum and only there.
     pub(super) fn optimality(&self, low: &[f64], high: &[f64], x: &[f64]) -> f64 {
         let (gradient, square) = self.gradient(x);
         let scale = self.right_norm();
@@ -111,7 +111,7 @@ impl LeastSquares {
         if largest == 0.0 { 0.0 } else { largest / scale }
     }
 
-    /// Side of every unknown, to which x - gradient / |J_j|^2 points.
+    /// Returns the side of every unknown, to which x - gradient / |J_j|^2 points.
     fn sides(&self, low: &[f64], high: &[f64], x: &[f64]) -> Vec<Side> {
         let (gradient, square) = self.gradient(x);
         (0..self.unknowns)
@@ -128,9 +128,9 @@ impl LeastSquares {
             .collect()
     }
 
-    /// Solution by primal-dual active sets, and the number of rounds: solve with the unknowns on their
-    /// sides and choose the sides again, until they no longer change. `None` if they keep changing, or if
-    /// the rows are dependent.
+    /// Returns the solution by primal-dual active sets, and the number of rounds: solve with the unknowns on their
+    /// sides and choose the sides again, until they no longer change. `None` if they keep changing, or if the rows are
+    /// dependent.
     pub(super) fn active_set(
         &self,
         low: &[f64],
@@ -211,7 +211,7 @@ impl LeastSquares {
         Some((x, MAX_CHANGES))
     }
 
-    /// Norm |r| of the right-hand side.
+    /// Returns the norm |r| of the right-hand side.
     fn right_norm(&self) -> f64 {
         self.rows.iter().map(|row| row.right * row.right).sum::<f64>().sqrt()
     }
@@ -263,7 +263,7 @@ impl LeastSquares {
         if x.iter().all(|x| x.is_finite()) { Some(x) } else { None }
     }
 
-    /// Solution by clarabel, to its tolerance of 1e-8, as min |z|^2/2 with J x - z = r.
+    /// Returns the solution by clarabel, to its tolerance of 1e-8, as min |z|^2/2 with J x - z = r.
     pub(super) fn interior_point(&self, low: &[f64], high: &[f64]) -> Vec<f64> {
         let n = self.unknowns;
         let m = self.rows.len();

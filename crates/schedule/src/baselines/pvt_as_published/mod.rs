@@ -242,7 +242,7 @@ impl Nodes {
 const LARGEST_OPTIMALITY: f64 = 1e-9;
 
 impl Axis {
-    /// Distances p(0) - P0 and p(h) - P1 of the least-squares cubic, mm.
+    /// Returns the distances p(0) - P0 and p(h) - P1 of the least-squares cubic, mm.
     fn position_errors(&self, nodes: &Nodes, i: usize) -> [f64; 2] {
         let h = self.duration_s[i];
         let [_, row] = self.rows(i);
@@ -250,7 +250,7 @@ impl Axis {
         [error, -error]
     }
 
-    /// Rows (3) of segment i.
+    /// Returns the rows (3) of segment i.
     fn rows(&self, i: usize) -> [ResidualRow; 2] {
         let h = self.duration_s[i];
         let dp = self.displacement_mm[i];
@@ -272,7 +272,7 @@ impl Axis {
         ]
     }
 
-    /// All rows: `A - a` of every node, once per segment that ends there, and (3), by segments.
+    /// Returns all rows: `A - a` of every node, once per segment that ends there, and (3), by segments.
     fn least_squares(&self) -> LeastSquares {
         let n = self.duration_s.len();
         let mut rows = Vec::with_capacity(3 * n + 1);
@@ -311,8 +311,8 @@ impl Axis {
         (low, high)
     }
 
-    /// Solution by active sets, from the free solution. If they repeat, the bounds are changed one at a time, from the
-    /// solution of the interior point method.
+    /// Returns the solution by active sets, from the free solution. If they repeat, the bounds are changed one at a
+    /// time, from the solution of the interior point method.
     fn solve(&self) -> Result<Nodes, NotConverged> {
         let problem = self.least_squares();
         let (low, high) = self.bounds();
